@@ -1,0 +1,50 @@
+"""The errors a user may meet.
+
+Every error carries one message that says what is wrong, where, what was found and what is wanted.
+The command line prints that message and ends with `exit_status`; it never shows a traceback for them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class FluxtwinError(Exception):
+    """Base of all errors that are meant for the user."""
+
+    exit_status = 2
+
+
+class BadInput(FluxtwinError, ValueError):
+    """Input that cannot be used: a missing file, column, unit, an unknown key, an impossible value."""
+
+    exit_status = 2
+
+    def __init__(self, message: str, *, where: str | None = None, wanted: str | None = None) -> None:
+        """Compose `where: message; wanted: wanted`.
+
+        where: the file, row, key or argument at fault. wanted: what would be accepted, or what to do.
+        """
+        text = message if where is None else f"{where}: {message}"
+        if wanted is not None:
+            text = f"{text}. Wanted: {wanted}"
+        super().__init__(text)
+        self.where = where
+        self.wanted = wanted
+
+
+class NoAnswer(FluxtwinError):
+    """The data are readable but do not allow an answer: too few samples, no excitation, nothing usable.
+
+    `evidence` hands back what was found on the way (an estimate, a rank, a null direction).
+    """
+
+    exit_status = 1
+
+    def __init__(self, message: str, *, evidence: dict[str, Any] | None = None) -> None:
+        super().__init__(message)
+        self.evidence = {} if evidence is None else evidence
+
+
+class OutOfRange(BadInput):
+    """An epoch, altitude or degree outside what a model covers; the message names the range."""

@@ -1,0 +1,1 @@
+"""Sensor models: one sensor, one module."""

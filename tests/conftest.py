@@ -1,0 +1,43 @@
+"""Fixtures shared by all tests: the shared reference folder, and a comparison whose tolerance has a meaning."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pytest
+
+matplotlib.use("Agg")
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder of reference and flight data beside the project; tests that need it skip without it."""
+    folder = Path(os.environ.get("FLUXTWIN_SHARED", ROOT.parent / "shared"))
+    if not (folder / "reference").is_dir():
+        pytest.skip("the shared folder is absent: no reference or flight data here")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def close() -> Callable[..., None]:
+    """`close(actual, expected, atol=..., unit=..., because=...)`: absolute tolerance with unit and reason."""
+    return assert_close
+
+
+def assert_close(actual: Any, expected: Any, *, atol: float, unit: str, because: str) -> None:
+    """Fail with the largest difference, the tolerance, its unit and the reason for it."""
+    a, e = np.broadcast_arrays(np.asarray(actual, dtype=float), np.asarray(expected, dtype=float))
+    assert a.size, "nothing was compared"
+    gap = np.abs(a - e)
+    worst = np.unravel_index(int(np.argmax(np.where(np.isnan(gap), np.inf, gap))), gap.shape)
+    assert bool((gap <= atol).all()), (
+        f"differs by {gap[worst]:.6g} {unit} at {worst}: found {a[worst]:.9g}, expected {e[worst]:.9g}, "
+        f"tolerance {atol:g} {unit} ({because})"
+    )

@@ -1,0 +1,105 @@
+"""Figures of a calibration: how parameters scatter, and what makes up the residual."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from fluxtwin.plots import style
+from fluxtwin.sim.types import FloatArray
+
+
+@dataclass(frozen=True)
+class ParameterScatter:
+    """Estimates of the same parameters from several data sets; K parameters, D data sets, R runs."""
+
+    names: Sequence[str]
+    data_sets: Sequence[str]
+    estimates: FloatArray
+    """(R, D, K)."""
+    truth: FloatArray
+    """(K,)."""
+    printed: FloatArray
+    """(D, K) magnitudes printed in the paper, NaN where there is none."""
+
+
+@dataclass(frozen=True)
+class ErrorBudget:
+    """Contributions to the residual, two ways [mG]."""
+
+    sources: Sequence[str]
+    simulated_mG: FloatArray
+    paper_rule_mG: FloatArray
+
+
+@dataclass(frozen=True)
+class NodeMisfit:
+    """Misfit of each node tried, with the one chosen and the witness."""
+
+    raan_deg: FloatArray
+    misfit: FloatArray
+    chosen_deg: float
+    witness_deg: float
+
+
+def draw_scatter(record: ParameterScatter, *, title: str) -> Figure:
+    """One panel a parameter: spread of the estimates per data set, truth, and the printed magnitude."""
+    rows = int(np.ceil(len(record.names) / 3))
+    figure, grid = style.figure(7.2, 2.0 * rows, rows=rows, cols=3)
+    all_axes = [axes for row in grid for axes in row]
+    places = np.arange(len(record.data_sets))
+    limit = np.max(np.abs(np.percentile(record.estimates, [2.5, 97.5], axis=0)), axis=(0, 1)).max()
+    for number, (axes, name) in enumerate(zip(all_axes, record.names, strict=False)):
+        low, middle, high = np.percentile(record.estimates[:, :, number], [2.5, 50.0, 97.5], axis=0)
+        axes.vlines(places, low, high, color=style.BLUE, linewidth=4, alpha=0.6)
+        axes.plot(places, middle, "_", color=style.BLUE, markersize=10)
+        sign = np.sign(record.truth[number]) or 1.0
+        axes.plot(places, sign * record.printed[:, number], "x", color=style.PAPER, markersize=6)
+        axes.axhline(record.truth[number], color="black", linewidth=0.8)
+        axes.set_title(name)
+        axes.set_xticks(places, record.data_sets, rotation=60, fontsize=7)
+        axes.set_ylim(-1.05 * limit, 1.05 * limit)
+        if number % 3 == 0:
+            axes.set_ylabel("value [1]")
+    figure.suptitle(title)
+    return figure
+
+
+def draw_budget(record: ErrorBudget, *, title: str) -> Figure:
+    """Bars of the residual's sources: simulated alone, and by the paper's arithmetic."""
+    figure, ((axes,),) = style.figure(7.2, 3.8)
+    places = np.arange(len(record.sources))
+    for shift, values, label, colour in (
+        (-0.2, record.simulated_mG, "simulated, source alone", style.BLUE),
+        (0.2, record.paper_rule_mG, "the paper's arithmetic", style.ORANGE),
+    ):
+        bars = axes.bar(places + shift, values, 0.38, label=label, color=colour)
+        axes.bar_label(bars, fmt="%.2f", fontsize=8)
+    axes.set_xticks(places, record.sources)
+    axes.set(title=title, ylabel="rms per component [mG]")
+    axes.legend()
+    return figure
+
+
+def draw_node_misfit(record: NodeMisfit, *, title: str) -> Figure:
+    """Misfit against the node, with the chosen one and the one that the launch gives."""
+    figure, ((axes,),) = style.figure(7.2, 3.4)
+    axes.plot(record.raan_deg, 100 * record.misfit, color=style.BLUE)
+    axes.axvline(record.chosen_deg, color=style.VERMILION, label=f"chosen: {record.chosen_deg:.0f} deg")
+    axes.axvline(
+        record.witness_deg,
+        color="black",
+        linestyle="--",
+        label=f"from the launch: {record.witness_deg:.1f} deg",
+    )
+    axes.set(
+        title=title,
+        xlabel="right ascension of the node, 0 h UTC of day 205 [deg]",
+        ylabel="misfit [% of the orbit]",
+    )
+    axes.set_xlim(0, 360)
+    axes.legend()
+    return figure

@@ -1,0 +1,184 @@
+"""Yaw from the magnetometer beside yaw from the sun sensor, drawn as in Lerner & Shuster's figures 1 and 2."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from fluxtwin.plots import style
+from fluxtwin.sim.types import BoolArray, FloatArray
+
+
+@dataclass(frozen=True)
+class YawComparison:
+    """One stretch of yaw solutions; N samples, M averages."""
+
+    minutes: FloatArray
+    """(N,) time from the start."""
+    sun_deg: FloatArray
+    """(N,) sun-sensor solution, NaN where no head sees the sun."""
+    magnetometer_deg: FloatArray
+    """(N,) solution from each sample."""
+    change_x: BoolArray
+    """(N,) the X reading differs from the one before."""
+    change_y: BoolArray
+    mean_minutes: FloatArray
+    """(M,) middle of each averaging window."""
+    mean_deg: FloatArray
+    """(M,) magnetometer solution averaged over the window."""
+    window_s: float
+
+
+@dataclass(frozen=True)
+class YawSweep:
+    """How often yaw = 0 is the better estimate, by the amplitude of the true yaw."""
+
+    amplitude_deg: FloatArray
+    share_full: FloatArray
+    """Share of windows in which yaw = 0 beats the full calibration; mean over seeds."""
+    spread_full: FloatArray
+    """Standard deviation of that share over seeds."""
+    share_bias_only: FloatArray
+    spread_bias_only: FloatArray
+    crossover_deg: float | None
+    """Amplitude at which the full calibration begins to win half of the windows; None outside the sweep."""
+
+
+@dataclass(frozen=True)
+class YawSigma:
+    """Expected yaw error along one orbit and the worst value of many."""
+
+    latitude_deg: FloatArray
+    sigma_deg: FloatArray
+    """(N,) along one orbit, same length as latitude."""
+    worst_orbit_deg: FloatArray
+    """Largest value of each of many single orbits."""
+    worst_base_deg: FloatArray
+    """Largest value of each of many data bases of four orbits."""
+    printed_deg: float
+
+
+def draw_mean_bias(record: YawComparison, *, title: str) -> Figure:
+    """Figure 1: sun sensor dashed, averaged magnetometer dotted, and the trivial solution yaw = 0."""
+    figure, ((axes,),) = style.figure(7.2, 4.0)
+    axes.plot(
+        record.minutes, record.sun_deg, color="black", linestyle="--", linewidth=1.4, label="sun sensor"
+    )
+    _dotted(axes, record)
+    axes.legend(loc="best", frameon=True)
+    axes.set(title=title, xlabel="time from the start of the orbit [min]", ylabel="yaw [deg]")
+    _zero(axes)
+    return figure
+
+
+def draw_full(record: YawComparison, *, title: str, panels: int = 3) -> Figure:
+    """Figure 2: single solutions as broken lines with X and Y at the bit changes, in `panels` panels."""
+    figure, grid = style.figure(7.2, 2.9 * panels, rows=panels)
+    all_axes = [row[0] for row in grid]
+    edges = np.linspace(record.minutes[0], record.minutes[-1], panels + 1)
+    shown = np.concatenate([record.magnetometer_deg, record.sun_deg[np.isfinite(record.sun_deg)]])
+    low, high = np.percentile(shown, [1.0, 99.0])
+    pad = 0.15 * (high - low)
+    for number, axes in enumerate(all_axes):
+        inside = (record.minutes >= edges[number]) & (record.minutes <= edges[number + 1])
+        axes.plot(
+            record.minutes[inside], record.sun_deg[inside], color="black", linestyle="--", linewidth=1.4,
+            label="sun sensor",
+        )  # fmt: skip
+        _broken(axes, record, inside)
+        _dotted(axes, record)
+        axes.set(xlim=(edges[number], edges[number + 1]), ylim=(low - pad, high + pad), ylabel="yaw [deg]")
+        axes.text(0.01, 0.95, f"{number + 1} of {panels}", transform=axes.transAxes, va="top", fontsize=8)
+        _zero(axes)
+    all_axes[0].set_title(title)
+    all_axes[0].legend(loc="lower left", ncols=3, fontsize=8, frameon=True)
+    all_axes[-1].set_xlabel("time from the start of the orbit [min]")
+    return figure
+
+
+def draw_sweep(record: YawSweep, *, title: str) -> Figure:
+    """Share of windows in which yaw = 0 wins, against the amplitude of the true yaw."""
+    figure, ((axes,),) = style.figure(7.2, 4.0)
+    for share, spread, label, colour in (
+        (record.share_full, record.spread_full, "full calibration (figure 2)", style.BLUE),
+        (record.share_bias_only, record.spread_bias_only, "mean bias only (figure 1)", style.VERMILION),
+    ):
+        axes.errorbar(
+            record.amplitude_deg, 100 * share, 100 * spread, color=colour, marker="o", capsize=3, label=label
+        )
+    axes.axhline(50.0, color="black", linewidth=0.8)
+    if record.crossover_deg is not None:
+        axes.axvline(record.crossover_deg, color=style.BLUE, linestyle=":")
+        axes.text(record.crossover_deg, 3.0, f" {record.crossover_deg:.2f} deg", color=style.BLUE)
+    axes.set(
+        title=title, xlabel="amplitude of the true yaw, sqrt 2 times its rms [deg]",
+        ylabel="windows in which yaw = 0 is better [%]", ylim=(0, 100),
+    )  # fmt: skip
+    axes.legend()
+    return figure
+
+
+def draw_sigma(record: YawSigma, *, title: str) -> Figure:
+    """Yaw sigma along an orbit, and the distribution of the worst value with the printed one in it."""
+    figure, ((along, worst),) = style.figure(7.2, 3.6, cols=2)
+    along.semilogy(record.latitude_deg, record.sigma_deg, color=style.BLUE)
+    along.axhline(record.printed_deg, color="black", linestyle="--", linewidth=0.8)
+    along.set(xlabel="geocentric latitude [deg]", ylabel="sigma of yaw, equation 14 [deg]", title="one orbit")
+    for values, label, colour in (
+        (record.worst_orbit_deg, "one orbit", style.BLUE),
+        (record.worst_base_deg, "four orbits", style.VERMILION),
+    ):
+        ordered = np.sort(values)
+        worst.plot(ordered, 100 * np.arange(1, ordered.size + 1) / ordered.size, color=colour, label=label)
+    worst.axvline(record.printed_deg, color="black", linestyle="--", linewidth=0.8, label="printed")
+    worst.set(
+        xscale="log", xlabel="largest sigma of yaw [deg]", ylabel="share of cases [%]", title="worst value"
+    )
+    worst.legend()
+    figure.suptitle(title)
+    return figure
+
+
+def _broken(axes: Axes, record: YawComparison, inside: BoolArray) -> None:
+    """Single solutions, the line broken where a bit changes, with the letter of the axis at the break."""
+    change = record.change_x | record.change_y
+    values = np.where(change, np.nan, record.magnetometer_deg)
+    axes.plot(
+        record.minutes[inside],
+        values[inside],
+        color=style.BLUE,
+        linewidth=0.9,
+        label="magnetometer, each sample",
+    )
+    for flags, letter, colour in (
+        (record.change_x, "X", style.GREEN),
+        (record.change_y, "Y", style.VERMILION),
+    ):
+        rows = np.flatnonzero(inside & flags)
+        axes.scatter(
+            record.minutes[rows], record.magnetometer_deg[rows], marker=f"${letter}$", s=16, linewidths=0.2,
+            color=colour, label=f"{letter} bit change", zorder=3,
+        )  # fmt: skip
+
+
+def _dotted(axes: Axes, record: YawComparison) -> None:
+    axes.plot(
+        record.mean_minutes, record.mean_deg, color=style.VERMILION, linestyle=":", linewidth=1.8,
+        label=f"magnetometer, {record.window_s:.0f} s means",
+    )  # fmt: skip
+
+
+def _zero(axes: Axes) -> None:
+    axes.axhline(0.0, color="grey", linewidth=0.8)
+    axes.annotate(
+        "yaw = 0",
+        (1.0, 0.0),
+        xycoords=("axes fraction", "data"),
+        fontsize=8,
+        color="grey",
+        ha="right",
+        va="bottom",
+    )

@@ -1,0 +1,234 @@
+"""Where Seasat's orbit lay: the scan that chooses the node and the mounting of the four sun-sensor heads.
+
+The papers give altitude and inclination but no node, no time of day and no mounting. What they do say about
+the sun decides both, as far as it can be decided:
+
+* during the last half of August and September 1978 30-35 % of the orbit lay in darkness, and sun-sensor data
+  came only from the southern hemisphere, for about 20 % of the orbit (claim 28);
+* the reference attitudes of days 205, 219, 225 and 227 come from sun sensor and horizon scanner, at 92, 88,
+  101 and 44 minutes of about one orbit, so the sun was seen nearly all along those orbits (claims 10-11);
+* on day 279 data came from head 2 south of 45 S or from head 3 north of 30 N (claim 32).
+
+The launch (1978-06-27 01:12:44 UTC, Vandenberg, southbound into 108 deg; Seasat Final Report, JPL 80-38)
+enters nowhere: it gives a node of its own, and is the witness.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from fluxtwin.sim import epoch, frames, sun
+from fluxtwin.sim.constants import EARTH_RADIUS_KM
+from fluxtwin.sim.orbit import orbital_rates
+from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
+
+SEMI_MAJOR_AXIS_KM = 7168.0
+INCLINATION_DEG = 108.0
+DATA_DAYS = (205, 219, 225, 227)
+DATA_MINUTES = (92, 88, 101, 44)
+LATE_DAYS = tuple(range(228, 274))
+"""16 August to 30 September 1978."""
+CHECK_DAY = 279
+LAUNCH = np.datetime64("1978-06-27T01:12:44", "ns")
+LAUNCH_LATITUDE_DEG, LAUNCH_LONGITUDE_DEG = 34.63, -120.61
+"""Vandenberg, Space Launch Complex 3."""
+_ELEVATIONS = (-30.0, -15.0, 0.0, 15.0, 30.0, 45.0)
+_HALF_FOVS = (32.0, 64.0)
+"""Half the field of view: 128 x 128 deg is HCMM's head (claim 49); 64 x 64 deg a narrower one, assumed."""
+_SPACINGS = (15.0, 30.0, 45.0, 60.0, 90.0)
+_U = np.radians(np.arange(0.0, 360.0, 2.0))
+
+
+@dataclass(frozen=True)
+class NodeScan:
+    """One misfit for each node tried, and the node chosen. Nodes refer to 0 h UTC of day 205, true of date."""
+
+    raan_deg: FloatArray
+    misfit: FloatArray
+    late_dark_share: FloatArray
+    """(K, days) share of the orbit in darkness on the late days, for each node."""
+    data_dark_share: FloatArray
+    """(K, 4) the same on the data days."""
+    chosen_deg: float
+    launch_deg: float
+    """Node that the launch gives: the witness."""
+
+
+@dataclass(frozen=True)
+class HeadScan:
+    """The mounting chosen for four heads and what it sees."""
+
+    azimuth_deg: tuple[float, float, float, float]
+    elevation_deg: float
+    half_fov_deg: float
+    misfit: float
+    late_visible_share: float
+    late_visible_south: float
+    """Share of the late days' visible samples that lie in the southern hemisphere."""
+    data_visible_minutes: tuple[float, ...]
+    check_south_of_45_share: float
+    """Share of the samples of day 279 south of 45 S that some head sees."""
+    check_north_of_30_share: float
+
+
+def day(number: int, hour: float = 0.0) -> np.datetime64:
+    """UTC stamp of a day of the year 1978 (1 is 1 January)."""
+    seconds = np.timedelta64(round(hour * 3600), "s")
+    return np.datetime64("1978-01-01", "ns") + np.timedelta64(number - 1, "D") + seconds
+
+
+def scan_node(step_deg: float = 1.0) -> NodeScan:
+    """Try every node. Misfit: mean distance of the late days' dark share from 0.30-0.35, plus the mean share
+    of the data days' orbits that darkness makes impossible (both as shares of the orbit)."""
+    days = np.array([*DATA_DAYS, *LATE_DAYS], dtype=float)
+    sun_T = _sun_of_date(days)
+    nodes = np.arange(0.0, 360.0, step_deg)
+    dark = np.stack([_dark_share(_normal(node, days), sun_T) for node in nodes])
+    late, data = dark[:, len(DATA_DAYS) :], dark[:, : len(DATA_DAYS)]
+    distance = np.maximum(np.maximum(0.30 - late, late - 0.35), 0.0)
+    misfit = distance.mean(axis=1) + data.mean(axis=1)
+    return NodeScan(
+        raan_deg=nodes,
+        misfit=misfit,
+        late_dark_share=late,
+        data_dark_share=data,
+        chosen_deg=float(nodes[np.argmin(misfit)]),
+        launch_deg=node_from_launch(),
+    )
+
+
+def scan_heads(raan_deg: float) -> HeadScan:
+    """Try four-head mountings (equal elevation, equal spacing in azimuth) for the node chosen.
+
+    Misfit: how far claims 10-11, 28 and 32 are missed, as shares of the orbit, summed with equal weight.
+    """
+    days = np.array([*DATA_DAYS, *LATE_DAYS[::3], CHECK_DAY], dtype=float)
+    sun_O, lit, latitude = _sun_in_orbit(raan_deg, days)
+    best: HeadScan | None = None
+    for elevation, half, spacing in product(_ELEVATIONS, _HALF_FOVS, _SPACINGS):
+        for first in np.arange(0.0, 360.0, 15.0):
+            azimuths = tuple(float((first + k * spacing) % 360.0) for k in range(4))
+            seen = np.stack([lit & _in_view(sun_O, a, elevation, half) for a in azimuths])
+            found = _judge(azimuths, elevation, half, seen, latitude)
+            if best is None or found.misfit < best.misfit:
+                best = found
+    assert best is not None
+    return best
+
+
+def node_from_launch() -> float:
+    """Node [deg] at 0 h of day 205 if the orbit plane passed over the pad, southbound, at lift-off."""
+    i, latitude = np.radians(INCLINATION_DEG), np.radians(LAUNCH_LATITUDE_DEG)
+    u = np.pi - np.arcsin(np.sin(latitude) / np.sin(i))
+    from_node = np.arctan2(np.cos(i) * np.sin(u), np.cos(u))
+    to_earth = frames.rotation_EN(LAUNCH) * frames.rotation_TN(LAUNCH).inv()
+    sidereal = np.arctan2(*to_earth.as_matrix()[0, 0, 1::-1])
+    elapsed_days = (day(DATA_DAYS[0]) - LAUNCH) / np.timedelta64(1, "D")
+    drift = _node_rate_deg_day() * float(elapsed_days)
+    return float((np.degrees(sidereal + np.radians(LAUNCH_LONGITUDE_DEG) - from_node) + drift) % 360.0)
+
+
+def _judge(
+    azimuths: tuple[float, ...], elevation: float, half: float, seen: BoolArray, latitude: FloatArray
+) -> HeadScan:
+    some = seen.any(axis=0)
+    data, late, check = some[: len(DATA_DAYS)], some[len(DATA_DAYS) : -1], some[-1]
+    minutes = data.mean(axis=1) * _period_min()
+    short = np.maximum(np.minimum(np.array(DATA_MINUTES), _period_min()) - minutes, 0.0) / _period_min()
+    south = latitude[len(DATA_DAYS) : -1] < 0
+    visible = float(late.mean())
+    visible_south = float((late & south).sum() / max(late.sum(), 1))
+    far_south, far_north = latitude[-1] < np.radians(-45.0), latitude[-1] > np.radians(30.0)
+    heads_south, heads_north = seen[:, -1, far_south].any(axis=1), seen[:, -1, far_north].any(axis=1)
+    wrong = check & ~far_south & ~far_north
+    two_heads = bool((heads_south & ~heads_north).any() and (heads_north & ~heads_south).any())
+    misfit = float(
+        short.mean() + abs(visible - 0.20) + visible * (1.0 - visible_south) + wrong.mean()
+        + (0.0 if two_heads else 0.1)
+    )  # fmt: skip
+    return HeadScan(
+        azimuth_deg=(azimuths[0], azimuths[1], azimuths[2], azimuths[3]),
+        elevation_deg=elevation,
+        half_fov_deg=half,
+        misfit=misfit,
+        late_visible_share=visible,
+        late_visible_south=visible_south,
+        data_visible_minutes=tuple(float(m) for m in minutes),
+        check_south_of_45_share=float(check[far_south].mean()),
+        check_north_of_30_share=float(check[far_north].mean()),
+    )
+
+
+def _in_view(sun_O: FloatArray, azimuth_deg: float, elevation_deg: float, half_deg: float) -> BoolArray:
+    """Square field of view about a boresight in the (nadir-pointing) body frame. Elevation is up, -z."""
+    a, e = np.radians(azimuth_deg), np.radians(elevation_deg)
+    boresight = np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), -np.sin(e)])
+    across = np.array([-np.sin(a), np.cos(a), 0.0])
+    along = np.cross(boresight, across)
+    ahead, limit = sun_O @ boresight, np.tan(np.radians(half_deg))
+    inside: BoolArray = (
+        (ahead > 0) & (np.abs(sun_O @ across) <= limit * ahead) & (np.abs(sun_O @ along) <= limit * ahead)
+    )
+    return inside
+
+
+def _sun_in_orbit(raan_deg: float, days: FloatArray) -> tuple[FloatArray, BoolArray, FloatArray]:
+    """Sun direction in O (D, U, 3), sunlit (D, U) and latitude [rad] (D, U) all around each day's orbit."""
+    i, node = np.radians(INCLINATION_DEG), np.radians(_node_on(raan_deg, days))[:, None]
+    cu, su = np.cos(_U)[None, :], np.sin(_U)[None, :]
+    cn, sn = np.cos(node), np.sin(node)
+    up = np.stack(
+        [cu * cn - su * np.cos(i) * sn, cu * sn + su * np.cos(i) * cn, su * np.sin(i) + 0 * cn], axis=-1
+    )
+    normal = np.broadcast_to(_normal(raan_deg, days)[:, None, :], up.shape)
+    z, y = -up, -normal
+    x = np.cross(y, z)
+    sun_T = _sun_of_date(days)
+    sun_O = np.stack([np.einsum("duk,dk->du", axis, sun_T) for axis in (x, y, z)], axis=-1)
+    horizon = -np.sqrt(1.0 - (EARTH_RADIUS_KM / SEMI_MAJOR_AXIS_KM) ** 2)
+    lit = -sun_O[..., 2] > horizon
+    return sun_O, lit, np.arcsin(up[..., 2])
+
+
+def _dark_share(normal_T: FloatArray, sun_T: FloatArray) -> FloatArray:
+    """Share of a circular orbit in the Earth's cylindrical shadow, by the angle of the sun from the plane."""
+    sine = np.einsum("ij,ij->i", normal_T, sun_T)
+    edge = np.sqrt(1.0 - (EARTH_RADIUS_KM / SEMI_MAJOR_AXIS_KM) ** 2) / np.sqrt(1.0 - sine**2)
+    share: FloatArray = np.arccos(np.clip(edge, -1.0, 1.0)) / np.pi
+    return share
+
+
+def _normal(raan_deg: float, days: FloatArray) -> FloatArray:
+    i, node = np.radians(INCLINATION_DEG), np.radians(_node_on(raan_deg, days))
+    return np.stack(
+        [np.sin(i) * np.sin(node), -np.sin(i) * np.cos(node), np.full_like(node, np.cos(i))], axis=1
+    )
+
+
+def _node_on(raan_deg: float, days: FloatArray) -> FloatArray:
+    return raan_deg + _node_rate_deg_day() * (days + 0.5 - DATA_DAYS[0])
+
+
+def _node_rate_deg_day() -> float:
+    return float(
+        np.degrees(orbital_rates(SEMI_MAJOR_AXIS_KM, 0.0, np.radians(INCLINATION_DEG)).raan_rad_s) * 86400.0
+    )
+
+
+def _period_min() -> float:
+    return float(2 * np.pi / orbital_rates(SEMI_MAJOR_AXIS_KM).mean_anomaly_rad_s / 60.0)
+
+
+def _sun_of_date(days: FloatArray) -> FloatArray:
+    """Sun direction at noon UTC of each day, true equator and equinox of date."""
+    noon: TimeArray = np.array([day(int(d), 12.0) for d in days], dtype="datetime64[ns]")
+    of_date: FloatArray = frames.rotation_TN(noon).apply(sun.sun_direction_N(noon))
+    return of_date
+
+
+def start_epoch() -> str:
+    """Epoch of the scenario's elements: 0 h UTC of day 205."""
+    return epoch.iso(day(DATA_DAYS[0]))

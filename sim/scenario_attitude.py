@@ -1,0 +1,84 @@
+"""From a scenario's [attitude] section to the true motion of the body."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fluxtwin.sim import attitude, epoch, frames
+from fluxtwin.sim.attitude import Attitude
+from fluxtwin.sim.errors import BadInput
+from fluxtwin.sim.libration import Libration, draw_libration
+from fluxtwin.sim.random_streams import stream
+from fluxtwin.sim.scenario import Scenario
+from fluxtwin.sim.scenario_config import AttitudeSection
+from fluxtwin.sim.types import FloatArray, TimeArray
+from fluxtwin.sim.world import World, ephemeris
+
+_SQRT2 = float(np.sqrt(2.0))
+
+
+def true_attitude(scenario: Scenario, world: World) -> Attitude:
+    """The motion at the world's stamps; the same seed gives the same motion at any stamps."""
+    section = scenario.attitude
+    if section.mode == "earth_pointing":
+        rate = attitude.ephemeris_rate_O_rad_s(lambda time: ephemeris(scenario, time), world.time)
+        return attitude.librating(
+            world.time, world.r_N_km, world.v_N_km_s, libration(scenario), orbital_rate_O_rad_s=rate
+        )
+    if section.mode == "inertial_hold":
+        return attitude.inertial_hold(world.time, frames.rotation_from_q(np.array([section.q_NB])))
+    if section.mode == "slews":
+        return attitude.slews(world.time, _waypoints(scenario, world.time))
+    inertia = np.array(scenario.spacecraft.inertia_kg_m2)
+    if section.mode == "tumble":
+        return attitude.tumble(world.time, inertia, np.array(section.q_NB), np.radians(section.rate_deg_s))
+    return _spin(section, inertia, world.time)
+
+
+def libration(scenario: Scenario) -> Libration:
+    """The libration drawn for this scenario and seed."""
+    a = scenario.attitude
+    return draw_libration(
+        (
+            _SQRT2 * np.radians(a.yaw_rms_deg),
+            _SQRT2 * np.radians(a.roll_rms_deg),
+            _SQRT2 * np.radians(a.pitch_rms_deg),
+        ),
+        60.0 * a.shortest_period_min,
+        60.0 * a.longest_period_min,
+        stream(scenario.seed, "attitude.libration"),
+        offsets_rad=(
+            float(np.radians(a.yaw_offset_deg)),
+            float(np.radians(a.roll_offset_deg)),
+            float(np.radians(a.pitch_offset_deg)),
+        ),
+    )
+
+
+def _waypoints(scenario: Scenario, time: TimeArray) -> list[attitude.Waypoint]:
+    """Each waypoint's angles refer to the orbital frame at its own time; the attitude is then inertial."""
+    points = []
+    for point in scenario.attitude.waypoints:
+        when = epoch.add_seconds(time[0], point.after_s)
+        R_ON = frames.rotation_ON(*ephemeris(scenario, when))
+        angles = np.radians([[point.yaw_deg], [point.roll_deg], [point.pitch_deg]])
+        points.append(attitude.Waypoint(when[0], frames.rotation_BO(*angles) * R_ON, point.hold_s))
+    return points
+
+
+def _spin(section: AttitudeSection, inertia: FloatArray, time: TimeArray) -> Attitude:
+    off_diagonal = inertia - np.diag(np.diag(inertia))
+    if np.abs(off_diagonal).max() > 1e-9 * np.diag(inertia).max():
+        raise BadInput(
+            "the inertia tensor has products of inertia",
+            where="spacecraft.inertia_kg_m2",
+            wanted="principal axes along the body axes for mode spin (or mode tumble)",
+        )
+    return attitude.spin(
+        time,
+        np.diag(inertia),
+        np.array(section.spin_axis_N),
+        section.spin_rate_rpm * 2.0 * np.pi / 60.0,
+        nutation_rad=float(np.radians(section.nutation_deg)),
+        phase_rad=float(np.radians(section.phase_deg)),
+    )

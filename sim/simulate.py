@@ -1,0 +1,37 @@
+"""From a scenario to telemetry and truth: orbit, field, attitude, spacecraft, sensors, in that order."""
+
+from __future__ import annotations
+
+from fluxtwin.sim import chain, replay
+from fluxtwin.sim.housekeeping import run_housekeeping
+from fluxtwin.sim.progress import Progress, silent
+from fluxtwin.sim.scenario import Scenario
+from fluxtwin.sim.scenario_attitude import true_attitude
+from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.truth import Truth
+from fluxtwin.sim.world import World, build_world
+
+
+def simulate(
+    scenario: Scenario, *, world: World | None = None, progress: Progress = silent
+) -> tuple[Telemetry, Truth]:
+    """Run the scenario once.
+
+    world: the world of this scenario if it was built before (it does not depend on the seed); a caller that
+    runs many seeds builds it once. Returns the telemetry and, apart from it, the truth.
+    Raises BadInput for a scenario that cannot be run and OutOfRange for epochs outside the field model.
+    """
+    if scenario.replay is not None:
+        return replay.simulate_replay(scenario, progress)
+    progress("orbit, sun and field", 0.0)
+    world = build_world(scenario) if world is None else world
+    progress("attitude", 0.4)
+    motion = true_attitude(scenario, world)
+    progress("sensors", 0.6)
+    signal = chain.fly_magnetometer(scenario, world, motion)
+    attached = chain.fly_others(scenario, world, motion)
+    progress("housekeeping", 0.8)
+    housekeeping = run_housekeeping(scenario, world)
+    progress("done", 1.0)
+    telemetry = chain.to_telemetry(scenario, world, signal, attached, housekeeping)
+    return telemetry, chain.to_truth(scenario, world, signal)

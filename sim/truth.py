@@ -1,0 +1,65 @@
+"""What only the simulation knows. It goes to a file apart, for tests; estimators never see it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from fluxtwin.sim import files
+from fluxtwin.sim.types import FloatArray, TimeArray
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The true history behind a simulated record; rows as in the telemetry."""
+
+    time: TimeArray
+    r_N_km: FloatArray
+    v_N_km_s: FloatArray
+    q_NB: FloatArray
+    """(N, 4) true attitude, textbook quaternion."""
+    rate_B_rad_s: FloatArray
+    yaw_rad: FloatArray
+    roll_rad: FloatArray
+    pitch_rad: FloatArray
+    field_N_nT: FloatArray
+    field_B_nT: FloatArray
+    """(N, 3) ambient field at the spacecraft, body axes."""
+    unknown_B_nT: FloatArray
+    """(N, 3) field of the unexplained source at the sensor."""
+    ideal_B_nT: FloatArray
+    """(N, 3) reading without noise, saturation and rounding."""
+    dipole_B_Am2: FloatArray
+    illumination: FloatArray
+    S: FloatArray
+    b_nT: FloatArray
+    T_nT_per_Am2: FloatArray
+
+    def write(self, path: Path | str) -> Path:
+        """Write everything to NetCDF (atomic, checksummed)."""
+        return files.write_with(path, self._write)
+
+    def _write(self, path: Path) -> None:
+        columns: dict[str, tuple[tuple[str, ...], FloatArray]] = {}
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if item.name == "time":
+                continue
+            constant = item.name in ("S", "b_nT", "T_nT_per_Am2")
+            rows = () if constant else ("time",)
+            rest = tuple(f"axis_{size}" for size in value.shape[len(rows) :])
+            columns[item.name] = ((*rows, *rest), value)
+        _to_netcdf(xr.Dataset(columns, coords={"time": self.time}), path)
+
+
+def _to_netcdf(dataset: xr.Dataset, path: Path) -> None:
+    packing = {"zlib": True, "shuffle": True, "fletcher32": True}
+    encoding: Mapping[str, Mapping[str, object]] = {
+        str(name): dict(packing) for name in dataset.data_vars if dataset[name].ndim
+    }
+    stamps = {**packing, "units": "nanoseconds since 1970-01-01", "dtype": np.dtype("int64")}
+    dataset.to_netcdf(path, engine="h5netcdf", encoding={**encoding, "time": stamps})

@@ -10,6 +10,7 @@ All functions take arrays of any length and are vectorised. Source of the scales
 
 from __future__ import annotations
 
+import re
 import warnings
 
 import erfa
@@ -19,6 +20,8 @@ from fluxtwin.sim.errors import BadInput, OutOfRange
 from fluxtwin.sim.types import FloatArray, TimeArray
 
 _JD_UNIX = 2440587.5
+_STAMP = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}([T ][0-9]{2}(:[0-9]{2}(:[0-9]{2}(\.[0-9]+)?)?)?)?")
+_FIRST_YEAR, _LAST_YEAR = 1678, 2261  # what datetime64[ns] holds in full
 _NS_PER_DAY = 86400 * 1_000_000_000
 MJD2000 = np.datetime64("2000-01-01T00:00:00", "ns")
 """Origin of the modified Julian day used by field models (1 January 2000, 0 h UTC)."""
@@ -27,14 +30,17 @@ MJD2000 = np.datetime64("2000-01-01T00:00:00", "ns")
 def parse_time(text: str, *, where: str = "time") -> np.datetime64:
     """One ISO 8601 UTC stamp, with or without a final Z; raises BadInput for anything else."""
     raw = text.strip()
+    wanted = "ISO 8601 UTC, as 1978-07-24T06:00:00Z"
     cleaned = raw[:-1] if raw.endswith(("Z", "z")) else raw
+    # The pattern comes first: numpy would take other zones, and wrap years that nanoseconds cannot hold.
+    if not _STAMP.fullmatch(cleaned):
+        raise BadInput(f"{raw!r} is no time", where=where, wanted=wanted)
+    if not _FIRST_YEAR <= int(cleaned[:4]) <= _LAST_YEAR:
+        raise BadInput(f"{raw!r} is out of range", where=where, wanted=f"{_FIRST_YEAR} to {_LAST_YEAR}")
     try:
-        stamp = np.datetime64(cleaned.replace(" ", "T"), "ns")
+        return np.datetime64(cleaned.replace(" ", "T"), "ns")
     except ValueError:
-        stamp = np.datetime64("NaT", "ns")
-    if np.isnat(stamp) or len(cleaned) < 10:
-        raise BadInput(f"{raw!r} is no time", where=where, wanted="ISO 8601 UTC, as 1978-07-24T06:00:00Z")
-    return stamp
+        raise BadInput(f"{raw!r} is no time", where=where, wanted=wanted) from None
 
 
 def as_times(time: TimeArray | np.datetime64) -> TimeArray:
@@ -81,8 +87,9 @@ def jd_ut1(time: TimeArray | np.datetime64) -> tuple[FloatArray, FloatArray]:
 def seconds_since(time: TimeArray | np.datetime64, epoch: np.datetime64) -> FloatArray:
     """Elapsed SI seconds from `epoch` to each stamp, leap seconds counted. Shape (N,)."""
     stamps = as_times(time)
-    plain = (stamps - np.datetime64(epoch, "ns")).astype("int64") * 1e-9
-    return plain + _leap_seconds(stamps) - _leap_seconds(as_times(epoch))[0]
+    plain: FloatArray = (stamps - as_times(epoch)[0]).astype("int64") * 1e-9
+    elapsed: FloatArray = plain + _leap_seconds(stamps) - _leap_seconds(as_times(epoch))[0]
+    return elapsed
 
 
 def add_seconds(epoch: np.datetime64, seconds: FloatArray | float) -> TimeArray:
@@ -90,10 +97,10 @@ def add_seconds(epoch: np.datetime64, seconds: FloatArray | float) -> TimeArray:
 
     An instant inside a leap second has no stamp of its own; it gets the stamp one second later.
     """
-    start = np.datetime64(epoch, "ns")
+    start = as_times(epoch)
     elapsed = np.rint(np.atleast_1d(np.asarray(seconds, dtype=np.float64)) * 1e9).astype("int64")
-    stamps = start + elapsed.astype("timedelta64[ns]")
-    base = _leap_seconds(as_times(start))[0]
+    stamps: TimeArray = start + elapsed.astype("timedelta64[ns]")
+    base = _leap_seconds(start)[0]
     for _ in range(2):  # the step lies at the corrected stamp, so look twice
         extra = np.rint((_leap_seconds(stamps) - base) * 1e9).astype("int64")
         stamps = start + (elapsed - extra).astype("timedelta64[ns]")
@@ -107,7 +114,8 @@ def decimal_year(time: TimeArray | np.datetime64) -> FloatArray:
     start = years.astype("datetime64[ns]")
     length = (years + 1).astype("datetime64[ns]") - start
     fraction = (stamps - start).astype("int64") / length.astype("int64")
-    return years.astype("int64") + 1970.0 + fraction
+    year: FloatArray = years.astype("int64") + 1970.0 + fraction
+    return year
 
 
 def from_decimal_year(year: float) -> np.datetime64:

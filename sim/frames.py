@@ -23,15 +23,16 @@ from __future__ import annotations
 
 import erfa
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim import epoch
 from fluxtwin.sim.constants import EARTH_FLATTENING, EARTH_RADIUS_KM
 from fluxtwin.sim.errors import BadInput
+from fluxtwin.sim.interpolation import on_grid
 from fluxtwin.sim.types import FloatArray, TimeArray
 
 _GRID_DAYS = 0.125  # spline of X, Y, s on this grid: below 1e-11 rad, tested against the full series
+_J2000 = 2451545.0  # TT
 
 
 def rotation_EN(time: TimeArray | np.datetime64) -> Rotation:
@@ -44,8 +45,11 @@ def rotation_EN(time: TimeArray | np.datetime64) -> Rotation:
 
 
 def rotation_TN(time: TimeArray | np.datetime64) -> Rotation:
-    """GCRS to true equator and equinox of date at each stamp (ERFA pnm06a). Batch of N."""
-    return Rotation.from_matrix(erfa.pnm06a(*epoch.jd_tt(time)))
+    """GCRS to true equator and equinox of date at each stamp. Batch of N.
+
+    IAU 2006/2000A (ERFA pnm06a), splined on a three-hour grid for more than a few hundred stamps.
+    """
+    return Rotation.from_matrix(on_grid(_days_tt(time), _equator_of_date, _GRID_DAYS).reshape(-1, 3, 3))
 
 
 def rotation_ON(r_N_km: FloatArray, v_N_km_s: FloatArray) -> Rotation:
@@ -134,7 +138,8 @@ def from_geocentric(latitude_rad: FloatArray, longitude_rad: FloatArray, radius_
     """Earth-fixed positions (N, 3) in km from geocentric latitude, longitude and radius."""
     cl = np.cos(latitude_rad)
     unit = np.stack([cl * np.cos(longitude_rad), cl * np.sin(longitude_rad), np.sin(latitude_rad)], axis=-1)
-    return np.asarray(radius_km)[..., None] * unit
+    position: FloatArray = np.asarray(radius_km, dtype=np.float64)[..., None] * unit
+    return position
 
 
 def from_geodetic(latitude_rad: FloatArray, longitude_rad: FloatArray, altitude_km: FloatArray) -> FloatArray:
@@ -163,15 +168,21 @@ def _era(time: TimeArray | np.datetime64) -> FloatArray:
 
 
 def _celestial_to_intermediate(time: TimeArray | np.datetime64) -> FloatArray:
-    tt1, tt2 = epoch.jd_tt(time)
-    days = (tt1 - 2451545.0) + tt2
-    first, last = float(days.min()), float(days.max())
-    nodes = int(np.ceil((last - first) / _GRID_DAYS)) + 7
-    if days.size <= 2 * nodes:
-        x, y, s = erfa.xys06a(tt1, tt2)
-    else:
-        grid = first + _GRID_DAYS * (np.arange(nodes) - 3)
-        spline = CubicSpline(grid, np.stack(erfa.xys06a(2451545.0, grid), axis=1))
-        x, y, s = spline(days).T
+    x, y, s = on_grid(_days_tt(time), _intermediate_pole, _GRID_DAYS).T
     matrix: FloatArray = erfa.c2ixys(x, y, s)
+    return matrix
+
+
+def _days_tt(time: TimeArray | np.datetime64) -> FloatArray:
+    tt1, tt2 = epoch.jd_tt(time)
+    days: FloatArray = (tt1 - _J2000) + tt2
+    return days
+
+
+def _intermediate_pole(days_tt: FloatArray) -> FloatArray:
+    return np.stack(erfa.xys06a(_J2000, days_tt), axis=1)
+
+
+def _equator_of_date(days_tt: FloatArray) -> FloatArray:
+    matrix: FloatArray = erfa.pnm06a(_J2000, days_tt).reshape(-1, 9)
     return matrix

@@ -21,18 +21,34 @@ def true_attitude(scenario: Scenario, world: World) -> Attitude:
     """The motion at the world's stamps; the same seed gives the same motion at any stamps."""
     section = scenario.attitude
     if section.mode == "earth_pointing":
-        rate = attitude.ephemeris_rate_O_rad_s(lambda time: ephemeris(scenario, time), world.time)
         return attitude.librating(
-            world.time, world.r_N_km, world.v_N_km_s, libration(scenario), orbital_rate_O_rad_s=rate
-        )
+            world.time, world.r_N_km, world.v_N_km_s, libration(scenario),
+            orbital_rate_O_rad_s=_orbital_rate(scenario, world),
+        )  # fmt: skip
     if section.mode == "inertial_hold":
         return attitude.inertial_hold(world.time, frames.rotation_from_q(np.array([section.q_NB])))
+    start = _start(scenario, world)
     if section.mode == "slews":
-        return attitude.slews(world.time, _waypoints(scenario, world.time))
+        return attitude.orbital_slews(
+            world.time, world.r_N_km, world.v_N_km_s, _waypoints(scenario, start),
+            orbital_rate_O_rad_s=_orbital_rate(scenario, world),
+        )  # fmt: skip
     inertia = np.array(scenario.spacecraft.inertia_kg_m2)
     if section.mode == "tumble":
-        return attitude.tumble(world.time, inertia, np.array(section.q_NB), np.radians(section.rate_deg_s))
-    return _spin(section, inertia, world.time)
+        rate0 = np.radians(section.rate_deg_s)
+        return attitude.tumble(world.time, inertia, np.array(section.q_NB), rate0, epoch=start)
+    return _spin(section, inertia, world.time, start)
+
+
+def _orbital_rate(scenario: Scenario, world: World) -> FloatArray:
+    return attitude.ephemeris_rate_O_rad_s(lambda time: ephemeris(scenario, time), world.time)
+
+
+def _start(scenario: Scenario, world: World) -> np.datetime64:
+    """When the motion begins: the first sample of the schedule, whatever stamps are asked for."""
+    if scenario.schedule is None:
+        return np.datetime64(world.time[0])
+    return epoch.parse_time(scenario.schedule.segments[0].start_utc)
 
 
 def libration(scenario: Scenario) -> Libration:
@@ -55,18 +71,16 @@ def libration(scenario: Scenario) -> Libration:
     )
 
 
-def _waypoints(scenario: Scenario, time: TimeArray) -> list[attitude.Waypoint]:
-    """Each waypoint's angles refer to the orbital frame at its own time; the attitude is then inertial."""
+def _waypoints(scenario: Scenario, start: np.datetime64) -> list[attitude.Waypoint]:
     points = []
     for point in scenario.attitude.waypoints:
-        when = epoch.add_seconds(time[0], point.after_s)
-        R_ON = frames.rotation_ON(*ephemeris(scenario, when))
         angles = np.radians([[point.yaw_deg], [point.roll_deg], [point.pitch_deg]])
-        points.append(attitude.Waypoint(when[0], frames.rotation_BO(*angles) * R_ON, point.hold_s))
+        when = epoch.add_seconds(start, point.after_s)[0]
+        points.append(attitude.Waypoint(when, frames.rotation_BO(*angles), point.hold_s))
     return points
 
 
-def _spin(section: AttitudeSection, inertia: FloatArray, time: TimeArray) -> Attitude:
+def _spin(section: AttitudeSection, inertia: FloatArray, time: TimeArray, start: np.datetime64) -> Attitude:
     off_diagonal = inertia - np.diag(np.diag(inertia))
     if np.abs(off_diagonal).max() > 1e-9 * np.diag(inertia).max():
         raise BadInput(
@@ -81,4 +95,5 @@ def _spin(section: AttitudeSection, inertia: FloatArray, time: TimeArray) -> Att
         section.spin_rate_rpm * 2.0 * np.pi / 60.0,
         nutation_rad=float(np.radians(section.nutation_deg)),
         phase_rad=float(np.radians(section.phase_deg)),
+        epoch=start,
     )

@@ -89,6 +89,8 @@ class FieldSection(Section):
 
 
 class SpacecraftSection(Section):
+    """The name, and the inertia tensor where the attitude mode needs it."""
+
     name: str
     inertia_kg_m2: Matrix3 | None = None
 
@@ -106,8 +108,8 @@ class ReferenceAttitudeSection(Section):
 
 
 class WaypointSection(Section):
-    """One attitude of a slew plan, relative to the orbital frame at that moment: reached `after_s` from the
-    first sample and held, inertially, for `hold_s`."""
+    """One attitude of a slew plan, relative to the orbital frame: reached at rest `after_s` from the first
+    sample and held for `hold_s`."""
 
     after_s: NonNegative
     hold_s: NonNegative = 0.0
@@ -222,6 +224,8 @@ class SunSensorSection(Section):
 
 
 class HorizonScannerSection(Section):
+    """Measures roll and pitch against the Earth's horizon; noise is correlated over `tau_s`."""
+
     noise_deg: NonNegative = 0.0
     lsb_deg: NonNegative = 0.0
     tau_s: NonNegative = 0.0
@@ -230,6 +234,8 @@ class HorizonScannerSection(Section):
 
 
 class GyroSection(Section):
+    """Body rate with a constant bias, white noise and a bias that wanders."""
+
     bias_deg_h: Vector3 = ZERO3
     noise_deg_s: NonNegative = 0.0
     random_walk_deg_h_per_sqrt_h: NonNegative = 0.0
@@ -254,9 +260,7 @@ class TorquersSection(Section):
 
     @property
     def Am2(self) -> float:
-        return (
-            self.dipole_Am2 if self.dipole_Am2 is not None else (self.dipole_pole_cm or 0) * AM2_PER_POLE_CM
-        )
+        return self.dipole_Am2 if self.dipole_Am2 is not None else (self.dipole_pole_cm or 0) * AM2_PER_POLE_CM
 
 
 class PowerSection(Section):
@@ -272,6 +276,8 @@ class PowerSection(Section):
 
 
 class ThermalSection(Section):
+    """A first-order lag between two equilibria, sunlit and eclipse, with an optional thermostat."""
+
     sunlit_degC: float
     eclipse_degC: float
     time_constant_min: Positive
@@ -287,6 +293,8 @@ class ThermalSection(Section):
 
 
 class WheelsSection(Section):
+    """Reaction wheels, one spin axis each, that carry a momentum profile."""
+
     axes_B: Annotated[tuple[Vector3, ...], BeforeValidator(_tuple)]
     inertia_kg_m2: Positive
     bias_rpm: Annotated[tuple[float, ...], BeforeValidator(_tuple)]
@@ -316,6 +324,8 @@ class SegmentSection(Section):
 
 
 class ScheduleSection(Section):
+    """When samples are taken: one segment or more, in order."""
+
     segments: Annotated[tuple[SegmentSection, ...], BeforeValidator(_tuple), Field(min_length=1)]
 
 

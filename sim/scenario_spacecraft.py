@@ -45,16 +45,12 @@ def torquer_schedule(scenario: Scenario) -> TorquerSchedule:
         return ConstantDipole()
     if section.activity == "constant":
         return ConstantDipole((section.Am2, section.Am2, section.Am2))
-    return draw_random_duty(
-        section.Am2, section.duty, section.dwell_s, stream(scenario.seed, "torquers.schedule")
-    )
+    return draw_random_duty(section.Am2, section.duty, section.dwell_s, stream(scenario.seed, "torquers.schedule"))
 
 
 def sun_sensor_heads(scenario: Scenario) -> list[SunSensorHead]:
     """The heads in order of their numbers."""
-    return [
-        _head(int(number), scenario.sun_sensor[number]) for number in sorted(scenario.sun_sensor, key=int)
-    ]
+    return [_head(int(number), scenario.sun_sensor[number]) for number in sorted(scenario.sun_sensor, key=int)]
 
 
 def horizon_scanner(scenario: Scenario) -> HorizonScanner | None:

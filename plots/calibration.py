@@ -51,9 +51,9 @@ def draw_scatter(record: ParameterScatter, *, title: str) -> Figure:
     figure, grid = style.figure(7.2, 2.0 * rows, rows=rows, cols=3)
     all_axes = [axes for row in grid for axes in row]
     places = np.arange(len(record.data_sets))
-    limit = np.max(np.abs(np.percentile(record.estimates, [2.5, 97.5], axis=0)), axis=(0, 1)).max()
+    limit = np.max(np.abs(np.nanpercentile(record.estimates, [2.5, 97.5], axis=0)), axis=(0, 1)).max()
     for number, (axes, name) in enumerate(zip(all_axes, record.names, strict=False)):
-        low, middle, high = np.percentile(record.estimates[:, :, number], [2.5, 50.0, 97.5], axis=0)
+        low, middle, high = np.nanpercentile(record.estimates[:, :, number], [2.5, 50.0, 97.5], axis=0)
         axes.vlines(places, low, high, color=style.BLUE, linewidth=4, alpha=0.6)
         axes.plot(places, middle, "_", color=style.BLUE, markersize=10)
         sign = np.sign(record.truth[number]) or 1.0

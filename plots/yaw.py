@@ -80,8 +80,8 @@ def draw_full(record: YawComparison, *, title: str, panels: int = 3) -> Figure:
     all_axes = [row[0] for row in grid]
     edges = np.linspace(record.minutes[0], record.minutes[-1], panels + 1)
     shown = np.concatenate([record.magnetometer_deg, record.sun_deg[np.isfinite(record.sun_deg)]])
-    low, high = np.percentile(shown, [1.0, 99.0])
-    pad = 0.15 * (high - low)
+    low, high = np.percentile(shown, [2.0, 98.0])
+    pad = 0.2 * (high - low)
     for number, axes in enumerate(all_axes):
         inside = (record.minutes >= edges[number]) & (record.minutes <= edges[number + 1])
         axes.plot(

@@ -125,6 +125,7 @@ def _unknown_field_nT(scenario: Scenario, world: World) -> FloatArray:
 def to_telemetry(
     scenario: Scenario, world: World, signal: Signal, attached: Attached, housekeeping: Housekeeping
 ) -> Telemetry:
+    """What reaches the ground; no truth in it, not even in the provenance."""
     telemetered = scenario.torquers is not None and scenario.torquers.telemetered
     return Telemetry(
         time=world.time,
@@ -148,6 +149,7 @@ def to_telemetry(
 
 
 def to_truth(scenario: Scenario, world: World, signal: Signal) -> Truth:
+    """What really happened, row by row; it is written to a file of its own, or nowhere."""
     R_BN: Rotation = signal.attitude.R_BN
     yaw, roll, pitch = frames.yaw_roll_pitch(R_BN * world.R_ON.inv())
     instrument = spacecraft.magnetometer(scenario)

@@ -51,7 +51,7 @@ class Truth:
                 continue
             constant = item.name in ("S", "b_nT", "T_nT_per_Am2")
             rows = () if constant else ("time",)
-            rest = tuple(f"axis_{size}" for size in value.shape[len(rows) :])
+            rest = tuple(f"axis_{place}_of_{size}" for place, size in enumerate(value.shape[len(rows) :]))
             columns[item.name] = ((*rows, *rest), value)
         _to_netcdf(xr.Dataset(columns, coords={"time": self.time}), path)
 

@@ -79,7 +79,7 @@ def schedule_times(scenario: Scenario) -> tuple[TimeArray, FloatArray]:
     times, numbers = [], []
     for number, part in enumerate(scenario.schedule.segments):
         start = epoch.parse_time(part.start_utc)
-        times.append(epoch.add_seconds(start, part.step_s * np.arange(part.count)))
+        times.append(epoch.add_seconds(start, part.step_s * np.arange(part.count, dtype=np.float64)))
         numbers.append(np.full(part.count, float(number)))
     time, segment = np.concatenate(times), np.concatenate(numbers)
     if (np.diff(time.astype("int64")) <= 0).any():

@@ -180,9 +180,7 @@ def _sun_in_orbit(raan_deg: float, days: FloatArray) -> tuple[FloatArray, BoolAr
     i, node = np.radians(INCLINATION_DEG), np.radians(_node_on(raan_deg, days))[:, None]
     cu, su = np.cos(_U)[None, :], np.sin(_U)[None, :]
     cn, sn = np.cos(node), np.sin(node)
-    up = np.stack(
-        [cu * cn - su * np.cos(i) * sn, cu * sn + su * np.cos(i) * cn, su * np.sin(i) + 0 * cn], axis=-1
-    )
+    up = np.stack([cu * cn - su * np.cos(i) * sn, cu * sn + su * np.cos(i) * cn, su * np.sin(i) + 0 * cn], axis=-1)
     normal = np.broadcast_to(_normal(raan_deg, days)[:, None, :], up.shape)
     z, y = -up, -normal
     x = np.cross(y, z)
@@ -203,9 +201,7 @@ def _dark_share(normal_T: FloatArray, sun_T: FloatArray) -> FloatArray:
 
 def _normal(raan_deg: float, days: FloatArray) -> FloatArray:
     i, node = np.radians(INCLINATION_DEG), np.radians(_node_on(raan_deg, days))
-    return np.stack(
-        [np.sin(i) * np.sin(node), -np.sin(i) * np.cos(node), np.full_like(node, np.cos(i))], axis=1
-    )
+    return np.stack([np.sin(i) * np.sin(node), -np.sin(i) * np.cos(node), np.full_like(node, np.cos(i))], axis=1)
 
 
 def _node_on(raan_deg: float, days: FloatArray) -> FloatArray:
@@ -213,13 +209,12 @@ def _node_on(raan_deg: float, days: FloatArray) -> FloatArray:
 
 
 def _node_rate_deg_day() -> float:
-    return float(
-        np.degrees(orbital_rates(SEMI_MAJOR_AXIS_KM, 0.0, np.radians(INCLINATION_DEG)).raan_rad_s) * 86400.0
-    )
+    return float(np.degrees(orbital_rates(SEMI_MAJOR_AXIS_KM, 0.0, np.radians(INCLINATION_DEG)).raan_rad_s) * 86400.0)
 
 
 def _period_min() -> float:
-    return float(2 * np.pi / orbital_rates(SEMI_MAJOR_AXIS_KM).mean_anomaly_rad_s / 60.0)
+    rates = orbital_rates(SEMI_MAJOR_AXIS_KM, 0.0, np.radians(INCLINATION_DEG))
+    return float(2 * np.pi / (rates.mean_anomaly_rad_s + rates.argument_of_perigee_rad_s) / 60.0)
 
 
 def _sun_of_date(days: FloatArray) -> FloatArray:

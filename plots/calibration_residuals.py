@@ -1,0 +1,61 @@
+"""What a calibration leaves over: each component along the record, and its spread against the stated sigma."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from fluxtwin.plots import style
+from fluxtwin.sim.types import FloatArray, TimeArray
+
+_LONGEST_CLOCK_DAYS = 2.0  # beyond, the samples are counted instead: days without data would squeeze the rest
+_HISTOGRAM_SIGMAS = 4.0
+
+
+@dataclass(frozen=True)
+class CalibrationResiduals:
+    """Residuals A B0 - [(I+S) B + b + T D] of N samples, body axes."""
+
+    time: TimeArray
+    """(N,) UTC."""
+    residual_B_nT: FloatArray
+    """(N, 3)."""
+    sigma_nT: float
+    """The sigma that the calibration states for one component."""
+
+
+def draw_calibration_residuals(record: CalibrationResiduals, *, title: str) -> Figure:
+    """Three rows, one a component: the series on the left, its histogram and the stated normal on the right."""
+    figure, grid = style.figure(7.2, 5.4, rows=3, cols=2, share_x=True, width_ratios=[3, 1])
+    style.heading(figure, title)
+    along, name = _abscissa(record.time)
+    for axis, (left, right) in enumerate(grid):
+        series = record.residual_B_nT[:, axis]
+        style.zero_line(left)
+        left.plot(along, series, ".", markersize=3, color=style.AXIS_COLOURS[axis])
+        style.label(left, y=f"{'xyz'[axis]} [nT]", x=name if axis == 2 else None)
+        _histogram(right, series, record.sigma_nT, style.AXIS_COLOURS[axis])
+        style.note(right, f"rms {np.sqrt(np.mean(series**2)):.0f} nT")
+    style.label(grid[2][1], x="residual [nT]")
+    return figure
+
+
+def _abscissa(time: TimeArray) -> tuple[FloatArray, str]:
+    hours = (time - time[0]).astype("timedelta64[ns]").astype(np.float64) / 3.6e12
+    if hours[-1] <= 24 * _LONGEST_CLOCK_DAYS:
+        return hours, f"hours since {np.datetime_as_string(time[0], unit='m')} UTC [h]"
+    return np.arange(1.0, time.size + 1.0), "sample [1]"
+
+
+def _histogram(axes: Axes, series: FloatArray, sigma_nT: float, colour: str) -> None:
+    half = _HISTOGRAM_SIGMAS * max(sigma_nT, float(np.sqrt(np.mean(series**2))), 1e-9)
+    edges = np.linspace(-half, half, 25)
+    axes.hist(np.clip(series, -half, half), bins=list(edges), density=True, color=colour, alpha=0.6)
+    if sigma_nT > 0:
+        x = np.linspace(-half, half, 201)
+        axes.plot(x, np.exp(-0.5 * (x / sigma_nT) ** 2) / (sigma_nT * np.sqrt(2 * np.pi)), color=style.BLACK, lw=1)
+    axes.set_ylim(top=1.3 * axes.get_ylim()[1])
+    axes.set_yticks([])

@@ -1,0 +1,144 @@
+"""The common look of all figures: readable in print, safe for colour-blind eyes, units in every label.
+
+Figures are made without pyplot, so nothing global is touched and no window can open. Text that came from
+outside (names in files, units) is drawn as it is, never as mathematics: a stray $ cannot break a figure.
+Colours: the palette of Okabe and Ito (jfly.uni-koeln.de/color, 2008); series differ in line style as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, TypeAlias, cast
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.legend import Legend
+from matplotlib.text import Text
+
+AxesGrid: TypeAlias = list[list[Axes]]
+"""Axes of a figure, row by row: `grid[row][column]`."""
+
+BLACK = "#000000"
+BLUE = "#0072B2"
+ORANGE = "#E69F00"
+GREEN = "#009E73"
+VERMILION = "#D55E00"
+SKY = "#56B4E9"
+PURPLE = "#CC79A7"
+GREY = "#767676"
+PALE = "#D9D9D9"
+
+CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+"""Colours of series without a meaning of their own, in order."""
+AXIS_COLOURS = (BLUE, VERMILION, GREEN)
+"""Colours of the three components of a vector, in order."""
+AXIS_LINES = ("-", "--", "-.")
+"""Line styles of the three components: they stay apart in a grey print."""
+MODEL = BLUE
+MEASURED = BLACK
+PAPER = VERMILION
+"""The published number or curve beside ours."""
+
+SIGNED_MAP = "PuOr"
+"""Diverging colour map for residuals, centred on zero; orange and purple differ for every kind of eye."""
+POSITIVE_MAP = "viridis"
+"""Sequential colour map, even in lightness."""
+
+FULL_WIDTH_IN = 7.2
+COLUMN_WIDTH_IN = 3.5
+"""Widths of a page and of a column [inch]."""
+
+TITLE_PT, LABEL_PT, TICK_PT, NOTE_PT = 10.0, 9.0, 8.0, 8.0
+
+
+def figure(
+    width_in: float = FULL_WIDTH_IN,
+    height_in: float = 4.0,
+    rows: int = 1,
+    cols: int = 1,
+    *,
+    share_x: bool = False,
+    share_y: bool = False,
+    height_ratios: Sequence[float] | None = None,
+    width_ratios: Sequence[float] | None = None,
+) -> tuple[Figure, AxesGrid]:
+    """A figure in the common look and its axes, `grid[row][column]` even for one panel.
+
+    The layout keeps labels from overlapping. width_in, height_in: size of the whole [inch].
+    share_x: one time or latitude axis per column; share_y: one value axis per row.
+    """
+    made = Figure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
+    panels = made.subplots(
+        rows,
+        cols,
+        squeeze=False,
+        sharex="col" if share_x else False,
+        sharey="row" if share_y else False,
+        height_ratios=height_ratios,
+        width_ratios=width_ratios,
+    )
+    grid: AxesGrid = [list(row) for row in panels]
+    for row in grid:
+        for axes in row:
+            dress(axes)
+    return made, grid
+
+
+def dress(axes: Axes) -> None:
+    """Give axes the common look: left and bottom spine, a pale grid behind the data, our colours."""
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_linewidth(0.8)
+    axes.set_axisbelow(True)
+    axes.grid(True, color=PALE, linewidth=0.6)
+    axes.tick_params(labelsize=TICK_PT, width=0.8, length=3.0)
+    axes.set_prop_cycle(color=list(CYCLE))
+
+
+def label(axes: Axes, *, x: str | None = None, y: str | None = None, title: str | None = None) -> None:
+    """Name the axes; the unit stands in square brackets, as `east residual [nT]`. Text is drawn as it is."""
+    if x is not None:
+        _plain(axes.set_xlabel(x, fontsize=LABEL_PT))
+    if y is not None:
+        _plain(axes.set_ylabel(y, fontsize=LABEL_PT))
+    if title is not None:
+        _plain(axes.set_title(title, fontsize=TITLE_PT, loc="left"))
+
+
+def heading(made: Figure, text: str) -> None:
+    """One heading over the whole figure, drawn as it is."""
+    _plain(made.suptitle(text, fontsize=TITLE_PT + 1.0, fontweight="bold", x=0.01, ha="left"))
+
+
+def legend(axes: Axes, location: str = "best", *, columns: int = 1) -> Legend:
+    """A legend of the labelled series on a white ground, drawn as it is."""
+    look: dict[str, Any] = {"framealpha": 0.9, "edgecolor": PALE, "handlelength": 2.6}
+    made: Legend = axes.legend(loc=cast(Any, location), ncols=columns, fontsize=NOTE_PT, **look)
+    for text in made.get_texts():
+        _plain(text)
+    return made
+
+
+def note(axes: Axes, text: str, x: float = 0.02, y: float = 0.96) -> None:
+    """A remark inside the panel at (x, y) in axes fractions, top left by default, drawn as it is."""
+    written = axes.text(
+        x,
+        y,
+        text,
+        transform=axes.transAxes,
+        fontsize=NOTE_PT,
+        va="top" if y > 0.5 else "bottom",
+        ha="left" if x < 0.5 else "right",
+        bbox={"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.5},
+    )
+    _plain(written)
+
+
+def zero_line(axes: Axes) -> None:
+    """A thin line at zero, behind the data."""
+    axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=0.5)
+
+
+def _plain(text: Text) -> None:
+    text.set_parse_math(False)

@@ -1,0 +1,124 @@
+"""Table 1: the calibration of each data set, of all together, and why only the second column of S scatters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fluxtwin.calib.linear import calibrate_linear
+from fluxtwin.calib.linear_fit import LinearFit
+from fluxtwin.calib.records import parameter_names
+from fluxtwin.scenarios.seasat import mission
+from fluxtwin.scenarios.seasat.mission import DATA_SETS, Flight
+from fluxtwin.sim.constants import NT_PER_MG
+from fluxtwin.sim.errors import NoAnswer
+from fluxtwin.sim.field import FieldModel
+from fluxtwin.sim.progress import Progress
+from fluxtwin.sim.scenario import Scenario
+from fluxtwin.sim.types import FloatArray
+
+RUNS = 200
+NAMES = parameter_names(with_T=False)
+
+
+@dataclass(frozen=True)
+class CalibrationStudy:
+    """Fits by data set, and the scatter over many runs; K = 12 parameters (S, then b in mG)."""
+
+    fits: Mapping[str, LinearFit]
+    """The papers' regression, with the covariance widened for correlated errors."""
+    corrected: Mapping[str, LinearFit]
+    """The same with the errors-in-variables correction."""
+    estimates: FloatArray
+    """(RUNS, data sets, K) of the papers' regression; every run has its own seed and start hours."""
+    corrected_estimates: FloatArray
+    """(RUNS, data sets, K) with the correction."""
+    field_rms_mG: FloatArray
+    """(RUNS, data sets, 3) smallest, middle and largest rms of the field's variation in body directions."""
+    bias_only_mG: FloatArray
+    """(RUNS, 3) mean bias of day 205 with T = S = 0, as in figure 1."""
+    truth: FloatArray
+    """(K,)."""
+
+    def scatter(self, data_set: str, *, corrected: bool = False) -> FloatArray:
+        """(K,) standard deviation of the estimates over the runs."""
+        values = self.corrected_estimates if corrected else self.estimates
+        return np.asarray(np.nanstd(values[:, self.index(data_set)], axis=0, ddof=1))
+
+    def mean_error(self, data_set: str, *, corrected: bool = False) -> FloatArray:
+        """(K,) mean of estimate minus truth over the runs."""
+        values = self.corrected_estimates if corrected else self.estimates
+        return np.asarray(np.nanmean(values[:, self.index(data_set)], axis=0) - self.truth)
+
+    def refused(self, data_set: str) -> int:
+        """Runs in which the data set did not determine S and the regression said so."""
+        return int(np.isnan(self.estimates[:, self.index(data_set), 0]).sum())
+
+    @staticmethod
+    def index(data_set: str) -> int:
+        """Place of a data set in the arrays."""
+        return list(DATA_SETS).index(data_set)
+
+
+def run_calibrations(flight: Flight, ground: FieldModel, progress: Progress, runs: int = RUNS) -> CalibrationStudy:
+    """Fit every data set of one flight, then repeat it with other seeds and hours."""
+    fits = {name: _fit(flight, name, ground, corrected=False, blocks=True) for name in DATA_SETS}
+    corrected = {name: _fit(flight, name, ground, corrected=True, blocks=True) for name in DATA_SETS}
+    estimates = np.empty((runs, len(DATA_SETS), len(NAMES)))
+    corrected_estimates = np.empty_like(estimates)
+    spread = np.empty((runs, len(DATA_SETS), 3))
+    bias_only = np.empty((runs, 3))
+    for run in range(runs):
+        progress(f"calibration {run + 1} of {runs}", run / runs)
+        other = mission.fly(mission.with_random_hours(flight.scenario, flight.scenario.seed + 1 + run))
+        day_205 = other.telemetry.select(other.rows("205"))
+        bias_only[run] = calibrate_linear(day_205, ground, parameters="b").calibration.b_nT / NT_PER_MG
+        for place, name in enumerate(DATA_SETS):
+            found = _try_both(other, name, ground)
+            estimates[run, place], corrected_estimates[run, place], spread[run, place] = found
+    return CalibrationStudy(
+        fits=fits,
+        corrected=corrected,
+        estimates=estimates,
+        corrected_estimates=corrected_estimates,
+        field_rms_mG=spread,
+        bias_only_mG=bias_only,
+        truth=truth_vector(flight.scenario),
+    )
+
+
+def truth_vector(config: Scenario) -> FloatArray:
+    """(12,) S row by row and b in mG as the scenario has them. For comparison only; no estimator sees it."""
+    b = np.array(config.magnetometer.bias_nT) / NT_PER_MG
+    return np.concatenate([np.array(config.magnetometer.S).ravel(), b])
+
+
+def vector(fit: LinearFit) -> FloatArray:
+    """(12,) S row by row and b in mG of a fit."""
+    return np.concatenate([fit.calibration.S.ravel(), fit.calibration.b_nT / NT_PER_MG])
+
+
+def rms_mG(fit: LinearFit) -> float:
+    """Residual, rms per component over all three axes [mG]."""
+    return float(np.sqrt(np.mean(fit.residuals_nT**2)) / NT_PER_MG)
+
+
+def _try_both(flight: Flight, data_set: str, ground: FieldModel) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Estimates without and with the correction, and the field's variation; NaN where the fit is refused."""
+    try:
+        plain = _fit(flight, data_set, ground, corrected=False)
+        corrected = _fit(flight, data_set, ground, corrected=True)
+    except NoAnswer:
+        return np.full(12, np.nan), np.full(12, np.nan), np.full(3, np.nan)
+    return vector(plain), vector(corrected), np.sort(plain.variation.rms_nT) / NT_PER_MG
+
+
+def _fit(flight: Flight, data_set: str, ground: FieldModel, *, corrected: bool, blocks: bool = False) -> LinearFit:
+    return calibrate_linear(
+        flight.telemetry.select(flight.rows(data_set)),
+        ground,
+        errors_in_variables=corrected,
+        covariance="blocks" if blocks else "white",
+    )

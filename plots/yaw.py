@@ -93,8 +93,9 @@ def draw_full(record: YawComparison, *, title: str, panels: int = 3) -> Figure:
         axes.set(xlim=(edges[number], edges[number + 1]), ylim=(low - pad, high + pad), ylabel="yaw [deg]")
         axes.text(0.01, 0.95, f"{number + 1} of {panels}", transform=axes.transAxes, va="top", fontsize=8)
         _zero(axes)
-    all_axes[0].set_title(title)
-    all_axes[0].legend(loc="lower left", ncols=3, fontsize=8, frameon=True)
+    figure.suptitle(title)
+    handles, labels = all_axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8)
     all_axes[-1].set_xlabel("time from the start of the orbit [min]")
     return figure
 
@@ -173,12 +174,5 @@ def _dotted(axes: Axes, record: YawComparison) -> None:
 
 def _zero(axes: Axes) -> None:
     axes.axhline(0.0, color="grey", linewidth=0.8)
-    axes.annotate(
-        "yaw = 0",
-        (1.0, 0.0),
-        xycoords=("axes fraction", "data"),
-        fontsize=8,
-        color="grey",
-        ha="right",
-        va="bottom",
-    )
+    where = {"xy": (1.0, 0.0), "xycoords": ("axes fraction", "data")}
+    axes.annotate(" yaw = 0", fontsize=8, color="grey", ha="left", va="center", annotation_clip=False, **where)

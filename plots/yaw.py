@@ -64,9 +64,7 @@ class YawSigma:
 def draw_mean_bias(record: YawComparison, *, title: str) -> Figure:
     """Figure 1: sun sensor dashed, averaged magnetometer dotted, and the trivial solution yaw = 0."""
     figure, ((axes,),) = style.figure(7.2, 4.0)
-    axes.plot(
-        record.minutes, record.sun_deg, color="black", linestyle="--", linewidth=1.4, label="sun sensor"
-    )
+    axes.plot(record.minutes, record.sun_deg, color="black", linestyle="--", linewidth=1.4, label="sun sensor")
     _dotted(axes, record)
     axes.legend(loc="best", frameon=True)
     axes.set(title=title, xlabel="time from the start of the orbit [min]", ylabel="yaw [deg]")
@@ -107,9 +105,7 @@ def draw_sweep(record: YawSweep, *, title: str) -> Figure:
         (record.share_full, record.spread_full, "full calibration (figure 2)", style.BLUE),
         (record.share_bias_only, record.spread_bias_only, "mean bias only (figure 1)", style.VERMILION),
     ):
-        axes.errorbar(
-            record.amplitude_deg, 100 * share, 100 * spread, color=colour, marker="o", capsize=3, label=label
-        )
+        axes.errorbar(record.amplitude_deg, 100 * share, 100 * spread, color=colour, marker="o", capsize=3, label=label)
     axes.axhline(50.0, color="black", linewidth=0.8)
     if record.crossover_deg is not None:
         axes.axvline(record.crossover_deg, color=style.BLUE, linestyle=":")
@@ -135,9 +131,7 @@ def draw_sigma(record: YawSigma, *, title: str) -> Figure:
         ordered = np.sort(values)
         worst.plot(ordered, 100 * np.arange(1, ordered.size + 1) / ordered.size, color=colour, label=label)
     worst.axvline(record.printed_deg, color="black", linestyle="--", linewidth=0.8, label="printed")
-    worst.set(
-        xscale="log", xlabel="largest sigma of yaw [deg]", ylabel="share of cases [%]", title="worst value"
-    )
+    worst.set(xscale="log", xlabel="largest sigma of yaw [deg]", ylabel="share of cases [%]", title="worst value")
     worst.legend()
     figure.suptitle(title)
     return figure
@@ -174,5 +168,7 @@ def _dotted(axes: Axes, record: YawComparison) -> None:
 
 def _zero(axes: Axes) -> None:
     axes.axhline(0.0, color="grey", linewidth=0.8)
-    where = {"xy": (1.0, 0.0), "xycoords": ("axes fraction", "data")}
-    axes.annotate(" yaw = 0", fontsize=8, color="grey", ha="left", va="center", annotation_clip=False, **where)
+    axes.annotate(
+        " yaw = 0", xy=(1.0, 0.0), xycoords=("axes fraction", "data"), fontsize=8, color="grey", ha="left",
+        va="center", annotation_clip=False,
+    )  # fmt: skip

@@ -123,7 +123,8 @@ def _worst_values(
     """Largest sigma of single orbits and of data bases (92 + 88 + 101 + 44 minutes, starts at random), and
     latitude and sigma [deg] along the first orbit."""
     rng = stream(config.seed, "seasat.worst_yaw")
-    largest, first = [], (np.zeros(0), np.zeros(0))
+    largest: list[FloatArray] = []
+    first = (np.zeros(0), np.zeros(0))
     for minutes in geometry.DATA_MINUTES:
         start_s = rng.uniform(0.0, 60 * 86400.0, size=BASES)
         seconds = (start_s[:, None] + 60.0 * np.arange(minutes)).ravel()

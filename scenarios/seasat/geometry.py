@@ -134,7 +134,7 @@ def node_from_launch() -> float:
 def _judge(
     azimuths: tuple[float, ...], elevation: float, half: float, seen: BoolArray, latitude: FloatArray
 ) -> HeadScan:
-    some = seen.any(axis=0)
+    some = np.asarray(seen.any(axis=0))
     data, late, check = some[: len(DATA_DAYS)], some[len(DATA_DAYS) : -1], some[-1]
     minutes = data.mean(axis=1) * _period_min()
     short = np.maximum(np.minimum(np.array(DATA_MINUTES), _period_min()) - minutes, 0.0) / _period_min()

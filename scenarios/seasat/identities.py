@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fluxtwin.calib.linear import calibrate_linear
 from fluxtwin.scenarios.seasat.mission import Flight
@@ -88,5 +89,5 @@ def _rotation_error_deg() -> float:
     turn = frames.rotation_BO(np.radians([1.0]), np.zeros(1), np.zeros(1)).as_matrix()[0]
     S = turn - np.eye(3)
     orthogonal = np.abs((np.eye(3) + S).T @ (np.eye(3) + S) - np.eye(3)).max()
-    misalignment = np.linalg.norm(frames.Rotation.from_matrix(np.eye(3) + S).as_rotvec())
+    misalignment = np.linalg.norm(Rotation.from_matrix(np.eye(3) + S).as_rotvec())
     return float(np.degrees(abs(misalignment - np.radians(1.0)) + orthogonal))

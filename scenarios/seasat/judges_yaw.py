@@ -110,7 +110,8 @@ def _claim_30(r: Results) -> Verdict:
     e = r.yaw.bias_errors
     parts = ", ".join(f"{m:.1f} ± {s:.1f}" for m, s in zip(b, spread, strict=True))
     return Verdict(
-        f"b = ({parts}) mG over the Monte Carlo, {worst:.1f} sigma from the printed; in figure 1 yaw is wrong by {e.rms_deg:.2f} deg rms against "
+        f"b = ({parts}) mG over the Monte Carlo, {worst:.1f} sigma from the printed; "
+        f"in figure 1 yaw is wrong by {e.rms_deg:.2f} deg rms against "
         f"{e.zero_rms_deg:.2f} deg for yaw = 0, which is nearer in {100 * e.zero_wins:.0f} % of the windows "
         f"({100 * e.zero_wins_at_nodes:.0f} % near the nodes)", worst, "sigma",
         REPRODUCED if worst <= 3.0 and e.zero_wins == 1.0 else DIFFERS,

@@ -8,7 +8,7 @@ import numpy as np
 
 from fluxtwin.plots import calibration as calibration_plots
 from fluxtwin.plots import yaw as yaw_plots
-from fluxtwin.scenarios.page import FigureBlock, Table
+from fluxtwin.scenarios.page import Cell, FigureBlock, Table
 from fluxtwin.scenarios.seasat import mission
 from fluxtwin.scenarios.seasat.calibration_study import NAMES, CalibrationStudy, rms_mG, vector
 from fluxtwin.scenarios.seasat.claims import Claim, Results
@@ -57,8 +57,8 @@ def calibration_table(study: CalibrationStudy) -> Table:
         "Table 1 (C): calibration by data set",
         columns,
         rows,
-        "Ours: the papers' regression (eq. 8-9) and 1 sigma from the Monte Carlo, which holds all errors, slow ones "
-        "too. A slow unknown is partly taken up by the fit of one orbit, so our one-orbit residuals are smaller. Printed "
+        "Ours: the papers' regression (eq. 8-9) and, in parentheses in units of the last digit, 1 sigma from the Monte "
+        "Carlo, which holds all errors, slow ones too. A slow unknown is partly taken up by the fit of one orbit, so our one-orbit residuals are smaller. Printed "
         "magnitudes without a sign are as the scan shows them. 193 is days 205 and 225; the printed base of 210 "
         "samples is no sum of these days. Our days start at hours of our choice, so the one-orbit columns can agree in "
         "scatter only.",
@@ -96,9 +96,7 @@ def attenuation_table(results: Results) -> Table:
     for name in ("205", "all"):
         plain, corrected = study.mean_error(name), study.mean_error(name, corrected=True)
         spread = study.scatter(name)
-        rows += [
-            [name, NAMES[k], f"{plain[k]:+.4f}", f"{corrected[k]:+.4f}", f"{spread[k]:.4f}"] for k in COLUMN_2
-        ]
+        rows += [[name, NAMES[k], f"{plain[k]:+.4f}", f"{corrected[k]:+.4f}", f"{spread[k]:.4f}"] for k in COLUMN_2]
     plain, corrected = uncorrected_column_2(results)
     return Table(
         "Mean error of the second column of S over the Monte Carlo",
@@ -149,13 +147,13 @@ def yaw_table(results: Results) -> Table:
 
 def claims_table(claims: Sequence[Claim]) -> Table:
     """All claims, one line each."""
-    rows = [[claim.id, claim.where, claim.paper, claim.here, claim.status] for claim in claims]
+    rows: list[list[Cell]] = [[claim.id, claim.where, claim.paper, claim.here, claim.status] for claim in claims]
     return Table("The papers' claims", ["claim", "where", "printed", "here", "status"], rows)
 
 
 def whys_table(claims: Sequence[Claim]) -> Table:
     """Why some claims are not reproduced."""
-    rows = [[claim.id, claim.status, claim.why] for claim in claims if claim.why]
+    rows: list[list[Cell]] = [[claim.id, claim.status, claim.why] for claim in claims if claim.why]
     return Table("Why not", ["claim", "status", "why"], rows)
 
 
@@ -223,7 +221,8 @@ def yaw_figures(results: Results) -> list[FigureBlock]:
 
 
 def _with_sigma(value: float, sigma: float, digits: int) -> str:
-    return f"{value:.{digits}f} ± {sigma:.{digits}f}"
+    """Concise notation: 0.021(7) is 0.021 with a sigma of 0.007."""
+    return f"{value:.{digits}f}({round(sigma * 10**digits)})"
 
 
 def _printed(value: float, *, signed: bool, digits: int) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from fluxtwin.plots import style
 from fluxtwin.sim import epoch
@@ -103,8 +104,9 @@ def residual_series(tracks: Sequence[ResidualTrack], title: str, low_latitude_de
             style.zero_line(axes)
     style.label(grid[3][0], x=f"minutes from {epoch.iso(start)}")
     style.label(grid[3][1], x="geodetic latitude [deg]")
-    grid[3][1].set_xlim(-90, 90)
-    grid[3][1].set_xticks([-90, -60, -30, 0, 30, 60, 90])
+    reach = np.concatenate([track.latitude_deg for track in tracks])
+    grid[3][1].set_xlim(max(float(reach.min()) - 4.0, -90.0), min(float(reach.max()) + 4.0, 90.0))
+    grid[3][1].xaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 3, 6, 10], prune="both"))
     handles, labels = grid[0][0].get_legend_handles_labels()
     made = figure.legend(
         handles, labels, loc="outside lower center", ncols=len(tracks), fontsize=style.NOTE_PT, frameon=False

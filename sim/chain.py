@@ -85,9 +85,7 @@ def fly_others(scenario: Scenario, world: World, motion: Attitude) -> Attached:
     heads = spacecraft.sun_sensor_heads(scenario)
     head = sun_B = nadir_B = None
     if heads:
-        head, sun_B = measure_sun(
-            heads, motion.R_BN.apply(world.sun_N), world.illumination, stream(seed, "sun_sensor")
-        )
+        head, sun_B = measure_sun(heads, motion.R_BN.apply(world.sun_N), world.illumination, stream(seed, "sun_sensor"))
     nadir_N = -world.r_N_km / np.linalg.norm(world.r_N_km, axis=1)[:, None]
     scanner = spacecraft.horizon_scanner(scenario)
     if scanner is not None:

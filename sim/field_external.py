@@ -40,7 +40,7 @@ RESPONSE_RADIUS_KM = np.array(
     [4396 + 850j, 4859 + 732j, 5436 + 380j, 5458 + 367j, 5997 + 275j, 6133 + 244j, 6200 + 214j]
 )
 """c(f) of the layered conductivity of Grayver et al. 2017 (doi 10.1002/2017GL074120) with an ocean layer of 7000 S,
-for degree 1; degree 2 differs by under 0.3 %. Computed by ChaosMagPy 0.16 (`q_response`)."""
+for degree 1; degree 2 differs by 1 % at a year and 0.03 % at a day. Computed by ChaosMagPy 0.16 (`q_response`)."""
 
 _WINDOW_HOURS = 8766  # 365.25 days: the daily turn and the seasons both close
 _HALF = np.sqrt(3.0) / 2.0

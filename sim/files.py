@@ -29,7 +29,8 @@ def write_with(path: Path | str, write: Callable[[Path], None]) -> Path:
         raise BadInput("is a folder", where=str(path), wanted="the name of a file to write")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=_PREFIX, suffix=path.suffix, dir=folder)
+        _sweep(folder)
+        handle, name = tempfile.mkstemp(prefix=f"{_PREFIX}{os.getpid()}-", suffix=path.suffix, dir=folder)
     except OSError as error:
         raise BadInput(
             f"cannot write here ({error.strerror or error})",
@@ -86,6 +87,26 @@ def writable_folder(path: Path | str) -> Path:
     write_bytes(path / f"{_PREFIX}probe", b"")
     (path / f"{_PREFIX}probe").unlink(missing_ok=True)
     return path
+
+
+def _sweep(folder: Path) -> None:
+    """Remove temporaries that a killed process left here; its number is in their names."""
+    for leftover in folder.glob(f"{_PREFIX}[0-9]*-*"):
+        number = leftover.name.removeprefix(_PREFIX).split("-", 1)[0]
+        if number.isdigit() and int(number) != os.getpid() and not _alive(int(number)):
+            leftover.unlink(missing_ok=True)
+
+
+def _alive(process: int) -> bool:
+    if os.name != "posix":
+        return True  # no harmless way to ask; a leftover does no harm either
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
 
 
 def _plain(path: Path, content: bytes) -> None:

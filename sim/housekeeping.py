@@ -99,6 +99,4 @@ def _wheel_speeds(scenario: Scenario, world: World) -> FloatArray | None:
         return None
     phase = orbit.argument_of_latitude(world.time, world.r_N_km, world.v_N_km_s)
     momentum = wheels.periodic_momentum_B_Nms(phase, section.momentum_amplitude_Nms)
-    return wheels.wheel_speed_rpm(
-        momentum, np.array(section.axes_B), section.inertia_kg_m2, np.array(section.bias_rpm)
-    )
+    return wheels.wheel_speed_rpm(momentum, np.array(section.axes_B), section.inertia_kg_m2, np.array(section.bias_rpm))

@@ -9,10 +9,11 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from fluxtwin.sim.constants import AM2_PER_POLE_CM, NT_PER_MG
 from fluxtwin.sim.epoch import iso, parse_time
+from fluxtwin.sim.toml_input import Strict
 
 
 def _tuple(value: Any) -> Any:
@@ -39,10 +40,8 @@ ZERO3: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ZERO33 = (ZERO3, ZERO3, ZERO3)
 
 
-class Section(BaseModel):
-    """Base of all sections: frozen, strict, finite numbers, no unknown keys."""
-
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+class Section(Strict):
+    """Base of all sections."""
 
 
 def _one_of(section: Section, *names: str) -> None:

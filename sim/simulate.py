@@ -12,9 +12,7 @@ from fluxtwin.sim.truth import Truth
 from fluxtwin.sim.world import World, build_world
 
 
-def simulate(
-    scenario: Scenario, *, world: World | None = None, progress: Progress = silent
-) -> tuple[Telemetry, Truth]:
+def simulate(scenario: Scenario, *, world: World | None = None, progress: Progress = silent) -> tuple[Telemetry, Truth]:
     """Run the scenario once.
 
     world: the world of this scenario if it was built before (it does not depend on the seed); a caller that

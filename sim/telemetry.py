@@ -9,6 +9,7 @@ The columns of the files are in `telemetry_columns`, the readers and writers in 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -86,19 +87,19 @@ class Telemetry:
         """(N,) True where the reference attitude is known."""
         if self.q_NB is None:
             return np.zeros(len(self), dtype=bool)
-        return np.isfinite(self.q_NB).all(axis=1)
+        return np.asarray(np.isfinite(self.q_NB).all(axis=1), dtype=np.bool_)
 
     @property
     def has_reading(self) -> BoolArray:
         """(N,) True where all three magnetometer components are finite."""
-        return np.isfinite(self.mag_B_nT).all(axis=1)
+        return np.asarray(np.isfinite(self.mag_B_nT).all(axis=1), dtype=np.bool_)
 
     @property
     def has_position(self) -> BoolArray:
         """(N,) True where the position is known."""
         if self.r_N_km is None:
             return np.zeros(len(self), dtype=bool)
-        return np.isfinite(self.r_N_km).all(axis=1)
+        return np.asarray(np.isfinite(self.r_N_km).all(axis=1), dtype=np.bool_)
 
     def select(self, rows: BoolArray | slice | np.ndarray) -> Telemetry:
         """The record cut to `rows` (a mask, a slice or increasing indices)."""
@@ -123,6 +124,13 @@ def concatenate(records: list[Telemetry]) -> Telemetry:
     if not records:
         raise BadInput("there is no record to join", where="telemetry")
     ordered = sorted(records, key=lambda record: record.time[0])
+    for one, other in itertools.pairwise(ordered):
+        if other.time[0] <= one.time[-1]:
+            raise BadInput(
+                f"two records overlap in time: one ends at {one.time[-1]}, another begins at {other.time[0]}",
+                where=other.provenance.get("source", "telemetry"),
+                wanted="records that follow each other, each given once",
+            )
     columns: dict[str, object] = {"time": np.concatenate([r.time for r in ordered])}
     for name in _SHAPES:
         parts = [getattr(r, name) for r in ordered]
@@ -134,9 +142,7 @@ def concatenate(records: list[Telemetry]) -> Telemetry:
             ]
             columns[name] = np.concatenate(filled)
     names = sorted({name for r in ordered for name in r.flags})
-    columns["flags"] = {
-        n: np.concatenate([r.flags.get(n, np.full(len(r), np.nan)) for r in ordered]) for n in names
-    }
+    columns["flags"] = {n: np.concatenate([r.flags.get(n, np.full(len(r), np.nan)) for r in ordered]) for n in names}
     sources = "; ".join(dict.fromkeys(r.provenance.get("source", "") for r in ordered))
     columns["provenance"] = {**ordered[0].provenance, "source": sources}
     return Telemetry(**columns)  # type: ignore[arg-type]

@@ -19,4 +19,5 @@ def read(text: str) -> dict[str, np.ndarray]:
 
 if __name__ == "__main__":
     target = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "igrf14.npz"
-    np.savez(target, **read((importlib.resources.files("ppigrf") / "IGRF14.shc").read_text()))
+    model = read((importlib.resources.files("ppigrf") / "IGRF14.shc").read_text())
+    np.savez(target, years=model["years"], coefficients_nT=model["coefficients_nT"])

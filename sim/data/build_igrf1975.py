@@ -21,4 +21,5 @@ def read(text: str) -> dict[str, np.ndarray]:
 if __name__ == "__main__":
     here = Path(__file__).parent
     target = Path(sys.argv[1]) if len(sys.argv) > 1 else here / "igrf1975.npz"
-    np.savez(target, **read((here / "igrf1975.csv").read_text(encoding="utf-8")))
+    model = read((here / "igrf1975.csv").read_text(encoding="utf-8"))
+    np.savez(target, years=model["years"], coefficients_nT=model["coefficients_nT"])

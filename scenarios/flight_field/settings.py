@@ -1,0 +1,54 @@
+"""What the study runs with: a packaged TOML, read strictly and saved again beside the results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fluxtwin.sim.toml_input import Strict, read_model
+
+PACKAGED = Path(__file__).parent / "flight_field.toml"
+
+
+class MagsatSettings(Strict):
+    """The MAGSAT half."""
+
+    file: str
+    kp_file: str
+    model: str
+    epoch_utc: str
+
+
+class SwarmSettings(Strict):
+    """The Swarm half."""
+
+    file: str
+    model: str
+    chaos_file: str
+    rc_file: str
+    crust_degree: int
+
+
+class Settings(Strict):
+    """All of `flight_field.toml`."""
+
+    name: str
+    low_latitude_deg: float
+    ring_current_induced_share: float
+    magsat: MagsatSettings
+    swarm: SwarmSettings
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Every file the study reads from the data folder."""
+        return (
+            self.magsat.file,
+            self.swarm.file,
+            self.swarm.chaos_file,
+            self.swarm.rc_file,
+            self.magsat.kp_file,
+        )
+
+
+def read_settings(path: Path = PACKAGED) -> Settings:
+    """The settings in the file `path`; raises BadInput that lists every fault in it."""
+    return read_model(path, Settings)

@@ -1,0 +1,188 @@
+"""Measured field along an orbit, and the geomagnetic indices of those days, read strictly from recorded files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fluxtwin.sim import epoch, frames
+from fluxtwin.sim.errors import BadInput, OutOfRange
+from fluxtwin.sim.telemetry_csv import CsvFile, open_csv
+from fluxtwin.sim.telemetry_time import parse_iso
+from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
+
+_POSITION = ("x_ecef_km", "y_ecef_km", "z_ecef_km")
+_GEODETIC = ("lat_geod_deg", "lon_deg", "alt_geod_km")
+_MAGSAT_FIELD = ("B_north_geoc_nT", "B_east_geoc_nT", "B_down_geoc_nT")
+_SWARM_FIELD = ("B_N_nT", "B_E_nT", "B_C_nT")
+_LOWEST_KM, _HIGHEST_KM = 6480.0, 8400.0  # 100 to 2000 km: where the two satellites and their like fly
+_WEAKEST_nT, _STRONGEST_nT = 8_000.0, 70_000.0  # what the geomagnetic field can be in that shell
+_RC_STEP = np.timedelta64(60, "m")
+
+
+@dataclass(frozen=True)
+class Track:
+    """A calibrated vector magnetometer along its orbit; N samples."""
+
+    name: str
+    source: str
+    """File name and SHA-256."""
+    time: TimeArray
+    r_E_km: FloatArray
+    """(N, 3) Earth-fixed position."""
+    latitude_deg: FloatArray
+    """(N,) geodetic, as the file gives it."""
+    longitude_deg: FloatArray
+    b_NEC_nT: FloatArray
+    """(N, 3) measured field: geocentric north, east, centre."""
+    attitude_good: BoolArray
+    """(N,) the source's own flag; all true where it has none."""
+
+    def __len__(self) -> int:
+        return int(self.time.size)
+
+
+@dataclass(frozen=True)
+class RingCurrentIndex:
+    """The hourly RC index: external and induced part."""
+
+    time: TimeArray
+    external_nT: FloatArray
+    induced_nT: FloatArray
+
+    def at(self, time: TimeArray) -> tuple[FloatArray, FloatArray]:
+        """External and induced part (N,) at the stamps, linear between hours that stand side by side.
+
+        Half an hour before the first or after the last value of a day the nearest value holds. Raises OutOfRange
+        for a stamp further than that from any value.
+        """
+        return self._interpolated(time, self.external_nT), self._interpolated(time, self.induced_nT)
+
+    def nearest(self, time: np.datetime64) -> float:
+        """External plus induced part of the hour nearest to the stamp [nT]."""
+        row = int(np.argmin(np.abs(self.time - time)))
+        return float(self.external_nT[row] + self.induced_nT[row])
+
+    def _interpolated(self, time: TimeArray, value_nT: FloatArray) -> FloatArray:
+        after = np.clip(np.searchsorted(self.time, time), 1, self.time.size - 1)
+        before = after - 1
+        span = self.time[after] - self.time[before]
+        share = (time - self.time[before]).astype("int64") / span.astype("int64")
+        share = np.where(span > _RC_STEP, np.rint(np.clip(share, 0.0, 1.0)), np.clip(share, 0.0, 1.0))
+        nearest = np.where(share < 0.5, self.time[before], self.time[after])
+        far = np.abs(time - nearest) > _RC_STEP // 2
+        if far.any():
+            row = int(np.argmax(far))
+            raise OutOfRange(f"no RC index near {epoch.iso(time[row])}", where="RC index", wanted="hourly values")
+        value: FloatArray = (1.0 - share) * value_nT[before] + share * value_nT[after]
+        return value
+
+
+def read_magsat(path: Path) -> Track:
+    """MAGSAT's file: ECEF position, geodetic coordinates, geocentric north, east, down, attitude flag (0 good).
+
+    Raises BadInput naming the file and what is wrong in it.
+    """
+    return _read(path, "MAGSAT 1980-01-01", _MAGSAT_FIELD, flag="attitude_flag")
+
+
+def read_swarm(path: Path) -> Track:
+    """Swarm's file: ECEF position, geodetic coordinates, F, and geocentric north, east, centre.
+
+    Raises BadInput naming the file and what is wrong in it, as a vector that does not have the magnitude F.
+    """
+    track = _read(path, "Swarm A 2016-01-01", _SWARM_FIELD, flag=None)
+    magnitude_nT = open_csv(path).numbers(["F_nT"])["F_nT"] if "F_nT" in open_csv(path).names else None
+    if magnitude_nT is not None:
+        gap = np.abs(np.linalg.norm(track.b_NEC_nT, axis=1) - magnitude_nT)
+        _first_wrong(gap > 5.0, str(path), gap, "differs from F_nT by", "nT", "a vector whose length is F_nT")
+    return track
+
+
+def read_ring_current(path: Path) -> RingCurrentIndex:
+    """The hourly RC index of single days in any order. Raises BadInput naming the file and what is wrong in it."""
+    table = _opened(path, ("time_utc", "RC_external_nT", "RC_induced_nT"))
+    values = _numbers(table, ("RC_external_nT", "RC_induced_nT"))
+    stamps = [epoch.parse_time(text.decode(), where=table.where) for text in table.text("time_utc").tolist()]
+    time = np.array(stamps, dtype="datetime64[ns]")
+    order = np.argsort(time)
+    _increasing(time[order], table.where, "after sorting (an hour is there twice)")
+    return RingCurrentIndex(time[order], values[order, 0], values[order, 1])
+
+
+def read_kp(path: Path, day: np.datetime64) -> FloatArray:
+    """The eight Kp of that UTC day. Raises BadInput naming the file and what is wrong in it."""
+    names = tuple(f"Kp10_{hour:02d}h" for hour in range(0, 24, 3))
+    table = _opened(path, ("date", *names))
+    wanted = epoch.iso(day, "D")[:10].encode()
+    rows = np.flatnonzero(table.text("date") == wanted)
+    if rows.size != 1:
+        raise BadInput(f"{rows.size} rows for {wanted.decode()}", where=table.where, wanted="one row for each day")
+    tenths: FloatArray = _numbers(table, names)[rows[0]]
+    # Kp comes in thirds, written in tenths cut off: 23 is 2+, 2 1/3.
+    return np.rint(tenths * 0.3) / 3.0
+
+
+def _read(path: Path, name: str, field: tuple[str, ...], flag: str | None) -> Track:
+    wanted = ("time_utc", *_POSITION, *_GEODETIC, *field, *((flag,) if flag else ()))
+    table = _opened(path, wanted)
+    time = parse_iso(table.text("time_utc"), table.where)
+    _increasing(time, table.where)
+    r_E_km, geodetic, b_NEC_nT = (_numbers(table, names) for names in (_POSITION, _GEODETIC, field))
+    _check_position(r_E_km, geodetic, table.where)
+    size = np.linalg.norm(b_NEC_nT, axis=1)
+    wrong = (size < _WEAKEST_nT) | (size > _STRONGEST_nT)
+    _first_wrong(wrong, table.where, size, "has |B| =", "nT", f"{_WEAKEST_nT:.0f} to {_STRONGEST_nT:.0f} nT")
+    flags = table.numbers([flag])[flag] if flag else np.zeros(time.size)
+    source = f"{Path(path).name}, SHA-256 {table.sha256}"
+    return Track(name, source, time, r_E_km, geodetic[:, 0], geodetic[:, 1], b_NEC_nT, flags == 0)
+
+
+def _opened(path: Path, wanted: tuple[str, ...]) -> CsvFile:
+    table = open_csv(path)
+    missing = [name for name in wanted if name not in table.names]
+    if missing:
+        raise BadInput(f"columns missing: {', '.join(missing)}", where=table.where, wanted=", ".join(wanted))
+    return table
+
+
+def _numbers(table: CsvFile, names: tuple[str, ...]) -> FloatArray:
+    columns = table.numbers(list(names))
+    values = np.stack([columns[name] for name in names], axis=1)
+    blank = np.argwhere(np.isnan(values))
+    if blank.size:
+        row, column = blank[0]
+        raise BadInput(f"{names[column]} in row {row + 1} is missing", where=table.where, wanted="a number")
+    return values
+
+
+def _increasing(time: TimeArray, where: str, when: str = "") -> None:
+    if np.isnat(time).any():
+        row = int(np.argmax(np.isnat(time)))
+        raise BadInput(f"time in row {row + 1} is missing", where=where, wanted="a stamp in every row")
+    back = np.diff(time) <= np.timedelta64(0, "ns")
+    if back.any():
+        row = int(np.argmax(back)) + 2
+        raise BadInput(
+            f"time does not increase in row {row} {when}".rstrip(), where=where, wanted="strictly increasing UTC"
+        )
+
+
+def _check_position(r_E_km: FloatArray, geodetic: FloatArray, where: str) -> None:
+    """Radius in kilometres, and the Cartesian position that of the geodetic columns to 1 km."""
+    radius = np.linalg.norm(r_E_km, axis=1)
+    wanted = f"kilometres, {_LOWEST_KM:.0f} to {_HIGHEST_KM:.0f} from the centre of the Earth"
+    wrong = (radius < _LOWEST_KM) | (radius > _HIGHEST_KM)
+    _first_wrong(wrong, where, radius, "has a position of length", "km", wanted)
+    other_km = frames.from_geodetic(np.radians(geodetic[:, 0]), np.radians(geodetic[:, 1]), geodetic[:, 2])
+    gap = np.linalg.norm(other_km - r_E_km, axis=1)
+    wanted = "x, y, z_ecef_km at lat_geod_deg, lon_deg, alt_geod_km (WGS 84)"
+    _first_wrong(gap > 1.0, where, gap, "has its two positions apart by", "km", wanted)
+
+
+def _first_wrong(wrong: BoolArray, where: str, value: FloatArray, what: str, unit: str, wanted: str) -> None:
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise BadInput(f"row {row + 1} {what} {value[row]:.6g} {unit}", where=where, wanted=wanted)

@@ -1,0 +1,54 @@
+"""The studies that `fluxtwin run NAME` knows: a new study is a module and one line here.
+
+A study module offers `run(out, data, progress) -> StudyResult`: `out` is an existing writable folder, `data`
+a folder of recorded data or None, `progress` a `fluxtwin.sim.progress.Progress`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, cast
+
+from fluxtwin.scenarios.page import StudyResult
+from fluxtwin.sim.errors import BadInput
+from fluxtwin.sim.progress import Progress
+
+
+@dataclass(frozen=True)
+class Study:
+    """One line of the list."""
+
+    module: str
+    about: str
+    needs_data: bool = False
+
+
+STUDIES: dict[str, Study] = {
+    "seasat": Study(
+        "fluxtwin.scenarios.seasat.study",
+        "Seasat 1978: the in-flight calibration of its magnetometers, beside the published numbers",
+    ),
+    "flight-field": Study(
+        "fluxtwin.scenarios.flight_field.study",
+        "the field models against measurements in orbit (MAGSAT 1980, Swarm A in a storm)",
+        needs_data=True,
+    ),
+}
+
+
+class RunStudy(Protocol):
+    """The verb of a study module."""
+
+    def __call__(self, out: Path, data: Path | None, progress: Progress) -> StudyResult: ...
+
+
+def find_study(name: str) -> RunStudy:
+    """The `run` of the study called `name`; raises BadInput that names the nearest one."""
+    if name not in STUDIES:
+        near = difflib.get_close_matches(name.lower(), STUDIES, n=1, cutoff=0.5)
+        hint = f" (did you mean {near[0]!r}?)" if near else ""
+        raise BadInput(f"no study is called {name!r}{hint}", where="run", wanted=" or ".join(STUDIES))
+    return cast(RunStudy, importlib.import_module(STUDIES[name].module).run)

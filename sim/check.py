@@ -1,0 +1,127 @@
+"""Is this file what it says? The classic traps of foreign telemetry, named with their evidence; and a plain repair.
+
+Thresholds stand beside their reasons in `check_values` and `check_field`. A clock that is off by a constant (UTC
+against GPS, 18 s) cannot be seen by such checks and is not claimed.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from fluxtwin.sim import epoch
+from fluxtwin.sim.check_field import check_field
+from fluxtwin.sim.check_report import CheckReport, Finding, note, report, trap
+from fluxtwin.sim.check_values import check_values
+from fluxtwin.sim.errors import BadInput
+from fluxtwin.sim.field import FieldModel
+from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.telemetry_build import record
+from fluxtwin.sim.telemetry_columns import Table
+from fluxtwin.sim.telemetry_csv import MAX_SAMPLES
+from fluxtwin.sim.telemetry_io import read_table, read_telemetry, write_telemetry
+
+__all__ = ["CheckReport", "Finding", "check_file", "check_telemetry", "repair"]
+
+
+def check_telemetry(telemetry: Telemetry, model: FieldModel) -> CheckReport:
+    """Every check that the record's columns allow. Traps first in the report."""
+    findings = [*check_field(telemetry, model), *check_values(telemetry)]
+    return report(telemetry.provenance.get("source", "telemetry"), len(telemetry), findings)
+
+
+def check_file(
+    path: Path | str,
+    model: FieldModel,
+    *,
+    column_map: Path | str | None = None,
+    tle: Path | str | None = None,
+    max_samples: int = MAX_SAMPLES,
+) -> CheckReport:
+    """As `check_telemetry`, from a file; rows out of order or doubled are a trap here, not an error.
+
+    Raises BadInput for a file that cannot be read at all.
+    """
+    if column_map is not None:
+        telemetry = read_telemetry(path, column_map=column_map, tle=tle, max_samples=max_samples)
+        order: list[Finding] = []
+    else:
+        table = read_table(path, max_samples=max_samples)
+        order = _order(table)
+        telemetry = record(_ordered(table)[0], tle=tle)
+    inner = check_telemetry(telemetry, model)
+    said = [note("on_reading", text) for text in telemetry.provenance.get("notices", "").split("; ") if text]
+    return report(str(path), inner.samples, [*order, *inner.findings, *said])
+
+
+def repair(path: Path | str, out: Path | str, *, max_samples: int = MAX_SAMPLES) -> CheckReport:
+    """Write `out` with the rows of `path` sorted by time and exact duplicates dropped; the rest is reported.
+
+    Rows without a time, and rows that give an instant a second, different content, cannot stand in a record;
+    they are left out and named. Raises BadInput when `out` is the input, or nothing is left.
+    """
+    if Path(out).resolve() == Path(path).resolve():
+        raise BadInput("would overwrite the input", where=str(out), wanted="another name for the repaired file")
+    table = read_table(path, max_samples=max_samples)
+    findings = _order(table)
+    ordered, left_out = _ordered(table)
+    telemetry = record(ordered)
+    write_telemetry(telemetry, out)
+    findings += left_out
+    findings += [note("on_reading", text) for text in table.notices]
+    return report(str(path), len(telemetry), findings)
+
+
+def _order(table: Table) -> list[Finding]:
+    """Stamps that do not increase, as a trap."""
+    stamps = table.time
+    missing = np.flatnonzero(np.isnat(stamps))
+    findings = []
+    if missing.size:
+        findings.append(trap("time_missing", f"{missing.size} rows have no time. Blank stamps cannot be used", missing))
+    known = np.flatnonzero(~np.isnat(stamps))
+    step = np.diff(stamps[known].astype("int64"))
+    back, same = known[1:][step < 0], known[1:][step == 0]
+    if back.size:
+        row = int(np.flatnonzero(step < 0)[0])
+        findings.append(
+            trap(
+                "time_not_increasing",
+                f"time runs backwards at {back.size} row{'s' if back.size > 1 else ''}: after "
+                f"{epoch.iso(stamps[known[row]], 'ms')} comes {epoch.iso(stamps[known[row + 1]], 'ms')}. "
+                "`--repair OUT` sorts",
+                back,
+            )
+        )
+    if same.size:
+        text = f"{same.size} rows repeat the stamp of the row before. `--repair OUT` drops exact duplicates"
+        findings.append(trap("time_repeated", text, same))
+    return findings
+
+
+def _ordered(table: Table) -> tuple[Table, list[Finding]]:
+    """The table sorted, one row an instant; and what had to be left out beyond exact duplicates."""
+    rows = np.flatnonzero(~np.isnat(table.time))
+    rows = rows[np.argsort(table.time[rows], kind="stable")]
+    if rows.size == 0:
+        raise BadInput("no row has a time", where=table.where, wanted="UTC stamps")
+    step = np.diff(table.time[rows].astype("int64"))
+    instant = np.concatenate([[0], np.cumsum(step > 0)])
+    first = np.flatnonzero(np.concatenate([[True], step > 0]))[instant]
+    content = np.stack(list(table.columns.values()), axis=1)
+    mine, kept = content[rows], content[rows[first]]
+    equal = ((mine == kept) | (np.isnan(mine) & np.isnan(kept))).all(axis=1)
+    is_first = first == np.arange(rows.size)
+    rivals, doubles = rows[~is_first & ~equal], rows[~is_first & equal]
+    findings = []
+    if doubles.size:
+        findings.append(
+            note("duplicates_dropped", f"{doubles.size} exact duplicate rows were dropped", np.sort(doubles))
+        )
+    if rivals.size:
+        text = f"{rivals.size} rows give an instant a second, different content; the first was kept: look at them"
+        findings.append(trap("conflicting_rows", text, np.sort(rivals)))
+    keep = rows[is_first]
+    columns = {name: value[keep] for name, value in table.columns.items()}
+    return Table(table.where, table.time[keep], columns, list(table.notices), dict(table.provenance)), findings

@@ -1,0 +1,90 @@
+"""What a check found: findings with a code, a sentence with the evidence, and the rows concerned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+_SHOWN_ROWS = 20
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing found in a telemetry file."""
+
+    code: str
+    """Stable name, as `magnetometer_unit`."""
+    severity: Literal["trap", "note"]
+    """trap: the file is not what it says. note: worth knowing, or why something could not be tested."""
+    text: str
+    """What was found, the evidence, and what to do."""
+    rows: tuple[int, ...] = ()
+    """The first rows concerned, counted from 1; empty when it concerns the file."""
+    row_count: int = 0
+    """How many rows are concerned."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "code": self.code,
+            "severity": self.severity,
+            "text": self.text,
+            "rows": list(self.rows),
+            "row_count": self.row_count,
+        }
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """All findings about one file, traps first."""
+
+    source: str
+    samples: int
+    findings: tuple[Finding, ...] = field(default=())
+
+    @property
+    def traps(self) -> tuple[Finding, ...]:
+        """The findings that say the file is not what it claims."""
+        return tuple(finding for finding in self.findings if finding.severity == "trap")
+
+    @property
+    def notes(self) -> tuple[Finding, ...]:
+        """The other findings."""
+        return tuple(finding for finding in self.findings if finding.severity == "note")
+
+    @property
+    def exit_status(self) -> int:
+        """0 clean, 1 a trap was named."""
+        return 1 if self.traps else 0
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON; no NaN."""
+        return {
+            "source": self.source,
+            "samples": self.samples,
+            "clean": not self.traps,
+            "findings": [finding.to_dict() for finding in self.findings],
+        }
+
+
+def trap(code: str, text: str, rows: np.ndarray | None = None) -> Finding:
+    """A finding that the file is not what it says; `rows` are indices from 0."""
+    return Finding(code, "trap", text, *_rows(rows))
+
+
+def note(code: str, text: str, rows: np.ndarray | None = None) -> Finding:
+    """A finding worth knowing; `rows` are indices from 0."""
+    return Finding(code, "note", text, *_rows(rows))
+
+
+def report(source: str, samples: int, findings: list[Finding]) -> CheckReport:
+    """The report, traps first, otherwise in the order found."""
+    return CheckReport(source, samples, tuple(sorted(findings, key=lambda f: f.severity != "trap")))
+
+
+def _rows(rows: np.ndarray | None) -> tuple[tuple[int, ...], int]:
+    if rows is None:
+        return (), 0
+    return tuple(int(row) + 1 for row in rows[:_SHOWN_ROWS]), len(rows)

@@ -1,0 +1,187 @@
+"""What reaches the eye: units in brackets stay, foreign text stays text, the page fetches nothing."""
+
+from __future__ import annotations
+
+import html.parser
+import io
+import re
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from matplotlib.figure import Figure
+
+from fluxtwin.console import Output, clean, shown
+from fluxtwin.report import png_bytes, render_report
+from fluxtwin.scenarios.page import FigureBlock, Page, Section, StudyResult, Table
+
+HOSTILE = [
+    "<script>alert(1)</script>",
+    "<img src=x onerror=alert(1)>",
+    '"><svg onload=alert(1)>',
+    "' onmouseover='alert(1)",
+    "{{ 7*7 }}{% raw %}",
+    "[bold red]mag_x [nT][/bold red]",
+    "[/tmp].csv",
+    "\x1b[2J\x1b]0;title\x07",
+    "javascript:alert(1)",
+    "</style><script src=//example.org/x.js></script>",
+    "left\u202eright",
+    "$\\frac{$",
+]
+
+
+class Reader(html.parser.HTMLParser):
+    """Collects the tags, their attributes and the text a reader sees."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+
+def page_with(text: str) -> Page:
+    figure = Figure(figsize=(1, 1))
+    table = Table(text, [text, "b [mG]"], [[text, 1.23456]], note=text)
+    return Page(
+        title=text,
+        verdict=text,
+        sections=[Section(text, [text], [table], [FigureBlock("one", text, figure)]), Section("other")],
+        errata=[text],
+        provenance={text: text},
+    )
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_foreign_text_stays_text_on_the_page(text: str) -> None:
+    page = render_report(page_with(text))
+    plain = render_report(page_with("harmless"))
+    found, wanted = Reader(), Reader()
+    found.feed(page)
+    wanted.feed(plain)
+    assert [tag for tag, _ in found.tags] == [tag for tag, _ in wanted.tags], "foreign text made an element"
+    assert [sorted(a) for _, a in found.tags] == [sorted(a) for _, a in wanted.tags], "foreign text made an attribute"
+    assert clean(text) in "".join(found.text)
+    assert "\x1b" not in page
+
+
+def test_the_page_fetches_nothing_and_runs_nothing() -> None:
+    reader = Reader()
+    reader.feed(render_report(page_with("x")))
+    assert "script" not in {tag for tag, _ in reader.tags}
+    for tag, attributes in reader.tags:
+        assert not any(name.startswith("on") for name in attributes)
+        for name in ("src", "href"):
+            value = attributes.get(name)
+            assert value is None or value.startswith(("data:image/png;base64,", "#")), (tag, value)
+    policy = [a["content"] for tag, a in reader.tags if tag == "meta" and "http-equiv" in a]
+    assert policy[0] is not None
+    assert "default-src 'none'" in policy[0]
+
+
+def test_the_page_shows_units_numbers_and_figures() -> None:
+    page = render_report(page_with("B [nT]"))
+    assert page.count("B [nT]") > 5
+    assert '<td class="number">1.235</td>' in page
+    assert '<th scope="col" class="number">b [mG]</th>' in page
+    assert page.count("data:image/png;base64,") == 1
+
+
+def test_the_same_figure_gives_the_same_bytes() -> None:
+    assert png_bytes(Figure(figsize=(1, 1))) == png_bytes(Figure(figsize=(1, 1)))
+    with pytest.raises(ValueError, match="PNG"):
+        png_bytes(b"GIF89a")
+
+
+def test_a_row_that_does_not_fit_its_heading_is_refused() -> None:
+    with pytest.raises(ValueError, match="row 2 has 1 cells, the heading has 2"):
+        Table("t", ["a", "b"], [[1, 2], [3]])
+
+
+def test_units_reach_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    output = Output()
+    output.table("Table 2 [mG]", ["mag_x [nT]", "name"], [[1.5, "[red]x[/red] [nT]"], [None, "[/x].csv"]], "[deg]")
+    output.say("yaw [deg]")
+    text = capsys.readouterr().out
+    for wanted in ("Table 2 [mG]", "mag_x [nT]", "[red]x[/red] [nT]", "[/x].csv", "[deg]", "yaw [deg]"):
+        assert wanted in text
+    assert "\x1b" not in text
+
+
+def test_a_wide_table_is_not_cut_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    Output().table("t", ["a", "b"], [["x" * 300, "end [nT]"]])
+    assert "x" * 300 + "  " in capsys.readouterr().out
+
+
+def test_a_long_sentence_wraps_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    Output().table("t", ["a", "why"], [["x", "word " * 60]], note="note " * 60)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 120
+    assert " ".join(lines).count("word") == 60
+
+
+@pytest.mark.parametrize("text", ["\x1b[31m", "a\rb", "\x9b1m", "\u202e", "\u2066", "\x00", "\x08"])
+def test_control_characters_become_visible(text: str) -> None:
+    assert "\\" in clean(text)
+    assert not re.search("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202e\u2066]", clean(text))
+
+
+def test_numbers_are_shown_with_four_digits() -> None:
+    cells = [1.23456, -0.00012345, 123456.789, 12, None, True, "1.23456", 0.0, float("nan")]
+    assert [shown(c) for c in cells] == [
+        "1.235",
+        "-0.0001234",
+        "123456.8",
+        "12",
+        "",
+        "yes",
+        "1.23456",
+        "0",
+        "nan",
+    ]
+
+
+def test_progress_is_said_on_standard_error_when_work_lasts(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fluxtwin.console._QUIET_SECONDS", 0.1)
+    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    with Output().progress("first step [nT]") as progress:
+        deadline = time.monotonic() + 10
+        while "first step" not in sys.stderr.getvalue() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        progress("second step", 0.5)
+    assert "first step [nT] ..." in sys.stderr.getvalue()
+    assert capsys.readouterr().out == ""
+
+
+def test_json_alone_goes_to_standard_output(capsys: pytest.CaptureFixture[str]) -> None:
+    output = Output("-")
+    output.say("words")
+    output.table("t", ["a"], [[1]])
+    output.result({"F_nT": 1.0})
+    assert capsys.readouterr().out == '{\n  "F_nT": 1.0\n}\n'
+
+
+def test_a_study_is_written_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from fluxtwin import studies
+
+    own = tmp_path / "scenario.toml"
+
+    def run(out: Path, data: Path | None, progress: object) -> StudyResult:
+        own.write_text("seed = 1\n")
+        return StudyResult("s", "done", {"a": 1}, [], page_with("x"), [own])
+
+    monkeypatch.setattr(studies, "find_study", lambda name: run)
+    result, written = studies.run_study("s", tmp_path / "out")
+    assert result.status_line == "done"
+    assert {p.name for p in written} == {"scenario.toml", "one.png", "report.html", "summary.json"}
+    assert all(p.stat().st_size for p in written)
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"one.png", "report.html", "summary.json"}

@@ -1,4 +1,4 @@
-"""Build the git-ignored view `.types/fluxtwin` that type checkers follow (the mapped folders under one name)."""
+"""Build the git-ignored view `.types/fluxtwin` that type checkers follow: all folders under one name."""
 
 import shutil
 from pathlib import Path

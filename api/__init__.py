@@ -1,6 +1,83 @@
-"""fluxtwin: the digital twin of a spacecraft's attitude and magnetometer."""
+"""fluxtwin: the digital twin of a spacecraft's attitude and magnetometer.
+
+The verbs, each imported when it is first used:
+
+    telemetry = fluxtwin.read("pass.nc")             # NetCDF or CSV, or a foreign file with a column map
+    report = fluxtwin.check(telemetry)               # the classic traps, named
+    fit = fluxtwin.calibrate(telemetry)              # S, b, T with covariance and observability
+    better = fluxtwin.apply(telemetry, fit.calibration)
+    fluxtwin.write(better, "pass_corrected.nc")
+
+    scenario = fluxtwin.load_scenario("mine.toml")
+    telemetry, truth = fluxtwin.simulate(scenario)
+
+    fluxtwin.field("2020-01-01", 45.0, 3.0, 400.0)   # the field at a geodetic point
+    fluxtwin.run_study("seasat")                     # a whole study, as the command line runs it
+
+The parts stand in `fluxtwin.sim`, `fluxtwin.calib`, `fluxtwin.plots` and `fluxtwin.scenarios`.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
 
 if __name__ == "api":
     raise ImportError("import fluxtwin, never the bare folder name: two copies of every class would exist")
 
+if TYPE_CHECKING:
+    from fluxtwin.calib.records import Calibration as Calibration
+    from fluxtwin.sim.errors import BadInput as BadInput
+    from fluxtwin.sim.errors import FluxtwinError as FluxtwinError
+    from fluxtwin.sim.errors import NoAnswer as NoAnswer
+    from fluxtwin.sim.errors import OutOfRange as OutOfRange
+    from fluxtwin.sim.field_models import load_field as load_field
+    from fluxtwin.sim.scenario import load_scenario as load_scenario
+    from fluxtwin.sim.simulate import simulate as simulate
+    from fluxtwin.sim.telemetry import Telemetry as Telemetry
+    from fluxtwin.sim.telemetry_io import read_telemetry, write_telemetry
+    from fluxtwin.studies import run_study as run_study
+    from fluxtwin.verbs import apply as apply
+    from fluxtwin.verbs import calibrate as calibrate
+    from fluxtwin.verbs import check as check
+    from fluxtwin.verbs import field as field
+
+    read = read_telemetry
+    write = write_telemetry
+
 __version__ = "0.1.0"
+
+_HOMES = {
+    "read": "fluxtwin.sim.telemetry_io:read_telemetry",
+    "write": "fluxtwin.sim.telemetry_io:write_telemetry",
+    "check": "fluxtwin.verbs:check",
+    "calibrate": "fluxtwin.verbs:calibrate",
+    "apply": "fluxtwin.verbs:apply",
+    "field": "fluxtwin.verbs:field",
+    "load_field": "fluxtwin.sim.field_models:load_field",
+    "load_scenario": "fluxtwin.sim.scenario:load_scenario",
+    "simulate": "fluxtwin.sim.simulate:simulate",
+    "run_study": "fluxtwin.studies:run_study",
+    "Telemetry": "fluxtwin.sim.telemetry:Telemetry",
+    "Calibration": "fluxtwin.calib.records:Calibration",
+    "FluxtwinError": "fluxtwin.sim.errors:FluxtwinError",
+    "BadInput": "fluxtwin.sim.errors:BadInput",
+    "NoAnswer": "fluxtwin.sim.errors:NoAnswer",
+    "OutOfRange": "fluxtwin.sim.errors:OutOfRange",
+}
+
+__all__ = ["__version__", *_HOMES]
+
+
+def __getattr__(name: str) -> Any:
+    home = _HOMES.get(name)
+    if home is None:
+        raise AttributeError(f"fluxtwin has no {name!r}; it has {', '.join(_HOMES)}")
+    module, _, attribute = home.partition(":")
+    value = getattr(importlib.import_module(module), attribute)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -58,7 +58,8 @@ def calibration_table(study: CalibrationStudy) -> Table:
         columns,
         rows,
         "Ours: the papers' regression (eq. 8-9) and, in parentheses in units of the last digit, 1 sigma from the Monte "
-        "Carlo, which holds all errors, slow ones too. A slow unknown is partly taken up by the fit of one orbit, so our one-orbit residuals are smaller. Printed "
+        "Carlo, which holds all errors, slow ones too. A slow unknown is partly taken up by the fit of one orbit, so our "
+        "one-orbit residuals are smaller. Printed "
         "magnitudes without a sign are as the scan shows them. 193 is days 205 and 225; the printed base of 210 "
         "samples is no sum of these days. Our days start at hours of our choice, so the one-orbit columns can agree in "
         "scatter only.",

@@ -1,0 +1,114 @@
+"""The command line: `fluxtwin COMMAND ...`.
+
+Every command is one module of `fluxtwin.commands`; what computes is imported inside the command, so that
+`--help` is instant. Exit status: 0 done, 1 the data do not allow an answer, 2 bad input, 130 interrupted,
+70 an error of ours.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+import warnings
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+import fluxtwin
+from fluxtwin.commands import apply, calibrate, check, field, run, simulate, yaw
+from fluxtwin.console import clean
+from fluxtwin.sim.errors import FluxtwinError
+
+INTERRUPTED = 130
+OUR_FAULT = 70
+
+app = typer.Typer(
+    name="fluxtwin",
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"fluxtwin {fluxtwin.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def fluxtwin_command(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and stop.")
+    ] = False,
+) -> None:
+    """The digital twin of a spacecraft's attitude and magnetometer: simulate, calibrate, find the gap."""
+
+
+for _module in (run, simulate, check, calibrate, apply, yaw, field):
+    app.command(_module.NAME, short_help=_module.BRIEF)(_module.command)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit status; a user's mistake costs one message, no traceback."""
+    _be_plain()
+    try:
+        given = None if arguments is None else list(arguments)
+        outcome = app(given, prog_name="fluxtwin", standalone_mode=False)
+        if outcome == INTERRUPTED:  # newer typer turns the interrupt into this status by itself
+            raise KeyboardInterrupt
+        sys.stdout.flush()
+        return outcome if isinstance(outcome, int) else 0
+    except FluxtwinError as error:
+        return _fail(str(error), error.exit_status)
+    except (KeyboardInterrupt, typer.Abort):
+        return _fail("interrupted; nothing half-written is left behind", INTERRUPTED)
+    except (BrokenPipeError, SystemExit):  # typer turns the former into the latter
+        return _reader_has_gone()
+    except MemoryError:
+        return _fail("not enough memory for this; use fewer samples or a coarser step", 2)
+    except OSError as error:
+        name = f"{error.filename}: " if error.filename else ""
+        return _fail(f"{name}{error.strerror or error}", 2)
+    except Exception as error:
+        if hasattr(error, "exit_code") and hasattr(error, "show"):  # a usage error, click's own or typer's copy
+            error.show()
+            return int(error.exit_code)
+        return _our_fault(error)
+
+
+def _be_plain() -> None:
+    """Warnings as one line; characters the terminal cannot show are replaced, never fatal."""
+    warnings.formatwarning = lambda message, *_, **__: f"note: {clean(str(message))}\n"
+    for stream in (sys.stdout, sys.stderr):
+        reconfigure = getattr(stream, "reconfigure", None)
+        if reconfigure is not None:
+            reconfigure(errors="replace")
+
+
+def _reader_has_gone() -> int:
+    """Somebody read as much as they wanted, as `| head` does: no error, and no complaint at the exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    return 0
+
+
+def _fail(message: str, status: int) -> int:
+    print(f"fluxtwin: {clean(message)}", file=sys.stderr)
+    return status
+
+
+def _our_fault(error: Exception) -> int:
+    if os.environ.get("FLUXTWIN_DEBUG"):
+        traceback.print_exc()
+        return OUR_FAULT
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    place = f"{os.path.basename(last.filename)}:{last.lineno}"
+    return _fail(
+        f"internal error, not your fault: {type(error).__name__}: {error} ({place})."
+        " FLUXTWIN_DEBUG=1 shows where; please report it",
+        OUR_FAULT,
+    )

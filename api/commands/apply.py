@@ -1,0 +1,44 @@
+"""`fluxtwin apply`: a calibration file corrects telemetry."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fluxtwin.commands.options import JsonOption, MapOption, OutOption, TleOption
+from fluxtwin.commands.reading import TelemetryArgument, read
+from fluxtwin.console import Output
+
+NAME = "apply"
+BRIEF = "Correct telemetry with a calibration file."
+
+
+def command(
+    telemetry: TelemetryArgument,
+    calibration: Annotated[Path, typer.Option("--calibration", metavar="FILE.toml", help="Calibration file.")],
+    out: OutOption,
+    column_map: MapOption = None,
+    tle: TleOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Write telemetry with the readings corrected by (I+S) B + b + T D [nT]; other columns as they are."""
+    output = Output(json)
+    with output.progress(f"correcting {telemetry}"):
+        import numpy as np
+
+        from fluxtwin import verbs
+        from fluxtwin.sim.telemetry_io import write_telemetry
+
+        record = read(telemetry, output, column_map=column_map, tle=tle)
+        corrected = verbs.apply(record, calibration)
+        change = corrected.mag_B_nT - record.mag_B_nT
+        moved = change[np.isfinite(change).all(axis=1)]
+        write_telemetry(corrected, out)
+    rms = [float(x) for x in np.sqrt(np.mean(moved**2, axis=0))] if len(moved) else None
+    output.say(f"{len(moved)} of {len(record)} samples corrected")
+    if rms is not None:
+        output.say("rms change x, y, z: " + ", ".join(f"{x:.1f}" for x in rms) + " nT")
+    output.say(f"  {out}")
+    output.result({"samples": len(record), "corrected": len(moved), "rms_change_nT": rms, "written": [str(out)]})

@@ -1,0 +1,151 @@
+"""`fluxtwin calibrate`: parameters, their sigmas, and what the data cannot tell."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fluxtwin.commands.options import DegreeOption, FieldOption, JsonOption, MapOption, TleOption
+from fluxtwin.commands.reading import read
+from fluxtwin.console import Output
+
+if TYPE_CHECKING:
+    from fluxtwin.calib.linear import LinearFit
+
+NAME = "calibrate"
+BRIEF = "Bias, matrix and torquer coupling from telemetry with attitude."
+METHODS = ("linear", "forward")
+CORRELATED = 0.2  # from here on white sigmas are over 20 % too small, (1 + c) / (1 - c) in variance
+
+
+def command(
+    telemetry: Annotated[
+        list[Path],
+        typer.Argument(metavar="TELEMETRY", help="One file or several; they are calibrated together."),
+    ],
+    method: Annotated[
+        str, typer.Option("--method", metavar="NAME", help="linear (reading to field, the papers') or forward.")
+    ] = "linear",
+    parameters: Annotated[
+        str, typer.Option("--parameters", metavar="LIST", help="What is estimated: b, b,S or b,S,T.")
+    ] = "b,S",
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE.toml", help="Write the calibration file.")] = None,
+    unseen: Annotated[
+        list[Path] | None,
+        typer.Option("--unseen", metavar="FILE", help="Also predict this telemetry, which is not fitted; repeatable."),
+    ] = None,
+    figures: Annotated[
+        Path | None, typer.Option("--figures", metavar="DIR", help="Write the figures of the residuals here.")
+    ] = None,
+    errors_in_variables: Annotated[
+        bool | None,
+        typer.Option(
+            "--errors-in-variables/--no-errors-in-variables",
+            help="Take out the attenuation of S by the noise of the reading; on for linear.",
+        ),
+    ] = None,
+    robust: Annotated[
+        str, typer.Option("--robust", metavar="WEIGHTS", help="none, huber or tukey: survive bit errors.")
+    ] = "none",
+    covariance: Annotated[
+        str,
+        typer.Option(
+            "--covariance",
+            metavar="KIND",
+            help="white, or blocks: wider where errors hang together along the orbit.",
+        ),
+    ] = "white",
+    block_s: Annotated[
+        float | None, typer.Option("--block-s", metavar="S", help="Length of a block [s]; else found in the data.")
+    ] = None,
+    noise_nt: Annotated[
+        float | None, typer.Option("--noise-nT", metavar="NT", help="Noise of the reading, 1 sigma an axis [nT].")
+    ] = None,
+    lsb_nt: Annotated[
+        float | None, typer.Option("--lsb-nT", metavar="NT", help="Least significant bit of the reading [nT].")
+    ] = None,
+    field: FieldOption = "igrf14",
+    degree: DegreeOption = None,
+    column_map: MapOption = None,
+    tle: TleOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Estimate S, b [nT] and T [nT/(A m2)] of A B0 = (I+S) B + b + T D from telemetry with attitude."""
+    output = Output(json)
+    with output.progress(f"reading {telemetry[0]}") as progress:
+        from fluxtwin import verbs
+        from fluxtwin.calib.residuals import predict
+        from fluxtwin.sim.errors import BadInput
+
+        if method not in METHODS:
+            raise BadInput(f"{method!r} is no method", where="--method", wanted=" or ".join(METHODS))
+        records = [read(path, output, column_map=column_map, tle=tle) for path in telemetry]
+        progress("calibrating", 0.5)
+        fit = verbs.calibrate(
+            records,
+            field=field,
+            degree=degree,
+            parameters=parameters.replace(" ", ""),
+            direction=method,
+            errors_in_variables=errors_in_variables,
+            robust=None if robust == "none" else robust,
+            covariance=covariance,
+            block_s=block_s,
+            noise_nT=noise_nt,
+            lsb_nT=lsb_nt,
+        )
+        predicted = {}
+        for path in unseen or []:
+            record = read(path, output, column_map=column_map, tle=tle)
+            predicted[str(path)] = predict(record, fit.calibration, verbs.as_model(field, degree))
+        written = [] if out is None else [fit.calibration.to_toml(out)]
+        if figures is not None:
+            progress("drawing", 0.9)
+            written += _draw(fit, figures)
+    _print(output, fit)
+    for name, statistics in predicted.items():
+        rms = statistics.component_rms_nT
+        output.say(f"unseen {name}: {statistics.samples} samples, residual {rms:.1f} nT per component")
+    for path in written:
+        output.say(f"  {path}")
+    record_of_unseen = {name: statistics.to_dict() for name, statistics in predicted.items()}
+    output.result({**_as_json(fit), "unseen": record_of_unseen, "written": [str(path) for path in written]})
+
+
+def _print(output: Output, fit: LinearFit) -> None:
+    known = fit.calibration
+    output.say(f"{known.method}; field {known.field_model}; {known.samples} samples")
+    rows = [[p["name"], p["value"], p["sigma"], p["unit"]] for p in fit.parameters()]
+    output.table("A B0 = (I+S) B + b + T D", ["parameter", "value", "sigma", "unit"], rows)
+    output.say(f"residual {known.sigma_nT:.1f} nT per component, 1 sigma; covariance: {known.covariance_kind}")
+    for message in fit.messages:
+        output.say(f"- {message}")
+    lags = fit.statistics.lag_correlation
+    if known.covariance_kind == "white" and len(lags) > 1 and lags[1] > CORRELATED:
+        output.say(
+            f"- neighbouring residuals hang together (correlation {lags[1]:.2f}): --covariance blocks gives wider,"
+            " honest sigmas"
+        )
+    if fit.observability:
+        output.say("what these data cannot tell:")
+    for words in fit.observability:
+        output.say(f"- {words}")
+
+
+def _as_json(fit: LinearFit) -> dict[str, Any]:
+    """The names of the calibration file at the top, the evidence beside them."""
+    content = fit.to_dict()
+    calibration = content.pop("calibration")
+    return {**calibration, "rows": content.pop("samples"), **content}
+
+
+def _draw(fit: LinearFit, folder: Path) -> list[Path]:
+    from fluxtwin.plots.calibration_residuals import CalibrationResiduals, draw_calibration_residuals
+    from fluxtwin.report import png_bytes
+    from fluxtwin.sim.files import writable_folder, write_bytes
+
+    record = CalibrationResiduals(fit.time, fit.residuals_nT, fit.calibration.sigma_nT)
+    picture = png_bytes(draw_calibration_residuals(record, title="Residuals of the calibration"))
+    return [write_bytes(writable_folder(folder) / "residuals.png", picture)]

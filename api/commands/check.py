@@ -1,0 +1,72 @@
+"""`fluxtwin check`: is this file what it says?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fluxtwin.commands.options import DegreeOption, FieldOption, JsonOption, MapOption, TleOption
+from fluxtwin.commands.reading import TelemetryArgument
+from fluxtwin.console import Output
+
+if TYPE_CHECKING:
+    from fluxtwin.sim.check import CheckReport
+
+NAME = "check"
+BRIEF = "Is this file what it says? Names the classic traps."
+
+
+def command(
+    telemetry: TelemetryArgument,
+    repair: Annotated[
+        Path | None,
+        typer.Option("--repair", metavar="OUT", help="Write the rows sorted by time, exact duplicates dropped."),
+    ] = None,
+    field: FieldOption = "igrf14",
+    degree: DegreeOption = None,
+    column_map: MapOption = None,
+    tle: TleOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Name the traps: counts or mG sold as nT, wrong frames, transposed quaternions, time out of order.
+
+    Exit status 0 clean, 1 a trap was named, 2 unreadable.
+    """
+    output = Output(json)
+    with output.progress(f"checking {telemetry}") as progress:
+        from fluxtwin import verbs
+        from fluxtwin.sim import check
+        from fluxtwin.sim.errors import BadInput
+
+        if repair is not None and column_map is not None:
+            raise BadInput(
+                "a file read through a column map cannot be repaired",
+                where="--repair",
+                wanted="--repair without --map, on a file that has the columns of the contract",
+            )
+        model = verbs.as_model(field, degree)
+        found = check.check_file(telemetry, model, column_map=column_map, tle=tle)
+        mended = after = None
+        if repair is not None:
+            progress("repairing", 0.5)
+            mended = check.repair(telemetry, repair)
+            after = check.check_file(repair, model, tle=tle)
+    _print(output, f"{telemetry}: {found.samples} rows", found)
+    record = found.to_dict()
+    if mended is not None and after is not None:
+        _print(output, f"{repair}: {after.samples} rows, repaired", after)
+        record |= {"repair": mended.to_dict(), "repaired": after.to_dict(), "written": [str(repair)]}
+    output.result(record)
+    raise typer.Exit(found.exit_status)
+
+
+def _print(output: Output, title: str, report: CheckReport) -> None:
+    output.say(title)
+    for finding in report.findings:
+        rows = ", ".join(map(str, finding.rows[:5])) + (", ..." if finding.row_count > 5 else "")
+        place = f" (rows {rows}; {finding.row_count} in all)" if finding.row_count else ""
+        output.say(f"  {finding.severity} {finding.code}: {finding.text}{place}")
+    if not report.traps:
+        output.say("  clean: no trap found")

@@ -1,0 +1,45 @@
+"""`fluxtwin run`: a whole study, from the orbit to the page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fluxtwin.commands.options import JsonOption
+from fluxtwin.console import Output
+
+NAME = "run"
+BRIEF = "A whole study: tables, figures, report.html, summary.json."
+
+
+def command(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="The study: seasat or flight-field.")],
+    data: Annotated[
+        Path | None,
+        typer.Option("--data", metavar="DIR", help="Folder of recorded data, for flight studies."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Folder for the results; default ./NAME-results."),
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Run a whole study: tables here; figures, report.html, summary.json and the scenario in a folder."""
+    output = Output(json)
+    with output.progress(f"starting {name}") as progress:
+        from fluxtwin.sim.files import writable_folder
+        from fluxtwin.studies import run_study
+
+        if json not in (None, "-"):
+            writable_folder(Path(json).parent)  # before the work, not after it
+        result, written = run_study(name, out, data, progress)
+    for table in result.tables:
+        output.table(table.title, table.columns, table.rows, table.note)
+    if written:
+        output.say("written:")
+        for path in dict.fromkeys(written):
+            output.say(f"  {path}")
+    output.say(result.status_line)
+    output.result(result.summary)

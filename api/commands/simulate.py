@@ -1,0 +1,82 @@
+"""`fluxtwin simulate`: a scenario becomes telemetry."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fluxtwin.commands.options import DegreeOption, JsonOption, OutOption, ScenarioFieldOption
+from fluxtwin.console import Output
+
+if TYPE_CHECKING:
+    from fluxtwin.sim.scenario import Scenario
+
+NAME = "simulate"
+BRIEF = "A scenario becomes telemetry."
+
+
+def command(
+    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.toml", help="What is simulated.")],
+    out: OutOption,
+    truth: Annotated[
+        Path | None,
+        typer.Option("--truth", metavar="FILE", help="Write the truth here; telemetry never carries it."),
+    ] = None,
+    field: ScenarioFieldOption = None,
+    degree: DegreeOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Simulate a scenario and write its telemetry (.nc, .csv or .csv.gz), the scenario beside it."""
+    output = Output(json)
+    with output.progress(f"reading {scenario}") as progress:
+        from fluxtwin.sim.epoch import iso
+        from fluxtwin.sim.files import writable_folder
+        from fluxtwin.sim.scenario import load_scenario, save_scenario
+        from fluxtwin.sim.simulate import simulate
+        from fluxtwin.sim.telemetry_io import write_telemetry
+
+        plan = load_scenario(scenario)
+        changes = {"field.truth": field, "field.truth_degree": degree}
+        plan = plan.updated({key: value for key, value in changes.items() if value is not None})
+        for path in filter(None, (out, truth)):
+            writable_folder(path.parent)  # before the work, not after it
+        saved = _seen_from(plan, out.parent)
+        record, real = simulate(plan, progress=progress)
+        written = [
+            write_telemetry(record, out),
+            save_scenario(saved, out.with_name(f"{_stem(out)}.scenario.toml")),
+        ]
+        if truth is not None:
+            real.write(truth)
+            written.append(truth)
+    span = [iso(record.time[0]), iso(record.time[-1])]
+    output.say(f"{plan.name}: {len(record)} samples, {span[0]} to {span[1]}, seed {plan.seed}")
+    for path in written:
+        output.say(f"  {path}")
+    output.result(
+        {
+            "name": plan.name,
+            "seed": plan.seed,
+            "samples": len(record),
+            "span": span,
+            "written": [str(path) for path in written],
+        }
+    )
+
+
+def _seen_from(plan: Scenario, folder: Path) -> Scenario:
+    """The scenario with the files it names given relative to `folder`, where its copy is going to lie."""
+    named = {
+        "orbit.tle": plan.orbit and plan.orbit.tle,
+        "replay.telemetry": plan.replay and plan.replay.telemetry,
+        "replay.column_map": plan.replay and plan.replay.column_map,
+    }
+    moved = {key: os.path.relpath(plan.path_of(name), folder) for key, name in named.items() if name}
+    return plan.updated(moved) if moved else plan
+
+
+def _stem(path: Path) -> str:
+    return path.name.removesuffix(".gz").rsplit(".", 1)[0]

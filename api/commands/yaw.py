@@ -1,0 +1,113 @@
+"""`fluxtwin yaw`: yaw from the magnetometer, with roll and pitch known from elsewhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fluxtwin.commands.options import DegreeOption, FieldOption, JsonOption, MapOption, TleOption
+from fluxtwin.commands.reading import TelemetryArgument, read
+from fluxtwin.console import Output
+
+if TYPE_CHECKING:
+    from fluxtwin.calib.yaw import YawSolution
+
+NAME = "yaw"
+BRIEF = "Yaw from the magnetometer, roll and pitch, with its sigma."
+
+
+def command(
+    telemetry: TelemetryArgument,
+    calibration: Annotated[Path, typer.Option("--calibration", metavar="FILE.toml", help="Calibration file.")],
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE.csv", help="Write yaw row by row.")] = None,
+    sigma_nt: Annotated[
+        float | None,
+        typer.Option(
+            "--sigma-nT", metavar="NT", help="Error of a field component, 1 sigma; else the calibration's [nT]."
+        ),
+    ] = None,
+    attitude_sigma_deg: Annotated[
+        float, typer.Option("--attitude-sigma-deg", metavar="DEG", help="Error of roll and of pitch, 1 sigma [deg].")
+    ] = 0.1,
+    average_s: Annotated[float, typer.Option("--average-s", metavar="S", help="Interval of the averages [s].")] = 120.0,
+    field: FieldOption = "igrf14",
+    degree: DegreeOption = None,
+    column_map: MapOption = None,
+    tle: TleOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Yaw [deg] from the calibrated field, roll and pitch, with its sigma; the reference only for comparison."""
+    output = Output(json)
+    with output.progress(f"reading {telemetry}") as progress:
+        import math
+
+        from fluxtwin import verbs
+        from fluxtwin.calib.records import Calibration
+        from fluxtwin.calib.yaw import yaw_from_field
+        from fluxtwin.sim.errors import BadInput
+
+        for name, value in (("--sigma-nT", sigma_nt), ("--attitude-sigma-deg", attitude_sigma_deg)):
+            if value is not None and not 0 <= value < math.inf:
+                raise BadInput(f"{value:g}", where=name, wanted="zero or a positive number")
+        record = read(telemetry, output, column_map=column_map, tle=tle)
+        known = Calibration.from_toml(calibration)
+        progress("yaw", 0.5)
+        solution = yaw_from_field(
+            record,
+            known,
+            verbs.as_model(field, degree),
+            sigma_B_nT=sigma_nt,
+            sigma_angle_rad=math.radians(attitude_sigma_deg),
+            average_s=average_s,
+        )
+        if out is not None:
+            _write(solution, out)
+    summary = _summary(solution)
+    _print(output, summary)
+    if out is not None:
+        output.say(f"  {out}")
+    output.result({"summary": summary, **solution.to_dict()})
+
+
+def _summary(solution: YawSolution) -> dict[str, Any]:
+    import numpy as np
+
+    def degrees(value_rad: float | None) -> float | None:
+        return None if value_rad is None or not np.isfinite(value_rad) else float(np.degrees(value_rad))
+
+    low, middle, high = np.quantile(solution.sigma_rad, [0.0, 0.5, 1.0], method="nearest")
+    return {
+        "samples": len(solution.time),
+        "left_out": dict(solution.left_out),
+        "sigma_deg": {"smallest": degrees(low), "median": degrees(middle), "largest": degrees(high)},
+        "rms_against_reference_deg": {
+            "full": degrees(solution.rms_error_rad()),
+            "first_order": degrees(solution.rms_error_rad(solution.yaw_first_order_rad)),
+            "zero_yaw": degrees(solution.rms_error_rad(np.zeros_like(solution.yaw_rad))),
+        },
+    }
+
+
+def _print(output: Output, summary: dict[str, Any]) -> None:
+    output.say(f"{summary['samples']} samples")
+    for reason, count in summary["left_out"].items():
+        output.say(f"- {count} rows left out: {reason}")
+    output.table(
+        "sigma of yaw", ["smallest [deg]", "median [deg]", "largest [deg]"], [[*summary["sigma_deg"].values()]]
+    )
+    rms = summary["rms_against_reference_deg"]
+    if rms["full"] is not None:
+        columns = ["full solution [deg]", "first order [deg]", "yaw = 0 [deg]"]
+        output.table("rms against the reference attitude", columns, [[*rms.values()]])
+
+
+def _write(solution: YawSolution, path: Path) -> None:
+    from fluxtwin.sim.files import write_text
+
+    columns = solution.to_dict()
+    names = ("time", "yaw_deg", "yaw_first_order_deg", "sigma_deg", "yaw_reference_deg")
+    rows = zip(*(columns[name] for name in names), strict=True)
+    lines = [",".join("" if cell is None else str(cell) for cell in row) for row in rows]
+    write_text(path, "\n".join([",".join(names), *lines, ""]))

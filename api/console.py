@@ -1,0 +1,215 @@
+"""What reaches the terminal: plain tables, progress, messages, JSON.
+
+Rich's markup is off everywhere, because it eats units: `[nT]` would vanish. Foreign text (file names, column
+names) loses its control characters first, so that no file can move the cursor or forge a line. Results go to
+standard output; progress and messages go to standard error. NO_COLOR is honoured (rich does).
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import textwrap
+import threading
+import time
+import unicodedata
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+_QUIET_SECONDS = 1.0  # shorter work shows no progress at all
+_REPEAT_SECONDS = 5.0  # plain progress lines come no more often than this for one and the same step
+_STEP_SECONDS = 2.0  # nor lines of changing steps than this
+
+
+def clean(text: str) -> str:
+    """`text` with control and direction-changing characters made visible; line ends and tabs stay."""
+    return "".join(
+        character
+        if character in "\n\t" or unicodedata.category(character) not in ("Cc", "Cf", "Cs")
+        else character.encode("unicode_escape", "backslashreplace").decode("ascii")
+        for character in text
+    )
+
+
+def shown(value: object) -> str:
+    """One cell as text: floats with four significant digits, None blank, yes and no for bool."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.1f}"
+    return clean(str(value))
+
+
+def wrapped(text: str, width: int = 80) -> str:
+    """`text` in lines of at most `width`, where its words allow it: paths and long names stay whole."""
+    return textwrap.fill(text, width, break_long_words=False, break_on_hyphens=False) if len(text) > width else text
+
+
+def without_nan(value: Any) -> Any:
+    """`value` with None in place of NaN and infinities, at any depth: JSON knows neither."""
+    if isinstance(value, Mapping):
+        return {key: without_nan(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [without_nan(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+class Output:
+    """Where one command speaks. With `--json -` only JSON goes to standard output, and no table anywhere."""
+
+    def __init__(self, json_target: str | None = None) -> None:
+        self.json_target = json_target
+        self.talks = json_target != "-"
+
+    def say(self, text: str = "") -> None:
+        """One line of result."""
+        if self.talks:
+            print(clean(text))
+
+    def note(self, text: str) -> None:
+        """One line beside the result, on standard error."""
+        print(clean(text), file=sys.stderr)
+
+    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], note: str = "") -> None:
+        """A table under its title, as wide as the terminal; where there is none, only long sentences wrap."""
+        if not self.talks:
+            return
+        from rich import box
+        from rich.table import Table
+        from rich.text import Text
+
+        table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
+        for index, name in enumerate(columns):
+            cells = [row[index] for row in rows if row[index] is not None]
+            numeric = bool(cells) and all(isinstance(cell, int | float) for cell in cells)
+            table.add_column(Text(clean(name)), justify="right" if numeric else "left")
+        console = _console()
+        whole = console.is_terminal  # a terminal wraps by itself
+        for row in rows:
+            table.add_row(*(Text(shown(cell) if whole else wrapped(shown(cell))) for cell in row))
+        if title:
+            console.print(Text(clean(title)), style="bold")
+        if whole:
+            console.print(table)
+        else:
+            print(_unpadded(console, table))
+        if note:
+            console.print(Text(clean(note) if whole else wrapped(clean(note), 120)), soft_wrap=not whole)
+        console.print()
+
+    def result(self, record: Mapping[str, Any]) -> None:
+        """The machine-readable result, where `--json` asked for it; a number that is none becomes null."""
+        if self.json_target is None:
+            return
+        from fluxtwin.sim.files import to_json, write_text
+
+        text = to_json(without_nan(record))
+        if self.json_target == "-":
+            sys.stdout.write(text)
+            sys.stdout.flush()
+        else:
+            write_text(self.json_target, text)
+
+    @contextmanager
+    def progress(self, words: str) -> Iterator[Callable[[str, float], None]]:
+        """Show on standard error that work is going on; yields `progress(words, fraction)`."""
+        shows = _LiveProgress(words) if sys.stderr.isatty() else _PlainProgress(words)
+        try:
+            yield shows.update
+        finally:
+            shows.stop()
+
+
+class _PlainProgress:
+    """A line for each step that lasts, and a sign of life while one goes on."""
+
+    def __init__(self, words: str) -> None:
+        self._words, self._fraction, self._said = words, 0.0, ""
+        self._due = time.monotonic() + _QUIET_SECONDS
+        self._ended = threading.Event()
+        self._lock = threading.Lock()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread.start()
+
+    def update(self, words: str, fraction: float) -> None:
+        with self._lock:
+            self._words, self._fraction = words, fraction
+
+    def stop(self) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def _watch(self) -> None:
+        while not self._ended.wait(0.2):
+            with self._lock:
+                words, fraction, now = self._words, self._fraction, time.monotonic()
+            late = now >= self._due
+            if late or (self._said and words != self._said and now >= self._due - _REPEAT_SECONDS + _STEP_SECONDS):
+                share = f"{100 * fraction:3.0f} %  " if fraction > 0 else ""
+                print(f"{share}{clean(words)} ...", file=sys.stderr, flush=True)
+                self._said, self._due = words, now + _REPEAT_SECONDS
+
+
+class _LiveProgress:
+    """A bar that redraws itself, gone when the work is done; it starts only when the work lasts."""
+
+    def __init__(self, words: str) -> None:
+        self._words, self._fraction = words, 0.0
+        self._bar: Any = None
+        self._task: Any = None
+        self._stopped = False
+        self._lock = threading.Lock()
+        self._timer = threading.Timer(_QUIET_SECONDS, self._start)
+        self._timer.daemon = True
+        self._timer.start()
+
+    def _start(self) -> None:
+        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        with self._lock:
+            if self._stopped:
+                return
+            self._bar = Progress(
+                SpinnerColumn(),
+                TextColumn("{task.description}", markup=False),
+                BarColumn(),
+                TimeElapsedColumn(),
+                console=_console(stderr=True),
+                transient=True,
+            )
+            self._task = self._bar.add_task(clean(self._words), total=None)
+            self._bar.start()
+        self.update(self._words, self._fraction)
+
+    def update(self, words: str, fraction: float) -> None:
+        with self._lock:
+            self._words, self._fraction = words, fraction
+            if self._bar is not None:
+                total = 1.0 if fraction > 0 else None
+                self._bar.update(self._task, description=clean(words), completed=fraction, total=total)
+
+    def stop(self) -> None:
+        with self._lock:
+            self._stopped = True
+            self._timer.cancel()
+            if self._bar is not None:
+                self._bar.stop()
+
+
+def _console(*, stderr: bool = False) -> Console:
+    from rich.console import Console
+
+    return Console(stderr=stderr, markup=False, highlight=False, emoji=False)
+
+
+def _unpadded(console: Console, table: Any) -> str:
+    """The table at its natural width, without trailing blanks, for files and pipes."""
+    wide = console.options.update(width=100_000)
+    lines = console.render_lines(table, wide, pad=False)
+    return "\n".join("".join(segment.text for segment in line).rstrip() for line in lines)

@@ -1,0 +1,51 @@
+"""Run a study and write its page: `summary.json`, the figures as PNG, `report.html`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fluxtwin.report import png_bytes, render_report
+from fluxtwin.scenarios.page import StudyResult
+from fluxtwin.scenarios.registry import STUDIES, find_study
+from fluxtwin.sim.errors import BadInput
+from fluxtwin.sim.files import writable_folder, write_bytes, write_json, write_text
+from fluxtwin.sim.progress import Progress, part_of, silent
+
+
+def run_study(
+    name: str, out: Path | str | None = None, data: Path | str | None = None, progress: Progress = silent
+) -> tuple[StudyResult, list[Path]]:
+    """Run the study `name`; returns its result and every file written, its own and ours.
+
+    out: folder for the results, `./NAME-results` by default. data: folder of recorded data, for the studies
+    that need one. Raises BadInput for an unknown name, a missing data folder or a folder that cannot be
+    written, before the work starts.
+    """
+    run = find_study(name)
+    _require_data(name, data)
+    folder = writable_folder(Path(f"{name}-results") if out is None else Path(out))
+    result = run(folder, None if data is None else Path(data), part_of(progress, 0.0, 0.97))
+    progress("writing the report", 0.97)
+    return result, [*result.written, *_write(result, folder)]
+
+
+def _require_data(name: str, data: Path | str | None) -> None:
+    if data is None and STUDIES[name].needs_data:
+        raise BadInput(
+            f"the study {name} compares with recorded data",
+            where="run",
+            wanted="--data DIR, the folder that holds them",
+        )
+    if data is not None and not Path(data).is_dir():
+        raise BadInput("no such folder", where=f"--data {data}", wanted="the folder that holds the recorded data")
+
+
+def _write(result: StudyResult, folder: Path) -> list[Path]:
+    written = []
+    if result.page is not None:
+        blocks = [block for section in result.page.sections for block in section.figures]
+        pictures = {id(block): png_bytes(block.figure) for block in blocks}
+        written += [write_bytes(folder / f"{block.name}.png", pictures[id(block)]) for block in blocks]
+        written.append(write_text(folder / "report.html", render_report(result.page)))
+    written.append(write_json(folder / "summary.json", result.summary))
+    return written

@@ -1,0 +1,115 @@
+"""The verbs of the front door that need a line of glue; the commands call the same ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fluxtwin.calib.apply import apply_calibration
+from fluxtwin.calib.records import Calibration
+from fluxtwin.sim import epoch, frames
+from fluxtwin.sim.errors import BadInput
+from fluxtwin.sim.field import field_E_nT
+from fluxtwin.sim.field_models import FieldModel, load_field
+from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.telemetry_io import read_telemetry
+
+if TYPE_CHECKING:
+    from fluxtwin.calib.linear import LinearFit
+    from fluxtwin.sim.check import CheckReport
+
+
+def as_model(field: str | FieldModel, degree: int | None = None) -> FieldModel:
+    """A field model from its name (igrf14, igrf1975, chaos:FILE), or the model itself, cut to `degree`."""
+    if isinstance(field, str):
+        return load_field(field, degree)
+    return field if degree is None else field.truncated(degree)
+
+
+def as_record(telemetry: Telemetry | Path | str) -> Telemetry:
+    """A record, read first where a file is named."""
+    return telemetry if isinstance(telemetry, Telemetry) else read_telemetry(telemetry)
+
+
+def check(
+    telemetry: Telemetry | Path | str, *, field: str | FieldModel = "igrf14", degree: int | None = None
+) -> CheckReport:
+    """Is this record what it says? Counts, milligauss or microtesla sold as nT, wrong frames, and so on."""
+    from fluxtwin.sim.check import check_telemetry
+
+    return check_telemetry(as_record(telemetry), as_model(field, degree))
+
+
+def calibrate(
+    telemetry: Telemetry | Path | str | Sequence[Telemetry | Path | str],
+    *,
+    field: str | FieldModel = "igrf14",
+    degree: int | None = None,
+    **options: Any,
+) -> LinearFit:
+    """S, b (and T) from one record or several; `.calibration` of the answer is what `apply` takes.
+
+    options: those of `fluxtwin.calib.linear.calibrate_linear`. Raises NoAnswer, naming the parameters, where
+    the data do not determine them.
+    """
+    from fluxtwin.calib.linear import calibrate_linear
+
+    given = [telemetry] if isinstance(telemetry, Telemetry | Path | str) else list(telemetry)
+    return calibrate_linear([as_record(one) for one in given], as_model(field, degree), **options)
+
+
+def apply(telemetry: Telemetry | Path | str, calibration: Calibration | Path | str) -> Telemetry:
+    """The record with (I + S) B + b + T D in place of its readings B. Missing rows stay missing."""
+    record = as_record(telemetry)
+    known = calibration if isinstance(calibration, Calibration) else Calibration.from_toml(calibration)
+    return apply_calibration(record, known)
+
+
+def field(
+    date: str | np.datetime64,
+    lat_deg: float,
+    lon_deg: float,
+    alt_km: float = 0.0,
+    *,
+    field: str | FieldModel = "igrf14",
+    degree: int | None = None,
+) -> dict[str, Any]:
+    """The field at one WGS 84 point: geodetic components and total [nT], declination and inclination [deg].
+
+    `declination_deg` is None where the horizontal field is zero. Raises BadInput for a place that does not
+    exist and OutOfRange for an epoch outside the model.
+
+    >>> import fluxtwin
+    >>> round(fluxtwin.field("2020-01-01", 80.0, 0.0)["down_nT"], -2)
+    54600.0
+    """
+    for name, value, low, high in (
+        ("lat", lat_deg, -90, 90), ("lon", lon_deg, -180, 360), ("alt-km", alt_km, -100, 1e6),
+    ):  # fmt: skip
+        if not low <= value <= high:
+            raise BadInput(f"{value:g} is out of range", where=f"--{name}", wanted=f"{low:g} to {high:g}")
+    time = epoch.parse_time(date, where="--date") if isinstance(date, str) else date
+    model = as_model(field, degree)
+    latitude, longitude = np.radians([lat_deg]), np.radians([lon_deg])
+    r_E_km = frames.from_geodetic(latitude, longitude, np.array([alt_km]))
+    turn = frames.rotation_NEC_geodetic(latitude, longitude)
+    north, east, down = (float(part) for part in turn.apply(field_E_nT(model, time, r_E_km))[0])
+    horizontal = float(np.hypot(north, east))
+    return {
+        "date": epoch.iso(time),
+        "lat_deg": float(lat_deg),
+        "lon_deg": float(lon_deg),
+        "alt_km": float(alt_km),
+        "field_model": model.name,
+        "degree": model.degree,
+        "north_nT": north,
+        "east_nT": east,
+        "down_nT": down,
+        "horizontal_nT": horizontal,
+        "F_nT": float(np.hypot(horizontal, down)),
+        "declination_deg": float(np.degrees(np.arctan2(east, north))) if horizontal > 0 else None,
+        "inclination_deg": float(np.degrees(np.arctan2(down, horizontal))),
+    }

@@ -30,7 +30,8 @@ def run_study(
 
 
 def _require_data(name: str, data: Path | str | None) -> None:
-    if data is None and STUDIES[name].needs_data:
+    study = STUDIES.get(name)
+    if data is None and study is not None and study.needs_data:
         raise BadInput(
             f"the study {name} compares with recorded data",
             where="run",

@@ -43,8 +43,12 @@ class YawSweep:
     """Standard deviation of that share over seeds."""
     share_bias_only: FloatArray
     spread_bias_only: FloatArray
+    share_white: FloatArray
+    """As `share_full`, had the unexplained part of the residual been white noise."""
+    spread_white: FloatArray
     crossover_deg: float | None
     """Amplitude at which the full calibration begins to win half of the windows; None outside the sweep."""
+    crossover_white_deg: float | None
 
 
 @dataclass(frozen=True)
@@ -102,14 +106,16 @@ def draw_sweep(record: YawSweep, *, title: str) -> Figure:
     """Share of windows in which yaw = 0 wins, against the amplitude of the true yaw."""
     figure, ((axes,),) = style.figure(7.2, 4.0)
     for share, spread, label, colour in (
-        (record.share_full, record.spread_full, "full calibration (figure 2)", style.BLUE),
+        (record.share_full, record.spread_full, "full calibration (figure 2), slow unknown", style.BLUE),
+        (record.share_white, record.spread_white, "full calibration, white unknown", style.GREEN),
         (record.share_bias_only, record.spread_bias_only, "mean bias only (figure 1)", style.VERMILION),
     ):
         axes.errorbar(record.amplitude_deg, 100 * share, 100 * spread, color=colour, marker="o", capsize=3, label=label)
     axes.axhline(50.0, color="black", linewidth=0.8)
-    if record.crossover_deg is not None:
-        axes.axvline(record.crossover_deg, color=style.BLUE, linestyle=":")
-        axes.text(record.crossover_deg, 3.0, f" {record.crossover_deg:.2f} deg", color=style.BLUE)
+    for crossover, colour in ((record.crossover_deg, style.BLUE), (record.crossover_white_deg, style.GREEN)):
+        if crossover is not None:
+            axes.axvline(crossover, color=colour, linestyle=":")
+            axes.text(crossover, 3.0, f" {crossover:.2f} deg", color=colour)
     axes.set(
         title=title, xlabel="amplitude of the true yaw, sqrt 2 times its rms [deg]",
         ylabel="windows in which yaw = 0 is better [%]", ylim=(0, 100),

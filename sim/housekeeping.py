@@ -1,7 +1,8 @@
 """Currents, temperature, heater and wheel speeds along a run.
 
-These have memory, so each stretch of the schedule is preceded by a warm-up of three orbits on a fine grid, at
-whose end nothing depends on the state assumed at the start.
+These have memory, so each stretch of the schedule is preceded by a warm-up of three orbits on a fine grid. It
+starts from a full battery and the mean temperature: a battery that loses more in an orbit than it gains, or a
+thermal constant of several orbits, is still on its way when the stretch begins.
 """
 
 from __future__ import annotations
@@ -11,13 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.sim import epoch, orbit, power, thermal, wheels
+from fluxtwin.sim.constants import GM_EARTH_KM3_S2
 from fluxtwin.sim.scenario import Scenario
 from fluxtwin.sim.scenario_attitude import true_attitude
 from fluxtwin.sim.types import FloatArray
 from fluxtwin.sim.world import World, ephemeris, world_along
 
 _GRID_S = 30.0
-_WARM_UP_S = 3 * 6000.0
+_WARM_UP_ORBITS = 3
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ def _segment(scenario: Scenario, world: World, inside: np.ndarray) -> dict[str, 
     """One stretch, warm-up included; every sample is a node of the grid, so nothing is interpolated."""
     first = world.time[inside][0]
     wanted = epoch.seconds_since(world.time[inside], first)
-    before = np.arange(-_WARM_UP_S, 0.0, _GRID_S)
+    before = np.arange(-_WARM_UP_ORBITS * _period_s(world), 0.0, _GRID_S)
     between = np.arange(0.0, wanted[-1], _GRID_S)
     seconds = np.unique(np.concatenate([before, between, wanted]))
     picked = np.searchsorted(seconds, wanted)
@@ -62,6 +64,13 @@ def _segment(scenario: Scenario, world: World, inside: np.ndarray) -> dict[str, 
     if scenario.thermal is not None:
         columns |= _thermal(scenario, fine)
     return {name: column[picked] for name, column in columns.items()}
+
+
+def _period_s(world: World) -> float:
+    """Kepler period of the orbit at the first sample, by the vis-viva equation."""
+    r, v = np.linalg.norm(world.r_N_km[0]), np.linalg.norm(world.v_N_km_s[0])
+    semi_major_axis_km = 1.0 / (2.0 / r - v**2 / GM_EARTH_KM3_S2)
+    return float(2.0 * np.pi * np.sqrt(semi_major_axis_km**3 / GM_EARTH_KM3_S2))
 
 
 def _power(scenario: Scenario, world: World) -> dict[str, FloatArray]:

@@ -12,6 +12,7 @@ from fluxtwin.calib.linear_fit import LinearFit
 from fluxtwin.calib.records import parameter_names
 from fluxtwin.scenarios.seasat import mission
 from fluxtwin.scenarios.seasat.mission import DATA_SETS, Flight
+from fluxtwin.sim import frames
 from fluxtwin.sim.constants import NT_PER_MG
 from fluxtwin.sim.errors import NoAnswer
 from fluxtwin.sim.field import FieldModel
@@ -20,6 +21,7 @@ from fluxtwin.sim.scenario import Scenario
 from fluxtwin.sim.types import FloatArray
 
 RUNS = 200
+WHITE_RUNS = 50
 NAMES = parameter_names(with_T=False)
 
 
@@ -39,6 +41,10 @@ class CalibrationStudy:
     """(RUNS, data sets, 3) smallest, middle and largest rms of the field's variation in body directions."""
     bias_only_mG: FloatArray
     """(RUNS, 3) mean bias of day 205 with T = S = 0, as in figure 1."""
+    white_estimates: FloatArray
+    """(WHITE_RUNS, 2, K) as `estimates` for day 205 and all, had the unknown been white noise."""
+    reference_3sigma_deg: float
+    """Three times the rms error of the reference attitude per axis, over all runs."""
     truth: FloatArray
     """(K,)."""
 
@@ -69,10 +75,11 @@ def run_calibrations(flight: Flight, ground: FieldModel, progress: Progress, run
     estimates = np.empty((runs, len(DATA_SETS), len(NAMES)))
     corrected_estimates = np.empty_like(estimates)
     spread = np.empty((runs, len(DATA_SETS), 3))
-    bias_only = np.empty((runs, 3))
+    bias_only, reference_square = np.empty((runs, 3)), np.empty(runs)
     for run in range(runs):
-        progress(f"calibration {run + 1} of {runs}", run / runs)
+        progress(f"calibration {run + 1} of {runs}", 0.9 * run / runs)
         other = mission.fly(mission.with_random_hours(flight.scenario, flight.scenario.seed + 1 + run))
+        reference_square[run] = _reference_error_square(other)
         day_205 = other.telemetry.select(other.rows("205"))
         bias_only[run] = calibrate_linear(day_205, ground, parameters="b").calibration.b_nT / NT_PER_MG
         for place, name in enumerate(DATA_SETS):
@@ -85,6 +92,8 @@ def run_calibrations(flight: Flight, ground: FieldModel, progress: Progress, run
         corrected_estimates=corrected_estimates,
         field_rms_mG=spread,
         bias_only_mG=bias_only,
+        white_estimates=_white_estimates(flight.scenario, ground, progress, min(runs, WHITE_RUNS)),
+        reference_3sigma_deg=float(3 * np.degrees(np.sqrt(reference_square.mean()))),
         truth=truth_vector(flight.scenario),
     )
 
@@ -103,6 +112,26 @@ def vector(fit: LinearFit) -> FloatArray:
 def rms_mG(fit: LinearFit) -> float:
     """Residual, rms per component over all three axes [mG]."""
     return float(np.sqrt(np.mean(fit.residuals_nT**2)) / NT_PER_MG)
+
+
+def _white_estimates(config: Scenario, ground: FieldModel, progress: Progress, runs: int) -> FloatArray:
+    """The scatter if the unknown were white: how much of it hangs on the assumed correlation time."""
+    white = config.updated({"magnetometer.unknown.kind": "white"})
+    found = np.full((runs, 2, len(NAMES)), np.nan)
+    for run in range(runs):
+        progress(f"calibration with a white unknown, {run + 1} of {runs}", 0.9 + 0.1 * run / runs)
+        flight = mission.fly(mission.with_random_hours(white, config.seed + 1 + run))
+        for place, name in enumerate(("205", "all")):
+            found[run, place] = _try_both(flight, name, ground)[0]
+    return found
+
+
+def _reference_error_square(flight: Flight) -> float:
+    """Mean square error of the reference attitude per axis [rad2]."""
+    assert flight.telemetry.q_NB is not None
+    reported = frames.rotation_from_q(np.array(flight.telemetry.q_NB))
+    error = (reported * frames.rotation_from_q(flight.truth.q_NB).inv()).as_rotvec()
+    return float(np.mean(error**2))
 
 
 def _try_both(flight: Flight, data_set: str, ground: FieldModel) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -93,9 +93,9 @@ def _claim_9(r: Results) -> Verdict:
 
 
 def _claim_10(r: Results) -> Verdict:
-    three = r.yaw.sun_yaw_3sigma_deg
+    three = r.calibration.reference_3sigma_deg
     return Verdict(
-        f"{three:.2f} deg: three times the rms error of the reference yaw in the run", three, "deg",
+        f"{three:.2f} deg: three times the rms error per axis over the Monte Carlo (put in by the scenario)", three, "deg",
         agree(three, 0.3, 0.05), "the simulated reference attitude is not as good as stated",
     )  # fmt: skip
 
@@ -117,14 +117,9 @@ def _claim_12(r: Results) -> Verdict:
     )  # fmt: skip
 
 
-def total_sigma(r: Results) -> np.ndarray:
-    """(12,) scatter of the base of 325 samples over seeds and hours, with the field model's shift beside it."""
-    return np.hypot(r.calibration.scatter("all"), r.errors.field_shift)
-
-
 def pulls(r: Results) -> np.ndarray:
-    """(12,) (estimate - truth) / sigma of the base of 325 samples."""
-    return np.asarray((vector(r.calibration.fits["all"]) - r.calibration.truth) / total_sigma(r))
+    """(12,) (estimate - truth) / sigma of the base of 325 samples; sigma is the scatter of the Monte Carlo."""
+    return np.asarray((vector(r.calibration.fits["all"]) - r.calibration.truth) / r.calibration.scatter("all"))
 
 
 def _claim_13(r: Results) -> Verdict:
@@ -142,8 +137,11 @@ def _claim_14(r: Results) -> Verdict:
     p = pulls(r)[:9]
     worst = int(np.argmax(np.abs(p)))
     text = "; ".join(", ".join(f"{value:.3f}" for value in row) for row in S)
+    sigma = r.calibration.scatter("all")[:9]
+    vague = [f"{NAMES[k]} ± {sigma[k]:.3f}" for k in range(9) if abs(S.ravel()[k]) < 2 * sigma[k]]
     return Verdict(
-        f"S = [{text}]; largest pull {abs(p[worst]):.1f} sigma at {NAMES[worst]}", float(abs(p[worst])), "sigma",
+        f"S = [{text}]; largest pull {abs(p[worst]):.1f} sigma at {NAMES[worst]}; not told from zero: {', '.join(vague)}",
+        float(abs(p[worst])), "sigma",
         _small(float(abs(p[worst])), 3.0), "the regression missed S by more than 3 sigma",
     )  # fmt: skip
 
@@ -173,30 +171,31 @@ def _claim_17(r: Results) -> Verdict:
     one, four = r.calibration.scatter("205"), r.calibration.scatter("all")
     ratio = float(np.mean(one[list(COLUMN_2)]) / np.mean(one[others]))
     shown = r.calibration.field_rms_mG[:, r.calibration.index("205")]
-    status = REPRODUCED if ratio > 3 and np.mean(four[list(COLUMN_2)]) < np.mean(one[list(COLUMN_2)]) / 2 else DIFFERS
+    steadier = np.mean(four[list(COLUMN_2)]) < np.mean(one[list(COLUMN_2)]) / 2
+    weakest = four[7] >= 0.9 * four[list(COLUMN_2)].max()
+    status = REPRODUCED if ratio > 3 and steadier and weakest else DIFFERS
     return Verdict(
         f"{np.mean(one[list(COLUMN_2)]):.3f}: sigma of S12, S22, S32 from one orbit, {np.mean(one[others]):.4f} of "
-        f"the others; {np.mean(four[list(COLUMN_2)]):.3f} from four days. The field varies by only "
+        f"the others; {np.mean(four[list(COLUMN_2)]):.3f} from four days (S32 {four[7]:.3f}, among the weakest). The "
+        "field varies by only "
         f"{np.nanmedian(shown[:, 0]):.0f} mG along the weak direction in one orbit", float(np.mean(one[list(COLUMN_2)])),
         "1", status, "the second column of S does not stand out",
     )  # fmt: skip
 
 
 def _claim_18(r: Results) -> Verdict:
-    S = r.calibration.fits["all"].calibration.S
-    sigma = total_sigma(r)[:9].reshape(3, 3)
-    scale = 100 * float(np.abs(np.diag(S)).max())
-    off = np.abs(S - np.diag(np.diag(S)))
-    where = np.unravel_index(int(np.argmax(off)), off.shape)
-    angle = float(np.degrees(off[where]))
-    margin = float(np.degrees(3 * sigma[where]))
-    printed = r.calibration.truth[:9].reshape(3, 3)
-    printed_scale = 100 * float(np.abs(np.diag(printed)).max())
-    printed_angle = float(np.degrees(np.abs(printed - np.diag(np.diag(printed))).max()))
-    scale_agrees = agree(scale, printed_scale, 100 * 3 * float(np.diag(sigma).max())) == REPRODUCED
-    status = agree(angle, printed_angle, margin) if scale_agrees else DIFFERS
+    S, printed = r.calibration.fits["all"].calibration.S, r.calibration.truth[:9].reshape(3, 3)
+    sigma = r.calibration.scatter("all")[:9].reshape(3, 3)
+    off = np.abs(printed - np.diag(np.diag(printed)))
+    at = np.unravel_index(int(np.argmax(off)), off.shape)
+    k = int(np.argmax(np.abs(np.diag(printed))))
+    scale, margin_scale = 100 * float(S[k, k]), 300 * float(sigma[k, k])
+    angle, margin = float(np.degrees(S[at])), float(np.degrees(3 * sigma[at]))
+    scale_agrees = agree(scale, 100 * float(printed[k, k]), margin_scale) == REPRODUCED
+    status = agree(angle, float(np.degrees(printed[at])), margin) if scale_agrees else DIFFERS
     return Verdict(
-        f"scale up to {scale:.1f} %, alignment up to {angle:.2f} deg (3 sigma {margin:.2f} deg)", angle, "deg", status,
+        f"scale error S{k + 1}{k + 1} {scale:.1f} % (3 sigma {margin_scale:.1f} %), alignment S{at[0] + 1}{at[1] + 1} "
+        f"{angle:.2f} deg (3 sigma {margin:.2f} deg), the papers' largest", angle, "deg", status,
         "the recovered S is further from the papers' than three sigma",
     )  # fmt: skip
 
@@ -262,4 +261,4 @@ JUDGES: dict[int, Judge] = {
     16: _claim_16, 17: _claim_17, 18: _claim_18, 19: _claim_19, 20: _claim_20, 21: _claim_21, 60: _claim_60,
 }  # fmt: skip
 
-__all__ = ["JUDGES", "calibration_summary", "pulls", "total_sigma", "uncorrected_column_2"]
+__all__ = ["JUDGES", "calibration_summary", "pulls", "uncorrected_column_2"]

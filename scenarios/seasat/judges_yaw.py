@@ -45,9 +45,12 @@ def _claim_24(r: Results) -> Verdict:
 def _claim_25(r: Results) -> Verdict:
     a = r.accuracy
     q = a.worst_quantiles_deg
+    ordinary = 5.0 < a.printed_percentile < 95.0
+    largest = a.orbits_above == 0.0
     return Verdict(
         f"median of the largest value in a data base of four orbits {q['50 %']:.1f} deg (5-95 %: {q['5 %']:.1f} to "
-        f"{q['95 %']:.1f}); 11 deg is at the {a.printed_percentile:.0f}th percentile", q["50 %"], "deg", DIFFERS,
+        f"{q['95 %']:.1f}); 11 deg is at the {a.printed_percentile:.0f}th percentile", q["50 %"], "deg",
+        REPRODUCED if ordinary and largest else DIFFERS,
         "as the largest value of one data base (conference) 11 deg is ordinary; as the largest possible one "
         f"(journal) it is wrong: {a.orbits_above:.0f} % of single orbits exceed it, because the horizontal field "
         "can almost vanish",
@@ -81,11 +84,13 @@ def _claim_28(r: Results) -> Verdict:
     inside = float(100 * np.mean((late >= 0.30) & (late <= 0.35)))
     days = float((np.datetime64("1978-10-10") - geometry.LAUNCH) / np.timedelta64(1, "D"))
     heads = r.heads
+    south = heads.late_visible_south > 0.95
     return Verdict(
         f"{100 * late.mean():.0f} % dark on average ({100 * late.min():.0f} to {100 * late.max():.0f} %, within "
         f"30-35 % on {inside:.0f} % of the days), seen {100 * heads.late_visible_share:.0f} % of the orbit, "
         f"{100 * heads.late_visible_south:.0f} % of that in the south; lost {days:.0f} days after launch",
-        100 * float(late.mean()), "%", DIFFERS,
+        100 * float(late.mean()), "%",
+        REPRODUCED if inside == 100.0 and abs(heads.late_visible_share - 0.2) < 0.05 and south else DIFFERS,
         "a node that is dark for 30-35 % from 16 August on is also dark for a quarter of the orbit on days 219 and "
         "225, whose 88 and 101 sun-sensor samples fill the orbit; the best compromise, node "
         f"{r.nodes.chosen_deg:.0f} deg, agrees with the {r.nodes.launch_deg:.1f} deg of the launch, which was not "
@@ -94,9 +99,10 @@ def _claim_28(r: Results) -> Verdict:
 
 
 def _claim_29(r: Results) -> Verdict:
-    three = r.yaw.sun_yaw_3sigma_deg
+    three = r.calibration.reference_3sigma_deg
     return Verdict(
-        f"{three:.2f} deg: 3 sigma of the reference yaw; averages over {r.yaw.figure_1.window_s:.0f} s", three, "deg",
+        f"{three:.2f} deg: 3 sigma of the reference attitude over the Monte Carlo (put in by the scenario); averages over "
+        f"{r.yaw.figure_1.window_s:.0f} s", three, "deg",
         agree(three, printed_value("yaw", "value", quantity="sun sensor yaw accuracy"), 0.05),
         "the simulated reference yaw is not as good as stated",
     )  # fmt: skip
@@ -128,24 +134,28 @@ def _claim_31(r: Results) -> Verdict:
     better = e.rms_deg < 0.7 * r.yaw.bias_errors.rms_deg
     holds = better and bool(sweep.share_full[0] > 0.5)
     interval = f"{low:g} to {to:.2f} deg" if to is not None else f"the whole sweep, {low:g} to {high:g} deg"
+    white = sweep.crossover_white_deg
+    if_white = f"up to {white:.2f} deg" if white is not None else "over the whole sweep"
     return Verdict(
         f"{e.rms_deg:.2f} deg rms against {r.yaw.bias_errors.rms_deg:.2f} deg with the mean bias; yaw = 0 is nearer in "
-        f"most windows for yaw amplitudes of {interval} (mean over {SEEDS} seeds; {100 * e.zero_wins:.0f} % of the "
-        f"windows in the flight of figure 2)", to if to is not None else high, "deg",
+        f"most windows for yaw amplitudes of {interval} (mean over {SEEDS} seeds, each calibrated anew), were the unknown "
+        f"white {if_white}; in the one flight of figure 2 in {100 * e.zero_wins:.0f} %",
+        to if to is not None else high, "deg",
         REPRODUCED if holds else DIFFERS, "yaw = 0 does not win for any amplitude swept",
     )  # fmt: skip
 
 
 def _claim_32(r: Results) -> Verdict:
-    rms = r.yaw.check_rms_mG
-    overall = float(np.sqrt(np.mean(rms**2)))
+    rms, spread = r.yaw.check_rms_mG.mean(axis=0), r.yaw.check_rms_mG.std(axis=0, ddof=1)
+    overall = float(np.sqrt(np.mean(r.yaw.check_rms_mG**2)))
     printed = np.array([printed_value("yaw", "value", quantity=f"day 279 residual {axis}") for axis in "XYZ"])
-    apart = float(np.abs(rms - printed).max())
+    apart = float(np.abs((rms - printed) / spread).max())
+    parts = ", ".join(f"{m:.1f} ± {s:.1f}" for m, s in zip(rms, spread, strict=True))
     return Verdict(
-        f"{rms[0]:.1f}, {rms[1]:.1f}, {rms[2]:.1f} mG over {r.yaw.check_samples} samples; {overall:.1f} mG per component "
+        f"{parts} mG over {r.yaw.check_samples} samples and {SEEDS} seeds; {overall:.1f} mG per component "
         f"(the printed three give {float(np.sqrt(np.mean(printed**2))):.1f}, their plain root sum of squares "
         f"{float(np.sqrt(np.sum(printed**2))):.1f})", overall, "mG",
-        REPRODUCED if apart <= 1.0 else DIFFERS,
+        REPRODUCED if apart <= 2.0 else DIFFERS,
         "the level agrees, so the calibration holds for other days as the papers say, but the papers' large Y and "
         "small X and Z come from errors of that day that they do not describe; the printed formula lacks a 1/3",
     )  # fmt: skip

@@ -104,3 +104,31 @@ def test_units_are_exclusive_and_convert():
     assert scenario.magnetometer.step_nT == pytest.approx(440.0, rel=1e-12)
     with pytest.raises(BadInput, match="not both"):
         parse_scenario(SMALL + "[magnetometer]\nb_mG = [1.0, 2.0, 3.0]\nb_nT = [1.0, 2.0, 3.0]\n")
+
+
+def test_a_run_across_a_leap_second_leaves_out_the_sample_that_has_no_stamp():
+    """UTC had 23:59:60 on 31 December 1978 (IERS Bulletin C); 200 samples a second apart hold one without a stamp."""
+    text = SMALL.replace("2020-03-01T00:00:00Z", "1978-12-31T23:59:30Z").replace(
+        "samples = 50, step_s = 30.0", "samples = 200, step_s = 1.0"
+    )
+    world = build_world(parse_scenario(text))
+    assert world.time.size == 199
+    assert (np.diff(world.time.astype("int64")) > 0).all()
+    moved_km = np.linalg.norm(np.diff(world.r_N_km, axis=0), axis=1)
+    assert moved_km.max() == pytest.approx(2 * np.median(moved_km), rel=1e-3)  # two seconds across the gap
+
+
+def test_sensors_and_an_error_model_exclude_each_other():
+    text = (
+        SMALL
+        + """
+[attitude.reference]
+source = "sensors"
+sigma_deg = 0.1
+[sun_sensor.1]
+azimuth_deg = 0.0
+[horizon_scanner]
+"""
+    )
+    with pytest.raises(BadInput, match="leave sigma_deg and tau_s out"):
+        parse_scenario(text)

@@ -182,7 +182,7 @@ def test_every_mode_flies_with_housekeeping(scenario, mode):
 
 
 def test_attitude_from_sensors_only_where_a_head_sees_the_sun(scenario):
-    other = scenario.updated({"attitude.reference.source": "sensors"})
+    other = scenario.updated({"attitude.reference": {"source": "sensors"}})
     telemetry, truth = simulate(other)
     assert 0 < telemetry.has_attitude.mean() < 1
     assert not telemetry.has_attitude[telemetry.sun_sensor_head == 0].any()

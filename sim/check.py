@@ -13,16 +13,20 @@ import numpy as np
 from fluxtwin.sim import epoch
 from fluxtwin.sim.check_field import check_field
 from fluxtwin.sim.check_report import CheckReport, Finding, note, report, trap
-from fluxtwin.sim.check_values import check_values
+from fluxtwin.sim.check_values import check_motion, check_values
+from fluxtwin.sim.column_map import mapped_table
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.field import FieldModel
+from fluxtwin.sim.layouts import recognised
 from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.telemetry_build import record
 from fluxtwin.sim.telemetry_columns import Table
 from fluxtwin.sim.telemetry_csv import MAX_SAMPLES
-from fluxtwin.sim.telemetry_io import read_table, read_telemetry, write_telemetry
+from fluxtwin.sim.telemetry_io import read_table, write_telemetry
 
-__all__ = ["CheckReport", "Finding", "check_file", "check_telemetry", "repair"]
+RECOGNISED = "recognised_layout"
+"""Code of the note that a packaged column map was used."""
+__all__ = ["RECOGNISED", "CheckReport", "Finding", "check_file", "check_telemetry", "repair"]
 
 
 def check_telemetry(telemetry: Telemetry, model: FieldModel) -> CheckReport:
@@ -43,16 +47,44 @@ def check_file(
 
     Raises BadInput for a file that cannot be read at all.
     """
+    table, how = _read(path, column_map, tle, max_samples)
+    mapped = column_map is not None or bool(how)
+    order = _order(table, "`sort = true` in the [[file]] of a column map" if mapped else "`--repair OUT`")
+    ordered = _ordered(table)[0]
+    blind = bool(how) and "mag_x_nT" not in table.columns
+    if blind:
+        ordered.columns.update({f"mag_{axis}_nT": np.full(ordered.time.size, np.nan) for axis in "xyz"})
+    telemetry = record(ordered, tle=None if mapped else tle)
+    inner = _without_magnetometer(telemetry) if blind else check_telemetry(telemetry, model).findings
+    notices = telemetry.provenance.get("notices", "").split("; ")
+    said = [note("on_reading", text) for text in notices if text and not (blind and text.startswith("mag_"))]
+    return report(str(path), len(telemetry), [*how, *order, *inner, *said])
+
+
+def _read(
+    path: Path | str, column_map: Path | str | None, tle: Path | str | None, max_samples: int
+) -> tuple[Table, list[Finding]]:
+    """The columns of `path`, and a note where a packaged map was needed and fits to the letter."""
     if column_map is not None:
-        telemetry = read_telemetry(path, column_map=column_map, tle=tle, max_samples=max_samples)
-        order: list[Finding] = []
-    else:
-        table = read_table(path, max_samples=max_samples)
-        order = _order(table)
-        telemetry = record(_ordered(table)[0], tle=tle)
-    inner = check_telemetry(telemetry, model)
-    said = [note("on_reading", text) for text in telemetry.provenance.get("notices", "").split("; ") if text]
-    return report(str(path), inner.samples, [*order, *inner.findings, *said])
+        return mapped_table(path, column_map, tle=tle, max_samples=max_samples, any_order=True), []
+    try:
+        return read_table(path, max_samples=max_samples), []
+    except BadInput:
+        found = recognised(path)
+        if found is None:
+            raise
+    name, packaged = found
+    table = mapped_table(path, packaged, tle=tle, max_samples=max_samples, any_order=True)
+    layout = packaged.layout
+    text = f"recognised layout: {layout.name if layout else name}; read with the packaged map {name}"
+    text += f", which takes {layout.taken_as}" if layout else ""
+    return table, [note(RECOGNISED, f"{text}; give --map to read it otherwise")]
+
+
+def _without_magnetometer(telemetry: Telemetry) -> list[Finding]:
+    """What can be judged of a file that has orbit and flags alone."""
+    text = "the file has no magnetometer: its stamps, orbit and flags were checked, nothing can be calibrated from it"
+    return [*check_motion(telemetry), note("no_magnetometer", text)]
 
 
 def repair(path: Path | str, out: Path | str, *, max_samples: int = MAX_SAMPLES) -> CheckReport:
@@ -63,8 +95,14 @@ def repair(path: Path | str, out: Path | str, *, max_samples: int = MAX_SAMPLES)
     """
     if Path(out).resolve() == Path(path).resolve():
         raise BadInput("would overwrite the input", where=str(out), wanted="another name for the repaired file")
-    table = read_table(path, max_samples=max_samples)
-    findings = _order(table)
+    try:
+        table = read_table(path, max_samples=max_samples)
+    except BadInput:
+        if recognised(path) is None:
+            raise
+        wanted = "a file that has the columns of the contract"
+        raise BadInput("a file read through a column map cannot be repaired", where=str(path), wanted=wanted) from None
+    findings = _order(table, "`--repair OUT`")
     ordered, left_out = _ordered(table)
     telemetry = record(ordered)
     write_telemetry(telemetry, out)
@@ -73,8 +111,8 @@ def repair(path: Path | str, out: Path | str, *, max_samples: int = MAX_SAMPLES)
     return report(str(path), len(telemetry), findings)
 
 
-def _order(table: Table) -> list[Finding]:
-    """Stamps that do not increase, as a trap."""
+def _order(table: Table, mend: str) -> list[Finding]:
+    """Stamps that do not increase, as a trap; `mend` is what sorts them and drops exact duplicates."""
     stamps = table.time
     missing = np.flatnonzero(np.isnat(stamps))
     findings = []
@@ -90,12 +128,12 @@ def _order(table: Table) -> list[Finding]:
                 "time_not_increasing",
                 f"time runs backwards at {back.size} row{'s' if back.size > 1 else ''}: after "
                 f"{epoch.iso(stamps[known[row]], 'ms')} comes {epoch.iso(stamps[known[row + 1]], 'ms')}. "
-                "`--repair OUT` sorts",
+                f"{mend} sorts",
                 back,
             )
         )
     if same.size:
-        text = f"{same.size} rows repeat the stamp of the row before. `--repair OUT` drops exact duplicates"
+        text = f"{same.size} rows repeat the stamp of the row before. {mend} drops exact duplicates"
         findings.append(trap("time_repeated", text, same))
     return findings
 

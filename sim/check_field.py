@@ -1,4 +1,4 @@
-"""Checks against a field model: the unit of the magnetometer, the frame of the position, axes of date."""
+"""Checks against a field model: the frame of the position, axes of date; unit and orientation by their own modules."""
 
 from __future__ import annotations
 
@@ -11,38 +11,19 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.sim import frames, sun
 from fluxtwin.sim.check_orientation import FAR_BETTER, Sample, SMALLEST_MISFIT_nT, check_orientation
 from fluxtwin.sim.check_report import Finding, note, trap
+from fluxtwin.sim.check_unit import blind_magnitude, check_unit
 from fluxtwin.sim.errors import OutOfRange
 from fluxtwin.sim.field import FieldModel, field_N_nT
 from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.telemetry_build import velocity_from_positions
 from fluxtwin.sim.types import FloatArray
 
-HIGHEST_FIELD_nT = 70_000.0
-"""The Earth's field reaches 66,000 nT at the ground; no orbit meets 70,000."""
-LOWEST_FIELD_nT = 1_000.0
-"""Reached by the dipole 13,000 km up; below, an orbit must be higher or the unit wrong."""
-UNIT_RATIO = 1.5
-"""Preflight scale errors change |B| by 30 % at the most; units differ by 10 or more."""
-LARGEST_BIAS_nT = 5_000.0
-"""A difference of |B| below this may be a bias (high orbits have little field), unless the ratio is beyond 10."""
 SCALAR_MISFIT = 0.1
 """Share of |B| left after a ten-parameter ellipsoid: above, the reading does not belong to the position."""
 SUN_MISFIT_DEG = 20.0
 """Sun sensors err by less than a few degrees; a wrong attitude or axis by tens."""
 _FEWEST = 20
 _MAX_ROWS = 3000
-_UNITS = (
-    (1e-9, "tesla sold as nT"),
-    (1e-5, "gauss sold as nT"),
-    (1e-3, "microtesla sold as nT"),
-    (1e-2, "milligauss sold as nT"),
-    (0.1, "counts of 10 nT sold as nT"),
-    (10.0, "counts of 0.1 nT sold as nT"),
-    (100.0, "counts of 0.01 nT sold as nT, or nT sold as mG"),
-    (1000.0, "picotesla sold as nT, or nT sold as microtesla"),
-    (1e5, "nT sold as gauss"),
-    (1e9, "nT sold as tesla"),
-)
 
 
 def check_field(telemetry: Telemetry, model: FieldModel) -> list[Finding]:
@@ -50,16 +31,16 @@ def check_field(telemetry: Telemetry, model: FieldModel) -> list[Finding]:
     try:
         sample = _comparable(telemetry, model, with_attitude=False)
     except OutOfRange as error:
-        return [*_blind_magnitude(telemetry), note("not_compared", f"not compared with the field model: {error}")]
+        return [*blind_magnitude(telemetry), note("not_compared", f"not compared with the field model: {error}")]
     if sample is None:
-        return _blind_magnitude(telemetry)
-    unit = _magnitude(sample)
-    scalar = [] if unit else _scalar(sample, model)
+        return blind_magnitude(telemetry)
+    unit = check_unit(sample)
+    scalar = [] if any(found.severity == "trap" for found in unit) else _scalar(sample, model)
     posed = _comparable(telemetry, model, with_attitude=True)
     if posed is None or len(posed.time) < _FEWEST:
         reason = note("orientation_not_tested", "fewer than 20 rows have reading, position and attitude")
         return [*unit, *scalar, reason]
-    if unit:  # a wrong unit must not look like a wrong attitude
+    if any(found.severity == "trap" for found in unit):  # a wrong unit must not look like a wrong attitude
         size, wanted = (np.median(np.linalg.norm(x, axis=1)) for x in (posed.mag_nT, posed.field_N_nT))
         posed = dataclasses.replace(posed, mag_nT=posed.mag_nT * (wanted / size))
     return [*unit, *scalar, *check_orientation(posed), *_of_date(telemetry)]
@@ -90,52 +71,6 @@ def _comparable(telemetry: Telemetry, model: FieldModel, *, with_attitude: bool)
         None if telemetry.q_NB is None else np.array(telemetry.q_NB[rows]),
         velocity_from_positions(telemetry.time[rows], r) if v is None else np.array(v[rows]),
     )
-
-
-def _blind_magnitude(telemetry: Telemetry) -> list[Finding]:
-    """Without positions only what no orbit can have is named."""
-    size = np.linalg.norm(telemetry.mag_B_nT[telemetry.has_reading], axis=1)
-    if size.size == 0:
-        return []
-    typical = float(np.median(size))
-    if LOWEST_FIELD_nT <= typical <= HIGHEST_FIELD_nT:
-        return [note("not_compared", "no positions: the magnitude is possible, but was not compared with the model")]
-    guess = _nearest_unit(typical / 35_000.0, 3.0)
-    likely = f"; likely {guess}" if guess else ""
-    what = "no orbit has" if typical > HIGHEST_FIELD_nT else "no orbit below 13,000 km altitude has"
-    return [
-        trap(
-            "magnetometer_unit",
-            f"the median of |B| is {typical:.4g} nT, which {what}{likely} (no positions, so the factor is rough). "
-            "State the unit or the counts per nT in a column map",
-        )
-    ]
-
-
-def _magnitude(sample: Sample) -> list[Finding]:
-    measured = float(np.median(np.linalg.norm(sample.mag_nT, axis=1)))
-    expected = float(np.median(np.linalg.norm(sample.field_N_nT, axis=1)))
-    ratio = measured / expected
-    biased = abs(measured - expected) <= LARGEST_BIAS_nT and 0.1 <= ratio <= 10.0
-    if 1.0 / UNIT_RATIO <= ratio <= UNIT_RATIO or biased:
-        return []
-    guess = _nearest_unit(ratio, UNIT_RATIO)
-    likely = f": likely {guess}" if guess else ""
-    impossible = " (an impossible |B|)" if measured > HIGHEST_FIELD_nT or measured < 20.0 else ""
-    return [
-        trap(
-            "magnetometer_unit",
-            f"the median of |B| is {measured:.4g} nT{impossible}, the model has {expected:.4g} nT at these "
-            f"positions, a factor {ratio:.4g}{likely}. State the unit (or `scale`) in a column map",
-        )
-    ]
-
-
-def _nearest_unit(ratio: float, within: float) -> str | None:
-    if ratio <= 0:
-        return None
-    factor, text = min(_UNITS, key=lambda unit: abs(np.log(ratio / unit[0])))
-    return text if 1.0 / within <= ratio / factor <= within else None
 
 
 def _scalar(sample: Sample, model: FieldModel) -> list[Finding]:

@@ -8,7 +8,7 @@ from fluxtwin.sim import epoch, frames, sun
 from fluxtwin.sim.check_report import Finding, note, trap
 from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.telemetry_build import velocity_from_positions
-from fluxtwin.sim.types import FloatArray, TimeArray
+from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
 
 FEWEST_SAMPLES = 13
 """One more than the 12 parameters of b and S: below, nothing can be calibrated and left over."""
@@ -29,8 +29,13 @@ _MAX_ROWS = 4000
 
 def check_values(telemetry: Telemetry) -> list[Finding]:
     """All checks of this module."""
-    findings = [*_sampling(telemetry), *_missing(telemetry), *_constant(telemetry), *_stuck(telemetry)]
-    findings += _positions(telemetry)
+    readings = [*_usable(telemetry), *_missing_rows(telemetry, "magnetometer", telemetry.has_reading)]
+    return [*readings, *_constant(telemetry), *_stuck(telemetry), *check_motion(telemetry)]
+
+
+def check_motion(telemetry: Telemetry) -> list[Finding]:
+    """The checks that need no magnetometer: steps of time, positions, velocity, sunlit flag."""
+    findings = [*_steps(telemetry), *_missing(telemetry), *_positions(telemetry)]
     if telemetry.sunlit is not None and telemetry.r_N_km is not None:
         findings += check_sunlit(telemetry.time, np.array(telemetry.r_N_km), np.array(telemetry.sunlit))
     return findings
@@ -61,17 +66,18 @@ def check_sunlit(time: TimeArray, r_N_km: FloatArray, sunlit: FloatArray) -> lis
     return findings
 
 
-def _sampling(telemetry: Telemetry) -> list[Finding]:
+def _usable(telemetry: Telemetry) -> list[Finding]:
     usable = int(telemetry.has_reading.sum())
-    findings = []
     if usable < FEWEST_SAMPLES:
-        findings.append(
-            trap(
-                "too_few_samples", f"{usable} rows have a reading; b and S alone are 12 unknowns. Give a longer record"
-            )
-        )
-    elif usable < FEW_SAMPLES:
-        findings.append(note("few_samples", f"{usable} rows have a reading; {FEW_SAMPLES} or more are recommended"))
+        text = f"{usable} rows have a reading; b and S alone are 12 unknowns. Give a longer record"
+        return [trap("too_few_samples", text)]
+    if usable < FEW_SAMPLES:
+        return [note("few_samples", f"{usable} rows have a reading; {FEW_SAMPLES} or more are recommended")]
+    return []
+
+
+def _steps(telemetry: Telemetry) -> list[Finding]:
+    findings: list[Finding] = []
     if len(telemetry) < 3:
         return findings
     step = np.diff(telemetry.time.astype("int64")) * 1e-9
@@ -97,18 +103,21 @@ def _sampling(telemetry: Telemetry) -> list[Finding]:
 
 
 def _missing(telemetry: Telemetry) -> list[Finding]:
-    findings = []
-    columns = {"magnetometer": telemetry.has_reading}
+    findings: list[Finding] = []
+    columns = {}
     if telemetry.r_N_km is not None:
         columns["position"] = telemetry.has_position
     if telemetry.q_NB is not None:
         columns["attitude"] = telemetry.has_attitude
     for name, present in columns.items():
-        rows = np.flatnonzero(~present)
-        if rows.size:
-            code = f"missing_{name}"
-            findings.append(note(code, f"{rows.size} of {len(telemetry)} rows have no {name}", rows))
+        findings += _missing_rows(telemetry, name, present)
     return findings
+
+
+def _missing_rows(telemetry: Telemetry, name: str, present: BoolArray) -> list[Finding]:
+    rows = np.flatnonzero(~present)
+    text = f"{rows.size} of {len(telemetry)} rows have no {name}"
+    return [note(f"missing_{name}", text, rows)] if rows.size else []
 
 
 def _constant(telemetry: Telemetry) -> list[Finding]:

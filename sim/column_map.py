@@ -31,6 +31,7 @@ from pydantic import Field, model_validator
 
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.telemetry_columns import Table
 from fluxtwin.sim.telemetry_csv import MAX_SAMPLES
 from fluxtwin.sim.toml_input import Strict, read_model
 
@@ -127,17 +128,46 @@ class FileEntry(Strict):
         return self
 
 
+class LayoutVariable(Strict):
+    """What a layout states of one variable."""
+
+    shape: list[Literal["time"] | int]
+    """Its sizes; `time` is the number of stamps."""
+    units: str | None = None
+    """Its units, for `time` the word before "since"; absent: the variable must have none."""
+
+
+class Layout(Strict):
+    """Which NetCDF files a packaged map is for: all of this must be so. See `layouts.recognised`."""
+
+    name: str
+    taken_as: str
+    """In words: what the map takes the columns for."""
+    title_begins: Annotated[str, Field(min_length=10)]
+    """How the file's attribute `title` begins."""
+    variables: dict[str, LayoutVariable]
+    """Every variable of the file; one more or one less is another layout."""
+
+    @model_validator(mode="after")
+    def _has_time(self) -> Self:
+        if "time" not in self.variables:
+            raise ValueError("a layout has the variable time")
+        return self
+
+
 class ColumnMap(Strict):
-    """A whole column map. Exactly one `[[file]]` carries the magnetometer."""
+    """A whole column map. Exactly one `[[file]]` carries the magnetometer; with a `layout` it may be none."""
 
     file: Annotated[list[FileEntry], Field(min_length=1, max_length=100)]
+    layout: Layout | None = None
+    """Files that `check` reads with this map unasked; only packaged maps are looked through."""
     tle: str | None = None
     """File with two-line elements, beside the data or beside the map."""
 
     @model_validator(mode="after")
     def _one_magnetometer(self) -> Self:
         carriers = sum("mag" in entry.columns for entry in self.file)
-        if carriers != 1:
+        if carriers > 1 or (carriers == 0 and self.layout is None):
             raise ValueError(f"{carriers} [[file]] entries carry `mag`; exactly one must")
         names = [name for entry in self.file for name in entry.columns]
         doubled = sorted({name for name in names if names.count(name) > 1})
@@ -159,8 +189,24 @@ def read_mapped(
     max_samples: int = MAX_SAMPLES,
 ) -> Telemetry:
     """The record of the foreign file or folder `path` under `column_map`. See `telemetry_io.read_telemetry`."""
-    from fluxtwin.sim.column_map_merge import merged_table
     from fluxtwin.sim.telemetry_build import record
+
+    return record(mapped_table(path, column_map, tle=tle, max_samples=max_samples))
+
+
+def mapped_table(
+    path: Path | str,
+    column_map: Path | str | ColumnMap,
+    *,
+    tle: Path | str | None = None,
+    max_samples: int = MAX_SAMPLES,
+    any_order: bool = False,
+) -> Table:
+    """The columns of `read_mapped` before they are a record.
+
+    any_order: rows of a single source without attitude are let through as they come, for `check` to judge.
+    """
+    from fluxtwin.sim.column_map_merge import merged_table
 
     if isinstance(column_map, ColumnMap):
         loaded, folder, name = column_map, Path("."), "column map"
@@ -168,9 +214,9 @@ def read_mapped(
         loaded, folder, name = load_column_map(column_map), Path(column_map).parent, Path(column_map).name
     if tle is None and loaded.tle is not None:
         tle = _beside(loaded.tle, [_folder(Path(path)), folder])
-    table = merged_table(Path(path), loaded, tle=tle, max_samples=max_samples)
+    table = merged_table(Path(path), loaded, tle=tle, max_samples=max_samples, any_order=any_order)
     table.provenance["column_map"] = name
-    return record(table)
+    return table
 
 
 def matches(path: Path, entry: FileEntry) -> list[Path]:

@@ -40,11 +40,17 @@ _COLUMNS = {
 }
 
 
-def merged_table(path: Path, column_map: ColumnMap, *, tle: Path | str | None, max_samples: int) -> Table:
-    """All sources of the map as one table of contract columns on the magnetometer's stamps."""
+def merged_table(
+    path: Path, column_map: ColumnMap, *, tle: Path | str | None, max_samples: int, any_order: bool = False
+) -> Table:
+    """All sources of the map as one table of contract columns on the magnetometer's stamps.
+
+    Without a magnetometer the first source gives the stamps. any_order: see `column_map.mapped_table`.
+    """
     sources = [read_source(path, entry, max_samples) for entry in column_map.file]
-    master = next(source for source in sources if "mag" in source.values)
-    require_increasing(master)
+    master = next((source for source in sources if "mag" in source.values), sources[0])
+    if not any_order or len(sources) > 1 or "attitude" in master.values:
+        require_increasing(master)
     time = master.time
     notices = [text for source in sources for text in source.notices]
     columns: dict[str, FloatArray] = {}

@@ -115,6 +115,13 @@ class Telemetry:
         return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
 
 
+def recorded_columns(telemetry: Telemetry) -> dict[str, FloatArray]:
+    """Everything recorded beside time, orbit, attitude and reading, by name; flags as `flag_NAME`."""
+    names = [name for name in _SHAPES if name not in ("r_N_km", "v_N_km_s", "mag_B_nT", "q_NB")]
+    columns = {name: np.array(value) for name in names if (value := getattr(telemetry, name)) is not None}
+    return columns | {f"flag_{name}": np.array(value) for name, value in telemetry.flags.items()}
+
+
 def concatenate(records: list[Telemetry]) -> Telemetry:
     """Several records, one after the other in time, as one.
 

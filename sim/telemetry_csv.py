@@ -311,9 +311,7 @@ def _width(row: int, found: int, width: int, blank: bool, where: str) -> BadInpu
 
 def _limited(rows: int, max_samples: int, where: str) -> int:
     if rows > max_samples:
-        raise BadInput(
-            f"has {rows} rows", where=where, wanted=f"at most {max_samples} (raise max_samples to read more)"
-        )
+        raise BadInput(f"has {rows} rows", where=where, wanted=f"at most {max_samples} (--max-samples N reads more)")
     return rows
 
 

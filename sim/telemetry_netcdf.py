@@ -189,7 +189,7 @@ class NetcdfFile:
             raise BadInput(
                 f"{clip(name)} claims {rows} rows",
                 where=self.where,
-                wanted=f"at most {self.max_samples} (raise max_samples to read more)",
+                wanted=f"at most {self.max_samples} (--max-samples N reads more)",
             )
         chunk = int(np.prod(data.chunks, dtype=float)) if data.chunks else 0
         if max(int(np.prod(data.shape, dtype=float)), chunk) * data.dtype.itemsize > (

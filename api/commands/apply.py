@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from fluxtwin.commands.options import JsonOption, MapOption, OutOption, TleOption
+from fluxtwin.commands.options import JsonOption, MapOption, MaxSamplesOption, OutOption, TleOption
 from fluxtwin.commands.reading import TelemetryArgument, read
 from fluxtwin.console import Output
 
@@ -21,6 +21,7 @@ def command(
     out: OutOption,
     column_map: MapOption = None,
     tle: TleOption = None,
+    max_samples: MaxSamplesOption = None,
     json: JsonOption = None,
 ) -> None:
     """Write telemetry with the readings corrected by (I+S) B + b + T D [nT]; other columns as they are."""
@@ -31,7 +32,7 @@ def command(
         from fluxtwin import verbs
         from fluxtwin.sim.telemetry_io import write_telemetry
 
-        record = read(telemetry, output, column_map=column_map, tle=tle)
+        record = read(telemetry, output, column_map=column_map, tle=tle, max_samples=max_samples)
         corrected = verbs.apply(record, calibration)
         change = corrected.mag_B_nT - record.mag_B_nT
         moved = change[np.isfinite(change).all(axis=1)]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fluxtwin.commands.options import DegreeOption, FieldOption, JsonOption, MapOption, TleOption
+from fluxtwin.commands.options import DegreeOption, FieldOption, JsonOption, MapOption, MaxSamplesOption, TleOption
 from fluxtwin.commands.reading import TelemetryArgument
 from fluxtwin.console import Output
 
@@ -28,10 +28,12 @@ def command(
     degree: DegreeOption = None,
     column_map: MapOption = None,
     tle: TleOption = None,
+    max_samples: MaxSamplesOption = None,
     json: JsonOption = None,
 ) -> None:
     """Name the traps: counts or mG sold as nT, wrong frames, transposed quaternions, time out of order.
 
+    A foreign file wants --map, unless it has to the letter a layout that is packaged; then that map is named.
     Exit status 0 clean, 1 a trap was named, 2 unreadable.
     """
     output = Output(json)
@@ -39,6 +41,7 @@ def command(
         from fluxtwin import verbs
         from fluxtwin.sim import check
         from fluxtwin.sim.errors import BadInput
+        from fluxtwin.sim.telemetry_csv import MAX_SAMPLES
 
         if repair is not None and column_map is not None:
             raise BadInput(
@@ -47,12 +50,13 @@ def command(
                 wanted="--repair without --map, on a file that has the columns of the contract",
             )
         model = verbs.as_model(field, degree)
-        found = check.check_file(telemetry, model, column_map=column_map, tle=tle)
+        rows = max_samples or MAX_SAMPLES
+        found = check.check_file(telemetry, model, column_map=column_map, tle=tle, max_samples=rows)
         mended = after = None
         if repair is not None:
             progress("repairing", 0.5)
-            mended = check.repair(telemetry, repair)
-            after = check.check_file(repair, model, tle=tle)
+            mended = check.repair(telemetry, repair, max_samples=rows)
+            after = check.check_file(repair, model, tle=tle, max_samples=rows)
     _print(output, f"{telemetry}: {found.samples} rows", found)
     record = found.to_dict()
     if mended is not None and after is not None:
@@ -64,7 +68,10 @@ def command(
 
 def _print(output: Output, title: str, report: CheckReport) -> None:
     output.say(title)
-    for finding in report.findings:
+    for finding in sorted(report.findings, key=lambda one: one.code != "recognised_layout"):
+        if finding.code == "recognised_layout":  # first, because all the rest follows from it
+            output.say(f"  {finding.text}")
+            continue
         rows = ", ".join(map(str, finding.rows[:5])) + (", ..." if finding.row_count > 5 else "")
         place = f" (rows {rows}; {finding.row_count} in all)" if finding.row_count else ""
         output.say(f"  {finding.severity} {finding.code}: {finding.text}{place}")

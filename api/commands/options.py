@@ -19,6 +19,12 @@ TleOption: TypeAlias = Annotated[
     Path | None,
     typer.Option("--tle", metavar="FILE", help="Two-line elements that give the position where the file has none."),
 ]
+MaxSamplesOption: TypeAlias = Annotated[
+    int | None,
+    typer.Option(
+        "--max-samples", metavar="N", min=1, help="Most rows that are read of a file; 5,000,000 where not given."
+    ),
+]
 FieldOption: TypeAlias = Annotated[
     str, typer.Option("--field", metavar="MODEL", help="Field model: igrf14, igrf1975 or chaos:FILE.")
 ]

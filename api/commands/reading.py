@@ -18,11 +18,14 @@ TelemetryArgument: TypeAlias = Annotated[
 ]
 
 
-def read(path: Path, output: Output, *, column_map: Path | None, tle: Path | None) -> Telemetry:
+def read(
+    path: Path, output: Output, *, column_map: Path | None, tle: Path | None, max_samples: int | None = None
+) -> Telemetry:
     """The record in `path`; the reader's notices go to standard error, one a line."""
+    from fluxtwin.sim.telemetry_csv import MAX_SAMPLES
     from fluxtwin.sim.telemetry_io import read_telemetry
 
-    record = read_telemetry(path, column_map=column_map, tle=tle)
+    record = read_telemetry(path, column_map=column_map, tle=tle, max_samples=max_samples or MAX_SAMPLES)
     for notice in filter(None, record.provenance.get("notices", "").split("; ")):
         output.note(f"note: {path}: {notice}")
     return record

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fluxtwin.commands.options import DegreeOption, FieldOption, JsonOption, MapOption, TleOption
+from fluxtwin.commands.options import DegreeOption, FieldOption, JsonOption, MapOption, MaxSamplesOption, TleOption
 from fluxtwin.commands.reading import TelemetryArgument, read
 from fluxtwin.console import Output
 
@@ -36,6 +36,7 @@ def command(
     degree: DegreeOption = None,
     column_map: MapOption = None,
     tle: TleOption = None,
+    max_samples: MaxSamplesOption = None,
     json: JsonOption = None,
 ) -> None:
     """Yaw [deg] from the calibrated field, roll and pitch, with its sigma; the reference only for comparison."""
@@ -51,7 +52,7 @@ def command(
         for name, value in (("--sigma-nT", sigma_nt), ("--attitude-sigma-deg", attitude_sigma_deg)):
             if value is not None and not 0 <= value < math.inf:
                 raise BadInput(f"{value:g}", where=name, wanted="zero or a positive number")
-        record = read(telemetry, output, column_map=column_map, tle=tle)
+        record = read(telemetry, output, column_map=column_map, tle=tle, max_samples=max_samples)
         known = Calibration.from_toml(calibration)
         progress("yaw", 0.5)
         solution = yaw_from_field(

@@ -11,8 +11,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim import frames, telemetry_time
+from fluxtwin.sim.check import check_file
 from fluxtwin.sim.column_map import load_column_map
 from fluxtwin.sim.errors import BadInput
+from fluxtwin.sim.field import load_field
+from fluxtwin.sim.layouts import packaged
 from fluxtwin.sim.orbit import Orbit
 from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.telemetry_io import read_telemetry
@@ -246,9 +249,34 @@ def examples() -> list[str]:
 
 def test_the_maps_beside_the_docs_are_valid() -> None:
     maps = sorted((ROOT / "docs" / "maps").glob("*.toml"))
-    assert len(maps) == 3
+    assert len(maps) == 2
     for path in maps:
         assert load_column_map(path).file
+        assert load_column_map(path).layout is None
+
+
+def test_the_maps_that_travel_say_which_files_they_are_for() -> None:
+    maps = sorted((ROOT / "sim" / "data" / "layouts").glob("*.toml"))
+    assert [path.stem for path in maps] == sorted(packaged())
+    text = (ROOT / "docs" / "telemetry.md").read_text(encoding="utf-8")
+    for name, column_map in packaged().items():
+        assert column_map.layout is not None
+        used = {source for entry in column_map.file for spec in entry.columns.values() for source in spec.names}
+        assert used <= set(column_map.layout.variables), "a map reads what its layout promises"
+        assert f"`{name}`" in text
+
+
+def test_check_names_rows_out_of_order_under_a_map_too(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t,x,y,z\n" + "".join(f"{t},{t},2{t},3{t}\n" for t in (10, 12, 11, 13)))
+    (tmp_path / "map.toml").write_text(
+        '[[file]]\ntime = { recipe = "unix_s", columns = "t" }\n[file.columns]\n'
+        'mag = { from = ["x", "y", "z"], unit = "uT" }\n'
+    )
+    found = check_file(tmp_path / "a.csv", load_field("igrf14"), column_map=tmp_path / "map.toml")
+    (finding,) = [one for one in found.traps if one.code == "time_not_increasing"]
+    assert finding.rows == (3,)
+    assert "sort = true" in finding.text
+    assert "--repair" not in finding.text, "a mapped file cannot be repaired"
 
 
 def test_the_maps_in_the_docs_are_valid(tmp_path: Path) -> None:

@@ -1,0 +1,138 @@
+"""Is the reading in nT? Judged by |B|, which needs no attitude, with a bias of any flown size free.
+
+Scale and bias are told apart where the reading turns or the field changes: a bias shifts the reading, a wrong unit
+stretches it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fluxtwin.sim.check_orientation import FAR_BETTER, Sample, SMALLEST_MISFIT_nT
+from fluxtwin.sim.check_report import Finding, note, trap
+from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.types import FloatArray
+
+HIGHEST_FIELD_nT = 70_000.0
+"""The Earth's field reaches 66,000 nT at the ground; no orbit meets 70,000."""
+LOWEST_FIELD_nT = 1_000.0
+"""Reached by the dipole 13,000 km up; below, an orbit must be higher or the unit wrong."""
+UNIT_RATIO = 1.5
+"""Preflight scale errors change |B| by 30 % at the most; units differ by 10 or more."""
+LARGEST_BIAS_nT = 110_000.0
+"""Uncompensated CubeSats fly with 17,000 to 62,000 nT an axis: at most 62,000 times the root of three."""
+CANCELLED = 0.15
+"""A bias that cancels the field to less than this share of |B| is not believed (by chance once in 300 biases)."""
+BIASED_MISFIT = 0.15
+"""Share of |B| that may be left after a bias fit: scale errors and misalignments of 10 % leave that much."""
+_UNITS = (
+    (1e-9, "tesla sold as nT"),
+    (1e-5, "gauss sold as nT"),
+    (1e-3, "microtesla sold as nT"),
+    (1e-2, "milligauss sold as nT"),
+    (0.1, "counts of 10 nT sold as nT"),
+    (10.0, "counts of 0.1 nT sold as nT"),
+    (100.0, "counts of 0.01 nT sold as nT, or nT sold as mG"),
+    (1000.0, "picotesla sold as nT, or nT sold as microtesla"),
+    (1e5, "nT sold as gauss"),
+    (1e9, "nT sold as tesla"),
+)
+
+
+def check_unit(sample: Sample) -> list[Finding]:
+    """The trap `magnetometer_unit`; or the note `large_bias` where a bias explains |B| as well."""
+    measured = float(np.median(np.linalg.norm(sample.mag_nT, axis=1)))
+    expected = float(np.median(np.linalg.norm(sample.field_N_nT, axis=1)))
+    ratio = measured / expected
+    if 1.0 / UNIT_RATIO <= ratio <= UNIT_RATIO:
+        return []
+    evidence = f"the median of |B| is {measured:.4g} nT, the model has {expected:.4g} nT at these positions"
+    bias_nT = _explaining_bias_nT(sample, ratio)
+    if bias_nT is not None:
+        text = f"{evidence}: a bias of about {bias_nT:.2g} nT explains that, and no unit does far better"
+        return [note("large_bias", text)]
+    guess = _nearest_unit(ratio, UNIT_RATIO)
+    likely = f": likely {guess}" if guess else ""
+    impossible = " (an impossible |B|)" if measured > HIGHEST_FIELD_nT or measured < 20.0 else ""
+    return [
+        trap(
+            "magnetometer_unit",
+            f"{evidence.replace(' nT, the', f' nT{impossible}, the')}, a factor {ratio:.4g}{likely}. State the unit "
+            "(or `scale`) in a column map",
+        )
+    ]
+
+
+def blind_magnitude(telemetry: Telemetry) -> list[Finding]:
+    """Without positions only what no orbit can have is named."""
+    size = np.linalg.norm(telemetry.mag_B_nT[telemetry.has_reading], axis=1)
+    if size.size == 0:
+        return []
+    typical = float(np.median(size))
+    if LOWEST_FIELD_nT <= typical <= HIGHEST_FIELD_nT:
+        return [note("not_compared", "no positions: the magnitude is possible, but was not compared with the model")]
+    guess = _nearest_unit(typical / 35_000.0, 3.0)
+    if typical <= HIGHEST_FIELD_nT + LARGEST_BIAS_nT and typical > HIGHEST_FIELD_nT:
+        text = f"the median of |B| is {typical:.4g} nT, more than any field (no positions): a large bias or another unit"
+        return [note("not_compared", text)]
+    likely = f"; likely {guess}" if guess else ""
+    what = "no orbit has" if typical > HIGHEST_FIELD_nT else "no orbit below 13,000 km altitude has"
+    return [
+        trap(
+            "magnetometer_unit",
+            f"the median of |B| is {typical:.4g} nT, which {what}{likely} (no positions, so the factor is rough). "
+            "State the unit or the counts per nT in a column map",
+        )
+    ]
+
+
+def _nearest_unit(ratio: float, within: float) -> str | None:
+    if ratio <= 0:
+        return None
+    factor, text = min(_UNITS, key=lambda unit: abs(np.log(ratio / unit[0])))
+    return text if 1.0 / within <= ratio / factor <= within else None
+
+
+def _explaining_bias_nT(sample: Sample, ratio: float) -> float | None:
+    """Size of the bias that makes |B| fit as it stands, unless it is unbelievable or a factor fits far better."""
+    if ratio < CANCELLED:
+        return None
+    wanted = np.linalg.norm(sample.field_N_nT, axis=1)
+    bias_nT, misfit = _magnitude_bias(sample.mag_nT, wanted)
+    size = float(np.linalg.norm(bias_nT))
+    scaled = _core_rms(np.linalg.norm(sample.mag_nT, axis=1) / ratio - wanted)
+    allowed = max(BIASED_MISFIT * float(np.median(wanted)), SMALLEST_MISFIT_nT)
+    if size > LARGEST_BIAS_nT or misfit > allowed or scaled < FAR_BETTER * misfit:
+        return None
+    return size
+
+
+def _magnitude_bias(mag_nT: FloatArray, wanted_nT: FloatArray) -> tuple[FloatArray, float]:
+    """Offset d (3,) [nT] with |reading - d| closest to `wanted_nT` (N,), and the rms [nT] it leaves.
+
+    Squares are linear in d once |d|^2 is free; Gauss-Newton then ties the two. Directions that the record does not
+    show stay near zero through a weak prior of 100,000 nT.
+    """
+    scale = 1e4
+    m, size = mag_nT / scale, wanted_nT / scale
+    design = np.column_stack([2.0 * m, np.ones(len(m))])
+    fit, *_ = np.linalg.lstsq(design, np.sum(m**2, axis=1) - size**2, rcond=1e-6)
+    best = np.zeros(3), np.inf
+    for start in (fit[:3], np.zeros(3), m.mean(axis=0)):
+        d = np.array(start)
+        for _ in range(30):
+            off = m - d
+            length = np.maximum(np.linalg.norm(off, axis=1), 1e-9)
+            slope = off / length[:, None]
+            normal = slope.T @ slope / len(m) + np.eye(3) * 1e-4
+            d = d + np.linalg.solve(normal, slope.T @ (length - size) / len(m))
+        left = _core_rms(np.linalg.norm(m - d, axis=1) - size)
+        if left < best[1]:
+            best = d, left
+    return best[0] * scale, best[1] * scale
+
+
+def _core_rms(left: FloatArray) -> float:
+    """Rms without the values beyond five times the median size: single bit errors must not decide."""
+    core = np.abs(left) <= 5.0 * np.median(np.abs(left)) + 1e-12
+    return float(np.sqrt(np.mean(left[core] ** 2)))

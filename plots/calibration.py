@@ -51,7 +51,9 @@ def draw_scatter(record: ParameterScatter, *, title: str) -> Figure:
     figure, grid = style.figure(7.2, 2.0 * rows, rows=rows, cols=3)
     all_axes = [axes for row in grid for axes in row]
     places = np.arange(len(record.data_sets))
-    limit = np.max(np.abs(np.nanpercentile(record.estimates, [2.5, 97.5], axis=0)), axis=(0, 1)).max()
+    largest = np.max(np.abs(np.nanpercentile(record.estimates, [2.5, 97.5], axis=0)), axis=(0, 1))
+    marked = np.maximum(largest, np.nanmax(np.abs(record.printed), axis=0))
+    limits = [marked[column::3].max() for column in range(3)]
     for number, (axes, name) in enumerate(zip(all_axes, record.names, strict=False)):
         low, middle, high = np.nanpercentile(record.estimates[:, :, number], [2.5, 50.0, 97.5], axis=0)
         axes.vlines(places, low, high, color=style.BLUE, linewidth=4, alpha=0.6)
@@ -61,7 +63,8 @@ def draw_scatter(record: ParameterScatter, *, title: str) -> Figure:
         axes.axhline(record.truth[number], color="black", linewidth=0.8)
         axes.set_title(name)
         axes.set_xticks(places, record.data_sets, rotation=60, fontsize=7)
-        axes.set_ylim(-1.05 * limit, 1.05 * limit)
+        limit = 1.05 * limits[number % 3]
+        axes.set_ylim(-limit, limit)
         if number % 3 == 0:
             axes.set_ylabel("value [1]")
     figure.suptitle(title)

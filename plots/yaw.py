@@ -49,6 +49,8 @@ class YawSweep:
     crossover_deg: float | None
     """Amplitude at which the full calibration begins to win half of the windows; None outside the sweep."""
     crossover_white_deg: float | None
+    seeds_won: FloatArray
+    """Share of the seeds for which yaw = 0 beats the full calibration in most windows, slow unknown."""
 
 
 @dataclass(frozen=True)

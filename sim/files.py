@@ -84,7 +84,12 @@ def writable_folder(path: Path | str) -> Path:
     path = Path(path)
     if path.exists() and not path.is_dir():
         raise BadInput("is a file", where=str(path), wanted="a folder for the results")
-    write_bytes(path / f"{_PREFIX}probe", b"")
+    try:
+        write_bytes(path / f"{_PREFIX}probe", b"")
+    except BadInput:
+        raise BadInput(
+            "cannot write in this folder", where=str(path), wanted="a folder that is not write-protected (see --out)"
+        ) from None
     (path / f"{_PREFIX}probe").unlink(missing_ok=True)
     return path
 

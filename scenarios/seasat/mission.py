@@ -51,7 +51,12 @@ class Flight:
 
 def scenario() -> Scenario:
     """The packaged scenario."""
-    return parse_scenario(_text("seasat.toml"), where="seasat.toml")
+    return parse_scenario(scenario_text(), where="seasat.toml")
+
+
+def scenario_text() -> str:
+    """The packaged scenario as it is written, with the source of each number."""
+    return _text("seasat.toml")
 
 
 def fly(config: Scenario, world: World | None = None) -> Flight:

@@ -36,23 +36,27 @@ def printed_columns() -> FloatArray:
 def calibration_table(study: CalibrationStudy) -> Table:
     """Table 1: our columns with sigma beside the printed ones."""
     printed = printed_columns()
+    order = [len(DATA_SETS) - 1, *range(len(DATA_SETS) - 1)]
     columns = ["parameter"]
-    for name in DATA_SETS:
-        columns += [name, "printed"]
+    for d in order:
+        columns += [list(DATA_SETS)[d], "printed"]
     rows: list[list[str]] = []
     values = np.array([vector(study.fits[d]) for d in DATA_SETS])
     sigmas = np.array([study.scatter(d) for d in DATA_SETS])
     for k, parameter in enumerate(NAMES):
         in_mG = parameter.startswith("b")
         row = [f"{parameter} [mG]" if in_mG else parameter]
-        for d in range(len(DATA_SETS)):
+        for d in order:
             row.append(_with_sigma(values[d, k], sigmas[d, k], 1 if in_mG else 3))
             row.append(_printed(printed[d, k], signed=in_mG or d == len(DATA_SETS) - 1, digits=1 if in_mG else 3))
         rows.append(row)
-    rows.append(
-        _row("residual [mG]", [f"{rms_mG(study.fits[d]):.1f}" for d in DATA_SETS], _printed_row("noise", ".1f"))
-    )
-    rows.append(_row("samples", [str(len(study.fits[d].time)) for d in DATA_SETS], _printed_row("samples", ".0f")))
+    residuals = [f"{rms_mG(study.fits[d]):.1f}" for d in DATA_SETS]
+    counts = [str(len(study.fits[d].time)) for d in DATA_SETS]
+    for title, ours, theirs in (
+        ("residual [mG]", residuals, _printed_row("noise", ".1f")),
+        ("samples", counts, _printed_row("samples", ".0f")),
+    ):
+        rows.append(_row(title, [ours[d] for d in order], [theirs[d] for d in order]))
     return Table(
         "Table 1 (C): calibration by data set",
         columns,
@@ -93,7 +97,7 @@ def scatter_table(study: CalibrationStudy) -> Table:
         rows,
         "Every run has its own seed and start hours. The first three columns are the rms variation of the field along "
         "its principal directions in the body (medians). The weakest lies along Y, the orbit normal, so only the column "
-        "of S that multiplies B_y scatters, and its bias with it. `refused`: the field varied less than the noise. The "
+        "of S that multiplies B_y scatters, and its bias with it. Refused: the field varied less than the noise. The "
         "last two rows: had the unknown been white instead of slow, which the papers do not say.",
     )  # fmt: skip
 
@@ -154,9 +158,12 @@ def yaw_table(results: Results) -> Table:
     return Table("Yaw", ["quantity", "here", "printed", "where"], rows)
 
 
-def claims_table(claims: Sequence[Claim]) -> Table:
+def claims_table(claims: Sequence[Claim], *, with_why: bool = False) -> Table:
     """All claims, one line each."""
-    rows: list[list[Cell]] = [[claim.id, claim.where, claim.paper, claim.here, claim.status] for claim in claims]
+    rows: list[list[Cell]] = []
+    for claim in claims:
+        status = f"{claim.status}: {claim.why}" if with_why and claim.why else claim.status
+        rows.append([claim.id, claim.where, claim.paper, claim.here, status])
     return Table("The papers' claims", ["claim", "where", "printed", "here", "status"], rows)
 
 

@@ -157,6 +157,7 @@ def _sweep(config: Scenario, fine: Flight, ground: FieldModel, progress: Progres
         spread_white=spread["white"],
         crossover_deg=_crossover(amplitude_deg, mean["full"]),
         crossover_white_deg=_crossover(amplitude_deg, mean["white"]),
+        seeds_won=np.mean(shares["full"] > 0.5, axis=1),
     )
 
 

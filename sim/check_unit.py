@@ -6,6 +6,8 @@ stretches it.
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from fluxtwin.sim.check_orientation import FAR_BETTER, Sample, SMALLEST_MISFIT_nT
@@ -15,6 +17,8 @@ from fluxtwin.sim.types import FloatArray
 
 HIGHEST_FIELD_nT = 70_000.0
 """The Earth's field reaches 66,000 nT at the ground; no orbit meets 70,000."""
+HIGHEST_BIASED_nT = 120_000.0
+"""That and a bias of 50,000 nT."""
 LOWEST_FIELD_nT = 1_000.0
 """Reached by the dipole 13,000 km up; below, an orbit must be higher or the unit wrong."""
 UNIT_RATIO = 1.5
@@ -23,8 +27,10 @@ LARGEST_BIAS_nT = 110_000.0
 """Uncompensated CubeSats fly with 17,000 to 62,000 nT an axis: at most 62,000 times the root of three."""
 CANCELLED = 0.15
 """A bias that cancels the field to less than this share of |B| is not believed (by chance once in 300 biases)."""
-BIASED_MISFIT = 0.15
-"""Share of |B| that may be left after a bias fit: scale errors and misalignments of 10 % leave that much."""
+BIASED_MISFIT, HIGHEST_BIASED_MISFIT = 0.15, 0.3
+"""Share of the reading, bias included, that scale errors and misalignments of 10 % leave; and never more than that
+share of the field. A reading stretched twice or more and turned leaves 1."""
+_FIT_ROWS = 300
 _UNITS = (
     (1e-9, "tesla sold as nT"),
     (1e-5, "gauss sold as nT"),
@@ -72,8 +78,10 @@ def blind_magnitude(telemetry: Telemetry) -> list[Finding]:
     if LOWEST_FIELD_nT <= typical <= HIGHEST_FIELD_nT:
         return [note("not_compared", "no positions: the magnitude is possible, but was not compared with the model")]
     guess = _nearest_unit(typical / 35_000.0, 3.0)
-    if typical <= HIGHEST_FIELD_nT + LARGEST_BIAS_nT and typical > HIGHEST_FIELD_nT:
-        text = f"the median of |B| is {typical:.4g} nT, more than any field (no positions): a large bias or another unit"
+    if HIGHEST_FIELD_nT < typical <= HIGHEST_BIASED_nT:
+        text = (
+            f"the median of |B| is {typical:.4g} nT, more than any field: a large bias or another unit (no positions)"
+        )
         return [note("not_compared", text)]
     likely = f"; likely {guess}" if guess else ""
     what = "no orbit has" if typical > HIGHEST_FIELD_nT else "no orbit below 13,000 km altitude has"
@@ -94,15 +102,17 @@ def _nearest_unit(ratio: float, within: float) -> str | None:
 
 
 def _explaining_bias_nT(sample: Sample, ratio: float) -> float | None:
-    """Size of the bias that makes |B| fit as it stands, unless it is unbelievable or a factor fits far better."""
+    """Size of the bias that makes |B| fit as it stands, unless it is unbelievable or a known unit fits far better."""
     if ratio < CANCELLED:
         return None
     wanted = np.linalg.norm(sample.field_N_nT, axis=1)
     bias_nT, misfit = _magnitude_bias(sample.mag_nT, wanted)
     size = float(np.linalg.norm(bias_nT))
     scaled = _core_rms(np.linalg.norm(sample.mag_nT, axis=1) / ratio - wanted)
-    allowed = max(BIASED_MISFIT * float(np.median(wanted)), SMALLEST_MISFIT_nT)
-    if size > LARGEST_BIAS_nT or misfit > allowed or scaled < FAR_BETTER * misfit:
+    share = min(BIASED_MISFIT * max(ratio, 1.0), HIGHEST_BIASED_MISFIT)
+    allowed = max(share * float(np.median(wanted)), SMALLEST_MISFIT_nT)
+    unit_fits = _nearest_unit(ratio, UNIT_RATIO) is not None and scaled < FAR_BETTER * misfit
+    if size > LARGEST_BIAS_nT or misfit > allowed or unit_fits:
         return None
     return size
 
@@ -110,26 +120,31 @@ def _explaining_bias_nT(sample: Sample, ratio: float) -> float | None:
 def _magnitude_bias(mag_nT: FloatArray, wanted_nT: FloatArray) -> tuple[FloatArray, float]:
     """Offset d (3,) [nT] with |reading - d| closest to `wanted_nT` (N,), and the rms [nT] it leaves.
 
-    Squares are linear in d once |d|^2 is free; Gauss-Newton then ties the two. Directions that the record does not
-    show stay near zero through a weak prior of 100,000 nT.
+    Squares are linear in d once |d|^2 is free; Gauss-Newton then ties the two. A short arc has several minima, so it
+    starts on all sides of the reading as well; believable biases go first.
     """
     scale = 1e4
-    m, size = mag_nT / scale, wanted_nT / scale
+    thin = slice(None, None, 1 + len(mag_nT) // _FIT_ROWS)
+    m, size = mag_nT[thin] / scale, wanted_nT[thin] / scale
     design = np.column_stack([2.0 * m, np.ones(len(m))])
     fit, *_ = np.linalg.lstsq(design, np.sum(m**2, axis=1) - size**2, rcond=1e-6)
-    best = np.zeros(3), np.inf
-    for start in (fit[:3], np.zeros(3), m.mean(axis=0)):
-        d = np.array(start)
-        for _ in range(30):
-            off = m - d
-            length = np.maximum(np.linalg.norm(off, axis=1), 1e-9)
-            slope = off / length[:, None]
-            normal = slope.T @ slope / len(m) + np.eye(3) * 1e-4
-            d = d + np.linalg.solve(normal, slope.T @ (length - size) / len(m))
-        left = _core_rms(np.linalg.norm(m - d, axis=1) - size)
-        if left < best[1]:
-            best = d, left
-    return best[0] * scale, best[1] * scale
+    sides = np.array([side for side in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(side)])
+    sides *= float(np.median(size)) / np.linalg.norm(sides, axis=1)[:, None]
+    fits = [_gauss_newton(m, size, start) for start in (fit[:3], np.zeros(3), *(m.mean(axis=0) + sides))]
+    d, left = min(fits, key=lambda fit: (np.linalg.norm(fit[0]) * scale > LARGEST_BIAS_nT, fit[1]))
+    return d * scale, left * scale
+
+
+def _gauss_newton(m: FloatArray, size: FloatArray, start: FloatArray) -> tuple[FloatArray, float]:
+    """The offset (3,) and the rms left, from one start; damped along directions that the record does not show."""
+    d = np.array(start)
+    for _ in range(20):
+        off = m - d
+        length = np.maximum(np.linalg.norm(off, axis=1), 1e-9)
+        slope = off / length[:, None]
+        normal = slope.T @ slope / len(m) + np.eye(3) * 1e-4
+        d = d + np.linalg.solve(normal, slope.T @ (length - size) / len(m))
+    return d, _core_rms(np.linalg.norm(m - d, axis=1) - size)
 
 
 def _core_rms(left: FloatArray) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from fluxtwin.scenarios.seasat import mission
 from fluxtwin.sim import attitude, frames, sun
 from fluxtwin.sim.check import check_file, check_telemetry, repair
 from fluxtwin.sim.errors import BadInput
@@ -38,8 +39,13 @@ def good(
     year: int = 1978,
     altitude_km: float = 790.0,
     inclination_deg: float = 108.0,
+    bias_nT: float | None = None,
+    scale_error: float = 0.02,
 ) -> Telemetry:
-    """A record as a healthy spacecraft sends it: preflight errors of 2 %, 1000 nT, 0.3 deg, LSB 440 nT."""
+    """A record as a healthy spacecraft sends it: preflight errors of 2 %, 1000 nT, 0.3 deg, LSB 440 nT.
+
+    `bias_nT` is the size of a bias in a random direction instead.
+    """
     rng = stream(seed, "check.good")
     start = np.datetime64(f"{year}-07-24T06:00:00", "ns")
     orbit = Orbit(
@@ -53,7 +59,8 @@ def good(
     r, v = orbit.propagate(time)
     R_BN = _attitude(mode, time, r, v, rng)
     field = R_BN.apply(field_N_nT(model, time, r))
-    S, b = rng.normal(0.0, 0.02, (3, 3)), rng.normal(0.0, 1000.0, 3)
+    S, b = rng.normal(0.0, 0.02, (3, 3)) * (scale_error / 0.02), rng.normal(0.0, 1000.0, 3)
+    b *= 1.0 if bias_nT is None else bias_nT / np.linalg.norm(b)
     reading = (field - b) @ np.linalg.inv(np.eye(3) + S).T + rng.normal(0.0, 50.0, field.shape)
     noise = Rotation.from_rotvec(rng.normal(0.0, np.radians(0.3), (rows, 3)))
     light = sun.illumination(r, sun.sun_N_km(time))
@@ -78,9 +85,14 @@ def _attitude(mode: str, time: np.ndarray, r: np.ndarray, v: np.ndarray, rng: np
     if mode == "spin":
         seconds = (time - time[0]).astype("int64") * 1e-9
         return Rotation.from_rotvec(np.outer(seconds * 2.0 * np.pi / 97.3, [0.0, 0.0, 1.0])) * start
+    if mode == "tumble":
+        return attitude.tumble(
+            time, np.array([1.0, 1.6, 2.1]), frames.q_from_rotation(start), rng.normal(0.0, 0.01, 3)
+        ).R_BN
+    swing = 30.0 if mode == "wide" else 1.0
     return attitude.earth_pointing(
         time, r, v,
-        yaw_amplitude_rad=0.02, roll_amplitude_rad=0.01, pitch_amplitude_rad=0.01,
+        yaw_amplitude_rad=swing * 0.02, roll_amplitude_rad=swing * 0.01, pitch_amplitude_rad=swing * 0.01,
         shortest_period_s=600.0, longest_period_s=6000.0, rng=rng,
     ).R_BN  # fmt: skip
 
@@ -101,6 +113,39 @@ def test_good_files_are_clean(model: FieldModel, mode: str, case: dict[str, floa
         found = check_telemetry(good(model, seed, mode=mode, **case), model)  # type: ignore[arg-type]
         assert [(f.code, f.text) for f in found.traps] == []
         assert found.exit_status == 0
+
+
+LARGE = (*CASES, {"rows": 150, "step_s": 60.0, "year": 2020, "altitude_km": 550.0, "inclination_deg": 97.6})
+
+
+@pytest.mark.parametrize("mode", ["earth", "wide", "spin", "tumble", "hold"])
+@pytest.mark.parametrize("bias_nT", [10_000.0, 20_000.0, 50_000.0])
+def test_a_large_bias_is_no_trap(model: FieldModel, mode: str, bias_nT: float) -> None:
+    """Uncompensated CubeSats fly with 170 to 620 mG an axis. False alarms: under 1 % of such files."""
+    for seed, case in enumerate(LARGE):
+        record = good(model, seed, mode=mode, bias_nT=bias_nT, scale_error=0.06, **case)  # type: ignore[arg-type]
+        assert [(f.code, f.text) for f in check_telemetry(record, model).traps] == []
+
+
+@pytest.fixture(scope="module")
+def seasat() -> Telemetry:
+    return mission.fly(mission.scenario()).telemetry
+
+
+@pytest.mark.parametrize("day", [None, 205, 219, 225, 227])
+@pytest.mark.parametrize("extra_mG", [(0, 0, 0), (120, -60, -100), (-96, 96, 98), (-170, 170, 175), (0, 500, 0)])
+def test_simulated_seasat_is_clean(
+    model: FieldModel, seasat: Telemetry, day: int | None, extra_mG: tuple[float, ...]
+) -> None:
+    """Its printed bias is 98.2 mG (Lerner and Shuster 1979, Table 1); more is put on top, up to 600 mG in all."""
+    days = (seasat.time.astype("datetime64[D]") - np.datetime64("1978-01-01")).astype(int) + 1
+    record = seasat if day is None else seasat.select(days == day)
+    record = record.replace(mag_B_nT=record.mag_B_nT - 100.0 * np.array(extra_mG))
+    found = check_telemetry(record, model)
+    assert [(f.code, f.text) for f in found.traps] == []
+    assert found.exit_status == 0
+    if day is None:
+        assert "large_bias" in {finding.code for finding in found.notes}, "what it cannot tell is still said"
 
 
 def turned_attitude(record: Telemetry, R_XN: Rotation) -> Telemetry:
@@ -184,6 +229,27 @@ def test_a_trap_is_named(model: FieldModel, name: str) -> None:
     assert any(words in text for text in texts), texts
     if code == "magnetometer_unit":
         assert len(found.traps) == 1, "a wrong unit must not be taken for other traps"
+
+
+LARGE_TRAPS = (
+    "counts", "milligauss", "microtesla", "tesla", "gauss", "transposed", "scalar first", "orbital",
+    "Earth-fixed attitude", "swapped", "flipped", "shifted", "Earth-fixed position",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LARGE_TRAPS)
+@pytest.mark.parametrize("mode", ["earth", "tumble"])
+def test_a_large_bias_hides_no_trap(model: FieldModel, mode: str, name: str) -> None:
+    spoil, code, _ = TRAPS[name]
+    found = check_telemetry(spoil(good(model, 2, mode=mode, bias_nT=20_000.0)), model)
+    assert code in {finding.code for finding in found.traps}, found.traps
+
+
+def test_metres_sold_as_kilometres_and_kilometres_sold_as_metres_are_named(model: FieldModel) -> None:
+    record = good(model, 2)
+    for factor in (1e3, 1e-3):
+        wrong = record.replace(r_N_km=np.array(record.r_N_km) * factor, v_N_km_s=np.array(record.v_N_km_s) * factor)
+        assert check_telemetry(wrong, model).exit_status == 1
 
 
 @pytest.mark.parametrize("name", ["transposed", "scalar first", "orbital", "swapped", "shifted"])

@@ -1,51 +1,39 @@
 """The chain of the sensors: field, attitude and spacecraft become readings, readings become telemetry.
 
-The stages pass one frozen `Signal` on; each draws only from the random streams that carry its own name, so
-switching one source off moves no other.
+Each source draws only from the random streams that carry its own name, so switching one off moves no other. What
+the scenario's effects do is in `effects`; the same chain predicts readings for a diagnosis.
 """
 
 from __future__ import annotations
 
+import json
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim import frames
 from fluxtwin.sim import scenario_spacecraft as spacecraft
 from fluxtwin.sim.attitude import Attitude
+from fluxtwin.sim.effects.chain import Active, Chain
+from fluxtwin.sim.field import load_field
 from fluxtwin.sim.gauss_markov import gauss_markov
 from fluxtwin.sim.housekeeping import Housekeeping
 from fluxtwin.sim.random_streams import stream
 from fluxtwin.sim.scenario import Scenario
+from fluxtwin.sim.scenario_effects import active_effects, effects_record
 from fluxtwin.sim.sensors.reference_attitude import (
     attitude_from_sun_and_nadir,
     attitude_with_error,
     q_where,
 )
 from fluxtwin.sim.sensors.sun_sensor import measure_sun
+from fluxtwin.sim.signal import Direction, Motion, Setting, Signal
 from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.truth import Truth
 from fluxtwin.sim.types import FloatArray
 from fluxtwin.sim.world import World
-
-
-@dataclass(frozen=True)
-class Signal:
-    """What has become of the field on its way from the world to the reading; N rows, body axes."""
-
-    attitude: Attitude
-    """The true motion."""
-    field_B_nT: FloatArray
-    """(N, 3) ambient field."""
-    dipole_B_Am2: FloatArray
-    """(N, 3) what the torquers do."""
-    unknown_B_nT: FloatArray
-    """(N, 3) field of the unexplained source."""
-    ideal_B_nT: FloatArray
-    """(N, 3) reading before noise, saturation and rounding."""
-    reading_B_nT: FloatArray
-    """(N, 3) reading as it is telemetered."""
 
 
 @dataclass(frozen=True)
@@ -59,24 +47,49 @@ class Attached:
     rate_B_rad_s: FloatArray | None
 
 
+def torquer_dipole_B_Am2(scenario: Scenario, world: World, attitude: Attitude) -> FloatArray:
+    """(N, 3) what the torquers do."""
+    field_B_nT = attitude.R_BN.apply(world.field_N_nT)
+    return spacecraft.torquer_schedule(scenario).dipole_B_Am2(world.time, field_B_nT)
+
+
 def fly_magnetometer(
-    scenario: Scenario, world: World, motion: Attitude, dipole_B_Am2: FloatArray | None = None
+    scenario: Scenario,
+    world: World,
+    motion: Motion,
+    columns: Mapping[str, FloatArray],
+    direction: Direction = "simulate",
 ) -> Signal:
-    """The chain of the magnetometer. dipole_B_Am2 (N, 3): recorded torquer activity instead of the schedule's."""
+    """The chain of the magnetometer, with the scenario's effects.
+
+    columns: everything that was recorded or will be, by telemetry name, `dipole_B_Am2` as it really was. An effect
+    that has nothing to act on is left out with a warning that says why.
+    """
     instrument = spacecraft.magnetometer(scenario)
-    field = motion.R_BN.apply(world.field_N_nT)
-    dipole = dipole_B_Am2
-    if dipole is None:
-        dipole = spacecraft.torquer_schedule(scenario).dipole_B_Am2(world.time, field)
-    unknown = _unknown_field_nT(scenario, world)
-    return Signal(
-        attitude=motion,
-        field_B_nT=field,
-        dipole_B_Am2=dipole,
-        unknown_B_nT=unknown,
-        ideal_B_nT=instrument.ideal_reading(field + unknown, dipole),
-        reading_B_nT=instrument.reading(field + unknown, dipole, stream(scenario.seed, "magnetometer.noise")),
+    setting = Setting(
+        time=world.time,
+        motion=motion,
+        direction=direction,
+        model=load_field(scenario.field.truth, degree=scenario.field.truth_degree),
+        instrument=instrument,
+        columns=columns,
+        full_scale_nT=scenario.magnetometer.full_scale_nT,
+        field_N_nT=world.field_N_nT,
+        unknown_B_nT=_unknown_field_nT(scenario, world),
     )
+    noise_nT = instrument.noise_nT * stream(scenario.seed, "magnetometer.noise").standard_normal((world.time.size, 3))
+    return Chain(setting).simulated(_testable(active_effects(scenario), setting), scenario.seed, noise_nT)
+
+
+def _testable(active: Sequence[Active], setting: Setting) -> list[Active]:
+    kept = []
+    for effect, theta in active:
+        reason = effect.untestable(setting)
+        if reason is None:
+            kept.append((effect, theta))
+        else:
+            warnings.warn(f"effects.{effect.name} is left out: {reason}", stacklevel=2)
+    return kept
 
 
 def fly_others(scenario: Scenario, world: World, motion: Attitude) -> Attached:
@@ -120,53 +133,80 @@ def _unknown_field_nT(scenario: Scenario, world: World) -> FloatArray:
     return gauss_markov(world.time, source.nT, tau_s, rng, columns=3)
 
 
+def recorded_columns(
+    world: World, attached: Attached, housekeeping: Housekeeping, dipole_B_Am2: FloatArray
+) -> dict[str, FloatArray]:
+    """What effects may follow, by telemetry name."""
+    columns = {
+        "dipole_B_Am2": dipole_B_Am2,
+        "sunlit": (world.illumination > 0.5).astype(np.float64),
+        "heater_on": housekeeping.heater_on,
+        "array_current_A": housekeeping.array_current_A,
+        "battery_current_A": housekeeping.battery_current_A,
+        "temperature_degC": housekeeping.temperature_degC,
+        "wheel_speed_rpm": housekeeping.wheel_speed_rpm,
+        "sun_sensor_head": attached.sun_sensor_head,
+        "sun_B": attached.sun_B,
+        "nadir_B": attached.nadir_B,
+        "rate_B_rad_s": attached.rate_B_rad_s,
+    }
+    return {name: column for name, column in columns.items() if column is not None}
+
+
 def to_telemetry(
-    scenario: Scenario, world: World, signal: Signal, attached: Attached, housekeeping: Housekeeping
+    scenario: Scenario, signal: Signal, attached: Attached, columns: Mapping[str, FloatArray]
 ) -> Telemetry:
     """What reaches the ground; no truth in it, not even in the provenance."""
-    telemetered = scenario.torquers is not None and scenario.torquers.telemetered
+    telemetered = dict(columns)
+    if scenario.torquers is None or not scenario.torquers.telemetered:
+        del telemetered["dipole_B_Am2"]
     return Telemetry(
-        time=world.time,
-        mag_B_nT=signal.reading_B_nT,
-        r_N_km=world.r_N_km,
-        v_N_km_s=world.v_N_km_s,
-        q_NB=attached.q_NB,
-        dipole_B_Am2=signal.dipole_B_Am2 if telemetered else None,
-        sunlit=(world.illumination > 0.5).astype(np.float64),
-        heater_on=housekeeping.heater_on,
-        array_current_A=housekeeping.array_current_A,
-        battery_current_A=housekeeping.battery_current_A,
-        temperature_degC=housekeeping.temperature_degC,
-        wheel_speed_rpm=housekeeping.wheel_speed_rpm,
-        sun_sensor_head=attached.sun_sensor_head,
-        sun_B=attached.sun_B,
-        nadir_B=attached.nadir_B,
-        rate_B_rad_s=attached.rate_B_rad_s,
+        time=signal.setting.time,
+        mag_B_nT=signal.reading,
+        r_N_km=signal.r_reported_N_km,
+        v_N_km_s=signal.v_reported_N_km_s,
+        q_NB=_reported_q_NB(signal, attached.q_NB),
         provenance={"source": "simulation", "spacecraft": scenario.spacecraft.name},
+        **telemetered,  # type: ignore[arg-type]
     )
 
 
-def to_truth(scenario: Scenario, world: World, signal: Signal) -> Truth:
+def _reported_q_NB(signal: Signal, q_NB: FloatArray) -> FloatArray:
+    """The reference attitude, turned by what the effects on it do; rows without one stay so."""
+    given = signal.setting.given[2]
+    if signal.R_reported_BN is given:
+        return q_NB
+    known = np.isfinite(q_NB).all(axis=1)
+    turned = np.array(q_NB)
+    effect = (signal.R_reported_BN * given.inv())[np.flatnonzero(known)]
+    turned[known] = frames.q_from_rotation(effect * frames.rotation_from_q(q_NB[known]))
+    return turned
+
+
+def to_truth(scenario: Scenario, world: World, attitude: Attitude, signal: Signal) -> Truth:
     """What really happened, row by row; it is written to a file of its own, or nowhere."""
-    R_BN: Rotation = signal.attitude.R_BN
-    yaw, roll, pitch = frames.yaw_roll_pitch(R_BN * world.R_ON.inv())
+    yaw, roll, pitch = frames.yaw_roll_pitch(attitude.R_BN * world.R_ON.inv())
     instrument = spacecraft.magnetometer(scenario)
+    dipole, unknown = signal.setting.column("dipole_B_Am2"), signal.setting.unknown_B_nT
+    assert dipole is not None and unknown is not None
+    assert signal.field_N_nT is not None and signal.ideal_B_nT is not None
     return Truth(
         time=world.time,
         r_N_km=world.r_N_km,
         v_N_km_s=world.v_N_km_s,
-        q_NB=signal.attitude.q_NB,
-        rate_B_rad_s=signal.attitude.rate_B_rad_s,
+        q_NB=attitude.q_NB,
+        rate_B_rad_s=attitude.rate_B_rad_s,
         yaw_rad=yaw,
         roll_rad=roll,
         pitch_rad=pitch,
-        field_N_nT=world.field_N_nT,
+        field_N_nT=signal.field_N_nT,
         field_B_nT=signal.field_B_nT,
-        unknown_B_nT=signal.unknown_B_nT,
+        unknown_B_nT=unknown,
         ideal_B_nT=signal.ideal_B_nT,
-        dipole_B_Am2=signal.dipole_B_Am2,
+        dipole_B_Am2=dipole,
         illumination=world.illumination,
         S=instrument.S,
         b_nT=instrument.b_nT,
         T_nT_per_Am2=spacecraft.torquer_correction(scenario),
+        effects=json.dumps(effects_record(scenario)),
     )

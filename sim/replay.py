@@ -9,10 +9,11 @@ from fluxtwin.sim import chain, epoch, frames
 from fluxtwin.sim.attitude import Attitude
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.gauss_markov import gauss_markov
+from fluxtwin.sim.motion import RecordedMotion
 from fluxtwin.sim.progress import Progress, silent
 from fluxtwin.sim.random_streams import stream
 from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.telemetry import Telemetry, recorded_columns
 from fluxtwin.sim.telemetry_io import read_telemetry
 from fluxtwin.sim.truth import Truth
 from fluxtwin.sim.types import FloatArray
@@ -23,7 +24,8 @@ def simulate_replay(scenario: Scenario, progress: Progress = silent) -> tuple[Te
     """Run a scenario with [replay]: the recorded readings are replaced, everything else stays as recorded.
 
     The recorded attitude stays the reported one; the true one is that less an error drawn from
-    [attitude.reference]. Rows without position, velocity or attitude are left out.
+    [attitude.reference]. Likewise the effects of the scenario change what was true, not what was recorded: the truth
+    gives orbit and attitude without those on orbit and attitude. Rows without position, velocity or attitude are left out.
     Raises BadInput when the file lacks one of these columns altogether.
     """
     assert scenario.replay is not None
@@ -47,12 +49,16 @@ def simulate_replay(scenario: Scenario, progress: Progress = silent) -> tuple[Te
     progress("field and sensors", 0.3)
     segment = np.zeros(len(recorded))
     world = world_along(scenario, recorded.time, segment, recorded.r_N_km, recorded.v_N_km_s)
-    motion = _true_motion(scenario, recorded)
-    signal = chain.fly_magnetometer(scenario, world, motion, recorded.dipole_B_Am2)
+    attitude = _true_motion(scenario, recorded)
+    motion = RecordedMotion(recorded.time, world.r_N_km, world.v_N_km_s, attitude.R_BN, recorded.rate_B_rad_s)
+    columns = recorded_columns(recorded)
+    if recorded.dipole_B_Am2 is None:
+        columns["dipole_B_Am2"] = chain.torquer_dipole_B_Am2(scenario, world, attitude)
+    signal = chain.fly_magnetometer(scenario, world, motion, columns, direction="predict")
     provenance = {"source": "simulation along a recorded file", "spacecraft": scenario.spacecraft.name}
     telemetry = recorded.replace(mag_B_nT=signal.reading_B_nT, provenance=provenance)
     progress("done", 1.0)
-    return telemetry, chain.to_truth(scenario, world, signal)
+    return telemetry, chain.to_truth(scenario, world, attitude, signal)
 
 
 def _true_motion(scenario: Scenario, recorded: Telemetry) -> Attitude:

@@ -11,6 +11,7 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from fluxtwin.sim import files
 from fluxtwin.sim import scenario_config as sections
+from fluxtwin.sim.scenario_effects import EffectsSection
 from fluxtwin.sim.toml_input import parse_tree, read_tree, validate
 
 
@@ -33,6 +34,7 @@ class Scenario(sections.Section):
     power: sections.PowerSection | None = None
     thermal: sections.ThermalSection | None = None
     wheels: sections.WheelsSection | None = None
+    effects: EffectsSection = EffectsSection()
 
     _folder: Path = PrivateAttr(default=Path("."))
 
@@ -48,6 +50,11 @@ class Scenario(sections.Section):
         reference = self.attitude.reference
         if (reference.needs_sun or reference.source == "sensors") and not self.sun_sensor:
             raise ValueError("the reference attitude wants sun sensors: add [sun_sensor.1], ...")
+        if reference.source == "sensors" and (reference.sigma_deg or reference.tau_s):
+            raise ValueError(
+                "a reference attitude from sensors has the sensors' errors: leave sigma_deg and tau_s out, or use "
+                'source = "error_model"'
+            )
         if reference.source == "sensors" and self.horizon_scanner is None:
             raise ValueError("a reference attitude from sensors wants a [horizon_scanner]")
         if self.attitude.mode in ("tumble", "spin") and self.spacecraft.inertia_kg_m2 is None:
@@ -78,8 +85,8 @@ class Scenario(sections.Section):
         return Path(name) if Path(name).is_absolute() else self._folder / name
 
     def to_toml(self) -> str:
-        """The scenario as TOML; reading it back gives an equal scenario."""
-        return tomli_w.dumps(_plain(self.model_dump(exclude_none=True, exclude_defaults=True)))
+        """The scenario as TOML, every key that has a value, so that it does not change with the defaults."""
+        return tomli_w.dumps(_plain(self.model_dump(exclude_none=True)))
 
 
 def load_scenario(path: Path | str) -> Scenario:

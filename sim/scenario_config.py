@@ -55,7 +55,7 @@ class OrbitSection(Section):
 
     tle: str | None = None
     epoch_utc: Stamp | None = None
-    altitude_km: Annotated[float, Field(gt=100, lt=1e6)] | None = None
+    altitude_km: Annotated[float, Field(gt=80, lt=1e6)] | None = None
     """Semi-major axis less 6378.137 km."""
     eccentricity: Annotated[float, Field(ge=0, lt=1)] = 0.0
     inclination_deg: Annotated[float, Field(ge=0, le=180)] | None = None
@@ -65,6 +65,8 @@ class OrbitSection(Section):
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
+        if self.altitude_km is not None and self.altitude_km > 100_000:
+            raise ValueError(f"altitude_km = {self.altitude_km:g} looks like metres; it is in km")
         names = ("epoch_utc", "altitude_km", "inclination_deg", "raan_deg", "argument_of_latitude_deg")
         missing = [name for name in names if getattr(self, name) is None]
         if self.tle is None and missing:
@@ -73,8 +75,8 @@ class OrbitSection(Section):
             raise ValueError("give either tle or elements, not both")
         if self.altitude_km is not None:
             perigee = (self.altitude_km + 6378.137) * (1 - self.eccentricity) - 6378.137
-            if perigee < 100:
-                raise ValueError(f"the perigee is at {perigee:.0f} km altitude; at least 100 km is wanted")
+            if perigee < 80:
+                raise ValueError(f"the perigee is at {perigee:.0f} km altitude; at least 80 km is wanted")
         return self
 
 

@@ -7,6 +7,7 @@ from fluxtwin.sim.housekeeping import run_housekeeping
 from fluxtwin.sim.progress import Progress, silent
 from fluxtwin.sim.scenario import Scenario
 from fluxtwin.sim.scenario_attitude import true_attitude
+from fluxtwin.sim.scenario_motion import ScenarioMotion
 from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.truth import Truth
 from fluxtwin.sim.world import World, build_world
@@ -24,12 +25,14 @@ def simulate(scenario: Scenario, *, world: World | None = None, progress: Progre
     progress("orbit, sun and field", 0.0)
     world = build_world(scenario) if world is None else world
     progress("attitude", 0.4)
-    motion = true_attitude(scenario, world)
-    progress("sensors", 0.6)
-    signal = chain.fly_magnetometer(scenario, world, motion)
-    attached = chain.fly_others(scenario, world, motion)
-    progress("housekeeping", 0.8)
+    motion = ScenarioMotion(scenario, world, true_attitude(scenario, world))
+    progress("housekeeping", 0.6)
+    attitude = motion.attitude
     housekeeping = run_housekeeping(scenario, world)
+    progress("sensors", 0.8)
+    attached = chain.fly_others(scenario, world, attitude)
+    dipole = chain.torquer_dipole_B_Am2(scenario, world, attitude)
+    columns = chain.recorded_columns(world, attached, housekeeping, dipole)
+    signal = chain.fly_magnetometer(scenario, world, motion, columns)
     progress("done", 1.0)
-    telemetry = chain.to_telemetry(scenario, world, signal, attached, housekeeping)
-    return telemetry, chain.to_truth(scenario, world, signal)
+    return chain.to_telemetry(scenario, signal, attached, columns), chain.to_truth(scenario, world, attitude, signal)

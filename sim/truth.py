@@ -38,16 +38,18 @@ class Truth:
     S: FloatArray
     b_nT: FloatArray
     T_nT_per_Am2: FloatArray
+    effects: str = "{}"
+    """The scenario's effects as JSON: names, settings and parameters with their units."""
 
     def write(self, path: Path | str) -> Path:
         """Write everything to NetCDF (atomic, checksummed)."""
         return files.write_with(path, self._write)
 
     def _write(self, path: Path) -> None:
-        columns: dict[str, tuple[tuple[str, ...], FloatArray]] = {}
+        columns: dict[str, tuple[tuple[str, ...], FloatArray | str]] = {"effects": ((), self.effects)}
         for item in fields(self):
             value = getattr(self, item.name)
-            if item.name == "time":
+            if item.name in ("time", "effects"):
                 continue
             constant = item.name in ("S", "b_nT", "T_nT_per_Am2")
             rows = () if constant else ("time",)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -9,7 +10,9 @@ import numpy as np
 from pydantic import BaseModel
 
 from fluxtwin.sim import scenario_config
+from fluxtwin.sim.effects.catalogue import CATALOGUE
 from fluxtwin.sim.scenario import Scenario, parse_scenario
+from fluxtwin.sim.scenario_effects import keys_of
 from fluxtwin.sim.simulate import simulate
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -35,6 +38,16 @@ def test_every_key_of_a_scenario_is_described():
         if not re.search(rf"\b{re.escape(key)}\b", text)
     ]
     assert not missing
+
+
+def test_every_effect_and_its_keys_are_described():
+    text = (ROOT / "docs" / "scenario.md").read_text(encoding="utf-8")
+    for effect in CATALOGUE:
+        (row,) = re.findall(rf"^\| `{effect.name}` \|.*$", text, flags=re.MULTILINE)
+        keys = keys_of(effect)
+        told = keys if len(keys) < 7 else (keys[0], keys[-1])  # of 18 or 30 alike the first and the last
+        names = [key.name for key in told] + [item.name for item in dataclasses.fields(effect)]
+        assert [name for name in names if f"`{name}`" not in row] == []
 
 
 def test_links_in_the_documents_lead_somewhere():

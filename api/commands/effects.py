@@ -1,0 +1,132 @@
+"""`fluxtwin effects`: what reality may do that the baseline lacks."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fluxtwin.commands.options import JsonOption
+from fluxtwin.console import Output, wrapped
+
+if TYPE_CHECKING:
+    from fluxtwin.sim.effects.base import Effect
+    from fluxtwin.sim.scenario_effects import Key
+
+NAME = "effects"
+BRIEF = "The catalogue of effects, with units and typical sizes."
+_ENTRIES = 4
+
+
+def command(
+    effect: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="One effect in full, with a section for a scenario.")
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """List what reality may do that the baseline lacks: stage, parameters with unit, typical size and range.
+
+    The keys are those of [effects.NAME] in a scenario; zero is absent. With NAME, that effect in full.
+    """
+    from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
+
+    output = Output(json)
+    if effect is None:
+        chosen: tuple[Effect, ...] = CATALOGUE
+        _overview(output, chosen)
+    else:
+        chosen = (find_effect(effect, where="effects"),)
+        _in_full(output, chosen[0])
+    output.result({"effects": [_record(one) for one in chosen]})
+
+
+def _overview(output: Output, effects: tuple[Effect, ...]) -> None:
+    from fluxtwin.sim.scenario_effects import keys_of
+
+    rows = []
+    for effect in effects:
+        keys = keys_of(effect)
+        shown = ", ".join(_shape(key) for key in keys[:_ENTRIES])
+        if len(keys) > _ENTRIES:
+            shown += f", ... ({sum(key.count for key in keys)} in all)"
+        sizes = ", ".join(dict.fromkeys(_size(key) for key in keys))
+        rows.append((effect.name, _stage(effect), _brief(effect), shown, sizes))
+    output.table(
+        "Effects, in the order in which nature applies them",
+        ("name", "stage (looks like)", "what reality does", "parameters", "typical"),
+        rows,
+    )
+    output.say("`fluxtwin effects NAME` tells what one does, its range and how to switch it on in a scenario.")
+
+
+def _in_full(output: Output, effect: Effect) -> None:
+    from fluxtwin.sim.scenario_effects import effect_toml, keys_of
+
+    output.say(f"{effect.name}: stage {_stage(effect)}")
+    output.say(wrapped(f"{effect.about}.", 100))
+    rows = [
+        (p.name, _unit(p.unit), p.scale, _bound(p.low), _bound(p.high), key.name)
+        for key in keys_of(effect)
+        for p in key.parameters
+    ]
+    output.say()
+    output.table("", ("parameter", "unit", "typical", "lowest", "highest", "key in the scenario"), rows)
+    output.say("In a scenario, at its typical size:")
+    output.say()
+    output.say(effect_toml(effect, [p.scale for p in effect.parameters]))
+
+
+def _record(effect: Effect) -> dict[str, Any]:
+    from fluxtwin.sim.effects.base import SignalEffect
+    from fluxtwin.sim.scenario_effects import keys_of
+
+    return {
+        "name": effect.name,
+        "stage": effect.stage,
+        "equivalent_stages": list(effect.equivalent_stages),
+        "kind": "signal" if isinstance(effect, SignalEffect) else "distribution",
+        "about": effect.about,
+        "settings": _settings(effect),
+        "parameters": [
+            {
+                "name": p.name, "unit": _unit(p.unit), "typical": p.scale, "key": key.name,
+                "range": [_bound(p.low), _bound(p.high)],
+            }
+            for key in keys_of(effect)
+            for p in key.parameters
+        ],
+    }  # fmt: skip
+
+
+def _settings(effect: Effect) -> dict[str, Any]:
+    """Name and default of each discrete setting."""
+    import dataclasses
+
+    return {item.name: getattr(effect, item.name) for item in dataclasses.fields(effect)}
+
+
+def _brief(effect: Effect) -> str:
+    return (type(effect).__doc__ or "").split("\n")[0]
+
+
+def _stage(effect: Effect) -> str:
+    others = ", ".join(effect.equivalent_stages)
+    return f"{effect.stage} ({others})" if others else effect.stage
+
+
+def _shape(key: Key) -> str:
+    return key.name if key.count == 1 else f"{key.name} ({'3x3' if key.count == 9 else key.count})"
+
+
+def _size(key: Key) -> str:
+    first = key.parameters[0]
+    return f"{first.scale:g} {_unit(first.unit)}".rstrip()
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else unit
+
+
+def _bound(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

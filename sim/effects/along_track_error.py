@@ -1,0 +1,30 @@
+"""The orbit that the ground is given runs ahead of the true one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from fluxtwin.sim.effects.base import Parameter, SignalEffect
+from fluxtwin.sim.signal import Signal
+from fluxtwin.sim.types import FloatArray
+
+
+@dataclass(frozen=True)
+class AlongTrackError(SignalEffect):
+    """Position and velocity turned about the orbit normal by ahead / r; the attitude is right."""
+
+    name: ClassVar[str] = "along_track_error"
+    stage: ClassVar[str] = "orbit"
+    about: ClassVar[str] = (
+        "the reported position is ahead of the true one by this arc along the orbit, constant over the record; two-line "
+        "elements are off by 1-5 km at their epoch and tens of km a week later, nearly all of it along track "
+        "(Vallado & Cefola 2012)"
+    )
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter("ahead", "km", 5.0, -1000.0, 1000.0),)
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        return signal.position_reported_ahead(float(theta[0]))

@@ -1,0 +1,102 @@
+"""What every effect is: a small frozen object with a name, a stage and parameters, for which zero is absent.
+
+The same object switches the effect on in the simulation (`apply`) and gives the diagnosis its Jacobian (the
+difference of the noise-free chain), so what can be diagnosed can by construction be simulated.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from fluxtwin.sim.signal import Setting, Signal
+from fluxtwin.sim.types import FloatArray
+
+STAGES = ("dynamics", "time", "orbit", "field", "attitude", "spacecraft", "sensor", "telemetry")
+"""In the order in which nature applies them."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number that says how large an effect is."""
+
+    name: str
+    unit: str
+    scale: float
+    """A typical size: the step of the Jacobian."""
+    low: float = -np.inf
+    high: float = np.inf
+    """Physical range."""
+
+
+@dataclass(frozen=True)
+class Effect(ABC):
+    """Base of all effects. Fields of a subclass are its discrete settings (a degree, a head, a condition)."""
+
+    name: ClassVar[str]
+    stage: ClassVar[str]
+    about: ClassVar[str]
+    """What reality does, what + means, and the source of the model."""
+    equivalent_stages: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    @abstractmethod
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its parameters, in the order of `theta`."""
+
+    def alternatives(self, setting: Setting) -> tuple[Effect, ...]:
+        """The discrete settings worth trying on this design; just itself for most."""
+        return (self,)
+
+    def untestable(self, setting: Setting) -> str | None:
+        """Why this design cannot show the effect at all, in words; None when it can."""
+        return None
+
+
+@dataclass(frozen=True)
+class SignalEffect(Effect):
+    """An effect that changes the signal in a way that repeats."""
+
+    after_noise: ClassVar[bool] = False
+    """Whether it acts on readings that have their noise already, after everything else in its stage."""
+
+    @abstractmethod
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        """The signal with the effect in it; theta = 0 is identity."""
+
+
+@dataclass(frozen=True)
+class DistributionEffect(Effect):
+    """An effect that is known by its distribution only."""
+
+    after_rounding: ClassVar[bool] = False
+    """Whether it acts on readings that have their noise and are saturated and rounded already."""
+
+    @abstractmethod
+    def draw(self, signal: Signal, theta: FloatArray, rng: np.random.Generator) -> Signal:
+        """The signal with one draw of the effect in it; theta = 0 is identity."""
+
+
+def vector_parameters(prefix: str, unit: str, scale: float) -> tuple[Parameter, ...]:
+    """Three parameters, one an axis: prefix_x, prefix_y, prefix_z."""
+    return tuple(Parameter(f"{prefix}_{axis}", unit, scale) for axis in "xyz")
+
+
+def known_column(setting: Setting, name: str) -> FloatArray | None:
+    """A recorded column with gaps filled by their neighbours (held), or None when absent or wholly missing."""
+    column = setting.column(name)
+    return None if column is None else held(column)
+
+
+def held(column: FloatArray) -> FloatArray | None:
+    """A column (N,) or (N, k) with gaps filled by the value before (at the start: after), or None if all are gaps."""
+    finite = np.isfinite(column) if column.ndim == 1 else np.isfinite(column).all(axis=1)
+    if not finite.any():
+        return None
+    latest = np.maximum.accumulate(np.where(finite, np.arange(finite.size), 0))
+    latest[: int(np.argmax(finite))] = int(np.argmax(finite))
+    filled: FloatArray = column[latest]
+    return filled

@@ -1,0 +1,35 @@
+"""A bias that wanders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from fluxtwin.sim.effects.base import DistributionEffect, Parameter
+from fluxtwin.sim.effects.instrument import in_reading
+from fluxtwin.sim.signal import Signal
+from fluxtwin.sim.types import FloatArray
+
+
+@dataclass(frozen=True)
+class BiasRandomWalk(DistributionEffect):
+    """b of equation 1 does a random walk on each axis, from zero at the first row."""
+
+    name: ClassVar[str] = "bias_random_walk"
+    stage: ClassVar[str] = "sensor"
+    equivalent_stages: ClassVar[tuple[str, ...]] = ("spacecraft",)
+    about: ClassVar[str] = (
+        "b of eq. 1 wanders, its variance growing by rate^2 a second (rate random walk of IEEE Std 952)"
+    )
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter("rate", "nT/sqrt(s)", 1.0, 0.0),)
+
+    def draw(self, signal: Signal, theta: FloatArray, rng: np.random.Generator) -> Signal:
+        steps = rng.standard_normal((signal.rows, 3))
+        size = theta[0] * np.sqrt(np.diff(signal.setting.seconds, prepend=0.0))
+        walk = np.cumsum(size[:, None] * steps, axis=0)
+        return signal.with_reading(signal.reading - in_reading(signal.setting, walk))

@@ -1,0 +1,56 @@
+"""A bias that jumps once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from fluxtwin.sim import epoch
+from fluxtwin.sim.effects.base import Parameter, SignalEffect, vector_parameters
+from fluxtwin.sim.effects.instrument import in_reading
+from fluxtwin.sim.signal import Setting, Signal
+from fluxtwin.sim.types import FloatArray
+
+_GRID = 31
+
+
+@dataclass(frozen=True)
+class BiasStep(SignalEffect):
+    """b of equation 1 is larger from `at` on."""
+
+    name: ClassVar[str] = "bias_step"
+    stage: ClassVar[str] = "sensor"
+    equivalent_stages: ClassVar[tuple[str, ...]] = ("spacecraft",)
+    about: ClassVar[str] = (
+        "b of eq. 1 jumps at a moment and stays; + lowers the reading from then on "
+        "(additive jump: Willsky & Jones 1976, doi 10.1109/TAC.1976.1101146)"
+    )
+    at: str | None = None
+    """ISO 8601 UTC; None: the middle row."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return vector_parameters("b", "nT", 100.0)
+
+    def alternatives(self, setting: Setting) -> tuple[BiasStep, ...]:
+        """Moments spread evenly over the rows, at a row each; the given one alone where there is one."""
+        rows = setting.time.size
+        if self.at is not None or rows < 3:
+            return (self,)
+        number = np.unique(np.linspace(0, rows, _GRID + 2)[1:-1].round().astype(int))
+        return tuple(replace(self, at=epoch.iso(setting.time[row], "ms")) for row in number if 0 < row < rows)
+
+    def after(self, setting: Setting) -> FloatArray:
+        """(N,) 0 before the jump, 1 from it on."""
+        moment = setting.time[setting.time.size // 2] if self.at is None else epoch.parse_time(self.at, where=self.name)
+        return (setting.time >= moment).astype(np.float64)
+
+    def untestable(self, setting: Setting) -> str | None:
+        after = self.after(setting)
+        return None if 0.0 < after.mean() < 1.0 else "the moment lies outside the record"
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        shift = in_reading(signal.setting, theta)
+        return signal.with_reading(signal.reading - self.after(signal.setting)[:, None] * shift)

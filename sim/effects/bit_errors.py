@@ -1,0 +1,66 @@
+"""Readings with a wrong bit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from fluxtwin.sim.effects.base import DistributionEffect, Parameter
+from fluxtwin.sim.errors import BadInput
+from fluxtwin.sim.signal import Signal
+from fluxtwin.sim.types import FloatArray
+
+_DEFAULT_LSB_NT = 1.0
+
+
+@dataclass(frozen=True)
+class BitErrors(DistributionEffect):
+    """Single components of readings have a bit flipped or stuck, at a rate, independently.
+
+    A reading's code is reading / LSB, a two's complement word just long enough for the record's largest, plus
+    its sign bit. Only whole codes change, by a power of two, so a reading that was not rounded keeps its rest.
+    """
+
+    name: ClassVar[str] = "bit_errors"
+    stage: ClassVar[str] = "telemetry"
+    after_rounding: ClassVar[bool] = True
+    about: ClassVar[str] = (
+        "single readings with a flipped or stuck bit, share of the components that are hit (undetected bit errors of "
+        "Seasat's telemetry: Lerner & Shuster 1981)"
+    )
+    bit: int | None = None
+    """Number of the bit, 0 for the LSB's; None: any of the word, the sign's included, with equal chance."""
+    kind: Literal["flip", "stuck_0", "stuck_1"] = "flip"
+    lsb_nT: float | None = None
+    """Step of the code; None: the instrument's, or 1 nT if that does not round."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter("rate", "1", 0.01, 0.0, 1.0),)
+
+    def step_nT(self, signal: Signal) -> float:
+        """The step of the code."""
+        return self.lsb_nT or signal.setting.instrument.lsb_nT or _DEFAULT_LSB_NT
+
+    def draw(self, signal: Signal, theta: FloatArray, rng: np.random.Generator) -> Signal:
+        lsb = self.step_nT(signal)
+        whole = np.rint(signal.reading / lsb)
+        code = np.where(np.isfinite(whole), whole, 0.0).astype(np.int64)
+        word = int(np.abs(code).max()).bit_length() + 1
+        if self.bit is not None and not 0 <= self.bit < 62:
+            raise BadInput(f"bit {self.bit}", where=self.name, wanted="0 to 61, or none for any")
+        hit = rng.random(code.shape) < theta[0]
+        chosen = rng.integers(0, word, code.shape)
+        mask = np.left_shift(np.int64(1), chosen if self.bit is None else np.full(code.shape, self.bit))
+        wrong = {"flip": code ^ mask, "stuck_0": code & ~mask, "stuck_1": code | mask}[self.kind]
+        wrong = _sign_extended(wrong, word if self.bit is None else max(word, self.bit + 1))
+        return signal.with_reading(signal.reading + np.where(hit, lsb * (wrong - code), 0.0))
+
+
+def _sign_extended(code: np.ndarray, word: int) -> np.ndarray:
+    """Codes as a two's complement word of that many bits says them."""
+    low = code & ((1 << word) - 1)
+    extended: np.ndarray = np.where(low >> (word - 1) & 1 == 1, low - (1 << word), low)
+    return extended

@@ -1,0 +1,81 @@
+"""The list of effects: adding one is a module and a line here."""
+
+from __future__ import annotations
+
+import difflib
+
+from fluxtwin.sim.effects.along_track_error import AlongTrackError
+from fluxtwin.sim.effects.base import Effect
+from fluxtwin.sim.effects.battery_current import BatteryCurrent
+from fluxtwin.sim.effects.bias import Bias
+from fluxtwin.sim.effects.bias_random_walk import BiasRandomWalk
+from fluxtwin.sim.effects.bias_step import BiasStep
+from fluxtwin.sim.effects.bit_errors import BitErrors
+from fluxtwin.sim.effects.coarse_quantization import CoarseQuantization
+from fluxtwin.sim.effects.cubic_nonlinearity import CubicNonlinearity
+from fluxtwin.sim.effects.eddy_current import EddyCurrent
+from fluxtwin.sim.effects.excess_noise import ExcessNoise
+from fluxtwin.sim.effects.field_epoch import FieldEpoch
+from fluxtwin.sim.effects.field_truncation import FieldTruncation
+from fluxtwin.sim.effects.heater_switching import HeaterSwitching
+from fluxtwin.sim.effects.horizon_scanner_bias import HorizonScannerBias
+from fluxtwin.sim.effects.hysteresis import Hysteresis
+from fluxtwin.sim.effects.quadratic_nonlinearity import QuadraticNonlinearity
+from fluxtwin.sim.effects.ring_current import RingCurrent
+from fluxtwin.sim.effects.saturation import Saturation
+from fluxtwin.sim.effects.scale_misalignment import ScaleMisalignment
+from fluxtwin.sim.effects.sensor_lag import SensorLag
+from fluxtwin.sim.effects.solar_array_current import SolarArrayCurrent
+from fluxtwin.sim.effects.sun_sensor_head_misalignment import SunSensorHeadMisalignment
+from fluxtwin.sim.effects.switched_field import SwitchedField
+from fluxtwin.sim.effects.thermal_bias_drift import ThermalBiasDrift
+from fluxtwin.sim.effects.thermal_scale_drift import ThermalScaleDrift
+from fluxtwin.sim.effects.time_tag_offset import TimeTagOffset
+from fluxtwin.sim.effects.torquer_coupling import TorquerCoupling
+from fluxtwin.sim.effects.wheel_field import WheelField
+from fluxtwin.sim.effects.yaw_drift import YawDrift
+from fluxtwin.sim.errors import BadInput
+
+CATALOGUE: tuple[Effect, ...] = (
+    TimeTagOffset(),
+    AlongTrackError(),
+    FieldEpoch(),
+    FieldTruncation(),
+    RingCurrent(),
+    SunSensorHeadMisalignment(),
+    HorizonScannerBias(),
+    YawDrift(),
+    TorquerCoupling(),
+    SolarArrayCurrent(),
+    BatteryCurrent(),
+    HeaterSwitching(),
+    WheelField(),
+    EddyCurrent(),
+    SwitchedField(),
+    Bias(),
+    ScaleMisalignment(),
+    ThermalBiasDrift(),
+    ThermalScaleDrift(),
+    BiasStep(),
+    BiasRandomWalk(),
+    Hysteresis(),
+    QuadraticNonlinearity(),
+    CubicNonlinearity(),
+    SensorLag(),
+    ExcessNoise(),
+    Saturation(),
+    CoarseQuantization(),
+    BitErrors(),
+)
+"""Every effect with its default settings, in stage order."""
+
+
+def find_effect(name: str, *, where: str = "effects") -> Effect:
+    """The effect called `name`; raises BadInput that names the nearest one."""
+    for effect in CATALOGUE:
+        if effect.name == name:
+            return effect
+    names = [effect.name for effect in CATALOGUE]
+    near = difflib.get_close_matches(name.lower(), names, n=1, cutoff=0.4)
+    hint = f"; did you mean {near[0]}?" if near else ""
+    raise BadInput(f"no effect is called {name!r}{hint}", where=where, wanted="one of " + ", ".join(names))

@@ -1,0 +1,160 @@
+"""The chain with effects in it: stage by stage, in nature's order.
+
+`Chain` remembers the baseline's signal at every stage, and the last one it computed with effects, so an effect on
+the sensor costs no field evaluation.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from fluxtwin.sim.effects.base import STAGES, DistributionEffect, Effect, SignalEffect
+from fluxtwin.sim.errors import BadInput
+from fluxtwin.sim.field import field_N_nT
+from fluxtwin.sim.random_streams import stream
+from fluxtwin.sim.signal import Setting, Signal, start
+from fluxtwin.sim.types import FloatArray
+
+Active = tuple[Effect, FloatArray]
+"""An effect and its parameters."""
+
+_Key = tuple[tuple[int, bytes], ...]
+
+
+class Chain:
+    """The noise-free chain of one setting. Not frozen: it caches, but always gives the same answer."""
+
+    def __init__(self, setting: Setting) -> None:
+        self.setting = setting
+        self._latest: dict[int, tuple[_Key, Sequence[Active], Signal]] = {}
+
+    @cached_property
+    def _baseline(self) -> dict[str, Signal]:
+        signal, stages = start(self.setting), {}
+        for stage in STAGES:
+            signal = _enter(stage, signal)
+            stages[stage] = signal
+        return stages
+
+    @property
+    def baseline_nT(self) -> FloatArray:
+        """(N, 3) reading without any effect."""
+        return self._baseline["telemetry"].reading
+
+    def reading_nT(self, active: Sequence[Active] = ()) -> FloatArray:
+        """(N, 3) noise-free reading with these effects on; distribution effects are passed over."""
+        return self.signal(active).reading
+
+    def signal(self, active: Sequence[Active] = ()) -> Signal:
+        """The signal at the end of the chain with these signal effects on."""
+        wanted = [pair for pair in active if isinstance(pair[0], SignalEffect) and np.any(pair[1])]
+        if not wanted:
+            return self._baseline["telemetry"]
+        first = min(STAGES.index(effect.stage) for effect, _ in wanted)
+        signal, begin = self._baseline[STAGES[first]], first
+        keys = [_key(wanted, number) for number in range(len(STAGES))]
+        for number in range(len(STAGES) - 1, first - 1, -1):
+            # The signal after a stage depends on the effects up to that stage only.
+            if number in self._latest and self._latest[number][0] == keys[number]:
+                signal, begin = self._latest[number][2], number + 1
+                break
+        for number in range(begin, len(STAGES)):
+            if number > first:
+                signal = _enter(STAGES[number], signal)
+            signal = _fold(signal, wanted, STAGES[number])
+            self._latest[number] = (keys[number], wanted, signal)  # the effects are kept: ids stay theirs
+        return signal
+
+    def simulated(self, active: Sequence[Active], seed: int, noise_nT: FloatArray | None = None) -> Signal:
+        """The signal with signal effects and one draw of the distribution effects; streams by effect name.
+
+        noise_nT: (N, 3) noise of the sensor. Given, it is added once the signal effects of the sensor have acted;
+        then come the draws of its distribution effects, clipping, full scale and rounding, a coarser rounding, and
+        only then the telemetry.
+        """
+        signal = start(self.setting)
+        for stage in STAGES:
+            signal = _fold(_enter(stage, signal), active, stage, after_noise=False)
+            if stage == "sensor":
+                signal = dataclasses.replace(signal, ideal_B_nT=signal.reading)
+                if noise_nT is not None:
+                    signal = signal.with_reading(signal.reading + noise_nT)
+            signal = _draw(signal, active, stage, seed, after_rounding=False)
+            signal = _fold(signal, active, stage, after_noise=True)
+            if stage == "sensor" and noise_nT is not None:
+                signal = signal.with_reading(self.setting.instrument.digitise(signal.reading))
+            signal = _draw(signal, active, stage, seed, after_rounding=True)
+        return signal
+
+
+def jacobian(
+    chain: Chain, effect: SignalEffect, at: Sequence[Active] = (), theta: FloatArray | None = None
+) -> FloatArray:
+    """(N, 3, p) derivative of the noise-free reading by the effect's parameters, in units per parameter unit.
+
+    Central differences of the whole chain with the default scale as step; one-sided where the range ends at zero.
+    at: other effects that are on; theta: where to differentiate (default zero: absent).
+    """
+    values = np.zeros(len(effect.parameters)) if theta is None else np.asarray(theta, dtype=np.float64)
+    columns = []
+    for number, parameter in enumerate(effect.parameters):
+        up, down = values.copy(), values.copy()
+        up[number] = min(up[number] + parameter.scale, parameter.high)
+        down[number] = max(down[number] - parameter.scale, parameter.low)
+        if up[number] == down[number]:
+            raise BadInput(f"{effect.name}: parameter {parameter.name} has no room to move", where="jacobian")
+        high = chain.reading_nT([*at, (effect, up)])
+        low = chain.reading_nT([*at, (effect, down)])
+        columns.append((high - low) / (up[number] - down[number]))
+    return np.stack(columns, axis=-1)
+
+
+def _key(active: Sequence[Active], last: int) -> _Key:
+    """What the signal after stage number `last` depends on."""
+    upstream = [pair for pair in active if STAGES.index(pair[0].stage) <= last]
+    return tuple((id(effect), np.asarray(theta, dtype=np.float64).tobytes()) for effect, theta in upstream)
+
+
+def _enter(stage: str, signal: Signal) -> Signal:
+    """What the baseline itself does on entering a stage."""
+    if stage == "field":
+        setting = signal.setting
+        if setting.field_N_nT is not None and signal.r_N_km is setting.given[0]:
+            return dataclasses.replace(signal, field_N_nT=setting.field_N_nT)
+        field = field_N_nT(setting.model, signal.sampled_time, signal.r_N_km, signal.R_EN)
+        return dataclasses.replace(signal, field_N_nT=field)
+    if stage == "sensor":
+        at_sensor = signal.field_B_nT
+        if signal.stray_B_nT is not None:
+            at_sensor = at_sensor + signal.stray_B_nT
+        dipole = signal.setting.column("dipole_B_Am2")
+        return signal.with_reading(signal.setting.instrument.ideal_reading(at_sensor, dipole))
+    return signal
+
+
+def _fold(signal: Signal, active: Sequence[Active], stage: str, after_noise: bool | None = None) -> Signal:
+    """The signal effects of a stage; all of them, or only those before or after the noise."""
+    # What was reported wrong in one order is put right in the opposite one: rotations do not commute.
+    back = stage == "attitude" and signal.setting.direction == "predict"
+    here = [pair for pair in active if pair[0].stage == stage and np.any(pair[1])]
+    for late in (False, True) if after_noise is None else (after_noise,):
+        for effect, theta in reversed(here) if back else here:
+            if isinstance(effect, SignalEffect) and effect.after_noise == late:
+                signal = effect.apply(signal, np.asarray(theta, dtype=np.float64))
+    return signal
+
+
+def _draw(signal: Signal, active: Sequence[Active], stage: str, seed: int, after_rounding: bool) -> Signal:
+    """The distribution effects of a stage, before or after the sensor's own rounding."""
+    here = [pair for pair in active if pair[0].stage == stage and np.any(pair[1])]
+    for effect, theta in here:
+        if isinstance(effect, DistributionEffect) and effect.after_rounding == after_rounding:
+            signal = effect.draw(signal, np.asarray(theta), stream(seed, f"effects.{effect.name}"))
+    return signal
+
+
+__all__ = ["Active", "Chain", "Setting", "jacobian"]

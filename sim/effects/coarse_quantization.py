@@ -1,0 +1,36 @@
+"""Readings in coarser steps than declared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from fluxtwin.sim.effects.base import DistributionEffect, Parameter
+from fluxtwin.sim.signal import Signal
+from fluxtwin.sim.types import FloatArray
+
+
+@dataclass(frozen=True)
+class CoarseQuantization(DistributionEffect):
+    """The true step is `lsb`, not the declared one. Steps finer than the declared change nothing."""
+
+    name: ClassVar[str] = "coarse_quantization"
+    stage: ClassVar[str] = "sensor"
+    equivalent_stages: ClassVar[tuple[str, ...]] = ("telemetry",)
+    after_rounding: ClassVar[bool] = True
+    about: ClassVar[str] = (
+        "readings rounded to a step larger than declared, error lsb/sqrt(12) rms (Widrow & Kollar 2008, Quantization "
+        "Noise; Seasat 440 nT, HCMM 470 nT)"
+    )
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter("lsb", "nT", 400.0, 0.0),)
+
+    def draw(self, signal: Signal, theta: FloatArray, rng: np.random.Generator) -> Signal:
+        lsb = float(theta[0])
+        if lsb <= signal.setting.instrument.lsb_nT:
+            return signal
+        return signal.with_reading(lsb * np.rint(signal.reading / lsb))

@@ -1,0 +1,31 @@
+"""A magnetometer whose response is curved alike on both sides of zero."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from fluxtwin.sim.effects.base import Parameter, SignalEffect
+from fluxtwin.sim.effects.instrument import mapped
+from fluxtwin.sim.effects.polynomial import monomials, products
+from fluxtwin.sim.signal import Signal
+from fluxtwin.sim.types import FloatArray
+
+
+@dataclass(frozen=True)
+class CubicNonlinearity(SignalEffect):
+    """Each axis gains a combination of the ten products of three components of the linear reading."""
+
+    name: ClassVar[str] = "cubic_nonlinearity"
+    stage: ClassVar[str] = "sensor"
+    about: ClassVar[str] = (
+        "reading gains products of three components, nT at 50,000 nT each, + raises it (the 10 x 3 terms of CryoSat-2: "
+        "Olsen et al. 2020, doi 10.1186/s40623-020-01171-9)"
+    )
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(Parameter(f"c_{axis}_{name}", "nT", 50.0) for axis in "xyz" for name in monomials(3))
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        return signal.with_reading(signal.reading + mapped(theta.reshape(3, 10), products(signal.reading, 3)))

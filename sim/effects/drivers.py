@@ -1,0 +1,79 @@
+"""What drives the effects of the spacecraft: recorded columns, and what stands in where they are absent."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from fluxtwin.sim.constants import GM_EARTH_KM3_S2
+from fluxtwin.sim.effects.base import known_column
+from fluxtwin.sim.effects.history import relax
+from fluxtwin.sim.power import FixedPanel, TrackingArray, incidence_cosine
+from fluxtwin.sim.signal import Setting
+from fluxtwin.sim.types import FloatArray
+
+PanelKind = Literal["zenith", "tracking", "constant"]
+"""A panel on the -z face, an array that turns about y, or a current that only shadow cuts."""
+
+STANDARD_SWING_K = 20.0
+"""Swing of the equilibrium temperature between shadow and sun where no temperature was recorded."""
+
+
+def lit(setting: Setting) -> FloatArray:
+    """(N,) 1 in sunlight, 0 in shadow: the column `sunlit`, else the share of the disc from geometry."""
+    column = known_column(setting, "sunlit")
+    return setting.illumination if column is None else column
+
+
+def array_current_A(setting: Setting, panel: PanelKind) -> FloatArray:
+    """(N,) recorded current of the solar array, else that of an array of 1 A in full sun."""
+    column = known_column(setting, "array_current_A")
+    if column is not None:
+        return column
+    if panel == "constant":
+        return lit(setting)
+    sun_B = setting.given[2].apply(setting.sun_N)
+    shape = FixedPanel((0.0, 0.0, -1.0), 1.0) if panel == "zenith" else TrackingArray((0.0, 1.0, 0.0), 1.0)
+    current: FloatArray = lit(setting) * incidence_cosine(sun_B, shape)
+    return current
+
+
+def battery_current_A(setting: Setting) -> FloatArray:
+    """(N,) recorded current of the battery, positive when charging; else +1 A in sunlight, -1 A in shadow."""
+    column = known_column(setting, "battery_current_A")
+    return 2.0 * lit(setting) - 1.0 if column is None else column
+
+
+def temperature_K(setting: Setting, time_constant_s: float) -> FloatArray:
+    """(N,) recorded temperature [degC], else a first-order lag behind sun and shadow of the standard swing.
+
+    Where the record covers an orbit, the lag starts from the state that its first orbit, repeated for ever,
+    leads back to, so that there is no transient; else from the mean.
+    """
+    column = known_column(setting, "temperature_degC")
+    if column is not None:
+        return column
+    goal = STANDARD_SWING_K * lit(setting)
+    seconds, period_s = setting.seconds, orbital_period_s(setting)
+    start = float(goal.mean())
+    if seconds[-1] >= period_s:
+        orbit = seconds <= period_s
+        kept = float(np.exp(-seconds[orbit][-1] / time_constant_s))
+        end = float(relax(seconds[orbit], goal[orbit], time_constant_s, start=start)[-1])
+        start = (end - kept * start) / (1.0 - kept)
+    return relax(seconds, goal, time_constant_s, start=start)
+
+
+def orbital_period_s(setting: Setting) -> float:
+    """Kepler period of the first row's orbit (vis-viva); an orbit that is not closed counts as infinite."""
+    r, v = setting.given[0][0], setting.given[1][0]
+    inverse_axis = 2.0 / float(np.linalg.norm(r)) - float(v @ v) / GM_EARTH_KM3_S2
+    if not inverse_axis > 0:
+        return float("inf")
+    return float(2.0 * np.pi / np.sqrt(GM_EARTH_KM3_S2 * inverse_axis**3))
+
+
+def varies(column: FloatArray, least: float = 1e-6) -> bool:
+    """Whether a column moves by more than a millionth of its largest value (or of one unit)."""
+    return bool(np.ptp(column) > least * max(1.0, float(np.abs(column).max())))

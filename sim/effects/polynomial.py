@@ -1,0 +1,24 @@
+"""Products of the reading's components: the shared part of the nonlinearities."""
+
+from __future__ import annotations
+
+from itertools import combinations_with_replacement
+
+import numpy as np
+
+from fluxtwin.sim.types import FloatArray
+
+STANDARD_FIELD_NT = 50_000.0
+"""Where coefficients of nonlinearities are given."""
+
+
+def monomials(degree: int) -> tuple[str, ...]:
+    """Names of the products of `degree` components: xx xy xz yy yz zz, or xxx xxy ... zzz."""
+    return tuple("".join(letters) for letters in combinations_with_replacement("xyz", degree))
+
+
+def products(reading_B_nT: FloatArray, degree: int) -> FloatArray:
+    """(N, M) products of the components (N, 3), in units of the standard field, in the order of `monomials`."""
+    unit = reading_B_nT / STANDARD_FIELD_NT
+    columns = [np.prod([unit[:, "xyz".index(letter)] for letter in name], axis=0) for name in monomials(degree)]
+    return np.stack(columns, axis=1)

@@ -1,0 +1,33 @@
+"""An error of scale, misalignment and crosstalk that the calibration does not know."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from fluxtwin.sim.effects.base import Parameter, SignalEffect
+from fluxtwin.sim.signal import Signal
+from fluxtwin.sim.types import FloatArray
+
+
+@dataclass(frozen=True)
+class ScaleMisalignment(SignalEffect):
+    """S of equation 1, beyond the baseline's: reading (I + S + dS)^-1 (I + S) B."""
+
+    name: ClassVar[str] = "scale_misalignment"
+    stage: ClassVar[str] = "sensor"
+    equivalent_stages: ClassVar[tuple[str, ...]] = ("attitude",)
+    about: ClassVar[str] = (
+        "S of A B0 = (I+S) B + b + T D (Lerner & Shuster 1981, eq. 1), row by row; + on the diagonal lowers the reading"
+    )
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(Parameter(f"S_{row}{column}", "1", 0.01, -0.5, 0.5) for row in "xyz" for column in "xyz")
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        nominal = np.eye(3) + signal.setting.instrument.S
+        changed = np.linalg.solve(nominal + theta.reshape(3, 3), nominal @ signal.reading.T).T
+        return signal.with_reading(np.asarray(changed, dtype=np.float64))

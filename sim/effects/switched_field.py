@@ -1,0 +1,107 @@
+"""The field of equipment that is on at times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from fluxtwin.sim import epoch, frames
+from fluxtwin.sim.effects.base import Parameter, SignalEffect, known_column, vector_parameters
+from fluxtwin.sim.effects.drivers import lit, varies
+from fluxtwin.sim.errors import BadInput
+from fluxtwin.sim.signal import Setting, Signal
+from fluxtwin.sim.types import FloatArray
+
+FLAG = "flag:"
+_PLAIN = ("eclipse", "night", "interval", "region")
+
+
+@dataclass(frozen=True)
+class SwitchedField(SignalEffect):
+    """Constant field while a condition holds.
+
+    condition: `flag:NAME` (a recorded flag), `eclipse` (the spacecraft in shadow), `night` (the ground below in
+    shadow), `interval` (from `from_utc` to `to_utc`), or `region` (the ground below inside `region_deg`).
+    """
+
+    name: ClassVar[str] = "switched_field"
+    stage: ClassVar[str] = "spacecraft"
+    about: ClassVar[str] = (
+        "constant field while a flag, a clock interval, shadow, night or a region holds, + along the axis "
+        "(HCMM's night passes: Lerner & Shuster 1981)"
+    )
+    condition: str = "eclipse"
+    from_utc: str | None = None
+    to_utc: str | None = None
+    region_deg: tuple[float, float, float, float] | None = None
+    """Southern and northern geocentric latitude, western and eastern longitude; west > east crosses 180."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return vector_parameters("f", "nT", 100.0)
+
+    def on(self, setting: Setting) -> FloatArray | None:
+        """(N,) share of the row during which the condition holds, mostly 0 or 1; None when nothing tells.
+
+        Raises BadInput for a condition that does not exist or lacks its interval or region.
+        """
+        if self.condition.startswith(FLAG):
+            return known_column(setting, "flag_" + self.condition.removeprefix(FLAG))
+        if self.condition == "eclipse":
+            return 1.0 - lit(setting)
+        if self.condition == "night":
+            height = np.einsum("ij,ij->i", setting.given[0], setting.sun_N)
+            return np.asarray(height < 0.0, dtype=np.float64)
+        if self.condition == "interval":
+            return _inside_interval(setting, self.from_utc, self.to_utc)
+        if self.condition == "region":
+            return _inside_region(setting, self.region_deg)
+        raise BadInput(
+            f"condition {self.condition!r}", where=self.name, wanted=f"{FLAG}NAME or one of {', '.join(_PLAIN)}"
+        )
+
+    def alternatives(self, setting: Setting) -> tuple[SwitchedField, ...]:
+        if self != SwitchedField():
+            return (self,)
+        flags = sorted(name.removeprefix("flag_") for name in setting.columns if name.startswith("flag_"))
+        conditions = [*(FLAG + name for name in flags), "eclipse", "night"]
+        choices = tuple(SwitchedField(condition) for condition in conditions)
+        return tuple(choice for choice in choices if choice._switches(setting)) or (self,)
+
+    def untestable(self, setting: Setting) -> str | None:
+        if self == SwitchedField():
+            if any(choice._switches(setting) for choice in self.alternatives(setting)):
+                return None
+            return "no flag switches, and neither shadow nor night begins or ends"
+        if self.on(setting) is None:
+            return f"the telemetry has no flag_{self.condition.removeprefix(FLAG)}"
+        return None if self._switches(setting) else f"{self.condition} never begins or ends"
+
+    def _switches(self, setting: Setting) -> bool:
+        on = self.on(setting)
+        return on is not None and varies(on)
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        on = self.on(signal.setting)
+        return signal if on is None else signal.with_stray(on[:, None] * theta)
+
+
+def _inside_interval(setting: Setting, from_utc: str | None, to_utc: str | None) -> FloatArray:
+    if from_utc is None or to_utc is None:
+        raise BadInput("no interval", where="switched_field", wanted="from_utc and to_utc")
+    start, end = epoch.parse_time(from_utc), epoch.parse_time(to_utc)
+    if not start < end:
+        raise BadInput(f"{from_utc} to {to_utc}", where="switched_field", wanted="an end after the start")
+    return ((setting.time >= start) & (setting.time < end)).astype(np.float64)
+
+
+def _inside_region(setting: Setting, region_deg: tuple[float, float, float, float] | None) -> FloatArray:
+    if region_deg is None:
+        raise BadInput("no region", where="switched_field", wanted="region_deg = [south, north, west, east]")
+    south, north, west, east = region_deg
+    latitude, longitude = (np.degrees(a) for a in frames.geocentric(setting.R_EN.apply(setting.given[0]))[:2])
+    width = east - west if east - west >= 360.0 else np.mod(east - west, 360.0)
+    inside = (latitude >= south) & (latitude <= north) & (np.mod(longitude - west, 360.0) <= width)
+    return inside.astype(np.float64)

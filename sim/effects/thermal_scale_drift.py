@@ -1,0 +1,48 @@
+"""Scale factors that follow the temperature."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from fluxtwin.sim.effects.base import Parameter, SignalEffect, known_column
+from fluxtwin.sim.effects.instrument import mapped
+from fluxtwin.sim.effects.thermal_bias_drift import TIME_CONSTANTS_S, thermally_untestable, warmer_K
+from fluxtwin.sim.signal import Setting, Signal
+from fluxtwin.sim.types import FloatArray
+
+
+@dataclass(frozen=True)
+class ThermalScaleDrift(SignalEffect):
+    """The diagonal of eq. 1's S grows with temperature, from zero at `reference_degC`; see thermal_bias_drift."""
+
+    name: ClassVar[str] = "thermal_scale_drift"
+    stage: ClassVar[str] = "sensor"
+    about: ClassVar[str] = (
+        "diagonal of eq. 1's S per K of temperature; + lowers the reading when warm (Swarm, about 1e-6 1/K: "
+        "Toffner-Clausen et al. 2016; fluxgates 1e-5 to 5e-5, magnetoresistors up to 3e-3)"
+    )
+    time_constant_s: float = 900.0
+    reference_degC: float | None = None
+    """Temperature without effect; None: the record's mean."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(Parameter(f"S_{axis}{axis}", "1/K", 1e-4, -0.01, 0.01) for axis in "xyz")
+
+    def alternatives(self, setting: Setting) -> tuple[ThermalScaleDrift, ...]:
+        if known_column(setting, "temperature_degC") is not None:
+            return (self,)
+        return tuple(replace(self, time_constant_s=tau_s) for tau_s in TIME_CONSTANTS_S)
+
+    def untestable(self, setting: Setting) -> str | None:
+        return thermally_untestable(setting, self.time_constant_s)
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        warmer = warmer_K(signal.setting, self.time_constant_s, self.reference_degC)
+        nominal = np.eye(3) + signal.setting.instrument.S
+        warm = nominal + warmer[:, None, None] * np.diag(theta)
+        changed = np.linalg.solve(warm, mapped(nominal, signal.reading)[:, :, None])[:, :, 0]
+        return signal.with_reading(np.asarray(changed, dtype=np.float64))

@@ -1,0 +1,26 @@
+"""The magnetometer is sampled later than its time stamp."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from fluxtwin.sim.effects.base import Parameter, SignalEffect
+from fluxtwin.sim.signal import Signal
+from fluxtwin.sim.types import FloatArray
+
+
+@dataclass(frozen=True)
+class TimeTagOffset(SignalEffect):
+    """Orbit and attitude are right at the stamp; the field is that of a moment later."""
+
+    name: ClassVar[str] = "time_tag_offset"
+    stage: ClassVar[str] = "time"
+    about: ClassVar[str] = "sampled later than the stamp (DMSP, Alken et al. 2014; GRACE-FO, Stolle et al. 2021)"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter("offset", "s", 0.5, -600.0, 600.0),)
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        return signal.sampled_later(float(theta[0]))

@@ -1,0 +1,103 @@
+"""The reference yaw runs away: a gyro carries it, and the gyro has a bias."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from fluxtwin.sim import sun
+from fluxtwin.sim.effects.base import Effect, Parameter, SignalEffect, known_column
+from fluxtwin.sim.signal import Setting, Signal
+from fluxtwin.sim.types import BoolArray, FloatArray
+
+_LONGEST_ECLIPSE_S = 4500.0  # geostationary: 72 minutes
+_STEP_S = 10.0
+_SAME_PASS_S = 300.0
+
+
+@dataclass(frozen=True)
+class YawDrift(SignalEffect):
+    """Yaw error about body z in proportion to time since the first stamp, or since entering eclipse."""
+
+    when: Literal["always", "eclipse"] = "always"
+    """eclipse: the gyro coasts in the shadow, from zero at each entry; right in sunlight."""
+
+    name: ClassVar[str] = "yaw_drift"
+    stage: ClassVar[str] = "attitude"
+    about: ClassVar[str] = (
+        "reported yaw (about body z) is too large by rate x time since the first stamp, or, when = eclipse, since "
+        "entering the shadow and zero outside it: drift of the gyro that carries yaw while no sensor sees it (rate "
+        "integration, Wertz 1978, section 6.5: 0.01-0.1 deg/h for a good gyro, 10 deg/h for a small one)"
+    )
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter("rate", "deg/h", 0.1, -100.0, 100.0),)
+
+    def alternatives(self, setting: Setting) -> tuple[Effect, ...]:
+        """Always, and in eclipse if there is one."""
+        both = (YawDrift("always"), YawDrift("eclipse"))
+        return both if both[1].untestable(setting) is None else both[:1]
+
+    def untestable(self, setting: Setting) -> str | None:
+        if setting.time.size < 2:
+            return "one row alone shows no drift"
+        if self.when == "eclipse" and not in_eclipse(setting).any():
+            return "no row is in eclipse"
+        return None
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        setting = signal.setting
+        since_s = setting.seconds if self.when == "always" else seconds_in_eclipse(setting)
+        yaw = np.radians(float(theta[0])) / 3600.0 * since_s
+        # A larger angle turns the axes one way, so it turns the vectors the other way.
+        return signal.attitude_reported_turned(-yaw[:, None] * np.array([0.0, 0.0, 1.0]))
+
+
+def in_eclipse(setting: Setting) -> BoolArray:
+    """(N,) True in the shadow: as recorded, else from geometry."""
+    lit = known_column(setting, "sunlit")
+    dark: BoolArray = (setting.illumination if lit is None else lit) <= 0.5
+    return dark
+
+
+def seconds_in_eclipse(setting: Setting) -> FloatArray:
+    """(N,) time since the shadow was entered; 0 outside it.
+
+    The entry is found by running the orbit back from the first dark row, so neither the sampling nor a record that
+    begins in the dark spoils it; but never before the last lit row.
+    """
+    dark, seconds = in_eclipse(setting), setting.seconds
+    before_dark = np.concatenate([[False], dark[:-1]])
+    step = np.concatenate([[np.inf], np.diff(seconds)])
+    first = np.flatnonzero(dark & (~before_dark | (step > _SAME_PASS_S)))
+    ago = np.minimum(_entry_ago_s(setting, first), np.where(before_dark[first], np.inf, step[first]))
+    entry = np.full(seconds.size, np.nan)
+    latest = np.nan
+    for row, back in zip(first, ago, strict=True):
+        if not (before_dark[row] and back >= step[row]):  # else it is the same eclipse, beyond a gap in the record
+            latest = seconds[row] - back
+        entry[row] = latest
+    numbers = np.searchsorted(first, np.arange(seconds.size), side="right") - 1
+    return np.where(dark, seconds - entry[first][numbers], 0.0) if first.size else np.zeros(seconds.size)
+
+
+def _entry_ago_s(setting: Setting, rows: np.ndarray) -> FloatArray:
+    """How long before these dark rows the spacecraft entered the shadow, on a circle through position and velocity."""
+    r, v = (vector[rows] for vector in setting.given[:2])
+    radius = np.linalg.norm(r, axis=1)
+    normal = np.cross(r, v)
+    rate = np.linalg.norm(normal, axis=1) / radius**2
+    across = np.cross(normal, r) / np.linalg.norm(normal, axis=1)[:, None]
+    sun_N_km = sun.sun_N_km(setting.time[rows]) if rows.size else np.zeros((0, 3))
+    ago, left = np.zeros(rows.size), np.arange(rows.size)
+    for back in np.arange(0.0, _LONGEST_ECLIPSE_S, _STEP_S):
+        angle = (rate[left] * back)[:, None]
+        there = r[left] * np.cos(angle) - across[left] * np.sin(angle)
+        ago[left] = back
+        left = left[sun.illumination(there, sun_N_km[left]) <= 0.5]
+        if not left.size:
+            break
+    return ago

@@ -1,0 +1,35 @@
+"""The true motion of a scenario at any offset from its stamps: orbit and attitude worked out anew, not interpolated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.sim import epoch
+from fluxtwin.sim.attitude import Attitude
+from fluxtwin.sim.scenario import Scenario
+from fluxtwin.sim.scenario_attitude import true_attitude
+from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.world import World, ephemeris, world_along
+
+
+@dataclass(frozen=True)
+class ScenarioMotion:
+    """Motion along a scenario's orbit with its prescribed attitude."""
+
+    scenario: Scenario
+    world: World
+    """The world at the stamps."""
+    attitude: Attitude
+    """The true attitude at the stamps."""
+
+    def at(self, offset_s: float) -> tuple[FloatArray, FloatArray, Rotation]:
+        """Position [km] and velocity [km/s] (N, 3), GCRS, and R_BN, `offset_s` after each stamp."""
+        if offset_s == 0.0:
+            return self.world.r_N_km, self.world.v_N_km_s, self.attitude.R_BN
+        start = self.world.time[0]
+        time = epoch.add_seconds(start, epoch.seconds_since(self.world.time, start) + offset_s)
+        r, v = ephemeris(self.scenario, time)
+        later = world_along(self.scenario, time, self.world.segment, r, v, with_field=False)
+        return r, v, true_attitude(self.scenario, later).R_BN

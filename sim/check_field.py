@@ -31,7 +31,8 @@ def check_field(telemetry: Telemetry, model: FieldModel) -> list[Finding]:
     try:
         sample = _comparable(telemetry, model, with_attitude=False)
     except OutOfRange as error:
-        return [*blind_magnitude(telemetry), note("not_compared", f"not compared with the field model: {error}")]
+        unit = [finding for finding in blind_magnitude(telemetry) if finding.severity == "trap"]
+        return [*unit, trap("outside_field_model", f"{error}; or the time stamps are wrong")]
     if sample is None:
         return blind_magnitude(telemetry)
     unit = check_unit(sample)

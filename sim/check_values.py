@@ -30,6 +30,8 @@ _MAX_ROWS = 4000
 def check_values(telemetry: Telemetry) -> list[Finding]:
     """All checks of this module."""
     readings = [*_usable(telemetry), *_missing_rows(telemetry, "magnetometer", telemetry.has_reading)]
+    if not telemetry.has_reading.any():
+        readings = [trap("no_readings", "every magnetometer reading is missing (blank or NaN)"), *readings[:1]]
     return [*readings, *_constant(telemetry), *_stuck(telemetry), *check_motion(telemetry)]
 
 
@@ -138,7 +140,7 @@ def _constant(telemetry: Telemetry) -> list[Finding]:
 def _stuck(telemetry: Telemetry) -> list[Finding]:
     """Runs of unchanged readings of all three axes, long enough that the field must have changed."""
     mag, time = telemetry.mag_B_nT, telemetry.time
-    if len(mag) < FEWEST_SAMPLES or not np.ptp(mag[telemetry.has_reading], axis=0).any():
+    if int(telemetry.has_reading.sum()) < FEWEST_SAMPLES or not np.ptp(mag[telemetry.has_reading], axis=0).any():
         return []
     same = np.zeros(len(mag), dtype=bool)
     same[1:] = (mag[1:] == mag[:-1]).all(axis=1)

@@ -81,7 +81,7 @@ class FieldModel:
         outside = (times < self.knots[0]) | (times > self.knots[-1])
         row = int(np.argmax(outside))
         raise OutOfRange(
-            f"{epoch.iso(times[row])} in row {row} is outside the field model {self.name} "
+            f"{epoch.iso(times[row])} in row {row + 1} is outside the field model {self.name} "
             f"({int(outside.sum())} of {times.size} epochs are)",
             where="time",
             wanted=f"{epoch.iso(self.valid_from)} to {epoch.iso(self.valid_to)}",

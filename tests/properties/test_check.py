@@ -274,7 +274,7 @@ def test_what_cannot_be_tested_is_said(model: FieldModel) -> None:
     codes = {finding.code for finding in check_telemetry(record.replace(sun_B=None), model).notes}
     assert "of_date_not_tested" in codes
     far = check_telemetry(record.replace(time=record.time + np.timedelta64(60 * 365, "D")), model)
-    assert "not_compared" in {finding.code for finding in far.notes}
+    assert "outside_field_model" in {finding.code for finding in far.traps}
 
 
 def test_missing_rows_and_gaps_are_notes(model: FieldModel) -> None:
@@ -331,3 +331,22 @@ def test_repair_never_writes_over_its_input(model: FieldModel, tmp_path: Path) -
     path = write_telemetry(good(model, 5), tmp_path / "a.csv")
     with pytest.raises(BadInput, match="would overwrite the input"):
         repair(path, tmp_path / "." / "a.csv")
+
+
+def test_a_record_without_any_reading_is_a_trap_and_no_crash():
+    time = np.datetime64("2020-03-01T00:00:00", "ns") + np.arange(50) * np.timedelta64(60, "s")
+    report = check_telemetry(Telemetry(time=time, mag_B_nT=np.full((50, 3), np.nan)), load_field("igrf14"))
+    assert "no_readings" in {finding.code for finding in report.traps}
+    assert report.exit_status == 1
+
+
+def test_stamps_outside_the_field_model_are_a_trap():
+    time = np.datetime64("2051-03-01T00:00:00", "ns") + np.arange(50) * np.timedelta64(60, "s")
+    angle = 0.06 * np.arange(50)
+    r = 7000.0 * np.stack([np.cos(angle), np.sin(angle), np.zeros(50)], axis=1)
+    mag = 20000.0 * np.stack([np.cos(angle), np.sin(angle), 0.5 + 0.1 * np.sin(angle)], axis=1)
+    report = check_telemetry(Telemetry(time=time, mag_B_nT=mag, r_N_km=r), load_field("igrf14"))
+    (found,) = [finding for finding in report.traps if finding.code == "outside_field_model"]
+    assert "1900" in found.text
+    assert "2030" in found.text
+    assert not [finding for finding in report.notes if "no positions" in finding.text]

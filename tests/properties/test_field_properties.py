@@ -179,7 +179,7 @@ def test_epochs_outside_are_an_error_that_names_the_range(name: str, first: str,
     for wrong in (model.valid_from - np.timedelta64(1, "ns"), model.valid_to + np.timedelta64(1, "ns")):
         with pytest.raises(OutOfRange) as caught:
             field.field_E_nT(model, np.array([model.valid_from, wrong]), r)
-        for words in (name, first, last, "row 1", "1 of 2"):
+        for words in (name, first, last, "row 2", "1 of 2"):
             assert words in str(caught.value)
         with pytest.raises(OutOfRange, match=first):
             field.field_NEC_nT(model, wrong, r)

@@ -13,6 +13,13 @@ from fluxtwin.sim import files
 from fluxtwin.sim.types import FloatArray, TimeArray
 
 
+_UNITS = (
+    ("_nT_per_Am2", "nT/(A m2)"), ("_nT", "nT"), ("_rad_s", "rad/s"), ("_rad", "rad"), ("_km_s", "km/s"), ("_km", "km"),
+    ("_Am2", "A m2"),
+)  # fmt: skip
+"""Unit by the end of a name, longest first."""
+
+
 @dataclass(frozen=True)
 class Truth:
     """The true history behind a simulated record; rows as in the telemetry."""
@@ -46,7 +53,9 @@ class Truth:
         return files.write_with(path, self._write)
 
     def _write(self, path: Path) -> None:
-        columns: dict[str, tuple[tuple[str, ...], FloatArray | str]] = {"effects": ((), self.effects)}
+        columns: dict[str, tuple[tuple[str, ...], FloatArray | str, dict[str, str]]] = {
+            "effects": ((), self.effects, {"units": "1"})
+        }
         for item in fields(self):
             value = getattr(self, item.name)
             if item.name in ("time", "effects"):
@@ -54,7 +63,8 @@ class Truth:
             constant = item.name in ("S", "b_nT", "T_nT_per_Am2")
             rows = () if constant else ("time",)
             rest = tuple(f"axis_{place}_of_{size}" for place, size in enumerate(value.shape[len(rows) :]))
-            columns[item.name] = ((*rows, *rest), value)
+            unit = next((words for end, words in _UNITS if item.name.endswith(end)), "1")
+            columns[item.name] = ((*rows, *rest), value, {"units": unit})
         _to_netcdf(xr.Dataset(columns, coords={"time": self.time}), path)
 
 

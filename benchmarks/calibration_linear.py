@@ -6,8 +6,9 @@ Two arrays of N x 3: the reading B and the reference field A B0, spread as along
 numpy.sum of each array as it lies in memory, the cheapest pass there is; `sum, by column` is numpy.sum(axis=0), which
 numpy does far slower on three columns. `regression` is `calib.regression.regress`: S, b, <B|B> and the residual
 covariance, all that the parameters and their white covariance need. `residuals` writes the N x 3 residuals. `whole`
-is `calib.linear.fit_design`: the tests of excitation, the noise found in the data, the correction for it,
-statistics and words as well. `qr` is our blocked QR, `numpy qr` plain Householder QR of the full design. Each
+is `calib.linear.fit_design`: the tests of excitation, the correction for noise in the reading, the sandwich
+covariance, statistics and words as well; `whole, blocks` with the covariance that allows for correlated errors.
+`qr` is our blocked QR, `numpy qr` plain Householder QR of the full design. Each
 repeat runs every contestant once, in turn; medians count. The answers are compared with numpy's QR.
 """
 
@@ -59,13 +60,15 @@ def numpy_qr(design: Design) -> np.ndarray:
 def contestants(design: Design) -> dict[str, Callable[[], Any]]:
     """What is timed."""
     B, H = design.B_nT, design.H_nT
-    known = Options(noise_nT=370.0, lsb_nT=0.0)
+    white = Options(noise_nT=370.0, lsb_nT=0.0, covariance="white")
+    correlated = Options(noise_nT=370.0, lsb_nT=0.0, covariance="blocks")
     return {
         "sum": lambda: (np.sum(B), np.sum(H)),
         "sum, by column": lambda: (np.sum(B, axis=0), np.sum(H, axis=0)),
         "regression": lambda: regress(H, [B]),
         "residuals": lambda: residuals(H, [B], np.eye(3), np.ones(3)),
-        "whole": lambda: fit_design(design, known),
+        "whole": lambda: fit_design(design, white),
+        "whole, blocks": lambda: fit_design(design, correlated),
         "qr": lambda: regress(H, [B], solver="qr"),
         "numpy qr": lambda: numpy_qr(design),
     }

@@ -1,13 +1,18 @@
 """The covariance of the calibration.
 
-`white`: of ordinary least squares, Cov(rows i, j of M) = R_ij <x|x>^-1 / N and so on for c, with the full
-residual covariance R between the axes (N - m - 1 degrees of freedom), plus what the correction for noise in the
-reading adds (Fuller 1987, Measurement Error Models, section 2.2, known error covariance).
+`white`: errors independent from row to row, but not alike: an error of the reference attitude turns the field and
+has no component along it, so the plain formula of least squares is right on average and wrong by direction. The
+sandwich (White 1980, Econometrica 48, 817; with the leverage of MacKinnon & White 1985, HC2) takes each row's own
+residual, and with it what the correction for noise in the reading adds. Under ten rows a parameter of one axis there
+is too little for it and the plain formula stands: Cov(rows i, j of M) = R_ij <x|x>^-1 / N, R the residual covariance,
+plus what the correction adds (Fuller 1987, Measurement Error Models, section 2.2, known error covariance).
 
-`blocks`: the delete-one-block jackknife. A block is a pass, or a stretch of a pass that is long against the
-memory of the errors; errors that are constant or smooth within a block widen the covariance as they should. With
-fewer than eight blocks there is too little to see, and the white covariance is widened by N/N_eff,
-N_eff = N (1-rho)/(1+rho), rho the correlation of neighbouring residuals.
+`blocks`: errors hang together. Where there are at least eight passes (stretches between gaps), or the record holds
+eight blocks of four times the memory of the residual, the delete-one-block jackknife; errors that are constant or
+smooth within a block widen the covariance as they should. A variance from G blocks is itself uncertain: sigma is
+multiplied by t/2, t the quantile of Student's law with G - 1 degrees of freedom that holds the probability of two
+sigma (95.4 %). A shorter record has no such blocks: `slow_errors` then weighs a white and a Gauss-Markov part by their
+restricted likelihood, with Student's factor for the slow part.
 
 Slopes here are stacked axis by axis: (row i of M, c_i) for i = x, y, z, with m + 1 numbers each.
 """
@@ -18,15 +23,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtr, stdtrit
 
-from fluxtwin.calib.moments import stretches
+from fluxtwin.calib.moments import blocks
 from fluxtwin.calib.regression import Regression
 from fluxtwin.sim.types import FloatArray, TimeArray
 
 FEWEST_BLOCKS = 8
-_PASSES_ENOUGH = 12  # gap segments; also the fewest stretches that a record is cut into
 _MOST_BLOCKS = 200  # sigma is then known to 5 %; more would only cost time
-_ROWS = 50_000  # of a longer record, stretches that add up to this give the correlation time
+_FEWEST_BATCHES = 20
 
 
 @dataclass(frozen=True)
@@ -40,36 +45,81 @@ class Blocks:
     """What a block is."""
 
 
-def white_covariance(
+def plain_covariance(
     fit: Regression, slopes: FloatArray, rr: FloatArray, effective_rows: float, noise_xx: FloatArray | None
 ) -> FloatArray:
-    """(3(m+1), 3(m+1)) covariance of stacked slopes.
+    """(3(m+1), 3(m+1)) covariance of stacked slopes, all rows alike.
 
     slopes: (3, m) M as corrected. rr: (3, 3) residual covariance. noise_xx: (m, m) noise covariance of the
     regressors when the slopes were corrected for it, else None.
     """
     m = fit.xx.shape[0]
-    clean = fit.xx if noise_xx is None else fit.xx - noise_xx
-    inverse = np.linalg.inv(clean)
+    inverse = np.linalg.inv(fit.xx if noise_xx is None else fit.xx - noise_xx)
     pull = np.zeros((m, 3)) if noise_xx is None else inverse @ (-noise_xx @ slopes.T)
     spread = inverse @ fit.xx @ inverse
     out = np.zeros((3, m + 1, 3, m + 1))
     for i in range(3):
         for j in range(3):
-            block = (rr[i, j] * spread + np.outer(pull[:, j], pull[:, i])) / effective_rows
-            out[i, :m, j, :m] = block
-            out[i, :m, j, m] = -block @ fit.mean_x
-            out[i, m, j, :m] = -fit.mean_x @ block
-            out[i, m, j, m] = rr[i, j] / effective_rows + fit.mean_x @ block @ fit.mean_x
-    flat = out.reshape(3 * (m + 1), 3 * (m + 1))
-    return np.asarray(0.5 * (flat + flat.T))
+            out[i, :m, j, :m] = (rr[i, j] * spread + np.outer(pull[:, j], pull[:, i])) / effective_rows
+            out[i, m, j, m] = rr[i, j] / effective_rows
+    return uncentred(out.reshape(3 * (m + 1), 3 * (m + 1)), fit.mean_x)
+
+
+def sandwich_covariance(
+    residual: FloatArray,
+    parts: Sequence[FloatArray],
+    fit: Regression,
+    slopes: FloatArray,
+    a: FloatArray | None,
+    noise_xx: FloatArray | None,
+) -> FloatArray:
+    """(3(m+1), 3(m+1)) covariance of stacked slopes, each row with its own residual (HC2); one pass in blocks.
+
+    residual: (N, 3). parts: the regressors. a: (N,) weights of sum 1, None for equal; the rest as
+    `plain_covariance`. The score of a row is r_i x + Sigma_x M_i, whose mean vanishes at the corrected slopes.
+    """
+    m, rows = fit.xx.shape[0], len(residual)
+    bread = bread_of(fit, noise_xx)
+    leverage = np.zeros((m + 1, m + 1))
+    leverage[:m, :m], leverage[m, m] = np.linalg.inv(fit.xx), 1.0
+    shift = np.zeros((3, m + 1))
+    if noise_xx is not None:
+        shift[:, :m] = slopes @ noise_xx
+    meat = np.zeros((3 * (m + 1), 3 * (m + 1)))
+    for at, x in blocks(parts, rows):
+        z = np.vstack([(x - fit.mean_x).T, np.ones((1, len(x)))])  # in columns of rows: contiguous products
+        held = np.einsum("fk,fk->k", leverage @ z, z) * (1.0 / rows if a is None else a[at])
+        r = residual[at].T / np.sqrt(1.0 - np.minimum(held, 0.99))
+        score = (r[:, None, :] * z + shift[:, :, None]).reshape(3 * (m + 1), -1)
+        score *= 1.0 / rows if a is None else a[at]
+        meat += score @ score.T
+    whole = np.kron(np.eye(3), bread)
+    return uncentred(whole @ meat @ whole.T, fit.mean_x)
+
+
+def bread_of(fit: Regression, noise_xx: FloatArray | None) -> FloatArray:
+    """(m+1, m+1) what turns the mean of r [x - <x>, 1] into an error of (M_i, c_i + M_i <x>)."""
+    m = fit.xx.shape[0]
+    bread = np.eye(m + 1)
+    bread[:m, :m] = np.linalg.inv(fit.xx if noise_xx is None else fit.xx - noise_xx)
+    return bread
+
+
+def uncentred(stacked: FloatArray, mean_x: FloatArray) -> FloatArray:
+    """The covariance of (M_i, c_i) from that of (M_i, c_i + M_i <x>)."""
+    m = mean_x.size
+    back = np.eye(m + 1)
+    back[m, :m] = -mean_x
+    whole = np.kron(np.eye(3), back)
+    out = whole @ stacked @ whole.T
+    return np.asarray(0.5 * (out + out.T))
 
 
 def jackknife_covariance(
     y: FloatArray,
     x: FloatArray,
     a: FloatArray,
-    blocks: Blocks,
+    grouped: Blocks,
     solve: Callable[[FloatArray, FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]],
 ) -> FloatArray:
     """(3(m+1), 3(m+1)) covariance of stacked slopes: every block left out once.
@@ -78,16 +128,16 @@ def jackknife_covariance(
     """
     centre_x, centre_y = a @ x, a @ y
     m = x.shape[1]
-    total = np.zeros((blocks.count, 1 + m + 3, 1 + m + 3))
-    order = np.argsort(blocks.of_row, kind="stable")
-    edges = np.searchsorted(blocks.of_row[order], np.arange(blocks.count + 1))
-    for block in range(blocks.count):
+    total = np.zeros((grouped.count, 1 + m + 3, 1 + m + 3))
+    order = np.argsort(grouped.of_row, kind="stable")
+    edges = np.searchsorted(grouped.of_row[order], np.arange(grouped.count + 1))
+    for block in range(grouped.count):
         at = order[edges[block] : edges[block + 1]]
         z = np.hstack([np.ones((at.size, 1)), x[at] - centre_x, y[at] - centre_y])
         total[block] = (z * a[at, None]).T @ z
     everything = total.sum(axis=0)
     estimates = []
-    for block in range(blocks.count):
+    for block in range(grouped.count):
         left = everything - total[block]
         left = left / left[0, 0]
         mean_x, mean_y = left[0, 1 : m + 1], left[0, m + 1 :]
@@ -96,51 +146,44 @@ def jackknife_covariance(
         M, c = solve(xx, yx, mean_x, mean_y)
         estimates.append(np.hstack([M, (c + centre_y - M @ centre_x)[:, None]]).ravel())
     deviation = np.array(estimates) - np.mean(estimates, axis=0)
-    return np.asarray((blocks.count - 1) / blocks.count * deviation.T @ deviation)
+    widened = small_sample(grouped.count) ** 2
+    return np.asarray(widened * (grouped.count - 1) / grouped.count * deviation.T @ deviation)
+
+
+def small_sample(count: float) -> float:
+    """t/2: what sigma from `count` blocks must be multiplied by so that two sigma hold 95.4 %."""
+    return float(stdtrit(float(count) - 1.0, float(ndtr(2.0)))) / 2.0
 
 
 def make_blocks(
-    time: TimeArray, residual_nT: FloatArray, passes: np.ndarray | None = None, block_s: float | None = None
+    time: TimeArray, memory_s: float, passes: np.ndarray | None = None, block_s: float | None = None
 ) -> Blocks:
     """Group rows: by the passes given; else by gaps in time, cut to stretches of `block_s`.
 
-    Without `block_s`, gap segments are kept whole when there are at least twelve of them, and cut to four
-    times the memory of the residual otherwise (see `_block_length_s`).
+    Without `block_s`, the stretches between gaps are kept whole when there are at least eight of them, and cut to
+    four times `memory_s`, the memory of the residual, otherwise.
     """
     if passes is not None:
         _, of_row = np.unique(passes, return_inverse=True)
         return Blocks(of_row, int(of_row.max()) + 1, "passes as given")
     seconds = (time - time[0]).astype("int64") * 1e-9
-    memory_s = memory_of_residual_s(time, residual_nT)
     segment = segments(time, 1.5 * memory_s)
     count = int(segment[-1]) + 1
-    if block_s is None and count >= _PASSES_ENOUGH:
+    if block_s is None and count >= FEWEST_BLOCKS:
         return Blocks(segment, count, "passes separated by gaps in time")
-    length = _block_length_s(time, segment, memory_s) if block_s is None else block_s
+    length = max(4.0 * memory_s, observed_s(time, segment) / _MOST_BLOCKS) if block_s is None else block_s
     start = np.concatenate([[0.0], seconds[1:][np.diff(segment) > 0]])[segment]
     piece = np.floor((seconds - start) / length).astype(int)
     _, of_row = np.unique(segment * (int(piece.max()) + 1) + piece, return_inverse=True)
-    kind = "as asked" if block_s is not None else "from the memory of the residual"
+    kind = "as asked" if block_s is not None else "four times the memory of the residual"
     words = f"stretches of {length:.0f} s, {kind}"
     return Blocks(of_row, int(of_row.max()) + 1, words)
 
 
-def memory_of_residual_s(time: TimeArray, residual_nT: FloatArray) -> float:
-    """Time after which the residual has forgotten itself [s].
-
-    Where the autocorrelation sinks into its own noise, not where it passes 1/e: a weak slow error under strong
-    white noise passes 1/e at the first lag, and widens the covariance all the same.
-    """
-    some = stretches(len(time), _ROWS)
-    floor = max(0.05, 2.0 / np.sqrt(3.0 * len(some)))
-    return correlation_time_s(time[some], residual_nT[some], segments(time[some]), floor)
-
-
-def _block_length_s(time: TimeArray, segment: np.ndarray, memory_s: float) -> float:
-    """Four times the memory of the residual, less where that would leave under 12 blocks, but never under 1.5."""
+def observed_s(time: TimeArray, segment: np.ndarray) -> float:
+    """Time that the rows cover, gaps left out [s]."""
     step_s = np.diff(time).astype("int64") * 1e-9
-    observed_s = float(step_s[np.diff(segment) == 0].sum()) + float(np.median(step_s)) if step_s.size else 1.0
-    return max(min(4.0 * memory_s, observed_s / _PASSES_ENOUGH), 1.5 * memory_s, observed_s / _MOST_BLOCKS)
+    return float(step_s[np.diff(segment) == 0].sum()) + float(np.median(step_s)) if step_s.size else 1.0
 
 
 def segments(time: TimeArray, least_gap_s: float = 0.0) -> np.ndarray:
@@ -190,7 +233,25 @@ def correlation_time_s(
     return step_s * lag
 
 
-def widening(residual_nT: FloatArray, segment: np.ndarray) -> float:
-    """N/N_eff = (1+rho)/(1-rho), at least 1, from neighbouring residuals."""
-    rho = min(float(autocorrelation(residual_nT, segment, [1])[0]), 0.99)
-    return max(1.0, (1.0 + rho) / (1.0 - rho))
+def batch_widening(residual_nT: FloatArray, segment: np.ndarray) -> float:
+    """1 + 2 sum rho, the integrated effect of correlation on a variance, from means over batches of rows.
+
+    L Var(mean of L rows) / Var(row) is 1 for white errors of any L and grows to 1 + 2 sum rho where L passes the
+    memory; a correlation far too weak to be seen from row to row is seen there. L doubles while 20 batches are left
+    (the ratio is then known to 18 %); what is not three sigma above 1 counts as 1.
+    """
+    r = residual_nT - residual_nT.mean(axis=0)
+    power = float((r**2).mean())
+    edges = np.flatnonzero(np.diff(segment)) + 1
+    lengths = np.diff(np.concatenate([[0], edges, [len(r)]]))
+    starts = np.concatenate([[0], edges])
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(r, axis=0)])
+    worst, length = 1.0, 2
+    while power > 0 and int((lengths // length).sum()) >= _FEWEST_BATCHES:
+        at = np.concatenate([s + length * np.arange(n // length) for s, n in zip(starts, lengths, strict=True)])
+        sums = total[at + length] - total[at]
+        ratio = float((sums**2).mean()) / length / power
+        if ratio > 1.0 + 3.0 * np.sqrt(2.0 / sums.size):
+            worst = max(worst, ratio)
+        length *= 2
+    return worst

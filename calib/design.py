@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.sim import frames
+from fluxtwin.sim.constants import GM_EARTH_KM3_S2
 from fluxtwin.sim.errors import BadInput, NoAnswer
 from fluxtwin.sim.field import FieldModel, field_N_nT
 from fluxtwin.sim.telemetry import Telemetry, concatenate
@@ -36,6 +37,8 @@ class Design:
     """(N,) indices into the joined telemetry."""
     left_out: Mapping[str, int]
     """Rows not used, by reason."""
+    radian_s: float = 1000.0
+    """Time in which the spacecraft moves one radian along its orbit; where unknown, that of a low orbit."""
 
     def __len__(self) -> int:
         return int(self.time.size)
@@ -81,7 +84,15 @@ def assemble(records: Telemetry | Sequence[Telemetry], model: FieldModel, *, wit
         D_Am2=used.dipole_B_Am2 if with_dipole else None,
         rows=rows,
         left_out=left_out,
+        radian_s=_radian_s(used),
     )
+
+
+def _radian_s(telemetry: Telemetry) -> float:
+    """sqrt(r^3 / GM) at the median radius."""
+    assert telemetry.r_N_km is not None
+    radius_km = float(np.median(np.linalg.norm(telemetry.r_N_km, axis=1)))
+    return float(np.sqrt(radius_km**3 / GM_EARTH_KM3_S2))
 
 
 def reference_field_B_nT(telemetry: Telemetry, model: FieldModel) -> FloatArray:

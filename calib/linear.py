@@ -11,70 +11,27 @@ the reading is noisier than the reference.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from fluxtwin.calib import observability as seen
-from fluxtwin.calib.conventions import Forward, correction_from_forward, forward_jacobian
-from fluxtwin.calib.covariance import (
-    FEWEST_BLOCKS,
-    Blocks,
-    jackknife_covariance,
-    make_blocks,
-    segments,
-    white_covariance,
-)
-from fluxtwin.calib.covariance import widening as widening_of
+from fluxtwin.calib.conventions import Forward, correction_from_forward
 from fluxtwin.calib.design import Design, assemble
+from fluxtwin.calib.job import DIRECTIONS, PARAMETERS, Job, Options, Solution, corrected
 from fluxtwin.calib.linear_fit import LinearFit
-from fluxtwin.calib.moments import covariance_of, second_moment
-from fluxtwin.calib.noise import ReadingNoise, reading_noise
+from fluxtwin.calib.moments import covariance_of
+from fluxtwin.calib.noise import reading_noise
 from fluxtwin.calib.records import Calibration
-from fluxtwin.calib.regression import Regression, regress, residuals
+from fluxtwin.calib.regression import regress, residuals
 from fluxtwin.calib.residuals import residual_statistics
-from fluxtwin.calib.robust import RobustWeights, robust_weights
-from fluxtwin.sim.errors import BadInput, NoAnswer
+from fluxtwin.calib.robust import robust_weights
+from fluxtwin.calib.stated import stated_covariance
+from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.field import FieldModel
 from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.types import FloatArray
 
-PARAMETERS = ("b", "b,S", "b,S,T")
-DIRECTIONS = ("linear", "forward")
 _SAMPLES = {"b": 3, "b,S": 12, "b,S,T": 21}
-
-
-@dataclass(frozen=True)
-class Options:
-    """How the regression is done; see `calibrate_linear`."""
-
-    parameters: str = "b,S"
-    direction: str = "linear"
-    errors_in_variables: bool | None = None
-    noise_nT: float | FloatArray | None = None
-    lsb_nT: float | FloatArray | None = None
-    robust: str | None = None
-    covariance: str = "white"
-    block_s: float | None = None
-
-    def __post_init__(self) -> None:
-        _one_of(self.parameters, PARAMETERS, "parameters")
-        _one_of(self.direction, DIRECTIONS, "direction")
-        _one_of(self.covariance, ("white", "blocks"), "covariance")
-        if self.errors_in_variables and self.direction == "forward":
-            raise BadInput(
-                "the correction for noise in the reading has no place in the forward direction",
-                where="errors_in_variables",
-                wanted="direction linear, or the correction off",
-            )
-        if self.block_s is not None and not self.block_s > 0:
-            raise BadInput(f"{self.block_s!r}", where="block_s", wanted="seconds, positive")
-
-    @property
-    def corrects(self) -> bool:
-        """Whether the errors-in-variables correction is made."""
-        wanted = self.direction == "linear" if self.errors_in_variables is None else self.errors_in_variables
-        return wanted and self.parameters != "b"
 
 
 def calibrate_linear(
@@ -88,23 +45,26 @@ def calibrate_linear(
     lsb_nT: float | FloatArray | None = None,
     weights: FloatArray | None = None,
     robust: str | bool | None = None,
-    covariance: str = "white",
+    covariance: str = "blocks",
     passes: np.ndarray | None = None,
     block_s: float | None = None,
+    field_error_nT: float | None = None,
 ) -> LinearFit:
     """Calibrate one or several records against `model` and their reference attitude.
 
     parameters: `b`, `b,S` or `b,S,T`. errors_in_variables: None is on for `linear`. noise_nT, lsb_nT: of the
     reading, scalar or per axis; found in the data when not given. weights: (N,) of the joined rows (journal
-    eq. 4, any scale). robust: None, `huber`, `tukey`; True is `tukey`. covariance: `white` or `blocks`, with
-    `passes` (N,) labels of the joined rows or `block_s` seconds (default: see `covariance.make_blocks`).
+    eq. 4, any scale). robust: None, `huber`, `tukey`; True is `tukey`. covariance: `blocks`, which allows for errors
+    that hang together in time (see `covariance`), or `white`; `passes`: (N,) labels of the joined rows, or `block_s`
+    seconds, say what a block is. field_error_nT: rms an axis of the error of the field model, with a memory of a
+    radian of the orbit, which is added to the covariance; nothing is added when not given.
 
     Raises BadInput for unknown options and absent columns, OutOfRange for epochs outside the model, NoAnswer,
     naming the parameters, when the data do not determine them.
     """
     options = Options(
         parameters, direction, errors_in_variables, noise_nT, lsb_nT, "tukey" if robust is True else robust or None,
-        covariance, block_s,
+        covariance, block_s, field_error_nT,
     )  # fmt: skip
     design = assemble(records, model, with_dipole="T" in parameters)
     return fit_design(
@@ -139,8 +99,8 @@ def fit_design(
         a = robust.weights if a is None else a * robust.weights
         a = a / a.sum()
     first = refit(None if robust is None else robust.weights)
-    noise = reading_noise(design.B_nT, first, design.time, options.noise_nT, options.lsb_nT)
-    job = _Job(design, options, fired, dipole, a, robust, noise)
+    noise = reading_noise(design, first, options.noise_nT, options.lsb_nT)
+    job = Job(design, options, fired, dipole, a, robust, noise)
     solution = _solve_b(job) if options.parameters == "b" else _solve(job)
     return _report(job, solution, model_name, passes)
 
@@ -161,98 +121,35 @@ def _forward_refit(
     return refit
 
 
-@dataclass(frozen=True)
-class _Job:
-    design: Design
-    options: Options
-    fired: np.ndarray
-    dipole: list[FloatArray]
-    a: FloatArray | None  # weights of sum 1, None for equal
-    robust: RobustWeights | None
-    noise: ReadingNoise
-
-    @property
-    def weights(self) -> FloatArray:
-        """(N,) a_k of journal eq. 4."""
-        return np.full(len(self.design), 1.0 / len(self.design)) if self.a is None else self.a
-
-    @property
-    def effective(self) -> float:
-        """Effective number of rows, 1 / sum a_k^2."""
-        return float(len(self.design)) if self.a is None else 1.0 / float((self.a**2).sum())
-
-    def mean_square(self, r: FloatArray, power: int = 1) -> FloatArray:
-        """(3, 3) mean of r r' with weights a_k^power, divided by sum a_k^power."""
-        if self.a is None:
-            return second_moment([r])[1]
-        w = self.a**power
-        return second_moment([r], w / w.sum())[1]
-
-    @property
-    def noise_xx(self) -> FloatArray | None:
-        """Sigma_x of the regressors [B; D] when the correction is on."""
-        if not self.options.corrects:
-            return None
-        return np.diag(np.concatenate([self.noise.variance_nT2, np.zeros(self.fired.size)]))
-
-
-@dataclass(frozen=True)
-class _Solution:
-    fit: Regression | None
-    M: FloatArray  # (3, m) slopes in the fitted direction
-    c: FloatArray
-    calibration: Calibration
-    residual_nT: FloatArray  # true-field side
-    own_residual_nT: FloatArray  # side of the fitted direction
-    eiv_shift: FloatArray
-
-
-def _solve_b(job: _Job) -> _Solution:
+def _solve_b(job: Job) -> Solution:
     h = job.design.H_nT - job.design.B_nT
     b = job.weights @ h
     calibration = Calibration(np.zeros((3, 3)), b)
-    return _Solution(None, np.zeros((3, 0)), b, calibration, h - b, h - b, np.zeros((3, 3)))
+    return Solution(None, np.zeros((3, 0)), b, calibration, h - b, h - b, np.zeros((3, 3)))
 
 
-def _solve(job: _Job) -> _Solution:
+def _solve(job: Job) -> Solution:
     design, linear = job.design, job.options.direction == "linear"
     y, x = (design.H_nT, design.B_nT) if linear else (design.B_nT, design.H_nT)
     fit = regress(y, [x, *job.dipole], job.a)
     variance = job.noise.variance_nT2
     sigma_nT = float(np.sqrt(np.trace(fit.rr) / 3.0))
-    moved = seen.excitation(design.B_nT, job.dipole, job.fired, job.a)
-    seen.require_excitation(moved, variance, sigma_nT)
+    moved = seen.excitation(x, job.dipole, job.fired, job.a)
+    # The reference on the right side carries none of the noise of the reading.
+    seen.require_excitation(moved, variance if linear else np.zeros(3), sigma_nT)
     M, c = fit.M, fit.c
     shift = np.zeros((3, 3))
     if job.noise_xx is not None:
         # <y|x> (<x|x> - Sigma)^-1 = M + (M Sigma) (<x|x> - Sigma)^-1: keeps the digits of the regression
-        step, offset = _corrected(fit.xx, fit.M @ job.noise_xx, fit.mean_x, np.zeros(3), job.noise_xx)
+        step, offset = corrected(fit.xx, fit.M @ job.noise_xx, fit.mean_x, np.zeros(3), job.noise_xx)
         M, c, shift = fit.M + step, fit.c + offset, step[:, :3]
     own = residuals(y, [x, *job.dipole], M, c)
     calibration = _calibration(job, M, c)
     true_side = own if linear else design.H_nT - calibration.apply(design.B_nT, design.D_Am2)
-    return _Solution(fit, M, c, calibration, true_side, own, shift)
+    return Solution(fit, M, c, calibration, true_side, own, shift)
 
 
-def _corrected(
-    xx: FloatArray, yx: FloatArray, mean_x: FloatArray, mean_y: FloatArray, noise_xx: FloatArray | None
-) -> tuple[FloatArray, FloatArray]:
-    """M = <y|x> (<x|x> - Sigma_x)^-1, c = <y> - M <x> (journal eqs. 5, 8; Fuller 1987)."""
-    clean = xx if noise_xx is None else xx - noise_xx
-    scale = np.sqrt(np.maximum(np.diag(clean), 1e-300))
-    try:
-        factor = np.linalg.cholesky(clean / np.outer(scale, scale))
-    except np.linalg.LinAlgError:
-        raise NoAnswer(
-            "the field varies by less than the noise of the reading in some body direction: S is not determined",
-            evidence={"field_covariance_nT2": xx[:3, :3].tolist()},
-        ) from None
-    half = np.linalg.solve(factor, (yx / scale).T)
-    M = np.linalg.solve(factor.T, half).T / scale
-    return M, mean_y - M @ mean_x
-
-
-def _calibration(job: _Job, M: FloatArray, c: FloatArray) -> Calibration:
+def _calibration(job: Job, M: FloatArray, c: FloatArray) -> Calibration:
     """S, b, T from slopes in the fitted direction."""
     T = np.zeros((3, 3))
     T[:, job.fired] = M[:, 3:]
@@ -263,9 +160,10 @@ def _calibration(job: _Job, M: FloatArray, c: FloatArray) -> Calibration:
     return Calibration(back.S, back.b_nT, back.T_nT_per_Am2 if with_T else None)
 
 
-def _report(job: _Job, solution: _Solution, model_name: str, passes: np.ndarray | None) -> LinearFit:
+def _report(job: Job, solution: Solution, model_name: str, passes: np.ndarray | None) -> LinearFit:
     design, options = job.design, job.options
-    covariance, block_words = _covariance(job, solution, passes)
+    stated = stated_covariance(job, solution, passes)
+    covariance = stated.covariance
     per_axis = 1 if solution.fit is None else solution.fit.xx.shape[0] + 1
     free = job.effective / max(job.effective - per_axis, 1e-9)
     sigma_nT = float(np.sqrt(np.trace(job.mean_square(solution.residual_nT)) / 3.0 * free))
@@ -275,6 +173,7 @@ def _report(job: _Job, solution: _Solution, model_name: str, passes: np.ndarray 
         field_rms = float(np.sqrt(np.trace(job.mean_square(design.B_nT))))
         words += seen.weak_direction_words(variation, covariance, sigma_nT)
         words += seen.pair_words(covariance, "T" in options.parameters, field_rms, sigma_nT)
+    words += stated.unobservable
     calibration = Calibration(
         S=solution.calibration.S,
         b_nT=solution.calibration.b_nT,
@@ -302,84 +201,11 @@ def _report(job: _Job, solution: _Solution, model_name: str, passes: np.ndarray 
         noise=job.noise,
         eiv_shift=solution.eiv_shift,
         statistics=residual_statistics(design.time[kept], solution.residual_nT[kept]),
-        messages=_messages(job, solution, variation, block_words),
+        messages=(*_messages(job, solution, variation), *stated.messages),
     )
 
 
-def _covariance(job: _Job, solution: _Solution, passes: np.ndarray | None) -> tuple[FloatArray, str]:
-    """(P, P) in the order of the calibration file, and how correlation was treated, in words."""
-    stacked, words = _white(job, solution), ""
-    if job.options.covariance == "blocks":
-        blocks = make_blocks(job.design.time, solution.residual_nT, passes, job.options.block_s)
-        try:
-            stacked, words = _jackknife(job, solution, blocks), f"jackknife over {blocks.count} blocks ({blocks.words})"
-        except NoAnswer as reason:
-            factor = widening_of(solution.residual_nT, segments(job.design.time))
-            stacked = stacked * factor
-            words = (
-                f"{reason}, so the white covariance is widened by N/N_eff = {factor:.2f}, from the correlation of "
-                "neighbouring residuals"
-            )
-    stacked = stacked + _from_noise_uncertainty(job, solution)
-    return _in_file_order(job, solution, stacked), words and f"covariance: {words}"
-
-
-def _jackknife(job: _Job, solution: _Solution, blocks: Blocks) -> FloatArray:
-    """Raises NoAnswer where the blocks are too few, or one of them alone determines a parameter."""
-    if blocks.count < FEWEST_BLOCKS:
-        raise NoAnswer(f"only {blocks.count} blocks ({blocks.words})")
-    design = job.design
-    y, x = (design.H_nT, design.B_nT) if job.options.direction == "linear" else (design.B_nT, design.H_nT)
-    if solution.fit is None:
-        y, x = design.H_nT - design.B_nT, np.zeros((len(design), 0))
-
-    def solve(xx: FloatArray, yx: FloatArray, mean_x: FloatArray, mean_y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        try:
-            return _corrected(xx, yx, mean_x, mean_y, job.noise_xx)
-        except NoAnswer:
-            raise NoAnswer("one block alone determines a parameter") from None
-
-    return jackknife_covariance(y, np.hstack([x, *job.dipole]), job.weights, blocks, solve)
-
-
-def _from_noise_uncertainty(job: _Job, solution: _Solution) -> FloatArray:
-    """What an uncertain Sigma_B adds: the correction scales with it as a whole."""
-    if solution.fit is None or job.noise_xx is None:
-        return np.zeros((3 * (solution.M.shape[1] + 1),) * 2)
-    step = solution.M - solution.fit.M
-    moved = np.hstack([step, -(step @ solution.fit.mean_x)[:, None]]).ravel()
-    return np.outer(moved, moved) * job.noise.relative_uncertainty**2
-
-
-def _white(job: _Job, solution: _Solution) -> FloatArray:
-    effective, m = job.effective, solution.M.shape[1]
-    # With equal weights this is N/(N-p) times the mean of r r'.
-    rr = job.mean_square(solution.own_residual_nT, 2) * effective / max(effective - m - 1, 1e-9)
-    if job.robust is not None:
-        rr = rr / job.robust.sharpness**2
-    if solution.fit is None:
-        return np.asarray(rr / effective)
-    return white_covariance(solution.fit, solution.M, rr, effective, job.noise_xx)
-
-
-def _in_file_order(job: _Job, solution: _Solution, stacked: FloatArray) -> FloatArray:
-    with_S = solution.fit is not None
-    m = solution.M.shape[1]
-    place = np.zeros(3 * (m + 1), dtype=int)
-    for i in range(3):
-        columns = [3 * i + k for k in range(3)] if with_S else []
-        columns += [12 + 3 * i + int(j) for j in job.fired] if with_S else []
-        place[i * (m + 1) : (i + 1) * (m + 1)] = [*columns, 9 + i]
-    full = np.zeros((21, 21))
-    full[np.ix_(place, place)] = stacked
-    if with_S and job.options.direction == "forward":
-        jacobian = forward_jacobian(solution.calibration.correction)
-        full = jacobian @ full @ jacobian.T
-    size = 21 if "T" in job.options.parameters else 12
-    return np.asarray(full[:size, :size])
-
-
-def _messages(job: _Job, solution: _Solution, variation: seen.FieldVariation, block_words: str) -> tuple[str, ...]:
+def _messages(job: Job, solution: Solution, variation: seen.FieldVariation) -> tuple[str, ...]:
     out = [f"{count} rows left out: {reason}" for reason, count in job.design.left_out.items()]
     out.append(f"noise of the reading: {job.noise.source}")
     if job.options.corrects:
@@ -391,8 +217,6 @@ def _messages(job: _Job, solution: _Solution, variation: seen.FieldVariation, bl
         out.append(f"robust weights ({job.options.robust}): {job.robust.rejected} rows set aside")
     if job.options.parameters != "b":
         out.append(f"{variation.words()}; condition number {variation.condition_number:.3g}")
-    if block_words:
-        out.append(block_words)
     return tuple(out)
 
 
@@ -422,11 +246,6 @@ def _check_weights(weights: FloatArray | None, rows: int) -> FloatArray | None:
     if a.shape != (rows,) or not np.isfinite(a).all() or (a < 0).any() or not a.sum() > 0:
         raise BadInput("a weight is negative, not finite, or all are zero", where="weights", wanted=f"{rows} weights")
     return np.asarray(a / a.sum())
-
-
-def _one_of(value: str, allowed: tuple[str, ...], name: str) -> None:
-    if value not in allowed:
-        raise BadInput(f"{value!r}", where=name, wanted=" or ".join(repr(v) for v in allowed))
 
 
 __all__ = ["DIRECTIONS", "PARAMETERS", "LinearFit", "Options", "calibrate_linear", "fit_design"]

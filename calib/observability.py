@@ -130,10 +130,11 @@ def require_excitation(seen: Excitation, noise_variance_nT2: FloatArray, sigma_n
         free = max(seen.rows - len(values), 1)
         relative = sigma_nT / seen.field_rms_nT / np.sqrt(max(signal, 1e-300) * free)
         if value < _ROUNDING or signal < (_NOISE_SHARE - 1.0) * from_noise or relative > _WORST_SIGMA:
-            _refuse(v, seen.fired, float(np.sqrt(max(value, 0.0)) * seen.field_rms_nT), relative)
+            within_noise = signal < (_NOISE_SHARE - 1.0) * from_noise and relative <= _WORST_SIGMA
+            _refuse(v, seen.fired, float(np.sqrt(max(value, 0.0)) * seen.field_rms_nT), relative, within_noise)
 
 
-def _refuse(v: FloatArray, fired: np.ndarray, moves_nT: float, relative: float) -> None:
+def _refuse(v: FloatArray, fired: np.ndarray, moves_nT: float, relative: float, within_noise: bool) -> None:
     of_field, of_dipole = v[1:4], v[4:]
     axes = [int(j) for j in np.flatnonzero(np.abs(of_field) > _PART)]
     coils = [int(fired[j]) for j in np.flatnonzero(np.abs(of_dipole) > _PART)]
@@ -162,6 +163,10 @@ def _refuse(v: FloatArray, fired: np.ndarray, moves_nT: float, relative: float) 
             f"the field does not vary beyond the noise along {direction_words(of_field)}: {_and(names)} are not "
             "separable in this data. Add orbits, days or attitudes in which it varies, or use --parameters b"
         )
+        if within_noise:
+            text += (
+                ", or, where the reference varies, direction forward (--method forward), which its noise leaves right"
+            )
     raise NoAnswer(text, evidence={
         "parameters": names,
         "direction": {"constant": float(v[0]), "field": of_field.tolist(), "dipole": of_dipole.tolist()},

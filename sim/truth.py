@@ -12,7 +12,6 @@ import xarray as xr
 from fluxtwin.sim import files
 from fluxtwin.sim.types import FloatArray, TimeArray
 
-
 _UNITS = (
     ("_nT_per_Am2", "nT/(A m2)"), ("_nT", "nT"), ("_rad_s", "rad/s"), ("_rad", "rad"), ("_km_s", "km/s"), ("_km", "km"),
     ("_Am2", "A m2"),

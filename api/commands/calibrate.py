@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fluxtwin.commands.options import DegreeOption, FieldOption, JsonOption, MapOption, TleOption
+from fluxtwin.commands.options import DegreeOption, FieldOption, JsonOption, MapOption, MaxSamplesOption, TleOption
 from fluxtwin.commands.reading import read
 from fluxtwin.console import Output
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 NAME = "calibrate"
 BRIEF = "Bias, matrix and torquer coupling from telemetry with attitude."
 METHODS = ("linear", "forward")
-CORRELATED = 0.2  # from here on white sigmas are over 20 % too small, (1 + c) / (1 - c) in variance
 
 
 def command(
@@ -54,11 +53,19 @@ def command(
         typer.Option(
             "--covariance",
             metavar="KIND",
-            help="white, or blocks: wider where errors hang together along the orbit.",
+            help="blocks: allows for errors that hang together along the orbit; or white.",
         ),
-    ] = "white",
+    ] = "blocks",
     block_s: Annotated[
         float | None, typer.Option("--block-s", metavar="S", help="Length of a block [s]; else found in the data.")
+    ] = None,
+    field_error_nt: Annotated[
+        float | None,
+        typer.Option(
+            "--field-error-nT",
+            metavar="NT",
+            help="Error of the field model, rms an axis [nT], lasting about an orbit: widens the sigmas.",
+        ),
     ] = None,
     noise_nt: Annotated[
         float | None, typer.Option("--noise-nT", metavar="NT", help="Noise of the reading, 1 sigma an axis [nT].")
@@ -70,6 +77,7 @@ def command(
     degree: DegreeOption = None,
     column_map: MapOption = None,
     tle: TleOption = None,
+    max_samples: MaxSamplesOption = None,
     json: JsonOption = None,
 ) -> None:
     """Estimate S, b [nT] and T [nT/(A m2)] of A B0 = (I+S) B + b + T D from telemetry with attitude."""
@@ -81,7 +89,7 @@ def command(
 
         if method not in METHODS:
             raise BadInput(f"{method!r} is no method", where="--method", wanted=" or ".join(METHODS))
-        records = [read(path, output, column_map=column_map, tle=tle) for path in telemetry]
+        records = [read(path, output, column_map=column_map, tle=tle, max_samples=max_samples) for path in telemetry]
         progress("calibrating", 0.5)
         fit = verbs.calibrate(
             records,
@@ -93,12 +101,13 @@ def command(
             robust=None if robust == "none" else robust,
             covariance=covariance,
             block_s=block_s,
+            field_error_nT=field_error_nt,
             noise_nT=noise_nt,
             lsb_nT=lsb_nt,
         )
         predicted = {}
         for path in unseen or []:
-            record = read(path, output, column_map=column_map, tle=tle)
+            record = read(path, output, column_map=column_map, tle=tle, max_samples=max_samples)
             predicted[str(path)] = predict(record, fit.calibration, verbs.as_model(field, degree))
         written = [] if out is None else [fit.calibration.to_toml(out)]
         if figures is not None:
@@ -122,12 +131,6 @@ def _print(output: Output, fit: LinearFit) -> None:
     output.say(f"residual {known.sigma_nT:.1f} nT per component, 1 sigma; covariance: {known.covariance_kind}")
     for message in fit.messages:
         output.say(f"- {message}")
-    lags = fit.statistics.lag_correlation
-    if known.covariance_kind == "white" and len(lags) > 1 and lags[1] > CORRELATED:
-        output.say(
-            f"- neighbouring residuals hang together (correlation {lags[1]:.2f}): --covariance blocks gives wider,"
-            " honest sigmas"
-        )
     if fit.observability:
         output.say("what these data cannot tell:")
     for words in fit.observability:

@@ -46,7 +46,7 @@ def test_errors_constant_within_a_pass_widen_the_covariance(passes: Any) -> None
         rng = np.random.default_rng([40, seed])
         constant = np.repeat(rng.normal(size=(40, 3)) * 120.0, 12, axis=0)
         now = with_reading(design, meter.reading(passes.field_B_nT + constant, None, rng))
-        known = Options(noise_nT=50.0, lsb_nT=0.0)
+        known = Options(noise_nT=50.0, lsb_nT=0.0, covariance="white")
         white.append(pull(fit_design(now, known), meter))
         blocks.append(pull(fit_design(now, dataclasses.replace(known, covariance="blocks")), meter))
     assert np.var(white, axis=0).mean() > 4.0
@@ -64,7 +64,7 @@ def test_blocks_agree_with_white_when_errors_are_white(seasat: Any) -> None:
     ratio = []
     for seed in range(40):
         now = with_reading(design, meter.reading(seasat.field_B_nT, None, np.random.default_rng([8, seed])))
-        white = fit_design(now, Options(noise_nT=300.0, lsb_nT=0.0))
+        white = fit_design(now, Options(noise_nT=300.0, lsb_nT=0.0, covariance="white"))
         blocks = fit_design(now, Options(noise_nT=300.0, lsb_nT=0.0, covariance="blocks", block_s=600.0))
         ratio.append(blocks.calibration.sigmas / white.calibration.sigmas)
     assert abs(np.mean(ratio) - 1.0) < 0.15
@@ -82,26 +82,25 @@ def test_slow_errors_under_white_noise_are_seen(seasat: Any) -> None:
         rng = np.random.default_rng([17, seed])
         slow = lfilter([150.0 * np.sqrt(1.0 - rho**2)], [1.0, -rho], rng.normal(size=(400, 3)), axis=0)[75:]
         now = with_reading(design, meter.reading(seasat.field_B_nT + slow, None, rng))
-        known = Options(noise_nT=200.0, lsb_nT=0.0)
+        known = Options(noise_nT=200.0, lsb_nT=0.0, covariance="white")
         white.append(pull(fit_design(now, known), meter))
         blocks.append(pull(fit_design(now, dataclasses.replace(known, covariance="blocks")), meter))
     assert np.var(white, axis=0).mean() > 2.5
     assert 0.9 < np.var(blocks, axis=0).mean() < 1.45
 
 
-def test_few_blocks_fall_back_on_the_effective_number_of_samples(seasat: Any) -> None:
-    """One short stretch of slow errors: N/N_eff is stated and the sigmas grow by its root."""
+def test_few_blocks_fall_back_on_the_memory_of_the_residual(seasat: Any) -> None:
+    """One short stretch of slow errors: too short for blocks, said so, and the sigmas grow."""
     meter = seasat.magnetometer(noise_nT=20.0)
     slow = 300.0 * np.sin(np.arange(92)[:, None] / 12.0 + np.arange(3))
     reading = meter.reading(seasat.field_B_nT[:92] + slow, None, np.random.default_rng(3))
     record = seasat.record(seasat.field_B_nT, rows=slice(0, 92)).replace(mag_B_nT=reading)
-    white = calibrate_linear(record, seasat.model, noise_nT=20.0, lsb_nT=0.0)
-    blocks = calibrate_linear(record, seasat.model, noise_nT=20.0, lsb_nT=0.0, covariance="blocks")
-    assert "N/N_eff" in blocks.messages[-1]
-    growth = blocks.calibration.sigmas / white.calibration.sigmas
-    assert growth.min() > 2.0
-    assert np.ptp(growth) < 0.01
+    white = calibrate_linear(record, seasat.model, noise_nT=20.0, lsb_nT=0.0, covariance="white")
+    blocks = calibrate_linear(record, seasat.model, noise_nT=20.0, lsb_nT=0.0)
+    assert "slow part of the residual" in blocks.messages[-1]
+    assert (blocks.calibration.sigmas / white.calibration.sigmas).min() > 2.0
     assert blocks.calibration.covariance_kind == "blocks"
+    assert "hang together" in white.messages[-1]
 
 
 def test_noise_found_in_the_data_serves_as_well_as_noise_declared(seasat: Any) -> None:
@@ -114,7 +113,9 @@ def test_noise_found_in_the_data_serves_as_well_as_noise_declared(seasat: Any) -
         rng = np.random.default_rng([12, seed])
         now = with_reading(design, meter.reading(seasat.field_B_nT, None, rng))
         tilt = rng.normal(size=now.H_nT.shape) * np.radians(0.1)
-        fit = fit_design(dataclasses.replace(now, H_nT=now.H_nT - np.cross(tilt, now.H_nT)), Options())
+        fit = fit_design(
+            dataclasses.replace(now, H_nT=now.H_nT - np.cross(tilt, now.H_nT)), Options(covariance="white")
+        )
         found.append(pull(fit, meter))
         sigma.append(np.sqrt(fit.noise.variance_nT2.mean()))
     assert "LSB 440 nT found" in fit.noise.source
@@ -137,7 +138,7 @@ def test_weights_follow_the_papers_equation_4(seasat: Any) -> None:
             with_reading(design, meter.ideal_reading(seasat.field_B_nT)),
             H_nT=design.H_nT + rng.normal(size=(len(design), 3)) * sigma[:, None],
         )
-        options = Options(noise_nT=0.0, lsb_nT=0.0)
+        options = Options(noise_nT=0.0, lsb_nT=0.0, covariance="white")
         fit = fit_design(noisy_reference, options, weights=7.0 / sigma**2)
         plain = fit_design(noisy_reference, options)
         weighted.append(pull(fit, meter))
@@ -169,7 +170,7 @@ def test_robust_weights_survive_five_per_cent_bit_errors(seasat: Any, kind: str,
     for seed in range(40):
         rng = np.random.default_rng([14, seed])
         now = with_reading(design, flip_bits(meter.reading(seasat.field_B_nT, None, rng), 440.0, 0.05, rng))
-        known = Options(direction=direction, noise_nT=150.0, lsb_nT=440.0)
+        known = Options(direction=direction, noise_nT=150.0, lsb_nT=440.0, covariance="white")
         fit = fit_design(now, dataclasses.replace(known, robust=kind))
         robust.append(pull(fit, meter))
         robust_b.append(np.abs(fit.calibration.b_nT - meter.b_nT).max())
@@ -188,8 +189,8 @@ def test_robust_weights_cost_little_on_clean_data(seasat: Any) -> None:
     found, growth = [], []
     for seed in range(200):
         now = with_reading(design, meter.reading(seasat.field_B_nT, None, np.random.default_rng([15, seed])))
-        plain = fit_design(now, Options(noise_nT=300.0, lsb_nT=0.0))
-        robust = fit_design(now, Options(noise_nT=300.0, lsb_nT=0.0, robust="tukey"))
+        plain = fit_design(now, Options(noise_nT=300.0, lsb_nT=0.0, covariance="white"))
+        robust = fit_design(now, Options(noise_nT=300.0, lsb_nT=0.0, robust="tukey", covariance="white"))
         found.append(pull(robust, meter))
         growth.append(robust.calibration.sigmas / plain.calibration.sigmas)
     assert 0.8 < np.var(found, axis=0).mean() < 1.25
@@ -200,18 +201,19 @@ def test_block_rules() -> None:
     """Passes as given; gaps; stretches of a stated length."""
     minute = np.timedelta64(60, "s")
     one = np.datetime64("2020-01-01T00:00:00", "ns") + np.arange(100) * minute
-    noise = np.random.default_rng(0).normal(size=(100, 3))
-    given = make_blocks(one, noise, passes=np.repeat(["a", "b", "c", "d"], 25))
+    given = make_blocks(one, 0.0, passes=np.repeat(["a", "b", "c", "d"], 25))
     assert given.count == 4
-    assert make_blocks(one, noise, block_s=600.0).count == 10
+    assert make_blocks(one, 0.0, block_s=600.0).count == 10
+    assert make_blocks(one, 150.0).count == 10  # four memories
     gaps = np.concatenate([one + k * np.timedelta64(1, "D") for k in range(20)])
-    by_gap = make_blocks(gaps, np.tile(noise, (20, 1)))
+    by_gap = make_blocks(gaps, 600.0)
     assert by_gap.count == 20
     assert np.bincount(by_gap.of_row).tolist() == [100] * 20
+    assert make_blocks(gaps[:700], 600.0).words.startswith("stretches of 2400 s")  # seven passes are too few
 
 
 def test_one_block_that_alone_determines_a_column(seasat: Any) -> None:
-    """All the variation along body Y in one of the blocks: said so, and N/N_eff is used."""
+    """All the variation along body Y in one of the blocks: said so, and the memory of the residual is used."""
     rng = np.random.default_rng(31)
     field = rng.normal(size=(300, 3)) * 2e4
     field[30:, 1] = 500.0
@@ -228,7 +230,7 @@ def test_one_block_that_alone_determines_a_column(seasat: Any) -> None:
         exact, Options(noise_nT=10.0, lsb_nT=0.0, covariance="blocks"), passes=np.repeat(np.arange(10), 30)
     )
     assert "one block alone determines a parameter" in fit.messages[-1]
-    assert "N/N_eff" in fit.messages[-1]
+    assert "slow part of the residual" in fit.messages[-1]
 
 
 def test_blocks_in_the_forward_direction(passes: Any) -> None:
@@ -255,7 +257,7 @@ def test_one_orbit_with_the_correction_for_noise(seasat: Any) -> None:
     found = []
     for seed in range(400):
         reading = meter.reading(seasat.field_B_nT, None, np.random.default_rng([16, seed]))
-        fit = fit_design(with_reading(design, reading, rows), Options(noise_nT=250.0, lsb_nT=0.0))
+        fit = fit_design(with_reading(design, reading, rows), Options(noise_nT=250.0, lsb_nT=0.0, covariance="white"))
         found.append(pull(fit, meter))
     variance = np.var(found, axis=0)
     assert variance.min() > 0.75

@@ -79,7 +79,7 @@ def test_coils_that_always_fire_together(seasat: Any) -> None:
 def test_random_dipoles_cost_nothing_and_the_sign_of_the_field_is_solved(seasat: Any) -> None:
     """Notes on the papers' numbers: random +-1 gives sigma T 0.21 mG per unit and no loss for S; HCMM's momentum
     law D = sign(B) about doubles sigma S and sigma T and is not degenerate."""
-    known = {"noise_nT": 370.0, "lsb_nT": 0.0}
+    known: dict[str, Any] = {"noise_nT": 370.0, "lsb_nT": 0.0, "covariance": "white"}
     law = np.sign(seasat.field_B_nT)
     random = np.random.default_rng(5).choice([-1.0, 1.0], size=law.shape)
     none = calibrate_linear(record(seasat, random * 0.0), seasat.model, **known)
@@ -154,6 +154,8 @@ def test_incomplete_rows_are_left_out_and_counted(seasat: Any) -> None:
         ({"weights": np.ones(3)}, "weights"),
         ({"weights": -np.ones(325)}, "weights"),
         ({"block_s": 0.0}, "block_s"),
+        ({"field_error_nT": -1.0}, "field_error_nT"),
+        ({"field_error_nT": float("nan")}, "field_error_nT"),
         ({"direction": "forward", "errors_in_variables": True}, "errors_in_variables"),
     ],
 )

@@ -10,13 +10,14 @@ the reading is noisier than the reference.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from fluxtwin.calib import observability as seen
 from fluxtwin.calib.conventions import Forward, correction_from_forward
-from fluxtwin.calib.design import Design, assemble
+from fluxtwin.calib.design import Design, assemble, joined
 from fluxtwin.calib.job import DIRECTIONS, PARAMETERS, Job, Options, Solution, corrected
 from fluxtwin.calib.linear_fit import LinearFit
 from fluxtwin.calib.moments import covariance_of
@@ -26,6 +27,7 @@ from fluxtwin.calib.regression import regress, residuals
 from fluxtwin.calib.residuals import residual_statistics
 from fluxtwin.calib.robust import robust_weights
 from fluxtwin.calib.stated import stated_covariance
+from fluxtwin.calib.suspicion import suspicions
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.field import FieldModel
 from fluxtwin.sim.telemetry import Telemetry
@@ -66,14 +68,17 @@ def calibrate_linear(
         parameters, direction, errors_in_variables, noise_nT, lsb_nT, "tukey" if robust is True else robust or None,
         covariance, block_s, field_error_nT,
     )  # fmt: skip
-    design = assemble(records, model, with_dipole="T" in parameters)
-    return fit_design(
+    telemetry = joined(records)
+    design = assemble(telemetry, model, with_dipole="T" in parameters)
+    fit = fit_design(
         design,
         options,
         model_name=model.name,
         weights=_of_rows(weights, design, "weights"),
         passes=_of_rows(passes, design, "passes"),
     )
+    doubts = suspicions(telemetry, fit.calibration, fit.residuals_nT, robust=options.robust is not None)
+    return dataclasses.replace(fit, messages=(*fit.messages, *doubts))
 
 
 def fit_design(

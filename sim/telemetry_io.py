@@ -56,6 +56,11 @@ def write_telemetry(telemetry: Telemetry, path: Path | str) -> Path:
     return telemetry_csv.write(telemetry, path)
 
 
+def require_known_kind(path: Path | str) -> None:
+    """Refuse, before long work, a file name that `write_telemetry` could not write. Raises BadInput."""
+    _kind(path)
+
+
 def _kind(path: Path | str) -> str:
     name = Path(path).name.lower()
     if name.endswith((".nc", ".nc4", ".h5")):

@@ -36,13 +36,14 @@ def command(
         from fluxtwin.sim.files import writable_folder
         from fluxtwin.sim.scenario import load_scenario, save_scenario
         from fluxtwin.sim.simulate import simulate
-        from fluxtwin.sim.telemetry_io import write_telemetry
+        from fluxtwin.sim.telemetry_io import require_known_kind, write_telemetry
 
         plan = load_scenario(scenario)
         changes = {"field.truth": field, "field.truth_degree": degree}
         plan = plan.updated({key: value for key, value in changes.items() if value is not None})
         for path in filter(None, (out, truth)):
             writable_folder(path.parent)  # before the work, not after it
+        require_known_kind(out)
         saved = _seen_from(plan, out.parent)
         record, real = simulate(plan, progress=progress)
         written = [

@@ -27,6 +27,7 @@ if __name__ == "api":
 
 if TYPE_CHECKING:
     from fluxtwin.calib.records import Calibration as Calibration
+    from fluxtwin.diagnosing import diagnose as diagnose
     from fluxtwin.sim.errors import BadInput as BadInput
     from fluxtwin.sim.errors import FluxtwinError as FluxtwinError
     from fluxtwin.sim.errors import NoAnswer as NoAnswer
@@ -53,6 +54,7 @@ _HOMES = {
     "check": "fluxtwin.verbs:check",
     "calibrate": "fluxtwin.verbs:calibrate",
     "apply": "fluxtwin.verbs:apply",
+    "diagnose": "fluxtwin.diagnosing:diagnose",
     "field": "fluxtwin.verbs:field",
     "load_field": "fluxtwin.sim.field_models:load_field",
     "load_scenario": "fluxtwin.sim.scenario:load_scenario",

@@ -17,7 +17,7 @@ from typing import Annotated
 import typer
 
 import fluxtwin
-from fluxtwin.commands import apply, calibrate, check, field, run, simulate, yaw
+from fluxtwin.commands import apply, calibrate, check, diagnose, effects, field, run, simulate, yaw
 from fluxtwin.console import clean
 from fluxtwin.sim.errors import FluxtwinError
 
@@ -49,12 +49,15 @@ def fluxtwin_command(
     """The digital twin of a spacecraft's attitude and magnetometer: simulate, calibrate, find the gap."""
 
 
-for _module in (run, simulate, check, calibrate, apply, yaw, field):
+for _module in (run, simulate, check, calibrate, apply, yaw, diagnose, effects, field):
     app.command(_module.NAME, short_help=_module.BRIEF)(_module.command)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status; a user's mistake costs one message, no traceback."""
+    # Our matrices are small or tall and thin: BLAS threads only wait for each other, and the bits would depend on them.
+    for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
     _be_plain()
     try:
         given = None if arguments is None else list(arguments)

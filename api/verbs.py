@@ -38,9 +38,10 @@ def check(
     telemetry: Telemetry | Path | str, *, field: str | FieldModel = "igrf14", degree: int | None = None
 ) -> CheckReport:
     """Is this record what it says? Counts, milligauss or microtesla sold as nT, wrong frames, and so on."""
-    from fluxtwin.sim.check import check_telemetry
+    from fluxtwin.sim.check import check_file, check_telemetry
 
-    return check_telemetry(as_record(telemetry), as_model(field, degree))
+    model = as_model(field, degree)
+    return check_telemetry(telemetry, model) if isinstance(telemetry, Telemetry) else check_file(telemetry, model)
 
 
 def calibrate(

@@ -22,6 +22,8 @@ NO_UNIT = {
     "probability", "significance", "efficiency", "duty", "R_BN", "segment", "eiv_shift", "relative_uncertainty",
     "directions_B", "lag_correlation", "sharpness", "taper_above_fraction", "G", "M", "D", "O",
     "taper_above", "rc_weights", "gram",
+    # a parameter of an effect names its unit in a field of its own
+    "scale", "low", "high",
     # a regression knows no units: its columns are nT and A m2 side by side
     "xx", "mean_x", "rr", "c",
 }  # fmt: skip

@@ -1,0 +1,107 @@
+"""`fluxtwin diagnose`: where the gap between telemetry and simulation lies, which effect causes it, how far it shrinks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fluxtwin.commands.options import DegreeOption, JsonOption, MapOption, ScenarioFieldOption, TleOption
+from fluxtwin.commands.reading import TelemetryArgument, read
+from fluxtwin.console import Output
+
+NAME = "diagnose"
+BRIEF = "Where the gap to the simulation lies, which effect causes it, how far it shrinks."
+
+
+def command(
+    telemetry: TelemetryArgument,
+    scenario: Annotated[
+        Path | None,
+        typer.Option(
+            "--scenario", metavar="FILE.toml", help="Field, starting calibration, noise budget, frozen effects."
+        ),
+    ] = None,
+    modelled: Annotated[
+        str,
+        typer.Option("--modelled", metavar="NAMES", help="Effects re-estimated in every test, by commas; or none."),
+    ] = "bias,scale_misalignment",
+    noise_nt: Annotated[
+        float | None, typer.Option("--noise-nT", metavar="NT", help="White noise of a reading, 1 sigma per axis [nT].")
+    ] = None,
+    lsb_nt: Annotated[float | None, typer.Option("--lsb-nT", metavar="NT", help="Step of the readings [nT].")] = None,
+    attitude_sigma_deg: Annotated[
+        float | None,
+        typer.Option("--attitude-sigma-deg", metavar="DEG", help="Error of the reference attitude, 1 sigma [deg]."),
+    ] = None,
+    attitude_tau_s: Annotated[
+        float | None,
+        typer.Option("--attitude-tau-s", metavar="S", help="Its time constant, if known; 0 is white [s]."),
+    ] = None,
+    field: ScenarioFieldOption = None,
+    degree: DegreeOption = None,
+    html: Annotated[Path | None, typer.Option("--html", metavar="FILE", help="Write the report as one page.")] = None,
+    close: Annotated[
+        Path | None, typer.Option("--close", metavar="OUT.toml", help="Write a scenario with the named effects in it.")
+    ] = None,
+    column_map: MapOption = None,
+    tle: TleOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Say where the gap between telemetry and simulation lies, which effect causes it and how far it shrinks."""
+    output = Output(json)
+    with output.progress(f"reading {telemetry}") as progress:
+        from fluxtwin import diagnosing, diagnosis_page
+        from fluxtwin.report import render_report
+        from fluxtwin.sim.files import writable_folder, write_text
+        from fluxtwin.sim.scenario import save_scenario
+
+        for target in (html, close):
+            if target is not None:
+                writable_folder(target.parent)  # before the work, not after it
+        record = read(telemetry, output, column_map=column_map, tle=tle)
+        names = [] if modelled.strip() == "none" else [name.strip() for name in modelled.split(",") if name.strip()]
+        diagnosis = diagnosing.diagnose(
+            record,
+            scenario=scenario,
+            modelled=names,
+            noise_nT=noise_nt,
+            lsb_nT=lsb_nt,
+            attitude_sigma_deg=attitude_sigma_deg,
+            attitude_tau_s=attitude_tau_s,
+            field=field,
+            degree=degree,
+            progress=progress,
+        )
+        title = f"The gap: {telemetry.name}"
+        page = None if html is None else render_report(diagnosis_page.diagnosis_page(diagnosis, title))
+        scene = None
+        if close is not None:
+            scene = diagnosing.closed(
+                diagnosis,
+                scenario=scenario,
+                telemetry=telemetry,
+                column_map=column_map,
+                noise_nT=noise_nt,
+                lsb_nT=lsb_nt,
+            )
+        if html is not None and page is not None:
+            write_text(html, page)
+        if close is not None and scene is not None:
+            save_scenario(scene, close)
+    for note in diagnosis.provenance.get("notes", ()):
+        output.note(f"note: {telemetry}: {note}")
+    if close is not None and scene is None:
+        output.note(f"note: no effect is named, so there is nothing to close: {close} is not written")
+    output.say(diagnosis.sentence)
+    for line in diagnosis_page.where_lines(diagnosis):
+        output.say(line)
+    output.say()
+    for table in diagnosis_page.tables(diagnosis):
+        output.table(table.title, table.columns, table.rows, table.note)
+    if page is not None:
+        output.say(f"written: {html}")
+    if scene is not None:
+        output.say(f"written: {close}")
+    output.result(diagnosis.to_dict())

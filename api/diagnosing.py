@@ -1,0 +1,182 @@
+"""The glue between files, scenarios and the diagnosis; the command and `fluxtwin.diagnose` both call it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from fluxtwin.gap import advice, doubts
+from fluxtwin.gap.closing import closed_scenario
+from fluxtwin.gap.diagnose import diagnose as investigate_record
+from fluxtwin.gap.problem import DEFAULT_MODELLED, Budget
+from fluxtwin.gap.records import Diagnosis
+from fluxtwin.sim import epoch
+from fluxtwin.sim import scenario_spacecraft as spacecraft
+from fluxtwin.sim.effects.catalogue import find_effect
+from fluxtwin.sim.errors import BadInput, NoAnswer
+from fluxtwin.sim.field_models import load_field
+from fluxtwin.sim.progress import Progress, silent
+from fluxtwin.sim.scenario import Scenario, load_scenario
+from fluxtwin.sim.scenario_effects import active_effects
+from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.world import ephemeris, schedule_times
+from fluxtwin.verbs import as_record
+
+
+def diagnose(
+    telemetry: Telemetry | Path | str,
+    *,
+    scenario: Scenario | Path | str | None = None,
+    modelled: Sequence[str] = DEFAULT_MODELLED,
+    noise_nT: float | None = None,
+    lsb_nT: float | None = None,
+    attitude_sigma_deg: float | None = None,
+    attitude_tau_s: float | None = None,
+    field: str | None = None,
+    degree: int | None = None,
+    progress: Progress = silent,
+) -> Diagnosis:
+    """Where the gap between a record and its simulation lies, which effect causes it, how far it shrinks.
+
+    scenario: gives field model, starting S, b, T, the noise budget and effects that are applied as they are. A number
+    given here overrides the scenario's; what neither gives is found in the data.
+    Raises BadInput and NoAnswer with one message each.
+    """
+    _check_numbers(noise_nT, lsb_nT, attitude_sigma_deg, attitude_tau_s)
+    for name in modelled:
+        find_effect(name, where="--modelled")
+    record = as_record(telemetry)
+    config = load_scenario(scenario) if isinstance(scenario, Path | str) else scenario
+    if config is not None:
+        record = _with_scenario(record, config)
+    _require_something(record)
+    model_name = field or (config.field.model if config is not None else "igrf14")
+    model = load_field(model_name, degree or (config.field.degree if config is not None and field is None else None))
+    budget = _budget(config, noise_nT, lsb_nT, attitude_sigma_deg, attitude_tau_s)
+    found = investigate_record(
+        record,
+        model,
+        modelled=modelled,
+        budget=budget,
+        instrument=None if config is None else spacecraft.magnetometer(config),
+        frozen=() if config is None else active_effects(config),
+        provenance={"source": record.provenance.get("source", "")},
+        progress=progress,
+    )
+    notes = [*_left_out(record, found), doubts.stuck_attitude(record, budget.attitude_sigma_rad)]
+    if notes[-1] is None:
+        notes[-1] = doubts.stuck_and_misfit(record, found.gap.before_nT)
+    return replace(
+        found,
+        would_settle=advice.would_settle(found.minimum_detectable, found.untestable, _hours(found)),
+        provenance={**found.provenance, "notes": [note for note in notes if note]},
+    )
+
+
+def closed(
+    diagnosis: Diagnosis,
+    *,
+    scenario: Path | str | None,
+    telemetry: Path,
+    column_map: Path | None = None,
+    noise_nT: float | None = None,
+    lsb_nT: float | None = None,
+) -> Scenario | None:
+    """The scenario with the named effects in it, None when nothing was named.
+
+    Without a scenario it replays the telemetry; noise_nT and lsb_nT are then its magnetometer's.
+    """
+    if diagnosis.closure is None or not diagnosis.effects:
+        return None
+    base = None if scenario is None else load_scenario(scenario)
+    return closed_scenario(diagnosis.closure, base, telemetry, column_map, noise_nT=noise_nT, lsb_nT=lsb_nT)
+
+
+def _check_numbers(*values: float | None) -> None:
+    flags = ("--noise-nT", "--lsb-nT", "--attitude-sigma-deg", "--attitude-tau-s")
+    for name, value in zip(flags, values, strict=True):
+        if value is not None and not 0 <= value < np.inf:
+            raise BadInput(f"{value:g}", where=name, wanted="zero or a positive number")
+
+
+def _require_something(record: Telemetry) -> None:
+    """Raises NoAnswer for a record without readings or reference attitude, BadInput for one without position."""
+    if not record.has_reading.any():
+        raise NoAnswer(f"all {len(record)} magnetometer readings are missing: there is nothing to diagnose")
+    if record.r_N_km is None:
+        raise BadInput(
+            "the telemetry has no position",
+            where="r_x_km r_y_km r_z_km",
+            wanted="positions, --tle or a --scenario with orbit",
+        )
+    if not record.has_attitude.any():
+        raise NoAnswer(
+            f"none of the {len(record)} rows has a reference attitude (q_x q_y q_z q_w, or yaw_deg roll_deg pitch_deg); "
+            "rows without attitude cannot be diagnosed yet",
+        )
+
+
+def _left_out(record: Telemetry, found: Diagnosis) -> list[str | None]:
+    """What the person who reads the answer must know about rows that are not in it."""
+    notes: list[str | None] = []
+    without = int((record.has_reading & ~record.has_attitude).sum())
+    if without:
+        notes.append(f"{without} of {len(record)} rows have no reference attitude and are left out")
+    every = found.provenance.get("rows_thinned_by", 1)
+    if every != 1:
+        notes.append(f"one row in {every} is used: what is faster than that is seen less well")
+    return notes
+
+
+def _hours(found: Diagnosis) -> float:
+    """Hours of data that were used, gaps left out."""
+    if found.series is None or found.series.time.size < 2:
+        return 0.0
+    usual_s = float(np.median(np.diff(found.series.time)) / np.timedelta64(1, "s"))
+    return advice.hours_of(usual_s, found.series.time.size)
+
+
+def _budget(
+    config: Scenario | None,
+    noise_nT: float | None,
+    lsb_nT: float | None,
+    attitude_sigma_deg: float | None,
+    attitude_tau_s: float | None,
+) -> Budget:
+    if config is not None:
+        reference = config.attitude.reference
+        noise_nT = config.magnetometer.white_nT if noise_nT is None else noise_nT
+        lsb_nT = config.magnetometer.step_nT if lsb_nT is None else lsb_nT
+        if attitude_sigma_deg is None and reference.source == "error_model":
+            attitude_sigma_deg = reference.sigma_deg
+            attitude_tau_s = reference.tau_s if attitude_tau_s is None else attitude_tau_s
+    sigma_rad = None if attitude_sigma_deg is None else float(np.radians(attitude_sigma_deg))
+    return Budget(noise_nT, lsb_nT, sigma_rad, attitude_tau_s)
+
+
+def _with_scenario(record: Telemetry, config: Scenario) -> Telemetry:
+    """The record, with the scenario's orbit where it has no position."""
+    name = record.provenance.get("spacecraft", "")
+    if name and name != config.spacecraft.name:
+        raise BadInput(
+            f"the telemetry is of {name!r}, the scenario of {config.spacecraft.name!r}",
+            where="--scenario",
+            wanted="telemetry and scenario of one spacecraft",
+        )
+    if record.r_N_km is not None:
+        return record
+    if config.orbit is None or config.schedule is None:
+        raise BadInput("neither telemetry nor scenario has an orbit", where="--scenario", wanted="positions, or --tle")
+    span, _ = schedule_times(config)
+    if record.time[0] < span[0] or record.time[-1] > span[-1]:
+        raise BadInput(
+            f"the telemetry runs from {epoch.iso(record.time[0])} to {epoch.iso(record.time[-1])}, the scenario from "
+            f"{epoch.iso(span[0])} to {epoch.iso(span[-1])}",
+            where="--scenario",
+            wanted="telemetry without positions inside the scenario's span",
+        )
+    r_N_km, v_N_km_s = ephemeris(config, record.time)
+    return record.replace(r_N_km=r_N_km, v_N_km_s=v_N_km_s)

@@ -1,0 +1,223 @@
+"""A diagnosis as a page and as tables to read: the sentence, then where, which, how far, and what stays open."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from fluxtwin.gap.advice import typical_size
+from fluxtwin.gap.records import Diagnosis
+from fluxtwin.plots import gap as gap_plots
+from fluxtwin.scenarios.page import FigureBlock, Page, Section, Table
+
+_CONFUSED = 0.8  # shares below this are in the JSON
+
+
+def diagnosis_page(diagnosis: Diagnosis, title: str) -> Page:
+    """The page of one diagnosis."""
+    return Page(
+        title=title,
+        verdict=diagnosis.sentence,
+        sections=[_where(diagnosis), _which(diagnosis), _far(diagnosis), _open(diagnosis), _could(diagnosis)],
+        provenance=_provenance(diagnosis),
+    )
+
+
+def tables(diagnosis: Diagnosis) -> list[Table]:
+    """The tables for the terminal, in order."""
+    shown = [effects_table(diagnosis)] if diagnosis.effects else []
+    shown.append(far_table(diagnosis))
+    if diagnosis.untestable:
+        whole = untestable_table(diagnosis)
+        rows = [[name, f"{why}. To settle it: {cure}" if cure else why] for name, why, cure in whole.rows]
+        shown.append(Table(whole.title, whole.columns[:2], rows))
+    return shown
+
+
+def where_lines(diagnosis: Diagnosis) -> list[str]:
+    """Where the gap lies, in words; empty where there is none."""
+    if diagnosis.verdict == "no_gap":
+        return []
+    place = diagnosis.where.to_dict()
+    parts = []
+    for name in ("stage", "axis", "frame", "condition"):
+        chosen, shares = place[name], place["probabilities"][name]
+        if chosen is not None:
+            share = f" ({percent(shares[chosen])})" if chosen in shares else ""
+            parts.append(f"{name} {chosen}{share}")
+    lines = [f"Where: {', '.join(parts) or 'nowhere in particular'}."]
+    if place["equivalent"]:
+        lines.append(f"On this orbit and attitude it could as well be placed at: {', '.join(place['equivalent'])}.")
+    return lines
+
+
+def percent(share: float) -> str:
+    """A probability as nobody can misread it: certainty is not on offer."""
+    if share > 0.99:
+        return "> 99 %"
+    return "< 1 %" if share < 0.01 else f"{100 * share:.0f} %"
+
+
+def _where(diagnosis: Diagnosis) -> Section:
+    if diagnosis.verdict == "no_gap":
+        return Section("Where the gap lies", ["There is none, so no place is shown."])
+    caption = "Probability of each place; those below 1 % are left out, and each set sums to one with none (grey)."
+    block = FigureBlock("gap_where", caption, gap_plots.draw_where(diagnosis))
+    return Section("Where the gap lies", where_lines(diagnosis), [], [block])
+
+
+def _which(diagnosis: Diagnosis) -> Section:
+    words = []
+    if diagnosis.verdict == "unknown":
+        words.append("Structure is left that no effect of the catalogue explains; nothing is named on a guess.")
+    if diagnosis.resembles:
+        words.append(f"It resembles {', '.join(diagnosis.resembles)}.")
+    groups = [effect.group for effect in diagnosis.effects if len(effect.group) > 1]
+    words += [f"{' and '.join(group)} cannot be told apart in these data." for group in groups]
+    shown = [effects_table(diagnosis)] if diagnosis.effects else []
+    if any(effect.rivals for effect in diagnosis.effects):
+        shown.append(rivals_table(diagnosis))
+    figures = []
+    if diagnosis.effects:
+        caption = "Blue: named effects and how sure each is. Orange, hatched: rivals, less likely."
+        figures = [FigureBlock("gap_which", caption, gap_plots.draw_which(diagnosis))]
+    return Section("Which effect causes it", words or ([] if diagnosis.effects else ["None is named."]), shown, figures)
+
+
+def _far(diagnosis: Diagnosis) -> Section:
+    figures = []
+    if diagnosis.series is not None:
+        dots = (
+            "Dots: samples, predicted by an estimate that has not seen them. Lines: their mean in 150 equal stretches."
+        )
+        figures = [
+            FigureBlock("gap_series", dots, gap_plots.draw_series(diagnosis.series)),
+            FigureBlock(
+                "gap_spectra",
+                "Amplitude of the residual by frequency, rms over the axes and over neighbouring frequencies. Where the "
+                "two curves part is what the named effects explain; the level on the right is noise.",
+                gap_plots.draw_spectra(diagnosis.series),
+            ),
+        ]
+    return Section("How far it shrinks", [], [far_table(diagnosis)], figures)
+
+
+def _open(diagnosis: Diagnosis) -> Section:
+    if not diagnosis.untestable:
+        return Section("What could not be tested", ["Every effect of the catalogue could be tested."])
+    return Section("What could not be tested", [], [untestable_table(diagnosis)])
+
+
+def _could(diagnosis: Diagnosis) -> Section:
+    shown = [detectable_table(diagnosis)]
+    confused = confused_table(diagnosis)
+    return Section("What these data could show", [], [*shown, confused] if confused.rows else shown)
+
+
+def effects_table(diagnosis: Diagnosis) -> Table:
+    """Named effects with parameters."""
+    rows = []
+    for effect in diagnosis.effects:
+        label = " / ".join(effect.group) or effect.name
+        sure, price = percent(effect.probability), _p_value(effect.significance)
+        for name, parameter in effect.parameters.items():
+            sigma = "" if parameter.sigma is None else f" ± {parameter.sigma:.2g}"
+            unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
+            rows.append([label, f"{name}{unit}", f"{parameter.value:.4g}{sigma}", sure, effect.stage, price])
+            label = sure = price = ""
+        if not effect.parameters:
+            rows.append([label, "", "", sure, effect.stage, price])
+    return Table(
+        "Named effects",
+        ["effect", "parameter", "value, 1 sigma", "probability", "stage", "p-value"],
+        rows,
+        "The p-value is after the price of the search: how often noise alone would look as good.",
+    )
+
+
+def rivals_table(diagnosis: Diagnosis) -> Table:
+    """Less likely alternatives to what is named."""
+    rows = [
+        [effect.name, name, percent(probability)] for effect in diagnosis.effects for name, probability in effect.rivals
+    ]
+    return Table("Rivals", ["instead of", "it could be", "probability"], rows)
+
+
+def far_table(diagnosis: Diagnosis) -> Table:
+    """Before, after and floor."""
+    g = diagnosis.gap
+    closed = "nothing to close" if diagnosis.verdict == "no_gap" else "not measurable"
+    if g.closed is not None:
+        closed = f"{100 * g.closed:.0f} %"
+        if g.interval is not None:
+            closed += f" ({100 * g.interval[0]:.0f} to {100 * g.interval[1]:.0f} %)"
+    floors = [f"{g.floor_nT:.1f}", f"{g.floor_with_effects_nT:.1f}"]
+    rows = [["all", f"{g.before_nT:.1f}", f"{g.after_nT:.1f}", *floors, closed]]
+    rows += [
+        [axis, f"{values['before_nT']:.1f}", f"{values['after_nT']:.1f}", "", "", ""]
+        for axis, values in g.per_axis.items()
+    ]
+    return Table(
+        "The gap, rms per component on held-out samples [nT]",
+        ["axis", "before", "after", "floor", "floor with effects", "closed (90 %)"],
+        rows,
+        "Before: what is modelled is re-estimated. After: the named effects too. Both predict samples that the estimate "
+        "has not seen. Floor: what noise, quantisation and attitude error leave; with effects: and named noise.",
+    )
+
+
+def untestable_table(diagnosis: Diagnosis) -> Table:
+    """Effects this design cannot show, why, and what would."""
+    rows = [[name, why, diagnosis.would_settle.get(name, "")] for name, why in diagnosis.untestable.items()]
+    return Table("Untestable here, not absent", ["effect", "why", "what would settle it"], rows)
+
+
+def detectable_table(diagnosis: Diagnosis) -> Table:
+    """The smallest sizes this design shows, beside typical ones."""
+    rows = []
+    for name, d in diagnosis.minimum_detectable.items():
+        unit = "" if d.unit == "1" else f" [{d.unit}]"
+        typical = typical_size(name, d.parameter)
+        advice = diagnosis.would_settle.get(name, "these data show it").partition(": ")
+        shown = "" if typical is None else f"{abs(typical):g}"
+        rows.append(
+            [name, f"{d.parameter}{unit}", f"{d.value:.3g}", shown, f"{d.visible_nT:.2g}", advice[2] or advice[0]]
+        )
+    return Table(
+        "Minimum detectable sizes",
+        ["effect", "parameter", "smallest that shows", "typical", "visible rms [nT]", "to see the typical size"],
+        rows,
+        "False alarm 1 %, miss 10 %. Hours grow with the square of the size: half the size takes four times the data.",
+    )
+
+
+def confused_table(diagnosis: Diagnosis) -> Table:
+    """Pairs that imitate each other on this orbit and attitude, whatever the data say."""
+    best: dict[tuple[str, str], float] = {}
+    for name, shares in diagnosis.isolability.items():
+        for other, share in shares.items():
+            pair = (name, other)
+            if share >= _CONFUSED and best.get((other, name), 0.0) < share:
+                best.pop((other, name), None)
+                best[pair] = share
+    ordered: Mapping[tuple[str, str], float] = dict(sorted(best.items(), key=lambda item: -item[1]))
+    rows = [[name, other, f"{100 * share:.0f} %"] for (name, other), share in ordered.items()]
+    return Table(
+        "Confused with each other on this orbit and attitude",
+        ["of", "can be imitated by", "share"],
+        rows,
+        "Known from the design before the data are looked at. From 98 % both ways two effects are named as a group.",
+    )
+
+
+def _p_value(value: float) -> str:
+    return "< 1e-12" if value < 1e-12 else f"{value:.1e}"
+
+
+def _provenance(diagnosis: Diagnosis) -> dict[str, str]:
+    lines = {
+        key: "; ".join(value) if isinstance(value, list) else str(value) for key, value in diagnosis.provenance.items()
+    }
+    lines["modelled, re-estimated in every test"] = ", ".join(diagnosis.modelled) or "none"
+    names = {"used": "used", "cut": "cut as spikes", "without_attitude": "without attitude, left out"}
+    lines["samples"] = ", ".join(f"{diagnosis.samples[key]} {words}" for key, words in names.items())
+    return {key: value for key, value in lines.items() if value}

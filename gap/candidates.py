@@ -1,0 +1,133 @@
+"""The causes to be tested: every effect of the catalogue that is not re-estimated, with its image in the readings.
+
+The image is the Jacobian of the noise-free chain at the best present fit. Columns that move nothing (a panel never
+lit, a torquer axis never fired) are dropped one by one; an effect with no column left is untestable, not absent.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from fluxtwin.gap.problem import Problem
+from fluxtwin.sim.effects.base import SignalEffect
+from fluxtwin.sim.effects.catalogue import CATALOGUE
+from fluxtwin.sim.effects.chain import Active, Chain
+from fluxtwin.sim.types import BoolArray, FloatArray
+
+Reduce = Callable[[FloatArray], FloatArray]
+"""Maps rows (N, 3) or (N, 3, p) to fewer rows (M, ...): averages over blocks, where there are very many."""
+
+_DEAD_NT = 1e-6  # a parameter of its typical size that moves the readings by less is not there
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One alternative: an effect with its discrete settings."""
+
+    effect: SignalEffect
+    jacobian: FloatArray
+    """(M, 3, p) derivative of the reading by its parameters, nT per unit."""
+    live: BoolArray
+    """(p,) columns that move anything."""
+
+    @property
+    def name(self) -> str:
+        return self.effect.name
+
+    @cached_property
+    def label(self) -> str:
+        """The name with its settings."""
+        settings = settings_of(self.effect)
+        inside = ", ".join(f"{key}={value}" for key, value in settings.items())
+        return f"{self.name}({inside})" if inside else self.name
+
+    @cached_property
+    def scale(self) -> FloatArray:
+        """(p,) typical sizes of its parameters."""
+        return np.array([parameter.scale for parameter in self.effect.parameters])
+
+
+def candidates(
+    problem: Problem,
+    *,
+    reduce: Reduce | None = None,
+    modelled: Sequence[Active] | None = None,
+    active: Sequence[Active] = (),
+) -> tuple[list[Candidate], dict[str, str]]:
+    """All alternatives of all signal effects that are neither modelled nor active, and why others cannot be tested.
+
+    reduce: applied to every Jacobian as it is made, so that the full rows of one effect only are in memory.
+    modelled, active: where to linearise (default: the problem's own). Returns (candidates, {name: reason}).
+    """
+    if modelled is None:
+        modelled = problem.modelled_active
+    taken = {effect.name for effect in problem.modelled} | {effect.name for effect, _ in active}
+    on = in_order([*problem.frozen, *modelled, *active])
+    found: list[Candidate] = []
+    untestable: dict[str, str] = {}
+    for effect in CATALOGUE:
+        if effect.name in taken or not isinstance(effect, SignalEffect):
+            continue
+        reason = effect.untestable(problem.setting)
+        if reason is not None:
+            untestable[effect.name] = reason
+            continue
+        made = [
+            _candidate(problem.chain, alternative, on, reduce) for alternative in _signal_alternatives(effect, problem)
+        ]
+        testable = [candidate for candidate in made if candidate.live.any()]
+        if not testable:
+            untestable[effect.name] = "nothing in these data excites it: a typical size would not move any reading"
+        found += testable
+    return found, untestable
+
+
+def in_order(active: Sequence[Active]) -> list[Active]:
+    """Active effects in the order in which nature applies them: that of the catalogue."""
+    place = {effect.name: number for number, effect in enumerate(CATALOGUE)}
+    return sorted(active, key=lambda pair: place.get(pair[0].name, len(place)))
+
+
+def derivative(chain: Chain, on: Sequence[Active], number: int) -> FloatArray:
+    """(N, 3, p) derivative of the reading by the parameters of effect `number` of `on`, all of them switched on.
+
+    Central differences with the typical size as step, one-sided at the end of the physical range.
+    """
+    effect, theta = on[number]
+    columns = []
+    for place, parameter in enumerate(effect.parameters):
+        step = np.zeros(len(theta))
+        up = min(theta[place] + parameter.scale, parameter.high)
+        down = max(theta[place] - parameter.scale, parameter.low)
+        readings = []
+        for value in (up, down):
+            step = np.array(theta, dtype=np.float64)
+            step[place] = value
+            readings.append(chain.reading_nT([*on[:number], (effect, step), *on[number + 1 :]]))
+        columns.append((readings[0] - readings[1]) / (up - down))
+    return np.stack(columns, axis=-1)
+
+
+def settings_of(effect: SignalEffect) -> dict[str, object]:
+    """Discrete settings of an effect that can be written in a word: numbers, words, flags."""
+    fields = {item.name: getattr(effect, item.name) for item in dataclasses.fields(effect)}
+    return {key: value for key, value in fields.items() if isinstance(value, int | float | str) and value is not None}
+
+
+def _signal_alternatives(effect: SignalEffect, problem: Problem) -> list[SignalEffect]:
+    return [one for one in effect.alternatives(problem.setting) if isinstance(one, SignalEffect)]
+
+
+def _candidate(chain: Chain, effect: SignalEffect, on: Sequence[Active], reduce: Reduce | None) -> Candidate:
+    start = np.zeros(len(effect.parameters))
+    with_it = in_order([*on, (effect, start)])
+    number = next(place for place, pair in enumerate(with_it) if pair[0] is effect)
+    jacobian = derivative(chain, with_it, number)
+    scale = np.array([parameter.scale for parameter in effect.parameters])
+    live = np.sqrt(np.mean(jacobian**2, axis=(0, 1))) * scale > _DEAD_NT
+    return Candidate(effect, jacobian if reduce is None else reduce(jacobian), live)

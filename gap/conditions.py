@@ -1,0 +1,182 @@
+"""The conditions that a discrepancy may depend on, as columns of numbers along the record.
+
+The names are those of a diagnosis (`sunlit eclipse torquer latitude orbit_phase temperature current
+field_strength time after_time head rate region flag:NAME`); `label` tells variants of one name apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from fluxtwin.sim import frames, sun
+from fluxtwin.sim.effects.base import known_column
+from fluxtwin.sim.orbit import argument_of_latitude
+from fluxtwin.sim.signal import Setting
+from fluxtwin.sim.types import BoolArray, FloatArray
+
+THERMAL_LAGS_S = (600.0, 1500.0, 3600.0)
+"""Time constants tried for a temperature that was not recorded."""
+_HARMONICS = 3
+_REGIONS = 48
+_REGION_RADIUS_RAD = 0.35  # of a Gaussian patch, about 20 degrees: neighbours on the sphere overlap at half height
+_LEAST_SHARE = 0.02  # an indicator that holds for less, or for all but less, says nothing
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One condition along the record."""
+
+    name: str | None
+    """As a diagnosis names it; None for "always"."""
+    label: str
+    columns: FloatArray
+    """(N, k); 0 or 1, or of unit rms. Where nature's zero is not known (time, latitude, temperature) the first
+    column is constant: calibration absorbs it in body axes, but not in others."""
+    indicator: bool = False
+
+
+def conditions(setting: Setting) -> tuple[Condition, ...]:
+    """Every condition that varies on this design, but regions (`regions`) and steps (`after`)."""
+    return tuple(_live([*_lighting(setting), *_orbital(setting), *_housekeeping(setting)]))
+
+
+def always(setting: Setting) -> Condition:
+    """The condition that always holds."""
+    return Condition(None, "always", np.ones((setting.time.size, 1)), indicator=True)
+
+
+def after(setting: Setting, seconds: float) -> Condition:
+    """From a moment on, in seconds from the first stamp."""
+    return Condition("after_time", "after a moment", (setting.seconds >= seconds)[:, None].astype(float), True)
+
+
+def regions(setting: Setting) -> tuple[Condition, ...]:
+    """Smooth patches of the Earth, each about 40 degrees wide, that the record passes over."""
+    unit = setting.R_EN.apply(setting.given[0])
+    unit = unit / np.linalg.norm(unit, axis=1)[:, None]
+    found = []
+    for centre in _fibonacci_sphere(_REGIONS):
+        away = np.arccos(np.clip(unit @ centre, -1.0, 1.0)) / _REGION_RADIUS_RAD
+        patch = np.exp(-0.5 * away**2)
+        if 0.005 * unit.shape[0] < (patch > 0.5).sum() and (patch > 0.5).mean() < 0.5:
+            latitude, longitude = np.degrees([np.arcsin(centre[2]), np.arctan2(centre[1], centre[0])])
+            found.append(Condition("region", f"region {latitude:.0f} N {longitude:.0f} E", patch[:, None]))
+    return tuple(found)
+
+
+def lagged(seconds: FloatArray, values: FloatArray, tau_s: float) -> FloatArray:
+    """(N,) first-order low-pass of `values`, held between stamps; starts at the first value's mean level."""
+    state, out = float(values.mean()), np.empty_like(values)
+    keep = np.exp(-np.diff(seconds, prepend=seconds[0]) / tau_s)
+    for row in range(values.size):
+        state = values[row] + (state - values[row]) * keep[row]
+        out[row] = state
+    return out
+
+
+def lit(setting: Setting) -> FloatArray:
+    """(N,) 1 in sunlight: as recorded, else from geometry."""
+    recorded = known_column(setting, "sunlit")
+    return np.asarray((setting.illumination if recorded is None else recorded) > 0.5, dtype=np.float64)
+
+
+def _lighting(setting: Setting) -> Iterator[Condition]:
+    sunlit = lit(setting)
+    yield _indicator("sunlit", "sunlit", sunlit)
+    since = _since_start(setting.seconds, sunlit < 0.5)
+    yield _smooth("eclipse", "time in eclipse", since, zero_known=True)
+    yield _indicator("eclipse", "eclipse", 1.0 - sunlit)
+    r_E_km = setting.R_EN.apply(setting.given[0])
+    sun_E = setting.R_EN.apply(sun.sun_direction_N(setting.time))
+    day = np.einsum("ij,ij->i", sun_E, r_E_km) > 0
+    yield _indicator("eclipse", "night below", 1.0 - day)
+    sun_B = setting.given[2].apply(setting.sun_N)
+    yield Condition("sunlit", "sun direction", sun_B * sunlit[:, None])
+    faces = np.concatenate([np.maximum(sun_B, 0), np.maximum(-sun_B, 0)], axis=1) * sunlit[:, None]
+    yield Condition("sunlit", "sun on each face", faces)
+    recorded = known_column(setting, "temperature_degC")
+    if recorded is not None:
+        yield _smooth("temperature", "temperature", recorded)
+    else:
+        for tau_s in THERMAL_LAGS_S:
+            yield _smooth("temperature", f"sunlight lagged by {tau_s:.0f} s", lagged(setting.seconds, sunlit, tau_s))
+
+
+def _orbital(setting: Setting) -> Iterator[Condition]:
+    r, v, _ = setting.given
+    u = argument_of_latitude(setting.time, r, v)
+    waves = [wave(n * u) for n in range(1, _HARMONICS + 1) for wave in (np.cos, np.sin)]
+    yield _smooth("orbit_phase", "orbit phase, once", np.stack(waves[:2], axis=1))
+    yield _smooth("orbit_phase", "orbit phase", np.stack(waves, axis=1))
+    sine = np.sin(setting.latitude_rad)
+    yield _smooth("latitude", "latitude", np.stack([sine, np.cos(2 * setting.latitude_rad)], axis=1))
+    yield _smooth("latitude", "polar caps", np.stack([np.maximum(sine, 0) ** 4, np.maximum(-sine, 0) ** 4], axis=1))
+    longitude = frames.geocentric(setting.R_EN.apply(r))[1]
+    waves = [wave(n * longitude) for n in (1, 2) for wave in (np.cos, np.sin)]
+    yield _smooth("region", "longitude", np.stack(waves, axis=1))
+    t = 2 * setting.seconds / max(float(setting.seconds[-1]), 1e-9) - 1
+    yield _smooth("time", "time", t)
+    yield _smooth("time", "time, cubic", np.stack([t, t**2, t**3], axis=1))
+
+
+def _housekeeping(setting: Setting) -> Iterator[Condition]:
+    dipole = known_column(setting, "dipole_B_Am2")
+    if dipole is not None:
+        yield _smooth("torquer", "torquer dipole", dipole, zero_known=True)
+        yield _indicator("torquer", "any torquer on", (np.abs(dipole) > 1e-3 * np.abs(dipole).max()).any(axis=1))
+    for name in ("array_current_A", "battery_current_A"):
+        current = known_column(setting, name)
+        if current is not None:
+            yield _smooth("current", name.removesuffix("_A").replace("_", " "), current, zero_known=True)
+    head = known_column(setting, "sun_sensor_head")
+    for number in np.unique(head)[1:] if head is not None else ():
+        yield _indicator("head", f"head {number:.0f}", head == number)
+    switches = {name: known_column(setting, name) for name in setting.columns if name.startswith("flag_")}
+    switches["flag_heater_on"] = known_column(setting, "heater_on")
+    for name, flag in switches.items():
+        if flag is not None:
+            yield _indicator(f"flag:{name.removeprefix('flag_')}", name.removeprefix("flag_"), flag > 0.5)
+    rate = setting.rate_B_rad_s
+    if np.linalg.norm(rate.std(axis=0)) > 1e-5:
+        yield _smooth("rate", "body rate", rate)
+
+
+def _live(found: list[Condition]) -> Iterator[Condition]:
+    for condition in found:
+        if condition.indicator and not _LEAST_SHARE < condition.columns.mean() < 1 - _LEAST_SHARE:
+            continue
+        if condition.columns.size and condition.columns.std(axis=0).max() > 1e-9:
+            yield condition
+
+
+def _indicator(name: str, label: str, values: FloatArray | BoolArray) -> Condition:
+    return Condition(name, label, np.asarray(values, dtype=np.float64).reshape(-1, 1), indicator=True)
+
+
+def _smooth(name: str, label: str, values: FloatArray, zero_known: bool = False) -> Condition:
+    columns = np.asarray(values, dtype=np.float64).reshape(values.shape[0], -1)
+    moving = columns.std(axis=0) > 1e-9 * np.abs(columns).max(initial=1e-30)
+    columns = columns[:, moving]
+    columns = columns if zero_known else columns - columns.mean(axis=0)
+    columns = columns / np.sqrt(np.mean(columns**2, axis=0))
+    if not zero_known and columns.shape[1]:
+        columns = np.concatenate([np.ones((columns.shape[0], 1)), columns], axis=1)
+    return Condition(name, label, columns)
+
+
+def _since_start(seconds: FloatArray, holds: BoolArray) -> FloatArray:
+    """(N,) seconds since the condition last began; 0 where it does not hold."""
+    begins = holds & ~np.concatenate([[False], holds[:-1]])
+    latest = np.maximum.accumulate(np.where(begins, np.arange(holds.size), 0))
+    return np.where(holds, seconds - seconds[latest], 0.0)
+
+
+def _fibonacci_sphere(count: int) -> FloatArray:
+    """(count, 3) unit vectors spread evenly over the sphere."""
+    index = np.arange(count) + 0.5
+    z, turn = 1 - 2 * index / count, np.pi * (1 + np.sqrt(5)) * index
+    across = np.sqrt(1 - z**2)
+    return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)

@@ -1,0 +1,98 @@
+"""The smallest size of each effect that a design would show: false alarm 1 %, miss 10 %.
+
+An effect is seen when its score, chi-square with r degrees of freedom and non-centrality d, exceeds the level that
+noise alone passes with probability 0.01 / K, K being the number of alternatives tested (the price of the search). The
+noise is that of the noise model. The size is the d at which that happens nine times in ten (noncentral chi-square, exact).
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import chi2, ncx2
+
+from fluxtwin.gap.records import Detectable
+from fluxtwin.gap.score import SHARE_LEFT, Board
+from fluxtwin.sim.types import FloatArray
+
+FALSE_ALARM = 0.01
+MISS = 0.10
+_ABSURD = 1000.0  # times the typical size: no flight would show it
+
+
+@cache
+def noncentrality(rank: int, tested: int) -> float:
+    """The non-centrality that a test with `rank` degrees of freedom, one of `tested`, finds nine times in ten."""
+    level = float(chi2.isf(FALSE_ALARM / tested, rank))
+    return float(brentq(lambda d: ncx2.cdf(level, rank, d) - MISS, 1e-3, 20.0 * level + 100.0))
+
+
+def detectable(
+    board: Board, white: FloatArray, raw_nuisance: FloatArray, white_nuisance: FloatArray
+) -> tuple[dict[str, Detectable], dict[str, str]]:
+    """For each effect, the parameter (in its typical size) that is seen best, and the smallest size of it alone.
+
+    white: (M, 3, P) whitened columns of the board. raw_nuisance, white_nuisance: (M, 3, c) what is re-estimated, as
+    it is and whitened. Returns ({name: Detectable}, {name: why it is untestable}).
+    """
+    best = _best_columns(board)
+    found: dict[str, Detectable] = {}
+    reasons: dict[str, str] = {}
+    for name in dict.fromkeys(candidate.name for candidate in board.candidates):
+        reason = _reason(board, best.get(name))
+        if reason is not None:
+            reasons[name] = reason
+    seen = {name: choice for name, choice in best.items() if name not in reasons}
+    columns = [column for _, _, column in seen.values()]
+    raw = [board.candidates[n].jacobian[:, :, int(board.place[column])] for _, n, column in seen.values()]
+    visible = visible_part(np.stack(raw, axis=-1), white[:, :, columns], raw_nuisance, white_nuisance) if raw else None
+    for number, (name, (relative, owner, column)) in enumerate(seen.items()):
+        parameter = board.candidates[owner].effect.parameters[int(board.place[column])]
+        value = relative * parameter.scale
+        assert visible is not None
+        rms = float(np.sqrt(np.mean(visible[:, :, number] ** 2)))
+        found[name] = Detectable(parameter.name, value, parameter.unit, value * rms)
+    return found, reasons
+
+
+def visible_part(
+    raw: FloatArray, white: FloatArray, raw_nuisance: FloatArray, white_nuisance: FloatArray
+) -> FloatArray:
+    """(M, 3, k) what is left of columns (raw and whitened) after the best re-estimation of the nuisance, nT."""
+    if not raw_nuisance.shape[2]:
+        return raw
+    flat = white_nuisance.reshape(-1, white_nuisance.shape[2])
+    length = np.linalg.norm(flat, axis=0)
+    length = np.where(length > 0, length, 1.0)
+    weights = np.linalg.lstsq(flat / length, white.reshape(flat.shape[0], -1), rcond=1e-9)[0] / length[:, None]
+    return np.asarray(raw - raw_nuisance @ weights)
+
+
+def _best_columns(board: Board) -> dict[str, tuple[float, int, int]]:
+    """For each name: smallest size relative to the typical one, number of the candidate, number of the column."""
+    tested = max(int((board.rank > 0).sum()), 1)
+    best: dict[str, tuple[float, int, int]] = {}
+    for column in np.flatnonzero(board.left > SHARE_LEFT):
+        owner = int(board.owner[column])
+        candidate = board.candidates[owner]
+        if board.rank[owner] == 0:
+            continue
+        curvature = board.left[column] * board.lengths[column] ** 2
+        value = np.sqrt(noncentrality(int(board.rank[owner]), tested) / curvature)
+        relative = float(value / candidate.scale[int(board.place[column])])
+        if candidate.name not in best or relative < best[candidate.name][0]:
+            best[candidate.name] = (relative, owner, int(column))
+    return best
+
+
+def _reason(board: Board, best: tuple[float, int, int] | None) -> str | None:
+    if best is None:
+        return "what is re-estimated can imitate it wholly on this orbit and attitude"
+    relative, number, column = best
+    parameter = board.candidates[number].effect.parameters[int(board.place[column])]
+    size = relative * parameter.scale
+    if relative > _ABSURD or size > max(abs(parameter.low), abs(parameter.high)):
+        return f"only {parameter.name} above {size:.3g} {parameter.unit} would show, which is beyond what is physical"
+    return None

@@ -1,0 +1,71 @@
+"""Doubts about the input that do not stop a diagnosis but must be said."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fluxtwin.sim import epoch
+from fluxtwin.sim.telemetry import Telemetry
+
+LONG_STRETCH_ROWS = 30
+"""So many rows with the same quaternion to the last digit do not happen while a sensor measures."""
+MISFIT = 0.05
+"""Residual over field: a reference that is 3 degrees off."""
+
+
+def stuck_attitude(telemetry: Telemetry, attitude_sigma_rad: float | None) -> str | None:
+    """Words for a reference attitude that stands still, or None.
+
+    An inertial hold stands still rightly. So the quaternion must be the same to the last digit over more than half of
+    the rows, or over a long stretch while it changes elsewhere, and something must speak against a hold: an error
+    was declared (errors do not repeat), or a gyro that turns. What neither tells `stuck_and_misfit` may.
+    """
+    stretch, share, same = _standing(telemetry)
+    if stretch == 0.0:
+        return None
+    against = None
+    if attitude_sigma_rad is not None and attitude_sigma_rad > 0.0:
+        against = f"with the declared error of {np.degrees(attitude_sigma_rad):.3g} deg it would change from row to row"
+    elif telemetry.rate_B_rad_s is not None:
+        rate = np.linalg.norm(telemetry.rate_B_rad_s[same], axis=1)
+        turned = float(np.nanmedian(rate)) * stretch if np.isfinite(rate).any() else 0.0
+        if turned > MISFIT:
+            against = f"by the gyro the body turned {np.degrees(turned):.3g} deg meanwhile"
+    return None if against is None else _words(stretch, share, against)
+
+
+def stuck_and_misfit(telemetry: Telemetry, before_nT: float) -> str | None:
+    """The same doubt after the fact: a standing attitude, and readings that do not fit it. before_nT: residual rms."""
+    stretch, share, _ = _standing(telemetry)
+    field_nT = float(np.sqrt(np.nanmean(telemetry.mag_B_nT**2)))
+    if stretch == 0.0 or before_nT < MISFIT * field_nT:
+        return None
+    return _words(stretch, share, f"the readings do not fit it ({before_nT:.0f} nT rms are left)")
+
+
+def _words(stretch_s: float, share: float, against: str) -> str:
+    length = f"{stretch_s / 3600.0:.2g} h" if stretch_s >= 3600.0 else f"{stretch_s / 60.0:.2g} min"
+    return (
+        f"the reference attitude looks stuck: it repeats to the last digit in {100.0 * share:.0f} % of the rows, for up "
+        f"to {length}, and {against}. Blank those cells"
+    )
+
+
+def _standing(telemetry: Telemetry) -> tuple[float, float, np.ndarray]:
+    """Longest stretch [s] and share of suspicious rows, and the rows (N,); zero where nothing is suspicious."""
+    none = np.zeros(len(telemetry), dtype=bool)
+    if telemetry.q_NB is None or len(telemetry) < 2:
+        return 0.0, 0.0, none
+    same = none.copy()
+    same[1:] = (telemetry.q_NB[1:] == telemetry.q_NB[:-1]).all(axis=1)
+    known = max(int(telemetry.has_attitude.sum()) - 1, 1)
+    share = float(same.sum()) / known
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
+    if not edges.size:
+        return 0.0, 0.0, none
+    first, last = edges[::2] - 1, edges[1::2] - 1
+    longest = int(np.argmax(last - first))
+    if share <= 0.5 and last[longest] - first[longest] < LONG_STRETCH_ROWS:
+        return 0.0, 0.0, none
+    times = epoch.seconds_since(telemetry.time, telemetry.time[0])
+    return float(times[last[longest]] - times[first[longest]]), share, same

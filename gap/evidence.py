@@ -1,0 +1,192 @@
+"""How well each block of columns explains a residual: F statistics and evidences, from small Gram matrices.
+
+Everything happens in whitened units with the fitted columns projected out, so that a block is only credited with
+what calibration and the named effects cannot do. A block is made, whitened, reduced to its Gram matrix and
+forgotten: memory does not grow with the number of blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from scipy import stats
+from scipy.special import logsumexp
+
+from fluxtwin.gap.blocks import Block
+from fluxtwin.sim.types import BoolArray, FloatArray
+
+_RANK_TOLERANCE = 1e-7
+_LOG_SIZES = np.linspace(np.log(0.01), np.log(100.0), 19)
+"""Prior of a discrepancy's size against the noise of a reading: even in its logarithm."""
+
+
+class Whitens(Protocol):
+    """What turns nT into independent unit noise."""
+
+    def apply(self, columns: FloatArray) -> FloatArray:
+        """Whiten (N, 3) or (N, 3, P)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Leftover:
+    """A whitened residual with the fitted columns out of it, and what is needed to treat columns alike."""
+
+    whitener: Whitens
+    residual: FloatArray
+    """(3N,) whitened, orthogonal to `basis`."""
+    basis: FloatArray
+    """(3N, q) orthonormal: the whitened fitted columns."""
+    degrees: int
+    """Degrees of freedom that are left."""
+
+    @property
+    def energy(self) -> float:
+        """Residual sum of squares in units of the noise variance."""
+        return float(self.residual @ self.residual)
+
+    def project(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Columns (N, 3, k) whitened and freed of the basis, (3N, k), and their squared sizes before, (k,)."""
+        white = self.whitener.apply(np.ascontiguousarray(columns)).reshape(self.residual.size, -1)
+        size = np.einsum("ij,ij->j", white, white)
+        return white - self.basis @ (self.basis.T @ white), size
+
+
+def leftover(whitener: Whitens, residual_nT: FloatArray, fitted: FloatArray) -> Leftover:
+    """Whiten a residual (N, 3) and project the fitted columns (N, 3, q), in nT, out of it."""
+    white = whitener.apply(residual_nT).reshape(-1)
+    columns = whitener.apply(np.ascontiguousarray(fitted)).reshape(white.size, -1)
+    basis = orthonormal(columns)
+    rest = white - basis @ (basis.T @ white)
+    measured = int(getattr(whitener, "measured", white.size))
+    return Leftover(whitener, rest, basis, max(measured - basis.shape[1], 1))
+
+
+def orthonormal(columns: FloatArray) -> FloatArray:
+    """An orthonormal basis of the span of columns (M, k); dead and dependent columns fall out."""
+    size = np.sqrt(np.einsum("ij,ij->j", columns, columns))
+    live = columns[:, size > 0] / size[size > 0]
+    if not live.shape[1]:
+        return np.zeros((columns.shape[0], 0))
+    value, vector = np.linalg.eigh(live.T @ live)
+    keep = value > _RANK_TOLERANCE
+    basis = live @ (vector[:, keep] / np.sqrt(value[keep]))
+    # Once more: the square root of the tolerance is all that one pass gives.
+    q, _ = np.linalg.qr(basis)
+    return np.asarray(q)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A block against a leftover: its Gram matrix and moments, scaled to one noise unit a reading."""
+
+    block: Block
+    gram: FloatArray
+    moment: FloatArray
+    size: FloatArray
+    """(k,) squared sizes of the scaled columns before the projection: what rank is judged against."""
+
+    def modes(self, columns: BoolArray | None = None) -> tuple[FloatArray, FloatArray]:
+        """Squared singular values d^2 and squared projections q^2 of the residual, of the live modes."""
+        pick = np.ones(self.moment.size, dtype=bool) if columns is None else columns
+        pick = pick & (np.diag(self.gram) > 1e-6 * self.size)
+        if not pick.any():
+            return np.zeros(0), np.zeros(0)
+        value, vector = np.linalg.eigh(self.gram[np.ix_(pick, pick)])
+        live = value > _RANK_TOLERANCE * self.size[pick].max()
+        projected = vector[:, live].T @ self.moment[pick]
+        return value[live], projected**2 / value[live]
+
+    def f_test(self, left: Leftover) -> tuple[float, float, int]:
+        """p-value (log10), explained energy and rank."""
+        _, explained = self.modes()
+        rank = explained.size
+        if not rank or left.degrees <= rank + 5:
+            return 0.0, 0.0, 0
+        gain = float(explained.sum())
+        spare = left.degrees - rank
+        ratio = (gain / rank) / max((left.energy - gain) / spare, 1e-300)
+        return float(log10_sf_f(ratio, rank, spare)), gain, rank
+
+    def log_evidence(self, left: Leftover, columns: BoolArray | None = None) -> float:
+        """Log Bayes factor against "nothing", the unknown noise level and the block's size integrated out.
+
+        Normal coefficients of standard deviation s noise units, s even in log; Jeffreys' prior of the noise level.
+        """
+        squared, explained = self.modes(columns)
+        if not squared.size:
+            return -np.inf
+        scaled = np.exp(2 * _LOG_SIZES)[:, None] * squared
+        shrunk = np.sum(explained * scaled / (1 + scaled), axis=1)
+        rest = np.log1p(-np.minimum(shrunk / left.energy, 1 - 1e-12))
+        logs = -0.5 * np.log1p(scaled).sum(axis=1) - 0.5 * left.degrees * rest
+        return float(logsumexp(logs) - np.log(_LOG_SIZES.size))
+
+
+def fit(block: Block, left: Leftover) -> Fit:
+    """Make a block, whiten it, project it, and keep what counts."""
+    free, size = _scaled(block, left)
+    return Fit(block, free.T @ free, free.T @ left.residual, size)
+
+
+def _scaled(block: Block, left: Leftover) -> tuple[FloatArray, FloatArray]:
+    free, size = left.project(block.make())
+    scale = np.sqrt(size.sum() / max(size.size * left.residual.size, 1))
+    scale = scale if scale > 0 else 1.0
+    return free / scale, size / scale**2
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """Blocks made, whitened and projected once, for many residuals on one design with one noise model."""
+
+    found: Sequence[Block]
+    columns: Sequence[FloatArray]
+    """(3N, k) each, scaled to one noise unit a reading."""
+    sizes: Sequence[FloatArray]
+
+    def fits(self, left: Leftover) -> list[Fit]:
+        """As `fit_all`; `left` must have the whitening and the basis of the preparation."""
+        return [
+            Fit(block, gram, free.T @ left.residual, size)
+            for block, gram, free, size in zip(self.found, self._grams, self.columns, self.sizes, strict=True)
+        ]
+
+    @cached_property
+    def _grams(self) -> list[FloatArray]:
+        return [free.T @ free for free in self.columns]
+
+
+def prepare(found: Sequence[Block], left: Leftover) -> Prepared:
+    """Do the part of `fit_all` that does not depend on the residual; takes memory for all columns."""
+    columns, sizes = zip(*(_scaled(block, left) for block in found), strict=True)
+    return Prepared(found, columns, sizes)
+
+
+def fit_all(found: Sequence[Block], left: Leftover) -> list[Fit]:
+    """`fit` for each."""
+    return [fit(block, left) for block in found]
+
+
+def log10_sf_f(ratio: float, rank: float, spare: float) -> float:
+    """log10 of the upper tail of the F law, also where it underflows."""
+    p = float(stats.f.sf(ratio, rank, spare))
+    if p > 1e-280:
+        return float(np.log10(p))
+    # Leading term of the tail: I_x(spare/2, rank/2) with x -> 0 (Abramowitz & Stegun 26.5.4).
+    x = spare / (spare + rank * ratio)
+    a, b = spare / 2, rank / 2
+    log_beta = float(stats.beta.logpdf(0.5, a, b)) - (a + b - 2) * np.log(0.5)
+    return float((a * np.log(x) + (b - 1) * np.log1p(-x) + log_beta - np.log(a)) / np.log(10))
+
+
+def share_mimicked(one: FloatArray, other: FloatArray) -> float:
+    """Share of the energy of columns (M, k) that the span of others (M, l) can make."""
+    total = float(np.sum(one**2))
+    if total == 0 or not other.shape[1]:
+        return 0.0
+    basis = orthonormal(other)
+    return float(np.sum((basis.T @ one) ** 2)) / total

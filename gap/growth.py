@@ -1,0 +1,236 @@
+"""Which effects: score tests, refits in the nonlinear chain, growth, and undoing of wrong picks.
+
+One effect is sought first; others are sought beside it at the refit (a large lag is not linear, and tested at zero
+it would call for partners). When one more is significant, pairs (and triples) are ranked afresh, so that a wrong first
+pick can be undone. A model is better when chi2 / variance + p log n + 2 m log K falls (Schwarz 1978, with prior 1/K
+for each of m effects among K alternatives tested); n is the number of time samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fluxtwin.gap.candidates import Candidate, Reduce, candidates
+from fluxtwin.gap.groups import alike, shares_by_name
+from fluxtwin.gap.problem import Problem
+from fluxtwin.gap.refit import Fit, refit
+from fluxtwin.gap.score import Board, Whitens, board, whitened
+from fluxtwin.sim.effects.chain import Active
+from fluxtwin.sim.types import BoolArray, FloatArray
+
+GATE = 0.002
+"""Probability that a perfect simulation gets any name."""
+LARGEST = 3
+_WITHIN = 8.0
+_NONLINEAR = 0.05  # of the drop: as much may be lost by taking a large effect as linear
+_REFITS = 4
+_FREE_RIDER = 0.8  # of what one name leaves, the further names must explain this much
+
+
+@dataclass(eq=False)
+class Search:
+    """A search under way: what it needs, and the fits it has made."""
+
+    problem: Problem
+    whitener: Whitens
+    reduce: Reduce | None
+    found: list[Candidate]
+    base: Fit
+    first: Board
+    """All candidates beside what is modelled alone."""
+    white: FloatArray
+    gate: float = GATE
+    fits: dict[frozenset[str], Fit] = field(default_factory=dict)
+    same: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    """Names that imitate each other on this design, from `groups.alike`."""
+
+    def clash(self, numbers: Sequence[int]) -> bool:
+        """Whether two of these candidates are one cause under two names, large and nearly cancelling if both fitted."""
+        names = [self.found[number].name for number in numbers]
+        return any(b in self.same.get(a, ()) for k, a in enumerate(names) for b in names[k + 1 :])
+
+    @property
+    def tested(self) -> int:
+        return max(int((self.first.rank > 0).sum()), 1)
+
+    @property
+    def samples(self) -> float:
+        return max(self.whitener.measured / 3.0, 2.0)
+
+    def fit(self, numbers: Sequence[int], start: Sequence[FloatArray]) -> Fit:
+        """The refit of these candidates; each set is fitted once."""
+        key = frozenset(self.found[number].label for number in numbers)
+        if key not in self.fits:
+            chosen = [(self.found[number].effect, theta) for number, theta in zip(numbers, start, strict=True)]
+            self.fits[key] = refit(
+                self.problem, self.whitener, chosen, modelled=self.base.modelled, reduce=self.reduce
+            )  # fmt: skip
+        return self.fits[key]
+
+    def cost(self, fit: Fit, variance: float) -> float:
+        """chi2 / variance + p log n + 2 m log K; lower is better."""
+        price = 2 * len(fit.chosen) * np.log(self.tested)
+        return float(fit.chi2 / variance + fit.rank_chosen * np.log(self.samples) + price)
+
+    def beside(self, fit: Fit) -> tuple[Board, list[Candidate]]:
+        """Effects other than those chosen, scored at a refit.
+
+        The residual and what is projected out are those of the refit. The candidates' own images are those at the
+        base: a chosen effect changes them little, and whatever is picked is fitted in the nonlinear chain.
+        """
+        taken = {effect.name for effect, _ in fit.chosen}
+        others = [candidate for candidate in self.found if candidate.name not in taken]
+        kept = np.array([self.found[int(owner)].name not in taken for owner in self.first.owner], dtype=bool)
+        measured = self.whitener.measured
+        return board(others, self.white[:, :, kept], fit.residual, fit.jacobian, measured), others
+
+    def numbers(self, fit: Fit) -> list[int]:
+        return [
+            next(n for n, c in enumerate(self.found) if c.effect is effect or c.effect == effect)
+            for effect, _ in fit.chosen
+        ]
+
+
+def begin(
+    problem: Problem, whitener: Whitens, reduce: Reduce | None = None, gate: float = GATE
+) -> tuple[Search, dict[str, str]]:
+    """Fit what is modelled, and score every candidate beside it."""
+    base = refit(problem, whitener, reduce=reduce)
+    found, untestable = candidates(problem, reduce=reduce, modelled=base.modelled)
+    white = whitened(found, whitener, base.residual.shape[0])
+    first = board(found, white, base.residual, base.jacobian, whitener.measured)
+    same = alike(shares_by_name(first))
+    return Search(problem, whitener, reduce, found, base, first, white, gate, same=same), untestable
+
+
+def run(search: Search) -> tuple[Fit, Board]:
+    """The best set of at most three effects (maybe none), and what is left beside it."""
+    if not search.found or search.tested * float(search.first.p_values.min()) > search.gate:
+        return search.base, search.first
+    fit = _best(search, [[number] for number in _shortlist(search, search.first)], search.first)
+    rest, others = search.beside(fit)
+    path = [(fit, rest)]
+    while len(fit.chosen) < LARGEST:
+        larger = _grown(search, fit, rest, others)
+        if larger is None:
+            break
+        fit = larger
+        rest, others = search.beside(fit)
+        path.append((fit, rest))
+    fit = _eliminated(search, _without_free_riders(path), rest)
+    return fit, search.beside(fit)[0]
+
+
+def _shortlist(search: Search, scored: Board) -> list[int]:
+    """Candidates whose linear model is nearly as good as the best one, at most two alternatives of an effect."""
+    cost = -scored.statistic / scored.variance + scored.rank * np.log(search.samples)
+    cost = np.where(scored.rank > 0, cost, np.inf)
+    window = max(_WITHIN, _NONLINEAR * float(scored.statistic.max() / scored.variance))
+    chosen: list[int] = []
+    for number in np.argsort(cost):
+        same = sum(scored.candidates[other].name == scored.candidates[number].name for other in chosen)
+        if cost[number] <= cost.min() + window and same < 2 and len(chosen) < _REFITS:
+            chosen.append(int(number))
+    return chosen
+
+
+def _best(search: Search, sets: Sequence[Sequence[int]], scored: Board) -> Fit:
+    """The cheapest refit among sets of candidates, started from the linear estimates at zero."""
+    fits = [search.fit(numbers, search.first.estimate(numbers)) for numbers in sets]
+    return min(fits, key=lambda fit: search.cost(fit, scored.variance))
+
+
+def _grown(search: Search, fit: Fit, rest: Board, others: Sequence[Candidate]) -> Fit | None:
+    """The best larger set, if one more effect is significant at the refit and worth its price."""
+    if not others or search.tested * float(rest.p_values.min()) > search.gate:
+        return None
+    present = search.numbers(fit)
+    pairs = [(place, search.found.index(others[place])) for place in _shortlist(search, rest)]
+    pairs = [(place, partner) for place, partner in pairs if not search.clash([*present, partner])][:3]
+    places, partners = [place for place, _ in pairs], [partner for _, partner in pairs]
+    thetas = [theta for _, theta in fit.chosen]
+    trials = []
+    for place, partner in zip(places, partners, strict=True):
+        trials.append(search.fit([*present, partner], [*thetas, rest.estimate([place])[0]]))
+    afresh = _afresh(search, len(present) + 1, present, partners)
+    trials += [search.fit(numbers, search.first.estimate(numbers)) for numbers in afresh]
+    if not trials:
+        return None
+    best = min(trials, key=lambda trial: search.cost(trial, rest.variance))
+    gain, rank = fit.chi2 - best.chi2, max(best.rank_chosen - fit.rank_chosen, 1)
+    significant = search.tested * rest.p_value(gain, rank) < search.gate
+    return best if significant and search.cost(best, rest.variance) < search.cost(fit, rest.variance) else None
+
+
+def _afresh(search: Search, size: int, present: Sequence[int], partners: Sequence[int]) -> list[list[int]]:
+    """The two best sets of `size` effects at zero: all pairs; for triples, a beam of pairs with every third."""
+    scored = search.first
+    if size == 2:
+        seeds = [[n] for n in range(len(search.found)) if scored.rank[n] > 0]
+    else:
+        seeds = [[a, b] for a in [*present, *partners] for b in [*present, *partners] if a < b]
+    ranked: list[tuple[float, list[int]]] = []
+    for seed in seeds:
+        drop, rank = scored.given(seed)
+        inside = np.isin(scored.block, seed)
+        own = float(scored.statistic[seed[0]]) if len(seed) == 1 else _joint(scored, inside)
+        cost = -(own + drop) / scored.variance + (int(inside.sum()) + rank) * np.log(search.samples)
+        names = {search.found[n].name for n in seed}
+        free = [n for n in np.argsort(cost)[:3] if rank[n] > 0 and search.found[n].name not in names]
+        ranked += [(float(cost[n]), sorted([*seed, int(n)])) for n in free]
+    ranked.sort(key=lambda pair: pair[0])
+    distinct: list[list[int]] = []
+    for _, numbers in ranked:
+        if numbers not in distinct and not search.clash(numbers):
+            distinct.append(numbers)
+    return distinct[:2]
+
+
+def _joint(scored: Board, inside: BoolArray) -> float:
+    """Drop of chi-square by all directions that are inside."""
+    values, vectors = np.linalg.eigh(scored.unit_gram[np.ix_(inside, inside)])
+    good = values > 1e-6
+    return float(np.sum((vectors[:, good].T @ scored.score[inside]) ** 2 / values[good]))
+
+
+def _without_free_riders(path: Sequence[tuple[Fit, Board]]) -> Fit:
+    """The last fit, unless its further names only mop up after the first.
+
+    A cause whose shape is slightly wrong leaves structure that many effects each explain a little. A real further
+    cause explains nearly all of what the first one leaves.
+    """
+    alone, rest = path[0]
+    last = path[-1][0]
+    if len(path) == 1 or not {id(e) for e, _ in alone.chosen} <= {id(e) for e, _ in last.chosen}:
+        return last
+    whole, rank = rest.saturated
+    left = whole - rest.variance * rank
+    explained = alone.chi2 - last.chi2 - rest.variance * (last.rank - alone.rank)
+    spread = 3.0 * rest.variance * float(np.sqrt(2.0 * rank))
+    return alone if explained < _FREE_RIDER * left and left - explained > spread else last
+
+
+def _eliminated(search: Search, fit: Fit, rest: Board) -> Fit:
+    """Effects that the others have made needless are taken out again."""
+    while len(fit.chosen) > 1:
+        smaller = [without(search, fit, number) for number in range(len(fit.chosen))]
+        drops = [(one.chi2 - fit.chi2, max(fit.rank_chosen - one.rank_chosen, 1)) for one in smaller]
+        worst = int(np.argmax([rest.p_value(*drop) for drop in drops]))
+        needless = search.tested * rest.p_value(*drops[worst]) > search.gate
+        if not needless and search.cost(smaller[worst], rest.variance) > search.cost(fit, rest.variance):
+            break
+        fit = smaller[worst]
+    return fit
+
+
+def without(search: Search, fit: Fit, number: int) -> Fit:
+    """The refit without one of the chosen effects."""
+    left: list[Active] = [pair for place, pair in enumerate(fit.chosen) if place != number]
+    if not left:
+        return search.base
+    numbers = search.numbers(fit)
+    del numbers[number]
+    return search.fit(numbers, [theta for _, theta in left])

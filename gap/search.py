@@ -1,0 +1,163 @@
+"""Which effects the gap is made of: the front door of the search.
+
+Groups, isolability and the smallest detectable sizes come from the design before the residual is looked at; then the
+search of `growth`, and for every named effect its support against rivals.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fluxtwin.gap import groups
+from fluxtwin.gap.candidates import Reduce, candidates, derivative, in_order
+from fluxtwin.gap.detectable import detectable, visible_part
+from fluxtwin.gap.growth import GATE, Search, begin, run
+from fluxtwin.gap.named import Named, Ranked, SearchResult
+from fluxtwin.gap.problem import Problem
+from fluxtwin.gap.refit import Fit, white_residual
+from fluxtwin.gap.score import Board, Whitens
+from fluxtwin.gap.support import support
+from fluxtwin.sim.effects.base import SignalEffect
+from fluxtwin.sim.effects.chain import Active
+from fluxtwin.sim.types import FloatArray
+
+__all__ = ["GATE", "Named", "Ranked", "SearchResult", "candidates", "search"]
+
+
+def search(problem: Problem, whitener: Whitens, *, reduce: Reduce | None = None, gate: float = GATE) -> SearchResult:
+    """Find the effects that explain the gap, at most three.
+
+    whitener: of the problem's rows, or of those that `reduce` makes of them. gate: the probability that a perfect
+    simulation gets any name, over the whole search. Memory: about 60 P bytes per row for P columns of all
+    alternatives together (some 250), so reduce rows beyond some ten thousand.
+    """
+    under_way, untestable = begin(problem, whitener, reduce, gate)
+    first, base = under_way.first, under_way.base
+    raw_nuisance = _raw_jacobian(problem, base, reduce)
+    table = groups.shares_by_name(first)
+    smallest, hidden = detectable(first, under_way.white, raw_nuisance, base.jacobian)
+    fit, rest = run(under_way)
+    named = [_named(under_way, fit, number, rest.variance, table, raw_nuisance) for number in range(len(fit.chosen))]
+    order = sorted(range(len(named)), key=lambda number: -_gain(under_way, fit, number))
+    chosen = tuple(fit.chosen[number] for number in order)
+    reading, alone = (_reading(problem, each) for each in (fit, base))
+    whole = rest.saturated if fit.chosen else first.saturated
+    return SearchResult(
+        named=tuple(named[number] for number in order),
+        ranking=_ranking(under_way),
+        untestable={**untestable, **hidden},
+        isolability=groups.isolability(table),
+        minimum_detectable=smallest,
+        groups=groups.alike(table),
+        candidates=tuple(under_way.found),
+        modelled=fit.modelled,
+        chosen=chosen,
+        modelled_alone=base.modelled,
+        residual_nT=np.asarray(problem.telemetry.mag_B_nT - reading),
+        residual_alone_nT=np.asarray(problem.telemetry.mag_B_nT - alone),
+        residual_white=fit.residual,
+        jacobian_white=fit.jacobian[:, :, _columns(fit, order)],
+        residual_alone_white=base.residual,
+        nuisance_alone_white=base.jacobian,
+        chi2={
+            "nuisance": (base.chi2, base.rank),
+            "named": (fit.chi2, fit.rank),
+            "saturated": (fit.chi2 - whole[0], fit.rank + whole[1]),
+        },
+        variance=rest.variance,
+        tested=under_way.tested,
+    )
+
+
+def _named(
+    under_way: Search,
+    fit: Fit,
+    number: int,
+    variance: float,
+    table: dict[str, dict[str, float]],
+    raw_nuisance: FloatArray,
+) -> Named:
+    effect, theta = fit.chosen[number]
+    assert isinstance(effect, SignalEffect)
+    backing = support(under_way, fit, number, variance, groups.alike(table))
+    part = fit.slices()[number]
+    signal = _visible(under_way, fit, number, raw_nuisance)
+    energy = np.mean(signal**2, axis=0)
+    shares = energy / max(float(energy.sum()), 1e-300)
+    return Named(
+        effect=effect,
+        theta=theta,
+        covariance=fit.covariance[part, part] * max(variance, 1.0),
+        p_value=backing.p_value,
+        group=backing.group,
+        rivals=backing.rivals,
+        probability=backing.probability,
+        visible_nT=float(np.sqrt(np.mean(energy))),
+        axis_shares=(float(shares[0]), float(shares[1]), float(shares[2])),
+        signal_nT=signal,
+    )
+
+
+def _visible(under_way: Search, fit: Fit, number: int, raw_nuisance: FloatArray) -> FloatArray:
+    """(M, 3) signal of one named effect beside the best re-estimation of what is modelled, nT."""
+    problem, reduce = under_way.problem, under_way.reduce
+    others = [pair for place, pair in enumerate(fit.chosen) if place != number]
+    with_it = _chain_reading(problem, fit.active)
+    without_it = _chain_reading(problem, [*fit.modelled, *others])
+    raw = with_it - without_it
+    raw = raw if reduce is None else reduce(raw)
+    white = under_way.whitener.apply(raw)
+    return visible_part(raw[:, :, None], white[:, :, None], raw_nuisance, under_way.base.jacobian)[:, :, 0]
+
+
+def _gain(under_way: Search, fit: Fit, number: int) -> float:
+    """How much larger chi-square is without this effect, all else as it is."""
+    others = [pair for place, pair in enumerate(fit.chosen) if place != number]
+    bare = white_residual(under_way.problem, under_way.whitener, [*fit.modelled, *others], under_way.reduce)
+    return float(np.sum(bare**2)) - fit.chi2
+
+
+def _columns(fit: Fit, order: list[int]) -> list[int]:
+    """Columns of a fit's Jacobian with the chosen effects in another order."""
+    start = sum(len(theta) for _, theta in fit.modelled)
+    slices = fit.slices()
+    return [*range(start), *(c for number in order for c in range(slices[number].start, slices[number].stop))]
+
+
+def _raw_jacobian(problem: Problem, fit: Fit, reduce: Reduce | None) -> FloatArray:
+    """(M, 3, c) derivative by what is modelled, nT."""
+    on = in_order([*problem.frozen, *fit.modelled])
+    blocks = []
+    for effect, theta in fit.modelled:
+        number = next(place for place, pair in enumerate(on) if pair[0] is effect)
+        blocks.append(derivative(problem.chain, on, number))
+        assert blocks[-1].shape[2] == len(theta)
+    raw = np.concatenate(blocks, axis=2) if blocks else np.zeros((problem.rows, 3, 0))
+    return raw if reduce is None else reduce(raw)
+
+
+def _reading(problem: Problem, fit: Fit) -> FloatArray:
+    return _chain_reading(problem, fit.active)
+
+
+def _chain_reading(problem: Problem, active: list[Active]) -> FloatArray:
+    return problem.chain.reading_nT(in_order([*problem.frozen, *active]))
+
+
+def _ranking(under_way: Search) -> tuple[Ranked, ...]:
+    """Every effect alone, by its best alternative."""
+    first: Board = under_way.first
+    best: dict[str, Ranked] = {}
+    for number, candidate in enumerate(first.candidates):
+        rank = int(first.rank[number])
+        if rank == 0:
+            continue
+        drop = float(first.statistic[number])
+        p_value = min(1.0, under_way.tested * float(first.p_values[number]))
+        line = Ranked(candidate.name, candidate.label, drop, rank, p_value)
+        if candidate.name not in best or (p_value, -drop) < (
+            best[candidate.name].p_value,
+            -best[candidate.name].drop,
+        ):
+            best[candidate.name] = line
+    return tuple(sorted(best.values(), key=lambda line: (line.p_value, -line.drop)))

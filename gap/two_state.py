@@ -1,0 +1,183 @@
+"""A field that is on or off by a thermostat nobody recorded: the sequence is found in the residual.
+
+Two levels and a price for each switch (Viterbi's algorithm), in turn with the field vector (least squares in
+whitened units). Any slow signal can be cut into two levels, so the sequence is only called a heater's if its dwell
+times are more regular than those of a random telegraph with as many switches, apart in sun and shadow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import gammaln
+
+from fluxtwin.gap.conditions import lit
+from fluxtwin.gap.evidence import Fit, Leftover, Whitens, leftover
+from fluxtwin.gap.flexible import FlexibleFinding
+from fluxtwin.gap.left import drift
+from fluxtwin.gap.tones import Tone
+from fluxtwin.sim.effects.heater_switching import HeaterSwitching
+from fluxtwin.sim.signal import Setting
+from fluxtwin.sim.types import BoolArray, FloatArray
+
+_ROUNDS = 8
+_FEWEST_SWITCHES = 6
+_LOG_CERTAIN = 10.0
+_TELEGRAPHS = 400
+_REGULAR_P = 0.01
+_SEED = 20
+_DRIFT_P = -4.0
+_LONGEST = 200_000  # rows; the search walks through them one by one
+
+
+def heater_sequence(
+    setting: Setting,
+    whitener: Whitens,
+    residual_nT: FloatArray,
+    fitted: FloatArray,
+    rivals: Sequence[Fit] = (),
+    tone: Tone | None = None,
+) -> FlexibleFinding | None:
+    """Look for a two-state sequence in a residual (N, 3), fitted columns (N, 3, q); None where there is none.
+
+    rivals: block fits, tone: the strongest line; the sequence must be worth more than each after its price.
+    """
+    rows = residual_nT.shape[0]
+    if not 60 <= rows <= _LONGEST:
+        return None
+    left = leftover(whitener, residual_nT, fitted)
+    on = _sequence(left, whitener, residual_nT, fitted)
+    on = ~on if on.mean() > 0.5 else on  # a bias hides which state is which: the rarer one is called on
+    switches = int(np.sum(on[1:] != on[:-1]))
+    if switches < _FEWEST_SWITCHES:
+        return None
+    columns = on.astype(float)[:, None, None] * np.eye(3)
+    free, _ = left.project(columns)
+    gram = free.T @ free
+    field = np.linalg.pinv(gram, rcond=1e-9) @ (free.T @ left.residual)
+    gain = float(field @ gram @ field)
+    spare = max(left.degrees - 3 - switches, 1)
+    variance = (left.energy - gain) / spare
+    price = float(gammaln(rows + 1) - gammaln(switches + 1) - gammaln(rows - switches + 1))
+    worth = 0.5 * gain / variance - price - 1.5 * np.log(rows)
+    if worth < _LOG_CERTAIN:
+        return None
+    faults = _rivals(gain, variance, price, rows, rivals, tone)
+    if _regularity(setting, on) > _REGULAR_P:
+        faults.append("it switches as irregularly as a random telegraph")
+    sunlit = lit(setting) > 0.5
+    if abs(np.mean(on == sunlit) - 0.5) > 0.45:
+        faults.append("it follows the sunlight")
+    rest = leftover(whitener, residual_nT, np.concatenate([fitted, columns], axis=2))
+    if drift(rest) < _DRIFT_P:
+        faults.append("slow structure is left beside it")
+    sigma = np.sqrt(variance * np.diag(np.linalg.pinv(gram, rcond=1e-9)))
+    parameters = {f"f_{a}": (float(v), float(s), "nT") for a, v, s in zip("xyz", field, sigma, strict=True)}
+    words = f"a field that is on and off in turn, {switches} switches" + (
+        f"; but {', '.join(faults)}" if faults else ""
+    )
+    instance = HeaterSwitching(tuple(int(state) for state in on))
+    return FlexibleFinding("heater_switching", parameters, float(np.exp(-worth)), not faults, words, instance)
+
+
+def _sequence(left: Leftover, whitener: Whitens, residual_nT: FloatArray, fitted: FloatArray) -> BoolArray:
+    """(N,) the likeliest two-state sequence."""
+    rows = residual_nT.shape[0]
+    white = whitener.apply(np.ascontiguousarray(fitted)).reshape(3 * rows, -1)
+    target = whitener.apply(residual_nT).reshape(-1)
+    rest = residual_nT - fitted @ np.linalg.lstsq(white, target, rcond=1e-10)[0] if white.shape[1] else residual_nT
+    lagged = sum(rest[lag:].T @ rest[: rows - lag] for lag in (1, 2, 3))
+    _, vector = np.linalg.eigh(np.asarray(lagged + np.transpose(lagged)))
+    direction = vector[:, -1]
+    on = _viterbi(rest @ direction, None)
+    for _ in range(_ROUNDS):
+        if not on.any() or on.all():
+            break
+        free, _ = left.project(on.astype(float)[:, None, None] * np.eye(3))
+        field = np.linalg.lstsq(free, left.residual, rcond=1e-9)[0]
+        centre = rest - np.outer(on - on.mean(), field)
+        spread = np.cov(centre.T)
+        direction = np.linalg.solve(spread, field)
+        again = _viterbi(rest @ direction, on)
+        if np.array_equal(again, on):
+            break
+        on = again
+    return on
+
+
+def _viterbi(z: FloatArray, start: BoolArray | None) -> BoolArray:
+    """Best cut of a series into two levels with a price of log N a switch; levels and noise re-estimated in turn."""
+    on = z > np.median(z) if start is None else start
+    scale = 1.4826 * np.median(np.abs(np.diff(z))) / np.sqrt(2)
+    for _ in range(10):
+        if not on.any() or on.all():
+            break
+        low, high = float(z[~on].mean()), float(z[on].mean())
+        noise = max(float(np.std(z - np.where(on, high, low))), 1e-3 * scale, 1e-12)
+        again = _path(((z - low) ** 2 - (z - high) ** 2) / (2 * noise**2), float(np.log(z.size)))
+        if np.array_equal(again, on):
+            break
+        on = again
+    return on
+
+
+def _path(gain: FloatArray, price: float) -> BoolArray:
+    """States that maximise the sum of `gain` while on, less the price of each switch."""
+    stay_off, stay_on = 0.0, 0.0
+    from_on, from_off = np.zeros(gain.size, dtype=bool), np.zeros(gain.size, dtype=bool)
+    for row, value in enumerate(gain.tolist()):
+        from_on[row] = stay_on - price > stay_off
+        from_off[row] = stay_off - price > stay_on
+        off = stay_on - price if from_on[row] else stay_off
+        stay_on = (stay_off - price if from_off[row] else stay_on) + value
+        stay_off = off
+    on = np.zeros(gain.size, dtype=bool)
+    state = stay_on > stay_off
+    for row in range(gain.size - 1, -1, -1):
+        on[row] = state
+        state = not from_off[row] if state else bool(from_on[row])
+    return on
+
+
+def _rivals(
+    gain: float, variance: float, price: float, rows: int, rivals: Sequence[Fit], tone: Tone | None
+) -> list[str]:
+    mine = gain / variance - 2 * price
+    faults = []
+    for one in rivals:
+        _, explained = one.modes()
+        if float(explained.sum()) / variance - explained.size * np.log(rows) > mine:
+            faults.append(f"{one.block.label} does as well")
+            break
+    if tone is not None and tone.explained / variance - 8 * np.log(rows) > mine:
+        faults.append("a line does as well")
+    return faults
+
+
+def _regularity(setting: Setting, on: BoolArray) -> float:
+    """p-value of dwell times as regular as these for a random telegraph with as many switches."""
+    sunlit = lit(setting) > 0.5
+    changes = np.flatnonzero(on[1:] != on[:-1]) + 1
+    observed = _scatter(setting.seconds, sunlit, changes, bool(on[0]))
+    rng = np.random.default_rng(_SEED)
+    below = 0
+    for _ in range(_TELEGRAPHS):
+        drawn = np.sort(rng.choice(np.arange(1, on.size), changes.size, replace=False))
+        below += _scatter(setting.seconds, sunlit, drawn, bool(on[0])) <= observed
+    return (below + 1) / (_TELEGRAPHS + 1)
+
+
+def _scatter(seconds: FloatArray, sunlit: BoolArray, changes: np.ndarray, first: bool) -> float:
+    """Mean squared relative scatter of the inner dwell times within each class (state, sun or shadow)."""
+    lengths = np.diff(seconds[changes])
+    middle = (changes[1:] + changes[:-1]) // 2
+    states = np.logical_xor(np.arange(lengths.size) % 2 == 0, first)
+    kinds = 2 * states + sunlit[middle]
+    total, count = 0.0, 0
+    for kind in np.unique(kinds):
+        mine = lengths[kinds == kind]
+        if mine.size >= 2:
+            total += float(np.sum((mine / mine.mean() - 1) ** 2))
+            count += mine.size - 1
+    return total / count if count else np.inf

@@ -1,0 +1,285 @@
+"""`fluxtwin diagnose` as a person meets it: the answer, what it writes, and the one message for each mistake."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from jsonschema import Draft202012Validator
+
+from fluxtwin.gap.schema import diagnosis_schema
+from fluxtwin.sim.scenario import load_scenario, parse_scenario
+from fluxtwin.sim.scenario_effects import active_effects
+from fluxtwin.sim.simulate import simulate
+from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.telemetry_io import read_telemetry, write_telemetry
+
+SCENARIO = """
+seed = 5
+[spacecraft]
+name = "Floor"
+[orbit]
+epoch_utc = "2020-03-01T00:00:00Z"
+altitude_km = 650.0
+inclination_deg = 97.9
+raan_deg = 10.0
+argument_of_latitude_deg = 0.0
+[attitude]
+yaw_rms_deg = 4.0
+roll_rms_deg = 4.0
+pitch_rms_deg = 4.0
+shortest_period_min = 40.0
+[attitude.reference]
+sigma_deg = 0.05
+tau_s = 0.0
+[magnetometer]
+S = [[0.005, 0.002, 0.0], [0.0, -0.005, 0.0], [0.001, 0.0, 0.004]]
+b_nT = [1000.0, -500.0, 200.0]
+noise_nT = 30.0
+lsb_nT = 10.0
+[schedule]
+segments = [{ start_utc = "2020-03-01T00:00:00Z", duration_min = 200.0, step_s = 30.0 }]
+"""
+LATE = "[effects.time_tag_offset]\noffset_s = 15.0\n"
+FLAGS = ("--noise-nT", 30, "--lsb-nT", 10, "--attitude-sigma-deg", 0.05)
+
+# The keys of the contract, written down a second time on purpose: the schema is not its own witness.
+TOP = {
+    "verdict", "effects", "resembles", "where", "gap", "modelled", "untestable", "isolability", "minimum_detectable",
+    "samples", "provenance",
+}  # fmt: skip
+EFFECT = {
+    "name", "group", "rivals", "probability", "parameters", "stage", "axis", "frame", "condition", "significance",
+}  # fmt: skip
+GAP = {
+    "before_nT", "after_nT", "floor_nT", "floor_with_effects_nT", "closed", "interval", "prediction", "shape_incomplete",
+    "per_axis",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Case:
+    """A record with a late clock, and what the command answered and wrote."""
+
+    folder: Path
+    record: Telemetry
+    telemetry: Path
+    outcome: Any
+    answer: dict[str, Any]
+
+
+def call(*arguments: object) -> int:
+    from fluxtwin.cli import main
+
+    return main([str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def late(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    folder = tmp_path_factory.mktemp("late")
+    record, _ = simulate(parse_scenario(SCENARIO + LATE))
+    write_telemetry(record, folder / "late.csv")
+    written = ("--json", folder / "a.json", "--html", folder / "a.html", "--close", folder / "closed.toml")
+    status = call("diagnose", folder / "late.csv", *FLAGS, *written)
+    return Case(folder, record, folder / "late.csv", status, strict(folder / "a.json"))
+
+
+def strict(path: Path) -> dict[str, Any]:
+    def refuse(text: str) -> None:
+        raise ValueError(f"{text} is not JSON")
+
+    answer: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+    return answer
+
+
+def check_contract(answer: dict[str, Any]) -> None:
+    """An answer against the packaged schema and against the contract's own list of keys."""
+    Draft202012Validator(diagnosis_schema()).validate(answer)
+    assert set(answer) >= TOP
+    assert all(set(effect) >= EFFECT for effect in answer["effects"])
+    assert set(answer["gap"]) == GAP
+    assert set(answer["where"]) == {"stage", "axis", "frame", "condition", "equivalent", "probabilities"}
+    assert set(answer["samples"]) == {"used", "cut", "without_attitude"}
+    for shares in answer["where"]["probabilities"].values():
+        assert sum(shares.values()) == pytest.approx(1.0, abs=1e-6)  # a sum of a dozen doubles, some rounded
+    for effect in answer["effects"]:
+        assert effect["name"] in effect["group"]
+    if answer["verdict"] == "no_gap":
+        assert answer["gap"]["after_nT"] == answer["gap"]["before_nT"]
+
+
+def test_the_schema_is_one_and_refuses_what_breaks_the_contract(late: Case) -> None:
+    schema = diagnosis_schema()
+    Draft202012Validator.check_schema(schema)
+    validator = Draft202012Validator(schema)
+    for key in TOP:
+        assert not validator.is_valid({k: v for k, v in late.answer.items() if k != key}), key
+    wrong = [
+        {"verdict": "perhaps"},
+        {"verdict": "no_gap"},
+        {"effects": []},
+        {"gap": {**late.answer["gap"], "closed": 1.2}},
+        {"gap": {**late.answer["gap"], "interval": [0.5]}},
+        {"where": {**late.answer["where"], "stage": "none"}},
+        {"samples": {"used": 1.5, "cut": 0, "without_attitude": 0}},
+    ]
+    assert [change for change in wrong if validator.is_valid({**late.answer, **change})] == []
+
+
+def test_a_late_clock_is_named_and_the_answer_keeps_the_contract(late: Case) -> None:
+    assert late.outcome == 0
+    check_contract(late.answer)
+    assert late.answer["verdict"] == "effect"
+    assert [effect["name"] for effect in late.answer["effects"]] == ["time_tag_offset"]
+    assert set(late.answer["effects"][0]["group"]) <= {"time_tag_offset", "sensor_lag"}  # alike to first order
+    offset = late.answer["effects"][0]["parameters"]["offset"]
+    assert offset["unit"] == "s"
+    assert abs(offset["value"] - 15.0) < 4.0 * offset["sigma"]
+    assert late.answer["modelled"] == ["bias", "scale_misalignment"]
+    assert late.answer["provenance"]["notes"] == []
+
+
+def test_the_page_stands_alone_and_answers_the_questions(late: Case) -> None:
+    page = (late.folder / "a.html").read_text(encoding="utf-8")
+    for words in ("Where the gap lies", "Which effect causes it", "How far it shrinks", "What could not be tested"):
+        assert f">{words}</h2>" in page
+    assert page.count("data:image/png;base64,") == 4
+    assert "http" not in page.replace("http-equiv", "")
+    assert "the state of the heater in the telemetry" in page  # what would settle an untestable effect
+    assert late.answer["would_settle"]["eddy_current"].startswith("for ")
+    assert "h of such data" in " ".join(late.answer["would_settle"].values())
+
+
+def test_the_closed_scenario_simulates_and_closes_the_gap(late: Case, cli: Callable[..., Any]) -> None:
+    closed = late.folder / "closed.toml"
+    scenario = load_scenario(closed)
+    assert [effect.name for effect, _ in active_effects(scenario)] == ["time_tag_offset"]
+    again = late.folder / "again.csv"
+    assert cli("simulate", closed, "--out", again).status == 0
+    mine, theirs = read_telemetry(again), read_telemetry(late.telemetry)
+    assert (mine.time == theirs.time).all()
+    rms = float(np.sqrt(np.mean((mine.mag_B_nT - theirs.mag_B_nT) ** 2)))
+    # two draws of the reading's noise, one attitude error of 0.05 deg in about 30,000 nT, fitted parameters
+    assert rms < 1.2 * np.sqrt(2 * (30.0**2 + 10.0**2 / 12) + (np.radians(0.05) * 30_000.0) ** 2)
+    assert rms < 0.7 * late.answer["gap"]["before_nT"]
+
+
+def test_the_scenario_with_the_effect_has_no_gap_left(late: Case, cli: Callable[..., Any]) -> None:
+    """Effects of --scenario are applied as they are; JSON alone goes to standard output."""
+    (late.folder / "with.toml").write_text(SCENARIO + LATE, encoding="utf-8")
+    outcome = cli("diagnose", late.telemetry, "--scenario", late.folder / "with.toml", "--json", "-")
+    assert outcome.status == 0
+    answer = json.loads(outcome.out)
+    check_contract(answer)
+    assert answer["verdict"] == "no_gap"
+    assert answer["gap"]["before_nT"] < late.answer["gap"]["before_nT"]
+
+
+def test_nothing_to_close_is_said_and_no_file_is_written(late: Case, cli: Callable[..., Any]) -> None:
+    (late.folder / "with.toml").write_text(SCENARIO + LATE, encoding="utf-8")
+    out = late.folder / "nothing.toml"
+    outcome = cli("diagnose", late.telemetry, "--scenario", late.folder / "with.toml", "--close", out)
+    assert outcome.status == 0
+    assert outcome.out.startswith("No gap")
+    assert "nothing to close" in outcome.err
+    assert not out.exists()
+
+
+def test_modelled_none_makes_the_calibration_a_candidate(late: Case, cli: Callable[..., Any]) -> None:
+    outcome = cli("diagnose", late.telemetry, *FLAGS, "--modelled", "none", "--json", "-")
+    assert outcome.status == 0
+    answer = json.loads(outcome.out)
+    check_contract(answer)
+    assert answer["modelled"] == []
+    assert answer["verdict"] != "no_gap"
+    assert "bias" in {*answer["minimum_detectable"], *answer["untestable"]}
+
+
+@pytest.fixture
+def broken(late: Case, tmp_path: Path, cli: Callable[..., Any]) -> Callable[..., Any]:
+    """Diagnose a changed record and demand that nothing was written."""
+
+    def run(record: Telemetry, *options: object, suffix: str = ".csv") -> Any:
+        path = write_telemetry(record, tmp_path / f"broken{suffix}") or tmp_path / f"broken{suffix}"
+        before = sorted(tmp_path.iterdir())
+        targets = ("--html", tmp_path / "x.html", "--close", tmp_path / "x.toml", "--json", tmp_path / "x.json")
+        outcome = cli("diagnose", path, *FLAGS, *options, *targets)
+        assert sorted(tmp_path.iterdir()) == before, "something half-written is left"
+        assert "Traceback" not in outcome.err
+        return outcome
+
+    return run
+
+
+def test_no_reading_at_all(late: Case, broken: Callable[..., Any]) -> None:
+    outcome = broken(late.record.replace(mag_B_nT=np.full_like(late.record.mag_B_nT, np.nan)), suffix=".nc")
+    assert outcome.status == 1
+    assert "all 401 magnetometer readings are missing" in outcome.err
+
+
+def test_an_unknown_modelled_effect_is_named_with_the_nearest(late: Case, broken: Callable[..., Any]) -> None:
+    outcome = broken(late.record, "--modelled", "bias,scale_misalignmnt")
+    assert outcome.status == 2
+    assert "scale_misalignment" in outcome.err
+
+
+def test_a_scenario_of_another_spacecraft(late: Case, tmp_path: Path, broken: Callable[..., Any]) -> None:
+    (tmp_path / "other.toml").write_text(SCENARIO.replace('"Floor"', '"Ceiling"'), encoding="utf-8")
+    outcome = broken(late.record, "--scenario", tmp_path / "other.toml", suffix=".nc")
+    assert outcome.status == 2
+    assert "'Floor'" in outcome.err and "'Ceiling'" in outcome.err
+
+
+def test_too_few_rows_says_how_many_are_needed(late: Case, broken: Callable[..., Any]) -> None:
+    outcome = broken(late.record.select(slice(0, 12)))
+    assert outcome.status == 1
+    assert "12 rows" in outcome.err
+    assert "at least 24 are needed" in outcome.err  # 12 parameters and 30 to spare, three a row, and ten more
+
+
+def test_no_position_and_no_attitude(late: Case, broken: Callable[..., Any]) -> None:
+    placeless = broken(late.record.replace(r_N_km=None, v_N_km_s=None))
+    assert placeless.status == 2
+    assert "no position" in placeless.err
+    blind = broken(late.record.replace(q_NB=None))
+    assert blind.status == 1
+    assert "rows without attitude cannot be diagnosed yet" in blind.err
+
+
+def test_numbers_and_folders_that_cannot_be(late: Case, cli: Callable[..., Any], tmp_path: Path) -> None:
+    negative = cli("diagnose", late.telemetry, "--noise-nT", -3)
+    assert negative.status == 2
+    assert "--noise-nT: -3" in negative.err
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    nowhere = cli("diagnose", late.telemetry, *FLAGS, "--html", tmp_path / "file" / "x.html")
+    assert nowhere.status == 2
+    assert "is a file" in nowhere.err
+    assert "noise" not in nowhere.err, "found before the work, not after it"
+
+
+def test_rows_without_attitude_are_counted_and_said(late: Case, cli: Callable[..., Any], tmp_path: Path) -> None:
+    q = late.record.q_NB.copy()
+    q[::8] = np.nan
+    write_telemetry(late.record.replace(q_NB=q), tmp_path / "some.csv")
+    outcome = cli("diagnose", tmp_path / "some.csv", *FLAGS, "--json", "-")
+    assert outcome.status == 0
+    answer = json.loads(outcome.out)
+    check_contract(answer)
+    assert answer["samples"]["without_attitude"] == 51  # ceil(401 / 8)
+    assert "51 of 401 rows have no reference attitude" in outcome.err
+
+
+def test_a_stuck_attitude_is_a_warning(late: Case, cli: Callable[..., Any], tmp_path: Path) -> None:
+    q = late.record.q_NB.copy()
+    q[100:330] = q[100]
+    write_telemetry(late.record.replace(q_NB=q), tmp_path / "stuck.csv")
+    outcome = cli("diagnose", tmp_path / "stuck.csv", *FLAGS, "--json", "-")
+    assert outcome.status == 0
+    check_contract(json.loads(outcome.out))
+    assert "the reference attitude looks stuck" in outcome.err
+    assert "57 % of the rows" in outcome.err  # 229 of 400 steps

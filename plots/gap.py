@@ -141,7 +141,7 @@ def _bands(frequency: FloatArray, amplitude: FloatArray) -> tuple[FloatArray, Fl
     power = np.bincount(number, weights=amplitude**2, minlength=_BANDS)[:_BANDS]
     place = np.bincount(number, weights=frequency, minlength=_BANDS)[:_BANDS]
     filled = samples > 0
-    return place[filled] / samples[filled], np.asarray(np.sqrt(power[filled] / samples[filled]))
+    return np.asarray(place[filled] / samples[filled]), np.asarray(np.sqrt(power[filled] / samples[filled]))
 
 
 def _spectrum(seconds: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

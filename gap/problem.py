@@ -20,14 +20,10 @@ from fluxtwin.sim.field_models import FieldModel
 from fluxtwin.sim.motion import RecordedMotion
 from fluxtwin.sim.sensors.magnetometer import Magnetometer
 from fluxtwin.sim.signal import Setting
-from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.telemetry import Telemetry, recorded_columns
 from fluxtwin.sim.types import FloatArray, TimeArray
 
 DEFAULT_MODELLED = ("bias", "scale_misalignment")
-_COLUMNS = (
-    "dipole_B_Am2", "sunlit", "heater_on", "array_current_A", "battery_current_A", "temperature_degC",
-    "wheel_speed_rpm", "sun_sensor_head", "sun_B", "nadir_B", "rate_B_rad_s",
-)  # fmt: skip
 _GAP_FACTOR = 5.0
 
 
@@ -140,10 +136,8 @@ def pose(
     assert used.r_N_km is not None and used.q_NB is not None
     r, v = np.array(used.r_N_km), _velocity(used)
     motion = RecordedMotion(used.time, r, v, frames.rotation_from_q(np.array(used.q_NB)), used.rate_B_rad_s)
-    columns = {name: np.array(value) for name in _COLUMNS if (value := getattr(used, name)) is not None}
-    columns |= {f"flag_{name}": np.array(value) for name, value in used.flags.items()}
     plain = Magnetometer(np.zeros((3, 3)), np.zeros(3)) if instrument is None else instrument
-    setting = Setting(used.time, motion, "predict", model, plain, columns)
+    setting = Setting(used.time, motion, "predict", model, plain, recorded_columns(used))
     return Problem(used, Chain(setting), tuple(frozen), tuple(effects), budget or Budget(), left_out)
 
 

@@ -20,7 +20,7 @@ from itertools import product
 
 import numpy as np
 
-from fluxtwin.sim import epoch, frames, sun
+from fluxtwin.sim import frames, sun
 from fluxtwin.sim.constants import EARTH_RADIUS_KM
 from fluxtwin.sim.orbit import orbital_rates
 from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
@@ -222,8 +222,3 @@ def _sun_of_date(days: FloatArray) -> FloatArray:
     noon: TimeArray = np.array([day(int(d), 12.0) for d in days], dtype="datetime64[ns]")
     of_date: FloatArray = frames.rotation_TN(noon).apply(sun.sun_direction_N(noon))
     return of_date
-
-
-def start_epoch() -> str:
-    """Epoch of the scenario's elements: 0 h UTC of day 205."""
-    return epoch.iso(day(DATA_DAYS[0]))

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import xarray
 
 from fluxtwin.sim import frames
 from fluxtwin.sim.errors import BadInput
@@ -144,7 +145,6 @@ def test_telemetry_carries_no_truth(run, tmp_path):
 
 
 def test_truth_is_written_apart_and_whole(run, tmp_path):
-    xarray = pytest.importorskip("xarray")
     path = run[1].write(tmp_path / "truth.nc")
     with xarray.open_dataset(path, engine="h5netcdf") as opened:
         for item in dataclasses.fields(run[1]):

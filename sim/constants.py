@@ -35,3 +35,6 @@ AM2_PER_POLE_CM = 1.0e-3
 
 MU0_OVER_4PI_NT_M3_PER_AM2 = 100.0
 """mu0/(4 pi) = 1e-7 T m/A, in nT m3/(A m2)."""
+
+SPEED_OF_LIGHT_M_S = 299792458.0
+"""Speed of light, exact by the definition of the metre [m/s]."""

@@ -118,7 +118,7 @@ def first_outside(r_km: FloatArray, lowest_km: float) -> int:
     return -1
 
 
-@kernel(fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=_FAST, error_model="numpy", nogil=True)
 def synthesize(r_km: FloatArray, table: FloatArray, weight: FloatArray, out: FloatArray) -> None:
     """Add weight times the field of the folded table to `out` (N, 3), at positions (N, 3).
 

@@ -10,11 +10,13 @@ NUMBA_CACHE_DIR, if set, is honoured.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any, ParamSpec, TypeVar
 
 import numba
@@ -25,8 +27,12 @@ R = TypeVar("R")
 _config: Any = numba.config
 
 
-def kernel(**options: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """`numba.njit(**options)` with the safe cache of this module."""
+def kernel(*, uses: Iterable[ModuleType] = (), **options: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """`numba.njit(**options)` with the safe cache of this module.
+
+    uses: other modules whose functions or constants are compiled into this one; when their text changes, the kernel
+    is compiled again (numba itself looks at the kernel's own file alone).
+    """
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         compiled: Any = numba.njit(**options)(function)
@@ -37,10 +43,21 @@ def kernel(**options: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:
             try:
                 with contextlib.suppress(OSError, RuntimeError):
                     compiled._cache = _cache_type(function)
+                    _stamp_with(compiled._cache, uses)
             finally:
                 _config.CACHE_DIR = before
         same_signature: Callable[P, R] = compiled
         return same_signature
+
+    return decorate
+
+
+def part(**options: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """`numba.njit(**options)` for a function that other kernels call: it is kept in their caches, and has none."""
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        compiled: Callable[P, R] = numba.njit(**options)(function)
+        return compiled
 
     return decorate
 
@@ -69,6 +86,14 @@ class _ForgivingCache(FunctionCache):
 
 
 _cache_type: Any = _ForgivingCache
+
+
+def _stamp_with(cached: Any, modules: Iterable[ModuleType]) -> None:
+    """Make the text of other modules part of what the cache is good for."""
+    texts = [Path(module.__file__).read_bytes() for module in modules if module.__file__ is not None]
+    if texts:
+        digest = hashlib.sha256(b"\0".join(texts)).hexdigest()
+        cached._cache_file._source_stamp = (cached._cache_file._source_stamp, digest)
 
 
 @cache

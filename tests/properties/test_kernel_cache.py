@@ -73,3 +73,26 @@ def test_a_folder_others_may_write_is_not_trusted(tmp_path: Path) -> None:
     assert folder.stat().st_mode & 0o777 == 0o700
     folder.chmod(0o777)
     assert run(tmp_path / "src", XDG_CACHE_HOME=str(cache)) == ["42.0", "0", "None"]
+
+
+USING = """
+import other
+from fluxtwin.sim.kernel_cache import kernel, part
+
+scale = part()(other.scale)
+
+@kernel(uses=[other])
+def double(x):
+    return scale(x)
+"""
+
+
+def test_a_kernel_is_compiled_again_when_what_it_uses_has_changed(tmp_path: Path) -> None:
+    """numba looks at the kernel's own file alone, and would go on with the old constant."""
+    cache, source = str(tmp_path / "cache"), tmp_path / "src"
+    source.mkdir()
+    (source / "tiny.py").write_text(USING, encoding="utf-8")
+    for factor, answer in ((2.0, "42.0"), (3.0, "63.0")):
+        (source / "other.py").write_text(f"def scale(x):\n    return {factor} * x\n", encoding="utf-8")
+        assert run(source, XDG_CACHE_HOME=cache)[:2] == [answer, "0"]
+        assert run(source, XDG_CACHE_HOME=cache)[:2] == [answer, "1"]

@@ -1,0 +1,208 @@
+"""Fly each control law for a while, print its figures as a table, and draw them.
+
+    python docs/examples/control_laws.py [--out FIGURE.png]
+
+The vehicles are made up, of the size of those in the papers: a momentum-bias satellite like HCMM (10 A m2 torquers),
+a three-axis one like Seasat (100 A m2), a small spinner and a small tumbler. Gravity gradient and a residual dipole
+disturb them all.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+from fluxtwin.sim import epoch, frames
+from fluxtwin.sim.attitude import ephemeris_rate_O_rad_s
+from fluxtwin.sim.control.b_dot import BDot
+from fluxtwin.sim.control.base import Control
+from fluxtwin.sim.control.momentum_bias import MomentumBias
+from fluxtwin.sim.control.spin import Spin
+from fluxtwin.sim.control.three_axis import ThreeAxis
+from fluxtwin.sim.dynamics.environment import environment_along
+from fluxtwin.sim.dynamics.flight import Flight, Start, fly
+from fluxtwin.sim.dynamics.vehicle import Target, Vehicle, Wheel
+from fluxtwin.sim.field import load_field
+from fluxtwin.sim.orbit import Orbit
+from fluxtwin.sim.torques.gravity_gradient import GravityGradient
+from fluxtwin.sim.torques.residual_dipole import ResidualDipole
+from fluxtwin.sim.torques.torquers import Torquers
+
+EPOCH = np.datetime64("1978-11-29T00:00:00", "ns")
+ORBIT = Orbit(epoch_utc=EPOCH, altitude_km=620.0, inclination_rad=np.radians(97.6), raan_rad=0.5)
+DAY_S, RPM = 86_400.0, 2.0 * np.pi / 60.0
+AROUND = environment_along(ORBIT.propagate, EPOCH, DAY_S, spacing_s=10.0, field=load_field())
+
+
+def start_from(
+    yaw_deg: float, roll_deg: float, pitch_deg: float, speeds_rpm: list[float], rate_deg_s: Any = 0.0
+) -> Start:
+    """So far off the orbital frame, and turning against it."""
+    R_BO = frames.rotation_BO(*np.radians([[yaw_deg], [roll_deg], [pitch_deg]]))
+    rate = R_BO.apply(ephemeris_rate_O_rad_s(ORBIT.propagate, np.array([EPOCH])))[0] + np.radians(rate_deg_s)
+    q = frames.q_from_rotation(R_BO * frames.rotation_ON(*ORBIT.propagate(EPOCH)))[0]
+    return Start(q, rate, RPM * np.array(speeds_rpm))
+
+
+def angles_deg(flight: Flight) -> np.ndarray:
+    """(rows, 3) yaw, roll, pitch."""
+    R_ON = frames.rotation_ON(*ORBIT.propagate(epoch.add_seconds(EPOCH, flight.seconds_s)))
+    yaw_roll_pitch = frames.yaw_roll_pitch(frames.rotation_from_q(flight.q_NB[0]) * R_ON.inv())
+    return np.degrees(np.stack(yaw_roll_pitch, axis=1))
+
+
+def duty(flight: Flight) -> str:
+    """Share of the time that each torquer does something, and what it does on average."""
+    rows = slice(flight.seconds_s.size // 2, None)
+    dipole = np.abs(flight.dipole_B_Am2[0, rows])
+    on = "/".join(f"{100 * share:.1f}" for share in (dipole > 0.01 * dipole.max()).mean(axis=0))
+    mean = "/".join(f"{value:.2g}" for value in dipole.mean(axis=0))
+    return f"{on} % ({mean} A m2)"
+
+
+def momentum_bias(
+    field_use: str, drive: str, precession: float, nutation: float, threshold: float
+) -> tuple[Flight, str]:
+    """2.5 N m s on the pitch axis, from 5 deg of roll and some nutation."""
+    h, speed_rpm = 2.5, 2000.0
+    law = MomentumBias(
+        momentum_Nms=h, nutation_gain_Am2_s_per_T=nutation, precession_gain_Am2_per_rad=precession,
+        momentum_gain_per_T=100.0, field_use=field_use,
+    )  # fmt: skip
+    wheel = Wheel((0.0, 1.0, 0.0), h / (speed_rpm * RPM), 400.0, 0.02, 1e-6, 1e-4)
+    flight = flown(
+        law, np.diag([25.0, 20.0, 22.0]), (wheel,), Torquers(dipole_Am2=10.0, drive=drive, threshold_Am2=threshold),
+        start_from(0.0, 5.0, 2.0, [-speed_rpm - 100.0], [0.02, 0.0, 0.02]), 0.05,
+    )  # fmt: skip
+    rms = np.sqrt(np.mean(np.square(angles_deg(flight)[-4320:]), axis=0))
+    excess = h * (np.abs(flight.wheel_speed_rad_s[0, -2000:, 0]) / RPM / speed_rpm - 1.0)
+    # Nutation moves the transverse rate within a minute; what is slower is the orbit and the precession.
+    wobble = flight.rate_B_rad_s[0, -2000:, 2] - running_mean(flight.rate_B_rad_s[0, -2000:, 2], 31)
+    nutation_deg = np.degrees(np.sqrt(2.0) * np.std(wobble[50:-50]) * 22.0 / h)
+    return flight, (
+        f"yaw {rms[0]:.2f}, roll {rms[1]:.2f}, pitch {rms[2]:.3f} deg rms; nutation {nutation_deg:.3f} deg; momentum"
+        f" within {np.abs(excess).max():.3f} N m s"
+    )
+
+
+def running_mean(values: np.ndarray, width: int) -> np.ndarray:
+    """Mean of each value with its neighbours."""
+    return np.convolve(values, np.ones(width) / width, mode="same")
+
+
+def flown(
+    law: Control, inertia: np.ndarray, wheels: tuple[Wheel, ...], torquers: Torquers, start: Start, dipole_Am2: float,
+    target: Target | None = None, duration_s: float = DAY_S, step_s: float = 0.5,
+) -> Flight:  # fmt: skip
+    """One vehicle under a law, a tick each second, a row each ten."""
+    torques = (GravityGradient(), ResidualDipole(dipole_Am2=(dipole_Am2,) * 3), torquers)
+    vehicle = Vehicle(inertia, wheels, torques, law, target or Target())
+    ticks, rows = round(1.0 / step_s), round(10.0 / step_s)
+    return fly([vehicle], [AROUND], [start], duration_s=duration_s, step_s=step_s, control_every=ticks, log_every=rows)
+
+
+def three_axis() -> tuple[Flight, str]:
+    """Three reaction wheels, on-off magnets, half a degree of pitch off the vertical: a pull that never stops."""
+    law = ThreeAxis(frequency_rad_s=0.02, integral_s=300.0, unloading_per_s=1e-3)
+    wheels = tuple(Wheel(a, 0.1, 400.0, 0.3, 1e-5, 1e-3) for a in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+    target = Target(attitude=frames.rotation_BO(np.zeros(1), np.zeros(1), np.radians([0.5]))[0])
+    magnets = Torquers(dipole_Am2=100.0, drive="on_off", threshold_Am2=20.0)
+    flight = flown(law, np.diag([25e3, 24e3, 3e3]), wheels, magnets, start_from(1, 1, 1, [0, 0, 0]), 1.0, target)
+    rms = np.sqrt(np.mean(np.square(angles_deg(flight)[-4320:] - [0.0, 0.0, 0.5]), axis=0))
+    most = 0.1 * np.abs(flight.wheel_speed_rad_s[0, -2000:]).max()
+    return flight, (f"yaw {rms[0]:.4f}, roll {rms[1]:.4f}, pitch {rms[2]:.4f} deg rms; wheels within {most:.1f} N m s")
+
+
+def spinner() -> tuple[Flight, str]:
+    """From 20 deg off the orbit normal at 8 rpm to the normal at 10 rpm."""
+    law = Spin(rate_rpm=10.0, axis_gain_Am2_per_T=2e5, rate_gain_Am2_s_per_T=1e6, nutation_gain_Am2_s_per_T=2e6)
+    R_BO = frames.rotation_BO(np.zeros(1), np.radians([110.0]), np.zeros(1))
+    q = frames.q_from_rotation(R_BO * frames.rotation_ON(*ORBIT.propagate(EPOCH)))[0]
+    start = Start(q, np.array([0.1, 0.0, 8.0 * RPM]), np.zeros(0))
+    flight = flown(law, np.diag([1.0, 1.05, 1.4]), (), Torquers(dipole_Am2=2.0), start, 0.02, None, 28_800.0, 0.1)
+    axis, nutation = spin_errors_deg(flight)
+    spin_rpm = flight.rate_B_rad_s[0, -200:, 2] / RPM
+    return flight, (
+        f"axis within {axis[-200:].max():.1f} deg, rate {spin_rpm.mean():.3f} rpm, nutation {nutation[-200:].max():.2f} deg"
+    )
+
+
+def spin_errors_deg(flight: Flight) -> tuple[np.ndarray, np.ndarray]:
+    """Momentum from the orbit normal, and body z from the momentum."""
+    momentum_B = flight.rate_B_rad_s[0] * [1.0, 1.05, 1.4]
+    momentum_N = frames.rotation_from_q(flight.q_NB[0]).inv().apply(momentum_B)
+    normal_N = np.cross(*ORBIT.propagate(epoch.add_seconds(EPOCH, flight.seconds_s)))
+    size = np.linalg.norm(momentum_N, axis=1)
+    axis = np.sum(momentum_N * normal_N, axis=1) / size / np.linalg.norm(normal_N, axis=1)
+    return np.degrees(np.arccos(np.clip(axis, -1, 1))), np.degrees(np.arccos(momentum_B[:, 2] / size))
+
+
+def tumbler() -> tuple[Flight, str]:
+    """From 3 deg/s."""
+    start = Start(np.array([0.0, 0.0, 0.0, 1.0]), np.radians([2.0, -1.5, 1.7]), np.zeros(0))
+    flight = flown(
+        BDot(gain_Am2_s_per_T=1e6), np.diag([5.0, 6.0, 4.0]), (), Torquers(dipole_Am2=3.0), start, 0.02, None, 28_800.0
+    )
+    rate = np.degrees(np.linalg.norm(flight.rate_B_rad_s[0], axis=1))
+    down_h = flight.seconds_s[np.flatnonzero(rate > 0.3)[-1]] / 3600.0
+    return flight, f"under 0.3 deg/s after {down_h:.1f} h, {rate[-200:].mean():.3f} deg/s at the end (orbit 0.062)"
+
+
+def draw(flights: dict[str, Flight], path: Path) -> None:
+    """Four panels: what each law does to what it is for."""
+    figure, axes = plt.subplots(2, 2, figsize=(10, 6), layout="constrained")
+    for name, style in (("momentum bias, signs", "-"), ("momentum bias, components", "--")):
+        flight = flights[name]
+        angles = angles_deg(flight)
+        for column, label in ((0, "yaw"), (1, "roll")):
+            axes[0, 0].plot(
+                flight.seconds_s / 3600, angles[:, column], style, lw=0.8, label=f"{label}, {name.split(', ')[1]}"
+            )
+    axes[0, 0].set(title="momentum bias", ylabel="deg")
+    flight = flights["three axes"]
+    axes[0, 1].plot(flight.seconds_s / 3600, 0.1 * flight.wheel_speed_rad_s[0], lw=0.8, label=["x", "y", "z"])
+    axes[0, 1].set(title="three axes: momentum of the wheels", ylabel="N m s")
+    flight = flights["spin"]
+    axis, nutation = spin_errors_deg(flight)
+    axes[1, 0].plot(flight.seconds_s / 3600, axis, lw=0.8, label="axis from the orbit normal")
+    axes[1, 0].plot(flight.seconds_s / 3600, nutation, lw=0.8, label="nutation")
+    axes[1, 0].set(title="spin", ylabel="deg", xlabel="h")
+    flight = flights["B-dot"]
+    axes[1, 1].semilogy(
+        flight.seconds_s / 3600, np.degrees(np.linalg.norm(flight.rate_B_rad_s[0], axis=1)), lw=0.8, label="rate"
+    )
+    axes[1, 1].set(title="B-dot", ylabel="deg/s", xlabel="h")
+    for axis in axes.flat:
+        axis.grid(alpha=0.3)
+        axis.legend(fontsize=8)
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    """Fly, print, draw."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, help="draw the figures into this file")
+    arguments = parser.parse_args()
+    runs = {
+        "momentum bias, signs": momentum_bias("sign", "saturated", 100.0, 5e7, 0.0),
+        "momentum bias, components": momentum_bias("proportional", "on_off", 500.0, 3e8, 5.0),
+        "three axes": three_axis(),
+        "spin": spinner(),
+        "B-dot": tumbler(),
+    }
+    print("| law | in the end | torquers on (mean) |\n|---|---|---|")
+    for name, (flight, words) in runs.items():
+        print(f"| {name} | {words} | {duty(flight)} |")
+    if arguments.out:
+        draw({name: flight for name, (flight, _) in runs.items()}, arguments.out)
+
+
+if __name__ == "__main__":
+    main()

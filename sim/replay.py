@@ -45,10 +45,11 @@ def simulate_replay(scenario: Scenario, progress: Progress = silent) -> tuple[Te
     if not whole.any():
         raise BadInput("no row has position, velocity and attitude", where=str(path))
     recorded = recorded.select(whole)
-    assert recorded.r_N_km is not None and recorded.v_N_km_s is not None and recorded.q_NB is not None
     progress("field and sensors", 0.3)
     segment = np.zeros(len(recorded))
-    world = world_along(scenario, recorded.time, segment, recorded.r_N_km, recorded.v_N_km_s)
+    # copies: a record is read-only, and scipy turns only vectors it could write to
+    r_N_km, v_N_km_s = np.array(recorded.r_N_km), np.array(recorded.v_N_km_s)
+    world = world_along(scenario, recorded.time, segment, r_N_km, v_N_km_s)
     attitude = _true_motion(scenario, recorded)
     motion = RecordedMotion(recorded.time, world.r_N_km, world.v_N_km_s, attitude.R_BN, recorded.rate_B_rad_s)
     columns = recorded_columns(recorded)

@@ -9,7 +9,7 @@ prediction has no noise and no rounding, so its differences are the Jacobians of
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal, Protocol
@@ -20,17 +20,21 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.sim import epoch, frames, sun
 from fluxtwin.sim.field import field_N_nT
 from fluxtwin.sim.field_models import FieldModel
+from fluxtwin.sim.motion import RecordedMotion
 from fluxtwin.sim.sensors.magnetometer import Magnetometer
-from fluxtwin.sim.types import FloatArray, TimeArray
+from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
 
 Direction = Literal["simulate", "predict"]
+
+_BESIDE_S = 0.05  # to either side of a moment, for the body rate there: a spin of ten turns a second is still seen
+_REMEMBERED = 4
 
 
 class Motion(Protocol):
     """Orbit and attitude as functions of time."""
 
-    def at(self, offset_s: float) -> tuple[FloatArray, FloatArray, Rotation]:
-        """Position [km] and velocity [km/s] (N, 3), GCRS, and R_BN, `offset_s` after each stamp."""
+    def at(self, offset_s: float | FloatArray) -> tuple[FloatArray, FloatArray, Rotation]:
+        """Position [km] and velocity [km/s] (N, 3), GCRS, and R_BN, `offset_s` (or (N,)) after each stamp."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,8 @@ class Setting:
     """(N, 3) the model at the stamps and given positions, if at hand: spares one evaluation."""
     unknown_B_nT: FloatArray | None = None
     """(N, 3) field at the sensor of a source that the baseline has and nobody has explained."""
+    attitude_known: BoolArray | None = None
+    """(N,) False where no attitude was reported and R_BN is only one that fits the reading. None: all known."""
 
     @cached_property
     def seconds(self) -> FloatArray:
@@ -88,22 +94,65 @@ class Setting:
         """(N,) geocentric latitude."""
         return frames.geocentric(self.R_EN.apply(self.given[0]))[0]
 
-    @cached_property
+    @property
     def rate_B_rad_s(self) -> FloatArray:
-        """(N, 3) body rate relative to N, components in B, from the motion one second to either side."""
-        after, before = self.motion.at(1.0)[2], self.motion.at(-1.0)[2]
-        rate: FloatArray = -np.atleast_2d((after * before.inv()).as_rotvec()) / 2.0
-        return rate
+        """(N, 3) body rate relative to N, components in B."""
+        return self.rates(0.0)[0]
+
+    def rates(self, offset_s: float) -> tuple[FloatArray, FloatArray]:
+        """Body rate relative to N (N, 3), components in B, and rate of change of the model field along the orbit (N, 3),
+        GCRS, nT/s, both `offset_s` after the stamps."""
+        if offset_s not in self._rates:
+            while len(self._rates) >= _REMEMBERED:
+                del self._rates[next(iter(self._rates))]
+            self._rates[offset_s] = self.turning(offset_s), self._field_rate(offset_s)
+        return self._rates[offset_s]
 
     @cached_property
-    def field_rate_N_nT_s(self) -> FloatArray:
-        """(N, 3) rate of change of the model field along the orbit, GCRS, from the motion one second to either side."""
+    def _rates(self) -> dict[float, tuple[FloatArray, FloatArray]]:
+        return {}
+
+    def track(self, offset_s: float | FloatArray) -> Rotation:
+        """R_BN `offset_s` (or (N,)) after the stamps, without the error that a row's own recorded attitude has."""
+        if isinstance(self.motion, RecordedMotion) and self.direction == "predict":
+            return self.motion.track(offset_s)
+        return self.motion.at(offset_s)[2]
+
+    def within_steps(
+        self, offset_s: float, step_s: FloatArray, parts: int
+    ) -> Sequence[tuple[FloatArray, Rotation, FloatArray]]:
+        """The moments that cut the steps (N,) before the stamps into parts: offset [s] (N,), track, body rate (N, 3).
+
+        All of them `offset_s` later; the offset counts from the stamp.
+        """
+        key = (offset_s, step_s.tobytes(), parts)
+        if key not in self._within:
+            moments = [offset_s + (number / parts - 1.0) * step_s for number in range(1, parts)]
+            self._within.clear()
+            self._within[key] = [(moment, self.track(moment), self.turning(moment)) for moment in moments]
+        return self._within[key]
+
+    @cached_property
+    def _within(self) -> dict[tuple[float, bytes, int], list[tuple[FloatArray, Rotation, FloatArray]]]:
+        return {}
+
+    def turning(self, offset_s: float | FloatArray) -> FloatArray:
+        """(N, 3) body rate relative to N, components in B, `offset_s` (or (N,)) after the stamps."""
+        after, before = self.track(offset_s + _BESIDE_S), self.track(offset_s - _BESIDE_S)
+        return np.asarray(-np.atleast_2d((after * before.inv()).as_rotvec()) / (2.0 * _BESIDE_S))
+
+    def _field_rate(self, offset_s: float) -> FloatArray:
         after, before = (
-            field_N_nT(self.model, epoch.add_seconds(self.time[0], self.seconds + offset), self.motion.at(offset)[0])
-            for offset in (1.0, -1.0)
+            field_N_nT(self.model, epoch.add_seconds(self.time[0], self.seconds + moment), self.motion.at(moment)[0])
+            for moment in (offset_s + 1.0, offset_s - 1.0)
         )
-        rate: FloatArray = (after - before) / 2.0
-        return rate
+        return np.asarray((after - before) / 2.0)
+
+    @cached_property
+    def own_turn_N(self) -> Rotation | None:
+        """What each row's given attitude adds to the track, R_BN = track own_turn_N; None where the motion is exact."""
+        exact = self.direction == "simulate" or not isinstance(self.motion, RecordedMotion)
+        return None if exact else self.track(0.0).inv() * self.given[2]
 
     def column(self, name: str) -> FloatArray | None:
         """A recorded column, or None."""
@@ -153,9 +202,14 @@ class Signal:
     @property
     def field_B_nT(self) -> FloatArray:
         """(N, 3) ambient field in true body axes."""
-        assert self.field_N_nT is not None
-        turned: FloatArray = self.R_BN.apply(self.field_N_nT)
+        turned: FloatArray = self.R_BN.apply(self.ambient_N_nT)
         return turned
+
+    @property
+    def ambient_N_nT(self) -> FloatArray:
+        """(N, 3) ambient field, GCRS; only from the field stage on."""
+        assert self.field_N_nT is not None
+        return self.field_N_nT
 
     @property
     def reading(self) -> FloatArray:
@@ -186,13 +240,30 @@ class Signal:
         """The reported attitude is turned: R_reported = exp([theta x]) R_true, theta (N, 3) in body axes."""
         if self.setting.direction == "simulate":
             return dataclasses.replace(self, R_reported_BN=Rotation.from_rotvec(theta_B_rad) * self.R_reported_BN)
+        if self.setting.attitude_known is not None:
+            theta_B_rad = np.where(self.setting.attitude_known[:, None], theta_B_rad, 0.0)  # nothing was reported
         return dataclasses.replace(self, R_BN=Rotation.from_rotvec(-theta_B_rad) * self.R_BN)
 
     @property
     def field_rate_B_nT_s(self) -> FloatArray:
         """(N, 3) rate of change of the ambient field as the body sees it, along the orbit and by its own turning."""
-        turned: FloatArray = self.R_BN.apply(self.setting.field_rate_N_nT_s)
-        return turned - np.cross(self.setting.rate_B_rad_s, self.field_B_nT)
+        rate, along = self.setting.rates(self.sample_offset_s)
+        turned: FloatArray = self.R_BN.apply(along)
+        return turned - np.cross(rate, self.field_B_nT)
+
+    @property
+    def R_track_BN(self) -> Rotation:
+        """Attitude at the moment of sampling along the track: what looks back along the rows must use this one, or
+        it would see the attitude errors of the rows before as motion."""
+        own = self.setting.own_turn_N
+        return self.R_BN if own is None else self.R_BN * own.inv()
+
+    def with_own_turn(self, vector_B: FloatArray) -> FloatArray:
+        """(N, 3) vectors in the track's body axes, turned into those of each row's own attitude."""
+        if self.setting.own_turn_N is None:
+            return vector_B
+        turned: FloatArray = self.R_BN.apply(self.R_track_BN.inv().apply(vector_B))
+        return turned
 
     def with_ambient(self, extra_N_nT: FloatArray) -> Signal:
         """More ambient field, GCRS components."""

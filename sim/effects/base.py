@@ -55,6 +55,22 @@ class Effect(ABC):
         """Why this design cannot show the effect at all, in words; None when it can."""
         return None
 
+    def pinned(self, setting: Setting, reading_B_nT: FloatArray) -> Effect:
+        """The same effect with whatever it takes from this record written down, so that another record changes nothing.
+
+        reading_B_nT: (N, 3) noise-free readings of the record without this effect.
+        """
+        return self
+
+    def between(self, setting: Setting, ratio: float) -> Effect | None:
+        """The effect with a setting moved by a ratio that `alternatives` tries at a few values only; None: it has none."""
+        return None
+
+    @property
+    def bound(self) -> str | None:
+        """Why its parameters say nothing of another record, in words; None when they do."""
+        return None
+
 
 @dataclass(frozen=True)
 class SignalEffect(Effect):

@@ -28,6 +28,10 @@ class BiasRandomWalk(DistributionEffect):
     def parameters(self) -> tuple[Parameter, ...]:
         return (Parameter("rate", "nT/sqrt(s)", 1.0, 0.0),)
 
+    @property
+    def bound(self) -> str:
+        return "a walk takes another path each time: only its rate is carried over"
+
     def draw(self, signal: Signal, theta: FloatArray, rng: np.random.Generator) -> Signal:
         steps = rng.standard_normal((signal.rows, 3))
         size = theta[0] * np.sqrt(np.diff(signal.setting.seconds, prepend=0.0))

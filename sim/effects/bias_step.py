@@ -51,6 +51,15 @@ class BiasStep(SignalEffect):
         after = self.after(setting)
         return None if 0.0 < after.mean() < 1.0 else "the moment lies outside the record"
 
+    def pinned(self, setting: Setting, reading_B_nT: FloatArray) -> BiasStep:
+        middle = epoch.iso(setting.time[setting.time.size // 2], "ms")
+        return self if self.at is not None else replace(self, at=middle)
+
+    @property
+    def bound(self) -> str:
+        moment = "once" if self.at is None else f"once, at {self.at}"
+        return f"it happened {moment}: later it is a constant part of b, and whether it happens again is not known"
+
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         shift = in_reading(signal.setting, theta)
         return signal.with_reading(signal.reading - self.after(signal.setting)[:, None] * shift)

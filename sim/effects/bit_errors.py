@@ -35,6 +35,7 @@ class BitErrors(DistributionEffect):
     kind: Literal["flip", "stuck_0", "stuck_1"] = "flip"
     lsb_nT: float | None = None
     """Step of the code; None: the instrument's, or 1 nT if that does not round."""
+    axis: Literal["x", "y", "z", "all"] = "all"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -51,7 +52,8 @@ class BitErrors(DistributionEffect):
         word = int(np.abs(code).max()).bit_length() + 1
         if self.bit is not None and not 0 <= self.bit < 62:
             raise BadInput(f"bit {self.bit}", where=self.name, wanted="0 to 61, or none for any")
-        hit = rng.random(code.shape) < theta[0]
+        reached = np.array([self.axis in ("all", axis) for axis in "xyz"])
+        hit = (rng.random(code.shape) < theta[0]) & reached
         chosen = rng.integers(0, word, code.shape)
         mask = np.left_shift(np.int64(1), chosen if self.bit is None else np.full(code.shape, self.bit))
         wrong = {"flip": code ^ mask, "stuck_0": code & ~mask, "stuck_1": code | mask}[self.kind]

@@ -11,7 +11,7 @@ from fluxtwin.sim.effects.base import known_column
 from fluxtwin.sim.effects.history import relax
 from fluxtwin.sim.power import FixedPanel, TrackingArray, incidence_cosine
 from fluxtwin.sim.signal import Setting
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.types import BoolArray, FloatArray
 
 PanelKind = Literal["zenith", "tracking", "constant"]
 """A panel on the -z face, an array that turns about y, or a current that only shadow cuts."""
@@ -33,10 +33,26 @@ def array_current_A(setting: Setting, panel: PanelKind) -> FloatArray:
         return column
     if panel == "constant":
         return lit(setting)
-    sun_B = setting.given[2].apply(setting.sun_N)
+    sun_B, known = sun_in_body(setting)
     shape = FixedPanel((0.0, 0.0, -1.0), 1.0) if panel == "zenith" else TrackingArray((0.0, 1.0, 0.0), 1.0)
-    current: FloatArray = lit(setting) * incidence_cosine(sun_B, shape)
+    cosine = incidence_cosine(sun_B, shape)
+    if not known.all():
+        seen = known & (lit(setting) > 0.5)
+        cosine = np.where(known, cosine, float(cosine[seen].mean()) if seen.any() else 1.0)
+    current: FloatArray = lit(setting) * cosine
     return current
+
+
+def sun_in_body(setting: Setting) -> tuple[FloatArray, BoolArray]:
+    """Unit vectors to the sun in body axes (N, 3), and where they are known (N,): by the attitude, else as measured."""
+    sun_B = setting.given[2].apply(setting.sun_N)
+    known = np.ones(len(sun_B), dtype=np.bool_) if setting.attitude_known is None else setting.attitude_known.copy()
+    measured = setting.column("sun_B")
+    if measured is not None:
+        instead = ~known & np.isfinite(measured).all(axis=1)
+        sun_B = np.where(instead[:, None], measured, sun_B)
+        known |= instead
+    return sun_B, known
 
 
 def battery_current_A(setting: Setting) -> FloatArray:

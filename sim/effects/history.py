@@ -32,14 +32,19 @@ def relax(seconds: FloatArray, goal: FloatArray, time_constant_s: float, *, star
 
 
 def low_pass(
-    seconds: FloatArray, signal: FloatArray, tau_s: float, restart: BoolArray, slope: FloatArray | None = None
+    seconds: FloatArray,
+    signal: FloatArray,
+    tau_s: float,
+    restart: BoolArray,
+    slope: FloatArray | None = None,
+    start: FloatArray | None = None,
 ) -> FloatArray:
     """First-order low-pass tau y' + y = x of a signal (N, k) known at uneven stamps.
 
     Between stamps x is a straight line, or, with its slope (N, k) at the stamps, the cubic that has these
     values and slopes. The answer to that is exact: the particular solution that a cubic has, the sum of
-    (-tau)^n times its n-th derivative, and a decaying exponential. Each stretch starts in balance or, with
-    slopes, with the delay of a steady one.
+    (-tau)^n times its n-th derivative, and a decaying exponential. Each stretch starts with `start` (N, k), or in
+    balance, or, with slopes, with the delay of a steady one.
     """
     from fluxtwin.sim.effects.history_kernels import recursion
 
@@ -55,7 +60,8 @@ def low_pass(
     keep = np.concatenate([[0.0], np.exp(-step[:, 0] / tau_s)])
     driven = np.zeros_like(signal)
     driven[1:] = right - keep[1:, None] * left
-    start = signal if slope is None else signal - tau_s * slope
+    if start is None:
+        start = signal if slope is None else signal - tau_s * slope
     answer: FloatArray = recursion(keep, driven, start, restart)
     return answer
 

@@ -47,7 +47,8 @@ class Hysteresis(SignalEffect):
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         if not self.width_nT > 0:
             raise BadInput(f"{self.width_nT:g} nT", where=f"{self.name} width_nT", wanted="more than 0 nT")
-        field = signal.field_B_nT if signal.stray_B_nT is None else signal.field_B_nT + signal.stray_B_nT
+        field = signal.R_track_BN.apply(signal.ambient_N_nT)
+        field = field if signal.stray_B_nT is None else field + signal.stray_B_nT
         half = 0.5 * self.width_nT
         behind = (play(field, half, field[0]) - field) / half
         shift = in_reading(signal.setting, behind * theta)

@@ -10,8 +10,11 @@ from fluxtwin.sim.types import FloatArray
 
 def in_reading(setting: Setting, field_B_nT: FloatArray) -> FloatArray:
     """(I + S)^-1 times a field (3,) or (N, 3): what equation 1 makes of it in the reading."""
-    matrix = np.eye(3) + setting.instrument.S
-    return np.asarray(np.linalg.solve(matrix, np.asarray(field_B_nT).T).T, dtype=np.float64)
+    field = np.asarray(field_B_nT)
+    if not setting.instrument.S.any():
+        return np.array(field, dtype=np.float64)
+    inverse = np.asarray(np.linalg.inv(np.eye(3) + setting.instrument.S), dtype=np.float64)
+    return inverse @ field if field.ndim == 1 else mapped(inverse, field)
 
 
 def mapped(matrix: FloatArray, vectors: FloatArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import reduce
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -19,6 +20,6 @@ def monomials(degree: int) -> tuple[str, ...]:
 
 def products(reading_B_nT: FloatArray, degree: int) -> FloatArray:
     """(N, M) products of the components (N, 3), in units of the standard field, in the order of `monomials`."""
-    unit = reading_B_nT / STANDARD_FIELD_NT
-    columns = [np.prod([unit[:, "xyz".index(letter)] for letter in name], axis=0) for name in monomials(degree)]
+    unit = dict(zip("xyz", np.ascontiguousarray(reading_B_nT.T) / STANDARD_FIELD_NT, strict=True))
+    columns = [reduce(np.multiply, [unit[letter] for letter in name]) for name in monomials(degree)]
     return np.stack(columns, axis=1)

@@ -42,6 +42,10 @@ class RingCurrent(SignalEffect):
         span_h = float(setting.seconds[-1]) / 3600.0
         return (RingCurrent(), *(RingCurrent(hours) for hours in RECOVERY_H if span_h > _LEAST_SPAN * hours))
 
+    @property
+    def bound(self) -> str:
+        return "the ring current of these hours is not that of others: take the Dst of the day"
+
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         size_nT = np.full(signal.rows, float(theta[0]))
         if self.decay_h > 0:

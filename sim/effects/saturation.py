@@ -18,7 +18,7 @@ _DEPTHS_NT = (500.0, 2000.0, 8000.0)
 class Saturation(SignalEffect):
     """Each axis is clipped at full scale less the depth.
 
-    Full scale is the setting's, else the largest reading without noise.
+    Full scale is `full_scale_nT`, else the setting's, else the largest reading without noise.
     """
 
     name: ClassVar[str] = "saturation"
@@ -30,6 +30,7 @@ class Saturation(SignalEffect):
     )
     typical_nT: float = 2000.0
     """Depth at which the effect is linearised; not part of what reality does."""
+    full_scale_nT: float | None = None
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -39,8 +40,13 @@ class Saturation(SignalEffect):
         """The effect linearised at several depths, because a clip is anything but linear."""
         return tuple(replace(self, typical_nT=depth_nT) for depth_nT in _DEPTHS_NT)
 
+    def pinned(self, setting: Setting, reading_B_nT: FloatArray) -> Saturation:
+        declared = setting.full_scale_nT
+        largest_nT = float(np.abs(reading_B_nT).max()) if declared is None else declared
+        return self if self.full_scale_nT is not None else replace(self, full_scale_nT=largest_nT)
+
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
-        declared = signal.setting.full_scale_nT
+        declared = signal.setting.full_scale_nT if self.full_scale_nT is None else self.full_scale_nT
         clean = signal.reading if signal.ideal_B_nT is None else signal.ideal_B_nT
         full_scale_nT = float(np.abs(clean).max()) if declared is None else declared
         limit = max(full_scale_nT - float(theta[0]), 0.0)

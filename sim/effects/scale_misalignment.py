@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from fluxtwin.sim.effects.base import Parameter, SignalEffect
+from fluxtwin.sim.effects.instrument import mapped
 from fluxtwin.sim.signal import Signal
 from fluxtwin.sim.types import FloatArray
 
@@ -29,5 +30,5 @@ class ScaleMisalignment(SignalEffect):
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         nominal = np.eye(3) + signal.setting.instrument.S
-        changed = np.linalg.solve(nominal + theta.reshape(3, 3), nominal @ signal.reading.T).T
-        return signal.with_reading(np.asarray(changed, dtype=np.float64))
+        change = np.asarray(np.linalg.solve(nominal + theta.reshape(3, 3), nominal), dtype=np.float64)
+        return signal.with_reading(mapped(change, signal.reading))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from fluxtwin.sim.effects.base import Parameter, SignalEffect
+from fluxtwin.sim.effects.field_history import field_history
 from fluxtwin.sim.effects.history import low_pass, restarts
 from fluxtwin.sim.effects.instrument import in_reading
 from fluxtwin.sim.signal import Signal
@@ -16,9 +17,10 @@ from fluxtwin.sim.types import FloatArray
 class SensorLag(SignalEffect):
     """First-order low-pass of the reading with the time constant `lag`.
 
-    Between stamps the ambient field's part is followed by its value and its rate of change, so a lag far below
-    the sampling interval comes out right; the rest of the reading (torquers, stray fields) as straight lines.
-    After a gap the filter starts anew.
+    Between stamps the ambient field's part is followed by its value and its rate of change, at moments between two
+    stamps too where the body turns far in a step, so a lag far below the sampling interval comes out right; the rest
+    of the reading (torquers, stray fields) as straight lines. After a gap the filter starts anew, as if the body had
+    turned at that rate before.
     """
 
     name: ClassVar[str] = "sensor_lag"
@@ -34,12 +36,14 @@ class SensorLag(SignalEffect):
         return (Parameter("lag", "s", 0.5, 0.0, 600.0),)
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
-        setting = signal.setting
-        seconds, lag_s = setting.seconds, float(theta[0])
-        if seconds.size < 2:
+        setting, lag_s = signal.setting, float(theta[0])
+        if setting.seconds.size < 2:
             return signal
-        ambient = in_reading(setting, signal.field_B_nT)
-        slope = in_reading(setting, signal.field_rate_B_nT_s)
-        again = restarts(seconds)
-        smooth = low_pass(seconds, ambient, lag_s, again, slope)
-        return signal.with_reading(smooth + low_pass(seconds, signal.reading - ambient, lag_s, again))
+        field = field_history(signal)
+        start = field.steady_B_nT(lag_s)
+        late = low_pass(field.time_s, field.along_B_nT, lag_s, field.restart, field.slope_B_nT_s, start)
+        late = late - field.along_B_nT
+        shift = in_reading(setting, signal.with_own_turn(late[field.stamps]))
+        rest = signal.reading - in_reading(setting, signal.field_B_nT)
+        late_rest = low_pass(setting.seconds, rest, lag_s, restarts(setting.seconds)) - rest
+        return signal.with_reading(signal.reading + shift + late_rest)

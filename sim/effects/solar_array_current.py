@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from fluxtwin.sim.effects.base import Parameter, SignalEffect, known_column, vector_parameters
-from fluxtwin.sim.effects.drivers import PanelKind, array_current_A, varies
+from fluxtwin.sim.effects.drivers import PanelKind, array_current_A, sun_in_body, varies
 from fluxtwin.sim.signal import Setting, Signal
 from fluxtwin.sim.types import FloatArray
 
@@ -36,6 +36,8 @@ class SolarArrayCurrent(SignalEffect):
         if known_column(setting, "array_current_A") is not None:
             return (self,)
         kinds: tuple[PanelKind, ...] = ("zenith", "tracking", "constant")
+        if not sun_in_body(setting)[1].any():
+            kinds = ("constant",)  # no incidence is known
         choices = tuple(SolarArrayCurrent(kind) for kind in kinds)
         return tuple(choice for choice in choices if choice.untestable(setting) is None) or (self,)
 

@@ -79,6 +79,12 @@ class SwitchedField(SignalEffect):
             return f"the telemetry has no flag_{self.condition.removeprefix(FLAG)}"
         return None if self._switches(setting) else f"{self.condition} never begins or ends"
 
+    @property
+    def bound(self) -> str | None:
+        if self.condition != "interval":
+            return None
+        return f"it was on from {self.from_utc} to {self.to_utc}: when it is on again is not known"
+
     def _switches(self, setting: Setting) -> bool:
         on = self.on(setting)
         return on is not None and varies(on)

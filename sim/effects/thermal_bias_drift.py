@@ -45,6 +45,15 @@ class ThermalBiasDrift(SignalEffect):
     def untestable(self, setting: Setting) -> str | None:
         return thermally_untestable(setting, self.time_constant_s)
 
+    def between(self, setting: Setting, ratio: float) -> ThermalBiasDrift | None:
+        if known_column(setting, "temperature_degC") is not None:
+            return None
+        return replace(self, time_constant_s=ratio * self.time_constant_s)
+
+    def pinned(self, setting: Setting, reading_B_nT: FloatArray) -> ThermalBiasDrift:
+        mean_degC = float(temperature_K(setting, self.time_constant_s).mean())
+        return self if self.reference_degC is not None else replace(self, reference_degC=mean_degC)
+
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         warmer = warmer_K(signal.setting, self.time_constant_s, self.reference_degC)
         shift = in_reading(signal.setting, theta)

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from fluxtwin.sim.effects.base import Parameter, SignalEffect, known_column
+from fluxtwin.sim.effects.drivers import temperature_K
 from fluxtwin.sim.effects.instrument import mapped
 from fluxtwin.sim.effects.thermal_bias_drift import TIME_CONSTANTS_S, thermally_untestable, warmer_K
 from fluxtwin.sim.signal import Setting, Signal
@@ -39,6 +40,15 @@ class ThermalScaleDrift(SignalEffect):
 
     def untestable(self, setting: Setting) -> str | None:
         return thermally_untestable(setting, self.time_constant_s)
+
+    def between(self, setting: Setting, ratio: float) -> ThermalScaleDrift | None:
+        if known_column(setting, "temperature_degC") is not None:
+            return None
+        return replace(self, time_constant_s=ratio * self.time_constant_s)
+
+    def pinned(self, setting: Setting, reading_B_nT: FloatArray) -> ThermalScaleDrift:
+        mean_degC = float(temperature_K(setting, self.time_constant_s).mean())
+        return self if self.reference_degC is not None else replace(self, reference_degC=mean_degC)
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         warmer = warmer_K(signal.setting, self.time_constant_s, self.reference_degC)

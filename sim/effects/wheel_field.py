@@ -71,6 +71,10 @@ class WheelField(SignalEffect):
             return "the telemetry has no wheel speed; only a line found in the residual can stand in"
         return None if varies(phase) else "the wheel never turns"
 
+    @property
+    def bound(self) -> str:
+        return "the phase is counted from the first sample of this record: only the amplitude is carried over"
+
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         phase = self.phase_rad(signal.setting, signal.sample_offset_s)
         if phase is None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim import sun
 from fluxtwin.sim.effects.base import Effect, Parameter, SignalEffect, known_column
@@ -15,21 +16,25 @@ from fluxtwin.sim.types import BoolArray, FloatArray
 _LONGEST_ECLIPSE_S = 4500.0  # geostationary: 72 minutes
 _STEP_S = 10.0
 _SAME_PASS_S = 300.0
+_SAME_AXIS_RAD = float(np.radians(1.0))  # the two images then differ by less than two parts in a hundred
 
 
 @dataclass(frozen=True)
 class YawDrift(SignalEffect):
-    """Yaw error about body z in proportion to time since the first stamp, or since entering eclipse."""
+    """Yaw error in proportion to time since the first stamp, or since entering eclipse."""
 
     when: Literal["always", "eclipse"] = "always"
     """eclipse: the gyro coasts in the shadow, from zero at each entry; right in sunlight."""
+    axis: Literal["nadir", "body_z"] = "nadir"
+    """nadir: the yaw of the 3-1-2 set drifts. body_z: the attitude turns about the axis of a gyro along body z."""
 
     name: ClassVar[str] = "yaw_drift"
     stage: ClassVar[str] = "attitude"
     about: ClassVar[str] = (
-        "reported yaw (about body z) is too large by rate x time since the first stamp, or, when = eclipse, since "
-        "entering the shadow and zero outside it: drift of the gyro that carries yaw while no sensor sees it (rate "
-        "integration, Wertz 1978, section 6.5: 0.01-0.1 deg/h for a good gyro, 10 deg/h for a small one)"
+        "reported yaw (3-1-2, so about nadir; or, axis = body_z, the turn about body z) is too large by rate x time "
+        "since the first stamp, or, when = eclipse, since entering the shadow and zero outside it: drift of the gyro "
+        "that carries yaw while no sensor sees it (rate integration, Wertz 1978, section 6.5: 0.01-0.1 deg/h for a "
+        "good gyro, 10 deg/h for a small one)"
     )
 
     @property
@@ -37,9 +42,11 @@ class YawDrift(SignalEffect):
         return (Parameter("rate", "deg/h", 0.1, -100.0, 100.0),)
 
     def alternatives(self, setting: Setting) -> tuple[Effect, ...]:
-        """Always, and in eclipse if there is one."""
-        both = (YawDrift("always"), YawDrift("eclipse"))
-        return both if both[1].untestable(setting) is None else both[:1]
+        """Always, and in eclipse if there is one; about body z too where the body leans enough to tell."""
+        whens: tuple[Literal["always", "eclipse"], ...] = ("always", "eclipse")
+        axes: tuple[Literal["nadir", "body_z"], ...] = ("nadir", "body_z") if _leans(setting) else ("nadir",)
+        choices = [YawDrift(when, axis) for axis in axes for when in whens]
+        return tuple(one for one in choices if one.when == "always" or one.untestable(setting) is None)
 
     def untestable(self, setting: Setting) -> str | None:
         if setting.time.size < 2:
@@ -53,7 +60,29 @@ class YawDrift(SignalEffect):
         since_s = setting.seconds if self.when == "always" else seconds_in_eclipse(setting)
         yaw = np.radians(float(theta[0])) / 3600.0 * since_s
         # A larger angle turns the axes one way, so it turns the vectors the other way.
-        return signal.attitude_reported_turned(-yaw[:, None] * np.array([0.0, 0.0, 1.0]))
+        return signal.attitude_reported_turned(-yaw[:, None] * self._axis_B(signal))
+
+    def _axis_B(self, signal: Signal) -> FloatArray:
+        """(N, 3) or (3,) unit axis of the turn, body axes."""
+        if self.axis == "body_z":
+            return np.array([0.0, 0.0, 1.0])
+        if signal.setting.direction == "simulate":
+            return _nadir_B(signal.R_reported_BN, signal.setting.given[0])
+        # A turn about nadir leaves nadir alone, so the reported attitude says where it is in the true body too.
+        return _nadir_B(signal.R_BN, signal.r_N_km)
+
+
+def _nadir_B(R_BN: Rotation, r_N_km: FloatArray) -> FloatArray:
+    """(N, 3) unit vectors to the Earth's centre, body axes."""
+    nadir_B: FloatArray = R_BN.apply(-r_N_km / np.linalg.norm(r_N_km, axis=1)[:, None])
+    return nadir_B
+
+
+def _leans(setting: Setting) -> bool:
+    """Whether body z leaves nadir so far that it matters about which of them yaw turns."""
+    r_N_km, _, R_BN = setting.given
+    lean = np.linalg.norm(_nadir_B(R_BN, r_N_km) - np.array([0.0, 0.0, 1.0]), axis=1)
+    return float(np.sqrt(np.mean(lean**2))) > _SAME_AXIS_RAD
 
 
 def in_eclipse(setting: Setting) -> BoolArray:

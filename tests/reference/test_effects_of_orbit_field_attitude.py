@@ -234,11 +234,47 @@ def test_horizon_scanner_bias_makes_reported_roll_and_pitch_too_large(close):
     assert np.abs(roll).max() > 0.05
 
 
-def test_yaw_drift_makes_reported_yaw_grow(close):
-    setting = setting_at(np.arange(0.0, 7201.0, 30.0), R_BO=Rotation.from_rotvec([0.0, 0.0, -0.5]))
+@pytest.mark.parametrize("lean_rad", [0.0, 0.4])
+def test_yaw_drift_makes_reported_yaw_grow(lean_rad, close):
+    """Angles add in the 3-1-2 set, however far the body leans."""
+    setting = setting_at(np.arange(0.0, 7201.0, 30.0), R_BO=Rotation.from_rotvec([lean_rad, -lean_rad, -0.5]))
     yaw, roll, pitch = reported_angles_deg(setting, YawDrift(), [2.0])
-    close(yaw, 2.0 * setting.seconds / 3600.0, atol=1e-9, unit="deg", because="an exact turn about body z")
-    close(np.stack([roll, pitch]), 0.0, atol=1e-9, unit="deg", because="an exact turn about body z")
+    close(yaw, 2.0 * setting.seconds / 3600.0, atol=1e-9, unit="deg", because="an exact turn about nadir")
+    close(np.stack([roll, pitch]), 0.0, atol=1e-9, unit="deg", because="an exact turn about nadir")
+
+
+def test_yaw_drift_about_body_z_turns_the_attitude_about_body_z(close):
+    setting = setting_at(np.arange(0.0, 7201.0, 30.0), R_BO=Rotation.from_rotvec([0.4, -0.4, -0.5]))
+    signal = Chain(setting).simulated([(YawDrift(axis="body_z"), np.array([2.0]))], seed=0)
+    turned = np.degrees((signal.R_reported_BN * signal.R_BN.inv()).as_rotvec())
+    expected = np.outer(-2.0 * setting.seconds / 3600.0, [0.0, 0.0, 1.0])
+    close(turned, expected, atol=1e-9, unit="deg", because="exact; vectors turn against the axes")
+    _, roll, pitch = reported_angles_deg(setting, YawDrift(axis="body_z"), [2.0])
+    assert np.abs(roll).max() > 0.5
+    assert np.abs(pitch).max() > 0.5
+
+
+@pytest.mark.parametrize("axis", ["nadir", "body_z"])
+def test_yaw_drift_predicts_what_it_simulates(axis, close):
+    """From the reported attitude back to the true one."""
+    effect, rate = YawDrift(axis=axis), np.array([20.0])
+    setting = setting_at(np.arange(0.0, 7201.0, 30.0), R_BO=Rotation.from_rotvec([0.4, -0.4, -0.5]))
+    signal = Chain(setting).simulated([(effect, rate)], seed=0)
+    reported = setting_at(
+        setting.seconds, R_BO=signal.R_reported_BN * setting.R_ON.inv(), direction="predict"
+    )  # fmt: skip
+    found = Chain(reported).signal([(effect, rate)]).R_BN
+    error = np.degrees((found * signal.R_BN.inv()).magnitude())
+    close(error, 0.0, atol=1e-9, unit="deg", because="the same turn, the other way")
+
+
+def test_yaw_drift_offers_body_z_where_the_body_leans():
+    seconds = np.arange(0.0, 7201.0, 30.0)
+    straight, leaning = (setting_at(seconds, R_BO=Rotation.from_rotvec([lean, 0.0, 0.3])) for lean in (0.01, 0.05))
+    assert {one.axis for one in YawDrift().alternatives(straight)} == {"nadir"}
+    assert [(one.when, one.axis) for one in YawDrift().alternatives(leaning)] == [
+        ("always", "nadir"), ("eclipse", "nadir"), ("always", "body_z"), ("eclipse", "body_z"),
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("spacing_s", [60.0, 7.0])

@@ -245,7 +245,7 @@ def batch_widening(residual_nT: FloatArray, segment: np.ndarray) -> float:
     edges = np.flatnonzero(np.diff(segment)) + 1
     lengths = np.diff(np.concatenate([[0], edges, [len(r)]]))
     starts = np.concatenate([[0], edges])
-    total = np.concatenate([np.zeros((1, 3)), np.cumsum(r, axis=0)])
+    total = np.concatenate([np.zeros((1, r.shape[1])), np.cumsum(r, axis=0)])
     worst, length = 1.0, 2
     while power > 0 and int((lengths // length).sum()) >= _FEWEST_BATCHES:
         at = np.concatenate([s + length * np.arange(n // length) for s, n in zip(starts, lengths, strict=True)])

@@ -68,14 +68,7 @@ def assemble(records: Telemetry | Sequence[Telemetry], model: FieldModel, *, wit
                 wanted="the dipole columns, or --parameters b,S",
             )
         needs["no torquer dipole"] = np.asarray(np.isfinite(telemetry.dipole_B_Am2).all(axis=1))
-    usable, left_out = _count(needs, len(telemetry))
-    if not usable.any():
-        reasons = ", ".join(f"{count} rows have {reason}" for reason, count in left_out.items())
-        raise NoAnswer(
-            f"no row is complete: {reasons}. A calibration by attitude needs reading, attitude and position",
-            evidence={"left_out": left_out},
-        )
-    rows = np.flatnonzero(usable)
+    rows, left_out = complete_rows(needs, "by attitude needs reading, attitude and position")
     used = telemetry.select(rows)
     return Design(
         time=used.time,
@@ -108,13 +101,22 @@ def reference_field_B_nT(telemetry: Telemetry, model: FieldModel) -> FloatArray:
     return reference
 
 
-def _count(needs: dict[str, BoolArray], rows: int) -> tuple[BoolArray, dict[str, int]]:
-    """Rows that have everything, and how many fail each need (a row counts for its first missing thing)."""
-    usable = np.ones(rows, dtype=bool)
+def complete_rows(needs: Mapping[str, BoolArray], wanted: str) -> tuple[np.ndarray, dict[str, int]]:
+    """Indices of the rows that have everything, and how many lack what (a row counts for its first missing thing).
+
+    needs: (N,) by reason, where the row has it. Raises NoAnswer, with the words of `wanted`, when no row is left.
+    """
+    usable = np.ones(len(next(iter(needs.values()))), dtype=bool)
     left_out = {}
     for reason, present in needs.items():
         lost = usable & ~present
         if lost.any():
             left_out[reason] = int(lost.sum())
         usable &= present
-    return usable, left_out
+    if not usable.any():
+        reasons = ", ".join(f"{count} rows have {reason}" for reason, count in left_out.items())
+        raise NoAnswer(
+            f"no row is complete: {reasons}. A calibration {wanted}",
+            evidence={"left_out": left_out},
+        )
+    return np.flatnonzero(usable), left_out

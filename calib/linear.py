@@ -195,7 +195,7 @@ def _report(job: Job, solution: Solution, model_name: str, passes: np.ndarray | 
     kept = slice(None) if job.robust is None else job.robust.weights >= 0.01
     return LinearFit(
         calibration=calibration,
-        direction=options.direction,
+        method=options.direction,
         time=design.time,
         residuals_nT=solution.residual_nT,
         weights=job.weights,

@@ -1,93 +1,30 @@
-"""The answer of the linear regression, ready to print."""
+"""The answer of the linear regression."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from fluxtwin.calib.noise import ReadingNoise
-from fluxtwin.calib.observability import FieldVariation
-from fluxtwin.calib.records import Calibration, parameter_unit
-from fluxtwin.calib.residuals import ResidualStatistics
-from fluxtwin.sim.types import FloatArray, TimeArray
+from fluxtwin.calib.fit import Fit
+from fluxtwin.sim.types import FloatArray
 
 
-@dataclass(frozen=True)
-class LinearFit:
-    """A calibration and all that should stand beside it. N rows used."""
+@dataclass(frozen=True, kw_only=True)
+class LinearFit(Fit):
+    """What the regression adds to the record of every method."""
 
-    calibration: Calibration
-    direction: str
-    """`linear` or `forward`."""
-    time: TimeArray
-    """(N,) UTC."""
-    residuals_nT: FloatArray
-    """(N, 3) A B0 - [(I+S) B + b + T D], body axes."""
-    weights: FloatArray
-    """(N,) a_k of journal eq. 4, sum 1."""
-    rows: np.ndarray
-    """(N,) indices of the used rows in the joined telemetry."""
-    left_out: Mapping[str, int]
-    """Rows not used, by reason."""
-    rejected: int
-    """Rows that the robust weights set aside (they stay in `residuals_nT`, with weight near 0)."""
-    variation: FieldVariation
-    """Eigen-directions of <B|B>."""
-    noise: ReadingNoise
-    """What was taken for the noise of the reading."""
     eiv_shift: FloatArray
     """(3, 3) change of S by the errors-in-variables correction; zero when off."""
-    statistics: ResidualStatistics
-    """Of the residuals with weight."""
-    messages: tuple[str, ...]
-    """What a person should know, in sentences."""
 
     @property
-    def condition_number(self) -> float:
-        """Largest over smallest eigenvalue of <B|B>."""
-        return self.variation.condition_number
-
-    @property
-    def sigma(self) -> dict[str, float | None]:
-        """1 sigma by parameter name (`S11` ... `b1` ... `T33`); None where not estimated."""
-        return self.calibration.sigma
-
-    @property
-    def correlation(self) -> FloatArray:
-        """(P, P) correlation of the parameters; zero rows where not estimated."""
-        sigma = self.calibration.sigmas
-        scale = np.where(sigma > 0, sigma, 1.0)
-        return np.asarray(self.calibration.covariance / np.outer(scale, scale))
-
-    @property
-    def observability(self) -> tuple[str, ...]:
-        """What the data cannot tell, in words."""
-        return self.calibration.unobservable
-
-    def parameters(self) -> list[dict[str, Any]]:
-        """One entry a parameter: name, value, sigma (None where not estimated), unit."""
-        values = zip(self.calibration.names, self.calibration.values, strict=True)
-        sigma = self.sigma
-        return [{"name": n, "value": float(v), "sigma": sigma[n], "unit": parameter_unit(n)} for n, v in values]
+    def direction(self) -> str:
+        """`linear` or `forward`."""
+        return self.method
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and text for JSON; no NaN."""
         return {
-            "calibration": self.calibration.to_dict(),
-            "parameters": self.parameters(),
+            **super().to_dict(),
             "direction": self.direction,
-            "residuals": self.statistics.to_dict(),
-            "samples": {"used": len(self.time), "rejected": self.rejected, "left_out": dict(self.left_out)},
-            "observability": {
-                "condition_number": min(self.condition_number, 1e300),
-                "field_rms_nT": self.variation.rms_nT.tolist(),
-                "field_directions_B": self.variation.directions_B.tolist(),
-                "words": list(self.observability),
-            },
-            "noise": {"variance_nT2": self.noise.variance_nT2.tolist(), "source": self.noise.source},
             "errors_in_variables_shift": self.eiv_shift.tolist(),
-            "messages": list(self.messages),
         }

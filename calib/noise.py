@@ -93,14 +93,14 @@ def reading_noise(
         return ReadingNoise(lsb**2 / 12.0, f"{lsb_words}; too few neighbouring samples to find the noise beyond it")
     variance, covariance = _fit_variances(reference[first], reference[first + 1], differences)
     # The reading cannot be noisier than the whole residual of its axis.
-    variance = np.minimum(variance, np.array([_clipped_sigma(r[:, axis]) for axis in range(3)]) ** 2)
+    variance = np.minimum(variance, np.array([clipped_sigma(r[:, axis]) for axis in range(3)]) ** 2)
     unit = reference / np.maximum(np.linalg.norm(reference, axis=1), 1e-9)[:, None]
     along = np.einsum("ij,ij->i", r, unit)
-    step_nT2 = 0.5 * _clipped_sigma(along[first + 1] - along[first]) ** 2
+    step_nT2 = 0.5 * clipped_sigma(along[first + 1] - along[first]) ** 2
     variance = variance * min(1.0, step_nT2 / max(float(((unit**2) @ variance).mean()), 1e-300))
     variance = np.maximum(variance, lsb**2 / 12.0)
     # Of the residual along the field, what neighbours share.
-    whole_nT2 = _clipped_sigma(along) ** 2 * len(r) / max(len(r) - 4, 1)
+    whole_nT2 = clipped_sigma(along) ** 2 * len(r) / max(len(r) - 4, 1)
     hidden = max(0.0, whole_nT2 - float(((unit**2) @ variance).mean()))
     # Anything from none of it to all of it may be noise of the reading: a uniform law of that width.
     covariance = covariance + np.full((3, 3), hidden**2 / 12.0)
@@ -111,7 +111,7 @@ def reading_noise(
     return ReadingNoise(variance, words, covariance)
 
 
-def _clipped_sigma(values: FloatArray) -> float:
+def clipped_sigma(values: FloatArray) -> float:
     """Standard deviation with what lies beyond four robust sigma clipped: sees no bit errors."""
     middle = float(np.median(values))
     robust = _MAD_TO_SIGMA * float(np.median(np.abs(values - middle)))

@@ -44,8 +44,8 @@ class RobustWeights:
 def robust_weights(start_nT: FloatArray, refit: Callable[[FloatArray], FloatArray], kind: str) -> RobustWeights:
     """Weights of rows by `huber` or `tukey`.
 
-    start_nT: (N, 3) residuals that no outlier has pulled, up to a constant. refit: residuals (N, 3) of the fit
-    with the weights (N,) it is given. Raises BadInput for another kind.
+    start_nT: (N, 3) residuals that no outlier has pulled, up to a constant; (N, 1) where only |B| is fitted. refit:
+    residuals like it of the fit with the weights (N,) it is given. Raises BadInput for another kind.
     """
     if kind not in KINDS:
         raise BadInput(f"{kind!r}", where="robust", wanted=" or ".join(KINDS))
@@ -61,8 +61,8 @@ def robust_weights(start_nT: FloatArray, refit: Callable[[FloatArray], FloatArra
                 break
     distance = _distance(r)
     weights, slope = _weigh(distance, kind)
-    # E[psi'] of a radial influence w(d) r in three dimensions is w + w'(d) d / 3
-    sharpness = float((weights + slope * distance / 3.0).mean() / weights.mean())
+    # E[psi'] of a radial influence w(d) r in n dimensions is w + w'(d) d / n
+    sharpness = float((weights + slope * distance / r.shape[1]).mean() / weights.mean())
     return RobustWeights(weights, sharpness, int((weights < 0.01).sum()))
 
 

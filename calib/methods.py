@@ -1,0 +1,78 @@
+"""Which estimator a `--method` names, and what each takes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from fluxtwin.calib.design import joined
+from fluxtwin.calib.fit import Fit
+from fluxtwin.sim.errors import BadInput
+from fluxtwin.sim.field import FieldModel
+from fluxtwin.sim.telemetry import Telemetry
+
+WITH_ATTITUDE = ("linear", "forward")
+WITHOUT_ATTITUDE = ("center", "twostep", "scalar")
+SPINNING = ("iterative", "batch")
+METHODS = (*WITH_ATTITUDE, *WITHOUT_ATTITUDE, *SPINNING)
+_OF_SPINNERS = ("sun_sigma_deg", "sun_alignment_deg", "inertia_ratio", "torque_walk_rad_s")
+_OF_REGRESSIONS = ("robust", "block_s", "field_error_nT", "passes")
+
+
+def default_method(records: Telemetry | Sequence[Telemetry]) -> str:
+    """`linear` where any row has reading, position and attitude, else `scalar`."""
+    telemetry = joined(records)
+    return (
+        "linear" if bool((telemetry.has_attitude & telemetry.has_reading & telemetry.has_position).any()) else "scalar"
+    )
+
+
+def calibrate_by(
+    records: Telemetry | Sequence[Telemetry], model: FieldModel, method: str | None = None, **options: Any
+) -> Fit:
+    """Calibrate by the method of that name, None for `default_method`.
+
+    options: those of `linear.calibrate_linear`, `scalar.calibrate_scalar` or `spin.calibrate_spin`; one that is None is
+    as if not given.
+    Raises BadInput for an unknown method, and for an option that the method does not take.
+    """
+    if method is not None and method not in METHODS:
+        raise BadInput(f"{method!r} is no method", where="--method", wanted=" or ".join(METHODS))
+    chosen = default_method(records) if method is None else method
+    given = {name: value for name, value in options.items() if value is not None}
+    if chosen in SPINNING:
+        return _calibrate_spinner(records, model, chosen, given)
+    _refuse(given, _OF_SPINNERS, chosen, "batch")
+    if chosen in WITH_ATTITUDE:
+        from fluxtwin.calib.linear import calibrate_linear
+
+        _refuse(given, ("telemetry_bias",), chosen, "scalar")
+        return calibrate_linear(records, model, direction=chosen, **given)
+    from fluxtwin.calib.scalar import calibrate_scalar
+
+    _refuse(given, ("errors_in_variables", "weights", "direction"), chosen, "linear")
+    return calibrate_scalar(records, model, method=chosen, **given)
+
+
+def _calibrate_spinner(
+    records: Telemetry | Sequence[Telemetry], model: FieldModel, method: str, given: dict[str, Any]
+) -> Fit:
+    from fluxtwin.calib.spin import calibrate_spin
+
+    _refuse(given, ("errors_in_variables", "weights", "direction", *_OF_REGRESSIONS), method, "linear")
+    _refuse(given, ("telemetry_bias",), method, "scalar")
+    parameters = given.pop("parameters", "b,S")
+    if parameters != "b,S":
+        raise BadInput(f"{parameters!r}", where="--parameters", wanted=f"'b,S': method {method} finds both")
+    return calibrate_spin(records, model, method=method, **given)
+
+
+def _refuse(given: dict[str, Any], names: tuple[str, ...], method: str, other: str) -> None:
+    for name in names:
+        value = given.get(name)
+        if value is not None and not (isinstance(value, tuple | list) and not value):
+            option = name.replace("_", "-")
+            raise BadInput(
+                f"method {method} does not take it", where=f"--{option}", wanted=f"method {other}, or leave it out"
+            )
+        given.pop(name, None)

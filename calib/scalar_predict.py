@@ -1,0 +1,25 @@
+"""How well a calibration made elsewhere gives |H|, where no attitude is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fluxtwin.calib.design import joined
+from fluxtwin.calib.records import Calibration
+from fluxtwin.calib.residuals import ResidualStatistics, residual_statistics
+from fluxtwin.calib.scalar_rows import assemble_scalar
+from fluxtwin.sim.field import FieldModel
+from fluxtwin.sim.telemetry import Telemetry
+
+
+def predict_scalar(
+    records: Telemetry | Sequence[Telemetry], calibration: Calibration, model: FieldModel
+) -> ResidualStatistics:
+    """Statistics of |(I+S) B + b + T D| - |H| of telemetry that was not used to make the calibration."""
+    telemetry = joined(records)
+    rows = assemble_scalar(telemetry, model)
+    dipole = telemetry.dipole_B_Am2
+    true = calibration.apply(rows.B_nT, None if dipole is None else dipole[rows.rows])
+    return residual_statistics(rows.time, (np.linalg.norm(true, axis=1) - rows.H_nT)[:, None])

@@ -1,0 +1,1 @@
+"""ST5: the calibration of a spinning spacecraft's magnetometer, after Sedlak's abstract."""

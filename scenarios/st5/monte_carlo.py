@@ -1,0 +1,123 @@
+"""Many runs of the batch: its errors against its sigmas, and blind starts from random spins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from fluxtwin.calib.spin import fit_spin
+from fluxtwin.calib.spin_rows import assemble_spin
+from fluxtwin.scenarios.st5 import mission
+from fluxtwin.scenarios.st5.calibration_study import attitude_error_deg, options
+from fluxtwin.scenarios.st5.terms import Terms, terms_of
+from fluxtwin.sim import frames
+from fluxtwin.sim.errors import NoAnswer
+from fluxtwin.sim.field import FieldModel
+from fluxtwin.sim.progress import Progress, silent
+from fluxtwin.sim.random_streams import stream
+from fluxtwin.sim.scenario import Scenario
+from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.world import World
+
+RUNS = 50
+STARTS = 100
+GOOD_DEG = 0.1
+"""An attitude error below which a blind start has found the motion."""
+SUN_CONE_DEG = 30.0
+"""Random spin axes keep so far from the sun's line: nearer, a slit sees no azimuth worth the name."""
+
+
+@dataclass(frozen=True)
+class MonteCarlo:
+    """R runs of the same hour with other noise."""
+
+    pulls: FloatArray
+    """(R, 6) errors of b and misalignment over their sigmas."""
+    errors_mG_deg: FloatArray
+    """(R, 6)."""
+    nees: FloatArray
+    """(R,) of the 12 parameters of S and b."""
+    attitude_rss_deg: FloatArray
+    """(R,)."""
+
+    @property
+    def nees_band(self) -> tuple[float, float]:
+        """95 % of the mean of R sums of 12 squares."""
+        freedom = 12 * len(self.nees)
+        low, high = (float(chi2.ppf(p, freedom)) / len(self.nees) for p in (0.025, 0.975))
+        return low, high
+
+
+@dataclass(frozen=True)
+class Starts:
+    """Blind starts."""
+
+    tried: int
+    found: int
+    attitude_rss_deg: FloatArray
+    """(tried,), infinite where none was found."""
+
+
+def truth_terms() -> FloatArray:
+    """(6,) b [mG] and misalignment [deg] of the abstract."""
+    printed = mission.published()
+    return np.array([*printed["b_mG"], *printed["misalignment_deg"]])
+
+
+def run_monte_carlo(
+    config: Scenario, world: World, ground: FieldModel, progress: Progress = silent, runs: int = RUNS
+) -> MonteCarlo:
+    """`runs` seeds, each solved by the batch from a blind start."""
+    pulls, errors, nees, rss = [], [], [], []
+    truth = truth_terms()
+    for run in range(runs):
+        progress(f"run {run + 1} of {runs}", run / runs)
+        terms, score, error_deg = _one(config.updated({"seed": config.seed + 1 + run}), world, ground)
+        errors.append(terms.values - truth)
+        pulls.append(errors[-1] / terms.sigma)
+        nees.append(score)
+        rss.append(error_deg)
+    return MonteCarlo(np.array(pulls), np.array(errors), np.array(nees), np.array(rss))
+
+
+def run_starts(
+    config: Scenario, world: World, ground: FieldModel, progress: Progress = silent, starts: int = STARTS
+) -> Starts:
+    """`starts` random spin axes, phases, phases of nutation by the phase, and seeds."""
+    found = []
+    for run in range(starts):
+        progress(f"start {run + 1} of {starts}", run / starts)
+        rng = stream(config.seed, f"st5.start.{run}")
+        changes = {
+            "seed": config.seed + 1000 + run,
+            "attitude.spin_axis_N": tuple(_axis(rng, world.sun_N[0]).tolist()),
+            "attitude.phase_deg": float(rng.uniform(0.0, 360.0)),
+            "attitude.nutation_deg": float(rng.uniform(0.2, 4.0)),
+        }
+        try:
+            found.append(_one(config.updated(changes), world, ground)[2])
+        except NoAnswer:
+            found.append(float("inf"))
+    rss = np.array(found)
+    return Starts(starts, int((rss < GOOD_DEG).sum()), rss)
+
+
+def _axis(rng: np.random.Generator, sun_N: FloatArray) -> FloatArray:
+    while True:
+        axis: FloatArray = rng.normal(size=3)
+        axis = axis / np.linalg.norm(axis)
+        if abs(float(axis @ sun_N)) < np.cos(np.radians(SUN_CONE_DEG)):
+            return axis
+
+
+def _one(config: Scenario, world: World, ground: FieldModel) -> tuple[Terms, float, float]:
+    """Terms, normalised squared error of the 12 parameters, and RSS of the attitude [deg]."""
+    flight = mission.fly(config, world)
+    fit = fit_spin(assemble_spin(flight.telemetry, ground), options("batch"), model_name=ground.name)
+    truth = flight.truth
+    off = fit.calibration.values - np.concatenate([truth.S.ravel(), truth.b_nT])
+    score = float(off @ np.linalg.solve(fit.calibration.covariance, off))
+    error = attitude_error_deg(frames.rotation_from_q(fit.q_NB).as_matrix(), truth.q_NB)
+    return terms_of(fit.calibration), score, float(np.sqrt((error**2).sum(axis=1).mean()))

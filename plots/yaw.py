@@ -104,6 +104,24 @@ def draw_full(record: YawComparison, *, title: str, panels: int = 3) -> Figure:
     return figure
 
 
+def draw_pass(record: YawComparison, error_bar_deg: float, *, title: str) -> Figure:
+    """A single pass: sun sensor dashed, each magnetometer sample, the averages dotted, and one error bar."""
+    figure, ((axes,),) = style.figure(7.2, 3.8)
+    axes.plot(record.minutes, record.sun_deg, color="black", linestyle="--", linewidth=1.4, label="sun sensor")
+    _broken(axes, record, np.ones(record.minutes.size, dtype=bool))
+    _dotted(axes, record)
+    middle = record.mean_minutes.size // 2
+    axes.errorbar(
+        record.mean_minutes[middle], record.mean_deg[middle], error_bar_deg, color=style.VERMILION, capsize=4,
+        label=f"error bar, {error_bar_deg:.2f} deg",
+    )  # fmt: skip
+    axes.set(title=title, xlabel="time from rise [min]", ylabel="yaw [deg]")
+    _zero(axes)
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8)
+    return figure
+
+
 def draw_sweep(record: YawSweep, *, title: str) -> Figure:
     """Share of windows in which yaw = 0 wins, against the amplitude of the true yaw."""
     figure, ((axes,),) = style.figure(7.2, 4.0)

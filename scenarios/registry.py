@@ -31,6 +31,14 @@ STUDIES: dict[str, Study] = {
         "fluxtwin.scenarios.seasat.study",
         "Seasat 1978: the in-flight calibration of its magnetometers, beside the published numbers",
     ),
+    "hcmm": Study(
+        "fluxtwin.scenarios.hcmm.study",
+        "HCMM 1978: an orbit from the record of 43 station passes, a test against what flew, and the calibration",
+    ),
+    "st5": Study(
+        "fluxtwin.scenarios.st5.study",
+        "ST5, a spinner: its magnetometer calibrated from orbit, field and sun pulses, beside the abstract's numbers",
+    ),
     "flight-field": Study(
         "fluxtwin.scenarios.flight_field.study",
         "the field models against measurements in orbit (MAGSAT 1980, Swarm A in a storm)",

@@ -5,17 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from fluxtwin.calib.records import Calibration
+from fluxtwin.scenarios.claims import DIFFERS, NOT_TESTABLE, REPRODUCED, Verdict, agree
 from fluxtwin.scenarios.seasat import geometry
 from fluxtwin.scenarios.seasat.calibration_study import NAMES, vector
-from fluxtwin.scenarios.seasat.claims import (
-    DIFFERS,
-    NOT_TESTABLE,
-    REPRODUCED,
-    Judge,
-    Results,
-    Verdict,
-    agree,
-)
+from fluxtwin.scenarios.seasat.claims import Judge, Results
 from fluxtwin.scenarios.seasat.mission import printed_value
 from fluxtwin.sim.constants import NT_PER_MG
 

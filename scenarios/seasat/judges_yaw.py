@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from fluxtwin.scenarios.claims import DIFFERS, REPRODUCED, Verdict, agree
 from fluxtwin.scenarios.seasat import geometry
-from fluxtwin.scenarios.seasat.claims import DIFFERS, REPRODUCED, Judge, Results, Verdict, agree
+from fluxtwin.scenarios.seasat.claims import Judge, Results
 from fluxtwin.scenarios.seasat.mission import printed_value
 from fluxtwin.scenarios.seasat.yaw_study import SEEDS
 from fluxtwin.sim.constants import EARTH_RADIUS_KM, GM_EARTH_KM3_S2

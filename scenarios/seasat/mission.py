@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import resources
 from typing import Any
 
 import numpy as np
 
+from fluxtwin.scenarios.printed import Printed
 from fluxtwin.scenarios.seasat import geometry
 from fluxtwin.sim.random_streams import stream
 from fluxtwin.sim.scenario import Scenario, parse_scenario
@@ -19,6 +17,9 @@ from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.truth import Truth
 from fluxtwin.sim.types import BoolArray
 from fluxtwin.sim.world import World, build_world
+
+_PRINTED = Printed("fluxtwin.scenarios.seasat")
+read_table, read_claims, printed_value = _PRINTED.table, _PRINTED.claims, _PRINTED.value
 
 DATA_SETS: Mapping[str, tuple[int, ...]] = {
     "205": (0,),
@@ -56,7 +57,7 @@ def scenario() -> Scenario:
 
 def scenario_text() -> str:
     """The packaged scenario as it is written, with the source of each number."""
-    return _text("seasat.toml")
+    return _PRINTED.text("seasat.toml")
 
 
 def fly(config: Scenario, world: World | None = None) -> Flight:
@@ -98,26 +99,3 @@ def only(config: Scenario, *sources: str) -> Scenario:
         if source not in sources:
             changes |= _OFF[source]
     return config.updated(changes)
-
-
-def read_table(name: str) -> list[dict[str, str]]:
-    """A packaged table of the papers, one mapping a row."""
-    return list(csv.DictReader(_text(f"data/{name}.csv").splitlines()))
-
-
-def read_claims() -> list[dict[str, Any]]:
-    """The numbered claims: id, where, paper."""
-    claims: list[dict[str, Any]] = tomllib.loads(_text("data/claims.toml"))["claim"]
-    return claims
-
-
-def printed_value(table: str, key: str, **match: str) -> float:
-    """The one number of column `key` in the row of a packaged table that matches."""
-    rows = [row for row in read_table(table) if all(row[k] == v for k, v in match.items())]
-    if len(rows) != 1:
-        raise LookupError(f"{len(rows)} rows of {table} match {match}")
-    return float(rows[0][key])
-
-
-def _text(name: str) -> str:
-    return resources.files("fluxtwin.scenarios.seasat").joinpath(name).read_text(encoding="utf-8")

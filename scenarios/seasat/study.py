@@ -13,11 +13,12 @@ import numpy as np
 
 from fluxtwin.calib.calibration_file import write_calibration
 from fluxtwin.calib.records import Calibration
+from fluxtwin.scenarios.claims import REPRODUCED, Claim, claims_table, whys_table
 from fluxtwin.scenarios.page import Page, Section, StudyResult
 from fluxtwin.scenarios.seasat import geometry, mission, tables
 from fluxtwin.scenarios.seasat.accuracy_study import run_accuracy
 from fluxtwin.scenarios.seasat.calibration_study import NAMES, rms_mG, run_calibrations
-from fluxtwin.scenarios.seasat.claims import REPRODUCED, Claim, Results, judge_claims
+from fluxtwin.scenarios.seasat.claims import Results, judge_claims
 from fluxtwin.scenarios.seasat.error_study import run_errors
 from fluxtwin.scenarios.seasat.identities import check_identities
 from fluxtwin.scenarios.seasat.judges_calibration import calibration_summary, pulls
@@ -66,8 +67,8 @@ def run(out: Path, data: Path | None = None, progress: Progress = silent) -> Stu
         tables.attenuation_table(results),
         tables.error_table(results),
         tables.yaw_table(results),
-        tables.claims_table(claims),
-        tables.whys_table(claims),
+        claims_table(claims),
+        whys_table(claims),
     ]
     return StudyResult(
         name="seasat",
@@ -210,7 +211,7 @@ def page(results: Results, claims: list[Claim], verdict: str) -> Page:
             ),
             Section("Sources of the residual", [], [tables.error_table(results)], [figures[1]]),
             Section("Yaw", [], [tables.yaw_table(results)], tables.yaw_figures(results)),
-            Section("Claim by claim", [], [tables.claims_table(claims, with_why=True)]),
+            Section("Claim by claim", [], [claims_table(claims, with_why=True)]),
         ],
         errata=ERRATA,
         provenance={

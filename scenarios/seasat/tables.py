@@ -8,10 +8,10 @@ import numpy as np
 
 from fluxtwin.plots import calibration as calibration_plots
 from fluxtwin.plots import yaw as yaw_plots
-from fluxtwin.scenarios.page import Cell, FigureBlock, Table
+from fluxtwin.scenarios.page import FigureBlock, Table
 from fluxtwin.scenarios.seasat import mission
 from fluxtwin.scenarios.seasat.calibration_study import NAMES, CalibrationStudy, rms_mG, vector
-from fluxtwin.scenarios.seasat.claims import Claim, Results
+from fluxtwin.scenarios.seasat.claims import Results
 from fluxtwin.scenarios.seasat.judges_calibration import COLUMN_2, uncorrected_column_2
 from fluxtwin.scenarios.seasat.mission import DATA_SETS, PAPER_COLUMN
 from fluxtwin.sim.types import FloatArray
@@ -156,21 +156,6 @@ def yaw_table(results: Results) -> Table:
         ["yaw = 0 against the sun sensor, rms [deg]", f"{y.full_errors.zero_rms_deg:.2f}", "", "figures 1, 2"],
     ]
     return Table("Yaw", ["quantity", "here", "printed", "where"], rows)
-
-
-def claims_table(claims: Sequence[Claim], *, with_why: bool = False) -> Table:
-    """All claims, one line each."""
-    rows: list[list[Cell]] = []
-    for claim in claims:
-        status = f"{claim.status}: {claim.why}" if with_why and claim.why else claim.status
-        rows.append([claim.id, claim.where, claim.paper, claim.here, status])
-    return Table("The papers' claims", ["claim", "where", "printed", "here", "status"], rows)
-
-
-def whys_table(claims: Sequence[Claim]) -> Table:
-    """Why some claims are not reproduced."""
-    rows: list[list[Cell]] = [[claim.id, claim.status, claim.why] for claim in claims if claim.why]
-    return Table("Why not", ["claim", "status", "why"], rows)
 
 
 def calibration_figures(results: Results) -> list[FigureBlock]:

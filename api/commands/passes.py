@@ -1,0 +1,43 @@
+"""`fluxtwin passes`: when the scenario's stations see the spacecraft."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fluxtwin.commands.options import JsonOption
+from fluxtwin.console import Output
+
+NAME = "passes"
+BRIEF = "When the stations of a scenario see the spacecraft."
+
+
+def command(
+    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.toml", help="Orbit, schedule and stations.")],
+    json: JsonOption = None,
+) -> None:
+    """List every pass over every [station.NAME] from the first to the last sample of the schedule.
+
+    Elevation counts from each station's mask_deg, in straight lines. A pass that the span cuts is marked.
+    """
+    output = Output(json)
+    with output.progress(f"reading {scenario}"):
+        from fluxtwin.sim.scenario import load_scenario
+        from fluxtwin.sim.scenario_passes import list_passes
+
+        plan = load_scenario(scenario)
+        found = list_passes(plan)
+    columns = ("station", "rise [UTC]", "set [UTC]", "minutes", "highest [deg]", "sunlit", "cut")
+    rows = [
+        (
+            item["station"], item["rise"], item["set"], f"{item['minutes']:.1f}", f"{item['highest_deg']:.1f}",
+            "yes" if item["sunlit"] else "no", "yes" if item["cut"] else "",
+        )
+        for item in found
+    ]  # fmt: skip
+    output.table(f"Passes of {plan.spacecraft.name}", columns, rows, "Sunlit: the spacecraft, at its highest.")
+    total = sum(item["minutes"] for item in found)
+    output.say(f"{len(found)} passes over {len(plan.station)} stations, {total:.0f} min in all")
+    output.result({"name": plan.name, "passes": found})

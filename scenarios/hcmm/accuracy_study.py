@@ -1,0 +1,144 @@
+"""Small numbers that stand in the text: what the LSB leaves, direction errors, the dipole of equation 20, the poles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from fluxtwin.calib.records import Calibration
+from fluxtwin.scenarios.hcmm import mission
+from fluxtwin.scenarios.hcmm.mission import Flight
+from fluxtwin.scenarios.hcmm_orbit.geometry import angle_between
+from fluxtwin.scenarios.hcmm_orbit.record import read_stations
+from fluxtwin.sim import frames
+from fluxtwin.sim.constants import FIELD_RADIUS_KM, NT_PER_MG
+from fluxtwin.sim.field import FieldModel, field_E_nT, field_N_nT, load_field
+from fluxtwin.sim.scenario import Scenario
+from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.world import orbit_from
+
+
+@dataclass(frozen=True)
+class AccuracyStudy:
+    """Numbers in deg unless named otherwise."""
+
+    lsb_scalar_mG: float
+    """Residual in field strength with the LSB as the only error, the true S and b."""
+    field_mG: tuple[float, float]
+    """Weakest and strongest field along the passes."""
+    direction_noise: float
+    """rms angle between the calibrated and the true field, body axes."""
+    direction_model: float
+    """rms angle between the ground's model and the true field, in the passes."""
+    sun_error: float
+    """rms error of the measured sun direction in the plane of sun and nadir, heads 2 and 3."""
+    nadir_error: float
+    """The same of the measured nadir."""
+    dipole_equator_mG: float
+    """Equatorial field of the dipole part of the field of 1978 at HCMM's altitude."""
+    dipole_pole_deg: tuple[float, float]
+    """Arc from Orroral to the southern, from Fairbanks to the northern pole of that dipole."""
+    dip_pole_deg: tuple[float, float]
+    """The same to the points where the field is vertical at the ground."""
+    attitude_within: float
+    """Share of the samples with roll, pitch and yaw within 0.7, 0.5 and 2.0 deg."""
+    attitude_largest: FloatArray
+    """(3,) largest roll, pitch, yaw."""
+
+
+def run_accuracy(config: Scenario, flight: Flight, calibration: Calibration, ground: FieldModel) -> AccuracyStudy:
+    """Evaluate them on the three days of Table 5."""
+    truth = load_field(config.field.truth)
+    strength = np.linalg.norm(flight.world.field_N_nT, axis=1) / NT_PER_MG
+    calibrated = calibration.apply(flight.telemetry.mag_B_nT)
+    model_N = field_N_nT(ground, flight.world.time, flight.world.r_N_km)
+    sun_error, nadir_error = _sensor_errors(flight)
+    largest = np.degrees(
+        [np.abs(a).max() for a in (flight.truth.roll_rad, flight.truth.pitch_rad, flight.truth.yaw_rad)]
+    )
+    return AccuracyStudy(
+        lsb_scalar_mG=_lsb_scalar(config),
+        field_mG=(float(strength.min()), float(strength.max())),
+        direction_noise=_rms_deg(angle_between(calibrated, flight.truth.field_B_nT)),
+        direction_model=_rms_deg(angle_between(model_N, flight.world.field_N_nT)),
+        sun_error=sun_error,
+        nadir_error=nadir_error,
+        dipole_equator_mG=_dipole_equator(config, truth),
+        dipole_pole_deg=_arcs(*_dipole_axis(truth, flight.world.time[0])),
+        dip_pole_deg=_arcs(*_dip_poles(truth, flight.world.time[0])),
+        attitude_within=float(np.mean(_within(flight))),
+        attitude_largest=largest,
+    )
+
+
+def _lsb_scalar(config: Scenario) -> float:
+    flight = mission.fly(mission.only(config, "lsb").updated({"sun_sensor.1.misalignment_deg": None}))
+    known = Calibration(flight.truth.S, flight.truth.b_nT)
+    measured = np.linalg.norm(known.apply(flight.telemetry.mag_B_nT), axis=1)
+    return float(np.sqrt(np.mean((measured - np.linalg.norm(flight.truth.field_B_nT, axis=1)) ** 2)) / NT_PER_MG)
+
+
+def _sensor_errors(flight: Flight) -> tuple[float, float]:
+    """rms errors of sun and nadir in the plane that holds both, where heads 2 and 3 see the sun [deg]."""
+    t = flight.telemetry
+    assert t.sun_B is not None and t.nadir_B is not None and t.sun_sensor_head is not None
+    rows = np.flatnonzero(np.isin(t.sun_sensor_head, (2, 3)))
+    R_BN = frames.rotation_from_q(flight.truth.q_NB[rows])
+    sun_B, nadir_B = R_BN.apply(flight.world.sun_N[rows]), R_BN.apply(-flight.world.r_N_km[rows])
+    computed = angle_between(sun_B, nadir_B)
+    by_sun = angle_between(np.array(t.sun_B)[rows], nadir_B) - computed
+    by_nadir = angle_between(sun_B, np.array(t.nadir_B)[rows]) - computed
+    return _rms_deg(by_sun), _rms_deg(by_nadir)
+
+
+def _within(flight: Flight) -> FloatArray:
+    limits = np.radians([0.7, 0.5, 2.0])
+    angles = np.stack([flight.truth.roll_rad, flight.truth.pitch_rad, flight.truth.yaw_rad], axis=1)
+    return np.asarray((np.abs(angles) <= limits).all(axis=1), dtype=np.float64)
+
+
+def _dipole_equator(config: Scenario, truth: FieldModel) -> float:
+    assert config.orbit is not None and config.schedule is not None
+    when = np.datetime64("1978-11-30", "ns")
+    g10, g11, h11 = truth.coefficients_nT(when)[0, :3]
+    ratio = FIELD_RADIUS_KM / orbit_from(config.orbit).semi_major_axis_km
+    return float(np.sqrt(g10**2 + g11**2 + h11**2) * ratio**3 / NT_PER_MG)
+
+
+def _dipole_axis(truth: FieldModel, when: np.datetime64) -> tuple[FloatArray, FloatArray]:
+    """Unit vectors to the southern and the northern geomagnetic pole."""
+    g10, g11, h11 = truth.coefficients_nT(when)[0, :3]
+    south = np.array([g11, h11, g10]) / np.sqrt(g10**2 + g11**2 + h11**2)
+    return south, -south
+
+
+def _dip_poles(truth: FieldModel, when: np.datetime64) -> tuple[FloatArray, FloatArray]:
+    """Unit vectors to where the field is vertical at the ground, south and north, searched from the dipole's poles."""
+    found = []
+    for start in _dipole_axis(truth, when):
+        latitude, longitude, _ = frames.geocentric(start)
+
+        def horizontal(at: FloatArray) -> float:
+            r_E = frames.from_geocentric(at[:1], at[1:], np.array([FIELD_RADIUS_KM]))
+            field = field_E_nT(truth, when, r_E)[0]
+            up = r_E[0] / FIELD_RADIUS_KM
+            return float(np.linalg.norm(field - (field @ up) * up))
+
+        best = minimize(horizontal, np.array([latitude[0], longitude[0]]), method="Nelder-Mead",
+                        options={"xatol": 1e-5, "fatol": 1e-3, "maxiter": 600}).x  # fmt: skip
+        found.append(frames.from_geocentric(best[:1], best[1:], np.ones(1))[0])
+    return found[0], found[1]
+
+
+def _arcs(south: FloatArray, north: FloatArray) -> tuple[float, float]:
+    """Arc from Orroral to the southern, from Fairbanks to the northern of two poles [deg]."""
+    stations = read_stations()
+    pairs = ((stations["ORR"], south), (stations["ULA"], north))
+    to_orr, to_ula = (float(np.degrees(angle_between(s.r_E_km[None, :], pole[None, :])[0])) for s, pole in pairs)
+    return to_orr, to_ula
+
+
+def _rms_deg(angle: FloatArray) -> float:
+    return float(np.degrees(np.sqrt(np.mean(angle**2))))

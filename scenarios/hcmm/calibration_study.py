@@ -1,0 +1,197 @@
+"""Table 3: sets A, B and both, with sigmas that allow for errors lasting a pass; and the wandering bias of the flight
+software, which could solve for b alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fluxtwin.calib.linear import calibrate_linear
+from fluxtwin.calib.linear_fit import LinearFit
+from fluxtwin.calib.records import parameter_names
+from fluxtwin.scenarios.hcmm import mission
+from fluxtwin.scenarios.hcmm.mission import DAYS, SAMPLES, Flight
+from fluxtwin.sim import frames
+from fluxtwin.sim.constants import NT_PER_MG
+from fluxtwin.sim.field import FieldModel
+from fluxtwin.sim.progress import Progress
+from fluxtwin.sim.random_streams import stream
+from fluxtwin.sim.scenario import Scenario
+from fluxtwin.sim.scenario_stations import stations_of
+from fluxtwin.sim.stations import in_view
+from fluxtwin.sim.types import FloatArray
+
+RUNS = 60
+SETS = ("A", "B", "AB")
+KINDS = ("white", "pass", "pass and field")
+"""What the stated sigma allows for: nothing that lasts; errors that last a pass; these and the field model's."""
+NAMES = parameter_names(with_T=False)
+FIELD_ERROR_NT = 125.0
+"""What the papers give for IGRF 1975, 1.0 to 1.5 mG: the ground of 1979 could have allowed for it."""
+_FEWEST_IN_PASS = 4
+"""Samples a pass must have for a bias of its own."""
+
+
+@dataclass(frozen=True)
+class BiasOnly:
+    """The bias that each pass alone gives, with S = T = 0; Q passes."""
+
+    b_mG: FloatArray
+    """(Q, 3)."""
+    mean_field_mG: FloatArray
+    """(Q, 3) mean reading of the pass, body axes."""
+    slope: float
+    """Of b1 against the mean X reading: what S11 would make it."""
+    explained: float
+    """Share of the variance of b1 that the printed S explains."""
+
+    @property
+    def half_range_mG(self) -> FloatArray:
+        """(3,) half the distance from the least to the greatest bias."""
+        return np.asarray(np.ptp(self.b_mG, axis=0) / 2.0)
+
+
+@dataclass(frozen=True)
+class CalibrationStudy:
+    """Fits by set, and the scatter over many runs; K = 12 parameters (S, then b in mG)."""
+
+    fits: Mapping[str, LinearFit]
+    """The papers' regression, sigmas by pass with an allowance for the field model."""
+    white_sigma: Mapping[str, FloatArray]
+    """(K,) of the same fits, had every sample an error of its own."""
+    pass_sigma: Mapping[str, FloatArray]
+    """(K,) with blocks by pass, the field model taken as right."""
+    passes: Mapping[str, int]
+    estimates: FloatArray
+    """(RUNS, sets, K); every run has its own seed and orbital phase, so other passes."""
+    sigmas: Mapping[str, FloatArray]
+    """(RUNS, sets, K) stated sigmas of each of KINDS."""
+    bias_only: BiasOnly
+    truth: FloatArray
+    """(K,)."""
+    field_shift: FloatArray
+    """(K,) shift of the fit to both sets that the error of the ground's field model alone causes."""
+
+    def scatter(self, name: str) -> FloatArray:
+        """(K,) standard deviation of the estimates over the runs."""
+        return np.asarray(self.estimates[:, SETS.index(name)].std(axis=0, ddof=1))
+
+    def rms_error(self, name: str) -> FloatArray:
+        """(K,) root mean square of estimate less truth over the runs: the error of the field model is in it."""
+        return np.asarray(np.sqrt(((self.estimates[:, SETS.index(name)] - self.truth) ** 2).mean(axis=0)))
+
+    def sigma_ratio(self, name: str, kind: str) -> float:
+        """Error over stated sigma, root mean square over runs and parameters; 1 is honest."""
+        stated = np.sqrt((self.sigmas[kind][:, SETS.index(name)] ** 2).mean(axis=0))
+        return float(np.sqrt(np.mean((self.rms_error(name) / stated) ** 2)))
+
+
+def run_calibrations(config: Scenario, ground: FieldModel, progress: Progress, runs: int = RUNS) -> CalibrationStudy:
+    """Fit the sets of one flight, then of many with other seeds and phases."""
+    days = mission.on_days(config)
+    flight = mission.fly(days)
+    rows = {name: choose_rows(flight, name) for name in SETS}
+    fits = {name: fit_rows(flight, rows[name], ground) for name in SETS}
+    estimates = np.empty((runs, len(SETS), len(NAMES)))
+    sigmas = {kind: np.empty_like(estimates) for kind in KINDS}
+    for run in range(runs):
+        progress(f"calibration {run + 1} of {runs}", run / runs)
+        other = mission.fly(with_random_phase(days, config.seed + 1 + run))
+        for place, name in enumerate(SETS):
+            chosen = choose_rows(other, name)
+            for kind in KINDS:
+                fit = fit_rows(other, chosen, ground, kind)
+                estimates[run, place], sigmas[kind][run, place] = vector(fit), vector_sigma(fit)
+    truth = mission.truth_vector(config)
+    alone = mission.fly(mission.only(days, "field"))
+    return CalibrationStudy(
+        fits=fits,
+        white_sigma={name: vector_sigma(fit_rows(flight, rows[name], ground, "white")) for name in SETS},
+        pass_sigma={name: vector_sigma(fit_rows(flight, rows[name], ground, "pass")) for name in SETS},
+        passes={name: len(np.unique(pass_labels(flight)[rows[name]])) for name in SETS},
+        estimates=estimates,
+        sigmas=sigmas,
+        bias_only=_bias_only(flight, ground, truth[:9].reshape(3, 3)),
+        truth=truth,
+        field_shift=vector(fit_rows(alone, choose_rows(alone, "AB"), ground)) - truth,
+    )
+
+
+def with_random_phase(config: Scenario, seed: int) -> Scenario:
+    """Another seed, and the spacecraft elsewhere on its orbit, so that other passes are flown."""
+    phase = float(stream(seed, "hcmm.phase").uniform(0.0, 360.0))
+    return config.updated({"seed": seed, "orbit.argument_of_latitude_deg": phase})
+
+
+def choose_rows(flight: Flight, name: str) -> np.ndarray:
+    """Rows of a set: of each of its days sunlit passes in random order, until the printed number of samples is reached.
+
+    The papers give days and numbers, not passes.
+    """
+    if name == "AB":
+        return np.sort(np.concatenate([choose_rows(flight, part) for part in ("A", "B")]))
+    days, total = DAYS[name], SAMPLES[name]
+    labels = pass_labels(flight)
+    number = (flight.telemetry.time - mission.day(1)).astype("timedelta64[D]").astype(int) + 1
+    rng = stream(flight.scenario.seed, f"hcmm.passes.{name}")
+    chosen: list[np.ndarray] = []
+    for place, today in enumerate(days):
+        share = total * (place + 1) // len(days) - sum(map(len, chosen))
+        usable = np.flatnonzero((number == today) & flight.telemetry.has_attitude)
+        order = rng.permutation(np.unique(labels[usable]))
+        rows = np.concatenate([usable[labels[usable] == label] for label in order])
+        chosen.append(rows[:share])
+    return np.sort(np.concatenate(chosen))
+
+
+def pass_labels(flight: Flight) -> np.ndarray:
+    """(N,) one number for each stretch in view and the station that stands best in it."""
+    height = in_view(stations_of(flight.scenario), frames.rotation_EN(flight.world.time).apply(flight.world.r_N_km))
+    return np.asarray(flight.world.segment.astype(int) * height.shape[1] + height.argmax(axis=1))
+
+
+def fit_rows(flight: Flight, rows: np.ndarray, ground: FieldModel, kind: str = "pass and field") -> LinearFit:
+    """The papers' regression with one of three covariances: `white`, by `pass`, or by `pass and field`."""
+    return calibrate_linear(
+        flight.telemetry.select(rows),
+        ground,
+        errors_in_variables=False,
+        covariance="white" if kind == "white" else "blocks",
+        passes=None if kind == "white" else pass_labels(flight)[rows],
+        field_error_nT=FIELD_ERROR_NT if kind == "pass and field" else None,
+    )
+
+
+def vector(fit: LinearFit) -> FloatArray:
+    """(12,) S row by row and b in mG."""
+    return np.concatenate([fit.calibration.S.ravel(), fit.calibration.b_nT / NT_PER_MG])
+
+
+def vector_sigma(fit: LinearFit) -> FloatArray:
+    """(12,) 1 sigma in the same order and units."""
+    sigma = fit.calibration.sigmas[:12]
+    return np.concatenate([sigma[:9], sigma[9:] / NT_PER_MG])
+
+
+def rms_mG(fit: LinearFit) -> float:
+    """Residual, rms per component over all three axes [mG]."""
+    return float(np.sqrt(np.mean(fit.residuals_nT**2)) / NT_PER_MG)
+
+
+def _bias_only(flight: Flight, ground: FieldModel, S: FloatArray) -> BiasOnly:
+    found, means = [], []
+    usable = flight.telemetry.has_attitude
+    labels = pass_labels(flight)
+    for label in np.unique(labels[usable]):
+        rows = np.flatnonzero(usable & (labels == label))
+        if rows.size < _FEWEST_IN_PASS:
+            continue
+        record = flight.telemetry.select(rows)
+        found.append(calibrate_linear(record, ground, parameters="b").calibration.b_nT / NT_PER_MG)
+        means.append(record.mag_B_nT.mean(axis=0) / NT_PER_MG)
+    b, mean = np.array(found), np.array(means)
+    slope = float(np.polyfit(mean[:, 0], b[:, 0], 1)[0])
+    left = b[:, 0] - mean @ S[0]
+    return BiasOnly(b, mean, slope, float(1.0 - left.var() / b[:, 0].var()))

@@ -1,0 +1,160 @@
+"""The report of the HCMM study, part by part."""
+
+from __future__ import annotations
+
+import platform
+from importlib import metadata
+
+import numpy as np
+
+from fluxtwin.scenarios.claims import Claim, claims_table
+from fluxtwin.scenarios.hcmm import tables
+from fluxtwin.scenarios.hcmm.claims import Results
+from fluxtwin.scenarios.hcmm.pass_study import ANOMALOUS, printed_rms
+from fluxtwin.scenarios.hcmm_orbit.nadir_field import NEAR_DEG
+from fluxtwin.scenarios.page import Page, Section
+
+ERRATA = (
+    "Conference Table 5: three acquisition times have minutes above 59 (0067, 1584, 1089), four name an hour at "
+    "which the "
+    "satellite was not in view (0821, 1615, 1619, 1637): eights read as sixes, fives as eights, nines as eights.",
+    "Conference Table 6: the text gives 1.7 deg for the angles; its numbers need 0.17 deg.",
+    "Conference equation 18 prints the inequality with the wrong sense; the journal has it right.",
+    "Conference Table 3: 132 + 308 samples are not 443; 135 would be.",
+    "Conference, 'magnetic poles' 46 and 25 deg away: these are the poles of the dipole, not where the field is "
+    "vertical.",
+    "Conference text: the least nadir-field residual is 0.32 deg; its table has 0.28.",
+    "Both conclusions call 0.5 deg the maximum direction error of IGRF 1975; it is nearer an rms value.",
+    "Both papers suspect hardware on board for four night passes; of all night passes the error of IGRF 1975 is "
+    "largest in those.",
+)
+
+
+def page(results: Results, claims: list[Claim], verdict: str) -> Page:
+    """The whole page."""
+    others = tables.other_figures(results)
+    return Page(
+        title="HCMM: calibration from station passes, checked against what flew in 1978",
+        verdict=verdict,
+        sections=[
+            *_flight(results),
+            _night_passes(results),
+            Section("Calibration", [], [tables.calibration_table(results)], [tables.bias_figure(results)]),
+            Section("Sources of the residual", [], [tables.error_table(results)], others[:1]),
+            Section("The 43 passes", [], [tables.passes_table(results)]),
+            Section("Yaw", [], [tables.yaw_table(results)], others[1:]),
+            _sensors(results),
+            Section("Claim by claim", [], [claims_table(claims, with_why=True)]),
+        ],
+        errata=ERRATA,
+        provenance={
+            "seed": str(results.scenario.seed),
+            "truth field": results.scenario.field.truth,
+            "ground field": results.scenario.field.model,
+            "fluxtwin": metadata.version("fluxtwin"),
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+        },
+    )
+
+
+def _flight(results: Results) -> list[Section]:
+    """Orbit, test and open question."""
+    figures, n = tables.flight_figures(results), results.nadir_field
+    ideas = {idea.name: idea for idea in n.ideas}
+    main, dipole = ideas["the main field (IGRF-14)"], ideas["its dipole alone"]
+    part = ideas["the best part of each window"]
+    unexplained = [p.label for p, e in zip(n.passes, part.error_deg, strict=True) if np.abs(e).max() > NEAR_DEG]
+    return [
+        Section(
+            "The orbit from the record",
+            [
+                "HCMM had no tape recorder: its data exist only while a station saw it, and no orbital elements of "
+                "those days were found. What was printed of 43 passes gives the orbit: when each was acquired, and "
+                "how the angle between sun and nadir ran.",
+            ],
+            [tables.orbit_table(results)],
+        ),
+        Section(
+            "The test against flight",
+            [
+                "The angle between sun and field was printed as well, and entered nothing. It is predicted here from "
+                "orbit, sun and the field that is known of 1978 today, and compared with print.",
+            ],
+            [tables.flight_test_table(results)],
+            figures[:2],
+        ),
+        Section(
+            "The open question",
+            [
+                "The printed angles between nadir and field do not agree with the field that the sun-field angles "
+                "confirm. Nearest comes the dipole part of the field alone; the dipole that fits the sunlit passes "
+                f"best has its pole at {n.pole_deg[0]:.0f} N, {n.pole_deg[1]:.0f} E, the field's own is at "
+                f"{n.model_pole_deg[0]:.1f} N, {n.model_pole_deg[1]:.1f} E. It fails in the two dawn passes over "
+                "Orroral whose windows end early (11-30 1554, 12-01 1610). The residuals printed beside these "
+                "ranges, 0.28 to "
+                f"0.96 deg, cannot be a dipole's: it is wrong by {n.dipole_wrong_deg:.1f} deg rms over these passes. "
+                "So if "
+                "the ranges are a dipole's, they were made by another program than the residuals.",
+                f"Of the 86 ends the main field explains {main.explained} ({main.by_chance[0]:.0f} by chance), its "
+                "dipole "
+                f"{dipole.explained} ({dipole.by_chance[0]:.0f}). That the angles belong to parts of the windows "
+                "only would "
+                f"explain {part.explained} ({part.by_chance[0]:.0f}) with the main field, at the price of two free "
+                "numbers a "
+                f"pass; it cannot explain {'; '.join(unexplained)}. No idea fits all rows, and nothing here depends "
+                "on that "
+                "column.",
+            ],
+            [tables.ideas_table(results), tables.nadir_field_rows(results)],
+            figures[2:],
+        ),
+    ]
+
+
+def _sensors(results: Results) -> Section:
+    """The closed chain, and what the second channel says."""
+    s = results.scanner
+    return Section(
+        "Sun sensor, scanner, magnetometer",
+        [
+            "The angle between measured sun and measured nadir is a second channel: no attitude and no magnetometer "
+            "enters "
+            f"it. Of the three days it says: {s.channel.words}. Had head 1 been mounted right, with the magnetometer "
+            "as "
+            f"turned as it is: {s.turned_magnetometer.words}.",
+        ],
+        [tables.scanner_table(results)],
+    )
+
+
+def _night_passes(results: Results) -> Section:
+    """What the error of the field model has to say of the four passes."""
+    e, p = results.evidence, results.passes
+    four = [(e.labels[n - 1], e.printed_mG[n - 1], *p.eps_range_mG[n - 1]) for n in ANOMALOUS]
+    printed = printed_rms([item.eps_M_mG for item, quiet in zip(p.passes, p.quiet, strict=True) if quiet])
+    excess = np.sqrt(printed**2 - p.rms("eps_M_mG", p.quiet) ** 2)
+    missing = [np.sqrt(mG**2 - high**2 - excess**2) for _, mG, _, high in four if mG > np.hypot(high, excess)]
+    chance = f"a share of {e.chance:.4f}" if e.chance > 0 else "none"
+    return Section(
+        "The four night passes",
+        [
+            "The papers suspect hardware on board behind the large residuals of four night passes over the eastern "
+            "United States. The error of IGRF 1975 in field strength is largest along just these orbits: of the ten "
+            f"largest printed residuals {e.top_shared} are among the ten passes with the largest predicted error. The "
+            f"rank correlation over all 43 is {e.correlation:.2f} (of 20,000 random orders {chance} "
+            f"reaches it), {e.correlation_without_four:.2f} without the four, {e.correlation_night:.2f} among the "
+            "night "
+            f"passes and {e.correlation_sunlit:.2f} among the sunlit ones.",
+            "By night the residual is larger than by day for the same error of the model, here as in print: the "
+            "calibration was made with sunlit passes and took part of their error for its own. How much, hangs on the "
+            "passes it was made with, which are not known: over many choices ours leave "
+            + "; ".join(f"{low:.1f} to {high:.1f} mG at {label} (printed {mG:.2f})" for label, mG, low, high in four)
+            + f". All flight rows have {excess:.1f} mG more than ours, added as squares. With that the printed residual of "
+            f"{len(four) - len(missing)} of the four is explained. The others would need "
+            + " and ".join(f"{mG:.1f} mG" for mG in missing)
+            + " more, so a field of that size on board cannot be excluded there; none is needed to single the four out.",
+        ],
+        [],
+        [tables.evidence_figure(results)],
+    )

@@ -1,0 +1,127 @@
+"""The closed chain: sun sensor calibrates scanner, both give the reference attitude, that calibrates the magnetometer.
+
+A scanner with biases is flown. Its own calibration uses sun-nadir angles alone. What the biases do to the magnetometer's
+S, before and after, shows why a second channel is needed: a constant error of the reference attitude and a misaligned
+magnetometer are one and the same thing to a calibration that takes the attitude as right.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fluxtwin.calib.horizon_scanner import ScannerCalibration, calibrate_scanner
+from fluxtwin.calib.linear import calibrate_linear
+from fluxtwin.gap.sun_nadir import SunNadir, weigh_sun_nadir
+from fluxtwin.scenarios.hcmm import mission
+from fluxtwin.scenarios.hcmm.calibration_study import choose_rows, pass_labels
+from fluxtwin.scenarios.hcmm.mission import Flight
+from fluxtwin.sim import frames
+from fluxtwin.sim.field import FieldModel
+from fluxtwin.sim.progress import Progress
+from fluxtwin.sim.scenario import Scenario
+from fluxtwin.sim.sensors.reference_attitude import attitude_from_sun_and_nadir
+from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.types import FloatArray
+
+BIAS_DEG = (0.40, -0.30)
+"""Roll and pitch bias put into the scanner; assumed, of the size of its requirement."""
+_TRUSTED = (2, 3)
+"""Heads that define the attitude reference (C, text)."""
+
+
+@dataclass(frozen=True)
+class ScannerStudy:
+    """Angles in deg."""
+
+    bias_deg: tuple[float, float]
+    """Roll and pitch put in."""
+    found: ScannerCalibration
+    rms_before_deg: float
+    """Sun-nadir residual before and after, heads 2 and 3."""
+    rms_after_deg: float
+    tilt_biased_deg: float
+    """Rotation in S that is none of the magnetometer's: from the reference attitude as it comes."""
+    tilt_corrected_deg: float
+    """The same after the scanner is calibrated."""
+    tilt_unbiased_deg: float
+    """And of a flight whose scanner has no bias: what field model and noise leave."""
+    dawn_before_deg: float
+    """Sun-nadir residual of head 1 at dawn over Orroral."""
+    head_1_deg: float
+    """Misalignment of head 1 towards nadir found from those rows, the scanner calibrated by heads 2 and 3."""
+    head_1_truth_deg: float
+    channel: SunNadir
+    """What the sun-nadir channel says of the three days, the scanner without bias: head 1 is turned, nothing else."""
+    turned_magnetometer: SunNadir
+    """The same with head 1 right and the magnetometer's S as it is."""
+
+
+def run_scanner(config: Scenario, ground: FieldModel, progress: Progress) -> ScannerStudy:
+    """Fly with and without biases on the days of Table 3, and the three days of Table 5 for head 1."""
+    progress("horizon scanner", 0.0)
+    biased = config.updated(
+        {"horizon_scanner.roll_bias_deg": BIAS_DEG[0], "horizon_scanner.pitch_bias_deg": BIAS_DEG[1]}
+    )
+    flight = mission.fly(mission.on_days(biased))
+    labels = pass_labels(flight)
+    found = calibrate_scanner(flight.telemetry, heads=_TRUSTED, passes=labels)
+    repaired = with_new_attitude(flight, found.apply(flight.telemetry))
+    plain = mission.fly(mission.on_days(config))
+    rows = choose_rows(flight, "AB")
+    tilts = [_tilt_deg(t.select(rows), ground, flight.truth.S) for t in (flight.telemetry, repaired, plain.telemetry)]
+    progress("head 1 at dawn", 0.7)
+    dawn = mission.fly(biased)
+    before, offset, truth = _head_1(dawn, found)
+    right = config.updated({"sun_sensor.1.misalignment_deg": None})
+    return ScannerStudy(
+        bias_deg=BIAS_DEG,
+        found=found,
+        rms_before_deg=float(np.degrees(found.rms_before_rad)),
+        rms_after_deg=float(np.degrees(found.rms_after_rad)),
+        tilt_biased_deg=tilts[0],
+        tilt_corrected_deg=tilts[1],
+        tilt_unbiased_deg=tilts[2],
+        dawn_before_deg=before,
+        head_1_deg=offset,
+        head_1_truth_deg=truth,
+        channel=weigh_sun_nadir(mission.fly(config).telemetry),
+        turned_magnetometer=weigh_sun_nadir(mission.fly(right).telemetry),
+    )
+
+
+def with_new_attitude(flight: Flight, telemetry: Telemetry) -> Telemetry:
+    """The reference attitude made anew from the record's sun and nadir."""
+    assert telemetry.sun_B is not None and telemetry.nadir_B is not None
+    nadir_N = -flight.world.r_N_km
+    q = attitude_from_sun_and_nadir(telemetry.sun_B, telemetry.nadir_B, flight.world.sun_N, nadir_N)
+    return telemetry.replace(q_NB=q)
+
+
+def _tilt_deg(telemetry: Telemetry, ground: FieldModel, truth_S: FloatArray) -> float:
+    """Size of the rotation by which the found I+S differs from the true one."""
+    S = calibrate_linear(telemetry, ground, errors_in_variables=False).calibration.S
+    between = (np.eye(3) + S) @ np.linalg.inv(np.eye(3) + truth_S)
+    turn = 0.5 * (between - between.T)
+    return float(np.degrees(np.linalg.norm([turn[2, 1], turn[0, 2], turn[1, 0]])))
+
+
+def _head_1(flight: Flight, found: ScannerCalibration) -> tuple[float, float, float]:
+    """Residual at dawn, its mean after the scanner's correction, and what the misalignment should give [deg]."""
+    corrected = found.apply(flight.telemetry)
+    assert corrected.sun_B is not None and corrected.nadir_B is not None and corrected.sun_sensor_head is not None
+    rows = np.flatnonzero((corrected.sun_sensor_head == 1) & np.isfinite(corrected.nadir_B).all(axis=1))
+    computed = _angle(flight.world.sun_N[rows], -flight.world.r_N_km[rows])
+    residual = _angle(np.array(corrected.sun_B)[rows], np.array(corrected.nadir_B)[rows]) - computed
+    # A head turned by theta reports the sun turned by minus theta: what that does to the angle from nadir.
+    theta = np.radians(flight.scenario.sun_sensor["1"].misalignment_deg)
+    B = frames.rotation_from_q(flight.truth.q_NB[rows])
+    sun_B, nadir_B = B.apply(flight.world.sun_N[rows]), B.apply(-flight.world.r_N_km[rows])
+    expected = _angle(sun_B - np.cross(theta, sun_B), nadir_B) - computed
+    return tuple(float(np.degrees(v)) for v in (np.sqrt(np.mean(residual**2)), residual.mean(), expected.mean()))  # type: ignore[return-value]
+
+
+def _angle(a: FloatArray, b: FloatArray) -> FloatArray:
+    angle: FloatArray = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("ij,ij->i", a, b))
+    return angle

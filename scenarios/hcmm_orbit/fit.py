@@ -1,0 +1,223 @@
+"""One circular J2 orbit through 43 acquisition times and the printed sun-nadir ranges.
+
+Unknown are the semi-major axis, the node and the argument of latitude, and for every pass the stretch of time whose
+data were used. Known are:
+
+* the satellite rises at the printed acquisition time (whole minutes; masks and routine make it a minute either way);
+* the data begin a certain time after that, the same for all passes up to a scatter, and end before it sets;
+* the sun-nadir angles of that stretch have the printed range, to the rounding of print.
+
+A few numbers of the scan are wrong, so large residuals count less (soft L1). The covariance comes from the scatter
+of the passes' own pulls (the "sandwich"), not from the assumed sigmas. One error is common to many passes: the least
+sun-nadir angle of a night pass is nearly the same in all of them, so all are rounded alike. What a shift of these ends by
+the rms of rounding does to the elements is added.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from fluxtwin.scenarios.hcmm_orbit.coarse import first_guess
+from fluxtwin.scenarios.hcmm_orbit.geometry import (
+    INCLINATION_DEG,
+    Grid,
+    Sky,
+    look,
+    make_grid,
+    orbit_of,
+    rise_and_set_min,
+)
+from fluxtwin.scenarios.hcmm_orbit.record import Pass, Range, read_passes
+from fluxtwin.scenarios.hcmm_orbit.windows import Windows, fix_windows, turning_ends
+from fluxtwin.sim.orbit import Orbit
+from fluxtwin.sim.types import FloatArray
+
+ELEMENTS = ("semi_major_axis_km", "raan_deg", "argument_of_latitude_deg")
+_RISE_MIN, _START_MIN, _VISIBLE_MIN = 1.0, 0.4, 0.3
+"""Scatter allowed for acquisition against rise, for the start of the data, and for data past the horizon [min]."""
+_ANGLE_DEG = 0.4
+"""Rounding of print and sampling of the data."""
+_ROUNDING_DEG = 1.0 / float(np.sqrt(12.0))
+_STEPS = (0.1, 0.02, 0.02, 0.02)
+"""Steps of the differences: km, deg, deg, deg."""
+_ROWS = 6
+"""Residuals of a pass: rise, start, two visibility limits, two ends of the range."""
+
+
+@dataclass(frozen=True)
+class OrbitFit:
+    """The orbit and how well it is known. K elements, P passes."""
+
+    orbit: Orbit
+    names: tuple[str, ...]
+    values: FloatArray
+    """(K,) km and deg, at the epoch, true equator and equinox of date."""
+    covariance: FloatArray
+    """(K, K), from the scatter of the passes."""
+    windows: Windows
+    """Fixed from the sun-nadir ranges alone, along the fitted orbit."""
+    rise_min: FloatArray
+    """(P,) predicted rise less printed acquisition."""
+    set_min: FloatArray
+    """(P,) predicted end of visibility after the printed acquisition."""
+    highest_deg: FloatArray
+    """(P,) greatest elevation."""
+    start_offset_min: float
+    """Mean time from acquisition to the first datum."""
+    guess: tuple[float, float, float]
+    """Where the fit started from."""
+
+    @property
+    def sigmas(self) -> FloatArray:
+        """(K,) 1 sigma."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+def fit_orbit(
+    passes: tuple[Pass, ...] | None = None, *, as_scanned: bool = True, free_inclination: bool = False
+) -> OrbitFit:
+    """Fit the record. as_scanned: sun-nadir ranges as the scan shows them, else with the documented corrections.
+
+    Acquisition times are those of the table with its seven corrections: three minutes above 59, and four
+    hours at which the satellite cannot be in view. No sun-field and no nadir-field angle enters.
+    """
+    passes = read_passes() if passes is None else passes
+    ranges = [item.sun_nadir_read if as_scanned else item.sun_nadir for item in passes]
+    grid = make_grid(passes)
+    guess = first_guess(passes)
+    start = np.array([*guess, INCLINATION_DEG])
+    problem = _Problem(grid, ranges, 4 if free_inclination else 3, start)
+    found = problem.solve()
+    K = problem.free
+    elements = problem.elements(found)
+    orbit = orbit_of(*elements)
+    sky = look(grid, orbit)
+    rise, fall = rise_and_set_min(grid, sky)
+    return OrbitFit(
+        orbit=orbit,
+        names=(*ELEMENTS, "inclination_deg")[:K],
+        values=elements[:K],
+        covariance=problem.covariance(found)[:K, :K] + problem.common_rounding(found)[:K, :K],
+        windows=fix_windows(grid, sky, ranges),
+        rise_min=rise,
+        set_min=fall,
+        highest_deg=sky.elevation_deg.max(axis=1),
+        start_offset_min=float(found[K]),
+        guess=guess,
+    )
+
+
+class _Problem:
+    """Residuals of x = (K elements, mean start, P starts, P ends) and their Jacobian."""
+
+    def __init__(self, grid: Grid, ranges: list[Range], free: int, start: FloatArray) -> None:
+        self.grid, self.free, self.fixed = grid, free, start
+        self.low, self.high = np.array(ranges).T
+        self.count = len(ranges)
+        self.scale = np.concatenate([[1.0, 0.1, 0.1, 0.1][:free], [0.1], np.full(2 * self.count, 0.1)])
+
+    def elements(self, x: FloatArray) -> FloatArray:
+        """All four elements."""
+        return np.concatenate([x[: self.free], self.fixed[self.free :]])
+
+    def solve(self) -> FloatArray:
+        """The best x, from the first guess on."""
+        sky = look(self.grid, orbit_of(*self.fixed))
+        window = fix_windows(self.grid, sky, list(zip(self.low, self.high, strict=True)))
+        offset = float(np.median(window.start_min))
+        x = np.concatenate([self.fixed[: self.free], [offset], window.start_min, window.end_min])
+        for _ in range(2):  # the windows are set anew once the orbit is near
+            x = least_squares(self.residuals, x, self.jacobian, loss="soft_l1", x_scale=self.scale, max_nfev=60).x
+            sky = look(self.grid, orbit_of(*self.elements(x)))
+            window = fix_windows(self.grid, sky, list(zip(self.low, self.high, strict=True)))
+            x = np.concatenate([x[: self.free + 1], window.start_min, window.end_min])
+        return np.asarray(
+            least_squares(self.residuals, x, self.jacobian, loss="soft_l1", x_scale=self.scale, max_nfev=60).x
+        )
+
+    def common_rounding(self, x: FloatArray) -> FloatArray:
+        """Covariance of x from ends at turning points that are all rounded the same way, lower and upper ones apart."""
+        sky = look(self.grid, orbit_of(*self.elements(x)))
+        turning = turning_ends(self.grid, sky, list(zip(self.low, self.high, strict=True)))
+        total = np.zeros((x.size, x.size))
+        for column, name in enumerate(("low", "high")):
+            kept = getattr(self, name)
+            setattr(self, name, kept + _ROUNDING_DEG * turning[:, column])
+            moved = least_squares(self.residuals, x, self.jacobian, loss="soft_l1", x_scale=self.scale, max_nfev=40).x
+            setattr(self, name, kept)
+            total += np.outer(moved - x, moved - x)
+        return total
+
+    def residuals(self, x: FloatArray) -> FloatArray:
+        """(6 P,)."""
+        return self._of_windows(look(self.grid, orbit_of(*self.elements(x))), x).ravel()
+
+    def _of_windows(self, sky: Sky, x: FloatArray) -> FloatArray:
+        """(P, 6)."""
+        start, end = self._windows(x)
+        rise, fall = rise_and_set_min(self.grid, sky)
+        low, high = self._range(sky, start, end)
+        return np.stack(
+            [
+                rise / _RISE_MIN,
+                (start - x[self.free]) / _START_MIN,
+                np.maximum(rise - start, 0.0) / _VISIBLE_MIN,
+                np.maximum(end - fall, 0.0) / _VISIBLE_MIN,
+                (low - self.low) / _ANGLE_DEG,
+                (high - self.high) / _ANGLE_DEG,
+            ],
+            axis=1,
+        )
+
+    def _windows(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        first = self.free + 1
+        return x[first : first + self.count], x[first + self.count :]
+
+    def _range(self, sky: Sky, start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray]:
+        minutes, angle = self.grid.minutes, sky.sun_nadir_deg
+        ends = np.stack([_interpolate(minutes, angle, start), _interpolate(minutes, angle, end)], axis=1)
+        inside = (minutes[None, :] > start[:, None]) & (minutes[None, :] < end[:, None])
+        low = np.minimum(np.where(inside, angle, np.inf).min(axis=1), ends.min(axis=1))
+        high = np.maximum(np.where(inside, angle, -np.inf).max(axis=1), ends.max(axis=1))
+        return low, high
+
+    def jacobian(self, x: FloatArray) -> FloatArray:
+        """(6 P, K + 1 + 2 P): elements by central differences, each pass's window by its own."""
+        J = np.zeros((self.count, _ROWS, x.size))
+        for k in range(self.free):
+            step = np.zeros(x.size)
+            step[k] = _STEPS[k]
+            J[:, :, k] = (self.residuals(x + step) - self.residuals(x - step)).reshape(-1, _ROWS) / (2 * _STEPS[k])
+        J[:, 1, self.free] = -1.0 / _START_MIN
+        sky = look(self.grid, orbit_of(*self.elements(x)))
+        rows, small = np.arange(self.count), 0.01
+        for first in (self.free + 1, self.free + 1 + self.count):
+            step = np.zeros(x.size)
+            step[first : first + self.count] = small
+            change = (self._of_windows(sky, x + step) - self._of_windows(sky, x - step)) / (2 * small)
+            J[rows, :, first + rows] = change
+        return J.reshape(-1, x.size)
+
+    def covariance(self, x: FloatArray) -> FloatArray:
+        """Covariance of x from the scatter of the passes: A^-1 (sum g g') A^-1 P/(P - K), g the pull of a pass.
+
+        Huber 1967; the weights are those of the soft L1 loss. A window that nothing determines is held.
+        """
+        r = self.residuals(x)
+        weight = 1.0 / np.sqrt(1.0 + r**2)
+        J = self.jacobian(x)
+        A = J.T @ (weight[:, None] * J) + 1e-6 * np.eye(x.size)
+        pull = np.einsum("pr,prx->px", (weight * r).reshape(-1, _ROWS), J.reshape(self.count, _ROWS, -1))
+        inverse = np.linalg.inv(A)
+        return np.asarray(inverse @ (pull.T @ pull) @ inverse * self.count / (self.count - self.free - 1))
+
+
+def _interpolate(minutes: FloatArray, table: FloatArray, at: FloatArray) -> FloatArray:
+    """Row by row linear interpolation of a table (P, G) at one time a row (P,)."""
+    place = np.clip((at - minutes[0]) / (minutes[1] - minutes[0]), 0.0, minutes.size - 1.000001)
+    k = place.astype(int)
+    rows = np.arange(len(at))
+    return np.asarray(table[rows, k] + (place - k) * (table[rows, k + 1] - table[rows, k]))

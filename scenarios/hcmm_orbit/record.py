@@ -1,0 +1,117 @@
+"""The published record: 43 passes with acquisition time, station and the ranges of three angles.
+
+Source: Table 5 of AIAA 79-1695. Columns `..._read` hold what the scan shows; the others hold the value used, and `why`
+says what was changed and from what. Acquisition times and stations are in `passes.csv` and `stations.toml`.
+"""
+
+from __future__ import annotations
+
+import csv
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+
+import numpy as np
+
+from fluxtwin.sim.stations import Station
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One row of Table 5. Angles in deg, each a (lowest, highest) of the pass, whole degrees in print."""
+
+    number: int
+    aos: np.datetime64
+    """Printed acquisition of signal, whole minutes UTC."""
+    aos_read: str
+    """As the scan shows it, hhmm."""
+    station: str
+    dawn: bool
+    """A dawn pass over Orroral, where head 1 sees the sun."""
+    eps_M_mG: float
+    sun_nadir: Range
+    sun_nadir_read: Range
+    sun_field: Range | None
+    """None at night, when no sensor sees the sun."""
+    sun_field_read: Range | None
+    nadir_field_read: Range
+    delta_sun_field_deg: float | None
+    delta_nadir_field_deg: float
+    delta_sun_nadir_deg: float | None
+    why: str
+
+    @property
+    def sunlit(self) -> bool:
+        """A sun-field angle was measured."""
+        return self.sun_field is not None
+
+    @property
+    def label(self) -> str:
+        """As 11-29 1400 ORR."""
+        stamp = str(self.aos.astype("datetime64[m]"))
+        return f"{stamp[5:10]} {stamp[11:13]}{stamp[14:16]} {self.station}"
+
+
+@cache
+def read_passes() -> tuple[Pass, ...]:
+    """All 43 passes, in the order of the table."""
+    rows = csv.DictReader(_text("passes.csv").splitlines())
+    return tuple(_pass(row) for row in rows)
+
+
+@cache
+def read_stations() -> dict[str, Station]:
+    """The seven stations by their letters, horizon at zero elevation."""
+    entries = tomllib.loads(_text("stations.toml"))
+    return {
+        letters: Station(
+            letters,
+            float(np.radians(entry["latitude_deg"])),
+            float(np.radians(entry["longitude_deg"])),
+            float(entry["altitude_km"]),
+        )
+        for letters, entry in entries.items()
+    }
+
+
+def _pass(row: dict[str, str]) -> Pass:
+    hour, minute = row["aos"][:2], row["aos"][2:]
+    return Pass(
+        number=int(row["n"]),
+        aos=np.datetime64(f"{row['date']}T{hour}:{minute}", "ns"),
+        aos_read=row["aos_read"],
+        station=row["station"],
+        dawn=row["dawn"] == "1",
+        eps_M_mG=float(row["eps_M_mG"]),
+        sun_nadir=_known(_range(row, "se")),
+        sun_nadir_read=_known(_range(row, "se", "_read")),
+        sun_field=_range(row, "sm"),
+        sun_field_read=_range(row, "sm", "_read"),
+        nadir_field_read=_known(_range(row, "em", "_read")),
+        delta_sun_field_deg=_number(row["dSM"]),
+        delta_nadir_field_deg=float(row["dEM_read"]),
+        delta_sun_nadir_deg=_number(row["dSE"]),
+        why=row["why"],
+    )
+
+
+def _range(row: dict[str, str], name: str, kind: str = "") -> Range | None:
+    low, high = _number(row[f"{name}_lo{kind}"]), _number(row[f"{name}_hi{kind}"])
+    return None if low is None or high is None else (low, high)
+
+
+def _known(found: Range | None) -> Range:
+    if found is None:
+        raise ValueError("a row of the packaged table lacks an angle")
+    return found
+
+
+def _number(text: str) -> float | None:
+    return float(text) if text else None
+
+
+def _text(name: str) -> str:
+    return resources.files("fluxtwin.scenarios.hcmm_orbit").joinpath(f"data/{name}").read_text(encoding="utf-8")

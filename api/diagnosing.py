@@ -8,14 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from fluxtwin.gap import advice, doubts
-from fluxtwin.gap.closing import closed_scenario
+from fluxtwin.gap import advice, closing, doubts, full_rate, transfer
+from fluxtwin.gap.closing import Declared as Declared
 from fluxtwin.gap.diagnose import diagnose as investigate_record
 from fluxtwin.gap.problem import DEFAULT_MODELLED, Budget
 from fluxtwin.gap.records import Diagnosis
+from fluxtwin.gap.stochastic import with_frozen_noise
+from fluxtwin.gap.sun_nadir import note_on_attitude_sensors
 from fluxtwin.sim import epoch
 from fluxtwin.sim import scenario_spacecraft as spacecraft
 from fluxtwin.sim.effects.catalogue import find_effect
+from fluxtwin.sim.effects.chain import Active
+from fluxtwin.sim.effects.saturation import Saturation
 from fluxtwin.sim.errors import BadInput, NoAnswer
 from fluxtwin.sim.field_models import load_field
 from fluxtwin.sim.progress import Progress, silent
@@ -62,13 +66,14 @@ def diagnose(
         modelled=modelled,
         budget=budget,
         instrument=None if config is None else spacecraft.magnetometer(config),
-        frozen=() if config is None else active_effects(config),
+        frozen=() if config is None else _frozen(config),
         provenance={"source": record.provenance.get("source", "")},
         progress=progress,
     )
     notes = [*_left_out(record, found), doubts.stuck_attitude(record, budget.attitude_sigma_rad)]
     if notes[-1] is None:
         notes[-1] = doubts.stuck_and_misfit(record, found.gap.before_nT)
+    notes.append(note_on_attitude_sensors(record))
     return replace(
         found,
         would_settle=advice.would_settle(found.minimum_detectable, found.untestable, _hours(found)),
@@ -82,17 +87,21 @@ def closed(
     scenario: Path | str | None,
     telemetry: Path,
     column_map: Path | None = None,
-    noise_nT: float | None = None,
-    lsb_nT: float | None = None,
-) -> Scenario | None:
-    """The scenario with the named effects in it, None when nothing was named.
+    declared: Declared | None = None,
+) -> tuple[Diagnosis, Scenario | None]:
+    """The diagnosis with its transfers, and the scenario with the named effects in it; None when nothing was named.
 
-    Without a scenario it replays the telemetry; noise_nT and lsb_nT are then its magnetometer's.
+    Without a scenario it replays the telemetry; what was declared of the noise is then its own.
     """
-    if diagnosis.closure is None or not diagnosis.effects:
-        return None
+    closure = diagnosis.closure
+    if closure is None or closure.empty:
+        return replace(diagnosis, transfers=[]), None
     base = None if scenario is None else load_scenario(scenario)
-    return closed_scenario(diagnosis.closure, base, telemetry, column_map, noise_nT=noise_nT, lsb_nT=lsb_nT)
+    closure = closing.refined(closure)
+    found = closing.settle(closure)
+    transfers = transfer.transfers(closure, found.named)
+    made = closing.closed_scenario(closure, found, transfers, base, telemetry, column_map, declared or Declared())
+    return replace(diagnosis, transfers=transfers), made
 
 
 def _check_numbers(*values: float | None) -> None:
@@ -103,7 +112,7 @@ def _check_numbers(*values: float | None) -> None:
 
 
 def _require_something(record: Telemetry) -> None:
-    """Raises NoAnswer for a record without readings or reference attitude, BadInput for one without position."""
+    """Raises NoAnswer for a record without readings, BadInput for one without position."""
     if not record.has_reading.any():
         raise NoAnswer(f"all {len(record)} magnetometer readings are missing: there is nothing to diagnose")
     if record.r_N_km is None:
@@ -112,22 +121,19 @@ def _require_something(record: Telemetry) -> None:
             where="r_x_km r_y_km r_z_km",
             wanted="positions, --tle or a --scenario with orbit",
         )
-    if not record.has_attitude.any():
-        raise NoAnswer(
-            f"none of the {len(record)} rows has a reference attitude (q_x q_y q_z q_w, or yaw_deg roll_deg pitch_deg); "
-            "rows without attitude cannot be diagnosed yet",
-        )
 
 
 def _left_out(record: Telemetry, found: Diagnosis) -> list[str | None]:
-    """What the person who reads the answer must know about rows that are not in it."""
+    """What the person who reads the answer must know about rows that are not in it, or not wholly."""
     notes: list[str | None] = []
-    without = int((record.has_reading & ~record.has_attitude).sum())
-    if without:
-        notes.append(f"{without} of {len(record)} rows have no reference attitude and are left out")
+    if "without_attitude" in found.provenance:
+        notes.append(str(found.provenance["without_attitude"]))
     every = found.provenance.get("rows_thinned_by", 1)
     if every != 1:
-        notes.append(f"one row in {every} is used: what is faster than that is seen less well")
+        notes.append(
+            f"one row in {every} is used for what is slow; fast lines, bit errors and noise are looked for at the full "
+            f"rate, in up to {full_rate.MOST_ROWS:,} rows"
+        )
     return notes
 
 
@@ -154,7 +160,19 @@ def _budget(
             attitude_sigma_deg = reference.sigma_deg
             attitude_tau_s = reference.tau_s if attitude_tau_s is None else attitude_tau_s
     sigma_rad = None if attitude_sigma_deg is None else float(np.radians(attitude_sigma_deg))
-    return Budget(noise_nT, lsb_nT, sigma_rad, attitude_tau_s)
+    frozen = () if config is None else _frozen(config)
+    return Budget(*with_frozen_noise(frozen, noise_nT, lsb_nT), sigma_rad, attitude_tau_s)
+
+
+def _frozen(config: Scenario) -> tuple[Active, ...]:
+    """The scenario's effects, a clip counted from the scenario's own full scale as in the simulation."""
+    full_scale_nT = config.magnetometer.full_scale_nT
+    return tuple(
+        (replace(effect, full_scale_nT=full_scale_nT), theta)
+        if isinstance(effect, Saturation) and effect.full_scale_nT is None
+        else (effect, theta)
+        for effect, theta in active_effects(config)
+    )
 
 
 def _with_scenario(record: Telemetry, config: Scenario) -> Telemetry:

@@ -10,6 +10,7 @@ from fluxtwin.plots import gap as gap_plots
 from fluxtwin.scenarios.page import FigureBlock, Page, Section, Table
 
 _CONFUSED = 0.8  # shares below this are in the JSON
+_RANKED = 6
 
 
 def diagnosis_page(diagnosis: Diagnosis, title: str) -> Page:
@@ -17,20 +18,28 @@ def diagnosis_page(diagnosis: Diagnosis, title: str) -> Page:
     return Page(
         title=title,
         verdict=diagnosis.sentence,
-        sections=[_where(diagnosis), _which(diagnosis), _far(diagnosis), _open(diagnosis), _could(diagnosis)],
+        sections=[
+            _where(diagnosis), _which(diagnosis), _far(diagnosis), *_elsewhere(diagnosis), _open(diagnosis),
+            _could(diagnosis),
+        ],
         provenance=_provenance(diagnosis),
-    )
+    )  # fmt: skip
 
 
 def tables(diagnosis: Diagnosis) -> list[Table]:
     """The tables for the terminal, in order."""
     shown = [effects_table(diagnosis)] if diagnosis.effects else []
+    if diagnosis.verdict == "unknown" and diagnosis.ranking:
+        shown.append(ranking_table(diagnosis))
     shown.append(far_table(diagnosis))
+    if diagnosis.transfers:
+        shown.append(transfer_table(diagnosis))
     if diagnosis.untestable:
         whole = untestable_table(diagnosis)
         rows = [[name, f"{why}. To settle it: {cure}" if cure else why] for name, why, cure in whole.rows]
         shown.append(Table(whole.title, whole.columns[:2], rows))
-    return shown
+    small = small_table(diagnosis)
+    return [*shown, small] if small.rows else shown
 
 
 def where_lines(diagnosis: Diagnosis) -> list[str]:
@@ -76,8 +85,10 @@ def _which(diagnosis: Diagnosis) -> Section:
     shown = [effects_table(diagnosis)] if diagnosis.effects else []
     if any(effect.rivals for effect in diagnosis.effects):
         shown.append(rivals_table(diagnosis))
+    if diagnosis.ranking:
+        shown.append(ranking_table(diagnosis))
     figures = []
-    if diagnosis.effects:
+    if len(diagnosis.effects) > 1 or any(effect.rivals for effect in diagnosis.effects):
         caption = "Blue: named effects and how sure each is. Orange, hatched: rivals, less likely."
         figures = [FigureBlock("gap_which", caption, gap_plots.draw_which(diagnosis))]
     return Section("Which effect causes it", words or ([] if diagnosis.effects else ["None is named."]), shown, figures)
@@ -85,6 +96,7 @@ def _which(diagnosis: Diagnosis) -> Section:
 
 def _far(diagnosis: Diagnosis) -> Section:
     figures = []
+    named = bool(diagnosis.effects)
     if diagnosis.series is not None:
         dots = (
             "Dots: samples, predicted by an estimate that has not seen them. Lines: their mean in 150 equal stretches."
@@ -93,12 +105,18 @@ def _far(diagnosis: Diagnosis) -> Section:
             FigureBlock("gap_series", dots, gap_plots.draw_series(diagnosis.series)),
             FigureBlock(
                 "gap_spectra",
-                "Amplitude of the residual by frequency, rms over the axes and over neighbouring frequencies. Where the "
-                "two curves part is what the named effects explain; the level on the right is noise.",
+                "Amplitude of the residual by frequency, rms over the axes and over neighbouring frequencies. "
+                + ("Where the two curves part is what the named effects explain. " if named else "")
+                + "The level on the right is noise.",
                 gap_plots.draw_spectra(diagnosis.series),
             ),
         ]
     return Section("How far it shrinks", [], [far_table(diagnosis)], figures)
+
+
+def _elsewhere(diagnosis: Diagnosis) -> list[Section]:
+    """Where the closed scenario holds; nothing when closing was not asked for."""
+    return [Section("Where the closed scenario holds", [], [transfer_table(diagnosis)])] if diagnosis.transfers else []
 
 
 def _open(diagnosis: Diagnosis) -> Section:
@@ -146,6 +164,10 @@ def far_table(diagnosis: Diagnosis) -> Table:
     """Before, after and floor."""
     g = diagnosis.gap
     closed = "nothing to close" if diagnosis.verdict == "no_gap" else "not measurable"
+    if diagnosis.verdict == "unknown" and not diagnosis.effects:
+        closed = "nothing is named"
+    if {effect.name for effect in diagnosis.effects} == {"bit_errors"}:
+        closed = "cut from both"
     if g.closed is not None:
         closed = f"{100 * g.closed:.0f} %"
         if g.interval is not None:
@@ -163,6 +185,53 @@ def far_table(diagnosis: Diagnosis) -> Table:
         "Before: what is modelled is re-estimated. After: the named effects too. Both predict samples that the estimate "
         "has not seen. Floor: what noise, quantisation and attitude error leave; with effects: and named noise.",
     )
+
+
+def transfer_table(diagnosis: Diagnosis) -> Table:
+    """For which other designs each named effect is good enough; designs with one and the same reason share a row."""
+    rows: list[list[str]] = []
+    for one in diagnosis.transfers or ():
+        answer = "yes" if one.transfers else "no"
+        answer += f": {one.why}" if one.why else ""
+        size, bar = ("" if value is None else f"{value:.3g}" for value in (one.uncertainty_nT, one.detectable_nT))
+        chance = "" if one.chance is None else percent(one.chance)
+        if rows and not chance and [one.effect, answer, ""] == [rows[-1][0], rows[-1][2], rows[-1][5]]:
+            rows[-1][1] = "any other"
+        else:
+            rows.append([one.effect, one.design, answer, size, bar, chance])
+    return Table(
+        "Good enough for another design of this spacecraft?",
+        ["effect", "design", "transfers", "error [nT]", "shows from [nT]", "chance"],
+        rows,
+        "Error: rms per component that the unsure parameters leave there once what is modelled is estimated anew. Chance: "
+        "that a diagnosis of as many samples there calls the error a gap; up to 5 % transfers. Housekeeping is taken to "
+        "repeat, or to follow the sunlight as it does here.",
+    )
+
+
+def ranking_table(diagnosis: Diagnosis) -> Table:
+    """The best effects alone."""
+    lines = diagnosis.ranking[:_RANKED]
+    named = {name for effect in diagnosis.effects for name in effect.group}
+    rows = [
+        [line.name + (" (named)" if line.name in named else ""), f"{line.drop:.1f}", str(line.directions),
+         _p_value(line.p_value)] for line in lines
+    ]  # fmt: skip
+    return Table(
+        f"The first {len(lines)} of {len(diagnosis.ranking)} effects, each alone",
+        ["effect", "drop of chi-square", "parameters seen", "p-value"],
+        rows,
+        "Before any is named, so whatever imitates a cause is high too. The p-value is after the price of the search: near "
+        "1 means no better than chance.",
+    )
+
+
+def small_table(diagnosis: Diagnosis) -> Table:
+    """Effects that are tested, but not down to their typical size; those that are named are seen."""
+    named = {effect.name for effect in diagnosis.effects}
+    words = diagnosis.would_settle
+    rows = [[name, words[name]] for name in diagnosis.minimum_detectable if name in words and name not in named]
+    return Table("Not seen down to its typical size", ["effect", "what would show it"], rows)
 
 
 def untestable_table(diagnosis: Diagnosis) -> Table:
@@ -218,6 +287,6 @@ def _provenance(diagnosis: Diagnosis) -> dict[str, str]:
         key: "; ".join(value) if isinstance(value, list) else str(value) for key, value in diagnosis.provenance.items()
     }
     lines["modelled, re-estimated in every test"] = ", ".join(diagnosis.modelled) or "none"
-    names = {"used": "used", "cut": "cut as spikes", "without_attitude": "without attitude, left out"}
+    names = {"used": "used", "cut": "cut as spikes", "without_attitude": "without attitude"}
     lines["samples"] = ", ".join(f"{diagnosis.samples[key]} {words}" for key, words in names.items())
     return {key: value for key, value in lines.items() if value}

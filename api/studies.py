@@ -23,10 +23,17 @@ def run_study(
     """
     run = find_study(name)
     _require_data(name, data)
-    folder = writable_folder(Path(f"{name}-results") if out is None else Path(out))
-    result = run(folder, None if data is None else Path(data), part_of(progress, 0.0, 0.97))
-    progress("writing the report", 0.97)
-    return result, [*result.written, *_write(result, folder)]
+    target = Path(f"{name}-results") if out is None else Path(out)
+    found = target.exists()
+    try:
+        folder = writable_folder(target)
+        result = run(folder, None if data is None else Path(data), part_of(progress, 0.0, 0.97))
+        progress("writing the report", 0.97)
+        return result, [*result.written, *_write(result, folder)]
+    except BaseException:  # an interrupt too
+        if not found and target.is_dir() and not any(target.iterdir()):
+            target.rmdir()
+        raise
 
 
 def _require_data(name: str, data: Path | str | None) -> None:

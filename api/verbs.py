@@ -18,7 +18,7 @@ from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.telemetry_io import read_telemetry
 
 if TYPE_CHECKING:
-    from fluxtwin.calib.linear import LinearFit
+    from fluxtwin.calib.fit import Fit
     from fluxtwin.sim.check import CheckReport
 
 
@@ -49,17 +49,21 @@ def calibrate(
     *,
     field: str | FieldModel = "igrf14",
     degree: int | None = None,
+    method: str | None = None,
     **options: Any,
-) -> LinearFit:
+) -> Fit:
     """S, b (and T) from one record or several; `.calibration` of the answer is what `apply` takes.
 
-    options: those of `fluxtwin.calib.linear.calibrate_linear`. Raises NoAnswer, naming the parameters, where
-    the data do not determine them.
+    method: linear, forward (against the attitude), center, twostep, scalar (without one), batch, iterative (a spinner
+    with sun pulses); None is linear where the attitude is known, else scalar. options: those of
+    `fluxtwin.calib.linear.calibrate_linear`, `scalar.calibrate_scalar` or `spin.calibrate_spin`. Raises NoAnswer, naming
+    the parameters, where the data do not determine them.
     """
-    from fluxtwin.calib.linear import calibrate_linear
+    from fluxtwin.calib.methods import calibrate_by
 
     given = [telemetry] if isinstance(telemetry, Telemetry | Path | str) else list(telemetry)
-    return calibrate_linear([as_record(one) for one in given], as_model(field, degree), **options)
+    method = options.pop("direction", None) if method is None else method
+    return calibrate_by([as_record(one) for one in given], as_model(field, degree), method, **options)
 
 
 def apply(telemetry: Telemetry | Path | str, calibration: Calibration | Path | str) -> Telemetry:

@@ -24,7 +24,7 @@ MANOEUVRES: Mapping[str, str] = {
     "quadratic_nonlinearity": _TUMBLE,
     "cubic_nonlinearity": _TUMBLE,
     "hysteresis": _TUMBLE,
-    "saturation": "turning the axis concerned along the strongest field of the orbit",
+    "saturation": "turning the axis concerned along the strongest field, near the poles (a level axis by 90 deg)",
     "sensor_lag": "a spin of 2 rpm, or torquer edges sampled fast",
     "coarse_quantization": "slower motion, so that single steps of the reading show",
     "excess_noise": "a quiet stretch with torquers and payload off",
@@ -44,7 +44,8 @@ MANOEUVRES: Mapping[str, str] = {
     "wheel_field": "the wheel speed in the telemetry, or a few speeds held in turn",
     "eddy_current": "a spin of 2 rpm",
     "switched_field": "switching it on and off in sunlight and in shadow, with its flag in the telemetry",
-    "sun_sensor_head_misalignment": "the number of the head in the telemetry, and attitudes that bring each head to the sun",
+    "sun_sensor_head_misalignment": "the number of the head in the telemetry, and turns of 90 deg that bring each head "
+    "to the sun for half an orbit",
     "horizon_scanner_bias": "a second attitude sensor beside the scanner",
     "yaw_drift": "a second attitude sensor through the eclipse",
 }

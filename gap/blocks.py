@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 
 from fluxtwin.gap.conditions import Condition, after, always, conditions, regions
+from fluxtwin.gap.frail import steady
 from fluxtwin.gap.problem import Problem
 from fluxtwin.sim import frames
 from fluxtwin.sim.effects.chain import jacobian
@@ -49,10 +50,10 @@ class Carrier:
     """What carries a discrepancy to the reading, for one problem: made once, shared by all blocks."""
 
     def __init__(self, problem: Problem) -> None:
-        setting = problem.setting
+        setting = problem.design.setting
         self.problem, self.rows = problem, problem.rows
         r, _, R_BN = setting.given
-        self.field_B_nT = problem.field_B_nT
+        self.field_B_nT = problem.design.signal([*problem.frozen, *problem.modelled_active]).field_B_nT
         r_E_km = setting.R_EN.apply(r)
         R_BE = R_BN * setting.R_EN.inv()
         R_NEC_E = frames.rotation_NEC_E(r_E_km)
@@ -66,7 +67,7 @@ class Carrier:
         gradient = field_gradient_E_nT_km(setting.model, setting.time, r_E_km)
         R_EO = (setting.R_EN * setting.R_ON.inv()).as_matrix()
         self.displaced_nT_km = self.turns["earth"] @ gradient @ R_EO
-        self.delayed_nT_s = jacobian(problem.chain, TimeTagOffset(), at=problem.frozen)[:, :, 0]
+        self.delayed_nT_s = jacobian(problem.design, TimeTagOffset(), at=problem.frozen)[:, :, 0]
         self._r_E_km = r_E_km
 
     def additive(self, condition: Condition, frame: str) -> FloatArray:
@@ -122,8 +123,8 @@ class Carrier:
 def blocks(problem: Problem, *, step_s: float | None = None) -> tuple[Block, ...]:
     """All blocks of this design. step_s: a moment (from the first stamp) after which something may have changed."""
     carrier = Carrier(problem)
-    setting = problem.setting
-    found = list(conditions(setting))
+    setting = problem.design.setting
+    found = steady(problem, conditions(setting))
     patches = list(regions(setting))
     if step_s is not None:
         found.append(after(setting, step_s))

@@ -13,8 +13,10 @@ from functools import cached_property
 
 import numpy as np
 
+from fluxtwin.gap.frail import FRAIL, Shaken
 from fluxtwin.gap.problem import Problem
-from fluxtwin.sim.effects.base import SignalEffect
+from fluxtwin.sim.effects.base import Effect, SignalEffect
+from fluxtwin.sim.effects.bit_errors import BitErrors
 from fluxtwin.sim.effects.catalogue import CATALOGUE
 from fluxtwin.sim.effects.chain import Active, Chain
 from fluxtwin.sim.types import BoolArray, FloatArray
@@ -34,6 +36,8 @@ class Candidate:
     """(M, 3, p) derivative of the reading by its parameters, nT per unit."""
     live: BoolArray
     """(p,) columns that move anything."""
+    change: float = 0.0
+    """Share of its image, beside what is modelled, that another attitude error would change."""
 
     @property
     def name(self) -> str:
@@ -68,23 +72,43 @@ def candidates(
         modelled = problem.modelled_active
     taken = {effect.name for effect in problem.modelled} | {effect.name for effect, _ in active}
     on = in_order([*problem.frozen, *modelled, *active])
+    shaken = Shaken(problem)
     found: list[Candidate] = []
     untestable: dict[str, str] = {}
     for effect in CATALOGUE:
-        if effect.name in taken or not isinstance(effect, SignalEffect):
+        if effect.name in taken:
             continue
-        reason = effect.untestable(problem.setting)
+        reason = _not_reported(effect, problem)
+        if reason is None and isinstance(effect, SignalEffect):
+            reason = effect.untestable(problem.setting)
         if reason is not None:
             untestable[effect.name] = reason
+        if reason is not None or not isinstance(effect, SignalEffect):
             continue
         made = [
-            _candidate(problem.chain, alternative, on, reduce) for alternative in _signal_alternatives(effect, problem)
+            _candidate(problem.design, alternative, on, reduce, shaken)
+            for alternative in _signal_alternatives(effect, problem)
         ]
         testable = [candidate for candidate in made if candidate.live.any()]
         if not testable:
             untestable[effect.name] = "nothing in these data excites it: a typical size would not move any reading"
-        found += testable
+        firm = [candidate for candidate in testable if candidate.change <= FRAIL]
+        if testable and not firm:
+            untestable[effect.name] = (
+                "beside what is re-estimated its image is mostly the error of the reference attitude: "
+                "the body would have to turn further"
+            )
+        found += firm
     return found, untestable
+
+
+def _not_reported(effect: Effect, problem: Problem) -> str | None:
+    """Why an effect cannot be tested where no attitude was reported."""
+    if problem.axes is None or problem.axes.known.any():
+        return None
+    if isinstance(effect, BitErrors):
+        return "no row has a reference attitude, so the axis of a spike, and its bit, are not known"
+    return "no row has a reference attitude" if effect.stage == "attitude" else None
 
 
 def in_order(active: Sequence[Active]) -> list[Active]:
@@ -123,11 +147,14 @@ def _signal_alternatives(effect: SignalEffect, problem: Problem) -> list[SignalE
     return [one for one in effect.alternatives(problem.setting) if isinstance(one, SignalEffect)]
 
 
-def _candidate(chain: Chain, effect: SignalEffect, on: Sequence[Active], reduce: Reduce | None) -> Candidate:
+def _candidate(
+    chain: Chain, effect: SignalEffect, on: Sequence[Active], reduce: Reduce | None, shaken: Shaken
+) -> Candidate:
     start = np.zeros(len(effect.parameters))
     with_it = in_order([*on, (effect, start)])
     number = next(place for place, pair in enumerate(with_it) if pair[0] is effect)
     jacobian = derivative(chain, with_it, number)
     scale = np.array([parameter.scale for parameter in effect.parameters])
     live = np.sqrt(np.mean(jacobian**2, axis=(0, 1))) * scale > _DEAD_NT
-    return Candidate(effect, jacobian if reduce is None else reduce(jacobian), live)
+    change = shaken.change(effect, jacobian, with_it, number) if live.any() else 0.0
+    return Candidate(effect, jacobian if reduce is None else reduce(jacobian), live, change)

@@ -13,6 +13,7 @@ import numpy as np
 
 from fluxtwin.sim import frames, sun
 from fluxtwin.sim.effects.base import known_column
+from fluxtwin.sim.effects.drivers import sun_in_body
 from fluxtwin.sim.orbit import argument_of_latitude
 from fluxtwin.sim.signal import Setting
 from fluxtwin.sim.types import BoolArray, FloatArray
@@ -93,9 +94,10 @@ def _lighting(setting: Setting) -> Iterator[Condition]:
     sun_E = setting.R_EN.apply(sun.sun_direction_N(setting.time))
     day = np.einsum("ij,ij->i", sun_E, r_E_km) > 0
     yield _indicator("eclipse", "night below", 1.0 - day)
-    sun_B = setting.given[2].apply(setting.sun_N)
-    yield Condition("sunlit", "sun direction", sun_B * sunlit[:, None])
-    faces = np.concatenate([np.maximum(sun_B, 0), np.maximum(-sun_B, 0)], axis=1) * sunlit[:, None]
+    sun_B, known = sun_in_body(setting)
+    shone_on = sunlit * known
+    yield Condition("sunlit", "sun direction", sun_B * shone_on[:, None])
+    faces = np.concatenate([np.maximum(sun_B, 0), np.maximum(-sun_B, 0)], axis=1) * shone_on[:, None]
     yield Condition("sunlit", "sun on each face", faces)
     recorded = known_column(setting, "temperature_degC")
     if recorded is not None:
@@ -140,6 +142,8 @@ def _housekeeping(setting: Setting) -> Iterator[Condition]:
         if flag is not None:
             yield _indicator(f"flag:{name.removeprefix('flag_')}", name.removeprefix("flag_"), flag > 0.5)
     rate = setting.rate_B_rad_s
+    if setting.attitude_known is not None and setting.column("rate_B_rad_s") is None:
+        rate = np.where(setting.attitude_known[:, None], rate, 0.0)
     if np.linalg.norm(rate.std(axis=0)) > 1e-5:
         yield _smooth("rate", "body rate", rate)
 

@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 from scipy.stats import chi2, ncx2
 
 from fluxtwin.gap.records import Detectable
-from fluxtwin.gap.score import SHARE_LEFT, Board
+from fluxtwin.gap.score import Board
 from fluxtwin.sim.types import FloatArray
 
 FALSE_ALARM = 0.01
@@ -74,7 +74,7 @@ def _best_columns(board: Board) -> dict[str, tuple[float, int, int]]:
     """For each name: smallest size relative to the typical one, number of the candidate, number of the column."""
     tested = max(int((board.rank > 0).sum()), 1)
     best: dict[str, tuple[float, int, int]] = {}
-    for column in np.flatnonzero(board.left > SHARE_LEFT):
+    for column in np.flatnonzero(board.left > board.share_left):
         owner = int(board.owner[column])
         candidate = board.candidates[owner]
         if board.rank[owner] == 0:

@@ -9,17 +9,28 @@ import numpy as np
 
 from fluxtwin.gap import far, verdict
 from fluxtwin.gap.blocks import Block, blocks
-from fluxtwin.gap.candidates import candidates, derivative, in_order
-from fluxtwin.gap.flexible import FlexibleFinding
+from fluxtwin.gap.candidates import Candidate, candidates, derivative, in_order
+from fluxtwin.gap.evidence import Dictionary, leftover
+from fluxtwin.gap.flexible import FlexibleFinding, wheel_line
+from fluxtwin.gap.full_rate import FullRate, full_rate
 from fluxtwin.gap.left import Left, what_is_left
 from fluxtwin.gap.named import SearchResult
-from fluxtwin.gap.noise import NoiseModel, RobustRows, Whitener, choose_noise, complete_budget, make_whitener
+from fluxtwin.gap.noise import (
+    NoiseModel,
+    RobustRows,
+    Whitener,
+    choose_noise,
+    complete_budget,
+    noise_choice,
+    whitener_of,
+)
 from fluxtwin.gap.noise_range import plausible_noise
-from fluxtwin.gap.problem import DEFAULT_MODELLED, Budget, Problem, pose
+from fluxtwin.gap.problem import DEFAULT_MODELLED, Budget, Problem, pose, realigned
 from fluxtwin.gap.records import Diagnosis, GapSeries, Shrinkage
 from fluxtwin.gap.refit import settled
 from fluxtwin.gap.search import search
-from fluxtwin.gap.stochastic import coarse, flexible_findings, shape_of, stochastic_nT, white_rms_nT
+from fluxtwin.gap.stochastic import coarse, flexible_findings, floor_noise, shape_of, stochastic_nT
+from fluxtwin.gap.tones import tone_near
 from fluxtwin.gap.where import Where, where
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
@@ -30,8 +41,8 @@ from fluxtwin.sim.sensors.magnetometer import Magnetometer
 from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.types import BoolArray, FloatArray
 
-MOST_ROWS = 12_000
-"""Longer records are thinned to this many rows, evenly: what is slow stays, what is fast is seen less well."""
+MOST_ROWS = 5_000
+"""Longer records are thinned to this many rows, evenly; what is faster is looked for in a stretch at the full rate."""
 _LEAST_FREE = 30
 _NOTHING = (False, 0)
 
@@ -79,40 +90,51 @@ def diagnose(
         record, model, modelled=modelled, budget=budget, instrument=instrument, frozen=frozen
     )  # fmt: skip
     _require_rows(problem)
-    work = investigate(settled(problem), progress)
+    work = investigate(settled(problem), progress, None if every == 1 else telemetry)
     notes: dict[str, object] = dict(provenance or {})
     notes |= {"field_model": model.title, "noise": work.noise.words, "rows_thinned_by": every}
     notes |= {f"budget: {name}": source for name, source in (complete_budget(work.problem).sources or {}).items()}
     if work.robust.words:
         notes["spoilt_readings"] = work.robust.words
+    if work.problem.axes is not None:
+        notes["without_attitude"] = work.problem.axes.words
     without = int((telemetry.has_reading & ~telemetry.has_attitude).sum())
     progress("done", 1.0)
     return verdict.assemble(work, notes, without_attitude=without)
 
 
-def investigate(problem: Problem, progress: Progress = silent) -> Work:
-    """Noise, search, what is left, where, how far."""
+def investigate(problem: Problem, progress: Progress = silent, whole: Telemetry | None = None) -> Work:
+    """Noise, search, what is left, where, how far. whole: the record that the problem's rows are thinned from."""
     progress("every effect on this design", 0.05)
     coarser, declared_lsb_nT = coarse(problem), problem.budget.lsb_nT
     if coarser is not None and coarser.confirmed:
         wider = replace(problem.budget, lsb_nT=coarser.parameters["lsb"][0])
         problem = replace(problem, budget=wider)
-    found, _ = candidates(problem)
-    dictionary = blocks(problem)
+    known = candidates(problem)
+    dictionary = Dictionary(blocks(problem), problem.rows)
     progress("noise", 0.25)
-    saturated = _saturated(problem, [c.jacobian for c in found], dictionary)
-    noise, robust = choose_noise(problem, saturated)
+    saturated = _saturated(problem, [c.jacobian for c in known[0]], dictionary)
+    settled_on = noise_choice(problem, saturated)
+    noise, robust = settled_on.noise, settled_on.robust
     progress("which effects", 0.45)
-    answer = _answer(problem, noise, robust, dictionary)
+    answer = _answer(problem, noise, robust, dictionary, known)
+    if problem.axes is not None and answer.result.chosen:
+        # A large effect moves where readings without attitude point to.
+        problem = realigned(problem, beside=[*answer.result.modelled, *answer.result.chosen])
+        known = candidates(problem)
+        answer = _answer(problem, noise, robust, dictionary, known)
     if answer.burden > _NOTHING:
         # A finding must hold with every noise model that the data leave possible; the plainest answer counts.
         progress("whether the noise explains it", 0.6)
-        for other in plausible_noise(problem, saturated, noise, robust):
-            answer = min(answer, _answer(problem, other, robust, dictionary), key=lambda one: one.burden)
+        for other in plausible_noise(problem, settled_on):
+            answer = min(answer, _answer(problem, other, robust, dictionary, known), key=lambda one: one.burden)
             if answer.burden == _NOTHING:
                 break
+    del settled_on  # its likelihood holds the whole design once more
     progress("what is left, and where", 0.75)
+    fast = None if whole is None else full_rate(whole, problem, answer.result.modelled, answer.result.chosen)
     answer, shape = _shaped(problem, answer, dictionary)
+    answer, shape = _with_line(problem, answer, shape, fast)
     if shape is not None and isinstance(shape.instance, SignalEffect):
         # A line or a switched field was noise to the choice above.
         own = _own_jacobian(problem, shape.instance)
@@ -120,9 +142,14 @@ def investigate(problem: Problem, progress: Progress = silent) -> Work:
         answer = _with_columns(problem, replace(answer, noise=noise), robust, own, dictionary)
     noise, whitener, result = answer.noise, answer.whitener, answer.result
     alone, fitted, left = answer.alone_nT, answer.fitted_nT, answer.left
-    flexible = flexible_findings(
-        problem, whitener, noise, robust, result.residual_nT, fitted, left.structured, coarser, shape
-    )
+    flexible = (
+        flexible_findings(problem, whitener, noise, robust, result.residual_nT, fitted, left.structured, coarser, shape)
+        if fast is None
+        else flexible_findings(
+            fast.problem, fast.whitener, fast.noise, fast.robust, fast.residual_nT, fast.fitted_nT, left.structured,
+            coarser, shape,
+        )
+    )  # fmt: skip
     place = _place(problem, whitener, result, alone, fitted, dictionary, left)
     progress("how far", 0.9)
     shrinkage, series = _how_far(problem, robust, declared_lsb_nT, answer, flexible)
@@ -146,13 +173,32 @@ class _Answer:
         return self.left.structured, len(self.result.named)
 
 
-def _answer(problem: Problem, noise: NoiseModel, robust: RobustRows, dictionary: Sequence[Block]) -> _Answer:
-    whitener = make_whitener(problem.field_B_nT, problem.setting.seconds, problem.segment, noise, robust.weights)
-    result = search(problem, whitener)
+def _answer(
+    problem: Problem,
+    noise: NoiseModel,
+    robust: RobustRows,
+    dictionary: Sequence[Block],
+    known: tuple[list[Candidate], dict[str, str]],
+) -> _Answer:
+    whitener = whitener_of(problem, noise, robust.weights)
+    result = search(problem, whitener, known=known)
     alone = _jacobian(problem, result.modelled_alone, ())
     fitted = _jacobian(problem, result.modelled, result.chosen) if result.chosen else alone
-    left = what_is_left(problem, whitener, result.residual_nT, fitted, found=dictionary)
+    left = _left(problem, whitener, result, fitted, dictionary)
     return _Answer(noise, whitener, result, alone, fitted, left)
+
+
+def _left(
+    problem: Problem, whitener: Whitener, result: SearchResult, fitted: FloatArray, dictionary: Sequence[Block]
+) -> Left:
+    """What is left beside the named effects at their refit and, of a large one, beside its image at nothing too.
+
+    The two images of one effect differ by what its size changes and by errors of the attitude in both: structure along
+    that difference is the same cause once more.
+    """
+    at_nothing = [c.jacobian for c in result.candidates if any(c.effect == effect for effect, _ in result.chosen)]
+    columns = np.concatenate([fitted, *at_nothing], axis=2)
+    return what_is_left(problem, whitener, result.residual_nT, columns, found=dictionary)
 
 
 def _shaped(problem: Problem, answer: _Answer, dictionary: Sequence[Block]) -> tuple[_Answer, FlexibleFinding | None]:
@@ -178,19 +224,44 @@ def _shaped(problem: Problem, answer: _Answer, dictionary: Sequence[Block]) -> t
     return answer, None
 
 
+def _with_line(
+    problem: Problem, answer: _Answer, shape: FlexibleFinding | None, fast: FullRate | None
+) -> tuple[_Answer, FlexibleFinding | None]:
+    """A line that only the full rate shows, with its name or as structure that has none."""
+    if fast is None or not fast.has_line:
+        return answer, shape
+    line = fast.line()
+    if line is not None:
+        # The thinned rows hold the phase over the whole record.
+        rest = leftover(answer.whitener, answer.result.residual_nT, answer.fitted_nT)
+        tone = tone_near(problem.setting.seconds, rest, fast.tone.frequency_Hz)
+        longer = wheel_line(problem.setting, rest, tone)
+        line = longer if longer is not None and longer.confirmed else line
+        return replace(answer, left=replace(answer.left, structured=False)), line
+    if answer.left.structured:
+        return answer, shape
+    words = f"a line at a period of {1 / fast.tone.frequency_Hz:.3g} s, in the full rate"
+    p_value = min(1.0, 4.0 * float(10**fast.tone.log10_p))
+    found = replace(
+        answer.left, structured=True, p_value=p_value, condition=None, frame=None, kind="tone", words=words,
+        label="tone", frequency_Hz=fast.tone.frequency_Hz,
+    )  # fmt: skip
+    return replace(answer, left=found), shape
+
+
 def _own_jacobian(problem: Problem, effect: SignalEffect) -> FloatArray:
     """(N, 3, P) of an effect that the search did not have among its candidates."""
     on = in_order([*problem.frozen, (effect, np.zeros(len(effect.parameters)))])
-    return derivative(problem.chain, on, next(place for place, pair in enumerate(on) if pair[0] is effect))
+    return derivative(problem.design, on, next(place for place, pair in enumerate(on) if pair[0] is effect))
 
 
 def _with_columns(
     problem: Problem, answer: _Answer, robust: RobustRows, own: FloatArray, dictionary: Sequence[Block]
 ) -> _Answer:
     """The answer with further effect columns (N, 3, P) fitted, whitened by its own noise model."""
-    whitener = make_whitener(problem.field_B_nT, problem.setting.seconds, problem.segment, answer.noise, robust.weights)
+    whitener = whitener_of(problem, answer.noise, robust.weights)
     fitted = np.concatenate([answer.fitted_nT, own], axis=2)
-    left = what_is_left(problem, whitener, answer.result.residual_nT, fitted, found=dictionary)
+    left = _left(problem, whitener, answer.result, fitted, dictionary)
     return replace(answer, whitener=whitener, fitted_nT=fitted, left=left)
 
 
@@ -213,9 +284,11 @@ def _thinned(telemetry: Telemetry) -> tuple[Telemetry, int]:
 
 def _require_rows(problem: Problem) -> None:
     wanted = -(-(problem.nuisance.shape[2] + _LEAST_FREE) // 3) + 10
-    if problem.rows < wanted:
+    if problem.whole_rows < wanted:
+        plain = problem.axes is None
+        each = "" if plain else f" (a row without attitude counts for a third: {problem.rows} rows in all)"
         raise NoAnswer(
-            f"{problem.rows} rows with reading, position and attitude are too few to tell a gap from "
+            f"{problem.whole_rows} rows with reading, position and attitude{each} are too few to tell a gap from "
             f"{problem.nuisance.shape[2]} parameters that are re-estimated; at least {wanted} are needed",
             evidence={"rows": problem.rows, "needed": wanted},
         )
@@ -224,7 +297,7 @@ def _require_rows(problem: Problem) -> None:
 def _saturated(problem: Problem, jacobians: Sequence[FloatArray], dictionary: Sequence[Block]) -> FloatArray:
     """(N, 3, P) every column that may be in the signal, as far as the rows can bear them."""
     columns = [*jacobians]
-    room = problem.rows - sum(block.shape[2] for block in columns)
+    room = problem.whole_rows - sum(block.shape[2] for block in columns)
     for block in dictionary:
         made = block.make()
         if room < made.shape[2] or problem.rows * 3 * made.shape[2] > 5e7:
@@ -241,7 +314,7 @@ def _jacobian(problem: Problem, modelled: Sequence[Active], chosen: Sequence[Act
     parts = []
     for effect, _ in wanted:
         number = next(place for place, pair in enumerate(on) if pair[0] is effect)
-        parts.append(derivative(problem.chain, on, number))
+        parts.append(derivative(problem.design, on, number))
     return np.concatenate(parts, axis=2) if parts else np.zeros((problem.rows, 3, 0))
 
 
@@ -272,25 +345,38 @@ def _how_far(
     result, alone, noise = answer.result, answer.alone_nT, answer.noise
     effect_columns = answer.fitted_nT[:, :, alone.shape[2] :]
     raw = (result.residual_alone_nT, alone, result.residual_nT, effect_columns)
+    own = tuple(problem.judged(part) for part in raw)
     white = tuple(answer.whitener.apply(part) if part.size else part for part in raw)
-    prediction = far.predict_blocks(problem.setting.seconds, kept, raw, (white[0], white[1], white[2], white[3]))
-    with_effects = far.floor_rms_nT(problem.field_B_nT[kept], white_rms_nT(noise), noise.theta_rad)
+    prediction = far.predict_blocks(
+        problem.setting.seconds, kept, (own[0], own[1], own[2], own[3]), (white[0], white[1], white[2], white[3])
+    )
+    white_nT, theta_rad = floor_noise(flexible, noise, problem.budget)
+    with_effects = far.floor_rms_nT(problem.noise_field_nT[kept], white_nT, theta_rad, problem.measured[kept])
     extra = stochastic_nT(flexible, noise, declared_lsb_nT)
     floor = float(np.sqrt(max(with_effects**2 - extra**2, 0.0)))
     walk = next((one for one in flexible if one.effect == "bias_random_walk"), None)
     if walk is not None:
-        after, unsure = far.one_step(
-            result.residual_nT, problem.setting.seconds, kept, walk.parameters["rate"][0], with_effects
-        )
+        after, unsure = _one_step(problem, result.residual_nT, kept, walk.parameters["rate"][0], with_effects)
         prediction = far.Prediction(prediction.before_nT, after)
         with_effects = float(np.hypot(with_effects, unsure))
     named = bool(result.named) or bool(flexible)
     shrinkage = far.shrinkage(
-        prediction, kept, floor, with_effects, seed=problem.rows, named=named, one_step=walk is not None
-    )
-    before = np.where(kept[:, None], prediction.before_nT, np.nan)
-    after = np.where(kept[:, None], prediction.after_nT, np.nan) if named else before
-    return shrinkage, GapSeries(problem.time, before, after)
+        prediction, kept, floor, with_effects, seed=problem.rows, named=named, one_step=walk is not None,
+        axes=problem.axes,
+    )  # fmt: skip
+    parts = (prediction.before_nT, prediction.after_nT if named else prediction.before_nT)
+    before, after = (part if problem.axes is None else problem.axes.in_body(part) for part in parts)
+    unseen = ~kept[:, None]
+    return shrinkage, GapSeries(problem.time, np.where(unseen, np.nan, before), np.where(unseen, np.nan, after))
+
+
+def _one_step(
+    problem: Problem, residual_nT: FloatArray, kept: BoolArray, rate: float, noise_nT: float
+) -> tuple[FloatArray, float]:
+    seconds = problem.setting.seconds
+    if problem.axes is None:
+        return far.one_step(residual_nT, seconds, kept, rate, noise_nT)
+    return far.one_step_seen(problem.judged(residual_nT), problem.axes, seconds, kept, rate, noise_nT)
 
 
 __all__ = ["MOST_ROWS", "SignalEffect", "Work", "diagnose", "investigate"]

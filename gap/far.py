@@ -7,11 +7,14 @@ Gram matrices of whitened rows, so a block costs one small solve.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fluxtwin.gap.records import Shrinkage
+from fluxtwin.gap.without_attitude import RowAxes
 from fluxtwin.sim.types import BoolArray, FloatArray
 
 BLOCKS = 5
@@ -21,7 +24,7 @@ _DRAWS = 400
 
 @dataclass(frozen=True)
 class Prediction:
-    """Held-out residuals, N rows, body axes."""
+    """Held-out residuals, N rows, in the axes in which they are judged (body axes where the attitude is known)."""
 
     before_nT: FloatArray
     """(N, 3) with what is modelled re-estimated on the other blocks."""
@@ -86,6 +89,28 @@ def one_step(
     return left, float(np.sqrt(np.mean(unsure))) if unsure else 0.0
 
 
+def one_step_seen(
+    residual_nT: FloatArray, axes: RowAxes, seconds: FloatArray, kept: BoolArray, rate: float, noise_nT: float
+) -> tuple[FloatArray, float]:
+    """As `one_step`, for residuals (N, 3) in the rows' own axes, of which some components only are measured."""
+    left, level, P = residual_nT.copy(), np.zeros(3), 1e6 * noise_nT**2 * np.eye(3)
+    unsure = []
+    for row, since in enumerate(np.diff(seconds, prepend=seconds[0])):
+        P = P + rate**2 * since * np.eye(3)
+        seen = axes.measured[row]
+        H = axes.turn[row][seen]
+        left[row, seen] -= H @ level
+        if not kept[row]:
+            continue
+        spread = H @ P @ H.T
+        if np.trace(spread) < 1e3 * noise_nT**2 * seen.sum():
+            unsure.append(float(np.trace(spread)) / int(seen.sum()))
+        gain = np.linalg.solve(spread + noise_nT**2 * np.eye(len(H)), H @ P).T
+        level = level + gain @ left[row, seen]
+        P = P - gain @ H @ P
+    return left, float(np.sqrt(np.mean(unsure))) if unsure else 0.0
+
+
 def shrinkage(
     prediction: Prediction,
     kept: BoolArray,
@@ -96,16 +121,18 @@ def shrinkage(
     named: bool,
     one_step: bool = False,
     shape_incomplete: bool = False,
+    axes: RowAxes | None = None,
 ) -> Shrinkage:
-    """The figures of the contract. Without a named effect, after is before."""
+    """The figures of the contract, over what is measured. Without a named effect, after is before.
+
+    axes: where rows have no attitude; what is seen along the field counts for each body axis by its share in it.
+    """
     before = prediction.before_nT[kept]
     after = prediction.after_nT[kept] if named else before
     groups = np.array_split(np.arange(len(before)), min(_FINE_BLOCKS, len(before)))
-    squares = np.array([[np.sum(before[g] ** 2), np.sum(after[g] ** 2), 3 * len(g)] for g in groups])
-    rng = np.random.default_rng(seed)
-    draws = squares[rng.integers(0, len(squares), size=(_DRAWS, len(squares)))].sum(axis=1)
-    b2, a2 = draws[:, 0] / draws[:, 2], draws[:, 1] / draws[:, 2]
-    rms_before, rms_after = (float(np.sqrt(np.mean(values**2))) for values in (before, after))
+    count = np.full(len(before), 3) if axes is None else axes.measured[kept].sum(axis=1)
+    b2, a2 = _draws(before, after, count, groups, seed)
+    rms_before, rms_after = (float(np.sqrt(np.sum(values**2) / count.sum())) for values in (before, after))
     below = rms_before**2 - floor_nT**2
     measurable = named and below > 2.0 * float(b2.std())
     closed: float | None = None
@@ -115,13 +142,8 @@ def shrinkage(
         spread = [_closed(b, a, floor_nT, floor_with_effects_nT) for b, a in zip(b2, a2, strict=True)]
         low, high = np.percentile(spread, [5.0, 95.0])
         interval = (float(min(low, closed)), float(max(high, closed)))
-    per_axis = {
-        axis: {
-            "before_nT": float(np.sqrt(np.mean(before[:, k] ** 2))),
-            "after_nT": float(np.sqrt(np.mean(after[:, k] ** 2))),
-        }
-        for k, axis in enumerate("xyz")
-    }
+    sizes = [_by_axis(values, kept, axes) for values in (before, after)]
+    per_axis = {axis: {"before_nT": sizes[0][k], "after_nT": sizes[1][k]} for k, axis in enumerate("xyz")}
     return Shrinkage(
         before_nT=rms_before,
         after_nT=rms_after,
@@ -135,9 +157,40 @@ def shrinkage(
     )
 
 
-def floor_rms_nT(field_B_nT: FloatArray, sigma_nT: float, theta_rad: float) -> float:
-    """rms per component that white noise and an attitude error theta per axis leave: theta x B has two components."""
-    return float(np.sqrt(sigma_nT**2 + theta_rad**2 * 2.0 / 3.0 * np.mean(np.sum(field_B_nT**2, axis=1))))
+def _draws(
+    before: FloatArray, after: FloatArray, count: FloatArray, groups: Sequence[NDArray[np.intp]], seed: int
+) -> tuple[FloatArray, FloatArray]:
+    """Mean squares before and after, (draws,) each, as other noise would have made them: a bootstrap of stretches.
+
+    What the effects explain, s = before - after, belongs to the design and stays as it is (a clip acts in a few
+    stretches only, and is measured none the less); before^2 = s^2 + (2 before after - after^2), and the bracket is
+    drawn anew.
+    """
+    parts = (2.0 * before * after - after**2, after**2)
+    sums = np.array([[*(np.sum(part[g]) for part in parts), np.sum(count[g])] for g in groups])
+    rng = np.random.default_rng(seed)
+    drawn = sums[rng.integers(0, len(sums), size=(_DRAWS, len(sums)))].sum(axis=1)
+    explained = float(np.sum((before - after) ** 2) / count.sum())
+    return explained + drawn[:, 0] / drawn[:, 2], drawn[:, 1] / drawn[:, 2]
+
+
+def _by_axis(left_nT: FloatArray, kept: BoolArray, axes: RowAxes | None) -> list[float]:
+    """rms along each body axis of residuals (n, 3) at the rows that are kept."""
+    if axes is None:
+        return [float(np.sqrt(np.mean(component**2))) for component in left_nT.T]
+    share = axes.turn[kept] ** 2 * axes.measured[kept][:, :, None]
+    energy = np.einsum("nki,nk->i", share, left_nT**2)
+    return [float(value) for value in np.sqrt(energy / np.maximum(share.sum(axis=(0, 1)), 1e-300))]
+
+
+def floor_rms_nT(field_nT: FloatArray, sigma_nT: float, theta_rad: float, measured: BoolArray | None = None) -> float:
+    """rms per component that white noise and an attitude error theta per axis leave: theta x B has two components.
+
+    field_nT (N, 3) that the error acts on; measured (N, 3), in the same axes: components that count, default all.
+    """
+    reached = np.sum(field_nT**2, axis=1)[:, None] - field_nT**2
+    mean = np.mean(reached if measured is None else reached[measured])
+    return float(np.sqrt(sigma_nT**2 + theta_rad**2 * mean))
 
 
 def _closed(before2: float, after2: float, floor: float, floor_with: float) -> float:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Literal, cast
 
 import numpy as np
 from scipy import stats
@@ -15,6 +16,7 @@ from scipy.special import gammaln
 
 from fluxtwin.gap.conditions import conditions
 from fluxtwin.gap.evidence import Leftover, log10_sf_f, orthonormal
+from fluxtwin.gap.own_shape import drivers, gains, varies
 from fluxtwin.gap.tones import Tone, tone_columns
 from fluxtwin.sim.effects.base import Effect
 from fluxtwin.sim.effects.bit_errors import BitErrors
@@ -29,6 +31,8 @@ _LOG_CERTAIN = float(np.log(100.0))
 _LEVEL_LOG_SD = 0.1  # to which declared noise is trusted
 _LEVEL_P = 0.005
 _SHAPE_P = 1e-3
+_SEARCHED = ("wheel_field", "heater_switching", "bias_random_walk")
+_MOST_SEARCHED, _MOST_READ_OFF = 0.9, 0.98
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,19 @@ class FlexibleFinding:
     words: str = ""
     instance: Effect | None = None
     """The effect with its discrete settings, ready for a scenario."""
+
+    @property
+    def probability(self) -> float:
+        """That this effect is present: 1 - p, within 0.5 and a cap.
+
+        The p-value says that it is not noise; the cap leaves room for causes that look alike. A first round of
+        benchmarks/withheld.py (79 records by other models) had searched shapes (line, sequence, walk) named five
+        times, three of them wrongly, in 14 records with a cause outside the catalogue; stricter tests then left two,
+        both right. Laplace's rule for none in 14 is 1/16; those tests have seen these records, so 0.9 and not more.
+        What is read off the readings themselves (LSB, bits, level) was named once, rightly: 0.98 is a judgement.
+        """
+        most = _MOST_SEARCHED if self.effect in _SEARCHED else _MOST_READ_OFF
+        return float(np.clip(1.0 - self.p_value, 0.5, most))
 
 
 def coarse_steps(reading_nT: FloatArray, declared_lsb_nT: float | None) -> FlexibleFinding | None:
@@ -121,8 +138,10 @@ def stuck_bit(
     if not found:
         return None
     bit, letter, value, p = min(found, key=lambda item: item[3])
-    words = f"bit {bit} of axis {letter} is always {value}"
-    instance = BitErrors(bit, "stuck_1" if value else "stuck_0", lsb_nT)
+    alone = not any(other[0] == bit and other[1] != letter and other[2] == value for other in found)
+    words = f"bit {bit} of {f'axis {letter}' if alone else 'several axes'} is always {value}"
+    which = cast(Literal["x", "y", "z", "all"], letter if alone else "all")
+    instance = BitErrors(bit, "stuck_1" if value else "stuck_0", lsb_nT, which)
     return FlexibleFinding("bit_errors", {"rate": (1.0, 0.0, "1")}, p, p < _SHAPE_P, words, instance)
 
 
@@ -169,21 +188,28 @@ def flipped_bits(
 
 
 def noise_level(
-    setting: Setting, left: Leftover, fitted_nT: FloatArray | float, declared_nT: float, structured: bool
+    setting: Setting,
+    left: Leftover,
+    fitted_nT: FloatArray | float,
+    declared_nT: float,
+    structured: bool,
+    measured: BoolArray | None = None,
 ) -> FlexibleFinding | None:
     """Is the white noise above its budget, and is it noise?
 
     fitted_nT: the level that the whitening used, one number or (3,); declared_nT: noise and rounding of the budget
     together (with the true step where that is coarser). Confirmed where nothing structured is left, neighbours are
-    uncorrelated, the values are Gaussian, and the size follows no condition.
+    uncorrelated, the values are Gaussian, and the size follows no condition. measured (N, 3): components that there are,
+    where rows have no attitude; no single axis can then be told.
     """
     series = left.residual.reshape(-1, 3)
-    share = np.sum(series**2, axis=0) / max(left.energy, 1e-300)
-    axis_energy = 3 * share * left.energy / left.degrees
+    there = np.ones(series.shape, dtype=np.bool_) if measured is None else measured
+    share = there.mean(axis=0) / there.mean()
+    axis_energy = np.sum(series**2, axis=0) / left.degrees * 3.0 / np.where(share > 0, share, 1.0)
     level = np.asarray(fitted_nT) * np.sqrt(axis_energy)
-    noisy = np.log(level / declared_nT) > 2 * _LEVEL_LOG_SD
-    alone = int(noisy.sum()) == 1
-    seen = float(level[noisy][0]) if alone else float(np.sqrt(np.mean(level**2)))
+    noisy = np.log(np.maximum(level, 1e-12) / declared_nT) > 2 * _LEVEL_LOG_SD
+    alone = measured is None and int(noisy.sum()) == 1
+    seen = float(level[noisy][0]) if alone else float(np.sqrt(np.sum(share * level**2) / 3.0))
     degrees = left.degrees / 3 if alone else left.degrees
     error = float(np.hypot(_LEVEL_LOG_SD, np.sqrt(0.5 / degrees)))
     p = min(1.0, 4 * float(stats.norm.sf(np.log(max(seen, 1e-12) / max(declared_nT, 1e-12)) / error)))
@@ -191,7 +217,7 @@ def noise_level(
         return None
     rms = float(np.sqrt(seen**2 - declared_nT**2))
     sigma = float(np.hypot(_LEVEL_LOG_SD * declared_nT**2, seen**2 * np.sqrt(0.5 / degrees)) / rms)
-    faults = _not_noise(setting, series / np.sqrt(axis_energy))
+    faults = _not_noise(setting, series / np.sqrt(np.where(share > 0, axis_energy, 1.0)), there)
     if structured:
         faults = ["structure is left", *faults]
     where = f" on axis {'xyz'[int(np.argmax(noisy))]}" if alone else ""
@@ -201,21 +227,22 @@ def noise_level(
     return FlexibleFinding("excess_noise", {"rms": (rms, sigma, "nT")}, p, not faults, words, instance)
 
 
-def _not_noise(setting: Setting, series: FloatArray) -> list[str]:
-    """What speaks against white Gaussian noise in a series (N, 3) of unit variance on each axis."""
+def _not_noise(setting: Setting, series: FloatArray, there: BoolArray) -> list[str]:
+    """What speaks against white Gaussian noise in a series (N, 3) of unit variance on each axis; there: measured."""
     live = np.any(series != 0, axis=1)
-    series = series[live]
+    series, there = series[live], there[live]
     rows = series.shape[0]
     faults = []
     lag = np.sum(series[1:] * series[:-1], axis=0) / np.sqrt(rows)
     if np.sum(lag**2) > stats.chi2.isf(_SHAPE_P, 3):
         faults.append("neighbours are correlated")
-    kurtosis = float(np.mean(series**4) / np.mean(series**2) ** 2 - 3)
-    if abs(kurtosis) > max(4 * np.sqrt(24 / series.size), 0.3):
+    values = series[there]
+    kurtosis = float(np.mean(values**4) / np.mean(values**2) ** 2 - 3)
+    if abs(kurtosis) > max(4 * np.sqrt(24 / values.size), 0.3):
         faults.append("it is not Gaussian")
     columns = np.concatenate([c.columns for c in conditions(setting)], axis=1)[live]
     basis = orthonormal(columns - columns.mean(axis=0))
-    size = np.sum(series**2, axis=1)
+    size = np.sum(series**2, axis=1) / there.sum(axis=1)
     size = np.minimum(size, np.quantile(size, 0.99))
     size = size - size.mean()
     gain, rank = float(np.sum((basis.T @ size) ** 2)), basis.shape[1]
@@ -227,7 +254,11 @@ def _not_noise(setting: Setting, series: FloatArray) -> list[str]:
 
 
 def wheel_line(setting: Setting, left: Leftover, tone: Tone, alpha: float = _SHAPE_P) -> FlexibleFinding | None:
-    """Is a line that of a rotating dipole: one frequency, steady, elliptical, without harmonics?"""
+    """Is a line that of a rotating dipole: one frequency, steady, elliptical, without harmonics?
+
+    Its ellipse must be one in body axes: where it changes with the orbit phase, the field or its slope, the line is a
+    piece of something that acts on time, place or attitude.
+    """
     if tone.log10_p > np.log10(alpha):
         return None
     seconds = setting.seconds
@@ -253,13 +284,13 @@ def _not_a_wheel(setting: Setting, left: Leftover, tone: Tone, size: FloatArray,
     third = np.minimum((3 * np.arange(seconds.size)) // seconds.size, 2)
     columns = tone_columns(seconds, tone.frequency_Hz)
     parts = np.concatenate([columns * (third == n)[:, None, None] for n in (0, 1, 2)], axis=2)
-    if _gains(left, columns, parts) < _SHAPE_P:
+    if gains(left, columns, parts)[0] < _SHAPE_P:
         faults.append("amplitude or phase changes along the record")
     nyquist = 0.5 / float(np.median(np.diff(seconds)))
     for harmonic in (2, 3):
         if harmonic * tone.frequency_Hz < nyquist:
             both = np.concatenate([columns, tone_columns(seconds, harmonic * tone.frequency_Hz)], axis=2)
-            if _gains(left, columns, both) < _SHAPE_P / 2:
+            if gains(left, columns, both)[0] < _SHAPE_P / 2:
                 faults.append(f"it has a harmonic at {harmonic} times its frequency")
     # Linear polarisation: the cosine and sine vectors are parallel, their cross product is zero within its error.
     a, b = size[:3], size[3:]
@@ -275,21 +306,7 @@ def _not_a_wheel(setting: Setting, left: Leftover, tone: Tone, size: FloatArray,
     nearest = max(round(tone.frequency_Hz / orbital), 1)
     if nearest <= 6 and abs(tone.frequency_Hz - nearest * orbital) < 1.5 * turn:
         faults.append(f"its period is that of the orbit over {nearest}")
-    return faults
-
-
-def _gains(left: Leftover, few: FloatArray, many: FloatArray) -> float:
-    """p-value of the many columns against the few among them."""
-    explained, ranks = [], []
-    for columns in (few, many):
-        basis = orthonormal(left.project(columns)[0])
-        explained.append(float(np.sum((basis.T @ left.residual) ** 2)))
-        ranks.append(basis.shape[1])
-    rank, spare = ranks[1] - ranks[0], left.degrees - ranks[1]
-    if rank <= 0 or spare < 10:
-        return 1.0
-    ratio = (explained[1] - explained[0]) / rank / max((left.energy - explained[1]) / spare, 1e-300)
-    return float(10 ** log10_sf_f(max(ratio, 0.0), rank, spare))
+    return [*faults, *varies(left, columns, drivers(setting))]
 
 
 def _skew(v: FloatArray) -> FloatArray:

@@ -13,11 +13,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fluxtwin.gap.cancelling import undone
 from fluxtwin.gap.candidates import Candidate, Reduce, candidates
 from fluxtwin.gap.groups import alike, shares_by_name
 from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.refit import Fit, refit
-from fluxtwin.gap.score import Board, Whitens, board, whitened
+from fluxtwin.gap.score import Board, Whitens, board, least_share, whitened
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.types import BoolArray, FloatArray
 
@@ -53,6 +54,11 @@ class Search:
         return any(b in self.same.get(a, ()) for k, a in enumerate(names) for b in names[k + 1 :])
 
     @property
+    def share_left(self) -> float:
+        """Of its energy that an image must have beside others."""
+        return least_share(self.whitener)
+
+    @property
     def tested(self) -> int:
         return max(int((self.first.rank > 0).sum()), 1)
 
@@ -66,9 +72,20 @@ class Search:
         if key not in self.fits:
             chosen = [(self.found[number].effect, theta) for number, theta in zip(numbers, start, strict=True)]
             self.fits[key] = refit(
-                self.problem, self.whitener, chosen, modelled=self.base.modelled, reduce=self.reduce
+                self.problem, self.whitener, chosen, modelled=self.base.modelled, reduce=self.reduce,
+                guess=self._image(numbers),
             )  # fmt: skip
         return self.fits[key]
+
+    def _image(self, numbers: Sequence[int]) -> FloatArray:
+        """(M, 3, c + p) whitened Jacobian of what is modelled and of these candidates at the base."""
+        parts = [self.base.jacobian]
+        for number in numbers:
+            live = self.found[number].live
+            part = np.zeros((*self.white.shape[:2], live.size))
+            part[:, :, live] = self.white[:, :, self.first.owner == number]
+            parts.append(part)
+        return np.concatenate(parts, axis=2)
 
     def cost(self, fit: Fit, variance: float) -> float:
         """chi2 / variance + p log n + 2 m log K; lower is better."""
@@ -85,7 +102,8 @@ class Search:
         others = [candidate for candidate in self.found if candidate.name not in taken]
         kept = np.array([self.found[int(owner)].name not in taken for owner in self.first.owner], dtype=bool)
         measured = self.whitener.measured
-        return board(others, self.white[:, :, kept], fit.residual, fit.jacobian, measured), others
+        scored = board(others, self.white[:, :, kept], fit.residual, fit.jacobian, measured, self.share_left)
+        return scored, others
 
     def numbers(self, fit: Fit) -> list[int]:
         return [
@@ -95,13 +113,20 @@ class Search:
 
 
 def begin(
-    problem: Problem, whitener: Whitens, reduce: Reduce | None = None, gate: float = GATE
+    problem: Problem,
+    whitener: Whitens,
+    reduce: Reduce | None = None,
+    gate: float = GATE,
+    known: tuple[list[Candidate], dict[str, str]] | None = None,
 ) -> tuple[Search, dict[str, str]]:
-    """Fit what is modelled, and score every candidate beside it."""
+    """Fit what is modelled, and score every candidate beside it.
+
+    known: what `candidates` gave for this problem: noise moves the fit of what is modelled by too little to matter.
+    """
     base = refit(problem, whitener, reduce=reduce)
-    found, untestable = candidates(problem, reduce=reduce, modelled=base.modelled)
+    found, untestable = known or candidates(problem, reduce=reduce, modelled=base.modelled)
     white = whitened(found, whitener, base.residual.shape[0])
-    first = board(found, white, base.residual, base.jacobian, whitener.measured)
+    first = board(found, white, base.residual, base.jacobian, whitener.measured, least_share(whitener))
     same = alike(shares_by_name(first))
     return Search(problem, whitener, reduce, found, base, first, white, gate, same=same), untestable
 
@@ -159,10 +184,18 @@ def _grown(search: Search, fit: Fit, rest: Board, others: Sequence[Candidate]) -
     trials += [search.fit(numbers, search.first.estimate(numbers)) for numbers in afresh]
     if not trials:
         return None
-    best = min(trials, key=lambda trial: search.cost(trial, rest.variance))
+    trials.sort(key=lambda trial: search.cost(trial, rest.variance))
+    best = next((trial for trial in trials if not _undone(search, trial)), None)
+    if best is None:
+        return None
     gain, rank = fit.chi2 - best.chi2, max(best.rank_chosen - fit.rank_chosen, 1)
     significant = search.tested * rest.p_value(gain, rank) < search.gate
     return best if significant and search.cost(best, rest.variance) < search.cost(fit, rest.variance) else None
+
+
+def _undone(search: Search, fit: Fit) -> bool:
+    alone = [search.tested * float(search.first.p_values[number]) < search.gate for number in search.numbers(fit)]
+    return undone(search.problem, search.whitener, fit, search.base.jacobian, alone, search.reduce)
 
 
 def _afresh(search: Search, size: int, present: Sequence[int], partners: Sequence[int]) -> list[list[int]]:

@@ -150,7 +150,7 @@ def drift(left: Leftover) -> float:
     for length in lengths:
         means = _block_means(series, length)
         basis = _block_means(left.basis.reshape(rows, 3, -1), length)
-        degrees = means.size - float(np.sum(basis**2))
+        degrees = _block_degrees(left, means.size, length) - float(np.sum(basis**2))
         energy = float(np.sum(means**2))
         spare = left.degrees - degrees
         if degrees < 3 or spare < 10:
@@ -158,6 +158,14 @@ def drift(left: Leftover) -> float:
         ratio = (energy / degrees) / max((left.energy - energy) / spare, 1e-300) / NOISE_TOLERANCE
         found.append(log10_sf_f(ratio, degrees, spare) if ratio > 1 else 0.0)
     return float(min(found) + np.log10(max(len(lengths), 1)))
+
+
+def _block_degrees(left: Leftover, most: int, length: int) -> float:
+    """Degrees of freedom of the block means of white noise; less than `most` where components are not measured."""
+    weights = getattr(left.whitener, "weights", None)
+    if weights is None:
+        return float(most)
+    return float(np.sum(_block_means((weights > 0).astype(float), length))) / float(np.sqrt(length))
 
 
 def _block_means(series: FloatArray, length: int) -> FloatArray:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fluxtwin.gap.reml import Data
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.types import BoolArray, FloatArray
 
 IndexArray = NDArray[np.intp]
 
@@ -35,18 +35,23 @@ def condensed(
     weights: FloatArray,
     limit: int,
     longest_mean_s: float = LONGEST_MEAN_S,
+    measured: BoolArray | None = None,
 ) -> Data:
     """At most about `limit` rows for the likelihood: as they are, or means over short stretches, or some of them.
 
     residual, field, weights (N, 3); designs (N, 3, P) each; seconds, segment (N,). A mean is weighted per
-    component; the likelihood knows how many readings are in it and how an attitude error averages.
+    component; the likelihood knows how many readings are in it and how an attitude error averages. measured (N, 3):
+    components that there are; rows that differ in them are not averaged.
     """
     rows = seconds.size
     if rows <= limit:
         ones = np.ones(rows)
         whole = np.concatenate(list(designs), axis=2)
         return Data(residual_nT, whole, field_B_nT, seconds, segment, weights, ones, np.zeros(rows))
-    starts = _starts(seconds, segment, field_B_nT, limit, longest_mean_s)
+    alike = segment
+    if measured is not None:
+        alike = segment + np.concatenate([[0], np.cumsum(np.any(measured[1:] != measured[:-1], axis=1))])
+    starts = _starts(seconds, alike, field_B_nT, limit, longest_mean_s)
     chosen = stretches(starts.size, limit)
     count = np.diff(np.append(starts, rows))[chosen].astype(float)
     take = np.repeat(np.isin(np.arange(starts.size), chosen), np.diff(np.append(starts, rows)))
@@ -81,7 +86,8 @@ def _starts(
         count = np.diff(np.append(starts, seconds.size))
         mean = np.add.reduceat(field_B_nT, starts, axis=0) / count[:, None]
         square = np.add.reduceat(np.sum(field_B_nT**2, axis=1), starts) / count
-        if float(np.median(np.sum(mean**2, axis=1) / np.maximum(square, 1e-30))) > _COHERENT:
+        kept = np.where(square > 0, np.sum(mean**2, axis=1) / np.maximum(square, 1e-30), 1.0)
+        if float(np.median(kept)) > _COHERENT:
             return starts
         length /= 2.0
     return np.arange(seconds.size)

@@ -1,27 +1,32 @@
 """The problem a diagnosis works on: telemetry, the noise-free chain that predicts it, and what is re-estimated.
 
-Everything is at the rows that have time, position, attitude and reading; body axes, nT.
+Everything is at the rows that have time, position and reading; body axes, nT. Rows without a reference attitude have
+a pseudo attitude that fits the reading, and axes of their own in which they are judged (`without_attitude`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from fluxtwin.gap import without_attitude
+from fluxtwin.gap.without_attitude import RowAxes
 from fluxtwin.sim import epoch, frames
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.chain import Active, Chain, jacobian
 from fluxtwin.sim.errors import BadInput, NoAnswer
+from fluxtwin.sim.field import field_N_nT
 from fluxtwin.sim.field_models import FieldModel
 from fluxtwin.sim.motion import RecordedMotion
 from fluxtwin.sim.sensors.magnetometer import Magnetometer
 from fluxtwin.sim.signal import Setting
 from fluxtwin.sim.telemetry import Telemetry, recorded_columns
-from fluxtwin.sim.types import FloatArray, TimeArray
+from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
 
 DEFAULT_MODELLED = ("bias", "scale_misalignment")
 _GAP_FACTOR = 5.0
@@ -59,6 +64,8 @@ class Problem:
     """Rows not used, by reason."""
     modelled_theta: tuple[FloatArray, ...] = ()
     """Parameters of the modelled effects about which everything is linear; empty: zero. See `refit.settled`."""
+    axes: RowAxes | None = None
+    """Where rows have no reference attitude: the axes in which each row is judged. None: all rows have one."""
 
     @cached_property
     def modelled_active(self) -> tuple[Active, ...]:
@@ -71,6 +78,18 @@ class Problem:
     def setting(self) -> Setting:
         return self.chain.setting
 
+    @cached_property
+    def design(self) -> Chain:
+        """The chain along the smoothed attitude track, for images of causes (Jacobians, blocks).
+
+        An image made with the recorded attitudes repeats their errors, which are in the residual too: the two would
+        correlate, and noise look like a cause.
+        """
+        motion = self.setting.motion
+        if not isinstance(motion, RecordedMotion) or self.setting.direction != "predict":
+            return self.chain
+        return Chain(replace(self.setting, motion=motion.along_track()))
+
     @property
     def time(self) -> TimeArray:
         """(N,) UTC."""
@@ -81,14 +100,37 @@ class Problem:
         return int(self.time.size)
 
     @cached_property
-    def predicted_nT(self) -> FloatArray:
-        """(N, 3) noise-free reading of the baseline with the frozen and the modelled effects."""
-        return self.chain.reading_nT([*self.frozen, *self.modelled_active])
+    def residual_nT(self) -> FloatArray:
+        """(N, 3) reading less prediction with the frozen and the modelled effects."""
+        return self.residual_of([*self.frozen, *self.modelled_active])
+
+    def residual_of(self, active: Sequence[Active]) -> FloatArray:
+        """(N, 3) reading less prediction with these effects on; without attitude, what no turn of the body explains."""
+        signal = self.chain.signal(active)
+        residual = np.asarray(self.telemetry.mag_B_nT - signal.reading)
+        if signal.sample_offset_s and isinstance(self.setting.motion, RecordedMotion):
+            # A row sampled where nobody knows the attitude has no say.
+            residual = np.where(self.setting.motion.reaches(signal.sample_offset_s)[:, None], residual, 0.0)
+        return residual if self.axes is None else self.axes.without_turn(residual, signal.field_B_nT)
+
+    def judged(self, columns: FloatArray) -> FloatArray:
+        """(N, 3) or (N, 3, P) columns in body axes as they are judged: in the rows' own axes, zero where unmeasured."""
+        return columns if self.axes is None else self.axes.judged(columns)
 
     @cached_property
-    def residual_nT(self) -> FloatArray:
-        """(N, 3) reading less prediction."""
-        return np.asarray(self.telemetry.mag_B_nT - self.predicted_nT)
+    def measured(self) -> BoolArray:
+        """(N, 3) components that are judged."""
+        return np.ones((self.rows, 3), dtype=np.bool_) if self.axes is None else self.axes.measured
+
+    @property
+    def whole_rows(self) -> int:
+        """Rows of three components that are worth as many components as are judged."""
+        return int(self.measured.sum()) // 3
+
+    @cached_property
+    def noise_field_nT(self) -> FloatArray:
+        """(N, 3) field that an attitude error acts on, in the rows' own axes: what the whitening works with."""
+        return self.field_B_nT if self.axes is None else self.axes.noise_field_nT(self.field_B_nT)
 
     @cached_property
     def field_B_nT(self) -> FloatArray:
@@ -101,7 +143,7 @@ class Problem:
         blocks = []
         for number, (_, theta) in enumerate(self.modelled_active):
             others = [*self.frozen, *self.modelled_active[:number], *self.modelled_active[number + 1 :]]
-            blocks.append(jacobian(self.chain, self.modelled[number], at=others, theta=theta))
+            blocks.append(jacobian(self.design, self.modelled[number], at=others, theta=theta))
         return np.concatenate(blocks, axis=2) if blocks else np.zeros((self.rows, 3, 0))
 
     @cached_property
@@ -109,7 +151,10 @@ class Problem:
         """(N,) number of the stretch without gaps, from 0: a gap is five times the usual spacing."""
         steps = np.diff(self.setting.seconds)
         usual = float(np.median(steps)) if steps.size else 1.0
-        return np.concatenate([[0.0], np.cumsum(steps > _GAP_FACTOR * usual)])
+        breaks = steps > _GAP_FACTOR * usual
+        if self.axes is not None and self.axes.with_nadir.any():
+            breaks = breaks | _another_sensor(self.axes)
+        return np.concatenate([[0.0], np.cumsum(breaks)])
 
 
 def pose(
@@ -124,7 +169,8 @@ def pose(
     """Pose the problem for a record.
 
     modelled: names of effects to re-estimate. instrument: starting S, b, T (default: none). frozen: effects that the
-    scenario has. Raises BadInput for unknown names and absent columns, NoAnswer when no row is complete.
+    scenario has. Rows without reference attitude are used too: linear about the reading as the instrument has it until
+    `refit.settled`. Raises BadInput for unknown names and absent columns, NoAnswer when no row is complete.
     """
     effects = []
     for name in modelled:
@@ -133,12 +179,71 @@ def pose(
             raise BadInput(f"{name} has no parameters to re-estimate", where="--modelled", wanted="a signal effect")
         effects.append(effect)
     used, left_out = _usable(telemetry)
-    assert used.r_N_km is not None and used.q_NB is not None
-    r, v = np.array(used.r_N_km), _velocity(used)
-    motion = RecordedMotion(used.time, r, v, frames.rotation_from_q(np.array(used.q_NB)), used.rate_B_rad_s)
+    assert used.r_N_km is not None
+    r, v, known = np.array(used.r_N_km), _velocity(used), used.has_attitude
+    q = np.tile([0.0, 0.0, 0.0, 1.0], (known.size, 1)) if used.q_NB is None else np.array(used.q_NB)
+    q[~known] = [0.0, 0.0, 0.0, 1.0]
+    motion = RecordedMotion(used.time, r, v, frames.rotation_from_q(q), used.rate_B_rad_s)
     plain = Magnetometer(np.zeros((3, 3)), np.zeros(3)) if instrument is None else instrument
     setting = Setting(used.time, motion, "predict", model, plain, recorded_columns(used))
-    return Problem(used, Chain(setting), tuple(frozen), tuple(effects), budget or Budget(), left_out)
+    budget = budget or Budget()
+    axes = None
+    if not known.all():
+        setting, axes = _with_pseudo_attitude(setting, used, known, budget)
+    return Problem(used, Chain(setting), tuple(frozen), tuple(effects), budget, left_out, axes=axes)
+
+
+def realigned(problem: Problem, beside: Sequence[Active] | None = None) -> Problem:
+    """The problem with pseudo attitudes that fit the reading as it is calibrated now; itself where all are known.
+
+    beside: all that is on beside the frozen effects, default the modelled ones as they stand.
+    """
+    if problem.axes is None:
+        return problem
+    active = [*problem.frozen, *(problem.modelled_active if beside is None else beside)]
+    signal, setting, axes = problem.chain.signal(active), problem.setting, problem.axes
+    residual = np.asarray(problem.telemetry.mag_B_nT - signal.reading)
+    turn = Rotation.from_rotvec(axes.fitting_turn(residual, signal.field_B_nT))
+    motion = replace(_motion(setting), R_BN=turn * setting.given[2])
+    chain = Chain(replace(setting, motion=motion))
+    S = [theta.reshape(3, 3) for effect, theta in active if effect.name == "scale_misalignment"]
+    matrix = np.eye(3) + setting.instrument.S + sum(S, np.zeros((3, 3)))
+    field = chain.signal(active).field_B_nT
+    fresh = without_attitude.row_axes(axes.known, field, axes.nadir_B, matrix, axes.nadir_error)
+    return replace(problem, chain=chain, axes=fresh)
+
+
+def _with_pseudo_attitude(
+    setting: Setting, used: Telemetry, known: BoolArray, budget: Budget
+) -> tuple[Setting, RowAxes]:
+    """The setting with an attitude in every row, and the axes in which the rows are judged."""
+    r_N_km, _, R_BN = setting.given
+    field_N = field_N_nT(setting.model, setting.time, r_N_km, setting.R_EN)
+    field_B = without_attitude.calibrated(np.array(used.mag_B_nT), setting.instrument, used.dipole_B_Am2)
+    nadir_N = -r_N_km / np.linalg.norm(r_N_km, axis=1)[:, None]
+    nadir_B, ratio = without_attitude.usable_nadir(
+        used.nadir_B, known, R_BN, nadir_N, field_N, budget.attitude_sigma_rad
+    )
+    R_BN = without_attitude.pseudo_attitude(R_BN, known, field_N, field_B)
+    with_nadir = np.any(nadir_B != 0.0, axis=1)
+    R_BN = without_attitude.with_nadir_exact(R_BN, with_nadir, nadir_B, nadir_N, field_N, field_B)
+    motion = replace(_motion(setting), R_BN=R_BN, attitude_known=known)
+    filled = replace(setting, motion=motion, field_N_nT=field_N, attitude_known=known)
+    matrix = np.eye(3) + setting.instrument.S
+    return filled, without_attitude.row_axes(known, R_BN.apply(field_N), nadir_B, matrix, ratio)
+
+
+def _motion(setting: Setting) -> RecordedMotion:
+    assert isinstance(setting.motion, RecordedMotion)
+    return setting.motion
+
+
+def _another_sensor(axes: RowAxes) -> BoolArray:
+    """(N - 1,) where the row after is judged by the attitude and the last one with a say was by nadir, or the reverse."""
+    says = np.where(axes.known, 1, np.where(axes.with_nadir, 2, 0))
+    latest = np.maximum.accumulate(np.where(says > 0, np.arange(says.size), 0))
+    held = says[latest]
+    return np.asarray((held[1:] != held[:-1]) & (held[:-1] > 0), dtype=np.bool_)
 
 
 def _usable(telemetry: Telemetry) -> tuple[Telemetry, dict[str, int]]:
@@ -147,7 +252,6 @@ def _usable(telemetry: Telemetry) -> tuple[Telemetry, dict[str, int]]:
     needs = {
         "no reading": telemetry.has_reading,
         "no position": telemetry.has_position,
-        "no reference attitude": telemetry.has_attitude,
     }
     usable, left_out = np.ones(len(telemetry), dtype=bool), {}
     for reason, present in needs.items():
@@ -156,7 +260,7 @@ def _usable(telemetry: Telemetry) -> tuple[Telemetry, dict[str, int]]:
             left_out[reason] = count
         usable &= present
     if not usable.any():
-        raise NoAnswer("no row has reading, position and reference attitude", evidence={"left_out": left_out})
+        raise NoAnswer("no row has reading and position", evidence={"left_out": left_out})
     return telemetry.select(usable), left_out
 
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fluxtwin.sim.types import FloatArray, TimeArray
+
+if TYPE_CHECKING:
+    from fluxtwin.gap.closure import Closure
 
 VERDICTS = ("no_gap", "effect", "unknown")
 STAGES = ("dynamics", "time", "orbit", "field", "attitude", "spacecraft", "sensor", "telemetry")
@@ -143,16 +146,50 @@ class GapSeries:
     """(N, 3) residual with the named effects too."""
 
 
-@dataclass(frozen=True, eq=False)
-class Closure:
-    """What closing the loop needs; not part of the JSON."""
+@dataclass(frozen=True)
+class Alone:
+    """One line of the ranking: an effect by itself, before any is named."""
 
-    effects: Sequence[tuple[Any, FloatArray, FloatArray | None]]
-    """Effect with its settings, parameters (p,), covariance (p, p) or None."""
-    S_change: FloatArray
-    """(3, 3) re-estimated beside them; zero where it was not."""
-    b_change_nT: FloatArray
-    """(3,)."""
+    name: str
+    drop: float
+    """Of chi-square, over the directions that it has."""
+    directions: int
+    p_value: float
+    """After the price of the search."""
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"name": self.name, "drop": self.drop, "directions": self.directions, "p_value": self.p_value}
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """Whether the parameters of a named effect are good enough for another design, and how unsure its signal is there."""
+
+    effect: str
+    design: str
+    transfers: bool
+    chance: float | None
+    """That a diagnosis there would call the error a gap; None where the question does not arise."""
+    uncertainty_nT: float | None
+    """rms per component of the error of its signal, once what is modelled is re-estimated there."""
+    floor_nT: float | None
+    """rms per component of the noise there."""
+    detectable_nT: float | None
+    """rms per component from which such an error would be seen there; None where it is absorbed wholly."""
+    why: str
+    """Words, where it does not transfer or something must be known."""
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "effect": self.effect,
+            "design": self.design,
+            "transfers": self.transfers,
+            "chance": self.chance,
+            "uncertainty_nT": self.uncertainty_nT,
+            "floor_nT": self.floor_nT,
+            "detectable_nT": self.detectable_nT,
+            "why": self.why,
+        }
 
 
 @dataclass(frozen=True)
@@ -177,6 +214,10 @@ class Diagnosis:
     closure: Closure | None = None
     would_settle: Mapping[str, str] = field(default_factory=dict)
     """For effects that these data cannot show at their typical size: hours of like data, or a manoeuvre."""
+    ranking: Sequence[Alone] = ()
+    """Every effect that was tested, each alone before any is named, most significant first."""
+    transfers: Sequence[Transfer] | None = None
+    """For which other designs the closed scenario is good enough; None when closing was not asked for."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON; every key always present."""
@@ -194,4 +235,6 @@ class Diagnosis:
             "samples": dict(self.samples),
             "provenance": dict(self.provenance),
             "sentence": self.sentence,
+            "ranking": [line.to_dict() for line in self.ranking],
+            "transfers": None if self.transfers is None else [one.to_dict() for one in self.transfers],
         }

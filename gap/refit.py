@@ -9,13 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.gap.candidates import Reduce, derivative, in_order
-from fluxtwin.gap.problem import Problem
-from fluxtwin.gap.score import SHARE_LEFT, Whitens
+from fluxtwin.gap.problem import Problem, realigned
+from fluxtwin.gap.score import SHARE_LEFT, Whitens, least_share, orthonormal
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.types import BoolArray, FloatArray
 
 _STEPS = 12
 _HALVINGS = 6
+_WHOLLY = 0.99  # of a parameter's direction
+_AS_PROMISED = 0.9
 _CONVERGED = 0.01  # of chi-square: far below anything a decision turns on
 
 
@@ -33,6 +35,8 @@ class Fit:
     """(M, 3, c + p) whitened derivative of the reading, parameters of `modelled`, then of `chosen`."""
     covariance: FloatArray
     """(c + p, c + p) for unit variance; parameters that are not seen (or at a limit) have none: NaN."""
+    seen: BoolArray
+    """(c + p,) parameters of which every part is seen: none lies along a direction that moves nothing."""
     rank: int
     """Directions seen, of modelled and chosen effects together."""
     rank_modelled: int
@@ -63,10 +67,13 @@ def refit(
     *,
     modelled: Sequence[Active] | None = None,
     reduce: Reduce | None = None,
+    guess: FloatArray | None = None,
 ) -> Fit:
     """Minimise the whitened chi-square over the parameters of all modelled and chosen effects, within their ranges.
 
-    chosen, modelled: effects with starting values (modelled: the problem's own by default).
+    chosen, modelled: effects with starting values (modelled: the problem's own by default). guess (M, 3, c + p): about
+    the whitened Jacobian, to begin with. A Jacobian whose step did what it promised is used once more; the last one
+    is made anew.
     """
     work = _Work(problem, whitener, reduce)
     count = len(problem.modelled)
@@ -76,24 +83,30 @@ def refit(
     vector = np.clip(vector, low, high)
     residual = work.residual(_unpacked(active, vector))
     chi2 = float(np.sum(residual**2))
-    jacobian = work.jacobian(_unpacked(active, vector))
-    for _ in range(_STEPS):
-        free = _free(jacobian, residual, vector, low, high)
-        step = _step(jacobian, residual, free)
+    jacobian = work.jacobian(_unpacked(active, vector)) if guess is None else guess
+    exact = guess is None
+    size, share = sum(len(theta) for _, theta in active[:count]), least_share(whitener)
+    for _ in range(2 * _STEPS):
+        firm, onto_firm = _firm(jacobian, size, share)
+        free = _free(firm, residual, vector, low, high)
+        step = onto_firm @ _step(firm, residual, free)
         promised = 2 * float(np.sum(residual * (jacobian @ step))) - float(np.sum((jacobian @ step) ** 2))
-        if promised < _CONVERGED:
+        found = _search_line(work, active, vector, step, (low, high), chi2) if promised >= _CONVERGED else None
+        if found is None and exact:
             break
-        found = _search_line(work, active, vector, step, (low, high), chi2)
-        if found is None:
-            break
-        vector, residual, chi2 = found
-        jacobian = work.jacobian(_unpacked(active, vector))
+        kept = False
+        if found is not None:
+            kept = chi2 - found[2] > _AS_PROMISED * promised
+            vector, residual, chi2 = found
+        exact = not kept
+        if exact:
+            jacobian = work.jacobian(_unpacked(active, vector))
     active = _unpacked(active, vector)
-    size = sum(len(theta) for _, theta in active[:count])
-    covariance, rank = _covariance(jacobian, _free(jacobian, residual, vector, low, high))
-    rank_modelled = _covariance(jacobian[:, :, :size], np.any(jacobian[:, :, :size] != 0.0, axis=(0, 1)))[1]
+    firm, _ = _firm(jacobian, size, share)
+    covariance, seen, rank = _covariance(firm, _free(firm, residual, vector, low, high))
+    rank_modelled = _covariance(jacobian[:, :, :size], np.any(jacobian[:, :, :size] != 0.0, axis=(0, 1)))[2]
     return Fit(
-        tuple(active[:count]), tuple(active[count:]), chi2, residual, jacobian, covariance, rank, rank_modelled
+        tuple(active[:count]), tuple(active[count:]), chi2, residual, jacobian, covariance, seen, rank, rank_modelled
     )  # fmt: skip
 
 
@@ -101,22 +114,24 @@ def settled(problem: Problem, *, robust_nT: float | None = None) -> Problem:
     """The problem, linear about a first fit of what is modelled (a raw magnetometer may be off by thousands of nT).
 
     Plain least squares with the weight of large residuals limited (Huber), so that single wrong readings do not
-    pull it; robust_nT: where large begins (default 3 robust sigma of the residual).
+    pull it; robust_nT: where large begins (default 3 robust sigma of the residual). Rows without attitude point where
+    the reading does as it is then calibrated.
     """
+    problem = realigned(problem)
     if not problem.modelled:
         return problem
     current = problem
     for _ in range(4):
-        residual = current.residual_nT
+        residual = current.judged(current.residual_nT)
         size = np.linalg.norm(residual, axis=1)
         limit = robust_nT if robust_nT is not None else 3.0 * max(float(np.median(size)) / 1.54, 1e-9)
         weight = np.sqrt(np.minimum(1.0, limit / np.maximum(size, 1e-12)))[:, None]
         vector = _packed(current.modelled_active)
         low, high = _limits(current.modelled_active)
-        jacobian = current.nuisance * weight[:, :, None]
+        jacobian = current.judged(current.nuisance) * weight[:, :, None]
         step = _step(jacobian, residual * weight, np.any(jacobian != 0.0, axis=(0, 1)))
         moved = _unpacked(current.modelled_active, np.clip(vector + step, low, high))
-        current = dataclasses.replace(current, modelled_theta=tuple(theta for _, theta in moved))
+        current = realigned(dataclasses.replace(current, modelled_theta=tuple(theta for _, theta in moved)))
         if np.sqrt(np.mean((jacobian @ step) ** 2)) < 1e-3 * limit:
             break
     return current
@@ -138,15 +153,14 @@ class _Work:
 
     def residual(self, active: Sequence[Active]) -> FloatArray:
         """(M, 3)."""
-        reading = self.problem.chain.reading_nT(in_order([*self.problem.frozen, *active]))
-        return self.whitener.apply(self.reduce(np.asarray(self.problem.telemetry.mag_B_nT - reading)))
+        return self.whitener.apply(self.reduce(self.problem.residual_of(in_order([*self.problem.frozen, *active]))))
 
     def jacobian(self, active: Sequence[Active]) -> FloatArray:
         """(M, 3, sum of parameters), in the order of `active`."""
         on = in_order([*self.problem.frozen, *active])
         place = {id(pair[0]): number for number, pair in enumerate(on)}
         # From the first stage to the last, so that the chain finds what comes before already computed.
-        blocks = {id(e): derivative(self.problem.chain, on, place[id(e)]) for e, _ in in_order(active)}
+        blocks = {id(e): derivative(self.problem.design, on, place[id(e)]) for e, _ in in_order(active)}
         if not blocks:
             return np.zeros((*self.residual(active).shape, 0))
         return self.whitener.apply(self.reduce(np.concatenate([blocks[id(e)] for e, _ in active], axis=2)))
@@ -191,22 +205,44 @@ def _step(jacobian: FloatArray, residual: FloatArray, free: BoolArray) -> FloatA
     return step
 
 
+def _firm(jacobian: FloatArray, size: int, share: float) -> tuple[FloatArray, FloatArray]:
+    """The Jacobian (M, 3, p) without those directions of the chosen effects (all after the first `size`) of which what
+    is modelled leaves no more than `share`, and (p, p) what takes them out of a step."""
+    count = jacobian.shape[2]
+    flat = jacobian.reshape(-1, count)
+    length = np.linalg.norm(flat[:, size:], axis=0)
+    length = np.where(length > 0, length, 1.0)
+    unit = flat[:, size:] / length
+    basis = orthonormal(jacobian[:, :, :size])
+    beside = unit - basis @ (basis.T @ unit)
+    values, vectors = np.linalg.eigh(beside.T @ beside)
+    weak = (values <= share) & (np.linalg.norm(unit @ vectors, axis=0) > 0)
+    if not weak.any():
+        return jacobian, np.eye(count)
+    strong = np.eye(count - size) - vectors[:, weak] @ vectors[:, weak].T
+    firm, onto_firm = jacobian.copy(), np.eye(count)
+    firm[:, :, size:] = ((unit @ strong) * length).reshape(*jacobian.shape[:2], -1)
+    onto_firm[size:, size:] = strong * length / length[:, None]
+    return firm, onto_firm
+
+
 def _rcond() -> float:
     return 0.1 * float(np.sqrt(SHARE_LEFT))
 
 
-def _covariance(jacobian: FloatArray, free: BoolArray) -> tuple[FloatArray, int]:
-    """(p, p) covariance for unit variance, NaN where a parameter is not estimated, and the rank."""
-    covariance = np.full((free.size, free.size), np.nan)
+def _covariance(jacobian: FloatArray, free: BoolArray) -> tuple[FloatArray, BoolArray, int]:
+    """(p, p) covariance for unit variance, NaN where a parameter is not estimated; (p,) wholly seen; the rank."""
+    covariance, seen = np.full((free.size, free.size), np.nan), np.zeros(free.size, dtype=np.bool_)
     if not free.any():
-        return covariance, 0
+        return covariance, seen, 0
     flat = jacobian.reshape(-1, free.size)[:, free]
     length = np.linalg.norm(flat, axis=0)
     _, values, vectors = np.linalg.svd(flat / length, full_matrices=False)
     good = values > _rcond() * values[0]
     turned = vectors[good].T / values[good]
     covariance[np.ix_(free, free)] = (turned @ turned.T) / np.outer(length, length)
-    return covariance, int(good.sum())
+    seen[free] = np.sum(vectors[good] ** 2, axis=0) > _WHOLLY
+    return covariance, seen, int(good.sum())
 
 
 def _search_line(

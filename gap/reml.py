@@ -14,16 +14,30 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from fluxtwin.gap.noise_budget import NoisePrior
-from fluxtwin.gap.whitening import NoiseModel, make_whitener
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.gap.span import SHARE_LEFT, Span, span_of
+from fluxtwin.gap.whitening import NoiseModel, make_whitener, share_of_errors
+from fluxtwin.sim.types import BoolArray, FloatArray
 
-_RATIOS = (0.1, 0.3, 0.6, 1.0, 1.7, 3.0, 10.0)  # attitude error times field over white noise, where nothing is declared
-_AROUND = (0.4, 0.7, 1.0, 1.5, 2.5)  # over the declared ratio
-_TAUS_S = (10.0, 30.0, 80.0, 200.0, 500.0, 1200.0)
+RIDGE = 0.25
+"""The likeliest ratio grows about as this power of the time constant."""
+_UNKNOWN_RATIO = 0.6  # attitude error times field over white noise, where nothing is declared
+_USUAL_TAU_S = 120.0  # where the search begins
 _LONGEST_S = 3000.0
-_RANK_TOLERANCE = 1e-10  # of the eigenvalues of the Gram matrix: directions weaker than 1e-5 of the strongest
+_MANY = (
+    200  # columns; from there on single precision, which is good to 0.01 in the log likelihood of an orthonormal basis
+)
+_WIDTH = 0.35  # in the logarithm of the ratio: between the points of a parabola
+_NARROW = 0.5  # standard deviations
+_REFINEMENTS = 3  # where points are cheap
+_FLAT = 0.02  # in log likelihood: a parabola that promises less is not followed
+_TAU_FACTOR = 4.0  # between the time constants of the search
+_MOST_MOVES = 6
+_TRUSTED = 0.3  # in log likelihood: how far a parabola may be off before narrower points are taken
+_SHARP = 10.0  # second derivative from which on it must be looked at
+_HOPELESS = 6.0  # log likelihood by which a white error must be behind to be left alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,49 +65,106 @@ class Choice:
 
     noise: NoiseModel
     log_posterior: float
-    coefficients: FloatArray
-    """(P,) generalised least-squares coefficients of the design's columns."""
+    along: FloatArray
+    """(r,) generalised least-squares coordinates in the basis of the design."""
     dof: int
+
+
+def span_of_design(
+    design: FloatArray, there: BoolArray, first: int = 0, share_left: float = SHARE_LEFT
+) -> tuple[Span, FloatArray]:
+    """Span and orthonormal basis (n, 3, r) of a design (n, 3, P) on the components that are there (n, 3)."""
+    masked = design if there.all() else np.where(there[:, :, None], design, 0.0)
+    flat = np.ascontiguousarray(masked).reshape(there.size, design.shape[2])
+    span = span_of(flat, first, share_left)
+    return span, span.basis(flat).reshape(*there.shape, span.rank)
+
+
+def least_share(prior: NoisePrior) -> float:
+    """Of its energy that a column must have beside others: more than the attitude error that it was made with."""
+    return share_of_errors(prior.theta_rad, SHARE_LEFT)
 
 
 class Likelihood:
     """The restricted likelihood of one set of data, as a function of the noise model."""
 
     def __init__(
-        self, data: Data, prior: NoisePrior, axis_factor: tuple[float, float, float] = (1.0, 1.0, 1.0)
+        self,
+        data: Data,
+        prior: NoisePrior,
+        axis_factor: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        spanned: tuple[Span, FloatArray] | None = None,
     ) -> None:
+        """spanned: of the design on the measured components, as from `span_of_design`, if at hand."""
         self.data, self.prior, self.axis_factor = data, prior, axis_factor
-        self.basis, self.to_columns = _orthonormal(data)
-        self.stacked = np.concatenate([self.basis, data.residual_nT[:, :, None]], axis=2)
-        self.dof = int((data.weights > 0).sum()) - self.basis.shape[2]
+        self.columns = int(data.design.shape[2])
+        self.span, basis = spanned or span_of_design(data.design, data.weights > 0, share_left=least_share(prior))
+        flat = basis.reshape(data.weights.size, self.span.rank)
+        # What the design explains by plain least squares changes nothing but the coordinates.
+        y = np.where(data.weights > 0, data.residual_nT, 0.0).reshape(-1)
+        self.plain = flat.T @ y
+        y = (y - flat @ self.plain).reshape(*data.weights.shape, 1)
+        kind = np.float32 if self.span.rank > _MANY else np.float64
+        self.stacked = np.concatenate([basis, y], axis=2, dtype=kind, casting="same_kind")
+        self.measured = int((data.weights > 0).sum())
         self.field_nT = float(np.sqrt(np.mean(np.sum(data.field_B_nT**2, axis=1)))) if data.residual_nT.size else 0.0
         self.field_nT = max(self.field_nT, 1.0)
+        self._known: dict[tuple[float, float], Choice] = {}
+        self.latest: Ridge | None = None
+        """Where the best point was sought last."""
+
+    @property
+    def rank(self) -> int:
+        """Directions of the design that are fitted."""
+        return int(self.stacked.shape[2]) - 1
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom that are left."""
+        return self.measured - self.rank
 
     def at(self, ratio: float, tau_s: float) -> Choice:
         """The best sigma at a ratio (theta times field over sigma) and a time constant."""
-        data = self.data
+        key = (float(f"{ratio:.9g}"), float(f"{tau_s:.9g}"))
+        if key not in self._known:
+            self._known[key] = self._at(*key)
+        return self._known[key]
+
+    def point(self, noise: NoiseModel) -> tuple[float, float]:
+        """Ratio and time constant of a noise model, as for `at`."""
+        return noise.theta_rad * self.field_nT / noise.sigma_nT, noise.tau_s
+
+    def ridge(self, ratio: float, tau_s: float) -> Ridge:
+        """The ridge that the best point is sought on, from a ratio and a time constant; kept for later questions."""
+        self.latest = Ridge(self, ratio, tau_s)
+        return self.latest
+
+    def coefficients(self, choice: Choice) -> FloatArray:
+        """(P,) generalised least-squares coefficients of the design's columns at a choice."""
+        return self.span.coefficients(self.plain + choice.along, self.columns)
+
+    def _at(self, ratio: float, tau_s: float) -> Choice:
+        data, rank = self.data, self.rank
         share = np.sqrt(mean_share(data.count, data.spacing_s, tau_s))
         unit = NoiseModel(1.0, ratio / self.field_nT, tau_s, axis_factor=self.axis_factor)
         whitener = make_whitener(data.field_B_nT * share[:, None], data.seconds, data.segment, unit, data.weights)
-        white = whitener.apply(self.stacked).reshape(-1, self.stacked.shape[2])
-        gram = white.T @ white
-        rank = self.basis.shape[2]
-        factor, log_q = np.zeros(rank), 0.0
+        white = whitener.apply_as_it_is(self.stacked).reshape(-1, rank + 1)
+        total = float(np.sum(np.square(white[:, rank]), dtype=np.float64))
+        along, log_q, rss = np.zeros(rank), 0.0, total
         if rank:
+            gram = white.T @ white
             L = np.linalg.cholesky(gram[:rank, :rank])
-            log_q = 2.0 * float(np.log(np.diag(L)).sum())
-            half = np.linalg.solve(L, gram[:rank, rank])
-            factor = np.linalg.solve(L.T, half)
-            rss = float(gram[rank, rank] - half @ half)
-        else:
-            rss = float(gram[0, 0])
-        rss = max(rss, 1e-12 * float(gram[rank, rank]), 1e-30)
+            log_q = 2.0 * float(np.log(np.diag(L)).sum(dtype=np.float64))
+            half = solve_triangular(L, gram[:rank, rank], lower=True, check_finite=False)
+            along = solve_triangular(L, half, lower=True, trans=1, check_finite=False).astype(np.float64)
+            rss -= float(np.sum(np.square(half), dtype=np.float64))
+        rss = max(rss, 1e-12 * total, 1e-30)
         log_sigma = self._best_sigma(rss, ratio)
         sigma = float(np.exp(log_sigma))
         fit = -0.5 * (whitener.log_det + log_q + 2.0 * self.dof * log_sigma + rss / sigma**2)
         theta = ratio * sigma / self.field_nT
         noise = NoiseModel(sigma, theta, tau_s, axis_factor=self.axis_factor)
-        return Choice(noise, fit + self.prior.log_density(sigma, theta, tau_s), self.to_columns @ factor, self.dof)
+        return Choice(noise, fit + self.prior.log_density(sigma, theta, tau_s), along, self.dof)
 
     def _best_sigma(self, rss: float, ratio: float) -> float:
         """log sigma that maximises the posterior at fixed ratio: Newton on a concave function."""
@@ -115,88 +186,151 @@ class Likelihood:
 
 
 def best_noise(likelihood: Likelihood, start: NoiseModel | None = None) -> Choice:
-    """Search a grid of (theta / sigma, tau), then refine the best point; from `start`, if given, only refine."""
+    """The best point: the likeliest ratio at a few time constants, and a parabola through them; from `start`, if given.
+
+    A saturated design has hundreds of columns and a point costs their Gram matrix, so points are few.
+    """
+    prior = likelihood.prior
+    none = [likelihood.at(0.0, 0.0)] if not prior.theta_rad else []
+    if none and prior.theta_rad is not None:
+        return _with_uncertainty(likelihood, none[0], np.zeros(2))
+    ratio, tau_s = _start(likelihood, start)
+    best, curvature = _white(likelihood, ratio) if tau_s <= 0 else likelihood.ridge(ratio, tau_s).best()
+    if prior.tau_s is None and tau_s > 0:
+        spacing = _usual_spacing(likelihood.data.seconds)
+        guess = likelihood.point(best.noise)[0] * (max(spacing, 1.0) / best.noise.tau_s) ** RIDGE
+        if likelihood.at(guess, 0.0).log_posterior > best.log_posterior - _HOPELESS:
+            best, curvature = max((best, curvature), _white(likelihood, guess), key=lambda one: one[0].log_posterior)
+    if likelihood.rank <= _MANY:
+        best, curvature = _refined(likelihood, best, curvature)
+    if none and none[0].log_posterior > best.log_posterior:
+        best, curvature = none[0], np.zeros(2)
+    return _with_uncertainty(likelihood, best, curvature)
+
+
+def _start(likelihood: Likelihood, start: NoiseModel | None) -> tuple[float, float]:
+    prior = likelihood.prior
     if start is not None and start.theta_rad > 0:
-        best = likelihood.at(start.theta_rad * likelihood.field_nT / start.sigma_nT, start.tau_s)
-    else:
-        best = _searched(likelihood)
-    return _with_uncertainty(likelihood, *_refined(likelihood, best))
+        return likelihood.point(start)
+    ratio = _UNKNOWN_RATIO if prior.theta_rad is None else prior.theta_rad * likelihood.field_nT / prior.sigma_nT
+    return ratio, _USUAL_TAU_S if prior.tau_s is None else prior.tau_s
 
 
-def _searched(likelihood: Likelihood) -> Choice:
-    """The best point of a grid; at each time constant the ratios are climbed from where the last one was best."""
-    prior, field_nT = likelihood.prior, likelihood.field_nT
-    best = likelihood.at(0.0, 0.0) if not prior.theta_rad else None
-    if best is not None and prior.theta_rad is not None:
-        return best
-    declared = None if prior.theta_rad is None else prior.theta_rad * field_nT / prior.sigma_nT
-    ratios = _RATIOS if declared is None else tuple(declared * f for f in _AROUND)
-    place = len(ratios) // 2
-    for tau in _taus_s(likelihood):
-        here, place = _climbed(likelihood, ratios, tau, place)
-        if best is None or here.log_posterior > best.log_posterior:
-            best = here
-    assert best is not None
-    return best
+def _white(likelihood: Likelihood, ratio: float) -> tuple[Choice, FloatArray]:
+    best, second = likeliest_ratio(likelihood, ratio, 0.0)
+    return best, np.array([second, 0.0])
 
 
-def _taus_s(likelihood: Likelihood) -> list[float]:
-    declared = likelihood.prior.tau_s
-    if declared is not None:
-        return [declared * f for f in (0.5, 1.0, 2.0)] if declared > 0 else [0.0]
-    spacing = _usual_spacing(likelihood.data.seconds)
-    return [0.0, *(t for t in _TAUS_S if t > 0.25 * spacing)]
-
-
-def _climbed(likelihood: Likelihood, ratios: tuple[float, ...], tau_s: float, place: int) -> tuple[Choice, int]:
-    """The best ratio at one time constant, from `place` uphill."""
-    best = likelihood.at(ratios[place], tau_s)
-    for way in (1, -1):
-        moved = False
-        while 0 <= place + way < len(ratios):
-            there = likelihood.at(ratios[place + way], tau_s)
-            if there.log_posterior <= best.log_posterior:
-                break
-            best, place, moved = there, place + way, True
-        if moved:
-            break
-    return best, place
-
-
-def _refined(likelihood: Likelihood, best: Choice) -> tuple[Choice, FloatArray]:
-    """Parabolas through three points along log ratio and log tau, in turn; also the second derivatives there."""
-    curvature, width = np.zeros(2), [0.35, 0.5]
-    if best.noise.theta_rad <= 0:
-        return best, curvature
-    for number in range(3):
-        before = best.log_posterior
+def _refined(likelihood: Likelihood, best: Choice, curvature: FloatArray) -> tuple[Choice, FloatArray]:
+    """Narrower parabolas along log ratio and log tau, in turn; also the second derivatives there."""
+    curvature = curvature.copy()
+    for _ in range(_REFINEMENTS):
         for axis in (0, 1):
             if axis == 1 and best.noise.tau_s <= 0:
                 continue
-            best, curvature[axis] = _along(likelihood, best, axis, width[axis])
-            width[axis] *= 0.5
-        if number and best.log_posterior - before < 0.02:
-            break
+            by = float(np.clip(_NARROW / np.sqrt(max(-curvature[axis], 1e-6)), _WIDTH / 8.0, 2.0 * _WIDTH))
+            low, high = (_moved(likelihood, best, axis, way * by) for way in (-1.0, 1.0))
+            bend = (low.log_posterior + high.log_posterior - 2.0 * best.log_posterior) / by**2
+            slope = (high.log_posterior - low.log_posterior) / (2.0 * by)
+            trials = [best, low, high]
+            if bend < 0:
+                curvature[axis] = bend
+                trials.append(_moved(likelihood, best, axis, float(np.clip(-slope / bend, -3.0 * by, 3.0 * by))))
+            best = max(trials, key=_posterior)
     return best, curvature
 
 
-def _along(likelihood: Likelihood, middle: Choice, axis: int, width: float) -> tuple[Choice, float]:
-    """The best of three points and the top of their parabola along one axis; its second derivative."""
-    ratio = middle.noise.theta_rad * likelihood.field_nT / middle.noise.sigma_nT
+def _moved(likelihood: Likelihood, best: Choice, axis: int, by: float) -> Choice:
+    ratio, tau_s = likelihood.point(best.noise)
+    if axis:  # along the ridge
+        by = min(by, float(np.log(_LONGEST_S / tau_s)))
+        return likelihood.at(float(ratio * np.exp(RIDGE * by)), float(tau_s * np.exp(by)))
+    return likelihood.at(float(ratio * np.exp(by)), tau_s)
 
-    def moved(by: float) -> Choice:
-        tau = min(middle.noise.tau_s * np.exp(by), _LONGEST_S) if axis else middle.noise.tau_s
-        return likelihood.at(ratio if axis else float(ratio * np.exp(by)), float(tau))
 
-    low, high = moved(-width), moved(width)
-    second = (low.log_posterior + high.log_posterior - 2.0 * middle.log_posterior) / width**2
-    slope = (high.log_posterior - low.log_posterior) / (2.0 * width)
-    candidates = [middle, low, high]
+def likeliest_ratio(likelihood: Likelihood, ratio: float, tau_s: float, second: float = 0.0) -> tuple[Choice, float]:
+    """The best ratio at a time constant, from a guess, and the second derivative along its logarithm.
+
+    second: that of a neighbour, if known (negative): two points then do for a parabola that is near its top.
+    """
+    middle, width = likelihood.at(ratio, tau_s), _WIDTH
     if second < 0:
-        top = float(np.clip(-slope / second, -3.0 * width, 3.0 * width))
-        if abs(top) > 0.05 * width:
-            candidates.append(moved(top))
-    return max(candidates, key=lambda c: c.log_posterior), float(second)
+        by = 0.5 * width
+        other = likelihood.at(float(ratio * np.exp(by)), tau_s)
+        move = 0.5 * by - (other.log_posterior - middle.log_posterior) / (second * by)
+        if abs(move) < 2.0 * width:
+            if -0.5 * second * min(move**2, (move - by) ** 2) > _FLAT:
+                middle = max(middle, likelihood.at(float(ratio * np.exp(move)), tau_s), key=_posterior)
+            return max(middle, other, key=_posterior), second
+    for _ in range(_MOST_MOVES):
+        ratio = likelihood.point(middle.noise)[0]
+        low, high = (likelihood.at(float(ratio * np.exp(by)), tau_s) for by in (-width, width))
+        top = max(low, middle, high, key=_posterior)
+        if top is middle:
+            break
+        middle = top
+    slope = (high.log_posterior - low.log_posterior) / (2.0 * width)
+    second = (low.log_posterior + high.log_posterior - 2.0 * middle.log_posterior) / width**2
+    if second < 0 and -0.5 * slope**2 / second > _FLAT:
+        by = float(np.clip(-slope / second, -width, width))
+        middle = max(middle, likelihood.at(float(ratio * np.exp(by)), tau_s), key=_posterior)
+    return middle, float(second)
+
+
+def _posterior(choice: Choice) -> float:
+    return choice.log_posterior
+
+
+class Ridge:
+    """The likelihood along the time constant, each at its likeliest ratio."""
+
+    def __init__(self, likelihood: Likelihood, ratio: float, tau_s: float) -> None:
+        self.likelihood = likelihood
+        self.shortest_s = 0.25 * _usual_spacing(likelihood.data.seconds)
+        best, self.second = likeliest_ratio(likelihood, ratio, tau_s)
+        self.known = {float(np.log(tau_s)): best}
+
+    def at(self, log_tau: float) -> Choice:
+        """The best at a time constant, from the nearest one that is known and the curvature at the first."""
+        log_tau = float(np.clip(log_tau, np.log(self.shortest_s), np.log(_LONGEST_S)))
+        if log_tau not in self.known:
+            likelihood = self.likelihood
+            near = min(self.known, key=lambda other: abs(other - log_tau))
+            ratio = likelihood.point(self.known[near].noise)[0] * float(np.exp(RIDGE * (log_tau - near)))
+            self.known[log_tau] = likeliest_ratio(likelihood, ratio, float(np.exp(log_tau)), self.second)[0]
+        return self.known[log_tau]
+
+    def best(self) -> tuple[Choice, FloatArray]:
+        """The best of all, and the second derivatives along the logarithms of ratio and time constant there."""
+        middle, width, second = next(iter(self.known)), float(np.log(_TAU_FACTOR)), 0.0
+        low, high = np.log(self.shortest_s), np.log(_LONGEST_S)
+        for _ in range(_MOST_MOVES):
+            below, here, above = (self.at(middle + by).log_posterior for by in (-width, 0.0, width))
+            second = (below + above - 2.0 * here) / width**2
+            slope = (above - below) / (2.0 * width)
+            if max(below, above) > here:
+                middle += width if above > below else -width
+                if not low < middle < high:
+                    break
+                continue
+            gain = -0.5 * slope**2 / second if second < 0 else 0.0
+            if gain < _FLAT and -second < _SHARP:
+                break
+            top = middle - slope / second
+            if abs(self.at(top).log_posterior - here - gain) < _TRUSTED:
+                break
+            middle, width = max(self.known, key=lambda known: _posterior(self.known[known])), width / 3.0
+        return max(self.known.values(), key=_posterior), np.array([self.second, second])
+
+    def between(self, log_tau: float) -> tuple[float, float]:
+        """Likeliest ratio (its logarithm) and log posterior at a time constant, from parabolas through known ones."""
+        nodes = sorted(self.known, key=lambda other: abs(other - log_tau))[:3]
+        values = np.array(
+            [[np.log(self.likelihood.point(self.known[x].noise)[0]), _posterior(self.known[x])] for x in nodes]
+        )
+        weights = [np.prod([(log_tau - y) / (x - y) for y in nodes if y != x]) for x in nodes]
+        ratio, posterior = weights @ values
+        return float(ratio), float(posterior)
 
 
 def _with_uncertainty(likelihood: Likelihood, best: Choice, curvature: FloatArray) -> Choice:
@@ -236,17 +370,3 @@ def mean_share(count: FloatArray, spacing_s: FloatArray, tau_s: float) -> FloatA
 
 def _usual_spacing(seconds: FloatArray) -> float:
     return float(np.median(np.diff(seconds))) if seconds.size > 1 else 1.0
-
-
-def _orthonormal(data: Data) -> tuple[FloatArray, FloatArray]:
-    """(n, 3, r) orthonormal basis of the design on the measured components, and (P, r): columns = basis combinations."""
-    P = data.design.shape[2]
-    flat = np.where(data.weights[:, :, None] > 0, data.design, 0.0).reshape(data.weights.size, P)
-    size = np.linalg.norm(flat, axis=0)
-    live = size > 0
-    scale = np.where(live, 1.0 / np.where(live, size, 1.0), 0.0)
-    flat = flat * scale
-    values, vectors = np.linalg.eigh(flat.T @ flat) if P else (np.zeros(0), np.zeros((0, 0)))
-    kept = values > _RANK_TOLERANCE * max(float(values.max(initial=0.0)), 1e-300)
-    mix = vectors[:, kept] / np.sqrt(values[kept])
-    return (flat @ mix).reshape(*data.weights.shape, -1), scale[:, None] * mix

@@ -34,11 +34,14 @@ class RobustRows:
     difference_nT: FloatArray | None = None
     """(N, 3) each component less what the saturated fit and all other readings predict for it."""
     words: str = ""
+    measured: BoolArray | None = None
+    """(N, 3) components that there are; None: all."""
 
     @property
     def cut(self) -> BoolArray:
         """(N, 3) True for components that are cut."""
-        return np.asarray(self.weights <= 0, dtype=np.bool_)
+        cut = self.weights <= 0
+        return np.asarray(cut if self.measured is None else cut & self.measured, dtype=np.bool_)
 
     @property
     def rows_cut(self) -> int:
@@ -51,11 +54,17 @@ class RobustRows:
         return int(self.cut.sum())
 
 
-def standing_out(difference: FloatArray, least: float = 0.0) -> FloatArray:
+def standing_out(difference: FloatArray, least: float = 0.0, measured: BoolArray | None = None) -> FloatArray:
     """(N, 3) how far each component stands out of its neighbourhood, in robust sigmas of it.
 
-    difference (N, 3) in any unit; least: the sigma that noise alone would give, in that unit, if known.
+    difference (N, 3) in any unit; least: the sigma that noise alone would give, in that unit, if known; measured
+    (N, 3): components that there are, the others do not stand out.
     """
+    if measured is not None:
+        found = np.zeros_like(difference)
+        for axis, there in enumerate(measured.T):
+            found[there, axis] = standing_out(difference[there, axis : axis + 1], least)[:, 0]
+        return found
     rows = difference.shape[0]
     if rows < 3:
         return np.zeros_like(difference)
@@ -66,21 +75,21 @@ def standing_out(difference: FloatArray, least: float = 0.0) -> FloatArray:
 
 
 def _scatter(difference: FloatArray) -> FloatArray:
-    """(3,) robust sigma of each component over all rows, never zero."""
+    """(k,) robust sigma of each component over all rows, never zero."""
     scatter = _MAD * np.median(np.abs(difference), axis=0)
     return np.asarray(np.maximum(scatter, 1e-9 + 1e-12 * np.max(np.abs(difference), axis=0)))
 
 
-def weights_of(distance: FloatArray) -> FloatArray:
+def weights_of(distance: FloatArray, measured: BoolArray | None = None) -> FloatArray:
     """(N, 3) weights from how far the components stand out: 1, less from 4.5 sigma, 0 from 6 sigma on.
 
-    At most a tenth of the rows is cut, those that stand out most.
+    At most a tenth of the rows is cut, those that stand out most. What is not measured (N, 3) has weight 0.
     """
     weights = np.minimum(1.0, np.square(_DOUBT_SIGMA / np.maximum(distance, 1e-9)))
     worst = distance.max(axis=1)
     allowed = max(1, int(_LARGEST_SHARE * worst.size))
     bar = max(CUT_SIGMA, float(np.partition(worst, -allowed - 1)[-allowed - 1]) if worst.size > allowed else 0.0)
-    return np.where(distance > bar, 0.0, weights)
+    return np.where(distance > bar if measured is None else (distance > bar) | ~measured, 0.0, weights)
 
 
 def spike_weights(
@@ -90,6 +99,7 @@ def spike_weights(
     segment: FloatArray,
     noise: NoiseModel,
     weights: FloatArray,
+    measured: BoolArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Weights (N, 3) under a noise model, and each component less what all others predict for it [nT].
 
@@ -104,22 +114,28 @@ def spike_weights(
     scaled = np.ascontiguousarray(left_nT / noise.sigma_nT)
     standard, plain = np.empty_like(scaled), np.empty_like(scaled)
     predict_each(field, when, part, now, own, noise.theta_rad / noise.sigma_nT, noise.tau_s, scaled, standard, plain)
-    return weights_of(standing_out(standard, least=1.0)), plain * noise.sigma_nT
+    return weights_of(standing_out(standard, 1.0, measured), measured), plain * noise.sigma_nT
 
 
-def first_weights(residual_nT: FloatArray, designs: Sequence[FloatArray], rows: NDArray[np.intp]) -> FloatArray:
+def first_weights(
+    residual_nT: FloatArray,
+    designs: Sequence[FloatArray],
+    rows: NDArray[np.intp],
+    measured: BoolArray | None = None,
+) -> FloatArray:
     """Weights (N, 3) before anything is known of the noise: gross spikes only.
 
     Least squares first; if anything stands out of it, the fit of least absolute residuals, which a tenth of wild
-    readings does not move. designs: (N, 3, P) each; rows: indices the fit is made on.
+    readings does not move. designs: (N, 3, P) each; rows: indices the fit is made on; measured (N, 3): what there is.
     """
-    coefficients = _fit(residual_nT, designs, rows, rounds=1)
-    weights = weights_of(standing_out(residual_nT - combine(designs, coefficients)))
-    if (weights > 0).all():
-        return np.ones_like(weights)
-    coefficients = _fit(residual_nT, designs, rows, rounds=15)
-    weights = weights_of(standing_out(residual_nT - combine(designs, coefficients)))
-    return np.where(weights > 0, 1.0, 0.0)
+    there = np.ones(residual_nT.shape, dtype=np.bool_) if measured is None else measured
+    for rounds in (1, 15):
+        coefficients = _fit(residual_nT, designs, rows, there, rounds=rounds)
+        distance = standing_out(residual_nT - combine(designs, coefficients), measured=measured)
+        weights = np.where(weights_of(distance, measured) > 0, 1.0, 0.0)
+        if (weights[there] > 0).all():
+            break
+    return weights
 
 
 def combine(designs: Sequence[FloatArray], coefficients: FloatArray) -> FloatArray:
@@ -132,11 +148,12 @@ def combine(designs: Sequence[FloatArray], coefficients: FloatArray) -> FloatArr
     return total
 
 
-def _fit(residual_nT: FloatArray, designs: Sequence[FloatArray], rows: NDArray[np.intp], *, rounds: int) -> FloatArray:
+def _fit(
+    residual_nT: FloatArray, designs: Sequence[FloatArray], rows: NDArray[np.intp], there: BoolArray, *, rounds: int
+) -> FloatArray:
     """Coefficients (P,) by iterated reweighting towards least absolute residuals; one round is least squares."""
-    A = np.concatenate([d[rows] for d in designs], axis=2)
-    y = residual_nT[rows].reshape(-1)
-    A = A.reshape(y.size, A.shape[2])
+    A = np.concatenate([d[rows] for d in designs], axis=2)[there[rows]]
+    y = residual_nT[rows][there[rows]]
     size = np.linalg.norm(A, axis=0)
     A = A / np.where(size > 0, size, 1.0)
     weight: FloatArray = np.ones(y.size)

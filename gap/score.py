@@ -17,6 +17,7 @@ from scipy.linalg import qr
 from scipy.stats import f as f_distribution
 
 from fluxtwin.gap.candidates import Candidate
+from fluxtwin.gap.whitening import share_of_errors
 from fluxtwin.sim.types import FloatArray
 
 SHARE_LEFT = 1e-6
@@ -55,6 +56,8 @@ class Board:
     """(3M, c) orthonormal."""
     measured: int
     """Scalar measurements that are not cut."""
+    share_left: float = SHARE_LEFT
+    """Of its energy that a column, or a combination of columns, must have beside the nuisance and other columns."""
 
     @cached_property
     def left(self) -> FloatArray:
@@ -71,11 +74,11 @@ class Board:
         """(P, R) to an orthonormal basis of each candidate's block; directions that the nuisance eats are left out."""
         blocks, total = [], 0
         for number in range(len(self.candidates)):
-            here = np.flatnonzero((self.owner == number) & (self.left > SHARE_LEFT))
+            here = np.flatnonzero((self.owner == number) & (self.left > self.share_left))
             values, vectors = (
                 np.linalg.eigh(self.gram[np.ix_(here, here)]) if here.size else (np.zeros(0), np.zeros((0, 0)))
             )
-            good = values > SHARE_LEFT
+            good = values > self.share_left
             blocks.append((here, vectors[:, good] / np.sqrt(values[good])))
             total += int(good.sum())
         turn, column = np.zeros((self.gram.shape[0], total)), 0
@@ -122,7 +125,7 @@ class Board:
         if not self.score.size:
             return 0.0, 0
         values, vectors = np.linalg.eigh(self.unit_gram)
-        good = values > SHARE_LEFT
+        good = values > self.share_left
         return float(np.sum((vectors[:, good].T @ self.score) ** 2 / values[good])), int(good.sum())
 
     @cached_property
@@ -158,7 +161,7 @@ class Board:
         """(K,) further drop of chi-square by each candidate once those of `numbers` are in, and its rank then."""
         inside = np.isin(self.block, numbers)
         values, vectors = np.linalg.eigh(self.unit_gram[np.ix_(inside, inside)])
-        good = values > SHARE_LEFT
+        good = values > self.share_left
         basis = vectors[:, good] / np.sqrt(values[good])
         mixed = basis.T @ self.unit_gram[inside]
         score = self.score - mixed.T @ (basis.T @ self.score[inside])
@@ -174,7 +177,7 @@ class Board:
             left = np.eye(size) - part.transpose(0, 2, 1) @ part
             values, vectors = np.linalg.eigh(left)
             along = np.einsum("kij,ki->kj", vectors, score[index])
-            seen = values > SHARE_LEFT
+            seen = values > self.share_left
             drop[members] = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
             rank[members] = seen.sum(axis=1)
         return drop, rank
@@ -183,7 +186,7 @@ class Board:
         """Linear estimate of the parameters of the candidates in `numbers`, jointly; zero where nothing is seen."""
         inside = np.isin(self.block, numbers)
         values, vectors = np.linalg.eigh(self.unit_gram[np.ix_(inside, inside)])
-        good = values > SHARE_LEFT
+        good = values > self.share_left
         along = vectors[:, good] @ ((vectors[:, good].T @ self.score[inside]) / values[good])
         scaled = self.turn[:, inside] @ along / self.lengths
         estimates = []
@@ -195,12 +198,19 @@ class Board:
         return estimates
 
 
+def least_share(whitener: Whitens) -> float:
+    """Of its energy that an image must have beside others: more than the attitude error that it was made with."""
+    noise = getattr(whitener, "noise", None)
+    return share_of_errors(None if noise is None else noise.theta_rad, SHARE_LEFT)
+
+
 def board(
     candidates: Sequence[Candidate],
     white: FloatArray,
     residual: FloatArray,
     nuisance: FloatArray,
     measured: int,
+    share_left: float = SHARE_LEFT,
 ) -> Board:
     """Set up the tests.
 
@@ -218,7 +228,7 @@ def board(
     for _ in range(2):  # twice is enough: the second pass removes the rounding of the first
         columns = columns - basis @ (basis.T @ columns)
         rest = rest - basis @ (basis.T @ rest)
-    return Board(tuple(candidates), columns, lengths, owner, place, rest, basis, measured)
+    return Board(tuple(candidates), columns, lengths, owner, place, rest, basis, measured, share_left)
 
 
 def whitened(candidates: Sequence[Candidate], whitener: Whitens, rows: int) -> FloatArray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from fluxtwin.gap import groups
-from fluxtwin.gap.candidates import Reduce, candidates, derivative, in_order
+from fluxtwin.gap.candidates import Candidate, Reduce, candidates, derivative, in_order
 from fluxtwin.gap.detectable import detectable, visible_part
 from fluxtwin.gap.growth import GATE, Search, begin, run
 from fluxtwin.gap.named import Named, Ranked, SearchResult
@@ -24,14 +24,21 @@ from fluxtwin.sim.types import FloatArray
 __all__ = ["GATE", "Named", "Ranked", "SearchResult", "candidates", "search"]
 
 
-def search(problem: Problem, whitener: Whitens, *, reduce: Reduce | None = None, gate: float = GATE) -> SearchResult:
+def search(
+    problem: Problem,
+    whitener: Whitens,
+    *,
+    reduce: Reduce | None = None,
+    gate: float = GATE,
+    known: tuple[list[Candidate], dict[str, str]] | None = None,
+) -> SearchResult:
     """Find the effects that explain the gap, at most three.
 
     whitener: of the problem's rows, or of those that `reduce` makes of them. gate: the probability that a perfect
-    simulation gets any name, over the whole search. Memory: about 60 P bytes per row for P columns of all
-    alternatives together (some 250), so reduce rows beyond some ten thousand.
+    simulation gets any name, over the whole search. known: the problem's `candidates`, if at hand. Memory: about 60 P
+    bytes per row for P columns of all alternatives together (some 250), so reduce rows beyond some ten thousand.
     """
-    under_way, untestable = begin(problem, whitener, reduce, gate)
+    under_way, untestable = begin(problem, whitener, reduce, gate, known)
     first, base = under_way.first, under_way.base
     raw_nuisance = _raw_jacobian(problem, base, reduce)
     table = groups.shares_by_name(first)
@@ -40,7 +47,7 @@ def search(problem: Problem, whitener: Whitens, *, reduce: Reduce | None = None,
     named = [_named(under_way, fit, number, rest.variance, table, raw_nuisance) for number in range(len(fit.chosen))]
     order = sorted(range(len(named)), key=lambda number: -_gain(under_way, fit, number))
     chosen = tuple(fit.chosen[number] for number in order)
-    reading, alone = (_reading(problem, each) for each in (fit, base))
+    residual, alone = (problem.residual_of(in_order([*problem.frozen, *each.active])) for each in (fit, base))
     whole = rest.saturated if fit.chosen else first.saturated
     return SearchResult(
         named=tuple(named[number] for number in order),
@@ -53,8 +60,8 @@ def search(problem: Problem, whitener: Whitens, *, reduce: Reduce | None = None,
         modelled=fit.modelled,
         chosen=chosen,
         modelled_alone=base.modelled,
-        residual_nT=np.asarray(problem.telemetry.mag_B_nT - reading),
-        residual_alone_nT=np.asarray(problem.telemetry.mag_B_nT - alone),
+        residual_nT=residual,
+        residual_alone_nT=alone,
         residual_white=fit.residual,
         jacobian_white=fit.jacobian[:, :, _columns(fit, order)],
         residual_alone_white=base.residual,
@@ -82,20 +89,45 @@ def _named(
     backing = support(under_way, fit, number, variance, groups.alike(table))
     part = fit.slices()[number]
     signal = _visible(under_way, fit, number, raw_nuisance)
-    energy = np.mean(signal**2, axis=0)
-    shares = energy / max(float(energy.sum()), 1e-300)
+    problem = under_way.problem
+    judged = problem.judged(signal) if under_way.reduce is None else signal
+    count = problem.measured.sum() if under_way.reduce is None else signal.size
+    shares = _axis_shares(under_way, fit, number, signal)
+    covariance = fit.covariance[part, part] * max(variance, 1.0)
+    if problem.axes is not None:
+        # From the field's size alone some sums of parameters are seen and their parts are not.
+        covariance = np.where(fit.seen[part, None] & fit.seen[None, part], covariance, np.nan)
     return Named(
         effect=effect,
         theta=theta,
-        covariance=fit.covariance[part, part] * max(variance, 1.0),
+        covariance=covariance,
         p_value=backing.p_value,
         group=backing.group,
         rivals=backing.rivals,
         probability=backing.probability,
-        visible_nT=float(np.sqrt(np.mean(energy))),
-        axis_shares=(float(shares[0]), float(shares[1]), float(shares[2])),
+        visible_nT=float(np.sqrt(np.sum(judged**2) / count)),
+        axis_shares=shares,
         signal_nT=signal,
     )
+
+
+def _axis_shares(under_way: Search, fit: Fit, number: int, signal: FloatArray) -> tuple[float, float, float]:
+    """Share of each body axis in what an effect leaves, signal (M, 3); NaN where the data do not tell the axes apart.
+
+    Rows without attitude see one direction at a time, so there the effect's own vector says which axis, and what the
+    others may have within their sigma counts for them.
+    """
+    energy = np.mean(signal**2, axis=0)
+    parameters = fit.chosen[number][0].parameters
+    if under_way.problem.axes is not None and len(parameters) > 1:
+        part = fit.slices()[number]
+        spread = np.where(fit.seen[part], np.diag(fit.covariance)[part], np.nan)
+        if [one.name[-2:] for one in parameters] != ["_x", "_y", "_z"]:
+            return (np.nan, np.nan, np.nan)
+        energy = fit.chosen[number][1] ** 2
+        energy = energy + np.where(np.arange(3) == np.argmax(energy), 0.0, spread)
+    x, y, z = energy / max(float(energy.sum()), 1e-300)
+    return (float(x), float(y), float(z))
 
 
 def _visible(under_way: Search, fit: Fit, number: int, raw_nuisance: FloatArray) -> FloatArray:
@@ -130,14 +162,10 @@ def _raw_jacobian(problem: Problem, fit: Fit, reduce: Reduce | None) -> FloatArr
     blocks = []
     for effect, theta in fit.modelled:
         number = next(place for place, pair in enumerate(on) if pair[0] is effect)
-        blocks.append(derivative(problem.chain, on, number))
+        blocks.append(derivative(problem.design, on, number))
         assert blocks[-1].shape[2] == len(theta)
     raw = np.concatenate(blocks, axis=2) if blocks else np.zeros((problem.rows, 3, 0))
     return raw if reduce is None else reduce(raw)
-
-
-def _reading(problem: Problem, fit: Fit) -> FloatArray:
-    return _chain_reading(problem, fit.active)
 
 
 def _chain_reading(problem: Problem, active: list[Active]) -> FloatArray:

@@ -19,11 +19,18 @@ from fluxtwin.gap.flexible import (
 )
 from fluxtwin.gap.left import Left
 from fluxtwin.gap.noise import NoiseModel, RobustRows, Whitener
-from fluxtwin.gap.problem import Problem
+from fluxtwin.gap.problem import Budget, Problem
 from fluxtwin.gap.tones import strongest_tone
 from fluxtwin.gap.two_state import heater_sequence
 from fluxtwin.gap.wandering import random_walk
+from fluxtwin.sim.effects.base import DistributionEffect
+from fluxtwin.sim.effects.bit_errors import BitErrors
+from fluxtwin.sim.effects.chain import Active
+from fluxtwin.sim.effects.coarse_quantization import CoarseQuantization
+from fluxtwin.sim.effects.excess_noise import ExcessNoise
 from fluxtwin.sim.types import FloatArray
+
+_ALIKE = 0.25
 
 
 def coarse(problem: Problem) -> FlexibleFinding | None:
@@ -48,16 +55,19 @@ def flexible_findings(
     step = coarser.parameters["lsb"][0] if coarser is not None and coarser.confirmed else lsb
     findings: list[FlexibleFinding | None] = [shape, coarser]
     stuck: FlexibleFinding | None = None
-    if lsb is not None and lsb > 0 and step is not None:
-        stuck = stuck_bit(reading, reading - residual_nT, lsb, step)
+    whole = problem.measured.all(axis=1)  # elsewhere the axis of a spike is not known
+    if lsb is not None and lsb > 0 and step is not None and whole.any():
+        stuck = stuck_bit(reading[whole], (reading - residual_nT)[whole], lsb, step)
         findings.append(stuck)
         if stuck is None:
             difference = residual_nT if robust.difference_nT is None else robust.difference_nT
-            findings.append(flipped_bits(reading, difference, robust.cut, lsb))
+            findings.append(flipped_bits(reading[whole], difference[whole], robust.cut[whole], lsb))
     explained = (stuck is not None and stuck.confirmed) or shape is not None
     if noise.sigma_prior_nT > 0 and not explained:
         rest = leftover(whitener, residual_nT, fitted_nT)
-        findings.append(noise_level(problem.setting, rest, noise.white_nT, noise.sigma_prior_nT, structured))
+        measured = None if problem.axes is None else problem.measured
+        level = noise_level(problem.setting, rest, noise.white_nT, noise.sigma_prior_nT, structured, measured)
+        findings.append(level)
     return confirmed(findings)
 
 
@@ -84,6 +94,30 @@ def shape_of(
     return found if found is not None and found.confirmed else None
 
 
+def with_frozen_noise(
+    frozen: Sequence[Active], noise_nT: float | None, lsb_nT: float | None
+) -> tuple[float | None, float | None]:
+    """White noise and step of the readings with what a scenario's effects add to those declared."""
+    for effect, theta in frozen:
+        if isinstance(effect, ExcessNoise) and effect.axis == "all" and noise_nT is not None:
+            noise_nT = float(np.hypot(noise_nT, theta[0]))
+        if isinstance(effect, CoarseQuantization):
+            lsb_nT = max(lsb_nT or 0.0, float(theta[0]))
+    return noise_nT, lsb_nT
+
+
+def expected(finding: FlexibleFinding, frozen: Sequence[Active]) -> bool:
+    """Whether the scenario has this stochastic effect already, in this size (to a quarter, or three sigma)."""
+    for effect, theta in frozen:
+        if effect.name != finding.effect or not isinstance(effect, DistributionEffect):
+            continue
+        value, sigma, _ = finding.parameters[effect.parameters[0].name]
+        bar = max(3.0 * float(np.nan_to_num(sigma)) * float(np.sqrt(2.0)), _ALIKE * float(theta[0]))
+        if abs(value - float(theta[0])) <= bar:
+            return True
+    return False
+
+
 def stochastic_nT(findings: Sequence[FlexibleFinding], noise: NoiseModel, declared_lsb_nT: float | None) -> float:
     """What the named stochastic effects add to the white noise that the whitening works with, rms per component [nT]."""
     extra = 0.0
@@ -92,7 +126,38 @@ def stochastic_nT(findings: Sequence[FlexibleFinding], noise: NoiseModel, declar
             extra += max(one.parameters["lsb"][0] ** 2 - (declared_lsb_nT or 0.0) ** 2, 0.0) / 12.0
         elif one.effect == "excess_noise":
             extra += max(white_rms_nT(noise) ** 2 - noise.sigma_prior_nT**2, 0.0)
-    return float(np.sqrt(min(extra, white_rms_nT(noise) ** 2)))
+        elif _stuck(one):
+            extra += _stuck_nT(one) ** 2
+    most = sum(_stuck_nT(one) ** 2 for one in findings if _stuck(one)) or white_rms_nT(noise) ** 2
+    return float(np.sqrt(min(extra, most)))
+
+
+def _stuck(one: FlexibleFinding) -> bool:
+    return isinstance(one.instance, BitErrors) and one.instance.kind != "flip"
+
+
+def _stuck_nT(one: FlexibleFinding) -> float:
+    """rms per component of a bit that never changes: wrong by its whole size half of the time, b taking the mean."""
+    assert isinstance(one.instance, BitErrors) and one.instance.bit is not None
+    size_nT = 0.5 * 2.0**one.instance.bit * (one.instance.lsb_nT or 0.0)
+    return size_nT if one.instance.axis == "all" else size_nT / float(np.sqrt(3.0))
+
+
+def floor_noise(findings: Sequence[FlexibleFinding], noise: NoiseModel, budget: Budget) -> tuple[float, float]:
+    """White noise [nT] and attitude error [rad] of the floor with the named effects in it.
+
+    As declared, unless a named cause makes the readings noisier; what was not declared is what the whitening works with.
+    """
+    white, theta = white_rms_nT(noise), noise.theta_rad
+    stuck = [_stuck_nT(one) for one in findings if _stuck(one)]
+    louder = any(one.effect in ("excess_noise", "coarse_quantization") for one in findings)
+    if stuck:
+        white = float(np.hypot(noise.sigma_prior_nT, max(stuck)))
+    elif budget.noise_nT is not None and not louder:
+        white = noise.sigma_prior_nT
+    if budget.attitude_sigma_rad is not None:
+        theta = budget.attitude_sigma_rad
+    return white, theta
 
 
 def white_rms_nT(noise: NoiseModel) -> float:

@@ -76,7 +76,8 @@ def _weights(search: Search, fit: Fit, number: int, bare: Fit, variance: float) 
     kept = [c for c in range(fit.jacobian.shape[2]) if not mine.start <= c < mine.stop]
     # The data with this effect's own signal put back: what the others would have to explain.
     put_back = white_residual(search.problem, search.whitener, [*fit.modelled, *others], search.reduce)
-    scored = board(search.found, search.white, put_back, fit.jacobian[:, :, kept], search.whitener.measured)
+    beside = fit.jacobian[:, :, kept]
+    scored = board(search.found, search.white, put_back, beside, search.whitener.measured, search.share_left)
     drop_own = scored.chi2 - fit.chi2
     rank_own = fit.rank_chosen - bare.rank_chosen
     weights: dict[str, float] = {fit.chosen[number][0].name: 1.0}

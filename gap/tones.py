@@ -14,6 +14,7 @@ from fluxtwin.sim.types import FloatArray
 _FINE = 8  # grid cells a sample spacing for uneven stamps: the phase error at the highest line is 0.2 rad at most
 _LONGEST = 1 << 23
 _DEGREES = 6
+_FIRST_WIDTH = 0.35  # over the span
 
 
 @dataclass(frozen=True)
@@ -37,8 +38,18 @@ def strongest_tone(seconds: FloatArray, left: Leftover) -> Tone:
     frequency = _peak(seconds, left.residual.reshape(-1, 3))
     if frequency is None:
         return Tone(0.0, 0.0, 0.0)
-    best = max(((_explained(seconds, left, f), f) for f in _around(frequency, seconds)), key=lambda item: item[0][0])
-    (explained, rank), frequency = best
+    return tone_near(seconds, left, frequency)
+
+
+def tone_near(seconds: FloatArray, left: Leftover, frequency: float) -> Tone:
+    """The strongest line within a third of a cycle over the record of a frequency in Hz."""
+    width = _FIRST_WIDTH / float(seconds[-1] - seconds[0])
+    for steps in (3, 1, 1):
+        tried = frequency + width * np.arange(-steps, steps + 1) / steps
+        found = [_explained(seconds, left, f) for f in tried]
+        place = int(np.argmax([energy for energy, _ in found]))
+        frequency, width = _top(tried, [energy for energy, _ in found], place), 0.3 * width
+    explained, rank = _explained(seconds, left, frequency)
     if not rank or left.degrees < rank + 10:
         return Tone(frequency, 0.0, 0.0)
     spare = left.degrees - rank
@@ -77,9 +88,14 @@ def _peak(seconds: FloatArray, series: FloatArray) -> float | None:
     return float(frequencies[allowed][np.argmax(power[allowed])])
 
 
-def _around(frequency: float, seconds: FloatArray) -> FloatArray:
-    width = 0.35 / float(seconds[-1] - seconds[0])
-    return np.asarray(frequency + width * np.linspace(-1, 1, 7))
+def _top(frequencies: FloatArray, energies: list[float], place: int) -> float:
+    """The top of the parabola through the best of some frequencies and its neighbours."""
+    if not 0 < place < len(energies) - 1:
+        return float(frequencies[place])
+    low, middle, high = energies[place - 1 : place + 2]
+    bend = low + high - 2.0 * middle
+    move = 0.5 * (low - high) / bend if bend < 0 else 0.0
+    return float(frequencies[place] + move * (frequencies[1] - frequencies[0]))
 
 
 def _explained(seconds: FloatArray, left: Leftover, frequency: float) -> tuple[float, int]:

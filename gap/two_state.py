@@ -2,7 +2,8 @@
 
 Two levels and a price for each switch (Viterbi's algorithm), in turn with the field vector (least squares in
 whitened units). Any slow signal can be cut into two levels, so the sequence is only called a heater's if its dwell
-times are more regular than those of a random telegraph with as many switches, apart in sun and shadow.
+times are regular, apart in sun and shadow (and more so than those of a random telegraph with as many switches), if no
+place gives them, and if the field is flat between the switches and one in body axes wherever the orbit goes.
 """
 
 from __future__ import annotations
@@ -16,7 +17,16 @@ from fluxtwin.gap.conditions import lit
 from fluxtwin.gap.evidence import Fit, Leftover, Whitens, leftover
 from fluxtwin.gap.flexible import FlexibleFinding
 from fluxtwin.gap.left import drift
-from fluxtwin.gap.tones import Tone
+from fluxtwin.gap.own_shape import (
+    drivers,
+    follows_place,
+    gains,
+    halves,
+    irregular,
+    varies,
+    within_dwells,
+)
+from fluxtwin.gap.tones import Tone, tone_columns
 from fluxtwin.sim.effects.heater_switching import HeaterSwitching
 from fluxtwin.sim.signal import Setting
 from fluxtwin.sim.types import BoolArray, FloatArray
@@ -26,6 +36,9 @@ _FEWEST_SWITCHES = 6
 _LOG_CERTAIN = 10.0
 _TELEGRAPHS = 400
 _REGULAR_P = 0.01
+_FLAT_P = 1e-3
+_LEAST_BENT, _LEAST_LINE = 0.05, 0.02
+"""Shares; of a sine cut into two levels the bends have 6 % or more, and the line beside the levels 4 % or more."""
 _SEED = 20
 _DRIFT_P = -4.0
 _LONGEST = 200_000  # rows; the search walks through them one by one
@@ -41,7 +54,8 @@ def heater_sequence(
 ) -> FlexibleFinding | None:
     """Look for a two-state sequence in a residual (N, 3), fitted columns (N, 3, q); None where there is none.
 
-    rivals: block fits, tone: the strongest line; the sequence must be worth more than each after its price.
+    rivals: block fits, none of which may be worth as much as the sequence after its price. tone: the strongest line,
+    of which nothing may be left beside the sequence.
     """
     rows = residual_nT.shape[0]
     if not 60 <= rows <= _LONGEST:
@@ -63,12 +77,13 @@ def heater_sequence(
     worth = 0.5 * gain / variance - price - 1.5 * np.log(rows)
     if worth < _LOG_CERTAIN:
         return None
-    faults = _rivals(gain, variance, price, rows, rivals, tone)
+    faults = _rivals(gain, variance, price, rows, rivals)
     if _regularity(setting, on) > _REGULAR_P:
         faults.append("it switches as irregularly as a random telegraph")
     sunlit = lit(setting) > 0.5
     if abs(np.mean(on == sunlit) - 0.5) > 0.45:
         faults.append("it follows the sunlight")
+    faults += _not_a_heater(setting, left, on, sunlit, tone)
     rest = leftover(whitener, residual_nT, np.concatenate([fitted, columns], axis=2))
     if drift(rest) < _DRIFT_P:
         faults.append("slow structure is left beside it")
@@ -79,6 +94,31 @@ def heater_sequence(
     )
     instance = HeaterSwitching(tuple(int(state) for state in on))
     return FlexibleFinding("heater_switching", parameters, float(np.exp(-worth)), not faults, words, instance)
+
+
+def _not_a_heater(setting: Setting, left: Leftover, on: BoolArray, sunlit: BoolArray, tone: Tone | None) -> list[str]:
+    """One field in body axes, flat while on and while off; dwell times that a place does not give."""
+    faults = irregular(setting.seconds, on, sunlit)
+    place = follows_place(setting, on)
+    if place is not None:
+        faults.append(f"it can be told from {place}")
+    columns = on.astype(float)[:, None, None] * np.eye(3)
+    faults += varies(left, columns, {**halves(setting), **drivers(setting)})
+    bends = within_dwells(on)
+    both = np.concatenate([bends * on[:, None], bends * ~on[:, None]], axis=1)
+    spread = (np.eye(3)[None, :, :, None] * both[:, None, None, :]).reshape(on.size, 3, -1)
+    if _more(left, columns, spread, _LEAST_BENT):
+        faults.append("it is not flat between the switches")
+    # Two levels in turn have a strong line too, but beside the levels nothing of it is left.
+    if tone is not None and _more(left, columns, tone_columns(setting.seconds, tone.frequency_Hz), _LEAST_LINE):
+        faults.append("it is a line that was cut")
+    return faults
+
+
+def _more(left: Leftover, columns: FloatArray, others: FloatArray, least: float) -> bool:
+    """Whether others certainly explain something beside the columns, and more than a share."""
+    p, share = gains(left, columns, np.concatenate([columns, others], axis=2))
+    return p < _FLAT_P and share > least
 
 
 def _sequence(left: Leftover, whitener: Whitens, residual_nT: FloatArray, fitted: FloatArray) -> BoolArray:
@@ -140,9 +180,7 @@ def _path(gain: FloatArray, price: float) -> BoolArray:
     return on
 
 
-def _rivals(
-    gain: float, variance: float, price: float, rows: int, rivals: Sequence[Fit], tone: Tone | None
-) -> list[str]:
+def _rivals(gain: float, variance: float, price: float, rows: int, rivals: Sequence[Fit]) -> list[str]:
     mine = gain / variance - 2 * price
     faults = []
     for one in rivals:
@@ -150,8 +188,6 @@ def _rivals(
         if float(explained.sum()) / variance - explained.size * np.log(rows) > mine:
             faults.append(f"{one.block.label} does as well")
             break
-    if tone is not None and tone.explained / variance - 8 * np.log(rows) > mine:
-        faults.append("a line does as well")
     return faults
 
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fluxtwin.gap.candidates import settings_of
+from fluxtwin.gap.closure import Closure, Stochastic
 from fluxtwin.gap.flexible import FlexibleFinding
 from fluxtwin.gap.named import Named
 from fluxtwin.gap.places import place_of
-from fluxtwin.gap.records import Closure, Diagnosis, EffectParameter, FoundEffect, Place, Shrinkage
+from fluxtwin.gap.records import Alone, Diagnosis, EffectParameter, FoundEffect, GapSeries, Place, Shrinkage
+from fluxtwin.gap.stochastic import expected
 from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.signal import Setting
@@ -26,7 +29,8 @@ _OWN_AXIS = 0.8
 
 def assemble(work: Work, provenance: Mapping[str, Any], *, without_attitude: int) -> Diagnosis:
     """The diagnosis of a finished investigation."""
-    confirmed = [one for one in work.flexible if one.confirmed]
+    known = [one for one in work.flexible if one.confirmed and expected(one, work.problem.frozen)]
+    confirmed = [one for one in work.flexible if one.confirmed and one not in known]
     structured = work.left.structured
     share = work.found.explained_share
     carried = share is not None and share >= CARRIED
@@ -38,7 +42,8 @@ def assemble(work: Work, provenance: Mapping[str, Any], *, without_attitude: int
     unexplained = bool(work.found.resembles) or (structured and not stands)
     verdict = "unknown" if unexplained else "effect" if effects else "no_gap"
     resembles = _resembles(work, verdict)
-    gap = _gap(work.shrinkage, verdict, bool(effects), incomplete=stands and structured)
+    shrunk, series = _without_known(work.shrinkage, work.series, known, bool(effects))
+    gap = _gap(shrunk, verdict, bool(effects), incomplete=stands and structured)
     where = _where(work, effects)
     return Diagnosis(
         verdict=verdict,
@@ -57,22 +62,49 @@ def assemble(work: Work, provenance: Mapping[str, Any], *, without_attitude: int
         },
         provenance=dict(provenance),
         sentence=_sentence(verdict, effects, where, gap, resembles, work.left.words),
-        series=work.series,
-        closure=_closure(work, named if stands else [], confirmed),
+        series=series if effects else replace(series, after_nT=series.before_nT),
+        ranking=[Alone(line.name, line.drop, line.rank, line.p_value) for line in work.found.ranking],
+        closure=_closure(work, named if stands else [], confirmed, _incomplete(verdict, stands and structured)),
     )
 
 
-def _closure(work: Work, named: Sequence[Named], confirmed: Sequence[FlexibleFinding]) -> Closure:
-    """Effects with parameters and covariance, and the calibration that was re-estimated beside them."""
-    effects: list[tuple[Any, Any, Any]] = [(one.effect, one.theta, one.covariance) for one in named]
+def _incomplete(verdict: str, left: bool) -> str | None:
+    """Why the named effects are not the whole gap, for whoever simulates with them."""
+    if verdict == "unknown":
+        return "something is left that the catalogue does not explain"
+    return "the shape is not complete: something smaller is left" if left else None
+
+
+def _closure(
+    work: Work, named: Sequence[Named], confirmed: Sequence[FlexibleFinding], incomplete: str | None
+) -> Closure:
+    """Effects with parameters, what was re-estimated beside them, and what might stand in their place."""
+    stochastic = []
     for finding in confirmed:
         effect = finding.instance if finding.instance is not None else find_effect(finding.effect)
         known = [finding.parameters.get(parameter.name) for parameter in effect.parameters]
         values = np.array([0.0 if entry is None else entry[0] for entry in known])
-        effects.append((effect, values, None))
-    theta = {effect.name: values for effect, values in work.found.modelled}
-    S = np.asarray(theta.get("scale_misalignment", np.zeros(9))).reshape(3, 3)
-    return Closure(effects, S, np.asarray(theta.get("bias", np.zeros(3))))
+        sigmas = np.array([np.nan if entry is None else entry[1] for entry in known])
+        stochastic.append(Stochastic(effect, values, sigmas))
+    return Closure(
+        problem=work.problem,
+        whitener=work.whitener,
+        modelled=work.found.modelled if named else work.found.modelled_alone,
+        chosen=tuple((one.effect, one.theta) for one in named),
+        alternatives=tuple(_alternatives(work, one) for one in named),
+        stochastic=tuple(stochastic),
+        variance=work.found.variance,
+        tested=work.found.tested,
+        incomplete=incomplete,
+    )
+
+
+def _alternatives(work: Work, one: Named) -> tuple[SignalEffect, ...]:
+    """Other settings of a named effect, its group and its rivals. A clip's settings are but places to linearise at."""
+    names = {*one.group, *(name for name, _ in one.rivals)} - {other.name for other in work.found.named}
+    own = {one.name} if one.name != "saturation" else set()
+    found = [candidate.effect for candidate in work.found.candidates if candidate.name in names | own]
+    return tuple(effect for effect in found if effect != one.effect)
 
 
 def _found(one: Named, setting: Setting) -> FoundEffect:
@@ -92,7 +124,7 @@ def _found(one: Named, setting: Setting) -> FoundEffect:
         parameters=parameters,
         settings=settings_of(one.effect),
         stage=one.effect.stage,
-        axis=axis if shares[axis] >= _OWN_AXIS else "all",
+        axis=None if np.isnan(shares["x"]) else axis if shares[axis] >= _OWN_AXIS else "all",
         frame=place.frame,
         condition=place.condition,
         significance=one.p_value,
@@ -108,7 +140,7 @@ def _flexible(one: FlexibleFinding, setting: Setting) -> FoundEffect:
         name=one.effect,
         group=(one.effect,),
         rivals=(),
-        probability=float(np.clip(1.0 - one.p_value, 0.5, 0.999)),
+        probability=one.probability,
         parameters={
             name: EffectParameter(float(value), float(sigma) if np.isfinite(sigma) else None, unit)
             for name, (value, sigma, unit) in one.parameters.items()
@@ -153,6 +185,19 @@ def _where(work: Work, effects: Sequence[FoundEffect]) -> Place:
     )  # fmt: skip
 
 
+def _without_known(
+    gap: Shrinkage, series: GapSeries, known: Sequence[FlexibleFinding], named: bool
+) -> tuple[Shrinkage, GapSeries]:
+    """Noise that the scenario has already belongs to the floor; where nothing else is named there is no before."""
+    if not known:
+        return gap, series
+    lifted = replace(gap, floor_nT=gap.floor_with_effects_nT)
+    if named:
+        return lifted, series
+    per_axis = {axis: {**values, "before_nT": values["after_nT"]} for axis, values in gap.per_axis.items()}
+    return replace(lifted, before_nT=gap.after_nT, per_axis=per_axis), replace(series, before_nT=series.after_nT)
+
+
 def _gap(gap: Shrinkage, verdict: str, named: bool, *, incomplete: bool) -> Shrinkage:
     after = gap.after_nT if named and verdict != "no_gap" else gap.before_nT
     measured = named and verdict != "no_gap"
@@ -181,12 +226,23 @@ def _sentence(
     parts = []
     for effect in effects:
         name = " or ".join(effect.group) or effect.name
-        sizes = ", ".join(f"{key} {value.value:.3g} {value.unit}" for key, value in list(effect.parameters.items())[:3])
-        parts.append(f"{name} ({sizes})")
-    closed = "how far it closes the gap cannot be measured here"
-    if gap.closed is not None:
-        closed = (
-            f"it takes the gap from {gap.before_nT:.1f} to {gap.after_nT:.1f} nT and closes {100 * gap.closed:.0f} %"
+        known = [item for item in effect.parameters.items() if item[1].sigma is not None]
+        sizes = ", ".join(
+            f"{key} {value.value:.3g}{'' if value.unit == '1' else f' {value.unit}'}"
+            for key, value in (known or list(effect.parameters.items()))[:3]
         )
+        parts.append(f"{name} ({sizes})")
     rest = " Its shape is not complete: something smaller is left." if gap.shape_incomplete else ""
-    return f"The gap is {' and '.join(parts)}; {closed}.{rest}"
+    return f"The gap is {' and '.join(parts)}; {_closed_words(effects, gap)}.{rest}"
+
+
+def _closed_words(effects: Sequence[FoundEffect], gap: Shrinkage) -> str:
+    if all(effect.name == "bit_errors" for effect in effects) and gap.closed is None:
+        return "the spoilt readings are cut, and count neither before nor after"
+    if gap.closed is None:
+        return "how far it closes the gap cannot be measured here"
+    share = f"closes {100 * gap.closed:.0f} %"
+    if gap.after_nT == gap.before_nT:
+        expected_nT = gap.floor_with_effects_nT
+        return f"with it {expected_nT:.1f} nT of noise are expected where {gap.before_nT:.1f} are left: it {share}"
+    return f"it takes the gap from {gap.before_nT:.1f} to {gap.after_nT:.1f} nT and {share}"

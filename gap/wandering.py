@@ -14,7 +14,7 @@ from scipy import stats
 from scipy.special import logsumexp
 
 from fluxtwin.gap.blocks import Block
-from fluxtwin.gap.evidence import Leftover
+from fluxtwin.gap.evidence import Dictionary, Leftover
 from fluxtwin.gap.flexible import FlexibleFinding
 from fluxtwin.sim.effects.bias_random_walk import BiasRandomWalk
 from fluxtwin.sim.types import FloatArray
@@ -134,11 +134,12 @@ def _follows(
     """The block that explains most of what the walk left of itself, and its p-value after the price of them all."""
     z, scale, into = reduced
     best, tests = ("", 1.0), 0
-    for block in found:
+    dictionary = found if isinstance(found, Dictionary) else Dictionary(found, left.residual.size // 3)
+    # The columns are free of what was fitted, so their products with the blocks are those with the blocks freed of it.
+    for block, product in zip(found, dictionary.products(left, columns @ into), strict=True):
         if len(block.axes) > 12 or block.condition in ("time", "after_time"):
             continue
-        free, _ = left.project(block.make())
-        x = (into.T @ (columns.T @ free)) / scale[:, None]
+        x = product.T / scale[:, None]
         u, s, _ = np.linalg.svd(x, full_matrices=False)
         live = s > 1e-5 * s[0] if s[0] > 0 else s > 0
         if not live.any():

@@ -105,8 +105,8 @@ def where(
     the whole gap is asked for. found: blocks made before. candidates: catalogue effects, which join as hypotheses.
     """
     left = leftover(whitener, residual_nT, fitted)
-    known = [*(blocks(problem) if found is None else found), *catalogue_blocks(problem, candidates)]
-    return locate(left, [*fit_all(known, left), *step_fits(problem, left)])
+    fits = fit_all(blocks(problem) if found is None else found, left)
+    return locate(left, [*fits, *fit_all(catalogue_blocks(problem, candidates), left), *step_fits(problem, left)])
 
 
 def step_fits(problem: Problem, left: Leftover) -> list[Fit]:

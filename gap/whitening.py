@@ -12,10 +12,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from fluxtwin.gap.without_attitude import RowAxes
 from fluxtwin.sim.types import FloatArray
+
+_MARGIN = 50.0
+_LARGEST_SHARE = 0.05
+
+Precise = NDArray[Any]
+"""Single or double precision."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +53,16 @@ class NoiseModel:
         return self.sigma_nT * np.asarray(self.axis_factor)
 
 
+def share_of_errors(theta_rad: float | None, least: float) -> float:
+    """Share of its energy that an image must have left beside others to be more than attitude error.
+
+    An image made with attitudes that are off by theta is off by theta of its length. Where others make up all but a
+    share of theta**2 of it, what is left is that error, which the residual has too: such directions are passed over.
+    The factor covers errors that smoothing leaves in many rows.
+    """
+    return least if theta_rad is None else float(np.clip(_MARGIN * theta_rad**2, least, _LARGEST_SHARE))
+
+
 @dataclass(frozen=True, eq=False)
 class Whitener:
     """The linear map that whitens; N rows. Made by `make_whitener`."""
@@ -57,6 +76,8 @@ class Whitener:
     """(N, 3) weight of each component; 0: not measured, its row of the result is zero and it moves no state."""
     log_det: float
     """log determinant of the covariance of the measured components [nT**2]."""
+    axes: RowAxes | None = None
+    """Turns columns in body axes into the axes in which the rows are judged; None: those are the body axes."""
 
     @property
     def measured(self) -> int:
@@ -79,6 +100,12 @@ class Whitener:
             out[...] = result.reshape(out.shape)
         return out
 
+    def apply_as_it_is(self, columns: Precise) -> Precise:
+        """Whiten a contiguous (N, 3, P) that is in the rows' own axes already; single precision stays single."""
+        out = np.empty_like(columns)
+        self._whiten(0, np.zeros((3, columns.shape[2])), columns, out)
+        return out
+
     def stream(self, chunks: Iterable[FloatArray]) -> Iterator[FloatArray]:
         """Whiten consecutive chunks of rows, each (n, 3, P), the filter carried from one to the next.
 
@@ -94,10 +121,12 @@ class Whitener:
             row += columns.shape[0]
             yield done
 
-    def _whiten(self, row: int, state: FloatArray, columns: FloatArray, out: FloatArray) -> None:
+    def _whiten(self, row: int, state: FloatArray, columns: Precise, out: Precise) -> None:
         from fluxtwin.gap.noise_kernels import whiten
 
         rows = slice(row, row + columns.shape[0])
+        if self.axes is not None:
+            columns = self.axes.judged(columns, row)
         ratio = self.noise.theta_rad / self.noise.sigma_nT
         whiten(self.field_B_nT[rows], self.gains[rows], self.noise.sigma_nT, ratio, state, columns, out)
 
@@ -108,23 +137,27 @@ def make_whitener(
     segment: FloatArray,
     noise: NoiseModel,
     weights: FloatArray | None = None,
+    axes: RowAxes | None = None,
 ) -> Whitener:
     """The whitening of one noise model on one design.
 
     field_B_nT (N, 3) predicted field in reported body axes; seconds (N,) increasing; segment (N,): where it
     changes, nothing is known of the attitude error any more; weights (N,) or (N, 3): the white variance of a
-    component is sigma**2 / weight, 0 for one that is to be passed over.
+    component is sigma**2 / weight, 0 for one that is to be passed over. axes: where rows have no attitude, the axes
+    of field and weights; what is whitened is given in body axes all the same.
     """
     from fluxtwin.gap.noise_kernels import GAIN_COLUMNS, fill_gains
 
     field = np.ascontiguousarray(field_B_nT, dtype=np.float64)
     full = full_weights(weights, field.shape[0]) / np.square(noise.axis_factor)
+    if axes is not None:
+        full = np.ascontiguousarray(np.where(axes.measured, full, 0.0))
     gains = np.empty((field.shape[0], GAIN_COLUMNS))
     ratio = noise.theta_rad / noise.sigma_nT
     seconds, segment = (np.ascontiguousarray(v, dtype=np.float64) for v in (seconds, segment))
     log_det = fill_gains(field, seconds, segment, full, ratio, float(noise.tau_s), gains)
     log_det += 2.0 * float(np.log(noise.sigma_nT)) * int((full > 0).sum())
-    return Whitener(field, gains, noise, full, float(log_det))
+    return Whitener(field, gains, noise, full, float(log_det), axes)
 
 
 def full_weights(weights: FloatArray | None, rows: int) -> FloatArray:

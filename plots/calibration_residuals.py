@@ -17,29 +17,32 @@ _HISTOGRAM_SIGMAS = 4.0
 
 @dataclass(frozen=True)
 class CalibrationResiduals:
-    """Residuals A B0 - [(I+S) B + b + T D] of N samples, body axes."""
+    """Residuals A B0 - [(I+S) B + b + T D] of N samples, body axes; or of |B|, one column."""
 
     time: TimeArray
     """(N,) UTC."""
     residual_B_nT: FloatArray
-    """(N, 3)."""
+    """(N, 3), or (N, 1) for residuals of |B|."""
     sigma_nT: float
     """The sigma that the calibration states for one component."""
 
 
 def draw_calibration_residuals(record: CalibrationResiduals, *, title: str) -> Figure:
-    """Three rows, one a component: the series on the left, its histogram and the stated normal on the right."""
-    figure, grid = style.figure(7.2, 5.4, rows=3, cols=2, share_x=True, width_ratios=[3, 1])
+    """One row a component: the series on the left, its histogram and the stated normal on the right."""
+    rows = record.residual_B_nT.shape[1]
+    height = 0.9 + 1.5 * rows
+    figure, grid = style.figure(7.2, height, rows=rows, cols=2, share_x=True, width_ratios=[3, 1])
     style.heading(figure, title)
     along, name = _abscissa(record.time)
     for axis, (left, right) in enumerate(grid):
         series = record.residual_B_nT[:, axis]
         style.zero_line(left)
         left.plot(along, series, ".", markersize=3, color=style.AXIS_COLOURS[axis])
-        style.label(left, y=f"{'xyz'[axis]} [nT]", x=name if axis == 2 else None)
+        quantity = "|B|" if rows == 1 else "xyz"[axis]
+        style.label(left, y=f"{quantity} [nT]", x=name if axis == rows - 1 else None)
         _histogram(right, series, record.sigma_nT, style.AXIS_COLOURS[axis])
         style.note(right, f"rms {np.sqrt(np.mean(series**2)):.0f} nT")
-    style.label(grid[2][1], x="residual [nT]")
+    style.label(grid[-1][1], x="residual [nT]")
     return figure
 
 

@@ -33,7 +33,6 @@ def draw_where(diagnosis: Diagnosis) -> Figure:
         axes = grid[place // 2][place % 2]
         _bars(axes, chosen[name], rows[place // 2])
         style.label(axes, x="probability [%]" if place > 1 else None, title=name)
-    style.heading(figure, "Where the gap lies")
     return figure
 
 
@@ -73,7 +72,7 @@ def draw_which(diagnosis: Diagnosis) -> Figure:
     for bar, (*_, named) in zip(axes.patches, rows, strict=True):
         if not named:
             bar.set(facecolor=style.ORANGE, hatch="///", edgecolor="white")
-    style.label(axes, x="probability [%]", title="Which effect causes it")
+    style.label(axes, x="probability [%]")
     return figure
 
 

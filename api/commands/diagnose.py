@@ -74,18 +74,14 @@ def command(
             degree=degree,
             progress=progress,
         )
-        title = f"The gap: {telemetry.name}"
-        page = None if html is None else render_report(diagnosis_page.diagnosis_page(diagnosis, title))
         scene = None
         if close is not None:
-            scene = diagnosing.closed(
-                diagnosis,
-                scenario=scenario,
-                telemetry=telemetry,
-                column_map=column_map,
-                noise_nT=noise_nt,
-                lsb_nT=lsb_nt,
+            declared = diagnosing.Declared(noise_nt, lsb_nt, attitude_sigma_deg, attitude_tau_s, field, degree)
+            diagnosis, scene = diagnosing.closed(
+                diagnosis, scenario=scenario, telemetry=telemetry, column_map=column_map, declared=declared
             )
+        title = f"The gap: {telemetry.name}"
+        page = None if html is None else render_report(diagnosis_page.diagnosis_page(diagnosis, title))
         if html is not None and page is not None:
             write_text(html, page)
         if close is not None and scene is not None:

@@ -15,7 +15,7 @@ BRIEF = "A whole study: tables, figures, report.html, summary.json."
 
 
 def command(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="The study: seasat or flight-field.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="The study: seasat, hcmm or flight-field.")],
     data: Annotated[
         Path | None,
         typer.Option("--data", metavar="DIR", help="Folder of recorded data, for flight studies."),

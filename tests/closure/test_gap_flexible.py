@@ -115,6 +115,46 @@ def test_none_is_named_for_what_is_not_in_the_list(bench: Bench) -> None:
         assert bench.confirmed(signal, 100 + number) == set(), name
 
 
+@pytest.mark.parametrize(("period_s", "share", "nT"), [(900.0, 0.4, 60.0), (1500.0, 0.4, 45.0)])
+def test_a_weak_regular_heater_is_named_for_all_its_strong_line(
+    bench: Bench, period_s: float, share: float, nT: float
+) -> None:
+    on = bench.problem.setting.seconds % period_s < share * period_s
+    assert bench.confirmed(2.0 * nT * np.outer(on, [1.26, 0.63, -1.0]), 51) == {"heater_switching"}
+
+
+@pytest.mark.parametrize(
+    ("shape", "period_s", "nT"),
+    [("sine", 900.0, 120.0), ("sine", 2100.0, 60.0), ("triangle", 2100.0, 120.0), ("clipped", 900.0, 120.0)],
+)
+def test_a_wave_cut_into_two_levels_is_no_heater(bench: Bench, shape: str, period_s: float, nT: float) -> None:
+    phase = bench.problem.setting.seconds / period_s
+    wave = {
+        "sine": np.cos(2 * np.pi * phase),
+        "triangle": 4.0 * np.abs(phase % 1.0 - 0.5) - 1.0,
+        "clipped": np.clip(1.6 * np.cos(2 * np.pi * phase), -1.0, 1.0),
+    }[shape]
+    assert bench.confirmed(nT * np.outer(wave, [1.26, 0.63, -1.0]), 52) == set()
+
+
+def test_a_piece_of_something_else_is_neither_wheel_nor_heater(bench: Bench) -> None:
+    """A wrong clock, currents over the polar caps, packets that hold the reading before: each has a two-state or a
+    line-like part, but no one field in body axes."""
+    problem = bench.problem
+    t, rows = problem.setting.seconds, problem.rows
+    slope = np.gradient(problem.field_B_nT, t, axis=0)
+    clock = 15.0 * ((t / 2500.0) % 1.0)[:, None] * slope
+    latitude = np.degrees(problem.setting.latitude_rad)
+    caps = np.exp(-0.5 * ((np.abs(latitude) - 68.0) / 3.0) ** 2)[:, None]
+    east = problem.setting.given[2].apply(np.cross([0.0, 0.0, 1.0], problem.setting.given[0] / 2500.0))
+    rng = np.random.default_rng(53)
+    held = np.convolve(rng.random(rows) < 0.05, np.ones(3))[:rows] > 0
+    stale = np.where(held[:, None], -45.0 * slope, 0.0)
+    for number, signal in enumerate((clock, 1200.0 * caps * east, stale)):
+        assert np.sqrt(np.mean(signal**2)) > SIGMA_NT
+        assert not bench.confirmed(signal, 200 + number) & {"wheel_field", "heater_switching"}
+
+
 def test_size_of_a_walk_and_of_a_wheel(bench: Bench) -> None:
     t, setting = bench.problem.setting.seconds, bench.problem.setting
     rng = np.random.default_rng(31)
@@ -137,7 +177,7 @@ def test_size_of_a_walk_and_of_a_wheel(bench: Bench) -> None:
 
 def _codes(bench: Bench, lsb: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
-    predicted = bench.problem.predicted_nT
+    predicted = bench.problem.chain.reading_nT([*bench.problem.frozen, *bench.problem.modelled_active])
     noisy = predicted + SIGMA_NT * rng.standard_normal(predicted.shape)
     return lsb * np.rint(noisy / lsb), predicted
 

@@ -118,7 +118,8 @@ class Design:
         theta = rng.standard_normal(len(parameters)) * candidate.scale
         theta = np.where([parameter.low == 0.0 for parameter in parameters], np.abs(theta), theta)
         for _ in range(3):
-            signal = self.problem.chain.reading_nT([(candidate.effect, theta)]) - self.problem.predicted_nT
+            chain = self.problem.chain
+            signal = chain.reading_nT([(candidate.effect, theta)]) - chain.reading_nT(self.problem.modelled_active)
             white = self.whitener.apply(signal)[:, :, None]
             seen = visible_part(signal[:, :, None], white, self.problem.nuisance, self.begun.base.jacobian)
             theta = theta * visible_nT / np.sqrt(np.mean(seen**2))

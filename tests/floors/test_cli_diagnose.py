@@ -51,7 +51,7 @@ FLAGS = ("--noise-nT", 30, "--lsb-nT", 10, "--attitude-sigma-deg", 0.05)
 # The keys of the contract, written down a second time on purpose: the schema is not its own witness.
 TOP = {
     "verdict", "effects", "resembles", "where", "gap", "modelled", "untestable", "isolability", "minimum_detectable",
-    "samples", "provenance",
+    "samples", "provenance", "ranking", "transfers",
 }  # fmt: skip
 EFFECT = {
     "name", "group", "rivals", "probability", "parameters", "stage", "axis", "frame", "condition", "significance",
@@ -148,7 +148,9 @@ def test_the_page_stands_alone_and_answers_the_questions(late: Case) -> None:
     page = (late.folder / "a.html").read_text(encoding="utf-8")
     for words in ("Where the gap lies", "Which effect causes it", "How far it shrinks", "What could not be tested"):
         assert f">{words}</h2>" in page
-    assert page.count("data:image/png;base64,") == 4
+    rivals = any(effect["rivals"] for effect in late.answer["effects"])
+    assert page.count("data:image/png;base64,") == 3 + rivals  # one bar alone is no figure
+    assert ">Where the closed scenario holds</h2>" in page
     assert "http" not in page.replace("http-equiv", "")
     assert "the state of the heater in the telemetry" in page  # what would settle an untestable effect
     assert late.answer["would_settle"]["eddy_current"].startswith("for ")
@@ -167,6 +169,29 @@ def test_the_closed_scenario_simulates_and_closes_the_gap(late: Case, cli: Calla
     # two draws of the reading's noise, one attitude error of 0.05 deg in about 30,000 nT, fitted parameters
     assert rms < 1.2 * np.sqrt(2 * (30.0**2 + 10.0**2 / 12) + (np.radians(0.05) * 30_000.0) ** 2)
     assert rms < 0.7 * late.answer["gap"]["before_nT"]
+
+
+def test_the_closed_scenario_says_for_which_designs_it_is_good_enough(late: Case, cli: Callable[..., Any]) -> None:
+    said = late.answer["transfers"]
+    assert {one["effect"] for one in said} == {"time_tag_offset"}
+    assert [one["design"] for one in said][:3] == ["nadir, 12 h later", "nadir, 90 days later", "nadir, 182 days later"]
+    assert all(one["why"] for one in said if not one["transfers"])
+    written = load_scenario(late.folder / "closed.toml").closure
+    assert written is not None and written.telemetry == "late.csv" and written.rows == len(late.record)
+    assert [one.transfers for one in written.transfer] == [one["transfers"] for one in said]
+    unasked = json.loads(cli("diagnose", late.telemetry, *FLAGS, "--json", "-").out)
+    assert unasked["transfers"] is None
+    assert unasked["ranking"][0]["name"] in {"time_tag_offset", "sensor_lag"}
+
+
+def test_a_key_of_the_closure_table_that_does_not_exist_is_named(
+    late: Case, tmp_path: Path, cli: Callable[..., Any]
+) -> None:
+    text = (late.folder / "closed.toml").read_text(encoding="utf-8").replace("[closure]\n", "[closure]\nrow = 3\n")
+    (tmp_path / "wrong.toml").write_text(text, encoding="utf-8")
+    outcome = cli("simulate", tmp_path / "wrong.toml", "--out", tmp_path / "x.csv")
+    assert outcome.status == 2
+    assert "closure.row" in outcome.err and "rows" in outcome.err
 
 
 def test_the_scenario_with_the_effect_has_no_gap_left(late: Case, cli: Callable[..., Any]) -> None:
@@ -242,13 +267,21 @@ def test_too_few_rows_says_how_many_are_needed(late: Case, broken: Callable[...,
     assert "at least 24 are needed" in outcome.err  # 12 parameters and 30 to spare, three a row, and ten more
 
 
-def test_no_position_and_no_attitude(late: Case, broken: Callable[..., Any]) -> None:
+def test_no_position(late: Case, broken: Callable[..., Any]) -> None:
     placeless = broken(late.record.replace(r_N_km=None, v_N_km_s=None))
     assert placeless.status == 2
     assert "no position" in placeless.err
-    blind = broken(late.record.replace(q_NB=None))
-    assert blind.status == 1
-    assert "rows without attitude cannot be diagnosed yet" in blind.err
+
+
+def test_a_record_without_any_attitude_is_diagnosed(late: Case, cli: Callable[..., Any], tmp_path: Path) -> None:
+    write_telemetry(late.record.replace(q_NB=None), tmp_path / "blind.csv")
+    outcome = cli("diagnose", tmp_path / "blind.csv", *FLAGS, "--json", "-")
+    assert outcome.status == 0
+    answer = json.loads(outcome.out)
+    check_contract(answer)
+    assert answer["samples"]["without_attitude"] == 401
+    assert answer["untestable"]["yaw_drift"] == "no row has a reference attitude"
+    assert "401 of 401 rows have no reference attitude" in outcome.err
 
 
 def test_numbers_and_folders_that_cannot_be(late: Case, cli: Callable[..., Any], tmp_path: Path) -> None:

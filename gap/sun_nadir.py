@@ -1,0 +1,285 @@
+"""A second channel: the measured angle between sun and nadir, which neither attitude nor magnetometer enters.
+
+A calibration against a reference attitude cannot tell a turned magnetometer from a turned reference: both are a rotation
+in S. The angle between measured sun and measured nadir depends on the attitude sensors alone. If it departs from the
+computed one, the fault is theirs; if it does not, a rotation in S is the magnetometer's, as far as the sensors' geometry
+lets it be seen: of a turn common to sun sensor and scanner the angle knows nothing, nor of a turn of a head about the
+normal of the plane across.
+
+Each hypothesis is fitted alone to measured less computed angles, by least squares; errors within a pass are taken as
+one, and passes must number at least eight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import f as fisher
+
+from fluxtwin.calib.covariance import make_blocks
+from fluxtwin.sim import epoch, frames, sun
+from fluxtwin.sim.errors import BadInput, NoAnswer
+from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.types import FloatArray
+
+FEWEST_PASSES = 8
+FALSE_ALARM = 0.01
+"""Of the whole channel; it is shared among the hypotheses."""
+LEAST_EXPLAINED = 0.02
+"""What explains less is not named: the rounding of a digital head repeats from pass to pass and looks like a fault."""
+_RIVAL = 0.9
+"""A hypothesis that explains this share of what the best does cannot be told from it."""
+_MEMORY_S = 150.0
+_MOST_ROWS = 100_000
+_STEP_RAD = 1e-5
+_NEAR_LINE = float(np.radians(3.0))
+_SEEN_RAD = float(np.radians(0.1))
+"""Directions of a hypothesis that would come out worse than this (1 sigma, white errors) are not estimated."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One fault of the attitude sensors and how well it explains the angles."""
+
+    name: str
+    """A name of the catalogue of effects."""
+    head: int | None
+    """Of a turned sun-sensor head its number."""
+    parameters: dict[str, tuple[float, float]]
+    """Value and sigma in deg by name: `turn_x` ... (sun as measured is the true one so turned), or `roll` ... (measured
+    less true). Only what the angle can see: along directions that it cannot see the value is zero."""
+    p_value: float
+    """That nothing of the kind is there, after the price of trying all hypotheses."""
+    explained: float
+    """Share of the mean square of the angles that it takes away."""
+    rms_left_deg: float
+
+    @property
+    def words(self) -> str:
+        """Its name, with the head."""
+        return self.name if self.head is None else f"{self.name} of head {self.head}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and text."""
+        return {
+            "name": self.name,
+            "head": self.head,
+            "parameters": {k: {"value": v, "sigma": s, "unit": "deg"} for k, (v, s) in self.parameters.items()},
+            "p_value": self.p_value,
+            "explained": self.explained,
+            "rms_left_deg": self.rms_left_deg,
+        }
+
+
+@dataclass(frozen=True)
+class SunNadir:
+    """What the channel says; N rows, P passes."""
+
+    rows: int
+    passes: int
+    rms_deg: float
+    """Measured less computed angle."""
+    hypotheses: tuple[Hypothesis, ...]
+    """Best first."""
+
+    @property
+    def named(self) -> Hypothesis | None:
+        """The best hypothesis if it is real, else None: the attitude sensors agree with each other."""
+        best = self.hypotheses[0]
+        return best if best.p_value < FALSE_ALARM and best.explained >= LEAST_EXPLAINED else None
+
+    @property
+    def rivals(self) -> tuple[Hypothesis, ...]:
+        """Others that explain nearly as much as the named one."""
+        if self.named is None:
+            return ()
+        least = _RIVAL * self.named.explained
+        return tuple(h for h in self.hypotheses[1:] if h.p_value < FALSE_ALARM and h.explained >= least)
+
+    @property
+    def words(self) -> str:
+        """One sentence."""
+        if self.named is None:
+            return (
+                f"sun and nadir agree to {self.rms_deg:.2f} deg in {self.passes} passes: no fault of one attitude "
+                "sensor "
+                "against the other is seen, so a rotation in S is the magnetometer's or common to both sensors"
+            )
+        others = "".join(f", or {other.words}, which cannot be told from it" for other in self.rivals)
+        return (
+            f"sun and nadir disagree by {self.rms_deg:.2f} deg; {self.named.words} explains "
+            f"{100 * self.named.explained:.0f} % of its square (p = {self.named.p_value:.1g}){others}: the reference "
+            "attitude is at fault, not the magnetometer"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and text for JSON."""
+        named = self.named
+        return {
+            "rows": self.rows,
+            "passes": self.passes,
+            "rms_deg": self.rms_deg,
+            "named": None if named is None else named.to_dict(),
+            "rivals": [other.words for other in self.rivals],
+            "hypotheses": [item.to_dict() for item in self.hypotheses],
+            "words": self.words,
+        }
+
+
+def weigh_sun_nadir(telemetry: Telemetry, *, passes: np.ndarray | None = None) -> SunNadir:
+    """Weigh a biased scanner (constant, and with latitude) and each turned head.
+
+    passes: (rows,) labels of stretches with a common error; where not given, gaps in time divide them, and in a record
+    with few gaps stretches of ten minutes are taken. Of a long record rows spread over all of it are used. Raises
+    BadInput where sun, nadir or position are absent, NoAnswer for fewer than eight passes with both.
+    """
+    rows = _rows(telemetry)
+    if rows.size > _MOST_ROWS:
+        rows = rows[np.linspace(0, rows.size - 1, _MOST_ROWS).astype(int)]
+    of_row = np.zeros(0, dtype=int)
+    if rows.size and passes is None:
+        of_row = make_blocks(telemetry.time[rows], _MEMORY_S).of_row
+    elif rows.size:
+        of_row = np.unique(np.asarray(passes)[rows], return_inverse=True)[1]
+    count = int(of_row.max()) + 1 if rows.size else 0
+    if count < FEWEST_PASSES:
+        raise NoAnswer(
+            f"{count} passes have measured sun and nadir; {FEWEST_PASSES} are needed to know their scatter",
+            evidence={"passes": count, "rows": int(rows.size)},
+        )
+    assert telemetry.sun_B is not None and telemetry.nadir_B is not None and telemetry.r_N_km is not None
+    r_N_km = np.array(telemetry.r_N_km)[rows]
+    sun_B, nadir_B = np.array(telemetry.sun_B)[rows], np.array(telemetry.nadir_B)[rows]
+    residual = _angle(sun_B, nadir_B) - _angle(sun.sun_direction_N(telemetry.time[rows], r_N_km), -r_N_km)
+    designs = _designs(telemetry, rows, sun_B, nadir_B, r_N_km)
+    found = [_weigh(key, names, J, residual, of_row, len(designs)) for key, (names, J) in designs.items()]
+    return SunNadir(
+        rows=int(rows.size),
+        passes=count,
+        rms_deg=float(np.degrees(np.sqrt(np.mean(residual**2)))),
+        hypotheses=tuple(sorted(found, key=lambda item: -item.explained if item.p_value < FALSE_ALARM else 1.0)),
+    )
+
+
+def note_on_attitude_sensors(telemetry: Telemetry) -> str | None:
+    """What a diagnosis should add when sun and nadir disagree; None when they agree or the channel is not there."""
+    if telemetry.sun_B is None or telemetry.nadir_B is None or telemetry.r_N_km is None:
+        return None
+    try:
+        found = weigh_sun_nadir(telemetry)
+    except NoAnswer:
+        return None
+    return None if found.named is None else found.words
+
+
+def _rows(telemetry: Telemetry) -> np.ndarray:
+    for name, columns in (("sun_B", "sun_x sun_y sun_z"), ("nadir_B", "nadir_x nadir_y nadir_z")):
+        if getattr(telemetry, name) is None:
+            raise BadInput("the record has no such columns", where=columns, wanted="measured unit vectors, body axes")
+    assert telemetry.sun_B is not None and telemetry.nadir_B is not None
+    good = np.isfinite(telemetry.sun_B).all(axis=1) & np.isfinite(telemetry.nadir_B).all(axis=1)
+    rows = np.flatnonzero(good & telemetry.has_position)
+    apart = _angle(np.array(telemetry.sun_B)[rows], np.array(telemetry.nadir_B)[rows])
+    return rows[(apart > _NEAR_LINE) & (apart < np.pi - _NEAR_LINE)]
+
+
+Key = tuple[str, int | None]
+Designs = dict[Key, tuple[tuple[str, ...], FloatArray]]
+
+
+def _designs(
+    telemetry: Telemetry, rows: np.ndarray, sun_B: FloatArray, nadir_B: FloatArray, r_N_km: FloatArray
+) -> Designs:
+    """Change of the angle per radian of each parameter of each hypothesis."""
+    x, y, z = nadir_B.T
+    angles = np.stack([np.arctan2(y, np.hypot(x, z)), np.arctan2(-x, z)], axis=1)
+    by_roll, by_pitch = (
+        (_angle(sun_B, _nadir(angles + _STEP_RAD * e)) - _angle(sun_B, _nadir(angles - _STEP_RAD * e)))
+        / (2 * _STEP_RAD)
+        for e in np.eye(2)
+    )
+    r_E_km = frames.rotation_EN(epoch.as_times(telemetry.time[rows])).apply(r_N_km)
+    latitude = frames.geocentric(r_E_km)[0]
+    shapes = {"": np.ones_like(latitude), "_sin": np.sin(latitude), "_cos2": np.cos(2.0 * latitude)}
+    scanner = [(f"roll{k}", by_roll * v) for k, v in shapes.items()]
+    scanner += [(f"pitch{k}", by_pitch * v) for k, v in shapes.items()]
+    designs: Designs = {
+        ("horizon_scanner_bias", None): (tuple(n for n, _ in scanner), np.stack([c for _, c in scanner], axis=1))
+    }
+    if telemetry.sun_sensor_head is None:
+        return designs
+    head = np.array(telemetry.sun_sensor_head)[rows]
+    turned = np.stack([_by_turn(sun_B, nadir_B, e) for e in np.eye(3)], axis=1)
+    for number in sorted({int(h) for h in head if h > 0}):
+        used = (head == number)[:, None]
+        designs["sun_sensor_head_misalignment", number] = (("turn_x", "turn_y", "turn_z"), np.where(used, turned, 0.0))
+    return designs
+
+
+def _by_turn(sun_B: FloatArray, nadir_B: FloatArray, axis: FloatArray) -> FloatArray:
+    step = _STEP_RAD * np.cross(axis, sun_B)
+    return np.asarray((_angle(sun_B + step, nadir_B) - _angle(sun_B - step, nadir_B)) / (2 * _STEP_RAD))
+
+
+def _weigh(
+    key: Key, names: tuple[str, ...], J: FloatArray, residual: FloatArray, of_row: np.ndarray, tried: int
+) -> Hypothesis:
+    """Fit by least squares in the directions that are seen, and Wald's test. The scatter comes from few passes, so the
+    statistic is Hotelling's."""
+    values, vectors = np.linalg.eigh(J.T @ J)
+    white = float(np.sqrt(np.mean(residual**2)))
+    seen = vectors[:, values > (white / _SEEN_RAD) ** 2]
+    if not seen.size:
+        return Hypothesis(key[0], key[1], dict.fromkeys(names, (0.0, 0.0)), 1.0, 0.0, float(np.degrees(white)))
+    A = J @ seen
+    inverse = np.linalg.inv(A.T @ A)
+    theta = inverse @ (A.T @ residual)
+    left = residual - A @ theta
+    touched = np.unique(of_row[(A != 0).any(axis=1)])
+    n, k = touched.size, A.shape[1]
+    if n <= k + 1:
+        covariance, p_value = np.zeros((len(names), len(names))), 1.0
+    else:
+        own = _jackknife(A, residual, of_row, touched, theta)
+        wald = float(theta @ np.linalg.solve(own, theta))
+        p_value = float(fisher.sf(wald * (n - k) / (k * (n - 1)), k, n - k))
+        covariance = seen @ own @ seen.T
+    estimate, sigma = seen @ theta, np.sqrt(np.abs(np.diag(covariance)))
+    return Hypothesis(
+        name=key[0],
+        head=key[1],
+        parameters={
+            name: (float(np.degrees(v)), float(np.degrees(s)))
+            for name, v, s in zip(names, estimate, sigma, strict=True)
+        },
+        p_value=min(1.0, p_value * tried),
+        explained=float(1.0 - np.mean(left**2) / np.mean(residual**2)),
+        rms_left_deg=float(np.degrees(np.sqrt(np.mean(left**2)))),
+    )
+
+
+def _jackknife(
+    A: FloatArray, residual: FloatArray, of_row: np.ndarray, passes: np.ndarray, theta: FloatArray
+) -> FloatArray:
+    """Covariance of theta with every pass left out once: right for errors that last a pass, and wide rather than narrow
+    where passes are few or unequal (MacKinnon & White 1985, Journal of Econometrics 29, 305)."""
+    N, b = A.T @ A, A.T @ residual
+    away = []
+    for number in passes:
+        part = A[of_row == number]
+        left = N - part.T @ part
+        away.append(np.linalg.lstsq(left, b - part.T @ residual[of_row == number], rcond=1e-10)[0] - theta)
+    shift = np.array(away)
+    return np.asarray((len(passes) - 1) / len(passes) * shift.T @ shift)
+
+
+def _nadir(angles: FloatArray) -> FloatArray:
+    roll, pitch = angles.T
+    return np.stack([-np.sin(pitch) * np.cos(roll), np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
+
+
+def _angle(a: FloatArray, b: FloatArray) -> FloatArray:
+    angle: FloatArray = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("ij,ij->i", a, b))
+    return angle

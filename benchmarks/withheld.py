@@ -1,0 +1,171 @@
+"""How often the diagnosis is right about effects that it has not been told.
+
+    python benchmarks/withheld.py [--population NAME ...] [--count N] [--jobs N] [--out DIR] [--chaos FILE]
+    python benchmarks/withheld.py --tune SEED ...     any other seed, on any tree; nothing is logged
+    python benchmarks/withheld.py --out DIR --score   score what is there again
+    ... --closing                                     and put the closed scenarios to the test: twin, loop, control
+    ... --rival                                       and let the rival answer the same questions
+
+A run makes its cases by forward models of its own, seals the answers and prints their SHA-256, puts the questions
+through `fluxtwin.diagnose`, then opens the answers and prints the table. Its seed is `int(sha[:12], 16)` of the
+commit; a tree that differs from the commit is refused; a row is added to benchmarks/withheld.log. Stopped runs go on
+where they were when started again with the same --out.
+"""
+
+# ruff: noqa: E402  (the thread counts must be set before numpy is loaded)
+from __future__ import annotations
+
+import os
+
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ[_variable] = "1"  # before numpy is loaded
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from datetime import UTC, datetime
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from withheld_cases import score, store
+from withheld_cases.ask import ask, ask_rival
+from withheld_cases.cases import PLAIN, POPULATIONS, identity
+from withheld_cases.control import wrong
+from withheld_cases.loop import again
+from withheld_cases.make import make
+from withheld_cases.outside import OUTSIDE, WHY
+from withheld_cases.shapes import SHAPES
+from withheld_cases.twins import judge
+
+from fluxtwin.sim import files
+
+ROOT = Path(__file__).resolve().parent.parent
+FROZEN = {
+    "nulls": 1000, "nulls_off": 400, "singles": 12 * len(PLAIN), "faint": 6 * len(PLAIN), "pairs": 300,
+    "triples": 150, "shapes": 12 * len(SHAPES), "outside": 12 * len(OUTSIDE),
+}  # fmt: skip
+"""Cases of a frozen run."""
+QUICK = {"tune": 1, "population": ["nulls", "singles"], "count": 1}
+
+Plan = list[tuple[str, int]]
+
+
+def main() -> int:
+    """Make, seal, ask, open, score."""
+    given = _arguments()
+    if given.list:
+        return _tell()
+    if given.quick:
+        with TemporaryDirectory() as folder:
+            _run(argparse.Namespace(**(vars(given) | QUICK | {"out": Path(folder)})))
+        return 0
+    return _run(given)
+
+
+def _run(given: argparse.Namespace) -> int:
+    sha, dirty = store.commit_of(ROOT)
+    if given.tune is None and not given.score and dirty:
+        raise SystemExit("the tree differs from the commit: commit first, or tune with --tune SEED")
+    seed = int(sha[:12], 16) if given.tune is None else given.tune
+    out = given.out or Path(f"withheld-{'tune' if given.tune is not None else sha[:12]}-results")
+    here = store.Store(out)
+    if given.score:
+        return _score(here, _identities(here))
+    plan = _plan(given.population, given.count)
+    here.prepared().agree({"seed": seed, "commit": None if given.tune is not None else sha, "chaos": given.chaos})
+    names = [identity(seed, *one) for one in plan]
+    _all("made", make, [(str(out), seed, *one, given.chaos) for one in plan], given.jobs)
+    sealed = here.seal(names)
+    print(f"answers sealed: sha256 {sealed}", flush=True)
+    waiting = [name for name in names if here.has("asked", name) and not here.has("said", name)]
+    _all("asked", ask, [(str(out), name) for name in waiting], given.jobs)
+    if given.rival:
+        _all("rival asked", ask_rival, [(str(out), name) for name in names if here.has("asked", name)], given.jobs)
+    if given.closing:
+        for word, work in (("twins judged", judge), ("loops closed", again), ("controls run", wrong)):
+            _all(word, work, [(str(out), name) for name in names], given.jobs)
+    status = _score(here, names)
+    if given.tune is None:
+        row = {"date": datetime.now(UTC).isoformat(timespec="seconds"), "commit": sha, "seed": seed, "sealed": sealed}
+        row |= {
+            "counts": _counts(plan),
+            "chaos": given.chaos is not None,
+            "cases": len(names),
+            "rows": score.table_rows(here, names),
+        }
+        store.append_log(row)
+    return status
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--population", nargs="+", choices=POPULATIONS, default=list(POPULATIONS))
+    parser.add_argument("--count", type=int, help="cases of each population (default: those of a frozen run)")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--out", type=Path, help="folder of the run")
+    parser.add_argument("--chaos", metavar="FILE", help="half of the truths (no nulls) have this richer field")
+    parser.add_argument("--tune", type=int, metavar="SEED", help="any other seed; nothing is logged")
+    parser.add_argument("--list", action="store_true", help="tell the populations and the outside set, and stop")
+    parser.add_argument("--score", action="store_true", help="only score what is in --out")
+    parser.add_argument(
+        "--closing", action="store_true", help="run the closed scenarios: twin, loop on another day, control"
+    )
+    parser.add_argument("--quick", action="store_true", help="one null and one single, to see that it runs")
+    parser.add_argument("--rival", action="store_true", help="put the questions to the rival as well")
+    given = parser.parse_args()
+    if given.score and given.out is None:
+        parser.error("--score needs --out DIR")
+    if given.count is not None and given.count < 1:
+        parser.error("--count is at least 1")
+    return given
+
+
+def _tell() -> int:
+    print("cases of a frozen run: " + ", ".join(f"{name} {count}" for name, count in FROZEN.items()))
+    print("other shapes: " + ", ".join(SHAPES))
+    print("outside the catalogue, and why no entry can express it:")
+    for name, why in WHY.items():
+        print(f"  {name}: {why}")
+    return 0
+
+
+def _plan(populations: Sequence[str], count: int | None) -> Plan:
+    return [(name, number) for name in populations for number in range(FROZEN[name] if count is None else count)]
+
+
+def _counts(plan: Plan) -> dict[str, int]:
+    return {name: sum(one == name for one, _ in plan) for name in dict.fromkeys(one for one, _ in plan)}
+
+
+def _all(word: str, work: Callable[..., str], jobs: Sequence[tuple[Any, ...]], processes: int) -> None:
+    """Run all, in processes; a line now and then."""
+    began = time.time()
+    if not jobs:
+        return
+    with ProcessPoolExecutor(processes) as pool:
+        waiting = [pool.submit(work, *job) for job in jobs]
+        for done, one in enumerate(as_completed(waiting), start=1):
+            one.result()
+            if done % max(1, len(jobs) // 20) == 0 or done == len(jobs):
+                print(f"{word} {done} of {len(jobs)}, {time.time() - began:.0f} s", file=sys.stderr, flush=True)
+
+
+def _identities(here: store.Store) -> list[str]:
+    return sorted(path.stem for path in (here.root / "sealed").glob("*.json"))
+
+
+def _score(here: store.Store, names: Sequence[str]) -> int:
+    text, record = score.report(here, names)
+    files.write_json(here.root / "score.json", record)
+    files.write_text(here.root / "score.md", text)
+    print(text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,240 @@
+"""From a world and its truths to what the ground gets.
+
+The order is nature's: the clock says when the magnetometer samples; orbit and field give the field there; the true
+attitude turns it into the body; stray fields add; equation 1, A B0 = (I+S) B + b, is solved for the reading B; the
+sensor distorts it; noise, rounding and telemetry follow. The reported orbit and attitude are right at the stamp but
+for what a truth does to them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.sim import frames
+from fluxtwin.sim.field import field_N_nT
+from fluxtwin.sim.random_streams import stream
+from fluxtwin.sim.sensors.reference_attitude import attitude_with_error
+from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.types import FloatArray, TimeArray
+from withheld_cases import spacecraft
+from withheld_cases.worlds import World, shift
+
+Ambient = Callable[[TimeArray], FloatArray]
+"""Stamps to the geomagnetic field in true body axes, (N, 3) nT, before anything of the spacecraft's own."""
+
+_LAG_NODES = 24
+
+
+@dataclass(frozen=True)
+class Truth:
+    """One thing that reality does. Hooks that are None do nothing; all are pure functions of world and time."""
+
+    name: str
+    """Name in the effects table, or of the outside set."""
+    stage: str
+    parameters: Mapping[str, Any]
+    """For the answer: what was drawn, with units in the names."""
+    clock: Callable[[World, TimeArray], FloatArray] | None = None
+    """(N,) s: how much later than its stamp the magnetometer samples."""
+    place: Callable[[World, TimeArray], tuple[FloatArray, FloatArray]] | None = None
+    """Reported position and velocity in place of the true ones."""
+    field: Callable[[World, TimeArray, FloatArray], FloatArray] | None = None
+    """(N, 3) nT in N that the real field has more."""
+    report: Callable[[World, TimeArray, Rotation], Rotation] | None = None
+    """Reported R_BN from the one so far."""
+    stray: Callable[[World, TimeArray, Ambient], FloatArray] | None = None
+    """(N, 3) nT in B added at the sensor."""
+    correction: Callable[[World, TimeArray], tuple[FloatArray, FloatArray]] | None = None
+    """What is added to equation 1: (N, 3, 3) to S and (N, 3) nT to b."""
+    lag_s: float = 0.0
+    lag_two_pole: bool = False
+    sense: Callable[[World, TimeArray, FloatArray, Ambient], FloatArray] | None = None
+    """Reading distorted by the sensor; the last argument gives the reading that a perfect sensor has at any time."""
+    noise: Callable[[World, np.random.Generator], FloatArray] | None = None
+    """(N, 3) nT of random error before rounding."""
+    lsb_nT: float | None = None
+    """Step of the readings in place of the declared one."""
+    codes: Callable[[World, np.random.Generator, FloatArray, float], FloatArray] | None = None
+    """Telemetered reading from the rounded one; the last argument is the LSB."""
+    signal: bool = True
+    """Seen without noise: False for what is known by its distribution only."""
+    notes: tuple[str, ...] = ()
+    hidden: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """For the tests."""
+
+
+@dataclass(frozen=True)
+class Clean:
+    """Everything without noise and rounding."""
+
+    reading_nT: FloatArray
+    r_N_km: FloatArray
+    v_N_km_s: FloatArray
+    R_BN: Rotation
+    """Reported attitude before its random error."""
+    predicted_nT: FloatArray
+    """(N, 3) the ground's field model at the reported position and attitude."""
+
+
+def noise_free(world: World, truths: Sequence[Truth]) -> Clean:
+    """What would be telemetered by a perfect instrument and a perfect reference."""
+    time = world.time
+    later = np.zeros(time.size)
+    for truth in truths:
+        if truth.clock is not None:
+            later = later + truth.clock(world, time)
+    reading = _reading(world, truths, shift(time, later) if later.any() else time)
+    r_N_km, v_N_km_s = world.where(time)
+    R_BN = world.attitude(time).R_BN
+    for truth in truths:
+        if truth.place is not None:
+            r_N_km, v_N_km_s = truth.place(world, time)
+        if truth.report is not None:
+            R_BN = truth.report(world, time, R_BN)
+    predicted = R_BN.apply(field_N_nT(world.ground_model, time, r_N_km))
+    return Clean(reading, r_N_km, v_N_km_s, R_BN, predicted)
+
+
+def ambient(world: World, truths: Sequence[Truth], time: TimeArray) -> FloatArray:
+    """Geomagnetic field in true body axes at any time, (N, 3) nT."""
+    r_N_km, _ = world.where(time)
+    b_N_nT = world.real_field_N_nT(time, r_N_km)
+    for truth in truths:
+        if truth.field is not None:
+            b_N_nT = b_N_nT + truth.field(world, time, r_N_km)
+    turned: FloatArray = world.attitude(time).R_BN.apply(b_N_nT)
+    return turned
+
+
+def _at_sensor(world: World, truths: Sequence[Truth], time: TimeArray) -> FloatArray:
+    """The field with the spacecraft's own, (N, 3) nT."""
+    total = ambient(world, truths, time)
+    for truth in truths:
+        if truth.stray is not None:
+            total = total + truth.stray(world, time, lambda at: ambient(world, truths, at))
+    return total
+
+
+def _equation_1(world: World, truths: Sequence[Truth], time: TimeArray) -> FloatArray:
+    """(I+S)^-1 (field at the sensor - b), with the S and b of that moment."""
+    S = np.tile(world.S, (time.size, 1, 1))
+    b = np.tile(world.b_nT, (time.size, 1))
+    for truth in truths:
+        if truth.correction is not None:
+            more_S, more_b = truth.correction(world, time)
+            S, b = S + more_S, b + more_b
+    solved = np.linalg.solve(np.eye(3) + S, (_at_sensor(world, truths, time) - b)[:, :, None])
+    return np.asarray(solved[:, :, 0])
+
+
+def _reading(world: World, truths: Sequence[Truth], time: TimeArray) -> FloatArray:
+    reading = _lagged(world, truths, time)
+    for truth in truths:
+        if truth.sense is not None:
+            reading = truth.sense(world, time, reading, lambda at: _equation_1(world, truths, at))
+    return reading
+
+
+def _lagged(world: World, truths: Sequence[Truth], time: TimeArray) -> FloatArray:
+    """First-order low-pass of what is at the sensor, by Gauss-Laguerre quadrature of its impulse response.
+
+    tau y' = x - y has the solution y(t) = int_0^inf exp(-s) x(t - tau s) ds. Two equal poles: weight s exp(-s).
+    """
+    lag = next((truth for truth in truths if truth.lag_s > 0.0), None)
+    if lag is None:
+        return _equation_1(world, truths, time)
+    nodes, weights = np.polynomial.laguerre.laggauss(_LAG_NODES)
+    if lag.lag_two_pole:
+        weights = weights * nodes
+    kept = weights > 1e-7  # what is left out weighs less than 1e-6 of the field's change over 20 tau
+    total = np.zeros((time.size, 3))
+    for node, weight in zip(nodes[kept], weights[kept] / weights[kept].sum(), strict=True):
+        scale = 0.5 * lag.lag_s if lag.lag_two_pole else lag.lag_s
+        total += weight * _equation_1(world, truths, shift(time, -scale * node))
+    return total
+
+
+def fly(world: World, truths: Sequence[Truth], clean: Clean | None = None) -> Telemetry:
+    """The telemetry: noise, rounding, telemetry faults, and the columns that are recorded."""
+    clean = noise_free(world, truths) if clean is None else clean
+    budget = world.budget
+    white = stream(world.key, "magnetometer").standard_normal(clean.reading_nT.shape)
+    reading = clean.reading_nT + budget.noise_nT * white
+    for number, truth in enumerate(truths):
+        if truth.noise is not None:
+            reading = reading + truth.noise(world, stream(world.key, f"noise {number}"))
+    lsb = next((truth.lsb_nT for truth in truths if truth.lsb_nT is not None), budget.lsb_nT)
+    reading = clipped(truths, reading)
+    reading = lsb * np.rint(reading / lsb)
+    for number, truth in enumerate(truths):
+        if truth.codes is not None:
+            reading = truth.codes(world, stream(world.key, f"codes {number}"), reading, lsb)
+    reference = attitude_with_error(
+        world.time, clean.R_BN, budget.attitude_sigma_rad, budget.attitude_tau_s, stream(world.key, "reference")
+    )
+    return record(world, reading, clean, reference)
+
+
+def clipped(truths: Sequence[Truth], reading: FloatArray) -> FloatArray:
+    """Noise does not lift a reading over a clipping level: `hidden["clip_nT"]` of a saturation."""
+    for truth in truths:
+        if "clip_nT" in truth.hidden:
+            reading = np.clip(reading, -truth.hidden["clip_nT"], truth.hidden["clip_nT"])
+    return reading
+
+
+def twin(world: World, truths: Sequence[Truth], clean: Clean | None = None) -> Telemetry:
+    """The same flight without any noise or rounding; effects known by their distribution are not in it."""
+    clean = noise_free(world, truths) if clean is None else clean
+    return record(world, clean.reading_nT, clean, clean.R_BN)
+
+
+def record(world: World, reading_nT: FloatArray, clean: Clean, reference: Rotation) -> Telemetry:
+    """The columns that this world records."""
+    time, columns = world.time, housekeeping(world)
+    q_NB = frames.q_from_rotation(reference)
+    q_NB[world.missing] = np.nan
+    flags = {"payload": columns.pop("flag_payload")} if "flag_payload" in columns else {}
+    if "v_N_km_s" in world.recorded:
+        columns["v_N_km_s"] = clean.v_N_km_s
+    return Telemetry(
+        time=time,
+        mag_B_nT=reading_nT,
+        r_N_km=clean.r_N_km,
+        q_NB=q_NB,
+        flags=flags,
+        **columns,  # type: ignore[arg-type]
+    )
+
+
+def housekeeping(world: World) -> dict[str, FloatArray]:
+    """Recorded optional columns, as coarse as housekeeping is; all right at the stamp."""
+    time, has = world.time, world.recorded
+    columns: dict[str, FloatArray] = {}
+    if "dipole_B_Am2" in has:
+        columns["dipole_B_Am2"] = spacecraft.dipole_B_Am2(world, time)
+    if "sunlit" in has:
+        columns["sunlit"] = (world.sun(time)[1] > 0.5).astype(np.float64)
+    if "heater_on" in has:
+        columns["heater_on"] = spacecraft.heater_on(world, time)
+    if "array_current_A" in has:
+        columns["array_current_A"] = np.round(spacecraft.array_current_A(world, time), 2)
+    if "battery_current_A" in has:
+        columns["battery_current_A"] = np.round(spacecraft.battery_current_A(world, time), 2)
+    if "temperature_degC" in has:
+        columns["temperature_degC"] = np.round(spacecraft.temperature_degC(world, time), 1)
+    if "wheel_speed_rpm" in has:
+        columns["wheel_speed_rpm"] = spacecraft.wheel_speed_rpm(world, time)[:, None]
+    if "sun_sensor_head" in has:
+        columns["sun_sensor_head"] = spacecraft.head_in_use(world, time)
+    if "flag_payload" in has:
+        columns["flag_payload"] = spacecraft.payload_on(world, time)
+    if "rate_B_rad_s" in has:
+        columns["rate_B_rad_s"] = world.attitude(time).rate_B_rad_s
+    return columns

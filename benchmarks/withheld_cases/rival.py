@@ -1,0 +1,167 @@
+"""The rival: stepwise regression by an information criterion, as a plain statistician would do it.
+
+It has what the diagnosis has: the same Jacobians, the same choice of noise and whitening (spoilt readings cut), the
+calibration always in. It is linear. An effect goes in or out as a whole, by its best alternative; forward and backward
+steps are taken in turn until neither helps. It has no gate, no refit, no groups, no look at what is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.special import gammaln
+
+from fluxtwin.gap.blocks import blocks
+from fluxtwin.gap.candidates import Candidate, candidates
+from fluxtwin.gap.noise import choose_noise, whitener_of
+from fluxtwin.gap.problem import DEFAULT_MODELLED, Budget, Problem, pose
+from fluxtwin.gap.refit import settled
+from fluxtwin.gap.score import least_share, orthonormal
+from fluxtwin.sim.field_models import load_field
+from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.telemetry_io import read_telemetry
+from fluxtwin.sim.types import FloatArray
+
+MOST_ROWS = 5_000
+"""Longer records are thinned evenly, as the diagnosis does for what is slow."""
+_MOST_STEPS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """Whitened regression beside the calibration, P directions of K candidates."""
+
+    names: tuple[str, ...]
+    """(K,) effect of each candidate; alternatives share a name."""
+    gram: FloatArray
+    """(P, P) inner products; each candidate's own block is the unit matrix."""
+    score: FloatArray
+    """(P,) residual along each direction."""
+    owner: FloatArray
+    """(P,) number of the candidate that a direction belongs to."""
+    chi2: float
+    """Of the residual beside the calibration."""
+    samples: int
+    """Readings of one axis that are not cut, less those that the calibration takes."""
+    least: float
+    """Of its length squared that a direction must have beside others."""
+
+    def explained(self, chosen: Sequence[int]) -> tuple[float, int]:
+        """Drop of chi-square by these candidates together, and how many directions they are."""
+        inside = np.isin(self.owner, chosen)
+        if not inside.any():
+            return 0.0, 0
+        values, vectors = np.linalg.eigh(self.gram[np.ix_(inside, inside)])
+        good = values > self.least
+        return float(np.sum((vectors[:, good].T @ self.score[inside]) ** 2 / values[good])), int(good.sum())
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """Schwarz's criterion (1978) or its extension for many candidates (Chen and Chen 2008)."""
+
+    variance: str = "free"
+    """free: of the rows, profiled out as in every textbook; model: 1, what the whitening has."""
+    gamma: float = 0.0
+    """Weight of the number of ways to choose: 0 is BIC, 1 EBIC."""
+
+    def cost(self, problem: Regression, chosen: Sequence[int]) -> float:
+        """Lower is better."""
+        drop, rank = problem.explained(chosen)
+        left, n = max(problem.chi2 - drop, 1e-12), float(problem.samples)
+        fit = n * np.log(left / n) if self.variance == "free" else left
+        many, taken = len(problem.names), len(chosen)
+        ways = gammaln(many + 1) - gammaln(taken + 1) - gammaln(many - taken + 1)
+        return float(fit + rank * np.log(n) + 2.0 * self.gamma * ways)
+
+
+BIC = Criterion(gamma=0.0)
+CRITERION = Criterion(gamma=1.0)
+"""The one that does best for the rival: plain BIC sees as many, but adds more that is not there."""
+
+
+def answer(
+    path: Path | str,
+    *,
+    noise_nT: float | None = None,
+    lsb_nT: float | None = None,
+    attitude_sigma_deg: float | None = None,
+    modelled: Sequence[str] = DEFAULT_MODELLED,
+    degree: int | None = None,
+) -> list[str]:
+    """Names of the effects that stay in the regression, in the order in which they went in."""
+    sigma = None if attitude_sigma_deg is None else float(np.radians(attitude_sigma_deg))
+    budget = Budget(noise_nT=noise_nT, lsb_nT=lsb_nT, attitude_sigma_rad=sigma)
+    return stepwise(regression(read_telemetry(Path(path)), modelled=modelled, budget=budget, degree=degree))
+
+
+def stepwise(problem: Regression, criterion: Criterion = CRITERION) -> list[str]:
+    """One effect in or out, whichever lowers the criterion most, until none does."""
+    chosen: list[int] = []
+    best = criterion.cost(problem, chosen)
+    for _ in range(_MOST_STEPS):
+        taken = {problem.names[number] for number in chosen}
+        free = [number for number, name in enumerate(problem.names) if name not in taken]
+        trials = [[*chosen, number] for number in free]
+        trials += [[one for one in chosen if one != number] for number in chosen]
+        costs = [criterion.cost(problem, trial) for trial in trials]
+        if not costs or min(costs) >= best - 1e-9:
+            break
+        best = min(costs)
+        chosen = trials[int(np.argmin(costs))]
+    return [problem.names[number] for number in chosen]
+
+
+def regression(
+    record: Telemetry, *, modelled: Sequence[str] = DEFAULT_MODELLED, budget: Budget, degree: int | None = None
+) -> Regression:
+    """The whitened regression of a record."""
+    every = max(1, int(np.ceil(len(record) / MOST_ROWS)))
+    thinned = record if every == 1 else record.select(slice(None, None, every))
+    problem = settled(pose(thinned, load_field("igrf14", degree), modelled=modelled, budget=budget))
+    found, _ = candidates(problem)
+    noise, robust = choose_noise(problem, _saturated(problem, found))
+    whitener = whitener_of(problem, noise, robust.weights)
+    calibration = orthonormal(whitener.apply(problem.nuisance))
+    residual = _beside(calibration, whitener.apply(problem.residual_nT)[:, :, None])[:, 0]
+    least, live = least_share(whitener), [candidate.jacobian[:, :, candidate.live] for candidate in found]
+    parts = [_directions(calibration, whitener.apply(jacobian), least) for jacobian in live]
+    columns = np.concatenate([*parts, np.zeros((residual.size, 0))], axis=1)
+    owner = np.concatenate([*(np.full(part.shape[1], k) for k, part in enumerate(parts)), np.zeros(0, dtype=int)])
+    return Regression(
+        tuple(candidate.name for candidate in found), columns.T @ columns, columns.T @ residual, owner,
+        float(residual @ residual), whitener.measured - calibration.shape[1], least,
+    )  # fmt: skip
+
+
+def _saturated(problem: Problem, found: Sequence[Candidate]) -> FloatArray:
+    """(N, 3, P) Jacobians of all candidates and smooth structure, as far as the rows can bear them."""
+    columns = [candidate.jacobian for candidate in found]
+    room = problem.whole_rows - sum(part.shape[2] for part in columns)
+    for block in blocks(problem):
+        made = block.make()
+        if made.shape[2] <= room and problem.rows * 3 * made.shape[2] <= 5e7:
+            columns.append(made)
+            room -= made.shape[2]
+    return np.concatenate(columns, axis=2) if columns else np.zeros((problem.rows, 3, 0))
+
+
+def _beside(basis: FloatArray, columns: FloatArray) -> FloatArray:
+    """(3N, P) columns (N, 3, P) less what an orthonormal basis (3N, c) makes up; twice, for the rounding."""
+    flat = columns.reshape(-1, columns.shape[2])
+    for _ in range(2):
+        flat = flat - basis @ (basis.T @ flat)
+    return np.asarray(flat)
+
+
+def _directions(calibration: FloatArray, white: FloatArray, least: float) -> FloatArray:
+    """(3N, r) orthonormal directions of one candidate (N, 3, p) beside the calibration."""
+    length = np.linalg.norm(white.reshape(-1, white.shape[2]), axis=0)
+    seen = length > 0
+    columns = _beside(calibration, white[:, :, seen] / length[seen])
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    good = values > least
+    return np.asarray(columns @ (vectors[:, good] / np.sqrt(values[good])))

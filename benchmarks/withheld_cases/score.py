@@ -1,0 +1,313 @@
+"""The table: every figure with its 95 % interval, the tables by effect and regime, and the list of failures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from withheld_cases.cases import DISTRIBUTIONAL
+from withheld_cases.judged import Judged, names_of
+from withheld_cases.statistics import brier, calibration_error, median, reliability, wilson
+from withheld_cases.store import Store
+
+Test = Callable[[Judged], bool]
+NOT_RUN = "not run"
+LATER = ("judged", "rival", "loop", "control")
+"""What may be known of a case beside its answer, in the order of the fields of `Judged`."""
+
+
+def opened(store: Store, names: Iterable[str]) -> tuple[list[Judged], int]:
+    """All cases with an answer, and how many could not be made."""
+    found, void = [], 0
+    for name in names:
+        sealed = store.read("sealed", name)
+        if "void" in sealed:
+            void += 1
+        elif store.has("said", name):
+            more = [store.read(kind, name) if store.has(kind, name) else None for kind in LATER]
+            found.append(Judged(sealed, store.read("said", name), *more))
+    return found, void
+
+
+def share_row(
+    title: str, reach: str, cases: Sequence[Judged], test: Test, least: float, most: float = 1.0
+) -> dict[str, Any]:
+    """A share: met where the point estimate lies from least to most."""
+    right, of = sum(test(case) for case in cases), len(cases)
+    low, high = wilson(right, of)
+    value = right / of if of else None
+    met = None if value is None else bool(least <= value <= most)
+    return {
+        "figure": title,
+        "reach": reach,
+        "value": value,
+        "right": right,
+        "of": of,
+        "interval": [low, high],
+        "met": met,
+    }
+
+
+def number_row(title: str, reach: str, value: float | None, of: int, met: bool | None) -> dict[str, Any]:
+    """A figure that is no share."""
+    clean = None if value is None or value != value else value
+    return {"figure": title, "reach": reach, "value": clean, "of": of, "met": met if clean is not None else None}
+
+
+def rows_of(cases: Sequence[Judged]) -> list[dict[str, Any]]:
+    """Every row of the table."""
+    return [
+        *_detection(cases),
+        *_several(cases),
+        *_elsewhere(cases),
+        *_probabilities(cases),
+        *_closing(cases),
+        *_rival(cases),
+    ]
+
+
+def of(cases: Sequence[Judged], *populations: str, least: float = 0.0, names: Test | None = None) -> list[Judged]:
+    """Cases of populations, at least so visible."""
+    return [c for c in cases if c.population in populations and c.visible >= least and (names is None or names(c))]
+
+
+def distributional(case: Judged) -> bool:
+    """Known by its distribution, without a Jacobian."""
+    return any(name in DISTRIBUTIONAL for name in case.truths)
+
+
+def _detection(cases: Sequence[Judged]) -> list[dict[str, Any]]:
+    signals = of(cases, "singles", least=0.2, names=lambda c: not distributional(c))
+    noises = of(cases, "singles", least=0.5, names=distributional)
+    named = [c for c in of(cases, "singles", least=0.2) if c.effects]
+    sizes = [len(names_of(entry)) for c in named for entry in c.effects]
+    mean = sum(sizes) / len(sizes) if sizes else None
+    return [
+        share_row("no gap on a perfect simulation", ">= 99 %", of(cases, "nulls"), lambda c: c.verdict == "no_gap", 0.99),
+        share_row("the same, declared attitude sigma off by 1.5", ">= 97 %", of(cases, "nulls_off"),
+                  lambda c: c.verdict == "no_gap", 0.97),
+        share_row("single, with a Jacobian, visible >= 0.2: first name", ">= 98 %", signals, lambda c: c.first_right, 0.98),
+        share_row("the same: list exactly right", ">= 95 %", signals, lambda c: c.list_right, 0.95),
+        share_row("known by distribution, visible >= 0.5: list exactly right", ">= 95 %", noises,
+                  lambda c: c.list_right, 0.95),
+        share_row("truth in the group, singles that are named, visible >= 0.2", ">= 99 %", named,
+                  lambda c: c.in_group, 0.99),
+        number_row("mean group size", "<= 1.5", mean, len(sizes), mean is not None and mean <= 1.5),
+    ]  # fmt: skip
+
+
+def _several(cases: Sequence[Judged]) -> list[dict[str, Any]]:
+    pairs, triples = of(cases, "pairs", least=0.65), of(cases, "triples", least=0.95)
+    return [
+        share_row("pairs, each visible >= 0.7: both exactly", ">= 90 %", pairs, lambda c: c.list_right, 0.90),
+        share_row("pairs: false extra", "<= 5 %", pairs, lambda c: c.extra, 0.0, 0.05),
+        share_row("triples, each visible >= 1: all three exactly", ">= 75 %", triples, lambda c: c.list_right, 0.75),
+        share_row("triples: false extra", "<= 10 %", triples, lambda c: c.extra, 0.0, 0.10),
+    ]
+
+
+def _elsewhere(cases: Sequence[Judged]) -> list[dict[str, Any]]:
+    beyond = of(cases, "outside", least=0.95)
+    shaped = of(cases, "shapes", least=0.5, names=lambda c: carried(c) >= 0.9)
+    strange = of(cases, "shapes", least=0.5, names=lambda c: carried(c) < 0.9)
+    staged = of(cases, "singles", "shapes", least=0.5)
+    return [
+        share_row("another shape, visible >= 0.5: verdict effect and first name", ">= 95 %", shaped,
+                  lambda c: c.verdict == "effect" and c.first_right, 0.95),
+        share_row("another shape that the plain entry carries less than 90 % of: named, or unknown that resembles it",
+                  "told", strange, lambda c: c.first_right or _resembled(c), 0.0),
+        share_row("outside the catalogue, visible >= 1: unknown", ">= 97 %", beyond, lambda c: c.verdict == "unknown", 0.97),
+        share_row("outside the catalogue: wrongly confirmed", "<= 3 %", beyond, lambda c: bool(c.effects), 0.0, 0.03),
+        share_row("stage right, visible >= 0.5", ">= 95 %", staged, lambda c: c.stage_right, 0.95),
+        share_row("stage right outside the catalogue, visible >= 1", ">= 70 %", beyond, lambda c: c.stage_right, 0.70),
+    ]  # fmt: skip
+
+
+def carried(case: Judged) -> float:
+    """Share of the truth's visible energy that the plain entry of its name can carry."""
+    return float(case.sealed.get("plain_share", 1.0))
+
+
+def _resembled(case: Judged) -> bool:
+    return case.verdict == "unknown" and bool(set(case.truths) & set(case.said.get("resembles") or []))
+
+
+def _probabilities(cases: Sequence[Judged]) -> list[dict[str, Any]]:
+    everything = [pair for case in cases for pair in case.stated()]
+    faint = [pair for case in cases if 0.1 <= case.visible <= 0.3 for pair in case.stated()]
+    error, faint_error = (calibration_error(*_columns(pairs)) for pairs in (everything, faint))
+    score, base = brier(*_columns(everything))
+    lower = 1.0 - score / base if base > 0 else float("nan")
+    return [
+        number_row("stated probabilities: calibration error", "<= 0.05", error, len(everything), error <= 0.05),
+        number_row("the same, visible 0.1-0.3", "<= 0.08", faint_error, len(faint), faint_error <= 0.08),
+        number_row("Brier score lower than the base rate's by", ">= 20 %", lower, len(everything), lower >= 0.20),
+    ]
+
+
+def _columns(pairs: Sequence[tuple[float, bool]]) -> tuple[list[float], list[bool]]:
+    return [p for p, _ in pairs], [hit for _, hit in pairs]
+
+
+def _closing(cases: Sequence[Judged]) -> list[dict[str, Any]]:
+    seen = of(cases, "singles", least=0.5, names=lambda c: c.signal)
+    closed = [float(c.said["gap"]["closed"]) for c in seen if (c.said.get("gap") or {}).get("closed") is not None]
+    errors = [
+        abs(float(c.said["gap"]["closed"]) - float(c.twin["closed"]))
+        for c in seen
+        if c.twin is not None
+        and c.twin.get("closed") is not None
+        and (c.said.get("gap") or {}).get("closed") is not None
+    ]
+    middle, off = median(closed), median(errors)
+    looped = [c for c in seen if c.loop is not None and c.first_right]
+    controls = [c for c in seen if c.control is not None and c.control["verdict"] != "error"]
+    return [
+        number_row("closed, visible >= 0.5: median", ">= 0.90", middle, len(closed), middle >= 0.90),
+        number_row("closed: median error against the noise-free twin", "<= 0.03", off, len(errors), off <= 0.03),
+        share_row("loop on another day: no gap, or it had said 'does not transfer'", ">= 95 %", looped, _loop_right, 0.95),
+        share_row("control, a wrong effect of equal rms: no gap", "<= 10 %", controls,
+                  lambda c: (c.control or {})["verdict"] == "no_gap", 0.0, 0.10),
+    ]  # fmt: skip
+
+
+def _loop_right(case: Judged) -> bool:
+    said = case.loop or {}
+    return said["verdict"] == "no_gap" or bool(said.get("said_not_to_transfer"))
+
+
+def _rival(cases: Sequence[Judged]) -> list[dict[str, Any]]:
+    both = [c for c in cases if c.rival is not None]
+    singles = [c for c in both if c.population in ("singles", "pairs", "triples") and c.visible >= 0.2]
+    nulls = of(both, "nulls")
+    better = _mean(singles, lambda c: c.list_right) - _mean(singles, _rival_right) if singles else None
+    ours, theirs = (
+        _mean(nulls, test) for test in (lambda c: c.verdict != "no_gap", lambda c: bool((c.rival or {})["names"]))
+    )
+    times = theirs / max(ours, 1.0 / max(1, len(nulls))) if nulls else None
+    return [
+        number_row("against the rival: list exactly right, points better", ">= 0.15", better, len(singles),
+                   better is not None and better >= 0.15),
+        number_row("against the rival: false alarms, times fewer", ">= 10", times, len(nulls),
+                   times is not None and times >= 10),
+    ]  # fmt: skip
+
+
+def _rival_right(case: Judged) -> bool:
+    return sorted((case.rival or {"names": []})["names"]) == sorted(case.truths)
+
+
+def _mean(cases: Sequence[Judged], test: Test) -> float:
+    return sum(test(c) for c in cases) / len(cases) if cases else 0.0
+
+
+def right(case: Judged) -> bool:
+    """Whether the whole answer is what was wanted of this case."""
+    if not case.truths:
+        return case.verdict == "no_gap"
+    if case.population == "outside":
+        return case.verdict == "unknown" and not case.effects
+    if case.population == "shapes":
+        return case.verdict == "effect" and case.first_right
+    return case.list_right
+
+
+def table_rows(store: Store, names: Iterable[str]) -> list[dict[str, Any]]:
+    """The rows alone, for the log."""
+    return rows_of(opened(store, names)[0])
+
+
+def report(store: Store, names: Iterable[str]) -> tuple[str, dict[str, Any]]:
+    """The page in Markdown, and the record."""
+    cases, void = opened(store, names)
+    rows = rows_of(cases)
+    parts = [_table(rows), f"{len(cases)} cases; {void} could not be made.", _by(cases, "label", "effect or member")]
+    parts += [_by(cases, "regime", "regime"), _confusion_text(cases), _seconds(cases), _failures(cases)]
+    pairs = [pair for case in cases for pair in case.stated()]
+    record = {
+        "rows": rows, "cases": len(cases), "void": void, "confusion": confusion(cases),
+        "reliability": reliability(*_columns(pairs)) if pairs else [],
+        "failures": [_line(case) for case in cases if not right(case)],
+    }  # fmt: skip
+    return "\n\n".join(parts) + "\n", record
+
+
+def _table(rows: Sequence[dict[str, Any]]) -> str:
+    lines = ["| figure | reach | found | 95 % | of | met |", "|---|---|---|---|---|---|"]
+    for row in rows:
+        value, inside = row["value"], row.get("interval")
+        shown = NOT_RUN if value is None else f"{value:.1%}" if inside else f"{value:.3g}"
+        span = f"{inside[0]:.1%} to {inside[1]:.1%}" if inside and value is not None else ""
+        met = {None: "", True: "yes", False: "no"}[row["met"]]
+        lines.append(f"| {row['figure']} | {row['reach']} | {shown} | {span} | {row['of']} | {met} |")
+    return "\n".join(lines)
+
+
+def _by(cases: Sequence[Judged], key: str, title: str) -> str:
+    lines = [f"| population | {title} | right | first name | of | else it said |", "|---|---|---|---|---|---|"]
+    groups: dict[tuple[str, str], list[Judged]] = {}
+    for case in cases:
+        groups.setdefault((case.population, str(case.sealed[key])), []).append(case)
+    for (population, label), mine in groups.items():
+        if key == "label" and population in ("pairs", "triples"):
+            continue
+        wrong = [_short(case) for case in mine if not right(case)]
+        counts = {text: wrong.count(text) for text in dict.fromkeys(wrong)}
+        told = "; ".join(
+            f"{text} x{n}" if n > 1 else text for text, n in sorted(counts.items(), key=lambda i: -i[1])[:5]
+        )
+        good, first = sum(map(right, mine)), sum(case.first_right for case in mine)
+        lines.append(f"| {population} | {label or '-'} | {good} | {first} | {len(mine)} | {told} |")
+    return "\n".join(lines)
+
+
+def _short(case: Judged) -> str:
+    return case.verdict + (" " + "+".join(str(entry["name"]) for entry in case.effects) if case.effects else "")
+
+
+def confusion(cases: Sequence[Judged]) -> dict[str, dict[str, int]]:
+    """Singles: truth by what came first (a name that is in a right group counts as the truth)."""
+    counts: dict[str, dict[str, int]] = {}
+    for case in of(cases, "singles", "shapes"):
+        said = case.truths[0] if case.first_right else str(case.effects[0]["name"]) if case.effects else case.verdict
+        row = counts.setdefault(case.truths[0], {})
+        row[said] = row.get(said, 0) + 1
+    return counts
+
+
+def _confusion_text(cases: Sequence[Judged]) -> str:
+    lines = ["| truth | first name said: count |", "|---|---|"]
+    for name, row in sorted(confusion(cases).items()):
+        lines.append(f"| {name} | " + ", ".join(f"{s} {n}" for s, n in sorted(row.items(), key=lambda i: -i[1])) + " |")
+    return "\n".join(lines)
+
+
+def _seconds(cases: Sequence[Judged]) -> str:
+    times = [float(case.said["seconds"]) for case in cases]
+    return f"CPU time of a diagnosis: median {median(times):.1f} s, longest {max(times, default=0.0):.0f} s."
+
+
+def _line(case: Judged) -> dict[str, Any]:
+    sealed = case.sealed
+    keys = ("case", "population", "number", "label", "regime", "rows", "step_s", "attitude_tau_s", "bursts")
+    return {key: sealed[key] for key in keys} | {
+        "truths": [{k: t[k] for k in ("name", "visible", "parameters")} for t in sealed["truths"]],
+        "said": case.words(),
+    }
+
+
+def _failures(cases: Sequence[Judged]) -> str:
+    lines = [
+        "| case | population | number | regime | rows x step | truth (visible) | said |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for case in cases:
+        if right(case):
+            continue
+        s = case.sealed
+        truth = ", ".join(f"{t['name']} ({t['visible']:.2f})" for t in s["truths"]) or "none"
+        where = f"{s['rows']} x {s['step_s']:.3g} s" + (" in bursts" if s["bursts"] else "")
+        lines.append(
+            f"| {s['case']} | {s['population']} | {s['number']} | {s['regime']} | {where} | {truth} | {case.words()} |"
+        )
+    return "\n".join(lines)

@@ -22,6 +22,7 @@ from fluxtwin.sim.gauss_markov import gauss_markov
 from fluxtwin.sim.housekeeping import Housekeeping
 from fluxtwin.sim.random_streams import stream
 from fluxtwin.sim.scenario import Scenario
+from fluxtwin.sim.scenario_dynamics import flights
 from fluxtwin.sim.scenario_effects import active_effects, effects_record
 from fluxtwin.sim.sensors.reference_attitude import (
     attitude_from_sun_and_nadir,
@@ -49,6 +50,8 @@ class Attached:
 
 def torquer_dipole_B_Am2(scenario: Scenario, world: World, attitude: Attitude) -> FloatArray:
     """(N, 3) what the torquers do."""
+    if scenario.attitude.mode == "dynamics":
+        return flights(scenario).dipole_B_Am2(world.time)
     field_B_nT = attitude.R_BN.apply(world.field_N_nT)
     return spacecraft.torquer_schedule(scenario).dipole_B_Am2(world.time, field_B_nT)
 

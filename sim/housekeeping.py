@@ -15,6 +15,7 @@ from fluxtwin.sim import epoch, orbit, power, thermal, wheels
 from fluxtwin.sim.constants import GM_EARTH_KM3_S2
 from fluxtwin.sim.scenario import Scenario
 from fluxtwin.sim.scenario_attitude import true_attitude
+from fluxtwin.sim.scenario_dynamics import flights
 from fluxtwin.sim.types import FloatArray
 from fluxtwin.sim.world import World, ephemeris, world_along
 
@@ -106,6 +107,8 @@ def _wheel_speeds(scenario: Scenario, world: World) -> FloatArray | None:
     section = scenario.wheels
     if section is None:
         return None
+    if scenario.attitude.mode == "dynamics":
+        return flights(scenario).wheel_speed_rpm(world.time)
     phase = orbit.argument_of_latitude(world.time, world.r_N_km, world.v_N_km_s)
     momentum = wheels.periodic_momentum_B_Nms(phase, section.momentum_amplitude_Nms)
     return wheels.wheel_speed_rpm(momentum, np.array(section.axes_B), section.inertia_kg_m2, np.array(section.bias_rpm))

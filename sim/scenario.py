@@ -11,6 +11,7 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from fluxtwin.sim import files
 from fluxtwin.sim import scenario_config as sections
+from fluxtwin.sim.scenario_dynamics_config import ControlSection, DynamicsSection, TorquesSection
 from fluxtwin.sim.scenario_effects import EffectsSection
 from fluxtwin.sim.toml_input import parse_tree, read_tree, validate
 
@@ -25,6 +26,7 @@ class Scenario(sections.Section):
     orbit: sections.OrbitSection | None = None
     replay: sections.ReplaySection | None = None
     schedule: sections.ScheduleSection | None = None
+    station: dict[str, sections.StationSection] = {}
     attitude: sections.AttitudeSection = sections.AttitudeSection()
     magnetometer: sections.MagnetometerSection = sections.MagnetometerSection()
     sun_sensor: dict[str, sections.SunSensorSection] = {}
@@ -34,7 +36,11 @@ class Scenario(sections.Section):
     power: sections.PowerSection | None = None
     thermal: sections.ThermalSection | None = None
     wheels: sections.WheelsSection | None = None
+    dynamics: DynamicsSection | None = None
+    torques: TorquesSection | None = None
+    control: ControlSection | None = None
     effects: EffectsSection = EffectsSection()
+    closure: sections.ClosureSection | None = None
 
     _folder: Path = PrivateAttr(default=Path("."))
 
@@ -44,6 +50,8 @@ class Scenario(sections.Section):
             raise ValueError("sections [orbit] and [schedule] are needed (or [replay])")
         if self.replay is not None and self.orbit is not None:
             raise ValueError("[replay] takes the orbit from the recorded file: leave [orbit] out")
+        if self.schedule is not None and self.schedule.in_view_of_stations and not self.station:
+            raise ValueError("schedule.in_view_of_stations wants stations: add [station.NAME], ...")
         for number in self.sun_sensor:
             if not number.isdigit() or int(number) < 1:
                 raise ValueError(f"[sun_sensor.{number}]: heads are numbered 1, 2, 3, ...")
@@ -57,9 +65,24 @@ class Scenario(sections.Section):
             )
         if reference.source == "sensors" and self.horizon_scanner is None:
             raise ValueError("a reference attitude from sensors wants a [horizon_scanner]")
-        if self.attitude.mode in ("tumble", "spin") and self.spacecraft.inertia_kg_m2 is None:
+        if self.attitude.mode in ("tumble", "spin", "dynamics") and self.spacecraft.inertia_kg_m2 is None:
             raise ValueError(f"attitude mode {self.attitude.mode} wants inertia_kg_m2 in [spacecraft]")
+        self._dynamic()
         return self
+
+    def _dynamic(self) -> None:
+        """What only attitude mode dynamics may have, and what it may not."""
+        flown, section = self.attitude.mode == "dynamics", self.torquers
+        if flown and self.replay is not None:
+            raise ValueError("attitude mode dynamics flies an orbit: leave [replay] out")
+        for name in ("dynamics", "torques", "control"):
+            if not flown and getattr(self, name) is not None:
+                raise ValueError(f'[{name}] wants mode = "dynamics" in [attitude]')
+        steered, law = section is not None and section.activity == "control", self.control and self.control.law
+        if steered and law is None:
+            raise ValueError('torquers.activity = "control" wants attitude mode dynamics and a law in [control]')
+        if law is not None and section is not None and not steered:
+            raise ValueError('with a law in [control] the torquers are its own: set torquers.activity = "control"')
 
     def updated(self, changes: Mapping[str, Any]) -> Scenario:
         """A copy with dotted keys changed, checked again: `{"magnetometer.lsb_mG": 0.0, "seed": 2}`.

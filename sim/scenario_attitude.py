@@ -11,6 +11,7 @@ from fluxtwin.sim.libration import Libration, draw_libration
 from fluxtwin.sim.random_streams import stream
 from fluxtwin.sim.scenario import Scenario
 from fluxtwin.sim.scenario_config import AttitudeSection
+from fluxtwin.sim.scenario_dynamics import flights
 from fluxtwin.sim.types import FloatArray, TimeArray
 from fluxtwin.sim.world import World, ephemeris
 
@@ -27,6 +28,8 @@ def true_attitude(scenario: Scenario, world: World) -> Attitude:
         )  # fmt: skip
     if section.mode == "inertial_hold":
         return attitude.inertial_hold(world.time, frames.rotation_from_q(np.array([section.q_NB])))
+    if section.mode == "dynamics":
+        return flights(scenario).attitude(world.time)
     start = _start(scenario, world)
     if section.mode == "slews":
         return attitude.orbital_slews(

@@ -120,9 +120,12 @@ class WaypointSection(Section):
 
 
 class AttitudeSection(Section):
-    """Prescribed attitude. Keys that the mode does not use keep their defaults."""
+    """Prescribed attitude, or mode dynamics: then [dynamics], [torques] and [control] say what moves the body.
 
-    mode: Literal["earth_pointing", "inertial_hold", "slews", "tumble", "spin"] = "earth_pointing"
+    Keys that the mode does not use keep their defaults.
+    """
+
+    mode: Literal["earth_pointing", "inertial_hold", "slews", "tumble", "spin", "dynamics"] = "earth_pointing"
     yaw_rms_deg: NonNegative = 0.0
     roll_rms_deg: NonNegative = 0.0
     pitch_rms_deg: NonNegative = 0.0
@@ -249,9 +252,16 @@ class TorquersSection(Section):
     dipole_pole_cm: Positive | None = None
     positions_m: Annotated[tuple[Vector3, Vector3, Vector3], BeforeValidator(_tuple)]
     """Where the x, y and z torquer sit, as seen from the magnetometer, body axes."""
-    activity: Literal["random", "off", "constant"] = "random"
+    compensation: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Share of their field that the electronics take out of the reading, in proportion to each current."""
+    activity: Literal["random", "off", "constant", "control"] = "random"
+    """control: what the law of [control] commands, in attitude mode dynamics."""
     duty: Annotated[float, Field(ge=0, le=1)] = 0.5
     dwell_s: Positive = 300.0
+    drive: Literal["linear", "saturated", "on_off"] = "saturated"
+    """control: what a torquer makes of its command."""
+    threshold_Am2: NonNegative = 0.0
+    """on_off: off while the command is no larger than this."""
     telemetered: bool = True
 
     @model_validator(mode="after")
@@ -294,13 +304,20 @@ class ThermalSection(Section):
 
 
 class WheelsSection(Section):
-    """Reaction wheels, one spin axis each, that carry a momentum profile."""
+    """Reaction wheels, one spin axis each, that carry a momentum profile, or what the dynamics gives them."""
 
     axes_B: Annotated[tuple[Vector3, ...], BeforeValidator(_tuple)]
     inertia_kg_m2: Positive
     bias_rpm: Annotated[tuple[float, ...], BeforeValidator(_tuple)]
+    """Mean speeds; in attitude mode dynamics those at the start."""
     momentum_amplitude_Nms: Vector3 = ZERO3
     """Orbit-periodic momentum about each body axis that the wheels take up."""
+    max_rpm: NonNegative = 0.0
+    """dynamics: limit of the speed, as of the torque below; 0 is none."""
+    max_torque_Nm: NonNegative = 0.0
+    viscous_Nm_s: NonNegative = 0.0
+    """dynamics: friction per rad/s, and that against the sense of turning."""
+    coulomb_Nm: NonNegative = 0.0
 
 
 class SegmentSection(Section):
@@ -328,6 +345,45 @@ class ScheduleSection(Section):
     """When samples are taken: one segment or more, in order."""
 
     segments: Annotated[tuple[SegmentSection, ...], BeforeValidator(_tuple), Field(min_length=1)]
+    in_view_of_stations: bool = False
+    """Only samples while some [station.NAME] sees the spacecraft: no tape recorder."""
+
+
+class StationSection(Section):
+    """One ground station, WGS 84."""
+
+    latitude_deg: Annotated[float, Field(ge=-90, le=90)]
+    longitude_deg: Annotated[float, Field(ge=-360, le=360)]
+    """East."""
+    altitude_km: Annotated[float, Field(gt=-12, lt=12)] = 0.0
+    mask_deg: Annotated[float, Field(gt=-10, lt=90)] = 0.0
+    """Elevation from which the station has contact."""
+
+
+class TransferSection(Section):
+    """Whether one effect of a closed scenario is good enough for another design; written by a diagnosis."""
+
+    effect: str
+    design: str
+    transfers: bool
+    chance: Annotated[float, Field(ge=0, le=1)] | None = None
+    """That a diagnosis there would call the error of the effect a gap."""
+    uncertainty_nT: NonNegative | None = None
+    floor_nT: NonNegative | None = None
+    detectable_nT: NonNegative | None = None
+    why: str = ""
+
+
+class ClosureSection(Section):
+    """Where the effects and calibration of a closed scenario were learnt, and where they hold. Simulations ignore it."""
+
+    telemetry: str = ""
+    from_utc: Stamp | None = None
+    to_utc: Stamp | None = None
+    rows: Annotated[int, Field(ge=0)] = 0
+    incomplete: str | None = None
+    """Why the effects are not the whole gap."""
+    transfer: Annotated[tuple[TransferSection, ...], BeforeValidator(_tuple)] = ()
 
 
 class ReplaySection(Section):

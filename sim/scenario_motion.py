@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim import epoch
@@ -24,9 +25,9 @@ class ScenarioMotion:
     attitude: Attitude
     """The true attitude at the stamps."""
 
-    def at(self, offset_s: float) -> tuple[FloatArray, FloatArray, Rotation]:
-        """Position [km] and velocity [km/s] (N, 3), GCRS, and R_BN, `offset_s` after each stamp."""
-        if offset_s == 0.0:
+    def at(self, offset_s: float | FloatArray) -> tuple[FloatArray, FloatArray, Rotation]:
+        """Position [km] and velocity [km/s] (N, 3), GCRS, and R_BN, `offset_s` (or (N,)) after each stamp."""
+        if not np.any(offset_s):
             return self.world.r_N_km, self.world.v_N_km_s, self.attitude.R_BN
         start = self.world.time[0]
         time = epoch.add_seconds(start, epoch.seconds_since(self.world.time, start) + offset_s)

@@ -30,12 +30,14 @@ def magnetometer(scenario: Scenario) -> Magnetometer:
 
 
 def torquer_correction(scenario: Scenario) -> FloatArray:
-    """T of equation 1, (3, 3) nT/(A m2): given, or minus the dipole-law coupling of the torquers' positions."""
+    """T of equation 1, (3, 3) nT/(A m2): given, or minus the dipole-law coupling of the torquers' positions, as far as
+    the electronics do not take it out."""
     if scenario.magnetometer.T_nT_per_Am2 is not None:
         return np.array(scenario.magnetometer.T_nT_per_Am2)
     if scenario.torquers is None:
         return np.zeros((3, 3))
-    return -coupling_nT_per_Am2(np.array(scenario.torquers.positions_m))
+    left = 1.0 - scenario.torquers.compensation
+    return -left * coupling_nT_per_Am2(np.array(scenario.torquers.positions_m))
 
 
 def torquer_schedule(scenario: Scenario) -> TorquerSchedule:

@@ -16,6 +16,7 @@ from fluxtwin.sim.field import field_N_nT, load_field
 from fluxtwin.sim.orbit import Orbit
 from fluxtwin.sim.scenario import Scenario
 from fluxtwin.sim.scenario_config import OrbitSection
+from fluxtwin.sim.scenario_stations import seen_from_stations
 from fluxtwin.sim.types import FloatArray, TimeArray
 
 
@@ -39,10 +40,14 @@ class World:
 def build_world(scenario: Scenario) -> World:
     """The world of a scenario with [orbit] and [schedule].
 
-    Raises BadInput for segments that overlap and OutOfRange for epochs outside the field model.
+    Raises BadInput for segments that overlap or lie wholly out of view of the stations, and OutOfRange for epochs
+    outside the field model.
     """
     time, segment = schedule_times(scenario)
     r_N_km, v_N_km_s = ephemeris(scenario, time)
+    if scenario.schedule is not None and scenario.schedule.in_view_of_stations:
+        kept, segment = seen_from_stations(scenario, time, segment, r_N_km)
+        time, r_N_km, v_N_km_s = time[kept], r_N_km[kept], v_N_km_s[kept]
     return world_along(scenario, time, segment, r_N_km, v_N_km_s)
 
 

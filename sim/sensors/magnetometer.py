@@ -59,7 +59,7 @@ class Magnetometer:
         corrected = np.atleast_2d(np.asarray(field_B_nT, dtype=np.float64)) - self.b_nT
         if self.T_nT_per_Am2 is not None and dipole_B_Am2 is not None:
             corrected = corrected - np.atleast_2d(dipole_B_Am2) @ self.T_nT_per_Am2.T
-        return np.asarray(np.linalg.solve(np.eye(3) + self.S, corrected.T).T, dtype=np.float64)
+        return np.asarray(np.einsum("nk,mk->nm", corrected, np.linalg.inv(np.eye(3) + self.S)), dtype=np.float64)
 
     def digitise(self, reading_nT: FloatArray) -> FloatArray:
         """Saturate at full scale, then round to the nearest multiple of the LSB, in that order."""

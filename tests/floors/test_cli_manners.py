@@ -158,6 +158,28 @@ def test_what_nobody_expects_costs_one_line(
     assert "Traceback" not in outcome.err
 
 
+def test_an_option_without_its_value_is_said_to_lack_it(cli: Callable[..., object], tmp_path: Path) -> None:
+    outcome = cli("calibrate", tmp_path / "x.csv", "--robust", "--out", tmp_path / "c.toml")
+    assert outcome.status == 2
+    assert "--robust: '--out' is no kind of weights" in outcome.err
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_an_interrupted_study_leaves_no_folder_of_its_own(
+    cli: Callable[..., object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there: bool
+) -> None:
+    from fluxtwin import studies
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(studies, "find_study", lambda name: interrupted)
+    if there:
+        (tmp_path / "results").mkdir()
+    assert cli("run", "seasat", "--out", tmp_path / "results").status == 130
+    assert (tmp_path / "results").exists() == there
+
+
 def test_a_reader_that_goes_away_is_no_error() -> None:
     read_end, write_end = os.pipe()
     os.close(read_end)

@@ -320,7 +320,7 @@ def test_a_torquer_that_never_fired_is_refused_by_name(cli: Cli, flight: Path) -
     ("options", "words"),
     [
         (("--parameters", "S"), ["b,S,T"]),
-        (("--method", "twostep"), ["twostep", "linear", "forward"]),
+        (("--method", "threestep"), ["threestep", "linear", "scalar"]),
         (("--covariance", "grey"), ["grey", "white", "blocks"]),
         (("--robust", "very"), ["very", "huber", "tukey"]),
         (("--block-s", "-1"), ["-1"]),

@@ -83,7 +83,7 @@ def test_the_readme_gives_the_two_commands_that_ci_runs(root: Path) -> None:
     blocks = re.findall(r"^```\w*\n(.*?)^```$", part.group(1), re.DOTALL | re.MULTILINE)
     assert [block.strip() for block in blocks[:2]] == [
         "pip install . && fluxtwin run seasat",
-        "pip install '.[test]' && python -m pytest",
+        "pip install '.[test]' && python -m pytest -n auto",
     ]
 
 

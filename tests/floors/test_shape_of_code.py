@@ -21,7 +21,9 @@ NO_UNIT = {
     "weights", "eccentricity", "condition", "covariance", "correlation", "singular_values", "state_of_charge",
     "probability", "significance", "efficiency", "duty", "R_BN", "segment", "eiv_shift", "relative_uncertainty",
     "directions_B", "lag_correlation", "sharpness", "taper_above_fraction", "G", "M", "D", "O",
-    "taper_above", "rc_weights", "gram",
+    "taper_above", "rc_weights", "gram", "inertia_ratio",
+    # directions, and a table whose columns have a unit each
+    "axis", "axis_B", "nodes",
     # a parameter of an effect names its unit in a field of its own
     "scale", "low", "high",
     # a regression knows no units: its columns are nT and A m2 side by side

@@ -68,7 +68,7 @@ def main() -> int:
 
 
 def _run(given: argparse.Namespace) -> int:
-    sha, dirty = store.commit_of(ROOT)
+    sha, dirty = ("", True) if given.tune is not None or given.score else store.commit_of(ROOT)
     if given.tune is None and not given.score and dirty:
         raise SystemExit("the tree differs from the commit: commit first, or tune with --tune SEED")
     seed = int(sha[:12], 16) if given.tune is None else given.tune

@@ -10,7 +10,7 @@ import numpy as np
 
 from fluxtwin.gap.candidates import Reduce, derivative, in_order
 from fluxtwin.gap.problem import Problem, realigned
-from fluxtwin.gap.score import SHARE_LEFT, Whitens, least_share, orthonormal
+from fluxtwin.gap.score import SHARE_LEFT, Whitens
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.types import BoolArray, FloatArray
 
@@ -85,11 +85,9 @@ def refit(
     chi2 = float(np.sum(residual**2))
     jacobian = work.jacobian(_unpacked(active, vector)) if guess is None else guess
     exact = guess is None
-    size, share = sum(len(theta) for _, theta in active[:count]), least_share(whitener)
     for _ in range(2 * _STEPS):
-        firm, onto_firm = _firm(jacobian, size, share)
-        free = _free(firm, residual, vector, low, high)
-        step = onto_firm @ _step(firm, residual, free)
+        free = _free(jacobian, residual, vector, low, high)
+        step = _step(jacobian, residual, free)
         promised = 2 * float(np.sum(residual * (jacobian @ step))) - float(np.sum((jacobian @ step) ** 2))
         found = _search_line(work, active, vector, step, (low, high), chi2) if promised >= _CONVERGED else None
         if found is None and exact:
@@ -102,8 +100,8 @@ def refit(
         if exact:
             jacobian = work.jacobian(_unpacked(active, vector))
     active = _unpacked(active, vector)
-    firm, _ = _firm(jacobian, size, share)
-    covariance, seen, rank = _covariance(firm, _free(firm, residual, vector, low, high))
+    size = sum(len(theta) for _, theta in active[:count])
+    covariance, seen, rank = _covariance(jacobian, _free(jacobian, residual, vector, low, high))
     rank_modelled = _covariance(jacobian[:, :, :size], np.any(jacobian[:, :, :size] != 0.0, axis=(0, 1)))[2]
     return Fit(
         tuple(active[:count]), tuple(active[count:]), chi2, residual, jacobian, covariance, seen, rank, rank_modelled
@@ -203,27 +201,6 @@ def _step(jacobian: FloatArray, residual: FloatArray, free: BoolArray) -> FloatA
     solution = np.linalg.lstsq(flat / length, residual.reshape(-1), rcond=_rcond())[0]
     step[free] = solution / length
     return step
-
-
-def _firm(jacobian: FloatArray, size: int, share: float) -> tuple[FloatArray, FloatArray]:
-    """The Jacobian (M, 3, p) without those directions of the chosen effects (all after the first `size`) of which what
-    is modelled leaves no more than `share`, and (p, p) what takes them out of a step."""
-    count = jacobian.shape[2]
-    flat = jacobian.reshape(-1, count)
-    length = np.linalg.norm(flat[:, size:], axis=0)
-    length = np.where(length > 0, length, 1.0)
-    unit = flat[:, size:] / length
-    basis = orthonormal(jacobian[:, :, :size])
-    beside = unit - basis @ (basis.T @ unit)
-    values, vectors = np.linalg.eigh(beside.T @ beside)
-    weak = (values <= share) & (np.linalg.norm(unit @ vectors, axis=0) > 0)
-    if not weak.any():
-        return jacobian, np.eye(count)
-    strong = np.eye(count - size) - vectors[:, weak] @ vectors[:, weak].T
-    firm, onto_firm = jacobian.copy(), np.eye(count)
-    firm[:, :, size:] = ((unit @ strong) * length).reshape(*jacobian.shape[:2], -1)
-    onto_firm[size:, size:] = strong * length / length[:, None]
-    return firm, onto_firm
 
 
 def _rcond() -> float:

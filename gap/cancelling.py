@@ -7,7 +7,6 @@ from itertools import combinations
 
 import numpy as np
 
-from fluxtwin.gap.candidates import Reduce
 from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.refit import Fit, white_residual
 from fluxtwin.gap.score import Whitens, orthonormal
@@ -17,9 +16,7 @@ _OPPOSITE = -0.9  # cosine of two signals, in the linear model, from which on th
 _LITTLE = 0.2  # of the smaller signal: what a pair may leave at the least
 
 
-def undone(
-    problem: Problem, whitener: Whitens, fit: Fit, nuisance: FloatArray, alone: Sequence[bool], reduce: Reduce | None
-) -> bool:
+def undone(problem: Problem, whitener: Whitens, fit: Fit, nuisance: FloatArray, alone: Sequence[bool]) -> bool:
     """Whether two of a fit's effects leave together less than a fifth of what either does by itself.
 
     Signals are whitened and beside the nuisance (M, 3, c). alone: for each chosen effect, whether it is significant
@@ -39,19 +36,17 @@ def undone(
         if size == 0.0 or float(linear[one] @ linear[other]) > _OPPOSITE * size:
             continue
         of_one, of_other, of_both = (
-            _signal(problem, whitener, fit, basis, out, reduce) for out in ((one,), (other,), (one, other))
+            _signal(problem, whitener, fit, basis, out) for out in ((one,), (other,), (one, other))
         )
         if of_both < _LITTLE * min(of_one, of_other):
             return True
     return False
 
 
-def _signal(
-    problem: Problem, whitener: Whitens, fit: Fit, basis: FloatArray, out: Sequence[int], reduce: Reduce | None
-) -> float:
+def _signal(problem: Problem, whitener: Whitens, fit: Fit, basis: FloatArray, out: Sequence[int]) -> float:
     """Size of what these of the chosen effects do together, in the nonlinear chain."""
     left = [pair for place, pair in enumerate(fit.chosen) if place not in out]
-    bare = white_residual(problem, whitener, [*fit.modelled, *left], reduce)
+    bare = white_residual(problem, whitener, [*fit.modelled, *left])
     return float(np.linalg.norm(_beside(basis, bare - fit.residual)))
 
 

@@ -7,7 +7,7 @@ lit, a torquer axis never fired) are dropped one by one; an effect with no colum
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,9 +20,6 @@ from fluxtwin.sim.effects.bit_errors import BitErrors
 from fluxtwin.sim.effects.catalogue import CATALOGUE
 from fluxtwin.sim.effects.chain import Active, Chain
 from fluxtwin.sim.types import BoolArray, FloatArray
-
-Reduce = Callable[[FloatArray], FloatArray]
-"""Maps rows (N, 3) or (N, 3, p) to fewer rows (M, ...): averages over blocks, where there are very many."""
 
 _DEAD_NT = 1e-6  # a parameter of its typical size that moves the readings by less is not there
 
@@ -59,20 +56,20 @@ class Candidate:
 def candidates(
     problem: Problem,
     *,
-    reduce: Reduce | None = None,
     modelled: Sequence[Active] | None = None,
     active: Sequence[Active] = (),
+    shaken: Shaken | None = None,
 ) -> tuple[list[Candidate], dict[str, str]]:
     """All alternatives of all signal effects that are neither modelled nor active, and why others cannot be tested.
 
-    reduce: applied to every Jacobian as it is made, so that the full rows of one effect only are in memory.
-    modelled, active: where to linearise (default: the problem's own). Returns (candidates, {name: reason}).
+    modelled, active: where to linearise (default: the problem's own). shaken: the design with one more attitude error,
+    if at hand. Returns (candidates, {name: reason}).
     """
     if modelled is None:
         modelled = problem.modelled_active
     taken = {effect.name for effect in problem.modelled} | {effect.name for effect, _ in active}
     on = in_order([*problem.frozen, *modelled, *active])
-    shaken = Shaken(problem)
+    shaken = shaken or Shaken(problem)
     found: list[Candidate] = []
     untestable: dict[str, str] = {}
     for effect in CATALOGUE:
@@ -86,8 +83,7 @@ def candidates(
         if reason is not None or not isinstance(effect, SignalEffect):
             continue
         made = [
-            _candidate(problem.design, alternative, on, reduce, shaken)
-            for alternative in _signal_alternatives(effect, problem)
+            _candidate(problem.design, alternative, on, shaken) for alternative in _signal_alternatives(effect, problem)
         ]
         testable = [candidate for candidate in made if candidate.live.any()]
         if not testable:
@@ -137,6 +133,18 @@ def derivative(chain: Chain, on: Sequence[Active], number: int) -> FloatArray:
     return np.stack(columns, axis=-1)
 
 
+def derivatives(problem: Problem, wanted: Sequence[Active]) -> FloatArray:
+    """(N, 3, sum of parameters) derivative of the reading by the parameters of `wanted`, in that order, all of them and
+    the frozen effects switched on."""
+    on = in_order([*problem.frozen, *wanted])
+    place = {id(effect): number for number, (effect, _) in enumerate(on)}
+    # From the first stage to the last, so that the chain finds what comes before already computed.
+    blocks = {id(effect): derivative(problem.design, on, place[id(effect)]) for effect, _ in in_order(wanted)}
+    if not blocks:
+        return np.zeros((problem.rows, 3, 0))
+    return np.concatenate([blocks[id(effect)] for effect, _ in wanted], axis=2)
+
+
 def settings_of(effect: SignalEffect) -> dict[str, object]:
     """Discrete settings of an effect that can be written in a word: numbers, words, flags."""
     fields = {item.name: getattr(effect, item.name) for item in dataclasses.fields(effect)}
@@ -147,9 +155,7 @@ def _signal_alternatives(effect: SignalEffect, problem: Problem) -> list[SignalE
     return [one for one in effect.alternatives(problem.setting) if isinstance(one, SignalEffect)]
 
 
-def _candidate(
-    chain: Chain, effect: SignalEffect, on: Sequence[Active], reduce: Reduce | None, shaken: Shaken
-) -> Candidate:
+def _candidate(chain: Chain, effect: SignalEffect, on: Sequence[Active], shaken: Shaken) -> Candidate:
     start = np.zeros(len(effect.parameters))
     with_it = in_order([*on, (effect, start)])
     number = next(place for place, pair in enumerate(with_it) if pair[0] is effect)
@@ -157,4 +163,4 @@ def _candidate(
     scale = np.array([parameter.scale for parameter in effect.parameters])
     live = np.sqrt(np.mean(jacobian**2, axis=(0, 1))) * scale > _DEAD_NT
     change = shaken.change(effect, jacobian, with_it, number) if live.any() else 0.0
-    return Candidate(effect, jacobian if reduce is None else reduce(jacobian), live, change)
+    return Candidate(effect, jacobian, live, change)

@@ -9,9 +9,10 @@ import numpy as np
 
 from fluxtwin.gap import far, verdict
 from fluxtwin.gap.blocks import Block, blocks
-from fluxtwin.gap.candidates import Candidate, candidates, derivative, in_order
+from fluxtwin.gap.candidates import Candidate, candidates, derivatives
 from fluxtwin.gap.evidence import Dictionary, leftover
 from fluxtwin.gap.flexible import FlexibleFinding, wheel_line
+from fluxtwin.gap.frail import Shaken
 from fluxtwin.gap.full_rate import FullRate, full_rate
 from fluxtwin.gap.left import Left, what_is_left
 from fluxtwin.gap.named import SearchResult
@@ -110,8 +111,9 @@ def investigate(problem: Problem, progress: Progress = silent, whole: Telemetry 
     if coarser is not None and coarser.confirmed:
         wider = replace(problem.budget, lsb_nT=coarser.parameters["lsb"][0])
         problem = replace(problem, budget=wider)
-    known = candidates(problem)
-    dictionary = Dictionary(blocks(problem), problem.rows)
+    shaken = Shaken(problem)
+    known = candidates(problem, shaken=shaken)
+    dictionary = Dictionary(blocks(problem, shaken=shaken), problem.rows)
     progress("noise", 0.25)
     saturated = _saturated(problem, [c.jacobian for c in known[0]], dictionary)
     settled_on = noise_choice(problem, saturated)
@@ -137,7 +139,7 @@ def investigate(problem: Problem, progress: Progress = silent, whole: Telemetry 
     answer, shape = _with_line(problem, answer, shape, fast)
     if shape is not None and isinstance(shape.instance, SignalEffect):
         # A line or a switched field was noise to the choice above.
-        own = _own_jacobian(problem, shape.instance)
+        own = derivatives(problem, [(shape.instance, np.zeros(len(shape.instance.parameters)))])
         noise, robust = choose_noise(problem, np.concatenate([saturated, own], axis=2))
         answer = _with_columns(problem, replace(answer, noise=noise), robust, own, dictionary)
     noise, whitener, result = answer.noise, answer.whitener, answer.result
@@ -182,8 +184,8 @@ def _answer(
 ) -> _Answer:
     whitener = whitener_of(problem, noise, robust.weights)
     result = search(problem, whitener, known=known)
-    alone = _jacobian(problem, result.modelled_alone, ())
-    fitted = _jacobian(problem, result.modelled, result.chosen) if result.chosen else alone
+    alone = derivatives(problem, result.modelled_alone)
+    fitted = derivatives(problem, [*result.modelled, *result.chosen]) if result.chosen else alone
     left = _left(problem, whitener, result, fitted, dictionary)
     return _Answer(noise, whitener, result, alone, fitted, left)
 
@@ -249,12 +251,6 @@ def _with_line(
     return replace(answer, left=found), shape
 
 
-def _own_jacobian(problem: Problem, effect: SignalEffect) -> FloatArray:
-    """(N, 3, P) of an effect that the search did not have among its candidates."""
-    on = in_order([*problem.frozen, (effect, np.zeros(len(effect.parameters)))])
-    return derivative(problem.design, on, next(place for place, pair in enumerate(on) if pair[0] is effect))
-
-
 def _with_columns(
     problem: Problem, answer: _Answer, robust: RobustRows, own: FloatArray, dictionary: Sequence[Block]
 ) -> _Answer:
@@ -305,17 +301,6 @@ def _saturated(problem: Problem, jacobians: Sequence[FloatArray], dictionary: Se
         columns.append(made)
         room -= made.shape[2]
     return np.concatenate(columns, axis=2) if columns else np.zeros((problem.rows, 3, 0))
-
-
-def _jacobian(problem: Problem, modelled: Sequence[Active], chosen: Sequence[Active]) -> FloatArray:
-    """(N, 3, C + P) derivative of the reading: what is modelled first, then the chosen effects, in their order."""
-    wanted = [*modelled, *chosen]
-    on = in_order([*problem.frozen, *wanted])
-    parts = []
-    for effect, _ in wanted:
-        number = next(place for place, pair in enumerate(on) if pair[0] is effect)
-        parts.append(derivative(problem.design, on, number))
-    return np.concatenate(parts, axis=2) if parts else np.zeros((problem.rows, 3, 0))
 
 
 def _place(

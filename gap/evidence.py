@@ -17,7 +17,7 @@ from scipy import stats
 from scipy.special import fdtrc, logsumexp
 
 from fluxtwin.gap.blocks import Block
-from fluxtwin.gap.whitening import share_of_errors
+from fluxtwin.gap.whitening import least_share
 from fluxtwin.sim.types import BoolArray, FloatArray
 
 _RANK_TOLERANCE = 1e-7
@@ -48,8 +48,7 @@ class Leftover:
     @property
     def least_share(self) -> float:
         """Of its energy that an image must have beside the fitted columns."""
-        noise = getattr(self.whitener, "noise", None)
-        return share_of_errors(None if noise is None else noise.theta_rad, _RANK_TOLERANCE)
+        return least_share(self.whitener, _RANK_TOLERANCE)
 
     @property
     def energy(self) -> float:

@@ -32,9 +32,8 @@ _SLOW_S = 300.0
 _SEED = 12
 
 
-def steady(problem: Problem, found: Iterable[Condition]) -> list[Condition]:
-    """Conditions of a problem's design that do not follow the attitude's error."""
-    shaken = Shaken(problem)
+def steady(shaken: Shaken, found: Iterable[Condition]) -> list[Condition]:
+    """Conditions of a design that do not follow the attitude's error."""
     if shaken.setting is None:
         return list(found)
     again = {(c.name, c.label): c.columns for c in conditions(shaken.setting)}

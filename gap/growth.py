@@ -14,11 +14,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fluxtwin.gap.cancelling import undone
-from fluxtwin.gap.candidates import Candidate, Reduce, candidates
+from fluxtwin.gap.candidates import Candidate, candidates
 from fluxtwin.gap.groups import alike, shares_by_name
 from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.refit import Fit, refit
-from fluxtwin.gap.score import Board, Whitens, board, least_share, whitened
+from fluxtwin.gap.score import SHARE_LEFT, Board, Whitens, board, whitened
+from fluxtwin.gap.whitening import least_share
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.types import BoolArray, FloatArray
 
@@ -37,7 +38,6 @@ class Search:
 
     problem: Problem
     whitener: Whitens
-    reduce: Reduce | None
     found: list[Candidate]
     base: Fit
     first: Board
@@ -56,7 +56,7 @@ class Search:
     @property
     def share_left(self) -> float:
         """Of its energy that an image must have beside others."""
-        return least_share(self.whitener)
+        return least_share(self.whitener, SHARE_LEFT)
 
     @property
     def tested(self) -> int:
@@ -72,8 +72,7 @@ class Search:
         if key not in self.fits:
             chosen = [(self.found[number].effect, theta) for number, theta in zip(numbers, start, strict=True)]
             self.fits[key] = refit(
-                self.problem, self.whitener, chosen, modelled=self.base.modelled, reduce=self.reduce,
-                guess=self._image(numbers),
+                self.problem, self.whitener, chosen, modelled=self.base.modelled, guess=self._image(numbers),
             )  # fmt: skip
         return self.fits[key]
 
@@ -115,7 +114,6 @@ class Search:
 def begin(
     problem: Problem,
     whitener: Whitens,
-    reduce: Reduce | None = None,
     gate: float = GATE,
     known: tuple[list[Candidate], dict[str, str]] | None = None,
 ) -> tuple[Search, dict[str, str]]:
@@ -123,12 +121,12 @@ def begin(
 
     known: what `candidates` gave for this problem: noise moves the fit of what is modelled by too little to matter.
     """
-    base = refit(problem, whitener, reduce=reduce)
-    found, untestable = known or candidates(problem, reduce=reduce, modelled=base.modelled)
+    base = refit(problem, whitener)
+    found, untestable = known or candidates(problem, modelled=base.modelled)
     white = whitened(found, whitener, base.residual.shape[0])
-    first = board(found, white, base.residual, base.jacobian, whitener.measured, least_share(whitener))
+    first = board(found, white, base.residual, base.jacobian, whitener.measured, least_share(whitener, SHARE_LEFT))
     same = alike(shares_by_name(first))
-    return Search(problem, whitener, reduce, found, base, first, white, gate, same=same), untestable
+    return Search(problem, whitener, found, base, first, white, gate, same=same), untestable
 
 
 def run(search: Search) -> tuple[Fit, Board]:
@@ -195,7 +193,7 @@ def _grown(search: Search, fit: Fit, rest: Board, others: Sequence[Candidate]) -
 
 def _undone(search: Search, fit: Fit) -> bool:
     alone = [search.tested * float(search.first.p_values[number]) < search.gate for number in search.numbers(fit)]
-    return undone(search.problem, search.whitener, fit, search.base.jacobian, alone, search.reduce)
+    return undone(search.problem, search.whitener, fit, search.base.jacobian, alone)
 
 
 def _afresh(search: Search, size: int, present: Sequence[int], partners: Sequence[int]) -> list[list[int]]:

@@ -63,7 +63,7 @@ class Ranked:
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """The outcome of a search; M rows (those of the problem unless they were reduced)."""
+    """The outcome of a search; M rows, those of the problem."""
 
     named: tuple[Named, ...]
     """Jointly present, best supported first; empty: no gap that the catalogue explains."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.gap.candidates import Reduce, derivative, in_order
+from fluxtwin.gap.candidates import derivatives, in_order
 from fluxtwin.gap.problem import Problem, realigned
 from fluxtwin.gap.score import SHARE_LEFT, Whitens
 from fluxtwin.sim.effects.chain import Active
@@ -66,7 +66,6 @@ def refit(
     chosen: Sequence[Active] = (),
     *,
     modelled: Sequence[Active] | None = None,
-    reduce: Reduce | None = None,
     guess: FloatArray | None = None,
 ) -> Fit:
     """Minimise the whitened chi-square over the parameters of all modelled and chosen effects, within their ranges.
@@ -75,7 +74,7 @@ def refit(
     the whitened Jacobian, to begin with. A Jacobian whose step did what it promised is used once more; the last one
     is made anew.
     """
-    work = _Work(problem, whitener, reduce)
+    work = _Work(problem, whitener)
     count = len(problem.modelled)
     active = [*(problem.modelled_active if modelled is None else modelled), *chosen]
     vector = _packed(active)
@@ -135,33 +134,25 @@ def settled(problem: Problem, *, robust_nT: float | None = None) -> Problem:
     return current
 
 
-def white_residual(
-    problem: Problem, whitener: Whitens, active: Sequence[Active], reduce: Reduce | None = None
-) -> FloatArray:
+def white_residual(problem: Problem, whitener: Whitens, active: Sequence[Active]) -> FloatArray:
     """(M, 3) whitened residual with these effects on, beside the frozen ones."""
-    return _Work(problem, whitener, reduce).residual(active)
+    return _Work(problem, whitener).residual(active)
 
 
 class _Work:
     """Residual and Jacobian of a problem, whitened."""
 
-    def __init__(self, problem: Problem, whitener: Whitens, reduce: Reduce | None) -> None:
+    def __init__(self, problem: Problem, whitener: Whitens) -> None:
         self.problem, self.whitener = problem, whitener
-        self.reduce: Reduce = (lambda rows: rows) if reduce is None else reduce
 
     def residual(self, active: Sequence[Active]) -> FloatArray:
         """(M, 3)."""
-        return self.whitener.apply(self.reduce(self.problem.residual_of(in_order([*self.problem.frozen, *active]))))
+        return self.whitener.apply(self.problem.residual_of(in_order([*self.problem.frozen, *active])))
 
     def jacobian(self, active: Sequence[Active]) -> FloatArray:
         """(M, 3, sum of parameters), in the order of `active`."""
-        on = in_order([*self.problem.frozen, *active])
-        place = {id(pair[0]): number for number, pair in enumerate(on)}
-        # From the first stage to the last, so that the chain finds what comes before already computed.
-        blocks = {id(e): derivative(self.problem.design, on, place[id(e)]) for e, _ in in_order(active)}
-        if not blocks:
-            return np.zeros((*self.residual(active).shape, 0))
-        return self.whitener.apply(self.reduce(np.concatenate([blocks[id(e)] for e, _ in active], axis=2)))
+        images = derivatives(self.problem, active)
+        return self.whitener.apply(images) if images.shape[2] else images
 
 
 def _packed(active: Sequence[Active]) -> FloatArray:

@@ -17,7 +17,6 @@ from scipy.linalg import qr
 from scipy.stats import f as f_distribution
 
 from fluxtwin.gap.candidates import Candidate
-from fluxtwin.gap.whitening import share_of_errors
 from fluxtwin.sim.types import FloatArray
 
 SHARE_LEFT = 1e-6
@@ -196,12 +195,6 @@ class Board:
             theta[self.place[mine].astype(int)] = scaled[mine]
             estimates.append(theta)
         return estimates
-
-
-def least_share(whitener: Whitens) -> float:
-    """Of its energy that an image must have beside others: more than the attitude error that it was made with."""
-    noise = getattr(whitener, "noise", None)
-    return share_of_errors(None if noise is None else noise.theta_rad, SHARE_LEFT)
 
 
 def board(

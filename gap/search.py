@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from fluxtwin.gap import groups
-from fluxtwin.gap.candidates import Candidate, Reduce, candidates, derivative, in_order
+from fluxtwin.gap.candidates import Candidate, candidates, derivatives, in_order
 from fluxtwin.gap.detectable import detectable, visible_part
 from fluxtwin.gap.growth import GATE, Search, begin, run
 from fluxtwin.gap.named import Named, Ranked, SearchResult
@@ -28,19 +28,18 @@ def search(
     problem: Problem,
     whitener: Whitens,
     *,
-    reduce: Reduce | None = None,
     gate: float = GATE,
     known: tuple[list[Candidate], dict[str, str]] | None = None,
 ) -> SearchResult:
     """Find the effects that explain the gap, at most three.
 
-    whitener: of the problem's rows, or of those that `reduce` makes of them. gate: the probability that a perfect
-    simulation gets any name, over the whole search. known: the problem's `candidates`, if at hand. Memory: about 60 P
-    bytes per row for P columns of all alternatives together (some 250), so reduce rows beyond some ten thousand.
+    whitener: of the problem's rows. gate: the probability that a perfect simulation gets any name, over the whole search.
+    known: the problem's `candidates`, if at hand. Memory: about 60 P bytes per row for P columns of all alternatives
+    together (some 250), so thin records beyond some ten thousand rows.
     """
-    under_way, untestable = begin(problem, whitener, reduce, gate, known)
+    under_way, untestable = begin(problem, whitener, gate, known)
     first, base = under_way.first, under_way.base
-    raw_nuisance = _raw_jacobian(problem, base, reduce)
+    raw_nuisance = derivatives(problem, base.modelled)
     table = groups.shares_by_name(first)
     smallest, hidden = detectable(first, under_way.white, raw_nuisance, base.jacobian)
     fit, rest = run(under_way)
@@ -90,8 +89,7 @@ def _named(
     part = fit.slices()[number]
     signal = _visible(under_way, fit, number, raw_nuisance)
     problem = under_way.problem
-    judged = problem.judged(signal) if under_way.reduce is None else signal
-    count = problem.measured.sum() if under_way.reduce is None else signal.size
+    judged, count = problem.judged(signal), problem.measured.sum()
     shares = _axis_shares(under_way, fit, number, signal)
     covariance = fit.covariance[part, part] * max(variance, 1.0)
     if problem.axes is not None:
@@ -132,12 +130,11 @@ def _axis_shares(under_way: Search, fit: Fit, number: int, signal: FloatArray) -
 
 def _visible(under_way: Search, fit: Fit, number: int, raw_nuisance: FloatArray) -> FloatArray:
     """(M, 3) signal of one named effect beside the best re-estimation of what is modelled, nT."""
-    problem, reduce = under_way.problem, under_way.reduce
+    problem = under_way.problem
     others = [pair for place, pair in enumerate(fit.chosen) if place != number]
     with_it = _chain_reading(problem, fit.active)
     without_it = _chain_reading(problem, [*fit.modelled, *others])
     raw = with_it - without_it
-    raw = raw if reduce is None else reduce(raw)
     white = under_way.whitener.apply(raw)
     return visible_part(raw[:, :, None], white[:, :, None], raw_nuisance, under_way.base.jacobian)[:, :, 0]
 
@@ -145,7 +142,7 @@ def _visible(under_way: Search, fit: Fit, number: int, raw_nuisance: FloatArray)
 def _gain(under_way: Search, fit: Fit, number: int) -> float:
     """How much larger chi-square is without this effect, all else as it is."""
     others = [pair for place, pair in enumerate(fit.chosen) if place != number]
-    bare = white_residual(under_way.problem, under_way.whitener, [*fit.modelled, *others], under_way.reduce)
+    bare = white_residual(under_way.problem, under_way.whitener, [*fit.modelled, *others])
     return float(np.sum(bare**2)) - fit.chi2
 
 
@@ -154,18 +151,6 @@ def _columns(fit: Fit, order: list[int]) -> list[int]:
     start = sum(len(theta) for _, theta in fit.modelled)
     slices = fit.slices()
     return [*range(start), *(c for number in order for c in range(slices[number].start, slices[number].stop))]
-
-
-def _raw_jacobian(problem: Problem, fit: Fit, reduce: Reduce | None) -> FloatArray:
-    """(M, 3, c) derivative by what is modelled, nT."""
-    on = in_order([*problem.frozen, *fit.modelled])
-    blocks = []
-    for effect, theta in fit.modelled:
-        number = next(place for place, pair in enumerate(on) if pair[0] is effect)
-        blocks.append(derivative(problem.design, on, number))
-        assert blocks[-1].shape[2] == len(theta)
-    raw = np.concatenate(blocks, axis=2) if blocks else np.zeros((problem.rows, 3, 0))
-    return raw if reduce is None else reduce(raw)
 
 
 def _chain_reading(problem: Problem, active: list[Active]) -> FloatArray:

@@ -75,7 +75,7 @@ def _weights(search: Search, fit: Fit, number: int, bare: Fit, variance: float) 
     mine = fit.slices()[number]
     kept = [c for c in range(fit.jacobian.shape[2]) if not mine.start <= c < mine.stop]
     # The data with this effect's own signal put back: what the others would have to explain.
-    put_back = white_residual(search.problem, search.whitener, [*fit.modelled, *others], search.reduce)
+    put_back = white_residual(search.problem, search.whitener, [*fit.modelled, *others])
     beside = fit.jacobian[:, :, kept]
     scored = board(search.found, search.white, put_back, beside, search.whitener.measured, search.share_left)
     drop_own = scored.chi2 - fit.chi2

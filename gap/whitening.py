@@ -53,6 +53,12 @@ class NoiseModel:
         return self.sigma_nT * np.asarray(self.axis_factor)
 
 
+def least_share(whitener: object, least: float) -> float:
+    """`share_of_errors` for what a whitener takes the attitude error to be; `least` for one without a noise model."""
+    noise = getattr(whitener, "noise", None)
+    return share_of_errors(None if noise is None else noise.theta_rad, least)
+
+
 def share_of_errors(theta_rad: float | None, least: float) -> float:
     """Share of its energy that an image must have left beside others to be more than attitude error.
 

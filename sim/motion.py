@@ -114,6 +114,10 @@ class RecordedMotion:
         return rows, attitude_track.smoothed(self.seconds[rows], self.R_BN[rows], gyro)
 
     @cached_property
+    def _from_track(self) -> Rotation:
+        return self.track(0.0).inv()
+
+    @cached_property
     def _latest(self) -> dict[float, tuple[FloatArray, FloatArray, Rotation]]:
         return {}
 
@@ -132,7 +136,7 @@ class RecordedMotion:
 
     def _turned_on(self, offset_s: float | FloatArray) -> Rotation:
         """From the attitude at each stamp to that `offset_s` after it; by the gyro alone where no attitude is known."""
-        turn = self.track(offset_s) * self.track(0.0).inv()
+        turn = self.track(offset_s) * self._from_track
         if self.attitude_known is None or self.gyro_B_rad_s is None:
             return turn
         instead = ~self.attitude_known & np.isfinite(self.gyro_B_rad_s).all(axis=1)

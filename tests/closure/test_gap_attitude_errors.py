@@ -11,7 +11,7 @@ import pytest
 
 from fluxtwin.gap.conditions import conditions
 from fluxtwin.gap.diagnose import diagnose
-from fluxtwin.gap.frail import steady
+from fluxtwin.gap.frail import Shaken, steady
 from fluxtwin.gap.problem import Budget, Problem, pose
 from fluxtwin.sim.field import load_field
 from fluxtwin.sim.scenario import parse_scenario
@@ -79,7 +79,7 @@ def test_the_direction_of_the_sun_is_a_condition_only_where_the_body_turns() -> 
     names = {}
     for motion in (STILL, TUMBLE):
         posed = problem(motion)
-        names[motion] = {c.label for c in steady(posed, conditions(posed.design.setting))}
+        names[motion] = {c.label for c in steady(Shaken(posed), conditions(posed.design.setting))}
     assert "sun direction" in names[TUMBLE]
     assert "sun direction" not in names[STILL]
     assert "orbit phase" in names[STILL]

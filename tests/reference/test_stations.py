@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from astropy import coordinates, units
 
 from fluxtwin.sim import epoch, frames
 from fluxtwin.sim.constants import EARTH_RADIUS_KM
@@ -41,8 +42,6 @@ def test_straight_above_is_ninety_degrees_and_the_horizon_is_level(close):
 
 def test_elevation_against_astropy(close):
     """Witness: astropy's horizontal frame of the same places, geometric, without refraction."""
-    coordinates = pytest.importorskip("astropy.coordinates")
-    units = pytest.importorskip("astropy.units")
     station = at("x", 38.9984, 283.1573, altitude_km=0.05)
     rng = np.random.default_rng(5)
     offset = rng.normal(size=(50, 3)) * 900.0

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 from fluxtwin.gap.advice import typical_size
 from fluxtwin.gap.records import Diagnosis
-from fluxtwin.plots import gap as gap_plots
 from fluxtwin.scenarios.page import FigureBlock, Page, Section, Table
 
 _CONFUSED = 0.8  # shares below this are in the JSON
@@ -69,8 +68,10 @@ def percent(share: float) -> str:
 def _where(diagnosis: Diagnosis) -> Section:
     if diagnosis.verdict == "no_gap":
         return Section("Where the gap lies", ["There is none, so no place is shown."])
+    from fluxtwin.plots.gap import draw_where
+
     caption = "Probability of each place; those below 1 % are left out, and each set sums to one with none (grey)."
-    block = FigureBlock("gap_where", caption, gap_plots.draw_where(diagnosis))
+    block = FigureBlock("gap_where", caption, draw_where(diagnosis))
     return Section("Where the gap lies", where_lines(diagnosis), [], [block])
 
 
@@ -89,8 +90,10 @@ def _which(diagnosis: Diagnosis) -> Section:
         shown.append(ranking_table(diagnosis))
     figures = []
     if len(diagnosis.effects) > 1 or any(effect.rivals for effect in diagnosis.effects):
+        from fluxtwin.plots.gap import draw_which
+
         caption = "Blue: named effects and how sure each is. Orange, hatched: rivals, less likely."
-        figures = [FigureBlock("gap_which", caption, gap_plots.draw_which(diagnosis))]
+        figures = [FigureBlock("gap_which", caption, draw_which(diagnosis))]
     return Section("Which effect causes it", words or ([] if diagnosis.effects else ["None is named."]), shown, figures)
 
 
@@ -98,17 +101,19 @@ def _far(diagnosis: Diagnosis) -> Section:
     figures = []
     named = bool(diagnosis.effects)
     if diagnosis.series is not None:
+        from fluxtwin.plots.gap import draw_series, draw_spectra
+
         dots = (
             "Dots: samples, predicted by an estimate that has not seen them. Lines: their mean in 150 equal stretches."
         )
         figures = [
-            FigureBlock("gap_series", dots, gap_plots.draw_series(diagnosis.series)),
+            FigureBlock("gap_series", dots, draw_series(diagnosis.series)),
             FigureBlock(
                 "gap_spectra",
                 "Amplitude of the residual by frequency, rms over the axes and over neighbouring frequencies. "
                 + ("Where the two curves part is what the named effects explain. " if named else "")
                 + "The level on the right is noise.",
-                gap_plots.draw_spectra(diagnosis.series),
+                draw_spectra(diagnosis.series),
             ),
         ]
     return Section("How far it shrinks", [], [far_table(diagnosis)], figures)

@@ -14,6 +14,7 @@ from fluxtwin.gap.evidence import Dictionary, leftover
 from fluxtwin.gap.flexible import FlexibleFinding, wheel_line
 from fluxtwin.gap.frail import Shaken
 from fluxtwin.gap.full_rate import FullRate, full_rate
+from fluxtwin.gap.growth import needed
 from fluxtwin.gap.left import Left, what_is_left
 from fluxtwin.gap.named import SearchResult
 from fluxtwin.gap.noise import (
@@ -116,7 +117,7 @@ def investigate(problem: Problem, progress: Progress = silent, whole: Telemetry 
     dictionary = Dictionary(blocks(problem, shaken=shaken), problem.rows)
     progress("noise", 0.25)
     saturated = _saturated(problem, [c.jacobian for c in known[0]], dictionary)
-    settled_on = noise_choice(problem, saturated)
+    settled_on = noise_choice(problem, *saturated)
     noise, robust = settled_on.noise, settled_on.robust
     progress("which effects", 0.45)
     answer = _answer(problem, noise, robust, dictionary, known)
@@ -129,6 +130,8 @@ def investigate(problem: Problem, progress: Progress = silent, whole: Telemetry 
         # A finding must hold with every noise model that the data leave possible; the plainest answer counts.
         progress("whether the noise explains it", 0.6)
         for other in plausible_noise(problem, settled_on):
+            if _stands(problem, answer, other, robust):
+                continue
             answer = min(answer, _answer(problem, other, robust, dictionary, known), key=lambda one: one.burden)
             if answer.burden == _NOTHING:
                 break
@@ -140,7 +143,7 @@ def investigate(problem: Problem, progress: Progress = silent, whole: Telemetry 
     if shape is not None and isinstance(shape.instance, SignalEffect):
         # A line or a switched field was noise to the choice above.
         own = derivatives(problem, [(shape.instance, np.zeros(len(shape.instance.parameters)))])
-        noise, robust = choose_noise(problem, np.concatenate([saturated, own], axis=2))
+        noise, robust = choose_noise(problem, *saturated, own)
         answer = _with_columns(problem, replace(answer, noise=noise), robust, own, dictionary)
     noise, whitener, result = answer.noise, answer.whitener, answer.result
     alone, fitted, left = answer.alone_nT, answer.fitted_nT, answer.left
@@ -188,6 +191,15 @@ def _answer(
     fitted = derivatives(problem, [*result.modelled, *result.chosen]) if result.chosen else alone
     left = _left(problem, whitener, result, fitted, dictionary)
     return _Answer(noise, whitener, result, alone, fitted, left)
+
+
+def _stands(problem: Problem, answer: _Answer, other: NoiseModel, robust: RobustRows) -> bool:
+    """Whether an answer of one name and nothing left could not be plainer under another noise model."""
+    if answer.left.structured or len(answer.result.chosen) != 1:
+        return False
+    effect, _ = answer.result.chosen[0]
+    one = next(c for c in answer.result.candidates if c.effect == effect)
+    return needed(problem, whitener_of(problem, other, robust.weights), one, answer.result.tested)
 
 
 def _left(
@@ -290,17 +302,19 @@ def _require_rows(problem: Problem) -> None:
         )
 
 
-def _saturated(problem: Problem, jacobians: Sequence[FloatArray], dictionary: Sequence[Block]) -> FloatArray:
-    """(N, 3, P) every column that may be in the signal, as far as the rows can bear them."""
+def _saturated(problem: Problem, jacobians: Sequence[FloatArray], dictionary: Dictionary) -> list[FloatArray]:
+    """Every column that may be in the signal (N, 3, p), as far as the rows can bear them."""
+    room = problem.whole_rows - sum(block.shape[2] for block in jacobians)
+    if dictionary.small and dictionary.width and room >= dictionary.width:
+        return [*jacobians, dictionary.columns]
     columns = [*jacobians]
-    room = problem.whole_rows - sum(block.shape[2] for block in columns)
     for block in dictionary:
         made = block.make()
         if room < made.shape[2] or problem.rows * 3 * made.shape[2] > 5e7:
             continue
         columns.append(made)
         room -= made.shape[2]
-    return np.concatenate(columns, axis=2) if columns else np.zeros((problem.rows, 3, 0))
+    return columns
 
 
 def _place(

@@ -129,6 +129,13 @@ def begin(
     return Search(problem, whitener, found, base, first, white, gate, same=same), untestable
 
 
+def needed(problem: Problem, whitener: Whitens, candidate: Candidate, tested: int, gate: float = GATE) -> bool:
+    """Whether one candidate, of `tested` in all, is significant by itself under this whitening: a search would not
+    then end without a name."""
+    alone, _ = begin(problem, whitener, gate, ([candidate], {}))
+    return bool(tested * float(alone.first.p_values.min()) <= gate)
+
+
 def run(search: Search) -> tuple[Fit, Board]:
     """The best set of at most three effects (maybe none), and what is left beside it."""
     if not search.found or search.tested * float(search.first.p_values.min()) > search.gate:

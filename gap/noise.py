@@ -41,21 +41,21 @@ class NoiseChoice:
     likelihood: Likelihood
 
 
-def choose_noise(problem: Problem, saturated: FloatArray) -> tuple[NoiseModel, RobustRows]:
+def choose_noise(problem: Problem, *saturated: FloatArray) -> tuple[NoiseModel, RobustRows]:
     """The noise model of a problem, and the readings that no model explains; see `noise_choice`."""
-    found = noise_choice(problem, saturated)
+    found = noise_choice(problem, *saturated)
     return found.noise, found.robust
 
 
-def noise_choice(problem: Problem, saturated: FloatArray) -> NoiseChoice:
+def noise_choice(problem: Problem, *saturated: FloatArray) -> NoiseChoice:
     """The noise model of a problem.
 
-    saturated (N, 3, P): every column that may be in the signal; the problem's nuisance is added. Restricted maximum
+    saturated: every column that may be in the signal, (N, 3, P) each; the problem's nuisance is added. Restricted maximum
     likelihood with the budget as prior, in turn with the search for spikes.
     """
     return _chosen(
         problem.judged(problem.residual_nT),
-        [problem.judged(problem.nuisance), problem.judged(saturated)],
+        [problem.judged(problem.nuisance), *(problem.judged(columns) for columns in saturated)],
         problem.noise_field_nT,
         problem.setting.seconds,
         problem.segment,
@@ -182,18 +182,24 @@ def _independent(
     designs: Sequence[FloatArray], rows: NDArray[np.intp], measured: BoolArray | None, share: float
 ) -> list[FloatArray]:
     """The first design, and of the others the columns that nothing else makes up on these rows."""
-    whole = np.concatenate([design[rows] for design in designs], axis=2)
-    if measured is not None:
-        whole = whole * measured[rows][:, :, None]
-    first = designs[0].shape[2]
-    few = sketch(whole.reshape(3 * rows.size, whole.shape[2]), _SKETCH * whole.shape[2] // 2)
+    first, columns = designs[0].shape[2], sum(design.shape[2] for design in designs)
+    few = np.concatenate([_sketched(design, rows, measured, _SKETCH * columns // 2) for design in designs], axis=1)
     number = span_of(few, first, share).number
-    picked, start = [designs[0]], first
+    picked, start = [], first
     for design in designs[1:]:
         here = number[(number >= start) & (number < start + design.shape[2])] - start
-        picked.append(design[:, :, np.sort(here)])
+        picked.append(np.take(design.reshape(-1, design.shape[2]), np.sort(here), axis=1))
         start += design.shape[2]
-    return picked
+    rest = [np.concatenate(picked, axis=1).reshape(*designs[0].shape[:2], -1)] if picked else []
+    return [designs[0], *rest]
+
+
+def _sketched(design: FloatArray, rows: NDArray[np.intp], measured: BoolArray | None, count: int) -> FloatArray:
+    """(about `count`, P) random combinations of a design's measured rows, the same ones for every design."""
+    there = design if rows.size == design.shape[0] else design[rows]
+    if measured is not None:
+        there = there * measured[rows][:, :, None]
+    return sketch(there.reshape(3 * rows.size, design.shape[2]), count)
 
 
 def _longest_mean_s(choice: Choice | None) -> float:

@@ -83,5 +83,5 @@ def sketch(columns: FloatArray, rows: int, seed: int = 0) -> FloatArray:
         return columns
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], columns.shape[0])
     whole = columns.shape[0] - columns.shape[0] % each
-    signed = (columns[:whole] * signs[:whole, None]).reshape(-1, each, columns.shape[1]).sum(axis=1)
-    return np.concatenate([signed, columns[whole:] * signs[whole:, None]])
+    signed = signs[:whole].reshape(-1, 1, each) @ columns[:whole].reshape(-1, each, columns.shape[1])
+    return np.concatenate([signed[:, 0], columns[whole:] * signs[whole:, None]])

@@ -78,20 +78,14 @@ class _Course:
     integrated: Rotation | None = None
     """From the first stamp to each, by gyro; None where each stamp's own rate is kept."""
 
-    def between(self, here: RowArray, there: RowArray) -> Rotation:
-        """The turn from stamps `here` to stamps `there`, both (n,)."""
-        if self.integrated is not None:
-            return self.integrated[there] * self.integrated[here].inv()
-        return Rotation.from_rotvec(-self.rate_B_rad_s[here] * (self.time_s[there] - self.time_s[here])[:, None])
-
-    def onward(self, here: RowArray, after_s: FloatArray, to: RowArray) -> Rotation:
-        """The turn from stamps `here` by `after_s` (n,), on the way to stamps `to`."""
+    def onward(self, here: RowArray, after_s: FloatArray, to: RowArray) -> FloatArray:
+        """(n, 3) rotation vector in body axes from stamps `here` by `after_s` (n,), on the way to stamps `to`."""
         turn = self.rate_B_rad_s[here] * after_s[:, None]
         if self.integrated is not None:
             step = self.time_s[to] - self.time_s[here]
             change = (self.rate_B_rad_s[to] - self.rate_B_rad_s[here]) / np.where(step == 0.0, 1.0, step)[:, None]
             turn = turn + 0.5 * change * after_s[:, None] ** 2
-        return Rotation.from_rotvec(-turn)
+        return turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,32 +142,32 @@ class AttitudeTrack:
 
     def at(self, moments_s: FloatArray) -> Rotation:
         """Smoothed R_BN at moments (M,); beyond an end the last fit goes on, in a straight line after one spacing."""
+        from fluxtwin.sim.attitude_kernels import blended
+
         place = places(self.time_s, self.stretch, moments_s)
         first = self._about(place.row, place.after_s, place.other)
-        blended = place.weights > 0.0
-        if not blended.any():
-            return first
+        if not place.weights.any():
+            return Rotation.from_quat(first)
         second = self._about(place.other, place.other_after_s, place.row)
-        apart = (second * first.inv()).as_rotvec()
-        return Rotation.from_rotvec(np.where(blended, place.weights, 0.0)[:, None] * apart) * first
+        return Rotation.from_quat(blended(first, second, place.weights))
 
     def reaches(self, moments_s: FloatArray) -> BoolArray:
         """(M,) whether moments lie between two stamps of a stretch, or at most half a spacing beyond its end."""
         place = places(self.time_s, self.stretch, moments_s)
         return np.asarray((place.other != place.row) | (np.abs(place.after_s) <= 0.501 * self._reach_s[place.row]))
 
-    def _about(self, row: RowArray, after_s: FloatArray, to: RowArray) -> Rotation:
-        """The fit about stamps `row` (M,), `after_s` later."""
-        reach = self._reach_s[row]
-        within = np.clip(after_s, -reach, reach)
-        z = (within - self.mid_s[row]) / self.span_s[row]
-        coefficients = self.coefficients_rad[row]
-        turn, slope = np.zeros((row.size, 3)), np.zeros((row.size, 3))
-        for power in range(self.degree, -1, -1):
-            slope = slope * z[:, None] + turn
-            turn = turn * z[:, None] + coefficients[:, power]
-        turn = turn + slope * ((after_s - within) / self.span_s[row])[:, None]
-        return self.course.onward(row, after_s, to) * Rotation.from_rotvec(turn) * self.R_BN[row]
+    def _about(self, row: RowArray, after_s: FloatArray, to: RowArray) -> FloatArray:
+        """(M, 4) quaternions of the fit about stamps `row` (M,), `after_s` later."""
+        from fluxtwin.sim.attitude_kernels import about
+
+        return about(
+            after_s, self._reach_s[row], self.mid_s[row], self.span_s[row], self.coefficients_rad[row],
+            self.course.onward(row, after_s, to), self._q_BN[row],
+        )  # fmt: skip
+
+    @cached_property
+    def _q_BN(self) -> FloatArray:
+        return np.asarray(self.R_BN.as_quat())
 
     @cached_property
     def _reach_s(self) -> FloatArray:
@@ -262,6 +256,8 @@ def _trials(
 
 def _moments(R_BN: Rotation, stretch: RowArray, course: _Course, centres: RowArray, half: int, degree: int) -> _Moments:
     """Sums over 2 half + 1 rows about each of the centres (n,), fewer in a short stretch, one-sided at its ends."""
+    from fluxtwin.sim.attitude_kernels import moments
+
     time_s = course.time_s
     first = np.searchsorted(stretch, stretch[centres], side="left")
     last = np.searchsorted(stretch, stretch[centres], side="right") - 1
@@ -269,18 +265,11 @@ def _moments(R_BN: Rotation, stretch: RowArray, course: _Course, centres: RowArr
     high = np.minimum(last, low + 2 * half)
     mid = 0.5 * (time_s[low] + time_s[high]) - time_s[centres]
     span = np.where(high > low, 0.5 * (time_s[high] - time_s[low]), 1.0)
-    sums, moment = np.zeros((2 * degree + 1, centres.size)), np.zeros((degree + 1, centres.size, 3))
-    back = R_BN[centres].inv()
-    for number in range(2 * half + 1):
-        row = np.minimum(low + number, high)
-        turn = (course.between(centres, row).inv() * R_BN[row] * back).as_rotvec()
-        good = (low + number <= high) & (np.einsum("nc,nc->n", turn, turn) < _LARGEST_TURN**2)
-        z, power = (time_s[row] - time_s[centres] - mid) / span, good.astype(np.float64)
-        for order in range(2 * degree + 1):
-            sums[order] += power
-            if order <= degree:
-                moment[order] += power[:, None] * turn
-            power = power * z
-    gram = sums[np.add.outer(np.arange(degree + 1), np.arange(degree + 1))].transpose(2, 0, 1)
+    integrated = np.zeros((0, 4)) if course.integrated is None else course.integrated.as_quat()
+    sums, moment = moments(
+        time_s, R_BN.as_quat(), course.rate_B_rad_s, integrated, centres, low, high, mid, span, degree, _LARGEST_TURN
+    )
+    order = np.arange(degree + 1)
+    gram = sums[:, np.add.outer(order, order)]
     balanced = (centres - low == half) & (high - centres == half)
-    return _Moments(mid, span, gram, moment.transpose(1, 0, 2), sums[0], balanced)
+    return _Moments(mid, span, gram, moment, sums[:, 0], balanced)

@@ -188,10 +188,12 @@ def _independent(
     picked, start = [], first
     for design in designs[1:]:
         here = number[(number >= start) & (number < start + design.shape[2])] - start
-        picked.append(np.take(design.reshape(-1, design.shape[2]), np.sort(here), axis=1))
+        picked.append(np.take(design.reshape(3 * design.shape[0], design.shape[2]), np.sort(here), axis=1))
         start += design.shape[2]
-    rest = [np.concatenate(picked, axis=1).reshape(*designs[0].shape[:2], -1)] if picked else []
-    return [designs[0], *rest]
+    if not picked:
+        return [designs[0]]
+    rest = np.concatenate(picked, axis=1)
+    return [designs[0], rest.reshape(*designs[0].shape[:2], rest.shape[1])]
 
 
 def _sketched(design: FloatArray, rows: NDArray[np.intp], measured: BoolArray | None, count: int) -> FloatArray:

@@ -79,9 +79,9 @@ def sketch(columns: FloatArray, rows: int, seed: int = 0) -> FloatArray:
     half as many combinations again as columns.
     """
     each = columns.shape[0] // max(rows, 1)
-    if each < 2 or not columns.shape[1]:
+    if each < 2:
         return columns
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], columns.shape[0])
     whole = columns.shape[0] - columns.shape[0] % each
-    signed = signs[:whole].reshape(-1, 1, each) @ columns[:whole].reshape(-1, each, columns.shape[1])
+    signed = signs[:whole].reshape(-1, 1, each) @ columns[:whole].reshape(whole // each, each, columns.shape[1])
     return np.concatenate([signed[:, 0], columns[whole:] * signs[whole:, None]])

@@ -54,6 +54,6 @@ def test_an_offset_and_a_lag(spin: Problem, offset_s: float, lag_s: float, expec
     whitener = make_whitener(problem.field_B_nT, problem.setting.seconds, problem.segment, NoiseModel(5.0, 0.0, 1.0))
     base = refit(problem, whitener)
     fit = refit(problem, whitener, active)
-    found = undone(problem, whitener, fit, base.jacobian, [False, False], None)
+    found = undone(problem, whitener, fit, base.jacobian, [False, False])
     assert found is expected
-    assert not undone(problem, whitener, fit, base.jacobian, [True, True], None)
+    assert not undone(problem, whitener, fit, base.jacobian, [True, True])

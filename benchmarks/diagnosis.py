@@ -293,6 +293,8 @@ def cases() -> list[Single]:
             label="wheel_field, no column"),
         _of("eddy_current", eddy, "spin"),
         _of("switched_field", vector, "tumble", settings={"condition": "eclipse"}),
+        _of("boom_bending", [0.005, -0.0035, 0.0025], "tumble"),
+        _of("boom_bending", [0.005, -0.0035, 0.0025], without=("thermal",), label="boom_bending, no column"),
         _of("bias", vector, "tumble", modelled=("scale_misalignment",)),
         _of("scale_misalignment", 0.005 * rng.standard_normal(9), "tumble", modelled=("bias",)),
         _of("thermal_bias_drift", vector),

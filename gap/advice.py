@@ -44,6 +44,7 @@ MANOEUVRES: Mapping[str, str] = {
     "wheel_field": "the wheel speed in the telemetry, or a few speeds held in turn",
     "eddy_current": "a spin of 2 rpm",
     "switched_field": "switching it on and off in sunlight and in shadow, with its flag in the telemetry",
+    "boom_bending": "a slow tumble of 0.25 deg/s through sun and shadow, with the boom's temperature in the telemetry",
     "sun_sensor_head_misalignment": "the number of the head in the telemetry, and turns of 90 deg that bring each head "
     "to the sun for half an orbit",
     "horizon_scanner_bias": "a second attitude sensor beside the scanner",

@@ -43,6 +43,7 @@ _PLACES: dict[str, tuple[str | None, str | None]] = {
     "wheel_field": ("body", None),
     "eddy_current": ("body", "rate"),
     "switched_field": ("body", None),
+    "boom_bending": ("body", "temperature"),
     "sun_sensor_head_misalignment": ("body", "head"),
     "horizon_scanner_bias": ("orbital", "latitude"),
     "yaw_drift": ("orbital", "time"),

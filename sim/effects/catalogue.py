@@ -11,6 +11,7 @@ from fluxtwin.sim.effects.bias import Bias
 from fluxtwin.sim.effects.bias_random_walk import BiasRandomWalk
 from fluxtwin.sim.effects.bias_step import BiasStep
 from fluxtwin.sim.effects.bit_errors import BitErrors
+from fluxtwin.sim.effects.boom_bending import BoomBending
 from fluxtwin.sim.effects.coarse_quantization import CoarseQuantization
 from fluxtwin.sim.effects.cubic_nonlinearity import CubicNonlinearity
 from fluxtwin.sim.effects.eddy_current import EddyCurrent
@@ -52,6 +53,7 @@ CATALOGUE: tuple[Effect, ...] = (
     WheelField(),
     EddyCurrent(),
     SwitchedField(),
+    BoomBending(),
     Bias(),
     ScaleMisalignment(),
     ThermalBiasDrift(),

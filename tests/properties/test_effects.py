@@ -81,14 +81,15 @@ STAGE_OF = {
     "bias_random_walk": "sensor", "bit_errors": "telemetry", "time_tag_offset": "time", "along_track_error": "orbit",
     "field_epoch": "field", "field_truncation": "field", "ring_current": "field", "solar_array_current": "spacecraft",
     "battery_current": "spacecraft", "heater_switching": "spacecraft", "wheel_field": "spacecraft",
-    "eddy_current": "spacecraft", "switched_field": "spacecraft", "sun_sensor_head_misalignment": "attitude",
-    "horizon_scanner_bias": "attitude", "yaw_drift": "attitude",
+    "eddy_current": "spacecraft", "switched_field": "spacecraft", "boom_bending": "spacecraft",
+    "sun_sensor_head_misalignment": "attitude", "horizon_scanner_bias": "attitude", "yaw_drift": "attitude",
 }  # fmt: skip
 """The names that are promised, and where in the chain each acts."""
 
 ALSO_LOOKS_LIKE = {
     "bias": {"spacecraft"}, "scale_misalignment": {"attitude"}, "hysteresis": {"spacecraft"}, "sensor_lag": {"time"},
     "coarse_quantization": {"telemetry"}, "bias_step": {"spacecraft"}, "bias_random_walk": {"spacecraft"},
+    "boom_bending": {"attitude", "sensor"},
 }  # fmt: skip
 
 NOT_EXACT_NT = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -44,6 +45,7 @@ MINE = {
     "wheel_field": ("spacecraft", 6, "nT"),
     "eddy_current": ("spacecraft", 5, "s"),
     "switched_field": ("spacecraft", 3, "nT"),
+    "boom_bending": ("spacecraft", 3, "deg/K"),
     "bias": ("sensor", 3, "nT"),
     "scale_misalignment": ("sensor", 9, "1"),
     "thermal_bias_drift": ("sensor", 3, "nT/K"),
@@ -59,6 +61,7 @@ MINE = {
     "coarse_quantization": ("sensor", 1, "nT"),
     "bit_errors": ("telemetry", 1, "1"),
 }
+NOT_LINEAR = {"saturation", "sensor_lag", "scale_misalignment", "thermal_scale_drift", "hysteresis", "boom_bending"}
 INSTRUMENT = Magnetometer(np.diag([0.02, -0.01, 0.03]), np.array([100.0, -50.0, 20.0]))
 
 
@@ -134,7 +137,7 @@ def test_every_alternative_moves_the_reading(name: str, full: Chain) -> None:
 
 @pytest.mark.parametrize(
     "name",
-    sorted(set(MINE) - {"saturation", "sensor_lag", "scale_misalignment", "thermal_scale_drift", "hysteresis"}),
+    sorted(set(MINE) - NOT_LINEAR),
 )
 def test_linear_effects_have_one_jacobian(name: str, full: Chain, close: Callable[..., None]) -> None:
     effect = find_effect(name)
@@ -166,11 +169,29 @@ def test_untestable_effects_say_why(bare: Chain) -> None:
     assert "flag_radar" in str(SwitchedField("flag:radar").untestable(bare.setting))
 
 
+def test_temperature_effects_need_a_temperature_or_a_shadow() -> None:
+    """In twelve minutes of sunlight nothing warms or cools; a recorded temperature that never changes is another reason."""
+    lit = np.flatnonzero(design().setting.illumination > 0.99)
+    first = int(lit[np.flatnonzero(lit[48:] - lit[:-48] == 48)[0]])
+    short = design(first + 48).setting
+    short = dataclasses.replace(
+        short,
+        time=short.time[first:],
+        motion=RecordedMotion(short.time[first:], *(part[first:] for part in short.given)),
+    )
+    even = dataclasses.replace(short, columns={"temperature_degC": np.full(48, 12.0)})
+    for name in ("thermal_bias_drift", "thermal_scale_drift", "boom_bending"):
+        effect = find_effect(name)
+        assert effect.untestable(short) == "no temperature was recorded, and the sunlight never changes"
+        assert effect.untestable(even) == "the temperature never changes"
+
+
 def test_without_columns_geometry_stands_in(bare: Chain) -> None:
     setting = bare.setting
     lit = setting.illumination
     assert 0.3 < lit.mean() < 0.9, "this orbit must go through the shadow"
-    for name in ("solar_array_current", "battery_current", "thermal_bias_drift", "thermal_scale_drift"):
+    names = ("solar_array_current", "battery_current", "thermal_bias_drift", "thermal_scale_drift", "boom_bending")
+    for name in names:
         assert find_effect(name).untestable(setting) is None
     charge = added(design(instrument=Magnetometer(np.zeros((3, 3)), np.zeros(3))), BatteryCurrent(), [1.0, 0, 0])[:, 0]
     np.testing.assert_allclose(charge, 2.0 * lit - 1.0, atol=1e-9)

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.sim import epoch, frames
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.bit_errors import BitErrors
+from fluxtwin.sim.effects.boom_bending import BoomBending
 from fluxtwin.sim.effects.chain import Chain
 from fluxtwin.sim.effects.coarse_quantization import CoarseQuantization
 from fluxtwin.sim.effects.cubic_nonlinearity import CubicNonlinearity
@@ -72,6 +73,45 @@ def drawn(chain: Chain, effect: Any, theta: float, seed: int = 7) -> tuple[Float
     before = chain.signal()
     after: Signal = effect.draw(before, np.array([theta]), np.random.default_rng(seed))
     return before.reading, after.reading
+
+
+def test_a_bent_boom_turns_the_sensor(close: Callable[..., None]) -> None:
+    """The sensor turned by +a about z: by plane geometry x' = x cos a + y sin a, y' = y cos a - x sin a.
+
+    The torquers' field turns with it, and the instrument's S and b act on what the turned sensor sees.
+    """
+    warm, dipole = np.linspace(-10.0, 30.0, 40), np.tile([3.0, -1.0, 2.0], (40, 1))
+    chain = spinning(np.arange(40) * 3.0, 0.4, CROOKED, temperature_degC=warm, dipole_B_Am2=dipole)
+    coupling = (TorquerCoupling(), np.array([30.0, 5.0, 0.0, -4.0, 20.0, 8.0, 1.0, 0.0, -25.0]))
+    bend = BoomBending(reference_degC=-10.0)
+    found = chain.reading_nT([coupling, (bend, np.array([0.0, 0.0, 0.05]))])
+    straight = chain.reading_nT([coupling]) @ (np.eye(3) + CROOKED.S).T + CROOKED.b_nT
+    a = np.radians(0.05 * (warm + 10.0))
+    x, y, z = straight.T
+    turned = np.stack([x * np.cos(a) + y * np.sin(a), y * np.cos(a) - x * np.sin(a), z], axis=1)
+    expected = np.linalg.solve(np.eye(3) + CROOKED.S, (turned - CROOKED.b_nT).T).T
+    close(found, expected, atol=1e-6, unit="nT", because="the same algebra, rounding of 5e4 nT")
+    assert np.abs(found - chain.reading_nT([coupling])).max() > 1000.0
+    for wrong in (BoomBending(reference_degC=-9.0), BoomBending()):
+        assert np.abs(chain.reading_nT([coupling, (wrong, np.array([0.0, 0.0, 0.05]))]) - expected).max() > 10.0
+    back = chain.reading_nT([coupling, (bend, np.array([0.0, 0.0, -0.05]))])
+    assert np.abs(back - expected).max() > 1000.0
+
+
+def test_a_boom_without_thermometer_lags_behind_sun_and_shadow(close: Callable[..., None]) -> None:
+    """After a step of sunlight the turn comes in as 1 - exp(-t/tau) of 20 K; what it began with dies out likewise."""
+    seconds, tau_s = np.arange(0.0, 4000.0, 5.0), 300.0
+    sunlit = (seconds >= 1000.0).astype(float)
+    chain = spinning(seconds, 0.0, sunlit=sunlit)
+    bend = BoomBending(time_constant_s=tau_s, reference_degC=0.0)
+    turned = chain.reading_nT([(bend, np.array([0.0, 0.0, 0.1]))])
+    field = chain.baseline_nT
+    angle = np.degrees(np.arctan2(field[:, 1], field[:, 0]) - np.arctan2(turned[:, 1], turned[:, 0]))
+    since = seconds - 1000.0 + 2.5  # between two stamps the light is their mean: half a step earlier
+    step = np.where(since > 0.0, 2.0 * (1.0 - np.exp(-since / tau_s)), 0.0)
+    expected = angle[0] * np.exp(-seconds / tau_s) + step
+    close(angle, expected, atol=2e-3, unit="deg", because="(step / tau)^2 / 24 of 2 deg, and the edge row itself")
+    assert np.abs(angle - np.roll(expected, 20)).max() > 0.1
 
 
 def test_eddy_current_of_a_steady_spin(close: Callable[..., None]) -> None:

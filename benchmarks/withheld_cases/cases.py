@@ -28,8 +28,8 @@ PLAIN: dict[str, Maker] = {
         of_place.time_tag_offset, of_place.along_track_error, of_place.field_epoch, of_place.field_truncation,
         of_place.ring_current, of_spacecraft.solar_array_current, of_spacecraft.battery_current,
         of_spacecraft.heater_switching, of_spacecraft.wheel_field, of_spacecraft.eddy_current,
-        of_spacecraft.switched_field, of_place.sun_sensor_head_misalignment, of_place.horizon_scanner_bias,
-        of_place.yaw_drift,
+        of_spacecraft.switched_field, of_spacecraft.boom_bending, of_place.sun_sensor_head_misalignment,
+        of_place.horizon_scanner_bias, of_place.yaw_drift,
     )
 }  # fmt: skip
 DISTRIBUTIONAL = ("excess_noise", "coarse_quantization", "bit_errors", "bias_random_walk")

@@ -13,6 +13,8 @@ from withheld_cases.chain import Ambient, Truth
 from withheld_cases.draft import Draft, changes, direction, listed, recording, share
 from withheld_cases.worlds import World, between, shift
 
+_STRAIGHT_DEGC = 10.0
+
 
 def torquer_coupling(world: World, rng: np.random.Generator) -> Draft | None:
     """Field C m at the sensor."""
@@ -187,6 +189,26 @@ def switched_field(world: World, rng: np.random.Generator) -> Draft | None:
         )  # fmt: skip
 
     return Draft(world, at, 2.0, 5000.0, 100.0)
+
+
+def boom_bending(world: World, rng: np.random.Generator) -> Draft | None:
+    """The boom bends with the temperature: the sensor at its tip turns, and sees the field turned the other way."""
+    if not 0.15 < share(world.sun(world.time)[1] > 0.5) < 0.93:
+        return None
+    axis = direction(rng)
+
+    def at(size: float) -> Truth:
+        def stray(w: World, time: TimeArray, field: Ambient) -> FloatArray:
+            warmer = spacecraft.temperature_degC(w, time) - _STRAIGHT_DEGC
+            angle = np.radians(warmer * size * np.linalg.norm(axis))[:, None]
+            n, straight = axis / np.linalg.norm(axis), field(time)
+            along = np.outer(straight @ n, n)  # Rodrigues' formula for the turn by minus the angle
+            return (np.cos(angle) - 1.0) * (straight - along) - np.sin(angle) * np.cross(n, straight)
+
+        parameters = {"turn_deg_per_K": listed(size * axis), "tau_s": world.craft.temperature_tau_s}
+        return Truth("boom_bending", "spacecraft", parameters, stray=stray)
+
+    return Draft(world, at, 2e-5, 1.0, 5e-3)
 
 
 def seconds_on(world: World, time: TimeArray, state: object, longest_s: float = 6000.0) -> FloatArray:

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 if str(BENCHMARKS) not in sys.path:
@@ -333,6 +334,17 @@ def test_eddy_field_opposes_the_change(close: Close) -> None:
     found = added_at_sensor(world, truth)[1:-1]
     close(found, -(rate @ K.T)[1:-1], atol=0.5, unit="nT", because="differences over 1 s of a turn of minutes")
     assert np.abs(found).max() > 20.0
+
+
+def test_a_warm_boom_turns_the_sensor(close: Close) -> None:
+    """The sensor turned by +a about an axis sees the field turned by -a about it, with the recorded temperature."""
+    world, truth = drawn(of_spacecraft.boom_bending, small_world(rows=600), 0.02)
+    warmer = np.asarray(twin(world, [truth]).temperature_degC) - 10.0
+    turn = np.radians(np.outer(warmer, truth.parameters["turn_deg_per_K"]))
+    field = body_field(world)
+    wanted = Rotation.from_rotvec(turn).inv().apply(field) - field
+    close(added_at_sensor(world, truth), wanted, atol=2.0, unit="nT", because="0.05 K of 0.035 deg/K of 50,000 nT")
+    assert np.abs(wanted).max() > 100.0
 
 
 # --- sensor and telemetry -----------------------------------------------------------------------------------------------

@@ -28,20 +28,20 @@ def ask(root: str, identity: str) -> str:
 
 
 def ask_rival(root: str, identity: str) -> str:
-    """Put the same question to the rival: `rival.answer(path, **declared)` gives the names, first one first."""
+    """Put the same question to the rival: `rival.answer(path, **declared)` gives groups by criterion."""
     import importlib
 
     store = Store(Path(root))
     if store.has("rival", identity):
         return identity
     rival = importlib.import_module("withheld_cases.rival")
+    began = time.process_time()
     said: dict[str, Any]
     try:
-        said = {
-            "names": list(rival.answer(store.path("telemetry", identity), **arguments(store.read("asked", identity))))
-        }
+        said = dict(rival.answer(store.path("telemetry", identity), **arguments(store.read("asked", identity))))
     except Exception as error:
-        said = {"names": [], "error": f"{type(error).__name__}: {error}"}
+        said = {"BIC": [], "EBIC": [], "error": f"{type(error).__name__}: {error}"}
+    said["seconds"] = time.process_time() - began
     store.write("rival", identity, said)
     return identity
 

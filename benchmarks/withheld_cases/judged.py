@@ -22,7 +22,7 @@ class Judged:
     twin: dict[str, Any] | None = None
     """What the noise-free twin says of the closing."""
     rival: dict[str, Any] | None = None
-    """What the rival named."""
+    """What the rival named: groups, by criterion."""
     loop: dict[str, Any] | None = None
     """What was said of another day with the closed scenario in force."""
     control: dict[str, Any] | None = None
@@ -106,6 +106,15 @@ class Judged:
             rivals = [rival for rival in entry.get("rivals") or [] if rival.get("probability") is not None]
             found += [(float(rival["probability"]), rival["name"] in self.truths) for rival in rivals]
         return found
+
+    def rival_right(self, criterion: str) -> bool:
+        """Whether the rival's groups are the truths, one to one."""
+        groups = [set(group) for group in (self.rival or {}).get(criterion, [])]
+        return len(groups) == len(self.truths) and _matched(groups, self.truths)
+
+    def rival_alarm(self, criterion: str) -> bool:
+        """Whether the rival named anything."""
+        return bool((self.rival or {}).get(criterion))
 
     def words(self) -> str:
         """What was said, on one line."""

@@ -12,6 +12,7 @@ from withheld_cases.store import Store
 
 Test = Callable[[Judged], bool]
 NOT_RUN = "not run"
+CRITERIA = ("BIC", "EBIC")
 LATER = ("judged", "rival", "loop", "control")
 """What may be known of a case beside its answer, in the order of the fields of `Judged`."""
 
@@ -179,22 +180,22 @@ def _loop_right(case: Judged) -> bool:
 def _rival(cases: Sequence[Judged]) -> list[dict[str, Any]]:
     both = [c for c in cases if c.rival is not None]
     singles = [c for c in both if c.population in ("singles", "pairs", "triples") and c.visible >= 0.2]
+    shown = [c for c in singles if not distributional(c)]
     nulls = of(both, "nulls")
-    better = _mean(singles, lambda c: c.list_right) - _mean(singles, _rival_right) if singles else None
-    ours, theirs = (
-        _mean(nulls, test) for test in (lambda c: c.verdict != "no_gap", lambda c: bool((c.rival or {})["names"]))
-    )
-    times = theirs / max(ours, 1.0 / max(1, len(nulls))) if nulls else None
-    return [
-        number_row("against the rival: list exactly right, points better", ">= 0.15", better, len(singles),
-                   better is not None and better >= 0.15),
-        number_row("against the rival: false alarms, times fewer", ">= 10", times, len(nulls),
-                   times is not None and times >= 10),
-    ]  # fmt: skip
-
-
-def _rival_right(case: Judged) -> bool:
-    return sorted((case.rival or {"names": []})["names"]) == sorted(case.truths)
+    ours = _mean(nulls, lambda c: c.verdict != "no_gap")
+    rows = []
+    for by in CRITERIA:
+        for mine, which in ((singles, "list exactly right"), (shown, "the same, effects with a Jacobian")):
+            better = (
+                _mean(mine, lambda c: c.list_right) - _mean(mine, lambda c, by=by: c.rival_right(by)) if mine else None
+            )
+            title = f"against the rival by {by}: {which}, points better"
+            rows.append(number_row(title, ">= 0.15", better, len(mine), better is not None and better >= 0.15))
+        theirs = _mean(nulls, lambda c, by=by: c.rival_alarm(by))
+        times = theirs / max(ours, 1.0 / max(1, len(nulls))) if nulls else None
+        title = f"against the rival by {by}: false alarms, times fewer"
+        rows.append(number_row(title, ">= 10", times, len(nulls), times is not None and times >= 10))
+    return rows
 
 
 def _mean(cases: Sequence[Judged], test: Test) -> float:

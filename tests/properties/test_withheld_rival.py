@@ -59,9 +59,11 @@ def test_an_obvious_single_is_found(name: str, tmp_path: Path) -> None:
     assert draft is not None
     truth: Truth = draft.at(draft.start * 20.0)
     write_telemetry(fly(draft.world, [truth]), tmp_path / "flight.csv")
-    names = rival.answer(tmp_path / "flight.csv", **told(draft.world))
-    same = {"time_tag_offset": {"time_tag_offset", "sensor_lag"}}.get(name, {name})
-    assert names and names[0] in same
+    found = rival.answer(tmp_path / "flight.csv", **told(draft.world))
+    assert sorted(found) == ["BIC", "EBIC"]
+    for groups in found.values():
+        assert groups and name in groups[0], "the first, or in its group"
+        assert all(len(group) <= 3 for group in groups)
 
 
 def test_a_plain_null_is_white_and_alarms_no_more_often_than_bic_allows() -> None:
@@ -110,3 +112,14 @@ def test_a_wrong_first_pick_goes_out_again_and_alternatives_are_one_name() -> No
     alike = dataclasses.replace(both, names=("a", "b", "c"), score=columns.T @ np.array([300.0, 0.0, 0.0]))
     for names in (("a", "b", "c"), ("a", "a", "c"), ("a", "b", "a")):
         assert rival.stepwise(dataclasses.replace(alike, names=names)) == ["a"]
+
+
+def test_the_rival_has_groups_too() -> None:
+    # The second imitates all of the first, the third 0.9 of it; the fourth is something else.
+    columns = np.array([[1.0, 1.0, np.sqrt(0.9), 0.0], [0.0, 0.0, np.sqrt(0.1), 0.0], [0.0, 0.0, 0.0, 1.0]])
+    score = columns.T @ np.array([100.0, 0.0, 0.0])
+    names = ("a", "b", "c", "d")
+    found = rival.Regression(names, columns.T @ columns, score, np.arange(4), 100.0**2 + 1200, 1200, 1e-6)
+    assert rival.grouped(found, BIC) == [["a", "b"]]
+    faint = dataclasses.replace(found, score=score / 20.0, chi2=25.0 + 1200.0)
+    assert set(rival.grouped(faint, BIC)[0]) == {"a", "b", "c"}, "too faint to tell the third apart"

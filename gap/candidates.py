@@ -98,6 +98,19 @@ def candidates(
     return found, untestable
 
 
+def candidate_of(problem: Problem, effect: SignalEffect, *, modelled: Sequence[Active]) -> Candidate:
+    """One alternative that `candidates` does not try, linearised beside what is modelled."""
+    on = in_order([*problem.frozen, *modelled, (effect, np.zeros(len(effect.parameters)))])
+    number = next(place for place, pair in enumerate(on) if pair[0] is effect)
+    jacobian = derivative(problem.design, on, number)
+    return Candidate(effect, jacobian, _live(effect, jacobian))
+
+
+def _live(effect: SignalEffect, jacobian: FloatArray) -> BoolArray:
+    scale = np.array([parameter.scale for parameter in effect.parameters])
+    return np.asarray(np.sqrt(np.mean(jacobian**2, axis=(0, 1))) * scale > _DEAD_NT)
+
+
 def _not_reported(effect: Effect, problem: Problem) -> str | None:
     """Why an effect cannot be tested where no attitude was reported."""
     if problem.axes is None or problem.axes.known.any():
@@ -160,7 +173,6 @@ def _candidate(chain: Chain, effect: SignalEffect, on: Sequence[Active], shaken:
     with_it = in_order([*on, (effect, start)])
     number = next(place for place, pair in enumerate(with_it) if pair[0] is effect)
     jacobian = derivative(chain, with_it, number)
-    scale = np.array([parameter.scale for parameter in effect.parameters])
-    live = np.sqrt(np.mean(jacobian**2, axis=(0, 1))) * scale > _DEAD_NT
+    live = _live(effect, jacobian)
     change = shaken.change(effect, jacobian, with_it, number) if live.any() else 0.0
     return Candidate(effect, jacobian, live, change)

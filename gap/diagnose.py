@@ -232,6 +232,14 @@ def _shaped(problem: Problem, answer: _Answer, dictionary: Sequence[Block]) -> t
         )
         if finding is None:
             continue
+        if finding.effect == "bias_random_walk" and trial.result.named:
+            # Beside effects that mopped up a part of it a walk is a walk still; alone it says the same with less.
+            bare = _bare(problem, answer, dictionary)
+            alone = shape_of(
+                problem, bare.whitener, bare.noise, bare.result.residual_nT, bare.fitted_nT, bare.left, dictionary
+            )
+            if alone is not None and alone.effect == finding.effect:
+                trial, finding = bare, alone
         if not isinstance(finding.instance, SignalEffect):
             return replace(trial, left=replace(trial.left, structured=False)), finding
         return trial, finding

@@ -2,8 +2,11 @@
 
 One effect is sought first; others are sought beside it at the refit (a large lag is not linear, and tested at zero
 it would call for partners). When one more is significant, pairs (and triples) are ranked afresh, so that a wrong first
-pick can be undone. A model is better when chi2 / variance + p log n + 2 m log K falls (Schwarz 1978, with prior 1/K
-for each of m effects among K alternatives tested); n is the number of time samples.
+pick can be undone; before that, a setting of which only a few values were tried is moved where the data want it. A
+model is better when chi2 / variance + p min(log n, 1 + log(drop / p)) + 2 m log K falls, with prior 1/K for each of m
+effects among K alternatives tested. n is the number of time samples: Schwarz's price (1978) for p parameters that are
+seen well. The other price is that of p alike parameters of unknown common size, integrated out at its likeliest value
+(type II likelihood: MacKay 1992, Neural Computation 4, 415): many parameters that are each seen a little cost less.
 """
 
 from __future__ import annotations
@@ -12,14 +15,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fluxtwin.gap.cancelling import undone
-from fluxtwin.gap.candidates import Candidate, candidates
+from fluxtwin.gap.candidates import Candidate, candidate_of, candidates
 from fluxtwin.gap.groups import alike, shares_by_name
 from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.refit import Fit, refit
 from fluxtwin.gap.score import SHARE_LEFT, Board, Whitens, board, whitened
 from fluxtwin.gap.whitening import least_share
+from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.types import BoolArray, FloatArray
 
@@ -29,6 +34,7 @@ LARGEST = 3
 _WITHIN = 8.0
 _NONLINEAR = 0.05  # of the drop: as much may be lost by taking a large effect as linear
 _REFITS = 4
+_STEPS = (1.5, 1 / 1.5, 1.25, 1 / 1.25, 1.12, 1 / 1.12)
 _FREE_RIDER = 0.8  # of what one name leaves, the further names must explain this much
 
 
@@ -87,9 +93,10 @@ class Search:
         return np.concatenate(parts, axis=2)
 
     def cost(self, fit: Fit, variance: float) -> float:
-        """chi2 / variance + p log n + 2 m log K; lower is better."""
-        price = 2 * len(fit.chosen) * np.log(self.tested)
-        return float(fit.chi2 / variance + fit.rank_chosen * np.log(self.samples) + price)
+        """chi2 / variance + the price of parameters and names; lower is better."""
+        drop = (self.base.chi2 - fit.chi2) / variance
+        names = 2 * len(fit.chosen) * np.log(self.tested)
+        return float(fit.chi2 / variance + price(fit.rank_chosen, drop, self.samples) + names)
 
     def beside(self, fit: Fit) -> tuple[Board, list[Candidate]]:
         """Effects other than those chosen, scored at a refit.
@@ -104,11 +111,28 @@ class Search:
         scored = board(others, self.white[:, :, kept], fit.residual, fit.jacobian, measured, self.share_left)
         return scored, others
 
+    def add(self, effects: Sequence[SignalEffect], fit: Fit) -> None:
+        """Further candidates, and the fit that has them."""
+        more = [candidate_of(self.problem, effect, modelled=self.base.modelled) for effect in effects]
+        own = whitened(more, self.whitener, self.base.residual.shape[0])
+        self.found = [*self.found, *more]
+        self.white = np.concatenate([self.white, own], axis=2)
+        nuisance, measured = self.base.jacobian, self.whitener.measured
+        self.first = board(self.found, self.white, self.base.residual, nuisance, measured, self.share_left)
+        self.fits[frozenset(self.found[number].label for number in self.numbers(fit))] = fit
+
     def numbers(self, fit: Fit) -> list[int]:
         return [
             next(n for n, c in enumerate(self.found) if c.effect is effect or c.effect == effect)
             for effect, _ in fit.chosen
         ]
+
+
+def price(rank: ArrayLike, drop: ArrayLike, samples: float) -> FloatArray:
+    """Of `rank` parameters that lower chi-square (unit variance) by `drop` together."""
+    ranks = np.maximum(np.asarray(rank, dtype=np.float64), 0.0)
+    each = np.asarray(drop, dtype=np.float64) / np.maximum(ranks, 1.0)
+    return np.asarray(ranks * np.minimum(np.log(samples), 1.0 + np.log(np.maximum(each, 1.0))))
 
 
 def begin(
@@ -142,21 +166,53 @@ def run(search: Search) -> tuple[Fit, Board]:
         return search.base, search.first
     fit = _best(search, [[number] for number in _shortlist(search, search.first)], search.first)
     rest, others = search.beside(fit)
+    fit, rest, others = _sharper(search, fit, rest, others)
     path = [(fit, rest)]
     while len(fit.chosen) < LARGEST:
         larger = _grown(search, fit, rest, others)
         if larger is None:
             break
         fit = larger
-        rest, others = search.beside(fit)
+        fit, rest, others = _sharper(search, fit, *search.beside(fit))
         path.append((fit, rest))
     fit = _eliminated(search, _without_free_riders(path), rest)
     return fit, search.beside(fit)[0]
 
 
+def _sharper(search: Search, fit: Fit, rest: Board, others: list[Candidate]) -> tuple[Fit, Board, list[Candidate]]:
+    """Where a further cause would be looked for: the fit with its settings moved, and what is beside it then."""
+    if search.tested * float(rest.p_values.min()) > search.gate:
+        return fit, rest, others
+    moved = _sharpened(search, fit)
+    return (fit, rest, others) if moved is fit else (moved, *search.beside(moved))
+
+
+def _sharpened(search: Search, fit: Fit) -> Fit:
+    """The fit with settings between the values that were tried, as further candidates.
+
+    What a setting that is a little off leaves would be taken for one more cause.
+    """
+    start = fit
+    for number, (first, _) in enumerate(start.chosen):
+        if first.between(search.problem.setting, 1.0) is None:
+            continue
+        for step in _STEPS:
+            chosen = list(fit.chosen)
+            moved = chosen[number][0].between(search.problem.setting, step)
+            assert isinstance(moved, SignalEffect)
+            chosen[number] = (moved, chosen[number][1])
+            trial = refit(search.problem, search.whitener, chosen, modelled=fit.modelled)
+            fit = trial if trial.chi2 < fit.chi2 - 1.0 else fit
+    new = [mine for (mine, _), (old, _) in zip(fit.chosen, start.chosen, strict=True) if mine != old]
+    if new:
+        search.add(new, fit)
+    return fit
+
+
 def _shortlist(search: Search, scored: Board) -> list[int]:
     """Candidates whose linear model is nearly as good as the best one, at most two alternatives of an effect."""
-    cost = -scored.statistic / scored.variance + scored.rank * np.log(search.samples)
+    drop = scored.statistic / scored.variance
+    cost = -drop + price(scored.rank, drop, search.samples)
     cost = np.where(scored.rank > 0, cost, np.inf)
     window = max(_WITHIN, _NONLINEAR * float(scored.statistic.max() / scored.variance))
     chosen: list[int] = []
@@ -215,7 +271,8 @@ def _afresh(search: Search, size: int, present: Sequence[int], partners: Sequenc
         drop, rank = scored.given(seed)
         inside = np.isin(scored.block, seed)
         own = float(scored.statistic[seed[0]]) if len(seed) == 1 else _joint(scored, inside)
-        cost = -(own + drop) / scored.variance + (int(inside.sum()) + rank) * np.log(search.samples)
+        whole = (own + drop) / scored.variance
+        cost = -whole + price(int(inside.sum()) + rank, whole, search.samples)
         names = {search.found[n].name for n in seed}
         free = [n for n in np.argsort(cost)[:3] if rank[n] > 0 and search.found[n].name not in names]
         ranked += [(float(cost[n]), sorted([*seed, int(n)])) for n in free]

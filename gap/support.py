@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.gap.growth import Search, without
+from fluxtwin.gap.growth import Search, price, without
 from fluxtwin.gap.refit import Fit, white_residual
 from fluxtwin.gap.score import board
 
@@ -78,7 +78,8 @@ def _weights(search: Search, fit: Fit, number: int, bare: Fit, variance: float) 
     put_back = white_residual(search.problem, search.whitener, [*fit.modelled, *others])
     beside = fit.jacobian[:, :, kept]
     scored = board(search.found, search.white, put_back, beside, search.whitener.measured, search.share_left)
-    drop_own = scored.chi2 - fit.chi2
+    # A large effect is not linear: what the others make up for at their own refit says how much it is worth.
+    drop_own = max(scored.chi2, bare.chi2) - fit.chi2
     rank_own = fit.rank_chosen - bare.rank_chosen
     weights: dict[str, float] = {fit.chosen[number][0].name: 1.0}
     trials = []
@@ -86,7 +87,8 @@ def _weights(search: Search, fit: Fit, number: int, bare: Fit, variance: float) 
         if scored.rank[place] == 0 or candidate.name in taken or candidate.effect is fit.chosen[number][0]:
             continue
         worse = (drop_own - scored.statistic[place]) / variance
-        worse += float(scored.rank[place] - rank_own) * np.log(search.samples)
+        theirs = price(scored.rank[place], scored.statistic[place] / variance, search.samples)
+        worse += float(theirs - price(rank_own, drop_own / variance, search.samples))
         trials.append((worse, place))
     for count, (worse, place) in enumerate(sorted(trials)):
         if count < _REFITS and worse < _WITHIN + 0.05 * drop_own / variance:

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 CARRIED = 0.9
 """Share of the structured energy that the named effects must carry where structure is left."""
 _OWN_AXIS = 0.8
+_MANY = 9
+"""Parameters: a matrix and less are bound to one condition, the polynomials (18, 30) to none."""
 
 
 def assemble(work: Work, provenance: Mapping[str, Any], *, without_attitude: int) -> Diagnosis:
@@ -32,8 +34,7 @@ def assemble(work: Work, provenance: Mapping[str, Any], *, without_attitude: int
     known = [one for one in work.flexible if one.confirmed and expected(one, work.problem.frozen)]
     confirmed = [one for one in work.flexible if one.confirmed and one not in known]
     structured = work.left.structured
-    share = work.found.explained_share
-    carried = share is not None and share >= CARRIED
+    carried = _carried(work)
     named = [] if work.found.resembles else list(work.found.named)
     stands = bool(named) and (not structured or carried)
     signals = [_found(one, work.problem.setting) for one in named] if stands else []
@@ -66,6 +67,18 @@ def assemble(work: Work, provenance: Mapping[str, Any], *, without_attitude: int
         ranking=[Alone(line.name, line.drop, line.rank, line.p_value) for line in work.found.ranking],
         closure=_closure(work, named if stands else [], confirmed, _incomplete(verdict, stands and structured)),
     )
+
+
+def _carried(work: Work) -> bool:
+    """Whether the named effects carry the structured energy, so that what is left is only their incomplete shape.
+
+    An effect of many parameters can follow what it is not: with such a one the samples held out have to say so too.
+    """
+    share, interval = work.found.explained_share, work.shrinkage.interval
+    if share is None or share < CARRIED:
+        return False
+    wide = any(len(one.effect.parameters) > _MANY for one in work.found.named)
+    return not wide or interval is None or interval[1] >= CARRIED
 
 
 def _incomplete(verdict: str, left: bool) -> str | None:

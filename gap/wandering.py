@@ -24,6 +24,8 @@ _ROWS_A_KNOT = 8
 _LOG_SIZES = np.linspace(np.log(0.003), np.log(100.0), 40)
 _MARGIN = 3.0  # in log evidence: a factor of 20
 _SHAPE_P = 0.005
+_SETTLED = 10  # rows until the filter has forgotten where it began
+_LEAST_TAIL = 0.5  # excess kurtosis that is passed over, as in the test of white noise
 
 
 def random_walk(seconds: FloatArray, left: Leftover, found: Sequence[Block], sigma_nT: float) -> FlexibleFinding | None:
@@ -56,6 +58,8 @@ def random_walk(seconds: FloatArray, left: Leftover, found: Sequence[Block], sig
     spacing = float(seconds[-1] - seconds[0]) / knots
     # Levels that are means over a spacing differ by two thirds of what the walk gains in it (in variance).
     rate = size * sigma_nT / np.sqrt(spacing * 2.0 / 3.0)
+    if jumps(seconds, left, float(rate) / sigma_nT, float(variance)):
+        faults.append("it jumps between levels")
     live = reduced[0].size
     words = "the bias wanders like a random walk" + (f"; but {', '.join(faults)}" if faults else "")
     parameters = {"rate": (float(rate), float(rate / np.sqrt(2 * max(live / 2, 1))), "nT/sqrt(s)")}
@@ -116,6 +120,26 @@ def _not_a_walk(gram: FloatArray, moment: FloatArray, size: float, steps: int) -
     if 2 * stats.norm.sf(largest) * 3 * steps < _SHAPE_P:
         faults.append("one of its steps stands out")
     return faults
+
+
+def jumps(seconds: FloatArray, left: Leftover, rate: float, variance: float) -> bool:
+    """Whether single rows move further than a walk of that rate (noise units per root second) does.
+
+    A walk seen through white noise has Gaussian innovations at every row (Harvey 1989, Forecasting, structural time
+    series models and the Kalman filter, section 5.4); levels that are switched between have a few large ones.
+    """
+    series = left.residual.reshape(-1, 3)
+    level, spread, found = np.zeros(3), 1e6 * variance, []
+    for value, since in zip(series, np.diff(seconds, prepend=seconds[0]), strict=True):
+        spread += rate**2 * since
+        found.append((value - level) / np.sqrt(spread + variance))
+        gain = spread / (spread + variance)
+        level = level + gain * (value - level)
+        spread *= 1.0 - gain
+    z = np.array(found)[_SETTLED:]
+    z = z[np.any(series[_SETTLED:] != 0, axis=1)]
+    kurtosis = float(np.mean(z**4) / np.mean(z**2) ** 2 - 3.0)
+    return kurtosis > max(4.0 * np.sqrt(24.0 / z.size), _LEAST_TAIL)
 
 
 def _reduced(gram: FloatArray, moment: FloatArray, size: float) -> tuple[FloatArray, FloatArray, FloatArray]:

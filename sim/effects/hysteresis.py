@@ -44,6 +44,9 @@ class Hysteresis(SignalEffect):
             return (self,)
         return tuple(replace(self, width_nT=width_nT) for width_nT in _WIDTHS_NT)
 
+    def between(self, setting: Setting, ratio: float) -> Hysteresis | None:
+        return replace(self, width_nT=ratio * self.width_nT)
+
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         if not self.width_nT > 0:
             raise BadInput(f"{self.width_nT:g} nT", where=f"{self.name} width_nT", wanted="more than 0 nT")

@@ -42,6 +42,9 @@ class RingCurrent(SignalEffect):
         span_h = float(setting.seconds[-1]) / 3600.0
         return (RingCurrent(), *(RingCurrent(hours) for hours in RECOVERY_H if span_h > _LEAST_SPAN * hours))
 
+    def between(self, setting: Setting, ratio: float) -> RingCurrent | None:
+        return RingCurrent(ratio * self.decay_h) if self.decay_h > 0 else None
+
     @property
     def bound(self) -> str:
         return "the ring current of these hours is not that of others: take the Dst of the day"

@@ -3,13 +3,15 @@
     python benchmarks/withheld.py [--population NAME ...] [--count N] [--jobs N] [--out DIR] [--chaos FILE]
     python benchmarks/withheld.py --tune SEED ...     any other seed, on any tree; nothing is logged
     python benchmarks/withheld.py --out DIR --score   score what is there again
+    ... --score --docs                                and write docs/withheld.md with its figure
     ... --closing                                     and put the closed scenarios to the test: twin, loop, control
     ... --rival                                       and let the rival answer the same questions
 
 A run makes its cases by forward models of its own, seals the answers and prints their SHA-256, puts the questions
 through `fluxtwin.diagnose`, then opens the answers and prints the table. Its seed is `int(sha[:12], 16)` of the
-commit; a tree that differs from the commit is refused; a row is added to benchmarks/withheld.log. Stopped runs go on
-where they were when started again with the same --out.
+commit; a tree that differs from the commit is refused; a row is added to benchmarks/withheld.log when it is scored.
+Stopped runs go on where they were when started again with the same --out, and populations may be run one by one into
+the same folder: a case depends on seed, population and number alone. Loops and rivals take the first cases only.
 """
 
 # ruff: noqa: E402  (the thread counts must be set before numpy is loaded)
@@ -21,6 +23,8 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", 
     os.environ[_variable] = "1"  # before numpy is loaded
 
 import argparse
+import json
+import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -32,7 +36,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from withheld_cases import score, store
+from withheld_cases import page, score, store
 from withheld_cases.ask import ask, ask_rival
 from withheld_cases.cases import PLAIN, POPULATIONS, identity
 from withheld_cases.control import wrong
@@ -46,10 +50,20 @@ from fluxtwin.sim import files
 
 ROOT = Path(__file__).resolve().parent.parent
 FROZEN = {
-    "nulls": 1000, "nulls_off": 400, "singles": 12 * len(PLAIN), "faint": 6 * len(PLAIN), "pairs": 300,
-    "triples": 150, "shapes": 12 * len(SHAPES), "outside": 12 * len(OUTSIDE),
+    "nulls": 1000, "nulls_off": 100, "singles": 4 * len(PLAIN), "faint": len(PLAIN), "pairs": 40, "triples": 20,
+    "shapes": 2 * len(SHAPES), "outside": 3 * len(OUTSIDE),
 }  # fmt: skip
 """Cases of a frozen run."""
+RIVAL = {"nulls": 60, "singles": 2 * len(PLAIN), "pairs": 20, "triples": 10}
+"""How many of them the rival is asked, the first ones."""
+LOOPS = {"singles": 2 * len(PLAIN)}
+"""How many of them are put to the test on another day."""
+SECONDS = {
+    "nulls": 2.5, "nulls_off": 3.0, "singles": 6.0, "faint": 5.0, "pairs": 8.0, "triples": 10.0, "shapes": 6.0,
+    "outside": 9.0, "rival": 2.5, "loops": 8.0,
+}  # fmt: skip
+"""Usual CPU time of one answer on one core of 2026 (AMD EPYC, 2.6 GHz), to tell how long a run will take."""
+DOCS = ROOT / "docs"
 QUICK = {"tune": 1, "population": ["nulls", "singles"], "count": 1}
 
 Plan = list[tuple[str, int]]
@@ -75,20 +89,16 @@ def _run(given: argparse.Namespace) -> int:
     out = given.out or Path(f"withheld-{'tune' if given.tune is not None else sha[:12]}-results")
     here = store.Store(out)
     if given.score:
-        return _score(here, _identities(here))
+        return _score(here, _identities(here), docs=given.docs)
     plan = _plan(given.population, given.count)
-    here.prepared().agree({"seed": seed, "commit": None if given.tune is not None else sha, "chaos": given.chaos})
     names = [identity(seed, *one) for one in plan]
-    _all("made", make, [(str(out), seed, *one, given.chaos) for one in plan], given.jobs)
-    sealed = here.seal(names)
-    print(f"answers sealed: sha256 {sealed}", flush=True)
-    waiting = [name for name in names if here.has("asked", name) and not here.has("said", name)]
-    _all("asked", ask, [(str(out), name) for name in waiting], given.jobs)
-    if given.rival:
-        _all("rival asked", ask_rival, [(str(out), name) for name in names if here.has("asked", name)], given.jobs)
-    if given.closing:
-        for word, work in (("twins judged", judge), ("loops closed", again), ("controls run", wrong)):
-            _all(word, work, [(str(out), name) for name in names], given.jobs)
+    try:
+        here.prepared().agree({"seed": seed, "commit": None if given.tune is not None else sha, "chaos": given.chaos})
+        sealed = _answered(here, seed, plan, given)
+    except KeyboardInterrupt:
+        here.tidy()
+        print("stopped; the same command goes on from here", file=sys.stderr)
+        return 130
     status = _score(here, names)
     if given.tune is None:
         row = {"date": datetime.now(UTC).isoformat(timespec="seconds"), "commit": sha, "seed": seed, "sealed": sealed}
@@ -96,10 +106,42 @@ def _run(given: argparse.Namespace) -> int:
             "counts": _counts(plan),
             "chaos": given.chaos is not None,
             "cases": len(names),
-            "rows": score.table_rows(here, names),
+            "rows": [one for one in score.table_rows(here, names) if one["of"]],
         }
         store.append_log(row)
     return status
+
+
+def _answered(here: store.Store, seed: int, plan: Plan, given: argparse.Namespace) -> str:
+    """Everything made, sealed and asked; the seal."""
+    names = [identity(seed, *one) for one in plan]
+    root = str(here.root)
+    print(f"about {_minutes(plan, given):.0f} CPU minutes", file=sys.stderr, flush=True)
+    _all("made", make, [(root, seed, *one, given.chaos) for one in plan], given.jobs)
+    sealed = here.seal(names)
+    print(f"answers sealed: sha256 {sealed}", flush=True)
+    waiting = [name for name in names if here.has("asked", name) and not here.has("said", name)]
+    _all("asked", ask, [(root, name) for name in waiting], given.jobs)
+    if given.rival:
+        some = [name for name in _first(seed, plan, RIVAL) if here.has("asked", name)]
+        _all("rival asked", ask_rival, [(root, name) for name in some], given.jobs)
+    if given.closing:
+        _all("twins judged", judge, [(root, name) for name in names], given.jobs)
+        for word, work in (("loops closed", again), ("controls run", wrong)):
+            _all(word, work, [(root, name) for name in _first(seed, plan, LOOPS)], given.jobs)
+    return sealed
+
+
+def _first(seed: int, plan: Plan, most: dict[str, int]) -> list[str]:
+    """The first cases of each population, in the plan's order."""
+    return [identity(seed, *one) for one in plan if one[1] < most.get(one[0], 0)]
+
+
+def _minutes(plan: Plan, given: argparse.Namespace) -> float:
+    """CPU time that a whole run takes."""
+    total = sum(SECONDS[population] for population, _ in plan)
+    total += SECONDS["rival"] * len(_first(0, plan, RIVAL)) * given.rival
+    return (total + SECONDS["loops"] * len(_first(0, plan, LOOPS)) * given.closing) / 60.0
 
 
 def _arguments() -> argparse.Namespace:
@@ -116,10 +158,13 @@ def _arguments() -> argparse.Namespace:
         "--closing", action="store_true", help="run the closed scenarios: twin, loop on another day, control"
     )
     parser.add_argument("--quick", action="store_true", help="one null and one single, to see that it runs")
+    parser.add_argument("--docs", action="store_true", help="with --score: write the page and its figure")
     parser.add_argument("--rival", action="store_true", help="put the questions to the rival as well")
     given = parser.parse_args()
     if given.score and given.out is None:
         parser.error("--score needs --out DIR")
+    if given.docs and not given.score:
+        parser.error("--docs goes with --score")
     if given.count is not None and given.count < 1:
         parser.error("--count is at least 1")
     return given
@@ -147,20 +192,33 @@ def _all(word: str, work: Callable[..., str], jobs: Sequence[tuple[Any, ...]], p
     began = time.time()
     if not jobs:
         return
-    with ProcessPoolExecutor(processes) as pool:
+    pool = ProcessPoolExecutor(processes, initializer=_quiet)
+    try:
         waiting = [pool.submit(work, *job) for job in jobs]
         for done, one in enumerate(as_completed(waiting), start=1):
             one.result()
-            if done % max(1, len(jobs) // 20) == 0 or done == len(jobs):
-                print(f"{word} {done} of {len(jobs)}, {time.time() - began:.0f} s", file=sys.stderr, flush=True)
+            if done % max(1, len(jobs) // 40) == 0 or done == len(jobs):
+                took = time.time() - began
+                more = f", about {took / done * (len(jobs) - done):.0f} s to go" if done < len(jobs) else ""
+                print(f"{word} {done} of {len(jobs)}, {took:.0f} s{more}", file=sys.stderr, flush=True)
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _quiet() -> None:
+    """A worker leaves the interrupt to the parent, which lets it finish what it is at."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _identities(here: store.Store) -> list[str]:
     return sorted(path.stem for path in (here.root / "sealed").glob("*.json"))
 
 
-def _score(here: store.Store, names: Sequence[str]) -> int:
+def _score(here: store.Store, names: Sequence[str], *, docs: bool = False) -> int:
     text, record = score.report(here, names)
+    if docs:
+        run = json.loads((here.root / "run.json").read_text(encoding="utf-8"))
+        page.write(*score.opened(here, names), run, DOCS)
     files.write_json(here.root / "score.json", record)
     files.write_text(here.root / "score.md", text)
     print(text)

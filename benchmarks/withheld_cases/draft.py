@@ -49,6 +49,16 @@ def recording(world: World, *names: str) -> World:
     return dataclasses.replace(world, recorded=world.recorded | frozenset(names))
 
 
+def followed(world: World) -> World:
+    """The world with a gyro in the record where the body turns more than a radian from row to row.
+
+    Attitudes so far apart do not say which way and how often the body has turned in between, and a cause that acts on
+    what happens between the stamps cannot be told from the record at all.
+    """
+    turn = 2.0 * np.pi * world.step_s / world.turn_period_s()
+    return recording(world, "rate_B_rad_s") if turn > 1.0 else world
+
+
 def share(mask: FloatArray) -> float:
     """Share of rows where it is not zero."""
     return float(np.mean(np.asarray(mask) != 0))

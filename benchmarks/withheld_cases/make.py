@@ -37,8 +37,8 @@ def make(root: str, seed: int, population: str, number: int, chaos: str | None) 
         if case.world.time.size <= _LONGEST_TWIN:
             write_telemetry(twin(case.world, case.truths, clean), store.path("twin", name))
         sealed["second"] = _second_day(store, case, seed) if population == "singles" else None
-    if population == "shapes":
-        sealed["plain_share"] = min(shares(case.world, case.truths, case.sizes))
+    if case.truths and population != "outside":
+        sealed["plain_share"] = min(shares(case.world, case.truths, case.sizes, plain=population != "shapes"))
     store.write("sealed", name, sealed)
     return name
 

@@ -15,7 +15,7 @@ from fluxtwin.sim.field_models import load_field
 from fluxtwin.sim.types import FloatArray, TimeArray
 from withheld_cases import spacecraft
 from withheld_cases.chain import Truth
-from withheld_cases.draft import Draft, direction, listed, recording, share, sign
+from withheld_cases.draft import Draft, direction, followed, listed, recording, share, sign
 from withheld_cases.worlds import World, between, shift
 
 INDUCED_SHARE = 0.27
@@ -33,7 +33,7 @@ def time_tag_offset(world: World, rng: np.random.Generator) -> Draft:
         )  # fmt: skip
 
     most = latest_s(world)
-    return Draft(world, at, 1e-4, most, min(3.0, 0.2 * most))
+    return Draft(followed(world), at, 1e-4, most, min(3.0, 0.2 * most))
 
 
 def latest_s(world: World) -> float:

@@ -13,7 +13,7 @@ from fluxtwin.sim.random_streams import stream
 from fluxtwin.sim.types import FloatArray, TimeArray
 from withheld_cases import spacecraft
 from withheld_cases.chain import Ambient, Truth, ambient, noise_free
-from withheld_cases.draft import Draft, direction, listed, share
+from withheld_cases.draft import Draft, direction, followed, listed, share
 from withheld_cases.visible import noise_rms_nT
 from withheld_cases.worlds import World, shift
 
@@ -239,7 +239,7 @@ def sensor_lag(world: World, rng: np.random.Generator) -> Draft:
         return Truth("sensor_lag", "sensor", {"tau_s": size}, lag_s=size)
 
     most = min(30.0, world.turn_period_s() / 24.0)
-    return Draft(world, at, 1e-4, most, min(3.0, 0.2 * most))
+    return Draft(followed(world), at, 1e-4, most, min(3.0, 0.2 * most))
 
 
 def excess_noise(world: World, rng: np.random.Generator) -> Draft:

@@ -10,7 +10,7 @@ from fluxtwin.sim import epoch, frames
 from fluxtwin.sim.types import FloatArray, TimeArray
 from withheld_cases import spacecraft
 from withheld_cases.chain import Ambient, Truth
-from withheld_cases.draft import Draft, changes, direction, listed, recording, share
+from withheld_cases.draft import Draft, changes, direction, followed, listed, recording, share
 from withheld_cases.worlds import World, between, shift
 
 _STRAIGHT_DEGC = 10.0
@@ -135,7 +135,7 @@ def eddy_current(world: World, rng: np.random.Generator) -> Draft:
         )  # fmt: skip
 
     most = min(30.0, world.turn_period_s() / 20.0)
-    return Draft(world, at, 1e-5, most, 0.1 * most)
+    return Draft(followed(world), at, 1e-5, most, 0.1 * most)
 
 
 def condition(world: World, rng: np.random.Generator) -> tuple[dict[str, object], object] | None:

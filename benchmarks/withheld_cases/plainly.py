@@ -1,4 +1,5 @@
-"""How much of a truth of another shape the plain entry of the same name can carry, at best.
+"""How much of a truth the plain entry of the same name can carry, at best: of one of another shape, and of one whose
+driving column is not recorded.
 
 An answer is `effect` only where the named effects carry at least 90 % of the structured energy; so where the plain
 shape cannot carry as much, `unknown` that resembles the name is the right answer, and the score keeps such cases apart.
@@ -17,6 +18,12 @@ from withheld_cases.visible import signature_nT
 from withheld_cases.worlds import World
 
 State = Callable[[World, np.ndarray], np.ndarray]
+STOOD_IN = {
+    "solar_array_current": "array_current_A", "battery_current": "battery_current_A",
+    "thermal_bias_drift": "temperature_degC", "thermal_scale_drift": "temperature_degC",
+}  # fmt: skip
+"""Entries for which something stands in where their column is not recorded."""
+_TAUS_S = (300.0, 500.0, 800.0, 1200.0, 1800.0, 2700.0, 4000.0)
 _TRACELESS = [np.diag([1.0, -1.0, 0.0]), np.diag([0.0, 1.0, -1.0])] + [
     np.eye(3)[[a]].T @ np.eye(3)[[b]] + np.eye(3)[[b]].T @ np.eye(3)[[a]] for a, b in ((0, 1), (0, 2), (1, 2))
 ]
@@ -41,6 +48,8 @@ def families(world: World, truth: Truth, size: float) -> list[list[Truth]]:
         "heater_switching": spacecraft.heater_on, "switched_field": spacecraft.payload_on,
         "thermal_bias_drift": spacecraft.temperature_degC,
     }  # fmt: skip
+    if name in STOOD_IN and STOOD_IN[name] not in world.recorded:
+        return _stood_in(name)
     if name in switched:
         return [[_stray(switched[name], axis) for axis in np.eye(3)]]
     if name == "torquer_coupling":
@@ -61,6 +70,38 @@ def families(world: World, truth: Truth, size: float) -> list[list[Truth]]:
     if name == "horizon_scanner_bias":
         return [[_horizon(k) for k in range(4)]]
     return _one_parameter(world, truth, size)
+
+
+def _stood_in(name: str) -> list[list[Truth]]:
+    """What stands in for a column that is not recorded: sun and shadow, the sun's incidence, a lag behind them."""
+    if name == "solar_array_current":
+        return [[_stray(state, axis) for axis in np.eye(3)] for state in (_light, _on_zenith)]
+    if name == "battery_current":
+        return [[_stray(_light, axis) for axis in np.eye(3)]]
+    if name == "thermal_bias_drift":
+        return [[_stray(_warmth(tau_s), axis) for axis in np.eye(3)] for tau_s in _TAUS_S]
+    return [[_scaled(_warmth(tau_s), axis) for axis in np.eye(3)] for tau_s in _TAUS_S]
+
+
+def _light(world: World, time: np.ndarray) -> np.ndarray:
+    return world.sun(time)[1]
+
+
+def _on_zenith(world: World, time: np.ndarray) -> np.ndarray:
+    towards, light = world.sun(time)
+    sun_B = world.attitude(time).R_BN.apply(towards)
+    return np.asarray(np.clip(-sun_B[:, 2], 0.0, None) * light)
+
+
+def _warmth(tau_s: float) -> State:
+    return lambda w, t: spacecraft.temperature_degC(w, t, tau_s)
+
+
+def _scaled(state: State, axis: np.ndarray) -> Truth:
+    def sense(w: World, t: np.ndarray, m: np.ndarray, perfect: Ambient) -> np.ndarray:
+        return m * (1.0 + 1e-4 * np.outer(state(w, t), axis))
+
+    return Truth("", "", {}, sense=sense)
 
 
 def _one_parameter(world: World, truth: Truth, size: float) -> list[list[Truth]]:
@@ -152,6 +193,9 @@ def _stop(width_nT: float, axis: int) -> Truth:
     return Truth("", "", {}, sense=sense)
 
 
-def shares(world: World, truths: Sequence[Truth], sizes: Sequence[float]) -> list[float]:
-    """`plain_share` of each."""
-    return [plain_share(world, truth, size) for truth, size in zip(truths, sizes, strict=True)]
+def shares(world: World, truths: Sequence[Truth], sizes: Sequence[float], *, plain: bool = False) -> list[float]:
+    """`plain_share` of each; plain: the truths have the plain shape, so only a missing column can make it less than 1."""
+    return [
+        1.0 if plain and STOOD_IN.get(truth.name, "") in {"", *world.recorded} else plain_share(world, truth, size)
+        for truth, size in zip(truths, sizes, strict=True)
+    ]

@@ -78,7 +78,7 @@ def distributional(case: Judged) -> bool:
 
 
 def _detection(cases: Sequence[Judged]) -> list[dict[str, Any]]:
-    signals = of(cases, "singles", least=0.2, names=lambda c: not distributional(c))
+    signals = of(cases, "singles", least=0.2, names=lambda c: not distributional(c) and expressible(c))
     noises = of(cases, "singles", least=0.5, names=distributional)
     named = [c for c in of(cases, "singles", least=0.2) if c.effects]
     sizes = [len(names_of(entry)) for c in named for entry in c.effects]
@@ -98,7 +98,10 @@ def _detection(cases: Sequence[Judged]) -> list[dict[str, Any]]:
 
 
 def _several(cases: Sequence[Judged]) -> list[dict[str, Any]]:
-    pairs, triples = of(cases, "pairs", least=0.65), of(cases, "triples", least=0.95)
+    pairs, triples = (
+        of(cases, "pairs", least=0.65, names=expressible),
+        of(cases, "triples", least=0.95, names=expressible),
+    )
     return [
         share_row("pairs, each visible >= 0.7: both exactly", ">= 90 %", pairs, lambda c: c.list_right, 0.90),
         share_row("pairs: false extra", "<= 5 %", pairs, lambda c: c.extra, 0.0, 0.05),
@@ -109,14 +112,17 @@ def _several(cases: Sequence[Judged]) -> list[dict[str, Any]]:
 
 def _elsewhere(cases: Sequence[Judged]) -> list[dict[str, Any]]:
     beyond = of(cases, "outside", least=0.95)
-    shaped = of(cases, "shapes", least=0.5, names=lambda c: carried(c) >= 0.9)
-    strange = of(cases, "shapes", least=0.5, names=lambda c: carried(c) < 0.9)
+    shaped = of(cases, "shapes", least=0.5, names=expressible)
+    strange = of(cases, "shapes", least=0.5, names=lambda c: not expressible(c))
+    without = of(cases, "singles", least=0.2, names=lambda c: not expressible(c))
     staged = of(cases, "singles", "shapes", least=0.5)
     return [
         share_row("another shape, visible >= 0.5: verdict effect and first name", ">= 95 %", shaped,
                   lambda c: c.verdict == "effect" and c.first_right, 0.95),
         share_row("another shape that the plain entry carries less than 90 % of: named, or unknown that resembles it",
                   "told", strange, lambda c: c.first_right or _resembled(c), 0.0),
+        share_row("single whose driving column is missing, of which what stands in carries less than 90 %: the same",
+                  "told", without, lambda c: c.first_right or _resembled(c), 0.0),
         share_row("outside the catalogue, visible >= 1: unknown", ">= 97 %", beyond, lambda c: c.verdict == "unknown", 0.97),
         share_row("outside the catalogue: wrongly confirmed", "<= 3 %", beyond, lambda c: bool(c.effects), 0.0, 0.03),
         share_row("stage right, visible >= 0.5", ">= 95 %", staged, lambda c: c.stage_right, 0.95),
@@ -125,8 +131,13 @@ def _elsewhere(cases: Sequence[Judged]) -> list[dict[str, Any]]:
 
 
 def carried(case: Judged) -> float:
-    """Share of the truth's visible energy that the plain entry of its name can carry."""
+    """Share of a truth's visible energy that the plain entry of its name can carry with the columns that there are."""
     return float(case.sealed.get("plain_share", 1.0))
+
+
+def expressible(case: Judged) -> bool:
+    """Whether the entries of the truths can carry 90 % of them with the columns that the record has."""
+    return carried(case) >= 0.9
 
 
 def _resembled(case: Judged) -> bool:
@@ -184,16 +195,18 @@ def _rival(cases: Sequence[Judged]) -> list[dict[str, Any]]:
     nulls = of(both, "nulls")
     ours = _mean(nulls, lambda c: c.verdict != "no_gap")
     rows = []
-    for by in CRITERIA:
+    for rule in CRITERIA:
         for mine, which in ((singles, "list exactly right"), (shown, "the same, effects with a Jacobian")):
             better = (
-                _mean(mine, lambda c: c.list_right) - _mean(mine, lambda c, by=by: c.rival_right(by)) if mine else None
+                _mean(mine, lambda c: c.list_right) - _mean(mine, lambda c, rule=rule: c.rival_right(rule))
+                if mine
+                else None
             )
-            title = f"against the rival by {by}: {which}, points better"
+            title = f"against the rival by {rule}: {which}, points better"
             rows.append(number_row(title, ">= 0.15", better, len(mine), better is not None and better >= 0.15))
-        theirs = _mean(nulls, lambda c, by=by: c.rival_alarm(by))
+        theirs = _mean(nulls, lambda c, rule=rule: c.rival_alarm(rule))
         times = theirs / max(ours, 1.0 / max(1, len(nulls))) if nulls else None
-        title = f"against the rival by {by}: false alarms, times fewer"
+        title = f"against the rival by {rule}: false alarms, times fewer"
         rows.append(number_row(title, ">= 10", times, len(nulls), times is not None and times >= 10))
     return rows
 
@@ -222,8 +235,8 @@ def report(store: Store, names: Iterable[str]) -> tuple[str, dict[str, Any]]:
     """The page in Markdown, and the record."""
     cases, void = opened(store, names)
     rows = rows_of(cases)
-    parts = [_table(rows), f"{len(cases)} cases; {void} could not be made.", _by(cases, "label", "effect or member")]
-    parts += [_by(cases, "regime", "regime"), _confusion_text(cases), _seconds(cases), _failures(cases)]
+    parts = [table(rows), f"{len(cases)} cases; {void} could not be made.", by(cases, "label", "effect or member")]
+    parts += [by(cases, "regime", "regime"), _confusion_text(cases), seconds(cases), _failures(cases)]
     pairs = [pair for case in cases for pair in case.stated()]
     record = {
         "rows": rows, "cases": len(cases), "void": void, "confusion": confusion(cases),
@@ -233,7 +246,8 @@ def report(store: Store, names: Iterable[str]) -> tuple[str, dict[str, Any]]:
     return "\n\n".join(parts) + "\n", record
 
 
-def _table(rows: Sequence[dict[str, Any]]) -> str:
+def table(rows: Sequence[dict[str, Any]]) -> str:
+    """Rows as Markdown."""
     lines = ["| figure | reach | found | 95 % | of | met |", "|---|---|---|---|---|---|"]
     for row in rows:
         value, inside = row["value"], row.get("interval")
@@ -244,7 +258,8 @@ def _table(rows: Sequence[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def _by(cases: Sequence[Judged], key: str, title: str) -> str:
+def by(cases: Sequence[Judged], key: str, title: str) -> str:
+    """What was right, by something that is sealed with each case."""
     lines = [f"| population | {title} | right | first name | of | else it said |", "|---|---|---|---|---|---|"]
     groups: dict[tuple[str, str], list[Judged]] = {}
     for case in cases:
@@ -283,7 +298,8 @@ def _confusion_text(cases: Sequence[Judged]) -> str:
     return "\n".join(lines)
 
 
-def _seconds(cases: Sequence[Judged]) -> str:
+def seconds(cases: Sequence[Judged]) -> str:
+    """Speed, in words."""
     times = [float(case.said["seconds"]) for case in cases]
     return f"CPU time of a diagnosis: median {median(times):.1f} s, longest {max(times, default=0.0):.0f} s."
 

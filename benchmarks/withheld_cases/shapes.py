@@ -15,7 +15,7 @@ from fluxtwin.sim.field import field_N_nT
 from fluxtwin.sim.types import FloatArray, TimeArray
 from withheld_cases import of_place, of_sensor, of_spacecraft, spacecraft
 from withheld_cases.chain import Ambient, Truth, ambient
-from withheld_cases.draft import Draft, direction, listed, recording, share, sign
+from withheld_cases.draft import Draft, direction, followed, listed, recording, share, sign
 from withheld_cases.worlds import World, shift
 
 
@@ -251,7 +251,7 @@ def clock_creeps(world: World, rng: np.random.Generator) -> Draft:
         return Truth("time_tag_offset", "time", {"offset_s": way * size}, clock=clock)
 
     most = of_place.latest_s(world)
-    return Draft(world, at, 1e-4, most, min(3.0, 0.2 * most))
+    return Draft(followed(world), at, 1e-4, most, min(3.0, 0.2 * most))
 
 
 def epoch_other_rates(world: World, rng: np.random.Generator) -> Draft:

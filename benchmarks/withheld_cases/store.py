@@ -39,6 +39,15 @@ class Store:
             (self.root / name).mkdir(parents=True, exist_ok=True)
         return self
 
+    def tidy(self) -> None:
+        """Take away what is empty; the whole folder where no case was made."""
+        for name in FOLDERS:
+            if (self.root / name).is_dir() and not any((self.root / name).iterdir()):
+                (self.root / name).rmdir()
+        if self.root.is_dir() and {path.name for path in self.root.iterdir()} <= {"run.json"}:
+            (self.root / "run.json").unlink(missing_ok=True)
+            self.root.rmdir()
+
     def path(self, kind: str, identity: str) -> Path:
         """The file of one case."""
         suffix = {"telemetry": "csv", "twin": "csv", "second": "csv", "closed": "toml"}.get(kind, "json")

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+import numpy as np
+
 from fluxtwin.sim.effects.base import Parameter, SignalEffect, vector_parameters
 from fluxtwin.sim.effects.history import play
 from fluxtwin.sim.effects.instrument import in_reading
@@ -21,8 +23,9 @@ class Hysteresis(SignalEffect):
 
     A core whose magnetisation follows the play operator y = play_w(x) of the field x along each axis, w half
     the loop's width, has a part in proportion to x, which is a scale error, and the rest, a (y - x) / w, which
-    is this effect. It lies between -a and a; the loop of y against x is `width_nT` = 2 w wide. The first row counts as
-    neutral, and what the field did between rows is not seen.
+    is this effect. It lies between -a and a; the loop of y against x is `width_nT` = 2 w wide. Before the first row the
+    field is taken to have come the way it goes on, so that the core has followed it; what the field did between rows is
+    not seen.
     """
 
     name: ClassVar[str] = "hysteresis"
@@ -53,6 +56,7 @@ class Hysteresis(SignalEffect):
         field = signal.R_track_BN.apply(signal.ambient_N_nT)
         field = field if signal.stray_B_nT is None else field + signal.stray_B_nT
         half = 0.5 * self.width_nT
-        behind = (play(field, half, field[0]) - field) / half
+        onward = np.sign(field[min(1, len(field) - 1)] - field[0])
+        behind = (play(field, half, field[0] - half * onward) - field) / half
         shift = in_reading(signal.setting, behind * theta)
         return signal.with_reading(signal.reading + shift)

@@ -1,0 +1,113 @@
+"""The page of a run: the table in Markdown with its commit, and the confusions as a figure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fluxtwin.sim import files
+from withheld_cases import score
+from withheld_cases.judged import Judged
+from withheld_cases.outside import WHY
+
+FIGURE = "withheld_confusion.png"
+_HEAD = """# Withheld effects: how often the diagnosis is right
+
+Records are made by forward models of their own, which share no code with the effects of the catalogue; the answers are
+sealed before the diagnosis is asked. Orbits of 600 to 1200 km, nadir, tumble, slews and spin, 0.1 to 60 s, one orbit
+to two days, housekeeping there or not, and a calibration error always. "Visible" is what an effect leaves after the
+best re-estimation of `bias` and `scale_misalignment`, rms per component, over the rms of the noise. How it is made
+and scored: `benchmarks/withheld.py` and `benchmarks/withheld_cases/`.
+"""
+
+
+def write(cases: Sequence[Judged], void: int, run: dict[str, Any], docs: Path) -> None:
+    """docs/withheld.md and its figure. run: what `run.json` of the store holds."""
+    _figure(score.confusion(cases), docs / "images" / FIGURE)
+    files.write_text(docs / "withheld.md", page(cases, void, run))
+
+
+def page(cases: Sequence[Judged], void: int, run: dict[str, Any]) -> str:
+    """The Markdown."""
+    counts: dict[str, int] = {}
+    for case in cases:
+        counts[case.population] = counts.get(case.population, 0) + 1
+    told = ", ".join(f"{name} {count}" for name, count in counts.items())
+    made = f"commit `{run['commit']}`, seed {run['seed']}" if run.get("commit") else f"a tuning run, seed {run['seed']}"
+    missing = f" {void} could not be made: no world showed the truth at the wanted size." if void else ""
+    truth = (
+        "half of the truths have CHAOS coefficients"
+        if run.get("chaos")
+        else "the truth has the ground's own field model"
+    )
+    parts = [
+        _HEAD,
+        f"This run: {made}; {truth}. {len(cases)} records: {told}.{missing} A row is met when the point estimate "
+        "reaches it; the interval is Wilson's, 95 %.",
+        score.table(score.rows_of(cases)),
+        "## What was said of each effect",
+        f"![Confusion matrix](images/{FIGURE})",
+        "Singles and other shapes. Each row is a truth, each column what came first in the answer, in percent of the "
+        "row; a name whose group holds the truth counts as the truth.",
+        "## Stated probabilities",
+        _reliability(cases),
+        "## By regime",
+        score.by(cases, "regime", "regime"),
+        "## By effect, shape and outside member",
+        score.by(cases, "label", "effect or member"),
+        "## Outside the catalogue",
+        "\n".join(f"- `{name}`: {why}" for name, why in WHY.items()),
+        score.seconds(cases),
+    ]
+    return "\n\n".join(part.strip("\n") for part in parts) + "\n"
+
+
+def _reliability(cases: Sequence[Judged]) -> str:
+    pairs = [pair for case in cases for pair in case.stated()]
+    lines = ["| stated (mean of bin) | came true | names |", "|---|---|---|"]
+    if pairs:
+        bins = score.reliability([p for p, _ in pairs], [hit for _, hit in pairs])
+        lines += [f"| {stated:.3f} | {true:.3f} | {count} |" for stated, true, count in bins]
+    return "\n".join(lines)
+
+
+def _figure(confusion: dict[str, dict[str, int]], target: Path) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    truths = sorted(confusion)
+    said = sorted({name for row in confusion.values() for name in row} | set(truths))
+    names = [name for name in said if name not in _LAST] + [name for name in _LAST if name in said]
+    share = np.array([[confusion[t].get(n, 0) / sum(confusion[t].values()) for n in names] for t in truths])
+    share = share.reshape(len(truths), len(names))
+    width = 3.2 + 0.3 * len(names)
+    figure, axes = plt.subplots(figsize=(width, 2.6 + 0.27 * len(truths)), dpi=110, layout="constrained")
+    shown = axes.imshow(100 * share, cmap="Blues", vmin=0, vmax=100, aspect="auto")
+    axes.set_xticks(range(len(names)), [_plain(n) for n in names], rotation=90, fontsize=8)
+    axes.set_yticks(range(len(truths)), [f"{_plain(t)} ({sum(confusion[t].values())})" for t in truths], fontsize=8)
+    for row, column in zip(*np.nonzero(share), strict=True):
+        value = 100 * share[row, column]
+        axes.text(column, row, f"{value:.0f}", ha="center", va="center", fontsize=7,
+                  color="white" if value > 55 else "black")  # fmt: skip
+    axes.set_xlabel("came first in the answer")
+    axes.set_ylabel("truth (records)")
+    axes.set_xticks(np.arange(-0.5, len(names)), minor=True)
+    axes.set_yticks(np.arange(-0.5, len(truths)), minor=True)
+    axes.grid(which="minor", color="0.9", linewidth=0.5)
+    axes.tick_params(which="minor", length=0)
+    figure.colorbar(shown, ax=axes, label="percent of the records of a truth", shrink=0.6, pad=0.01)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(target, metadata={"Software": None})
+    plt.close(figure)
+
+
+_LAST = ("unknown", "no_gap", "error")
+
+
+def _plain(name: str) -> str:
+    return name.replace("_", " ")

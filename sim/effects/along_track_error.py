@@ -12,7 +12,7 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class AlongTrackError(SignalEffect):
-    """Position and velocity turned about the orbit normal by ahead / r; the attitude is right."""
+    """Position and velocity moved along the orbit by the time ahead / |v|; the attitude is right."""
 
     name: ClassVar[str] = "along_track_error"
     stage: ClassVar[str] = "orbit"

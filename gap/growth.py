@@ -203,7 +203,8 @@ def _sharpened(search: Search, fit: Fit) -> Fit:
             chosen[number] = (moved, chosen[number][1])
             trial = refit(search.problem, search.whitener, chosen, modelled=fit.modelled)
             fit = trial if trial.chi2 < fit.chi2 - 1.0 else fit
-    new = [mine for (mine, _), (old, _) in zip(fit.chosen, start.chosen, strict=True) if mine != old]
+    pairs = zip(fit.chosen, start.chosen, strict=True)
+    new = [mine for (mine, _), (old, _) in pairs if isinstance(mine, SignalEffect) and mine != old]
     if new:
         search.add(new, fit)
     return fit

@@ -139,7 +139,7 @@ def jumps(seconds: FloatArray, left: Leftover, rate: float, variance: float) -> 
     z = np.array(found)[_SETTLED:]
     z = z[np.any(series[_SETTLED:] != 0, axis=1)]
     kurtosis = float(np.mean(z**4) / np.mean(z**2) ** 2 - 3.0)
-    return kurtosis > max(4.0 * np.sqrt(24.0 / z.size), _LEAST_TAIL)
+    return bool(kurtosis > max(4.0 * float(np.sqrt(24.0 / z.size)), _LEAST_TAIL))
 
 
 def _reduced(gram: FloatArray, moment: FloatArray, size: float) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -7,11 +7,12 @@ shape cannot carry as much, `unknown` that resembles the name is the right answe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from fluxtwin.sim import epoch
+from fluxtwin.sim import epoch, frames
 from withheld_cases import of_place, of_sensor, of_spacecraft, spacecraft
 from withheld_cases.chain import Ambient, Truth
 from withheld_cases.visible import signature_nT
@@ -50,6 +51,8 @@ def families(world: World, truth: Truth, size: float) -> list[list[Truth]]:
     }  # fmt: skip
     if name in STOOD_IN and STOOD_IN[name] not in world.recorded:
         return _stood_in(name)
+    if name == "switched_field" and p.get("condition") == "region":
+        return [[_stray(box, axis) for axis in np.eye(3)] for box in _boxes(p)]
     if name in switched:
         return [[_stray(switched[name], axis) for axis in np.eye(3)]]
     if name == "torquer_coupling":
@@ -81,6 +84,23 @@ def _stood_in(name: str) -> list[list[Truth]]:
     if name == "thermal_bias_drift":
         return [[_stray(_warmth(tau_s), axis) for axis in np.eye(3)] for tau_s in _TAUS_S]
     return [[_scaled(_warmth(tau_s), axis) for axis in np.eye(3)] for tau_s in _TAUS_S]
+
+
+def _boxes(p: Mapping[str, Any]) -> list[State]:
+    """Ranges of latitude and longitude that stand in for a cap: the entry's regions have no other shape."""
+    south_north = [p["latitude_deg"] + side * p["radius_deg"] for side in (-1.0, 1.0)]
+    width = p["radius_deg"] / max(float(np.cos(np.radians(p["latitude_deg"]))), 0.2)
+    return [_box(south_north, p["longitude_deg"], share * width) for share in (0.75, 0.85, 0.95, 1.1)]
+
+
+def _box(south_north: list[float], longitude_deg: float, half_deg: float) -> State:
+    def inside(w: World, t: np.ndarray) -> np.ndarray:
+        latitude, longitude = frames.geocentric(frames.rotation_EN(t).apply(w.where(t)[0]))[:2]
+        off = np.abs((np.degrees(longitude) - longitude_deg + 180.0) % 360.0 - 180.0)
+        degrees = np.degrees(latitude)
+        return ((degrees > south_north[0]) & (degrees < south_north[1]) & (off < half_deg)).astype(float)
+
+    return inside
 
 
 def _light(world: World, time: np.ndarray) -> np.ndarray:
@@ -196,6 +216,13 @@ def _stop(width_nT: float, axis: int) -> Truth:
 def shares(world: World, truths: Sequence[Truth], sizes: Sequence[float], *, plain: bool = False) -> list[float]:
     """`plain_share` of each; plain: the truths have the plain shape, so only a missing column can make it less than 1."""
     return [
-        1.0 if plain and STOOD_IN.get(truth.name, "") in {"", *world.recorded} else plain_share(world, truth, size)
+        1.0 if plain and not _narrowed(world, truth) else plain_share(world, truth, size)
         for truth, size in zip(truths, sizes, strict=True)
     ]
+
+
+def _narrowed(world: World, truth: Truth) -> bool:
+    """Whether the entry cannot have just the truth's shape: a column is missing, or its region is no cap."""
+    if truth.name == "switched_field":
+        return truth.parameters.get("condition") == "region"
+    return STOOD_IN.get(truth.name, "") not in {"", *world.recorded}

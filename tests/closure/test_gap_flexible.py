@@ -155,6 +155,16 @@ def test_a_piece_of_something_else_is_neither_wheel_nor_heater(bench: Bench) -> 
         assert not bench.confirmed(signal, 200 + number) & {"wheel_field", "heater_switching"}
 
 
+def test_levels_that_are_switched_between_are_no_walk(bench: Bench) -> None:
+    """A payload with several modes holds each for a while: the increments are those of a walk, but for their tails."""
+    t = bench.problem.setting.seconds
+    for seed in (31, 32, 33):
+        rng = np.random.default_rng(seed)
+        changes = rng.random(t.size) < 0.02
+        levels = rng.uniform(-1.0, 1.0, (t.size, 3))[np.maximum.accumulate(np.where(changes, np.arange(t.size), 0))]
+        assert bench.confirmed(600.0 * levels, seed) == set()
+
+
 def test_size_of_a_walk_and_of_a_wheel(bench: Bench) -> None:
     t, setting = bench.problem.setting.seconds, bench.problem.setting
     rng = np.random.default_rng(31)

@@ -14,15 +14,18 @@ import pytest
 
 from fluxtwin.gap.candidates import in_order
 from fluxtwin.gap.detectable import noncentrality, visible_part
-from fluxtwin.gap.growth import Search, begin
+from fluxtwin.gap.growth import Search, begin, price
 from fluxtwin.gap.named import SearchResult
 from fluxtwin.gap.problem import Problem, pose
 from fluxtwin.gap.refit import settled
 from fluxtwin.gap.score import board
 from fluxtwin.gap.search import search
 from fluxtwin.gap.whitening import NoiseModel, Whitener, make_whitener
+from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.chain import Active, jacobian
+from fluxtwin.sim.effects.hysteresis import Hysteresis
+from fluxtwin.sim.effects.ring_current import RingCurrent
 from fluxtwin.sim.field import load_field
 from fluxtwin.sim.scenario import parse_scenario
 from fluxtwin.sim.simulate import simulate
@@ -273,3 +276,24 @@ def test_smallest_detectable_size_is_found_nine_times_in_ten() -> None:
 def test_noncentrality_is_that_of_a_normal_for_one_direction(close) -> None:
     """One degree of freedom, one test: (2.5758 + 1.2816)**2, from the normal distribution's quantiles."""
     close(noncentrality(1, 1), (2.5758293 + 1.2815516) ** 2, atol=1e-3, unit="1", because="tables to 8 digits")
+
+
+@pytest.mark.parametrize(
+    ("effect", "theta"),
+    [(RingCurrent(13.0), np.array([-400.0])), (Hysteresis(9000.0), np.array([400.0, -250.0, 300.0]))],
+)
+def test_a_setting_between_those_tried_calls_for_no_second_name(effect: SignalEffect, theta: np.ndarray) -> None:
+    """At several times the noise a setting that is off by a half leaves plenty, but one cause is one name."""
+    here = design("tumble")
+    assert found(search(here.data([(effect, theta)], seed=5), here.whitener)) == [effect.name]
+
+
+def test_many_faint_parameters_are_charged_for_what_they_show() -> None:
+    """Schwarz's price at most; with each parameter's drop near its noise, the parameters cost what they bring."""
+    assert price(3, 1e6, 500.0) == pytest.approx(3 * np.log(500.0))
+    assert price(30, 30.0, 500.0) == pytest.approx(30.0)
+    assert price(0, 0.0, 500.0) == 0.0
+    drops = np.linspace(0.0, 1e4, 200)
+    assert (np.diff(drops - price(30, drops, 500.0)) >= -1e-9)[drops[:-1] > 30.0].all(), "more explained is never worse"
+    # Thirty parameters that all show a little, against four that explain a quarter of it.
+    assert 214.0 - price(30, 214.0, 1025.0) > 49.9 - price(4, 49.9, 1025.0)

@@ -22,7 +22,7 @@ from fluxtwin.sim.field import field_N_nT, load_field
 from fluxtwin.sim.motion import RecordedMotion
 from fluxtwin.sim.orbit import Orbit
 from fluxtwin.sim.sensors.magnetometer import Magnetometer
-from fluxtwin.sim.signal import Setting
+from fluxtwin.sim.signal import Setting, _along_orbit
 
 START = np.datetime64("2022-05-10T00:00:00", "ns")
 PLAIN = Magnetometer(np.zeros((3, 3)), np.zeros(3))
@@ -76,6 +76,19 @@ def test_along_track_error_of_one_second_is_the_orbit_one_second_later(close):
         wrong = Chain(setting).simulated([(AlongTrackError(), np.array([mutant]))], seed=0)
         with pytest.raises(AssertionError):
             close(wrong.r_reported_N_km, r, atol=0.02, unit="km", because="mutant")
+
+
+def test_along_track_error_follows_an_eccentric_orbit(close):
+    """90 km ahead on 600 by 1200 km: where the orbit is after the time that takes, its radius included."""
+    eccentric = dataclasses.replace(ORBIT, altitude_km=900.0, eccentricity=0.041)
+    seconds = np.arange(0.0, 6000.0, 60.0)
+    r, v = eccentric.propagate(epoch.add_seconds(START, seconds))
+    later = 90.0 / np.linalg.norm(v, axis=1)
+    wanted, _ = eccentric.propagate(epoch.add_seconds(START, seconds + later))
+    moved, _ = _along_orbit(r, v, np.array(90.0))
+    close(moved, wanted, atol=0.02, unit="km", because="J2 in twelve seconds")
+    with pytest.raises(AssertionError):
+        close(_along_orbit(r, v, np.array(-90.0))[0], wanted, atol=0.02, unit="km", because="mutant")
 
 
 def test_along_track_error_leaves_the_reading_of_the_true_place(close):

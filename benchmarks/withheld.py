@@ -126,8 +126,7 @@ def _answered(here: store.Store, seed: int, plan: Plan, given: argparse.Namespac
         some = [name for name in _first(seed, plan, RIVAL) if here.has("asked", name)]
         _all("rival asked", ask_rival, [(root, name) for name in some], given.jobs)
     if given.closing:
-        _all("twins judged", judge, [(root, name) for name in names], given.jobs)
-        for word, work in (("loops closed", again), ("controls run", wrong)):
+        for word, work in (("twins judged", judge), ("loops closed", again), ("controls run", wrong)):
             _all(word, work, [(root, name) for name in _first(seed, plan, LOOPS)], given.jobs)
     return sealed
 

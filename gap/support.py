@@ -15,7 +15,10 @@ _WITHIN = 8.0
 _REFITS = 4
 _IN_GROUP = 0.05
 _WORTH_SAYING = 0.001
-_MOST = 0.995  # a model of the noise is never so right that more could be said
+_MOST = 0.98
+"""Most that is ever stated: in rounds of benchmarks/withheld.py on tuning seeds (2001, 2002, 2003, 2010), of some 160
+names for which the posterior said 0.995 and that held on samples held out, two or three were wrong; by Laplace's rule
+(1 + 160) / (2 + 163) = 0.976."""
 
 
 @dataclass(frozen=True)

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from fluxtwin.gap import advice, closing, doubts, full_rate, transfer
+from fluxtwin.gap import advice, closing, doubts, full_rate, second_channel, transfer
 from fluxtwin.gap.closing import Declared as Declared
 from fluxtwin.gap.diagnose import diagnose as investigate_record
 from fluxtwin.gap.problem import DEFAULT_MODELLED, Budget
 from fluxtwin.gap.records import Diagnosis
 from fluxtwin.gap.stochastic import with_frozen_noise
-from fluxtwin.gap.sun_nadir import note_on_attitude_sensors
 from fluxtwin.sim import epoch
 from fluxtwin.sim import scenario_spacecraft as spacecraft
 from fluxtwin.sim.effects.catalogue import find_effect
@@ -60,7 +60,8 @@ def diagnose(
     model_name = field or (config.field.model if config is not None else "igrf14")
     model = load_field(model_name, degree or (config.field.degree if config is not None and field is None else None))
     budget = _budget(config, noise_nT, lsb_nT, attitude_sigma_deg, attitude_tau_s)
-    found = investigate_record(
+    investigated = partial(
+        investigate_record,
         record,
         model,
         modelled=modelled,
@@ -70,14 +71,19 @@ def diagnose(
         provenance={"source": record.provenance.get("source", "")},
         progress=progress,
     )
+    frozen = () if config is None else _frozen(config)
+    found = second_channel.with_second_channel(investigated, second_channel.channel_of(record, frozen))
     notes = [*_left_out(record, found), doubts.stuck_attitude(record, budget.attitude_sigma_rad)]
     if notes[-1] is None:
         notes[-1] = doubts.stuck_and_misfit(record, found.gap.before_nT)
-    notes.append(note_on_attitude_sensors(record))
+    notes += found.provenance.get("sun_nadir_notes", [])
     return replace(
         found,
         would_settle=advice.would_settle(found.minimum_detectable, found.untestable, _hours(found)),
-        provenance={**found.provenance, "notes": [note for note in notes if note]},
+        provenance={
+            **{key: value for key, value in found.provenance.items() if key != "sun_nadir_notes"},
+            "notes": [note for note in notes if note],
+        },
     )
 
 

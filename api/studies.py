@@ -49,11 +49,12 @@ def _require_data(name: str, data: Path | str | None) -> None:
 
 
 def _write(result: StudyResult, folder: Path) -> list[Path]:
+    pages = {} if result.page is None else {"report": result.page}
     written = []
-    if result.page is not None:
-        blocks = [block for section in result.page.sections for block in section.figures]
-        pictures = {id(block): png_bytes(block.figure) for block in blocks}
-        written += [write_bytes(folder / f"{block.name}.png", pictures[id(block)]) for block in blocks]
-        written.append(write_text(folder / "report.html", render_report(result.page)))
+    for stem, page in {**pages, **result.more_pages}.items():
+        prefix = "" if stem == "report" else f"{stem}_"
+        blocks = [block for section in page.sections for block in section.figures]
+        written += [write_bytes(folder / f"{prefix}{block.name}.png", png_bytes(block.figure)) for block in blocks]
+        written.append(write_text(folder / f"{stem}.html", render_report(page)))
     written.append(write_json(folder / "summary.json", result.summary))
     return written

@@ -112,7 +112,9 @@ def _live(effect: SignalEffect, jacobian: FloatArray) -> BoolArray:
 
 
 def _not_reported(effect: Effect, problem: Problem) -> str | None:
-    """Why an effect cannot be tested where no attitude was reported."""
+    """Why an effect is not to be tested: another measurement rules it out, or no attitude was reported."""
+    if effect.name in problem.ruled_out:
+        return "another measurement rules it out: the angle between sun and nadir has nothing of it"
     if problem.axes is None or problem.axes.known.any():
         return None
     if isinstance(effect, BitErrors):
@@ -159,9 +161,13 @@ def derivatives(problem: Problem, wanted: Sequence[Active]) -> FloatArray:
 
 
 def settings_of(effect: SignalEffect) -> dict[str, object]:
-    """Discrete settings of an effect that can be written in a word: numbers, words, flags."""
+    """Discrete settings of an effect that can be written in a word: numbers, words, flags, the edges of a region."""
     fields = {item.name: getattr(effect, item.name) for item in dataclasses.fields(effect)}
-    return {key: value for key, value in fields.items() if isinstance(value, int | float | str) and value is not None}
+    return {
+        key: list(value) if isinstance(value, tuple) else value
+        for key, value in fields.items()
+        if isinstance(value, int | float | str) or (key == "region_deg" and value is not None)
+    }
 
 
 def _signal_alternatives(effect: SignalEffect, problem: Problem) -> list[SignalEffect]:

@@ -77,13 +77,15 @@ def diagnose(
     budget: Budget | None = None,
     instrument: Magnetometer | None = None,
     frozen: Sequence[Active] = (),
+    ruled_out: Sequence[str] = (),
     provenance: Mapping[str, object] | None = None,
     progress: Progress = silent,
 ) -> Diagnosis:
     """Diagnose a record against a field model.
 
     modelled: effects re-estimated as nuisance in every test. budget: the declared noise; what is missing is found in
-    the data. instrument: starting S, b, T. frozen: effects applied as they are.
+    the data. instrument: starting S, b, T. frozen: effects applied as they are. ruled_out: effects that another measurement
+    has ruled out.
     Raises BadInput for unknown names and absent columns, NoAnswer when there are too few rows for the question.
     """
     progress("baseline", 0.0)
@@ -91,6 +93,7 @@ def diagnose(
     problem = pose(
         record, model, modelled=modelled, budget=budget, instrument=instrument, frozen=frozen
     )  # fmt: skip
+    problem = replace(problem, ruled_out=tuple(ruled_out))
     _require_rows(problem)
     work = investigate(settled(problem), progress, None if every == 1 else telemetry)
     notes: dict[str, object] = dict(provenance or {})

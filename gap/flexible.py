@@ -31,7 +31,7 @@ _LOG_CERTAIN = float(np.log(100.0))
 _LEVEL_LOG_SD = 0.1  # to which declared noise is trusted
 _LEVEL_P = 0.005
 _SHAPE_P = 1e-3
-_SEARCHED = ("wheel_field", "heater_switching", "bias_random_walk")
+_SEARCHED = ("wheel_field", "heater_switching", "bias_random_walk", "switched_field")
 _MOST_SEARCHED, _MOST_READ_OFF = 0.9, 0.98
 
 

@@ -72,7 +72,7 @@ def place_of(effect: Effect, setting: Setting) -> EffectPlace:
         condition = f"flag:{flag.removeprefix('flag_')}"
     when = getattr(effect, "condition", None) or getattr(effect, "when", None)
     if isinstance(when, str):
-        lowered = when.lower()
+        lowered = "region" if getattr(effect, "region_deg", None) else when.lower().replace("night", "eclipse")
         for name in ("eclipse", "region", "sunlit", "latitude", "time"):
             if name in lowered:
                 condition = name

@@ -66,6 +66,8 @@ class Problem:
     """Parameters of the modelled effects about which everything is linear; empty: zero. See `refit.settled`."""
     axes: RowAxes | None = None
     """Where rows have no reference attitude: the axes in which each row is judged. None: all rows have one."""
+    ruled_out: tuple[str, ...] = ()
+    """Names of effects that another measurement has ruled out."""
 
     @cached_property
     def modelled_active(self) -> tuple[Active, ...]:

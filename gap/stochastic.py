@@ -20,6 +20,7 @@ from fluxtwin.gap.flexible import (
 from fluxtwin.gap.left import Left
 from fluxtwin.gap.noise import NoiseModel, RobustRows, Whitener
 from fluxtwin.gap.problem import Budget, Problem
+from fluxtwin.gap.switched_region import switched_region
 from fluxtwin.gap.tones import strongest_tone
 from fluxtwin.gap.two_state import heater_sequence
 from fluxtwin.gap.wandering import random_walk
@@ -80,13 +81,15 @@ def shape_of(
     left: Left,
     dictionary: Sequence[Block],
 ) -> FlexibleFinding | None:
-    """The first of a line, a thermostat and a walk whose own shape the structure in a residual (N, 3) has, or None."""
+    """The first of a line, a region in the dark, a thermostat and a walk whose shape a residual (N, 3) has, or None."""
     setting = problem.setting
     rest = leftover(whitener, residual_nT, fitted_nT)
     tone = strongest_tone(setting.seconds, rest)
     found: FlexibleFinding | None = None
     if left.kind == "tone":
         found = wheel_line(setting, rest, tone)
+    if found is None or not found.confirmed:
+        found = switched_region(problem, rest, fit_all(dictionary, rest))
     if (found is None or not found.confirmed) and setting.column("heater_on") is None:
         found = heater_sequence(setting, whitener, residual_nT, fitted_nT, fit_all(dictionary, rest), tone)
     if found is None or not found.confirmed:

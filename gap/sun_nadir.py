@@ -12,7 +12,8 @@ one, and passes must number at least eight.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,12 @@ _STEP_RAD = 1e-5
 _NEAR_LINE = float(np.radians(3.0))
 _SEEN_RAD = float(np.radians(0.1))
 """Directions of a hypothesis that would come out worse than this (1 sigma, white errors) are not estimated."""
+_WHOLLY = 0.99
+
+
+Key = tuple[str, int | None]
+Designs = dict[Key, tuple[tuple[str, ...], FloatArray]]
+"""By fault and head: names of the parameters, and the change of the angle per radian of each (N, k)."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +62,11 @@ class Hypothesis:
     explained: float
     """Share of the mean square of the angles that it takes away."""
     rms_left_deg: float
+    seen: tuple[str, ...] = ()
+    """Parameters of which every part is seen; of the others only sums are."""
+    amount_deg: tuple[float, float] = (0.0, 0.0)
+    """Length of the vector of parameters, and its sigma along itself, with an allowance for errors that the passes
+    share: a digital head rounds alike in all of them."""
 
     @property
     def words(self) -> str:
@@ -70,6 +82,8 @@ class Hypothesis:
             "p_value": self.p_value,
             "explained": self.explained,
             "rms_left_deg": self.rms_left_deg,
+            "seen": list(self.seen),
+            "amount_deg": {"value": self.amount_deg[0], "sigma": self.amount_deg[1]},
         }
 
 
@@ -128,12 +142,70 @@ class SunNadir:
         }
 
 
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """Measured less computed angles, and what each fault would do to them; N rows."""
+
+    rows: np.ndarray
+    """(N,) rows of the record."""
+    residual_rad: FloatArray
+    """(N,)."""
+    of_row: np.ndarray
+    """(N,) number of the pass."""
+    designs: Designs
+
+    @property
+    def passes(self) -> int:
+        return int(self.of_row.max()) + 1
+
+    def weigh(self) -> SunNadir:
+        """Every fault by itself, best first."""
+        found = [
+            _weigh(key, names, J, self.residual_rad, self.of_row, len(self.designs))
+            for key, (names, J) in self.designs.items()
+        ]
+        return SunNadir(
+            rows=int(self.residual_rad.size),
+            passes=self.passes,
+            rms_deg=float(np.degrees(np.sqrt(np.mean(self.residual_rad**2)))),
+            hypotheses=tuple(sorted(found, key=lambda item: -item.explained if item.p_value < FALSE_ALARM else 1.0)),
+        )
+
+    def predicted_rad(self, name: str, head: int | None, parameters_deg: Mapping[str, float]) -> FloatArray | None:
+        """(N,) what a fault of this size does to the angle; None for a fault that the channel does not know."""
+        if (name, head) not in self.designs:
+            return None
+        names, J = self.designs[name, head]
+        return np.asarray(J @ np.radians([parameters_deg.get(key, 0.0) for key in names]))
+
+    def without(self, name: str, head: int | None, parameters_deg: Mapping[str, float]) -> Channel:
+        """The channel with a known fault taken out."""
+        known = self.predicted_rad(name, head, parameters_deg)
+        return self if known is None else replace(self, residual_rad=self.residual_rad - known)
+
+    def share_of(self, predicted_rad: FloatArray) -> tuple[float, float, int]:
+        """How much of a predicted change (N,) is there (1: all of it), its sigma, and the passes that tell."""
+        column = predicted_rad[:, None]
+        touched = np.unique(self.of_row[predicted_rad != 0.0])
+        energy = float(np.sum(predicted_rad**2))
+        if energy == 0.0 or touched.size < 2:
+            return 0.0, np.inf, int(touched.size)
+        share = np.array([float(predicted_rad @ self.residual_rad) / energy])
+        own = _jackknife(column, self.residual_rad, self.of_row, touched, share)
+        return float(share[0]), float(np.sqrt(own[0, 0])), int(touched.size)
+
+
 def weigh_sun_nadir(telemetry: Telemetry, *, passes: np.ndarray | None = None) -> SunNadir:
-    """Weigh a biased scanner (constant, and with latitude) and each turned head.
+    """Weigh a biased scanner (constant, and with latitude) and each turned head; see `open_channel`."""
+    return open_channel(telemetry, passes=passes).weigh()
+
+
+def open_channel(telemetry: Telemetry, *, passes: np.ndarray | None = None, fewest: int = FEWEST_PASSES) -> Channel:
+    """The channel of a record.
 
     passes: (rows,) labels of stretches with a common error; where not given, gaps in time divide them, and in a record
     with few gaps stretches of ten minutes are taken. Of a long record rows spread over all of it are used. Raises
-    BadInput where sun, nadir or position are absent, NoAnswer for fewer than eight passes with both.
+    BadInput where sun, nadir or position are absent, NoAnswer for fewer than `fewest` passes with both.
     """
     rows = _rows(telemetry)
     if rows.size > _MOST_ROWS:
@@ -144,34 +216,16 @@ def weigh_sun_nadir(telemetry: Telemetry, *, passes: np.ndarray | None = None) -
     elif rows.size:
         of_row = np.unique(np.asarray(passes)[rows], return_inverse=True)[1]
     count = int(of_row.max()) + 1 if rows.size else 0
-    if count < FEWEST_PASSES:
+    if count < fewest:
         raise NoAnswer(
-            f"{count} passes have measured sun and nadir; {FEWEST_PASSES} are needed to know their scatter",
+            f"{count} passes have measured sun and nadir; {fewest} are needed to know their scatter",
             evidence={"passes": count, "rows": int(rows.size)},
         )
     assert telemetry.sun_B is not None and telemetry.nadir_B is not None and telemetry.r_N_km is not None
     r_N_km = np.array(telemetry.r_N_km)[rows]
     sun_B, nadir_B = np.array(telemetry.sun_B)[rows], np.array(telemetry.nadir_B)[rows]
     residual = _angle(sun_B, nadir_B) - _angle(sun.sun_direction_N(telemetry.time[rows], r_N_km), -r_N_km)
-    designs = _designs(telemetry, rows, sun_B, nadir_B, r_N_km)
-    found = [_weigh(key, names, J, residual, of_row, len(designs)) for key, (names, J) in designs.items()]
-    return SunNadir(
-        rows=int(rows.size),
-        passes=count,
-        rms_deg=float(np.degrees(np.sqrt(np.mean(residual**2)))),
-        hypotheses=tuple(sorted(found, key=lambda item: -item.explained if item.p_value < FALSE_ALARM else 1.0)),
-    )
-
-
-def note_on_attitude_sensors(telemetry: Telemetry) -> str | None:
-    """What a diagnosis should add when sun and nadir disagree; None when they agree or the channel is not there."""
-    if telemetry.sun_B is None or telemetry.nadir_B is None or telemetry.r_N_km is None:
-        return None
-    try:
-        found = weigh_sun_nadir(telemetry)
-    except NoAnswer:
-        return None
-    return None if found.named is None else found.words
+    return Channel(rows, residual, np.asarray(of_row), _designs(telemetry, rows, sun_B, nadir_B, r_N_km))
 
 
 def _rows(telemetry: Telemetry) -> np.ndarray:
@@ -183,10 +237,6 @@ def _rows(telemetry: Telemetry) -> np.ndarray:
     rows = np.flatnonzero(good & telemetry.has_position)
     apart = _angle(np.array(telemetry.sun_B)[rows], np.array(telemetry.nadir_B)[rows])
     return rows[(apart > _NEAR_LINE) & (apart < np.pi - _NEAR_LINE)]
-
-
-Key = tuple[str, int | None]
-Designs = dict[Key, tuple[tuple[str, ...], FloatArray]]
 
 
 def _designs(
@@ -247,6 +297,11 @@ def _weigh(
         p_value = float(fisher.sf(wald * (n - k) / (k * (n - 1)), k, n - k))
         covariance = seen @ own @ seen.T
     estimate, sigma = seen @ theta, np.sqrt(np.abs(np.diag(covariance)))
+    length = float(np.linalg.norm(estimate))
+    along = estimate / max(length, 1e-300)
+    inside = np.isin(of_row, touched) & (A != 0).any(axis=1)
+    shared = float(np.mean(left[inside] ** 2)) / max(n, 1)
+    whole = tuple(name for name, share in zip(names, np.sum(seen**2, axis=1), strict=True) if share > _WHOLLY)
     return Hypothesis(
         name=key[0],
         head=key[1],
@@ -257,6 +312,11 @@ def _weigh(
         p_value=min(1.0, p_value * tried),
         explained=float(1.0 - np.mean(left**2) / np.mean(residual**2)),
         rms_left_deg=float(np.degrees(np.sqrt(np.mean(left**2)))),
+        seen=whole,
+        amount_deg=(
+            float(np.degrees(length)),
+            float(np.degrees(np.sqrt(max(along @ covariance @ along, 0.0) + shared))),
+        ),
     )
 
 

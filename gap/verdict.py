@@ -17,6 +17,7 @@ from fluxtwin.gap.records import Alone, Diagnosis, EffectParameter, FoundEffect,
 from fluxtwin.gap.stochastic import expected
 from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
+from fluxtwin.sim.effects.switched_field import SwitchedField
 from fluxtwin.sim.signal import Setting
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ def assemble(work: Work, provenance: Mapping[str, Any], *, without_attitude: int
     resembles = _resembles(work, verdict)
     shrunk, series = _without_known(work.shrinkage, work.series, known, bool(effects))
     gap = _gap(shrunk, verdict, bool(effects), incomplete=stands and structured)
-    where = _where(work, effects)
+    where = _where(work, effects, searched=not signals)
     return Diagnosis(
         verdict=verdict,
         effects=effects,
@@ -195,20 +196,30 @@ def _resembles(work: Work, verdict: str) -> list[str]:
     return [line.name for line in work.found.ranking[:3] if line.p_value < 1e-3]
 
 
-def _where(work: Work, effects: Sequence[FoundEffect]) -> Place:
-    """The posterior of the stage, with the largest named effect's own probability in it."""
+def _where(work: Work, effects: Sequence[FoundEffect], *, searched: bool) -> Place:
+    """The posterior of the stage, with the largest named effect's own probability in it. searched: its shape was searched
+    for, so it was none of the hypotheses about frame and condition."""
     place = work.where.place
     if not effects:
         return place
     first = effects[0]
     effect = find_effect(first.name)
-    stages = {name: (1.0 - first.probability) * value for name, value in place.probabilities["stage"].items()}
-    stages[first.stage] = stages.get(first.stage, 0.0) + first.probability
+    stages = blended(place.probabilities["stage"], first.stage, first.probability)
     equivalent = sorted({*effect.equivalent_stages, *place.equivalent} - {first.stage})
-    return Place(
-        first.stage, place.axis, place.frame, place.condition, equivalent,
-        {**place.probabilities, "stage": stages},
-    )  # fmt: skip
+    probabilities = {**place.probabilities, "stage": stages}
+    frame, condition = place.frame, place.condition
+    if searched and first.condition is not None and first.frame is not None:
+        frame, condition = first.frame, first.condition
+        for name, value in (("frame", frame), ("condition", condition)):
+            probabilities[name] = blended(probabilities[name], value, first.probability)
+    return Place(first.stage, place.axis, frame, condition, equivalent, probabilities)
+
+
+def blended(shares: Mapping[str, float], name: str, probability: float) -> dict[str, float]:
+    """Shares that sum to one, with so much given to one name."""
+    found = {key: (1.0 - probability) * value for key, value in shares.items()}
+    found[name] = found.get(name, 0.0) + probability
+    return found
 
 
 def _without_known(
@@ -257,9 +268,17 @@ def _sentence(
             f"{key} {value.value:.3g}{'' if value.unit == '1' else f' {value.unit}'}"
             for key, value in (known or list(effect.parameters.items()))[:3]
         )
-        parts.append(f"{name} ({sizes})")
+        parts.append(f"{name}{_over(effect.settings)} ({sizes})")
     rest = " Its shape is not complete: something smaller is left." if gap.shape_incomplete else ""
     return f"The gap is {' and '.join(parts)}; {_closed_words(effects, gap)}.{rest}"
+
+
+def _over(settings: Mapping[str, Any]) -> str:
+    """The region of an effect that has one, in words."""
+    if "region_deg" not in settings:
+        return ""
+    where = SwitchedField(str(settings["condition"]), region_deg=tuple(settings["region_deg"]))
+    return f" by {where.condition} over {where.region_words}"
 
 
 def _closed_words(effects: Sequence[FoundEffect], gap: Shrinkage) -> str:

@@ -70,6 +70,8 @@ class Page:
     """Slips found in the published source, one sentence each."""
     provenance: Mapping[str, str] = field(default_factory=dict)
     """Versions, seed, field model, input files with their SHA-256."""
+    links: Mapping[str, str] = field(default_factory=dict)
+    """Other pages of the same folder: what the link says, and the file."""
 
 
 @dataclass(frozen=True)
@@ -85,5 +87,7 @@ class StudyResult:
     """The tables for the terminal, in order."""
     page: Page | None = None
     """The page that becomes `report.html`; its figures are also written as `NAME.png`."""
+    more_pages: Mapping[str, Page] = field(default_factory=dict)
+    """Further pages by file name without suffix, written as `NAME.html`; their figures as `NAME_FIGURE.png`."""
     written: Sequence[Path] = ()
     """Files the study has written itself (scenario, telemetry, calibration)."""

@@ -163,6 +163,9 @@ def to_telemetry(
     telemetered = dict(columns)
     if scenario.torquers is None or not scenario.torquers.telemetered:
         del telemetered["dipole_B_Am2"]
+    for name, turn in signal.measured_turns.items():
+        if name in telemetered:
+            telemetered[name] = turn.apply(telemetered[name])
     return Telemetry(
         time=signal.setting.time,
         mag_B_nT=signal.reading,

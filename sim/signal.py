@@ -183,6 +183,8 @@ class Signal:
     """Reading; None before the sensor stage."""
     ideal_B_nT: FloatArray | None = None
     """Reading before noise, saturation at full scale and rounding; only while simulating."""
+    measured_turns: Mapping[str, Rotation] = field(default_factory=dict)
+    """By how much what a sensor at fault measures is turned: `sun_B`, `nadir_B`; only while simulating."""
 
     @property
     def rows(self) -> int:
@@ -233,10 +235,16 @@ class Signal:
         r_N_km, v_N_km_s = _along_orbit(self.r_N_km, self.v_N_km_s, -ahead)
         return dataclasses.replace(self, r_N_km=r_N_km, v_N_km_s=v_N_km_s)
 
-    def attitude_reported_turned(self, theta_B_rad: FloatArray) -> Signal:
-        """The reported attitude is turned: R_reported = exp([theta x]) R_true, theta (N, 3) in body axes."""
+    def attitude_reported_turned(self, theta_B_rad: FloatArray, sensor: str | None = None) -> Signal:
+        """The reported attitude is turned: R_reported = exp([theta x]) R_true, theta (N, 3) in body axes.
+
+        sensor: `sun_B` or `nadir_B`, if the fault is that sensor's: what it measures is then turned as well.
+        """
         if self.setting.direction == "simulate":
-            return dataclasses.replace(self, R_reported_BN=Rotation.from_rotvec(theta_B_rad) * self.R_reported_BN)
+            turn, turns = Rotation.from_rotvec(theta_B_rad), dict(self.measured_turns)
+            if sensor is not None:
+                turns[sensor] = turn * turns[sensor] if sensor in turns else turn
+            return dataclasses.replace(self, R_reported_BN=turn * self.R_reported_BN, measured_turns=turns)
         if self.setting.attitude_known is not None:
             theta_B_rad = np.where(self.setting.attitude_known[:, None], theta_B_rad, 0.0)  # nothing was reported
         return dataclasses.replace(self, R_BN=Rotation.from_rotvec(-theta_B_rad) * self.R_BN)

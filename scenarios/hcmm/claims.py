@@ -15,7 +15,9 @@ from fluxtwin.scenarios.hcmm.accuracy_study import AccuracyStudy
 from fluxtwin.scenarios.hcmm.calibration_study import CalibrationStudy
 from fluxtwin.scenarios.hcmm.error_study import ErrorStudy
 from fluxtwin.scenarios.hcmm.field_evidence import FieldEvidence
+from fluxtwin.scenarios.hcmm.gallery_study import Answer
 from fluxtwin.scenarios.hcmm.pass_study import PassStudy
+from fluxtwin.scenarios.hcmm.real_passes import RealPasses
 from fluxtwin.scenarios.hcmm.scanner_study import ScannerStudy
 from fluxtwin.scenarios.hcmm.yaw_study import YawStudy
 from fluxtwin.scenarios.hcmm_orbit.fit import OrbitFit
@@ -44,6 +46,8 @@ class Results:
     yaw: YawStudy
     accuracy: AccuracyStudy
     scanner: ScannerStudy
+    real_passes: RealPasses
+    gallery: tuple[Answer, ...]
 
 
 Judge = Callable[[Results], Verdict]

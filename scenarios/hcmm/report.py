@@ -10,6 +10,8 @@ import numpy as np
 from fluxtwin.scenarios.claims import Claim, claims_table
 from fluxtwin.scenarios.hcmm import tables
 from fluxtwin.scenarios.hcmm.claims import Results
+from fluxtwin.scenarios.hcmm.gallery_page import FILE as GALLERY_FILE
+from fluxtwin.scenarios.hcmm.gallery_page import overview_table, real_passes_section
 from fluxtwin.scenarios.hcmm.pass_study import ANOMALOUS, printed_rms
 from fluxtwin.scenarios.hcmm_orbit.nadir_field import NEAR_DEG
 from fluxtwin.scenarios.page import Page, Section
@@ -44,9 +46,18 @@ def page(results: Results, claims: list[Claim], verdict: str) -> Page:
             Section("The 43 passes", [], [tables.passes_table(results)]),
             Section("Yaw", [], [tables.yaw_table(results)], others[1:]),
             _sensors(results),
+            real_passes_section(results.real_passes),
+            Section(
+                "Four faults, found from telemetry",
+                [
+                    "The same satellite with four things wrong that nobody tells the ground, diagnosed: see gallery.html."
+                ],
+                [overview_table(results.gallery)],
+            ),
             Section("Claim by claim", [], [claims_table(claims, with_why=True)]),
         ],
         errata=ERRATA,
+        links={"Four faults, found from telemetry: the gallery": f"{GALLERY_FILE}.html"},
         provenance={
             "seed": str(results.scenario.seed),
             "truth field": results.scenario.field.truth,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,17 @@ from fluxtwin.scenarios.hcmm.claims import Results, judge_claims
 from fluxtwin.scenarios.hcmm.error_study import RUNS as ERROR_RUNS
 from fluxtwin.scenarios.hcmm.error_study import run_errors
 from fluxtwin.scenarios.hcmm.field_evidence import weigh_field_error
+from fluxtwin.scenarios.hcmm.gallery_page import FILE as GALLERY_FILE
+from fluxtwin.scenarios.hcmm.gallery_page import (
+    gallery_page,
+    gallery_summary,
+    overview_table,
+    real_passes_summary,
+    real_passes_table,
+)
+from fluxtwin.scenarios.hcmm.gallery_study import run_gallery
 from fluxtwin.scenarios.hcmm.pass_study import run_passes
+from fluxtwin.scenarios.hcmm.real_passes import ask
 from fluxtwin.scenarios.hcmm.report import page
 from fluxtwin.scenarios.hcmm.scanner_study import run_scanner
 from fluxtwin.scenarios.hcmm.yaw_study import run_yaw
@@ -54,7 +65,8 @@ def run(out: Path, data: Path | None = None, progress: Progress = silent) -> Stu
     shown = [
         tables.orbit_table(results), tables.flight_test_table(results), tables.ideas_table(results),
         tables.calibration_table(results), tables.error_table(results), tables.passes_table(results),
-        tables.yaw_table(results), tables.scanner_table(results), claims_table(claims), whys_table(claims),
+        tables.yaw_table(results), tables.scanner_table(results), real_passes_table(results.real_passes),
+        overview_table(results.gallery), claims_table(claims), whys_table(claims),
     ]  # fmt: skip
     return StudyResult(
         name="hcmm",
@@ -62,14 +74,16 @@ def run(out: Path, data: Path | None = None, progress: Progress = silent) -> Stu
         summary=summary(results, claims),
         tables=shown,
         page=page(results, claims, line),
+        more_pages={GALLERY_FILE: gallery_page(results.gallery, results.scenario.seed)},
         written=written,
     )
 
 
-def compute(progress: Progress = silent, *, runs: int = RUNS) -> Results:
-    """All the numbers. `runs`: size of the Monte Carlo, for quick looks."""
+def compute(progress: Progress = silent, *, runs: int = RUNS, only: Sequence[str] = ("a", "b", "c", "d")) -> Results:
+    """All the numbers. `runs`: size of the Monte Carlo, `only`: cases of the gallery, both for quick looks."""
     config = mission.scenario()
     ground = load_field(config.field.model)
+    whole, progress = progress, part_of(progress, 0.0, 0.5)
     progress("orbit from the record", 0.0)
     orbit = fit_orbit()
     windows = windows_of(read_passes(), orbit.orbit, as_scanned=False)
@@ -95,6 +109,8 @@ def compute(progress: Progress = silent, *, runs: int = RUNS) -> Results:
         yaw=run_yaw(config, full, ground, part_of(progress, 0.90, 0.95)),
         accuracy=run_accuracy(config, flight, full, ground),
         scanner=run_scanner(config, ground, part_of(progress, 0.96, 1.0)),
+        real_passes=ask(read_passes(), evidence, config.seed),
+        gallery=run_gallery(config, part_of(whole, 0.5, 1.0), only=only),
     )
 
 
@@ -149,6 +165,8 @@ def summary(results: Results, claims: list[Claim]) -> dict[str, Any]:
         "passes": _passes(results),
         "yaw": _yaw(results),
         "horizon_scanner": _scanner(results),
+        "real_passes": real_passes_summary(results.real_passes),
+        "gallery": gallery_summary(results.gallery),
         "claims": [claim.to_dict() for claim in claims],
     }
 

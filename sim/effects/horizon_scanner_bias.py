@@ -14,7 +14,8 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class HorizonScannerBias(SignalEffect):
-    """Roll and pitch of the reference attitude are wrong by a sin(latitude) + b cos(2 latitude)."""
+    """Roll and pitch of the reference attitude, and of the nadir that the scanner measures, are wrong by
+    a sin(latitude) + b cos(2 latitude)."""
 
     name: ClassVar[str] = "horizon_scanner_bias"
     stage: ClassVar[str] = "attitude"
@@ -34,4 +35,4 @@ class HorizonScannerBias(SignalEffect):
         shapes = np.stack([np.sin(latitude), np.cos(2.0 * latitude)], axis=1)
         roll, pitch = shapes @ np.radians(theta[:2]), shapes @ np.radians(theta[2:])
         # A larger angle turns the axes one way, so it turns the vectors the other way.
-        return signal.attitude_reported_turned(-np.stack([roll, pitch, np.zeros_like(roll)], axis=1))
+        return signal.attitude_reported_turned(-np.stack([roll, pitch, np.zeros_like(roll)], axis=1), "nadir_B")

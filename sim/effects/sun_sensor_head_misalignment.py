@@ -14,7 +14,7 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class SunSensorHeadMisalignment(SignalEffect):
-    """The reference attitude is turned while that head gives it."""
+    """The reference attitude is turned while that head gives it, and so is the sun that the head measures."""
 
     head: int = 0
     """Number of the head; 0 stands for whichever is in use, so: wherever the sun is seen."""
@@ -50,7 +50,7 @@ class SunSensorHeadMisalignment(SignalEffect):
         if column is None:
             return signal
         used = column == self.head if self.head else column > 0
-        return signal.attitude_reported_turned(np.where(used[:, None], np.radians(theta), 0.0))
+        return signal.attitude_reported_turned(np.where(used[:, None], np.radians(theta), 0.0), "sun_B")
 
 
 def _heads(setting: Setting) -> list[int]:

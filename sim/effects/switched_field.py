@@ -23,7 +23,8 @@ class SwitchedField(SignalEffect):
     """Constant field while a condition holds.
 
     condition: `flag:NAME` (a recorded flag), `eclipse` (the spacecraft in shadow), `night` (the ground below in
-    shadow), `interval` (from `from_utc` to `to_utc`), or `region` (the ground below inside `region_deg`).
+    shadow), `interval` (from `from_utc` to `to_utc`), or `region` (the ground below inside `region_deg`). With
+    `region_deg` given, `eclipse` and `night` hold inside it only.
     """
 
     name: ClassVar[str] = "switched_field"
@@ -49,11 +50,9 @@ class SwitchedField(SignalEffect):
         """
         if self.condition.startswith(FLAG):
             return known_column(setting, "flag_" + self.condition.removeprefix(FLAG))
-        if self.condition == "eclipse":
-            return 1.0 - lit(setting)
-        if self.condition == "night":
-            height = np.einsum("ij,ij->i", setting.given[0], setting.sun_N)
-            return np.asarray(height < 0.0, dtype=np.float64)
+        if self.condition in ("eclipse", "night"):
+            dark = _dark(setting, self.condition)
+            return dark if self.region_deg is None else dark * _inside_region(setting, self.region_deg)
         if self.condition == "interval":
             return _inside_interval(setting, self.from_utc, self.to_utc)
         if self.condition == "region":
@@ -80,6 +79,17 @@ class SwitchedField(SignalEffect):
         return None if self._switches(setting) else f"{self.condition} never begins or ends"
 
     @property
+    def region_words(self) -> str:
+        """The region, to read; empty where there is none."""
+        if self.region_deg is None:
+            return ""
+        south, north, west, east = self.region_deg
+        latitudes = " to ".join(f"{abs(a):g} {'N' if a >= 0 else 'S'}" for a in (south, north))
+        turned = [(a + 180.0) % 360.0 - 180.0 for a in (west, east)]
+        longitudes = " to ".join(f"{abs(a):g} {'E' if a >= 0 else 'W'}" for a in turned)
+        return f"{latitudes}, {longitudes}"
+
+    @property
     def bound(self) -> str | None:
         if self.condition != "interval":
             return None
@@ -92,6 +102,13 @@ class SwitchedField(SignalEffect):
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         on = self.on(signal.setting)
         return signal if on is None else signal.with_stray(on[:, None] * theta)
+
+
+def _dark(setting: Setting, condition: str) -> FloatArray:
+    if condition == "eclipse":
+        return 1.0 - lit(setting)
+    height = np.einsum("ij,ij->i", setting.given[0], setting.sun_N)
+    return np.asarray(height < 0.0, dtype=np.float64)
 
 
 def _inside_interval(setting: Setting, from_utc: str | None, to_utc: str | None) -> FloatArray:

@@ -70,12 +70,3 @@ def test_a_record_without_gaps_is_cut_into_stretches():
     found = weigh_sun_nadir(mission.fly(continuous.updated({"schedule.segments": [segment]})).telemetry)
     assert found.passes >= 8
     assert found.named is None
-
-
-def test_a_diagnosis_adds_a_note_when_the_attitude_sensors_disagree():
-    from fluxtwin.gap.sun_nadir import note_on_attitude_sensors
-
-    assert note_on_attitude_sensors(fly({})) is None
-    assert "head 1" in note_on_attitude_sensors(fly(HEAD_1))
-    assert note_on_attitude_sensors(fly(HEAD_1).replace(nadir_B=None)) is None
-    assert note_on_attitude_sensors(fly(HEAD_1).select(np.arange(50))) is None

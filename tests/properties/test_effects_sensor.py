@@ -249,6 +249,9 @@ def test_conditions_of_a_switched_field(full: Chain) -> None:
     west = SwitchedField("region", region_deg=(-90.0, 90.0, 180.0, 0.0)).on(setting)
     assert east is not None and west is not None
     np.testing.assert_array_equal(east + west, 1.0)
+    dark_east = SwitchedField("night", region_deg=(-90.0, 90.0, 0.0, 180.0))
+    np.testing.assert_array_equal(dark_east.on(setting), on["night"] * east)
+    assert dark_east.region_words == "90 S to 90 N, 0 E to 180 W"
 
 
 @pytest.mark.parametrize(

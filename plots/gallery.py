@@ -1,0 +1,164 @@
+"""Figures of diagnosed cases: what shows each cause, and the passes that were not used, before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from fluxtwin.plots import style
+from fluxtwin.sim.types import BoolArray, FloatArray
+
+
+@dataclass(frozen=True)
+class PassResiduals:
+    """Residual of each pass without and with the named cause; P passes."""
+
+    labels: Sequence[str]
+    unit: str
+    before: FloatArray
+    after: FloatArray
+    concerned: BoolArray
+    floor: float
+
+
+@dataclass(frozen=True)
+class HeadAngles:
+    """Measured less computed sun-nadir angle, by the head that saw the sun."""
+
+    hours: FloatArray
+    error_deg: FloatArray
+    head: np.ndarray
+
+
+@dataclass(frozen=True)
+class NightMap:
+    """Residual of field strength in rows without attitude, where they were taken, and the boxes."""
+
+    latitude_deg: FloatArray
+    longitude_deg: FloatArray
+    residual_nT: FloatArray
+    put_in_deg: tuple[float, float, float, float]
+    found_deg: tuple[float, float, float, float] | None
+
+
+@dataclass(frozen=True)
+class Following:
+    """A residual against what drives it, one series an axis."""
+
+    driver: FloatArray
+    """(N, 3)."""
+    residual_nT: FloatArray
+    """(N, 3)."""
+    driver_label: str
+
+
+@dataclass(frozen=True)
+class RealResiduals:
+    """Printed residual of each pass by station, and what is left once the known error of the model is out."""
+
+    stations: Sequence[str]
+    night: BoolArray
+    printed_mG: FloatArray
+    ratio: FloatArray
+    notes: tuple[str, str]
+    """What the tests say, one line a panel."""
+
+
+def draw_later(record: PassResiduals, *, title: str) -> Figure:
+    """A pair of points a pass; passes in which the cause acts are marked."""
+    figure, ((axes,),) = style.figure(7.2, 3.0)
+    at = np.arange(len(record.labels))
+    for place in at[record.concerned]:
+        axes.axvspan(place - 0.5, place + 0.5, color=style.PALE, alpha=0.5, linewidth=0)
+    axes.vlines(at, record.after, record.before, color=style.GREY, linewidth=1)
+    axes.plot(at, record.before, "o", color=style.ORANGE, markersize=4, label="without the cause")
+    axes.plot(at, record.after, "s", color=style.BLUE, markersize=4, label="with it, as found")
+    axes.axhline(record.floor, color=style.BLACK, linewidth=1, linestyle=":", label="where nothing is wrong")
+    ticks = at[:: max(1, len(at) // 12)]
+    axes.set_xticks(ticks, [record.labels[k] for k in ticks], rotation=45, ha="right", fontsize=7)
+    axes.set(title=title, ylabel=f"residual, rms [{record.unit}]", ylim=(0, None), xlim=(-0.6, len(at) - 0.4))
+    axes.legend(loc="upper right", frameon=True, ncols=3, fontsize=8)
+    top = max(np.nanmax(record.before), np.nanmax(record.after))
+    axes.set_ylim(0, 1.25 * top)
+    return figure
+
+
+def draw_heads(record: HeadAngles, *, title: str) -> Figure:
+    """Dots by time, one colour and marker a head."""
+    figure, ((axes,),) = style.figure(7.2, 3.0)
+    for number, colour, marker in ((2, style.GREY, "."), (3, style.SKY, "x"), (1, style.VERMILION, "o")):
+        mine = record.head == number
+        axes.plot(
+            record.hours[mine], record.error_deg[mine], marker, color=colour, markersize=3, label=f"head {number}"
+        )
+    axes.axhline(0.0, color=style.BLACK, linewidth=0.8)
+    axes.set(title=title, xlabel="hours from the first sample", ylabel="measured less computed [deg]")
+    axes.legend(loc="lower right", frameon=True, ncols=3)
+    return figure
+
+
+def draw_night_map(record: NightMap, *, title: str) -> Figure:
+    """Rows by night on the map, coloured by residual; the box that was put in and the one found."""
+    figure, ((axes,),) = style.figure(7.2, 3.6)
+    limit = float(np.nanpercentile(np.abs(record.residual_nT), 99))
+    shown = axes.scatter(
+        record.longitude_deg, record.latitude_deg, c=record.residual_nT, s=7, cmap=style.SIGNED_MAP, vmin=-limit,
+        vmax=limit, edgecolors=style.GREY, linewidths=0.2,
+    )  # fmt: skip
+    for box, colour, line, label in (
+        (record.put_in_deg, style.BLACK, "--", "put in"), (record.found_deg, style.BLUE, "-", "found"),
+    ):  # fmt: skip
+        if box is not None:
+            south, north, west, east = box
+            axes.add_patch(
+                Rectangle((west, south), east - west, north - south, fill=False, edgecolor=colour, linestyle=line,
+                          linewidth=1.5, label=label)
+            )  # fmt: skip
+    figure.colorbar(shown, ax=axes, label="|B| less model [nT]")
+    axes.set(title=title, xlabel="longitude [deg]", ylabel="latitude [deg]", xlim=(-180, 180), ylim=(-75, 85))
+    axes.legend(loc="lower left", frameon=True)
+    return figure
+
+
+def draw_following(record: Following, *, title: str) -> Figure:
+    """One panel an axis."""
+    figure, (panels,) = style.figure(7.2, 2.8, cols=3, share_y=True)
+    for number, (axes, name) in enumerate(zip(panels, "xyz", strict=True)):
+        axes.plot(
+            record.driver[:, number], record.residual_nT[:, number], ".", color=style.AXIS_COLOURS[number], markersize=2
+        )
+        axes.set(title=name, xlabel=record.driver_label)
+    panels[0].set(ylabel="residual [nT]")
+    figure.suptitle(title, fontsize=style.TITLE_PT)
+    return figure
+
+
+def draw_real_passes(record: RealResiduals, *, title: str) -> Figure:
+    """Left: printed residuals by station. Right: over what the error of the flown model lets expect."""
+    names = sorted({*record.stations}, key=list(record.stations).index)
+    figure, ((left, right),) = style.figure(7.2, 3.8, cols=2)
+    for axes, values, words in ((left, record.printed_mG, record.notes[0]), (right, record.ratio, record.notes[1])):
+        for place, name in enumerate(names):
+            mine = np.array([station == name for station in record.stations])
+            for chosen, shift, marker, colour, label in (
+                (mine & record.night, 0.13, "o", style.BLACK, "night"),
+                (mine & ~record.night, -0.13, "s", style.ORANGE, "day"),
+            ):
+                axes.plot(
+                    np.full(int(chosen.sum()), place + shift), values[chosen], marker, color=colour, markersize=4,
+                    label=label if place == 0 or (place == 1 and label == "night") else None,
+                )  # fmt: skip
+        axes.set_xticks(np.arange(len(names)), names)
+        axes.set_title(words, fontsize=8)
+    right.axhline(1.0, color=style.GREY, linewidth=0.8)
+    left.set(ylabel="printed residual [mG]", ylim=(0, None))
+    right.set(ylabel="residual over the expected one", ylim=(0, None))
+    handles, labels = left.get_legend_handles_labels()
+    unique = dict(zip(labels, handles, strict=True))
+    left.legend(unique.values(), unique.keys(), loc="upper right", frameon=True)
+    figure.suptitle(title, fontsize=style.TITLE_PT)
+    return figure

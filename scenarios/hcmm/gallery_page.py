@@ -1,0 +1,275 @@
+"""The four diagnosed cases as a page, and what the real passes say, for the study's report and summary."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from fluxtwin.gap.sun_nadir import open_channel
+from fluxtwin.plots import gallery as plots
+from fluxtwin.scenarios.hcmm.gallery_study import GROUND, REGION_DEG, Answer
+from fluxtwin.scenarios.hcmm.real_passes import Question, RealPasses
+from fluxtwin.scenarios.page import Cell, FigureBlock, Page, Section, Table
+from fluxtwin.sim import epoch
+
+FILE = "gallery"
+_MOST_ROWS = 9
+
+
+def gallery_page(answers: Sequence[Answer], seed: int) -> Page:
+    """The page."""
+    right = sum(1 for answer in answers if answer.diagnosis.verdict == "effect")
+    return Page(
+        title="HCMM: four faults, found from telemetry",
+        verdict=f"{right} of {len(answers)} faults that nobody told the ground are named from three days of passes.",
+        sections=[_overview(answers), *(_section(answer) for answer in answers)],
+        provenance={"seed": str(seed), "field of the diagnosis": GROUND},
+        links={"Back to the report": "report.html"},
+    )
+
+
+def overview_table(answers: Sequence[Answer]) -> Table:
+    """One line a case."""
+    rows: list[list[Cell]] = []
+    for answer in answers:
+        d, later = answer.diagnosis, answer.later
+        judged = (
+            "" if later is None else f"{later.rms[0]:.3g} to {later.rms[1]:.3g} {later.unit} (floor {later.floor:.3g})"
+        )
+        rows.append(
+            [f"({answer.case.key}) {answer.case.title}", d.verdict, answer.name or "none", d.where.stage or "",
+             answer.located, judged]
+        )  # fmt: skip
+    return Table(
+        "Four faults",
+        ["what was wrong", "verdict", "named", "stage", "where", "passes not used, where it acts"],
+        rows,
+        "Named from telemetry alone. Residual, rms, on the passes of the two days that follow, without the cause and "
+        "with it as found.",
+    )
+
+
+def _overview(answers: Sequence[Answer]) -> Section:
+    return Section(
+        "What was flown",
+        [
+            "Each fault is simulated along HCMM's orbit; telemetry exists only while a station sees the satellite, and no "
+            "row of the night has an attitude. Three days are diagnosed; the two that follow are kept apart. The step of "
+            "the readings, 4.7 mG, is all that the diagnosis is told. Its field model is IGRF-14, what is known of 1978 "
+            "today: with the model of 1975 its error, 1 mG and more, would be a gap of its own.",
+        ],
+        [overview_table(answers)],
+    )
+
+
+def _section(answer: Answer) -> Section:
+    d = answer.diagnosis
+    words = [answer.case.told, f"The diagnosis says: {d.sentence}"]
+    place = [f"{name} {value}" for name, value in _place(answer).items() if value]
+    if place:
+        words.append(f"Where: {', '.join(place)}. In detail: {answer.located}.")
+    tables = [_compared_table(answer)] if answer.compared else []
+    figures = [*_evidence(answer), *_later(answer)]
+    return Section(f"({answer.case.key}) {answer.case.title}", words, tables, figures)
+
+
+def _place(answer: Answer) -> dict[str, str | None]:
+    w = answer.diagnosis.where
+    return {"stage": w.stage, "axis": w.axis, "frame": w.frame, "condition": w.condition}
+
+
+def _compared_table(answer: Answer) -> Table:
+    rows: list[list[Cell]] = [
+        [f"{one.name} [{one.unit}]", f"{one.put_in:.4g}", f"{one.found:.4g}",
+         "not seen" if one.sigma is None else f"{one.sigma:.2g}"]
+        for one in answer.compared[:_MOST_ROWS]
+    ]  # fmt: skip
+    if answer.case.key == "b" and answer.diagnosis.effects:
+        box = answer.diagnosis.effects[0].settings.get("region_deg", [])
+        for name, true, found in zip(("south", "north", "west", "east"), REGION_DEG, box, strict=False):
+            rows.append([f"{name} edge [deg]", f"{true:.0f}", f"{found:.0f}", ""])
+    return Table("Put in, and found", ["parameter", "put in", "found", "1 sigma"], rows)
+
+
+def _later(answer: Answer) -> list[FigureBlock]:
+    later = answer.later
+    if later is None:
+        return []
+    record = plots.PassResiduals(later.labels, later.unit, later.before, later.after, later.concerned, later.floor)
+    caption = (
+        "Passes that were not used, one after the other; grey: passes in which the cause acts. Without the cause, all "
+        "that is re-estimated comes from the passes used."
+    )
+    return [FigureBlock(f"{answer.case.key}_passes", caption, plots.draw_later(record, title="Passes not used"))]
+
+
+def _evidence(answer: Answer) -> list[FigureBlock]:
+    drawn: dict[str, tuple[Figure, str]] = {}
+    if answer.case.key == "a":
+        drawn["a"] = _heads(answer), "Measured less computed angle between sun and nadir, by the head that saw the sun."
+    elif answer.case.key == "b":
+        drawn["b"] = _map(answer), "Rows of the night, coloured by what the size of the field is off."
+    elif answer.case.key == "c":
+        drawn["c"] = (
+            _torquers(answer),
+            "Residual of each axis against the dipole of its own torquer, rows with attitude.",
+        )
+    else:
+        drawn["d"] = (
+            _field(answer),
+            "Residual of each axis against its own reading, rows with attitude: S is not modelled.",
+        )
+    return [FigureBlock(f"{key}_evidence", caption, figure) for key, (figure, caption) in drawn.items()]
+
+
+def _heads(answer: Answer) -> Figure:
+    channel, t = open_channel(answer.telemetry), answer.telemetry
+    assert t.sun_sensor_head is not None
+    hours = epoch.seconds_since(t.time[channel.rows], t.time[0]) / 3600.0
+    record = plots.HeadAngles(hours, np.degrees(channel.residual_rad), np.array(t.sun_sensor_head)[channel.rows])
+    return plots.draw_heads(record, title="The angle between sun and nadir")
+
+
+def _map(answer: Answer) -> Figure:
+    night = ~answer.known
+    found = answer.diagnosis.effects[0].settings.get("region_deg") if answer.diagnosis.effects else None
+    record = plots.NightMap(
+        answer.place_deg[night, 0], answer.place_deg[night, 1], answer.residual_nT[night, 0], REGION_DEG,
+        None if found is None else (found[0], found[1], found[2], found[3]),
+    )  # fmt: skip
+    return plots.draw_night_map(record, title="Night passes, size of the field")
+
+
+def _torquers(answer: Answer) -> Figure:
+    dipole = answer.telemetry.dipole_B_Am2
+    assert dipole is not None
+    record = plots.Following(np.array(dipole)[answer.known], answer.residual_nT[answer.known], "dipole [A m2]")
+    return plots.draw_following(record, title="What the torquers do to the readings")
+
+
+def _field(answer: Answer) -> Figure:
+    reading = np.array(answer.telemetry.mag_B_nT)[answer.known]
+    record = plots.Following(reading / 1000.0, answer.residual_nT[answer.known], "reading [uT]")
+    return plots.draw_following(record, title="What a bias alone leaves")
+
+
+def real_passes_section(real: RealPasses) -> Section:
+    """The 43 printed residuals, asked."""
+    raw, left = (real.question("station against station", corrected=c) for c in (False, True))
+    record = plots.RealResiduals(
+        real.stations, real.night, real.printed_mG, real.ratio,
+        (f"as printed: stations differ, p = {_p(raw.p_counted)}",
+         f"IGRF 1975's error out: p = {_p(left.p_counted)}"),
+    )  # fmt: skip
+    caption = (
+        "Left: printed residual of field strength. Right: the same over what the error of IGRF 1975 along the pass and "
+        f"the step of the readings let expect, to the power {real.slope:.2f} that fits best. p-values with all "
+        f"{len(real.questions)} tests counted."
+    )
+    figure = FigureBlock("real_passes", caption, plots.draw_real_passes(record, title="43 passes of 1978"))
+    return Section("The real passes, asked", _words(real), [real_passes_table(real)], [figure])
+
+
+def _words(real: RealPasses) -> list[str]:
+    def q(name: str, corrected: bool) -> Question:
+        return real.question(name, corrected=corrected)
+
+    day, rest = "night against day", "night against day, without the eastern United States"
+    nights = "night over the eastern United States against other nights"
+    within = "night against day over the eastern United States"
+    days = "day over the eastern United States against other days"
+    stations = "station against station"
+    return [
+        f"{real.overflight.max() + 1} overflights gave the 43 passes; {len(real.questions)} tests are made and counted.",
+        f"Night against day: a ratio of {q(day, False).ratio:.2f} (p = {_p(q(day, False).p_value)} by itself); one of "
+        f"{q(day, False).detectable:.2f} would have been seen. Outside the eastern United States it is "
+        f"{q(rest, False).ratio:.2f} (p = {_p(q(rest, False).p_value)}), so nothing follows the night as such.",
+        f"Station against station: they differ (p = {_p(q(stations, False).p_counted)}, counted). It is "
+        f"{_strongest(real)}; nights over the eastern United States have {q(nights, False).ratio:.1f} times the residual "
+        f"of other nights (p = {_p(q(nights, False).p_counted)}, counted).",
+        f"The error of IGRF 1975 along the passes, known today, explains {100 * real.explained:.0f} % of the variance. "
+        f"Once it is out, no station differs from the others (p = {_p(q(stations, True).p_value)} by itself; at most a "
+        f"ratio of {q('ETC against the others', True).detectable:.2f} could hide at Greenbelt).",
+        f"What stays, over the eastern United States: nights have {q(within, True).ratio:.2f} times what is expected "
+        f"against days (p = {_p(q(within, True).p_value)}, {_p(q(within, True).p_counted)} counted), because days there "
+        f"have {q(days, True).ratio:.2f} times that of other days (p = {_p(q(days, True).p_counted)}, counted) and "
+        f"nights {q(nights, True).ratio:.2f} times that of other nights (p = {_p(q(nights, True).p_counted)}, counted). "
+        "A calibration made with the sunlit passes, which took part of the model's error there for its own, does this; a "
+        "field on board at night over the region could too, and 43 residuals without a direction cannot tell which.",
+    ]
+
+
+def _strongest(real: RealPasses) -> str:
+    single = [one for one in real.questions if one.name.endswith("against the others") and not one.corrected]
+    best = min(single, key=lambda one: one.p_value)
+    name = best.name.split()[0]
+    others = sum(one.certain for one in single) - int(best.certain)
+    words = "alone stands out" if best.certain and not others else "stands out most"
+    return f"{name} that {words} ({best.ratio:.2f} times the others, p = {_p(best.p_counted)}, counted)"
+
+
+def real_passes_table(real: RealPasses) -> Table:
+    """All tests."""
+    rows: list[list[Cell]] = [
+        [one.name, "model's error out" if one.corrected else "as printed", f"{one.passes[0]}, {one.passes[1]}",
+         f"{one.ratio:.2f}", _p(one.p_value), _p(one.p_counted),
+         "" if np.isnan(one.detectable) else f"{one.detectable:.2f}"]
+        for one in real.questions
+    ]  # fmt: skip
+    return Table(
+        "Questions to the 43 residuals",
+        ["question", "residual", "passes", "ratio", "p by itself", "p counted", "seen 4 times in 5"],
+        rows,
+        "Ratio of geometric means; of all stations the largest over the smallest, and numbers of stations and passes. "
+        "20,000 permutations of overflights. Counted: Holm's p-value over all tests. Last column: the ratio that would "
+        "have been found four times in five.",
+    )
+
+
+def gallery_summary(answers: Sequence[Answer]) -> list[dict[str, Any]]:
+    """For `summary.json`."""
+    return [
+        {
+            "case": answer.case.key,
+            "title": answer.case.title,
+            "verdict": answer.diagnosis.verdict,
+            "named": answer.name,
+            "where": _place(answer),
+            "located": answer.located,
+            "parameters": [
+                {"name": c.name, "put_in": c.put_in, "found": c.found, "sigma": c.sigma, "unit": c.unit}
+                for c in answer.compared
+            ],
+            "passes_not_used": None if answer.later is None else {
+                "unit": answer.later.unit, "before": answer.later.rms[0], "after": answer.later.rms[1],
+                "floor": answer.later.floor, "concerned": int(answer.later.concerned.sum()),
+                "passes": len(answer.later.labels),
+            },
+        }
+        for answer in answers
+    ]  # fmt: skip
+
+
+def real_passes_summary(real: RealPasses) -> dict[str, Any]:
+    """For `summary.json`."""
+    return {
+        "overflights": int(real.overflight.max()) + 1,
+        "tests": len(real.questions),
+        "explained_by_igrf1975": real.explained,
+        "slope": real.slope,
+        "questions": [
+            {
+                "question": one.name, "model_error_out": one.corrected, "passes": list(one.passes), "ratio": one.ratio,
+                "p": one.p_value, "p_counted": one.p_counted,
+                "detectable_ratio": None if np.isnan(one.detectable) else one.detectable,
+            }
+            for one in real.questions
+        ],
+    }  # fmt: skip
+
+
+def _p(value: float) -> str:
+    return f"{value:.4f}" if value < 0.01 else f"{value:.2f}"

@@ -1,0 +1,313 @@
+"""Four things that were wrong and nobody said so: HCMM flown with each, diagnosed from telemetry, judged on later passes.
+
+The record is that of the study, three days of passes in view of the stations; the two days that follow are kept apart
+and tell whether what was found holds. The field model of the diagnosis is what is known of 1978 today.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from fluxtwin.gap.candidates import in_order
+from fluxtwin.gap.diagnose import diagnose
+from fluxtwin.gap.problem import Budget, Problem, pose, realigned
+from fluxtwin.gap.records import Diagnosis
+from fluxtwin.gap.refit import refit, settled
+from fluxtwin.gap.second_channel import channel_of, with_second_channel
+from fluxtwin.gap.sun_nadir import Channel, open_channel
+from fluxtwin.scenarios.hcmm import mission
+from fluxtwin.sim import epoch, frames
+from fluxtwin.sim.effects.base import SignalEffect
+from fluxtwin.sim.effects.chain import Active
+from fluxtwin.sim.field import load_field
+from fluxtwin.sim.field_models import FieldModel
+from fluxtwin.sim.progress import Progress, part_of, silent
+from fluxtwin.sim.scenario import Scenario
+from fluxtwin.sim.sensors.torquers import coupling_nT_per_Am2
+from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.world import build_world
+
+GROUND = "igrf14"
+REGION_DEG = (15.0, 60.0, -95.0, -55.0)
+"""Where the four printed night passes with large residuals ran."""
+FIELD_NT = (-300.0, 200.0, 300.0)
+"""4 mG along the field there: the size that the largest printed residuals would need."""
+_LATER_MIN = 2880.0
+_APART_S = 300.0
+_BOTH = ("bias", "scale_misalignment")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One thing wrong."""
+
+    key: str
+    title: str
+    told: str
+    """What flew, in words."""
+    changes: Mapping[str, Any]
+    """Against the scenario with head 1 mounted right."""
+    modelled: tuple[str, ...] = _BOTH
+
+
+def cases(config: Scenario) -> tuple[Case, ...]:
+    """The four, with the scenario's own misalignment of head 1."""
+    turn = list(config.sun_sensor["1"].misalignment_deg)
+    field = {"condition": "night", "region_deg": list(REGION_DEG), "f_nT": list(FIELD_NT)}
+    return (
+        Case("a", "Head 1 is turned", f"Sun-sensor head 1 sits {np.linalg.norm(turn):.1f} deg from where the ground "
+             "believes. It gives the attitude of the dawn passes over Orroral alone.",
+             {"sun_sensor.1.misalignment_deg": turn}),
+        Case("b", "A field at night over the eastern United States", "Something on board is switched on at night over "
+             "the eastern United States: a field of 4.7 mG, 4 mG of it along the field of the Earth there. No row of "
+             "the night has an attitude.", {"effects.switched_field": field}),
+        Case("c", "Torquer compensation is off", "The electronic compensation of the torquers is off, and a coil adds "
+             "up to 20 mG to the reading while it works. The commanded dipole is in the telemetry.",
+             {"torquers.compensation": 0.0, "torquers.telemetered": True}),
+        Case("d", "Only b is modelled", "Nothing is wrong on board, but the ground solves for the bias alone, as the "
+             "flight software of 1978 did: the misalignment and scale of the magnetometer are the gap.", {}, ("bias",)),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Later:
+    """Residual of the passes that were not used; P passes."""
+
+    labels: Sequence[str]
+    unit: str
+    before: FloatArray
+    """(P,) rms, what is modelled taken from the passes used, without the named cause."""
+    after: FloatArray
+    """(P,) rms with the cause."""
+    concerned: BoolArray
+    """(P,) passes in which the cause acts."""
+    rms: tuple[float, float]
+    """Before and after, over all samples in which it acts."""
+    floor: float
+    """What is left where nothing is wrong."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One number that was put in, and what was found."""
+
+    name: str
+    put_in: float
+    found: float
+    sigma: float | None
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """One case, diagnosed."""
+
+    case: Case
+    diagnosis: Diagnosis
+    located: str
+    """Head, night and region, torquer, axis: where the diagnosis says it lies."""
+    compared: tuple[Compared, ...]
+    later: Later | None
+    """None where nothing was named."""
+    telemetry: Telemetry
+    residual_nT: FloatArray
+    """(N, 3) of the passes used, as judged, without the cause: body axes; without attitude, along the field first."""
+    place_deg: FloatArray
+    """(N, 2) latitude and longitude of those rows."""
+    known: BoolArray
+    """(N,) rows with an attitude."""
+
+    @property
+    def name(self) -> str | None:
+        """The first cause named."""
+        return self.diagnosis.effects[0].name if self.diagnosis.effects else None
+
+
+def run_gallery(
+    config: Scenario, progress: Progress = silent, *, only: Sequence[str] = ("a", "b", "c", "d")
+) -> tuple[Answer, ...]:
+    """Fly and diagnose the cases of `only`."""
+    plain = config.updated({"sun_sensor.1.misalignment_deg": None, "schedule.segments": _segments(config)})
+    world, ground = build_world(plain), load_field(GROUND)
+    chosen = [case for case in cases(config) if case.key in only]
+    answers = []
+    for number, case in enumerate(chosen):
+        part = part_of(progress, number / len(chosen), (number + 1) / len(chosen))
+        telemetry = mission.fly(plain.updated(dict(case.changes)), world).telemetry
+        end = _end_of_record(config)
+        used, later = telemetry.select(telemetry.time < end), telemetry.select(telemetry.time >= end)
+        answers.append(_answer(config, case, used, later, ground, _named(part, case)))
+    return tuple(answers)
+
+
+def diagnosed(
+    telemetry: Telemetry, ground: FieldModel, config: Scenario, modelled: Sequence[str], progress: Progress = silent
+) -> Diagnosis:
+    """Diagnose a record; the step of the readings is all that is declared."""
+    investigated = partial(
+        diagnose, telemetry, ground, modelled=modelled, budget=_budget(config), progress=progress,
+        provenance={"source": "simulation"},
+    )  # fmt: skip
+    return with_second_channel(investigated, channel_of(telemetry))
+
+
+def _answer(
+    config: Scenario, case: Case, used: Telemetry, later: Telemetry, ground: FieldModel, progress: Progress
+) -> Answer:
+    found = diagnosed(used, ground, config, case.modelled, progress)
+    alone = settled(pose(used, ground, modelled=case.modelled, budget=_budget(config))).modelled_active
+    problem, residual = _left(used, ground, alone, config)
+    longitude_latitude = frames.geocentric(problem.setting.R_EN.apply(problem.setting.given[0]))[:2]
+    return Answer(
+        case=case,
+        diagnosis=found,
+        located=_located(found),
+        compared=_compared(config, case, found),
+        later=_judged(found, alone, later, ground, config) if found.effects else None,
+        telemetry=used,
+        residual_nT=residual,
+        place_deg=np.degrees(np.stack(longitude_latitude, axis=1)),
+        known=used.has_attitude,
+    )
+
+
+def _segments(config: Scenario) -> list[dict[str, Any]]:
+    assert config.schedule is not None
+    first = config.schedule.segments[0]
+    after = {"start_utc": f"{epoch.iso(_end_of_record(config))}", "duration_min": _LATER_MIN, "step_s": first.step_s}
+    return [{"start_utc": first.start_utc, "duration_min": first.duration_min, "step_s": first.step_s}, after]
+
+
+def _end_of_record(config: Scenario) -> np.datetime64:
+    """One step after the last stamp of the study's record."""
+    assert config.schedule is not None
+    first = config.schedule.segments[0]
+    assert first.duration_min is not None
+    seconds = 60.0 * first.duration_min + first.step_s
+    return np.datetime64(epoch.parse_time(first.start_utc) + np.timedelta64(round(1e9 * seconds), "ns"), "ns")
+
+
+def _budget(config: Scenario) -> Budget:
+    return Budget(noise_nT=0.0, lsb_nT=config.magnetometer.step_nT)
+
+
+def _named(progress: Progress, case: Case) -> Progress:
+    return lambda words, share: progress(f"gallery, {case.key}: {words}", share)
+
+
+def _left(
+    telemetry: Telemetry, ground: FieldModel, active: Sequence[Active], config: Scenario
+) -> tuple[Problem, FloatArray]:
+    """The record with effects applied as they are, and its residual (N, 3) as judged; NaN where nothing is measured."""
+    problem = realigned(pose(telemetry, ground, modelled=(), budget=_budget(config), frozen=in_order(active)))
+    return problem, np.where(problem.measured, problem.judged(problem.residual_nT), np.nan)
+
+
+def _judged(
+    found: Diagnosis, alone: Sequence[Active], later: Telemetry, ground: FieldModel, config: Scenario
+) -> Later | None:
+    """The first named cause on the passes that were not used."""
+    first, closure = found.effects[0], found.closure
+    if closure is None or closure.empty:
+        values = {name: parameter.value for name, parameter in first.parameters.items()}
+        return _judged_angle(open_channel(later, fewest=1), later.time, first.name, first.settings.get("head"), values)
+    searched = [(one.effect, one.theta) for one in closure.stochastic if isinstance(one.effect, SignalEffect)]
+    fit = refit(closure.problem, closure.whitener, [*closure.chosen, *searched], modelled=closure.modelled)
+    bare, before = _left(later, ground, alone, config)
+    full, after = _left(later, ground, fit.active, config)
+    quiet = full.chain.reading_nT(in_order(fit.modelled))
+    acts = np.linalg.norm(full.chain.reading_nT(in_order(fit.active)) - quiet, axis=1) > 1.0
+    return _by_pass(bare.time, before, after, acts, "nT", found.gap.floor_with_effects_nT)
+
+
+def _judged_angle(
+    channel: Channel, time: TimeArray, name: str, head: int | None, parameters_deg: Mapping[str, float]
+) -> Later:
+    """The sun-nadir angle, deg."""
+    after = channel.without(name, head, parameters_deg)
+    acts = channel.residual_rad != after.residual_rad
+    before_deg, after_deg = (np.degrees(one.residual_rad)[:, None] for one in (channel, after))
+    return _by_pass(time[channel.rows], before_deg, after_deg, acts, "deg", _rms(before_deg[~acts]))
+
+
+def _by_pass(time: TimeArray, before: FloatArray, after: FloatArray, acts: BoolArray, unit: str, floor: float) -> Later:
+    seconds = epoch.seconds_since(time, time[0])
+    number = np.concatenate([[0], np.cumsum(np.diff(seconds) > _APART_S)])
+    passes = [np.flatnonzero(number == n) for n in range(int(number[-1]) + 1)]
+    return Later(
+        labels=[epoch.iso(time[rows[0]])[5:16].replace("T", " ") for rows in passes],
+        unit=unit,
+        before=np.array([_rms(before[rows]) for rows in passes]),
+        after=np.array([_rms(after[rows]) for rows in passes]),
+        concerned=np.array([bool(acts[rows].any()) for rows in passes]),
+        rms=(_rms(before[acts]), _rms(after[acts])),
+        floor=floor,
+    )
+
+
+def _located(found: Diagnosis) -> str:
+    if not found.effects:
+        return "nowhere"
+    first, axes = found.effects[0], found.gap.per_axis
+    if first.name == "sun_sensor_head_misalignment":
+        return f"head {first.settings['head']}"
+    if first.name == "switched_field" and "region_deg" in first.settings:
+        from fluxtwin.sim.effects.switched_field import SwitchedField
+
+        where = SwitchedField(first.settings["condition"], region_deg=tuple(first.settings["region_deg"]))
+        return f"{where.condition}, {where.region_words}"
+    if first.condition == "torquer":
+        values = {name: parameter.value for name, parameter in first.parameters.items()}
+        columns = {a: float(np.sqrt(sum(values[f"C_{b}{a}"] ** 2 for b in "xyz"))) for a in "xyz"}
+        return "torquers: " + ", ".join(f"{a} {size:.0f} nT/(A m2)" for a, size in columns.items())
+    energy = {a: axes[a]["before_nT"] ** 2 - axes[a]["after_nT"] ** 2 for a in "xyz"}
+    share = {a: 100.0 * value / max(sum(energy.values()), 1e-12) for a, value in energy.items()}
+    return "axis " + ", ".join(f"{a} {value:.0f} %" for a, value in sorted(share.items(), key=lambda item: -item[1]))
+
+
+def _compared(config: Scenario, case: Case, found: Diagnosis) -> tuple[Compared, ...]:
+    """What was put in beside what was found, for the cause that flew; nothing if another was named."""
+    if not found.effects:
+        return ()
+    first = found.effects[0]
+    if case.key == "a":
+        return _compared_turn(config, found)
+    put_in = _put_in(config, case.key)
+    return tuple(
+        Compared(name, put_in[name], parameter.value, parameter.sigma, parameter.unit)
+        for name, parameter in first.parameters.items()
+        if name in put_in
+    )
+
+
+def _put_in(config: Scenario, key: str) -> dict[str, float]:
+    if key == "b":
+        return dict(zip(("f_x", "f_y", "f_z"), FIELD_NT, strict=True))
+    if key == "c":
+        assert config.torquers is not None
+        matrix, prefix = coupling_nT_per_Am2(np.array(config.torquers.positions_m)), "C"
+    else:
+        matrix, prefix = np.array(config.magnetometer.S), "S"
+    return {f"{prefix}_{a}{b}": float(matrix[i, j]) for i, a in enumerate("xyz") for j, b in enumerate("xyz")}
+
+
+def _compared_turn(config: Scenario, found: Diagnosis) -> tuple[Compared, ...]:
+    """The turn along what the angle sees: a head turned by theta reports the sun turned by minus theta."""
+    named = found.provenance["sun_nadir"]["named"]
+    if named is None or named["head"] is None:
+        return ()
+    vector = np.array([named["parameters"][f"turn_{a}"]["value"] for a in "xyz"])
+    size = float(np.linalg.norm(vector))
+    put_in = -float(np.array(config.sun_sensor["1"].misalignment_deg) @ vector) / size
+    return (Compared("turn of the measured sun, as far as seen", put_in, size, named["amount_deg"]["sigma"], "deg"),)
+
+
+def _rms(values: FloatArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")

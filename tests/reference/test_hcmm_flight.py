@@ -145,8 +145,26 @@ def test_goldstone_is_where_deep_space_station_16_stood(close):
     close(np.degrees(longitude[0]) % 360, np.degrees(station.longitude_rad), atol=0.001, unit="deg", because="100 m")
 
 
+@pytest.mark.parametrize(
+    ("station", "latitude_deg", "longitude_deg", "height_km", "within_km"),
+    [
+        ("ORR", -35.62789, 148.95702, 0.952, 0.05),
+        ("MIL", 28.50812, 279.30660, -0.026, 0.05),
+        ("ULA", 64.97214, 212.48661, 0.344, 0.05),
+        ("MAD", 40.45545, 355.83162, 0.838, 0.2),
+    ],
+)
+def test_four_stations_are_where_nasa_s_directory_has_them(
+    close, station, latitude_deg, longitude_deg, height_km, within_km
+):
+    """ORR3, MIL3, ULA3 and MAD8 of the directory of station locations (NAIF kernel ndosl_190716_v02.tf)."""
+    there = frames.from_geodetic(*(np.array([v]) for v in (*np.radians([latitude_deg, longitude_deg]), height_km)))
+    away = np.linalg.norm(read_stations()[station].r_E_km - there.reshape(3))
+    close(away, 0.0, atol=within_km, unit="km", because="four decimals here; at Madrid another antenna of the site")
+
+
 def test_a_tenth_of_a_degree_at_the_stations_does_not_matter(monkeypatch, fit, flight):
-    """Five of the seven positions were not found in print; 0.1 deg is 11 km, two seconds of a rise."""
+    """Two of the seven positions were not found in print; 0.1 deg is 11 km, two seconds of a rise."""
     from fluxtwin.scenarios.hcmm_orbit import coarse, geometry
 
     rng = np.random.default_rng(3)

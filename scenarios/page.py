@@ -87,7 +87,7 @@ class StudyResult:
     """The tables for the terminal, in order."""
     page: Page | None = None
     """The page that becomes `report.html`; its figures are also written as `NAME.png`."""
-    more_pages: Mapping[str, Page] = field(default_factory=dict)
-    """Further pages by file name without suffix, written as `NAME.html`; their figures as `NAME_FIGURE.png`."""
     written: Sequence[Path] = ()
     """Files the study has written itself (scenario, telemetry, calibration)."""
+    more_pages: Mapping[str, Page] = field(default_factory=dict)
+    """Further pages by file name without suffix, written as `NAME.html`; their figures as `NAME_FIGURE.png`."""

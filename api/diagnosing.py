@@ -50,6 +50,7 @@ def diagnose(
     Raises BadInput and NoAnswer with one message each.
     """
     _check_numbers(noise_nT, lsb_nT, attitude_sigma_deg, attitude_tau_s)
+    modelled = tuple(dict.fromkeys(modelled))
     for name in modelled:
         find_effect(name, where="--modelled")
     record = as_record(telemetry)
@@ -73,9 +74,13 @@ def diagnose(
     )
     frozen = () if config is None else _frozen(config)
     found = second_channel.with_second_channel(investigated, second_channel.channel_of(record, frozen))
-    notes = [*_left_out(record, found), doubts.stuck_attitude(record, budget.attitude_sigma_rad)]
-    if notes[-1] is None:
-        notes[-1] = doubts.stuck_and_misfit(record, found.gap.before_nT)
+    stuck = doubts.stuck_attitude(record, budget.attitude_sigma_rad)
+    notes = [
+        *doubts.traps(record, model),
+        *_left_out(record, found),
+        stuck if stuck is not None else doubts.stuck_and_misfit(record, found.gap.before_nT),
+        doubts.far_below_budget(found.gap.before_nT, found.gap.floor_nT),
+    ]
     notes += found.provenance.get("sun_nadir_notes", [])
     return replace(
         found,

@@ -5,12 +5,30 @@ from __future__ import annotations
 import numpy as np
 
 from fluxtwin.sim import epoch
+from fluxtwin.sim.check import check_telemetry
+from fluxtwin.sim.field import FieldModel
 from fluxtwin.sim.telemetry import Telemetry
 
 LONG_STRETCH_ROWS = 30
 """So many rows with the same quaternion to the last digit do not happen while a sensor measures."""
+ROOMY = 2.0
 MISFIT = 0.05
 """Residual over field: a reference that is 3 degrees off."""
+
+
+def far_below_budget(before_nT: float, floor_nT: float) -> str | None:
+    """Words for a budget that promises far more noise than there is, or None."""
+    if before_nT * ROOMY > floor_nT:
+        return None
+    return (
+        f"{before_nT:.1f} nT rms are left where the declared noise and attitude error would give {floor_nT:.1f}: the "
+        "budget is too large, and hides what is smaller. Give --noise-nT and --attitude-sigma-deg as they are"
+    )
+
+
+def traps(telemetry: Telemetry, model: FieldModel) -> list[str]:
+    """What `fluxtwin check` would say is not what it seems; nothing where it finds no trap."""
+    return [f"{finding.text} (fluxtwin check)" for finding in check_telemetry(telemetry, model).traps]
 
 
 def stuck_attitude(telemetry: Telemetry, attitude_sigma_rad: float | None) -> str | None:

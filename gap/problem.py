@@ -30,6 +30,7 @@ from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
 
 DEFAULT_MODELLED = ("bias", "scale_misalignment")
 _GAP_FACTOR = 5.0
+_LARGEST_ERROR = 5.0  # times its sigma: what an attitude error is taken to be at the most
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,24 @@ class Problem:
         if signal.sample_offset_s and isinstance(self.setting.motion, RecordedMotion):
             # A row sampled where nobody knows the attitude has no say.
             residual = np.where(self.setting.motion.reaches(signal.sample_offset_s)[:, None], residual, 0.0)
+        residual = self._unshortened(residual, signal.field_B_nT)
         return residual if self.axes is None else self.axes.without_turn(residual, signal.field_B_nT)
+
+    def _unshortened(self, residual_nT: FloatArray, field_B_nT: FloatArray) -> FloatArray:
+        """The residual (N, 3) as if an attitude error theta gave theta x B alone.
+
+        A turn also shortens the component along the field by half of theta squared: 9 nT at 1 deg, always of one sign.
+        What the residual across the field says of theta is believed as far as the declared error goes.
+        """
+        sigma_rad = self.budget.attitude_sigma_rad
+        if not sigma_rad:
+            return residual_nT
+        size_nT = np.linalg.norm(field_B_nT, axis=1)
+        along = field_B_nT / np.maximum(size_nT, 1e-9)[:, None]
+        across = residual_nT - np.einsum("nc,nc->n", residual_nT, along)[:, None] * along
+        turn_rad = np.linalg.norm(across, axis=1) / np.maximum(size_nT, 1e-9)
+        turn_rad = np.where(turn_rad < _LARGEST_ERROR * sigma_rad, turn_rad, 0.0)
+        return np.asarray(residual_nT + (0.5 * turn_rad**2 * size_nT)[:, None] * along)
 
     def judged(self, columns: FloatArray) -> FloatArray:
         """(N, 3) or (N, 3, P) columns in body axes as they are judged: in the rows' own axes, zero where unmeasured."""

@@ -268,13 +268,25 @@ def likeliest_ratio(likelihood: Likelihood, ratio: float, tau_s: float, second: 
         top = max(low, middle, high, key=_posterior)
         if top is middle:
             break
-        middle = top
+        middle = _climbed(likelihood, top, width) if top is high else top
     slope = (high.log_posterior - low.log_posterior) / (2.0 * width)
     second = (low.log_posterior + high.log_posterior - 2.0 * middle.log_posterior) / width**2
     if second < 0 and -0.5 * slope**2 / second > _FLAT:
         by = float(np.clip(-slope / second, -width, width))
         middle = max(middle, likelihood.at(float(ratio * np.exp(by)), tau_s), key=_posterior)
     return middle, float(second)
+
+
+def _climbed(likelihood: Likelihood, top: Choice, step: float) -> Choice:
+    """Onward to larger ratios, in strides that double for as long as it pays: a start may be far off. Not to smaller
+    ones, where there is less and less to see: nothing would lead back."""
+    tau_s = top.noise.tau_s
+    while True:
+        step *= 2.0
+        further = likelihood.at(float(likelihood.point(top.noise)[0] * np.exp(step)), tau_s)
+        if further.log_posterior <= top.log_posterior + _FLAT:
+            return top
+        top = further
 
 
 def _posterior(choice: Choice) -> float:

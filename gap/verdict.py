@@ -26,6 +26,10 @@ if TYPE_CHECKING:
 CARRIED = 0.9
 """Share of the structured energy that the named effects must carry where structure is left."""
 _OWN_AXIS = 0.8
+_TRUSTED = 1.5
+"""Factor to which a declared attitude error is believed."""
+_LEVEL_LOG_SD = 0.05
+_MOST_READ_OFF = 0.9
 _MANY = 9
 """Parameters: a matrix and less are bound to one condition, the polynomials (18, 30) to none."""
 _WILD = 2.0
@@ -47,10 +51,12 @@ def assemble(work: Work, provenance: Mapping[str, Any], *, without_attitude: int
     effects = [*signals, *stochastic]
     unexplained = bool(work.found.resembles) or (structured and not stands)
     verdict = "unknown" if unexplained else "effect" if effects else "no_gap"
+    beyond = _beyond_budget(work) if verdict == "no_gap" else None
+    verdict = verdict if beyond is None else "unknown"
     resembles = _resembles(work, verdict)
     shrunk, series = _without_known(work.shrinkage, work.series, known, bool(effects))
     gap = _gap(shrunk, verdict, bool(effects), incomplete=stands and structured)
-    where = _where(work, effects, searched=not signals)
+    where = _where(work, effects) if beyond is None else _at_attitude(work)
     return Diagnosis(
         verdict=verdict,
         effects=effects,
@@ -58,7 +64,9 @@ def assemble(work: Work, provenance: Mapping[str, Any], *, without_attitude: int
         where=where,
         gap=gap,
         modelled=[effect.name for effect in work.problem.modelled],
-        untestable=dict(work.found.untestable),
+        untestable={
+            name: why for name, why in work.found.untestable.items() if name not in {one.name for one in effects}
+        },
         isolability={name: dict(shares) for name, shares in work.found.isolability.items()},
         minimum_detectable=dict(work.found.minimum_detectable),
         samples={
@@ -67,7 +75,7 @@ def assemble(work: Work, provenance: Mapping[str, Any], *, without_attitude: int
             "without_attitude": without_attitude,
         },
         provenance=dict(provenance),
-        sentence=_sentence(verdict, effects, where, gap, resembles, work.left.words),
+        sentence=_sentence(verdict, effects, where, gap, resembles, beyond or work.left.words),
         series=series if effects else replace(series, after_nT=series.before_nT),
         ranking=[Alone(line.name, line.drop, line.rank, line.p_value) for line in work.found.ranking],
         closure=_closure(work, named if stands else [], confirmed, _incomplete(verdict, stands and structured)),
@@ -174,7 +182,7 @@ def _flexible(one: FlexibleFinding, setting: Setting) -> FoundEffect:
         },
         settings=settings,
         stage=effect.stage,
-        axis="all",
+        axis=str(settings["axis"]) if settings.get("axis") in ("x", "y", "z") else "all",
         frame=place.frame,
         condition=place.condition,
         significance=one.p_value,
@@ -184,6 +192,30 @@ def _flexible(one: FlexibleFinding, setting: Setting) -> FoundEffect:
 
 def _plain_settings(effect: Effect) -> dict[str, object]:
     return {key: value for key, value in vars(effect).items() if isinstance(value, int | float | str)}
+
+
+def _beyond_budget(work: Work) -> str | None:
+    """Words for an attitude error beyond what its declared sigma is trusted to, or None. Whatever turns the body against
+    its reported attitude at random is no effect of the catalogue, and no noise that was promised."""
+    gap, noise, declared_rad = work.shrinkage, work.noise, work.problem.budget.attitude_sigma_rad
+    if declared_rad is None or noise.theta_rad <= declared_rad or gap.floor_nT <= 0.0:
+        return None
+    spread = np.hypot(_LEVEL_LOG_SD, noise.theta_log_sd if np.isfinite(noise.theta_log_sd) else 0.0)
+    if gap.before_nT < gap.floor_nT * _TRUSTED * np.exp(3.0 * spread):
+        return None
+    memory = "white" if noise.tau_s <= 0.0 else f"with a memory of {noise.tau_s:.2g} s"
+    return (
+        f"the reported attitude errs by {np.degrees(noise.theta_rad):.2g} deg per axis, {memory}, where "
+        f"{np.degrees(declared_rad):.2g} deg was declared: {gap.before_nT:.1f} nT are left, {gap.floor_nT:.1f} expected"
+    )
+
+
+def _at_attitude(work: Work) -> Place:
+    probabilities = {
+        name: blended(shares, "attitude" if name == "stage" else "none", _MOST_READ_OFF)
+        for name, shares in work.where.place.probabilities.items()
+    }
+    return Place("attitude", None, None, None, [], probabilities)
 
 
 def _resembles(work: Work, verdict: str) -> list[str]:
@@ -196,23 +228,19 @@ def _resembles(work: Work, verdict: str) -> list[str]:
     return [line.name for line in work.found.ranking[:3] if line.p_value < 1e-3]
 
 
-def _where(work: Work, effects: Sequence[FoundEffect], *, searched: bool) -> Place:
-    """The posterior of the stage, with the largest named effect's own probability in it. searched: its shape was searched
-    for, so it was none of the hypotheses about frame and condition."""
+def _where(work: Work, effects: Sequence[FoundEffect]) -> Place:
+    """The place of the first entry, with its probability in the posteriors; of what is unexplained where none is named."""
     place = work.where.place
     if not effects:
         return place
     first = effects[0]
     effect = find_effect(first.name)
-    stages = blended(place.probabilities["stage"], first.stage, first.probability)
     equivalent = sorted({*effect.equivalent_stages, *place.equivalent} - {first.stage})
-    probabilities = {**place.probabilities, "stage": stages}
-    frame, condition = place.frame, place.condition
-    if searched and first.condition is not None and first.frame is not None:
-        frame, condition = first.frame, first.condition
-        for name, value in (("frame", frame), ("condition", condition)):
-            probabilities[name] = blended(probabilities[name], value, first.probability)
-    return Place(first.stage, place.axis, frame, condition, equivalent, probabilities)
+    own = {"stage": first.stage, "axis": first.axis, "frame": first.frame, "condition": first.condition}
+    probabilities = {
+        name: blended(place.probabilities[name], value or "none", first.probability) for name, value in own.items()
+    }
+    return Place(first.stage, first.axis, first.frame, first.condition, equivalent, probabilities)
 
 
 def blended(shares: Mapping[str, float], name: str, probability: float) -> dict[str, float]:

@@ -21,7 +21,7 @@ from fluxtwin.gap.without_attitude import RowAxes
 from fluxtwin.sim.types import FloatArray
 
 _MARGIN = 50.0
-_LARGEST_SHARE = 0.01
+_LARGEST_SHARE = 0.05
 
 Precise = NDArray[Any]
 """Single or double precision."""

@@ -21,11 +21,11 @@ RowArray = NDArray[np.intp]
 """Numbers of rows."""
 
 _GAP = 5.0  # usual spacings without a row: nothing is fitted across
-_HALVES = (1, 2, 3, 4, 6, 9, 13, 20)  # rows to either side
+_HALVES = (1, 2, 3, 4, 6, 9, 13, 20, 30, 45, 70, 100, 150)  # rows to either side
 _DEGREES = ((1, 1), (3, 2), (5, 4))  # a polynomial of this degree needs so many rows to either side
 _LARGEST_TURN = 2.0  # rad: what is left of the turn to a neighbour, beyond which the short way is ambiguous
 _CENTRES = 300  # rows that choose the window; more add little
-_AS_GOOD = 1.05  # of the smallest prediction error: among such fits the one that smooths least, its bias is least
+_AS_GOOD = 1.01  # of the smallest prediction error: among such fits the one that smooths least, its bias is least
 _WILD = 100.0  # times the median: a single wrong attitude counts no more
 _HOPELESS = 3.0  # times the smallest error: wider windows are not tried any more
 

@@ -26,6 +26,9 @@ _SHAPES = {
 }  # fmt: skip
 
 
+_LARGEST = 1e15  # of any unit in the columns: beyond it a cell is spoilt, and squares overflow
+
+
 @dataclass(frozen=True)
 class Telemetry:
     """One record; N rows. Arrays are read-only float64, `time` is datetime64[ns] UTC, strictly increasing."""
@@ -182,5 +185,9 @@ def _frozen_array(name: str, value: object, rows: int, width: int) -> FloatArray
     if np.isinf(array).any():
         row = int(np.flatnonzero(np.isinf(array).reshape(rows, -1).any(axis=1))[0])
         raise BadInput(f"the value in row {row + 1} is infinite", where=name, wanted="finite numbers or blank")
+    if np.nanmax(np.abs(array), initial=0.0) > _LARGEST:
+        row = int(np.flatnonzero((np.abs(array) > _LARGEST).reshape(rows, -1).any(axis=1))[0])
+        worst = float(np.nanmax(np.abs(array[row])))
+        raise BadInput(f"{worst:.3g} in row {row + 1} is no measurement", where=name, wanted="a blank cell")
     array.setflags(write=False)
     return array

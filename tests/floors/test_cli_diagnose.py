@@ -316,3 +316,30 @@ def test_a_stuck_attitude_is_a_warning(late: Case, cli: Callable[..., Any], tmp_
     check_contract(json.loads(outcome.out))
     assert "the reference attitude looks stuck" in outcome.err
     assert "57 % of the rows" in outcome.err  # 229 of 400 steps
+
+
+def test_a_trap_in_the_file_is_named_before_the_answer(late: Case, cli: Callable[..., Any], tmp_path: Path) -> None:
+    record = late.record
+    assert record.q_NB is not None
+    write_telemetry(record.replace(q_NB=record.q_NB * np.array([-1.0, -1.0, -1.0, 1.0])), tmp_path / "turned.csv")
+    result = cli("diagnose", tmp_path / "turned.csv", *FLAGS)
+    said = " ".join((result.out + result.err).split())
+    assert result.status == 0
+    assert "conjugated" in said
+    assert "fluxtwin check" in said
+
+
+def test_a_budget_far_too_large_is_said(late: Case, cli: Callable[..., Any]) -> None:
+    result = cli("diagnose", late.folder / "late.csv", "--noise-nT", 5000, "--lsb-nT", 10, "--attitude-sigma-deg", 0.05)
+    assert "the budget is too large" in " ".join((result.out + result.err).split())
+
+
+def test_a_value_that_no_instrument_gives_is_named(late: Case, cli: Callable[..., Any], tmp_path: Path) -> None:
+    text = (late.folder / "late.csv").read_text().splitlines()
+    row = text[5].split(",")
+    row[text[0].split(",").index("mag_x_nT")] = "1e300"
+    (tmp_path / "spoilt.csv").write_text("\n".join([*text[:5], ",".join(row), *text[6:]]) + "\n")
+    result = cli("diagnose", tmp_path / "spoilt.csv", *FLAGS)
+    assert result.status == 2
+    assert "1e+300" in result.err
+    assert "row 5" in result.err

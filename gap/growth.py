@@ -20,11 +20,12 @@ from numpy.typing import ArrayLike
 from fluxtwin.gap.cancelling import undone
 from fluxtwin.gap.candidates import Candidate, candidate_of, candidates
 from fluxtwin.gap.groups import alike, shares_by_name
+from fluxtwin.gap.interval import likeliest_interval
 from fluxtwin.gap.problem import Problem
-from fluxtwin.gap.refit import Fit, refit
-from fluxtwin.gap.score import SHARE_LEFT, Board, Whitens, board, whitened
+from fluxtwin.gap.refit import Fit, refit, white_residual
+from fluxtwin.gap.score import SHARE_LEFT, Board, Whitens, board, orthonormal, whitened
 from fluxtwin.gap.whitening import least_share
-from fluxtwin.sim.effects.base import SignalEffect
+from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.types import BoolArray, FloatArray
 
@@ -111,15 +112,16 @@ class Search:
         scored = board(others, self.white[:, :, kept], fit.residual, fit.jacobian, measured, self.share_left)
         return scored, others
 
-    def add(self, effects: Sequence[SignalEffect], fit: Fit) -> None:
-        """Further candidates, and the fit that has them."""
+    def add(self, effects: Sequence[SignalEffect], fit: Fit | None = None) -> None:
+        """Further candidates, and the fit that has them if there is one."""
         more = [candidate_of(self.problem, effect, modelled=self.base.modelled) for effect in effects]
         own = whitened(more, self.whitener, self.base.residual.shape[0])
         self.found = [*self.found, *more]
         self.white = np.concatenate([self.white, own], axis=2)
         nuisance, measured = self.base.jacobian, self.whitener.measured
         self.first = board(self.found, self.white, self.base.residual, nuisance, measured, self.share_left)
-        self.fits[frozenset(self.found[number].label for number in self.numbers(fit))] = fit
+        if fit is not None:
+            self.fits[frozenset(self.found[number].label for number in self.numbers(fit))] = fit
 
     def numbers(self, fit: Fit) -> list[int]:
         return [
@@ -164,6 +166,9 @@ def run(search: Search) -> tuple[Fit, Board]:
     """The best set of at most three effects (maybe none), and what is left beside it."""
     if not search.found or search.tested * float(search.first.p_values.min()) > search.gate:
         return search.base, search.first
+    interval = likeliest_interval(search.problem, search.whitener, search.base.residual, search.base.jacobian)
+    if interval is not None and "switched_field" in {candidate.name for candidate in search.found}:
+        search.add([interval])
     fit = _best(search, [[number] for number in _shortlist(search, search.first)], search.first)
     rest, others = search.beside(fit)
     fit, rest, others = _sharper(search, fit, rest, others)
@@ -192,22 +197,33 @@ def _sharpened(search: Search, fit: Fit) -> Fit:
 
     What a setting that is a little off leaves would be taken for one more cause.
     """
-    start = fit
-    for number, (first, _) in enumerate(start.chosen):
-        if first.between(search.problem.setting, 1.0) is None:
-            continue
+    start, setting = fit, search.problem.setting
+    for number in range(len(start.chosen)):
         for step in _STEPS:
-            chosen = list(fit.chosen)
-            moved = chosen[number][0].between(search.problem.setting, step)
-            assert isinstance(moved, SignalEffect)
-            chosen[number] = (moved, chosen[number][1])
-            trial = refit(search.problem, search.whitener, chosen, modelled=fit.modelled)
-            fit = trial if trial.chi2 < fit.chi2 - 1.0 else fit
+            fit = _with_setting(search, fit, number, fit.chosen[number][0].between(setting, step))
+        for place in range(len(fit.chosen[number][0].variants(setting))):
+            fit = _with_setting(search, fit, number, fit.chosen[number][0].variants(setting)[place])
     pairs = zip(fit.chosen, start.chosen, strict=True)
     new = [mine for (mine, _), (old, _) in pairs if isinstance(mine, SignalEffect) and mine != old]
     if new:
         search.add(new, fit)
     return fit
+
+
+def _with_setting(search: Search, fit: Fit, number: int, moved: Effect | None) -> Fit:
+    """The fit with another setting of one effect, if it is better.
+
+    Looked at first along the images at hand, so that only what will be taken is fitted in the nonlinear chain.
+    """
+    if not isinstance(moved, SignalEffect):
+        return fit
+    chosen = [(moved, theta) if place == number else (one, theta) for place, (one, theta) in enumerate(fit.chosen)]
+    basis = orthonormal(fit.jacobian)
+    rest = white_residual(search.problem, search.whitener, [*fit.modelled, *chosen]).reshape(-1)
+    if float(np.sum((rest - basis @ (basis.T @ rest)) ** 2)) >= fit.chi2 - 1.0:
+        return fit
+    trial = refit(search.problem, search.whitener, chosen, modelled=fit.modelled, guess=fit.jacobian)
+    return trial if trial.chi2 < fit.chi2 - 1.0 else fit
 
 
 def _shortlist(search: Search, scored: Board) -> list[int]:

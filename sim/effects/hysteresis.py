@@ -14,6 +14,7 @@ from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.signal import Setting, Signal
 from fluxtwin.sim.types import FloatArray
 
+_WAYS = {"o": 1.0, "r": -1.0, "n": 0.0}
 _WIDTHS_NT = (1000.0, 4000.0, 16000.0)
 
 
@@ -24,8 +25,8 @@ class Hysteresis(SignalEffect):
     A core whose magnetisation follows the play operator y = play_w(x) of the field x along each axis, w half
     the loop's width, has a part in proportion to x, which is a scale error, and the rest, a (y - x) / w, which
     is this effect. It lies between -a and a; the loop of y against x is `width_nT` = 2 w wide. Before the first row the
-    field is taken to have come the way it goes on, so that the core has followed it; what the field did between rows is
-    not seen.
+    field is taken to have come the way it goes on, so that the core has followed it, unless `start` says otherwise; what
+    the field did between rows is not seen.
     """
 
     name: ClassVar[str] = "hysteresis"
@@ -38,25 +39,35 @@ class Hysteresis(SignalEffect):
     width_nT: float = 4000.0
     """Full width of the loop: how far the field must go back before the reading has followed."""
 
+    start: str = "ooo"
+    """How each axis came to the first row: o as it goes on from there, r reversed, the other way; n neutral."""
+
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return vector_parameters("a", "nT", 50.0)
 
     def alternatives(self, setting: Setting) -> tuple[Hysteresis, ...]:
-        if self.width_nT != Hysteresis.width_nT:
+        if self != Hysteresis():
             return (self,)
         return tuple(replace(self, width_nT=width_nT) for width_nT in _WIDTHS_NT)
 
     def between(self, setting: Setting, ratio: float) -> Hysteresis | None:
         return replace(self, width_nT=ratio * self.width_nT)
 
+    def variants(self, setting: Setting) -> tuple[Hysteresis, ...]:
+        moved = [(axis, way) for axis in range(3) for way in _WAYS if way != self.start[axis]]
+        return tuple(replace(self, start=self.start[:axis] + way + self.start[axis + 1 :]) for axis, way in moved)
+
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        if len(self.start) != 3 or not set(self.start) <= set(_WAYS):
+            raise BadInput(f"{self.start!r}", where=f"{self.name} start", wanted="three letters of o, r and n")
         if not self.width_nT > 0:
             raise BadInput(f"{self.width_nT:g} nT", where=f"{self.name} width_nT", wanted="more than 0 nT")
         field = signal.R_track_BN.apply(signal.ambient_N_nT)
         field = field if signal.stray_B_nT is None else field + signal.stray_B_nT
         half = 0.5 * self.width_nT
         onward = np.sign(field[min(1, len(field) - 1)] - field[0])
-        behind = (play(field, half, field[0] - half * onward) - field) / half
+        came = onward * np.array([_WAYS[way] for way in self.start])
+        behind = (play(field, half, field[0] - half * came) - field) / half
         shift = in_reading(signal.setting, behind * theta)
         return signal.with_reading(signal.reading + shift)

@@ -50,19 +50,19 @@ from fluxtwin.sim import files
 
 ROOT = Path(__file__).resolve().parent.parent
 FROZEN = {
-    "nulls": 1000, "nulls_off": 100, "singles": 4 * len(PLAIN), "faint": len(PLAIN), "pairs": 40, "triples": 20,
-    "shapes": 2 * len(SHAPES), "outside": 3 * len(OUTSIDE),
+    "nulls": 1000, "nulls_off": 60, "singles": 3 * len(PLAIN), "faint": 20, "pairs": 30, "triples": 12, "shapes": 30,
+    "outside": 2 * len(OUTSIDE),
 }  # fmt: skip
 """Cases of a frozen run."""
-RIVAL = {"nulls": 60, "singles": 2 * len(PLAIN), "pairs": 20, "triples": 10}
+RIVAL = {"nulls": 40, "singles": 40, "pairs": 15, "triples": 6}
 """How many of them the rival is asked, the first ones."""
-LOOPS = {"singles": 2 * len(PLAIN)}
+LOOPS = {"singles": len(PLAIN)}
 """How many of them are put to the test on another day."""
 SECONDS = {
-    "nulls": 2.5, "nulls_off": 3.0, "singles": 6.0, "faint": 5.0, "pairs": 8.0, "triples": 10.0, "shapes": 6.0,
-    "outside": 9.0, "rival": 2.5, "loops": 8.0,
+    "nulls": 3.5, "nulls_off": 3.5, "singles": 6.5, "faint": 5.5, "pairs": 9.5, "triples": 12.0, "shapes": 6.0,
+    "outside": 10.0, "rival": 2.0, "loops": 10.0,
 }  # fmt: skip
-"""Usual CPU time of one answer on one core of 2026 (AMD EPYC, 2.6 GHz), to tell how long a run will take."""
+"""Mean CPU time of one answer on a busy core of 2026 (tuning rounds), to tell how long a run will take."""
 DOCS = ROOT / "docs"
 QUICK = {"tune": 1, "population": ["nulls", "singles"], "count": 1}
 

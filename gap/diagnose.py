@@ -246,6 +246,14 @@ def _shaped(problem: Problem, answer: _Answer, dictionary: Sequence[Block]) -> t
         if not isinstance(finding.instance, SignalEffect):
             return replace(trial, left=replace(trial.left, structured=False)), finding
         return trial, finding
+    if len(trials) == 1 and answer.result.named:
+        # Steps and drifts may carry most of a large walk, and leave it wandering still.
+        bare = _bare(problem, answer, dictionary)
+        alone = shape_of(
+            problem, bare.whitener, bare.noise, bare.result.residual_nT, bare.fitted_nT, bare.left, dictionary
+        )
+        if alone is not None and alone.effect == "bias_random_walk":
+            return replace(bare, left=replace(bare.left, structured=False)), alone
     return answer, None
 
 

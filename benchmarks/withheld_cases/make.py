@@ -10,6 +10,7 @@ from fluxtwin.sim.field_models import FieldModel, load_field
 from fluxtwin.sim.telemetry_io import write_telemetry
 from withheld_cases.cases import Case, answer, identity, make_case, question
 from withheld_cases.chain import fly, noise_free, twin
+from withheld_cases.draft import recording
 from withheld_cases.plainly import shares
 from withheld_cases.store import Store
 from withheld_cases.visible import signature_nT
@@ -35,7 +36,8 @@ def make(root: str, seed: int, population: str, number: int, chaos: str | None) 
     sealed = answer(case)
     if case.truths and population != "outside":
         if case.world.time.size <= _LONGEST_TWIN:
-            write_telemetry(twin(case.world, case.truths, clean), store.path("twin", name))
+            whole = recording(case.world, "v_N_km_s")  # without it nothing can be replayed
+            write_telemetry(twin(whole, case.truths, clean), store.path("twin", name))
         sealed["second"] = _second_day(store, case, seed) if population == "singles" else None
     if case.truths and population != "outside":
         sealed["plain_share"] = min(shares(case.world, case.truths, case.sizes, plain=population != "shapes"))

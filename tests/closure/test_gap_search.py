@@ -15,17 +15,21 @@ import pytest
 from fluxtwin.gap.candidates import in_order
 from fluxtwin.gap.detectable import noncentrality, visible_part
 from fluxtwin.gap.growth import Search, begin, price
+from fluxtwin.gap.interval import likeliest_interval
 from fluxtwin.gap.named import SearchResult
 from fluxtwin.gap.problem import Problem, pose
 from fluxtwin.gap.refit import settled
 from fluxtwin.gap.score import board
 from fluxtwin.gap.search import search
 from fluxtwin.gap.whitening import NoiseModel, Whitener, make_whitener
+from fluxtwin.sim import epoch
 from fluxtwin.sim.effects.base import SignalEffect
+from fluxtwin.sim.effects.bias_step import BiasStep
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.chain import Active, jacobian
 from fluxtwin.sim.effects.hysteresis import Hysteresis
 from fluxtwin.sim.effects.ring_current import RingCurrent
+from fluxtwin.sim.effects.switched_field import SwitchedField
 from fluxtwin.sim.field import load_field
 from fluxtwin.sim.scenario import parse_scenario
 from fluxtwin.sim.simulate import simulate
@@ -297,3 +301,23 @@ def test_many_faint_parameters_are_charged_for_what_they_show() -> None:
     assert (np.diff(drops - price(30, drops, 500.0)) >= -1e-9)[drops[:-1] > 30.0].all(), "more explained is never worse"
     # Thirty parameters that all show a little, against four that explain a quarter of it.
     assert 214.0 - price(30, 214.0, 1025.0) > 49.9 - price(4, 49.9, 1025.0)
+
+
+def test_a_field_that_was_on_for_one_stretch_is_found_and_a_step_is_none() -> None:
+    """No column tells when it was on; the edges are told to a sixty-fourth of the record."""
+    here = design("tumble")
+    time = here.problem.time
+    rows = (int(0.21 * time.size), int(0.47 * time.size))
+    begin_utc, end_utc = (epoch.iso(time[row], "ms") for row in rows)
+    flown = (SwitchedField("interval", begin_utc, end_utc), np.array([60.0, -40.0, 50.0]))
+    (entry,) = search(here.data([flown], seed=8), here.whitener).named
+    assert isinstance(entry.effect, SwitchedField) and entry.effect.condition == "interval"
+    assert entry.effect.from_utc is not None and entry.effect.to_utc is not None
+    off = [
+        abs((epoch.parse_time(told) - time[row]) / (time[-1] - time[0]))
+        for told, row in zip((entry.effect.from_utc, entry.effect.to_utc), rows, strict=True)
+    ]
+    assert max(off) < 1.5 / 64.0
+    step = here.data([(BiasStep(begin_utc), np.array([60.0, -40.0, 50.0]))], seed=9)
+    begun = begin(step, here.whitener)[0]
+    assert likeliest_interval(step, here.whitener, begun.base.residual, begun.base.jacobian) is None

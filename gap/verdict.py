@@ -49,7 +49,7 @@ def assemble(work: Work, provenance: Mapping[str, Any], *, without_attitude: int
     signals = [_weighed(_found(one, work.problem.setting), work.shrinkage) for one in named] if stands else []
     stochastic = [_flexible(one, work.problem.setting) for one in confirmed]
     effects = [*signals, *stochastic]
-    unexplained = bool(work.found.resembles) or (structured and not stands)
+    unexplained = bool(work.found.resembles) or (not stands and (structured or bool(named)))
     verdict = "unknown" if unexplained else "effect" if effects else "no_gap"
     beyond = _beyond_budget(work) if verdict == "no_gap" else None
     verdict = verdict if beyond is None else "unknown"
@@ -75,7 +75,7 @@ def assemble(work: Work, provenance: Mapping[str, Any], *, without_attitude: int
             "without_attitude": without_attitude,
         },
         provenance=dict(provenance),
-        sentence=_sentence(verdict, effects, where, gap, resembles, beyond or work.left.words),
+        sentence=_sentence(verdict, effects, where, gap, resembles, beyond or _left_words(work)),
         series=series if effects else replace(series, after_nT=series.before_nT),
         ranking=[Alone(line.name, line.drop, line.rank, line.p_value) for line in work.found.ranking],
         closure=_closure(work, named if stands else [], confirmed, _incomplete(verdict, stands and structured)),
@@ -93,7 +93,9 @@ def _overfitted(work: Work) -> bool:
     if not any(len(one.effect.parameters) > _MANY for one in work.found.named):
         return False
     gap = work.shrinkage
-    return gap.after_nT > _WILD * gap.before_nT if gap.interval is None else gap.interval[1] < CARRIED
+    if gap.interval is None:
+        return work.left.structured and gap.after_nT > _WILD * gap.before_nT
+    return gap.interval[1] < CARRIED
 
 
 def _weighed(found: FoundEffect, gap: Shrinkage) -> FoundEffect:
@@ -101,6 +103,13 @@ def _weighed(found: FoundEffect, gap: Shrinkage) -> FoundEffect:
     if gap.interval is None or gap.interval[1] >= CARRIED:
         return found
     return replace(found, probability=min(found.probability, _HELD_OUT))
+
+
+def _left_words(work: Work) -> str:
+    """What an answer without a name says of the data."""
+    if work.left.structured or work.found.resembles:
+        return work.left.words
+    return "what fits best does not hold on samples held out"
 
 
 def _incomplete(verdict: str, left: bool) -> str | None:

@@ -83,13 +83,13 @@ def judged(found: Diagnosis, channel: Channel, without: Sequence[str] = ()) -> D
     found = replace(found, provenance={**found.provenance, "sun_nadir": record, "sun_nadir_notes": notes})
     if named is None:
         return found
-    entry = _entry(weighed, named)
-    place = next((n for n, one in enumerate(found.effects) if _same(one, named)), None)
-    if place is not None:
-        return replace(
-            found, effects=[_confirmed(one, entry) if n == place else one for n, one in enumerate(found.effects)]
-        )
-    return _with_entry(found, weighed, named, entry)
+    effects = list(found.effects)
+    for fault in (named, *weighed.rivals):  # what the readings name already goes before what the angle likes best
+        for place, one in enumerate(effects):
+            if _same(one, fault):
+                effects[place] = _confirmed(one, _entry(weighed, fault))
+                return replace(found, effects=effects)
+    return _with_entry(found, weighed, named, _entry(weighed, named))
 
 
 def _notes(found: Diagnosis, weighed: SunNadir, without: Sequence[str]) -> list[str]:
@@ -149,7 +149,7 @@ def _with_entry(found: Diagnosis, weighed: SunNadir, named: Hypothesis, entry: F
     size, sigma = named.amount_deg
     shown = (
         f"{named.words} ({size:.2f} ± {sigma:.2f} deg, of what the angle can see): the measured angle between sun and "
-        f"nadir shows it, {weighed.rms_deg:.2f} deg rms of which {named.rms_left_deg:.2f} are left without it"
+        f"nadir shows it, {weighed.rms_deg:.2f} deg rms, and {named.rms_left_deg:.2f} deg once it is taken out"
     )
     if found.verdict == "no_gap":
         sentence = (

@@ -21,10 +21,10 @@ _MOST_ROWS = 9
 
 def gallery_page(answers: Sequence[Answer], seed: int) -> Page:
     """The page."""
-    right = sum(1 for answer in answers if answer.diagnosis.verdict == "effect")
+    right = sum(answer.right for answer in answers)
     return Page(
         title="HCMM: four faults, found from telemetry",
-        verdict=f"{right} of {len(answers)} faults that nobody told the ground are named from three days of passes.",
+        verdict=f"{right} of {len(answers)} faults that the ground was not told of are named from three days of passes.",
         sections=[_overview(answers), *(_section(answer) for answer in answers)],
         provenance={"seed": str(seed), "field of the diagnosis": GROUND},
         links={"Back to the report": "report.html"},
@@ -237,6 +237,7 @@ def gallery_summary(answers: Sequence[Answer]) -> list[dict[str, Any]]:
             "title": answer.case.title,
             "verdict": answer.diagnosis.verdict,
             "named": answer.name,
+            "right": answer.right,
             "where": _place(answer),
             "located": answer.located,
             "parameters": [
@@ -269,6 +270,10 @@ def real_passes_summary(real: RealPasses) -> dict[str, Any]:
             for one in real.questions
         ],
     }  # fmt: skip
+
+
+def _size(value: float) -> str:
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.2f}"
 
 
 def _p(value: float) -> str:

@@ -49,6 +49,8 @@ class Case:
 
     key: str
     title: str
+    cause: str
+    """The name of the catalogue that it has."""
     told: str
     """What flew, in words."""
     changes: Mapping[str, Any]
@@ -61,17 +63,30 @@ def cases(config: Scenario) -> tuple[Case, ...]:
     turn = list(config.sun_sensor["1"].misalignment_deg)
     field = {"condition": "night", "region_deg": list(REGION_DEG), "f_nT": list(FIELD_NT)}
     return (
-        Case("a", "Head 1 is turned", f"Sun-sensor head 1 sits {np.linalg.norm(turn):.1f} deg from where the ground "
-             "believes. It gives the attitude of the dawn passes over Orroral alone.",
-             {"sun_sensor.1.misalignment_deg": turn}),
-        Case("b", "A field at night over the eastern United States", "Something on board is switched on at night over "
-             "the eastern United States: a field of 4.7 mG, 4 mG of it along the field of the Earth there. No row of "
-             "the night has an attitude.", {"effects.switched_field": field}),
-        Case("c", "Torquer compensation is off", "The electronic compensation of the torquers is off, and a coil adds "
-             "up to 20 mG to the reading while it works. The commanded dipole is in the telemetry.",
-             {"torquers.compensation": 0.0, "torquers.telemetered": True}),
-        Case("d", "Only b is modelled", "Nothing is wrong on board, but the ground solves for the bias alone, as the "
-             "flight software of 1978 did: the misalignment and scale of the magnetometer are the gap.", {}, ("bias",)),
+        Case(
+            "a", "Head 1 is turned", "sun_sensor_head_misalignment",
+            f"Sun-sensor head 1 sits {np.linalg.norm(turn):.1f} deg from where the ground believes. It gives the attitude "
+            "of the dawn passes over Orroral alone.",
+            {"sun_sensor.1.misalignment_deg": turn},
+        ),
+        Case(
+            "b", "A field at night over the eastern United States", "switched_field",
+            "Something on board is switched on at night over the eastern United States: a field of 4.7 mG, 4 mG of it along "
+            "the field of the Earth there. No row of the night has an attitude.",
+            {"effects.switched_field": field},
+        ),
+        Case(
+            "c", "Torquer compensation is off", "torquer_coupling",
+            "The electronic compensation of the torquers is off, and a coil adds up to 20 mG to the reading while it works. "
+            "The commanded dipole is in the telemetry.",
+            {"torquers.compensation": 0.0, "torquers.telemetered": True},
+        ),
+        Case(
+            "d", "Only b is modelled", "scale_misalignment",
+            "Nothing is wrong on board, but the ground solves for the bias alone, as the flight software of 1978 did: the "
+            "misalignment and scale of the magnetometer are the gap.",
+            {}, ("bias",),
+        ),
     )  # fmt: skip
 
 
@@ -122,6 +137,12 @@ class Answer:
     """(N, 2) latitude and longitude of those rows."""
     known: BoolArray
     """(N,) rows with an attitude."""
+
+    @property
+    def right(self) -> bool:
+        """Whether the cause that flew is named, and nothing else."""
+        names = [effect.name for effect in self.diagnosis.effects]
+        return self.diagnosis.verdict == "effect" and names == [self.case.cause]
 
     @property
     def name(self) -> str | None:
@@ -190,7 +211,7 @@ def _end_of_record(config: Scenario) -> np.datetime64:
     first = config.schedule.segments[0]
     assert first.duration_min is not None
     seconds = 60.0 * first.duration_min + first.step_s
-    return np.datetime64(epoch.parse_time(first.start_utc) + np.timedelta64(round(1e9 * seconds), "ns"), "ns")
+    return epoch.parse_time(first.start_utc) + np.timedelta64(round(1e9 * seconds), "ns")
 
 
 def _budget(config: Scenario) -> Budget:

@@ -23,6 +23,8 @@ from fluxtwin.sim.telemetry import Telemetry
 
 SEEN = ("sun_sensor_head_misalignment", "horizon_scanner_bias")
 """Effects that the angle knows of."""
+_NAMED_P = 0.001
+"""Below it a fault that the readings do not show is named; above it is a note."""
 _FEWEST_PASSES = 4
 _MOST = 0.98
 """Probability that a fault which the angle shows is present, at most: a judgement; other faults may look alike."""
@@ -89,7 +91,7 @@ def judged(found: Diagnosis, channel: Channel, without: Sequence[str] = ()) -> D
             if _same(one, fault):
                 effects[place] = _confirmed(one, _entry(weighed, fault))
                 return replace(found, effects=effects)
-    return _with_entry(found, weighed, named, _entry(weighed, named))
+    return _with_entry(found, weighed, named, _entry(weighed, named)) if named.p_value < _NAMED_P else found
 
 
 def _notes(found: Diagnosis, weighed: SunNadir, without: Sequence[str]) -> list[str]:

@@ -124,8 +124,8 @@ class SunNadir:
         others = "".join(f", or {other.words}, which cannot be told from it" for other in self.rivals)
         return (
             f"sun and nadir disagree by {self.rms_deg:.2f} deg; {self.named.words} explains "
-            f"{100 * self.named.explained:.0f} % of its square (p = {self.named.p_value:.1g}){others}: the reference "
-            "attitude is at fault, not the magnetometer"
+            f"{100 * self.named.explained:.0f} % of its square (p = {self.named.p_value:.1g}){others}: an "
+            "attitude sensor is at fault, not the magnetometer"
         )
 
     def to_dict(self) -> dict[str, Any]:

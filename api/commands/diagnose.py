@@ -89,7 +89,8 @@ def command(
     for note in diagnosis.provenance.get("notes", ()):
         output.note(f"note: {telemetry}: {note}")
     if close is not None and scene is None:
-        output.note(f"note: no effect is named, so there is nothing to close: {close} is not written")
+        why = "what is named is not in the readings" if diagnosis.effects else "no effect is named"
+        output.note(f"note: {why}, so there is nothing to close: {close} is not written")
     output.say(diagnosis.sentence)
     for line in diagnosis_page.where_lines(diagnosis):
         output.say(line)

@@ -161,8 +161,8 @@ def real_passes_section(real: RealPasses) -> Section:
     raw, left = (real.question("station against station", corrected=c) for c in (False, True))
     record = plots.RealResiduals(
         real.stations, real.night, real.printed_mG, real.ratio,
-        (f"as printed: stations differ, p = {_p(raw.p_counted)}",
-         f"IGRF 1975's error out: p = {_p(left.p_counted)}"),
+        (f"as printed: stations differ, p {_is(raw.p_counted)}",
+         f"IGRF 1975's error out: p {_is(left.p_counted)}"),
     )  # fmt: skip
     caption = (
         "Left: printed residual of field strength. Right: the same over what the error of IGRF 1975 along the pass and "
@@ -184,22 +184,29 @@ def _words(real: RealPasses) -> list[str]:
     stations = "station against station"
     return [
         f"{real.overflight.max() + 1} overflights gave the 43 passes; {len(real.questions)} tests are made and counted.",
-        f"Night against day: a ratio of {q(day, False).ratio:.2f} (p = {_p(q(day, False).p_value)} by itself); one of "
+        f"Night against day: a ratio of {q(day, False).ratio:.2f} (p {_is(q(day, False).p_value)} by itself); one of "
         f"{q(day, False).detectable:.2f} would have been seen. Outside the eastern United States it is "
-        f"{q(rest, False).ratio:.2f} (p = {_p(q(rest, False).p_value)}), so nothing follows the night as such.",
-        f"Station against station: they differ (p = {_p(q(stations, False).p_counted)}, counted). It is "
+        f"{q(rest, False).ratio:.2f} (p {_is(q(rest, False).p_value)}), so nothing follows the night as such.",
+        f"Station against station: they differ (p {_is(q(stations, False).p_counted)}, counted). It is "
         f"{_strongest(real)}; nights over the eastern United States have {q(nights, False).ratio:.1f} times the residual "
-        f"of other nights (p = {_p(q(nights, False).p_counted)}, counted).",
-        f"The error of IGRF 1975 along the passes, known today, explains {100 * real.explained:.0f} % of the variance. "
-        f"Once it is out, no station differs from the others (p = {_p(q(stations, True).p_value)} by itself; at most a "
-        f"ratio of {q('ETC against the others', True).detectable:.2f} could hide at Greenbelt).",
-        f"What stays, over the eastern United States: nights have {q(within, True).ratio:.2f} times what is expected "
-        f"against days (p = {_p(q(within, True).p_value)}, {_p(q(within, True).p_counted)} counted), because days there "
-        f"have {q(days, True).ratio:.2f} times that of other days (p = {_p(q(days, True).p_counted)}, counted) and "
-        f"nights {q(nights, True).ratio:.2f} times that of other nights (p = {_p(q(nights, True).p_counted)}, counted). "
-        "A calibration made with the sunlit passes, which took part of the model's error there for its own, does this; a "
-        "field on board at night over the region could too, and 43 residuals without a direction cannot tell which.",
+        f"of other nights (p {_is(q(nights, False).p_counted)}, counted).",
+        f"The error of IGRF 1975 along the passes, known today, explains {100 * real.explained:.0f} % of the variance of "
+        "the logarithm. "
+        f"Once it is out, no station differs from the others (p {_is(q(stations, True).p_value)} by itself; at "
+        f"Greenbelt a ratio of {q('ETC against the others', True).detectable:.2f} would have been seen).",
+        f"What stays: over the eastern United States nights have {q(within, True).ratio:.2f} times the residual of days "
+        f"for the same error of the model ({_both(q(within, True))}); nights there have {q(nights, True).ratio:.2f} times "
+        f"that of other nights ({_both(q(nights, True))}), days there {q(days, True).ratio:.2f} times that of other days "
+        f"({_both(q(days, True))}). A calibration made with the sunlit passes, which took part of the model's error "
+        "there for its own, does this; a field on board at night over the region could too, and 43 residuals without a "
+        "direction cannot tell which.",
     ]
+
+
+def _both(one: Question) -> str:
+    """Both p-values, and what they are worth."""
+    worth = "certain" if one.certain else "a hint" if one.p_value < 0.05 else "nothing"
+    return f"p {_is(one.p_value)} by itself, {_p(one.p_counted)} counted: {worth}"
 
 
 def _strongest(real: RealPasses) -> str:
@@ -208,7 +215,7 @@ def _strongest(real: RealPasses) -> str:
     name = best.name.split()[0]
     others = sum(one.certain for one in single) - int(best.certain)
     words = "alone stands out" if best.certain and not others else "stands out most"
-    return f"{name} that {words} ({best.ratio:.2f} times the others, p = {_p(best.p_counted)}, counted)"
+    return f"{name} that {words} ({best.ratio:.2f} times the others, p {_is(best.p_counted)}, counted)"
 
 
 def real_passes_table(real: RealPasses) -> Table:
@@ -276,5 +283,12 @@ def _size(value: float) -> str:
     return f"{value:.0f}" if value >= 100.0 else f"{value:.2f}"
 
 
+def _is(value: float) -> str:
+    text = _p(value)
+    return text if text.startswith("<") else f"= {text}"
+
+
 def _p(value: float) -> str:
+    if value < 0.0001:
+        return "< 0.0001"
     return f"{value:.4f}" if value < 0.01 else f"{value:.2f}"

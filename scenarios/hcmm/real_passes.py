@@ -2,8 +2,9 @@
 
 No simulation. The residual of field strength of each pass, in its logarithm, is compared between groups of passes by
 permutation. Two stations that see one overflight hear the same satellite at the same time, so overflights are what is
-permuted, not passes. Then the same is asked of what is left once the error of IGRF 1975 along each pass, which is known
-today, is out (the residuals of that regression are permuted: Freedman & Lane 1983). All tests are counted (Holm 1979).
+permuted, not passes, and only those that a question compares. Then the same is asked of what is left once the error of
+IGRF 1975 along each pass, which is known today, is out (the residuals of that regression are permuted: Freedman & Lane
+1983). All tests are counted (Holm 1979).
 """
 
 from __future__ import annotations
@@ -74,8 +75,8 @@ class RealPasses:
         raise KeyError(name)
 
 
-def ask(passes: Sequence[Pass], evidence: FieldEvidence, seed: int) -> RealPasses:
-    """All questions."""
+def ask(passes: Sequence[Pass], evidence: FieldEvidence, seed: int, orders: int = ORDERS) -> RealPasses:
+    """All questions. orders: number of permutations."""
     stations = tuple(p.station for p in passes)
     night = evidence.night > 0.5
     overflight = _overflights(passes)
@@ -83,11 +84,13 @@ def ask(passes: Sequence[Pass], evidence: FieldEvidence, seed: int) -> RealPasse
     expected = np.log(evidence.with_lsb_mG)
     slope, intercept = np.polyfit(expected, log_mG, 1)
     left = log_mG - slope * expected - intercept
-    orders = _orders(overflight, stream(seed, "hcmm.real_passes"))
+    rng = stream(seed, "hcmm.real_passes")
     raw = []
     for corrected, y in ((False, log_mG), (True, left)):
-        raw += [(name, corrected, *_answer(y, groups, orders)) for name, groups in _groups(stations, night)]
-        raw.append(("station against station", corrected, *_stations(y, stations, orders)))
+        raw += [
+            (name, corrected, *_answer(y, groups, overflight, rng, orders)) for name, groups in _groups(stations, night)
+        ]
+        raw.append(("station against station", corrected, *_stations(y, stations, _orders(overflight, rng, orders))))
     counted = _holm(np.array([item[4] for item in raw]))
     questions = tuple(
         Question(name, corrected, counts, ratio, p, float(p_counted), detectable)
@@ -114,10 +117,16 @@ def _groups(stations: Sequence[str], night: BoolArray) -> list[tuple[str, tuple[
 
 
 def _answer(
-    y: FloatArray, groups: tuple[BoolArray, BoolArray], orders: np.ndarray
+    y: FloatArray,
+    groups: tuple[BoolArray, BoolArray],
+    overflight: np.ndarray,
+    rng: np.random.Generator,
+    count: int,
 ) -> tuple[tuple[int, int], float, float, float]:
     """Numbers, ratio, p-value, and the detectable ratio."""
-    one, other = groups
+    inside = groups[0] | groups[1]
+    one, other, y = groups[0][inside], groups[1][inside], y[inside]
+    orders = _orders(overflight[inside], rng, count)
     weights = one / one.sum() - other / other.sum()
     observed = float(weights @ y)
     chance = y[orders] @ weights
@@ -150,13 +159,13 @@ def _overflights(passes: Sequence[Pass]) -> np.ndarray:
     return np.concatenate([[0], np.cumsum(np.diff(seconds) > _SAME_OVERFLIGHT_S)])
 
 
-def _orders(overflight: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(ORDERS, P) rows in random order; overflights of as many passes change places as a whole."""
+def _orders(overflight: np.ndarray, rng: np.random.Generator, count: int) -> np.ndarray:
+    """(count, P) rows in random order; overflights of as many passes change places as a whole."""
     members = [np.flatnonzero(overflight == n) for n in np.unique(overflight)]
-    orders = np.tile(np.arange(overflight.size), (ORDERS, 1))
+    orders = np.tile(np.arange(overflight.size), (count, 1))
     for size in {len(rows) for rows in members}:
         blocks = np.array([rows for rows in members if len(rows) == size])
-        shuffled = rng.permuted(np.tile(np.arange(len(blocks)), (ORDERS, 1)), axis=1)
+        shuffled = rng.permuted(np.tile(np.arange(len(blocks)), (count, 1)), axis=1)
         for place, rows in enumerate(blocks):
             orders[:, rows] = blocks[shuffled[:, place]]
     return orders

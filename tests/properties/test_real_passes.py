@@ -39,7 +39,9 @@ def drawn(evidence, rng, night_ratio=1.0):
 def test_residuals_without_a_difference_rarely_show_one(passes, evidence):
     """Of 40 draws with 26 counted tests each at 5 %, seven alarms or more have a chance of 0.3 %."""
     rng = np.random.default_rng(5)
-    alarms = [any(q.certain for q in ask(passes, drawn(evidence, rng), n).questions if q.corrected) for n in range(40)]
+    alarms = [
+        any(q.certain for q in ask(passes, drawn(evidence, rng), n, 2000).questions if q.corrected) for n in range(40)
+    ]
     assert sum(alarms) < 7
 
 

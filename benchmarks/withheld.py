@@ -85,11 +85,11 @@ def _run(given: argparse.Namespace) -> int:
     sha, dirty = ("", True) if given.tune is not None or given.score else store.commit_of(ROOT)
     if given.tune is None and not given.score and dirty:
         raise SystemExit("the tree differs from the commit: commit first, or tune with --tune SEED")
-    seed = int(sha[:12], 16) if given.tune is None else given.tune
     out = given.out or Path(f"withheld-{'tune' if given.tune is not None else sha[:12]}-results")
     here = store.Store(out)
     if given.score:
         return _score(here, _identities(here), docs=given.docs)
+    seed = int(sha[:12], 16) if given.tune is None else given.tune
     plan = _plan(given.population, given.count)
     names = [identity(seed, *one) for one in plan]
     try:

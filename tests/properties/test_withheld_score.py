@@ -146,3 +146,31 @@ def test_the_tree_is_dirty_when_anything_but_the_log_changed(tmp_path: Path) -> 
     assert not store.commit_of(tmp_path)[1]
     (tmp_path / "code.py").write_text("2\n", encoding="utf-8")
     assert store.commit_of(tmp_path)[1]
+
+
+def test_a_run_is_scored_again_without_a_seed_and_makes_its_page(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    here = store.Store(tmp_path / "run").prepared()
+    here.agree({"seed": 5, "commit": None, "chaos": None})
+    one = case([truth("ring_current", 0.9)], [entry("ring_current")])
+    here.write("sealed", "a", one.sealed)
+    here.write("said", "a", one.said)
+    monkeypatch.setattr(withheld, "DOCS", tmp_path / "docs")
+    monkeypatch.setattr(sys, "argv", ["withheld.py", "--out", str(here.root), "--score", "--docs"])
+    assert withheld.main() == 0
+    assert "| single, with a Jacobian" in capsys.readouterr().out
+    page = (tmp_path / "docs" / "withheld.md").read_text(encoding="utf-8")
+    assert "seed 5" in page and "images/withheld_confusion.png" in page
+    assert (tmp_path / "docs" / "images" / "withheld_confusion.png").stat().st_size > 1000
+
+
+def test_a_run_that_was_stopped_before_its_first_case_leaves_nothing(tmp_path: Path) -> None:
+    here = store.Store(tmp_path / "run").prepared()
+    here.agree({"seed": 5})
+    here.tidy()
+    assert not here.root.exists()
+    kept = store.Store(tmp_path / "other").prepared()
+    kept.write("sealed", "a", {})
+    kept.tidy()
+    assert [path.name for path in kept.root.iterdir()] == ["sealed"]

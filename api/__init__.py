@@ -10,6 +10,7 @@ The verbs, each imported when it is first used:
 
     scenario = fluxtwin.load_scenario("mine.toml")
     telemetry, truth = fluxtwin.simulate(scenario)
+    many = fluxtwin.ensemble(scenario, 1000, "results")   # with drawn parameters, on all cores
 
     fluxtwin.field("2020-01-01", 45.0, 3.0, 400.0)   # the field at a geodetic point
     fluxtwin.run_study("seasat")                     # a whole study, as the command line runs it
@@ -28,6 +29,7 @@ if __name__ == "api":
 if TYPE_CHECKING:
     from fluxtwin.calib.records import Calibration as Calibration
     from fluxtwin.diagnosing import diagnose as diagnose
+    from fluxtwin.sim.ensemble.run import fly_ensemble
     from fluxtwin.sim.errors import BadInput as BadInput
     from fluxtwin.sim.errors import FluxtwinError as FluxtwinError
     from fluxtwin.sim.errors import NoAnswer as NoAnswer
@@ -45,6 +47,7 @@ if TYPE_CHECKING:
 
     read = read_telemetry
     write = write_telemetry
+    ensemble = fly_ensemble
 
 __version__ = "0.1.0"
 
@@ -59,6 +62,7 @@ _HOMES = {
     "load_field": "fluxtwin.sim.field_models:load_field",
     "load_scenario": "fluxtwin.sim.scenario:load_scenario",
     "simulate": "fluxtwin.sim.simulate:simulate",
+    "ensemble": "fluxtwin.sim.ensemble.run:fly_ensemble",
     "run_study": "fluxtwin.studies:run_study",
     "Telemetry": "fluxtwin.sim.telemetry:Telemetry",
     "Calibration": "fluxtwin.calib.records:Calibration",

@@ -17,7 +17,7 @@ from typing import Annotated
 import typer
 
 import fluxtwin
-from fluxtwin.commands import apply, calibrate, check, diagnose, effects, field, passes, run, simulate, yaw
+from fluxtwin.commands import apply, calibrate, check, diagnose, effects, ensemble, field, passes, run, simulate, yaw
 from fluxtwin.console import clean
 from fluxtwin.sim.errors import FluxtwinError
 
@@ -49,7 +49,7 @@ def fluxtwin_command(
     """The digital twin of a spacecraft's attitude and magnetometer: simulate, calibrate, find the gap."""
 
 
-for _module in (run, simulate, check, calibrate, apply, yaw, diagnose, effects, passes, field):
+for _module in (run, simulate, ensemble, check, calibrate, apply, yaw, diagnose, effects, passes, field):
     app.command(_module.NAME, short_help=_module.BRIEF)(_module.command)
 
 

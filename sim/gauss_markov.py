@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import accumulate
-
 import numpy as np
 
 from fluxtwin.sim import epoch as clock
@@ -23,17 +21,15 @@ def gauss_markov(
     scale = np.broadcast_to(np.asarray(sigma, dtype=np.float64), (columns,))
     if not (scale >= 0).all() or not tau_s >= 0:
         raise BadInput(f"sigma {sigma}, time constant {tau_s} s", where="correlated noise", wanted="both >= 0")
+    from fluxtwin.sim.gauss_markov_kernel import follow
+
     stamps = clock.as_times(time)
     white = rng.standard_normal((stamps.size, columns))
     if tau_s == 0.0:
         return white * scale
     exponent = np.diff(clock.seconds_since(stamps, stamps[0])) / tau_s
     driven = white[1:] * np.sqrt(-np.expm1(-2.0 * exponent))[:, None]
-    steps = np.exp(-exponent).tolist()
     noise = np.empty_like(white)
-    for column in range(columns):
-        pairs = zip(steps, driven[:, column].tolist(), strict=True)
-        noise[:, column] = list(
-            accumulate(pairs, lambda x, pair: pair[0] * x + pair[1], initial=float(white[0, column]))
-        )
+    noise[0] = white[0]
+    follow(np.exp(-exponent), driven, noise)
     return noise * scale

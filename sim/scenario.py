@@ -9,8 +9,9 @@ from typing import Any, Self
 import tomli_w
 from pydantic import Field, PrivateAttr, model_validator
 
-from fluxtwin.sim import files
+from fluxtwin.sim import files, scenario_draws
 from fluxtwin.sim import scenario_config as sections
+from fluxtwin.sim.scenario_draws import DrawSection
 from fluxtwin.sim.scenario_dynamics_config import ControlSection, DynamicsSection, TorquesSection
 from fluxtwin.sim.scenario_effects import EffectsSection
 from fluxtwin.sim.toml_input import parse_tree, read_tree, validate
@@ -41,6 +42,7 @@ class Scenario(sections.Section):
     control: ControlSection | None = None
     effects: EffectsSection = EffectsSection()
     closure: sections.ClosureSection | None = None
+    draws: dict[str, DrawSection] = {}
 
     _folder: Path = PrivateAttr(default=Path("."))
 
@@ -68,6 +70,9 @@ class Scenario(sections.Section):
         if self.attitude.mode in ("tumble", "spin", "dynamics") and self.spacecraft.inertia_kg_m2 is None:
             raise ValueError(f"attitude mode {self.attitude.mode} wants inertia_kg_m2 in [spacecraft]")
         self._dynamic()
+        wrong = scenario_draws.faults(self.draws, self.model_dump()) if self.draws else []
+        if wrong:
+            raise ValueError("; ".join(wrong))
         return self
 
     def _dynamic(self) -> None:
@@ -124,9 +129,11 @@ def load_scenario(path: Path | str) -> Scenario:
     return scenario
 
 
-def parse_scenario(text: str, *, where: str = "scenario") -> Scenario:
-    """As `load_scenario`, from text."""
-    return validate(parse_tree(text, where=where), Scenario, where=where)
+def parse_scenario(text: str, *, where: str = "scenario", folder: Path | str = ".") -> Scenario:
+    """As `load_scenario`, from text; files that it names lie in `folder`."""
+    scenario = validate(parse_tree(text, where=where), Scenario, where=where)
+    scenario._folder = Path(folder)
+    return scenario
 
 
 def save_scenario(scenario: Scenario, path: Path | str) -> Path:

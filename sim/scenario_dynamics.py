@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim import epoch, frames
 from fluxtwin.sim.attitude import Attitude, ephemeris_rate_O_rad_s
-from fluxtwin.sim.dynamics.environment import environment_along
+from fluxtwin.sim.dynamics.environment import Environment, environment_along
 from fluxtwin.sim.dynamics.flight import Flight, Start, fly
 from fluxtwin.sim.dynamics.vehicle import Compass, Target, Vehicle, Wheel
 from fluxtwin.sim.errors import BadInput
@@ -31,6 +31,7 @@ from fluxtwin.sim.world import ephemeris
 _BEYOND_S = 120.0
 """Flown after the last sample of a segment, for readings that are taken late."""
 _KEPT = 4
+_KEPT_NODES = 500_000
 _MOST_ROWS = 5_000_000
 
 
@@ -172,15 +173,7 @@ def _flight(scenario: Scenario, number: int, segment: SegmentSection) -> Flight:
     begin = epoch.add_seconds(epoch.parse_time(segment.start_utc), -60.0 * section.settle_min)[0]
     length_s = 60.0 * section.settle_min + (segment.count - 1) * segment.step_s + _BEYOND_S
     length_s = np.ceil(length_s / (record * step_s)) * record * step_s
-    environment = environment_along(
-        lambda time: ephemeris(scenario, time),
-        begin,
-        length_s,
-        spacing_s=spacing_s,
-        field=load_field(scenario.field.truth, degree=scenario.field.truth_degree),
-        with_sun=any(torque.needs_sun for torque in _acting(scenario)),
-        with_air=any(torque.needs_air for torque in _acting(scenario)),
-    )
+    environment = _surroundings(scenario, begin, float(length_s), spacing_s)
     if length_s / (record * step_s) > _MOST_ROWS:
         raise BadInput(
             f"{length_s / (record * step_s):.3g} states to record in segment {number + 1}",
@@ -202,6 +195,30 @@ def _flight(scenario: Scenario, number: int, segment: SegmentSection) -> Flight:
     )
     _check_step(flight, step_s)
     return flight
+
+
+_around: OrderedDict[str, Environment] = OrderedDict()
+
+
+def _surroundings(scenario: Scenario, begin: np.datetime64, length_s: float, spacing_s: float) -> Environment:
+    """What lies along the orbit. The last ones are kept: many vehicles fly through the same."""
+    with_sun = any(torque.needs_sun for torque in _acting(scenario))
+    with_air = any(torque.needs_air for torque in _acting(scenario))
+    key = repr((scenario.orbit, scenario.path_of("."), scenario.field, begin, length_s, spacing_s, with_sun, with_air))
+    if key not in _around:
+        _around[key] = environment_along(
+            lambda time: ephemeris(scenario, time),
+            begin,
+            length_s,
+            spacing_s=spacing_s,
+            field=load_field(scenario.field.truth, degree=scenario.field.truth_degree),
+            with_sun=with_sun,
+            with_air=with_air,
+        )
+        while len(_around) > 1 and sum(len(around.nodes) for around in _around.values()) > _KEPT_NODES:
+            _around.popitem(last=False)
+    _around.move_to_end(key)
+    return _around[key]
 
 
 def _check_step(flight: Flight, step_s: float) -> None:

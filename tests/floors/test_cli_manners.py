@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import typer
 
-COMMANDS = ("run", "simulate", "check", "calibrate", "apply", "yaw", "diagnose", "effects", "field")
+COMMANDS = ("run", "simulate", "ensemble", "check", "calibrate", "apply", "yaw", "diagnose", "effects", "field")
 HEAVY = (
     "numpy",
     "scipy",

@@ -1,0 +1,131 @@
+"""`fluxtwin ensemble`: thousands of vehicles of a scenario with drawn parameters."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fluxtwin.commands.options import JsonOption
+from fluxtwin.console import Output
+
+if TYPE_CHECKING:
+    from fluxtwin.sim.ensemble.run import Ensemble
+
+NAME = "ensemble"
+BRIEF = "Thousands of vehicles with drawn parameters, on all cores."
+
+_SHOWN = ("mean", "std", "p5", "p50", "p95", "p99", "max", "vehicle_of_max")
+
+
+def command(
+    scenario: Annotated[
+        Path, typer.Argument(metavar="SCENARIO.toml", help="A scenario; its [draws] say what differs.")
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FOLDER", help="Folder of the results; with --extract, the FILE to write.")
+    ],
+    vehicles: Annotated[int | None, typer.Option("--vehicles", metavar="N", help="How many vehicles.")] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option("--seed", metavar="S", help="Seed of all that is random; the scenario's where not given."),
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option("--jobs", metavar="J", help="Processes; all cores where not given."),
+    ] = None,
+    chunk: Annotated[
+        int | None, typer.Option("--chunk", metavar="V", help="Vehicles held in memory and written at a time.")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with what lies in the folder.")] = False,
+    extract: Annotated[
+        int | None,
+        typer.Option("--extract", metavar="K", help="Fly nothing: write the scenario of vehicle K (from 0)."),
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Fly N vehicles of a scenario, each with its own drawn parameters, and sum up their pointing, rates and torquers.
+
+    Results do not depend on the number of processes or on interruptions. Memory holds one chunk a process.
+    """
+    output = Output(json)
+    if extract is not None:
+        _extract(output, scenario, out, seed, extract)
+        return
+    from fluxtwin.sim.errors import BadInput
+
+    if vehicles is None:
+        raise BadInput("how many vehicles?", where="--vehicles", wanted="a number, as --vehicles 1000")
+    try:
+        with output.progress(f"reading {scenario}") as progress:
+            from fluxtwin.sim.ensemble.run import fly_ensemble
+
+            flown = fly_ensemble(
+                scenario, vehicles, out, seed=seed, jobs=jobs, in_chunk=chunk, resume=resume, progress=progress
+            )
+            drawing = _draw(flown)
+    except KeyboardInterrupt:
+        _say_how_to_go_on(output, out, ["ensemble", scenario, "--vehicles", vehicles, "--out", out], seed)
+        raise
+    _show(output, flown, drawing)
+
+
+def _say_how_to_go_on(output: Output, out: Path, words: list[Any], seed: int | None) -> None:
+    from fluxtwin.sim.ensemble.run import whole_chunks
+
+    words += [] if seed is None else ["--seed", seed]
+    again = shlex.join(["fluxtwin", *map(str, words), "--resume"])
+    output.note(f"{whole_chunks(out)} whole chunks are kept in {out}; go on with: {again}")
+
+
+def _extract(output: Output, scenario: Path, out: Path, seed: int | None, vehicle: int) -> None:
+    from fluxtwin.sim.ensemble.draws import vehicle_scenario
+    from fluxtwin.sim.errors import BadInput
+    from fluxtwin.sim.scenario import load_scenario, save_scenario
+
+    if vehicle < 0:
+        raise BadInput(f"{vehicle}", where="--extract", wanted="the number of a vehicle, from 0")
+    plan = load_scenario(scenario)
+    drawn = vehicle_scenario(plan, plan.seed if seed is None else seed, vehicle)
+    if plan.orbit is not None and plan.orbit.tle is not None:  # as seen from where the copy is going to lie
+        drawn = drawn.updated({"orbit.tle": os.path.relpath(plan.path_of(plan.orbit.tle), out.parent)})
+    save_scenario(drawn, out)
+    output.say(f"vehicle {vehicle} of {plan.name}, seed {drawn.seed}")
+    output.say(f"  {out}")
+    output.result({"name": plan.name, "vehicle": vehicle, "seed": drawn.seed, "written": [str(out)]})
+
+
+def _draw(flown: Ensemble) -> Path | None:
+    """The picture of the envelope, where there is a pointing."""
+    around = flown.envelope
+    if around is None or around.time.size < 2:
+        return None
+    from fluxtwin.plots.ensemble import pointing_envelope
+    from fluxtwin.sim import epoch, files
+
+    figure = pointing_envelope(
+        epoch.seconds_since(around.time, around.time[0]) / 3600.0,
+        around.p5_deg, around.median_deg, around.p95_deg, around.max_deg,
+        title=flown.plan.scenario.name, vehicles=flown.plan.vehicles - flown.summary["lost"],
+    )  # fmt: skip
+    return files.write_with(flown.folder / "envelope.png", lambda path: figure.savefig(path, dpi=150))
+
+
+def _show(output: Output, flown: Ensemble, drawing: Path | None) -> None:
+    found = flown.summary
+    rows = [[name, *(spread[key] for key in _SHOWN)] for name, spread in found["figures"].items()]
+    columns = ("figure of a vehicle", "mean", "std", "5 %", "50 %", "95 %", "99 %", "max", "of vehicle")
+    output.table(f"{found['vehicles']} vehicles of {found['name']}, seed {found['seed']}", columns, rows)
+    for one in found["why_lost"][:3]:
+        output.say(f"lost: vehicle {one['vehicle']}: {one['reason']}")
+    if found["lost"]:
+        output.say(f"{found['lost']} of {found['vehicles']} vehicles were lost; the figures are of the others")
+    output.say(f"{found['samples']} samples a vehicle, {found['span'][0]} to {found['span'][1]}")
+    names = ["summary.json", "vehicles.csv", f"chunk-*.nc ({found['chunks']})"]
+    if flown.envelope is not None:
+        names += ["envelope.csv"] + ([] if drawing is None else [drawing.name])
+    output.say(f"  {flown.folder}: {', '.join(names)}")
+    output.result(found)

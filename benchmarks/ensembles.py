@@ -1,0 +1,235 @@
+"""Ensembles: does the time grow as the number of vehicles, how soon is a second start up, and where does the time go?
+
+    python benchmarks/ensembles.py [--vehicles N ...] [--jobs J] [--quick] [--json FILE|-]
+
+Flies docs/examples/ensemble.toml (a momentum-bias satellite, degree-13 field, control and sensors each second, 24,000
+steps a vehicle, kept each 10 s) by `fly_ensemble`, in files as a user has them: with one process and with one a core.
+Then 16 vehicles on one orbit, and 16 on an orbit each, with the time of every part by itself.
+"""
+
+# ruff: noqa: E402  (the thread counts must be set before numpy is loaded)
+from __future__ import annotations
+
+import os
+
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ[_variable] = "1"  # before numpy is loaded
+
+import argparse
+import functools
+import importlib.metadata
+import platform
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from fluxtwin.sim import files, scenario_dynamics
+from fluxtwin.sim.ensemble import chunk, plan, summary
+from fluxtwin.sim.ensemble.run import fly_ensemble
+from fluxtwin.sim.scenario import Scenario, load_scenario
+
+EXAMPLE = Path(__file__).resolve().parents[1] / "docs" / "examples" / "ensemble.toml"
+QUICK_MIN = 30.0
+PARTS: list[tuple[Any, str, str]] = [
+    (plan, "vehicle_scenario", "drawing and checking"),
+    (chunk, "around", "orbit and field"),
+    (scenario_dynamics, "_surroundings", "orbit and field"),
+    (scenario_dynamics, "_knowledge", "errors that the law is told"),
+    (scenario_dynamics, "fly", "torques, control, integration"),
+    (chunk, "simulate", "attitude at the samples, sensors"),
+    (chunk, "series", "figures of a vehicle"),
+    (chunk, "figures", "figures of a vehicle"),
+    (chunk, "write_chunk", "writing chunks"),
+    (summary, "summarise", "tables"),
+    (summary, "envelope", "tables"),
+    (summary, "write_index", "tables"),
+]
+"""Where a function is called from, its name, and the part it belongs to; a part's time leaves out those within it."""
+
+
+class Clock:
+    """Time by part, each without the parts that run inside it."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {part: 0.0 for _, _, part in PARTS}
+        self.inner = [0.0]
+
+    def timed(self, function: Callable[..., Any], part: str) -> Callable[..., Any]:
+        """The function, its own time added to the part."""
+
+        @functools.wraps(function)
+        def call(*arguments: Any, **options: Any) -> Any:
+            self.inner.append(0.0)
+            began = time.perf_counter()
+            try:
+                return function(*arguments, **options)
+            finally:
+                took = time.perf_counter() - began
+                self.seconds[part] += took - self.inner.pop()
+                self.inner[-1] += took
+
+        return call
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """Time all parts."""
+        kept = [(module, name, getattr(module, name)) for module, name, _ in PARTS]
+        try:
+            for module, name, part in PARTS:
+                setattr(module, name, self.timed(getattr(module, name), part))
+            yield
+        finally:
+            for module, name, function in kept:
+                setattr(module, name, function)
+
+
+def example(quick: bool) -> Scenario:
+    """The scenario of the documents; shorter to see that it runs."""
+    scenario = load_scenario(EXAMPLE)
+    assert scenario.schedule is not None
+    if not quick:
+        return scenario
+    first = scenario.schedule.segments[0].model_dump(exclude_none=True) | {"duration_min": QUICK_MIN}
+    return scenario.updated({"schedule.segments": (first,)})
+
+
+def seconds_of(scenario: Scenario, vehicles: int, jobs: int) -> float:
+    """Seconds for so many vehicles, files and tables included; nothing is remembered of flights before."""
+    scenario_dynamics._made.clear()
+    scenario_dynamics._around.clear()
+    with tempfile.TemporaryDirectory() as folder:
+        began = time.perf_counter()
+        fly_ensemble(scenario, vehicles, Path(folder) / "results", jobs=jobs)
+        return time.perf_counter() - began
+
+
+def growth(scenario: Scenario, counts: list[int], cores: int) -> list[dict[str, float]]:
+    """Seconds for each number of vehicles, on one core and on all."""
+    rows = []
+    for count in counts:
+        one = seconds_of(scenario, count, 1)
+        row = {"vehicles": count, "one_core_s": one, "vehicles_per_s_one_core": count / one}
+        if cores > 1:
+            every = seconds_of(scenario, count, cores)
+            row |= {"all_cores_s": every, "vehicles_per_s_all_cores": count / every}
+        rows.append(row)
+    return rows
+
+
+def shares(scenario: Scenario, vehicles: int) -> dict[str, float]:
+    """Milliseconds a vehicle of every part, on one core; what torques cost is told by flying without them."""
+    clock = Clock()
+    with clock.running():
+        total = seconds_of(scenario, vehicles, 1)
+    parts = {part: 1e3 * seconds / vehicles for part, seconds in clock.seconds.items()}
+    parts["the rest"] = 1e3 * (total - sum(clock.seconds.values())) / vehicles
+    bare_clock = Clock()
+    bare = {key: draw.model_dump(exclude_none=True) for key, draw in scenario.draws.items() if "torques." not in key}
+    with bare_clock.running():
+        seconds_of(scenario.updated({"torques": None, "draws": bare}), vehicles, 1)
+    without = 1e3 * bare_clock.seconds["torques, control, integration"] / vehicles
+    return parts | {"of it gravity gradient and residual dipole": parts["torques, control, integration"] - without}
+
+
+def second_start(scenario: Scenario, repeats: int) -> dict[str, float]:
+    """Seconds in a fresh interpreter with compiled code from the cache: imports, the first vehicle, one more."""
+    code = (
+        "import sys, time; t = [time.perf_counter()]\n"
+        "from fluxtwin.sim.ensemble import chunk, plan, run\n"
+        "from fluxtwin.sim.scenario import parse_scenario\n"
+        "t.append(time.perf_counter())\n"
+        "flyer = chunk.Flyer(plan.Plan(parse_scenario(sys.stdin.read()), 1, 2, 1))\n"
+        "for number in (0, 1): flyer.chunk(number); t.append(time.perf_counter())\n"
+        "print(*(b - a for a, b in zip(t, t[1:])))"
+    )
+    took = []
+    for _ in range(repeats):
+        done = subprocess.run(
+            [sys.executable, "-c", code], input=scenario.to_toml(), capture_output=True, text=True, check=True
+        )
+        took.append([float(word) for word in done.stdout.split()])
+    imports, first, another = (statistics.median(column) for column in zip(*took, strict=True))
+    return {"imports_s": imports, "first_vehicle_s": first, "another_vehicle_s": another}
+
+
+def report(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Run everything; the record that `--json` writes."""
+    scenario = example(arguments.quick)
+    seconds_of(scenario, 1, 1)  # compiles, or reads the cache
+    section = plan.make_plan(scenario, 1).scenario.schedule
+    assert section is not None
+    own_orbit = scenario.updated(
+        {"draws": {key: draw.model_dump(exclude_none=True) for key, draw in scenario.draws.items()}
+                  | {"orbit.raan_deg": {"uniform": (0.0, 360.0)}}}
+    )  # fmt: skip
+    rows = growth(scenario, arguments.vehicles, arguments.jobs)
+    record: dict[str, Any] = {
+        "benchmark": "ensembles",
+        "steps_a_vehicle": int((section.segments[0].count - 1) * section.segments[0].step_s),
+        "cores": arguments.jobs,
+        "machine": f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}",
+        "versions": {name: importlib.metadata.version(name) for name in ("fluxtwin", "numpy", "numba")},
+        "growth": rows,
+        "second_start": second_start(scenario, 1 if arguments.quick else 5),
+        "ms_a_vehicle": {
+            "one orbit for all": shares(scenario, arguments.share_of),
+            "an orbit each": shares(own_orbit, arguments.share_of),
+        },
+    }
+    if len(rows) > 1:
+        before, last = rows[-2], rows[-1]
+        record["time_per_vehicle_over_that_of_fewer"] = (
+            before["vehicles_per_s_one_core"] / last["vehicles_per_s_one_core"]
+        )
+    return record
+
+
+def show(record: dict[str, Any]) -> None:
+    """The record on the terminal."""
+    print(f"{record['steps_a_vehicle']} steps a vehicle, {record['cores']} processes where all cores are used")
+    for row in record["growth"]:
+        line = f"{row['vehicles']:6.0f} vehicles: {row['one_core_s']:.2f} s on one core"
+        line += f" ({row['vehicles_per_s_one_core']:.1f} a second)"
+        if "all_cores_s" in row:
+            line += f", {row['all_cores_s']:.2f} s on all ({row['vehicles_per_s_all_cores']:.1f} a second)"
+        print(line)
+    start = record["second_start"]
+    print(
+        f"a second start: imports {start['imports_s']:.2f} s, the first vehicle {start['first_vehicle_s']:.2f} s,"
+        f" one more {start['another_vehicle_s']:.3f} s"
+    )
+    for name, parts in record["ms_a_vehicle"].items():
+        print(f"milliseconds a vehicle, {name}:")
+        for part, milliseconds in parts.items():
+            print(f"  {milliseconds:8.2f}  {part}")
+
+
+def main() -> None:
+    """Parse the command line, run, print, write."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--vehicles", type=int, nargs="+", help="sizes of the ensemble (10 100 1000; --quick 2 4)")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes where all cores are used")
+    parser.add_argument("--quick", action="store_true", help="a few seconds: to see that it runs")
+    parser.add_argument("--json", metavar="FILE", help="write the record to FILE, or to standard output for -")
+    arguments = parser.parse_args()
+    arguments.vehicles = arguments.vehicles or ([2, 4] if arguments.quick else [10, 100, 1000])
+    arguments.share_of = 2 if arguments.quick else 16
+    if min(*arguments.vehicles, arguments.jobs, 1) < 1:
+        parser.error("--vehicles and --jobs: 1 or more")
+    record = report(arguments)
+    if arguments.json == "-":
+        print(files.to_json(record), end="")
+        return
+    show(record)
+    if arguments.json:
+        files.write_json(arguments.json, record)
+
+
+if __name__ == "__main__":
+    main()

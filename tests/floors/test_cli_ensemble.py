@@ -1,0 +1,81 @@
+"""`fluxtwin ensemble` as a person meets it: a table, files, one vehicle taken out, one message for a mistake."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+TEXT = """
+name = "few"
+seed = 2
+[spacecraft]
+name = "X"
+[orbit]
+epoch_utc = "2022-01-01T00:00:00Z"
+altitude_km = 600.0
+inclination_deg = 97.0
+raan_deg = 10.0
+argument_of_latitude_deg = 0.0
+[attitude]
+yaw_rms_deg = 1.0
+[magnetometer]
+b_nT = [0.0, 0.0, 0.0]
+[schedule]
+segments = [{ start_utc = "2022-01-01T00:00:00Z", samples = 20, step_s = 60.0 }]
+[draws]
+"magnetometer.b_nT" = { normal = 100.0 }
+"""
+
+
+@pytest.fixture
+def scenario(tmp_path: Path) -> Path:
+    path = tmp_path / "few.toml"
+    path.write_text(TEXT, encoding="utf-8")
+    return path
+
+
+def test_an_ensemble_and_one_vehicle_of_it(cli: Callable[..., Any], scenario: Path, tmp_path: Path) -> None:
+    out = tmp_path / "results"
+    outcome = cli("ensemble", scenario, "--vehicles", 3, "--out", out, "--jobs", 1)
+    assert outcome.status == 0, outcome.err
+    assert "3 vehicles of few, seed 2" in outcome.out and "pointing_p95_deg" in outcome.out
+    names = {path.name for path in out.iterdir()}
+    tables = {"ensemble.json", "vehicles.csv", "summary.json", "envelope.csv", "envelope.png"}
+    assert names == {*tables, "chunk-00000.nc"}
+    assert (out / "vehicles.csv").read_text(encoding="utf-8").startswith("vehicle,seed,magnetometer.b_nT[0],")
+    again = cli("ensemble", scenario, "--vehicles", 3, "--out", out, "--resume", "--json", "-")
+    assert json.loads(again.out) == json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    one = tmp_path / "one.toml"
+    assert cli("ensemble", scenario, "--extract", 1, "--out", one).status == 0
+    assert cli("simulate", one, "--out", tmp_path / "one.nc").status == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ((), ["--vehicles", "1000"]),
+        (("--vehicles", "0"), ["--vehicles", "1 to 1,000,000"]),
+        (("--vehicles", "2", "--jobs", "0"), ["--jobs", "1 or more"]),
+        (("--extract", "-1"), ["--extract", "from 0"]),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(
+    cli: Callable[..., Any], scenario: Path, tmp_path: Path, change: tuple[str, ...], words: list[str]
+) -> None:
+    outcome = cli("ensemble", scenario, "--out", tmp_path / "results", *change)
+    assert outcome.status == 2 and outcome.out == ""
+    assert outcome.err.count("\n") == 1 and all(word in outcome.err for word in words)
+    assert not (tmp_path / "results").exists()
+
+
+def test_a_folder_with_an_ensemble_is_left_alone(cli: Callable[..., Any], scenario: Path, tmp_path: Path) -> None:
+    command = ("ensemble", scenario, "--vehicles", 2, "--out", tmp_path / "results", "--jobs", 1)
+    assert cli(*command).status == 0
+    outcome = cli(*command)
+    assert outcome.status == 2 and "--resume" in outcome.err
+    outcome = cli(*command, "--resume", "--seed", 9)
+    assert outcome.status == 2 and "the seed changed" in outcome.err and "seed 2 then, 9 now" in outcome.err

@@ -193,9 +193,8 @@ def report(arguments: argparse.Namespace) -> dict[str, Any]:
     }
     if len(rows) > 1:
         before, last = rows[-2], rows[-1]
-        record["time_per_vehicle_over_that_of_fewer"] = (
-            before["vehicles_per_s_one_core"] / last["vehicles_per_s_one_core"]
-        )
+        ratio = before["vehicles_per_cpu_s"] / last["vehicles_per_cpu_s"]
+        record["cpu_time_per_vehicle_over_that_of_fewer"] = ratio
     return record
 
 

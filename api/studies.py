@@ -13,21 +13,28 @@ from fluxtwin.sim.progress import Progress, part_of, silent
 
 
 def run_study(
-    name: str, out: Path | str | None = None, data: Path | str | None = None, progress: Progress = silent
+    name: str,
+    out: Path | str | None = None,
+    data: Path | str | None = None,
+    progress: Progress = silent,
+    *,
+    attitude: str | None = None,
 ) -> tuple[StudyResult, list[Path]]:
     """Run the study `name`; returns its result and every file written, its own and ours.
 
     out: folder for the results, `./NAME-results` by default. data: folder of recorded data, for the studies
-    that need one. Raises BadInput for an unknown name, a missing data folder or a folder that cannot be
+    that need one. attitude: for the studies of a vehicle that torques move, "dynamics" (the default) or
+    "prescribed". Raises BadInput for an unknown name or attitude, a missing data folder or a folder that cannot be
     written, before the work starts.
     """
     run = find_study(name)
     _require_data(name, data)
+    options = _options(name, attitude)
     target = Path(f"{name}-results") if out is None else Path(out)
     found = target.exists()
     try:
         folder = writable_folder(target)
-        result = run(folder, None if data is None else Path(data), part_of(progress, 0.0, 0.97))
+        result = run(folder, None if data is None else Path(data), part_of(progress, 0.0, 0.97), **options)
         progress("writing the report", 0.97)
         return result, [*result.written, *_write(result, folder)]
     except BaseException:  # an interrupt too
@@ -46,6 +53,16 @@ def _require_data(name: str, data: Path | str | None) -> None:
         )
     if data is not None and not Path(data).is_dir():
         raise BadInput("no such folder", where=f"--data {data}", wanted="the folder that holds the recorded data")
+
+
+def _options(name: str, attitude: str | None) -> dict[str, str]:
+    if attitude is None:
+        return {}
+    offered = STUDIES[name].attitudes
+    if attitude not in offered:
+        wanted = " or ".join(offered) or f"no --attitude: the study {name} has one motion"
+        raise BadInput(f"{attitude!r}", where="--attitude", wanted=wanted)
+    return {"attitude": attitude}
 
 
 def _write(result: StudyResult, folder: Path) -> list[Path]:

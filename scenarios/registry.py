@@ -2,6 +2,7 @@
 
 A study module offers `run(out, data, progress) -> StudyResult`: `out` is an existing writable folder, `data`
 a folder of recorded data or None, `progress` a `fluxtwin.sim.progress.Progress`.
+One that lists `attitudes` takes the keyword `attitude` as well.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, cast
 
+from fluxtwin.scenarios.motion import ATTITUDES
 from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.progress import Progress
@@ -24,16 +26,20 @@ class Study:
     module: str
     about: str
     needs_data: bool = False
+    attitudes: tuple[str, ...] = ()
+    """Where a vehicle may move in more than one way: what `--attitude` may be, the default first."""
 
 
 STUDIES: dict[str, Study] = {
     "seasat": Study(
         "fluxtwin.scenarios.seasat.study",
         "Seasat 1978: the in-flight calibration of its magnetometers, beside the published numbers",
+        attitudes=ATTITUDES,
     ),
     "hcmm": Study(
         "fluxtwin.scenarios.hcmm.study",
         "HCMM 1978: an orbit from the record of 43 station passes, a test against what flew, and the calibration",
+        attitudes=ATTITUDES,
     ),
     "st5": Study(
         "fluxtwin.scenarios.st5.study",
@@ -50,7 +56,7 @@ STUDIES: dict[str, Study] = {
 class RunStudy(Protocol):
     """The verb of a study module."""
 
-    def __call__(self, out: Path, data: Path | None, progress: Progress) -> StudyResult: ...
+    def __call__(self, out: Path, data: Path | None, progress: Progress, **options: str) -> StudyResult: ...
 
 
 def find_study(name: str) -> RunStudy:

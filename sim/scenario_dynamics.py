@@ -32,6 +32,8 @@ _BEYOND_S = 120.0
 """Flown after the last sample of a segment, for readings that are taken late."""
 _KEPT = 4
 _KEPT_NODES = 500_000
+_KEPT_BYTES = 128e6
+"""Of flights that are kept, the one in use apart."""
 _MOST_ROWS = 5_000_000
 
 
@@ -42,6 +44,12 @@ class Flights:
     flights: tuple[Flight, ...]
     since: TimeArray
     """From when on each holds, the first apart."""
+
+    @property
+    def bytes(self) -> int:
+        """What they take in memory."""
+        each = ("q_NB", "rate_B_rad_s", "dipole_B_Am2", "wheel_speed_rad_s", "field_B_nT")
+        return sum(getattr(flight, name).nbytes for flight in self.flights for name in each)
 
     def attitude(self, time: TimeArray) -> Attitude:
         """Attitude at each stamp, from the flight of the segment that it belongs to."""
@@ -77,22 +85,33 @@ _made: OrderedDict[str, Flights] = OrderedDict()
 
 
 def flights(scenario: Scenario) -> Flights:
-    """The flights of this scenario and seed; the last few are kept, because several parts of a run ask for them."""
+    """The flights of this scenario and seed; the last ones are kept, because several parts of a run ask for them."""
+    assert scenario.schedule is not None
+    field, wheels = scenario.field, scenario.wheels
     moving = (
-        scenario.seed, scenario.spacecraft.inertia_kg_m2, scenario.orbit, scenario.field, scenario.schedule,
-        scenario.torquers, scenario.wheels, scenario.dynamics, scenario.torques, scenario.control, scenario.path_of("."),
-        scenario.magnetometer if _control(scenario).magnetometer == "instrument" else None,
+        scenario.seed, scenario.spacecraft.inertia_kg_m2, scenario.orbit, field.truth, field.truth_degree,
+        scenario.schedule.segments, wheels, scenario.dynamics, scenario.torques, scenario.control, _actuators(scenario),
+        scenario.path_of("."),
     )  # fmt: skip
     key = repr(moving)
     if key not in _made:
-        assert scenario.schedule is not None
         segments = scenario.schedule.segments
         made = tuple(_flight(scenario, k, segment) for k, segment in enumerate(segments))
         _made[key] = Flights(made, _boundaries(made, segments))
-        while len(_made) > _KEPT:
+        while len(_made) > 1 and sum(one.bytes for one in _made.values()) > _KEPT_BYTES:
             _made.popitem(last=False)
     _made.move_to_end(key)
     return _made[key]
+
+
+def _actuators(scenario: Scenario) -> tuple[object, ...]:
+    """What of torquers and magnetometer has a hand in the motion: not where they sit, nor what telemetry makes of them."""
+    torquers, meter = scenario.torquers, scenario.magnetometer
+    seen = (meter.S, meter.bias_nT, meter.white_nT) if _control(scenario).magnetometer == "instrument" else None
+    if torquers is None:
+        return (seen,)
+    steered = (torquers.Am2, torquers.activity, torquers.drive, torquers.threshold_Am2)
+    return (seen, *steered, torquers.duty, torquers.dwell_s)
 
 
 def _boundaries(made: Sequence[Flight], segments: Sequence[SegmentSection]) -> TimeArray:

@@ -15,7 +15,7 @@ BRIEF = "A whole study: tables, figures, report.html, summary.json."
 
 
 def command(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="The study: seasat, hcmm or flight-field.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="The study: seasat, hcmm, st5 or flight-field.")],
     data: Annotated[
         Path | None,
         typer.Option("--data", metavar="DIR", help="Folder of recorded data, for flight studies."),
@@ -23,6 +23,12 @@ def command(
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="Folder for the results; default ./NAME-results."),
+    ] = None,
+    attitude: Annotated[
+        str | None,
+        typer.Option(
+            "--attitude", metavar="HOW", help="seasat, hcmm: moved by torques (dynamics, default) or as prescribed."
+        ),
     ] = None,
     json: JsonOption = None,
 ) -> None:
@@ -34,7 +40,7 @@ def command(
 
         if json not in (None, "-"):
             writable_folder(Path(json).parent)  # before the work, not after it
-        result, written = run_study(name, out, data, progress)
+        result, written = run_study(name, out, data, progress, attitude=attitude)
     for table in result.tables:
         output.table(table.title, table.columns, table.rows, table.note)
     if written:

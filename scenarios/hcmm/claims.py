@@ -24,6 +24,7 @@ from fluxtwin.scenarios.hcmm_orbit.fit import OrbitFit
 from fluxtwin.scenarios.hcmm_orbit.flight_test import FlightTest
 from fluxtwin.scenarios.hcmm_orbit.nadir_field import NadirField
 from fluxtwin.scenarios.hcmm_orbit.windows import Windows
+from fluxtwin.scenarios.motion import Motion
 from fluxtwin.sim.scenario import Scenario
 
 MAY_BE_UNTESTABLE = (34, 36, 39)
@@ -34,6 +35,8 @@ class Results:
     """All that a run has found."""
 
     scenario: Scenario
+    motion: Motion
+    """Of the three days of Table 5."""
     orbit: OrbitFit
     windows: Windows
     """Of all 43 passes, from the sun-nadir ranges with their documented digits."""

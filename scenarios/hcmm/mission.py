@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from fluxtwin.scenarios.motion import ATTITUDES, with_attitude
 from fluxtwin.scenarios.printed import Printed
 from fluxtwin.sim.scenario import Scenario, parse_scenario
 from fluxtwin.sim.simulate import simulate
@@ -35,14 +36,14 @@ class Flight:
     truth: Truth
 
 
-def scenario() -> Scenario:
-    """The packaged scenario."""
-    return parse_scenario(scenario_text(), where="hcmm.toml")
+def scenario(attitude: str = ATTITUDES[0]) -> Scenario:
+    """The packaged scenario: its vehicle moved by torques, or as `prescribed`."""
+    return with_attitude(parse_scenario(_PRINTED.text("hcmm.toml"), where="hcmm.toml"), attitude)
 
 
-def scenario_text() -> str:
-    """The packaged scenario as it is written, with the source of each number."""
-    return _PRINTED.text("hcmm.toml")
+def scenario_text(attitude: str = ATTITUDES[0]) -> str:
+    """The packaged scenario: as it is written, with the source of each number, or every key of the prescribed one."""
+    return _PRINTED.text("hcmm.toml") if attitude == ATTITUDES[0] else scenario(attitude).to_toml()
 
 
 def fly(config: Scenario, world: World | None = None) -> Flight:
@@ -72,7 +73,7 @@ _OFF: Mapping[str, Mapping[str, Any]] = {
         "attitude.reference.source": "error_model", "attitude.reference.needs_sun": True,
         "horizon_scanner.noise_deg": 0.0,
     },
-    "torquer": {"torquers": None},
+    "torquer": {"torquers.compensation": 1.0},
     "field": {"field.truth": "igrf1975"},
 }  # fmt: skip
 

@@ -45,6 +45,7 @@ def page(results: Results, claims: list[Claim], verdict: str) -> Page:
             Section("Sources of the residual", [], [tables.error_table(results)], others[:1]),
             Section("The 43 passes", [], [tables.passes_table(results)]),
             Section("Yaw", [], [tables.yaw_table(results)], others[1:]),
+            Section("How it moved", [], [results.motion.table(tables.POINTING)]),
             _sensors(results),
             real_passes_section(results.real_passes),
             Section(
@@ -164,7 +165,8 @@ def _night_passes(results: Results) -> Section:
             + f". All flight rows have {excess:.1f} mG more than ours, added as squares. With that the printed residual of "
             f"{len(four) - len(missing)} of the four is explained. The others would need "
             + " and ".join(f"{mG:.1f} mG" for mG in missing)
-            + " more, so a field of that size on board cannot be excluded there; none is needed to single the four out.",
+            + " more, so a field of that size on board cannot be excluded there; none is needed to "
+            "set them among the largest.",
         ],
         [],
         [tables.evidence_figure(results)],

@@ -36,6 +36,7 @@ from fluxtwin.scenarios.hcmm_orbit.fit import fit_orbit
 from fluxtwin.scenarios.hcmm_orbit.flight_test import run_flight_test, windows_of
 from fluxtwin.scenarios.hcmm_orbit.nadir_field import weigh_ideas
 from fluxtwin.scenarios.hcmm_orbit.record import read_passes
+from fluxtwin.scenarios.motion import ATTITUDES, motion_of
 from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.scenarios.seasat.judges_calibration import calibration_summary
 from fluxtwin.sim import epoch, files
@@ -44,14 +45,19 @@ from fluxtwin.sim.progress import Progress, part_of, silent
 from fluxtwin.sim.telemetry_io import write_telemetry
 
 
-def run(out: Path, data: Path | None = None, progress: Progress = silent) -> StudyResult:
-    """Run the study; `out` receives the scenario, telemetry and calibration. `data` is not used."""
-    results = compute(progress)
+def run(
+    out: Path, data: Path | None = None, progress: Progress = silent, *, attitude: str = ATTITUDES[0]
+) -> StudyResult:
+    """Run the study; `out` receives the scenario, telemetry and calibration. `data` is not used.
+
+    attitude: how the vehicle moves, one of `motion.ATTITUDES`.
+    """
+    results = compute(progress, attitude=attitude)
     claims = judge_claims(results)
     counts = Counter(claim.status for claim in claims)
     flight = mission.fly(results.scenario)
     written = [
-        files.write_text(out / "scenario.toml", mission.scenario_text()),
+        files.write_text(out / "scenario.toml", mission.scenario_text(attitude)),
         write_telemetry(flight.telemetry, out / "telemetry.nc"),
         write_calibration(results.calibration.fits["AB"].calibration, out / "calibration.toml"),
     ]
@@ -65,8 +71,8 @@ def run(out: Path, data: Path | None = None, progress: Progress = silent) -> Stu
     shown = [
         tables.orbit_table(results), tables.flight_test_table(results), tables.ideas_table(results),
         tables.calibration_table(results), tables.error_table(results), tables.passes_table(results),
-        tables.yaw_table(results), tables.scanner_table(results), real_passes_table(results.real_passes),
-        overview_table(results.gallery), claims_table(claims), whys_table(claims),
+        tables.yaw_table(results), tables.scanner_table(results), results.motion.table(tables.POINTING),
+        real_passes_table(results.real_passes), overview_table(results.gallery), claims_table(claims), whys_table(claims),
     ]  # fmt: skip
     return StudyResult(
         name="hcmm",
@@ -79,9 +85,18 @@ def run(out: Path, data: Path | None = None, progress: Progress = silent) -> Stu
     )
 
 
-def compute(progress: Progress = silent, *, runs: int = RUNS, only: Sequence[str] = ("a", "b", "c", "d")) -> Results:
-    """All the numbers. `runs`: size of the Monte Carlo, `only`: cases of the gallery, both for quick looks."""
-    config = mission.scenario()
+def compute(
+    progress: Progress = silent,
+    *,
+    runs: int = RUNS,
+    only: Sequence[str] = ("a", "b", "c", "d"),
+    attitude: str = ATTITUDES[0],
+) -> Results:
+    """All the numbers. `runs`: size of the Monte Carlo, `only`: cases of the gallery, both for quick looks.
+
+    attitude: as in `run`.
+    """
+    config = mission.scenario(attitude)
     ground = load_field(config.field.model)
     whole, progress = progress, part_of(progress, 0.0, 0.5)
     progress("orbit from the record", 0.0)
@@ -98,6 +113,7 @@ def compute(progress: Progress = silent, *, runs: int = RUNS, only: Sequence[str
     passes = run_passes(flight, full, ground, windows, calibration.estimates[:, SETS.index("AB")])
     return Results(
         scenario=config,
+        motion=motion_of(config, flight.telemetry, flight.truth),
         orbit=orbit,
         windows=windows,
         flight_test=flight_test,
@@ -120,6 +136,7 @@ def summary(results: Results, claims: list[Claim]) -> dict[str, Any]:
     return {
         "study": "hcmm",
         "seed": results.scenario.seed,
+        "motion": results.motion.summary(),
         "orbit": {
             "epoch_utc": epoch.iso(f.orbit.epoch_utc),
             **dict(zip(f.names, f.values.tolist(), strict=True)),

@@ -23,6 +23,7 @@ _SOURCE_WORDS = {
     "all": "all",
 }
 
+POINTING = "Wanted: roll 0.7, pitch 0.5, yaw 2.0 deg (C, J)."
 _NULL_WORDS = {
     "dipole": "dipole only", "degree2": "degrees 1 and 2", "degree4": "degrees 1 to 4",
     "field_10deg": "field turned by 10 deg", "node_15min": "node 15 min off",

@@ -22,6 +22,7 @@ from fluxtwin.sim.types import FloatArray
 
 RUNS = 200
 WHITE_RUNS = 50
+WHITE_SETS = ("205", "all")
 NAMES = parameter_names(with_T=False)
 
 
@@ -76,8 +77,9 @@ def run_calibrations(flight: Flight, ground: FieldModel, progress: Progress, run
     corrected_estimates = np.empty_like(estimates)
     spread = np.empty((runs, len(DATA_SETS), 3))
     bias_only, reference_square = np.empty((runs, 3)), np.empty(runs)
+    white_estimates = np.full((min(runs, WHITE_RUNS), len(WHITE_SETS), len(NAMES)), np.nan)
     for run in range(runs):
-        progress(f"calibration {run + 1} of {runs}", 0.9 * run / runs)
+        progress(f"calibration {run + 1} of {runs}", run / runs)
         other = mission.fly(mission.with_random_hours(flight.scenario, flight.scenario.seed + 1 + run))
         reference_square[run] = _reference_error_square(other)
         day_205 = other.telemetry.select(other.rows("205"))
@@ -85,6 +87,8 @@ def run_calibrations(flight: Flight, ground: FieldModel, progress: Progress, run
         for place, name in enumerate(DATA_SETS):
             found = _try_both(other, name, ground)
             estimates[run, place], corrected_estimates[run, place], spread[run, place] = found
+        if run < len(white_estimates):
+            white_estimates[run] = _white_estimates(other, ground)
     return CalibrationStudy(
         fits=fits,
         corrected=corrected,
@@ -92,7 +96,7 @@ def run_calibrations(flight: Flight, ground: FieldModel, progress: Progress, run
         corrected_estimates=corrected_estimates,
         field_rms_mG=spread,
         bias_only_mG=bias_only,
-        white_estimates=_white_estimates(flight.scenario, ground, progress, min(runs, WHITE_RUNS)),
+        white_estimates=white_estimates,
         reference_3sigma_deg=float(3 * np.degrees(np.sqrt(reference_square.mean()))),
         truth=truth_vector(flight.scenario),
     )
@@ -114,16 +118,11 @@ def rms_mG(fit: LinearFit) -> float:
     return float(np.sqrt(np.mean(fit.residuals_nT**2)) / NT_PER_MG)
 
 
-def _white_estimates(config: Scenario, ground: FieldModel, progress: Progress, runs: int) -> FloatArray:
-    """The scatter if the unknown were white: how much of it hangs on the assumed correlation time."""
-    white = config.updated({"magnetometer.unknown.kind": "white"})
-    found = np.full((runs, 2, len(NAMES)), np.nan)
-    for run in range(runs):
-        progress(f"calibration with a white unknown, {run + 1} of {runs}", 0.9 + 0.1 * run / runs)
-        flight = mission.fly(mission.with_random_hours(white, config.seed + 1 + run))
-        for place, name in enumerate(("205", "all")):
-            found[run, place] = _try_both(flight, name, ground)[0]
-    return found
+def _white_estimates(flight: Flight, ground: FieldModel) -> FloatArray:
+    """(2, K) of the same flight, were the unknown white: how much of the scatter hangs on its correlation time."""
+    white = flight.scenario.updated({"magnetometer.unknown.kind": "white"})
+    again = mission.fly(white, flight.world)
+    return np.stack([_try_both(again, name, ground)[0] for name in WHITE_SETS])
 
 
 def _reference_error_square(flight: Flight) -> float:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from fluxtwin.scenarios.claims import Claim, Verdict, judged
+from fluxtwin.scenarios.motion import Motion
 from fluxtwin.scenarios.seasat import geometry, mission
 from fluxtwin.scenarios.seasat.accuracy_study import AccuracyStudy
 from fluxtwin.scenarios.seasat.calibration_study import CalibrationStudy
@@ -24,6 +25,8 @@ class Results:
     """All that a run has found."""
 
     scenario: Scenario
+    motion: Motion
+    """Of the flight that is calibrated."""
     calibration: CalibrationStudy
     errors: ErrorStudy
     yaw: YawStudy

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from fluxtwin.scenarios.motion import ATTITUDES, with_attitude
 from fluxtwin.scenarios.printed import Printed
 from fluxtwin.scenarios.seasat import geometry
 from fluxtwin.sim.random_streams import stream
@@ -50,14 +51,14 @@ class Flight:
         return np.isin(self.world.segment, DATA_SETS[data_set])
 
 
-def scenario() -> Scenario:
-    """The packaged scenario."""
-    return parse_scenario(scenario_text(), where="seasat.toml")
+def scenario(attitude: str = ATTITUDES[0]) -> Scenario:
+    """The packaged scenario: its vehicle moved by torques, or as `prescribed`."""
+    return with_attitude(parse_scenario(_PRINTED.text("seasat.toml"), where="seasat.toml"), attitude)
 
 
-def scenario_text() -> str:
-    """The packaged scenario as it is written, with the source of each number."""
-    return _PRINTED.text("seasat.toml")
+def scenario_text(attitude: str = ATTITUDES[0]) -> str:
+    """The packaged scenario: as it is written, with the source of each number, or every key of the prescribed one."""
+    return _PRINTED.text("seasat.toml") if attitude == ATTITUDES[0] else scenario(attitude).to_toml()
 
 
 def fly(config: Scenario, world: World | None = None) -> Flight:
@@ -86,7 +87,7 @@ SOURCES = ("lsb", "attitude", "torquer", "field", "unknown")
 _OFF: Mapping[str, Mapping[str, Any]] = {
     "lsb": {"magnetometer.lsb_mG": 0.0},
     "attitude": {"attitude.reference.sigma_deg": 0.0},
-    "torquer": {"torquers": None},
+    "torquer": {"torquers.compensation": 1.0},
     "field": {"field.truth": "igrf1975"},
     "unknown": {"magnetometer.unknown": None},
 }

@@ -14,6 +14,7 @@ import numpy as np
 from fluxtwin.calib.calibration_file import write_calibration
 from fluxtwin.calib.records import Calibration
 from fluxtwin.scenarios.claims import REPRODUCED, Claim, claims_table, whys_table
+from fluxtwin.scenarios.motion import ATTITUDES, motion_of
 from fluxtwin.scenarios.page import Page, Section, StudyResult
 from fluxtwin.scenarios.seasat import geometry, mission, tables
 from fluxtwin.scenarios.seasat.accuracy_study import run_accuracy
@@ -45,14 +46,19 @@ ERRATA = (
 )
 
 
-def run(out: Path, data: Path | None = None, progress: Progress = silent) -> StudyResult:
-    """Run the study; `out` receives the scenario, telemetry and calibration. `data` is not used."""
-    results = compute(progress)
+def run(
+    out: Path, data: Path | None = None, progress: Progress = silent, *, attitude: str = ATTITUDES[0]
+) -> StudyResult:
+    """Run the study; `out` receives the scenario, telemetry and calibration. `data` is not used.
+
+    attitude: how the vehicle moves, one of `motion.ATTITUDES`.
+    """
+    results = compute(progress, attitude=attitude)
     claims = judge_claims(results)
     counts = Counter(claim.status for claim in claims)
     flight = mission.fly(results.scenario)
     written = [
-        files.write_text(out / "scenario.toml", mission.scenario_text()),
+        files.write_text(out / "scenario.toml", mission.scenario_text(attitude)),
         write_telemetry(flight.telemetry, out / "telemetry.nc"),
         write_calibration(_with_monte_carlo(results), out / "calibration.toml"),
     ]
@@ -67,6 +73,7 @@ def run(out: Path, data: Path | None = None, progress: Progress = silent) -> Stu
         tables.attenuation_table(results),
         tables.error_table(results),
         tables.yaw_table(results),
+        results.motion.table(tables.POINTING),
         claims_table(claims),
         whys_table(claims),
     ]
@@ -90,9 +97,9 @@ def _with_monte_carlo(results: Results) -> Calibration:
     return dataclasses.replace(found, covariance=covariance, covariance_kind="blocks", method=method)
 
 
-def compute(progress: Progress = silent, *, runs: int | None = None) -> Results:
-    """All the numbers. `runs`: size of the Monte Carlo, for quick looks."""
-    config = mission.scenario()
+def compute(progress: Progress = silent, *, runs: int | None = None, attitude: str = ATTITUDES[0]) -> Results:
+    """All the numbers. `runs`: size of the Monte Carlo, for quick looks; attitude: as in `run`."""
+    config = mission.scenario(attitude)
     ground = load_field(config.field.model)
     progress("flying the mission", 0.0)
     flight = mission.fly(config)
@@ -104,6 +111,7 @@ def compute(progress: Progress = silent, *, runs: int | None = None) -> Results:
     nodes = geometry.scan_node()
     return Results(
         scenario=config,
+        motion=motion_of(config, flight.telemetry, flight.truth),
         calibration=calibration,
         errors=run_errors(config, ground, part_of(progress, 0.62, 0.80)),
         yaw=run_yaw(config, full, ground, part_of(progress, 0.80, 0.93)),
@@ -142,6 +150,7 @@ def summary(results: Results, claims: list[Claim]) -> dict[str, Any]:
             "sigma_monte_carlo is the scatter over many runs, holds all errors, and is what claims are judged by",
         },
         "truth": truth,
+        "motion": results.motion.summary(),
         "yaw": {
             "sigma_equator_deg": a.sigma_equator_deg,
             "sigma_equator_at_our_residual_deg": a.sigma_equator_ours_deg,
@@ -189,10 +198,10 @@ def page(results: Results, claims: list[Claim], verdict: str) -> Page:
                     "The spacecraft is flown with the papers' final S and b as truth in the field that is known of 1978 "
                     "today (DGRF); the ground calibrates with IGRF 1975 from telemetry alone. C is AIAA 79-1695, J is "
                     "AIAA 79-1695R.",
-                    "What the papers do not give is assumed and marked so in scenario.toml: hours of the data, libration, "
-                    "correlation times, mounting. The node is chosen from the sun-sensor record.",
+                    "What the papers do not give is assumed and marked so in scenario.toml: hours of the data, "
+                    "correlation times, mounting, body, wheels and gains. The node is chosen from the sun-sensor record.",
                 ],
-                [],
+                [results.motion.table(tables.POINTING)],
                 [figures[2]],
             ),
             Section(

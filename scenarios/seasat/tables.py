@@ -26,6 +26,11 @@ _SOURCE_WORDS = {
     "all": "all",
 }
 
+POINTING = (
+    "The papers print no pointing for Seasat, but that yaw = 0 was mostly nearer than the magnetometer's yaw, 0.92 deg at "
+    "the equator (C 12)."
+)
+
 
 def printed_columns() -> FloatArray:
     """(data sets, 12) printed values of S and b [mG]; only the last column of the paper's table has signs for S."""

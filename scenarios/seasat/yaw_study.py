@@ -1,7 +1,7 @@
 """Figures 1 and 2: yaw from the magnetometer on day 205, with mean biases and with the full calibration.
 
 The papers do not say how large Seasat's yaw was, and that decides whether yaw = 0 is the better estimate; so
-the amplitude is swept and the crossover reported.
+the amplitude of a prescribed motion is swept and the crossover reported.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from fluxtwin.calib.records import Calibration
 from fluxtwin.calib.residuals import residuals_of
 from fluxtwin.calib.yaw import YawSolution, average_yaw, yaw_from_field
 from fluxtwin.plots.yaw import YawComparison, YawSweep
+from fluxtwin.scenarios.motion import prescribed
 from fluxtwin.scenarios.seasat import geometry, mission
 from fluxtwin.scenarios.seasat.mission import Flight
 from fluxtwin.sim import epoch, frames
@@ -137,8 +138,8 @@ def _sweep(config: Scenario, fine: Flight, ground: FieldModel, progress: Progres
             seeded = scenario.updated({"seed": config.seed + 1 + number})
             full, bias_only = _calibrations(mission.fly(seeded, worlds["base"]), ground)
             for row, amplitude in enumerate(AMPLITUDES_DEG):
-                sized = fine_scenario(seeded.updated({"attitude.yaw_rms_deg": amplitude / np.sqrt(2.0)}))
-                flight = mission.fly(sized, worlds["fine"])
+                moved = prescribed(seeded).updated({"attitude.yaw_rms_deg": amplitude / np.sqrt(2.0)})
+                flight = mission.fly(fine_scenario(moved), worlds["fine"])
                 won = judge(flight, yaw_from_field(flight.telemetry, full, ground)).zero_wins
                 shares["full" if kind == "slow" else "white"][row, number] = won
                 if kind == "slow":

@@ -14,6 +14,7 @@ from fluxtwin.sim import scenario_config as sections
 from fluxtwin.sim.scenario_draws import DrawSection
 from fluxtwin.sim.scenario_dynamics_config import ControlSection, DynamicsSection, TorquesSection
 from fluxtwin.sim.scenario_effects import EffectsSection
+from fluxtwin.sim.scenario_sampling import SamplingSection
 from fluxtwin.sim.toml_input import parse_tree, read_tree, validate
 
 
@@ -27,6 +28,7 @@ class Scenario(sections.Section):
     orbit: sections.OrbitSection | None = None
     replay: sections.ReplaySection | None = None
     schedule: sections.ScheduleSection | None = None
+    sampling: SamplingSection = SamplingSection()
     station: dict[str, sections.StationSection] = {}
     attitude: sections.AttitudeSection = sections.AttitudeSection()
     magnetometer: sections.MagnetometerSection = sections.MagnetometerSection()
@@ -70,6 +72,7 @@ class Scenario(sections.Section):
         if self.attitude.mode in ("tumble", "spin", "dynamics") and self.spacecraft.inertia_kg_m2 is None:
             raise ValueError(f"attitude mode {self.attitude.mode} wants inertia_kg_m2 in [spacecraft]")
         self._dynamic()
+        self._sampled()
         wrong = scenario_draws.faults(self.draws, self.model_dump()) if self.draws else []
         if wrong:
             raise ValueError("; ".join(wrong))
@@ -88,6 +91,20 @@ class Scenario(sections.Section):
             raise ValueError('torquers.activity = "control" wants attitude mode dynamics and a law in [control]')
         if law is not None and section is not None and not steered:
             raise ValueError('with a law in [control] the torquers are its own: set torquers.activity = "control"')
+
+    def _sampled(self) -> None:
+        """Rates are of parts that are there, and whole numbers of rows."""
+        there = {
+            "sun_sensor": bool(self.sun_sensor), "horizon_scanner": self.horizon_scanner, "gyro": self.gyro,
+            "torquers": self.torquers, "housekeeping": self.power or self.thermal or self.wheels,
+        }  # fmt: skip
+        for name in self.sampling.rates:
+            if not there.get(name, True):
+                raise ValueError(f"[sampling.{name}]: the scenario has no such part")
+        if self.sampling.rates and self.replay is not None:
+            raise ValueError("[replay] has the rows of the recorded file: leave [sampling] out")
+        if self.schedule is not None:
+            self.sampling.check(self.schedule)
 
     def updated(self, changes: Mapping[str, Any]) -> Scenario:
         """A copy with dotted keys changed, checked again: `{"magnetometer.lsb_mG": 0.0, "seed": 2}`.

@@ -30,7 +30,6 @@ from fluxtwin.sim.world import ephemeris
 
 _BEYOND_S = 120.0
 """Flown after the last sample of a segment, for readings that are taken late."""
-_KEPT = 4
 _KEPT_NODES = 500_000
 _KEPT_BYTES = 128e6
 """Of flights that are kept, the one in use apart."""

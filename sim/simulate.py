@@ -8,6 +8,7 @@ from fluxtwin.sim.progress import Progress, silent
 from fluxtwin.sim.scenario import Scenario
 from fluxtwin.sim.scenario_attitude import true_attitude
 from fluxtwin.sim.scenario_motion import ScenarioMotion
+from fluxtwin.sim.scenario_sampling import interleaved, sampled_rows
 from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.truth import Truth
 from fluxtwin.sim.world import World, build_world
@@ -35,4 +36,13 @@ def simulate(scenario: Scenario, *, world: World | None = None, progress: Progre
     columns = chain.recorded_columns(world, attached, housekeeping, dipole)
     signal = chain.fly_magnetometer(scenario, world, motion, columns)
     progress("done", 1.0)
-    return chain.to_telemetry(scenario, signal, attached, columns), chain.to_truth(scenario, world, attitude, signal)
+    telemetry = chain.to_telemetry(scenario, signal, attached, columns)
+    return _as_read(scenario, world, telemetry), chain.to_truth(scenario, world, attitude, signal)
+
+
+def _as_read(scenario: Scenario, world: World, telemetry: Telemetry) -> Telemetry:
+    """With blanks where a sensor with a rate of its own was not read."""
+    if scenario.schedule is None or not scenario.sampling.rates:
+        return telemetry
+    rows = sampled_rows(scenario.sampling, scenario.schedule, world.time, world.segment)
+    return interleaved(telemetry, rows, attitude_from_sensors=scenario.attitude.reference.source == "sensors")

@@ -21,6 +21,17 @@ class Strict(BaseModel):
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
 
+_WANTED = {
+    "float_type": "one number is wanted",
+    "int_type": "one whole number is wanted",
+    "string_type": "text is wanted",
+    "bool_type": "true or false is wanted",
+    "tuple_type": "a list is wanted",
+    "model_type": "a table of keys is wanted",
+    "dict_type": "a table of keys is wanted",
+}
+"""What a key should have been, in the words of a scenario, by pydantic's kind of error."""
+
 _Model = TypeVar("_Model", bound=Strict)
 
 
@@ -75,8 +86,14 @@ def _fault(detail: Any, model: type[BaseModel]) -> str:
     if detail["type"] == "missing":
         return f"{place} is missing"
     found = detail.get("input")
-    shown = "" if isinstance(found, Mapping | list) or detail["type"] == "value_error" else f" (found {found!r:.60})"
-    return f"{place}: {str(detail['msg']).removeprefix('Value error, ')}{shown}"
+    said = _WANTED.get(detail["type"], str(detail["msg"]).removeprefix("Value error, "))
+    return f"{place}: {said}{'' if detail['type'] == 'value_error' else _shown(found)}"
+
+
+def _shown(found: Any) -> str:
+    if isinstance(found, Mapping):
+        return " (found a table)"
+    return f" (found a list of {len(found)})" if isinstance(found, list | tuple) else f" (found {found!r:.60})"
 
 
 def _known(model: Any, loc: tuple[Any, ...]) -> list[str]:

@@ -40,7 +40,7 @@ def test_a_saved_scenario_repeats_the_run_bit_for_bit(tmp_path):
     ("change", "said"),
     [
         ("altitude_km = 650.0\naltitud_km = 3.0", "unknown key orbit.altitud_km; did you mean altitude_km?"),
-        ('altitude_km = "650"', "orbit.altitude_km: Input should be a valid number (found '650')"),
+        ('altitude_km = "650"', "orbit.altitude_km: one number is wanted (found '650')"),
         ("altitude_km = nan", "orbit.altitude_km"),
         ("altitude_km = 650.0\neccentricity = 0.5", "the perigee is at"),
         ("", "missing altitude_km"),

@@ -58,20 +58,53 @@ def angles_deg(flight: Flight) -> np.ndarray:
     return np.degrees(np.stack(yaw_roll_pitch, axis=1))
 
 
+MOST_AM2 = {
+    "momentum bias, signs": 10.0, "momentum bias, components": 10.0, "three axes": 100.0, "spin": 2.0, "B-dot": 3.0,
+}  # fmt: skip
+"""What one torquer can do."""
+
+
+def duty_shares(flight: Flight) -> tuple[np.ndarray, np.ndarray]:
+    """(3,) share of the second half in which each torquer does something, and the mean size of its dipole."""
+    dipole = np.abs(flight.dipole_B_Am2[0, flight.seconds_s.size // 2 :])
+    return (dipole > 0.01 * dipole.max()).mean(axis=0), dipole.mean(axis=0)
+
+
 def duty(flight: Flight) -> str:
     """Share of the time that each torquer does something, and what it does on average."""
-    rows = slice(flight.seconds_s.size // 2, None)
-    dipole = np.abs(flight.dipole_B_Am2[0, rows])
-    on = "/".join(f"{100 * share:.1f}" for share in (dipole > 0.01 * dipole.max()).mean(axis=0))
-    mean = "/".join(f"{value:.2g}" for value in dipole.mean(axis=0))
+    shares, means = duty_shares(flight)
+    on = "/".join(f"{100 * share:.1f}" for share in shares)
+    mean = "/".join(f"{value:.2g}" for value in means)
     return f"{on} % ({mean} A m2)"
+
+
+BIAS_NMS, BIAS_RPM = 2.5, 2000.0
+SETTLED = 180
+"""Rows after which the first turn to the target is over."""
+
+
+def nutation_deg(flight: Flight) -> np.ndarray:
+    """Amplitude of the nutation about each row, from the rate about z of the momentum-bias satellite.
+
+    Nutation moves that rate within a minute; what is slower is the orbit and the precession.
+    """
+    rate = flight.rate_B_rad_s[0, :, 2]
+    wobble = rate - running_mean(rate, 31)
+    size = np.sqrt(2.0 * running_mean(wobble**2, 61)) * 22.0 / BIAS_NMS
+    size[:50] = size[-50:] = np.nan
+    return np.degrees(size)
+
+
+def excess_Nms(flight: Flight) -> np.ndarray:
+    """Momentum of the bias wheel beyond what it is to keep."""
+    return BIAS_NMS * (np.abs(flight.wheel_speed_rad_s[0, :, 0]) / RPM / BIAS_RPM - 1.0)
 
 
 def momentum_bias(
     field_use: str, drive: str, precession: float, nutation: float, threshold: float
 ) -> tuple[Flight, str]:
     """2.5 N m s on the pitch axis, from 5 deg of roll and some nutation."""
-    h, speed_rpm = 2.5, 2000.0
+    h, speed_rpm = BIAS_NMS, BIAS_RPM
     law = MomentumBias(
         momentum_Nms=h, nutation_gain_Am2_s_per_T=nutation, precession_gain_Am2_per_rad=precession,
         momentum_gain_per_T=100.0, field_use=field_use,
@@ -82,13 +115,10 @@ def momentum_bias(
         start_from(0.0, 5.0, 2.0, [-speed_rpm - 100.0], [0.02, 0.0, 0.02]), 0.05,
     )  # fmt: skip
     rms = np.sqrt(np.mean(np.square(angles_deg(flight)[-4320:]), axis=0))
-    excess = h * (np.abs(flight.wheel_speed_rad_s[0, -2000:, 0]) / RPM / speed_rpm - 1.0)
-    # Nutation moves the transverse rate within a minute; what is slower is the orbit and the precession.
-    wobble = flight.rate_B_rad_s[0, -2000:, 2] - running_mean(flight.rate_B_rad_s[0, -2000:, 2], 31)
-    nutation_deg = np.degrees(np.sqrt(2.0) * np.std(wobble[50:-50]) * 22.0 / h)
+    excess, nutation = excess_Nms(flight)[-2000:], nutation_deg(flight)[-2000:-50]
     return flight, (
-        f"yaw {rms[0]:.2f}, roll {rms[1]:.2f}, pitch {rms[2]:.3f} deg rms; nutation {nutation_deg:.3f} deg; momentum"
-        f" within {np.abs(excess).max():.3f} N m s"
+        f"yaw {rms[0]:.2f}, roll {rms[1]:.2f}, pitch {rms[2]:.3f} deg rms;"
+        f" nutation {np.sqrt(np.mean(nutation**2)):.3f} deg; momentum within {np.abs(excess).max():.3f} N m s"
     )
 
 
@@ -156,33 +186,61 @@ def tumbler() -> tuple[Flight, str]:
 
 
 def draw(flights: dict[str, Flight], path: Path) -> None:
-    """Four panels: what each law does to what it is for."""
-    figure, axes = plt.subplots(2, 2, figsize=(10, 6), layout="constrained")
-    for name, style in (("momentum bias, signs", "-"), ("momentum bias, components", "--")):
-        flight = flights[name]
+    """Six panels: what each law does to what it is for, and what its torquers do."""
+    figure, axes = plt.subplots(3, 2, figsize=(10, 9), layout="constrained")
+    biases = (
+        ("signs", "-", flights["momentum bias, signs"]),
+        ("components", "--", flights["momentum bias, components"]),
+    )
+    for use, style, flight in biases:
+        hours = flight.seconds_s / 3600
         angles = angles_deg(flight)
         for column, label in ((0, "yaw"), (1, "roll")):
-            axes[0, 0].plot(
-                flight.seconds_s / 3600, angles[:, column], style, lw=0.8, label=f"{label}, {name.split(', ')[1]}"
-            )
-    axes[0, 0].set(title="momentum bias", ylabel="deg")
+            axes[0, 0].plot(hours, angles[:, column], style, lw=0.8, label=f"{label}, {use}")
+        axes[0, 1].semilogy(hours, nutation_deg(flight), style, lw=0.8, label=use)
+        axes[1, 0].plot(hours[SETTLED:], excess_Nms(flight)[SETTLED:], style, lw=0.8, label=f"momentum bias, {use}")
+    axes[0, 0].set(title="momentum bias: attitude", ylabel="angle [deg]")
+    axes[0, 1].set(title="momentum bias: nutation", ylabel="nutation [deg]")
     flight = flights["three axes"]
-    axes[0, 1].plot(flight.seconds_s / 3600, 0.1 * flight.wheel_speed_rad_s[0], lw=0.8, label=["x", "y", "z"])
-    axes[0, 1].set(title="three axes: momentum of the wheels", ylabel="N m s")
+    for column, label in enumerate("xyz"):
+        momentum_Nms = 0.1 * flight.wheel_speed_rad_s[0, :, column]
+        axes[1, 0].plot(
+            flight.seconds_s[SETTLED:] / 3600, momentum_Nms[SETTLED:], ":", lw=1.0, label=f"three axes, {label}"
+        )
+    axes[1, 0].set(title="wheels beyond their bias, after half an hour", ylabel="momentum [N m s]")
     flight = flights["spin"]
     axis, nutation = spin_errors_deg(flight)
-    axes[1, 0].plot(flight.seconds_s / 3600, axis, lw=0.8, label="axis from the orbit normal")
-    axes[1, 0].plot(flight.seconds_s / 3600, nutation, lw=0.8, label="nutation")
-    axes[1, 0].set(title="spin", ylabel="deg", xlabel="h")
+    axes[1, 1].plot(flight.seconds_s / 3600, axis, lw=0.8, label="axis from the orbit normal")
+    axes[1, 1].plot(flight.seconds_s / 3600, nutation, lw=0.8, label="nutation")
+    axes[1, 1].set(title="spin", ylabel="angle [deg]")
     flight = flights["B-dot"]
-    axes[1, 1].semilogy(
-        flight.seconds_s / 3600, np.degrees(np.linalg.norm(flight.rate_B_rad_s[0], axis=1)), lw=0.8, label="rate"
-    )
-    axes[1, 1].set(title="B-dot", ylabel="deg/s", xlabel="h")
+    rate_deg_s = np.degrees(np.linalg.norm(flight.rate_B_rad_s[0], axis=1))
+    axes[2, 0].semilogy(flight.seconds_s / 3600, rate_deg_s, lw=0.8, label="size of the rate")
+    axes[2, 0].set(title="B-dot", ylabel="rate [deg/s]", yticks=[0.1, 0.3, 1.0, 3.0])
+    axes[2, 0].yaxis.set_major_formatter("{x:g}")
+    axes[2, 0].yaxis.set_minor_formatter("")
+    for axis in axes.flat[:5]:
+        axis.set_xlabel("time [h]")
+    draw_duty(axes[2, 1], flights)
+    axes[1, 0].set_ylim(-1.1, 2.0)
     for axis in axes.flat:
         axis.grid(alpha=0.3)
-        axis.legend(fontsize=8)
+        axis.legend(fontsize=8, loc="upper right")
     figure.savefig(path, dpi=110)
+
+
+def draw_duty(axes: Any, flights: dict[str, Flight]) -> None:
+    """Bars: share of the time on, and the mean dipole beside the most that a torquer can do."""
+    names = list(flights)
+    for number, label in enumerate("xyz"):
+        on = [100 * duty_shares(flights[name])[0][number] for name in names]
+        mean = [100 * duty_shares(flights[name])[1][number] / MOST_AM2[name] for name in names]
+        places = np.arange(len(names)) + 0.27 * (number - 1)
+        axes.bar(places, on, 0.25, color=f"C{number}", alpha=0.35)
+        axes.bar(places, mean, 0.25, color=f"C{number}", label=f"torquer {label}")
+    axes.set_xticks(range(len(names)), [name.replace("momentum bias, ", "bias,\n") for name in names], fontsize=8)
+    axes.set(title="torquers: time on (pale), mean dipole (full)", ylabel="share of the time, of the most [%]")
+    axes.set_ylim(0, 135)
 
 
 def main() -> None:

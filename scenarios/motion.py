@@ -69,7 +69,7 @@ class Motion:
     def table(self, note: str = "") -> Table:
         """To read."""
         rows: list[list[str | float]] = [
-            [f"{name} [deg]", float(rms), float(largest)]
+            [name, float(rms), float(largest)]
             for name, rms, largest in zip(_NAMES, self.rms_deg, self.largest_deg, strict=True)
         ]
         what = "by torques, wheels and control" if self.dynamic else "as prescribed"
@@ -80,7 +80,9 @@ class Motion:
             said.append(
                 "Wheels " + ", ".join(f"{low:.0f} to {high:.0f}" for low, high in self.wheel_rpm.tolist()) + " rpm."
             )
-        return Table(f"The true motion, {what}", ["angle", "rms", "largest"], rows, " ".join([note, *said]).strip())
+        return Table(
+            f"The true motion, {what}", ["angle", "rms [deg]", "largest [deg]"], rows, " ".join([note, *said]).strip()
+        )
 
 
 def motion_of(config: Scenario, telemetry: Telemetry, truth: Truth) -> Motion:

@@ -21,6 +21,7 @@ from fluxtwin.gap.refit import refit, settled
 from fluxtwin.gap.second_channel import channel_of, with_second_channel
 from fluxtwin.gap.sun_nadir import Channel, open_channel
 from fluxtwin.scenarios.hcmm import mission
+from fluxtwin.scenarios.motion import prescribed
 from fluxtwin.sim import epoch, frames
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
@@ -154,6 +155,8 @@ def run_gallery(
     config: Scenario, progress: Progress = silent, *, only: Sequence[str] = ("a", "b", "c", "d")
 ) -> tuple[Answer, ...]:
     """Fly and diagnose the cases of `only`."""
+    # The coils at random: what the law commands, a few hundredths of an A m2 along x and z, would leave nothing to see.
+    config = prescribed(config)
     plain = config.updated({"sun_sensor.1.misalignment_deg": None, "schedule.segments": _segments(config)})
     world, ground = build_world(plain), load_field(GROUND)
     chosen = [case for case in cases(config) if case.key in only]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -14,6 +15,7 @@ from fluxtwin.scenarios.seasat import mission as seasat
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.field import load_field
 from fluxtwin.sim.scenario import Scenario, parse_scenario
+from fluxtwin.studies import run_study
 
 WANTED_DEG = np.array([2.0, 0.7, 0.5])
 """HCMM: yaw, roll, pitch (Lerner & Shuster, AIAA 79-1695, "Application to AEM-1/HCMM"; 79-1695R, section IV)."""
@@ -93,6 +95,15 @@ def test_the_prescribed_motion_stays_an_option(mission: ModuleType) -> None:
     assert config.attitude.yaw_rms_deg / 2 < found.rms_deg[0] < 2 * config.attitude.yaw_rms_deg
     with pytest.raises(BadInput, match="dynamics or prescribed"):
         mission.scenario("free")
+
+
+@pytest.mark.parametrize(
+    ("name", "attitude", "words"), [("seasat", "free", "dynamics or prescribed"), ("st5", "dynamics", "has one motion")]
+)
+def test_another_attitude_is_refused_before_the_work(name: str, attitude: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=words):
+        run_study(name, tmp_path / "out", attitude=attitude)
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_scatter_of_hcmms_calibrations_does_not_hang_on_the_motion() -> None:

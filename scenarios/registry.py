@@ -50,6 +50,11 @@ STUDIES: dict[str, Study] = {
         "the field models against measurements in orbit (MAGSAT 1980, Swarm A in a storm)",
         needs_data=True,
     ),
+    "flight-gaps": Study(
+        "fluxtwin.scenarios.flight_gaps.study",
+        "the diagnosis on records that flew, whose cause it is not told (MAGSAT, Swarm, DMSP, an aircraft)",
+        needs_data=True,
+    ),
 }
 
 

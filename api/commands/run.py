@@ -15,7 +15,9 @@ BRIEF = "A whole study: tables, figures, report.html, summary.json."
 
 
 def command(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="The study: seasat, hcmm, st5 or flight-field.")],
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="The study: seasat, hcmm, st5, elfin, flight-field or flight-gaps.")
+    ],
     data: Annotated[
         Path | None,
         typer.Option("--data", metavar="DIR", help="Folder of recorded data, for flight studies."),

@@ -1,0 +1,86 @@
+"""Figures of diagnoses side by side: what each name takes alone, what is left by latitude, satellites compared."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from fluxtwin.plots import style
+from fluxtwin.sim.types import FloatArray
+
+_STEP_DEG = 5.0
+_LEAST_ROWS = 4
+
+
+def left_alone(bars: Sequence[tuple[str, float, str]], limit_nT: float, title: str) -> Figure:
+    """What each fit leaves: a bar with label, rms [nT] and a remark; the dashed line is what was there before."""
+    figure, ((axes,),) = style.figure(style.FULL_WIDTH_IN, 0.9 + 0.32 * len(bars))
+    places = np.arange(len(bars))
+    axes.barh(places, [value for _, value, _ in bars], height=0.68, color=style.BLUE)
+    axes.set_yticks(places, [label for label, _, _ in bars])
+    axes.invert_yaxis()
+    for place, (_, value, remark) in zip(places, bars, strict=True):
+        axes.text(value + 0.012 * limit_nT, float(place), remark, va="center", fontsize=style.NOTE_PT)
+    axes.axvline(limit_nT, color=style.BLACK, linewidth=1.0, linestyle="--")
+    axes.set_xlim(0.0, 1.32 * limit_nT)
+    style.label(axes, x="rms left per component [nT]; dashed: before", title=title)
+    return figure
+
+
+def by_latitude(tracks: Sequence[tuple[str, FloatArray, FloatArray]], title: str, aurora_deg: float) -> Figure:
+    """rms over the components of residuals (N, 3) against latitude (N,): dots, and the rms in steps of 5 deg.
+
+    Beyond `aurora_deg` the ground is tinted.
+    """
+    figure, ((axes,),) = style.figure(style.FULL_WIDTH_IN, 3.2)
+    for place, (label, latitude_deg, residual_nT) in enumerate(tracks):
+        size = np.sqrt(np.mean(np.square(residual_nT), axis=1))
+        colour, line = style.CYCLE[place], ("-", "--", "-.", ":")[place % 4]
+        if len(tracks) == 1:
+            axes.plot(latitude_deg, size, ".", color=style.SKY, markersize=3.0, alpha=0.6, label="samples")
+            colour = style.VERMILION
+        axes.plot(*_steps(latitude_deg, size), color=colour, linestyle=line, linewidth=1.6, label=label)
+    for low, high in ((-90.0, -aurora_deg), (aurora_deg, 90.0)):
+        axes.axvspan(low, high, color=style.PALE, alpha=0.4, linewidth=0.0, zorder=0.2)
+    axes.set_xlim(-90.0, 90.0)
+    axes.set_xticks(np.arange(-90, 91, 30))
+    axes.set_ylim(bottom=0.0)
+    style.label(axes, x="geocentric latitude [deg]", y="rms over the axes [nT]", title=title)
+    style.legend(axes, "upper center", columns=min(4, len(tracks) + 1))
+    return figure
+
+
+def groups(
+    labels: Sequence[str], series: Mapping[str, Sequence[float]], quantity: str, title: str, logarithmic: bool = False
+) -> Figure:
+    """Bars in groups, one colour a series; `quantity` names the axis with its unit."""
+    figure, ((axes,),) = style.figure(style.FULL_WIDTH_IN, 3.0)
+    places, width = np.arange(len(labels)), 0.8 / len(series)
+    hatches = ("", "//", "..", "xx")
+    for number, (name, values) in enumerate(series.items()):
+        shift = (number - 0.5 * (len(series) - 1)) * width
+        axes.bar(
+            places + shift, values, width=0.92 * width, color=style.CYCLE[number], hatch=hatches[number % 4],
+            edgecolor="white", linewidth=0.0, label=name,
+        )  # fmt: skip
+    axes.set_xticks(places, list(labels))
+    if logarithmic:
+        axes.set_yscale("log")
+    else:
+        style.zero_line(axes)
+    style.label(axes, y=quantity, title=title)
+    style.legend(axes)
+    return figure
+
+
+def _steps(latitude_deg: FloatArray, size: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """rms in steps of latitude, NaN where there are too few rows."""
+    edges = np.arange(-90.0, 90.0 + _STEP_DEG, _STEP_DEG)
+    number = np.clip(np.searchsorted(edges, latitude_deg, side="right") - 1, 0, edges.size - 2)
+    known = np.isfinite(size)
+    count = np.bincount(number[known], minlength=edges.size - 1)
+    total = np.bincount(number[known], weights=np.square(size[known]), minlength=edges.size - 1)
+    middle: FloatArray = 0.5 * (edges[1:] + edges[:-1])
+    return middle, np.where(count >= _LEAST_ROWS, np.sqrt(total / np.maximum(count, 1)), np.nan)

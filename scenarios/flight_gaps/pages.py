@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from fluxtwin.plots import gap_cases
-from fluxtwin.plots.gap import draw_series
 from fluxtwin.scenarios.flight_gaps import words
 from fluxtwin.scenarios.flight_gaps.alone import Alone
 from fluxtwin.scenarios.flight_gaps.cases import AIRCRAFT, DMSP, MAGSAT, STORM, SWARM
@@ -56,7 +55,7 @@ def summary(outcome: Outcome, settings: Settings) -> dict[str, Any]:
 
 def tables(outcome: Outcome) -> list[Table]:
     """The tables for the terminal."""
-    return [answers_table(outcome), storm_table(outcome), swarm_table(outcome)]
+    return [short_table(outcome), storm_table(outcome)]
 
 
 def page(outcome: Outcome, settings: Settings) -> Page:
@@ -102,22 +101,33 @@ def page(outcome: Outcome, settings: Settings) -> Page:
 
 def answers_table(outcome: Outcome) -> Table:
     """Every case in a row."""
-    rows: list[list[Cell]] = []
-    for answer in outcome.answers:
-        found, case = answer.found, answer.case
-        said = found.verdict if not found.effects else f"{found.verdict}: {words.names(found)}"
-        agrees = "" if answer.agrees is None else "yes" if answer.agrees else "no"
-        stage = found.where.stage or ""
-        rows.append(
-            [case.title, case.known, case.expected, said, stage, ", ".join(found.resembles), agrees,
-             "; ".join(words.doubts(answer))]
-        )  # fmt: skip
+    rows: list[list[Cell]] = [
+        [answer.case.title, answer.case.known, answer.case.expected, _said(answer), _agrees(answer)]
+        for answer in outcome.answers
+    ]
     return Table(
         "Every case",
-        ["record", "known, withheld", "foretold", "said", "stage", "resembles", "as foretold", "to be held against it"],
+        ["record", "known, withheld", "foretold", "said", "as foretold"],
         rows,
         note="Modelled, and so estimated anew in every test: b and S, if the record does not say otherwise.",
     )
+
+
+def short_table(outcome: Outcome) -> Table:
+    """The same for the terminal."""
+    rows = [[answer.case.title, _said(answer), _agrees(answer)] for answer in outcome.answers]
+    return Table("Every case", ["record", "said", "as foretold"], rows)
+
+
+def _said(answer: Answer) -> str:
+    found = answer.found
+    said = found.verdict if not found.effects else f"{found.verdict}: {words.names(found)}"
+    said += f", stage {found.where.stage}" if found.where.stage else ""
+    return said + (f"; resembles {', '.join(found.resembles)}" if found.resembles else "")
+
+
+def _agrees(answer: Answer) -> str:
+    return "nothing foretold" if answer.agrees is None else "yes" if answer.agrees else "no"
 
 
 def storm_table(outcome: Outcome) -> Table:
@@ -187,7 +197,7 @@ def swarm_table(outcome: Outcome) -> Table:
     row("stage", [a.found.where.stage for a in answers])
     row("probability of that stage", [round(words.share_of(a.found, a.found.where.stage or ""), 2) for a in answers])
     row("frame", [a.found.where.frame for a in answers])
-    row("left", [a.found.sentence for a in answers])
+    row("left", [words.left(a.found) for a in answers])
     row("first of the ranking", [a.found.ranking[0].name for a in answers])
     row("second", [a.found.ranking[1].name for a in answers])
     row("third", [a.found.ranking[2].name for a in answers])
@@ -245,12 +255,15 @@ def _storm_figure(outcome: Outcome) -> FigureBlock:
 
 
 def _degree_figure(outcome: Outcome) -> FigureBlock:
-    series = outcome.answer("magsat-degree-8").found.series
-    assert series is not None
+    without, with_it = outcome.degree_left
+    tracks = [
+        ("b and S", without.latitude_deg, without.residual_nT),
+        ("b, S and field_truncation", with_it.latitude_deg, with_it.residual_nT),
+    ]
     return FigureBlock(
         "magsat_degree_8",
-        "MAGSAT against IGRF-14 cut at degree 8, held-out samples, axes of the orbit: before, and with what was named.",
-        draw_series(series),
+        "What field_truncation takes when the model is cut at degree 8. Plain fits; tinted: beyond 60 deg.",
+        gap_cases.by_latitude(tracks, "MAGSAT less IGRF-14 to degree 8", _AURORA_DEG),
     )
 
 

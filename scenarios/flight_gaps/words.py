@@ -17,7 +17,9 @@ def verdict(outcome: Outcome) -> str:
     """The status line of the study."""
     judged = [answer for answer in outcome.answers if answer.agrees is not None]
     met = sum(bool(answer.agrees) for answer in judged)
-    return f"{met} of {len(judged)} answers to records that really flew are as foretold; each of the others is told."
+    return (
+        f"{met} of {len(judged)} answers to records that flew are as foretold; what went wrong in the others is told."
+    )
 
 
 def names(found: Diagnosis) -> str:
@@ -59,7 +61,7 @@ def storm(outcome: Outcome) -> list[str]:
     table, bare, full = outcome.storm, outcome.answer("storm-none").found, outcome.answer("storm-default").found
     ring, first = bare.ranking[0], {line.name: line for line in bare.ranking}
     bias = first["bias"]
-    arc, whole = outcome.storm_visible[0], outcome.storm_visible[-1]
+    arc, orbit, whole = (outcome.storm_visible[place] for place in (0, -2, -1))
     said = [
         f"Nothing modelled: the residual to IGRF-14 is {table.raw_nT:.0f} nT. By plain least squares one number, the "
         f"ring current, leaves {table.left_nT('ring_current'):.1f}; a constant b leaves {table.left_nT('bias'):.1f} "
@@ -71,14 +73,13 @@ def storm(outcome: Outcome) -> list[str]:
         f"With b and S modelled ring_current is {_state(full, 'ring_current')}: of a ring current of "
         f"{STORM_NT:.0f} nT, {arc[2]:.0f} nT rms along this arc, {arc[3]:.3f} nT are left once b and S are free "
         f"(independent: 0.04 of 48). What would settle it, it says: {advice.MANOEUVRES['ring_current']}.",
-        f"A day of this orbit in quiet attitude leaves {whole[3]:.1f} of {whole[2]:.0f} nT: more of the same data does "
-        "split them, because the dipole axis turns under the orbit. The other way is a calibration from before the "
-        "storm: with b and S known, nothing needs to be modelled, and the names compete only if the instrument changed "
-        "on that day.",
+        f"The arc is too short, not the attitude too quiet: with b and S free, a whole orbit leaves {orbit[3]:.1f} of "
+        f"{orbit[2]:.0f} nT of it, a day {whole[3]:.1f}. So one whole orbit of the storm would split the names, or a "
+        "calibration from before it: with b and S known, a constant b of a hundred nT is no rival.",
     ]
     if full.verdict != "no_gap":
         said.append(
-            f"What is left with b and S free is called {full.verdict}: {_left(full)}. The arc ends at the limit of low "
+            f"What is left with b and S free is called {full.verdict}: {left(full)}. The arc ends at the limit of low "
             "latitude, where in this storm the auroral currents are felt already (see the study flight-field). On so "
             f"short a record the held-out figure ({full.gap.before_nT:.0f} nT before) is an extrapolation of twelve "
             "parameters and means nothing."
@@ -117,9 +118,8 @@ def remains(outcome: Outcome) -> list[str]:
         f"{nec.left_nT('field_epoch'):.1f} nT with {nec.size('field_epoch'):+.1f} years (an independent look: 39.5 to "
         f"30.2 with +1.8). An error along the track does far more: {rest[0]:.1f} nT left with "
         f"{nec.size('along_track_error'):.1f} km, about a second of flight; beside it field_epoch takes next to nothing "
-        f"({rest[1]:.1f} nT, {nec_epoch(outcome):+.2f} years). So the years stood in for the second: the field drifts "
-        "mostly along the parallels and the meridians' tilt makes a shift of the position look like drift. No error of "
-        "the file's date follows, which is from its name.",
+        f"({rest[1]:.1f} nT, {nec_epoch(outcome):+.2f} years). So the years stood in for the second, and say nothing "
+        "of the file's date, which is from its name.",
         f"In the axes of the orbit S takes most of that second itself, as a turn in pitch: {orbit.base_nT:.1f} nT are "
         f"left, {orbit.left_nT('field_epoch'):.1f} with field_epoch ({orbit.size('field_epoch'):+.1f} years), "
         f"{orbit.left_nT('along_track_error'):.1f} with an error along the track.",
@@ -150,9 +150,10 @@ def swarm(outcome: Outcome) -> list[str]:
     return [
         told + " The residuals are those to CHAOS, so core, crust and ring current are taken off already, and what is "
         "left are currents that no effect of the catalogue describes.",
-        f"Rows cut as spikes: {cut}; they are the auroral passes, where the field changes faster than a sample. "
+        f"Rows cut as spikes: {cut}; {_polar(answers)} beyond 60 deg of latitude, where over the auroral currents the "
+        "field changes faster than a sample. "
         + ("Bit errors are named: " + ", ".join(spurious) if spurious else "No bit errors are named")
-        + ". A and C fly side by side and see the same rows; B is in another plane and at another height.",
+        + ".",
     ]
 
 
@@ -161,17 +162,18 @@ def dmsp(outcome: Outcome) -> list[str]:
     said = []
     for name in ("dmsp-f16", "dmsp-f14"):
         answer = outcome.answer(name)
-        found, filled = answer.found, outcome.fill_rows[name]
+        found, (filled, cut) = answer.found, outcome.fill_rows[name]
         said.append(
-            f"{answer.case.title}: {found.verdict}, stage {found.where.stage}: {_left(found)}. Rows cut: "
+            f"{answer.case.title}: {found.verdict}, stage {found.where.stage}: {left(found)}. Rows cut: "
             f"{found.samples['cut']}"
-            + (f", {filled} of them with a fill value of a million nT" if filled else "")
+            + (f"; of {filled} with a fill value of a million nT {cut}" if filled else "")
             + "."
         )
     said.append(
         "A fill value is no bit error, and none is named: it is cut and counted, as a spike is. The axes (x down, y "
-        "forward) are taken as is usual for this satellite; beyond 65 deg the down component is the quiet one, as it must "
-        "be over currents along the field. The model that the ground processing took off is not in the file."
+        f"forward) are assumed; from row to row beyond 65 deg F16 changes by {_steps(outcome.answer('dmsp-f16'))} nT rms "
+        "in x, y, z, and the down component is the quiet one, as it must be over currents along the field. The model that "
+        "the ground processing took off is not in the file."
     )
     return said
 
@@ -207,6 +209,19 @@ def aircraft(outcome: Outcome) -> list[str]:
     return said
 
 
+def _polar(answers: list[Answer]) -> str:
+    """How many of the rows cut lie beyond 60 deg of latitude."""
+    beyond = sum(int((answer.cut & (np.abs(answer.latitude_deg) > 60.0)).sum()) for answer in answers)
+    return f"{beyond} of the {sum(int(answer.cut.sum()) for answer in answers)}"
+
+
+def _steps(answer: Answer) -> str:
+    """rms of the change from row to row beyond 65 deg, by axis."""
+    polar = np.abs(answer.latitude_deg[1:]) > 65.0
+    change = np.diff(answer.left_nT, axis=0)[polar]
+    return ", ".join(f"{value:.0f}" for value in np.sqrt(np.nanmean(np.square(change), axis=0)))
+
+
 def _sure(found: Diagnosis) -> str:
     first = found.effects[0] if found.effects else None
     if first is None:
@@ -227,7 +242,8 @@ def _state(found: Diagnosis, name: str) -> str:
     return "named" if name in names_of(found) else "tested and not named"
 
 
-def _left(found: Diagnosis) -> str:
+def left(found: Diagnosis) -> str:
+    """What is left without a name, in the words of the diagnosis; else the names."""
     if found.verdict != "unknown":
         return names(found)
     return found.sentence.partition(": ")[2].partition(".")[0]

@@ -66,7 +66,12 @@ def page(outcome: Outcome, settings: Settings) -> Page:
         sections=[
             Section(
                 "What the diagnosis was not told, and what it said",
-                ["No noise was declared, and the cause was told to nobody. What is known is from outside."],
+                [
+                    "`fluxtwin run flight-gaps --data DIR` asks the diagnosis of recorded files whose cause is known, and "
+                    "withheld. No noise is declared, and nothing is tuned to these records. Body axes are those of the "
+                    "orbit (x forward, z down), as these satellites fly, unless a file has axes of its own. What came out "
+                    "stands here as it is: the sentences in the sections below are the diagnosis's own.",
+                ],
                 [answers_table(outcome)],
             ),
             Section(

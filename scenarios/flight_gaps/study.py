@@ -10,6 +10,7 @@ from fluxtwin.scenarios.flight_gaps import pages, words
 from fluxtwin.scenarios.flight_gaps.compute import compute
 from fluxtwin.scenarios.flight_gaps.settings import check_folder, read_settings
 from fluxtwin.scenarios.page import StudyResult
+from fluxtwin.scenarios.page_markdown import as_markdown
 from fluxtwin.sim.files import write_text
 from fluxtwin.sim.progress import Progress, part_of, silent
 
@@ -24,12 +25,15 @@ def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResul
     outcome = compute(folder, settings, part_of(progress, 0.0, 0.95))
     progress("drawing", 0.95)
     page = pages.page(outcome, settings)
-    saved = write_text(out / "flight_gaps.toml", tomli_w.dumps(settings.model_dump()))
+    saved = [
+        write_text(out / "flight_gaps.toml", tomli_w.dumps(settings.model_dump())),
+        write_text(out / "report.md", as_markdown(page)),
+    ]
     return StudyResult(
         name="flight-gaps",
         status_line=words.verdict(outcome),
         summary=pages.summary(outcome, settings),
         tables=pages.tables(outcome),
         page=page,
-        written=[saved],
+        written=saved,
     )

@@ -94,6 +94,15 @@ def writable_folder(path: Path | str) -> Path:
     return path
 
 
+def writable_file(path: Path | str) -> Path:
+    """Prove that a file of this name can be written, before long work starts. Raises BadInput when it cannot."""
+    path = Path(path)
+    if path.is_dir():
+        raise BadInput("is a folder", where=str(path), wanted="the name of a file to write")
+    writable_folder(path.parent)
+    return path
+
+
 def _sweep(folder: Path) -> None:
     """Remove temporaries that a killed process left here; its number is in their names."""
     for leftover in folder.glob(f"{_PREFIX}[0-9]*-*"):

@@ -54,12 +54,12 @@ def command(
     with output.progress(f"reading {telemetry}") as progress:
         from fluxtwin import diagnosing, diagnosis_page
         from fluxtwin.report import render_report
-        from fluxtwin.sim.files import writable_folder, write_text
+        from fluxtwin.sim.files import writable_file, write_text
         from fluxtwin.sim.scenario import save_scenario
 
-        for target in (html, close):
+        for target in (html, close, None if json in (None, "-") else Path(json)):
             if target is not None:
-                writable_folder(target.parent)  # before the work, not after it
+                writable_file(target)  # before the work, not after it
         record = read(telemetry, output, column_map=column_map, tle=tle)
         names = [] if modelled.strip() == "none" else [name.strip() for name in modelled.split(",") if name.strip()]
         diagnosis = diagnosing.diagnose(

@@ -343,3 +343,12 @@ def test_a_value_that_no_instrument_gives_is_named(late: Case, cli: Callable[...
     assert result.status == 2
     assert "1e+300" in result.err
     assert "row 5" in result.err
+
+
+def test_a_result_that_cannot_be_written_is_said_before_the_work(
+    late: Case, cli: Callable[..., Any], tmp_path: Path
+) -> None:
+    outcome = cli("diagnose", late.folder / "late.csv", *FLAGS, "--json", tmp_path)
+    assert outcome.status == 2
+    assert "is a folder" in outcome.err
+    assert "every effect" not in outcome.err

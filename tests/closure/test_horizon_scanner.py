@@ -100,5 +100,15 @@ def test_one_sun_direction_cannot_give_both(telemetry):
 
 
 def _columns(record):
-    names = ("mag_B_nT", "r_N_km", "v_N_km_s", "q_NB", "sunlit", "sun_B", "nadir_B", "sun_sensor_head")
+    names = (
+        "mag_B_nT",
+        "r_N_km",
+        "v_N_km_s",
+        "q_NB",
+        "sunlit",
+        "sun_B",
+        "nadir_B",
+        "sun_sensor_head",
+        "wheel_speed_rpm",
+    )
     return [name for name in names if getattr(record, name) is not None]

@@ -52,9 +52,7 @@ def by_latitude(tracks: Sequence[tuple[str, FloatArray, FloatArray]], title: str
     return figure
 
 
-def groups(
-    labels: Sequence[str], series: Mapping[str, Sequence[float]], quantity: str, title: str, logarithmic: bool = False
-) -> Figure:
+def groups(labels: Sequence[str], series: Mapping[str, Sequence[float]], quantity: str, title: str) -> Figure:
     """Bars in groups, one colour a series; `quantity` names the axis with its unit."""
     figure, ((axes,),) = style.figure(style.FULL_WIDTH_IN, 3.0)
     places, width = np.arange(len(labels)), 0.8 / len(series)
@@ -66,12 +64,9 @@ def groups(
             edgecolor="white", linewidth=0.0, label=name,
         )  # fmt: skip
     axes.set_xticks(places, list(labels))
-    if logarithmic:
-        axes.set_yscale("log")
-    else:
-        style.zero_line(axes)
+    style.zero_line(axes)
     style.label(axes, y=quantity, title=title)
-    style.legend(axes)
+    figure.legend(loc="outside lower center", ncols=len(series), fontsize=style.NOTE_PT, frameon=False)
     return figure
 
 

@@ -18,6 +18,7 @@ from fluxtwin.scenarios.flight_gaps import cases, compute, models, pages, reader
 from fluxtwin.scenarios.flight_gaps.alone import alone, visible_nT
 from fluxtwin.scenarios.flight_gaps.settings import Settings, check_folder, read_settings
 from fluxtwin.scenarios.flight_gaps.tolles_lawson import coefficients
+from fluxtwin.scenarios.page_markdown import as_markdown
 from fluxtwin.sim import epoch, frames
 from fluxtwin.sim.effects.bias import Bias
 from fluxtwin.sim.effects.ring_current import RingCurrent
@@ -209,6 +210,21 @@ def test_the_page_holds_what_was_found(quick: compute.Outcome, settings: Setting
     assert len(pages.magsat_table(quick).rows) > 20
     for block in (*pages._magsat_figures(quick), pages._storm_figure(quick), pages._aircraft_figure(quick)):
         assert len(png_bytes(block.figure)) > 10_000
+
+
+def test_the_whole_page_can_be_told_of_any_answers(quick: compute.Outcome, flight: Path, settings: Settings) -> None:
+    """Every case with an answer that was quick to have: what is tested is the telling, not the finding."""
+    unknown, named = quick.answer("storm-default"), quick.answer("aircraft-eddy_current")
+    for other in (unknown, named):
+        answers = [dataclasses.replace(other, case=case) for case in cases.cases(flight, settings)]
+        filled = dict.fromkeys(("dmsp-f16", "dmsp-f14"), (2, 1))
+        whole = dataclasses.replace(quick, answers=tuple(answers), fill_rows=filled)
+        page = pages.page(whole, settings)
+        assert len(page.sections) == 7
+        text = as_markdown(page)
+        assert "The three tell one story: Swarm A: " in text
+        assert text.count("](") == 7, "seven figures"
+        assert pages.tables(whole)[0].rows
 
 
 def test_doubts_are_told_of_absurd_sizes(quick: compute.Outcome) -> None:

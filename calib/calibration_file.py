@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from fluxtwin.calib.records import CONVENTION, COVARIANCE_KINDS, Calibration, parameter_names
+from fluxtwin.calib.records import CONVENTION, COVARIANCE_KINDS, Calibration, TelemetryBias, parameter_names
 from fluxtwin.sim import epoch, files
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.types import FloatArray
 
 _KEYS = (
     "convention", "S", "b_nT", "T_nT_per_Am2", "covariance", "covariance_kind", "sigma_nT", "samples", "span",
-    "field_model", "method", "unobservable",
+    "field_model", "method", "unobservable", "telemetry_bias",
 )  # fmt: skip
 _NEEDED = ("convention", "S", "b_nT")
 _LARGEST_FILE = 10_000_000  # bytes; a calibration is a few kB
@@ -41,6 +41,11 @@ def calibration_to_dict(calibration: Calibration) -> dict[str, Any]:
     content["field_model"] = calibration.field_model
     content["method"] = calibration.method
     content["unobservable"] = list(calibration.unobservable)
+    if calibration.telemetry_bias:
+        content["telemetry_bias"] = {
+            name: {"nT_per_unit": bias.value_nT.tolist(), "sigma": bias.sigma_nT.tolist()}
+            for name, bias in calibration.telemetry_bias.items()
+        }
     return content
 
 
@@ -98,6 +103,7 @@ def _from_text(text: str, where: str) -> Calibration:
         field_model=_text(content.get("field_model", ""), f"{where}: field_model"),
         method=_text(content.get("method", ""), f"{where}: method"),
         unobservable=tuple(_text(words, f"{where}: unobservable") for words in unobservable),
+        telemetry_bias=_telemetry_bias(content.get("telemetry_bias", {}), f"{where}: telemetry_bias"),
     )
 
 
@@ -153,6 +159,21 @@ def _covariance(content: dict[str, Any], with_T: bool, where: str) -> FloatArray
     if smallest < -1e-6:
         raise BadInput(f"has the eigenvalue {smallest:.3g}", where=where, wanted="no negative eigenvalue")
     return covariance
+
+
+def _telemetry_bias(value: Any, where: str) -> dict[str, TelemetryBias]:
+    wanted = "a table for each column, with nT_per_unit and sigma, three numbers each"
+    if not isinstance(value, dict):
+        raise BadInput(f"{_short(value)}", where=where, wanted=wanted)
+    found = {}
+    for name, bias in value.items():
+        if not isinstance(bias, dict) or set(bias) != {"nT_per_unit", "sigma"}:
+            raise BadInput(f"{_short(bias)}", where=f"{where}.{name}", wanted=wanted)
+        sigma = _numbers(bias["sigma"], (3,), f"{where}.{name}: sigma")
+        if (sigma < 0).any():
+            raise BadInput("a sigma is negative", where=f"{where}.{name}: sigma", wanted="three numbers, none negative")
+        found[name] = TelemetryBias(_numbers(bias["nT_per_unit"], (3,), f"{where}.{name}: nT_per_unit"), sigma)
+    return found
 
 
 def _span(value: Any, where: str) -> tuple[np.datetime64, np.datetime64] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,16 @@ def parameter_unit(name: str) -> str:
 
 
 @dataclass(frozen=True)
+class TelemetryBias:
+    """A field in the reading that follows a column of telemetry: B = ... + s I."""
+
+    value_nT: FloatArray
+    """(3,) s: nT for a unit of the column."""
+    sigma_nT: FloatArray
+    """(3,) 1 sigma."""
+
+
+@dataclass(frozen=True)
 class Calibration:
     """S, b and T of A B0 = (I+S) B + b + T D, with their covariance. Arrays are read-only.
 
@@ -58,6 +69,8 @@ class Calibration:
     method: str = ""
     unobservable: tuple[str, ...] = ()
     """In words: what these data cannot tell."""
+    telemetry_bias: Mapping[str, TelemetryBias] = field(default_factory=dict)
+    """By column of telemetry: field s I in the reading that is taken out before S, b and T act. Not in `covariance`."""
 
     def __post_init__(self) -> None:
         _set(self, "S", self.S, (3, 3))
@@ -107,13 +120,19 @@ class Calibration:
         """G, o, C of B = G A H + o + C D."""
         return forward_from_correction(self.correction)
 
-    def apply(self, mag_B_nT: FloatArray, dipole_B_Am2: FloatArray | None = None) -> FloatArray:
+    def apply(
+        self,
+        mag_B_nT: FloatArray,
+        dipole_B_Am2: FloatArray | None = None,
+        columns: Mapping[str, FloatArray] | None = None,
+    ) -> FloatArray:
         """(N, 3) estimate of the true field in body axes: (I+S) B + b + T D (journal eq. 1).
 
-        mag_B_nT, dipole_B_Am2: (N, 3), body. Rows with missing numbers come out missing. Raises BadInput when
-        T is known but no dipole is given.
+        mag_B_nT, dipole_B_Am2: (N, 3), body. columns: (N,) of telemetry, by name, for `telemetry_bias`. Rows with
+        missing numbers come out missing. Raises BadInput when T is known but no dipole is given, or a column that
+        the reading follows is missing.
         """
-        reading = np.asarray(mag_B_nT, dtype=np.float64)
+        reading = self._without_telemetry_bias(np.asarray(mag_B_nT, dtype=np.float64), columns or {})
         true = reading + reading @ self.S.T + self.b_nT
         if self.T_nT_per_Am2 is None or not self.T_nT_per_Am2.any():
             return true
@@ -127,6 +146,17 @@ class Calibration:
         used = np.flatnonzero(self.T_nT_per_Am2.any(axis=0))
         dipole = np.asarray(dipole_B_Am2, dtype=np.float64)[..., used]
         return np.asarray(true + dipole @ self.T_nT_per_Am2[:, used].T)
+
+    def _without_telemetry_bias(self, reading_nT: FloatArray, columns: Mapping[str, FloatArray]) -> FloatArray:
+        for name, bias in self.telemetry_bias.items():
+            if name not in columns:
+                raise BadInput(
+                    f"this calibration takes out a field that follows {name!r}, and the column is not there",
+                    where=name,
+                    wanted="telemetry with that column, or a calibration made without --telemetry-bias",
+                )
+            reading_nT = reading_nT - np.asarray(columns[name], dtype=np.float64)[..., None] * bias.value_nT
+        return reading_nT
 
     def unapply(self, field_B_nT: FloatArray, dipole_B_Am2: FloatArray | None = None) -> FloatArray:
         """(N, 3) the reading that this calibration expects of a true field; inverse of `apply`."""

@@ -301,10 +301,11 @@ def _report(
     residuals_nT = (r * job.scale_nT)[:, None]
     sigma_nT = float(np.sqrt((residuals_nT[kept] ** 2).sum() / max(int(kept.sum()) - data.size, 1)))
     unobservable = [NO_ROTATION, *words.never_fired(job.never_fired), *hardly_separable(covariance, job.names, 1e-3)]
+    biases = telemetry_biases(solved.p, covariance, data, job.columns, job.scale_nT, units)
     calibration = Calibration(
         S, b_nT, T if with_T else None, whole if with_T else whole[:12, :12], options.covariance, sigma_nT,
         int(kept.sum()), (rows.time[0], rows.time[-1]), model_name, words.method(options, job.columns),
-        tuple(unobservable),
+        tuple(unobservable), biases,
     )  # fmt: skip
     a = np.ones(len(r)) if robust is None else robust.weights
     return ScalarFit(
@@ -312,7 +313,7 @@ def _report(
         weights=a / a.sum(), rows=rows.rows, left_out=dict(rows.left_out), rejected=int((~kept).sum()),
         variation=seen.field_variation(covariance_of(rows.B_nT)), noise=noise,
         statistics=residual_statistics(rows.time[kept], residuals_nT[kept]), messages=tuple(messages),
-        telemetry_bias=telemetry_biases(solved.p, covariance, data, job.columns, job.scale_nT, units),
+        telemetry_bias=biases,
         quality={"chi2_per_sample": inflation, "field_size_variation": how.constant_share, "rounds": solved.rounds},
     )  # fmt: skip
 

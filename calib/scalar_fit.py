@@ -10,6 +10,7 @@ import numpy as np
 
 from fluxtwin.calib.fit import Fit
 from fluxtwin.calib.observability import HARDLY_SEPARABLE
+from fluxtwin.calib.records import TelemetryBias
 from fluxtwin.calib.scalar_model import PAIRS, ScalarData, unpack
 from fluxtwin.sim.types import FloatArray
 
@@ -18,16 +19,6 @@ NO_ROTATION = (
     "S23 = S32; its rotation is not in the sigmas"
 )
 _DIPOLES = ("dipole_x_Am2", "dipole_y_Am2", "dipole_z_Am2")
-
-
-@dataclass(frozen=True)
-class TelemetryBias:
-    """A field in the reading that follows a column of telemetry: B = ... + s I."""
-
-    value_nT: FloatArray
-    """(3,) s: nT for a unit of the column."""
-    sigma_nT: FloatArray
-    """(3,) 1 sigma."""
 
 
 @dataclass(frozen=True, kw_only=True)

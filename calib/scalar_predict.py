@@ -11,7 +11,7 @@ from fluxtwin.calib.records import Calibration
 from fluxtwin.calib.residuals import ResidualStatistics, residual_statistics
 from fluxtwin.calib.scalar_rows import assemble_scalar
 from fluxtwin.sim.field import FieldModel
-from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.telemetry import Telemetry, recorded_columns
 
 
 def predict_scalar(
@@ -21,5 +21,6 @@ def predict_scalar(
     telemetry = joined(records)
     rows = assemble_scalar(telemetry, model)
     dipole = telemetry.dipole_B_Am2
-    true = calibration.apply(rows.B_nT, None if dipole is None else dipole[rows.rows])
+    columns = {name: values[rows.rows] for name, values in recorded_columns(telemetry).items()}
+    true = calibration.apply(rows.B_nT, None if dipole is None else dipole[rows.rows], columns)
     return residual_statistics(rows.time, (np.linalg.norm(true, axis=1) - rows.H_nT)[:, None])

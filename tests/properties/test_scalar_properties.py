@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from fluxtwin.calib.apply import apply_calibration
 from fluxtwin.calib.methods import calibrate_by, default_method
 from fluxtwin.calib.records import Calibration
 from fluxtwin.calib.scalar import ScalarOptions, calibrate_scalar, fit_rows
@@ -206,3 +207,28 @@ def test_rows_left_out_are_counted(record: Telemetry, model: FieldModel) -> None
         calibrate_scalar(record.select(slice(0, 9)), model)
     with pytest.raises(NoAnswer, match="reads zero throughout"):
         calibrate_scalar(record.replace(mag_B_nT=np.zeros((900, 3))), model)
+
+
+def test_a_field_that_follows_a_column_survives_saving(record: Telemetry, model: FieldModel, tmp_path: Path) -> None:
+    """The file holds s of B = ... + s I; read back, it takes that field out of telemetry, and asks for the column."""
+    s = np.array([900.0, -600.0, 300.0])
+    current = (np.arange(len(record)) // 40 % 2).astype(float)
+    spoilt = record.replace(mag_B_nT=record.mag_B_nT + current[:, None] * s, array_current_A=current)
+    fit = calibrate_scalar(spoilt, model, telemetry_bias=["array_current_A"])
+    path = fit.calibration.to_toml(tmp_path / "known.toml")
+    again = Calibration.from_toml(path)
+    bias = again.telemetry_bias["array_current_A"]
+    assert np.array_equal(bias.value_nT, fit.telemetry_bias["array_current_A"].value_nT)
+    assert np.array_equal(bias.sigma_nT, fit.telemetry_bias["array_current_A"].sigma_nT)
+    expected = fit.calibration.apply(
+        spoilt.mag_B_nT - current[:, None] * bias.value_nT, columns={"array_current_A": 0 * current}
+    )
+    corrected = apply_calibration(spoilt, again).mag_B_nT
+    np.testing.assert_allclose(corrected, expected, rtol=0.0, atol=1e-6)
+    left = predict_scalar(spoilt, again, model).to_dict()
+    assert left == predict_scalar(spoilt, fit.calibration, model).to_dict()
+    with pytest.raises(BadInput, match="a field that follows 'array_current_A', and the column is not there"):
+        apply_calibration(spoilt.replace(array_current_A=None), again)
+    path.write_text(path.read_text().replace("nT_per_unit", "nT"))
+    with pytest.raises(BadInput, match=r"telemetry_bias\.array_current_A"):
+        Calibration.from_toml(path)

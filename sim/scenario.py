@@ -33,6 +33,7 @@ class Scenario(sections.Section):
     attitude: sections.AttitudeSection = sections.AttitudeSection()
     magnetometer: sections.MagnetometerSection = sections.MagnetometerSection()
     sun_sensor: dict[str, sections.SunSensorSection] = {}
+    slit_sun_sensor: sections.SlitSunSensorSection | None = None
     horizon_scanner: sections.HorizonScannerSection | None = None
     gyro: sections.GyroSection | None = None
     torquers: sections.TorquersSection | None = None
@@ -71,6 +72,8 @@ class Scenario(sections.Section):
             raise ValueError("a reference attitude from sensors wants a [horizon_scanner]")
         if self.attitude.mode in ("tumble", "spin", "dynamics") and self.spacecraft.inertia_kg_m2 is None:
             raise ValueError(f"attitude mode {self.attitude.mode} wants inertia_kg_m2 in [spacecraft]")
+        if self.slit_sun_sensor is not None and (self.attitude.mode != "spin" or self.replay is not None):
+            raise ValueError('[slit_sun_sensor] wants a free spin: mode = "spin" in [attitude], and no [replay]')
         self._dynamic()
         self._sampled()
         wrong = scenario_draws.faults(self.draws, self.model_dump()) if self.draws else []

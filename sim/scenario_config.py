@@ -227,6 +227,13 @@ class SunSensorSection(Section):
     misalignment_deg: Vector3 = ZERO3
 
 
+class SlitSunSensorSection(Section):
+    """One slit in a half plane that holds body z, at an azimuth from +x towards +y; one pulse a spin."""
+
+    azimuth_deg: float = 0.0
+    noise_deg: NonNegative = 0.0
+
+
 class HorizonScannerSection(Section):
     """Measures roll and pitch against the Earth's horizon; noise is correlated over `tau_s`."""
 

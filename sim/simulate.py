@@ -9,6 +9,7 @@ from fluxtwin.sim.scenario import Scenario
 from fluxtwin.sim.scenario_attitude import true_attitude
 from fluxtwin.sim.scenario_motion import ScenarioMotion
 from fluxtwin.sim.scenario_sampling import interleaved, sampled_rows
+from fluxtwin.sim.slit_pulses import with_pulses
 from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.truth import Truth
 from fluxtwin.sim.world import World, build_world
@@ -18,7 +19,8 @@ def simulate(scenario: Scenario, *, world: World | None = None, progress: Progre
     """Run the scenario once.
 
     world: the world of this scenario if it was built before (it does not depend on the seed); a caller that
-    runs many seeds builds it once. Returns the telemetry and, apart from it, the truth.
+    runs many seeds builds it once. Returns the telemetry and, apart from it, the truth; the sun pulses of
+    [slit_sun_sensor] are rows of the telemetry alone.
     Raises BadInput for a scenario that cannot be run and OutOfRange for epochs outside the field model.
     """
     if scenario.replay is not None:
@@ -36,8 +38,9 @@ def simulate(scenario: Scenario, *, world: World | None = None, progress: Progre
     columns = chain.recorded_columns(world, attached, housekeeping, dipole)
     signal = chain.fly_magnetometer(scenario, world, motion, columns)
     progress("done", 1.0)
-    telemetry = chain.to_telemetry(scenario, signal, attached, columns)
-    return _as_read(scenario, world, telemetry), chain.to_truth(scenario, world, attitude, signal)
+    telemetry = _as_read(scenario, world, chain.to_telemetry(scenario, signal, attached, columns))
+    truth = chain.to_truth(scenario, world, attitude, signal)
+    return with_pulses(telemetry, scenario, world, truth), truth
 
 
 def _as_read(scenario: Scenario, world: World, telemetry: Telemetry) -> Telemetry:

@@ -45,6 +45,11 @@ STUDIES: dict[str, Study] = {
         "fluxtwin.scenarios.st5.study",
         "ST5, a spinner: its magnetometer calibrated from orbit, field and sun pulses, beside the abstract's numbers",
     ),
+    "elfin": Study(
+        "fluxtwin.scenarios.elfin.study",
+        "ELFIN-A 2022, a spinner in flight: what is unmodelled, and how far it shrinks on zones that were not used",
+        needs_data=True,
+    ),
     "flight-field": Study(
         "fluxtwin.scenarios.flight_field.study",
         "the field models against measurements in orbit (MAGSAT 1980, Swarm A in a storm)",

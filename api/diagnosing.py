@@ -12,6 +12,7 @@ import numpy as np
 from fluxtwin.gap import advice, closing, doubts, full_rate, second_channel, transfer
 from fluxtwin.gap.closing import Declared as Declared
 from fluxtwin.gap.diagnose import diagnose as investigate_record
+from fluxtwin.gap.momentum_arcs import Craft
 from fluxtwin.gap.problem import DEFAULT_MODELLED, Budget
 from fluxtwin.gap.records import Diagnosis
 from fluxtwin.gap.stochastic import with_frozen_noise
@@ -24,6 +25,7 @@ from fluxtwin.sim.errors import BadInput, NoAnswer
 from fluxtwin.sim.field_models import load_field
 from fluxtwin.sim.progress import Progress, silent
 from fluxtwin.sim.scenario import Scenario, load_scenario
+from fluxtwin.sim.scenario_dynamics import vehicle_of
 from fluxtwin.sim.scenario_effects import active_effects
 from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.world import ephemeris, schedule_times
@@ -69,6 +71,7 @@ def diagnose(
         budget=budget,
         instrument=None if config is None else spacecraft.magnetometer(config),
         frozen=() if config is None else _frozen(config),
+        craft=_craft(config),
         provenance={"source": record.provenance.get("source", "")},
         progress=progress,
     )
@@ -84,7 +87,7 @@ def diagnose(
     notes += found.provenance.get("sun_nadir_notes", [])
     return replace(
         found,
-        would_settle=advice.would_settle(found.minimum_detectable, found.untestable, _hours(found)),
+        would_settle=advice.would_settle(found.minimum_detectable, _asked_for(found), _hours(found)),
         provenance={
             **{key: value for key, value in found.provenance.items() if key != "sun_nadir_notes"},
             "notes": [note for note in notes if note],
@@ -148,6 +151,12 @@ def _left_out(record: Telemetry, found: Diagnosis) -> list[str | None]:
     return notes
 
 
+def _asked_for(found: Diagnosis) -> dict[str, str]:
+    """Effects that cannot be tested; those on the dynamics only where the momentum was balanced."""
+    balanced = found.momentum is not None
+    return {name: why for name, why in found.untestable.items() if balanced or find_effect(name).stage != "dynamics"}
+
+
 def _hours(found: Diagnosis) -> float:
     """Hours of data that were used, gaps left out."""
     if found.series is None or found.series.time.size < 2:
@@ -184,6 +193,13 @@ def _frozen(config: Scenario) -> tuple[Active, ...]:
         else (effect, theta)
         for effect, theta in active_effects(config)
     )
+
+
+def _craft(config: Scenario | None) -> Craft | None:
+    """The vehicle that the scenario flies; None unless torques turn it."""
+    if config is None or config.attitude.mode != "dynamics":
+        return None
+    return Craft(vehicle_of(config), 1.0 if config.control is None else config.control.period_s)
 
 
 def _with_scenario(record: Telemetry, config: Scenario) -> Telemetry:

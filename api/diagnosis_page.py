@@ -31,6 +31,7 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
     if diagnosis.verdict == "unknown" and diagnosis.ranking:
         shown.append(ranking_table(diagnosis))
     shown.append(far_table(diagnosis))
+    shown += momentum_tables(diagnosis)
     if diagnosis.transfers:
         shown.append(transfer_table(diagnosis))
     if diagnosis.untestable:
@@ -116,7 +117,7 @@ def _far(diagnosis: Diagnosis) -> Section:
                 draw_spectra(diagnosis.series),
             ),
         ]
-    return Section("How far it shrinks", [], [far_table(diagnosis)], figures)
+    return Section("How far it shrinks", [], [far_table(diagnosis), *momentum_tables(diagnosis)], figures)
 
 
 def _elsewhere(diagnosis: Diagnosis) -> list[Section]:
@@ -163,6 +164,32 @@ def rivals_table(diagnosis: Diagnosis) -> Table:
         [effect.name, name, percent(probability)] for effect in diagnosis.effects for name, probability in effect.rivals
     ]
     return Table("Rivals", ["instead of", "it could be", "probability"], rows)
+
+
+def momentum_tables(diagnosis: Diagnosis) -> list[Table]:
+    """The balance of the momentum; none where there is none."""
+    m = diagnosis.momentum
+    if m is None:
+        return []
+    dynamic = any(effect.stage == "dynamics" for effect in diagnosis.effects)
+    closed = "not measurable" if dynamic else "nothing is named here"
+    if m.closed is not None:
+        closed = f"{100 * m.closed:.0f} %"
+        if m.interval is not None:
+            closed += f" ({100 * m.interval[0]:.0f} to {100 * m.interval[1]:.0f} %)"
+    errors = [
+        f"{axis} {value:.3f}" + ("" if sigma is None else f" ± {sigma:.3f}")
+        for axis, (value, sigma) in m.standing_error_deg.items()
+    ]
+    standing = f" Standing attitude error in body axes: {', '.join(errors)} deg." if errors else ""
+    return [
+        Table(
+            "Attitude against the balance of the momentum, rms per component on held-out windows [deg]",
+            ["windows", "before", "after", "floor", "closed (90 %)"],
+            [[str(m.windows), f"{m.before_deg:.3f}", f"{m.after_deg:.3f}", f"{m.floor_deg:.3f}", closed]],
+            f"Windows of up to {m.window_s / 60.0:.0f} min, the start of each free. Floor: {m.noise}.{standing}",
+        )
+    ]
 
 
 def far_table(diagnosis: Diagnosis) -> Table:

@@ -49,6 +49,12 @@ MANOEUVRES: Mapping[str, str] = {
     "to the sun for half an orbit",
     "horizon_scanner_bias": "a second attitude sensor beside the scanner",
     "yaw_drift": "a second attitude sensor through the eclipse",
+    "residual_dipole_torque": "wheels and torquers left alone for an orbit or two, with a better reference attitude",
+    "aerodynamic_torque": "a lower perigee, or a day of an active sun",
+    "solar_pressure_torque": "the sun held on one side for whole orbits, wheels taking up the momentum",
+    "eddy_torque": "a spin of several rpm",
+    "gravity_gradient_inertia_error": "slews about all three axes, or a slow tumble",
+    "torquer_gain_error": "each torquer full on in turn, with its dipole in the telemetry at every switch",
 }
 
 

@@ -16,6 +16,8 @@ from fluxtwin.gap.frail import Shaken
 from fluxtwin.gap.full_rate import FullRate, full_rate
 from fluxtwin.gap.growth import needed
 from fluxtwin.gap.left import Left, what_is_left
+from fluxtwin.gap.momentum import Momentum, balanced
+from fluxtwin.gap.momentum_arcs import Craft
 from fluxtwin.gap.named import SearchResult
 from fluxtwin.gap.noise import (
     NoiseModel,
@@ -67,6 +69,8 @@ class Work:
     where: Where
     shrinkage: Shrinkage
     series: GapSeries
+    momentum: Momentum
+    """The balance of the momentum."""
 
 
 def diagnose(
@@ -78,6 +82,7 @@ def diagnose(
     instrument: Magnetometer | None = None,
     frozen: Sequence[Active] = (),
     ruled_out: Sequence[str] = (),
+    craft: Craft | None = None,
     provenance: Mapping[str, object] | None = None,
     progress: Progress = silent,
 ) -> Diagnosis:
@@ -85,7 +90,7 @@ def diagnose(
 
     modelled: effects re-estimated as nuisance in every test. budget: the declared noise; what is missing is found in
     the data. instrument: starting S, b, T. frozen: effects applied as they are. ruled_out: effects that another measurement
-    has ruled out.
+    has ruled out. craft: the vehicle as modelled, for the balance of its momentum.
     Raises BadInput for unknown names and absent columns, NoAnswer when there are too few rows for the question.
     """
     progress("baseline", 0.0)
@@ -95,7 +100,7 @@ def diagnose(
     )  # fmt: skip
     problem = replace(problem, ruled_out=tuple(ruled_out))
     _require_rows(problem)
-    work = investigate(settled(problem), progress, None if every == 1 else telemetry)
+    work = investigate(settled(problem), progress, None if every == 1 else telemetry, craft)
     notes: dict[str, object] = dict(provenance or {})
     notes |= {"field_model": model.title, "noise": work.noise.words, "rows_thinned_by": every}
     notes |= {f"budget: {name}": source for name, source in (complete_budget(work.problem).sources or {}).items()}
@@ -108,7 +113,9 @@ def diagnose(
     return verdict.assemble(work, notes, without_attitude=without)
 
 
-def investigate(problem: Problem, progress: Progress = silent, whole: Telemetry | None = None) -> Work:
+def investigate(
+    problem: Problem, progress: Progress = silent, whole: Telemetry | None = None, craft: Craft | None = None
+) -> Work:
     """Noise, search, what is left, where, how far. whole: the record that the problem's rows are thinned from."""
     progress("every effect on this design", 0.05)
     coarser, declared_lsb_nT = coarse(problem), problem.budget.lsb_nT
@@ -161,7 +168,10 @@ def investigate(problem: Problem, progress: Progress = silent, whole: Telemetry 
     place = _place(problem, whitener, result, alone, fitted, dictionary, left)
     progress("how far", 0.9)
     shrinkage, series = _how_far(problem, robust, declared_lsb_nT, answer, flexible)
-    return Work(problem, noise, robust, whitener, result, alone, fitted, left, flexible, place, shrinkage, series)
+    momentum = balanced(problem, craft, whitener, result, fitted)
+    return Work(
+        problem, noise, robust, whitener, result, alone, fitted, left, flexible, place, shrinkage, series, momentum
+    )
 
 
 @dataclass(frozen=True, eq=False)

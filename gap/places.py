@@ -47,6 +47,12 @@ _PLACES: dict[str, tuple[str | None, str | None]] = {
     "sun_sensor_head_misalignment": ("body", "head"),
     "horizon_scanner_bias": ("orbital", "latitude"),
     "yaw_drift": ("orbital", "time"),
+    "residual_dipole_torque": ("body", "field_strength"),
+    "aerodynamic_torque": ("body", None),
+    "solar_pressure_torque": ("body", "sunlit"),
+    "eddy_torque": ("body", "rate"),
+    "gravity_gradient_inertia_error": ("body", None),
+    "torquer_gain_error": ("body", "torquer"),
 }
 
 _WITHOUT_COLUMN = {

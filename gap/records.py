@@ -10,6 +10,7 @@ from fluxtwin.sim.types import FloatArray, TimeArray
 
 if TYPE_CHECKING:
     from fluxtwin.gap.closure import Closure
+    from fluxtwin.gap.momentum_far import MomentumGap
 
 VERDICTS = ("no_gap", "effect", "unknown")
 STAGES = ("dynamics", "time", "orbit", "field", "attitude", "spacecraft", "sensor", "telemetry")
@@ -218,10 +219,12 @@ class Diagnosis:
     """Every effect that was tested, each alone before any is named, most significant first."""
     transfers: Sequence[Transfer] | None = None
     """For which other designs the closed scenario is good enough; None when closing was not asked for."""
+    momentum: MomentumGap | None = None
+    """The balance of the momentum; None, and not in the JSON, where there is none."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON; every key always present."""
-        return {
+        """Plain values for JSON; every key always present, but `momentum` only where it was balanced."""
+        whole = {
             "verdict": self.verdict,
             "effects": [effect.to_dict() for effect in self.effects],
             "resembles": list(self.resembles),
@@ -238,3 +241,4 @@ class Diagnosis:
             "ranking": [line.to_dict() for line in self.ranking],
             "transfers": None if self.transfers is None else [one.to_dict() for one in self.transfers],
         }
+        return whole if self.momentum is None else {**whole, "momentum": self.momentum.to_dict()}

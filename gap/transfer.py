@@ -209,5 +209,6 @@ def _others(closure: Closure, number: int) -> tuple[Other, ...]:
 def _known(one: Stochastic, target: Target) -> Transfer:
     """An effect that is known by its distribution: a property of the instrument, or a path that never comes again."""
     bound = one.effect.bound
-    why = bound or "a property of the readings, not of the orbit: its size is carried over"
+    owner = "body" if one.effect.stage == "dynamics" else "readings"
+    why = bound or f"a property of the {owner}, not of the orbit: its size is carried over"
     return Transfer(one.effect.name, target.name, bound is None, None, None, None, None, why)

@@ -11,6 +11,7 @@ import numpy as np
 from fluxtwin.gap.candidates import settings_of
 from fluxtwin.gap.closure import Closure, Stochastic
 from fluxtwin.gap.flexible import FlexibleFinding
+from fluxtwin.gap.momentum_far import MomentumGap
 from fluxtwin.gap.named import Named
 from fluxtwin.gap.places import place_of
 from fluxtwin.gap.records import Alone, Diagnosis, EffectParameter, FoundEffect, GapSeries, Place, Shrinkage
@@ -47,15 +48,20 @@ def assemble(work: Work, provenance: Mapping[str, Any], *, without_attitude: int
     named = [] if work.found.resembles else list(work.found.named)
     stands = bool(named) and (not structured or _carried(work)) and not _overfitted(work)
     signals = [_weighed(_found(one, work.problem.setting), work.shrinkage) for one in named] if stands else []
+    momentum = work.momentum
+    if momentum.standing:
+        signals += [_found(one, work.problem.setting) for one in momentum.standing]
+        signals.sort(key=lambda effect: effect.significance)
     stochastic = [_flexible(one, work.problem.setting) for one in confirmed]
     effects = [*signals, *stochastic]
-    unexplained = bool(work.found.resembles) or (not stands and (structured or bool(named)))
+    unexplained = bool(work.found.resembles) or (not stands and (structured or bool(named))) or momentum.unexplained
     verdict = "unknown" if unexplained else "effect" if effects else "no_gap"
     beyond = _beyond_budget(work) if verdict == "no_gap" else None
     verdict = verdict if beyond is None else "unknown"
     resembles = _resembles(work, verdict)
     shrunk, series = _without_known(work.shrinkage, work.series, known, bool(effects))
-    gap = _gap(shrunk, verdict, bool(effects), incomplete=stands and structured)
+    incomplete = (stands and structured) or momentum.incomplete
+    gap = _gap(shrunk, verdict, bool(effects), incomplete=incomplete)
     where = _where(work, effects) if beyond is None else _at_attitude(work)
     return Diagnosis(
         verdict=verdict,
@@ -65,20 +71,25 @@ def assemble(work: Work, provenance: Mapping[str, Any], *, without_attitude: int
         gap=gap,
         modelled=[effect.name for effect in work.problem.modelled],
         untestable={
-            name: why for name, why in work.found.untestable.items() if name not in {one.name for one in effects}
+            name: why
+            for name, why in {**work.found.untestable, **momentum.untestable}.items()
+            if name not in {one.name for one in effects}
         },
-        isolability={name: dict(shares) for name, shares in work.found.isolability.items()},
-        minimum_detectable=dict(work.found.minimum_detectable),
+        isolability={
+            name: dict(shares) for name, shares in (*work.found.isolability.items(), *momentum.isolability.items())
+        },
+        minimum_detectable={**work.found.minimum_detectable, **momentum.minimum_detectable},
         samples={
             "used": work.problem.rows - work.robust.rows_cut,
             "cut": work.robust.rows_cut,
             "without_attitude": without_attitude,
         },
         provenance=dict(provenance),
-        sentence=_sentence(verdict, effects, where, gap, resembles, beyond or _left_words(work)),
+        sentence=_sentence(verdict, effects, where, gap, resembles, beyond or _left_words(work), momentum.gap),
         series=series if effects else replace(series, after_nT=series.before_nT),
-        ranking=[Alone(line.name, line.drop, line.rank, line.p_value) for line in work.found.ranking],
-        closure=_closure(work, named if stands else [], confirmed, _incomplete(verdict, stands and structured)),
+        ranking=_ranking(work),
+        momentum=momentum.gap,
+        closure=_closure(work, named if stands else [], confirmed, _incomplete(verdict, incomplete)),
     )
 
 
@@ -107,11 +118,19 @@ def _weighed(found: FoundEffect, gap: Shrinkage) -> FoundEffect:
     return replace(found, probability=min(found.probability, _HELD_OUT))
 
 
+def _ranking(work: Work) -> list[Alone]:
+    """Both channels, most significant first; each was tested in its own."""
+    lines = [*work.found.ranking, *work.momentum.ranking]
+    if work.momentum.ranking:
+        lines.sort(key=lambda line: (line.p_value, -line.drop))
+    return [Alone(line.name, line.drop, line.rank, line.p_value) for line in lines]
+
+
 def _left_words(work: Work) -> str:
     """What an answer without a name says of the data."""
     if work.left.structured or work.found.resembles:
-        return work.left.words
-    return "what fits best does not hold on samples held out"
+        return "; ".join(words for words in (work.left.words, work.momentum.words) if words)
+    return work.momentum.words or "what fits best does not hold on samples held out"
 
 
 def _incomplete(verdict: str, left: bool) -> str | None:
@@ -132,6 +151,9 @@ def _closure(
         values = np.array([0.0 if entry is None else entry[0] for entry in known])
         sigmas = np.array([np.nan if entry is None else entry[1] for entry in known])
         stochastic.append(Stochastic(effect, values, sigmas))
+    stochastic += [
+        Stochastic(one.effect, one.theta, np.sqrt(np.diag(one.covariance))) for one in work.momentum.standing
+    ]
     return Closure(
         problem=work.problem,
         whitener=work.whitener,
@@ -242,6 +264,10 @@ def _resembles(work: Work, verdict: str) -> list[str]:
 def _where(work: Work, effects: Sequence[FoundEffect]) -> Place:
     """The place of the first entry, with its probability in the posteriors; of what is unexplained where none is named."""
     place = work.where.place
+    if work.momentum.unexplained and not effects:
+        condition, frame = work.momentum.left_condition, work.momentum.left_frame
+        stages = {"dynamics": 1.0, "none": 0.0}
+        return Place("dynamics", None, frame, condition, [], {**place.probabilities, "stage": stages})
     if not effects:
         return place
     first = effects[0]
@@ -288,8 +314,9 @@ def _gap(gap: Shrinkage, verdict: str, named: bool, *, incomplete: bool) -> Shri
 
 
 def _sentence(
-    verdict: str, effects: Sequence[FoundEffect], where: Place, gap: Shrinkage, resembles: Sequence[str], left: str
-) -> str:
+    verdict: str, effects: Sequence[FoundEffect], where: Place, gap: Shrinkage, resembles: Sequence[str], left: str,
+    momentum: MomentumGap | None,
+) -> str:  # fmt: skip
     if verdict == "no_gap":
         return (
             f"No gap: what is left, {gap.before_nT:.1f} nT rms per component, is what noise and attitude error give "
@@ -309,7 +336,7 @@ def _sentence(
         )
         parts.append(f"{name}{_over(effect.settings)} ({sizes})")
     rest = " Its shape is not complete: something smaller is left." if gap.shape_incomplete else ""
-    return f"The gap is {' and '.join(parts)}; {_closed_words(effects, gap)}.{rest}"
+    return f"The gap is {' and '.join(parts)}; {_closed_words(effects, gap, momentum)}.{rest}"
 
 
 def _over(settings: Mapping[str, Any]) -> str:
@@ -320,7 +347,13 @@ def _over(settings: Mapping[str, Any]) -> str:
     return f" by {where.condition} over {where.region_words}"
 
 
-def _closed_words(effects: Sequence[FoundEffect], gap: Shrinkage) -> str:
+def _closed_words(effects: Sequence[FoundEffect], gap: Shrinkage, momentum: MomentumGap | None) -> str:
+    if momentum is not None and all(effect.stage == "dynamics" for effect in effects):
+        share = "" if momentum.closed is None else f" and closes {100 * momentum.closed:.0f} %"
+        return (
+            "it leaves the readings as they are, and takes the attitude against the balance of the momentum from "
+            f"{momentum.before_deg:.2g} to {momentum.after_deg:.2g} deg{share}"
+        )
     if all(effect.name == "bit_errors" for effect in effects) and gap.closed is None:
         return "the spoilt readings are cut, and count neither before nor after"
     if gap.closed is None:

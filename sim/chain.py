@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,13 +16,14 @@ import numpy as np
 from fluxtwin.sim import frames
 from fluxtwin.sim import scenario_spacecraft as spacecraft
 from fluxtwin.sim.attitude import Attitude
+from fluxtwin.sim.effects.base import DynamicsEffect
 from fluxtwin.sim.effects.chain import Active, Chain
 from fluxtwin.sim.field import load_field
 from fluxtwin.sim.gauss_markov import gauss_markov
 from fluxtwin.sim.housekeeping import Housekeeping
 from fluxtwin.sim.random_streams import stream
 from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.scenario_dynamics import flights
+from fluxtwin.sim.scenario_dynamics import flights, vehicle_of
 from fluxtwin.sim.scenario_effects import active_effects, effects_record
 from fluxtwin.sim.sensors.reference_attitude import (
     attitude_from_sun_and_nadir,
@@ -81,13 +82,16 @@ def fly_magnetometer(
         unknown_B_nT=_unknown_field_nT(scenario, world),
     )
     noise_nT = instrument.noise_nT * stream(scenario.seed, "magnetometer.noise").standard_normal((world.time.size, 3))
-    return Chain(setting).simulated(_testable(active_effects(scenario), setting), scenario.seed, noise_nT)
+    return Chain(setting).simulated(_testable(scenario, setting), scenario.seed, noise_nT)
 
 
-def _testable(active: Sequence[Active], setting: Setting) -> list[Active]:
+def _testable(scenario: Scenario, setting: Setting) -> list[Active]:
     kept = []
-    for effect, theta in active:
+    for effect, theta in active_effects(scenario):
         reason = effect.untestable(setting)
+        if isinstance(effect, DynamicsEffect):
+            flown = scenario.attitude.mode == "dynamics"
+            reason = effect.idle(vehicle_of(scenario)) if flown else 'no torque turns the body: mode is not "dynamics"'
         if reason is None:
             kept.append((effect, theta))
         else:

@@ -14,6 +14,7 @@ from fluxtwin.sim.attitude import Attitude, ephemeris_rate_O_rad_s
 from fluxtwin.sim.dynamics.environment import Environment, environment_along
 from fluxtwin.sim.dynamics.flight import Flight, Start, fly
 from fluxtwin.sim.dynamics.vehicle import Compass, Target, Vehicle, Wheel
+from fluxtwin.sim.effects.base import DynamicsEffect
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.field import load_field
 from fluxtwin.sim.gauss_markov import gauss_markov
@@ -21,6 +22,7 @@ from fluxtwin.sim.random_streams import stream
 from fluxtwin.sim.scenario import Scenario
 from fluxtwin.sim.scenario_config import SegmentSection
 from fluxtwin.sim.scenario_dynamics_config import ControlSection, DynamicsSection
+from fluxtwin.sim.scenario_effects import active_effects
 from fluxtwin.sim.scenario_spacecraft import torquer_schedule
 from fluxtwin.sim.torques.base import Torque
 from fluxtwin.sim.torques.torquers import Torquers
@@ -91,6 +93,7 @@ def flights(scenario: Scenario) -> Flights:
         scenario.seed, scenario.spacecraft.inertia_kg_m2, scenario.orbit, field.truth, field.truth_degree,
         scenario.schedule.segments, wheels, scenario.dynamics, scenario.torques, scenario.control, _actuators(scenario),
         scenario.path_of("."),
+        _moving_effects(scenario),
     )  # fmt: skip
     key = repr(moving)
     if key not in _made:
@@ -126,12 +129,12 @@ def _boundaries(made: Sequence[Flight], segments: Sequence[SegmentSection]) -> T
 
 
 def vehicle_of(scenario: Scenario) -> Vehicle:
-    """The body, wheels, torques and law of a scenario."""
+    """The body, wheels, torques and law of a scenario, with what its effects do to them."""
     torques: list[Torque] = list(_acting(scenario))
     section = scenario.torquers
     if section is not None:
         torques.append(Torquers(dipole_Am2=section.Am2, drive=section.drive, threshold_Am2=section.threshold_Am2))
-    return Vehicle(
+    vehicle = Vehicle(
         inertia_kg_m2=np.array(scenario.spacecraft.inertia_kg_m2),
         wheels=_wheels(scenario),
         torques=tuple(torques),
@@ -139,6 +142,13 @@ def vehicle_of(scenario: Scenario) -> Vehicle:
         target=_target(scenario),
         compass=_compass(scenario),
     )
+    for effect, theta in _moving_effects(scenario):
+        vehicle = effect.on(vehicle, theta)
+    return vehicle
+
+
+def _moving_effects(scenario: Scenario) -> list[tuple[DynamicsEffect, FloatArray]]:
+    return [(effect, theta) for effect, theta in active_effects(scenario) if isinstance(effect, DynamicsEffect)]
 
 
 def _wheels(scenario: Scenario) -> tuple[Wheel, ...]:
@@ -198,7 +208,6 @@ def _flight(scenario: Scenario, number: int, segment: SegmentSection) -> Flight:
             where="dynamics",
             wanted=f"no more than {_MOST_ROWS:.0g}: a longer record_s",
         )
-    vehicle = vehicle_of(scenario)
     ticks = epoch.add_seconds(begin, period_s * np.arange(np.floor(length_s / period_s) + 1.0))
     flight = fly(
         [vehicle],
@@ -220,8 +229,8 @@ _around: OrderedDict[str, Environment] = OrderedDict()
 
 def _surroundings(scenario: Scenario, begin: np.datetime64, length_s: float, spacing_s: float) -> Environment:
     """What lies along the orbit. The last ones are kept: many vehicles fly through the same."""
-    with_sun = any(torque.needs_sun for torque in _acting(scenario))
-    with_air = any(torque.needs_air for torque in _acting(scenario))
+    torques = vehicle_of(scenario).torques
+    with_sun, with_air = any(torque.needs_sun for torque in torques), any(torque.needs_air for torque in torques)
     key = repr((scenario.orbit, scenario.path_of("."), scenario.field, begin, length_s, spacing_s, with_sun, with_air))
     if key not in _around:
         _around[key] = environment_along(

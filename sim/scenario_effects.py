@@ -26,7 +26,14 @@ from fluxtwin.sim.types import FloatArray
 if TYPE_CHECKING:
     from fluxtwin.sim.scenario import Scenario
 
-_PER_TIME = {"deg/h": "deg_h", "deg/s": "deg_s", "km/s": "km_s", "rad/s": "rad_s"}  # as in the other sections
+_PER_TIME = {
+    "deg/h": "deg_h",
+    "deg/s": "deg_s",
+    "km/s": "km_s",
+    "rad/s": "rad_s",
+    "kg m2": "kg_m2",
+    "A m2 s/T": "Am2_s_per_T",
+}  # as in the other sections
 _AXES = ("x", "y", "z")
 _SHAPES = {3: _AXES, 9: tuple(row + column for row in _AXES for column in _AXES)}
 

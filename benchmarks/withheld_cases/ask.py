@@ -49,7 +49,12 @@ def ask_rival(root: str, identity: str) -> str:
 def arguments(asked: dict[str, Any]) -> dict[str, Any]:
     """Keywords of the verb."""
     names = ("noise_nT", "lsb_nT", "attitude_sigma_deg", "modelled", "degree")
-    return {name: asked[name] for name in names if asked[name] is not None}
+    given = {name: asked[name] for name in names if asked[name] is not None}
+    if "scenario" in asked:
+        from fluxtwin.sim.scenario import parse_scenario
+
+        given["scenario"] = parse_scenario(asked["scenario"], where="the vehicle")
+    return given
 
 
 def _closed(store: Store, identity: str, found: Any, asked: dict[str, Any]) -> Any:

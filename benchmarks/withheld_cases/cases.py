@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from fluxtwin.sim.field_models import FieldModel
-from withheld_cases import of_place, of_sensor, of_spacecraft, outside, shapes
+from withheld_cases import of_dynamics, of_place, of_sensor, of_spacecraft, outside, shapes
 from withheld_cases.chain import Truth
 from withheld_cases.draft import Draft, Maker
 from withheld_cases.visible import noise_rms_nT, scaled, signature_nT, visible
@@ -44,7 +44,17 @@ CONFUSED = (
     {"wheel_field", "excess_noise"}, {"wheel_field", "coarse_quantization"},
 )  # fmt: skip
 """Names that are one group by nature, beside what the numbers show."""
-POPULATIONS = ("nulls", "nulls_off", "singles", "faint", "pairs", "triples", "shapes", "outside")
+POPULATIONS = (
+    "nulls",
+    "nulls_off",
+    "singles",
+    "faint",
+    "pairs",
+    "triples",
+    "shapes",
+    "outside",
+    *of_dynamics.POPULATIONS,
+)
 STRENGTH = {
     "singles": (0.2, 3.0), "faint": (0.1, 0.3), "pairs": (0.7, 3.0), "triples": (1.0, 3.0), "shapes": (0.5, 3.0),
     "outside": (1.0, 3.0),

@@ -8,6 +8,7 @@ import numpy as np
 
 from fluxtwin.sim.field_models import FieldModel, load_field
 from fluxtwin.sim.telemetry_io import write_telemetry
+from withheld_cases import of_dynamics
 from withheld_cases.cases import Case, answer, identity, make_case, question
 from withheld_cases.chain import fly, noise_free, twin
 from withheld_cases.draft import recording
@@ -22,6 +23,8 @@ _LONGEST_TWIN = 6000
 
 def make(root: str, seed: int, population: str, number: int, chaos: str | None) -> str:
     """Write the files of one case; the sealed answer last, so that a case with an answer is whole."""
+    if population in of_dynamics.POPULATIONS:
+        return of_dynamics.make(root, seed, population, number)
     store, name = Store(Path(root)), identity(seed, population, number)
     if store.has("sealed", name):
         return name

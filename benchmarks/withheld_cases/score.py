@@ -61,6 +61,7 @@ def rows_of(cases: Sequence[Judged]) -> list[dict[str, Any]]:
         *_detection(cases),
         *_several(cases),
         *_elsewhere(cases),
+        *_torques(cases),
         *_probabilities(cases),
         *_closing(cases),
         *_rival(cases),
@@ -127,6 +128,18 @@ def _elsewhere(cases: Sequence[Judged]) -> list[dict[str, Any]]:
         share_row("outside the catalogue: wrongly confirmed", "<= 3 %", beyond, lambda c: bool(c.effects), 0.0, 0.03),
         share_row("stage right, visible >= 0.5", ">= 95 %", staged, lambda c: c.stage_right, 0.95),
         share_row("stage right outside the catalogue, visible >= 1", ">= 70 %", beyond, lambda c: c.stage_right, 0.70),
+    ]  # fmt: skip
+
+
+def _torques(cases: Sequence[Judged]) -> list[dict[str, Any]]:
+    """What turns the body, which the momentum shows."""
+    alone, mixed = of(cases, "torques", least=0.7), of(cases, "torque_pairs", least=0.7)
+    return [
+        share_row("perfect flight of a modelled vehicle: no gap", ">= 99 %", of(cases, "torque_nulls"),
+                  lambda c: c.verdict == "no_gap", 0.99),
+        share_row("torque, visible >= 0.7: first name", ">= 95 %", alone, lambda c: c.first_right, 0.95),
+        share_row("the same: list exactly right", ">= 90 %", alone, lambda c: c.list_right, 0.90),
+        share_row("torque and sensor, each visible >= 0.7: both exactly", ">= 80 %", mixed, lambda c: c.list_right, 0.80),
     ]  # fmt: skip
 
 

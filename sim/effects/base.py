@@ -9,12 +9,15 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from fluxtwin.sim.signal import Setting, Signal
 from fluxtwin.sim.types import FloatArray
+
+if TYPE_CHECKING:
+    from fluxtwin.sim.dynamics.vehicle import Vehicle
 
 STAGES = ("dynamics", "time", "orbit", "field", "attitude", "spacecraft", "sensor", "telemetry")
 """In the order in which nature applies them."""
@@ -99,6 +102,26 @@ class DistributionEffect(Effect):
     @abstractmethod
     def draw(self, signal: Signal, theta: FloatArray, rng: np.random.Generator) -> Signal:
         """The signal with one draw of the effect in it; theta = 0 is identity."""
+
+
+@dataclass(frozen=True)
+class DynamicsEffect(Effect):
+    """An effect that turns the body: it moves the attitude itself, not what is reported of it.
+
+    It acts in attitude mode dynamics; a diagnosis sees it in the balance of the momentum.
+    """
+
+    @abstractmethod
+    def on(self, vehicle: Vehicle, theta: FloatArray) -> Vehicle:
+        """The vehicle with the effect in it; theta = 0 is identity."""
+
+    def step(self, vehicle: Vehicle) -> FloatArray:
+        """(p,) sizes that change this vehicle's motion a little: steps of derivatives."""
+        return np.array([parameter.scale for parameter in self.parameters])
+
+    def idle(self, vehicle: Vehicle) -> str | None:
+        """Why it has nothing to act on in this vehicle, in words; None when it has."""
+        return None
 
 
 def vector_parameters(prefix: str, unit: str, scale: float) -> tuple[Parameter, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 
+from fluxtwin.sim.effects.aerodynamic_torque import AerodynamicTorque
 from fluxtwin.sim.effects.along_track_error import AlongTrackError
 from fluxtwin.sim.effects.base import Effect
 from fluxtwin.sim.effects.battery_current import BatteryCurrent
@@ -15,29 +16,40 @@ from fluxtwin.sim.effects.boom_bending import BoomBending
 from fluxtwin.sim.effects.coarse_quantization import CoarseQuantization
 from fluxtwin.sim.effects.cubic_nonlinearity import CubicNonlinearity
 from fluxtwin.sim.effects.eddy_current import EddyCurrent
+from fluxtwin.sim.effects.eddy_torque import EddyTorque
 from fluxtwin.sim.effects.excess_noise import ExcessNoise
 from fluxtwin.sim.effects.field_epoch import FieldEpoch
 from fluxtwin.sim.effects.field_truncation import FieldTruncation
+from fluxtwin.sim.effects.gravity_gradient_inertia_error import GravityGradientInertiaError
 from fluxtwin.sim.effects.heater_switching import HeaterSwitching
 from fluxtwin.sim.effects.horizon_scanner_bias import HorizonScannerBias
 from fluxtwin.sim.effects.hysteresis import Hysteresis
 from fluxtwin.sim.effects.quadratic_nonlinearity import QuadraticNonlinearity
+from fluxtwin.sim.effects.residual_dipole_torque import ResidualDipoleTorque
 from fluxtwin.sim.effects.ring_current import RingCurrent
 from fluxtwin.sim.effects.saturation import Saturation
 from fluxtwin.sim.effects.scale_misalignment import ScaleMisalignment
 from fluxtwin.sim.effects.sensor_lag import SensorLag
 from fluxtwin.sim.effects.solar_array_current import SolarArrayCurrent
+from fluxtwin.sim.effects.solar_pressure_torque import SolarPressureTorque
 from fluxtwin.sim.effects.sun_sensor_head_misalignment import SunSensorHeadMisalignment
 from fluxtwin.sim.effects.switched_field import SwitchedField
 from fluxtwin.sim.effects.thermal_bias_drift import ThermalBiasDrift
 from fluxtwin.sim.effects.thermal_scale_drift import ThermalScaleDrift
 from fluxtwin.sim.effects.time_tag_offset import TimeTagOffset
 from fluxtwin.sim.effects.torquer_coupling import TorquerCoupling
+from fluxtwin.sim.effects.torquer_gain_error import TorquerGainError
 from fluxtwin.sim.effects.wheel_field import WheelField
 from fluxtwin.sim.effects.yaw_drift import YawDrift
 from fluxtwin.sim.errors import BadInput
 
 CATALOGUE: tuple[Effect, ...] = (
+    ResidualDipoleTorque(),
+    AerodynamicTorque(),
+    SolarPressureTorque(),
+    EddyTorque(),
+    GravityGradientInertiaError(),
+    TorquerGainError(),
     TimeTagOffset(),
     AlongTrackError(),
     FieldEpoch(),

@@ -11,7 +11,7 @@ import pytest
 
 from fluxtwin.gap.problem import pose
 from fluxtwin.sim import scenario_spacecraft
-from fluxtwin.sim.effects.base import STAGES, DistributionEffect, SignalEffect
+from fluxtwin.sim.effects.base import STAGES, DistributionEffect, DynamicsEffect, SignalEffect
 from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 from fluxtwin.sim.effects.chain import Chain, jacobian
 from fluxtwin.sim.errors import BadInput
@@ -74,6 +74,8 @@ segments = [{ start_utc = "2020-03-01T00:00:00Z", duration_min = 200.0, step_s =
 """Everything that any effect acts on, and no noise at all."""
 
 STAGE_OF = {
+    "residual_dipole_torque": "dynamics", "aerodynamic_torque": "dynamics", "solar_pressure_torque": "dynamics",
+    "eddy_torque": "dynamics", "gravity_gradient_inertia_error": "dynamics", "torquer_gain_error": "dynamics",
     "bias": "sensor", "scale_misalignment": "sensor", "torquer_coupling": "spacecraft",
     "quadratic_nonlinearity": "sensor", "cubic_nonlinearity": "sensor", "hysteresis": "sensor",
     "saturation": "sensor", "sensor_lag": "sensor", "coarse_quantization": "sensor", "excess_noise": "sensor",
@@ -141,8 +143,11 @@ def chain(scenario, run) -> Chain:
     return predicting(scenario, run[0])
 
 
-@pytest.fixture(params=CATALOGUE, ids=lambda effect: effect.name)
+@pytest.fixture(
+    params=[effect for effect in CATALOGUE if not isinstance(effect, DynamicsEffect)], ids=lambda effect: effect.name
+)
 def effect(request):
+    """Those on the dynamics move the spacecraft itself, and have tests of their own."""
     return request.param
 
 

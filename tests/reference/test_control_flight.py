@@ -88,6 +88,7 @@ def test_no_torque_is_forgotten_by_the_tests() -> None:
     names = {torque.name for torque in TORQUES}
     assert names == {
         "gravity_gradient", "residual_dipole", "torquers", "eddy_currents", "aerodynamic", "solar_pressure",
+        "drag_moment", "sunlight_moment",
     }  # fmt: skip
 
 

@@ -1,0 +1,332 @@
+"""Short arcs of free flight between recorded attitudes: where the balance of the momentum leads from each to the next.
+
+All arcs fly at once, from the smoothed attitude track and the momentum that it and the wheels have; their end against
+the next point of the track, and how that end moves with the start, are what windows are made of (`momentum_windows`).
+Momentum in N changes by outside torque alone; the body turns with the rate that the momentum leaves it beside the
+recorded wheels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.gap.problem import Problem
+from fluxtwin.sim import attitude_track, epoch, sun
+from fluxtwin.sim.atmosphere import density_along
+from fluxtwin.sim.constants import AU_KM
+from fluxtwin.sim.dynamics import layout
+from fluxtwin.sim.dynamics.vehicle import Vehicle
+from fluxtwin.sim.field import field_N_nT
+from fluxtwin.sim.motion import carried
+from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.wheels import RPM_PER_RAD_S
+
+MOST_NODES = 2400
+_STEP_RAD = 0.15
+"""A Runge-Kutta step turns by less: its error is then a millionth of a radian an arc, or less."""
+_NUTATION_RAD = 0.3
+"""The same of a nutation, which is small."""
+_STEP_S = 30.0
+_MOST_PARTS = 40
+_TURN_RAD = 1e-5
+_RATE_RAD_S = 1e-6
+"""By these the start is moved for derivatives: far above rounding, far below anything that is not linear."""
+
+
+@dataclass(frozen=True, eq=False)
+class Craft:
+    """What the balance wants to know of the spacecraft beside its telemetry."""
+
+    vehicle: Vehicle
+    """Body, wheels and torques as modelled."""
+    tick_s: float = 1.0
+    """The torquers hold what they do for so long."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arcs:
+    """A arcs, each over m steps between rows; K = A m steps in all."""
+
+    craft: Craft
+    problem: Problem
+    rows: NDArray[np.intp]
+    """(A, m + 1) rows of the problem, the first and the last are nodes."""
+    parts: int
+    """Runge-Kutta steps from row to row."""
+    track: Rotation
+    """Smoothed R_BN at all rows of the problem."""
+    momentum_N: FloatArray
+    """(N, 3) whole momentum [N m s] along the track, wheels included."""
+    wheels_B: FloatArray
+    """(N, 3) momentum of the wheels relative to the body."""
+    dipole_B_Am2: FloatArray
+    """(N, 3)."""
+    resolved: bool
+    """Whether rows are as close as the control's ticks: a dipole then holds, and a wheel's momentum goes straight, from
+    each row to the next. Else both are drawn between the rows, and what they did there is not known."""
+    held: BoolArray
+    """(3,) whether a torquer's dipole holds until the next row; else it is drawn straight to the next one."""
+
+    def along(self, track: Rotation, momentum_N: FloatArray) -> Arcs:
+        """The same arcs about another motion."""
+        moved = replace(self, track=track, momentum_N=momentum_N)
+        moved.__dict__["around"] = self.around
+        return moved
+
+    def of(self, vehicle: Vehicle) -> Arcs:
+        """The same arcs with another vehicle in place of the modelled one, from the same rates."""
+        moved = replace(self, craft=replace(self.craft, vehicle=vehicle), momentum_N=self.momentum_of(vehicle))
+        moved.__dict__["around"] = self.around
+        return moved
+
+    @cached_property
+    def seconds(self) -> FloatArray:
+        """(A,) that each arc lasts."""
+        t = self.problem.setting.seconds
+        return np.asarray(t[self.rows[:, -1]] - t[self.rows[:, 0]])
+
+    @cached_property
+    def around(self) -> FloatArray:
+        """(A, m, 2 parts + 1, 14) surroundings at the starts, middles and ends of all steps."""
+        problem, first = self.problem, self.rows[:, :-1].ravel()
+        t = problem.setting.seconds
+        step = t[self.rows[:, 1:].ravel()] - t[first]
+        share = np.linspace(0.0, 1.0, 2 * self.parts + 1)
+        r, v, _ = problem.setting.given
+        after = (step[:, None] * share).ravel()
+        start = np.repeat(first, share.size)
+        r_km, v_km_s = carried(r[start], v[start], after)
+        time = epoch.add_seconds(problem.time[0], t[start] + after)
+        out = np.zeros((after.size, layout.FIELD - layout.POSITION))
+        out[:, 0:3], out[:, 3:6] = 1e3 * r_km, 1e3 * v_km_s
+        out[:, 6:9] = 1e-9 * field_N_nT(problem.setting.model, time, r_km)
+        sun_km = sun.sun_N_km(problem.time)[start]
+        towards = sun_km - r_km
+        distance = np.linalg.norm(towards, axis=1)
+        out[:, 9:12] = towards / distance[:, None]
+        out[:, 12] = sun.illumination(r_km, sun_km) * (AU_KM / distance) ** 2
+        out[:, 13] = density_along(time, r_km)
+        return out.reshape(*self.rows[:, 1:].shape, share.size, -1)
+
+    def flown(
+        self,
+        vehicle: Vehicle,
+        turn: FloatArray | None = None,
+        push: FloatArray | None = None,
+        wheels_B: FloatArray | None = None,
+    ) -> FloatArray:
+        """(A, 6) where arcs end: the turn [rad] against the track there, and the momentum less that along the track.
+
+        vehicle: with its effects. turn (3,) [rad], push (3,) [N m s]: the start is moved by this much.
+        wheels_B (N, 3): added to what is recorded.
+        """
+        from fluxtwin.sim.dynamics.kernels import add_torques
+
+        start, end = self.rows[:, 0], self.rows[:, -1]
+        first = self.track[start] if turn is None else Rotation.from_rotvec(turn) * self.track[start]
+        body = _Body(vehicle, add_torques, np.asarray(first.as_matrix()))
+        # A wrong tensor changes the momentum that goes with a rate: the start keeps the rate.
+        momentum = self.momentum_of(vehicle)[start] if push is None else self.momentum_of(vehicle)[start] + push
+        state = (body.first, momentum)
+        t = self.problem.setting.seconds
+        for step in range(self.rows.shape[1] - 1):
+            here, there = self.rows[:, step], self.rows[:, step + 1]
+            h = (t[there] - t[here]) / self.parts
+            for part in range(self.parts):
+                shares = (np.arange(3) / 2.0 + part) / self.parts
+                wheels = [self._wheels(here, there, share) for share in shares]
+                dipole = [self._dipole(here, there, share) for share in shares]
+                if wheels_B is not None:
+                    wheels = [w + _between(wheels_B, here, there, s) for w, s in zip(wheels, shares, strict=True)]
+                around = [self.around[:, step, 2 * part + k] for k in range(3)]
+                state = body.step(state, h, around, wheels, dipole)
+        R = Rotation.from_matrix(state[0])
+        return np.hstack([(R * self.track[end].inv()).as_rotvec(), state[1] - self.momentum_of(vehicle)[end]])
+
+    def holding(self, axis: int) -> Arcs:
+        """The same arcs with the dipole about one axis held from row to row."""
+        moved = replace(self, held=self.held | (np.arange(3) == axis))
+        moved.__dict__["around"] = self.around
+        return moved
+
+    def momentum_of(self, vehicle: Vehicle) -> FloatArray:
+        """(N, 3) the momentum that another vehicle has at the same rates."""
+        change = np.asarray(vehicle.inertia_kg_m2) - np.asarray(self.craft.vehicle.inertia_kg_m2)
+        if not change.any():
+            return self.momentum_N
+        return np.asarray(self.momentum_N + self.track.inv().apply(self._rate_B @ change))
+
+    @cached_property
+    def _rate_B(self) -> FloatArray:
+        inverse = np.linalg.inv(self.craft.vehicle.inertia_kg_m2)
+        return np.asarray((self.track.apply(self.momentum_N) - self.wheels_B) @ inverse)
+
+    def _dipole(self, here: NDArray[np.intp], there: NDArray[np.intp], share: float) -> FloatArray:
+        return np.where(self.held, self.dipole_B_Am2[here], _between(self.dipole_B_Am2, here, there, share))
+
+    def _wheels(self, here: NDArray[np.intp], there: NDArray[np.intp], share: float) -> FloatArray:
+        """Straight, or by the cubic that has the slopes of the neighbours."""
+        straight = _between(self.wheels_B, here, there, share)
+        if self.resolved:
+            return straight
+        t = self.problem.setting.seconds
+        step, change = (t[there] - t[here])[:, None], self.wheels_B[there] - self.wheels_B[here]
+        first, last = step * self.wheel_slope[here] - change, step * self.wheel_slope[there] - change
+        bend: FloatArray = share * (1.0 - share) * ((1.0 - share) * first - share * last)
+        return straight + bend
+
+    @cached_property
+    def wheel_slope(self) -> FloatArray:
+        """(N, 3) of the momentum of the wheels with time."""
+        return np.asarray(np.gradient(self.wheels_B, self.problem.setting.seconds, axis=0))
+
+    @cached_property
+    def base(self) -> FloatArray:
+        """(A, 6) as modelled."""
+        return self.flown(self.craft.vehicle)
+
+    @cached_property
+    def transition(self) -> FloatArray:
+        """(A, 6, 6) derivative of the end by the start: turn [rad], momentum [N m s]."""
+        size = float(np.linalg.eigvalsh(self.craft.vehicle.inertia_kg_m2).max()) * _RATE_RAD_S
+        vehicle, axes = self.craft.vehicle, np.eye(3)
+        columns = [(self.flown(vehicle, turn=_TURN_RAD * axis) - self.base) / _TURN_RAD for axis in axes]
+        columns += [(self.flown(vehicle, push=size * axis) - self.base) / size for axis in axes]
+        return np.stack(columns, axis=2)
+
+    def pushed(self, arc: slice, impulse_N: FloatArray) -> FloatArray:
+        """(n, 6, p) how ends move by impulses (n, 3, p) [N m s] that are spread over the arcs."""
+        turn = np.einsum("aij,ajp->aip", self.transition[arc, :3, 3:], 0.5 * impulse_N)
+        return np.concatenate([turn, impulse_N], axis=1)
+
+
+class _Body:
+    """Euler's equations for many starts at once, in matrices."""
+
+    def __init__(self, vehicle: Vehicle, add_torques: object, first: FloatArray) -> None:
+        self.first, self.add = first, add_torques
+        self.inverse = np.linalg.inv(vehicle.inertia_kg_m2)
+        self.packed, self.slots = vehicle.packed()
+        self.stages = np.zeros((len(first), layout.STAGE_SIZE))
+
+    def step(
+        self,
+        state: tuple[FloatArray, FloatArray],
+        h: FloatArray,
+        around: list[FloatArray],
+        wheels: list[FloatArray],
+        dipole: list[FloatArray],
+    ) -> tuple[FloatArray, FloatArray]:
+        """One classical Runge-Kutta step of h (A,) seconds."""
+        R, momentum = state
+        hR, hm = h[:, None, None], h[:, None]
+        a = self.slope(R, momentum, around[0], wheels[0], dipole[0])
+        b = self.slope(R + 0.5 * hR * a[0], momentum + 0.5 * hm * a[1], around[1], wheels[1], dipole[1])
+        c = self.slope(R + 0.5 * hR * b[0], momentum + 0.5 * hm * b[1], around[1], wheels[1], dipole[1])
+        d = self.slope(R + hR * c[0], momentum + hm * c[1], around[2], wheels[2], dipole[2])
+        return (
+            R + hR / 6.0 * (a[0] + 2.0 * b[0] + 2.0 * c[0] + d[0]),
+            momentum + hm / 6.0 * (a[1] + 2.0 * b[1] + 2.0 * c[1] + d[1]),
+        )
+
+    def slope(
+        self, R: FloatArray, momentum_N: FloatArray, around: FloatArray, wheels: FloatArray, dipole: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """-[w x] R and R^T torque; J w is the momentum less that of the wheels."""
+        rate = (_turned(R, momentum_N) - wheels) @ self.inverse
+        stages = self.stages
+        stages[:, layout.ROTATION : layout.RATE] = R.reshape(-1, 9)
+        stages[:, layout.RATE : layout.POSITION] = rate
+        stages[:, layout.POSITION : layout.FIELD] = around
+        stages[:, layout.FIELD : layout.DIPOLE] = _turned(R, around[:, 6:9])
+        stages[:, layout.DIPOLE : layout.TORQUE] = dipole
+        stages[:, layout.TORQUE :] = 0.0
+        self.add(self.packed, self.slots, stages)  # type: ignore[operator]
+        skew = np.zeros_like(R)
+        skew[:, 0, 1], skew[:, 0, 2], skew[:, 1, 2] = rate[:, 2], -rate[:, 1], rate[:, 0]
+        skew[:, 1, 0], skew[:, 2, 0], skew[:, 2, 1] = -rate[:, 2], rate[:, 1], -rate[:, 0]
+        torque_N = np.einsum("nij,ni->nj", R, stages[:, layout.TORQUE :])
+        return skew @ R, torque_N
+
+
+def _between(values: FloatArray, here: NDArray[np.intp], there: NDArray[np.intp], share: float) -> FloatArray:
+    return np.asarray((1.0 - share) * values[here] + share * values[there])
+
+
+def _turned(R: FloatArray, vector: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("nij,nj->ni", R, vector))
+
+
+def arcs(problem: Problem, craft: Craft, node_s: float) -> Arcs | str:
+    """Arcs of at least node_s seconds along the problem's rows; or why there are none, in words."""
+    missing = lacking(problem, craft.vehicle)
+    if missing is not None:
+        return missing
+    setting, columns = problem.setting, problem.setting.columns
+    t, usable = setting.seconds, np.ones(problem.rows, dtype=bool)
+    if setting.attitude_known is not None:
+        usable &= setting.attitude_known
+    wheels_B = np.zeros((problem.rows, 3))
+    if craft.vehicle.wheels:
+        speed = np.reshape(columns["wheel_speed_rpm"], (problem.rows, -1)) / RPM_PER_RAD_S
+        rows = craft.vehicle.wheel_rows
+        wheels_B = (speed * rows[:, layout.WHEEL_INERTIA]) @ rows[:, :3]
+    dipole = columns.get("dipole_B_Am2")
+    dipole = np.zeros((problem.rows, 3)) if dipole is None else np.array(dipole)
+    usable &= np.isfinite(wheels_B).all(axis=1) & np.isfinite(dipole).all(axis=1)
+    numbers = np.flatnonzero(usable)
+    if numbers.size < 30:
+        return "too few rows have attitude, wheel speeds and dipole"
+    usual = float(np.median(np.diff(t[numbers])))
+    every = max(int(np.ceil(node_s / usual - 1e-6)), int(np.ceil(numbers.size / MOST_NODES)), 1)
+    rows_of_arcs = _rows_of_arcs(numbers, attitude_track.stretches(t[numbers]), every)
+    if not rows_of_arcs.size:
+        return "the record has no stretch without gaps that is long enough"
+    track = setting.track(0.0)
+    rate = setting.turning(0.0)
+    longest = float(np.diff(t[rows_of_arcs], axis=1).max())
+    fastest = float(np.linalg.norm(rate[numbers], axis=1).max())
+    momentum_B = rate @ np.asarray(craft.vehicle.inertia_kg_m2) + wheels_B
+    least = float(np.linalg.eigvalsh(craft.vehicle.inertia_kg_m2).min())
+    nutation = float(np.linalg.norm(momentum_B[numbers], axis=1).max()) / least
+    parts = int(np.ceil(max(fastest / _STEP_RAD, nutation / _NUTATION_RAD, 1.0 / _STEP_S) * longest))
+    if parts > _MOST_PARTS:
+        return f"between two rows the body turns or nutates too far to be followed ({np.degrees(fastest * longest):.0f} deg)"
+    momentum_N = np.asarray(track.inv().apply(momentum_B))
+    resolved = usual < 1.01 * craft.tick_s
+    held = np.full(3, resolved)
+    return Arcs(craft, problem, rows_of_arcs, parts, track, momentum_N, wheels_B, dipole, resolved, held)
+
+
+def lacking(problem: Problem, vehicle: Vehicle) -> str | None:
+    """What the record lacks for a balance of the momentum, in words; None when it has it."""
+    columns = problem.setting.columns
+    if problem.axes is not None and not problem.axes.known.any():
+        return "no row has a reference attitude"
+    if vehicle.wheels:
+        speed = columns.get("wheel_speed_rpm")
+        if speed is None or not np.isfinite(speed).any():
+            return "the scenario has wheels, the telemetry no wheel speeds"
+        if np.reshape(speed, (problem.rows, -1)).shape[1] != len(vehicle.wheels):
+            return "telemetry and scenario have different numbers of wheels"
+    if any(torque.name == "torquers" for torque in vehicle.torques):
+        dipole = columns.get("dipole_B_Am2")
+        if dipole is None or not np.isfinite(dipole).any():
+            return "the scenario has torquers, the telemetry does not say what they do"
+    return None
+
+
+def _rows_of_arcs(numbers: NDArray[np.intp], stretch: NDArray[np.intp], every: int) -> NDArray[np.intp]:
+    """(A, every + 1) rows of consecutive arcs within each stretch."""
+    found = []
+    for number in np.unique(stretch):
+        rows = numbers[stretch == number]
+        count = (rows.size - 1) // every
+        if count:
+            found.append(rows[np.arange(count)[:, None] * every + np.arange(every + 1)])
+    return np.concatenate(found) if found else np.zeros((0, every + 1), dtype=np.intp)

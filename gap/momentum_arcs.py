@@ -271,13 +271,16 @@ def arcs(problem: Problem, craft: Craft, node_s: float) -> Arcs | str:
     t, usable = setting.seconds, np.ones(problem.rows, dtype=bool)
     if setting.attitude_known is not None:
         usable &= setting.attitude_known
-    wheels_B = np.zeros((problem.rows, 3))
+    wheels_B, spacing_s = np.zeros((problem.rows, 3)), [0.0]
     if craft.vehicle.wheels:
-        speed = np.reshape(columns["wheel_speed_rpm"], (problem.rows, -1)) / RPM_PER_RAD_S
+        speed = _filled(t, np.reshape(columns["wheel_speed_rpm"], (problem.rows, -1)), straight=True) / RPM_PER_RAD_S
+        spacing_s.append(_spacing_s(t, columns["wheel_speed_rpm"]))
         rows = craft.vehicle.wheel_rows
         wheels_B = (speed * rows[:, layout.WHEEL_INERTIA]) @ rows[:, :3]
     dipole = columns.get("dipole_B_Am2")
-    dipole = np.zeros((problem.rows, 3)) if dipole is None else np.array(dipole)
+    if dipole is not None:
+        spacing_s.append(_spacing_s(t, dipole))
+    dipole = np.zeros((problem.rows, 3)) if dipole is None else _filled(t, dipole, straight=False)
     usable &= np.isfinite(wheels_B).all(axis=1) & np.isfinite(dipole).all(axis=1)
     numbers = np.flatnonzero(usable)
     if numbers.size < 30:
@@ -298,9 +301,32 @@ def arcs(problem: Problem, craft: Craft, node_s: float) -> Arcs | str:
     if parts > _MOST_PARTS:
         return f"between two rows the body turns or nutates too far to be followed ({np.degrees(fastest * longest):.0f} deg)"
     momentum_N = np.asarray(track.inv().apply(momentum_B))
-    resolved = usual < 1.01 * craft.tick_s
+    resolved = max(usual, *spacing_s) < 1.01 * craft.tick_s
     held = np.full(3, resolved)
     return Arcs(craft, problem, rows_of_arcs, parts, track, momentum_N, wheels_B, dipole, resolved, held)
+
+
+def _filled(t: FloatArray, values: FloatArray, *, straight: bool) -> FloatArray:
+    """(N, k) with the blanks of sensors that sample at their own rate filled: straight between two values, or the value
+    before. Before the first value and after the last one nothing is known."""
+    filled = np.array(values, dtype=np.float64)
+    for column in filled.T:
+        known = np.flatnonzero(np.isfinite(column))
+        if not known.size or known.size == column.size:
+            continue
+        inside = slice(known[0], known[-1] + 1)
+        if straight:
+            column[inside] = np.interp(t[inside], t[known], column[known])
+        else:
+            latest = known[np.searchsorted(known, np.arange(column.size)[inside], side="right") - 1]
+            column[inside] = column[latest]
+    return filled
+
+
+def _spacing_s(t: FloatArray, values: FloatArray) -> float:
+    """Usual time between two rows that have the values."""
+    known = np.isfinite(np.reshape(values, (t.size, -1))).all(axis=1)
+    return float(np.median(np.diff(t[known]))) if known.sum() > 1 else np.inf
 
 
 def lacking(problem: Problem, vehicle: Vehicle) -> str | None:

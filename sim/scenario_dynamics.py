@@ -208,6 +208,7 @@ def _flight(scenario: Scenario, number: int, segment: SegmentSection) -> Flight:
             where="dynamics",
             wanted=f"no more than {_MOST_ROWS:.0g}: a longer record_s",
         )
+    vehicle = vehicle_of(scenario)
     ticks = epoch.add_seconds(begin, period_s * np.arange(np.floor(length_s / period_s) + 1.0))
     flight = fly(
         [vehicle],

@@ -303,5 +303,5 @@ def test_without_what_it_needs_nothing_changes_and_the_reason_is_said() -> None:
         assert found.gap is None
         assert word in found.untestable["eddy_torque"]
         assert set(found.untestable) == names
-    short = alone(telemetry.select(slice(0, 60)), scenario)
+    short = alone(telemetry.select(slice(0, 30)), scenario)
     assert "too short" in short.untestable["eddy_torque"]

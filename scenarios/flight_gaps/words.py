@@ -229,6 +229,8 @@ def _steps(answer: Answer) -> str:
     """rms of the change from row to row beyond 65 deg, by axis."""
     polar = np.abs(answer.latitude_deg[1:]) > 65.0
     change = np.diff(answer.left_nT, axis=0)[polar]
+    if not np.isfinite(change).any():
+        return "nothing that is known"
     return ", ".join(f"{value:.0f}" for value in np.sqrt(np.nanmean(np.square(change), axis=0)))
 
 

@@ -68,9 +68,11 @@ def page(outcome: Outcome, settings: Settings) -> Page:
                 "What the diagnosis was not told, and what it said",
                 [
                     "`fluxtwin run flight-gaps --data DIR` asks the diagnosis of recorded files whose cause is known, and "
-                    "withheld. No noise is declared, and nothing is tuned to these records. Body axes are those of the "
-                    "orbit (x forward, z down), as these satellites fly, unless a file has axes of its own. What came out "
-                    "stands here as it is: the sentences in the sections below are the diagnosis's own.",
+                    "withheld. No noise is declared. Which of the rows are used was settled after other spacings had been "
+                    "seen: with MAGSAT's rows at other spacings, or with noise declared, field_truncation came alone or "
+                    "with polynomials beside it. Body axes are those of the orbit (x forward, z down), as these satellites "
+                    "fly, unless a file has axes of its own. What came out stands here as it is: the sentences in the "
+                    "sections below are the diagnosis's own.",
                 ],
                 [answers_table(outcome)],
             ),

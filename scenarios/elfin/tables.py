@@ -174,7 +174,7 @@ def blocks(results: Results) -> list[FigureBlock]:
     for place, name in ((0, "channel X"), (1, "channel Y")):
         lines = [
             Response(
-                f"zone {told.zone.number}", told.middle_s - entry[told.zone.number], abs(told.response[:, place]),
+                f"zone {told.zone.number}", told.middle_s - entry[told.zone.number], np.abs(told.response[:, place]),
                 told.zone.lit.mean() > _SUNLIT,
             )
             for told in results.zones

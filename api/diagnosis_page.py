@@ -267,8 +267,11 @@ def small_table(diagnosis: Diagnosis) -> Table:
 
 
 def untestable_table(diagnosis: Diagnosis) -> Table:
-    """Effects this design cannot show, why, and what would."""
-    rows = [[name, why, diagnosis.would_settle.get(name, "")] for name, why in diagnosis.untestable.items()]
+    """Effects this design cannot show, why, and what would; those with one reason share a row."""
+    names: dict[tuple[str, str], list[str]] = {}
+    for name, why in diagnosis.untestable.items():
+        names.setdefault((why, diagnosis.would_settle.get(name, "")), []).append(name)
+    rows = [[", ".join(alike), why, settle] for (why, settle), alike in names.items()]
     return Table("Untestable here, not absent", ["effect", "why", "what would settle it"], rows)
 
 

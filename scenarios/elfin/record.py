@@ -92,16 +92,6 @@ class Flight:
     """Of the spin axis, as its product states it (mean)."""
 
 
-def check_folder(folder: Path | None, settings: Settings) -> Path:
-    """The folder, once every file is there; raises BadInput."""
-    if folder is None:
-        raise BadInput("no folder", where="--data", wanted="the folder that holds " + " and ".join(settings.files))
-    missing = [name for name in settings.files if not (folder / name).is_file()]
-    if missing:
-        raise BadInput(f"{' and '.join(missing)} not found", where=f"--data {folder}", wanted="the flight files")
-    return folder
-
-
 def read_flight(folder: Path, settings: Settings, model: FieldModel) -> Flight:
     """Both files; raises BadInput for what cannot be used."""
     path = folder / settings.file

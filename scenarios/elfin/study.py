@@ -12,9 +12,9 @@ import tomli_w
 
 from fluxtwin.scenarios.elfin import tables
 from fluxtwin.scenarios.elfin.compute import Results, compute
-from fluxtwin.scenarios.elfin.record import check_folder
 from fluxtwin.scenarios.elfin.settings import Settings, read_settings
 from fluxtwin.scenarios.page import Page, Section, StudyResult, Table
+from fluxtwin.scenarios.recorded_files import check_folder
 from fluxtwin.sim.files import write_text
 from fluxtwin.sim.progress import Progress, part_of, silent
 
@@ -36,7 +36,7 @@ def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResul
     Raises BadInput, before anything is written, for a missing folder or file or one that cannot be used.
     """
     settings = read_settings()
-    folder = check_folder(data, settings)
+    folder = check_folder(data, settings.files)
     results = compute(folder, settings, part_of(progress, 0.0, 0.95))
     progress("drawing", 0.95)
     line = status(results)

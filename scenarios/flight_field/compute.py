@@ -28,7 +28,6 @@ from fluxtwin.scenarios.flight_field.tracks import (
     read_swarm,
 )
 from fluxtwin.sim import epoch, frames
-from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.field import FieldModel, field_NEC_nT, load_field
 from fluxtwin.sim.field_external import magnetospheric_field_E_nT, read_magnetosphere
 from fluxtwin.sim.progress import Progress
@@ -67,21 +66,6 @@ class Outcome:
         external, induced = self.rc.at(self.swarm[0].track.time)
         whole = external + induced
         return float(whole.min()), float(whole.max())
-
-
-def check_folder(data: Path | None, settings: Settings) -> Path:
-    """The folder, once it is sure that every file is there. Raises BadInput naming those that are not."""
-    listed = ", ".join(settings.files)
-    wanted = f"--data DIR, a folder with the recorded files {listed}"
-    if data is None:
-        raise BadInput("this study reads recorded flight data, and no folder was given", where="--data", wanted=wanted)
-    folder = Path(data)
-    if not folder.is_dir():
-        raise BadInput("there is no such folder", where=f"--data {folder}", wanted=wanted)
-    missing = [name for name in settings.files if not (folder / name).is_file()]
-    if missing:
-        raise BadInput(f"missing there: {', '.join(missing)}", where=f"--data {folder}", wanted=wanted)
-    return folder
 
 
 def compute(folder: Path, settings: Settings, progress: Progress) -> Outcome:

@@ -7,10 +7,11 @@ from pathlib import Path
 import tomli_w
 
 from fluxtwin.scenarios.flight_field import pages
-from fluxtwin.scenarios.flight_field.compute import check_folder, compute, found_figures
+from fluxtwin.scenarios.flight_field.compute import compute, found_figures
 from fluxtwin.scenarios.flight_field.figures import compare, read_figures
 from fluxtwin.scenarios.flight_field.settings import read_settings
 from fluxtwin.scenarios.page import StudyResult
+from fluxtwin.scenarios.recorded_files import check_folder
 from fluxtwin.sim.files import write_text
 from fluxtwin.sim.progress import Progress, part_of, silent
 
@@ -21,7 +22,7 @@ def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResul
     Raises BadInput, before anything is written, for a missing folder or file or one that cannot be used.
     """
     settings = read_settings()
-    folder = check_folder(data, settings)
+    folder = check_folder(data, settings.files)
     outcome = compute(folder, settings, part_of(progress, 0.0, 0.8))
     here = found_figures(outcome, settings)
     findings = compare(read_figures(), here, pages.explanations(outcome))

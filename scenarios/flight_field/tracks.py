@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from fluxtwin.scenarios.recorded_files import numbers, opened
 from fluxtwin.sim import epoch, frames
 from fluxtwin.sim.errors import BadInput, OutOfRange
-from fluxtwin.sim.telemetry_csv import CsvFile, open_csv
+from fluxtwin.sim.telemetry_csv import open_csv
 from fluxtwin.sim.telemetry_time import parse_iso
 from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
 
@@ -103,8 +104,8 @@ def read_swarm(path: Path) -> Track:
 
 def read_ring_current(path: Path) -> RingCurrentIndex:
     """The hourly RC index of single days in any order. Raises BadInput naming the file and what is wrong in it."""
-    table = _opened(path, ("time_utc", "RC_external_nT", "RC_induced_nT"))
-    values = _numbers(table, ("RC_external_nT", "RC_induced_nT"))
+    table = opened(path, ("time_utc", "RC_external_nT", "RC_induced_nT"))
+    values = numbers(table, ("RC_external_nT", "RC_induced_nT"))
     stamps = [epoch.parse_time(text.decode(), where=table.where) for text in table.text("time_utc").tolist()]
     time = np.array(stamps, dtype="datetime64[ns]")
     order = np.argsort(time)
@@ -115,22 +116,22 @@ def read_ring_current(path: Path) -> RingCurrentIndex:
 def read_kp(path: Path, day: np.datetime64) -> FloatArray:
     """The eight Kp of that UTC day. Raises BadInput naming the file and what is wrong in it."""
     names = tuple(f"Kp10_{hour:02d}h" for hour in range(0, 24, 3))
-    table = _opened(path, ("date", *names))
+    table = opened(path, ("date", *names))
     wanted = epoch.iso(day, "D")[:10].encode()
     rows = np.flatnonzero(table.text("date") == wanted)
     if rows.size != 1:
         raise BadInput(f"{rows.size} rows for {wanted.decode()}", where=table.where, wanted="one row for each day")
-    tenths: FloatArray = _numbers(table, names)[rows[0]]
+    tenths: FloatArray = numbers(table, names)[rows[0]]
     # Kp comes in thirds, written in tenths cut off: 23 is 2+, 2 1/3.
     return np.rint(tenths * 0.3) / 3.0
 
 
 def _read(path: Path, name: str, field: tuple[str, ...], flag: str | None) -> Track:
     wanted = ("time_utc", *_POSITION, *_GEODETIC, *field, *((flag,) if flag else ()))
-    table = _opened(path, wanted)
+    table = opened(path, wanted)
     time = parse_iso(table.text("time_utc"), table.where)
     _increasing(time, table.where)
-    r_E_km, geodetic, b_NEC_nT = (_numbers(table, names) for names in (_POSITION, _GEODETIC, field))
+    r_E_km, geodetic, b_NEC_nT = (numbers(table, names) for names in (_POSITION, _GEODETIC, field))
     _check_position(r_E_km, geodetic, table.where)
     size = np.linalg.norm(b_NEC_nT, axis=1)
     wrong = (size < _WEAKEST_nT) | (size > _STRONGEST_nT)
@@ -138,24 +139,6 @@ def _read(path: Path, name: str, field: tuple[str, ...], flag: str | None) -> Tr
     flags = table.numbers([flag])[flag] if flag else np.zeros(time.size)
     source = f"{Path(path).name}, SHA-256 {table.sha256}"
     return Track(name, source, time, r_E_km, geodetic[:, 0], geodetic[:, 1], b_NEC_nT, flags == 0)
-
-
-def _opened(path: Path, wanted: tuple[str, ...]) -> CsvFile:
-    table = open_csv(path)
-    missing = [name for name in wanted if name not in table.names]
-    if missing:
-        raise BadInput(f"columns missing: {', '.join(missing)}", where=table.where, wanted=", ".join(wanted))
-    return table
-
-
-def _numbers(table: CsvFile, names: tuple[str, ...]) -> FloatArray:
-    columns = table.numbers(list(names))
-    values = np.stack([columns[name] for name in names], axis=1)
-    blank = np.argwhere(np.isnan(values))
-    if blank.size:
-        row, column = blank[0]
-        raise BadInput(f"{names[column]} in row {row + 1} is missing", where=table.where, wanted="a number")
-    return values
 
 
 def _increasing(time: TimeArray, where: str, when: str = "") -> None:

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from fluxtwin.scenarios.recorded_files import numbers, opened
 from fluxtwin.sim import epoch, frames
 from fluxtwin.sim.errors import BadInput
-from fluxtwin.sim.telemetry_csv import CsvFile, open_csv
 from fluxtwin.sim.telemetry_netcdf import NetcdfFile
 from fluxtwin.sim.telemetry_time import parse_iso
 from fluxtwin.sim.types import FloatArray, TimeArray
@@ -63,15 +63,15 @@ class Compensation:
 
 def read_residual_day(path: Path) -> ResidualDay:
     """Swarm's residual file: geocentric degrees and metres, N, E, C in nT. Raises BadInput naming file and fault."""
-    table = _opened(path, ("time_utc", *_PLACE, *_RESIDUAL, "Kp"))
-    place, residual = _numbers(table, _PLACE), _numbers(table, _RESIDUAL)
+    table = opened(path, ("time_utc", *_PLACE, *_RESIDUAL, "Kp"))
+    place, residual = numbers(table, _PLACE), numbers(table, _RESIDUAL)
     radius_km = place[:, 2] / 1e3
     if not ((radius_km > _LOWEST_KM) & (radius_km < _HIGHEST_KM)).all():
         raise BadInput("a Radius is no orbit's", where=table.where, wanted="metres from the centre of the Earth")
     r_E_km = frames.from_geocentric(np.radians(place[:, 0]), np.radians(place[:, 1]), radius_km)
     time = parse_iso(table.text("time_utc"), table.where)
     _increasing(time, table.where)
-    return ResidualDay(time, r_E_km, residual, _numbers(table, ("Kp",))[:, 0])
+    return ResidualDay(time, r_E_km, residual, numbers(table, ("Kp",))[:, 0])
 
 
 def read_body_residuals(path: Path) -> BodyResiduals:
@@ -94,32 +94,14 @@ def read_body_residuals(path: Path) -> BodyResiduals:
 def read_compensation(path: Path) -> Compensation:
     """The aircraft's file. Raises BadInput naming the fault, as raw less compensation that is not the compensated."""
     names = ("flux_a_x", "flux_a_y", "flux_a_z", "mag_1_uc", "mag_1_comp", "mag_1_c")
-    table = _opened(path, names)
-    values = _numbers(table, names)
+    table = opened(path, names)
+    values = numbers(table, names)
     apart = np.abs(values[:, 3] - values[:, 4] - values[:, 5])
     if apart.max() > 1e-3:
         raise BadInput(
             f"mag_1_uc - mag_1_comp differs from mag_1_c by {apart.max():.3g} nT", where=table.where, wanted="0.001 nT"
         )
     return Compensation(values[:, :3], values[:, 3], values[:, 4])
-
-
-def _opened(path: Path, wanted: tuple[str, ...]) -> CsvFile:
-    table = open_csv(path)
-    missing = [name for name in wanted if name not in table.names]
-    if missing:
-        raise BadInput(f"columns missing: {', '.join(missing)}", where=table.where, wanted=", ".join(wanted))
-    return table
-
-
-def _numbers(table: CsvFile, names: tuple[str, ...]) -> FloatArray:
-    columns = table.numbers(list(names))
-    values = np.stack([columns[name] for name in names], axis=1)
-    blank = np.argwhere(~np.isfinite(values))
-    if blank.size:
-        row, column = blank[0]
-        raise BadInput(f"{names[column]} in row {row + 1} is missing", where=table.where, wanted="a number")
-    return values
 
 
 def _increasing(time: TimeArray, where: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.toml_input import Strict, read_model
 
 PACKAGED = Path(__file__).parent / "flight_gaps.toml"
@@ -70,17 +69,3 @@ class Settings(Strict):
 def read_settings(path: Path = PACKAGED) -> Settings:
     """The settings in the file `path`; raises BadInput that lists every fault in it."""
     return read_model(path, Settings)
-
-
-def check_folder(data: Path | None, settings: Settings) -> Path:
-    """The folder, once it is sure that every file is there. Raises BadInput naming those that are not."""
-    wanted = f"--data DIR, a folder with the recorded files {', '.join(settings.files)}"
-    if data is None:
-        raise BadInput("this study reads recorded flight data, and no folder was given", where="--data", wanted=wanted)
-    folder = Path(data)
-    if not folder.is_dir():
-        raise BadInput("there is no such folder", where=f"--data {folder}", wanted=wanted)
-    missing = [name for name in settings.files if not (folder / name).is_file()]
-    if missing:
-        raise BadInput(f"missing there: {', '.join(missing)}", where=f"--data {folder}", wanted=wanted)
-    return folder

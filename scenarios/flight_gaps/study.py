@@ -8,9 +8,10 @@ import tomli_w
 
 from fluxtwin.scenarios.flight_gaps import pages, words
 from fluxtwin.scenarios.flight_gaps.compute import compute
-from fluxtwin.scenarios.flight_gaps.settings import check_folder, read_settings
+from fluxtwin.scenarios.flight_gaps.settings import read_settings
 from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.scenarios.page_markdown import as_markdown
+from fluxtwin.scenarios.recorded_files import check_folder
 from fluxtwin.sim.files import write_text
 from fluxtwin.sim.progress import Progress, part_of, silent
 
@@ -21,7 +22,7 @@ def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResul
     Raises BadInput, before anything is written, for a missing folder or file or one that cannot be used.
     """
     settings = read_settings()
-    folder = check_folder(data, settings)
+    folder = check_folder(data, settings.files)
     outcome = compute(folder, settings, part_of(progress, 0.0, 0.95))
     progress("drawing", 0.95)
     page = pages.page(outcome, settings)

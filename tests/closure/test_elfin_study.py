@@ -17,6 +17,7 @@ from fluxtwin.scenarios.elfin import bending, record, tables, unseen
 from fluxtwin.scenarios.elfin.compute import refusal
 from fluxtwin.scenarios.elfin.settings import MAP, Settings, read_settings
 from fluxtwin.scenarios.elfin.zone_fit import fit_zone, local_noise_nT, spin_rate
+from fluxtwin.scenarios.recorded_files import check_folder
 from fluxtwin.sim import epoch
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.field import load_field
@@ -142,8 +143,8 @@ def test_the_map_is_the_documents() -> None:
 
 
 def test_a_folder_without_the_files_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match=r"elfin_a_20220112\.nc and elfin_a_20220112_state\.nc not found"):
-        record.check_folder(tmp_path, SETTINGS)
+    with pytest.raises(BadInput, match=r"missing there: elfin_a_20220112\.nc, elfin_a_20220112_state\.nc"):
+        check_folder(tmp_path, SETTINGS.files)
 
 
 @pytest.fixture(scope="module")

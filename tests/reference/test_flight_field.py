@@ -18,6 +18,7 @@ from fluxtwin.scenarios.flight_field import causes, compute, study, tracks
 from fluxtwin.scenarios.flight_field.figures import Figure, Finding, compare, read_figures
 from fluxtwin.scenarios.flight_field.residuals import against_field, against_model, low_latitude, statistics
 from fluxtwin.scenarios.flight_field.settings import read_settings
+from fluxtwin.scenarios.recorded_files import check_folder
 from fluxtwin.sim import epoch, frames
 from fluxtwin.sim.errors import BadInput, OutOfRange
 from fluxtwin.sim.field import field_NEC_nT, load_field
@@ -241,7 +242,7 @@ def test_without_data_nothing_is_written(tmp_path: Path) -> None:
 def test_missing_files_are_named(flight: Path, tmp_path: Path) -> None:
     shutil.copy(flight / "magsat_19800101.csv.gz", tmp_path)
     with pytest.raises(BadInput) as raised:
-        compute.check_folder(tmp_path, read_settings())
+        check_folder(tmp_path, read_settings().files)
     before, after = str(raised.value).split("Wanted:")
     for name in read_settings().files:
         assert (name in before) == (name != "magsat_19800101.csv.gz")

@@ -16,9 +16,10 @@ from fluxtwin.report import png_bytes
 from fluxtwin.scenarios.flight_field.tracks import read_magsat
 from fluxtwin.scenarios.flight_gaps import cases, compute, models, pages, readers, records, study, words
 from fluxtwin.scenarios.flight_gaps.alone import alone, visible_nT
-from fluxtwin.scenarios.flight_gaps.settings import Settings, check_folder, read_settings
+from fluxtwin.scenarios.flight_gaps.settings import Settings, read_settings
 from fluxtwin.scenarios.flight_gaps.tolles_lawson import coefficients
 from fluxtwin.scenarios.page_markdown import as_markdown
+from fluxtwin.scenarios.recorded_files import check_folder
 from fluxtwin.sim import epoch, frames
 from fluxtwin.sim.effects.bias import Bias
 from fluxtwin.sim.effects.ring_current import RingCurrent
@@ -247,7 +248,7 @@ def test_without_data_nothing_is_written(tmp_path: Path, settings: Settings) -> 
     assert list(tmp_path.iterdir()) == []
     (tmp_path / settings.magsat.file).write_bytes(b"")
     with pytest.raises(BadInput) as raised:
-        check_folder(tmp_path, settings)
+        check_folder(tmp_path, settings.files)
     before, after = str(raised.value).split("Wanted:")
     for name in settings.files:
         assert (name in before) == (name != settings.magsat.file)

@@ -280,7 +280,7 @@ def test_check_names_rows_out_of_order_under_a_map_too(tmp_path: Path) -> None:
 
 
 def test_the_maps_in_the_docs_are_valid(tmp_path: Path) -> None:
-    assert len(examples()) == 2
+    assert len(examples()) == 3
     for text in examples():
         (tmp_path / "map.toml").write_text(text)
         assert load_column_map(tmp_path / "map.toml").file

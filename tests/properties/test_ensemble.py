@@ -303,7 +303,10 @@ def test_the_command_interrupted_says_how_to_go_on(straight: Path, tmp_path: Pat
     results = tmp_path / "results"
     words = [sys.executable, "-m", "fluxtwin", "ensemble", str(tmp_path / "s.toml"), "--vehicles", "400"]
     words += ["--out", str(results), "--jobs", "2", "--chunk", "2"]
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a suite in the background ignores it
+    )  # fmt: skip
     patience = time.monotonic() + 240.0
     while not list(results.glob("chunk-*.nc")) and process.poll() is None and time.monotonic() < patience:
         time.sleep(0.05)

@@ -35,7 +35,9 @@ def model() -> FieldModel:
 @pytest.fixture
 def maps(tmp_path: Path) -> tuple[Path, Path]:
     """The two column maps of the docs, the first with the name of PADRE's elements."""
-    padre, elfin = re.findall(r"```toml\n(.*?)```", DOCS.read_text(encoding="utf-8"), re.DOTALL)
+    shown = re.findall(r"```toml\n(.*?)```", DOCS.read_text(encoding="utf-8"), re.DOTALL)
+    (padre,) = [text for text in shown if "satellite.tle" in text]
+    (elfin,) = [text for text in shown if "position_gei" in text]
     for name, text in (("padre", padre.replace("satellite.tle", "20251219_padre.tle")), ("elfin", elfin)):
         (tmp_path / f"{name}.toml").write_text(text)
     return tmp_path / "padre.toml", tmp_path / "elfin.toml"

@@ -85,7 +85,7 @@ def assemble(work: Work, provenance: Mapping[str, Any], *, without_attitude: int
             "without_attitude": without_attitude,
         },
         provenance=dict(provenance),
-        sentence=_sentence(verdict, effects, where, gap, resembles, beyond or _left_words(work), momentum.gap),
+        sentence=_sentence(verdict, effects, where, gap, resembles, beyond or _left_words(work, where), momentum.gap),
         series=series if effects else replace(series, after_nT=series.before_nT),
         ranking=_ranking(work),
         momentum=momentum.gap,
@@ -126,11 +126,18 @@ def _ranking(work: Work) -> list[Alone]:
     return [Alone(line.name, line.drop, line.rank, line.p_value) for line in lines]
 
 
-def _left_words(work: Work) -> str:
-    """What an answer without a name says of the data."""
-    if work.left.structured or work.found.resembles:
-        return "; ".join(words for words in (work.left.words, work.momentum.words) if words)
-    return work.momentum.words or "what fits best does not hold on samples held out"
+def _left_words(work: Work, where: Place) -> str:
+    """What an answer without a name says of the data; of frame and condition the same as `where`."""
+    if not work.left.structured and not work.found.resembles:
+        return work.momentum.words or "what fits best does not hold on samples held out"
+    left = work.left
+    words = left.words
+    if left.kind == "block" and (left.condition, left.frame) != (where.condition, where.frame):
+        follows = (
+            f" that follows {where.condition.replace('_', ' ')}" if where.condition else " that follows no condition"
+        )
+        words = f"structure{follows}" + (f", coherent in the {where.frame} frame" if where.frame else "")
+    return "; ".join(one for one in (words, work.momentum.words) if one)
 
 
 def _incomplete(verdict: str, left: bool) -> str | None:

@@ -9,13 +9,20 @@ import typer
 
 from fluxtwin.commands.options import JsonOption
 from fluxtwin.console import Output
+from fluxtwin.scenarios.packaged import SCENARIOS, open_scenario
 
 NAME = "passes"
 BRIEF = "When the stations of a scenario see the spacecraft."
 
 
 def command(
-    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.toml", help="Orbit, schedule and stations.")],
+    scenario: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SCENARIO.toml",
+            help=f"Orbit, schedule and stations; or {' or '.join(SCENARIOS)}, which are packaged.",
+        ),
+    ],
     json: JsonOption = None,
 ) -> None:
     """List every pass over every [station.NAME] from the first to the last sample of the schedule.
@@ -24,10 +31,9 @@ def command(
     """
     output = Output(json)
     with output.progress(f"reading {scenario}"):
-        from fluxtwin.sim.scenario import load_scenario
         from fluxtwin.sim.scenario_passes import list_passes
 
-        plan = load_scenario(scenario)
+        plan = open_scenario(scenario)
         found = list_passes(plan)
     columns = ("station", "rise [UTC]", "set [UTC]", "minutes", "highest [deg]", "sunlit", "cut")
     rows = [

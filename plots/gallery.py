@@ -111,13 +111,13 @@ def draw_night_map(record: NightMap, *, title: str) -> Figure:
         vmax=limit, edgecolors=style.GREY, linewidths=0.2,
     )  # fmt: skip
     for box, colour, line, label in (
-        (record.put_in_deg, style.BLACK, "--", "put in"), (record.found_deg, style.BLUE, "-", "found"),
+        (record.found_deg, style.SKY, "-", "found"), (record.put_in_deg, style.BLACK, ":", "put in"),
     ):  # fmt: skip
         if box is not None:
             south, north, west, east = box
             axes.add_patch(
                 Rectangle((west, south), east - west, north - south, fill=False, edgecolor=colour, linestyle=line,
-                          linewidth=1.5, label=label)
+                          linewidth=4.0 if line == "-" else 1.8, label=label)
             )  # fmt: skip
     figure.colorbar(shown, ax=axes, label="|B| less model [nT]")
     axes.set(title=title, xlabel="longitude [deg]", ylabel="latitude [deg]", xlim=(-180, 180), ylim=(-75, 85))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -100,7 +101,7 @@ def draw_nulls(record: NullTests, *, title: str) -> Figure:
     figure, ((axes,),) = style.figure(7.2, 3.2)
     bars = axes.bar(np.arange(len(names)), values, 0.6, color=[style.BLUE] + [style.ORANGE] * len(record.nulls_deg))
     axes.bar_label(bars, fmt="%.2f", fontsize=8)
-    axes.set_xticks(np.arange(len(names)), names)
+    axes.set_xticks(np.arange(len(names)), [textwrap.fill(name, 15) for name in names])
     axes.set(title=title, ylabel="median error of 48 ends [deg]")
     return figure
 
@@ -117,7 +118,7 @@ def draw_evidence(record: ResidualEvidence, *, title: str) -> Figure:
         )
     for rank, k in enumerate(np.argsort(-record.printed_mG)[:4]):
         left.annotate(record.labels[k], (record.predicted_mG[k], record.printed_mG[k]), fontsize=7,
-                      xytext=(-5, -8 * (rank % 2)), textcoords="offset points", ha="right")  # fmt: skip
+                      xytext=(-7, -9 if rank % 2 else 4), textcoords="offset points", ha="right")  # fmt: skip
     left.set(xlabel="error of IGRF 1975 in field strength [mG, rms]", ylabel="printed residual [mG]", title="43 passes")
     left.legend(loc="upper left")
     turns = np.append(record.turns_deg, 360.0)

@@ -51,6 +51,8 @@ class Results:
     scanner: ScannerStudy
     real_passes: RealPasses
     gallery: tuple[Answer, ...]
+    gallery_law: Answer | None
+    """Case (c) with the coils driven by the control law; None where the motion of the study is prescribed too."""
 
 
 Judge = Callable[[Results], Verdict]

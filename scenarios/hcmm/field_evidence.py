@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import rankdata
 
+from fluxtwin.scenarios.hcmm.overflights import orders_of, overflights_of
 from fluxtwin.scenarios.hcmm_orbit.angles import angles_along
 from fluxtwin.scenarios.hcmm_orbit.fit import OrbitFit
 from fluxtwin.scenarios.hcmm_orbit.record import read_passes
@@ -47,12 +48,19 @@ class FieldEvidence:
     """Among the night passes alone; none of these went into a calibration."""
     correlation_sunlit: float
     chance: float
-    """Share of random orders with at least that correlation (all 43)."""
+    """Share of random orders of the overflights with at least that correlation (all 43).
+
+    The map of errors is smooth, so a wrong one correlates as well: see `turned_correlation`."""
     top_shared: int
     """Of the ten largest printed residuals, how many are among the ten largest predicted errors."""
     turns_deg: FloatArray
     turned_correlation: FloatArray
     """Rank correlation with the map of errors turned east by so much."""
+
+    def best_turned(self, count: int) -> list[tuple[float, float]]:
+        """The largest rank correlations of maps that are turned, with the turn [deg] of each, largest first."""
+        turned = [(c, t) for t, c in zip(self.turns_deg.tolist(), self.turned_correlation.tolist(), strict=True) if t]
+        return [(t, c) for c, t in sorted(turned, reverse=True)[:count]]
 
     @property
     def with_lsb_mG(self) -> FloatArray:
@@ -78,7 +86,7 @@ def weigh_field_error(fit: OrbitFit, windows: Windows, seed: int) -> FieldEviden
     predicted = error_mG(0.0)
     found = _rank_correlation(printed, predicted)
     rng = stream(seed, "hcmm.shuffles")
-    shuffled = _shuffled_correlations(printed, rng)
+    shuffled = _shuffled_correlations(printed, predicted, orders_of(overflights_of(passes), rng, _SHUFFLES))
     quiet = printed <= 3.0
     night = np.array([not p.sunlit for p in passes])
     return FieldEvidence(
@@ -97,12 +105,10 @@ def weigh_field_error(fit: OrbitFit, windows: Windows, seed: int) -> FieldEviden
     )
 
 
-def _shuffled_correlations(printed: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Rank correlations of the printed residuals with orders drawn at random."""
-    x = rankdata(printed)
-    x = (x - x.mean()) / x.std()
-    other = rng.permuted(np.tile((np.arange(x.size) - 0.5 * (x.size - 1)), (_SHUFFLES, 1)), axis=1)
-    return np.asarray(other @ x / (x.size * other[0].std()))
+def _shuffled_correlations(printed: FloatArray, predicted: FloatArray, orders: np.ndarray) -> FloatArray:
+    """Rank correlations with the predicted errors, the printed residuals in each of the orders (Q, P)."""
+    x, y = ((ranks - ranks.mean()) / ranks.std() for ranks in (rankdata(printed), rankdata(predicted)))
+    return np.asarray(x[orders] @ y / x.size)
 
 
 def _rank_correlation(a: FloatArray, b: FloatArray) -> float:

@@ -19,13 +19,13 @@ FILE = "gallery"
 _MOST_ROWS = 9
 
 
-def gallery_page(answers: Sequence[Answer], seed: int) -> Page:
-    """The page."""
+def gallery_page(answers: Sequence[Answer], seed: int, law: Answer | None = None) -> Page:
+    """The page. law: case (c) with the coils driven by the control law of the study."""
     right = sum(answer.right for answer in answers)
     return Page(
         title="HCMM: four faults, found from telemetry",
         verdict=f"{right} of {len(answers)} faults that the ground was not told of are named from three days of passes.",
-        sections=[_overview(answers), *(_section(answer) for answer in answers)],
+        sections=[_overview(answers), *(_section(answer, law) for answer in answers)],
         provenance={"seed": str(seed), "field of the diagnosis": GROUND},
         links={"Back to the report": "report.html"},
     )
@@ -37,7 +37,9 @@ def overview_table(answers: Sequence[Answer]) -> Table:
     for answer in answers:
         d, later = answer.diagnosis, answer.later
         judged = (
-            "" if later is None else f"{later.rms[0]:.3g} to {later.rms[1]:.3g} {later.unit} (floor {later.floor:.3g})"
+            ""
+            if later is None
+            else f"{_digits(later.rms[0], 3)} to {_digits(later.rms[1], 3)} {later.unit} (floor {_digits(later.floor, 3)})"
         )
         rows.append(
             [f"({answer.case.key}) {answer.case.title}", d.verdict, answer.name or "none", d.where.stage or "",
@@ -48,7 +50,7 @@ def overview_table(answers: Sequence[Answer]) -> Table:
         ["what was wrong", "verdict", "named", "stage", "where", "passes not used, where it acts"],
         rows,
         "Named from telemetry alone. Residual, rms, on the passes of the two days that follow, without the cause and "
-        "with it as found.",
+        "with it as found. Flown in the prescribed motion, coils at random with their full dipole, not by the control law.",
     )
 
 
@@ -60,20 +62,51 @@ def _overview(answers: Sequence[Answer]) -> Section:
             "row of the night has an attitude. Three days are diagnosed; the two that follow are kept apart. The step of "
             "the readings, 4.7 mG, is all that the diagnosis is told. Its field model is IGRF-14, what is known of 1978 "
             "today: with the model of 1975 its error, 1 mG and more, would be a gap of its own.",
+            "This is not quite the spacecraft of the study: its motion here is prescribed, without wheels or control law, "
+            "and its coils act at random with their full dipole. That matters to (c), and is said there.",
         ],
         [overview_table(answers)],
     )
 
 
-def _section(answer: Answer) -> Section:
+def _section(answer: Answer, law: Answer | None) -> Section:
     d = answer.diagnosis
     words = [answer.case.told, f"The diagnosis says: {d.sentence}"]
     place = [f"{name} {value}" for name, value in _place(answer).items() if value]
     if place:
         words.append(f"Where: {', '.join(place)}. In detail: {answer.located}.")
+    if answer.case.key == "c":
+        words.append(_drive(answer, law))
     tables = [_compared_table(answer)] if answer.compared else []
     figures = [*_evidence(answer), *_later(answer)]
     return Section(f"({answer.case.key}) {answer.case.title}", words, tables, figures)
+
+
+def _drive(answer: Answer, law: Answer | None) -> str:
+    """How hard the coils work here, and what is found where the control law drives them."""
+    said = f"The coils act at random here: {_dipole_words(answer)}."
+    if law is None:
+        return said
+    said += f" The control law of the study commands less: {_dipole_words(law)}. Flown under it, the same fault "
+    if not law.compared or law.later is None:
+        return said + f"is not found: the diagnosis says {law.name or law.diagnosis.verdict}."
+    put_in = ", ".join(
+        f"{a} {np.sqrt(sum(one.put_in**2 for one in law.compared if one.name[-1] == a)):.0f}" for a in "xyz"
+    )
+    sigmas = [one.sigma for one in law.compared if one.sigma is not None]
+    before, after, floor = (f"{value:.1f}" for value in (*law.later.rms, law.later.floor))
+    return said + (
+        f"is named {law.name}, {law.located} (put in {put_in}; the sigma of an element is up to {max(sigmas):.0f}), and the "
+        f"passes not used go from {before} to {after} nT (floor {floor}): with so small a drive C is known less "
+        "exactly, and to leave it out costs less."
+    )
+
+
+def _dipole_words(answer: Answer) -> str:
+    dipole = answer.telemetry.dipole_B_Am2
+    assert dipole is not None
+    rms = "/".join(f"{value:.2g}" for value in np.sqrt(np.mean(np.square(dipole), axis=0)))
+    return f"{rms} A m2 rms along x/y/z, {np.abs(dipole).max():.2g} at most"
 
 
 def _place(answer: Answer) -> dict[str, str | None]:
@@ -83,8 +116,8 @@ def _place(answer: Answer) -> dict[str, str | None]:
 
 def _compared_table(answer: Answer) -> Table:
     rows: list[list[Cell]] = [
-        [f"{one.name} [{one.unit}]", f"{one.put_in:.4g}", f"{one.found:.4g}",
-         "not seen" if one.sigma is None else f"{one.sigma:.2g}"]
+        [f"{one.name} [{one.unit}]", _digits(one.put_in, 4), _digits(one.found, 4),
+         "not seen" if one.sigma is None else _digits(one.sigma, 2)]
         for one in answer.compared[:_MOST_ROWS]
     ]  # fmt: skip
     if answer.case.key == "b" and answer.diagnosis.effects:
@@ -205,7 +238,7 @@ def _words(real: RealPasses) -> list[str]:
 
 def _both(one: Question) -> str:
     """Both p-values, and what they are worth."""
-    worth = "certain" if one.certain else "a hint" if one.p_value < 0.05 else "nothing"
+    worth = "likely" if one.certain else "a hint" if one.p_value < 0.05 else "nothing"
     return f"p {_is(one.p_value)} by itself, {_p(one.p_counted)} counted: {worth}"
 
 
@@ -281,6 +314,11 @@ def real_passes_summary(real: RealPasses) -> dict[str, Any]:
 
 def _size(value: float) -> str:
     return f"{value:.0f}" if value >= 100.0 else f"{value:.2f}"
+
+
+def _digits(value: float, digits: int) -> str:
+    """Rounded to so many digits, without an exponent where it can be."""
+    return f"{float(f'{value:.{digits}g}'):g}"
 
 
 def _is(value: float) -> str:

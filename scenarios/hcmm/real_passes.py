@@ -15,13 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.scenarios.hcmm.field_evidence import FieldEvidence
+from fluxtwin.scenarios.hcmm.overflights import orders_of, overflights_of
 from fluxtwin.scenarios.hcmm_orbit.record import Pass
-from fluxtwin.sim import epoch
 from fluxtwin.sim.random_streams import stream
 from fluxtwin.sim.types import BoolArray, FloatArray
 
 ORDERS = 20_000
-_SAME_OVERFLIGHT_S = 720.0
 EAST = ("ETC", "MIL")
 """Stations of the eastern United States."""
 _CERTAIN = 0.05
@@ -79,7 +78,7 @@ def ask(passes: Sequence[Pass], evidence: FieldEvidence, seed: int, orders: int 
     """All questions. orders: number of permutations."""
     stations = tuple(p.station for p in passes)
     night = evidence.night > 0.5
-    overflight = _overflights(passes)
+    overflight = overflights_of(passes)
     log_mG = np.log(evidence.printed_mG)
     expected = np.log(evidence.with_lsb_mG)
     slope, intercept = np.polyfit(expected, log_mG, 1)
@@ -90,7 +89,7 @@ def ask(passes: Sequence[Pass], evidence: FieldEvidence, seed: int, orders: int 
         raw += [
             (name, corrected, *_answer(y, groups, overflight, rng, orders)) for name, groups in _groups(stations, night)
         ]
-        raw.append(("station against station", corrected, *_stations(y, stations, _orders(overflight, rng, orders))))
+        raw.append(("station against station", corrected, *_stations(y, stations, orders_of(overflight, rng, orders))))
     counted = _holm(np.array([item[4] for item in raw]))
     questions = tuple(
         Question(name, corrected, counts, ratio, p, float(p_counted), detectable)
@@ -126,7 +125,7 @@ def _answer(
     """Numbers, ratio, p-value, and the detectable ratio."""
     inside = groups[0] | groups[1]
     one, other, y = groups[0][inside], groups[1][inside], y[inside]
-    orders = _orders(overflight[inside], rng, count)
+    orders = orders_of(overflight[inside], rng, count)
     weights = one / one.sum() - other / other.sum()
     observed = float(weights @ y)
     chance = y[orders] @ weights
@@ -151,24 +150,6 @@ def _stations(
     p = (1 + int(np.sum(chance >= observed - 1e-12))) / (len(orders) + 1)
     level = means @ y
     return (len(names), y.size), float(np.exp(level.max() - level.min())), float(p), float("nan")
-
-
-def _overflights(passes: Sequence[Pass]) -> np.ndarray:
-    """(P,) numbers: passes acquired within minutes of each other are one overflight."""
-    seconds = epoch.seconds_since(np.array([p.aos for p in passes]), passes[0].aos)
-    return np.concatenate([[0], np.cumsum(np.diff(seconds) > _SAME_OVERFLIGHT_S)])
-
-
-def _orders(overflight: np.ndarray, rng: np.random.Generator, count: int) -> np.ndarray:
-    """(count, P) rows in random order; overflights of as many passes change places as a whole."""
-    members = [np.flatnonzero(overflight == n) for n in np.unique(overflight)]
-    orders = np.tile(np.arange(overflight.size), (count, 1))
-    for size in {len(rows) for rows in members}:
-        blocks = np.array([rows for rows in members if len(rows) == size])
-        shuffled = rng.permuted(np.tile(np.arange(len(blocks)), (count, 1)), axis=1)
-        for place, rows in enumerate(blocks):
-            orders[:, rows] = blocks[shuffled[:, place]]
-    return orders
 
 
 def _holm(p_values: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from collections.abc import Sequence
 from importlib import metadata
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from fluxtwin.scenarios.claims import Claim, claims_table
 from fluxtwin.scenarios.hcmm import tables
 from fluxtwin.scenarios.hcmm.claims import Results
+from fluxtwin.scenarios.hcmm.field_evidence import FieldEvidence
 from fluxtwin.scenarios.hcmm.gallery_page import FILE as GALLERY_FILE
 from fluxtwin.scenarios.hcmm.gallery_page import overview_table, real_passes_section
 from fluxtwin.scenarios.hcmm.pass_study import ANOMALOUS, printed_rms
@@ -19,7 +21,8 @@ from fluxtwin.scenarios.page import Page, Section
 ERRATA = (
     "Conference Table 5: three acquisition times have minutes above 59 (0067, 1584, 1089), four name an hour at "
     "which the "
-    "satellite was not in view (0821, 1615, 1619, 1637): eights read as sixes, fives as eights, nines as eights.",
+    "satellite was not in view (0821, 1615, 1619, 1637): eights read as sixes, fives as sixes"
+    " (0057) or eights, nines as eights.",
     "Conference Table 6: the text gives 1.7 deg for the angles; its numbers need 0.17 deg.",
     "Conference equation 18 prints the inequality with the wrong sense; the journal has it right.",
     "Conference Table 3: 132 + 308 samples are not 443; 135 would be.",
@@ -154,20 +157,45 @@ def _night_passes(results: Results) -> Section:
             "The papers suspect hardware on board behind the large residuals of four night passes over the eastern "
             "United States. The error of IGRF 1975 in field strength is largest along just these orbits: of the ten "
             f"largest printed residuals {e.top_shared} are among the ten passes with the largest predicted error. The "
-            f"rank correlation over all 43 is {e.correlation:.2f} (of 20,000 random orders {chance} "
+            f"rank correlation over all 43 is {e.correlation:.2f} (of 20,000 random orders of the overflights {chance} "
             f"reaches it), {e.correlation_without_four:.2f} without the four, {e.correlation_night:.2f} among the "
             "night "
             f"passes and {e.correlation_sunlit:.2f} among the sunlit ones.",
+            _turned(e),
             "By night the residual is larger than by day for the same error of the model, here as in print: the "
             "calibration was made with sunlit passes and took part of their error for its own. How much, hangs on the "
             "passes it was made with, which are not known: over many choices ours leave "
             + "; ".join(f"{low:.1f} to {high:.1f} mG at {label} (printed {mG:.2f})" for label, mG, low, high in four)
-            + f". All flight rows have {excess:.1f} mG more than ours, added as squares. With that the printed residual of "
-            f"{len(four) - len(missing)} of the four is explained. The others would need "
-            + " and ".join(f"{mG:.1f} mG" for mG in missing)
-            + " more, so a field of that size on board cannot be excluded there; none is needed to "
-            "set them among the largest.",
+            + f". All flight rows have {excess:.1f} mG more than ours, added as squares. "
+            + _needed(missing, len(four)),
         ],
         [],
         [tables.evidence_figure(results)],
+    )
+
+
+def _turned(e: FieldEvidence) -> str:
+    """What a wrong map does."""
+    best = e.best_turned(3)
+    where = int(np.argmin(e.turned_correlation))
+    return (
+        "That count makes the evidence look stronger than it is. The map of errors is smooth and the passes return to the "
+        "same few places, so wrong maps correlate too: turned east by "
+        + ", ".join(f"{turn:.0f} deg {value:.2f}" for turn, value in best)
+        + f", and {e.turned_correlation[where]:.2f} at {e.turns_deg[where]:.0f} deg. The right map has "
+        f"the largest value of the {e.turns_deg.size} turns tried, {e.correlation:.2f}, but not by much."
+        if e.correlation > best[0][1]
+        else f"A map turned by {best[0][0]:.0f} deg does as well ({best[0][1]:.2f}): the correlation says nothing."
+    )
+
+
+def _needed(missing_mG: Sequence[float], count: int) -> str:
+    """What the printed residuals of the passes that are not explained would need."""
+    if not missing_mG:
+        return f"That is enough for all {count}; no field on board is needed."
+    return (
+        f"Even so, {len(missing_mG)} of the {count} would need "
+        + ", ".join(f"{mG:.1f}" for mG in missing_mG)
+        + " mG more: a field of that size on board cannot be excluded there, but none is needed to set them among the "
+        "largest."
     )

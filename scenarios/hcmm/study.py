@@ -26,7 +26,7 @@ from fluxtwin.scenarios.hcmm.gallery_page import (
     real_passes_summary,
     real_passes_table,
 )
-from fluxtwin.scenarios.hcmm.gallery_study import run_gallery
+from fluxtwin.scenarios.hcmm.gallery_study import Answer, run_gallery
 from fluxtwin.scenarios.hcmm.pass_study import run_passes
 from fluxtwin.scenarios.hcmm.real_passes import ask
 from fluxtwin.scenarios.hcmm.report import page
@@ -36,12 +36,13 @@ from fluxtwin.scenarios.hcmm_orbit.fit import fit_orbit
 from fluxtwin.scenarios.hcmm_orbit.flight_test import run_flight_test, windows_of
 from fluxtwin.scenarios.hcmm_orbit.nadir_field import weigh_ideas
 from fluxtwin.scenarios.hcmm_orbit.record import read_passes
-from fluxtwin.scenarios.motion import ATTITUDES, motion_of
+from fluxtwin.scenarios.motion import ATTITUDES, is_dynamic, motion_of
 from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.scenarios.seasat.judges_calibration import calibration_summary
 from fluxtwin.sim import epoch, files
 from fluxtwin.sim.field import load_field
 from fluxtwin.sim.progress import Progress, part_of, silent
+from fluxtwin.sim.scenario import Scenario
 from fluxtwin.sim.telemetry_io import write_telemetry
 
 
@@ -80,7 +81,7 @@ def run(
         summary=summary(results, claims),
         tables=shown,
         page=page(results, claims, line),
-        more_pages={GALLERY_FILE: gallery_page(results.gallery, results.scenario.seed)},
+        more_pages={GALLERY_FILE: gallery_page(results.gallery, results.scenario.seed, results.gallery_law)},
         written=written,
     )
 
@@ -126,8 +127,14 @@ def compute(
         accuracy=run_accuracy(config, flight, full, ground),
         scanner=run_scanner(config, ground, part_of(progress, 0.96, 1.0)),
         real_passes=ask(read_passes(), evidence, config.seed),
-        gallery=run_gallery(config, part_of(whole, 0.5, 1.0), only=only),
+        gallery=run_gallery(config, part_of(whole, 0.5, 0.9), only=only),
+        gallery_law=_under_the_law(config, part_of(whole, 0.9, 1.0)) if "c" in only else None,
     )
+
+
+def _under_the_law(config: Scenario, progress: Progress) -> Answer | None:
+    """Case (c) as the scenario drives its coils."""
+    return run_gallery(config, progress, only=("c",), by_law=True)[0] if is_dynamic(config) else None
 
 
 def summary(results: Results, claims: list[Claim]) -> dict[str, Any]:
@@ -184,6 +191,7 @@ def summary(results: Results, claims: list[Claim]) -> dict[str, Any]:
         "horizon_scanner": _scanner(results),
         "real_passes": real_passes_summary(results.real_passes),
         "gallery": gallery_summary(results.gallery),
+        "gallery_by_control_law": None if results.gallery_law is None else gallery_summary([results.gallery_law])[0],
         "claims": [claim.to_dict() for claim in claims],
     }
 

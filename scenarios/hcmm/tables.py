@@ -7,7 +7,7 @@ import numpy as np
 from fluxtwin.plots import calibration as calibration_plots
 from fluxtwin.plots import passes as pass_plots
 from fluxtwin.plots import yaw as yaw_plots
-from fluxtwin.scenarios.hcmm.calibration_study import KINDS, NAMES, SETS, rms_mG, vector, vector_sigma
+from fluxtwin.scenarios.hcmm.calibration_study import KINDS, NAMES, SETS, CalibrationStudy, rms_mG, vector, vector_sigma
 from fluxtwin.scenarios.hcmm.claims import Results
 from fluxtwin.scenarios.hcmm.judges_calibration import printed_column
 from fluxtwin.scenarios.hcmm.mission import printed_value
@@ -23,6 +23,8 @@ _SOURCE_WORDS = {
     "all": "all",
 }
 
+_FAR = 1.5
+"""A stated sigma is named if it is off by more than this factor."""
 POINTING = "Wanted: roll 0.7, pitch 0.5, yaw 2.0 deg (C, J)."
 _NULL_WORDS = {
     "dipole": "dipole only", "degree2": "degrees 1 and 2", "degree4": "degrees 1 to 4",
@@ -110,7 +112,7 @@ def nadir_field_rows(r: Results) -> Table:
         rows.append([item.label, "sunlit" if item.sunlit else "night", f"{low:.0f}-{high:.0f}", *shown])
     return Table(
         "Nadir-field ranges [deg]",
-        ["pass", "", "printed, as scanned", "IGRF-14", "its dipole"],
+        ["pass", "light", "printed, as scanned", "IGRF-14", "its dipole"],
         rows,
         "In the window of the sun-nadir range. By night only the end near the pole is fixed.",
     )
@@ -156,7 +158,20 @@ def calibration_table(r: Results) -> Table:
         "error of "
         "the field model is the same in every sample of a pass and comes back in every pass over the same station. "
         "Error "
-        f"in many runs: rms of estimate less truth over {len(study.estimates)} flights with other passes.",
+        f"in many runs: rms of estimate less truth over {len(study.estimates)} flights with other passes. "
+        + _dishonest(study),
+    )
+
+
+def _dishonest(study: CalibrationStudy) -> str:
+    """Which stated sigmas are not what the many runs show: the ratio of the last line is a mean over all twelve."""
+    ratio = study.rms_error("AB") / vector_sigma(study.fits["AB"])
+    small = [f"{name} {value:.1f}" for name, value in zip(NAMES, ratio, strict=True) if value > _FAR]
+    large = [f"{name} {1.0 / value:.1f}" for name, value in zip(NAMES, ratio, strict=True) if value < 1.0 / _FAR]
+    return (
+        f"Error over sigma: root mean square over all {len(NAMES)}, which hides that single sigmas with the field model "
+        f"allowed for are too small ({', '.join(small) or 'none'} times) or too large ({', '.join(large) or 'none'} times; "
+        f"those off by more than {_FAR:g} are named)."
     )
 
 

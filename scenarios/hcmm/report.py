@@ -150,13 +150,17 @@ def _night_passes(results: Results) -> Section:
     printed = printed_rms([item.eps_M_mG for item, quiet in zip(p.passes, p.quiet, strict=True) if quiet])
     excess = np.sqrt(printed**2 - p.rms("eps_M_mG", p.quiet) ** 2)
     missing = [np.sqrt(mG**2 - high**2 - excess**2) for _, mG, _, high in four if mG > np.hypot(high, excess)]
+    by_night = np.flatnonzero(e.night > 0.5)
+    largest = set(by_night[np.argsort(-e.predicted_mG[by_night])[: len(ANOMALOUS)]].tolist())
     chance = f"a share of {e.chance:.4f}" if e.chance > 0 else "none"
     return Section(
         "The four night passes",
         [
             "The papers suspect hardware on board behind the large residuals of four night passes over the eastern "
-            "United States. The error of IGRF 1975 in field strength is largest along just these orbits: of the ten "
-            f"largest printed residuals {e.top_shared} are among the ten passes with the largest predicted error. The "
+            "United States. Of all night passes the error of IGRF 1975 in field strength is largest in "
+            + ("these four" if largest == {n - 1 for n in ANOMALOUS} else "others")
+            + f"; {_sunlit_above(e)} sunlit passes have an error as large, with a smaller residual. Of the ten largest "
+            f"printed residuals {e.top_shared} are among the ten passes with the largest predicted error. The "
             f"rank correlation over all 43 is {e.correlation:.2f} (of 20,000 random orders of the overflights {chance} "
             f"reaches it), {e.correlation_without_four:.2f} without the four, {e.correlation_night:.2f} among the "
             "night "
@@ -172,6 +176,13 @@ def _night_passes(results: Results) -> Section:
         [],
         [tables.evidence_figure(results)],
     )
+
+
+def _sunlit_above(e: FieldEvidence) -> int:
+    """Sunlit passes with an error of IGRF 1975 above the least of the printed four, and a residual below theirs."""
+    four = [number - 1 for number in ANOMALOUS]
+    above = e.predicted_mG > e.predicted_mG[four].min()
+    return int(((e.night < 0.5) & above & (e.printed_mG < e.printed_mG[four].min())).sum())
 
 
 def _turned(e: FieldEvidence) -> str:
@@ -194,7 +205,7 @@ def _needed(missing_mG: Sequence[float], count: int) -> str:
     if not missing_mG:
         return f"That is enough for all {count}; no field on board is needed."
     return (
-        f"Even so, {len(missing_mG)} of the {count} would need "
+        f"Even so, {'all' if len(missing_mG) == count else len(missing_mG)} of the {count} would need "
         + ", ".join(f"{mG:.1f}" for mG in missing_mG)
         + " mG more: a field of that size on board cannot be excluded there, but none is needed to set them among the "
         "largest."

@@ -14,6 +14,7 @@ import numpy as np
 
 from fluxtwin.calib.noise import per_axis
 from fluxtwin.calib.scalar_model import PAIRS, ScalarData, pack, terms
+from fluxtwin.calib.suspicion import LARGE_S
 from fluxtwin.calib.twostep import Moments, Twostep, information, merged, moments_of, solve_moments, theta_of, twostep
 from fluxtwin.sim.errors import BadInput, NoAnswer
 from fluxtwin.sim.types import FloatArray
@@ -89,8 +90,7 @@ class RunningScalar:
             for name in ("_moments", "_bias"):
                 held: Moments | None = getattr(self, name)
                 if held is not None:
-                    faded = held._replace(total=held.total * share, LL=held.LL * share, Lz=held.Lz * share)
-                    setattr(self, name, faded)
+                    setattr(self, name, held.faded(share))
         self._last_s = seconds
 
     def _innovate(self, data: ScalarData) -> FloatArray:
@@ -105,8 +105,11 @@ class RunningScalar:
     def _take(self, data: ScalarData) -> None:
         if not self._known.converged and len(data.H) > 3 * data.size:
             self._known = twostep(data)  # the weights of these rows hang on it
-        new = moments_of(data, self._known.D, self._known.b)
-        alone = new if not self._with_D else moments_of(data._replace(with_D=False), self._known.D, self._known.b)
+        # An early answer may be far off; rows weighed by it would spoil the sums for good.
+        sound = float(np.abs(self._known.D).max()) < LARGE_S and float(np.linalg.norm(self._known.b)) < 1.0
+        D, b = (self._known.D, self._known.b) if sound else (np.zeros((3, 3)), np.zeros(3))
+        new = moments_of(data, D, b)
+        alone = new if not self._with_D else moments_of(data._replace(with_D=False), D, b)
         self._moments = new if self._moments is None else merged(self._moments, new)
         self._bias = alone if self._bias is None else merged(self._bias, alone)
         self._rows += len(data.H)
@@ -129,25 +132,36 @@ class RunningScalar:
         """What is known now. Raises NoAnswer, naming the worst combination, where that is not enough."""
         if self._moments is not None and self._waiting and self._rows > 3 * (9 if self._with_D else 3):
             self._solve()
-        if self._moments is None or not self._known.converged:
-            raise NoAnswer("too few rows yet, or |B| and |H| do not fit together", evidence={"rows": self._rows})
-        theta = theta_of(self._known.D, self._known.b, self._with_D)
-        known = information(self._moments, theta, self._with_D)
-        jacobian = _theta_jacobian(self._known, self._with_D)
-        information_p = jacobian.T @ known @ jacobian
-        values, vectors = np.linalg.eigh(information_p)
-        names = ["S11", "S22", "S33", "S12", "S13", "S23"] if self._with_D else []
-        names += ["b1", "b2", "b3"]
-        if values[0] < 1.0 / _WORST_SIGMA**2:
-            worst = vectors[:, 0]
-            named = [n for n, part in zip(names, worst, strict=True) if abs(part) > 0.2 * np.abs(worst).max()]
-            raise NoAnswer(
-                f"|B| does not determine {', '.join(named)} yet: the field has not moved enough in the body",
-                evidence={"null_direction": dict(zip(names, worst.tolist(), strict=True))},
-            )
+        few = "too few rows yet, or |B| and |H| do not fit together"
+        if self._moments is None or self._rows <= 3 * (9 if self._with_D else 3):
+            raise NoAnswer(few, evidence={"rows": self._rows})
+        known = self._known if self._known.converged else Twostep(np.zeros((3, 3)), np.zeros(3), 1.0, False)
+        theta = theta_of(known.D, known.b, self._with_D)
+        jacobian = _theta_jacobian(known, self._with_D)
+        information_p = jacobian.T @ information(self._moments, theta, self._with_D) @ jacobian
+        from_noise = jacobian.T @ self._moments.noise_LL @ jacobian
+        names = [*(["S11", "S22", "S33", "S12", "S13", "S23"] if self._with_D else []), "b1", "b2", "b3"]
+        _require_known(information_p, from_noise, names)
+        if not known.converged:
+            raise NoAnswer(few, evidence={"rows": self._rows})
         scale = np.concatenate([np.ones(len(names) - 3), np.full(3, -_REFERENCE_NT)])
-        covariance = np.asarray(np.linalg.inv(information_p) * np.outer(scale, scale), dtype=np.float64)
-        return RunningAnswer(self._known.D, -self._known.b * _REFERENCE_NT, covariance, self._rows)
+        inverse = np.linalg.inv(information_p)
+        inverse = inverse + inverse @ from_noise @ inverse  # the noise scatters the sums all the same
+        covariance = np.asarray(inverse * np.outer(scale, scale), dtype=np.float64)
+        return RunningAnswer(known.D, -known.b * _REFERENCE_NT, covariance, self._rows)
+
+
+def _require_known(information_p: FloatArray, from_noise: FloatArray, names: list[str]) -> None:
+    """Raises NoAnswer for a combination that is less certain than 30 % of the field, or that only noise moves."""
+    values, vectors = np.linalg.eigh(information_p)
+    worst = vectors[:, 0]
+    if values[0] >= max(1.0 / _WORST_SIGMA**2, float(worst @ from_noise @ worst)):
+        return
+    named = [n for n, part in zip(names, worst, strict=True) if abs(part) > 0.2 * np.abs(worst).max()]
+    raise NoAnswer(
+        f"|B| does not determine {', '.join(named)} yet: the field has not moved enough in the body",
+        evidence={"null_direction": dict(zip(names, worst.tolist(), strict=True))},
+    )
 
 
 def _theta_jacobian(known: Twostep, with_D: bool) -> FloatArray:

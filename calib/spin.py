@@ -172,19 +172,27 @@ def scalar_start(rows: SpinRows, options: SpinOptions) -> tuple[FloatArray, Floa
     """G (symmetric) and o by TWOSTEP, the noise, and what is to be said."""
     size = np.linalg.norm(rows.H_N_nT, axis=1)
     scale = float(np.sqrt((size**2).mean()))
-    relative = 0.005 if options.noise_nT is None else max(float(np.max(options.noise_nT)) / scale, 1e-7)
+    relative = _LEAST_NOISE if options.noise_nT is None else max(float(np.max(options.noise_nT)) / scale, 1e-7)
     data = ScalarData(rows.B_nT / scale, size / scale, np.zeros((len(size), 0)), relative**2 * np.eye(3), True)
-    found = twostep(data)
-    sound = found.converged and bool(np.abs(found.D).max() < LARGE_S)
-    D, b = (found.D, found.b) if sound else (np.zeros((3, 3)), np.zeros(3))
+    D, b, sound = _of_size(data)
     r_nT = residual(pack(D, b, data), data) * scale
     noise = scalar_noise(rows.B_nT, rows.time, r_nT, options.noise_nT, options.lsb_nT)
+    if options.noise_nT is None:  # TWOSTEP takes off what the noise does: no more than there is
+        found = _of_size(data._replace(Sigma=np.diag(np.maximum(noise.variance_nT2 / scale**2, _LEAST_NOISE**2))))
+        D, b, sound = found if found[2] else (D, b, sound)
     messages = [f"{count} rows left out: {reason}" for reason, count in rows.left_out.items()]
     messages.append(f"noise of the reading: {noise.source}")
     if not sound:
         messages.append("the size of the field alone does not give S and b (TWOSTEP): the start takes both for zero")
     G = np.linalg.inv(np.eye(3) + D)
     return np.asarray(G), G @ b * scale, noise, messages
+
+
+def _of_size(data: ScalarData) -> tuple[FloatArray, FloatArray, bool]:
+    """D and b by TWOSTEP and whether they are sound; zeros where not."""
+    found = twostep(data)
+    sound = found.converged and bool(np.abs(found.D).max() < LARGE_S)
+    return (found.D, found.b, True) if sound else (np.zeros((3, 3)), np.zeros(3), False)
 
 
 def _batch(rows: SpinRows, options: SpinOptions, start: Start, sensors: Noise) -> _Found:

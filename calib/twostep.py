@@ -11,6 +11,11 @@ Step 1 takes weighted means off, which drops |b|^2 and is linear. Step 2 adds wh
 The noise term: the published mean of v is -tr Sigma, true if B were free of noise. As B is what is measured, B B'
 stands Sigma too high on average and |B|^2 tr Sigma; `corrected` takes both off, and then v has mean zero.
 
+Errors in variables: v, the rows L and their weights w are made of the same noisy B, so that E[w L v] is not zero even
+then. With G = dL/dB a row adds G Sigma G' to LL and 2 G Sigma B to Lz that are no signal, and the weight, by its own
+noise, shifts z by -16 w'Sigma(I+E)Sigma w / s^2, w = (I+D) y. On an arc in which the field hardly turns the first of
+these is most of LL's weakest direction: b was wrong there by ten sigma. `corrected` takes all three off.
+
 Where |H| hardly varies, step 1 of `complete` tends to the exact and useless solution E = -I, c = 0. Step 2 then starts
 from the bias alone with E = 0. Numbers here are free of units.
 """
@@ -59,6 +64,22 @@ class Moments(NamedTuple):
     """(p, p) weighted sum of Lt Lt'."""
     Lz: FloatArray
     """(p,) weighted sum of Lt zt."""
+    noise_LL: FloatArray
+    """(p, p) what noise of B adds to LL on average."""
+    noise_Lz: FloatArray
+    """(p,) what it adds to Lz."""
+
+    @property
+    def signal(self) -> FloatArray:
+        """(p, p) LL without the noise."""
+        return self.LL - self.noise_LL
+
+    def faded(self, share: float) -> Moments:
+        """Of the same rows at so large a share of their weight."""
+        return Moments(
+            self.total * share, self.mean_L, self.mean_z, self.LL * share, self.Lz * share,
+            self.noise_LL * share, self.noise_Lz * share,
+        )  # fmt: skip
 
 
 def twostep(data: ScalarData, *, noise_term: str = "corrected") -> Twostep:
@@ -82,6 +103,9 @@ def moments_of(data: ScalarData, D: FloatArray, b: FloatArray, noise_term: str =
     published = noise_term == "published"
     # z - mu, with E v = mu: -tr Sigma as published; zero once tr Sigma is off |B|^2
     z = (data.B**2).sum(axis=1) - data.H**2 + (1.0 if published else -1.0) * float(np.trace(Sigma))
+    if not published:
+        turned = w @ Sigma
+        z = z + 16.0 * ((turned @ P) ** 2).sum(axis=1) / variance
     columns = [2.0 * data.B]
     if data.with_D:
         high = np.zeros((3, 3)) if published else Sigma
@@ -91,7 +115,24 @@ def moments_of(data: ScalarData, D: FloatArray, b: FloatArray, noise_term: str =
     total = float(weight.sum())
     mean_L, mean_z = weight @ L / total, float(weight @ z) / total
     L = L - mean_L
-    return Moments(total, mean_L, mean_z, (L * weight[:, None]).T @ L, L.T @ (weight * (z - mean_z)))
+    noise_LL, noise_Lz = _from_noise(data, np.zeros_like(weight) if published else weight)
+    return Moments(
+        total, mean_L, mean_z, (L * weight[:, None]).T @ L, L.T @ (weight * (z - mean_z)), noise_LL, noise_Lz
+    )
+
+
+def _from_noise(data: ScalarData, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Weighted sums of G Sigma G' (p, p) and 2 G Sigma B (p,), G = dL/dB linear in B: G = G0 + sum_m B_m G_m."""
+    size = 9 if data.with_D else 3
+    slopes = np.zeros((4, size, 3))
+    slopes[0, :3] = 2.0 * np.eye(3)
+    for k, (i, j) in enumerate(PAIRS if data.with_D else ()):
+        slopes[1 + i, 3 + k, j] -= _twice(i, j)
+        slopes[1 + j, 3 + k, i] -= _twice(i, j)
+    one = np.hstack([np.ones((len(data.B), 1)), data.B])
+    second = (one * weight[:, None]).T @ one
+    noise_LL = np.einsum("mn,mik,kl,njl->ij", second, slopes, data.Sigma, slopes, optimize=True)
+    return noise_LL, 2.0 * np.einsum("mik,kl,ml->i", slopes, data.Sigma, second[:, 1:], optimize=True)
 
 
 def merged(one: Moments, other: Moments) -> Moments:
@@ -105,12 +146,14 @@ def merged(one: Moments, other: Moments) -> Moments:
         one.mean_z + step_z * (other.total / total),
         one.LL + other.LL + share * np.outer(step_L, step_L),
         one.Lz + other.Lz + share * step_L * step_z,
+        one.noise_LL + other.noise_LL,
+        one.noise_Lz + other.noise_Lz,
     )
 
 
 def solve_moments(moments: Moments, with_D: bool, bias: FloatArray) -> Twostep:
     """Both steps. bias: (3,) CENTER's, where step 1 is of no use."""
-    centred = _least(moments.LL, moments.Lz)
+    centred = _least(moments.signal, moments.Lz - moments.noise_Lz)
     first = float(1.0 + np.linalg.eigvalsh(_E(centred))[0]) if with_D else 1.0
     start = np.concatenate([bias, np.zeros(6)]) if first < TRIVIAL else centred
     theta, converged = _second_step(moments, centred, start, with_D)
@@ -129,10 +172,10 @@ def back(theta: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def information(moments: Moments, theta: FloatArray, with_D: bool) -> FloatArray:
-    """(p, p) of theta: what both steps know."""
+    """(p, p) of theta: what both steps know; the noise of B, which tells nothing, is off it."""
     _, slope = _b_squared(theta, with_D)
     centre = moments.mean_L - slope
-    return moments.LL + moments.total * np.outer(centre, centre)
+    return moments.signal + moments.total * np.outer(centre, centre)
 
 
 def theta_of(D: FloatArray, b: FloatArray, with_D: bool) -> FloatArray:
@@ -167,15 +210,21 @@ def _second_step(moments: Moments, centred: FloatArray, start: FloatArray, with_
         size, slope = _b_squared(theta, with_D)
         centre = moments.mean_L - slope
         left = moments.mean_z - float(moments.mean_L @ theta) + size
-        gradient = moments.LL @ (theta - centred) - centre * left * moments.total
-        whole = moments.LL + moments.total * np.outer(centre, centre)
+        gradient = moments.signal @ (theta - centred) - centre * left * moments.total
+        whole = moments.signal + moments.total * np.outer(centre, centre)
         step = -_least(whole, gradient)
         theta = theta + step
         if with_D and np.linalg.eigvalsh(np.eye(3) + _E(theta))[0] <= 0:
             return theta, False
-        if float(step @ whole @ step) < _SETTLED:
-            return theta, True
+        if abs(float(step @ whole @ step)) < _SETTLED:
+            return theta, _positive(whole)
     return theta, False
+
+
+def _positive(matrix: FloatArray) -> bool:
+    """Whether no direction is below zero beyond rounding: there the rows hold less than their noise."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return bool((np.diag(matrix) > 0).all()) and bool(np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0] > -1e-12)
 
 
 def _b_squared(theta: FloatArray, with_D: bool) -> tuple[float, FloatArray]:

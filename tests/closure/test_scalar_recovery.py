@@ -99,9 +99,9 @@ def test_bias_alone_states_its_sigmas(method: str) -> None:
     check_pulls(found)
 
 
-def test_strong_uneven_noise_needs_the_adjusted_score() -> None:
-    """Noise of 1200, 600 and 300 nT in 30,000 nT, 2000 rows: TWOSTEP is off by two sigma, the adjusted maximum
-    likelihood by less than chance shows (60 runs: 0.13 sigma)."""
+def test_strong_uneven_noise_leaves_no_bias() -> None:
+    """Noise of 1200, 600 and 300 nT in 30,000 nT, 2000 rows: what noise shared by a residual, its derivative and its
+    weight does would be two sigma; neither method is off by more than chance shows (60 runs: 0.13 sigma)."""
     noise = np.array([1200.0, 600.0, 300.0])
     of: dict[str, list[np.ndarray]] = {"scalar": [], "twostep": []}
     for seed in range(RUNS):
@@ -109,8 +109,8 @@ def test_strong_uneven_noise_needs_the_adjusted_score() -> None:
         rows = rows_of(varied(rng, 2000), rng, noise_nT=noise)
         for method, found in of.items():
             found.append(pulls(fit_rows(rows, ScalarOptions(method=method, noise_nT=noise, covariance="white"))))
-    assert np.abs(np.mean(of["scalar"], axis=0)).max() < 4.0 / np.sqrt(RUNS)
-    assert np.abs(np.mean(of["twostep"], axis=0)).max() > 1.0
+    for found in of.values():
+        assert np.abs(np.mean(found, axis=0)).max() < 4.0 / np.sqrt(RUNS)
 
 
 def test_constant_size_is_solved_and_said(close: Callable[..., None]) -> None:

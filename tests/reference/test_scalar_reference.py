@@ -12,13 +12,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, root
+from scipy.optimize._numdiff import approx_derivative
 
 from fluxtwin.calib.center import center
 from fluxtwin.calib.scalar import calibrate_scalar
 from fluxtwin.calib.scalar_ml import solve
 from fluxtwin.calib.scalar_model import PAIRS, ScalarData, pack, unpack
-from fluxtwin.calib.twostep import moments_of, twostep
+from fluxtwin.calib.twostep import Twostep, moments_of, twostep
 from fluxtwin.sim.errors import NoAnswer
 from fluxtwin.sim.field import load_field
 from fluxtwin.sim.telemetry_io import read_telemetry
@@ -48,19 +49,58 @@ def quartic(theta: np.ndarray, data: ScalarData, root: np.ndarray, published: bo
     return np.asarray((z - model) * root)
 
 
-@pytest.mark.parametrize("noise_term", ["corrected", "published"])
-def test_both_steps_end_where_the_whole_quartic_cost_is_least(close: Callable[..., None], noise_term: str) -> None:
-    data = rows(1)
-    found = twostep(data, noise_term=noise_term)
+def weighted(found: Twostep, data: ScalarData) -> tuple[np.ndarray, np.ndarray]:
+    """w (n, 3) and variance (n,) of the quartic's rows, noise 0.01."""
     P = np.eye(3) + found.D
     w = (data.B @ P - found.b) @ P
-    root = 1.0 / np.sqrt(4.0 * 1e-4 * (w**2).sum(axis=1) + 2.0 * 3.0 * 1e-8)
-    start = np.concatenate([P @ found.b, np.zeros(6)])
-    witness = least_squares(quartic, start, args=(data, root, noise_term == "published"), xtol=1e-15, ftol=1e-15)
+    return w, 4.0 * 1e-4 * (w**2).sum(axis=1) + 2.0 * 3.0 * 1e-8
+
+
+def theta_of(found: Twostep) -> np.ndarray:
+    """c and E."""
     E = 2.0 * found.D + found.D @ found.D
-    ours = np.concatenate([P @ found.b, [E[i, j] for i, j in PAIRS]])
+    return np.concatenate([(np.eye(3) + found.D) @ found.b, [E[i, j] for i, j in PAIRS]])
+
+
+def test_as_published_both_steps_end_where_the_whole_quartic_cost_is_least(close: Callable[..., None]) -> None:
+    data = rows(1)
+    found = twostep(data, noise_term="published")
+    _, variance = weighted(found, data)
+    start = np.concatenate([theta_of(found)[:3], np.zeros(6)])
+    witness = least_squares(quartic, start, args=(data, variance**-0.5, True), xtol=1e-15, ftol=1e-15)
+    ours = theta_of(found)
     close(ours, witness.x, atol=2e-7, unit="1", because="scipy's derivative is a difference; a sigma here is 6e-4")
     assert np.abs(ours * 1.01 - witness.x).max() > 1e-4
+
+
+def test_corrected_both_steps_end_where_the_score_less_its_own_noise_vanishes(close: Callable[..., None]) -> None:
+    """Row by row, the mean of the score's product of noises written out: of L with v, of the weight with v."""
+    data = rows(1)
+    found = twostep(data)
+    w, variance = weighted(found, data)
+    P2 = (np.eye(3) + found.D) @ (np.eye(3) + found.D)
+    from_weight = 16.0 * 1e-8 * np.einsum("ki,ij,kj->k", w, P2, w) / variance
+    slopes = np.zeros((len(w), 9, 3))
+    slopes[:, :3] = 2.0 * np.eye(3)
+    for k, (i, j) in enumerate(PAIRS):
+        for row, B in zip(slopes, data.B, strict=True):
+            row[3 + k, i] -= 2.0 * B[j]
+            row[3 + k, j] -= 2.0 * B[i] if i != j else 0.0
+
+    def score(theta: np.ndarray) -> np.ndarray:
+        one = np.ones(len(w))
+        v = quartic(theta, data, one, False)
+        L = -approx_derivative(quartic, theta, method="3-point", args=(data, one, False))
+        E = np.array([[theta[3 + PAIRS.index((min(i, j), max(i, j)))] for j in range(3)] for i in range(3)])
+        at = data.B @ (np.eye(3) + E) - theta[:3]
+        mean = 2.0 * 1e-4 * np.einsum("kpi,ki->kp", slopes, at)
+        return np.asarray(((L * (v + from_weight)[:, None] - mean) / variance[:, None]).sum(axis=0))
+
+    ours = theta_of(found)
+    witness = root(score, np.zeros(9), tol=1e-13)
+    close(ours, witness.x, atol=2e-7, unit="1", because="a derivative by differences; a sigma here is 6e-4")
+    plain = least_squares(quartic, ours, args=(data, variance**-0.5, False), xtol=1e-15, ftol=1e-15)
+    assert np.abs(ours - plain.x).max() > 1e-5
 
 
 def test_plain_least_squares_of_the_size_agrees_with_scipy(close: Callable[..., None]) -> None:

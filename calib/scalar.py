@@ -182,12 +182,12 @@ def fit_rows(
         polished = solve(solved.p, job.data, a) if options.method == "twostep" else solved
         mirrored = other_solution(polished, job.data, how, a)
         if mirrored is not None:
-            better, sentence = choose(polished, mirrored, job.data, job.scale_nT, inflation, how)
+            better, sentence = choose(polished, mirrored, job.data, job.names, job.scale_nT, inflation, how)
             solved = solved if better is polished else better
             scores = _scores(job, solved, robust)
             notes.append(sentence)
-        spread = float(np.std(residual(solved.p, job.data))) * job.scale_nT
-        require_meaning(solved, job.data, job.names, how, spread)
+        settled = robust is not None and solved.converged
+        require_meaning(solved, job.data, job.names, how, job.scale_nT, robust=settled)
     return _report(job, solved, scores, noise, robust, how, (inflation, *notes), model_name, passes)
 
 

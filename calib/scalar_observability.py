@@ -10,6 +10,7 @@ Readings in a plane with normal n leave a mirror solution: with b' = b + 2 (n.(<
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ import numpy as np
 from fluxtwin.calib.observability import direction_words
 from fluxtwin.calib.scalar_ml import Solved, Sums, solve
 from fluxtwin.calib.scalar_model import ScalarData, residual, unpack
-from fluxtwin.calib.suspicion import LARGE_S
+from fluxtwin.calib.suspicion import LARGE_S, standing_out
 from fluxtwin.sim.errors import NoAnswer
 from fluxtwin.sim.types import FloatArray
 
@@ -100,11 +101,14 @@ def require_observed(
     signal = sums.information - sums.from_noise
     values, vectors = np.linalg.eigh(0.5 * (signal + signal.T))
     whole = np.einsum("ik,ij,jk->k", vectors, sums.information, vectors)
-    for value, total, v in zip(values, whole, vectors.T, strict=True):
-        sigma = float(np.sqrt(inflation / max(value, 1e-300)))
-        only_noise = value < over_noise * (total - value)
-        if value < _ROUNDING * values[-1] or only_noise or sigma > _WORST_SIGMA:
-            raise NoAnswer(_refusal(v, names, how, sigma, only_noise), evidence=_evidence(v, names, how, sigma))
+    sigma = np.sqrt(inflation / np.maximum(values, 1e-300))
+    only_noise = values < over_noise * (whole - values)
+    poor = np.flatnonzero((values < _ROUNDING * values[-1]) | only_noise | (sigma > _WORST_SIGMA))
+    if poor.size:
+        k, v = poor[0], vectors[:, poor[0]]
+        also = [name for other in poor[1:] for name in _named(vectors[:, other], names)]
+        said = _refusal(v, names, how, float(sigma[k]), bool(only_noise[k]), also)
+        raise NoAnswer(said, evidence=_evidence(v, names, how, float(sigma[k])))
 
 
 def refuse_thin(sums: Sums, names: tuple[str, ...], how: Geometry) -> None:
@@ -114,53 +118,96 @@ def refuse_thin(sums: Sums, names: tuple[str, ...], how: Geometry) -> None:
         raise NoAnswer(_refusal(v, names, how, float("inf"), False), evidence=_evidence(v, names, how, float("inf")))
 
 
-def _refusal(v: FloatArray, names: tuple[str, ...], how: Geometry, sigma: float, only_noise: bool) -> str:
-    at = np.abs(v) > _PART * np.abs(v).max()
-    named = [name for name, there in zip(names, at, strict=True) if there]
-    mixture = " ".join(f"{part:+.2f} {name}" for part, name, there in zip(v, names, at, strict=True) if there)
+def _refusal(
+    v: FloatArray,
+    names: tuple[str, ...],
+    how: Geometry,
+    sigma: float,
+    only_noise: bool,
+    also: Sequence[str] = (),
+) -> str:
+    """also: names of further directions that are no better."""
+    named = _named(v, names)
+    mixture = _mixture(v, names)
     kind = "does not determine" if sigma > 1e3 or only_noise else "hardly determines"
     reason = how.words() or ("only its noise moves them" if only_noise else "the field varies too little")
-    what = named[0] if len(named) == 1 else ", ".join(named[:-1]) + " and " + named[-1]
+    what = _listed(named)
+    more = [name for name in names if name in also and name not in named]
+    others = f"; further directions with {_listed(more)} are no better" if more else ""
     mixed = f" (null direction {mixture})" if len(named) > 1 else ""
-    several = "S" in "".join(name[0] for name in names)
+    # Readings that keep to a plane or a cone leave a component of b free, or what S does goes into it.
+    spoilt = bool(how.words()) or any(name[0] == "b" for name in [*named, *more])
+    several = any(name[0] == "S" for name in names) and not spoilt
     less = ", fewer parameters (--parameters b)" if several else ""
     return (
-        f"|B| {kind} {what} in this data{mixed}: {reason}. Add attitudes or orbits in which the field takes other "
+        f"|B| {kind} {what} in this data{mixed}{others}: {reason}. Add attitudes or orbits in which the field takes other "
         f"directions in the body{less}, or give the attitude (--method linear)"
     )
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
 
 
 def _evidence(v: FloatArray, names: tuple[str, ...], how: Geometry, sigma: float) -> dict[str, Any]:
     return {
         "null_direction": {name: float(part) for name, part in zip(names, v, strict=True)},
-        "parameters": [name for name, part in zip(names, v, strict=True) if abs(part) > _PART * np.abs(v).max()],
+        "parameters": _named(v, names),
         "relative_sigma": sigma if sigma < 1e6 else None,
         "moves_nT": how.moves_nT.tolist(),
         "geometry": how.words(),
     }
 
 
-def require_meaning(solved: Solved, data: ScalarData, names: tuple[str, ...], how: Geometry, sigma_nT: float) -> None:
-    """Raises NoAnswer for a matrix that no magnetometer has, found where the readings hardly go.
+def require_meaning(
+    solved: Solved, data: ScalarData, names: tuple[str, ...], how: Geometry, scale_nT: float, *, robust: bool
+) -> None:
+    """Raises NoAnswer for a matrix that no magnetometer has.
 
-    The sums may hold such a combination to be known: errors that repeat with the spin, of attitude-free data the most
-    usual ones, move the residual as a signal would.
+    Where the readings hardly go the sums may hold such a combination to be known: errors that repeat with the spin, of
+    attitude-free data the most usual ones, move the residual as a signal would. Elsewhere it comes of bit errors, of
+    a wrong unit or orbit; robust weights that settled on it leave it to the reader with a word of doubt.
     """
     D, _, _ = unpack(solved.p, data)
     values, vectors = np.linalg.eigh(D)
     worst = int(np.argmax(np.abs(values)))
-    if not how.words() or abs(values[worst]) <= LARGE_S:
+    if abs(values[worst]) <= LARGE_S or (robust and not how.words()):
         return
+    r = residual(solved.p, data)
     null = np.linalg.eigh(solved.sums.information)[1][:, 0]
-    named = [name for name, part in zip(names, null, strict=True) if abs(part) > _PART * np.abs(null).max()]
-    mixture = " ".join(f"{part:+.2f} {name}" for name, part in zip(names, null, strict=True) if name in named)
     raise NoAnswer(
-        f"the fit leaves {sigma_nT:.3g} nT and means nothing: S comes out as {values[worst]:+.2g} along "
-        f"{direction_words(vectors[:, worst])}, and no magnetometer is that wrong; {how.words()}. There errors of the "
-        f"model pass for signal; least determined is {mixture}. Add attitudes in which the field leaves "
-        "the plane, or give the attitude (--method linear)",
+        f"the fit leaves {float(np.std(r)) * scale_nT:.3g} nT and means nothing: S comes out as {values[worst]:+.2g} along "
+        f"{direction_words(vectors[:, worst])}, and no magnetometer is that wrong; "
+        + _why_meaningless(how, int(standing_out(r[:, None]).sum()), len(r), _mixture(null, names)),
         evidence=_evidence(null, names, how, float("inf")),
     )
+
+
+def _why_meaningless(how: Geometry, wild: int, rows: int, mixture: str) -> str:
+    if how.words():
+        return (
+            f"{how.words()}. There errors of the model pass for signal; least determined is {mixture}. Add attitudes in "
+            "which the field leaves the plane, or give the attitude (--method linear)"
+        )
+    if wild:
+        return (
+            f"{wild} of {rows} rows stand far out of the others (bit errors?): set them aside with --method scalar "
+            "--robust tukey, or leave those readings empty"
+        )
+    return (
+        "bit errors (--method scalar --robust tukey sets them aside), unit, axes, position or time may be wrong (run "
+        f"`fluxtwin check`), or the stretch is too short: least determined is {mixture}"
+    )
+
+
+def _named(v: FloatArray, names: tuple[str, ...]) -> list[str]:
+    return [name for name, part in zip(names, v, strict=True) if abs(part) > _PART * np.abs(v).max()]
+
+
+def _mixture(v: FloatArray, names: tuple[str, ...]) -> str:
+    """The larger parts of a direction in the names of the parameters."""
+    at = np.abs(v) > _PART * np.abs(v).max()
+    return " ".join(f"{part:+.2f} {name}" for part, name, there in zip(v, names, at, strict=True) if there)
 
 
 def other_solution(solved: Solved, data: ScalarData, how: Geometry, a: FloatArray | None) -> Solved | None:
@@ -179,7 +226,13 @@ def other_solution(solved: Solved, data: ScalarData, how: Geometry, a: FloatArra
 
 
 def choose(
-    solved: Solved, mirrored: Solved, data: ScalarData, scale_nT: float, inflation: float, how: Geometry
+    solved: Solved,
+    mirrored: Solved,
+    data: ScalarData,
+    names: tuple[str, ...],
+    scale_nT: float,
+    inflation: float,
+    how: Geometry,
 ) -> tuple[Solved, str]:
     """The better of two solutions and a sentence; raises NoAnswer where neither is better by three sigma.
 
@@ -191,12 +244,18 @@ def choose(
     chance = float(np.std(steps) * np.sqrt(len(steps)))
     gain = (worse.sums.cost - better.sums.cost) / inflation
     ours, theirs = (-unpack(one.p, data)[1] * scale_nT for one in (better, worse))
+    between = worse.p - better.p
     if gain < _THREE_SIGMA or steps.sum() < 3.0 * chance:
         raise NoAnswer(
             f"two solutions fit equally well, mirrors of each other: b = {_three(ours)} nT and b = {_three(theirs)} "
-            f"nT; {how.words() or 'the readings keep close to a plane'}. Add attitudes in which the field leaves that "
+            f"nT, {_mixture(between / np.linalg.norm(between), names)} apart in parts of the field; "
+            f"{how.words() or 'the readings keep close to a plane'}. Add attitudes in which the field leaves that "
             "plane, or give the attitude (--method linear)",
-            evidence={"b_nT": [ours.tolist(), theirs.tolist()], "cost_difference": float(gain)},
+            evidence={
+                "parameters": _named(between, names),
+                "b_nT": [ours.tolist(), theirs.tolist()],
+                "cost_difference": float(gain),
+            },
         )
     return better, (
         f"a mirror solution with b = {_three(theirs)} nT fits worse, by {gain:.3g} in the sum of squares over noise; "

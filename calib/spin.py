@@ -43,6 +43,7 @@ from fluxtwin.calib.spin_batch import (
 )
 from fluxtwin.calib.spin_filter import Filtered, FilterSettings, spin_filter
 from fluxtwin.calib.spin_motion import Motion, skew
+from fluxtwin.calib.spin_outliers import wild_words
 from fluxtwin.calib.spin_rows import SpinRows, assemble_spin
 from fluxtwin.calib.spin_start import Start, blind_start
 from fluxtwin.calib.suspicion import LARGE_S, suspicions
@@ -150,6 +151,16 @@ def calibrate_spin(records: Telemetry | Sequence[Telemetry], model: FieldModel, 
 
 def fit_spin(rows: SpinRows, options: SpinOptions, *, model_name: str = "") -> SpinFit:
     """The calibration of rows that are already assembled; errors as `calibrate_spin`."""
+    try:
+        return _fit(rows, options, model_name)
+    except NoAnswer as refusal:
+        wild = wild_words(rows)
+        if not wild:
+            raise
+        raise NoAnswer(f"{wild}. As it is, {refusal}", evidence=refusal.evidence) from refusal
+
+
+def _fit(rows: SpinRows, options: SpinOptions, model_name: str) -> SpinFit:
     G, o_nT, noise, messages = scalar_start(rows, options)
     field_nT = float(np.sqrt((rows.H_N_nT**2).sum(axis=1).mean()))
     white_nT = max(float(np.sqrt(noise.variance_nT2.mean())), _LEAST_NOISE * field_nT)

@@ -17,6 +17,13 @@ STANDING_OUT_SIGMA = 8.0
 _MAD_TO_SIGMA = 1.4826
 
 
+def standing_out(residuals: FloatArray) -> np.ndarray:
+    """(N,) rows of (N, k) residuals that stand far out of the others, by a scale that half of them may spoil."""
+    r = residuals - np.median(residuals, axis=0)
+    scale = _MAD_TO_SIGMA * np.median(np.abs(r))
+    return np.asarray((np.linalg.norm(r, axis=1) > STANDING_OUT_SIGMA * scale) & (scale > 0))
+
+
 def suspicions(telemetry: Telemetry, calibration: Calibration, residuals_nT: FloatArray, *, robust: bool) -> list[str]:
     """Sentences for the fit's messages; none for a fit that looks sound.
 
@@ -40,9 +47,7 @@ def suspicions(telemetry: Telemetry, calibration: Calibration, residuals_nT: Flo
             "Run `fluxtwin check`"
         )
     if not robust:
-        distance = np.linalg.norm(residuals_nT - np.median(residuals_nT, axis=0), axis=1)
-        scale = _MAD_TO_SIGMA * np.median(np.abs(residuals_nT - np.median(residuals_nT, axis=0)))
-        wild = int((distance > STANDING_OUT_SIGMA * scale).sum()) if scale > 0 else 0
+        wild = int(standing_out(residuals_nT).sum())
         if wild:
             found.append(f"{wild} rows stand far out of the others (bit errors?): compare with robust weights (tukey)")
     return found

@@ -146,6 +146,8 @@ def test_a_field_in_a_plane_is_refused(options: dict[str, Any], words: str, para
             fit_rows(rows_of(field, rng, S=S), ScalarOptions(**options))
         if parameters:
             assert parameters <= set(refusal.value.evidence["null_direction"])
+        assert "b3" in str(refusal.value)
+        assert "--parameters b)" not in str(refusal.value)
 
 
 def test_a_plane_through_zero_and_a_line_and_a_cone() -> None:
@@ -165,6 +167,7 @@ def test_a_plane_through_zero_and_a_line_and_a_cone() -> None:
     with pytest.raises(NoAnswer, match="cone about body Z") as refusal:
         fit_rows(rows, ScalarOptions())
     assert "S33" in refusal.value.evidence["parameters"]
+    assert "--parameters b)" not in str(refusal.value)  # b alone takes in what S does, many sigmas of it
 
 
 def test_of_two_solutions_the_better_is_taken() -> None:

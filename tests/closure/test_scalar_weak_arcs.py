@@ -8,7 +8,9 @@ import pytest
 from fluxtwin.calib.scalar import ScalarOptions, fit_rows
 from fluxtwin.calib.scalar_rows import ScalarRows, assemble_scalar
 from fluxtwin.calib.scalar_running import RunningScalar
+from fluxtwin.calib.spin import calibrate_spin
 from fluxtwin.scenarios.st5 import mission
+from fluxtwin.sim.errors import NoAnswer
 from fluxtwin.sim.field import load_field
 from fluxtwin.sim.telemetry import Telemetry
 
@@ -44,3 +46,34 @@ def test_the_bias_along_the_spin_is_right_within_its_sigma(hour: Telemetry, minu
     pulls["running"] = (answer.b_nT[2] - B3_NT) / np.sqrt(answer.covariance[8, 8])
     assert max(map(abs, pulls.values())) < 3.0, pulls
     assert abs(pulls["twostep"] - pulls["scalar"]) < 0.1
+
+
+@pytest.fixture(scope="module")
+def spiked(hour: Telemetry) -> Telemetry:
+    """Ten minutes with one reading of a hundred off by 200 mG along x."""
+    short = hour.select(hour.time - hour.time[0] < np.timedelta64(600, "s"))
+    mag = np.array(short.mag_B_nT)
+    read = np.flatnonzero(np.isfinite(mag[:, 0]))
+    mag[np.random.default_rng(3).choice(read, len(read) // 100, replace=False), 0] += 20_000.0
+    return short.replace(mag_B_nT=mag)
+
+
+@pytest.mark.parametrize("method", ["scalar", "twostep"])
+def test_bit_errors_that_make_a_matrix_no_magnetometer_has_are_refused(spiked: Telemetry, method: str) -> None:
+    rows = assemble_scalar(spiked, load_field("igrf14"))
+    with pytest.raises(NoAnswer, match=r"no magnetometer is that wrong; .*--robust tukey"):
+        fit_rows(rows, ScalarOptions(method=method, noise_nT=NOISE_NT, lsb_nT=0.0))
+
+
+def test_robust_weights_settle_on_the_truth(spiked: Telemetry) -> None:
+    rows = assemble_scalar(spiked, load_field("igrf14"))
+    found = fit_rows(rows, ScalarOptions(noise_nT=NOISE_NT, lsb_nT=0.0, robust="tukey")).calibration
+    assert abs(found.b_nT[2] - B3_NT) < 4.0 * found.sigmas[11]
+
+
+@pytest.mark.parametrize("method", ["batch", "iterative"])
+def test_a_spinner_with_bit_errors_is_told_of_them(spiked: Telemetry, method: str) -> None:
+    with pytest.raises(
+        NoAnswer, match=r"^\d+ of 4800 readings stand far out of the others .* leave those readings empty"
+    ):
+        calibrate_spin(spiked, load_field("igrf14"), method=method, noise_nT=NOISE_NT, lsb_nT=0.0)

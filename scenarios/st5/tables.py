@@ -9,7 +9,8 @@ from fluxtwin.scenarios.st5.calibration_study import Hour, Solved
 from fluxtwin.scenarios.st5.monte_carlo import MonteCarlo, Starts, truth_terms
 from fluxtwin.scenarios.st5.terms import terms_of
 
-_NAMES = ("b x [mG]", "b y [mG]", "b z [mG]", "turn x [deg]", "turn y [deg]", "turn z [deg]")
+NAMES = ("b x [mG]", "b y [mG]", "b z [mG]", "turn x [deg]", "turn y [deg]", "turn z [deg]")
+"""The six parameters of the abstract."""
 
 
 def attitude_table(hour: Hour) -> Table:
@@ -45,7 +46,7 @@ def parameter_table(hour: Hour) -> Table:
     ways = [terms_of(fit.calibration) for fit in (hour.iterative.fit, hour.batch.fit)]
     rows: list[list[Cell]] = []
     alone = terms_of(hour.alone).values
-    for k, name in enumerate(_NAMES):
+    for k, name in enumerate(NAMES):
         row: list[Cell] = [name, float(truth_terms()[k]), float(estimates[k]), f"{alone[k]:.4f}"]
         for way in ways:
             row += [f"{way.values[k]:.4f}", f"{way.sigma[k]:.4f}"]
@@ -74,7 +75,7 @@ def settings_table(hour: Hour) -> Table:
 def monte_carlo_table(many: MonteCarlo) -> Table:
     """Errors against sigmas."""
     rows: list[list[Cell]] = []
-    for k, name in enumerate(_NAMES):
+    for k, name in enumerate(NAMES):
         error, pull = many.errors_mG_deg[:, k], many.pulls[:, k]
         rows.append([name, float(error.mean()), float(error.std(ddof=1)), float(pull.mean()), float(pull.std(ddof=1))])
     low, high = many.nees_band

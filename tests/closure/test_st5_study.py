@@ -86,5 +86,8 @@ def test_the_page_and_its_figures(results: study.Results) -> None:
     made = study.page(results, judge_claims(results.hour), "verdict")
     names = [block.name for section in made.sections for block in section.figures]
     assert names == ["figure_1", "figure_2", "batch"]
+    said = " ".join(words for section in made.sections for words in section.paragraphs)
+    assert "Like for like with the abstract's 0.151 deg are its steps alone, 0.02" in said
+    assert "of its sigma. Chance alone" in said
     assert any("can be bounded, not matched" in words for section in made.sections for words in section.paragraphs)
     assert "st5" in STUDIES

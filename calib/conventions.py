@@ -102,11 +102,6 @@ def correction_from_forward(forward: Forward) -> Correction:
     return Correction(inverse - np.eye(3), -inverse @ forward.o_nT, None if C is None else -inverse @ C)
 
 
-def forward_from_K(K: FloatArray, o_nT: FloatArray, C_nT_per_Am2: FloatArray | None = None) -> Forward:
-    """B = (I+K) A H + o + C D."""
-    return Forward(np.eye(3) + _matrix(K, "K"), np.asarray(o_nT, dtype=float), C_nT_per_Am2)
-
-
 def scalar_from_correction(correction: Correction) -> ScalarForm:
     """Polar split of I + S; T has no place in this form and is left behind."""
     rotation, stretch = polar_split(np.eye(3) + correction.S)

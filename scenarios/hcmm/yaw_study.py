@@ -12,7 +12,7 @@ from fluxtwin.plots.yaw import YawComparison
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm_orbit.geometry import angle_between
 from fluxtwin.scenarios.hcmm_orbit.record import read_stations
-from fluxtwin.sim import epoch, frames, sun
+from fluxtwin.sim import epoch, frames
 from fluxtwin.sim.constants import NT_PER_MG
 from fluxtwin.sim.field import FieldModel, load_field
 from fluxtwin.sim.progress import Progress
@@ -191,10 +191,3 @@ def _comparison(flight: mission.Flight, solution) -> YawComparison:  # type: ign
 def _rms_deg(angle: FloatArray) -> float:
     wrapped = np.arctan2(np.sin(angle), np.cos(angle))
     return float(np.degrees(np.sqrt(np.nanmean(wrapped**2))))
-
-
-def sun_is_up(contact: Contact) -> bool:
-    """Whether the sun stands above the horizon at the station at the pass's highest point."""
-    site = read_stations()[contact.station]
-    to_sun = frames.rotation_EN(contact.highest).apply(sun.sun_direction_N(contact.highest))[0]
-    return bool(to_sun @ site.up_E > 0)

@@ -71,13 +71,6 @@ class NadirField:
         chosen = (self.poleward if poleward else ~self.poleward) & (self.sunlit if sunlit else ~self.sunlit)[:, None]
         return float(np.median(np.abs(idea.error_deg[chosen])))
 
-    def median_signed(self, idea: Idea, *, poleward: bool, sunlit: bool) -> float:
-        """Median of how much nearer the vertical the prediction is than print (poleward), or further (equatorward)."""
-        chosen = (self.poleward if poleward else ~self.poleward) & (self.sunlit if sunlit else ~self.sunlit)[:, None]
-        north = np.array([p.nadir_field_read[1] <= 90.0 for p in self.passes])
-        outward = np.where(north[:, None], -idea.error_deg, idea.error_deg)
-        return float(np.median(outward[chosen]))
-
 
 def weigh_ideas(fit: OrbitFit, windows: Windows) -> NadirField:
     """Predict the column by every idea, along the fitted orbit and in the windows of all 43 passes."""

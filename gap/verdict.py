@@ -29,8 +29,8 @@ CARRIED = 0.9
 _OWN_AXIS = 0.8
 _TRUSTED = 1.5
 """Factor to which a declared attitude error is believed."""
-_LEVEL_LOG_SD = 0.05
-_MOST_READ_OFF = 0.9
+_LEAST_SPREAD = 0.05  # of the logarithm of the rms that is left, however many rows
+_AT_ATTITUDE = 0.9  # probability of that stage where its error is beyond the declared one: a judgement
 _MANY = 9
 """Parameters: a matrix and less are bound to one condition, the polynomials (18, 30) to none."""
 _WILD = 2.0
@@ -240,7 +240,7 @@ def _beyond_budget(work: Work) -> str | None:
     gap, noise, declared_rad = work.shrinkage, work.noise, work.problem.budget.attitude_sigma_rad
     if declared_rad is None or noise.theta_rad <= declared_rad or gap.floor_nT <= 0.0:
         return None
-    spread = np.hypot(_LEVEL_LOG_SD, noise.theta_log_sd if np.isfinite(noise.theta_log_sd) else 0.0)
+    spread = np.hypot(_LEAST_SPREAD, noise.theta_log_sd if np.isfinite(noise.theta_log_sd) else 0.0)
     if gap.before_nT < gap.floor_nT * _TRUSTED * np.exp(3.0 * spread):
         return None
     memory = "white" if noise.tau_s <= 0.0 else f"with a memory of {noise.tau_s:.2g} s"
@@ -252,7 +252,7 @@ def _beyond_budget(work: Work) -> str | None:
 
 def _at_attitude(work: Work) -> Place:
     probabilities = {
-        name: blended(shares, "attitude" if name == "stage" else "none", _MOST_READ_OFF)
+        name: blended(shares, "attitude" if name == "stage" else "none", _AT_ATTITUDE)
         for name, shares in work.where.place.probabilities.items()
     }
     return Place("attitude", None, None, None, [], probabilities)

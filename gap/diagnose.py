@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from fluxtwin.gap import far, verdict
 from fluxtwin.gap.blocks import Block, blocks
 from fluxtwin.gap.candidates import Candidate, candidates, derivatives
+from fluxtwin.gap.constancy import MANY, constant, pliable
 from fluxtwin.gap.evidence import Dictionary, leftover
 from fluxtwin.gap.flexible import FlexibleFinding, wheel_line
 from fluxtwin.gap.frail import Shaken
@@ -64,6 +66,8 @@ class Work:
     """(N, 3, C) Jacobian of what is modelled, without named effects."""
     fitted_nT: FloatArray
     """(N, 3, C + P) Jacobian of what is modelled and of the named effects, at the refit."""
+    constant: bool
+    """Whether the named effects keep their parameters over the record."""
     left: Left
     flexible: tuple[FlexibleFinding, ...]
     where: Where
@@ -170,8 +174,9 @@ def investigate(
     shrinkage, series = _how_far(problem, robust, declared_lsb_nT, answer, flexible)
     momentum = balanced(problem, craft, whitener, result, fitted)
     return Work(
-        problem, noise, robust, whitener, result, alone, fitted, left, flexible, place, shrinkage, series, momentum
-    )
+        problem, noise, robust, whitener, result, alone, fitted, answer.constant, left, flexible, place, shrinkage,
+        series, momentum,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,8 +195,42 @@ class _Answer:
         """How much has to be believed: structure without a name, then names."""
         return self.left.structured, len(self.result.named)
 
+    @cached_property
+    def constant(self) -> bool:
+        """Whether what is named keeps its parameters."""
+        return constant(self.result)
+
+    @property
+    def carries(self) -> bool:
+        """Whether something is named that leaves no structure, or little of it."""
+        left = self.left.structured and (self.result.explained_share or 0.0) < verdict.CARRIED
+        return bool(self.result.named) and not left
+
 
 def _answer(
+    problem: Problem,
+    noise: NoiseModel,
+    robust: RobustRows,
+    dictionary: Sequence[Block],
+    known: tuple[list[Candidate], dict[str, str]],
+) -> _Answer:
+    """The answer; where what it names does not keep its parameters, and has many, one without such names if it stands."""
+    answer = _plain_answer(problem, noise, robust, dictionary, known)
+    if not pliable(answer.result) or answer.constant:
+        return answer
+    bound = [candidate for candidate in known[0] if len(candidate.effect.parameters) <= MANY]
+    other = _plain_answer(problem, noise, robust, dictionary, (bound, known[1]))
+    if not other.carries:
+        return answer
+    whole = answer.result  # what was asked of every candidate
+    result = replace(
+        other.result, ranking=whole.ranking, untestable=whole.untestable, isolability=whole.isolability,
+        minimum_detectable=whole.minimum_detectable,
+    )  # fmt: skip
+    return replace(other, result=result)
+
+
+def _plain_answer(
     problem: Problem,
     noise: NoiseModel,
     robust: RobustRows,

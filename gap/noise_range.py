@@ -17,7 +17,7 @@ from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.reml import RIDGE, Choice, Likelihood, Ridge, likeliest_ratio, noise_words
 from fluxtwin.sim.types import FloatArray
 
-WITHIN = 3.3
+WITHIN = 5.4
 """Log likelihood below the best: half the 1 % point of chi-square with one degree of freedom."""
 _TAUS_S = (30.0, 80.0, 200.0, 500.0, 1200.0)
 _SHORTEST_S = 10.0  # below this a memory changes little

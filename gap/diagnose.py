@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from fluxtwin.gap import far, verdict
+from fluxtwin.gap.answer import CARRIED, Answer, answered
 from fluxtwin.gap.blocks import Block, blocks
-from fluxtwin.gap.candidates import Candidate, candidates, derivatives
-from fluxtwin.gap.constancy import MANY, constant, pliable
-from fluxtwin.gap.evidence import Dictionary, leftover
-from fluxtwin.gap.flexible import FlexibleFinding, wheel_line
+from fluxtwin.gap.candidates import candidates
+from fluxtwin.gap.evidence import Dictionary
+from fluxtwin.gap.flexible import FlexibleFinding
 from fluxtwin.gap.frail import Shaken
-from fluxtwin.gap.full_rate import FullRate, full_rate
+from fluxtwin.gap.full_rate import full_rate
 from fluxtwin.gap.growth import needed
-from fluxtwin.gap.left import Left, what_is_left
+from fluxtwin.gap.left import Left
 from fluxtwin.gap.momentum import Momentum, balanced
 from fluxtwin.gap.momentum_arcs import Craft
 from fluxtwin.gap.named import SearchResult
@@ -34,9 +33,8 @@ from fluxtwin.gap.noise_range import plausible_noise
 from fluxtwin.gap.problem import DEFAULT_MODELLED, Budget, Problem, pose, realigned
 from fluxtwin.gap.records import Diagnosis, GapSeries, Shrinkage
 from fluxtwin.gap.refit import settled
-from fluxtwin.gap.search import search
-from fluxtwin.gap.stochastic import coarse, flexible_findings, floor_noise, shape_of, stochastic_nT
-from fluxtwin.gap.tones import tone_near
+from fluxtwin.gap.shapes import Shapes
+from fluxtwin.gap.stochastic import coarse, flexible_findings, floor_noise, stochastic_nT
 from fluxtwin.gap.where import Where, where
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
@@ -134,39 +132,37 @@ def investigate(
     settled_on = noise_choice(problem, *saturated)
     noise, robust = settled_on.noise, settled_on.robust
     progress("which effects", 0.45)
-    answer = _answer(problem, noise, robust, dictionary, known)
+    answer = answered(problem, noise, robust, dictionary, known)
     if problem.axes is not None and answer.result.chosen:
         # A large effect moves where readings without attitude point to.
         problem = realigned(problem, beside=[*answer.result.modelled, *answer.result.chosen])
         known = candidates(problem)
-        answer = _answer(problem, noise, robust, dictionary, known)
+        answer = answered(problem, noise, robust, dictionary, known)
     if answer.burden > _NOTHING:
         # A finding must hold with every noise model that the data leave possible; the plainest answer counts.
         progress("whether the noise explains it", 0.6)
         for other in plausible_noise(problem, settled_on):
             if _stands(problem, answer, other, robust):
                 continue
-            answer = min(answer, _answer(problem, other, robust, dictionary, known), key=lambda one: one.burden)
+            answer = min(answer, answered(problem, other, robust, dictionary, known), key=lambda one: one.burden)
             if answer.burden == _NOTHING:
                 break
     del settled_on  # its likelihood holds the whole design once more
     progress("what is left, and where", 0.75)
     fast = None if whole is None else full_rate(whole, problem, answer.result.modelled, answer.result.chosen)
-    answer, shape = _shaped(problem, answer, dictionary)
-    answer, shape = _with_line(problem, answer, shape, fast)
-    if shape is not None and isinstance(shape.instance, SignalEffect):
-        # A line or a switched field was noise to the choice above.
-        own = derivatives(problem, [(shape.instance, np.zeros(len(shape.instance.parameters)))])
-        noise, robust = choose_noise(problem, *saturated, own)
-        answer = _with_columns(problem, replace(answer, noise=noise), robust, own, dictionary)
+    shapes = Shapes(problem, dictionary, known, lambda own: choose_noise(problem, *saturated, own))
+    answer = shapes.with_line(shapes.among(answer), fast)
+    robust = answer.robust
     noise, whitener, result = answer.noise, answer.whitener, answer.result
     alone, fitted, left = answer.alone_nT, answer.fitted_nT, answer.left
     flexible = (
-        flexible_findings(problem, whitener, noise, robust, result.residual_nT, fitted, left.structured, coarser, shape)
+        flexible_findings(
+            problem, whitener, noise, robust, result.residual_nT, fitted, left.structured, coarser, answer.shapes
+        )
         if fast is None
         else flexible_findings(
             fast.problem, fast.whitener, fast.noise, fast.robust, fast.residual_nT, fast.fitted_nT, left.structured,
-            coarser, shape,
+            coarser, answer.shapes,
         )
     )  # fmt: skip
     place = _place(problem, whitener, result, alone, fitted, dictionary, left)
@@ -179,178 +175,13 @@ def investigate(
     )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class _Answer:
-    """What one noise model leads to; Jacobians as in `Work`."""
-
-    noise: NoiseModel
-    whitener: Whitener
-    result: SearchResult
-    alone_nT: FloatArray
-    fitted_nT: FloatArray
-    left: Left
-
-    @property
-    def burden(self) -> tuple[bool, int]:
-        """How much has to be believed: structure without a name, then names."""
-        return self.left.structured, len(self.result.named)
-
-    @cached_property
-    def constant(self) -> bool:
-        """Whether what is named keeps its parameters."""
-        return constant(self.result)
-
-    @property
-    def carries(self) -> bool:
-        """Whether something is named that leaves no structure, or little of it."""
-        left = self.left.structured and (self.result.explained_share or 0.0) < verdict.CARRIED
-        return bool(self.result.named) and not left
-
-
-def _answer(
-    problem: Problem,
-    noise: NoiseModel,
-    robust: RobustRows,
-    dictionary: Sequence[Block],
-    known: tuple[list[Candidate], dict[str, str]],
-) -> _Answer:
-    """The answer; where what it names does not keep its parameters, and has many, one without such names if it stands."""
-    answer = _plain_answer(problem, noise, robust, dictionary, known)
-    if not pliable(answer.result) or answer.constant:
-        return answer
-    bound = [candidate for candidate in known[0] if len(candidate.effect.parameters) <= MANY]
-    other = _plain_answer(problem, noise, robust, dictionary, (bound, known[1]))
-    if not other.carries:
-        return answer
-    whole = answer.result  # what was asked of every candidate
-    result = replace(
-        other.result, ranking=whole.ranking, untestable=whole.untestable, isolability=whole.isolability,
-        minimum_detectable=whole.minimum_detectable,
-    )  # fmt: skip
-    return replace(other, result=result)
-
-
-def _plain_answer(
-    problem: Problem,
-    noise: NoiseModel,
-    robust: RobustRows,
-    dictionary: Sequence[Block],
-    known: tuple[list[Candidate], dict[str, str]],
-) -> _Answer:
-    whitener = whitener_of(problem, noise, robust.weights)
-    result = search(problem, whitener, known=known)
-    alone = derivatives(problem, result.modelled_alone)
-    fitted = derivatives(problem, [*result.modelled, *result.chosen]) if result.chosen else alone
-    left = _left(problem, whitener, result, fitted, dictionary)
-    return _Answer(noise, whitener, result, alone, fitted, left)
-
-
-def _stands(problem: Problem, answer: _Answer, other: NoiseModel, robust: RobustRows) -> bool:
+def _stands(problem: Problem, answer: Answer, other: NoiseModel, robust: RobustRows) -> bool:
     """Whether an answer of one name and nothing left could not be plainer under another noise model."""
     if answer.left.structured or len(answer.result.chosen) != 1:
         return False
     effect, _ = answer.result.chosen[0]
     one = next(c for c in answer.result.candidates if c.effect == effect)
     return needed(problem, whitener_of(problem, other, robust.weights), one, answer.result.tested)
-
-
-def _left(
-    problem: Problem, whitener: Whitener, result: SearchResult, fitted: FloatArray, dictionary: Sequence[Block]
-) -> Left:
-    """What is left beside the named effects at their refit and, of a large one, beside its image at nothing too.
-
-    The two images of one effect differ by what its size changes and by errors of the attitude in both: structure along
-    that difference is the same cause once more.
-    """
-    at_nothing = [c.jacobian for c in result.candidates if any(c.effect == effect for effect, _ in result.chosen)]
-    columns = np.concatenate([fitted, *at_nothing], axis=2)
-    return what_is_left(problem, whitener, result.residual_nT, columns, found=dictionary)
-
-
-def _shaped(problem: Problem, answer: _Answer, dictionary: Sequence[Block]) -> tuple[_Answer, FlexibleFinding | None]:
-    """The structure that is left as a line, a thermostat or a walk, if it has the shape of one.
-
-    First in place of named effects that do not carry the structure (many effects each mop up a little of a walk),
-    then beside them.
-    """
-    if not answer.left.structured:
-        return answer, None
-    trials = [answer]
-    if answer.result.named and (answer.result.explained_share or 0.0) < verdict.CARRIED:
-        trials.insert(0, _bare(problem, answer, dictionary))
-    for trial in trials:
-        finding = shape_of(
-            problem, trial.whitener, trial.noise, trial.result.residual_nT, trial.fitted_nT, trial.left, dictionary
-        )
-        if finding is None:
-            continue
-        if finding.effect == "bias_random_walk" and trial.result.named:
-            # Beside effects that mopped up a part of it a walk is a walk still; alone it says the same with less.
-            bare = _bare(problem, answer, dictionary)
-            alone = shape_of(
-                problem, bare.whitener, bare.noise, bare.result.residual_nT, bare.fitted_nT, bare.left, dictionary
-            )
-            if alone is not None and alone.effect == finding.effect:
-                trial, finding = bare, alone
-        if not isinstance(finding.instance, SignalEffect):
-            return replace(trial, left=replace(trial.left, structured=False)), finding
-        return trial, finding
-    if len(trials) == 1 and answer.result.named:
-        # Steps and drifts may carry most of a large walk, and leave it wandering still.
-        bare = _bare(problem, answer, dictionary)
-        alone = shape_of(
-            problem, bare.whitener, bare.noise, bare.result.residual_nT, bare.fitted_nT, bare.left, dictionary
-        )
-        if alone is not None and alone.effect == "bias_random_walk":
-            return replace(bare, left=replace(bare.left, structured=False)), alone
-    return answer, None
-
-
-def _with_line(
-    problem: Problem, answer: _Answer, shape: FlexibleFinding | None, fast: FullRate | None
-) -> tuple[_Answer, FlexibleFinding | None]:
-    """A line that only the full rate shows, with its name or as structure that has none."""
-    if fast is None or not fast.has_line:
-        return answer, shape
-    line = fast.line()
-    if line is not None:
-        # The thinned rows hold the phase over the whole record.
-        rest = leftover(answer.whitener, answer.result.residual_nT, answer.fitted_nT)
-        tone = tone_near(problem.setting.seconds, rest, fast.tone.frequency_Hz)
-        longer = wheel_line(problem.setting, rest, tone)
-        line = longer if longer is not None and longer.confirmed else line
-        return replace(answer, left=replace(answer.left, structured=False)), line
-    if answer.left.structured:
-        return answer, shape
-    words = f"a line at a period of {1 / fast.tone.frequency_Hz:.3g} s, in the full rate"
-    p_value = min(1.0, 4.0 * float(10**fast.tone.log10_p))
-    found = replace(
-        answer.left, structured=True, p_value=p_value, condition=None, frame=None, kind="tone", words=words,
-        label="tone", frequency_Hz=fast.tone.frequency_Hz,
-    )  # fmt: skip
-    return replace(answer, left=found), shape
-
-
-def _with_columns(
-    problem: Problem, answer: _Answer, robust: RobustRows, own: FloatArray, dictionary: Sequence[Block]
-) -> _Answer:
-    """The answer with further effect columns (N, 3, P) fitted, whitened by its own noise model."""
-    whitener = whitener_of(problem, answer.noise, robust.weights)
-    fitted = np.concatenate([answer.fitted_nT, own], axis=2)
-    left = _left(problem, whitener, answer.result, fitted, dictionary)
-    return replace(answer, whitener=whitener, fitted_nT=fitted, left=left)
-
-
-def _bare(problem: Problem, answer: _Answer, dictionary: Sequence[Block]) -> _Answer:
-    """The same noise with no effect named."""
-    found = answer.result
-    result = replace(
-        found, named=(), chosen=(), modelled=found.modelled_alone, residual_nT=found.residual_alone_nT,
-        residual_white=found.residual_alone_white, jacobian_white=found.nuisance_alone_white,
-        chi2={**found.chi2, "named": found.chi2["nuisance"]},
-    )  # fmt: skip
-    left = what_is_left(problem, answer.whitener, result.residual_nT, answer.alone_nT, found=dictionary)
-    return replace(answer, result=result, fitted_nT=answer.alone_nT, left=left)
 
 
 def _thinned(telemetry: Telemetry) -> tuple[Telemetry, int]:
@@ -395,7 +226,7 @@ def _place(
     left: Left,
 ) -> Where:
     """Of the whole gap where it is explained, of the rest where structure remains that is not."""
-    if left.structured and result.named and (result.explained_share or 1.0) < verdict.CARRIED:
+    if left.structured and result.named and (result.explained_share or 1.0) < CARRIED:
         return where(problem, whitener, result.residual_nT, fitted, found=dictionary)
     return where(problem, whitener, result.residual_alone_nT, alone, found=dictionary, candidates=result.candidates)
 
@@ -404,7 +235,7 @@ def _how_far(
     problem: Problem,
     robust: RobustRows,
     declared_lsb_nT: float | None,
-    answer: _Answer,
+    answer: Answer,
     flexible: Sequence[FlexibleFinding],
 ) -> tuple[Shrinkage, GapSeries]:
     """Held-out figures. Where a walk was found it is judged one step ahead."""

@@ -16,7 +16,7 @@ from scipy.special import gammaln
 
 from fluxtwin.gap.conditions import conditions
 from fluxtwin.gap.evidence import Leftover, log10_sf_f, orthonormal
-from fluxtwin.gap.own_shape import drivers, gains, varies
+from fluxtwin.gap.own_shape import MOST_BESIDE, drivers, gains, varies
 from fluxtwin.gap.tones import Tone, tone_columns
 from fluxtwin.sim.effects.base import Effect
 from fluxtwin.sim.effects.bit_errors import BitErrors
@@ -32,6 +32,7 @@ _LEVEL_LOG_SD = 0.1  # to which declared noise is trusted
 _LEVEL_P = 0.005
 _SHAPE_P = 1e-3
 _SEARCHED = ("wheel_field", "heater_switching", "bias_random_walk", "switched_field")
+_COMPANIONS = (2.0, 3.0, 4.0, 5.0, 6.0, 0.5, 1.0 / 3.0)
 _MOST_SEARCHED, _MOST_READ_OFF = 0.9, 0.98
 
 
@@ -307,6 +308,25 @@ def _not_a_wheel(setting: Setting, left: Leftover, tone: Tone, size: FloatArray,
     if nearest <= 6 and abs(tone.frequency_Hz - nearest * orbital) < 1.5 * turn:
         faults.append(f"its period is that of the orbit over {nearest}")
     return [*faults, *varies(left, columns, drivers(setting))]
+
+
+def companion(setting: Setting, left: Leftover, tone: Tone, effect: Effect) -> bool:
+    """Whether a line is a multiple, or a half or a third, of the turning of a wheel that has been named.
+
+    The rotor of a wheel has more poles than two, and its motor and bearings turn in fixed ratios to it: such a line is
+    no second wheel. It is one if the wheel's phase, multiplied, leaves nothing of it.
+    """
+    phase = effect.phase_rad(setting) if isinstance(effect, WheelField) else None
+    if phase is None or tone.log10_p > np.log10(_SHAPE_P):
+        return False
+    line = tone_columns(setting.seconds, tone.frequency_Hz)
+    for ratio in _COMPANIONS:
+        waves = np.stack([np.cos(ratio * phase), np.sin(ratio * phase)], axis=1)
+        columns = (np.eye(3)[None, :, None, :] * waves[:, None, :, None]).reshape(phase.size, 3, 6)
+        p, share = gains(left, columns, np.concatenate([columns, line], axis=2))
+        if p > _SHAPE_P or share < MOST_BESIDE:
+            return True
+    return False
 
 
 def _skew(v: FloatArray) -> FloatArray:

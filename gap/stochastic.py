@@ -11,6 +11,7 @@ from fluxtwin.gap.evidence import fit_all, leftover
 from fluxtwin.gap.flexible import (
     FlexibleFinding,
     coarse_steps,
+    companion,
     confirmed,
     flipped_bits,
     noise_level,
@@ -23,8 +24,7 @@ from fluxtwin.gap.problem import Budget, Problem
 from fluxtwin.gap.switched_region import switched_region
 from fluxtwin.gap.tones import strongest_tone
 from fluxtwin.gap.two_state import heater_sequence
-from fluxtwin.gap.wandering import random_walk
-from fluxtwin.sim.effects.base import DistributionEffect
+from fluxtwin.sim.effects.base import DistributionEffect, Effect
 from fluxtwin.sim.effects.bit_errors import BitErrors
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.coarse_quantization import CoarseQuantization
@@ -48,13 +48,13 @@ def flexible_findings(
     fitted_nT: FloatArray,
     structured: bool,
     coarser: FlexibleFinding | None,
-    shape: FlexibleFinding | None = None,
+    shapes: Sequence[FlexibleFinding] = (),
 ) -> tuple[FlexibleFinding, ...]:
-    """The confirmed ones, `shape` with them. residual_nT (N, 3), fitted_nT (N, 3, q): beside the named effects."""
+    """The confirmed ones, `shapes` with them. residual_nT (N, 3), fitted_nT (N, 3, q): beside the named effects."""
     reading = np.asarray(problem.telemetry.mag_B_nT)
     lsb = problem.budget.lsb_nT
     step = coarser.parameters["lsb"][0] if coarser is not None and coarser.confirmed else lsb
-    findings: list[FlexibleFinding | None] = [shape, coarser]
+    findings: list[FlexibleFinding | None] = [*shapes, coarser]
     stuck: FlexibleFinding | None = None
     whole = problem.measured.all(axis=1)  # elsewhere the axis of a spike is not known
     if lsb is not None and lsb > 0 and step is not None and whole.any():
@@ -63,7 +63,7 @@ def flexible_findings(
         if stuck is None:
             difference = residual_nT if robust.difference_nT is None else robust.difference_nT
             findings.append(flipped_bits(reading[whole], difference[whole], robust.cut[whole], lsb))
-    explained = (stuck is not None and stuck.confirmed) or shape is not None
+    explained = (stuck is not None and stuck.confirmed) or bool(shapes)
     if noise.sigma_prior_nT > 0 and not explained:
         rest = leftover(whitener, residual_nT, fitted_nT)
         measured = None if problem.axes is None else problem.measured
@@ -75,25 +75,26 @@ def flexible_findings(
 def shape_of(
     problem: Problem,
     whitener: Whitener,
-    noise: NoiseModel,
     residual_nT: FloatArray,
     fitted_nT: FloatArray,
     left: Left,
     dictionary: Sequence[Block],
+    chosen: Sequence[Effect] = (),
 ) -> FlexibleFinding | None:
-    """The first of a line, a region in the dark, a thermostat and a walk whose shape a residual (N, 3) has, or None."""
+    """The first of a line, a region in the dark and a thermostat whose shape a residual (N, 3) has, or None.
+
+    chosen: named effects; a companion of a named wheel's line is that wheel once more.
+    """
     setting = problem.setting
     rest = leftover(whitener, residual_nT, fitted_nT)
     tone = strongest_tone(setting.seconds, rest)
     found: FlexibleFinding | None = None
-    if left.kind == "tone":
+    if left.kind == "tone" and not any(companion(setting, rest, tone, one) for one in chosen):
         found = wheel_line(setting, rest, tone)
     if found is None or not found.confirmed:
         found = switched_region(problem, rest, fit_all(dictionary, rest))
     if (found is None or not found.confirmed) and setting.column("heater_on") is None:
         found = heater_sequence(setting, whitener, residual_nT, fitted_nT, fit_all(dictionary, rest), tone)
-    if found is None or not found.confirmed:
-        found = random_walk(setting.seconds, rest, dictionary, noise.sigma_nT)
     return found if found is not None and found.confirmed else None
 
 

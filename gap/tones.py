@@ -13,7 +13,7 @@ from fluxtwin.sim.types import FloatArray
 
 _FINE = 8  # grid cells a sample spacing for uneven stamps: the phase error at the highest line is 0.2 rad at most
 _LONGEST = 1 << 23
-_DEGREES = 6
+TONE_DEGREES = 6
 _FIRST_WIDTH = 0.35  # over the span
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fluxtwin.gap.answer import CARRIED
 from fluxtwin.gap.candidates import settings_of
 from fluxtwin.gap.closure import Closure, Stochastic
 from fluxtwin.gap.constancy import pliable
@@ -25,8 +26,6 @@ from fluxtwin.sim.signal import Setting
 if TYPE_CHECKING:
     from fluxtwin.gap.diagnose import Work
 
-CARRIED = 0.9
-"""Share of the structured energy that the named effects must carry where structure is left."""
 _OWN_AXIS = 0.8
 _TRUSTED = 1.5
 """Factor to which a declared attitude error is believed."""

@@ -1,8 +1,8 @@
 """A bias that wanders: is it a random walk, or something that only looks slow?
 
-The residual is reduced to a few dozen steps an axis (any slow signal is nearly a sum of them). Under a walk the
-steps are independent and Gaussian with one variance; the same columns with other priors (independent levels, a
-smooth curve, one single step) are its rivals with the same degrees of freedom.
+The residual is reduced to the Karhunen-Loeve modes of a walk (any slow signal is nearly a sum of them). Under a walk
+their coefficients are independent and Gaussian, with the variances of a walk; the same modes with the variances of
+independent levels or of a smooth curve, and one single step, are its rivals.
 """
 
 from __future__ import annotations
@@ -21,7 +21,11 @@ from fluxtwin.sim.types import FloatArray
 
 _MOST_KNOTS = 48
 _ROWS_A_KNOT = 8
-_LOG_SIZES = np.linspace(np.log(0.003), np.log(100.0), 40)
+_MODES_A_ROOT = 4.0  # times the root of the rows: beyond, a walk of three times the noise is below it
+_FEWEST, _MOST = 24, 160
+LOG_RMS = np.linspace(np.log(0.003), np.log(100.0), 60)
+"""Prior of the walk's spread at the end of the record over the noise of a reading: even in its logarithm."""
+_STEPS = np.exp(np.linspace(np.log(0.003), np.log(100.0), 40))  # noise units
 _MARGIN = 3.0  # in log evidence: a factor of 20
 _SHAPE_P = 0.005
 _SETTLED = 10  # rows until the filter has forgotten where it began
@@ -37,37 +41,49 @@ def random_walk(seconds: FloatArray, left: Leftover, found: Sequence[Block], sig
     knots = min(_MOST_KNOTS, rows // _ROWS_A_KNOT)
     if knots < 12:
         return None
-    at = np.linspace(0, rows, knots + 1).astype(int)[:-1]
-    steps = (np.arange(rows)[:, None] >= at[None, 1:]).astype(float)
-    columns, _ = left.project(sigma_nT * _three_axes(steps))
+    shapes = modes_of_a_walk(seconds)
+    columns, _ = left.project(three_axes(shapes))
     gram, moment = columns.T @ columns, columns.T @ left.residual
     _, q, _ = _modes(gram, moment)
-    # The noise level is that of what no step explains: a level that was declared wrong is no walk.
+    # The noise level is that of what no walk explains: a level that was declared wrong is no walk.
     variance = (left.energy - float(q @ q)) / max(left.degrees - q.size, 1)
     gram, moment = gram / variance, moment / variance
-    size, walk = _evidence(gram, moment)
+    sizes = np.exp(LOG_RMS) * sigma_nT / np.sqrt(float(seconds[-1] - seconds[0]))
+    rate, walk = _evidence(gram, moment, sizes)
     if walk < 6.0:
         return None
-    rivals = _rivals(gram, moment, knots - 1)
+    rivals = _rivals(gram, moment, sizes)
+    rivals["one step"] = _one_step(left, seconds, knots, variance)
     faults = [f"{name} does as well" for name, value in rivals.items() if value > walk - _MARGIN]
-    faults += _not_a_walk(gram, moment, size, knots - 1)
-    reduced = _reduced(gram, moment, size)
+    at = np.linspace(0, rows - 1, knots + 1).astype(int)
+    faults += _not_a_walk(gram, moment, rate, np.diff(shapes[at], axis=0))
+    reduced = _reduced(gram, moment, rate)
     label, p_block = _follows(left, columns / variance, reduced, found)
     if p_block < 0.01:
         faults.append(f"it follows {label}")
-    spacing = float(seconds[-1] - seconds[0]) / knots
-    # Levels that are means over a spacing differ by two thirds of what the walk gains in it (in variance).
-    rate = size * sigma_nT / np.sqrt(spacing * 2.0 / 3.0)
-    if jumps(seconds, left, float(rate) / sigma_nT, float(variance)):
+    if jumps(seconds, left, rate, float(variance)):
         faults.append("it jumps between levels")
     live = reduced[0].size
     words = "the bias wanders like a random walk" + (f"; but {', '.join(faults)}" if faults else "")
-    parameters = {"rate": (float(rate), float(rate / np.sqrt(2 * max(live / 2, 1))), "nT/sqrt(s)")}
+    parameters = {"rate": (rate, float(rate / np.sqrt(2 * max(live / 2, 1))), "nT/sqrt(s)")}
     p = float(np.exp(-max(walk, 0.0)))
     return FlexibleFinding("bias_random_walk", parameters, p, not faults, words, BiasRandomWalk())
 
 
-def _three_axes(shapes: FloatArray) -> FloatArray:
+def modes_of_a_walk(seconds: FloatArray) -> FloatArray:
+    """(N, k) Karhunen-Loeve modes of a walk of 1 nT/sqrt(s) that begins with the record, times their spread [sqrt(s)].
+
+    Sines of k - 1/2 half periods over the record, of variance falling with the square of that number (Loeve 1978,
+    Probability theory II, section 37.5).
+    """
+    begin = float(seconds[0])
+    span = float(seconds[-1]) - begin
+    count = int(np.clip(_MODES_A_ROOT * np.sqrt(seconds.size), _FEWEST, min(_MOST, max(seconds.size // 2, _FEWEST))))
+    waves = np.pi * (np.arange(count) + 0.5)
+    return np.asarray(np.sqrt(2.0 * span) * np.sin(waves * (seconds - begin)[:, None] / span) / waves)
+
+
+def three_axes(shapes: FloatArray) -> FloatArray:
     """(N, 3, 3k): each shape in each axis, axes fastest."""
     spread = np.eye(3)[None, :, None, :] * shapes[:, None, :, None]
     return np.asarray(spread.reshape(shapes.shape[0], 3, -1))
@@ -79,31 +95,36 @@ def _modes(gram: FloatArray, moment: FloatArray) -> tuple[FloatArray, FloatArray
     return value[live], (vector[:, live].T @ moment) / np.sqrt(value[live]), vector[:, live]
 
 
-def _evidence(gram: FloatArray, moment: FloatArray) -> tuple[float, float]:
+def _evidence(gram: FloatArray, moment: FloatArray, sizes: FloatArray) -> tuple[float, float]:
     """Likeliest size of the coefficients and the log evidence with the size integrated out."""
     value, q, _ = _modes(gram, moment)
-    scaled = np.exp(2 * _LOG_SIZES)[:, None] * value
+    scaled = sizes[:, None] ** 2 * value
     logs = np.sum(-0.5 * np.log1p(scaled) + 0.5 * q**2 * scaled / (1 + scaled), axis=1)
-    return float(np.exp(_LOG_SIZES[np.argmax(logs)])), float(logsumexp(logs) - np.log(logs.size))
+    return float(sizes[np.argmax(logs)]), float(logsumexp(logs) - np.log(logs.size))
 
 
-def _rivals(gram: FloatArray, moment: FloatArray, steps: int) -> dict[str, float]:
-    """Log evidences of other priors on the same columns."""
-    levels = np.eye(steps) - np.eye(steps, k=-1)
-    curve = np.tril(np.ones((steps, steps)))
-    out = {}
-    for name, change in (("independent levels", levels), ("a smooth curve", curve)):
-        whole = np.kron(change, np.eye(3))
-        out[name] = _evidence(whole.T @ gram @ whole, whole.T @ moment)[1]
-    single = []
-    for step in range(steps):
-        pick = slice(3 * step, 3 * step + 3)
-        single.append(_evidence(gram[pick, pick], moment[pick])[1])
-    out["one step"] = max(single) - float(np.log(steps))
+def _rivals(gram: FloatArray, moment: FloatArray, sizes: FloatArray) -> dict[str, float]:
+    """Log evidences of other spectra on the same modes, of the same spread in all."""
+    waves = np.arange(moment.size // 3) + 0.5
+    walk, out = 1.0 / waves, {}
+    for name, spread in (("independent levels", np.ones_like(waves)), ("a smooth curve", walk**2)):
+        weight = np.repeat(spread / walk * np.sqrt(np.sum(walk**2) / np.sum(spread**2)), 3)
+        out[name] = _evidence(gram * np.outer(weight, weight), moment * weight, sizes)[1]
     return out
 
 
-def _not_a_walk(gram: FloatArray, moment: FloatArray, size: float, steps: int) -> list[str]:
+def _one_step(left: Leftover, seconds: FloatArray, knots: int, variance: float) -> float:
+    """Log evidence of one step between two of some knots."""
+    at = np.linspace(0, seconds.size, knots + 1).astype(int)[1:-1]
+    columns, size = left.project(three_axes((np.arange(seconds.size)[:, None] >= at).astype(float)))
+    unit = np.sqrt(np.median(size) / seconds.size)  # one noise unit a reading
+    gram, moment = columns.T @ columns / (variance * unit**2), columns.T @ left.residual / (variance * unit)
+    picks = [slice(3 * step, 3 * step + 3) for step in range(at.size)]
+    return max(_evidence(gram[one, one], moment[one], _STEPS)[1] for one in picks) - float(np.log(at.size))
+
+
+def _not_a_walk(gram: FloatArray, moment: FloatArray, size: float, between: FloatArray) -> list[str]:
+    """between: (m, k) what each mode gains from one knot to the next."""
     faults = []
     value, q, vector = _modes(gram, moment)
     z = q / np.sqrt(1 + size**2 * value)
@@ -114,10 +135,11 @@ def _not_a_walk(gram: FloatArray, moment: FloatArray, size: float, steps: int) -
         faults.append("its spectrum is not that of a walk")
     # Posterior increments over their spread under the model: one that stands out is a step, not a walk.
     shrink = size**2 * np.sqrt(value) / (1 + size**2 * value)
-    increments = vector @ (shrink * q)
-    spread = np.sqrt(np.einsum("ij,j->i", vector**2, shrink**2 * (1 + size**2 * value)))
+    paths = np.kron(between, np.eye(3)) @ vector
+    increments = paths @ (shrink * q)
+    spread = np.sqrt(np.einsum("ij,j->i", paths**2, shrink**2 * (1 + size**2 * value)))
     largest = float(np.max(np.abs(increments) / np.maximum(spread, 1e-12)))
-    if 2 * stats.norm.sf(largest) * 3 * steps < _SHAPE_P:
+    if 2 * stats.norm.sf(largest) * increments.size < _SHAPE_P:
         faults.append("one of its steps stands out")
     return faults
 

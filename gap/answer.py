@@ -112,7 +112,7 @@ def _once(
     if signals:
         fitted = np.concatenate([fitted, derivatives(problem, signals)], axis=2)
     left = left_of(problem, whitener, result, fitted, dictionary)
-    if signals and left.structured:
+    if signals and left.kind == "tone":
         result = _with_the_line(problem, result, leftover(whitener, result.residual_nT, fitted))
     return Answer(noise, robust, whitener, result, alone, fitted, left, shapes)
 
@@ -182,6 +182,6 @@ def _stripped(problem: Problem, result: SearchResult, signals: Sequence[Active])
 def _with_the_line(problem: Problem, result: SearchResult, rest: Leftover) -> SearchResult:
     """The result with the strongest line in what is structured: no image of an effect holds it."""
     tone = strongest_tone(problem.setting.seconds, rest)
-    (whole, rank), (now, seen) = result.chi2["saturated"], result.chi2["named"]
-    line = (min(whole, now - tone.explained), max(rank, seen + TONE_DEGREES))
+    whole, rank = result.chi2["saturated"]
+    line = (whole - tone.explained, rank + TONE_DEGREES)
     return replace(result, chi2={**result.chi2, "saturated": line})

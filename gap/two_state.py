@@ -19,6 +19,7 @@ from fluxtwin.gap.flexible import FlexibleFinding
 from fluxtwin.gap.left import drift
 from fluxtwin.gap.own_shape import (
     drivers,
+    dwells,
     follows_place,
     gains,
     halves,
@@ -40,6 +41,11 @@ _FLAT_P = 1e-3
 _LEAST_BENT, _LEAST_LINE = 0.05, 0.02
 """Shares; of a sine cut into two levels the bends have 6 % or more, and the line beside the levels 4 % or more."""
 _SEED = 20
+_MOST_SWITCHES = 150
+_SHARES = (0.25, 0.5, 0.75)
+_CLIMBED = 2
+_BETTER = 0.5  # in log likelihood
+_MOVES = ((-1, 0), (0, 1), (-3, 0), (0, 3))  # rows about an edge
 _FEW_TURNS, _DWELL_TIMES = 3.0, 4.0
 _DRIFT_P = -4.0
 _LONGEST = 200_000  # rows; the search walks through them one by one
@@ -62,7 +68,7 @@ def heater_sequence(
     if not 60 <= rows <= _LONGEST:
         return None
     left = leftover(whitener, residual_nT, fitted)
-    on = _sequence(left, whitener, residual_nT, fitted)
+    on = _polished(left, _sequence(left, whitener, residual_nT, fitted, setting, tone))
     on = ~on if on.mean() > 0.5 else on  # a bias hides which state is which: the rarer one is called on
     switches = int(np.sum(on[1:] != on[:-1]))
     if switches < _FEWEST_SWITCHES:
@@ -74,7 +80,7 @@ def heater_sequence(
     gain = float(field @ gram @ field)
     spare = max(left.degrees - 3 - switches, 1)
     variance = (left.energy - gain) / spare
-    price = float(gammaln(rows + 1) - gammaln(switches + 1) - gammaln(rows - switches + 1))
+    price = _price(rows, switches)
     worth = 0.5 * gain / variance - price - 1.5 * np.log(rows)
     if worth < _LOG_CERTAIN:
         return None
@@ -134,16 +140,34 @@ def _more(left: Leftover, columns: FloatArray, others: FloatArray, least: float)
     return p < _FLAT_P and share > least
 
 
-def _sequence(left: Leftover, whitener: Whitens, residual_nT: FloatArray, fitted: FloatArray) -> BoolArray:
+def _sequence(
+    left: Leftover,
+    whitener: Whitens,
+    residual_nT: FloatArray,
+    fitted: FloatArray,
+    setting: Setting,
+    tone: Tone | None,
+) -> BoolArray:
     """(N,) the likeliest two-state sequence."""
     rows = residual_nT.shape[0]
     white = whitener.apply(np.ascontiguousarray(fitted)).reshape(3 * rows, -1)
     target = whitener.apply(residual_nT).reshape(-1)
     rest = residual_nT - fitted @ np.linalg.lstsq(white, target, rcond=1e-10)[0] if white.shape[1] else residual_nT
     lagged = sum(rest[lag:].T @ rest[: rows - lag] for lag in (1, 2, 3))
-    _, vector = np.linalg.eigh(np.asarray(lagged + np.transpose(lagged)))
-    direction = vector[:, -1]
-    on = _viterbi(rest @ direction, None)
+    _, vectors = np.linalg.eigh(np.asarray(lagged + np.transpose(lagged)))
+    directions = list(vectors.T)
+    if tone is not None and tone.frequency_Hz > 0:
+        # Two levels in turn have a line along their field.
+        free, _ = left.project(tone_columns(setting.seconds, tone.frequency_Hz))
+        waves = np.linalg.lstsq(free, left.residual, rcond=1e-9)[0].reshape(2, 3)
+        directions.append(np.linalg.svd(waves)[2][0])
+    first = [_viterbi(rest @ along, None, share) for along in directions for share in _SHARES]
+    distinct = sorted({on.tobytes(): on for on in first}.values(), key=lambda on: -_worth(left, on))
+    return max((_climbed(left, rest, on) for on in distinct[:_CLIMBED]), key=lambda on: _worth(left, on))
+
+
+def _climbed(left: Leftover, rest: FloatArray, on: BoolArray) -> BoolArray:
+    """(N,) the sequence that a first one leads to, in turn with the field; rest (N, 3) [nT]."""
     for _ in range(_ROUNDS):
         if not on.any() or on.all():
             break
@@ -151,17 +175,67 @@ def _sequence(left: Leftover, whitener: Whitens, residual_nT: FloatArray, fitted
         field = np.linalg.lstsq(free, left.residual, rcond=1e-9)[0]
         centre = rest - np.outer(on - on.mean(), field)
         spread = np.cov(centre.T)
-        direction = np.linalg.solve(spread, field)
-        again = _viterbi(rest @ direction, on)
+        again = _viterbi(rest @ np.linalg.solve(spread, field), on)
         if np.array_equal(again, on):
             break
         on = again
     return on
 
 
-def _viterbi(z: FloatArray, start: BoolArray | None) -> BoolArray:
-    """Best cut of a series into two levels with a price of log N a switch; levels and noise re-estimated in turn."""
-    on = z > np.median(z) if start is None else start
+def _polished(left: Leftover, on: BoolArray) -> BoolArray:
+    """The sequence with runs taken out and edges moved while it gets likelier.
+
+    The search for it works row by row, where the slow error of the attitude looks like levels; this has the whitened
+    likelihood.
+    """
+    edges = np.flatnonzero(on[1:] != on[:-1]) + 1
+    if edges.size > _MOST_SWITCHES:
+        return on
+    best = _worth(left, on)
+    for _ in range(_ROUNDS):
+        before = best
+        for change in _changes(on):
+            trial = on.copy()
+            trial[change] = ~trial[change]
+            if np.array_equal(trial, on) or trial.all() or not trial.any():
+                continue
+            worth = _worth(left, trial)
+            if worth > best:
+                on, best = trial, worth
+        if best - before < _BETTER:
+            break
+    return on
+
+
+def _changes(on: BoolArray) -> list[slice]:
+    """Rows to turn round: each run, and the rows beside each edge."""
+    runs = dwells(on)
+    edges = [run.start for run in runs[1:]]
+    beside = [slice(max(edge + low, 0), edge + high) for edge in edges for low, high in _MOVES]
+    return [*runs, *beside]
+
+
+def _worth(left: Leftover, on: BoolArray) -> float:
+    """Log likelihood of a sequence less its price."""
+    free, _ = left.project(on.astype(float)[:, None, None] * np.eye(3))
+    along = free.T @ left.residual
+    gain = float(along @ np.linalg.pinv(free.T @ free, rcond=1e-9) @ along)
+    switches = int(np.sum(on[1:] != on[:-1]))
+    variance = (left.energy - gain) / max(left.degrees - 3 - switches, 1)
+    return 0.5 * gain / variance - _price(on.size, switches)
+
+
+def _price(rows: int, switches: int) -> float:
+    """Logarithm of the number of sequences with so many switches."""
+    return float(gammaln(rows + 1) - gammaln(switches + 1) - gammaln(rows - switches + 1))
+
+
+def _viterbi(z: FloatArray, start: BoolArray | None, share: float = 0.5) -> BoolArray:
+    """Best cut of a series into two levels with a price of log N a switch; levels and noise re-estimated in turn.
+
+    start: where to begin; None: with this share of the rows in the lower level.
+    """
+    on = z > np.quantile(z, share) if start is None else start
     scale = 1.4826 * np.median(np.abs(np.diff(z))) / np.sqrt(2)
     for _ in range(10):
         if not on.any() or on.all():

@@ -14,6 +14,7 @@ from scipy.special import gammaln
 
 from fluxtwin.sim.field_models import FieldModel
 from withheld_cases import of_dynamics, of_place, of_sensor, of_spacecraft, outside, shapes
+from withheld_cases.attitude_sensors import draw_sensors
 from withheld_cases.chain import Truth
 from withheld_cases.draft import Draft, Maker
 from withheld_cases.visible import noise_rms_nT, scaled, signature_nT, visible
@@ -53,12 +54,18 @@ POPULATIONS = (
     "triples",
     "shapes",
     "outside",
+    "sensed",
     *of_dynamics.POPULATIONS,
 )
 STRENGTH = {
     "singles": (0.2, 3.0), "faint": (0.1, 0.3), "pairs": (0.7, 3.0), "triples": (1.0, 3.0), "shapes": (0.5, 3.0),
-    "outside": (1.0, 3.0),
+    "outside": (1.0, 3.0), "sensed": (0.2, 3.0),
 }  # fmt: skip
+SENSED = (
+    "sun_sensor_head_misalignment", "horizon_scanner_bias", "scale_misalignment", "along_track_error", "yaw_drift",
+)  # fmt: skip
+"""Faults of the two attitude sensors, and what may be taken for one. Each case is made twice, the same but for sun and
+nadir: even numbers have them, odd ones have not."""
 _TRIES = 60
 _LEAST_NOISE_NT, _MOST_NOISE_NT = 3.0, 600.0
 _ALIKE = 0.8
@@ -89,10 +96,13 @@ def identity(seed: int, population: str, number: int) -> str:
 def make_case(seed: int, population: str, number: int, rich: FieldModel | None = None) -> Case:
     """The case. Raises RuntimeError if no world in many shows the truths at the wanted size."""
     word = int(hashlib.sha256(population.encode()).hexdigest()[:8], 16)
-    rng = np.random.default_rng([seed, word, number])
+    own = number // 2 if population == "sensed" else number
+    rng = np.random.default_rng([seed, word, own])
     order = np.random.default_rng([seed, word])
-    makers, regimes, label = _chosen(population, number, order)
-    regime = regimes[number % len(regimes)]
+    makers, regimes, label = _chosen(population, own, order)
+    regime = regimes[own % len(regimes)]
+    if population == "sensed":
+        label += ", sun and nadir " + ("left out" if number % 2 else "measured")
     if population in ("nulls", "nulls_off"):
         world = draw_world(rng, regime)
         if population == "nulls_off":
@@ -101,7 +111,10 @@ def make_case(seed: int, population: str, number: int, rich: FieldModel | None =
     low, high = STRENGTH[population]
     targets = tuple(between(rng, low, high) for _ in makers)
     for attempt in range(1, _TRIES + 1):
-        found = _fitted(draw_world(rng, regime, rich=rich), makers, targets, rng)
+        world = draw_world(rng, regime, rich=rich)
+        if population == "sensed":
+            world = dataclasses.replace(world, sensors=draw_sensors(world.key) if number % 2 == 0 else None)
+        found = _fitted(world, makers, targets, rng)
         if found is not None:
             world, truths, sizes, achieved = found
             name = identity(seed, population, number)
@@ -113,6 +126,9 @@ def _chosen(population: str, number: int, order: np.random.Generator) -> tuple[l
     """Makers, the regimes they may have (rotated by the round), and a label."""
     if population in ("nulls", "nulls_off"):
         return [], REGIMES, ""
+    if population == "sensed":
+        name = SENSED[number % len(SENSED)]
+        return [PLAIN[name]], ("nadir",), name
     if population in ("pairs", "triples"):
         sets = _sets({"pairs": 2, "triples": 3}[population])
         names = sets[int(order.permutation(len(sets))[number % len(sets)])]
@@ -250,6 +266,10 @@ def answer(case: Case) -> dict[str, Any]:
         "recorded": sorted(world.recorded), "modelled": list(world.modelled), "degree": world.degree,
         "real_model": world.real_model.name, "b_nT": world.b_nT.tolist(), "S": world.S.tolist(), "tries": case.tries,
         "declared_sigma_factor": world.declared_sigma_factor,
+        "sensors_deg": None if world.sensors is None else {
+            name.replace("_rad", ""): value if name.endswith("_s") else float(np.degrees(value))
+            for name, value in dataclasses.asdict(world.sensors).items()
+        },
     }  # fmt: skip
 
 

@@ -22,7 +22,7 @@ from fluxtwin.sim.random_streams import stream
 from fluxtwin.sim.sensors.reference_attitude import attitude_with_error
 from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.types import FloatArray, TimeArray
-from withheld_cases import spacecraft
+from withheld_cases import attitude_sensors, spacecraft
 from withheld_cases.worlds import World, shift
 
 Ambient = Callable[[TimeArray], FloatArray]
@@ -52,6 +52,10 @@ class Truth:
     """(N, 3) nT in B added at the sensor."""
     correction: Callable[[World, TimeArray], tuple[FloatArray, FloatArray]] | None = None
     """What is added to equation 1: (N, 3, 3) to S and (N, 3) nT to b."""
+    sun: Callable[[World, TimeArray, FloatArray], FloatArray] | None = None
+    """(N, 3) direction to the sun in B as the heads have it, from the one so far."""
+    nadir: Callable[[World, TimeArray], FloatArray] | None = None
+    """(N, 2) rad by which the scanner's roll and pitch are too large."""
     lag_s: float = 0.0
     lag_two_pole: bool = False
     sense: Callable[[World, TimeArray, FloatArray, Ambient], FloatArray] | None = None
@@ -178,7 +182,11 @@ def fly(world: World, truths: Sequence[Truth], clean: Clean | None = None) -> Te
     reference = attitude_with_error(
         world.time, clean.R_BN, budget.attitude_sigma_rad, budget.attitude_tau_s, stream(world.key, "reference")
     )
-    return record(world, reading, clean, reference)
+    told = record(world, reading, clean, reference)
+    if world.sensors is None:
+        return told
+    sun_B, nadir_B = attitude_sensors.vectors(world, truths)
+    return told.replace(sun_B=sun_B, nadir_B=nadir_B)
 
 
 def clipped(truths: Sequence[Truth], reading: FloatArray) -> FloatArray:

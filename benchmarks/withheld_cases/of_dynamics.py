@@ -22,14 +22,27 @@ from fluxtwin.sim.types import FloatArray
 from withheld_cases import chain, of_place, of_sensor, of_spacecraft
 from withheld_cases.chain import Truth
 from withheld_cases.draft import Maker, sign
-from withheld_cases.flight import PUSH_N_M2, Body, Flown, Instant, Surroundings, Torque, fly, gravity_gradient, magnetic
+from withheld_cases.flight import (
+    PUSH_N_M2,
+    Body,
+    Flown,
+    Instant,
+    Surroundings,
+    Torque,
+    cross,
+    fly,
+    gravity_gradient,
+    magnetic,
+)
 from withheld_cases.store import Store
+from withheld_cases.torque_visible import LEAST_CHI_SQUARE, Ground, seen
 from withheld_cases.visible import scaled, visible
 from withheld_cases.worlds import World, between, draw_world, shift
 
 POPULATIONS = ("torque_nulls", "torques", "torque_pairs")
 REGIMES = ("bias", "wheels", "tumble", "spin")
-BEFORE_S, WINDOW_S = 120.0, 1500.0
+BEFORE_S = 120.0
+_TRIES = 6
 STRENGTH = (0.7, 5.0)
 PARTNERS: tuple[Maker, ...] = (
     of_place.time_tag_offset, of_place.field_epoch, of_place.ring_current, of_sensor.quadratic_nonlinearity,
@@ -47,6 +60,18 @@ class Turned:
     change: FloatArray | None
     """(3, 3) kg m2 of inertia for a size of 1."""
     start: float
+    most: float = np.inf
+    """The largest size that would not have been noticed on the ground."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sized:
+    """A truth at its size, and the flight with it."""
+
+    size: float
+    visible: float
+    chi_square: float
+    flown: Flown
 
 
 def truth(name: str, rng: np.random.Generator, inertia: FloatArray) -> Turned:
@@ -58,12 +83,12 @@ def truth(name: str, rng: np.random.Generator, inertia: FloatArray) -> Turned:
     if name == "gravity_gradient_inertia_error":
         mixed = rng.standard_normal((3, 3))
         change = 0.5 * (mixed + mixed.T) * np.trace(inertia) / 3.0
-        return Turned(name, lambda s: {"inertia_kg_m2": (s * change).tolist()}, None, change, 0.02)
+        return Turned(name, lambda s: {"inertia_kg_m2": (s * change).tolist()}, None, change, 0.02, 0.3)
     if name == "eddy_torque":
         K = rng.uniform(0.5, 1.5, 3)
 
         def brake(size: float) -> Torque:
-            return lambda now: np.cross(size * K * np.cross(now["rate"], now["field"]), now["field"])
+            return lambda now: cross(size * K * cross(now["rate"], now["field"]), now["field"])
 
         return Turned(name, lambda s: {"K_Am2_s_per_T": (s * K).tolist()}, brake, None, 1000.0)
 
@@ -71,18 +96,19 @@ def truth(name: str, rng: np.random.Generator, inertia: FloatArray) -> Turned:
         return lambda now: _of(name, size * vector, now)
 
     begin = {"residual_dipole_torque": 0.2, "aerodynamic_torque": 1.0, "solar_pressure_torque": 1.0}.get(name, 0.1)
-    return Turned(name, lambda s: {words[name]: (s * vector).tolist()}, torque, None, begin)
+    most = 0.5 if name == "torquer_gain_error" else np.inf
+    return Turned(name, lambda s: {words[name]: (s * vector).tolist()}, torque, None, begin, most)
 
 
 def _of(name: str, vector: FloatArray, now: Instant) -> FloatArray:
     if name == "residual_dipole_torque":
-        return np.asarray(np.cross(vector, now["field"]))
+        return cross(vector, now["field"])
     if name == "torquer_gain_error":
-        return np.asarray(np.cross(vector * now["dipole"], now["field"]))
+        return cross(vector * now["dipole"], now["field"])
     if name == "aerodynamic_torque":
         pressure = -0.5 * float(now["density"]) * np.linalg.norm(now["v"])
-        return np.asarray(pressure * np.cross(vector, now["v"]))
-    return np.asarray(-PUSH_N_M2 * float(now["light"]) * np.cross(vector, now["sun"]))
+        return np.asarray(pressure * cross(vector, now["v"]))
+    return np.asarray(-PUSH_N_M2 * float(now["light"]) * cross(vector, now["sun"]))
 
 
 WHERE = {
@@ -178,35 +204,53 @@ def make(root: str, seed: int, population: str, number: int) -> str:
     turned = None if population == "torque_nulls" else list(WHERE)[number % len(WHERE)]
     regimes = REGIMES if turned is None else WHERE[turned]
     regime = regimes[(number // (1 if turned is None else len(WHERE))) % len(regimes)]
+    tries, drawn = 0, None
+    while drawn is None and tries < _TRIES:
+        tries, drawn = tries + 1, _drawn(rng, regime, turned)
+    if drawn is None:
+        why = f"{population} {number} ({turned}, {regime}): no vehicle shows it at the wanted size"
+        store.write("sealed", name, {"case": name, "population": population, "number": number, "void": why})
+        return name
+    craft, world, truths = drawn
+    partner = _partner(world, rng) if population == "torque_pairs" else None
+    if partner is not None:
+        world, other, strength = partner
+        truths.append({"name": other.name, "stage": other.stage, "parameters": dict(other.parameters), "signal": True,
+                       "target": strength, "visible": strength, "size": 1.0})  # fmt: skip
+    _write(store, name, craft, world, [] if partner is None else [partner[1]])
+    store.write("sealed", name, {
+        "case": name, "population": population, "number": number, "regime": regime, "truths": truths,
+        "label": turned or "", "plain_share": 1.0, "second": None, "declared_sigma_factor": 1.0,
+        "attitude_sigma_deg": float(np.degrees(world.budget.attitude_sigma_rad)), "rows": craft.rows,
+        "step_s": craft.step_s, "span_s": world.span_s, "bursts": False, "attitude_tau_s": world.budget.attitude_tau_s,
+        "altitude_km": craft.orbit.altitude_km, "start": str(world.start), "recorded": sorted(world.recorded),
+        "real_model": world.real_model.name, "sensors_deg": None, "tries": tries,
+    })  # fmt: skip
+    return name
+
+
+def _drawn(
+    rng: np.random.Generator, regime: str, turned: str | None
+) -> tuple[Craft, World, list[dict[str, Any]]] | None:  # fmt: skip
+    """A vehicle, its flight with the truth in it, and what is sealed of that."""
     craft = draw_craft(rng, regime, low=turned == "aerodynamic_torque")
-    base = dataclasses.replace(draw_world(rng, "nadir"), orbit=craft.orbit, real_model=load_field("igrf14"))
+    base = dataclasses.replace(draw_world(rng, "nadir"), orbit=craft.orbit, real_model=load_field("igrf14"),
+                               sensors=None)  # fmt: skip
     time = shift(np.full(craft.rows, craft.orbit.epoch_utc), BEFORE_S + craft.step_s * np.arange(craft.rows))
     world = dataclasses.replace(base, time=time, missing=np.zeros(craft.rows, dtype=bool), regime=regime,
                                 recorded=base.recorded - {"rate_B_rad_s", "wheel_speed_rpm"})  # fmt: skip
     around = Surroundings(
         craft.orbit, world.real_model, craft.orbit.epoch_utc, craft.rows * craft.step_s + 2 * BEFORE_S
     )
-    truths: list[dict[str, Any]] = []
-    chosen, size = None, 0.0
-    if turned is not None:
-        chosen = truth(turned, rng, craft.body.inertia)
-        size, seen = _sized(craft, around, chosen, between(rng, *STRENGTH), world)
-        truths.append({"name": turned, "stage": "dynamics", "parameters": chosen.parameters(size), "signal": True,
-                       "target": seen, "visible": seen, "size": size})  # fmt: skip
-    world = dataclasses.replace(world, motion=_motion(_flight(craft, around, chosen, size), craft))
-    partner = _partner(world, rng) if population == "torque_pairs" else None
-    if partner is not None:
-        world, other, seen = partner
-        truths.append({"name": other.name, "stage": other.stage, "parameters": dict(other.parameters), "signal": True,
-                       "target": seen, "visible": seen, "size": 1.0})  # fmt: skip
-    _write(store, name, craft, world, [] if partner is None else [partner[1]])
-    store.write("sealed", name, {
-        "case": name, "population": population, "number": number, "regime": regime, "truths": truths,
-        "label": turned or "", "plain_share": 1.0, "second": None, "declared_sigma_factor": 1.0,
-        "attitude_sigma_deg": float(np.degrees(world.budget.attitude_sigma_rad)), "rows": craft.rows,
-        "recorded": sorted(world.recorded), "tries": 1,
-    })  # fmt: skip
-    return name
+    if turned is None:
+        return craft, dataclasses.replace(world, motion=_motion(_flight(craft, around, None, 0.0), craft)), []
+    chosen, target = truth(turned, rng, craft.body.inertia), between(rng, *STRENGTH)
+    sized = _sized(craft, around, chosen, target, world)
+    if sized is None:
+        return None
+    told = {"name": turned, "stage": "dynamics", "parameters": chosen.parameters(sized.size), "signal": True,
+            "target": target, "visible": sized.visible, "size": sized.size, "chi_square": sized.chi_square}  # fmt: skip
+    return craft, dataclasses.replace(world, motion=_motion(sized.flown, craft)), [told]
 
 
 def _flight(craft: Craft, around: Surroundings, chosen: Turned | None, size: float) -> Flown:
@@ -223,29 +267,21 @@ def _with(body: Body, chosen: Turned | None, size: float) -> tuple[Body, list[To
     return body, torques
 
 
-def _sized(
-    craft: Craft, around: Surroundings, chosen: Turned, target: float, world: World
-) -> tuple[float, float]:  # fmt: skip
-    """Size at which the attitude differs by target times its sigma, rms per component, in windows whose start is the
-    true one, less a straight line; by two steps of a rule of three."""
-    size = chosen.start
+def _sized(craft: Craft, around: Surroundings, chosen: Turned, target: float, world: World) -> Sized | None:
+    """The size at which the truth is so visible, by two steps of a rule of three; more where the attitude's errors
+    would hide that. None where it would have to be larger than anybody would believe."""
+    sigma, tau_s = world.budget.attitude_sigma_rad, world.budget.attitude_tau_s
+    ground = Ground(*_with(craft.body, None, 0.0), around)
+    size, found = chosen.start, None
     for _ in range(2):
-        size *= target * world.budget.attitude_sigma_rad / _differs(craft, around, chosen, size)
-    return size, _differs(craft, around, chosen, size) / world.budget.attitude_sigma_rad
-
-
-def _differs(craft: Craft, around: Surroundings, chosen: Turned, size: float) -> float:
-    flown, left = _flight(craft, around, chosen, size), []
-    body, torques = _with(craft.body, None, 0.0)
-    ends = np.arange(0.0, craft.rows * craft.step_s - WINDOW_S, max(WINDOW_S, craft.rows * craft.step_s / 4.0))
-    for begin in ends:
-        t = np.linspace(begin, begin + WINDOW_S, 40)
-        R, rate = flown.attitude(t)
-        alone = fly(body, around, torques, R[0].inv().as_quat(), rate[0], begin, begin + WINDOW_S)
-        turn = (R.inv() * alone.attitude(t)[0]).as_rotvec()
-        line = np.vander(t - t.mean(), 2)
-        left.append(turn - line @ np.linalg.lstsq(line, turn, rcond=None)[0])
-    return float(np.sqrt(np.mean(np.concatenate(left) ** 2)))
+        found = seen(_flight(craft, around, chosen, size), ground, craft.rows * craft.step_s, found)
+        wanted = target / found.visible(sigma)
+        size *= max(wanted, float(np.sqrt(LEAST_CHI_SQUARE / found.chi_square(sigma, tau_s))))
+        if size > chosen.most:
+            return None
+    flown = _flight(craft, around, chosen, size)
+    found = seen(flown, ground, craft.rows * craft.step_s, found)
+    return Sized(size, found.visible(sigma), found.chi_square(sigma, tau_s), flown)
 
 
 def _motion(flown: Flown, craft: Craft) -> Callable[..., attitude.Attitude]:

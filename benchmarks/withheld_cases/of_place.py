@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -152,8 +153,11 @@ def sun_sensor_head_misalignment(world: World, rng: np.random.Generator) -> Draf
         def turned(w: World, time: TimeArray, R_BN: Rotation) -> Rotation:
             return turned_by(spacecraft.head_in_use(w, time) == head, np.radians(size) * axis, R_BN)
 
+        def seen(w: World, time: TimeArray, sun_B: FloatArray) -> FloatArray:
+            return turned_sun(spacecraft.head_in_use(w, time) == head, np.radians(size) * axis, sun_B)
+
         parameters = {"head": head, "rotation_deg": listed(size * axis)}
-        return Truth("sun_sensor_head_misalignment", "attitude", parameters, report=turned)
+        return Truth("sun_sensor_head_misalignment", "attitude", parameters, report=turned, sun=seen)
 
     return Draft(world, at, 0.005, 5.0, 0.2)
 
@@ -161,6 +165,12 @@ def sun_sensor_head_misalignment(world: World, rng: np.random.Generator) -> Draf
 def turned_by(mask: FloatArray, theta_B_rad: FloatArray, R_BN: Rotation) -> Rotation:
     """exp([theta x]) R_BN where the mask is not zero: a vector that reads v is then reported as v + theta x v."""
     return Rotation.from_rotvec(np.asarray(mask, dtype=np.float64)[:, None] * theta_B_rad) * R_BN
+
+
+def turned_sun(mask: FloatArray, theta_B_rad: FloatArray, sun_B: FloatArray) -> FloatArray:
+    """What a head so mounted takes for the direction to the sun, (N, 3), where the mask is not zero: as `turned_by`."""
+    seen: FloatArray = Rotation.from_rotvec(np.asarray(mask, dtype=np.float64)[:, None] * theta_B_rad).apply(sun_B)
+    return seen
 
 
 def with_angles(
@@ -178,6 +188,16 @@ def latitude_rad(world: World, time: TimeArray) -> FloatArray:
     return frames.geocentric(frames.rotation_EN(time).apply(r_N_km))[0]
 
 
+def by_scanner(scanned: Callable[[World, TimeArray], FloatArray]) -> Callable[[World, TimeArray, Rotation], Rotation]:
+    """The reported attitude errs as the scanner does that gives its roll and pitch."""
+
+    def report(w: World, time: TimeArray, R_BN: Rotation) -> Rotation:
+        roll, pitch = scanned(w, time).T
+        return with_angles(w, time, R_BN, (np.zeros_like(roll), roll, pitch))
+
+    return report
+
+
 def horizon_scanner_bias(world: World, rng: np.random.Generator) -> Draft | None:
     """Roll and pitch errors that follow the latitude, as the warmth of the horizon does."""
     if world.regime not in ("nadir", "slews"):
@@ -185,14 +205,13 @@ def horizon_scanner_bias(world: World, rng: np.random.Generator) -> Draft | None
     c = direction(rng, 4)
 
     def at(size: float) -> Truth:
-        def report(w: World, time: TimeArray, R_BN: Rotation) -> Rotation:
+        def scanned(w: World, time: TimeArray) -> FloatArray:
             lat = latitude_rad(w, time)
             a, d = np.sin(lat), np.cos(2.0 * lat)
-            roll, pitch = (np.radians(size) * (c[k] * a + c[k + 1] * d) for k in (0, 2))
-            return with_angles(w, time, R_BN, (np.zeros_like(lat), roll, pitch))
+            return np.radians(size) * np.stack([c[k] * a + c[k + 1] * d for k in (0, 2)], axis=1)
 
         parameters = {"roll_sin_roll_cos2_pitch_sin_pitch_cos2_deg": listed(size * c)}
-        return Truth("horizon_scanner_bias", "attitude", parameters, report=report)
+        return Truth("horizon_scanner_bias", "attitude", parameters, report=by_scanner(scanned), nadir=scanned)
 
     return Draft(world, at, 0.005, 4.0, 0.2)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fluxtwin.sim import files
-from withheld_cases import score
+from withheld_cases import beside, score
 from withheld_cases.judged import Judged
 from withheld_cases.outside import WHY
 
@@ -38,15 +38,10 @@ def page(cases: Sequence[Judged], void: int, run: dict[str, Any]) -> str:
     told = ", ".join(f"{name} {count}" for name, count in counts.items())
     made = f"commit `{run['commit']}`, seed {run['seed']}" if run.get("commit") else f"a tuning run, seed {run['seed']}"
     missing = f" {void} could not be made: no world showed the truth at the wanted size." if void else ""
-    truth = (
-        "half of the truths have CHAOS coefficients"
-        if run.get("chaos")
-        else "the truth has the ground's own field model"
-    )
     parts = [
         _HEAD,
-        f"This run: {made}; {truth}. {len(cases)} records: {told}.{missing} A row is met when the point estimate "
-        "reaches it; the interval is Wilson's, 95 %.",
+        f"This run: {made}. {len(cases)} records: {told}.{missing} A row is met when the point estimate reaches it; "
+        f"the interval is Wilson's, 95 %; a row that is `told` is there to be compared. {_contents(cases)}",
         score.table(score.rows_of(cases)),
         "## What was said of each effect",
         f"![Confusion matrix](images/{FIGURE})",
@@ -63,6 +58,33 @@ def page(cases: Sequence[Judged], void: int, run: dict[str, Any]) -> str:
         score.seconds(cases),
     ]
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
+
+
+def _contents(cases: Sequence[Judged]) -> str:
+    """What the truths of this run have in them: field, sun and nadir, torques."""
+    true = [case for case in cases if case.truths]
+    rich = sum(map(beside.is_richer, true))
+    words = [
+        f"{rich} of the {len(true)} records with a truth have the field of CHAOS to degree 20; the others, and all "
+        "nulls, have the ground's own model."
+        if rich
+        else "The real field is the ground's own model."
+    ]
+    own = [case for case in cases if case.population != "sensed"]
+    pointing = [case for case in own if case.sealed["regime"] == "nadir"]
+    words.append(
+        f"{sum(map(beside.has_channel, pointing))} of {len(pointing)} records that point to the Earth have sun and nadir "
+        "in them as their sensors measure them, with noise, rounding and faults of their own."
+    )
+    if len(own) < len(cases):
+        words.append("The population `sensed` has each record twice, with these two vectors and without.")
+    if any(case.population.startswith("torque") for case in cases):
+        words.append(
+            "In the populations of torques the ground also has a scenario of the vehicle (inertia, wheels, torquers, "
+            "gravity gradient), and visible is what a torque turns the body by within 25 minutes, less what another "
+            "start of the window makes, over the sigma of the attitude."
+        )
+    return " ".join(words)
 
 
 def _reliability(cases: Sequence[Judged]) -> str:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
-from withheld_cases.cases import DISTRIBUTIONAL
+from withheld_cases import beside
 from withheld_cases.judged import Judged, names_of
-from withheld_cases.statistics import brier, calibration_error, median, reliability, wilson
+from withheld_cases.rows import Test, distributional, expressible, number_row, of, share_row
+from withheld_cases.statistics import brier, calibration_error, median, reliability
 from withheld_cases.store import Store
 
-Test = Callable[[Judged], bool]
 NOT_RUN = "not run"
 CRITERIA = ("BIC", "EBIC")
 LATER = ("judged", "rival", "loop", "control")
@@ -30,52 +30,19 @@ def opened(store: Store, names: Iterable[str]) -> tuple[list[Judged], int]:
     return found, void
 
 
-def share_row(
-    title: str, reach: str, cases: Sequence[Judged], test: Test, least: float, most: float = 1.0
-) -> dict[str, Any]:
-    """A share: met where the point estimate lies from least to most."""
-    right, of = sum(test(case) for case in cases), len(cases)
-    low, high = wilson(right, of)
-    value = right / of if of else None
-    met = None if value is None else bool(least <= value <= most)
-    return {
-        "figure": title,
-        "reach": reach,
-        "value": value,
-        "right": right,
-        "of": of,
-        "interval": [low, high],
-        "met": met,
-    }
-
-
-def number_row(title: str, reach: str, value: float | None, of: int, met: bool | None) -> dict[str, Any]:
-    """A figure that is no share."""
-    clean = None if value is None or value != value else value
-    return {"figure": title, "reach": reach, "value": clean, "of": of, "met": met if clean is not None else None}
-
-
 def rows_of(cases: Sequence[Judged]) -> list[dict[str, Any]]:
     """Every row of the table."""
     return [
         *_detection(cases),
         *_several(cases),
         *_elsewhere(cases),
-        *_torques(cases),
+        *beside.torques(cases),
+        *beside.second_channel(cases),
+        *beside.richer_field(cases),
         *_probabilities(cases),
         *_closing(cases),
         *_rival(cases),
     ]
-
-
-def of(cases: Sequence[Judged], *populations: str, least: float = 0.0, names: Test | None = None) -> list[Judged]:
-    """Cases of populations, at least so visible."""
-    return [c for c in cases if c.population in populations and c.visible >= least and (names is None or names(c))]
-
-
-def distributional(case: Judged) -> bool:
-    """Known by its distribution, without a Jacobian."""
-    return any(name in DISTRIBUTIONAL for name in case.truths)
 
 
 def _detection(cases: Sequence[Judged]) -> list[dict[str, Any]]:
@@ -129,28 +96,6 @@ def _elsewhere(cases: Sequence[Judged]) -> list[dict[str, Any]]:
         share_row("stage right, visible >= 0.5", ">= 95 %", staged, lambda c: c.stage_right, 0.95),
         share_row("stage right outside the catalogue, visible >= 1", ">= 70 %", beyond, lambda c: c.stage_right, 0.70),
     ]  # fmt: skip
-
-
-def _torques(cases: Sequence[Judged]) -> list[dict[str, Any]]:
-    """What turns the body, which the momentum shows."""
-    alone, mixed = of(cases, "torques", least=0.7), of(cases, "torque_pairs", least=0.7)
-    return [
-        share_row("perfect flight of a modelled vehicle: no gap", ">= 99 %", of(cases, "torque_nulls"),
-                  lambda c: c.verdict == "no_gap", 0.99),
-        share_row("torque, visible >= 0.7: first name", ">= 95 %", alone, lambda c: c.first_right, 0.95),
-        share_row("the same: list exactly right", ">= 90 %", alone, lambda c: c.list_right, 0.90),
-        share_row("torque and sensor, each visible >= 0.7: both exactly", ">= 80 %", mixed, lambda c: c.list_right, 0.80),
-    ]  # fmt: skip
-
-
-def carried(case: Judged) -> float:
-    """Share of a truth's visible energy that the plain entry of its name can carry with the columns that there are."""
-    return float(case.sealed.get("plain_share", 1.0))
-
-
-def expressible(case: Judged) -> bool:
-    """Whether the entries of the truths can carry 90 % of them with the columns that the record has."""
-    return carried(case) >= 0.9
 
 
 def _resembled(case: Judged) -> bool:

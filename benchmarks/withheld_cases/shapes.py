@@ -125,8 +125,11 @@ def head_other_view(world: World, rng: np.random.Generator) -> Draft | None:
             mask = spacecraft.head_in_use(w, time, other) == head
             return of_place.turned_by(mask, np.radians(size) * axis, R_BN)
 
+        def seen(w: World, time: TimeArray, sun_B: FloatArray) -> FloatArray:
+            return of_place.turned_sun(spacecraft.head_in_use(w, time, other) == head, np.radians(size) * axis, sun_B)
+
         parameters = {"head": head, "rotation_deg": listed(size * axis)}
-        return Truth("sun_sensor_head_misalignment", "attitude", parameters, report=turned)
+        return Truth("sun_sensor_head_misalignment", "attitude", parameters, report=turned, sun=seen)
 
     return Draft(world, at, 0.005, 5.0, 0.2)
 
@@ -296,13 +299,13 @@ def horizon_third(world: World, rng: np.random.Generator) -> Draft | None:
     c = direction(rng, 4)
 
     def at(size: float) -> Truth:
-        def report(w: World, time: TimeArray, R_BN: Rotation) -> Rotation:
+        def scanned(w: World, time: TimeArray) -> FloatArray:
             lat = of_place.latitude_rad(w, time)
             a, d = np.sin(lat) + 0.2 * np.sin(3 * lat), np.cos(2.0 * lat)
-            roll, pitch = (np.radians(size) * (c[k] * a + c[k + 1] * d) for k in (0, 2))
-            return of_place.with_angles(w, time, R_BN, (np.zeros_like(lat), roll, pitch))
+            return np.radians(size) * np.stack([c[k] * a + c[k + 1] * d for k in (0, 2)], axis=1)
 
-        return Truth("horizon_scanner_bias", "attitude", {"c_deg": listed(size * c)}, report=report)
+        report = of_place.by_scanner(scanned)
+        return Truth("horizon_scanner_bias", "attitude", {"c_deg": listed(size * c)}, report=report, nadir=scanned)
 
     return Draft(world, at, 0.005, 4.0, 0.2)
 

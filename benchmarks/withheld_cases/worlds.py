@@ -19,6 +19,7 @@ from fluxtwin.sim.field_models import FieldModel, load_field
 from fluxtwin.sim.libration import draw_libration
 from fluxtwin.sim.orbit import Orbit
 from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
+from withheld_cases.attitude_sensors import AttitudeSensors, fitted
 from withheld_cases.spacecraft import Spacecraft, draw_spacecraft
 
 REGIMES = ("nadir", "tumble", "slews", "spin")
@@ -78,6 +79,8 @@ class World:
     declared_sigma_factor: float = 1.0
     degree: int | None = None
     """Degree at which the ground cuts its model; None: not."""
+    sensors: AttitudeSensors | None = None
+    """Of sun and nadir, where the record has what they measure."""
 
     @property
     def start(self) -> np.datetime64:
@@ -139,8 +142,9 @@ def draw_world(rng: np.random.Generator, regime: str, *, rich: FieldModel | None
     missing = np.zeros(time.size, dtype=bool)
     if rng.random() < 0.15:
         missing = rng.random(time.size) < rng.uniform(0.003, 0.03)
+    key = int(rng.integers(1, 2**31))
     return World(
-        key=int(rng.integers(1, 2**31)),
+        key=key,
         regime=regime,
         orbit=orbit,
         time=time,
@@ -153,6 +157,7 @@ def draw_world(rng: np.random.Generator, regime: str, *, rich: FieldModel | None
         craft=draw_spacecraft(rng, orbit),
         recorded=recorded,
         missing=missing,
+        sensors=fitted(key, regime),
     )
 
 

@@ -73,7 +73,7 @@ def _blamed(case: Judged) -> bool:
 
 def is_richer(case: Judged) -> bool:
     """Whether the real field has more in it than the ground's model."""
-    return str(case.sealed.get("real_model", "")).startswith("chaos")
+    return str(case.sealed.get("real_model", "")) == "chaos"
 
 
 def richer_field(cases: Sequence[Judged]) -> list[dict[str, Any]]:

@@ -43,6 +43,9 @@ POPULATIONS = ("torque_nulls", "torques", "torque_pairs")
 REGIMES = ("bias", "wheels", "tumble", "spin")
 BEFORE_S = 120.0
 _TRIES = 6
+_STEPS, _CLOSE_ENOUGH = 5, 0.1
+_SAME_COURSE = 0.3
+"""Of the size's logarithm: within it the body moves so alike that what another start does is not worked out again."""
 STRENGTH = (0.7, 5.0)
 PARTNERS: tuple[Maker, ...] = (
     of_place.time_tag_offset, of_place.field_epoch, of_place.ring_current, of_sensor.quadratic_nonlinearity,
@@ -83,7 +86,7 @@ def truth(name: str, rng: np.random.Generator, inertia: FloatArray) -> Turned:
     if name == "gravity_gradient_inertia_error":
         mixed = rng.standard_normal((3, 3))
         change = 0.5 * (mixed + mixed.T) * np.trace(inertia) / 3.0
-        return Turned(name, lambda s: {"inertia_kg_m2": (s * change).tolist()}, None, change, 0.02, 0.3)
+        return Turned(name, lambda s: {"inertia_kg_m2": (s * change).tolist()}, None, change, 0.02, 0.1)
     if name == "eddy_torque":
         K = rng.uniform(0.5, 1.5, 3)
 
@@ -268,20 +271,26 @@ def _with(body: Body, chosen: Turned | None, size: float) -> tuple[Body, list[To
 
 
 def _sized(craft: Craft, around: Surroundings, chosen: Turned, target: float, world: World) -> Sized | None:
-    """The size at which the truth is so visible, by two steps of a rule of three; more where the attitude's errors
-    would hide that. None where it would have to be larger than anybody would believe."""
+    """The size at which the truth is so visible, by steps of a rule of three; more where the attitude's errors would
+    hide that. None where it would have to be larger than anybody would believe, or the steps do not settle."""
     sigma, tau_s = world.budget.attitude_sigma_rad, world.budget.attitude_tau_s
     ground = Ground(*_with(craft.body, None, 0.0), around)
-    size, found = chosen.start, None
-    for _ in range(2):
-        found = seen(_flight(craft, around, chosen, size), ground, craft.rows * craft.step_s, found)
-        wanted = target / found.visible(sigma)
-        size *= max(wanted, float(np.sqrt(LEAST_CHI_SQUARE / found.chi_square(sigma, tau_s))))
+    size, found, of_size = chosen.start, None, np.inf
+    for _ in range(_STEPS):
+        flown = _flight(craft, around, chosen, size)
+        near = abs(np.log(size / of_size)) < _SAME_COURSE
+        found, of_size = (
+            seen(flown, ground, craft.rows * craft.step_s, found if near else None),
+            of_size if near else size,
+        )
+        visible, chi_square = found.visible(sigma), found.chi_square(sigma, tau_s)
+        factor = max(target / visible, float(np.sqrt(LEAST_CHI_SQUARE / chi_square)))
+        if abs(np.log(factor)) < _CLOSE_ENOUGH:
+            return Sized(size, visible, chi_square, flown)
+        size *= factor
         if size > chosen.most:
             return None
-    flown = _flight(craft, around, chosen, size)
-    found = seen(flown, ground, craft.rows * craft.step_s, found)
-    return Sized(size, found.visible(sigma), found.chi_square(sigma, tau_s), flown)
+    return None
 
 
 def _motion(flown: Flown, craft: Craft) -> Callable[..., attitude.Attitude]:

@@ -12,6 +12,7 @@ from fluxtwin.sim import files
 from withheld_cases import beside, score
 from withheld_cases.judged import Judged
 from withheld_cases.outside import WHY
+from withheld_cases.statistics import median
 
 FIGURE = "withheld_confusion.png"
 _HEAD = """# Withheld effects: how often the diagnosis is right
@@ -63,10 +64,11 @@ def page(cases: Sequence[Judged], void: int, run: dict[str, Any]) -> str:
 def _contents(cases: Sequence[Judged]) -> str:
     """What the truths of this run have in them: field, sun and nadir, torques."""
     true = [case for case in cases if case.truths]
-    rich = sum(map(beside.is_richer, true))
+    rich = [float(case.sealed["richer_nT"]) for case in true if beside.is_richer(case)]
     words = [
-        f"{rich} of the {len(true)} records with a truth have the field of CHAOS to degree 20; the others, and all "
-        "nulls, have the ground's own model."
+        f"{len(rich)} of the {len(true)} records with a truth have the field of CHAOS to degree 20, which is "
+        f"{median(rich):.1f} nT rms per component from the ground's model (median); it has no magnetosphere. The others, "
+        "and all nulls, have the ground's own model."
         if rich
         else "The real field is the ground's own model."
     ]

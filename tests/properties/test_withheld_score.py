@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import subprocess
 import sys
@@ -15,7 +16,7 @@ if str(BENCHMARKS) not in sys.path:
     sys.path.insert(0, str(BENCHMARKS))
 
 import withheld  # noqa: E402
-from withheld_cases import score, store  # noqa: E402
+from withheld_cases import beside, score, store  # noqa: E402
 from withheld_cases.judged import Judged  # noqa: E402
 
 
@@ -94,6 +95,49 @@ def test_every_row_counts_what_it_names() -> None:
     assert next(row["met"] for row in rows if row["figure"].startswith("no gap on")) is False
 
 
+def sealed(one: Judged, **more: Any) -> Judged:
+    """The same case with more in its answer."""
+    return dataclasses.replace(one, sealed=one.sealed | more)
+
+
+def test_rows_with_sun_and_nadir_stand_beside_those_without() -> None:
+    head, other = [truth("horizon_scanner_bias")], [truth("along_track_error")]
+    both = entry("horizon_scanner_bias", "yaw_drift")
+    cases = [
+        sealed(case([], [], "no_gap", "nulls"), sensors_deg={}), case([], [], "effect", "nulls"),
+        sealed(case(head, [entry("horizon_scanner_bias")], population="sensed"), sensors_deg={}),
+        case(head, [both], population="sensed"), case(head, [], "unknown", "sensed"),
+        sealed(case(other, [entry("along_track_error"), both], population="sensed"), sensors_deg={}),
+        case(other, [entry("along_track_error")], population="sensed"),
+    ]  # fmt: skip
+    rows = beside.second_channel(cases)
+    found = [row["value"] for row in rows]
+    assert [row["figure"].startswith("sun and nadir measured") for row in rows] == 6 * [True, False]
+    assert found[:2] == [1.0, 0.0] and found[2] is None
+    assert found[4:6] == [1.0, 0.5] and found[6:8] == [1.0, 0.0], "named; and named alone in its group"
+    assert found[8:10] == [0.0, 1.0] and found[10:] == [1.0, 0.0]
+    assert rows[10]["met"] is False
+
+
+def test_a_richer_field_has_rows_of_its_own() -> None:
+    right = case([truth("ring_current")], [entry("ring_current")])
+    wrong = case([truth("ring_current")], [entry("ring_current"), entry("field_truncation")])
+    assert beside.richer_field([right, wrong]) == []
+    rows = beside.richer_field([sealed(right, real_model="igrf14"), sealed(wrong, real_model="chaos")])
+    assert [row["value"] for row in rows] == [1.0, 0.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0]
+
+
+def test_torques_are_held_to_name_stage_and_closing() -> None:
+    name = "residual_dipole_torque"
+    one = case([truth(name, stage="dynamics")], [entry(name)], population="torques", stage="dynamics")
+    one = dataclasses.replace(one, said=one.said | {"momentum": {"closed": 0.97}})
+    other = case([truth(name, stage="dynamics")], [entry(name), entry("bias_step")], population="torques")
+    other = dataclasses.replace(other, said=other.said | {"momentum": {"closed": None}})
+    rows = beside.torques([one, other, case([], [], "no_gap", "torque_nulls")])
+    assert [row["value"] for row in rows[:6]] == [1.0, 1.0, 0.5, 0.5, 0.5, 0.97]
+    assert [row["of"] for row in rows] == [1, 2, 2, 2, 2, 1, 0, 0]
+
+
 def test_stated_probabilities_are_held_to_the_truth() -> None:
     named = case([truth("ring_current")], [entry("ring_current", probability=0.8, rivals=(("field_epoch", 0.2),))])
     assert named.stated() == [(0.8, True), (0.2, False)]
@@ -161,6 +205,7 @@ def test_a_run_is_scored_again_without_a_seed_and_makes_its_page(
     assert withheld.main() == 0
     assert "| single, with a Jacobian" in capsys.readouterr().out
     page = (tmp_path / "docs" / "withheld.md").read_text(encoding="utf-8")
+    assert "The real field is the ground's own model." in page and "0 of 1 records that point to the Earth" in page
     assert "seed 5" in page and "images/withheld_confusion.png" in page
     assert (tmp_path / "docs" / "images" / "withheld_confusion.png").stat().st_size > 1000
 

@@ -43,7 +43,7 @@ POPULATIONS = ("torque_nulls", "torques", "torque_pairs")
 REGIMES = ("bias", "wheels", "tumble", "spin")
 BEFORE_S = 120.0
 _TRIES = 6
-_STEPS, _CLOSE_ENOUGH = 5, 0.1
+_STEPS, _CLOSE_ENOUGH = 5, 0.25
 _SAME_COURSE = 0.3
 """Of the size's logarithm: within it the body moves so alike that what another start does is not worked out again."""
 STRENGTH = (0.7, 5.0)
@@ -172,7 +172,7 @@ def draw_craft(rng: np.random.Generator, regime: str, *, low: bool) -> Craft:
     )
     swing = {"bias": np.zeros(1), "wheels": rng.uniform(-5.0, 5.0, 3)}.get(regime, np.zeros(0))
     slow, phase = 2.0 * np.pi / rng.uniform(600.0, 2000.0), rng.uniform(0.0, 6.28, len(axes))
-    rows = int(rng.integers(900, 1500))
+    rows = int(rng.integers(900, 1500)) * (2 if regime == "spin" else 1)  # at 2 s: two windows would be all
     step = {"spin": 2.0, "tumble": 5.0}.get(regime, 10.0)
     length = rows * step + 2 * BEFORE_S
     switches = np.arange(-2 * BEFORE_S, length, 10.0 * np.ceil(rng.uniform(200.0, 600.0) / 10.0))
@@ -275,10 +275,10 @@ def _sized(craft: Craft, around: Surroundings, chosen: Turned, target: float, wo
     hide that. None where it would have to be larger than anybody would believe, or the steps do not settle."""
     sigma, tau_s = world.budget.attitude_sigma_rad, world.budget.attitude_tau_s
     ground = Ground(*_with(craft.body, None, 0.0), around)
-    size, found, of_size = chosen.start, None, np.inf
+    size, found, of_size = chosen.start, None, 0.0
     for _ in range(_STEPS):
         flown = _flight(craft, around, chosen, size)
-        near = abs(np.log(size / of_size)) < _SAME_COURSE
+        near = of_size > 0.0 and abs(np.log(size / of_size)) < _SAME_COURSE
         found, of_size = (
             seen(flown, ground, craft.rows * craft.step_s, found if near else None),
             of_size if near else size,

@@ -18,6 +18,7 @@ from fluxtwin.sim.field import field_N_nT
 from fluxtwin.sim.field_models import FieldModel, load_field
 from fluxtwin.sim.libration import draw_libration
 from fluxtwin.sim.orbit import Orbit
+from fluxtwin.sim.random_streams import stream
 from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
 from withheld_cases.attitude_sensors import AttitudeSensors, fitted
 from withheld_cases.spacecraft import Spacecraft, draw_spacecraft
@@ -137,12 +138,12 @@ def draw_world(rng: np.random.Generator, regime: str, *, rich: FieldModel | None
     orbit = draw_orbit(rng)
     time = draw_stamps(rng, regime, orbit)
     model = load_field("igrf14")
-    real = rich if rich is not None and rng.random() < 0.5 else model
     recorded = frozenset(name for name in OPTIONAL if rng.random() < (0.8 if name == "v_N_km_s" else 0.5))
     missing = np.zeros(time.size, dtype=bool)
     if rng.random() < 0.15:
         missing = rng.random(time.size) < rng.uniform(0.003, 0.03)
     key = int(rng.integers(1, 2**31))
+    richer = rich is not None and stream(key, "richer field").random() < 0.5  # of its own: no other draw is moved
     return World(
         key=key,
         regime=regime,
@@ -150,7 +151,7 @@ def draw_world(rng: np.random.Generator, regime: str, *, rich: FieldModel | None
         time=time,
         motion=draw_motion(rng, regime, time),
         ground_model=model,
-        real_model=real,
+        real_model=rich if rich is not None and richer else model,
         S=draw_S(rng),
         b_nT=1000.0 * rng.standard_normal(3),
         budget=draw_budget(rng),

@@ -24,6 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
 from withheld_cases.flight import Surroundings, fly, gravity_gradient
 from withheld_cases.of_dynamics import WHERE, draw_craft, truth
+from withheld_cases.torque_visible import WINDOW_S, Ground, Seen, seen
 from withheld_cases.worlds import draw_world
 
 LENGTH_S = 400.0
@@ -95,3 +96,43 @@ def test_each_truth_grows_with_its_size(name, craft, around) -> None:
     assert np.allclose(drawn.torque(2.0)(now), 2.0 * drawn.torque(1.0)(now), rtol=1e-12)
     assert np.abs(drawn.torque(1.0)(now)).max() > 0.0
     assert not np.any(drawn.torque(0.0)(now))
+
+
+def test_another_start_is_not_visible_and_a_torque_is(close) -> None:
+    craft = draw_craft(np.random.default_rng(5), "wheels", low=False)
+    length = 1.2 * WINDOW_S
+    around = Surroundings(craft.orbit, load_field("igrf14"), craft.orbit.epoch_utc, length)
+    ground = Ground(craft.body, [gravity_gradient], around)
+    vector = np.array([0.05, 0.03, -0.04])
+    pushed = fly(
+        craft.body,
+        around,
+        [gravity_gradient, lambda now: np.cross(vector, now["field"])],
+        craft.q,
+        craft.rate,
+        0.0,
+        length,
+    )
+    found = seen(pushed, ground, length)
+    assert len(found.turn_rad) == 1 and found.design[0].shape == (120, 9)
+    raw = np.sqrt(np.mean(np.square(found.turn_rad[0])))
+    assert 0.005 * raw < found.visible(1.0) < raw
+    started = [A[:, :6] @ (1e-3 * np.arange(1.0, 7.0)) for A in found.design]
+    other = Seen([turn.reshape(-1, 3) for turn in started], found.design, found.moments_s, length)
+    close(other.visible(1.0), 0.0, atol=1e-9, unit="rad", because="what another start does is taken out")
+    moved = fly(craft.body, around, [gravity_gradient], craft.q, craft.rate + 3e-6, 0.0, length)
+    alone = ground.window(pushed.attitude(np.zeros(1))[0][0].inv(), craft.rate, found.moments_s)
+    turn = (moved.attitude(found.moments_s)[0].inv() * alone).as_rotvec()
+    really = Seen([turn], found.design, found.moments_s, length)
+    assert really.visible(1.0) < 0.02 * np.sqrt(np.mean(turn**2)), "the design holds a start that was really flown"
+
+
+def test_chi_square_is_the_sum_of_squares_where_errors_are_white(close) -> None:
+    rng = np.random.default_rng(0)
+    turn, design = rng.standard_normal((40, 3)), rng.standard_normal((120, 9))
+    one = Seen([turn], [design], np.linspace(0.0, WINDOW_S, 40), WINDOW_S)
+    left = turn.ravel() - design @ np.linalg.lstsq(design, turn.ravel(), rcond=None)[0]
+    close(one.chi_square(2.0, 0.0), np.sum(left**2) / 4.0, atol=1e-9, unit="1", because="least squares")
+    close(one.visible(2.0), np.sqrt(np.mean(left**2)) / 2.0, atol=1e-12, unit="1", because="least squares")
+    steady = Seen([np.ones((40, 3))], [np.zeros((120, 9))], one.moments_s, WINDOW_S)
+    assert steady.chi_square(1.0, 1e4) < 4.0 < steady.chi_square(1.0, 0.0), "an error that lasts hides what lasts"

@@ -52,7 +52,7 @@ ROOT = Path(__file__).resolve().parent.parent
 FROZEN = {
     "nulls": 1000, "nulls_off": 60, "singles": 3 * len(PLAIN), "faint": 20, "pairs": 30, "triples": 12, "shapes": 30,
     "outside": 2 * len(OUTSIDE), "sensed": 10 * len(SENSED),
-    "torque_nulls": 20, "torques": 12, "torque_pairs": 6,
+    "torque_nulls": 40, "torques": 24, "torque_pairs": 12,
 }  # fmt: skip
 """Cases of a frozen run."""
 RIVAL = {"nulls": 40, "singles": 40, "pairs": 15, "triples": 6}
@@ -61,8 +61,8 @@ LOOPS = {"singles": len(PLAIN)}
 """How many of them are put to the test on another day."""
 SECONDS = {
     "nulls": 3.5, "nulls_off": 3.5, "singles": 6.5, "faint": 5.5, "pairs": 9.5, "triples": 12.0, "shapes": 6.0,
-    "outside": 10.0, "sensed": 6.5, "rival": 2.0, "loops": 10.0,
-    "torque_nulls": 12.0, "torques": 40.0, "torque_pairs": 40.0,
+    "outside": 10.0, "sensed": 5.0, "rival": 2.0, "loops": 10.0,
+    "torque_nulls": 5.0, "torques": 22.0, "torque_pairs": 22.0,
 }  # fmt: skip
 """Mean CPU time of one answer on a busy core of 2026 (tuning rounds), to tell how long a run will take."""
 DOCS = ROOT / "docs"

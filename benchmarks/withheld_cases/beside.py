@@ -48,7 +48,7 @@ def second_channel(cases: Sequence[Judged]) -> list[dict[str, Any]]:
         *_both(nulls, "no gap on a perfect simulation", ">= 99 %", lambda c: c.verdict == "no_gap", 0.99),
         *_both(singles, "single, with a Jacobian, visible >= 0.2: list exactly right", TOLD, lambda c: c.list_right),
         *_both(faults, "fault of an attitude sensor, visible >= 0.2: list exactly right", TOLD, lambda c: c.list_right),
-        *_both(faults, "the same, and no other name in the group", TOLD,
+        *_both(faults, "fault of an attitude sensor: the same, and no other name in the group", TOLD,
                lambda c: c.list_right and len(names_of(c.effects[0])) == 1),
         *_both(others, "another cause, visible >= 0.2: list exactly right", TOLD, lambda c: c.list_right),
         *_both(others, "another cause: a fault of an attitude sensor named", "<= 5 %", _blamed, 0.0, 0.05),
@@ -63,7 +63,7 @@ def _both(
     absent = [case for case in cases if not has_channel(case)]
     return [
         share_row(f"sun and nadir measured: {title}", reach, there, test, least, most),
-        share_row("the same without sun and nadir", TOLD, absent, test, 0.0),
+        share_row(f"sun and nadir not there: {title}", TOLD, absent, test, 0.0),
     ]
 
 

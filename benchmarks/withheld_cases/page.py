@@ -46,8 +46,8 @@ def page(cases: Sequence[Judged], void: int, run: dict[str, Any]) -> str:
         score.table(score.rows_of(cases)),
         "## What was said of each effect",
         f"![Confusion matrix](images/{FIGURE})",
-        "Singles and other shapes. Each row is a truth, each column what came first in the answer, in percent of the "
-        "row; a name whose group holds the truth counts as the truth.",
+        "Singles, other shapes and torques. Each row is a truth, each column what came first in the answer, in percent "
+        "of the row; a name whose group holds the truth counts as the truth.",
         "## Stated probabilities",
         _reliability(cases),
         "## By regime",
@@ -82,9 +82,9 @@ def _contents(cases: Sequence[Judged]) -> str:
         words.append("The population `sensed` has each record twice, with these two vectors and without.")
     if any(case.population.startswith("torque") for case in cases):
         words.append(
-            "In the populations of torques the ground also has a scenario of the vehicle (inertia, wheels, torquers, "
-            "gravity gradient), and visible is what a torque turns the body by within 25 minutes, less what another "
-            "start of the window makes, over the sigma of the attitude."
+            "In the populations of torques the diagnosis is also given a scenario of the vehicle (inertia, wheels, "
+            "torquers, gravity gradient), and visible is what a torque turns the body by within 25 minutes, less what "
+            "another start of the window makes, over the sigma of the attitude."
         )
     return " ".join(words)
 

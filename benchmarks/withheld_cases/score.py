@@ -240,9 +240,9 @@ def _short(case: Judged) -> str:
 
 
 def confusion(cases: Sequence[Judged]) -> dict[str, dict[str, int]]:
-    """Singles: truth by what came first (a name that is in a right group counts as the truth)."""
+    """Singles, other shapes, torques: truth by what came first (a name that is in a right group counts as the truth)."""
     counts: dict[str, dict[str, int]] = {}
-    for case in of(cases, "singles", "shapes"):
+    for case in of(cases, "singles", "shapes", "torques"):
         said = case.truths[0] if case.first_right else str(case.effects[0]["name"]) if case.effects else case.verdict
         row = counts.setdefault(case.truths[0], {})
         row[said] = row.get(said, 0) + 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -33,6 +34,8 @@ class ErrorBudget:
     sources: Sequence[str]
     simulated_mG: FloatArray
     paper_rule_mG: FloatArray
+    paper_range_mG: FloatArray | None = None
+    """(N, 2) lowest and highest, where the papers give a range."""
 
 
 @dataclass(frozen=True)
@@ -77,11 +80,15 @@ def draw_budget(record: ErrorBudget, *, title: str) -> Figure:
     places = np.arange(len(record.sources))
     for shift, values, label, colour in (
         (-0.2, record.simulated_mG, "simulated, source alone", style.BLUE),
-        (0.2, record.paper_rule_mG, "the paper's arithmetic", style.ORANGE),
+        (0.2, record.paper_rule_mG, "the papers' arithmetic", style.ORANGE),
     ):
         bars = axes.bar(places + shift, values, 0.38, label=label, color=colour)
         axes.bar_label(bars, fmt="%.2f", fontsize=8)
-    axes.set_xticks(places, record.sources)
+    if record.paper_range_mG is not None:
+        low, high = record.paper_range_mG.T
+        wide = high > low
+        axes.vlines(places[wide] + 0.3, low[wide], high[wide], color=style.BLACK, linewidth=1.5, label="its range")
+    axes.set_xticks(places, [textwrap.fill(name, 14) for name in record.sources])
     axes.set(title=title, ylabel="rms per component [mG]")
     axes.legend()
     return figure

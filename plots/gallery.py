@@ -80,7 +80,10 @@ def draw_later(record: PassResiduals, *, title: str) -> Figure:
     axes.axhline(record.floor, color=style.BLACK, linewidth=1, linestyle=":", label="where nothing is wrong")
     ticks = at[:: max(1, len(at) // 12)]
     axes.set_xticks(ticks, [record.labels[k] for k in ticks], rotation=45, ha="right", fontsize=7)
-    axes.set(title=title, ylabel=f"residual, rms [{record.unit}]", ylim=(0, None), xlim=(-0.6, len(at) - 0.4))
+    axes.set(
+        title=title, xlabel="start of the pass [UTC]", ylabel=f"residual, rms [{record.unit}]", ylim=(0, None),
+        xlim=(-0.6, len(at) - 0.4),
+    )  # fmt: skip
     axes.legend(loc="upper right", frameon=True, ncols=3, fontsize=8)
     top = max(np.nanmax(record.before), np.nanmax(record.after))
     axes.set_ylim(0, 1.25 * top)

@@ -55,6 +55,7 @@ class Ideas:
     names: Sequence[str]
     explained: Sequence[int]
     explained_with_digits: Sequence[int]
+    by_chance: Sequence[float]
     total: int
 
 
@@ -151,8 +152,9 @@ def draw_ideas(record: Ideas, *, title: str) -> Figure:
     rows = np.arange(count)[::-1]
     axes.barh(rows + 0.18, record.explained, 0.34, color=style.BLUE, label="digits as scanned")
     axes.barh(rows - 0.18, record.explained_with_digits, 0.34, color=style.ORANGE, label="one confused digit allowed")
+    axes.plot(record.by_chance, rows, "|", color=style.BLACK, markersize=16, label="by chance, as scanned")
     axes.set_yticks(rows, record.names, fontsize=8)
     axes.set(title=title, xlabel=f"ends explained within 1.5 deg, of {record.total}", xlim=(0, record.total))
     handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8)
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8)
     return figure

@@ -69,7 +69,7 @@ class Motion:
     def table(self, note: str = "") -> Table:
         """To read."""
         rows: list[list[str | float]] = [
-            [name, float(rms), float(largest)]
+            [name, f"{rms:.2f}", f"{largest:.2f}"]
             for name, rms, largest in zip(_NAMES, self.rms_deg, self.largest_deg, strict=True)
         ]
         what = "by torques, wheels and control" if self.dynamic else "as prescribed"

@@ -2,13 +2,33 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
+from pydantic import Field
 
 from fluxtwin.sim import frames
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.scenario import Scenario
+from fluxtwin.sim.scenario_config import Section, StationSection
 from fluxtwin.sim.stations import Station, in_view
+from fluxtwin.sim.toml_input import read_tree, validate
 from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
+
+
+class _StationsFile(Section):
+    """A file of nothing but [station.NAME] sections."""
+
+    station: dict[str, StationSection] = Field(min_length=1)
+
+
+def read_stations(path: Path | str) -> dict[str, dict[str, Any]]:
+    """The [station.NAME] sections of a file, checked, as a scenario takes them.
+
+    Raises BadInput: no such file, not TOML, no station, an unknown key, an impossible value.
+    """
+    return validate(read_tree(path), _StationsFile, where=str(path)).model_dump()["station"]  # type: ignore[no-any-return]
 
 
 def stations_of(scenario: Scenario) -> list[Station]:

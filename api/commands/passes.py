@@ -23,6 +23,10 @@ def command(
             help=f"Orbit, schedule and stations; or {' or '.join(SCENARIOS)}, which are packaged.",
         ),
     ],
+    stations: Annotated[
+        Path | None,
+        typer.Option("--stations", metavar="FILE.toml", help="[station.NAME] sections, instead of the scenario's."),
+    ] = None,
     json: JsonOption = None,
 ) -> None:
     """List every pass over every [station.NAME] from the first to the last sample of the schedule.
@@ -31,9 +35,16 @@ def command(
     """
     output = Output(json)
     with output.progress(f"reading {scenario}"):
+        from fluxtwin.sim.errors import BadInput
         from fluxtwin.sim.scenario_passes import list_passes
+        from fluxtwin.sim.scenario_stations import read_stations
 
         plan = open_scenario(scenario)
+        if stations is not None:
+            plan = plan.updated({"station": read_stations(stations)})
+        if not plan.station:
+            wanted = "[station.NAME] sections in it, or a file of them as --stations FILE.toml"
+            raise BadInput("the scenario has no station", where=str(scenario), wanted=wanted)
         found = list_passes(plan)
     columns = ("station", "rise [UTC]", "set [UTC]", "minutes", "highest [deg]", "sunlit", "cut")
     rows = [
@@ -43,7 +54,9 @@ def command(
         )
         for item in found
     ]  # fmt: skip
-    output.table(f"Passes of {plan.spacecraft.name}", columns, rows, "Sunlit: the spacecraft, at its highest.")
-    total = sum(item["minutes"] for item in found)
-    output.say(f"{len(found)} passes over {len(plan.station)} stations, {total:.0f} min in all")
+    if rows:
+        output.table(f"Passes of {plan.spacecraft.name}", columns, rows, "Sunlit: the spacecraft, at its highest.")
+    total, count = sum(item["minutes"] for item in found), len(plan.station)
+    passes = f"{len(found)} pass{'' if len(found) == 1 else 'es'}"
+    output.say(f"{passes} over {count} station{'' if count == 1 else 's'}, {total:.0f} min in all")
     output.result({"name": plan.name, "passes": found})

@@ -46,7 +46,9 @@ class BiasOnly:
     slope: float
     """Of b1 against the mean X reading: what S11 would make it."""
     explained: float
-    """Share of the variance of b1 that the printed S explains."""
+    """Share of the variance of b1 that the first row of the printed S explains."""
+    explained_by_scale: float
+    """The same of S11 alone."""
 
     @property
     def half_range_mG(self) -> FloatArray:
@@ -198,5 +200,5 @@ def _bias_only(flight: Flight, ground: FieldModel, S: FloatArray) -> BiasOnly:
         means.append(record.mag_B_nT.mean(axis=0) / NT_PER_MG)
     b, mean = np.array(found), np.array(means)
     slope = float(np.polyfit(mean[:, 0], b[:, 0], 1)[0])
-    left = b[:, 0] - mean @ S[0]
-    return BiasOnly(b, mean, slope, float(1.0 - left.var() / b[:, 0].var()))
+    explained = [float(1.0 - (b[:, 0] - part).var() / b[:, 0].var()) for part in (mean @ S[0], mean[:, 0] * S[0, 0])]
+    return BiasOnly(b, mean, slope, *explained)

@@ -13,6 +13,7 @@ from fluxtwin.scenarios.claims import Claim, Verdict, judged
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.accuracy_study import AccuracyStudy
 from fluxtwin.scenarios.hcmm.calibration_study import CalibrationStudy
+from fluxtwin.scenarios.hcmm.dawn_study import DawnStudy
 from fluxtwin.scenarios.hcmm.error_study import ErrorStudy
 from fluxtwin.scenarios.hcmm.field_evidence import FieldEvidence
 from fluxtwin.scenarios.hcmm.gallery_study import Answer
@@ -46,6 +47,7 @@ class Results:
     calibration: CalibrationStudy
     errors: ErrorStudy
     passes: PassStudy
+    dawn: DawnStudy
     yaw: YawStudy
     accuracy: AccuracyStudy
     scanner: ScannerStudy

@@ -22,6 +22,8 @@ from fluxtwin.sim.types import FloatArray
 from fluxtwin.sim.world import World, build_world
 
 RUNS = 12
+NEAR_EQUATOR_DEG, NEAR_POLES_DEG = 5.0, 75.0
+"""Geocentric latitudes that count as near the equator and near the poles."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,8 @@ class ErrorStudy:
     """rms error of IGRF 1975 in field strength along the orbit, three days."""
     field_axis_mG: float
     """The same per axis."""
+    field_ends_mG: tuple[float, float]
+    """Mean strength of the field of 1978 along the orbit near the equator and near the poles, three days."""
     field_direction_deg: FloatArray
     """(4,) rms, three times that, largest of the three days, and largest over the passes of Table 5's stations."""
 
@@ -126,6 +130,7 @@ def _field_model(config: Scenario, ground: FieldModel) -> dict[str, object]:
     return {
         "field_scalar_mG": float(np.sqrt(np.mean(strength**2)) / NT_PER_MG),
         "field_axis_mG": float(np.sqrt(np.mean(axis**2)) / NT_PER_MG),
+        "field_ends_mG": _field_ends_mG(world),
         "field_direction_deg": np.degrees(
             [
                 np.sqrt(np.mean(angle**2)), 3.0 * np.sqrt(np.mean(angle**2)), angle.max(),
@@ -133,6 +138,14 @@ def _field_model(config: Scenario, ground: FieldModel) -> dict[str, object]:
             ]
         ),
     }  # fmt: skip
+
+
+def _field_ends_mG(world: World) -> tuple[float, float]:
+    """Mean strength within NEAR_EQUATOR_DEG and beyond NEAR_POLES_DEG of latitude [mG]."""
+    latitude_deg = np.degrees(np.abs(frames.geocentric(frames.rotation_EN(world.time).apply(world.r_N_km))[0]))
+    strength_mG = np.linalg.norm(world.field_N_nT, axis=1) / NT_PER_MG
+    equator, poles = latitude_deg < NEAR_EQUATOR_DEG, latitude_deg > NEAR_POLES_DEG
+    return float(strength_mG[equator].mean()), float(strength_mG[poles].mean())
 
 
 def _differences(world: World, ground: FieldModel) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import rankdata
 
+from fluxtwin.scenarios.hcmm.mission import quantity
 from fluxtwin.scenarios.hcmm.overflights import orders_of, overflights_of
 from fluxtwin.scenarios.hcmm_orbit.angles import angles_along
 from fluxtwin.scenarios.hcmm_orbit.fit import OrbitFit
@@ -23,7 +24,8 @@ from fluxtwin.sim.field import field_E_nT, load_field
 from fluxtwin.sim.random_streams import stream
 from fluxtwin.sim.types import FloatArray
 
-LSB_MG = 4.71 / float(np.sqrt(12.0))
+LSB_MG = quantity("LSB") / float(np.sqrt(12.0))
+"""What the step of the readings leaves in field strength, rms."""
 TOP = 10
 _SHUFFLES = 20_000
 _TURNS_DEG = np.arange(0.0, 360.0, 15.0)
@@ -87,7 +89,7 @@ def weigh_field_error(fit: OrbitFit, windows: Windows, seed: int) -> FieldEviden
     found = _rank_correlation(printed, predicted)
     rng = stream(seed, "hcmm.shuffles")
     shuffled = _shuffled_correlations(printed, predicted, orders_of(overflights_of(passes), rng, _SHUFFLES))
-    quiet = printed <= 3.0
+    quiet = printed <= quantity("residual limit")
     night = np.array([not p.sunlit for p in passes])
     return FieldEvidence(
         labels=tuple(p.label for p in passes),

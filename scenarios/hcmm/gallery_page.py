@@ -39,7 +39,8 @@ def overview_table(answers: Sequence[Answer]) -> Table:
         judged = (
             ""
             if later is None
-            else f"{_digits(later.rms[0], 3)} to {_digits(later.rms[1], 3)} {later.unit} (floor {_digits(later.floor, 3)})"
+            else f"{_as(later.rms[0], later.unit)} to {_as(later.rms[1], later.unit)} {later.unit} (floor "
+            f"{_as(later.floor, later.unit)})"
         )
         rows.append(
             [f"({answer.case.key}) {answer.case.title}", d.verdict, answer.name or "none", d.where.stage or "",
@@ -116,8 +117,8 @@ def _place(answer: Answer) -> dict[str, str | None]:
 
 def _compared_table(answer: Answer) -> Table:
     rows: list[list[Cell]] = [
-        [f"{one.name} [{one.unit}]", _digits(one.put_in, 4), _digits(one.found, 4),
-         "not seen" if one.sigma is None else _digits(one.sigma, 2)]
+        [f"{one.name} [{one.unit}]", _known(one.put_in, one.sigma), _known(one.found, one.sigma),
+         "not seen" if one.sigma is None else _known(one.sigma, one.sigma)]
         for one in answer.compared[:_MOST_ROWS]
     ]  # fmt: skip
     if answer.case.key == "b" and answer.diagnosis.effects:
@@ -133,8 +134,8 @@ def _later(answer: Answer) -> list[FigureBlock]:
         return []
     record = plots.PassResiduals(later.labels, later.unit, later.before, later.after, later.concerned, later.floor)
     caption = (
-        "Passes that were not used, one after the other; grey: passes in which the cause acts. Without the cause, all "
-        "that is re-estimated comes from the passes used."
+        "The passes of 2 and 3 December 1978, which were not used, one after the other; grey: passes in which the cause "
+        "acts. Without the cause, all that is re-estimated comes from the passes used; with it, the cause too, as found."
     )
     return [FigureBlock(f"{answer.case.key}_passes", caption, plots.draw_later(record, title="Passes not used"))]
 
@@ -142,18 +143,31 @@ def _later(answer: Answer) -> list[FigureBlock]:
 def _evidence(answer: Answer) -> list[FigureBlock]:
     drawn: dict[str, tuple[Figure, str]] = {}
     if answer.case.key == "a":
-        drawn["a"] = _heads(answer), "Measured less computed angle between sun and nadir, by the head that saw the sun."
+        drawn["a"] = (
+            _heads(answer),
+            "Measured less computed angle between sun and nadir in the three days that are diagnosed, by the head "
+            "that saw the "
+            "sun. Head 1 is the one that is turned.",
+        )
     elif answer.case.key == "b":
-        drawn["b"] = _map(answer), "Rows of the night, coloured by what the size of the field is off."
+        drawn["b"] = (
+            _map(answer),
+            "Samples of the night where they were taken, coloured by measured less model field strength, with the "
+            "box in which "
+            "the field is on and the one that the search found.",
+        )
     elif answer.case.key == "c":
         drawn["c"] = (
             _torquers(answer),
-            "Residual of each axis against the dipole of its own torquer, rows with attitude.",
+            "Residual of each axis against the dipole of its own torquer, samples with attitude: a coil is off, or fully on "
+            "one way or the other.",
         )
     else:
         drawn["d"] = (
             _field(answer),
-            "Residual of each axis against its own reading, rows with attitude: S is not modelled.",
+            "Residual of each axis against its own reading, samples with attitude. The slope of x is its scale "
+            "error; y and z "
+            "show the other axes too, because none of S is modelled.",
         )
     return [FigureBlock(f"{key}_evidence", caption, figure) for key, (figure, caption) in drawn.items()]
 
@@ -316,9 +330,16 @@ def _size(value: float) -> str:
     return f"{value:.0f}" if value >= 100.0 else f"{value:.2f}"
 
 
-def _digits(value: float, digits: int) -> str:
-    """Rounded to so many digits, without an exponent where it can be."""
-    return f"{float(f'{value:.{digits}g}'):g}"
+def _as(value: float, unit: str) -> str:
+    """A residual in its unit: hundredths of a degree, whole nT."""
+    return f"{value:.2f}" if unit == "deg" else f"{value:.0f}"
+
+
+def _known(value: float, sigma: float | None) -> str:
+    """Rounded to the second digit of its sigma; to four digits where it has none."""
+    if not sigma:
+        return f"{value:.4g}"
+    return f"{value:.{max(0, 1 - int(np.floor(np.log10(sigma))))}f}"
 
 
 def _is(value: float) -> str:

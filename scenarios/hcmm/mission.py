@@ -20,6 +20,12 @@ from fluxtwin.sim.world import World, build_world
 _PRINTED = Printed("fluxtwin.scenarios.hcmm")
 read_table, read_claims, printed_value = _PRINTED.table, _PRINTED.claims, _PRINTED.value
 
+
+def quantity(name: str) -> float:
+    """A single number that the papers print, by its name in `quantities.csv`; LookupError for another name."""
+    return printed_value("quantities", "value", quantity=name)
+
+
 DAYS: Mapping[str, tuple[int, ...]] = {"A": (284, 285, 287, 289), "B": (279, 290, 292, 298, 300, 302)}
 """Days of 1978 in each set of Table 3. The scan shows 285 before 284, so one digit of it may be wrong."""
 SAMPLES: Mapping[str, int] = {"A": 135, "B": 308}

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.calib.records import Calibration
-from fluxtwin.scenarios.hcmm.mission import Flight
+from fluxtwin.scenarios.hcmm.mission import Flight, quantity
 from fluxtwin.scenarios.hcmm_orbit.geometry import angle_between
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, read_passes
 from fluxtwin.scenarios.hcmm_orbit.windows import Windows
@@ -23,7 +23,7 @@ from fluxtwin.sim.types import BoolArray, FloatArray
 
 ANOMALOUS = (11, 12, 13, 34)
 """Rows whose printed residual exceeds 3 mG."""
-LIMIT_MG = 3.0
+LIMIT_MG = quantity("residual limit")
 QUIET_ROWS = tuple(number for number in range(1, 44) if number not in ANOMALOUS)
 
 

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fluxtwin.calib.calibration_file import write_calibration
-from fluxtwin.scenarios.claims import REPRODUCED, Claim, claims_table, whys_table
-from fluxtwin.scenarios.hcmm import mission, tables
+from fluxtwin.scenarios.claims import Claim, claims_table, whys_table
+from fluxtwin.scenarios.hcmm import mission, pass_tables, tables
 from fluxtwin.scenarios.hcmm.accuracy_study import run_accuracy
 from fluxtwin.scenarios.hcmm.calibration_study import KINDS, NAMES, RUNS, SETS, rms_mG, run_calibrations
 from fluxtwin.scenarios.hcmm.claims import Results, judge_claims
+from fluxtwin.scenarios.hcmm.dawn_study import run_dawn
 from fluxtwin.scenarios.hcmm.error_study import RUNS as ERROR_RUNS
 from fluxtwin.scenarios.hcmm.error_study import run_errors
 from fluxtwin.scenarios.hcmm.field_evidence import weigh_field_error
@@ -39,11 +38,11 @@ from fluxtwin.scenarios.hcmm_orbit.record import read_passes
 from fluxtwin.scenarios.motion import ATTITUDES, is_dynamic, motion_of
 from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.scenarios.seasat.judges_calibration import calibration_summary
-from fluxtwin.sim import epoch, files
+from fluxtwin.scenarios.study_files import counted, write_flight
+from fluxtwin.sim import epoch
 from fluxtwin.sim.field import load_field
 from fluxtwin.sim.progress import Progress, part_of, silent
 from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.telemetry_io import write_telemetry
 
 
 def run(
@@ -55,23 +54,18 @@ def run(
     """
     results = compute(progress, attitude=attitude)
     claims = judge_claims(results)
-    counts = Counter(claim.status for claim in claims)
-    flight = mission.fly(results.scenario)
-    written = [
-        files.write_text(out / "scenario.toml", mission.scenario_text(attitude)),
-        write_telemetry(flight.telemetry, out / "telemetry.nc"),
-        write_calibration(results.calibration.fits["AB"].calibration, out / "calibration.toml"),
-    ]
+    calibration = results.calibration.fits["AB"].calibration
+    telemetry = mission.fly(results.scenario).telemetry
+    written = write_flight(out, mission.scenario_text(attitude), telemetry, calibration)
     t = results.flight_test
     line = (
-        f"HCMM: sun-field angles of 24 real passes predicted to {t.median_deg:.2f} deg "
-        f"({t.median_as_scanned_deg:.2f} as "
-        f"scanned); {counts[REPRODUCED]} of {len(claims)} claims reproduced, {counts['differs']} differ, "
-        f"{counts['not testable']} not testable."
+        f"HCMM: sun-field angles of {len(t.error_deg)} real passes predicted with a median error of {t.median_deg:.2f} deg "
+        f"({t.median_as_scanned_deg:.2f} with the digits as scanned); {counted(claims)}."
     )
     shown = [
         tables.orbit_table(results), tables.flight_test_table(results), tables.ideas_table(results),
-        tables.calibration_table(results), tables.error_table(results), tables.passes_table(results),
+        tables.calibration_table(results), tables.error_table(results), pass_tables.strength_table(results),
+        pass_tables.angles_table(results), pass_tables.dawn_table(results), pass_tables.figure_3_table(results),
         tables.yaw_table(results), tables.scanner_table(results), results.motion.table(tables.POINTING),
         real_passes_table(results.real_passes), overview_table(results.gallery), claims_table(claims), whys_table(claims),
     ]  # fmt: skip
@@ -123,6 +117,7 @@ def compute(
         calibration=calibration,
         errors=errors,
         passes=passes,
+        dawn=run_dawn(config, windows),
         yaw=run_yaw(config, full, ground, part_of(progress, 0.90, 0.95)),
         accuracy=run_accuracy(config, flight, full, ground),
         scanner=run_scanner(config, ground, part_of(progress, 0.96, 1.0)),
@@ -150,6 +145,7 @@ def summary(results: Results, claims: list[Claim]) -> dict[str, Any]:
             "inclination_deg": float(np.degrees(f.orbit.inclination_rad)),
             "sigma": dict(zip(f.names, f.sigmas.tolist(), strict=True)),
             "covariance": f.covariance.tolist(),
+            "node_local_apparent_time_h": f.node_apparent_h,
             "nodal_period_min": f.orbit.nodal_period_s / 60.0,
             "rise_less_printed_rms_min": float(np.sqrt(np.mean(f.rise_min**2))),
             "first_datum_after_acquisition_min": f.start_offset_min,
@@ -179,6 +175,7 @@ def summary(results: Results, claims: list[Claim]) -> dict[str, Any]:
         "bias_only": {
             "half_range_mG": study.bias_only.half_range_mG.tolist(),
             "explained_by_S": study.bias_only.explained,
+            "explained_by_S11": study.bias_only.explained_by_scale,
             "passes": len(study.bias_only.b_mG),
         },
         "truth": {"S": study.truth[:9].reshape(3, 3).tolist(), "b_mG": study.truth[9:].tolist()},
@@ -187,6 +184,11 @@ def summary(results: Results, claims: list[Claim]) -> dict[str, Any]:
             for name, rule in results.errors.paper_rule.items()
         },
         "passes": _passes(results),
+        "dawn": {
+            "flights": len(results.dawn.residual_deg),
+            "sun_nadir_rms_deg": results.dawn.by_label(),
+            "together_deg": list(results.dawn.together_deg),
+        },
         "yaw": _yaw(results),
         "horizon_scanner": _scanner(results),
         "real_passes": real_passes_summary(results.real_passes),

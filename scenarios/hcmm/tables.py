@@ -9,23 +9,34 @@ from fluxtwin.plots import passes as pass_plots
 from fluxtwin.plots import yaw as yaw_plots
 from fluxtwin.scenarios.hcmm.calibration_study import KINDS, NAMES, SETS, CalibrationStudy, rms_mG, vector, vector_sigma
 from fluxtwin.scenarios.hcmm.claims import Results
+from fluxtwin.scenarios.hcmm.error_study import RUNS as ERROR_RUNS
 from fluxtwin.scenarios.hcmm.judges_calibration import printed_column
-from fluxtwin.scenarios.hcmm.mission import printed_value
-from fluxtwin.scenarios.hcmm.pass_study import printed_rms
+from fluxtwin.scenarios.hcmm.mission import printed_value, quantity
+from fluxtwin.scenarios.hcmm.pass_tables import span
+from fluxtwin.scenarios.hcmm.yaw_study import PRINTED_SIGMA_DEG, SIGMA_B_MG, SIGMA_DEG
 from fluxtwin.scenarios.page import Cell, FigureBlock, Table
 from fluxtwin.sim import epoch
 
 _SOURCE_WORDS = {
-    "lsb": "magnetometer LSB, 4.7 mG",
+    "lsb": "magnetometer LSB, {lsb:.1f} mG",
     "attitude": "reference attitude (sun sensor, scanner)",
     "torquer": "torquers, compensated",
     "field": "field model, IGRF 1975",
     "all": "all",
 }
+_SOURCE_LABELS = {
+    "lsb": "magnetometer LSB", "attitude": "reference attitude", "torquer": "torquers", "field": "field model", "all": "all",
+}  # fmt: skip
 
+_ELEMENT_WORDS = {
+    "semi_major_axis_km": "semi-major axis [km]",
+    "raan_deg": "right ascension of the ascending node [deg]",
+    "argument_of_latitude_deg": "argument of latitude [deg]",
+}
 _FAR = 1.5
 """A stated sigma is named if it is off by more than this factor."""
-POINTING = "Wanted: roll 0.7, pitch 0.5, yaw 2.0 deg (C, J)."
+_WANTED = ", ".join(f"{name} {quantity(name + ' wanted'):.1f}" for name in ("roll", "pitch", "yaw"))
+POINTING = f"Wanted: {_WANTED} deg (C, J)."
 _NULL_WORDS = {
     "dipole": "dipole only", "degree2": "degrees 1 and 2", "degree4": "degrees 1 to 4",
     "field_10deg": "field turned by 10 deg", "node_15min": "node 15 min off",
@@ -36,29 +47,26 @@ def orbit_table(r: Results) -> Table:
     """The orbit from the record."""
     f = r.orbit
     late_u, late_node = 0.5 * 360.0 * 60.0 / f.orbit.nodal_period_s, 0.5 * 360.0 / 1436.07
-    units = {
-        "semi_major_axis_km": "a [km]",
-        "raan_deg": "node [deg]",
-        "argument_of_latitude_deg": "arg. of latitude [deg]",
-    }
     rows: list[list[Cell]] = [
-        [units[name], f"{value:.2f}", f"{sigma:.2f}"]
+        [_ELEMENT_WORDS[name], f"{value:.2f}", f"{sigma:.2f}"]
         for name, value, sigma in zip(f.names, f.values, f.sigmas, strict=True)
     ]
     rows += [
         ["nodal period [min]", f"{f.orbit.nodal_period_s / 60:.3f}", ""],
+        ["ascending node, local apparent solar time [h]", f"{f.node_apparent_h:.2f}", f"{f.sigmas[1] / 15.0:.2f}"],
         ["rise less printed acquisition, rms [min]", f"{np.sqrt(np.mean(f.rise_min**2)):.2f}", ""],
         ["first datum after acquisition, mean [min]", f"{f.start_offset_min:.2f}", ""],
     ]
+    correlation = f.covariance / np.outer(f.sigmas, f.sigmas)
     return Table(
         "Orbit from 43 acquisition times and sun-nadir ranges",
         ["quantity", "value", "1 sigma"],
         rows,
-        f"Circular, J2, inclination held at 97.6 deg; epoch {epoch.iso(f.orbit.epoch_utc)}, true equator and equinox "
-        "of date. "
-        "Sigma from the scatter of the passes. If the printed times are cut, not rounded, to the minute, the "
-        "argument of "
-        f"latitude is {late_u:.1f} deg smaller and the node {late_node:.2f} deg larger.",
+        f"Circular, J2, inclination held at {np.degrees(f.orbit.inclination_rad):.1f} deg; epoch "
+        f"{epoch.iso(f.orbit.epoch_utc)}, true equator and equinox of date. Sigma from the scatter of the passes; "
+        f"correlations: axis and node {correlation[0, 1]:.2f}, axis and argument of latitude {correlation[0, 2]:.2f}, node "
+        f"and argument of latitude {correlation[1, 2]:.2f}. If the printed times are cut, not rounded, to the minute, the "
+        f"argument of latitude is {late_u:.1f} deg smaller and the node {late_node:.2f} deg larger.",
     )
 
 
@@ -108,13 +116,14 @@ def nadir_field_rows(r: Results) -> Table:
     rows: list[list[Cell]] = []
     for k, item in enumerate(n.passes):
         low, high = item.nadir_field_read
-        shown = [f"{low + e[k, 0]:.0f}-{high + e[k, 1]:.0f}" for e in (main, dipole)]
-        rows.append([item.label, "sunlit" if item.sunlit else "night", f"{low:.0f}-{high:.0f}", *shown])
+        shown = [span((low + e[k, 0], high + e[k, 1])) for e in (main, dipole)]
+        rows.append([item.label, "sunlit" if item.sunlit else "night", span((low, high)), *shown])
     return Table(
         "Nadir-field ranges [deg]",
         ["pass", "light", "printed, as scanned", "IGRF-14", "its dipole"],
         rows,
-        "In the window of the sun-nadir range. By night only the end near the pole is fixed.",
+        "Lowest to highest in the window of the sun-nadir range; a single number where the print has one. By night only the "
+        "end near the pole is fixed.",
     )
 
 
@@ -124,7 +133,7 @@ def calibration_table(r: Results) -> Table:
     columns = ["parameter"]
     for name in SETS:
         columns += [name, "printed"]
-    columns += ["sigma white", "by pass", "and field model", "error in many runs"]
+    columns += ["AB: sigma, white", "by pass", "and field model", "error in many runs"]
     rows: list[list[Cell]] = []
     for k, parameter in enumerate(NAMES):
         digits = 1 if parameter.startswith("b") else 3
@@ -144,7 +153,8 @@ def calibration_table(r: Results) -> Table:
         row = [title]
         for name in SETS:
             ours = f"{rms_mG(study.fits[name]):.1f}" if key == "rms" else f"{study.fits[name].calibration.samples}"
-            row += [ours, f"{printed_value('calibration', name, parameter=key):g}"]
+            theirs = printed_value("calibration", name, parameter=key)
+            row += [ours, f"{theirs:.1f}" if key == "rms" else f"{theirs:.0f}"]
         rows.append([*row, "", "", "", ""])
     ratios = [f"{study.sigma_ratio('AB', kind):.1f}" for kind in KINDS]
     rows.append(["error over sigma", *[""] * 6, *ratios, ""])
@@ -181,60 +191,19 @@ def error_table(r: Results) -> Table:
     rows: list[list[Cell]] = []
     for source, (low, high) in e.paper_rule.items():
         ours = f"{e.simulated[source]:.2f} ± {e.simulated_spread[source]:.2f}"
-        rows.append([_SOURCE_WORDS[source], ours, f"{low:.2f}" if low == high else f"{low:.2f} to {high:.2f}"])
-    rows.append(["residual of the 12-parameter fit", f"{e.fit:.2f}", "2.2"])
+        words = _SOURCE_WORDS[source].format(lsb=quantity("LSB"))
+        rows.append([words, ours, f"{low:.2f}" if low == high else f"{low:.2f} to {high:.2f}"])
+    observed = printed_value("errors", "rms_lo_mG", source="observed")
+    rows.append(["residual of the 12-parameter fit", f"{e.fit:.2f}", f"{observed:.1f} observed"])
     return Table(
         "Table 4 (C) / Table 2 (J): sources of the residual [mG, rms per component]",
         ["source", "simulated alone", "papers' arithmetic"],
         rows,
-        "Simulated: error of eq. 1 at the true S and b with that source alone. One coil gives "
-        f"{e.coil_axial_mG:.0f} mG on its axis at 1 m, {e.coil_left_mG:.1f} mG after compensation.",
+        "Simulated: error of eq. 1 at the true S and b with that source alone, and its scatter over "
+        f"{ERROR_RUNS} flights; all: with all sources on. The papers' arithmetic: LSB/sqrt 12, their sizes of the others, "
+        f"and the root sum of squares. One coil gives {e.coil_axial_mG:.0f} mG on its axis at 1 m, {e.coil_left_mG:.1f} mG "
+        "after compensation; the control law drives it so gently that next to nothing of that is seen.",
     )
-
-
-def passes_table(r: Results) -> Table:
-    """Table 5 in full: ours, the printed value after a slash."""
-    rows: list[list[Cell]] = []
-    numbers = zip(r.passes.passes, r.passes.rows, r.passes.field_model_eps_mG, r.passes.eps_range_mG, strict=True)
-    for item, ours, model, (low, high) in numbers:
-        rows.append(
-            [
-                item.label + ("*" if item.dawn else ""), ours.samples, f"{ours.eps_M_mG:.2f} / {item.eps_M_mG:.2f}",
-                f"{low:.1f}-{high:.1f}", f"{model:.2f}", _pair(ours.sun_field, item.sun_field),
-                _two(ours.delta_sun_field, item.delta_sun_field_deg), _pair(ours.nadir_field, item.nadir_field_read),
-                _two(ours.delta_nadir_field, item.delta_nadir_field_deg), _pair(ours.sun_nadir, item.sun_nadir),
-                _two(ours.delta_sun_nadir, item.delta_sun_nadir_deg),
-            ]
-        )  # fmt: skip
-    rows += _rms_rows(r)
-    return Table(
-        "Table 5 (C): 43 passes, ours / printed",
-        ["pass", "samples", "field strength [mG]", "5-95 % [mG]", "error of IGRF 1975 [mG]",
-         "sun-field [deg]", "rms", "nadir-field [deg]",
-         "rms", "sun-nadir [deg]", "rms"],
-        rows,
-        "* dawn pass over Orroral, head 1. Ranges are computed ones in the window that the printed sun-nadir range "
-        "fixes; "
-        "printed nadir-field angles as scanned. 5-95 %: of our residual over calibrations made with other passes.",
-    )  # fmt: skip
-
-
-def _rms_rows(r: Results) -> list[list[Cell]]:
-    p = r.passes
-    lit, everything = p.sunlit & ~p.dawn, np.ones(43, dtype=bool)
-    out: list[list[Cell]] = []
-    for title, chosen in (("rms, 39 passes", p.quiet), ("rms, 43 passes", everything)):
-        eps = printed_rms([x.eps_M_mG for x, c in zip(p.passes, chosen, strict=True) if c])
-        d_em = printed_rms([x.delta_nadir_field_deg for x, c in zip(p.passes, chosen, strict=True) if c])
-        d_sm = printed_rms([x.delta_sun_field_deg for x, c in zip(p.passes, lit, strict=True) if c])
-        d_se = printed_rms([x.delta_sun_nadir_deg for x, c in zip(p.passes, lit, strict=True) if c])
-        out.append(
-            [
-                title, "", _two(p.rms("eps_M_mG", chosen), eps), "", "", "", _two(p.rms("delta_sun_field", lit), d_sm), "",
-                _two(p.rms("delta_nadir_field", chosen), d_em), "", _two(p.rms("delta_sun_nadir", lit), d_se),
-            ]
-        )  # fmt: skip
-    return out
 
 
 def yaw_table(r: Results) -> Table:
@@ -252,9 +221,19 @@ def yaw_table(r: Results) -> Table:
     ]
     return Table(
         "Table 6 (C): yaw error over the stations [deg]",
-        ["station", "equation 11", "printed", "with the printed 1.7 deg", "Monte Carlo", "field of 1978"],
+        [
+            "station",
+            "equation 11",
+            "printed",
+            f"with the printed {PRINTED_SIGMA_DEG:g} deg",
+            "Monte Carlo",
+            "field of 1978",
+        ],
         rows,
-        "Equation 11 with 1.7 mG, 0.17 deg and the dipole of equation 20. The text's 1.7 deg is a slip.",
+        f"Equation 11 with {SIGMA_B_MG:g} mG, {SIGMA_DEG:g} deg and the dipole of equation 20. The text's "
+        f"{PRINTED_SIGMA_DEG:g} deg is a slip. Monte Carlo: scatter of the full yaw solution for such errors in the same "
+        "dipole. Field of 1978: equation 11 in the field that is known today, where the ground track passes within 2 deg of "
+        "the station.",
     )
 
 
@@ -262,23 +241,23 @@ def scanner_table(r: Results) -> Table:
     """The closed chain of sensors."""
     s = r.scanner
     bias, sigma = np.degrees(s.found.bias_rad), np.degrees(s.found.sigmas_rad)
+    printed = quantity("sun-nadir residual")
     rows: list[list[Cell]] = [
-        ["roll bias of the scanner [deg]", f"{bias[0]:.3f} ± {sigma[0]:.3f}", f"{s.bias_deg[0]:.3f}"],
-        ["pitch bias of the scanner [deg]", f"{bias[1]:.3f} ± {sigma[1]:.3f}", f"{s.bias_deg[1]:.3f}"],
-        ["sun-nadir residual before [deg]", f"{s.rms_before_deg:.2f}", ""],
-        ["sun-nadir residual after [deg]", f"{s.rms_after_deg:.2f}", "0.24 (C)"],
+        ["roll bias of the scanner [deg]", f"{bias[0]:.3f} ± {sigma[0]:.3f}", f"{s.bias_deg[0]:.3f} put in"],
+        ["pitch bias of the scanner [deg]", f"{bias[1]:.3f} ± {sigma[1]:.3f}", f"{s.bias_deg[1]:.3f} put in"],
+        ["sun-nadir residual before, rms [deg]", f"{s.rms_before_deg:.2f}", ""],
+        ["sun-nadir residual after, rms [deg]", f"{s.rms_after_deg:.2f}", f"{printed:.2f} printed (C)"],
         ["turn of S that is none of the magnetometer's, before [deg]", f"{s.tilt_biased_deg:.2f}", ""],
-        ["the same after [deg]", f"{s.tilt_corrected_deg:.2f}", f"{s.tilt_unbiased_deg:.2f}"],
-        ["head 1, mean sun-nadir error at dawn [deg]", f"{s.head_1_deg:.2f}", f"{s.head_1_truth_deg:.2f}"],
+        ["the same after [deg]", f"{s.tilt_corrected_deg:.2f}", f"{s.tilt_unbiased_deg:.2f} with no bias put in"],
+        ["head 1, mean sun-nadir error at dawn [deg]", f"{s.head_1_deg:.2f}", f"{s.head_1_truth_deg:.2f} put in"],
     ]
     return Table(
         "The chain sun sensor - scanner - magnetometer",
-        ["quantity", "found", "put in"],
+        ["quantity", "found", "to compare"],
         rows,
         "The scanner is calibrated from the angles between sun and nadir, heads 2 and 3 trusted. To a calibration "
-        "that takes "
-        "the attitude as right, a biased scanner is a turned magnetometer; the sun-nadir angle tells them apart. What "
-        "remains after the correction is what a scanner without bias leaves: noise and the field model.",
+        "that takes the attitude as right, a biased scanner is a turned magnetometer; the sun-nadir angle tells them apart. "
+        "What remains after the correction is what a scanner without bias leaves: noise and the field model.",
     )
 
 
@@ -294,7 +273,8 @@ def flight_figures(r: Results) -> list[FigureBlock]:
         [i.name for i in r.nadir_field.ideas],
         [i.explained for i in r.nadir_field.ideas],
         [i.explained_with_digits for i in r.nadir_field.ideas],
-        86,
+        [i.by_chance[0] for i in r.nadir_field.ideas],
+        2 * len(r.nadir_field.passes),
     )
     return [
         FigureBlock(
@@ -316,7 +296,9 @@ def flight_figures(r: Results) -> list[FigureBlock]:
         ),
         FigureBlock(
             "nadir_field",
-            "How many of the 86 printed ends of the nadir-field angle each idea explains.",
+            "How many of the 86 printed ends of the nadir-field angle each idea explains. Marks: how many it would "
+            "explain by "
+            "chance, the printed ranges dealt out at random. An idea with free numbers explains much by chance.",
             pass_plots.draw_ideas(ideas, title="The open question: the nadir-field column"),
         ),
     ]
@@ -355,31 +337,25 @@ def other_figures(r: Results) -> list[FigureBlock]:
     """Error budget and figure 3."""
     e = r.errors
     shown = tuple(e.simulated)
-    rule = np.array([np.mean(e.paper_rule[s]) for s in shown])
-    budget = calibration_plots.ErrorBudget(shown, np.array([e.simulated[s] for s in shown]), rule)
+    ranges = np.array([e.paper_rule[s] for s in shown])
+    budget = calibration_plots.ErrorBudget(
+        [_SOURCE_LABELS[s] for s in shown], np.array([e.simulated[s] for s in shown]), ranges.mean(axis=1), ranges
+    )
     return [
         FigureBlock(
             "table_4_errors",
-            "Sources of the residual: simulated one at a time, and by the papers' arithmetic (middle of their range).",
+            "Sources of the residual: simulated one at a time, and by the papers' arithmetic. Where the papers give "
+            "a range, "
+            "the bar is its middle and the line its ends.",
             calibration_plots.draw_budget(budget, title="Sources of the residual"),
         ),
         FigureBlock(
             "figure_3",
-            "As figure 3 of the conference paper: the pass over Winkfield on 29 November. Dashed: sun sensor and "
-            "scanner; "
-            f"dotted: magnetometer averaged over 120 s. Error bar by the papers' rule: {r.yaw.error_bar_deg:.2f} deg.",
+            "As figure 3 of the conference paper: the pass over Winkfield on 29 November 1978, from rise at "
+            f"{epoch.iso(r.yaw.contact.rise)[11:19]} UTC. Dashed: sun sensor and scanner; lines: magnetometer, sample by "
+            "sample, broken where a reading steps by one bit (letters: its axis); dotted: magnetometer averaged over "
+            f"{r.yaw.figure.window_s:.0f} s. Error bar by the papers' rule: {r.yaw.error_bar_deg:.2f} deg, printed "
+            f"{quantity('figure 3 error bar'):.2f}.",
             yaw_plots.draw_pass(r.yaw.figure, r.yaw.error_bar_deg, title="Figure 3: yaw over Winkfield"),
         ),
     ]
-
-
-def _pair(ours: tuple[float, float] | None, printed: tuple[float, float] | None) -> str:
-    if ours is None or printed is None:
-        return ""
-    return f"{ours[0]:.0f}-{ours[1]:.0f} / {printed[0]:.0f}-{printed[1]:.0f}"
-
-
-def _two(ours: float | None, printed: float | None) -> str:
-    if ours is None and printed is None:
-        return ""
-    return f"{'-' if ours is None else format(ours, '.2f')} / {'-' if printed is None else format(printed, '.2f')}"

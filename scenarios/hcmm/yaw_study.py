@@ -23,13 +23,15 @@ from fluxtwin.sim.stations import Contact, find_contacts
 from fluxtwin.sim.types import FloatArray
 from fluxtwin.sim.world import ephemeris
 
-DIPOLE_MG = 230.0
-SIGMA_B_MG = 1.7
-SIGMA_DEG = 0.17
-PRINTED_SIGMA_DEG = 1.7
+DIPOLE_MG = mission.quantity("dipole equator")
+SIGMA_B_MG = mission.quantity("yaw sigma_B")
+SIGMA_DEG = mission.quantity("yaw sigma_theta")
+PRINTED_SIGMA_DEG = mission.quantity("yaw sigma_theta as printed")
 """What Table 6's text prints for the angle; ten times too much to give its numbers."""
 STEP_S = 4.0
 _DRAWS = 2000
+_DAYS, _NEAR_DEG = 20, 2.0
+"""For the field over a station: days of orbit, and how near the ground track must come."""
 _FIGURE_DAY = np.datetime64("1978-11-29T11:20:00", "ns")
 _PRINTED_START = np.datetime64("1978-11-29T11:35:00", "ns")
 
@@ -41,11 +43,11 @@ class StationYaw:
     station: str
     printed: float
     dipole: float
-    """Equation 11 in the papers' dipole, 0.17 deg."""
+    """Equation 11 in the papers' dipole, SIGMA_DEG."""
     dipole_printed_sigma: float
-    """The same with the printed 1.7 deg."""
+    """The same with PRINTED_SIGMA_DEG."""
     main_field: float
-    """In the field of 1978 over the station, mean of northbound and southbound."""
+    """In the field of 1978 over the station, rms of the sigmas of all passes near it, northbound and southbound."""
     scatter: float
     """Monte Carlo in the dipole: scatter of yaw for such errors."""
 
@@ -124,7 +126,7 @@ def mission_order() -> list[str]:
 
 
 def equation_11(latitude_deg: float, sigma_deg: float) -> float:
-    """Yaw sigma [deg] over a latitude in the papers' dipole, 230 (cos l, 0, 2 sin l) mG."""
+    """Yaw sigma [deg] over a latitude in the papers' dipole, DIPOLE_MG (cos l, 0, 2 sin l)."""
     return float(np.degrees(yaw_sigma(_dipole_nT(latitude_deg), SIGMA_B_MG * NT_PER_MG, np.radians(sigma_deg))[0]))
 
 
@@ -146,15 +148,15 @@ def _station(config: Scenario, name: str) -> StationYaw:
 
 
 def _in_main_field(config: Scenario, name: str) -> float:
-    """Equation 11 where the ground track passes within 2 deg of the station, three days, rms of the sigmas."""
+    """Equation 11 where the ground track passes within _NEAR_DEG of the station, rms of the sigmas."""
     assert config.schedule is not None
     start = epoch.parse_time(config.schedule.segments[0].start_utc)
-    time = epoch.add_seconds(start, np.arange(0.0, 20 * 86400.0, 10.0))
+    time = epoch.add_seconds(start, np.arange(0.0, _DAYS * 86400.0, 10.0))
     r_N_km, v_N_km_s = ephemeris(config, time)
     R_EN = frames.rotation_EN(time)
     r_E_km = R_EN.apply(r_N_km)
     site = np.broadcast_to(read_stations()[name].r_E_km, r_E_km.shape)
-    near = np.flatnonzero(np.degrees(angle_between(r_E_km, site)) < 2.0)
+    near = np.flatnonzero(np.degrees(angle_between(r_E_km, site)) < _NEAR_DEG)
     from fluxtwin.sim.field import field_N_nT
 
     field_N = field_N_nT(load_field(config.field.truth), time[near], r_N_km[near])

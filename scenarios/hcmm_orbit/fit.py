@@ -32,6 +32,7 @@ from fluxtwin.scenarios.hcmm_orbit.geometry import (
 )
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, Range, read_passes
 from fluxtwin.scenarios.hcmm_orbit.windows import Windows, fix_windows, turning_ends
+from fluxtwin.sim import frames, sun
 from fluxtwin.sim.orbit import Orbit
 from fluxtwin.sim.types import FloatArray
 
@@ -74,6 +75,13 @@ class OrbitFit:
     def sigmas(self) -> FloatArray:
         """(K,) 1 sigma."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def node_apparent_h(self) -> float:
+        """Local apparent solar time of the ascending node at the epoch [h]."""
+        sun_T = frames.rotation_TN(self.orbit.epoch_utc).apply(sun.sun_N_km(self.orbit.epoch_utc))[0]
+        hour_angle_rad = self.orbit.raan_rad - np.arctan2(sun_T[1], sun_T[0])
+        return float((np.degrees(hour_angle_rad) / 15.0 + 12.0) % 24.0)
 
 
 def fit_orbit(

@@ -9,12 +9,10 @@ from fluxtwin.scenarios.claims import DIFFERS, NOT_TESTABLE, REPRODUCED, Verdict
 from fluxtwin.scenarios.seasat import geometry
 from fluxtwin.scenarios.seasat.calibration_study import NAMES, vector
 from fluxtwin.scenarios.seasat.claims import Judge, Results
-from fluxtwin.scenarios.seasat.mission import printed_value
+from fluxtwin.scenarios.seasat.mission import printed_value, quantity
 from fluxtwin.sim.constants import NT_PER_MG
 
 _ROUNDING = 1e-9
-_GEOS3_RMS_MG, _GEOS3_REST_MG = 1.5, 1.0
-"""Printed in both papers: the residual of GEOS-3, and what of it is not the LSB."""
 COLUMN_2 = (1, 4, 7)
 """Places of S12, S22, S32 among the twelve parameters."""
 
@@ -65,7 +63,7 @@ def _claim_6(r: Results) -> Verdict:
 
 def _claim_7(r: Results) -> Verdict:
     low, high = r.accuracy.field_direction_3sigma_deg
-    status = REPRODUCED if min(low, high) > 0.5 else DIFFERS
+    status = REPRODUCED if min(low, high) > quantity("IGRF 1975 direction") else DIFFERS
     return Verdict(
         f"{low:.2f} deg at 600 km, {high:.2f} deg at 800 km: 3 sigma direction error of IGRF 1975 in July 1978",
         high, "deg", status, "the model is better than the papers feared",
@@ -83,7 +81,7 @@ def _claim_8(r: Results) -> Verdict:
 
 def _claim_9(r: Results) -> Verdict:
     n = len(r.calibration.fits["all"].time)
-    status = REPRODUCED if n == 325 and len(NAMES) == 12 else DIFFERS
+    status = REPRODUCED if n == quantity("samples") and len(NAMES) == 12 else DIFFERS
     return Verdict(f"{n} samples, {3 * n} components, {len(NAMES)} parameters", n, "samples", status, "another count")
 
 
@@ -147,7 +145,7 @@ def _claim_15(r: Results) -> Verdict:
     share = 100.0 * bias / r.accuracy.equator_field_mG
     return Verdict(
         f"{share:.1f} %: {bias:.1f} mG of the {r.accuracy.equator_field_mG:.0f} mG at the equator", share, "%",
-        agree(share, 40.0, 5.0), "the equatorial field is another",
+        agree(share, quantity("bias share of the equatorial field"), 5.0), "the equatorial field is another",
     )  # fmt: skip
 
 
@@ -157,7 +155,8 @@ def _claim_16(r: Results) -> Verdict:
     return Verdict(
         f"{e.simulated['all']:.2f} mG (known {e.simulated['known']:.2f}, unknown {e.simulated['unknown']:.2f}); "
         f"{e.fit_all:.2f} mG after the fit", e.simulated["all"], "mG", agree(e.simulated["all"], printed, 0.1),
-        "the papers use the torquers' bound (claim 20) and 1.4 mG of field error as rms values; simulated they are "
+        f"the papers use the torquers' bound (claim 20) and {e.paper_rule['field']:g} mG of field error as rms values; "
+        "simulated they are "
         f"{e.simulated['torquer']:.2f} and {e.simulated['field']:.2f} mG. An unknown of {e.unknown_for_paper:.2f} mG "
         f"brings the residual of the fit to {e.fit_with_that:.2f} mG",
     )  # fmt: skip
@@ -203,7 +202,8 @@ def _claim_19(r: Results) -> Verdict:
     return Verdict(
         f"simulated: {parts}, together {s['known']:.2f} mG; the papers' arithmetic: {p['known']:.2f} mG", s["known"],
         "mG", agree(s["known"], printed_value("errors", "rms_mG", source="anticipated rms"), 0.1),
-        "1.7 mG for the torquers is a bound used as an rms value, and 1.4 mG for IGRF 1975 is more than the "
+        f"{p['torquer']:g} mG for the torquers is a bound used as an rms value, and {p['field']:g} mG for IGRF 1975 is more "
+        "than the "
         f"{s['field']:.2f} mG per component that today's field of 1978 gives",
     )  # fmt: skip
 
@@ -219,7 +219,7 @@ def _claim_20(r: Results) -> Verdict:
 
 
 def _claim_21(r: Results) -> Verdict:
-    lsb_part = float(np.sqrt(_GEOS3_RMS_MG**2 - _GEOS3_REST_MG**2))
+    lsb_part = float(np.sqrt(quantity("GEOS-3 residual") ** 2 - quantity("GEOS-3 beyond the LSB") ** 2))
     return Verdict(
         f"{lsb_part:.2f} mG: the LSB's share if the two printed numbers add as squares", lsb_part, "mG", NOT_TESTABLE,
         "no data and no LSB of GEOS-3 are given",
@@ -228,7 +228,8 @@ def _claim_21(r: Results) -> Verdict:
 
 def _claim_60(r: Results) -> Verdict:
     heads = len(r.scenario.sun_sensor)
-    return Verdict(f"{heads} heads fly in the scenario", heads, "heads", agree(heads, 4, 0), "another number of heads")
+    status = agree(heads, quantity("sun sensors"), 0)
+    return Verdict(f"{heads} heads fly in the scenario", heads, "heads", status, "another number of heads")
 
 
 def uncorrected_column_2(r: Results) -> tuple[np.ndarray, np.ndarray]:

@@ -22,6 +22,12 @@ from fluxtwin.sim.world import World, build_world
 _PRINTED = Printed("fluxtwin.scenarios.seasat")
 read_table, read_claims, printed_value = _PRINTED.table, _PRINTED.claims, _PRINTED.value
 
+
+def quantity(name: str) -> float:
+    """A single number that the papers print, by its name in `quantities.csv`; LookupError for another name."""
+    return printed_value("quantities", "value", quantity=name)
+
+
 DATA_SETS: Mapping[str, tuple[int, ...]] = {
     "205": (0,),
     "219": (1,),

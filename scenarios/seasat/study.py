@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import platform
-from collections import Counter
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fluxtwin.calib.calibration_file import write_calibration
 from fluxtwin.calib.records import Calibration
-from fluxtwin.scenarios.claims import REPRODUCED, Claim, claims_table, whys_table
+from fluxtwin.scenarios.claims import Claim, claims_table, whys_table
 from fluxtwin.scenarios.motion import ATTITUDES, motion_of
 from fluxtwin.scenarios.page import Page, Section, StudyResult
 from fluxtwin.scenarios.seasat import geometry, mission, tables
@@ -24,11 +20,10 @@ from fluxtwin.scenarios.seasat.error_study import run_errors
 from fluxtwin.scenarios.seasat.identities import check_identities
 from fluxtwin.scenarios.seasat.judges_calibration import calibration_summary, pulls
 from fluxtwin.scenarios.seasat.yaw_study import run_yaw
-from fluxtwin.sim import files
+from fluxtwin.scenarios.study_files import counted, provenance, write_flight
 from fluxtwin.sim.constants import NT_PER_MG
 from fluxtwin.sim.field import load_field
 from fluxtwin.sim.progress import Progress, part_of, silent
-from fluxtwin.sim.telemetry_io import write_telemetry
 
 ERRATA = (
     "Journal equation 11 shows S12 = +0.016 in the scan; the conference text says -0.016, and the mean bias of "
@@ -55,17 +50,11 @@ def run(
     """
     results = compute(progress, attitude=attitude)
     claims = judge_claims(results)
-    counts = Counter(claim.status for claim in claims)
-    flight = mission.fly(results.scenario)
-    written = [
-        files.write_text(out / "scenario.toml", mission.scenario_text(attitude)),
-        write_telemetry(flight.telemetry, out / "telemetry.nc"),
-        write_calibration(_with_monte_carlo(results), out / "calibration.toml"),
-    ]
+    telemetry = mission.fly(results.scenario).telemetry
+    written = write_flight(out, mission.scenario_text(attitude), telemetry, _with_monte_carlo(results))
     line = (
-        f"Seasat: {counts[REPRODUCED]} of {len(claims)} claims reproduced, {counts['differs']} differ, "
-        f"{counts['not testable']} not testable; residual {results.errors.simulated['all']:.1f} mG where the papers "
-        "print 3.7 mG."
+        f"Seasat: {counted(claims)}; residual {results.errors.simulated['all']:.1f} mG where the papers print "
+        f"{mission.printed_value('errors', 'rms_mG', source='observed rms'):.1f} mG."
     )
     shown = [
         tables.calibration_table(results.calibration),
@@ -223,12 +212,5 @@ def page(results: Results, claims: list[Claim], verdict: str) -> Page:
             Section("Claim by claim", [], [claims_table(claims, with_why=True)]),
         ],
         errata=ERRATA,
-        provenance={
-            "seed": str(results.scenario.seed),
-            "truth field": results.scenario.field.truth,
-            "ground field": results.scenario.field.model,
-            "fluxtwin": metadata.version("fluxtwin"),
-            "numpy": np.__version__,
-            "python": platform.python_version(),
-        },
+        provenance=provenance(results.scenario),
     )

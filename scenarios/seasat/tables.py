@@ -17,18 +17,18 @@ from fluxtwin.scenarios.seasat.mission import DATA_SETS, PAPER_COLUMN
 from fluxtwin.sim.types import FloatArray
 
 _SOURCE_WORDS = {
-    "lsb": "magnetometer LSB, 4.4 mG",
-    "attitude": "reference attitude, 0.1 deg",
-    "torquer": "torquers, 1e5 pole-cm at 6 m",
-    "field": "field model, IGRF 1975",
+    "lsb": "magnetometer LSB, {magnetometer LSB}",
+    "attitude": "reference attitude, {reference attitude error}",
+    "torquer": "torquers, {electromagnet activity}",
+    "field": "field model, {field model error}",
     "known": "known, together",
     "unknown": "unknown",
     "all": "all",
 }
 
 POINTING = (
-    "The papers print no pointing for Seasat, but that yaw = 0 was mostly nearer than the magnetometer's yaw, 0.92 deg at "
-    "the equator (C 12)."
+    "The papers print no pointing for Seasat, but that yaw = 0 was mostly nearer than the magnetometer's yaw, "
+    f"{mission.printed_value('yaw', 'value', quantity='sigma_y equator')} deg at the equator (C 12)."
 )
 
 
@@ -129,18 +129,22 @@ def error_table(results: Results) -> Table:
     """Table 2, each row twice."""
     e = results.errors
     rows: list[list[str | float]] = []
+    sizes = {row["source"]: row["magnitude"] for row in mission.read_table("errors")}
+    observed = f"{mission.printed_value('errors', 'rms_mG', source='observed rms'):.2f}"
+    p = e.paper_rule
     for source in ("lsb", "attitude", "torquer", "field", "known", "unknown", "all"):
         simulated = f"{e.simulated[source]:.2f} ± {e.simulated_spread[source]:.2f}"
-        rows.append([_SOURCE_WORDS[source], simulated, f"{e.paper_rule[source]:.2f}"])
+        rows.append([_SOURCE_WORDS[source].format_map(sizes), simulated, f"{e.paper_rule[source]:.2f}"])
     rows.append(["residual of the 12-parameter fit, known only", f"{e.fit_known:.2f}", ""])
-    rows.append(["residual of the 12-parameter fit, all", f"{e.fit_all:.2f}", "3.70"])
-    rows.append([f"the same with an unknown of {e.unknown_for_paper:.2f} mG", f"{e.fit_with_that:.2f}", "3.70"])
+    rows.append(["residual of the 12-parameter fit, all", f"{e.fit_all:.2f}", observed])
+    rows.append([f"the same with an unknown of {e.unknown_for_paper:.2f} mG", f"{e.fit_with_that:.2f}", observed])
     return Table(
         "Table 2 (C) / Table 1 (J): sources of the residual [mG, rms per component]",
         ["source", "simulated alone", "papers' arithmetic"],
         rows,
         "Simulated: error of eq. 1 at the true S and b with that source alone switched on, and its spread over seeds. "
-        "The papers' arithmetic uses LSB/sqrt 12, the printed 0.5, the torquers' bound of 1.7 and the printed 1.4 as "
+        f"The papers' arithmetic uses LSB/sqrt 12, the printed {p['attitude']:g}, the torquers' bound of {p['torquer']:g} "
+        f"and the printed {p['field']:g} as "
         "rms values; a bound is no rms, so an honest simulation gives less.",
     )
 
@@ -149,13 +153,16 @@ def yaw_table(results: Results) -> Table:
     """Equations 11-14 and the yaw comparison."""
     a, y = results.accuracy, results.yaw
     q = a.worst_quantiles_deg
+    observed = mission.printed_value("errors", "rms_mG", source="observed rms")
+    names = ("sigma_y equator", "sigma_y pole max", "LSB yaw error X axis", "LSB yaw error Y axis")
+    equator, worst, lsb_x, lsb_y = (f"{mission.printed_value('yaw', 'value', quantity=name):g}" for name in names)
     rows = [
-        ["sigma at the equator at 3.7 mG [deg]", f"{a.sigma_equator_deg:.2f}", "0.92", "C 12, J 14"],
+        [f"sigma at the equator at {observed:.1f} mG [deg]", f"{a.sigma_equator_deg:.2f}", equator, "C 12, J 14"],
         ["sigma at the equator at our residual [deg]", f"{a.sigma_equator_ours_deg:.2f}", "", "C 12, J 14"],
-        ["largest sigma of a data base, median [deg]", f"{q['50 %']:.1f}", "11", "C 13"],
+        ["largest sigma of a data base, median [deg]", f"{q['50 %']:.1f}", worst, "C 13"],
         ["its 5-95 % range [deg]", f"{q['5 %']:.1f} to {q['95 %']:.1f}", "", "C 13"],
-        ["one LSB of X at the equator [deg]", f"{a.lsb_x_deg:.2f}", "0.4", "text"],
-        ["one LSB of Y at the equator [deg]", f"{a.lsb_y_deg:.2f}", "1.0", "text"],
+        ["one LSB of X at the equator [deg]", f"{a.lsb_x_deg:.2f}", lsb_x, "text"],
+        ["one LSB of Y at the equator [deg]", f"{a.lsb_y_deg:.2f}", lsb_y, "text"],
         ["mean bias only against the sun sensor, rms [deg]", f"{y.bias_errors.rms_deg:.2f}", "", "figure 1"],
         ["full calibration against the sun sensor, rms [deg]", f"{y.full_errors.rms_deg:.2f}", "", "figure 2"],
         ["yaw = 0 against the sun sensor, rms [deg]", f"{y.full_errors.zero_rms_deg:.2f}", "", "figures 1, 2"],
@@ -218,8 +225,11 @@ def yaw_figures(results: Results) -> list[FigureBlock]:
         FigureBlock(
             "yaw_sigma",
             "Expected yaw error (equation 14) along one orbit, and the largest value of many orbits and data bases with "
-            "the printed 11 deg.",
-            yaw_plots.draw_sigma(results.accuracy.figure, title="Expected yaw error at 3.7 mG"),
+            f"the printed {results.accuracy.figure.printed_deg:g} deg.",
+            yaw_plots.draw_sigma(
+                results.accuracy.figure,
+                title=f"Expected yaw error at {mission.printed_value('errors', 'rms_mG', source='observed rms'):.1f} mG",
+            ),
         ),
         FigureBlock(
             "yaw_sweep",

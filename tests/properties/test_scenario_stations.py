@@ -105,6 +105,71 @@ def test_the_command_lists_passes(tmp_path, capsys):
     assert main(["passes", str(path)]) == 2
 
 
+STATION = """[station.home]
+latitude_deg = 52.1
+longitude_deg = 4.3
+mask_deg = 10.0
+"""
+
+
+def test_anyones_stations_stand_in_for_those_of_a_scenario(tmp_path, capsys):
+    from fluxtwin.cli import main
+
+    scenario, stations = tmp_path / "two.toml", tmp_path / "mine.toml"
+    scenario.write_text(TEXT, encoding="utf-8")
+    stations.write_text(STATION, encoding="utf-8")
+    assert main(["passes", str(scenario), "--stations", str(stations)]) == 0
+    mine = {"home": {"latitude_deg": 52.1, "longitude_deg": 4.3, "mask_deg": 10.0}}
+    found = list_passes(parse_scenario(TEXT).updated({"station": mine}))
+    shown = capsys.readouterr().out
+    assert f"{len(found)} passes over 1 station," in shown
+    for item in found:
+        assert item["rise"] in shown
+    stations.write_text(STATION.replace("10.0", "89.9"), encoding="utf-8")
+    assert main(["passes", str(scenario), "--stations", str(stations)]) == 0
+    assert "0 passes over 1 station," in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (STATION.replace("52.1", "95"), "latitude_deg"),
+        (STATION.replace("10.0", "95"), "mask_deg"),
+        (STATION.replace("10.0", "nan"), "mask_deg"),
+        (STATION.replace("4.3", "inf"), "longitude_deg"),
+        (STATION.replace("mask_deg", "maks_deg"), "did you mean"),
+        (STATION.replace("[station.home]", "[stations.home]"), "did you mean station"),
+        ("station = 3", "table"),
+        ("", "station is missing"),
+        ("[station.home", "not valid TOML"),
+    ],
+)
+def test_a_bad_station_file_is_refused_in_words(tmp_path, capsys, text, said):
+    from fluxtwin.cli import main
+
+    path = tmp_path / "stations.toml"
+    path.write_text(text, encoding="utf-8")
+    assert main(["passes", "hcmm", "--stations", str(path)]) == 2
+    shown = capsys.readouterr().err
+    assert "stations.toml" in shown
+    assert said in shown
+    assert "Traceback" not in shown
+
+
+def test_a_name_that_is_no_scenario_is_answered_with_what_there_is(capsys):
+    from fluxtwin.cli import main
+
+    assert main(["passes", "hcm"]) == 2
+    shown = " ".join(capsys.readouterr().err.split())
+    assert "did you mean 'hcmm'" in shown
+    for name in ("hcmm", "seasat", "st5"):
+        assert name in shown
+    assert main(["passes", "seasat"]) == 2  # packaged, but without stations
+    shown = " ".join(capsys.readouterr().err.split())
+    assert "no station" in shown
+    assert "--stations" in shown
+
+
 def test_compensation_takes_out_its_share_of_the_torquers(config):
     torquers = {"dipole_Am2": 10.0, "positions_m": [[0.0, 0.0, 1.0]] * 3, "compensation": 0.0}
     plain = torquer_correction(config.updated({"torquers": torquers}))

@@ -82,12 +82,15 @@ def draw_budget(record: ErrorBudget, *, title: str) -> Figure:
         (-0.2, record.simulated_mG, "simulated, source alone", style.BLUE),
         (0.2, record.paper_rule_mG, "the papers' arithmetic", style.ORANGE),
     ):
-        bars = axes.bar(places + shift, values, 0.38, label=label, color=colour)
-        axes.bar_label(bars, fmt="%.2f", fontsize=8)
+        axes.bar(places + shift, values, 0.38, label=label, color=colour)
+    tops = record.paper_rule_mG
     if record.paper_range_mG is not None:
-        low, high = record.paper_range_mG.T
-        wide = high > low
-        axes.vlines(places[wide] + 0.3, low[wide], high[wide], color=style.BLACK, linewidth=1.5, label="its range")
+        low, tops = record.paper_range_mG.T
+        wide = tops > low
+        axes.vlines(places[wide] + 0.2, low[wide], tops[wide], color=style.BLACK, linewidth=1.5, label="its range")
+    for shift, values, heights in ((-0.2, record.simulated_mG, record.simulated_mG), (0.2, record.paper_rule_mG, tops)):
+        for place, value, height in zip(places + shift, values, heights, strict=True):
+            axes.annotate(f"{value:.2f}", (place, height), (0, 2), textcoords="offset points", ha="center", fontsize=8)
     axes.set_xticks(places, [textwrap.fill(name, 14) for name in record.sources])
     axes.set(title=title, ylabel="rms per component [mG]")
     axes.legend()

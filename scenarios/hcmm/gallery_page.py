@@ -43,12 +43,12 @@ def overview_table(answers: Sequence[Answer]) -> Table:
             f"{_as(later.floor, later.unit)})"
         )
         rows.append(
-            [f"({answer.case.key}) {answer.case.title}", d.verdict, answer.name or "none", d.where.stage or "",
+            [f"({answer.case.key}) {answer.case.title}", answer.name or f"nothing: {d.verdict}", d.where.stage or "",
              answer.located, judged]
         )  # fmt: skip
     return Table(
         "Four faults",
-        ["what was wrong", "verdict", "named", "stage", "where", "passes not used, where it acts"],
+        ["what was wrong", "named", "stage", "where", "passes not used, where it acts"],
         rows,
         "Named from telemetry alone. Residual, rms, on the passes of the two days that follow, without the cause and "
         "with it as found. Flown in the prescribed motion, coils at random with their full dipole, not by the control law.",
@@ -349,5 +349,5 @@ def _is(value: float) -> str:
 
 def _p(value: float) -> str:
     if value < 0.0001:
-        return "< 0.0001"
+        return "<\u00a00.0001"
     return f"{value:.4f}" if value < 0.01 else f"{value:.2f}"

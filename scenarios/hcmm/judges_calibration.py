@@ -44,7 +44,7 @@ def _claim_34(r: Results) -> Verdict:
     a = r.accuracy.attitude_largest
     by = "held by magnets and one wheel" if r.motion.dynamic else "put in by the scenario"
     return Verdict(
-        f"b1 from single passes with S = T = 0 varies by +-{half:.1f} mG over {len(r.calibration.bias_only.b_mG)} "
+        f"b1 from single passes with S = T = 0 varies by ±{half:.1f} mG over {len(r.calibration.bias_only.b_mG)} "
         "passes; "
         f"roll, pitch, yaw stay within {a[0]:.2f}, {a[1]:.2f}, {a[2]:.2f} deg ({by})", half, "mG",
         agree(half, quantity("b1 half range"), 1.0), "b1 varies by another amount",

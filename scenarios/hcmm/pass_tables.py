@@ -29,9 +29,9 @@ def strength_table(r: Results) -> Table:
     for count, chosen in ((39, p.quiet), (43, np.ones(len(p.passes), dtype=bool))):
         printed = printed_rms([x.eps_M_mG for x in _of(p.passes, chosen)])
         model = float(np.sqrt(np.mean(p.field_model_eps_mG[chosen] ** 2)))
-        line = f"rms, {count} passes"
+        line = _unbroken(f"rms, {count} passes")
         rows.append([line, "", "", f"{p.rms('eps_M_mG', chosen):.2f}", f"{printed:.2f}", "", f"{model:.2f}"])
-        rows.append([f"{line}, the paper's line", "", "", "", f"{quantity(f'residual {count} passes'):.2f}", "", ""])
+        rows.append([f"{line}\u00a0(C)", "", "", "", f"{quantity(f'residual {count} passes'):.2f}", "", ""])
     return Table(
         "Table 5 (C): residual of field strength in 43 passes",
         ["pass", "light", "samples", "ours [mG]", "printed [mG]", "5 to 95 % [mG]", "error of IGRF 1975 [mG]"],
@@ -40,44 +40,47 @@ def strength_table(r: Results) -> Table:
         "which the 39 leave out. Ours: one simulated flight in the window that the printed sun-nadir range fixes. 5 "
         "to 95 %: "
         "of ours over calibrations made with other passes. Last column: no simulation, IGRF 1975 against what is known of "
-        "the field today. The papers' rms lines stand below the rms of their printed rows.",
+        "the field today. Lines (C): the paper's own rms.",
     )
 
 
 def angles_table(r: Results) -> Table:
-    """Table 5, the three angles."""
+    """Table 5, the three angles: range and residual, each ours and printed."""
     p, lit = r.passes, r.passes.sunlit & ~r.passes.dawn
     rows: list[list[Cell]] = [
         [
             _marked(item),
-            _pair(ours.sun_field, item.sun_field), _two(ours.delta_sun_field, item.delta_sun_field_deg),
-            _pair(ours.nadir_field, item.nadir_field_read), _two(ours.delta_nadir_field, item.delta_nadir_field_deg),
-            _pair(ours.sun_nadir, item.sun_nadir), _two(ours.delta_sun_nadir, item.delta_sun_nadir_deg),
+            *_range(ours.sun_field, item.sun_field), *_residual(ours.delta_sun_field, item.delta_sun_field_deg),
+            *_range(ours.nadir_field, item.nadir_field_read),
+            *_residual(ours.delta_nadir_field, item.delta_nadir_field_deg),
+            *_range(ours.sun_nadir, item.sun_nadir), *_residual(ours.delta_sun_nadir, item.delta_sun_nadir_deg),
         ]
         for item, ours in zip(p.passes, p.rows, strict=True)
     ]  # fmt: skip
-    by_sun = [
-        _two(p.rms(f"delta_{name}", lit), printed_rms([getattr(x, f"delta_{name}_deg") for x in _of(p.passes, lit)]))
-        for name in ("sun_field", "sun_nadir")
-    ]
     for count, chosen in ((39, p.quiet), (43, np.ones(len(p.passes), dtype=bool))):
-        nadir = printed_rms([x.delta_nadir_field_deg for x in _of(p.passes, chosen)])
-        ours_and_rows = _two(p.rms("delta_nadir_field", chosen), nadir)
-        line, printed = f"rms, {count} passes", f"/ {quantity(f'nadir-field residual {count} passes'):.2f}"
-        sun, both = by_sun if count == 39 else ("", "")
-        rows.append([line, "", sun, "", ours_and_rows, "", both])
-        names = ("sun-field residual", "sun-nadir residual")
-        sun, both = (f"/ {quantity(name):.2f}" if count == 39 else "" for name in names)
-        rows.append([f"{line}, the paper's line", "", sun, "", printed, "", both])
+        line, by_sun = _unbroken(f"rms, {count} passes"), count == 39
+        ours_row: list[Cell] = [line]
+        paper_row: list[Cell] = [f"{line}\u00a0(C)"]
+        for name, shown in (("sun_field", by_sun), ("nadir_field", True), ("sun_nadir", by_sun)):
+            rows_of_it = chosen if name == "nadir_field" else lit
+            printed = printed_rms([getattr(x, f"delta_{name}_deg") for x in _of(p.passes, rows_of_it)])
+            ours = _residual(p.rms(f"delta_{name}", rows_of_it), printed) if shown else ("", "")
+            words = f"{name.replace('_', '-')} residual" + (f" {count} passes" if name == "nadir_field" else "")
+            ours_row += ["", "", *ours]
+            paper_row += ["", "", "", f"{quantity(words):.2f}" if shown else ""]
+        rows += [ours_row, paper_row]
+    columns = ["pass"]
+    for angle in ("sun-field", "nadir-field", "sun-nadir"):
+        columns += [angle, "(C)", "rms", "(C)"]
     return Table(
-        "Table 5 (C): angles in 43 passes, ours / printed [deg]",
-        ["pass", "sun-field", "its residual", "nadir-field", "its residual", "sun-nadir", "its residual"],
+        "Table 5 (C): angles in 43 passes [deg]",
+        columns,
         rows,
-        "Lowest to highest angle, and rms of measured less computed angle. * dawn pass over Orroral, head 1: a dash "
-        "where no "
-        "sample of the window sees the sun. Ranges are computed in the window that the printed sun-nadir range "
-        "fixes; printed "
-        "nadir-field angles as scanned. Angles with the sun: rms over the 19 other sunlit passes, in both lines of 39.",
+        "Of each angle the lowest and highest, and the rms of measured less computed; each ours, then the printed one (C). "
+        "* dawn pass over Orroral, head 1: a dash where no sample of the window sees the sun. Ranges are computed in "
+        "the window that the "
+        "printed sun-nadir range fixes; printed nadir-field angles as scanned. Angles with the sun: rms over the 19 other "
+        "sunlit passes. Lines (C): the paper's own rms.",
     )
 
 
@@ -139,18 +142,23 @@ def span(ends: Range) -> str:
 
 
 def _marked(item: Pass) -> str:
-    return item.label + ("*" if item.dawn else "**" if item.number in ANOMALOUS else "")
+    return _unbroken(item.label + ("*" if item.dawn else "**" if item.number in ANOMALOUS else ""))
+
+
+def _unbroken(words: str) -> str:
+    """On one line however narrow the column."""
+    return words.replace(" ", "\u00a0")
 
 
 def _of(passes: Sequence[Pass], chosen: BoolArray) -> list[Pass]:
     return [item for item, yes in zip(passes, chosen, strict=True) if yes]
 
 
-def _pair(ours: Range | None, printed: Range | None) -> str:
-    return "" if ours is None or printed is None else f"{span(ours)} / {span(printed)}"
+def _range(ours: Range | None, printed: Range | None) -> tuple[str, str]:
+    return ("", "") if ours is None or printed is None else (span(ours), span(printed))
 
 
-def _two(ours: float | None, printed: float | None) -> str:
+def _residual(ours: float | None, printed: float | None) -> tuple[str, str]:
     if ours is None and printed is None:
-        return ""
-    return f"{'-' if ours is None else format(ours, '.2f')} / {'-' if printed is None else format(printed, '.2f')}"
+        return "", ""
+    return "-" if ours is None else f"{ours:.2f}", "-" if printed is None else f"{printed:.2f}"

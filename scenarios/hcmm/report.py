@@ -43,7 +43,12 @@ def page(results: Results, claims: list[Claim], verdict: str) -> Page:
         sections=[
             *_flight(results),
             _night_passes(results),
-            Section("Calibration", [], [tables.calibration_table(results)], [tables.bias_figure(results)]),
+            Section(
+                "Calibration",
+                [],
+                [tables.calibration_table(results), tables.sigma_table(results)],
+                [tables.bias_figure(results)],
+            ),
             Section("Sources of the residual", [], [tables.error_table(results)], others[:1]),
             _passes(results),
             Section("Yaw", [], [tables.yaw_table(results), pass_tables.figure_3_table(results)], others[1:]),
@@ -113,7 +118,7 @@ def _flight(results: Results) -> list[Section]:
                 "on that "
                 "column.",
             ],
-            [tables.ideas_table(results), tables.nadir_field_rows(results)],
+            [*tables.ideas_tables(results), tables.nadir_field_rows(results)],
             figures[2:],
         ),
     ]

@@ -63,8 +63,9 @@ def run(
         f"({t.median_as_scanned_deg:.2f} with the digits as scanned); {counted(claims)}."
     )
     shown = [
-        tables.orbit_table(results), tables.flight_test_table(results), tables.ideas_table(results),
-        tables.calibration_table(results), tables.error_table(results), pass_tables.strength_table(results),
+        tables.orbit_table(results), tables.flight_test_table(results), *tables.ideas_tables(results),
+        tables.calibration_table(results), tables.sigma_table(results),
+        tables.error_table(results), pass_tables.strength_table(results),
         pass_tables.angles_table(results), pass_tables.dawn_table(results), pass_tables.figure_3_table(results),
         tables.yaw_table(results), tables.scanner_table(results), results.motion.table(tables.POINTING),
         real_passes_table(results.real_passes), overview_table(results.gallery), claims_table(claims), whys_table(claims),

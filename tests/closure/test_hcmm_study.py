@@ -10,9 +10,10 @@ import json
 import numpy as np
 import pytest
 
-from fluxtwin.scenarios.hcmm import mission, study
+from fluxtwin.scenarios.hcmm import mission, pass_tables, study, tables
 from fluxtwin.scenarios.hcmm.calibration_study import NAMES, choose_rows
 from fluxtwin.scenarios.hcmm.claims import MAY_BE_UNTESTABLE, judge_claims
+from fluxtwin.scenarios.hcmm.dawn_study import run_dawn
 from fluxtwin.scenarios.hcmm.judges_calibration import pulls
 from fluxtwin.scenarios.hcmm.report import page
 from fluxtwin.scenarios.hcmm.yaw_study import equation_11
@@ -119,6 +120,85 @@ def test_dawn_passes_show_head_1_and_no_other_pass_does(results):
     found = results.passes.column("delta_sun_nadir")
     dawn, others = found[results.passes.dawn], found[results.passes.sunlit & ~results.passes.dawn]
     assert np.nanmin(dawn) > 1.4 * np.nanmax(others)
+
+
+def test_head_1_leaves_at_dawn_what_its_angle_and_the_noise_make(results, close):
+    """0.6 deg and the 0.24 deg of the other passes, as squares 0.65; print has 0.61 to 0.67 in the five passes."""
+    dawn = results.dawn
+    assert len(dawn.labels) == 5
+    assert (np.array(dawn.samples) > 0).all()
+    together, spread = dawn.together_deg
+    close(
+        together, np.hypot(0.6, 0.24), atol=3 * spread / np.sqrt(40), unit="deg", because="mean of 40 flights, 3 sigma"
+    )
+    margin = 3 * dawn.standard_error_deg
+    assert (dawn.mean_deg > 0.61 - margin).all()
+    assert (dawn.mean_deg < 0.67 + margin).all()
+    straight = run_dawn(results.scenario.updated({"sun_sensor.1.misalignment_deg": None}), results.windows, flights=10)
+    assert straight.together_deg[0] < 0.4  # with head 1 right the noise alone is left
+
+
+def _plain(words: object) -> str:
+    return str(words).replace("\u00a0", " ")
+
+
+def test_table_5_is_there_in_full_beside_the_paper_s(results):
+    strength, angles = pass_tables.strength_table(results), pass_tables.angles_table(results)
+    for table in (strength, angles):
+        assert len(table.rows) == 43 + 4
+        for row, item in zip(table.rows, results.passes.passes, strict=False):
+            assert _plain(row[0]).startswith(item.label)
+        assert [_plain(row[0]) for row in table.rows[43:]] == [
+            f"rms, {n} passes{c}" for n in (39, 43) for c in ("", " (C)")
+        ]
+    assert [row[4] for row in strength.rows[43:]] == ["2.21", "2.20", "2.50", "2.50"]  # of the rows, and as printed
+    assert [angles.rows[44][k] for k in (4, 8, 12)] == ["0.36", "0.51", "0.24"]
+    assert [angles.rows[46][k] for k in (4, 8, 12)] == ["", "0.53", ""]
+    marked = [number for number, row in enumerate(strength.rows[:43], start=1) if str(row[0]).endswith("**")]
+    assert marked == [11, 12, 13, 34]
+    assert sum(_plain(row[0]).endswith("ORR*") for row in strength.rows) == 5
+
+
+def test_table_3_and_table_4_hold_every_set_and_both_ways(results, close):
+    table = tables.calibration_table(results)
+    assert list(table.columns) == ["parameter", "set A", "printed", "set B", "printed", "A and B", "printed"]
+    assert len(tables.sigma_table(results).rows) == 13
+    assert [row[0] for row in table.rows[:12]] == [f"{name} [mG]" if name[0] == "b" else name for name in NAMES]
+    samples = next(row for row in table.rows if row[0] == "samples")
+    assert samples[1:] == ["135", "135", "308", "308", "443", "443"]
+    rule = results.errors.paper_rule
+    assert set(results.errors.simulated) == set(rule) == {*mission.SOURCES, "all"}
+    # The independent program: 2.04 to 2.53 with the LSB rounded up to 1.4.
+    close(rule["all"], (2.04, 2.53), atol=0.03, unit="mG", because="1.36 against 1.4 for the LSB")
+    assert len(tables.error_table(results).rows) == 6
+
+
+def test_figure_3_and_its_error_bar(results, close):
+    """The conference text: sun-nadir 84 to 121 deg; the bar is the mean of the nadir-field residual and Table 6."""
+    yaw = results.yaw
+    assert 0.0 < yaw.minutes_late < 3.0  # 11 h 35 min in print; the independent fit has 11:37.3
+    close(yaw.sun_nadir_deg, (82.6, 120.9), atol=0.5, unit="deg", because="the independent fit, rise to set")
+    close(
+        yaw.error_bar_deg, 0.5 * (yaw.delta_nadir_field_deg + 0.802), atol=0.001, unit="deg", because="the papers' rule"
+    )
+    assert 0.8 * yaw.error_bar_deg < yaw.magnetometer_yaw_rms_deg < 2.0 * yaw.error_bar_deg
+    rows = {row[0]: row[1:] for row in pass_tables.figure_3_table(results).rows}
+    assert rows["error bar [deg]"] == [f"{yaw.error_bar_deg:.2f}", "0.58"]
+
+
+def test_criteria_are_said_where_a_claim_could_be_judged_kindly(results, claims):
+    for number in (37, 42, 43, 46, 53, 61):
+        assert "criterion" in claims[number].here
+    assert claims[42].value == pytest.approx(
+        np.sqrt(results.passes.rms("eps_M_mG", results.passes.quiet) ** 2 - 1.36**2), abs=0.01
+    )
+    # A dipole of 230 mG at the equator is not the field: 256 and 427 mG along the orbit, so neither printed end is met.
+    assert claims[43].status == "differs"
+
+
+def test_a_printed_number_that_is_not_there_is_no_number():
+    with pytest.raises(LookupError):
+        mission.quantity("no such quantity")
 
 
 def test_no_yaw_at_night(results):

@@ -30,6 +30,7 @@ NEAR_EQUATOR_DEG, NEAR_POLES_DEG = 5.0, 75.0
 class ErrorStudy:
     """Contributions [mG, rms per component over the 443 samples], and what stands beside them."""
 
+    flights: int
     simulated: Mapping[str, float]
     """Error of equation 1 at the true S, b, T = 0, with that source alone; mean square over seeds and phases."""
     simulated_spread: Mapping[str, float]
@@ -73,6 +74,7 @@ def run_errors(config: Scenario, ground: FieldModel, progress: Progress, runs: i
     coupling = np.linalg.norm(coupling_nT_per_Am2(np.array(_torquers(config).positions_m)), axis=0).max()
     axial = float(coupling * _torquers(config).Am2 / NT_PER_MG)
     return ErrorStudy(
+        flights=runs,
         simulated={case: float(np.sqrt(np.mean(values))) for case, values in squares.items()},
         simulated_spread={case: float(np.std(np.sqrt(values))) for case, values in squares.items()},
         paper_rule=paper_rule(config),

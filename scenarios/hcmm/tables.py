@@ -18,7 +18,6 @@ from fluxtwin.scenarios.hcmm.calibration_study import (
     vector_sigma,
 )
 from fluxtwin.scenarios.hcmm.claims import Results
-from fluxtwin.scenarios.hcmm.error_study import RUNS as ERROR_RUNS
 from fluxtwin.scenarios.hcmm.judges_calibration import printed_column
 from fluxtwin.scenarios.hcmm.mission import DAYS, printed_value, quantity
 from fluxtwin.scenarios.hcmm.pass_tables import span
@@ -234,9 +233,10 @@ def error_table(r: Results) -> Table:
         ["source", "simulated alone", "papers' arithmetic"],
         rows,
         "Simulated: error of eq. 1 at the true S and b with that source alone, and its scatter over "
-        f"{ERROR_RUNS} flights; all: with all sources on. The papers' arithmetic: LSB/sqrt 12, their sizes of the others, "
+        f"{e.flights} flights; all: with all sources on. The papers' arithmetic: LSB/sqrt 12, their sizes of the others, "
         f"and the root sum of squares. One coil gives {e.coil_axial_mG:.0f} mG on its axis at 1 m, {e.coil_left_mG:.1f} mG "
-        "after compensation; the control law drives it so gently that next to nothing of that is seen.",
+        "after compensation"
+        + ("; the control law drives it so gently that little of it is seen." if r.motion.dynamic else "."),
     )
 
 

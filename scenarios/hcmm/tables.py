@@ -111,7 +111,7 @@ def ideas_tables(r: Results) -> list[Table]:
             ]
         )
         chance = f"{idea.by_chance[0]:.0f} ± {idea.by_chance[1]:.0f}"
-        explained.append([idea.name, idea.explained, chance, idea.explained_with_digits])
+        explained.append([idea.name, f"{idea.explained}", chance, f"{idea.explained_with_digits}"])
     return [
         Table(
             "The open question: where the nadir-field column disagrees, median error [deg]",

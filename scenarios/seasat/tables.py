@@ -155,7 +155,11 @@ def yaw_table(results: Results) -> Table:
     q = a.worst_quantiles_deg
     observed = mission.printed_value("errors", "rms_mG", source="observed rms")
     names = ("sigma_y equator", "sigma_y pole max", "LSB yaw error X axis", "LSB yaw error Y axis")
-    equator, worst, lsb_x, lsb_y = (f"{mission.printed_value('yaw', 'value', quantity=name):g}" for name in names)
+    styles = (".2f", ".0f", ".1f", ".1f")
+    equator, worst, lsb_x, lsb_y = (
+        format(mission.printed_value("yaw", "value", quantity=name), style)
+        for name, style in zip(names, styles, strict=True)
+    )
     rows = [
         [f"sigma at the equator at {observed:.1f} mG [deg]", f"{a.sigma_equator_deg:.2f}", equator, "C 12, J 14"],
         ["sigma at the equator at our residual [deg]", f"{a.sigma_equator_ours_deg:.2f}", "", "C 12, J 14"],

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
-from fluxtwin.gap.answer import CARRIED, Answer, Known, answered_with, bare, signals_of
+from fluxtwin.gap.answer import CARRIED, Answer, Known, answered_with, bare, left_of, signals_of
 from fluxtwin.gap.blocks import Block
 from fluxtwin.gap.candidates import derivatives
 from fluxtwin.gap.constancy import pliable
@@ -51,7 +52,10 @@ class Shapes:
             more = self._one_more(answer)
             if more is None:
                 break
+            found = len(more.shapes) > len(answer.shapes)
             answer = more
+            if not found:
+                break
         return answer
 
     def _one_more(self, answer: Answer) -> Answer | None:
@@ -88,6 +92,8 @@ class Shapes:
         """The answer with a walk in the noise, where that says more with less."""
         wander = Wander(answer.whitener, self.problem.setting.seconds)
         none = bare(self.problem, answer, self.dictionary) if answer.result.named else answer
+        if not answer.left.structured and not self._hopeful(answer, none, wander):
+            return None
         best: tuple[float, float, Answer] | None = None
         for start in [none] if none is answer else [none, answer]:
             rate = wander.rate(self._left(start))
@@ -104,11 +110,46 @@ class Shapes:
         left = self._left(walking)
         finding = random_walk(self.problem.setting.seconds, left, self.dictionary, answer.noise.sigma_nT)
         if finding is None or not finding.confirmed:
-            return None
+            return self._fewer(answer, walking, left)
         likeliest = rate * float(np.sqrt(walking.result.variance))
         _, sigma, unit = finding.parameters["rate"]
         finding = replace(finding, parameters={"rate": (likeliest, sigma, unit)})
         return replace(walking, shapes=(*answer.shapes, finding))
+
+    def _fewer(self, answer: Answer, walking: Answer, left: Leftover) -> Answer | None:
+        """The fewer names that are needed where the slow rest is free to wander: the others only mopped it up.
+
+        What wanders is no walk, so it stays without a name, and the names must carry the structure without it.
+        """
+        if len(walking.result.chosen) >= len(answer.result.chosen):
+            return None
+        plain = answer.result.chi2
+        rank = plain["nuisance"][1] + walking.result.chi2["named"][1] - walking.result.chi2["nuisance"][1]
+        result = replace(walking.result, chi2={**plain, "named": (left.energy, rank)}, variance=answer.result.variance)
+        rest = left_of(self.problem, answer.whitener, result, walking.fitted_nT, self.dictionary)
+        fewer = replace(walking, whitener=answer.whitener, result=result, left=rest)
+        return replace(fewer, left=replace(rest, structured=True))
+
+    def _hopeful(self, answer: Answer, none: Answer, wander: Wander) -> bool:
+        """Whether a walk with fewer of the named effects, linear about their refit, costs less than all of them."""
+        rate = wander.rate(self._left(none))
+        if rate is None:
+            return False
+        chosen = answer.result.chosen
+        columns = derivatives(self.problem, [*answer.result.modelled, *chosen])
+        ends = np.cumsum([answer.alone_nT.shape[2], *(len(theta) for _, theta in chosen)])
+        white = wander.whitening(rate).apply(columns)
+        target = wander.whitening(rate).apply(none.result.residual_nT).reshape(-1)
+        charged = wander.log_det(rate, self._basis(none)) + float(np.log(_samples(none)))
+        least, whole = np.inf, 0.0
+        for some in (kept for size in range(len(chosen)) for kept in combinations(range(len(chosen)), size)):
+            pick = [*range(ends[0]), *(c for one in some for c in range(ends[one], ends[one + 1]))]
+            basis = orthonormal(white[:, :, pick].reshape(target.size, -1))
+            chi2 = float(target @ target - np.sum((basis.T @ target) ** 2))
+            whole = whole if some else chi2
+            worth = price(basis.shape[1] - ends[0], whole - chi2, _samples(none))
+            least = min(least, chi2 + float(worth) + 2.0 * (len(some) + 1) * float(np.log(none.result.tested)))
+        return bool(least + charged < self._cost(answer, 1.0))
 
     def _settled(self, answer: Answer, wander: Wander, rate: float | None) -> tuple[float, float, Answer] | None:
         """Effects beside a walk whose rate is the likeliest beside those effects: cost of both, rate, effects."""

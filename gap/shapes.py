@@ -121,7 +121,8 @@ class Shapes:
 
         What wanders is no walk, so it stays without a name, and the names must carry the structure without it.
         """
-        if len(walking.result.chosen) >= len(answer.result.chosen):
+        before, after = len(answer.result.chosen), len(walking.result.chosen)
+        if before < 2 or after >= before:  # a single name mops up after nothing
             return None
         plain = answer.result.chi2
         rank = plain["nuisance"][1] + walking.result.chi2["named"][1] - walking.result.chi2["nuisance"][1]
@@ -153,19 +154,19 @@ class Shapes:
 
     def _settled(self, answer: Answer, wander: Wander, rate: float | None) -> tuple[float, float, Answer] | None:
         """Effects beside a walk whose rate is the likeliest beside those effects: cost of both, rate, effects."""
+        if rate is None:
+            return None
         for _ in range(_ROUNDS):
-            if rate is None:
-                return None
             found = answered_with(
                 self.problem, answer.noise, answer.robust, wander.whitening(rate), self.dictionary, self.known,
                 answer.shapes,
             )  # fmt: skip
             again = wander.rate(self._left(found))
-            if again is None or abs(np.log(again / rate)) < _SETTLED:
+            if again is None:
+                return None
+            if abs(np.log(again / rate)) < _SETTLED:
                 break
             rate = again
-        if again is None:
-            return None
         base = self._basis(found)
         walk = wander.log_det(rate, base) + float(np.log(_samples(found))) + 2.0 * float(np.log(found.result.tested))
         return self._cost(found, found.result.variance) + walk, rate, found

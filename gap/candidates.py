@@ -114,7 +114,7 @@ def _live(effect: SignalEffect, jacobian: FloatArray) -> BoolArray:
 def _not_reported(effect: Effect, problem: Problem) -> str | None:
     """Why an effect is not to be tested: another measurement rules it out, or no attitude was reported."""
     if effect.name in problem.ruled_out:
-        return "another measurement rules it out: the angle between sun and nadir has nothing of it"
+        return f"another measurement rules it out: {problem.ruled_out[effect.name]}"
     if problem.axes is None or problem.axes.known.any():
         return None
     if isinstance(effect, BitErrors):

@@ -100,9 +100,14 @@ def diagnose(
     problem = pose(
         record, model, modelled=modelled, budget=budget, instrument=instrument, frozen=frozen
     )  # fmt: skip
-    problem = replace(problem, ruled_out=tuple(ruled_out))
+    out = dict.fromkeys(ruled_out, "the angle between sun and nadir has nothing of it")
+    problem = replace(problem, ruled_out=out)
     _require_rows(problem)
-    work = investigate(settled(problem), progress, None if every == 1 else telemetry, craft)
+    whole = None if every == 1 else telemetry
+    work = investigate(settled(problem), progress, whole, craft)
+    if work.momentum.ruled_out:
+        problem = replace(problem, ruled_out={**out, **work.momentum.ruled_out})
+        work = investigate(settled(problem), progress, whole, craft)
     notes: dict[str, object] = dict(provenance or {})
     notes |= {"field_model": model.title, "noise": work.noise.words, "rows_thinned_by": every}
     notes |= {f"budget: {name}": source for name, source in (complete_budget(work.problem).sources or {}).items()}

@@ -8,7 +8,8 @@ effects on the dynamics with the scores of the magnetometer's channel.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import cast
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from fluxtwin.gap.groups import isolability, shares_by_name
 from fluxtwin.gap.momentum_arcs import Craft, arcs
 from fluxtwin.gap.momentum_far import MomentumGap, how_far
 from fluxtwin.gap.momentum_noise import MomentumWhitener, choose_noise
+from fluxtwin.gap.momentum_orbit import ahead_km, estimate, ruled_out
 from fluxtwin.gap.momentum_search import Balance, Beside, Refit, named, refitted, significant_left, sought
 from fluxtwin.gap.momentum_windows import MOST_NODES, WINDOW_S, Windows, windows
 from fluxtwin.gap.named import Named, Ranked, SearchResult
@@ -27,6 +29,7 @@ from fluxtwin.gap.records import Detectable
 from fluxtwin.gap.score import Board
 from fluxtwin.gap.whitening import Whitener
 from fluxtwin.sim.dynamics.vehicle import Vehicle
+from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.types import FloatArray
 
 _LEFT_P = 0.001
@@ -52,6 +55,10 @@ class Momentum:
     left_frame: str | None = None
     words: str = ""
     gap: MomentumGap | None = None
+    ahead_km: tuple[float, float] | None = None
+    """How far the reported position is ahead along the orbit, and sigma; None where torques do not show it."""
+    ruled_out: Mapping[str, str] = field(default_factory=dict)
+    """Names that the readings would accept and the torques do not: why."""
 
     @property
     def standing(self) -> tuple[Named, ...]:
@@ -85,13 +92,17 @@ def balanced(
     """
     if craft is None:
         return absent(_NO_SCENARIO)
-    flown = arcs(problem, craft, WINDOW_S / MOST_NODES)
+    orbit = causes.orbit_of(problem, [*problem.frozen, *result.modelled, *result.chosen])
+    flown = arcs(problem, craft, WINDOW_S / MOST_NODES, orbit)
     if isinstance(flown, str):
         return absent(flown)
     cut = windows(flown)
     if isinstance(cut, str):
         return absent(cut)
-    return _about_the_motion(problem, cut, whitener, result, fitted_nT)
+    found = _about_the_motion(problem, cut, whitener, result, fitted_nT)
+    if found.structured or found.ahead_km is None:
+        return found  # where something else turns the body it is no witness
+    return replace(found, ruled_out=ruled_out(result, whitener, found.ahead_km))
 
 
 def _about_the_motion(
@@ -125,8 +136,9 @@ def _searched(
 ) -> tuple[Momentum, Vehicle | None]:
     """What the balance about this motion says, and the vehicle with the named effects, if there are any."""
     dynamic, untestable = causes.dynamics_causes(cut)
-    on = causes.on_attitude([*problem.frozen, *result.modelled, *result.chosen])
-    turning = causes.attitude_candidates(cut, _others(result), on)
+    there = [*problem.frozen, *result.modelled, *result.chosen]
+    on = causes.on_attitude(there)
+    turning = causes.shared_candidates(cut, _others(result), there)
     residual = cut.residual(problem.chain.signal(on).R_BN if on else None)
     nuisance = _nuisance(cut, problem, result, fitted_nT)
     blocks = causes.plain_torques(cut)
@@ -137,11 +149,14 @@ def _searched(
         whitener.apply(result.residual_nT), whitener.apply(fitted_nT), images, whitener.measured, result.tested
     )
     balance = Balance(cut, MomentumWhitener(cut, noise), residual, nuisance, [*dynamic, *turning], beside)
-    return _told(balance, blocks, untestable)
+    return _told(balance, blocks, untestable, result)
 
 
 def _told(
-    balance: Balance, blocks: Mapping[tuple[str, str], FloatArray], untestable: Mapping[str, str]
+    balance: Balance,
+    blocks: Mapping[tuple[str, str], FloatArray],
+    untestable: Mapping[str, str],
+    result: SearchResult,
 ) -> tuple[Momentum, Vehicle | None]:
     first = balance.board(balance.residual)
     chosen, tested = sought(balance, first)
@@ -164,6 +179,7 @@ def _told(
         if structured
         else "",
         gap=how_far(balance, fit, balance.whitener.noise.words, _standing(balance, fit)),
+        ahead_km=ahead_km(balance, fit, chosen, result),
     )
     return momentum, None if fit is None else fit.vehicle
 
@@ -183,15 +199,10 @@ def _others(result: SearchResult) -> list[Candidate]:
 
 
 def _shared(cut: Windows, problem: Problem, result: SearchResult) -> FloatArray:
-    """(M, 3, c + p) image of what the magnetometer's channel fits, in its order; zero where the attitude stays."""
-    parts = []
-    for effect, theta in (*result.modelled, *result.chosen):
-        part = np.zeros((cut.rows.size, 3, len(theta)))
-        if effect.stage == "attitude":
-            others = [pair for pair in causes.on_attitude([*problem.frozen, *result.modelled, *result.chosen])
-                      if pair[0] is not effect]  # fmt: skip
-            part = causes.attitude_image(cut, effect, others, theta)  # type: ignore[arg-type]
-        parts.append(part)
+    """(M, 3, c + p) image of what the magnetometer's channel fits, in its order; zero where attitude and orbit stay."""
+    there = [*problem.frozen, *result.modelled, *result.chosen]
+    parts = [causes.image_of(cut, cast(SignalEffect, effect), there, theta)
+             for effect, theta in (*result.modelled, *result.chosen)]  # fmt: skip
     return np.concatenate(parts, axis=2) if parts else np.zeros((cut.rows.size, 3, 0))
 
 
@@ -246,13 +257,6 @@ def _detectable(first: Board) -> tuple[dict[str, Detectable], dict[str, str]]:
 
 def _standing(balance: Balance, fit: Refit | None) -> tuple[FloatArray, FloatArray]:
     """Attitude error that stands still in the body (3,) and its sigma (3,) [rad], beside what is named."""
-    residual = balance.residual if fit is None else fit.residual
-    columns = np.concatenate([balance.nuisance, *(() if fit is None else fit.columns)], axis=2)
-    white = balance.whitener.apply(columns).reshape(-1, columns.shape[2])
-    live = np.linalg.norm(white, axis=0) > 0
-    gram = np.linalg.pinv(white[:, live].T @ white[:, live], rcond=1e-12)
-    value, sigma = np.zeros(columns.shape[2]), np.full(columns.shape[2], np.inf)
-    value[live] = gram @ (white[:, live].T @ balance.whitener.apply(residual).reshape(-1))
-    sigma[live] = np.sqrt(np.maximum(np.diag(gram), 0.0))
+    value, sigma = estimate(balance, fit)
     at = slice(balance.nuisance.shape[2] - 3, balance.nuisance.shape[2])
     return value[at], sigma[at]

@@ -71,18 +71,27 @@ class Arcs:
     each row to the next. Else both are drawn between the rows, and what they did there is not known."""
     held: BoolArray
     """(3,) whether a torquer's dipole holds until the next row; else it is drawn straight to the next one."""
+    orbit: tuple[FloatArray, FloatArray]
+    """(N, 3) position [km] and velocity [km/s] in N at all rows: as reported, or less what is named of its error."""
+
+    def elsewhere(self, orbit: tuple[FloatArray, FloatArray]) -> Arcs:
+        """The same arcs with the body at other places."""
+        return self._beside(replace(self, orbit=orbit), "driven")
+
+    def _beside(self, moved: Arcs, *same: str) -> Arcs:
+        """Other arcs, with what is the same for them."""
+        for name in same:
+            moved.__dict__[name] = getattr(self, name)
+        return moved
 
     def along(self, track: Rotation, momentum_N: FloatArray) -> Arcs:
         """The same arcs about another motion."""
-        moved = replace(self, track=track, momentum_N=momentum_N)
-        moved.__dict__["around"] = self.around
-        return moved
+        return self._beside(replace(self, track=track, momentum_N=momentum_N), "around", "driven")
 
     def of(self, vehicle: Vehicle) -> Arcs:
         """The same arcs with another vehicle in place of the modelled one, from the same rates."""
         moved = replace(self, craft=replace(self.craft, vehicle=vehicle), momentum_N=self.momentum_of(vehicle))
-        moved.__dict__["around"] = self.around
-        return moved
+        return self._beside(moved, "around", "driven")
 
     @cached_property
     def seconds(self) -> FloatArray:
@@ -97,7 +106,7 @@ class Arcs:
         t = problem.setting.seconds
         step = t[self.rows[:, 1:].ravel()] - t[first]
         share = np.linspace(0.0, 1.0, 2 * self.parts + 1)
-        r, v, _ = problem.setting.given
+        r, v = self.orbit
         after = (step[:, None] * share).ravel()
         start = np.repeat(first, share.size)
         r_km, v_km_s = carried(r[start], v[start], after)
@@ -112,6 +121,16 @@ class Arcs:
         out[:, 12] = sun.illumination(r_km, sun_km) * (AU_KM / distance) ** 2
         out[:, 13] = density_along(time, r_km)
         return out.reshape(*self.rows[:, 1:].shape, share.size, -1)
+
+    @cached_property
+    def driven(self) -> tuple[FloatArray, FloatArray]:
+        """(m, 2 parts + 1, A, 3) momentum of the wheels and dipole of the torquers at the starts, middles and ends of all
+        steps."""
+        shares = np.arange(2 * self.parts + 1) / (2.0 * self.parts)
+        steps = [(self.rows[:, step], self.rows[:, step + 1]) for step in range(self.rows.shape[1] - 1)]
+        wheels = [[self._wheels(here, there, share) for share in shares] for here, there in steps]
+        dipole = [[self._dipole(here, there, share) for share in shares] for here, there in steps]
+        return np.array(wheels), np.array(dipole)
 
     def flown(
         self,
@@ -138,10 +157,9 @@ class Arcs:
             here, there = self.rows[:, step], self.rows[:, step + 1]
             h = (t[there] - t[here]) / self.parts
             for part in range(self.parts):
-                shares = (np.arange(3) / 2.0 + part) / self.parts
-                wheels = [self._wheels(here, there, share) for share in shares]
-                dipole = [self._dipole(here, there, share) for share in shares]
+                wheels, dipole = ([each[step, 2 * part + k] for k in range(3)] for each in self.driven)
                 if wheels_B is not None:
+                    shares = (np.arange(3) / 2.0 + part) / self.parts
                     wheels = [w + _between(wheels_B, here, there, s) for w, s in zip(wheels, shares, strict=True)]
                 around = [self.around[:, step, 2 * part + k] for k in range(3)]
                 state = body.step(state, h, around, wheels, dipole)
@@ -150,9 +168,7 @@ class Arcs:
 
     def holding(self, axis: int) -> Arcs:
         """The same arcs with the dipole about one axis held from row to row."""
-        moved = replace(self, held=self.held | (np.arange(3) == axis))
-        moved.__dict__["around"] = self.around
-        return moved
+        return self._beside(replace(self, held=self.held | (np.arange(3) == axis)), "around")
 
     def momentum_of(self, vehicle: Vehicle) -> FloatArray:
         """(N, 3) the momentum that another vehicle has at the same rates."""
@@ -262,8 +278,11 @@ def _turned(R: FloatArray, vector: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("nij,nj->ni", R, vector))
 
 
-def arcs(problem: Problem, craft: Craft, node_s: float) -> Arcs | str:
-    """Arcs of at least node_s seconds along the problem's rows; or why there are none, in words."""
+def arcs(
+    problem: Problem, craft: Craft, node_s: float, orbit: tuple[FloatArray, FloatArray] | None = None
+) -> Arcs | str:
+    """Arcs of at least node_s seconds along the problem's rows; or why there are none, in words. orbit: as `Arcs` has it,
+    by default as reported."""
     missing = lacking(problem, craft.vehicle)
     if missing is not None:
         return missing
@@ -303,7 +322,8 @@ def arcs(problem: Problem, craft: Craft, node_s: float) -> Arcs | str:
     momentum_N = np.asarray(track.inv().apply(momentum_B))
     resolved = max(usual, *spacing_s) < 1.01 * craft.tick_s
     held = np.full(3, resolved)
-    return Arcs(craft, problem, rows_of_arcs, parts, track, momentum_N, wheels_B, dipole, resolved, held)
+    orbit = setting.given[:2] if orbit is None else orbit
+    return Arcs(craft, problem, rows_of_arcs, parts, track, momentum_N, wheels_B, dipole, resolved, held, orbit)
 
 
 def _filled(t: FloatArray, values: FloatArray, *, straight: bool) -> FloatArray:

@@ -1,7 +1,7 @@
 """What may turn the body, or the recorded attitude: images of all causes in the balance of the momentum.
 
 An effect on the dynamics has its image from the same vehicle that the simulation flies; one on the recorded attitude
-turns the attitudes that the balance is compared with.
+turns the attitudes that the balance is compared with; one on the reported orbit has the torques act elsewhere.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 
 from fluxtwin.gap.candidates import Candidate
 from fluxtwin.gap.momentum_windows import Windows
+from fluxtwin.gap.problem import Problem
 from fluxtwin.sim.dynamics.vehicle import Vehicle
 from fluxtwin.sim.effects.base import DynamicsEffect, Effect, SignalEffect
 from fluxtwin.sim.effects.catalogue import CATALOGUE
@@ -74,6 +75,49 @@ def attitude_image(windows: Windows, effect: SignalEffect, on: Sequence[Active],
         high, low = (chain.signal([*on, (effect, value)]).R_BN[windows.rows] for value in (up, down))
         columns.append(-(high * low.inv()).as_rotvec() / (up[number] - down[number]))
     return np.stack(columns, axis=2)
+
+
+def orbit_image(windows: Windows, effect: SignalEffect, on: Sequence[Active], theta: FloatArray) -> FloatArray:
+    """(M, 3, p) turn of the nodes [rad] per unit of each parameter of an effect on the reported orbit.
+
+    on: other effects on it. Gravity gradient, field and light are those of where the body really was.
+    """
+    arcs, columns = windows.arcs, []
+    for number, parameter in enumerate(effect.parameters):
+        ends = []
+        values = (
+            min(theta[number] + parameter.scale, parameter.high),
+            max(theta[number] - parameter.scale, parameter.low),
+        )
+        for value in values:
+            moved = np.array(theta, dtype=np.float64)
+            moved[number] = value
+            there = arcs.elsewhere(orbit_of(arcs.problem, [*on, (effect, moved)]))
+            ends.append(there.flown(arcs.craft.vehicle))
+        columns.append((ends[0] - ends[1]) / (values[0] - values[1]))
+    return windows.chained(np.stack(columns, axis=2))
+
+
+def orbit_of(problem: Problem, active: Sequence[Active]) -> tuple[FloatArray, FloatArray]:
+    """(N, 3) position [km] and velocity [km/s] with these effects on the reported orbit taken out of it."""
+    on = [pair for pair in active if pair[0].stage == "orbit"]
+    if not on:
+        return problem.setting.given[:2]
+    signal = problem.design.signal(on)
+    return signal.r_N_km, signal.v_N_km_s
+
+
+def image_of(windows: Windows, effect: SignalEffect, on: Sequence[Active], theta: FloatArray) -> FloatArray:
+    """(M, 3, p) of any effect that the readings have too; zero where it leaves attitude and orbit alone.
+
+    on: all effects that are there.
+    """
+    others = [pair for pair in on if pair[0] is not effect and pair[0].stage == effect.stage]
+    if effect.stage == "attitude":
+        return attitude_image(windows, effect, others, theta)
+    if effect.stage == "orbit":
+        return orbit_image(windows, effect, others, theta)
+    return np.zeros((windows.rows.size, 3, len(theta)))
 
 
 def on_attitude(active: Sequence[Active]) -> list[Active]:
@@ -144,12 +188,12 @@ def plain_torques(windows: Windows) -> dict[tuple[str, str], FloatArray]:
     return made
 
 
-def attitude_candidates(windows: Windows, candidates: Sequence[Candidate], on: Sequence[Active]) -> list[Candidate]:
-    """The candidates that turn the recorded attitude, with their image in the balance."""
+def shared_candidates(windows: Windows, candidates: Sequence[Candidate], on: Sequence[Active]) -> list[Candidate]:
+    """The candidates of the readings that turn the recorded attitude or move the orbit, with their image in the balance."""
     found = []
     for candidate in candidates:
-        if candidate.effect.stage == "attitude":
+        if candidate.effect.stage in ("attitude", "orbit"):
             zero = np.zeros(len(candidate.effect.parameters))
-            image = _candidate(candidate.effect, attitude_image(windows, candidate.effect, on, zero))
+            image = _candidate(candidate.effect, image_of(windows, candidate.effect, on, zero))
             found.append(Candidate(candidate.effect, image.jacobian, image.live & candidate.live))
     return [one for one in found if one.live.any()]

@@ -7,7 +7,7 @@ a pseudo attitude that fits the reading, and axes of their own in which they are
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -67,8 +67,8 @@ class Problem:
     """Parameters of the modelled effects about which everything is linear; empty: zero. See `refit.settled`."""
     axes: RowAxes | None = None
     """Where rows have no reference attitude: the axes in which each row is judged. None: all rows have one."""
-    ruled_out: tuple[str, ...] = ()
-    """Names of effects that another measurement has ruled out."""
+    ruled_out: Mapping[str, str] = field(default_factory=dict)
+    """Names of effects that another measurement has ruled out: why."""
 
     @cached_property
     def modelled_active(self) -> tuple[Active, ...]:

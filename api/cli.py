@@ -7,6 +7,7 @@ Every command is one module of `fluxtwin.commands`; what computes is imported in
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 import traceback
@@ -58,6 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Our matrices are small or tall and thin: BLAS threads only wait for each other, and the bits would depend on them.
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    gc.set_threshold(50_000)  # what is imported stays: looking through it again and again is a tenth of a start
     _be_plain()
     try:
         given = None if arguments is None else list(arguments)

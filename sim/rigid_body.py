@@ -13,7 +13,6 @@ the momentum circles about, 1 the opposite extreme, 2 the intermediate.
 from __future__ import annotations
 
 import numpy as np
-from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipj, ellipkinc, ellipkm1, elliprf, elliprj
 
@@ -179,6 +178,7 @@ def _third_kind(
 
 def _integrated(t: FloatArray, moments: FloatArray, rate0: FloatArray) -> tuple[Rotation, FloatArray]:
     """Euler's equations and the turn's kinematics by an eighth-order method, relative tolerance 1e-12."""
+    from scipy.integrate import solve_ivp  # here: slow to load, and seldom wanted
 
     def slope(_: float, state: FloatArray) -> FloatArray:
         v, s, w = state[:3], state[3], state[4:]

@@ -43,7 +43,7 @@ class Scenario(sections.Section):
     dynamics: DynamicsSection | None = None
     torques: TorquesSection | None = None
     control: ControlSection | None = None
-    effects: EffectsSection = EffectsSection()
+    effects: EffectsSection = EffectsSection.model_construct()  # validators are made where the first is checked
     closure: sections.ClosureSection | None = None
     draws: dict[str, DrawSection] = {}
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from fluxtwin.sim import frames
 from fluxtwin.sim.errors import BadInput
@@ -72,6 +71,8 @@ def velocity_from_positions(time: TimeArray, r_N_km: FloatArray) -> FloatArray:
     if rows.size < 4:
         return v
     seconds = (time - time[0]).astype("int64") * 1e-9
+    from scipy.interpolate import CubicSpline  # here: it takes a fifth of a second to load
+
     step = np.diff(seconds[rows])
     breaks = np.flatnonzero(step > max(10.0 * float(np.median(step)), 300.0)) + 1
     for piece in np.split(rows, breaks):

@@ -1,6 +1,6 @@
 """Telemetry as NetCDF-4: CF attributes, a checksum on every chunk, and a SHA-256 over all arrays and attributes.
 
-Written through xarray and h5netcdf. Read with h5py alone, after looking at what the file holds: link class, type,
+Written through h5netcdf. Read with h5py alone, after looking at what the file holds: link class, type,
 size and storage of each variable are checked before a value is read, because an HDF5 file can point at other
 files, claim any size, or be damaged in ways that a higher reader follows silently.
 """
@@ -18,6 +18,7 @@ import numpy as np
 from fluxtwin.sim.epoch import parse_time
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.files import write_with
+from fluxtwin.sim.netcdf_out import Variable, write_netcdf
 from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.telemetry_columns import Table, clip, describe, file_columns, resolve
 from fluxtwin.sim.telemetry_csv import MAX_SAMPLES
@@ -231,31 +232,20 @@ def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> Table:
 
 def write(telemetry: Telemetry, path: Path | str) -> Path:
     """Write the record as NetCDF-4 atomically. Numbers and stamps read back bit-equal."""
-    import xarray
-
     columns = file_columns(telemetry)
-    variables: dict[str, Any] = {}
-    encoding: dict[str, Any] = {}
-    packing = {"zlib": True, "complevel": 4, "shuffle": True, "fletcher32": True}
-    chunks = {"chunksizes": (min(len(telemetry), _CHUNK),)}
+    storage = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
+    storage |= {"chunks": (min(len(telemetry), _CHUNK),)}
     stamps = telemetry.time.astype("int64")
-    variables["time"] = ("time", stamps, _time_attributes())
-    encoding["time"] = {**packing, **chunks, "_FillValue": None}
+    variables = {"time": Variable(("time",), stamps, _time_attributes(), storage=storage)}
     for name, value in columns.items():
         long_name, units = describe(name)
-        variables[name] = ("time", value, {"long_name": long_name, "units": units})
-        encoding[name] = {**packing, **chunks, "_FillValue": np.nan}
+        variables[name] = Variable(("time",), value, {"long_name": long_name, "units": units}, np.nan, storage)
     attributes = _file_attributes(telemetry)
     arrays: dict[str, Any] = {"time": (stamps, _time_attributes())}
     for name, value in columns.items():
-        arrays[name] = (value, {**variables[name][2], "_FillValue": np.nan})
+        arrays[name] = (value, {**variables[name].attributes, "_FillValue": np.nan})
     attributes[_SHA] = _digest(arrays, attributes)
-    dataset = xarray.Dataset(variables, attrs=attributes)
-
-    def fill(temporary: Path) -> None:
-        dataset.to_netcdf(temporary, engine="h5netcdf", format="NETCDF4", encoding=encoding)
-
-    return write_with(path, fill)
+    return write_with(path, lambda temporary: write_netcdf(temporary, variables, attributes))
 
 
 def _time_attributes() -> dict[str, Any]:

@@ -18,7 +18,7 @@ MAX_BYTES = 1_000_000
 class Strict(BaseModel):
     """Base of models for user files: frozen, strict, finite numbers, no unknown keys."""
 
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 _WANTED = {

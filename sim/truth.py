@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-import xarray as xr
 
 from fluxtwin.sim import files
+from fluxtwin.sim.netcdf_out import Variable, write_netcdf
 from fluxtwin.sim.types import FloatArray, TimeArray
 
 _UNITS = (
@@ -17,6 +16,7 @@ _UNITS = (
     ("_Am2", "A m2"),
 )  # fmt: skip
 """Unit by the end of a name, longest first."""
+_PACKING = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,10 @@ class Truth:
         return files.write_with(path, self._write)
 
     def _write(self, path: Path) -> None:
-        columns: dict[str, tuple[tuple[str, ...], FloatArray | str, dict[str, str]]] = {
-            "effects": ((), self.effects, {"units": "1"})
+        stamps = {"units": "nanoseconds since 1970-01-01", "calendar": "proleptic_gregorian"}
+        columns = {
+            "time": Variable(("time",), self.time.astype("int64"), stamps, storage=_PACKING),
+            "effects": Variable((), self.effects, {"units": "1"}),
         }
         for item in fields(self):
             value = getattr(self, item.name)
@@ -63,14 +65,5 @@ class Truth:
             rows = () if constant else ("time",)
             rest = tuple(f"axis_{place}_of_{size}" for place, size in enumerate(value.shape[len(rows) :]))
             unit = next((words for end, words in _UNITS if item.name.endswith(end)), "1")
-            columns[item.name] = ((*rows, *rest), value, {"units": unit})
-        _to_netcdf(xr.Dataset(columns, coords={"time": self.time}), path)
-
-
-def _to_netcdf(dataset: xr.Dataset, path: Path) -> None:
-    packing = {"zlib": True, "shuffle": True, "fletcher32": True}
-    encoding: Mapping[str, Mapping[str, object]] = {
-        str(name): dict(packing) for name in dataset.data_vars if dataset[name].ndim
-    }
-    stamps = {**packing, "units": "nanoseconds since 1970-01-01", "dtype": np.dtype("int64")}
-    dataset.to_netcdf(path, engine="h5netcdf", encoding={**encoding, "time": stamps})
+            columns[item.name] = Variable((*rows, *rest), value, {"units": unit}, np.nan, _PACKING)
+        write_netcdf(path, columns, {})

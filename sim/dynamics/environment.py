@@ -13,7 +13,6 @@ from itertools import pairwise
 
 import erfa
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from fluxtwin.sim import epoch, frames, sun
 from fluxtwin.sim.atmosphere import density_along
@@ -21,6 +20,7 @@ from fluxtwin.sim.attitude import Ephemeris
 from fluxtwin.sim.constants import AU_KM
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.field import FieldModel, field_E_nT
+from fluxtwin.sim.interpolation import spline
 from fluxtwin.sim.types import FloatArray, TimeArray
 
 _BLOCK = 8192
@@ -42,9 +42,8 @@ class Environment:
 
     def at(self, seconds: FloatArray) -> FloatArray:
         """(N, 14) the surroundings at times since the start, by a spline through the nodes; zero what is not there."""
-        knots = self.spacing_s * np.arange(-1.0, len(self.nodes) - 1.0)
         rows = np.zeros((np.size(seconds), 14))
-        rows[:, : self.nodes.shape[1]] = CubicSpline(knots, self.nodes)(np.ravel(seconds))
+        rows[:, : self.nodes.shape[1]] = spline(-self.spacing_s, self.spacing_s, self.nodes, np.ravel(seconds))
         return rows
 
     @property
@@ -104,6 +103,8 @@ def _mend_leap_second(nodes: FloatArray, time: TimeArray, spacing_s: float) -> N
     seconds = spacing_s * np.arange(len(nodes), dtype=np.float64)
     good = np.abs(epoch.seconds_since(time, time[0]) - seconds) < 1e-6
     if not good.all():
+        from scipy.interpolate import CubicSpline
+
         nodes[~good] = CubicSpline(seconds[good], nodes[good])(seconds[~good])
 
 

@@ -21,6 +21,7 @@ from fluxtwin.sim.ensemble.figures import Around, around, figures, series
 from fluxtwin.sim.ensemble.plan import Plan
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.files import write_with
+from fluxtwin.sim.netcdf_out import Variable, write_netcdf
 from fluxtwin.sim.scenario import Scenario
 from fluxtwin.sim.simulate import simulate
 from fluxtwin.sim.telemetry_netcdf import TIME_UNITS, NetcdfFile
@@ -104,33 +105,28 @@ def fly_chunk(record: Mapping[str, Any], folder: str, number: int) -> list[str]:
 
 def write_chunk(plan: Plan, chunk: Chunk, folder: Path, number: int) -> Path:
     """Write a chunk, whole or not at all. Equal chunks are equal in every value."""
-    import xarray
-
-    variables: dict[str, Any] = {}
-    packing = {"fletcher32": True, "_FillValue": np.nan}  # noise does not compress
-    encoding: dict[str, Any] = {"time": {"_FillValue": None}, "vehicle": {"_FillValue": None}}
+    numbers = np.array(chunk.members, dtype=np.int64)
+    variables = {
+        "time": Variable(
+            ("time",), chunk.time.astype("int64"), {"units": TIME_UNITS, "calendar": "proleptic_gregorian"}
+        ),
+        "vehicle": Variable(("vehicle",), numbers, {"units": "1"}),
+    }
     for name, value in chunk.series.items():
         rest = tuple(f"of_{size}" for size in value.shape[2:])
-        variables[name] = (("vehicle", "time", *rest), value, _attributes(name))
-        encoding[name] = packing
+        dimensions = ("vehicle", "time", *rest)  # noise does not compress
+        variables[name] = Variable(dimensions, value, _attributes(name), np.nan, {"fletcher32": True})
     if chunk.figures:  # one variable: a file takes a time for each that it has
         columns = {"columns": " ".join(chunk.figures), "units": "as the name of each column ends"}
-        variables[FIGURES] = (("vehicle", "figure"), np.stack(list(chunk.figures.values()), axis=1), columns)
-        encoding[FIGURES] = {"_FillValue": np.nan}
-    stamps = ("time", chunk.time.astype("int64"), {"units": TIME_UNITS, "calendar": "proleptic_gregorian"})
-    coordinates = {"time": stamps, "vehicle": ("vehicle", np.array(chunk.members, dtype=np.int64), {"units": "1"})}
+        whole = np.stack(list(chunk.figures.values()), axis=1)
+        variables[FIGURES] = Variable(("vehicle", "figure"), whole, columns, np.nan)
     attributes = {
         "Conventions": "CF-1.11",
         "title": f"vehicles {chunk.members[0]} to {chunk.members[-1]} of an ensemble of {plan.scenario.name}",
         "fingerprint": plan.fingerprint,
         "lost": json.dumps(chunk.lost),
     }
-    dataset = xarray.Dataset(variables, coordinates, attributes)
-
-    def fill(temporary: Path) -> None:
-        dataset.to_netcdf(temporary, engine="h5netcdf", format="NETCDF4", encoding=encoding)
-
-    return write_with(chunk_path(folder, number), fill)
+    return write_with(chunk_path(folder, number), lambda temporary: write_netcdf(temporary, variables, attributes))
 
 
 def _attributes(name: str) -> dict[str, str]:

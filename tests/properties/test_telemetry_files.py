@@ -7,6 +7,7 @@ import gzip
 from collections.abc import Callable
 from pathlib import Path
 
+import h5netcdf
 import h5py
 import numpy as np
 import pytest
@@ -284,7 +285,7 @@ def test_a_failure_while_writing_leaves_the_old_file(
         raise RuntimeError("power lost")
 
     monkeypatch.setattr(telemetry_csv, "_write_rows", fail)
-    monkeypatch.setattr(xarray.Dataset, "to_netcdf", fail)
+    monkeypatch.setattr(h5netcdf.File, "create_variable", fail)
     with pytest.raises(RuntimeError):
         write_telemetry(full_record(20), path)
     assert path.read_bytes() == old

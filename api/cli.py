@@ -7,7 +7,6 @@ Every command is one module of `fluxtwin.commands`; what computes is imported in
 
 from __future__ import annotations
 
-import gc
 import os
 import sys
 import traceback
@@ -21,6 +20,7 @@ import fluxtwin
 from fluxtwin.commands import apply, calibrate, check, diagnose, effects, ensemble, field, passes, run, simulate, yaw
 from fluxtwin.console import clean
 from fluxtwin.sim.errors import FluxtwinError
+from fluxtwin.sim.processes import start_and_end_quickly
 
 INTERRUPTED = 130
 OUR_FAULT = 70
@@ -59,7 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Our matrices are small or tall and thin: BLAS threads only wait for each other, and the bits would depend on them.
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    gc.set_threshold(50_000)  # what is imported stays: looking through it again and again is a tenth of a start
+    if arguments is None:
+        start_and_end_quickly()
     _be_plain()
     try:
         given = None if arguments is None else list(arguments)

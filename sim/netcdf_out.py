@@ -18,8 +18,8 @@ class Variable:
     values: np.ndarray | str
     """Text is a single value, without dimensions."""
     attributes: Mapping[str, Any]
-    fill: float | None = None
-    """`_FillValue`, for numbers that may be missing."""
+    may_miss: bool = False
+    """NaN stands for missing numbers: `_FillValue`."""
     storage: Mapping[str, Any] = field(default_factory=dict)
     """Chunks, compression and checksums, as h5py names them."""
 
@@ -41,7 +41,8 @@ def write_netcdf(path: Path, variables: Mapping[str, Variable], attributes: Mapp
                     name, (), dtype=h5py.string_dtype(), data=np.array(variable.values, object)
                 )
             else:
+                fill = np.nan if variable.may_miss else None
                 made = opened.create_variable(
-                    name, variable.dimensions, data=variable.values, fillvalue=variable.fill, **variable.storage
+                    name, variable.dimensions, data=variable.values, fillvalue=fill, **variable.storage
                 )
             made.attrs.update(variable.attributes)

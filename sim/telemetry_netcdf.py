@@ -239,7 +239,7 @@ def write(telemetry: Telemetry, path: Path | str) -> Path:
     variables = {"time": Variable(("time",), stamps, _time_attributes(), storage=storage)}
     for name, value in columns.items():
         long_name, units = describe(name)
-        variables[name] = Variable(("time",), value, {"long_name": long_name, "units": units}, np.nan, storage)
+        variables[name] = Variable(("time",), value, {"long_name": long_name, "units": units}, True, storage)
     attributes = _file_attributes(telemetry)
     arrays: dict[str, Any] = {"time": (stamps, _time_attributes())}
     for name, value in columns.items():

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-import numpy as np
-
 from fluxtwin.sim import files
 from fluxtwin.sim.netcdf_out import Variable, write_netcdf
 from fluxtwin.sim.types import FloatArray, TimeArray
@@ -65,5 +63,5 @@ class Truth:
             rows = () if constant else ("time",)
             rest = tuple(f"axis_{place}_of_{size}" for place, size in enumerate(value.shape[len(rows) :]))
             unit = next((words for end, words in _UNITS if item.name.endswith(end)), "1")
-            columns[item.name] = Variable((*rows, *rest), value, {"units": unit}, np.nan, _PACKING)
+            columns[item.name] = Variable((*rows, *rest), value, {"units": unit}, True, _PACKING)
         write_netcdf(path, columns, {})

@@ -115,11 +115,11 @@ def write_chunk(plan: Plan, chunk: Chunk, folder: Path, number: int) -> Path:
     for name, value in chunk.series.items():
         rest = tuple(f"of_{size}" for size in value.shape[2:])
         dimensions = ("vehicle", "time", *rest)  # noise does not compress
-        variables[name] = Variable(dimensions, value, _attributes(name), np.nan, {"fletcher32": True})
+        variables[name] = Variable(dimensions, value, _attributes(name), True, {"fletcher32": True})
     if chunk.figures:  # one variable: a file takes a time for each that it has
         columns = {"columns": " ".join(chunk.figures), "units": "as the name of each column ends"}
         whole = np.stack(list(chunk.figures.values()), axis=1)
-        variables[FIGURES] = Variable(("vehicle", "figure"), whole, columns, np.nan)
+        variables[FIGURES] = Variable(("vehicle", "figure"), whole, columns, True)
     attributes = {
         "Conventions": "CF-1.11",
         "title": f"vehicles {chunk.members[0]} to {chunk.members[-1]} of an ensemble of {plan.scenario.name}",

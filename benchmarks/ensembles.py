@@ -4,8 +4,9 @@
 
 Flies docs/examples/ensemble.toml (a momentum-bias satellite, degree-13 field, control and sensors each second, 24,000
 steps a vehicle, kept each 10 s) by `fly_ensemble`, in files as a user has them: with one process and with one a core.
-Then 16 vehicles on one orbit, and 16 on an orbit each, with the processor time of every part by itself (the clock's
-time depends on what else the machine does).
+Whether the time is linear is told by processor time (this process and those it starts), because the clock's depends on
+what else the machine does; how well the cores are used, by both. Then 16 vehicles on one orbit, and 16 on an orbit each,
+with the processor time of every part by itself.
 """
 
 # ruff: noqa: E402  (the thread counts must be set before numpy is loaded)
@@ -101,27 +102,38 @@ def example(quick: bool) -> Scenario:
 
 
 def seconds_of(scenario: Scenario, vehicles: int, jobs: int) -> tuple[float, float]:
-    """Seconds for so many vehicles, files and tables included, by the clock and of this process's processor time.
+    """Seconds for so many vehicles, files and tables included, by the clock and of processor time, processes included.
 
     Nothing is remembered of flights before.
     """
     scenario_dynamics._made.clear()
     scenario_dynamics._around.clear()
     with tempfile.TemporaryDirectory() as folder:
-        began, used = time.perf_counter(), time.process_time()
+        began, used = time.perf_counter(), processor_s()
         fly_ensemble(scenario, vehicles, Path(folder) / "results", jobs=jobs)
-        return time.perf_counter() - began, time.process_time() - used
+        return time.perf_counter() - began, processor_s() - used
 
 
-def growth(scenario: Scenario, counts: list[int], cores: int) -> list[dict[str, float]]:
-    """Seconds for each number of vehicles, on one core and on all."""
+def processor_s() -> float:
+    """Of this process and of all that it has started and that have ended, user and system."""
+    return sum(os.times()[:4])
+
+
+def growth(scenario: Scenario, counts: list[int], cores: int, steps: int) -> list[dict[str, float]]:
+    """Seconds for each number of vehicles, on one core and on all, and processor time of one step of one vehicle."""
     rows = []
     for count in counts:
         one, used = seconds_of(scenario, count, 1)
-        row = {"vehicles": count, "one_core_s": one, "one_core_cpu_s": used, "vehicles_per_cpu_s": count / used}
+        row = {
+            "vehicles": count,
+            "one_core_s": one,
+            "one_core_cpu_s": used,
+            "cpu_us_per_step": 1e6 * used / count / steps,
+        }
         if cores > 1:
-            every, _ = seconds_of(scenario, count, cores)
-            row |= {"all_cores_s": every, "vehicles_per_s_all_cores": count / every}
+            every, busy = seconds_of(scenario, count, cores)
+            row |= {"all_cores_s": every, "all_cores_cpu_s": busy, "cores_kept_busy": busy / every,
+                    "cpu_over_that_of_one_core": busy / used}  # fmt: skip
         rows.append(row)
     return rows
 
@@ -147,24 +159,30 @@ def _flying_ms(scenario: Scenario, vehicles: int) -> float:
 
 
 def second_start(scenario: Scenario, repeats: int) -> dict[str, float]:
-    """Seconds in a fresh interpreter with compiled code from the cache: imports, the first vehicle, one more."""
+    """Processor seconds in a fresh interpreter with compiled code from the cache: imports, the first vehicle, one more,
+    and all of a process that flies two vehicles, its end included."""
     code = (
-        "import sys, time; t = [time.perf_counter()]\n"
+        "import sys, time; from fluxtwin.sim.processes import start_and_end_quickly as quickly; quickly()\n"
+        "t = [0.0]\n"
         "from fluxtwin.sim.ensemble import chunk, plan, run\n"
         "from fluxtwin.sim.scenario import parse_scenario\n"
-        "t.append(time.perf_counter())\n"
+        "t.append(time.process_time())\n"
         "flyer = chunk.Flyer(plan.Plan(parse_scenario(sys.stdin.read()), 1, 2, 1))\n"
-        "for number in (0, 1): flyer.chunk(number); t.append(time.perf_counter())\n"
+        "for number in (0, 1): flyer.chunk(number); t.append(time.process_time())\n"
         "print(*(b - a for a, b in zip(t, t[1:])))"
     )
     took = []
     for _ in range(repeats):
+        before = sum(os.times()[2:4])
         done = subprocess.run(
             [sys.executable, "-c", code], input=scenario.to_toml(), capture_output=True, text=True, check=True
         )
-        took.append([float(word) for word in done.stdout.split()])
-    imports, first, another = (statistics.median(column) for column in zip(*took, strict=True))
-    return {"imports_s": imports, "first_vehicle_s": first, "another_vehicle_s": another}
+        took.append([*(float(word) for word in done.stdout.split()), sum(os.times()[2:4]) - before])
+    imports, first, another, whole = (statistics.median(column) for column in zip(*took, strict=True))
+    return {
+        "imports_cpu_s": imports, "first_vehicle_cpu_s": first, "another_vehicle_cpu_s": another,
+        "whole_process_cpu_s": whole, "start_cpu_s": whole - 2.0 * another,
+    }  # fmt: skip
 
 
 def report(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -177,10 +195,11 @@ def report(arguments: argparse.Namespace) -> dict[str, Any]:
         {"draws": {key: draw.model_dump(exclude_none=True) for key, draw in scenario.draws.items()}
                   | {"orbit.raan_deg": {"uniform": (0.0, 360.0)}}}
     )  # fmt: skip
-    rows = growth(scenario, arguments.vehicles, arguments.jobs)
+    steps = int((section.segments[0].count - 1) * section.segments[0].step_s)
+    rows = growth(scenario, arguments.vehicles, arguments.jobs, steps)
     record: dict[str, Any] = {
         "benchmark": "ensembles",
-        "steps_a_vehicle": int((section.segments[0].count - 1) * section.segments[0].step_s),
+        "steps_a_vehicle": steps,
         "cores": arguments.jobs,
         "machine": f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}",
         "versions": {name: importlib.metadata.version(name) for name in ("fluxtwin", "numpy", "numba")},
@@ -192,25 +211,46 @@ def report(arguments: argparse.Namespace) -> dict[str, Any]:
         },
     }
     if len(rows) > 1:
-        before, last = rows[-2], rows[-1]
-        ratio = before["vehicles_per_cpu_s"] / last["vehicles_per_cpu_s"]
-        record["cpu_time_per_vehicle_over_that_of_fewer"] = ratio
+        record |= linearity(rows)
     return record
+
+
+def linearity(rows: list[dict[str, float]]) -> dict[str, float]:
+    """How far from linear: processor time of one more vehicle between two numbers of them, and what comes once.
+
+    1 is linear; above it, vehicles take more the more there are.
+    """
+    few, many = rows[0], rows[-1]
+    one_more = (many["one_core_cpu_s"] - few["one_core_cpu_s"]) / (many["vehicles"] - few["vehicles"])
+    once = few["one_core_cpu_s"] - few["vehicles"] * one_more
+    return {
+        "cpu_s_of_one_more_vehicle": one_more,
+        "cpu_s_once": once,
+        "cpu_per_vehicle_over_that_of_fewer": many["cpu_us_per_step"] / rows[-2]["cpu_us_per_step"],
+    }
 
 
 def show(record: dict[str, Any]) -> None:
     """The record on the terminal."""
     print(f"{record['steps_a_vehicle']} steps a vehicle, {record['cores']} processes where all cores are used")
     for row in record["growth"]:
-        line = f"{row['vehicles']:6.0f} vehicles: {row['one_core_s']:.2f} s on one core, {row['one_core_cpu_s']:.2f} s of it"
-        line += f" its own ({row['vehicles_per_cpu_s']:.1f} vehicles a second)"
+        line = f"{row['vehicles']:6.0f} vehicles: one process {row['one_core_s']:.2f} s, of the processor"
+        line += f" {row['one_core_cpu_s']:.2f} s ({row['cpu_us_per_step']:.2f} us a step)"
         if "all_cores_s" in row:
-            line += f", {row['all_cores_s']:.2f} s on all ({row['vehicles_per_s_all_cores']:.1f} a second)"
+            line += f"; all cores {row['all_cores_s']:.2f} s, of the processors {row['all_cores_cpu_s']:.2f} s"
+            line += f" ({row['cores_kept_busy']:.2f} kept busy)"
         print(line)
+    if "cpu_s_once" in record:
+        more, ratio = 1e3 * record["cpu_s_of_one_more_vehicle"], record["cpu_per_vehicle_over_that_of_fewer"]
+        print(
+            f"one more vehicle {more:.1f} ms, once {record['cpu_s_once']:.2f} s; the last line's vehicles take {ratio:.2f} of"
+        )
+        print("what those of the line before took: 1 is linear")
     start = record["second_start"]
     print(
-        f"a second start: imports {start['imports_s']:.2f} s, the first vehicle {start['first_vehicle_s']:.2f} s,"
-        f" one more {start['another_vehicle_s']:.3f} s"
+        f"a second start, processor time: imports {start['imports_cpu_s']:.2f} s, the first vehicle"
+        f" {start['first_vehicle_cpu_s']:.2f} s, one more {start['another_vehicle_cpu_s']:.3f} s; the whole process beyond its"
+        f" vehicles {start['start_cpu_s']:.2f} s"
     )
     for name, parts in record["ms_a_vehicle"].items():
         print(f"milliseconds of processor time a vehicle, {name}:")

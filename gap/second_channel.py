@@ -23,6 +23,7 @@ from fluxtwin.sim.telemetry import Telemetry
 
 SEEN = ("sun_sensor_head_misalignment", "horizon_scanner_bias")
 """Effects that the angle knows of."""
+_ORBIT = "along_track_error"
 _NAMED_P = 0.001
 """Below it a fault that the readings do not show is named; above it is a note."""
 _FEWEST_PASSES = 4
@@ -61,6 +62,7 @@ def channel_of(telemetry: Telemetry, frozen: Sequence[Active] = ()) -> Channel |
 def ruled_out(found: Diagnosis, channel: Channel) -> tuple[str, ...]:
     """Named effects that predict a change of the angle which is not there (t test over the passes that would show it)."""
     names = []
+    channel = _as_found(found, channel)
     for effect in found.effects:
         values = {name: parameter.value for name, parameter in effect.parameters.items()}
         predicted = channel.predicted_rad(effect.name, _head_of(effect.settings), values)
@@ -78,7 +80,7 @@ def ruled_out(found: Diagnosis, channel: Channel) -> tuple[str, ...]:
 def judged(found: Diagnosis, channel: Channel, without: Sequence[str] = ()) -> Diagnosis:
     """The diagnosis with what the angle says: a fault it shows among the causes, and its words. without: what it has
     ruled out before."""
-    weighed = channel.weigh()
+    weighed = _as_found(found, channel).weigh()
     record: dict[str, Any] = {**weighed.to_dict(), "ruled_out": list(without)}
     named = weighed.named
     notes = _notes(found, weighed, without)
@@ -92,6 +94,12 @@ def judged(found: Diagnosis, channel: Channel, without: Sequence[str] = ()) -> D
                 effects[place] = _confirmed(one, _entry(weighed, fault))
                 return replace(found, effects=effects)
     return _with_entry(found, weighed, named, _entry(weighed, named)) if named.p_value < _NAMED_P else found
+
+
+def _as_found(found: Diagnosis, channel: Channel) -> Channel:
+    """The channel beside an error along the orbit, where the readings may name one."""
+    orbit = any(_ORBIT in (effect.name, *effect.group) for effect in found.effects)
+    return channel.beside_along_track() if orbit else channel
 
 
 def _notes(found: Diagnosis, weighed: SunNadir, without: Sequence[str]) -> list[str]:

@@ -23,6 +23,7 @@ from fluxtwin.calib.covariance import make_blocks
 from fluxtwin.sim import epoch, frames, sun
 from fluxtwin.sim.errors import BadInput, NoAnswer
 from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.telemetry_build import velocity_from_positions
 from fluxtwin.sim.types import FloatArray
 
 FEWEST_PASSES = 8
@@ -153,6 +154,8 @@ class Channel:
     of_row: np.ndarray
     """(N,) number of the pass."""
     designs: Designs
+    along_track: FloatArray | None = None
+    """(N,) rad of change in `residual_rad` per km that the reported position is ahead; None where it is not known."""
 
     @property
     def passes(self) -> int:
@@ -182,6 +185,18 @@ class Channel:
         """The channel with a known fault taken out."""
         known = self.predicted_rad(name, head, parameters_deg)
         return self if known is None else replace(self, residual_rad=self.residual_rad - known)
+
+    def beside_along_track(self) -> Channel:
+        """The channel with whatever an error along the orbit does to it out of angles and faults alike.
+
+        The nadir is computed from the reported position, so that error shows here too, and is no fault of the sensors.
+        """
+        column = self.along_track
+        if column is None or not column.any():
+            return self
+        unit = column / np.linalg.norm(column)
+        designs = {key: (names, J - np.outer(unit, unit @ J)) for key, (names, J) in self.designs.items()}
+        return replace(self, residual_rad=self.residual_rad - unit * (unit @ self.residual_rad), designs=designs)
 
     def share_of(self, predicted_rad: FloatArray) -> tuple[float, float, int]:
         """How much of a predicted change (N,) is there (1: all of it), its sigma, and the passes that tell."""
@@ -224,8 +239,10 @@ def open_channel(telemetry: Telemetry, *, passes: np.ndarray | None = None, fewe
     assert telemetry.sun_B is not None and telemetry.nadir_B is not None and telemetry.r_N_km is not None
     r_N_km = np.array(telemetry.r_N_km)[rows]
     sun_B, nadir_B = np.array(telemetry.sun_B)[rows], np.array(telemetry.nadir_B)[rows]
-    residual = _angle(sun_B, nadir_B) - _angle(sun.sun_direction_N(telemetry.time[rows], r_N_km), -r_N_km)
-    return Channel(rows, residual, np.asarray(of_row), _designs(telemetry, rows, sun_B, nadir_B, r_N_km))
+    sun_N = sun.sun_direction_N(telemetry.time[rows], r_N_km)
+    residual = _angle(sun_B, nadir_B) - _angle(sun_N, -r_N_km)
+    designs = _designs(telemetry, rows, sun_B, nadir_B, r_N_km)
+    return Channel(rows, residual, np.asarray(of_row), designs, _along_track(telemetry, rows, sun_N, r_N_km))
 
 
 def _rows(telemetry: Telemetry) -> np.ndarray:
@@ -266,6 +283,16 @@ def _designs(
         used = (head == number)[:, None]
         designs["sun_sensor_head_misalignment", number] = (("turn_x", "turn_y", "turn_z"), np.where(used, turned, 0.0))
     return designs
+
+
+def _along_track(telemetry: Telemetry, rows: np.ndarray, sun_N: FloatArray, r_N_km: FloatArray) -> FloatArray:
+    """(N,) rad per km: computed angles less those of a position that far behind."""
+    v_N_km_s = velocity_from_positions(telemetry.time, np.array(telemetry.r_N_km))[rows]
+    size = np.linalg.norm(r_N_km, axis=1)[:, None]
+    ahead = v_N_km_s - r_N_km * np.sum(v_N_km_s * r_N_km, axis=1)[:, None] / size**2
+    ahead = ahead * size / np.maximum(np.linalg.norm(ahead, axis=1)[:, None], 1e-300) * _STEP_RAD
+    column = (_angle(sun_N, ahead - r_N_km) - _angle(sun_N, -ahead - r_N_km)) / (2 * _STEP_RAD * size[:, 0])
+    return np.where(np.isfinite(column), column, 0.0)
 
 
 def _by_turn(sun_B: FloatArray, nadir_B: FloatArray, axis: FloatArray) -> FloatArray:

@@ -26,6 +26,7 @@ _FEWEST, _MOST = 24, 160
 LOG_RMS = np.linspace(np.log(0.003), np.log(100.0), 60)
 """Prior of the walk's spread at the end of the record over the noise of a reading: even in its logarithm."""
 _STEPS = np.exp(np.linspace(np.log(0.003), np.log(100.0), 40))  # noise units
+_COME_BACK = (8.0, 16.0)  # half periods over the record
 _MARGIN = 3.0  # in log evidence: a factor of 20
 _SHAPE_P = 0.005
 _SETTLED = 10  # rows until the filter has forgotten where it began
@@ -107,7 +108,10 @@ def _rivals(gram: FloatArray, moment: FloatArray, sizes: FloatArray) -> dict[str
     """Log evidences of other spectra on the same modes, of the same spread in all."""
     waves = np.arange(moment.size // 3) + 0.5
     walk, out = 1.0 / waves, {}
-    for name, spread in (("independent levels", np.ones_like(waves)), ("a smooth curve", walk**2)):
+    others = {"independent levels": np.ones_like(waves), "a smooth curve": walk**2}
+    # Levels that come back (a random telegraph too): flat below the inverse of their memory, a walk above.
+    others |= {f"levels that come back ({k:.0f})": 1.0 / np.hypot(waves, k) for k in _COME_BACK}
+    for name, spread in others.items():
         weight = np.repeat(spread / walk * np.sqrt(np.sum(walk**2) / np.sum(spread**2)), 3)
         out[name] = _evidence(gram * np.outer(weight, weight), moment * weight, sizes)[1]
     return out

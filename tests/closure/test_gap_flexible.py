@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,13 +10,23 @@ import pytest
 
 from fluxtwin.gap.blocks import Block, blocks
 from fluxtwin.gap.evidence import fit_all, leftover
-from fluxtwin.gap.flexible import FlexibleFinding, coarse_steps, flipped_bits, noise_level, stuck_bit, wheel_line
-from fluxtwin.gap.left import judge
+from fluxtwin.gap.flexible import (
+    FlexibleFinding,
+    coarse_steps,
+    companion,
+    flipped_bits,
+    noise_level,
+    stuck_bit,
+    wheel_line,
+)
+from fluxtwin.gap.left import drift, judge
 from fluxtwin.gap.problem import Problem, pose
 from fluxtwin.gap.tones import strongest_tone
 from fluxtwin.gap.two_state import heater_sequence
+from fluxtwin.gap.walk_noise import Wander
 from fluxtwin.gap.wandering import random_walk
 from fluxtwin.gap.whitening import NoiseModel, Whitener, make_whitener
+from fluxtwin.sim.effects.wheel_field import WheelField
 from fluxtwin.sim.field_models import load_field
 from fluxtwin.sim.scenario import parse_scenario
 from fluxtwin.sim.simulate import simulate
@@ -235,3 +246,33 @@ def test_a_stuck_bit_is_found(bench: Bench, bit: int) -> None:
     assert found is not None
     assert found.confirmed
     assert f"bit {bit} of axis y" in found.words
+
+
+def test_a_walk_is_white_after_its_own_whitening(bench: Bench, close: Callable[..., None]) -> None:
+    """Variance one at every scale, which it is not after the whitening of the noise alone."""
+    t = bench.problem.setting.seconds
+    noise = SIGMA_NT * np.random.default_rng(21).standard_normal((t.size, 3))
+    wander = Wander(bench.whitener, t)
+    left = leftover(bench.whitener, noise + walk(t, 2.0, 22), bench.calibration)
+    rate = wander.rate(left)
+    assert rate is not None
+    # The spread of the rate over 40 seeds of this bench is 10 %.
+    close(rate, 2.0, atol=0.6, unit="nT/sqrt(s)", because="three spreads of the estimate")
+    white = leftover(wander.whitening(rate), noise + walk(t, 2.0, 22), bench.calibration)
+    variance = white.energy / white.degrees
+    close(variance, 1.0, atol=4 * np.sqrt(2 / white.degrees), unit="1", because="four sigma of a mean square")
+    assert left.energy / left.degrees > 1.0 + 4 * np.sqrt(2 / left.degrees)
+    assert drift(white) > -3.0 > drift(left)
+    assert wander.rate(leftover(bench.whitener, noise, bench.calibration)) is None
+
+
+def test_a_multiple_of_a_wheel_is_no_second_wheel(bench: Bench) -> None:
+    setting = bench.problem.setting
+    t = setting.seconds
+    noise = SIGMA_NT * np.random.default_rng(31).standard_normal((t.size, 3))
+    named = WheelField(frequency_Hz=0.004)
+    for frequency, expected in ((0.008, True), (0.012, True), (0.0093, False)):
+        phase = 2 * np.pi * frequency * t
+        line = np.outer(np.cos(phase), [60.0, 0.0, 30.0]) + np.outer(np.sin(phase), [0.0, 50.0, -20.0])
+        left = leftover(bench.whitener, noise + line, bench.calibration)
+        assert companion(setting, left, strongest_tone(t, left), named) is expected

@@ -55,7 +55,7 @@ FROZEN = {
     "torque_nulls": 40, "torques": 24, "torque_pairs": 12,
 }  # fmt: skip
 """Cases of a frozen run."""
-RIVAL = {"nulls": 40, "singles": 40, "pairs": 15, "triples": 6}
+RIVAL = {"nulls": 200, "singles": 40, "pairs": 15, "triples": 6}
 """How many of them the rival is asked, the first ones."""
 LOOPS = {"singles": len(PLAIN)}
 """How many of them are put to the test on another day."""

@@ -119,7 +119,8 @@ class Shapes:
     def _fewer(self, answer: Answer, walking: Answer, left: Leftover) -> Answer | None:
         """The fewer names that are needed where the slow rest is free to wander: the others only mopped it up.
 
-        What wanders is no walk, so it stays without a name, and the names must carry the structure without it.
+        What wanders is no walk, so it stays without a name. The names must carry the structure without it: else what
+        was taken for mopping up may be a cause that comes back, or stays, as a step does.
         """
         before, after = len(answer.result.chosen), len(walking.result.chosen)
         if before < 2 or after >= before:  # a single name mops up after nothing
@@ -129,7 +130,8 @@ class Shapes:
         result = replace(walking.result, chi2={**plain, "named": (left.energy, rank)}, variance=answer.result.variance)
         rest = left_of(self.problem, answer.whitener, result, walking.fitted_nT, self.dictionary)
         fewer = replace(walking, whitener=answer.whitener, result=result, left=rest)
-        return replace(fewer, left=replace(rest, structured=True))
+        fewer = replace(fewer, left=replace(rest, structured=True))
+        return fewer if fewer.carries else None
 
     def _hopeful(self, answer: Answer, none: Answer, wander: Wander) -> bool:
         """Whether a walk with fewer of the named effects, linear about their refit, costs less than all of them."""

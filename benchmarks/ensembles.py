@@ -242,15 +242,13 @@ def show(record: dict[str, Any]) -> None:
         print(line)
     if "cpu_s_once" in record:
         more, ratio = 1e3 * record["cpu_s_of_one_more_vehicle"], record["cpu_per_vehicle_over_that_of_fewer"]
-        print(
-            f"one more vehicle {more:.1f} ms, once {record['cpu_s_once']:.2f} s; the last line's vehicles take {ratio:.2f} of"
-        )
-        print("what those of the line before took: 1 is linear")
+        print(f"one more vehicle {more:.1f} ms, once {record['cpu_s_once']:.2f} s")
+        print(f"a vehicle of the last line takes {ratio:.2f} of one of the line before: 1 is linear")
     start = record["second_start"]
     print(
         f"a second start, processor time: imports {start['imports_cpu_s']:.2f} s, the first vehicle"
-        f" {start['first_vehicle_cpu_s']:.2f} s, one more {start['another_vehicle_cpu_s']:.3f} s; the whole process beyond its"
-        f" vehicles {start['start_cpu_s']:.2f} s"
+        f" {start['first_vehicle_cpu_s']:.2f} s, one more {start['another_vehicle_cpu_s']:.3f} s;"
+        f" the whole process beyond its vehicles {start['start_cpu_s']:.2f} s"
     )
     for name, parts in record["ms_a_vehicle"].items():
         print(f"milliseconds of processor time a vehicle, {name}:")

@@ -28,6 +28,7 @@ from fluxtwin.sim.scenario_dynamics import vehicle_of
 from fluxtwin.sim.scenario_effects import active_effects
 from fluxtwin.sim.simulate import simulate
 from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.telemetry_io import read_telemetry, write_telemetry
 
 COMMON = """
 seed = 11
@@ -289,6 +290,29 @@ def test_a_turned_reference_is_told_from_a_turned_magnetometer() -> None:
             assert sigma is not None
             assert sigma < 0.05
             assert abs(error - value) < 4.0 * sigma
+
+
+def test_sensors_at_rates_of_their_own_are_diagnosed(tmp_path) -> None:
+    """From the scenario through a file to a named torque and a named field; few rows have reading and attitude."""
+    scenario = parse_scenario(BIAS).updated(
+        {
+            "schedule.segments": [{"start_utc": "2022-03-05T04:00:00Z", "duration_min": 200.0, "step_s": 4.0}],
+            "sampling.magnetometer": {"every_s": 8.0},
+            "sampling.attitude": {"every_s": 20.0, "offset_s": 4.0},
+            "sampling.housekeeping": {"every_s": 20.0},
+        }
+    )
+    torque = {"effects.residual_dipole_torque": {"dipole_Am2": [0.2, 0.0, -0.1]}}
+    made = simulate(scenario.updated({**torque, "effects.ring_current": {"external_nT": -300.0}}))[0]
+    telemetry = read_telemetry(write_telemetry(made, tmp_path / "interleaved.nc"))
+    assert (telemetry.has_reading & telemetry.has_attitude).sum() < 0.25 * telemetry.has_reading.sum()
+    found = {one.name: one for one in diagnosing.diagnose(telemetry, scenario=scenario).effects}
+    assert set(found) == {"residual_dipole_torque", "ring_current"}
+    wanted = {"dipole_x": 0.2, "dipole_y": 0.0, "dipole_z": -0.1, "external": -300.0}
+    for name, parameter in (pair for one in found.values() for pair in one.parameters.items()):
+        if parameter.sigma is not None:
+            assert abs(parameter.value - wanted[name]) < 4.0 * parameter.sigma  # false alarm 6e-5 each
+    assert found["ring_current"].parameters["external"].sigma is not None
 
 
 ALIKE = {"along_track_error", "time_tag_offset", "sensor_lag"}

@@ -47,7 +47,7 @@ RECORD_MODULES = {
 ONLY_IN = {
     "typer": {"api"}, "rich": {"api"}, "click": set(), "jinja2": {"api"},
     "matplotlib": {"plots", "scenarios", "api"}, "pydantic": {"sim"}, "numba": {"sim", "calib", "gap"},
-    "xarray": {"sim"}, "h5py": {"sim"}, "erfa": {"sim"}, "sgp4": {"sim"},
+    "xarray": set(), "h5py": {"sim"}, "erfa": {"sim"}, "sgp4": {"sim"},
     "pickle": set(), "yaml": set(), "marshal": set(), "shelve": set(), "astropy": set(),
     "ppigrf": set(), "chaosmagpy": set(), "pytest": set(), "sim": set(), "calib": set(), "gap": set(),
     "plots": set(), "scenarios": set(), "api": set(),

@@ -194,8 +194,11 @@ def _nuisance(cut: Windows, problem: Problem, result: SearchResult, fitted_nT: F
 
 
 def _others(result: SearchResult) -> list[Candidate]:
+    """What the readings have not found. An error along the orbit only where they cannot tell it from what they have:
+    elsewhere they know it far better than torques do, and it would only take up what is left of another cause."""
     taken = {effect.name for effect, _ in (*result.chosen, *result.modelled)}
-    return [candidate for candidate in result.candidates if candidate.name not in taken]
+    alike = {name for one in result.named for name in (*one.group, *(rival for rival, _ in one.rivals))}
+    return [c for c in result.candidates if c.name not in taken and (c.effect.stage != "orbit" or c.name in alike)]
 
 
 def _shared(cut: Windows, problem: Problem, result: SearchResult) -> FloatArray:

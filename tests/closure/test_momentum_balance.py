@@ -151,7 +151,7 @@ def posed(telemetry: Telemetry, scenario: Scenario) -> Problem:
 def alone(telemetry: Telemetry, scenario: Scenario) -> Momentum:
     """The balance by itself: a magnetometer's channel without rows, of thirty alternatives."""
     nothing: Any = SimpleNamespace(
-        modelled=(), chosen=(), candidates=(), residual_nT=np.zeros((3, 3)), tested=30,
+        modelled=(), chosen=(), named=(), candidates=(), residual_nT=np.zeros((3, 3)), tested=30,
         apply=lambda columns: np.zeros((0, 3, *columns.shape[2:])), measured=0,
     )  # fmt: skip
     craft = Craft(vehicle_of(scenario))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fluxtwin.gap import far, verdict
-from fluxtwin.gap.answer import CARRIED, Answer, answered
+from fluxtwin.gap.answer import CARRIED, Answer, answered, left_of
 from fluxtwin.gap.blocks import Block, blocks
 from fluxtwin.gap.candidates import candidates
 from fluxtwin.gap.evidence import Dictionary
@@ -49,6 +49,8 @@ MOST_ROWS = 5_000
 """Longer records are thinned to this many rows, evenly; what is faster is looked for in a stretch at the full rate."""
 _LEAST_FREE = 30
 _NOTHING = (False, 0)
+_SURE = 1e-6
+"""p-value below which structure is no matter of the noise model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +151,8 @@ def investigate(
         for other in plausible_noise(problem, settled_on):
             if _stands(problem, answer, other, robust):
                 continue
+            if _stays_structured(problem, answer, other, dictionary):
+                break  # the first has the most slow noise: what stands beside it stands beside the others
             answer = min(answer, answered(problem, other, robust, dictionary, known), key=lambda one: one.burden)
             if answer.burden == _NOTHING:
                 break
@@ -187,6 +191,14 @@ def _stands(problem: Problem, answer: Answer, other: NoiseModel, robust: RobustR
     effect, _ = answer.result.chosen[0]
     one = next(c for c in answer.result.candidates if c.effect == effect)
     return needed(problem, whitener_of(problem, other, robust.weights), one, answer.result.tested)
+
+
+def _stays_structured(problem: Problem, answer: Answer, other: NoiseModel, dictionary: Sequence[Block]) -> bool:
+    """Whether beside the same name, or none, the structure is as sure under another noise model: too sure for noise."""
+    if not answer.left.structured or len(answer.result.chosen) > 1:
+        return False
+    whitener = whitener_of(problem, other, answer.robust.weights)
+    return left_of(problem, whitener, answer.result, answer.fitted_nT, dictionary).p_value < _SURE
 
 
 def _thinned(telemetry: Telemetry) -> tuple[Telemetry, int]:

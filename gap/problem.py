@@ -29,6 +29,7 @@ from fluxtwin.sim.telemetry import Telemetry, recorded_columns
 from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
 
 DEFAULT_MODELLED = ("bias", "scale_misalignment")
+_OTHER_STAMPS = np.timedelta64(1, "D")  # so far beyond the model's ends a clock error may lead a trial
 _GAP_FACTOR = 5.0
 _LARGEST_ERROR = 5.0  # times its sigma: what an attitude error is taken to be at the most
 
@@ -190,7 +191,8 @@ def pose(
 
     modelled: names of effects to re-estimate. instrument: starting S, b, T (default: none). frozen: effects that the
     scenario has. Rows without reference attitude are used too: linear about the reading as the instrument has it until
-    `refit.settled`. Raises BadInput for unknown names and absent columns, NoAnswer when no row is complete.
+    `refit.settled`. Raises BadInput for unknown names and absent columns, OutOfRange for rows outside the field model,
+    NoAnswer when no row is complete.
     """
     effects = []
     for name in modelled:
@@ -199,6 +201,8 @@ def pose(
             raise BadInput(f"{name} has no parameters to re-estimate", where="--modelled", wanted="a signal effect")
         effects.append(effect)
     used, left_out = _usable(telemetry)
+    model.pieces(used.time)
+    model = model.lasting(_OTHER_STAMPS)
     assert used.r_N_km is not None
     r, v, known = np.array(used.r_N_km), _velocity(used), used.has_attitude
     q = np.tile([0.0, 0.0, 0.0, 1.0], (known.size, 1)) if used.q_NB is None else np.array(used.q_NB)

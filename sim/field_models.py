@@ -22,6 +22,7 @@ from fluxtwin.sim.constants import FIELD_RADIUS_KM
 from fluxtwin.sim.errors import BadInput, OutOfRange
 from fluxtwin.sim.types import FloatArray, TimeArray
 
+_NO_TIME = np.timedelta64(0, "ns")
 _DATA = Path(__file__).parent / "data"
 _TITLES = {
     "igrf14": "IGRF-14 (definitive 1945-2020), degree 13, 1900-2030",
@@ -44,6 +45,8 @@ class FieldModel:
     knots: TimeArray = field(repr=False)
     polynomial_nT: FloatArray = field(repr=False)
     static_nT: FloatArray = field(repr=False)
+    margin: np.timedelta64 = _NO_TIME
+    """So far beyond its ends the first and the last polynomial go on; see `lasting`."""
 
     @property
     def valid_from(self) -> np.datetime64:
@@ -63,7 +66,8 @@ class FieldModel:
         stamps = epoch.as_times(time).astype("int64")
         knots = self.knots.astype("int64")
         first, last = (int(stamps.min()), int(stamps.max())) if stamps.size else (knots[0], knots[0])
-        if first < knots[0] or last > knots[-1]:
+        margin = int(self.margin.astype("timedelta64[ns]").astype("int64"))
+        if first < knots[0] - margin or last > knots[-1] + margin:
             self._refuse(stamps)
         ends = self._piece(np.array([first, last]))
         if ends[0] == ends[1]:  # a trajectory rarely crosses a knot
@@ -74,7 +78,7 @@ class FieldModel:
 
     def _piece(self, stamps: np.ndarray) -> np.ndarray:
         piece = np.searchsorted(self.knots.astype("int64"), stamps, side="right") - 1
-        return np.minimum(piece, self.knots.size - 2)
+        return np.clip(piece, 0, self.knots.size - 2)
 
     def _refuse(self, stamps: np.ndarray) -> None:
         times = stamps.astype("datetime64[ns]")
@@ -99,6 +103,14 @@ class FieldModel:
         whole = np.repeat(self.static_nT[None, :], tau.size, axis=0)
         whole[:, : moving.shape[1]] += moving
         return whole
+
+    def lasting(self, margin: np.timedelta64) -> FieldModel:
+        """The same model with its first and last polynomials going on for a while beyond its ends.
+
+        For trials of other stamps (a clock that is late) of a record which lies within the model: secular variation
+        changes the field by less than 1 nT a day.
+        """
+        return replace(self, margin=margin)
 
     def truncated(self, degree: int) -> FieldModel:
         """The same model without the degrees above `degree`; raises OutOfRange outside 1..self.degree."""

@@ -187,6 +187,19 @@ def test_epochs_outside_are_an_error_that_names_the_range(name: str, first: str,
         field.field_E_nT(model, np.datetime64("NaT"), r)
 
 
+def test_a_lasting_model_goes_on_along_its_ends(shared_model: field.FieldModel, close: Callable[..., None]) -> None:
+    """IGRF is linear between its knots, so beyond its ends the same straight lines go on; no further than it was told."""
+    last, hours = shared_model.valid_to, np.arange(-24, 25, 12) * np.timedelta64(1, "h")
+    lasting = shared_model.lasting(np.timedelta64(1, "D"))
+    for end in (shared_model.valid_from, last):
+        bend = np.diff(lasting.coefficients_nT(end + hours), 2, axis=0)
+        close(bend, 0.0, atol=1e-9, unit="nT", because="a straight line has no second difference")
+    with pytest.raises(OutOfRange, match="outside the field model"):
+        lasting.coefficients_nT(last + np.timedelta64(25, "h"))
+    with pytest.raises(OutOfRange):
+        shared_model.coefficients_nT(last + np.timedelta64(1, "s"))
+
+
 def test_positions_that_cannot_be(shared_model: field.FieldModel) -> None:
     time = np.datetime64("2001-01-01")
     with pytest.raises(BadInput, match="row 1 is not finite"):

@@ -107,10 +107,10 @@ def magsat(outcome: Outcome) -> list[str]:
             "up and do not hold; whether it should confirm the first of such a list is open."
         )
     said.append(
-        "Where a name is wrong it is nearly always a polynomial of the readings: in one orbit of a satellite that keeps "
-        "its axes along the orbit, the field in body axes runs over few directions, and products of its components "
-        "imitate any smooth error of the field. The list is judged by how well it fits, not by how well it predicts or "
-        "by whether its sizes can be."
+        "In one orbit of a satellite that keeps its axes along the orbit, the field in body axes runs over few "
+        "directions, so products of its components, steps and eddy currents imitate any smooth error of the field. A "
+        "name must keep its parameters from part to part of the record, which takes most polynomials out; whether its "
+        "sizes can be, the list does not ask."
     )
     return said
 
@@ -212,9 +212,9 @@ def aircraft(outcome: Outcome) -> list[str]:
             "the numbers are not."
         )
     said.append(
-        "Permanent and induced terms are found as a group with their look-alikes: along one slow turn the size of the "
-        "field cannot tell b from S, nor either from polynomials of the reading. Box patterns (pitch, roll and yaw on "
-        "four headings), which compensation flights make, are what would split them."
+        "Along one slow turn the size of the field hardly tells b from S, nor either from steps and polynomials of the "
+        "reading. Box patterns (pitch, roll and yaw on four headings), which compensation flights make, are what would "
+        "split them."
     )
     return said
 

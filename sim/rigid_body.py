@@ -74,7 +74,7 @@ def principal_axes(inertia_kg_m2: FloatArray) -> tuple[FloatArray, FloatArray]:
         axes = vectors.T * np.array([1.0, 1.0, np.linalg.det(vectors)])[:, None]
     else:
         raise BadInput(
-            f"shape {inertia.shape}",
+            "not symmetric" if inertia.shape == (3, 3) else f"shape {inertia.shape}",
             where="inertia_kg_m2",
             wanted="three moments or a symmetric 3 x 3 tensor",
         )

@@ -89,11 +89,17 @@ class Scenario(sections.Section):
         for name in ("dynamics", "torques", "control"):
             if not flown and getattr(self, name) is not None:
                 raise ValueError(f'[{name}] wants mode = "dynamics" in [attitude]')
-        steered, law = section is not None and section.activity == "control", self.control and self.control.law
+        steered = section is not None and section.activity == "control"
+        law = None if self.control is None else self.control.law
         if steered and law is None:
             raise ValueError('torquers.activity = "control" wants attitude mode dynamics and a law in [control]')
         if law is not None and section is not None and not steered:
             raise ValueError('with a law in [control] the torquers are its own: set torquers.activity = "control"')
+        if law is not None:
+            wanted = {"torquers": law.needs_torquers, "wheels": law.needs_wheels}
+            missing = [f"[{name}]" for name, needed in wanted.items() if needed and getattr(self, name) is None]
+            if missing:
+                raise ValueError(f"[control.{law.name}] acts through {' and '.join(missing)}: add the section")
 
     def _sampled(self) -> None:
         """Rates are of parts that are there, and whole numbers of rows."""

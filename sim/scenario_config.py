@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from fluxtwin.sim.constants import AM2_PER_POLE_CM, NT_PER_MG
 from fluxtwin.sim.epoch import iso, parse_time
@@ -30,9 +30,17 @@ def _stamp(value: Any) -> Any:
     raise ValueError("a time is wanted, as 1978-07-24T06:00:00Z")
 
 
+def _not_zero(value: Any) -> Any:
+    if not any(value):
+        raise ValueError("all are zero: no such direction or attitude")
+    return value
+
+
 Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_tuple)]
+Direction = Annotated[tuple[float, float, float], BeforeValidator(_tuple), AfterValidator(_not_zero)]
+"""Of any length but zero."""
 Matrix3 = Annotated[tuple[Vector3, Vector3, Vector3], BeforeValidator(_tuple)]
-Quaternion = Annotated[tuple[float, float, float, float], BeforeValidator(_tuple)]
+Quaternion = Annotated[tuple[float, float, float, float], BeforeValidator(_tuple), AfterValidator(_not_zero)]
 Stamp = Annotated[str, BeforeValidator(_stamp)]
 NonNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
@@ -139,7 +147,7 @@ class AttitudeSection(Section):
     rate_deg_s: Vector3 = ZERO3
     """tumble: body rate at the start."""
     waypoints: Annotated[tuple[WaypointSection, ...], BeforeValidator(_tuple)] = ()
-    spin_axis_N: Vector3 = (0.0, 0.0, 1.0)
+    spin_axis_N: Direction = (0.0, 0.0, 1.0)
     """spin: direction of the angular momentum, GCRS."""
     spin_rate_rpm: float = 0.0
     nutation_deg: NonNegative = 0.0
@@ -313,7 +321,7 @@ class ThermalSection(Section):
 class WheelsSection(Section):
     """Reaction wheels, one spin axis each, that carry a momentum profile, or what the dynamics gives them."""
 
-    axes_B: Annotated[tuple[Vector3, ...], BeforeValidator(_tuple)]
+    axes_B: Annotated[tuple[Direction, ...], BeforeValidator(_tuple), Field(min_length=1)]
     inertia_kg_m2: Positive
     bias_rpm: Annotated[tuple[float, ...], BeforeValidator(_tuple)]
     """Mean speeds; in attitude mode dynamics those at the start."""

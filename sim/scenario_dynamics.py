@@ -30,6 +30,8 @@ from fluxtwin.sim.types import FloatArray, TimeArray
 from fluxtwin.sim.wheels import RPM_PER_RAD_S
 from fluxtwin.sim.world import ephemeris
 
+_MOST_SPACING_S = 120.0
+"""Of the nodes of the surroundings: a cubic is then off by 60 nT and 1e-5 of the position in low orbit."""
 _BEYOND_S = 120.0
 """Flown after the last sample of a segment, for readings that are taken late."""
 _KEPT_NODES = 500_000
@@ -198,6 +200,9 @@ def _flight(scenario: Scenario, number: int, segment: SegmentSection) -> Flight:
             f"{record * step_s:g} s", where="dynamics.record_s", wanted="control.period_s or a whole fraction of it"
         )
     spacing_s = max(1, round(section.surroundings_s / step_s)) * step_s
+    if spacing_s > _MOST_SPACING_S:
+        key = "surroundings_s" if step_s <= _MOST_SPACING_S else "step_s"
+        raise BadInput(f"{spacing_s:g} s", where=f"dynamics.{key}", wanted=f"{_MOST_SPACING_S:g} s or less")
     begin = epoch.add_seconds(epoch.parse_time(segment.start_utc), -60.0 * section.settle_min)[0]
     length_s = 60.0 * section.settle_min + (segment.count - 1) * segment.step_s + _BEYOND_S
     length_s = np.ceil(length_s / (record * step_s)) * record * step_s

@@ -11,7 +11,7 @@ from pydantic import create_model, model_validator
 
 from fluxtwin.sim.control.base import Control
 from fluxtwin.sim.control.catalogue import CONTROLS
-from fluxtwin.sim.scenario_config import ZERO3, NonNegative, Positive, Quaternion, Section, Vector3
+from fluxtwin.sim.scenario_config import ZERO3, Direction, NonNegative, Positive, Quaternion, Section, Vector3
 from fluxtwin.sim.torques.base import Torque
 from fluxtwin.sim.torques.catalogue import TORQUES
 
@@ -51,7 +51,7 @@ class ControlBase(Section):
     """orbital: attitude of the target against O."""
     q_NB: Quaternion = _LEVEL
     """inertial: attitude of the target."""
-    axis: Vector3 = (0.0, -1.0, 0.0)
+    axis: Direction = (0.0, -1.0, 0.0)
     """The wanted direction of the momentum, in O or N; the default is the orbit normal."""
     attitude_sigma_deg: NonNegative = 0.0
     """Error of the attitude that the law is told, per axis, first-order Gauss-Markov."""

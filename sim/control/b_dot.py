@@ -24,6 +24,7 @@ class BDot(Control):
 
     name: ClassVar[str] = "b_dot"
     decide = staticmethod(decide)
+    needs_torquers: ClassVar[bool] = True
 
     gain_Am2_s_per_T: Positive
 

@@ -12,6 +12,9 @@ class Control(Section):
     """Base of all control laws: a frozen record, checked as a section [control.NAME] of a scenario."""
 
     name: ClassVar[str]
+    needs_torquers: ClassVar[bool] = False
+    needs_wheels: ClassVar[bool] = False
+    """Without them the law could do nothing of what it is for."""
 
     @staticmethod
     def decide(packed: FloatArray, at: int, reading: FloatArray, memory: FloatArray, command: FloatArray) -> None:

@@ -71,6 +71,7 @@ class MomentumBias(Control):
 
     name: ClassVar[str] = "momentum_bias"
     decide = staticmethod(decide)
+    needs_wheels: ClassVar[bool] = True
 
     momentum_Nms: Positive
     """Of the wheel, along -y of the body."""

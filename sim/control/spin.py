@@ -34,6 +34,7 @@ class Spin(Control):
 
     name: ClassVar[str] = "spin"
     decide = staticmethod(decide)
+    needs_torquers: ClassVar[bool] = True
 
     rate_rpm: float
     axis_gain_Am2_per_T: NonNegative = 0.0

@@ -64,6 +64,7 @@ class ThreeAxis(Control):
 
     name: ClassVar[str] = "three_axis"
     decide = staticmethod(decide)
+    needs_wheels: ClassVar[bool] = True
 
     frequency_rad_s: Positive = 0.05
     """Natural frequency n of the loop, all axes."""

@@ -477,9 +477,9 @@ def _act(
         for k in range(3):
             wanted -= share[j, k] * command[COMMAND_TORQUE + k]
         limit, fastest = wheels[j, 5], wheels[j, 4]
-        if limit > 0.0:
-            wanted = min(max(wanted, -limit), limit)
         if fastest > 0.0:  # a wheel at its limit is held there, not driven past it before the next tick
             speed, per_torque = _wheel_speed(wheels[j], state[7 + j], stage), reading[layout.PERIOD] / wheels[j, 3]
             wanted = min(max(wanted, (-fastest - speed) / per_torque), (fastest - speed) / per_torque)
+        if limit > 0.0:  # the last word: one that is too fast is braked by no more than the motor can
+            wanted = min(max(wanted, -limit), limit)
         motor[j] = wanted

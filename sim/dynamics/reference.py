@@ -98,11 +98,11 @@ class _Problem:
     def limited(self, motor: FloatArray, period_s: float, speed: FloatArray) -> FloatArray:
         """Motor torques within the wheels' limits of torque and speed."""
         for j, wheel in enumerate(self.wheels):
-            if wheel[5] > 0.0:
-                motor[j] = np.clip(motor[j], -wheel[5], wheel[5])
             if wheel[4] > 0.0:
                 room = wheel[3] / period_s
                 motor[j] = np.clip(motor[j], room * (-wheel[4] - speed[j]), room * (wheel[4] - speed[j]))
+            if wheel[5] > 0.0:
+                motor[j] = np.clip(motor[j], -wheel[5], wheel[5])
         return motor
 
 

@@ -73,6 +73,10 @@ class Compass:
     S: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     b_nT: FloatArray = field(default_factory=lambda: np.zeros(3))
 
+    def __post_init__(self) -> None:
+        if not np.linalg.cond(np.eye(3) + np.asarray(self.S, dtype=np.float64)) < 1e6:
+            raise BadInput("I + S cannot be inverted", where="magnetometer S", wanted="small elements")
+
     @property
     def row(self) -> list[float]:
         """As the kernel has it: the matrix from field to reading, row by row, and what is added [T]."""

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from math import sqrt
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
+from pydantic import model_validator
 
 from fluxtwin.sim.constants import GM_EARTH_KM3_S2
 from fluxtwin.sim.dynamics.layout import POSITION, ROTATION, TORQUE
@@ -39,7 +40,14 @@ class GravityGradient(Torque):
     add = staticmethod(add)
 
     inertia_error_kg_m2: Matrix3 = ZERO33
-    """Added to the inertia tensor in this torque alone: what a wrong tensor would do."""
+    """Added to the inertia tensor in this torque alone: what a wrong tensor would do. Symmetric."""
+
+    @model_validator(mode="after")
+    def _symmetric(self) -> Self:
+        error = np.asarray(self.inertia_error_kg_m2)
+        if np.abs(error - error.T).max() > 1e-9 * np.abs(error).max():
+            raise ValueError("inertia_error_kg_m2 is not symmetric, as the change of a tensor is")
+        return self
 
     def packed(self, inertia_kg_m2: FloatArray) -> list[float]:
         """xx, yy, zz, xy, xz, yz of the tensor [kg m2]."""

@@ -191,6 +191,19 @@ WRONG = {
     "a torque that does not exist": ({"torques.gravity": {}}, "did you mean gravity_gradient"),
     "torquers that the law does not have": ({"torquers.activity": "random"}, "its own"),
     "torquers steered by nothing": ({"control.three_axis": None}, "a law in"),
+    "a law without its wheels": ({"wheels": None}, r"three_axis\] acts through \[wheels\]"),
+    "a law without its torquers": (
+        {"control.three_axis": None, "control.b_dot": {"gain_Am2_s_per_T": 1.0}, "torquers": None},
+        r"b_dot\] acts through \[torquers\]",
+    ),
+    "no direction": ({"control.axis": [0.0, 0.0, 0.0]}, "control.axis: .*no such direction"),
+    "a wheel without a direction": ({"wheels.axes_B": [[0.0, 0.0, 0.0]]}, r"wheels\.axes_B\.0: .*no such direction"),
+    "no wheels in their section": ({"wheels.axes_B": [], "wheels.bias_rpm": []}, r"wheels\.axes_B"),
+    "no attitude": ({"dynamics.q_NB": [0.0, 0.0, 0.0, 0.0]}, r"dynamics\.q_NB: .*no such"),
+    "half a tensor": (
+        {"torques.gravity_gradient.inertia_error_kg_m2": [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]},
+        "not symmetric",
+    ),
 }
 
 
@@ -207,6 +220,22 @@ def test_times_that_are_no_whole_steps_are_refused(scenario: Scenario) -> None:
     for key in ("control.period_s", "dynamics.record_s"):
         with pytest.raises(BadInput, match="whole number of steps"):
             flights(scenario.updated({key: 1.5}))
+
+
+def test_a_vehicle_that_cannot_be_is_refused(scenario: Scenario) -> None:
+    with pytest.raises(BadInput, match=r"inertia_kg_m2: not symmetric"):
+        flights(
+            scenario.updated({"spacecraft.inertia_kg_m2": [[100.0, 5.0, 0.0], [0.0, 120.0, 0.0], [0.0, 0.0, 80.0]]})
+        )
+    mirror = [[-1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    with pytest.raises(BadInput, match=r"magnetometer S: I \+ S cannot be inverted"):
+        flights(scenario.updated({"control.magnetometer": "instrument", "magnetometer.S": mirror}))
+
+
+def test_surroundings_too_far_apart_are_refused(scenario: Scenario) -> None:
+    """A cubic through nodes ten minutes apart would be off by some tens of km, and nobody would know."""
+    with pytest.raises(BadInput, match=r"dynamics\.surroundings_s: 600 s\. Wanted: 120 s or less"):
+        flights(scenario.updated({"dynamics.surroundings_s": 600.0}))
 
 
 def test_a_body_too_fast_for_its_step_is_refused(scenario: Scenario) -> None:

@@ -131,6 +131,19 @@ def test_friction_runs_a_wheel_down(close) -> None:
     close(flight.rate_B_rad_s[0, :, 1], body, atol=1e-10, unit="rad/s", because="momentum is conserved")
 
 
+def test_a_wheel_that_is_too_fast_is_braked_by_no_more_than_its_motor_can(close) -> None:
+    """Above its greatest speed, on one axis: d(speed)/dt = -(1/I + 1/J) of the greatest torque, by both paths."""
+    own, bare, most = 0.05, 2.0, 0.05
+    wheel = Wheel((0.0, 1.0, 0.0), own, max_speed_rad_s=100.0, max_torque_Nm=most)
+    vehicle = Vehicle(np.diag([3.0, bare + own, 4.0]), (wheel,))
+    start, around = Start(Q0, np.zeros(3), np.array([150.0])), empty_space(20.0)
+    flight = fly([vehicle], [around], [start], duration_s=20.0, step_s=0.5, control_every=2, log_every=2)
+    expected = 150.0 - most * (1.0 / own + 1.0 / bare) * flight.seconds_s
+    close(flight.wheel_speed_rad_s[0, :, 0], expected, atol=1e-9, unit="rad/s", because="a constant torque")
+    exact = fly_adaptive(vehicle, around, start, duration_s=20.0, period_s=1.0)
+    close(exact.wheel_speed_rad_s[0, :, 0], expected, atol=1e-9, unit="rad/s", because="a constant torque")
+
+
 def test_a_gyrostat_nutates_at_the_textbook_rate(close) -> None:
     """A body with a wheel on its axis of symmetry: the transverse rate turns at h / J_t + (J_3 / J_t - 1) w_3."""
     across, along, own = 5.0, 6.0, 0.04

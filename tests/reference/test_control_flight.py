@@ -20,16 +20,19 @@ from fluxtwin.sim.dynamics.vehicle import Compass, Target, Vehicle, Wheel
 from fluxtwin.sim.field import load_field
 from fluxtwin.sim.orbit import Orbit
 from fluxtwin.sim.torques.aerodynamic import Aerodynamic
+from fluxtwin.sim.torques.base import Torque
 from fluxtwin.sim.torques.catalogue import TORQUES
+from fluxtwin.sim.torques.drag_moment import DragMoment
 from fluxtwin.sim.torques.eddy_currents import EddyCurrents
 from fluxtwin.sim.torques.gravity_gradient import GravityGradient
 from fluxtwin.sim.torques.plates import Plate
 from fluxtwin.sim.torques.residual_dipole import ResidualDipole
 from fluxtwin.sim.torques.solar_pressure import SolarPressure
+from fluxtwin.sim.torques.sunlight_moment import SunlightMoment
 from fluxtwin.sim.torques.torquers import Torquers
 
 EPOCH = np.datetime64("2022-03-01T00:00:00", "ns")
-ORBIT = Orbit(epoch_utc=EPOCH, altitude_km=400.0, inclination_rad=1.3, raan_rad=0.5)
+ORBIT = Orbit(epoch_utc=EPOCH, altitude_km=420.0, inclination_rad=1.3, raan_rad=0.5)
 TURN = frames.rotation_BO(np.array([0.1]), np.array([0.2]), np.array([-0.3]))
 LAWS: dict[str, Control | None] = {
     "none": None,
@@ -46,18 +49,31 @@ LAWS: dict[str, Control | None] = {
 }
 
 
-def test_every_law_is_flown() -> None:
+PLATES = (
+    Plate(area_m2=3.0, normal_B=(1.0, 0.0, 0.0), centre_m=(0.5, 0.1, 0.2)),
+    Plate(area_m2=2.0, normal_B=(0.0, 1.0, 1.0), centre_m=(0.0, 0.4, 0.1)),
+    Plate(area_m2=4.0, normal_B=(-1.0, 0.2, -1.0), centre_m=(-0.3, 0.2, 0.4)),
+)
+ALL_TORQUES: tuple[Torque, ...] = (
+    GravityGradient(),
+    ResidualDipole(dipole_Am2=(1.0, 0.5, -0.3)),
+    Torquers(dipole_Am2=10.0),
+    EddyCurrents(K_Am2_s_per_T=((1e4, 0.0, 0.0), (0.0, 2e4, 0.0), (0.0, 0.0, 1e4))),
+    Aerodynamic(plates=PLATES),
+    SolarPressure(plates=PLATES),
+    DragMoment(moment_m3=(3.0, -2.0, 1.0)),
+    SunlightMoment(moment_m3=(20.0, 10.0, -30.0)),
+)
+
+
+def test_every_law_and_torque_is_flown() -> None:
     assert {law.name for law in CONTROLS} | {"none"} == set(LAWS)
+    assert {torque.name for torque in TORQUES} == {torque.name for torque in ALL_TORQUES}
 
 
 @pytest.mark.parametrize("name", LAWS)
 def test_the_kernel_flies_as_the_reference_does(name: str, close) -> None:
     J = TURN.as_matrix()[0] @ np.diag([100.0, 120.0, 80.0]) @ TURN.as_matrix()[0].T
-    K = ((1e4, 0.0, 0.0), (0.0, 2e4, 0.0), (0.0, 0.0, 1e4))
-    torques = (
-        GravityGradient(), ResidualDipole(dipole_Am2=(1.0, 0.5, -0.3)), Torquers(dipole_Am2=10.0),
-        EddyCurrents(K_Am2_s_per_T=K),
-    )  # fmt: skip
     wheels = tuple(
         Wheel(axis, 0.05, 300.0, 0.05, 1e-5, 1e-3) for axis in ((0.0, 1.0, 0.0), (1.0, 0.0, 0.2), (0.0, 0.0, 1.0))
     )
@@ -65,8 +81,11 @@ def test_the_kernel_flies_as_the_reference_does(name: str, close) -> None:
     compass = Compass(
         np.array([[0.02, -0.01, 0.0], [0.01, -0.03, 0.005], [0.0, 0.01, 0.01]]), np.array([7e3, -3e3, -6e3])
     )
-    vehicle = Vehicle(J, wheels, torques, LAWS[name], target, compass)
-    around = environment_along(ORBIT.propagate, EPOCH, 120.0, spacing_s=5.0, field=load_field())
+    vehicle = Vehicle(J, wheels, ALL_TORQUES, LAWS[name], target, compass)
+    around = environment_along(
+        ORBIT.propagate, EPOCH, 120.0, spacing_s=5.0, field=load_field(), with_sun=True, with_air=True
+    )
+    assert around.nodes[:, 12].min() > 0.9, "in sunlight: a shadow's edge has no spline"
     q = frames.q_from_rotation(TURN * frames.rotation_ON(*ORBIT.propagate(EPOCH)))[0]
     start = Start(q, np.radians([0.5, -0.3, 0.8]), np.array([-50.0, 10.0, 20.0]))
     exact = fly_adaptive(vehicle, around, start, duration_s=120.0, period_s=5.0, rtol=1e-11)
@@ -78,30 +97,34 @@ def test_the_kernel_flies_as_the_reference_does(name: str, close) -> None:
     close(flight.dipole_B_Am2, exact.dipole_B_Am2, atol=1e-4, unit="A m2", because="1e-8 rad in the field, by the gain")
     close(flight.field_B_nT, exact.field_B_nT, atol=1e-2, unit="nT", because="the attitude, and a spline for a cubic")
     if name != "none":
-        idle = fly([Vehicle(J, wheels, torques)], [around], [start], duration_s=120.0, step_s=0.25, log_every=20)
+        idle = fly([Vehicle(J, wheels, ALL_TORQUES)], [around], [start], duration_s=120.0, step_s=0.25, log_every=20)
         with pytest.raises(AssertionError):
             close(idle.q_NB, flight.q_NB, atol=1e-6, unit="1", because="without the law it is another flight")
 
 
-def test_no_torque_is_forgotten_by_the_tests() -> None:
-    """Those that are not flown here have their own flights or places in test_torques."""
-    names = {torque.name for torque in TORQUES}
-    assert names == {
-        "gravity_gradient", "residual_dipole", "torquers", "eddy_currents", "aerodynamic", "solar_pressure",
-        "drag_moment", "sunlight_moment",
-    }  # fmt: skip
+@pytest.mark.parametrize("left_out", ALL_TORQUES, ids=lambda torque: torque.name)
+def test_each_torque_is_felt_in_that_flight(left_out: Torque) -> None:
+    """So that the comparison above says something of each: it moves the body by far more than the tolerance."""
+    around = environment_along(
+        ORBIT.propagate, EPOCH, 120.0, spacing_s=5.0, field=load_field(), with_sun=True, with_air=True
+    )
+    start = Start(np.array([0.1, 0.2, 0.3, 0.9]), np.radians([0.5, -0.3, 0.8]), np.zeros(0))
+    fewer = tuple(torque for torque in ALL_TORQUES if torque is not left_out)
+    law = LAWS["b_dot"] if left_out.name == "torquers" else None
+    ends = []
+    for torques in (ALL_TORQUES, fewer):
+        vehicle = Vehicle(np.diag([100.0, 120.0, 80.0]), (), torques, law)
+        flight = fly([vehicle], [around], [start], duration_s=120.0, step_s=0.25, control_every=20, log_every=480)
+        ends.append(frames.rotation_from_q(flight.q_NB[0, -1:]))
+    assert np.degrees((ends[0] * ends[1].inv()).magnitude()[0]) > 1e-5
 
 
 def test_the_momentum_balances_the_torques_along_the_flight(close) -> None:
     """H(t2) - H(t1) is the integral of the torque in N, which is worked out anew from what the flight recorded."""
-    plates = (
-        Plate(area_m2=3.0, normal_B=(1.0, 0.0, 0.0), centre_m=(0.5, 0.1, 0.2)),
-        Plate(area_m2=2.0, normal_B=(0.0, 1.0, 1.0), centre_m=(0.0, 0.4, 0.1)),
-    )
     J = np.diag([100.0, 120.0, 80.0])
     torques = (
         GravityGradient(), ResidualDipole(dipole_Am2=(1.0, 0.5, -0.3)), Torquers(dipole_Am2=10.0),
-        Aerodynamic(plates=plates), SolarPressure(plates=plates),
+        Aerodynamic(plates=PLATES), SolarPressure(plates=PLATES),
     )  # fmt: skip
     wheel = Wheel((0.0, 1.0, 0.0), 0.05, 300.0, 0.05, 1e-5, 1e-3)
     vehicle = Vehicle(J, (wheel,), torques, LAWS["b_dot"])

@@ -19,11 +19,13 @@ from fluxtwin.sim.toml_input import validate
 from fluxtwin.sim.torques import torquers
 from fluxtwin.sim.torques.aerodynamic import Aerodynamic
 from fluxtwin.sim.torques.base import Torque
+from fluxtwin.sim.torques.drag_moment import DragMoment
 from fluxtwin.sim.torques.eddy_currents import EddyCurrents
 from fluxtwin.sim.torques.gravity_gradient import GravityGradient
 from fluxtwin.sim.torques.plates import Plate
 from fluxtwin.sim.torques.residual_dipole import ResidualDipole
 from fluxtwin.sim.torques.solar_pressure import PRESSURE_N_M2, SolarPressure
+from fluxtwin.sim.torques.sunlight_moment import SunlightMoment
 from fluxtwin.sim.torques.torquers import Torquers
 
 EPOCH = np.datetime64("2022-01-01T00:00:00", "ns")
@@ -239,6 +241,40 @@ def test_solar_pressure_in_its_limits(close) -> None:
         )
     shade = force_N(SolarPressure, (1.0, 0.0, 0.0), black, SUN=np.array([1.0, 0.0, 0.0]), SUNLIGHT=0.0)
     close(shade, 0.0, atol=0.0, unit="N", because="no light, no force")
+
+
+CENTRE = (0.5, 0.3, -0.2)
+MOMENT = tuple(float(2.0 * value) for value in CENTRE)
+"""Of 2 m2 at that centre."""
+
+
+def test_drag_at_a_centre_is_that_of_a_plate_face_on(close) -> None:
+    """C_D 2: a plate that takes up all momentum, turned to the wind; the same torque."""
+    v_N = np.array([300.0, 7400.0, -900.0])
+    around = {"POSITION": np.array([5.0e6, -4.0e6, 3.0e6]), "VELOCITY": v_N, "DENSITY": 1e-12}
+    wind = TURN.apply(v_N - np.cross([0.0, 0.0, EARTH_RATE_RAD_S], around["POSITION"]))
+    plate = Plate(area_m2=2.0, normal_B=tuple(wind.tolist()), centre_m=CENTRE)
+    black = Aerodynamic(plates=(plate,), accommodation_normal=1.0, accommodation_tangential=1.0, reemission_ratio=0.0)
+    expected = torque_B_Nm(black, **around)
+    found = torque_B_Nm(DragMoment(moment_m3=tuple(2.0 * value for value in MOMENT)), **around)
+    close(found, expected, atol=1e-12 * np.abs(expected).max(), unit="N m", because="rounding")
+    for mutant in (1.01 * found, -found, found[[1, 0, 2]]):
+        with pytest.raises(AssertionError):
+            close(mutant, expected, atol=1e-12 * np.abs(expected).max(), unit="N m", because="a mutant must fail")
+
+
+def test_sunlight_at_a_centre_is_that_of_a_black_plate_face_on(close) -> None:
+    """C_R 1: the same torque, and none in the shadow."""
+    sun_N = np.array([0.6, -0.48, 0.64])
+    plate = Plate(area_m2=2.0, normal_B=tuple(TURN.apply(sun_N).tolist()), centre_m=CENTRE)
+    black = SolarPressure(plates=(plate,), specular=0.0, diffuse=0.0)
+    expected = torque_B_Nm(black, SUN=sun_N, SUNLIGHT=0.7)
+    found = torque_B_Nm(SunlightMoment(moment_m3=MOMENT), SUN=sun_N, SUNLIGHT=0.7)
+    close(found, expected, atol=1e-12 * np.abs(expected).max(), unit="N m", because="rounding")
+    for mutant in (1.01 * found, -found, found[[1, 0, 2]]):
+        with pytest.raises(AssertionError):
+            close(mutant, expected, atol=1e-12 * np.abs(expected).max(), unit="N m", because="a mutant must fail")
+    assert not torque_B_Nm(SunlightMoment(moment_m3=MOMENT), SUN=sun_N, SUNLIGHT=0.0).any()
 
 
 def test_the_sunlight_of_the_environment_falls_in_the_shadow(close) -> None:

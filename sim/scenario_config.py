@@ -334,6 +334,12 @@ class WheelsSection(Section):
     """dynamics: friction per rad/s, and that against the sense of turning."""
     coulomb_Nm: NonNegative = 0.0
 
+    @model_validator(mode="after")
+    def _one_speed_each(self) -> Self:
+        if len(self.bias_rpm) != len(self.axes_B):
+            raise ValueError(f"{len(self.bias_rpm)} speeds in bias_rpm for {len(self.axes_B)} wheels in axes_B")
+        return self
+
 
 class SegmentSection(Section):
     """A run of samples `step_s` apart: so many `samples`, or a `duration_min`."""

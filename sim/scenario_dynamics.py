@@ -256,7 +256,13 @@ def _surroundings(scenario: Scenario, begin: np.datetime64, length_s: float, spa
 
 def _check_step(flight: Flight, step_s: float) -> None:
     """BadInput where the body turns so fast that the step cannot follow, or the motion between rows is unknown."""
-    fastest = float(np.max(np.linalg.norm(flight.rate_B_rad_s[0], axis=1)))  # NaN, if it came to that, is not below
+    fastest = float(np.max(np.linalg.norm(flight.rate_B_rad_s[0], axis=1)))
+    if not np.isfinite(fastest):
+        raise BadInput(
+            "the motion ran away: a rate is no longer a number",
+            where="dynamics.step_s",
+            wanted="a shorter step, or a gentler control",
+        )
     for key, long_s, most_rad in (("step_s", step_s, 0.3), ("record_s", flight.spacing_s, 1.0)):
         if not fastest * long_s < most_rad:
             raise BadInput(

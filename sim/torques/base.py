@@ -12,6 +12,7 @@ class Torque(Section):
     """Base of all torques: a frozen record, checked as a section [torques.NAME] of a scenario."""
 
     name: ClassVar[str]
+    # Without one of these the middle of a step has a new position, attitude and rate, and nothing else.
     needs_field: ClassVar[bool] = False
     needs_sun: ClassVar[bool] = False
     needs_air: ClassVar[bool] = False

@@ -17,7 +17,7 @@ def add(packed: FloatArray, at: int, stage: FloatArray) -> None:
     """(K (w x B)) x B: the induced dipole -K dB/dt, of the field's change by the rotation, in the field itself.
 
     For K = k times identity this is k (w x B) x B (Wertz 1978, section 17.2.4). The orbit's own change
-    of the field is left out: a hundredth of it at 1 rpm.
+    of the field is left out: in low orbit two hundredths of it at 1 rpm.
     """
     wx, wy, wz = stage[RATE], stage[RATE + 1], stage[RATE + 2]
     bx, by, bz = stage[FIELD], stage[FIELD + 1], stage[FIELD + 2]

@@ -199,6 +199,7 @@ WRONG = {
     "no direction": ({"control.axis": [0.0, 0.0, 0.0]}, "control.axis: .*no such direction"),
     "a wheel without a direction": ({"wheels.axes_B": [[0.0, 0.0, 0.0]]}, r"wheels\.axes_B\.0: .*no such direction"),
     "no wheels in their section": ({"wheels.axes_B": [], "wheels.bias_rpm": []}, r"wheels\.axes_B"),
+    "a speed too few": ({"wheels.bias_rpm": [1.0, 2.0]}, r"wheels: 2 speeds in bias_rpm for 3 wheels in axes_B"),
     "no attitude": ({"dynamics.q_NB": [0.0, 0.0, 0.0, 0.0]}, r"dynamics\.q_NB: .*no such"),
     "half a tensor": (
         {"torques.gravity_gradient.inertia_error_kg_m2": [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]},
@@ -248,6 +249,9 @@ def test_a_body_too_fast_for_its_step_is_refused(scenario: Scenario) -> None:
         flights(free.updated({"dynamics.step_s": 0.1, "dynamics.record_s": 2.0}))
     spun = flights(free.updated({"dynamics.step_s": 0.1})).flights[0]
     assert np.isfinite(spun.q_NB).all()
+    unlimited = {"wheels.max_torque_Nm": None, "wheels.max_rpm": None}
+    with pytest.raises(BadInput, match="the motion ran away"):
+        flights(scenario.updated({"control.three_axis.frequency_rad_s": 50.0, **unlimited}))
     with pytest.raises(BadInput, match="states to record"):
         flights(free.updated({"dynamics.step_s": 1e-4}))
 

@@ -239,8 +239,10 @@ def draw_duty(axes: Any, flights: dict[str, Flight]) -> None:
         axes.bar(places, on, 0.25, color=f"C{number}", alpha=0.35)
         axes.bar(places, mean, 0.25, color=f"C{number}", label=f"torquer {label}")
     axes.set_xticks(range(len(names)), [name.replace("momentum bias, ", "bias,\n") for name in names], fontsize=8)
-    axes.set(title="torquers: time on (pale), mean dipole (full)", ylabel="share of the time, of the most [%]")
-    axes.set_ylim(0, 135)
+    axes.set_title("torquers: time on (pale), mean dipole of their largest (full)", fontsize=10)
+    axes.set_ylabel("share [%]")
+    axes.set_ylim(0, 135)  # room for the legend
+    axes.set_yticks(range(0, 101, 20))
 
 
 def main() -> None:

@@ -94,7 +94,7 @@ def _sensor_errors(flight: Flight) -> tuple[float, float]:
 
 
 def _within(flight: Flight) -> FloatArray:
-    limits = np.radians([0.7, 0.5, 2.0])
+    limits = np.radians([mission.quantity(f"{angle} wanted") for angle in ("roll", "pitch", "yaw")])
     angles = np.stack([flight.truth.roll_rad, flight.truth.pitch_rad, flight.truth.yaw_rad], axis=1)
     return np.asarray((np.abs(angles) <= limits).all(axis=1), dtype=np.float64)
 

@@ -17,6 +17,10 @@ from fluxtwin.sim import epoch
 
 FILE = "gallery"
 _MOST_ROWS = 9
+_SEEN = 3.0
+"""Sigmas above which an element is said to be seen."""
+_CHANCE = 3.5
+"""Sigmas that the worst of some twenty numbers exceeds by chance once in a hundred pages."""
 
 
 def gallery_page(answers: Sequence[Answer], seed: int, law: Answer | None = None) -> Page:
@@ -62,7 +66,8 @@ def _overview(answers: Sequence[Answer]) -> Section:
             "Each fault is simulated along HCMM's orbit; telemetry exists only while a station sees the satellite, and no "
             "row of the night has an attitude. Three days are diagnosed; the two that follow are kept apart. The step of "
             "the readings, 4.7 mG, is all that the diagnosis is told. Its field model is IGRF-14, what is known of 1978 "
-            "today: with the model of 1975 its error, 1 mG and more, would be a gap of its own.",
+            "today, and the field that is flown, so its error is nil: with the model of 1975 the error, 1 mG and more, "
+            "would be a gap of its own.",
             "This is not quite the spacecraft of the study: its motion here is prescribed, without wheels or control law, "
             "and its coils act at random with their full dipole. That matters to (c), and is said there.",
         ],
@@ -91,15 +96,19 @@ def _drive(answer: Answer, law: Answer | None) -> str:
     said += f" The control law of the study commands less: {_dipole_words(law)}. Flown under it, the same fault "
     if not law.compared or law.later is None:
         return said + f"is not found: the diagnosis says {law.name or law.diagnosis.verdict}."
-    put_in = ", ".join(
-        f"{a} {np.sqrt(sum(one.put_in**2 for one in law.compared if one.name[-1] == a)):.0f}" for a in "xyz"
+    known = [one for one in law.compared if one.sigma is not None]
+    seen = [one for one in known if one.sigma is not None and abs(one.found) > _SEEN * one.sigma]
+    shown = ", ".join(
+        f"{one.name} {_known(one.found, one.sigma)} ± {_known(one.sigma or 0.0, one.sigma)} (put in {one.put_in:.0f})"
+        for one in seen
     )
-    sigmas = [one.sigma for one in law.compared if one.sigma is not None]
     before, after, floor = (f"{value:.1f}" for value in (*law.later.rms, law.later.floor))
     return said + (
-        f"is named {law.name}, {law.located} (put in {put_in}; the sigma of an element is up to {max(sigmas):.0f}), and the "
-        f"passes not used go from {before} to {after} nT (floor {floor}): with so small a drive C is known less "
-        "exactly, and to leave it out costs less."
+        f"is named {law.name}, but {len(seen)} of its {len(known)} elements {'is' if len(seen) == 1 else 'are'} above "
+        f"{_SEEN:g} sigma"
+        f"{': ' + shown if seen else ''} (the sigma of an element is up to {max(one.sigma or 0.0 for one in known):.0f} "
+        f"{law.compared[0].unit}), and the passes not used go from {before} to {after} nT (floor {floor}): with so small a "
+        "drive C is hardly known, and to leave it out costs little."
     )
 
 
@@ -125,7 +134,17 @@ def _compared_table(answer: Answer) -> Table:
         box = answer.diagnosis.effects[0].settings.get("region_deg", [])
         for name, true, found in zip(("south", "north", "west", "east"), REGION_DEG, box, strict=False):
             rows.append([f"{name} edge [deg]", f"{true:.0f}", f"{found:.0f}", ""])
-    return Table("Put in, and found", ["parameter", "put in", "found", "1 sigma"], rows)
+    return Table("Put in, and found", ["parameter", "put in", "found", "1 sigma"], rows, _furthest(answer))
+
+
+def _furthest(answer: Answer) -> str:
+    """The parameter furthest from what was put in, by its own sigma."""
+    known = [(abs(one.found - one.put_in) / one.sigma, one.name) for one in answer.compared if one.sigma]
+    if not known:
+        return ""
+    far, name = max(known)
+    words = f"Furthest from what was put in: {name}, by {far:.1f} of its sigma"
+    return words + ("; so far is not chance, that sigma is too small." if far > _CHANCE else ".")
 
 
 def _later(answer: Answer) -> list[FigureBlock]:
@@ -208,7 +227,7 @@ def real_passes_section(real: RealPasses) -> Section:
     raw, left = (real.question("station against station", corrected=c) for c in (False, True))
     record = plots.RealResiduals(
         real.stations, real.night, real.printed_mG, real.ratio,
-        (f"as printed: stations differ, p {_is(raw.p_counted)}",
+        (f"as printed: stations {_differ(raw)}, p {_is(raw.p_counted)}",
          f"IGRF 1975's error out: p {_is(left.p_counted)}"),
     )  # fmt: skip
     caption = (
@@ -233,13 +252,15 @@ def _words(real: RealPasses) -> list[str]:
         f"{real.overflight.max() + 1} overflights gave the 43 passes; {len(real.questions)} tests are made and counted.",
         f"Night against day: a ratio of {q(day, False).ratio:.2f} (p {_is(q(day, False).p_value)} by itself); one of "
         f"{q(day, False).detectable:.2f} would have been seen. Outside the eastern United States it is "
-        f"{q(rest, False).ratio:.2f} (p {_is(q(rest, False).p_value)}), so nothing follows the night as such.",
-        f"Station against station: they differ (p {_is(q(stations, False).p_counted)}, counted). It is "
-        f"{_strongest(real)}; nights over the eastern United States have {q(nights, False).ratio:.1f} times the residual "
+        f"{q(rest, False).ratio:.2f} (p {_is(q(rest, False).p_value)}; {q(rest, False).detectable:.2f} would have been "
+        f"seen): {'nothing is seen that follows' if q(rest, False).p_value > 0.05 else 'something follows'} the night as "
+        "such.",
+        f"Station against station: they {_differ(q(stations, False))} (p {_is(q(stations, False).p_counted)}, counted). It "
+        f"is {_strongest(real)}; nights over the eastern United States have {q(nights, False).ratio:.1f} times the residual "
         f"of other nights (p {_is(q(nights, False).p_counted)}, counted).",
         f"The error of IGRF 1975 along the passes, known today, explains {100 * real.explained:.0f} % of the variance of "
         "the logarithm. "
-        f"Once it is out, no station differs from the others (p {_is(q(stations, True).p_value)} by itself; at "
+        f"Once it is out, the stations {_differ(q(stations, True))} (p {_is(q(stations, True).p_value)} by itself; at "
         f"Greenbelt a ratio of {q('ETC against the others', True).detectable:.2f} would have been seen).",
         f"What stays: over the eastern United States nights have {q(within, True).ratio:.2f} times the residual of days "
         f"for the same error of the model ({_both(q(within, True))}); nights there have {q(nights, True).ratio:.2f} times "
@@ -248,6 +269,10 @@ def _words(real: RealPasses) -> list[str]:
         "there for its own, does this; a field on board at night over the region could too, and 43 residuals without a "
         "direction cannot tell which.",
     ]
+
+
+def _differ(one: Question) -> str:
+    return "differ" if one.certain else "are not seen to differ"
 
 
 def _both(one: Question) -> str:

@@ -31,7 +31,7 @@ from fluxtwin.scenarios.hcmm_orbit.geometry import (
     rise_and_set_min,
 )
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, Range, read_passes
-from fluxtwin.scenarios.hcmm_orbit.windows import Windows, fix_windows, turning_ends
+from fluxtwin.scenarios.hcmm_orbit.windows import Windows, fix_windows, ranges_of_windows, turning_ends
 from fluxtwin.sim import frames, sun
 from fluxtwin.sim.orbit import Orbit
 from fluxtwin.sim.types import FloatArray
@@ -44,6 +44,8 @@ _ANGLE_DEG = 0.4
 _ROUNDING_DEG = 1.0 / float(np.sqrt(12.0))
 _STEPS = (0.1, 0.02, 0.02, 0.02)
 """Steps of the differences: km, deg, deg, deg."""
+_MOST_ROUNDS = 6
+"""Of windows set anew; two or three are enough."""
 _ROWS = 6
 """Residuals of a pass: rise, start, two visibility limits, two ends of the range."""
 
@@ -137,14 +139,43 @@ class _Problem:
         window = fix_windows(self.grid, sky, list(zip(self.low, self.high, strict=True)))
         offset = float(np.median(window.start_min))
         x = np.concatenate([self.fixed[: self.free], [offset], window.start_min, window.end_min])
-        for _ in range(2):  # the windows are set anew once the orbit is near
-            x = least_squares(self.residuals, x, self.jacobian, loss="soft_l1", x_scale=self.scale, max_nfev=60).x
-            sky = look(self.grid, orbit_of(*self.elements(x)))
-            window = fix_windows(self.grid, sky, list(zip(self.low, self.high, strict=True)))
-            x = np.concatenate([x[: self.free + 1], window.start_min, window.end_min])
+        found = self._least(x)
+        for _ in range(_MOST_ROUNDS):
+            other = self._least(self._best_windows(found))
+            if self.cost(other) >= self.cost(found):
+                break
+            found = other
+        return found
+
+    def cost(self, x: FloatArray) -> float:
+        """What is made least: half the sum of the soft L1 losses."""
+        return float(_losses(self.residuals(x)).sum())
+
+    def _least(self, x: FloatArray, most: int = 60) -> FloatArray:
         return np.asarray(
-            least_squares(self.residuals, x, self.jacobian, loss="soft_l1", x_scale=self.scale, max_nfev=60).x
+            least_squares(self.residuals, x, self.jacobian, loss="soft_l1", x_scale=self.scale, max_nfev=most).x
         )
+
+    def _best_windows(self, x: FloatArray) -> FloatArray:
+        """The same elements, and of each pass the window that costs least along their orbit, of all on a grid.
+
+        Beside a turning point of the angle several windows suit, and steps downhill find the nearest one only.
+        """
+        sky, x = look(self.grid, orbit_of(*self.elements(x))), x.copy()
+        rise, fall = rise_and_set_min(self.grid, sky)
+        for k in range(self.count):
+            times, low, high = ranges_of_windows(self.grid.minutes, sky.sun_nadir_deg[k], (rise[k], fall[k]))
+            start, end = times[:, None], times[None, :]
+            cost = (
+                _losses((start - x[self.free]) / _START_MIN)
+                + _losses(np.maximum(rise[k] - start, 0.0) / _VISIBLE_MIN)
+                + _losses(np.maximum(end - fall[k], 0.0) / _VISIBLE_MIN)
+                + _losses((low - self.low[k]) / _ANGLE_DEG)
+                + _losses((high - self.high[k]) / _ANGLE_DEG)
+            )
+            first, last = np.unravel_index(int(np.nanargmin(cost)), cost.shape)
+            x[self.free + 1 + k], x[self.free + 1 + self.count + k] = times[first], times[last]
+        return x
 
     def common_rounding(self, x: FloatArray) -> FloatArray:
         """Covariance of x from ends at turning points that are all rounded the same way, lower and upper ones apart."""
@@ -154,7 +185,7 @@ class _Problem:
         for column, name in enumerate(("low", "high")):
             kept = getattr(self, name)
             setattr(self, name, kept + _ROUNDING_DEG * turning[:, column])
-            moved = least_squares(self.residuals, x, self.jacobian, loss="soft_l1", x_scale=self.scale, max_nfev=40).x
+            moved = self._least(x, most=40)
             setattr(self, name, kept)
             total += np.outer(moved - x, moved - x)
         return total
@@ -221,6 +252,11 @@ class _Problem:
         pull = np.einsum("pr,prx->px", (weight * r).reshape(-1, _ROWS), J.reshape(self.count, _ROWS, -1))
         inverse = np.linalg.inv(A)
         return np.asarray(inverse @ (pull.T @ pull) @ inverse * self.count / (self.count - self.free - 1))
+
+
+def _losses(residuals: FloatArray) -> FloatArray:
+    """Half the soft L1 loss of each."""
+    return np.asarray(np.sqrt(1.0 + residuals**2) - 1.0)
 
 
 def _interpolate(minutes: FloatArray, table: FloatArray, at: FloatArray) -> FloatArray:

@@ -16,7 +16,7 @@ from fluxtwin.sim.types import FloatArray, TimeArray
 EPOCH = np.datetime64("1978-11-30T12:00:00", "ns")
 """Epoch of the fitted elements, near the middle of the record."""
 INCLINATION_DEG = 97.6
-"""Public figure for HCMM (NORAD 10818, 1978-041A); the record alone gives it to 0.7 deg."""
+"""Public figure for HCMM (NORAD 10818, 1978-041A); the record alone gives it to 0.6 deg."""
 _FIRST_MIN, _LAST_MIN, _STEP_MIN = -8.0, 22.0, 0.25
 
 

@@ -27,6 +27,7 @@ NEAR_DEG = 1.5
 """An end this near counts as explained."""
 COULD_BE = {"8": "6", "6": "8", "1": "4", "5": "8"}
 """Digit as read by the digit that may have been printed: eights and sixes, fours read as ones, eights as fives."""
+MAIN_FIELD, DIPOLE = "the main field (IGRF-14)", "the dipole of IGRF-14 alone"
 _DEALS = 40
 _POLES = [(float(lat), float(lon)) for lat in np.arange(70.0, 90.0, 1.0) for lon in np.arange(240.0, 340.0, 4.0)]
 
@@ -66,10 +67,18 @@ class NadirField:
     """rms over the passes of the dipole's nadir-field angle less the main field's: a residual against a dipole would be
     at least of this size, and the printed ones are 0.3 to 1 deg. Only the ranges can be a dipole's."""
 
+    def ends_explained(self, idea: Idea, *, poleward: bool, sunlit: bool) -> tuple[int, int]:
+        """How many of one group of ends are within NEAR_DEG, and how many there are."""
+        near = np.abs(idea.error_deg[self._group(poleward=poleward, sunlit=sunlit)]) <= NEAR_DEG
+        return int(near.sum()), int(near.size)
+
     def median_abs(self, idea: Idea, *, poleward: bool, sunlit: bool) -> float:
         """Median error of one group of ends."""
-        chosen = (self.poleward if poleward else ~self.poleward) & (self.sunlit if sunlit else ~self.sunlit)[:, None]
-        return float(np.median(np.abs(idea.error_deg[chosen])))
+        return float(np.median(np.abs(idea.error_deg[self._group(poleward=poleward, sunlit=sunlit)])))
+
+    def _group(self, *, poleward: bool, sunlit: bool) -> BoolArray:
+        ends = self.poleward if poleward else ~self.poleward
+        return np.asarray(ends & (self.sunlit if sunlit else ~self.sunlit)[:, None])
 
 
 def weigh_ideas(fit: OrbitFit, windows: Windows) -> NadirField:
@@ -85,9 +94,9 @@ def weigh_ideas(fit: OrbitFit, windows: Windows) -> NadirField:
         return dataclasses.replace(windows, start_min=windows.start_min + start_min, end_min=windows.end_min + end_min)
 
     shown = {
-        "the main field (IGRF-14)": _whole(along(model)),
+        MAIN_FIELD: _whole(along(model)),
         "the field that HCMM used (IGRF 1975)": _whole(along(flown)),
-        "its dipole alone": _whole(along(model.truncated(1))),
+        DIPOLE: _whole(along(model.truncated(1))),
         "a dipole along the axis (equation 20)": _whole(_axial(passes, windows, fit)),
         "degrees 1 and 2": _whole(along(model.truncated(2))),
         "degrees 1 to 3": _whole(along(model.truncated(3))),

@@ -64,21 +64,26 @@ def _turning_points(values: FloatArray) -> FloatArray:
 
 
 def _window(minutes: FloatArray, angle: FloatArray, visible: Range, printed: Range) -> tuple[float, ...]:
-    times = np.arange(visible[0] - 0.5, visible[1] + 0.5 + 1e-9, _STEP_MIN)
-    values = np.interp(times, minutes, angle)
-    count = times.size
-    turning = _turning_points(values)
+    times, low, high = ranges_of_windows(minutes, angle, visible)
+    turning = _turning_points(np.interp(times, minutes, angle))
     printed = _with_turning_points(printed, turning)
-    upper = np.triu(np.ones((count, count), dtype=bool))
-    spread = np.where(upper, values[None, :], np.nan)
-    low = np.fmin.accumulate(spread, axis=1)
-    high = np.fmax.accumulate(spread, axis=1)
     length = times[None, :] - times[:, None]
     misfit = np.where(length >= _SHORTEST_MIN, np.abs(low - printed[0]) + np.abs(high - printed[1]), np.inf)
     least = float(np.nanmin(misfit))
     best = np.unravel_index(int(np.argmax(np.where(misfit <= least + _EQUAL_DEG, length, -1.0))), misfit.shape)
     first, last = int(best[0]), int(best[1])
     return float(times[first]), float(times[last]), float(misfit[best]), float(turning.size > 0)
+
+
+def ranges_of_windows(
+    minutes: FloatArray, angle: FloatArray, visible: Range
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Times (T,) from half a minute before rise to half a minute after set, and the lowest and highest angle (T, T) of the
+    window from time i to time j; NaN where it would end before it starts."""
+    times = np.arange(visible[0] - 0.5, visible[1] + 0.5 + 1e-9, _STEP_MIN)
+    values = np.interp(times, minutes, angle)
+    spread = np.where(np.triu(np.ones((times.size, times.size), dtype=bool)), values[None, :], np.nan)
+    return times, np.fmin.accumulate(spread, axis=1), np.fmax.accumulate(spread, axis=1)
 
 
 def _with_turning_points(printed: Range, turning: FloatArray) -> Range:

@@ -76,7 +76,7 @@ def test_the_largest_element_of_S_comes_back_where_b_alone_was_modelled(answers)
 def test_page_and_summary_hold_all_four(answers, tmp_path):
     page = gallery_page(list(answers.values()), 1978, law=answers["c"])  # in place of a flight by the control law
     assert page.verdict.startswith("4 of 4")
-    assert any("put in x 100, y 100, z 200;" in words for words in page.sections[3].paragraphs)
+    assert any("but 3 of its 9 elements are above 3 sigma: C_xx -100" in words for words in page.sections[3].paragraphs)
     names = [block.name for section in page.sections for block in section.figures]
     assert names == [f"{key}_{what}" for key in "abcd" for what in ("evidence", "passes")]
     for section in page.sections:

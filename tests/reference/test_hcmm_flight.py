@@ -18,7 +18,7 @@ import pytest
 from fluxtwin.scenarios.hcmm.mission import read_table
 from fluxtwin.scenarios.hcmm_orbit.fit import fit_orbit
 from fluxtwin.scenarios.hcmm_orbit.flight_test import run_flight_test, windows_of
-from fluxtwin.scenarios.hcmm_orbit.nadir_field import weigh_ideas
+from fluxtwin.scenarios.hcmm_orbit.nadir_field import DIPOLE, MAIN_FIELD, weigh_ideas
 from fluxtwin.scenarios.hcmm_orbit.record import read_passes, read_stations
 from fluxtwin.sim import frames
 from fluxtwin.sim.field import load_field
@@ -68,7 +68,7 @@ def test_orbit_agrees_with_an_independent_fit_of_the_same_record(fit, close):
     """Another program, another loss (L1), sun-field angles used as well: 6996-6997 km, 271.6 deg, 53-54 deg."""
     a, node, u = fit.values
     close(a, 6996.6, atol=1.2, unit="km", because="the other fits give 6996.1 and 6997.2; our sigma is 0.25")
-    close(node, 271.6, atol=0.4, unit="deg", because="our sigma is 0.14, theirs unknown")
+    close(node, 271.6, atol=0.4, unit="deg", because="our sigma is 0.20, theirs unknown")
     close(u, 53.4, atol=1.3, unit="deg", because="the other fits give 53.0 and 53.9; our sigma is 0.45")
     close(fit.orbit.nodal_period_s / 60, 97.18, atol=0.05, unit="min", because="follows from a")
     assert (fit.sigmas > [0.05, 0.03, 0.1]).all()
@@ -88,6 +88,15 @@ def test_the_fit_needs_no_starting_value_and_finds_every_pass(fit):
     # Whole minutes, masks, routine: the independent fit has 0.98 min rms.
     assert np.sqrt(np.mean(fit.rise_min**2)) < 1.2
     assert np.abs(fit.rise_min).max() < 3.5
+
+
+def test_the_fit_is_the_same_from_wherever_it_starts(monkeypatch, fit):
+    """Windows beside a turning point have several places; a fit that took the nearest went 0.1 to 0.4 deg astray."""
+    from fluxtwin.scenarios.hcmm_orbit import fit as module
+
+    for away in ([0.3, -0.2, 0.5], [2.6, 1.4, -1.0]):
+        monkeypatch.setattr(module, "first_guess", lambda passes, away=away: tuple(fit.values + away))
+        assert (np.abs(fit_orbit().values - fit.values) < 0.02 * fit.sigmas).all()
 
 
 def test_greatest_elevations_against_the_independent_fit(shared, fit, close):
@@ -207,7 +216,7 @@ def test_the_nadir_field_column_is_an_open_question_with_these_facts(fit, close)
     windows = windows_of(read_passes(), fit.orbit, as_scanned=False)
     found = weigh_ideas(fit, windows)
     ideas = {idea.name: idea for idea in found.ideas}
-    main, dipole = ideas["the main field (IGRF-14)"], ideas["its dipole alone"]
+    main, dipole = ideas[MAIN_FIELD], ideas[DIPOLE]
     # The independent program: 4.2 deg for the main field, 2.05 deg for a dipole, over the sunlit ends.
     close(found.median_abs(main, poleward=True, sunlit=True), 4.2, atol=0.6, unit="deg", because="one of two groups")
     assert dipole.explained > 1.5 * main.explained

@@ -44,7 +44,10 @@ def test_a_turned_head_is_named_and_the_angle_confirms_it():
     )  # fmt: skip
     # With one head in use a constant bias of the scanner changes the angle alike; the readings tell the two apart.
     shown = found.provenance["sun_nadir"]
-    assert "sun_sensor_head_misalignment of head 2" in [*shown["rivals"], shown["named"]["name"] + " of head 2"]
+    assert "sun_sensor_head_misalignment of head 2" in [
+        *shown["rivals"],
+        f"{shown['named']['name']} of head {shown['named']['head']}",
+    ]
     assert len(found.effects) == 1
     assert shown["ruled_out"] == []
 

@@ -15,11 +15,11 @@ Test = Callable[[Judged], bool]
 def share_row(
     title: str, reach: str, cases: Sequence[Judged], test: Test, least: float, most: float = 1.0
 ) -> dict[str, Any]:
-    """A share: met where the point estimate lies from least to most."""
+    """A share: met where the point estimate lies from least to most; a row that is `told` has nothing to meet."""
     right, of = sum(test(case) for case in cases), len(cases)
     low, high = wilson(right, of)
     value = right / of if of else None
-    met = None if value is None else bool(least <= value <= most)
+    met = None if value is None or reach == "told" else bool(least <= value <= most)
     return {
         "figure": title,
         "reach": reach,

@@ -222,7 +222,7 @@ def by(cases: Sequence[Judged], key: str, title: str) -> str:
     groups: dict[tuple[str, str], list[Judged]] = {}
     for case in cases:
         groups.setdefault((case.population, str(case.sealed[key])), []).append(case)
-    for (population, label), mine in groups.items():
+    for (population, label), mine in sorted(groups.items()):
         if key == "label" and population in ("pairs", "triples"):
             continue
         wrong = [_short(case) for case in mine if not right(case)]

@@ -103,6 +103,8 @@ def _begin(plan: Plan, folder: Path, resume: bool) -> None:
 
 def _fly(plan: Plan, folder: Path, todo: list[int], jobs: int, executor: Executor | None, progress: Progress) -> None:
     """Fly the chunks that are missing, and tell how far it has come."""
+    import h5netcdf  # noqa: F401 - here: an interrupt in the middle of this import, at the first chunk, would be lost
+
     done = plan.vehicles - sum(len(plan.members(number)) for number in todo)
     said: set[str] = set()
     for event in _events(plan, folder, todo, jobs, executor):

@@ -95,12 +95,17 @@ def chunk_path(folder: Path, number: int) -> Path:
     return folder / f"chunk-{number:05d}.nc"
 
 
-def fly_chunk(record: Mapping[str, Any], folder: str, number: int) -> list[str]:
-    """Fly and write one chunk of a recorded plan: for a process anywhere that sees the folder. Returns notices."""
+def fly_chunk(record: Mapping[str, Any], folder: str, number: int) -> dict[str, Any]:
+    """Fly and write one chunk of a recorded plan: for a process anywhere that sees the folder. Returns what to tell."""
     plan = Plan.from_record(record)
     made = Flyer(plan).chunk(number)
     write_chunk(plan, made, Path(folder), number)
-    return made.notices
+    return told(made, number)
+
+
+def told(made: Chunk, number: int) -> dict[str, Any]:
+    """What is told of a chunk that is written: its number, notices, and why vehicles were lost."""
+    return {"done": number, "notices": made.notices, "lost": list(made.lost.values())}
 
 
 def write_chunk(plan: Plan, chunk: Chunk, folder: Path, number: int) -> Path:

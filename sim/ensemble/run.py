@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -103,8 +103,6 @@ def _begin(plan: Plan, folder: Path, resume: bool) -> None:
 
 def _fly(plan: Plan, folder: Path, todo: list[int], jobs: int, executor: Executor | None, progress: Progress) -> None:
     """Fly the chunks that are missing, and tell how far it has come."""
-    import h5netcdf  # noqa: F401 - here: an interrupt in the middle of this import, at the first chunk, would be lost
-
     done = plan.vehicles - sum(len(plan.members(number)) for number in todo)
     said: set[str] = set()
     for event in _events(plan, folder, todo, jobs, executor):
@@ -115,7 +113,7 @@ def _fly(plan: Plan, folder: Path, todo: list[int], jobs: int, executor: Executo
                 said.add(notice)
                 warnings.warn(notice, stacklevel=3)
         if "done" in event and len(todo) > 1 and event["done"] == todo[0]:
-            _stop_if_hopeless(plan, folder, todo[0])
+            _stop_if_hopeless(plan, todo[0], event["lost"])
 
 
 def _events(plan: Plan, folder: Path, todo: list[int], jobs: int, executor: Executor | None) -> Iterator[workers.Event]:
@@ -129,7 +127,7 @@ def _events(plan: Plan, folder: Path, todo: list[int], jobs: int, executor: Exec
             made = flyer.chunk(number)
             chunk.write_chunk(plan, made, folder, number)
             yield {"flown": len(made.members)}
-            yield {"done": number, "notices": made.notices}
+            yield chunk.told(made, number)
 
 
 def _by_executor(plan: Plan, folder: Path, todo: list[int], executor: Executor) -> Iterator[workers.Event]:
@@ -139,15 +137,14 @@ def _by_executor(plan: Plan, folder: Path, todo: list[int], executor: Executor) 
         for future in as_completed(waiting):
             number = waiting[future]
             yield {"flown": len(plan.members(number))}
-            yield {"done": number, "notices": future.result()}
+            yield future.result()
     finally:
         for future in waiting:
             future.cancel()
 
 
-def _stop_if_hopeless(plan: Plan, folder: Path, number: int) -> None:
+def _stop_if_hopeless(plan: Plan, number: int, lost: Sequence[str]) -> None:
     """NoAnswer where a whole chunk was lost: it is the scenario, and the others need not try."""
-    _, lost = chunk.read_figures(folder, number)
     members = plan.members(number)
     if len(lost) == len(members):
-        raise NoAnswer(f"all of the first {len(members)} vehicles were lost; vehicle {members[0]}: {lost[members[0]]}")
+        raise NoAnswer(f"all of the first {len(members)} vehicles were lost; vehicle {members[0]}: {lost[0]}")

@@ -23,7 +23,7 @@ from fluxtwin.sim import errors
 from fluxtwin.sim.errors import BadInput
 
 Event = dict[str, Any]
-"""{"flown": 1} after each vehicle; {"done": number, "notices": [...]} after each chunk."""
+"""{"flown": 1} after each vehicle; after each chunk what `chunk.told` says of it."""
 
 
 def fly_in_processes(record: Mapping[str, Any], folder: Path, numbers: Iterable[int], jobs: int) -> Iterator[Event]:
@@ -66,25 +66,25 @@ def fly_in_processes(record: Mapping[str, Any], folder: Path, numbers: Iterable[
 
 def serve(lines: Iterable[str], out: IO[str]) -> None:
     """What a process does: the plan first, then a chunk a line, until there is nothing more."""
-    from fluxtwin.sim.ensemble.chunk import Flyer, write_chunk
+    from fluxtwin.sim.ensemble.chunk import Flyer, told, write_chunk
     from fluxtwin.sim.ensemble.plan import Plan
 
     def tell(event: Event) -> None:
         out.write(json.dumps(event) + "\n")
         out.flush()
 
-    told = (json.loads(line) for line in lines)
+    orders = (json.loads(line) for line in lines)
     try:
-        first = next(told)
+        first = next(orders)
         plan, folder = Plan.from_record(first["plan"]), Path(first["folder"])
         flyer = Flyer(plan)
         tell({"ready": True})
-        for order in told:
+        for order in orders:
             if "chunk" not in order:
                 return
             made = flyer.chunk(order["chunk"], lambda: tell({"flown": 1}))
             write_chunk(plan, made, folder, order["chunk"])
-            tell({"done": order["chunk"], "notices": made.notices})
+            tell(told(made, order["chunk"]))
     except errors.FluxtwinError as error:
         tell({"error": str(error), "kind": type(error).__name__})
 

@@ -112,7 +112,7 @@ def decimal_year(time: TimeArray | np.datetime64) -> FloatArray:
     stamps = as_times(time)
     years = stamps.astype("datetime64[Y]")
     start = years.astype("datetime64[ns]")
-    length = (years + 1).astype("datetime64[ns]") - start
+    length = (years + np.timedelta64(1, "Y")).astype("datetime64[ns]") - start
     fraction = (stamps - start).astype("int64") / length.astype("int64")
     year: FloatArray = years.astype("int64") + 1970.0 + fraction
     return year
@@ -157,5 +157,5 @@ def _tai_minus_utc(days: TimeArray) -> FloatArray:
 
 def _seconds_in_day(unix_days: np.ndarray) -> FloatArray:
     """86400, or 86401 on a day that ends with a leap second."""
-    days = unix_days.astype("datetime64[D]")
-    return 86400.0 + _tai_minus_utc(days + 1) - _tai_minus_utc(days)
+    days: TimeArray = unix_days.astype("datetime64[D]")
+    return 86400.0 + _tai_minus_utc(days + np.timedelta64(1, "D")) - _tai_minus_utc(days)

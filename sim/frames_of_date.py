@@ -24,7 +24,7 @@ def rotation_from_N(name: str, time: TimeArray) -> Rotation:
         return Rotation.identity(count)
     if name == "J2000":
         bias = erfa.bp06(2451545.0, 0.0)[0]
-        return Rotation.from_matrix(np.broadcast_to(bias, (count, 3, 3)))
+        return Rotation.from_matrix(np.tile(bias, (count, 1, 1)))  # older scipy refuses what is read-only
     if name == "mean_of_date":
         return Rotation.from_matrix(erfa.pmat06(*epoch.jd_tt(time)))
     if name == "true_of_date":

@@ -42,6 +42,27 @@ def parse_iso(text: np.ndarray, where: str) -> TimeArray:
     return stamps
 
 
+def zone_assumed(text: np.ndarray, column: str) -> list[str]:
+    """One sentence where ISO 8601 stamps, an array of bytes (N,), do not say that they are UTC; else none."""
+    stripped = np.char.strip(text)
+    bare = (stripped != b"") & ~np.isin(_last(stripped), (b"Z", b"z")) & ~np.char.endswith(stripped, b"+00:00")
+    count = int(bare.sum())
+    if not count:
+        return []
+    rows = "" if count == text.size else f" in {count} of {text.size} rows"
+    return [
+        f"column {column} has no Z and no zone{rows}: taken as UTC (for local time, a column map with time.offset_s)"
+    ]
+
+
+def _last(stripped: np.ndarray) -> np.ndarray:
+    """The last character of each text, (N,)."""
+    length = np.char.str_len(stripped)
+    wide = np.ascontiguousarray(stripped.astype(f"S{max(int(length.max(initial=1)), 1)}"))
+    raw = wide.view("S1").reshape(stripped.size, -1)
+    return np.asarray(raw[np.arange(stripped.size), np.maximum(length - 1, 0)])
+
+
 def format_iso(time: TimeArray) -> list[str]:
     """ISO 8601 with a Z, with as many decimals (0, 3, 6 or 9) as the whole column needs to be exact."""
     ns = time.astype("int64")
@@ -107,7 +128,7 @@ def _parse(raw: np.ndarray) -> tuple[TimeArray, BoolArray]:
     good &= _ends_well(raw, end)
     months = ((np.where(good, year, 2000) - 1970) * 12 + np.where(good, month, 1) - 1).astype("datetime64[M]")
     start = months.astype("datetime64[D]")
-    length = ((months + 1).astype("datetime64[D]") - start).astype("int64")
+    length = ((months + np.timedelta64(1, "M")).astype("datetime64[D]") - start).astype("int64")
     good &= day <= length
     days = start.astype("int64") + day - 1
     seconds = ((days * 24 + hour) * 60 + minute) * 60 + second

@@ -75,7 +75,7 @@ class Tle:
             return ()
         side = "after" if farthest > 0 else "before"
         return (
-            f"{self.where}: the data reach {abs(farthest):.1f} days {side} the epoch of the elements,"
+            f"{Path(self.where).name}: the data reach {abs(farthest):.1f} days {side} the epoch of the elements,"
             f" {epoch.iso(self.epoch_utc)} (past {_OLD_DAYS:g} days expect errors of tens of km)",
         )
 

@@ -5,6 +5,7 @@ astropy runs offline, with UT1 = UTC and no polar motion, as the project does.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 
 import astropy.coordinates.builtin_frames.intermediate_rotation_transforms as astropy_rotations
@@ -75,7 +76,9 @@ def test_elapsed_time_counts_leap_seconds(close):
 
 
 def test_decimal_year(close):
-    theirs = astropy_time(TIMES).decimalyear
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # some versions call a year near today's dubious
+        theirs = astropy_time(TIMES).decimalyear
     because = "a leap second in the year's length is 3e-8 yr"
     close(epoch.decimal_year(TIMES), theirs, atol=7e-8, unit="yr", because=because)
 

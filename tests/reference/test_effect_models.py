@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim import epoch, frames
@@ -220,7 +221,7 @@ def test_play_is_a_closed_loop_of_its_width(close: Callable[..., None]) -> None:
     y = play(x[:, None], w, x[:1])[:, 0]
     cycle = slice(10000, 20001)
     close(y[cycle.start], y[cycle.stop - 1], atol=1e-6, unit="nT", because="the loop closes")
-    area = abs(np.trapezoid(y[cycle], x[cycle]))
+    area = abs(trapezoid(y[cycle], x[cycle]))
     close(area / (4.0 * w * (X - w)), 1.0, atol=1e-3, unit="", because="steps of 2 pi / 10,000 near the turning points")
     close(np.abs(x - y).max(), w, atol=1e-6, unit="nT", because="half the width")
 
@@ -233,7 +234,7 @@ def test_hysteresis_reads_low_on_the_way_up(close: Callable[..., None]) -> None:
     assert np.abs(found[:, 1:]).max() == 0.0
     peak, cycle = np.abs(x).max(), slice(501, 902)  # 60 s, from 75 s on, both ends counted
     wide = added(chain, Hysteresis(width_nT=20000.0), [80.0, 0.0, 0.0])[cycle, 0]
-    area = abs(np.trapezoid(wide, x[cycle])) / (4.0 * 80.0 * (peak - 10000.0))
+    area = abs(trapezoid(wide, x[cycle])) / (4.0 * 80.0 * (peak - 10000.0))
     close(area, 1.0, atol=2e-3, unit="", because="400 steps around the loop of 4 a (X - w)")
     rising = np.gradient(x) > 0
     middle = (np.abs(x) < 0.5 * np.abs(x).max()) & (np.arange(x.size) > 500)

@@ -2,7 +2,7 @@
 
 Every command is one module of `fluxtwin.commands`; what computes is imported inside the command, so that
 `--help` is instant. Exit status: 0 done, 1 the data do not allow an answer, 2 bad input, 130 interrupted,
-70 an error of ours.
+143 ended by SIGTERM, 70 an error of ours.
 """
 
 from __future__ import annotations
@@ -17,19 +17,20 @@ from typing import Annotated
 import typer
 
 import fluxtwin
+from fluxtwin import console
 from fluxtwin.commands import apply, calibrate, check, diagnose, effects, ensemble, field, passes, run, simulate, yaw
-from fluxtwin.console import clean
+from fluxtwin.commands import map as map_
+from fluxtwin.commands.options import QuietOption, VerboseOption, with_manners
+from fluxtwin.console import clean, manners
+from fluxtwin.sim import processes
 from fluxtwin.sim.errors import FluxtwinError
-from fluxtwin.sim.processes import start_and_end_quickly
 
-INTERRUPTED = 130
 OUR_FAULT = 70
 
 app = typer.Typer(
     name="fluxtwin",
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    add_completion=False,
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -46,12 +47,15 @@ def fluxtwin_command(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and stop.")
     ] = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
 ) -> None:
     """The digital twin of a spacecraft's attitude and magnetometer: simulate, calibrate, find the gap."""
+    manners.quiet, manners.verbose = quiet, verbose
 
 
-for _module in (run, simulate, ensemble, check, calibrate, apply, yaw, diagnose, effects, passes, field):
-    app.command(_module.NAME, short_help=_module.BRIEF)(_module.command)
+for _module in (run, simulate, ensemble, map_, check, calibrate, apply, yaw, diagnose, effects, passes, field):
+    app.command(_module.NAME, short_help=_module.BRIEF)(with_manners(_module.command))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -60,19 +64,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     if arguments is None:
-        start_and_end_quickly()
+        processes.start_and_end_quickly()
     _be_plain()
     try:
+        processes.stop_if_asked()
         given = None if arguments is None else list(arguments)
+        console.GIVEN[:] = sys.argv[1:] if given is None else given
         outcome = app(given, prog_name="fluxtwin", standalone_mode=False)
-        if outcome == INTERRUPTED:  # newer typer turns the interrupt into this status by itself
+        if outcome == 130:  # newer typer turns the interrupt into this status by itself
             raise KeyboardInterrupt
         sys.stdout.flush()
         return outcome if isinstance(outcome, int) else 0
     except FluxtwinError as error:
-        return _fail(str(error), error.exit_status)
+        return _fail(_in_words(error), error.exit_status)
     except (KeyboardInterrupt, typer.Abort):
-        return _fail("interrupted; nothing half-written is left behind", INTERRUPTED)
+        return _fail(processes.ENDING, processes.stopped_status())
     except (BrokenPipeError, SystemExit):  # typer turns the former into the latter
         return _reader_has_gone()
     except MemoryError:
@@ -85,11 +91,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             error.show()
             return int(error.exit_code)
         return _our_fault(error)
+    finally:
+        manners.quiet = manners.verbose = False  # -q and -v are for one call
 
 
 def _be_plain() -> None:
-    """Warnings as one line; characters the terminal cannot show are replaced, never fatal."""
-    warnings.formatwarning = lambda message, *_, **__: f"note: {clean(str(message))}\n"
+    """Warnings as one line; characters the terminal cannot show are replaced, never fatal; a closed stream is silent."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+    warnings.formatwarning = lambda message, *_, **__: "" if manners.quiet else f"note: {clean(str(message))}\n"
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)
         if reconfigure is not None:
@@ -100,6 +111,13 @@ def _reader_has_gone() -> int:
     """Somebody read as much as they wanted, as `| head` does: no error, and no complaint at the exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     return 0
+
+
+def _in_words(error: FluxtwinError) -> str:
+    details = getattr(error, "details", None)
+    if not details:
+        return str(error)
+    return f"{error}\n{details}" if manners.verbose else f"{error} (-v lists those that are known)"
 
 
 def _fail(message: str, status: int) -> int:

@@ -8,21 +8,51 @@ standard output; progress and messages go to standard error. NO_COLOR is honoure
 from __future__ import annotations
 
 import math
+import re
+import shlex
 import sys
 import textwrap
 import threading
-import time
 import unicodedata
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+
+from fluxtwin.sim.processes import stop_if_asked
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 _QUIET_SECONDS = 1.0  # shorter work shows no progress at all
-_REPEAT_SECONDS = 5.0  # plain progress lines come no more often than this for one and the same step
-_STEP_SECONDS = 2.0  # nor lines of changing steps than this
+GIVEN: list[str] = []
+"""The arguments of this call of the command line."""
+_NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]\d+)?")
+
+
+def command_line() -> str:
+    """This call of the command line, as a shell takes it: what repeats a result."""
+    return shlex.join(["fluxtwin", *GIVEN])
+
+
+def is_number(cell: object) -> bool:
+    """Whether a cell is set flush right: a number, or the text of one."""
+    if isinstance(cell, str):
+        return _NUMBER.fullmatch(cell) is not None
+    return isinstance(cell, int | float) and not isinstance(cell, bool)
+
+
+@dataclass
+class Manners:
+    """How much is said beside the result; the options -q and -v set it for one call of the command line."""
+
+    quiet: bool = False
+    """No progress, no notes."""
+    verbose: bool = False
+    """Also the lists that a message leaves out."""
+
+
+manners = Manners()
 
 
 def clean(text: str) -> str:
@@ -65,7 +95,8 @@ class Output:
 
     def __init__(self, json_target: str | None = None) -> None:
         self.json_target = json_target
-        self.talks = json_target != "-"
+        self._noted: set[str] = set()
+        self.talks = json_target not in ("-", "/dev/stdout")
 
     def say(self, text: str = "") -> None:
         """One line of result."""
@@ -73,8 +104,10 @@ class Output:
             print(clean(text))
 
     def note(self, text: str) -> None:
-        """One line beside the result, on standard error."""
-        print(clean(text), file=sys.stderr)
+        """One line beside the result, on standard error; the same line only once, and none with --quiet."""
+        if not manners.quiet and text not in self._noted:
+            self._noted.add(text)
+            print(clean(text), file=sys.stderr)
 
     def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], note: str = "") -> None:
         """A table under its title, as wide as the terminal; where there is none, only long sentences wrap."""
@@ -86,9 +119,10 @@ class Output:
 
         table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
         for index, name in enumerate(columns):
-            cells = [row[index] for row in rows if row[index] is not None]
-            numeric = bool(cells) and all(isinstance(cell, int | float) for cell in cells)
-            table.add_column(Text(clean(name)), justify="right" if numeric else "left")
+            cells = [row[index] for row in rows if row[index] not in (None, "")]
+            numeric = bool(cells) and all(is_number(cell) for cell in cells)
+            words = all(" " not in shown(cell) for cell in cells)  # names and numbers stay whole, sentences wrap
+            table.add_column(Text(clean(name)), justify="right" if numeric else "left", overflow="fold", no_wrap=words)
         console = _console()
         whole = console.is_terminal  # a terminal wraps by itself
         for row in rows:
@@ -107,53 +141,44 @@ class Output:
         """The machine-readable result, where `--json` asked for it; a number that is none becomes null."""
         if self.json_target is None:
             return
+        import fluxtwin
         from fluxtwin.sim.files import to_json, write_text
+        from fluxtwin.sim.outputs import JSON_MARK
 
-        text = to_json(without_nan(record))
+        text = to_json({JSON_MARK: fluxtwin.__version__, **without_nan(record)})
         if self.json_target == "-":
-            sys.stdout.write(text)
+            print(end="", flush=True)
+            raw = getattr(sys.stdout, "buffer", None)  # JSON is UTF-8, whatever the terminal speaks
+            sys.stdout.write(text) if raw is None else raw.write(text.encode("utf-8"))
             sys.stdout.flush()
         else:
             write_text(self.json_target, text)
 
     @contextmanager
     def progress(self, words: str) -> Iterator[Callable[[str, float], None]]:
-        """Show on standard error that work is going on; yields `progress(words, fraction)`."""
-        shows = _LiveProgress(words) if sys.stderr.isatty() else _PlainProgress(words)
+        """Show on a terminal that work is going on, nothing in a log; yields `progress(words, fraction)`, where it can be
+        stopped."""
+        shows = _LiveProgress(words) if sys.stderr.isatty() and not manners.quiet else _NoProgress()
+
+        def update(words: str, fraction: float) -> None:
+            stop_if_asked()
+            shows.update(words, fraction)
+
         try:
-            yield shows.update
+            stop_if_asked()
+            yield update
         finally:
             shows.stop()
 
 
-class _PlainProgress:
-    """A line for each step that lasts, and a sign of life while one goes on."""
-
-    def __init__(self, words: str) -> None:
-        self._words, self._fraction, self._said = words, 0.0, ""
-        self._due = time.monotonic() + _QUIET_SECONDS
-        self._ended = threading.Event()
-        self._lock = threading.Lock()
-        self._thread = threading.Thread(target=self._watch, daemon=True)
-        self._thread.start()
+class _NoProgress:
+    """In a log, and with --quiet."""
 
     def update(self, words: str, fraction: float) -> None:
-        with self._lock:
-            self._words, self._fraction = words, fraction
+        pass
 
     def stop(self) -> None:
-        self._ended.set()
-        self._thread.join()
-
-    def _watch(self) -> None:
-        while not self._ended.wait(0.2):
-            with self._lock:
-                words, fraction, now = self._words, self._fraction, time.monotonic()
-            late = now >= self._due
-            if late or (self._said and words != self._said and now >= self._due - _REPEAT_SECONDS + _STEP_SECONDS):
-                share = f"{100 * fraction:3.0f} %  " if fraction > 0 else ""
-                print(f"{share}{clean(words)} ...", file=sys.stderr, flush=True)
-                self._said, self._due = words, now + _REPEAT_SECONDS
+        pass
 
 
 class _LiveProgress:

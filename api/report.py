@@ -10,7 +10,7 @@ import io
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from fluxtwin.console import clean, shown
+from fluxtwin.console import clean, is_number, shown
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -39,13 +39,8 @@ def png_bytes(figure: Figure | bytes) -> bytes:
             raise ValueError("a figure given as bytes must be a PNG")
         return figure
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=FIGURE_DPI, metadata={"Software": None})
+    figure.savefig(buffer, format="png", dpi=FIGURE_DPI, metadata={"Software": "fluxtwin"})
     return buffer.getvalue()
-
-
-def is_number(cell: object) -> bool:
-    """Whether a cell is set flush right."""
-    return isinstance(cell, int | float) and not isinstance(cell, bool)
 
 
 def _data_uri(figure: Figure | bytes) -> str:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import fluxtwin
 from fluxtwin.report import png_bytes, render_report
 from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.scenarios.registry import STUDIES, find_study
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.files import writable_folder, write_bytes, write_json, write_text
+from fluxtwin.sim.outputs import JSON_MARK
 from fluxtwin.sim.progress import Progress, part_of, silent
 
 
@@ -67,11 +69,10 @@ def _options(name: str, attitude: str | None) -> dict[str, str]:
 
 def _write(result: StudyResult, folder: Path) -> list[Path]:
     pages = {} if result.page is None else {"report": result.page}
-    written = []
+    written = [write_json(folder / "summary.json", {JSON_MARK: fluxtwin.__version__, **result.summary})]
     for stem, page in {**pages, **result.more_pages}.items():
         prefix = "" if stem == "report" else f"{stem}_"
         blocks = [block for section in page.sections for block in section.figures]
         written += [write_bytes(folder / f"{prefix}{block.name}.png", png_bytes(block.figure)) for block in blocks]
         written.append(write_text(folder / f"{stem}.html", render_report(page)))
-    written.append(write_json(folder / "summary.json", result.summary))
     return written

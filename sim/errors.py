@@ -20,17 +20,21 @@ class BadInput(FluxtwinError, ValueError):
 
     exit_status = 2
 
-    def __init__(self, message: str, *, where: str | None = None, wanted: str | None = None) -> None:
-        """Compose `where: message; wanted: wanted`.
+    def __init__(
+        self, message: str, *, where: str | None = None, wanted: str | None = None, details: str | None = None
+    ) -> None:
+        """Compose `where: message. Wanted: wanted`.
 
-        where: the file, row, key or argument at fault. wanted: what would be accepted, or what to do.
+        where: the file, row, key or argument at fault. wanted: what would be accepted, or what to do. details: what the
+        command line shows with --verbose only, as a long list of known names.
         """
         text = message if where is None else f"{where}: {message}"
         if wanted is not None:
-            text = f"{text}. Wanted: {wanted}"
+            text = f"{text}{'' if text.endswith('?') else '.'} Wanted: {wanted}"
         super().__init__(text)
         self.where = where
         self.wanted = wanted
+        self.details = details
 
 
 class NoAnswer(FluxtwinError):

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from fluxtwin.sim.files import write_bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,12 +27,17 @@ class Variable:
     """Chunks, compression and checksums, as h5py names them."""
 
 
-def write_netcdf(path: Path, variables: Mapping[str, Variable], attributes: Mapping[str, Any]) -> None:
-    """Write a file that netCDF4, xarray and h5py read alike. Sizes of dimensions are those of the values."""
+def write_netcdf(path: Path | str, variables: Mapping[str, Variable], attributes: Mapping[str, Any]) -> Path:
+    """Write a file that netCDF4, xarray and h5py read alike. Sizes of dimensions are those of the values.
+
+    It is made in memory, compressed as it will lie on the disk: the HDF5 library ends the whole process when the disk
+    is full, and locks files in ways of its own.
+    """
     import h5netcdf
     import h5py
 
-    with h5netcdf.File(path, "w") as opened:
+    content = io.BytesIO()
+    with h5netcdf.File(content, "w") as opened:
         opened.attrs.update(attributes)
         for variable in variables.values():
             for name, size in zip(variable.dimensions, np.shape(variable.values), strict=True):
@@ -46,3 +54,4 @@ def write_netcdf(path: Path, variables: Mapping[str, Variable], attributes: Mapp
                     name, variable.dimensions, data=variable.values, fillvalue=fill, **variable.storage
                 )
             made.attrs.update(variable.attributes)
+    return write_bytes(path, content.getbuffer())

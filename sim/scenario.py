@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import tomli_w
 from pydantic import Field, PrivateAttr, model_validator
@@ -21,6 +21,7 @@ from fluxtwin.sim.toml_input import parse_tree, read_tree, validate
 class Scenario(sections.Section):
     """A whole scenario, checked. `load_scenario` reads one, `save_scenario` writes one."""
 
+    file_kind: ClassVar[str] = "a scenario"
     name: str = "scenario"
     seed: int = Field(ge=0)
     spacecraft: sections.SpacecraftSection
@@ -164,7 +165,7 @@ def parse_scenario(text: str, *, where: str = "scenario", folder: Path | str = "
 
 def save_scenario(scenario: Scenario, path: Path | str) -> Path:
     """Write the scenario beside a run's results (atomic)."""
-    return files.write_text(path, scenario.to_toml())
+    return files.write_toml(path, scenario.to_toml())
 
 
 def _plain(value: Any) -> Any:

@@ -6,6 +6,7 @@ Strict: no unknown key, no text where a number is wanted, no infinity, no NaN. R
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -15,6 +16,8 @@ from fluxtwin.sim.constants import AM2_PER_POLE_CM, NT_PER_MG
 from fluxtwin.sim.epoch import iso, parse_time
 from fluxtwin.sim.toml_input import Strict
 
+_DATE_AND_TIME = re.compile(r"\d{4}-\d\d-\d\d(T\d\d:\d\d(:\d\d(\.\d+)?)?)?")
+
 
 def _tuple(value: Any) -> Any:
     return tuple(_tuple(item) for item in value) if isinstance(value, list) else value
@@ -22,10 +25,14 @@ def _tuple(value: Any) -> Any:
 
 def _stamp(value: Any) -> Any:
     if isinstance(value, str):
+        if not value.strip().endswith(("Z", "z")):
+            stamp = value.strip().replace(" ", "T")
+            said = f'; for UTC write "{stamp}Z"' if _DATE_AND_TIME.fullmatch(stamp) else ""
+            raise ValueError(f"{value!r} does not say its time zone{said}")
         return iso(parse_time(value, where="a time in the scenario"), "ns")
     if hasattr(value, "utcoffset"):
         if value.utcoffset() is None or value.utcoffset().total_seconds() != 0:
-            raise ValueError("a time needs UTC: end it with Z")
+            raise ValueError("a time needs UTC: end it with Z, as 1978-07-24T06:00:00Z")
         return iso(np.datetime64(value.replace(tzinfo=None), "ns"), "ns")
     raise ValueError("a time is wanted, as 1978-07-24T06:00:00Z")
 

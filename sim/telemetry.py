@@ -26,6 +26,8 @@ _SHAPES = {
 }  # fmt: skip
 
 
+TEXT_BYTES = 80
+"""Width of a text cell in a CSV at most: a fixed width spares a Python object a cell."""
 _LARGEST = 1e15  # of any unit in the columns: beyond it a cell is spoilt, and squares overflow
 
 
@@ -66,7 +68,10 @@ class Telemetry:
     rate_B_rad_s: FloatArray | None = None
     """(N, 3) body rate relative to N from the gyro."""
     provenance: Mapping[str, str] = field(default_factory=dict)
-    """Where the record comes from: source file and SHA-256, or the generator; column notes. No truth."""
+    """Where the record comes from: source file and SHA-256, or the generator; column notes. No truth.
+
+    `spacecraft` is its name; `calibration` is there once a calibration has corrected the readings, and says which.
+    """
 
     def __post_init__(self) -> None:
         time = np.array(self.time, dtype="datetime64[ns]").reshape(-1)
@@ -84,6 +89,16 @@ class Telemetry:
 
     def __len__(self) -> int:
         return int(self.time.size)
+
+    @property
+    def spacecraft(self) -> str:
+        """Name of the spacecraft; empty where the file does not say."""
+        return self.provenance.get("spacecraft", "")
+
+    @property
+    def corrected_by(self) -> str:
+        """The calibration that has corrected the readings, in words; empty for readings as the sensor gave them."""
+        return self.provenance.get("calibration", "")
 
     @property
     def has_attitude(self) -> BoolArray:
@@ -125,15 +140,22 @@ def recorded_columns(telemetry: Telemetry) -> dict[str, FloatArray]:
     return columns | {f"flag_{name}": np.array(value) for name, value in telemetry.flags.items()}
 
 
+def plain_text(text: str) -> str:
+    """`text` as it stands in a CSV cell: no comma, quote or control character, at most 80 bytes of UTF-8."""
+    kept = "".join({",": ";", '"': "'"}.get(c, c if c.isprintable() else " ") for c in text).strip()
+    return kept.encode("utf-8")[:TEXT_BYTES].decode("utf-8", "ignore").strip()
+
+
 def concatenate(records: list[Telemetry]) -> Telemetry:
     """Several records, one after the other in time, as one.
 
-    A column is kept if any record has it; the others get NaN there. Raises BadInput for an empty list or
-    records that overlap in time.
+    A column is kept if any record has it; the others get NaN there. Raises BadInput for an empty list, records that
+    overlap in time, records of two spacecraft, and corrected readings beside uncorrected ones.
     """
     if not records:
         raise BadInput("there is no record to join", where="telemetry")
     ordered = sorted(records, key=lambda record: record.time[0])
+    _check_one_origin(ordered)
     for one, other in itertools.pairwise(ordered):
         if other.time[0] <= one.time[-1]:
             raise BadInput(
@@ -154,8 +176,30 @@ def concatenate(records: list[Telemetry]) -> Telemetry:
     names = sorted({name for r in ordered for name in r.flags})
     columns["flags"] = {n: np.concatenate([r.flags.get(n, np.full(len(r), np.nan)) for r in ordered]) for n in names}
     sources = "; ".join(dict.fromkeys(r.provenance.get("source", "") for r in ordered))
-    columns["provenance"] = {**ordered[0].provenance, "source": sources}
+    columns["provenance"] = {**ordered[0].provenance, **_same_origin(ordered), "source": sources}
     return Telemetry(**columns)  # type: ignore[arg-type]
+
+
+def _same_origin(records: list[Telemetry]) -> dict[str, str]:
+    """Spacecraft and calibration of all records, where any record states them."""
+    spacecraft = next((r.spacecraft for r in records if r.spacecraft), "")
+    corrected = "; ".join(dict.fromkeys(r.corrected_by for r in records if r.corrected_by))
+    return {key: text for key, text in (("spacecraft", spacecraft), ("calibration", corrected)) if text}
+
+
+def _check_one_origin(records: list[Telemetry]) -> None:
+    names = sorted({plain_text(r.spacecraft) for r in records if r.spacecraft})
+    if len(names) > 1:
+        raise BadInput(
+            f"the records are of different spacecraft: {', '.join(names)}", where="telemetry", wanted="one spacecraft"
+        )
+    corrected = [r for r in records if r.corrected_by]
+    if corrected and len(corrected) < len(records):
+        raise BadInput(
+            f"the readings of one record are corrected ({corrected[0].corrected_by}), those of another are not",
+            where=corrected[0].provenance.get("source", "telemetry"),
+            wanted="all of them corrected, or none",
+        )
 
 
 def _check_time(time: TimeArray) -> None:

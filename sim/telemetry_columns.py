@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fluxtwin.sim.errors import BadInput
-from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.telemetry import Telemetry, plain_text
 from fluxtwin.sim.types import FloatArray, TimeArray
 
 _DEG = float(np.pi / 180.0)
@@ -96,6 +96,13 @@ _UNIT_LIKE = {
     "k", "c", "f", "degc", "celsius", "kelvin", "deg", "rad", "degree", "degrees", "radian", "radians", "deg_s",
     "rad_s", "dps", "am2", "a_m2", "mam2", "polecm",
 }  # fmt: skip
+
+TEXTS = {"spacecraft": "spacecraft", "mag_corrected_by": "calibration"}
+"""Columns of a CSV that hold one text in every row, and what the provenance calls it. NetCDF has attributes for them.
+
+A column, not a comment line: it stays in the file when another program sorts, cuts or joins it, and every reader of CSV
+takes it.
+"""
 
 
 @dataclass
@@ -181,6 +188,25 @@ def file_columns(telemetry: Telemetry) -> dict[str, FloatArray]:
         for number, speed in enumerate(telemetry.wheel_speed_rpm.T, start=1):
             columns[f"wheel_{number}_speed_rpm"] = np.ascontiguousarray(speed)
     return columns
+
+
+def file_texts(telemetry: Telemetry) -> dict[str, str]:
+    """The text columns of a CSV: free of what would need quotes, as short as the reader takes them."""
+    stated = {column: telemetry.provenance.get(key, "") for column, key in TEXTS.items()}
+    return {column: plain_text(text) for column, text in stated.items() if text}
+
+
+def written_order(names: Iterable[str]) -> list[str]:
+    """Those of `names` that are columns of the contract in the units that are written, in the order of a file."""
+    known = set(names)
+    kept = (quantity for quantity in QUANTITIES if quantity.name in Telemetry.__dataclass_fields__)
+    order = [name for quantity in kept for name in quantity.written if name in known]
+    order += sorted(name for name in known if FLAG.fullmatch(name))
+    return (
+        order
+        + sorted((name for name in known if WHEEL.fullmatch(name)), key=_wheel_number)
+        + [name for name in TEXTS if name in known]
+    )
 
 
 def describe(column: str) -> tuple[str, str]:

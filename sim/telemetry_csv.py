@@ -21,9 +21,9 @@ import numpy as np
 
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.files import write_with
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.telemetry_columns import Table, clip, file_columns, resolve
-from fluxtwin.sim.telemetry_time import format_iso, parse_iso
+from fluxtwin.sim.telemetry import TEXT_BYTES, Telemetry
+from fluxtwin.sim.telemetry_columns import TEXTS, Table, clip, file_columns, file_texts, resolve, written_order
+from fluxtwin.sim.telemetry_time import format_iso, parse_iso, zone_assumed
 from fluxtwin.sim.types import FloatArray
 
 MAX_SAMPLES = 5_000_000
@@ -33,9 +33,10 @@ _MAX_COLUMNS = 5_000
 _GZIP_RATIO = 200
 _MISSING = ["", "NaN", "nan", "NAN"]
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*")
+_STAMP = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.(\d{3}){1,3})?Z")
+"""A stamp as `format_iso` writes it."""
 _ROWS_AT_ONCE = 50_000
-_TEXT = "S80"
-"""Cells as text: fixed width, which spares a Python object a cell."""
+_TEXT = f"S{TEXT_BYTES}"
 
 
 @dataclass(frozen=True)
@@ -141,15 +142,37 @@ def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> Table:
             where=opened.where,
             wanted="time (ISO 8601 UTC), or a column map (--map) for a foreign file",
         )
-    found = resolve(opened.names, opened.where)
-    columns = opened.numbers(list(found.used))
+    found = resolve([name for name in opened.names if name not in TEXTS], opened.where)
+    used = set(found.used)
+    columns = opened.numbers([name for name in opened.names if name in used])
+    stamps = opened.text("time")
     return Table(
         where=opened.where,
-        time=parse_iso(opened.text("time"), opened.where),
+        time=parse_iso(stamps, opened.where),
         columns=columns,
-        notices=[*opened.notices, *found.notices],
-        provenance={"source": Path(path).name, "sha256": opened.sha256},
+        notices=[*opened.notices, *found.notices, *zone_assumed(stamps, "time")],
+        provenance={**_texts(opened), "source": Path(path).name, "sha256": opened.sha256},
     )
+
+
+def _texts(opened: CsvFile) -> dict[str, str]:
+    """What the text columns say, by key of the provenance. Raises BadInput where rows differ."""
+    stated = {}
+    for column, key in TEXTS.items():
+        if column not in opened.names:
+            continue
+        cells = np.unique(opened.text(column))
+        texts = [cell.decode("utf-8", "ignore").strip() for cell in cells.tolist()]
+        if len(texts) > 1:
+            listed = " and ".join(repr(clip(text)) if text else "nothing" for text in texts[:2])
+            raise BadInput(
+                f"{column} says {listed} in different rows",
+                where=opened.where,
+                wanted="one spacecraft, and all readings corrected by one calibration or none, in one file",
+            )
+        if texts[0]:
+            stated[key] = texts[0]
+    return stated
 
 
 def write(telemetry: Telemetry, path: Path | str) -> Path:
@@ -166,6 +189,25 @@ def write(telemetry: Telemetry, path: Path | str) -> Path:
                 _write_rows(packed, telemetry, columns)
 
     return write_with(path, fill)
+
+
+def is_as_written(head: bytes) -> bool:
+    """Whether the beginning of a file is as `write` writes it: the order of the columns, and the digits of a row."""
+    lines = head.split(b"\n", 2)
+    try:
+        names, first = (line.decode("utf-8").split(",") for line in lines[:2])
+    except (ValueError, UnicodeDecodeError):
+        return False
+    order = ["time", *written_order(names)]
+    numbers = [cell for name, cell in zip(names, first, strict=False) if name not in TEXTS]
+    return len(lines) == 3 and names == order and len(first) == len(names) and _canonical_row(numbers)
+
+
+def _canonical_row(cells: list[str]) -> bool:
+    try:
+        return _STAMP.fullmatch(cells[0]) is not None and all(not x or repr(float(x)) == x for x in cells[1:])
+    except ValueError:
+        return False
 
 
 def open_csv(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> CsvFile:
@@ -326,11 +368,13 @@ def _is_number(text: str) -> bool:
 
 
 def _write_rows(out: Any, telemetry: Telemetry, columns: dict[str, FloatArray]) -> None:
-    out.write((",".join(["time", *columns]) + "\n").encode("utf-8"))
+    texts = file_texts(telemetry)
+    out.write((",".join(["time", *columns, *texts]) + "\n").encode("utf-8"))
     stamps = format_iso(telemetry.time)
     for start in range(0, len(telemetry), _ROWS_AT_ONCE):
         part = slice(start, start + _ROWS_AT_ONCE)
-        texts = [stamps[part]] + [
+        cells = [stamps[part]] + [
             ["" if x != x else repr(x) for x in value[part].tolist()] for value in columns.values()
         ]
-        out.write(("\n".join(map(",".join, zip(*texts, strict=True))) + "\n").encode("utf-8"))
+        cells += [[text] * len(cells[0]) for text in texts.values()]
+        out.write(("\n".join(map(",".join, zip(*cells, strict=True))) + "\n").encode("utf-8"))

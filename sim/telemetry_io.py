@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+from typing import Any
 
 from fluxtwin.sim.errors import BadInput
+from fluxtwin.sim.files import is_stream
 from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.telemetry_columns import Table
 from fluxtwin.sim.telemetry_csv import MAX_SAMPLES
@@ -27,11 +30,29 @@ def read_telemetry(
     """
     from fluxtwin.sim.telemetry_build import record
 
+    path = as_path(path)
     if column_map is not None:
         from fluxtwin.sim.column_map import read_mapped
 
         return read_mapped(path, column_map, tle=tle, max_samples=max_samples)
     return record(read_table(path, max_samples=max_samples), tle=tle)
+
+
+def as_path(given: Any) -> Path:
+    """`given` as the path of a file; raises BadInput that says what it is instead, and the way from there to a record."""
+    if isinstance(given, str | os.PathLike):
+        return Path(given)
+    kind = f"{type(given).__module__.partition('.')[0]} {type(given).__name__}"
+    ways = {
+        "pandas DataFrame": "write it with `.to_csv('t.csv', index=False)` and give 't.csv'; the columns have their units",
+        "xarray Dataset": "write it with `.to_netcdf('t.nc')` and give 't.nc'; the variables have their units",
+    }
+    way = f"; {ways[kind]} in their names (docs/telemetry.md)" if kind in ways else ""
+    raise BadInput(
+        f"a {kind.removeprefix('builtins ')} was given",
+        where="telemetry",
+        wanted=f"the path of a file or a fluxtwin.Telemetry{way}",
+    )
 
 
 def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> Table:
@@ -46,19 +67,14 @@ def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> Table:
 
 
 def write_telemetry(telemetry: Telemetry, path: Path | str) -> Path:
-    """Write the record to `path` (.nc, .csv or .csv.gz), atomically. Returns the path."""
-    if _kind(path) == "nc":
+    """Write the record to `path` (.nc, .csv or .csv.gz), atomically; CSV to a device or pipe. Returns the path."""
+    if not is_stream(path) and _kind(path) == "nc":
         from fluxtwin.sim import telemetry_netcdf
 
         return telemetry_netcdf.write(telemetry, path)
     from fluxtwin.sim import telemetry_csv
 
     return telemetry_csv.write(telemetry, path)
-
-
-def require_known_kind(path: Path | str) -> None:
-    """Refuse, before long work, a file name that `write_telemetry` could not write. Raises BadInput."""
-    _kind(path)
 
 
 def _kind(path: Path | str) -> str:
@@ -69,4 +85,7 @@ def _kind(path: Path | str) -> str:
         return "csv"
     if Path(path).is_dir():
         raise BadInput("is a folder", where=str(path), wanted=f"a {_SUFFIXES} file, or a column map for a folder")
+    if name.endswith(".toml"):
+        wanted = f"a {_SUFFIXES} file; `fluxtwin simulate` makes one from a scenario"
+        raise BadInput("is no telemetry: a scenario, a calibration or a column map", where=str(path), wanted=wanted)
     raise BadInput("the kind of this file is not known from its name", where=str(path), wanted=_SUFFIXES)

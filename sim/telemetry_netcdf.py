@@ -17,10 +17,10 @@ import numpy as np
 
 from fluxtwin.sim.epoch import parse_time
 from fluxtwin.sim.errors import BadInput
-from fluxtwin.sim.files import write_with
+from fluxtwin.sim.files import escaped
 from fluxtwin.sim.netcdf_out import Variable, write_netcdf
 from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.telemetry_columns import Table, clip, describe, file_columns, resolve
+from fluxtwin.sim.telemetry_columns import MAG, Table, clip, describe, file_columns, resolve
 from fluxtwin.sim.telemetry_csv import MAX_SAMPLES
 from fluxtwin.sim.types import FloatArray, TimeArray
 
@@ -239,13 +239,15 @@ def write(telemetry: Telemetry, path: Path | str) -> Path:
     variables = {"time": Variable(("time",), stamps, _time_attributes(), storage=storage)}
     for name, value in columns.items():
         long_name, units = describe(name)
+        if telemetry.corrected_by and name in MAG.written:
+            long_name = f"magnetic field, nominal body axes, corrected by {telemetry.corrected_by}, {name[4]} component"
         variables[name] = Variable(("time",), value, {"long_name": long_name, "units": units}, True, storage)
     attributes = _file_attributes(telemetry)
     arrays: dict[str, Any] = {"time": (stamps, _time_attributes())}
     for name, value in columns.items():
         arrays[name] = (value, {**variables[name].attributes, "_FillValue": np.nan})
     attributes[_SHA] = _digest(arrays, attributes)
-    return write_with(path, lambda temporary: write_netcdf(temporary, variables, attributes))
+    return write_netcdf(path, variables, attributes)
 
 
 def _time_attributes() -> dict[str, Any]:
@@ -260,7 +262,7 @@ def _time_attributes() -> dict[str, Any]:
 def _file_attributes(telemetry: Telemetry) -> dict[str, Any]:
     attributes = {"Conventions": "CF-1.11", "title": "spacecraft magnetometer and attitude telemetry"}
     for key, value in sorted(telemetry.provenance.items()):
-        attributes[f"{_PROVENANCE}{key}"] = str(value)
+        attributes[f"{_PROVENANCE}{key}"] = escaped(str(value))
     return attributes
 
 

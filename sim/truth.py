@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from fluxtwin.sim import files
 from fluxtwin.sim.netcdf_out import Variable, write_netcdf
 from fluxtwin.sim.types import FloatArray, TimeArray
 
@@ -47,9 +46,6 @@ class Truth:
 
     def write(self, path: Path | str) -> Path:
         """Write everything to NetCDF (atomic, checksummed)."""
-        return files.write_with(path, self._write)
-
-    def _write(self, path: Path) -> None:
         stamps = {"units": "nanoseconds since 1970-01-01", "calendar": "proleptic_gregorian"}
         columns = {
             "time": Variable(("time",), self.time.astype("int64"), stamps, storage=_PACKING),
@@ -64,4 +60,4 @@ class Truth:
             rest = tuple(f"axis_{place}_of_{size}" for place, size in enumerate(value.shape[len(rows) :]))
             unit = next((words for end, words in _UNITS if item.name.endswith(end)), "1")
             columns[item.name] = Variable((*rows, *rest), value, {"units": unit}, True, _PACKING)
-        write_netcdf(path, columns, {})
+        return write_netcdf(path, columns, {"title": "truth behind telemetry simulated by fluxtwin"})

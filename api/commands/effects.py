@@ -7,31 +7,32 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fluxtwin.commands.options import JsonOption
+from fluxtwin.commands.options import ForceOption, JsonOption
 from fluxtwin.console import Output, wrapped
 
 if TYPE_CHECKING:
     from fluxtwin.sim.effects.base import Effect
-    from fluxtwin.sim.scenario_effects import Key
 
 NAME = "effects"
 BRIEF = "The catalogue of effects, with units and typical sizes."
-_ENTRIES = 4
 
 
 def command(
     effect: Annotated[
         str | None, typer.Argument(metavar="[NAME]", help="One effect in full, with a section for a scenario.")
     ] = None,
+    force: ForceOption = False,
     json: JsonOption = None,
 ) -> None:
-    """List what reality may do that the baseline lacks: stage, parameters with unit, typical size and range.
+    """List what reality may do that the baseline lacks, a line each. With NAME, that effect in full.
 
-    The keys are those of [effects.NAME] in a scenario; zero is absent. With NAME, that effect in full.
+    The keys are those of [effects.NAME] in a scenario; zero is absent.
     """
+    from fluxtwin.sim import outputs
     from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 
     output = Output(json)
+    outputs.claim({"--json": (json, outputs.JSON)}, [], force=force)
     if effect is None:
         chosen: tuple[Effect, ...] = CATALOGUE
         _overview(output, chosen)
@@ -42,28 +43,23 @@ def command(
 
 
 def _overview(output: Output, effects: tuple[Effect, ...]) -> None:
-    from fluxtwin.sim.scenario_effects import keys_of
-
-    rows = []
+    """A line for each, whole in a terminal of 80 columns, under the stage at which nature applies it."""
+    width = max(len(effect.name) for effect in effects)
+    output.say("Effects, in the order in which nature applies them, by stage")
+    stage = ""
     for effect in effects:
-        keys = keys_of(effect)
-        shown = ", ".join(_shape(key) for key in keys[:_ENTRIES])
-        if len(keys) > _ENTRIES:
-            shown += f", ... ({sum(key.count for key in keys)} in all)"
-        sizes = ", ".join(dict.fromkeys(_size(key) for key in keys))
-        rows.append((effect.name, _stage(effect), _brief(effect), shown, sizes))
-    output.table(
-        "Effects, in the order in which nature applies them",
-        ("name", "stage (looks like)", "what reality does", "parameters", "typical"),
-        rows,
-    )
-    output.say("`fluxtwin effects NAME` tells what one does, its range and how to switch it on in a scenario.")
+        if effect.stage != stage:
+            stage = effect.stage
+            output.say(f"\n{stage}")
+        output.say(f"{effect.name:<{width}}  {_brief(effect)}")
+    output.say("\n`fluxtwin effects NAME`: parameters, typical sizes, ranges, use in a scenario.")
 
 
 def _in_full(output: Output, effect: Effect) -> None:
     from fluxtwin.sim.scenario_effects import effect_toml, keys_of
 
     output.say(f"{effect.name}: stage {_stage(effect)}")
+    output.say(_brief(effect))
     output.say(wrapped(f"{effect.about}.", 100))
     rows = [
         (p.name, _unit(p.unit), p.scale, _bound(p.low), _bound(p.high), key.name)
@@ -113,15 +109,6 @@ def _brief(effect: Effect) -> str:
 def _stage(effect: Effect) -> str:
     others = ", ".join(effect.equivalent_stages)
     return f"{effect.stage} ({others})" if others else effect.stage
-
-
-def _shape(key: Key) -> str:
-    return key.name if key.count == 1 else f"{key.name} ({'3x3' if key.count == 9 else key.count})"
-
-
-def _size(key: Key) -> str:
-    first = key.parameters[0]
-    return f"{first.scale:g} {_unit(first.unit)}".rstrip()
 
 
 def _unit(unit: str) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fluxtwin.commands.options import JsonOption
+from fluxtwin.commands.options import ForceOption, JsonOption
 from fluxtwin.console import Output
 
 if TYPE_CHECKING:
@@ -45,6 +45,7 @@ def command(
         int | None,
         typer.Option("--extract", metavar="K", help="Fly nothing: write the scenario of vehicle K (from 0)."),
     ] = None,
+    force: ForceOption = False,
     json: JsonOption = None,
 ) -> None:
     """Fly N vehicles of a scenario, each with its own drawn parameters, and sum up their pointing, rates and torquers.
@@ -53,12 +54,14 @@ def command(
     """
     output = Output(json)
     if extract is not None:
-        _extract(output, scenario, out, seed, extract)
+        _extract(output, scenario, out, seed, extract, force)
         return
+    from fluxtwin.sim import outputs
     from fluxtwin.sim.errors import BadInput
 
     if vehicles is None:
         raise BadInput("how many vehicles?", where="--vehicles", wanted="a number, as --vehicles 1000")
+    outputs.claim({"--out": (out, outputs.ENSEMBLE), "--json": (json, outputs.JSON)}, [scenario], force=force)
     try:
         with output.progress(f"reading {scenario}") as progress:
             from fluxtwin.sim.ensemble.run import fly_ensemble
@@ -81,13 +84,16 @@ def _say_how_to_go_on(output: Output, out: Path, words: list[Any], seed: int | N
     output.note(f"{whole_chunks(out)} whole chunks are kept in {out}; go on with: {again}")
 
 
-def _extract(output: Output, scenario: Path, out: Path, seed: int | None, vehicle: int) -> None:
+def _extract(output: Output, scenario: Path, out: Path, seed: int | None, vehicle: int, force: bool) -> None:
+    from fluxtwin.sim import outputs
     from fluxtwin.sim.ensemble.draws import vehicle_scenario
     from fluxtwin.sim.errors import BadInput
     from fluxtwin.sim.scenario import load_scenario, save_scenario
 
     if vehicle < 0:
         raise BadInput(f"{vehicle}", where="--extract", wanted="the number of a vehicle, from 0")
+    targets = {"--out": (out, outputs.SCENARIO), "--json": (output.json_target, outputs.JSON)}
+    outputs.claim(targets, [scenario], force=force)
     plan = load_scenario(scenario)
     drawn = vehicle_scenario(plan, plan.seed if seed is None else seed, vehicle)
     if plan.orbit is not None and plan.orbit.tle is not None:  # as seen from where the copy is going to lie

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from fluxtwin.commands.options import DegreeOption, FieldOption, JsonOption
+from fluxtwin.commands.options import DegreeOption, FieldOption, ForceOption, JsonOption
 from fluxtwin.console import Output
 
 NAME = "field"
@@ -22,6 +22,7 @@ def command(
     alt_km: Annotated[float, typer.Option("--alt-km", metavar="KM", help="Height above the ellipsoid [km].")] = 0.0,
     field: FieldOption = "igrf14",
     degree: DegreeOption = None,
+    force: ForceOption = False,
     json: JsonOption = None,
 ) -> None:
     """The field at a geodetic point (WGS 84).
@@ -31,7 +32,9 @@ def command(
     output = Output(json)
     with output.progress("evaluating the field"):
         from fluxtwin import verbs
+        from fluxtwin.sim import outputs
 
+        outputs.claim({"--json": (json, outputs.JSON)}, [field], force=force)
         record = verbs.field(date, lat, lon, alt_km, field=field, degree=degree)
     names = ("north_nT", "east_nT", "down_nT", "horizontal_nT", "F_nT")
     output.say(f"{record['field_model']}, degree {record['degree']}")

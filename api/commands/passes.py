@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from fluxtwin.commands.options import JsonOption
+from fluxtwin.commands.options import ForceOption, JsonOption
 from fluxtwin.console import Output
 from fluxtwin.scenarios.packaged import SCENARIOS, open_scenario
 
@@ -27,6 +27,7 @@ def command(
         Path | None,
         typer.Option("--stations", metavar="FILE.toml", help="[station.NAME] sections, instead of the scenario's."),
     ] = None,
+    force: ForceOption = False,
     json: JsonOption = None,
 ) -> None:
     """List every pass over every [station.NAME] from the first to the last sample of the schedule.
@@ -35,10 +36,12 @@ def command(
     """
     output = Output(json)
     with output.progress(f"reading {scenario}"):
+        from fluxtwin.sim import outputs
         from fluxtwin.sim.errors import BadInput
         from fluxtwin.sim.scenario_passes import list_passes
         from fluxtwin.sim.scenario_stations import read_stations
 
+        outputs.claim({"--json": (json, outputs.JSON)}, [scenario, stations], force=force)
         plan = open_scenario(scenario)
         if stations is not None:
             plan = plan.updated({"station": read_stations(stations)})

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import typer
 
 from fluxtwin.console import Output
+from fluxtwin.sim.processes import stop_if_asked
 
 if TYPE_CHECKING:
     from fluxtwin.sim.telemetry import Telemetry
@@ -19,13 +20,21 @@ TelemetryArgument: TypeAlias = Annotated[
 
 
 def read(
-    path: Path, output: Output, *, column_map: Path | None, tle: Path | None, max_samples: int | None = None
+    path: Path,
+    output: Output,
+    *,
+    column_map: Path | None,
+    tle: Path | None,
+    max_samples: int | None = None,
+    one_of_many: bool = False,
 ) -> Telemetry:
-    """The record in `path`; the reader's notices go to standard error, one a line."""
+    """The record in `path`; the reader's notices go to standard error, one a line, with the file's name among many."""
     from fluxtwin.sim.telemetry_csv import MAX_SAMPLES
     from fluxtwin.sim.telemetry_io import read_telemetry
 
+    stop_if_asked()  # importing took its time
     record = read_telemetry(path, column_map=column_map, tle=tle, max_samples=max_samples or MAX_SAMPLES)
+    stop_if_asked()
     for notice in filter(None, record.provenance.get("notices", "").split("; ")):
-        output.note(f"note: {path}: {notice}")
+        output.note(f"note: {path.name}: {notice}" if one_of_many else f"note: {notice}")
     return record

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from fluxtwin.commands.options import JsonOption
+from fluxtwin.commands.options import ForceOption, JsonOption
 from fluxtwin.console import Output
 
 NAME = "run"
@@ -32,16 +32,17 @@ def command(
             "--attitude", metavar="HOW", help="seasat, hcmm: moved by torques (dynamics, default) or as prescribed."
         ),
     ] = None,
+    force: ForceOption = False,
     json: JsonOption = None,
 ) -> None:
     """Run a whole study: tables here; figures, report.html, summary.json and the scenario in a folder."""
     output = Output(json)
     with output.progress(f"starting {name}") as progress:
-        from fluxtwin.sim.files import writable_folder
+        from fluxtwin.sim import outputs
         from fluxtwin.studies import run_study
 
-        if json not in (None, "-"):
-            writable_folder(Path(json).parent)  # before the work, not after it
+        targets = {"--out": (out or f"{name}-results", outputs.STUDY), "--json": (json, outputs.JSON)}
+        outputs.claim(targets, [data], force=force)
         result, written = run_study(name, out, data, progress, attitude=attitude)
     for table in result.tables:
         output.table(table.title, table.columns, table.rows, table.note)

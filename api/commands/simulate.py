@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fluxtwin.commands.options import DegreeOption, JsonOption, OutOption, ScenarioFieldOption
+from fluxtwin.commands.options import DegreeOption, ForceOption, JsonOption, OutOption, ScenarioFieldOption
 from fluxtwin.console import Output
 
 if TYPE_CHECKING:
@@ -27,29 +27,40 @@ def command(
     ] = None,
     field: ScenarioFieldOption = None,
     degree: DegreeOption = None,
+    force: ForceOption = False,
     json: JsonOption = None,
 ) -> None:
     """Simulate a scenario and write its telemetry (.nc, .csv or .csv.gz), the scenario beside it."""
     output = Output(json)
     with output.progress(f"reading {scenario}") as progress:
+        from fluxtwin.sim import outputs
         from fluxtwin.sim.epoch import iso
-        from fluxtwin.sim.files import writable_folder
+        from fluxtwin.sim.files import is_stream
         from fluxtwin.sim.scenario import load_scenario, save_scenario
         from fluxtwin.sim.simulate import simulate
-        from fluxtwin.sim.telemetry_io import require_known_kind, write_telemetry
+        from fluxtwin.sim.telemetry_io import write_telemetry
 
         plan = load_scenario(scenario)
         changes = {"field.truth": field, "field.truth_degree": degree}
         plan = plan.updated({key: value for key, value in changes.items() if value is not None})
-        for path in filter(None, (out, truth)):
-            writable_folder(path.parent)  # before the work, not after it
-        require_known_kind(out)
+        beside = None if is_stream(out) else out.with_name(f"{_stem(out)}.scenario.toml")
+        if beside is not None and beside.exists() and beside.samefile(scenario):
+            beside = None  # the scenario lies there already, as its author wrote it
+        outputs.claim(
+            {
+                "--out": (out, outputs.TELEMETRY),
+                "--truth": (truth, outputs.TRUTH),
+                "--json": (json, outputs.JSON),
+                "the scenario beside --out:": (beside, outputs.SCENARIO),
+            },
+            [scenario, field],
+            force=force,
+        )
         saved = _seen_from(plan, out.parent)
         record, real = simulate(plan, progress=progress)
-        written = [
-            write_telemetry(record, out),
-            save_scenario(saved, out.with_name(f"{_stem(out)}.scenario.toml")),
-        ]
+        written = [write_telemetry(record, out)]
+        if beside is not None:
+            written.append(save_scenario(saved, beside))
         if truth is not None:
             real.write(truth)
             written.append(truth)

@@ -14,7 +14,10 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class AerodynamicTorque(DynamicsEffect):
-    """Torque of the air that the model of the surface lacks."""
+    """Air drag torque that the surface model lacks.
+
+    Torque of the air that the model of the surface lacks.
+    """
 
     name: ClassVar[str] = "aerodynamic_torque"
     stage: ClassVar[str] = "dynamics"

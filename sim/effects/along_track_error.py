@@ -12,7 +12,10 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class AlongTrackError(SignalEffect):
-    """Position and velocity moved along the orbit by the time ahead / |v|; the attitude is right."""
+    """The position is wrong along the orbit.
+
+    Position and velocity moved along the orbit by the time ahead / |v|; the attitude is right.
+    """
 
     name: ClassVar[str] = "along_track_error"
     stage: ClassVar[str] = "orbit"

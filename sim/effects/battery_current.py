@@ -13,7 +13,9 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class BatteryCurrent(SignalEffect):
-    """Field in proportion to the battery's current, positive when charging.
+    """Field in proportion to the battery's current.
+
+    Field in proportion to the battery's current, positive when charging.
 
     Without the column `battery_current_A` the current is +1 A in sunlight and -1 A in shadow.
     """

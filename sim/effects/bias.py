@@ -14,7 +14,10 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class Bias(SignalEffect):
-    """b of equation 1: reading and true field differ by a constant."""
+    """A constant error of the reading.
+
+    b of equation 1: reading and true field differ by a constant.
+    """
 
     name: ClassVar[str] = "bias"
     stage: ClassVar[str] = "sensor"

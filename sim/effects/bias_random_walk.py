@@ -15,7 +15,10 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class BiasRandomWalk(DistributionEffect):
-    """b of equation 1 does a random walk on each axis, from zero at the first row."""
+    """The bias does a random walk on each axis.
+
+    b of equation 1 does a random walk on each axis, from zero at the first row.
+    """
 
     name: ClassVar[str] = "bias_random_walk"
     stage: ClassVar[str] = "sensor"

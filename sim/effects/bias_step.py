@@ -18,7 +18,10 @@ _GRID = 31
 
 @dataclass(frozen=True)
 class BiasStep(SignalEffect):
-    """b of equation 1 is larger from `at` on."""
+    """The bias jumps at a moment and stays there.
+
+    b of equation 1 is larger from `at` on.
+    """
 
     name: ClassVar[str] = "bias_step"
     stage: ClassVar[str] = "sensor"

@@ -17,7 +17,9 @@ _DEFAULT_LSB_NT = 1.0
 
 @dataclass(frozen=True)
 class BitErrors(DistributionEffect):
-    """Single components of readings have a bit flipped or stuck, at a rate, independently.
+    """Single readings have a flipped or stuck bit.
+
+    Single components of readings have a bit flipped or stuck, at a rate, independently.
 
     A reading's code is reading / LSB, a two's complement word just long enough for the record's largest, plus
     its sign bit. Only whole codes change, by a power of two, so a reading that was not rounded keeps its rest.

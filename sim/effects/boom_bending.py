@@ -20,7 +20,9 @@ TIME_CONSTANTS_S = (60.0, 300.0, 900.0, 2700.0)
 
 @dataclass(frozen=True)
 class BoomBending(SignalEffect):
-    """The sensor is turned by a vector that grows with temperature, from zero at `reference_degC`.
+    """The sensor turns as its boom warms up.
+
+    The sensor is turned by a vector that grows with temperature, from zero at `reference_degC`.
 
     + turns the sensor's axes right-handed about the body axis, so the field in them turns the other way. The whole
     field at the sensor turns, that of the spacecraft too. Without the column `temperature_degC` the temperature is a

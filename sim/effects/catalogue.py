@@ -92,4 +92,7 @@ def find_effect(name: str, *, where: str = "effects") -> Effect:
     names = [effect.name for effect in CATALOGUE]
     near = difflib.get_close_matches(name.lower(), names, n=1, cutoff=0.4)
     hint = f"; did you mean {near[0]}?" if near else ""
-    raise BadInput(f"no effect is called {name!r}{hint}", where=where, wanted="one of " + ", ".join(names))
+    wanted = None if near else "a name that `fluxtwin effects` lists"
+    raise BadInput(
+        f"no effect is called {name!r}{hint}", where=where, wanted=wanted, details=f"effects: {', '.join(names)}"
+    )

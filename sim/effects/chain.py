@@ -15,6 +15,7 @@ import numpy as np
 from fluxtwin.sim.effects.base import STAGES, DistributionEffect, Effect, SignalEffect
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.field import field_N_nT
+from fluxtwin.sim.processes import stop_if_asked
 from fluxtwin.sim.random_streams import stream
 from fluxtwin.sim.signal import Setting, Signal, start
 from fluxtwin.sim.types import FloatArray
@@ -54,6 +55,7 @@ class Chain:
         wanted = [pair for pair in active if isinstance(pair[0], SignalEffect) and np.any(pair[1])]
         if not wanted:
             return self._baseline["telemetry"]
+        stop_if_asked()
         first = min(STAGES.index(effect.stage) for effect, _ in wanted)
         signal, begin = self._baseline[STAGES[first]], first
         keys = [_key(wanted, number) for number in range(len(STAGES))]

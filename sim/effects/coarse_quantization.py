@@ -14,7 +14,10 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class CoarseQuantization(DistributionEffect):
-    """The true step is `lsb`, not the declared one. Steps finer than the declared change nothing."""
+    """The readings' step is coarser than declared.
+
+    The true step is `lsb`, not the declared one. Steps finer than the declared change nothing.
+    """
 
     name: ClassVar[str] = "coarse_quantization"
     stage: ClassVar[str] = "sensor"

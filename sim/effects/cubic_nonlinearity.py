@@ -14,7 +14,10 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class CubicNonlinearity(SignalEffect):
-    """Each axis gains a combination of the ten products of three components of the linear reading."""
+    """The reading gains third-order terms.
+
+    Each axis gains a combination of the ten products of three components of the linear reading.
+    """
 
     name: ClassVar[str] = "cubic_nonlinearity"
     stage: ClassVar[str] = "sensor"

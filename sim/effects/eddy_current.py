@@ -23,7 +23,9 @@ def traceless(theta: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class EddyCurrent(SignalEffect):
-    """Induced dipole's field -K dB_B/dt at the sensor, K symmetric, K_zz = -K_xx - K_yy.
+    """Field of currents that a changing field drives.
+
+    Induced dipole's field -K dB_B/dt at the sensor, K symmetric, K_zz = -K_xx - K_yy.
 
     Good while the currents decay much faster than the field changes. The part of K that is a multiple of the
     identity is left out: it is a time tag (-K dB/dt is a delay by K).

@@ -14,7 +14,10 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class ExcessNoise(DistributionEffect):
-    """White Gaussian noise on each reading, on one axis or on all."""
+    """More white noise than was declared.
+
+    White Gaussian noise on each reading, on one axis or on all.
+    """
 
     name: ClassVar[str] = "excess_noise"
     stage: ClassVar[str] = "sensor"

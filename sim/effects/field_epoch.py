@@ -18,7 +18,10 @@ _YEAR = np.timedelta64(round(365.25 * 86400e9), "ns")
 
 @dataclass(frozen=True)
 class FieldEpoch(SignalEffect):
-    """The field of another epoch at the same place over the ground."""
+    """The field is that of another date.
+
+    The field of another epoch at the same place over the ground.
+    """
 
     name: ClassVar[str] = "field_epoch"
     stage: ClassVar[str] = "field"

@@ -19,7 +19,10 @@ _POOREST = 4
 
 @dataclass(frozen=True)
 class FieldTruncation(SignalEffect):
-    """The degrees above `degree` are in one of real field and model, not in the other."""
+    """Reality or the model ends at a lower degree.
+
+    The degrees above `degree` are in one of real field and model, not in the other.
+    """
 
     degree: int = 8
     """The highest degree that both have."""

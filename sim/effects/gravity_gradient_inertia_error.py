@@ -20,7 +20,10 @@ _PLACES = ("xx", "yy", "zz", "xy", "xz", "yz")
 
 @dataclass(frozen=True)
 class GravityGradientInertiaError(DynamicsEffect):
-    """An inertia tensor that is not the one of the scenario."""
+    """The inertia tensor is not the scenario's.
+
+    An inertia tensor that is not the one of the scenario.
+    """
 
     name: ClassVar[str] = "gravity_gradient_inertia_error"
     stage: ClassVar[str] = "dynamics"

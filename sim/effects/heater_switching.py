@@ -17,7 +17,10 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class HeaterSwitching(SignalEffect):
-    """Constant field while the heater is on: by `switches_utc` or `sequence` if given, else the column `heater_on`."""
+    """Constant field while the heater is on.
+
+    Constant field while the heater is on: by `switches_utc` or `sequence` if given, else the column `heater_on`.
+    """
 
     name: ClassVar[str] = "heater_switching"
     stage: ClassVar[str] = "spacecraft"

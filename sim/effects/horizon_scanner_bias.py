@@ -14,8 +14,11 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class HorizonScannerBias(SignalEffect):
-    """Roll and pitch of the reference attitude, and of the nadir that the scanner measures, are wrong by
-    a sin(latitude) + b cos(2 latitude)."""
+    """Roll and pitch are wrong in step with latitude.
+
+    Roll and pitch of the reference attitude, and of the nadir that the scanner measures, are wrong by
+    a sin(latitude) + b cos(2 latitude).
+    """
 
     name: ClassVar[str] = "horizon_scanner_bias"
     stage: ClassVar[str] = "attitude"

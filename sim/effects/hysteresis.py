@@ -20,7 +20,9 @@ _WIDTHS_NT = (1000.0, 4000.0, 16000.0)
 
 @dataclass(frozen=True)
 class Hysteresis(SignalEffect):
-    """The reading lags behind the field: `a` too low where it rises, `a` too high where it falls.
+    """The reading lags behind the field.
+
+    The reading lags behind the field: `a` too low where it rises, `a` too high where it falls.
 
     A core whose magnetisation follows the play operator y = play_w(x) of the field x along each axis, w half
     the loop's width, has a part in proportion to x, which is a scale error, and the rest, a (y - x) / w, which

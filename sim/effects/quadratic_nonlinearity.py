@@ -14,7 +14,10 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class QuadraticNonlinearity(SignalEffect):
-    """Each axis gains a combination of the six products of two components of the linear reading."""
+    """The reading gains second-order terms.
+
+    Each axis gains a combination of the six products of two components of the linear reading.
+    """
 
     name: ClassVar[str] = "quadratic_nonlinearity"
     stage: ClassVar[str] = "sensor"

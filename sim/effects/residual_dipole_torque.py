@@ -14,7 +14,10 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class ResidualDipoleTorque(DynamicsEffect):
-    """Torque of a dipole that the spacecraft has and nobody knows of."""
+    """Torque of a magnetic dipole nobody knows of.
+
+    Torque of a dipole that the spacecraft has and nobody knows of.
+    """
 
     name: ClassVar[str] = "residual_dipole_torque"
     stage: ClassVar[str] = "dynamics"

@@ -20,7 +20,10 @@ _LEAST_SPAN = 0.1  # of the decay time: over less, decaying and constant are the
 
 @dataclass(frozen=True)
 class RingCurrent(SignalEffect):
-    """Uniform along the dipole axis, with the dipole it induces in the Earth."""
+    """Field of the ring current in a magnetic storm.
+
+    Uniform along the dipole axis, with the dipole it induces in the Earth.
+    """
 
     decay_h: float = 0.0
     """0: constant; else it decays by e in so many hours from the first stamp."""

@@ -16,7 +16,9 @@ _DEPTHS_NT = (500.0, 2000.0, 8000.0)
 
 @dataclass(frozen=True)
 class Saturation(SignalEffect):
-    """Each axis is clipped at full scale less the depth.
+    """Each axis is clipped near full scale.
+
+    Each axis is clipped at full scale less the depth.
 
     Full scale is `full_scale_nT`, else the setting's, else the largest reading without noise.
     """

@@ -15,7 +15,10 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class ScaleMisalignment(SignalEffect):
-    """S of equation 1, beyond the baseline's: reading (I + S + dS)^-1 (I + S) B."""
+    """Errors of scale, skewness and mounting.
+
+    S of equation 1, beyond the baseline's: reading (I + S + dS)^-1 (I + S) B.
+    """
 
     name: ClassVar[str] = "scale_misalignment"
     stage: ClassVar[str] = "sensor"

@@ -15,7 +15,9 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class SensorLag(SignalEffect):
-    """First-order low-pass of the reading with the time constant `lag`.
+    """The reading is smoothed and late.
+
+    First-order low-pass of the reading with the time constant `lag`.
 
     Between stamps the ambient field's part is followed by its value and its rate of change, at moments between two
     stamps too where the body turns far in a step, so a lag far below the sampling interval comes out right; the rest

@@ -14,7 +14,10 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class SolarPressureTorque(DynamicsEffect):
-    """Torque of the sunlight that the model of the surface lacks."""
+    """Sunlight torque that the surface model lacks.
+
+    Torque of the sunlight that the model of the surface lacks.
+    """
 
     name: ClassVar[str] = "solar_pressure_torque"
     stage: ClassVar[str] = "dynamics"

@@ -14,7 +14,10 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class SunSensorHeadMisalignment(SignalEffect):
-    """The reference attitude is turned while that head gives it, and so is the sun that the head measures."""
+    """A sun sensor head is not mounted as stated.
+
+    The reference attitude is turned while that head gives it, and so is the sun that the head measures.
+    """
 
     head: int = 0
     """Number of the head; 0 stands for whichever is in use, so: wherever the sun is seen."""

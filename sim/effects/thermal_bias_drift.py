@@ -17,7 +17,9 @@ TIME_CONSTANTS_S = (300.0, 900.0, 2700.0)
 
 @dataclass(frozen=True)
 class ThermalBiasDrift(SignalEffect):
-    """b of equation 1 grows with temperature, from zero at `reference_degC`.
+    """The bias grows with temperature.
+
+    b of equation 1 grows with temperature, from zero at `reference_degC`.
 
     Without the column `temperature_degC` the temperature is a first-order lag, `time_constant_s`, behind sun
     and shadow, whose equilibrium swings from 0 to 20: the parameter is then nT per K of that swing.

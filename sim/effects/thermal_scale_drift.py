@@ -17,7 +17,10 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class ThermalScaleDrift(SignalEffect):
-    """The diagonal of eq. 1's S grows with temperature, from zero at `reference_degC`; see thermal_bias_drift."""
+    """The scale error grows with temperature.
+
+    The diagonal of eq. 1's S grows with temperature, from zero at `reference_degC`; see thermal_bias_drift.
+    """
 
     name: ClassVar[str] = "thermal_scale_drift"
     stage: ClassVar[str] = "sensor"

@@ -12,7 +12,10 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class TimeTagOffset(SignalEffect):
-    """Orbit and attitude are right at the stamp; the field is that of a moment later."""
+    """The reading is taken later than its stamp says.
+
+    Orbit and attitude are right at the stamp; the field is that of a moment later.
+    """
 
     name: ClassVar[str] = "time_tag_offset"
     stage: ClassVar[str] = "time"

@@ -13,7 +13,10 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class TorquerCoupling(SignalEffect):
-    """Field C m at the sensor from the torquers' dipole m. C row by row; eq. 1's T is -C."""
+    """Field of the torquers at the sensor.
+
+    Field C m at the sensor from the torquers' dipole m. C row by row; eq. 1's T is -C.
+    """
 
     name: ClassVar[str] = "torquer_coupling"
     stage: ClassVar[str] = "spacecraft"

@@ -14,7 +14,10 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class TorquerGainError(DynamicsEffect):
-    """Torquers that are stronger or weaker than telemetry says."""
+    """Torquers are not as strong as telemetry says.
+
+    Torquers that are stronger or weaker than telemetry says.
+    """
 
     name: ClassVar[str] = "torquer_gain_error"
     stage: ClassVar[str] = "dynamics"

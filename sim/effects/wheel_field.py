@@ -15,7 +15,9 @@ from fluxtwin.sim.types import FloatArray
 
 @dataclass(frozen=True)
 class WheelField(SignalEffect):
-    """Rotating dipole: a cos(phase) + b sin(phase) at the sensor, an ellipse as a and b are free vectors.
+    """Field of a dipole that turns with a wheel.
+
+    Rotating dipole: a cos(phase) + b sin(phase) at the sensor, an ellipse as a and b are free vectors.
 
     The phase is the integral of the recorded speed of wheel number `wheel` (linear between stamps), or, where
     `frequency_Hz` is given, of that constant frequency; the sampling aliases both. A speed known to d rpm holds

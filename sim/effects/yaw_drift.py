@@ -21,7 +21,10 @@ _SAME_AXIS_RAD = float(np.radians(1.0))  # the two images then differ by less th
 
 @dataclass(frozen=True)
 class YawDrift(SignalEffect):
-    """Yaw error in proportion to time since the first stamp, or since entering eclipse."""
+    """The reported yaw drifts with time.
+
+    Yaw error in proportion to time since the first stamp, or since entering eclipse.
+    """
 
     when: Literal["always", "eclipse"] = "always"
     """eclipse: the gyro coasts in the shadow, from zero at each entry; right in sunlight."""

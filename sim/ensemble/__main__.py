@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-from types import FrameType
 
-from fluxtwin.sim.ensemble.workers import serve
-from fluxtwin.sim.processes import start_and_end_quickly
-
-
-def _stop(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
-
+from fluxtwin.sim.processes import end_when_asked, start_and_end_quickly
 
 if __name__ == "__main__":
+    end_when_asked()
     start_and_end_quickly()
-    signal.signal(signal.SIGTERM, _stop)  # so that a file half-written is taken away
+    from fluxtwin.sim.ensemble.workers import serve  # slow to import
+
     try:
         serve(sys.stdin, sys.stdout)
     except (KeyboardInterrupt, BrokenPipeError):

@@ -20,7 +20,6 @@ import numpy as np
 from fluxtwin.sim.ensemble.figures import Around, around, figures, series
 from fluxtwin.sim.ensemble.plan import Plan
 from fluxtwin.sim.errors import BadInput
-from fluxtwin.sim.files import write_with
 from fluxtwin.sim.netcdf_out import Variable, write_netcdf
 from fluxtwin.sim.scenario import Scenario
 from fluxtwin.sim.simulate import simulate
@@ -131,7 +130,7 @@ def write_chunk(plan: Plan, chunk: Chunk, folder: Path, number: int) -> Path:
         "fingerprint": plan.fingerprint,
         "lost": json.dumps(chunk.lost),
     }
-    return write_with(chunk_path(folder, number), lambda temporary: write_netcdf(temporary, variables, attributes))
+    return write_netcdf(chunk_path(folder, number), variables, attributes)
 
 
 def _attributes(name: str) -> dict[str, str]:

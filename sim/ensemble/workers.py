@@ -16,11 +16,15 @@ import threading
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import IO, Any
 
 from fluxtwin.sim import errors
 from fluxtwin.sim.errors import BadInput
+from fluxtwin.sim.processes import stop_if_asked
+
+_LOOK_S = 0.2  # between two looks whether the user asked for an end
+_PATIENCE_S = 0.5  # with a process that was asked to end
 
 Event = dict[str, Any]
 """{"flown": 1} after each vehicle; after each chunk what `chunk.told` says of it."""
@@ -43,7 +47,7 @@ def fly_in_processes(record: Mapping[str, Any], folder: Path, numbers: Iterable[
             _tell(crew[place], {"plan": dict(record), "folder": str(folder.resolve())})
         busy = len(crew)
         while busy:
-            place, event = events.get()
+            place, event = _next(events)
             if event is None:
                 busy -= 1
                 _require_good_end(crew[place])
@@ -102,6 +106,13 @@ def _start() -> subprocess.Popen[str]:
     )
 
 
+def _next(events: SimpleQueue[tuple[int, Event | None]]) -> tuple[int, Event | None]:
+    while True:
+        stop_if_asked()
+        with contextlib.suppress(Empty):
+            return events.get(timeout=_LOOK_S)
+
+
 def _listen(place: int, stdout: IO[str] | None, events: SimpleQueue[tuple[int, Event | None]]) -> None:
     with contextlib.suppress(ValueError, OSError):  # cut off in the middle of a line
         for line in stdout or ():
@@ -139,4 +150,8 @@ def _end(process: subprocess.Popen[str]) -> None:
             process.stdin.close()
     if process.poll() is None:
         process.terminate()
-    process.wait()
+    try:
+        process.wait(_PATIENCE_S)
+    except subprocess.TimeoutExpired:  # in a kernel, which hears nothing: then it is not writing either
+        process.kill()
+        process.wait()

@@ -30,10 +30,14 @@ segments = [{ start_utc = "2020-03-01T00:00:00Z", samples = 50, step_s = 30.0 }]
 def test_the_catalogue_as_a_table_and_as_json(cli: Callable[..., object]) -> None:
     table = cli("effects")
     assert table.status == 0
-    lines = {line.split()[0]: line for line in table.out.splitlines() if line.strip()}
+    lines = table.out.splitlines()
+    assert max(map(len, lines)) <= 80
     for effect in CATALOGUE:
-        assert effect.stage in lines[effect.name]
-        assert effect.parameters[0].unit in table.out
+        (line,) = [line for line in lines if line.split()[:1] == [effect.name]]
+        sentence = line.removeprefix(effect.name).strip()
+        assert sentence[0].isupper() and sentence.endswith("."), "a whole sentence, not one that was cut off"
+        assert effect.stage in lines[: lines.index(line)]
+        assert effect.parameters[0].unit in cli("effects", effect.name).out
     record = json.loads(cli("effects", "--json", "-").out)
     assert [entry["name"] for entry in record["effects"]] == [effect.name for effect in CATALOGUE]
     for entry in record["effects"]:

@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+import fluxtwin
+
 TEXT = """
 name = "few"
 seed = 2
@@ -48,7 +50,9 @@ def test_an_ensemble_and_one_vehicle_of_it(cli: Callable[..., Any], scenario: Pa
     assert names == {*tables, "chunk-00000.nc"}
     assert (out / "vehicles.csv").read_text(encoding="utf-8").startswith("vehicle,seed,magnetometer.b_nT[0],")
     again = cli("ensemble", scenario, "--vehicles", 3, "--out", out, "--resume", "--json", "-")
-    assert json.loads(again.out) == json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    shown = json.loads(again.out)
+    assert shown.pop("fluxtwin") == fluxtwin.__version__
+    assert shown == json.loads((out / "summary.json").read_text(encoding="utf-8"))
     one = tmp_path / "one.toml"
     assert cli("ensemble", scenario, "--extract", 1, "--out", one).status == 0
     assert cli("simulate", one, "--out", tmp_path / "one.nc").status == 0

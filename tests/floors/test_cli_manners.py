@@ -190,6 +190,13 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
     assert done.returncode == 0
 
 
+@pytest.mark.skipif(os.name != "posix", reason="a shell closes the stream")
+def test_a_closed_standard_output_is_no_error() -> None:
+    command = f"{sys.executable} -m fluxtwin {' '.join(POINT)} --json - >&-"
+    done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_it_works_without_a_network_a_compiler_or_a_home(tmp_path: Path) -> None:
     code = (
         "import socket, sys\n"

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from fluxtwin.console import Output, clean, shown
+import fluxtwin
+from fluxtwin.console import Manners, Output, clean, shown
 from fluxtwin.report import png_bytes, render_report
 from fluxtwin.scenarios.page import FigureBlock, Page, Section, StudyResult, Table
 
@@ -148,18 +149,50 @@ def test_numbers_are_shown_with_four_digits() -> None:
     ]
 
 
-def test_progress_is_said_on_standard_error_when_work_lasts(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+class Terminal(io.StringIO):
+    """Standard error as a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(("kind", "quiet"), [(Terminal, False), (Terminal, True), (io.StringIO, False)])
+def test_progress_is_shown_on_a_terminal_when_work_lasts_and_never_in_a_log(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, kind: type[io.StringIO], quiet: bool
 ) -> None:
-    monkeypatch.setattr("fluxtwin.console._QUIET_SECONDS", 0.1)
-    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    monkeypatch.setattr("fluxtwin.console._QUIET_SECONDS", 0.0)
+    monkeypatch.setattr("fluxtwin.console.manners", Manners(quiet=quiet))
+    monkeypatch.setattr(sys, "stderr", kind())
+    monkeypatch.setenv("TERM", "xterm")
+    shows = kind is Terminal and not quiet
     with Output().progress("first step [nT]") as progress:
-        deadline = time.monotonic() + 10
+        deadline = time.monotonic() + (10 if shows else 0.5)
         while "first step" not in sys.stderr.getvalue() and time.monotonic() < deadline:
             time.sleep(0.05)
         progress("second step", 0.5)
-    assert "first step [nT] ..." in sys.stderr.getvalue()
+        shown = sys.stderr.getvalue() if shows else ""
+    assert ("first step [nT]" in shown) == shows
+    if not shows:
+        assert sys.stderr.getvalue() == ""
     assert capsys.readouterr().out == ""
+
+
+def test_a_terminal_of_80_columns_keeps_names_and_numbers_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdout", Terminal())
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "80")
+    name = "gravity_gradient_inertia_error"
+    Output().table("t", ["effect", "why", "p"], [[name, "a sentence of many words " * 5, 1.2345e-12]])
+    assert name in sys.stdout.getvalue()
+    assert "1.235e-12" in sys.stdout.getvalue()
+    assert "…" not in sys.stdout.getvalue()
+
+
+def test_a_note_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
+    output = Output()
+    for text in ("note: a", "note: b", "note: a"):
+        output.note(text)
+    assert capsys.readouterr().err == "note: a\nnote: b\n"
 
 
 def test_json_alone_goes_to_standard_output(capsys: pytest.CaptureFixture[str]) -> None:
@@ -167,7 +200,7 @@ def test_json_alone_goes_to_standard_output(capsys: pytest.CaptureFixture[str]) 
     output.say("words")
     output.table("t", ["a"], [[1]])
     output.result({"F_nT": 1.0})
-    assert capsys.readouterr().out == '{\n  "F_nT": 1.0\n}\n'
+    assert capsys.readouterr().out == f'{{\n  "fluxtwin": "{fluxtwin.__version__}",\n  "F_nT": 1.0\n}}\n'
 
 
 def test_a_study_is_written_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

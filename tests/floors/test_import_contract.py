@@ -20,7 +20,7 @@ MAY_IMPORT = {
 PURE_SIM = {
     "", "attitude", "constants", "epoch", "errors", "field", "field_design", "field_kernels", "field_models",
     "files", "frames", "interpolation", "kernel_cache", "orbit", "progress", "random_streams", "rigid_body", "sun",
-    "telemetry", "tle", "types",
+    "telemetry", "tle", "toml_input", "types",
 }  # fmt: skip
 """The parts of sim that an estimator may see: nothing here knows the truth of a run."""
 

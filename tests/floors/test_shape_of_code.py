@@ -21,7 +21,9 @@ NO_UNIT = {
     "weights", "eccentricity", "condition", "covariance", "correlation", "singular_values", "state_of_charge",
     "probability", "significance", "efficiency", "duty", "R_BN", "segment", "eiv_shift", "relative_uncertainty",
     "directions_B", "lag_correlation", "sharpness", "taper_above_fraction", "G", "M", "D", "O",
-    "taper_above", "rc_weights", "gram", "inertia_ratio",
+    "taper_above", "rc_weights", "gram", "inertia_ratio", "misfit",
+    # logarithms of likelihoods and odds; a distance in standard deviations
+    "log", "cost", "distance",
     # directions, and a table whose columns have a unit each
     "axis", "axis_B", "nodes",
     # a parameter of an effect names its unit in a field of its own
@@ -97,3 +99,48 @@ def test_every_module_and_public_function_has_a_docstring(sources: dict[str, Pat
             and not ast.get_docstring(node)
         ]
     assert not bare, "\n".join(bare)
+
+
+def bare_calendar_steps(source: str) -> list[int]:
+    """Lines that add an integer without a unit to a date, or subtract one, as far as a function's own names tell."""
+    lines = []
+    for function in ast.walk(ast.parse(source)):
+        if isinstance(function, ast.FunctionDef):
+            dates = {
+                target.id
+                for node in ast.walk(function)
+                if isinstance(node, ast.Assign) and _is_date(node.value, set())
+                for target in node.targets
+                if isinstance(target, ast.Name)
+            }
+            for node in ast.walk(function):
+                if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Sub):
+                    sides = (node.left, node.right)
+                    if any(_is_date(side, dates) for side in sides) and any(_is_integer(side) for side in sides):
+                        lines.append(node.lineno)
+    return lines
+
+
+def _is_date(node: ast.expr, dates: set[str]) -> bool:
+    if isinstance(node, ast.Name):
+        return node.id in dates
+    if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
+        return False
+    first = node.args[0] if node.args else None
+    to_date = isinstance(first, ast.Constant) and str(first.value).startswith("datetime64")
+    return node.func.attr == "datetime64" or (node.func.attr == "astype" and to_date)
+
+
+def _is_integer(node: ast.expr) -> bool:
+    return isinstance(node, ast.Constant) and isinstance(node.value, int)
+
+
+def test_a_step_of_the_calendar_names_its_unit(sources: dict[str, Path]) -> None:
+    # numpy 2.5 deprecates integers without a unit beside datetime64; the numpy that Python 3.11 gets is silent.
+    found = {name: bare_calendar_steps(path.read_text(encoding="utf-8")) for name, path in sources.items()}
+    assert {name: lines for name, lines in found.items() if lines} == {}
+
+
+def test_a_bare_calendar_step_is_seen() -> None:
+    source = 'def f(t):\n    y = t.astype("datetime64[Y]")\n    n = y.astype("int64") + 1\n    return (y + 1) - t'
+    assert bare_calendar_steps(source) == [4]

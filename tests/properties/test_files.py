@@ -26,13 +26,37 @@ def test_an_exception_while_writing_leaves_the_old_file_and_no_litter(tmp_path):
 
 
 def test_leftovers_of_a_killed_process_are_swept_and_those_of_a_living_one_stay(tmp_path):
-    dead = subprocess.Popen([sys.executable, "-c", "pass"])
-    dead.wait()
-    (tmp_path / f".fluxtwin-{dead.pid}-x.txt").write_text("litter")
-    (tmp_path / f".fluxtwin-{os.getppid()}-y.txt").write_text("at work")
+    """A process in another container has a number that means nothing here: only the lock tells."""
+    code = (
+        "import os, sys; from fluxtwin.sim import files\n"
+        "os.getpid = lambda: 99_999_999\n"  # larger than any number here
+        "def write(temporary): print(temporary.name, flush=True); sys.stdin.readline(); temporary.write_text('b')\n"
+        f"files.write_with({str(tmp_path / 'b.txt')!r}, write)"
+    )
+    names = []
+    for end in ("kill", "finish"):
+        living = subprocess.Popen(
+            [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        names.append(living.stdout.readline().strip())
+        files.write_text(tmp_path / "a.txt", "new")
+        assert {p.name for p in tmp_path.iterdir()} == {"a.txt", names[-1]}
+        if end == "kill":
+            living.kill()
+        living.communicate("go on\n" if end == "finish" else None)
+    assert {p.name for p in tmp_path.iterdir()} == {"a.txt", "b.txt"}
+    assert (tmp_path / "b.txt").read_text() == "b"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="flock")
+def test_where_there_are_no_locks_nothing_is_swept(tmp_path, monkeypatch):
+    def unsupported(*_):
+        raise OSError(95, "Operation not supported")
+
+    (tmp_path / ".fluxtwin-1-x.txt").write_text("perhaps at work")
+    monkeypatch.setattr("fcntl.flock", unsupported)
     files.write_text(tmp_path / "a.txt", "new")
-    names = {p.name for p in tmp_path.iterdir()}
-    assert names == {"a.txt", f".fluxtwin-{os.getppid()}-y.txt"}
+    assert {p.name for p in tmp_path.iterdir()} == {"a.txt", ".fluxtwin-1-x.txt"}
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])

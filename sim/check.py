@@ -1,20 +1,25 @@
 """Is this file what it says? The classic traps of foreign telemetry, named with their evidence; and a plain repair.
 
-Thresholds stand beside their reasons in `check_values` and `check_field`. A clock that is off by a constant (UTC
-against GPS, 18 s) cannot be seen by such checks and is not claimed.
+One cause, one name: stuck values and positions that contradict themselves are looked for first, then unit, position,
+attitude and clock against the field model, then outliers; what follows from a trap is not named beside it. Thresholds
+stand beside their reasons in the modules `check_*`.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from fluxtwin.sim import epoch
+from fluxtwin.sim.check_columns import check_columns
 from fluxtwin.sim.check_field import check_field
 from fluxtwin.sim.check_report import CheckReport, Finding, note, report, trap
-from fluxtwin.sim.check_values import check_motion, check_values
-from fluxtwin.sim.column_map import mapped_table
+from fluxtwin.sim.check_sample import Origin
+from fluxtwin.sim.check_stuck import check_stuck
+from fluxtwin.sim.check_values import check_motion, check_readings
+from fluxtwin.sim.column_map import ColumnMap, elements_path, load_column_map, mapped_table
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.field import FieldModel
 from fluxtwin.sim.layouts import recognised
@@ -23,15 +28,28 @@ from fluxtwin.sim.telemetry_build import record
 from fluxtwin.sim.telemetry_columns import Table
 from fluxtwin.sim.telemetry_csv import MAX_SAMPLES
 from fluxtwin.sim.telemetry_io import read_table, write_telemetry
+from fluxtwin.sim.tle import read_tle
 
 RECOGNISED = "recognised_layout"
 """Code of the note that a packaged column map was used."""
+POSITION_TRAPS = {"position_frame", "position_inside_earth"}
+"""With these nothing else can be judged by the field model."""
 __all__ = ["RECOGNISED", "CheckReport", "Finding", "check_file", "check_telemetry", "repair"]
 
 
-def check_telemetry(telemetry: Telemetry, model: FieldModel) -> CheckReport:
-    """Every check that the record's columns allow. Traps first in the report."""
-    findings = [*check_field(telemetry, model), *check_values(telemetry)]
+def check_telemetry(telemetry: Telemetry, model: FieldModel, origin: Origin | None = None) -> CheckReport:
+    """Every check that the record's columns allow. Traps first in the report.
+
+    origin: what positions and attitude were made from; None: both were recorded relative to GCRS.
+    """
+    stuck, spoilt = check_stuck(telemetry)
+    motion = check_motion(telemetry)
+    findings = [*stuck, *motion, *check_readings(telemetry)]
+    if not any(finding.severity == "trap" and finding.code in POSITION_TRAPS for finding in motion):
+        against_field = check_field(telemetry, model, origin or Origin(), ~spoilt)
+        if any(finding.code == "clock" and finding.severity == "trap" for finding in against_field):
+            findings = [finding for finding in findings if finding.code != "sunlit_flag"]  # the sun is elsewhere, then
+        findings = [*against_field, *findings]
     return report(telemetry.provenance.get("source", "telemetry"), len(telemetry), findings)
 
 
@@ -51,11 +69,15 @@ def check_file(
     mapped = column_map is not None or bool(how)
     order = _order(table, "`sort = true` in the [[file]] of a column map" if mapped else "`--repair OUT`")
     ordered = _ordered(table)[0]
+    shifted = check_columns(table)
+    if shifted:
+        return report(str(path), table.time.size, [*how, *order, *shifted])
     blind = bool(how) and "mag_x_nT" not in table.columns
     if blind:
         ordered.columns.update({f"mag_{axis}_nT": np.full(ordered.time.size, np.nan) for axis in "xyz"})
     telemetry = record(ordered, tle=None if mapped else tle)
-    inner = _without_magnetometer(telemetry) if blind else check_telemetry(telemetry, model).findings
+    origin = _origin(path, ordered, column_map, tle)
+    inner = _without_magnetometer(telemetry) if blind else check_telemetry(telemetry, model, origin).findings
     notices = telemetry.provenance.get("notices", "").split("; ")
     said = [note("on_reading", text) for text in notices if text and not (blind and text.startswith("mag_"))]
     return report(str(path), len(telemetry), [*how, *order, *inner, *said])
@@ -79,6 +101,26 @@ def _read(
     text = f"recognised layout: {layout.name if layout else name}; read with the packaged map {name}"
     text += f", which takes {layout.taken_as}" if layout else ""
     return table, [note(RECOGNISED, f"{text}; give --map to read it otherwise")]
+
+
+def _origin(path: Path | str, table: Table, column_map: Path | str | None, tle: Path | str | None) -> Origin:
+    """What the stamps had a part in, from the columns of a file or from its map."""
+    loaded: ColumnMap | None = None if column_map is None else load_column_map(column_map)
+    if loaded is not None and column_map is not None:
+        specs = {name: spec for entry in loaded.file for name, spec in entry.columns.items()}
+        position, attitude = specs.get("position"), specs.get("attitude")
+        fixed = position is not None and position.axes == "ITRS"
+        relative = None if attitude is None else attitude.reference
+        tle = elements_path(path, loaded, Path(column_map).parent, tle) if position is None else None
+    else:
+        fixed, relative = "ecef_x_km" in table.columns, "orbital" if "yaw_deg" in table.columns else None
+        tle = tle if not fixed and "r_x_km" not in table.columns else None
+    references: dict[str, Literal["ITRS", "NEC", "orbital"]] = {"ITRS": "ITRS", "NEC": "NEC", "orbital": "orbital"}
+    return Origin(
+        "ITRS" if fixed else "GCRS",
+        references.get(relative or "", "GCRS"),
+        None if tle is None else read_tle(tle),
+    )
 
 
 def _without_magnetometer(telemetry: Telemetry) -> list[Finding]:

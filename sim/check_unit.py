@@ -10,8 +10,9 @@ import itertools
 
 import numpy as np
 
-from fluxtwin.sim.check_orientation import FAR_BETTER, Sample, SMALLEST_MISFIT_nT
+from fluxtwin.sim.check_orientation import FAR_BETTER
 from fluxtwin.sim.check_report import Finding, note, trap
+from fluxtwin.sim.check_sample import Sample
 from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.types import FloatArray
 
@@ -23,6 +24,8 @@ LOWEST_FIELD_nT = 1_000.0
 """Reached by the dipole 13,000 km up; below, an orbit must be higher or the unit wrong."""
 UNIT_RATIO = 1.5
 """Preflight scale errors change |B| by 30 % at the most; units differ by 10 or more."""
+LIKELY_RATIO = 2.2
+"""For the words of the trap: a bias may nearly double |B|, and known units lie ten apart."""
 LARGEST_BIAS_nT = 110_000.0
 """Uncompensated CubeSats fly with 17,000 to 62,000 nT an axis: at most 62,000 times the root of three."""
 CANCELLED = 0.15
@@ -30,6 +33,8 @@ CANCELLED = 0.15
 BIASED_MISFIT, HIGHEST_BIASED_MISFIT = 0.15, 0.3
 """Share of the reading, bias included, that scale errors and misalignments of 10 % leave; and never more than that
 share of the field. A reading stretched twice or more and turned leaves 1."""
+SMALLEST_MISFIT_nT = 500.0
+"""Coarse steps (440 nT) and storms alone leave this much."""
 _FIT_ROWS = 300
 _UNITS = (
     (1e-9, "tesla sold as nT"),
@@ -57,8 +62,7 @@ def check_unit(sample: Sample) -> list[Finding]:
     if bias_nT is not None:
         text = f"{evidence}: a bias of about {bias_nT:.2g} nT explains that, and no unit does far better"
         return [note("large_bias", text)]
-    guess = _nearest_unit(ratio, UNIT_RATIO)
-    likely = f": likely {guess}" if guess else ""
+    likely = f": likely {_likely(sample, ratio)}"
     impossible = " (an impossible |B|)" if measured > HIGHEST_FIELD_nT or measured < 20.0 else ""
     return [
         trap(
@@ -99,6 +103,16 @@ def _nearest_unit(ratio: float, within: float) -> str | None:
         return None
     factor, text = min(_UNITS, key=lambda unit: abs(np.log(ratio / unit[0])))
     return text if 1.0 / within <= ratio / factor <= within else None
+
+
+def _likely(sample: Sample, ratio: float) -> str:
+    """What the number may be: a known unit; raw counts where they are whole, or where no unit is near."""
+    guess = _nearest_unit(ratio, LIKELY_RATIO)
+    whole = bool((sample.mag_nT == np.round(sample.mag_nT)).all())
+    counts = f"raw counts of about {1.0 / ratio:.3g} nT (`scale` = nT per count)"
+    if guess and "counts" not in guess and whole:
+        return f"{guess}, or, as all readings are whole, {counts}"
+    return guess or counts
 
 
 def _explaining_bias_nT(sample: Sample, ratio: float) -> float | None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from fluxtwin.sim import epoch, frames, sun
 from fluxtwin.sim.check_report import Finding, note, trap
+from fluxtwin.sim.check_stuck import length_s, runs
 from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.telemetry_build import velocity_from_positions
 from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
@@ -16,10 +17,6 @@ FEW_SAMPLES = 150
 """The smallest record the estimators are built and tested for."""
 LOWEST_ORBIT_KM = 6430.0
 """Below about 70 km altitude nothing orbits; a smaller radius is no position."""
-STUCK_S, STUCK_ROWS = 60.0, 10
-"""Shorter runs of one reading come from coarse steps or fast sampling."""
-STUCK_STEPS = 3.0
-"""A run is stuck when elsewhere 95 % of the changes over the same number of rows exceed this many least steps."""
 FLAG_S, FLAG_ROWS = 120.0, 3
 """Shadow edges are uncertain by some tens of seconds (air, flattening, slow flags); longer is a contradiction."""
 VELOCITY_RATIO = 0.02
@@ -27,20 +24,24 @@ VELOCITY_RATIO = 0.02
 _MAX_ROWS = 4000
 
 
-def check_values(telemetry: Telemetry) -> list[Finding]:
-    """All checks of this module."""
+def check_readings(telemetry: Telemetry) -> list[Finding]:
+    """Whether there are readings enough."""
     readings = [*_usable(telemetry), *_missing_rows(telemetry, "magnetometer", telemetry.has_reading)]
     if not telemetry.has_reading.any():
-        readings = [trap("no_readings", "every magnetometer reading is missing (blank or NaN)"), *readings[:1]]
-    return [*readings, *_constant(telemetry), *_stuck(telemetry), *check_motion(telemetry)]
+        return [trap("no_readings", "every magnetometer reading is missing (blank or NaN)"), *readings[:1]]
+    return readings
 
 
 def check_motion(telemetry: Telemetry) -> list[Finding]:
-    """The checks that need no magnetometer: steps of time, positions, velocity, sunlit flag."""
-    findings = [*_steps(telemetry), *_missing(telemetry), *_positions(telemetry)]
-    if telemetry.sunlit is not None and telemetry.r_N_km is not None:
-        findings += check_sunlit(telemetry.time, np.array(telemetry.r_N_km), np.array(telemetry.sunlit))
-    return findings
+    """The checks that need no magnetometer: steps of time, positions, velocity, sunlit flag.
+
+    What follows from wrong positions is not named beside them.
+    """
+    findings = [*_steps(telemetry), *_missing(telemetry)]
+    positions = _positions(telemetry)
+    if not positions and telemetry.sunlit is not None and telemetry.r_N_km is not None:
+        positions = check_sunlit(telemetry.time, np.array(telemetry.r_N_km), np.array(telemetry.sunlit))
+    return [*findings, *positions]
 
 
 def check_sunlit(time: TimeArray, r_N_km: FloatArray, sunlit: FloatArray) -> list[Finding]:
@@ -49,23 +50,24 @@ def check_sunlit(time: TimeArray, r_N_km: FloatArray, sunlit: FloatArray) -> lis
     seen = np.full(len(time), np.nan)
     if known.any():
         seen[known] = sun.illumination(r_N_km[known], sun.sun_N_km(time[known]))
-    findings = []
-    for code, wrong, said, truly in (
-        ("sunlit_flag", (sunlit == 0) & (seen > 0.99), "shadow", "sunlit"),
-        ("sunlit_flag", (sunlit == 1) & (seen < 0.01), "sunlit", "shadow"),
+    contradictions = []
+    for wrong, said, truly in (
+        ((sunlit == 0) & (seen > 0.99), "shadow", "sunlit"),
+        ((sunlit == 1) & (seen < 0.01), "sunlit", "shadow"),
     ):
-        runs = [run for run in _runs(wrong, time) if _length_s(time, run) >= FLAG_S and run.size >= FLAG_ROWS]
-        if runs:
-            spans = ", ".join(f"{epoch.iso(time[run[0]])} to {epoch.iso(time[run[-1]])}" for run in runs[:5])
-            findings.append(
-                trap(
-                    code,
-                    f"the sunlit flag says {said} where geometry says {truly}: {spans}"
-                    f"{' and more' if len(runs) > 5 else ''}. Leave the column out (it is then computed) or mend it",
-                    np.concatenate(runs),
-                )
-            )
-    return findings
+        found = [run for run in runs(wrong, time) if length_s(time, run) >= FLAG_S and run.size >= FLAG_ROWS]
+        contradictions += [(run, f"{said} where geometry says {truly}") for run in found]
+    if not contradictions:
+        return []
+    contradictions.sort(key=lambda one: int(one[0][0]))
+    spans = ", ".join(
+        f"{words}: {epoch.iso(time[run[0]])} to {epoch.iso(time[run[-1]])}" for run, words in contradictions[:5]
+    )
+    text = (
+        f"the sunlit flag says {spans}{' and more' if len(contradictions) > 5 else ''}. Leave the column out (it is then "
+        "computed) or mend it"
+    )
+    return [trap("sunlit_flag", text, np.concatenate([run for run, _ in contradictions]))]
 
 
 def _usable(telemetry: Telemetry) -> list[Finding]:
@@ -120,58 +122,6 @@ def _missing_rows(telemetry: Telemetry, name: str, present: BoolArray) -> list[F
     rows = np.flatnonzero(~present)
     text = f"{rows.size} of {len(telemetry)} rows have no {name}"
     return [note(f"missing_{name}", text, rows)] if rows.size else []
-
-
-def _constant(telemetry: Telemetry) -> list[Finding]:
-    values = telemetry.mag_B_nT[telemetry.has_reading]
-    if len(values) < FEWEST_SAMPLES:
-        return []
-    spread = np.ptp(values, axis=0)
-    if (spread == 0).all():
-        return [trap("constant_field", "the magnetometer never changes: the reading is stuck or a placeholder")]
-    if spread.max() < 20.0 * _least_step(values):
-        return []
-    return [
-        trap("stuck_axis", f"mag_{'xyz'[axis]} is {values[0, axis]:g} nT in every row while other axes change")
-        for axis in np.flatnonzero(spread == 0)
-    ]
-
-
-def _stuck(telemetry: Telemetry) -> list[Finding]:
-    """Runs of unchanged readings of all three axes, long enough that the field must have changed."""
-    mag, time = telemetry.mag_B_nT, telemetry.time
-    if int(telemetry.has_reading.sum()) < FEWEST_SAMPLES or not np.ptp(mag[telemetry.has_reading], axis=0).any():
-        return []
-    same = np.zeros(len(mag), dtype=bool)
-    same[1:] = (mag[1:] == mag[:-1]).all(axis=1)
-    runs = [run for run in _runs(same, time) if run.size >= STUCK_ROWS and _length_s(time, run) >= STUCK_S]
-    least = _least_step(mag)
-    runs = [run for run in runs if _must_have_changed(mag, same, run.size, least)]
-    if not runs:
-        return []
-    longest = max(_length_s(time, run) for run in runs)
-    text = (
-        f"the reading does not change for up to {longest:g} s ({len(runs)} stretch{'es' if len(runs) > 1 else ''})"
-        ": stuck values. Blank those cells"
-    )
-    return [trap("stuck_values", text, np.concatenate(runs))]
-
-
-def _must_have_changed(mag: FloatArray, same: np.ndarray, rows: int, least_step_nT: float) -> bool:
-    """Whether the reading practically always changes over that many rows, runs of one value left out."""
-    rows = min(rows, len(mag) // 2)
-    start = np.arange(0, len(mag) - rows, max(1, len(mag) // 20_000))  # a sample is enough for a percentile
-    start = start[~(same[start + rows] & same[start])]
-    change = np.linalg.norm(mag[start + rows] - mag[start], axis=1)
-    change = change[np.isfinite(change)]
-    return change.size >= STUCK_ROWS and float(np.percentile(change, 5)) > STUCK_STEPS * least_step_nT
-
-
-def _least_step(mag: FloatArray) -> float:
-    """Smallest change [nT] seen between neighbouring rows of an axis: the LSB, or less."""
-    step = np.abs(np.diff(mag, axis=0))
-    step = step[np.isfinite(step) & (step > 0)]
-    return float(step.min()) if step.size else 0.0
 
 
 def _positions(telemetry: Telemetry) -> list[Finding]:
@@ -249,18 +199,3 @@ def _velocity(telemetry: Telemetry, r_N_km: FloatArray) -> list[Finding]:
             "(Earth-fixed velocity differs by about 6 %), unit or time. Leave the velocity out, or map its frame",
         )
     ]
-
-
-def _runs(mask: np.ndarray, time: TimeArray) -> list[np.ndarray]:
-    """Stretches of rows where `mask` holds, broken at gaps of more than five usual steps."""
-    rows = np.flatnonzero(mask)
-    if rows.size == 0:
-        return []
-    step = np.diff(time.astype("int64"))
-    usual = int(np.median(step)) if step.size else 0
-    breaks = (np.diff(rows) > 1) | (np.diff(time[rows].astype("int64")) > 5 * usual)
-    return list(np.split(rows, np.flatnonzero(breaks) + 1))
-
-
-def _length_s(time: TimeArray, run: np.ndarray) -> float:
-    return float((time[run[-1]] - time[run[0]]).astype("int64")) * 1e-9

@@ -25,17 +25,17 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
+from fluxtwin.sim import column_map_words as words
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.telemetry_columns import Table
 from fluxtwin.sim.telemetry_csv import MAX_SAMPLES
 from fluxtwin.sim.toml_input import Strict, read_model
 
-Frame = Literal["GCRS", "J2000", "mean_of_date", "true_of_date", "ITRS"]
 UNITS: dict[str, dict[str, float]] = {
     "mag": {"nT": 1.0, "uT": 1e3, "mG": 100.0, "G": 1e5, "T": 1e9},
     "position": {"km": 1.0, "m": 1e-3},
@@ -57,6 +57,7 @@ class TimeRecipe(Strict):
     """How the stamps of a source are made."""
 
     recipe: Literal["iso", "unix_s", "unix_ms", "unix_us", "seconds_ns", "gps_week_tow", "seconds_since", "cf"]
+    example: ClassVar[str] = '{ recipe = "unix_ms", columns = "NAME" }'
     columns: str | list[str] = "time"
     epoch: str | None = None
     """UTC origin of `seconds_since` (SI seconds)."""
@@ -83,6 +84,7 @@ class TimeRecipe(Strict):
 class ColumnSpec(Strict):
     """One quantity: its columns in the source and what they mean."""
 
+    example: ClassVar[str] = '{ from = ["X", "Y", "Z"], unit = "nT" }'
     source: str | list[str] = Field(alias="from")
     """Column names, one a component; or one variable of several components (NetCDF)."""
     unit: str | None = None
@@ -92,11 +94,11 @@ class ColumnSpec(Strict):
     """Stored values that mean "missing"; a vector is missing when all its components are such values."""
     valid: dict[str, float] = {}
     """Columns that must have these values for the row to count."""
-    frame: Frame | None = None
-    """Axes of position and velocity."""
-    relative_to: Literal["GCRS", "J2000", "mean_of_date", "true_of_date", "ITRS", "orbital"] | None = None
-    """Reference of the attitude; orbital is z nadir, y negative orbit normal."""
-    order: Literal["xyzw", "wxyz", "xyz"] | None = None
+    frame: Annotated[str | None, BeforeValidator(words.frame)] = None
+    """Axes of position and velocity; `axes` resolves other words for them."""
+    relative_to: Annotated[str | None, BeforeValidator(words.reference)] = None
+    """Reference of the attitude; orbital is z nadir, y negative orbit normal, NEC is geocentric. See `reference`."""
+    order: Annotated[Literal["xyzw", "wxyz", "xyz"] | None, BeforeValidator(words.order)] = None
     """Order of the quaternion's components; xyz leaves the scalar out (it is taken as positive)."""
     sense: Literal["textbook", "conjugate"] = "textbook"
     """textbook: the attitude matrix of the quaternion maps reference components to body components."""
@@ -108,14 +110,46 @@ class ColumnSpec(Strict):
         """The columns as a list."""
         return [self.source] if isinstance(self.source, str) else self.source
 
+    @property
+    def axes(self) -> str | None:
+        """`frame` by its own name, as GCRS for ECI."""
+        return None if self.frame is None else words.canonical(self.frame)
+
+    @property
+    def reference(self) -> str | None:
+        """`relative_to` by its own name."""
+        return None if self.relative_to is None else words.canonical(self.relative_to)
+
+    def assumptions(self, quantity: str) -> list[str]:
+        """What was taken for granted in reading `frame` and `relative_to`."""
+        said = [words.assumption(word, quantity) for word in (self.frame, self.relative_to) if word is not None]
+        return [text for text in said if text is not None]
+
+
+def _recipe(value: Any) -> Any:
+    """A bare column name in place of a recipe is answered with an example."""
+    if isinstance(value, str):
+        raise ValueError(
+            f'wants a recipe and its column, as {{ recipe = "unix_ms", columns = "{value[:40]}" }} (found {value[:40]!r})'
+        )
+    return value
+
+
+def _specs(value: Any) -> Any:
+    """Bare column names in place of a table are answered with an example."""
+    for name, spec in value.items() if isinstance(value, dict) else ():
+        if isinstance(spec, str | list):
+            raise ValueError(f'{name} wants a table, as {{ from = ["a", "b", "c"], unit = "nT" }} (found {spec!r:.60})')
+    return value
+
 
 class FileEntry(Strict):
     """One source."""
 
     path: str | None = None
     """File name or pattern inside the folder; several matches are joined in the order of their names."""
-    time: TimeRecipe
-    columns: dict[str, ColumnSpec]
+    time: Annotated[TimeRecipe, BeforeValidator(_recipe)]
+    columns: Annotated[dict[str, ColumnSpec], BeforeValidator(_specs)]
     max_gap_s: Annotated[float, Field(gt=0)] = 60.0
     """Longest distance between two samples across which this source is interpolated or held."""
     sort: bool = False
@@ -158,6 +192,7 @@ class Layout(Strict):
 class ColumnMap(Strict):
     """A whole column map. Exactly one `[[file]]` carries the magnetometer; with a `layout` it may be none."""
 
+    file_kind: ClassVar[str] = "a column map"
     file: Annotated[list[FileEntry], Field(min_length=1, max_length=100)]
     layout: Layout | None = None
     """Files that `check` reads with this map unasked; only packaged maps are looked through."""
@@ -212,11 +247,17 @@ def mapped_table(
         loaded, folder, name = column_map, Path("."), "column map"
     else:
         loaded, folder, name = load_column_map(column_map), Path(column_map).parent, Path(column_map).name
-    if tle is None and loaded.tle is not None:
-        tle = _beside(loaded.tle, [_folder(Path(path)), folder])
+    tle = elements_path(path, loaded, folder, tle)
     table = merged_table(Path(path), loaded, tle=tle, max_samples=max_samples, any_order=any_order)
     table.provenance["column_map"] = name
     return table
+
+
+def elements_path(path: Path | str, column_map: ColumnMap, folder: Path, tle: Path | str | None) -> Path | str | None:
+    """The file of two-line elements: `tle`, or the map's, beside the data or in the map's own `folder`."""
+    if tle is None and column_map.tle is not None:
+        return _beside(column_map.tle, [_folder(Path(path)), folder])
+    return tle
 
 
 def matches(path: Path, entry: FileEntry) -> list[Path]:
@@ -256,7 +297,7 @@ def _check_quantity(name: str, spec: ColumnSpec) -> None:
     if accepted is None and spec.unit is not None:
         raise ValueError(f"{name} takes no unit")
     if name in ("position", "velocity") and spec.frame is None:
-        raise ValueError(f"{name} wants frame: GCRS, J2000, mean_of_date, true_of_date or ITRS")
+        raise ValueError(f"{name} wants frame: {', '.join(words.FRAMES)}")
     if name in _VECTORS and isinstance(spec.source, list) and len(spec.source) != 3:
         raise ValueError(f"{name} takes three columns")
     if name == "attitude":
@@ -265,7 +306,7 @@ def _check_quantity(name: str, spec: ColumnSpec) -> None:
 
 def _check_attitude(spec: ColumnSpec) -> None:
     if spec.relative_to is None:
-        raise ValueError("attitude wants relative_to: GCRS, J2000, mean_of_date, true_of_date, ITRS or orbital")
+        raise ValueError(f"attitude wants relative_to: {', '.join(words.REFERENCES)}")
     if (spec.order is None) == (spec.angles is None):
         raise ValueError("attitude wants either order (xyzw, wxyz, xyz) or angles (yaw_roll_pitch_deg, ..._rad)")
     wanted = 3 if spec.order in (None, "xyz") else 4

@@ -232,9 +232,12 @@ def _absolute(
     """Quaternions q_NB (N, 4) from the attitude relative to the map's reference; NaN where unknown."""
     spec, stored, known = attitude
     q = np.full((time.size, 4), np.nan)
-    if spec.relative_to == "orbital":
+    if spec.reference in ("orbital", "NEC"):
         if r is None:
-            raise BadInput("an attitude relative to the orbital frame needs positions", where=where, wanted="a TLE")
+            what = "the orbital frame" if spec.reference == "orbital" else "north, east, centre"
+            raise BadInput(f"an attitude relative to {what} needs positions", where=where, wanted="a TLE")
+        known = known & np.isfinite(r).all(axis=1)
+    if spec.reference == "orbital" and r is not None:
         if v is None:
             v = velocity_from_positions(time, r)
             notices.append("the orbital frame of the attitude was found by differentiating the positions")
@@ -243,9 +246,12 @@ def _absolute(
     if rows.size == 0:
         return q
     R_BX = stored[rows].inv()
-    if spec.relative_to == "orbital" and r is not None and v is not None:
+    if spec.reference == "orbital" and r is not None and v is not None:
         R_XN = frames.rotation_ON(r[rows], v[rows])
+    elif spec.reference == "NEC" and r is not None:
+        R_EN = frames.rotation_EN(time[rows])
+        R_XN = frames.rotation_NEC_E(R_EN.apply(r[rows])) * R_EN
     else:
-        R_XN = rotation_from_N(str(spec.relative_to), time[rows])
+        R_XN = rotation_from_N(str(spec.reference), time[rows])
     q[rows] = frames.q_from_rotation(R_BX * R_XN)
     return q

@@ -35,6 +35,9 @@ class Source:
 def read_source(path: Path, entry: FileEntry, max_samples: int) -> Source:
     """Read the file or files of one entry; rows without a stamp are left out and counted."""
     parts = [_read_one(one, entry, max_samples) for one in matches(path, entry)]
+    for part in parts:
+        if Path(part.where) != path:  # one file of several: which?
+            part.notices[:] = [f"{Path(part.where).name}: {text}" for text in part.notices]
     source = parts[0]
     if len(parts) > 1:
         source = Source(
@@ -47,7 +50,7 @@ def read_source(path: Path, entry: FileEntry, max_samples: int) -> Source:
         )
     keep = ~np.isnat(source.time)
     if not keep.all():
-        source.notices.append(f"{source.where}: {int((~keep).sum())} rows without a time were left out")
+        source.notices.append(f"{Path(source.where).name}: {int((~keep).sum())} rows without a time were left out")
         _cut(source, np.flatnonzero(keep))
     if entry.sort:
         _sort(source)
@@ -90,14 +93,16 @@ class _Reader:
             )
         return np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
 
-    def times(self, recipe: TimeRecipe) -> TimeArray:
-        """UTC stamps by `recipe`."""
+    def times(self, recipe: TimeRecipe, notices: list[str]) -> TimeArray:
+        """UTC stamps by `recipe`; what was assumed of them goes to `notices`."""
         first = recipe.names[0]
         if recipe.recipe in ("iso", "cf"):
             if first not in self.known:
                 self.numbers([first])
             if recipe.recipe == "iso" and isinstance(self.file, CsvFile):
-                return telemetry_time.parse_iso(self.file.text(first), self.where)
+                text = self.file.text(first)
+                notices += telemetry_time.zone_assumed(text, first)
+                return telemetry_time.parse_iso(text, self.where)
             if recipe.recipe == "cf" and isinstance(self.file, NetcdfFile):
                 return self.file.times(first)
             raise BadInput(f"time recipe {recipe.recipe} does not fit this kind of file", where=self.where)
@@ -125,7 +130,7 @@ def _counted(raw: FloatArray, recipe: TimeRecipe) -> TimeArray:
 
 
 def _source(reader: _Reader, entry: FileEntry, notices: list[str], digest: str) -> Source:
-    time = reader.times(entry.time)
+    time = reader.times(entry.time, notices)
     if entry.time.offset_s:
         time = time + np.timedelta64(round(entry.time.offset_s * 1e9), "ns")
     values = {}
@@ -134,8 +139,9 @@ def _source(reader: _Reader, entry: FileEntry, notices: list[str], digest: str) 
         if len(value) != len(time):
             raise BadInput(f"{name} has {len(value)} rows, time has {len(time)}", where=reader.where)
         values[name] = _to_N(name, spec, time, value)
-    if "velocity" in values and entry.columns["velocity"].frame == "ITRS":
+    if "velocity" in values and entry.columns["velocity"].axes == "ITRS":
         values["velocity"] = _inertial_velocity(values, entry, time, reader.where)
+    notices += [text for name, spec in entry.columns.items() for text in spec.assumptions(name)]
     return Source(entry, reader.where, time, values, notices, [digest])
 
 
@@ -190,12 +196,12 @@ def _quaternion(value: FloatArray, spec: ColumnSpec, where: str) -> FloatArray:
 
 def _to_N(name: str, spec: ColumnSpec, time: TimeArray, value: FloatArray) -> FloatArray:
     """Positions and velocities in GCRS axes."""
-    if name not in ("position", "velocity") or spec.frame in (None, "GCRS"):
+    if name not in ("position", "velocity") or spec.axes in (None, "GCRS"):
         return value
     good = np.flatnonzero(np.isfinite(value).all(axis=1) & ~np.isnat(time))
     turned = np.full_like(value, np.nan)
     if good.size:
-        turned[good] = rotation_from_N(str(spec.frame), time[good]).apply(value[good], inverse=True)
+        turned[good] = rotation_from_N(str(spec.axes), time[good]).apply(value[good], inverse=True)
     return turned
 
 
@@ -224,7 +230,7 @@ def _sort(source: Source) -> None:
         same[1:] &= ((value[1:] == value[:-1]) | (np.isnan(value[1:]) & np.isnan(value[:-1]))).all(axis=1)
     _cut(source, np.flatnonzero(~same))
     if moved or same.any():
-        source.notices.append(f"{source.where}: sorted by time; {int(same.sum())} repeated rows dropped")
+        source.notices.append(f"{Path(source.where).name}: sorted by time; {int(same.sum())} repeated rows dropped")
 
 
 def require_increasing(source: Source) -> None:

@@ -19,6 +19,7 @@ from fluxtwin.sim import epoch, frames
 from fluxtwin.sim.errors import BadInput, OutOfRange
 from fluxtwin.sim.field_design import design_matrix
 from fluxtwin.sim.field_models import FieldModel, load_field
+from fluxtwin.sim.processes import stop_if_asked
 from fluxtwin.sim.types import FloatArray, TimeArray
 
 LOWEST_RADIUS_KM = 3485.0
@@ -120,6 +121,7 @@ def _terms(model: FieldModel, stamps: TimeArray) -> Iterator[tuple[_Rows, FloatA
 
 
 def _checked(time: TimeArray | np.datetime64, r_km: FloatArray) -> tuple[FloatArray, TimeArray]:
+    stop_if_asked()  # every verb that takes long comes through here, often
     r, stamps = _positions(r_km), epoch.as_times(time)
     if stamps.ndim != 1 or stamps.size not in (1, r.shape[0]):
         raise BadInput(

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fluxtwin.commands.options import DegreeOption, FieldOption, JsonOption, MapOption, MaxSamplesOption, TleOption
+from fluxtwin.commands.options import (
+    DegreeOption,
+    FieldOption,
+    ForceOption,
+    JsonOption,
+    MapOption,
+    MaxSamplesOption,
+    TleOption,
+)
 from fluxtwin.commands.reading import TelemetryArgument
 from fluxtwin.console import Output
 
@@ -29,6 +37,7 @@ def command(
     column_map: MapOption = None,
     tle: TleOption = None,
     max_samples: MaxSamplesOption = None,
+    force: ForceOption = False,
     json: JsonOption = None,
 ) -> None:
     """Name the traps: counts or mG sold as nT, wrong frames, transposed quaternions, time out of order.
@@ -39,7 +48,7 @@ def command(
     output = Output(json)
     with output.progress(f"checking {telemetry}") as progress:
         from fluxtwin import verbs
-        from fluxtwin.sim import check
+        from fluxtwin.sim import check, outputs
         from fluxtwin.sim.errors import BadInput
         from fluxtwin.sim.telemetry_csv import MAX_SAMPLES
 
@@ -49,6 +58,8 @@ def command(
                 where="--repair",
                 wanted="--repair without --map, on a file that has the columns of the contract",
             )
+        targets = {"--repair": (repair, outputs.TELEMETRY), "--json": (json, outputs.JSON)}
+        outputs.claim(targets, [telemetry, field, column_map, tle], force=force)
         model = verbs.as_model(field, degree)
         rows = max_samples or MAX_SAMPLES
         found = check.check_file(telemetry, model, column_map=column_map, tle=tle, max_samples=rows)

@@ -213,8 +213,13 @@ TRAPS: dict[str, tuple[Callable[[Telemetry], Telemetry], str, str]] = {
     "sunlit": (lambda t: t.replace(sunlit=1.0 - np.array(t.sunlit)), "sunlit_flag", "where geometry says"),
     "no fix": (no_fix, "position_inside_earth", "there was no fix"),
     "ten rows": (lambda t: t.select(slice(0, 10)), "too_few_samples", "10 rows have a reading"),
-    "other day": (
-        lambda t: t.replace(time=t.time + np.timedelta64(5 * 3600, "s"), q_NB=None), "field_mismatch", "wrong positions",
+    "time zone": (
+        lambda t: t.replace(time=t.time + np.timedelta64(5 * 3600, "s"), q_NB=None), "clock", "5 h too late",
+    ),
+    "positions of other rows": (
+        lambda t: t.replace(
+            r_N_km=np.random.default_rng(1).permutation(t.r_N_km), v_N_km_s=None, q_NB=None, sunlit=None
+        ), "field_mismatch", "wrong positions",
     ),
 }  # fmt: skip
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.field import field_E_nT
 from fluxtwin.sim.field_models import FieldModel, load_field
 from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.telemetry_io import read_telemetry
+from fluxtwin.sim.telemetry_io import as_path, read_telemetry
 
 if TYPE_CHECKING:
     from fluxtwin.calib.fit import Fit
@@ -41,7 +41,9 @@ def check(
     from fluxtwin.sim.check import check_file, check_telemetry
 
     model = as_model(field, degree)
-    return check_telemetry(telemetry, model) if isinstance(telemetry, Telemetry) else check_file(telemetry, model)
+    if isinstance(telemetry, Telemetry):
+        return check_telemetry(telemetry, model)
+    return check_file(as_path(telemetry), model)
 
 
 def calibrate(
@@ -61,16 +63,26 @@ def calibrate(
     """
     from fluxtwin.calib.methods import calibrate_by
 
-    given = [telemetry] if isinstance(telemetry, Telemetry | Path | str) else list(telemetry)
+    given = (
+        list(telemetry)
+        if isinstance(telemetry, Sequence | Iterator) and not isinstance(telemetry, str)
+        else [telemetry]
+    )
     method = options.pop("direction", None) if method is None else method
     return calibrate_by([as_record(one) for one in given], as_model(field, degree), method, **options)
 
 
-def apply(telemetry: Telemetry | Path | str, calibration: Calibration | Path | str) -> Telemetry:
-    """The record with (I + S) B + b + T D in place of its readings B. Missing rows stay missing."""
+def apply(
+    telemetry: Telemetry | Path | str, calibration: Calibration | Path | str, *, force: bool = False
+) -> Telemetry:
+    """The record with (I + S) B + b + T D in place of its readings B. Missing rows stay missing.
+
+    Raises BadInput for a record that is corrected already, and for a calibration of another spacecraft or another time;
+    force corrects it all the same.
+    """
     record = as_record(telemetry)
     known = calibration if isinstance(calibration, Calibration) else Calibration.from_toml(calibration)
-    return apply_calibration(record, known)
+    return apply_calibration(record, known, force=force)
 
 
 def field(

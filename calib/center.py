@@ -26,9 +26,15 @@ def center(data: ScalarData, a: FloatArray | None = None) -> FloatArray:
     return np.asarray(np.linalg.lstsq(gram, right, rcond=1e-10)[0])
 
 
-def center_terms(b: FloatArray, data: ScalarData) -> tuple[FloatArray, FloatArray]:
-    """Scores (N, 3) and their slope (3, 3): the error of b is slope^-1 times the sum of the scores."""
+def center_terms(
+    b: FloatArray, data: ScalarData, a: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Scores (N, 3), their slope (3, 3) and its factors (N, 3): the error of b is slope^-1 times the sum of the scores.
+
+    a: (N,) weights, one each where not given.
+    """
+    w = np.ones(len(data.H)) if a is None else a
     z = (data.B**2).sum(axis=1) - data.H**2
-    rows = 2.0 * (data.B - data.B.mean(axis=0))
-    left = z - z.mean() - rows @ b
-    return rows * left[:, None], np.asarray(rows.T @ rows)
+    rows = 2.0 * (data.B - w @ data.B / w.sum())
+    left = z - w @ z / w.sum() - rows @ b
+    return rows * (w * left)[:, None], np.asarray((rows * w[:, None]).T @ rows), rows

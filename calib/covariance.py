@@ -7,19 +7,14 @@ residual, and with it what the correction for noise in the reading adds. Under t
 is too little for it and the plain formula stands: Cov(rows i, j of M) = R_ij <x|x>^-1 / N, R the residual covariance,
 plus what the correction adds (Fuller 1987, Measurement Error Models, section 2.2, known error covariance).
 
-`blocks`: errors hang together. Where there are at least eight passes (stretches between gaps), or the record holds
-eight blocks of four times the memory of the residual, the delete-one-block jackknife; errors that are constant or
-smooth within a block widen the covariance as they should. A variance from G blocks is itself uncertain: sigma is
-multiplied by t/2, t the quantile of Student's law with G - 1 degrees of freedom that holds the probability of two
-sigma (95.4 %). A shorter record has no such blocks: `slow_errors` then weighs a white and a Gauss-Markov part by their
-restricted likelihood, with Student's factor for the slow part.
+`blocks`: correlated in time; see `stated`.
 
 Slopes here are stacked axis by axis: (row i of M, c_i) for i = x, y, z, with m + 1 numbers each.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,7 +25,9 @@ from fluxtwin.calib.regression import Regression
 from fluxtwin.sim.types import FloatArray, TimeArray
 
 FEWEST_BLOCKS = 8
-_MOST_BLOCKS = 200  # sigma is then known to 5 %; more would only cost time
+BLOCKS = (192, 128, 96, 64, 48, 32, 24, 16, 12, 8)
+"""How many blocks a record is cut into, in turn; with the first, sigma is known to 5 %."""
+_MOST_BLOCKS, _MOST_ASKED = 200, 1000
 _FEWEST_BATCHES = 20
 
 
@@ -115,69 +112,48 @@ def uncentred(stacked: FloatArray, mean_x: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (out + out.T))
 
 
-def jackknife_covariance(
-    y: FloatArray,
-    x: FloatArray,
-    a: FloatArray,
-    grouped: Blocks,
-    solve: Callable[[FloatArray, FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]],
-) -> FloatArray:
-    """(3(m+1), 3(m+1)) covariance of stacked slopes: every block left out once.
-
-    y: (N, 3), x: (N, m), a: (N,) weights of sum 1; `solve(xx, yx, mean_x, mean_y)` gives (M, c).
-    """
-    centre_x, centre_y = a @ x, a @ y
-    m = x.shape[1]
-    total = np.zeros((grouped.count, 1 + m + 3, 1 + m + 3))
-    order = np.argsort(grouped.of_row, kind="stable")
-    edges = np.searchsorted(grouped.of_row[order], np.arange(grouped.count + 1))
-    for block in range(grouped.count):
-        at = order[edges[block] : edges[block + 1]]
-        z = np.hstack([np.ones((at.size, 1)), x[at] - centre_x, y[at] - centre_y])
-        total[block] = (z * a[at, None]).T @ z
-    everything = total.sum(axis=0)
-    estimates = []
-    for block in range(grouped.count):
-        left = everything - total[block]
-        left = left / left[0, 0]
-        mean_x, mean_y = left[0, 1 : m + 1], left[0, m + 1 :]
-        xx = left[1 : m + 1, 1 : m + 1] - np.outer(mean_x, mean_x)
-        yx = left[m + 1 :, 1 : m + 1] - np.outer(mean_y, mean_x)
-        M, c = solve(xx, yx, mean_x, mean_y)
-        estimates.append(np.hstack([M, (c + centre_y - M @ centre_x)[:, None]]).ravel())
-    deviation = np.array(estimates) - np.mean(estimates, axis=0)
-    widened = small_sample(grouped.count) ** 2
-    return np.asarray(widened * (grouped.count - 1) / grouped.count * deviation.T @ deviation)
-
-
 def small_sample(count: float) -> float:
     """t/2: what sigma from `count` blocks must be multiplied by so that two sigma hold 95.4 %."""
     return float(stdtrit(float(count) - 1.0, float(ndtr(2.0)))) / 2.0
 
 
-def make_blocks(
-    time: TimeArray, memory_s: float, passes: np.ndarray | None = None, block_s: float | None = None
-) -> Blocks:
-    """Group rows: by the passes given; else by gaps in time, cut to stretches of `block_s`.
-
-    Without `block_s`, the stretches between gaps are kept whole when there are at least eight of them, and cut to
-    four times `memory_s`, the memory of the residual, otherwise.
-    """
-    if passes is not None:
-        _, of_row = np.unique(passes, return_inverse=True)
-        return Blocks(of_row, int(of_row.max()) + 1, "passes as given")
-    seconds = (time - time[0]).astype("int64") * 1e-9
+def make_blocks(time: TimeArray, memory_s: float) -> Blocks:
+    """Rows between gaps in time where there are at least eight such stretches, else cut to four times `memory_s`."""
     segment = segments(time, 1.5 * memory_s)
     count = int(segment[-1]) + 1
-    if block_s is None and count >= FEWEST_BLOCKS:
+    if count >= FEWEST_BLOCKS:
         return Blocks(segment, count, "passes separated by gaps in time")
-    length = max(4.0 * memory_s, observed_s(time, segment) / _MOST_BLOCKS) if block_s is None else block_s
-    start = np.concatenate([[0.0], seconds[1:][np.diff(segment) > 0]])[segment]
-    piece = np.floor((seconds - start) / length).astype(int)
-    _, of_row = np.unique(segment * (int(piece.max()) + 1) + piece, return_inverse=True)
-    kind = "as asked" if block_s is not None else "four times the memory of the residual"
-    words = f"stretches of {length:.0f} s, {kind}"
-    return Blocks(of_row, int(of_row.max()) + 1, words)
+    length = max(4.0 * memory_s, observed_s(time, segment) / _MOST_BLOCKS)
+    of_row = _cut(time, segment, length)
+    return Blocks(of_row, int(of_row.max()) + 1, f"stretches of {length:.0f} s, four times the memory of the residual")
+
+
+def groupings(
+    time: TimeArray, segment: np.ndarray, passes: np.ndarray | None = None, block_s: float | None = None
+) -> Iterator[tuple[np.ndarray, str]]:
+    """(N,) block of each row and what a block is, from short blocks to long ones; as asked where it is."""
+    if passes is not None:
+        yield np.unique(passes, return_inverse=True)[1], "passes as given"
+    elif block_s is not None:
+        length = max(block_s, observed_s(time, segment) / _MOST_ASKED)
+        yield _cut(time, segment, length), f"stretches of {length:.6g} s, as asked"
+    else:
+        covered_s = observed_s(time, segment)
+        for count in BLOCKS:
+            of_row = _cut(time, segment, covered_s / count)
+            if 0 < int(segment[-1]) == int(of_row.max()):
+                break  # longer than every pass
+            yield of_row, f"stretches of {covered_s / count:.0f} s"
+        if int(segment[-1]) + 1 >= FEWEST_BLOCKS:
+            yield segment, "passes separated by gaps in time"
+
+
+def _cut(time: TimeArray, segment: np.ndarray, length_s: float) -> np.ndarray:
+    """(N,) numbers of pieces of that length, none across a change of segment."""
+    seconds = (time - time[0]).astype("int64") * 1e-9
+    start = seconds[np.searchsorted(segment, segment)]
+    piece = np.floor((seconds - start) / length_s + 1e-9).astype(np.int64)
+    return np.asarray(np.unique(np.stack([segment, piece]), axis=1, return_inverse=True)[1].ravel())
 
 
 def observed_s(time: TimeArray, segment: np.ndarray) -> float:

@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from fluxtwin.calib.error_model import ErrorModel
 from fluxtwin.calib.noise import ReadingNoise
 from fluxtwin.calib.observability import FieldVariation
 from fluxtwin.calib.records import Calibration, parameter_unit
 from fluxtwin.calib.residuals import ResidualStatistics
+from fluxtwin.calib.verdict import Verdict
 from fluxtwin.sim.types import FloatArray, TimeArray
 
 
@@ -42,6 +44,10 @@ class Fit:
     """Of the residuals with weight."""
     messages: tuple[str, ...]
     """What a person should know, in sentences."""
+    error_model: ErrorModel | None = None
+    """What the residuals were taken to be made of; None where only white errors were."""
+    verdict: Verdict | None = None
+    """What the fit is worth; given by `methods.calibrate_by` and `fluxtwin.calibrate`."""
 
     @property
     def condition_number(self) -> float:
@@ -86,5 +92,7 @@ class Fit:
                 "words": list(self.observability),
             },
             "noise": {"variance_nT2": self.noise.variance_nT2.tolist(), "source": self.noise.source},
+            "error_model": None if self.error_model is None else self.error_model.to_dict(),
             "messages": list(self.messages),
+            "verdict": None if self.verdict is None else self.verdict.to_dict(),
         }

@@ -19,6 +19,15 @@ PARAMETERS = ("b", "b,S", "b,S,T")
 DIRECTIONS = ("linear", "forward")
 
 
+LEAST_BLOCK_S = 1e-3
+
+
+def require_block(block_s: float | None) -> None:
+    """Raises BadInput for a length that no block can have."""
+    if block_s is not None and not LEAST_BLOCK_S <= block_s < np.inf:
+        raise BadInput(f"{block_s!r}", where="block_s", wanted=f"seconds, at least {LEAST_BLOCK_S:g}")
+
+
 @dataclass(frozen=True)
 class Options:
     """How the regression is done; see `calibrate_linear`."""
@@ -29,9 +38,12 @@ class Options:
     noise_nT: float | FloatArray | None = None
     lsb_nT: float | FloatArray | None = None
     robust: str | None = None
+    """`huber`, `tukey`; None: all rows alike."""
     covariance: str = "blocks"
     block_s: float | None = None
     field_error_nT: float | None = None
+    attitude_sigma_deg: float | None = None
+    attitude_tau_s: float | None = None
 
     def __post_init__(self) -> None:
         _one_of(self.parameters, PARAMETERS, "parameters")
@@ -43,8 +55,13 @@ class Options:
                 where="errors_in_variables",
                 wanted="direction linear, or the correction off",
             )
-        if self.block_s is not None and not self.block_s > 0:
-            raise BadInput(f"{self.block_s!r}", where="block_s", wanted="seconds, positive")
+        require_block(self.block_s)
+        for name, low in (("attitude_sigma_deg", 1e-6), ("attitude_tau_s", 0.0)):
+            value = getattr(self, name)
+            if value is not None and not low <= value < 1e9:
+                raise BadInput(f"{value!r}", where=name, wanted="degrees, positive" if low else "seconds, not negative")
+        if self.attitude_sigma_deg is not None and not self.attitude_sigma_deg < 90.0:
+            raise BadInput(f"{self.attitude_sigma_deg!r}", where="attitude_sigma_deg", wanted="degrees, below 90")
         if self.field_error_nT is not None and not 0 <= self.field_error_nT < np.inf:
             raise BadInput(f"{self.field_error_nT!r}", where="field_error_nT", wanted="nT, not negative")
 

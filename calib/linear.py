@@ -18,6 +18,7 @@ import numpy as np
 from fluxtwin.calib import observability as seen
 from fluxtwin.calib.conventions import Forward, correction_from_forward
 from fluxtwin.calib.design import Design, assemble, joined
+from fluxtwin.calib.digits import plain
 from fluxtwin.calib.job import DIRECTIONS, PARAMETERS, Job, Options, Solution, corrected
 from fluxtwin.calib.linear_fit import LinearFit
 from fluxtwin.calib.moments import covariance_of
@@ -25,7 +26,7 @@ from fluxtwin.calib.noise import reading_noise
 from fluxtwin.calib.records import Calibration
 from fluxtwin.calib.regression import regress, residuals
 from fluxtwin.calib.residuals import residual_statistics
-from fluxtwin.calib.robust import robust_weights
+from fluxtwin.calib.robust import kind_of, robust_weights
 from fluxtwin.calib.stated import stated_covariance
 from fluxtwin.calib.suspicion import suspicions
 from fluxtwin.sim.errors import BadInput
@@ -46,27 +47,31 @@ def calibrate_linear(
     noise_nT: float | FloatArray | None = None,
     lsb_nT: float | FloatArray | None = None,
     weights: FloatArray | None = None,
-    robust: str | bool | None = None,
+    robust: str | bool = "tukey",
     covariance: str = "blocks",
     passes: np.ndarray | None = None,
     block_s: float | None = None,
     field_error_nT: float | None = None,
+    attitude_sigma_deg: float | None = None,
+    attitude_tau_s: float | None = None,
 ) -> LinearFit:
     """Calibrate one or several records against `model` and their reference attitude.
 
-    parameters: `b`, `b,S` or `b,S,T`. errors_in_variables: None is on for `linear`. noise_nT, lsb_nT: of the
-    reading, scalar or per axis; found in the data when not given. weights: (N,) of the joined rows (journal
-    eq. 4, any scale). robust: None, `huber`, `tukey`; True is `tukey`. covariance: `blocks`, which allows for errors
-    that hang together in time (see `covariance`), or `white`; `passes`: (N,) labels of the joined rows, or `block_s`
-    seconds, say what a block is. field_error_nT: rms an axis of the error of the field model, with a memory of a
-    radian of the orbit, which is added to the covariance; nothing is added when not given.
+    parameters: `b`, `b,S` or `b,S,T`. errors_in_variables: None is on for `linear`; takes out the attenuation of S by
+    noise of the reading, and the shortening by errors of the attitude. noise_nT, lsb_nT: of the reading, scalar or per
+    axis; found in the data when not given. weights: (N,) of the joined rows (journal eq. 4, any scale). robust: weights
+    that outliers do not move, `tukey`, `huber` or `none`. covariance: `blocks`, which allows for errors that are
+    correlated in time (see `stated`), or `white`; `passes`: (N,) labels of the joined rows, or `block_s` seconds, say
+    what a block is. field_error_nT: rms an axis of the error of the field model, with a memory of a radian of the
+    orbit, which is added to the covariance; nothing is added when not given. attitude_sigma_deg, attitude_tau_s: error
+    of the reference attitude, 1 sigma per body axis, and its time constant (0: white); found in the data when not given.
 
     Raises BadInput for unknown options and absent columns, OutOfRange for epochs outside the model, NoAnswer,
     naming the parameters, when the data do not determine them.
     """
     options = Options(
-        parameters, direction, errors_in_variables, noise_nT, lsb_nT, "tukey" if robust is True else robust or None,
-        covariance, block_s, field_error_nT,
+        parameters, direction, errors_in_variables, noise_nT, lsb_nT, kind_of(robust),
+        covariance, block_s, field_error_nT, attitude_sigma_deg, attitude_tau_s,
     )  # fmt: skip
     telemetry = joined(records)
     design = assemble(telemetry, model, with_dipole="T" in parameters)
@@ -134,8 +139,18 @@ def _solve_b(job: Job) -> Solution:
 
 
 def _solve(job: Job) -> Solution:
+    solution = _regressed(job, np.zeros(3))
+    if job.options.errors_in_variables is False:
+        return solution
+    short = _shortening(job, solution.residual_nT)
+    return solution if short is None else _regressed(job, short)
+
+
+def _regressed(job: Job, longer_nT: FloatArray) -> Solution:
+    """longer_nT: (N, 3) or (3,) by how much errors of the attitude shorten the mean of the reference field."""
     design, linear = job.design, job.options.direction == "linear"
-    y, x = (design.H_nT, design.B_nT) if linear else (design.B_nT, design.H_nT)
+    # On the right side it is the true field given the reference that falls short.
+    y, x = (design.H_nT + longer_nT, design.B_nT) if linear else (design.B_nT, design.H_nT - longer_nT)
     fit = regress(y, [x, *job.dipole], job.a)
     variance = job.noise.variance_nT2
     sigma_nT = float(np.sqrt(np.trace(fit.rr) / 3.0))
@@ -148,10 +163,30 @@ def _solve(job: Job) -> Solution:
         # <y|x> (<x|x> - Sigma)^-1 = M + (M Sigma) (<x|x> - Sigma)^-1: keeps the digits of the regression
         step, offset = corrected(fit.xx, fit.M @ job.noise_xx, fit.mean_x, np.zeros(3), job.noise_xx)
         M, c, shift = fit.M + step, fit.c + offset, step[:, :3]
+    y, x = (design.H_nT, design.B_nT) if linear else (design.B_nT, design.H_nT)
     own = residuals(y, [x, *job.dipole], M, c)
     calibration = _calibration(job, M, c)
     true_side = own if linear else design.H_nT - calibration.apply(design.B_nT, design.D_Am2)
     return Solution(fit, M, c, calibration, true_side, own, shift)
+
+
+def _shortening(job: Job, residual_nT: FloatArray) -> FloatArray | None:
+    """(N, 3) by how much an error of the attitude shortens what it turns: |r across|^2 / (2 |B0|) along the field.
+
+    A turn keeps the length, so that the mean of the turned field falls short: S11 + S22 + S33 of half a degree by
+    1e-4, many of its sigmas. What white noise adds to the square is off it; None where no more than that is there.
+    """
+    H = job.design.H_nT
+    size2 = np.maximum((H**2).sum(axis=1), 1e-6)
+    along = np.einsum("ij,ij->i", residual_nT, H)
+    variance = job.noise.variance_nT2
+    noise = variance.sum() - (H**2 @ variance) / size2
+    across = (residual_nT**2).sum(axis=1) - along**2 / size2
+    share = (across - noise) / (2.0 * size2)
+    mean = float(job.weights @ share)
+    if mean < 3.0 * float(np.sqrt(job.weights @ (share - mean) ** 2 / job.effective)):
+        return None
+    return np.asarray(H * share[:, None])
 
 
 def _calibration(job: Job, M: FloatArray, c: FloatArray) -> Calibration:
@@ -171,7 +206,11 @@ def _report(job: Job, solution: Solution, model_name: str, passes: np.ndarray | 
     covariance = stated.covariance
     per_axis = 1 if solution.fit is None else solution.fit.xx.shape[0] + 1
     free = job.effective / max(job.effective - per_axis, 1e-9)
-    sigma_nT = float(np.sqrt(np.trace(job.mean_square(solution.residual_nT)) / 3.0 * free))
+    kept = slice(None) if job.robust is None else job.robust.weights >= 0.01
+    square = float(np.trace(job.mean_square(solution.residual_nT))) / 3.0
+    if job.robust is not None:  # the weights shrink the tails of sound rows, too
+        square = float((solution.residual_nT[kept] ** 2).mean())
+    sigma_nT = float(np.sqrt(square * free))
     variation = seen.field_variation(covariance_of(design.B_nT, job.a))
     words = seen.never_fired_words(job.fired) if design.D_Am2 is not None else []
     if options.parameters != "b":
@@ -192,7 +231,6 @@ def _report(job: Job, solution: Solution, model_name: str, passes: np.ndarray | 
         method=_method_words(options),
         unobservable=tuple(words),
     )
-    kept = slice(None) if job.robust is None else job.robust.weights >= 0.01
     return LinearFit(
         calibration=calibration,
         method=options.direction,
@@ -207,6 +245,7 @@ def _report(job: Job, solution: Solution, model_name: str, passes: np.ndarray | 
         eiv_shift=solution.eiv_shift,
         statistics=residual_statistics(design.time[kept], solution.residual_nT[kept]),
         messages=(*_messages(job, solution, variation), *stated.messages),
+        error_model=stated.errors,
     )
 
 
@@ -216,12 +255,12 @@ def _messages(job: Job, solution: Solution, variation: seen.FieldVariation) -> t
     if job.options.corrects:
         out.append(
             "S corrected for the noise of the reading (errors in variables): largest change "
-            f"{np.abs(solution.eiv_shift).max():.2g}"
+            f"{plain(float(np.abs(solution.eiv_shift).max()), 2)}"
         )
-    if job.robust is not None:
+    if job.robust is not None and job.robust.rejected:
         out.append(f"robust weights ({job.options.robust}): {job.robust.rejected} rows set aside")
     if job.options.parameters != "b":
-        out.append(f"{variation.words()}; condition number {variation.condition_number:.3g}")
+        out.append(f"{variation.words()}; condition number {plain(variation.condition_number)}")
     return tuple(out)
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from fluxtwin.calib.design import joined
 from fluxtwin.calib.fit import Fit
+from fluxtwin.calib.verdict import judge
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.field import FieldModel
 from fluxtwin.sim.telemetry import Telemetry
@@ -16,7 +18,8 @@ WITHOUT_ATTITUDE = ("center", "twostep", "scalar")
 SPINNING = ("iterative", "batch")
 METHODS = (*WITH_ATTITUDE, *WITHOUT_ATTITUDE, *SPINNING)
 _OF_SPINNERS = ("sun_sigma_deg", "sun_alignment_deg", "inertia_ratio", "torque_walk_rad_s")
-_OF_REGRESSIONS = ("robust", "block_s", "field_error_nT", "passes")
+_OF_REGRESSIONS = ("block_s", "field_error_nT", "passes")
+_OF_ATTITUDE = ("attitude_sigma_deg", "attitude_tau_s")
 
 
 def default_method(records: Telemetry | Sequence[Telemetry]) -> str:
@@ -40,6 +43,25 @@ def calibrate_by(
         raise BadInput(f"{method!r} is no method", where="--method", wanted=" or ".join(METHODS))
     chosen = default_method(records) if method is None else method
     given = {name: value for name, value in options.items() if value is not None}
+    telemetry = joined(records)
+    fit = _named(_fit(telemetry, model, chosen, given), telemetry)
+    sigma_deg, reference = given.get("attitude_sigma_deg"), chosen in WITH_ATTITUDE
+    return replace(fit, verdict=judge(fit, telemetry, attitude_sigma_deg=sigma_deg, against_attitude=reference))
+
+
+def _named(fit: Fit, telemetry: Telemetry) -> Fit:
+    """The fit with whose magnetometer it is, and by what its readings had been corrected."""
+    calibration = replace(fit.calibration, spacecraft=telemetry.spacecraft, residual_to=telemetry.corrected_by)
+    if not telemetry.corrected_by:
+        return replace(fit, calibration=calibration)
+    residual = (
+        f"the readings are corrected already (by {telemetry.corrected_by}): S, b and T are what that calibration has left, "
+        "and act on readings that it has corrected"
+    )
+    return replace(fit, calibration=calibration, messages=(residual, *fit.messages))
+
+
+def _fit(records: Telemetry, model: FieldModel, chosen: str, given: dict[str, Any]) -> Fit:
     if chosen in SPINNING:
         return _calibrate_spinner(records, model, chosen, given)
     _refuse(given, _OF_SPINNERS, chosen, "batch")
@@ -50,7 +72,7 @@ def calibrate_by(
         return calibrate_linear(records, model, direction=chosen, **given)
     from fluxtwin.calib.scalar import calibrate_scalar
 
-    _refuse(given, ("errors_in_variables", "weights", "direction"), chosen, "linear")
+    _refuse(given, ("errors_in_variables", "weights", "direction", *_OF_ATTITUDE), chosen, "linear")
     return calibrate_scalar(records, model, method=chosen, **given)
 
 
@@ -59,7 +81,7 @@ def _calibrate_spinner(
 ) -> Fit:
     from fluxtwin.calib.spin import calibrate_spin
 
-    _refuse(given, ("errors_in_variables", "weights", "direction", *_OF_REGRESSIONS), method, "linear")
+    _refuse(given, ("errors_in_variables", "weights", "direction", *_OF_REGRESSIONS, *_OF_ATTITUDE), method, "linear")
     _refuse(given, ("telemetry_bias",), method, "scalar")
     parameters = given.pop("parameters", "b,S")
     if parameters != "b,S":
@@ -73,6 +95,8 @@ def _refuse(given: dict[str, Any], names: tuple[str, ...], method: str, other: s
         if value is not None and not (isinstance(value, tuple | list) and not value):
             option = name.replace("_", "-")
             raise BadInput(
-                f"method {method} does not take it", where=f"--{option}", wanted=f"method {other}, or leave it out"
+                f"the method {method} has no use for it",
+                where=f"--{option}",
+                wanted=f"--method {other}, or leave it out",
             )
         given.pop(name, None)

@@ -22,6 +22,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from fluxtwin.calib.design import Design
+from fluxtwin.calib.digits import measured, plain
 from fluxtwin.calib.moments import stretches
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.types import FloatArray, TimeArray
@@ -104,10 +105,10 @@ def reading_noise(
     hidden = max(0.0, whole_nT2 - float(((unit**2) @ variance).mean()))
     # Anything from none of it to all of it may be noise of the reading: a uniform law of that width.
     covariance = covariance + np.full((3, 3), hidden**2 / 12.0)
-    words = (
-        f"{_three(np.sqrt(variance))} nT from short differences of the residual, taken for white, axis by axis; "
-        f"1 sigma of the variances {_three(np.sqrt(np.diag(covariance)))} nT2; {lsb_words}"
-    )
+    sigma = np.sqrt(variance)
+    unsure = np.sqrt(np.diag(covariance)) / (2.0 * np.maximum(sigma, 1e-9))
+    sizes = " / ".join(measured(float(s), float(u)) for s, u in zip(sigma, unsure, strict=True))
+    words = f"{sizes} nT from short differences of the residual, taken for white, axis by axis; {lsb_words}"
     return ReadingNoise(variance, words, covariance)
 
 
@@ -185,4 +186,5 @@ def _grid_step(values: FloatArray) -> float:
 
 
 def _three(values: FloatArray) -> str:
-    return f"{values[0]:.4g}" if np.ptp(values) <= 0.01 * values.max() else "/".join(f"{v:.4g}" for v in values)
+    alike = np.ptp(values) <= 0.01 * values.max()
+    return plain(float(values[0])) if alike else "/".join(plain(float(value)) for value in values)

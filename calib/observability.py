@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fluxtwin.calib.digits import plain
 from fluxtwin.calib.moments import second_moment
 from fluxtwin.calib.records import parameter_names
 from fluxtwin.sim.constants import NT_PER_MG
@@ -45,7 +46,9 @@ class FieldVariation:
 
     def words(self) -> str:
         """One line a person can read."""
-        parts = (f"{r:.4g} nT along {direction_words(v)}" for r, v in zip(self.rms_nT, self.directions_B, strict=True))
+        parts = (
+            f"{plain(r)} nT along {direction_words(v)}" for r, v in zip(self.rms_nT, self.directions_B, strict=True)
+        )
         return "the field varies by " + ", ".join(parts) + " (rms, body axes)"
 
 
@@ -176,7 +179,7 @@ def _refuse(v: FloatArray, fired: np.ndarray, moves_nT: float, relative: float, 
 
 
 def pair_words(covariance: FloatArray, with_T: bool, field_rms_nT: float, sigma_nT: float) -> list[str]:
-    """Sentences for pairs of parameters that the data hardly separate, worst first.
+    """A sentence for pairs of parameters that the data hardly separate; the worst is named.
 
     A pair is named when its correlation is at least 0.95 and the weaker one's sigma matters: an error of one
     sigma in S (times the rms field) or in b is larger than the residual's sigma.
@@ -194,7 +197,15 @@ def pair_words(covariance: FloatArray, with_T: bool, field_rms_nT: float, sigma_
                 sizes = f"sigma {_sized(names[i], sigma[i])}, {_sized(names[j], sigma[j])}"
                 found.append((abs(correlation), f"{names[i]} and {names[j]} are not separable in this data: "
                               f"correlation {correlation:.3f}, {sizes}"))  # fmt: skip
-    return [words for _, words in sorted(found, reverse=True)]
+    return worst_of(found)
+
+
+def worst_of(found: list[tuple[float, str]]) -> list[str]:
+    """One sentence of many on correlated pairs: that of the largest correlation, and how many pairs there are."""
+    if not found:
+        return []
+    more = f"; {len(found) - 1} more pairs with a correlation of {HARDLY_SEPARABLE} or more" if len(found) > 1 else ""
+    return [max(found)[1] + more]
 
 
 def weak_direction_words(variation: FieldVariation, covariance: FloatArray, sigma_nT: float) -> list[str]:
@@ -207,7 +218,7 @@ def weak_direction_words(variation: FieldVariation, covariance: FloatArray, sigm
     axis = int(np.argmax(np.abs(weak)))
     names = f"S1{axis + 1}, S2{axis + 1}, S3{axis + 1}"
     return [
-        f"the field varies by only {variation.rms_nT[0]:.4g} nT along {direction_words(weak)}: {names} are weak, "
+        f"the field varies by only {plain(float(variation.rms_nT[0]))} nT along {direction_words(weak)}: {names} are weak, "
         f"sigma {worst:.2g}"
     ]
 

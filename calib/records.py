@@ -71,6 +71,12 @@ class Calibration:
     """In words: what these data cannot tell."""
     telemetry_bias: Mapping[str, TelemetryBias] = field(default_factory=dict)
     """By column of telemetry: field s I in the reading that is taken out before S, b and T act. Not in `covariance`."""
+    spacecraft: str = ""
+    """Whose magnetometer it is; empty where the telemetry did not say."""
+    residual_to: str = ""
+    """The calibration that had corrected the readings before; empty for a calibration of raw readings."""
+    version: str = ""
+    """Of fluxtwin, that made it."""
 
     def __post_init__(self) -> None:
         _set(self, "S", self.S, (3, 3))
@@ -172,8 +178,15 @@ class Calibration:
     def _no_T(self) -> bool:
         return self.T_nT_per_Am2 is None or not self.T_nT_per_Am2.any()
 
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the content, as the calibration file states it."""
+        from fluxtwin.calib.calibration_file import digest_of, file_content
+
+        return digest_of(file_content(self))
+
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and text under the names of the calibration file; no NaN."""
+        """Plain numbers and text by name, S, b and T as arrays; no NaN."""
         from fluxtwin.calib.calibration_file import calibration_to_dict
 
         return calibration_to_dict(self)

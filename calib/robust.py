@@ -24,9 +24,17 @@ KINDS = ("huber", "tukey")
 _MAD_TO_SIGMA = 1.482602218505602
 _HUBER_AT = 2.0
 """In sigma of the three-component distance: 74 % of a Gaussian lies inside, efficiency 96 %."""
-_TUKEY_AT = 6.0
+TUKEY_AT = 6.0
 """Efficiency for three Gaussian components 95 %; weight zero beyond six sigma."""
 _ROUNDS = 50
+
+
+def kind_of(asked: str | bool | None) -> str | None:
+    """`tukey` where nothing is asked for, None for `none`; raises BadInput for another kind."""
+    kind = "tukey" if asked is None or asked is True else "none" if asked is False else asked
+    if kind not in (*KINDS, "none"):
+        raise BadInput(f"{kind!r}", where="robust", wanted=" or ".join((*KINDS, "none")))
+    return None if kind == "none" else kind
 
 
 @dataclass(frozen=True)
@@ -53,20 +61,20 @@ def robust_weights(start_nT: FloatArray, refit: Callable[[FloatArray], FloatArra
     weights = np.ones(len(r))
     for stage in ("huber", "tukey") if kind == "tukey" else ("huber",):
         for _ in range(_ROUNDS):
-            new, _ = _weigh(_distance(r), stage)
+            new, _ = _weigh(robust_distance(r), stage)
             r = refit(new)
             moved = float(np.abs(new - weights).max())
             weights = new
             if moved < 1e-3:
                 break
-    distance = _distance(r)
+    distance = robust_distance(r)
     weights, slope = _weigh(distance, kind)
     # E[psi'] of a radial influence w(d) r in n dimensions is w + w'(d) d / n
     sharpness = float((weights + slope * distance / r.shape[1]).mean() / weights.mean())
     return RobustWeights(weights, sharpness, int((weights < 0.01).sum()))
 
 
-def _distance(r: FloatArray) -> FloatArray:
+def robust_distance(r: FloatArray) -> FloatArray:
     """(N,) size of the residual vector in units of each axis's own robust sigma."""
     sigma = _MAD_TO_SIGMA * np.median(np.abs(r - np.median(r, axis=0)), axis=0)
     floor = max(1e-6 * float(np.abs(r).max()), 1e-12)  # more than half of an axis may sit on one LSB
@@ -80,5 +88,5 @@ def _weigh(distance: FloatArray, kind: str) -> tuple[FloatArray, FloatArray]:
         outside = distance > _HUBER_AT
         safe = np.where(outside, distance, _HUBER_AT)
         return np.where(outside, _HUBER_AT / safe, 1.0), np.where(outside, -_HUBER_AT / safe**2, 0.0)
-    u = np.minimum(distance / _TUKEY_AT, 1.0)
-    return (1.0 - u**2) ** 2, -4.0 * u * (1.0 - u**2) / _TUKEY_AT
+    u = np.minimum(distance / TUKEY_AT, 1.0)
+    return (1.0 - u**2) ** 2, -4.0 * u * (1.0 - u**2) / TUKEY_AT

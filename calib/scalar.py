@@ -21,11 +21,12 @@ from fluxtwin.calib import observability as seen
 from fluxtwin.calib import scalar_words as words
 from fluxtwin.calib.center import center, center_terms
 from fluxtwin.calib.design import joined
+from fluxtwin.calib.job import require_block
 from fluxtwin.calib.moments import covariance_of
 from fluxtwin.calib.noise import ReadingNoise
 from fluxtwin.calib.records import Calibration
 from fluxtwin.calib.residuals import residual_statistics
-from fluxtwin.calib.robust import RobustWeights, robust_weights
+from fluxtwin.calib.robust import RobustWeights, kind_of, robust_weights
 from fluxtwin.calib.scalar_covariance import Scores, field_error_covariance, scores_of, stated_scalar_covariance
 from fluxtwin.calib.scalar_fit import NO_ROTATION, ScalarFit, file_parameters, hardly_separable, telemetry_biases
 from fluxtwin.calib.scalar_ml import Solved, Sums, add_up, solve
@@ -73,16 +74,13 @@ class ScalarOptions:
         ):  # fmt: skip
             if getattr(self, name) not in allowed:
                 raise BadInput(f"{getattr(self, name)!r}", where=name, wanted=" or ".join(map(repr, allowed)))
-        if self.block_s is not None and not self.block_s > 0:
-            raise BadInput(f"{self.block_s!r}", where="block_s", wanted="seconds, positive")
+        require_block(self.block_s)
         if self.field_error_nT is not None and not 0 <= self.field_error_nT < np.inf:
             raise BadInput(f"{self.field_error_nT!r}", where="field_error_nT", wanted="nT, not negative")
         if self.method == "center" and self.parameters != "b":
             raise BadInput(f"{self.parameters!r}", where="parameters", wanted="'b': CENTER finds the bias alone")
         if self.method != "scalar" and "T" in self.parameters:
             raise BadInput("T", where="parameters", wanted="method scalar, which alone takes the torquers")
-        if self.method != "scalar" and self.robust is not None:
-            raise BadInput(f"{self.robust!r}", where="robust", wanted="method scalar, which alone takes robust weights")
 
 
 class ScalarJob(NamedTuple):
@@ -119,7 +117,7 @@ def calibrate_scalar(
     telemetry_bias: Sequence[str] = (),
     noise_nT: float | FloatArray | None = None,
     lsb_nT: float | FloatArray | None = None,
-    robust: str | bool | None = None,
+    robust: str | bool = "tukey",
     covariance: str = "blocks",
     passes: np.ndarray | None = None,
     block_s: float | None = None,
@@ -136,7 +134,7 @@ def calibrate_scalar(
     the parameters and the null direction, when the data do not determine them or two solutions fit alike.
     """
     wanted = parameters or ("b" if method == "center" else "b,S")
-    kind = "tukey" if robust is True else robust or None
+    kind = kind_of(robust)
     options = ScalarOptions(method, wanted, noise_nT, lsb_nT, kind, covariance, block_s, field_error_nT)
     if telemetry_bias and method != "scalar":
         raise BadInput(", ".join(telemetry_bias), where="telemetry_bias", wanted="method scalar")
@@ -227,19 +225,19 @@ def _first(job: ScalarJob, start: FloatArray) -> tuple[Solved, RobustWeights | N
 def _estimate(job: ScalarJob, first: Solved, robust: RobustWeights | None) -> tuple[Solved, list[str]]:
     """The method's own answer, with what is to be said about the way to it."""
     data, method = job.data, job.options.method
+    a, sharpness = (None, 1.0) if robust is None else (robust.weights, robust.sharpness)
     if method == "center":
-        p = center(data)
-        return Solved(p, add_up(p, data), True, 1), []
+        p = center(data, a)
+        return Solved(p, add_up(p, data, a), True, 1), []
     notes = []
-    step = twostep(data._replace(columns=data.columns[:, :0]))
+    step = twostep(data._replace(columns=data.columns[:, :0]), a)
     if data.with_D and step.centred_eigenvalue < 0.5:
         notes.append(words.trivial(data))
     if method == "twostep":
         if not step.converged:
             raise NoAnswer(words.not_settled("TWOSTEP"), evidence={"b_nT": (-step.b * job.scale_nT).tolist()})
         p = pack(step.D, step.b, data)
-        return Solved(p, add_up(p, data), True, 1), notes
-    a, sharpness = (None, 1.0) if robust is None else (robust.weights, robust.sharpness)
+        return Solved(p, add_up(p, data, a), True, 1), notes
     found = [solve(first.p, data, a, sharpness=sharpness)]
     if step.converged:
         found.append(solve(pack(step.D, step.b, data), data, a, sharpness=sharpness))
@@ -250,11 +248,12 @@ def _estimate(job: ScalarJob, first: Solved, robust: RobustWeights | None) -> tu
 
 
 def _scores(job: ScalarJob, solved: Solved, robust: RobustWeights | None) -> Scores:
-    if job.options.method == "center":
-        rows, slope = center_terms(solved.p, job.data)
-        half = 2.0 * (job.data.B - job.data.B.mean(axis=0))
-        return Scores(rows, slope, -2.0 * half * job.data.H[:, None], half)
     a, sharpness = (None, 1.0) if robust is None else (robust.weights, robust.sharpness)
+    if job.options.method == "center":
+        rows, slope, half = center_terms(solved.p, job.data, a)
+        w = np.ones(len(rows)) if a is None else a
+        far = -2.0 * half * (w * job.data.H)[:, None]
+        return Scores(rows, sharpness * slope, far, np.sqrt(sharpness * w)[:, None] * half)
     return scores_of(solved, job.data, a, sharpness)
 
 
@@ -262,7 +261,7 @@ def _center_sums(job: ScalarJob, solved: Solved) -> Sums:
     """CENTER's information: that of differences alone."""
     data = job.data
     weight = 1.0 / float((4.0 * data.H**2).mean() * np.trace(data.Sigma) / 3.0)
-    _, slope = center_terms(solved.p, data)
+    _, slope, _ = center_terms(solved.p, data)
     return solved.sums._replace(information=slope * weight, from_noise=4.0 * len(data.H) * weight * data.Sigma)
 
 
@@ -292,7 +291,7 @@ def _report(
         messages.append(words.field_error(options.field_error_nT, rows.radian_s))
     if not data.with_D:
         messages += words.missing_S(solved, data, inflation)
-    if robust is not None:
+    if robust is not None and robust.rejected:
         messages.append(f"robust weights ({options.robust}): {robust.rejected} rows set aside")
     units = np.array([job.rms_of[name] for name in job.columns])
     S, b_nT, T, whole = file_parameters(solved.p, covariance, data, job.columns, job.scale_nT, units)
@@ -313,7 +312,7 @@ def _report(
         weights=a / a.sum(), rows=rows.rows, left_out=dict(rows.left_out), rejected=int((~kept).sum()),
         variation=seen.field_variation(covariance_of(rows.B_nT)), noise=noise,
         statistics=residual_statistics(rows.time[kept], residuals_nT[kept]), messages=tuple(messages),
-        telemetry_bias=biases,
+        telemetry_bias=biases, error_model=words.errors(noise, options.noise_nT is not None),
         quality={"chi2_per_sample": inflation, "field_size_variation": how.constant_share, "rounds": solved.rounds},
     )  # fmt: skip
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fluxtwin.calib.fit import Fit
-from fluxtwin.calib.observability import HARDLY_SEPARABLE
+from fluxtwin.calib.observability import HARDLY_SEPARABLE, worst_of
 from fluxtwin.calib.records import TelemetryBias
 from fluxtwin.calib.scalar_model import PAIRS, ScalarData, unpack
 from fluxtwin.sim.types import FloatArray
@@ -96,7 +96,7 @@ def telemetry_biases(
 
 
 def hardly_separable(covariance: FloatArray, names: tuple[str, ...], worth: float) -> list[str]:
-    """Sentences for pairs whose correlation is at least 0.95 and whose sigma matters, worst first.
+    """A sentence for pairs whose correlation is at least 0.95 and whose sigma matters; the worst is named.
 
     worth: a sigma, in parts of the field, from which it matters.
     """
@@ -108,4 +108,4 @@ def hardly_separable(covariance: FloatArray, names: tuple[str, ...], worth: floa
             if abs(correlation) >= HARDLY_SEPARABLE and max(sigma[i], sigma[j]) > worth:
                 words = f"{names[i]} and {names[j]} are not separable in this data: correlation {correlation:.3f}"
                 found.append((abs(correlation), words))
-    return [words for _, words in sorted(found, reverse=True)]
+    return worst_of(found)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fluxtwin.calib.error_model import DECLARED, FOUND, ErrorModel
 from fluxtwin.calib.noise import ReadingNoise
 from fluxtwin.calib.scalar_ml import Solved, add_up
 from fluxtwin.calib.scalar_model import ScalarData, pack
@@ -97,6 +98,12 @@ def field_error(field_error_nT: float, radian_s: float) -> str:
         f"field model taken as wrong by {field_error_nT:.4g} nT rms in |H| with a memory of {radian_s:.0f} s, a radian "
         "of the orbit"
     )
+
+
+def errors(noise: ReadingNoise, declared: bool) -> ErrorModel:
+    """Where no attitude is looked at."""
+    white_nT = np.sqrt(noise.variance_nT2)
+    return ErrorModel(white_nT, DECLARED if declared else FOUND, float(np.sqrt((white_nT**2).mean())))
 
 
 def never_fired(columns: tuple[str, ...]) -> list[str]:

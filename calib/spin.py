@@ -31,6 +31,7 @@ from fluxtwin.calib.residuals import residual_statistics
 from fluxtwin.calib.scalar_ml import residual
 from fluxtwin.calib.scalar_model import ScalarData, pack
 from fluxtwin.calib.scalar_noise import scalar_noise
+from fluxtwin.calib.scalar_words import errors
 from fluxtwin.calib.sedlak import Iterated, at, free_motion, iterate
 from fluxtwin.calib.spin_batch import (
     Batch,
@@ -43,7 +44,7 @@ from fluxtwin.calib.spin_batch import (
 )
 from fluxtwin.calib.spin_filter import Filtered, FilterSettings, spin_filter
 from fluxtwin.calib.spin_motion import Motion, skew
-from fluxtwin.calib.spin_outliers import wild_words
+from fluxtwin.calib.spin_outliers import beyond, wild_readings, wild_words, without
 from fluxtwin.calib.spin_rows import SpinRows, assemble_spin
 from fluxtwin.calib.spin_start import Start, blind_start
 from fluxtwin.calib.suspicion import LARGE_S, suspicions
@@ -69,6 +70,7 @@ _REGRESSIONS = 60
 _LEAP = 4
 """Every so many passes a step goes to where the geometric series of the steps would end."""
 _OF_SIGMA = 0.1
+_CUTS = 5
 
 
 @dataclass(frozen=True)
@@ -83,12 +85,16 @@ class SpinOptions:
     inertia_ratio: float | None = None
     torque_walk_rad_s: float = 0.0
     covariance: str = "blocks"
+    robust: str = "tukey"
+    """`tukey`: readings beyond six robust sigma are left out, the others weigh alike; or `none`."""
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise BadInput(f"{self.method!r}", where="method", wanted=" or ".join(METHODS))
         if self.covariance not in ("white", "blocks"):
             raise BadInput(f"{self.covariance!r}", where="covariance", wanted="'white' or 'blocks'")
+        if self.robust not in ("tukey", "none"):
+            raise BadInput(f"{self.robust!r}", where="--robust", wanted=f"tukey or none for method {self.method}")
         for name in ("sun_sigma_deg", "sun_alignment_deg"):
             value = getattr(self, name)
             if value is not None and not 0.0 < value < 90.0:
@@ -145,16 +151,31 @@ def calibrate_spin(records: Telemetry | Sequence[Telemetry], model: FieldModel, 
     does not settle, or readings and pulses are too few.
     """
     fit = fit_spin(assemble_spin(records, model), SpinOptions(**options), model_name=model.name)
-    doubts = suspicions(joined(records), fit.calibration, fit.residuals_nT, robust=False)
+    doubts = suspicions(joined(records), fit.calibration, fit.residuals_nT, robust=fit.rejected > 0)
     return replace(fit, messages=(*fit.messages, *doubts))
 
 
 def fit_spin(rows: SpinRows, options: SpinOptions, *, model_name: str = "") -> SpinFit:
     """The calibration of rows that are already assembled; errors as `calibrate_spin`."""
+    kept, fit = rows, None
+    if options.robust != "none":
+        kept = without(rows, wild_readings(rows))
     try:
-        return _fit(rows, options, model_name)
+        for _ in range(_CUTS):
+            fit = _fit(kept, options, model_name)
+            if options.robust == "none" or not beyond(fit.residuals_nT).any():
+                break
+            kept = without(kept, beyond(fit.residuals_nT))
+        assert fit is not None
+        cut = len(rows) - len(kept)
+        if not cut:
+            return fit
+        said = f"{cut} of {len(rows)} readings stand out by more than six sigma and are left out (--robust none keeps them)"
+        return replace(
+            fit, rejected=cut, left_out={**fit.left_out, "standing out": cut}, messages=(said, *fit.messages)
+        )
     except NoAnswer as refusal:
-        wild = wild_words(rows)
+        wild = wild_words(rows, left_out=options.robust != "none")
         if not wild:
             raise
         raise NoAnswer(f"{wild}. As it is, {refusal}", evidence=refusal.evidence) from refusal
@@ -380,5 +401,6 @@ def _report(
             "spin_rad_s": motion.spin_rad_s, "nutation_deg": nutation_deg, "inertia_ratio": motion.inertia_ratio,
             "precession_rad_s": float(np.linalg.norm(motion.Om_N_rad_s)),
         },
+        error_model=errors(noise, options.noise_nT is not None),
         quality=found.quality, steps_deg=tuple(float(np.degrees(step)) for step in found.steps_rad),
     )  # fmt: skip

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from fluxtwin.calib.robust import robust_weights
+from fluxtwin.calib.robust import TUKEY_AT, robust_distance, robust_weights
 from fluxtwin.calib.scalar_ml import solve
 from fluxtwin.calib.scalar_model import ScalarData, residual
 from fluxtwin.calib.spin_rows import SpinRows
@@ -31,7 +33,28 @@ def wild_readings(rows: SpinRows) -> np.ndarray:
     return standing_out(residual(state["p"], data)[:, None])
 
 
-def wild_words(rows: SpinRows) -> str:
+def beyond(residuals_nT: FloatArray) -> np.ndarray:
+    """(N,) residuals (N, 3) of more than six robust sigma, where Tukey's weight is nought."""
+    r = residuals_nT - np.median(residuals_nT, axis=0)
+    return robust_distance(r) > TUKEY_AT
+
+
+def without(rows: SpinRows, wild: np.ndarray) -> SpinRows:
+    """The rows but for these readings; the pulses stay."""
+    if not wild.any():
+        return rows
+    kept = ~wild
+    return replace(
+        rows,
+        time=rows.time[kept],
+        t_s=rows.t_s[kept],
+        B_nT=rows.B_nT[kept],
+        H_N_nT=rows.H_N_nT[kept],
+        rows=rows.rows[kept],
+    )
+
+
+def wild_words(rows: SpinRows, *, left_out: bool) -> str:
     """How many stand out, and what to do; empty where none does."""
     wild = np.flatnonzero(wild_readings(rows))
     if not wild.size:
@@ -39,5 +62,9 @@ def wild_words(rows: SpinRows) -> str:
     first = ", ".join(epoch.iso(rows.time[k], "ms") for k in wild[:3])
     return (
         f"{wild.size} of {len(rows)} readings stand far out of the others in |B| (bit errors?), the first at {first}. "
-        "This method has no robust weights: leave those readings empty and calibrate again"
+        + (
+            "They were left out, and others that |B| does not show may remain: leave those readings empty"
+            if left_out
+            else "--robust tukey leaves them out"
+        )
     )

@@ -1,28 +1,40 @@
-"""The covariance that a linear calibration states, in the order of the calibration file, and the words beside it."""
+"""The covariance that a linear calibration states, in the order of the calibration file, and the words beside it.
+
+`white`: see `covariance`. `blocks`: errors are correlated in time. What errors can be is fitted to the residual
+(`error_model`: white noise, an error theta x B0 of the reference attitude, slow errors of the field), and carried through
+the estimator that was used, (X'X)^-1 X' V X (X'X)^-1, averaged over what the residual leaves possible. The estimator
+stays least squares: it is right whatever V is, where one weighted by V would lean on the component along the field,
+which an attitude error spares and an error of the field model does not. Blocks then judge the model: scores of blocks are
+compared with what it gives them, blocks growing from a 192nd to an eighth of the record until their scatter grows no
+more, and the covariance follows them as far as they are many (`shrinkage`). It is never singular.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from fluxtwin.calib.conventions import forward_jacobian
 from fluxtwin.calib.covariance import (
     FEWEST_BLOCKS,
-    Blocks,
     batch_widening,
     bread_of,
-    jackknife_covariance,
-    make_blocks,
+    groupings,
     observed_s,
     plain_covariance,
     sandwich_covariance,
     segments,
     uncentred,
 )
-from fluxtwin.calib.job import Job, Solution, corrected
-from fluxtwin.calib.slow_errors import Cells, cells, kernel_moments, slow_errors
-from fluxtwin.sim.errors import NoAnswer
+from fluxtwin.calib.digits import plain
+from fluxtwin.calib.error_model import DECLARED, FOUND, ErrorModel, Posterior, find_errors
+from fluxtwin.calib.estimating import Spread, evidence, of_blocks, spread_of, sums, white_of
+from fluxtwin.calib.job import Job, Solution
+from fluxtwin.calib.shrinkage import grown, half_of, in_units_of
+from fluxtwin.calib.slow_errors import cells, kernel_moments
 from fluxtwin.sim.types import FloatArray
 
 _SANDWICH_ROWS = 10  # a parameter of one axis
@@ -40,82 +52,154 @@ class Stated:
     """How it was found."""
     unobservable: tuple[str, ...]
     """What it does not cover."""
+    errors: ErrorModel | None = None
+    """What the errors were taken for; None for white ones."""
 
 
 def stated_covariance(job: Job, solution: Solution, passes: np.ndarray | None) -> Stated:
     """White or allowing for correlation, plus what the noise of the reading and a declared field error add."""
-    stacked = _white(job, solution)
     messages, unobservable = [], []
     segment = segments(job.design.time)
+    errors = None
     if job.options.covariance == "blocks":
-        stacked, words, memory_s = _correlated(job, solution, stacked, passes, segment)
-        messages.append(f"covariance: {words}")
-        unobservable += _orbit_long_words(job, segment, memory_s, passes)
+        found = _correlated(job, solution, passes)
+        stacked, errors = found.stacked, found.errors
+        messages.append(f"covariance: {found.words}")
+        unobservable += _orbit_long_words(job, segment, found.memory_s, passes)
     else:
+        stacked = _white(job, solution)
         factor = float(np.sqrt(batch_widening(solution.residual_nT, segment)))
         if factor > _TOO_SMALL:
             messages.append(
                 f"the residuals hang together in time: white sigmas are too small, by up to {factor:.1f}; "
                 "covariance blocks (--covariance blocks) allows for it"
             )
-    stacked = stacked + _from_noise_uncertainty(job, solution) + _from_field_error(job, solution, segment)
+    stacked = stacked + _from_noise_uncertainty(job, solution) + _from_field_error(job, solution)
     if job.options.field_error_nT:
         messages.append(
             f"field model taken as wrong by {job.options.field_error_nT:.4g} nT rms an axis with a memory of "
             f"{job.design.radian_s:.0f} s, a radian of the orbit"
         )
-    return Stated(_in_file_order(job, solution, stacked), tuple(messages), tuple(unobservable))
+    return Stated(_in_file_order(job, solution, stacked), tuple(messages), tuple(unobservable), errors)
 
 
-def _correlated(
-    job: Job, solution: Solution, white: FloatArray, passes: np.ndarray | None, segment: np.ndarray
-) -> tuple[FloatArray, str, float]:
-    """Stacked covariance, how it was found, and the memory of the residual [s]."""
-    seen, longest_s = _cells_of(job, solution, segment)
+class _Found(NamedTuple):
+    stacked: FloatArray
+    words: str
+    memory_s: float
+    errors: ErrorModel | None
+
+
+def _correlated(job: Job, solution: Solution, passes: np.ndarray | None) -> _Found:
+    """Stacked covariance by the model of the errors, as far as blocks bear it out."""
+    options = job.options
+    kept = job.weights > 0 if job.robust is None else (job.robust.weights >= 0.01) & (job.weights > 0)
+    posterior = find_errors(evidence(job, solution, kept), options.attitude_sigma_deg, options.attitude_tau_s)
+    if posterior is None:
+        return _Found(_white(job, solution), "too few rows to see correlation: white", 0.0, None)
+    sharpness = 1.0 if job.robust is None else job.robust.sharpness
+    label = segments(job.design.time)
+    if passes is not None or options.block_s is not None:
+        label = next(groupings(job.design.time, label, passes, options.block_s))[0]
+    added = sums(job, solution, label)
+    spread = spread_of(
+        added, posterior, white_of(job, solution), _common_noise(job, solution), _white_factor(job, solution), sharpness
+    )
+    memory_s = posterior.memory_s(_field_nT(job))
+    checked = _checked(job, spread, label, memory_s, passes)
+    whole = np.kron(np.eye(3), np.eye(1) if solution.fit is None else bread_of(solution.fit, job.noise_xx)) / sharpness
+    centred = whole @ checked.total @ whole.T
+    stacked = uncentred(centred, np.zeros(0) if solution.fit is None else solution.fit.mean_x)
+    covered_s = observed_s(job.design.time, segments(job.design.time))
+    stacked = stacked + _from_turning(solution, posterior.constant_rad2(covered_s))
+    errors = _error_model(job, solution, posterior, checked.misfit)
+    return _Found(stacked, f"{_error_words(errors)}; {checked.words}", memory_s, errors)
+
+
+class _Checked(NamedTuple):
+    total: FloatArray
+    misfit: float
+    words: str
+
+
+def _checked(job: Job, spread: Spread, label: np.ndarray, memory_s: float, passes: np.ndarray | None) -> _Checked:
+    """The covariance of the scores as blocks bear it out: the blocks are grown until their scatter grows no more."""
+    first = spread.sums.first
+    asked = job.options.block_s
+    up = half_of(spread.total)
+
+    def scatter() -> Iterator[tuple[FloatArray, str]]:
+        covered_s = observed_s(job.design.time, segments(job.design.time))
+        for of_row, words in groupings(job.design.time, label, passes, asked):
+            block, count = of_row[first], int(of_row.max()) + 1
+            cut = passes is None and asked is None and not np.array_equal(of_row, label)
+            if count >= FEWEST_BLOCKS and not (cut and covered_s / count < 2.0 * memory_s):
+                yield in_units_of(up, *of_blocks(spread, block, count)), f"{count} blocks ({words})"
+
+    found = grown(scatter())
+    if found is None:
+        return _Checked(spread.total, 1.0, f"fewer than {FEWEST_BLOCKS} blocks of twice their memory to check it by")
+    W, misfit, words = found
+    if 0.8 < misfit < 1.25:
+        words += " scatter as it says"
+    else:
+        words = f"variances times {misfit:.2g} on average, as {words} scatter"
+    return _Checked(up @ W @ up.T, misfit, words)
+
+
+def _common_noise(job: Job, solution: Solution) -> FloatArray:
+    """(p, p) of E[r_i n_g] E[r_j n_f], for a row: noise that residual and regressor share."""
     m = solution.M.shape[1]
-    covered_s = observed_s(job.design.time, segment)
-    slow = slow_errors(seen, m, job.mean_square(solution.own_residual_nT), longest_s, covered_s)
-    memory_s = 0.0 if slow is None else slow.memory_s
-    grouped = make_blocks(job.design.time, memory_s, passes, job.options.block_s)
-    try:
-        stacked = _jackknife(job, solution, grouped)
-        return stacked, f"jackknife over {grouped.count} blocks ({grouped.words})", memory_s
-    except NoAnswer as reason:
-        if slow is None:
-            return white, f"{reason}, and too few rows to see correlation: white", memory_s
-        stacked = slow.white_part * white + _through(job, solution, slow.slow)
-        words = (
-            f"{reason}; instead a slow part of the residual, {slow.share:.0%} of its variance with a memory of "
-            f"{memory_s:.0f} s, by restricted likelihood"
-        )
-        return stacked, words, memory_s
+    out = np.zeros((3, m + 1, 3, m + 1))
+    if solution.fit is not None and job.noise_xx is not None:
+        shared = solution.M @ job.noise_xx
+        out[:, :m, :, :m] = np.einsum("ig,jf->ifjg", shared, shared)
+    return out.reshape(3 * (m + 1), 3 * (m + 1))
 
 
-def _cells_of(job: Job, solution: Solution, segment: np.ndarray) -> tuple[Cells, float]:
-    """Cells of [x - <x>, 1, residual, y - <y> where there are slopes], and the longest unbroken stretch [s]."""
-    time, rows, m = job.design.time, len(job.design), solution.M.shape[1]
-    y = [] if solution.fit is None else [job.design.H_nT if job.options.direction == "linear" else job.design.B_nT]
-    seen = cells(time, segment, [*job.parts, solution.own_residual_nT, *y], job.weights)
-    x, r_y = np.split(seen.columns, [m], axis=1)
-    if solution.fit is not None:
-        x = x - solution.fit.mean_x
-        r_y[:, 3:] -= seen.weight @ r_y[:, 3:]
-    seen = seen._replace(columns=np.hstack([x, np.ones((len(x), 1)), r_y]))
-    first = np.concatenate([[0], np.flatnonzero(np.diff(segment)) + 1])
-    last = np.concatenate([first[1:], [rows]]) - 1
-    longest = float((time[last] - time[first]).max().astype("int64")) * 1e-9
-    return seen, longest
+def _white_factor(job: Job, solution: Solution) -> float:
+    """Mean square that robust weights leave of white noise, over that of the rows with weight."""
+    if job.robust is None:
+        return 1.0
+    w, kept = job.robust.weights, job.robust.weights >= 0.01
+    r = (solution.own_residual_nT**2).sum(axis=1)
+    return float((w**2 * r)[kept].mean() / ((w**2)[kept].mean() * r[kept].mean()))
 
 
-def _through(job: Job, solution: Solution, moments: FloatArray) -> FloatArray:
-    """Stacked covariance from (3, m+1, 3, m+1) moments of [x - <x>, 1] with the errors of the fitted direction."""
-    m = solution.M.shape[1]
-    bread = np.eye(1) if solution.fit is None else bread_of(solution.fit, job.noise_xx)
-    whole = np.kron(np.eye(3), bread)
-    stacked = whole @ moments.reshape(3 * (m + 1), 3 * (m + 1)) @ whole.T
-    if job.robust is not None:
-        stacked = stacked / job.robust.sharpness**2
-    return uncentred(stacked, np.zeros(0) if solution.fit is None else solution.fit.mean_x)
+def _field_nT(job: Job) -> float:
+    return float(np.sqrt((job.design.H_nT**2).sum(axis=1).mean() * 2.0 / 3.0))
+
+
+def _error_model(job: Job, solution: Solution, posterior: Posterior, misfit: float) -> ErrorModel:
+    """In the words of a reader."""
+    options = job.options
+    sigma = float(np.median(posterior.sigma_nT))
+    attitude = posterior.attitude_rad
+    theta, white = float(np.median(posterior.theta_rad)), float(np.median(posterior.white_theta_rad))
+    declared = options.attitude_sigma_deg is not None
+    low, high = np.degrees(np.quantile(attitude, [0.05, 0.95]))
+    variance = np.diag(white_of(job, solution)) * sigma**2
+    middle = float(np.median(attitude))
+    across = middle * _field_nT(job)
+    reading = job.noise.variance_nT2 * sigma**2
+    return ErrorModel(
+        white_nT=np.sqrt(reading), white_source=DECLARED if options.noise_nT is not None else FOUND,
+        expected_rms_nT=float(np.sqrt(variance.mean() + across**2)),
+        attitude_sigma_deg=float(np.degrees(middle)),
+        attitude_tau_s=float(np.median(posterior.tau_s)) if theta > white else 0.0,
+        attitude_source=DECLARED if declared else FOUND, attitude_range_deg=(float(low), float(high)),
+        slow_nT=float(np.median(posterior.slow_nT)), slow_tau_s=float(np.median(posterior.slow_tau_s)), misfit=misfit,
+    )  # fmt: skip
+
+
+def _error_words(errors: ErrorModel) -> str:
+    assert errors.attitude_range_deg is not None
+    low, high = errors.attitude_range_deg
+    assert errors.attitude_sigma_deg is not None
+    sigma = plain(errors.attitude_sigma_deg, 2)
+    words = f"white noise of {plain(float(np.sqrt((errors.white_nT**2).mean())))} nT an axis"
+    words += f", an attitude error of {sigma} deg (90 %: {plain(low, 2)} to {plain(high, 2)})"
+    return words + (f" over {plain(errors.attitude_tau_s, 2)} s" if errors.attitude_tau_s else ", white")
 
 
 def _orbit_long_words(job: Job, segment: np.ndarray, memory_s: float, passes: np.ndarray | None) -> list[str]:
@@ -135,25 +219,6 @@ def _orbit_long_words(job: Job, segment: np.ndarray, memory_s: float, passes: np
     ]
 
 
-def _jackknife(job: Job, solution: Solution, blocks: Blocks) -> FloatArray:
-    """Raises NoAnswer where the blocks are too few, or one of them alone determines a parameter."""
-    if blocks.count < FEWEST_BLOCKS:
-        raise NoAnswer(f"only {blocks.count} blocks ({blocks.words})")
-    design = job.design
-    y = design.H_nT if job.options.direction == "linear" else design.B_nT
-    if solution.fit is None:
-        y = design.H_nT - design.B_nT
-    x = np.hstack([*job.parts, np.zeros((len(design), 0))])
-
-    def solve(xx: FloatArray, yx: FloatArray, mean_x: FloatArray, mean_y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        try:
-            return corrected(xx, yx, mean_x, mean_y, job.noise_xx)
-        except NoAnswer:
-            raise NoAnswer("one block alone determines a parameter") from None
-
-    return jackknife_covariance(y, x, job.weights, blocks, solve)
-
-
 def _from_noise_uncertainty(job: Job, solution: Solution) -> FloatArray:
     """What an uncertain Sigma_B adds: dM = M[:, i] (row i of the inverse of <x|x> - Sigma_x) for each variance i."""
     size = 3 * (solution.M.shape[1] + 1)
@@ -167,16 +232,37 @@ def _from_noise_uncertainty(job: Job, solution: Solution) -> FloatArray:
     return np.asarray(np.array(moved).T @ job.noise.covariance @ np.array(moved))
 
 
-def _from_field_error(job: Job, solution: Solution, segment: np.ndarray) -> FloatArray:
+def _from_turning(solution: Solution, power_rad2: float) -> FloatArray:
+    """What a turn w of the whole adds in second order: M goes over into (1 + [w x]^2/2) M.
+
+    A mean attitude error of half a degree shortens M by 4e-5, which is many sigmas of its trace. Mean square of
+    (w_i w_j - d_ij |w|^2)/2 for normal w of that power an axis.
+    """
+    one, m = np.eye(3), solution.M.shape[1]
+    if solution.fit is None:
+        return np.zeros((3, 3))
+    # E of the products of four normals; the traces of w w' add 2 and 2 to 3
+    both = np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one)
+    square = 0.25 * power_rad2**2 * (both + 6.0 * np.einsum("ij,kl->ijkl", one, one))
+    moved = np.hstack([solution.M, solution.c[:, None]])
+    return np.asarray(np.einsum("ijkl,jf,lg->ifkg", square, moved, moved).reshape(3 * (m + 1), 3 * (m + 1)))
+
+
+def _from_field_error(job: Job, solution: Solution) -> FloatArray:
     """A declared error of the field model: Gauss-Markov with a memory of one radian of the orbit."""
     size = solution.M.shape[1] + 1
     if not job.options.field_error_nT:
         return np.zeros((3 * size, 3 * size))
-    seen, _ = _cells_of(job, solution, segment)
-    K = kernel_moments(seen._replace(columns=seen.columns[:, :size]), np.array([job.design.radian_s]))[0]
+    x = np.hstack([*job.parts, np.zeros((len(job.design), 0))])
+    seen = cells(job.design.time, segments(job.design.time), [x, np.ones((len(x), 1))], job.weights)
+    mean_x = np.zeros(0) if solution.fit is None else solution.fit.mean_x
+    seen.columns[:, :-1] -= mean_x
+    K = kernel_moments(seen, np.array([job.design.radian_s]))[0]
     turn = solution.M[:, :3] if job.options.direction == "forward" and solution.fit is not None else np.eye(3)
     C = job.options.field_error_nT**2 * turn @ turn.T
-    return _through(job, solution, np.einsum("ij,fg->ifjg", C, K))
+    whole = np.kron(np.eye(3), np.eye(1) if solution.fit is None else bread_of(solution.fit, job.noise_xx))
+    moments = np.einsum("ij,fg->ifjg", C, K).reshape(3 * size, 3 * size)
+    return uncentred(whole @ moments @ whole.T, mean_x)
 
 
 def _white(job: Job, solution: Solution) -> FloatArray:

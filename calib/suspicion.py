@@ -1,4 +1,4 @@
-"""What about a finished fit should make a person look again, in words."""
+"""What about a finished fit should make a person look again, in words; whether it is good says `verdict`."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ from fluxtwin.sim.types import FloatArray
 
 LARGE_S = 0.3
 """No magnetometer is off by 30 %; wrong units, axes and attitudes are."""
-LARGE_RESIDUAL = 0.1
-"""Residual over field, rms: a tenth is an attitude wrong by six degrees."""
 STANDING_OUT_SIGMA = 8.0
 """Robust sigmas: of Gaussian rows none, of correlated errors next to none."""
 _MAD_TO_SIGMA = 1.4826
@@ -33,19 +31,6 @@ def suspicions(telemetry: Telemetry, calibration: Calibration, residuals_nT: Flo
     dipole = telemetry.dipole_B_Am2
     if calibration.T_nT_per_Am2 is None and dipole is not None and bool((np.nanstd(dipole, axis=0) > 0).any()):
         found.append("the torquers fired in these data and T was not asked for: compare with parameters b,S,T")
-    largest = float(np.abs(calibration.S).max())
-    if largest > LARGE_S:
-        found.append(
-            f"an element of S is {largest:.2g}: no magnetometer is that wrong; unit, axes or attitude may be. "
-            "Run `fluxtwin check`"
-        )
-    field_nT = float(np.sqrt(np.nanmean(np.sum(telemetry.mag_B_nT**2, axis=1))))
-    size = float(np.sqrt(np.mean(np.sum(residuals_nT**2, axis=1))))
-    if size > LARGE_RESIDUAL * field_nT:
-        found.append(
-            f"the residual is {100 * size / field_nT:.0f} % of the field: attitude, position or unit may be wrong. "
-            "Run `fluxtwin check`"
-        )
     if not robust:
         wild = int(standing_out(residuals_nT).sum())
         if wild:

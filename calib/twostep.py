@@ -82,20 +82,22 @@ class Moments(NamedTuple):
         )  # fmt: skip
 
 
-def twostep(data: ScalarData, *, noise_term: str = "corrected") -> Twostep:
-    """Solve for b, and D where `data.with_D`. Columns of telemetry are not looked at."""
-    start = Twostep(np.zeros((3, 3)), center(data), 1.0, True)
+def twostep(data: ScalarData, a: FloatArray | None = None, *, noise_term: str = "corrected") -> Twostep:
+    """Solve for b, and D where `data.with_D`. Columns of telemetry are not looked at. a: (N,) weights."""
+    start = Twostep(np.zeros((3, 3)), center(data, a), 1.0, True)
     found = start
     for _ in range(_WEIGHTINGS):  # the variances hang on the solution; the third time nothing moves
-        moments = moments_of(data, found.D, found.b, noise_term)
+        moments = moments_of(data, found.D, found.b, noise_term, a)
         found = solve_moments(moments, data.with_D, start.b)
         if not found.converged:
             break
     return found
 
 
-def moments_of(data: ScalarData, D: FloatArray, b: FloatArray, noise_term: str = "corrected") -> Moments:
-    """Of the rows, weighted by the variance of v at D, b."""
+def moments_of(
+    data: ScalarData, D: FloatArray, b: FloatArray, noise_term: str = "corrected", a: FloatArray | None = None
+) -> Moments:
+    """Of the rows, weighted by the variance of v at D, b, and by a (N,)."""
     P = np.eye(3) + D
     w = (data.B @ P - b) @ P
     Sigma = data.Sigma
@@ -111,7 +113,7 @@ def moments_of(data: ScalarData, D: FloatArray, b: FloatArray, noise_term: str =
         high = np.zeros((3, 3)) if published else Sigma
         columns += [_twice(i, j) * (high[i, j] - data.B[:, i : i + 1] * data.B[:, j : j + 1]) for i, j in PAIRS]
     L = np.hstack(columns)
-    weight = 1.0 / variance
+    weight = 1.0 / variance if a is None else a / variance
     total = float(weight.sum())
     mean_L, mean_z = weight @ L / total, float(weight @ z) / total
     L = L - mean_L

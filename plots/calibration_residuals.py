@@ -9,10 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fluxtwin.plots import style
-from fluxtwin.sim.types import FloatArray, TimeArray
+from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
 
 _LONGEST_CLOCK_DAYS = 2.0  # beyond, the samples are counted instead: days without data would squeeze the rest
 _HISTOGRAM_SIGMAS = 4.0
+_EDGE = 1.08  # of the largest residual that counts: where the axes end
 
 
 @dataclass(frozen=True)
@@ -25,25 +26,45 @@ class CalibrationResiduals:
     """(N, 3), or (N, 1) for residuals of |B|."""
     sigma_nT: float
     """The sigma that the calibration states for one component."""
+    aside: BoolArray | None = None
+    """(N,) rows set aside as outliers: marked, and without a say in the axes and the rms."""
 
 
 def draw_calibration_residuals(record: CalibrationResiduals, *, title: str) -> Figure:
-    """One row a component: the series on the left, its histogram and the stated normal on the right."""
+    """One row a component: the series on the left, its histogram and the stated normal on the right.
+
+    Rows set aside are crosses; one beyond the axes is an arrow at its edge.
+    """
     rows = record.residual_B_nT.shape[1]
     height = 0.9 + 1.5 * rows
     figure, grid = style.figure(7.2, height, rows=rows, cols=2, share_x=True, width_ratios=[3, 1])
-    style.heading(figure, title)
+    aside = np.zeros(record.time.size, dtype=bool) if record.aside is None else record.aside
+    kept = ~aside if (~aside).any() else np.ones_like(aside)
+    style.heading(figure, title + (f"; {int(aside.sum())} rows set aside" if aside.any() else ""))
     along, name = _abscissa(record.time)
     for axis, (left, right) in enumerate(grid):
         series = record.residual_B_nT[:, axis]
         style.zero_line(left)
-        left.plot(along, series, ".", markersize=3, color=style.AXIS_COLOURS[axis])
+        left.plot(along[kept], series[kept], ".", markersize=3, color=style.AXIS_COLOURS[axis])
+        if aside.any():
+            _outliers(left, along[aside], series[aside], _EDGE * max(float(np.abs(series[kept]).max()), 1e-9))
         quantity = "|B|" if rows == 1 else "xyz"[axis]
         style.label(left, y=f"{quantity} [nT]", x=name if axis == rows - 1 else None)
-        _histogram(right, series, record.sigma_nT, style.AXIS_COLOURS[axis])
-        style.note(right, f"rms {np.sqrt(np.mean(series**2)):.0f} nT")
+        _histogram(right, series[kept], record.sigma_nT, style.AXIS_COLOURS[axis])
+        style.note(right, f"rms {np.sqrt(np.mean(series[kept] ** 2)):.3g} nT")
     style.label(grid[-1][1], x="residual [nT]")
     return figure
+
+
+def _outliers(axes: Axes, along: FloatArray, series: FloatArray, edge: float) -> None:
+    """Crosses inside the axes, which end at +-edge; arrows at the edge for what lies beyond."""
+    axes.set_ylim(-edge, edge)
+    inside = np.abs(series) <= edge
+    axes.plot(along[inside], series[inside], "x", markersize=5, color=style.BLACK)
+    for sign, marker in ((1.0, "^"), (-1.0, "v")):
+        beyond = ~inside & (sign * series > 0)
+        place = np.full(int(beyond.sum()), 0.94 * sign * edge)
+        axes.plot(along[beyond], place, marker, markersize=5, color=style.BLACK)
 
 
 def _abscissa(time: TimeArray) -> tuple[FloatArray, str]:

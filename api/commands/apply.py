@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from fluxtwin.commands.options import JsonOption, MapOption, MaxSamplesOption, OutOption, TleOption
+from fluxtwin.commands.options import ForceOption, JsonOption, MapOption, MaxSamplesOption, OutOption, TleOption
 from fluxtwin.commands.reading import TelemetryArgument, read
 from fluxtwin.console import Output
 
@@ -22,18 +22,28 @@ def command(
     column_map: MapOption = None,
     tle: TleOption = None,
     max_samples: MaxSamplesOption = None,
+    force: ForceOption = False,
     json: JsonOption = None,
 ) -> None:
-    """Write telemetry with the readings corrected by (I+S) B + b + T D [nT]; other columns as they are."""
+    """Write telemetry with the readings corrected by (I+S) B + b + T D [nT]; other columns as they are.
+
+    Refused, unless --force, are readings that are corrected already and a calibration of another spacecraft or time.
+    """
     output = Output(json)
     with output.progress(f"correcting {telemetry}"):
         import numpy as np
 
         from fluxtwin import verbs
+        from fluxtwin.calib.apply import outside_span
+        from fluxtwin.calib.records import Calibration
+        from fluxtwin.sim import outputs
         from fluxtwin.sim.telemetry_io import write_telemetry
 
+        targets = {"--out": (out, outputs.TELEMETRY), "--json": (json, outputs.JSON)}
+        outputs.claim(targets, [telemetry, calibration, column_map, tle], force=force)
         record = read(telemetry, output, column_map=column_map, tle=tle, max_samples=max_samples)
-        corrected = verbs.apply(record, calibration)
+        known = Calibration.from_toml(calibration)
+        corrected = verbs.apply(record, known, force=force)
         change = corrected.mag_B_nT - record.mag_B_nT
         moved = change[np.isfinite(change).all(axis=1)]
         write_telemetry(corrected, out)
@@ -41,5 +51,18 @@ def command(
     output.say(f"{len(moved)} of {len(record)} samples corrected")
     if rms is not None:
         output.say("rms change x, y, z: " + ", ".join(f"{x:.1f}" for x in rms) + " nT")
+    beyond = outside_span(record, known)
+    if beyond:
+        output.note(f"note: {beyond} of {len(record)} rows are outside the time from which the calibration was made")
+    output.say(f"the file says that its readings are corrected, by {corrected.corrected_by}")
     output.say(f"  {out}")
-    output.result({"samples": len(record), "corrected": len(moved), "rms_change_nT": rms, "written": [str(out)]})
+    output.result(
+        {
+            "samples": len(record),
+            "corrected": len(moved),
+            "rms_change_nT": rms,
+            "corrected_by": corrected.corrected_by,
+            "outside_span": beyond,
+            "written": [str(out)],
+        }
+    )

@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fluxtwin.commands.options import DegreeOption, FieldOption, JsonOption, MapOption, MaxSamplesOption, TleOption
+from fluxtwin.commands.options import (
+    DegreeOption,
+    FieldOption,
+    ForceOption,
+    HtmlOption,
+    JsonOption,
+    MapOption,
+    MaxSamplesOption,
+    TleOption,
+)
 from fluxtwin.commands.reading import read
 from fluxtwin.console import Output
 
@@ -58,6 +67,7 @@ def command(
     figures: Annotated[
         Path | None, typer.Option("--figures", metavar="DIR", help="Write the figures of the residuals here.")
     ] = None,
+    html: HtmlOption = None,
     errors_in_variables: Annotated[
         bool | None,
         typer.Option(
@@ -66,14 +76,15 @@ def command(
         ),
     ] = None,
     robust: Annotated[
-        str, typer.Option("--robust", metavar="WEIGHTS", help="none, huber or tukey: survive bit errors.")
-    ] = "none",
+        str,
+        typer.Option("--robust", metavar="WEIGHTS", help="tukey, huber or none: weights that outliers do not move."),
+    ] = "tukey",
     covariance: Annotated[
         str,
         typer.Option(
             "--covariance",
             metavar="KIND",
-            help="blocks: allows for errors that hang together along the orbit; or white.",
+            help="blocks: allows for errors that are correlated in time; or white.",
         ),
     ] = "blocks",
     block_s: Annotated[
@@ -87,11 +98,31 @@ def command(
             help="Error of the field model, rms an axis [nT], lasting about an orbit: widens the sigmas.",
         ),
     ] = None,
+    attitude_sigma_deg: Annotated[
+        float | None,
+        typer.Option(
+            "--attitude-sigma-deg",
+            metavar="DEG",
+            help="Error of the reference attitude, 1 sigma per body axis [deg]; else found in the data.",
+        ),
+    ] = None,
+    attitude_tau_s: Annotated[
+        float | None,
+        typer.Option(
+            "--attitude-tau-s", metavar="S", help="Its time constant [s]; 0 for white; else found in the data."
+        ),
+    ] = None,
     noise_nt: Annotated[
-        float | None, typer.Option("--noise-nT", metavar="NT", help="Noise of the reading, 1 sigma an axis [nT].")
+        float | None,
+        typer.Option(
+            "--noise-nT", metavar="NT", help="Noise of the reading, 1 sigma an axis [nT]; else found in the data."
+        ),
     ] = None,
     lsb_nt: Annotated[
-        float | None, typer.Option("--lsb-nT", metavar="NT", help="Least significant bit of the reading [nT].")
+        float | None,
+        typer.Option(
+            "--lsb-nT", metavar="NT", help="Least significant bit of the reading [nT]; else found in the data."
+        ),
     ] = None,
     sun_sigma_deg: Annotated[
         float | None,
@@ -114,20 +145,32 @@ def command(
     column_map: MapOption = None,
     tle: TleOption = None,
     max_samples: MaxSamplesOption = None,
+    force: ForceOption = False,
     json: JsonOption = None,
 ) -> None:
-    """Estimate S, b [nT] and T [nT/(A m2)] of A B0 = (I+S) B + b + T D."""
+    """Estimate S, b [nT] and T [nT/(A m2)] of A B0 = (I+S) B + b + T D, and say whether it is good.
+
+    A fit that no magnetometer can have ends with exit status 1 and leaves no calibration file, unless --force.
+    """
     output = Output(json)
     with output.progress(f"reading {telemetry[0]}") as progress:
         from fluxtwin import verbs
         from fluxtwin.calib.methods import METHODS
+        from fluxtwin.sim import outputs
         from fluxtwin.sim.errors import BadInput
 
         if method is not None and method not in METHODS:
             raise BadInput(f"{method!r} is no method", where="--method", wanted=" or ".join(METHODS))
         if robust not in WEIGHTS:  # the next option, where the value was forgotten
             raise BadInput(f"{robust!r} is no kind of weights", where="--robust", wanted=" or ".join(WEIGHTS))
-        records = [read(path, output, column_map=column_map, tle=tle, max_samples=max_samples) for path in telemetry]
+        targets = {
+            "--out": (out, outputs.CALIBRATION), "--json": (json, outputs.JSON), "--html": (html, outputs.PAGE),
+            "--figures": (figures, outputs.RESIDUALS),
+        }  # fmt: skip
+        outputs.claim(targets, [*telemetry, *(unseen or ()), field, column_map, tle], force=force)
+        manner: dict[str, Any] = {"column_map": column_map, "tle": tle, "max_samples": max_samples}
+        many = len(telemetry) + len(unseen or ()) > 1
+        records = [read(path, output, **manner, one_of_many=many) for path in telemetry]
         progress("calibrating", 0.5)
         fit = verbs.calibrate(
             records,
@@ -137,10 +180,12 @@ def command(
             parameters=None if parameters is None else parameters.replace(" ", ""),
             telemetry_bias=telemetry_bias or None,
             errors_in_variables=errors_in_variables,
-            robust=None if robust == "none" else robust,
+            robust=robust,
             covariance=covariance,
             block_s=block_s,
             field_error_nT=field_error_nt,
+            attitude_sigma_deg=attitude_sigma_deg,
+            attitude_tau_s=attitude_tau_s,
             noise_nT=noise_nt,
             lsb_nT=lsb_nt,
             sun_sigma_deg=sun_sigma_deg,
@@ -149,13 +194,18 @@ def command(
         )
         predicted = {}
         for path in unseen or []:
-            record = read(path, output, column_map=column_map, tle=tle, max_samples=max_samples)
+            record = read(path, output, **manner, one_of_many=many)
             predicted[str(path)] = _predict(fit, record, fit.calibration, verbs.as_model(field, degree))
-        written = [] if out is None else [fit.calibration.to_toml(out)]
-        if figures is not None:
+        impossible = fit.verdict is not None and fit.verdict.level == "bad"
+        written = [] if out is None or (impossible and not force) else [fit.calibration.to_toml(out)]
+        if figures is not None or html is not None:
             progress("drawing", 0.9)
+        if figures is not None:
             written += _draw(fit, figures)
-    _print(output, fit)
+        next_step = _next_step(fit, telemetry, out)
+        if html is not None:
+            written.append(_page(fit, html, telemetry, next_step))
+    _print(output, fit, next_step)
     for name, statistics in predicted.items():
         rms = statistics.component_rms_nT
         what = "per component" if statistics.rms_nT.size == 3 else "in |B|"
@@ -164,6 +214,10 @@ def command(
         output.say(f"  {path}")
     record_of_unseen = {name: statistics.to_dict() for name, statistics in predicted.items()}
     output.result({**_as_json(fit), "unseen": record_of_unseen, "written": [str(path) for path in written]})
+    if impossible:
+        if out is not None and not force:
+            output.note(f"fluxtwin: {out} is not written: this is no calibration of a magnetometer (--force writes it)")
+        raise typer.Exit(1)
 
 
 def _predict(fit: Fit, record: Telemetry, known: Calibration, model: FieldModel) -> ResidualStatistics:
@@ -174,24 +228,40 @@ def _predict(fit: Fit, record: Telemetry, known: Calibration, model: FieldModel)
     return (predict if fit.method in WITH_ATTITUDE else predict_scalar)(record, known, model)
 
 
+def _next_step(fit: Fit, telemetry: list[Path], out: Path | None) -> str:
+    """The verdict's next step with the names of the files in it."""
+    import shlex
+
+    if fit.verdict is None:
+        return ""
+    words = fit.verdict.next_step
+    if out is None and "CALIBRATION.toml" in words:
+        words = "fluxtwin calibrate TELEMETRY --out CALIBRATION.toml"
+    several = words.startswith("fluxtwin calibrate")
+    named = " ".join(shlex.quote(str(path)) for path in (telemetry if several else telemetry[:1]))
+    stem = telemetry[0].name.removesuffix(".gz").rsplit(".", 1)[0]
+    corrected = shlex.quote(str(telemetry[0].with_name(f"{stem}-corrected.nc")))
+    known = shlex.quote(str(out or telemetry[0].with_name(f"{stem}-calibration.toml")))
+    return words.replace("TELEMETRY", named).replace("CALIBRATION.toml", known).replace("CORRECTED", corrected)
+
+
 def _of(fit: Fit) -> str:
     """What a residual is of."""
     return "per component" if fit.residuals_nT.shape[1] == 3 else "in |B|"
 
 
-def _print(output: Output, fit: Fit) -> None:
+def _print(output: Output, fit: Fit, next_step: str) -> None:
+    from fluxtwin import calibration_page
+
     known = fit.calibration
+    if fit.verdict is not None:
+        for line in fit.verdict.lines[:-1]:
+            output.say(line)
+        output.say(f"Next: {next_step}")
+        output.say()
     output.say(f"{known.method}; field {known.field_model}; {known.samples} samples")
-    rows = [[p["name"], p["value"], p["sigma"], p["unit"]] for p in fit.parameters()]
-    output.table("A B0 = (I+S) B + b + T D", ["parameter", "value", "sigma", "unit"], rows)
-    biases = fit.to_dict().get("telemetry_bias", {})
-    if biases:
-        moved = [
-            [f"{name} {'xyz'[i]}", one["nT_per_unit"][i], one["sigma"][i]]
-            for name, one in biases.items()
-            for i in range(3)
-        ]
-        output.table("field in the reading for a unit of the column [nT]", ["column", "value", "sigma"], moved)
+    for table in calibration_page.tables(fit):
+        output.table(table.title, table.columns, table.rows, table.note)
     output.say(f"residual {known.sigma_nT:.1f} nT {_of(fit)}, 1 sigma; covariance: {known.covariance_kind}")
     for message in fit.messages:
         output.say(f"- {message}")
@@ -209,10 +279,21 @@ def _as_json(fit: Fit) -> dict[str, Any]:
 
 
 def _draw(fit: Fit, folder: Path) -> list[Path]:
-    from fluxtwin.plots.calibration_residuals import CalibrationResiduals, draw_calibration_residuals
+    from fluxtwin.calibration_page import residual_figure
     from fluxtwin.report import png_bytes
     from fluxtwin.sim.files import writable_folder, write_bytes
+    from fluxtwin.sim.outputs import RESIDUALS
 
-    record = CalibrationResiduals(fit.time, fit.residuals_nT, fit.calibration.sigma_nT)
-    picture = png_bytes(draw_calibration_residuals(record, title="Residuals of the calibration"))
-    return [write_bytes(writable_folder(folder) / "residuals.png", picture)]
+    picture = png_bytes(residual_figure(fit))
+    return [write_bytes(writable_folder(folder) / RESIDUALS.inside, picture)]
+
+
+def _page(fit: Fit, path: Path, telemetry: list[Path], next_step: str) -> Path:
+    from fluxtwin.calibration_page import calibration_page
+    from fluxtwin.console import command_line
+    from fluxtwin.report import render_report
+    from fluxtwin.sim.files import write_text
+
+    names = ", ".join(path.name for path in telemetry)
+    page = calibration_page(fit, f"Calibration: {names}", next_step=next_step, command=command_line())
+    return write_text(path, render_report(page))

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fluxtwin.commands.options import DegreeOption, FieldOption, JsonOption, MapOption, MaxSamplesOption, TleOption
+from fluxtwin.commands.options import (
+    DegreeOption,
+    FieldOption,
+    ForceOption,
+    JsonOption,
+    MapOption,
+    MaxSamplesOption,
+    TleOption,
+)
 from fluxtwin.commands.reading import TelemetryArgument, read
 from fluxtwin.console import Output
 
@@ -20,7 +28,12 @@ BRIEF = "Yaw from the magnetometer, roll and pitch, with its sigma."
 
 def command(
     telemetry: TelemetryArgument,
-    calibration: Annotated[Path, typer.Option("--calibration", metavar="FILE.toml", help="Calibration file.")],
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            "--calibration", metavar="FILE.toml", help="Calibration file; not for telemetry that apply has corrected."
+        ),
+    ] = None,
     out: Annotated[Path | None, typer.Option("--out", metavar="FILE.csv", help="Write yaw row by row.")] = None,
     sigma_nt: Annotated[
         float | None,
@@ -37,6 +50,7 @@ def command(
     column_map: MapOption = None,
     tle: TleOption = None,
     max_samples: MaxSamplesOption = None,
+    force: ForceOption = False,
     json: JsonOption = None,
 ) -> None:
     """Yaw [deg] from the calibrated field, roll and pitch, with its sigma; the reference only for comparison."""
@@ -45,15 +59,22 @@ def command(
         import math
 
         from fluxtwin import verbs
+        from fluxtwin.calib.apply import calibration_of
         from fluxtwin.calib.records import Calibration
         from fluxtwin.calib.yaw import yaw_from_field
+        from fluxtwin.sim import outputs
         from fluxtwin.sim.errors import BadInput
 
         for name, value in (("--sigma-nT", sigma_nt), ("--attitude-sigma-deg", attitude_sigma_deg)):
             if value is not None and not 0 <= value < math.inf:
                 raise BadInput(f"{value:g}", where=name, wanted="zero or a positive number")
+        targets = {"--out": (out, outputs.TABLE), "--json": (json, outputs.JSON)}
+        outputs.claim(targets, [telemetry, calibration, field, column_map, tle], force=force)
         record = read(telemetry, output, column_map=column_map, tle=tle, max_samples=max_samples)
-        known = Calibration.from_toml(calibration)
+        given = None if calibration is None else Calibration.from_toml(calibration)
+        known = calibration_of(record, given, force=force)
+        if given is None and sigma_nt is None and known.sigma_nT == 0:
+            raise BadInput("the error of a field component is not known", where="--sigma-nT", wanted="nT, 1 sigma")
         progress("yaw", 0.5)
         solution = yaw_from_field(
             record,
@@ -106,9 +127,9 @@ def _print(output: Output, summary: dict[str, Any]) -> None:
 
 def _write(solution: YawSolution, path: Path) -> None:
     from fluxtwin.sim.files import write_text
+    from fluxtwin.sim.outputs import YAW_COLUMNS
 
     columns = solution.to_dict()
-    names = ("time", "yaw_deg", "yaw_first_order_deg", "sigma_deg", "yaw_reference_deg")
-    rows = zip(*(columns[name] for name in names), strict=True)
+    rows = zip(*(columns[name] for name in YAW_COLUMNS), strict=True)
     lines = [",".join("" if cell is None else str(cell) for cell in row) for row in rows]
-    write_text(path, "\n".join([",".join(names), *lines, ""]))
+    write_text(path, "\n".join([",".join(YAW_COLUMNS), *lines, ""]))

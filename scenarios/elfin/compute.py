@@ -123,7 +123,7 @@ def _zone(zone: Zone, settings: Settings, model: FieldModel) -> ZoneTold:
 def refusal(zone: Zone, model: FieldModel) -> str:
     """What the scalar fit of this zone alone is answered with; empty where it gets an answer."""
     try:
-        calibrate_scalar(zone.telemetry, model, parameters="b,S")
+        calibrate_scalar(zone.telemetry, model, parameters="b,S", robust="none")
     except NoAnswer as error:
         return str(error)
     return ""

@@ -108,9 +108,13 @@ def run_calibrations(config: Scenario, ground: FieldModel, progress: Progress, r
         other = mission.fly(with_random_phase(prescribed(days), config.seed + 1 + run))
         for place, name in enumerate(SETS):
             chosen = choose_rows(other, name)
-            for kind in KINDS:
-                fit = fit_rows(other, chosen, ground, kind)
-                estimates[run, place], sigmas[kind][run, place] = vector(fit), vector_sigma(fit)
+            white, by_pass, with_field = (
+                fit_rows(other, chosen, ground, kind) for kind in ("white", "pass", "white and field")
+            )
+            estimates[run, place] = vector(white)
+            stated = _sigmas_of_kinds(*(vector_sigma(fit) for fit in (white, by_pass, with_field)))
+            for kind, sigma in stated.items():
+                sigmas[kind][run, place] = sigma
     truth = mission.truth_vector(config)
     alone = mission.fly(mission.only(days, "field"))
     return CalibrationStudy(
@@ -122,7 +126,7 @@ def run_calibrations(config: Scenario, ground: FieldModel, progress: Progress, r
         sigmas=sigmas,
         bias_only=_bias_only(flight, ground, truth[:9].reshape(3, 3)),
         truth=truth,
-        field_shift=vector(fit_rows(alone, choose_rows(alone, "AB"), ground)) - truth,
+        field_shift=vector(fit_rows(alone, choose_rows(alone, "AB"), ground, "white")) - truth,
     )
 
 
@@ -160,14 +164,15 @@ def pass_labels(flight: Flight) -> np.ndarray:
 
 
 def fit_rows(flight: Flight, rows: np.ndarray, ground: FieldModel, kind: str = "pass and field") -> LinearFit:
-    """The papers' regression with one of three covariances: `white`, by `pass`, or by `pass and field`."""
+    """The papers' regression with a covariance `white`, by `pass`, or either `and field`."""
     return calibrate_linear(
         flight.telemetry.select(rows),
         ground,
         errors_in_variables=False,
-        covariance="white" if kind == "white" else "blocks",
-        passes=None if kind == "white" else pass_labels(flight)[rows],
-        field_error_nT=FIELD_ERROR_NT if kind == "pass and field" else None,
+        robust="none",
+        covariance="white" if kind.startswith("white") else "blocks",
+        passes=None if kind.startswith("white") else pass_labels(flight)[rows],
+        field_error_nT=FIELD_ERROR_NT if kind.endswith("and field") else None,
     )
 
 
@@ -187,6 +192,14 @@ def rms_mG(fit: LinearFit) -> float:
     return float(np.sqrt(np.mean(fit.residuals_nT**2)) / NT_PER_MG)
 
 
+def _sigmas_of_kinds(white: FloatArray, by_pass: FloatArray, with_field: FloatArray) -> dict[str, FloatArray]:
+    """(12,) of each of KINDS; with_field: a white one that allows for the field model.
+
+    That allowance adds the same variance to any covariance, so that the dear one, by pass, is worked out once.
+    """
+    return dict(zip(KINDS, (white, by_pass, np.sqrt(by_pass**2 + with_field**2 - white**2)), strict=True))
+
+
 def _bias_only(flight: Flight, ground: FieldModel, S: FloatArray) -> BiasOnly:
     found, means = [], []
     usable = flight.telemetry.has_attitude
@@ -196,7 +209,8 @@ def _bias_only(flight: Flight, ground: FieldModel, S: FloatArray) -> BiasOnly:
         if rows.size < _FEWEST_IN_PASS:
             continue
         record = flight.telemetry.select(rows)
-        found.append(calibrate_linear(record, ground, parameters="b").calibration.b_nT / NT_PER_MG)
+        alone = calibrate_linear(record, ground, parameters="b", robust="none", covariance="white")
+        found.append(alone.calibration.b_nT / NT_PER_MG)
         means.append(record.mag_B_nT.mean(axis=0) / NT_PER_MG)
     b, mean = np.array(found), np.array(means)
     slope = float(np.polyfit(mean[:, 0], b[:, 0], 1)[0])

@@ -101,7 +101,7 @@ def with_new_attitude(flight: Flight, telemetry: Telemetry) -> Telemetry:
 
 def _tilt_deg(telemetry: Telemetry, ground: FieldModel, truth_S: FloatArray) -> float:
     """Size of the rotation by which the found I+S differs from the true one."""
-    S = calibrate_linear(telemetry, ground, errors_in_variables=False).calibration.S
+    S = calibrate_linear(telemetry, ground, errors_in_variables=False, robust="none", covariance="white").calibration.S
     between = (np.eye(3) + S) @ np.linalg.inv(np.eye(3) + truth_S)
     turn = 0.5 * (between - between.T)
     return float(np.degrees(np.linalg.norm([turn[2, 1], turn[0, 2], turn[1, 0]])))

@@ -83,7 +83,8 @@ def run_calibrations(flight: Flight, ground: FieldModel, progress: Progress, run
         other = mission.fly(mission.with_random_hours(flight.scenario, flight.scenario.seed + 1 + run))
         reference_square[run] = _reference_error_square(other)
         day_205 = other.telemetry.select(other.rows("205"))
-        bias_only[run] = calibrate_linear(day_205, ground, parameters="b").calibration.b_nT / NT_PER_MG
+        alone = calibrate_linear(day_205, ground, parameters="b", robust="none", covariance="white")
+        bias_only[run] = alone.calibration.b_nT / NT_PER_MG
         for place, name in enumerate(DATA_SETS):
             found = _try_both(other, name, ground)
             estimates[run, place], corrected_estimates[run, place], spread[run, place] = found
@@ -148,5 +149,6 @@ def _fit(flight: Flight, data_set: str, ground: FieldModel, *, corrected: bool, 
         flight.telemetry.select(flight.rows(data_set)),
         ground,
         errors_in_variables=corrected,
+        robust="none",
         covariance="blocks" if blocks else "white",
     )

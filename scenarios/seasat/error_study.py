@@ -120,7 +120,7 @@ def _fit_rms(config: Scenario, world: World, ground: FieldModel, runs: int) -> f
     squares = []
     for run in range(runs):
         flight = mission.fly(config.updated({"seed": config.seed + run}), world)
-        fit = calibrate_linear(flight.telemetry, ground, errors_in_variables=False)
+        fit = calibrate_linear(flight.telemetry, ground, errors_in_variables=False, robust="none", covariance="white")
         squares.append(np.mean(fit.residuals_nT**2))
     return float(np.sqrt(np.mean(squares)) / NT_PER_MG)
 
@@ -143,6 +143,6 @@ def _unknown_for(
 
 def _field_shift(config: Scenario, world: World, ground: FieldModel) -> FloatArray:
     flight = mission.fly(config, world)
-    fit = calibrate_linear(flight.telemetry, ground, errors_in_variables=False)
+    fit = calibrate_linear(flight.telemetry, ground, errors_in_variables=False, robust="none", covariance="white")
     shift_S = fit.calibration.S - flight.truth.S
     return np.concatenate([shift_S.ravel(), (fit.calibration.b_nT - flight.truth.b_nT) / NT_PER_MG])

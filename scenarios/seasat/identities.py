@@ -37,7 +37,7 @@ def check_identities(flight: Flight, ground: FieldModel) -> Identities:
     truth = flight.truth
     stray = truth.dipole_B_Am2 @ truth.T_nT_per_Am2.T
     back = truth.ideal_B_nT @ (np.eye(3) + truth.S).T + truth.b_nT + stray
-    fit = calibrate_linear(flight.telemetry, ground, errors_in_variables=False)
+    fit = calibrate_linear(flight.telemetry, ground, errors_in_variables=False, robust="none")
     H, B = _regression_rows(flight, ground)
     S, b = fit.calibration.S, fit.calibration.b_nT
     centred_B, centred_h = B - B.mean(axis=0), (H - B) - (H - B).mean(axis=0)

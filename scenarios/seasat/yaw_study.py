@@ -164,9 +164,10 @@ def _sweep(config: Scenario, fine: Flight, ground: FieldModel, progress: Progres
 
 def _calibrations(flight: Flight, ground: FieldModel) -> tuple[Calibration, Calibration]:
     """The full calibration of all days, and the mean bias of day 205."""
-    full = calibrate_linear(flight.telemetry, ground, errors_in_variables=False).calibration
+    whole = calibrate_linear(flight.telemetry, ground, errors_in_variables=False, robust="none", covariance="white")
     day_205 = flight.telemetry.select(flight.rows("205"))
-    return full, calibrate_linear(day_205, ground, parameters="b").calibration
+    bias_only = calibrate_linear(day_205, ground, parameters="b", robust="none", covariance="white")
+    return whole.calibration, bias_only.calibration
 
 
 def _crossover(amplitude_deg: FloatArray, share: FloatArray) -> float | None:

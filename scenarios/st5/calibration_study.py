@@ -90,6 +90,7 @@ def options(method: str) -> SpinOptions:
     inertia = printed["inertia_kg_m2"]
     return SpinOptions(
         method=method, noise_nT=known.field_nT, lsb_nT=0.0, sun_sigma_deg=float(np.degrees(known.sun_rad)),
+        robust="none",
         inertia_ratio=inertia[2] / inertia[0] if method == "iterative" else None,
     )  # fmt: skip
 

@@ -51,7 +51,8 @@ def calibrate(
         time=time, mag_B_nT=reading, r_N_km=r, v_N_km_s=v, q_NB=frames.q_from_rotation(R_BN),
         dipole_B_Am2=np.roll(dipole, shift, axis=0),
     )  # fmt: skip
-    fit = calibrate_linear(record, model, parameters="b,S,T", direction=direction, noise_nT=200.0, lsb_nT=440.0)
+    known: dict[str, Any] = {"parameters": "b,S,T", "noise_nT": 200.0, "lsb_nT": 440.0, "robust": "none"}
+    fit = calibrate_linear(record, model, direction=direction, **known)
     return fit.calibration, fit
 
 

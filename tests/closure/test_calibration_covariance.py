@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from fluxtwin.calib.covariance import make_blocks
+from fluxtwin.calib.covariance import groupings, make_blocks
 from fluxtwin.calib.design import Design, assemble
 from fluxtwin.calib.linear import Options, calibrate_linear, fit_design
 
@@ -38,11 +38,12 @@ def pull(fit: Any, meter: Any) -> np.ndarray:
 
 def test_errors_constant_within_a_pass_widen_the_covariance(passes: Any) -> None:
     """A field-model error that is constant in each of 40 passes: the white covariance is wrong by far, the
-    blocks are right. Bands: mean variance of the 12 pulls, whose scatter over 150 runs is under 0.06."""
+    blocks are right. Bands: three of the scatter of the mean variance of the 12 pulls over 40 runs, under 0.12; four
+    of a single one's."""
     meter = passes.magnetometer(noise_nT=50.0)
     design = design_of(passes)
     white, blocks = [], []
-    for seed in range(150):
+    for seed in range(40):
         rng = np.random.default_rng([40, seed])
         constant = np.repeat(rng.normal(size=(40, 3)) * 120.0, 12, axis=0)
         now = with_reading(design, meter.reading(passes.field_B_nT + constant, None, rng))
@@ -50,19 +51,19 @@ def test_errors_constant_within_a_pass_widen_the_covariance(passes: Any) -> None
         white.append(pull(fit_design(now, known), meter))
         blocks.append(pull(fit_design(now, dataclasses.replace(known, covariance="blocks")), meter))
     assert np.var(white, axis=0).mean() > 4.0
-    assert 0.75 < np.var(blocks, axis=0).mean() < 1.25
-    assert np.var(blocks, axis=0).max() < 1.6
+    assert 0.65 < np.var(blocks, axis=0).mean() < 1.35
+    assert np.var(blocks, axis=0).max() < 1.0 + 4.0 * np.sqrt(2.0 / 40.0)
     words = fit_design(now, Options(covariance="blocks")).messages[-1]
     assert "40 blocks" in words
     assert "passes separated by gaps" in words
 
 
 def test_blocks_agree_with_white_when_errors_are_white(seasat: Any) -> None:
-    """Jackknife over 33 blocks: sigma to 1/sqrt(2*32) = 12 % each; the mean over 12 is asked to 15 %."""
+    """35 blocks: sigma to 1/sqrt(2*34) = 12 % each; the mean over 12 is asked to 15 %."""
     meter = seasat.magnetometer(noise_nT=300.0)
     design = design_of(seasat)
     ratio = []
-    for seed in range(40):
+    for seed in range(15):
         now = with_reading(design, meter.reading(seasat.field_B_nT, None, np.random.default_rng([8, seed])))
         white = fit_design(now, Options(noise_nT=300.0, lsb_nT=0.0, covariance="white"))
         blocks = fit_design(now, Options(noise_nT=300.0, lsb_nT=0.0, covariance="blocks", block_s=600.0))
@@ -72,13 +73,13 @@ def test_blocks_agree_with_white_when_errors_are_white(seasat: Any) -> None:
 
 def test_slow_errors_under_white_noise_are_seen(seasat: Any) -> None:
     """200 nT white noise over 150 nT that remembers six minutes: at the first lag the residual seems nearly white.
-    White sigmas are too small by 1.9; those of a dozen blocks are right to 10 % (a jackknife over G blocks has pulls
-    of variance (G-1)/(G-3) = 1.2). 100 runs; the scatter of the mean variance is under 0.07."""
+    White sigmas are too small by 1.9; those of the model are right. 30 runs; the scatter of the mean variance is under
+    0.13: three of those."""
     meter = seasat.magnetometer(noise_nT=200.0)
     design = design_of(seasat)
     rho = np.exp(-1.0 / 6.0)
     white, blocks = [], []
-    for seed in range(100):
+    for seed in range(30):
         rng = np.random.default_rng([17, seed])
         slow = lfilter([150.0 * np.sqrt(1.0 - rho**2)], [1.0, -rho], rng.normal(size=(400, 3)), axis=0)[75:]
         now = with_reading(design, meter.reading(seasat.field_B_nT + slow, None, rng))
@@ -86,19 +87,20 @@ def test_slow_errors_under_white_noise_are_seen(seasat: Any) -> None:
         white.append(pull(fit_design(now, known), meter))
         blocks.append(pull(fit_design(now, dataclasses.replace(known, covariance="blocks")), meter))
     assert np.var(white, axis=0).mean() > 2.5
-    assert 0.9 < np.var(blocks, axis=0).mean() < 1.45
+    assert 0.6 < np.var(blocks, axis=0).mean() < 1.4
 
 
 def test_few_blocks_fall_back_on_the_memory_of_the_residual(seasat: Any) -> None:
-    """One short stretch of slow errors: too short for blocks, said so, and the sigmas grow."""
+    """One short stretch of slow errors: too short for blocks, said so, and the sigmas grow by half at least (the
+    residual's rms is ten times the noise, and two or three periods make a fit eat most of it)."""
     meter = seasat.magnetometer(noise_nT=20.0)
     slow = 300.0 * np.sin(np.arange(92)[:, None] / 12.0 + np.arange(3))
     reading = meter.reading(seasat.field_B_nT[:92] + slow, None, np.random.default_rng(3))
     record = seasat.record(seasat.field_B_nT, rows=slice(0, 92)).replace(mag_B_nT=reading)
     white = calibrate_linear(record, seasat.model, noise_nT=20.0, lsb_nT=0.0, covariance="white")
     blocks = calibrate_linear(record, seasat.model, noise_nT=20.0, lsb_nT=0.0)
-    assert "slow part of the residual" in blocks.messages[-1]
-    assert (blocks.calibration.sigmas / white.calibration.sigmas).min() > 2.0
+    assert "fewer than 8 blocks" in blocks.messages[-1]
+    assert (blocks.calibration.sigmas / white.calibration.sigmas).min() > 1.5
     assert blocks.calibration.covariance_kind == "blocks"
     assert "hang together" in white.messages[-1]
 
@@ -201,9 +203,12 @@ def test_block_rules() -> None:
     """Passes as given; gaps; stretches of a stated length."""
     minute = np.timedelta64(60, "s")
     one = np.datetime64("2020-01-01T00:00:00", "ns") + np.arange(100) * minute
-    given = make_blocks(one, 0.0, passes=np.repeat(["a", "b", "c", "d"], 25))
-    assert given.count == 4
-    assert make_blocks(one, 0.0, block_s=600.0).count == 10
+    whole = np.zeros(100, dtype=int)
+    ((given, _),) = groupings(one, whole, passes=np.repeat(["a", "b", "c", "d"], 25))
+    assert np.bincount(given).tolist() == [25] * 4
+    ((asked, words),) = groupings(one, whole, block_s=600.0)
+    assert np.bincount(asked).tolist() == [10] * 10
+    assert words == "stretches of 600 s, as asked"
     assert make_blocks(one, 150.0).count == 10  # four memories
     gaps = np.concatenate([one + k * np.timedelta64(1, "D") for k in range(20)])
     by_gap = make_blocks(gaps, 600.0)
@@ -213,7 +218,7 @@ def test_block_rules() -> None:
 
 
 def test_one_block_that_alone_determines_a_column(seasat: Any) -> None:
-    """All the variation along body Y in one of the blocks: said so, and the memory of the residual is used."""
+    """All the variation along body Y in one of the blocks: the covariance is regular all the same."""
     rng = np.random.default_rng(31)
     field = rng.normal(size=(300, 3)) * 2e4
     field[30:, 1] = 500.0
@@ -229,23 +234,23 @@ def test_one_block_that_alone_determines_a_column(seasat: Any) -> None:
     fit = fit_design(
         exact, Options(noise_nT=10.0, lsb_nT=0.0, covariance="blocks"), passes=np.repeat(np.arange(10), 30)
     )
-    assert "one block alone determines a parameter" in fit.messages[-1]
-    assert "slow part of the residual" in fit.messages[-1]
+    scale = np.outer(fit.calibration.sigmas, fit.calibration.sigmas)
+    assert np.linalg.eigvalsh(fit.calibration.covariance / scale)[0] > 0.0
 
 
 def test_blocks_in_the_forward_direction(passes: Any) -> None:
-    """The jackknife of G and o, carried to S and b: pulls right for errors constant within a pass. 100 runs; the
-    scatter of the mean variance of 12 correlated pulls is under 0.08, the band three of that."""
+    """The covariance of G and o, carried to S and b: pulls right for errors constant within a pass. 30 runs; the
+    scatter of the mean variance of 12 correlated pulls is under 0.15, the band three of that."""
     meter = passes.magnetometer(noise_nT=50.0)
     design = design_of(passes)
     found = []
-    for seed in range(100):
+    for seed in range(30):
         rng = np.random.default_rng([41, seed])
         constant = np.repeat(rng.normal(size=(40, 3)) * 120.0, 12, axis=0)
         now = with_reading(design, meter.reading(passes.field_B_nT + constant, None, rng))
         options = Options(direction="forward", noise_nT=50.0, lsb_nT=0.0, covariance="blocks")
         found.append(pull(fit_design(now, options), meter))
-    assert 0.75 < np.var(found, axis=0).mean() < 1.25
+    assert 0.55 < np.var(found, axis=0).mean() < 1.45
 
 
 def test_one_orbit_with_the_correction_for_noise(seasat: Any) -> None:

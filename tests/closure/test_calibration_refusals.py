@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from fluxtwin.calib.linear import calibrate_linear
+from fluxtwin.calib.verdict import worst_pairs
 from fluxtwin.sim.errors import BadInput, NoAnswer
 
 T_NT_PER_AM2 = np.array([[1.2, -0.4, 0.3], [0.2, -0.9, 0.5], [-0.6, 0.1, 1.5]])
@@ -117,7 +118,10 @@ def test_a_real_one_orbit_record_is_solved_not_refused(seasat: Any) -> None:
     reading = meter.reading(seasat.field_B_nT, None, np.random.default_rng(8))
     fit = calibrate_linear(seasat.record(reading, rows=slice(281, 325)), seasat.model, direction="forward")
     assert (fit.sigma["S12"] or 0.0) > 0.05
-    assert any("S12 and b1 are not separable in this data: correlation" in words for words in fit.observability)
+    assert ("S12", "b1") in [pair[:2] for pair in worst_pairs(fit)]
+    said = [words for words in fit.observability if "are not separable in this data: correlation" in words]
+    assert len(said) == 1  # the worst pair; the others are counted
+    assert "more pairs with a correlation of 0.95 or more" in said[0]
 
 
 def test_fewer_samples_than_parameters(seasat: Any) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fluxtwin.calib.linear import calibrate_linear
+from fluxtwin.calib.methods import calibrate_by
 from fluxtwin.scenarios.seasat import mission
 from fluxtwin.sim.field import load_field
 from fluxtwin.sim.random_streams import stream
@@ -31,10 +32,13 @@ def test_a_sound_fit_raises_no_doubt(sound, ground):
         assert word not in said
 
 
-def test_a_conjugated_quaternion_and_a_wrong_unit_are_doubted(sound, ground):
+def test_a_conjugated_quaternion_and_a_wrong_unit_are_no_calibration(sound, ground):
     conjugated = np.array(sound.q_NB) * [-1, -1, -1, 1]
-    assert "attitude" in doubts(sound.replace(q_NB=conjugated), ground)
-    assert "unit" in doubts(sound.replace(mag_B_nT=np.array(sound.mag_B_nT) * 2.0), ground)
+    for wrong in (sound.replace(q_NB=conjugated), sound.replace(mag_B_nT=np.array(sound.mag_B_nT) * 2.0)):
+        verdict = calibrate_by(wrong, ground).verdict
+        assert verdict.level == "bad"
+        assert "attitude" in " ".join(verdict.reasons)
+        assert "unit" in " ".join(verdict.reasons)
 
 
 def test_bit_errors_are_doubted_until_weights_are_robust(sound, ground):

@@ -199,7 +199,8 @@ def test_a_current_and_torquers_without_attitude() -> None:
         bias = fit.telemetry_bias["array_current_A"]
         found.append(np.concatenate([pulls(fit), (bias.value_nT - s) / bias.sigma_nT]))
         ignored = fit_rows(
-            ScalarRows(rows.time, rows.B_nT, rows.H_nT, {}, rows.rows, {}), ScalarOptions(noise_nT=200.0)
+            ScalarRows(rows.time, rows.B_nT, rows.H_nT, {}, rows.rows, {}),
+            ScalarOptions(noise_nT=200.0, covariance="white"),
         )
         dipole = rng.choice([-20.0, 0.0, 20.0], (900, 3))
         names = {f"dipole_{axis}_Am2": dipole[:, i] for i, axis in enumerate("xyz")}

@@ -73,7 +73,8 @@ def test_a_plane_is_refused_in_one_message_and_nothing_is_written(
 ) -> None:
     outcome = cli("calibrate", folder / "spinning.nc", "--out", tmp_path / "c.toml", *options)
     assert outcome.status == 1
-    assert outcome.err.startswith("fluxtwin: ")
+    said = [line for line in outcome.err.splitlines() if not line.endswith(" ...")]  # a slow machine shows progress
+    assert len(said) == 1 and said[0].startswith("fluxtwin: ")
     assert "normal body Z" in outcome.err
     assert "Traceback" not in outcome.err
     assert list(tmp_path.iterdir()) == []
@@ -111,6 +112,6 @@ def test_a_spinner_by_batch_and_iteration(cli: Cli, tmp_path: Path) -> None:
         known = Calibration.from_toml(out)
         truth = np.concatenate([flight.truth.S.ravel(), flight.truth.b_nT])
         assert np.abs((known.values - truth) / known.sigmas).max() < 5.0
-    outcome = cli("calibrate", tmp_path / "st5.nc", "--method", "batch", "--robust", "tukey")
+    outcome = cli("calibrate", tmp_path / "st5.nc", "--method", "batch", "--robust", "huber")
     assert outcome.status == 2
     assert "--robust" in outcome.err

@@ -174,7 +174,7 @@ def test_one_record_whatever_the_method(record: Telemetry, model: FieldModel, tm
     [
         ("center", {"parameters": "b,S"}, "CENTER finds the bias alone"),
         ("twostep", {"parameters": "b,S,T"}, "method scalar"),
-        ("twostep", {"robust": "huber"}, "method scalar"),
+        ("twostep", {"robust": "cauchy"}, "robust"),
         ("twostep", {"telemetry_bias": ["array_current_A"]}, "method scalar"),
         ("scalar", {"telemetry_bias": ["array_curent_A"]}, "'array_current_A' is near"),
         ("scalar", {"errors_in_variables": True}, "method linear"),
@@ -229,6 +229,7 @@ def test_a_field_that_follows_a_column_survives_saving(record: Telemetry, model:
     assert left == predict_scalar(spoilt, fit.calibration, model).to_dict()
     with pytest.raises(BadInput, match="a field that follows 'array_current_A', and the column is not there"):
         apply_calibration(spoilt.replace(array_current_A=None), again)
-    path.write_text(path.read_text().replace("nT_per_unit", "nT"))
+    lines = [line for line in path.read_text().splitlines() if not line.startswith("sha256")]
+    path.write_text("\n".join(lines).replace("nT_per_unit", "nT"))
     with pytest.raises(BadInput, match=r"telemetry_bias\.array_current_A"):
         Calibration.from_toml(path)

@@ -1,0 +1,125 @@
+"""A calibration as a page and as tables to read: the verdict, degrees, parameters, residuals, what is not observable."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from fluxtwin.calib.digits import plain, with_sigma
+from fluxtwin.calib.direction import CONFIDENCE
+from fluxtwin.calib.fit import Fit
+from fluxtwin.calib.verdict import kept_rows
+from fluxtwin.scenarios.page import FigureBlock, Page, Section, Table
+from fluxtwin.sim import epoch
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def calibration_page(fit: Fit, title: str, *, next_step: str, command: str) -> Page:
+    """The page of one calibration. next_step: with the names of the files; command: what repeats it."""
+    verdict = fit.verdict
+    lines = () if verdict is None else verdict.lines
+    unseen = list(fit.observability) or ["Everything that was asked for is determined by these data."]
+    caption = (
+        f"Residuals of the {len(fit.time)} rows used. Crosses: rows set aside as outliers; arrows at the edge: beyond it. "
+        "Right: their distribution without the outliers, and the normal law of the stated sigma."
+    )
+    return Page(
+        title=title,
+        verdict=lines[0] if lines else fit.calibration.method,
+        sections=[
+            Section("What it means", [*lines[1:-1], f"Next: {next_step}"], [] if verdict is None else [_angles(fit)]),
+            Section("Parameters", [], [parameter_table(fit), *_bias_tables(fit)]),
+            Section("Residuals", [], [_residuals(fit)], [FigureBlock("residuals", caption, residual_figure(fit))]),
+            Section("What these data do not tell", unseen, correlation_tables(fit)),
+            Section("How it was made", [f"{message}." for message in fit.messages]),
+            Section("Repeat it", [command]),
+        ],
+        provenance=_provenance(fit),
+    )
+
+
+def tables(fit: Fit) -> list[Table]:
+    """The tables for the terminal, in order."""
+    return [parameter_table(fit), *_bias_tables(fit), *correlation_tables(fit)]
+
+
+def parameter_table(fit: Fit) -> Table:
+    """Parameters with sigma and unit, to the second digit of sigma."""
+    rows = []
+    for entry in fit.parameters():
+        value, sigma = with_sigma(entry["value"], entry["sigma"])
+        rows.append([entry["name"], value, sigma, entry["unit"]])
+    return Table("A B0 = (I+S) B + b + T D", ["parameter", "value", "sigma", "unit"], rows)
+
+
+def correlation_tables(fit: Fit) -> list[Table]:
+    """The worst five of the correlated pairs; nothing where there are none."""
+    pairs = () if fit.verdict is None else fit.verdict.correlated
+    rows = [[f"{one}, {other}", f"{value:+.3f}"] for one, other, value in pairs]
+    return [Table("most correlated parameters, the worst five", ["pair", "correlation"], rows)] if rows else []
+
+
+def residual_figure(fit: Fit) -> Figure:
+    """The residuals along the record, with the rows set aside marked."""
+    from fluxtwin.plots.calibration_residuals import CalibrationResiduals, draw_calibration_residuals
+
+    aside = ~kept_rows(fit.weights)
+    record = CalibrationResiduals(fit.time, fit.residuals_nT, fit.calibration.sigma_nT, aside)
+    return draw_calibration_residuals(record, title="Residuals of the calibration")
+
+
+def _bias_tables(fit: Fit) -> list[Table]:
+    """Fields that follow a column."""
+    rows = []
+    for name, one in fit.to_dict().get("telemetry_bias", {}).items():
+        for axis, value, sigma in zip("xyz", one["nT_per_unit"], one["sigma"], strict=True):
+            rows.append([f"{name} {axis}", *with_sigma(value, sigma)])
+    title = "field in the reading for a unit of the column [nT]"
+    return [Table(title, ["column", "value", "sigma"], rows)] if rows else []
+
+
+def _angles(fit: Fit) -> Table:
+    assert fit.verdict is not None
+    d = fit.verdict.direction
+    rows: list[list[str]] = [
+        ["before: readings as they are", plain(d.before_deg, 2)],
+        ["after: a calibrated reading", plain(d.after_deg, 2)],
+        ["of that, errors of the calibration", plain(d.calibration_deg, 2)],
+        ["errors of the calibration in any attitude", plain(d.calibration_anywhere_deg, 2)],
+        ["of that, noise of one reading", plain(d.noise_deg, 2)],
+    ]
+    if d.against_reference_deg is not None:
+        rows.append(["against the reference attitude, its error included", plain(d.against_reference_deg, 2)])
+    return Table(
+        f"Direction of the field, absolute knowledge error at {100 * CONFIDENCE:.0f} %",
+        ["of", "angle [deg]"],
+        rows,
+        "AKE as in ECSS-E-ST-60-10C, mixed interpretation: over the instants of the record and over the calibrations that "
+        "the covariance allows. The error of the reference attitude is in the last row alone.",
+    )
+
+
+def _residuals(fit: Fit) -> Table:
+    names = "xyz" if fit.residuals_nT.shape[1] == 3 else ["|B|"]
+    kept = fit.residuals_nT[kept_rows(fit.weights)]
+    rows = [
+        [name, plain(float(series.mean())), plain(float((series**2).mean() ** 0.5)), plain(float(abs(series).max()))]
+        for name, series in zip(names, kept.T, strict=True)
+    ]
+    aside = len(fit.time) - len(kept)
+    note = (
+        f"{len(kept)} rows; {aside} set aside as outliers are not in these figures." if aside else f"{len(kept)} rows."
+    )
+    return Table("Residuals [nT]", ["component", "mean", "rms", "largest"], rows, note)
+
+
+def _provenance(fit: Fit) -> dict[str, str]:
+    known = fit.calibration
+    span = "" if known.span is None else f"{epoch.iso(known.span[0])} to {epoch.iso(known.span[1])}"
+    lines = {
+        "spacecraft": known.spacecraft, "span": span, "samples": str(known.samples), "field model": known.field_model,
+        "method": known.method, "covariance": known.covariance_kind, "SHA-256 of the calibration": known.digest,
+        "residual to": known.residual_to,
+    }  # fmt: skip
+    return {key: value for key, value in lines.items() if value}

@@ -1,0 +1,138 @@
+"""`fluxtwin calibrate` answers first: good or not, degrees, what next; and keeps an impossible fit to itself."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fluxtwin
+
+SCENARIO = """
+seed = 1
+[spacecraft]
+name = "my cubesat"
+[orbit]
+epoch_utc = "2026-03-01T00:00:00Z"
+altitude_km = 650.0
+inclination_deg = 97.9
+raan_deg = 120.0
+argument_of_latitude_deg = 0.0
+[attitude]
+mode = "earth_pointing"
+yaw_rms_deg = 1.0
+[attitude.reference]
+sigma_deg = 0.1
+tau_s = 300.0
+[magnetometer]
+S = [[0.01, 0.002, 0.0], [0.0, -0.01, 0.0], [0.001, 0.0, 0.02]]
+b_nT = [1500.0, -800.0, 300.0]
+noise_nT = 20.0
+lsb_nT = 10.0
+[schedule]
+segments = [{ start_utc = "2026-03-01T00:00:00Z", duration_min = 300.0, step_s = 10.0 }]
+"""
+
+Cli = Callable[..., object]
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The README's record, and the same an hour late."""
+    from fluxtwin.cli import main
+
+    folder = tmp_path_factory.mktemp("verdict")
+    (folder / "my.toml").write_text(SCENARIO, encoding="utf-8")
+    assert main(["simulate", str(folder / "my.toml"), "--out", str(folder / "my.nc")]) == 0
+    record = fluxtwin.read(folder / "my.nc")
+    fluxtwin.write(record.replace(time=record.time + np.timedelta64(3600, "s")), folder / "late.nc")
+    return folder
+
+
+def test_the_first_lines_are_the_verdict(cli: Cli, flight: Path, tmp_path: Path) -> None:
+    out = tmp_path / "my calibration.toml"
+    outcome = cli("calibrate", flight / "my.nc", "--out", out, "--json", tmp_path / "c.json")
+    assert outcome.status == 0  # type: ignore[attr-defined]
+    lines = outcome.out.splitlines()  # type: ignore[attr-defined]
+    assert lines[0].startswith("Good. The residual is ")
+    assert re.match(
+        r"Direction of the field, absolute knowledge error \(AKE\) at 95 %: 4\.\d deg before, 0\.1", lines[1]
+    )
+    assert lines[3].startswith(f"Next: fluxtwin apply {flight / 'my.nc'} --calibration '{out}' --out ")
+    verdict = json.loads((tmp_path / "c.json").read_text("utf-8"))["verdict"]
+    assert verdict["lines"][0] == lines[0]
+    assert verdict["level"] == "good"
+
+
+def test_numbers_have_the_digits_that_are_known(cli: Cli, flight: Path) -> None:
+    out = cli("calibrate", flight / "my.nc").out  # type: ignore[attr-defined]
+    assert "e+0" not in out
+    rows = re.findall(r"^(S\d\d|b\d) +(-?[\d.]+) +([\d.]+) +(1|nT)$", out, flags=re.MULTILINE)
+    assert len(rows) == 12
+    for name, value, sigma, _ in rows:
+        assert len(sigma.replace(".", "").lstrip("0")) == 2, (name, sigma)
+        assert len(value.partition(".")[2]) == len(sigma.partition(".")[2]), (name, value, sigma)
+
+
+def test_an_impossible_fit_leaves_no_file(cli: Cli, flight: Path, tmp_path: Path) -> None:
+    out, evidence, page = tmp_path / "late.toml", tmp_path / "late.json", tmp_path / "late.html"
+    call = ("calibrate", flight / "late.nc", "--out", out)
+    outcome = cli(*call, "--json", evidence, "--html", page)
+    assert outcome.status == 1  # type: ignore[attr-defined]
+    assert outcome.out.startswith("Bad: not a calibration.")  # type: ignore[attr-defined]
+    assert f"Next: fluxtwin check {flight / 'late.nc'}" in outcome.out  # type: ignore[attr-defined]
+    assert "is not written" in outcome.err  # type: ignore[attr-defined]
+    assert not out.exists()
+    assert json.loads(evidence.read_text("utf-8"))["verdict"]["level"] == "bad"
+    assert "Bad: not a calibration." in page.read_text("utf-8")
+    forced = cli(*call, "--force")
+    assert forced.status == 1  # type: ignore[attr-defined]
+    assert fluxtwin.Calibration.from_toml(out).samples > 0
+
+
+def test_python_has_the_same_verdict(flight: Path) -> None:
+    assert fluxtwin.calibrate(flight / "late.nc").verdict.level == "bad"
+    assert fluxtwin.calibrate(flight / "my.nc").verdict.level == "good"
+
+
+def test_the_page_has_it_all(cli: Cli, flight: Path, tmp_path: Path) -> None:
+    page = tmp_path / "my.html"
+    assert cli("calibrate", flight / "my.nc", "--robust", "tukey", "--html", page).status == 0  # type: ignore[attr-defined]
+    text = page.read_text("utf-8")
+    places = [text.index(word) for word in (
+        'class="verdict">Good.', "absolute knowledge error", "<h2>Parameters", "<h2>Residuals", "data:image/png",
+        "<h2>What these data do not tell", f"fluxtwin calibrate {flight / 'my.nc'} --robust tukey --html {page}",
+        "SHA-256 of the calibration",
+    )]  # fmt: skip
+    assert places == sorted(places)
+
+
+def test_pairs_are_a_table_of_five_at_most(cli: Cli, flight: Path, tmp_path: Path) -> None:
+    """Ten minutes: nearly every pair is correlated."""
+    short = fluxtwin.read(flight / "my.nc").select(slice(0, 60))
+    fluxtwin.write(short, tmp_path / "short.nc")
+    out = cli("calibrate", tmp_path / "short.nc").out  # type: ignore[attr-defined]
+    assert 1 <= len(re.findall(r"^[Sb]\d+, [Sb]\d+ +[+-][01]\.\d{3}$", out, flags=re.MULTILINE)) <= 5
+    assert out.count("not separable in this data") <= 2  # in the verdict or the list below, once each
+
+
+def test_outliers_are_marked_and_do_not_scale_the_axes() -> None:
+    from fluxtwin.plots.calibration_residuals import CalibrationResiduals, draw_calibration_residuals
+
+    rng = np.random.default_rng(1)
+    time = np.datetime64("2026-03-01", "ns") + np.arange(300) * np.timedelta64(10, "s")
+    r, aside = 20.0 * rng.normal(size=(300, 3)), np.zeros(300, dtype=bool)
+    r[[50, 150]] += 40_000.0
+    aside[[50, 150]] = True
+    marked = draw_calibration_residuals(CalibrationResiduals(time, r, 20.0, aside), title="t")
+    bare = draw_calibration_residuals(CalibrationResiduals(time, r, 20.0), title="t")
+    for row in range(3):
+        left, right = marked.axes[2 * row : 2 * row + 2]
+        assert left.get_ylim()[1] < 100.0
+        assert right.get_xlim()[1] < 200.0
+        assert bare.axes[2 * row].get_ylim()[1] > 40_000.0
+    assert "2 rows set aside" in marked.get_suptitle()

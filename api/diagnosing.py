@@ -69,7 +69,7 @@ def diagnose(
         model,
         modelled=modelled,
         budget=budget,
-        instrument=None if config is None else spacecraft.magnetometer(config),
+        instrument=None if config is None or record.corrected_by else spacecraft.magnetometer(config),
         frozen=() if config is None else _frozen(config),
         craft=_craft(config),
         provenance={"source": record.provenance.get("source", "")},
@@ -79,6 +79,7 @@ def diagnose(
     found = second_channel.with_second_channel(investigated, second_channel.channel_of(record, frozen))
     stuck = doubts.stuck_attitude(record, budget.attitude_sigma_rad)
     notes = [
+        _corrected(record),
         *doubts.traps(record, model),
         *_left_out(record, found),
         stuck if stuck is not None else doubts.stuck_and_misfit(record, found.gap.before_nT),
@@ -137,11 +138,23 @@ def _require_something(record: Telemetry) -> None:
         )
 
 
+def _corrected(record: Telemetry) -> str | None:
+    """What is found in corrected readings is what the correction has left."""
+    if not record.corrected_by:
+        return None
+    return (
+        f"the readings are corrected already (by {record.corrected_by}): the gap is what that calibration has left, and "
+        "the starting S, b and T of a scenario are not used"
+    )
+
+
 def _left_out(record: Telemetry, found: Diagnosis) -> list[str | None]:
     """What the person who reads the answer must know about rows that are not in it, or not wholly."""
     notes: list[str | None] = []
     if "without_attitude" in found.provenance:
         notes.append(str(found.provenance["without_attitude"]))
+    if "outliers" in found.provenance:
+        notes.append(str(found.provenance["outliers"]))
     every = found.provenance.get("rows_thinned_by", 1)
     if every != 1:
         notes.append(
@@ -172,6 +185,10 @@ def _budget(
     attitude_sigma_deg: float | None,
     attitude_tau_s: float | None,
 ) -> Budget:
+    given = {
+        "noise_nT": noise_nT, "lsb_nT": lsb_nT, "attitude_sigma_deg": attitude_sigma_deg, "attitude_tau_s": attitude_tau_s,
+    }  # fmt: skip
+    sources = {} if config is None else {name: "scenario" for name, value in given.items() if value is None}
     if config is not None:
         reference = config.attitude.reference
         noise_nT = config.magnetometer.white_nT if noise_nT is None else noise_nT
@@ -181,7 +198,7 @@ def _budget(
             attitude_tau_s = reference.tau_s if attitude_tau_s is None else attitude_tau_s
     sigma_rad = None if attitude_sigma_deg is None else float(np.radians(attitude_sigma_deg))
     frozen = () if config is None else _frozen(config)
-    return Budget(*with_frozen_noise(frozen, noise_nT, lsb_nT), sigma_rad, attitude_tau_s)
+    return Budget(*with_frozen_noise(frozen, noise_nT, lsb_nT), sigma_rad, attitude_tau_s, sources)
 
 
 def _frozen(config: Scenario) -> tuple[Active, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from fluxtwin.calib.digits import measured
 from fluxtwin.gap.advice import typical_size
 from fluxtwin.gap.records import Diagnosis
 from fluxtwin.scenarios.page import FigureBlock, Page, Section, Table
@@ -144,9 +145,8 @@ def effects_table(diagnosis: Diagnosis) -> Table:
         label = " / ".join(effect.group) or effect.name
         sure, price = percent(effect.probability), _p_value(effect.significance)
         for name, parameter in effect.parameters.items():
-            sigma = "" if parameter.sigma is None else f" ± {parameter.sigma:.2g}"
             unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
-            rows.append([label, f"{name}{unit}", f"{parameter.value:.4g}{sigma}", sure, effect.stage, price])
+            rows.append([label, f"{name}{unit}", measured(parameter.value, parameter.sigma), sure, effect.stage, price])
             label = sure = price = ""
         if not effect.parameters:
             rows.append([label, "", "", sure, effect.stage, price])
@@ -210,12 +210,18 @@ def far_table(diagnosis: Diagnosis) -> Table:
         [axis, f"{values['before_nT']:.1f}", f"{values['after_nT']:.1f}", "", "", ""]
         for axis, values in g.per_axis.items()
     ]
+    held_out = "Both predict samples that the estimate has not seen."
+    if g.prediction == "fit":
+        held_out = (
+            "Both are of the fit itself: one part of this record does not determine what predicts another, so nothing "
+            "can be held out."
+        )
     return Table(
-        "The gap, rms per component on held-out samples [nT]",
-        ["axis", "before", "after", "floor", "floor with effects", "closed (90 %)"],
+        f"The gap, rms per component {'in the fit' if g.prediction == 'fit' else 'on held-out samples'} [nT]",
+        ["axis", "before", "after", "expected", "expected with effects", "closed (90 %)"],
         rows,
-        "Before: what is modelled is re-estimated. After: the named effects too. Both predict samples that the estimate "
-        "has not seen. Floor: what noise, quantisation and attitude error leave; with effects: and named noise.",
+        f"Before: what is modelled is re-estimated. After: the named effects too. {held_out} Expected: what noise, "
+        "quantisation and attitude error give; with effects: the named noise as well.",
     )
 
 
@@ -290,7 +296,8 @@ def detectable_table(diagnosis: Diagnosis) -> Table:
         "Minimum detectable sizes",
         ["effect", "parameter", "smallest that shows", "typical", "visible rms [nT]", "to see the typical size"],
         rows,
-        "False alarm 1 %, miss 10 %. Hours grow with the square of the size: half the size takes four times the data.",
+        "Found nine times in ten; false alarm 0.2 % over all that is tested. Hours grow with the square of the size: half "
+        "the size takes four times the data.",
     )
 
 

@@ -1,7 +1,7 @@
 """How often the diagnosis is right about effects that it has not been told.
 
     python benchmarks/withheld.py [--population NAME ...] [--count N] [--jobs N] [--out DIR] [--chaos FILE]
-    python benchmarks/withheld.py --tune SEED ...     any other seed, on any tree; nothing is logged
+    python benchmarks/withheld.py --tune SEED ...     any other seed (or --seed), on any tree; nothing is logged
     python benchmarks/withheld.py --out DIR --score   score what is there again
     ... --score --docs                                and write docs/withheld.md with its figure
     ... --closing                                     and put the closed scenarios to the test: twin, loop, control
@@ -36,7 +36,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from withheld_cases import page, score, store
+from withheld_cases import limits, page, printed, score, store
 from withheld_cases.ask import ask, ask_rival
 from withheld_cases.cases import PLAIN, POPULATIONS, SENSED, identity
 from withheld_cases.control import wrong
@@ -53,6 +53,8 @@ FROZEN = {
     "nulls": 1000, "nulls_off": 60, "singles": 3 * len(PLAIN), "faint": 20, "pairs": 30, "triples": 12, "shapes": 30,
     "outside": 2 * len(OUTSIDE), "sensed": 10 * len(SENSED),
     "torque_nulls": 40, "torques": 24, "torque_pairs": 12,
+    "nulls_undeclared": 300, "singles_undeclared": 3 * len(PLAIN), "passes_only": 200, "short": 200, "coarse": 200,
+    "limits": 100 * len(limits.SIZED), "undetermined": 40,
 }  # fmt: skip
 """Cases of a frozen run."""
 RIVAL = {"nulls": 200, "singles": 40, "pairs": 15, "triples": 6}
@@ -63,10 +65,12 @@ SECONDS = {
     "nulls": 3.5, "nulls_off": 3.5, "singles": 6.5, "faint": 5.5, "pairs": 9.5, "triples": 12.0, "shapes": 6.0,
     "outside": 10.0, "sensed": 5.0, "rival": 2.0, "loops": 10.0,
     "torque_nulls": 5.0, "torques": 22.0, "torque_pairs": 22.0,
+    "nulls_undeclared": 8.0, "singles_undeclared": 8.0, "passes_only": 11.0, "short": 3.0, "coarse": 5.0,
+    "limits": 13.0, "undetermined": 3.0,
 }  # fmt: skip
 """Mean CPU time of one answer on a busy core of 2026 (tuning rounds), to tell how long a run will take."""
 DOCS = ROOT / "docs"
-QUICK = {"tune": 1, "population": ["nulls", "singles"], "count": 1}
+QUICK = {"tune": 1, "population": ["nulls", "singles", "undetermined"], "count": 1}
 
 Plan = list[tuple[str, int]]
 
@@ -124,6 +128,8 @@ def _answered(here: store.Store, seed: int, plan: Plan, given: argparse.Namespac
     print(f"answers sealed: sha256 {sealed}", flush=True)
     waiting = [name for name in names if here.has("asked", name) and not here.has("said", name)]
     _all("asked", ask, [(root, name) for name in waiting], given.jobs)
+    sizes = [name for name, (population, _) in zip(names, plan, strict=True) if population == "limits"]
+    _all("printed sizes flown", printed.again, [(root, name) for name in sizes], given.jobs)
     if given.rival:
         some = [name for name in _first(seed, plan, RIVAL) if here.has("asked", name)]
         _all("rival asked", ask_rival, [(root, name) for name in some], given.jobs)
@@ -152,13 +158,13 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--out", type=Path, help="folder of the run")
     parser.add_argument("--chaos", metavar="FILE", help="half of the truths (no nulls) have this richer field")
-    parser.add_argument("--tune", type=int, metavar="SEED", help="any other seed; nothing is logged")
+    parser.add_argument("--tune", "--seed", type=int, metavar="SEED", help="any other seed; nothing is logged")
     parser.add_argument("--list", action="store_true", help="tell the populations and the outside set, and stop")
     parser.add_argument("--score", action="store_true", help="only score what is in --out")
     parser.add_argument(
         "--closing", action="store_true", help="run the closed scenarios: twin, loop on another day, control"
     )
-    parser.add_argument("--quick", action="store_true", help="one null and one single, to see that it runs")
+    parser.add_argument("--quick", action="store_true", help="a null, a single and a fast spinner, to see that it runs")
     parser.add_argument("--docs", action="store_true", help="with --score: write the page and its figure")
     parser.add_argument("--rival", action="store_true", help="put the questions to the rival as well")
     given = parser.parse_args()

@@ -15,7 +15,7 @@ from fluxtwin.gap.evidence import Leftover, leftover
 from fluxtwin.gap.flexible import FlexibleFinding
 from fluxtwin.gap.left import Left, what_is_left
 from fluxtwin.gap.named import SearchResult
-from fluxtwin.gap.noise import NoiseModel, RobustRows, Whitener, whitener_of
+from fluxtwin.gap.noise import NoiseChoice, NoiseModel, RobustRows, Whitener, noise_choice, whitener_of
 from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.search import search
 from fluxtwin.gap.tones import TONE_DEGREES, strongest_tone
@@ -25,6 +25,7 @@ from fluxtwin.sim.types import FloatArray
 
 Known = tuple[list[Candidate], dict[str, str]]
 """What `candidates` gives for a problem."""
+_ROUNDS = 2
 CARRIED = 0.9
 """Share of the structured energy that the named effects must carry where structure is left."""
 
@@ -115,6 +116,26 @@ def _once(
     if signals and left.kind == "tone":
         result = _with_the_line(problem, result, leftover(whitener, result.residual_nT, fitted))
     return Answer(noise, robust, whitener, result, alone, fitted, left, shapes)
+
+
+def noise_and_answer(problem: Problem, dictionary: Sequence[Block], known: Known) -> tuple[NoiseChoice, Answer]:
+    """The noise beside what is modelled, the answer under it; then the noise beside the named effects too, and the answer
+    under that, in turn until the names stay.
+
+    The noise is that of the model as it stands, never beside everything that might be there: some hundred columns can
+    make up any slow error of the attitude, and what they leave would be taken for all there is.
+    """
+    choice = noise_choice(problem)
+    answer = answered(problem, choice.noise, choice.robust, dictionary, known)
+    for _ in range(_ROUNDS):
+        names = {effect for effect, _ in answer.result.chosen}
+        if not answer.carries:
+            break  # nothing is named, or what is named is not what there is
+        choice = noise_choice(problem, answer.fitted_nT, residual_nT=answer.result.residual_nT)
+        answer = answered(problem, choice.noise, choice.robust, dictionary, known)
+        if {effect for effect, _ in answer.result.chosen} == names:
+            break
+    return choice, answer
 
 
 def signals_of(shapes: Sequence[FlexibleFinding]) -> list[Active]:

@@ -1,7 +1,7 @@
-"""The smallest size of each effect that a design would show: false alarm 1 %, miss 10 %.
+"""The smallest size of each effect that a design would show: nine times in ten, at the gate that a name has to pass.
 
 An effect is seen when its score, chi-square with r degrees of freedom and non-centrality d, exceeds the level that
-noise alone passes with probability 0.01 / K, K being the number of alternatives tested (the price of the search). The
+noise alone passes with probability GATE / K, K being the number of alternatives tested (the price of the search). The
 noise is that of the noise model. The size is the d at which that happens nine times in ten (noncentral chi-square, exact).
 """
 
@@ -17,7 +17,8 @@ from fluxtwin.gap.records import Detectable
 from fluxtwin.gap.score import Board
 from fluxtwin.sim.types import FloatArray
 
-FALSE_ALARM = 0.01
+GATE = 0.002
+"""Probability that a perfect simulation gets any name."""
 MISS = 0.10
 _ABSURD = 1000.0  # times the typical size: no flight would show it
 
@@ -25,7 +26,7 @@ _ABSURD = 1000.0  # times the typical size: no flight would show it
 @cache
 def noncentrality(rank: int, tested: int) -> float:
     """The non-centrality that a test with `rank` degrees of freedom, one of `tested`, finds nine times in ten."""
-    level = float(chi2.isf(FALSE_ALARM / tested, rank))
+    level = float(chi2.isf(GATE / tested, rank))
     return float(brentq(lambda d: ncx2.cdf(level, rank, d) - MISS, 1e-3, 20.0 * level + 100.0))
 
 

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fluxtwin.gap import far, verdict
-from fluxtwin.gap.answer import CARRIED, Answer, answered, left_of
+from fluxtwin.gap import far, level, verdict
+from fluxtwin.gap.answer import CARRIED, Answer, answered, left_of, noise_and_answer
 from fluxtwin.gap.blocks import Block, blocks
 from fluxtwin.gap.candidates import candidates
 from fluxtwin.gap.evidence import Dictionary
+from fluxtwin.gap.far import floor_rms_nT
 from fluxtwin.gap.flexible import FlexibleFinding
 from fluxtwin.gap.frail import Shaken
 from fluxtwin.gap.full_rate import full_rate
@@ -26,7 +27,6 @@ from fluxtwin.gap.noise import (
     Whitener,
     choose_noise,
     complete_budget,
-    noise_choice,
     whitener_of,
 )
 from fluxtwin.gap.noise_range import plausible_noise
@@ -34,6 +34,7 @@ from fluxtwin.gap.problem import DEFAULT_MODELLED, Budget, Problem, pose, realig
 from fluxtwin.gap.records import Diagnosis, GapSeries, Shrinkage
 from fluxtwin.gap.refit import settled
 from fluxtwin.gap.shapes import Shapes
+from fluxtwin.gap.start import start_without_attitude
 from fluxtwin.gap.stochastic import coarse, flexible_findings, floor_noise, stochastic_nT
 from fluxtwin.gap.where import Where, where
 from fluxtwin.sim.effects.base import SignalEffect
@@ -48,6 +49,7 @@ from fluxtwin.sim.types import BoolArray, FloatArray
 MOST_ROWS = 5_000
 """Longer records are thinned to this many rows, evenly; what is faster is looked for in a stretch at the full rate."""
 _LEAST_FREE = 30
+_BOUNDLESS_RAD = 1.0
 _NOTHING = (False, 0)
 _SURE = 1e-6
 """p-value below which structure is no matter of the noise model."""
@@ -70,11 +72,16 @@ class Work:
     """Whether the named effects keep their parameters over the record."""
     left: Left
     flexible: tuple[FlexibleFinding, ...]
+    """Those that are confirmed."""
+    loud: str | None
+    """Words for white noise above its budget that is not like noise."""
     where: Where
     shrinkage: Shrinkage
     series: GapSeries
     momentum: Momentum
     """The balance of the momentum."""
+    attitude_would_do_rad: float | None = None
+    """Size of an attitude error, 1 sigma per axis, that makes all the structure that is left; None where none does."""
 
 
 def diagnose(
@@ -99,6 +106,8 @@ def diagnose(
     """
     progress("baseline", 0.0)
     record, every = _thinned(telemetry)
+    if instrument is None and modelled and not record.has_attitude.any():
+        instrument = start_without_attitude(record, model)
     problem = pose(
         record, model, modelled=modelled, budget=budget, instrument=instrument, frozen=frozen
     )  # fmt: skip
@@ -112,14 +121,16 @@ def diagnose(
         work = investigate(settled(problem), progress, whole, craft)
     notes: dict[str, object] = dict(provenance or {})
     notes |= {"field_model": model.title, "noise": work.noise.words, "rows_thinned_by": every}
-    notes |= {f"budget: {name}": source for name, source in (complete_budget(work.problem).sources or {}).items()}
-    if work.robust.words:
-        notes["spoilt_readings"] = work.robust.words
+    complete = complete_budget(work.problem)
+    notes |= {f"budget: {name}": source for name, source in (complete.sources or {}).items()}
+    if work.robust.components_cut:
+        notes["outliers"] = level.outlier_words(work.problem, work.robust)
     if work.problem.axes is not None:
         notes["without_attitude"] = work.problem.axes.words
     without = int((telemetry.has_reading & ~telemetry.has_attitude).sum())
     progress("done", 1.0)
-    return verdict.assemble(work, notes, without_attitude=without)
+    found = level.assumed(budget or Budget(), work.problem, work.noise)
+    return verdict.assemble(work, notes, found, without_attitude=without)
 
 
 def investigate(
@@ -131,15 +142,15 @@ def investigate(
     if coarser is not None and coarser.confirmed:
         wider = replace(problem.budget, lsb_nT=coarser.parameters["lsb"][0])
         problem = replace(problem, budget=wider)
+    if problem.free_attitude_error:
+        found = choose_noise(problem)[0]
+        problem = replace(problem, attitude_found_rad=found.theta_rad)
     shaken = Shaken(problem)
     known = candidates(problem, shaken=shaken)
     dictionary = Dictionary(blocks(problem, shaken=shaken), problem.rows)
-    progress("noise", 0.25)
-    saturated = _saturated(problem, [c.jacobian for c in known[0]], dictionary)
-    settled_on = noise_choice(problem, *saturated)
+    progress("noise, and which effects", 0.25)
+    settled_on, answer = noise_and_answer(problem, dictionary, known)
     noise, robust = settled_on.noise, settled_on.robust
-    progress("which effects", 0.45)
-    answer = answered(problem, noise, robust, dictionary, known)
     if problem.axes is not None and answer.result.chosen:
         # A large effect moves where readings without attitude point to.
         problem = realigned(problem, beside=[*answer.result.modelled, *answer.result.chosen])
@@ -159,12 +170,12 @@ def investigate(
     del settled_on  # its likelihood holds the whole design once more
     progress("what is left, and where", 0.75)
     fast = None if whole is None else full_rate(whole, problem, answer.result.modelled, answer.result.chosen)
-    shapes = Shapes(problem, dictionary, known, lambda own: choose_noise(problem, *saturated, own))
+    shapes = Shapes(problem, dictionary, known, lambda own: choose_noise(problem, own))
     answer = shapes.with_line(shapes.among(answer), fast)
     robust = answer.robust
     noise, whitener, result = answer.noise, answer.whitener, answer.result
     alone, fitted, left = answer.alone_nT, answer.fitted_nT, answer.left
-    flexible = (
+    findings = (
         flexible_findings(
             problem, whitener, noise, robust, result.residual_nT, fitted, left.structured, coarser, answer.shapes
         )
@@ -174,14 +185,35 @@ def investigate(
             coarser, answer.shapes,
         )
     )  # fmt: skip
+    flexible = tuple(one for one in findings if one.confirmed)
+    loud = next((one.words for one in findings if one.effect == "excess_noise" and not one.confirmed), None)
+    would_do_rad = _attitude_would_do(problem, answer, dictionary)
     place = _place(problem, whitener, result, alone, fitted, dictionary, left)
     progress("how far", 0.9)
     shrinkage, series = _how_far(problem, robust, declared_lsb_nT, answer, flexible)
     momentum = balanced(problem, craft, whitener, result, fitted)
     return Work(
-        problem, noise, robust, whitener, result, alone, fitted, answer.constant, left, flexible, place, shrinkage,
-        series, momentum,
+        problem, noise, robust, whitener, result, alone, fitted, answer.constant, left, flexible, loud, place,
+        shrinkage, series, momentum, would_do_rad,
     )  # fmt: skip
+
+
+def _attitude_would_do(problem: Problem, answer: Answer, dictionary: Dictionary) -> float | None:
+    """How large an attitude error would make all of what is structured, where nothing bounds that error; else None.
+
+    An attitude error leaves the component along the field alone. So the rows are whitened as if it were without bounds,
+    and what is structured then is none of its doing.
+    """
+    if not (problem.free_attitude_error and answer.left.structured) or answer.result.named:
+        return None
+    boundless = replace(answer.noise, theta_rad=_BOUNDLESS_RAD, tau_s=0.0)
+    whitener = whitener_of(problem, boundless, answer.robust.weights)
+    if left_of(problem, whitener, answer.result, answer.fitted_nT, dictionary).structured:
+        return None
+    rest = problem.judged(answer.result.residual_nT)[~answer.robust.cut.any(axis=1)]
+    reach = floor_rms_nT(problem.noise_field_nT, 0.0, 1.0, problem.measured)
+    excess = max(float(np.mean(rest**2)) - float(np.mean(answer.noise.white_nT**2)), 0.0)
+    return float(np.sqrt(excess)) / max(reach, 1e-9)
 
 
 def _stands(problem: Problem, answer: Answer, other: NoiseModel, robust: RobustRows) -> bool:
@@ -194,8 +226,9 @@ def _stands(problem: Problem, answer: Answer, other: NoiseModel, robust: RobustR
 
 
 def _stays_structured(problem: Problem, answer: Answer, other: NoiseModel, dictionary: Sequence[Block]) -> bool:
-    """Whether beside the same name, or none, the structure is as sure under another noise model: too sure for noise."""
-    if not answer.left.structured or len(answer.result.chosen) > 1:
+    """Whether beside the same name, or names that do not carry it, the structure is as sure under another noise model:
+    too sure for noise."""
+    if not answer.left.structured or (len(answer.result.chosen) > 1 and answer.carries):
         return False
     whitener = whitener_of(problem, other, answer.robust.weights)
     return left_of(problem, whitener, answer.result, answer.fitted_nT, dictionary).p_value < _SURE
@@ -210,27 +243,12 @@ def _require_rows(problem: Problem) -> None:
     wanted = -(-(problem.nuisance.shape[2] + _LEAST_FREE) // 3) + 10
     if problem.whole_rows < wanted:
         plain = problem.axes is None
-        each = "" if plain else f" (a row without attitude counts for a third: {problem.rows} rows in all)"
+        each = "" if plain else f", where three without attitude count as one ({problem.rows} rows in all)"
         raise NoAnswer(
-            f"{problem.whole_rows} rows with reading, position and attitude{each} are too few to tell a gap from "
-            f"{problem.nuisance.shape[2]} parameters that are re-estimated; at least {wanted} are needed",
+            f"the record is too short: it has {problem.whole_rows} rows with reading, position and attitude{each}; "
+            f"at least {wanted} are needed to tell a gap from {problem.nuisance.shape[2]} parameters that are re-estimated",
             evidence={"rows": problem.rows, "needed": wanted},
         )
-
-
-def _saturated(problem: Problem, jacobians: Sequence[FloatArray], dictionary: Dictionary) -> list[FloatArray]:
-    """Every column that may be in the signal (N, 3, p), as far as the rows can bear them."""
-    room = problem.whole_rows - sum(block.shape[2] for block in jacobians)
-    if dictionary.small and dictionary.width and room >= dictionary.width:
-        return [*jacobians, dictionary.columns]
-    columns = [*jacobians]
-    for block in dictionary:
-        made = block.make()
-        if room < made.shape[2] or problem.rows * 3 * made.shape[2] > 5e7:
-            continue
-        columns.append(made)
-        room -= made.shape[2]
-    return columns
 
 
 def _place(
@@ -262,26 +280,27 @@ def _how_far(
     raw = (result.residual_alone_nT, alone, result.residual_nT, effect_columns)
     own = tuple(problem.judged(part) for part in raw)
     white = tuple(answer.whitener.apply(part) if part.size else part for part in raw)
-    prediction = far.predict_blocks(
-        problem.setting.seconds, kept, (own[0], own[1], own[2], own[3]), (white[0], white[1], white[2], white[3])
-    )
     white_nT, theta_rad = floor_noise(flexible, noise, problem.budget)
     with_effects = far.floor_rms_nT(problem.noise_field_nT[kept], white_nT, theta_rad, problem.measured[kept])
+    prediction = far.predict_blocks(
+        problem.setting.seconds, kept, (own[0], own[1], own[2], own[3]), (white[0], white[1], white[2], white[3]),
+        with_effects,
+    )  # fmt: skip
     extra = stochastic_nT(flexible, noise, declared_lsb_nT)
     floor = float(np.sqrt(max(with_effects**2 - extra**2, 0.0)))
     walk = next((one for one in flexible if one.effect == "bias_random_walk"), None)
     if walk is not None:
         after, unsure = _one_step(problem, result.residual_nT, kept, walk.parameters["rate"][0], with_effects)
-        prediction = far.Prediction(prediction.before_nT, after)
+        prediction = far.Prediction(prediction.before_nT, after, "one_step", prediction.known)
         with_effects = float(np.hypot(with_effects, unsure))
     named = bool(result.named) or bool(flexible)
     shrinkage = far.shrinkage(
-        prediction, kept, floor, with_effects, seed=problem.rows, named=named, one_step=walk is not None,
+        prediction, kept, floor, with_effects, seed=problem.rows, named=named,
         axes=problem.axes,
     )  # fmt: skip
     parts = (prediction.before_nT, prediction.after_nT if named else prediction.before_nT)
     before, after = (part if problem.axes is None else problem.axes.in_body(part) for part in parts)
-    unseen = ~kept[:, None]
+    unseen = ~(kept if prediction.known is None else kept & prediction.known)[:, None]
     return shrinkage, GapSeries(problem.time, np.where(unseen, np.nan, before), np.where(unseen, np.nan, after))
 
 

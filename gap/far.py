@@ -2,7 +2,9 @@
 
 Five contiguous blocks; what is modelled, and the effects' parameters, are estimated on four with a guard of the
 smaller of 300 s and 2 % of the span, and predict the fifth. Estimation is linear about the refitted parameters, from
-Gram matrices of whitened rows, so a block costs one small solve.
+Gram matrices of whitened rows, so a block costs one small solve. Where the others do not determine what a block needs,
+so that the prediction is less sure than the noise is large, there is no prediction to speak of; where that is so of
+half of the record, the figures are those of the fit itself, and say so.
 """
 
 from __future__ import annotations
@@ -30,6 +32,10 @@ class Prediction:
     """(N, 3) with what is modelled re-estimated on the other blocks."""
     after_nT: FloatArray
     """(N, 3) with the named effects re-estimated too."""
+    of: str = "blocks"
+    """`blocks` held out, `one_step` ahead, or the `fit` itself."""
+    known: BoolArray | None = None
+    """(N,) rows that were predicted; None: all."""
 
 
 def guard_s(span_s: float) -> float:
@@ -42,14 +48,16 @@ def predict_blocks(
     kept: BoolArray,
     raw: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     white: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    noise_nT: float,
 ) -> Prediction:
     """Predict each block from the others.
 
     seconds, kept: (N,) time and rows that are not cut. raw: residual of the baseline (N, 3), nuisance Jacobian
     (N, 3, C), residual after the named effects (N, 3), and the Jacobian of their parameters (N, 3, P; P may be 0).
-    white: the same four, whitened.
+    white: the same four, whitened. noise_nT: rms per component of noise and attitude error.
     """
-    before, after = raw[0].copy(), raw[2].copy()
+    before, after, known = raw[0].copy(), raw[2].copy(), kept.copy()
+    every = np.concatenate([raw[1], raw[3]], axis=2)
     block = _block_numbers(seconds, kept)
     guard = guard_s(float(seconds[-1] - seconds[0]))
     for number in range(BLOCKS):
@@ -58,12 +66,15 @@ def predict_blocks(
             continue
         start, end = seconds[held].min() - guard, seconds[held].max() + guard
         train = kept & ~((seconds >= start) & (seconds <= end))
-        c = _solve(white[0][train], white[1][train])
+        c, _ = _solve(white[0][train], white[1][train])
         both = np.concatenate([white[1], white[3]], axis=2)
-        d = _solve(white[2][train], both[train])
+        d, root = _solve(white[2][train], both[train])
         before[held] = raw[0][held] - raw[1][held] @ c
-        after[held] = raw[2][held] - np.concatenate([raw[1], raw[3]], axis=2)[held] @ d
-    return Prediction(before, after)
+        after[held] = raw[2][held] - every[held] @ d
+        known[held] &= float(np.mean(np.sum((every[held] @ root) ** 2, axis=2))) < noise_nT**2
+    if 2 * known.sum() < kept.sum():
+        return Prediction(raw[0], raw[2], "fit")
+    return Prediction(before, after, known=known)
 
 
 def one_step(
@@ -119,7 +130,6 @@ def shrinkage(
     *,
     seed: int,
     named: bool,
-    one_step: bool = False,
     shape_incomplete: bool = False,
     axes: RowAxes | None = None,
 ) -> Shrinkage:
@@ -127,6 +137,7 @@ def shrinkage(
 
     axes: where rows have no attitude; what is seen along the field counts for each body axis by its share in it.
     """
+    kept = kept if prediction.known is None else kept & prediction.known
     before = prediction.before_nT[kept]
     after = prediction.after_nT[kept] if named else before
     groups = np.array_split(np.arange(len(before)), min(_FINE_BLOCKS, len(before)))
@@ -151,9 +162,10 @@ def shrinkage(
         floor_with_effects_nT=floor_with_effects_nT,
         closed=closed,
         interval=interval,
-        prediction="one_step" if one_step else "blocks",
+        prediction=prediction.of,
         shape_incomplete=shape_incomplete,
         per_axis=per_axis,
+        worse=named and prediction.of == "blocks" and bool((a2 - b2).mean() > 3.0 * (a2 - b2).std()),
     )
 
 
@@ -206,14 +218,17 @@ def _block_numbers(seconds: FloatArray, kept: BoolArray) -> FloatArray:
     return np.clip(np.floor(place * BLOCKS / max(int(kept.sum()), 1)), 0, BLOCKS - 1)
 
 
-def _solve(y: FloatArray, x: FloatArray) -> FloatArray:
-    """Least squares of y (n, 3) on x (n, 3, P) by the scaled Gram matrix; directions that say nothing get zero."""
+def _solve(y: FloatArray, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least squares of y (n, 3) on x (n, 3, P), both of unit noise, by the scaled Gram matrix: estimate (P,) and a root
+    (P, P) of its covariance. Directions that say nothing get zero, and a covariance that is as good as infinite."""
     if x.shape[2] == 0:
-        return np.zeros(0)
+        return np.zeros(0), np.zeros((0, 0))
     flat = x.reshape(-1, x.shape[2])
     size = np.sqrt(np.mean(flat**2, axis=0))
     scale = np.where(size > 0, size, 1.0) * np.sqrt(len(flat))
     values, vectors = np.linalg.eigh((flat.T @ flat) / np.outer(scale, scale))
-    live = values > 1e-12 * values[-1]
+    least = 1e-12 * values[-1]
+    live = values > least
     moment = vectors[:, live].T @ ((flat.T @ y.reshape(-1)) / scale)
-    return np.asarray((vectors[:, live] @ (moment / values[live])) / scale)
+    root = vectors / np.sqrt(np.maximum(values, least)) / scale[:, None]
+    return np.asarray((vectors[:, live] @ (moment / values[live])) / scale), np.asarray(root)

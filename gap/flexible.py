@@ -6,7 +6,6 @@ different from every other cause, not at how well it fits.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal, cast
 
@@ -331,8 +330,3 @@ def companion(setting: Setting, left: Leftover, tone: Tone, effect: Effect) -> b
 
 def _skew(v: FloatArray) -> FloatArray:
     return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-
-
-def confirmed(findings: Sequence[FlexibleFinding | None]) -> tuple[FlexibleFinding, ...]:
-    """Those whose shape is there."""
-    return tuple(finding for finding in findings if finding is not None and finding.confirmed)

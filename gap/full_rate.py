@@ -74,7 +74,7 @@ def full_rate(
     parts = [derivative(near.design, active, place) for place in places]
     fitted = np.concatenate(parts, axis=2) if parts else np.zeros((near.rows, 3, 0))
     noise, robust = select_noise(
-        near.judged(residual), [near.judged(fitted)], near.noise_field_nT, near.setting.seconds, near.segment,
+        near.judged(residual), [near.judged(fitted)], near.noise_image_nT, near.setting.seconds, near.segment,
         prior_of(complete_budget(near)), None if near.axes is None else near.measured,
     )  # fmt: skip
     whitener = whitener_of(near, noise, robust.weights)

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from fluxtwin.gap.cancelling import undone
 from fluxtwin.gap.candidates import Candidate, candidate_of, candidates
+from fluxtwin.gap.detectable import GATE
 from fluxtwin.gap.groups import alike, shares_by_name
 from fluxtwin.gap.interval import likeliest_interval
 from fluxtwin.gap.problem import Problem
@@ -29,8 +30,6 @@ from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.types import BoolArray, FloatArray
 
-GATE = 0.002
-"""Probability that a perfect simulation gets any name."""
 LARGEST = 3
 _WITHIN = 8.0
 _NONLINEAR = 0.05  # of the drop: as much may be lost by taking a large effect as linear

@@ -16,8 +16,9 @@ from typing import cast
 import numpy as np
 
 from fluxtwin.gap.candidates import Candidate
+from fluxtwin.gap.detectable import GATE
 from fluxtwin.gap.groups import alike, shares_by_name
-from fluxtwin.gap.growth import GATE, LARGEST
+from fluxtwin.gap.growth import LARGEST
 from fluxtwin.gap.momentum_noise import MomentumWhitener
 from fluxtwin.gap.momentum_windows import Windows
 from fluxtwin.gap.named import Named

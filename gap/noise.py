@@ -41,22 +41,22 @@ class NoiseChoice:
     likelihood: Likelihood
 
 
-def choose_noise(problem: Problem, *saturated: FloatArray) -> tuple[NoiseModel, RobustRows]:
+def choose_noise(problem: Problem, *columns: FloatArray) -> tuple[NoiseModel, RobustRows]:
     """The noise model of a problem, and the readings that no model explains; see `noise_choice`."""
-    found = noise_choice(problem, *saturated)
+    found = noise_choice(problem, *columns)
     return found.noise, found.robust
 
 
-def noise_choice(problem: Problem, *saturated: FloatArray) -> NoiseChoice:
+def noise_choice(problem: Problem, *columns: FloatArray, residual_nT: FloatArray | None = None) -> NoiseChoice:
     """The noise model of a problem.
 
-    saturated: every column that may be in the signal, (N, 3, P) each; the problem's nuisance is added. Restricted maximum
-    likelihood with the budget as prior, in turn with the search for spikes.
+    columns: of the signal beside the problem's nuisance, (N, 3, P) each; residual_nT: (N, 3) about which they are linear, by
+    default that of the problem. Restricted maximum likelihood with the budget as prior, in turn with the search for spikes.
     """
     return _chosen(
-        problem.judged(problem.residual_nT),
-        [problem.judged(problem.nuisance), *(problem.judged(columns) for columns in saturated)],
-        problem.noise_field_nT,
+        problem.judged(problem.residual_nT if residual_nT is None else residual_nT),
+        [problem.judged(problem.nuisance), *(problem.judged(each) for each in columns)],
+        problem.noise_image_nT,
         problem.setting.seconds,
         problem.segment,
         prior_of(complete_budget(problem)),
@@ -67,29 +67,30 @@ def noise_choice(problem: Problem, *saturated: FloatArray) -> NoiseChoice:
 def whitener_of(problem: Problem, noise: NoiseModel, weights: FloatArray | None) -> Whitener:
     """The whitening of a noise model on a problem's rows; takes columns in body axes."""
     seconds, segment = problem.setting.seconds, problem.segment
-    return make_whitener(problem.noise_field_nT, seconds, segment, noise, weights, problem.axes)
+    return make_whitener(problem.noise_image_nT, seconds, segment, noise, weights, problem.axes)
 
 
 def select_noise(
     residual_nT: FloatArray,
     designs: Sequence[FloatArray],
-    field_B_nT: FloatArray,
+    image_nT: FloatArray,
     seconds: FloatArray,
     segment: FloatArray,
     prior: NoisePrior,
     measured: BoolArray | None = None,
 ) -> tuple[NoiseModel, RobustRows]:
-    """`choose_noise` on arrays: residual, field (N, 3), designs (N, 3, P) each (the first is the least that is fitted
+    """`choose_noise` on arrays: residual (N, 3), images of a turn (N, 3, 3),
+    designs (N, 3, P) each (the first is the least that is fitted
     where there are too few rows for all), seconds, segment (N,); measured (N, 3): components that there are, default
     all."""
-    found = _chosen(residual_nT, designs, field_B_nT, seconds, segment, prior, measured)
+    found = _chosen(residual_nT, designs, image_nT, seconds, segment, prior, measured)
     return found.noise, found.robust
 
 
 def _chosen(
     residual_nT: FloatArray,
     designs: Sequence[FloatArray],
-    field_B_nT: FloatArray,
+    image_nT: FloatArray,
     seconds: FloatArray,
     segment: FloatArray,
     prior: NoisePrior,
@@ -103,13 +104,13 @@ def _chosen(
     basis = _Basis(designs, rows, measured, limit, least_share(prior))
     weights = basis.first_weights(residual_nT)
     whole = np.ones(rows, dtype=np.bool_) if measured is None else np.asarray(measured.all(axis=1), dtype=np.bool_)
-    if not field_B_nT.any():
+    if not image_nT.any():
         prior = replace(prior, theta_rad=0.0)  # nothing that an attitude error could act on
     factor = (1.0, 1.0, 1.0)
     choice: Choice | None = None
     difference = residual_nT
     for _ in range(_ROUNDS):
-        design = (residual_nT, designs, field_B_nT, seconds, segment, weights)
+        design = (residual_nT, designs, image_nT, seconds, segment, weights)
         if choice is None and rows > limit and 2.0 * np.median(np.diff(seconds)) <= LONGEST_MEAN_S:
             # How long a mean may be depends on the attitude error's memory.
             few = condensed(*design, SEARCH_ROWS, measured=measured)
@@ -118,8 +119,8 @@ def _chosen(
         likelihood = Likelihood(few, prior, factor, basis.of(weights) if rows <= limit else None)
         choice = best_noise(likelihood, None if choice is None else choice.noise)
         left = basis.left(residual_nT, weights, likelihood.coefficients(choice))
-        again, difference = spike_weights(left, field_B_nT, seconds, segment, choice.noise, weights, measured)
-        uneven = _axis_factor(make_whitener(field_B_nT, seconds, segment, choice.noise, again), left, factor, whole)
+        again, difference = spike_weights(left, image_nT, seconds, segment, choice.noise, weights, measured)
+        uneven = _axis_factor(make_whitener(image_nT, seconds, segment, choice.noise, again), left, factor, whole)
         settled = np.array_equal(again <= 0, weights <= 0) and uneven == factor
         weights, factor = again, uneven
         if settled:

@@ -1,7 +1,8 @@
 """Compiled recursions of the whitening filter: gains, whitening, and what each reading's neighbours predict.
 
 The state x (3,) is the attitude error in units of its standard deviation theta, body axes; a reading carries
-theta x cross B plus white noise of variance sigma**2 / weight per axis. The step from one stamp to the next is
+theta J x plus white noise of variance sigma**2 / weight per axis, J (3, 3) the image of a turn in that reading
+(`whitening.turn_images`). The step from one stamp to the next is
 exact for a first-order Gauss-Markov process: x <- phi x, P <- phi**2 P + (1 - phi**2) I. Notation of Durbin &
 Koopman (2012), Time Series Analysis by State Space Methods, sections 4.3 to 4.5.
 """
@@ -32,14 +33,6 @@ def _sandwich(A: FloatArray, B: FloatArray, work: FloatArray, out: FloatArray) -
     for i in range(3):
         for j in range(3):
             out[i, j] = work[i, 0] * A[j, 0] + work[i, 1] * A[j, 1] + work[i, 2] * A[j, 2]
-
-
-@kernel(error_model="numpy")
-def _cross_matrix(b: FloatArray, scale: float, H: FloatArray) -> None:
-    """H (3, 3) with H x = scale x cross b."""
-    H[0, 0], H[0, 1], H[0, 2] = 0.0, scale * b[2], -scale * b[1]
-    H[1, 0], H[1, 1], H[1, 2] = -scale * b[2], 0.0, scale * b[0]
-    H[2, 0], H[2, 1], H[2, 2] = scale * b[1], -scale * b[0], 0.0
 
 
 @kernel(error_model="numpy")
@@ -76,7 +69,7 @@ def _eigen_symmetric(A: FloatArray, U: FloatArray) -> None:
 
 
 @kernel(error_model="numpy")
-def _update(b: FloatArray, weight: FloatArray, ratio: float, P: FloatArray, m: FloatArray) -> float:
+def _update(J: FloatArray, weight: FloatArray, ratio: float, P: FloatArray, m: FloatArray) -> float:
     """One measurement, in units of sigma: makes P the updated covariance and fills m (8, 3, 3), m[0] = S**-1/2,
     m[1] = K, m[2] = S**-1, m[3] = H, m[4] = I - K H; the rest is scratch.
 
@@ -84,7 +77,9 @@ def _update(b: FloatArray, weight: FloatArray, ratio: float, P: FloatArray, m: F
     Returns log det S over the measured components.
     """
     M, K, Si, H, A, S, U, work = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7]
-    _cross_matrix(b, ratio, H)
+    for i in range(3):
+        for j in range(3):
+            H[i, j] = ratio * J[i, j]
     _sandwich(H, P, work, S)
     for i in range(3):
         for j in range(i):
@@ -134,7 +129,7 @@ def _decay(seconds: FloatArray, segment: FloatArray, tau_s: float, t: int) -> fl
 
 @kernel(error_model="numpy")
 def fill_gains(
-    field_nT: FloatArray,
+    image_nT: FloatArray,
     seconds: FloatArray,
     segment: FloatArray,
     weights: FloatArray,
@@ -144,16 +139,16 @@ def fill_gains(
 ) -> float:
     """Fill `gains` (N, 16) in units of sigma; returns log det of the covariance in those units.
 
-    field_nT (N, 3); seconds, segment (N,); weights (N, 3), 0 for a component that is not measured; ratio
+    image_nT (N, 3, 3); seconds, segment (N,); weights (N, 3), 0 for a component that is not measured; ratio
     theta / sigma [rad/nT].
     """
     P, m = np.eye(3), np.empty((8, 3, 3))
     M, K = m[0], m[1]
     log_det = 0.0
-    for t in range(field_nT.shape[0]):
+    for t in range(image_nT.shape[0]):
         phi = _decay(seconds, segment, tau_s, t)
         _forecast(phi, P)
-        log_det += _update(field_nT[t], weights[t], ratio, P, m)
+        log_det += _update(image_nT[t], weights[t], ratio, P, m)
         row = gains[t]
         row[0] = phi
         row[1], row[2], row[3], row[4], row[5], row[6] = M[0, 0], M[0, 1], M[0, 2], M[1, 1], M[1, 2], M[2, 2]
@@ -174,7 +169,7 @@ def _forecast(phi: float, P: FloatArray) -> None:
 
 @kernel(fastmath={"contract"}, error_model="numpy")
 def whiten(
-    field_nT: FloatArray, gains: FloatArray, sigma_nT: float, ratio: float, state: FloatArray, columns: FloatArray,
+    image_nT: FloatArray, gains: FloatArray, sigma_nT: float, ratio: float, state: FloatArray, columns: FloatArray,
     out: FloatArray,
 ) -> None:  # fmt: skip
     """Whiten `columns` (n, 3, P) into `out` (may be the same array); `state` (3, P) is carried from call to call."""
@@ -182,12 +177,15 @@ def whiten(
     for t in range(columns.shape[0]):
         g = gains[t]
         phi = g[0]
-        bx, by, bz = ratio * field_nT[t, 0], ratio * field_nT[t, 1], ratio * field_nT[t, 2]
+        J = image_nT[t]
+        h0, h1, h2 = ratio * J[0, 0], ratio * J[0, 1], ratio * J[0, 2]
+        h3, h4, h5 = ratio * J[1, 0], ratio * J[1, 1], ratio * J[1, 2]
+        h6, h7, h8 = ratio * J[2, 0], ratio * J[2, 1], ratio * J[2, 2]
         for p in range(columns.shape[2]):
             x, y, z = phi * state[0, p], phi * state[1, p], phi * state[2, p]
-            ex = scale * columns[t, 0, p] - (y * bz - z * by)
-            ey = scale * columns[t, 1, p] - (z * bx - x * bz)
-            ez = scale * columns[t, 2, p] - (x * by - y * bx)
+            ex = scale * columns[t, 0, p] - (h0 * x + h1 * y + h2 * z)
+            ey = scale * columns[t, 1, p] - (h3 * x + h4 * y + h5 * z)
+            ez = scale * columns[t, 2, p] - (h6 * x + h7 * y + h8 * z)
             state[0, p] = x + g[7] * ex + g[8] * ey + g[9] * ez
             state[1, p] = y + g[10] * ex + g[11] * ey + g[12] * ez
             state[2, p] = z + g[13] * ex + g[14] * ey + g[15] * ez
@@ -198,7 +196,7 @@ def whiten(
 
 @kernel(error_model="numpy")
 def predict_each(
-    field_nT: FloatArray,
+    image_nT: FloatArray,
     seconds: FloatArray,
     segment: FloatArray,
     weights: FloatArray,
@@ -216,7 +214,7 @@ def predict_each(
     (de Jong & Penzer 1998, doi 10.1080/01621459.1998.10473714); where a component is not measured, from the
     smoothed state.
     """
-    rows = field_nT.shape[0]
+    rows = image_nT.shape[0]
     P, m = np.eye(3), np.empty((8, 3, 3))
     K, Si, H = m[1], m[2], m[3]
     a, e, u = np.zeros(3), np.zeros(3), np.zeros(3)
@@ -231,7 +229,7 @@ def predict_each(
             row[1 + i] = a[i]
             for j in range(3):
                 row[7 + 3 * i + j] = P[i, j]
-        _update(field_nT[t], weights[t], ratio, P, m)
+        _update(image_nT[t], weights[t], ratio, P, m)
         for i in range(3):
             seen = residual[t, i] if weights[t, i] > 0.0 else 0.0
             e[i] = seen - (H[i, 0] * a[0] + H[i, 1] * a[1] + H[i, 2] * a[2])
@@ -239,7 +237,7 @@ def predict_each(
         for i in range(3):
             row[4 + i] = u[i]
             a[i] += K[i, 0] * e[0] + K[i, 1] * e[1] + K[i, 2] * e[2]
-    _backward(field_nT, weights, own, ratio, residual, kept, out, plain)
+    _backward(image_nT, weights, own, ratio, residual, kept, out, plain)
 
 
 @kernel(error_model="numpy")
@@ -251,7 +249,7 @@ def _times(A: FloatArray, v: FloatArray, out: FloatArray) -> None:
 
 @kernel(error_model="numpy")
 def _backward(
-    field_nT: FloatArray,
+    image_nT: FloatArray,
     weights: FloatArray,
     own: FloatArray,
     ratio: float,
@@ -265,13 +263,13 @@ def _backward(
     N, P, before, m = np.zeros((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((8, 3, 3))
     D, V, work = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     K, Si, H, A = m[1], m[2], m[3], m[4]
-    for t in range(field_nT.shape[0] - 1, -1, -1):
+    for t in range(image_nT.shape[0] - 1, -1, -1):
         row = kept[t]
         for i in range(3):
             for j in range(3):
                 P[i, j] = row[7 + 3 * i + j]
                 before[i, j] = P[i, j]
-        _update(field_nT[t], weights[t], ratio, P, m)
+        _update(image_nT[t], weights[t], ratio, P, m)
         _sandwich(K.T, N, work, D)
         for i in range(3):
             u[i] = row[4 + i] - (K[0, i] * r[0] + K[1, i] * r[1] + K[2, i] * r[2])

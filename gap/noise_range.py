@@ -30,7 +30,7 @@ def plausible_noise(problem: Problem, chosen: NoiseChoice) -> tuple[NoiseModel, 
 
     At each time constant the likeliest attitude error and the largest that is still inside.
     """
-    if not problem.noise_field_nT.any():
+    if not problem.noise_image_nT.any():
         return ()  # no attitude error reaches these rows
     budget, noise, likelihood = complete_budget(problem), chosen.noise, chosen.likelihood
     start = max(noise.theta_rad, 0.2 * (budget.attitude_sigma_rad or 0.0)) * likelihood.field_nT / noise.sigma_nT

@@ -29,7 +29,7 @@ def stretches(rows: int, limit: int) -> IndexArray:
 def condensed(
     residual_nT: FloatArray,
     designs: Sequence[FloatArray],
-    field_B_nT: FloatArray,
+    image_nT: FloatArray,
     seconds: FloatArray,
     segment: FloatArray,
     weights: FloatArray,
@@ -39,19 +39,19 @@ def condensed(
 ) -> Data:
     """At most about `limit` rows for the likelihood: as they are, or means over short stretches, or some of them.
 
-    residual, field, weights (N, 3); designs (N, 3, P) each; seconds, segment (N,). A mean is weighted per
-    component; the likelihood knows how many readings are in it and how an attitude error averages. measured (N, 3):
-    components that there are; rows that differ in them are not averaged.
+    residual, weights (N, 3); image (N, 3, 3) of a turn; designs (N, 3, P) each; seconds, segment (N,). A mean is
+    weighted per component; the likelihood knows how many readings are in it and how an attitude error averages.
+    measured (N, 3): components that there are; rows that differ in them are not averaged.
     """
     rows = seconds.size
     if rows <= limit:
         ones = np.ones(rows)
         whole = np.concatenate(list(designs), axis=2)
-        return Data(residual_nT, whole, field_B_nT, seconds, segment, weights, ones, np.zeros(rows))
+        return Data(residual_nT, whole, image_nT, seconds, segment, weights, ones, np.zeros(rows))
     alike = segment
     if measured is not None:
         alike = segment + np.concatenate([[0], np.cumsum(np.any(measured[1:] != measured[:-1], axis=1))])
-    starts = _starts(seconds, alike, field_B_nT, limit, longest_mean_s)
+    starts = _starts(seconds, alike, image_nT, limit, longest_mean_s)
     chosen = stretches(starts.size, limit)
     count = np.diff(np.append(starts, rows))[chosen].astype(float)
     take = np.repeat(np.isin(np.arange(starts.size), chosen), np.diff(np.append(starts, rows)))
@@ -69,13 +69,13 @@ def condensed(
     last = first + count.astype(int) - 1
     when = seconds[index]
     spacing = (when[last] - when[first]) / np.maximum(count - 1.0, 1.0)
-    field = np.add.reduceat(field_B_nT[index], first, axis=0) / count[:, None]
+    image = np.add.reduceat(image_nT[index], first, axis=0) / count[:, None, None]
     middle = np.add.reduceat(when, first) / count
-    return Data(mean(residual_nT), whole, field, middle, segment[index][first], total, count, spacing)
+    return Data(mean(residual_nT), whole, image, middle, segment[index][first], total, count, spacing)
 
 
 def _starts(
-    seconds: FloatArray, segment: FloatArray, field_B_nT: FloatArray, limit: int, longest_mean_s: float
+    seconds: FloatArray, segment: FloatArray, image_nT: FloatArray, limit: int, longest_mean_s: float
 ) -> IndexArray:
     """First rows of the stretches to be averaged: so short that the field hardly turns within one."""
     spacing = float(np.median(np.diff(seconds)))
@@ -84,9 +84,9 @@ def _starts(
         cell = np.floor((seconds - seconds[0]) / length + 1e-6)
         starts = np.concatenate([[0], np.flatnonzero((np.diff(cell) > 0) | (np.diff(segment) != 0)) + 1])
         count = np.diff(np.append(starts, seconds.size))
-        mean = np.add.reduceat(field_B_nT, starts, axis=0) / count[:, None]
-        square = np.add.reduceat(np.sum(field_B_nT**2, axis=1), starts) / count
-        kept = np.where(square > 0, np.sum(mean**2, axis=1) / np.maximum(square, 1e-30), 1.0)
+        mean = np.add.reduceat(image_nT, starts, axis=0) / count[:, None, None]
+        square = np.add.reduceat(np.sum(image_nT**2, axis=(1, 2)), starts) / count
+        kept = np.where(square > 0, np.sum(mean**2, axis=(1, 2)) / np.maximum(square, 1e-30), 1.0)
         if float(np.median(kept)) > _COHERENT:
             return starts
         length /= 2.0

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.gap import without_attitude
+from fluxtwin.gap.whitening import turn_images
 from fluxtwin.gap.without_attitude import RowAxes
 from fluxtwin.sim import epoch, frames
 from fluxtwin.sim.effects.base import SignalEffect
@@ -68,6 +69,8 @@ class Problem:
     """Parameters of the modelled effects about which everything is linear; empty: zero. See `refit.settled`."""
     axes: RowAxes | None = None
     """Where rows have no reference attitude: the axes in which each row is judged. None: all rows have one."""
+    attitude_found_rad: float | None = None
+    """Error of the reference attitude as found in the data, where none was declared."""
     ruled_out: Mapping[str, str] = field(default_factory=dict)
     """Names of effects that another measurement has ruled out: why."""
 
@@ -77,6 +80,11 @@ class Problem:
         if self.modelled_theta:
             return tuple(zip(self.modelled, self.modelled_theta, strict=True))
         return tuple((effect, np.zeros(len(effect.parameters))) for effect in self.modelled)
+
+    @property
+    def free_attitude_error(self) -> bool:
+        """Whether nothing bounds the error of the reference attitude but these data."""
+        return self.budget.attitude_sigma_rad is None and bool(self.noise_image_nT.any())
 
     @property
     def setting(self) -> Setting:
@@ -122,9 +130,9 @@ class Problem:
         """The residual (N, 3) as if an attitude error theta gave theta x B alone.
 
         A turn also shortens the component along the field by half of theta squared: 9 nT at 1 deg, always of one sign.
-        What the residual across the field says of theta is believed as far as the declared error goes.
+        What the residual across the field says of theta is believed as far as the declared error goes, or the one found.
         """
-        sigma_rad = self.budget.attitude_sigma_rad
+        sigma_rad = self.budget.attitude_sigma_rad or self.attitude_found_rad
         if not sigma_rad:
             return residual_nT
         size_nT = np.linalg.norm(field_B_nT, axis=1)
@@ -152,6 +160,21 @@ class Problem:
     def noise_field_nT(self) -> FloatArray:
         """(N, 3) field that an attitude error acts on, in the rows' own axes: what the whitening works with."""
         return self.field_B_nT if self.axes is None else self.axes.noise_field_nT(self.field_B_nT)
+
+    @cached_property
+    def sensor_image(self) -> FloatArray:
+        """(3, 3) (I + S)^-1: how a change of the field reaches the reading (equation 1)."""
+        S = [theta.reshape(3, 3) for effect, theta in self.modelled_active if effect.name == "scale_misalignment"]
+        matrix = np.eye(3) + self.setting.instrument.S + sum(S, np.zeros((3, 3)))
+        return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+
+    @cached_property
+    def noise_image_nT(self) -> FloatArray:
+        """(N, 3, 3) what a turn of a radian does to a row, in the row's own axes: what the whitening works with."""
+        images = turn_images(self.noise_field_nT)
+        known = np.ones(self.rows, dtype=np.bool_) if self.axes is None else self.axes.known
+        images[known] = self.sensor_image @ images[known]
+        return images
 
     @cached_property
     def field_B_nT(self) -> FloatArray:

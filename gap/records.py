@@ -108,9 +108,14 @@ class Shrinkage:
     prediction: str = "blocks"
     shape_incomplete: bool = False
     per_axis: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    worse: bool = False
+    """Whether held-out samples are predicted worse with the named effects than without: they are refuted."""
+    left_nT: float = 0.0
+    """Left in the fit itself, all samples in it: what is to be compared with the floor."""
 
     def to_dict(self) -> dict[str, Any]:
         return {
+            "left_nT": self.left_nT,
             "before_nT": self.before_nT,
             "after_nT": self.after_nT,
             "floor_nT": self.floor_nT,
@@ -125,7 +130,7 @@ class Shrinkage:
 
 @dataclass(frozen=True)
 class Detectable:
-    """The smallest size of an effect that this design shows (false alarm 1 %, miss 10 %)."""
+    """The smallest size of an effect that this design shows (false alarm 0.2 % over all that is tested, miss 10 %)."""
 
     parameter: str
     value: float
@@ -219,6 +224,8 @@ class Diagnosis:
     """Every effect that was tested, each alone before any is named, most significant first."""
     transfers: Sequence[Transfer] | None = None
     """For which other designs the closed scenario is good enough; None when closing was not asked for."""
+    assumed: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """The noise that the answer rests on, by name: `value`, `source` (declared, scenario or found) and `flag`."""
     momentum: MomentumGap | None = None
     """The balance of the momentum; None, and not in the JSON, where there is none."""
 
@@ -238,6 +245,7 @@ class Diagnosis:
             "samples": dict(self.samples),
             "provenance": dict(self.provenance),
             "sentence": self.sentence,
+            "assumed": {name: dict(one) for name, one in self.assumed.items()},
             "ranking": [line.to_dict() for line in self.ranking],
             "transfers": None if self.transfers is None else [one.to_dict() for one in self.transfers],
         }

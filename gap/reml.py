@@ -48,7 +48,8 @@ class Data:
     """(n, 3)."""
     design: FloatArray
     """(n, 3, P), any rank, any units."""
-    field_B_nT: FloatArray
+    image_nT: FloatArray
+    """(n, 3, 3) of a turn, as from `whitening.turn_images`."""
     seconds: FloatArray
     segment: FloatArray
     weights: FloatArray
@@ -107,7 +108,9 @@ class Likelihood:
         kind = np.float32 if self.span.rank > _MANY else np.float64
         self.stacked = np.concatenate([basis, y], axis=2, dtype=kind, casting="same_kind")
         self.measured = int((data.weights > 0).sum())
-        self.field_nT = float(np.sqrt(np.mean(np.sum(data.field_B_nT**2, axis=1)))) if data.residual_nT.size else 0.0
+        self.field_nT = (
+            float(np.sqrt(0.5 * np.mean(np.sum(data.image_nT**2, axis=(1, 2))))) if data.residual_nT.size else 0.0
+        )
         self.field_nT = max(self.field_nT, 1.0)
         self._known: dict[tuple[float, float], Choice] = {}
         self.latest: Ridge | None = None
@@ -147,7 +150,7 @@ class Likelihood:
         data, rank = self.data, self.rank
         share = np.sqrt(mean_share(data.count, data.spacing_s, tau_s))
         unit = NoiseModel(1.0, ratio / self.field_nT, tau_s, axis_factor=self.axis_factor)
-        whitener = make_whitener(data.field_B_nT * share[:, None], data.seconds, data.segment, unit, data.weights)
+        whitener = make_whitener(data.image_nT * share[:, None, None], data.seconds, data.segment, unit, data.weights)
         white = whitener.apply_as_it_is(self.stacked).reshape(-1, rank + 1)
         total = float(np.sum(np.square(white[:, rank]), dtype=np.float64))
         along, log_q, rss = np.zeros(rank), 0.0, total

@@ -94,7 +94,7 @@ def weights_of(distance: FloatArray, measured: BoolArray | None = None) -> Float
 
 def spike_weights(
     left_nT: FloatArray,
-    field_B_nT: FloatArray,
+    image_nT: FloatArray,
     seconds: FloatArray,
     segment: FloatArray,
     noise: NoiseModel,
@@ -110,10 +110,10 @@ def spike_weights(
 
     now = full_weights(weights, left_nT.shape[0]) / np.square(noise.axis_factor)
     own = full_weights(None, left_nT.shape[0]) / np.square(noise.axis_factor)
-    field, when, part = (np.ascontiguousarray(a, dtype=np.float64) for a in (field_B_nT, seconds, segment))
+    image, when, part = (np.ascontiguousarray(a, dtype=np.float64) for a in (image_nT, seconds, segment))
     scaled = np.ascontiguousarray(left_nT / noise.sigma_nT)
     standard, plain = np.empty_like(scaled), np.empty_like(scaled)
-    predict_each(field, when, part, now, own, noise.theta_rad / noise.sigma_nT, noise.tau_s, scaled, standard, plain)
+    predict_each(image, when, part, now, own, noise.theta_rad / noise.sigma_nT, noise.tau_s, scaled, standard, plain)
     return weights_of(standing_out(standard, 1.0, measured), measured), plain * noise.sigma_nT
 
 

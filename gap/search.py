@@ -10,8 +10,8 @@ import numpy as np
 
 from fluxtwin.gap import groups
 from fluxtwin.gap.candidates import Candidate, candidates, derivatives, in_order
-from fluxtwin.gap.detectable import detectable, visible_part
-from fluxtwin.gap.growth import GATE, Search, begin, run
+from fluxtwin.gap.detectable import GATE, detectable, visible_part
+from fluxtwin.gap.growth import Search, begin, run
 from fluxtwin.gap.named import Named, Ranked, SearchResult
 from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.refit import Fit, white_residual

@@ -12,14 +12,13 @@ from fluxtwin.gap.flexible import (
     FlexibleFinding,
     coarse_steps,
     companion,
-    confirmed,
     flipped_bits,
     noise_level,
     stuck_bit,
     wheel_line,
 )
 from fluxtwin.gap.left import Left
-from fluxtwin.gap.noise import NoiseModel, RobustRows, Whitener
+from fluxtwin.gap.noise import NoiseModel, RobustRows, Whitener, complete_budget
 from fluxtwin.gap.problem import Budget, Problem
 from fluxtwin.gap.switched_region import switched_region
 from fluxtwin.gap.tones import strongest_tone
@@ -50,9 +49,10 @@ def flexible_findings(
     coarser: FlexibleFinding | None,
     shapes: Sequence[FlexibleFinding] = (),
 ) -> tuple[FlexibleFinding, ...]:
-    """The confirmed ones, `shapes` with them. residual_nT (N, 3), fitted_nT (N, 3, q): beside the named effects."""
+    """All that were found, `shapes` with them, confirmed or not. residual_nT (N, 3), fitted_nT (N, 3, q): beside the named
+    effects."""
     reading = np.asarray(problem.telemetry.mag_B_nT)
-    lsb = problem.budget.lsb_nT
+    lsb = complete_budget(problem).lsb_nT
     step = coarser.parameters["lsb"][0] if coarser is not None and coarser.confirmed else lsb
     findings: list[FlexibleFinding | None] = [*shapes, coarser]
     stuck: FlexibleFinding | None = None
@@ -69,7 +69,7 @@ def flexible_findings(
         measured = None if problem.axes is None else problem.measured
         level = noise_level(problem.setting, rest, noise.white_nT, noise.sigma_prior_nT, structured, measured)
         findings.append(level)
-    return confirmed(findings)
+    return tuple(finding for finding in findings if finding is not None)
 
 
 def shape_of(

@@ -17,14 +17,13 @@ from scipy.stats import chi2, ncx2
 
 from fluxtwin.gap.candidates import derivative, in_order, settings_of
 from fluxtwin.gap.closure import Closure, Stochastic
-from fluxtwin.gap.detectable import noncentrality, visible_part
+from fluxtwin.gap.detectable import GATE, noncentrality, visible_part
 from fluxtwin.gap.far import floor_rms_nT
-from fluxtwin.gap.growth import GATE
 from fluxtwin.gap.records import Transfer
 from fluxtwin.gap.refit import refit
 from fluxtwin.gap.score import orthonormal
 from fluxtwin.gap.targets import Target, targets
-from fluxtwin.gap.whitening import Whitener, make_whitener
+from fluxtwin.gap.whitening import Whitener, make_whitener, turn_images
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active, Chain
 from fluxtwin.sim.types import FloatArray
@@ -79,7 +78,9 @@ class _Design:
         on = in_order([*self.base, *chosen])
         field = self.chain.signal(on).field_B_nT
         noise = closure.whitener.noise
-        self.whitener: Whitener = make_whitener(field, target.setting.seconds, target.segment, noise)
+        self.whitener: Whitener = make_whitener(
+            turn_images(field, closure.problem.sensor_image), target.setting.seconds, target.segment, noise
+        )
         places = [next(n for n, pair in enumerate(on) if pair[0] is effect) for effect, _ in closure.modelled]
         blocks = [derivative(self.chain, on, place) for place in places]
         rows = target.setting.time.size

@@ -76,7 +76,7 @@ class Wander:
         plain = self.whitener
         damping = 1.0 - 1.0 / np.sqrt(1.0 + rate**2 * energy)
         return WalkWhitener(
-            plain.field_B_nT, plain.gains, plain.noise, plain.weights, plain.log_det, plain.axes, span, damping
+            plain.image_nT, plain.gains, plain.noise, plain.weights, plain.log_det, plain.axes, span, damping
         )
 
     def log_det(self, rate: float, beside: FloatArray) -> float:
@@ -112,7 +112,7 @@ def without_walk(whitener: Whitener) -> Whitener:
     if not isinstance(whitener, WalkWhitener):
         return whitener
     return Whitener(
-        whitener.field_B_nT, whitener.gains, whitener.noise, whitener.weights, whitener.log_det, whitener.axes
+        whitener.image_nT, whitener.gains, whitener.noise, whitener.weights, whitener.log_det, whitener.axes
     )
 
 

@@ -1,7 +1,8 @@
 """Noise of the readings as physics has it, and its whitening.
 
-A residual is e_t = v_t + theta_t x B_t + signal: v white (sensor and rounding), theta the error of the reference
-attitude, a first-order Gauss-Markov process per body axis. An autoregression cannot stand for it (it is a moving
+A residual is e_t = v_t + (I + S)^-1 (theta_t x B_t) + signal: v white (sensor and rounding), theta the error of the
+reference attitude, a first-order Gauss-Markov process per body axis; what it does to the field reaches the reading
+through the sensor's own matrix. An autoregression cannot stand for it (it is a moving
 average as well, and always perpendicular to the field), so the whitening is the innovation form of the Kalman
 filter of exactly this model (Harvey 1989, Forecasting, Structural Time Series Models and the Kalman Filter,
 section 3.4). The gains depend on the design alone: residual and Jacobians pass through the same linear map W with
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fluxtwin.gap.without_attitude import RowAxes
+from fluxtwin.sim.processes import stop_if_asked
 from fluxtwin.sim.types import FloatArray
 
 _MARGIN = 50.0
@@ -73,8 +75,8 @@ def share_of_errors(theta_rad: float | None, least: float) -> float:
 class Whitener:
     """The linear map that whitens; N rows. Made by `make_whitener`."""
 
-    field_B_nT: FloatArray
-    """(N, 3) field that an attitude error acts on."""
+    image_nT: FloatArray
+    """(N, 3, 3) what a turn of a radian about each body axis does to a reading."""
     gains: FloatArray
     """(N, 16), see `noise_kernels.GAIN_COLUMNS`."""
     noise: NoiseModel
@@ -130,15 +132,25 @@ class Whitener:
     def _whiten(self, row: int, state: FloatArray, columns: Precise, out: Precise) -> None:
         from fluxtwin.gap.noise_kernels import whiten
 
+        stop_if_asked()  # whatever takes long in a diagnosis whitens, or flies the chain of effects
         rows = slice(row, row + columns.shape[0])
         if self.axes is not None:
             columns = self.axes.judged(columns, row)
         ratio = self.noise.theta_rad / self.noise.sigma_nT
-        whiten(self.field_B_nT[rows], self.gains[rows], self.noise.sigma_nT, ratio, state, columns, out)
+        whiten(self.image_nT[rows], self.gains[rows], self.noise.sigma_nT, ratio, state, columns, out)
+
+
+def turn_images(field_B_nT: FloatArray, matrix: FloatArray | None = None) -> FloatArray:
+    """(N, 3, 3) J with J theta = M (theta x B): what a turn theta [rad] does to a reading. field_B_nT: (N, 3).
+
+    matrix: M (3, 3), of the sensor, (I + S)^-1 of equation 1; default one.
+    """
+    images = np.cross(np.eye(3)[None, :, :], np.asarray(field_B_nT, dtype=np.float64)[:, None, :]).swapaxes(1, 2)
+    return np.ascontiguousarray(images if matrix is None else matrix @ images)
 
 
 def make_whitener(
-    field_B_nT: FloatArray,
+    image_nT: FloatArray,
     seconds: FloatArray,
     segment: FloatArray,
     noise: NoiseModel,
@@ -147,23 +159,23 @@ def make_whitener(
 ) -> Whitener:
     """The whitening of one noise model on one design.
 
-    field_B_nT (N, 3) predicted field in reported body axes; seconds (N,) increasing; segment (N,): where it
+    image_nT (N, 3, 3) of a turn, as from `turn_images`; seconds (N,) increasing; segment (N,): where it
     changes, nothing is known of the attitude error any more; weights (N,) or (N, 3): the white variance of a
     component is sigma**2 / weight, 0 for one that is to be passed over. axes: where rows have no attitude, the axes
-    of field and weights; what is whitened is given in body axes all the same.
+    of images and weights; what is whitened is given in body axes all the same.
     """
     from fluxtwin.gap.noise_kernels import GAIN_COLUMNS, fill_gains
 
-    field = np.ascontiguousarray(field_B_nT, dtype=np.float64)
-    full = full_weights(weights, field.shape[0]) / np.square(noise.axis_factor)
+    image = np.ascontiguousarray(image_nT, dtype=np.float64)
+    full = full_weights(weights, image.shape[0]) / np.square(noise.axis_factor)
     if axes is not None:
         full = np.ascontiguousarray(np.where(axes.measured, full, 0.0))
-    gains = np.empty((field.shape[0], GAIN_COLUMNS))
+    gains = np.empty((image.shape[0], GAIN_COLUMNS))
     ratio = noise.theta_rad / noise.sigma_nT
     seconds, segment = (np.ascontiguousarray(v, dtype=np.float64) for v in (seconds, segment))
-    log_det = fill_gains(field, seconds, segment, full, ratio, float(noise.tau_s), gains)
+    log_det = fill_gains(image, seconds, segment, full, ratio, float(noise.tau_s), gains)
     log_det += 2.0 * float(np.log(noise.sigma_nT)) * int((full > 0).sum())
-    return Whitener(field, gains, noise, full, float(log_det), axes)
+    return Whitener(image, gains, noise, full, float(log_det), axes)
 
 
 def full_weights(weights: FloatArray | None, rows: int) -> FloatArray:

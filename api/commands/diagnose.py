@@ -7,7 +7,15 @@ from typing import Annotated
 
 import typer
 
-from fluxtwin.commands.options import DegreeOption, JsonOption, MapOption, ScenarioFieldOption, TleOption
+from fluxtwin.commands.options import (
+    DegreeOption,
+    ForceOption,
+    HtmlOption,
+    JsonOption,
+    MapOption,
+    ScenarioFieldOption,
+    TleOption,
+)
 from fluxtwin.commands.reading import TelemetryArgument, read
 from fluxtwin.console import Output
 
@@ -28,12 +36,26 @@ def command(
         typer.Option("--modelled", metavar="NAMES", help="Effects re-estimated in every test, by commas; or none."),
     ] = "bias,scale_misalignment",
     noise_nt: Annotated[
-        float | None, typer.Option("--noise-nT", metavar="NT", help="White noise of a reading, 1 sigma per axis [nT].")
+        float | None,
+        typer.Option(
+            "--noise-nT",
+            metavar="NT",
+            help="White noise of a reading, 1 sigma per axis [nT]; else the scenario's, else found in the data.",
+        ),
     ] = None,
-    lsb_nt: Annotated[float | None, typer.Option("--lsb-nT", metavar="NT", help="Step of the readings [nT].")] = None,
+    lsb_nt: Annotated[
+        float | None,
+        typer.Option(
+            "--lsb-nT", metavar="NT", help="Step of the readings [nT]; else the scenario's, else found in the data."
+        ),
+    ] = None,
     attitude_sigma_deg: Annotated[
         float | None,
-        typer.Option("--attitude-sigma-deg", metavar="DEG", help="Error of the reference attitude, 1 sigma [deg]."),
+        typer.Option(
+            "--attitude-sigma-deg",
+            metavar="DEG",
+            help="Error of the reference attitude, 1 sigma [deg]; else the scenario's, else found in the data.",
+        ),
     ] = None,
     attitude_tau_s: Annotated[
         float | None,
@@ -41,12 +63,13 @@ def command(
     ] = None,
     field: ScenarioFieldOption = None,
     degree: DegreeOption = None,
-    html: Annotated[Path | None, typer.Option("--html", metavar="FILE", help="Write the report as one page.")] = None,
+    html: HtmlOption = None,
     close: Annotated[
         Path | None, typer.Option("--close", metavar="OUT.toml", help="Write a scenario with the named effects in it.")
     ] = None,
     column_map: MapOption = None,
     tle: TleOption = None,
+    force: ForceOption = False,
     json: JsonOption = None,
 ) -> None:
     """Say where the gap between telemetry and simulation lies, which effect causes it and how far it shrinks."""
@@ -54,12 +77,19 @@ def command(
     with output.progress(f"reading {telemetry}") as progress:
         from fluxtwin import diagnosing, diagnosis_page
         from fluxtwin.report import render_report
-        from fluxtwin.sim.files import writable_file, write_text
+        from fluxtwin.sim import outputs
+        from fluxtwin.sim.files import write_text
         from fluxtwin.sim.scenario import save_scenario
 
-        for target in (html, close, None if json in (None, "-") else Path(json)):
-            if target is not None:
-                writable_file(target)  # before the work, not after it
+        outputs.claim(
+            {
+                "--html": (html, outputs.PAGE),
+                "--close": (close, outputs.SCENARIO),
+                "--json": (json, outputs.JSON),
+            },
+            [telemetry, scenario, field, column_map, tle],
+            force=force,
+        )
         record = read(telemetry, output, column_map=column_map, tle=tle)
         names = [] if modelled.strip() == "none" else [name.strip() for name in modelled.split(",") if name.strip()]
         diagnosis = diagnosing.diagnose(
@@ -87,7 +117,7 @@ def command(
         if close is not None and scene is not None:
             save_scenario(scene, close)
     for note in diagnosis.provenance.get("notes", ()):
-        output.note(f"note: {telemetry}: {note}")
+        output.note(f"note: {note}")
     if close is not None and scene is None:
         why = "what is named is not in the readings" if diagnosis.effects else "no effect is named"
         output.note(f"note: {why}, so there is nothing to close: {close} is not written")

@@ -14,7 +14,7 @@ from scipy.special import gammaln
 
 from fluxtwin.sim.field import field_N_nT
 from fluxtwin.sim.field_models import FieldModel
-from withheld_cases import of_dynamics, of_place, of_sensor, of_spacecraft, outside, shapes
+from withheld_cases import null_regimes, of_dynamics, of_place, of_sensor, of_spacecraft, outside, shapes
 from withheld_cases.attitude_sensors import draw_sensors
 from withheld_cases.chain import Truth
 from withheld_cases.draft import Draft, Maker
@@ -57,10 +57,18 @@ POPULATIONS = (
     "outside",
     "sensed",
     *of_dynamics.POPULATIONS,
+    "nulls_undeclared",
+    "singles_undeclared",
+    *null_regimes.REGIMES,
+    "limits",
+    "undetermined",
 )
+TWICE = ("sensed", *null_regimes.REGIMES)
+"""Each flight is in these two times, in an even and in an odd number."""
+NULLS = ("nulls", "nulls_off", "nulls_undeclared")
 STRENGTH = {
     "singles": (0.2, 3.0), "faint": (0.1, 0.3), "pairs": (0.7, 3.0), "triples": (1.0, 3.0), "shapes": (0.5, 3.0),
-    "outside": (1.0, 3.0), "sensed": (0.2, 3.0),
+    "outside": (1.0, 3.0), "sensed": (0.2, 3.0), "singles_undeclared": (0.5, 3.0),
 }  # fmt: skip
 SENSED = (
     "sun_sensor_head_misalignment", "horizon_scanner_bias", "scale_misalignment", "along_track_error", "yaw_drift",
@@ -94,17 +102,25 @@ def identity(seed: int, population: str, number: int) -> str:
     return hashlib.sha256(f"{seed}/{population}/{number}".encode()).hexdigest()[:12]
 
 
+def case_seed(seed: int, population: str, *number: int) -> np.random.Generator:
+    """The draws of one case; without a number, of the whole population."""
+    word = int(hashlib.sha256(population.encode()).hexdigest()[:8], 16)
+    return np.random.default_rng([seed, word, *number])
+
+
 def make_case(seed: int, population: str, number: int, rich: FieldModel | None = None) -> Case:
     """The case. Raises RuntimeError if no world in many shows the truths at the wanted size."""
-    word = int(hashlib.sha256(population.encode()).hexdigest()[:8], 16)
-    own = number // 2 if population == "sensed" else number
-    rng = np.random.default_rng([seed, word, own])
-    order = np.random.default_rng([seed, word])
-    makers, regimes, label = _chosen(population, own, order)
+    own = number // 2 if population in TWICE else number
+    rng = case_seed(seed, population, own)
+    makers, regimes, label = _chosen(population, own, case_seed(seed, population))
     regime = regimes[own % len(regimes)]
     if population == "sensed":
         label += ", sun and nadir " + ("left out" if number % 2 else "measured")
-    if population in ("nulls", "nulls_off"):
+    if population in null_regimes.REGIMES:
+        label = "asked without a flag" if number % 2 else "declared"
+        world = null_regimes.REGIMES[population](rng, regime)
+        return Case(identity(seed, population, number), population, number, world, (), (), (), (), 1, label)
+    if population in NULLS:
         world = draw_world(rng, regime)
         if population == "nulls_off":
             world = dataclasses.replace(world, declared_sigma_factor=1.5 if number % 8 < 4 else 1.0 / 1.5)
@@ -125,7 +141,7 @@ def make_case(seed: int, population: str, number: int, rich: FieldModel | None =
 
 def _chosen(population: str, number: int, order: np.random.Generator) -> tuple[list[Maker], tuple[str, ...], str]:
     """Makers, the regimes they may have (rotated by the round), and a label."""
-    if population in ("nulls", "nulls_off"):
+    if population in (*NULLS, *null_regimes.REGIMES):
         return [], REGIMES, ""
     if population == "sensed":
         name = SENSED[number % len(SENSED)]
@@ -249,16 +265,23 @@ def _alike(world: World, truths: Sequence[Truth]) -> bool:
 
 def answer(case: Case) -> dict[str, Any]:
     """What is sealed."""
-    world = case.world
-    rows = world.time.size
     return {
         "case": case.identity, "population": case.population, "number": case.number, "label": case.label,
-        "regime": world.regime,
         "truths": [
             {"name": t.name, "stage": t.stage, "parameters": dict(t.parameters), "signal": t.signal,
              "target": target, "visible": got, "size": size}
             for t, target, got, size in zip(case.truths, case.targets, case.achieved, case.sizes, strict=True)
         ],
+        "tries": case.tries,
+        **sealed_world(case.world),
+    }  # fmt: skip
+
+
+def sealed_world(world: World) -> dict[str, Any]:
+    """What is sealed of a world."""
+    rows = world.time.size
+    return {
+        "regime": world.regime,
         "noise_rms_nT": noise_rms_nT(world), "attitude_tau_s": world.budget.attitude_tau_s,
         "attitude_sigma_deg": float(np.degrees(world.budget.attitude_sigma_rad)),
         "altitude_km": world.orbit.altitude_km, "eccentricity": world.orbit.eccentricity,
@@ -266,7 +289,7 @@ def answer(case: Case) -> dict[str, Any]:
         "step_s": world.step_s, "span_s": world.span_s, "bursts": bool(world.span_s > 1.2 * rows * world.step_s),
         "recorded": sorted(world.recorded), "modelled": list(world.modelled), "degree": world.degree,
         "real_model": world.real_model.name.partition(":")[0], "richer_nT": richer_nT(world),
-        "b_nT": world.b_nT.tolist(), "S": world.S.tolist(), "tries": case.tries,
+        "b_nT": world.b_nT.tolist(), "S": world.S.tolist(),
         "declared_sigma_factor": world.declared_sigma_factor,
         "sensors_deg": None if world.sensors is None else {
             name.replace("_rad", ""): value if name.endswith("_s") else float(np.degrees(value))
@@ -286,9 +309,23 @@ def richer_nT(world: World) -> float:
 
 def question(case: Case) -> dict[str, Any]:
     """What the diagnosis is told besides the telemetry: as a user would."""
-    budget = case.world.budget
+    flagless = case.population in ("nulls_undeclared", "singles_undeclared") or (
+        case.population in null_regimes.REGIMES and case.number % 2 == 1
+    )
+    return (undeclared if flagless else declared)(case.identity, case.world)
+
+
+def declared(identity: str, world: World) -> dict[str, Any]:
+    """With the noise, the step and the attitude error of the world; never the error's time constant."""
+    budget = world.budget
     return {
-        "case": case.identity, "noise_nT": budget.noise_nT, "lsb_nT": budget.lsb_nT,
-        "attitude_sigma_deg": float(np.degrees(budget.attitude_sigma_rad)) * case.world.declared_sigma_factor,
-        "modelled": list(case.world.modelled), "degree": case.world.degree,
+        "case": identity, "noise_nT": budget.noise_nT, "lsb_nT": budget.lsb_nT,
+        "attitude_sigma_deg": float(np.degrees(budget.attitude_sigma_rad)) * world.declared_sigma_factor,
+        "modelled": list(world.modelled), "degree": world.degree,
     }  # fmt: skip
+
+
+def undeclared(identity: str, world: World) -> dict[str, Any]:
+    """The same without any word of noise."""
+    nothing = dict.fromkeys(("noise_nT", "lsb_nT", "attitude_sigma_deg"))
+    return declared(identity, world) | nothing

@@ -27,6 +27,8 @@ class Judged:
     """What was said of another day with the closed scenario in force."""
     control: dict[str, Any] | None = None
     """The same with a wrong effect in it."""
+    limit: dict[str, Any] | None = None
+    """What was said of the printed smallest size when it was flown."""
 
     @property
     def population(self) -> str:

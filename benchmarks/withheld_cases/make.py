@@ -8,11 +8,12 @@ import numpy as np
 
 from fluxtwin.sim.field_models import FieldModel, load_field
 from fluxtwin.sim.telemetry_io import write_telemetry
-from withheld_cases import of_dynamics
-from withheld_cases.cases import Case, answer, identity, make_case, question
+from withheld_cases import limits, null_regimes, of_dynamics, undetermined
+from withheld_cases.cases import Case, answer, case_seed, identity, make_case, question, sealed_world, undeclared
 from withheld_cases.chain import fly, noise_free, twin
 from withheld_cases.draft import recording
 from withheld_cases.plainly import shares
+from withheld_cases.readme import readme
 from withheld_cases.store import Store
 from withheld_cases.visible import signature_nT
 from withheld_cases.worlds import another_day
@@ -25,9 +26,13 @@ def make(root: str, seed: int, population: str, number: int, chaos: str | None) 
     """Write the files of one case; the sealed answer last, so that a case with an answer is whole."""
     if population in of_dynamics.POPULATIONS:
         return of_dynamics.make(root, seed, population, number)
+    if population == "limits":
+        return limits.make(root, seed, number)
     store, name = Store(Path(root)), identity(seed, population, number)
     if store.has("sealed", name):
         return name
+    if null_regimes.is_readme(population, number) or population == "undetermined":
+        return _of_its_own(store, name, seed, population, number)
     try:
         case = make_case(seed, population, number, rich_field(chaos))
     except RuntimeError as error:
@@ -45,6 +50,23 @@ def make(root: str, seed: int, population: str, number: int, chaos: str | None) 
     if case.truths and population != "outside":
         sealed["plain_share"] = min(shares(case.world, case.truths, case.sizes, plain=population != "shapes"))
     store.write("sealed", name, sealed)
+    return name
+
+
+def _of_its_own(store: Store, name: str, seed: int, population: str, number: int) -> str:
+    """A record without a truth that is no flight of the usual worlds, asked without a flag."""
+    if population == "undetermined":
+        world, drifts, label = undetermined.draw(case_seed(seed, population, number))
+        record = undetermined.fly(world, drifts)
+        sealed = sealed_world(world) | {"label": label, "truths": [], "drifts": [dict(d.parameters) for d in drifts]}
+        sealed |= dict(zip(("weakest_b_nT", "weakest_S"), undetermined.weakest(world), strict=True))
+        asked = undeclared(name, world)
+    else:
+        record, sealed = readme(seed, number)
+        asked = {"case": name} | dict.fromkeys(("noise_nT", "lsb_nT", "attitude_sigma_deg", "modelled", "degree"))
+    write_telemetry(record, store.path("telemetry", name))
+    store.write("asked", name, asked)
+    store.write("sealed", name, {"case": name, "population": population, "number": number} | sealed)
     return name
 
 

@@ -86,7 +86,20 @@ def _contents(cases: Sequence[Judged]) -> str:
             "torquers, gravity gradient), and visible is what a torque turns the body by within 25 minutes, less what "
             "another start of the window makes, over the sigma of the attitude."
         )
+    words += [text for name, text in _BESIDE.items() if any(case.population == name for case in cases)]
     return " ".join(words)
+
+
+_BESIDE = {
+    "nulls_undeclared": "Half of `nulls_undeclared` are the scenario of the README with seeds of their own.",
+    "passes_only": "`passes_only` are arcs of ten minutes, hours apart: sensor noise of 2 to 6 nT, an attitude error of "
+    "0.18 to 0.27 deg that wanders over 200 to 4000 s, S of 1.5 to 4 %; `short` has 300 to 600 rows, `coarse` steps 7 to "
+    "10 times the noise. Each flight of the three is asked twice, with its noise declared and without a flag.",
+    "limits": "`limits` takes the smallest detectable size that the answer on a perfect flight prints for an effect, and "
+    "flies it in the same world, in the parameter that is printed, with a random sign and other noise.",
+    "undetermined": "`undetermined` are spins of 20 to 100 deg/s without attitude, with a body field of 1 to 2 gauss; where "
+    "|B| leaves b open by more than 1,000 nT, 1 sigma, nothing may be named and the answer has to say what is missing.",
+}
 
 
 def _reliability(cases: Sequence[Judged]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from withheld_cases import beside
+from withheld_cases import beside, defaults
 from withheld_cases.judged import Judged, names_of
 from withheld_cases.rows import Test, distributional, expressible, number_row, of, share_row
 from withheld_cases.statistics import brier, calibration_error, median, reliability
@@ -13,7 +13,7 @@ from withheld_cases.store import Store
 
 NOT_RUN = "not run"
 CRITERIA = ("BIC", "EBIC")
-LATER = ("judged", "rival", "loop", "control")
+LATER = ("judged", "rival", "loop", "control", "limit")
 """What may be known of a case beside its answer, in the order of the fields of `Judged`."""
 
 
@@ -39,6 +39,7 @@ def rows_of(cases: Sequence[Judged]) -> list[dict[str, Any]]:
         *beside.torques(cases),
         *beside.second_channel(cases),
         *beside.richer_field(cases),
+        *defaults.rows(cases),
         *_probabilities(cases),
         *_closing(cases),
         *_rival(cases),
@@ -103,6 +104,7 @@ def _resembled(case: Judged) -> bool:
 
 
 def _probabilities(cases: Sequence[Judged]) -> list[dict[str, Any]]:
+    cases = [case for case in cases if case.population not in defaults.POPULATIONS]
     everything = [pair for case in cases for pair in case.stated()]
     faint = [pair for case in cases if 0.1 <= case.visible <= 0.3 for pair in case.stated()]
     error, faint_error = (calibration_error(*_columns(pairs)) for pairs in (everything, faint))
@@ -175,6 +177,10 @@ def _mean(cases: Sequence[Judged], test: Test) -> float:
 
 def right(case: Judged) -> bool:
     """Whether the whole answer is what was wanted of this case."""
+    if case.population == "undetermined":
+        return defaults.undetermined_right(case)
+    if case.population == "limits":
+        return case.limit is None or case.limit["said"] is None or defaults.detected(case)
     if not case.truths:
         return case.verdict == "no_gap"
     if case.population == "outside":

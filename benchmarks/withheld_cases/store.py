@@ -5,6 +5,7 @@
     OUT/telemetry/ID.csv    what it is given
     OUT/said/ID.json        what it answered (and OUT/closed/ID.toml, the scenario with what it named)
     OUT/sealed/ID.json      the truth; never read before all has been said
+    OUT/limit/ID.json       what was said of the printed smallest size when it was flown (and ID.csv, that flight)
     OUT/twin/ID.csv         the same flight without noise; OUT/second/ID.csv another day of it
     OUT/sealed.sha256       one number over all answers, printed when they are made
 
@@ -24,7 +25,9 @@ from typing import Any
 from fluxtwin.sim import files
 
 LOG = Path(__file__).resolve().parent.parent / "withheld.log"
-FOLDERS = ("asked", "telemetry", "said", "closed", "sealed", "twin", "second", "judged", "loop", "control", "rival")
+FOLDERS = (
+    "asked", "telemetry", "said", "closed", "sealed", "twin", "second", "judged", "loop", "control", "rival", "limit",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

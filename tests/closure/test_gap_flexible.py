@@ -25,7 +25,7 @@ from fluxtwin.gap.tones import strongest_tone
 from fluxtwin.gap.two_state import heater_sequence
 from fluxtwin.gap.walk_noise import Wander
 from fluxtwin.gap.wandering import random_walk
-from fluxtwin.gap.whitening import NoiseModel, Whitener, make_whitener
+from fluxtwin.gap.whitening import NoiseModel, Whitener, make_whitener, turn_images
 from fluxtwin.sim.effects.wheel_field import WheelField
 from fluxtwin.sim.field_models import load_field
 from fluxtwin.sim.scenario import parse_scenario
@@ -83,7 +83,7 @@ def bench() -> Bench:
     B = problem.field_B_nT
     scale = np.einsum("ik,nj->nikj", np.eye(3), B / 5e4).reshape(problem.rows, 3, 9)
     calibration = np.concatenate([np.broadcast_to(np.eye(3), (problem.rows, 3, 3)), scale], axis=2)
-    whitener = make_whitener(B, problem.setting.seconds, problem.segment, NoiseModel(SIGMA_NT, 1e-7, 0.0))
+    whitener = make_whitener(turn_images(B), problem.setting.seconds, problem.segment, NoiseModel(SIGMA_NT, 1e-7, 0.0))
     return Bench(problem, whitener, calibration, blocks(problem))
 
 

@@ -18,7 +18,7 @@ from fluxtwin.gap.evidence import fit_all, leftover, prepare
 from fluxtwin.gap.left import Left, judge
 from fluxtwin.gap.problem import Problem, pose
 from fluxtwin.gap.where import Where, locate, step_fits
-from fluxtwin.gap.whitening import NoiseModel, Whitener, make_whitener
+from fluxtwin.gap.whitening import NoiseModel, Whitener, make_whitener, turn_images
 from fluxtwin.sim import frames
 from fluxtwin.sim.field import field_N_nT
 from fluxtwin.sim.field_models import load_field
@@ -90,7 +90,7 @@ def make_design(attitude: str, with_heads: bool = False) -> Design:
     scale = np.einsum("ik,nj->nikj", np.eye(3), B / 5e4).reshape(problem.rows, 3, 9)
     calibration = np.concatenate([np.broadcast_to(np.eye(3), (problem.rows, 3, 3)), scale], axis=2)
     noise = NoiseModel(SIGMA_NT, THETA_RAD, TAU_S)
-    whitener = make_whitener(B, problem.setting.seconds, problem.segment, noise)
+    whitener = make_whitener(turn_images(B), problem.setting.seconds, problem.segment, noise)
     return Design(problem, whitener, calibration, blocks(problem))
 
 
@@ -309,7 +309,7 @@ def test_stages_with_one_image_are_called_equivalent() -> None:
     B = problem.field_B_nT
     scale = np.einsum("ik,nj->nikj", np.eye(3), B / 5e4).reshape(problem.rows, 3, 9)
     calibration = np.concatenate([np.broadcast_to(np.eye(3), (problem.rows, 3, 3)), scale], axis=2)
-    whitener = make_whitener(B, problem.setting.seconds, problem.segment, base.whitener.noise)
+    whitener = make_whitener(turn_images(B), problem.setting.seconds, problem.segment, base.whitener.noise)
     d = dataclasses.replace(base, problem=problem, whitener=whitener, calibration=calibration, found=blocks(problem))
     _, where = d.answer(d.noise_nT(np.random.default_rng(14)) + d.sized(late(d), 1.0))
     assert {where.stage, *where.equivalent} >= {"time", "orbit"}, where

@@ -57,8 +57,8 @@ EFFECT = {
     "name", "group", "rivals", "probability", "parameters", "stage", "axis", "frame", "condition", "significance",
 }  # fmt: skip
 GAP = {
-    "before_nT", "after_nT", "floor_nT", "floor_with_effects_nT", "closed", "interval", "prediction", "shape_incomplete",
-    "per_axis",
+    "left_nT", "before_nT", "after_nT", "floor_nT", "floor_with_effects_nT", "closed", "interval", "prediction",
+    "shape_incomplete", "per_axis",
 }  # fmt: skip
 
 

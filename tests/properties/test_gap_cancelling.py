@@ -10,7 +10,7 @@ import pytest
 from fluxtwin.gap.cancelling import undone
 from fluxtwin.gap.problem import Problem, pose
 from fluxtwin.gap.refit import refit
-from fluxtwin.gap.whitening import NoiseModel, make_whitener
+from fluxtwin.gap.whitening import NoiseModel, make_whitener, turn_images
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.field import load_field
 from fluxtwin.sim.scenario import parse_scenario
@@ -51,7 +51,9 @@ def test_an_offset_and_a_lag(spin: Problem, offset_s: float, lag_s: float, expec
     noise = 5.0 * np.random.default_rng(3).standard_normal((spin.rows, 3))
     telemetry = spin.telemetry.replace(mag_B_nT=spin.chain.reading_nT(active) + noise)
     problem = dataclasses.replace(spin, telemetry=telemetry)
-    whitener = make_whitener(problem.field_B_nT, problem.setting.seconds, problem.segment, NoiseModel(5.0, 0.0, 1.0))
+    whitener = make_whitener(
+        turn_images(problem.field_B_nT), problem.setting.seconds, problem.segment, NoiseModel(5.0, 0.0, 1.0)
+    )
     base = refit(problem, whitener)
     fit = refit(problem, whitener, active)
     found = undone(problem, whitener, fit, base.jacobian, [False, False])

@@ -18,7 +18,7 @@ from fluxtwin.gap.problem import Budget, Problem, pose
 from fluxtwin.gap.stochastic import expected, floor_noise, with_frozen_noise
 from fluxtwin.gap.targets import DAYS, targets
 from fluxtwin.gap.transfer import _seen_by_chance, transfers
-from fluxtwin.gap.whitening import make_whitener
+from fluxtwin.gap.whitening import make_whitener, turn_images
 from fluxtwin.sim import epoch, frames, sun
 from fluxtwin.sim.effects.bit_errors import BitErrors
 from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
@@ -78,7 +78,7 @@ def problem(scenario: Scenario) -> Problem:
 
 def closure_of(problem: Problem, modelled=(), chosen=(), stochastic=()) -> Closure:
     problem = dataclasses.replace(problem, modelled=tuple(effect for effect, _ in modelled))
-    whitener = make_whitener(problem.field_B_nT, problem.setting.seconds, problem.segment, NOISE)
+    whitener = make_whitener(turn_images(problem.field_B_nT), problem.setting.seconds, problem.segment, NOISE)
     return Closure(problem, whitener, modelled, chosen, tuple(() for _ in chosen), stochastic, 1.0, 40, None)
 
 

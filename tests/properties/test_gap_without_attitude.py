@@ -110,7 +110,7 @@ def test_what_is_not_measured_is_zero_and_never_whitened(pair):
     axes = unknown.axes
     assert axes is not None
     whitener = make_whitener(
-        unknown.noise_field_nT, unknown.setting.seconds, unknown.segment, NoiseModel(10.0, 0.1, 100.0), None, axes
+        unknown.noise_image_nT, unknown.setting.seconds, unknown.segment, NoiseModel(10.0, 0.1, 100.0), None, axes
     )
     random = np.random.default_rng(SEED_ROWS).standard_normal((unknown.rows, 3, 2))
     white = whitener.apply(random)

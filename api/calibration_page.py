@@ -15,27 +15,34 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def calibration_page(fit: Fit, title: str, *, next_step: str, command: str) -> Page:
-    """The page of one calibration. next_step: with the names of the files; command: what repeats it."""
+def calibration_page(fit: Fit, title: str, *, next_step: str, command: str, refused: bool = False) -> Page:
+    """The page of one calibration.
+
+    next_step: with the names of the files; command: what repeats it; refused: no calibration file was made of it.
+    """
     verdict = fit.verdict
     lines = () if verdict is None else verdict.lines
     unseen = list(fit.observability) or ["Everything that was asked for is determined by these data."]
     caption = (
-        f"Residuals of the {len(fit.time)} rows used. Crosses: rows set aside as outliers; arrows at the edge: beyond it. "
-        "Right: their distribution without the outliers, and the normal law of the stated sigma."
+        f"Residuals of {len(fit.time)} rows. Crosses: rows set aside as outliers; arrows at the edge: beyond it. "
+        "Right: the distribution of the others, and the normal law of the same rms."
     )
     return Page(
         title=title,
         verdict=lines[0] if lines else fit.calibration.method,
         sections=[
-            Section("What it means", [*lines[1:-1], f"Next: {next_step}"], [] if verdict is None else [_angles(fit)]),
+            Section(
+                "What it means",
+                [*lines[1:-1], *(["No calibration file was written."] if refused else []), f"Next: {next_step}"],
+                [] if verdict is None or verdict.level == "bad" else [_angles(fit)],
+            ),
             Section("Parameters", [], [parameter_table(fit), *_bias_tables(fit)]),
             Section("Residuals", [], [_residuals(fit)], [FigureBlock("residuals", caption, residual_figure(fit))]),
             Section("What these data do not tell", unseen, correlation_tables(fit)),
             Section("How it was made", [f"{message}." for message in fit.messages]),
             Section("Repeat it", [command]),
         ],
-        provenance=_provenance(fit),
+        provenance={key: value for key, value in _provenance(fit).items() if not (refused and "SHA-256" in key)},
     )
 
 
@@ -65,7 +72,7 @@ def residual_figure(fit: Fit) -> Figure:
     from fluxtwin.plots.calibration_residuals import CalibrationResiduals, draw_calibration_residuals
 
     aside = ~kept_rows(fit.weights)
-    record = CalibrationResiduals(fit.time, fit.residuals_nT, fit.calibration.sigma_nT, aside)
+    record = CalibrationResiduals(fit.time, fit.residuals_nT, aside)
     return draw_calibration_residuals(record, title="Residuals of the calibration")
 
 

@@ -73,8 +73,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         outcome = app(given, prog_name="fluxtwin", standalone_mode=False)
         if outcome == 130:  # newer typer turns the interrupt into this status by itself
             raise KeyboardInterrupt
-        sys.stdout.flush()
-        return outcome if isinstance(outcome, int) else 0
+        processes.stop_if_asked()
+        status = outcome if isinstance(outcome, int) else 0
+        try:
+            sys.stdout.flush()
+        except BrokenPipeError:
+            return _reader_has_gone(status)
+        return status
     except FluxtwinError as error:
         return _fail(_in_words(error), error.exit_status)
     except (KeyboardInterrupt, typer.Abort):
@@ -107,10 +112,10 @@ def _be_plain() -> None:
             reconfigure(errors="replace")
 
 
-def _reader_has_gone() -> int:
+def _reader_has_gone(status: int = 0) -> int:
     """Somebody read as much as they wanted, as `| head` does: no error, and no complaint at the exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    return 0
+    return status
 
 
 def _in_words(error: FluxtwinError) -> str:

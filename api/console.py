@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import re
 import shlex
+import shutil
 import sys
 import textwrap
 import threading
@@ -47,7 +48,7 @@ class Manners:
     """How much is said beside the result; the options -q and -v set it for one call of the command line."""
 
     quiet: bool = False
-    """No progress, no notes."""
+    """No progress, no notes, nothing but the result."""
     verbose: bool = False
     """Also the lists that a message leaves out."""
 
@@ -102,6 +103,15 @@ class Output:
         """One line of result."""
         if self.talks:
             print(clean(text))
+
+    def prose(self, text: str, *, indent: str = "") -> None:
+        """Sentences of a result: on a terminal they are broken between words, later lines behind `indent`."""
+        if self.talks and sys.stdout.isatty():
+            width = shutil.get_terminal_size().columns
+            text = textwrap.fill(
+                text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+            )  # fmt: skip
+        self.say(text)
 
     def note(self, text: str) -> None:
         """One line beside the result, on standard error; the same line only once, and none with --quiet."""

@@ -321,7 +321,7 @@ def confused_table(diagnosis: Diagnosis) -> Table:
 
 
 def _p_value(value: float) -> str:
-    return "< 1e-12" if value < 1e-12 else f"{value:.1e}"
+    return "< 1e-12" if value < 1e-12 else f"{value:.1e}" if value < 0.01 else f"{value:.2g}"
 
 
 def _provenance(diagnosis: Diagnosis) -> dict[str, str]:

@@ -226,9 +226,11 @@ def of_blocks(spread: Spread, block: np.ndarray, count: int) -> tuple[FloatArray
     """(G, p) scores of blocks as the fit leaves them and (G, p, p) their covariances. block: (K,) numbers below G."""
     added = spread.sums
     size = added.score.shape[1]
-    inside = spread.white + _slow_part(
-        added, added.seconds + _APART_S * block, spread.nodes_s, spread.theta_rad2, spread.slow_nT2
-    )
+    apart = added.seconds + _APART_S * block
+    order = np.argsort(apart, kind="stable")  # rows may return to a block after another
+    sorted_cells = added._replace(z=added.z[order], theta=added.theta[order], score=added.score[order])
+    inside = spread.white.copy()
+    inside[order] += _slow_part(sorted_cells, apart[order], spread.nodes_s, spread.theta_rad2, spread.slow_nT2)
 
     def by_block(values: FloatArray) -> FloatArray:
         out = np.zeros((count, *values.shape[1:]))

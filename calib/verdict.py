@@ -134,14 +134,15 @@ def judge(
     along = _along(fit, field_nT, kept)
     residual_nT = known.sigma_nT
     declared = _against_declared(fit, attitude_sigma_deg)
-    impossible = _impossible(fit, declared, along, residual_nT, float(np.sqrt((B[kept] ** 2).sum(axis=1).mean())))
+    strength_nT = float(np.sqrt((true_nT[kept] ** 2).sum(axis=1).mean()))
+    impossible = _impossible(fit, declared, along, residual_nT, strength_nT)
     if not (with_attitude and against_attitude):
         direction = replace(direction, against_reference_deg=None)
-    limits = [] if impossible else _limits(fit, declared, along, direction)
+    limits = [] if impossible else _limits(fit, declared, along, direction, strength_nT)
     return Verdict(
         level="bad" if impossible else "usable" if limits else "good",
         reasons=tuple(impossible or limits),
-        residual=_residual_words(fit, along, residual_nT) + _aside_words(fit),
+        residual=_residual_words(fit, along, residual_nT, impossible=bool(impossible)) + _aside_words(fit),
         residual_nT=residual_nT,
         along_field_nT=along.found_nT,
         along_field_expected_nT=along.noise_nT,
@@ -233,19 +234,26 @@ def _impossible(fit: Fit, declared: Declared, along: Along, residual_nT: float, 
     return found
 
 
-def _limits(fit: Fit, declared: Declared, along: Along, direction: DirectionKnowledge) -> list[str]:
+def _limits(fit: Fit, declared: Declared, along: Along, direction: DirectionKnowledge, strength_nT: float) -> list[str]:
     """Sentences that say what a usable calibration lacks."""
     known = fit.calibration
     found = [declared.words] if declared.ratio > _TRUSTED else []
     only_b = not known.sigmas[:9].any()
     if along.found_nT > np.sqrt(2.0) * along.allowed * along.noise_nT:
         rest = float(np.sqrt(along.found_nT**2 - along.noise_nT**2))
+        of_model = rest < FIELD_MODEL_NT
         found.append(
-            f"Along the field {plain(rest)} nT are left that noise does not give: an error of the field model (some "
-            f"{FIELD_MODEL_NT:.0f} nT at most)"
+            f"Along the field {plain(rest)} nT are left that noise does not give"
+            + (
+                ": an error of the field model"
+                if of_model
+                else f", more than the {FIELD_MODEL_NT:.0f} nT of a field model: clock"
+            )
             + (", S, which was not estimated," if only_b else "")
             + " or an effect that is not modelled."
         )
+    if along.found_nT > _WEAK_S * strength_nT:
+        found.append(f"A single corrected reading misses the field by {100 * along.found_nT / strength_nT:.1f} %.")
     if _many_outliers(fit):
         found.append(
             f"More than {100 * _MANY_OUTLIERS:.0f} % of the rows were set aside as outliers: the sigmas were not tested "
@@ -262,7 +270,11 @@ def _limits(fit: Fit, declared: Declared, along: Along, direction: DirectionKnow
     return found
 
 
-def _residual_words(fit: Fit, along: Along, residual_nT: float) -> str:
+def _residual_words(fit: Fit, along: Along, residual_nT: float, *, impossible: bool) -> str:
+    if impossible:  # of a fit that is none the noise cannot be told
+        return (
+            f"The residual is {plain(residual_nT)} nT {'of |B|' if fit.residuals_nT.shape[1] == 1 else 'a component'}."
+        )
     of_reading, given = plain(float(np.sqrt(fit.noise.variance_nT2.mean()))), plain(along.noise_nT)
     if fit.residuals_nT.shape[1] == 1:
         return (
@@ -296,7 +308,8 @@ def _many_outliers(fit: Fit) -> bool:
 
 
 def _next_step(fit: Fit, impossible: bool, along: Along, direction: DirectionKnowledge) -> str:
-    if impossible or _many_outliers(fit):
+    beyond_model = along.found_nT > float(np.hypot(along.allowed * along.noise_nT, FIELD_MODEL_NT))
+    if impossible or beyond_model or _many_outliers(fit):
         return "fluxtwin check TELEMETRY"
     if along.found_nT > np.sqrt(2.0) * along.allowed * along.noise_nT:
         if not fit.calibration.sigmas[:9].any():

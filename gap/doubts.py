@@ -27,8 +27,12 @@ def far_below_budget(before_nT: float, floor_nT: float) -> str | None:
 
 
 def traps(telemetry: Telemetry, model: FieldModel) -> list[str]:
-    """What `fluxtwin check` would say is not what it seems; nothing where it finds no trap."""
-    return [f"{finding.text} (fluxtwin check)" for finding in check_telemetry(telemetry, model).traps]
+    """What `fluxtwin check` would say is not what it seems; nothing where it finds no trap.
+
+    Without its word on outliers: the diagnosis sets them aside and says so itself.
+    """
+    found = check_telemetry(telemetry, model).traps
+    return [f"{finding.text} (fluxtwin check)" for finding in found if finding.code != "outliers"]
 
 
 def stuck_attitude(telemetry: Telemetry, attitude_sigma_rad: float | None) -> str | None:

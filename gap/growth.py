@@ -31,8 +31,10 @@ from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.types import BoolArray, FloatArray
 
 LARGEST = 3
-_WITHIN = 8.0
-_NONLINEAR = 0.05  # of the drop: as much may be lost by taking a large effect as linear
+WITHIN = 8.0
+NONLINEAR = 0.2
+"""Share of a drop that may be lost by taking a large effect as linear: of a clock 10 s late, whose linear image is made of
+an attitude with errors of its own, 8 %."""
 _REFITS = 4
 _STEPS = (1.5, 1 / 1.5, 1.25, 1 / 1.25, 1.12, 1 / 1.12)
 _FREE_RIDER = 0.8  # of what one name leaves, the further names must explain this much
@@ -230,7 +232,7 @@ def _shortlist(search: Search, scored: Board) -> list[int]:
     drop = scored.statistic / scored.variance
     cost = -drop + price(scored.rank, drop, search.samples)
     cost = np.where(scored.rank > 0, cost, np.inf)
-    window = max(_WITHIN, _NONLINEAR * float(scored.statistic.max() / scored.variance))
+    window = max(WITHIN, NONLINEAR * float(scored.statistic.max() / scored.variance))
     chosen: list[int] = []
     for number in np.argsort(cost):
         same = sum(scored.candidates[other].name == scored.candidates[number].name for other in chosen)

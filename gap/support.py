@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.gap.growth import Search, price, without
+from fluxtwin.gap.growth import NONLINEAR, WITHIN, Search, price, without
 from fluxtwin.gap.refit import Fit, white_residual
 from fluxtwin.gap.score import board
 
-_WITHIN = 8.0
 _REFITS = 4
 _IN_GROUP = 0.05
 _WORTH_SAYING = 0.001
@@ -94,7 +93,7 @@ def _weights(search: Search, fit: Fit, number: int, bare: Fit, variance: float) 
         worse += float(theirs - price(rank_own, drop_own / variance, search.samples))
         trials.append((worse, place))
     for count, (worse, place) in enumerate(sorted(trials)):
-        if count < _REFITS and worse < _WITHIN + 0.05 * drop_own / variance:
+        if count < _REFITS and worse < WITHIN + NONLINEAR * drop_own / variance:
             present = search.numbers(fit)
             present[number] = place
             start = [theta for _, theta in fit.chosen]

@@ -1,4 +1,4 @@
-"""What a calibration leaves over: each component along the record, and its spread against the stated sigma."""
+"""What a calibration leaves over: each component along the record, and its distribution beside the normal law."""
 
 from __future__ import annotations
 
@@ -24,14 +24,12 @@ class CalibrationResiduals:
     """(N,) UTC."""
     residual_B_nT: FloatArray
     """(N, 3), or (N, 1) for residuals of |B|."""
-    sigma_nT: float
-    """The sigma that the calibration states for one component."""
     aside: BoolArray | None = None
     """(N,) rows set aside as outliers: marked, and without a say in the axes and the rms."""
 
 
 def draw_calibration_residuals(record: CalibrationResiduals, *, title: str) -> Figure:
-    """One row a component: the series on the left, its histogram and the stated normal on the right.
+    """One row a component: the series on the left, its histogram and the normal law of the same rms on the right.
 
     Rows set aside are crosses; one beyond the axes is an arrow at its edge.
     """
@@ -50,7 +48,7 @@ def draw_calibration_residuals(record: CalibrationResiduals, *, title: str) -> F
             _outliers(left, along[aside], series[aside], _EDGE * max(float(np.abs(series[kept]).max()), 1e-9))
         quantity = "|B|" if rows == 1 else "xyz"[axis]
         style.label(left, y=f"{quantity} [nT]", x=name if axis == rows - 1 else None)
-        _histogram(right, series[kept], record.sigma_nT, style.AXIS_COLOURS[axis])
+        _histogram(right, series[kept], style.AXIS_COLOURS[axis])
         style.note(right, f"rms {np.sqrt(np.mean(series[kept] ** 2)):.3g} nT")
     style.label(grid[-1][1], x="residual [nT]")
     return figure
@@ -74,8 +72,9 @@ def _abscissa(time: TimeArray) -> tuple[FloatArray, str]:
     return np.arange(1.0, time.size + 1.0), "sample [1]"
 
 
-def _histogram(axes: Axes, series: FloatArray, sigma_nT: float, colour: str) -> None:
-    half = _HISTOGRAM_SIGMAS * max(sigma_nT, float(np.sqrt(np.mean(series**2))), 1e-9)
+def _histogram(axes: Axes, series: FloatArray, colour: str) -> None:
+    sigma_nT = float(np.sqrt(np.mean(series**2)))
+    half = _HISTOGRAM_SIGMAS * max(sigma_nT, 1e-9)
     edges = np.linspace(-half, half, 25)
     axes.hist(np.clip(series, -half, half), bins=list(edges), density=True, color=colour, alpha=0.6)
     if sigma_nT > 0:

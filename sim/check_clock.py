@@ -8,7 +8,7 @@ hours or seconds is then one prediction among others, and `check_evidence` compa
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -26,12 +26,13 @@ from fluxtwin.sim.types import FloatArray
 
 HOURS = tuple(sign * half / 2.0 for half in range(1, 29) for sign in (1, -1))
 """Time zones are whole hours from UTC-12 to UTC+14, a few are half hours."""
-WHOLE_COST, OTHER_COST = 5.0, 8.0
-"""Log prior odds against one whole hour, and against any other shift: of 150 files one has a wrong time zone."""
+MINUTES = tuple(sign * 300.0 * step for step in range(1, 169) for sign in (1, -1))
+"""Every five minutes to 14 hours: a clock that was never set, and what a known shift must be better than."""
+WHOLE_COST, OTHER_COST, PLAIN_COST = 5.0, 8.0, 10.0
+"""Log prior odds against one whole hour, against any other known shift, and against a shift without a known cause: of 150
+files one has a wrong time zone."""
 CLEAR = 4.0
 """Log odds at which a shift is named: 50 to 1 after its cost."""
-SHOWS = 6.0
-"""A shift would show if its prediction is so many standard deviations off: the gain, 18 +- 6, is then clear."""
 LEANING_RAD = 0.005
 """A constant error of the attitude in inertial axes, 0.3 deg, is free: 18 s turn the Earth by 0.075 deg, no more."""
 SIZE_SHARE = 0.7
@@ -56,8 +57,10 @@ def shifts_s(sample: Sample) -> dict[float, str]:
     return out | {86400.0: "a day", -86400.0: "a day"}
 
 
-def cost(shift_s: float) -> float:
+def cost(shift_s: float, known: Container[float]) -> float:
     """Log prior odds against a shift."""
+    if shift_s not in known:
+        return PLAIN_COST
     return WHOLE_COST if shift_s % 3600.0 == 0.0 and abs(shift_s) < 86400.0 else OTHER_COST
 
 
@@ -101,23 +104,29 @@ def check_clock(sample: Sample, model: FieldModel, origin: Origin) -> list[Findi
     """The trap `clock`, or the note `clock_tested` with what would and what would not show."""
     sample = sample.thinned(5 * BLOCKS)
     shifts = shifts_s(sample)
-    fields = predictions(sample, model, origin, (0.0, *shifts))
+    fields = predictions(sample, model, origin, dict.fromkeys((0.0, *shifts, *MINUTES)))
     tried = list(fields)
     evidence = _evidence(sample, [fields[shift] for shift in tried])
-    odds = evidence.log - evidence.log[0] - np.array([0.0, *(cost(shift) for shift in tried[1:])])
-    zone = np.array([sample.q_NB is not None and cost(shift) == WHOLE_COST for shift in tried])
+    costs = np.array([0.0, *(cost(shift, shifts) for shift in tried[1:])])
+    odds = evidence.log - evidence.log[0] - costs
+    zone = (costs == WHOLE_COST) & (sample.q_NB is not None)
     share = np.where(zone, 1.0, SIZE_SHARE)  # coarse steps of a slow reading look like a shift to |B|
     odds[1:][(evidence.misfit_nT > share * evidence.misfit_nT[0])[1:]] = -np.inf  # nor may the plain fit get worse
     best = int(np.argmax(odds))
     if best and odds[best] > CLEAR:
-        named = named_shift(
-            tried[best], shifts[tried[best]], float(evidence.misfit_nT[0]), float(evidence.misfit_nT[best])
-        )
-        close = [
-            shift for shift, one in zip(tried, odds, strict=True) if one > odds[best] - CLEAR and shift != tried[best]
-        ]
+        cause = shifts.get(tried[best], "to within five minutes; no time zone and no leap seconds: a clock that is off")
+        named = named_shift(tried[best], cause, float(evidence.misfit_nT[0]), float(evidence.misfit_nT[best]))
+        near = 900.0 if tried[best] not in shifts else 0.0
+        likely = sorted(zip(odds, tried, strict=True), reverse=True)
+        close = [shift for one, shift in likely if one > odds[best] - CLEAR and abs(shift - tried[best]) > near]
+        unknown = [shift for shift in close if shift and shift not in shifts]  # neighbours: one stands for all
+        close = [shift for shift in close if shift not in unknown[1:]]
         return [trap("clock", named + _not_told_apart(close))]
-    return [_what_shows(dict(zip(tried, evidence.distance, strict=True)), shifts, origin)]
+    # What a shift costs this record is what taking it back would gain one whose stamps are off by as much.
+    gain = np.maximum(evidence.log[0] - evidence.log, 0.0)
+    shows = gain - np.sqrt(2.0 * gain) > costs + CLEAR
+    shows &= evidence.misfit_nT[0] <= share * evidence.misfit_nT
+    return [_what_shows(dict(zip(tried, shows.tolist(), strict=True)), shifts, origin)]
 
 
 def named_shift(shift_s: float, words: str, as_is_nT: float, mended_nT: float) -> str:
@@ -160,7 +169,7 @@ def _evidence(sample: Sample, fields: list[FloatArray]) -> Evidence:
     return compare(mean(seconds), mean(design), mean(rhs), sigmas, mean(field), step_nT(sample.mag_nT))
 
 
-def _what_shows(distance: dict[float, float], shifts: dict[float, str], origin: Origin) -> Finding:
+def _what_shows(shows: dict[float, bool], shifts: dict[float, str], origin: Origin) -> Finding:
     """In words, which shifts this record would show."""
     if origin.elements is not None:
         meant = "positions from two-line elements move with the stamps"
@@ -170,12 +179,12 @@ def _what_shows(distance: dict[float, float], shifts: dict[float, str], origin: 
         meant = "positions relative to GCRS stay, the Earth turns under them"
     said = []
     for shift, words in ((s, shifts[s]) for s in sorted(shifts) if 1.0 < s < 1800.0 or s in (3600.0, 86400.0)):
-        shows = min(distance.get(shift, 0.0), distance.get(-shift, 0.0)) >= SHOWS
+        seen = shows.get(shift, False) and shows.get(-shift, False)
         what = "" if shift >= 3600.0 else " (GPS)" if "GPS" in words else " (TAI)"
-        said.append(f"{_size(shift)}{what} would {'' if shows else 'not '}show here")
-    hour = min(distance.get(3600.0, 0.0), distance.get(-3600.0, 0.0))
-    least = f"; the least that would is about {_round(3600.0 * SHOWS / hour)}" if hour > SHOWS else ""
-    return note("clock_tested", f"no shift of all stamps fits better ({meant}). {', '.join(said)}{least}")
+        said.append(f"{_size(shift)}{what} would {'' if seen else 'not '}show here")
+    least = next((s for s in sorted(MINUTES) if s > 0 and shows.get(s) and shows.get(-s)), None)
+    words = f"; of others, those of {least / 60.0:g} min and more" if least and least < 3600.0 else ""
+    return note("clock_tested", f"no shift of all stamps fits better ({meant}). {', '.join(said)}{words}")
 
 
 def readings_shift(sample: Sample, telemetry: Telemetry, model: FieldModel) -> tuple[float, float, float] | None:
@@ -215,8 +224,6 @@ def _size(shift_s: float) -> str:
     size = abs(shift_s)
     if size == 86400.0:
         return "1 day"
-    return f"{size / 3600.0:g} h" if size >= 1800.0 else f"{size:g} s"
-
-
-def _round(seconds: float) -> str:
-    return f"{seconds:.1g} s" if seconds < 10 else f"{float(f'{seconds:.2g}'):g} s"
+    if size % 1800.0 == 0.0:
+        return f"{size / 3600.0:g} h"
+    return f"{size / 60.0:g} min" if size >= 120.0 else f"{size:g} s"

@@ -36,9 +36,6 @@ class Evidence:
     """(K,) log marginal likelihood."""
     misfit_nT: FloatArray
     """(K,) rms of a component after S and b are fitted under their prior."""
-    distance: FloatArray
-    """(K,) distance from the first prediction in standard deviations: log evidence gained, were it true, is half its
-    square."""
 
 
 def vector_evidence(seconds: FloatArray, mag_nT: FloatArray, predicted_nT: FloatArray) -> Evidence:
@@ -91,15 +88,12 @@ def compare(
     Y = rhs.reshape(n * d, count)
     best = np.full(count, -np.inf)
     misfit = np.zeros(count)
-    distance = np.zeros(count)
     for number, covariance in enumerate(_covariances(seconds, lever, n, d)):
         log, scale, solved = _one_shape(covariance, X, Y, scales)
         if number == 0:
             misfit = _misfits(scale, solved, n * d)
-        if log.max() > best.max():  # the shape of the errors under the best prediction so far
-            distance = _distances(scale[int(np.argmax(log))], solved)
         best = np.maximum(best, log)
-    return Evidence(best, misfit, distance)
+    return Evidence(best, misfit)
 
 
 def _covariances(seconds: FloatArray, lever: FloatArray | None, n: int, d: int) -> list[FloatArray]:
@@ -165,9 +159,3 @@ def _misfits(scale: FloatArray, solved: _Solved, count: int) -> FloatArray:
         shrunk * (2.0 * solved.cross - solved.weights[:, None] * shrunk), axis=0
     )
     return np.asarray(np.sqrt(np.maximum(left, 0.0) / count))
-
-
-def _distances(scale: float, solved: _Solved) -> FloatArray:
-    """(K,) Mahalanobis distance from the first prediction, S and b integrated out."""
-    off = _Solved(solved.weights, solved.cross - solved.cross[:, :1], solved.whitened - solved.whitened[:, :1])
-    return np.asarray(np.sqrt(np.maximum(off.quadratic(np.asarray(scale)), 0.0)) / scale)

@@ -185,7 +185,10 @@ def _stamps(sample: Sample, model: FieldModel, origin: Origin) -> list[Hypothesi
     """Stamps that are whole hours off."""
     names = shifts_s(sample)
     fields = predictions(sample, model, origin, (s for s in names if abs(s) >= 1800.0))
-    return [Hypothesis("clock", names[shift], "", cost(shift), predicted, shift) for shift, predicted in fields.items()]
+    return [
+        Hypothesis("clock", names[shift], "", cost(shift, names), predicted, shift)
+        for shift, predicted in fields.items()
+    ]
 
 
 def _readings_late(late: tuple[float, float, float]) -> Finding:

@@ -92,7 +92,7 @@ def blind_magnitude(telemetry: Telemetry) -> list[Finding]:
     return [
         trap(
             "magnetometer_unit",
-            f"the median of |B| is {typical:.4g} nT, which {what}{likely} (no positions, so the factor is rough). "
+            f"the median of |B| is {typical:.4g} nT, which {what}{likely}. "
             "State the unit or the counts per nT in a column map",
         )
     ]

@@ -25,7 +25,8 @@ from typing import Any
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.processes import unfinished
 
-_PREFIX = ".fluxtwin-"
+_PREFIX = ".fluxtwin-unfinished-"
+_LEFTOVER = re.compile(re.escape(_PREFIX) + r"[a-z0-9_]{8}(\.\w+)?")  # as `mkstemp` makes them
 _HAS_LOCKS = importlib.util.find_spec("fcntl") is not None  # not on Windows: a leftover then stays, and does no harm
 _STREAM = re.compile(r"/dev/(?P<name>stdout|stderr)|/(dev|proc/self)/fd/(?P<number>[0-9]+)")
 
@@ -229,7 +230,7 @@ def _sweep(folder: Path) -> None:
 
     for leftover in folder.glob(f"{_PREFIX}*"):
         with suppress(OSError):
-            if not stat.S_ISREG(leftover.lstat().st_mode):
+            if not (_LEFTOVER.fullmatch(leftover.name) and stat.S_ISREG(leftover.lstat().st_mode)):
                 continue
             handle = os.open(leftover, os.O_RDWR | os.O_NOFOLLOW)
             try:

@@ -12,6 +12,8 @@ import numpy as np
 
 from fluxtwin.sim.files import write_bytes
 
+TRUTH_TITLE = "truth behind telemetry simulated by fluxtwin"
+
 
 @dataclass(frozen=True, eq=False)
 class Variable:

@@ -7,12 +7,9 @@ share a file; the ending of the name fits what is written; the folder exists; an
 
 from __future__ import annotations
 
-import gzip
-import mmap
 import os
 import stat
 import tomllib
-import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +20,6 @@ from fluxtwin.sim.files import followed, is_own_toml, is_stream, writable_file
 
 JSON_MARK = "fluxtwin"
 """First key of every JSON result; its value is the version."""
-YAW_COLUMNS = ("time", "yaw_deg", "yaw_first_order_deg", "sigma_deg", "yaw_reference_deg")
 _HEAD_BYTES = 65_536  # every mark but that of NetCDF stands at the beginning
 _MOST_TOML_BYTES = 1_000_000  # what the readers of scenarios and column maps accept
 _LONGEST_NAME = 4096  # bytes of a path, as Linux has it
@@ -89,35 +85,23 @@ def claim(
 def written_by_fluxtwin(path: Path | str) -> bool:
     """Whether an existing file is empty or bears the marks of what fluxtwin writes.
 
-    NetCDF and PNG: its name in an attribute; HTML: its name as generator; JSON: its name as first key; TOML: a first
-    line with a digest of the rest, so that a file edited since counts as the editor's. CSV has no place for a mark: the
-    columns stand in the order, and the numbers in the very digits, in which fluxtwin writes them.
+    Telemetry as NetCDF and TOML carry a digest, so that a file edited since counts as the editor's. PNG, HTML, JSON and the
+    truth of a simulation carry a name. CSV has no place for a mark: it never counts as fluxtwin's.
     """
     with open(path, "rb") as opened:
         head = opened.read(_HEAD_BYTES)
         if head.startswith(b"\x89HDF"):
-            with mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as whole:
-                return whole.find(b"fluxtwin") >= 0
+            from fluxtwin.sim.telemetry_netcdf import is_own
+
+            return is_own(path)
         if head.startswith(b"# Written by fluxtwin"):
             return is_own_toml(head + opened.read())
-    if head.startswith(b"\x1f\x8b"):
-        try:
-            head = gzip.GzipFile(path).read(_HEAD_BYTES)
-        except (OSError, EOFError, zlib.error):
-            return False
     return (
         not head
         or (head.startswith(b"\x89PNG") and b"fluxtwin" in head)
         or head.lstrip().startswith(b'{\n  "%s": ' % JSON_MARK.encode())
         or b'<meta name="generator" content="fluxtwin' in head
-        or _own_table(head)
     )
-
-
-def _own_table(head: bytes) -> bool:
-    from fluxtwin.sim.telemetry_csv import is_as_written
-
-    return head.startswith((",".join(YAW_COLUMNS) + "\n").encode()) or is_as_written(head)
 
 
 def _fitting_name(path: Path, kind: Kind, where: str) -> None:
@@ -149,11 +133,9 @@ def _free(path: Path, kind: Kind, where: str, force: bool) -> None:
     if not target.is_file():
         raise BadInput("is neither a file nor a device or pipe", where=where, wanted="another name")
     if not force and not _readable_as_own(target):
-        raise BadInput(
-            "exists, and fluxtwin did not write it (or it was edited since)",
-            where=where,
-            wanted="another name, or --force to replace it",
-        )
+        csv = target.name.lower().endswith((".csv", ".csv.gz"))
+        why = "a CSV does not say who wrote it" if csv else "fluxtwin did not write it, or it was edited since"
+        raise BadInput(f"exists, and {why}", where=where, wanted="another name, or --force to replace it")
 
 
 def _readable_as_own(path: Path) -> bool:

@@ -22,7 +22,7 @@ import numpy as np
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.files import write_with
 from fluxtwin.sim.telemetry import TEXT_BYTES, Telemetry
-from fluxtwin.sim.telemetry_columns import TEXTS, Table, clip, file_columns, file_texts, resolve, written_order
+from fluxtwin.sim.telemetry_columns import TEXTS, Table, clip, file_columns, file_texts, resolve
 from fluxtwin.sim.telemetry_time import format_iso, parse_iso, zone_assumed
 from fluxtwin.sim.types import FloatArray
 
@@ -189,25 +189,6 @@ def write(telemetry: Telemetry, path: Path | str) -> Path:
                 _write_rows(packed, telemetry, columns)
 
     return write_with(path, fill)
-
-
-def is_as_written(head: bytes) -> bool:
-    """Whether the beginning of a file is as `write` writes it: the order of the columns, and the digits of a row."""
-    lines = head.split(b"\n", 2)
-    try:
-        names, first = (line.decode("utf-8").split(",") for line in lines[:2])
-    except (ValueError, UnicodeDecodeError):
-        return False
-    order = ["time", *written_order(names)]
-    numbers = [cell for name, cell in zip(names, first, strict=False) if name not in TEXTS]
-    return len(lines) == 3 and names == order and len(first) == len(names) and _canonical_row(numbers)
-
-
-def _canonical_row(cells: list[str]) -> bool:
-    try:
-        return _STAMP.fullmatch(cells[0]) is not None and all(not x or repr(float(x)) == x for x in cells[1:])
-    except ValueError:
-        return False
 
 
 def open_csv(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> CsvFile:

@@ -18,7 +18,7 @@ import numpy as np
 from fluxtwin.sim.epoch import parse_time
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.files import escaped
-from fluxtwin.sim.netcdf_out import Variable, write_netcdf
+from fluxtwin.sim.netcdf_out import TRUTH_TITLE, Variable, write_netcdf
 from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.telemetry_columns import MAG, Table, clip, describe, file_columns, resolve
 from fluxtwin.sim.telemetry_csv import MAX_SAMPLES
@@ -248,6 +248,15 @@ def write(telemetry: Telemetry, path: Path | str) -> Path:
         arrays[name] = (value, {**variables[name].attributes, "_FillValue": np.nan})
     attributes[_SHA] = _digest(arrays, attributes)
     return write_netcdf(path, variables, attributes)
+
+
+def is_own(path: Path | str) -> bool:
+    """Whether fluxtwin wrote a NetCDF file: telemetry by its digest, which an edited file breaks; a truth by its title."""
+    try:
+        with NetcdfFile(path) as opened:
+            return opened.attributes().get("title") == TRUTH_TITLE or opened.verify(opened.names())
+    except BadInput:
+        return False
 
 
 def _time_attributes() -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from fluxtwin.sim.netcdf_out import Variable, write_netcdf
+from fluxtwin.sim.netcdf_out import TRUTH_TITLE, Variable, write_netcdf
 from fluxtwin.sim.types import FloatArray, TimeArray
 
 _UNITS = (
@@ -60,4 +60,4 @@ class Truth:
             rest = tuple(f"axis_{place}_of_{size}" for place, size in enumerate(value.shape[len(rows) :]))
             unit = next((words for end, words in _UNITS if item.name.endswith(end)), "1")
             columns[item.name] = Variable((*rows, *rest), value, {"units": unit}, True, _PACKING)
-        return write_netcdf(path, columns, {"title": "truth behind telemetry simulated by fluxtwin"})
+        return write_netcdf(path, columns, {"title": TRUTH_TITLE})

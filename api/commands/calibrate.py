@@ -18,7 +18,7 @@ from fluxtwin.commands.options import (
     TleOption,
 )
 from fluxtwin.commands.reading import read
-from fluxtwin.console import Output
+from fluxtwin.console import Output, manners
 
 if TYPE_CHECKING:
     from fluxtwin.calib.fit import Fit
@@ -197,26 +197,27 @@ def command(
             record = read(path, output, **manner, one_of_many=many)
             predicted[str(path)] = _predict(fit, record, fit.calibration, verbs.as_model(field, degree))
         impossible = fit.verdict is not None and fit.verdict.level == "bad"
-        written = [] if out is None or (impossible and not force) else [fit.calibration.to_toml(out)]
+        refused = impossible and not force
+        written = [] if out is None or refused else [fit.calibration.to_toml(out)]
         if figures is not None or html is not None:
             progress("drawing", 0.9)
         if figures is not None:
             written += _draw(fit, figures)
-        next_step = _next_step(fit, telemetry, out)
+        next_step = _next_step(fit, telemetry, out, column_map, tle)
         if html is not None:
-            written.append(_page(fit, html, telemetry, next_step))
+            written.append(_page(fit, html, telemetry, next_step, refused=refused))
     _print(output, fit, next_step)
     for name, statistics in predicted.items():
         rms = statistics.component_rms_nT
         what = "per component" if statistics.rms_nT.size == 3 else "in |B|"
         output.say(f"unseen {name}: {statistics.samples} samples, residual {rms:.1f} nT {what}")
+    if refused and out is not None:
+        output.say(f"{out} is not written: this is no calibration of a magnetometer (--force writes it)")
     for path in written:
         output.say(f"  {path}")
     record_of_unseen = {name: statistics.to_dict() for name, statistics in predicted.items()}
     output.result({**_as_json(fit), "unseen": record_of_unseen, "written": [str(path) for path in written]})
     if impossible:
-        if out is not None and not force:
-            output.note(f"fluxtwin: {out} is not written: this is no calibration of a magnetometer (--force writes it)")
         raise typer.Exit(1)
 
 
@@ -228,8 +229,8 @@ def _predict(fit: Fit, record: Telemetry, known: Calibration, model: FieldModel)
     return (predict if fit.method in WITH_ATTITUDE else predict_scalar)(record, known, model)
 
 
-def _next_step(fit: Fit, telemetry: list[Path], out: Path | None) -> str:
-    """The verdict's next step with the names of the files in it."""
+def _next_step(fit: Fit, telemetry: list[Path], out: Path | None, column_map: Path | None, tle: Path | None) -> str:
+    """The verdict's next step with the names of the files in it; what it writes goes into the current folder."""
     import shlex
 
     if fit.verdict is None:
@@ -239,9 +240,11 @@ def _next_step(fit: Fit, telemetry: list[Path], out: Path | None) -> str:
         words = "fluxtwin calibrate TELEMETRY --out CALIBRATION.toml"
     several = words.startswith("fluxtwin calibrate")
     named = " ".join(shlex.quote(str(path)) for path in (telemetry if several else telemetry[:1]))
+    for option, path in (("--map", column_map), ("--tle", tle)):
+        named += "" if path is None else f" {option} {shlex.quote(str(path))}"
     stem = telemetry[0].name.removesuffix(".gz").rsplit(".", 1)[0]
-    corrected = shlex.quote(str(telemetry[0].with_name(f"{stem}-corrected.nc")))
-    known = shlex.quote(str(out or telemetry[0].with_name(f"{stem}-calibration.toml")))
+    corrected = shlex.quote(f"{stem}-corrected.nc")
+    known = shlex.quote(str(out or f"{stem}-calibration.toml"))
     return words.replace("TELEMETRY", named).replace("CALIBRATION.toml", known).replace("CORRECTED", corrected)
 
 
@@ -256,19 +259,21 @@ def _print(output: Output, fit: Fit, next_step: str) -> None:
     known = fit.calibration
     if fit.verdict is not None:
         for line in fit.verdict.lines[:-1]:
-            output.say(line)
+            output.prose(line)
         output.say(f"Next: {next_step}")
         output.say()
     output.say(f"{known.method}; field {known.field_model}; {known.samples} samples")
     for table in calibration_page.tables(fit):
         output.table(table.title, table.columns, table.rows, table.note)
     output.say(f"residual {known.sigma_nT:.1f} nT {_of(fit)}, 1 sigma; covariance: {known.covariance_kind}")
+    if manners.quiet or (fit.verdict is not None and fit.verdict.level == "bad"):
+        return  # how a fit that is none was made helps nobody
     for message in fit.messages:
-        output.say(f"- {message}")
-    if fit.observability:
+        output.prose(f"- {message}", indent="  ")
+    if fit.verdict is None or len(fit.observability) > 1:  # a single one stands in the verdict
         output.say("what these data cannot tell:")
-    for words in fit.observability:
-        output.say(f"- {words}")
+        for words in fit.observability:
+            output.prose(f"- {words}", indent="  ")
 
 
 def _as_json(fit: Fit) -> dict[str, Any]:
@@ -288,12 +293,13 @@ def _draw(fit: Fit, folder: Path) -> list[Path]:
     return [write_bytes(writable_folder(folder) / RESIDUALS.inside, picture)]
 
 
-def _page(fit: Fit, path: Path, telemetry: list[Path], next_step: str) -> Path:
+def _page(fit: Fit, path: Path, telemetry: list[Path], next_step: str, *, refused: bool) -> Path:
     from fluxtwin.calibration_page import calibration_page
     from fluxtwin.console import command_line
     from fluxtwin.report import render_report
     from fluxtwin.sim.files import write_text
 
     names = ", ".join(path.name for path in telemetry)
-    page = calibration_page(fit, f"Calibration: {names}", next_step=next_step, command=command_line())
+    title = f"Calibration: {names}"
+    page = calibration_page(fit, title, next_step=next_step, command=command_line(), refused=refused)
     return write_text(path, render_report(page))

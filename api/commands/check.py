@@ -17,7 +17,7 @@ from fluxtwin.commands.options import (
     TleOption,
 )
 from fluxtwin.commands.reading import TelemetryArgument
-from fluxtwin.console import Output
+from fluxtwin.console import Output, manners
 
 if TYPE_CHECKING:
     from fluxtwin.sim.check import CheckReport
@@ -85,6 +85,7 @@ def _print(output: Output, title: str, report: CheckReport) -> None:
             continue
         rows = ", ".join(map(str, finding.rows[:5])) + (", ..." if finding.row_count > 5 else "")
         place = f" (rows {rows}; {finding.row_count} in all)" if finding.row_count else ""
-        output.say(f"  {finding.severity} {finding.code}: {finding.text}{place}")
+        if finding.severity != "note" or not manners.quiet:
+            output.prose(f"  {finding.severity} {finding.code}: {finding.text}{place}", indent="    ")
     if not report.traps:
         output.say("  clean: no trap found")

@@ -121,9 +121,9 @@ def command(
     if close is not None and scene is None:
         why = "what is named is not in the readings" if diagnosis.effects else "no effect is named"
         output.note(f"note: {why}, so there is nothing to close: {close} is not written")
-    output.say(diagnosis.sentence)
+    output.prose(diagnosis.sentence)
     for line in diagnosis_page.where_lines(diagnosis):
-        output.say(line)
+        output.prose(line)
     output.say()
     for table in diagnosis_page.tables(diagnosis):
         output.table(table.title, table.columns, table.rows, table.note)

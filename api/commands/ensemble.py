@@ -79,6 +79,8 @@ def command(
 def _say_how_to_go_on(output: Output, out: Path, words: list[Any], seed: int | None) -> None:
     from fluxtwin.sim.ensemble.run import whole_chunks
 
+    if not whole_chunks(out):
+        return
     words += [] if seed is None else ["--seed", seed]
     again = shlex.join(["fluxtwin", *map(str, words), "--resume"])
     output.note(f"{whole_chunks(out)} whole chunks are kept in {out}; go on with: {again}")

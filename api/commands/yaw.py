@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from fluxtwin.calib.yaw import YawSolution
 
 NAME = "yaw"
+COLUMNS = ("time", "yaw_deg", "yaw_first_order_deg", "sigma_deg", "yaw_reference_deg")
 BRIEF = "Yaw from the magnetometer, roll and pitch, with its sigma."
 
 
@@ -127,9 +128,8 @@ def _print(output: Output, summary: dict[str, Any]) -> None:
 
 def _write(solution: YawSolution, path: Path) -> None:
     from fluxtwin.sim.files import write_text
-    from fluxtwin.sim.outputs import YAW_COLUMNS
 
     columns = solution.to_dict()
-    rows = zip(*(columns[name] for name in YAW_COLUMNS), strict=True)
+    rows = zip(*(columns[name] for name in COLUMNS), strict=True)
     lines = [",".join("" if cell is None else str(cell) for cell in row) for row in rows]
-    write_text(path, "\n".join([",".join(YAW_COLUMNS), *lines, ""]))
+    write_text(path, "\n".join([",".join(COLUMNS), *lines, ""]))

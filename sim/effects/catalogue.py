@@ -90,7 +90,7 @@ def find_effect(name: str, *, where: str = "effects") -> Effect:
         if effect.name == name:
             return effect
     names = [effect.name for effect in CATALOGUE]
-    near = difflib.get_close_matches(name.lower(), names, n=1, cutoff=0.4)
+    near = difflib.get_close_matches(name.lower(), names, n=1, cutoff=0.6)
     hint = f"; did you mean {near[0]}?" if near else ""
     wanted = None if near else "a name that `fluxtwin effects` lists"
     raise BadInput(

@@ -238,6 +238,21 @@ def test_one_block_that_alone_determines_a_column(seasat: Any) -> None:
     assert np.linalg.eigvalsh(fit.calibration.covariance / scale)[0] > 0.0
 
 
+def test_the_names_of_passes_do_not_matter(seasat: Any) -> None:
+    """Labels that fall and return along the record are blocks like any others."""
+    rng = np.random.default_rng(32)
+    field = rng.normal(size=(300, 3)) * 2e4
+    reading = seasat.magnetometer().ideal_reading(field) + np.repeat(rng.normal(size=(10, 3)), 30, axis=0) * 30.0
+    reading += rng.normal(size=field.shape) * 10.0
+    time = np.datetime64("1978-07-24", "ns") + np.arange(300) * np.timedelta64(60, "s")
+    design, options = Design(time, reading, field, None, np.arange(300), {}), Options(noise_nT=10.0, lsb_nT=0.0)
+    rising = np.repeat(np.arange(10), 30)
+    sigmas = [fit_design(design, options, passes=passes).calibration.sigmas for passes in (rising, -rising)]
+    np.testing.assert_allclose(sigmas[1], sigmas[0], rtol=1e-9)
+    alternating = fit_design(design, options, passes=rising % 9).calibration.sigmas
+    assert np.isfinite(alternating).all()
+
+
 def test_blocks_in_the_forward_direction(passes: Any) -> None:
     """The covariance of G and o, carried to S and b: pulls right for errors constant within a pass. 30 runs; the
     scatter of the mean variance of 12 correlated pulls is under 0.15, the band three of that."""

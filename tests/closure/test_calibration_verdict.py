@@ -50,6 +50,18 @@ def test_the_clock_an_hour_off_is_no_calibration(seasat: Any) -> None:
     assert verdict.next_step == "fluxtwin check TELEMETRY"
 
 
+def test_a_clock_twenty_minutes_off_is_not_the_field_model(seasat: Any) -> None:
+    """Between what a field model may be wrong by and what is impossible: said as more than a model gives."""
+    record = flown(seasat)
+    verdict = fitted(record.replace(time=record.time + HOUR / 3), seasat).verdict
+    assert verdict is not None
+    assert verdict.level in ("usable", "bad")
+    words = " ".join(verdict.reasons)
+    assert "an error of the field model" not in words
+    assert "clock" in words
+    assert verdict.next_step == "fluxtwin check TELEMETRY"
+
+
 def test_an_S_that_no_magnetometer_has_is_named(seasat: Any) -> None:
     record = flown(seasat)
     verdict = fitted(record.replace(mag_B_nT=record.mag_B_nT * np.array([1.0, 1.4, 1.0])), seasat).verdict

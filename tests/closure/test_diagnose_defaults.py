@@ -52,6 +52,17 @@ def test_the_readme_scenario_has_no_gap_without_any_flag(record: Telemetry) -> N
     assert "Not declared, so found in these data" in found.sentence and "--attitude-sigma-deg" in found.sentence
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_late_sensor_is_not_blamed_on_the_orbit_alone(seed: int) -> None:
+    """10 s on a vehicle that keeps to the Earth look nearly like 77 km along the orbit; the linear image of the clock is
+    made of an attitude that errs itself, so only the refit tells the two apart."""
+    config = readme_scenario(seed).updated({"effects.time_tag_offset": {"offset_s": 10.0}})
+    found = asked(simulate(config)[0])
+    assert found.verdict == "effect"
+    assert "time_tag_offset" in found.effects[0].group
+    assert [one.name for one in found.effects] in (["time_tag_offset"], ["sensor_lag"])
+
+
 def test_what_is_declared_is_not_said_to_be_found(record: Telemetry) -> None:
     found = asked(record, DECLARED)
     assert found.verdict == "no_gap"

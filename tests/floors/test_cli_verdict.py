@@ -85,7 +85,7 @@ def test_an_impossible_fit_leaves_no_file(cli: Cli, flight: Path, tmp_path: Path
     assert outcome.status == 1  # type: ignore[attr-defined]
     assert outcome.out.startswith("Bad: not a calibration.")  # type: ignore[attr-defined]
     assert f"Next: fluxtwin check {flight / 'late.nc'}" in outcome.out  # type: ignore[attr-defined]
-    assert "is not written" in outcome.err  # type: ignore[attr-defined]
+    assert "is not written" in outcome.out  # type: ignore[attr-defined]
     assert not out.exists()
     assert json.loads(evidence.read_text("utf-8"))["verdict"]["level"] == "bad"
     assert "Bad: not a calibration." in page.read_text("utf-8")
@@ -128,8 +128,8 @@ def test_outliers_are_marked_and_do_not_scale_the_axes() -> None:
     r, aside = 20.0 * rng.normal(size=(300, 3)), np.zeros(300, dtype=bool)
     r[[50, 150]] += 40_000.0
     aside[[50, 150]] = True
-    marked = draw_calibration_residuals(CalibrationResiduals(time, r, 20.0, aside), title="t")
-    bare = draw_calibration_residuals(CalibrationResiduals(time, r, 20.0), title="t")
+    marked = draw_calibration_residuals(CalibrationResiduals(time, r, aside), title="t")
+    bare = draw_calibration_residuals(CalibrationResiduals(time, r), title="t")
     for row in range(3):
         left, right = marked.axes[2 * row : 2 * row + 2]
         assert left.get_ylim()[1] < 100.0

@@ -241,11 +241,32 @@ def test_a_file_of_somebody_else_goes_only_by_force_and_ours_goes_freely(
     assert cli(*call, "--force").status in (0, 1)
     written = (here / name).read_bytes()
     assert written != FOREIGN[kind]
-    assert cli(*call).status in (0, 1), "what fluxtwin wrote may be written again"
+    if ".csv" in name:
+        assert cli(*call).status == 2, "a CSV has no mark: it may be anybody's"
+    else:
+        assert cli(*call).status in (0, 1), "what fluxtwin wrote may be written again"
     assert (here / name).read_bytes() == written
     (here / name).write_bytes(b"")
     assert cli(*call).status in (0, 1), "an empty file is nobody's"
     assert (here / name).read_bytes() == written
+
+
+def test_telemetry_that_somebody_changed_is_theirs(here: Path) -> None:
+    """Another attribute, or another number: the digest inside does not fit. A word alone is no mark."""
+    import h5py
+
+    for change in ("note", "number", "word"):
+        (here / "mine.nc").write_bytes((here / "t.nc").read_bytes())
+        assert written_by_fluxtwin(here / "mine.nc")
+        with h5py.File(here / "mine.nc", "r+") as opened:
+            if change == "number":
+                opened["mag_x_nT"][0] += 7.0
+            else:
+                opened.attrs["note"] = "cleaned by hand"
+            if change == "word":
+                del opened.attrs["fluxtwin_sha256"]
+                opened.attrs["comment"] = "to be fed into fluxtwin"
+        assert not written_by_fluxtwin(here / "mine.nc"), change
 
 
 @pytest.mark.parametrize("name", FOREIGN)
@@ -414,5 +435,4 @@ def test_the_marks_do_not_hinder_reading(here: Path) -> None:
         assert text.startswith("# Written by fluxtwin")
         assert tomllib.loads(text)
         assert written_by_fluxtwin(here / name)
-    for name in ("t.nc", "t.csv", "t.csv.gz"):
-        assert written_by_fluxtwin(here / name)
+    assert written_by_fluxtwin(here / "t.nc")

@@ -70,6 +70,34 @@ def test_good_records_are_not_flagged_and_hear_what_would_show(model: FieldModel
         assert re.search(r"1 h would (not )?show here", said)
 
 
+@pytest.mark.parametrize("minutes", [10, -20])
+def test_a_clock_that_no_known_shift_explains_is_given_as_it_is(
+    minutes: int, model: FieldModel, tmp_path: Path
+) -> None:
+    """Ten minutes turn the Earth by 2.5 deg; a day turns it by 1 deg under the stars and must not be named for it."""
+    case = flown(model, GOOD, 0)
+    case.time = case.time + np.timedelta64(minutes, "m")
+    (found,) = checked(case, model, tmp_path).traps
+    assert found.code == "clock"
+    assert f"{abs(minutes)} min too {'late' if minutes > 0 else 'early'}" in found.text
+    assert "clock that is off" in found.text
+
+
+def test_a_shift_that_is_said_to_show_is_named(model: FieldModel, tmp_path: Path) -> None:
+    """What the note of a good record promises is kept when the stamps are moved by that much."""
+    promised = 0
+    for number in range(6):
+        case = dataclasses.replace(flown(model, GOOD, number), earth_fixed=False)  # or they would move with the stamps
+        (said,) = [note.text for note in checked(case, model, tmp_path).notes if note.code == "clock_tested"]
+        least = re.search(r"those of (\d+) min and more", said)
+        if least is None:
+            continue
+        promised += 1
+        case.time = case.time + np.timedelta64(2 * int(least[1]), "m")  # no borderline
+        assert [trap.code for trap in checked(case, model, tmp_path).traps] == ["clock"], case.label
+    assert promised > 2
+
+
 def test_outliers_are_given_with_their_rows(model: FieldModel, tmp_path: Path) -> None:
     kind = "outliers of 30 to 65 uT"
     case = flown(model, kind, 1)

@@ -53,10 +53,19 @@ def test_where_there_are_no_locks_nothing_is_swept(tmp_path, monkeypatch):
     def unsupported(*_):
         raise OSError(95, "Operation not supported")
 
-    (tmp_path / ".fluxtwin-1-x.txt").write_text("perhaps at work")
+    leftover = ".fluxtwin-unfinished-0a1b2c3d.txt"
+    (tmp_path / leftover).write_text("perhaps at work")
     monkeypatch.setattr("fcntl.flock", unsupported)
     files.write_text(tmp_path / "a.txt", "new")
-    assert {p.name for p in tmp_path.iterdir()} == {"a.txt", ".fluxtwin-1-x.txt"}
+    assert {p.name for p in tmp_path.iterdir()} == {"a.txt", leftover}
+
+
+def test_only_names_of_our_own_making_are_swept(tmp_path):
+    mine = {".fluxtwin-notes.txt", ".fluxtwin-settings.toml", ".fluxtwin-unfinished-notes.txt"}
+    for name in mine:
+        (tmp_path / name).write_text("somebody's own")
+    files.write_text(tmp_path / "a.txt", "new")
+    assert {p.name for p in tmp_path.iterdir()} == {"a.txt", *mine}
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])

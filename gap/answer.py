@@ -129,10 +129,13 @@ def noise_and_answer(problem: Problem, dictionary: Sequence[Block], known: Known
     answer = answered(problem, choice.noise, choice.robust, dictionary, known)
     for _ in range(_ROUNDS):
         names = {effect for effect, _ in answer.result.chosen}
-        if not answer.carries:
-            break  # nothing is named, or what is named is not what there is
-        choice = noise_choice(problem, answer.fitted_nT, residual_nT=answer.result.residual_nT)
-        answer = answered(problem, choice.noise, choice.robust, dictionary, known)
+        if not names:
+            break
+        beside = noise_choice(problem, answer.fitted_nT, residual_nT=answer.result.residual_nT)
+        then = answered(problem, beside.noise, beside.robust, dictionary, known)
+        if not (answer.carries or then.carries):
+            break  # what is named is not what there is, under either noise
+        choice, answer = beside, then
         if {effect for effect, _ in answer.result.chosen} == names:
             break
     return choice, answer

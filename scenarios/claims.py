@@ -1,7 +1,14 @@
-"""What a paper claims beside what a study finds: reproduced, differs, or not testable."""
+"""What a paper claims beside what a study finds, in five statuses.
+
+`reproduced`: an outcome that could have come out otherwise, and came out as printed. `put in`: an input of the scenario, or
+arithmetic on inputs, read back. `definition`: a formula or a frame, true of any data. `differs`: with its computed reason.
+`not testable`: with what would test it. The kind of a claim, where it is no outcome, stands in the study's `claims.toml`;
+whether it holds is for its judge.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -10,7 +17,10 @@ import numpy as np
 
 from fluxtwin.scenarios.page import Cell, Table
 
-REPRODUCED, DIFFERS, NOT_TESTABLE = "reproduced", "differs", "not testable"
+REPRODUCED, PUT_IN, DEFINITION, DIFFERS, NOT_TESTABLE = (
+    "reproduced", "put in", "definition", "differs", "not testable",
+)  # fmt: skip
+STATUSES = (REPRODUCED, PUT_IN, DEFINITION, DIFFERS, NOT_TESTABLE)
 
 ResultsT = TypeVar("ResultsT")
 
@@ -39,41 +49,60 @@ class Claim:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a judge says: text with the number and unit, the number, the unit, status, and why unless reproduced."""
+    """What a judge says of one claim."""
 
     here: str
+    """Text with the number and its unit."""
     value: float
     unit: str
-    status: str
-    why: str = ""
+    holds: bool | None
+    """Whether the printed claim holds here; None: it cannot be tested."""
+    otherwise: str = ""
+    """Why not, if it does not hold; what would test it, if it cannot be tested."""
+    beside: str = ""
+    """What is to be said of it in any case."""
 
 
-def agree(ours: float, printed: float, margin: float) -> str:
-    """`reproduced` when the two are no further apart than the margin, else `differs`."""
-    return REPRODUCED if abs(ours - printed) <= margin else DIFFERS
+def agree(ours: float, printed: float, margin: float) -> bool:
+    """Whether the two are no further apart than the margin."""
+    return bool(abs(ours - printed) <= margin)
 
 
 def judged(
     entries: Iterable[Mapping[str, Any]], judges: Mapping[int, Callable[[ResultsT], Verdict]], results: ResultsT
 ) -> list[Claim]:
-    """Every entry (id, where, paper) judged, in order.
+    """Every entry (id, where, paper, and kind where it is no outcome) judged, in order.
 
     Raises KeyError for a claim without a judge, ValueError for a verdict without a number or without its reason.
     """
     claims = []
     for entry in entries:
-        verdict = judges[entry["id"]](results)
+        verdict, kind = judges[entry["id"]](results), entry.get("kind", REPRODUCED)
+        if kind not in (REPRODUCED, PUT_IN, DEFINITION):
+            raise ValueError(f"claim {entry['id']}: there is no kind {kind!r}")
         if not np.isfinite(verdict.value):
             raise ValueError(f"claim {entry['id']}: no finite number was computed")
-        if verdict.status != REPRODUCED and not verdict.why:
-            raise ValueError(f"claim {entry['id']}: {verdict.status} without a reason")
+        status = NOT_TESTABLE if verdict.holds is None else kind if verdict.holds else DIFFERS
+        if not verdict.holds and not verdict.otherwise:
+            raise ValueError(f"claim {entry['id']}: {status} without a reason")
+        reasons = (verdict.beside, "" if verdict.holds else verdict.otherwise)
         claims.append(
             Claim(
-                entry["id"], entry["where"], entry["paper"], verdict.here, float(verdict.value), verdict.unit,
-                verdict.status, "" if verdict.status == REPRODUCED else verdict.why,
+                entry["id"], entry["where"], entry["paper"], verdict.here, float(verdict.value), verdict.unit, status,
+                "; ".join(filter(None, reasons)),
             )
         )  # fmt: skip
     return claims
+
+
+def counted(claims: Sequence[Claim]) -> str:
+    """As "9 of 24 claims reproduced, 2 put in, 0 definitions, 11 differ, 2 not testable"."""
+    counts = Counter(claim.status for claim in claims)
+    definitions = f"{counts[DEFINITION]} definition{'' if counts[DEFINITION] == 1 else 's'}"
+    return (
+        f"{counts[REPRODUCED]} of {len(claims)} claims reproduced, {counts[PUT_IN]} put in, {definitions}, "
+        f"{counts[DIFFERS]} differ{'s' if counts[DIFFERS] == 1 else ''}, {counts[NOT_TESTABLE]} not testable"
+    )
 
 
 def claims_table(claims: Sequence[Claim], *, with_why: bool = False) -> Table:

@@ -1,10 +1,8 @@
-"""What the studies of a paper share: the files of their flight, the count of their claims, and the provenance."""
+"""What the studies of a paper share: the files of their flight, and the provenance."""
 
 from __future__ import annotations
 
 import platform
-from collections import Counter
-from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 
@@ -12,7 +10,6 @@ import numpy as np
 
 from fluxtwin.calib.calibration_file import write_calibration
 from fluxtwin.calib.records import Calibration
-from fluxtwin.scenarios.claims import DIFFERS, NOT_TESTABLE, REPRODUCED, Claim
 from fluxtwin.sim import files
 from fluxtwin.sim.scenario import Scenario
 from fluxtwin.sim.telemetry import Telemetry
@@ -26,15 +23,6 @@ def write_flight(out: Path, scenario_text: str, telemetry: Telemetry, calibratio
         write_telemetry(telemetry, out / "telemetry.nc"),
         write_calibration(calibration, out / "calibration.toml"),
     ]
-
-
-def counted(claims: Sequence[Claim]) -> str:
-    """As "14 of 24 claims reproduced, 8 differ, 2 not testable"."""
-    counts = Counter(claim.status for claim in claims)
-    return (
-        f"{counts[REPRODUCED]} of {len(claims)} claims reproduced, {counts[DIFFERS]} differ, {counts[NOT_TESTABLE]} not "
-        "testable"
-    )
 
 
 def provenance(config: Scenario) -> dict[str, str]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize
 
 from fluxtwin.calib.records import Calibration
+from fluxtwin.calib.yaw import yaw_full
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.mission import Flight
 from fluxtwin.scenarios.hcmm_orbit.geometry import angle_between
@@ -42,19 +44,36 @@ class AccuracyStudy:
     """Arc from Orroral to the southern, from Fairbanks to the northern pole of that dipole."""
     dip_pole_deg: tuple[float, float]
     """The same to the points where the field is vertical at the ground."""
+    raw_direction: tuple[float, float]
+    """rms and largest angle between the reading as it is and the true field, body axes."""
+    yaw_known: Mapping[str, float]
+    """Share of the samples whose yaw, from the magnetometer with roll and pitch known, errs by less than was wanted: of the
+    reading as it is (`raw`), with a bias alone (`b`) and with b and S (`b, S`)."""
+    yaw_median: Mapping[str, float]
+    """The median errors."""
     attitude_within: float
     """Share of the samples with roll, pitch and yaw within 0.7, 0.5 and 2.0 deg."""
     attitude_largest: FloatArray
     """(3,) largest roll, pitch, yaw."""
 
 
-def run_accuracy(config: Scenario, flight: Flight, calibration: Calibration, ground: FieldModel) -> AccuracyStudy:
-    """Evaluate them on the three days of Table 5."""
+def run_accuracy(
+    config: Scenario, flight: Flight, calibration: Calibration, bias_nT: FloatArray, ground: FieldModel
+) -> AccuracyStudy:
+    """Evaluate them on the three days of Table 5. bias_nT: (3,) of a calibration with S = T = 0."""
     truth = load_field(config.field.truth)
     strength = np.linalg.norm(flight.world.field_N_nT, axis=1) / NT_PER_MG
     calibrated = calibration.apply(flight.telemetry.mag_B_nT)
     model_N = field_N_nT(ground, flight.world.time, flight.world.r_N_km)
     sun_error, nadir_error = _sensor_errors(flight)
+    raw = angle_between(flight.telemetry.mag_B_nT, flight.truth.field_B_nT)
+    ways = {
+        "raw": Calibration(np.zeros((3, 3)), np.zeros(3)),
+        "b": Calibration(np.zeros((3, 3)), bias_nT),
+        "b, S": calibration,
+    }
+    yaw_error = {name: _yaw_error_deg(flight, way, model_N) for name, way in ways.items()}
+    wanted = mission.quantity("yaw wanted")
     largest = np.degrees(
         [np.abs(a).max() for a in (flight.truth.roll_rad, flight.truth.pitch_rad, flight.truth.yaw_rad)]
     )
@@ -68,6 +87,9 @@ def run_accuracy(config: Scenario, flight: Flight, calibration: Calibration, gro
         dipole_equator_mG=_dipole_equator(config, truth),
         dipole_pole_deg=_arcs(*_dipole_axis(truth, flight.world.time[0])),
         dip_pole_deg=_arcs(*_dip_poles(truth, flight.world.time[0])),
+        raw_direction=(_rms_deg(raw), float(np.degrees(raw.max()))),
+        yaw_known={name: float((error < wanted).mean()) for name, error in yaw_error.items()},
+        yaw_median={name: float(np.median(error)) for name, error in yaw_error.items()},
         attitude_within=float(np.mean(_within(flight))),
         attitude_largest=largest,
     )
@@ -91,6 +113,16 @@ def _sensor_errors(flight: Flight) -> tuple[float, float]:
     by_sun = angle_between(np.array(t.sun_B)[rows], nadir_B) - computed
     by_nadir = angle_between(sun_B, np.array(t.nadir_B)[rows]) - computed
     return _rms_deg(by_sun), _rms_deg(by_nadir)
+
+
+def _yaw_error_deg(flight: Flight, calibration: Calibration, model_N_nT: FloatArray) -> FloatArray:
+    """(N,) size of the error of yaw from the magnetometer, roll and pitch being known."""
+    field_O = flight.world.R_ON.apply(model_N_nT)
+    found = yaw_full(
+        calibration.apply(flight.telemetry.mag_B_nT), field_O, flight.truth.roll_rad, flight.truth.pitch_rad
+    )
+    off = found - flight.truth.yaw_rad
+    return np.asarray(np.abs(np.degrees(np.arctan2(np.sin(off), np.cos(off)))))
 
 
 def _within(flight: Flight) -> FloatArray:

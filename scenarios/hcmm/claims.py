@@ -1,4 +1,4 @@
-"""The numbered claims of the papers on HCMM beside what this run gives: reproduced, differs, or not testable.
+"""The numbered claims of the papers on HCMM beside what this run gives.
 
 `here` is always computed from the run's own results, or from the printed record itself where a claim is arithmetic on
 it; what is printed is read from the packaged tables and `claims.toml`.
@@ -27,8 +27,6 @@ from fluxtwin.scenarios.hcmm_orbit.nadir_field import NadirField
 from fluxtwin.scenarios.hcmm_orbit.windows import Windows
 from fluxtwin.scenarios.motion import Motion
 from fluxtwin.sim.scenario import Scenario
-
-MAY_BE_UNTESTABLE = (34, 36, 39)
 
 
 @dataclass(frozen=True)

@@ -162,9 +162,9 @@ def _passes(results: Results) -> Section:
             "Every pass of the paper's Table 5, flown in the simulation with the calibration of both sets and seen as the "
             f"paper saw it. The field strength fits better than it did in 1978 ({mG:.2f} mG against {printed:.2f} "
             "over the 39 "
-            "quiet passes), and so does the angle to nadir; the angles with the sun agree. The five dawn passes over "
-            "Orroral "
-            "show the turned head 1. Why the four night passes stand out is asked above.",
+            "quiet passes), and so does the angle to nadir; the angles with the sun agree. At dawn over Orroral "
+            f"{int((np.array(results.dawn.samples) > 0).sum())} of {len(results.dawn.samples)} passes see the sun, with "
+            "head 1, which is turned. Why the four night passes stand out is asked above.",
         ],
         [pass_tables.strength_table(results), pass_tables.angles_table(results), pass_tables.dawn_table(results)],
     )

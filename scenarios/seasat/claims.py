@@ -1,4 +1,4 @@
-"""The numbered claims of the papers beside what this run gives: reproduced, differs, or not testable.
+"""The numbered claims of the papers beside what this run gives.
 
 `here` is always computed from the run's own results; what is printed is read from the packaged tables and
 `claims.toml`. A claim counts as reproduced when the printed number lies within the stated margin of ours.

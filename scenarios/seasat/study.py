@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fluxtwin.calib.records import Calibration
-from fluxtwin.scenarios.claims import Claim, claims_table, whys_table
+from fluxtwin.scenarios.claims import Claim, claims_table, counted, whys_table
 from fluxtwin.scenarios.motion import ATTITUDES, motion_of
 from fluxtwin.scenarios.page import Page, Section, StudyResult
 from fluxtwin.scenarios.seasat import geometry, mission, tables
@@ -20,7 +20,7 @@ from fluxtwin.scenarios.seasat.error_study import run_errors
 from fluxtwin.scenarios.seasat.identities import check_identities
 from fluxtwin.scenarios.seasat.judges_calibration import calibration_summary, pulls
 from fluxtwin.scenarios.seasat.yaw_study import run_yaw
-from fluxtwin.scenarios.study_files import counted, provenance, write_flight
+from fluxtwin.scenarios.study_files import provenance, write_flight
 from fluxtwin.sim.constants import NT_PER_MG
 from fluxtwin.sim.field import load_field
 from fluxtwin.sim.progress import Progress, part_of, silent

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from fluxtwin.scenarios.claims import DIFFERS, REPRODUCED, Claim, Verdict, judged
+from fluxtwin.scenarios.claims import Claim, Verdict, judged
 from fluxtwin.scenarios.st5 import mission
 from fluxtwin.scenarios.st5.calibration_study import Hour
 from fluxtwin.sim.constants import NT_PER_MG
@@ -30,8 +30,8 @@ def _inputs(hour: Hour) -> Verdict:
         f"are found again; the noise is {angle:.2f} deg of a mean field of {mean_mG:.0f} mG"
     )
     why = "the orbit is not in the abstract: 0.5 deg means 229 mG, which our arc has for a part of the hour only"
-    status = REPRODUCED if abs(angle - printed["noise_equivalent_deg"]) < 0.05 else DIFFERS
-    return Verdict(here, angle, "deg", status, why)
+    holds = abs(angle - printed["noise_equivalent_deg"]) < 0.05
+    return Verdict(here, angle, "deg", holds, why)
 
 
 def _figures(hour: Hour) -> Verdict:
@@ -48,7 +48,7 @@ def _figures(hour: Hour) -> Verdict:
         "process noise and start of the filter, weight of the sun, orbit and spin axis are not in the abstract and move "
         "both figures by more than the differences (table of settings); ours after calibration is the smaller one"
     )
-    return Verdict(here, after.rss_deg, "deg", REPRODUCED if same else DIFFERS, why)
+    return Verdict(here, after.rss_deg, "deg", same, why)
 
 
 def _loop(hour: Hour) -> Verdict:
@@ -56,7 +56,7 @@ def _loop(hour: Hour) -> Verdict:
     steps = hour.iterative.fit.steps_deg if hour.iterative.fit is not None else ()
     here = f"{len(steps)} passes, turns " + ", ".join(f"{s:.2g}" for s in steps) + " deg"
     settled = bool(steps) and steps[-1] < _SETTLED_DEG
-    return Verdict(here, float(len(steps)), "passes", REPRODUCED if settled else DIFFERS, "it does not settle")
+    return Verdict(here, float(len(steps)), "passes", settled, "it does not settle")
 
 
 def _scan(hour: Hour) -> Verdict:
@@ -70,7 +70,7 @@ def _scan(hour: Hour) -> Verdict:
         f"with brackets: the three printed rms give RSS {whole:.4f} deg, and the printed estimates stand {off_b:.3f} mG and "
         f"{off_v:.2f} deg from the printed truth"
     )
-    return Verdict(here, whole, "deg", REPRODUCED if agrees else DIFFERS, "the parts do not give the whole")
+    return Verdict(here, whole, "deg", agrees, "the parts do not give the whole")
 
 
 _JUDGES: Mapping[int, Callable[[Hour], Verdict]] = {55: _inputs, 56: _figures, 57: _loop, 58: _scan}

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from fluxtwin.calib.calibration_file import write_calibration
-from fluxtwin.scenarios.claims import REPRODUCED, Claim, claims_table
+from fluxtwin.scenarios.claims import Claim, claims_table, counted
 from fluxtwin.scenarios.page import Page, Section, StudyResult
 from fluxtwin.scenarios.st5 import mission, tables
 from fluxtwin.scenarios.st5.calibration_study import Hour, Solved, run_hour
@@ -60,13 +60,12 @@ def run(out: Path, data: Path | None = None, progress: Progress = silent) -> Stu
         write_calibration(hour.batch.fit.calibration, out / "calibration.toml"),
         write_calibration(hour.iterative.fit.calibration, out / "calibration-iterative.toml"),
     ]
-    reproduced = sum(claim.status == REPRODUCED for claim in claims)
     line = (
         f"ST5: attitude RSS {hour.before.rss_deg:.2f} deg before, {hour.steps_alone.rss_deg:.3f} deg by the abstract's "
         f"steps (abstract {mission.published()['post_rss_deg']:g}); with our regression after them "
         f"{hour.iterative.rss_deg:.4f} deg, by the batch {hour.batch.rss_deg:.4f} deg; "
-        f"{results.starts.found} of {results.starts.tried} blind starts find the motion; {reproduced} of {len(claims)} "
-        "claims reproduced."
+        f"{results.starts.found} of {results.starts.tried} blind starts find the motion; "
+        f"{counted(claims)}."
     )
     return StudyResult(
         name="st5",

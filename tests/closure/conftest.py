@@ -1,8 +1,11 @@
-"""Seasat's geometry, once for the closure tests of the calibration."""
+"""Seasat's geometry, once for the closure tests of the calibration; results of a study in another world."""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
@@ -76,3 +79,23 @@ def passes() -> Geometry:
     """Forty passes of twelve samples over eight days."""
     starts = np.datetime64("1978-07-24T00:17:00", "ns") + np.arange(40) * np.timedelta64(4 * 3600 + 2711, "s")
     return geometry((starts[:, None] + np.arange(12) * np.timedelta64(60, "s")).ravel())
+
+
+@pytest.fixture(scope="session")
+def changed() -> Callable[..., Any]:
+    """`changed(results, "accuracy.lsb_x_deg", value)`: the frozen records with one field, or entry of a mapping, replaced.
+
+    A value that can be called gets the old one.
+    """
+
+    def change(record: Any, path: str, value: Any) -> Any:
+        name, _, rest = path.partition(".")
+        old = record[name] if isinstance(record, Mapping) else getattr(record, name)
+        new = change(old, rest, value) if rest else value(old) if callable(value) else value
+        if isinstance(record, Mapping):
+            return {**record, name: new}
+        if hasattr(record, "model_copy"):
+            return record.model_copy(update={name: new})
+        return dataclasses.replace(record, **{name: new})
+
+    return change

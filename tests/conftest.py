@@ -34,7 +34,7 @@ def close() -> Callable[..., None]:
     return assert_close
 
 
-def assert_close(actual: Any, expected: Any, *, atol: float, unit: str, because: str) -> None:
+def assert_close(actual: Any, expected: Any, *, atol: Any, unit: str, because: str) -> None:
     """Fail with the largest difference, the tolerance, its unit and the reason for it."""
     a, e = np.broadcast_arrays(np.asarray(actual, dtype=float), np.asarray(expected, dtype=float))
     assert a.size, "nothing was compared"
@@ -42,5 +42,5 @@ def assert_close(actual: Any, expected: Any, *, atol: float, unit: str, because:
     worst = np.unravel_index(int(np.argmax(np.where(np.isnan(gap), np.inf, gap))), gap.shape)
     assert bool((gap <= atol).all()), (
         f"differs by {gap[worst]:.6g} {unit} at {worst}: found {a[worst]:.9g}, expected {e[worst]:.9g}, "
-        f"tolerance {atol:g} {unit} ({because})"
+        f"tolerance {np.broadcast_to(atol, gap.shape)[worst]:g} {unit} ({because})"
     )

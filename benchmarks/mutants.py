@@ -1,0 +1,214 @@
+"""Do the tests bite? The production chain broken in thirty ways, each against the tests that stand nearest to it.
+
+    python benchmarks/mutants.py                  all; about five minutes
+    python benchmarks/mutants.py --only NAME ...  some of them
+    python benchmarks/mutants.py --quick          two of them: does it still run?
+
+Each mutant changes one expression in a copy of the checkout; its tests must fail there, and pass without it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parent.parent
+CHAIN = "tests/properties/test_production_chain.py"
+SIGMAS = "tests/closure/test_calibration_sigmas.py"
+
+
+class Mutant(NamedTuple):
+    """One change of one line."""
+
+    file: str
+    right: str
+    wrong: str
+    tests: str
+
+
+MUTANTS: dict[str, Mutant] = {
+    "noise x 1.05": Mutant("sim/chain.py", "noise_nT = instrument.", "noise_nT = 1.05 * instrument.", CHAIN),
+    "noise x 2": Mutant("sim/chain.py", "noise_nT = instrument.", "noise_nT = 2.0 * instrument.", CHAIN),
+    "unknown field x 2": Mutant("sim/chain.py", "world.time, source.nT,", "world.time, 2.0 * source.nT,", CHAIN),
+    "floor for rint": Mutant("sim/sensors/magnetometer.py", "np.rint(reading", "np.floor(reading", CHAIN),
+    "S transposed": Mutant(
+        "sim/sensors/magnetometer.py",
+        'np.einsum("nk,mk->nm", corrected, np.linalg.inv(np.eye(3) + self.S))',
+        'np.einsum("nk,mk->nm", corrected, np.linalg.inv(np.eye(3) + self.S.T))',
+        CHAIN,
+    ),
+    "sign of b": Mutant(
+        "sim/sensors/magnetometer.py", "dtype=np.float64)) - self.b_nT", "dtype=np.float64)) + self.b_nT", CHAIN
+    ),
+    "sign of T of the sensor": Mutant(
+        "sim/sensors/magnetometer.py", "corrected - np.atleast_2d(dip", "corrected + np.atleast_2d(dip", CHAIN
+    ),
+    "sign of T from positions": Mutant("sim/scenario_spacecraft.py", "return -left *", "return left *", CHAIN),
+    "compensation the wrong way": Mutant(
+        "sim/scenario_spacecraft.py",
+        "left = 1.0 - scenario",
+        "left = 1.0 + scenario",
+        "tests/closure/test_hcmm_gallery.py tests/closure/test_study_motion.py",
+    ),
+    "yaw in radians": Mutant(
+        "sim/scenario_attitude.py", "np.radians(a.yaw_rms_deg)", "np.asarray(a.yaw_rms_deg)", CHAIN
+    ),
+    "pitch and roll exchanged": Mutant(
+        "sim/scenario_attitude.py", "np.radians(a.roll_rms_deg)", "np.radians(a.pitch_rms_deg)", CHAIN
+    ),
+    "head's misalignment in radians": Mutant(
+        "sim/scenario_spacecraft.py", "(float(np.radians(angle)) for angle", "(float(angle) for angle", CHAIN
+    ),
+    "sun sensor's noise in radians": Mutant(
+        "sim/scenario_spacecraft.py",
+        "noise_rad=float(np.radians(section.noise_deg)),\n        mis",
+        "noise_rad=float(section.noise_deg),\n        mis",
+        CHAIN,
+    ),
+    "scanner's noise x 2": Mutant(
+        "sim/scenario_spacecraft.py",
+        "0.0 if correlated else float(np.radians(section",
+        "0.0 if correlated else 2.0 * float(np.radians(section",
+        CHAIN,
+    ),
+    "scanner's biases exchanged": Mutant(
+        "sim/scenario_spacecraft.py",
+        "radians(section.roll_bias_deg)), float(np.radians(section.pitch_bias_deg))",
+        "radians(section.pitch_bias_deg)), float(np.radians(section.roll_bias_deg))",
+        "tests/reference/test_attitude_sensors.py tests/properties/test_simulate.py tests/closure/test_sun_nadir.py",
+    ),
+    "gyro's noise in radians": Mutant(
+        "sim/scenario_spacecraft.py", "float(np.radians(section.noise_deg_s))", "float(section.noise_deg_s)", CHAIN
+    ),
+    "memory of the reference halved": Mutant(
+        "sim/gauss_markov.py", "stamps[0])) / tau_s", "stamps[0])) / (0.5 * tau_s)", CHAIN
+    ),
+    "orbital frame transposed": Mutant(
+        "sim/frames.py", "    y = -normal / size[:, None]\n", "    y = normal / size[:, None]\n", CHAIN
+    ),
+    "Earth's rotation 1 s late": Mutant(
+        "sim/frames.py",
+        "erfa.c2tcio(_celestial_to_intermediate(time), _era(time)",
+        "erfa.c2tcio(_celestial_to_intermediate(time), _era(time) + 7.292e-5",
+        "tests/reference/test_astropy_witness.py",
+    ),
+    "Earth 1.2 % smaller in its shadow": Mutant(
+        "sim/sun.py", "np.arcsin(EARTH_RADIUS_KM /", "np.arcsin(6300.0 /", "tests/reference/test_sun_and_eclipse.py"
+    ),
+    "perigee under J2": Mutant("sim/orbit.py", "(5.0 * cos_i**2", "(4.0 * cos_i**2", "tests/reference/test_orbit.py"),
+    "leap seconds dropped": Mutant(
+        "sim/epoch.py",
+        "plain + _leap_seconds(stamps) - _leap",
+        "plain + 0.0 * _leap_seconds(stamps) - 0.0 * _leap",
+        "tests/reference/test_time.py",
+    ),
+    "a milligauss is 10 nT": Mutant(
+        "sim/constants.py",
+        "NT_PER_MG = 100.0",
+        "NT_PER_MG = 10.0",
+        "tests/reference/test_magnetometer.py tests/properties/test_telemetry_files.py tests/reference/test_layouts.py",
+    ),
+    "field 1 % too strong": Mutant(
+        "sim/constants.py", "FIELD_RADIUS_KM = 6371.2", "FIELD_RADIUS_KM = 6392.4", "tests/reference/test_field_noaa.py"
+    ),
+    "coupling of torquers transposed": Mutant(
+        "sim/sensors/torquers.py",
+        "dipole_field_nT(axes, positions).T",
+        "dipole_field_nT(axes, positions)",
+        "tests/reference/test_magnetometer.py",
+    ),
+    "yaw: sign of the solution": Mutant(
+        "calib/yaw.py",
+        "b0[:, 1] * c[:, 0] - b0[:, 0] * c[:, 1]",
+        "b0[:, 0] * c[:, 1] - b0[:, 1] * c[:, 0]",
+        "tests/reference/test_yaw_from_field.py",
+    ),
+    "TWOSTEP's published noise term": Mutant(
+        "calib/twostep.py",
+        "(1.0 if published else -1.0)",
+        "1.0",
+        "tests/closure/test_scalar_recovery.py tests/properties/test_scalar_properties.py",
+    ),
+    "white covariance halved": Mutant(
+        "calib/covariance.py", "        score = (r[:, None, :] * z", "        score = (0.7 * r[:, None, :] * z", SIGMAS
+    ),
+    "correlated covariance x 0.6": Mutant(
+        "calib/stated.py",
+        "np.eye(1) if solution.fit is None else bread_of(solution.fit, job.noise_xx)) / sharpness\n",
+        "np.eye(1) if solution.fit is None else bread_of(solution.fit, job.noise_xx)) / sharpness * 0.6\n",
+        SIGMAS,
+    ),
+    "scalar covariance halved": Mutant(
+        "calib/scalar_covariance.py",
+        "meat = scores.rows.T @ scores.rows",
+        "meat = 0.5 * scores.rows.T @ scores.rows",
+        "tests/closure/test_scalar_recovery.py",
+    ),
+}
+
+
+def main() -> int:
+    """Make the mutants one by one and say which the tests notice; 1 if one was missed."""
+    options = _options()
+    names = options.only or (list(MUTANTS)[:1] if options.quick else list(MUTANTS))
+    caught = 0
+    with TemporaryDirectory() as folder:
+        copy = Path(folder) / "fluxtwin"
+        ignored = shutil.ignore_patterns(".git", ".types", "build", "__pycache__", "*-results", ".venv")
+        shutil.copytree(ROOT, copy, ignore=ignored)
+        subprocess.run([sys.executable, ".ci/link_types.py"], cwd=copy, check=True, capture_output=True)
+        sound = sorted({MUTANTS[name].tests for name in names})
+        print(f"{'mutant':34s} {'noticed by':44s} {'s':>5s}", flush=True)
+        for tests in sound:
+            if not _passes(copy, tests):
+                raise SystemExit(f"{tests}: does not pass as it is, so it tells nothing")
+        for name in names:
+            begin = time.perf_counter()
+            noticed = _noticed(copy, MUTANTS[name])
+            caught += noticed
+            where = MUTANTS[name].tests.split()[0].rsplit("/", 1)[-1] if noticed else "NOBODY"
+            print(f"{name:34s} {where:44s} {time.perf_counter() - begin:5.0f}", flush=True)
+    print(f"{caught} of {len(names)}")
+    return 0 if caught == len(names) else 1
+
+
+def _noticed(copy: Path, mutant: Mutant) -> bool:
+    """Whether the mutant's tests fail with it. Raises SystemExit where the line is not there, or twice."""
+    path = copy / mutant.file
+    sound = path.read_text(encoding="utf-8")
+    if sound.count(mutant.right) != 1:
+        raise SystemExit(f"{mutant.file}: {mutant.right!r} stands there {sound.count(mutant.right)} times")
+    path.write_text(sound.replace(mutant.right, mutant.wrong), encoding="utf-8")
+    try:
+        return not _passes(copy, mutant.tests)
+    finally:
+        path.write_text(sound, encoding="utf-8")
+
+
+def _passes(copy: Path, tests: str) -> bool:
+    """Whether these tests pass in the copy, whose own code is imported in place of what is installed."""
+    environment = {**os.environ, "PYTHONPATH": str(copy / ".types"), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment.setdefault("FLUXTWIN_SHARED", str(ROOT.parent / "shared"))
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", *tests.split()]
+    done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode not in (0, 1):
+        raise SystemExit(f"{tests}: pytest ended with {done.returncode}\n{done.stdout[-2000:]}")
+    return done.returncode == 0
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", action="append", choices=list(MUTANTS), help="repeatable")
+    parser.add_argument("--quick", action="store_true")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -76,7 +76,7 @@ def stated_scalar_covariance(
     if kind == "white":
         if widening > 1.44:
             return white, (
-                "covariance: white; the residuals hang together in time, so that these sigmas are too small by up to "
+                "covariance: white; the residuals are correlated in time, so that these sigmas are too small by up to "
                 f"{np.sqrt(widening):.1f}: covariance blocks (--covariance blocks) allows for it"
             )
         return white, "covariance: white"
@@ -115,7 +115,7 @@ def _moved(scores: Scores, of_row: np.ndarray, count: int) -> FloatArray:
 
     Corrected for leverage (CR2 of Bell & McCaffrey 2002, Survey Methodology 28, 169): in units in which the slope is one,
     the scores of a block have the covariance A (1 - A), A being its share of the slope. Leaving blocks out one at a time
-    (A / (1 - A)) makes sigmas 15 % too wide, because blocks differ in what they tell.
+    (A / (1 - A)) makes sigmas 18 % too wide, because blocks differ in what they tell.
     """
     order = np.argsort(of_row, kind="stable")
     edges = np.searchsorted(of_row[order], np.arange(count + 1))

@@ -71,7 +71,7 @@ def stated_covariance(job: Job, solution: Solution, passes: np.ndarray | None) -
         factor = float(np.sqrt(batch_widening(solution.residual_nT, segment)))
         if factor > _TOO_SMALL:
             messages.append(
-                f"the residuals hang together in time: white sigmas are too small, by up to {factor:.1f}; "
+                f"the residuals are correlated in time: white sigmas are too small, by up to {factor:.1f}; "
                 "covariance blocks (--covariance blocks) allows for it"
             )
     stacked = stacked + _from_noise_uncertainty(job, solution) + _from_field_error(job, solution)

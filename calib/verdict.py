@@ -241,7 +241,7 @@ def _limits(fit: Fit, declared: Declared, along: Along, direction: DirectionKnow
     only_b = not known.sigmas[:9].any()
     if along.found_nT > np.sqrt(2.0) * along.allowed * along.noise_nT:
         rest = float(np.sqrt(along.found_nT**2 - along.noise_nT**2))
-        of_model = rest < FIELD_MODEL_NT
+        of_model = not _beyond_model(along)
         found.append(
             f"Along the field {plain(rest)} nT are left that noise does not give"
             + (
@@ -268,6 +268,11 @@ def _limits(fit: Fit, declared: Declared, along: Along, direction: DirectionKnow
     if direction.after_deg >= direction.before_deg:
         found.append("The direction of the field is not better known with this calibration than without it.")
     return found
+
+
+def _beyond_model(along: Along) -> bool:
+    """Whether more is left along the field than noise and a field model give."""
+    return bool(along.found_nT > np.hypot(along.allowed * along.noise_nT, FIELD_MODEL_NT))
 
 
 def _residual_words(fit: Fit, along: Along, residual_nT: float, *, impossible: bool) -> str:
@@ -308,8 +313,7 @@ def _many_outliers(fit: Fit) -> bool:
 
 
 def _next_step(fit: Fit, impossible: bool, along: Along, direction: DirectionKnowledge) -> str:
-    beyond_model = along.found_nT > float(np.hypot(along.allowed * along.noise_nT, FIELD_MODEL_NT))
-    if impossible or beyond_model or _many_outliers(fit):
+    if impossible or _beyond_model(along) or _many_outliers(fit):
         return "fluxtwin check TELEMETRY"
     if along.found_nT > np.sqrt(2.0) * along.allowed * along.noise_nT:
         if not fit.calibration.sigmas[:9].any():

@@ -33,8 +33,9 @@ from fluxtwin.sim.types import BoolArray, FloatArray
 LARGEST = 3
 WITHIN = 8.0
 NONLINEAR = 0.2
-"""Share of a drop that may be lost by taking a large effect as linear: of a clock 10 s late, whose linear image is made of
-an attitude with errors of its own, 8 %."""
+"""A candidate is refitted if its linear score comes within the first, or this share, of the best: so much of a drop may be
+lost by taking a large effect as linear (8 % of a clock 10 s late, whose linear image is made of an attitude with errors of
+its own). Generous, because what it costs is at most four refits."""
 _REFITS = 4
 _STEPS = (1.5, 1 / 1.5, 1.25, 1 / 1.25, 1.12, 1 / 1.12)
 _FREE_RIDER = 0.8  # of what one name leaves, the further names must explain this much

@@ -73,7 +73,7 @@ def _abscissa(time: TimeArray) -> tuple[FloatArray, str]:
 
 
 def _histogram(axes: Axes, series: FloatArray, colour: str) -> None:
-    sigma_nT = float(np.sqrt(np.mean(series**2)))
+    sigma_nT = float(np.sqrt(np.mean(series**2))) if series.size else 0.0
     half = _HISTOGRAM_SIGMAS * max(sigma_nT, 1e-9)
     edges = np.linspace(-half, half, 25)
     axes.hist(np.clip(series, -half, half), bins=list(edges), density=True, color=colour, alpha=0.6)

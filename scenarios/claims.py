@@ -1,7 +1,7 @@
 """What a paper claims beside what a study finds, in five statuses.
 
-`reproduced`: an outcome that could have come out otherwise, and came out as printed. `put in`: an input of the scenario, or
-arithmetic on inputs, read back. `definition`: a formula or a frame, true of any data. `differs`: with its computed reason.
+`reproduced`: an outcome that could have come out otherwise, and came out as printed. `put in`: an input of the scenario
+read back. `definition`: a formula or a frame, true of any data. `differs`: with its computed reason.
 `not testable`: with what would test it. The kind of a claim, where it is no outcome, stands in the study's `claims.toml`;
 whether it holds is for its judge.
 """
@@ -59,7 +59,7 @@ class Verdict:
     """Whether the printed claim holds here; None: it cannot be tested."""
     otherwise: str = ""
     """Why not, if it does not hold; what would test it, if it cannot be tested."""
-    beside: str = ""
+    remark: str = ""
     """What is to be said of it in any case."""
 
 
@@ -85,7 +85,7 @@ def judged(
         status = NOT_TESTABLE if verdict.holds is None else kind if verdict.holds else DIFFERS
         if not verdict.holds and not verdict.otherwise:
             raise ValueError(f"claim {entry['id']}: {status} without a reason")
-        reasons = (verdict.beside, "" if verdict.holds else verdict.otherwise)
+        reasons = (verdict.remark, "" if verdict.holds else verdict.otherwise)
         claims.append(
             Claim(
                 entry["id"], entry["where"], entry["paper"], verdict.here, float(verdict.value), verdict.unit, status,

@@ -26,11 +26,12 @@ from fluxtwin.sim.types import FloatArray
 
 HOURS = tuple(sign * half / 2.0 for half in range(1, 29) for sign in (1, -1))
 """Time zones are whole hours from UTC-12 to UTC+14, a few are half hours."""
-MINUTES = tuple(sign * 300.0 * step for step in range(1, 169) for sign in (1, -1))
-"""Every five minutes to 14 hours: a clock that was never set, and what a known shift must be better than."""
+STEP_S, ELEMENTS_STEP_S = 300.0, 5.0
+"""Spacing of shifts without a known cause: a clock that was never set, and what a known shift must be better than. Five
+minutes turn the Earth by 1.3 deg, to 14 hours; along the orbit that two-line elements give, 5 s are 37 km, to 10 minutes."""
 WHOLE_COST, OTHER_COST, PLAIN_COST = 5.0, 8.0, 10.0
-"""Log prior odds against one whole hour, against any other known shift, and against a shift without a known cause: of 150
-files one has a wrong time zone."""
+"""Log prior odds against one whole hour, against any other known shift, and against a shift without a known cause. Of 150
+files one has a wrong time zone (odds of 5); the others are rarer, by a factor 20 and 150: judgements."""
 CLEAR = 4.0
 """Log odds at which a shift is named: 50 to 1 after its cost."""
 LEANING_RAD = 0.005
@@ -55,6 +56,13 @@ def shifts_s(sample: Sample) -> dict[float, str]:
     for seconds, words in named.items():
         out |= {seconds: words, -seconds: f"{words}, taken twice or with the wrong sign"}
     return out | {86400.0: "a day", -86400.0: "a day"}
+
+
+def plain_shifts_s(origin: Origin) -> dict[float, str]:
+    """Seconds without a known cause that stamps may be late by, and the words for each."""
+    step, most = (STEP_S, 168) if origin.elements is None else (ELEMENTS_STEP_S, 120)
+    words = f"to within {shift_words(step)}; no time zone and no leap seconds: a clock that is off"
+    return {sign * step * number: words for number in range(1, most + 1) for sign in (1, -1)}
 
 
 def cost(shift_s: float, known: Container[float]) -> float:
@@ -104,7 +112,8 @@ def check_clock(sample: Sample, model: FieldModel, origin: Origin) -> list[Findi
     """The trap `clock`, or the note `clock_tested` with what would and what would not show."""
     sample = sample.thinned(5 * BLOCKS)
     shifts = shifts_s(sample)
-    fields = predictions(sample, model, origin, dict.fromkeys((0.0, *shifts, *MINUTES)))
+    plain = plain_shifts_s(origin)
+    fields = predictions(sample, model, origin, dict.fromkeys((0.0, *shifts, *plain)))
     tried = list(fields)
     evidence = _evidence(sample, [fields[shift] for shift in tried])
     costs = np.array([0.0, *(cost(shift, shifts) for shift in tried[1:])])
@@ -114,9 +123,9 @@ def check_clock(sample: Sample, model: FieldModel, origin: Origin) -> list[Findi
     odds[1:][(evidence.misfit_nT > share * evidence.misfit_nT[0])[1:]] = -np.inf  # nor may the plain fit get worse
     best = int(np.argmax(odds))
     if best and odds[best] > CLEAR:
-        cause = shifts.get(tried[best], "to within five minutes; no time zone and no leap seconds: a clock that is off")
+        cause = shifts.get(tried[best]) or plain[tried[best]]
         named = named_shift(tried[best], cause, float(evidence.misfit_nT[0]), float(evidence.misfit_nT[best]))
-        near = 900.0 if tried[best] not in shifts else 0.0
+        near = 3.0 * min(map(abs, plain)) if tried[best] not in shifts else 0.0
         likely = sorted(zip(odds, tried, strict=True), reverse=True)
         close = [shift for one, shift in likely if one > odds[best] - CLEAR and abs(shift - tried[best]) > near]
         unknown = [shift for shift in close if shift and shift not in shifts]  # neighbours: one stands for all
@@ -126,14 +135,14 @@ def check_clock(sample: Sample, model: FieldModel, origin: Origin) -> list[Findi
     gain = np.maximum(evidence.log[0] - evidence.log, 0.0)
     shows = gain - np.sqrt(2.0 * gain) > costs + CLEAR
     shows &= evidence.misfit_nT[0] <= share * evidence.misfit_nT
-    return [_what_shows(dict(zip(tried, shows.tolist(), strict=True)), shifts, origin)]
+    return [_what_shows(dict(zip(tried, shows.tolist(), strict=True)), shifts, plain, origin)]
 
 
 def named_shift(shift_s: float, words: str, as_is_nT: float, mended_nT: float) -> str:
     """The sentence that names a shift."""
     return (
-        f"the stamps are {_size(shift_s)} too {'late' if shift_s > 0 else 'early'} ({words}): as they stand the reading "
-        f"misses the model by {as_is_nT:.0f} nT rms after a fit, with {-shift_s:+g} s by {mended_nT:.0f} nT. Add it in a "
+        f"the stamps are {shift_words(shift_s)} too {'late' if shift_s > 0 else 'early'} ({words}): as they stand the "
+        f"reading misses the model by {as_is_nT:.0f} nT rms after a fit, with {-shift_s:+g} s by {mended_nT:.0f} nT. Add it in a "
         f"column map: time.offset_s = {-shift_s:g}"
     )
 
@@ -141,7 +150,7 @@ def named_shift(shift_s: float, words: str, as_is_nT: float, mended_nT: float) -
 def _not_told_apart(close: list[float]) -> str:
     if not close:
         return ""
-    listed = " or ".join(_size(shift) if shift else "none" for shift in close[:4])
+    listed = " or ".join(shift_words(shift) if shift else "none" for shift in close[:4])
     return f". The record does not tell this from {listed}"
 
 
@@ -169,7 +178,7 @@ def _evidence(sample: Sample, fields: list[FloatArray]) -> Evidence:
     return compare(mean(seconds), mean(design), mean(rhs), sigmas, mean(field), step_nT(sample.mag_nT))
 
 
-def _what_shows(shows: dict[float, bool], shifts: dict[float, str], origin: Origin) -> Finding:
+def _what_shows(shows: dict[float, bool], shifts: dict[float, str], plain: Iterable[float], origin: Origin) -> Finding:
     """In words, which shifts this record would show."""
     if origin.elements is not None:
         meant = "positions from two-line elements move with the stamps"
@@ -181,9 +190,12 @@ def _what_shows(shows: dict[float, bool], shifts: dict[float, str], origin: Orig
     for shift, words in ((s, shifts[s]) for s in sorted(shifts) if 1.0 < s < 1800.0 or s in (3600.0, 86400.0)):
         seen = shows.get(shift, False) and shows.get(-shift, False)
         what = "" if shift >= 3600.0 else " (GPS)" if "GPS" in words else " (TAI)"
-        said.append(f"{_size(shift)}{what} would {'' if seen else 'not '}show here")
-    least = next((s for s in sorted(MINUTES) if s > 0 and shows.get(s) and shows.get(-s)), None)
-    words = f"; of others, those of {least / 60.0:g} min and more" if least and least < 3600.0 else ""
+        said.append(f"{shift_words(shift)}{what} would {'' if seen else 'not '}show here")
+    hidden = [abs(shift) for shift in plain if not shows.get(shift, False)]
+    greatest = max(map(abs, plain))
+    showing = f"those of more than {shift_words(max(hidden))}" if hidden else "every one that was tried"
+    words = f"; of others to {shift_words(greatest)}, {showing}"
+    words = "" if hidden and max(hidden) >= min(3600.0, greatest) else words
     return note("clock_tested", f"no shift of all stamps fits better ({meant}). {', '.join(said)}{words}")
 
 
@@ -220,7 +232,8 @@ def readings_shift(sample: Sample, telemetry: Telemetry, model: FieldModel) -> t
     return (shift_s, as_is, misfit) if share < 0.25 else None
 
 
-def _size(shift_s: float) -> str:
+def shift_words(shift_s: float) -> str:
+    """Its size, without the sign."""
     size = abs(shift_s)
     if size == 86400.0:
         return "1 day"

@@ -13,11 +13,15 @@ import numpy as np
 from fluxtwin.sim.check_clock import (
     BLOCKS,
     CLEAR,
+    PLAIN_COST,
+    STEP_S,
     check_clock,
     cost,
     named_shift,
+    plain_shifts_s,
     predictions,
     readings_shift,
+    shift_words,
     shifts_s,
 )  # fmt: skip
 from fluxtwin.sim.check_evidence import Evidence, scalar_evidence, vector_evidence
@@ -145,9 +149,12 @@ def _best(tried: list[Hypothesis], evidence: Evidence, misfit_nT: FloatArray) ->
         return None, np.inf
     one, as_is, mended = tried[best], float(misfit_nT[0]), float(misfit_nT[best])
     rivals = [
-        other.words
-        for other, value in zip(tried, odds, strict=True)
-        if value > odds[best] - AMBIGUOUS and other is not one and other.words
+        f"{shift_words(other.shift_s)} ({other.words})" if other.shift_s else other.words
+        for value, other in sorted(zip(odds, tried, strict=True), key=lambda pair: -pair[0])
+        if value > odds[best] - AMBIGUOUS
+        and other is not one
+        and other.words
+        and not (one.cost == other.cost == PLAIN_COST and abs(one.shift_s - other.shift_s) <= 3.0 * STEP_S)
     ]
     doubt = f". Nearly as likely: {'; or '.join(rivals[:2])}" if rivals else ""
     if one.shift_s:
@@ -182,11 +189,12 @@ def _positions(sample: Sample, model: FieldModel) -> list[Hypothesis]:
 
 
 def _stamps(sample: Sample, model: FieldModel, origin: Origin) -> list[Hypothesis]:
-    """Stamps that are whole hours off."""
-    names = shifts_s(sample)
-    fields = predictions(sample, model, origin, (s for s in names if abs(s) >= 1800.0))
+    """Stamps that are off by so much that the reading fits far better without."""
+    known = shifts_s(sample)
+    names = plain_shifts_s(origin) | known
+    fields = predictions(sample, model, origin, names)
     return [
-        Hypothesis("clock", names[shift], "", cost(shift, names), predicted, shift)
+        Hypothesis("clock", names[shift], "", cost(shift, known), predicted, shift)
         for shift, predicted in fields.items()
     ]
 

@@ -26,7 +26,7 @@ from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.processes import unfinished
 
 _PREFIX = ".fluxtwin-unfinished-"
-_LEFTOVER = re.compile(re.escape(_PREFIX) + r"[a-z0-9_]{8}(\.\w+)?")  # as `mkstemp` makes them
+_LEFTOVER = re.compile(re.escape(_PREFIX) + r"[a-z0-9_]{8}(\..*)?")  # as `mkstemp` makes them
 _HAS_LOCKS = importlib.util.find_spec("fcntl") is not None  # not on Windows: a leftover then stays, and does no harm
 _STREAM = re.compile(r"/dev/(?P<name>stdout|stderr)|/(dev|proc/self)/fd/(?P<number>[0-9]+)")
 

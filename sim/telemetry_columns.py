@@ -196,19 +196,6 @@ def file_texts(telemetry: Telemetry) -> dict[str, str]:
     return {column: plain_text(text) for column, text in stated.items() if text}
 
 
-def written_order(names: Iterable[str]) -> list[str]:
-    """Those of `names` that are columns of the contract in the units that are written, in the order of a file."""
-    known = set(names)
-    kept = (quantity for quantity in QUANTITIES if quantity.name in Telemetry.__dataclass_fields__)
-    order = [name for quantity in kept for name in quantity.written if name in known]
-    order += sorted(name for name in known if FLAG.fullmatch(name))
-    return (
-        order
-        + sorted((name for name in known if WHEEL.fullmatch(name)), key=_wheel_number)
-        + [name for name in TEXTS if name in known]
-    )
-
-
 def describe(column: str) -> tuple[str, str]:
     """(long_name, CF units) of a written column."""
     if FLAG.fullmatch(column):

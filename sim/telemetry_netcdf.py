@@ -162,7 +162,7 @@ class NetcdfFile:
         """True when the file carries our digest and it fits; False when it has none. Raises BadInput otherwise."""
         attributes = self.attributes()
         stated = attributes.get(_SHA)
-        if stated is None:
+        if not isinstance(stated, str):
             return False
         arrays = {name: (self.raw(name), self.attributes(name)) for name in names}
         if stated != _digest(arrays, attributes):
@@ -254,7 +254,8 @@ def is_own(path: Path | str) -> bool:
     """Whether fluxtwin wrote a NetCDF file: telemetry by its digest, which an edited file breaks; a truth by its title."""
     try:
         with NetcdfFile(path) as opened:
-            return opened.attributes().get("title") == TRUTH_TITLE or opened.verify(opened.names())
+            title = opened.attributes().get("title")
+            return (isinstance(title, str) and title == TRUTH_TITLE) or opened.verify(opened.names())
     except BadInput:
         return False
 

@@ -266,11 +266,10 @@ def _print(output: Output, fit: Fit, next_step: str) -> None:
     for table in calibration_page.tables(fit):
         output.table(table.title, table.columns, table.rows, table.note)
     output.say(f"residual {known.sigma_nT:.1f} nT {_of(fit)}, 1 sigma; covariance: {known.covariance_kind}")
-    if manners.quiet or (fit.verdict is not None and fit.verdict.level == "bad"):
-        return  # how a fit that is none was made helps nobody
-    for message in fit.messages:
+    impossible = fit.verdict is not None and fit.verdict.level == "bad"
+    for message in () if manners.quiet or impossible else fit.messages:  # how a fit that is none was made helps nobody
         output.prose(f"- {message}", indent="  ")
-    if fit.verdict is None or len(fit.observability) > 1:  # a single one stands in the verdict
+    if len(fit.observability) > 1:  # a single one stands in the verdict
         output.say("what these data cannot tell:")
         for words in fit.observability:
             output.prose(f"- {words}", indent="  ")

@@ -25,7 +25,8 @@ def _claim_39(r: Results) -> Verdict:
         "orbit; the printed "
         f"sun-nadir ranges take {length.min():.1f} to {length.max():.1f} min (criterion {least:g} to {greatest:g}, print's "
         "rounding)", float(length.max()), "min", risen == 43 and bool(inside.all()),
-        f"{int((~inside).sum())} of the 43 printed ranges of the sun-nadir angle take longer or shorter than the "
+        f"{43 - risen} do not rise, and {int((~inside).sum())} of the 43 printed ranges of the sun-nadir angle take "
+        "longer or shorter than the "
         "text says, or a "
         "digit of theirs is wrong",
     )  # fmt: skip

@@ -185,9 +185,9 @@ def _claim_32(r: Results) -> Verdict:
         f"{overall:.1f} mG per component (the printed three give {float(np.sqrt(np.mean(printed**2))):.1f}, their "
         "plain root "
         f"sum of squares {float(np.sqrt(np.sum(printed**2))):.1f})", overall, "mG", apart <= 2.0 and ratio_apart <= 2.0,
-        f"the level agrees ({apart:.1f} sigma at most), so the calibration holds for other days as the papers say, "
-        "but no axis "
-        f"stands out ({ratio_apart:.1f} sigma). The papers put their large Y down to the selection: near the poles the "
+        f"the level {'agrees' if apart <= 2.0 else 'does not agree'} ({apart:.1f} sigma at most), and that Y stands out "
+        f"{'agrees' if ratio_apart <= 2.0 else 'does not'} ({ratio_apart:.1f} sigma). The papers put their large Y "
+        "down to the selection: near the poles the "
         "field lies along the yaw axis and the sun near the horizon. Ours is selected alike, but its attitude error is the "
         "same about all axes",
     )  # fmt: skip

@@ -140,7 +140,7 @@ def test_a_spinner_without_attitude_that_leaves_b_open_is_refused() -> None:
 
 def test_passes_over_stations_with_a_fine_sensor_have_no_gap() -> None:
     """Ten minutes a pass, hours apart, S of some per cent: plain least squares takes the slow attitude errors up in S, and
-    the noise must not be built on that S. Six flights; before, each second one had a name."""
+    the noise must not be built on that S."""
     config = readme_scenario().updated({
         "magnetometer": {"S": [[0.03, 0.01, -0.006], [-0.008, -0.025, 0.01], [0.006, -0.01, 0.02]],
                          "b_nT": [1500.0, -800.0, 300.0], "noise_nT": 2.0, "lsb_nT": 0.5},

@@ -142,8 +142,8 @@ def named_shift(shift_s: float, words: str, as_is_nT: float, mended_nT: float) -
     """The sentence that names a shift."""
     return (
         f"the stamps are {shift_words(shift_s)} too {'late' if shift_s > 0 else 'early'} ({words}): as they stand the "
-        f"reading misses the model by {as_is_nT:.0f} nT rms after a fit, with {-shift_s:+g} s by {mended_nT:.0f} nT. Add it in a "
-        f"column map: time.offset_s = {-shift_s:g}"
+        f"reading misses the model by {as_is_nT:.0f} nT rms after a fit, with {-shift_s:+g} s by {mended_nT:.0f} nT. Add it "
+        f"in a column map: time.offset_s = {-shift_s:g}"
     )
 
 

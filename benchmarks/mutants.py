@@ -116,9 +116,9 @@ MUTANTS: dict[str, Mutant] = {
         "tests/reference/test_magnetometer.py tests/properties/test_telemetry_files.py tests/reference/test_layouts.py",
     ),
     "field 1 % too strong": Mutant(
-        "sim/constants.py",
-        "FIELD_RADIUS_KM = 6371.2",
-        "FIELD_RADIUS_KM = 6392.4",
+        "sim/field_kernels.py",
+        "s = FIELD_RADIUS_KM / (",
+        "s = 1.0033 * FIELD_RADIUS_KM / (",
         "tests/reference/test_field_peers.py",
     ),
     "coupling of torquers transposed": Mutant(

@@ -102,7 +102,7 @@ def test_few_blocks_fall_back_on_the_memory_of_the_residual(seasat: Any) -> None
     assert "fewer than 8 blocks" in blocks.messages[-1]
     assert (blocks.calibration.sigmas / white.calibration.sigmas).min() > 1.5
     assert blocks.calibration.covariance_kind == "blocks"
-    assert "hang together" in white.messages[-1]
+    assert "correlated in time" in white.messages[-1]
 
 
 def test_noise_found_in_the_data_serves_as_well_as_noise_declared(seasat: Any) -> None:

@@ -59,7 +59,7 @@ def test_a_weak_slow_error_that_neighbours_hardly_show(seasat: Any) -> None:
         now = rows_at(seconds, meter.reading(field + 20.0 * markov(20_000, 600.0, rng), None, rng), field)
         plain = fit_design(now, Options(covariance="white"))
         assert plain.statistics.lag_correlation[1] < 0.2
-        assert "hang together" in plain.messages[-1]
+        assert "correlated in time" in plain.messages[-1]
         white.append(pull(plain, meter))
         default.append(pull(fit_design(now, Options()), meter))
     assert mean_square(white) > 10.0
@@ -73,7 +73,7 @@ def test_white_errors_raise_no_warning(seasat: Any) -> None:
     for seed in range(30):
         reading = meter.reading(seasat.field_B_nT, None, np.random.default_rng([52, seed]))
         fit = calibrate_linear(seasat.record(reading), seasat.model, covariance="white")
-        said += any("hang together" in words for words in fit.messages)
+        said += any("correlated in time" in words for words in fit.messages)
     assert said <= 3
 
 

@@ -63,6 +63,15 @@ def require_applicable(telemetry: Telemetry, calibration: Calibration) -> None:
         _require_time(telemetry, calibration.span, where)
 
 
+def waived(telemetry: Telemetry, calibration: Calibration) -> str | None:
+    """What `require_applicable` would refuse, in words, for a caller that goes on all the same; None where it would not."""
+    try:
+        require_applicable(telemetry, calibration)
+    except BadInput as refusal:
+        return str(refusal)
+    return None
+
+
 def outside_span(telemetry: Telemetry, calibration: Calibration) -> int:
     """Rows before or after the data from which the calibration was made."""
     return 0 if calibration.span is None else _rows_outside(telemetry, calibration.span)

@@ -34,7 +34,7 @@ def command(
         import numpy as np
 
         from fluxtwin import verbs
-        from fluxtwin.calib.apply import outside_span
+        from fluxtwin.calib.apply import outside_span, waived
         from fluxtwin.calib.records import Calibration
         from fluxtwin.sim import outputs
         from fluxtwin.sim.telemetry_io import write_telemetry
@@ -43,6 +43,8 @@ def command(
         outputs.claim(targets, [telemetry, calibration, column_map, tle], force=force)
         record = read(telemetry, output, column_map=column_map, tle=tle, max_samples=max_samples)
         known = Calibration.from_toml(calibration)
+        if force and (refusal := waived(record, known)) is not None:
+            output.note(f"note: applied all the same, by --force: {refusal}")
         corrected = verbs.apply(record, known, force=force)
         change = corrected.mag_B_nT - record.mag_B_nT
         moved = change[np.isfinite(change).all(axis=1)]

@@ -60,7 +60,7 @@ def command(
         import math
 
         from fluxtwin import verbs
-        from fluxtwin.calib.apply import calibration_of
+        from fluxtwin.calib.apply import calibration_of, waived
         from fluxtwin.calib.records import Calibration
         from fluxtwin.calib.yaw import yaw_from_field
         from fluxtwin.sim import outputs
@@ -73,6 +73,8 @@ def command(
         outputs.claim(targets, [telemetry, calibration, field, column_map, tle], force=force)
         record = read(telemetry, output, column_map=column_map, tle=tle, max_samples=max_samples)
         given = None if calibration is None else Calibration.from_toml(calibration)
+        if force and given is not None and (refusal := waived(record, given)) is not None:
+            output.note(f"note: applied all the same, by --force: {refusal}")
         known = calibration_of(record, given, force=force)
         if given is None and sigma_nt is None and known.sigma_nT == 0:
             raise BadInput("the error of a field component is not known", where="--sigma-nT", wanted="nT, 1 sigma")

@@ -34,7 +34,7 @@ def calibration_page(fit: Fit, title: str, *, next_step: str, command: str, refu
             Section(
                 "What it means",
                 [*lines[1:-1], *(["No calibration file was written."] if refused else []), f"Next: {next_step}"],
-                [] if verdict is None or verdict.level == "bad" else [_angles(fit)],
+                [] if verdict is None or verdict.impossible else [_angles(fit)],
             ),
             Section("Parameters", [], [parameter_table(fit), *_bias_tables(fit)]),
             Section("Residuals", [], [_residuals(fit)], [FigureBlock("residuals", caption, residual_figure(fit))]),

@@ -1,8 +1,8 @@
 """Do the tests bite? The production chain broken in thirty ways, each against the tests that stand nearest to it.
 
-    python benchmarks/mutants.py                  all; about five minutes
+    python benchmarks/mutants.py                  all; about ten minutes
     python benchmarks/mutants.py --only NAME ...  some of them
-    python benchmarks/mutants.py --quick          two of them: does it still run?
+    python benchmarks/mutants.py --quick          the first: does it still run?
 
 Each mutant changes one expression in a copy of the checkout; its tests must fail there, and pass without it.
 """

@@ -83,6 +83,11 @@ class Verdict:
     """A command with TELEMETRY and CALIBRATION.toml for the files, or a manoeuvre."""
 
     @property
+    def impossible(self) -> bool:
+        """Whether this is no calibration of a magnetometer."""
+        return self.level == "bad"
+
+    @property
     def lines(self) -> tuple[str, ...]:
         """The first lines of an answer: good or not, degrees, what is not observable, what next."""
         d = self.direction
@@ -100,7 +105,7 @@ class Verdict:
         return (
             words,
             *self.reasons,
-            *([] if self.level == "bad" else [degrees]),
+            *([] if self.impossible else [degrees]),
             f"Not observable in these data: {len(seen)} limits, listed below." if len(seen) > 1
             else f"Not observable in these data: {seen[0]}." if seen else "Nothing that was asked for is unobservable.",
             f"Next: {self.next_step}",

@@ -196,7 +196,7 @@ def command(
         for path in unseen or []:
             record = read(path, output, **manner, one_of_many=many)
             predicted[str(path)] = _predict(fit, record, fit.calibration, verbs.as_model(field, degree))
-        impossible = fit.verdict is not None and fit.verdict.level == "bad"
+        impossible = fit.verdict is not None and fit.verdict.impossible
         refused = impossible and not force
         written = [] if out is None or refused else [fit.calibration.to_toml(out)]
         if figures is not None or html is not None:
@@ -266,7 +266,7 @@ def _print(output: Output, fit: Fit, next_step: str) -> None:
     for table in calibration_page.tables(fit):
         output.table(table.title, table.columns, table.rows, table.note)
     output.say(f"residual {known.sigma_nT:.1f} nT {_of(fit)}, 1 sigma; covariance: {known.covariance_kind}")
-    impossible = fit.verdict is not None and fit.verdict.level == "bad"
+    impossible = fit.verdict is not None and fit.verdict.impossible
     for message in () if manners.quiet or impossible else fit.messages:  # how a fit that is none was made helps nobody
         output.prose(f"- {message}", indent="  ")
     if len(fit.observability) > 1:  # a single one stands in the verdict

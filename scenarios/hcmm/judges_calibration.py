@@ -40,8 +40,8 @@ def _claim_8(r: Results) -> Verdict:
         f"{rms:.2f} deg rms and {largest:.2f} deg at most between the reading as it is and the field, over the three days "
         f"of Table 5 (criterion: {printed:g} lies between them, the largest no more than twice that); yaw from it "
         f"errs by {r.accuracy.yaw_median['raw']:.1f} deg "
-        "in the median", rms, "deg", rms <= printed <= largest <= 2.0 * printed, "b and S as printed turn the field "
-                                                                                 "by another angle",
+        "in the median", rms, "deg", rms <= printed <= largest <= 2.0 * printed,
+        "b and S as printed turn the field by another angle",
         "the papers do not say of which angle, at which time, they speak",
     )  # fmt: skip
 
@@ -277,8 +277,7 @@ def _claim_51(r: Results) -> Verdict:
 
 def _claim_52(r: Results) -> Verdict:
     (orr, ula), (dip_orr, dip_ula) = r.accuracy.dipole_pole_deg, r.accuracy.dip_pole_deg
-    near = abs(orr - quantity("pole from Orroral")) < 1.0 and abs(ula - quantity("pole from Fairbanks")) < 1.0
-    holds = near
+    holds = abs(orr - quantity("pole from Orroral")) < 1.0 and abs(ula - quantity("pole from Fairbanks")) < 1.0
     return Verdict(
         f"{orr:.1f} and {ula:.1f} deg to the poles of the dipole; {dip_orr:.1f} and {dip_ula:.1f} deg to the points "
         "where "

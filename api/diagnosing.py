@@ -155,6 +155,12 @@ def _left_out(record: Telemetry, found: Diagnosis) -> list[str | None]:
         notes.append(str(found.provenance["without_attitude"]))
     if "outliers" in found.provenance:
         notes.append(str(found.provenance["outliers"]))
+    repeats = found.provenance.get("rounding_lasts_rows", 1)
+    if repeats != 1:
+        notes.append(
+            f"one row in {repeats} is used: from row to row most readings stay within a step of the sensor, and their "
+            "rounding is the same error again"
+        )
     every = found.provenance.get("rows_thinned_by", 1)
     if every != 1:
         notes.append(

@@ -92,7 +92,7 @@ def answered_with(
     whole = answer.result  # what was asked of every candidate
     result = replace(
         other.result, ranking=whole.ranking, untestable=whole.untestable, isolability=whole.isolability,
-        minimum_detectable=whole.minimum_detectable,
+        minimum_detectable=whole.minimum_detectable, smallest_images_nT=whole.smallest_images_nT,
     )  # fmt: skip
     return replace(other, result=result)
 

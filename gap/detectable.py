@@ -2,11 +2,14 @@
 
 An effect is seen when its score, chi-square with r degrees of freedom and non-centrality d, exceeds the level that
 noise alone passes with probability GATE / K, K being the number of alternatives tested (the price of the search). The
-noise is that of the noise model. The size is the d at which that happens nine times in ten (noncentral chi-square, exact).
+size is the d at which that happens nine times in ten (noncentral chi-square, exact). A name has to pass under every noise
+model that the data do not rule out, so d is that of the noise model that hides the effect best.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -14,7 +17,7 @@ from scipy.optimize import brentq
 from scipy.stats import chi2, ncx2
 
 from fluxtwin.gap.records import Detectable
-from fluxtwin.gap.score import Board
+from fluxtwin.gap.score import Board, Whitens, orthonormal
 from fluxtwin.sim.types import FloatArray
 
 GATE = 0.002
@@ -32,11 +35,11 @@ def noncentrality(rank: int, tested: int) -> float:
 
 def detectable(
     board: Board, white: FloatArray, raw_nuisance: FloatArray, white_nuisance: FloatArray
-) -> tuple[dict[str, Detectable], dict[str, str]]:
+) -> tuple[dict[str, Detectable], FloatArray, dict[str, str]]:
     """For each effect, the parameter (in its typical size) that is seen best, and the smallest size of it alone.
 
     white: (M, 3, P) whitened columns of the board. raw_nuisance, white_nuisance: (M, 3, c) what is re-estimated, as
-    it is and whitened. Returns ({name: Detectable}, {name: why it is untestable}).
+    it is and whitened. Returns ({name: Detectable}, (M, 3, k) image of each, nT per unit, {name: why it is untestable}).
     """
     best = _best_columns(board)
     found: dict[str, Detectable] = {}
@@ -48,14 +51,38 @@ def detectable(
     seen = {name: choice for name, choice in best.items() if name not in reasons}
     columns = [column for _, _, column in seen.values()]
     raw = [board.candidates[n].jacobian[:, :, int(board.place[column])] for _, n, column in seen.values()]
-    visible = visible_part(np.stack(raw, axis=-1), white[:, :, columns], raw_nuisance, white_nuisance) if raw else None
+    images = np.stack(raw, axis=-1) if raw else np.zeros((*white.shape[:2], 0))
+    visible = visible_part(images, white[:, :, columns], raw_nuisance, white_nuisance)
     for number, (name, (relative, owner, column)) in enumerate(seen.items()):
         parameter = board.candidates[owner].effect.parameters[int(board.place[column])]
         value = relative * parameter.scale
-        assert visible is not None
         rms = float(np.sqrt(np.mean(visible[:, :, number] ** 2)))
         found[name] = Detectable(parameter.name, value, parameter.unit, value * rms)
-    return found, reasons
+    return found, images, reasons
+
+
+def under_all(
+    smallest: Mapping[str, Detectable], images_nT: FloatArray, nuisance_nT: FloatArray, noises: Sequence[Whitens]
+) -> dict[str, Detectable]:
+    """The same sizes, enlarged to what the last of several noise models lets through.
+
+    images_nT (M, 3, k), in the order of `smallest`; nuisance_nT (M, 3, c); noises: the one that the sizes hold under
+    first.
+    """
+    seen = np.array([_length(noise.apply(images_nT), noise.apply(nuisance_nT)) for noise in noises])
+    worse = seen[0] / seen.min(axis=0)
+    return {
+        name: replace(one, value=one.value * factor, visible_nT=one.visible_nT * factor)
+        for (name, one), factor in zip(smallest.items(), worse.tolist(), strict=True)
+    }
+
+
+def _length(white: FloatArray, white_nuisance: FloatArray) -> FloatArray:
+    """(k,) of whitened columns (M, 3, k) beside a nuisance (M, 3, c)."""
+    flat, basis = white.reshape(-1, white.shape[2]), orthonormal(white_nuisance)
+    for _ in range(2):  # twice is enough: the second pass removes the rounding of the first
+        flat = flat - basis @ (basis.T @ flat)
+    return np.asarray(np.linalg.norm(flat, axis=0))
 
 
 def visible_part(

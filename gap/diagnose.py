@@ -11,6 +11,7 @@ from fluxtwin.gap import far, level, verdict
 from fluxtwin.gap.answer import CARRIED, Answer, answered, left_of, noise_and_answer
 from fluxtwin.gap.blocks import Block, blocks
 from fluxtwin.gap.candidates import candidates
+from fluxtwin.gap.detectable import under_all
 from fluxtwin.gap.evidence import Dictionary
 from fluxtwin.gap.far import floor_rms_nT
 from fluxtwin.gap.flexible import FlexibleFinding
@@ -48,6 +49,10 @@ from fluxtwin.sim.types import BoolArray, FloatArray
 
 MOST_ROWS = 5_000
 """Longer records are thinned to this many rows, evenly; what is faster is looked for in a stretch at the full rate."""
+_REPEATED = 0.5
+"""Share of readings that may be the same code as in the row before: rounding errors are noise, new in every row, only where
+the reading moves by about a step from row to row (Widrow & Kollar 2008, Quantization Noise, chapter 20)."""
+_FEWEST_ROWS = 200
 _LEAST_FREE = 30
 _BOUNDLESS_RAD = 1.0
 _NOTHING = (False, 0)
@@ -105,7 +110,9 @@ def diagnose(
     Raises BadInput for unknown names and absent columns, NoAnswer when there are too few rows for the question.
     """
     progress("baseline", 0.0)
-    record, every = _thinned(telemetry)
+    whole, new = _new_rounding(telemetry)
+    every = max(1, int(np.ceil(len(whole) / MOST_ROWS)))
+    record = _each(whole, every)
     if instrument is None and modelled and not record.has_attitude.any():
         instrument = start_without_attitude(record, model)
     problem = pose(
@@ -114,13 +121,14 @@ def diagnose(
     out = dict.fromkeys(ruled_out, "the angle between sun and nadir has nothing of it")
     problem = replace(problem, ruled_out=out)
     _require_rows(problem)
-    whole = None if every == 1 else telemetry
-    work = investigate(settled(problem), progress, whole, craft)
+    faster = None if every == 1 else whole
+    work = investigate(settled(problem), progress, faster, craft)
     if work.momentum.ruled_out:
         problem = replace(problem, ruled_out={**out, **work.momentum.ruled_out})
-        work = investigate(settled(problem), progress, whole, craft)
+        work = investigate(settled(problem), progress, faster, craft)
     notes: dict[str, object] = dict(provenance or {})
-    notes |= {"field_model": model.title, "noise": work.noise.words, "rows_thinned_by": every}
+    notes |= {"field_model": model.title, "noise": work.noise.words}
+    notes |= {"rows_thinned_by": every, "rounding_lasts_rows": new}
     complete = complete_budget(work.problem)
     notes |= {f"budget: {name}": source for name, source in (complete.sources or {}).items()}
     if work.robust.components_cut:
@@ -154,10 +162,11 @@ def investigate(
         problem = realigned(problem, beside=[*answer.result.modelled, *answer.result.chosen])
         known = candidates(problem)
         answer = answered(problem, noise, robust, dictionary, known)
+    others = plausible_noise(problem, settled_on)
     if answer.burden > _NOTHING:
         # A finding must hold with every noise model that the data leave possible; the plainest answer counts.
         progress("whether the noise explains it", 0.6)
-        for other in plausible_noise(problem, settled_on):
+        for other in others:
             if _stands(problem, answer, other, robust):
                 continue
             if _stays_structured(problem, answer, other, dictionary):
@@ -173,6 +182,9 @@ def investigate(
     robust = answer.robust
     noise, whitener, result = answer.noise, answer.whitener, answer.result
     alone, fitted, left = answer.alone_nT, answer.fitted_nT, answer.left
+    every = [whitener, *(whitener_of(problem, other, robust.weights) for other in others)]
+    smallest = under_all(result.minimum_detectable, result.smallest_images_nT, alone, every)
+    result = replace(result, minimum_detectable=smallest)
     findings = (
         flexible_findings(
             problem, whitener, noise, robust, result.residual_nT, fitted, left.structured, coarser, answer.shapes
@@ -251,9 +263,22 @@ def _stays_structured(problem: Problem, answer: Answer, other: NoiseModel, dicti
     return left_of(problem, whitener, answer.result, answer.fitted_nT, dictionary).p_value < _SURE
 
 
-def _thinned(telemetry: Telemetry) -> tuple[Telemetry, int]:
-    every = max(1, int(np.ceil(len(telemetry) / MOST_ROWS)))
-    return (telemetry if every == 1 else telemetry.select(slice(None, None, every))), every
+def _new_rounding(telemetry: Telemetry) -> tuple[Telemetry, int]:
+    """The record with every n-th row, and n: as few as it takes for the rounding to be new from row to row."""
+    every = 1
+    while _repeated(telemetry.mag_B_nT[::every]) > _REPEATED and len(telemetry) >= 2 * every * _FEWEST_ROWS:
+        every *= 2
+    return _each(telemetry, every), every
+
+
+def _each(telemetry: Telemetry, every: int) -> Telemetry:
+    return telemetry if every == 1 else telemetry.select(slice(None, None, every))
+
+
+def _repeated(mag_B_nT: FloatArray) -> float:
+    """Share of readings (N, 3) that are the same to the digit as those of the row before; of the middle one of the axes."""
+    same = mag_B_nT[1:] == mag_B_nT[:-1]
+    return float(np.median(same.mean(axis=0))) if len(same) else 0.0
 
 
 def _require_rows(problem: Problem) -> None:

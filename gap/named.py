@@ -73,6 +73,8 @@ class SearchResult:
     isolability: Mapping[str, Mapping[str, float]]
     """Shares of 0.5 and more: {a: {b: share of a that b can imitate}}."""
     minimum_detectable: Mapping[str, Detectable]
+    smallest_images_nT: FloatArray
+    """(M, 3, k) image of one unit of each of them."""
     groups: Mapping[str, tuple[str, ...]]
     """From the design alone: {name: names, its own first, that imitate each other}."""
     candidates: Sequence[Candidate]

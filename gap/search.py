@@ -41,7 +41,7 @@ def search(
     first, base = under_way.first, under_way.base
     raw_nuisance = derivatives(problem, base.modelled)
     table = groups.shares_by_name(first)
-    smallest, hidden = detectable(first, under_way.white, raw_nuisance, base.jacobian)
+    smallest, images, hidden = detectable(first, under_way.white, raw_nuisance, base.jacobian)
     fit, rest = run(under_way)
     named = [_named(under_way, fit, number, rest.variance, table, raw_nuisance) for number in range(len(fit.chosen))]
     order = sorted(range(len(named)), key=lambda number: -_gain(under_way, fit, number))
@@ -54,6 +54,7 @@ def search(
         untestable={**untestable, **hidden},
         isolability=groups.isolability(table),
         minimum_detectable=smallest,
+        smallest_images_nT=images,
         groups=groups.alike(table),
         candidates=tuple(under_way.found),
         modelled=fit.modelled,

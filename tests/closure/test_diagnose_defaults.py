@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,16 @@ def test_the_readme_scenario_has_no_gap_without_any_flag(record: Telemetry) -> N
     assert sigma["source"] == tau["source"] == "found"
     assert abs(np.log(sigma["value"] / 0.1)) < 0.3 and abs(np.log(tau["value"] / 300.0)) < 0.7
     assert "Not declared, so found in these data" in found.sentence and "--attitude-sigma-deg" in found.sentence
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_rounding_that_lasts_over_rows_is_no_gap(seed: int) -> None:
+    """Rows a second apart, a step of 117 nT: a reading stays in a step for four rows of five, and so does its error."""
+    segment = {"start_utc": "2026-03-01T00:00:00Z", "duration_min": 60.0, "step_s": 1.0}
+    coarse = {"magnetometer.noise_nT": 13.7, "magnetometer.lsb_nT": 117.0, "schedule.segments": [segment]}
+    budget = replace(DECLARED, noise_nT=13.7, lsb_nT=117.0)
+    found = asked(simulate(readme_scenario(seed).updated(coarse))[0], budget)
+    assert found.verdict == "no_gap" and found.provenance["rounding_lasts_rows"] == 4
 
 
 @pytest.mark.parametrize("seed", [1, 2])

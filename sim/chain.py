@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.sim import frames
+from fluxtwin.sim import frames, horizon
 from fluxtwin.sim import scenario_spacecraft as spacecraft
 from fluxtwin.sim.attitude import Attitude
 from fluxtwin.sim.effects.base import DynamicsEffect
@@ -109,7 +109,9 @@ def fly_others(scenario: Scenario, world: World, motion: Attitude) -> Attached:
     nadir_N = -world.r_N_km / np.linalg.norm(world.r_N_km, axis=1)[:, None]
     scanner = spacecraft.horizon_scanner(scenario)
     if scanner is not None:
-        *_, nadir_B = scanner.measure(world.time, motion.R_BN.apply(nadir_N), stream(seed, "horizon_scanner"))
+        *_, nadir_B = scanner.measure(
+            world.time, _horizon_nadir_B(scenario, world, motion), stream(seed, "horizon_scanner")
+        )
     gyro = spacecraft.gyro(scenario)
     rate = None if gyro is None else gyro.measure(world.time, motion.rate_B_rad_s, stream(seed, "gyro"))
     if reference.source == "sensors":
@@ -129,6 +131,17 @@ def fly_others(scenario: Scenario, world: World, motion: Attitude) -> Attached:
             known = head > 0
         q = q_where(reported, known)
     return Attached(q, head, sun_B, nadir_B, rate)
+
+
+def _horizon_nadir_B(scenario: Scenario, world: World, motion: Attitude) -> FloatArray:
+    """(N, 3) nadir as the horizon shows it to the scanner, before the errors of its own."""
+    section = scenario.horizon_scanner
+    assert section is not None
+    if section.earth == "disc":
+        return motion.R_BN.apply(-world.r_N_km / np.linalg.norm(world.r_N_km, axis=1)[:, None])
+    seen, assumed = (horizon.surface(name, world.time) for name in (section.earth, section.assumed))
+    scans = spacecraft.conical_scanner(section)
+    return scans.nadir(world.r_N_km, horizon.north_N(world.time), motion.R_BN, world.R_ON, seen, assumed)
 
 
 def _unknown_field_nT(scenario: Scenario, world: World) -> FloatArray:

@@ -252,6 +252,13 @@ class SlitSunSensorSection(Section):
 class HorizonScannerSection(Section):
     """Measures roll and pitch against the Earth's horizon; noise is correlated over `tau_s`."""
 
+    earth: Literal["disc", "ellipsoid", "infrared"] = "disc"
+    """What is seen: a disc whose middle is found as it is, or the horizon of that surface, crossed by conical scans."""
+    assumed: Literal["sphere", "ellipsoid"] = "sphere"
+    """What the processing takes the Earth for."""
+    scans: Literal["pair", "+y", "-y"] = "pair"
+    """Body axes that the half-cones are centred on."""
+    half_cone_deg: Annotated[float, Field(gt=0, lt=90)] = 45.0
     noise_deg: NonNegative = 0.0
     lsb_deg: NonNegative = 0.0
     tau_s: NonNegative = 0.0

@@ -6,8 +6,9 @@ import numpy as np
 
 from fluxtwin.sim.random_streams import stream
 from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.scenario_config import SunSensorSection
+from fluxtwin.sim.scenario_config import HorizonScannerSection, SunSensorSection
 from fluxtwin.sim.sensors.gyro import Gyro
+from fluxtwin.sim.sensors.horizon_crossings import ConicalScanner
 from fluxtwin.sim.sensors.horizon_scanner import HorizonScanner
 from fluxtwin.sim.sensors.magnetometer import Magnetometer
 from fluxtwin.sim.sensors.sun_sensor import SunSensorHead
@@ -68,6 +69,12 @@ def horizon_scanner(scenario: Scenario) -> HorizonScanner | None:
         wander_rad=float(np.radians(section.noise_deg)) if correlated else 0.0,
         wander_tau_s=section.tau_s,
     )
+
+
+def conical_scanner(section: HorizonScannerSection) -> ConicalScanner:
+    """The scans of a horizon scanner."""
+    axes = {"pair": (1.0, -1.0), "+y": (1.0,), "-y": (-1.0,)}[section.scans]
+    return ConicalScanner(axes, float(np.radians(section.half_cone_deg)))
 
 
 def gyro(scenario: Scenario) -> Gyro | None:

@@ -49,6 +49,19 @@ class ResidualEvidence:
 
 
 @dataclass(frozen=True)
+class MovedErrors:
+    """What a scanner's errors leave when they are moved along the orbit."""
+
+    shifts_deg: FloatArray
+    ratio: Mapping[str, FloatArray]
+    """By scanner: night over day."""
+    correlation: Mapping[str, FloatArray]
+    printed_ratio: float
+    ratio_without: float
+    correlation_without: float
+
+
+@dataclass(frozen=True)
 class Ideas:
     """How many ends of the printed ranges each idea explains."""
 
@@ -128,6 +141,24 @@ def draw_evidence(record: ResidualEvidence, *, title: str) -> Figure:
     right.axhline(0.0, color="grey", linewidth=0.8)
     right.set(xlabel="map of errors turned east by [deg]", ylabel="rank correlation", title="the map turned",
               xlim=(0, 360))  # fmt: skip
+    figure.suptitle(title)
+    return figure
+
+
+def draw_moved(record: MovedErrors, *, title: str) -> Figure:
+    """Ratio of night to day and rank correlation, as the errors are moved."""
+    figure, ((left, right),) = style.figure(7.2, 3.9, cols=2)
+    turns, colours = np.append(record.shifts_deg, 360.0), (style.BLUE, style.ORANGE, style.BLACK)
+    for axes, curves in ((left, record.ratio), (right, record.correlation)):
+        for (name, values), colour, marker in zip(curves.items(), colours, "os^", strict=True):
+            axes.plot(turns, np.append(values, values[0]), color=colour, marker=marker, markersize=3, label=name)
+        axes.set(xlabel="errors moved along the orbit by [deg]", xlim=(0, 360), xticks=np.arange(0, 361, 90))
+    left.axhline(record.printed_ratio, color=style.VERMILION, linewidth=1.0, label="printed")
+    left.axhline(record.ratio_without, color="grey", linestyle="--", linewidth=1.0, label="no horizon error")
+    right.axhline(record.correlation_without, color="grey", linestyle="--", linewidth=1.0)
+    left.set(ylabel="residual by night over that by day", title="the factor")
+    right.set(ylabel="rank correlation of the night passes", title="the ranking")
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=style.NOTE_PT)
     figure.suptitle(title)
     return figure
 

@@ -17,6 +17,8 @@ from fluxtwin.scenarios.hcmm.dawn_study import DawnStudy
 from fluxtwin.scenarios.hcmm.error_study import ErrorStudy
 from fluxtwin.scenarios.hcmm.field_evidence import FieldEvidence
 from fluxtwin.scenarios.hcmm.gallery_study import Answer
+from fluxtwin.scenarios.hcmm.horizon_study import HorizonStudy
+from fluxtwin.scenarios.hcmm.missing_study import MissingStudy
 from fluxtwin.scenarios.hcmm.pass_study import PassStudy
 from fluxtwin.scenarios.hcmm.real_passes import RealPasses
 from fluxtwin.scenarios.hcmm.scanner_study import ScannerStudy
@@ -49,6 +51,8 @@ class Results:
     yaw: YawStudy
     accuracy: AccuracyStudy
     scanner: ScannerStudy
+    horizon: HorizonStudy
+    missing: MissingStudy
     real_passes: RealPasses
     gallery: tuple[Answer, ...]
     gallery_law: Answer | None

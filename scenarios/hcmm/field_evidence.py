@@ -86,7 +86,7 @@ def weigh_field_error(fit: OrbitFit, windows: Windows, seed: int) -> FieldEviden
         return np.asarray(np.sqrt(np.mean((a - b).reshape(len(passes), -1) ** 2, axis=1)) / NT_PER_MG)
 
     predicted = error_mG(0.0)
-    found = _rank_correlation(printed, predicted)
+    found = rank_correlation(printed, predicted)
     rng = stream(seed, "hcmm.shuffles")
     shuffled = _shuffled_correlations(printed, predicted, orders_of(overflights_of(passes), rng, _SHUFFLES))
     quiet = printed <= quantity("residual limit")
@@ -97,13 +97,13 @@ def weigh_field_error(fit: OrbitFit, windows: Windows, seed: int) -> FieldEviden
         predicted_mG=predicted,
         night=night.astype(np.float64),
         correlation=found,
-        correlation_without_four=_rank_correlation(printed[quiet], predicted[quiet]),
-        correlation_night=_rank_correlation(printed[night], predicted[night]),
-        correlation_sunlit=_rank_correlation(printed[~night], predicted[~night]),
+        correlation_without_four=rank_correlation(printed[quiet], predicted[quiet]),
+        correlation_night=rank_correlation(printed[night], predicted[night]),
+        correlation_sunlit=rank_correlation(printed[~night], predicted[~night]),
         chance=float(np.mean(shuffled >= found)),
         top_shared=len(set(np.argsort(-printed)[:TOP]) & set(np.argsort(-predicted)[:TOP])),
         turns_deg=_TURNS_DEG,
-        turned_correlation=np.array([_rank_correlation(printed, error_mG(turn)) for turn in _TURNS_DEG]),
+        turned_correlation=np.array([rank_correlation(printed, error_mG(turn)) for turn in _TURNS_DEG]),
     )
 
 
@@ -113,7 +113,7 @@ def _shuffled_correlations(printed: FloatArray, predicted: FloatArray, orders: n
     return np.asarray(x[orders] @ y / x.size)
 
 
-def _rank_correlation(a: FloatArray, b: FloatArray) -> float:
+def rank_correlation(a: FloatArray, b: FloatArray) -> float:
     """Spearman's rho, ties averaged."""
     x, y = rankdata(a), rankdata(b)
     return float(np.corrcoef(x, y)[0, 1])

@@ -193,7 +193,8 @@ def _claim_42(r: Results) -> Verdict:
         "the papers' arithmetic holds for their own rows; our satellite has less unmodelled, because its calibration takes "
         f"up part of the model's error and its torquers leave {r.errors.simulated['torquer']:.2f} mG (claim 38). Of "
         f"the flight's {flown:.2f} mG the model explains {model:.2f}; as squares "
-        f"{np.sqrt(max(flown**2 - model**2, 0.0)):.2f} mG stay, a little more than the 1 mG allowed to the torquers",
+        f"{np.sqrt(max(flown**2 - model**2, 0.0)):.2f} mG stay, a little more than the 1 mG allowed to the torquers; "
+        "hypotheses are tried at claim 41",
     )  # fmt: skip
 
 

@@ -96,14 +96,21 @@ def run_passes(
 ) -> PassStudy:
     """Ours of all 43 passes. others: (R, 12) S row by row and b [mG] of other calibrations."""
     passes = read_passes()
-    compared = compare(flight.telemetry, calibration, ground)
     difference = np.linalg.norm(flight.world.field_N_nT, axis=1) - np.linalg.norm(
         field_N_nT(ground, flight.world.time, flight.world.r_N_km), axis=1
     )
     inside = [rows_of(flight.telemetry, item, windows, k) for k, item in enumerate(passes)]
     eps = [float(np.sqrt(np.mean(difference[chosen] ** 2)) / NT_PER_MG) for chosen in inside]
-    rows = tuple(_row(item, compared, chosen) for item, chosen in zip(passes, inside, strict=True))
+    rows = rows_of_passes(flight.telemetry, calibration, ground, windows)
     return PassStudy(passes, rows, np.array(eps), _eps_range(flight, ground, others, inside))
+
+
+def rows_of_passes(
+    telemetry: Telemetry, calibration: Calibration, ground: FieldModel, windows: Windows
+) -> tuple[Row, ...]:
+    """Ours of all 43 passes, from the telemetry alone."""
+    compared = compare(telemetry, calibration, ground)
+    return tuple(_row(item, compared, rows_of(telemetry, item, windows, k)) for k, item in enumerate(read_passes()))
 
 
 def _eps_range(flight: Flight, ground: FieldModel, others: FloatArray, inside: Sequence[np.ndarray]) -> FloatArray:

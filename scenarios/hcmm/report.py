@@ -14,6 +14,7 @@ from fluxtwin.scenarios.hcmm.gallery_page import FILE as GALLERY_FILE
 from fluxtwin.scenarios.hcmm.gallery_page import overview_table, real_passes_section
 from fluxtwin.scenarios.hcmm.mission import quantity
 from fluxtwin.scenarios.hcmm.pass_study import ANOMALOUS, printed_rms
+from fluxtwin.scenarios.hcmm.residual_tables import horizon_section, missing_section
 from fluxtwin.scenarios.hcmm_orbit.nadir_field import DIPOLE, MAIN_FIELD, NEAR_DEG, NadirField
 from fluxtwin.scenarios.page import Page, Section
 from fluxtwin.scenarios.study_files import provenance
@@ -71,6 +72,8 @@ def page(results: Results, claims: list[Claim], verdict: str) -> Page:
             Section("Yaw", [], [tables.yaw_table(results), pass_tables.figure_3_table(results)], others[1:]),
             Section("How it moved", [], [results.motion.table(tables.POINTING)]),
             _sensors(results),
+            horizon_section(results.horizon),
+            missing_section(results.missing),
             real_passes_section(results.real_passes),
             Section(
                 "Four faults, found from telemetry",

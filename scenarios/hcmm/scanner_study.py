@@ -27,7 +27,7 @@ from fluxtwin.sim.types import FloatArray
 
 BIAS_DEG = (0.40, -0.30)
 """Roll and pitch bias put into the scanner; assumed, of the size of its requirement."""
-_TRUSTED = (2, 3)
+TRUSTED_HEADS = (2, 3)
 """Heads that define the attitude reference (C, text)."""
 
 
@@ -66,7 +66,7 @@ def run_scanner(config: Scenario, ground: FieldModel, progress: Progress) -> Sca
     )
     flight = mission.fly(mission.on_days(biased))
     labels = pass_labels(flight)
-    found = calibrate_scanner(flight.telemetry, heads=_TRUSTED, passes=labels)
+    found = calibrate_scanner(flight.telemetry, heads=TRUSTED_HEADS, passes=labels)
     repaired = with_new_attitude(flight, found.apply(flight.telemetry))
     plain = mission.fly(mission.on_days(config))
     rows = choose_rows(flight, "AB")

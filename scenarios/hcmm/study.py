@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fluxtwin.scenarios.claims import Claim, claims_table, counted, whys_table
-from fluxtwin.scenarios.hcmm import mission, pass_tables, tables
+from fluxtwin.scenarios.hcmm import mission, pass_tables, residual_tables, tables
 from fluxtwin.scenarios.hcmm.accuracy_study import run_accuracy
 from fluxtwin.scenarios.hcmm.calibration_study import KINDS, NAMES, RUNS, SETS, rms_mG, run_calibrations
 from fluxtwin.scenarios.hcmm.claims import Results, judge_claims
@@ -26,6 +26,8 @@ from fluxtwin.scenarios.hcmm.gallery_page import (
     real_passes_table,
 )
 from fluxtwin.scenarios.hcmm.gallery_study import Answer, run_gallery
+from fluxtwin.scenarios.hcmm.horizon_study import run_horizon
+from fluxtwin.scenarios.hcmm.missing_study import FLIGHTS, run_missing
 from fluxtwin.scenarios.hcmm.pass_study import run_passes
 from fluxtwin.scenarios.hcmm.real_passes import ask
 from fluxtwin.scenarios.hcmm.report import page
@@ -69,7 +71,8 @@ def run(
         tables.calibration_table(results), tables.sigma_table(results),
         tables.error_table(results), pass_tables.strength_table(results),
         pass_tables.angles_table(results), pass_tables.dawn_table(results), pass_tables.figure_3_table(results),
-        tables.yaw_table(results), tables.scanner_table(results), results.motion.table(tables.POINTING),
+        tables.yaw_table(results), tables.scanner_table(results), residual_tables.horizon_table(results.horizon),
+        residual_tables.missing_table(results.missing), results.motion.table(tables.POINTING),
         real_passes_table(results.real_passes), overview_table(results.gallery), claims_table(claims), whys_table(claims),
     ]  # fmt: skip
     return StudyResult(
@@ -124,9 +127,19 @@ def compute(
         yaw=run_yaw(config, full, ground, part_of(progress, 0.90, 0.95)),
         accuracy=run_accuracy(config, flight, full, calibration.bias_only.b_mG.mean(axis=0) * NT_PER_MG, ground),
         scanner=run_scanner(config, ground, part_of(progress, 0.96, 1.0)),
+        horizon=run_horizon(config, flight, ground, windows, part_of(whole, 0.5, 0.55)),
+        missing=run_missing(
+            config,
+            ground,
+            windows,
+            evidence,
+            part_of(whole, 0.55, 0.65),
+            flights=min(runs, FLIGHTS),
+            diagnose=bool(only),
+        ),
         real_passes=ask(read_passes(), evidence, config.seed),
-        gallery=run_gallery(config, part_of(whole, 0.5, 0.9), only=only),
-        gallery_law=_under_the_law(config, part_of(whole, 0.9, 1.0)) if "c" in only else None,
+        gallery=run_gallery(config, part_of(whole, 0.65, 0.92), only=only),
+        gallery_law=_under_the_law(config, part_of(whole, 0.92, 1.0)) if "c" in only else None,
     )
 
 
@@ -196,6 +209,8 @@ def summary(results: Results, claims: list[Claim]) -> dict[str, Any]:
         },
         "yaw": _yaw(results),
         "horizon_scanner": _scanner(results),
+        "horizon": results.horizon.to_dict(),
+        "missing_residual": results.missing.to_dict(),
         "real_passes": real_passes_summary(results.real_passes),
         "gallery": gallery_summary(results.gallery),
         "gallery_by_control_law": None if results.gallery_law is None else gallery_summary([results.gallery_law])[0],

@@ -16,7 +16,9 @@ from fluxtwin.scenarios.hcmm import mission, pass_tables, study, tables
 from fluxtwin.scenarios.hcmm.calibration_study import NAMES, SETS, choose_rows, vector, vector_sigma
 from fluxtwin.scenarios.hcmm.claims import judge_claims
 from fluxtwin.scenarios.hcmm.dawn_study import run_dawn
+from fluxtwin.scenarios.hcmm.horizon_study import SCANS, WORST, with_horizon
 from fluxtwin.scenarios.hcmm.judges_calibration import pulls
+from fluxtwin.scenarios.hcmm.missing_study import NUMBERS
 from fluxtwin.scenarios.hcmm.report import page
 from fluxtwin.scenarios.hcmm.yaw_study import equation_11
 from fluxtwin.sim import files
@@ -129,10 +131,55 @@ def test_with_the_printed_rows_the_claims_on_them_hold(results, claims, changed,
             for row, p in zip(rows, results.passes.passes, strict=True)
         )  # fmt: skip
 
-    other = {claim.id: claim for claim in judge_claims(changed(results, "passes.rows", printed))}
+    world = changed(results, "passes.rows", printed)
+    other = {claim.id: claim for claim in judge_claims(world)}
     agree_with_themselves = {41: True, 42: True, 44: True, 45: True, 47: False}
     assert claims[number].status == "differs"
     assert (other[number].status == "reproduced") is agree_with_themselves[number], other[number].why
+    if number == 47:  # 0.47 deg needs a nadir-field residual of 0.50, where the column has 0.54
+        nearer = changed(world, "passes.rows", lambda rows: tuple(
+            dataclasses.replace(row, delta_nadir_field=0.93 * row.delta_nadir_field) for row in rows))  # fmt: skip
+        assert next(c for c in judge_claims(nearer) if c.id == 47).status == "reproduced"
+
+
+def test_a_scanner_with_a_horizon_flies_as_the_study_has_it(results, close):
+    """The errors added to telemetry are those of a scenario with that scanner, sample by sample."""
+    small = results.scenario.updated(
+        {
+            "schedule.segments": [{"start_utc": "1978-11-30T00:00:00Z", "duration_min": 300.0, "step_s": 60.0}],
+            "attitude.mode": "earth_pointing", "dynamics": None, "torques": None, "control": None, "wheels": None,
+            "torquers.activity": "random",
+        }
+    )  # fmt: skip
+    told = {"horizon_scanner.earth": "infrared", "horizon_scanner.scans": "-y"}
+    flown = mission.fly(small.updated(told)).telemetry.nadir_B
+    made = with_horizon(mission.fly(small), SCANS["one, towards the sun"], WORST).telemetry.nadir_B
+    close(flown, made, atol=1e-12, unit="1", because="the same numbers in another order")
+
+
+def test_the_horizon_can_make_the_factor_of_two_and_so_can_its_nulls(results, claims, changed, close):
+    h = results.horizon
+    close(h.disc.ratio, 1.27, atol=0.03, unit="1", because="the same seed on any machine; print has 1.85")
+    assert h.nearest[0] == "one, towards the sun"
+    close(h.nearest[1].ratio, h.printed.ratio, atol=0.05, unit="1", because="as found; not fitted, nothing was free")
+    assert max(one.ratio for one in h.nulls) > h.nearest[1].ratio > h.disc.ratio + 0.4
+    assert max(one.correlation for one in h.nulls) < h.nearest[1].correlation
+    assert "no evidence of the horizon" in claims[44].why
+    quiet = changed(results, "horizon.shifted", lambda v: {k: (one[0],) + (h.disc,) * 11 for k, one in v.items()})
+    other = next(claim for claim in judge_claims(quiet) if claim.id == 44)
+    assert "nothing else tried gives the factor" in other.why
+
+
+def test_of_what_may_be_missing_only_noise_is_not_excluded_by_the_calibrations(results, claims):
+    m = results.missing
+    excluded = {one.name.split(",")[0]: one.excluded_by(m.printed) for one in m.hypotheses}
+    calibration = NUMBERS[-1]
+    assert calibration not in excluded["white noise"]
+    for name in ("nothing more", "drifting bias", "field model"):
+        assert calibration in excluded[name]
+    for one in m.hypotheses[1:]:  # the size is set by the first number
+        assert abs(one.mean[0] - m.printed[0]) < 0.2
+    assert m.words in claims[41].why
 
 
 def test_summary_is_json_with_the_promised_keys(results, claims):

@@ -134,6 +134,15 @@ def test_in_another_world_the_status_is_another(results, claims, changed, number
     assert "differs" in (other[number].status, claims[number].status)
 
 
+def test_a_summer_as_dark_as_printed_would_be_said(results, claims, changed):
+    """Claim 28: 32 % dark on every day, and heads that see a fifth of the orbit, all of it in the south."""
+    world = changed(results, "nodes.late_dark_share", lambda v: np.full_like(v, 0.32))
+    for name, value in (("late_visible_share", 0.2), ("late_visible_south", 1.0)):
+        assert next(c for c in judge_claims(world) if c.id == 28).status == claims[28].status == "differs"
+        world = changed(world, f"heads.{name}", value)
+    assert next(c for c in judge_claims(world) if c.id == 28).status == "reproduced"
+
+
 def test_an_S_of_zero_reproduces_nothing(results, changed):
     """Sizes and elements of S: none of these claims is met by finding nothing."""
     other = {

@@ -98,10 +98,10 @@ def _named(one: Hypothesis) -> str:
     if found is None:
         return "not asked"
     effects = [f"{e.name} ({', '.join(_value(*item) for item in e.parameters.items())})" for e in found.effects]
-    words = found.verdict.replace("_", " ")
-    return "; ".join(effects) or (f"{words}, at the {found.where.stage} stage" if found.where.stage else words)
+    where = f", at the stage {found.where.stage}" if found.verdict == "unknown" else ""
+    return "; ".join(effects) or found.verdict.replace("_", " ") + where
 
 
 def _value(name: str, parameter: EffectParameter) -> str:
-    sigma = "" if parameter.sigma is None else f" ± {parameter.sigma:.2f}"
-    return f"{name} {parameter.value:.2f}{sigma} {parameter.unit}"
+    sigma = "" if parameter.sigma is None else f" ± {parameter.sigma:.2g}"
+    return f"{name} {parameter.value:.3g}{sigma} {parameter.unit}"

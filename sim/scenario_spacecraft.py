@@ -73,7 +73,7 @@ def horizon_scanner(scenario: Scenario) -> HorizonScanner | None:
 
 def conical_scanner(section: HorizonScannerSection) -> ConicalScanner:
     """The scans of a horizon scanner."""
-    axes = {"pair": (1.0, -1.0), "+y": (1.0,), "-y": (-1.0,)}[section.scans]
+    axes = {"pair": (1, -1), "+y": (1,), "-y": (-1,)}[section.scans]
     return ConicalScanner(axes, float(np.radians(section.half_cone_deg)))
 
 

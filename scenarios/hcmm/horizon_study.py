@@ -32,8 +32,8 @@ from fluxtwin.sim.sensors.horizon_crossings import ConicalScanner
 from fluxtwin.sim.sensors.horizon_scanner import nadir_from, roll_pitch
 from fluxtwin.sim.types import FloatArray
 
-SCANS: Mapping[str, tuple[float, ...]] = {
-    "two scanners": (1.0, -1.0), "one, away from the sun": (1.0,), "one, towards the sun": (-1.0,),
+SCANS: Mapping[str, tuple[int, ...]] = {
+    "two scanners": (1, -1), "one, away from the sun": (1,), "one, towards the sun": (-1,),
 }  # fmt: skip
 """Sign of body y of each scan axis; HCMM's orbit has the sun on the side of -y."""
 SHIFTS_DEG = np.arange(0.0, 360.0, 30.0)
@@ -175,7 +175,7 @@ def run_horizon(
     return HorizonStudy(_seen(read_passes()), left_by(days, flight), cases, shifted)
 
 
-def with_horizon(flight: Flight, axes: tuple[float, ...], earth: Earth, shift_deg: float = 0.0) -> Flight:
+def with_horizon(flight: Flight, axes: tuple[int, ...], earth: Earth, shift_deg: float = 0.0) -> Flight:
     """The flight with what the horizon does to roll and pitch added to the scanner's own errors.
 
     shift_deg: the errors are those of the place so far ahead on the orbit.

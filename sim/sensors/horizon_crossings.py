@@ -24,7 +24,7 @@ DOWN = np.array([0.0, 0.0, 1.0])
 class ConicalScanner:
     """One or two scanners whose half-cone is centred on body +y or -y."""
 
-    axes: tuple[float, ...] = (1.0, -1.0)
+    axes: tuple[int, ...] = (1, -1)
     """Sign of body y of each scan axis."""
     half_cone_rad: float = float(np.pi / 4.0)
 
@@ -42,7 +42,7 @@ class ConicalScanner:
         cone_O = tangent_cone(assumed, R_ON.apply(r_km), R_ON.apply(pole))
         crossings, cosines = [], []
         for sign in self.axes:
-            for side in (1.0, -1.0):
+            for side in (1, -1):
                 crossing = self._crossing(sign, side, down_B, cone_B)
                 across = crossing * [1.0, 1.0, 0.0]
                 across /= np.linalg.norm(across, axis=1)[:, None]
@@ -51,7 +51,7 @@ class ConicalScanner:
                 cosines.append(np.cos(angle))
         return _nadir_of(np.stack(crossings, axis=1), np.stack(cosines, axis=1))
 
-    def _crossing(self, sign: float, side: float, down_B: FloatArray, cone_B: FloatArray) -> FloatArray:
+    def _crossing(self, sign: int, side: int, down_B: FloatArray, cone_B: FloatArray) -> FloatArray:
         """(N, 3) line of sight at which the scan passes from space to Earth, or back on the other side."""
         axis = np.array([0.0, sign, 0.0])
         along = down_B @ axis

@@ -69,7 +69,7 @@ def test_the_horizon_at_the_equator_and_over_a_pole(close):
     close(found, expected, atol=1e-12, unit="rad", because="tangent to a circle and to two ellipses")
 
 
-@pytest.mark.parametrize("axes", [(1.0, -1.0), (1.0,), (-1.0,)])
+@pytest.mark.parametrize("axes", [(1, -1), (1,), (-1,)])
 def test_a_scanner_that_knows_its_earth_finds_nadir(axes):
     r, v = circle(HCMM_KM, 97.6)
     time, pole, R_ON = at("1978-11-30", len(r)), np.tile(NORTH, (len(r), 1)), frames.rotation_ON(r, v)
@@ -83,7 +83,7 @@ def test_a_scanner_that_knows_its_earth_finds_nadir(axes):
 def test_the_flattening_costs_what_the_horizon_moves(close):
     """One scanner reads a lower horizon as roll, a pair does not; and half an orbit on, a centred ellipsoid is seen as by a
     scanner on the other side, in a mirror."""
-    pair, one, other = (errors_deg(axes, "ellipsoid", "sphere")[:-1] for axes in ((1.0, -1.0), (1.0,), (-1.0,)))
+    pair, one, other = (errors_deg(axes, "ellipsoid", "sphere")[:-1] for axes in ((1, -1), (1,), (-1,)))
     assert 0.1 < np.abs(pair[:, 1]).max() < 0.2
     assert np.ptp(one[:, 0]) > 4.0 * np.ptp(pair[:, 0])
     mirrored = np.roll(one, 90, axis=0) * [-1.0, 1.0]
@@ -94,7 +94,7 @@ def test_radiance_alone_errs_by_what_others_computed():
     """A study of 1980 (1980STIN...8115014P, abstract): edge scanners at 900 km in a polar orbit err by at most 0.06 deg in
     pitch and 0.03 deg in roll. Another scanner and another atmosphere, so the order is asked: a factor of 2.5."""
     found = [
-        np.abs(errors_deg((1.0, -1.0), "infrared", "ellipsoid", day, 7278.0)).max(axis=0)
+        np.abs(errors_deg((1, -1), "infrared", "ellipsoid", day, 7278.0)).max(axis=0)
         for day in ("1978-01-15", "1978-04-15", "1978-07-15", "1978-10-15")
     ]
     roll, pitch = np.max(found, axis=0)

@@ -5,7 +5,8 @@
 3. The alignment of magnetometer and sun sensor on it gives a turn of the magnetometer; the readings are adjusted again.
 
 2 and 3 are repeated until the turn is below 2e-4 deg or a tenth of its sigma. A pass after the first begins where the
-last one ended, carried back by the free motion.
+last one ended, carried back by the free motion; with process noise the end is no better known than the start, and every
+pass begins at the start.
 """
 
 from __future__ import annotations
@@ -60,7 +61,8 @@ def iterate(
     for _ in range(_PASSES):
         filtered = spin_filter(rows, B, *at(motion, begin), inertia, settings)
         first = filtered if first is None else first
-        motion = free_motion(filtered, ratio)
+        end = free_motion(filtered, ratio)
+        motion = start if settings.torque_walk_rad_s else end
         H_B = np.einsum("kij,kj->ki", filtered.A, rows.H_N_nT)
         of_field = align(B, H_B, (H_B**2).sum(axis=1) / settings.field_nT**2)
         s_B = np.einsum("kij,kj->ki", filtered.pulse_A, rows.sun_N)
@@ -71,7 +73,7 @@ def iterate(
         steps.append(float(np.linalg.norm(step)))
         whole, B = whole @ R, B @ R
         if steps[-1] < _SMALLEST_RAD or bool((np.abs(step) < _OF_SIGMA * np.sqrt(np.diag(covariance))).all()):
-            return Iterated(whole, first, filtered, motion, tuple(steps), weakest)
+            return Iterated(whole, first, filtered, end, tuple(steps), weakest)
         if len(steps) > _GROWING and all(
             b > a for a, b in zip(steps[-_GROWING - 1 :], steps[-_GROWING:], strict=False)
         ):

@@ -5,41 +5,64 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fluxtwin.plots import style
 from fluxtwin.sim.types import FloatArray
 
-_MOST = 4000
-"""Points drawn of a series."""
+_FRAME_PERCENT = 99.0
+_OUTSTANDING = 2.0
+_ROOM = 1.1
 
 
 @dataclass(frozen=True)
 class AttitudeError:
     """N samples."""
 
+    start: np.datetime64
+    """UTC of zero seconds."""
     seconds_s: FloatArray
     """(N,)."""
     error_deg: FloatArray
     """(N, 3) about body x, y, z."""
 
+    @property
+    def rms_deg(self) -> FloatArray:
+        """(3,)."""
+        return np.asarray(np.sqrt((self.error_deg**2).mean(axis=0)), dtype=np.float64)
+
 
 def draw_attitude_error(record: AttitudeError, *, title: str) -> Figure:
-    """One panel, three lines, with the rms of each and their root sum of squares."""
-    figure, grid = style.figure(7.2, 3.4)
-    style.heading(figure, title)
-    axes = grid[0][0]
-    every = slice(None, None, max(1, len(record.seconds_s) // _MOST))
-    rms = np.sqrt((record.error_deg**2).mean(axis=0))
-    style.zero_line(axes)
-    for k, name in enumerate("XYZ"):
-        axes.plot(
-            record.seconds_s[every] / 60.0, record.error_deg[every, k], linewidth=0.7, color=style.AXIS_COLOURS[k],
-            linestyle=style.AXIS_LINES[k], alpha=0.8, label=f"{name}: rms {rms[k]:.3g} deg",
-        )  # fmt: skip
-    style.label(axes, x="time [min]", y="attitude error [deg]")
-    low, high = axes.get_ylim()
-    axes.set_ylim(low, high + 0.15 * (high - low))  # room for the legend
-    style.legend(axes, "upper right", columns=3)
-    style.note(axes, f"RSS {np.sqrt((rms**2).sum()):.3g} deg", y=0.04)
+    """A panel for each axis, because X and Y of a spinner swing alike and one would hide the other; every sample is drawn.
+
+    The three have one scale. Where a few samples (the first seconds of a filter) would flatten the rest they are left out
+    of it, an arrow marks the edge where they are, and the panel's title says how far they go.
+    """
+    figure, grid = style.figure(7.2, 5.2, rows=3, share_x=True)
+    style.heading(figure, f"{title}; RSS {np.linalg.norm(record.rms_deg):.3g} deg")
+    size = np.abs(record.error_deg)
+    usual, largest = float(np.percentile(size, _FRAME_PERCENT, axis=0).max()), float(size.max())
+    edge = _ROOM * (largest if largest < _OUTSTANDING * usual else usual)
+    minutes = record.seconds_s / 60.0
+    for k, (axes,) in enumerate(grid):
+        error = record.error_deg[:, k]
+        style.zero_line(axes)
+        axes.plot(minutes, error, linewidth=0.4, color=style.AXIS_COLOURS[k], rasterized=True)
+        axes.set_ylim(-edge, edge)
+        words = f"{'XYZ'[k]}: rms {record.rms_deg[k]:.3g} deg{_beyond(axes, minutes, error, edge)}"
+        style.label(axes, y="error [deg]", title=words)
+    since = np.datetime_as_string(record.start, unit="s").replace("T", " ")
+    style.label(grid[-1][0], x=f"time after {since} UTC [min]")
     return figure
+
+
+def _beyond(axes: Axes, minutes: FloatArray, error: FloatArray, edge: float) -> str:
+    """An arrow on each side that is left, where the error goes furthest; and what to say of it."""
+    said = ""
+    for side, arrow in ((1.0, "^"), (-1.0, "v")):
+        furthest = int(np.argmax(side * error))
+        if side * error[furthest] > edge:
+            axes.plot(minutes[furthest], 0.9 * side * edge, arrow, color=style.BLACK, markersize=6)
+            said += f", {error[furthest]:+.2g} deg at {minutes[furthest]:.1f} min"
+    return f"; beyond the frame{said[1:]}" if said else ""

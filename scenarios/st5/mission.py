@@ -7,11 +7,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from fluxtwin.calib.spin_batch import Noise
 from fluxtwin.scenarios.printed import Printed
+from fluxtwin.sim import frames
+from fluxtwin.sim.constants import NT_PER_MG
 from fluxtwin.sim.scenario import Scenario, parse_scenario
 from fluxtwin.sim.simulate import simulate
 from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.truth import Truth
+from fluxtwin.sim.types import FloatArray
 from fluxtwin.sim.world import World, build_world
 
 PRINTED = Printed("fluxtwin.scenarios.st5")
@@ -43,6 +49,20 @@ def published() -> Mapping[str, Any]:
     """What the abstract prints, as packaged."""
     content: Mapping[str, Any] = json.loads(PRINTED.text("data/published.json"))
     return content
+
+
+def noises() -> Noise:
+    """What the abstract states of the sensors."""
+    printed = published()
+    return Noise(float(printed["noise_mG"]) * NT_PER_MG, float(np.radians(printed["sun_noise_deg"])))
+
+
+def attitude_error_deg(A: FloatArray, q_NB: FloatArray) -> FloatArray:
+    """(N, 3) e of A = exp(-[e x]) A_true, in B [deg]; A (N, 3, 3) from N to B, q_NB (N, 4) the truth."""
+    true = frames.rotation_from_q(q_NB).as_matrix()
+    d = A @ true.transpose(0, 2, 1)
+    axial = np.stack([d[:, 1, 2] - d[:, 2, 1], d[:, 2, 0] - d[:, 0, 2], d[:, 0, 1] - d[:, 1, 0]], axis=1)
+    return np.asarray(np.degrees(0.5 * axial))
 
 
 def world_of(config: Scenario) -> World:

@@ -10,7 +10,8 @@ from scipy.stats import chi2
 from fluxtwin.calib.spin import fit_spin
 from fluxtwin.calib.spin_rows import assemble_spin
 from fluxtwin.scenarios.st5 import mission
-from fluxtwin.scenarios.st5.calibration_study import attitude_error_deg, options
+from fluxtwin.scenarios.st5.calibration_study import options
+from fluxtwin.scenarios.st5.mission import attitude_error_deg
 from fluxtwin.scenarios.st5.terms import Terms, terms_of
 from fluxtwin.sim import frames
 from fluxtwin.sim.errors import NoAnswer

@@ -23,7 +23,7 @@ from fluxtwin.calib.spin_motion import turn_vector
 from fluxtwin.calib.spin_rows import SpinRows, assemble_spin
 from fluxtwin.calib.spin_start import blind_start
 from fluxtwin.scenarios.st5 import mission
-from fluxtwin.scenarios.st5.calibration_study import attitude_error_deg
+from fluxtwin.scenarios.st5.mission import attitude_error_deg
 from fluxtwin.scenarios.st5.monte_carlo import truth_terms
 from fluxtwin.scenarios.st5.terms import terms_of
 from fluxtwin.sim import frames

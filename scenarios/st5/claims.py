@@ -45,7 +45,7 @@ def _inputs(hour: Hour) -> Verdict:
 
 
 def _figures(hour: Hour) -> Verdict:
-    """Errors before and after: two settings chosen by what is printed of before, after is foretold."""
+    """Errors before and after: two settings chosen by what is printed of before, after is predicted."""
     printed, chosen, other = mission.published(), hour.search.by_axes, hour.search.by_rss
     rms = ", ".join(f"{v:.3f}" for v in chosen.pre_deg)
     found = terms_of(hour.alone)
@@ -53,7 +53,7 @@ def _figures(hour: Hour) -> Verdict:
     after = hour.steps_alone.rss_deg
     here = (
         f"with random walk {chosen.walk_rad_s:.2g} rad/s and the sun's noise times {chosen.sun_factor:.2g}, chosen by the "
-        f"three rms before: {rms}, RSS {chosen.pre_rss_deg:.3f} deg; foretold by them: after, {after:.3f} deg, estimates "
+        f"three rms before: {rms}, RSS {chosen.pre_rss_deg:.3f} deg; predicted by them: after, {after:.3f} deg, estimates "
         f"within {off_b:.3f} mG and {off_v:.3f} deg of the truth"
     )
     off = np.abs(np.subtract(other.pre_deg, printed["pre_rms_deg"])).max()

@@ -1,8 +1,8 @@
 """Two settings that the abstract leaves open, searched: the filter's process noise and its weight of the sun.
 
 Two figures fitted by two free settings prove nothing, so each choice leaves printed numbers out, and those are compared:
-one takes the three errors before calibration and foretells the error after it; the other takes both root sums of squares
-and foretells how the error before is shared by the axes.
+one takes the three errors before calibration and predicts the error after it; the other takes both root sums of squares
+and predicts how the error before is shared by the axes.
 """
 
 from __future__ import annotations

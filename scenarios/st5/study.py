@@ -96,13 +96,13 @@ def meaning() -> str:
     printed = mission.published()
     return (
         f"What a comparison with {printed['pre_rss_deg']:g} and {printed['post_rss_deg']:g} deg can mean: the abstract "
-        "gives neither orbit nor epoch, spin axis, start and process noise of the filter, nor the weight of the sun. Each "
-        "of them moves both figures by a factor of two or more. The hour's place on the orbit was chosen for the mean "
-        f"field of which {printed['noise_mG']:g} mG are the stated {printed['noise_equivalent_deg']:g} deg. Two settings "
-        "were searched, the random walk of the momentum and the weight of the sun; orbit plane, epoch, spin axis, slit and "
-        "start are left as assumed. Two settings can meet two figures whatever is true, so only a figure that had no part "
-        "in the choice is judged. Scale factors and non-orthogonality are zero in our truth because the abstract states "
-        "none."
+        "gives neither orbit nor epoch, spin axis, start of the filter, its process noise, nor the weight of the sun. "
+        "The last two alone move both figures by more than a factor of two. The hour's place on the orbit was chosen for "
+        f"the mean field of which {printed['noise_mG']:g} mG are the stated {printed['noise_equivalent_deg']:g} deg. "
+        "Two settings were searched, the random walk of the momentum and the weight of the sun; orbit plane, epoch, spin "
+        "axis, slit and start are left as assumed. Two settings can meet two figures whatever is true, so only a figure "
+        "that had no part in the choice is judged. Scale factors and non-orthogonality are zero in our truth because the "
+        "abstract states none."
     )
 
 

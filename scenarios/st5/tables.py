@@ -72,7 +72,7 @@ def settings_table(hour: Hour) -> Table:
         ["chosen", "random walk of L/Jt in 1 s [rad/s]", "sun noise taken [true]", "X before [deg]", "Y before [deg]",
          "Z before [deg]", "RSS before [deg]", "RSS after [deg]"],
         rows,
-        note="Neither setting is in the abstract. The first choice foretells RSS after, the second how the axes share RSS "
+        note="Neither setting is in the abstract. The first choice predicts RSS after, the second how the axes share RSS "
         "before. After: with the batch's calibration; the abstract's own steps give the same.",
     )  # fmt: skip
 

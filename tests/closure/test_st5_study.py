@@ -137,7 +137,7 @@ def test_every_claim_has_its_status_a_number_and_a_reason(claims: dict[int, Clai
 
 
 def test_the_two_choices_of_settings(results: study.Results, close: Callable[..., None]) -> None:
-    """What was used is met, what was not is foretold: 0.24 deg for the printed 0.151, axes off by 0.10 deg."""
+    """What was used is met, what was not is predicted: 0.24 deg for the printed 0.151, axes off by 0.10 deg."""
     found, printed = results.hour.search, mission.published()
     reason = "the search ends within 1e-3 of its range, and begins on another grid than the report's"
     one, two = found.by_axes, found.by_rss

@@ -127,9 +127,8 @@ class Arcs:
         """(m, 2 parts + 1, A, 3) momentum of the wheels and dipole of the torquers at the starts, middles and ends of all
         steps."""
         shares = np.arange(2 * self.parts + 1) / (2.0 * self.parts)
-        steps = [(self.rows[:, step], self.rows[:, step + 1]) for step in range(self.rows.shape[1] - 1)]
-        wheels = [[self._wheels(here, there, share) for share in shares] for here, there in steps]
-        dipole = [[self._dipole(here, there, share) for share in shares] for here, there in steps]
+        wheels = [[self._wheels(here, there, share) for share in shares] for here, there in self._steps]
+        dipole = [[self._dipole(here, there, share) for share in shares] for here, there in self._steps]
         return np.array(wheels), np.array(dipole)
 
     def flown(
@@ -144,27 +143,30 @@ class Arcs:
         vehicle: with its effects. turn (3,) [rad], push (3,) [N m s]: the start is moved by this much.
         wheels_B (N, 3): added to what is recorded.
         """
-        from fluxtwin.sim.dynamics.kernels import add_torques
+        from fluxtwin.sim.dynamics.arc_kernel import fly_arcs
 
         start, end = self.rows[:, 0], self.rows[:, -1]
         first = self.track[start] if turn is None else Rotation.from_rotvec(turn) * self.track[start]
-        body = _Body(vehicle, add_torques, np.asarray(first.as_matrix()))
         # A wrong tensor changes the momentum that goes with a rate: the start keeps the rate.
-        momentum = self.momentum_of(vehicle)[start] if push is None else self.momentum_of(vehicle)[start] + push
-        state = (body.first, momentum)
-        t = self.problem.setting.seconds
-        for step in range(self.rows.shape[1] - 1):
-            here, there = self.rows[:, step], self.rows[:, step + 1]
-            h = (t[there] - t[here]) / self.parts
-            for part in range(self.parts):
-                wheels, dipole = ([each[step, 2 * part + k] for k in range(3)] for each in self.driven)
-                if wheels_B is not None:
-                    shares = (np.arange(3) / 2.0 + part) / self.parts
-                    wheels = [w + _between(wheels_B, here, there, s) for w, s in zip(wheels, shares, strict=True)]
-                around = [self.around[:, step, 2 * part + k] for k in range(3)]
-                state = body.step(state, h, around, wheels, dipole)
-        R = Rotation.from_matrix(state[0])
-        return np.hstack([(R * self.track[end].inv()).as_rotvec(), state[1] - self.momentum_of(vehicle)[end]])
+        momentum_N = self.momentum_of(vehicle)
+        begun = momentum_N[start] if push is None else momentum_N[start] + push
+        state = np.hstack([np.asarray(first.as_matrix()).reshape(-1, 9), begun])
+        wheels, dipole = self.driven
+        if wheels_B is not None:
+            shares = np.linspace(0.0, 1.0, 2 * self.parts + 1)
+            wheels = wheels + np.array(
+                [[_between(wheels_B, here, there, share) for share in shares] for here, there in self._steps]
+            )
+        inverse = np.linalg.inv(np.asarray(vehicle.inertia_kg_m2, dtype=np.float64))
+        step_s = np.diff(self.problem.setting.seconds[self.rows], axis=1) / self.parts
+        fly_arcs(state, inverse, *vehicle.packed(), self.around, wheels, dipole, step_s)
+        R = Rotation.from_matrix(state[:, :9].reshape(-1, 3, 3))
+        return np.hstack([(R * self.track[end].inv()).as_rotvec(), state[:, 9:] - momentum_N[end]])
+
+    @property
+    def _steps(self) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+        """(A,) rows where each of the m steps of the arcs begins and ends."""
+        return [(self.rows[:, step], self.rows[:, step + 1]) for step in range(self.rows.shape[1] - 1)]
 
     def holding(self, axis: int) -> Arcs:
         """The same arcs with the dipole about one axis held from row to row."""
@@ -221,61 +223,8 @@ class Arcs:
         return np.concatenate([turn, impulse_N], axis=1)
 
 
-class _Body:
-    """Euler's equations for many starts at once, in matrices."""
-
-    def __init__(self, vehicle: Vehicle, add_torques: object, first: FloatArray) -> None:
-        self.first, self.add = first, add_torques
-        self.inverse = np.linalg.inv(vehicle.inertia_kg_m2)
-        self.packed, self.slots = vehicle.packed()
-        self.stages = np.zeros((len(first), layout.STAGE_SIZE))
-
-    def step(
-        self,
-        state: tuple[FloatArray, FloatArray],
-        h: FloatArray,
-        around: list[FloatArray],
-        wheels: list[FloatArray],
-        dipole: list[FloatArray],
-    ) -> tuple[FloatArray, FloatArray]:
-        """One classical Runge-Kutta step of h (A,) seconds."""
-        R, momentum = state
-        hR, hm = h[:, None, None], h[:, None]
-        a = self.slope(R, momentum, around[0], wheels[0], dipole[0])
-        b = self.slope(R + 0.5 * hR * a[0], momentum + 0.5 * hm * a[1], around[1], wheels[1], dipole[1])
-        c = self.slope(R + 0.5 * hR * b[0], momentum + 0.5 * hm * b[1], around[1], wheels[1], dipole[1])
-        d = self.slope(R + hR * c[0], momentum + hm * c[1], around[2], wheels[2], dipole[2])
-        return (
-            R + hR / 6.0 * (a[0] + 2.0 * b[0] + 2.0 * c[0] + d[0]),
-            momentum + hm / 6.0 * (a[1] + 2.0 * b[1] + 2.0 * c[1] + d[1]),
-        )
-
-    def slope(
-        self, R: FloatArray, momentum_N: FloatArray, around: FloatArray, wheels: FloatArray, dipole: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """-[w x] R and R^T torque; J w is the momentum less that of the wheels."""
-        rate = (_turned(R, momentum_N) - wheels) @ self.inverse
-        stages = self.stages
-        stages[:, layout.ROTATION : layout.RATE] = R.reshape(-1, 9)
-        stages[:, layout.RATE : layout.POSITION] = rate
-        stages[:, layout.POSITION : layout.FIELD] = around
-        stages[:, layout.FIELD : layout.DIPOLE] = _turned(R, around[:, 6:9])
-        stages[:, layout.DIPOLE : layout.TORQUE] = dipole
-        stages[:, layout.TORQUE :] = 0.0
-        self.add(self.packed, self.slots, stages)  # type: ignore[operator]
-        skew = np.zeros_like(R)
-        skew[:, 0, 1], skew[:, 0, 2], skew[:, 1, 2] = rate[:, 2], -rate[:, 1], rate[:, 0]
-        skew[:, 1, 0], skew[:, 2, 0], skew[:, 2, 1] = -rate[:, 2], rate[:, 1], -rate[:, 0]
-        torque_N = np.einsum("nij,ni->nj", R, stages[:, layout.TORQUE :])
-        return skew @ R, torque_N
-
-
 def _between(values: FloatArray, here: NDArray[np.intp], there: NDArray[np.intp], share: float) -> FloatArray:
     return np.asarray((1.0 - share) * values[here] + share * values[there])
-
-
-def _turned(R: FloatArray, vector: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum("nij,nj->ni", R, vector))
 
 
 def arcs(

@@ -119,7 +119,9 @@ class MomentumWhitener:
         apart = np.abs(window.seconds[:, None] - window.seconds)
         same = np.eye(window.size) if noise.tau_s == 0.0 else np.exp(-apart / noise.tau_s)
         torque, rate = self.windows.wander[number]
-        whole = np.kron(same + 1e-9 * np.eye(window.size), np.eye(3)) + noise.torque * torque + noise.rate * rate
+        whole = noise.torque * torque + noise.rate * rate
+        for axis in range(3):  # the attitude's errors about the three axes are independent
+            whole[axis::3, axis::3] += same + 1e-9 * np.eye(window.size)
         return np.asarray(noise.sigma_rad**2 * whole)
 
 

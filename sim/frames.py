@@ -21,6 +21,8 @@ Yaw, roll and pitch are the 3-1-2 set from O to B: first yaw about z, then roll 
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import erfa
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -33,6 +35,7 @@ from fluxtwin.sim.types import FloatArray, TimeArray
 
 _GRID_DAYS = 0.125  # spline of X, Y, s on this grid: below 1e-11 rad, tested against the full series
 _J2000 = 2451545.0  # TT
+_REMEMBERED_ROWS = 50_000  # sixteen such series and their rotations are 30 MB
 
 
 def rotation_EN(time: TimeArray | np.datetime64) -> Rotation:
@@ -41,7 +44,18 @@ def rotation_EN(time: TimeArray | np.datetime64) -> Rotation:
     IAU 2006/2000A (ERFA xys06a, era00), UT1 = UTC, no polar motion. For more than a few hundred stamps the
     slow part (X, Y, s) is splined on a three-hour grid.
     """
-    return Rotation.from_matrix(erfa.c2tcio(_celestial_to_intermediate(time), _era(time), np.eye(3)))
+    stamps = epoch.as_times(time)
+    return _of_stamps(stamps.tobytes()) if stamps.size <= _REMEMBERED_ROWS else _rotation_EN(stamps)
+
+
+@lru_cache(maxsize=16)
+def _of_stamps(stamps: bytes) -> Rotation:
+    """A Monte Carlo and a diagnosis ask for the same stamps again and again; a Rotation cannot be changed."""
+    return _rotation_EN(np.frombuffer(stamps, dtype="datetime64[ns]"))
+
+
+def _rotation_EN(stamps: TimeArray) -> Rotation:
+    return Rotation.from_matrix(erfa.c2tcio(_celestial_to_intermediate(stamps), _era(stamps), np.eye(3)))
 
 
 def rotation_TN(time: TimeArray | np.datetime64) -> Rotation:

@@ -155,6 +155,11 @@ class Setting:
         exact = self.direction == "simulate" or not isinstance(self.motion, RecordedMotion)
         return None if exact else self.track(0.0).inv() * self.given[2]
 
+    @cached_property
+    def lags_K(self) -> dict[float, FloatArray]:
+        """By time constant [s], the temperatures (N,) that `effects.drivers` made of the sunlight, the latest few."""
+        return {}
+
     def column(self, name: str) -> FloatArray | None:
         """A recorded column, or None."""
         return self.columns.get(name)

@@ -48,8 +48,8 @@ from fluxtwin.sim.types import FloatArray
 _FAST = {"contract"}  # fused multiply-add: one rounding instead of two, nothing is reordered
 
 
-_OPTIONS: dict[str, Any] = {"fastmath": _FAST, "error_model": "numpy", "forceinline": True}
-_PARTS = [layout, constants, plates, *(sys.modules[one.__module__] for one in (*TORQUES, *CONTROLS))]
+OPTIONS: dict[str, Any] = {"fastmath": _FAST, "error_model": "numpy", "forceinline": True}
+PARTS = [layout, constants, plates, *(sys.modules[one.__module__] for one in (*TORQUES, *CONTROLS))]
 """What is compiled into the kernels besides this file."""
 _LAWS = len(TORQUES)
 _CURIOUS = tuple(t.needs_field or t.needs_sun or t.needs_air for t in TORQUES)
@@ -60,9 +60,9 @@ def _chain(functions: Sequence[Any], slot: int) -> Any:
     """One function that calls, of these, each one whose parameters are present; compiled, every call is direct."""
     if not functions:
         return part()(lambda slots, packed, *rest: None)
-    first, following = part(**_OPTIONS)(functions[0]), _chain(functions[1:], slot + 1)
+    first, following = part(**OPTIONS)(functions[0]), _chain(functions[1:], slot + 1)
 
-    @part(**_OPTIONS)
+    @part(**OPTIONS)
     def run(slots: Any, packed: Any, *rest: Any) -> None:
         if slots[slot] > 0:
             first(packed, slots[slot], *rest)
@@ -71,12 +71,12 @@ def _chain(functions: Sequence[Any], slot: int) -> Any:
     return run
 
 
-_add_torques = _chain([torque.add for torque in TORQUES], 0)
+torque_chain = _chain([torque.add for torque in TORQUES], 0)
 _decide = _chain([control.decide for control in CONTROLS], _LAWS)
-_drive = part(**_OPTIONS)(torquers.drive)
+_drive = part(**OPTIONS)(torquers.drive)
 
 
-@kernel(uses=_PARTS, nogil=True, **_OPTIONS)
+@kernel(uses=PARTS, nogil=True, **OPTIONS)
 def fly(
     start: FloatArray,
     wheels: FloatArray,
@@ -148,20 +148,20 @@ def fly(
                     node, sub = node + 1, 0
 
 
-@part(**_OPTIONS)
+@part(**OPTIONS)
 def _clear(numbers: FloatArray) -> None:
     for k in range(numbers.shape[0]):  # a slice would be shorter, and two seconds of the compiler's time
         numbers[k] = 0.0
 
 
-@kernel(uses=_PARTS, nogil=True, **_OPTIONS)
+@kernel(uses=PARTS, nogil=True, **OPTIONS)
 def add_torques(packed: FloatArray, slots: Any, stages: FloatArray) -> None:
     """Add the torques to each of the stages (N, STAGE_SIZE), in place."""
     for i in range(stages.shape[0]):
-        _add_torques(slots, packed, stages[i])
+        torque_chain(slots, packed, stages[i])
 
 
-@part(**_OPTIONS)
+@part(**OPTIONS)
 def _step(
     nodes: FloatArray,
     node: int,
@@ -222,7 +222,7 @@ def _step(
         state[7 + j] += sixth * total[j]
 
 
-@part(**_OPTIONS)
+@part(**OPTIONS)
 def _begin(state: FloatArray, wheels: FloatArray, inverse: FloatArray, stage: FloatArray) -> None:
     """Attitude matrix and rate."""
     x, y, z, w = state[0], state[1], state[2], state[3]
@@ -246,14 +246,14 @@ def _begin(state: FloatArray, wheels: FloatArray, inverse: FloatArray, stage: Fl
     stage[RATE + 2] = inverse[2, 0] * hx + inverse[2, 1] * hy + inverse[2, 2] * hz
 
 
-@part(**_OPTIONS)
+@part(**OPTIONS)
 def _feel(stage: FloatArray) -> None:
     """Field in the body."""
     bx, by, bz = _to_body(stage, stage[FIELD_N], stage[FIELD_N + 1], stage[FIELD_N + 2])
     stage[FIELD], stage[FIELD + 1], stage[FIELD + 2] = bx, by, bz
 
 
-@part(**_OPTIONS)
+@part(**OPTIONS)
 def _to_body(stage: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
     return (
         stage[ROTATION] * x + stage[ROTATION + 1] * y + stage[ROTATION + 2] * z,
@@ -262,7 +262,7 @@ def _to_body(stage: FloatArray, x: float, y: float, z: float) -> tuple[float, fl
     )
 
 
-@part(**_OPTIONS)
+@part(**OPTIONS)
 def _slope(
     x: float,
     y: float,
@@ -282,7 +282,7 @@ def _slope(
     slope[1] = wy + 0.5 * cy + (z * cx - x * cz) / 12.0
     slope[2] = wz + 0.5 * cz + (x * cy - y * cx) / 12.0
     stage[TORQUE], stage[TORQUE + 1], stage[TORQUE + 2] = 0.0, 0.0, 0.0
-    _add_torques(slots, packed, stage)
+    torque_chain(slots, packed, stage)
     tx, ty, tz = stage[TORQUE], stage[TORQUE + 1], stage[TORQUE + 2]
     slope[3] = stage[ROTATION] * tx + stage[ROTATION + 3] * ty + stage[ROTATION + 6] * tz
     slope[4] = stage[ROTATION + 1] * tx + stage[ROTATION + 4] * ty + stage[ROTATION + 7] * tz
@@ -293,7 +293,7 @@ def _slope(
         slope[6 + j] = motor[j] - friction
 
 
-@part(**_OPTIONS)
+@part(**OPTIONS)
 def _wheel_speed(wheel: FloatArray, momentum: float, stage: FloatArray) -> float:
     """Speed relative to the body [rad/s] from the momentum about the axis."""
     along = wheel[0] * stage[RATE] + wheel[1] * stage[RATE + 1] + wheel[2] * stage[RATE + 2]
@@ -301,7 +301,7 @@ def _wheel_speed(wheel: FloatArray, momentum: float, stage: FloatArray) -> float
     return speed
 
 
-@part(**_OPTIONS)
+@part(**OPTIONS)
 def _half_turn(x: float, y: float, z: float) -> tuple[float, float]:
     """Of the rotation vector: cosine of half the angle, less 1, and its sine over the angle."""
     squared = 0.25 * (x * x + y * y + z * z)
@@ -313,7 +313,7 @@ def _half_turn(x: float, y: float, z: float) -> tuple[float, float]:
     return cos(half) - 1.0, 0.5 * sin(half) / half
 
 
-@part(**_OPTIONS)
+@part(**OPTIONS)
 def _turn(state: FloatArray, x: float, y: float, z: float, out: FloatArray) -> None:
     """out[:4]: the attitude of `state` turned by the rotation vector x, y, z in the body."""
     c, s = _half_turn(x, y, z)
@@ -325,7 +325,7 @@ def _turn(state: FloatArray, x: float, y: float, z: float, out: FloatArray) -> N
     out[3] = q3 + (q3 * c - q0 * a - q1 * b - q2 * d)
 
 
-@part(**_OPTIONS)
+@part(**OPTIONS)
 def _advance(state: FloatArray, carry: FloatArray, x: float, y: float, z: float) -> None:
     """Turn the state itself, keep its length, and carry the rounding on (Kahan 1965): millions of steps add up."""
     c, s = _half_turn(x, y, z)
@@ -345,7 +345,7 @@ def _advance(state: FloatArray, carry: FloatArray, x: float, y: float, z: float)
         state[k] = following
 
 
-@part(**_OPTIONS)
+@part(**OPTIONS)
 def _between(nodes: FloatArray, node: int, s: float, columns: int, stage: FloatArray) -> None:
     """Surroundings the share s of the way from `node` to the next: Lagrange's cubic through four nodes."""
     a, b = s * (s - 1.0) * (2.0 - s) / 6.0, (s + 1.0) * (s - 1.0) * (s - 2.0) / 2.0
@@ -359,7 +359,7 @@ def _between(nodes: FloatArray, node: int, s: float, columns: int, stage: FloatA
         stage[POSITION + k] = a * nodes[n - 1, k] + b * nodes[n, k] + c * nodes[n + 1, k] + d * nodes[n + 2, k]
 
 
-@part(**_OPTIONS)
+@part(**OPTIONS)
 def _at_end(nodes: FloatArray, node: int, s: float, stage: FloatArray) -> None:
     """All the surroundings at the end of a step, which mostly is a node."""
     if s < 1.0:
@@ -369,7 +369,7 @@ def _at_end(nodes: FloatArray, node: int, s: float, stage: FloatArray) -> None:
         stage[POSITION + k] = nodes[node + 1, k]
 
 
-@part(**_OPTIONS)
+@part(**OPTIONS)
 def _log(state: FloatArray, wheels: FloatArray, stage: FloatArray, out: FloatArray) -> None:
     for k in range(4):
         out[k] = state[k]
@@ -381,7 +381,7 @@ def _log(state: FloatArray, wheels: FloatArray, stage: FloatArray, out: FloatArr
         out[13 + j] = _wheel_speed(wheels[j], state[7 + j], stage)
 
 
-@part(**_OPTIONS)
+@part(**OPTIONS)
 def _see(
     knowledge: FloatArray,
     target: FloatArray,
@@ -410,7 +410,7 @@ def _see(
             reading[layout.WHEEL_MOMENTUM + k] += momentum * wheels[j, k]
 
 
-@part(**_OPTIONS)
+@part(**OPTIONS)
 def _seen_attitude(target: FloatArray, stage: FloatArray, reading: FloatArray) -> None:
     """Turn and rate of B relative to the target, and the wanted axis in B.
 
@@ -438,7 +438,7 @@ def _seen_attitude(target: FloatArray, stage: FloatArray, reading: FloatArray) -
         reading[layout.TARGET_RATE + i] = turning[i]
 
 
-@part(**_OPTIONS)
+@part(**OPTIONS)
 def _orbital_frame(stage: FloatArray) -> Any:
     """Axes of O in N (z nadir, y negative orbit normal), and the rate r x v / r^2."""
     rx, ry, rz = stage[POSITION], stage[POSITION + 1], stage[POSITION + 2]
@@ -451,7 +451,7 @@ def _orbital_frame(stage: FloatArray) -> Any:
     return x, y, z, (nx / squared, ny / squared, nz / squared)
 
 
-@part(**_OPTIONS)
+@part(**OPTIONS)
 def _act(
     packed: FloatArray,
     slots: Any,

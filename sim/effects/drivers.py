@@ -18,6 +18,7 @@ PanelKind = Literal["zenith", "tracking", "constant"]
 
 STANDARD_SWING_K = 20.0
 """Swing of the equilibrium temperature between shadow and sun where no temperature was recorded."""
+_REMEMBERED = 8
 
 
 def lit(setting: Setting) -> FloatArray:
@@ -70,6 +71,14 @@ def temperature_K(setting: Setting, time_constant_s: float) -> FloatArray:
     column = known_column(setting, "temperature_degC")
     if column is not None:
         return column
+    if time_constant_s not in setting.lags_K:  # a fit asks for the same one thousands of times
+        while len(setting.lags_K) >= _REMEMBERED:
+            del setting.lags_K[next(iter(setting.lags_K))]
+        setting.lags_K[time_constant_s] = _lag_K(setting, time_constant_s)
+    return setting.lags_K[time_constant_s]
+
+
+def _lag_K(setting: Setting, time_constant_s: float) -> FloatArray:
     goal = STANDARD_SWING_K * lit(setting)
     seconds, period_s = setting.seconds, orbital_period_s(setting)
     start = float(goal.mean())

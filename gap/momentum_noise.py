@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cholesky, qr, solve_triangular
+from scipy.linalg import cholesky, qr, qr_multiply, solve_triangular
 
 from fluxtwin.gap.momentum_windows import Windows
 from fluxtwin.gap.problem import Budget
@@ -177,13 +177,14 @@ def _likelihood(
     whitener = MomentumWhitener(windows, noise)
     white = whitener.apply(residual).reshape(-1)
     design = whitener.apply(saturated).reshape(white.size, saturated.shape[2])
-    Q, R, _ = qr(design / np.maximum(np.linalg.norm(saturated.reshape(white.size, saturated.shape[2]), axis=0), 1e-300),
-                 mode="economic", pivoting=True)  # fmt: skip
+    design /= np.maximum(np.linalg.norm(saturated.reshape(white.size, saturated.shape[2]), axis=0), 1e-300)
+    # Only what Q makes of one vector is wanted, not Q: half the time.
+    along, R, _ = qr_multiply(design, white, mode="right", pivoting=True)
     size = np.abs(np.diag(R))
     kept = size > 1e-7 * max(float(size.max(initial=0.0)), 1e-300)
-    rest = white - Q[:, kept] @ (Q[:, kept].T @ white)
     free = max(whitener.measured - int(kept.sum()), 1)
-    chi2 = max(float(rest @ rest), 1e-300)
+    whole = float(white @ white)
+    chi2 = max(whole - float(along[kept] @ along[kept]), 1e-14 * whole, 1e-300)  # not less than rounding
     sigma = float(np.sqrt(chi2 / free))
     value = -0.5 * (whitener.log_determinant + 2.0 * float(np.log(size[kept]).sum()) + free * np.log(chi2 / free))
     if declared is not None:

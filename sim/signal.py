@@ -286,8 +286,10 @@ class Signal:
         return dataclasses.replace(self, stray_B_nT=before + extra_B_nT)
 
     def with_reading(self, reading_B_nT: FloatArray) -> Signal:
-        """Another reading."""
-        return dataclasses.replace(self, reading_B_nT=reading_B_nT)
+        """Another reading. Each effect of the sensor makes one: copied by hand, which takes a tenth of the time."""
+        changed = object.__new__(Signal)
+        changed.__dict__.update(self.__dict__, reading_B_nT=reading_B_nT)
+        return changed
 
 
 def start(setting: Setting) -> Signal:

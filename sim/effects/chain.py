@@ -1,14 +1,16 @@
 """The chain with effects in it: stage by stage, in nature's order.
 
 `Chain` remembers the baseline's signal at every stage, and the last one it computed with effects, so an effect on
-the sensor costs no field evaluation.
+the sensor costs no field evaluation; of a record that is not long, also the signal after each effect of a stage.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import operator
 from collections.abc import Sequence
 from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 
@@ -24,6 +26,9 @@ Active = tuple[Effect, FloatArray]
 """An effect and its parameters."""
 
 _Key = tuple[tuple[int, bytes], ...]
+_Step = tuple[SignalEffect, FloatArray, tuple[int, bytes]]
+_STEP_BY_STEP_ROWS = 20_000
+"""Records of so many rows are remembered effect by effect: some tens of signals, half a megabyte each."""
 
 
 class Chain:
@@ -32,6 +37,7 @@ class Chain:
     def __init__(self, setting: Setting) -> None:
         self.setting = setting
         self._latest: dict[int, tuple[_Key, Sequence[Active], Signal]] = {}
+        self._steps: dict[int, list[tuple[_Key, Sequence[Active], Signal]]] = {}
 
     @cached_property
     def _baseline(self) -> dict[str, Signal]:
@@ -52,13 +58,17 @@ class Chain:
 
     def signal(self, active: Sequence[Active] = ()) -> Signal:
         """The signal at the end of the chain with these signal effects on."""
-        wanted = [pair for pair in active if isinstance(pair[0], SignalEffect) and np.any(pair[1])]
+        wanted = [pair for pair in active if isinstance(pair[0], SignalEffect) and _on(pair[1])]
         if not wanted:
             return self._baseline["telemetry"]
         stop_if_asked()
-        first = min(STAGES.index(effect.stage) for effect, _ in wanted)
+        here: list[list[_Step]] = [[] for _ in STAGES]
+        for number, stage in enumerate(STAGES):
+            for effect, theta in _applied(self.setting, wanted, stage, None):
+                here[number].append((effect, theta, (id(effect), theta.tobytes())))
+        first = next(number for number, steps in enumerate(here) if steps)
+        keys = list(accumulate((tuple(step[2] for step in steps) for steps in here), operator.add))
         signal, begin = self._baseline[STAGES[first]], first
-        keys = [_key(wanted, number) for number in range(len(STAGES))]
         for number in range(len(STAGES) - 1, first - 1, -1):
             # The signal after a stage depends on the effects up to that stage only.
             if number in self._latest and self._latest[number][0] == keys[number]:
@@ -67,8 +77,25 @@ class Chain:
         for number in range(begin, len(STAGES)):
             if number > first:
                 signal = _enter(STAGES[number], signal)
-            signal = _fold(signal, wanted, STAGES[number])
+            signal = self._folded(signal, wanted, number, here[number], keys[number - 1] if number else ())
             self._latest[number] = (keys[number], wanted, signal)  # the effects are kept: ids stay theirs
+        return signal
+
+    def _folded(
+        self, signal: Signal, active: Sequence[Active], number: int, steps: Sequence[_Step], before: _Key
+    ) -> Signal:
+        """The effects of a stage, from the first on that is not as it was the last time; before: key of what is upstream."""
+        brief = signal.rows <= _STEP_BY_STEP_ROWS
+        known, made, key = self._steps.get(number, []), [], before
+        for place, (effect, theta, own) in enumerate(steps):
+            key = (*key, own)
+            if place < len(known) and known[place][0] == key:
+                signal = known[place][2]
+            else:
+                known, signal = [], effect.apply(signal, theta)
+            if brief:
+                made.append((key, active, signal))
+        self._steps[number] = made
         return signal
 
     def simulated(self, active: Sequence[Active], seed: int, noise_nT: FloatArray | None = None) -> Signal:
@@ -115,10 +142,9 @@ def jacobian(
     return np.stack(columns, axis=-1)
 
 
-def _key(active: Sequence[Active], last: int) -> _Key:
-    """What the signal after stage number `last` depends on."""
-    upstream = [pair for pair in active if STAGES.index(pair[0].stage) <= last]
-    return tuple((id(effect), np.asarray(theta, dtype=np.float64).tobytes()) for effect, theta in upstream)
+def _on(theta: FloatArray) -> bool:
+    """Whether any of a few parameters is not zero; numpy's `any` takes ten times as long."""
+    return any(np.asarray(theta).tolist())
 
 
 def _enter(stage: str, signal: Signal) -> Signal:
@@ -140,14 +166,25 @@ def _enter(stage: str, signal: Signal) -> Signal:
 
 def _fold(signal: Signal, active: Sequence[Active], stage: str, after_noise: bool | None = None) -> Signal:
     """The signal effects of a stage; all of them, or only those before or after the noise."""
-    # What was reported wrong in one order is put right in the opposite one: rotations do not commute.
-    back = stage == "attitude" and signal.setting.direction == "predict"
-    here = [pair for pair in active if pair[0].stage == stage and np.any(pair[1])]
-    for late in (False, True) if after_noise is None else (after_noise,):
-        for effect, theta in reversed(here) if back else here:
-            if isinstance(effect, SignalEffect) and effect.after_noise == late:
-                signal = effect.apply(signal, np.asarray(theta, dtype=np.float64))
+    for effect, theta in _applied(signal.setting, active, stage, after_noise):
+        signal = effect.apply(signal, theta)
     return signal
+
+
+def _applied(
+    setting: Setting, active: Sequence[Active], stage: str, after_noise: bool | None
+) -> list[tuple[SignalEffect, FloatArray]]:
+    """What `_fold` applies, in its order."""
+    here = [
+        (effect, np.asarray(theta, dtype=np.float64))
+        for effect, theta in active
+        if effect.stage == stage and isinstance(effect, SignalEffect) and _on(theta)
+    ]
+    if stage == "attitude" and setting.direction == "predict":
+        # What was reported wrong in one order is put right in the opposite one: rotations do not commute.
+        here.reverse()
+    wanted = (False, True) if after_noise is None else (after_noise,)
+    return [pair for late in wanted for pair in here if pair[0].after_noise == late]
 
 
 def _draw(signal: Signal, active: Sequence[Active], stage: str, seed: int, after_rounding: bool) -> Signal:

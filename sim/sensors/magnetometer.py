@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -59,7 +60,11 @@ class Magnetometer:
         corrected = np.atleast_2d(np.asarray(field_B_nT, dtype=np.float64)) - self.b_nT
         if self.T_nT_per_Am2 is not None and dipole_B_Am2 is not None:
             corrected = corrected - np.atleast_2d(dipole_B_Am2) @ self.T_nT_per_Am2.T
-        return np.asarray(np.einsum("nk,mk->nm", corrected, np.linalg.inv(np.eye(3) + self.S)), dtype=np.float64)
+        return np.asarray(np.einsum("nk,mk->nm", corrected, self._inverse), dtype=np.float64)
+
+    @cached_property
+    def _inverse(self) -> FloatArray:
+        return np.asarray(np.linalg.inv(np.eye(3) + self.S))
 
     def digitise(self, reading_nT: FloatArray) -> FloatArray:
         """Saturate at full scale, then round to the nearest multiple of the LSB, in that order."""

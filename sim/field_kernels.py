@@ -24,6 +24,9 @@ from fluxtwin.sim.types import FloatArray
 
 _FAST = {"contract"}  # fused multiply-add: one rounding instead of two, nothing is reordered
 
+_REMEMBERED_SIZE = 1000
+"""Tables of so many coefficients are remembered: to degree 30, 36 kB each."""
+
 
 def fold(coefficients_nT: FloatArray) -> FloatArray:
     """Table of the field, for `synthesize`, from Gauss coefficients (K,). Shape (rows, 7).
@@ -31,7 +34,15 @@ def fold(coefficients_nT: FloatArray) -> FloatArray:
     Row by row: m = 0..top, and within it k = m..top, with top = degree + 1; each row holds beta and the
     factors of A and B in B_x, B_y and B_z. The degrees above the last non-zero coefficient are left out.
     """
-    return _table(_gradient(*_gauss_normalised(coefficients_nT)))
+    if coefficients_nT.size > _REMEMBERED_SIZE:
+        return _table(_gradient(*_gauss_normalised(coefficients_nT)))
+    return _folded(np.asarray(coefficients_nT, dtype=np.float64).tobytes())
+
+
+@lru_cache(maxsize=64)
+def _folded(coefficients_nT: bytes) -> FloatArray:
+    """A trend has few sets of coefficients, and is asked for at many times; nobody writes into the table."""
+    return _table(_gradient(*_gauss_normalised(np.frombuffer(coefficients_nT))))
 
 
 def fold_gradient(coefficients_nT: FloatArray) -> list[FloatArray]:

@@ -431,3 +431,18 @@ def test_a_replay_has_every_effect(effect, replayed, chain, run, close):
     if isinstance(effect, SignalEffect):
         predicted = chain.reading_nT([(effect, theta)])
         close(telemetry.mag_B_nT, predicted, atol=1e-6, unit="nT", because="one chain: rounding of 5e4 nT")
+
+
+def test_what_a_chain_remembers_changes_no_answer(scenario, run):
+    """Whatever was asked before, a chain that has been used answers as a fresh one does, to the last bit."""
+    used, rng = predicting(scenario, run[0]), np.random.default_rng(7)
+    signals = [effect for effect in CATALOGUE if isinstance(effect, SignalEffect)]
+    on = []
+    for _ in range(40):
+        place = int(rng.integers(len(signals)))
+        effect = signals[place]
+        on = [pair for pair in on if pair[0] is not effect]  # moved, switched off, or switched on
+        if rng.random() < 0.7:
+            size = [min(max(0.1 * rng.normal() * p.scale, p.low), p.high) for p in effect.parameters]
+            on = sorted([*on, (effect, np.array(size))], key=lambda pair: signals.index(pair[0]))
+        assert np.array_equal(used.reading_nT(on), Chain(used.setting).reading_nT(on), equal_nan=True)

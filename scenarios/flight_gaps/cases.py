@@ -35,6 +35,8 @@ class Case:
     """What an answer should say, in words; empty: nothing was foretold."""
     agrees: Callable[[Diagnosis], bool] | None = None
     """Whether it says so."""
+    right: tuple[str, ...] = ()
+    """The names of the cause; every other name in an answer is wrong."""
 
 
 def names_of(found: Diagnosis) -> set[str]:
@@ -71,6 +73,7 @@ def _storm(folder: Path, settings: Settings) -> Iterator[Case]:
         "storm-none", STORM, "Swarm A in the storm, nothing modelled", make, (), "a ring current",
         "the names compete: ring_current does not stand first by itself",
         lambda found: not found.effects or tuple(found.effects[0].group) != ("ring_current",),
+        ("ring_current", "bias", "scale_misalignment"),
     )  # fmt: skip
     yield Case(
         "storm-default", STORM, "the same, b and S modelled", make, DEFAULT_MODELLED, "a ring current",
@@ -81,21 +84,22 @@ def _storm(folder: Path, settings: Settings) -> Iterator[Case]:
 def _magsat(folder: Path, settings: Settings) -> Iterator[Case]:
     def case(
         name: str, title: str, model: Callable[[], FieldModel], known: str, expected: str,
-        agrees: Callable[[Diagnosis], bool] | None,
+        agrees: Callable[[Diagnosis], bool] | None, right: tuple[str, ...] = (),
     ) -> Case:  # fmt: skip
         def make() -> tuple[Telemetry, FieldModel]:
             return magsat_record(folder, settings)[0], model()
 
-        return Case(name, MAGSAT, title, make, DEFAULT_MODELLED, known, expected, agrees)
+        return Case(name, MAGSAT, title, make, DEFAULT_MODELLED, known, expected, agrees, right)
 
     yield case(
         "magsat-degree-8", "MAGSAT, IGRF-14 cut at degree 8", models.degree_8, "degrees 9 to 13 are missing",
         "field_truncation among the confirmed", lambda found: "field_truncation" in names_of(found),
+        ("field_truncation",),
     )  # fmt: skip
     yield case(
         "magsat-igrf1975-held", "MAGSAT, IGRF 1975 as of 1975.0", lambda: models.held_back(load_field("igrf1975")),
         "five years of secular variation, and the errors of IGRF 1975", "field_epoch takes a part",
-        lambda found: "field_epoch" in names_of(found),
+        lambda found: "field_epoch" in names_of(found), ("field_epoch", "field_truncation"),
     )  # fmt: skip
     yield case(
         "magsat-igrf1975-carried", "MAGSAT, IGRF 1975 brought to 1980",
@@ -149,11 +153,12 @@ def _aircraft(folder: Path, settings: Settings) -> Iterator[Case]:
     known = {"bias": "permanent", "scale_misalignment": "induced", "eddy_current": "eddy-current"}
     yield Case(
         "aircraft-none", AIRCRAFT, "Aircraft, nothing modelled", make, (), "permanent, induced and eddy-current terms",
-        "bias, scale_misalignment and eddy_current", lambda found: set(_EDDY) <= names_of(found),
+        "bias, scale_misalignment and eddy_current", lambda found: set(_EDDY) <= names_of(found), _EDDY,
     )  # fmt: skip
     for name in _EDDY:
         yield Case(
             f"aircraft-{name}", AIRCRAFT, f"Aircraft, the {known[name]} terms withheld", make,
             tuple(other for other in _EDDY if other != name), f"{known[name]} terms", name,
             lambda found, name=name: {effect.name for effect in found.effects} == {name},  # type: ignore[misc]
+            (name,),
         )  # fmt: skip

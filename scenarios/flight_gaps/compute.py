@@ -15,7 +15,7 @@ from fluxtwin.gap.records import Diagnosis
 from fluxtwin.scenarios.flight_field.tracks import read_kp
 from fluxtwin.scenarios.flight_gaps import models, readers, records
 from fluxtwin.scenarios.flight_gaps.alone import Alone, alone, least_squares, visible_nT
-from fluxtwin.scenarios.flight_gaps.cases import DMSP, Case, cases, magsat_record, storm_record
+from fluxtwin.scenarios.flight_gaps.cases import DMSP, Case, cases, magsat_record, names_of, storm_record
 from fluxtwin.scenarios.flight_gaps.settings import Settings
 from fluxtwin.scenarios.flight_gaps.tolles_lawson import Coefficients, coefficients
 from fluxtwin.sim import frames
@@ -47,6 +47,11 @@ class Answer:
     def agrees(self) -> bool | None:
         """Whether it is as expected; None where nothing was foretold."""
         return None if self.case.agrees is None else self.case.agrees(self.found)
+
+    @property
+    def wrong(self) -> list[str]:
+        """Names in the answer that are no cause here, in order."""
+        return sorted(names_of(self.found) - set(self.case.right))
 
     @property
     def left_nT(self) -> FloatArray:

@@ -27,7 +27,7 @@ def summary(outcome: Outcome, settings: Settings) -> dict[str, Any]:
         "cases": [
             {
                 "name": answer.case.name, "title": answer.case.title, "known": answer.case.known,
-                "expected": answer.case.expected or None, "agrees": answer.agrees,
+                "expected": answer.case.expected or None, "agrees": answer.agrees, "wrong": answer.wrong,
                 "doubts": words.doubts(answer), "diagnosis": answer.found.to_dict(),
             }
             for answer in outcome.answers
@@ -109,7 +109,7 @@ def page(outcome: Outcome, settings: Settings) -> Page:
 def answers_table(outcome: Outcome) -> Table:
     """Every case in a row."""
     rows: list[list[Cell]] = [
-        [answer.case.title, answer.case.known, answer.case.expected, _said(answer), _agrees(answer)]
+        [answer.case.title, answer.case.known, answer.case.expected, _said(answer), words.as_foretold(answer)]
         for answer in outcome.answers
     ]
     return Table(
@@ -122,7 +122,7 @@ def answers_table(outcome: Outcome) -> Table:
 
 def short_table(outcome: Outcome) -> Table:
     """The same for the terminal."""
-    rows = [[answer.case.title, _said(answer), _agrees(answer)] for answer in outcome.answers]
+    rows = [[answer.case.title, _said(answer), words.as_foretold(answer)] for answer in outcome.answers]
     return Table("Every case", ["record", "said", "as foretold"], rows)
 
 
@@ -131,10 +131,6 @@ def _said(answer: Answer) -> str:
     said = found.verdict if not found.effects else f"{found.verdict}: {words.names(found)}"
     said += f", stage {found.where.stage}" if found.where.stage else ""
     return said + (f"; resembles {', '.join(found.resembles)}" if found.resembles else "")
-
-
-def _agrees(answer: Answer) -> str:
-    return "nothing foretold" if answer.agrees is None else "yes" if answer.agrees else "no"
 
 
 def storm_table(outcome: Outcome) -> Table:

@@ -15,11 +15,21 @@ SUSPICIOUS = 100.0
 
 def verdict(outcome: Outcome) -> str:
     """The status line of the study."""
-    judged = [answer for answer in outcome.answers if answer.agrees is not None]
-    met = sum(bool(answer.agrees) for answer in judged)
+    foretold = [answer for answer in outcome.answers if answer.agrees is not None]
+    met = [answer for answer in foretold if answer.agrees]
+    spoilt = sum(bool(answer.wrong) for answer in met)
     return (
-        f"{met} of {len(judged)} answers to records that flew are as foretold; what went wrong in the others is told."
+        f"{len(met) - spoilt} of {len(foretold)} answers to records that flew are as foretold, {spoilt} more but with a "
+        f"wrong name beside the right one, {len(foretold) - len(met)} are not."
     )
+
+
+def as_foretold(answer: Answer) -> str:
+    """Whether the answer says what was foretold, and what else it says."""
+    if answer.agrees is None:
+        return "nothing foretold"
+    wrong = f"; wrong: {', '.join(answer.wrong)}" if answer.wrong else ""
+    return ("yes" if answer.agrees else "no") + wrong
 
 
 def names(found: Diagnosis) -> str:

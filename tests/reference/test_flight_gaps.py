@@ -159,6 +159,19 @@ def test_the_eddy_currents_of_the_aircraft_are_named(quick: compute.Outcome) -> 
     assert answer.found.gap.shape_incomplete, "the antisymmetric part of the published terms has no effect"
 
 
+def test_a_wrong_name_beside_the_right_one_is_said(quick: compute.Outcome) -> None:
+    eddy = quick.answer("aircraft-eddy_current")
+    assert words.as_foretold(eddy) == "yes"
+    (effect,) = eddy.found.effects
+    two = dataclasses.replace(eddy.found, effects=(effect, dataclasses.replace(effect, name="hysteresis", group=())))
+    case = dataclasses.replace(eddy.case, agrees=lambda found: "eddy_current" in cases.names_of(found))
+    spoilt = dataclasses.replace(eddy, found=two, case=case)
+    assert words.as_foretold(spoilt) == "yes; wrong: hysteresis"
+    untold = dataclasses.replace(eddy, case=dataclasses.replace(case, agrees=None))
+    told = words.verdict(dataclasses.replace(quick, answers=[eddy, spoilt, quick.answer("storm-default"), untold]))
+    assert told.startswith("2 of 3 answers to records that flew are as foretold, 1 more but with a wrong name")
+
+
 def test_models_that_are_wrong_in_a_known_way(close: Callable[..., None]) -> None:
     igrf1975 = load_field("igrf1975")
     start, end = np.datetime64("1975-01-01", "ns"), np.datetime64("1980-01-01", "ns")

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fluxtwin.plots import style
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.types import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,9 @@ class ParameterScatter:
     truth: FloatArray
     """(K,)."""
     printed: FloatArray
-    """(D, K) magnitudes printed in the paper, NaN where there is none."""
+    """(D, K) values printed in the paper, NaN where there is none."""
+    signed: BoolArray
+    """(D,) data sets whose printed values have their signs; of the others both are drawn."""
 
 
 @dataclass(frozen=True)
@@ -49,28 +51,38 @@ class NodeMisfit:
 
 
 def draw_scatter(record: ParameterScatter, *, title: str) -> Figure:
-    """One panel a parameter: spread of the estimates per data set, truth, and the printed magnitude."""
+    """One panel a parameter: spread of the estimates per data set, truth, and what is printed."""
     rows = int(np.ceil(len(record.names) / 3))
-    figure, grid = style.figure(7.2, 2.0 * rows, rows=rows, cols=3)
+    figure, grid = style.figure(7.2, 2.0 * rows + 0.6, rows=rows, cols=3)
     all_axes = [axes for row in grid for axes in row]
     places = np.arange(len(record.data_sets))
     largest = np.max(np.abs(np.nanpercentile(record.estimates, [2.5, 97.5], axis=0)), axis=(0, 1))
     marked = np.maximum(largest, np.nanmax(np.abs(record.printed), axis=0))
     limits = [marked[column::3].max() for column in range(3)]
+    either = ~record.signed
     for number, (axes, name) in enumerate(zip(all_axes, record.names, strict=False)):
         low, middle, high = np.nanpercentile(record.estimates[:, :, number], [2.5, 50.0, 97.5], axis=0)
-        axes.vlines(places, low, high, color=style.BLUE, linewidth=4, alpha=0.6)
-        axes.plot(places, middle, "_", color=style.BLUE, markersize=10)
-        sign = np.sign(record.truth[number]) or 1.0
-        axes.plot(places, sign * record.printed[:, number], "x", color=style.PAPER, markersize=6)
-        axes.axhline(record.truth[number], color="black", linewidth=0.8)
+        printed = record.printed[:, number]
+        axes.vlines(places, low, high, color=style.BLUE, linewidth=4, alpha=0.6, label="95 % of the simulated runs")
+        axes.plot(places, middle, "_", color=style.BLUE, markersize=10, label="their median")
+        axes.plot(
+            places[record.signed], printed[record.signed], "x", color=style.PAPER, markersize=6,
+            label="printed, with its sign",
+        )  # fmt: skip
+        axes.plot(
+            np.tile(places[either], 2), np.concatenate([printed[either], -printed[either]]), "o", color=style.PAPER,
+            markersize=4, markerfacecolor="none", label="printed without a sign: both are drawn",
+        )  # fmt: skip
+        axes.axhline(record.truth[number], color="black", linewidth=0.8, label="put in")
         axes.set_title(name)
         axes.set_xticks(places, record.data_sets, rotation=60, fontsize=7)
-        limit = 1.05 * limits[number % 3]
+        limit = 1.1 * limits[number % 3]
         axes.set_ylim(-limit, limit)
         if number % 3 == 0:
             axes.set_ylabel("value [1]")
     figure.suptitle(title)
+    handles, labels = all_axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8)
     return figure
 
 
@@ -110,7 +122,7 @@ def draw_node_misfit(record: NodeMisfit, *, title: str) -> Figure:
     )
     axes.set(
         title=title,
-        xlabel="right ascension of the node, 0 h UTC of day 205 [deg]",
+        xlabel="right ascension of the node, 0 h UTC of day 205 of 1978 [deg]",
         ylabel="misfit [% of the orbit]",
     )
     axes.set_xlim(0, 360)

@@ -34,6 +34,8 @@ class NullTests:
 
     median_deg: float
     nulls_deg: Mapping[str, float]
+    ends: int
+    """How many ends each median is of."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +118,7 @@ def draw_nulls(record: NullTests, *, title: str) -> Figure:
     bars = axes.bar(np.arange(len(names)), values, 0.6, color=[style.BLUE] + [style.ORANGE] * len(record.nulls_deg))
     axes.bar_label(bars, fmt="%.2f", fontsize=8)
     axes.set_xticks(np.arange(len(names)), [textwrap.fill(name, 15) for name in names])
-    axes.set(title=title, ylabel="median error of 48 ends [deg]")
+    axes.set(title=title, ylabel=f"median error of {record.ends} ends [deg]")
     return figure
 
 

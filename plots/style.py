@@ -10,10 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, TypeAlias, cast
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.text import Text
+
+from fluxtwin.sim.types import FloatArray
 
 AxesGrid: TypeAlias = list[list[Axes]]
 """Axes of a figure, row by row: `grid[row][column]`."""
@@ -133,6 +136,20 @@ def note(axes: Axes, text: str, x: float = 0.02, y: float = 0.96) -> None:
         bbox={"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.5},
     )
     _plain(written)
+
+
+def mark_beyond(axes: Axes, x: FloatArray, y: FloatArray, *, colour: str, size: float = 5.0) -> None:
+    """A triangle at the edge of the panel, pointing out, for each point (x, y) above or below it; limits are left alone.
+
+    x, y: (N,) in data coordinates; NaN is no point.
+    """
+    low, high = axes.get_ylim()
+    for beyond, edge, marker in ((y > high, 1.0, 6), (y < low, 0.0, 7)):  # caretup, caretdown: the tip is the point
+        if beyond.any():
+            axes.plot(
+                x[beyond], np.full(int(beyond.sum()), edge), linestyle="", marker=marker, markersize=size, color=colour,
+                transform=axes.get_xaxis_transform(), scalex=False, clip_on=False,
+            )  # fmt: skip
 
 
 def zero_line(axes: Axes) -> None:

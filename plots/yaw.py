@@ -29,7 +29,21 @@ class YawComparison:
     """(M,) middle of each averaging window."""
     mean_deg: FloatArray
     """(M,) magnetometer solution averaged over the window."""
+    mean_sun_deg: FloatArray
+    """(M,) sun-sensor solution averaged alike."""
+    near_node: BoolArray
+    """(M,) windows near the equator."""
     window_s: float
+
+    @property
+    def mean_error_deg(self) -> FloatArray:
+        """(M,) averaged magnetometer less sun sensor, within half a turn."""
+        return np.asarray((self.mean_deg - self.mean_sun_deg + 180.0) % 360.0 - 180.0)
+
+    @property
+    def nearer(self) -> BoolArray:
+        """(M,) windows in which that is nearer to the sun-sensor solution than yaw = 0 is."""
+        return np.asarray(np.abs(self.mean_error_deg) < np.abs(self.mean_sun_deg))
 
 
 @dataclass(frozen=True)
@@ -68,18 +82,36 @@ class YawSigma:
 
 
 def draw_mean_bias(record: YawComparison, *, title: str) -> Figure:
-    """Figure 1: sun sensor dashed, averaged magnetometer dotted, and the trivial solution yaw = 0."""
+    """Figure 1: averages of the sun sensor dashed, of the magnetometer dotted, and the trivial solution yaw = 0.
+
+    Shaded: the windows in which yaw = 0 is the worse estimate; bars above: near the nodes.
+    """
     figure, ((axes,),) = style.figure(7.2, 4.0)
-    axes.plot(record.minutes, record.sun_deg, color="black", linestyle="--", linewidth=1.4, label="sun sensor")
+    half = record.window_s / 120.0
+    for number, minute in enumerate(record.mean_minutes[record.nearer]):
+        axes.axvspan(
+            minute - half, minute + half, color=style.PALE, alpha=0.7, linewidth=0,
+            label=None if number else "magnetometer nearer than yaw = 0",
+        )  # fmt: skip
+    ends = record.mean_minutes[record.near_node] + half * np.array([[-1.0], [1.0]])
+    axes.plot(
+        ends, np.ones_like(ends), color=style.GREY, linewidth=5, solid_capstyle="butt",
+        transform=axes.get_xaxis_transform(), label=["near the equator"] + [""] * (ends.shape[1] - 1),
+    )  # fmt: skip
+    _dashed(axes, record)
     _dotted(axes, record)
-    axes.legend(loc="best", frameon=True)
+    axes.legend(loc="lower left", frameon=True)
     axes.set(title=title, xlabel="time from the start of the orbit [min]", ylabel="yaw [deg]")
+    axes.set_xlim(record.minutes[0], record.minutes[-1])
     _zero(axes)
     return figure
 
 
 def draw_full(record: YawComparison, *, title: str, panels: int = 3) -> Figure:
-    """Figure 2: single solutions as broken lines with X and Y at the bit changes, in `panels` panels."""
+    """Figure 2: single solutions as broken lines with X and Y at the bit changes, in `panels` panels.
+
+    What lies beyond a panel is marked by triangles at its edge.
+    """
     figure, grid = style.figure(7.2, 2.9 * panels, rows=panels)
     all_axes = [row[0] for row in grid]
     edges = np.linspace(record.minutes[0], record.minutes[-1], panels + 1)
@@ -88,19 +120,19 @@ def draw_full(record: YawComparison, *, title: str, panels: int = 3) -> Figure:
     pad = 0.2 * (high - low)
     for number, axes in enumerate(all_axes):
         inside = (record.minutes >= edges[number]) & (record.minutes <= edges[number + 1])
-        axes.plot(
-            record.minutes[inside], record.sun_deg[inside], color="black", linestyle="--", linewidth=1.4,
-            label="sun sensor",
-        )  # fmt: skip
+        _dashed(axes, record)
         _broken(axes, record, inside)
         _dotted(axes, record)
         axes.set(xlim=(edges[number], edges[number + 1]), ylim=(low - pad, high + pad), ylabel="yaw [deg]")
         axes.text(0.01, 0.95, f"{number + 1} of {panels}", transform=axes.transAxes, va="top", fontsize=8)
+        means = (record.mean_minutes >= edges[number]) & (record.mean_minutes <= edges[number + 1])
+        style.mark_beyond(axes, record.minutes[inside], record.magnetometer_deg[inside], colour=style.BLUE, size=4.0)
+        style.mark_beyond(axes, record.mean_minutes[means], record.mean_deg[means], colour=style.VERMILION, size=8.0)
         _zero(axes)
     figure.suptitle(title)
     handles, labels = all_axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8)
-    all_axes[-1].set_xlabel("time from the start of the orbit [min]")
+    all_axes[-1].set_xlabel("time from the start of the orbit [min]; triangles at an edge: beyond the panel")
     return figure
 
 
@@ -149,6 +181,8 @@ def draw_sigma(record: YawSigma, *, title: str) -> Figure:
     figure, ((along, worst),) = style.figure(7.2, 3.6, cols=2)
     along.semilogy(record.latitude_deg, record.sigma_deg, color=style.BLUE)
     along.axhline(record.printed_deg, color="black", linestyle="--", linewidth=0.8)
+    along.annotate("printed", (0.5, record.printed_deg), (0, 3), xycoords=("axes fraction", "data"), fontsize=8,
+                   textcoords="offset points", ha="center")  # fmt: skip
     along.set(xlabel="geocentric latitude [deg]", ylabel="sigma of yaw, equation 14 [deg]", title="one orbit")
     for values, label, colour in (
         (record.worst_orbit_deg, "one orbit", style.BLUE),
@@ -164,12 +198,12 @@ def draw_sigma(record: YawSigma, *, title: str) -> Figure:
 
 
 def _broken(axes: Axes, record: YawComparison, inside: BoolArray) -> None:
-    """Single solutions, the line broken where a bit changes, with the letter of the axis at the break."""
-    change = record.change_x | record.change_y
-    values = np.where(change, np.nan, record.magnetometer_deg)
+    """Single solutions, the line broken before a bit change, with the letter of the axis on the first sample after it."""
+    rows = np.flatnonzero(inside)
+    breaks = np.flatnonzero((record.change_x | record.change_y)[rows])
     axes.plot(
-        record.minutes[inside],
-        values[inside],
+        np.insert(record.minutes[rows], breaks, np.nan),
+        np.insert(record.magnetometer_deg[rows], breaks, np.nan),
         color=style.BLUE,
         linewidth=0.9,
         label="magnetometer, each sample",
@@ -183,6 +217,13 @@ def _broken(axes: Axes, record: YawComparison, inside: BoolArray) -> None:
             record.minutes[rows], record.magnetometer_deg[rows], marker=f"${letter}$", s=16, linewidths=0.2,
             color=colour, label=f"{letter} bit change", zorder=3,
         )  # fmt: skip
+
+
+def _dashed(axes: Axes, record: YawComparison) -> None:
+    axes.plot(
+        record.mean_minutes, record.mean_sun_deg, color="black", linestyle="--", linewidth=1.4,
+        label=f"sun sensor, {record.window_s:.0f} s means",
+    )  # fmt: skip
 
 
 def _dotted(axes: Axes, record: YawComparison) -> None:

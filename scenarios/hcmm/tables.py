@@ -313,7 +313,7 @@ def flight_figures(r: Results) -> list[FigureBlock]:
     scanned = np.array([p.sun_field_read for p in sunlit], dtype=float)
     ranges = pass_plots.AngleRanges(r.flight_test.labels, used, r.flight_test.predicted_deg, used != scanned, scanned)
     wrong = {_NULL_WORDS[name]: value for name, value in r.flight_test.nulls_deg.items()}
-    nulls = pass_plots.NullTests(r.flight_test.median_deg, wrong)
+    nulls = pass_plots.NullTests(r.flight_test.median_deg, wrong, int(r.flight_test.untouched.sum()))
     ideas = pass_plots.Ideas(
         [i.name for i in r.nadir_field.ideas],
         [i.explained for i in r.nadir_field.ideas],
@@ -330,12 +330,15 @@ def flight_figures(r: Results) -> list[FigureBlock]:
             "and does "
             "not fix it.",
             pass_plots.draw_ranges(
-                ranges, title="Predicted and printed sun-field angles", unit="sun-field angle [deg]"
+                ranges,
+                title="Predicted and printed sun-field angles, 29 November to 1 December 1978",
+                unit="sun-field angle [deg]",
             ),
         ),
         FigureBlock(
             "null_tests",
-            "The same test with one thing wrong. Of the field it is the low degrees that are tested: degrees 1 to 4 alone "
+            "The same test with one thing wrong, of the ends whose digits nobody touched. Of the field it is the low "
+            "degrees that are tested: degrees 1 to 4 alone "
             f"make the error {r.flight_test.nulls_deg['degree4'] / r.flight_test.median_deg:.1f} times larger.",
             pass_plots.draw_nulls(nulls, title="Could the test tell?"),
         ),
@@ -396,11 +399,15 @@ def other_figures(r: Results) -> list[FigureBlock]:
         ),
         FigureBlock(
             "figure_3",
-            "As figure 3 of the conference paper: the pass over Winkfield on 29 November 1978, from rise at "
+            "Simulated; drawn as figure 3 of the conference paper: the pass over Winkfield on 29 November 1978, from "
+            "rise at "
             f"{epoch.iso(r.yaw.contact.rise)[11:19]} UTC. Dashed: sun sensor and scanner; lines: magnetometer, sample by "
             "sample, broken where a reading steps by one bit (letters: its axis); dotted: magnetometer averaged over "
             f"{r.yaw.figure.window_s:.0f} s. Error bar by the papers' rule: {r.yaw.error_bar_deg:.2f} deg, printed "
-            f"{quantity('figure 3 error bar'):.2f}.",
-            yaw_plots.draw_pass(r.yaw.figure, r.yaw.error_bar_deg, title="Figure 3: yaw over Winkfield"),
+            f"{quantity('figure 3 error bar'):.2f}; against the true yaw the magnetometer errs by "
+            f"{r.yaw.magnetometer_yaw_rms_deg:.2f} deg rms.",
+            yaw_plots.draw_pass(
+                r.yaw.figure, r.yaw.error_bar_deg, title="Figure 3, simulated: yaw over Winkfield, 1978-11-29"
+            ),
         ),
     ]

@@ -12,6 +12,7 @@ from fluxtwin.plots.yaw import YawComparison
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm_orbit.geometry import angle_between
 from fluxtwin.scenarios.hcmm_orbit.record import read_stations
+from fluxtwin.scenarios.yaw_comparison import compare_yaw
 from fluxtwin.sim import epoch, frames
 from fluxtwin.sim.constants import NT_PER_MG
 from fluxtwin.sim.field import FieldModel, load_field
@@ -107,7 +108,7 @@ def run_yaw(config: Scenario, calibration: Calibration, ground: FieldModel, prog
     winkfield = next(row for row in stations if row.station == "WNK")
     return YawStudy(
         stations=stations,
-        figure=_comparison(flight, solution),
+        figure=compare_yaw(flight.telemetry, solution),
         contact=contact,
         minutes_late=float(epoch.seconds_since(contact.rise, _PRINTED_START)[0] / 60.0),
         sun_nadir_deg=(float(sun_nadir.min()), float(sun_nadir.max())),
@@ -172,22 +173,6 @@ def _scatter(config: Scenario, latitude_deg: float) -> float:
     noisy = field + rng.normal(0.0, SIGMA_B_MG * NT_PER_MG, size=field.shape)
     roll, pitch = rng.normal(0.0, np.radians(SIGMA_DEG), size=(2, _DRAWS))
     return float(np.degrees(np.std(yaw_full(noisy, field, roll, pitch))))
-
-
-def _comparison(flight: mission.Flight, solution) -> YawComparison:  # type: ignore[no-untyped-def]
-    reading = flight.telemetry.mag_B_nT[solution.rows]
-    change = np.vstack([np.zeros((1, 3), dtype=bool), np.diff(reading, axis=0) != 0])
-    start = solution.time[0]
-    return YawComparison(
-        minutes=epoch.seconds_since(solution.time, start) / 60.0,
-        sun_deg=np.degrees(solution.yaw_reference_rad),
-        magnetometer_deg=np.degrees(solution.yaw_first_order_rad),
-        change_x=change[:, 0],
-        change_y=change[:, 1],
-        mean_minutes=epoch.seconds_since(solution.averages.time, start) / 60.0,
-        mean_deg=np.degrees(solution.averages.yaw_rad),
-        window_s=120.0,
-    )
 
 
 def _rms_deg(angle: FloatArray) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from fluxtwin.calib.linear import calibrate_linear
 from fluxtwin.calib.linear_fit import LinearFit
-from fluxtwin.calib.records import parameter_names
+from fluxtwin.calib.records import Calibration, parameter_names
 from fluxtwin.scenarios.seasat import mission
 from fluxtwin.scenarios.seasat.mission import DATA_SETS, Flight
 from fluxtwin.sim import frames
@@ -44,8 +44,8 @@ class CalibrationStudy:
     """(RUNS, 3) mean bias of day 205 with T = S = 0, as in figure 1."""
     white_estimates: FloatArray
     """(WHITE_RUNS, 2, K) as `estimates` for day 205 and all, had the unknown been white noise."""
-    reference_3sigma_deg: float
-    """Three times the rms error of the reference attitude per axis, over all runs."""
+    reference_3sigma_deg: FloatArray
+    """(3,) three times the rms error of the reference attitude about x, y, z: roll, pitch, yaw; over all runs."""
     truth: FloatArray
     """(K,)."""
 
@@ -76,12 +76,12 @@ def run_calibrations(flight: Flight, ground: FieldModel, progress: Progress, run
     estimates = np.empty((runs, len(DATA_SETS), len(NAMES)))
     corrected_estimates = np.empty_like(estimates)
     spread = np.empty((runs, len(DATA_SETS), 3))
-    bias_only, reference_square = np.empty((runs, 3)), np.empty(runs)
+    bias_only, reference_square = np.empty((runs, 3)), np.empty((runs, 3))
     white_estimates = np.full((min(runs, WHITE_RUNS), len(WHITE_SETS), len(NAMES)), np.nan)
     for run in range(runs):
         progress(f"calibration {run + 1} of {runs}", run / runs)
         other = mission.fly(mission.with_random_hours(flight.scenario, flight.scenario.seed + 1 + run))
-        reference_square[run] = _reference_error_square(other)
+        reference_square[run] = np.nanmean(reference_error_rad(other) ** 2, axis=0)
         day_205 = other.telemetry.select(other.rows("205"))
         alone = calibrate_linear(day_205, ground, parameters="b", robust="none", covariance="white")
         bias_only[run] = alone.calibration.b_nT / NT_PER_MG
@@ -98,7 +98,7 @@ def run_calibrations(flight: Flight, ground: FieldModel, progress: Progress, run
         field_rms_mG=spread,
         bias_only_mG=bias_only,
         white_estimates=white_estimates,
-        reference_3sigma_deg=float(3 * np.degrees(np.sqrt(reference_square.mean()))),
+        reference_3sigma_deg=3 * np.degrees(np.sqrt(reference_square.mean(axis=0))),
         truth=truth_vector(flight.scenario),
     )
 
@@ -126,12 +126,22 @@ def _white_estimates(flight: Flight, ground: FieldModel) -> FloatArray:
     return np.stack([_try_both(again, name, ground)[0] for name in WHITE_SETS])
 
 
-def _reference_error_square(flight: Flight) -> float:
-    """Mean square error of the reference attitude per axis [rad2]."""
+def reference_error_rad(flight: Flight) -> FloatArray:
+    """(N, 3) rotation vector in body axes from the true to the reported attitude; NaN where none is reported."""
     assert flight.telemetry.q_NB is not None
-    reported = frames.rotation_from_q(np.array(flight.telemetry.q_NB))
-    error = (reported * frames.rotation_from_q(flight.truth.q_NB).inv()).as_rotvec()
-    return float(np.mean(error**2))
+    known = flight.telemetry.has_attitude
+    error = np.full((known.size, 3), np.nan)
+    reported = frames.rotation_from_q(np.array(flight.telemetry.q_NB)[known])
+    error[known] = (reported * frames.rotation_from_q(flight.truth.q_NB[known]).inv()).as_rotvec()
+    return error
+
+
+def calibrations(flight: Flight, ground: FieldModel) -> tuple[Calibration, Calibration]:
+    """The full calibration of all days, and the mean bias of day 205."""
+    whole = calibrate_linear(flight.telemetry, ground, errors_in_variables=False, robust="none", covariance="white")
+    day_205 = flight.telemetry.select(flight.rows("205"))
+    bias_only = calibrate_linear(day_205, ground, parameters="b", robust="none", covariance="white")
+    return whole.calibration, bias_only.calibration
 
 
 def _try_both(flight: Flight, data_set: str, ground: FieldModel) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -79,11 +79,13 @@ def _claim_9(r: Results) -> Verdict:
 
 
 def _claim_10(r: Results) -> Verdict:
-    three = r.calibration.reference_3sigma_deg
+    roll, pitch, yaw = r.calibration.reference_3sigma_deg
     printed = printed_value("yaw", "value", quantity="sun sensor yaw accuracy")
+    worst = max((roll, pitch, yaw), key=lambda value: abs(value - printed))
     return Verdict(
-        f"{three:.2f} deg: three times the rms error per axis over the Monte Carlo (put in by the scenario)", three, "deg",
-        agree(three, printed, 0.05), "the simulated reference attitude is not as good as stated",
+        f"roll {roll:.2f}, pitch {pitch:.2f}, yaw {yaw:.2f} deg: three times the rms error over the Monte Carlo, made by "
+        "scanner and sun sensor; their errors are put in by the scenario", worst, "deg",
+        agree(worst, printed, 0.05), "the simulated sensors are not as good as stated",
     )  # fmt: skip
 
 

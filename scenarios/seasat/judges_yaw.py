@@ -114,10 +114,10 @@ def _late_misfit(nodes: geometry.NodeScan) -> np.ndarray:
 
 
 def _claim_29(r: Results) -> Verdict:
-    three = r.calibration.reference_3sigma_deg
+    three = float(r.calibration.reference_3sigma_deg[2])
     return Verdict(
-        f"{three:.2f} deg: 3 sigma of the reference attitude over the Monte Carlo (put in by the scenario); averages over "
-        f"{r.yaw.figure_1.window_s:.0f} s", three, "deg",
+        f"{three:.2f} deg: three times the rms error of yaw over the Monte Carlo, by the sun about nadir; the error of the "
+        f"heads is put in by the scenario; averages over {r.yaw.figure_1.window_s:.0f} s", three, "deg",
         agree(three, printed_value("yaw", "value", quantity="sun sensor yaw accuracy"), 0.05),
         "the simulated reference yaw is not as good as stated",
     )  # fmt: skip
@@ -170,27 +170,42 @@ def _claim_31(r: Results) -> Verdict:
 
 
 def _claim_32(r: Results) -> Verdict:
-    each = r.yaw.check_rms_mG
-    rms, spread = each.mean(axis=0), each.std(axis=0, ddof=1)
-    overall = float(np.sqrt(np.mean(each**2)))
+    day = r.yaw.check
+    rms, spread = day.rms_mG.mean(axis=0), day.rms_mG.std(axis=0, ddof=1)
+    overall = float(np.sqrt(np.mean(day.rms_mG**2)))
     printed = np.array([printed_value("yaw", "value", quantity=f"day 279 residual {axis}") for axis in "XYZ"])
-    stands_out, wanted = _y_over_others(each), float(_y_over_others(printed[None])[0])
+    stands_out, wanted = _y_over_others(day.rms_mG), float(_y_over_others(printed[None])[0])
     apart = float(np.abs((rms - printed) / spread).max())
     ratio_apart = abs(float(stands_out.mean()) - wanted) / float(stands_out.std(ddof=1))
     parts = ", ".join(f"{m:.1f} ± {s:.1f}" for m, s in zip(rms, spread, strict=True))
     return Verdict(
-        f"{parts} mG over {r.yaw.check_samples} samples and {SEEDS} seeds (criterion: within two sigma of the "
+        f"{parts} mG over {day.samples} samples and {SEEDS} seeds (criterion: within two sigma of the "
         "seeds, each); Y "
         f"over X and Z {stands_out.mean():.2f} ± {stands_out.std(ddof=1):.2f} (printed {wanted:.2f}, criterion the same); "
         f"{overall:.1f} mG per component (the printed three give {float(np.sqrt(np.mean(printed**2))):.1f}, their "
         "plain root "
         f"sum of squares {float(np.sqrt(np.sum(printed**2))):.1f})", overall, "mG", apart <= 2.0 and ratio_apart <= 2.0,
         f"the level {'agrees' if apart <= 2.0 else 'does not agree'} ({apart:.1f} sigma at most), and that Y stands out "
-        f"{'agrees' if ratio_apart <= 2.0 else 'does not'} ({ratio_apart:.1f} sigma). The papers put their large Y "
-        "down to the selection: near the poles the "
-        "field lies along the yaw axis and the sun near the horizon. Ours is selected alike, but its attitude error is the "
-        "same about all axes",
+        f"{'agrees' if ratio_apart <= 2.0 else 'does not'} ({ratio_apart:.1f} sigma). {_sun_near_horizon(r, printed)}",
     )  # fmt: skip
+
+
+def _sun_near_horizon(r: Results, printed_mG: FloatArray) -> str:
+    """What the reference attitude does to the residual of day 279, where the papers suspect it."""
+    day = r.yaw.check
+    roll, pitch, yaw = np.sqrt(np.mean(day.attitude_deg**2, axis=0))
+    x, y, z = np.sqrt(np.mean(day.attitude_mG**2, axis=0))
+    excess = float(np.sqrt(printed_mG[1] ** 2 - (printed_mG[0] ** 2 + printed_mG[2] ** 2) / 2.0))
+    by_yaw, _, by_roll = np.degrees(excess / day.field_mG)
+    low, high = day.sun_nadir_deg
+    return (
+        "The papers put their large Y down to the selection: the field along the yaw axis, the sun near the horizon. "
+        f"Ours is selected alike (sun {low:.0f} to {high:.0f} deg from nadir) and scanner and sun sensor make its reference "
+        f"attitude, which errs by {roll:.2f}, {pitch:.2f}, {yaw:.2f} deg in roll, pitch and yaw (yaw on the four days "
+        f"{r.calibration.reference_3sigma_deg[2] / 3.0:.2f}: the sun tells yaw best when it is level) and leaves {x:.1f}, "
+        f"{y:.1f}, {z:.1f} mG in X, Y, Z. The {excess:.1f} mG that Y has in print beyond X and Z want an error of "
+        f"{by_roll:.1f} deg in roll, or of {by_yaw:.1f} deg in yaw, where the papers state 0.1"
+    )
 
 
 def _y_over_others(rms: FloatArray) -> FloatArray:

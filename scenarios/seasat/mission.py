@@ -92,7 +92,7 @@ def with_schedule(config: Scenario, start: np.datetime64, samples: int, step_s: 
 SOURCES = ("lsb", "attitude", "torquer", "field", "unknown")
 _OFF: Mapping[str, Mapping[str, Any]] = {
     "lsb": {"magnetometer.lsb_mG": 0.0},
-    "attitude": {"attitude.reference.sigma_deg": 0.0},
+    "attitude": {"attitude.reference.source": "error_model"},
     "torquer": {"torquers.compensation": 1.0},
     "field": {"field.truth": "igrf1975"},
     "unknown": {"magnetometer.unknown": None},

@@ -153,7 +153,7 @@ def summary(results: Results, claims: list[Claim]) -> dict[str, Any]:
             "zero_wins": {"mean_bias": y.bias_errors.zero_wins, "full": y.full_errors.zero_wins},
             "zero_wins_up_to_amplitude_deg": y.sweep.crossover_deg,
             "zero_wins_up_to_amplitude_white_unknown_deg": y.sweep.crossover_white_deg,
-            "check_day_279_mG": y.check_rms_mG.mean(axis=0).tolist(),
+            "check_day_279_mG": y.check.rms_mG.mean(axis=0).tolist(),
         },
         "errors_mG": rows,
         "residual_mG": {

@@ -9,11 +9,13 @@ import numpy as np
 from fluxtwin.plots import calibration as calibration_plots
 from fluxtwin.plots import yaw as yaw_plots
 from fluxtwin.scenarios.page import FigureBlock, Table
-from fluxtwin.scenarios.seasat import mission
+from fluxtwin.scenarios.seasat import geometry, mission
 from fluxtwin.scenarios.seasat.calibration_study import NAMES, CalibrationStudy, rms_mG, vector
 from fluxtwin.scenarios.seasat.claims import Results
 from fluxtwin.scenarios.seasat.judges_calibration import COLUMN_2, uncorrected_column_2
 from fluxtwin.scenarios.seasat.mission import DATA_SETS, PAPER_COLUMN
+from fluxtwin.scenarios.seasat.yaw_study import STEP_S
+from fluxtwin.scenarios.yaw_comparison import NEAR_NODE_DEG
 from fluxtwin.sim.types import FloatArray
 
 _SOURCE_WORDS = {
@@ -25,6 +27,8 @@ _SOURCE_WORDS = {
     "unknown": "unknown",
     "all": "all",
 }
+
+_DAY = np.datetime_as_string(geometry.day(geometry.DATA_DAYS[0]), unit="D") + " (day 205)"
 
 POINTING = (
     "The papers print no pointing for Seasat, but that yaw = 0 was mostly nearer than the magnetometer's yaw, "
@@ -178,11 +182,12 @@ def calibration_figures(results: Results) -> list[FigureBlock]:
     """Scatter of S, error budget, scan of the node."""
     study, e = results.calibration, results.errors
     scatter = calibration_plots.ParameterScatter(
-        NAMES[:9], list(DATA_SETS), study.estimates[:, :, :9], study.truth[:9], np.abs(printed_columns()[:, :9])
-    )
+        NAMES[:9], list(DATA_SETS), study.estimates[:, :, :9], study.truth[:9], printed_columns()[:, :9],
+        np.array([name == "all" for name in DATA_SETS]),
+    )  # fmt: skip
     shown = ("lsb", "attitude", "torquer", "field", "known", "unknown", "all")
     budget = calibration_plots.ErrorBudget(
-        shown, np.array([e.simulated[s] for s in shown]), np.array([e.paper_rule[s] for s in shown])
+        ["LSB", *shown[1:]], np.array([e.simulated[s] for s in shown]), np.array([e.paper_rule[s] for s in shown])
     )
     node = calibration_plots.NodeMisfit(
         results.nodes.raan_deg, results.nodes.misfit, results.nodes.chosen_deg, results.nodes.launch_deg
@@ -190,9 +195,10 @@ def calibration_figures(results: Results) -> list[FigureBlock]:
     return [
         FigureBlock(
             "table_1_scatter",
-            "Spread of the nine elements of S by data set: bars hold 95 % of the runs, the line is the truth, crosses "
-            "the printed magnitudes with the sign of the truth. Only S12, S22 and S32 scatter.",
-            calibration_plots.draw_scatter(scatter, title="S by data set, Monte Carlo"),
+            "Spread of the nine elements of S by data set, simulated, beside the printed values. The scan has lost the "
+            "signs of the columns of days and of 193 samples, so those are drawn with both; which is right is not known. "
+            "The scale of the second column, S12, S22 and S32, is wider.",
+            calibration_plots.draw_scatter(scatter, title="S by data set: simulated, and as printed"),
         ),
         FigureBlock(
             "table_2_errors",
@@ -213,22 +219,24 @@ def yaw_figures(results: Results) -> list[FigureBlock]:
     return [
         FigureBlock(
             "figure_1",
-            "As figure 1 of the papers: day 205, mean bias only (T = S = 0). Dashed: sun sensor; dotted: magnetometer "
-            "averaged over 120 s.",
-            yaw_plots.draw_mean_bias(y.figure_1, title="Figure 1: day 205, mean bias for the orbit"),
+            "Simulated; drawn as figure 1 of the papers: day 205 of 1978, mean bias only (T = S = 0). Dashed: sun sensor; "
+            f"dotted: magnetometer; each averaged over {y.figure_1.window_s:.0f} s. {_mean_bias_words(results)}",
+            yaw_plots.draw_mean_bias(y.figure_1, title=f"Figure 1, simulated: {_DAY}, mean bias for the orbit"),
         ),
         FigureBlock(
             "figure_2",
-            "As figure 2 of the papers: day 205, full calibration. Dashed: sun sensor; broken lines: magnetometer, each "
-            "sample (4 s apart), with the axis at each bit change; dotted: averages over 120 s. One flight: yaw = 0 is "
+            "Simulated; drawn as figure 2 of the papers: day 205 of 1978, full calibration. Dashed: sun sensor; broken "
+            f"lines: magnetometer, each sample ({STEP_S:g} s apart), with the axis at each bit change; dotted: averages "
+            f"over {y.figure_2.window_s:.0f} s; triangles at an edge: beyond the panel. One flight: yaw = 0 is "
             f"nearer in {100 * y.full_errors.zero_wins:.0f} % of its windows, in "
             f"{100 * np.interp(0.5 * np.sqrt(2.0), y.sweep.amplitude_deg, y.sweep.share_full):.0f} % over many flights of "
-            "the same yaw.",
-            yaw_plots.draw_full(y.figure_2, title="Figure 2: day 205, full calibration"),
+            "an assumed yaw of 0.5 deg rms.",
+            yaw_plots.draw_full(y.figure_2, title=f"Figure 2, simulated: {_DAY}, full calibration"),
         ),
         FigureBlock(
             "yaw_sigma",
-            "Expected yaw error (equation 14) along one orbit, and the largest value of many orbits and data bases with "
+            "Expected yaw error (equation 14) along one orbit in the field of 1978, and the largest value of many orbits "
+            "and data bases with "
             f"the printed {results.accuracy.figure.printed_deg:g} deg.",
             yaw_plots.draw_sigma(
                 results.accuracy.figure,
@@ -241,6 +249,22 @@ def yaw_figures(results: Results) -> list[FigureBlock]:
             yaw_plots.draw_sweep(y.sweep, title="When is yaw = 0 the better estimate?"),
         ),
     ]
+
+
+def _mean_bias_words(results: Results) -> str:
+    """Where the curve of figure 1 is as bad as the papers say, and where it is not."""
+    y = results.yaw
+    figure, errors = y.figure_1, y.bias_errors
+    near = figure.mean_minutes[figure.nearer]
+    if not near.size:
+        return "As the papers say, it is worse than yaw = 0 over the entire orbit, even near the nodes."
+    return (
+        f"The papers call it worse than yaw = 0 over the entire orbit, even near the nodes; here it is in "
+        f"{100 * errors.zero_wins:.0f} % of the windows and in {100 * errors.zero_wins_at_nodes:.0f} % of those within "
+        f"{NEAR_NODE_DEG:g} deg of the equator, where it errs by {errors.rms_at_nodes_deg:.2f} deg rms "
+        f"({errors.rms_deg:.2f} over the orbit). It is the better one in {near.size} (shaded, at "
+        f"{', '.join(f'{m:.0f}' for m in near)} min)."
+    )
 
 
 def _with_sigma(value: float, sigma: float, digits: int) -> str:

@@ -72,7 +72,7 @@ def test_all_claims_are_judged_with_a_number_a_unit_and_a_reason(claims):
 
 
 RECOVERED = np.array(
-    [0.02907, 0.00904, 0.00247, 0.01731, -0.02452, -0.00267, 0.00912, 0.00761, 0.00644, 71.28717, -28.77671, -62.65038]
+    [0.02932, 0.00780, 0.00094, 0.01714, -0.02285, -0.00209, 0.00892, 0.00382, 0.00661, 71.49121, -29.15947, -62.47368]
 )
 """S row by row and b [mG] of the 325 samples, seed of the scenario."""
 
@@ -121,7 +121,7 @@ WORLDS = {
     29: ("calibration.reference_3sigma_deg", lambda v: 2.0 * v),
     30: ("yaw.bias_errors.zero_wins", 1.0),
     31: ("yaw.sweep.seeds_won", lambda v: np.zeros_like(v)),
-    32: ("yaw.check_rms_mG", lambda v: v * np.array([2.2 / 3.1, 4.2 / 2.9, 1.7 / 2.8])),
+    32: ("yaw.check.rms_mG", lambda v: v * np.array([2.2 / 3.1, 4.2 / 2.9, 1.7 / 2.8])),
     60: ("scenario.sun_sensor", lambda heads: {k: v for k, v in heads.items() if k != "4"}),
 }
 """A field of the results and what it is in another world: with it the claim's status changes."""
@@ -134,13 +134,18 @@ def test_in_another_world_the_status_is_another(results, claims, changed, number
     assert "differs" in (other[number].status, claims[number].status)
 
 
-def test_a_summer_as_dark_as_printed_would_be_said(results, claims, changed):
-    """Claim 28: 32 % dark on every day, and heads that see a fifth of the orbit, all of it in the south."""
-    world = changed(results, "nodes.late_dark_share", lambda v: np.full_like(v, 0.32))
-    for name, value in (("late_visible_share", 0.2), ("late_visible_south", 1.0)):
-        assert next(c for c in judge_claims(world) if c.id == 28).status == claims[28].status == "differs"
-        world = changed(world, f"heads.{name}", value)
-    assert next(c for c in judge_claims(world) if c.id == 28).status == "reproduced"
+def test_a_sun_seen_as_printed_would_reproduce_the_claim_on_it(results, claims, changed):
+    """Claim 28 has three parts, and holds when all of them do."""
+    parts = {
+        "nodes.late_dark_share": lambda v: np.clip(v, 0.30, 0.35),
+        "heads.late_visible_share": 0.20,
+        "heads.late_visible_south": 1.0,
+    }
+    world = results
+    for number, (path, value) in enumerate(parts.items(), start=1):
+        world = changed(world, path, value)
+        (found,) = [claim for claim in judge_claims(world) if claim.id == 28]
+        assert (found.status == "reproduced") is (number == len(parts)), found.here
 
 
 def test_an_S_of_zero_reproduces_nothing(results, changed):
@@ -180,6 +185,22 @@ def test_accuracy_of_yaw_against_the_prototype(results, close):
     close(a.equator_field_mG, 236.0, atol=1.0, unit="mG", because="printed to 1 mG")
     assert a.worst_quantiles_deg["5 %"] < 11.0 < a.worst_quantiles_deg["95 %"]
     assert 100 * np.mean(a.figure.worst_orbit_deg > 11.0) > 1.0  # so 11 deg is not the largest possible
+
+
+def test_the_reference_attitude_is_made_by_the_sensors(results, close):
+    """Roll and pitch are the scanner's 0.1 deg. Yaw: 0.1 deg of the sun, a little more where the sun stands off the
+    horizontal (63 to 117 deg from nadir on these days). 30 flights of some 20 correlation times each: 4 %."""
+    roll, pitch, yaw = results.calibration.reference_3sigma_deg
+    close((roll, pitch), 0.3, atol=0.036, unit="deg", because="three sigma of 4 %")
+    assert 0.29 < yaw < 0.34
+    day = results.yaw.check
+    down, level = day.field_mG[2], np.hypot(*day.field_mG[:2])
+    expected = np.radians(np.sqrt(np.mean(day.attitude_deg**2, axis=0))) * (down, down, level)
+    found = np.sqrt(np.mean(day.attitude_mG**2, axis=0))
+    close(
+        found[1], expected[0], atol=0.25 * expected[0], unit="mG", because="roll moves Y in a field along the yaw axis"
+    )
+    close(found[0], expected[1], atol=0.25 * expected[1], unit="mG", because="pitch moves X")
 
 
 def test_error_budget_against_the_prototype(results, close):
@@ -226,6 +247,30 @@ def test_a_wrong_truth_would_be_noticed():
     assert abs(found[0][0] - found[1][0]) > 1.5
 
 
+CURVES = {
+    "sun sensor, averages": (0.1776, 0.5008),
+    "mean bias, averages": (3.2859, 16.1166),
+    "full, samples": (2.0426, 18.6263),
+    "full, averages": (1.5670, 8.5222),
+    "sigma along an orbit": (1.6670, 3.3196),
+    "share won by yaw = 0": (0.7088, 0.9000),
+}
+"""rms and largest size of each curve of the papers' figures, [deg] but for the share; seed of the scenario."""
+
+
+def test_the_sizes_of_the_curves_of_the_figures(results, close_sizes):
+    y, a = results.yaw, results.accuracy
+    curves = {
+        "sun sensor, averages": y.figure_1.mean_sun_deg,
+        "mean bias, averages": y.figure_1.mean_deg,
+        "full, samples": y.figure_2.magnetometer_deg,
+        "full, averages": y.figure_2.mean_deg,
+        "sigma along an orbit": a.figure.sigma_deg,
+        "share won by yaw = 0": y.sweep.share_full,
+    }
+    close_sizes(curves, CURVES)
+
+
 def test_figures_and_page_are_drawn(results, claims, tmp_path):
     page = study.page(results, list(claims.values()), "verdict")
     names = [block.name for section in page.sections for block in section.figures]
@@ -233,5 +278,7 @@ def test_figures_and_page_are_drawn(results, claims, tmp_path):
     for section in page.sections:
         for block in section.figures:
             block.figure.savefig(tmp_path / f"{block.name}.png", dpi=40)
+            if block.name in ("figure_1", "figure_2"):
+                assert block.caption.startswith("Simulated; drawn as figure")
             for axes in block.figure.axes:
                 assert "[" in axes.get_ylabel() or axes.get_subplotspec().colspan.start > 0

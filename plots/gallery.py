@@ -99,7 +99,7 @@ def draw_heads(record: HeadAngles, *, title: str) -> Figure:
             record.hours[mine], record.error_deg[mine], marker, color=colour, markersize=3, label=f"head {number}"
         )
     axes.axhline(0.0, color=style.BLACK, linewidth=0.8)
-    axes.set(title=title, xlabel="hours from the first sample", ylabel="measured less computed [deg]")
+    axes.set(title=title, xlabel="hours from the first sample [h]", ylabel="measured less computed [deg]")
     axes.set_ylim(top=1.45 * float(np.nanmax(record.error_deg)))
     axes.legend(loc="upper right", frameon=True, ncols=3, markerscale=2)
     return figure

@@ -22,8 +22,11 @@ def left_alone(bars: Sequence[tuple[str, float, str]], limit_nT: float, title: s
     axes.set_yticks(places, [label for label, _, _ in bars])
     axes.invert_yaxis()
     for place, (_, value, remark) in zip(places, bars, strict=True):
-        axes.text(value + 0.012 * limit_nT, float(place), remark, va="center", fontsize=style.NOTE_PT)
-    axes.axvline(limit_nT, color=style.BLACK, linewidth=1.0, linestyle="--")
+        axes.text(
+            value + 0.012 * limit_nT, float(place), remark, va="center", fontsize=style.NOTE_PT,
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+        )  # fmt: skip
+    axes.axvline(limit_nT, color=style.BLACK, linewidth=1.0, linestyle="--", zorder=1.5)
     axes.set_xlim(0.0, 1.32 * limit_nT)
     style.label(axes, x="rms left per component [nT]; dashed: before", title=title)
     return figure

@@ -271,7 +271,7 @@ def _by_pass(time: TimeArray, before: FloatArray, after: FloatArray, acts: BoolA
     number = np.concatenate([[0], np.cumsum(np.diff(seconds) > _APART_S)])
     passes = [np.flatnonzero(number == n) for n in range(int(number[-1]) + 1)]
     return Later(
-        labels=[epoch.iso(time[rows[0]])[5:16].replace("T", " ") for rows in passes],
+        labels=[epoch.iso(time[rows[0]])[:16].replace("T", " ") for rows in passes],
         unit=unit,
         before=np.array([_rms(before[rows]) for rows in passes]),
         after=np.array([_rms(after[rows]) for rows in passes]),

@@ -87,10 +87,14 @@ def _S31(estimates):
     return shift
 
 
+FIGURE_3_AS_PRINTED = {
+    "sun_nadir_deg": (84.0, 121.0), "delta_sun_nadir_deg": 0.25, "delta_nadir_field_deg": 0.36, "error_bar_deg": 0.58,
+}  # fmt: skip
 WORLDS = {
     8: ("accuracy.raw_direction", (0.0, 0.0)),
     33: ("errors.coil_axial_mG", lambda v: 2.0 * v),
     34: ("accuracy.yaw_known", {"raw": 0.0, "b": 0.8, "b, S": 0.8}),
+    35: ("calibration.fits", lambda fits: {name: _noisier(fit, name) for name, fit in fits.items()}),
     36: ("calibration.fits", lambda fits: {name: _noisier(fit, name) for name, fit in fits.items()}),
     37: ("calibration.estimates", lambda v: v + _S31(v)),
     38: ("errors.simulated.all", 2.2),
@@ -103,6 +107,7 @@ WORLDS = {
     50: ("yaw.stations", lambda v: tuple(dataclasses.replace(one, dipole=1.1 * one.dipole) for one in v)),
     51: ("accuracy.dipole_equator_mG", lambda v: 1.05 * v),
     52: ("accuracy.dipole_pole_deg", (30.2, 18.4)),
+    53: ("yaw", lambda v: dataclasses.replace(v, **FIGURE_3_AS_PRINTED)),
     54: ("yaw.stations", lambda v: tuple(dataclasses.replace(one, dipole=1.1 * one.dipole) for one in v)),
     59: ("errors.field_direction_deg", np.array([0.3, 0.5, 0.5, 0.5])),
     61: ("accuracy.sun_error", lambda v: 2.0 * v),
@@ -370,6 +375,40 @@ def test_the_four_night_passes_are_among_those_of_the_largest_field_model_error(
     assert e.correlation > 0.6
     assert e.chance < 1e-3
     assert np.argmax(e.turned_correlation) == 0  # no turn of the map does better
+
+
+CURVES = {
+    "figure 3, sun sensor": (0.3746, 0.7745),
+    "figure 3, samples": (0.7629, 2.2423),
+    "figure 3, averages": (0.3595, 0.6365),
+    "X bias of single passes": (7.9128, 16.4771),
+    "error of IGRF 1975 by pass": (1.4790, 3.2471),
+}
+"""rms and largest size of each curve of the figures, [deg] or [mG]; seed of the scenario."""
+
+
+def test_the_sizes_of_the_curves_of_the_figures(results, close_sizes):
+    figure, bias = results.yaw.figure, results.calibration.bias_only
+    curves = {
+        "figure 3, sun sensor": figure.sun_deg,
+        "figure 3, samples": figure.magnetometer_deg,
+        "figure 3, averages": figure.mean_deg,
+        "X bias of single passes": bias.b_mG[:, 0],
+        "error of IGRF 1975 by pass": results.evidence.predicted_mG,
+    }
+    close_sizes(curves, CURVES)
+
+
+def test_an_S_of_zero_would_be_missed(results, changed):
+    """The other way in which claim 35 can fail: the parameters, not the residual."""
+
+    def without_S(fits):
+        known = dataclasses.replace(fits["AB"].calibration, S=np.zeros((3, 3)))
+        return fits | {"AB": dataclasses.replace(_noisier(fits["AB"], "AB"), calibration=known)}
+
+    (found,) = [c for c in judge_claims(changed(results, "calibration.fits", without_S)) if c.id == 35]
+    assert found.status == "differs"
+    assert "missed a parameter" in found.why
 
 
 def test_figures_and_page_are_drawn(results, claims, tmp_path):

@@ -102,7 +102,7 @@ def residual_series(tracks: Sequence[ResidualTrack], title: str, low_latitude_de
         right.axvspan(-low_latitude_deg, low_latitude_deg, color=style.PALE, alpha=0.45, linewidth=0.0, zorder=0.2)
         for axes in (left, right):
             style.zero_line(axes)
-    style.label(grid[3][0], x=f"minutes from {epoch.iso(start)}")
+    style.label(grid[3][0], x=f"time from {epoch.iso(start)} [min]")
     style.label(grid[3][1], x="geodetic latitude [deg]")
     reach = np.concatenate([track.latitude_deg for track in tracks])
     grid[3][1].set_xlim(max(float(reach.min()) - 4.0, -90.0), min(float(reach.max()) + 4.0, 90.0))

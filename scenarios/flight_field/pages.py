@@ -99,7 +99,7 @@ def _magsat_figures(outcome: Outcome) -> list[FigureBlock]:
             "magsat_map",
             f"MAGSAT minus {plain.model}, {len(plain.track)} samples in 1.7 h. Dashed: the limit of low latitude, "
             f"{limit:g} deg.",
-            residual_map(_drawn(plain), f"MAGSAT minus {plain.model}", limit),
+            residual_map(_drawn(plain), f"MAGSAT minus {plain.model}, 1 January 1980", limit),
         ),
         FigureBlock(
             "magsat_series",
@@ -129,7 +129,7 @@ def _swarm_figures(outcome: Outcome) -> list[FigureBlock]:
         FigureBlock(
             "swarm_map",
             f"Swarm A minus {storm[0].model}, one pass over the north pole.",
-            residual_map(_drawn(storm[0]), f"Swarm A minus {storm[0].model}", limit),
+            residual_map(_drawn(storm[0]), f"Swarm A minus {storm[0].model}, 1 January 2016", limit),
         ),
     ]
 

@@ -249,7 +249,7 @@ def _storm_figure(outcome: Outcome) -> FigureBlock:
         (share.effects[0], share.left_nT, f"{share.left_nT:.1f} nT, {share.parameters} parameter"
          + ("s" if share.parameters > 1 else "")) for share in shares
     ]  # fmt: skip
-    title = "Swarm A in the storm, |latitude| < 50 deg: each effect alone, nothing modelled"
+    title = "Swarm A in the storm of 1 January 2016, |latitude| < 50 deg: each effect alone, nothing modelled"
     return FigureBlock(
         "storm_alone",
         "The ring current is the cause; b and S, which have more parameters, leave a little less.",

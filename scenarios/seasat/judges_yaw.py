@@ -6,9 +6,9 @@ import numpy as np
 
 from fluxtwin.scenarios.claims import Verdict, agree
 from fluxtwin.scenarios.seasat import geometry
+from fluxtwin.scenarios.seasat.check_day import SEEDS
 from fluxtwin.scenarios.seasat.claims import Judge, Results
 from fluxtwin.scenarios.seasat.mission import printed_value, quantity
-from fluxtwin.scenarios.seasat.yaw_study import SEEDS
 from fluxtwin.sim.constants import EARTH_RADIUS_KM, GM_EARTH_KM3_S2
 from fluxtwin.sim.types import FloatArray
 

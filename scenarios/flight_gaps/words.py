@@ -19,8 +19,8 @@ def verdict(outcome: Outcome) -> str:
     met = [answer for answer in foretold if answer.agrees]
     spoilt = sum(bool(answer.wrong) for answer in met)
     return (
-        f"{len(met) - spoilt} of {len(foretold)} answers to records that flew are as foretold, {spoilt} more but with a "
-        f"wrong name beside the right one, {len(foretold) - len(met)} are not."
+        f"{len(met) - spoilt} of {len(foretold)} answers to records that flew are as foretold, {spoilt} more are but give "
+        f"a wrong name as well, {len(foretold) - len(met)} are not."
     )
 
 

@@ -7,6 +7,7 @@ The verbs, each imported when it is first used:
     fit = fluxtwin.calibrate(telemetry)              # S, b, T with covariance and observability
     better = fluxtwin.apply(telemetry, fit.calibration)
     fluxtwin.write(better, "pass_corrected.nc")
+    found = fluxtwin.attitude(better)                # three axes, through the night, with sigmas
 
     scenario = fluxtwin.load_scenario("mine.toml")
     telemetry, truth = fluxtwin.simulate(scenario)
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from fluxtwin.sim.telemetry_io import read_telemetry, write_telemetry
     from fluxtwin.studies import run_study as run_study
     from fluxtwin.verbs import apply as apply
+    from fluxtwin.verbs import attitude as attitude
     from fluxtwin.verbs import calibrate as calibrate
     from fluxtwin.verbs import check as check
     from fluxtwin.verbs import field as field
@@ -57,6 +59,7 @@ _HOMES = {
     "check": "fluxtwin.verbs:check",
     "calibrate": "fluxtwin.verbs:calibrate",
     "apply": "fluxtwin.verbs:apply",
+    "attitude": "fluxtwin.verbs:attitude",
     "diagnose": "fluxtwin.diagnosing:diagnose",
     "field": "fluxtwin.verbs:field",
     "load_field": "fluxtwin.sim.field_models:load_field",

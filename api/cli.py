@@ -18,7 +18,20 @@ import typer
 
 import fluxtwin
 from fluxtwin import console
-from fluxtwin.commands import apply, calibrate, check, diagnose, effects, ensemble, field, passes, run, simulate, yaw
+from fluxtwin.commands import (
+    apply,
+    attitude,
+    calibrate,
+    check,
+    diagnose,
+    effects,
+    ensemble,
+    field,
+    passes,
+    run,
+    simulate,
+    yaw,
+)  # fmt: skip
 from fluxtwin.commands import map as map_
 from fluxtwin.commands.options import QuietOption, VerboseOption, with_manners
 from fluxtwin.console import clean, manners
@@ -54,7 +67,21 @@ def fluxtwin_command(
     manners.quiet, manners.verbose = quiet, verbose
 
 
-for _module in (run, simulate, ensemble, map_, check, calibrate, apply, yaw, diagnose, effects, passes, field):
+for _module in (
+    run,
+    simulate,
+    ensemble,
+    map_,
+    check,
+    calibrate,
+    apply,
+    yaw,
+    attitude,
+    diagnose,
+    effects,
+    passes,
+    field,
+):
     app.command(_module.NAME, short_help=_module.BRIEF)(with_manners(_module.command))
 
 

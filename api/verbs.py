@@ -8,16 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fluxtwin.calib.apply import apply_calibration
+from fluxtwin.calib.apply import apply_calibration, calibration_of
 from fluxtwin.calib.records import Calibration
 from fluxtwin.sim import epoch, frames
 from fluxtwin.sim.errors import BadInput
 from fluxtwin.sim.field import field_E_nT
 from fluxtwin.sim.field_models import FieldModel, load_field
+from fluxtwin.sim.progress import Progress, silent
 from fluxtwin.sim.telemetry import Telemetry
 from fluxtwin.sim.telemetry_io import as_path, read_telemetry
 
 if TYPE_CHECKING:
+    from fluxtwin.calib.attitude import AttitudeSolution
     from fluxtwin.calib.fit import Fit
     from fluxtwin.sim.check import CheckReport
 
@@ -83,6 +85,45 @@ def apply(
     record = as_record(telemetry)
     known = calibration if isinstance(calibration, Calibration) else Calibration.from_toml(calibration)
     return apply_calibration(record, known, force=force)
+
+
+def attitude(
+    telemetry: Telemetry | Path | str,
+    calibration: Calibration | Path | str | None = None,
+    *,
+    field: str | FieldModel = "igrf14",
+    degree: int | None = None,
+    noise_nT: float | None = None,
+    attitude_sigma_deg: float | None = None,
+    attitude_tau_s: float | None = None,
+    sun_sigma_deg: float | None = None,
+    force: bool = False,
+    progress: Progress = silent,
+) -> AttitudeSolution:
+    """Three-axis attitude from field, horizon scanner and sun (or reference attitude), by night from what is left.
+
+    calibration: None for a record that `apply` has corrected. The errors that are None are found in the data; see
+    `fluxtwin.calib.attitude.estimate_attitude`. `.holds` of the answer says whether its innovations are consistent. Raises
+    BadInput as `apply` does, and NoAnswer where the attitude cannot be started.
+    """
+    from fluxtwin.calib.attitude import estimate_attitude
+
+    record = as_record(telemetry)
+    given = (
+        calibration
+        if calibration is None or isinstance(calibration, Calibration)
+        else Calibration.from_toml(calibration)
+    )
+    return estimate_attitude(
+        record,
+        calibration_of(record, given, force=force),
+        as_model(field, degree),
+        noise_nT=noise_nT,
+        attitude_sigma_deg=attitude_sigma_deg,
+        attitude_tau_s=attitude_tau_s,
+        sun_sigma_deg=sun_sigma_deg,
+        progress=progress,
+    )
 
 
 def field(

@@ -158,7 +158,7 @@ def yaw_from_field(
     Raises NoAnswer when no row is complete, BadInput when the calibration needs a dipole that is absent.
     """
     telemetry = joined(records)
-    velocity = _velocity(telemetry)
+    velocity = velocity_of(telemetry)
     known = telemetry.has_position & np.isfinite(velocity).all(axis=1)
     roll, pitch, reference = _known_angles(telemetry, velocity, known)
     corrected = calibration.apply(telemetry.mag_B_nT, telemetry.dipole_B_Am2)
@@ -215,7 +215,7 @@ def _known_angles(
     return roll, pitch, yaw
 
 
-def _velocity(telemetry: Telemetry) -> FloatArray:
+def velocity_of(telemetry: Telemetry) -> FloatArray:
     """(N, 3) velocity as given, else a direction in the orbital plane from neighbouring positions."""
     if telemetry.r_N_km is None:
         return np.full((len(telemetry), 3), np.nan)

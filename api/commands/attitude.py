@@ -1,0 +1,169 @@
+"""`fluxtwin attitude`: three axes from magnetometer, horizon scanner and sun, through the night."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fluxtwin.commands.options import (
+    DegreeOption,
+    FieldOption,
+    ForceOption,
+    JsonOption,
+    MapOption,
+    MaxSamplesOption,
+    TleOption,
+)
+from fluxtwin.commands.reading import TelemetryArgument, read
+from fluxtwin.console import Output
+
+if TYPE_CHECKING:
+    from fluxtwin.calib.attitude import AttitudeSolution
+
+NAME = "attitude"
+COLUMNS = (
+    "time", "q_x", "q_y", "q_z", "q_w", "yaw_deg", "roll_deg", "pitch_deg", "sigma_x_deg", "sigma_y_deg", "sigma_z_deg",
+    "aided",
+)  # fmt: skip
+BRIEF = "Three-axis attitude from magnetometer, horizon scanner and sun, through the night."
+
+
+def command(
+    telemetry: TelemetryArgument,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            "--calibration", metavar="FILE.toml", help="Calibration file; not for telemetry that apply has corrected."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE.csv", help="Write attitude and sigma row by row.")
+    ] = None,
+    noise_nt: Annotated[
+        float | None,
+        typer.Option(
+            "--noise-nT",
+            metavar="NT",
+            help="White noise of the reading, rounding included, 1 sigma an axis [nT]; else found.",
+        ),
+    ] = None,
+    attitude_sigma_deg: Annotated[
+        float | None,
+        typer.Option(
+            "--attitude-sigma-deg",
+            metavar="DEG",
+            help="Error of the scanner, or of the reference attitude where none is, 1 sigma an axis [deg]; else found.",
+        ),
+    ] = None,
+    attitude_tau_s: Annotated[
+        float | None,
+        typer.Option("--attitude-tau-s", metavar="S", help="Its time constant [s]; 0 for white; else found."),
+    ] = None,
+    sun_sigma_deg: Annotated[
+        float | None,
+        typer.Option(
+            "--sun-sigma-deg", metavar="DEG", help="White noise of the sun vector, 1 sigma [deg]; else found."
+        ),
+    ] = None,
+    field: FieldOption = "igrf14",
+    degree: DegreeOption = None,
+    column_map: MapOption = None,
+    tle: TleOption = None,
+    max_samples: MaxSamplesOption = None,
+    force: ForceOption = False,
+    json: JsonOption = None,
+) -> None:
+    """Attitude by a Kalman filter on calibrated field, nadir, sun where seen, and dynamics without a gyro; its sigma [deg].
+
+    Where the innovations are not what was predicted, the exit status is 1; the table is written all the same.
+    """
+    output = Output(json)
+    with output.progress(f"reading {telemetry}") as progress:
+        from fluxtwin import verbs
+        from fluxtwin.calib.apply import waived
+        from fluxtwin.calib.records import Calibration
+        from fluxtwin.sim import outputs
+        from fluxtwin.sim.files import write_text
+
+        targets = {"--out": (out, outputs.TABLE), "--json": (json, outputs.JSON)}
+        outputs.claim(targets, [telemetry, calibration, field, column_map, tle], force=force)
+        record = read(telemetry, output, column_map=column_map, tle=tle, max_samples=max_samples)
+        given = None if calibration is None else Calibration.from_toml(calibration)
+        if force and given is not None and (refusal := waived(record, given)) is not None:
+            output.note(f"note: applied all the same, by --force: {refusal}")
+        found = verbs.attitude(
+            record,
+            given,
+            field=field,
+            degree=degree,
+            noise_nT=noise_nt,
+            attitude_sigma_deg=attitude_sigma_deg,
+            attitude_tau_s=attitude_tau_s,
+            sun_sigma_deg=sun_sigma_deg,
+            force=force,
+            progress=progress,
+        )
+        columns = found.to_dict()
+        if out is not None:
+            cells = zip(*(columns[name] for name in COLUMNS), strict=True)
+            lines = [",".join("" if cell != cell else str(cell) for cell in row) for row in cells]
+            write_text(out, "\n".join([",".join(COLUMNS), *lines, ""]))
+    _print(output, found, telemetry, calibration, out)
+    output.result({**columns, "written": [] if out is None else [str(out)]})
+    if not found.holds:
+        raise typer.Exit(1)
+
+
+def _print(
+    output: Output, found: AttitudeSolution, telemetry: Path, calibration: Path | None, out: Path | None
+) -> None:
+    import math
+
+    from fluxtwin.calib.digits import plain
+
+    def degrees(aided: bool) -> str:
+        sizes = found.expected_deg(aided)
+        return "no row" if sizes is None else ", ".join(plain(size, 2) for size in sizes) + " deg"
+
+    head = "Good: the attitude holds" if found.holds else "Bad: the attitude does not hold"
+    output.prose(
+        f"{head}. 1 sigma about body x, y, z: {degrees(True)} with the sun (or a reference attitude), "
+        f"{degrees(False)} without."
+    )
+    for reason in found.reasons:
+        output.prose(reason)
+    nis = ", ".join(f"{sensor} {plain(value)}" for sensor, value in found.nis.items())
+    output.prose(
+        f"Squared innovations over what was predicted (1 is right): {nis}; correlation of neighbours {found.repeats:.2f}."
+    )
+    n = found.noises
+    output.prose(
+        f"Errors taken, declared or found: field {plain(n.field_nT)} nT white and {plain(n.slow_nT)} nT over "
+        f"{plain(n.slow_s)} s; scanner or reference {plain(math.degrees(n.white_rad), 2)} deg white and "
+        f"{plain(math.degrees(n.drift_rad), 2)} deg over {plain(n.drift_s)} s; sun {plain(math.degrees(n.sun_rad), 2)} deg; "
+        f"the rate walks by {n.rate_walk_rad_s:.2g} rad/s in a second."
+    )
+    output.say(f"Next: {_next_step(found, telemetry, calibration, out)}")
+    output.say(
+        f"{len(found.time)} rows, {int((~found.aided).sum())} without sun; {int(found.inflated.sum())} stood out"
+    )
+    for reason, count in found.left_out.items():
+        output.say(f"- {count} rows left out: {reason}")
+    if out is not None:
+        output.say(f"  {out}")
+
+
+def _next_step(found: AttitudeSolution, telemetry: Path, calibration: Path | None, out: Path | None) -> str:
+    import shlex
+
+    name = shlex.quote(str(telemetry))
+    if not found.holds:
+        return f"fluxtwin check {name}"
+    if found.noises.slow_nT > 3.0 * found.noises.field_nT:
+        return f"the field is off by more than its noise, for long: fluxtwin diagnose {name}, or calibrate S and T too"
+    if out is not None:
+        return f"take q_x q_y q_z q_w of {shlex.quote(str(out))} as the attitude of these rows"
+    known = "" if calibration is None else f" --calibration {shlex.quote(str(calibration))}"
+    return f"fluxtwin attitude {name}{known} --out attitude.csv"

@@ -1,0 +1,205 @@
+"""Three-axis attitude of a record, through the night too, and whether it holds.
+
+The filter is in `attitude_filter`. Its innovations over their predicted sigma say whether it holds: they should average 1
+squared, sensor by sensor, and not repeat from row to row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.calib.attitude_filter import SENSORS, Noises, Rows, Run, assemble_rows, learned, run, starts
+from fluxtwin.calib.design import joined
+from fluxtwin.calib.digits import plain
+from fluxtwin.calib.records import Calibration
+from fluxtwin.calib.yaw import velocity_of
+from fluxtwin.sim import epoch, frames
+from fluxtwin.sim.errors import BadInput
+from fluxtwin.sim.field import FieldModel
+from fluxtwin.sim.progress import Progress, silent
+from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
+
+_CONSISTENT = (0.8, 1.25)
+"""Squared innovations over their predicted variance, mean of a sensor."""
+_REPEATS = 0.2  # correlation of neighbouring innovations of the field
+_STANDING_OUT = 0.05  # share of innovations of a sensor
+
+
+@dataclass(frozen=True)
+class AttitudeSolution:
+    """N rows that have a position, a measurement, and a first fix before them."""
+
+    time: TimeArray
+    """(N,) UTC."""
+    q_NB: FloatArray
+    """(N, 4) textbook quaternion of the body relative to N, scalar last, from the rows up to each."""
+    sigma_rad: FloatArray
+    """(N, 3) 1 sigma of the turn about body x, y, z."""
+    covariance_rad2: FloatArray
+    """(N, 3, 3) of that turn."""
+    yaw_roll_pitch_rad: FloatArray
+    """(N, 3) the 3-1-2 angles from the orbital frame; NaN where the velocity is not known."""
+    rate_B_rad_s: FloatArray
+    """(N, 3) of the body relative to N."""
+    aided: BoolArray
+    """(N,) True where the sun is seen, or the reference attitude known: what a record has by day."""
+    inflated: BoolArray
+    """(N,) True where a measurement stood out and was given less weight."""
+    rows: np.ndarray
+    """(N,) indices into the joined telemetry."""
+    left_out: Mapping[str, int]
+    """Rows not used, by reason."""
+    noises: Noises
+    """What the errors were taken to be, declared or found."""
+    nis: Mapping[str, float]
+    """By sensor: mean squared innovation over its predicted variance; 1 is right."""
+    repeats: float
+    """Correlation of neighbouring innovations of the field, the largest of the axes; 0 is right."""
+    reasons: tuple[str, ...]
+    """Why the attitude does not hold, in sentences; none where it does."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the errors are what they are said to be, as far as the innovations show."""
+        return not self.reasons
+
+    def expected_deg(self, aided: bool) -> list[float] | None:
+        """rms of the sigmas about body x, y, z by day (aided) or by night [deg]; None where there is no such row."""
+        chosen = self.aided == aided
+        return np.degrees(np.sqrt((self.sigma_rad[chosen] ** 2).mean(axis=0))).tolist() if chosen.any() else None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Degrees and UTC text for JSON; None where a number is not known."""
+        angles = np.degrees(self.yaw_roll_pitch_rad)
+        return {
+            "holds": self.holds,
+            "reasons": list(self.reasons),
+            "sigma_deg": {"day": self.expected_deg(True), "night": self.expected_deg(False)},
+            "nis": dict(self.nis),
+            "repeats": self.repeats,
+            "noises": self.noises._asdict(),
+            "left_out": dict(self.left_out),
+            "time": [epoch.iso(t, "ms") for t in self.time],
+            **{f"q_{axis}": self.q_NB[:, k].tolist() for k, axis in enumerate("xyzw")},
+            **{f"{name}_deg": angles[:, k].tolist() for k, name in enumerate(("yaw", "roll", "pitch"))},
+            **{f"sigma_{axis}_deg": np.degrees(self.sigma_rad[:, k]).tolist() for k, axis in enumerate("xyz")},
+            "aided": self.aided.astype(int).tolist(),
+        }
+
+
+def estimate_attitude(
+    records: Telemetry | Sequence[Telemetry],
+    calibration: Calibration,
+    model: FieldModel,
+    *,
+    noise_nT: float | None = None,
+    attitude_sigma_deg: float | None = None,
+    attitude_tau_s: float | None = None,
+    sun_sigma_deg: float | None = None,
+    progress: Progress = silent,
+) -> AttitudeSolution:
+    """Attitude of every row from the first fix of each stretch on, by a filter that only looks back.
+
+    The calibration's S and b are refined within their covariance, so that what it does not know is in the sigmas; errors
+    of its T are not. noise_nT: white noise of a component, rounding included. attitude_sigma_deg, attitude_tau_s: error of
+    the horizon scanner, or of the reference attitude in a record without scanner, and how long it lasts (0: white).
+    sun_sigma_deg: white noise of the sun vector. What is None is found in the innovations.
+
+    Raises NoAnswer where no row is complete or the attitude cannot be started, BadInput for sizes that are none and for a
+    column that the calibration needs.
+    """
+    declared = declared_noises(noise_nT, attitude_sigma_deg, attitude_tau_s, sun_sigma_deg)
+    telemetry = joined(records)
+    rows = assemble_rows(telemetry, model, calibration)
+    p = np.concatenate([calibration.S.ravel(), calibration.b_nT])
+    covariance = np.array(calibration.covariance[:12, :12])
+    begun = starts(rows, p)
+    progress("finding the noise", 0.3)
+    noises = learned(rows, begun, declared, p, np.zeros((0, 0)))
+    progress("following the attitude", 0.8)
+    return _solution(telemetry, rows, run(rows, begun, noises, p, covariance), noises)
+
+
+def declared_noises(
+    noise_nT: float | None, attitude_sigma_deg: float | None, attitude_tau_s: float | None, sun_sigma_deg: float | None
+) -> dict[str, float]:
+    """The fields of `Noises` that are given. Raises BadInput for a size that is not positive, or a time without a size."""
+    for name, value in (
+        ("noise_nT", noise_nT), ("attitude_sigma_deg", attitude_sigma_deg), ("sun_sigma_deg", sun_sigma_deg),
+    ):  # fmt: skip
+        if value is not None and not 0.0 < value < 1e5:
+            raise BadInput(f"{value!r}", where=f"--{name.replace('_', '-')}", wanted="1 sigma, positive")
+    found = {} if noise_nT is None else {"field_nT": float(noise_nT)}
+    if sun_sigma_deg is not None:
+        found["sun_rad"] = float(np.radians(sun_sigma_deg))
+    if attitude_tau_s is not None and (attitude_sigma_deg is None or not attitude_tau_s >= 0.0):
+        raise BadInput(
+            f"{attitude_tau_s!r}", where="--attitude-tau-s", wanted="s, not negative, beside --attitude-sigma-deg"
+        )
+    if attitude_sigma_deg is not None:
+        sigma = float(np.radians(attitude_sigma_deg))
+        if attitude_tau_s == 0.0:
+            return {**found, "white_rad": sigma, "drift_rad": 1e-3 * sigma, "drift_s": 1.0}
+        found |= {"white_rad": 1e-3 * sigma, "drift_rad": sigma}
+        if attitude_tau_s is not None:
+            found["drift_s"] = float(attitude_tau_s)
+    return found
+
+
+def _solution(telemetry: Telemetry, rows: Rows, done: Run, noises: Noises) -> AttitudeSolution:
+    known = np.flatnonzero(np.isfinite(done.A[:, 0, 0]))
+    left_out = dict(rows.left_out)
+    if len(known) < len(rows.t_s):
+        left_out["before a first fix"] = len(rows.t_s) - len(known)
+    index, R = rows.rows[known], Rotation.from_matrix(done.A[known])
+    velocity = velocity_of(telemetry)[index]
+    angles, moving = np.full((len(known), 3), np.nan), np.isfinite(velocity).all(axis=1)
+    if moving.any():
+        assert telemetry.r_N_km is not None
+        R_ON = frames.rotation_ON(telemetry.r_N_km[index[moving]], velocity[moving])
+        angles[moving] = np.stack(frames.yaw_roll_pitch(R[np.flatnonzero(moving)] * R_ON.inv()), axis=1)
+    nis, repeats, reasons = _consistency(done)
+    covariance = done.covariance[known]
+    return AttitudeSolution(
+        time=rows.time[known], q_NB=frames.q_from_rotation(R), covariance_rad2=covariance,
+        sigma_rad=np.sqrt(np.einsum("kii->ki", covariance)), yaw_roll_pitch_rad=angles, rate_B_rad_s=done.rate[known],
+        aided=np.isfinite(rows.sun_B[known, 0]) | np.isfinite(rows.A[known, 0, 0]),
+        inflated=np.asarray((done.inflated[known] == 1.0).any(axis=1)), rows=index, left_out=left_out, noises=noises,
+        nis=nis, repeats=repeats, reasons=reasons,
+    )  # fmt: skip
+
+
+def _consistency(done: Run) -> tuple[dict[str, float], float, tuple[str, ...]]:
+    """Mean squared innovations by sensor, how far those of the field repeat, and what is wrong with them."""
+    nis, reasons = {}, []
+    for k, sensor in enumerate(SENSORS):
+        seen = np.isfinite(done.nis[:, k])
+        if not seen.any():
+            continue
+        out = done.inflated[seen, k] == 1.0
+        nis[sensor] = float(done.nis[seen, k][~out].mean()) if not out.all() else float("inf")
+        if out.mean() > _STANDING_OUT:
+            reasons.append(f"{100 * out.mean():.0f} % of the innovations of the {sensor} stand far out.")
+        low, high = _CONSISTENT
+        if not low - 4.0 / np.sqrt(seen.sum()) < nis[sensor] < high + 4.0 / np.sqrt(seen.sum()):
+            reasons.append(
+                f"The squared innovations of the {sensor} are {plain(nis[sensor])} times what was predicted, not 1."
+            )
+    v = done.innovation
+    pair = np.isfinite(v[1:]).all(axis=1) & np.isfinite(v[:-1]).all(axis=1)
+    r = np.clip(v, -5.0, 5.0)  # one wild reading must not decide
+    with np.errstate(invalid="ignore"):
+        rho = (r[1:] * r[:-1])[pair].sum(axis=0) / (r[1:][pair] ** 2).sum(axis=0) if pair.any() else np.zeros(3)
+    repeats = float(rho[np.nanargmax(np.abs(rho))]) if np.isfinite(rho).any() else 0.0
+    if abs(repeats) > _REPEATS + 4.0 / np.sqrt(max(int(pair.sum()), 1)):
+        reasons.append(
+            f"Neighbouring innovations of the field have a correlation of {repeats:.2f}, not 0: its errors are not "
+            "as they were taken to be."
+        )
+    return nis, repeats, tuple(reasons)

@@ -1,0 +1,276 @@
+"""The multiplicative Kalman filter of attitude from field, horizon scanner, sun or reference attitude, without a gyro.
+
+Where two directions are known at once, Davenport's q-method gives the attitude (Wertz 1978, section 12.2.3); from there
+the filter carries it on (`attitude_kernels`). The rate wanders at random; field and scanner have, beside white noise,
+slow errors. Sizes that are not declared are those that make the innovations most likely (Mehra 1970, IEEE Transactions on
+Automatic Control 15, 175). S and b of the magnetometer may be part of the state, known to a covariance or unknown.
+
+Rows with a measured nadir are used with nadir and sun; records without any use the reference attitude where there is one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.calib.covariance import segments
+from fluxtwin.calib.design import complete_rows, joined
+from fluxtwin.calib.records import Calibration
+from fluxtwin.sim import epoch, frames, sun
+from fluxtwin.sim.errors import NoAnswer
+from fluxtwin.sim.field import FieldModel, field_N_nT
+from fluxtwin.sim.telemetry import Telemetry, recorded_columns
+from fluxtwin.sim.types import FloatArray, TimeArray
+
+SENSORS = ("field", "attitude", "sun")
+"""Columns of `nis` and `inflated`; "attitude" is the scanner, or the reference attitude where there is no scanner."""
+_LEARN_ROWS = 1000
+_FIX_NT, _FIX_SIGMAS_RAD = 300.0, np.array([0.01, 0.002, 0.002])  # field, nadir, sun: weights of a fix
+_FIX_RAD = 0.1  # a fix less sure than that starts nothing
+_RATE_S, _RATE_RAD = 60.0, 0.5  # a first rate is taken from fixes so far apart at most
+_WIDE = 10.0  # the first covariance over that of the fix, whose measurements the filter uses once more
+_BOUNDS = ((1e-10, 1e-2), (1e-2, 1e5), (1e-2, 1e5), (60.0, 2e4), (1e-6, 0.1), (1e-6, 0.1), (1e-6, 0.1), (1.0, 2e4))
+
+
+class Noises(NamedTuple):
+    """What the filter takes the errors to be, 1 sigma."""
+
+    rate_walk_rad_s: float = 3e-6
+    """Random walk of the rate in a second, per axis."""
+    field_nT: float = 30.0
+    """White, of a component."""
+    slow_nT: float = 100.0
+    """Slow error of the calibrated field, per body axis, lasting `slow_s`: the field model's, and the spacecraft's own."""
+    slow_s: float = 600.0
+    sun_rad: float = 2e-3
+    """White, of a sun vector, across it."""
+    white_rad: float = 1e-3
+    """White, of the scanner or the reference attitude."""
+    drift_rad: float = 1e-3
+    """Its slow error, lasting `drift_s`."""
+    drift_s: float = 100.0
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What the filter sees; N rows with a position and a measurement. NaN: not measured."""
+
+    time: TimeArray
+    """(N,) UTC."""
+    t_s: FloatArray
+    """(N,) since the first."""
+    reading_nT: FloatArray
+    """(N, 3) body axes."""
+    coupling_nT: FloatArray
+    """(N, 3) T D."""
+    field_N_nT: FloatArray
+    """(N, 3)."""
+    nadir_B: FloatArray
+    nadir_N: FloatArray
+    sun_B: FloatArray
+    sun_N: FloatArray
+    A: FloatArray
+    """(N, 3, 3) reference attitude."""
+    rows: np.ndarray
+    """(N,) indices into the joined telemetry."""
+    left_out: Mapping[str, int]
+
+
+class Run(NamedTuple):
+    """One pass of the filter; N rows, NaN before the first fix of a stretch."""
+
+    A: FloatArray
+    """(N, 3, 3) N to B."""
+    covariance: FloatArray
+    """(N, 3, 3) of the turn about body axes [rad^2]."""
+    rate: FloatArray
+    """(N, 3) rad/s, body axes."""
+    nis: FloatArray
+    """(N, 3) squared innovation over its covariance, a component, by `SENSORS`."""
+    inflated: FloatArray
+    """(N, 3) 1 where the innovation stood out and its noise was inflated."""
+    innovation: FloatArray
+    """(N, 3) of the field, over its sigma."""
+    cost: float
+    """Minus twice the log likelihood."""
+    p: FloatArray
+    """(12,) S row by row, b [nT]."""
+    p_covariance: FloatArray
+    """(12, 12), or (0, 0) where they were taken as known."""
+
+
+def q_method(seen_B: FloatArray, known_N: FloatArray, sigma_rad: FloatArray) -> tuple[Rotation, FloatArray]:
+    """Attitude from directions known in both frames, row by row: Davenport's q-method.
+
+    seen_B, known_N: (N, M, 3) vectors of any length, NaN where not seen; sigma_rad: (M,) or (N, M). Returns R_BN (batch of
+    N) and its covariance (N, 3, 3) about body axes [rad^2]; infinite where fewer than two directions are seen.
+    """
+    b, n = (v / np.linalg.norm(v, axis=2)[:, :, None] for v in (np.asarray(seen_B), np.asarray(known_N)))
+    weight = np.where(np.isfinite(b).all(axis=2) & np.isfinite(n).all(axis=2), np.asarray(sigma_rad) ** -2.0, 0.0)
+    b, n = np.nan_to_num(b), np.nan_to_num(n)
+    B = np.einsum("km,kmi,kmj->kij", weight, b, n)
+    K = np.empty((len(B), 4, 4))
+    trace = np.trace(B, axis1=1, axis2=2)
+    z = np.stack([B[:, 1, 2] - B[:, 2, 1], B[:, 2, 0] - B[:, 0, 2], B[:, 0, 1] - B[:, 1, 0]], axis=1)
+    K[:, :3, :3] = B + np.swapaxes(B, 1, 2) - trace[:, None, None] * np.eye(3)
+    K[:, :3, 3] = K[:, 3, :3] = z
+    K[:, 3, 3] = trace
+    q = np.linalg.eigh(K)[1][:, :, 3]  # textbook quaternion of B relative to N
+    information = weight.sum(axis=1)[:, None, None] * np.eye(3) - np.einsum("km,kmi,kmj->kij", weight, b, b)
+    good = np.linalg.eigvalsh(information)[:, 0] > 1e-9 * np.maximum(weight.sum(axis=1), 1e-300)
+    covariance = np.full((len(B), 3, 3), np.inf)
+    covariance[good] = np.linalg.inv(information[good])
+    return frames.rotation_from_q(q), covariance
+
+
+def assemble_rows(
+    records: Telemetry | Sequence[Telemetry], model: FieldModel, calibration: Calibration | None = None
+) -> Rows:
+    """Measurements and what they are of, from telemetry. The calibration's T, and fields that follow telemetry, are applied.
+
+    Raises NoAnswer where no row has a position and a measurement, BadInput where the calibration needs a column that is
+    not there.
+    """
+    telemetry = joined(records)
+    none = np.full((len(telemetry), 3), np.nan)
+    nadir_B = none if telemetry.nadir_B is None else np.array(telemetry.nadir_B)
+    with_nadir = bool(np.isfinite(nadir_B).any())
+    sun_B = none if telemetry.sun_B is None or not with_nadir else np.array(telemetry.sun_B)
+    attitude = telemetry.has_attitude & (not with_nadir)
+    measured = telemetry.has_reading | attitude | np.isfinite(nadir_B).all(axis=1) | np.isfinite(sun_B).all(axis=1)
+    rows, left_out = complete_rows(
+        {"no position": telemetry.has_position, "no measurement": np.asarray(measured)}, "needs position and sensors"
+    )
+    used = telemetry.select(rows)
+    nadir_B, sun_B = (v[rows] / np.linalg.norm(v[rows], axis=1)[:, None] for v in (nadir_B, sun_B))
+    assert used.r_N_km is not None
+    r_N_km = np.array(used.r_N_km)
+    A = np.full((len(used), 3, 3), np.nan)
+    if attitude.any():
+        assert used.q_NB is not None
+        A[attitude[rows]] = frames.rotation_from_q(used.q_NB[attitude[rows]]).as_matrix()
+    reading, coupling = np.array(used.mag_B_nT), np.zeros((len(used), 3))
+    if calibration is not None:
+        whole = calibration.apply(reading, used.dipole_B_Am2, recorded_columns(used))
+        coupling = whole - calibration.b_nT - reading @ (np.eye(3) + calibration.S).T
+    return Rows(
+        time=used.time, t_s=epoch.seconds_since(used.time, used.time[0]), reading_nT=reading, coupling_nT=coupling,
+        field_N_nT=field_N_nT(model, used.time, r_N_km), nadir_B=nadir_B,
+        nadir_N=-r_N_km / np.linalg.norm(r_N_km, axis=1)[:, None], sun_B=sun_B,
+        sun_N=sun.sun_direction_N(used.time, r_N_km), A=A, rows=rows, left_out=left_out,
+    )  # fmt: skip
+
+
+class Start(NamedTuple):
+    """Where a stretch of rows begins to be followed."""
+
+    begin: int
+    """First row; the stretch ends before `end`."""
+    end: int
+    A: FloatArray
+    """(3, 3) N to B."""
+    rate: FloatArray
+    """(3,) rad/s, body axes."""
+    attitude_covariance: FloatArray
+    """(3, 3) rad^2, for the noises of `Noises()`."""
+    rate_covariance: FloatArray
+    """(3, 3) (rad/s)^2, likewise."""
+
+
+def starts(rows: Rows, p: FloatArray | None) -> list[Start]:
+    """A start for each stretch of rows that has two fixes: by reference attitude, or by directions seen together.
+
+    p: (12,) S row by row and b by which the field counts as a direction; None: it does not. Raises NoAnswer where there
+    is no start.
+    """
+    R, covariance = _fixes(rows, p)
+    edges = np.flatnonzero(np.diff(segments(rows.time))) + 1
+    found = []
+    for first, end in zip([0, *edges], [*edges, len(rows.t_s)], strict=True):
+        sure = first + np.flatnonzero(np.einsum("kii->k", covariance[first:end]) < _FIX_RAD**2)
+        if sure.size < 2:
+            continue
+        begin = int(sure[0])
+        later = sure[1:][rows.t_s[sure[1:]] - rows.t_s[begin] <= max(_RATE_S, rows.t_s[sure[1]] - rows.t_s[begin])]
+        turned = (R[later] * R[begin].inv()).as_rotvec()
+        far = np.flatnonzero(np.linalg.norm(turned, axis=1) > _RATE_RAD)
+        k = max(int(far[0]) - 1, 0) if far.size else len(later) - 1
+        h = float(rows.t_s[later[k]] - rows.t_s[begin])
+        of_rate = (covariance[begin] + covariance[later[k]]) / h**2
+        A = np.ascontiguousarray(R[begin].as_matrix())
+        found.append(Start(begin, int(end), A, -turned[k] / h, covariance[begin], of_rate))
+    if not found:
+        raise NoAnswer(
+            "nowhere are two directions (nadir, sun, calibrated field), or a reference attitude, known in two rows that "
+            "follow each other: the attitude cannot be started",
+            evidence={"rows": len(rows.t_s)},
+        )
+    return found
+
+
+def _fixes(rows: Rows, p: FloatArray | None) -> tuple[Rotation, FloatArray]:
+    """The attitude of each row by itself and its covariance (N, 3, 3), infinite where it cannot be fixed."""
+    field = np.full_like(rows.reading_nT, np.nan)
+    if p is not None:
+        field = rows.reading_nT + rows.reading_nT @ p[:9].reshape(3, 3).T + p[9:] + rows.coupling_nT
+    seen = np.stack([field, rows.nadir_B, rows.sun_B], axis=1)
+    R, covariance = q_method(seen, np.stack([rows.field_N_nT, rows.nadir_N, rows.sun_N], axis=1), _FIX_SIGMAS_RAD)
+    given = np.isfinite(rows.A[:, 0, 0])
+    matrices = R.as_matrix()
+    matrices[given] = rows.A[given]
+    covariance[given] = _FIX_SIGMAS_RAD[1] ** 2 * np.eye(3)
+    return Rotation.from_matrix(matrices), covariance
+
+
+def run(rows: Rows, begun: Sequence[Start], noises: Noises, p: FloatArray, p_covariance: FloatArray) -> Run:
+    """One pass through all stretches. p: (12,) S row by row and b; p_covariance: (12, 12), or (0, 0) where p is exact."""
+    from fluxtwin.calib.attitude_kernels import run_filter
+
+    N, n = len(rows.t_s), 12 + len(p_covariance)
+    out = [np.full((N, *shape), np.nan) for shape in ((3, 3), (3, 3), (3,), (3,), (3,), (3,))]
+    p, C, cost = p.copy(), p_covariance.copy(), 0.0
+    # A start's measurements are used once more, and may be worse than was taken for its weights.
+    sizes = (noises.slow_nT / _FIX_NT, np.hypot(noises.white_rad, noises.drift_rad) / _FIX_SIGMAS_RAD[1])
+    wide = _WIDE * max(1.0, *sizes, noises.sun_rad / _FIX_SIGMAS_RAD[2]) ** 2
+    for one in begun:
+        P = np.zeros((n, n))
+        P[:3, :3], P[3:6, 3:6] = wide * one.attitude_covariance, wide * one.rate_covariance
+        P[6:9, 6:9], P[9:12, 9:12] = noises.slow_nT**2 * np.eye(3), noises.drift_rad**2 * np.eye(3)
+        P[12:, 12:] = C
+        at = slice(one.begin, one.end)
+        total, p, P = run_filter(
+            rows.t_s[at], rows.reading_nT[at], rows.coupling_nT[at], rows.field_N_nT[at], rows.nadir_B[at],
+            rows.nadir_N[at], rows.sun_B[at], rows.sun_N[at], rows.A[at], one.A, one.rate, p, P, np.array(noises),
+            *(part[at] for part in out),
+        )  # fmt: skip
+        C, cost = P[12:, 12:].copy(), cost + total
+    A, spread, rates, nis, wild, innovation = out
+    return Run(A, spread, rates, nis, wild, innovation, cost, p, C)
+
+
+def learned(
+    rows: Rows, begun: Sequence[Start], declared: Mapping[str, float], p: FloatArray, p_covariance: FloatArray
+) -> Noises:
+    """The noises that make the innovations of the first rows most likely, but for those that are declared."""
+    count = begun[0].begin + _LEARN_ROWS
+    some = [one._replace(end=min(one.end, count)) for one in begun if one.begin < count]
+    noises = Noises()._replace(**declared)
+    sun_seen = bool(np.isfinite(rows.sun_B).any())
+    free = [k for k, name in enumerate(Noises._fields) if name not in declared and (sun_seen or name != "sun_rad")]
+
+    def at(logs: FloatArray) -> Noises:
+        values = np.array(noises)
+        values[free] = np.exp(logs)
+        return Noises(*values.tolist())
+
+    found = minimize(
+        lambda logs: run(rows, some, at(logs), p, p_covariance).cost, np.log(np.array(noises)[free]),
+        method="L-BFGS-B", bounds=[tuple(np.log(_BOUNDS[k])) for k in free],
+        options={"eps": 1e-3, "maxiter": 40, "ftol": 1e-5},
+    )  # fmt: skip
+    return at(found.x)

@@ -28,8 +28,8 @@ import numpy as np
 from fluxtwin.calib.attitude import estimate_attitude
 from fluxtwin.calib.linear import calibrate_linear
 from fluxtwin.calib.yaw import yaw_from_field
-from fluxtwin.scenarios.motion import prescribed
 from fluxtwin.scenarios.hcmm import mission
+from fluxtwin.scenarios.motion import prescribed
 from fluxtwin.sim import epoch, files, frames
 from fluxtwin.sim.field import load_field
 from fluxtwin.sim.scenario import Scenario
@@ -143,9 +143,9 @@ def main() -> int:
     if arguments.json == "-":
         sys.stdout.write(files.to_json(result))
         return 0
-    print(
-        f"{len(flown)} seeds from {FIRST_SEED}\n\n| yaw by night from | rms | 95 % | sigma | in 3 sigma | holds |\n|---|--:|--:|--:|--:|--:|"
-    )
+    print(f"{len(flown)} seeds from {FIRST_SEED}\n")
+    print("| yaw by night from | rms [deg] | 95 % [deg] | sigma [deg] | in 3 sigma | holds |")
+    print("|---|--:|--:|--:|--:|--:|")
     for way, row in rows.items():
         cells = [f"{row['rms_deg']:.2f}", f"{row['p95_deg']:.2f}"]
         if row["sigma_deg"] is not None:

@@ -60,7 +60,7 @@ class AttitudeSolution:
     nis: Mapping[str, float]
     """By sensor: mean squared innovation over its predicted variance; 1 is right."""
     repeats: float
-    """Correlation of neighbouring innovations of the field, the largest of the axes; 0 is right."""
+    """Correlation of neighbouring innovations of the field, over all axes; 0 is right."""
     reasons: tuple[str, ...]
     """Why the attitude does not hold, in sentences; none where it does."""
 
@@ -194,9 +194,7 @@ def _consistency(done: Run) -> tuple[dict[str, float], float, tuple[str, ...]]:
     v = done.innovation
     pair = np.isfinite(v[1:]).all(axis=1) & np.isfinite(v[:-1]).all(axis=1)
     r = np.clip(v, -5.0, 5.0)  # one wild reading must not decide
-    with np.errstate(invalid="ignore"):
-        rho = (r[1:] * r[:-1])[pair].sum(axis=0) / (r[1:][pair] ** 2).sum(axis=0) if pair.any() else np.zeros(3)
-    repeats = float(rho[np.nanargmax(np.abs(rho))]) if np.isfinite(rho).any() else 0.0
+    repeats = float((r[1:] * r[:-1])[pair].sum() / max((r[1:][pair] ** 2).sum(), 1e-300))
     if abs(repeats) > _REPEATS + 4.0 / np.sqrt(max(int(pair.sum()), 1)):
         reasons.append(
             f"Neighbouring innovations of the field have a correlation of {repeats:.2f}, not 0: its errors are not "

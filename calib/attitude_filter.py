@@ -10,6 +10,7 @@ Rows with a measured nadir are used with nadir and sun; records without any use 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -259,9 +260,17 @@ def learned(
     """The noises that make the innovations of the first rows most likely, but for those that are declared."""
     count = begun[0].begin + _LEARN_ROWS
     some = [one._replace(end=min(one.end, count)) for one in begun if one.begin < count]
-    noises = Noises()._replace(**declared)
     sun_seen = bool(np.isfinite(rows.sun_B).any())
     free = [k for k, name in enumerate(Noises._fields) if name not in declared and (sun_seen or name != "sun_rad")]
+
+    def cost(noises: Noises) -> float:
+        return run(rows, some, noises, p, p_covariance).cost
+
+    # Where nearly all innovations stand out the likelihood leads nowhere: the best of a grid is near enough.
+    grid = itertools.product((1e-6, 1e-5), (30.0, 150.0), (100.0, 500.0, 1500.0))
+    noises = min((Noises(*sizes)._replace(**declared) for sizes in grid), key=cost)
+    if not free:
+        return noises
 
     def at(logs: FloatArray) -> Noises:
         values = np.array(noises)
@@ -269,8 +278,7 @@ def learned(
         return Noises(*values.tolist())
 
     found = minimize(
-        lambda logs: run(rows, some, at(logs), p, p_covariance).cost, np.log(np.array(noises)[free]),
-        method="L-BFGS-B", bounds=[tuple(np.log(_BOUNDS[k])) for k in free],
-        options={"eps": 1e-3, "maxiter": 40, "ftol": 1e-5},
+        lambda logs: cost(at(logs)), np.log(np.array(noises)[free]), method="L-BFGS-B",
+        bounds=[tuple(np.log(_BOUNDS[k])) for k in free], options={"eps": 1e-3, "maxiter": 40, "ftol": 3e-6},
     )  # fmt: skip
     return at(found.x)

@@ -13,7 +13,19 @@ from pathlib import Path
 import pytest
 import typer
 
-COMMANDS = ("run", "simulate", "ensemble", "check", "calibrate", "apply", "yaw", "diagnose", "effects", "field")
+COMMANDS = (
+    "run",
+    "simulate",
+    "ensemble",
+    "check",
+    "calibrate",
+    "apply",
+    "yaw",
+    "attitude",
+    "diagnose",
+    "effects",
+    "field",
+)
 HEAVY = (
     "numpy",
     "scipy",
@@ -47,12 +59,12 @@ def test_every_command_explains_itself_and_takes_json(cli: Callable[..., object]
     assert outcome.status == 0
     assert "--json" in outcome.out
     assert "FILE" in outcome.out
-    if name in ("check", "calibrate", "apply", "yaw"):
+    if name in ("check", "calibrate", "apply", "yaw", "attitude"):
         assert "--map" in outcome.out
         assert "--tle" in outcome.out
     if name not in ("run",):
         assert ("--field" in outcome.out) == ("--degree" in outcome.out)
-    if name in ("field", "simulate", "check", "calibrate", "yaw"):
+    if name in ("field", "simulate", "check", "calibrate", "yaw", "attitude"):
         assert "--field" in outcome.out
 
 

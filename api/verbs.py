@@ -59,9 +59,9 @@ def calibrate(
     """S, b (and T) from one record or several; `.calibration` of the answer is what `apply` takes.
 
     method: linear, forward (against the attitude), center, twostep, scalar (without one), batch, iterative (a spinner
-    with sun pulses); None is linear where the attitude is known, else scalar. options: those of
-    `fluxtwin.calib.linear.calibrate_linear`, `scalar.calibrate_scalar` or `spin.calibrate_spin`. Raises NoAnswer, naming
-    the parameters, where the data do not determine them.
+    with sun pulses), recursive (a filter that estimates the attitude too); None is linear where the attitude is known, else
+    scalar. options: those of `fluxtwin.calib.linear.calibrate_linear`, `scalar.calibrate_scalar`, `spin.calibrate_spin` or
+    `recursive.calibrate_recursive`. Raises NoAnswer, naming the parameters, where the data do not determine them.
     """
     from fluxtwin.calib.methods import calibrate_by
 

@@ -37,6 +37,7 @@ import numpy as np
 from fluxtwin.calib.design import Design
 from fluxtwin.calib.fit import Fit
 from fluxtwin.calib.linear import Options, fit_design
+from fluxtwin.calib.recursive import calibrate_recursive
 from fluxtwin.calib.scalar import ScalarOptions, fit_rows
 from fluxtwin.calib.scalar_rows import ScalarRows
 from fluxtwin.calib.spin import SpinOptions, fit_spin
@@ -130,6 +131,7 @@ CASES: dict[str, Case] = {
     "white": Case("attitude 0.1 deg, white", attitude(0.1, 0.0)),
     "scalar": Case("tumbling, method scalar", tumbling, "scalar"),
     "twostep": Case("tumbling, method twostep", tumbling, "twostep"),
+    "recursive": Case("README's scenario, method recursive", as_it_is, "recursive"),
     "batch": Case("ST5, 15 min, method batch", as_it_is, "batch"),
 }
 QUICK = ("readme", "slow", "scalar")
@@ -172,6 +174,9 @@ class Flown:
         telemetry, truth = simulate(scenario, world=self.world)
         B_nT = with_outliers(telemetry.mag_B_nT, self.case.outliers, np.random.default_rng([7, seed]))
         M, b_nT = np.eye(3) + truth.S, truth.b_nT
+        if self.case.method == "recursive":
+            known = calibrate_recursive(telemetry.replace(mag_B_nT=B_nT), load_field("igrf14")).calibration
+            return of_estimated(known.values - np.append(truth.S.ravel(), b_nT), known.covariance, known.names)
         if self.case.method in ("linear", "forward"):
             known = self._linear(telemetry, B_nT).calibration
             values = np.concatenate(

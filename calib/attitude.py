@@ -164,7 +164,7 @@ def _solution(telemetry: Telemetry, rows: Rows, done: Run, noises: Noises) -> At
         assert telemetry.r_N_km is not None
         R_ON = frames.rotation_ON(telemetry.r_N_km[index[moving]], velocity[moving])
         angles[moving] = np.stack(frames.yaw_roll_pitch(R[np.flatnonzero(moving)] * R_ON.inv()), axis=1)
-    nis, repeats, reasons = _consistency(done)
+    nis, repeats, reasons = consistency(done)
     covariance = done.covariance[known]
     return AttitudeSolution(
         time=rows.time[known], q_NB=frames.q_from_rotation(R), covariance_rad2=covariance,
@@ -175,7 +175,7 @@ def _solution(telemetry: Telemetry, rows: Rows, done: Run, noises: Noises) -> At
     )  # fmt: skip
 
 
-def _consistency(done: Run) -> tuple[dict[str, float], float, tuple[str, ...]]:
+def consistency(done: Run) -> tuple[dict[str, float], float, tuple[str, ...]]:
     """Mean squared innovations by sensor, how far those of the field repeat, and what is wrong with them."""
     nis, reasons = {}, []
     for k, sensor in enumerate(SENSORS):

@@ -5,7 +5,7 @@ the filter carries it on (`attitude_kernels`). The rate wanders at random; field
 slow errors. Sizes that are not declared are those that make the innovations most likely (Mehra 1970, IEEE Transactions on
 Automatic Control 15, 175). S and b of the magnetometer may be part of the state, known to a covariance or unknown.
 
-Rows with a measured nadir are used with nadir and sun; records without any use the reference attitude where there is one.
+A record with measured nadir and sun is followed by these, another by its reference attitude where it has one.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, minimize
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.calib.covariance import segments
@@ -140,9 +140,11 @@ def assemble_rows(
     telemetry = joined(records)
     none = np.full((len(telemetry), 3), np.nan)
     nadir_B = none if telemetry.nadir_B is None else np.array(telemetry.nadir_B)
-    with_nadir = bool(np.isfinite(nadir_B).any())
-    sun_B = none if telemetry.sun_B is None or not with_nadir else np.array(telemetry.sun_B)
-    attitude = telemetry.has_attitude & (not with_nadir)
+    sun_B = none if telemetry.sun_B is None else np.array(telemetry.sun_B)
+    by_sensors = np.isfinite(nadir_B).any() and (np.isfinite(sun_B).any() or not telemetry.has_attitude.any())
+    if not by_sensors:  # what the reference attitude was made of must not count twice
+        nadir_B = sun_B = none
+    attitude = telemetry.has_attitude & (not by_sensors)
     measured = telemetry.has_reading | attitude | np.isfinite(nadir_B).all(axis=1) | np.isfinite(sun_B).all(axis=1)
     rows, left_out = complete_rows(
         {"no position": telemetry.has_position, "no measurement": np.asarray(measured)}, "needs position and sensors"
@@ -277,8 +279,12 @@ def learned(
         values[free] = np.exp(logs)
         return Noises(*values.tolist())
 
+    low, high = np.log(np.array(_BOUNDS)[free]).T
     found = minimize(
-        lambda logs: cost(at(logs)), np.log(np.array(noises)[free]), method="L-BFGS-B",
-        bounds=[tuple(np.log(_BOUNDS[k])) for k in free], options={"eps": 1e-3, "maxiter": 40, "ftol": 3e-6},
-    )  # fmt: skip
+        lambda logs: cost(at(logs)),
+        np.log(np.array(noises)[free]),
+        method="L-BFGS-B",
+        bounds=Bounds(low, high),
+        options={"eps": 1e-3, "maxiter": 40, "ftol": 3e-6},
+    )
     return at(found.x)

@@ -16,7 +16,8 @@ from fluxtwin.sim.telemetry import Telemetry
 WITH_ATTITUDE = ("linear", "forward")
 WITHOUT_ATTITUDE = ("center", "twostep", "scalar")
 SPINNING = ("iterative", "batch")
-METHODS = (*WITH_ATTITUDE, *WITHOUT_ATTITUDE, *SPINNING)
+RECURSIVE = "recursive"
+METHODS = (*WITH_ATTITUDE, *WITHOUT_ATTITUDE, *SPINNING, RECURSIVE)
 _OF_SPINNERS = ("sun_sigma_deg", "sun_alignment_deg", "inertia_ratio", "torque_walk_rad_s")
 _OF_REGRESSIONS = ("block_s", "field_error_nT", "passes")
 _OF_ATTITUDE = ("attitude_sigma_deg", "attitude_tau_s")
@@ -35,8 +36,8 @@ def calibrate_by(
 ) -> Fit:
     """Calibrate by the method of that name, None for `default_method`.
 
-    options: those of `linear.calibrate_linear`, `scalar.calibrate_scalar` or `spin.calibrate_spin`; one that is None is
-    as if not given.
+    options: those of `linear.calibrate_linear`, `scalar.calibrate_scalar`, `spin.calibrate_spin` or
+    `recursive.calibrate_recursive`; one that is None is as if not given.
     Raises BadInput for an unknown method, and for an option that the method does not take.
     """
     if method is not None and method not in METHODS:
@@ -64,6 +65,8 @@ def _named(fit: Fit, telemetry: Telemetry) -> Fit:
 def _fit(records: Telemetry, model: FieldModel, chosen: str, given: dict[str, Any]) -> Fit:
     if chosen in SPINNING:
         return _calibrate_spinner(records, model, chosen, given)
+    if chosen == RECURSIVE:
+        return _calibrate_recursive(records, model, given)
     _refuse(given, _OF_SPINNERS, chosen, "batch")
     if chosen in WITH_ATTITUDE:
         from fluxtwin.calib.linear import calibrate_linear
@@ -74,6 +77,15 @@ def _fit(records: Telemetry, model: FieldModel, chosen: str, given: dict[str, An
 
     _refuse(given, ("errors_in_variables", "weights", "direction", *_OF_ATTITUDE), chosen, "linear")
     return calibrate_scalar(records, model, method=chosen, **given)
+
+
+def _calibrate_recursive(records: Telemetry, model: FieldModel, given: dict[str, Any]) -> Fit:
+    from fluxtwin.calib.recursive import calibrate_recursive
+
+    _refuse(given, _OF_SPINNERS[1:], RECURSIVE, "iterative")
+    _refuse(given, ("errors_in_variables", "weights", "direction", *_OF_REGRESSIONS), RECURSIVE, "linear")
+    _refuse(given, ("telemetry_bias",), RECURSIVE, "scalar")
+    return calibrate_recursive(records, model, **given)
 
 
 def _calibrate_spinner(

@@ -43,7 +43,8 @@ def command(
             "--method",
             metavar="NAME",
             help="With attitude: linear (reading to field, the papers') or forward. Without: scalar (maximum likelihood "
-            "of |B|), twostep or center (b alone). A spinner with sun pulses: batch or iterative. Where not given: linear "
+            "of |B|), twostep or center (b alone). A spinner with sun pulses: batch or iterative. A filter "
+            "that estimates the attitude too, by scanner and sun or the reference: recursive. Where not given: linear "
             "where there is attitude, scalar where there is none.",
         ),
     ] = None,
@@ -126,7 +127,11 @@ def command(
     ] = None,
     sun_sigma_deg: Annotated[
         float | None,
-        typer.Option("--sun-sigma-deg", metavar="DEG", help="Noise of a sun pulse, 1 sigma; batch and iterative."),
+        typer.Option(
+            "--sun-sigma-deg",
+            metavar="DEG",
+            help="Noise of a sun pulse or vector, 1 sigma; batch, iterative, recursive.",
+        ),
     ] = None,
     sun_alignment_deg: Annotated[
         float | None,

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import fluxtwin
+from fluxtwin.calib.attitude import consistency
 from fluxtwin.calib.attitude_filter import Noises, Rows, assemble_rows, learned, q_method, run, starts
 from fluxtwin.calib.records import Calibration
 from fluxtwin.sim import frames
@@ -157,19 +158,17 @@ def test_sigmas_hold_by_day_and_by_night(orbit: dict[str, np.ndarray]) -> None:
 
 
 def test_the_noise_is_found_and_a_wrong_world_is_seen(orbit: dict[str, np.ndarray]) -> None:
-    from fluxtwin.calib.attitude import _consistency
-
     rows, _ = world(orbit, 50)
     begun = starts(rows, P)
     found = learned(rows, begun, {}, P, NOTHING)
     for name, factor in (("field_nT", 1.2), ("sun_rad", 1.2), ("drift_rad", 1.6), ("rate_walk_rad_s", 2.0)):
         ratio = getattr(found, name) / getattr(NOISES, name)
         assert 1.0 / factor < ratio < factor, name
-    assert _consistency(run(rows, begun, found, P, NOTHING))[2] == ()
+    assert consistency(run(rows, begun, found, P, NOTHING))[2] == ()
     for wrong in ({"field_nT": 80.0, "slow_nT": 120.0}, {"field_nT": 20.0, "slow_nT": 30.0}, {"sun_rad": 4e-4}):
-        assert _consistency(run(rows, begun, NOISES._replace(**wrong), P, NOTHING))[2], wrong
+        assert consistency(run(rows, begun, NOISES._replace(**wrong), P, NOTHING))[2], wrong
     flipped = P * np.repeat([-1.0, 1.0], [9, 3])
-    assert _consistency(run(rows, begun, NOISES, flipped, NOTHING))[2], "S with the wrong sign"
+    assert consistency(run(rows, begun, NOISES, flipped, NOTHING))[2], "S with the wrong sign"
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,106 @@
+"""The recursive calibration: within its sigmas of truth, by the reference or by sensors alone, and what it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fluxtwin
+from fluxtwin.sim.errors import BadInput, NoAnswer
+from fluxtwin.sim.scenario import Scenario, parse_scenario
+from fluxtwin.sim.simulate import simulate
+
+README = Path(__file__).resolve().parents[2] / "README.md"
+SENSORS = {
+    "attitude.reference": {"source": "sensors"},
+    "horizon_scanner": {"noise_deg": 0.1, "tau_s": 60.0},
+    "sun_sensor": {
+        str(k + 1): {"azimuth_deg": 90.0 * k, "elevation_deg": 30.0, "noise_deg": 0.1} for k in range(4)
+    },
+}  # fmt: skip
+
+
+def scenario(**changes: Any) -> Scenario:
+    """README's, changed."""
+    text = README.read_text(encoding="utf-8").split("```toml")[1].split("```")[0]
+    return parse_scenario(text, where="README.md").updated(changes)
+
+
+def pulls(fit: Any, truth: Any) -> np.ndarray:
+    """(12,) errors over sigmas."""
+    known = fit.calibration
+    return np.asarray((known.values - np.append(truth.S.ravel(), truth.b_nT)) / known.sigmas)
+
+
+@pytest.fixture(scope="module")
+def flown() -> tuple[Any, Any]:
+    """README's scenario with seed 31; ten readings are wild."""
+    telemetry, truth = simulate(scenario(seed=31))
+    mag = np.array(telemetry.mag_B_nT)
+    mag[100:1800:170] += 3000.0
+    return telemetry.replace(mag_B_nT=mag), truth
+
+
+def test_with_a_noisy_reference_it_agrees_with_truth_and_the_batch(flown: tuple[Any, Any]) -> None:
+    """Twelve pulls of one seed: one beyond 4.5 in 10,000 runs; three sigma of 12 squares are within 2.3 of their mean 1."""
+    telemetry, truth = flown
+    fit = fluxtwin.calibrate(telemetry, method="recursive")
+    pull = pulls(fit, truth)
+    assert np.abs(pull).max() < 4.5
+    assert (pull**2).mean() < 2.3
+    assert fit.rejected == 10
+    assert fit.verdict is not None and fit.verdict.level == "good", fit.verdict
+    batch = fluxtwin.calibrate(telemetry, method="linear")
+    assert (fit.calibration.sigmas < 1.3 * batch.calibration.sigmas).all()
+    assert np.abs(pulls(fit, truth) * fit.calibration.sigmas / batch.calibration.sigmas).max() < 4.5
+    assert np.degrees(fit.attitude_sigma_rad[500:].max()) < 0.2
+    assert fit.to_dict()["noises"]["field_nT"] == pytest.approx(20.2, rel=0.1)
+
+
+def test_nadir_and_sun_are_enough() -> None:
+    telemetry, truth = simulate(scenario(seed=32, **SENSORS))
+    fit = fluxtwin.calibrate(telemetry.replace(q_NB=None), method="recursive")
+    pull = pulls(fit, truth)
+    assert np.abs(pull).max() < 4.5
+    assert (pull**2).mean() < 2.3
+    assert fit.calibration.sigmas[:9].max() < 0.01
+
+
+def test_b_alone_leaves_S_at_nought() -> None:
+    telemetry, truth = simulate(scenario(seed=33, **{"magnetometer.S": np.zeros((3, 3)).tolist()}))
+    options = {"attitude_sigma_deg": 0.1, "attitude_tau_s": 300.0, "noise_nT": 20.0}
+    known = fluxtwin.calibrate(telemetry, method="recursive", parameters="b", **options).calibration
+    assert not known.S.any() and not known.sigmas[:9].any()
+    assert np.abs((known.b_nT - truth.b_nT) / known.sigmas[9:]).max() < 4.0
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"parameters": "b,S,T"}, "method recursive"),
+        ({"robust": "huber"}, "tukey"),
+        ({"covariance": "white"}, "blocks"),
+        ({"block_s": 100.0}, "method linear"),
+        ({"telemetry_bias": ["temperature_degC"]}, "method scalar"),
+        ({"inertia_ratio": 1.2}, "method iterative"),
+        ({"attitude_tau_s": 100.0}, "attitude-sigma-deg"),
+    ],
+)
+def test_options_of_other_methods_are_refused(flown: tuple[Any, Any], options: dict[str, Any], words: str) -> None:
+    with pytest.raises(BadInput, match=words):
+        fluxtwin.calibrate(flown[0], method="recursive", **options)
+
+
+def test_without_attitude_nadir_or_sun_there_is_no_start(flown: tuple[Any, Any]) -> None:
+    with pytest.raises(NoAnswer, match="cannot be started"):
+        fluxtwin.calibrate(flown[0].replace(q_NB=None), method="recursive")
+
+
+def test_a_field_that_does_not_vary_names_what_is_unknown() -> None:
+    minutes = {"schedule.segments": [{"start_utc": "2026-03-01T00:00:00Z", "duration_min": 1.0, "step_s": 2.0}]}
+    telemetry, _ = simulate(scenario(seed=34, **minutes))
+    with pytest.raises(NoAnswer, match="do not determine"):
+        fluxtwin.calibrate(telemetry, method="recursive")

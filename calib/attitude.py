@@ -41,7 +41,7 @@ class AttitudeSolution:
     """(N, 4) textbook quaternion of the body relative to N, scalar last, from the rows up to each."""
     sigma_rad: FloatArray
     """(N, 3) 1 sigma of the turn about body x, y, z."""
-    covariance_rad2: FloatArray
+    covariance: FloatArray
     """(N, 3, 3) of that turn."""
     yaw_roll_pitch_rad: FloatArray
     """(N, 3) the 3-1-2 angles from the orbital frame; NaN where the velocity is not known."""
@@ -59,7 +59,7 @@ class AttitudeSolution:
     """What the errors were taken to be, declared or found."""
     nis: Mapping[str, float]
     """By sensor: mean squared innovation over its predicted variance; 1 is right."""
-    repeats: float
+    lag_correlation: float
     """Correlation of neighbouring innovations of the field, over all axes; 0 is right."""
     reasons: tuple[str, ...]
     """Why the attitude does not hold, in sentences; none where it does."""
@@ -82,7 +82,7 @@ class AttitudeSolution:
             "reasons": list(self.reasons),
             "sigma_deg": {"day": self.expected_deg(True), "night": self.expected_deg(False)},
             "nis": dict(self.nis),
-            "repeats": self.repeats,
+            "lag_correlation": self.lag_correlation,
             "noises": self.noises._asdict(),
             "left_out": dict(self.left_out),
             "time": [epoch.iso(t, "ms") for t in self.time],
@@ -164,14 +164,14 @@ def _solution(telemetry: Telemetry, rows: Rows, done: Run, noises: Noises) -> At
         assert telemetry.r_N_km is not None
         R_ON = frames.rotation_ON(telemetry.r_N_km[index[moving]], velocity[moving])
         angles[moving] = np.stack(frames.yaw_roll_pitch(R[np.flatnonzero(moving)] * R_ON.inv()), axis=1)
-    nis, repeats, reasons = consistency(done)
+    nis, lag_correlation, reasons = consistency(done)
     covariance = done.covariance[known]
     return AttitudeSolution(
-        time=rows.time[known], q_NB=frames.q_from_rotation(R), covariance_rad2=covariance,
+        time=rows.time[known], q_NB=frames.q_from_rotation(R), covariance=covariance,
         sigma_rad=np.sqrt(np.einsum("kii->ki", covariance)), yaw_roll_pitch_rad=angles, rate_B_rad_s=done.rate[known],
-        aided=np.isfinite(rows.sun_B[known, 0]) | np.isfinite(rows.A[known, 0, 0]),
+        aided=np.isfinite(rows.sun_B[known, 0]) | np.isfinite(rows.R_BN[known, 0, 0]),
         inflated=np.asarray((done.inflated[known] == 1.0).any(axis=1)), rows=index, left_out=left_out, noises=noises,
-        nis=nis, repeats=repeats, reasons=reasons,
+        nis=nis, lag_correlation=lag_correlation, reasons=reasons,
     )  # fmt: skip
 
 
@@ -194,10 +194,10 @@ def consistency(done: Run) -> tuple[dict[str, float], float, tuple[str, ...]]:
     v = done.innovation
     pair = np.isfinite(v[1:]).all(axis=1) & np.isfinite(v[:-1]).all(axis=1)
     r = np.clip(v, -5.0, 5.0)  # one wild reading must not decide
-    repeats = float((r[1:] * r[:-1])[pair].sum() / max((r[1:][pair] ** 2).sum(), 1e-300))
-    if abs(repeats) > _REPEATS + 4.0 / np.sqrt(max(int(pair.sum()), 1)):
+    lag_correlation = float((r[1:] * r[:-1])[pair].sum() / max((r[1:][pair] ** 2).sum(), 1e-300))
+    if abs(lag_correlation) > _REPEATS + 4.0 / np.sqrt(max(int(pair.sum()), 1)):
         reasons.append(
-            f"Neighbouring innovations of the field have a correlation of {repeats:.2f}, not 0: its errors are not "
+            f"Neighbouring innovations of the field have a correlation of {lag_correlation:.2f}, not 0: its errors are not "
             "as they were taken to be."
         )
-    return nis, repeats, tuple(reasons)
+    return nis, lag_correlation, tuple(reasons)

@@ -75,7 +75,7 @@ class Rows:
     nadir_N: FloatArray
     sun_B: FloatArray
     sun_N: FloatArray
-    A: FloatArray
+    R_BN: FloatArray
     """(N, 3, 3) reference attitude."""
     rows: np.ndarray
     """(N,) indices into the joined telemetry."""
@@ -165,7 +165,7 @@ def assemble_rows(
         time=used.time, t_s=epoch.seconds_since(used.time, used.time[0]), reading_nT=reading, coupling_nT=coupling,
         field_N_nT=field_N_nT(model, used.time, r_N_km), nadir_B=nadir_B,
         nadir_N=-r_N_km / np.linalg.norm(r_N_km, axis=1)[:, None], sun_B=sun_B,
-        sun_N=sun.sun_direction_N(used.time, r_N_km), A=A, rows=rows, left_out=left_out,
+        sun_N=sun.sun_direction_N(used.time, r_N_km), R_BN=A, rows=rows, left_out=left_out,
     )  # fmt: skip
 
 
@@ -223,9 +223,9 @@ def _fixes(rows: Rows, p: FloatArray | None) -> tuple[Rotation, FloatArray]:
         field = rows.reading_nT + rows.reading_nT @ p[:9].reshape(3, 3).T + p[9:] + rows.coupling_nT
     seen = np.stack([field, rows.nadir_B, rows.sun_B], axis=1)
     R, covariance = q_method(seen, np.stack([rows.field_N_nT, rows.nadir_N, rows.sun_N], axis=1), _FIX_SIGMAS_RAD)
-    given = np.isfinite(rows.A[:, 0, 0])
+    given = np.isfinite(rows.R_BN[:, 0, 0])
     matrices = R.as_matrix()
-    matrices[given] = rows.A[given]
+    matrices[given] = rows.R_BN[given]
     covariance[given] = _FIX_SIGMAS_RAD[1] ** 2 * np.eye(3)
     return Rotation.from_matrix(matrices), covariance
 
@@ -248,7 +248,7 @@ def run(rows: Rows, begun: Sequence[Start], noises: Noises, p: FloatArray, p_cov
         at = slice(one.begin, one.end)
         total, p, P = run_filter(
             rows.t_s[at], rows.reading_nT[at], rows.coupling_nT[at], rows.field_N_nT[at], rows.nadir_B[at],
-            rows.nadir_N[at], rows.sun_B[at], rows.sun_N[at], rows.A[at], one.A, one.rate, p, P, np.array(noises),
+            rows.nadir_N[at], rows.sun_B[at], rows.sun_N[at], rows.R_BN[at], one.A, one.rate, p, P, np.array(noises),
             *(part[at] for part in out),
         )  # fmt: skip
         C, cost = P[12:, 12:].copy(), cost + total

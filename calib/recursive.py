@@ -197,7 +197,7 @@ def _report(
         np.full(3, noises.field_nT**2),
         f"{plain(noises.field_nT)} nT white, {'declared' if declared else 'found in the innovations'}",
     )
-    nis, repeats, reasons = consistency(done)
+    nis, lag_correlation, reasons = consistency(done)
     left_out = dict(rows.left_out)
     if len(kept) < len(rows.t_s):
         left_out["no reading, or before a first fix"] = len(rows.t_s) - len(kept)
@@ -209,7 +209,7 @@ def _report(
         f"{plain(float(np.degrees(noises.drift_rad)), 2)} deg over {plain(noises.drift_s)} s",
         "squared innovations over what was predicted (1 is right): "
         + ", ".join(f"{sensor} {plain(nis[sensor])}" for sensor in SENSORS if sensor in nis)
-        + f"; correlation of neighbours {repeats:.2f}; {passes} passes",
+        + f"; correlation of neighbours {lag_correlation:.2f}; {passes} passes",
         *reasons,
         *suspicions(telemetry, calibration, r, robust=True),
     ]

@@ -136,7 +136,8 @@ def _print(
         output.prose(reason)
     nis = ", ".join(f"{sensor} {plain(value)}" for sensor, value in found.nis.items())
     output.prose(
-        f"Squared innovations over what was predicted (1 is right): {nis}; correlation of neighbours {found.repeats:.2f}."
+        f"Squared innovations over what was predicted (1 is right): {nis}; "
+        f"correlation of neighbours {found.lag_correlation:.2f}."
     )
     n = found.noises
     output.prose(

@@ -102,7 +102,7 @@ def world(orbit: dict[str, np.ndarray], seed: int) -> tuple[Rows, np.ndarray]:
     rows = Rows(
         time=time, t_s=STEP_S * np.arange(COUNT), reading_nT=reading, coupling_nT=np.zeros((COUNT, 3)),
         field_N_nT=orbit["field_N"], nadir_B=seen(nadir_N, drift), nadir_N=nadir_N, sun_B=sun_B, sun_N=orbit["sun_N"],
-        A=np.full((COUNT, 3, 3), np.nan), rows=np.arange(COUNT), left_out={},
+        R_BN=np.full((COUNT, 3, 3), np.nan), rows=np.arange(COUNT), left_out={},
     )  # fmt: skip
     return rows, truth
 

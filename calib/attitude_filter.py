@@ -13,10 +13,10 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import Bounds, minimize
+from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.calib.covariance import segments
@@ -279,12 +279,10 @@ def learned(
         values[free] = np.exp(logs)
         return Noises(*values.tolist())
 
-    low, high = np.log(np.array(_BOUNDS)[free]).T
-    found = minimize(
-        lambda logs: cost(at(logs)),
-        np.log(np.array(noises)[free]),
-        method="L-BFGS-B",
-        bounds=Bounds(low, high),
-        options={"eps": 1e-3, "maxiter": 40, "ftol": 3e-6},
-    )
+    def cost_at(logs: FloatArray) -> float:
+        return cost(at(logs))
+
+    how: Any = {"eps": 1e-3, "maxiter": 40, "ftol": 3e-6}  # the stubs of scipy do not know eps
+    bounds = np.log(np.array(_BOUNDS)[free]).tolist()
+    found = minimize(cost_at, np.log(np.array(noises)[free]), method="L-BFGS-B", bounds=bounds, options=how)
     return at(found.x)

@@ -80,7 +80,7 @@ def interpolated_deg(telemetry: Telemetry, truth: Truth) -> np.ndarray:
     return np.asarray(np.degrees(np.interp(t, t[day], np.unwrap(yaw)) - truth.yaw_rad))
 
 
-def fly(seed: int, worlds: dict[str, Any]) -> dict[str, dict[str, np.ndarray]]:
+def fly(seed: int, worlds: dict[str, Any], which: tuple[str, ...] = PARAMETERS) -> dict[str, dict[str, np.ndarray]]:
     """Errors, sigmas and consistency of one seed, by way."""
     model = load_field("igrf1975")
     flights = {}
@@ -93,7 +93,7 @@ def fly(seed: int, worlds: dict[str, Any]) -> dict[str, dict[str, np.ndarray]]:
     assert telemetry.sun_B is not None
     dark = ~np.isfinite(telemetry.sun_B).all(axis=1)
     found = {"interpolation": {"error": interpolated_deg(telemetry, truth)[dark]}}
-    for parameters in PARAMETERS:
+    for parameters in which:
         known = calibrate_linear(days, model, parameters=parameters).calibration
         filtered = estimate_attitude(telemetry, known, model)
         q, sigma = np.full((len(telemetry), 4), np.nan), np.full(len(telemetry), np.nan)
@@ -131,13 +131,14 @@ def main() -> int:
     """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--quick", action="store_true", help="one seed, one orbit: does it run?")
+    parser.add_argument("--quick", action="store_true", help="one seed, one orbit, b, S and T: does it run?")
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - is standard output")
     arguments = parser.parse_args()
     if arguments.quick:
         SPANS["night"]["duration_min"] = 110.0
     worlds: dict[str, Any] = {}
-    flown = [fly(FIRST_SEED + k, worlds) for k in range(1 if arguments.quick else arguments.seeds)]
+    which = PARAMETERS[-1:] if arguments.quick else PARAMETERS
+    flown = [fly(FIRST_SEED + k, worlds, which) for k in range(1 if arguments.quick else arguments.seeds)]
     rows = {way: score([one[way] for one in flown]) for way in flown[0]}
     result = {"seeds": len(flown), "first_seed": FIRST_SEED, "yaw_by_night": rows}
     if arguments.json == "-":

@@ -140,10 +140,11 @@ def _print(
         f"correlation of neighbours {found.lag_correlation:.2f}."
     )
     n = found.noises
+    sun = f"sun {plain(math.degrees(n.sun_rad), 2)} deg; " if "sun" in found.nis else ""
     output.prose(
         f"Errors taken, declared or found: field {plain(n.field_nT)} nT white and {plain(n.slow_nT)} nT over "
         f"{plain(n.slow_s)} s; scanner or reference {plain(math.degrees(n.white_rad), 2)} deg white and "
-        f"{plain(math.degrees(n.drift_rad), 2)} deg over {plain(n.drift_s)} s; sun {plain(math.degrees(n.sun_rad), 2)} deg; "
+        f"{plain(math.degrees(n.drift_rad), 2)} deg over {plain(n.drift_s)} s; {sun}"
         f"the rate walks by {n.rate_walk_rad_s:.2g} rad/s in a second."
     )
     output.say(f"Next: {_next_step(found, telemetry, calibration, out)}")

@@ -36,6 +36,15 @@ def _product(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 @part(fastmath=False)
+def __skew(v: FloatArray) -> FloatArray:
+    """[v x], (3, 3)."""
+    out = np.zeros((3, 3))
+    out[0, 1], out[0, 2], out[1, 2] = -v[2], v[1], -v[0]
+    out[1, 0], out[2, 0], out[2, 1] = v[2], -v[1], v[0]
+    return out
+
+
+@part(fastmath=False)
 def _skew(v: FloatArray) -> FloatArray:
     """[v x], (3, 3)."""
     out = np.zeros((3, 3))
@@ -59,7 +68,7 @@ def _turned(A: FloatArray, v: FloatArray) -> FloatArray:
     angle = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
     first = math.sin(angle) / angle if angle > 1e-9 else 1.0
     second = 2.0 * (math.sin(0.5 * angle) / angle) ** 2 if angle > 1e-9 else 0.5
-    W = _skew(v)
+    W = __skew(v)
     out = _product(np.eye(3) - first * W + second * _product(W, W), A)
     return 1.5 * out - 0.5 * _product(out, _product(out.T, out))
 
@@ -68,7 +77,7 @@ def _turned(A: FloatArray, v: FloatArray) -> FloatArray:
 def _propagate(A: FloatArray, w: FloatArray, x: FloatArray, P: FloatArray, h: float, noise: FloatArray) -> FloatArray:
     """A after h; x and P in place."""
     turn = _turned(np.eye(3), w * h)
-    W = _skew(w * h)
+    W = __skew(w * h)
     side = h * (
         np.eye(3) - 0.5 * W + _product(W, W) / 6.0
     )  # of the turn by an error of the rate, to the second order in w h
@@ -173,11 +182,11 @@ def _direction(y: FloatArray, seen: FloatArray, n: int) -> tuple[FloatArray, Flo
     axis = np.zeros(3)
     axis[np.argmin(np.abs(y))] = 1.0
     basis = np.zeros((2, 3))
-    basis[0] = _image(_skew(y), axis)
+    basis[0] = _image(__skew(y), axis)
     basis[0] /= math.sqrt((basis[0] ** 2).sum())
-    basis[1] = _image(_skew(y), basis[0])
+    basis[1] = _image(__skew(y), basis[0])
     H, r = np.zeros((2, n)), np.zeros(2)
-    H[:, :3] = _product(basis, _skew(y))
+    H[:, :3] = _product(basis, __skew(y))
     for i in range(2):
         for j in range(3):
             r[i] += basis[i, j] * (seen[j] - y[j])
@@ -231,7 +240,7 @@ def run_filter(
             r = field_B[k] + p[9:] + coupling_B[k] - y
             predicted = y - start[9:] - coupling_B[k]
             H = np.zeros((3, n))
-            H[:, :3] = _skew(y)
+            H[:, :3] = __skew(y)
             for i in range(3):
                 H[i, 6 + i] = 1.0
                 for j in range(3):

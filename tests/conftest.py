@@ -20,18 +20,10 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """With pytest-xdist, tests that share what their module has computed run in one worker: nothing is computed twice."""
+    """With pytest-xdist, the tests of a file run in one worker: what they share is computed once. (Its groups by marks
+    would let the others go anywhere; pytest-xdist 3.8 loses them with pytest 9.2.)"""
     if getattr(config.option, "dist", "no") == "load":
-        config.option.dist = "loadgroup"
-
-
-@pytest.hookimpl(tryfirst=True)  # before pytest-xdist looks for the marks
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """A module whose tests share a fixture is a group of pytest-xdist's; all other tests go wherever there is room."""
-    for item in items:
-        fixtures = item._fixtureinfo.name2fixturedefs  # type: ignore[attr-defined]
-        if any(one[-1].scope == "module" for one in fixtures.values()):
-            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+        config.option.dist = "loadfile"
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,9 @@
 """Three-axis attitude of a record, through the night too, and whether it holds.
 
 The filter is in `attitude_filter`. Its innovations over their predicted sigma say whether it holds: they should average 1
-squared, sensor by sensor, and not repeat from row to row.
+squared, sensor by sensor, and not repeat from row to row. Sizes that are found in the innovations make them so in many a
+wrong world too; what the calibration says of its errors, and the noise along the field, where no attitude acts, are held
+against them.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.calib.attitude_filter import SENSORS, Noises, Rows, Run, assemble_rows, learned, run, starts
+from fluxtwin.calib.attitude_filter import SENSORS, Learned, Noises, Rows, Run, assemble_rows, learned, run, starts
 from fluxtwin.calib.design import joined
 from fluxtwin.calib.digits import plain
 from fluxtwin.calib.records import Calibration
@@ -29,6 +31,10 @@ _CONSISTENT = (0.8, 1.25)
 """Squared innovations over their predicted variance, mean of a sensor."""
 _REPEATS = 0.2  # correlation of neighbouring innovations of the field
 _STANDING_OUT = 0.05  # share of innovations of a sensor
+_EXPLAINED = 1.5  # error of the field over that which calibration and noise explain
+_LASTING_S = (
+    1000.0  # an error of scanner or reference that lasts so long may as well be a mounting, or the sun sensor's
+)
 
 
 @dataclass(frozen=True)
@@ -63,11 +69,22 @@ class AttitudeSolution:
     """Correlation of neighbouring innovations of the field, over all axes; 0 is right."""
     reasons: tuple[str, ...]
     """Why the attitude does not hold, in sentences; none where it does."""
+    limits: tuple[str, ...] = ()
+    """What speaks against it although the innovations do not, in sentences."""
+    source: str = ""
+    """What was followed beside the field."""
+    set_aside: str = ""
+    """What the record has besides, and was not used; empty where all was."""
 
     @property
     def holds(self) -> bool:
         """Whether the errors are what they are said to be, as far as the innovations show."""
         return not self.reasons
+
+    @property
+    def level(self) -> str:
+        """`good`; `usable`, with limits; `bad`: the innovations contradict it."""
+        return "bad" if self.reasons else "usable" if self.limits else "good"
 
     def expected_deg(self, aided: bool) -> list[float] | None:
         """rms of the sigmas about body x, y, z by day (aided) or by night [deg]; None where there is no such row."""
@@ -79,7 +96,11 @@ class AttitudeSolution:
         angles = np.degrees(self.yaw_roll_pitch_rad)
         return {
             "holds": self.holds,
+            "level": self.level,
             "reasons": list(self.reasons),
+            "limits": list(self.limits),
+            "followed": self.source,
+            "set_aside": self.set_aside,
             "sigma_deg": {"day": self.expected_deg(True), "night": self.expected_deg(False)},
             "nis": dict(self.nis),
             "lag_correlation": self.lag_correlation,
@@ -111,8 +132,8 @@ def estimate_attitude(
     the horizon scanner, or of the reference attitude in a record without scanner, and how long it lasts (0: white).
     sun_sigma_deg: white noise of the sun vector. What is None is found in the innovations.
 
-    Raises NoAnswer where no row is complete or the attitude cannot be started, BadInput for sizes that are none and for a
-    column that the calibration needs.
+    Raises NoAnswer where no row is complete, the attitude cannot be started, or the rows are too few for the errors that are
+    not declared; BadInput for a size out of range and for a column that the calibration needs.
     """
     declared = declared_noises(noise_nT, attitude_sigma_deg, attitude_tau_s, sun_sigma_deg)
     telemetry = joined(records)
@@ -121,26 +142,33 @@ def estimate_attitude(
     covariance = np.array(calibration.covariance[:12, :12])
     begun = starts(rows, p)
     progress("finding the noise", 0.3)
-    noises = learned(rows, begun, declared, p, np.zeros((0, 0)))
+    taken = learned(rows, begun, declared, p, np.zeros((0, 0)))
     progress("following the attitude", 0.8)
-    return _solution(telemetry, rows, run(rows, begun, noises, p, covariance), noises)
+    done = run(rows, begun, taken.noises, p, covariance)
+    return _solution(telemetry, rows, done, taken.noises, limits(rows, calibration, taken))
 
 
 def declared_noises(
     noise_nT: float | None, attitude_sigma_deg: float | None, attitude_tau_s: float | None, sun_sigma_deg: float | None
 ) -> dict[str, float]:
-    """The fields of `Noises` that are given. Raises BadInput for a size that is not positive, or a time without a size."""
-    for name, value in (
-        ("noise_nT", noise_nT), ("attitude_sigma_deg", attitude_sigma_deg), ("sun_sigma_deg", sun_sigma_deg),
+    """The fields of `Noises` that are given. Raises BadInput for a size out of range, or a time without a size."""
+    for name, value, top in (
+        ("noise_nT", noise_nT, 1e5),
+        ("attitude_sigma_deg", attitude_sigma_deg, 90.0),
+        ("sun_sigma_deg", sun_sigma_deg, 90.0),
     ):  # fmt: skip
-        if value is not None and not 0.0 < value < 1e5:
-            raise BadInput(f"{value!r}", where=f"--{name.replace('_', '-')}", wanted="1 sigma, positive")
+        if value is not None and not 0.0 < value < top:
+            raise BadInput(
+                f"{value!r}", where=f"--{name.replace('_', '-')}", wanted=f"1 sigma, positive, below {top:g}"
+            )
     found = {} if noise_nT is None else {"field_nT": float(noise_nT)}
     if sun_sigma_deg is not None:
         found["sun_rad"] = float(np.radians(sun_sigma_deg))
-    if attitude_tau_s is not None and (attitude_sigma_deg is None or not attitude_tau_s >= 0.0):
+    if attitude_tau_s is not None and (attitude_sigma_deg is None or not 0.0 <= attitude_tau_s < np.inf):
         raise BadInput(
-            f"{attitude_tau_s!r}", where="--attitude-tau-s", wanted="s, not negative, beside --attitude-sigma-deg"
+            f"{attitude_tau_s!r}",
+            where="--attitude-tau-s",
+            wanted="s, finite, not negative, beside --attitude-sigma-deg",
         )
     if attitude_sigma_deg is not None:
         sigma = float(np.radians(attitude_sigma_deg))
@@ -152,7 +180,58 @@ def declared_noises(
     return found
 
 
-def _solution(telemetry: Telemetry, rows: Rows, done: Run, noises: Noises) -> AttitudeSolution:
+def limits(rows: Rows, calibration: Calibration, taken: Learned) -> tuple[str, ...]:
+    """What speaks against the sizes that were found, in sentences: innovations cannot, for the sizes were fitted to them."""
+    n, said = taken.noises, []
+    explained_nT = _explained_nT(rows, calibration)
+    found_nT = float(np.hypot(n.field_nT, n.slow_nT))
+    if {"field_nT", "slow_nT"} & set(taken.found) and found_nT > _EXPLAINED * explained_nT:
+        said.append(
+            f"the field is off by {plain(found_nT)} nT"
+            + (f" over {plain(n.slow_s, 2)} s" if n.slow_nT > n.field_nT else " from row to row")
+            + f", more than the {plain(explained_nT)} nT that noise and the calibration's sigma explain: calibration, "
+            "mounting of magnetometer or sun sensor, clock, position or field model may be wrong, and what a constant error "
+            "does to the attitude is not in the sigma"
+        )
+    if "drift_s" in taken.found and n.drift_s > _LASTING_S and n.drift_rad > n.white_rad:
+        said.append(
+            f"{rows.source} and the field differ by {plain(float(np.degrees(n.drift_rad)), 2)} deg over "
+            f"{plain(n.drift_s)} s: so lasting a difference may be a wrong mounting of any, which is not in the sigma"
+        )
+    C = calibration.covariance[:9, :9]
+    if C.any() and np.array_equal(calibration.S, calibration.S.T) and np.allclose(C[[1, 2, 5]], C[[3, 6, 7]]):
+        said.append(
+            "the calibration was made without attitude: a rotation of the magnetometer against the body is neither "
+            "in it nor in the sigma"
+        )
+    if taken.at_bound:
+        said.append(f"{', '.join(taken.at_bound)} would be larger than is allowed: the errors are of another kind")
+    if not taken.settled:
+        said.append("the search for the errors did not settle")
+    return tuple(said)
+
+
+def _explained_nT(rows: Rows, calibration: Calibration) -> float:
+    """What a component of the field may be off by: the calibration's residual and sigma, and noise, declared or seen.
+
+    The noise is that of the field's length from row to row, which no attitude changes.
+    """
+    B = rows.reading_nT
+    field = B + B @ calibration.S.T + calibration.b_nT + rows.coupling_nT
+    off = np.linalg.norm(field, axis=1) - np.linalg.norm(rows.field_N_nT, axis=1)
+    bend = np.abs(off[2:] - 2.0 * off[1:-1] + off[:-2])
+    bend = bend[np.isfinite(bend)]
+    white_nT = 1.4826 * float(np.median(bend)) / np.sqrt(6.0) if bend.size else 0.0
+    z = np.column_stack([B, np.ones(len(B))])[np.isfinite(B).all(axis=1)]
+    moments = z.T @ z / max(len(z), 1)
+    blocks = [[3 * i, 3 * i + 1, 3 * i + 2, 9 + i] for i in range(3)]
+    spread = sum(float((calibration.covariance[np.ix_(at, at)] * moments).sum()) for at in blocks) / 3.0
+    return float(np.sqrt(white_nT**2 + calibration.sigma_nT**2 + spread))
+
+
+def _solution(
+    telemetry: Telemetry, rows: Rows, done: Run, noises: Noises, against: tuple[str, ...]
+) -> AttitudeSolution:
     known = np.flatnonzero(np.isfinite(done.A[:, 0, 0]))
     left_out = dict(rows.left_out)
     if len(known) < len(rows.t_s):
@@ -171,7 +250,8 @@ def _solution(telemetry: Telemetry, rows: Rows, done: Run, noises: Noises) -> At
         sigma_rad=np.sqrt(np.einsum("kii->ki", covariance)), yaw_roll_pitch_rad=angles, rate_B_rad_s=done.rate[known],
         aided=np.isfinite(rows.sun_B[known, 0]) | np.isfinite(rows.R_BN[known, 0, 0]),
         inflated=np.asarray((done.inflated[known] == 1.0).any(axis=1)), rows=index, left_out=left_out, noises=noises,
-        nis=nis, lag_correlation=lag_correlation, reasons=reasons,
+        nis=nis, lag_correlation=lag_correlation, reasons=reasons, limits=against,
+        source=rows.source, set_aside=rows.set_aside,
     )  # fmt: skip
 
 
@@ -197,7 +277,7 @@ def consistency(done: Run) -> tuple[dict[str, float], float, tuple[str, ...]]:
     lag_correlation = float((r[1:] * r[:-1])[pair].sum() / max((r[1:][pair] ** 2).sum(), 1e-300))
     if abs(lag_correlation) > _REPEATS + 4.0 / np.sqrt(max(int(pair.sum()), 1)):
         reasons.append(
-            f"Neighbouring innovations of the field have a correlation of {lag_correlation:.2f}, not 0: its errors are not "
-            "as they were taken to be."
+            f"Innovations of the field in successive rows have a correlation of {lag_correlation:.2f}, not 0: its errors "
+            "are not as they were taken to be."
         )
     return nis, lag_correlation, tuple(reasons)

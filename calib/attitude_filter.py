@@ -4,8 +4,6 @@ Where two directions are known at once, Davenport's q-method gives the attitude 
 the filter carries it on (`attitude_kernels`). The rate wanders at random; field and scanner have, beside white noise,
 slow errors. Sizes that are not declared are those that make the innovations most likely (Mehra 1970, IEEE Transactions on
 Automatic Control 15, 175). S and b of the magnetometer may be part of the state, known to a covariance or unknown.
-
-A record with measured nadir and sun is followed by these, another by its reference attitude where it has one.
 """
 
 from __future__ import annotations
@@ -30,19 +28,34 @@ from fluxtwin.sim.types import FloatArray, TimeArray
 
 SENSORS = ("field", "attitude", "sun")
 """Columns of `nis` and `inflated`; "attitude" is the scanner, or the reference attitude where there is no scanner."""
-_LEARN_ROWS = 1000
+_LEARN_ROWS, _LEARN_PIECE = 4000, 700
+"""Rows from which sizes are learned; of a longer record pieces, about a third and two thirds of each sensor's rows."""
+_ROWS_A_SIZE = 10  # fewer rows for each size that is wanted show none of them
+_COVERS = 0.1  # of the rows that another source has: one that has fewer does not replace it
+_VOTES, _AGREES, _AGREES_RAD = (
+    9,
+    4.0,
+    0.02,
+)  # first fixes compared; how far from the others one may be: times their median, rad
+_ALIASED_RAD = 2.5  # a turn so near half a revolution from fix to fix may as well be one the other way round
 _FIX_NT, _FIX_SIGMAS_RAD = 300.0, np.array([0.01, 0.002, 0.002])  # field, nadir, sun: weights of a fix
 _FIX_RAD = 0.1  # a fix less sure than that starts nothing
 _RATE_S, _RATE_RAD = 60.0, 0.5  # a first rate is taken from fixes so far apart at most
+_NO_COST = 1e15  # of sizes with which the filter breaks down
 _WIDE = 10.0  # the first covariance over that of the fix, whose measurements the filter uses once more
-_BOUNDS = ((1e-10, 1e-2), (1e-2, 1e5), (1e-2, 1e5), (60.0, 2e4), (1e-6, 0.1), (1e-6, 0.1), (1e-6, 0.1), (1.0, 2e4))
+_OF_WALK, _OF_NT, _OF_RAD, _OF_S = (1e-8, 1e-2), (0.3, 1e5), (1e-5, 0.1), (1.0, 2e4)
+_BOUNDS = (*(_OF_WALK,) * 3, _OF_NT, _OF_NT, (60.0, 2e4), *(_OF_RAD,) * 3, _OF_S)
+"""Of each of `Noises`; below the lowest nothing changes any more."""
+_DURATIONS = ("slow_s", "drift_s")
 
 
 class Noises(NamedTuple):
     """What the filter takes the errors to be, 1 sigma."""
 
-    rate_walk_rad_s: float = 3e-6
-    """Random walk of the rate in a second, per axis."""
+    walk_x_rad_s: float = 3e-6
+    """Random walk of the rate about body x in a second."""
+    walk_y_rad_s: float = 3e-6
+    walk_z_rad_s: float = 3e-6
     field_nT: float = 30.0
     """White, of a component."""
     slow_nT: float = 100.0
@@ -55,6 +68,18 @@ class Noises(NamedTuple):
     drift_rad: float = 1e-3
     """Its slow error, lasting `drift_s`."""
     drift_s: float = 100.0
+
+
+class Learned(NamedTuple):
+    """Sizes that were declared or found."""
+
+    noises: Noises
+    found: tuple[str, ...]
+    """Names of those that the data gave."""
+    at_bound: tuple[str, ...]
+    """Of these, the ones that would be larger than any that was allowed."""
+    settled: bool
+    """Whether the search came to an end."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +105,10 @@ class Rows:
     rows: np.ndarray
     """(N,) indices into the joined telemetry."""
     left_out: Mapping[str, int]
+    source: str = "nadir and sun"
+    """What is followed beside the field, in words."""
+    set_aside: str = ""
+    """What the record has besides, and is not used."""
 
 
 class Run(NamedTuple):
@@ -138,19 +167,25 @@ def assemble_rows(
     not there.
     """
     telemetry = joined(records)
-    none = np.full((len(telemetry), 3), np.nan)
-    nadir_B = none if telemetry.nadir_B is None else np.array(telemetry.nadir_B)
-    sun_B = none if telemetry.sun_B is None else np.array(telemetry.sun_B)
-    by_sensors = np.isfinite(nadir_B).any() and (np.isfinite(sun_B).any() or not telemetry.has_attitude.any())
-    if not by_sensors:  # what the reference attitude was made of must not count twice
-        nadir_B = sun_B = none
+    nadir_B, sun_B = _directions(telemetry.nadir_B, len(telemetry)), _directions(telemetry.sun_B, len(telemetry))
+    nadir, sun_seen = np.isfinite(nadir_B[:, 0]), np.isfinite(sun_B[:, 0])
+    # What the reference attitude was made of must not count twice: it is either the sensors or the reference.
+    given = int(telemetry.has_attitude.sum())
+    pairs, any_seen = int((nadir & sun_seen).sum()), int((nadir | sun_seen).sum())
+    by_sensors = any_seen > 0 and ((pairs > 0 and pairs >= _COVERS * given) or given < _COVERS * any_seen)
+    sensors = " and ".join(name for name, seen in (("nadir", nadir), ("sun", sun_seen)) if seen.any())
+    source, set_aside = (
+        (sensors, "reference attitude" if given else "") if by_sensors else ("reference attitude", sensors)
+    )
+    if not by_sensors:
+        nadir_B, sun_B = np.full_like(nadir_B, np.nan), np.full_like(sun_B, np.nan)
     attitude = telemetry.has_attitude & (not by_sensors)
     measured = telemetry.has_reading | attitude | np.isfinite(nadir_B).all(axis=1) | np.isfinite(sun_B).all(axis=1)
     rows, left_out = complete_rows(
         {"no position": telemetry.has_position, "no measurement": np.asarray(measured)}, "needs position and sensors"
     )
     used = telemetry.select(rows)
-    nadir_B, sun_B = (v[rows] / np.linalg.norm(v[rows], axis=1)[:, None] for v in (nadir_B, sun_B))
+    nadir_B, sun_B = nadir_B[rows], sun_B[rows]
     assert used.r_N_km is not None
     r_N_km = np.array(used.r_N_km)
     A = np.full((len(used), 3, 3), np.nan)
@@ -166,7 +201,16 @@ def assemble_rows(
         field_N_nT=field_N_nT(model, used.time, r_N_km), nadir_B=nadir_B,
         nadir_N=-r_N_km / np.linalg.norm(r_N_km, axis=1)[:, None], sun_B=sun_B,
         sun_N=sun.sun_direction_N(used.time, r_N_km), R_BN=A, rows=rows, left_out=left_out,
+        source=source if by_sensors or given else "no other sensor", set_aside=set_aside,
     )  # fmt: skip
+
+
+def _directions(seen_B: FloatArray | None, count: int) -> FloatArray:
+    """(N, 3) unit vectors, NaN where nothing was measured or it has no length."""
+    if seen_B is None:
+        return np.full((count, 3), np.nan)
+    length = np.linalg.norm(seen_B, axis=1)
+    return np.asarray(seen_B / np.where(length > 0.0, length, np.nan)[:, None])
 
 
 class Start(NamedTuple):
@@ -185,23 +229,33 @@ class Start(NamedTuple):
     """(3, 3) (rad/s)^2, likewise."""
 
 
-def starts(rows: Rows, p: FloatArray | None) -> list[Start]:
+def starts(rows: Rows, p: FloatArray | None, breaks: np.ndarray | None = None) -> list[Start]:
     """A start for each stretch of rows that has two fixes: by reference attitude, or by directions seen together.
 
-    p: (12,) S row by row and b by which the field counts as a direction; None: it does not. Raises NoAnswer where there
-    is no start.
+    p: (12,) S row by row and b by which the field counts as a direction; None: it does not. breaks: rows at which a new
+    stretch begins, beside those after gaps. Raises NoAnswer where there is no start, or the body turns by nearly half a
+    revolution from fix to fix.
     """
-    R, covariance = _fixes(rows, p)
-    edges = np.flatnonzero(np.diff(segments(rows.time))) + 1
+    R, covariance = fixes(rows, p)
+    breaks = np.empty(0, dtype=int) if breaks is None else breaks
+    edges = np.union1d(np.flatnonzero(np.diff(segments(rows.time))) + 1, breaks).astype(int)
     found = []
     for first, end in zip([0, *edges], [*edges, len(rows.t_s)], strict=True):
         sure = first + np.flatnonzero(np.einsum("kii->k", covariance[first:end]) < _FIX_RAD**2)
+        sure = sure[_first_credible(rows.t_s[sure[:_VOTES]], R[sure[:_VOTES]]) :] if sure.size > 2 else sure
         if sure.size < 2:
             continue
         begin = int(sure[0])
         later = sure[1:][rows.t_s[sure[1:]] - rows.t_s[begin] <= max(_RATE_S, rows.t_s[sure[1]] - rows.t_s[begin])]
         turned = (R[later] * R[begin].inv()).as_rotvec()
-        far = np.flatnonzero(np.linalg.norm(turned, axis=1) > _RATE_RAD)
+        angle = np.linalg.norm(turned, axis=1)
+        if angle[0] > _ALIASED_RAD:
+            raise NoAnswer(
+                f"the body turns by {np.degrees(angle[0]):.0f} deg or more from one fix to the next, in "
+                f"{rows.t_s[later[0]] - rows.t_s[begin]:g} s: how fast it turns cannot be told without more frequent rows",
+                evidence={"turn_rad": float(angle[0])},
+            )
+        far = np.flatnonzero(angle > _RATE_RAD)
         k = max(int(far[0]) - 1, 0) if far.size else len(later) - 1
         h = float(rows.t_s[later[k]] - rows.t_s[begin])
         of_rate = (covariance[begin] + covariance[later[k]]) / h**2
@@ -216,7 +270,19 @@ def starts(rows: Rows, p: FloatArray | None) -> list[Start]:
     return found
 
 
-def _fixes(rows: Rows, p: FloatArray | None) -> tuple[Rotation, FloatArray]:
+def _first_credible(t_s: FloatArray, R: Rotation) -> int:
+    """Which of a few fixes is the first that lies where the others say, by the steady rate that most of them share."""
+    best, off = np.inf, np.zeros(len(t_s))
+    for i in range(len(t_s) - 1):
+        rate = (R[i + 1] * R[i].inv()).as_rotvec() / (t_s[i + 1] - t_s[i])
+        steady = Rotation.from_rotvec((t_s - t_s[i])[:, None] * rate) * R[i]
+        apart = (R * steady.inv()).magnitude()
+        if (typical := float(np.median(apart))) < best:
+            best, off = typical, apart
+    return int(np.argmax(off <= np.maximum(_AGREES * best, _AGREES_RAD)))
+
+
+def fixes(rows: Rows, p: FloatArray | None) -> tuple[Rotation, FloatArray]:
     """The attitude of each row by itself and its covariance (N, 3, 3), infinite where it cannot be fixed."""
     field = np.full_like(rows.reading_nT, np.nan)
     if p is not None:
@@ -257,22 +323,52 @@ def run(rows: Rows, begun: Sequence[Start], noises: Noises, p: FloatArray, p_cov
 
 
 def learned(
-    rows: Rows, begun: Sequence[Start], declared: Mapping[str, float], p: FloatArray, p_covariance: FloatArray
-) -> Noises:
-    """The noises that make the innovations of the first rows most likely, but for those that are declared."""
-    count = begun[0].begin + _LEARN_ROWS
-    some = [one._replace(end=min(one.end, count)) for one in begun if one.begin < count]
-    sun_seen = bool(np.isfinite(rows.sun_B).any())
-    free = [k for k, name in enumerate(Noises._fields) if name not in declared and (sun_seen or name != "sun_rad")]
+    rows: Rows,
+    begun: Sequence[Start],
+    declared: Mapping[str, float],
+    p: FloatArray,
+    p_covariance: FloatArray,
+    *,
+    by_field: bool = True,
+) -> Learned:
+    """The noises that make the innovations most likely, but for those that are declared.
+
+    by_field: whether the field helps to begin a piece of a long record. Raises NoAnswer where there are fewer rows than
+    would show so many sizes.
+    """
+    seen = (
+        np.isfinite(rows.reading_nT[:, 0]), np.isfinite(rows.nadir_B[:, 0]) | np.isfinite(rows.R_BN[:, 0, 0]),
+        np.isfinite(rows.sun_B[:, 0]),
+    )  # fmt: skip
+    some, used = list(begun), np.zeros(len(rows.t_s), dtype=bool)
+    for one in begun:
+        used[one.begin : one.end] = True
+    if used.sum() > _LEARN_ROWS:
+        some = _pieces(rows, begun, seen, p if by_field else None)
+        used[:] = False
+        for one in some:
+            used[one.begin : one.end] = True
+    of = dict(zip(("field", "slow", "white", "drift", "sun"), (0, 0, 1, 1, 2), strict=True))
+    free = [
+        k for k, name in enumerate(Noises._fields)
+        if name not in declared and (name.startswith("walk") or (seen[of[name.split("_")[0]]] & used).any())
+    ]  # fmt: skip
+    if used.sum() < _ROWS_A_SIZE * len(free):
+        raise NoAnswer(
+            f"{int(used.sum())} rows do not show how large {len(free)} kinds of error are: "
+            f"{_ROWS_A_SIZE * len(free)} rows at least are needed, fewer where errors are declared",
+            evidence={"rows": int(used.sum()), "sizes": len(free)},
+        )
 
     def cost(noises: Noises) -> float:
-        return run(rows, some, noises, p, p_covariance).cost
+        value = run(rows, some, noises, p, p_covariance).cost
+        return value if np.isfinite(value) else _NO_COST
 
-    # Where nearly all innovations stand out the likelihood leads nowhere: the best of a grid is near enough.
-    grid = itertools.product((1e-6, 1e-5), (30.0, 150.0), (100.0, 500.0, 1500.0))
-    noises = min((Noises(*sizes)._replace(**declared) for sizes in grid), key=cost)
-    if not free:
-        return noises
+    # A grid first: far from the answer the likelihood has other maxima.
+    wide = {"sun_rad": (2e-3, 2e-2), "drift_rad": (2e-3, 2e-2)}
+    axes = [sizes if name in {Noises._fields[k] for k in free} else (None,) for name, sizes in wide.items()]
+    grid = itertools.product((1e-6, 1e-5, 1e-4, 1e-3), (30.0, 150.0, 1000.0), (100.0, 1000.0), *axes)
+    noises = min((_sized(*sizes)._replace(**declared) for sizes in grid), key=cost)
 
     def at(logs: FloatArray) -> Noises:
         values = np.array(noises)
@@ -282,7 +378,28 @@ def learned(
     def cost_at(logs: FloatArray) -> float:
         return cost(at(logs))
 
-    how: Any = {"eps": 1e-3, "maxiter": 40, "ftol": 3e-6}  # the stubs of scipy do not know eps
-    bounds = np.log(np.array(_BOUNDS)[free]).tolist()
-    found = minimize(cost_at, np.log(np.array(noises)[free]), method="L-BFGS-B", bounds=bounds, options=how)
-    return at(found.x)
+    how: Any = {"eps": 1e-3, "maxiter": 80, "ftol": 3e-6}  # the stubs of scipy do not know eps
+    bounds = np.log(np.array(_BOUNDS)[free])
+    found = minimize(cost_at, np.log(np.array(noises)[free]), method="L-BFGS-B", bounds=bounds.tolist(), options=how)
+    best = at(found.x)
+    names = tuple(Noises._fields[k] for k in free)
+    highest = found.x > bounds[:, 1] - 1e-3
+    above = tuple(name for name, high in zip(names, highest, strict=True) if high and name not in _DURATIONS)
+    return Learned(best, names, above, bool(found.success) and found.fun < _NO_COST)
+
+
+def _sized(walk: float, field_nT: float, slow_nT: float, sun_rad: float | None, drift_rad: float | None) -> Noises:
+    first = Noises(walk, walk, walk, field_nT, slow_nT)
+    return first._replace(sun_rad=sun_rad or first.sun_rad, drift_rad=drift_rad or first.drift_rad)
+
+
+def _pieces(rows: Rows, begun: Sequence[Start], seen: Sequence[np.ndarray], p: FloatArray | None) -> list[Start]:
+    """Starts of a few pieces of a long record, about a third and two thirds of the rows that each sensor has."""
+    used = np.zeros(len(rows.t_s), dtype=bool)
+    for have in seen:
+        at = np.flatnonzero(have)
+        for k in (len(at) // 3, 2 * len(at) // 3) if len(at) else ():
+            first = max(int(at[k]) - _LEARN_PIECE // 2, begun[0].begin)
+            used[first : first + _LEARN_PIECE] = True
+    edges = np.flatnonzero(np.diff(used.astype(int))) + 1
+    return [one for one in starts(rows, p, edges) if used[one.begin]] or list(begun)

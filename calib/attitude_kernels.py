@@ -18,10 +18,14 @@ import numpy as np
 from fluxtwin.sim.kernel_cache import kernel, part
 from fluxtwin.sim.types import FloatArray
 
-RATE_WALK, FIELD, SLOW, SLOW_S, SUN, WHITE, DRIFT, DRIFT_S = range(8)
-"""Places in the array of noises: rad/s per sqrt(s), nT, nT, s, rad, rad (white, of scanner or reference), rad, s."""
+WALK, FIELD, SLOW, SLOW_S, SUN, WHITE, DRIFT, DRIFT_S = 0, 3, 4, 5, 6, 7, 8, 9
+"""Places in the array of noises: rad/s per sqrt(s) (three, by body axis), nT, nT, s, rad, rad (white, of scanner or
+reference), rad, s."""
 GATE = 5.0
 """Innovations beyond so many sigma (of each component, rms) are inflated."""
+TAIL = 4.0
+"""Beyond the gate the likelihood of a component falls with this power of its square: above 1, so that too small a noise is
+never likely; low, so that a percent of outliers hardly widens the noise."""
 
 
 @part(fastmath=False)
@@ -32,15 +36,6 @@ def _product(a: FloatArray, b: FloatArray) -> FloatArray:
         for k in range(a.shape[1]):
             for j in range(b.shape[1]):
                 out[i, j] += a[i, k] * b[k, j]
-    return out
-
-
-@part(fastmath=False)
-def __skew(v: FloatArray) -> FloatArray:
-    """[v x], (3, 3)."""
-    out = np.zeros((3, 3))
-    out[0, 1], out[0, 2], out[1, 2] = -v[2], v[1], -v[0]
-    out[1, 0], out[2, 0], out[2, 1] = v[2], -v[1], v[0]
     return out
 
 
@@ -68,7 +63,7 @@ def _turned(A: FloatArray, v: FloatArray) -> FloatArray:
     angle = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
     first = math.sin(angle) / angle if angle > 1e-9 else 1.0
     second = 2.0 * (math.sin(0.5 * angle) / angle) ** 2 if angle > 1e-9 else 0.5
-    W = __skew(v)
+    W = _skew(v)
     out = _product(np.eye(3) - first * W + second * _product(W, W), A)
     return 1.5 * out - 0.5 * _product(out, _product(out.T, out))
 
@@ -76,11 +71,14 @@ def _turned(A: FloatArray, v: FloatArray) -> FloatArray:
 @part(fastmath=False)
 def _propagate(A: FloatArray, w: FloatArray, x: FloatArray, P: FloatArray, h: float, noise: FloatArray) -> FloatArray:
     """A after h; x and P in place."""
-    turn = _turned(np.eye(3), w * h)
-    W = __skew(w * h)
-    side = h * (
-        np.eye(3) - 0.5 * W + _product(W, W) / 6.0
-    )  # of the turn by an error of the rate, to the second order in w h
+    v = w * h
+    angle = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
+    first, second = 0.5, 1.0 / 6.0
+    if angle > 1e-4:
+        first, second = (1.0 - math.cos(angle)) / angle**2, (angle - math.sin(angle)) / angle**3
+    W = _skew(v)
+    turn = _turned(np.eye(3), v)
+    side = h * (np.eye(3) - first * W + second * _product(W, W))  # of the turn by an error of the rate
     for side_of_P in range(2):  # rows, then columns
         for k in range(x.size):
             old = np.empty(6)
@@ -94,8 +92,8 @@ def _propagate(A: FloatArray, w: FloatArray, x: FloatArray, P: FloatArray, h: fl
                     P[i, k] = value
                 else:
                     P[k, i] = value
-    q = noise[RATE_WALK] ** 2 * h
     for i in range(3):
+        q = noise[WALK + i] ** 2 * h
         P[i, i] += q * h * h / 3.0
         P[3 + i, 3 + i] += q
         P[i, 3 + i] += 0.5 * q * h
@@ -155,25 +153,51 @@ def _update(
     squared, log_det = _squared(V, left, L)
     nis = squared / m
     wild = nis > GATE**2
-    if wild:  # the further out, the less it counts: a redescending weight
-        V += R * ((nis / GATE**2) ** 2 - 1.0)
+    cost = log_det + squared
+    if wild:
+        # A tail by a power law: were it the likelihood of the inflated noise, too small a noise would be likely.
+        cost = log_det + m * (GATE**2 + TAIL * math.log(nis / GATE**2))
+        more = (nis / GATE**2) ** 2  # the further out, the less it counts: a redescending weight
+        V += R * (more - 1.0)
+        R = R * more
         squared, log_det = _squared(V, left, L)
-    for j in range(m):  # one after the other along L: G G' is what the measurement takes off P
-        for i in range(n):
+    K = PH.copy()
+    for i in range(n):  # K V = PH by L and then by L'
+        for j in range(m):
             for k in range(j):
-                PH[i, j] -= PH[i, k] * L[j, k]
-            PH[i, j] /= L[j, j]
-        for k in range(j):
-            left[j] -= L[j, k] * left[k]
-        left[j] /= L[j, j]
+                K[i, j] -= K[i, k] * L[j, k]
+            K[i, j] /= L[j, j]
+        for j in range(m - 1, -1, -1):
+            for k in range(j + 1, m):
+                K[i, j] -= K[i, k] * L[k, j]
+            K[i, j] /= L[j, j]
     for i in range(n):
         for j in range(m):
-            x[i] += PH[i, j] * left[j]
-        for k in range(i + 1):
+            x[i] += K[i, j] * left[j]
+    # Joseph's form, (1 - K H) P (1 - K H)' + K R K': P stays positive where it was wide and the measurement is sharp.
+    for i in range(n):
+        for k in range(n):
             for j in range(m):
-                P[i, k] -= PH[i, j] * PH[k, j]
+                P[i, k] -= K[i, j] * PH[k, j]
+    rest = np.zeros((n, m))
+    for j in range(m):
+        for k in range(n):
+            if H[j, k] != 0.0:
+                for i in range(n):
+                    rest[i, j] -= P[i, k] * H[j, k]
+    for i in range(n):
+        for j in range(m):
+            for k in range(m):
+                rest[i, j] += K[i, k] * R[k, j]
+    for i in range(n):
+        for k in range(i + 1):
+            one, other = P[i, k], P[k, i]
+            for j in range(m):
+                one += rest[i, j] * K[k, j]
+                other += rest[k, j] * K[i, j]
+            P[i, k] = 0.5 * (one + other)
             P[k, i] = P[i, k]
-    return nis, log_det + squared, wild
+    return nis, cost, wild
 
 
 @part(fastmath=False)
@@ -182,11 +206,11 @@ def _direction(y: FloatArray, seen: FloatArray, n: int) -> tuple[FloatArray, Flo
     axis = np.zeros(3)
     axis[np.argmin(np.abs(y))] = 1.0
     basis = np.zeros((2, 3))
-    basis[0] = _image(__skew(y), axis)
+    basis[0] = _image(_skew(y), axis)
     basis[0] /= math.sqrt((basis[0] ** 2).sum())
-    basis[1] = _image(__skew(y), basis[0])
+    basis[1] = _image(_skew(y), basis[0])
     H, r = np.zeros((2, n)), np.zeros(2)
-    H[:, :3] = _product(basis, __skew(y))
+    H[:, :3] = _product(basis, _skew(y))
     for i in range(2):
         for j in range(3):
             r[i] += basis[i, j] * (seen[j] - y[j])
@@ -240,7 +264,7 @@ def run_filter(
             r = field_B[k] + p[9:] + coupling_B[k] - y
             predicted = y - start[9:] - coupling_B[k]
             H = np.zeros((3, n))
-            H[:, :3] = __skew(y)
+            H[:, :3] = _skew(y)
             for i in range(3):
                 H[i, 6 + i] = 1.0
                 for j in range(3):

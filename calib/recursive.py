@@ -2,7 +2,8 @@
 
 The recursive counterpart of the batch methods (for b and D alone, without attitude: Crassidis, Lai & Harman 2005, Journal
 of Guidance, Control, and Dynamics 28, 115). Attitude comes from scanner and sun, or from a reference that is wrong by a
-slow error; readings that stand out count less. Passes are repeated about the last answer until it stays, as in an iterated
+slow error; readings that stand out count less, and those far from a robust batch fit not at all, because nothing stands
+out while little is known. Passes are repeated about the last answer until it stays, as in an iterated
 filter, because an extended filter freezes what it got wrong while it knew little.
 
 How long the slow errors last is known badly from one record, and the sigmas hang on it: S, b and covariance are averaged
@@ -13,17 +14,30 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.calib.attitude import consistency, declared_noises
-from fluxtwin.calib.attitude_filter import SENSORS, Noises, Rows, Run, Start, assemble_rows, learned, run, starts
+from fluxtwin.calib.attitude_filter import (
+    SENSORS,
+    Learned,
+    Noises,
+    Rows,
+    Run,
+    Start,
+    assemble_rows,
+    fixes,
+    learned,
+    run,
+    starts,
+)  # fmt: skip
 from fluxtwin.calib.design import joined
 from fluxtwin.calib.digits import plain
 from fluxtwin.calib.fit import Fit
+from fluxtwin.calib.linear import calibrate_linear
 from fluxtwin.calib.moments import covariance_of
 from fluxtwin.calib.noise import ReadingNoise, lsb_from_spacing_nT, per_axis
 from fluxtwin.calib.observability import field_variation, pair_words, require_samples, weak_direction_words
@@ -35,10 +49,11 @@ from fluxtwin.sim import frames
 from fluxtwin.sim.errors import BadInput, NoAnswer
 from fluxtwin.sim.field import FieldModel
 from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.types import BoolArray, FloatArray
 
 _FIRST_SIGMA = np.repeat([0.3, 1e5], [9, 3])  # far wider than any magnetometer: 1, nT
 _UNKNOWN = 0.3  # of that sigma left: the data did not tell
+_FAR = 10.0  # such residuals of the batch fit, over their median size, belong to no reading
 _PASSES, _OF_SIGMA = 6, 0.05
 _LONGER = np.arange(-1.0, 2.6, 0.5)
 """Logarithms by which slow errors may last longer, and be larger with the same steps from row to row."""
@@ -79,8 +94,8 @@ def calibrate_recursive(
     or of the reference attitude where there is no scanner. sun_sigma_deg: of the sun vector. What is None is found in the
     innovations. Slow errors are states, so the covariance allows for them: it is of the kind `blocks`.
 
-    Raises BadInput for options that are none, NoAnswer where the attitude cannot be started from nadir and sun or from a
-    reference, and, with the names of the parameters, where the data do not determine them.
+    Raises BadInput for options that this method does not take, NoAnswer where the attitude cannot be started from nadir and
+    sun or from a reference, and, with the names of the parameters, where the data do not determine them.
     """
     for name, value, wanted in (
         ("parameters", parameters, ("b,S", "b")), ("robust", robust, ("tukey",)), ("covariance", covariance, ("blocks",)),
@@ -89,6 +104,10 @@ def calibrate_recursive(
             raise BadInput(
                 f"{value!r}", where=f"--{name}", wanted=f"{' or '.join(wanted)}: the method recursive has no other"
             )
+    if lsb_nT is not None and noise_nT is None:
+        raise BadInput(
+            f"{lsb_nT!r}", where="--lsb-nT", wanted="--noise-nT beside it: noise that is found includes rounding"
+        )
     telemetry = joined(records)
     rows = assemble_rows(telemetry, model)
     reading = rows.reading_nT[np.isfinite(rows.reading_nT).all(axis=1)]
@@ -102,13 +121,36 @@ def calibrate_recursive(
     first = np.diag(_FIRST_SIGMA**2)
     if parameters == "b":
         first[:9, :9] = 0.0
-    p = run(rows, begun, Noises(field_nT=100.0)._replace(**declared), np.zeros(12), first).p
-    noises = learned(rows, begun, declared, p, first)
+    rows, p, far = _without_far(telemetry, rows, model, parameters)
+    taken = learned(rows, begun, declared, p, first, by_field=False)
+    noises = taken.noises
     done, passes = _settled(rows, begun, noises, p, first)
     mean, C = _averaged(rows, begun, noises, done, first, declared)
     done = done._replace(p=mean, p_covariance=C)
     _require_known(done, first)
-    return _report(telemetry, rows, done, noises, parameters, passes, model, declared=noise_nT is not None)
+    return _report(telemetry, rows, done, taken, parameters, passes, model, declared=noise_nT is not None, far=far)
+
+
+def _without_far(
+    telemetry: Telemetry, rows: Rows, model: FieldModel, parameters: str
+) -> tuple[Rows, FloatArray, BoolArray]:
+    """Rows without the readings that lie far from a robust batch fit to the rows with a fix; its S and b; which they are.
+
+    Raises NoAnswer where the fit is not determined.
+    """
+    R, covariance = fixes(rows, None)
+    sure = np.isfinite(covariance[:, 0, 0])
+    q = np.full((len(telemetry), 4), np.nan)
+    q[rows.rows[sure]] = frames.q_from_rotation(R[sure])
+    known = calibrate_linear(telemetry.replace(q_NB=q), model, parameters=parameters).calibration
+    off = np.full_like(rows.reading_nT, np.nan)
+    B = rows.reading_nT[sure]
+    off[sure] = R[sure].apply(rows.field_N_nT[sure]) - (B + B @ known.S.T + known.b_nT)
+    size = 1.4826 * np.nanmedian(np.abs(off), axis=0)
+    far = (np.abs(off) > _FAR * size).any(axis=1)
+    reading = rows.reading_nT.copy()
+    reading[far] = np.nan
+    return replace(rows, reading_nT=reading), np.concatenate([known.S.ravel(), known.b_nT]), np.asarray(far)
 
 
 def _settled(rows: Rows, begun: Sequence[Start], noises: Noises, p: FloatArray, first: FloatArray) -> tuple[Run, int]:
@@ -124,7 +166,7 @@ def _settled(rows: Rows, begun: Sequence[Start], noises: Noises, p: FloatArray, 
     _require_known(done, first)
     raise NoAnswer(
         f"passes of the filter still move by {moved:.2g} sigma after {_PASSES}: attitude, field or clock are far from what "
-        "these data say",
+        "these data say; fluxtwin check looks for the cause",
         evidence={"moved_sigma": moved},
     )
 
@@ -160,8 +202,8 @@ def _require_known(done: Run, first: FloatArray) -> None:
     unknown = [name for name, weak in zip(parameter_names(False), left & (np.diag(first) > 0), strict=True) if weak]
     if unknown:
         raise NoAnswer(
-            f"these data do not determine {', '.join(unknown)}: the field hardly varies in the body. More attitudes, or "
-            "--parameters b",
+            f"these data do not determine {', '.join(unknown)}: the field hardly varies in the body, or most readings stand "
+            "out. More attitudes, --parameters b, or fluxtwin check",
             evidence={"parameters": unknown},
         )
 
@@ -170,13 +212,15 @@ def _report(
     telemetry: Telemetry,
     rows: Rows,
     done: Run,
-    noises: Noises,
+    taken: Learned,
     parameters: str,
     passes: int,
     model: FieldModel,
     *,
     declared: bool,
+    far: BoolArray,
 ) -> RecursiveFit:
+    noises = taken.noises
     S, b_nT = done.p[:9].reshape(3, 3), done.p[9:]
     kept = np.flatnonzero(np.isfinite(rows.reading_nT).all(axis=1) & np.isfinite(done.A[:, 0, 0]))
     B, A = rows.reading_nT[kept], done.A[kept]
@@ -199,8 +243,13 @@ def _report(
     )
     nis, lag_correlation, reasons = consistency(done)
     left_out = dict(rows.left_out)
-    if len(kept) < len(rows.t_s):
-        left_out["no reading, or before a first fix"] = len(rows.t_s) - len(kept)
+    if far.any():
+        left_out["the reading lies far from all others"] = int(far.sum())
+    if len(kept) + far.sum() < len(rows.t_s):
+        left_out["no reading, or before a first fix"] = len(rows.t_s) - len(kept) - int(far.sum())
+    doubts = list(reasons)
+    if taken.at_bound or not taken.settled:
+        doubts.append("The search for the sizes of the errors did not end within what is allowed.")
     messages = [
         *(f"{count} rows left out: {reason}" for reason, count in left_out.items()),
         f"noise of the reading: {noise.source}; slow error of the field {plain(noises.slow_nT)} nT over "
@@ -209,14 +258,14 @@ def _report(
         f"{plain(float(np.degrees(noises.drift_rad)), 2)} deg over {plain(noises.drift_s)} s",
         "squared innovations over what was predicted (1 is right): "
         + ", ".join(f"{sensor} {plain(nis[sensor])}" for sensor in SENSORS if sensor in nis)
-        + f"; correlation of neighbours {lag_correlation:.2f}; {passes} passes",
-        *reasons,
+        + f"; correlation of the field's from row to row {lag_correlation:.2f}; {passes} passes",
         *suspicions(telemetry, calibration, r, robust=True),
     ]
     return RecursiveFit(
         calibration=calibration, method="recursive", time=rows.time[kept], residuals_nT=r,
         weights=np.where(wild, 0.0, 1.0 / max(int((~wild).sum()), 1)), rows=rows.rows[kept], left_out=left_out,
-        rejected=int(wild.sum()), variation=variation, noise=noise, statistics=statistics, messages=tuple(messages),
+        doubts=tuple(doubts), rejected=int(wild.sum() + far.sum()), variation=variation, noise=noise, statistics=statistics,
+        messages=tuple(messages),
         error_model=errors(noise, declared), q_NB=frames.q_from_rotation(Rotation.from_matrix(A)),
         attitude_sigma_rad=np.sqrt(np.einsum("kii->ki", done.covariance[kept])), noises=noises,
     )  # fmt: skip

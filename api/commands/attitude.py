@@ -46,7 +46,7 @@ def command(
         typer.Option(
             "--noise-nT",
             metavar="NT",
-            help="White noise of the reading, rounding included, 1 sigma an axis [nT]; else found.",
+            help="White noise of the reading, rounding included, 1 sigma per axis [nT]; else found.",
         ),
     ] = None,
     attitude_sigma_deg: Annotated[
@@ -54,7 +54,7 @@ def command(
         typer.Option(
             "--attitude-sigma-deg",
             metavar="DEG",
-            help="Error of the scanner, or of the reference attitude where none is, 1 sigma an axis [deg]; else found.",
+            help="Error of the scanner, or of the reference attitude if followed, 1 sigma per axis [deg]; else found.",
         ),
     ] = None,
     attitude_tau_s: Annotated[
@@ -119,7 +119,6 @@ def command(
 def _print(
     output: Output, found: AttitudeSolution, telemetry: Path, calibration: Path | None, out: Path | None
 ) -> None:
-    import math
 
     from fluxtwin.calib.digits import plain
 
@@ -127,29 +126,26 @@ def _print(
         sizes = found.expected_deg(aided)
         return "no row" if sizes is None else ", ".join(plain(size, 2) for size in sizes) + " deg"
 
-    head = "Good: the attitude holds" if found.holds else "Bad: the attitude does not hold"
-    output.prose(
-        f"{head}. 1 sigma about body x, y, z: {degrees(True)} with the sun (or a reference attitude), "
-        f"{degrees(False)} without."
-    )
+    head = {
+        "good": "Good: nothing contradicts the attitude",
+        "usable": f"Usable: the innovations are as predicted, but {'; '.join(found.limits)}",
+        "bad": "Bad: the attitude does not hold",
+    }[found.level]
+    aid = "reference attitude" if "reference" in found.source else "sun"
+    output.prose(f"{head}. 1 sigma about body x, y, z: {degrees(True)} with the {aid}, {degrees(False)} without.")
+    aside = f"; {found.set_aside} set aside" if found.set_aside else ""
+    output.prose(f"Followed: {found.source} and the calibrated field{aside}.")
     for reason in found.reasons:
         output.prose(reason)
     nis = ", ".join(f"{sensor} {plain(value)}" for sensor, value in found.nis.items())
     output.prose(
-        f"Squared innovations over what was predicted (1 is right): {nis}; "
-        f"correlation of neighbours {found.lag_correlation:.2f}."
+        f"Squared innovations over what was predicted (1 is right): {nis}; correlation of the field's from row to row "
+        f"{found.lag_correlation:.2f}."
     )
-    n = found.noises
-    sun = f"sun {plain(math.degrees(n.sun_rad), 2)} deg; " if "sun" in found.nis else ""
-    output.prose(
-        f"Errors taken, declared or found: field {plain(n.field_nT)} nT white and {plain(n.slow_nT)} nT over "
-        f"{plain(n.slow_s)} s; scanner or reference {plain(math.degrees(n.white_rad), 2)} deg white and "
-        f"{plain(math.degrees(n.drift_rad), 2)} deg over {plain(n.drift_s)} s; {sun}"
-        f"the rate walks by {n.rate_walk_rad_s:.2g} rad/s in a second."
-    )
+    output.prose(f"Errors, 1 sigma, declared or found: {_sizes(found)}.")
     output.say(f"Next: {_next_step(found, telemetry, calibration, out)}")
     output.say(
-        f"{len(found.time)} rows, {int((~found.aided).sum())} without sun; {int(found.inflated.sum())} stood out"
+        f"{len(found.time)} rows, {int((~found.aided).sum())} without {aid}; {int(found.inflated.sum())} stood out"
     )
     for reason, count in found.left_out.items():
         output.say(f"- {count} rows left out: {reason}")
@@ -157,14 +153,41 @@ def _print(
         output.say(f"  {out}")
 
 
+def _sizes(found: AttitudeSolution) -> str:
+    """The errors that matter; one far below its neighbour is not told by the data."""
+    import math
+
+    from fluxtwin.calib.digits import plain
+
+    n, parts = found.noises, []
+    for name, white, slow, slow_s, unit in (
+        ("field", n.field_nT, n.slow_nT, n.slow_s, "nT"),
+        (
+            "reference" if "reference" in found.source else "nadir",
+            math.degrees(n.white_rad), math.degrees(n.drift_rad), n.drift_s, "deg",
+        ),
+    ):  # fmt: skip
+        if name == "field" or "attitude" in found.nis:
+            size = [f"{plain(white, 2)} {unit} white"] if white > 0.1 * slow else []
+            size += [f"{plain(slow, 2)} {unit} over {plain(slow_s, 2)} s"] if slow > 0.1 * white else []
+            parts.append(f"{name} {' and '.join(size)}")
+    if "sun" in found.nis:
+        parts.append(f"sun {plain(math.degrees(n.sun_rad), 2)} deg white")
+    walks = ", ".join(f"{walk:.2g}" for walk in (n.walk_x_rad_s, n.walk_y_rad_s, n.walk_z_rad_s))
+    return "; ".join([*parts, f"random walk of the rate about x, y, z {walks} rad/s in a second"])
+
+
 def _next_step(found: AttitudeSolution, telemetry: Path, calibration: Path | None, out: Path | None) -> str:
     import shlex
 
     name = shlex.quote(str(telemetry))
     if not found.holds:
-        return f"fluxtwin check {name}"
-    if found.noises.slow_nT > 3.0 * found.noises.field_nT:
-        return f"the field is off by more than its noise, for long: fluxtwin diagnose {name}, or calibrate S and T too"
+        return (
+            f"fluxtwin check {name}; if it finds nothing, calibrate again, or declare the errors that are known "
+            "(--noise-nT, --attitude-sigma-deg, --sun-sigma-deg)"
+        )
+    if found.limits:
+        return f"fluxtwin diagnose {name}, or calibrate S and T too, with attitude"
     if out is not None:
         return f"take q_x q_y q_z q_w of {shlex.quote(str(out))} as the attitude of these rows"
     known = "" if calibration is None else f" --calibration {shlex.quote(str(calibration))}"

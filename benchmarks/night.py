@@ -7,8 +7,8 @@ stations, head 1 mounted as it should be, torquers in the telemetry and not comp
 with b alone, with b and S, with b, S and T; each calibration is then used over five hours of the next day. A seed draws
 motion, torquers and every noise anew; the ground has IGRF 1975, the world DGRF. Errors about yaw (body z) of all rows in
 which no head sees the sun: rms and 95th percentile; the filter's own sigma, rms; the share of rows within three of them;
-the share of seeds in which the filter says that it holds. Beside it: yaw by sun and nadir interpolated across the night,
-and by the field of one reading at a time (b, S, T).
+the share of seeds in which the filter says that it holds, and that it is good. Beside it: yaw taken as zero, which is how
+it is steered; yaw by sun and nadir interpolated across the night; yaw by the field of one reading at a time (b, S, T).
 """
 
 # ruff: noqa: E402  (the thread counts must be set before numpy is loaded)
@@ -77,7 +77,12 @@ def interpolated_deg(telemetry: Telemetry, truth: Truth) -> np.ndarray:
     R_ON = frames.rotation_ON(telemetry.r_N_km[day], telemetry.v_N_km_s[day])
     yaw = frames.yaw_roll_pitch(frames.rotation_from_q(q[day]) * R_ON.inv())[0]
     t = epoch.seconds_since(telemetry.time, telemetry.time[0])
-    return np.asarray(np.degrees(np.interp(t, t[day], np.unwrap(yaw)) - truth.yaw_rad))
+    return wrapped_deg(np.interp(t, t[day], np.unwrap(yaw)) - truth.yaw_rad)
+
+
+def wrapped_deg(angle_rad: np.ndarray) -> np.ndarray:
+    """From -180 to 180 deg."""
+    return np.degrees((angle_rad + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def fly(seed: int, worlds: dict[str, Any], which: tuple[str, ...] = PARAMETERS) -> dict[str, dict[str, np.ndarray]]:
@@ -92,7 +97,10 @@ def fly(seed: int, worlds: dict[str, Any], which: tuple[str, ...] = PARAMETERS) 
     days, (telemetry, truth) = flights["days"][0], flights["night"]
     assert telemetry.sun_B is not None
     dark = ~np.isfinite(telemetry.sun_B).all(axis=1)
-    found = {"interpolation": {"error": interpolated_deg(telemetry, truth)[dark]}}
+    found = {
+        "zero": {"error": wrapped_deg(-np.asarray(truth.yaw_rad))[dark]},
+        "interpolation": {"error": interpolated_deg(telemetry, truth)[dark]},
+    }
     for parameters in which:
         known = calibrate_linear(days, model, parameters=parameters).calibration
         filtered = estimate_attitude(telemetry, known, model)
@@ -102,11 +110,12 @@ def fly(seed: int, worlds: dict[str, Any], which: tuple[str, ...] = PARAMETERS) 
             "error": turn_deg(q, truth)[dark],
             "sigma": sigma[dark],
             "holds": np.array([filtered.holds]),
+            "good": np.array([filtered.level == "good"]),
         }
         if parameters == PARAMETERS[-1]:
             single = yaw_from_field(telemetry.replace(q_NB=None), known, model)
             error = np.full(len(telemetry), np.nan)
-            error[single.rows] = np.degrees(single.yaw_rad - truth.yaw_rad[single.rows])
+            error[single.rows] = wrapped_deg(single.yaw_rad - truth.yaw_rad[single.rows])
             found["one reading"] = {"error": error[dark]}
     return found
 
@@ -118,12 +127,14 @@ def score(parts: list[dict[str, np.ndarray]]) -> dict[str, float | None]:
     row: dict[str, float | None] = {
         "rms_deg": float(np.sqrt((error[known] ** 2).mean())), "p95_deg": float(np.quantile(np.abs(error[known]), 0.95)),
         "sigma_deg": None, "within_3_sigma": None, "holds": None,
+        "good": None,
     }  # fmt: skip
     if "sigma" in parts[0]:
         sigma = np.concatenate([part["sigma"] for part in parts])[known]
         row["sigma_deg"] = float(np.sqrt((sigma**2).mean()))
         row["within_3_sigma"] = float((np.abs(error[known]) < 3.0 * sigma).mean())
-        row["holds"] = float(np.concatenate([part["holds"] for part in parts]).mean())
+        for name in ("holds", "good"):
+            row[name] = float(np.concatenate([part[name] for part in parts]).mean())
     return row
 
 
@@ -145,13 +156,14 @@ def main() -> int:
         sys.stdout.write(files.to_json(result))
         return 0
     print(f"{len(flown)} seeds from {FIRST_SEED}\n")
-    print("| yaw by night from | rms [deg] | 95 % [deg] | sigma [deg] | in 3 sigma | holds |")
-    print("|---|--:|--:|--:|--:|--:|")
+    print("| yaw by night from | rms [deg] | 95 % [deg] | sigma [deg] | in 3 sigma | holds | good |")
+    print("|---|--:|--:|--:|--:|--:|--:|")
     for way, row in rows.items():
         cells = [f"{row['rms_deg']:.2f}", f"{row['p95_deg']:.2f}"]
         if row["sigma_deg"] is not None:
             cells += [f"{row['sigma_deg']:.2f}", f"{100 * row['within_3_sigma']:.1f} %", f"{100 * row['holds']:.0f} %"]
-        print(f"| {way} | {' | '.join([*cells, '', '', ''][:5])} |")
+            cells += [f"{100 * row['good']:.0f} %"]
+        print(f"| {way} | {' | '.join([*cells, '', '', '', ''][:6])} |")
     if arguments.json:
         files.write_json(arguments.json, result)
     return 0

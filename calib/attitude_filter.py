@@ -272,13 +272,13 @@ def starts(rows: Rows, p: FloatArray | None, breaks: np.ndarray | None = None) -
 
 def _first_credible(t_s: FloatArray, R: Rotation) -> int:
     """Which of a few fixes is the first that lies where the others say, by the steady rate that most of them share."""
-    best, off = np.inf, np.zeros(len(t_s))
+    best, off = np.inf, np.zeros(len(t_s), dtype=np.float64)
     for i in range(len(t_s) - 1):
         rate = (R[i + 1] * R[i].inv()).as_rotvec() / (t_s[i + 1] - t_s[i])
         steady = Rotation.from_rotvec((t_s - t_s[i])[:, None] * rate) * R[i]
         apart = (R * steady.inv()).magnitude()
         if (typical := float(np.median(apart))) < best:
-            best, off = typical, apart
+            best, off = typical, np.asarray(apart).reshape(-1)
     return int(np.argmax(off <= np.maximum(_AGREES * best, _AGREES_RAD)))
 
 
@@ -365,10 +365,16 @@ def learned(
         return value if np.isfinite(value) else _NO_COST
 
     # A grid first: far from the answer the likelihood has other maxima.
-    wide = {"sun_rad": (2e-3, 2e-2), "drift_rad": (2e-3, 2e-2)}
-    axes = [sizes if name in {Noises._fields[k] for k in free} else (None,) for name, sizes in wide.items()]
-    grid = itertools.product((1e-6, 1e-5, 1e-4, 1e-3), (30.0, 150.0, 1000.0), (100.0, 1000.0), *axes)
-    noises = min((_sized(*sizes)._replace(**declared) for sizes in grid), key=cost)
+    names = tuple(Noises._fields[k] for k in free)
+    suns, drifts = ((2e-3, 2e-2) if name in names else (2e-3,) for name in ("sun_rad", "drift_rad"))
+    grid = itertools.product((1e-6, 1e-5, 1e-4, 1e-3), (30.0, 150.0, 1000.0), (100.0, 1000.0), suns, drifts)
+    noises = min(
+        (
+            Noises(walk, walk, walk, white, slow, sun_rad=sun_rad, drift_rad=drift)._replace(**declared)
+            for walk, white, slow, sun_rad, drift in grid
+        ),
+        key=cost,
+    )
 
     def at(logs: FloatArray) -> Noises:
         values = np.array(noises)
@@ -382,15 +388,9 @@ def learned(
     bounds = np.log(np.array(_BOUNDS)[free])
     found = minimize(cost_at, np.log(np.array(noises)[free]), method="L-BFGS-B", bounds=bounds.tolist(), options=how)
     best = at(found.x)
-    names = tuple(Noises._fields[k] for k in free)
     highest = found.x > bounds[:, 1] - 1e-3
     above = tuple(name for name, high in zip(names, highest, strict=True) if high and name not in _DURATIONS)
     return Learned(best, names, above, bool(found.success) and found.fun < _NO_COST)
-
-
-def _sized(walk: float, field_nT: float, slow_nT: float, sun_rad: float | None, drift_rad: float | None) -> Noises:
-    first = Noises(walk, walk, walk, field_nT, slow_nT)
-    return first._replace(sun_rad=sun_rad or first.sun_rad, drift_rad=drift_rad or first.drift_rad)
 
 
 def _pieces(rows: Rows, begun: Sequence[Start], seen: Sequence[np.ndarray], p: FloatArray | None) -> list[Start]:

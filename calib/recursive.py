@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.calib.attitude import consistency, declared_noises
+from fluxtwin.calib.attitude import consistency, declared_noises, limits
 from fluxtwin.calib.attitude_filter import (
     SENSORS,
     Learned,
@@ -247,9 +247,9 @@ def _report(
         left_out["the reading lies far from all others"] = int(far.sum())
     if len(kept) + far.sum() < len(rows.t_s):
         left_out["no reading, or before a first fix"] = len(rows.t_s) - len(kept) - int(far.sum())
-    doubts = list(reasons)
-    if taken.at_bound or not taken.settled:
-        doubts.append("The search for the sizes of the errors did not end within what is allowed.")
+    # The residual has the slow error of the field in it, and can not explain it.
+    against = limits(rows, replace(calibration, sigma_nT=0.0), taken)
+    doubts = [*reasons, *(f"{text[0].upper()}{text[1:]}." for text in against)]
     messages = [
         *(f"{count} rows left out: {reason}" for reason, count in left_out.items()),
         f"noise of the reading: {noise.source}; slow error of the field {plain(noises.slow_nT)} nT over "

@@ -235,6 +235,10 @@ def test_what_cannot_be_started_or_is_no_size_is_refused(flown: tuple[Any, Any])
         fluxtwin.attitude(telemetry, known, noise_nT=-1.0)
     with pytest.raises(BadInput, match="attitude-tau-s"):
         fluxtwin.attitude(telemetry, known, attitude_tau_s=10.0)
+    with pytest.raises(BadInput, match="finite"):
+        fluxtwin.attitude(telemetry, known, attitude_sigma_deg=0.1, attitude_tau_s=float("inf"))
+    with pytest.raises(BadInput, match="below 90"):
+        fluxtwin.attitude(telemetry, known, attitude_sigma_deg=720.0)
     with pytest.raises(BadInput, match="not corrected"):
         fluxtwin.attitude(telemetry)
     with pytest.raises(NoAnswer, match="no position"):
@@ -302,3 +306,48 @@ def test_sun_and_field_are_enough_and_one_row_of_a_source_replaces_no_other(flow
     q[np.arange(len(q)) != 9] = np.nan
     stray = assemble_rows(telemetry.replace(sun_B=None, q_NB=q), model)
     assert (stray.source, stray.set_aside) == ("nadir", "reference attitude")
+
+
+def nees(found: Any, truth: Any) -> float:
+    """Mean squared error over what was predicted, a component; 1 is right."""
+    turn = frames.rotation_from_q(found.q_NB) * frames.rotation_from_q(truth.q_NB[found.rows]).inv()
+    theta = turn.as_rotvec()
+    return float(np.einsum("ki,kij,kj->k", theta, np.linalg.inv(found.covariance), theta).mean() / 3.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "name", "size"),
+    [
+        ({"sun_sensor.1.noise_deg": 1.0, "sun_sensor.2.noise_deg": 1.0}, "sun_rad", np.radians(1.0)),
+        ({"horizon_scanner.noise_deg": 1.0}, "drift_rad", np.radians(1.0)),
+        ({"magnetometer.noise_nT": 1000.0}, "field_nT", 1000.0),
+    ],
+)
+def test_coarse_sensors_are_found_to_be_coarse(changes: dict[str, float], name: str, size: float) -> None:
+    """601 rows; the scanner's errors last six of them, so about a hundred independent ones of two components: 7 %."""
+    telemetry, truth = simulate(parse_scenario(SCENARIO, where="test").updated(changes))
+    found = fluxtwin.attitude(telemetry, Calibration(truth.S, truth.b_nT))
+    assert found.level == "good", (*found.reasons, *found.limits)
+    assert 0.75 < getattr(found.noises, name) / size < 1.25
+    assert 0.5 < nees(found, truth) < 2.0
+
+
+def test_the_sun_is_learned_where_it_is_seen_in_a_long_record_that_begins_in_eclipse() -> None:
+    dense = {"start_utc": "2026-03-01T00:00:00Z", "duration_min": 100.0, "step_s": 1.0}
+    scenario = parse_scenario(SCENARIO, where="test").updated({"schedule.segments": [dense]})
+    telemetry, truth = simulate(scenario)
+    sun = np.array(telemetry.sun_B)
+    sun[:1500] = np.nan
+    found = fluxtwin.attitude(telemetry.replace(sun_B=sun), Calibration(truth.S, truth.b_nT))
+    assert found.level == "good", (*found.reasons, *found.limits)
+    assert 0.8 < found.noises.sun_rad / np.radians(0.1) < 1.25
+    assert 0.5 < nees(found, truth) < 2.0
+
+
+def test_a_turn_that_may_be_the_other_way_round_is_refused(flown: tuple[Any, Any]) -> None:
+    telemetry, truth = flown
+    q = np.array(telemetry.q_NB)
+    spun = Rotation.from_rotvec(np.outer(3.0 * np.arange(len(q)), [0.0, 0.0, 1.0]))
+    q = frames.q_from_rotation(spun * frames.rotation_from_q(np.array(truth.q_NB)))
+    with pytest.raises(NoAnswer, match="how fast it turns"):
+        fluxtwin.attitude(telemetry.replace(q_NB=q, nadir_B=None, sun_B=None), Calibration(truth.S, truth.b_nT))

@@ -69,7 +69,7 @@ def test_nadir_and_sun_are_enough() -> None:
     assert fit.calibration.sigmas[:9].max() < 0.01
 
 
-def test_b_alone_leaves_S_at_nought() -> None:
+def test_b_alone_leaves_S_at_zero() -> None:
     telemetry, truth = simulate(scenario(seed=33, **{"magnetometer.S": np.zeros((3, 3)).tolist()}))
     options = {"attitude_sigma_deg": 0.1, "attitude_tau_s": 300.0, "noise_nT": 20.0}
     known = fluxtwin.calibrate(telemetry, method="recursive", parameters="b", **options).calibration

@@ -69,6 +69,8 @@ def under_all(
     images_nT (M, 3, k), in the order of `smallest`; nuisance_nT (M, 3, c); noises: the one that the sizes hold under
     first.
     """
+    if len(noises) == 1 or not smallest:
+        return dict(smallest)
     seen = np.array([_length(noise.apply(images_nT), noise.apply(nuisance_nT)) for noise in noises])
     worse = seen[0] / seen.min(axis=0)
     return {

@@ -154,7 +154,7 @@ def _print(
 
 
 def _sizes(found: AttitudeSolution) -> str:
-    """The errors that matter; one far below its neighbour is not told by the data."""
+    """The errors that matter; one far below its neighbour is not determined by the data."""
     import math
 
     from fluxtwin.calib.digits import plain

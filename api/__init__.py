@@ -28,18 +28,18 @@ if __name__ == "api":
     raise ImportError("import fluxtwin, never the bare folder name: two copies of every class would exist")
 
 if TYPE_CHECKING:
-    from fluxtwin.calib.records import Calibration as Calibration
+    from fluxtwin.calib.common.records import Calibration as Calibration
     from fluxtwin.diagnosing import diagnose as diagnose
-    from fluxtwin.sim.ensemble.run import fly_ensemble
-    from fluxtwin.sim.errors import BadInput as BadInput
-    from fluxtwin.sim.errors import FluxtwinError as FluxtwinError
-    from fluxtwin.sim.errors import NoAnswer as NoAnswer
-    from fluxtwin.sim.errors import OutOfRange as OutOfRange
-    from fluxtwin.sim.field_models import load_field as load_field
-    from fluxtwin.sim.scenario import load_scenario as load_scenario
-    from fluxtwin.sim.simulate import simulate as simulate
-    from fluxtwin.sim.telemetry import Telemetry as Telemetry
-    from fluxtwin.sim.telemetry_io import read_telemetry, write_telemetry
+    from fluxtwin.sim.base.errors import BadInput as BadInput
+    from fluxtwin.sim.base.errors import FluxtwinError as FluxtwinError
+    from fluxtwin.sim.base.errors import NoAnswer as NoAnswer
+    from fluxtwin.sim.base.errors import OutOfRange as OutOfRange
+    from fluxtwin.sim.earth.field_models import load_field as load_field
+    from fluxtwin.sim.run.ensemble.run import fly_ensemble
+    from fluxtwin.sim.run.simulate import simulate as simulate
+    from fluxtwin.sim.scenario.scenario import load_scenario as load_scenario
+    from fluxtwin.sim.telemetry.record import Telemetry as Telemetry
+    from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
     from fluxtwin.studies import run_study as run_study
     from fluxtwin.verbs import apply as apply
     from fluxtwin.verbs import attitude as attitude
@@ -54,25 +54,25 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
-    "read": "fluxtwin.sim.telemetry_io:read_telemetry",
-    "write": "fluxtwin.sim.telemetry_io:write_telemetry",
+    "read": "fluxtwin.sim.telemetry.telemetry_files:read_telemetry",
+    "write": "fluxtwin.sim.telemetry.telemetry_files:write_telemetry",
     "check": "fluxtwin.verbs:check",
     "calibrate": "fluxtwin.verbs:calibrate",
     "apply": "fluxtwin.verbs:apply",
     "attitude": "fluxtwin.verbs:attitude",
     "diagnose": "fluxtwin.diagnosing:diagnose",
     "field": "fluxtwin.verbs:field",
-    "load_field": "fluxtwin.sim.field_models:load_field",
-    "load_scenario": "fluxtwin.sim.scenario:load_scenario",
-    "simulate": "fluxtwin.sim.simulate:simulate",
-    "ensemble": "fluxtwin.sim.ensemble.run:fly_ensemble",
+    "load_field": "fluxtwin.sim.earth.field_models:load_field",
+    "load_scenario": "fluxtwin.sim.scenario.scenario:load_scenario",
+    "simulate": "fluxtwin.sim.run.simulate:simulate",
+    "ensemble": "fluxtwin.sim.run.ensemble.run:fly_ensemble",
     "run_study": "fluxtwin.studies:run_study",
-    "Telemetry": "fluxtwin.sim.telemetry:Telemetry",
-    "Calibration": "fluxtwin.calib.records:Calibration",
-    "FluxtwinError": "fluxtwin.sim.errors:FluxtwinError",
-    "BadInput": "fluxtwin.sim.errors:BadInput",
-    "NoAnswer": "fluxtwin.sim.errors:NoAnswer",
-    "OutOfRange": "fluxtwin.sim.errors:OutOfRange",
+    "Telemetry": "fluxtwin.sim.telemetry.record:Telemetry",
+    "Calibration": "fluxtwin.calib.common.records:Calibration",
+    "FluxtwinError": "fluxtwin.sim.base.errors:FluxtwinError",
+    "BadInput": "fluxtwin.sim.base.errors:BadInput",
+    "NoAnswer": "fluxtwin.sim.base.errors:NoAnswer",
+    "OutOfRange": "fluxtwin.sim.base.errors:OutOfRange",
 }
 
 __all__ = ["__version__", *_HOMES]

@@ -2,7 +2,7 @@
 
 import sys
 
-from fluxtwin.sim.processes import nothing_left_to_stop, stop_when_asked
+from fluxtwin.sim.base.processes import nothing_left_to_stop, stop_when_asked
 
 
 def main() -> int:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from fluxtwin.calib.digits import plain, with_sigma
-from fluxtwin.calib.direction import CONFIDENCE
-from fluxtwin.calib.fit import Fit
-from fluxtwin.calib.verdict import kept_rows
+from fluxtwin.calib.common.digits import plain, with_sigma
+from fluxtwin.calib.common.direction import CONFIDENCE
+from fluxtwin.calib.common.fit import Fit
+from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.scenarios.page import FigureBlock, Page, Section, Table
-from fluxtwin.sim import epoch
+from fluxtwin.sim.earth import epoch
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

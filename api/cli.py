@@ -35,8 +35,8 @@ from fluxtwin.commands import (
 from fluxtwin.commands import map as map_
 from fluxtwin.commands.options import QuietOption, VerboseOption, with_manners
 from fluxtwin.console import clean, manners
-from fluxtwin.sim import processes
-from fluxtwin.sim.errors import FluxtwinError
+from fluxtwin.sim.base import processes
+from fluxtwin.sim.base.errors import FluxtwinError
 
 OUR_FAULT = 70
 

@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from fluxtwin.sim.processes import stop_if_asked
+from fluxtwin.sim.base.processes import stop_if_asked
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -152,8 +152,8 @@ class Output:
         if self.json_target is None:
             return
         import fluxtwin
-        from fluxtwin.sim.files import to_json, write_text
-        from fluxtwin.sim.outputs import JSON_MARK
+        from fluxtwin.outputs import JSON_MARK
+        from fluxtwin.sim.base.files import to_json, write_text
 
         text = to_json({JSON_MARK: fluxtwin.__version__, **without_nan(record)})
         if self.json_target == "-":

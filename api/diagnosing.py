@@ -16,19 +16,19 @@ from fluxtwin.gap.momentum_arcs import Craft
 from fluxtwin.gap.problem import DEFAULT_MODELLED, Budget
 from fluxtwin.gap.records import Diagnosis
 from fluxtwin.gap.stochastic import with_frozen_noise
-from fluxtwin.sim import epoch
-from fluxtwin.sim import scenario_spacecraft as spacecraft
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.saturation import Saturation
-from fluxtwin.sim.errors import BadInput, NoAnswer
-from fluxtwin.sim.field_models import load_field
-from fluxtwin.sim.progress import Progress, silent
-from fluxtwin.sim.scenario import Scenario, load_scenario
-from fluxtwin.sim.scenario_dynamics import vehicle_of
-from fluxtwin.sim.scenario_effects import active_effects
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.world import ephemeris, schedule_times
+from fluxtwin.sim.run import spacecraft as spacecraft
+from fluxtwin.sim.run.flights import vehicle_of
+from fluxtwin.sim.run.world import ephemeris, schedule_times
+from fluxtwin.sim.scenario.effect_sections import active_effects
+from fluxtwin.sim.scenario.scenario import Scenario, load_scenario
+from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.verbs import as_record
 
 

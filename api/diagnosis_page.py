@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from fluxtwin.calib.digits import measured
+from fluxtwin.calib.common.digits import measured
 from fluxtwin.gap.advice import typical_size
 from fluxtwin.gap.records import Diagnosis
 from fluxtwin.scenarios.page import FigureBlock, Page, Section, Table

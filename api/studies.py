@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import fluxtwin
+from fluxtwin.outputs import JSON_MARK
 from fluxtwin.report import png_bytes, render_report
 from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.scenarios.registry import STUDIES, find_study
-from fluxtwin.sim.errors import BadInput
-from fluxtwin.sim.files import writable_folder, write_bytes, write_json, write_text
-from fluxtwin.sim.outputs import JSON_MARK
-from fluxtwin.sim.progress import Progress, part_of, silent
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.files import writable_folder, write_bytes, write_json, write_text
+from fluxtwin.sim.base.progress import Progress, part_of, silent
 
 
 def run_study(

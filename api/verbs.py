@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fluxtwin.calib.apply import apply_calibration, calibration_of
-from fluxtwin.calib.records import Calibration
-from fluxtwin.sim import epoch, frames
-from fluxtwin.sim.errors import BadInput
-from fluxtwin.sim.field import field_E_nT
-from fluxtwin.sim.field_models import FieldModel, load_field
-from fluxtwin.sim.progress import Progress, silent
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.telemetry_io import as_path, read_telemetry
+from fluxtwin.calib.common.apply import apply_calibration, calibration_of
+from fluxtwin.calib.common.records import Calibration
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.field import field_E_nT
+from fluxtwin.sim.earth.field_models import FieldModel, load_field
+from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.telemetry_files import as_path, read_telemetry
 
 if TYPE_CHECKING:
-    from fluxtwin.calib.attitude import AttitudeSolution
-    from fluxtwin.calib.fit import Fit
-    from fluxtwin.sim.check import CheckReport
+    from fluxtwin.calib.attitude.three_axis import AttitudeSolution
+    from fluxtwin.calib.checks.check import CheckReport
+    from fluxtwin.calib.common.fit import Fit
 
 
 def as_model(field: str | FieldModel, degree: int | None = None) -> FieldModel:
@@ -40,7 +40,7 @@ def check(
     telemetry: Telemetry | Path | str, *, field: str | FieldModel = "igrf14", degree: int | None = None
 ) -> CheckReport:
     """Is this record what it says? Counts, milligauss or microtesla sold as nT, wrong frames, and so on."""
-    from fluxtwin.sim.check import check_file, check_telemetry
+    from fluxtwin.calib.checks.check import check_file, check_telemetry
 
     model = as_model(field, degree)
     if isinstance(telemetry, Telemetry):
@@ -60,8 +60,8 @@ def calibrate(
 
     method: linear, forward (against the attitude), center, twostep, scalar (without one), batch, iterative (a spinner
     with sun pulses), recursive (a filter that estimates the attitude too); None is linear where the attitude is known, else
-    scalar. options: those of `fluxtwin.calib.linear.calibrate_linear`, `scalar.calibrate_scalar`, `spin.calibrate_spin` or
-    `recursive.calibrate_recursive`. Raises NoAnswer, naming the parameters, where the data do not determine them.
+    scalar. options: those of `calibrate_linear`, `calibrate_scalar`, `calibrate_spin` or `calibrate_recursive`.
+    Raises NoAnswer, naming the parameters, where the data do not determine them.
     """
     from fluxtwin.calib.methods import calibrate_by
 
@@ -106,7 +106,7 @@ def attitude(
     `fluxtwin.calib.attitude.estimate_attitude`. `.holds` of the answer says whether its innovations are consistent. Raises
     BadInput as `apply` does, and NoAnswer where the attitude cannot be started.
     """
-    from fluxtwin.calib.attitude import estimate_attitude
+    from fluxtwin.calib.attitude.three_axis import estimate_attitude
 
     record = as_record(telemetry)
     given = (

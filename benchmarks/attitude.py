@@ -35,14 +35,15 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.sim import epoch, files, frames
-from fluxtwin.sim.constants import GM_EARTH_KM3_S2
-from fluxtwin.sim.dynamics.environment import environment_along
-from fluxtwin.sim.dynamics.flight import Flight, Start, fly
-from fluxtwin.sim.dynamics.vehicle import Vehicle
-from fluxtwin.sim.field import field_E_nT, load_field
-from fluxtwin.sim.sensors.magnetometer import Magnetometer
-from fluxtwin.sim.torques.gravity_gradient import GravityGradient
+from fluxtwin.sim.base import files
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.constants import GM_EARTH_KM3_S2
+from fluxtwin.sim.earth.field import field_E_nT, load_field
+from fluxtwin.sim.spacecraft.dynamics.environment import environment_along
+from fluxtwin.sim.spacecraft.dynamics.flight import Flight, Start, fly
+from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
+from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
+from fluxtwin.sim.spacecraft.torques.gravity_gradient import GravityGradient
 
 DEGREE, STEP_S, LOG_EVERY, STEPS = 13, 1.0, 10, 24_159
 START = np.datetime64("2022-01-01T00:00:00", "ns")

@@ -42,15 +42,16 @@ import numpy as np
 from scipy.linalg import eig
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.calib.scalar import ScalarOptions, fit_rows
-from fluxtwin.calib.scalar_rows import ScalarRows
-from fluxtwin.calib.spin import SpinOptions, fit_spin
-from fluxtwin.calib.spin_rows import assemble_spin
+from fluxtwin.calib.scalar.calibrate import ScalarOptions, fit_rows
+from fluxtwin.calib.scalar.rows import ScalarRows
+from fluxtwin.calib.spin.calibrate import SpinOptions, fit_spin
+from fluxtwin.calib.spin.rows import assemble_spin
 from fluxtwin.scenarios.st5 import mission
-from fluxtwin.sim import files, frames
-from fluxtwin.sim.errors import NoAnswer
-from fluxtwin.sim.field import field_N_nT, load_field
-from fluxtwin.sim.orbit import Orbit
+from fluxtwin.sim.base import files
+from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.field import field_N_nT, load_field
+from fluxtwin.sim.earth.orbit import Orbit
 
 D = np.array([[0.03, 0.01, -0.005], [0.01, -0.02, 0.004], [-0.005, 0.004, 0.015]])
 O_NT = np.array([2500.0, -1800.0, 1200.0])

@@ -30,10 +30,10 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.calib.design import Design
-from fluxtwin.calib.linear import Options, fit_design
-from fluxtwin.calib.regression import regress, residuals
-from fluxtwin.sim import files
+from fluxtwin.calib.common.design import Design
+from fluxtwin.calib.common.regression import regress, residuals
+from fluxtwin.calib.linear.calibrate import Options, fit_design
+from fluxtwin.sim.base import files
 
 WANTED_RATIO = 15.0
 AGREEMENT = 1e-9

@@ -34,13 +34,14 @@ import tomli_w
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.problem import DEFAULT_MODELLED, Budget
 from fluxtwin.gap.records import Diagnosis
-from fluxtwin.sim import files, frames
+from fluxtwin.sim.base import files
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.field import field_N_nT, load_field
 from fluxtwin.sim.effects.base import DynamicsEffect, Effect, SignalEffect
 from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
-from fluxtwin.sim.field import field_N_nT, load_field
-from fluxtwin.sim.scenario import Scenario, parse_scenario
-from fluxtwin.sim.scenario_effects import effect_section
-from fluxtwin.sim.simulate import simulate
+from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.scenario.effect_sections import effect_section
+from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
 
 DESIGNS = ("nadir", "tumble", "slews", "spin")
 VISIBLE = 1.0

@@ -31,10 +31,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from fluxtwin.sim import files, scenario_dynamics
-from fluxtwin.sim.ensemble import chunk, plan, summary
-from fluxtwin.sim.ensemble.run import fly_ensemble
-from fluxtwin.sim.scenario import Scenario, load_scenario
+from fluxtwin.sim.base import files
+from fluxtwin.sim.run import flights as scenario_dynamics
+from fluxtwin.sim.run.ensemble import chunk, plan, summary
+from fluxtwin.sim.run.ensemble.run import fly_ensemble
+from fluxtwin.sim.scenario.scenario import Scenario, load_scenario
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "docs" / "examples" / "ensemble.toml"
 QUICK_MIN = 30.0
@@ -162,10 +163,10 @@ def second_start(scenario: Scenario, repeats: int) -> dict[str, float]:
     """Processor seconds in a fresh interpreter with compiled code from the cache: imports, the first vehicle, one more,
     and all of a process that flies two vehicles, its end included."""
     code = (
-        "import sys, time; from fluxtwin.sim.processes import start_and_end_quickly as quickly; quickly()\n"
+        "import sys, time; from fluxtwin.sim.base.processes import start_and_end_quickly as quickly; quickly()\n"
         "t = [0.0]\n"
-        "from fluxtwin.sim.ensemble import chunk, plan, run\n"
-        "from fluxtwin.sim.scenario import parse_scenario\n"
+        "from fluxtwin.sim.run.ensemble import chunk, plan, run\n"
+        "from fluxtwin.sim.scenario.scenario import parse_scenario\n"
         "t.append(time.process_time())\n"
         "flyer = chunk.Flyer(plan.Plan(parse_scenario(sys.stdin.read()), 1, 2, 1))\n"
         "for number in (0, 1): flyer.chunk(number); t.append(time.process_time())\n"

@@ -35,8 +35,9 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.sim import files, frames
-from fluxtwin.sim.field import field_E_nT, load_field
+from fluxtwin.sim.base import files
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.field import field_E_nT, load_field
 
 DEGREE = 13
 BLOCK = 20_000
@@ -85,7 +86,7 @@ def contestants(points: Points) -> tuple[dict[str, Contestant], dict[str, str]]:
 
 
 def c_kernel(points: Points) -> dict[str, Contestant]:
-    from fluxtwin.sim.field_kernels import fold
+    from fluxtwin.sim.earth.field_kernels import fold
 
     compiler = shutil.which("gcc")
     if compiler is None:

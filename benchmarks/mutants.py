@@ -20,8 +20,8 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
-CHAIN = "tests/properties/test_production_chain.py"
-SIGMAS = "tests/closure/test_calibration_sigmas.py"
+CHAIN = "tests/sim/run/test_production_chain.py"
+SIGMAS = "tests/calib/common/test_sigmas.py"
 
 
 class Mutant(NamedTuple):
@@ -34,125 +34,140 @@ class Mutant(NamedTuple):
 
 
 MUTANTS: dict[str, Mutant] = {
-    "noise x 1.05": Mutant("sim/chain.py", "noise_nT = instrument.", "noise_nT = 1.05 * instrument.", CHAIN),
-    "noise x 2": Mutant("sim/chain.py", "noise_nT = instrument.", "noise_nT = 2.0 * instrument.", CHAIN),
-    "unknown field x 2": Mutant("sim/chain.py", "world.time, source.nT,", "world.time, 2.0 * source.nT,", CHAIN),
-    "floor for rint": Mutant("sim/sensors/magnetometer.py", "np.rint(reading", "np.floor(reading", CHAIN),
+    "noise x 1.05": Mutant("sim/run/chain.py", "noise_nT = instrument.", "noise_nT = 1.05 * instrument.", CHAIN),
+    "noise x 2": Mutant("sim/run/chain.py", "noise_nT = instrument.", "noise_nT = 2.0 * instrument.", CHAIN),
+    "unknown field x 2": Mutant("sim/run/chain.py", "world.time, source.nT,", "world.time, 2.0 * source.nT,", CHAIN),
+    "floor for rint": Mutant("sim/spacecraft/sensors/magnetometer.py", "np.rint(reading", "np.floor(reading", CHAIN),
     "S transposed": Mutant(
-        "sim/sensors/magnetometer.py",
+        "sim/spacecraft/sensors/magnetometer.py",
         "np.linalg.inv(np.eye(3) + self.S))",
         "np.linalg.inv(np.eye(3) + self.S.T))",
         CHAIN,
     ),
     "sign of b": Mutant(
-        "sim/sensors/magnetometer.py", "dtype=np.float64)) - self.b_nT", "dtype=np.float64)) + self.b_nT", CHAIN
+        "sim/spacecraft/sensors/magnetometer.py",
+        "dtype=np.float64)) - self.b_nT",
+        "dtype=np.float64)) + self.b_nT",
+        CHAIN,
     ),
     "sign of T of the sensor": Mutant(
-        "sim/sensors/magnetometer.py", "corrected - np.atleast_2d(dip", "corrected + np.atleast_2d(dip", CHAIN
+        "sim/spacecraft/sensors/magnetometer.py",
+        "corrected - np.atleast_2d(dip",
+        "corrected + np.atleast_2d(dip",
+        CHAIN,
     ),
-    "sign of T from positions": Mutant("sim/scenario_spacecraft.py", "return -left *", "return left *", CHAIN),
+    "sign of T from positions": Mutant("sim/run/spacecraft.py", "return -left *", "return left *", CHAIN),
     "compensation the wrong way": Mutant(
-        "sim/scenario_spacecraft.py",
+        "sim/run/spacecraft.py",
         "left = 1.0 - scenario",
         "left = 1.0 + scenario",
-        "tests/closure/test_hcmm_gallery.py tests/closure/test_study_motion.py",
+        "tests/scenarios/test_hcmm_gallery.py tests/scenarios/test_study_motion.py",
     ),
     "yaw in radians": Mutant(
-        "sim/scenario_attitude.py", "np.radians(a.yaw_rms_deg)", "np.asarray(a.yaw_rms_deg)", CHAIN
+        "sim/run/true_attitude.py", "np.radians(a.yaw_rms_deg)", "np.asarray(a.yaw_rms_deg)", CHAIN
     ),
     "pitch and roll exchanged": Mutant(
-        "sim/scenario_attitude.py", "np.radians(a.roll_rms_deg)", "np.radians(a.pitch_rms_deg)", CHAIN
+        "sim/run/true_attitude.py", "np.radians(a.roll_rms_deg)", "np.radians(a.pitch_rms_deg)", CHAIN
     ),
     "head's misalignment in radians": Mutant(
-        "sim/scenario_spacecraft.py", "(float(np.radians(angle)) for angle", "(float(angle) for angle", CHAIN
+        "sim/run/spacecraft.py", "(float(np.radians(angle)) for angle", "(float(angle) for angle", CHAIN
     ),
     "sun sensor's noise in radians": Mutant(
-        "sim/scenario_spacecraft.py",
+        "sim/run/spacecraft.py",
         "noise_rad=float(np.radians(section.noise_deg)),\n        mis",
         "noise_rad=float(section.noise_deg),\n        mis",
         CHAIN,
     ),
     "scanner's noise x 2": Mutant(
-        "sim/scenario_spacecraft.py",
+        "sim/run/spacecraft.py",
         "0.0 if correlated else float(np.radians(section",
         "0.0 if correlated else 2.0 * float(np.radians(section",
         CHAIN,
     ),
     "scanner's biases exchanged": Mutant(
-        "sim/scenario_spacecraft.py",
+        "sim/run/spacecraft.py",
         "radians(section.roll_bias_deg)), float(np.radians(section.pitch_bias_deg))",
         "radians(section.pitch_bias_deg)), float(np.radians(section.roll_bias_deg))",
-        "tests/closure/test_horizon_scanner.py",
+        "tests/calib/attitude/test_horizon_scanner.py",
     ),
     "gyro's noise in radians": Mutant(
-        "sim/scenario_spacecraft.py", "float(np.radians(section.noise_deg_s))", "float(section.noise_deg_s)", CHAIN
+        "sim/run/spacecraft.py", "float(np.radians(section.noise_deg_s))", "float(section.noise_deg_s)", CHAIN
     ),
     "memory of the reference halved": Mutant(
-        "sim/gauss_markov.py", "stamps[0])) / tau_s", "stamps[0])) / (0.5 * tau_s)", CHAIN
+        "sim/attitude/gauss_markov.py", "stamps[0])) / tau_s", "stamps[0])) / (0.5 * tau_s)", CHAIN
     ),
     "orbital frame transposed": Mutant(
-        "sim/frames.py", "    y = -normal / size[:, None]\n", "    y = normal / size[:, None]\n", CHAIN
+        "sim/earth/frames.py", "    y = -normal / size[:, None]\n", "    y = normal / size[:, None]\n", CHAIN
     ),
     "Earth's rotation 1 s late": Mutant(
-        "sim/frames.py",
+        "sim/earth/frames.py",
         "erfa.c2tcio(_celestial_to_intermediate(stamps), _era(stamps)",
         "erfa.c2tcio(_celestial_to_intermediate(stamps), _era(stamps) + 7.292e-5",
-        "tests/reference/test_astropy_witness.py",
+        "tests/sim/earth/test_astropy_witness.py",
     ),
     "Earth 1.2 % smaller in its shadow": Mutant(
-        "sim/sun.py", "np.arcsin(EARTH_RADIUS_KM /", "np.arcsin(6300.0 /", "tests/reference/test_sun_and_eclipse.py"
+        "sim/earth/sun.py",
+        "np.arcsin(EARTH_RADIUS_KM /",
+        "np.arcsin(6300.0 /",
+        "tests/sim/earth/test_sun_and_eclipse.py",
     ),
-    "perigee under J2": Mutant("sim/orbit.py", "(5.0 * cos_i**2", "(4.0 * cos_i**2", "tests/reference/test_orbit.py"),
+    "perigee under J2": Mutant(
+        "sim/earth/orbit.py", "(5.0 * cos_i**2", "(4.0 * cos_i**2", "tests/sim/earth/test_orbit.py"
+    ),
     "leap seconds dropped": Mutant(
-        "sim/epoch.py",
+        "sim/earth/epoch.py",
         "plain + _leap_seconds(stamps) - _leap",
         "plain + 0.0 * _leap_seconds(stamps) - 0.0 * _leap",
-        "tests/reference/test_time.py",
+        "tests/sim/earth/test_time.py",
     ),
     "a milligauss is 10 nT": Mutant(
-        "sim/constants.py",
+        "sim/earth/constants.py",
         "NT_PER_MG = 100.0",
         "NT_PER_MG = 10.0",
-        "tests/reference/test_magnetometer.py tests/properties/test_telemetry_files.py tests/reference/test_layouts.py",
+        "tests/sim/spacecraft/test_magnetometer.py tests/sim/telemetry/test_telemetry_files.py "
+        "tests/sim/telemetry/test_layouts.py",
     ),
     "field 1 % too strong": Mutant(
-        "sim/field_kernels.py",
+        "sim/earth/field_kernels.py",
         "s = FIELD_RADIUS_KM / (",
         "s = 1.0033 * FIELD_RADIUS_KM / (",
-        "tests/reference/test_field_peers.py",
+        "tests/sim/earth/test_field_peers.py",
     ),
     "coupling of torquers transposed": Mutant(
-        "sim/sensors/torquers.py",
+        "sim/spacecraft/sensors/torquers.py",
         "dipole_field_nT(axes, positions).T",
         "dipole_field_nT(axes, positions)",
-        "tests/reference/test_magnetometer.py",
+        "tests/sim/spacecraft/test_magnetometer.py",
     ),
     "yaw: sign of the solution": Mutant(
-        "calib/yaw.py",
+        "calib/attitude/yaw.py",
         "b0[:, 1] * c[:, 0] - b0[:, 0] * c[:, 1]",
         "b0[:, 0] * c[:, 1] - b0[:, 1] * c[:, 0]",
-        "tests/reference/test_yaw_from_field.py",
+        "tests/calib/attitude/test_yaw.py",
     ),
     "TWOSTEP's published noise term": Mutant(
-        "calib/twostep.py",
+        "calib/scalar/twostep.py",
         "(1.0 if published else -1.0)",
         "1.0",
-        "tests/closure/test_scalar_recovery.py tests/properties/test_scalar_properties.py",
+        "tests/calib/scalar/test_recovery.py tests/calib/scalar/test_properties.py",
     ),
     "white covariance halved": Mutant(
-        "calib/covariance.py", "        score = (r[:, None, :] * z", "        score = (0.7 * r[:, None, :] * z", SIGMAS
+        "calib/common/covariance.py",
+        "        score = (r[:, None, :] * z",
+        "        score = (0.7 * r[:, None, :] * z",
+        SIGMAS,
     ),
     "correlated covariance x 0.6": Mutant(
-        "calib/stated.py",
+        "calib/linear/covariance_report.py",
         "np.eye(1) if solution.fit is None else bread_of(solution.fit, job.noise_xx)) / sharpness\n",
         "np.eye(1) if solution.fit is None else bread_of(solution.fit, job.noise_xx)) / sharpness * 0.6\n",
         SIGMAS,
     ),
     "scalar covariance halved": Mutant(
-        "calib/scalar_covariance.py",
+        "calib/scalar/covariance.py",
         "meat = scores.rows.T @ scores.rows",
         "meat = 0.5 * scores.rows.T @ scores.rows",
-        "tests/closure/test_scalar_recovery.py",
+        "tests/calib/scalar/test_recovery.py",
     ),
 }
 

@@ -25,20 +25,21 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.calib.attitude import estimate_attitude
-from fluxtwin.calib.linear import calibrate_linear
-from fluxtwin.calib.yaw import yaw_from_field
+from fluxtwin.calib.attitude.three_axis import estimate_attitude
+from fluxtwin.calib.attitude.yaw import yaw_from_field
+from fluxtwin.calib.linear.calibrate import calibrate_linear
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.motion import prescribed
-from fluxtwin.sim import epoch, files, frames
-from fluxtwin.sim.field import load_field
-from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.sensors.reference_attitude import attitude_from_sun_and_nadir
-from fluxtwin.sim.simulate import simulate
-from fluxtwin.sim.sun import sun_direction_N
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.truth import Truth
-from fluxtwin.sim.world import build_world
+from fluxtwin.sim.base import files
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.field import load_field
+from fluxtwin.sim.earth.sun import sun_direction_N
+from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.run.truth import Truth
+from fluxtwin.sim.run.world import build_world
+from fluxtwin.sim.scenario.scenario import Scenario
+from fluxtwin.sim.spacecraft.sensors.reference_attitude import attitude_from_sun_and_nadir
+from fluxtwin.sim.telemetry.record import Telemetry
 
 FIRST_SEED = 8000
 PARAMETERS = ("b", "b,S", "b,S,T")

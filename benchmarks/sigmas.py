@@ -34,23 +34,23 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fluxtwin.calib.design import Design
-from fluxtwin.calib.fit import Fit
-from fluxtwin.calib.linear import Options, fit_design
-from fluxtwin.calib.recursive import calibrate_recursive
-from fluxtwin.calib.scalar import ScalarOptions, fit_rows
-from fluxtwin.calib.scalar_rows import ScalarRows
-from fluxtwin.calib.spin import SpinOptions, fit_spin
-from fluxtwin.calib.spin_rows import assemble_spin
+from fluxtwin.calib.attitude.recursive import calibrate_recursive
+from fluxtwin.calib.common.design import Design
+from fluxtwin.calib.common.fit import Fit
+from fluxtwin.calib.linear.calibrate import Options, fit_design
+from fluxtwin.calib.scalar.calibrate import ScalarOptions, fit_rows
+from fluxtwin.calib.scalar.rows import ScalarRows
+from fluxtwin.calib.spin.calibrate import SpinOptions, fit_spin
+from fluxtwin.calib.spin.rows import assemble_spin
 from fluxtwin.scenarios.st5 import mission
-from fluxtwin.sim import files
-from fluxtwin.sim.field import load_field
-from fluxtwin.sim.frames import rotation_from_q
-from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.simulate import simulate
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.toml_input import validate
-from fluxtwin.sim.world import World, build_world
+from fluxtwin.sim.base import files
+from fluxtwin.sim.base.toml_input import validate
+from fluxtwin.sim.earth.field import load_field
+from fluxtwin.sim.earth.frames import rotation_from_q
+from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.run.world import World, build_world
+from fluxtwin.sim.scenario.scenario import Scenario
+from fluxtwin.sim.telemetry.record import Telemetry
 
 README = Path(__file__).resolve().parents[1] / "README.md"
 RADIAN_S = 933.0

@@ -31,10 +31,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import numpy as np
 from traps_cases import GOOD, KINDS, Case, Wanted, fly, spoil, write
 
-from fluxtwin.sim.check import CheckReport, check_file
-from fluxtwin.sim.errors import BadInput
-from fluxtwin.sim.field import FieldModel, load_field
-from fluxtwin.sim.random_streams import stream
+from fluxtwin.calib.checks.check import CheckReport, check_file
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.earth.field import FieldModel, load_field
 
 ROOT = Path(__file__).resolve().parent.parent
 QUICK = ["microtesla", "attitude to NEC", "mounting 45 deg", "clock 1 h", "outliers of 30 to 65 uT", "one axis stuck"]

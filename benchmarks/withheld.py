@@ -46,7 +46,7 @@ from withheld_cases.outside import OUTSIDE, WHY
 from withheld_cases.shapes import SHAPES
 from withheld_cases.twins import judge
 
-from fluxtwin.sim import files
+from fluxtwin.sim.base import files
 
 ROOT = Path(__file__).resolve().parent.parent
 FROZEN = {

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from fluxtwin.calib.design import joined
-from fluxtwin.calib.fit import Fit
-from fluxtwin.calib.verdict import judge
-from fluxtwin.sim.errors import BadInput
-from fluxtwin.sim.field import FieldModel
-from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.calib.common.design import joined
+from fluxtwin.calib.common.fit import Fit
+from fluxtwin.calib.common.verdict import judge
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.earth.field import FieldModel
+from fluxtwin.sim.telemetry.record import Telemetry
 
 WITH_ATTITUDE = ("linear", "forward")
 WITHOUT_ATTITUDE = ("center", "twostep", "scalar")
@@ -69,18 +69,18 @@ def _fit(records: Telemetry, model: FieldModel, chosen: str, given: dict[str, An
         return _calibrate_recursive(records, model, given)
     _refuse(given, _OF_SPINNERS, chosen, "batch")
     if chosen in WITH_ATTITUDE:
-        from fluxtwin.calib.linear import calibrate_linear
+        from fluxtwin.calib.linear.calibrate import calibrate_linear
 
         _refuse(given, ("telemetry_bias",), chosen, "scalar")
         return calibrate_linear(records, model, direction=chosen, **given)
-    from fluxtwin.calib.scalar import calibrate_scalar
+    from fluxtwin.calib.scalar.calibrate import calibrate_scalar
 
     _refuse(given, ("errors_in_variables", "weights", "direction", *_OF_ATTITUDE), chosen, "linear")
     return calibrate_scalar(records, model, method=chosen, **given)
 
 
 def _calibrate_recursive(records: Telemetry, model: FieldModel, given: dict[str, Any]) -> Fit:
-    from fluxtwin.calib.recursive import calibrate_recursive
+    from fluxtwin.calib.attitude.recursive import calibrate_recursive
 
     _refuse(given, _OF_SPINNERS[1:], RECURSIVE, "iterative")
     _refuse(given, ("errors_in_variables", "weights", "direction", *_OF_REGRESSIONS), RECURSIVE, "linear")
@@ -91,7 +91,7 @@ def _calibrate_recursive(records: Telemetry, model: FieldModel, given: dict[str,
 def _calibrate_spinner(
     records: Telemetry | Sequence[Telemetry], model: FieldModel, method: str, given: dict[str, Any]
 ) -> Fit:
-    from fluxtwin.calib.spin import calibrate_spin
+    from fluxtwin.calib.spin.calibrate import calibrate_spin
 
     _refuse(given, ("errors_in_variables", "weights", "direction", *_OF_REGRESSIONS, *_OF_ATTITUDE), method, "linear")
     _refuse(given, ("telemetry_bias",), method, "scalar")

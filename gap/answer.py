@@ -19,9 +19,9 @@ from fluxtwin.gap.noise import NoiseChoice, NoiseModel, RobustRows, Whitener, no
 from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.search import search
 from fluxtwin.gap.tones import TONE_DEGREES, strongest_tone
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
-from fluxtwin.sim.types import FloatArray
 
 Known = tuple[list[Candidate], dict[str, str]]
 """What `candidates` gives for a problem."""

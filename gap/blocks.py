@@ -17,11 +17,11 @@ import numpy as np
 from fluxtwin.gap.conditions import Condition, after, always, conditions, regions
 from fluxtwin.gap.frail import Shaken, steady
 from fluxtwin.gap.problem import Problem
-from fluxtwin.sim import frames
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.field import design_matrix_E, field_gradient_E_nT_km
 from fluxtwin.sim.effects.chain import jacobian
 from fluxtwin.sim.effects.time_tag_offset import TimeTagOffset
-from fluxtwin.sim.field import design_matrix_E, field_gradient_E_nT_km
-from fluxtwin.sim.types import FloatArray
 
 STAGES = ("time", "orbit", "field", "attitude", "spacecraft", "sensor")
 """Where a discrepancy of this kind can lie; dynamics and telemetry have none."""

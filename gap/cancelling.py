@@ -10,7 +10,7 @@ import numpy as np
 from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.refit import Fit, white_residual
 from fluxtwin.gap.score import Whitens, orthonormal
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 _OPPOSITE = -0.9  # cosine of two signals, in the linear model, from which on they are looked at closely
 _LITTLE = 0.2  # of the smaller signal: what a pair may leave at the least

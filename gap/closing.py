@@ -14,14 +14,14 @@ from fluxtwin.gap.candidates import in_order
 from fluxtwin.gap.closure import Closure
 from fluxtwin.gap.records import Transfer
 from fluxtwin.gap.refit import refit
-from fluxtwin.sim import epoch
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.chain import Active, Chain
-from fluxtwin.sim.errors import BadInput, NoAnswer
-from fluxtwin.sim.scenario import Scenario, parse_scenario
-from fluxtwin.sim.scenario_effects import effect_section
-from fluxtwin.sim.sensors.magnetometer import Magnetometer
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.scenario.effect_sections import effect_section
+from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
+from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 
 _CALIBRATION = ("bias", "scale_misalignment", "torquer_coupling")
 _ROUNDS = 2

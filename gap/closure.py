@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.whitening import Whitener
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.chain import Active
-from fluxtwin.sim.types import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

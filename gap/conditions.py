@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.sim import frames, sun
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth import frames, sun
+from fluxtwin.sim.earth.orbit import argument_of_latitude
 from fluxtwin.sim.effects.base import known_column
 from fluxtwin.sim.effects.drivers import sun_in_body
-from fluxtwin.sim.orbit import argument_of_latitude
-from fluxtwin.sim.signal import Setting
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.effects.signal import Setting
 
 THERMAL_LAGS_S = (600.0, 1500.0, 3600.0)
 """Time constants tried for a temperature that was not recorded."""

@@ -16,7 +16,7 @@ from scipy import stats
 
 from fluxtwin.gap.evidence import orthonormal
 from fluxtwin.gap.named import SearchResult
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 MANY = 9
 """Parameters: a matrix and less are bound to one condition, the polynomials (18, 30) to none."""

@@ -18,7 +18,7 @@ from scipy.stats import chi2, ncx2
 
 from fluxtwin.gap.records import Detectable
 from fluxtwin.gap.score import Board, Whitens, orthonormal
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 GATE = 0.002
 """Probability that a perfect simulation gets any name."""

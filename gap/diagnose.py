@@ -38,14 +38,14 @@ from fluxtwin.gap.shapes import Shapes
 from fluxtwin.gap.start import start_without_attitude
 from fluxtwin.gap.stochastic import coarse, flexible_findings, floor_noise, stochastic_nT
 from fluxtwin.gap.where import Where, where
+from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth.field_models import FieldModel
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
-from fluxtwin.sim.errors import NoAnswer
-from fluxtwin.sim.field_models import FieldModel
-from fluxtwin.sim.progress import Progress, silent
-from fluxtwin.sim.sensors.magnetometer import Magnetometer
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
+from fluxtwin.sim.telemetry.record import Telemetry
 
 MOST_ROWS = 5_000
 """Longer records are thinned to this many rows, evenly; what is faster is looked for in a stretch at the full rate."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from fluxtwin.sim import epoch
-from fluxtwin.sim.check import check_telemetry
-from fluxtwin.sim.field import FieldModel
-from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.calib.checks.check import check_telemetry
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.earth.field import FieldModel
+from fluxtwin.sim.telemetry.record import Telemetry
 
 LONG_STRETCH_ROWS = 30
 """So many rows with the same quaternion to the last digit do not happen while a sensor measures."""

@@ -18,7 +18,7 @@ from scipy.special import fdtrc, logsumexp
 
 from fluxtwin.gap.blocks import Block
 from fluxtwin.gap.whitening import least_share
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 _RANK_TOLERANCE = 1e-7
 _MOST_BYTES = 400e6  # that all columns of a design may take at once

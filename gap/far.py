@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fluxtwin.gap.records import Shrinkage
 from fluxtwin.gap.without_attitude import RowAxes
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 BLOCKS = 5
 _FINE_BLOCKS = 40

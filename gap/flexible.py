@@ -17,13 +17,13 @@ from fluxtwin.gap.conditions import conditions
 from fluxtwin.gap.evidence import Leftover, log10_sf_f, orthonormal
 from fluxtwin.gap.own_shape import MOST_BESIDE, drivers, gains, varies
 from fluxtwin.gap.tones import Tone, tone_columns
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import Effect
 from fluxtwin.sim.effects.bit_errors import BitErrors
 from fluxtwin.sim.effects.coarse_quantization import CoarseQuantization
 from fluxtwin.sim.effects.excess_noise import ExcessNoise
+from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.effects.wheel_field import WheelField
-from fluxtwin.sim.signal import Setting
-from fluxtwin.sim.types import BoolArray, FloatArray
 
 _BITS = 24
 _LOG_CERTAIN = float(np.log(100.0))

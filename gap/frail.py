@@ -19,12 +19,12 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.gap.conditions import Condition, conditions
 from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.span import span_of
+from fluxtwin.sim.attitude.gauss_markov import gauss_markov
+from fluxtwin.sim.attitude.recorded_motion import RecordedMotion
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active, Chain
-from fluxtwin.sim.gauss_markov import gauss_markov
-from fluxtwin.sim.motion import RecordedMotion
-from fluxtwin.sim.signal import Setting
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.effects.signal import Setting
 
 FRAIL = 0.3
 """Share of an image's energy that may change with the attitude's error."""

@@ -20,9 +20,9 @@ from fluxtwin.gap.noise import NoiseModel, RobustRows, Whitener, complete_budget
 from fluxtwin.gap.noise_budget import prior_of
 from fluxtwin.gap.problem import Problem, pose, realigned
 from fluxtwin.gap.tones import Tone, strongest_tone
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.chain import Active
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.telemetry.record import Telemetry
 
 MOST_ROWS = 60_000
 """Of the stretch: its Jacobians, their whitened and orthonormal copies take about a third of a gigabyte."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fluxtwin.gap.score import Board
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 ALIKE = 0.98
 """Two effects that each imitate this share of the other are one group."""

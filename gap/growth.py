@@ -26,9 +26,9 @@ from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.refit import Fit, refit, white_residual
 from fluxtwin.gap.score import SHARE_LEFT, Board, Whitens, board, orthonormal, whitened
 from fluxtwin.gap.whitening import least_share
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.chain import Active
-from fluxtwin.sim.types import BoolArray, FloatArray
 
 LARGEST = 3
 WITHIN = 8.0

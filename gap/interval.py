@@ -6,9 +6,9 @@ import numpy as np
 
 from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.score import Whitens, orthonormal
-from fluxtwin.sim import epoch
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.switched_field import SwitchedField
-from fluxtwin.sim.types import FloatArray
 
 _EDGES = 64
 _LEAST_SHARE = 0.05  # of the record, inside and on either side: shorter ones are spikes, or a step

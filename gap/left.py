@@ -17,7 +17,7 @@ from fluxtwin.gap.blocks import Block, blocks, step_block
 from fluxtwin.gap.evidence import Fit, Leftover, Whitens, fit, fit_all, leftover, log10_sf_f
 from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.tones import Tone, strongest_tone
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 ALPHA = 0.002
 """False-alarm rate of the four searches together when the noise is what the whitening takes it for."""

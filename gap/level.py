@@ -15,7 +15,7 @@ from fluxtwin.gap.noise import NoiseModel, RobustRows
 from fluxtwin.gap.noise_budget import DECLARED, complete_budget
 from fluxtwin.gap.problem import Budget, Problem
 from fluxtwin.gap.robust_rows import CUT_SIGMA
-from fluxtwin.sim import epoch
+from fluxtwin.sim.earth import epoch
 
 if TYPE_CHECKING:
     from fluxtwin.gap.diagnose import Work

@@ -28,9 +28,9 @@ from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.records import Detectable
 from fluxtwin.gap.score import Board
 from fluxtwin.gap.whitening import Whitener
-from fluxtwin.sim.dynamics.vehicle import Vehicle
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 
 _LEFT_P = 0.001
 _AGAIN = 2

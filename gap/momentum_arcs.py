@@ -16,15 +16,16 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.gap.problem import Problem
-from fluxtwin.sim import attitude_track, epoch, sun
-from fluxtwin.sim.atmosphere import density_along
-from fluxtwin.sim.constants import AU_KM
-from fluxtwin.sim.dynamics import layout
-from fluxtwin.sim.dynamics.vehicle import Vehicle
-from fluxtwin.sim.field import field_N_nT
-from fluxtwin.sim.motion import carried
-from fluxtwin.sim.types import BoolArray, FloatArray
-from fluxtwin.sim.wheels import RPM_PER_RAD_S
+from fluxtwin.sim.attitude import smoothed_track as attitude_track
+from fluxtwin.sim.attitude.recorded_motion import carried
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth import epoch, sun
+from fluxtwin.sim.earth.atmosphere import density_along
+from fluxtwin.sim.earth.constants import AU_KM
+from fluxtwin.sim.earth.field import field_N_nT
+from fluxtwin.sim.spacecraft.dynamics import layout
+from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
+from fluxtwin.sim.spacecraft.wheels import RPM_PER_RAD_S
 
 MOST_NODES = 2400
 _STEP_RAD = 0.15
@@ -143,7 +144,7 @@ class Arcs:
         vehicle: with its effects. turn (3,) [rad], push (3,) [N m s]: the start is moved by this much.
         wheels_B (N, 3): added to what is recorded.
         """
-        from fluxtwin.sim.dynamics.arc_kernel import fly_arcs
+        from fluxtwin.sim.spacecraft.dynamics.arc_kernel import fly_arcs
 
         start, end = self.rows[:, 0], self.rows[:, -1]
         first = self.track[start] if turn is None else Rotation.from_rotvec(turn) * self.track[start]

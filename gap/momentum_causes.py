@@ -14,12 +14,12 @@ import numpy as np
 from fluxtwin.gap.candidates import Candidate
 from fluxtwin.gap.momentum_windows import Windows
 from fluxtwin.gap.problem import Problem
-from fluxtwin.sim.dynamics.vehicle import Vehicle
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth.orbit import argument_of_latitude
 from fluxtwin.sim.effects.base import DynamicsEffect, Effect, SignalEffect
 from fluxtwin.sim.effects.catalogue import CATALOGUE
 from fluxtwin.sim.effects.chain import Active
-from fluxtwin.sim.orbit import argument_of_latitude
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 
 _DEAD_RAD = 1e-9
 """A parameter of its typical size that turns no node by more is not there."""

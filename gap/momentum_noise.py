@@ -15,7 +15,7 @@ from scipy.linalg import cholesky, qr, qr_multiply, solve_triangular
 
 from fluxtwin.gap.momentum_windows import Windows
 from fluxtwin.gap.problem import Budget
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 _TAUS_S = (0.0, 15.0, 30.0, 60.0, 120.0, 250.0, 500.0, 1000.0, 2000.0)
 _RATIOS = (0.0, *np.geomspace(1e-4, 1e4, 17))

@@ -13,10 +13,10 @@ import numpy as np
 from fluxtwin.gap.momentum_search import Balance, Refit
 from fluxtwin.gap.named import SearchResult
 from fluxtwin.gap.whitening import Whitener
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.along_track_error import AlongTrackError
 from fluxtwin.sim.effects.sensor_lag import SensorLag
 from fluxtwin.sim.effects.time_tag_offset import TimeTagOffset
-from fluxtwin.sim.types import FloatArray
 
 _AHEAD = AlongTrackError.name
 _LATE = (TimeTagOffset.name, SensorLag.name)

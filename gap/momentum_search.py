@@ -23,10 +23,10 @@ from fluxtwin.gap.momentum_noise import MomentumWhitener
 from fluxtwin.gap.momentum_windows import Windows
 from fluxtwin.gap.named import Named
 from fluxtwin.gap.score import Board, board, orthonormal
-from fluxtwin.sim.dynamics.vehicle import Vehicle
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import DynamicsEffect
-from fluxtwin.sim.errors import BadInput
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 
 _IN_GROUP = 0.05
 _WORTH_SAYING = 0.001

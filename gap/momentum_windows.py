@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.gap.momentum_arcs import Arcs
-from fluxtwin.sim.dynamics.vehicle import Vehicle
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 
 WINDOW_S = 2000.0
 """A third of an orbit: what turns with the orbit or with the field shows within it."""

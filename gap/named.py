@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from fluxtwin.gap.candidates import Candidate
 from fluxtwin.gap.records import Detectable
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
-from fluxtwin.sim.types import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

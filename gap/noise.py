@@ -15,7 +15,7 @@ from fluxtwin.gap.reml import Choice, Likelihood, best_noise, least_share, noise
 from fluxtwin.gap.robust_rows import RobustRows, combine, first_weights, spike_weights, standing_out, weights_of
 from fluxtwin.gap.span import Span, sketch, span_of
 from fluxtwin.gap.whitening import NoiseModel, Whitener, make_whitener
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 __all__ = [
     "NoiseChoice", "NoiseModel", "RobustRows", "Whitener", "choose_noise", "complete_budget", "make_whitener",

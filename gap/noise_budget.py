@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.gap.problem import Budget, Problem
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 DECLARED = "declared"
 FROM_SPACING = "estimated from the spacing of the readings"

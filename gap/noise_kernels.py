@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fluxtwin.sim.kernel_cache import kernel
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.kernel_cache import kernel
+from fluxtwin.sim.base.types import FloatArray
 
 GAIN_COLUMNS = 16
 """Row of the gain table: phi, the upper triangle of S**-1/2 (xx xy xz yy yz zz), K row by row."""

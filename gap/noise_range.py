@@ -15,7 +15,7 @@ import numpy as np
 from fluxtwin.gap.noise import NoiseChoice, NoiseModel, complete_budget
 from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.reml import RIDGE, Choice, Likelihood, Ridge, likeliest_ratio, noise_words
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 WITHIN = 5.4
 """Log likelihood below the best: half the 1 % point of chi-square with one degree of freedom."""

@@ -14,10 +14,10 @@ from itertools import pairwise
 import numpy as np
 
 from fluxtwin.gap.evidence import Leftover, log10_sf_f, orthonormal
-from fluxtwin.sim.field import field_N_nT
-from fluxtwin.sim.orbit import argument_of_latitude
-from fluxtwin.sim.signal import Setting
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth.field import field_N_nT
+from fluxtwin.sim.earth.orbit import argument_of_latitude
+from fluxtwin.sim.effects.signal import Setting
 
 MOST_BESIDE = 0.1
 """Share of the energy of a shape and its variations together that the variations may have."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fluxtwin.sim.effects.base import Effect
-from fluxtwin.sim.signal import Setting
+from fluxtwin.sim.effects.signal import Setting
 
 
 @dataclass(frozen=True)

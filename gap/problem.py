@@ -16,18 +16,18 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.gap import without_attitude
 from fluxtwin.gap.whitening import turn_images
 from fluxtwin.gap.without_attitude import RowAxes
-from fluxtwin.sim import epoch, frames
+from fluxtwin.sim.attitude.recorded_motion import RecordedMotion
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.field import field_N_nT
+from fluxtwin.sim.earth.field_models import FieldModel
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.chain import Active, Chain, jacobian
-from fluxtwin.sim.errors import BadInput, NoAnswer
-from fluxtwin.sim.field import field_N_nT
-from fluxtwin.sim.field_models import FieldModel
-from fluxtwin.sim.motion import RecordedMotion
-from fluxtwin.sim.sensors.magnetometer import Magnetometer
-from fluxtwin.sim.signal import Setting
-from fluxtwin.sim.telemetry import Telemetry, recorded_columns
-from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.effects.signal import Setting
+from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
+from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
 
 DEFAULT_MODELLED = ("bias", "scale_misalignment")
 _OTHER_STAMPS = np.timedelta64(1, "D")  # so far beyond the model's ends a clock error may lead a trial

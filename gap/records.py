@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from fluxtwin.sim.types import FloatArray, TimeArray
+from fluxtwin.sim.base.types import FloatArray, TimeArray
 
 if TYPE_CHECKING:
     from fluxtwin.gap.closure import Closure

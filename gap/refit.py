@@ -11,8 +11,8 @@ import numpy as np
 from fluxtwin.gap.candidates import derivatives, in_order
 from fluxtwin.gap.problem import Problem, realigned
 from fluxtwin.gap.score import SHARE_LEFT, Whitens
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.chain import Active
-from fluxtwin.sim.types import BoolArray, FloatArray
 
 _STEPS = 12
 _HALVINGS = 6

@@ -19,7 +19,7 @@ from scipy.linalg import solve_triangular
 from fluxtwin.gap.noise_budget import NoisePrior
 from fluxtwin.gap.span import SHARE_LEFT, Span, span_of
 from fluxtwin.gap.whitening import NoiseModel, make_whitener, share_of_errors
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 RIDGE = 0.25
 """The likeliest ratio grows about as this power of the time constant."""

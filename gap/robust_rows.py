@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from fluxtwin.gap.whitening import NoiseModel, full_weights
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 CUT_SIGMA = 6.0
 _DOUBT_SIGMA = 4.5  # from here to the cut a component loses weight; seven of a million good ones do

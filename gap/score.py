@@ -17,7 +17,7 @@ from scipy.linalg import qr
 from scipy.stats import f as f_distribution
 
 from fluxtwin.gap.candidates import Candidate
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 SHARE_LEFT = 1e-6
 """A column (or combination of columns) with less of its energy left beside the nuisance is not there."""

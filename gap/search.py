@@ -17,9 +17,9 @@ from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.refit import Fit, white_residual
 from fluxtwin.gap.score import Board, Whitens
 from fluxtwin.gap.support import support
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
-from fluxtwin.sim.types import FloatArray
 
 __all__ = ["GATE", "Named", "Ranked", "SearchResult", "candidates", "search"]
 

@@ -17,9 +17,9 @@ from scipy import stats
 from fluxtwin.gap.records import Diagnosis, EffectParameter, FoundEffect, Place
 from fluxtwin.gap.sun_nadir import FALSE_ALARM, Channel, Hypothesis, SunNadir, open_channel
 from fluxtwin.gap.verdict import blended
+from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.effects.chain import Active
-from fluxtwin.sim.errors import NoAnswer
-from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.telemetry.record import Telemetry
 
 SEEN = ("sun_sensor_head_misalignment", "horizon_scanner_bias")
 """Effects that the angle knows of."""

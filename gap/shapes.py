@@ -28,7 +28,7 @@ from fluxtwin.gap.stochastic import shape_of
 from fluxtwin.gap.tones import tone_near
 from fluxtwin.gap.walk_noise import Wander, without_walk
 from fluxtwin.gap.wandering import random_walk
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 _MOST = 3
 _ROUNDS = 3

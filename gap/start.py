@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from fluxtwin.calib.scalar import calibrate_scalar
-from fluxtwin.sim.errors import NoAnswer
-from fluxtwin.sim.field import field_N_nT
-from fluxtwin.sim.field_models import FieldModel
-from fluxtwin.sim.sensors.magnetometer import Magnetometer
-from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.calib.scalar.calibrate import calibrate_scalar
+from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.earth.field import field_N_nT
+from fluxtwin.sim.earth.field_models import FieldModel
+from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
+from fluxtwin.sim.telemetry.record import Telemetry
 
 _NEAR = 0.1
 """Of the field: a raw magnetometer that is right to this is where Gauss-Newton may start."""

@@ -23,12 +23,12 @@ from fluxtwin.gap.problem import Budget, Problem
 from fluxtwin.gap.switched_region import switched_region
 from fluxtwin.gap.tones import strongest_tone
 from fluxtwin.gap.two_state import heater_sequence
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import DistributionEffect, Effect
 from fluxtwin.sim.effects.bit_errors import BitErrors
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.coarse_quantization import CoarseQuantization
 from fluxtwin.sim.effects.excess_noise import ExcessNoise
-from fluxtwin.sim.types import FloatArray
 
 _ALIKE = 0.25
 

@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 from scipy.stats import f as fisher
 
-from fluxtwin.calib.covariance import make_blocks
-from fluxtwin.sim import epoch, frames, sun
-from fluxtwin.sim.errors import BadInput, NoAnswer
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.telemetry_build import velocity_from_positions
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.calib.common.covariance import make_blocks
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch, frames, sun
+from fluxtwin.sim.telemetry.build import velocity_from_positions
+from fluxtwin.sim.telemetry.record import Telemetry
 
 FEWEST_PASSES = 8
 FALSE_ALARM = 0.01

@@ -18,10 +18,10 @@ from fluxtwin.gap.evidence import Fit, Leftover, log10_sf_f, orthonormal
 from fluxtwin.gap.flexible import FlexibleFinding
 from fluxtwin.gap.own_shape import gains, halves, varies
 from fluxtwin.gap.problem import Problem
-from fluxtwin.sim import frames
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.effects.switched_field import SwitchedField
-from fluxtwin.sim.signal import Setting
-from fluxtwin.sim.types import BoolArray, FloatArray
 
 _DARK = ("night", "eclipse")
 _HALF_SIZES_DEG = (12.0, 20.0)

@@ -15,15 +15,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.gap.problem import Problem
-from fluxtwin.sim import attitude, epoch, frames
-from fluxtwin.sim.constants import GM_EARTH_KM3_S2
+from fluxtwin.sim.attitude import record as attitude
+from fluxtwin.sim.attitude.libration import draw_libration
+from fluxtwin.sim.attitude.recorded_motion import RecordedMotion
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.constants import GM_EARTH_KM3_S2
+from fluxtwin.sim.earth.orbit import orbital_rates
 from fluxtwin.sim.effects.drivers import array_current_A, battery_current_A, temperature_K
+from fluxtwin.sim.effects.signal import Motion, Setting
 from fluxtwin.sim.effects.thermal_bias_drift import TIME_CONSTANTS_S
-from fluxtwin.sim.libration import draw_libration
-from fluxtwin.sim.motion import RecordedMotion
-from fluxtwin.sim.orbit import orbital_rates
-from fluxtwin.sim.signal import Motion, Setting
-from fluxtwin.sim.types import FloatArray, TimeArray
 
 DAYS = (0.5, 90.0, 182.0)
 """Half a day turns the ground below, a quarter and half a year the sun."""

@@ -9,7 +9,7 @@ from scipy import stats
 from scipy.special import gammaln
 
 from fluxtwin.gap.evidence import Leftover, log10_sf_f
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 _FINE = 8  # grid cells a sample spacing for uneven stamps: the phase error at the highest line is 0.2 rad at most
 _LONGEST = 1 << 23

@@ -24,9 +24,9 @@ from fluxtwin.gap.refit import refit
 from fluxtwin.gap.score import orthonormal
 from fluxtwin.gap.targets import Target, targets
 from fluxtwin.gap.whitening import Whitener, make_whitener, turn_images
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active, Chain
-from fluxtwin.sim.types import FloatArray
 
 MOST_CHANCE = 0.05
 """Of a false gap on the other design: more, and the parameters do not transfer."""

@@ -28,9 +28,9 @@ from fluxtwin.gap.own_shape import (
     within_dwells,
 )
 from fluxtwin.gap.tones import Tone, tone_columns
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.heater_switching import HeaterSwitching
-from fluxtwin.sim.signal import Setting
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.effects.signal import Setting
 
 _ROUNDS = 8
 _FEWEST_SWITCHES = 6

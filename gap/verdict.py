@@ -22,8 +22,8 @@ from fluxtwin.gap.records import Alone, Diagnosis, EffectParameter, FoundEffect,
 from fluxtwin.gap.stochastic import expected
 from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
+from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.effects.switched_field import SwitchedField
-from fluxtwin.sim.signal import Setting
 
 if TYPE_CHECKING:
     from fluxtwin.gap.diagnose import Work

@@ -16,7 +16,7 @@ import numpy as np
 from fluxtwin.gap.evidence import Leftover
 from fluxtwin.gap.wandering import LOG_RMS, modes_of_a_walk, three_axes
 from fluxtwin.gap.whitening import NoiseModel, Whitener
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 _LIVE = 1e-9
 _LEAST_EVIDENCE = 6.0

@@ -16,8 +16,8 @@ from scipy.special import logsumexp
 from fluxtwin.gap.blocks import Block
 from fluxtwin.gap.evidence import Dictionary, Leftover
 from fluxtwin.gap.flexible import FlexibleFinding
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.bias_random_walk import BiasRandomWalk
-from fluxtwin.sim.types import FloatArray
 
 _MOST_KNOTS = 48
 _ROWS_A_KNOT = 8

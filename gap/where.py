@@ -26,8 +26,8 @@ from fluxtwin.gap.places import place_of
 from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.records import STAGES as ALL_STAGES
 from fluxtwin.gap.records import Place
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect
-from fluxtwin.sim.types import FloatArray
 
 LEAST_LOG_EVIDENCE = 6.0
 """Below this the best hypothesis is no better than "nothing": no claim."""

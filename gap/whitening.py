@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fluxtwin.gap.without_attitude import RowAxes
-from fluxtwin.sim.processes import stop_if_asked
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.processes import stop_if_asked
+from fluxtwin.sim.base.types import FloatArray
 
 _MARGIN = 50.0
 _LARGEST_SHARE = 0.05

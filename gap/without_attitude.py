@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.sim.sensors.magnetometer import Magnetometer
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 
 _LEAST_SINE = 0.17
 """Of the angle between nadir and field: nearer than ten degrees the plane of the two is lost in noise."""

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fluxtwin.plots import style
-from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 
 _LONGEST_CLOCK_DAYS = 2.0  # beyond, the samples are counted instead: days without data would squeeze the rest
 _HISTOGRAM_SIGMAS = 4.0

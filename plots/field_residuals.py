@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from fluxtwin.plots import style
-from fluxtwin.sim import epoch
-from fluxtwin.sim.types import FloatArray, TimeArray
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch
 
 PANELS = ("north", "east", "centre", "magnitude")
 """Components of a residual in the order in which they are drawn: geocentric, centre is down."""

@@ -11,7 +11,7 @@ from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from fluxtwin.gap.records import Diagnosis, GapSeries
 from fluxtwin.plots import style
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 _SHOWN = 4000  # points of a series that a page can show apart
 _STRETCHES = 150

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fluxtwin.plots import style
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 _STEP_DEG = 5.0
 _LEAST_ROWS = 4

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fluxtwin.plots import style
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 _FRAME_PERCENT = 99.0
 _OUTSTANDING = 2.0

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.text import Text
 
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 AxesGrid: TypeAlias = list[list[Axes]]
 """Axes of a figure, row by row: `grid[row][column]`."""

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from fluxtwin.scenarios.page import Table
-from fluxtwin.sim.errors import BadInput
-from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.truth import Truth
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.run.truth import Truth
+from fluxtwin.sim.scenario.scenario import Scenario
+from fluxtwin.sim.telemetry.record import Telemetry
 
 ATTITUDES = ("dynamics", "prescribed")
 """What `fluxtwin run NAME --attitude` may be; the first is the default."""

@@ -7,10 +7,10 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fluxtwin.sim.errors import BadInput
+from fluxtwin.sim.base.errors import BadInput
 
 if TYPE_CHECKING:
-    from fluxtwin.sim.scenario import Scenario
+    from fluxtwin.sim.scenario.scenario import Scenario
 
 SCENARIOS = ("hcmm", "seasat", "st5")
 """Studies with a packaged scenario; the first has stations of its own."""
@@ -21,7 +21,7 @@ def open_scenario(path: Path) -> Scenario:
 
     Raises BadInput as `load_scenario`; for a name that is neither, one that lists what there is.
     """
-    from fluxtwin.sim.scenario import load_scenario, parse_scenario
+    from fluxtwin.sim.scenario.scenario import load_scenario, parse_scenario
 
     name = str(path)
     if path.exists():

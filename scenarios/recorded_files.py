@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fluxtwin.sim.errors import BadInput
-from fluxtwin.sim.telemetry_csv import CsvFile, open_csv
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
 
 
 def check_folder(data: Path | None, files: Sequence[str]) -> Path:

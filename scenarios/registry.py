@@ -1,7 +1,7 @@
 """The studies that `fluxtwin run NAME` knows: a new study is a module and one line here.
 
 A study module offers `run(out, data, progress) -> StudyResult`: `out` is an existing writable folder, `data`
-a folder of recorded data or None, `progress` a `fluxtwin.sim.progress.Progress`.
+a folder of recorded data or None, `progress` a `fluxtwin.sim.base.progress.Progress`.
 One that lists `attitudes` takes the keyword `attitude` as well.
 """
 
@@ -15,8 +15,8 @@ from typing import Protocol, cast
 
 from fluxtwin.scenarios.motion import ATTITUDES
 from fluxtwin.scenarios.page import StudyResult
-from fluxtwin.sim.errors import BadInput
-from fluxtwin.sim.progress import Progress
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.progress import Progress
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from fluxtwin.calib.calibration_file import write_calibration
-from fluxtwin.calib.records import Calibration
-from fluxtwin.sim import files
-from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.telemetry_io import write_telemetry
+from fluxtwin.calib.common.calibration_file import write_calibration
+from fluxtwin.calib.common.records import Calibration
+from fluxtwin.sim.base import files
+from fluxtwin.sim.scenario.scenario import Scenario
+from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
 
 
 def write_flight(out: Path, scenario_text: str, telemetry: Telemetry, calibration: Calibration) -> list[Path]:

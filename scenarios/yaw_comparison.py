@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from fluxtwin.calib.yaw import AVERAGE_S, YawSolution, average_yaw
+from fluxtwin.calib.attitude.yaw import AVERAGE_S, YawSolution, average_yaw
 from fluxtwin.plots.yaw import YawComparison
-from fluxtwin.sim import epoch, frames
-from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.telemetry.record import Telemetry
 
 NEAR_NODE_DEG = 10.0
 

@@ -18,6 +18,8 @@ matplotlib.use("Agg")
 
 ROOT = Path(__file__).resolve().parent.parent
 
+pytest_plugins = ["worlds", "command_line"]
+
 
 def pytest_configure(config: pytest.Config) -> None:
     """With pytest-xdist, the tests of a file run in one worker: what they share is computed once. (Its groups by marks

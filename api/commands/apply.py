@@ -33,11 +33,10 @@ def command(
     with output.progress(f"correcting {telemetry}"):
         import numpy as np
 
-        from fluxtwin import verbs
-        from fluxtwin.calib.apply import outside_span, waived
-        from fluxtwin.calib.records import Calibration
-        from fluxtwin.sim import outputs
-        from fluxtwin.sim.telemetry_io import write_telemetry
+        from fluxtwin import outputs, verbs
+        from fluxtwin.calib.common.apply import outside_span, waived
+        from fluxtwin.calib.common.records import Calibration
+        from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
 
         targets = {"--out": (out, outputs.TELEMETRY), "--json": (json, outputs.JSON)}
         outputs.claim(targets, [telemetry, calibration, column_map, tle], force=force)

@@ -20,7 +20,7 @@ from fluxtwin.commands.reading import TelemetryArgument, read
 from fluxtwin.console import Output
 
 if TYPE_CHECKING:
-    from fluxtwin.calib.attitude import AttitudeSolution
+    from fluxtwin.calib.attitude.three_axis import AttitudeSolution
 
 NAME = "attitude"
 COLUMNS = (
@@ -81,11 +81,10 @@ def command(
     """
     output = Output(json)
     with output.progress(f"reading {telemetry}") as progress:
-        from fluxtwin import verbs
-        from fluxtwin.calib.apply import waived
-        from fluxtwin.calib.records import Calibration
-        from fluxtwin.sim import outputs
-        from fluxtwin.sim.files import write_text
+        from fluxtwin import outputs, verbs
+        from fluxtwin.calib.common.apply import waived
+        from fluxtwin.calib.common.records import Calibration
+        from fluxtwin.sim.base.files import write_text
 
         targets = {"--out": (out, outputs.TABLE), "--json": (json, outputs.JSON)}
         outputs.claim(targets, [telemetry, calibration, field, column_map, tle], force=force)
@@ -120,7 +119,7 @@ def _print(
     output: Output, found: AttitudeSolution, telemetry: Path, calibration: Path | None, out: Path | None
 ) -> None:
 
-    from fluxtwin.calib.digits import plain
+    from fluxtwin.calib.common.digits import plain
 
     def degrees(aided: bool) -> str:
         sizes = found.expected_deg(aided)
@@ -157,7 +156,7 @@ def _sizes(found: AttitudeSolution) -> str:
     """The errors that matter; one far below its neighbour is not determined by the data."""
     import math
 
-    from fluxtwin.calib.digits import plain
+    from fluxtwin.calib.common.digits import plain
 
     n, parts = found.noises, []
     for name, white, slow, slow_s, unit in (

@@ -21,11 +21,11 @@ from fluxtwin.commands.reading import read
 from fluxtwin.console import Output, manners
 
 if TYPE_CHECKING:
-    from fluxtwin.calib.fit import Fit
-    from fluxtwin.calib.records import Calibration
-    from fluxtwin.calib.residuals import ResidualStatistics
-    from fluxtwin.sim.field import FieldModel
-    from fluxtwin.sim.telemetry import Telemetry
+    from fluxtwin.calib.common.fit import Fit
+    from fluxtwin.calib.common.records import Calibration
+    from fluxtwin.calib.common.residuals import ResidualStatistics
+    from fluxtwin.sim.earth.field import FieldModel
+    from fluxtwin.sim.telemetry.record import Telemetry
 
 NAME = "calibrate"
 WEIGHTS = ("none", "huber", "tukey")
@@ -159,10 +159,9 @@ def command(
     """
     output = Output(json)
     with output.progress(f"reading {telemetry[0]}") as progress:
-        from fluxtwin import verbs
+        from fluxtwin import outputs, verbs
         from fluxtwin.calib.methods import METHODS
-        from fluxtwin.sim import outputs
-        from fluxtwin.sim.errors import BadInput
+        from fluxtwin.sim.base.errors import BadInput
 
         if method is not None and method not in METHODS:
             raise BadInput(f"{method!r} is no method", where="--method", wanted=" or ".join(METHODS))
@@ -227,9 +226,9 @@ def command(
 
 
 def _predict(fit: Fit, record: Telemetry, known: Calibration, model: FieldModel) -> ResidualStatistics:
+    from fluxtwin.calib.common.residuals import predict
     from fluxtwin.calib.methods import WITH_ATTITUDE
-    from fluxtwin.calib.residuals import predict
-    from fluxtwin.calib.scalar_predict import predict_scalar
+    from fluxtwin.calib.scalar.predict import predict_scalar
 
     return (predict if fit.method in WITH_ATTITUDE else predict_scalar)(record, known, model)
 
@@ -289,9 +288,9 @@ def _as_json(fit: Fit) -> dict[str, Any]:
 
 def _draw(fit: Fit, folder: Path) -> list[Path]:
     from fluxtwin.calibration_page import residual_figure
+    from fluxtwin.outputs import RESIDUALS
     from fluxtwin.report import png_bytes
-    from fluxtwin.sim.files import writable_folder, write_bytes
-    from fluxtwin.sim.outputs import RESIDUALS
+    from fluxtwin.sim.base.files import writable_folder, write_bytes
 
     picture = png_bytes(residual_figure(fit))
     return [write_bytes(writable_folder(folder) / RESIDUALS.inside, picture)]
@@ -301,7 +300,7 @@ def _page(fit: Fit, path: Path, telemetry: list[Path], next_step: str, *, refuse
     from fluxtwin.calibration_page import calibration_page
     from fluxtwin.console import command_line
     from fluxtwin.report import render_report
-    from fluxtwin.sim.files import write_text
+    from fluxtwin.sim.base.files import write_text
 
     names = ", ".join(path.name for path in telemetry)
     title = f"Calibration: {names}"

@@ -20,7 +20,7 @@ from fluxtwin.commands.reading import TelemetryArgument
 from fluxtwin.console import Output, manners
 
 if TYPE_CHECKING:
-    from fluxtwin.sim.check import CheckReport
+    from fluxtwin.calib.checks.check import CheckReport
 
 NAME = "check"
 BRIEF = "Is this file what it says? Names the classic traps."
@@ -47,10 +47,10 @@ def command(
     """
     output = Output(json)
     with output.progress(f"checking {telemetry}") as progress:
-        from fluxtwin import verbs
-        from fluxtwin.sim import check, outputs
-        from fluxtwin.sim.errors import BadInput
-        from fluxtwin.sim.telemetry_csv import MAX_SAMPLES
+        from fluxtwin import outputs, verbs
+        from fluxtwin.calib.checks import check
+        from fluxtwin.sim.base.errors import BadInput
+        from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
 
         if repair is not None and column_map is not None:
             raise BadInput(

@@ -75,11 +75,10 @@ def command(
     """Say where the gap between telemetry and simulation lies, which effect causes it and how far it shrinks."""
     output = Output(json)
     with output.progress(f"reading {telemetry}") as progress:
-        from fluxtwin import diagnosing, diagnosis_page
+        from fluxtwin import diagnosing, diagnosis_page, outputs
         from fluxtwin.report import render_report
-        from fluxtwin.sim import outputs
-        from fluxtwin.sim.files import write_text
-        from fluxtwin.sim.scenario import save_scenario
+        from fluxtwin.sim.base.files import write_text
+        from fluxtwin.sim.scenario.scenario import save_scenario
 
         outputs.claim(
             {

@@ -28,7 +28,7 @@ def command(
 
     The keys are those of [effects.NAME] in a scenario; zero is absent.
     """
-    from fluxtwin.sim import outputs
+    from fluxtwin import outputs
     from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 
     output = Output(json)
@@ -56,7 +56,7 @@ def _overview(output: Output, effects: tuple[Effect, ...]) -> None:
 
 
 def _in_full(output: Output, effect: Effect) -> None:
-    from fluxtwin.sim.scenario_effects import effect_toml, keys_of
+    from fluxtwin.sim.scenario.effect_sections import effect_toml, keys_of
 
     output.say(f"{effect.name}: stage {_stage(effect)}")
     output.say(_brief(effect))
@@ -75,7 +75,7 @@ def _in_full(output: Output, effect: Effect) -> None:
 
 def _record(effect: Effect) -> dict[str, Any]:
     from fluxtwin.sim.effects.base import SignalEffect
-    from fluxtwin.sim.scenario_effects import keys_of
+    from fluxtwin.sim.scenario.effect_sections import keys_of
 
     return {
         "name": effect.name,

@@ -13,7 +13,7 @@ from fluxtwin.commands.options import ForceOption, JsonOption
 from fluxtwin.console import Output
 
 if TYPE_CHECKING:
-    from fluxtwin.sim.ensemble.run import Ensemble
+    from fluxtwin.sim.run.ensemble.run import Ensemble
 
 NAME = "ensemble"
 BRIEF = "Thousands of vehicles with drawn parameters, on all cores."
@@ -56,15 +56,15 @@ def command(
     if extract is not None:
         _extract(output, scenario, out, seed, extract, force)
         return
-    from fluxtwin.sim import outputs
-    from fluxtwin.sim.errors import BadInput
+    from fluxtwin import outputs
+    from fluxtwin.sim.base.errors import BadInput
 
     if vehicles is None:
         raise BadInput("how many vehicles?", where="--vehicles", wanted="a number, as --vehicles 1000")
     outputs.claim({"--out": (out, outputs.ENSEMBLE), "--json": (json, outputs.JSON)}, [scenario], force=force)
     try:
         with output.progress(f"reading {scenario}") as progress:
-            from fluxtwin.sim.ensemble.run import fly_ensemble
+            from fluxtwin.sim.run.ensemble.run import fly_ensemble
 
             flown = fly_ensemble(
                 scenario, vehicles, out, seed=seed, jobs=jobs, in_chunk=chunk, resume=resume, progress=progress
@@ -77,7 +77,7 @@ def command(
 
 
 def _say_how_to_go_on(output: Output, out: Path, words: list[Any], seed: int | None) -> None:
-    from fluxtwin.sim.ensemble.run import whole_chunks
+    from fluxtwin.sim.run.ensemble.run import whole_chunks
 
     if not whole_chunks(out):
         return
@@ -87,10 +87,10 @@ def _say_how_to_go_on(output: Output, out: Path, words: list[Any], seed: int | N
 
 
 def _extract(output: Output, scenario: Path, out: Path, seed: int | None, vehicle: int, force: bool) -> None:
-    from fluxtwin.sim import outputs
-    from fluxtwin.sim.ensemble.draws import vehicle_scenario
-    from fluxtwin.sim.errors import BadInput
-    from fluxtwin.sim.scenario import load_scenario, save_scenario
+    from fluxtwin import outputs
+    from fluxtwin.sim.base.errors import BadInput
+    from fluxtwin.sim.run.ensemble.draws import vehicle_scenario
+    from fluxtwin.sim.scenario.scenario import load_scenario, save_scenario
 
     if vehicle < 0:
         raise BadInput(f"{vehicle}", where="--extract", wanted="the number of a vehicle, from 0")
@@ -112,7 +112,8 @@ def _draw(flown: Ensemble) -> Path | None:
     if around is None or around.time.size < 2:
         return None
     from fluxtwin.plots.ensemble import pointing_envelope
-    from fluxtwin.sim import epoch, files
+    from fluxtwin.sim.base import files
+    from fluxtwin.sim.earth import epoch
 
     figure = pointing_envelope(
         epoch.seconds_since(around.time, around.time[0]) / 3600.0,

@@ -31,8 +31,7 @@ def command(
     """
     output = Output(json)
     with output.progress("evaluating the field"):
-        from fluxtwin import verbs
-        from fluxtwin.sim import outputs
+        from fluxtwin import outputs, verbs
 
         outputs.claim({"--json": (json, outputs.JSON)}, [field], force=force)
         record = verbs.field(date, lat, lon, alt_km, field=field, degree=degree)

@@ -27,8 +27,9 @@ def command(
     Confirm or mend each mark, then `fluxtwin check FILE --map MAP`: it tells whether the guesses were right.
     """
     output = Output(json)
-    from fluxtwin.sim import column_map_draft, outputs
-    from fluxtwin.sim import files as storage
+    from fluxtwin import outputs
+    from fluxtwin.sim.base import files as storage
+    from fluxtwin.sim.telemetry import column_map_draft
 
     outputs.claim({"--out": (out, outputs.COLUMN_MAP), "--json": (json, outputs.JSON)}, files, force=force)
     text = column_map_draft.draft(files)

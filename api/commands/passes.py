@@ -36,10 +36,10 @@ def command(
     """
     output = Output(json)
     with output.progress(f"reading {scenario}"):
-        from fluxtwin.sim import outputs
-        from fluxtwin.sim.errors import BadInput
-        from fluxtwin.sim.scenario_passes import list_passes
-        from fluxtwin.sim.scenario_stations import read_stations
+        from fluxtwin import outputs
+        from fluxtwin.sim.base.errors import BadInput
+        from fluxtwin.sim.run.scenario_passes import list_passes
+        from fluxtwin.sim.run.scenario_stations import read_stations
 
         outputs.claim({"--json": (json, outputs.JSON)}, [scenario, stations], force=force)
         plan = open_scenario(scenario)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import typer
 
 from fluxtwin.console import Output
-from fluxtwin.sim.processes import stop_if_asked
+from fluxtwin.sim.base.processes import stop_if_asked
 
 if TYPE_CHECKING:
-    from fluxtwin.sim.telemetry import Telemetry
+    from fluxtwin.sim.telemetry.record import Telemetry
 
 TelemetryArgument: TypeAlias = Annotated[
     Path,
@@ -29,8 +29,8 @@ def read(
     one_of_many: bool = False,
 ) -> Telemetry:
     """The record in `path`; the reader's notices go to standard error, one a line, with the file's name among many."""
-    from fluxtwin.sim.telemetry_csv import MAX_SAMPLES
-    from fluxtwin.sim.telemetry_io import read_telemetry
+    from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
+    from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
 
     stop_if_asked()  # importing took its time
     record = read_telemetry(path, column_map=column_map, tle=tle, max_samples=max_samples or MAX_SAMPLES)

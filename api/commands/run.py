@@ -38,7 +38,7 @@ def command(
     """Run a whole study: tables here; figures, report.html, summary.json and the scenario in a folder."""
     output = Output(json)
     with output.progress(f"starting {name}") as progress:
-        from fluxtwin.sim import outputs
+        from fluxtwin import outputs
         from fluxtwin.studies import run_study
 
         targets = {"--out": (out or f"{name}-results", outputs.STUDY), "--json": (json, outputs.JSON)}

@@ -12,7 +12,7 @@ from fluxtwin.commands.options import DegreeOption, ForceOption, JsonOption, Out
 from fluxtwin.console import Output
 
 if TYPE_CHECKING:
-    from fluxtwin.sim.scenario import Scenario
+    from fluxtwin.sim.scenario.scenario import Scenario
 
 NAME = "simulate"
 BRIEF = "A scenario becomes telemetry."
@@ -33,12 +33,12 @@ def command(
     """Simulate a scenario and write its telemetry (.nc, .csv or .csv.gz), the scenario beside it."""
     output = Output(json)
     with output.progress(f"reading {scenario}") as progress:
-        from fluxtwin.sim import outputs
-        from fluxtwin.sim.epoch import iso
-        from fluxtwin.sim.files import is_stream
-        from fluxtwin.sim.scenario import load_scenario, save_scenario
-        from fluxtwin.sim.simulate import simulate
-        from fluxtwin.sim.telemetry_io import write_telemetry
+        from fluxtwin import outputs
+        from fluxtwin.sim.base.files import is_stream
+        from fluxtwin.sim.earth.epoch import iso
+        from fluxtwin.sim.run.simulate import simulate
+        from fluxtwin.sim.scenario.scenario import load_scenario, save_scenario
+        from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
 
         plan = load_scenario(scenario)
         changes = {"field.truth": field, "field.truth_degree": degree}

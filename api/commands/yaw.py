@@ -20,7 +20,7 @@ from fluxtwin.commands.reading import TelemetryArgument, read
 from fluxtwin.console import Output
 
 if TYPE_CHECKING:
-    from fluxtwin.calib.yaw import YawSolution
+    from fluxtwin.calib.attitude.yaw import YawSolution
 
 NAME = "yaw"
 COLUMNS = ("time", "yaw_deg", "yaw_first_order_deg", "sigma_deg", "yaw_reference_deg")
@@ -59,12 +59,11 @@ def command(
     with output.progress(f"reading {telemetry}") as progress:
         import math
 
-        from fluxtwin import verbs
-        from fluxtwin.calib.apply import calibration_of, waived
-        from fluxtwin.calib.records import Calibration
-        from fluxtwin.calib.yaw import yaw_from_field
-        from fluxtwin.sim import outputs
-        from fluxtwin.sim.errors import BadInput
+        from fluxtwin import outputs, verbs
+        from fluxtwin.calib.attitude.yaw import yaw_from_field
+        from fluxtwin.calib.common.apply import calibration_of, waived
+        from fluxtwin.calib.common.records import Calibration
+        from fluxtwin.sim.base.errors import BadInput
 
         for name, value in (("--sigma-nT", sigma_nt), ("--attitude-sigma-deg", attitude_sigma_deg)):
             if value is not None and not 0 <= value < math.inf:
@@ -129,7 +128,7 @@ def _print(output: Output, summary: dict[str, Any]) -> None:
 
 
 def _write(solution: YawSolution, path: Path) -> None:
-    from fluxtwin.sim.files import write_text
+    from fluxtwin.sim.base.files import write_text
 
     columns = solution.to_dict()
     rows = zip(*(columns[name] for name in COLUMNS), strict=True)

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.sim.field import FieldModel, field_N_nT
-from fluxtwin.sim.orbit import Orbit
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth.field import FieldModel, field_N_nT
+from fluxtwin.sim.earth.orbit import Orbit
 
 GOOD = "good"
 R_EARTH = 6378.137

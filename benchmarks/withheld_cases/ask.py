@@ -51,7 +51,7 @@ def arguments(asked: dict[str, Any]) -> dict[str, Any]:
     names = ("noise_nT", "lsb_nT", "attitude_sigma_deg", "modelled", "degree")
     given = {name: asked[name] for name in names if asked[name] is not None}
     if "scenario" in asked:
-        from fluxtwin.sim.scenario import parse_scenario
+        from fluxtwin.sim.scenario.scenario import parse_scenario
 
         given["scenario"] = parse_scenario(asked["scenario"], where="the vehicle")
     return given
@@ -61,7 +61,7 @@ def _closed(store: Store, identity: str, found: Any, asked: dict[str, Any]) -> A
     """The answer with its transfers; beside it the scenario with what was named, as `--close` writes it."""
     try:
         from fluxtwin.diagnosing import Declared, closed
-        from fluxtwin.sim.scenario import save_scenario
+        from fluxtwin.sim.scenario.scenario import save_scenario
 
         declared = Declared(
             asked["noise_nT"], asked["lsb_nT"], asked["attitude_sigma_deg"], None, None, asked["degree"]

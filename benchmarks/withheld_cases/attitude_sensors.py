@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fluxtwin.sim import epoch
-from fluxtwin.sim.random_streams import stream
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch
 from withheld_cases import spacecraft
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from scipy.special import gammaln
 
-from fluxtwin.sim.field import field_N_nT
-from fluxtwin.sim.field_models import FieldModel
+from fluxtwin.sim.earth.field import field_N_nT
+from fluxtwin.sim.earth.field_models import FieldModel
 from withheld_cases import null_regimes, of_dynamics, of_place, of_sensor, of_spacecraft, outside, shapes
 from withheld_cases.attitude_sensors import draw_sensors
 from withheld_cases.chain import Truth

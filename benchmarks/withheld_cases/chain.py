@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.sim import frames
-from fluxtwin.sim.field import field_N_nT
-from fluxtwin.sim.random_streams import stream
-from fluxtwin.sim.sensors.reference_attitude import attitude_with_error
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.types import FloatArray, TimeArray
+from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.field import field_N_nT
+from fluxtwin.sim.spacecraft.sensors.reference_attitude import attitude_with_error
+from fluxtwin.sim.telemetry.record import Telemetry
 from withheld_cases import attitude_sensors, spacecraft
 from withheld_cases.worlds import World, shift
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 from withheld_cases.chain import Truth
 from withheld_cases.worlds import World
 

@@ -16,12 +16,12 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.sim import epoch, sun
-from fluxtwin.sim.atmosphere import density_along
-from fluxtwin.sim.field import field_N_nT
-from fluxtwin.sim.field_models import FieldModel
-from fluxtwin.sim.orbit import Orbit
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch, sun
+from fluxtwin.sim.earth.atmosphere import density_along
+from fluxtwin.sim.earth.field import field_N_nT
+from fluxtwin.sim.earth.field_models import FieldModel
+from fluxtwin.sim.earth.orbit import Orbit
 
 GM_M3_S2 = 3.986004418e14
 PUSH_N_M2 = 1361.0 / 299792458.0

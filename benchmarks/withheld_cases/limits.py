@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fluxtwin.sim.telemetry_io import write_telemetry
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
 from withheld_cases import of_place, spacecraft
 from withheld_cases.cases import PLAIN, case_seed, declared, identity, sealed_world
 from withheld_cases.chain import Truth, fly

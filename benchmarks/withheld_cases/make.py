@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fluxtwin.sim.field_models import FieldModel, load_field
-from fluxtwin.sim.telemetry_io import write_telemetry
+from fluxtwin.sim.earth.field_models import FieldModel, load_field
+from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
 from withheld_cases import limits, null_regimes, of_dynamics, undetermined
 from withheld_cases.cases import Case, answer, case_seed, identity, make_case, question, sealed_world, undeclared
 from withheld_cases.chain import fly, noise_free, twin

@@ -11,8 +11,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fluxtwin.sim import epoch
-from fluxtwin.sim.types import FloatArray, TimeArray
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch
 from withheld_cases.draft import direction
 from withheld_cases.worlds import Budget, World, between, draw_motion, draw_world
 

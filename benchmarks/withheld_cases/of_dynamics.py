@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.sim import attitude, epoch, frames
-from fluxtwin.sim.field_models import load_field
-from fluxtwin.sim.orbit import Orbit
-from fluxtwin.sim.telemetry_io import write_telemetry
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.attitude import record as attitude
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.field_models import load_field
+from fluxtwin.sim.earth.orbit import Orbit
+from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
 from withheld_cases import chain, of_place, of_sensor, of_spacecraft
 from withheld_cases.chain import Truth
 from withheld_cases.draft import Maker, sign

@@ -9,11 +9,11 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.sim import epoch, frames
-from fluxtwin.sim.constants import FIELD_RADIUS_KM
-from fluxtwin.sim.field import field_N_nT
-from fluxtwin.sim.field_models import load_field
-from fluxtwin.sim.types import FloatArray, TimeArray
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.constants import FIELD_RADIUS_KM
+from fluxtwin.sim.earth.field import field_N_nT
+from fluxtwin.sim.earth.field_models import load_field
 from withheld_cases import spacecraft
 from withheld_cases.chain import Truth
 from withheld_cases.draft import Draft, direction, followed, listed, recording, share, sign

@@ -8,9 +8,9 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from fluxtwin.sim import epoch
-from fluxtwin.sim.random_streams import stream
-from fluxtwin.sim.types import FloatArray, TimeArray
+from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch
 from withheld_cases import spacecraft
 from withheld_cases.chain import Ambient, Truth, ambient, noise_free
 from withheld_cases.draft import Draft, direction, followed, listed, share

@@ -6,8 +6,8 @@ import dataclasses
 
 import numpy as np
 
-from fluxtwin.sim import epoch, frames
-from fluxtwin.sim.types import FloatArray, TimeArray
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch, frames
 from withheld_cases import spacecraft
 from withheld_cases.chain import Ambient, Truth
 from withheld_cases.draft import Draft, changes, direction, followed, listed, recording, share

@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.sim import epoch, frames
-from fluxtwin.sim.orbit import argument_of_latitude
-from fluxtwin.sim.random_streams import stream
-from fluxtwin.sim.types import FloatArray, TimeArray
+from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.orbit import argument_of_latitude
 from withheld_cases import of_place
 from withheld_cases.chain import Ambient, Truth, noise_free
 from withheld_cases.draft import Draft, direction, listed, sign
@@ -112,7 +112,7 @@ def wrong_coefficient(world: World, rng: np.random.Generator) -> Draft:
 
     def at(size: float) -> Truth:
         def more(w: World, time: TimeArray, r_N_km: FloatArray) -> FloatArray:
-            from fluxtwin.sim.field import design_matrix_E
+            from fluxtwin.sim.earth.field import design_matrix_E
 
             turn = frames.rotation_EN(time)
             column = design_matrix_E(4, turn.apply(r_N_km))[:, :, place]

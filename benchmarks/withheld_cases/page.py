@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.sim import files
+from fluxtwin.sim.base import files
 from withheld_cases import beside, score
 from withheld_cases.judged import Judged
 from withheld_cases.outside import WHY

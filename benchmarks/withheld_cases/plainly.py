@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.sim import epoch, frames
+from fluxtwin.sim.earth import epoch, frames
 from withheld_cases import of_place, of_sensor, of_spacecraft, spacecraft
 from withheld_cases.chain import Ambient, Truth
 from withheld_cases.visible import signature_nT

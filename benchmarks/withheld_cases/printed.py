@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.sim.telemetry_io import write_telemetry
+from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
 from withheld_cases import limits
 from withheld_cases.ask import arguments
 from withheld_cases.chain import fly

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.sim import epoch
-from fluxtwin.sim.scenario import parse_scenario
-from fluxtwin.sim.simulate import simulate
-from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.scenario.scenario import parse_scenario
+from fluxtwin.sim.telemetry.record import Telemetry
 from withheld_cases.null_regimes import README_LABEL
 
 README = Path(__file__).resolve().parents[2] / "README.md"

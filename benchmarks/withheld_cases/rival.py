@@ -23,10 +23,10 @@ from fluxtwin.gap.problem import DEFAULT_MODELLED, Budget, Problem, pose
 from fluxtwin.gap.refit import settled
 from fluxtwin.gap.score import SHARE_LEFT, orthonormal
 from fluxtwin.gap.whitening import least_share
-from fluxtwin.sim.field_models import load_field
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.telemetry_io import read_telemetry
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth.field_models import load_field
+from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
 
 MOST_ROWS = 5_000
 """Longer records are thinned evenly, as the diagnosis does for what is slow."""

@@ -10,9 +10,9 @@ import dataclasses
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.sim import epoch, frames
-from fluxtwin.sim.field import field_N_nT
-from fluxtwin.sim.types import FloatArray, TimeArray
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.field import field_N_nT
 from withheld_cases import of_place, of_sensor, of_spacecraft, spacecraft
 from withheld_cases.chain import Ambient, Truth, ambient
 from withheld_cases.draft import Draft, direction, followed, listed, recording, share, sign

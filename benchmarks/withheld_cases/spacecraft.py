@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fluxtwin.sim import epoch
-from fluxtwin.sim.orbit import Orbit
-from fluxtwin.sim.torquer_schedule import RandomDuty, draw_random_duty
-from fluxtwin.sim.types import FloatArray, TimeArray
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.earth.orbit import Orbit
+from fluxtwin.sim.spacecraft.torquer_schedule import RandomDuty, draw_random_duty
 
 if TYPE_CHECKING:
     from withheld_cases.worlds import World

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fluxtwin.sim import files
+from fluxtwin.sim.base import files
 
 LOG = Path(__file__).resolve().parent.parent / "withheld.log"
 FOLDERS = (

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 from withheld_cases.flight import Body, Flown, Surroundings, Torque, fly
 
 WINDOW_S = 1500.0

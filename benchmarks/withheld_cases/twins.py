@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from fluxtwin.sim import frames
-from fluxtwin.sim.field import field_N_nT
-from fluxtwin.sim.field_models import load_field
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.telemetry_io import read_telemetry
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.field import field_N_nT
+from fluxtwin.sim.earth.field_models import load_field
+from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
 from withheld_cases.cases import DISTRIBUTIONAL
 from withheld_cases.store import Store
 
@@ -50,8 +50,8 @@ def against_twin(
     store: Store, identity: str, tree: dict[str, Any], folder: str
 ) -> tuple[FloatArray, FloatArray, FloatArray, list[str]]:
     """Residuals (N, 3) of the twin and of a scenario that replays it, the model field, and what is modelled."""
-    from fluxtwin.sim.scenario import load_scenario
-    from fluxtwin.sim.simulate import simulate
+    from fluxtwin.sim.run.simulate import simulate
+    from fluxtwin.sim.scenario.scenario import load_scenario
 
     tree["replay"]["telemetry"] = str(store.path("twin", identity).resolve())
     tree["magnetometer"] |= {"noise_nT": 0.0, "lsb_nT": 0.0}

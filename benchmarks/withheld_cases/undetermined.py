@@ -12,9 +12,10 @@ import dataclasses
 
 import numpy as np
 
-from fluxtwin.sim import attitude, epoch
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.attitude import record as attitude
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.telemetry.record import Telemetry
 from withheld_cases import chain, spacecraft
 from withheld_cases.chain import Truth
 from withheld_cases.draft import direction

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 from withheld_cases.chain import Clean, Truth, noise_free
 from withheld_cases.worlds import World
 

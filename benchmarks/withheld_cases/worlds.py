@@ -13,13 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.sim import attitude, epoch, sun
-from fluxtwin.sim.field import field_N_nT
-from fluxtwin.sim.field_models import FieldModel, load_field
-from fluxtwin.sim.libration import draw_libration
-from fluxtwin.sim.orbit import Orbit
-from fluxtwin.sim.random_streams import stream
-from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.attitude import record as attitude
+from fluxtwin.sim.attitude.libration import draw_libration
+from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch, sun
+from fluxtwin.sim.earth.field import field_N_nT
+from fluxtwin.sim.earth.field_models import FieldModel, load_field
+from fluxtwin.sim.earth.orbit import Orbit
 from withheld_cases.attitude_sensors import AttitudeSensors, fitted
 from withheld_cases.spacecraft import Spacecraft, draw_spacecraft
 
@@ -252,7 +253,7 @@ def _slews(rng: np.random.Generator, time: TimeArray) -> Motion:
 
 
 def _body_from_orbital(angles_rad: FloatArray) -> Rotation:
-    from fluxtwin.sim.frames import rotation_BO
+    from fluxtwin.sim.earth.frames import rotation_BO
 
     return rotation_BO(*(angles_rad[None, k] for k in range(3)))[0]
 

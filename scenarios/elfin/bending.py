@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from fluxtwin.scenarios.elfin.record import Day, Zone
 from fluxtwin.scenarios.elfin.zone_fit import ZoneFit, rms, turning
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 _ROUNDS = 40
 _BIAS_UNIT_NT = 1e3

@@ -8,19 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from fluxtwin.calib.scalar import calibrate_scalar
+from fluxtwin.calib.scalar.calibrate import calibrate_scalar
 from fluxtwin.gap.records import Diagnosis
 from fluxtwin.scenarios.elfin.gap_question import ask
 from fluxtwin.scenarios.elfin.record import Flight, Slip, Zone, read_flight
 from fluxtwin.scenarios.elfin.settings import Settings
 from fluxtwin.scenarios.elfin.unseen import Told, compare, residuals_nT
 from fluxtwin.scenarios.elfin.zone_fit import KINDS, ComplexArray, ZoneFit, fit_zone, local_noise_nT, responses
-from fluxtwin.sim import epoch
-from fluxtwin.sim.errors import NoAnswer
-from fluxtwin.sim.field import load_field
-from fluxtwin.sim.field_models import FieldModel
-from fluxtwin.sim.progress import Progress, part_of, silent
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.base.progress import Progress, part_of, silent
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.earth.field import load_field
+from fluxtwin.sim.earth.field_models import FieldModel
 
 NAMED = ("boom", "boom, two lags")
 """Ways whose lags the diagnosis may be given: the one that fits all zones best."""

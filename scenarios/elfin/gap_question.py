@@ -14,12 +14,12 @@ from fluxtwin.scenarios.elfin.bending import Joint, fit_joint, powers, rows_of, 
 from fluxtwin.scenarios.elfin.record import Flight, Zone
 from fluxtwin.scenarios.elfin.settings import Settings
 from fluxtwin.scenarios.elfin.zone_fit import ZoneFit
-from fluxtwin.sim import frames
+from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.effects.drivers import STANDARD_SWING_K
-from fluxtwin.sim.field import load_field
-from fluxtwin.sim.progress import Progress, silent
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.telemetry.record import Telemetry
 
 _EVERY = 11
 _LSB_NT = 0.01

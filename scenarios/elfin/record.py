@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fluxtwin.scenarios.elfin.settings import MAP, Settings
-from fluxtwin.sim import epoch, sun
-from fluxtwin.sim.errors import BadInput
-from fluxtwin.sim.field import FieldModel, field_N_nT
-from fluxtwin.sim.frames_of_date import rotation_from_N
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.telemetry_io import read_telemetry
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth import epoch, sun
+from fluxtwin.sim.earth.field import FieldModel, field_N_nT
+from fluxtwin.sim.earth.frames_of_date import rotation_from_N
+from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
 
 _IRREGULAR_S = 1e-3
 _STEP_S = 0.1

@@ -15,8 +15,8 @@ from fluxtwin.scenarios.elfin.compute import Results, compute
 from fluxtwin.scenarios.elfin.settings import Settings, read_settings
 from fluxtwin.scenarios.page import Page, Section, StudyResult, Table
 from fluxtwin.scenarios.recorded_files import check_folder
-from fluxtwin.sim.files import write_text
-from fluxtwin.sim.progress import Progress, part_of, silent
+from fluxtwin.sim.base.files import write_text
+from fluxtwin.sim.base.progress import Progress, part_of, silent
 
 _AGREE_S = 5e-4
 """A slip seen in the spin phase to within that is the one that the stamps show."""

@@ -11,8 +11,8 @@ from fluxtwin.scenarios.elfin.bending import Joint, Rows, fit_joint, rows_of, se
 from fluxtwin.scenarios.elfin.record import Flight
 from fluxtwin.scenarios.elfin.settings import Settings
 from fluxtwin.scenarios.elfin.zone_fit import ZoneFit
-from fluxtwin.sim.progress import Progress, silent
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.types import FloatArray
 
 Lags = tuple[tuple[float, ...], ...]
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fluxtwin.scenarios.elfin.record import Zone
 from fluxtwin.scenarios.elfin.settings import Settings
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
 

@@ -19,10 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.scenarios.flight_field.residuals import Residual, rms
-from fluxtwin.sim import epoch, frames
-from fluxtwin.sim.constants import FIELD_RADIUS_KM
-from fluxtwin.sim.field import FieldModel, field_NEC_nT
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.constants import FIELD_RADIUS_KM
+from fluxtwin.sim.earth.field import FieldModel, field_NEC_nT
 
 RING_CURRENT, TIME_OFFSET, PITCH = "ring current [nT]", "time offset [s]", "pitch [deg]"
 

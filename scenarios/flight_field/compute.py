@@ -27,11 +27,11 @@ from fluxtwin.scenarios.flight_field.tracks import (
     read_ring_current,
     read_swarm,
 )
-from fluxtwin.sim import epoch, frames
-from fluxtwin.sim.field import FieldModel, field_NEC_nT, load_field
-from fluxtwin.sim.field_external import magnetospheric_field_E_nT, read_magnetosphere
-from fluxtwin.sim.progress import Progress
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.base.progress import Progress
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.field import FieldModel, field_NEC_nT, load_field
+from fluxtwin.sim.earth.field_external import magnetospheric_field_E_nT, read_magnetosphere
 
 
 @dataclass(frozen=True)

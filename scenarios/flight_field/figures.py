@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
-from fluxtwin.sim.errors import BadInput
-from fluxtwin.sim.telemetry_csv import open_csv
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.telemetry.csv_files import open_csv
 
 PACKAGED = Path(__file__).parent / "data" / "figures.csv"
 

@@ -14,8 +14,8 @@ from fluxtwin.scenarios.flight_field.figures import Finding
 from fluxtwin.scenarios.flight_field.residuals import COMPONENTS, Residual, low_latitude, rms, statistics
 from fluxtwin.scenarios.flight_field.settings import Settings
 from fluxtwin.scenarios.page import Cell, FigureBlock, Page, Section, Table
-from fluxtwin.sim import epoch
-from fluxtwin.sim.types import BoolArray
+from fluxtwin.sim.base.types import BoolArray
+from fluxtwin.sim.earth import epoch
 
 _RING, _TIME, _PITCH = causes.RING_CURRENT, causes.TIME_OFFSET, causes.PITCH
 _TRACK_KM_S = 7.7  # what MAGSAT covers over the ground track at orbit height in a second

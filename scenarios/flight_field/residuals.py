@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.scenarios.flight_field.tracks import Track
-from fluxtwin.sim.field import FieldModel, field_NEC_nT
-from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.earth.field import FieldModel, field_NEC_nT
 
 COMPONENTS = ("N", "E", "C", "F")
 """Geocentric north, east, centre, and the magnitude."""

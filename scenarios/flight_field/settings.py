@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fluxtwin.sim.toml_input import Strict, read_model
+from fluxtwin.sim.base.toml_input import Strict, read_model
 
 PACKAGED = Path(__file__).parent / "flight_field.toml"
 

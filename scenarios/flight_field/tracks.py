@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from fluxtwin.scenarios.recorded_files import numbers, opened
-from fluxtwin.sim import epoch, frames
-from fluxtwin.sim.errors import BadInput, OutOfRange
-from fluxtwin.sim.telemetry_csv import open_csv
-from fluxtwin.sim.telemetry_time import parse_iso
-from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.base.errors import BadInput, OutOfRange
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.telemetry.csv_files import open_csv
+from fluxtwin.sim.telemetry.time_stamps import parse_iso
 
 _POSITION = ("x_ecef_km", "y_ecef_km", "z_ecef_km")
 _GEODETIC = ("lat_geod_deg", "lon_deg", "alt_geod_km")

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.gap.problem import Problem, pose
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth.field_models import FieldModel
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import jacobian
-from fluxtwin.sim.field_models import FieldModel
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.telemetry.record import Telemetry
 
 _RCOND = 1e-12
 

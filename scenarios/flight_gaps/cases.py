@@ -13,8 +13,8 @@ from fluxtwin.gap.records import Diagnosis
 from fluxtwin.scenarios.flight_field.tracks import Track, read_magsat, read_swarm
 from fluxtwin.scenarios.flight_gaps import models, readers, records
 from fluxtwin.scenarios.flight_gaps.settings import Settings
-from fluxtwin.sim.field_models import FieldModel, load_field
-from fluxtwin.sim.telemetry import Telemetry
+from fluxtwin.sim.earth.field_models import FieldModel, load_field
+from fluxtwin.sim.telemetry.record import Telemetry
 
 STORM, MAGSAT, SWARM, DMSP, AIRCRAFT = "storm", "magsat", "swarm", "dmsp", "aircraft"
 _EDDY = ("bias", "scale_misalignment", "eddy_current")

@@ -18,15 +18,15 @@ from fluxtwin.scenarios.flight_gaps.alone import Alone, alone, least_squares, vi
 from fluxtwin.scenarios.flight_gaps.cases import DMSP, Case, cases, magsat_record, names_of, storm_record
 from fluxtwin.scenarios.flight_gaps.settings import Settings
 from fluxtwin.scenarios.flight_gaps.tolles_lawson import Coefficients, coefficients
-from fluxtwin.sim import frames
+from fluxtwin.sim.base.progress import Progress, part_of
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.field_models import FieldModel, load_field
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.chain import jacobian
 from fluxtwin.sim.effects.field_truncation import FieldTruncation
-from fluxtwin.sim.field_models import FieldModel, load_field
-from fluxtwin.sim.progress import Progress, part_of
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.telemetry.record import Telemetry
 
 BANDS_DEG = (0.0, 30.0, 50.0, 60.0, 75.0, 90.0)
 STORM_NT = 50.0

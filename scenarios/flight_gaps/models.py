@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from fluxtwin.sim.field_models import FieldModel, linear_model, load_field
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth.field_models import FieldModel, linear_model, load_field
 
 _DIPOLE_NT = 30_000.0
 

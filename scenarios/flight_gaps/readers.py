@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from fluxtwin.scenarios.recorded_files import numbers, opened
-from fluxtwin.sim import epoch, frames
-from fluxtwin.sim.errors import BadInput
-from fluxtwin.sim.telemetry_netcdf import NetcdfFile
-from fluxtwin.sim.telemetry_time import parse_iso
-from fluxtwin.sim.types import FloatArray, TimeArray
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
+from fluxtwin.sim.telemetry.time_stamps import parse_iso
 
 _RESIDUAL = ("N_res", "E_res", "C_res")
 _PLACE = ("Latitude", "Longitude", "Radius")

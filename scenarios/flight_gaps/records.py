@@ -14,12 +14,12 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.scenarios.flight_field.tracks import Track
 from fluxtwin.scenarios.flight_gaps.models import dipole, dipole_radius_km
 from fluxtwin.scenarios.flight_gaps.readers import BodyResiduals, Compensation, ResidualDay
-from fluxtwin.sim import epoch, frames
-from fluxtwin.sim.constants import FIELD_RADIUS_KM
-from fluxtwin.sim.field import field_N_nT, field_NEC_nT
-from fluxtwin.sim.field_models import FieldModel
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.types import FloatArray, TimeArray
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.constants import FIELD_RADIUS_KM
+from fluxtwin.sim.earth.field import field_N_nT, field_NEC_nT
+from fluxtwin.sim.earth.field_models import FieldModel
+from fluxtwin.sim.telemetry.record import Telemetry
 
 _DMSP = Rotation.from_matrix([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Spacecraft axes of DMSP from those of the orbit: x down, y forward, z along -orbit normal."""

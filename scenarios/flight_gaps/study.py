@@ -12,8 +12,8 @@ from fluxtwin.scenarios.flight_gaps.settings import read_settings
 from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.scenarios.page_markdown import as_markdown
 from fluxtwin.scenarios.recorded_files import check_folder
-from fluxtwin.sim.files import write_text
-from fluxtwin.sim.progress import Progress, part_of, silent
+from fluxtwin.sim.base.files import write_text
+from fluxtwin.sim.base.progress import Progress, part_of, silent
 
 
 def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResult:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.scenarios.flight_gaps.readers import Compensation
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 
 @dataclass(frozen=True)

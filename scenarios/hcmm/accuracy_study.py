@@ -8,18 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from fluxtwin.calib.records import Calibration
-from fluxtwin.calib.yaw import yaw_full
+from fluxtwin.calib.attitude.yaw import yaw_full
+from fluxtwin.calib.common.records import Calibration
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.mission import Flight
 from fluxtwin.scenarios.hcmm_orbit.geometry import angle_between
 from fluxtwin.scenarios.hcmm_orbit.record import read_stations
-from fluxtwin.sim import frames
-from fluxtwin.sim.constants import FIELD_RADIUS_KM, NT_PER_MG
-from fluxtwin.sim.field import FieldModel, field_E_nT, field_N_nT, load_field
-from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.types import FloatArray
-from fluxtwin.sim.world import orbit_from
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.constants import FIELD_RADIUS_KM, NT_PER_MG
+from fluxtwin.sim.earth.field import FieldModel, field_E_nT, field_N_nT, load_field
+from fluxtwin.sim.run.world import orbit_from
+from fluxtwin.sim.scenario.scenario import Scenario
 
 
 @dataclass(frozen=True)

@@ -8,21 +8,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.calib.linear import calibrate_linear
-from fluxtwin.calib.linear_fit import LinearFit
-from fluxtwin.calib.records import parameter_names
+from fluxtwin.calib.common.records import parameter_names
+from fluxtwin.calib.linear.calibrate import calibrate_linear
+from fluxtwin.calib.linear.fit import LinearFit
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.mission import DAYS, SAMPLES, Flight
 from fluxtwin.scenarios.motion import prescribed
-from fluxtwin.sim import frames
-from fluxtwin.sim.constants import NT_PER_MG
-from fluxtwin.sim.field import FieldModel
-from fluxtwin.sim.progress import Progress
-from fluxtwin.sim.random_streams import stream
-from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.scenario_stations import stations_of
-from fluxtwin.sim.stations import in_view
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.progress import Progress
+from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.constants import NT_PER_MG
+from fluxtwin.sim.earth.field import FieldModel
+from fluxtwin.sim.earth.stations import in_view
+from fluxtwin.sim.run.scenario_stations import stations_of
+from fluxtwin.sim.scenario.scenario import Scenario
 
 RUNS = 60
 SETS = ("A", "B", "AB")

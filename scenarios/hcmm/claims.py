@@ -28,7 +28,7 @@ from fluxtwin.scenarios.hcmm_orbit.flight_test import FlightTest
 from fluxtwin.scenarios.hcmm_orbit.nadir_field import NadirField
 from fluxtwin.scenarios.hcmm_orbit.windows import Windows
 from fluxtwin.scenarios.motion import Motion
-from fluxtwin.sim.scenario import Scenario
+from fluxtwin.sim.scenario.scenario import Scenario
 
 
 @dataclass(frozen=True)

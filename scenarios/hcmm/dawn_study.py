@@ -16,10 +16,10 @@ from fluxtwin.scenarios.hcmm_orbit.geometry import angle_between
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, read_passes
 from fluxtwin.scenarios.hcmm_orbit.windows import Windows
 from fluxtwin.scenarios.motion import prescribed
-from fluxtwin.sim import epoch, sun
-from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch, sun
+from fluxtwin.sim.scenario.scenario import Scenario
+from fluxtwin.sim.telemetry.record import Telemetry
 
 FLIGHTS = 40
 

@@ -7,19 +7,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.calib.design import assemble
+from fluxtwin.calib.common.design import assemble
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.calibration_study import choose_rows, fit_rows, rms_mG, with_random_phase
 from fluxtwin.scenarios.hcmm.mission import Flight
-from fluxtwin.sim import frames
-from fluxtwin.sim.constants import NT_PER_MG
-from fluxtwin.sim.field import FieldModel, field_N_nT
-from fluxtwin.sim.progress import Progress
-from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.scenario_config import TorquersSection
-from fluxtwin.sim.sensors.torquers import coupling_nT_per_Am2
-from fluxtwin.sim.types import FloatArray
-from fluxtwin.sim.world import World, build_world
+from fluxtwin.sim.base.progress import Progress
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.constants import NT_PER_MG
+from fluxtwin.sim.earth.field import FieldModel, field_N_nT
+from fluxtwin.sim.run.world import World, build_world
+from fluxtwin.sim.scenario.scenario import Scenario
+from fluxtwin.sim.scenario.sections import TorquersSection
+from fluxtwin.sim.spacecraft.sensors.torquers import coupling_nT_per_Am2
 
 RUNS = 12
 NEAR_EQUATOR_DEG, NEAR_POLES_DEG = 5.0, 75.0

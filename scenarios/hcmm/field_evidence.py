@@ -18,11 +18,11 @@ from fluxtwin.scenarios.hcmm_orbit.angles import angles_along
 from fluxtwin.scenarios.hcmm_orbit.fit import OrbitFit
 from fluxtwin.scenarios.hcmm_orbit.record import read_passes
 from fluxtwin.scenarios.hcmm_orbit.windows import Windows
-from fluxtwin.sim import frames
-from fluxtwin.sim.constants import NT_PER_MG
-from fluxtwin.sim.field import field_E_nT, load_field
-from fluxtwin.sim.random_streams import stream
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.constants import NT_PER_MG
+from fluxtwin.sim.earth.field import field_E_nT, load_field
 
 LSB_MG = quantity("LSB") / float(np.sqrt(12.0))
 """What the step of the readings leaves in field strength, rms."""

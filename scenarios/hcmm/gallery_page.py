@@ -13,7 +13,7 @@ from fluxtwin.plots import gallery as plots
 from fluxtwin.scenarios.hcmm.gallery_study import GROUND, REGION_DEG, Answer
 from fluxtwin.scenarios.hcmm.real_passes import Question, RealPasses
 from fluxtwin.scenarios.page import Cell, FigureBlock, Page, Section, Table
-from fluxtwin.sim import epoch
+from fluxtwin.sim.earth import epoch
 
 FILE = "gallery"
 _MOST_ROWS = 9

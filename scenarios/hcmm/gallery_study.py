@@ -23,17 +23,17 @@ from fluxtwin.gap.second_channel import channel_of, with_second_channel
 from fluxtwin.gap.sun_nadir import Channel, open_channel
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.motion import prescribed
-from fluxtwin.sim import epoch, frames
+from fluxtwin.sim.base.progress import Progress, part_of, silent
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.field import load_field
+from fluxtwin.sim.earth.field_models import FieldModel
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
-from fluxtwin.sim.field import load_field
-from fluxtwin.sim.field_models import FieldModel
-from fluxtwin.sim.progress import Progress, part_of, silent
-from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.sensors.torquers import coupling_nT_per_Am2
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
-from fluxtwin.sim.world import build_world
+from fluxtwin.sim.run.world import build_world
+from fluxtwin.sim.scenario.scenario import Scenario
+from fluxtwin.sim.spacecraft.sensors.torquers import coupling_nT_per_Am2
+from fluxtwin.sim.telemetry.record import Telemetry
 
 GROUND = "igrf14"
 REGION_DEG = (15.0, 60.0, -95.0, -55.0)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.calib.horizon_scanner import calibrate_scanner
+from fluxtwin.calib.attitude.horizon_scanner import calibrate_scanner
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.calibration_study import choose_rows, fit_rows, pass_labels
 from fluxtwin.scenarios.hcmm.field_evidence import rank_correlation
@@ -24,13 +24,13 @@ from fluxtwin.scenarios.hcmm.pass_study import Row, rows_of_passes
 from fluxtwin.scenarios.hcmm.scanner_study import TRUSTED_HEADS, with_new_attitude
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, read_passes
 from fluxtwin.scenarios.hcmm_orbit.windows import Windows
-from fluxtwin.sim import frames, horizon
-from fluxtwin.sim.field import FieldModel
-from fluxtwin.sim.progress import Progress
-from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.sensors.horizon_crossings import ConicalScanner
-from fluxtwin.sim.sensors.horizon_scanner import nadir_from, roll_pitch
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.progress import Progress
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames, horizon
+from fluxtwin.sim.earth.field import FieldModel
+from fluxtwin.sim.scenario.scenario import Scenario
+from fluxtwin.sim.spacecraft.sensors.horizon_crossings import ConicalScanner
+from fluxtwin.sim.spacecraft.sensors.horizon_scanner import nadir_from, roll_pitch
 
 SCANS: Mapping[str, tuple[int, ...]] = {
     "two scanners": (1, -1), "one, away from the sun": (1,), "one, towards the sun": (-1,),

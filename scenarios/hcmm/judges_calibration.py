@@ -10,7 +10,7 @@ from fluxtwin.scenarios.hcmm.claims import Judge, Results
 from fluxtwin.scenarios.hcmm.error_study import NEAR_EQUATOR_DEG, NEAR_POLES_DEG
 from fluxtwin.scenarios.hcmm.mission import printed_value, quantity, read_table
 from fluxtwin.scenarios.hcmm.pass_study import printed_rms
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 _TILTED = tuple(NAMES.index(name) for name in ("S23", "S21", "S31"))
 """The misalignments of 1 deg and more."""

@@ -9,7 +9,7 @@ from fluxtwin.scenarios.hcmm.claims import Judge, Results
 from fluxtwin.scenarios.hcmm.mission import quantity
 from fluxtwin.scenarios.hcmm.pass_study import ANOMALOUS, LIMIT_MG, printed_rms
 from fluxtwin.scenarios.hcmm.yaw_study import PRINTED_SIGMA_DEG, SIGMA_DEG
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 FIGURE_3 = ("sun-nadir least", "sun-nadir greatest", "sun-nadir residual", "nadir-field residual", "error bar")
 """What the text prints of figure 3's pass, as `quantities.csv` calls it."""

@@ -25,12 +25,12 @@ from fluxtwin.scenarios.hcmm.pass_study import LIMIT_MG, QUIET_ROWS, rows_of_pas
 from fluxtwin.scenarios.hcmm_orbit.record import read_passes
 from fluxtwin.scenarios.hcmm_orbit.windows import Windows
 from fluxtwin.scenarios.motion import prescribed
-from fluxtwin.sim import epoch
-from fluxtwin.sim.field import FieldModel, load_field
-from fluxtwin.sim.progress import Progress
-from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.types import FloatArray
-from fluxtwin.sim.world import build_world
+from fluxtwin.sim.base.progress import Progress
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.earth.field import FieldModel, load_field
+from fluxtwin.sim.run.world import build_world
+from fluxtwin.sim.scenario.scenario import Scenario
 
 FLIGHTS = 10
 SURE = 0.01

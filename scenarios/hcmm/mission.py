@@ -10,12 +10,12 @@ import numpy as np
 
 from fluxtwin.scenarios.motion import ATTITUDES, with_attitude
 from fluxtwin.scenarios.printed import Printed
-from fluxtwin.sim.scenario import Scenario, parse_scenario
-from fluxtwin.sim.simulate import simulate
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.truth import Truth
-from fluxtwin.sim.types import FloatArray
-from fluxtwin.sim.world import World, build_world
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.run.truth import Truth
+from fluxtwin.sim.run.world import World, build_world
+from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
+from fluxtwin.sim.telemetry.record import Telemetry
 
 _PRINTED = Printed("fluxtwin.scenarios.hcmm")
 read_table, read_claims, printed_value = _PRINTED.table, _PRINTED.claims, _PRINTED.value

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fluxtwin.scenarios.hcmm_orbit.record import Pass
-from fluxtwin.sim import epoch
+from fluxtwin.sim.earth import epoch
 
 _SAME_OVERFLIGHT_S = 720.0
 

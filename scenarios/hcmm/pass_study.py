@@ -10,16 +10,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.calib.records import Calibration
+from fluxtwin.calib.common.records import Calibration
 from fluxtwin.scenarios.hcmm.mission import Flight, quantity
 from fluxtwin.scenarios.hcmm_orbit.geometry import angle_between
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, read_passes
 from fluxtwin.scenarios.hcmm_orbit.windows import Windows
-from fluxtwin.sim import epoch, sun
-from fluxtwin.sim.constants import NT_PER_MG
-from fluxtwin.sim.field import FieldModel, field_N_nT
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth import epoch, sun
+from fluxtwin.sim.earth.constants import NT_PER_MG
+from fluxtwin.sim.earth.field import FieldModel, field_N_nT
+from fluxtwin.sim.telemetry.record import Telemetry
 
 ANOMALOUS = (11, 12, 13, 34)
 """Rows whose printed residual exceeds 3 mG."""

@@ -12,8 +12,8 @@ from fluxtwin.scenarios.hcmm.mission import quantity
 from fluxtwin.scenarios.hcmm.pass_study import ANOMALOUS, LIMIT_MG, printed_rms
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, Range
 from fluxtwin.scenarios.page import Cell, Table
-from fluxtwin.sim import epoch
-from fluxtwin.sim.types import BoolArray
+from fluxtwin.sim.base.types import BoolArray
+from fluxtwin.sim.earth import epoch
 
 
 def strength_table(r: Results) -> Table:

@@ -17,8 +17,8 @@ import numpy as np
 from fluxtwin.scenarios.hcmm.field_evidence import FieldEvidence
 from fluxtwin.scenarios.hcmm.overflights import orders_of, overflights_of
 from fluxtwin.scenarios.hcmm_orbit.record import Pass
-from fluxtwin.sim.random_streams import stream
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 ORDERS = 20_000
 EAST = ("ETC", "MIL")

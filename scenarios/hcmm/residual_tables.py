@@ -9,7 +9,7 @@ from fluxtwin.plots import passes as pass_plots
 from fluxtwin.scenarios.hcmm.horizon_study import EARTHS, SCANS, SHIFTS_DEG, HorizonStudy, Seen
 from fluxtwin.scenarios.hcmm.missing_study import NUMBERS, SURE, Hypothesis, MissingStudy
 from fluxtwin.scenarios.page import Cell, FigureBlock, Section, Table
-from fluxtwin.sim.horizon import INFRARED_SOURCE
+from fluxtwin.sim.earth.horizon import INFRARED_SOURCE
 
 
 def horizon_section(h: HorizonStudy) -> Section:

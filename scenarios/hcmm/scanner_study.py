@@ -11,19 +11,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.calib.horizon_scanner import ScannerCalibration, calibrate_scanner
-from fluxtwin.calib.linear import calibrate_linear
+from fluxtwin.calib.attitude.horizon_scanner import ScannerCalibration, calibrate_scanner
+from fluxtwin.calib.linear.calibrate import calibrate_linear
 from fluxtwin.gap.sun_nadir import SunNadir, weigh_sun_nadir
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.calibration_study import choose_rows, pass_labels
 from fluxtwin.scenarios.hcmm.mission import Flight
-from fluxtwin.sim import frames
-from fluxtwin.sim.field import FieldModel
-from fluxtwin.sim.progress import Progress
-from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.sensors.reference_attitude import attitude_from_sun_and_nadir
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.progress import Progress
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.field import FieldModel
+from fluxtwin.sim.scenario.scenario import Scenario
+from fluxtwin.sim.spacecraft.sensors.reference_attitude import attitude_from_sun_and_nadir
+from fluxtwin.sim.telemetry.record import Telemetry
 
 BIAS_DEG = (0.40, -0.30)
 """Roll and pitch bias put into the scanner; assumed, of the size of its requirement."""

@@ -41,11 +41,11 @@ from fluxtwin.scenarios.motion import ATTITUDES, is_dynamic, motion_of
 from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.scenarios.seasat.judges_calibration import calibration_summary
 from fluxtwin.scenarios.study_files import write_flight
-from fluxtwin.sim import epoch
-from fluxtwin.sim.constants import NT_PER_MG
-from fluxtwin.sim.field import load_field
-from fluxtwin.sim.progress import Progress, part_of, silent
-from fluxtwin.sim.scenario import Scenario
+from fluxtwin.sim.base.progress import Progress, part_of, silent
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.earth.constants import NT_PER_MG
+from fluxtwin.sim.earth.field import load_field
+from fluxtwin.sim.scenario.scenario import Scenario
 
 
 def run(

@@ -24,8 +24,8 @@ from fluxtwin.scenarios.hcmm.pass_tables import span
 from fluxtwin.scenarios.hcmm.yaw_study import PRINTED_SIGMA_DEG, SIGMA_B_MG, SIGMA_DEG
 from fluxtwin.scenarios.hcmm_orbit.nadir_field import DIPOLE, MAIN_FIELD, NEAR_DEG
 from fluxtwin.scenarios.page import Cell, FigureBlock, Table
-from fluxtwin.sim import epoch
-from fluxtwin.sim.constants import NT_PER_MG
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.earth.constants import NT_PER_MG
 
 _SOURCE_WORDS = {
     "lsb": "magnetometer LSB, {lsb:.1f} mG",

@@ -6,23 +6,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.calib.records import Calibration
-from fluxtwin.calib.yaw import yaw_from_field, yaw_full, yaw_sigma
+from fluxtwin.calib.attitude.yaw import yaw_from_field, yaw_full, yaw_sigma
+from fluxtwin.calib.common.records import Calibration
 from fluxtwin.plots.yaw import YawComparison
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm_orbit.geometry import angle_between
 from fluxtwin.scenarios.hcmm_orbit.record import read_stations
 from fluxtwin.scenarios.yaw_comparison import compare_yaw
-from fluxtwin.sim import epoch, frames
-from fluxtwin.sim.constants import NT_PER_MG
-from fluxtwin.sim.field import FieldModel, load_field
-from fluxtwin.sim.progress import Progress
-from fluxtwin.sim.random_streams import stream
-from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.scenario_stations import stations_of
-from fluxtwin.sim.stations import Contact, find_contacts
-from fluxtwin.sim.types import FloatArray
-from fluxtwin.sim.world import ephemeris
+from fluxtwin.sim.base.progress import Progress
+from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.constants import NT_PER_MG
+from fluxtwin.sim.earth.field import FieldModel, load_field
+from fluxtwin.sim.earth.stations import Contact, find_contacts
+from fluxtwin.sim.run.scenario_stations import stations_of
+from fluxtwin.sim.run.world import ephemeris
+from fluxtwin.sim.scenario.scenario import Scenario
 
 DIPOLE_MG = mission.quantity("dipole equator")
 SIGMA_B_MG = mission.quantity("yaw sigma_B")
@@ -158,7 +158,7 @@ def _in_main_field(config: Scenario, name: str) -> float:
     r_E_km = R_EN.apply(r_N_km)
     site = np.broadcast_to(read_stations()[name].r_E_km, r_E_km.shape)
     near = np.flatnonzero(np.degrees(angle_between(r_E_km, site)) < _NEAR_DEG)
-    from fluxtwin.sim.field import field_N_nT
+    from fluxtwin.sim.earth.field import field_N_nT
 
     field_N = field_N_nT(load_field(config.field.truth), time[near], r_N_km[near])
     field_O = frames.rotation_ON(r_N_km[near], v_N_km_s[near]).apply(field_N)

@@ -10,10 +10,10 @@ import numpy as np
 from fluxtwin.scenarios.hcmm_orbit.geometry import angle_between
 from fluxtwin.scenarios.hcmm_orbit.record import Pass
 from fluxtwin.scenarios.hcmm_orbit.windows import Windows
-from fluxtwin.sim import epoch, frames, sun
-from fluxtwin.sim.field import FieldModel, field_E_nT
-from fluxtwin.sim.orbit import Orbit
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch, frames, sun
+from fluxtwin.sim.earth.field import FieldModel, field_E_nT
+from fluxtwin.sim.earth.orbit import Orbit
 
 _SAMPLES = 61
 """Times in a window: at most 14 s apart, 0.05 deg of the fastest angle at an extremum."""

@@ -6,10 +6,10 @@ import numpy as np
 
 from fluxtwin.scenarios.hcmm_orbit.geometry import EPOCH, INCLINATION_DEG
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, read_stations
-from fluxtwin.sim import epoch, frames
-from fluxtwin.sim.constants import EARTH_RADIUS_KM
-from fluxtwin.sim.orbit import orbital_rates
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM
+from fluxtwin.sim.earth.orbit import orbital_rates
 
 _ANGLES_DEG = np.arange(0.0, 360.0, 4.0)
 _AXES_KM = np.arange(6930.0, 7070.1, 4.0)

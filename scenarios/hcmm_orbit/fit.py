@@ -32,9 +32,9 @@ from fluxtwin.scenarios.hcmm_orbit.geometry import (
 )
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, Range, read_passes
 from fluxtwin.scenarios.hcmm_orbit.windows import Windows, fix_windows, ranges_of_windows, turning_ends
-from fluxtwin.sim import frames, sun
-from fluxtwin.sim.orbit import Orbit
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames, sun
+from fluxtwin.sim.earth.orbit import Orbit
 
 ELEMENTS = ("semi_major_axis_km", "raan_deg", "argument_of_latitude_deg")
 _RISE_MIN, _START_MIN, _VISIBLE_MIN = 1.0, 0.4, 0.3

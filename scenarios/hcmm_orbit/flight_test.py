@@ -19,9 +19,9 @@ from fluxtwin.scenarios.hcmm_orbit.fit import OrbitFit
 from fluxtwin.scenarios.hcmm_orbit.geometry import look, make_grid
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, read_passes
 from fluxtwin.scenarios.hcmm_orbit.windows import Windows, fix_windows
-from fluxtwin.sim.field import FieldModel, load_field
-from fluxtwin.sim.orbit import Orbit
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth.field import FieldModel, load_field
+from fluxtwin.sim.earth.orbit import Orbit
 
 NODE_MINUTES = 15.0
 FIELD_TURN_DEG = 10.0

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, read_stations
-from fluxtwin.sim import epoch, frames, sun
-from fluxtwin.sim.orbit import Orbit
-from fluxtwin.sim.types import FloatArray, TimeArray
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch, frames, sun
+from fluxtwin.sim.earth.orbit import Orbit
 
 EPOCH = np.datetime64("1978-11-30T12:00:00", "ns")
 """Epoch of the fitted elements, near the middle of the record."""

@@ -19,9 +19,9 @@ from fluxtwin.scenarios.hcmm_orbit.fit import OrbitFit
 from fluxtwin.scenarios.hcmm_orbit.geometry import angle_between
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, read_passes
 from fluxtwin.scenarios.hcmm_orbit.windows import Windows
-from fluxtwin.sim import epoch, frames
-from fluxtwin.sim.field import FieldModel, field_E_nT, load_field
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.field import FieldModel, field_E_nT, load_field
 
 NEAR_DEG = 1.5
 """An end this near counts as explained."""

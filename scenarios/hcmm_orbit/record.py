@@ -14,7 +14,7 @@ from importlib import resources
 
 import numpy as np
 
-from fluxtwin.sim.stations import Station
+from fluxtwin.sim.earth.stations import Station
 
 Range = tuple[float, float]
 

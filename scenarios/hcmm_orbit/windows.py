@@ -8,7 +8,7 @@ import numpy as np
 
 from fluxtwin.scenarios.hcmm_orbit.geometry import Grid, Sky, rise_and_set_min
 from fluxtwin.scenarios.hcmm_orbit.record import Range
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 _STEP_MIN = 0.1
 _SHORTEST_MIN = 1.5

@@ -6,18 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.calib.yaw import yaw_first_order, yaw_full, yaw_sigma
+from fluxtwin.calib.attitude.yaw import yaw_first_order, yaw_full, yaw_sigma
 from fluxtwin.plots.yaw import YawSigma
 from fluxtwin.scenarios.seasat import geometry, mission
 from fluxtwin.scenarios.seasat.yaw_study import STEP_S, fine_scenario
-from fluxtwin.sim import epoch, frames
-from fluxtwin.sim.constants import NT_PER_MG
-from fluxtwin.sim.field import FieldModel, field_E_nT, field_N_nT, load_field
-from fluxtwin.sim.progress import Progress
-from fluxtwin.sim.random_streams import stream
-from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.types import FloatArray, TimeArray
-from fluxtwin.sim.world import orbit_from
+from fluxtwin.sim.base.progress import Progress
+from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.constants import NT_PER_MG
+from fluxtwin.sim.earth.field import FieldModel, field_E_nT, field_N_nT, load_field
+from fluxtwin.sim.run.world import orbit_from
+from fluxtwin.sim.scenario.scenario import Scenario
 
 SIGMA_ANGLE_RAD = float(np.radians(0.1))
 BASES = 400

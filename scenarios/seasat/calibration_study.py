@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.calib.linear import calibrate_linear
-from fluxtwin.calib.linear_fit import LinearFit
-from fluxtwin.calib.records import Calibration, parameter_names
+from fluxtwin.calib.common.records import Calibration, parameter_names
+from fluxtwin.calib.linear.calibrate import calibrate_linear
+from fluxtwin.calib.linear.fit import LinearFit
 from fluxtwin.scenarios.seasat import mission
 from fluxtwin.scenarios.seasat.mission import DATA_SETS, Flight
-from fluxtwin.sim import frames
-from fluxtwin.sim.constants import NT_PER_MG
-from fluxtwin.sim.errors import NoAnswer
-from fluxtwin.sim.field import FieldModel
-from fluxtwin.sim.progress import Progress
-from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.base.progress import Progress
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.constants import NT_PER_MG
+from fluxtwin.sim.earth.field import FieldModel
+from fluxtwin.sim.scenario.scenario import Scenario
 
 RUNS = 200
 WHITE_RUNS = 50

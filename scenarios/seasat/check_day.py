@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.calib.residuals import residuals_of
+from fluxtwin.calib.common.residuals import residuals_of
 from fluxtwin.scenarios.seasat import geometry, mission
 from fluxtwin.scenarios.seasat.calibration_study import calibrations, reference_error_rad
-from fluxtwin.sim import frames
-from fluxtwin.sim.constants import NT_PER_MG
-from fluxtwin.sim.field import FieldModel
-from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.types import FloatArray
-from fluxtwin.sim.world import build_world
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.constants import NT_PER_MG
+from fluxtwin.sim.earth.field import FieldModel
+from fluxtwin.sim.run.world import build_world
+from fluxtwin.sim.scenario.scenario import Scenario
 
 SEEDS = 10
 _MINUTES = 125

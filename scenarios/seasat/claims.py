@@ -17,7 +17,7 @@ from fluxtwin.scenarios.seasat.calibration_study import CalibrationStudy
 from fluxtwin.scenarios.seasat.error_study import ErrorStudy
 from fluxtwin.scenarios.seasat.identities import Identities
 from fluxtwin.scenarios.seasat.yaw_study import YawStudy
-from fluxtwin.sim.scenario import Scenario
+from fluxtwin.sim.scenario.scenario import Scenario
 
 
 @dataclass(frozen=True)

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.calib.design import assemble
-from fluxtwin.calib.linear import calibrate_linear
+from fluxtwin.calib.common.design import assemble
+from fluxtwin.calib.linear.calibrate import calibrate_linear
 from fluxtwin.scenarios.seasat import mission
-from fluxtwin.sim.constants import NT_PER_MG
-from fluxtwin.sim.field import FieldModel
-from fluxtwin.sim.progress import Progress
-from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.sensors.torquers import coupling_nT_per_Am2
-from fluxtwin.sim.types import FloatArray
-from fluxtwin.sim.world import World, build_world
+from fluxtwin.sim.base.progress import Progress
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth.constants import NT_PER_MG
+from fluxtwin.sim.earth.field import FieldModel
+from fluxtwin.sim.run.world import World, build_world
+from fluxtwin.sim.scenario.scenario import Scenario
+from fluxtwin.sim.spacecraft.sensors.torquers import coupling_nT_per_Am2
 
 KNOWN = ("lsb", "attitude", "torquer", "field")
 RUNS = 20

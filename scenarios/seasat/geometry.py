@@ -20,10 +20,10 @@ from itertools import product
 
 import numpy as np
 
-from fluxtwin.sim import frames, sun
-from fluxtwin.sim.constants import EARTH_RADIUS_KM
-from fluxtwin.sim.orbit import orbital_rates
-from fluxtwin.sim.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.earth import frames, sun
+from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM
+from fluxtwin.sim.earth.orbit import orbital_rates
 
 SEMI_MAJOR_AXIS_KM = 7168.0
 INCLINATION_DEG = 108.0

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.calib.linear import calibrate_linear
+from fluxtwin.calib.linear.calibrate import calibrate_linear
 from fluxtwin.scenarios.seasat.mission import Flight
-from fluxtwin.sim import frames
-from fluxtwin.sim.field import FieldModel
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.field import FieldModel
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def check_identities(flight: Flight, ground: FieldModel) -> Identities:
 
 
 def _regression_rows(flight: Flight, ground: FieldModel) -> tuple[FloatArray, FloatArray]:
-    from fluxtwin.calib.design import assemble
+    from fluxtwin.calib.common.design import assemble
 
     design = assemble(flight.telemetry, ground, with_dipole=False)
     return design.H_nT, design.B_nT

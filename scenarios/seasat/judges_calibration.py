@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from fluxtwin.calib.records import Calibration
+from fluxtwin.calib.common.records import Calibration
 from fluxtwin.scenarios.claims import Verdict, agree
 from fluxtwin.scenarios.seasat import geometry
 from fluxtwin.scenarios.seasat.calibration_study import NAMES, vector
 from fluxtwin.scenarios.seasat.claims import Judge, Results
 from fluxtwin.scenarios.seasat.mission import printed_value, quantity
-from fluxtwin.sim.constants import NT_PER_MG
+from fluxtwin.sim.earth.constants import NT_PER_MG
 
 _ROUNDING = 1e-9
 _STANDS_OUT = 1.5

@@ -9,8 +9,8 @@ from fluxtwin.scenarios.seasat import geometry
 from fluxtwin.scenarios.seasat.check_day import SEEDS
 from fluxtwin.scenarios.seasat.claims import Judge, Results
 from fluxtwin.scenarios.seasat.mission import printed_value, quantity
-from fluxtwin.sim.constants import EARTH_RADIUS_KM, GM_EARTH_KM3_S2
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM, GM_EARTH_KM3_S2
 
 
 def _claim_22(r: Results) -> Verdict:

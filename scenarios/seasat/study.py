@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.calib.records import Calibration
+from fluxtwin.calib.common.records import Calibration
 from fluxtwin.scenarios.claims import Claim, claims_table, counted, whys_table
 from fluxtwin.scenarios.motion import ATTITUDES, motion_of
 from fluxtwin.scenarios.page import Page, Section, StudyResult
@@ -21,9 +21,9 @@ from fluxtwin.scenarios.seasat.identities import check_identities
 from fluxtwin.scenarios.seasat.judges_calibration import calibration_summary, pulls
 from fluxtwin.scenarios.seasat.yaw_study import run_yaw
 from fluxtwin.scenarios.study_files import provenance, write_flight
-from fluxtwin.sim.constants import NT_PER_MG
-from fluxtwin.sim.field import load_field
-from fluxtwin.sim.progress import Progress, part_of, silent
+from fluxtwin.sim.base.progress import Progress, part_of, silent
+from fluxtwin.sim.earth.constants import NT_PER_MG
+from fluxtwin.sim.earth.field import load_field
 
 ERRATA = (
     "Journal equation 11 shows S12 = +0.016 in the scan; the conference text says -0.016, and the mean bias of "

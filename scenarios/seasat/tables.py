@@ -16,7 +16,7 @@ from fluxtwin.scenarios.seasat.judges_calibration import COLUMN_2, uncorrected_c
 from fluxtwin.scenarios.seasat.mission import DATA_SETS, PAPER_COLUMN
 from fluxtwin.scenarios.seasat.yaw_study import STEP_S
 from fluxtwin.scenarios.yaw_comparison import NEAR_NODE_DEG
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 _SOURCE_WORDS = {
     "lsb": "magnetometer LSB, {magnetometer LSB}",

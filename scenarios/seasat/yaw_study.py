@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.calib.records import Calibration
-from fluxtwin.calib.yaw import yaw_from_field
+from fluxtwin.calib.attitude.yaw import yaw_from_field
+from fluxtwin.calib.common.records import Calibration
 from fluxtwin.plots.yaw import YawComparison, YawSweep
 from fluxtwin.scenarios.motion import prescribed
 from fluxtwin.scenarios.seasat import geometry, mission
@@ -19,11 +19,11 @@ from fluxtwin.scenarios.seasat.calibration_study import calibrations
 from fluxtwin.scenarios.seasat.check_day import SEEDS, CheckDay, run_check_day
 from fluxtwin.scenarios.seasat.mission import Flight
 from fluxtwin.scenarios.yaw_comparison import compare_yaw
-from fluxtwin.sim.field import FieldModel
-from fluxtwin.sim.progress import Progress
-from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.types import FloatArray
-from fluxtwin.sim.world import build_world
+from fluxtwin.sim.base.progress import Progress
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth.field import FieldModel
+from fluxtwin.sim.run.world import build_world
+from fluxtwin.sim.scenario.scenario import Scenario
 
 STEP_S = 4.0
 """Assumed spacing of the samples in the figures; the papers do not give it."""

@@ -10,18 +10,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.calib.records import Calibration
-from fluxtwin.calib.sedlak import iterate
-from fluxtwin.calib.spin import SpinFit, SpinOptions, fit_spin, scalar_start
-from fluxtwin.calib.spin_rows import SpinRows, assemble_spin
-from fluxtwin.calib.spin_start import blind_start
+from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.spin.calibrate import SpinFit, SpinOptions, fit_spin, scalar_start
+from fluxtwin.calib.spin.rows import SpinRows, assemble_spin
+from fluxtwin.calib.spin.sedlak import iterate
+from fluxtwin.calib.spin.start import blind_start
 from fluxtwin.scenarios.st5 import mission
 from fluxtwin.scenarios.st5.mission import attitude_error_deg
 from fluxtwin.scenarios.st5.open_settings import Search, Setting, filtered, search, settings
-from fluxtwin.sim import frames
-from fluxtwin.sim.field import FieldModel
-from fluxtwin.sim.progress import Progress, part_of, silent
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.progress import Progress, part_of, silent
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.field import FieldModel
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from fluxtwin.scenarios.claims import Claim, Verdict, agree, judged
 from fluxtwin.scenarios.st5 import mission
 from fluxtwin.scenarios.st5.calibration_study import Hour
 from fluxtwin.scenarios.st5.terms import terms_of
-from fluxtwin.sim.constants import NT_PER_MG
+from fluxtwin.sim.earth.constants import NT_PER_MG
 
 _SETTLED_DEG = 1e-3
 _FINISHED = 0.02

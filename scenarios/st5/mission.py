@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.calib.spin_batch import Noise
+from fluxtwin.calib.spin.batch import Noise
 from fluxtwin.scenarios.printed import Printed
-from fluxtwin.sim import frames
-from fluxtwin.sim.constants import NT_PER_MG
-from fluxtwin.sim.scenario import Scenario, parse_scenario
-from fluxtwin.sim.simulate import simulate
-from fluxtwin.sim.telemetry import Telemetry
-from fluxtwin.sim.truth import Truth
-from fluxtwin.sim.types import FloatArray
-from fluxtwin.sim.world import World, build_world
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.constants import NT_PER_MG
+from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.run.truth import Truth
+from fluxtwin.sim.run.world import World, build_world
+from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
+from fluxtwin.sim.telemetry.record import Telemetry
 
 PRINTED = Printed("fluxtwin.scenarios.st5")
 """The abstract's numbers and claims, as packaged."""

@@ -7,20 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from fluxtwin.calib.spin import fit_spin
-from fluxtwin.calib.spin_rows import assemble_spin
+from fluxtwin.calib.spin.calibrate import fit_spin
+from fluxtwin.calib.spin.rows import assemble_spin
 from fluxtwin.scenarios.st5 import mission
 from fluxtwin.scenarios.st5.calibration_study import options
 from fluxtwin.scenarios.st5.mission import attitude_error_deg
 from fluxtwin.scenarios.st5.terms import Terms, terms_of
-from fluxtwin.sim import frames
-from fluxtwin.sim.errors import NoAnswer
-from fluxtwin.sim.field import FieldModel
-from fluxtwin.sim.progress import Progress, silent
-from fluxtwin.sim.random_streams import stream
-from fluxtwin.sim.scenario import Scenario
-from fluxtwin.sim.types import FloatArray
-from fluxtwin.sim.world import World
+from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.field import FieldModel
+from fluxtwin.sim.run.world import World
+from fluxtwin.sim.scenario.scenario import Scenario
 
 RUNS = 50
 STARTS = 100

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from fluxtwin.calib.spin_batch import Noise
-from fluxtwin.calib.spin_filter import Filtered, FilterSettings, spin_filter
-from fluxtwin.calib.spin_motion import Motion
-from fluxtwin.calib.spin_rows import SpinRows
+from fluxtwin.calib.spin.batch import Noise
+from fluxtwin.calib.spin.filter import Filtered, FilterSettings, spin_filter
+from fluxtwin.calib.spin.motion import Motion
+from fluxtwin.calib.spin.rows import SpinRows
 from fluxtwin.scenarios.st5 import mission
-from fluxtwin.sim.progress import Progress, silent
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.types import FloatArray
 
 WALKS_RAD_S = tuple(np.geomspace(5e-5, 1e-2, 7).tolist())
 """Process noise: random walk of L/Jt in a second. 4e-4 is 1e-7 (N m s)^2/s."""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from fluxtwin.calib.calibration_file import write_calibration
+from fluxtwin.calib.common.calibration_file import write_calibration
 from fluxtwin.scenarios.claims import Claim, claims_table, counted
 from fluxtwin.scenarios.page import Page, Section, StudyResult
 from fluxtwin.scenarios.st5 import mission, tables
@@ -29,10 +29,10 @@ from fluxtwin.scenarios.st5.monte_carlo import (
 )
 from fluxtwin.scenarios.st5.open_settings import Setting
 from fluxtwin.scenarios.st5.terms import terms_of
-from fluxtwin.sim import files
-from fluxtwin.sim.field import load_field
-from fluxtwin.sim.progress import Progress, part_of, silent
-from fluxtwin.sim.telemetry_io import write_telemetry
+from fluxtwin.sim.base import files
+from fluxtwin.sim.base.progress import Progress, part_of, silent
+from fluxtwin.sim.earth.field import load_field
+from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
 
 ERRATA = (
     'The scan reads brackets as digits: "[l; -2; 31" is [1; -2; 3], "[-2; 1.5; 13" is [-2; 1.5; 1], "1.121 kg-m2" is '

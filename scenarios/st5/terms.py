@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fluxtwin.calib.conventions import Correction, forward_from_correction, polar_split
-from fluxtwin.calib.records import Calibration
-from fluxtwin.calib.spin_motion import turn_vector
-from fluxtwin.sim.constants import NT_PER_MG
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.calib.common.conventions import Correction, forward_from_correction, polar_split
+from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.spin.motion import turn_vector
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth.constants import NT_PER_MG
 
 _STEP = 1e-6
 

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from fluxtwin.sim.signal import Setting, Signal
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.effects.signal import Setting, Signal
 
 if TYPE_CHECKING:
-    from fluxtwin.sim.dynamics.vehicle import Vehicle
+    from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 
 STAGES = ("dynamics", "time", "orbit", "field", "attitude", "spacecraft", "sensor", "telemetry")
 """In the order in which nature applies them."""

@@ -7,11 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from fluxtwin.sim import epoch
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.base import Parameter, SignalEffect, vector_parameters
 from fluxtwin.sim.effects.instrument import in_reading
-from fluxtwin.sim.signal import Setting, Signal
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.effects.signal import Setting, Signal
 
 _GRID = 31
 

@@ -7,10 +7,10 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import DistributionEffect, Parameter
-from fluxtwin.sim.errors import BadInput
-from fluxtwin.sim.signal import Signal
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.effects.signal import Signal
 
 _DEFAULT_LSB_NT = 1.0
 

@@ -8,11 +8,11 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Parameter, SignalEffect, known_column
 from fluxtwin.sim.effects.drivers import temperature_K
+from fluxtwin.sim.effects.signal import Setting, Signal
 from fluxtwin.sim.effects.thermal_bias_drift import thermally_untestable, warmer_K
-from fluxtwin.sim.signal import Setting, Signal
-from fluxtwin.sim.types import FloatArray
 
 TIME_CONSTANTS_S = (60.0, 300.0, 900.0, 2700.0)
 """Time constants tried where no temperature was recorded: a bare strip of metal to a root inside the body."""

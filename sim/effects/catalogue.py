@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 
+from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.effects.aerodynamic_torque import AerodynamicTorque
 from fluxtwin.sim.effects.along_track_error import AlongTrackError
 from fluxtwin.sim.effects.base import Effect
@@ -41,7 +42,6 @@ from fluxtwin.sim.effects.torquer_coupling import TorquerCoupling
 from fluxtwin.sim.effects.torquer_gain_error import TorquerGainError
 from fluxtwin.sim.effects.wheel_field import WheelField
 from fluxtwin.sim.effects.yaw_drift import YawDrift
-from fluxtwin.sim.errors import BadInput
 
 CATALOGUE: tuple[Effect, ...] = (
     ResidualDipoleTorque(),

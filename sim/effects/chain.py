@@ -14,13 +14,13 @@ from itertools import accumulate
 
 import numpy as np
 
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.processes import stop_if_asked
+from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth.field import field_N_nT
 from fluxtwin.sim.effects.base import STAGES, DistributionEffect, Effect, SignalEffect
-from fluxtwin.sim.errors import BadInput
-from fluxtwin.sim.field import field_N_nT
-from fluxtwin.sim.processes import stop_if_asked
-from fluxtwin.sim.random_streams import stream
-from fluxtwin.sim.signal import Setting, Signal, start
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.effects.signal import Setting, Signal, start
 
 Active = tuple[Effect, FloatArray]
 """An effect and its parameters."""

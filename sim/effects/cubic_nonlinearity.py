@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Parameter, SignalEffect
 from fluxtwin.sim.effects.instrument import mapped
 from fluxtwin.sim.effects.polynomial import monomials, products
-from fluxtwin.sim.signal import Signal
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.effects.signal import Signal
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ from typing import Literal
 
 import numpy as np
 
-from fluxtwin.sim.constants import GM_EARTH_KM3_S2
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth.constants import GM_EARTH_KM3_S2
 from fluxtwin.sim.effects.base import known_column
 from fluxtwin.sim.effects.history import relax
-from fluxtwin.sim.power import FixedPanel, TrackingArray, incidence_cosine
-from fluxtwin.sim.signal import Setting
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.effects.signal import Setting
+from fluxtwin.sim.spacecraft.power import FixedPanel, TrackingArray, incidence_cosine
 
 PanelKind = Literal["zenith", "tracking", "constant"]
 """A panel on the -z face, an array that turns about y, or a current that only shadow cuts."""

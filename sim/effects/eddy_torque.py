@@ -7,11 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from fluxtwin.sim.dynamics.vehicle import Vehicle
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import DynamicsEffect, Parameter
 from fluxtwin.sim.effects.with_torque import torque_of, with_torque
-from fluxtwin.sim.torques.eddy_currents import EddyCurrents
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
+from fluxtwin.sim.spacecraft.torques.eddy_currents import EddyCurrents
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth.field import field_E_nT
+from fluxtwin.sim.earth.field_models import FieldModel
 from fluxtwin.sim.effects.base import Parameter, SignalEffect
-from fluxtwin.sim.field import field_E_nT
-from fluxtwin.sim.field_models import FieldModel
-from fluxtwin.sim.signal import Signal
-from fluxtwin.sim.types import FloatArray, TimeArray
+from fluxtwin.sim.effects.signal import Signal
 
 _YEAR = np.timedelta64(round(365.25 * 86400e9), "ns")
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.sim.attitude_track import RowArray
+from fluxtwin.sim.attitude.smoothed_track import RowArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.history import restarts
-from fluxtwin.sim.signal import Signal
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.effects.signal import Signal
 
 _TURN_RAD = 0.3  # between two moments: cubics through values and slopes follow it to 2e-5 of the field
 _MOST_PARTS = 64

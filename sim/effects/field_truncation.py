@@ -7,11 +7,11 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth.field import field_N_nT
+from fluxtwin.sim.earth.field_models import FieldModel, load_field
 from fluxtwin.sim.effects.base import Effect, Parameter, SignalEffect
-from fluxtwin.sim.field import field_N_nT
-from fluxtwin.sim.field_models import FieldModel, load_field
-from fluxtwin.sim.signal import Setting, Signal
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.effects.signal import Setting, Signal
 
 _RICHEST = 13
 _POOREST = 4

@@ -8,12 +8,12 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from fluxtwin.sim.dynamics.vehicle import Vehicle
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import DynamicsEffect, Effect, Parameter
+from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.effects.with_torque import torque_of, with_torque
-from fluxtwin.sim.signal import Setting
-from fluxtwin.sim.torques.gravity_gradient import GravityGradient
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
+from fluxtwin.sim.spacecraft.torques.gravity_gradient import GravityGradient
 
 _PLACES = ("xx", "yy", "zz", "xy", "xz", "yz")
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 _GAP = 5.0
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fluxtwin.sim.kernel_cache import kernel
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.base.kernel_cache import kernel
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 
 @kernel()

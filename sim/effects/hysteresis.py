@@ -7,12 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Parameter, SignalEffect, vector_parameters
 from fluxtwin.sim.effects.history import play
 from fluxtwin.sim.effects.instrument import in_reading
-from fluxtwin.sim.errors import BadInput
-from fluxtwin.sim.signal import Setting, Signal
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.effects.signal import Setting, Signal
 
 _WAYS = {"o": 1.0, "r": -1.0, "n": 0.0}
 _WIDTHS_NT = (1000.0, 4000.0, 16000.0)

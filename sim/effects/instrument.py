@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fluxtwin.sim.signal import Setting
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.effects.signal import Setting
 
 
 def in_reading(setting: Setting, field_B_nT: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
 
 STANDARD_FIELD_NT = 50_000.0
 """Where coefficients of nonlinearities are given."""

@@ -7,10 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from fluxtwin.sim.constants import FIELD_RADIUS_KM
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth.constants import FIELD_RADIUS_KM
 from fluxtwin.sim.effects.base import Effect, Parameter, SignalEffect
-from fluxtwin.sim.signal import Setting, Signal
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.effects.signal import Setting, Signal
 
 INDUCED_SHARE = 0.27
 RECOVERY_H = (7.7, 24.0)

@@ -7,10 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Parameter, SignalEffect
 from fluxtwin.sim.effects.instrument import mapped
-from fluxtwin.sim.signal import Signal
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.effects.signal import Signal
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Parameter, SignalEffect
 from fluxtwin.sim.effects.field_history import field_history
 from fluxtwin.sim.effects.history import low_pass, restarts
 from fluxtwin.sim.effects.instrument import in_reading
-from fluxtwin.sim.signal import Signal
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.effects.signal import Signal
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Parameter, SignalEffect, known_column, vector_parameters
 from fluxtwin.sim.effects.drivers import PanelKind, array_current_A, sun_in_body, varies
-from fluxtwin.sim.signal import Setting, Signal
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.effects.signal import Setting, Signal
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from fluxtwin.sim.dynamics.vehicle import Vehicle
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import DynamicsEffect, Parameter, vector_parameters
 from fluxtwin.sim.effects.with_torque import plus, torque_of, with_torque
-from fluxtwin.sim.torques.sunlight_moment import SunlightMoment
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
+from fluxtwin.sim.spacecraft.torques.sunlight_moment import SunlightMoment
 
 
 @dataclass(frozen=True)

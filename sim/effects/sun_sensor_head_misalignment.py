@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect, Parameter, SignalEffect
-from fluxtwin.sim.signal import Setting, Signal
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.effects.signal import Setting, Signal
 
 
 @dataclass(frozen=True)

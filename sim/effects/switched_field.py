@@ -7,12 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from fluxtwin.sim import epoch, frames
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.effects.base import Parameter, SignalEffect, known_column, vector_parameters
 from fluxtwin.sim.effects.drivers import lit, varies
-from fluxtwin.sim.errors import BadInput
-from fluxtwin.sim.signal import Setting, Signal
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.effects.signal import Setting, Signal
 
 FLAG = "flag:"
 _PLAIN = ("eclipse", "night", "interval", "region")

@@ -7,12 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Parameter, SignalEffect, known_column
 from fluxtwin.sim.effects.drivers import temperature_K
 from fluxtwin.sim.effects.instrument import mapped
+from fluxtwin.sim.effects.signal import Setting, Signal
 from fluxtwin.sim.effects.thermal_bias_drift import TIME_CONSTANTS_S, thermally_untestable, warmer_K
-from fluxtwin.sim.signal import Setting, Signal
-from fluxtwin.sim.types import FloatArray
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Parameter, SignalEffect
-from fluxtwin.sim.signal import Signal
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.effects.signal import Signal
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Parameter, SignalEffect, held
 from fluxtwin.sim.effects.drivers import varies
-from fluxtwin.sim.signal import Setting, Signal
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.effects.signal import Setting, Signal
 
 
 @dataclass(frozen=True)

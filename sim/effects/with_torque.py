@@ -8,9 +8,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from fluxtwin.sim.dynamics.vehicle import Vehicle
-from fluxtwin.sim.torques.base import Torque
-from fluxtwin.sim.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
+from fluxtwin.sim.spacecraft.torques.base import Torque
 
 _Kind = TypeVar("_Kind", bound=Torque)
 

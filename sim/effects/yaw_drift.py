@@ -8,10 +8,10 @@ from typing import ClassVar, Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.sim import sun
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth import sun
 from fluxtwin.sim.effects.base import Effect, Parameter, SignalEffect, known_column
-from fluxtwin.sim.signal import Setting, Signal
-from fluxtwin.sim.types import BoolArray, FloatArray
+from fluxtwin.sim.effects.signal import Setting, Signal
 
 _LONGEST_ECLIPSE_S = 4500.0  # geostationary: 72 minutes
 _STEP_S = 10.0

@@ -1,0 +1,1 @@
+"""Attitude from the magnetometer and other sensors: yaw, three axes, the horizon scanner."""

@@ -1,0 +1,271 @@
+"""S and b row by row, with the attitude estimated beside them: the filter of `attitude_filter` with twelve more states.
+
+The recursive counterpart of the batch methods (for b and D alone, without attitude: Crassidis, Lai & Harman 2005, Journal
+of Guidance, Control, and Dynamics 28, 115). Attitude comes from scanner and sun, or from a reference that is wrong by a
+slow error; readings that stand out count less, and those far from a robust batch fit not at all, because nothing stands
+out while little is known. Passes are repeated about the last answer until it stays, as in an iterated
+filter, because an extended filter freezes what it got wrong while it knew little.
+
+How long the slow errors last is known badly from one record, and the sigmas hang on it: S, b and covariance are averaged
+over times that the innovations leave possible.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.calib.attitude.filter import (
+    SENSORS,
+    Learned,
+    Noises,
+    Rows,
+    Run,
+    Start,
+    assemble_rows,
+    fixes,
+    learned,
+    run,
+    starts,
+)  # fmt: skip
+from fluxtwin.calib.attitude.three_axis import consistency, declared_noises, limits
+from fluxtwin.calib.common.design import joined
+from fluxtwin.calib.common.digits import plain
+from fluxtwin.calib.common.fit import Fit
+from fluxtwin.calib.common.fit_warnings import suspicions
+from fluxtwin.calib.common.moments import covariance_of
+from fluxtwin.calib.common.noise import ReadingNoise, lsb_from_spacing_nT, per_axis
+from fluxtwin.calib.common.observability import field_variation, pair_words, require_samples, weak_direction_words
+from fluxtwin.calib.common.records import Calibration, parameter_names
+from fluxtwin.calib.common.residuals import residual_statistics
+from fluxtwin.calib.linear.calibrate import calibrate_linear
+from fluxtwin.calib.scalar.words import errors
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.field import FieldModel
+from fluxtwin.sim.telemetry.record import Telemetry
+
+_FIRST_SIGMA = np.repeat([0.3, 1e5], [9, 3])  # far wider than any magnetometer: 1, nT
+_UNKNOWN = 0.3  # of that sigma left: the data did not tell
+_FAR = 10.0  # such residuals of the batch fit, over their median size, belong to no reading
+_PASSES, _OF_SIGMA = 6, 0.05
+_LONGER = np.arange(-1.0, 2.6, 0.5)
+"""Logarithms by which slow errors may last longer, and be larger with the same steps from row to row."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecursiveFit(Fit):
+    """What this method adds to the record of every method."""
+
+    q_NB: FloatArray
+    """(N, 4) attitude at the readings, textbook quaternion, from the rows up to each."""
+    attitude_sigma_rad: FloatArray
+    """(N, 3) its 1 sigma about body axes."""
+    noises: Noises
+    """What the errors were taken to be, declared or found."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and text for JSON; no NaN."""
+        return {**super().to_dict(), "noises": self.noises._asdict()}
+
+
+def calibrate_recursive(
+    records: Telemetry | Sequence[Telemetry],
+    model: FieldModel,
+    *,
+    parameters: str = "b,S",
+    noise_nT: float | None = None,
+    lsb_nT: float | None = None,
+    attitude_sigma_deg: float | None = None,
+    attitude_tau_s: float | None = None,
+    sun_sigma_deg: float | None = None,
+    robust: str = "tukey",
+    covariance: str = "blocks",
+) -> RecursiveFit:
+    """S and b (or b alone) by a Kalman filter over readings, nadir and sun, or the reference attitude.
+
+    parameters: "b,S" or "b". noise_nT, lsb_nT: of the reading. attitude_sigma_deg, attitude_tau_s: error of the scanner,
+    or of the reference attitude where there is no scanner. sun_sigma_deg: of the sun vector. What is None is found in the
+    innovations. Slow errors are states, so the covariance allows for them: it is of the kind `blocks`.
+
+    Raises BadInput for options that this method does not take, NoAnswer where the attitude cannot be started from nadir and
+    sun or from a reference, and, with the names of the parameters, where the data do not determine them.
+    """
+    for name, value, wanted in (
+        ("parameters", parameters, ("b,S", "b")), ("robust", robust, ("tukey",)), ("covariance", covariance, ("blocks",)),
+    ):  # fmt: skip
+        if value not in wanted:
+            raise BadInput(
+                f"{value!r}", where=f"--{name}", wanted=f"{' or '.join(wanted)}: the method recursive has no other"
+            )
+    if lsb_nT is not None and noise_nT is None:
+        raise BadInput(
+            f"{lsb_nT!r}", where="--lsb-nT", wanted="--noise-nT beside it: noise that is found includes rounding"
+        )
+    telemetry = joined(records)
+    rows = assemble_rows(telemetry, model)
+    reading = rows.reading_nT[np.isfinite(rows.reading_nT).all(axis=1)]
+    require_samples(len(reading), 4 if parameters == "b,S" else 1)
+    white_nT = None
+    if noise_nT is not None:
+        lsb = lsb_from_spacing_nT(reading) if lsb_nT is None else per_axis(lsb_nT, "lsb_nT")
+        white_nT = float(np.sqrt((per_axis(noise_nT, "noise_nT") ** 2 + lsb**2 / 12.0).mean()))
+    declared = declared_noises(white_nT, attitude_sigma_deg, attitude_tau_s, sun_sigma_deg)
+    begun = starts(rows, None)
+    first = np.diag(_FIRST_SIGMA**2)
+    if parameters == "b":
+        first[:9, :9] = 0.0
+    rows, p, far = _without_far(telemetry, rows, model, parameters)
+    taken = learned(rows, begun, declared, p, first, by_field=False)
+    noises = taken.noises
+    done, passes = _settled(rows, begun, noises, p, first)
+    mean, C = _averaged(rows, begun, noises, done, first, declared)
+    done = done._replace(p=mean, p_covariance=C)
+    _require_known(done, first)
+    return _report(telemetry, rows, done, taken, parameters, passes, model, declared=noise_nT is not None, far=far)
+
+
+def _without_far(
+    telemetry: Telemetry, rows: Rows, model: FieldModel, parameters: str
+) -> tuple[Rows, FloatArray, BoolArray]:
+    """Rows without the readings that lie far from a robust batch fit to the rows with a fix; its S and b; which they are.
+
+    Raises NoAnswer where the fit is not determined.
+    """
+    R, covariance = fixes(rows, None)
+    sure = np.isfinite(covariance[:, 0, 0])
+    q = np.full((len(telemetry), 4), np.nan)
+    q[rows.rows[sure]] = frames.q_from_rotation(R[sure])
+    known = calibrate_linear(telemetry.replace(q_NB=q), model, parameters=parameters).calibration
+    off = np.full_like(rows.reading_nT, np.nan)
+    B = rows.reading_nT[sure]
+    off[sure] = R[sure].apply(rows.field_N_nT[sure]) - (B + B @ known.S.T + known.b_nT)
+    size = 1.4826 * np.nanmedian(np.abs(off), axis=0)
+    far = (np.abs(off) > _FAR * size).any(axis=1)
+    reading = rows.reading_nT.copy()
+    reading[far] = np.nan
+    return replace(rows, reading_nT=reading), np.concatenate([known.S.ravel(), known.b_nT]), np.asarray(far)
+
+
+def _settled(rows: Rows, begun: Sequence[Start], noises: Noises, p: FloatArray, first: FloatArray) -> tuple[Run, int]:
+    """The pass that moves the answer by less than a twentieth of a sigma, and how many it took."""
+    moved = np.inf
+    for count in range(1, _PASSES + 1):
+        done = run(rows, begun, noises, p, first)
+        sigma = np.sqrt(np.diag(done.p_covariance))
+        moved = float(np.abs((done.p - p) / np.where(sigma > 0, sigma, 1.0)).max())
+        p = done.p
+        if moved < _OF_SIGMA:
+            return done, count
+    _require_known(done, first)
+    raise NoAnswer(
+        f"passes of the filter still move by {moved:.2g} sigma after {_PASSES}: attitude, field or clock are far from what "
+        "these data say; fluxtwin check looks for the cause",
+        evidence={"moved_sigma": moved},
+    )
+
+
+def _averaged(
+    rows: Rows, begun: Sequence[Start], noises: Noises, done: Run, first: FloatArray, declared: dict[str, float]
+) -> tuple[FloatArray, FloatArray]:
+    """p and its covariance, over durations of the slow errors weighted by their likelihood."""
+    drift = (0.0,) if "drift_s" in declared else _LONGER
+    slow = _LONGER[::2] if noises.slow_nT > 0.1 * noises.field_nT else (0.0,)
+    answers = []
+    for of_drift, of_slow in itertools.product(drift, slow):
+        sized = {} if "drift_rad" in declared else {"drift_rad": noises.drift_rad * np.exp(0.5 * of_drift)}
+        one = run(
+            rows, begun,
+            noises._replace(
+                drift_s=noises.drift_s * np.exp(of_drift), slow_nT=noises.slow_nT * np.exp(0.5 * of_slow),
+                slow_s=noises.slow_s * np.exp(of_slow), **sized,
+            ),
+            done.p, first,
+        )  # fmt: skip
+        answers.append((one.cost, one.p, one.p_covariance))
+    cost, p, C = (np.array([one[k] for one in answers]) for k in range(3))
+    weight = np.exp(-0.5 * (cost - cost.min()))
+    weight /= weight.sum()
+    mean = weight @ p
+    off = p - mean
+    return mean, np.asarray(np.einsum("k,kij->ij", weight, C + off[:, :, None] * off[:, None, :]))
+
+
+def _require_known(done: Run, first: FloatArray) -> None:
+    left = np.sqrt(np.diag(done.p_covariance)) > _UNKNOWN * np.sqrt(np.diag(first))
+    unknown = [name for name, weak in zip(parameter_names(False), left & (np.diag(first) > 0), strict=True) if weak]
+    if unknown:
+        raise NoAnswer(
+            f"these data do not determine {', '.join(unknown)}: the field hardly varies in the body, or most readings stand "
+            "out. More attitudes, --parameters b, or fluxtwin check",
+            evidence={"parameters": unknown},
+        )
+
+
+def _report(
+    telemetry: Telemetry,
+    rows: Rows,
+    done: Run,
+    taken: Learned,
+    parameters: str,
+    passes: int,
+    model: FieldModel,
+    *,
+    declared: bool,
+    far: BoolArray,
+) -> RecursiveFit:
+    noises = taken.noises
+    S, b_nT = done.p[:9].reshape(3, 3), done.p[9:]
+    kept = np.flatnonzero(np.isfinite(rows.reading_nT).all(axis=1) & np.isfinite(done.A[:, 0, 0]))
+    B, A = rows.reading_nT[kept], done.A[kept]
+    r = np.einsum("kij,kj->ki", A, rows.field_N_nT[kept]) - (B + B @ S.T + b_nT)
+    wild = done.inflated[kept, 0] == 1.0
+    statistics = residual_statistics(rows.time[kept[~wild]], r[~wild])
+    sigma_nT = float(statistics.component_rms_nT)
+    variation = field_variation(covariance_of(B[~wild]))
+    words = [
+        *pair_words(done.p_covariance, False, float(np.sqrt((B**2).mean())), sigma_nT),
+        *(weak_direction_words(variation, done.p_covariance, sigma_nT) if parameters == "b,S" else []),
+    ]
+    calibration = Calibration(
+        S, b_nT, None, done.p_covariance, "blocks", sigma_nT, len(kept), (rows.time[kept[0]], rows.time[kept[-1]]),
+        model.name, f"recursive filter for {parameters}, attitude beside it", tuple(words),
+    )  # fmt: skip
+    noise = ReadingNoise(
+        np.full(3, noises.field_nT**2),
+        f"{plain(noises.field_nT)} nT white, {'declared' if declared else 'found in the innovations'}",
+    )
+    nis, lag_correlation, reasons = consistency(done)
+    left_out = dict(rows.left_out)
+    if far.any():
+        left_out["the reading lies far from all others"] = int(far.sum())
+    if len(kept) + far.sum() < len(rows.t_s):
+        left_out["no reading, or before a first fix"] = len(rows.t_s) - len(kept) - int(far.sum())
+    # The residual has the slow error of the field in it, and can not explain it.
+    against = limits(rows, replace(calibration, sigma_nT=0.0), taken)
+    doubts = [*reasons, *(f"{text[0].upper()}{text[1:]}." for text in against)]
+    messages = [
+        *(f"{count} rows left out: {reason}" for reason, count in left_out.items()),
+        f"noise of the reading: {noise.source}; slow error of the field {plain(noises.slow_nT)} nT over "
+        f"{plain(noises.slow_s)} s",
+        f"scanner or reference attitude: {plain(float(np.degrees(noises.white_rad)), 2)} deg white and "
+        f"{plain(float(np.degrees(noises.drift_rad)), 2)} deg over {plain(noises.drift_s)} s",
+        "squared innovations over what was predicted (1 is right): "
+        + ", ".join(f"{sensor} {plain(nis[sensor])}" for sensor in SENSORS if sensor in nis)
+        + f"; correlation of the field's from row to row {lag_correlation:.2f}; {passes} passes",
+        *suspicions(telemetry, calibration, r, robust=True),
+    ]
+    return RecursiveFit(
+        calibration=calibration, method="recursive", time=rows.time[kept], residuals_nT=r,
+        weights=np.where(wild, 0.0, 1.0 / max(int((~wild).sum()), 1)), rows=rows.rows[kept], left_out=left_out,
+        doubts=tuple(doubts), rejected=int(wild.sum() + far.sum()), variation=variation, noise=noise, statistics=statistics,
+        messages=tuple(messages),
+        error_model=errors(noise, declared), q_NB=frames.q_from_rotation(Rotation.from_matrix(A)),
+        attitude_sigma_rad=np.sqrt(np.einsum("kii->ki", done.covariance[kept])), noises=noises,
+    )  # fmt: skip

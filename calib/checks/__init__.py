@@ -1,0 +1,1 @@
+"""The classic traps of foreign telemetry, each recognised by its own evidence."""

@@ -1,0 +1,207 @@
+"""Is this file what it says? The classic traps of foreign telemetry, named with their evidence; and a plain repair.
+
+One cause, one name: stuck values and positions that contradict themselves are looked for first, then unit, position,
+attitude and clock against the field model, then outliers; what follows from a trap is not named beside it. Thresholds
+stand beside their reasons in the modules `check_*`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from fluxtwin.calib.checks.columns import check_columns
+from fluxtwin.calib.checks.field import check_field
+from fluxtwin.calib.checks.report import CheckReport, Finding, note, report, trap
+from fluxtwin.calib.checks.sample import Origin
+from fluxtwin.calib.checks.stuck import check_stuck
+from fluxtwin.calib.checks.values import check_motion, check_readings
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.earth.field import FieldModel
+from fluxtwin.sim.earth.tle import read_tle
+from fluxtwin.sim.telemetry.build import record
+from fluxtwin.sim.telemetry.column_map import ColumnMap, elements_path, load_column_map, mapped_table
+from fluxtwin.sim.telemetry.columns import Table
+from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
+from fluxtwin.sim.telemetry.layouts import recognised
+from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.telemetry_files import read_table, write_telemetry
+
+RECOGNISED = "recognised_layout"
+"""Code of the note that a packaged column map was used."""
+POSITION_TRAPS = {"position_frame", "position_inside_earth"}
+"""With these nothing else can be judged by the field model."""
+__all__ = ["RECOGNISED", "CheckReport", "Finding", "check_file", "check_telemetry", "repair"]
+
+
+def check_telemetry(telemetry: Telemetry, model: FieldModel, origin: Origin | None = None) -> CheckReport:
+    """Every check that the record's columns allow. Traps first in the report.
+
+    origin: what positions and attitude were made from; None: both were recorded relative to GCRS.
+    """
+    stuck, spoilt = check_stuck(telemetry)
+    motion = check_motion(telemetry)
+    findings = [*stuck, *motion, *check_readings(telemetry)]
+    if not any(finding.severity == "trap" and finding.code in POSITION_TRAPS for finding in motion):
+        against_field = check_field(telemetry, model, origin or Origin(), ~spoilt)
+        if any(finding.code == "clock" and finding.severity == "trap" for finding in against_field):
+            findings = [finding for finding in findings if finding.code != "sunlit_flag"]  # the sun is elsewhere, then
+        findings = [*against_field, *findings]
+    return report(telemetry.provenance.get("source", "telemetry"), len(telemetry), findings)
+
+
+def check_file(
+    path: Path | str,
+    model: FieldModel,
+    *,
+    column_map: Path | str | None = None,
+    tle: Path | str | None = None,
+    max_samples: int = MAX_SAMPLES,
+) -> CheckReport:
+    """As `check_telemetry`, from a file; rows out of order or doubled are a trap here, not an error.
+
+    Raises BadInput for a file that cannot be read at all.
+    """
+    table, how = _read(path, column_map, tle, max_samples)
+    mapped = column_map is not None or bool(how)
+    order = _order(table, "`sort = true` in the [[file]] of a column map" if mapped else "`--repair OUT`")
+    ordered = _ordered(table)[0]
+    shifted = check_columns(table)
+    if shifted:
+        return report(str(path), table.time.size, [*how, *order, *shifted])
+    blind = bool(how) and "mag_x_nT" not in table.columns
+    if blind:
+        ordered.columns.update({f"mag_{axis}_nT": np.full(ordered.time.size, np.nan) for axis in "xyz"})
+    telemetry = record(ordered, tle=None if mapped else tle)
+    origin = _origin(path, ordered, column_map, tle)
+    inner = _without_magnetometer(telemetry) if blind else check_telemetry(telemetry, model, origin).findings
+    notices = telemetry.provenance.get("notices", "").split("; ")
+    said = [note("on_reading", text) for text in notices if text and not (blind and text.startswith("mag_"))]
+    return report(str(path), len(telemetry), [*how, *order, *inner, *said])
+
+
+def _read(
+    path: Path | str, column_map: Path | str | None, tle: Path | str | None, max_samples: int
+) -> tuple[Table, list[Finding]]:
+    """The columns of `path`, and a note where a packaged map was needed and fits to the letter."""
+    if column_map is not None:
+        return mapped_table(path, column_map, tle=tle, max_samples=max_samples, any_order=True), []
+    try:
+        return read_table(path, max_samples=max_samples), []
+    except BadInput:
+        found = recognised(path)
+        if found is None:
+            raise
+    name, packaged = found
+    table = mapped_table(path, packaged, tle=tle, max_samples=max_samples, any_order=True)
+    layout = packaged.layout
+    text = f"recognised layout: {layout.name if layout else name}; read with the packaged map {name}"
+    text += f", which takes {layout.taken_as}" if layout else ""
+    return table, [note(RECOGNISED, f"{text}; give --map to read it otherwise")]
+
+
+def _origin(path: Path | str, table: Table, column_map: Path | str | None, tle: Path | str | None) -> Origin:
+    """What the stamps had a part in, from the columns of a file or from its map."""
+    loaded: ColumnMap | None = None if column_map is None else load_column_map(column_map)
+    if loaded is not None and column_map is not None:
+        specs = {name: spec for entry in loaded.file for name, spec in entry.columns.items()}
+        position, attitude = specs.get("position"), specs.get("attitude")
+        fixed = position is not None and position.axes == "ITRS"
+        relative = None if attitude is None else attitude.reference
+        tle = elements_path(path, loaded, Path(column_map).parent, tle) if position is None else None
+    else:
+        fixed, relative = "ecef_x_km" in table.columns, "orbital" if "yaw_deg" in table.columns else None
+        tle = tle if not fixed and "r_x_km" not in table.columns else None
+    references: dict[str, Literal["ITRS", "NEC", "orbital"]] = {"ITRS": "ITRS", "NEC": "NEC", "orbital": "orbital"}
+    return Origin(
+        "ITRS" if fixed else "GCRS",
+        references.get(relative or "", "GCRS"),
+        None if tle is None else read_tle(tle),
+    )
+
+
+def _without_magnetometer(telemetry: Telemetry) -> list[Finding]:
+    """What can be judged of a file that has orbit and flags alone."""
+    text = "the file has no magnetometer: its stamps, orbit and flags were checked, nothing can be calibrated from it"
+    return [*check_motion(telemetry), note("no_magnetometer", text)]
+
+
+def repair(path: Path | str, out: Path | str, *, max_samples: int = MAX_SAMPLES) -> CheckReport:
+    """Write `out` with the rows of `path` sorted by time and exact duplicates dropped; the rest is reported.
+
+    Rows without a time, and rows that give an instant a second, different content, cannot stand in a record;
+    they are left out and named. Raises BadInput when `out` is the input, or nothing is left.
+    """
+    if Path(out).resolve() == Path(path).resolve():
+        raise BadInput("would overwrite the input", where=str(out), wanted="another name for the repaired file")
+    try:
+        table = read_table(path, max_samples=max_samples)
+    except BadInput:
+        if recognised(path) is None:
+            raise
+        wanted = "a file that has the columns of the contract"
+        raise BadInput("a file read through a column map cannot be repaired", where=str(path), wanted=wanted) from None
+    findings = _order(table, "`--repair OUT`")
+    ordered, left_out = _ordered(table)
+    telemetry = record(ordered)
+    write_telemetry(telemetry, out)
+    findings += left_out
+    findings += [note("on_reading", text) for text in table.notices]
+    return report(str(path), len(telemetry), findings)
+
+
+def _order(table: Table, mend: str) -> list[Finding]:
+    """Stamps that do not increase, as a trap; `mend` is what sorts them and drops exact duplicates."""
+    stamps = table.time
+    missing = np.flatnonzero(np.isnat(stamps))
+    findings = []
+    if missing.size:
+        findings.append(trap("time_missing", f"{missing.size} rows have no time. Blank stamps cannot be used", missing))
+    known = np.flatnonzero(~np.isnat(stamps))
+    step = np.diff(stamps[known].astype("int64"))
+    back, same = known[1:][step < 0], known[1:][step == 0]
+    if back.size:
+        row = int(np.flatnonzero(step < 0)[0])
+        findings.append(
+            trap(
+                "time_not_increasing",
+                f"time runs backwards at {back.size} row{'s' if back.size > 1 else ''}: after "
+                f"{epoch.iso(stamps[known[row]], 'ms')} comes {epoch.iso(stamps[known[row + 1]], 'ms')}. "
+                f"{mend} sorts",
+                back,
+            )
+        )
+    if same.size:
+        text = f"{same.size} rows repeat the stamp of the row before. {mend} drops exact duplicates"
+        findings.append(trap("time_repeated", text, same))
+    return findings
+
+
+def _ordered(table: Table) -> tuple[Table, list[Finding]]:
+    """The table sorted, one row an instant; and what had to be left out beyond exact duplicates."""
+    rows = np.flatnonzero(~np.isnat(table.time))
+    rows = rows[np.argsort(table.time[rows], kind="stable")]
+    if rows.size == 0:
+        raise BadInput("no row has a time", where=table.where, wanted="UTC stamps")
+    step = np.diff(table.time[rows].astype("int64"))
+    instant = np.concatenate([[0], np.cumsum(step > 0)])
+    first = np.flatnonzero(np.concatenate([[True], step > 0]))[instant]
+    content = np.stack(list(table.columns.values()), axis=1)
+    mine, kept = content[rows], content[rows[first]]
+    equal = ((mine == kept) | (np.isnan(mine) & np.isnan(kept))).all(axis=1)
+    is_first = first == np.arange(rows.size)
+    rivals, doubles = rows[~is_first & ~equal], rows[~is_first & equal]
+    findings = []
+    if doubles.size:
+        findings.append(
+            note("duplicates_dropped", f"{doubles.size} exact duplicate rows were dropped", np.sort(doubles))
+        )
+    if rivals.size:
+        text = f"{rivals.size} rows give an instant a second, different content; the first was kept: look at them"
+        findings.append(trap("conflicting_rows", text, np.sort(rivals)))
+    keep = rows[is_first]
+    columns = {name: value[keep] for name, value in table.columns.items()}
+    return Table(table.where, table.time[keep], columns, list(table.notices), dict(table.provenance)), findings

@@ -1,0 +1,273 @@
+"""Is the clock right? Shifts of the stamps, tried against the field model.
+
+All stamps of a record are moved together. What that does depends on where positions and attitude come from (`Origin`):
+relative to GCRS they stay and the Earth turns under them by 15 deg an hour; Earth-fixed positions stay on the
+Earth; positions from two-line elements run along the orbit, 7 km each second. A clock that is slow by a constant number of
+hours or seconds is then one prediction among others, and `check_evidence` compares them with S and b free in each.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Container, Iterable
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from fluxtwin.calib.checks.evidence import (
+    Evidence,
+    VECTOR_SIGMAS_nT,
+    compare,
+    scalar_evidence,
+    step_nT,
+    vector_evidence,
+)
+from fluxtwin.calib.checks.report import Finding, note, trap
+from fluxtwin.calib.checks.sample import Origin, Sample
+from fluxtwin.sim.base.errors import OutOfRange
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.constants import EARTH_RATE_RAD_S
+from fluxtwin.sim.earth.field import FieldModel, field_N_nT
+from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.time_stamps import GPS_EPOCH
+
+HOURS = tuple(sign * half / 2.0 for half in range(1, 29) for sign in (1, -1))
+"""Time zones are whole hours from UTC-12 to UTC+14, a few are half hours."""
+STEP_S, ELEMENTS_STEP_S = 300.0, 5.0
+"""Spacing of shifts without a known cause: a clock that was never set, and what a known shift must be better than. Five
+minutes turn the Earth by 1.3 deg, to 14 hours; along the orbit that two-line elements give, 5 s are 37 km, to 10 minutes."""
+WHOLE_COST, OTHER_COST, PLAIN_COST = 5.0, 8.0, 10.0
+"""Log prior odds against one whole hour, against any other known shift, and against a shift without a known cause. Of 150
+files one has a wrong time zone (odds of 5); the others are rarer, by a factor 20 and 150: judgements."""
+CLEAR = 4.0
+"""Log odds at which a shift is named: 50 to 1 after its cost."""
+LEANING_RAD = 0.005
+"""A constant error of the attitude in inertial axes, 0.3 deg, is free: 18 s turn the Earth by 0.075 deg, no more."""
+SIZE_SHARE = 0.7
+"""By |B| alone, or by anything but a time zone, a shift must leave at most this share of the misfit: an effect that is not
+modelled may fit a little better a day off."""
+ROWS_AT_ONCE = 10_000
+"""Shifts are tried together up to so many rows: a call for each would cost more than the field itself."""
+BLOCKS = 100
+"""Means over so many stretches of the record are compared: 14 minutes each in a day."""
+
+
+def shifts_s(sample: Sample) -> dict[float, str]:
+    """Seconds that stamps may be late by, with what it would be: time zones, leap seconds at this epoch, a day."""
+    first = sample.time[:1]
+    plain = float((first - GPS_EPOCH).astype("int64")[0]) * 1e-9
+    gps = float(np.round(epoch.seconds_since(first, GPS_EPOCH)[0] - plain))  # leap seconds since 1980
+    named = {18.0: "GPS time is ahead of UTC by 18 s", 37.0: "TAI is ahead of UTC by 37 s"}
+    if gps > 0.0:
+        named |= {gps: f"GPS time was ahead of UTC by {gps:g} s", 1.0: "a leap second"}
+        named[gps + 19.0] = f"TAI was ahead of UTC by {gps + 19.0:g} s"
+    out = {hours * 3600.0: "a time zone" for hours in HOURS}
+    for seconds, words in named.items():
+        out |= {seconds: words, -seconds: f"{words}, taken twice or with the wrong sign"}
+    return out | {86400.0: "a day", -86400.0: "a day"}
+
+
+def plain_shifts_s(origin: Origin) -> dict[float, str]:
+    """Seconds without a known cause that stamps may be late by, and the words for each."""
+    step, most = (STEP_S, 168) if origin.elements is None else (ELEMENTS_STEP_S, 120)
+    words = f"to within {shift_words(step)}; no time zone and no leap seconds: a clock that is off"
+    return {sign * step * number: words for number in range(1, most + 1) for sign in (1, -1)}
+
+
+def cost(shift_s: float, known: Container[float]) -> float:
+    """Log prior odds against a shift."""
+    if shift_s not in known:
+        return PLAIN_COST
+    return WHOLE_COST if shift_s % 3600.0 == 0.0 and abs(shift_s) < 86400.0 else OTHER_COST
+
+
+def shifted(
+    sample: Sample, model: FieldModel, origin: Origin, shift_s: FloatArray
+) -> tuple[FloatArray, Rotation | None]:
+    """GCRS field (n, 3) [nT] and attitude if the stamps are late by `shift_s` (n,)."""
+    time = sample.time - np.rint(shift_s * 1e9).astype("timedelta64[ns]")
+    stated = sample.R_EN
+    R_EN = _further(stated, EARTH_RATE_RAD_S * shift_s)  # the pole moves by 1e-6 rad a day
+    r, v = sample.r_N_km, sample.v_N_km_s
+    if origin.elements is not None:
+        r, v = origin.elements.propagate(time)
+    elif origin.position == "ITRS":
+        back = R_EN.inv() * stated
+        r, v = back.apply(r), back.apply(v)
+    field = field_N_nT(model, time, r, R_EN)
+    if sample.q_NB is None or origin.attitude == "GCRS":
+        return field, None if sample.q_NB is None else sample.R_BN
+    if origin.attitude == "ITRS":
+        return field, sample.R_BN * stated.inv() * R_EN
+    old, new = frames.rotation_ON(sample.r_N_km, sample.v_N_km_s), frames.rotation_ON(r, v)
+    if origin.attitude == "NEC":
+        old = frames.rotation_NEC_E(stated.apply(sample.r_N_km)) * stated
+        new = frames.rotation_NEC_E(R_EN.apply(r)) * R_EN
+    return field, sample.R_BN * old.inv() * new
+
+
+def _further(R_EN: Rotation, angle_rad: FloatArray) -> Rotation:
+    """Rotations of which the last turn, about z, goes further by (n,) angles: scipy's product takes ten times as long."""
+    x, y, z, w = R_EN.as_quat().T
+    c, s = np.cos(0.5 * angle_rad), np.sin(0.5 * angle_rad)
+    return Rotation.from_quat(np.stack([c * x - s * y, c * y + s * x, c * z + s * w, c * w - s * z], axis=1))
+
+
+def predictions(sample: Sample, model: FieldModel, origin: Origin, shifts: Iterable[float]) -> dict[float, FloatArray]:
+    """The reading that a perfect magnetometer would give, (n, 3) [nT], for each shift that the model covers; body axes
+    with attitude, GCRS without."""
+    out: dict[float, FloatArray] = {}
+    tried, _ = list(shifts), sample.R_EN  # computed once, for all shifts
+    size = max(ROWS_AT_ONCE // len(sample), 1)
+    for first in range(0, len(tried), size):
+        some = tried[first : first + size]
+        try:
+            out |= _together(sample, model, origin, some)
+        except OutOfRange:
+            for shift_s in some:
+                with contextlib.suppress(OutOfRange):
+                    out |= _together(sample, model, origin, [shift_s])
+    return out
+
+
+def _together(sample: Sample, model: FieldModel, origin: Origin, shifts: list[float]) -> dict[float, FloatArray]:
+    """`predictions` of a few shifts, all of which the model must cover, in one evaluation."""
+    rows = np.tile(np.arange(len(sample)), len(shifts))
+    field, R_BN = shifted(sample.take(rows), model, origin, np.repeat(shifts, len(sample)))
+    reading = field if R_BN is None else R_BN.apply(field)
+    return dict(zip(shifts, reading.reshape(len(shifts), len(sample), 3), strict=True))
+
+
+def check_clock(sample: Sample, model: FieldModel, origin: Origin) -> list[Finding]:
+    """The trap `clock`, or the note `clock_tested` with what would and what would not show."""
+    sample = sample.thinned(5 * BLOCKS)
+    shifts = shifts_s(sample)
+    plain = plain_shifts_s(origin)
+    fields = predictions(sample, model, origin, dict.fromkeys((0.0, *shifts, *plain)))
+    tried = list(fields)
+    evidence = _evidence(sample, [fields[shift] for shift in tried])
+    costs = np.array([0.0, *(cost(shift, shifts) for shift in tried[1:])])
+    odds = evidence.log - evidence.log[0] - costs
+    zone = (costs == WHOLE_COST) & (sample.q_NB is not None)
+    share = np.where(zone, 1.0, SIZE_SHARE)  # coarse steps of a slow reading look like a shift to |B|
+    odds[1:][(evidence.misfit_nT > share * evidence.misfit_nT[0])[1:]] = -np.inf  # nor may the plain fit get worse
+    best = int(np.argmax(odds))
+    if best and odds[best] > CLEAR:
+        cause = shifts.get(tried[best]) or plain[tried[best]]
+        named = named_shift(tried[best], cause, float(evidence.misfit_nT[0]), float(evidence.misfit_nT[best]))
+        near = 3.0 * min(map(abs, plain)) if tried[best] not in shifts else 0.0
+        likely = sorted(zip(odds, tried, strict=True), reverse=True)
+        close = [shift for one, shift in likely if one > odds[best] - CLEAR and abs(shift - tried[best]) > near]
+        unknown = [shift for shift in close if shift and shift not in shifts]  # neighbours: one stands for all
+        close = [shift for shift in close if shift not in unknown[1:]]
+        return [trap("clock", named + _not_told_apart(close))]
+    # What a shift costs this record is what taking it back would gain one whose stamps are off by as much.
+    gain = np.maximum(evidence.log[0] - evidence.log, 0.0)
+    shows = gain - np.sqrt(2.0 * gain) > costs + CLEAR
+    shows &= evidence.misfit_nT[0] <= share * evidence.misfit_nT
+    return [_what_shows(dict(zip(tried, shows.tolist(), strict=True)), shifts, plain, origin)]
+
+
+def named_shift(shift_s: float, words: str, as_is_nT: float, mended_nT: float) -> str:
+    """The sentence that names a shift."""
+    return (
+        f"the stamps are {shift_words(shift_s)} too {'late' if shift_s > 0 else 'early'} ({words}): as they stand the "
+        f"reading misses the model by {as_is_nT:.0f} nT rms after a fit, with {-shift_s:+g} s by {mended_nT:.0f} nT. Add it "
+        f"in a column map: time.offset_s = {-shift_s:g}"
+    )
+
+
+def _not_told_apart(close: list[float]) -> str:
+    if not close:
+        return ""
+    listed = " or ".join(shift_words(shift) if shift else "none" for shift in close[:4])
+    return f". The record does not tell this from {listed}"
+
+
+def _evidence(sample: Sample, fields: list[FloatArray]) -> Evidence:
+    """By vectors in GCRS axes, averaged over stretches, where the attitude is known; else by |B|."""
+    seconds = sample.seconds
+    if sample.q_NB is None:
+        rows = np.linspace(0, len(sample) - 1, min(len(sample), 3 * BLOCKS)).astype(int)
+        size = np.stack([np.linalg.norm(field[rows], axis=1) for field in fields])
+        return scalar_evidence(seconds[rows], sample.mag_nT[rows], size)
+    R_NB, field = sample.R_BN.inv(), sample.field_N_nT
+    turn = R_NB.as_matrix()
+    readings = np.einsum("nik,nl->nikl", turn, sample.mag_nT / 1e4).reshape(len(sample), 3, 9)
+    leaning = np.stack([np.cross(axis, field) for axis in np.eye(3)], axis=2)
+    design = np.concatenate([readings, turn, leaning], axis=2)
+    rhs = np.stack([R_NB.apply(predicted - sample.mag_nT) for predicted in fields], axis=2)
+    starts = np.unique(np.linspace(0, len(sample), BLOCKS, endpoint=False).astype(int))
+    sizes = np.diff(np.append(starts, len(sample))).astype(float)
+
+    def mean(values: FloatArray) -> FloatArray:
+        total = np.add.reduceat(values, starts, axis=0)
+        return np.asarray(total / sizes.reshape(-1, *([1] * (values.ndim - 1))))
+
+    sigmas = np.append(VECTOR_SIGMAS_nT, [LEANING_RAD] * 3)
+    return compare(mean(seconds), mean(design), mean(rhs), sigmas, mean(field), step_nT(sample.mag_nT))
+
+
+def _what_shows(shows: dict[float, bool], shifts: dict[float, str], plain: Iterable[float], origin: Origin) -> Finding:
+    """In words, which shifts this record would show."""
+    if origin.elements is not None:
+        meant = "positions from two-line elements move with the stamps"
+    elif origin.position == "ITRS":
+        meant = "Earth-fixed positions stay on the Earth"
+    else:
+        meant = "positions relative to GCRS stay, the Earth turns under them"
+    said = []
+    for shift, words in ((s, shifts[s]) for s in sorted(shifts) if 1.0 < s < 1800.0 or s in (3600.0, 86400.0)):
+        seen = shows.get(shift, False) and shows.get(-shift, False)
+        what = "" if shift >= 3600.0 else " (GPS)" if "GPS" in words else " (TAI)"
+        said.append(f"{shift_words(shift)}{what} would {'' if seen else 'not '}show here")
+    hidden = [abs(shift) for shift in plain if not shows.get(shift, False)]
+    greatest = max(map(abs, plain))
+    showing = f"those of more than {shift_words(max(hidden))}" if hidden else "every one that was tried"
+    words = f"; of others to {shift_words(greatest)}, {showing}"
+    words = "" if hidden and max(hidden) >= min(3600.0, greatest) else words
+    return note("clock_tested", f"no shift of all stamps fits better ({meant}). {', '.join(said)}{words}")
+
+
+def readings_shift(sample: Sample, telemetry: Telemetry, model: FieldModel) -> tuple[float, float, float] | None:
+    """Seconds by which the magnetometer's stamps alone are late, misfits [nT] an axis without and with that.
+
+    None if no shift is far better.
+
+    The reading is compared with position and attitude of another row; what runs off the record is left out.
+    """
+    if telemetry.r_N_km is None or telemetry.q_NB is None:
+        return None
+    known = np.flatnonzero(telemetry.has_position & telemetry.has_attitude)
+    track_s = (telemetry.time[known] - sample.time[0]).astype("int64") * 1e-9
+    from scipy.interpolate import CubicSpline
+
+    position = CubicSpline(track_s, telemetry.r_N_km[known])
+    turn = Slerp(track_s, frames.rotation_from_q(telemetry.q_NB[known]))
+    found = []
+    for hours in (sign * hour for hour in range(1, 15) for sign in (1, -1)):
+        then = sample.seconds - 3600.0 * hours
+        inside = np.flatnonzero((then >= track_s[0]) & (then <= track_s[-1]))
+        if inside.size < max(60, len(sample) // 10):
+            continue
+        time = sample.time[inside] - np.timedelta64(hours, "h")
+        field = turn(then[inside]).apply(field_N_nT(model, time, position(then[inside])))
+        rows = np.linspace(0, inside.size - 1, min(inside.size, BLOCKS)).astype(int)
+        part = sample.take(inside[rows])
+        both = vector_evidence(part.seconds, part.mag_nT, np.stack([part.R_BN.apply(part.field_N_nT), field[rows]]))
+        found.append((float(both.misfit_nT[1] / both.misfit_nT[0]), 3600.0 * hours, *both.misfit_nT.tolist()))
+    if not found:
+        return None
+    share, shift_s, as_is, misfit = min(found)
+    return (shift_s, as_is, misfit) if share < 0.25 else None
+
+
+def shift_words(shift_s: float) -> str:
+    """Its size, without the sign."""
+    size = abs(shift_s)
+    if size == 86400.0:
+        return "1 day"
+    if size % 1800.0 == 0.0:
+        return f"{size / 3600.0:g} h"
+    return f"{size / 60.0:g} min" if size >= 120.0 else f"{size:g} s"

@@ -1,0 +1,161 @@
+"""Which of several predictions a reading supports, while its errors are serially correlated.
+
+A reading m is calibrated by (I + S) m + b. That is linear in S and b, whatever their size, so each prediction p of the
+body field gives a linear model p - m = S m + b + error. The errors are white, slow, and slow rotations of the
+attitude (theta x B, first-order Gauss-Markov); their sizes and memory are found in the record itself. S, b and the
+errors are integrated out or maximised alike for all predictions, so the differences of the log evidence compare
+the predictions alone (marginal likelihood: Rasmussen and Williams, Gaussian Processes for Machine Learning, 2.7 and 5.4).
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from fluxtwin.sim.base.types import FloatArray
+
+S_SIGMA, BIAS_SIGMA_nT = 0.05, 30_000.0
+"""Widths of the prior: preflight matrices err by a few per cent, uncompensated satellites fly with up to 50,000 nT."""
+_SLOW, _TURNS = (0.0, 2.0), (0.0, 3.0, 20.0, 100.0)
+"""Sizes of slow errors and of turns of the attitude, in parts of the white error of one row."""
+_MEMORIES_S = (100.0, 600.0, 3000.0)
+_SCALES_nT = np.exp(np.linspace(np.log(0.5), np.log(50_000.0), 70))
+MODEL_nT = 5.0
+"""The least white error: no field model knows the crust, the ring current and the day's currents better."""
+_SCALE_nT = 1e4
+"""Unit of the regressors, so that all columns are of order one."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What K predictions are worth; the first is what the file says."""
+
+    log: FloatArray
+    """(K,) log marginal likelihood."""
+    misfit_nT: FloatArray
+    """(K,) rms of a component after S and b are fitted under their prior."""
+
+
+def vector_evidence(seconds: FloatArray, mag_nT: FloatArray, predicted_nT: FloatArray) -> Evidence:
+    """Evidence of predictions (K, n, 3) of the body field for readings (n, 3) at `seconds` (n,)."""
+    design = np.zeros((len(mag_nT), 3, 12))
+    for i in range(3):
+        design[:, i, 3 * i : 3 * i + 3] = mag_nT / _SCALE_nT
+        design[:, i, 9 + i] = 1.0
+    return compare(seconds, design, np.moveaxis(predicted_nT - mag_nT, 0, 2), VECTOR_SIGMAS_nT, mag_nT, step_nT(mag_nT))
+
+
+VECTOR_SIGMAS_nT = np.array([S_SIGMA * _SCALE_nT] * 9 + [BIAS_SIGMA_nT] * 3)
+
+
+def scalar_evidence(seconds: FloatArray, mag_nT: FloatArray, size_nT: FloatArray) -> Evidence:
+    """Evidence of predictions (K, n) of |B| for readings (n, 3): |B|^2 is a quadratic form of the reading."""
+    m, typical = mag_nT / _SCALE_nT, 2.0 * size_nT[0]
+    pairs = [m[:, i] * m[:, j] for i, j in itertools.combinations_with_replacement(range(3), 2)]
+    design = np.column_stack([*pairs, m, np.ones(len(m))]) * (_SCALE_nT / typical)[:, None]
+    off = (size_nT**2 - np.sum(mag_nT**2, axis=1)) / typical
+    quadratic, linear, constant = 3.0 * S_SIGMA, 2.0 * BIAS_SIGMA_nT / _SCALE_nT, (BIAS_SIGMA_nT / _SCALE_nT) ** 2
+    sigmas = _SCALE_nT * np.array([quadratic] * 6 + [linear] * 3 + [3.0 * constant])
+    return compare(seconds, design[:, None, :], off.T[:, None, :], sigmas, None, step_nT(mag_nT))
+
+
+def step_nT(mag_nT: FloatArray) -> float:
+    """The step in which readings (n, 3) come: the smallest difference of two; 0 where it is finer than 0.01 nT."""
+    steps = np.diff(np.sort(mag_nT, axis=0), axis=0)
+    steps = steps[steps > 1e-6]
+    least = float(steps.min()) if steps.size else 0.0
+    return least if least > 0.01 else 0.0
+
+
+def compare(
+    seconds: FloatArray,
+    design: FloatArray,
+    rhs: FloatArray,
+    sigmas_nT: FloatArray,
+    lever: FloatArray | None,
+    least_step_nT: float,
+) -> Evidence:
+    """The evidence of right-hand sides (n, d, K) under regressors (n, d, c) with prior `sigmas_nT` (c,).
+
+    lever: (n, 3), the field across which a turn of the attitude acts, for d = 3. least_step_nT: of the readings; its
+    rounding is a white error at the least, which no mean over rows takes away where the reading moves slowly.
+    """
+    n, d, count = rhs.shape
+    scales = _SCALES_nT[_SCALES_nT >= max(MODEL_nT, least_step_nT / np.sqrt(12.0))]
+    X = (design * sigmas_nT).reshape(n * d, -1)
+    Y = rhs.reshape(n * d, count)
+    best = np.full(count, -np.inf)
+    misfit = np.zeros(count)
+    for number, covariance in enumerate(_covariances(seconds, lever, n, d)):
+        log, scale, solved = _one_shape(covariance, X, Y, scales)
+        if number == 0:
+            misfit = _misfits(scale, solved, n * d)
+        best = np.maximum(best, log)
+    return Evidence(best, misfit)
+
+
+def _covariances(seconds: FloatArray, lever: FloatArray | None, n: int, d: int) -> list[FloatArray]:
+    """Shapes of the covariance of the errors, the white one first."""
+    white = np.eye(n * d)
+    shapes = [white]
+    turns = np.zeros((n, d, n, d))
+    if lever is not None:
+        b = lever / np.sqrt(np.mean(np.sum(lever**2, axis=1)))
+        turns = np.einsum("ij,kl->ikjl", b @ b.T, np.eye(3)) - np.einsum("jk,il->ikjl", b, b)
+    for memory in _MEMORIES_S:
+        ou = np.exp(-np.abs(seconds[:, None] - seconds) / memory)
+        slow = np.kron(ou, np.eye(d))
+        turn = (turns * ou[:, None, :, None]).reshape(n * d, n * d)
+        sizes = [(a, c) for a in _SLOW for c in (_TURNS if lever is not None else (0.0, 5.0, 25.0)) if a or c]
+        if lever is None:
+            shapes += [white + max(a, c) ** 2 * slow for a, c in ((1.0, 0.0), (6.0, 0.0), (0.0, 25.0))]
+        else:
+            shapes += [white + a**2 * slow + c**2 * turn for a, c in sizes]
+    return shapes
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """Normal equations in the axes where the prior is one and the design is diagonal."""
+
+    weights: FloatArray
+    """(c,) eigenvalues."""
+    cross: FloatArray
+    """(c, K)."""
+    whitened: FloatArray
+    """(N, K)."""
+
+    def quadratic(self, scale: FloatArray) -> FloatArray:
+        """(..., K): what is left of the whitened squares at each scale, S and b fitted."""
+        taken = np.einsum("ck,...c->...k", self.cross**2, 1.0 / (self.weights + np.asarray(scale)[..., None] ** 2))
+        return np.asarray(np.sum(self.whitened**2, axis=0) - taken)
+
+
+def _one_shape(
+    covariance: FloatArray, X: FloatArray, Y: FloatArray, scales: FloatArray
+) -> tuple[FloatArray, FloatArray, _Solved]:
+    """Log evidence (K,) maximised over the scale of the errors, that scale (K,) [nT], and the solved equations."""
+    from scipy.linalg import cholesky, solve_triangular
+
+    factor = cholesky(covariance, lower=True, check_finite=False)
+    both = solve_triangular(factor, np.hstack([X, Y]), lower=True, check_finite=False)
+    Xw, Yw = both[:, : X.shape[1]], both[:, X.shape[1] :]
+    weights, axes = np.linalg.eigh(Xw.T @ Xw)
+    solved = _Solved(np.maximum(weights, 0.0), axes.T @ (Xw.T @ Yw), Yw)
+    left = solved.quadratic(scales)
+    squared = scales[:, None] ** 2
+    size = len(X) * np.log(squared[:, 0]) + np.sum(np.log1p(solved.weights / squared), axis=1)
+    log = -0.5 * (size[:, None] + left / squared) - np.sum(np.log(np.diag(factor)))
+    place = np.argmax(log, axis=0)
+    return log[place, np.arange(len(place))], scales[place], solved
+
+
+def _misfits(scale: FloatArray, solved: _Solved, count: int) -> FloatArray:
+    """(K,) rms left of white residuals."""
+    shrunk = solved.cross / (solved.weights[:, None] + scale**2)
+    left = np.sum(solved.whitened**2, axis=0) - np.sum(
+        shrunk * (2.0 * solved.cross - solved.weights[:, None] * shrunk), axis=0
+    )
+    return np.asarray(np.sqrt(np.maximum(left, 0.0) / count))

@@ -1,0 +1,227 @@
+"""Checks against a field model: unit, frame and axes of the position, attitude, mounting, clock; outliers.
+
+One cause is named: what follows from it is not. All readings of the record that differ from it as it stands are weighed
+against each other (`check_evidence`), so that the first name is the best one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from fluxtwin.calib.checks.clock import (
+    BLOCKS,
+    CLEAR,
+    PLAIN_COST,
+    STEP_S,
+    check_clock,
+    cost,
+    named_shift,
+    plain_shifts_s,
+    predictions,
+    readings_shift,
+    shift_words,
+    shifts_s,
+)  # fmt: skip
+from fluxtwin.calib.checks.evidence import Evidence, scalar_evidence, vector_evidence
+from fluxtwin.calib.checks.orientation import FAR_BETTER, SINGLE_COST, Hypothesis, orientations
+from fluxtwin.calib.checks.outliers import check_outliers, without_gross_outliers
+from fluxtwin.calib.checks.report import Finding, note, trap
+from fluxtwin.calib.checks.sample import FEWEST, Origin, Sample, comparable, rms
+from fluxtwin.calib.checks.sun import check_of_date
+from fluxtwin.calib.checks.unit import SMALLEST_MISFIT_nT, blind_magnitude, check_unit
+from fluxtwin.sim.base.errors import OutOfRange
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth.field import FieldModel, field_N_nT
+from fluxtwin.sim.telemetry.record import Telemetry
+
+ORIENTATION_MISFIT, SCALAR_MISFIT = 0.2, 0.1
+"""Share of |B| left after the fit, by vectors and by |B|: above, nothing fits. Misaligned, miscaled sensors leave up
+to 0.17 (S of 10 % in every element)."""
+LARGE_BIAS_nT = 7_500.0
+"""Misfits without bias fit below this are a usual bias and errors of 10 %; above, the bias is large or the axes wrong."""
+MENDED_MISFIT = 0.17
+"""Share of |B| that a name may leave: what S of 10 % in every element does."""
+SCALAR_MENDED = 0.04
+"""By |B| alone a name must leave less: noise and coarse steps do, scale errors are fitted."""
+POSITION_COST = 10.0
+"""Log prior odds against swapped or reversed axes of the position."""
+AMBIGUOUS = 2.0
+"""Log odds below which two names are not told apart."""
+
+
+def check_field(telemetry: Telemetry, model: FieldModel, origin: Origin, usable: BoolArray) -> list[Finding]:
+    """All checks of this module on the rows `usable` (N,); at most one trap."""
+    try:
+        sample = comparable(telemetry, model, usable, with_attitude=False)
+        posed = comparable(telemetry, model, usable, with_attitude=True)
+    except OutOfRange as error:
+        unit = [finding for finding in blind_magnitude(telemetry) if finding.severity == "trap"]
+        return [*unit, trap("outside_field_model", f"{error}; or the time stamps are wrong")]
+    if sample is None:
+        return [*blind_magnitude(telemetry), *check_outliers(telemetry, None, model, usable)[0]]
+    unit = check_unit(sample)
+    if any(found.severity == "trap" for found in unit):  # a wrong unit must not look like a wrong attitude
+        return [*unit, note("orientation_not_tested", "axes, attitude and clock are judged once the unit is right")]
+    findings, with_attitude = list(unit), posed is not None and len(posed) >= FEWEST
+    if not with_attitude:
+        findings.append(note("orientation_not_tested", "fewer than 20 rows have reading, position and attitude"))
+    chosen = posed if posed is not None and with_attitude else sample
+    if len(chosen) < FEWEST:
+        return findings
+    outliers, spoilt = check_outliers(telemetry, chosen, model, usable)
+    chosen = without_gross_outliers(chosen.take(~spoilt[chosen.rows]))
+    named = _by_vectors(chosen, telemetry, model, origin) if with_attitude else _by_size(chosen, model, origin)
+    if not any(found.severity == "trap" for found in named):
+        named += check_clock(chosen, model, origin)
+    if not any(found.severity == "trap" for found in named):
+        named += [*outliers, *check_of_date(telemetry)]
+    return [*findings, *named]
+
+
+def _by_vectors(sample: Sample, telemetry: Telemetry, model: FieldModel, origin: Origin) -> list[Finding]:
+    """The best name for what is wrong, from readings with attitude; notes where nothing is."""
+    small = sample.thinned(BLOCKS)
+    tried = [*orientations(small), *_positions(small, model), *_stamps(small, model, origin)]
+    misfit = _after_bias_fit(small, tried)
+    far_better = np.flatnonzero(misfit <= FAR_BETTER * misfit[0])
+    found, left = None, np.inf
+    if far_better.size:
+        kept = [0, *far_better.tolist()]
+        tried = [tried[k] for k in kept]
+        evidence = vector_evidence(small.seconds, small.mag_nT, np.stack([one.predicted_nT for one in tried]))
+        found, left = _best(tried, evidence, misfit[kept])
+    poor = left > max(MENDED_MISFIT * sample.typical_nT, SMALLEST_MISFIT_nT)
+    if found is not None and not poor:
+        return [found]
+    if misfit[0] <= max(ORIENTATION_MISFIT * sample.typical_nT, SMALLEST_MISFIT_nT):
+        return _notes(sample)
+    late = readings_shift(sample, telemetry, model)
+    if late is not None:
+        return [_readings_late(late)]
+    by_size = _by_size(dataclasses.replace(sample, q_NB=None), model, origin)
+    if any(one.severity == "trap" for one in by_size):
+        return by_size
+    text = (
+        f"with the attitude as it stands the reading misses the model by {misfit[0]:.0f} nT rms after a bias fit, "
+        f"{100 * misfit[0] / sample.typical_nT:.0f} % of |B|, and no known convention does far better: another attitude, "
+        "another sensor, or times that do not belong together"
+    )
+    return [trap("vector_mismatch", text)]
+
+
+def _after_bias_fit(sample: Sample, tried: list[Hypothesis]) -> FloatArray:
+    """(K,) rms [nT] of what a constant bias leaves."""
+    left = np.stack([one.predicted_nT for one in tried]) - sample.mag_nT
+    return np.asarray(np.sqrt(np.sum(np.var(left, axis=1), axis=1)))
+
+
+def _by_size(sample: Sample, model: FieldModel, origin: Origin) -> list[Finding]:
+    """The best name for wrong positions or stamps, from |B| alone."""
+    if len(sample) < 3 * FEWEST:
+        return []
+    small = sample.thinned(2 * BLOCKS)
+    plain = Hypothesis("", "", "", 0.0, small.field_N_nT)
+    tried = [plain, *_positions(small, model), *_stamps(small, model, origin)]
+    size = np.stack([np.linalg.norm(one.predicted_nT, axis=1) for one in tried])
+    evidence = scalar_evidence(small.seconds, small.mag_nT, size)
+    found, left = _best(tried, evidence, evidence.misfit_nT)
+    if found is not None and left < max(SCALAR_MENDED * sample.typical_nT, SMALLEST_MISFIT_nT):
+        return [found]
+    missed = float(evidence.misfit_nT[0])
+    if missed <= max(SCALAR_MISFIT * sample.typical_nT, SMALLEST_MISFIT_nT):
+        return []
+    text = (
+        f"|B| leaves {missed:.0f} nT rms against the model after an ellipsoid fit, "
+        f"{100 * missed / sample.typical_nT:.0f} % of |B|: wrong positions or times, swapped columns, or interference as "
+        "large as the field"
+    )
+    return [trap("field_mismatch", text)]
+
+
+def _best(tried: list[Hypothesis], evidence: Evidence, misfit_nT: FloatArray) -> tuple[Finding | None, float]:
+    """The hypothesis that stands out, as a trap, and the misfit it leaves; None where none is far better."""
+    odds = evidence.log - evidence.log[0] - np.array([one.cost for one in tried])
+    odds[1:][misfit_nT[1:] > FAR_BETTER * misfit_nT[0]] = -np.inf
+    best = int(np.argmax(odds))
+    if best == 0 or odds[best] < CLEAR:
+        return None, np.inf
+    one, as_is, mended = tried[best], float(misfit_nT[0]), float(misfit_nT[best])
+    rivals = [
+        f"{shift_words(other.shift_s)} ({other.words})" if other.shift_s else other.words
+        for value, other in sorted(zip(odds, tried, strict=True), key=lambda pair: -pair[0])
+        if value > odds[best] - AMBIGUOUS
+        and other is not one
+        and other.words
+        and not (one.cost == other.cost == PLAIN_COST and abs(one.shift_s - other.shift_s) <= 3.0 * STEP_S)
+    ]
+    doubt = f". Nearly as likely: {'; or '.join(rivals[:2])}" if rivals else ""
+    if one.shift_s:
+        return trap("clock", named_shift(one.shift_s, one.words, as_is, mended) + doubt), mended
+    text = (
+        f"as it stands the reading misses the model by {as_is:.0f} nT rms after a bias fit, but only by {mended:.0f} nT if "
+        f"{one.words}: {one.advice}{doubt}"
+    )
+    return trap(one.code, text), mended
+
+
+def _positions(sample: Sample, model: FieldModel) -> list[Hypothesis]:
+    """Positions that are Earth-fixed; with attitude also those with axes swapped, which |B| alone takes for a phase."""
+    r_from_E = sample.R_EN.apply(sample.r_N_km, inverse=True)
+    readings: list[tuple[str, str, str, float, FloatArray]] = [
+        (
+            "position_frame", "the positions are Earth-fixed", "name them ecef_x_km ecef_y_km ecef_z_km", SINGLE_COST,
+            r_from_E,
+        )
+    ]  # fmt: skip
+    for order in () if sample.q_NB is None else ((0, 2, 1), (1, 0, 2), (2, 1, 0), (1, 2, 0), (2, 0, 1)):
+        r = sample.r_N_km[:, order]
+        said = ", ".join(f"r_{one} is {'xyz'[other]}" for one, other in zip("xyz", order, strict=True))
+        words = f"the axes of the position are swapped ({said})"
+        readings.append(("position_axes", words, "rename the columns", POSITION_COST, r))
+    out = []
+    for code, words, advice, price, r in readings:
+        field = field_N_nT(model, sample.time, r)
+        predicted = field if sample.q_NB is None else sample.R_BN.apply(field)
+        out.append(Hypothesis(code, words, advice, price, predicted))
+    return out
+
+
+def _stamps(sample: Sample, model: FieldModel, origin: Origin) -> list[Hypothesis]:
+    """Stamps that are off by so much that the reading fits far better without."""
+    known = shifts_s(sample)
+    names = plain_shifts_s(origin) | known
+    fields = predictions(sample, model, origin, names)
+    return [
+        Hypothesis("clock", names[shift], "", cost(shift, known), predicted, shift)
+        for shift, predicted in fields.items()
+    ]
+
+
+def _readings_late(late: tuple[float, float, float]) -> Finding:
+    shift_s, as_is_nT, mended = late
+    return trap(
+        "clock",
+        f"the stamps of the magnetometer alone are {abs(shift_s) / 3600.0:g} h too {'late' if shift_s > 0 else 'early'}: "
+        f"beside position and attitude of the same row the reading misses the model by {as_is_nT:.0f} nT rms an axis, "
+        f"beside those of {abs(shift_s) / 3600.0:g} h {'before' if shift_s > 0 else 'after'} by {mended:.0f} nT. List the "
+        f"file twice in a column map, with time.offset_s = {-shift_s:g} for `mag`",
+    )
+
+
+def _notes(sample: Sample) -> list[Finding]:
+    """A bias that is large, and attitudes that hardly tell anything."""
+    findings = []
+    expected = sample.R_BN.apply(sample.field_N_nT)
+    missed = rms(sample.mag_nT - expected)
+    if missed > LARGE_BIAS_nT:
+        text = (
+            f"with the attitude as it stands the reading misses the model by {missed:.0f} nT rms without a bias fit: a "
+            "large bias, if the axes are right"
+        )
+        findings.append(note("large_bias", text))
+    if rms(expected - expected.mean(axis=0)) < 0.15 * sample.typical_nT:
+        text = "the field hardly changes in body axes: only gross errors of attitude and axes would show"
+        findings.append(note("orientation_not_tested", text))
+    return findings

@@ -1,0 +1,174 @@
+"""Single readings that cannot be right, against the scatter of their neighbours.
+
+What the field model, a fit of S and b, and a running median over nine rows leave is compared with its own scatter nearby.
+So slow errors, of the attitude or of the model, hide nothing, and noisy stretches are allowed more than quiet ones.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from fluxtwin.calib.checks.report import Finding, note, trap
+from fluxtwin.calib.checks.sample import Sample
+from fluxtwin.calib.checks.stuck import least_step
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.field import FieldModel, field_N_nT
+from fluxtwin.sim.telemetry.record import Telemetry
+
+STANDS_OUT = 8.0
+"""Robust standard deviations: in 10 million Gaussian numbers the largest is 5.3; the scale is known to 20 %, and varies
+along the record by as much again."""
+FEW = 0.05
+"""More rows than this share are no outliers but a rough sensor or interference: a note."""
+LONGEST_RUN = 4
+"""The running median over nine rows follows what lasts longer."""
+_WINDOW, _BLOCK, _FIT_ROWS = 9, 200, 3000
+_FEWEST = 40
+
+
+def without_gross_outliers(sample: Sample) -> Sample:
+    """The sample without rows whose |B| no ellipsoid fits as it fits the others; needs no attitude."""
+    if len(sample) < _FEWEST:
+        return sample
+    left = np.abs(_ellipsoid(sample.mag_nT, np.linalg.norm(sample.field_N_nT, axis=1)))
+    scale = 1.4826 * float(np.median(left))
+    keep = left <= max(2.0 * STANDS_OUT * scale, 100.0)
+    return sample if keep.all() or keep.mean() < 1.0 - 2.0 * FEW else sample.take(np.flatnonzero(keep))
+
+
+def check_outliers(
+    telemetry: Telemetry, sample: Sample | None, model: FieldModel, usable: BoolArray
+) -> tuple[list[Finding], BoolArray]:
+    """The trap `outliers` with its rows, or a note where readings are rough throughout; and which rows (N,) they are.
+
+    sample: rows that can be compared with the model, with their attitude where it is known; None without positions.
+    """
+    mask = np.zeros(len(telemetry), dtype=bool)
+    rows, left, field = _left(telemetry, sample, model, usable)
+    if rows.size < _FEWEST:
+        return [], mask
+    deviation = left - _running_median(left)
+    ratio = _ratio(deviation, field, least_step(telemetry.mag_B_nT[rows]))
+    out = np.flatnonzero((ratio > STANDS_OUT) & ~_driven(telemetry, rows))
+    if out.size == 0:
+        return [], mask
+    runs = np.split(out, np.flatnonzero(np.diff(out) > 1) + 1)
+    size = np.linalg.norm(deviation[out], axis=1)
+    where = rows[out]
+    evidence = (
+        f"{out.size} of {rows.size} readings stand out from their neighbours by {size.min():.3g} to {size.max():.3g} nT, "
+        f"{ratio[out].min():.2g} to {ratio[out].max():.3g} times the scatter there"
+    )
+    if out.size > max(FEW * rows.size, 3) or max(map(len, runs)) > LONGEST_RUN:
+        rough = f"{evidence}: too many, or too many on end, for outliers; interference or a rough sensor"
+        return [note("rough_readings", rough, where)], mask
+    mask[where] = True
+    shown = ", ".join(epoch.iso(telemetry.time[row]) for row in where[:3]) + (", ..." if out.size > 3 else "")
+    text = f"{evidence}: outliers, at {shown}. Blank those cells, or calibrate with robust weights"
+    return [trap("outliers", text, where)], mask
+
+
+def _left(
+    telemetry: Telemetry, sample: Sample | None, model: FieldModel, usable: BoolArray
+) -> tuple[np.ndarray, FloatArray, FloatArray | None]:
+    """Rows, their residuals (n, 1 or 3) [nT], in GCRS axes with attitude, along the field without; and in the first
+    case the field (n, 3)."""
+    good = telemetry.has_reading & usable
+    if sample is None or telemetry.r_N_km is None:
+        rows = np.flatnonzero(good)
+        return rows, np.linalg.norm(telemetry.mag_B_nT[rows], axis=1)[:, None], None
+    good &= telemetry.has_position
+    if sample.q_NB is not None:
+        good &= telemetry.has_attitude
+    rows = np.flatnonzero(good)
+    field = field_N_nT(model, telemetry.time[rows], telemetry.r_N_km[rows])
+    mag = np.array(telemetry.mag_B_nT[rows])
+    if sample.q_NB is None or telemetry.q_NB is None:
+        size = np.linalg.norm(field, axis=1)
+        return rows, _ellipsoid(mag, size)[:, None], None
+    R_BN = frames.rotation_from_q(telemetry.q_NB[rows])
+    predicted = R_BN.apply(field)
+    terms = np.column_stack([mag / 1e4, np.ones(len(mag))])
+    steady = _steady(predicted - mag)
+    fit = np.column_stack([_robust(terms, predicted[:, axis], steady) for axis in range(3)])
+    return rows, R_BN.apply(predicted - terms @ fit, inverse=True), field
+
+
+def _ellipsoid(mag_nT: FloatArray, size_nT: FloatArray) -> FloatArray:
+    """What a quadratic form of the readings (n, 3) leaves of |B| (n,) [nT], bias, scale and misalignment free."""
+    m, size = mag_nT / 1e4, size_nT / 1e4
+    pairs = [m[:, i] * m[:, j] for i, j in itertools.combinations_with_replacement(range(3), 2)]
+    design = np.column_stack([*pairs, m, np.ones(len(m))]) / (2.0 * size)[:, None]
+    left: FloatArray = 1e4 * (size / 2.0 - design @ _robust(design, size / 2.0, _steady(mag_nT)))
+    return left
+
+
+def _steady(mag_nT: FloatArray) -> BoolArray:
+    """Readings (n, 3) that do not jump out of their neighbours; a quadratic form would bend to reach those that do."""
+    jump = np.linalg.norm(mag_nT - _running_median(mag_nT), axis=1)
+    return np.asarray(jump <= STANDS_OUT * np.median(jump) + 1e-6)
+
+
+def _robust(design: FloatArray, target: FloatArray, trusted: BoolArray) -> FloatArray:
+    """Coefficients of least absolute deviations, by reweighting, on at most a few thousand `trusted` rows."""
+    rows = np.flatnonzero(trusted)
+    rows = rows[np.linspace(0, rows.size - 1, min(rows.size, _FIT_ROWS)).astype(int)]
+    X, y = design[rows], target[rows]
+    fit = np.linalg.lstsq(X, y, rcond=1e-10)[0]
+    for _ in range(12):
+        left = np.abs(y - X @ fit)
+        weight = 1.0 / np.sqrt(np.maximum(left, 0.1 * np.median(left) + 1e-12))
+        fit = np.linalg.lstsq(X * weight[:, None], y * weight, rcond=1e-10)[0]
+    return np.asarray(fit)
+
+
+def _running_median(values: FloatArray) -> FloatArray:
+    """(n, d) medians over nine rows."""
+    from scipy.ndimage import median_filter
+
+    return np.asarray(median_filter(values, size=(_WINDOW, 1), mode="mirror"))
+
+
+def _ratio(deviation: FloatArray, field_nT: FloatArray | None, least_step_nT: float) -> FloatArray:
+    """(n,) size of the deviations in robust standard deviations.
+
+    With the field (n, 3): along it, where only the reading errs, and across it, where attitude errors act in
+    proportion to the field.
+    """
+    if field_nT is None:
+        return np.asarray(np.abs(deviation[:, 0]) / _scale(deviation[:, 0], 0.6745, least_step_nT))
+    size = np.linalg.norm(field_nT, axis=1)
+    along = np.sum(deviation * field_nT, axis=1) / size
+    across = np.sqrt(np.maximum(np.sum(deviation**2, axis=1) - along**2, 0.0))
+    plain, both = _scale(along, 0.6745, least_step_nT), _scale(across, 1.1774, least_step_nT)
+    lever = (size / np.median(size)) ** 2
+    both = np.sqrt(np.minimum(plain, both) ** 2 + np.maximum(both**2 - plain**2, 0.0) * lever)
+    return np.asarray(np.maximum(np.abs(along) / plain, across / both))
+
+
+def _scale(deviation: FloatArray, median: float, least_step_nT: float) -> FloatArray:
+    """(n,) robust standard deviation of a few hundred rows around; no less than 0.7 of the record's.
+
+    median: that of the absolute value where the standard deviation is one (0.6745 on one axis, 1.1774 on two).
+    """
+    size = np.abs(deviation) / median
+    blocks = np.array_split(size, max(1, len(size) // _BLOCK))
+    near = np.concatenate([np.full(len(block), np.median(block)) for block in blocks])
+    return np.asarray(np.maximum(np.maximum(near, 0.7 * np.median(size)), 0.4 * least_step_nT + 1e-6))
+
+
+def _driven(telemetry: Telemetry, rows: np.ndarray) -> BoolArray:
+    """Rows beside a torquer's pulse or a switched flag, where a jump has a reason."""
+    acts = np.zeros(len(telemetry), dtype=bool)
+    if telemetry.dipole_B_Am2 is not None:
+        acts |= np.nan_to_num(telemetry.dipole_B_Am2).any(axis=1)
+    for flag in (telemetry.heater_on, *telemetry.flags.values()):
+        if flag is not None:
+            acts[1:] |= np.diff(np.nan_to_num(flag)) != 0
+    near = acts.copy()
+    near[1:] |= acts[:-1]
+    near[:-1] |= acts[1:]
+    return np.asarray(near[rows])

@@ -1,0 +1,132 @@
+"""Readings that do not change while they must: all axes, or one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fluxtwin.calib.checks.report import Finding, trap
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.telemetry.record import Telemetry
+
+STUCK_S, STUCK_ROWS = 60.0, 10
+"""Shorter runs of one reading come from coarse steps or fast sampling."""
+STUCK_STEPS = 3.0
+"""A run is stuck when elsewhere 99 % of stretches of that length move by more than this many least steps."""
+LONGER, MUCH_LONGER = 3.0, 10.0
+"""And when it is so many times longer than the runs that coarse steps make, and ends with a jump; or much longer."""
+_WINDOWS, _LONGEST_RUNS = 400, 50
+
+
+def check_stuck(telemetry: Telemetry) -> tuple[list[Finding], BoolArray]:
+    """The traps `constant_field`, `stuck_values`, `stuck_axis`, and which rows (N,) they spoil."""
+    mag, good = telemetry.mag_B_nT, telemetry.has_reading
+    spoilt = np.zeros(len(mag), dtype=bool)
+    if good.sum() < 13:
+        return [], spoilt
+    spread = np.ptp(mag[good], axis=0)
+    if (spread == 0).all():
+        text = "the magnetometer never changes: the reading is stuck or a placeholder"
+        return [trap("constant_field", text)], good
+    dead = [axis for axis in range(3) if spread[axis] == 0 and spread.max() >= 20.0 * least_step(mag)]
+    if dead:
+        value = mag[np.flatnonzero(good)[0]]
+        return [
+            trap("stuck_axis", f"mag_{'xyz'[axis]} is {value[axis]:g} nT in every row while other axes change")
+            for axis in dead
+        ], good
+    stuck = np.stack([_stuck(mag[:, [axis]], telemetry.time) for axis in range(3)], axis=1)
+    every = _stuck(mag, telemetry.time)
+    some: BoolArray = np.asarray(stuck.any(axis=1) | every)
+    findings = []
+    if every.any():
+        length, count = _lengths(every, telemetry.time)
+        text = (
+            f"the reading does not change for up to {length:g} s ({_stretches(count)}): stuck values. Blank those cells"
+        )
+        findings.append(trap("stuck_values", text, np.flatnonzero(every)))
+    for axis in range(3):
+        alone = stuck[:, axis] & ~every
+        if alone.any():
+            length, count = _lengths(alone, telemetry.time)
+            text = (
+                f"mag_{'xyz'[axis]} does not change for up to {length:g} s ({_stretches(count)}) while the other axes do: "
+                "one axis is stuck. Blank those rows"
+            )
+            findings.append(trap("stuck_axis", text, np.flatnonzero(alone)))
+    return findings, some
+
+
+def least_step(mag: FloatArray) -> float:
+    """Smallest change [nT] seen between neighbouring rows of an axis: the LSB, or less."""
+    step = np.abs(np.diff(mag, axis=0))
+    step = step[np.isfinite(step) & (step > 0)]
+    return float(step.min()) if step.size else 0.0
+
+
+def runs(mask: np.ndarray, time: TimeArray) -> list[np.ndarray]:
+    """Stretches of rows where `mask` holds, broken at gaps of more than five usual steps."""
+    rows = np.flatnonzero(mask)
+    if rows.size == 0:
+        return []
+    step = np.diff(time.astype("int64"))
+    usual = int(np.median(step)) if step.size else 0
+    breaks = (np.diff(rows) > 1) | (np.diff(time[rows].astype("int64")) > 5 * usual)
+    return list(np.split(rows, np.flatnonzero(breaks) + 1))
+
+
+def length_s(time: TimeArray, run: np.ndarray) -> float:
+    """Seconds from the first to the last row of a run."""
+    return float((time[run[-1]] - time[run[0]]).astype("int64")) * 1e-9
+
+
+def _stuck(values: FloatArray, time: TimeArray) -> BoolArray:
+    """Rows (N,) in runs of one reading (N, k) that are long enough that it must have changed."""
+    same = np.zeros(len(values), dtype=bool)
+    same[1:] = (values[1:] == values[:-1]).all(axis=1)
+    found = sorted(runs(same, time), key=len, reverse=True)[:_LONGEST_RUNS]
+    lengths = np.array([len(run) for run in found] + [1] * (len(found) < _LONGEST_RUNS), dtype=float)
+    gap = int(np.argmax(lengths[:-1] / lengths[1:])) if lengths.size > 1 else 0
+    out = np.zeros(len(values), dtype=bool)
+    if not found or lengths[gap] < LONGER * lengths[gap + 1]:
+        return out
+    long = [run for run in found[: gap + 1] if run.size >= STUCK_ROWS and length_s(time, run) >= STUCK_S]
+    if not long:
+        return out
+    free = np.ones(len(values), dtype=bool)
+    free[np.concatenate(long)] = False
+    step = least_step(values)
+    for run in long:
+        if not _moves(values, free, run.size, step):  # nor do shorter stretches then
+            break
+        out[run] = _jumps(values, run, step) or len(run) > MUCH_LONGER * lengths[gap + 1]
+    return out
+
+
+def _jumps(values: FloatArray, run: np.ndarray, least_step_nT: float) -> bool:
+    """Whether the reading comes back far from where it stood; a turning point that coarse steps hide goes on by one."""
+    after = run[-1] + 1
+    return bool(after < len(values) and np.max(np.abs(values[after] - values[run[-1]])) > STUCK_STEPS * least_step_nT)
+
+
+def _moves(values: FloatArray, free: BoolArray, rows: int, least_step_nT: float) -> bool:
+    """Whether stretches of so many rows (N, k) practically always move, the runs themselves left out.
+
+    Where the record is too short for such stretches elsewhere, shorter ones are asked, which move less.
+    """
+    rows = min(rows, max(STUCK_ROWS, len(values) // 8))
+    starts = np.linspace(0, len(values) - rows - 1, min(_WINDOWS, len(values) - rows)).astype(int)
+    taken = np.concatenate([[0], np.cumsum(~free | ~np.isfinite(values).all(axis=1))])
+    starts = starts[taken[starts + rows] == taken[starts]]
+    if starts.size < STUCK_ROWS:
+        return False
+    places = starts[:, None] + np.linspace(0, rows - 1, min(rows, 60)).astype(int)
+    return float(np.percentile(np.ptp(values[places], axis=1).max(axis=1), 1)) > STUCK_STEPS * least_step_nT
+
+
+def _lengths(mask: BoolArray, time: TimeArray) -> tuple[float, int]:
+    found = runs(mask, time)
+    return max(length_s(time, run) for run in found), len(found)
+
+
+def _stretches(count: int) -> str:
+    return f"{count} stretch{'es' if count > 1 else ''}"

@@ -1,0 +1,167 @@
+"""Is the reading in nT? Judged by |B|, which needs no attitude, with a bias of any flown size free.
+
+Scale and bias are told apart where the reading turns or the field changes: a bias shifts the reading, a wrong unit
+stretches it.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from fluxtwin.calib.checks.orientation import FAR_BETTER
+from fluxtwin.calib.checks.report import Finding, note, trap
+from fluxtwin.calib.checks.sample import Sample
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.telemetry.record import Telemetry
+
+HIGHEST_FIELD_nT = 70_000.0
+"""The Earth's field reaches 66,000 nT at the ground; no orbit meets 70,000."""
+HIGHEST_BIASED_nT = 120_000.0
+"""That and a bias of 50,000 nT."""
+LOWEST_FIELD_nT = 1_000.0
+"""Reached by the dipole 13,000 km up; below, an orbit must be higher or the unit wrong."""
+UNIT_RATIO = 1.5
+"""Preflight scale errors change |B| by 30 % at the most; units differ by 10 or more."""
+LIKELY_RATIO = 2.2
+"""For the words of the trap: a bias may nearly double |B|, and known units lie ten apart."""
+LARGEST_BIAS_nT = 110_000.0
+"""Uncompensated CubeSats fly with 17,000 to 62,000 nT an axis: at most 62,000 times the root of three."""
+CANCELLED = 0.15
+"""A bias that cancels the field to less than this share of |B| is not believed (by chance once in 300 biases)."""
+BIASED_MISFIT, HIGHEST_BIASED_MISFIT = 0.15, 0.3
+"""Share of the reading, bias included, that scale errors and misalignments of 10 % leave; and never more than that
+share of the field. A reading stretched twice or more and turned leaves 1."""
+SMALLEST_MISFIT_nT = 500.0
+"""Coarse steps (440 nT) and storms alone leave this much."""
+_FIT_ROWS = 300
+_UNITS = (
+    (1e-9, "tesla sold as nT"),
+    (1e-5, "gauss sold as nT"),
+    (1e-3, "microtesla sold as nT"),
+    (1e-2, "milligauss sold as nT"),
+    (0.1, "counts of 10 nT sold as nT"),
+    (10.0, "counts of 0.1 nT sold as nT"),
+    (100.0, "counts of 0.01 nT sold as nT, or nT sold as mG"),
+    (1000.0, "picotesla sold as nT, or nT sold as microtesla"),
+    (1e5, "nT sold as gauss"),
+    (1e9, "nT sold as tesla"),
+)
+
+
+def check_unit(sample: Sample) -> list[Finding]:
+    """The trap `magnetometer_unit`; or the note `large_bias` where a bias explains |B| as well."""
+    measured = float(np.median(np.linalg.norm(sample.mag_nT, axis=1)))
+    expected = float(np.median(np.linalg.norm(sample.field_N_nT, axis=1)))
+    ratio = measured / expected
+    if 1.0 / UNIT_RATIO <= ratio <= UNIT_RATIO:
+        return []
+    evidence = f"the median of |B| is {measured:.4g} nT, the model has {expected:.4g} nT at these positions"
+    bias_nT = _explaining_bias_nT(sample, ratio)
+    if bias_nT is not None:
+        text = f"{evidence}: a bias of about {bias_nT:.2g} nT explains that, and no unit does far better"
+        return [note("large_bias", text)]
+    likely = f": likely {_likely(sample, ratio)}"
+    impossible = " (an impossible |B|)" if measured > HIGHEST_FIELD_nT or measured < 20.0 else ""
+    return [
+        trap(
+            "magnetometer_unit",
+            f"{evidence.replace(' nT, the', f' nT{impossible}, the')}, a factor {ratio:.4g}{likely}. State the unit "
+            "(or `scale`) in a column map",
+        )
+    ]
+
+
+def blind_magnitude(telemetry: Telemetry) -> list[Finding]:
+    """Without positions only what no orbit can have is named."""
+    size = np.linalg.norm(telemetry.mag_B_nT[telemetry.has_reading], axis=1)
+    if size.size == 0:
+        return []
+    typical = float(np.median(size))
+    if LOWEST_FIELD_nT <= typical <= HIGHEST_FIELD_nT:
+        return [note("not_compared", "no positions: the magnitude is possible, but was not compared with the model")]
+    guess = _nearest_unit(typical / 35_000.0, 3.0)
+    if HIGHEST_FIELD_nT < typical <= HIGHEST_BIASED_nT:
+        text = (
+            f"the median of |B| is {typical:.4g} nT, more than any field: a large bias or another unit (no positions)"
+        )
+        return [note("not_compared", text)]
+    likely = f"; likely {guess}" if guess else ""
+    what = "no orbit has" if typical > HIGHEST_FIELD_nT else "no orbit below 13,000 km altitude has"
+    return [
+        trap(
+            "magnetometer_unit",
+            f"the median of |B| is {typical:.4g} nT, which {what}{likely}. "
+            "State the unit or the counts per nT in a column map",
+        )
+    ]
+
+
+def _nearest_unit(ratio: float, within: float) -> str | None:
+    if ratio <= 0:
+        return None
+    factor, text = min(_UNITS, key=lambda unit: abs(np.log(ratio / unit[0])))
+    return text if 1.0 / within <= ratio / factor <= within else None
+
+
+def _likely(sample: Sample, ratio: float) -> str:
+    """What the number may be: a known unit; raw counts where they are whole, or where no unit is near."""
+    guess = _nearest_unit(ratio, LIKELY_RATIO)
+    whole = bool((sample.mag_nT == np.round(sample.mag_nT)).all())
+    counts = f"raw counts of about {1.0 / ratio:.3g} nT (`scale` = nT per count)"
+    if guess and "counts" not in guess and whole:
+        return f"{guess}, or, as all readings are whole, {counts}"
+    return guess or counts
+
+
+def _explaining_bias_nT(sample: Sample, ratio: float) -> float | None:
+    """Size of the bias that makes |B| fit as it stands, unless it is unbelievable or a known unit fits far better."""
+    if ratio < CANCELLED:
+        return None
+    wanted = np.linalg.norm(sample.field_N_nT, axis=1)
+    bias_nT, misfit = _magnitude_bias(sample.mag_nT, wanted)
+    size = float(np.linalg.norm(bias_nT))
+    scaled = _core_rms(np.linalg.norm(sample.mag_nT, axis=1) / ratio - wanted)
+    share = min(BIASED_MISFIT * max(ratio, 1.0), HIGHEST_BIASED_MISFIT)
+    allowed = max(share * float(np.median(wanted)), SMALLEST_MISFIT_nT)
+    unit_fits = _nearest_unit(ratio, UNIT_RATIO) is not None and scaled < FAR_BETTER * misfit
+    if size > LARGEST_BIAS_nT or misfit > allowed or unit_fits:
+        return None
+    return size
+
+
+def _magnitude_bias(mag_nT: FloatArray, wanted_nT: FloatArray) -> tuple[FloatArray, float]:
+    """Offset d (3,) [nT] with |reading - d| closest to `wanted_nT` (N,), and the rms [nT] it leaves.
+
+    Squares are linear in d once |d|^2 is free; Gauss-Newton then ties the two. A short arc has several minima, so it
+    starts on all sides of the reading as well; believable biases go first.
+    """
+    scale = 1e4
+    thin = slice(None, None, 1 + len(mag_nT) // _FIT_ROWS)
+    m, size = mag_nT[thin] / scale, wanted_nT[thin] / scale
+    design = np.column_stack([2.0 * m, np.ones(len(m))])
+    fit, *_ = np.linalg.lstsq(design, np.sum(m**2, axis=1) - size**2, rcond=1e-6)
+    sides = np.array([side for side in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(side)])
+    sides *= float(np.median(size)) / np.linalg.norm(sides, axis=1)[:, None]
+    fits = [_gauss_newton(m, size, start) for start in (fit[:3], np.zeros(3), *(m.mean(axis=0) + sides))]
+    d, left = min(fits, key=lambda fit: (np.linalg.norm(fit[0]) * scale > LARGEST_BIAS_nT, fit[1]))
+    return d * scale, left * scale
+
+
+def _gauss_newton(m: FloatArray, size: FloatArray, start: FloatArray) -> tuple[FloatArray, float]:
+    """The offset (3,) and the rms left, from one start; damped along directions that the record does not show."""
+    d = np.array(start)
+    for _ in range(20):
+        off = m - d
+        length = np.maximum(np.linalg.norm(off, axis=1), 1e-9)
+        slope = off / length[:, None]
+        normal = slope.T @ slope / len(m) + np.eye(3) * 1e-4
+        d = d + np.linalg.solve(normal, slope.T @ (length - size) / len(m))
+    return d, _core_rms(np.linalg.norm(m - d, axis=1) - size)
+
+
+def _core_rms(left: FloatArray) -> float:
+    """Rms without the values beyond five times the median size: single bit errors must not decide."""
+    core = np.abs(left) <= 5.0 * np.median(np.abs(left)) + 1e-12
+    return float(np.sqrt(np.mean(left[core] ** 2)))

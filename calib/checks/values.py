@@ -1,0 +1,201 @@
+"""Checks that need no field model: stamps, missing and stuck values, orbit geometry, sunlit flags."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fluxtwin.calib.checks.report import Finding, note, trap
+from fluxtwin.calib.checks.stuck import length_s, runs
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch, frames, sun
+from fluxtwin.sim.telemetry.build import velocity_from_positions
+from fluxtwin.sim.telemetry.record import Telemetry
+
+FEWEST_SAMPLES = 13
+"""One more than the 12 parameters of b and S: below, nothing can be calibrated and left over."""
+FEW_SAMPLES = 150
+"""The smallest record the estimators are built and tested for."""
+LOWEST_ORBIT_KM = 6430.0
+"""Below about 70 km altitude nothing orbits; a smaller radius is no position."""
+FLAG_S, FLAG_ROWS = 120.0, 3
+"""Shadow edges are uncertain by some tens of seconds (air, flattening, slow flags); longer is a contradiction."""
+VELOCITY_RATIO = 0.02
+"""Velocity against the derivative of position; Earth-fixed velocity sold as inertial is off by 6 %."""
+_MAX_ROWS = 4000
+
+
+def check_readings(telemetry: Telemetry) -> list[Finding]:
+    """Whether there are readings enough."""
+    readings = [*_usable(telemetry), *_missing_rows(telemetry, "magnetometer", telemetry.has_reading)]
+    if not telemetry.has_reading.any():
+        return [trap("no_readings", "every magnetometer reading is missing (blank or NaN)"), *readings[:1]]
+    return readings
+
+
+def check_motion(telemetry: Telemetry) -> list[Finding]:
+    """The checks that need no magnetometer: steps of time, positions, velocity, sunlit flag.
+
+    What follows from wrong positions is not named beside them.
+    """
+    findings = [*_steps(telemetry), *_missing(telemetry)]
+    positions = _positions(telemetry)
+    if not positions and telemetry.sunlit is not None and telemetry.r_N_km is not None:
+        positions = check_sunlit(telemetry.time, np.array(telemetry.r_N_km), np.array(telemetry.sunlit))
+    return [*findings, *positions]
+
+
+def check_sunlit(time: TimeArray, r_N_km: FloatArray, sunlit: FloatArray) -> list[Finding]:
+    """A sunlit flag that contradicts geometry for more than two minutes on end."""
+    known = np.isfinite(r_N_km).all(axis=1) & np.isfinite(sunlit)
+    seen = np.full(len(time), np.nan)
+    if known.any():
+        seen[known] = sun.illumination(r_N_km[known], sun.sun_N_km(time[known]))
+    contradictions = []
+    for wrong, said, truly in (
+        ((sunlit == 0) & (seen > 0.99), "shadow", "sunlit"),
+        ((sunlit == 1) & (seen < 0.01), "sunlit", "shadow"),
+    ):
+        found = [run for run in runs(wrong, time) if length_s(time, run) >= FLAG_S and run.size >= FLAG_ROWS]
+        contradictions += [(run, f"{said} where geometry says {truly}") for run in found]
+    if not contradictions:
+        return []
+    contradictions.sort(key=lambda one: int(one[0][0]))
+    spans = ", ".join(
+        f"{words}: {epoch.iso(time[run[0]])} to {epoch.iso(time[run[-1]])}" for run, words in contradictions[:5]
+    )
+    text = (
+        f"the sunlit flag says {spans}{' and more' if len(contradictions) > 5 else ''}. Leave the column out (it is then "
+        "computed) or mend it"
+    )
+    return [trap("sunlit_flag", text, np.concatenate([run for run, _ in contradictions]))]
+
+
+def _usable(telemetry: Telemetry) -> list[Finding]:
+    usable = int(telemetry.has_reading.sum())
+    if usable < FEWEST_SAMPLES:
+        text = f"{usable} rows have a reading; b and S alone are 12 unknowns. Give a longer record"
+        return [trap("too_few_samples", text)]
+    if usable < FEW_SAMPLES:
+        return [note("few_samples", f"{usable} rows have a reading; {FEW_SAMPLES} or more are recommended")]
+    return []
+
+
+def _steps(telemetry: Telemetry) -> list[Finding]:
+    findings: list[Finding] = []
+    if len(telemetry) < 3:
+        return findings
+    step = np.diff(telemetry.time.astype("int64")) * 1e-9
+    usual = float(np.median(step))
+    gaps = np.flatnonzero(step > 5.0 * usual)
+    if gaps.size:
+        findings.append(
+            note("gaps", f"{gaps.size} gaps longer than 5 steps of {usual:g} s; longest {step.max():g} s", gaps)
+        )
+    steady = np.abs(step - usual) < 0.01 * usual
+    slips = np.flatnonzero(~steady & (step < 1.5 * usual))
+    if slips.size and steady.mean() > 0.9:
+        worst = float(np.abs(step[slips] - usual).max())
+        findings.append(
+            note(
+                "clock_slips",
+                f"{slips.size} steps are off the usual {usual:g} s by up to {worst:.3g} s (clock slips): readings "
+                "there may be stamped wrongly",
+                slips,
+            )
+        )
+    return findings
+
+
+def _missing(telemetry: Telemetry) -> list[Finding]:
+    findings: list[Finding] = []
+    columns = {}
+    if telemetry.r_N_km is not None:
+        columns["position"] = telemetry.has_position
+    if telemetry.q_NB is not None:
+        columns["attitude"] = telemetry.has_attitude
+    for name, present in columns.items():
+        findings += _missing_rows(telemetry, name, present)
+    return findings
+
+
+def _missing_rows(telemetry: Telemetry, name: str, present: BoolArray) -> list[Finding]:
+    rows = np.flatnonzero(~present)
+    text = f"{rows.size} of {len(telemetry)} rows have no {name}"
+    return [note(f"missing_{name}", text, rows)] if rows.size else []
+
+
+def _positions(telemetry: Telemetry) -> list[Finding]:
+    if telemetry.r_N_km is None:
+        return []
+    r, time = np.array(telemetry.r_N_km), telemetry.time
+    size = np.linalg.norm(r, axis=1)
+    low = np.flatnonzero(size < LOWEST_ORBIT_KM)
+    if low.size:
+        zero = " (zero often means that there was no fix)" if (size[low] < 1.0).any() else ""
+        return [
+            trap(
+                "position_inside_earth",
+                f"{low.size} positions lie below {LOWEST_ORBIT_KM:g} km from the Earth's centre, the first at "
+                f"{size[low[0]]:.6g} km{zero}. Blank them, or state the unit and frame in a column map",
+                low,
+            )
+        ]
+    return [*_orbit_plane(time, r), *_velocity(telemetry, r)]
+
+
+def _orbit_plane(time: TimeArray, r_N_km: FloatArray) -> list[Finding]:
+    """Positions in Earth-fixed axes under an inertial name: the orbit plane then turns once a day."""
+    rows = np.flatnonzero(np.isfinite(r_N_km).all(axis=1))[:_MAX_ROWS]
+    v = velocity_from_positions(time[rows], r_N_km[rows])
+    rows_v = np.flatnonzero(np.isfinite(v).all(axis=1))
+    if rows_v.size < 10:
+        return []
+    t, r = time[rows][rows_v], r_N_km[rows][rows_v]
+    as_is = _plane_wander(r, v[rows_v])
+    turned = frames.rotation_EN(t).apply(r, inverse=True)
+    v_turned = velocity_from_positions(t, turned)
+    good = np.isfinite(v_turned).all(axis=1)
+    as_earth_fixed = _plane_wander(turned[good], v_turned[good])
+    hours = float((t[-1] - t[0]).astype("int64")) / 3.6e12
+    if as_is > 0.3 + 0.35 * hours and as_earth_fixed < as_is / 3.0:  # J2 turns a node by at most 0.35 deg/h
+        return [
+            trap(
+                "position_frame",
+                f"the orbit plane wanders by {as_is:.2f} deg rms in {hours:.2g} h; read as Earth-fixed positions it "
+                f"stays within {as_earth_fixed:.3f} deg. Name the columns ecef_x_km ecef_y_km ecef_z_km",
+            )
+        ]
+    return []
+
+
+def _plane_wander(r: FloatArray, v: FloatArray) -> float:
+    """Rms angle [deg] of the orbit normals from their mean."""
+    normal = np.cross(r, v)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    mean = normal.mean(axis=0)
+    mean /= np.linalg.norm(mean)
+    return float(np.degrees(np.sqrt(np.mean(np.sum((normal - mean) ** 2, axis=1)))))
+
+
+def _velocity(telemetry: Telemetry, r_N_km: FloatArray) -> list[Finding]:
+    if telemetry.v_N_km_s is None:
+        return []
+    rows = slice(0, _MAX_ROWS)
+    v = np.array(telemetry.v_N_km_s[rows])
+    derived = velocity_from_positions(telemetry.time[rows], r_N_km[rows])
+    good = np.isfinite(v).all(axis=1) & np.isfinite(derived).all(axis=1)
+    step = np.diff(telemetry.time[rows].astype("int64")) * 1e-9
+    if good.sum() < 10 or np.median(step) > 150.0:
+        return []
+    off = float(
+        np.median(np.linalg.norm(v[good] - derived[good], axis=1)) / np.median(np.linalg.norm(derived[good], axis=1))
+    )
+    if off <= VELOCITY_RATIO:
+        return []
+    return [
+        trap(
+            "velocity_frame",
+            f"the velocity differs from the derivative of the position by {100 * off:.1f} % (median): another frame "
+            "(Earth-fixed velocity differs by about 6 %), unit or time. Leave the velocity out, or map its frame",
+        )
+    ]

@@ -1,0 +1,1 @@
+"""What all methods of calibration share: rows, noise, covariance, the record, its file and the verdict."""

@@ -1,0 +1,128 @@
+"""Corrected telemetry: the reading replaced by the estimate of the true field, and what a record says of it."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from fluxtwin.calib.common.records import CONVENTION, Calibration
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.telemetry.record import Telemetry, plain_text, recorded_columns
+
+_DIGEST_SHOWN = 12  # hexadecimal digits: of a million calibrations two agree by chance with a probability of 0.2 %
+_STAMP = re.compile(r"calibration ([0-9a-f]{12}(?: then [0-9a-f]{12})*) \(residual ([0-9.eE+-]+) nT\)")
+
+
+def apply_calibration(telemetry: Telemetry, calibration: Calibration, *, force: bool = False) -> Telemetry:
+    """The same telemetry with `mag_B_nT` replaced by (I+S) B + b + T D (journal eq. 1); its provenance says so.
+
+    Raises BadInput when the calibration does not fit the record (`require_applicable`; force lets it pass), has a T and
+    the telemetry no dipole, or a column that it needs is missing.
+    """
+    if not force:
+        require_applicable(telemetry, calibration)
+    corrected = calibration.apply(telemetry.mag_B_nT, telemetry.dipole_B_Am2, recorded_columns(telemetry))
+    span = "" if calibration.span is None else f", {epoch.iso(calibration.span[0])} to {epoch.iso(calibration.span[1])}"
+    note = (
+        f"{CONVENTION!r} by {calibration.method or 'hand'}, of {calibration.spacecraft or 'unnamed spacecraft'}{span}"
+    )
+    stamped = {"calibration": _stamp(telemetry, calibration), "calibration_note": note}
+    return telemetry.replace(mag_B_nT=corrected, provenance={**telemetry.provenance, **stamped})
+
+
+def require_applicable(telemetry: Telemetry, calibration: Calibration) -> None:
+    """Raises BadInput for readings that are corrected already, another spacecraft, and a time that it does not cover.
+
+    A calibration speaks of the time in which it was made. The record must share some of it, and may reach beyond either
+    end by no more than its length: further than it was observed, nobody has seen it hold.
+    """
+    before = telemetry.corrected_by
+    where = telemetry.provenance.get("source", "telemetry")
+    if before and calibration.residual_to != before:
+        raise BadInput(
+            f"the readings are corrected already (by {before})",
+            where=where,
+            wanted="the record as the sensor gave it; --force corrects them once more",
+        )
+    if calibration.residual_to and not before:
+        raise BadInput(
+            f"the calibration was made of readings that {calibration.residual_to} had corrected; these are not corrected",
+            where=where,
+            wanted="that calibration applied first; --force applies this one all the same",
+        )
+    ours, theirs = plain_text(telemetry.spacecraft), plain_text(calibration.spacecraft)
+    if ours and theirs and ours != theirs:
+        raise BadInput(
+            f"the telemetry is of {ours!r}, the calibration of {theirs!r}",
+            where=where,
+            wanted="telemetry and calibration of one spacecraft; --force applies it all the same",
+        )
+    if calibration.span is not None:
+        _require_time(telemetry, calibration.span, where)
+
+
+def waived(telemetry: Telemetry, calibration: Calibration) -> str | None:
+    """What `require_applicable` would refuse, in words, for a caller that goes on all the same; None where it would not."""
+    try:
+        require_applicable(telemetry, calibration)
+    except BadInput as refusal:
+        return str(refusal)
+    return None
+
+
+def outside_span(telemetry: Telemetry, calibration: Calibration) -> int:
+    """Rows before or after the data from which the calibration was made."""
+    return 0 if calibration.span is None else _rows_outside(telemetry, calibration.span)
+
+
+def calibration_of(telemetry: Telemetry, calibration: Calibration | None, *, force: bool = False) -> Calibration:
+    """What still has to be applied to a record: the calibration, or nothing where its readings are corrected.
+
+    None is for a corrected record: S = 0, b = 0, and the residual that its calibration had stated. Raises BadInput for
+    None with readings that are not corrected, and as `require_applicable`, unless force.
+    """
+    if calibration is not None:
+        if not force:
+            require_applicable(telemetry, calibration)
+        return calibration
+    if not telemetry.corrected_by:
+        raise BadInput(
+            "the readings are not corrected, and no calibration is given",
+            where=telemetry.provenance.get("source", "telemetry"),
+            wanted="--calibration FILE.toml, or a record that fluxtwin apply has written",
+        )
+    return Calibration(np.zeros((3, 3)), np.zeros(3), sigma_nT=known_sigma_nT(telemetry) or 0.0)
+
+
+def known_sigma_nT(telemetry: Telemetry) -> float | None:
+    """Residual of a component [nT] that the calibration of corrected readings had stated; None where unknown."""
+    match = _STAMP.match(telemetry.corrected_by)
+    return None if match is None else float(match[2])
+
+
+def _require_time(telemetry: Telemetry, span: tuple[np.datetime64, np.datetime64], where: str) -> None:
+    first, last = span
+    begins, ends = telemetry.time[0], telemetry.time[-1]
+    beyond = max(first - begins, ends - last)
+    if _rows_outside(telemetry, span) == len(telemetry) or beyond > last - first:
+        raise BadInput(
+            f"the record runs from {epoch.iso(begins)} to {epoch.iso(ends)}, the calibration was made from data of "
+            f"{epoch.iso(first)} to {epoch.iso(last)}",
+            where=where,
+            wanted="a calibration whose time the record shares, and leaves by no more than the calibration's own length; "
+            "--force applies it all the same",
+        )
+
+
+def _rows_outside(telemetry: Telemetry, span: tuple[np.datetime64, np.datetime64]) -> int:
+    return int(((telemetry.time < span[0]) | (telemetry.time > span[1])).sum())
+
+
+def _stamp(telemetry: Telemetry, calibration: Calibration) -> str:
+    """`calibration 3fa2c1d09e77 (residual 50.8 nT)`: short, as a CSV repeats it in every row."""
+    own = calibration.digest[:_DIGEST_SHOWN]
+    match = _STAMP.match(telemetry.corrected_by)
+    chain = f"{match[1]} then {own}" if match else own
+    return f"calibration {chain} (residual {calibration.sigma_nT:.3g} nT)"

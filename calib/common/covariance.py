@@ -1,0 +1,233 @@
+"""The covariance of the calibration.
+
+`white`: errors independent from row to row, but not alike: an error of the reference attitude turns the field and
+has no component along it, so the plain formula of least squares is right on average and wrong by direction. The
+sandwich (White 1980, Econometrica 48, 817; with the leverage of MacKinnon & White 1985, HC2) takes each row's own
+residual, and with it what the correction for noise in the reading adds. Under ten rows a parameter of one axis there
+is too little for it and the plain formula stands: Cov(rows i, j of M) = R_ij <x|x>^-1 / N, R the residual covariance,
+plus what the correction adds (Fuller 1987, Measurement Error Models, section 2.2, known error covariance).
+
+`blocks`: correlated in time; see `stated`.
+
+Slopes here are stacked axis by axis: (row i of M, c_i) for i = x, y, z, with m + 1 numbers each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr, stdtrit
+
+from fluxtwin.calib.common.moments import blocks
+from fluxtwin.calib.common.regression import Regression
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+
+FEWEST_BLOCKS = 8
+BLOCKS = (192, 128, 96, 64, 48, 32, 24, 16, 12, 8)
+"""How many blocks a record is cut into, in turn; with the first, sigma is known to 5 %."""
+_MOST_BLOCKS, _MOST_ASKED = 200, 1000
+_FEWEST_BATCHES = 20
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """How rows were grouped for a covariance that allows for correlated errors."""
+
+    of_row: np.ndarray
+    """(N,) block number of each row, 0 to count - 1, in any order."""
+    count: int
+    words: str
+    """What a block is."""
+
+
+def plain_covariance(
+    fit: Regression, slopes: FloatArray, rr: FloatArray, effective_rows: float, noise_xx: FloatArray | None
+) -> FloatArray:
+    """(3(m+1), 3(m+1)) covariance of stacked slopes, all rows alike.
+
+    slopes: (3, m) M as corrected. rr: (3, 3) residual covariance. noise_xx: (m, m) noise covariance of the
+    regressors when the slopes were corrected for it, else None.
+    """
+    m = fit.xx.shape[0]
+    inverse = np.linalg.inv(fit.xx if noise_xx is None else fit.xx - noise_xx)
+    pull = np.zeros((m, 3)) if noise_xx is None else inverse @ (-noise_xx @ slopes.T)
+    spread = inverse @ fit.xx @ inverse
+    out = np.zeros((3, m + 1, 3, m + 1))
+    for i in range(3):
+        for j in range(3):
+            out[i, :m, j, :m] = (rr[i, j] * spread + np.outer(pull[:, j], pull[:, i])) / effective_rows
+            out[i, m, j, m] = rr[i, j] / effective_rows
+    return uncentred(out.reshape(3 * (m + 1), 3 * (m + 1)), fit.mean_x)
+
+
+def sandwich_covariance(
+    residual: FloatArray,
+    parts: Sequence[FloatArray],
+    fit: Regression,
+    slopes: FloatArray,
+    a: FloatArray | None,
+    noise_xx: FloatArray | None,
+) -> FloatArray:
+    """(3(m+1), 3(m+1)) covariance of stacked slopes, each row with its own residual (HC2); one pass in blocks.
+
+    residual: (N, 3). parts: the regressors. a: (N,) weights of sum 1, None for equal; the rest as
+    `plain_covariance`. The score of a row is r_i x + Sigma_x M_i, whose mean vanishes at the corrected slopes.
+    """
+    m, rows = fit.xx.shape[0], len(residual)
+    bread = bread_of(fit, noise_xx)
+    leverage = np.zeros((m + 1, m + 1))
+    leverage[:m, :m], leverage[m, m] = np.linalg.inv(fit.xx), 1.0
+    shift = np.zeros((3, m + 1))
+    if noise_xx is not None:
+        shift[:, :m] = slopes @ noise_xx
+    meat = np.zeros((3 * (m + 1), 3 * (m + 1)))
+    for at, x in blocks(parts, rows):
+        z = np.vstack([(x - fit.mean_x).T, np.ones((1, len(x)))])  # in columns of rows: contiguous products
+        held = np.einsum("fk,fk->k", leverage @ z, z) * (1.0 / rows if a is None else a[at])
+        r = residual[at].T / np.sqrt(1.0 - np.minimum(held, 0.99))
+        score = (r[:, None, :] * z + shift[:, :, None]).reshape(3 * (m + 1), -1)
+        score *= 1.0 / rows if a is None else a[at]
+        meat += score @ score.T
+    whole = np.kron(np.eye(3), bread)
+    return uncentred(whole @ meat @ whole.T, fit.mean_x)
+
+
+def bread_of(fit: Regression, noise_xx: FloatArray | None) -> FloatArray:
+    """(m+1, m+1) what turns the mean of r [x - <x>, 1] into an error of (M_i, c_i + M_i <x>)."""
+    m = fit.xx.shape[0]
+    bread = np.eye(m + 1)
+    bread[:m, :m] = np.linalg.inv(fit.xx if noise_xx is None else fit.xx - noise_xx)
+    return bread
+
+
+def uncentred(stacked: FloatArray, mean_x: FloatArray) -> FloatArray:
+    """The covariance of (M_i, c_i) from that of (M_i, c_i + M_i <x>)."""
+    m = mean_x.size
+    back = np.eye(m + 1)
+    back[m, :m] = -mean_x
+    whole = np.kron(np.eye(3), back)
+    out = whole @ stacked @ whole.T
+    return np.asarray(0.5 * (out + out.T))
+
+
+def small_sample(count: float) -> float:
+    """t/2: what sigma from `count` blocks must be multiplied by so that two sigma hold 95.4 %."""
+    return float(stdtrit(float(count) - 1.0, float(ndtr(2.0)))) / 2.0
+
+
+def make_blocks(time: TimeArray, memory_s: float) -> Blocks:
+    """Rows between gaps in time where there are at least eight such stretches, else cut to four times `memory_s`."""
+    segment = segments(time, 1.5 * memory_s)
+    count = int(segment[-1]) + 1
+    if count >= FEWEST_BLOCKS:
+        return Blocks(segment, count, "passes separated by gaps in time")
+    length = max(4.0 * memory_s, observed_s(time, segment) / _MOST_BLOCKS)
+    of_row = _cut(time, segment, length)
+    return Blocks(of_row, int(of_row.max()) + 1, f"stretches of {length:.0f} s, four times the memory of the residual")
+
+
+def groupings(
+    time: TimeArray, segment: np.ndarray, passes: np.ndarray | None = None, block_s: float | None = None
+) -> Iterator[tuple[np.ndarray, str]]:
+    """(N,) block of each row and what a block is, from short blocks to long ones; as asked where it is."""
+    if passes is not None:
+        yield np.unique(passes, return_inverse=True)[1], "passes as given"
+    elif block_s is not None:
+        length = max(block_s, observed_s(time, segment) / _MOST_ASKED)
+        yield _cut(time, segment, length), f"stretches of {length:.6g} s, as asked"
+    else:
+        covered_s = observed_s(time, segment)
+        for count in BLOCKS:
+            of_row = _cut(time, segment, covered_s / count)
+            if 0 < int(segment[-1]) == int(of_row.max()):
+                break  # longer than every pass
+            yield of_row, f"stretches of {covered_s / count:.0f} s"
+        if int(segment[-1]) + 1 >= FEWEST_BLOCKS:
+            yield segment, "passes separated by gaps in time"
+
+
+def _cut(time: TimeArray, segment: np.ndarray, length_s: float) -> np.ndarray:
+    """(N,) numbers of pieces of that length, none across a change of segment."""
+    seconds = (time - time[0]).astype("int64") * 1e-9
+    start = seconds[np.searchsorted(segment, segment)]
+    piece = np.floor((seconds - start) / length_s + 1e-9).astype(np.int64)
+    return np.asarray(np.unique(np.stack([segment, piece]), axis=1, return_inverse=True)[1].ravel())
+
+
+def observed_s(time: TimeArray, segment: np.ndarray) -> float:
+    """Time that the rows cover, gaps left out [s]."""
+    step_s = np.diff(time).astype("int64") * 1e-9
+    return float(step_s[np.diff(segment) == 0].sum()) + float(np.median(step_s)) if step_s.size else 1.0
+
+
+def segments(time: TimeArray, least_gap_s: float = 0.0) -> np.ndarray:
+    """(N,) number of the stretch that each row belongs to.
+
+    A new one begins after a gap of more than five median steps that is also longer than `least_gap_s`.
+    """
+    step = np.diff(time).astype("int64")
+    if step.size == 0:
+        return np.zeros(len(time), dtype=int)
+    return np.concatenate([[0], np.cumsum(step > max(5.0 * float(np.median(step)), least_gap_s * 1e9))])
+
+
+def autocorrelation(residual_nT: FloatArray, segment: np.ndarray, lags: Sequence[int]) -> FloatArray:
+    """(K,) correlation of residuals `lags` samples apart within segments, mean over the axes."""
+    r = residual_nT - residual_nT.mean(axis=0)
+    variance = (r**2).mean(axis=0)
+    if not (variance > 0).all():
+        return np.array([1.0 if lag == 0 else 0.0 for lag in lags])
+    return np.array([_one_lag(r, segment, lag, variance) for lag in lags])
+
+
+def _one_lag(r: FloatArray, segment: np.ndarray, lag: int, variance: FloatArray) -> float:
+    if lag == 0:
+        return 1.0
+    same = segment[lag:] == segment[:-lag]
+    if not same.any():
+        return 0.0
+    products = np.einsum("ij,ij,i->j", r[lag:], r[:-lag], same.astype(np.float64)) / same.sum()
+    return float((products / variance).mean())
+
+
+def correlation_time_s(
+    time: TimeArray, residual_nT: FloatArray, segment: np.ndarray, level: float = float(np.exp(-1.0))
+) -> float:
+    """Time at which the autocorrelation of the residual first falls below `level`, at least one step [s].
+
+    Lags grow by a fifth from one to the next, so that a long correlation costs no more than a short one.
+    """
+    if len(time) < 2:
+        return 0.0
+    step_s = float(np.median(np.diff(time).astype("int64"))) * 1e-9
+    longest = max(1, len(time) // 4)
+    lag = 1
+    while lag < longest and autocorrelation(residual_nT, segment, [lag])[0] >= level:
+        lag = min(longest, max(lag + 1, lag * 6 // 5))
+    return step_s * lag
+
+
+def batch_widening(residual_nT: FloatArray, segment: np.ndarray) -> float:
+    """1 + 2 sum rho, the integrated effect of correlation on a variance, from means over batches of rows.
+
+    L Var(mean of L rows) / Var(row) is 1 for white errors of any L and grows to 1 + 2 sum rho where L passes the
+    memory; a correlation far too weak to be seen from row to row is seen there. L doubles while 20 batches are left
+    (the ratio is then known to 18 %); what is not three sigma above 1 counts as 1.
+    """
+    r = residual_nT - residual_nT.mean(axis=0)
+    power = float((r**2).mean())
+    edges = np.flatnonzero(np.diff(segment)) + 1
+    lengths = np.diff(np.concatenate([[0], edges, [len(r)]]))
+    starts = np.concatenate([[0], edges])
+    total = np.concatenate([np.zeros((1, r.shape[1])), np.cumsum(r, axis=0)])
+    worst, length = 1.0, 2
+    while power > 0 and int((lengths // length).sum()) >= _FEWEST_BATCHES:
+        at = np.concatenate([s + length * np.arange(n // length) for s, n in zip(starts, lengths, strict=True)])
+        sums = total[at + length] - total[at]
+        ratio = float((sums**2).mean()) / length / power
+        if ratio > 1.0 + 3.0 * np.sqrt(2.0 / sums.size):
+            worst = max(worst, ratio)
+        length *= 2
+    return worst

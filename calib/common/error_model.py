@@ -1,0 +1,255 @@
+"""The errors of a fit against a reference attitude: white noise, an error of the attitude, slow errors of the field.
+
+    r(t) = U(t) theta(t) + h(t) + white,     U theta = theta x B0 seen from the side that is fitted
+
+theta (3 axes of the body) and h (3 components) are first-order Gauss-Markov processes, sigma and tau each; theta may
+have a white part besides. What an attitude error puts into a component is in step with the field in the others, and so
+with the regressors: S13 - S31 and its like see the mean of theta, which a homogeneous error of the reading has not.
+
+None of the sizes is known. They are weighed by the restricted likelihood (Patterson & Thompson 1971, Biometrika 58,
+545), which allows for what was fitted, on cells of a few hundred, with priors flat in the logarithms: sigma_theta from
+1e-7 rad to 6 deg, h likewise, tau from a cell to the longest unbroken stretch (what lasts longer is a misalignment or a
+bias to these data), or about what was declared. The posterior is sampled by an adaptive Metropolis
+chain (Haario, Saksman & Tamminen 2001, Bernoulli 7, 223) with a fixed seed; covariances are means over it, so that
+they widen where the record does not tell sigma and tau apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fluxtwin.sim.base.types import FloatArray
+
+FOUND, DECLARED = "found in the data", "declared"
+_SIZES_RAD = (1e-7, 0.1)
+_LOG_SD = 0.4  # a declared attitude error is trusted to a factor 1.5
+_TAU_LOG_SD = 0.5
+_SPARE = 8  # degrees of freedom that must be left to judge by
+_SEARCH = 6  # rounds of the coordinate search
+_BURN, _KEPT = 160, 360
+_NODES = 14  # time constants of the table
+_LOCAL, _NUDGED = 0.55, 0.25  # shares of the proposals; the rest draw one coordinate anew
+_NUDGE = 0.7
+_ACCEPTED = 0.35  # aimed at (Gelman, Roberts & Gilks 1996: 0.35 in two dimensions)
+
+
+@dataclass(frozen=True)
+class ErrorModel:
+    """What a fit was taken to err by; the sizes are medians of the posterior."""
+
+    white_nT: FloatArray
+    """(3,) white noise of a reading, 1 sigma, rounding included."""
+    white_source: str
+    """`declared` or `found in the data`."""
+    expected_rms_nT: float
+    """rms of a component of the residuals (of |B| without attitude) from white noise and attitude error alone."""
+    attitude_sigma_deg: float | None = None
+    """Error of the reference attitude, 1 sigma per body axis; None where none is looked at."""
+    attitude_tau_s: float | None = None
+    """Its time constant; 0: white."""
+    attitude_source: str = ""
+    attitude_range_deg: tuple[float, float] | None = None
+    """90 % interval of the sigma."""
+    slow_nT: float = 0.0
+    """rms of a component of slow errors that are neither (field model, drift); 0: none seen."""
+    slow_tau_s: float = 0.0
+    misfit: float = 1.0
+    """Scatter of the estimating equations from block to block over what the model gives, a ratio of variances."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and text for JSON."""
+        plain = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return plain | {"white_nT": self.white_nT.tolist()}
+
+
+class Evidence(NamedTuple):
+    """What the likelihood is taken of: K cells."""
+
+    seconds: FloatArray
+    residual_nT: FloatArray
+    """(K, 3)."""
+    design: FloatArray
+    """(K, m+1) regressors and a one, free of errors as far as may be: see `estimating.evidence`."""
+    image_nT: FloatArray
+    """(K, 3, 3) U."""
+    white: FloatArray
+    """(3, 3) covariance of the white noise of a row up to a factor."""
+    effective: FloatArray
+    """(K,) rows in a cell."""
+    length_s: FloatArray
+    """(K,) how long each cell is; 0 where it is one row."""
+    longest_s: float
+    """Longest unbroken stretch."""
+
+
+class Posterior(NamedTuple):
+    """Samples of the sizes."""
+
+    sigma_nT: FloatArray
+    """(n,) factor on the root of `Evidence.white`."""
+    theta_rad: FloatArray
+    tau_s: FloatArray
+    white_theta_rad: FloatArray
+    """White from row to row."""
+    slow_nT: FloatArray
+    slow_tau_s: FloatArray
+
+    @property
+    def attitude_rad(self) -> FloatArray:
+        """(n,) both parts."""
+        return np.hypot(self.theta_rad, self.white_theta_rad)
+
+    @property
+    def taus_s(self) -> tuple[FloatArray, FloatArray]:
+        """Of the attitude's error and the slow one."""
+        return self.tau_s, self.slow_tau_s
+
+    @property
+    def nodes_s(self) -> FloatArray:
+        """Time constants at which covariances are worked out."""
+        every = np.concatenate([self.tau_s, self.slow_tau_s])
+        return np.geomspace(every.min(), max(float(every.max()), 1.001 * float(every.min())), _NODES)
+
+    def memory_s(self, field_nT: float) -> float:
+        """Mean time constant of what is correlated, by power; field_nT: what a rad of attitude error gives."""
+        theta, slow = (self.theta_rad * field_nT) ** 2, self.slow_nT**2
+        return float(theta @ self.tau_s + slow @ self.slow_tau_s) / max(float((theta + slow).sum()), 1e-300)
+
+    def constant_rad2(self, covered_s: float) -> float:
+        """Mean square, an axis, of the attitude error's mean over a time."""
+        x = np.maximum(covered_s / self.tau_s, 1e-6)
+        return float((self.theta_rad**2 * np.where(x < 1e-3, 1.0, 2.0 * (x - 1.0 + np.exp(-x)) / x**2)).mean())
+
+    def on_nodes(self, power: FloatArray, tau_s: FloatArray) -> FloatArray:
+        """(_NODES,) mean power at each node: linear in the logarithm of tau between them."""
+        at = np.log(self.nodes_s)
+        place = np.clip((np.log(tau_s) - at[0]) / (at[1] - at[0]), 0.0, _NODES - 1.0)
+        low = np.minimum(place.astype(int), _NODES - 2)
+        share = place - low
+        total = np.bincount(low, power * (1.0 - share), _NODES) + np.bincount(low + 1, power * share, _NODES)
+        return np.asarray(total / power.size)
+
+
+class _Likelihood:
+    """Log posterior of `error_kernels`. What a process does in a short time, sigma^2/tau, is well known where sigma and
+    tau are not."""
+
+    def __init__(self, of: Evidence, sigma_deg: float | None, tau_s: float | None) -> None:
+        from fluxtwin.calib.common.error_kernels import Cells
+
+        self.of = of
+        design = of.design
+        K, width = design.shape
+        scale = np.maximum(np.sqrt((design**2).mean(axis=0)), 1e-300)
+        columns = np.zeros((K, 3, 3 * width + 1))
+        for i in range(3):
+            columns[:, i, i * width : (i + 1) * width] = design / scale
+        columns[:, :, -1] = of.residual_nT
+        step = np.diff(of.seconds)
+        gap = np.concatenate([[0.0], np.maximum(step - 0.5 * (of.length_s[1:] + of.length_s[:-1]), 0.0)])
+        self.field = float(np.sqrt((of.image_nT**2).sum() / (2.0 * K)))  # |U|^2 = 2 |B0|^2
+        shortest = float(np.median(step))
+        longest = max(of.longest_s, 2.0 * shortest)
+        taus = np.log([min(shortest, 0.1 * tau_s), max(longest, 10.0 * tau_s)] if tau_s else [shortest, longest])
+        sizes = np.log(_SIZES_RAD)
+        self.low = np.array([sizes[0], taus[0], sizes[0], sizes[0] + np.log(self.field), np.log(shortest)])
+        self.high = np.array([sizes[1], taus[1], sizes[1], sizes[1] + np.log(self.field), np.log(longest)])
+        sigma = np.nan if sigma_deg is None else np.log(np.radians(sigma_deg))
+        declared = np.array([sigma, _LOG_SD, np.log(tau_s) if tau_s else np.nan, _TAU_LOG_SD])
+        self.cells = Cells(
+            columns, np.ascontiguousarray(of.image_nT), of.white[None] / of.effective[:, None, None],
+            np.einsum("kij,klj->kil", of.image_nT, of.image_nT) / of.effective[:, None, None],
+            gap, np.ascontiguousarray(of.length_s), self.low, self.high, declared, tau_s == 0.0,
+        )  # fmt: skip
+        self.gram = np.zeros((3 * width + 1, 3 * width + 1))
+
+    def __call__(self, p: FloatArray) -> float:
+        """At p (5,)."""
+        return self._walk(p, 0)[0]
+
+    def chain(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n, 5) samples and (n,) factors of the white noise, from p on.
+
+        The attitude's sigma and tau are moved together, the others apart.
+        """
+        _, points, factors = self._walk(p, _BURN + _KEPT)
+        return points[_BURN + 1 :], factors[_BURN + 1 :]
+
+    def _walk(self, p: FloatArray, n: int) -> tuple[float, FloatArray, FloatArray]:
+        from fluxtwin.calib.common.error_kernels import Draws, Walk, sample
+
+        rng = np.random.default_rng(0)  # the same record, the same answer
+        draws = Draws(
+            rng.uniform(size=n), rng.normal(size=(n, 3)), rng.integers(5, size=n), rng.uniform(size=n),
+            rng.uniform(size=n),
+        )  # fmt: skip
+        return sample(p, self.cells, draws, Walk(_BURN, _LOCAL, _NUDGED, _NUDGE, _ACCEPTED))
+
+    def starts(self) -> list[FloatArray]:
+        """An error of the attitude, slow or white; a slow error of the field; none of them."""
+        rms = float(np.sqrt((self.of.residual_nT**2).sum() / len(self.of.residual_nT)))
+        size = float(np.clip(np.log(max(rms / self.field, 1e-12)), self.low[0] + 0.5, self.high[0] - 1.0))
+        tau, slow_tau = 0.5 * (self.low[1] + self.high[1]), 0.5 * (self.low[4] + self.high[4])
+        least, slow = self.low[0] + 1.0, self.low[3] + 1.0
+        points = [
+            [size, tau, least, slow, slow_tau],
+            [least, tau, size, slow, slow_tau],
+            [least, tau, least, size + np.log(self.field), slow_tau],
+            [least, tau, least, slow, slow_tau],
+        ]
+        return [np.array(point) - 0.5 * np.array([tau, 0.0, 0.0, slow_tau, 0.0]) for point in points]
+
+
+def _sizes(p: FloatArray) -> FloatArray:
+    """Logarithms of (theta, tau, white theta, slow, slow tau); (..., 5)."""
+    out = np.array(p)
+    out[..., 0] += 0.5 * p[..., 1]
+    out[..., 3] += 0.5 * p[..., 4]
+    return out
+
+
+def find_errors(of: Evidence, sigma_deg: float | None = None, tau_s: float | None = None) -> Posterior | None:
+    """Sample the sizes; None where there are too few rows, or nothing is left to judge by.
+
+    sigma_deg, tau_s: error of the attitude as declared, tau 0 for white; None leaves it to the data.
+    """
+    width = of.design.shape[1]
+    if len(of.seconds) - width < _SPARE or not (of.residual_nT**2).sum() > 0 or not (of.image_nT**2).sum() > 0:
+        return None
+    likelihood = _Likelihood(of, sigma_deg, tau_s)
+    value, p = _climb(likelihood)
+    if not np.isfinite(value):
+        return None
+    samples, factor = likelihood.chain(p)
+    size = np.exp(_sizes(samples))
+    theta = np.zeros_like(factor) if tau_s == 0.0 else factor * size[:, 0]
+    return Posterior(factor, theta, size[:, 1], factor * size[:, 2], factor * size[:, 3], size[:, 4])
+
+
+def _climb(likelihood: _Likelihood) -> tuple[float, FloatArray]:
+    """A point near the maximum: the best of several starts, one coordinate after the other."""
+    found = []
+    for p in likelihood.starts():
+        value = likelihood(p)
+        if np.isfinite(value):
+            found.append((value, p))
+    if not found:
+        return -np.inf, likelihood.low
+    value, p = max(found, key=lambda one: one[0])
+    reach = np.full(5, 1.0)
+    for _ in range(_SEARCH):
+        for k in range(5):
+            for sign in (1.0, -1.0):
+                tried = p.copy()
+                tried[k] += sign * reach[k]
+                then = likelihood(tried)
+                if then > value:
+                    value, p = then, tried
+                    reach[k] *= 1.5
+                    break
+            else:
+                reach[k] *= 0.5
+    return value, p

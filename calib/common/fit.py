@@ -1,0 +1,100 @@
+"""The answer of any calibration method, ready to print: one record, whatever the method."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fluxtwin.calib.common.error_model import ErrorModel
+from fluxtwin.calib.common.noise import ReadingNoise
+from fluxtwin.calib.common.observability import FieldVariation
+from fluxtwin.calib.common.records import Calibration, parameter_unit
+from fluxtwin.calib.common.residuals import ResidualStatistics
+from fluxtwin.calib.common.verdict import Verdict
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """A calibration and all that should stand beside it. N rows used."""
+
+    calibration: Calibration
+    method: str
+    """The method's name, as `--method` takes it."""
+    time: TimeArray
+    """(N,) UTC."""
+    residuals_nT: FloatArray
+    """(N, 3) A B0 - [(I+S) B + b + T D], body axes; (N, 1) |(I+S) B + b + T D| - |B0| for the methods without attitude."""
+    weights: FloatArray
+    """(N,) a_k of journal eq. 4, sum 1."""
+    rows: np.ndarray
+    """(N,) indices of the used rows in the joined telemetry."""
+    left_out: Mapping[str, int]
+    """Rows not used, by reason."""
+    rejected: int
+    """Rows that the robust weights set aside (they stay in `residuals_nT`, with weight near 0)."""
+    variation: FieldVariation
+    """Eigen-directions of <B|B>."""
+    noise: ReadingNoise
+    """What was taken for the noise of the reading."""
+    statistics: ResidualStatistics
+    """Of the residuals with weight."""
+    messages: tuple[str, ...]
+    """What a person should know, in sentences."""
+    doubts: tuple[str, ...] = ()
+    """What the method itself found to contradict its answer, in sentences: with one, a fit is not good."""
+    error_model: ErrorModel | None = None
+    """What the residuals were taken to be made of; None where only white errors were."""
+    verdict: Verdict | None = None
+    """What the fit is worth; given by `methods.calibrate_by` and `fluxtwin.calibrate`."""
+
+    @property
+    def condition_number(self) -> float:
+        """Largest over smallest eigenvalue of <B|B>."""
+        return self.variation.condition_number
+
+    @property
+    def sigma(self) -> dict[str, float | None]:
+        """1 sigma by parameter name (`S11` ... `b1` ... `T33`); None where not estimated."""
+        return self.calibration.sigma
+
+    @property
+    def correlation(self) -> FloatArray:
+        """(P, P) correlation of the parameters; zero rows where not estimated."""
+        sigma = self.calibration.sigmas
+        scale = np.where(sigma > 0, sigma, 1.0)
+        return np.asarray(self.calibration.covariance / np.outer(scale, scale))
+
+    @property
+    def observability(self) -> tuple[str, ...]:
+        """What the data cannot tell, in words."""
+        return self.calibration.unobservable
+
+    def parameters(self) -> list[dict[str, Any]]:
+        """One entry a parameter: name, value, sigma (None where not estimated), unit."""
+        values = zip(self.calibration.names, self.calibration.values, strict=True)
+        sigma = self.sigma
+        return [{"name": n, "value": float(v), "sigma": sigma[n], "unit": parameter_unit(n)} for n, v in values]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and text for JSON; no NaN."""
+        return {
+            "calibration": self.calibration.to_dict(),
+            "parameters": self.parameters(),
+            "method_name": self.method,
+            "residuals": self.statistics.to_dict(),
+            "samples": {"used": len(self.time), "rejected": self.rejected, "left_out": dict(self.left_out)},
+            "observability": {
+                "condition_number": min(self.condition_number, 1e300),
+                "field_rms_nT": self.variation.rms_nT.tolist(),
+                "field_directions_B": self.variation.directions_B.tolist(),
+                "words": list(self.observability),
+            },
+            "noise": {"variance_nT2": self.noise.variance_nT2.tolist(), "source": self.noise.source},
+            "error_model": None if self.error_model is None else self.error_model.to_dict(),
+            "messages": list(self.messages),
+            "verdict": None if self.verdict is None else self.verdict.to_dict(),
+        }

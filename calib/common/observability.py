@@ -1,0 +1,241 @@
+"""What the data can tell, and what they cannot, in words.
+
+Before the fit: a torquer axis that never fired, a dipole that never changed, a dipole in proportion to the
+field, a field that does not vary in some body direction are found and named. After it: pairs of parameters
+that the data hardly separate.
+
+The test looks at the rows z = [1, B / |B|rms, D / |D|rms]. Along a unit vector v of that space the mean square
+<(v.z)^2> = l says how much the data move. What the noise of the reading contributes to l is no excitation; of
+the rest, N l / s^2 is the information about that combination of parameters, in units of |B|rms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fluxtwin.calib.common.digits import plain
+from fluxtwin.calib.common.moments import second_moment
+from fluxtwin.calib.common.records import parameter_names
+from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth.constants import NT_PER_MG
+
+AXES = ("X", "Y", "Z")
+_ROUNDING = 1e-13  # of the mean square: below this the columns are dependent to rounding
+_NOISE_SHARE = 2.0  # a variation must have twice the variance that noise alone gives it
+_WORST_SIGMA = 0.3  # of |B|rms: a combination less certain than that is refused
+_PART = 0.2  # share of a parameter in a direction from which it is named
+HARDLY_SEPARABLE = 0.95
+
+
+@dataclass(frozen=True)
+class FieldVariation:
+    """Eigenvalues of <B|B>: how far the reading moves in each direction of the body."""
+
+    rms_nT: FloatArray
+    """(3,) square roots, ascending."""
+    directions_B: FloatArray
+    """(3, 3) unit vectors in rows, in the same order."""
+
+    @property
+    def condition_number(self) -> float:
+        """Largest over smallest eigenvalue of <B|B>."""
+        return float((self.rms_nT[-1] / max(float(self.rms_nT[0]), 1e-300)) ** 2)
+
+    def words(self) -> str:
+        """One line a person can read."""
+        parts = (
+            f"{plain(r)} nT along {direction_words(v)}" for r, v in zip(self.rms_nT, self.directions_B, strict=True)
+        )
+        return "the field varies by " + ", ".join(parts) + " (rms, body axes)"
+
+
+def field_variation(xx_nT2: FloatArray) -> FieldVariation:
+    """From <B|B> (3, 3)."""
+    values, vectors = np.linalg.eigh(xx_nT2)
+    return FieldVariation(np.sqrt(np.maximum(values, 0.0)), vectors.T)
+
+
+def direction_words(v: FloatArray) -> str:
+    """`body Y`, or the components when no axis is within 25 deg."""
+    axis = int(np.argmax(np.abs(v)))
+    if abs(v[axis]) > 0.9 * float(np.linalg.norm(v)):
+        return f"body {AXES[axis]}"
+    v = v * np.sign(v[axis])
+    return f"body direction ({v[0]:.2f}, {v[1]:.2f}, {v[2]:.2f})"
+
+
+def fired_axes(D_Am2: FloatArray) -> np.ndarray:
+    """Indices of the torquer axes that fired at least once in the rows (N, 3)."""
+    return np.flatnonzero(np.abs(D_Am2).max(axis=0) > 0)
+
+
+def never_fired_words(fired: np.ndarray) -> list[str]:
+    """One sentence for each torquer axis that never fired."""
+    return [
+        f"T1{j + 1}, T2{j + 1} and T3{j + 1} are not estimated: torquer {AXES[j]} never fired in this data"
+        for j in range(3)
+        if j not in fired
+    ]
+
+
+def require_samples(rows: int, parameters: int) -> None:
+    """Raises NoAnswer when there are fewer samples than parameters."""
+    if rows < parameters:
+        raise NoAnswer(
+            f"{rows} usable sample{'s' if rows != 1 else ''} for {parameters} parameters: at least {parameters} "
+            "are needed, or fewer parameters (--parameters b)",
+            evidence={"samples": rows, "parameters": parameters},
+        )
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """Mean products of the columns of z = [1, field / |field|rms, dipole / its rms]."""
+
+    correlation: FloatArray
+    """(4 + fired, 4 + fired) <z z'>, about zero; its eigenvalues are the l of the module."""
+    field_rms_nT: float
+    fired: np.ndarray
+    """Torquer axes that stand in z."""
+    rows: int
+
+
+def excitation(
+    field_nT: FloatArray, dipole: list[FloatArray], fired: np.ndarray, a: FloatArray | None = None
+) -> Excitation:
+    """From B or A H (N, 3), and the used columns of D in a list of one, or of none; a: weights of sum 1."""
+    parts = [field_nT, *dipole]
+    mean, square = second_moment(parts, a)
+    field_rms_nT = float(np.sqrt(np.trace(square[:3, :3])))
+    if not field_rms_nT > 0:
+        raise NoAnswer("the magnetometer reads zero throughout: nothing can be calibrated", evidence={})
+    scale = np.concatenate([np.full(3, field_rms_nT), np.sqrt(np.diag(square)[3:])])
+    gram = np.ones((mean.size + 1, mean.size + 1))
+    gram[0, 1:] = gram[1:, 0] = mean / scale
+    gram[1:, 1:] = square / np.outer(scale, scale)
+    return Excitation(gram, field_rms_nT, fired, len(field_nT))
+
+
+def require_excitation(seen: Excitation, noise_variance_nT2: FloatArray, sigma_nT: float) -> None:
+    """Raises NoAnswer, naming the parameters, where a combination of them is not determined.
+
+    noise_variance_nT2: (3,) of the field's noise (0 for a reference). sigma_nT: of the residual.
+    """
+    values, vectors = np.linalg.eigh(seen.correlation)
+    noise = np.zeros(len(values))
+    noise[1:4] = noise_variance_nT2 / seen.field_rms_nT**2
+    for value, v in zip(values, vectors.T, strict=True):
+        from_noise = float(noise @ v**2)
+        signal = value - from_noise
+        free = max(seen.rows - len(values), 1)
+        relative = sigma_nT / seen.field_rms_nT / np.sqrt(max(signal, 1e-300) * free)
+        if value < _ROUNDING or signal < (_NOISE_SHARE - 1.0) * from_noise or relative > _WORST_SIGMA:
+            within_noise = signal < (_NOISE_SHARE - 1.0) * from_noise and relative <= _WORST_SIGMA
+            _refuse(v, seen.fired, float(np.sqrt(max(value, 0.0)) * seen.field_rms_nT), relative, within_noise)
+
+
+def _refuse(v: FloatArray, fired: np.ndarray, moves_nT: float, relative: float, within_noise: bool) -> None:
+    of_field, of_dipole = v[1:4], v[4:]
+    axes = [int(j) for j in np.flatnonzero(np.abs(of_field) > _PART)]
+    coils = [int(fired[j]) for j in np.flatnonzero(np.abs(of_dipole) > _PART)]
+    names = [f"S{i}{j + 1}" for j in axes for i in (1, 2, 3)]
+    names += ["b1", "b2", "b3"] if abs(v[0]) > 0.02 else []
+    names += [f"T{i}{j + 1}" for j in coils for i in (1, 2, 3)]
+    where = " and ".join(AXES[j] for j in coils)
+    if coils and axes:
+        text = (
+            f"the dipole of torquer {where} is in proportion to the field along {_axes_words(axes)}: "
+            f"{_and(names)} are not separable in this data. Fire the torquers independently of the field, or "
+            "use --parameters b,S (S then holds the effect of the torquers)"
+        )
+    elif coils and len(coils) > 1 and abs(v[0]) <= 0.02:
+        text = (
+            f"torquers {where} always fire in the same proportion: {_and(names)} are not separable in this data. "
+            "Fire them one at a time, or use --parameters b,S"
+        )
+    elif coils:
+        text = (
+            f"the dipole of torquer {where} never changes: {_and(names)} are not separable in this data. Switch "
+            "it on and off, or use --parameters b,S (b then holds the field of the torquer)"
+        )
+    else:
+        text = (
+            f"the field does not vary beyond the noise along {direction_words(of_field)}: {_and(names)} are not "
+            "separable in this data. Add orbits, days or attitudes in which it varies, or use --parameters b"
+        )
+        if within_noise:
+            text += (
+                ", or, where the reference varies, direction forward (--method forward), which its noise leaves right"
+            )
+    raise NoAnswer(text, evidence={
+        "parameters": names,
+        "direction": {"constant": float(v[0]), "field": of_field.tolist(), "dipole": of_dipole.tolist()},
+        "varies_nT": moves_nT,
+        "relative_sigma": float(relative) if relative < 1e6 else None,
+    })  # fmt: skip
+
+
+def pair_words(covariance: FloatArray, with_T: bool, field_rms_nT: float, sigma_nT: float) -> list[str]:
+    """A sentence for pairs of parameters that the data hardly separate; the worst is named.
+
+    A pair is named when its correlation is at least 0.95 and the weaker one's sigma matters: an error of one
+    sigma in S (times the rms field) or in b is larger than the residual's sigma.
+    """
+    names = parameter_names(with_T)
+    sigma = np.sqrt(np.diag(covariance))
+    found = []
+    for i in range(12):
+        for j in range(i + 1, 12):
+            if sigma[i] == 0 or sigma[j] == 0:
+                continue
+            correlation = float(covariance[i, j] / (sigma[i] * sigma[j]))
+            matters = max(_in_nT(names[k], sigma[k], field_rms_nT) for k in (i, j)) > sigma_nT
+            if abs(correlation) >= HARDLY_SEPARABLE and matters:
+                sizes = f"sigma {_sized(names[i], sigma[i])}, {_sized(names[j], sigma[j])}"
+                found.append((abs(correlation), f"{names[i]} and {names[j]} are not separable in this data: "
+                              f"correlation {correlation:.3f}, {sizes}"))  # fmt: skip
+    return worst_of(found)
+
+
+def worst_of(found: list[tuple[float, str]]) -> list[str]:
+    """One sentence of many on correlated pairs: that of the largest correlation, and how many pairs there are."""
+    if not found:
+        return []
+    more = f"; {len(found) - 1} more pairs with a correlation of {HARDLY_SEPARABLE} or more" if len(found) > 1 else ""
+    return [max(found)[1] + more]
+
+
+def weak_direction_words(variation: FieldVariation, covariance: FloatArray, sigma_nT: float) -> list[str]:
+    """A sentence when the weakest direction of the field leaves a column of S uncertain beyond 1 %."""
+    weak = variation.directions_B[0]
+    of_column = np.kron(np.eye(3), weak[None, :]) @ covariance[:9, :9] @ np.kron(np.eye(3), weak[:, None])
+    worst = float(np.sqrt(max(np.diag(of_column).max(), 0.0)))
+    if worst < 0.01:
+        return []
+    axis = int(np.argmax(np.abs(weak)))
+    names = f"S1{axis + 1}, S2{axis + 1}, S3{axis + 1}"
+    return [
+        f"the field varies by only {plain(float(variation.rms_nT[0]))} nT along {direction_words(weak)}: {names} are weak, "
+        f"sigma {worst:.2g}"
+    ]
+
+
+def _in_nT(name: str, sigma: float, field_rms_nT: float) -> float:
+    return float(sigma * field_rms_nT if name[0] == "S" else sigma)
+
+
+def _sized(name: str, sigma: float) -> str:
+    if name[0] == "S":
+        return f"{name} {sigma:.2g}"
+    return f"{name} {sigma:.3g} nT ({sigma / NT_PER_MG:.2g} mG)"
+
+
+def _axes_words(axes: list[int]) -> str:
+    return " and ".join(f"body {AXES[j]}" for j in axes)
+
+
+def _and(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]

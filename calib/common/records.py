@@ -1,0 +1,215 @@
+"""The calibration record: what the estimators hand on, and how it is applied."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fluxtwin.calib.common.conventions import Correction, Forward, forward_from_correction
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray
+
+CONVENTION = "A B0 = (I+S) B + b + T D"
+"""Journal eq. 1 of Lerner & Shuster (1981): measured to true."""
+
+COVARIANCE_KINDS = ("white", "blocks", "none")
+"""`white`: errors independent from sample to sample; `blocks`: correlated within blocks; `none`: unknown."""
+
+
+def parameter_names(with_T: bool) -> tuple[str, ...]:
+    """Names in the order of the covariance: S row by row, b, T row by row (12 or 21)."""
+    grid = [f"{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)]
+    names = [f"S{at}" for at in grid] + ["b1", "b2", "b3"]
+    return tuple(names + [f"T{at}" for at in grid] if with_T else names)
+
+
+def parameter_unit(name: str) -> str:
+    """Unit of a parameter: S is a pure number, b in nT, T in nT/(A m2)."""
+    return {"S": "1", "b": "nT", "T": "nT/(A m2)"}[name[0]]
+
+
+@dataclass(frozen=True)
+class TelemetryBias:
+    """A field in the reading that follows a column of telemetry: B = ... + s I."""
+
+    value_nT: FloatArray
+    """(3,) s: nT for a unit of the column."""
+    sigma_nT: FloatArray
+    """(3,) 1 sigma."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """S, b and T of A B0 = (I+S) B + b + T D, with their covariance. Arrays are read-only.
+
+    A parameter that was not estimated has the value 0 and zero rows in the covariance; `sigma` is None for it.
+    """
+
+    S: FloatArray
+    """(3, 3) scale, cross-talk and misalignment; a pure number."""
+    b_nT: FloatArray
+    """(3,)."""
+    T_nT_per_Am2: FloatArray | None = None
+    """(3, 3), or absent where torquers were not modelled."""
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    """(P, P), P = 12 or 21 with T; order: S row by row, b, T row by row; units of the parameters."""
+    covariance_kind: str = "none"
+    """`white`, `blocks` or `none`."""
+    sigma_nT: float = 0.0
+    """Residual of one field component, 1 sigma, rms over the three axes [nT]."""
+    samples: int = 0
+    """Vector samples used."""
+    span: tuple[np.datetime64, np.datetime64] | None = None
+    """First and last sample used, UTC."""
+    field_model: str = ""
+    method: str = ""
+    unobservable: tuple[str, ...] = ()
+    """In words: what these data cannot tell."""
+    telemetry_bias: Mapping[str, TelemetryBias] = field(default_factory=dict)
+    """By column of telemetry: field s I in the reading that is taken out before S, b and T act. Not in `covariance`."""
+    spacecraft: str = ""
+    """Whose magnetometer it is; empty where the telemetry did not say."""
+    residual_to: str = ""
+    """The calibration that had corrected the readings before; empty for a calibration of raw readings."""
+    version: str = ""
+    """Of fluxtwin, that made it."""
+
+    def __post_init__(self) -> None:
+        _set(self, "S", self.S, (3, 3))
+        _set(self, "b_nT", self.b_nT, (3,))
+        if self.T_nT_per_Am2 is not None:
+            _set(self, "T_nT_per_Am2", self.T_nT_per_Am2, (3, 3))
+        size = len(self.names)
+        covariance = np.asarray(self.covariance, dtype=np.float64)
+        _set(self, "covariance", np.zeros((size, size)) if covariance.size == 0 else covariance, (size, size))
+        if self.covariance_kind not in COVARIANCE_KINDS:
+            raise BadInput(f"{self.covariance_kind!r}", where="covariance_kind", wanted=" or ".join(COVARIANCE_KINDS))
+        object.__setattr__(self, "unobservable", tuple(self.unobservable))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameter names in the order of the covariance."""
+        return parameter_names(self.T_nT_per_Am2 is not None)
+
+    @property
+    def values(self) -> FloatArray:
+        """(P,) parameters in the order of the covariance."""
+        T = np.zeros(0) if self.T_nT_per_Am2 is None else self.T_nT_per_Am2.ravel()
+        return np.concatenate([self.S.ravel(), self.b_nT, T])
+
+    @property
+    def sigmas(self) -> FloatArray:
+        """(P,) 1 sigma, 0 where a parameter was not estimated."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def estimated(self) -> tuple[str, ...]:
+        """Names of the parameters that were estimated."""
+        return tuple(n for n, s in zip(self.names, self.sigmas, strict=True) if s > 0)
+
+    @property
+    def sigma(self) -> dict[str, float | None]:
+        """1 sigma by parameter name; None where the parameter was not estimated."""
+        return {n: float(s) if s > 0 else None for n, s in zip(self.names, self.sigmas, strict=True)}
+
+    @property
+    def correction(self) -> Correction:
+        """The same numbers as a `conventions.Correction`, for conversion to other conventions."""
+        return Correction(self.S, self.b_nT, self.T_nT_per_Am2)
+
+    @property
+    def forward(self) -> Forward:
+        """G, o, C of B = G A H + o + C D."""
+        return forward_from_correction(self.correction)
+
+    def apply(
+        self,
+        mag_B_nT: FloatArray,
+        dipole_B_Am2: FloatArray | None = None,
+        columns: Mapping[str, FloatArray] | None = None,
+    ) -> FloatArray:
+        """(N, 3) estimate of the true field in body axes: (I+S) B + b + T D (journal eq. 1).
+
+        mag_B_nT, dipole_B_Am2: (N, 3), body. columns: (N,) of telemetry, by name, for `telemetry_bias`. Rows with
+        missing numbers come out missing. Raises BadInput when T is known but no dipole is given, or a column that
+        the reading follows is missing.
+        """
+        reading = self._without_telemetry_bias(np.asarray(mag_B_nT, dtype=np.float64), columns or {})
+        true = reading + reading @ self.S.T + self.b_nT
+        if self.T_nT_per_Am2 is None or not self.T_nT_per_Am2.any():
+            return true
+        if dipole_B_Am2 is None:
+            raise BadInput(
+                "this calibration has a T, and no torquer dipole is given",
+                where="dipole_x_Am2 dipole_y_Am2 dipole_z_Am2",
+                wanted="the dipole columns, or a calibration made with --parameters b,S",
+            )
+        # A column of T that is zero must not spread a blank dipole of that axis.
+        used = np.flatnonzero(self.T_nT_per_Am2.any(axis=0))
+        dipole = np.asarray(dipole_B_Am2, dtype=np.float64)[..., used]
+        return np.asarray(true + dipole @ self.T_nT_per_Am2[:, used].T)
+
+    def _without_telemetry_bias(self, reading_nT: FloatArray, columns: Mapping[str, FloatArray]) -> FloatArray:
+        for name, bias in self.telemetry_bias.items():
+            if name not in columns:
+                raise BadInput(
+                    f"this calibration takes out a field that follows {name!r}, and the column is not there",
+                    where=name,
+                    wanted="telemetry with that column, or a calibration made without --telemetry-bias",
+                )
+            reading_nT = reading_nT - np.asarray(columns[name], dtype=np.float64)[..., None] * bias.value_nT
+        return reading_nT
+
+    def unapply(self, field_B_nT: FloatArray, dipole_B_Am2: FloatArray | None = None) -> FloatArray:
+        """(N, 3) the reading that this calibration expects of a true field; inverse of `apply`."""
+        plain = np.asarray(field_B_nT, dtype=np.float64) - self.apply(np.zeros(3), None if self._no_T else np.zeros(3))
+        if not self._no_T:
+            if dipole_B_Am2 is None:
+                raise BadInput("this calibration has a T, and no torquer dipole is given", where="dipole")
+            assert self.T_nT_per_Am2 is not None
+            plain = plain - np.asarray(dipole_B_Am2, dtype=np.float64) @ self.T_nT_per_Am2.T
+        return np.asarray(plain @ np.linalg.inv(np.eye(3) + self.S).T)
+
+    @property
+    def _no_T(self) -> bool:
+        return self.T_nT_per_Am2 is None or not self.T_nT_per_Am2.any()
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the content, as the calibration file states it."""
+        from fluxtwin.calib.common.calibration_file import digest_of, file_content
+
+        return digest_of(file_content(self))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and text by name, S, b and T as arrays; no NaN."""
+        from fluxtwin.calib.common.calibration_file import calibration_to_dict
+
+        return calibration_to_dict(self)
+
+    def to_toml(self, path: Path | str) -> Path:
+        """Write the calibration file atomically. Raises BadInput when it cannot be written."""
+        from fluxtwin.calib.common.calibration_file import write_calibration
+
+        return write_calibration(self, path)
+
+    @classmethod
+    def from_toml(cls, path: Path | str) -> Calibration:
+        """Read a calibration file. Raises BadInput naming file, key, what was found and what is wanted."""
+        from fluxtwin.calib.common.calibration_file import read_calibration
+
+        return read_calibration(path)
+
+
+def _set(record: Calibration, name: str, value: FloatArray, shape: tuple[int, ...]) -> None:
+    array = np.array(value, dtype=np.float64)
+    if array.shape != shape:
+        raise BadInput(f"has shape {array.shape}", where=name, wanted=f"shape {shape}")
+    if not np.isfinite(array).all():
+        raise BadInput("holds a number that is not finite", where=name, wanted="finite numbers")
+    array.setflags(write=False)
+    object.__setattr__(record, name, array)

@@ -1,0 +1,134 @@
+"""Residual statistics: rms per axis, correlation in time, and the test on days that were not used."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fluxtwin.calib.common.covariance import autocorrelation, correlation_time_s, segments
+from fluxtwin.calib.common.design import joined, reference_field_B_nT
+from fluxtwin.calib.common.moments import second_moment, stretches
+from fluxtwin.calib.common.records import Calibration
+from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth.constants import NT_PER_MG
+from fluxtwin.sim.earth.field import FieldModel
+from fluxtwin.sim.telemetry.record import Telemetry
+
+_LAGS_SHOWN = 10
+_ROWS = 50_000  # of a longer record, stretches that add up to this give the correlations
+
+
+@dataclass(frozen=True)
+class ResidualStatistics:
+    """Of true-field residuals A B0 - [(I+S) B + b + T D], body axes."""
+
+    samples: int
+    mean_nT: FloatArray
+    """(3,)."""
+    rms_nT: FloatArray
+    """(3,) about zero, per axis."""
+    lag_correlation: FloatArray
+    """Correlation of residuals 0, 1, 2, ... samples apart, mean over the axes."""
+    correlation_time_s: float
+    """Where that falls below 1/e."""
+
+    @property
+    def component_rms_nT(self) -> float:
+        """rms of one component over the three axes: the papers' "rms residual"."""
+        return float(np.sqrt((self.rms_nT**2).mean()))
+
+    @property
+    def component_rms_mG(self) -> float:
+        """The same in mG."""
+        return self.component_rms_nT / NT_PER_MG
+
+    @property
+    def rms_mG(self) -> FloatArray:
+        """(3,) per axis in mG."""
+        return self.rms_nT / NT_PER_MG
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers; no NaN."""
+        return {
+            "samples": self.samples,
+            "mean_nT": self.mean_nT.tolist(),
+            "rms_nT": self.rms_nT.tolist(),
+            "component_rms_nT": self.component_rms_nT,
+            "component_rms_mG": self.component_rms_mG,
+            "lag_correlation": self.lag_correlation.tolist(),
+            "correlation_time_s": self.correlation_time_s,
+        }
+
+
+def residual_statistics(time: TimeArray, residual_nT: FloatArray) -> ResidualStatistics:
+    """Statistics of residuals (N, 3) at `time` (N,); rows that are not finite are left out."""
+    finite = np.isfinite(residual_nT).all(axis=1)
+    r, stamps = (residual_nT, time) if finite.all() else (residual_nT[finite], time[finite])
+    if not len(r):
+        raise NoAnswer("there is no residual: no row has reading, attitude and position", evidence={"samples": 0})
+    mean, square = second_moment([r])
+    some = stretches(len(r), _ROWS)
+    segment = segments(stamps[some])
+    lags = min(_LAGS_SHOWN, max(1, len(some) // 4))
+    return ResidualStatistics(
+        samples=len(r),
+        mean_nT=mean,
+        rms_nT=np.sqrt(np.diag(square)),
+        lag_correlation=autocorrelation(r[some], segment, range(lags + 1)),
+        correlation_time_s=correlation_time_s(stamps[some], r[some], segment),
+    )
+
+
+def expected_covariance_nT2(
+    S: FloatArray,
+    field_B_nT: FloatArray,
+    noise_variance_nT2: FloatArray,
+    sigma_attitude_rad: float,
+    sigma_field_nT: float = 0.0,
+) -> FloatArray:
+    """(N, 3, 3) covariance that the residual should have: (I+S) Sigma_B (I+S)' + [B x] Sigma_att [B x]' + Sigma_field.
+
+    field_B_nT: (N, 3). noise_variance_nT2: (3,), quantisation included. sigma_attitude_rad: per axis of the
+    reference attitude. sigma_field_nT: per component of the field model. From journal eq. 1, errors to
+    first order.
+    """
+    M = np.eye(3) + S
+    B = np.asarray(field_B_nT, dtype=np.float64)
+    # [B x][B x]' = |B|^2 I - B B'
+    turned = (B**2).sum(axis=1)[:, None, None] * np.eye(3) - B[:, :, None] * B[:, None, :]
+    constant = (M * noise_variance_nT2) @ M.T + sigma_field_nT**2 * np.eye(3)
+    return np.asarray(constant + sigma_attitude_rad**2 * turned)
+
+
+def residuals_of(records: Telemetry | Sequence[Telemetry], calibration: Calibration, model: FieldModel) -> FloatArray:
+    """(N, 3) A B0 - [(I+S) B + b + T D] of telemetry under a calibration made elsewhere; NaN where unknown."""
+    telemetry = joined(records)
+    return reference_field_B_nT(telemetry, model) - calibration.apply(telemetry.mag_B_nT, telemetry.dipole_B_Am2)
+
+
+def predict(
+    records: Telemetry | Sequence[Telemetry], calibration: Calibration, model: FieldModel
+) -> ResidualStatistics:
+    """How well a calibration predicts telemetry that was not used to make it."""
+    telemetry = joined(records)
+    return residual_statistics(telemetry.time, residuals_of(telemetry, calibration, model))
+
+
+def hold_out(
+    records: Sequence[Telemetry], fit: Callable[[list[Telemetry]], Calibration], model: FieldModel
+) -> list[ResidualStatistics]:
+    """Each record predicted by the calibration of all the others.
+
+    Raises NoAnswer for fewer than two records.
+    """
+    if len(records) < 2:
+        raise NoAnswer("one record alone leaves nothing to hold out; give two or more", evidence={})
+    out = []
+    for held, record in enumerate(records):
+        others = [other for at, other in enumerate(records) if at != held]
+        out.append(predict(record, fit(others), model))
+    return out

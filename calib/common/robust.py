@@ -1,0 +1,92 @@
+"""Weights that survive bit errors.
+
+Iteratively reweighted least squares on the size of the residual vector, in the *forward* form B = G A H + o +
+C D: a bit error sits in the reading B, so there it can spoil the left side only and has no leverage. The
+weights then serve either direction. Huber weights lead from a start that no outlier reaches (G = I, o the
+median) to the neighbourhood; Tukey's biweight then gives gross errors the weight zero. Huber alone only
+bounds them: what it leaves of a wrong reading still attenuates S in the linear direction.
+
+Scale: median of |r|, each axis on its own, which up to half of the samples may be bad. Source: Maronna,
+Martin & Yohai (2006), Robust Statistics, ch. 2, 4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray
+
+KINDS = ("huber", "tukey")
+_MAD_TO_SIGMA = 1.482602218505602
+_HUBER_AT = 2.0
+"""In sigma of the three-component distance: 74 % of a Gaussian lies inside, efficiency 96 %."""
+TUKEY_AT = 6.0
+"""Efficiency for three Gaussian components 95 %; weight zero beyond six sigma."""
+_ROUNDS = 50
+
+
+def kind_of(asked: str | bool | None) -> str | None:
+    """`tukey` where nothing is asked for, None for `none`; raises BadInput for another kind."""
+    kind = "tukey" if asked is None or asked is True else "none" if asked is False else asked
+    if kind not in (*KINDS, "none"):
+        raise BadInput(f"{kind!r}", where="robust", wanted=" or ".join((*KINDS, "none")))
+    return None if kind == "none" else kind
+
+
+@dataclass(frozen=True)
+class RobustWeights:
+    """Weights of the rows, and what the covariance must know about them."""
+
+    weights: FloatArray
+    """(N,) between 0 and 1."""
+    sharpness: float
+    """Mean derivative of the influence over the mean weight: slopes are 1/sharpness as uncertain."""
+    rejected: int
+    """Rows of weight below 0.01."""
+
+
+def robust_weights(start_nT: FloatArray, refit: Callable[[FloatArray], FloatArray], kind: str) -> RobustWeights:
+    """Weights of rows by `huber` or `tukey`.
+
+    start_nT: (N, 3) residuals that no outlier has pulled, up to a constant; (N, 1) where only |B| is fitted. refit:
+    residuals like it of the fit with the weights (N,) it is given. Raises BadInput for another kind.
+    """
+    if kind not in KINDS:
+        raise BadInput(f"{kind!r}", where="robust", wanted=" or ".join(KINDS))
+    r = start_nT - np.median(start_nT, axis=0)
+    weights = np.ones(len(r))
+    for stage in ("huber", "tukey") if kind == "tukey" else ("huber",):
+        for _ in range(_ROUNDS):
+            new, _ = _weigh(robust_distance(r), stage)
+            r = refit(new)
+            moved = float(np.abs(new - weights).max())
+            weights = new
+            if moved < 1e-3:
+                break
+    distance = robust_distance(r)
+    weights, slope = _weigh(distance, kind)
+    # E[psi'] of a radial influence w(d) r in n dimensions is w + w'(d) d / n
+    sharpness = float((weights + slope * distance / r.shape[1]).mean() / weights.mean())
+    return RobustWeights(weights, sharpness, int((weights < 0.01).sum()))
+
+
+def robust_distance(r: FloatArray) -> FloatArray:
+    """(N,) size of the residual vector in units of each axis's own robust sigma."""
+    sigma = _MAD_TO_SIGMA * np.median(np.abs(r - np.median(r, axis=0)), axis=0)
+    floor = max(1e-6 * float(np.abs(r).max()), 1e-12)  # more than half of an axis may sit on one LSB
+    spread = np.maximum(sigma, floor)
+    return np.asarray(np.sqrt(((r / spread) ** 2).sum(axis=1)))
+
+
+def _weigh(distance: FloatArray, kind: str) -> tuple[FloatArray, FloatArray]:
+    """Weight w(d) and its derivative."""
+    if kind == "huber":
+        outside = distance > _HUBER_AT
+        safe = np.where(outside, distance, _HUBER_AT)
+        return np.where(outside, _HUBER_AT / safe, 1.0), np.where(outside, -_HUBER_AT / safe**2, 0.0)
+    u = np.minimum(distance / TUKEY_AT, 1.0)
+    return (1.0 - u**2) ** 2, -4.0 * u * (1.0 - u**2) / TUKEY_AT

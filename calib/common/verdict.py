@@ -1,0 +1,330 @@
+"""Is a calibration good, what does it mean in degrees, what do the data not tell, what comes next: one judgement.
+
+The residual is compared with what noise, LSB and attitude error give. Where the attitude error was found in the same
+residual that comparison proves nothing, so the part along the field is compared by itself: no error of the attitude,
+large or slow, has a part there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from fluxtwin.calib.common.covariance import correlation_time_s, observed_s, segments
+from fluxtwin.calib.common.digits import measured, plain
+from fluxtwin.calib.common.direction import CONFIDENCE, DirectionKnowledge, direction_knowledge
+from fluxtwin.calib.common.observability import HARDLY_SEPARABLE, direction_words
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
+
+if TYPE_CHECKING:
+    from fluxtwin.calib.common.fit import Fit
+
+IMPOSSIBLE_S = 0.2
+"""An element of S that no magnetometer has: scale and axes are made and measured on ground to a few percent."""
+IMPOSSIBLE_RESIDUAL = 0.1
+"""Residual over field, rms: a tenth is an attitude wrong by six degrees."""
+SEVERAL = 3.0
+"""A residual so many times what is expected is not that of a calibrated magnetometer."""
+FIELD_MODEL_NT = 150.0
+"""Error of |B| that a main-field model may have, 1 sigma (error model of the World Magnetic Model, technical reports of
+2020 and 2025, at the surface; less in orbit): allowed before a residual is called impossible."""
+_FALSE_ALARM = 1e-3  # of a comparison of variances
+_TRUSTED = 1.5  # a declared attitude error is trusted to that factor, as in `error_model`
+_WEAK_S = 0.01  # 1 sigma: half a degree, or a percent of the field
+_MANY_OUTLIERS = 0.01  # of the rows: the share up to which the sigmas were measured (docs/calibration.md)
+_SHOWN = 5
+_SET_ASIDE = 0.01  # a weight below this share of the largest: the row does not count
+
+
+class Pair(NamedTuple):
+    """Two parameters and their correlation."""
+
+    one: str
+    other: str
+    correlation: float
+
+
+class Along(NamedTuple):
+    """The residual along the field [nT], rms."""
+
+    found_nT: float
+    noise_nT: float
+    """From white noise and LSB."""
+    allowed: float
+    """Ratio of rms that chance alone passes once in a thousand times."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the fit is worth."""
+
+    level: str
+    """`good`; `usable`, with the limits in `reasons`; `bad`: no file should be made of it."""
+    reasons: tuple[str, ...]
+    """Why it is not good, in sentences; none for a good one."""
+    residual: str
+    """The residual beside what is expected, in words."""
+    residual_nT: float
+    along_field_nT: float
+    """rms along the field, where no attitude error has a part."""
+    along_field_expected_nT: float
+    """Of that, what white noise and LSB give."""
+    direction: DirectionKnowledge
+    set_aside: int
+    """Rows that count for nothing, as outliers."""
+    correlated: tuple[Pair, ...]
+    """The most correlated pairs of parameters, worst first, at most five."""
+    not_observable: tuple[str, ...]
+    next_step: str
+    """A command with TELEMETRY and CALIBRATION.toml for the files, or a manoeuvre."""
+
+    @property
+    def impossible(self) -> bool:
+        """Whether this is no calibration of a magnetometer."""
+        return self.level == "bad"
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The first lines of an answer: good or not, degrees, what is not observable, what next."""
+        d = self.direction
+        head = {"good": "Good", "usable": "Usable, with limits", "bad": "Bad: not a calibration"}[self.level]
+        words = f"{head}. {self.residual}"
+        seen = self.not_observable
+        here, anywhere = plain(d.calibration_deg, 2), plain(d.calibration_anywhere_deg, 2)
+        degrees = (
+            f"Direction of the field, absolute knowledge error (AKE) at {100 * CONFIDENCE:.0f} %: "
+            f"{plain(d.before_deg, 2)} deg before, {plain(d.after_deg, 2)} deg after. The calibration's own errors give "
+            f"{here} deg ({anywhere} deg in any attitude), the noise of one reading {plain(d.noise_deg, 2)} deg."
+        )
+        if d.against_reference_deg is not None:
+            degrees += f" Against the reference attitude, its error included: {plain(d.against_reference_deg, 2)} deg."
+        return (
+            words,
+            *self.reasons,
+            *([] if self.impossible else [degrees]),
+            f"Not observable in these data: {len(seen)} limits, listed below." if len(seen) > 1
+            else f"Not observable in these data: {seen[0]}." if seen else "Nothing that was asked for is unobservable.",
+            f"Next: {self.next_step}",
+        )  # fmt: skip
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and text for JSON."""
+        plain_lists = {name: list(getattr(self, name)) for name in ("reasons", "not_observable", "lines")}
+        pairs = [list(pair) for pair in self.correlated]
+        return {**asdict(self), **plain_lists, "correlated": pairs, "confidence": CONFIDENCE}
+
+
+def judge(
+    fit: Fit, telemetry: Telemetry, *, attitude_sigma_deg: float | None = None, against_attitude: bool = True
+) -> Verdict:
+    """The verdict on a fit of a record (joined, as it was fitted). Pure: the same fit, the same verdict.
+
+    attitude_sigma_deg: error of the reference attitude as it was declared. against_attitude: whether the method took the
+    telemetry's attitude for its reference.
+    """
+    known, kept = fit.calibration, kept_rows(fit.weights)
+    B = telemetry.mag_B_nT[fit.rows]
+    D = None if telemetry.dipole_B_Am2 is None else telemetry.dipole_B_Am2[fit.rows]
+    columns = {name: values[fit.rows] for name, values in recorded_columns(telemetry).items()}
+    field_nT = known.apply(B, D, columns)
+    with_attitude = fit.residuals_nT.shape[1] == 3
+    true_nT = field_nT + fit.residuals_nT if with_attitude else field_nT
+    direction = direction_knowledge(
+        known, B[kept], None if D is None else D[kept], field_nT[kept], true_nT[kept], fit.noise.variance_nT2
+    )
+    along = _along(fit, field_nT, kept)
+    residual_nT = known.sigma_nT
+    declared = _against_declared(fit, attitude_sigma_deg)
+    strength_nT = float(np.sqrt((true_nT[kept] ** 2).sum(axis=1).mean()))
+    impossible = _impossible(fit, declared, along, residual_nT, strength_nT)
+    if not (with_attitude and against_attitude):
+        direction = replace(direction, against_reference_deg=None)
+    limits = [] if impossible else _limits(fit, declared, along, direction, strength_nT)
+    return Verdict(
+        level="bad" if impossible else "usable" if limits else "good",
+        reasons=tuple(impossible or limits),
+        residual=_residual_words(fit, along, residual_nT, impossible=bool(impossible)) + _aside_words(fit),
+        residual_nT=residual_nT,
+        along_field_nT=along.found_nT,
+        along_field_expected_nT=along.noise_nT,
+        direction=direction,
+        set_aside=fit.rejected,
+        correlated=worst_pairs(fit),
+        not_observable=fit.observability,
+        next_step=_next_step(fit, bool(impossible), along, direction),
+    )
+
+
+def kept_rows(weights: FloatArray) -> BoolArray:
+    """(N,) rows that count; the others were set aside as outliers."""
+    return np.asarray(weights >= _SET_ASIDE * weights.max(), dtype=np.bool_)
+
+
+def worst_pairs(fit: Fit) -> tuple[Pair, ...]:
+    """Pairs of parameters with a correlation of 0.95 or more, worst first; S12 and S21 of a symmetric S are one."""
+    C, names = fit.correlation, fit.calibration.names
+    found = []
+    for i in range(len(names)):
+        for j in range(i):
+            twins = names[i][0] == "S" and names[i][1:] == names[j][:0:-1] and bool(np.allclose(C[i], C[j], atol=1e-9))
+            if abs(C[i, j]) >= HARDLY_SEPARABLE and not twins:
+                found.append(Pair(names[j], names[i], float(C[i, j])))
+    return tuple(sorted(found, key=lambda pair: -abs(pair.correlation))[:_SHOWN])
+
+
+def _along(fit: Fit, field_nT: FloatArray, kept: BoolArray) -> Along:
+    u = field_nT / np.linalg.norm(field_nT, axis=1)[:, None]
+    r = (u * fit.residuals_nT).sum(axis=1) if fit.residuals_nT.shape[1] == 3 else fit.residuals_nT[:, 0]
+    r, u, time = r[kept], u[kept], fit.time[kept]
+    turned = u @ (np.eye(3) + fit.calibration.S)
+    noise = float(np.sqrt(((turned**2) @ fit.noise.variance_nT2).mean()))
+    segment = segments(time)
+    memory_s = correlation_time_s(time, r[:, None], segment)
+    effective = max(2.0, min(float(len(r)), observed_s(time, segment) / max(2.0 * memory_s, 1e-9)))
+    allowed = float(np.sqrt(chi2.ppf(1.0 - _FALSE_ALARM, effective) / effective))
+    return Along(float(np.sqrt((r**2).mean())), noise, allowed)
+
+
+class Declared(NamedTuple):
+    """The attitude error that the residual asks for, against the declared one."""
+
+    ratio: float
+    """The lower end of its 90 % interval over what was declared; 0 where nothing was declared."""
+    words: str
+
+
+def _against_declared(fit: Fit, declared_deg: float | None) -> Declared:
+    model = fit.error_model
+    if not declared_deg or model is None or model.attitude_sigma_deg is None or model.attitude_range_deg is None:
+        return Declared(0.0, "")
+    low, high = model.attitude_range_deg
+    return Declared(
+        low / declared_deg,
+        f"The residual asks for an attitude error of {plain(model.attitude_sigma_deg, 2)} deg (90 %: {plain(low, 2)} to "
+        f"{plain(high, 2)} deg); {declared_deg:g} deg were declared.",
+    )
+
+
+def _impossible(fit: Fit, declared: Declared, along: Along, residual_nT: float, field_rms_nT: float) -> list[str]:
+    """Sentences that say why this is no calibration of a magnetometer; none where it may be one."""
+    found = []
+    known = fit.calibration
+    at = int(np.abs(known.S).argmax())
+    value, sigma = float(known.S.ravel()[at]), float(known.sigmas[at])
+    if abs(value) > IMPOSSIBLE_S:
+        unsure = abs(value) - IMPOSSIBLE_S < 2.0 * sigma
+        found.append(
+            f"{known.names[at]} = {measured(value, sigma or None)}: no magnetometer is wrong by more than "
+            f"{100 * IMPOSSIBLE_S:.0f} %; outliers, unit, axes, attitude or clock are"
+            + (", or these data hardly determine it." if unsure else ".")
+        )
+    allowed_nT = SEVERAL * along.allowed * float(np.hypot(along.noise_nT, FIELD_MODEL_NT))
+    if along.found_nT > allowed_nT:
+        found.append(
+            f"Along the field, where no attitude error acts, the residual is {plain(along.found_nT)} nT; noise gives "
+            f"{plain(along.noise_nT)} nT and a field model is wrong by some {FIELD_MODEL_NT:.0f} nT: clock, position, unit "
+            "or field model may be wrong."
+        )
+    if declared.ratio > SEVERAL:
+        found.append(declared.words)
+    if residual_nT > IMPOSSIBLE_RESIDUAL * field_rms_nT / np.sqrt(fit.residuals_nT.shape[1]):
+        found.append(
+            f"The residual is {100 * residual_nT * np.sqrt(fit.residuals_nT.shape[1]) / field_rms_nT:.0f} % of the field: "
+            "attitude, axes, clock, position or unit may be wrong."
+        )
+    return found
+
+
+def _limits(fit: Fit, declared: Declared, along: Along, direction: DirectionKnowledge, strength_nT: float) -> list[str]:
+    """Sentences that say what a usable calibration lacks."""
+    known = fit.calibration
+    found = [*fit.doubts, *([declared.words] if declared.ratio > _TRUSTED else [])]
+    only_b = not known.sigmas[:9].any()
+    if along.found_nT > np.sqrt(2.0) * along.allowed * along.noise_nT:
+        rest = float(np.sqrt(along.found_nT**2 - along.noise_nT**2))
+        of_model = not _beyond_model(along)
+        found.append(
+            f"Along the field {plain(rest)} nT are left that noise does not give"
+            + (
+                ": an error of the field model"
+                if of_model
+                else f", more than the {FIELD_MODEL_NT:.0f} nT of a field model: clock"
+            )
+            + (", S, which was not estimated," if only_b else "")
+            + " or an effect that is not modelled."
+        )
+    if along.found_nT > _WEAK_S * strength_nT:
+        found.append(f"A single corrected reading misses the field by {100 * along.found_nT / strength_nT:.1f} %.")
+    if _many_outliers(fit):
+        found.append(
+            f"More than {100 * _MANY_OUTLIERS:.0f} % of the rows were set aside as outliers: the sigmas were not tested "
+            "with so many."
+        )
+    at = int(known.sigmas[:9].argmax())
+    if known.sigmas[at] > _WEAK_S:
+        found.append(
+            f"{known.names[at]} is known to ± {plain(float(known.sigmas[at]), 2)} only: in attitudes that these data do not "
+            f"have, the calibration may be wrong by {plain(direction.calibration_anywhere_deg, 2)} deg."
+        )
+    if direction.after_deg >= direction.before_deg:
+        found.append("The direction of the field is not better known with this calibration than without it.")
+    return found
+
+
+def _beyond_model(along: Along) -> bool:
+    """Whether more is left along the field than noise and a field model give."""
+    return bool(along.found_nT > np.hypot(along.allowed * along.noise_nT, FIELD_MODEL_NT))
+
+
+def _residual_words(fit: Fit, along: Along, residual_nT: float, *, impossible: bool) -> str:
+    if impossible:  # of a fit that is none the noise cannot be told
+        return (
+            f"The residual is {plain(residual_nT)} nT {'of |B|' if fit.residuals_nT.shape[1] == 1 else 'a component'}."
+        )
+    of_reading, given = plain(float(np.sqrt(fit.noise.variance_nT2.mean()))), plain(along.noise_nT)
+    if fit.residuals_nT.shape[1] == 1:
+        return (
+            f"The residual of |B| is {plain(residual_nT)} nT; noise of the reading, {of_reading} nT, gives {given} nT."
+        )
+    model, because = fit.error_model, f"the noise of the reading is {of_reading} nT"
+    if model is not None and model.attitude_sigma_deg is not None:
+        because = (
+            f"a noise of {of_reading} nT and an attitude error of {plain(model.attitude_sigma_deg, 2)} deg "
+            f"({model.attitude_source}) give {plain(model.expected_rms_nT)} nT"
+        )
+    return (
+        f"The residual is {plain(residual_nT)} nT a component; {because}. Along the field, where no attitude error acts, "
+        f"it is {plain(along.found_nT)} nT, and noise gives {given} nT."
+    )
+
+
+def _aside_words(fit: Fit) -> str:
+    return (
+        f" {fit.rejected} rows of {_rows(fit)} lie far from the fit and have no weight in it." if fit.rejected else ""
+    )
+
+
+def _rows(fit: Fit) -> int:
+    """Rows that there were before outliers were set aside: some methods keep those with weight 0, some drop them."""
+    return int(kept_rows(fit.weights).sum()) + fit.rejected
+
+
+def _many_outliers(fit: Fit) -> bool:
+    return fit.rejected > _MANY_OUTLIERS * _rows(fit)
+
+
+def _next_step(fit: Fit, impossible: bool, along: Along, direction: DirectionKnowledge) -> str:
+    if impossible or _beyond_model(along) or _many_outliers(fit):
+        return "fluxtwin check TELEMETRY"
+    if along.found_nT > np.sqrt(2.0) * along.allowed * along.noise_nT:
+        if not fit.calibration.sigmas[:9].any():
+            return "fluxtwin calibrate TELEMETRY --parameters b,S"
+        return "fluxtwin diagnose TELEMETRY --html diagnosis.html"
+    weak = direction_words(fit.variation.directions_B[0])
+    if direction.calibration_deg > direction.noise_deg:
+        return f"add data in which the field varies more along {weak} (a slew, or other orbits), and calibrate again"
+    return "fluxtwin apply TELEMETRY --calibration CALIBRATION.toml --out CORRECTED"

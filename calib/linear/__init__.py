@@ -1,0 +1,1 @@
+"""Linear regression for S, b and T against a reference attitude."""

@@ -1,0 +1,296 @@
+"""The covariance that a linear calibration states, in the order of the calibration file, and the words beside it.
+
+`white`: see `covariance`. `blocks`: errors are correlated in time. What errors can be is fitted to the residual
+(`error_model`: white noise, an error theta x B0 of the reference attitude, slow errors of the field), and carried through
+the estimator that was used, (X'X)^-1 X' V X (X'X)^-1, averaged over what the residual leaves possible. The estimator
+stays least squares: it is right whatever V is, where one weighted by V would lean on the component along the field,
+which an attitude error spares and an error of the field model does not. Blocks then judge the model: scores of blocks are
+compared with what it gives them, blocks growing from a 192nd to an eighth of the record until their scatter grows no
+more, and the covariance follows them as far as they are many (`shrinkage`). It is never singular.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from fluxtwin.calib.common.conventions import forward_jacobian
+from fluxtwin.calib.common.covariance import (
+    FEWEST_BLOCKS,
+    batch_widening,
+    bread_of,
+    groupings,
+    observed_s,
+    plain_covariance,
+    sandwich_covariance,
+    segments,
+    uncentred,
+)
+from fluxtwin.calib.common.digits import plain
+from fluxtwin.calib.common.error_model import DECLARED, FOUND, ErrorModel, Posterior, find_errors
+from fluxtwin.calib.common.shrinkage import grown, half_of, in_units_of
+from fluxtwin.calib.common.slow_errors import cells, kernel_moments
+from fluxtwin.calib.linear.estimating_equations import Spread, evidence, of_blocks, spread_of, sums, white_of
+from fluxtwin.calib.linear.problem import Job, Solution
+from fluxtwin.sim.base.types import FloatArray
+
+_SANDWICH_ROWS = 10  # a parameter of one axis
+_TOO_SMALL = 1.2  # by so much may white sigmas be too small before it is said
+_LONG_MEMORY = 0.05  # of a pass
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What the calibration says of its own errors."""
+
+    covariance: FloatArray
+    """(P, P) in the order of the calibration file."""
+    messages: tuple[str, ...]
+    """How it was found."""
+    unobservable: tuple[str, ...]
+    """What it does not cover."""
+    errors: ErrorModel | None = None
+    """What the errors were taken for; None for white ones."""
+
+
+def stated_covariance(job: Job, solution: Solution, passes: np.ndarray | None) -> Stated:
+    """White or allowing for correlation, plus what the noise of the reading and a declared field error add."""
+    messages, unobservable = [], []
+    segment = segments(job.design.time)
+    errors = None
+    if job.options.covariance == "blocks":
+        found = _correlated(job, solution, passes)
+        stacked, errors = found.stacked, found.errors
+        messages.append(f"covariance: {found.words}")
+        unobservable += _orbit_long_words(job, segment, found.memory_s, passes)
+    else:
+        stacked = _white(job, solution)
+        factor = float(np.sqrt(batch_widening(solution.residual_nT, segment)))
+        if factor > _TOO_SMALL:
+            messages.append(
+                f"the residuals are correlated in time: white sigmas are too small, by up to {factor:.1f}; "
+                "covariance blocks (--covariance blocks) allows for it"
+            )
+    stacked = stacked + _from_noise_uncertainty(job, solution) + _from_field_error(job, solution)
+    if job.options.field_error_nT:
+        messages.append(
+            f"field model taken as wrong by {job.options.field_error_nT:.4g} nT rms an axis with a memory of "
+            f"{job.design.radian_s:.0f} s, a radian of the orbit"
+        )
+    return Stated(_in_file_order(job, solution, stacked), tuple(messages), tuple(unobservable), errors)
+
+
+class _Found(NamedTuple):
+    stacked: FloatArray
+    words: str
+    memory_s: float
+    errors: ErrorModel | None
+
+
+def _correlated(job: Job, solution: Solution, passes: np.ndarray | None) -> _Found:
+    """Stacked covariance by the model of the errors, as far as blocks bear it out."""
+    options = job.options
+    kept = job.weights > 0 if job.robust is None else (job.robust.weights >= 0.01) & (job.weights > 0)
+    posterior = find_errors(evidence(job, solution, kept), options.attitude_sigma_deg, options.attitude_tau_s)
+    if posterior is None:
+        return _Found(_white(job, solution), "too few rows to see correlation: white", 0.0, None)
+    sharpness = 1.0 if job.robust is None else job.robust.sharpness
+    label = segments(job.design.time)
+    if passes is not None or options.block_s is not None:
+        label = next(groupings(job.design.time, label, passes, options.block_s))[0]
+    added = sums(job, solution, label)
+    spread = spread_of(
+        added, posterior, white_of(job, solution), _common_noise(job, solution), _white_factor(job, solution), sharpness
+    )
+    memory_s = posterior.memory_s(_field_nT(job))
+    checked = _checked(job, spread, label, memory_s, passes)
+    whole = np.kron(np.eye(3), np.eye(1) if solution.fit is None else bread_of(solution.fit, job.noise_xx)) / sharpness
+    centred = whole @ checked.total @ whole.T
+    stacked = uncentred(centred, np.zeros(0) if solution.fit is None else solution.fit.mean_x)
+    covered_s = observed_s(job.design.time, segments(job.design.time))
+    stacked = stacked + _from_turning(solution, posterior.constant_rad2(covered_s))
+    errors = _error_model(job, solution, posterior, checked.misfit)
+    return _Found(stacked, f"{_error_words(errors)}; {checked.words}", memory_s, errors)
+
+
+class _Checked(NamedTuple):
+    total: FloatArray
+    misfit: float
+    words: str
+
+
+def _checked(job: Job, spread: Spread, label: np.ndarray, memory_s: float, passes: np.ndarray | None) -> _Checked:
+    """The covariance of the scores as blocks bear it out: the blocks are grown until their scatter grows no more."""
+    first = spread.sums.first
+    asked = job.options.block_s
+    up = half_of(spread.total)
+
+    def scatter() -> Iterator[tuple[FloatArray, str]]:
+        covered_s = observed_s(job.design.time, segments(job.design.time))
+        for of_row, words in groupings(job.design.time, label, passes, asked):
+            block, count = of_row[first], int(of_row.max()) + 1
+            cut = passes is None and asked is None and not np.array_equal(of_row, label)
+            if count >= FEWEST_BLOCKS and not (cut and covered_s / count < 2.0 * memory_s):
+                yield in_units_of(up, *of_blocks(spread, block, count)), f"{count} blocks ({words})"
+
+    found = grown(scatter())
+    if found is None:
+        return _Checked(spread.total, 1.0, f"fewer than {FEWEST_BLOCKS} blocks of twice their memory to check it by")
+    W, misfit, words = found
+    if 0.8 < misfit < 1.25:
+        words += " scatter as it says"
+    else:
+        words = f"variances times {misfit:.2g} on average, as {words} scatter"
+    return _Checked(up @ W @ up.T, misfit, words)
+
+
+def _common_noise(job: Job, solution: Solution) -> FloatArray:
+    """(p, p) of E[r_i n_g] E[r_j n_f], for a row: noise that residual and regressor share."""
+    m = solution.M.shape[1]
+    out = np.zeros((3, m + 1, 3, m + 1))
+    if solution.fit is not None and job.noise_xx is not None:
+        shared = solution.M @ job.noise_xx
+        out[:, :m, :, :m] = np.einsum("ig,jf->ifjg", shared, shared)
+    return out.reshape(3 * (m + 1), 3 * (m + 1))
+
+
+def _white_factor(job: Job, solution: Solution) -> float:
+    """Mean square that robust weights leave of white noise, over that of the rows with weight."""
+    if job.robust is None:
+        return 1.0
+    w, kept = job.robust.weights, job.robust.weights >= 0.01
+    r = (solution.own_residual_nT**2).sum(axis=1)
+    return float((w**2 * r)[kept].mean() / ((w**2)[kept].mean() * r[kept].mean()))
+
+
+def _field_nT(job: Job) -> float:
+    return float(np.sqrt((job.design.H_nT**2).sum(axis=1).mean() * 2.0 / 3.0))
+
+
+def _error_model(job: Job, solution: Solution, posterior: Posterior, misfit: float) -> ErrorModel:
+    """In the words of a reader."""
+    options = job.options
+    sigma = float(np.median(posterior.sigma_nT))
+    attitude = posterior.attitude_rad
+    theta, white = float(np.median(posterior.theta_rad)), float(np.median(posterior.white_theta_rad))
+    declared = options.attitude_sigma_deg is not None
+    low, high = np.degrees(np.quantile(attitude, [0.05, 0.95]))
+    variance = np.diag(white_of(job, solution)) * sigma**2
+    middle = float(np.median(attitude))
+    across = middle * _field_nT(job)
+    reading = job.noise.variance_nT2 * sigma**2
+    return ErrorModel(
+        white_nT=np.sqrt(reading), white_source=DECLARED if options.noise_nT is not None else FOUND,
+        expected_rms_nT=float(np.sqrt(variance.mean() + across**2)),
+        attitude_sigma_deg=float(np.degrees(middle)),
+        attitude_tau_s=float(np.median(posterior.tau_s)) if theta > white else 0.0,
+        attitude_source=DECLARED if declared else FOUND, attitude_range_deg=(float(low), float(high)),
+        slow_nT=float(np.median(posterior.slow_nT)), slow_tau_s=float(np.median(posterior.slow_tau_s)), misfit=misfit,
+    )  # fmt: skip
+
+
+def _error_words(errors: ErrorModel) -> str:
+    assert errors.attitude_range_deg is not None
+    low, high = errors.attitude_range_deg
+    assert errors.attitude_sigma_deg is not None
+    sigma = plain(errors.attitude_sigma_deg, 2)
+    words = f"white noise of {plain(float(np.sqrt((errors.white_nT**2).mean())))} nT an axis"
+    words += f", an attitude error of {sigma} deg (90 %: {plain(low, 2)} to {plain(high, 2)})"
+    return words + (f" over {plain(errors.attitude_tau_s, 2)} s" if errors.attitude_tau_s else ", white")
+
+
+def _orbit_long_words(job: Job, segment: np.ndarray, memory_s: float, passes: np.ndarray | None) -> list[str]:
+    """A sentence where errors that last an orbit cannot have been seen."""
+    orbit_s = 2.0 * np.pi * job.design.radian_s
+    covered_s = observed_s(job.design.time, segment)
+    count = int(segment[-1]) + 1
+    pass_s = min(covered_s / count, orbit_s)
+    seen = max(count, covered_s / orbit_s, 0 if passes is None else np.unique(passes).size)
+    # One pass is too little to find a long memory, so that a short one proves nothing.
+    hidden = seen < 2 or memory_s >= _LONG_MEMORY * pass_s
+    if job.options.field_error_nT or seen >= FEWEST_BLOCKS or not hidden:
+        return []
+    return [
+        f"errors that last an orbit, as those of the field model do, are not in these sigmas: the data hold {seen:.2g} "
+        "passes, too few to see them. Declare them (field_error_nT, --field-error-nT) or add passes"
+    ]
+
+
+def _from_noise_uncertainty(job: Job, solution: Solution) -> FloatArray:
+    """What an uncertain Sigma_B adds: dM = M[:, i] (row i of the inverse of <x|x> - Sigma_x) for each variance i."""
+    size = 3 * (solution.M.shape[1] + 1)
+    if solution.fit is None or job.noise_xx is None or not job.noise.covariance.any():
+        return np.zeros((size, size))
+    inverse = np.linalg.inv(solution.fit.xx - job.noise_xx)
+    moved = []
+    for i in range(3):
+        step = np.outer(solution.M[:, i], inverse[i])
+        moved.append(np.hstack([step, -(step @ solution.fit.mean_x)[:, None]]).ravel())
+    return np.asarray(np.array(moved).T @ job.noise.covariance @ np.array(moved))
+
+
+def _from_turning(solution: Solution, power_rad2: float) -> FloatArray:
+    """What a turn w of the whole adds in second order: M goes over into (1 + [w x]^2/2) M.
+
+    A mean attitude error of half a degree shortens M by 4e-5, which is many sigmas of its trace. Mean square of
+    (w_i w_j - d_ij |w|^2)/2 for normal w of that power an axis.
+    """
+    one, m = np.eye(3), solution.M.shape[1]
+    if solution.fit is None:
+        return np.zeros((3, 3))
+    # E of the products of four normals; the traces of w w' add 2 and 2 to 3
+    both = np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one)
+    square = 0.25 * power_rad2**2 * (both + 6.0 * np.einsum("ij,kl->ijkl", one, one))
+    moved = np.hstack([solution.M, solution.c[:, None]])
+    return np.asarray(np.einsum("ijkl,jf,lg->ifkg", square, moved, moved).reshape(3 * (m + 1), 3 * (m + 1)))
+
+
+def _from_field_error(job: Job, solution: Solution) -> FloatArray:
+    """A declared error of the field model: Gauss-Markov with a memory of one radian of the orbit."""
+    size = solution.M.shape[1] + 1
+    if not job.options.field_error_nT:
+        return np.zeros((3 * size, 3 * size))
+    x = np.hstack([*job.parts, np.zeros((len(job.design), 0))])
+    seen = cells(job.design.time, segments(job.design.time), [x, np.ones((len(x), 1))], job.weights)
+    mean_x = np.zeros(0) if solution.fit is None else solution.fit.mean_x
+    seen.columns[:, :-1] -= mean_x
+    K = kernel_moments(seen, np.array([job.design.radian_s]))[0]
+    turn = solution.M[:, :3] if job.options.direction == "forward" and solution.fit is not None else np.eye(3)
+    C = job.options.field_error_nT**2 * turn @ turn.T
+    whole = np.kron(np.eye(3), np.eye(1) if solution.fit is None else bread_of(solution.fit, job.noise_xx))
+    moments = np.einsum("ij,fg->ifjg", C, K).reshape(3 * size, 3 * size)
+    return uncentred(whole @ moments @ whole.T, mean_x)
+
+
+def _white(job: Job, solution: Solution) -> FloatArray:
+    effective, m = job.effective, solution.M.shape[1]
+    sharpness = 1.0 if job.robust is None else job.robust.sharpness
+    own = solution.own_residual_nT
+    if solution.fit is not None and effective >= _SANDWICH_ROWS * (m + 1):
+        stacked = sandwich_covariance(own, job.parts, solution.fit, solution.M, job.a, job.noise_xx)
+        return np.asarray(stacked / sharpness**2)
+    # With equal weights this is N/(N-p) times the mean of r r'.
+    rr = job.mean_square(own, 2) * effective / max(effective - m - 1, 1e-9) / sharpness**2
+    if solution.fit is None:
+        return np.asarray(rr / effective)
+    return plain_covariance(solution.fit, solution.M, rr, effective, job.noise_xx)
+
+
+def _in_file_order(job: Job, solution: Solution, stacked: FloatArray) -> FloatArray:
+    with_S = solution.fit is not None
+    m = solution.M.shape[1]
+    place = np.zeros(3 * (m + 1), dtype=int)
+    for i in range(3):
+        columns = [3 * i + k for k in range(3)] if with_S else []
+        columns += [12 + 3 * i + int(j) for j in job.fired] if with_S else []
+        place[i * (m + 1) : (i + 1) * (m + 1)] = [*columns, 9 + i]
+    full = np.zeros((21, 21))
+    full[np.ix_(place, place)] = stacked
+    if with_S and job.options.direction == "forward":
+        jacobian = forward_jacobian(solution.calibration.correction)
+        full = jacobian @ full @ jacobian.T
+    size = 21 if "T" in job.options.parameters else 12
+    return np.asarray(full[:size, :size])

@@ -1,0 +1,262 @@
+"""The estimating equations of a linear fit, cell by cell: what the rows add up to and what the errors put into them.
+
+A row contributes the score a r [z], z = [x - <x>, 1], stacked axis by axis, (3 (m+1),). An error of the attitude about
+axis j puts in a (U e_j) [z], a slow error of the field a h [z], white noise the same row by row.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fluxtwin.calib.common.covariance import observed_s, segments
+from fluxtwin.calib.common.error_model import Evidence, Posterior
+from fluxtwin.calib.common.slow_errors import CELLS, responses
+from fluxtwin.calib.linear.problem import Job, Solution
+from fluxtwin.sim.base.types import FloatArray
+
+_CHUNK = 16384
+_LIKELY_CELLS = 160
+_TURN = 0.35  # rad that the field may turn in the body within a cell of the likelihood
+_STRETCHES = 5
+_RUNNING = 9
+_APART_S = 1e13
+
+
+class Sums(NamedTuple):
+    """K cells, p = 3 (m+1)."""
+
+    seconds: FloatArray
+    length_s: float
+    """Of a cell; 0 where each row is one."""
+    step_s: float
+    """Between rows."""
+    first: np.ndarray
+    """(K,) first row."""
+    z: FloatArray
+    """(K, m+1) sum of a z."""
+    theta: FloatArray
+    """(K, 3, p) of a (U e_j) [z]."""
+    score: FloatArray
+    """(K, p) of a r [z]."""
+    slope: FloatArray
+    """(K, m+1, m+1) of a z z', the noise of the regressors off it."""
+    white_z: FloatArray
+    """(K, m+1, m+1) of a^2 z z'."""
+    white_theta: FloatArray
+    """(K, p, p) of a^2 (U e_j) [z] (U e_j)' [z]', over j."""
+
+
+def images(job: Job, solution: Solution, rows: np.ndarray | slice) -> FloatArray:
+    """(n, 3, 3) U [nT/rad]: columns e_j x B0, seen from the side that is fitted."""
+    x, y, z = job.design.H_nT[rows].T
+    none = np.zeros(len(x))
+    U = np.array([[none, z, -y], [-z, none, x], [y, -x, none]]).transpose(2, 0, 1)
+    return U if job.options.direction == "linear" or solution.fit is None else np.asarray(solution.M[:, :3] @ U)
+
+
+def white_of(job: Job, solution: Solution) -> FloatArray:
+    """(3, 3) covariance of the noise of a reading in the residual."""
+    floor = 1e-6 * float(np.trace(job.mean_square(solution.own_residual_nT))) / 3.0
+    W = np.diag(np.maximum(job.noise.variance_nT2, max(floor, 1e-12)))
+    return (
+        np.asarray(solution.M[:, :3] @ W @ solution.M[:, :3].T)
+        if job.options.direction == "linear" and solution.fit is not None
+        else W
+    )
+
+
+def evidence(job: Job, solution: Solution, kept: np.ndarray) -> Evidence:
+    """Cells for the likelihood, in which the field hardly turns; of a long record stretches. kept: (N,) rows."""
+    rows, length_s = _looked_at(job, np.flatnonzero(kept))
+    time = job.design.time[rows]
+    seconds = (time - time[0]).astype("int64") * 1e-9
+    segment = segments(time)
+    starts = _cell_starts(seconds, segment, length_s)
+    count = np.diff(np.concatenate([starts, [len(seconds)]])).astype(np.float64)
+
+    def mean(values: FloatArray) -> FloatArray:
+        return np.asarray(np.add.reduceat(values, starts, axis=0) / count.reshape(-1, *[1] * (values.ndim - 1)))
+
+    step_s = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 1.0
+    one = np.ones((len(seconds), 1))
+    design = mean(one)
+    if solution.fit is not None:
+        H = mean(job.design.H_nT[rows]) - _smooth(mean(solution.residual_nT[rows]), segment[starts])
+        others = [mean(part[rows]) for part in job.parts[1:]]
+        design = np.hstack([H - H.mean(axis=0), *others, design])
+    edges = np.flatnonzero(np.diff(segment)) + 1
+    first, last = np.concatenate([[0], edges]), np.concatenate([edges, [len(seconds)]]) - 1
+    return Evidence(
+        mean(seconds), mean(solution.own_residual_nT[rows]), design,
+        mean(images(job, solution, rows)), white_of(job, solution), count,
+        np.where(count > 1, count, 0.0) * step_s, float((seconds[last] - seconds[first]).max()),
+    )  # fmt: skip
+
+
+def _looked_at(job: Job, rows: np.ndarray) -> tuple[np.ndarray, float]:
+    """Rows for the likelihood and the length of a cell [s]; 0: each row is one."""
+    time, H = job.design.time[rows], job.design.H_nT[rows]
+    covered_s = observed_s(time, segments(time))
+    length_s = covered_s / _LIKELY_CELLS
+    step_s = np.diff(time).astype("int64") * 1e-9
+    some = np.flatnonzero(step_s <= 2.0 * np.median(step_s))[:: max(1, len(step_s) // 2000)]
+    size = np.linalg.norm(H, axis=1)
+    cosine = np.einsum("ij,ij->i", H[some], H[some + 1]) / np.maximum(size[some] * size[some + 1], 1e-9)
+    rate = float(np.median(np.arccos(np.clip(cosine, -1.0, 1.0)) / step_s[some])) if some.size else 0.0
+    if rate * length_s > _TURN:
+        length_s = max(_TURN / rate, float(np.median(step_s)))
+        stretch_s = length_s * _LIKELY_CELLS / _STRETCHES
+        seconds = (time - time[0]).astype("int64") * 1e-9
+        begin = np.linspace(0.0, max(float(seconds[-1]) - stretch_s, 0.0), _STRETCHES)
+        inside = (seconds[:, None] >= begin) & (seconds[:, None] <= begin + stretch_s)
+        few = np.flatnonzero(inside.any(axis=1))
+        if few.size >= 2 * _LIKELY_CELLS // _STRETCHES:
+            rows = rows[few]
+    return rows, length_s if len(rows) > 2.5 * _LIKELY_CELLS else 0.0
+
+
+def _smooth(values: FloatArray, label: np.ndarray) -> FloatArray:
+    """Running means over `_RUNNING` rows of (K, k), shorter at a change of label."""
+    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    row, edge = np.arange(len(label)), np.flatnonzero(np.diff(label)) + 1
+    first = np.concatenate([[0], edge])[np.searchsorted(edge, row, side="right")]
+    last = np.concatenate([edge, [len(label)]])[np.searchsorted(edge, row, side="right")]
+    low, high = np.maximum(row - _RUNNING // 2, first), np.minimum(row + _RUNNING // 2 + 1, last)
+    return np.asarray((total[high] - total[low]) / (high - low)[:, None])
+
+
+def _cell_starts(seconds: FloatArray, label: np.ndarray, length_s: float) -> np.ndarray:
+    """First rows of cells of at most that length, none across a change of label."""
+    new = np.concatenate([[True], np.diff(label) != 0])
+    if not length_s > 0:
+        return np.arange(len(seconds))
+    first = np.flatnonzero(new)
+    since = seconds - seconds[first][np.cumsum(new) - 1]
+    within = np.floor(since / length_s + 1e-9).astype(np.int64)
+    return np.flatnonzero(new | np.concatenate([[True], np.diff(within) != 0]))
+
+
+def sums(job: Job, solution: Solution, label: np.ndarray) -> Sums:
+    """Of all rows; label (N,): cells do not reach across a change of it."""
+    time, a = job.design.time, job.weights
+    seconds = (time - time[0]).astype("int64") * 1e-9
+    length_s = observed_s(time, segments(time)) / CELLS if len(time) > CELLS else 0.0
+    starts = _cell_starts(seconds, label, length_s)
+    ends = np.concatenate([starts[1:], [len(seconds)]])
+    mean_x = np.zeros(0) if solution.fit is None else solution.fit.mean_x
+    m = mean_x.size
+    shift = np.zeros((3, m + 1))
+    if job.noise_xx is not None and solution.fit is not None:
+        shift[:, :m] = solution.M @ job.noise_xx
+    out: list[tuple[FloatArray, ...]] = []
+    cell = 0
+    while cell < len(starts):
+        stop = max(int(np.searchsorted(ends, starts[cell] + _CHUNK)), cell + 1)
+        rows = slice(int(starts[cell]), int(ends[stop - 1]))
+        local = starts[cell:stop] - starts[cell]
+        w = a[rows]
+        n = len(w)
+        x = np.hstack([part[rows] for part in job.parts]) if m else np.zeros((n, 0))
+        z = np.hstack([x - mean_x, np.ones((n, 1))])
+        U = images(job, solution, rows)
+        u = np.einsum("nij,nf->njif", U, z).reshape(n, 3, -1)
+        r = solution.own_residual_nT[rows]
+        score = (r[:, :, None] * z[:, None, :] + shift).reshape(n, -1)
+        zz = z[:, :, None] * z[:, None, :]
+        uu = np.einsum("njp,njq->npq", u * (w * w)[:, None, None], u, optimize=True)
+        whole = (
+            w[:, None] * z, w[:, None, None] * u, w[:, None] * score, w[:, None, None] * zz,
+            (w * w)[:, None, None] * zz, uu, w * seconds[rows], w,
+        )  # fmt: skip
+        out.append(tuple(np.add.reduceat(part, local, axis=0) for part in whole))
+        cell = stop
+    z, theta, score, slope, white_z, white_theta, when, weight = (
+        np.concatenate([part[k] for part in out]) for k in range(8)
+    )
+    if job.noise_xx is not None and solution.fit is not None:
+        slope[:, :m, :m] -= weight[:, None, None] * job.noise_xx
+    middle = 0.5 * (seconds[starts] + seconds[ends - 1])
+    at = np.where(weight > 0, when / np.where(weight > 0, weight, 1.0), middle)
+    step_s = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 1.0
+    return Sums(at, length_s, step_s, starts, z, theta, score, slope, white_z, white_theta)
+
+
+class Spread(NamedTuple):
+    """Covariance of the summed scores under a model of the errors, and what it makes of blocks."""
+
+    sums: Sums
+    total: FloatArray
+    """(p, p)."""
+    from_all: FloatArray
+    """(K, p, p) covariance of a cell's score with the total."""
+    white: FloatArray
+    """(K, p, p) white part of each cell."""
+    nodes_s: FloatArray
+    theta_rad2: FloatArray
+    """(nodes,) power of the attitude error at each time constant."""
+    slow_nT2: FloatArray
+    sharpness: float
+
+
+def spread_of(
+    added: Sums, posterior: Posterior, white: FloatArray, pull: FloatArray, white_factor: float, sharpness: float
+) -> Spread:
+    """white: (3, 3) of a row, before the posterior's factor. pull: (3, m+1, 3, m+1) what noise common to residual and
+    regressor adds to a row. white_factor: of robust weights, their effect on it."""
+    K, size = added.score.shape
+    # Within a cell an error counts as constant; one that lasts less is white, as strong as its integral over time.
+    brief = [np.where(tau < added.length_s, 1.0 / np.tanh(0.5 * added.step_s / tau), 0.0) for tau in posterior.taus_s]
+    theta2, slow2 = posterior.theta_rad**2, posterior.slow_nT**2
+    W = white * float((posterior.sigma_nT**2).mean()) * white_factor
+    W = W + float((slow2 * brief[1]).mean()) * white_factor * np.eye(3)
+    own = np.einsum("ij,kfg->kifjg", W, added.white_z).reshape(K, size, size)
+    own = own + added.white_z[:, -1, -1][:, None, None] * pull * white_factor
+    own = own + float((posterior.white_theta_rad**2 + theta2 * brief[0]).mean()) * white_factor * added.white_theta
+    nodes = posterior.nodes_s
+    theta = sharpness**2 * posterior.on_nodes(np.where(brief[0] > 0, 0.0, theta2), posterior.tau_s)
+    slow = sharpness**2 * posterior.on_nodes(np.where(brief[1] > 0, 0.0, slow2), posterior.slow_tau_s)
+    from_all = own + _slow_part(added, added.seconds, nodes, theta, slow)
+    total = from_all.sum(axis=0)
+    return Spread(added, 0.5 * (total + total.T), from_all, own, nodes, theta, slow, sharpness)
+
+
+def of_blocks(spread: Spread, block: np.ndarray, count: int) -> tuple[FloatArray, FloatArray]:
+    """(G, p) scores of blocks as the fit leaves them and (G, p, p) their covariances. block: (K,) numbers below G."""
+    added = spread.sums
+    size = added.score.shape[1]
+    apart = added.seconds + _APART_S * block
+    order = np.argsort(apart, kind="stable")  # rows may return to a block after another
+    sorted_cells = added._replace(z=added.z[order], theta=added.theta[order], score=added.score[order])
+    inside = spread.white.copy()
+    inside[order] += _slow_part(sorted_cells, apart[order], spread.nodes_s, spread.theta_rad2, spread.slow_nT2)
+
+    def by_block(values: FloatArray) -> FloatArray:
+        out = np.zeros((count, *values.shape[1:]))
+        np.add.at(out, block, values)
+        return out
+
+    score, own, cross, slope = (by_block(v) for v in (added.score, inside, spread.from_all, added.slope))
+    share = np.linalg.solve(slope.sum(axis=0).T, slope.transpose(0, 2, 1)).transpose(0, 2, 1)
+    eaten = np.einsum("ij,gab->giajb", np.eye(3), share).reshape(count, size, size)
+    back = cross @ eaten.transpose(0, 2, 1)
+    left = own - back - back.transpose(0, 2, 1) + eaten @ spread.total @ eaten.transpose(0, 2, 1)
+    return score - np.einsum("gpq,q->gp", eaten, score.sum(axis=0)), 0.5 * (left + left.transpose(0, 2, 1))
+
+
+def _slow_part(
+    added: Sums, seconds: FloatArray, nodes_s: FloatArray, theta: FloatArray, slow: FloatArray
+) -> FloatArray:
+    """(K, p, p) covariance of each cell's score with that of all cells, from the correlated errors."""
+    K, size = added.score.shape
+    out = np.zeros((K, size, size))
+    for j in range(3):
+        seen = responses(seconds, added.theta[:, j], nodes_s, theta)
+        out += added.theta[:, j, :, None] * seen[:, None, :]
+    seen = responses(seconds, added.z, nodes_s, slow)
+    zz = added.z[:, :, None] * seen[:, None, :]
+    for i in range(3):
+        at = slice(i * added.z.shape[1], (i + 1) * added.z.shape[1])
+        out[:, at, at] += zz
+    return out

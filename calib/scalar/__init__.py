@@ -1,0 +1,1 @@
+"""Calibration from the size of the field alone: no attitude is needed."""

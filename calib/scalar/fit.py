@@ -1,0 +1,111 @@
+"""The answer of a calibration without attitude: from D, b, s of the scalar form to S, b, T of journal eq. 1."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from fluxtwin.calib.common.fit import Fit
+from fluxtwin.calib.common.observability import HARDLY_SEPARABLE, worst_of
+from fluxtwin.calib.common.records import TelemetryBias
+from fluxtwin.calib.scalar.model import PAIRS, ScalarData, unpack
+from fluxtwin.sim.base.types import FloatArray
+
+NO_ROTATION = (
+    "how the magnetometer is turned in the body: |B| does not tell. S is given symmetric, S12 = S21, S13 = S31, "
+    "S23 = S32; its rotation is not in the sigmas"
+)
+_DIPOLES = ("dipole_x_Am2", "dipole_y_Am2", "dipole_z_Am2")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScalarFit(Fit):
+    """What the methods without attitude add to the record of every method."""
+
+    telemetry_bias: Mapping[str, TelemetryBias] = field(default_factory=dict)
+    """By column."""
+    quality: Mapping[str, float] = field(default_factory=dict)
+    """`chi2_per_sample`: mean of r^2/q; `field_size_variation`: rms of |H| over its mean; `rounds` of the search."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and text for JSON; no NaN."""
+        biases = {
+            name: {"nT_per_unit": bias.value_nT.tolist(), "sigma": bias.sigma_nT.tolist()}
+            for name, bias in self.telemetry_bias.items()
+        }
+        return {**super().to_dict(), "telemetry_bias": biases, "quality": dict(self.quality)}
+
+
+def file_parameters(
+    p: FloatArray,
+    covariance: FloatArray,
+    data: ScalarData,
+    columns: tuple[str, ...],
+    scale_nT: float,
+    units: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """S (3, 3), b_nT (3,), T (3, 3) and their covariance (21, 21) in the order of the calibration file.
+
+    O = I: I + S = I + D, b = -b_A, T = -(I+D) s. units: (J,) rms of the columns that they were scaled by.
+    """
+    D, b, s = unpack(p, data)
+    P = np.eye(3) + D
+    T = np.zeros((3, 3))
+    jacobian = np.zeros((21, len(p)))
+    at = 0
+    if data.with_D:
+        for k, (i, j) in enumerate(PAIRS):
+            jacobian[3 * i + j, k] = jacobian[3 * j + i, k] = 1.0
+        at = 6
+    jacobian[9:12, at : at + 3] = -scale_nT * np.eye(3)
+    for j, name in enumerate(columns):
+        if name not in _DIPOLES:
+            continue
+        axis, per = _DIPOLES.index(name), scale_nT / units[j]
+        T[:, axis] = -per * P @ s[j]
+        rows = 12 + 3 * np.arange(3) + axis
+        jacobian[rows, at + 3 + 3 * j : at + 6 + 3 * j] = -per * P
+        if data.with_D:
+            for k, (m, n) in enumerate(PAIRS):
+                unit = np.zeros((3, 3))
+                unit[m, n] = unit[n, m] = 1.0
+                jacobian[rows, k] = -per * unit @ s[j]
+    return D, -b * scale_nT, T, jacobian @ covariance @ jacobian.T
+
+
+def telemetry_biases(
+    p: FloatArray,
+    covariance: FloatArray,
+    data: ScalarData,
+    columns: tuple[str, ...],
+    scale_nT: float,
+    units: FloatArray,
+) -> dict[str, TelemetryBias]:
+    """s of every column that is no dipole."""
+    _, _, s = unpack(p, data)
+    first = (6 if data.with_D else 0) + 3
+    sigma = np.sqrt(np.diag(covariance))[first:].reshape(-1, 3)
+    return {
+        name: TelemetryBias(s[j] * scale_nT / units[j], sigma[j] * scale_nT / units[j])
+        for j, name in enumerate(columns)
+        if name not in _DIPOLES
+    }
+
+
+def hardly_separable(covariance: FloatArray, names: tuple[str, ...], worth: float) -> list[str]:
+    """A sentence for pairs whose correlation is at least 0.95 and whose sigma matters; the worst is named.
+
+    worth: a sigma, in parts of the field, from which it matters.
+    """
+    sigma = np.sqrt(np.diag(covariance))
+    found = []
+    for i in range(len(names)):
+        for j in range(i + 1, len(names)):
+            correlation = float(covariance[i, j] / (sigma[i] * sigma[j]))
+            if abs(correlation) >= HARDLY_SEPARABLE and max(sigma[i], sigma[j]) > worth:
+                words = f"{names[i]} and {names[j]} are not separable in this data: correlation {correlation:.3f}"
+                found.append((abs(correlation), words))
+    return worst_of(found)

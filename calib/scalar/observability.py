@@ -1,0 +1,267 @@
+"""What |B| can tell, and what it cannot, in words; and the second solution that a field in a plane leaves.
+
+Parameters are scaled so that one is a change of the size of the field. Along a unit vector v of that space v'Fv, F the
+information of the rows, is one over the variance of the combination v. What the noise of the readings contributes to F
+is no information. A combination that is less certain than 30 % of the field, or that only noise moves, is refused.
+
+Readings in a plane with normal n leave a mirror solution: with b' = b + 2 (n.(<B> - b)) n each |B - b| is the same
+(Alonso & Shuster 2003, J. Astronaut. Sci. 51, 71). It is found, polished, and judged by the cost of both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fluxtwin.calib.common.fit_warnings import LARGE_S, standing_out
+from fluxtwin.calib.common.observability import direction_words
+from fluxtwin.calib.scalar.maximum_likelihood import Solved, Sums, solve
+from fluxtwin.calib.scalar.model import ScalarData, residual, unpack
+from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.base.types import FloatArray
+
+CONSTANT_H = 0.01
+"""Relative rms variation of |H| below which it counts as constant."""
+_ROUNDING = 1e-13
+_WORST_SIGMA = 0.3
+_PART = 0.2
+_THIN = 0.05
+"""A reading that moves by less than that share of the field along a direction keeps to a plane or a cone."""
+_THREE_SIGMA = 9.0
+_FARTHEST = 3.0
+"""A bias of more fields than that is a search that ran away."""
+_APART = 5.0
+"""Sigmas between two solutions that are not one."""
+
+
+class Geometry(NamedTuple):
+    """How the readings move."""
+
+    weakest_B: FloatArray
+    """(3,) direction in which they move least."""
+    moves_nT: FloatArray
+    """(3,) rms along the eigen-directions, ascending."""
+    field_nT: float
+    """rms |H|."""
+    constant_share: float
+    """rms variation of |H| over its mean."""
+    cone_axis_B: FloatArray
+    """(3,) direction to which the angle of the readings changes least."""
+    cone_spread: float
+    """rms of the cosine of that angle about its mean."""
+
+    def words(self) -> str:
+        """How the readings keep to a line, a plane or a cone; empty where they do not."""
+        thin = _THIN * self.field_nT
+        if self.moves_nT[1] < thin:
+            return f"the reading moves by {self.moves_nT[2]:.4g} nT along one line and hardly across it"
+        if self.moves_nT[0] < thin:
+            out = f"moves {self.moves_nT[0]:.3g} nT out of it" if self.moves_nT[0] > 0 else "leaves it within the noise"
+            return f"the reading keeps to a plane with normal {direction_words(self.weakest_B)} (it {out})"
+        if self.cone_spread < _THIN:
+            return f"the reading keeps to a cone about {direction_words(self.cone_axis_B)}"
+        return ""
+
+
+def geometry(data: ScalarData, scale_nT: float) -> Geometry:
+    """From the rows; the noise is taken off the moments."""
+    values, vectors = np.linalg.eigh(np.cov(data.B.T) - data.Sigma)
+    unit = data.B / np.sqrt((data.B**2).sum(axis=1))[:, None]
+    of_unit, axes = np.linalg.eigh(np.cov(unit.T))
+    return Geometry(
+        weakest_B=vectors[:, 0],
+        moves_nT=np.sqrt(np.maximum(values, 0.0)) * scale_nT,
+        field_nT=scale_nT,
+        constant_share=float(np.std(data.H) / np.mean(data.H)),
+        cone_axis_B=axes[:, 0],
+        cone_spread=float(np.sqrt(max(of_unit[0], 0.0))),
+    )
+
+
+def parameter_words(data: ScalarData, columns: tuple[str, ...]) -> tuple[str, ...]:
+    """(p,) names as the calibration file has them; S is symmetric here."""
+    names = ["S11", "S22", "S33", "S12", "S13", "S23"] if data.with_D else []
+    names += ["b1", "b2", "b3"]
+    for column in columns:
+        axis = {"dipole_x_Am2": 1, "dipole_y_Am2": 2, "dipole_z_Am2": 3}.get(column)
+        names += [f"T{i}{axis}" if axis else f"{column} {'xyz'[i - 1]}" for i in (1, 2, 3)]
+    return tuple(names)
+
+
+def require_observed(
+    sums: Sums, names: tuple[str, ...], how: Geometry, inflation: float = 1.0, *, over_noise: float = 1.0
+) -> None:
+    """Raises NoAnswer naming the parameters of a combination that the rows do not determine.
+
+    inflation: variance of the residual over what the noise gives. over_noise: so many times the share of the noise
+    must the signal be.
+    """
+    signal = sums.information - sums.from_noise
+    values, vectors = np.linalg.eigh(0.5 * (signal + signal.T))
+    whole = np.einsum("ik,ij,jk->k", vectors, sums.information, vectors)
+    sigma = np.sqrt(inflation / np.maximum(values, 1e-300))
+    only_noise = values < over_noise * (whole - values)
+    poor = np.flatnonzero((values < _ROUNDING * values[-1]) | only_noise | (sigma > _WORST_SIGMA))
+    if poor.size:
+        k, v = poor[0], vectors[:, poor[0]]
+        also = [name for other in poor[1:] for name in _named(vectors[:, other], names)]
+        said = _refusal(v, names, how, float(sigma[k]), bool(only_noise[k]), also)
+        raise NoAnswer(said, evidence=_evidence(v, names, how, float(sigma[k])))
+
+
+def refuse_thin(sums: Sums, names: tuple[str, ...], how: Geometry) -> None:
+    """Raises NoAnswer with the least determined direction where the readings keep to a line, a plane or a cone."""
+    if how.words():
+        v = np.linalg.eigh(sums.information)[1][:, 0]
+        raise NoAnswer(_refusal(v, names, how, float("inf"), False), evidence=_evidence(v, names, how, float("inf")))
+
+
+def _refusal(
+    v: FloatArray,
+    names: tuple[str, ...],
+    how: Geometry,
+    sigma: float,
+    only_noise: bool,
+    also: Sequence[str] = (),
+) -> str:
+    """also: names of further directions that are no better."""
+    named = _named(v, names)
+    mixture = _mixture(v, names)
+    kind = "does not determine" if sigma > 1e3 or only_noise else "hardly determines"
+    reason = how.words() or ("only its noise moves them" if only_noise else "the field varies too little")
+    what = _listed(named)
+    more = [name for name in names if name in also and name not in named]
+    others = f"; further directions with {_listed(more)} are no better" if more else ""
+    mixed = f" (null direction {mixture})" if len(named) > 1 else ""
+    # Readings that keep to a plane or a cone leave a component of b free, or what S does goes into it.
+    spoilt = bool(how.words()) or any(name[0] == "b" for name in [*named, *more])
+    several = any(name[0] == "S" for name in names) and not spoilt
+    less = ", fewer parameters (--parameters b)" if several else ""
+    return (
+        f"|B| {kind} {what} in this data{mixed}{others}: {reason}. Add attitudes or orbits in which the field takes other "
+        f"directions in the body{less}, or give the attitude (--method linear)"
+    )
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
+
+
+def _evidence(v: FloatArray, names: tuple[str, ...], how: Geometry, sigma: float) -> dict[str, Any]:
+    return {
+        "null_direction": {name: float(part) for name, part in zip(names, v, strict=True)},
+        "parameters": _named(v, names),
+        "relative_sigma": sigma if sigma < 1e6 else None,
+        "moves_nT": how.moves_nT.tolist(),
+        "geometry": how.words(),
+    }
+
+
+def require_meaning(
+    solved: Solved, data: ScalarData, names: tuple[str, ...], how: Geometry, scale_nT: float, *, robust: bool
+) -> None:
+    """Raises NoAnswer for a matrix that no magnetometer has.
+
+    Where the readings hardly go the sums may hold such a combination to be known: errors that repeat with the spin, of
+    attitude-free data the most usual ones, move the residual as a signal would. Elsewhere it comes of bit errors, of
+    a wrong unit or orbit; robust weights that settled on it leave it to the reader with a word of doubt.
+    """
+    D, _, _ = unpack(solved.p, data)
+    values, vectors = np.linalg.eigh(D)
+    worst = int(np.argmax(np.abs(values)))
+    if abs(values[worst]) <= LARGE_S or (robust and not how.words()):
+        return
+    r = residual(solved.p, data)
+    null = np.linalg.eigh(solved.sums.information)[1][:, 0]
+    raise NoAnswer(
+        f"the fit leaves {float(np.std(r)) * scale_nT:.3g} nT and means nothing: S comes out as {values[worst]:+.2g} along "
+        f"{direction_words(vectors[:, worst])}, and no magnetometer is that wrong; "
+        + _why_meaningless(how, int(standing_out(r[:, None]).sum()), len(r), _mixture(null, names)),
+        evidence=_evidence(null, names, how, float("inf")),
+    )
+
+
+def _why_meaningless(how: Geometry, wild: int, rows: int, mixture: str) -> str:
+    if how.words():
+        return (
+            f"{how.words()}. There errors of the model pass for signal; least determined is {mixture}. Add attitudes in "
+            "which the field leaves the plane, or give the attitude (--method linear)"
+        )
+    if wild:
+        return (
+            f"{wild} of {rows} rows stand far out of the others (bit errors?): set them aside with --method scalar "
+            "--robust tukey, or leave those readings empty"
+        )
+    return (
+        "bit errors (--method scalar --robust tukey sets them aside), unit, axes, position or time may be wrong (run "
+        f"`fluxtwin check`), or the stretch is too short: least determined is {mixture}"
+    )
+
+
+def _named(v: FloatArray, names: tuple[str, ...]) -> list[str]:
+    return [name for name, part in zip(names, v, strict=True) if abs(part) > _PART * np.abs(v).max()]
+
+
+def _mixture(v: FloatArray, names: tuple[str, ...]) -> str:
+    """The larger parts of a direction in the names of the parameters."""
+    at = np.abs(v) > _PART * np.abs(v).max()
+    return " ".join(f"{part:+.2f} {name}" for part, name, there in zip(v, names, at, strict=True) if there)
+
+
+def other_solution(solved: Solved, data: ScalarData, how: Geometry, a: FloatArray | None) -> Solved | None:
+    """The polished mirror of a solution in the plane that the readings keep closest to; None where it is the same."""
+    D, b, _ = unpack(solved.p, data)
+    straight = data.B @ (np.eye(3) + D)
+    n = np.linalg.eigh(np.cov(straight.T))[1][:, 0]
+    start = solved.p.copy()
+    at = slice(6, 9) if data.with_D else slice(0, 3)
+    start[at] = b + 2.0 * float(n @ (straight.mean(axis=0) - b)) * n
+    mirrored = solve(start, data, a)
+    if not mirrored.converged or float(np.linalg.norm(mirrored.p[at])) > _FARTHEST:
+        return None
+    step = mirrored.p - solved.p
+    return mirrored if float(step @ solved.sums.information @ step) > _APART**2 else None
+
+
+def choose(
+    solved: Solved,
+    mirrored: Solved,
+    data: ScalarData,
+    names: tuple[str, ...],
+    scale_nT: float,
+    inflation: float,
+    how: Geometry,
+) -> tuple[Solved, str]:
+    """The better of two solutions and a sentence; raises NoAnswer where neither is better by three sigma.
+
+    The difference of the costs is judged by its own scatter from row to row (Vuong 1989, Econometrica 57, 307): noise
+    out of the plane makes one of the two look better by chance.
+    """
+    better, worse = sorted((solved, mirrored), key=lambda one: one.sums.cost)
+    steps = residual(worse.p, data) ** 2 - residual(better.p, data) ** 2
+    chance = float(np.std(steps) * np.sqrt(len(steps)))
+    gain = (worse.sums.cost - better.sums.cost) / inflation
+    ours, theirs = (-unpack(one.p, data)[1] * scale_nT for one in (better, worse))
+    between = worse.p - better.p
+    if gain < _THREE_SIGMA or steps.sum() < 3.0 * chance:
+        raise NoAnswer(
+            f"two solutions fit equally well, mirrors of each other: b = {_three(ours)} nT and b = {_three(theirs)} "
+            f"nT, {_mixture(between / np.linalg.norm(between), names)} apart in parts of the field; "
+            f"{how.words() or 'the readings keep close to a plane'}. Add attitudes in which the field leaves that "
+            "plane, or give the attitude (--method linear)",
+            evidence={
+                "parameters": _named(between, names),
+                "b_nT": [ours.tolist(), theirs.tolist()],
+                "cost_difference": float(gain),
+            },
+        )
+    return better, (
+        f"a mirror solution with b = {_three(theirs)} nT fits worse, by {gain:.3g} in the sum of squares over noise; "
+        "it is not taken"
+    )
+
+
+def _three(values: FloatArray) -> str:
+    return "(" + ", ".join(f"{v:.5g}" for v in values) + ")"

@@ -1,0 +1,157 @@
+"""The one-shot batch for a free axisymmetric spinner: motion and magnetometer together, by least squares.
+
+    B = G A(t) H + o,   sun seen = A(t) s
+
+Unknowns: the seven numbers of the motion (`spin_motion`), o (3) and G (9). One gauge is left by an axisymmetric body:
+the azimuth of its x axis. The sun sensor defines it: its own misalignment about z goes into the magnetometer's.
+
+The tilt of the sensors against z needs no gauge: the dynamics know the axis. Start: see `spin_start`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fluxtwin.calib.spin.motion import Motion
+from fluxtwin.calib.spin.rows import SpinRows
+from fluxtwin.sim.base.types import FloatArray
+
+_ROUNDS = 25
+_SETTLED = 1e-6
+"""Of the squared step in sigmas."""
+_GAINED = 1e-3
+"""Of the sum of squares."""
+SIZE = 19
+
+
+class State(NamedTuple):
+    """What is estimated."""
+
+    motion: Motion
+    G: FloatArray
+    """(3, 3)."""
+    o_nT: FloatArray
+    """(3,)."""
+
+
+class Noise(NamedTuple):
+    """1 sigma of a component of each sensor."""
+
+    field_nT: float
+    sun_rad: float
+
+
+class Prior(NamedTuple):
+    """What is known of G and o beforehand."""
+
+    G: FloatArray
+    o_nT: FloatArray
+    sigma_G: float
+    sigma_o_nT: float
+
+
+class Normal(NamedTuple):
+    """Normal equations and costs at a state."""
+
+    matrix: FloatArray
+    """(19, 19) order d0, dOm, dlam, o, G row by row."""
+    vector: FloatArray
+    cost: float
+    field_chi2: float
+    """Per component."""
+    sun_chi2: float
+    """Per angle (two a pulse)."""
+
+
+class Batch(NamedTuple):
+    """Where the search ended."""
+
+    state: State
+    covariance: FloatArray
+    """(19, 19)."""
+    normal: Normal
+    converged: bool
+    rounds: int
+
+
+def part(rows: SpinRows, first_s: float, last_s: float, most: int = 0) -> SpinRows:
+    """The rows within a stretch of time; `most`: so many readings at most, evenly taken (0: all)."""
+    inside = np.flatnonzero((rows.t_s >= first_s) & (rows.t_s <= last_s))
+    if most and inside.size > most:
+        inside = inside[:: -(-inside.size // most)]
+    pulses = (rows.pulse_s >= first_s) & (rows.pulse_s <= last_s)
+    return SpinRows(
+        rows.start, rows.time[inside], rows.t_s[inside], rows.B_nT[inside], rows.H_N_nT[inside],
+        rows.pulse_s[pulses], rows.sun_B[pulses], rows.sun_N[pulses], rows.rows[inside], rows.left_out,
+    )  # fmt: skip
+
+
+def residuals(state: State, rows: SpinRows) -> tuple[FloatArray, FloatArray]:
+    """(N, 3) nT of the readings, and (M, 3) of the sun's unit vectors."""
+    y = state.motion.see(rows.t_s, rows.H_N_nT)
+    return rows.B_nT - y @ state.G.T - state.o_nT, rows.sun_B - state.motion.see(rows.pulse_s, rows.sun_N)
+
+
+def normal_equations(state: State, rows: SpinRows, noise: Noise, prior: Prior | None = None) -> Normal:
+    """Sums over all rows."""
+    from fluxtwin.calib.spin.batch_kernels import accumulate
+
+    N, v = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
+    A0, Om, lam = state.motion
+    A0, Om, G = np.ascontiguousarray(A0), np.ascontiguousarray(Om), np.ascontiguousarray(state.G)
+    w, w_sun = 1.0 / noise.field_nT**2, 1.0 / noise.sun_rad**2
+    field = accumulate(rows.t_s, rows.B_nT, rows.H_N_nT, A0, Om, lam, G, state.o_nT, w, True, N, v)
+    nothing = np.zeros(3)
+    suns = accumulate(rows.pulse_s, rows.sun_B, rows.sun_N, A0, Om, lam, np.eye(3), nothing, w_sun, False, N, v)
+    cost = field + suns
+    if prior is not None:
+        N[7:10, 7:10] += np.eye(3) / prior.sigma_o_nT**2
+        N[10:, 10:] += np.eye(9) / prior.sigma_G**2
+        back_o, back_G = prior.o_nT - state.o_nT, (prior.G - state.G).ravel()
+        v[7:10] += back_o / prior.sigma_o_nT**2
+        v[10:] += back_G / prior.sigma_G**2
+        cost += float(back_o @ back_o) / prior.sigma_o_nT**2 + float(back_G @ back_G) / prior.sigma_G**2
+    N = np.triu(N) + np.triu(N, 1).T
+    return Normal(N, v, cost, field / max(rows.B_nT.size, 1), suns / max(2 * len(rows.pulse_s), 1))
+
+
+def solve_batch(
+    state: State, rows: SpinRows, noise: Noise, prior: Prior | None = None, *, rounds: int = _ROUNDS
+) -> Batch:
+    """Gauss-Newton with Marquardt's damping from a state that is within about 20 deg everywhere."""
+    # Weak directions are weak by 1e-9 (precession and turn without nutation): no damping before it is needed.
+    now, damping, converged, done = normal_equations(state, rows, noise, prior), 0.0, False, 0
+    while done < rounds and damping < 1e8 and not converged:
+        done += 1
+        step = _step(now, damping)
+        tried = _moved(state, step)
+        then = normal_equations(tried, rows, noise, prior)
+        small = float(step @ now.matrix @ step) < _SETTLED * max(1.0, now.field_chi2)
+        gained = now.cost - then.cost
+        if gained >= 0.0:
+            # Without nutation precession and turn are one: a step along their difference is large and gains nothing.
+            small = small or (gained < _GAINED and damping < 1e-4)
+            state, now, damping, converged = tried, then, 1e-3 * damping if damping > 1e-12 else 0.0, small
+        else:
+            converged = small and damping < 1e-3
+            damping = max(100.0 * damping, 1e-10)
+    return Batch(state, covariance_of_normal(now), now, converged, done)
+
+
+def _step(now: Normal, damping: float) -> FloatArray:
+    scale = np.sqrt(np.diag(now.matrix))
+    matrix = now.matrix / np.outer(scale, scale) + damping * np.eye(SIZE)
+    return np.asarray(np.linalg.lstsq(matrix, now.vector / scale, rcond=1e-15)[0] / scale)
+
+
+def _moved(state: State, step: FloatArray) -> State:
+    return State(state.motion.moved(step[:7]), state.G + step[10:].reshape(3, 3), state.o_nT + step[7:10])
+
+
+def covariance_of_normal(now: Normal) -> FloatArray:
+    """(19, 19) inverse of the normal matrix."""
+    scale = np.sqrt(np.diag(now.matrix))
+    inverse = np.linalg.pinv(now.matrix / np.outer(scale, scale), rcond=1e-14, hermitian=True)
+    return np.asarray(inverse / np.outer(scale, scale))

@@ -1,0 +1,406 @@
+"""Calibration of a spinning spacecraft's magnetometer from the field, the orbit and sun pulses; no attitude is given.
+
+| method | what it is |
+|---|---|
+| `batch` | motion and magnetometer at once, without inertia (`spin_batch`), from a blind start (`spin_start`) |
+| `iterative` | Sedlak's: TWOSTEP, filter, alignment, repeated (`sedlak`); then linear regression and filter in turn |
+
+Both need body z to be the axis of symmetry, and a record without thrust. The azimuth of the body is a convention of
+such a body: the sun sensor defines it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.calib.common.conventions import Forward, correction_from_forward, forward_jacobian
+from fluxtwin.calib.common.covariance import batch_widening, segments
+from fluxtwin.calib.common.design import Design, joined
+from fluxtwin.calib.common.fit import Fit
+from fluxtwin.calib.common.fit_warnings import LARGE_S, suspicions
+from fluxtwin.calib.common.moments import covariance_of
+from fluxtwin.calib.common.noise import ReadingNoise
+from fluxtwin.calib.common.observability import field_variation
+from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.common.residuals import residual_statistics
+from fluxtwin.calib.linear.calibrate import Options, fit_design
+from fluxtwin.calib.scalar.maximum_likelihood import residual
+from fluxtwin.calib.scalar.model import ScalarData, pack
+from fluxtwin.calib.scalar.noise import scalar_noise
+from fluxtwin.calib.scalar.twostep import twostep
+from fluxtwin.calib.scalar.words import errors
+from fluxtwin.calib.spin.batch import (
+    Batch,
+    Noise,
+    State,
+    covariance_of_normal,
+    normal_equations,
+    residuals,
+    solve_batch,
+)
+from fluxtwin.calib.spin.filter import Filtered, FilterSettings, spin_filter
+from fluxtwin.calib.spin.motion import Motion, skew
+from fluxtwin.calib.spin.outliers import beyond, wild_readings, wild_words, without
+from fluxtwin.calib.spin.rows import SpinRows, assemble_spin
+from fluxtwin.calib.spin.sedlak import Iterated, at, free_motion, iterate
+from fluxtwin.calib.spin.start import Start, blind_start
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.field import FieldModel
+from fluxtwin.sim.telemetry.record import Telemetry
+
+METHODS = ("iterative", "batch")
+GAUGE = (
+    "the azimuth of the body's x axis: an axisymmetric body has none of its own. The sun sensor defines it (the gauge); a "
+    "misalignment of the sun sensor about body Z goes into S as one of the magnetometer"
+)
+_SUN_SIGMA_DEG = 0.2
+_FINISHED = 1.15
+_MISFIT = 10.0
+_LEAST_NOISE = 1e-6
+_LOOSE_NOISE = 0.005
+_FEWEST_FINISHED = 0.87
+_REGRESSIONS = 60
+_LEAP = 4
+"""Every so many passes a step goes to where the geometric series of the steps would end."""
+_OF_SIGMA = 0.1
+_CUTS = 5
+
+
+@dataclass(frozen=True)
+class SpinOptions:
+    """How it is done; see `calibrate_spin`."""
+
+    method: str = "batch"
+    noise_nT: float | FloatArray | None = None
+    lsb_nT: float | FloatArray | None = None
+    sun_sigma_deg: float | None = None
+    sun_alignment_deg: float = 0.05
+    inertia_ratio: float | None = None
+    torque_walk_rad_s: float = 0.0
+    covariance: str = "blocks"
+    robust: str = "tukey"
+    """`tukey`: readings beyond six robust sigma are left out, the others weigh alike; or `none`."""
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise BadInput(f"{self.method!r}", where="method", wanted=" or ".join(METHODS))
+        if self.covariance not in ("white", "blocks"):
+            raise BadInput(f"{self.covariance!r}", where="covariance", wanted="'white' or 'blocks'")
+        if self.robust not in ("tukey", "none"):
+            raise BadInput(f"{self.robust!r}", where="--robust", wanted=f"tukey or none for method {self.method}")
+        for name in ("sun_sigma_deg", "sun_alignment_deg"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < 90.0:
+                raise BadInput(f"{value!r}", where=name, wanted="degrees, positive")
+        if self.inertia_ratio is not None and not 0.0 < self.inertia_ratio < 2.0:
+            raise BadInput(f"{self.inertia_ratio!r}", where="inertia_ratio", wanted="Js/Jt, above 0 and below 2")
+        if not self.torque_walk_rad_s >= 0.0:
+            raise BadInput(f"{self.torque_walk_rad_s!r}", where="torque_walk_rad_s", wanted="rad/s, not negative")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpinFit(Fit):
+    """What the methods for spinners add to the record of every method."""
+
+    q_NB: FloatArray
+    """(N, 4) attitude at the readings, textbook quaternion."""
+    motion: Mapping[str, float] = field(default_factory=dict)
+    """`spin_rad_s`, `precession_rad_s`, `nutation_deg`, `inertia_ratio`."""
+    quality: Mapping[str, float] = field(default_factory=dict)
+    """`field_chi2`, `sun_chi2` a component, `rounds`; of the filter `nis_first`, `nis_last`."""
+    steps_deg: tuple[float, ...] = ()
+    """Turns found in the passes of the iteration."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and text for JSON; no NaN."""
+        return {
+            **super().to_dict(),
+            "motion": dict(self.motion),
+            "quality": dict(self.quality),
+            "steps_deg": list(self.steps_deg),
+        }
+
+
+class _Found(NamedTuple):
+    """What either way ends with."""
+
+    calibration: Calibration
+    A: FloatArray
+    motion: Motion
+    quality: dict[str, float]
+    messages: list[str]
+    steps_rad: tuple[float, ...]
+
+
+def calibrate_spin(records: Telemetry | Sequence[Telemetry], model: FieldModel, **options: Any) -> SpinFit:
+    """S (9) and b (3) of one record of a spinner with sun pulses; options as the fields of `SpinOptions`.
+
+    method: `batch` or `iterative`. noise_nT, lsb_nT: of the reading; found in the size of the field where not given.
+    sun_sigma_deg: of a pulse; found in the residual (batch) or 0.2. sun_alignment_deg: what is known of the sun sensor's
+    mounting, 1 sigma, iterative only. inertia_ratio: Js/Jt, iterative only; else the blind start's. torque_walk_rad_s:
+    process noise of the filter.
+
+    Raises BadInput for unknown options or no sun column, NoAnswer, in words, where no free motion fits, the iteration
+    does not settle, or readings and pulses are too few.
+    """
+    fit = fit_spin(assemble_spin(records, model), SpinOptions(**options), model_name=model.name)
+    doubts = suspicions(joined(records), fit.calibration, fit.residuals_nT, robust=fit.rejected > 0)
+    return replace(fit, messages=(*fit.messages, *doubts))
+
+
+def fit_spin(rows: SpinRows, options: SpinOptions, *, model_name: str = "") -> SpinFit:
+    """The calibration of rows that are already assembled; errors as `calibrate_spin`."""
+    kept, fit = rows, None
+    if options.robust != "none":
+        kept = without(rows, wild_readings(rows))
+    try:
+        for _ in range(_CUTS):
+            fit = _fit(kept, options, model_name)
+            if options.robust == "none" or not beyond(fit.residuals_nT).any():
+                break
+            kept = without(kept, beyond(fit.residuals_nT))
+        assert fit is not None
+        cut = len(rows) - len(kept)
+        if not cut:
+            return fit
+        said = f"{cut} of {len(rows)} readings stand out by more than six sigma and are left out (--robust none keeps them)"
+        return replace(
+            fit, rejected=cut, left_out={**fit.left_out, "standing out": cut}, messages=(said, *fit.messages)
+        )
+    except NoAnswer as refusal:
+        wild = wild_words(rows, left_out=options.robust != "none")
+        if not wild:
+            raise
+        raise NoAnswer(f"{wild}. As it is, {refusal}", evidence=refusal.evidence) from refusal
+
+
+def _fit(rows: SpinRows, options: SpinOptions, model_name: str) -> SpinFit:
+    G, o_nT, noise, messages = scalar_start(rows, options)
+    field_nT = float(np.sqrt((rows.H_N_nT**2).sum(axis=1).mean()))
+    white_nT = max(float(np.sqrt(noise.variance_nT2.mean())), _LEAST_NOISE * field_nT)
+    sensors = Noise(white_nT, np.radians(options.sun_sigma_deg or _SUN_SIGMA_DEG))
+    # Noise found from row to row is the least there is; what lasts longer must not pass for a wrong motion.
+    loose_nT = white_nT if options.noise_nT is not None else max(white_nT, _LOOSE_NOISE * field_nT)
+    start = blind_start(rows, sensors._replace(field_nT=loose_nT), G, o_nT)
+    messages.append(
+        f"blind start: {start.tried} candidate{'s' if start.tried > 1 else ''} followed from an arc of "
+        f"{start.first_arc_s:.0f} s; spin {start.state.motion.spin_rad_s * 30.0 / np.pi:.4g} rpm"
+    )
+    if options.method == "batch":
+        found = _batch(rows, options, start, sensors)
+    else:
+        found = _iterative(rows, options, start, sensors, (G, o_nT), noise)
+    return _report(rows, options, found, noise, messages, model_name)
+
+
+def scalar_start(rows: SpinRows, options: SpinOptions) -> tuple[FloatArray, FloatArray, ReadingNoise, list[str]]:
+    """G (symmetric) and o by TWOSTEP, the noise, and what is to be said."""
+    size = np.linalg.norm(rows.H_N_nT, axis=1)
+    scale = float(np.sqrt((size**2).mean()))
+    relative = _LEAST_NOISE if options.noise_nT is None else max(float(np.max(options.noise_nT)) / scale, 1e-7)
+    data = ScalarData(rows.B_nT / scale, size / scale, np.zeros((len(size), 0)), relative**2 * np.eye(3), True)
+    D, b, sound = _of_size(data)
+    r_nT = residual(pack(D, b, data), data) * scale
+    noise = scalar_noise(rows.B_nT, rows.time, r_nT, options.noise_nT, options.lsb_nT)
+    if options.noise_nT is None:  # TWOSTEP takes off what the noise does: no more than there is
+        found = _of_size(data._replace(Sigma=np.diag(np.maximum(noise.variance_nT2 / scale**2, _LEAST_NOISE**2))))
+        D, b, sound = found if found[2] else (D, b, sound)
+    messages = [f"{count} rows left out: {reason}" for reason, count in rows.left_out.items()]
+    messages.append(f"noise of the reading: {noise.source}")
+    if not sound:
+        messages.append("the size of the field alone does not give S and b (TWOSTEP): the start takes both for zero")
+    G = np.linalg.inv(np.eye(3) + D)
+    return np.asarray(G), G @ b * scale, noise, messages
+
+
+def _of_size(data: ScalarData) -> tuple[FloatArray, FloatArray, bool]:
+    """D and b by TWOSTEP and whether they are sound; zeros where not."""
+    found = twostep(data)
+    sound = found.converged and bool(np.abs(found.D).max() < LARGE_S)
+    return (found.D, found.b, True) if sound else (np.zeros((3, 3)), np.zeros(3), False)
+
+
+def _batch(rows: SpinRows, options: SpinOptions, start: Start, sensors: Noise) -> _Found:
+    solved = solve_batch(start.state, rows, sensors)
+    words = []
+    ratio = solved.normal.field_chi2
+    if options.noise_nT is None or options.sun_sigma_deg is None:
+        now = solved.normal
+        field_nT = sensors.field_nT * (1.0 if options.noise_nT is not None else float(np.sqrt(now.field_chi2)))
+        sun_rad = sensors.sun_rad * (1.0 if options.sun_sigma_deg is not None else float(np.sqrt(now.sun_chi2)))
+        sensors = Noise(field_nT, sun_rad)
+        words.append(f"noise found in the residuals: {field_nT:.4g} nT a component, sun {np.degrees(sun_rad):.3g} deg")
+        solved = solve_batch(solved.state, rows, sensors)
+    now = solved.normal
+    misfit = float(np.sqrt(max(ratio, now.sun_chi2)))
+    if not solved.converged or misfit > _MISFIT:
+        raise NoAnswer(
+            f"the batch leaves residuals {misfit:.3g} times the noise: torques or thrust, or the magnetometer changed. "
+            "Cut the record to a quiet stretch, or state the noise",
+            evidence={"field_chi2": now.field_chi2, "sun_chi2": now.sun_chi2},
+        )
+    words += _finished(ratio, "residuals")
+    r, _ = residuals(solved.state, rows)
+    calibration = _from_forward(solved, rows, r, options, max(now.field_chi2, 1.0))
+    quality = {"field_chi2": ratio, "sun_chi2": now.sun_chi2, "rounds": float(solved.rounds)}
+    motion = solved.state.motion
+    return _Found(calibration, motion.attitude(rows.t_s), motion, quality, words, ())
+
+
+def _from_forward(solved: Batch, rows: SpinRows, r: FloatArray, options: SpinOptions, inflation: float) -> Calibration:
+    """G, o and their covariance as S, b."""
+    known = correction_from_forward(Forward(solved.state.G, solved.state.o_nT))
+    order = [*range(10, 19), *range(7, 10)]
+    jacobian = forward_jacobian(known)[:12, :12]
+    covariance = jacobian @ solved.covariance[np.ix_(order, order)] @ jacobian.T * inflation
+    if options.covariance == "blocks":
+        covariance = covariance * batch_widening(r, segments(rows.time))
+    return Calibration(known.S, known.b_nT, None, covariance, options.covariance)
+
+
+def _iterative(
+    rows: SpinRows,
+    options: SpinOptions,
+    start: Start,
+    sensors: Noise,
+    scalar: tuple[FloatArray, FloatArray],
+    noise: ReadingNoise,
+) -> _Found:
+    G, o_nT = scalar
+    ratio = start.state.motion.inertia_ratio if options.inertia_ratio is None else options.inertia_ratio
+    words = [
+        f"Js/Jt {ratio:.6g} {'as given' if options.inertia_ratio else 'from the blind start'}; the sun sensor's mounting "
+        f"known to {options.sun_alignment_deg:g} deg an axis"
+    ]
+    settings = FilterSettings(sensors.field_nT, sensors.sun_rad, options.torque_walk_rad_s)
+    B = (rows.B_nT - o_nT) @ np.linalg.inv(G).T
+    done = iterate(rows, B, start.state.motion, ratio, settings, np.radians(options.sun_alignment_deg))
+    words.append(
+        f"{len(done.steps_rad)} passes; turns " + ", ".join(f"{np.degrees(s):.2g}" for s in done.steps_rad) + " deg"
+    )
+    words.append(
+        f"the sun sensor's own turn about the sun's line is known to {np.degrees(done.sun_weakest_rad):.2g} deg from these "
+        "data alone"
+    )
+    known, last, passes = _regress(rows, options, done, noise, settings, ratio)
+    words.append(
+        f"linear regression on that attitude and filter in turn, {passes} more passes: b and D were TWOSTEP's until then"
+    )
+    words += _finished(last.field_nis, "innovations")
+    motion, A = free_motion(last, ratio), last.A
+    if options.torque_walk_rad_s == 0.0:
+        known, A = _with_motion(known, motion, rows, sensors, options), motion.attitude(rows.t_s)
+    quality = {
+        "nis_first": done.first.field_nis, "nis_last": last.field_nis, "sun_nis_last": last.sun_nis,
+        "rounds": float(len(done.steps_rad) + passes),
+    }  # fmt: skip
+    return _Found(known, A, motion, quality, words, done.steps_rad)
+
+
+def _with_motion(
+    known: Calibration, motion: Motion, rows: SpinRows, sensors: Noise, options: SpinOptions
+) -> Calibration:
+    """The same values with the covariance that leaves the motion free too: of the batch's equations there."""
+    forward = known.forward
+    state = State(motion, forward.G, forward.o_nT)
+    now = normal_equations(state, rows, sensors)
+    solved = Batch(state, covariance_of_normal(now), now, True, 0)
+    r, _ = residuals(state, rows)
+    return _from_forward(solved, rows, r, options, 1.0)
+
+
+def _regress(
+    rows: SpinRows,
+    options: SpinOptions,
+    done: Iterated,
+    noise: ReadingNoise,
+    settings: FilterSettings,
+    ratio: float,
+) -> tuple[Calibration, Filtered, int]:
+    """Linear regression on the attitude and filter with what it gives, in turn, until a tenth of a sigma is left."""
+    sigma_nT = np.sqrt(noise.variance_nT2)
+    how = Options(direction="forward", noise_nT=sigma_nT, lsb_nT=0.0, covariance="white")
+    inertia = np.array([1.0, 1.0, ratio])
+    free = options.torque_walk_rad_s == 0.0
+    near = replace(settings, extended=not free)
+    motion, A = done.motion, done.last.A
+    before, moved, left, share, count = np.zeros(12), np.inf, np.inf, 0.0, 0
+    begin = min(float(rows.t_s[0]), float(rows.pulse_s[0]))
+    while left >= _OF_SIGMA:
+        if count == _REGRESSIONS:
+            raise NoAnswer(
+                f"regression and filter in turn still move by {moved:.2g} sigma after {count} passes: the record is too "
+                "short to tell the magnetometer from the motion in this way; --method batch solves for both at once",
+                evidence={"moved_sigma": moved},
+            )
+        count += 1
+        A = motion.attitude(rows.t_s) if free else A
+        design = Design(rows.time, rows.B_nT, np.einsum("kij,kj->ki", A, rows.H_N_nT), None, rows.rows, {})
+        known = fit_design(design, how).calibration
+        used = known
+        if count % _LEAP == 0 and 0.5 < share < 0.97:
+            ahead = known.values + (known.values - before) * share / (1.0 - share)
+            used = Calibration(ahead[:9].reshape(3, 3), ahead[9:])
+        filtered = spin_filter(rows, used.apply(rows.B_nT), *at(motion, begin), inertia, near)
+        if not filtered.field_nis < _MISFIT**2:
+            raise NoAnswer(
+                f"regression and filter in turn run away: squared innovations {filtered.field_nis:.3g} times the noise; "
+                "--method batch solves for both at once",
+                evidence={"passes": count, "nis": min(filtered.field_nis, 1e300)},
+            )
+        motion, A = free_motion(filtered, ratio), filtered.A
+        last, moved = moved, float(np.abs((known.values - before) / known.sigmas).max())
+        before = used.values
+        # The steps shrink by a share of the one before: what is still to come is their geometric rest.
+        share = min(moved / last, 0.98)
+        left = moved * max(share / (1.0 - share), 1.0)
+    # The attitude's error is common to all rows and turns the whole of it.
+    M = np.eye(3) + known.S
+    turned = np.stack([np.append((skew(e) @ M).ravel(), skew(e) @ known.b_nT) for e in np.eye(3)], axis=1)
+    covariance = known.covariance + turned @ filtered.P[:3, :3] @ turned.T
+    return Calibration(known.S, known.b_nT, None, covariance, options.covariance), filtered, count
+
+
+def _finished(ratio: float, what: str) -> list[str]:
+    if _FEWEST_FINISHED < ratio < _FINISHED:
+        return [f"squared {what} are {ratio:.3f} of what the noise gives: the calibration is finished"]
+    return [
+        f"squared {what} are {ratio:.3f} of what the noise gives, not 1: the noise is mis-stated, or something is left"
+    ]
+
+
+def _report(
+    rows: SpinRows, options: SpinOptions, found: _Found, noise: ReadingNoise, messages: list[str], model_name: str
+) -> SpinFit:
+    known = found.calibration
+    H_B = np.einsum("kij,kj->ki", found.A, rows.H_N_nT)
+    r = H_B - known.apply(rows.B_nT)
+    statistics = residual_statistics(rows.time, r)
+    label = {"batch": "batch of motion and magnetometer", "iterative": "TWOSTEP, filter, alignment, linear regression"}
+    calibration = Calibration(
+        known.S, known.b_nT, None, known.covariance, known.covariance_kind, float(statistics.component_rms_nT),
+        len(rows), (rows.time[0], rows.time[-1]), model_name,
+        f"{label[options.method]} for b,S, spinning, without attitude", (GAUGE,),
+    )  # fmt: skip
+    motion = found.motion
+    nutation_deg = float(np.degrees(motion.nutation_rad))
+    said = [*messages, *found.messages, f"nutation {nutation_deg:.3g} deg, Js/Jt {motion.inertia_ratio:.6g}"]
+    return SpinFit(
+        calibration=calibration, method=options.method, time=rows.time, residuals_nT=r,
+        weights=np.full(len(rows), 1.0 / len(rows)), rows=rows.rows, left_out=dict(rows.left_out), rejected=0,
+        variation=field_variation(covariance_of(rows.B_nT)), noise=noise, statistics=statistics, messages=tuple(said),
+        q_NB=frames.q_from_rotation(Rotation.from_matrix(found.A)),
+        motion={
+            "spin_rad_s": motion.spin_rad_s, "nutation_deg": nutation_deg, "inertia_ratio": motion.inertia_ratio,
+            "precession_rad_s": float(np.linalg.norm(motion.Om_N_rad_s)),
+        },
+        error_model=errors(noise, options.noise_nT is not None),
+        quality=found.quality, steps_deg=tuple(float(np.degrees(step)) for step in found.steps_rad),
+    )  # fmt: skip

@@ -1,0 +1,132 @@
+"""Free motion of an axisymmetric body in closed form, without its inertia.
+
+    A(t) = Rz(lam t) A0 exp(-[Om x] t)
+
+A0 is the attitude matrix (N to B) at t = 0, Om = L/Jt the precession in N, lam = w3 (1 - Js/Jt) the turn of the body
+about its axis of symmetry, z; Rz(a) = exp(-[a z x]). An error d of the attitude is A_true = (1 - [d x]) A. (Markley &
+Sedlak 2008 write the same motion with L and J; here the three are free, so that no inertia need be known.)
+
+To first order in errors (dA0 as a turn in B at t = 0, dOm, dlam)
+
+    d(t) = Rz d0 + Rz A0 Jl(-Om t) t dOm + z t dlam,   Jl(x) = 1 + (1-cos x)/x^2 [x x] + (x - sin x)/x^3 [x x]^2
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fluxtwin.sim.base.types import FloatArray
+
+
+class Motion(NamedTuple):
+    """Seven numbers that hold the attitude at any time."""
+
+    A0: FloatArray
+    """(3, 3) N to B at t = 0."""
+    Om_N_rad_s: FloatArray
+    """(3,) precession."""
+    lam_rad_s: float
+
+    @property
+    def spin_rad_s(self) -> float:
+        """Rate about body z, w3."""
+        return self.lam_rad_s + float(self.A0[2] @ self.Om_N_rad_s)
+
+    @property
+    def inertia_ratio(self) -> float:
+        """Js / Jt; without nutation lam and Om cannot be told apart and it means nothing."""
+        return 1.0 - self.lam_rad_s / self.spin_rad_s
+
+    @property
+    def nutation_rad(self) -> float:
+        """Angle from body z to the angular momentum (to its opposite for a negative spin)."""
+        along = float(self.A0[2] @ self.Om_N_rad_s) / float(np.linalg.norm(self.Om_N_rad_s))
+        return float(np.arccos(min(abs(along), 1.0)))
+
+    def moved(self, step: FloatArray) -> Motion:
+        """After a step (7,) of [d0, dOm, dlam].
+
+        The part of dOm across Om turns it and leaves its size: a step of 2 deg added as a vector would be 6e-4 longer,
+        and slip a turn in an hour.
+        """
+        rate = float(np.linalg.norm(self.Om_N_rad_s))
+        n = self.Om_N_rad_s / max(rate, 1e-300)
+        longer = 1.0 + float(n @ step[3:6]) / max(rate, 1e-300)
+        Om = turn(np.cross(n, step[3:6]) / max(rate, 1e-300)) @ self.Om_N_rad_s * longer
+        return Motion(turn(-step[:3]) @ self.A0, Om, self.lam_rad_s + float(step[6]))
+
+    def shifted(self, seconds: float) -> Motion:
+        """The same motion with its zero of time `seconds` later."""
+        return self._replace(A0=self.attitude(np.array([seconds]))[0])
+
+    def attitude(self, t_s: FloatArray) -> FloatArray:
+        """(N, 3, 3) attitude matrices, N to B."""
+        rows = [self.see(t_s, np.broadcast_to(np.eye(3)[i], (len(t_s), 3))) for i in range(3)]
+        return np.stack(rows, axis=2)
+
+    def see(self, t_s: FloatArray, v_N: FloatArray) -> FloatArray:
+        """(N, 3) vectors of N in B: A(t) v."""
+        return about_z(self.lam_rad_s * t_s, self.unspun(t_s, v_N) @ self.A0.T)
+
+    def unspun(self, t_s: FloatArray, v_N: FloatArray) -> FloatArray:
+        """(N, 3) exp(-[Om x] t) v."""
+        rate = float(np.linalg.norm(self.Om_N_rad_s))
+        n = self.Om_N_rad_s / max(rate, 1e-300)
+        across = cross_by(n, v_N)
+        sine, cosine = np.sin(rate * t_s)[:, None], np.cos(rate * t_s)[:, None]
+        return np.asarray(v_N - sine * across + (1.0 - cosine) * cross_by(n, across))
+
+    def slopes(self, t_s: FloatArray, v_N: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(N, 3) y = A v, and (N, 3, 7) dy/d[d0, dOm, dlam] = [y x] d(t)."""
+        rate = float(np.linalg.norm(self.Om_N_rad_s))
+        n = self.Om_N_rad_s / max(rate, 1e-300)
+        v = self.unspun(t_s, v_N)
+        u = v @ self.A0.T
+        a = rate * t_s
+        spin = self.lam_rad_s * t_s
+        y = about_z(spin, u)
+        out = np.empty((len(t_s), 3, 7))
+        slow = ((1.0 - np.cos(a)) / max(rate, 1e-300))[:, None]
+        fast = (t_s - np.sin(a) / max(rate, 1e-300))[:, None]
+        for k in range(3):
+            axis = np.eye(3)[k]
+            out[:, :, k] = about_z(spin, np.cross(u, axis))
+            jl = t_s[:, None] * axis - slow * np.cross(n, axis) + fast * np.cross(n, np.cross(n, axis))
+            out[:, :, 3 + k] = about_z(spin, np.cross(v, jl) @ self.A0.T)
+        out[:, 0, 6], out[:, 1, 6], out[:, 2, 6] = y[:, 1] * t_s, -y[:, 0] * t_s, 0.0
+        return y, out
+
+
+def about_z(angle_rad: FloatArray, v: FloatArray) -> FloatArray:
+    """(N, 3) Rz(angle) v: components in axes turned by the angle about z."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.stack([c * v[:, 0] + s * v[:, 1], c * v[:, 1] - s * v[:, 0], v[:, 2]], axis=1)
+
+
+def cross_by(n: FloatArray, v: FloatArray) -> FloatArray:
+    """(N, 3) n x v for one n (3,)."""
+    return np.asarray(v @ skew(n).T)
+
+
+def skew(v: FloatArray) -> FloatArray:
+    """(3, 3) [v x]."""
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+def turn(v: FloatArray) -> FloatArray:
+    """(3, 3) exp([v x])."""
+    angle = float(np.linalg.norm(v))
+    if angle < 1e-12:
+        return np.asarray(np.eye(3) + skew(v))
+    n = skew(v / angle)
+    return np.asarray(np.eye(3) + np.sin(angle) * n + (1.0 - np.cos(angle)) * n @ n)
+
+
+def turn_vector(R: FloatArray) -> FloatArray:
+    """(3,) v of R = exp([v x])."""
+    axial = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine = float(np.linalg.norm(axial))
+    angle = float(np.arctan2(sine, 0.5 * (np.trace(R) - 1.0)))
+    return axial if sine < 1e-12 else axial * (angle / sine)

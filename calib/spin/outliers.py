@@ -1,0 +1,70 @@
+"""Readings of a spinner that stand out in |B|: bit errors spoil a blind start, and attitude is not needed to see them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from fluxtwin.calib.common.fit_warnings import standing_out
+from fluxtwin.calib.common.robust import TUKEY_AT, robust_distance, robust_weights
+from fluxtwin.calib.scalar.maximum_likelihood import solve
+from fluxtwin.calib.scalar.model import ScalarData, residual
+from fluxtwin.calib.spin.rows import SpinRows
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch
+
+_LOOSE = 0.005
+"""Noise in parts of the field; it sets no weight here."""
+
+
+def wild_readings(rows: SpinRows) -> np.ndarray:
+    """(N,) readings whose |B| stands out after a robust fit of b and S to |H|."""
+    H = np.linalg.norm(rows.H_N_nT, axis=1)
+    scale = float(np.sqrt((H**2).mean()))
+    data = ScalarData(rows.B_nT / scale, H / scale, np.zeros((len(H), 0)), _LOOSE**2 * np.eye(3), True)
+    state = {"p": np.zeros(data.size)}
+
+    def refit(weights: FloatArray) -> FloatArray:
+        state["p"] = solve(state["p"], data, weights, adjusted=False).p
+        return residual(state["p"], data)[:, None]
+
+    robust_weights(residual(state["p"], data)[:, None], refit, "tukey")
+    return standing_out(residual(state["p"], data)[:, None])
+
+
+def beyond(residuals_nT: FloatArray) -> np.ndarray:
+    """(N,) residuals (N, 3) of more than six robust sigma, where Tukey's weight is nought."""
+    r = residuals_nT - np.median(residuals_nT, axis=0)
+    return robust_distance(r) > TUKEY_AT
+
+
+def without(rows: SpinRows, wild: np.ndarray) -> SpinRows:
+    """The rows but for these readings; the pulses stay."""
+    if not wild.any():
+        return rows
+    kept = ~wild
+    return replace(
+        rows,
+        time=rows.time[kept],
+        t_s=rows.t_s[kept],
+        B_nT=rows.B_nT[kept],
+        H_N_nT=rows.H_N_nT[kept],
+        rows=rows.rows[kept],
+    )
+
+
+def wild_words(rows: SpinRows, *, left_out: bool) -> str:
+    """How many stand out, and what to do; empty where none does."""
+    wild = np.flatnonzero(wild_readings(rows))
+    if not wild.size:
+        return ""
+    first = ", ".join(epoch.iso(rows.time[k], "ms") for k in wild[:3])
+    return (
+        f"{wild.size} of {len(rows)} readings stand far out of the others in |B| (bit errors?), the first at {first}. "
+        + (
+            "They were left out, and others that |B| does not show may remain: leave those readings empty"
+            if left_out
+            else "--robust tukey leaves them out"
+        )
+    )

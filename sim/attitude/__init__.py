@@ -1,0 +1,1 @@
+"""Attitude and motion of a body, as far as an estimator may see them."""

@@ -1,0 +1,35 @@
+"""First-order Gauss-Markov noise: random errors that are correlated in time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch as clock
+
+
+def gauss_markov(
+    time: TimeArray, sigma: FloatArray | float, tau_s: float, rng: np.random.Generator, *, columns: int = 1
+) -> FloatArray:
+    """Stationary process with covariance sigma^2 exp(-|dt| / tau_s), columns independent. Shape (N, columns).
+
+    sigma: standard deviation, one number or one per column, in the unit wanted. tau_s 0 gives white noise.
+    Exact at any spacing of the stamps: x' = a x + sigma sqrt(1 - a^2) w, a = exp(-dt / tau_s) (Gelb 1974,
+    section 4.5). Raises BadInput for a negative sigma or time constant.
+    """
+    scale = np.broadcast_to(np.asarray(sigma, dtype=np.float64), (columns,))
+    if not (scale >= 0).all() or not tau_s >= 0:
+        raise BadInput(f"sigma {sigma}, time constant {tau_s} s", where="correlated noise", wanted="both >= 0")
+    from fluxtwin.sim.attitude.gauss_markov_kernel import follow
+
+    stamps = clock.as_times(time)
+    white = rng.standard_normal((stamps.size, columns))
+    if tau_s == 0.0:
+        return white * scale
+    exponent = np.diff(clock.seconds_since(stamps, stamps[0])) / tau_s
+    driven = white[1:] * np.sqrt(-np.expm1(-2.0 * exponent))[:, None]
+    noise = np.empty_like(white)
+    noise[0] = white[0]
+    follow(np.exp(-exponent), driven, noise)
+    return noise * scale

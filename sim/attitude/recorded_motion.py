@@ -1,0 +1,171 @@
+"""Orbit and attitude as functions of time along a record.
+
+A scenario gives the same things exactly (`scenario_motion`), so an effect that samples late or remembers need not
+know which it has.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.sim.attitude import smoothed_track as attitude_track
+from fluxtwin.sim.attitude.smoothed_track import AttitudeTrack
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM, GM_EARTH_KM3_S2, J2_EARTH
+
+_STEP_S = 60.0  # of the integration from a recorded position: 1e-4 km
+_REMEMBERED = 6
+_FEWEST = 5  # rows without attitude that make a track of their own
+
+
+@dataclass(frozen=True)
+class RecordedMotion:
+    """Motion along recorded positions, velocities and attitudes; N rows, all known, stamps rising.
+
+    Positions between two stamps come from both, each carried by its velocity and the pull of the Earth. A recorded
+    attitude has an error of its own, so what an offset adds to a row is the motion of a smoothed track relative to
+    the row's stamp: the error of its own attitude stays with the row, and those of its neighbours are averaged.
+    """
+
+    time: TimeArray
+    r_N_km: FloatArray
+    v_N_km_s: FloatArray
+    R_BN: Rotation
+    gyro_B_rad_s: FloatArray | None = None
+    """(N, 3) measured body rate; rows may be NaN."""
+    attitude_known: BoolArray | None = None
+    """(N,) False where R_BN is only one that fits the reading: it tells nothing of the others' motion. None: all known."""
+
+    def at(self, offset_s: float | FloatArray) -> tuple[FloatArray, FloatArray, Rotation]:
+        """Position, velocity (N, 3) and R_BN `offset_s` (one number, or (N,)) after each stamp.
+
+        R(t + d) = R_s(t + d) R_s(t)^-1 R(t), R_s being the smoothed track.
+        """
+        if not np.any(offset_s):
+            return self.r_N_km, self.v_N_km_s, self.R_BN
+        if np.ndim(offset_s):
+            return self._at(offset_s)
+        key = float(offset_s)
+        if key not in self._latest:
+            while len(self._latest) >= _REMEMBERED:
+                del self._latest[next(iter(self._latest))]
+            self._latest[key] = self._at(key)
+        return self._latest[key]
+
+    def track(self, offset_s: float | FloatArray) -> Rotation:
+        """R_BN along the smoothed track, `offset_s` (one number, or (N,)) after each stamp."""
+        moments = self.seconds + offset_s
+        track = self.smoothed.at(moments)
+        if self._beyond is None:
+            return track
+        rows, own = self._beyond
+        quaternions = track.as_quat()
+        quaternions[rows] = own.at(moments[rows]).as_quat()
+        return Rotation.from_quat(quaternions)
+
+    def reaches(self, offset_s: float) -> BoolArray:
+        """(N,) whether the moment `offset_s` after each stamp lies among the known attitudes of its stretch, or at most
+        half a spacing beyond: further out the attitude is a guess."""
+        reached = self.smoothed.reaches(self.seconds + offset_s)
+        return reached if self.attitude_known is None else reached | ~self.attitude_known
+
+    def along_track(self) -> RecordedMotion:
+        """The same motion with the smoothed attitudes in place of the recorded ones, where those are known."""
+        smooth = self.track(0.0)
+        if self.attitude_known is not None:
+            rows = self.attitude_known
+            turn = np.where(rows[:, None], (smooth * self.R_BN.inv()).as_rotvec(), 0.0)
+            smooth = Rotation.from_rotvec(turn) * self.R_BN
+        moved = dataclasses.replace(self, R_BN=smooth)
+        moved.__dict__["smoothed"] = self.smoothed  # not smoothed once more
+        return moved
+
+    @cached_property
+    def seconds(self) -> FloatArray:
+        """(N,) elapsed seconds from the first stamp."""
+        return epoch.seconds_since(self.time, self.time[0])
+
+    @cached_property
+    def smoothed(self) -> AttitudeTrack:
+        """The track through the recorded attitudes."""
+        known = np.flatnonzero(np.ones(self.time.size) if self.attitude_known is None else self.attitude_known)
+        if not known.size:
+            known = np.zeros(1, dtype=np.intp)
+        gyro = None if self.gyro_B_rad_s is None else self.gyro_B_rad_s[known]
+        return attitude_track.smoothed(self.seconds[known], self.R_BN[known], gyro)
+
+    @cached_property
+    def _beyond(self) -> tuple[BoolArray, AttitudeTrack] | None:
+        """Rows without attitude that no known one is near (N,), and the track through the attitudes that fit their
+        readings: of the turning about the field it tells nothing, of the field's way through the body it does."""
+        if self.attitude_known is None:
+            return None
+        rows = ~self.attitude_known
+        if self.attitude_known.any():
+            rows &= ~self.smoothed.reaches(self.seconds)
+        if rows.sum() < _FEWEST:
+            return None
+        gyro = None if self.gyro_B_rad_s is None else self.gyro_B_rad_s[rows]
+        return rows, attitude_track.smoothed(self.seconds[rows], self.R_BN[rows], gyro)
+
+    @cached_property
+    def _from_track(self) -> Rotation:
+        return self.track(0.0).inv()
+
+    @cached_property
+    def _latest(self) -> dict[float, tuple[FloatArray, FloatArray, Rotation]]:
+        return {}
+
+    def _at(self, offset_s: float | FloatArray) -> tuple[FloatArray, FloatArray, Rotation]:
+        stretch = attitude_track.stretches(self.seconds)
+        place = attitude_track.places(self.seconds, stretch, self.seconds + offset_s)
+        r, v = carried(self.r_N_km[place.row], self.v_N_km_s[place.row], place.after_s)
+        blended = np.flatnonzero(place.weights)
+        if blended.size:
+            other = place.other[blended]
+            r_other, v_other = carried(self.r_N_km[other], self.v_N_km_s[other], place.other_after_s[blended])
+            weight = place.weights[blended, None]
+            r[blended] += weight * (r_other - r[blended])
+            v[blended] += weight * (v_other - v[blended])
+        return r, v, self._turned_on(offset_s) * self.R_BN
+
+    def _turned_on(self, offset_s: float | FloatArray) -> Rotation:
+        """From the attitude at each stamp to that `offset_s` after it; by the gyro alone where no attitude is known."""
+        turn = self.track(offset_s) * self._from_track
+        if self.attitude_known is None or self.gyro_B_rad_s is None:
+            return turn
+        instead = ~self.attitude_known & np.isfinite(self.gyro_B_rad_s).all(axis=1)
+        by_gyro = -np.broadcast_to(offset_s, instead.shape)[:, None] * self.gyro_B_rad_s
+        return Rotation.from_rotvec(np.where(instead[:, None], by_gyro, turn.as_rotvec()))
+
+
+def carried(r_N_km: FloatArray, v_N_km_s: FloatArray, after_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Position and velocity (M, 3) `after_s` (M,) later, by the pull of the Earth with its flattening (Runge-Kutta)."""
+    r, v = np.array(r_N_km), np.array(v_N_km_s)
+    steps = max(1, int(np.ceil(float(np.abs(after_s).max(initial=0.0)) / _STEP_S)))
+    h = (np.asarray(after_s) / steps)[:, None]
+    for _ in range(steps):
+        a1 = _pull(r)
+        v2 = v + 0.5 * h * a1
+        a2 = _pull(r + 0.5 * h * v)
+        v3 = v + 0.5 * h * a2
+        a3 = _pull(r + 0.5 * h * v2)
+        v4 = v + h * a3
+        a4 = _pull(r + h * v3)
+        r = r + h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
+        v = v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+    return r, v
+
+
+def _pull(r_N_km: FloatArray) -> FloatArray:
+    """(M, 3) km/s2, the Earth's axis taken along z of GCRS."""
+    square = np.einsum("nc,nc->n", r_N_km, r_N_km)[:, None]
+    axial = 5.0 * r_N_km[:, 2:] ** 2 / square
+    flat = 1.5 * J2_EARTH * EARTH_RADIUS_KM**2 / square * (axial - np.array([1.0, 1.0, 3.0]))
+    return np.asarray(GM_EARTH_KM3_S2 * r_N_km / square**1.5 * (flat - 1.0))

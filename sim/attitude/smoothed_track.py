@@ -1,0 +1,275 @@
+"""The attitude as a smooth function of time, through a record of attitudes that each have an error.
+
+About each stamp the turn to its neighbours is fitted by a polynomial in time; between two stamps the two fits are
+blended. How many neighbours, and of what degree, is what predicts an attitude best from the others (leave one out:
+Allen 1974, Technometrics 16:125; local polynomials: Fan & Gijbels 1996, chapter 4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+
+RowArray = NDArray[np.intp]
+"""Numbers of rows."""
+
+_GAP = 5.0  # usual spacings without a row: nothing is fitted across
+_HALVES = (1, 2, 3, 4, 6, 9, 13, 20, 30, 45, 70, 100, 150)  # rows to either side
+_DEGREES = ((1, 1), (3, 2), (5, 4))  # a polynomial of this degree needs so many rows to either side
+_LARGEST_TURN = 2.0  # rad: what is left of the turn to a neighbour, beyond which the short way is ambiguous
+_CENTRES = 300  # rows that choose the window; more add little
+_AS_GOOD = 1.01  # of the smallest prediction error: among such fits the one that smooths least, its bias is least
+_WILD = 100.0  # times the median: a single wrong attitude counts no more
+_HOPELESS = 3.0  # times the smallest error: wider windows are not tried any more
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Where M moments lie among N stamps: between two that belong together, or beyond the end of a stretch."""
+
+    row: RowArray
+    """(M,) the stamp before, or beyond an end the nearest one."""
+    after_s: FloatArray
+    """(M,) time since that stamp, negative before it."""
+    other: RowArray
+    """(M,) the stamp after, or the same one beyond an end."""
+    other_after_s: FloatArray
+    """(M,) time since `other`."""
+    weights: FloatArray
+    """(M,) of `other`, from 0 to 1 with a level start and end."""
+
+
+def stretches(time_s: FloatArray) -> RowArray:
+    """(N,) number of the stretch without gaps that a stamp belongs to."""
+    steps = np.diff(time_s)
+    usual = float(np.median(steps)) if steps.size else 1.0
+    return np.concatenate([[0], np.cumsum(steps > _GAP * usual)]).astype(np.intp)
+
+
+def places(time_s: FloatArray, stretch: RowArray, moments_s: FloatArray) -> Places:
+    """Where moments (M,) lie among the stamps (N,), which rise."""
+    if time_s.size == 1:
+        row = np.zeros(moments_s.size, dtype=np.intp)
+        return Places(row, moments_s - time_s[0], row, moments_s - time_s[0], np.zeros(moments_s.size))
+    before = np.clip(np.searchsorted(time_s, moments_s, side="right") - 1, 0, time_s.size - 2)
+    step = time_s[before + 1] - time_s[before]
+    share = (moments_s - time_s[before]) / step
+    nearest = np.where(share > 0.5, before + 1, before)
+    between = (share >= 0.0) & (share <= 1.0) & (stretch[before] == stretch[before + 1])
+    row = np.where(between, before, nearest)
+    other = np.where(between, before + 1, nearest)
+    weight = np.where(between, share * share * (3.0 - 2.0 * share), 0.0)
+    return Places(row, moments_s - time_s[row], other, moments_s - time_s[other], weight)
+
+
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """A first course through N stamps, from which the fit takes over: steady about each stamp, or by gyro."""
+
+    time_s: FloatArray
+    rate_B_rad_s: FloatArray
+    integrated: Rotation | None = None
+    """From the first stamp to each, by gyro; None where each stamp's own rate is kept."""
+
+    def onward(self, here: RowArray, after_s: FloatArray, to: RowArray) -> FloatArray:
+        """(n, 3) rotation vector in body axes from stamps `here` by `after_s` (n,), on the way to stamps `to`."""
+        turn = self.rate_B_rad_s[here] * after_s[:, None]
+        if self.integrated is not None:
+            step = self.time_s[to] - self.time_s[here]
+            change = (self.rate_B_rad_s[to] - self.rate_B_rad_s[here]) / np.where(step == 0.0, 1.0, step)[:, None]
+            turn = turn + 0.5 * change * after_s[:, None] ** 2
+        return turn
+
+
+@dataclass(frozen=True, eq=False)
+class _Moments:
+    """Sums over the neighbours of n centres, for polynomials in z = (t - t_centre - mid) / span up to a degree."""
+
+    mid_s: FloatArray
+    span_s: FloatArray
+    gram: FloatArray
+    """(n, d + 1, d + 1)."""
+    moment: FloatArray
+    """(n, d + 1, 3)."""
+    counts: FloatArray
+    balanced: BoolArray
+    """Whether there are as many rows on one side as on the other."""
+
+    def fit(self, degree: int) -> tuple[FloatArray, FloatArray]:
+        """Coefficients (n, degree + 1, 3), and (n,) the weight of the centre's own attitude in its fit.
+
+        A stretch with few rows gets a lower degree.
+        """
+        size = degree + 1
+        order = np.arange(size)
+        bare = self.counts[:, None] < order + 1 + order // 2
+        gram = np.where(bare[:, :, None] | bare[:, None, :], 0.0, self.gram[:, :size, :size])
+        gram[:, order, order] += bare
+        here = np.where(bare, 0.0, (-self.mid_s / self.span_s)[:, None] ** order)
+        right = np.concatenate([np.where(bare[:, :, None], 0.0, self.moment[:, :size]), here[:, :, None]], axis=2)
+        solved = np.linalg.solve(gram, right)
+        weight: FloatArray = np.einsum("nk,nk->n", here, solved[:, :, 3])
+        return solved[:, :, :3], weight
+
+
+@dataclass(frozen=True, eq=False)
+class AttitudeTrack:
+    """A smoothed track through N attitudes."""
+
+    time_s: FloatArray
+    R_BN: Rotation
+    """As recorded."""
+    stretch: RowArray
+    course: _Course
+    coefficients_rad: FloatArray
+    """(N, d + 1, 3) of the turn that is left beside the course, body axes at the stamp."""
+    mid_s: FloatArray
+    span_s: FloatArray
+    half: int
+    """Rows to either side that a fit has."""
+
+    @property
+    def degree(self) -> int:
+        """Of the polynomials."""
+        return int(self.coefficients_rad.shape[1]) - 1
+
+    def at(self, moments_s: FloatArray) -> Rotation:
+        """Smoothed R_BN at moments (M,); beyond an end the last fit goes on, in a straight line after one spacing."""
+        from fluxtwin.sim.attitude.track_kernels import blended
+
+        place = places(self.time_s, self.stretch, moments_s)
+        first = self._about(place.row, place.after_s, place.other)
+        if not place.weights.any():
+            return Rotation.from_quat(first)
+        second = self._about(place.other, place.other_after_s, place.row)
+        return Rotation.from_quat(blended(first, second, place.weights))
+
+    def reaches(self, moments_s: FloatArray) -> BoolArray:
+        """(M,) whether moments lie between two stamps of a stretch, or at most half a spacing beyond its end."""
+        place = places(self.time_s, self.stretch, moments_s)
+        return np.asarray((place.other != place.row) | (np.abs(place.after_s) <= 0.501 * self._reach_s[place.row]))
+
+    def _about(self, row: RowArray, after_s: FloatArray, to: RowArray) -> FloatArray:
+        """(M, 4) quaternions of the fit about stamps `row` (M,), `after_s` later."""
+        from fluxtwin.sim.attitude.track_kernels import about
+
+        return about(
+            after_s, self._reach_s[row], self.mid_s[row], self.span_s[row], self.coefficients_rad[row],
+            self.course.onward(row, after_s, to), self._q_BN[row],
+        )  # fmt: skip
+
+    @cached_property
+    def _q_BN(self) -> FloatArray:
+        return np.asarray(self.R_BN.as_quat())
+
+    @cached_property
+    def _reach_s(self) -> FloatArray:
+        """(N,) the longer of the steps to the next stamps of the stretch."""
+        step = np.where(np.diff(self.stretch) == 0, np.diff(self.time_s), 0.0)
+        return np.asarray(np.maximum(np.append(step, 0.0), np.append(0.0, step)))
+
+
+def smoothed(time_s: FloatArray, R_BN: Rotation, gyro_B_rad_s: FloatArray | None = None) -> AttitudeTrack:
+    """The track through attitudes R_BN at rising stamps (N,).
+
+    gyro_B_rad_s: (N, 3) measured body rates, rows may be NaN; used if they predict attitudes better than no gyro.
+    """
+    stretch = stretches(time_s)
+    plain = _Course(time_s, _steady_rate(time_s, R_BN, stretch))
+    courses = [plain]
+    if gyro_B_rad_s is not None:
+        known = np.asarray(np.isfinite(gyro_B_rad_s).all(axis=1))
+        if known.mean() > 0.5:
+            filled = [np.interp(time_s, time_s[known], axis) for axis in gyro_B_rad_s[known].T]
+            courses.append(_integrated(time_s, np.stack(filled, axis=1)))
+    found = [(*_window(R_BN, stretch, course), course) for course in courses]
+    _, degree, half, course = min(found, key=lambda one: one[0])
+    sums = _moments(R_BN, stretch, course, np.arange(time_s.size, dtype=np.intp), half, degree)
+    coefficients, _ = sums.fit(degree)
+    return AttitudeTrack(time_s, R_BN, stretch, course, coefficients, sums.mid_s, sums.span_s, half)
+
+
+def _steady_rate(time_s: FloatArray, R_BN: Rotation, stretch: RowArray) -> FloatArray:
+    """(N, 3) body rate from the steps to the rows before and after; zero for a row alone."""
+    rate, weight = np.zeros((time_s.size, 3)), np.zeros(time_s.size)
+    if time_s.size > 1:
+        joined = np.flatnonzero(np.diff(stretch) == 0)
+        turn = -(R_BN[joined + 1] * R_BN[joined].inv()).as_rotvec() if joined.size else np.zeros((0, 3))
+        for row in (joined, joined + 1):
+            rate[row] += turn
+            weight[row] += time_s[joined + 1] - time_s[joined]
+    return np.asarray(rate / np.where(weight > 0, weight, 1.0)[:, None])
+
+
+def _integrated(time_s: FloatArray, rate_B_rad_s: FloatArray) -> _Course:
+    """The course by gyro, whose rate changes evenly from stamp to stamp."""
+    mean = 0.5 * (rate_B_rad_s[1:] + rate_B_rad_s[:-1]) * np.diff(time_s)[:, None]
+    whole = Rotation.from_rotvec(np.concatenate([np.zeros((1, 3)), -mean]))
+    shift = 1
+    while shift < time_s.size:  # products of 2, 4, 8, ... steps
+        whole = Rotation.concatenate([whole[:shift], whole[shift:] * whole[:-shift]])
+        shift *= 2
+    return _Course(time_s, rate_B_rad_s, whole)
+
+
+def _window(R_BN: Rotation, stretch: RowArray, course: _Course) -> tuple[float, int, int]:
+    """(mean square prediction error, degree, rows to either side) of the best window."""
+    centres = np.arange(0, stretch.size, -(-stretch.size // _CENTRES), dtype=np.intp)
+    tried = list(_trials(R_BN, stretch, course, centres))
+    best = min((error for error, *_ in tried), default=np.inf)
+    if not np.isfinite(best):
+        return np.inf, 1, 1
+    good = [one for one in tried if one[0] <= _AS_GOOD * best]
+    error, _, degree, half = max(good, key=lambda one: one[1])
+    return error, degree, half
+
+
+def _trials(
+    R_BN: Rotation, stretch: RowArray, course: _Course, centres: RowArray
+) -> Iterator[tuple[float, float, int, int]]:
+    """(mean square error, weight of the own attitude, degree, rows to either side) of every window worth trying."""
+    smallest = np.inf
+    for half in _HALVES:
+        degrees = [degree for degree, least in _DEGREES if least <= half and (degree > 1 or half == 1)]
+        sums = _moments(R_BN, stretch, course, centres, half, max(degrees))
+        errors = []
+        for degree in degrees:
+            coefficients, weight = sums.fit(degree)
+            here = np.einsum("nk,nkc->nc", (-sums.mid_s / sums.span_s)[:, None] ** np.arange(degree + 1), coefficients)
+            fair = sums.balanced & (weight < 0.95)
+            if fair.sum() < 0.3 * centres.size:
+                continue
+            left_out = np.sum((here[fair] / (1.0 - weight[fair])[:, None]) ** 2, axis=1)
+            errors.append(float(np.mean(np.minimum(left_out, _WILD * np.median(left_out)))))
+            yield errors[-1], float(np.mean(weight[fair])), degree, half
+        if half >= _DEGREES[-1][1] and errors and min(errors) > _HOPELESS * smallest:
+            return
+        smallest = min([smallest, *errors])
+
+
+def _moments(R_BN: Rotation, stretch: RowArray, course: _Course, centres: RowArray, half: int, degree: int) -> _Moments:
+    """Sums over 2 half + 1 rows about each of the centres (n,), fewer in a short stretch, one-sided at its ends."""
+    from fluxtwin.sim.attitude.track_kernels import moments
+
+    time_s = course.time_s
+    first = np.searchsorted(stretch, stretch[centres], side="left")
+    last = np.searchsorted(stretch, stretch[centres], side="right") - 1
+    low = np.maximum(first, np.minimum(centres - half, last - 2 * half))
+    high = np.minimum(last, low + 2 * half)
+    mid = 0.5 * (time_s[low] + time_s[high]) - time_s[centres]
+    span = np.where(high > low, 0.5 * (time_s[high] - time_s[low]), 1.0)
+    integrated = np.zeros((0, 4)) if course.integrated is None else course.integrated.as_quat()
+    sums, moment = moments(
+        time_s, R_BN.as_quat(), course.rate_B_rad_s, integrated, centres, low, high, mid, span, degree, _LARGEST_TURN
+    )
+    order = np.arange(degree + 1)
+    gram = sums[:, np.add.outer(order, order)]
+    balanced = (centres - low == half) & (high - centres == half)
+    return _Moments(mid, span, gram, moment, sums[:, 0], balanced)

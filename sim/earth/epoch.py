@@ -1,0 +1,161 @@
+"""Time: UTC stamps, elapsed seconds, and the scales that earth rotation and the sun need.
+
+A stamp is numpy datetime64[ns] in UTC. datetime64 knows no leap seconds, so a stamp cannot lie inside one
+(23:59:60), but *elapsed* time between stamps is counted in SI seconds, through TAI, with the leap seconds
+of ERFA's table. UT1 is taken as UTC (|UT1 - UTC| < 0.9 s: under 0.42 km at the equator), so that everything
+works offline.
+
+All functions take arrays of any length and are vectorised. Source of the scales: ERFA (SOFA) routines.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+
+import erfa
+import numpy as np
+
+from fluxtwin.sim.base.errors import BadInput, OutOfRange
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+
+_JD_UNIX = 2440587.5
+_STAMP = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}([T ][0-9]{2}(:[0-9]{2}(:[0-9]{2}(\.[0-9]+)?)?)?)?")
+_FIRST_YEAR, _LAST_YEAR = 1678, 2261  # what datetime64[ns] holds in full
+_NS_PER_DAY = 86400 * 1_000_000_000
+MJD2000 = np.datetime64("2000-01-01T00:00:00", "ns")
+"""Origin of the modified Julian day used by field models (1 January 2000, 0 h UTC)."""
+
+
+def parse_time(text: str, *, where: str = "time") -> np.datetime64:
+    """One ISO 8601 UTC stamp, with or without a final Z; raises BadInput for anything else."""
+    raw = text.strip()
+    wanted = "ISO 8601 UTC, as 1978-07-24T06:00:00Z"
+    cleaned = raw[:-1] if raw.endswith(("Z", "z")) else raw
+    # The pattern comes first: numpy would take other zones, and wrap years that nanoseconds cannot hold.
+    if not _STAMP.fullmatch(cleaned):
+        raise BadInput(f"{raw!r} is no time", where=where, wanted=wanted)
+    if not _FIRST_YEAR <= int(cleaned[:4]) <= _LAST_YEAR:
+        raise BadInput(f"{raw!r} is out of range", where=where, wanted=f"{_FIRST_YEAR} to {_LAST_YEAR}")
+    try:
+        return np.datetime64(cleaned.replace(" ", "T"), "ns")
+    except ValueError:
+        raise BadInput(f"{raw!r} is no time", where=where, wanted=wanted) from None
+
+
+def as_times(time: TimeArray | np.datetime64) -> TimeArray:
+    """datetime64[ns] array, at least one-dimensional; raises OutOfRange for missing stamps."""
+    stamps = np.atleast_1d(np.asarray(time, dtype="datetime64[ns]"))
+    if np.isnat(stamps).any():
+        raise OutOfRange("a time stamp is missing (NaT)", where="time", wanted="UTC stamps in every row")
+    return stamps
+
+
+def jd_utc(time: TimeArray | np.datetime64) -> tuple[FloatArray, FloatArray]:
+    """Two-part quasi Julian date of UTC (day at 0 h, fraction), as ERFA counts it.
+
+    On a day that ends with a leap second the fraction runs over 86401 s.
+    """
+    stamps = as_times(time)
+    ns = stamps.astype("int64")
+    days = ns // _NS_PER_DAY
+    nanoseconds = ns - days * _NS_PER_DAY
+    unique, inverse = np.unique(days, return_inverse=True)
+    length = _seconds_in_day(unique)[inverse]
+    return _JD_UNIX + days.astype(np.float64), nanoseconds * 1e-9 / length
+
+
+def jd_tai(time: TimeArray | np.datetime64) -> tuple[FloatArray, FloatArray]:
+    """Two-part Julian date of TAI (ERFA utctai)."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", erfa.ErfaWarning)  # "dubious year": far future, no leap second known
+        return erfa.utctai(*jd_utc(time))  # type: ignore[no-any-return]
+
+
+def jd_tt(time: TimeArray | np.datetime64) -> tuple[FloatArray, FloatArray]:
+    """Two-part Julian date of TT (ERFA taitt)."""
+    return erfa.taitt(*jd_tai(time))  # type: ignore[no-any-return]
+
+
+def jd_ut1(time: TimeArray | np.datetime64) -> tuple[FloatArray, FloatArray]:
+    """Two-part Julian date of UT1, taken equal to UTC."""
+    ns = as_times(time).astype("int64")
+    days = ns // _NS_PER_DAY
+    return _JD_UNIX + days.astype(np.float64), (ns - days * _NS_PER_DAY) / _NS_PER_DAY
+
+
+def seconds_since(time: TimeArray | np.datetime64, epoch: np.datetime64) -> FloatArray:
+    """Elapsed SI seconds from `epoch` to each stamp, leap seconds counted. Shape (N,)."""
+    stamps = as_times(time)
+    plain: FloatArray = (stamps - as_times(epoch)[0]).astype("int64") * 1e-9
+    elapsed: FloatArray = plain + _leap_seconds(stamps) - _leap_seconds(as_times(epoch))[0]
+    return elapsed
+
+
+def add_seconds(epoch: np.datetime64, seconds: FloatArray | float) -> TimeArray:
+    """UTC stamps `seconds` SI seconds after `epoch`. Shape (N,). Inverse of `seconds_since`.
+
+    An instant inside a leap second has no stamp of its own; it gets the stamp one second later.
+    """
+    start = as_times(epoch)
+    elapsed = np.rint(np.atleast_1d(np.asarray(seconds, dtype=np.float64)) * 1e9).astype("int64")
+    stamps: TimeArray = start + elapsed.astype("timedelta64[ns]")
+    base = _leap_seconds(start)[0]
+    for _ in range(2):  # the step lies at the corrected stamp, so look twice
+        extra = np.rint((_leap_seconds(stamps) - base) * 1e9).astype("int64")
+        stamps = start + (elapsed - extra).astype("timedelta64[ns]")
+    return stamps
+
+
+def decimal_year(time: TimeArray | np.datetime64) -> FloatArray:
+    """Calendar year plus the fraction of that year (365 or 366 days) gone by. Shape (N,)."""
+    stamps = as_times(time)
+    years = stamps.astype("datetime64[Y]")
+    start = years.astype("datetime64[ns]")
+    length = (years + np.timedelta64(1, "Y")).astype("datetime64[ns]") - start
+    fraction = (stamps - start).astype("int64") / length.astype("int64")
+    year: FloatArray = years.astype("int64") + 1970.0 + fraction
+    return year
+
+
+def from_decimal_year(year: float) -> np.datetime64:
+    """The UTC stamp at which `decimal_year` has the value `year`."""
+    whole = int(np.floor(year))
+    start = np.datetime64(f"{whole:04d}-01-01", "ns")
+    length = (np.datetime64(f"{whole + 1:04d}-01-01", "ns") - start).astype("int64")
+    return start + np.timedelta64(round((year - whole) * int(length)), "ns")
+
+
+def days_mjd2000(time: TimeArray | np.datetime64) -> FloatArray:
+    """Days since 2000-01-01 0 h UTC, leap seconds not counted: the clock of the field models. Shape (N,)."""
+    return (as_times(time) - MJD2000).astype("int64") / _NS_PER_DAY
+
+
+def iso(time: np.datetime64, unit: str = "s") -> str:
+    """ISO 8601 with a Z, cut to `unit`."""
+    return f"{np.datetime_as_string(np.datetime64(time, 'ns'), unit=unit)}Z"  # type: ignore[call-overload]
+
+
+def _leap_seconds(stamps: TimeArray) -> FloatArray:
+    """TAI - UTC [s] at each stamp (ERFA dat); constant 10 s before 1972 so that elapsed time stays smooth."""
+    days = stamps.astype("datetime64[D]")
+    unique, inverse = np.unique(days, return_inverse=True)
+    return _tai_minus_utc(unique)[inverse]
+
+
+def _tai_minus_utc(days: TimeArray) -> FloatArray:
+    text = np.datetime_as_string(days, unit="D")
+    year, month, day = (np.array(part, dtype=int) for part in zip(*(t.split("-") for t in text), strict=True))
+    modern = year >= 1972
+    offset = np.full(days.shape, 10.0)
+    if modern.any():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", erfa.ErfaWarning)
+            offset[modern] = erfa.dat(year[modern], month[modern], day[modern], 0.0)
+    return offset
+
+
+def _seconds_in_day(unix_days: np.ndarray) -> FloatArray:
+    """86400, or 86401 on a day that ends with a leap second."""
+    days: TimeArray = unix_days.astype("datetime64[D]")
+    return 86400.0 + _tai_minus_utc(days + np.timedelta64(1, "D")) - _tai_minus_utc(days)

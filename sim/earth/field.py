@@ -1,0 +1,162 @@
+"""The geomagnetic field at given epochs and positions.
+
+Frames as in `frames`: E Earth-fixed, N GCRS; NEC local geocentric north, east, centre. Positions in km, field
+in nT, epochs datetime64[ns] UTC: one per position in any order, or one for all. Time convention and validity:
+`field_models`; formulas: `field_kernels`.
+
+Epochs that differ from sample to sample cost one synthesis for each power of time in the knot interval (two
+for IGRF: K0 + tau K1), whatever the number of samples; nothing of size samples x coefficients is ever made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.sim.base.errors import BadInput, OutOfRange
+from fluxtwin.sim.base.processes import stop_if_asked
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.field_design import design_matrix
+from fluxtwin.sim.earth.field_models import FieldModel, load_field
+
+LOWEST_RADIUS_KM = 3485.0
+"""Core-mantle boundary: below it the field has sources and the series means nothing."""
+
+_Rows = slice | np.ndarray
+
+
+def field_E_nT(model: FieldModel, time: TimeArray | np.datetime64, r_E_km: FloatArray) -> FloatArray:
+    """Field in Earth-fixed Cartesian components, shape (N, 3), at positions (N, 3).
+
+    time: (N,) or one epoch. Raises OutOfRange for an epoch outside the model or a position below 3485 km,
+    BadInput for positions that are not finite and for shapes that do not fit.
+    """
+    from fluxtwin.sim.earth.field_kernels import fold, synthesize
+
+    r, stamps = _checked(time, r_E_km)
+    b_E_nT = np.zeros_like(r)
+    for rows, coefficients_nT, weight in _terms(model, stamps):
+        table = fold(coefficients_nT)
+        if isinstance(rows, slice):
+            synthesize(r, table, weight, b_E_nT)
+        else:
+            part = np.zeros((rows.size, 3))
+            synthesize(r[rows], table, weight, part)
+            b_E_nT[rows] += part
+    return b_E_nT
+
+
+def field_N_nT(
+    model: FieldModel, time: TimeArray | np.datetime64, r_N_km: FloatArray, R_EN: Rotation | None = None
+) -> FloatArray:
+    """Field in GCRS components, shape (N, 3), at GCRS positions (N, 3).
+
+    R_EN: GCRS to Earth-fixed at the same epochs, if it is at hand. Raises as `field_E_nT`.
+    """
+    r, stamps = _checked(time, r_N_km)
+    turn = frames.rotation_EN(stamps) if R_EN is None else R_EN
+    turns = 1 if turn.single else len(turn)
+    if turns not in (1, r.shape[0]):
+        raise BadInput(f"{turns} rotations for {r.shape[0]} positions", where="R_EN", wanted="one, or one each")
+    b_N_nT: FloatArray = turn.inv().apply(field_E_nT(model, stamps, turn.apply(r)))
+    return b_N_nT
+
+
+def field_NEC_nT(model: FieldModel, time: TimeArray | np.datetime64, r_E_km: FloatArray) -> FloatArray:
+    """Field in local geocentric north, east, centre components, shape (N, 3). Raises as `field_E_nT`.
+
+    At a pole there is no north: the components are those at longitude 0, so that east is the y axis of E.
+    """
+    b_E_nT = field_E_nT(model, time, r_E_km)
+    b_NEC_nT: FloatArray = frames.rotation_NEC_E(r_E_km).apply(b_E_nT)
+    return b_NEC_nT
+
+
+def field_gradient_E_nT_km(model: FieldModel, time: TimeArray | np.datetime64, r_E_km: FloatArray) -> FloatArray:
+    """Gradient of the field, shape (N, 3, 3): element [i, j] is dB_i/dr_j in nT/km, both Earth-fixed.
+
+    Exact, by folding the coefficients twice (no differences). Symmetric and traceless. Raises as
+    `field_E_nT`.
+    """
+    from fluxtwin.sim.earth.field_kernels import fold_gradient, synthesize
+
+    r, stamps = _checked(time, r_E_km)
+    gradient = np.zeros((r.shape[0], 3, 3))
+    for rows, coefficients_nT, weight in _terms(model, stamps):
+        for i, table in enumerate(fold_gradient(coefficients_nT)):
+            there = r[rows]
+            part = np.zeros_like(there)
+            synthesize(there, table, weight, part)
+            gradient[rows, i] += part
+    return gradient
+
+
+def design_matrix_E(degree: int, r_E_km: FloatArray) -> FloatArray:
+    """A, shape (N, 3, K), with A @ coefficients_nT the field in Earth-fixed components: `field_E_nT`'s twin.
+
+    K = degree (degree + 2), in the order of `field_models`. Raises as `field_E_nT` for positions, OutOfRange
+    for a degree below 1.
+    """
+    if degree < 1:
+        raise OutOfRange(f"degree {degree}", where="design matrix", wanted="1 or more")
+    return design_matrix(degree, _positions(r_E_km))
+
+
+def _terms(model: FieldModel, stamps: TimeArray) -> Iterator[tuple[_Rows, FloatArray, FloatArray]]:
+    """Rows, coefficients (K,) and weight (n,) or (1,): their weighted syntheses add up to the field."""
+    if stamps.size and (stamps[0] == stamps[-1]) and (stamps == stamps[0]).all():
+        yield slice(None), model.coefficients_nT(stamps[:1])[0], np.ones(1)
+        return
+    piece, tau = model.pieces(stamps)
+    present = np.flatnonzero(np.bincount(piece))
+    for p in present:
+        rows = slice(None) if present.size == 1 else np.flatnonzero(piece == p)
+        for power in range(model.polynomial_nT.shape[1]):
+            coefficients_nT = np.zeros(model.static_nT.size) if power else model.static_nT.copy()
+            coefficients_nT[: model.polynomial_nT.shape[2]] += model.polynomial_nT[p, power]
+            yield rows, coefficients_nT, tau[rows] ** power if power else np.ones(1)
+
+
+def _checked(time: TimeArray | np.datetime64, r_km: FloatArray) -> tuple[FloatArray, TimeArray]:
+    stop_if_asked()  # every verb that takes long comes through here, often
+    r, stamps = _positions(r_km), epoch.as_times(time)
+    if stamps.ndim != 1 or stamps.size not in (1, r.shape[0]):
+        raise BadInput(
+            f"epochs of shape {stamps.shape} for {r.shape[0]} positions",
+            where="field",
+            wanted="one epoch, or one for each position",
+        )
+    return r, stamps
+
+
+def _positions(r_km: FloatArray) -> FloatArray:
+    # writeable as well: numba would compile once more for a read-only array
+    r = np.require(np.atleast_2d(np.asarray(r_km)), np.float64, ["C", "W"])
+    if r.ndim != 2 or r.shape[1] != 3:
+        raise BadInput(f"shape {np.shape(r_km)}", where="positions", wanted="(N, 3) in km")
+    from fluxtwin.sim.earth.field_kernels import first_outside
+
+    row = first_outside(r, LOWEST_RADIUS_KM)
+    if row >= 0 and not np.isfinite(r[row]).all():
+        raise BadInput(f"row {row} is not finite: {r[row]}", where="positions", wanted="numbers in km")
+    if row >= 0:
+        raise OutOfRange(
+            f"row {row} lies {np.linalg.norm(r[row]):.6g} km from the centre of the Earth",
+            where="positions",
+            wanted=f"{LOWEST_RADIUS_KM:g} km or more",
+        )
+    return r
+
+
+__all__ = [
+    "FieldModel",
+    "design_matrix_E",
+    "field_E_nT",
+    "field_NEC_nT",
+    "field_N_nT",
+    "field_gradient_E_nT_km",
+    "load_field",
+]

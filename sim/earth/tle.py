@@ -1,0 +1,204 @@
+"""Two-line elements: read, propagated by SGP4, taken to GCRS.
+
+SGP4 answers in TEME (true equator, mean equinox of date). TEME is turned by the mean sidereal time of 1982
+into the Earth-fixed frame without polar motion (Vallado et al. 2006, AIAA 2006-6753, appendix C), and from
+there to GCRS by the inverse of `frames.rotation_EN`; UT1 = UTC cancels between the two steps.
+
+Elements age: expect 1-3 km at their epoch in low orbit and 1-3 km more each day (Vallado 2006).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import erfa
+import numpy as np
+from scipy.spatial.transform import Rotation
+from sgp4.api import SGP4_ERRORS, Satrec
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch, frames
+
+_LARGEST_BYTES = 1_000_000
+_OLD_DAYS = 30.0
+_FORMAT = "a two-line element set of one satellite: an optional name line, then lines 1 and 2 of 69 characters"
+_NS_PER_UNIT = 864_000  # the epoch of a line counts in 1e-8 day
+
+
+@dataclass(frozen=True)
+class Tle:
+    """One element set. `propagate` and `notices` are what the readers of telemetry need."""
+
+    line1: str
+    line2: str
+    name: str = ""
+    where: str = "TLE"
+    """The file, for messages."""
+
+    def __post_init__(self) -> None:
+        for number, line in ((1, self.line1), (2, self.line2)):
+            _check_line(number, line, self.where)
+        if self.line1[2:7] != self.line2[2:7]:
+            raise BadInput(
+                f"line 1 is of satellite {self.line1[2:7].strip()}, line 2 of {self.line2[2:7].strip()}",
+                where=self.where,
+                wanted=_FORMAT,
+            )
+        try:
+            satellite = self._satellite()
+        except ValueError as error:
+            raise BadInput(f"SGP4 cannot read these lines: {error}", where=self.where, wanted=_FORMAT) from None
+        if satellite.error:
+            raise BadInput(f"SGP4 refuses these elements: {SGP4_ERRORS[satellite.error]}", where=self.where)
+
+    @property
+    def satellite_number(self) -> str:
+        """Catalogue number, as in the lines."""
+        return self.line1[2:7].strip()
+
+    @property
+    def epoch_utc(self) -> np.datetime64:
+        """Epoch of the elements; two-digit years 57-99 are 1957-1999. Exact: a line counts in 864 us."""
+        year = int(self.line1[18:20])
+        year += 1900 if year >= 57 else 2000
+        day, _, fraction = self.line1[20:32].strip().partition(".")
+        units = (int(day) - 1) * 10**8 + int(fraction.ljust(8, "0")[:8])
+        return np.datetime64(f"{year:04d}-01-01", "ns") + np.timedelta64(units * _NS_PER_UNIT, "ns")
+
+    def notices(self, time: TimeArray | np.datetime64) -> tuple[str, ...]:
+        """What a user should know about using these elements at `time`: empty, or one sentence."""
+        days = epoch.seconds_since(time, self.epoch_utc) / 86400.0
+        farthest = float(days[np.argmax(np.abs(days))])
+        if abs(farthest) <= _OLD_DAYS:
+            return ()
+        side = "after" if farthest > 0 else "before"
+        return (
+            f"{Path(self.where).name}: the data reach {abs(farthest):.1f} days {side} the epoch of the elements,"
+            f" {epoch.iso(self.epoch_utc)} (past {_OLD_DAYS:g} days expect errors of tens of km)",
+        )
+
+    def propagate_TEME(self, time: TimeArray | np.datetime64) -> tuple[np.ndarray, FloatArray, FloatArray]:
+        """SGP4's error codes (N,) (0 is good), position [km] and velocity [km/s] in TEME, each (N, 3).
+
+        WGS 72 constants, "improved" mode. Elapsed time counts leap seconds. Rows with an error are NaN.
+        """
+        days = epoch.seconds_since(time, self.epoch_utc) / 86400.0
+        satellite = self._satellite()
+        whole = np.floor(days)
+        codes, r_km, v_km_s = satellite.sgp4_array(satellite.jdsatepoch + whole, satellite.jdsatepochF + (days - whole))
+        return codes, r_km, v_km_s
+
+    def propagate(self, time: TimeArray | np.datetime64) -> tuple[FloatArray, FloatArray]:
+        """Position [km] and velocity [km/s] in GCRS, each (N, 3).
+
+        Raises BadInput with SGP4's own words where it gives no answer (decayed, elements out of bounds).
+        """
+        stamps = epoch.as_times(time)
+        codes, r_km, v_km_s = self.propagate_TEME(stamps)
+        bad = np.flatnonzero(codes)
+        if bad.size:
+            code = int(codes[bad[0]])
+            raise BadInput(
+                f"SGP4 gives no position at {epoch.iso(stamps[bad[0]])} (row {bad[0] + 1}, {bad.size} such"
+                f" rows; elements of {epoch.iso(self.epoch_utc)}): {SGP4_ERRORS.get(code, f'error {code}')}",
+                where=self.where,
+                wanted="elements closer in time, or positions in the telemetry itself",
+            )
+        R_N_TEME = rotation_N_TEME(stamps)
+        return R_N_TEME.apply(r_km), R_N_TEME.apply(v_km_s)
+
+    def _satellite(self) -> Satrec:
+        return Satrec.twoline2rv(self.line1, self.line2)
+
+
+def rotation_N_TEME(time: TimeArray | np.datetime64) -> Rotation:
+    """TEME to GCRS at each stamp. Batch of N. TEME turns at 8e-12 rad/s, so velocities turn alike."""
+    sidereal: FloatArray = erfa.gmst82(*epoch.jd_ut1(time))
+    # As an active rotation, R_E_TEME turns vectors by minus the sidereal time about z.
+    return frames.rotation_EN(time).inv() * Rotation.from_euler("z", -sidereal[:, None])
+
+
+def read_tle(path: Path | str) -> Tle:
+    """Read a file with the elements of one satellite, two lines with or without a name line before them.
+
+    Raises BadInput that names what is wrong: file, line, length, checksum, or several satellites.
+    """
+    path = Path(path)
+    try:
+        if not path.is_file():
+            raise BadInput("there is no such file", where=str(path), wanted=_FORMAT)
+        if path.stat().st_size > _LARGEST_BYTES:
+            raise BadInput(
+                f"has {path.stat().st_size} bytes, too many for one satellite",
+                where=str(path),
+                wanted=_FORMAT,
+            )
+        content = path.read_bytes()
+    except OSError as error:
+        raise BadInput(f"cannot be read ({error.strerror or error})", where=str(path)) from None
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise BadInput("is not a text file", where=str(path), wanted=_FORMAT) from None
+    return parse_tle(text, where=str(path))
+
+
+def parse_tle(text: str, *, where: str = "TLE") -> Tle:
+    """The element set in `text`; see `read_tle`."""
+    lines = [line.rstrip() for line in text.splitlines() if line.strip()]
+    first = sum(line.startswith("1 ") and len(line) > 60 for line in lines)
+    if first > 1:
+        satellites = list(dict.fromkeys(line[2:7].strip() for line in lines if line.startswith("1 ")))
+        numbers = ", ".join(satellites[:5]) + (", ..." if len(satellites) > 5 else "")
+        raise BadInput(f"holds {first} element sets (satellites {numbers})", where=where, wanted=_FORMAT)
+    if len(lines) not in (2, 3):
+        raise BadInput(f"holds {len(lines)} lines that are not blank", where=where, wanted=_FORMAT)
+    name = lines[0].removeprefix("0 ").strip() if len(lines) == 3 else ""
+    return Tle(line1=lines[-2], line2=lines[-1], name=name, where=where)
+
+
+def _check_line(number: int, line: str, where: str) -> None:
+    place = f"{where}, line {number}"
+    if not line.startswith(f"{number} "):
+        raise BadInput(f"starts with {line[:10]!r}", where=place, wanted=_FORMAT)
+    if len(line) != 69 or not line.isascii():
+        raise BadInput(f"has {len(line)} characters", where=place, wanted="69 plain characters")
+    if not line[68].isdigit() or int(line[68]) != checksum(line):
+        raise BadInput(
+            f"the checksum is {line[68]!r} but the line adds up to {checksum(line)}",
+            where=place,
+            wanted="the line as it was published; one character or more has changed",
+        )
+    for label, start, stop in _FIELDS[number]:
+        if not _is_number(line[start:stop], label):
+            raise BadInput(
+                f"{label} is {line[start:stop]!r}",
+                where=f"{place}, columns {start + 1}-{stop}",
+                wanted="a number",
+            )
+
+
+def checksum(line: str) -> int:
+    """Modulo-10 sum of the first 68 characters: digits count as themselves, a minus sign as 1."""
+    return sum(int(c) if c.isdigit() else c == "-" for c in line[:68]) % 10
+
+
+_FIELDS = {
+    1: (("epoch year", 18, 20), ("epoch day", 20, 32), ("first derivative of mean motion", 33, 43)),
+    2: (
+        ("inclination", 8, 16), ("right ascension of the node", 17, 25), ("eccentricity", 26, 33),
+        ("argument of perigee", 34, 42), ("mean anomaly", 43, 51), ("mean motion", 52, 63),
+    ),
+}  # fmt: skip
+
+
+def _is_number(text: str, label: str) -> bool:
+    try:
+        value = float(text)
+    except ValueError:
+        return False
+    if label in ("eccentricity", "epoch year"):
+        return text.strip().isdigit()
+    return bool(np.isfinite(value)) and (label != "epoch day" or 1.0 <= value < 367.0)

@@ -1,0 +1,319 @@
+"""The signal on its way from the world to the reading, and the chain that carries it.
+
+One chain serves both directions. *Simulating*, the motion given is the true one, and effects on time, orbit
+and attitude spoil what is reported. *Predicting*, the motion given is the reported one, and the same effects
+turn it back into the true one. Everything after that (field, spacecraft, sensor) runs forward in both. The
+prediction has no noise and no rounding, so its differences are the Jacobians of a diagnosis.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal, Protocol
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.sim.attitude.recorded_motion import RecordedMotion
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch, frames, sun
+from fluxtwin.sim.earth.constants import GM_EARTH_KM3_S2
+from fluxtwin.sim.earth.field import field_N_nT
+from fluxtwin.sim.earth.field_models import FieldModel
+from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
+
+Direction = Literal["simulate", "predict"]
+
+_BESIDE_S = 0.05  # to either side of a moment, for the body rate there: a spin of ten turns a second is still seen
+_REMEMBERED = 4
+
+
+class Motion(Protocol):
+    """Orbit and attitude as functions of time."""
+
+    def at(self, offset_s: float | FloatArray) -> tuple[FloatArray, FloatArray, Rotation]:
+        """Position [km] and velocity [km/s] (N, 3), GCRS, and R_BN, `offset_s` (or (N,)) after each stamp."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What no effect changes; N rows."""
+
+    time: TimeArray
+    """(N,) stamps, UTC."""
+    motion: Motion
+    direction: Direction
+    model: FieldModel
+    """Field model of the baseline."""
+    instrument: Magnetometer
+    """S, b, T of the baseline; its noise and LSB are not used here."""
+    columns: Mapping[str, FloatArray] = field(default_factory=dict)
+    """Recorded columns by telemetry name (`dipole_B_Am2`, `temperature_degC`, ...), (N,) or (N, k), may hold NaN."""
+    full_scale_nT: float | None = None
+    field_N_nT: FloatArray | None = None
+    """(N, 3) the model at the stamps and given positions, if at hand: spares one evaluation."""
+    unknown_B_nT: FloatArray | None = None
+    """(N, 3) field at the sensor of a source that the baseline has and nobody has explained."""
+    attitude_known: BoolArray | None = None
+    """(N,) False where no attitude was reported and R_BN is only one that fits the reading. None: all known."""
+
+    @cached_property
+    def seconds(self) -> FloatArray:
+        """(N,) elapsed seconds from the first stamp."""
+        return epoch.seconds_since(self.time, self.time[0])
+
+    @cached_property
+    def given(self) -> tuple[FloatArray, FloatArray, Rotation]:
+        """Position, velocity and R_BN at the stamps, as given."""
+        return self.motion.at(0.0)
+
+    @cached_property
+    def R_ON(self) -> Rotation:
+        """GCRS to the orbital frame at the given motion."""
+        return frames.rotation_ON(*self.given[:2])
+
+    @cached_property
+    def R_EN(self) -> Rotation:
+        """GCRS to Earth-fixed at the stamps."""
+        return frames.rotation_EN(self.time)
+
+    @cached_property
+    def sun_N(self) -> FloatArray:
+        """(N, 3) unit vectors to the sun."""
+        return sun.sun_direction_N(self.time, self.given[0])
+
+    @cached_property
+    def illumination(self) -> FloatArray:
+        """(N,) share of the sun's disc in view, from geometry."""
+        return sun.illumination(self.given[0], sun.sun_N_km(self.time))
+
+    @cached_property
+    def latitude_rad(self) -> FloatArray:
+        """(N,) geocentric latitude."""
+        return frames.geocentric(self.R_EN.apply(self.given[0]))[0]
+
+    @property
+    def rate_B_rad_s(self) -> FloatArray:
+        """(N, 3) body rate relative to N, components in B."""
+        return self.rates(0.0)[0]
+
+    def rates(self, offset_s: float) -> tuple[FloatArray, FloatArray]:
+        """Body rate relative to N (N, 3), components in B, and rate of change of the model field along the orbit (N, 3),
+        GCRS, nT/s, both `offset_s` after the stamps."""
+        if offset_s not in self._rates:
+            while len(self._rates) >= _REMEMBERED:
+                del self._rates[next(iter(self._rates))]
+            self._rates[offset_s] = self.turning(offset_s), self._field_rate(offset_s)
+        return self._rates[offset_s]
+
+    @cached_property
+    def _rates(self) -> dict[float, tuple[FloatArray, FloatArray]]:
+        return {}
+
+    def track(self, offset_s: float | FloatArray) -> Rotation:
+        """R_BN `offset_s` (or (N,)) after the stamps, without the error that a row's own recorded attitude has."""
+        if isinstance(self.motion, RecordedMotion) and self.direction == "predict":
+            return self.motion.track(offset_s)
+        return self.motion.at(offset_s)[2]
+
+    def within_steps(
+        self, offset_s: float, step_s: FloatArray, parts: int
+    ) -> Sequence[tuple[FloatArray, Rotation, FloatArray]]:
+        """The moments that cut the steps (N,) before the stamps into parts: offset [s] (N,), track, body rate (N, 3).
+
+        All of them `offset_s` later; the offset counts from the stamp.
+        """
+        key = (offset_s, step_s.tobytes(), parts)
+        if key not in self._within:
+            moments = [offset_s + (number / parts - 1.0) * step_s for number in range(1, parts)]
+            self._within.clear()
+            self._within[key] = [(moment, self.track(moment), self.turning(moment)) for moment in moments]
+        return self._within[key]
+
+    @cached_property
+    def _within(self) -> dict[tuple[float, bytes, int], list[tuple[FloatArray, Rotation, FloatArray]]]:
+        return {}
+
+    def turning(self, offset_s: float | FloatArray) -> FloatArray:
+        """(N, 3) body rate relative to N, components in B, `offset_s` (or (N,)) after the stamps."""
+        after, before = self.track(offset_s + _BESIDE_S), self.track(offset_s - _BESIDE_S)
+        return np.asarray(-np.atleast_2d((after * before.inv()).as_rotvec()) / (2.0 * _BESIDE_S))
+
+    def _field_rate(self, offset_s: float) -> FloatArray:
+        after, before = (
+            field_N_nT(self.model, epoch.add_seconds(self.time[0], self.seconds + moment), self.motion.at(moment)[0])
+            for moment in (offset_s + 1.0, offset_s - 1.0)
+        )
+        return np.asarray((after - before) / 2.0)
+
+    @cached_property
+    def own_turn_N(self) -> Rotation | None:
+        """What each row's given attitude adds to the track, R_BN = track own_turn_N; None where the motion is exact."""
+        exact = self.direction == "simulate" or not isinstance(self.motion, RecordedMotion)
+        return None if exact else self.track(0.0).inv() * self.given[2]
+
+    @cached_property
+    def lags_K(self) -> dict[float, FloatArray]:
+        """By time constant [s], the temperatures (N,) that `effects.drivers` made of the sunlight, the latest few."""
+        return {}
+
+    def column(self, name: str) -> FloatArray | None:
+        """A recorded column, or None."""
+        return self.columns.get(name)
+
+
+@dataclass(frozen=True)
+class Signal:
+    """The state of the signal between two stages; arrays (N, 3), body axes unless the name says N."""
+
+    setting: Setting
+    r_N_km: FloatArray
+    """True position at the moment of sampling."""
+    v_N_km_s: FloatArray
+    R_BN: Rotation
+    """True attitude at the moment of sampling."""
+    r_reported_N_km: FloatArray
+    v_reported_N_km_s: FloatArray
+    R_reported_BN: Rotation
+    sample_offset_s: float = 0.0
+    """How much later than its stamp the field is sampled."""
+    field_N_nT: FloatArray | None = None
+    """Ambient field; None before the field stage."""
+    stray_B_nT: FloatArray | None = None
+    """Field of the spacecraft at the sensor (the baseline's torquer coupling is in the instrument's T)."""
+    reading_B_nT: FloatArray | None = None
+    """Reading; None before the sensor stage."""
+    ideal_B_nT: FloatArray | None = None
+    """Reading before noise, saturation at full scale and rounding; only while simulating."""
+    measured_turns: Mapping[str, Rotation] = field(default_factory=dict)
+    """By how much what a sensor at fault measures is turned: `sun_B`, `nadir_B`; only while simulating."""
+
+    @property
+    def rows(self) -> int:
+        return int(self.setting.time.size)
+
+    @property
+    def sampled_time(self) -> TimeArray:
+        """(N,) UTC at which the field is sampled."""
+        if not self.sample_offset_s:
+            return self.setting.time
+        return epoch.add_seconds(self.setting.time[0], self.setting.seconds + self.sample_offset_s)
+
+    @property
+    def R_EN(self) -> Rotation:
+        """GCRS to Earth-fixed at the moment of sampling."""
+        return frames.rotation_EN(self.sampled_time) if self.sample_offset_s else self.setting.R_EN
+
+    @property
+    def field_B_nT(self) -> FloatArray:
+        """(N, 3) ambient field in true body axes."""
+        turned: FloatArray = self.R_BN.apply(self.ambient_N_nT)
+        return turned
+
+    @property
+    def ambient_N_nT(self) -> FloatArray:
+        """(N, 3) ambient field, GCRS; only from the field stage on."""
+        assert self.field_N_nT is not None
+        return self.field_N_nT
+
+    @property
+    def reading(self) -> FloatArray:
+        """(N, 3) reading; only from the sensor stage on."""
+        assert self.reading_B_nT is not None
+        return self.reading_B_nT
+
+    def sampled_later(self, offset_s: float) -> Signal:
+        """The field is sampled `offset_s` after the stamp; orbit and attitude are right at the stamp."""
+        offset = self.sample_offset_s + offset_s
+        r, v, R = self.setting.motion.at(offset)
+        return dataclasses.replace(self, r_N_km=r, v_N_km_s=v, R_BN=R, sample_offset_s=offset)
+
+    def position_reported_ahead(self, along_km: FloatArray | float) -> Signal:
+        """The reported position is `along_km` ahead of the true one along the orbit; attitude is right."""
+        ahead = np.asarray(along_km, dtype=np.float64)
+        if self.setting.direction == "simulate":
+            r_N_km, v_N_km_s = _along_orbit(self.r_reported_N_km, self.v_reported_N_km_s, ahead)
+            return dataclasses.replace(self, r_reported_N_km=r_N_km, v_reported_N_km_s=v_N_km_s)
+        r_N_km, v_N_km_s = _along_orbit(self.r_N_km, self.v_N_km_s, -ahead)
+        return dataclasses.replace(self, r_N_km=r_N_km, v_N_km_s=v_N_km_s)
+
+    def attitude_reported_turned(self, theta_B_rad: FloatArray, sensor: str | None = None) -> Signal:
+        """The reported attitude is turned: R_reported = exp([theta x]) R_true, theta (N, 3) in body axes.
+
+        sensor: `sun_B` or `nadir_B`, if the fault is that sensor's: what it measures is then turned as well.
+        """
+        if self.setting.direction == "simulate":
+            turn, turns = Rotation.from_rotvec(theta_B_rad), dict(self.measured_turns)
+            if sensor is not None:
+                turns[sensor] = turn * turns[sensor] if sensor in turns else turn
+            return dataclasses.replace(self, R_reported_BN=turn * self.R_reported_BN, measured_turns=turns)
+        if self.setting.attitude_known is not None:
+            theta_B_rad = np.where(self.setting.attitude_known[:, None], theta_B_rad, 0.0)  # nothing was reported
+        return dataclasses.replace(self, R_BN=Rotation.from_rotvec(-theta_B_rad) * self.R_BN)
+
+    @property
+    def field_rate_B_nT_s(self) -> FloatArray:
+        """(N, 3) rate of change of the ambient field as the body sees it, along the orbit and by its own turning."""
+        rate, along = self.setting.rates(self.sample_offset_s)
+        turned: FloatArray = self.R_BN.apply(along)
+        return turned - np.cross(rate, self.field_B_nT)
+
+    @property
+    def R_track_BN(self) -> Rotation:
+        """Attitude at the moment of sampling along the track: what looks back along the rows must use this one, or
+        it would see the attitude errors of the rows before as motion."""
+        own = self.setting.own_turn_N
+        return self.R_BN if own is None else self.R_BN * own.inv()
+
+    def with_own_turn(self, vector_B: FloatArray) -> FloatArray:
+        """(N, 3) vectors in the track's body axes, turned into those of each row's own attitude."""
+        if self.setting.own_turn_N is None:
+            return vector_B
+        turned: FloatArray = self.R_BN.apply(self.R_track_BN.inv().apply(vector_B))
+        return turned
+
+    def with_ambient(self, extra_N_nT: FloatArray) -> Signal:
+        """More ambient field, GCRS components."""
+        assert self.field_N_nT is not None
+        return dataclasses.replace(self, field_N_nT=self.field_N_nT + extra_N_nT)
+
+    def with_stray(self, extra_B_nT: FloatArray) -> Signal:
+        """More field of the spacecraft at the sensor."""
+        before = np.zeros((self.rows, 3)) if self.stray_B_nT is None else self.stray_B_nT
+        return dataclasses.replace(self, stray_B_nT=before + extra_B_nT)
+
+    def with_reading(self, reading_B_nT: FloatArray) -> Signal:
+        """Another reading. Each effect of the sensor makes one: copied by hand, which takes a tenth of the time."""
+        changed = object.__new__(Signal)
+        changed.__dict__.update(self.__dict__, reading_B_nT=reading_B_nT)
+        return changed
+
+
+def start(setting: Setting) -> Signal:
+    """The signal before any stage."""
+    r, v, R = setting.given
+    return Signal(setting, r, v, R, r, v, R, stray_B_nT=setting.unknown_B_nT)
+
+
+def _along_orbit(r_N_km: FloatArray, v_N_km_s: FloatArray, along_km: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Position and velocity where the two-body orbit is the time along_km / |v| later.
+
+    Lagrange's coefficients to the fourth power of the time (Vallado 2013, section 2.4.3): 5 m for 1000 km.
+    """
+    size = np.linalg.norm(r_N_km, axis=1)
+    speed = np.linalg.norm(v_N_km_s, axis=1)
+    t = np.broadcast_to(along_km, size.shape) / speed
+    u, p = GM_EARTH_KM3_S2 / size**3, np.einsum("ij,ij->i", r_N_km, v_N_km_s) / size**2
+    q = (speed / size) ** 2 - u
+    bend = u * (3.0 * q - 15.0 * p**2 + u) / 24.0
+    f = 1.0 - u * t**2 / 2.0 + u * p * t**3 / 2.0 + bend * t**4
+    g = t - u * t**3 / 6.0 + u * p * t**4 / 4.0
+    f_rate = -u * t + 1.5 * u * p * t**2 + 4.0 * bend * t**3
+    g_rate = 1.0 - u * t**2 / 2.0 + u * p * t**3
+    return (
+        f[:, None] * r_N_km + g[:, None] * v_N_km_s,
+        f_rate[:, None] * r_N_km + g_rate[:, None] * v_N_km_s,
+    )

@@ -1,0 +1,235 @@
+"""The chain of the sensors: field, attitude and spacecraft become readings, readings become telemetry.
+
+Each source draws only from the random streams that carry its own name, so switching one off moves no other. What
+the scenario's effects do is in `effects`; the same chain predicts readings for a diagnosis.
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fluxtwin.sim.attitude.gauss_markov import gauss_markov
+from fluxtwin.sim.attitude.record import Attitude
+from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames, horizon
+from fluxtwin.sim.earth.field import load_field
+from fluxtwin.sim.effects.base import DynamicsEffect
+from fluxtwin.sim.effects.chain import Active, Chain
+from fluxtwin.sim.effects.signal import Direction, Motion, Setting, Signal
+from fluxtwin.sim.run import spacecraft as spacecraft
+from fluxtwin.sim.run.flights import flights, vehicle_of
+from fluxtwin.sim.run.housekeeping import Housekeeping
+from fluxtwin.sim.run.truth import Truth
+from fluxtwin.sim.run.world import World
+from fluxtwin.sim.scenario.effect_sections import active_effects, effects_record
+from fluxtwin.sim.scenario.scenario import Scenario
+from fluxtwin.sim.spacecraft.sensors.reference_attitude import (
+    attitude_from_sun_and_nadir,
+    attitude_with_error,
+    q_where,
+)
+from fluxtwin.sim.spacecraft.sensors.sun_sensor import measure_sun
+from fluxtwin.sim.telemetry.record import Telemetry
+
+
+@dataclass(frozen=True)
+class Attached:
+    """What the other sensors say."""
+
+    q_NB: FloatArray
+    sun_sensor_head: FloatArray | None
+    sun_B: FloatArray | None
+    nadir_B: FloatArray | None
+    rate_B_rad_s: FloatArray | None
+
+
+def torquer_dipole_B_Am2(scenario: Scenario, world: World, attitude: Attitude) -> FloatArray:
+    """(N, 3) what the torquers do."""
+    if scenario.attitude.mode == "dynamics":
+        return flights(scenario).dipole_B_Am2(world.time)
+    field_B_nT = attitude.R_BN.apply(world.field_N_nT)
+    return spacecraft.torquer_schedule(scenario).dipole_B_Am2(world.time, field_B_nT)
+
+
+def fly_magnetometer(
+    scenario: Scenario,
+    world: World,
+    motion: Motion,
+    columns: Mapping[str, FloatArray],
+    direction: Direction = "simulate",
+) -> Signal:
+    """The chain of the magnetometer, with the scenario's effects.
+
+    columns: everything that was recorded or will be, by telemetry name, `dipole_B_Am2` as it really was. An effect
+    that has nothing to act on is left out with a warning that says why.
+    """
+    instrument = spacecraft.magnetometer(scenario)
+    setting = Setting(
+        time=world.time,
+        motion=motion,
+        direction=direction,
+        model=load_field(scenario.field.truth, degree=scenario.field.truth_degree),
+        instrument=instrument,
+        columns=columns,
+        full_scale_nT=scenario.magnetometer.full_scale_nT,
+        field_N_nT=world.field_N_nT,
+        unknown_B_nT=_unknown_field_nT(scenario, world),
+    )
+    noise_nT = instrument.noise_nT * stream(scenario.seed, "magnetometer.noise").standard_normal((world.time.size, 3))
+    return Chain(setting).simulated(_testable(scenario, setting), scenario.seed, noise_nT)
+
+
+def _testable(scenario: Scenario, setting: Setting) -> list[Active]:
+    kept = []
+    for effect, theta in active_effects(scenario):
+        reason = effect.untestable(setting)
+        if isinstance(effect, DynamicsEffect):
+            flown = scenario.attitude.mode == "dynamics"
+            reason = effect.idle(vehicle_of(scenario)) if flown else 'no torque turns the body: mode is not "dynamics"'
+        if reason is None:
+            kept.append((effect, theta))
+        else:
+            warnings.warn(f"effects.{effect.name} is left out: {reason}", stacklevel=2)
+    return kept
+
+
+def fly_others(scenario: Scenario, world: World, motion: Attitude) -> Attached:
+    """Sun sensors, horizon scanner, gyro and the reference attitude made from them."""
+    seed, reference = scenario.seed, scenario.attitude.reference
+    heads = spacecraft.sun_sensor_heads(scenario)
+    head = sun_B = nadir_B = None
+    if heads:
+        head, sun_B = measure_sun(heads, motion.R_BN.apply(world.sun_N), world.illumination, stream(seed, "sun_sensor"))
+    nadir_N = -world.r_N_km / np.linalg.norm(world.r_N_km, axis=1)[:, None]
+    scanner = spacecraft.horizon_scanner(scenario)
+    if scanner is not None:
+        *_, nadir_B = scanner.measure(
+            world.time, _horizon_nadir_B(scenario, world, motion), stream(seed, "horizon_scanner")
+        )
+    gyro = spacecraft.gyro(scenario)
+    rate = None if gyro is None else gyro.measure(world.time, motion.rate_B_rad_s, stream(seed, "gyro"))
+    if reference.source == "sensors":
+        assert sun_B is not None and nadir_B is not None
+        q = attitude_from_sun_and_nadir(sun_B, nadir_B, world.sun_N, nadir_N)
+    else:
+        reported = attitude_with_error(
+            world.time,
+            motion.R_BN,
+            float(np.radians(reference.sigma_deg)),
+            reference.tau_s,
+            stream(seed, "attitude.reference"),
+        )
+        known = np.ones(world.time.size, dtype=bool)
+        if reference.needs_sun:
+            assert head is not None
+            known = head > 0
+        q = q_where(reported, known)
+    return Attached(q, head, sun_B, nadir_B, rate)
+
+
+def _horizon_nadir_B(scenario: Scenario, world: World, motion: Attitude) -> FloatArray:
+    """(N, 3) nadir as the horizon shows it to the scanner, before the errors of its own."""
+    section = scenario.horizon_scanner
+    assert section is not None
+    if section.earth == "disc":
+        return motion.R_BN.apply(-world.r_N_km / np.linalg.norm(world.r_N_km, axis=1)[:, None])
+    seen, assumed = (horizon.surface(name, world.time) for name in (section.earth, section.assumed))
+    scans = spacecraft.conical_scanner(section)
+    return scans.nadir(world.r_N_km, horizon.north_N(world.time), motion.R_BN, world.R_ON, seen, assumed)
+
+
+def _unknown_field_nT(scenario: Scenario, world: World) -> FloatArray:
+    source = scenario.magnetometer.unknown
+    if source is None:
+        return np.zeros((world.time.size, 3))
+    tau_s = source.tau_s if source.kind == "gauss_markov" else 0.0
+    rng = stream(scenario.seed, "magnetometer.unknown")
+    return gauss_markov(world.time, source.nT, tau_s, rng, columns=3)
+
+
+def recorded_columns(
+    world: World, attached: Attached, housekeeping: Housekeeping, dipole_B_Am2: FloatArray
+) -> dict[str, FloatArray]:
+    """What effects may follow, by telemetry name."""
+    columns = {
+        "dipole_B_Am2": dipole_B_Am2,
+        "sunlit": (world.illumination > 0.5).astype(np.float64),
+        "heater_on": housekeeping.heater_on,
+        "array_current_A": housekeeping.array_current_A,
+        "battery_current_A": housekeeping.battery_current_A,
+        "temperature_degC": housekeeping.temperature_degC,
+        "wheel_speed_rpm": housekeeping.wheel_speed_rpm,
+        "sun_sensor_head": attached.sun_sensor_head,
+        "sun_B": attached.sun_B,
+        "nadir_B": attached.nadir_B,
+        "rate_B_rad_s": attached.rate_B_rad_s,
+    }
+    return {name: column for name, column in columns.items() if column is not None}
+
+
+def to_telemetry(
+    scenario: Scenario, signal: Signal, attached: Attached, columns: Mapping[str, FloatArray]
+) -> Telemetry:
+    """What reaches the ground; no truth in it, not even in the provenance."""
+    telemetered = dict(columns)
+    if scenario.torquers is None or not scenario.torquers.telemetered:
+        del telemetered["dipole_B_Am2"]
+    for name, turn in signal.measured_turns.items():
+        if name in telemetered:
+            telemetered[name] = turn.apply(telemetered[name])
+    return Telemetry(
+        time=signal.setting.time,
+        mag_B_nT=signal.reading,
+        r_N_km=signal.r_reported_N_km,
+        v_N_km_s=signal.v_reported_N_km_s,
+        q_NB=_reported_q_NB(signal, attached.q_NB),
+        provenance={"source": "simulation", "spacecraft": scenario.spacecraft.name},
+        **telemetered,  # type: ignore[arg-type]
+    )
+
+
+def _reported_q_NB(signal: Signal, q_NB: FloatArray) -> FloatArray:
+    """The reference attitude, turned by what the effects on it do; rows without one stay so."""
+    given = signal.setting.given[2]
+    if signal.R_reported_BN is given:
+        return q_NB
+    known = np.isfinite(q_NB).all(axis=1)
+    turned = np.array(q_NB)
+    effect = (signal.R_reported_BN * given.inv())[np.flatnonzero(known)]
+    turned[known] = frames.q_from_rotation(effect * frames.rotation_from_q(q_NB[known]))
+    return turned
+
+
+def to_truth(scenario: Scenario, world: World, attitude: Attitude, signal: Signal) -> Truth:
+    """What really happened, row by row; it is written to a file of its own, or nowhere."""
+    yaw, roll, pitch = frames.yaw_roll_pitch(attitude.R_BN * world.R_ON.inv())
+    instrument = spacecraft.magnetometer(scenario)
+    dipole, unknown = signal.setting.column("dipole_B_Am2"), signal.setting.unknown_B_nT
+    assert dipole is not None and unknown is not None
+    assert signal.field_N_nT is not None and signal.ideal_B_nT is not None
+    return Truth(
+        time=world.time,
+        r_N_km=world.r_N_km,
+        v_N_km_s=world.v_N_km_s,
+        q_NB=attitude.q_NB,
+        rate_B_rad_s=attitude.rate_B_rad_s,
+        yaw_rad=yaw,
+        roll_rad=roll,
+        pitch_rad=pitch,
+        field_N_nT=signal.field_N_nT,
+        field_B_nT=signal.field_B_nT,
+        unknown_B_nT=unknown,
+        ideal_B_nT=signal.ideal_B_nT,
+        dipole_B_Am2=dipole,
+        illumination=world.illumination,
+        S=instrument.S,
+        b_nT=instrument.b_nT,
+        T_nT_per_Am2=spacecraft.torquer_correction(scenario),
+        effects=json.dumps(effects_record(scenario)),
+    )

@@ -1,0 +1,180 @@
+"""A chunk: some vehicles flown one after the other, and written as one whole NetCDF file.
+
+No more than a chunk is ever held in memory. Series are kept as float32 (a quaternion within 1e-5 deg); figures as
+float64. A vehicle whose flight fails (it spins up beyond what the step can follow) is lost, not an error: its series
+are NaN and the reason stands in the file.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.netcdf_out import Variable, write_netcdf
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.run.ensemble.figures import Around, around, figures, series
+from fluxtwin.sim.run.ensemble.plan import Plan
+from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.scenario.scenario import Scenario
+from fluxtwin.sim.telemetry.netcdf_files import TIME_UNITS, NetcdfFile
+
+FIGURES = "figures"
+_MOST = 10_000_000
+_UNIT = re.compile(r"_(deg_s|deg|nT|Am2|rpm|Nms|percent)$")
+_CF = {"deg_s": "degree s-1", "deg": "degree", "Am2": "A m2", "rpm": "rpm", "Nms": "N m s", "percent": "percent"}
+
+
+@dataclass
+class Chunk:
+    """The vehicles of one chunk, V of them at R samples."""
+
+    members: range
+    time: TimeArray
+    series: dict[str, np.ndarray] = field(default_factory=dict)
+    """(V, R) or (V, R, n) float32."""
+    figures: dict[str, np.ndarray] = field(default_factory=dict)
+    """(V,) each."""
+    lost: dict[int, str] = field(default_factory=dict)
+    """Why a vehicle was lost, by its number."""
+    notices: list[str] = field(default_factory=list)
+
+    def put(self, row: int, kept: Mapping[str, FloatArray], found: Mapping[str, float]) -> None:
+        """Set the row of one vehicle."""
+        for name, column in kept.items():
+            whole = self.series.setdefault(name, np.full((len(self.members), *column.shape), np.nan, dtype=np.float32))
+            whole[row] = column
+        for name, value in found.items():
+            self.figures.setdefault(name, np.full(len(self.members), np.nan))[row] = value
+
+
+class Flyer:
+    """Flies vehicles of a plan; what those on the same orbit share is made once."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self._around: tuple[str, Around] | None = None
+
+    def chunk(self, number: int, flown: Callable[[], None] = lambda: None) -> Chunk:
+        """Fly a chunk; `flown` is called after each vehicle. Raises BadInput where the surroundings cannot be made."""
+        members = self.plan.members(number)
+        made = Chunk(members, self.surroundings(self.plan.vehicle(members[0])).world.time)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            for row, vehicle in enumerate(members):
+                scenario = self.plan.vehicle(vehicle)
+                try:
+                    shared = self.surroundings(scenario)
+                    telemetry, truth = simulate(scenario, world=shared.world)
+                    kept = series(scenario, shared, telemetry, truth)
+                    made.put(row, kept, figures(scenario, kept, truth))
+                except BadInput as error:
+                    made.lost[vehicle] = str(error)
+                flown()
+        made.notices = list(dict.fromkeys(str(one.message) for one in caught))
+        return made
+
+    def surroundings(self, scenario: Scenario) -> Around:
+        """World and rate of the orbital frame; kept until another orbit is asked for."""
+        key = repr((scenario.orbit, scenario.field, scenario.schedule, scenario.station))
+        if self._around is None or self._around[0] != key:
+            self._around = key, around(scenario)
+        return self._around[1]
+
+
+def chunk_path(folder: Path, number: int) -> Path:
+    """Where a chunk lies."""
+    return folder / f"chunk-{number:05d}.nc"
+
+
+def fly_chunk(record: Mapping[str, Any], folder: str, number: int) -> dict[str, Any]:
+    """Fly and write one chunk of a recorded plan: for a process anywhere that sees the folder. Returns what to tell."""
+    plan = Plan.from_record(record)
+    made = Flyer(plan).chunk(number)
+    write_chunk(plan, made, Path(folder), number)
+    return told(made, number)
+
+
+def told(made: Chunk, number: int) -> dict[str, Any]:
+    """What is told of a chunk that is written: its number, notices, and why vehicles were lost."""
+    return {"done": number, "notices": made.notices, "lost": list(made.lost.values())}
+
+
+def write_chunk(plan: Plan, chunk: Chunk, folder: Path, number: int) -> Path:
+    """Write a chunk, whole or not at all. Equal chunks are equal in every value."""
+    numbers = np.array(chunk.members, dtype=np.int64)
+    variables = {
+        "time": Variable(
+            ("time",), chunk.time.astype("int64"), {"units": TIME_UNITS, "calendar": "proleptic_gregorian"}
+        ),
+        "vehicle": Variable(("vehicle",), numbers, {"units": "1"}),
+    }
+    for name, value in chunk.series.items():
+        rest = tuple(f"of_{size}" for size in value.shape[2:])
+        dimensions = ("vehicle", "time", *rest)  # noise does not compress
+        variables[name] = Variable(dimensions, value, _attributes(name), True, {"fletcher32": True})
+    if chunk.figures:  # one variable: a file takes a time for each that it has
+        columns = {"columns": " ".join(chunk.figures), "units": "as the name of each column ends"}
+        whole = np.stack(list(chunk.figures.values()), axis=1)
+        variables[FIGURES] = Variable(("vehicle", "figure"), whole, columns, True)
+    attributes = {
+        "Conventions": "CF-1.11",
+        "title": f"vehicles {chunk.members[0]} to {chunk.members[-1]} of an ensemble of {plan.scenario.name}",
+        "fingerprint": plan.fingerprint,
+        "lost": json.dumps(chunk.lost),
+    }
+    return write_netcdf(chunk_path(folder, number), variables, attributes)
+
+
+def _attributes(name: str) -> dict[str, str]:
+    unit = _UNIT.search(name)
+    return {"units": "1" if unit is None else _CF.get(unit[1], unit[1])}
+
+
+def is_whole(plan: Plan, folder: Path, number: int) -> bool:
+    """Whether this chunk is there, of this plan, of these vehicles, and every value of it can be read."""
+    path = chunk_path(folder, number)
+    if not path.is_file():
+        return False
+    try:
+        with NetcdfFile(path, max_samples=_MOST) as opened:
+            if opened.attributes().get("fingerprint") != plan.fingerprint:
+                return False
+            if not np.array_equal(opened.raw("vehicle"), np.array(plan.members(number))):
+                return False
+            for name in opened.names():
+                if name in ("time", "vehicle", FIGURES) or len(opened.shape(name)) > 1:
+                    opened.raw(name)
+    except BadInput:
+        return False
+    return True
+
+
+def read_figures(folder: Path, number: int) -> tuple[dict[str, FloatArray], dict[int, str]]:
+    """The figures of a chunk's vehicles by name, (V,) each, and why some were lost."""
+    with NetcdfFile(chunk_path(folder, number), max_samples=_MOST) as opened:
+        found: dict[str, FloatArray] = {}
+        if FIGURES in opened.names():
+            table = np.asarray(opened.raw(FIGURES), dtype=np.float64)
+            found = dict(zip(str(opened.attributes(FIGURES)["columns"]).split(), table.T, strict=True))
+        lost = json.loads(str(opened.attributes().get("lost", "{}")))
+    return found, {int(vehicle): str(reason) for vehicle, reason in lost.items()}
+
+
+def read_series(folder: Path, number: int, name: str, rows: np.ndarray) -> np.ndarray | None:
+    """One series of a chunk's vehicles at some rows, (V, rows); None where the chunk has none."""
+    with NetcdfFile(chunk_path(folder, number), max_samples=_MOST) as opened:
+        return np.asarray(opened.raw(name)[:, rows]) if name in opened.names() else None
+
+
+def read_times(folder: Path, number: int = 0) -> TimeArray:
+    """(R,) the samples."""
+    with NetcdfFile(chunk_path(folder, number), max_samples=_MOST) as opened:
+        return opened.times()

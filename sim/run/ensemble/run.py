@@ -1,0 +1,150 @@
+"""Fly an ensemble: thousands of vehicles with drawn parameters in one call, on all cores, to a folder.
+
+The folder holds `ensemble.json` (the plan), `vehicles.csv` (a row a vehicle: what was drawn, and its figures), the
+chunks, and at the end `envelope.csv` and `summary.json`. What a vehicle does depends on the scenario, the seed and its
+number: not on how many fly beside it, on how many cores, or on an interruption.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fluxtwin.sim.base import files
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.run.ensemble import chunk, summary, workers
+from fluxtwin.sim.run.ensemble.plan import (
+    RECORD,
+    Plan,
+    make_plan,
+    recorded_chunk,
+    require_same,
+    write_record,
+)
+from fluxtwin.sim.run.ensemble.summary import Envelope
+from fluxtwin.sim.scenario.scenario import Scenario, load_scenario
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """An ensemble that has flown; everything else is in its folder."""
+
+    folder: Path
+    plan: Plan
+    summary: dict[str, Any]
+    envelope: Envelope | None
+
+
+def fly_ensemble(
+    scenario: Scenario | Path | str,
+    vehicles: int,
+    out: Path | str,
+    *,
+    seed: int | None = None,
+    jobs: int | None = None,
+    in_chunk: int | None = None,
+    resume: bool = False,
+    executor: Executor | None = None,
+    progress: Progress = silent,
+) -> Ensemble:
+    """Fly so many vehicles of a scenario with [draws] and leave the results in the folder `out`.
+
+    seed: of the draws and of all that is random; the scenario's own where not given. jobs: processes, all cores where not
+    given. in_chunk: vehicles that are held in memory and written at a time. resume: go on with what is in the folder,
+    if it is the same ensemble. executor: flies the chunks instead of processes here, any of `concurrent.futures`' kind
+    (as dask's `client.get_executor()`), whose workers see the folder.
+    Raises BadInput for a scenario or a vehicle that cannot be, for a folder with another ensemble, and NoAnswer where
+    every vehicle was lost.
+    """
+    plan_of = load_scenario(scenario) if isinstance(scenario, Path | str) else scenario
+    if jobs is not None and jobs < 1:
+        raise BadInput(f"{jobs} processes", where="--jobs", wanted="1 or more")
+    folder = Path(out)
+    if resume and in_chunk is None:
+        in_chunk = recorded_chunk(folder)
+    plan = make_plan(plan_of, vehicles, seed, in_chunk, progress)
+    _begin(plan, folder, resume)
+    todo = [number for number in range(plan.chunks) if not (resume and chunk.is_whole(plan, folder, number))]
+    _fly(plan, folder, todo, jobs or os.cpu_count() or 1, executor, progress)
+    progress("tables", 0.98)
+    found = summary.summarise(plan, folder)
+    around = summary.envelope(plan, folder)
+    if around is not None:
+        summary.write_envelope(around, folder)
+    files.write_json(folder / summary.SUMMARY, found)
+    return Ensemble(folder, plan, found, around)
+
+
+def whole_chunks(folder: Path | str) -> int:
+    """How many chunks lie in a folder."""
+    return len(list(Path(folder).glob("chunk-*.nc")))
+
+
+def _begin(plan: Plan, folder: Path, resume: bool) -> None:
+    files.writable_folder(folder)
+    if (folder / RECORD).exists() or whole_chunks(folder):
+        if not resume:
+            raise BadInput(
+                "an ensemble lies here already",
+                where=str(folder),
+                wanted="--resume to go on with it, or another folder",
+            )
+        require_same(plan, folder)
+    (folder / summary.SUMMARY).unlink(missing_ok=True)  # it says that all is done
+    write_record(plan, folder)
+    summary.write_index(plan, folder)
+
+
+def _fly(plan: Plan, folder: Path, todo: list[int], jobs: int, executor: Executor | None, progress: Progress) -> None:
+    """Fly the chunks that are missing, and tell how far it has come."""
+    done = plan.vehicles - sum(len(plan.members(number)) for number in todo)
+    said: set[str] = set()
+    for event in _events(plan, folder, todo, jobs, executor):
+        done += int(event.get("flown", 0))
+        progress(f"vehicle {done} of {plan.vehicles}", 0.98 * done / plan.vehicles)
+        for notice in event.get("notices", ()):
+            if notice not in said:
+                said.add(notice)
+                warnings.warn(notice, stacklevel=3)
+        if "done" in event and len(todo) > 1 and event["done"] == todo[0]:
+            _stop_if_hopeless(plan, todo[0], event["lost"])
+
+
+def _events(plan: Plan, folder: Path, todo: list[int], jobs: int, executor: Executor | None) -> Iterator[workers.Event]:
+    if executor is not None:
+        yield from _by_executor(plan, folder, todo, executor)
+    elif jobs > 1 and len(todo) > 1:
+        yield from workers.fly_in_processes(plan.record(), folder, todo, jobs)
+    else:
+        flyer = chunk.Flyer(plan)
+        for number in todo:
+            made = flyer.chunk(number)
+            chunk.write_chunk(plan, made, folder, number)
+            yield {"flown": len(made.members)}
+            yield chunk.told(made, number)
+
+
+def _by_executor(plan: Plan, folder: Path, todo: list[int], executor: Executor) -> Iterator[workers.Event]:
+    record, place = plan.record(), str(folder.resolve())
+    waiting = {executor.submit(chunk.fly_chunk, record, place, number): number for number in todo}
+    try:
+        for future in as_completed(waiting):
+            number = waiting[future]
+            yield {"flown": len(plan.members(number))}
+            yield future.result()
+    finally:
+        for future in waiting:
+            future.cancel()
+
+
+def _stop_if_hopeless(plan: Plan, number: int, lost: Sequence[str]) -> None:
+    """NoAnswer where a whole chunk was lost: it is the scenario, and the others need not try."""
+    members = plan.members(number)
+    if len(lost) == len(members):
+        raise NoAnswer(f"all of the first {len(members)} vehicles were lost; vehicle {members[0]}: {lost[0]}")

@@ -1,0 +1,115 @@
+"""Currents, temperature, heater and wheel speeds along a run.
+
+These have memory, so each stretch of the schedule is preceded by a warm-up of three orbits on a fine grid. It
+starts from a full battery and the mean temperature: a battery that loses more in an orbit than it gains, or a
+thermal constant of several orbits, is still on its way when the stretch begins.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch, orbit
+from fluxtwin.sim.earth.constants import GM_EARTH_KM3_S2
+from fluxtwin.sim.run.flights import flights
+from fluxtwin.sim.run.true_attitude import true_attitude
+from fluxtwin.sim.run.world import World, ephemeris, world_along
+from fluxtwin.sim.scenario.scenario import Scenario
+from fluxtwin.sim.spacecraft import power, thermal, wheels
+
+_GRID_S = 30.0
+_WARM_UP_ORBITS = 3
+
+
+@dataclass(frozen=True)
+class Housekeeping:
+    """Columns of the telemetry; None where the scenario has no such part. Arrays as in `Telemetry`."""
+
+    array_current_A: FloatArray | None = None
+    battery_current_A: FloatArray | None = None
+    state_of_charge: FloatArray | None = None
+    temperature_degC: FloatArray | None = None
+    heater_on: FloatArray | None = None
+    wheel_speed_rpm: FloatArray | None = None
+
+
+def run_housekeeping(scenario: Scenario, world: World) -> Housekeeping:
+    """Housekeeping at the world's stamps (nothing random in it)."""
+    speeds = _wheel_speeds(scenario, world)
+    if scenario.power is None and scenario.thermal is None:
+        return Housekeeping(wheel_speed_rpm=speeds)
+    rows: dict[str, list[FloatArray]] = {}
+    for number in np.unique(world.segment):
+        inside = world.segment == number
+        for name, column in _segment(scenario, world, inside).items():
+            rows.setdefault(name, []).append(column)
+    columns = {name: np.concatenate(parts) for name, parts in rows.items()}
+    return Housekeeping(wheel_speed_rpm=speeds, **columns)
+
+
+def _segment(scenario: Scenario, world: World, inside: np.ndarray) -> dict[str, FloatArray]:
+    """One stretch, warm-up included; every sample is a node of the grid, so nothing is interpolated."""
+    first = world.time[inside][0]
+    wanted = epoch.seconds_since(world.time[inside], first)
+    before = np.arange(-_WARM_UP_ORBITS * _period_s(world), 0.0, _GRID_S)
+    between = np.arange(0.0, wanted[-1], _GRID_S)
+    seconds = np.unique(np.concatenate([before, between, wanted]))
+    picked = np.searchsorted(seconds, wanted)
+    time = epoch.add_seconds(first, seconds)
+    fine = world_along(scenario, time, np.zeros(time.size), *ephemeris(scenario, time), with_field=False)
+    columns: dict[str, FloatArray] = {}
+    if scenario.power is not None:
+        columns |= _power(scenario, fine)
+    if scenario.thermal is not None:
+        columns |= _thermal(scenario, fine)
+    return {name: column[picked] for name, column in columns.items()}
+
+
+def _period_s(world: World) -> float:
+    """Kepler period of the orbit at the first sample, by the vis-viva equation."""
+    r, v = np.linalg.norm(world.r_N_km[0]), np.linalg.norm(world.v_N_km_s[0])
+    semi_major_axis_km = 1.0 / (2.0 / r - v**2 / GM_EARTH_KM3_S2)
+    return float(2.0 * np.pi * np.sqrt(semi_major_axis_km**3 / GM_EARTH_KM3_S2))
+
+
+def _power(scenario: Scenario, world: World) -> dict[str, FloatArray]:
+    section = scenario.power
+    assert section is not None
+    panel: power.Panel = power.FixedPanel(section.normal_B, section.full_sun_current_A)
+    if section.axis_B is not None:
+        panel = power.TrackingArray(section.axis_B, section.full_sun_current_A)
+    sun_B = true_attitude(scenario, world).R_BN.apply(world.sun_N)
+    array = power.array_current_A(sun_B, world.illumination, [panel])
+    battery = power.Battery(section.battery_capacity_Ah, section.charge_efficiency, section.taper_above)
+    current, charge = power.battery_history(world.time, array, section.load_A, battery)
+    return {"array_current_A": array, "battery_current_A": current, "state_of_charge": charge}
+
+
+def _thermal(scenario: Scenario, world: World) -> dict[str, FloatArray]:
+    section = scenario.thermal
+    assert section is not None
+    thermostat = None
+    if section.heater_on_below_degC is not None and section.heater_off_above_degC is not None:
+        thermostat = thermal.Thermostat(
+            section.heater_on_below_degC, section.heater_off_above_degC, section.heater_rise_degC
+        )
+    goal = thermal.equilibrium_degC(world.illumination, section.sunlit_degC, section.eclipse_degC)
+    temperature, heater = thermal.temperature_history(
+        world.time, goal, 60.0 * section.time_constant_min, thermostat=thermostat
+    )
+    columns = {"temperature_degC": temperature}
+    return columns if thermostat is None else columns | {"heater_on": heater}
+
+
+def _wheel_speeds(scenario: Scenario, world: World) -> FloatArray | None:
+    section = scenario.wheels
+    if section is None:
+        return None
+    if scenario.attitude.mode == "dynamics":
+        return flights(scenario).wheel_speed_rpm(world.time)
+    phase = orbit.argument_of_latitude(world.time, world.r_N_km, world.v_N_km_s)
+    momentum = wheels.periodic_momentum_B_Nms(phase, section.momentum_amplitude_Nms)
+    return wheels.wheel_speed_rpm(momentum, np.array(section.axes_B), section.inertia_kg_m2, np.array(section.bias_rpm))

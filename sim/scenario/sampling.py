@@ -1,0 +1,100 @@
+"""[sampling.NAME] of a scenario: sensors that are read less often than the telemetry has rows, each at its own rate."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+from pydantic import model_validator
+
+from fluxtwin.sim.base.section_types import NonNegative, Positive, Section
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.scenario.sections import ScheduleSection
+from fluxtwin.sim.telemetry.record import Telemetry
+
+_COLUMNS = {
+    "magnetometer": ("mag_B_nT",),
+    "attitude": ("q_NB",),
+    "sun_sensor": ("sun_B", "sun_sensor_head"),
+    "horizon_scanner": ("nadir_B",),
+    "gyro": ("rate_B_rad_s",),
+    "torquers": ("dipole_B_Am2",),
+    "housekeeping": ("array_current_A", "battery_current_A", "temperature_degC", "heater_on", "wheel_speed_rpm"),
+}
+"""What each part of the spacecraft writes."""
+
+
+class RateSection(Section):
+    """Read in the rows `offset_s` after the start of a segment, and every `every_s` from there on."""
+
+    every_s: Positive
+    offset_s: NonNegative = 0.0
+
+    @model_validator(mode="after")
+    def _within(self) -> Self:
+        if self.offset_s >= self.every_s:
+            raise ValueError("offset_s is to be less than every_s")
+        return self
+
+
+class SamplingSection(Section):
+    """Who is read when; without a section in every row."""
+
+    magnetometer: RateSection | None = None
+    attitude: RateSection | None = None
+    sun_sensor: RateSection | None = None
+    horizon_scanner: RateSection | None = None
+    gyro: RateSection | None = None
+    torquers: RateSection | None = None
+    housekeeping: RateSection | None = None
+
+    @property
+    def rates(self) -> dict[str, RateSection]:
+        """Those that are given, by name."""
+        given = {name: getattr(self, name) for name in _COLUMNS}
+        return {name: rate for name, rate in given.items() if rate is not None}
+
+    def check(self, schedule: ScheduleSection) -> None:
+        """ValueError unless each rate is a whole number of each segment's steps."""
+        for name, rate in self.rates.items():
+            for step_s in {segment.step_s for segment in schedule.segments}:
+                steps = np.array([rate.every_s, rate.offset_s]) / step_s
+                if (np.abs(steps - np.rint(steps)) > 1e-6).any():
+                    raise ValueError(
+                        f"[sampling.{name}]: every_s = {rate.every_s:g} and offset_s = {rate.offset_s:g} are to be whole "
+                        f"multiples of the rows' step_s, {step_s:g}"
+                    )
+
+
+def sampled_rows(
+    sampling: SamplingSection, schedule: ScheduleSection, time: TimeArray, segment: FloatArray
+) -> dict[str, BoolArray]:
+    """(N,) rows in which each part with a rate is read; time (N,), segment (N,) as in `World`."""
+    starts = np.array([epoch.parse_time(part.start_utc) for part in schedule.segments], dtype="datetime64[ns]")
+    steps = np.array([part.step_s for part in schedule.segments])
+    number = segment.astype(np.int64)
+    elapsed = epoch.seconds_since(time, starts[0]) - epoch.seconds_since(starts, starts[0])[number]
+    rows = {}
+    for name, rate in sampling.rates.items():
+        phase = (elapsed - rate.offset_s) / rate.every_s
+        away_s = np.abs(phase - np.rint(phase)) * rate.every_s
+        rows[name] = np.asarray((away_s < 1e-3 * steps[number]) & (np.rint(phase) >= 0.0))
+    return rows
+
+
+def interleaved(telemetry: Telemetry, rows: dict[str, BoolArray], *, attitude_from_sensors: bool) -> Telemetry:
+    """The record with blanks where a part was not read. An attitude made from sun and nadir wants both in its row."""
+    taken = dict(rows)
+    if attitude_from_sensors:
+        every = np.ones(len(telemetry), dtype=np.bool_)
+        taken["attitude"] = np.logical_and.reduce(
+            [rows.get(name, every) for name in ("attitude", "sun_sensor", "horizon_scanner")]
+        )
+    changes: dict[str, object] = {}
+    for name, read in taken.items():
+        for column in _COLUMNS[name]:
+            value = getattr(telemetry, column)
+            if value is not None:
+                changes[column] = np.where(read if value.ndim == 1 else read[:, None], value, np.nan)
+    return telemetry.replace(**changes) if changes else telemetry

@@ -1,0 +1,178 @@
+"""The scenario: one TOML file that says what is simulated, and from which a run can be repeated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import tomli_w
+from pydantic import Field, PrivateAttr, model_validator
+
+from fluxtwin.sim.base import files
+from fluxtwin.sim.base.section_types import Section
+from fluxtwin.sim.base.toml_input import parse_tree, read_tree, validate
+from fluxtwin.sim.scenario import draws as scenario_draws
+from fluxtwin.sim.scenario import sections as sections
+from fluxtwin.sim.scenario.draws import DrawSection
+from fluxtwin.sim.scenario.dynamics_sections import ControlSection, DynamicsSection, TorquesSection
+from fluxtwin.sim.scenario.effect_sections import EffectsSection
+from fluxtwin.sim.scenario.sampling import SamplingSection
+
+
+class Scenario(Section):
+    """A whole scenario, checked. `load_scenario` reads one, `save_scenario` writes one."""
+
+    file_kind: ClassVar[str] = "a scenario"
+    name: str = "scenario"
+    seed: int = Field(ge=0)
+    spacecraft: sections.SpacecraftSection
+    field: sections.FieldSection = sections.FieldSection()
+    orbit: sections.OrbitSection | None = None
+    replay: sections.ReplaySection | None = None
+    schedule: sections.ScheduleSection | None = None
+    sampling: SamplingSection = SamplingSection()
+    station: dict[str, sections.StationSection] = {}
+    attitude: sections.AttitudeSection = sections.AttitudeSection()
+    magnetometer: sections.MagnetometerSection = sections.MagnetometerSection()
+    sun_sensor: dict[str, sections.SunSensorSection] = {}
+    slit_sun_sensor: sections.SlitSunSensorSection | None = None
+    horizon_scanner: sections.HorizonScannerSection | None = None
+    gyro: sections.GyroSection | None = None
+    torquers: sections.TorquersSection | None = None
+    power: sections.PowerSection | None = None
+    thermal: sections.ThermalSection | None = None
+    wheels: sections.WheelsSection | None = None
+    dynamics: DynamicsSection | None = None
+    torques: TorquesSection | None = None
+    control: ControlSection | None = None
+    effects: EffectsSection = EffectsSection.model_construct()  # validators are made where the first is checked
+    closure: sections.ClosureSection | None = None
+    draws: dict[str, DrawSection] = {}
+
+    _folder: Path = PrivateAttr(default=Path("."))
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if self.replay is None and (self.orbit is None or self.schedule is None):
+            raise ValueError("sections [orbit] and [schedule] are needed (or [replay])")
+        if self.replay is not None and self.orbit is not None:
+            raise ValueError("[replay] takes the orbit from the recorded file: leave [orbit] out")
+        if self.schedule is not None and self.schedule.in_view_of_stations and not self.station:
+            raise ValueError("schedule.in_view_of_stations wants stations: add [station.NAME], ...")
+        for number in self.sun_sensor:
+            if not number.isdigit() or int(number) < 1:
+                raise ValueError(f"[sun_sensor.{number}]: heads are numbered 1, 2, 3, ...")
+        reference = self.attitude.reference
+        if (reference.needs_sun or reference.source == "sensors") and not self.sun_sensor:
+            raise ValueError("the reference attitude wants sun sensors: add [sun_sensor.1], ...")
+        if reference.source == "sensors" and (reference.sigma_deg or reference.tau_s):
+            raise ValueError(
+                "a reference attitude from sensors has the sensors' errors: leave sigma_deg and tau_s out, or use "
+                'source = "error_model"'
+            )
+        if reference.source == "sensors" and self.horizon_scanner is None:
+            raise ValueError("a reference attitude from sensors wants a [horizon_scanner]")
+        if self.attitude.mode in ("tumble", "spin", "dynamics") and self.spacecraft.inertia_kg_m2 is None:
+            raise ValueError(f"attitude mode {self.attitude.mode} wants inertia_kg_m2 in [spacecraft]")
+        if self.slit_sun_sensor is not None and (self.attitude.mode != "spin" or self.replay is not None):
+            raise ValueError('[slit_sun_sensor] wants a free spin: mode = "spin" in [attitude], and no [replay]')
+        self._dynamic()
+        self._sampled()
+        wrong = scenario_draws.faults(self.draws, self.model_dump()) if self.draws else []
+        if wrong:
+            raise ValueError("; ".join(wrong))
+        return self
+
+    def _dynamic(self) -> None:
+        """What only attitude mode dynamics may have, and what it may not."""
+        flown, section = self.attitude.mode == "dynamics", self.torquers
+        if flown and self.replay is not None:
+            raise ValueError("attitude mode dynamics flies an orbit: leave [replay] out")
+        for name in ("dynamics", "torques", "control"):
+            if not flown and getattr(self, name) is not None:
+                raise ValueError(f'[{name}] wants mode = "dynamics" in [attitude]')
+        steered = section is not None and section.activity == "control"
+        law = None if self.control is None else self.control.law
+        if steered and law is None:
+            raise ValueError('torquers.activity = "control" wants attitude mode dynamics and a law in [control]')
+        if law is not None and section is not None and not steered:
+            raise ValueError('with a law in [control] the torquers are its own: set torquers.activity = "control"')
+        if law is not None:
+            wanted = {"torquers": law.needs_torquers, "wheels": law.needs_wheels}
+            missing = [f"[{name}]" for name, needed in wanted.items() if needed and getattr(self, name) is None]
+            if missing:
+                raise ValueError(f"[control.{law.name}] acts through {' and '.join(missing)}: add the section")
+
+    def _sampled(self) -> None:
+        """Rates are of parts that are there, and whole numbers of rows."""
+        there = {
+            "sun_sensor": bool(self.sun_sensor), "horizon_scanner": self.horizon_scanner, "gyro": self.gyro,
+            "torquers": self.torquers, "housekeeping": self.power or self.thermal or self.wheels,
+        }  # fmt: skip
+        for name in self.sampling.rates:
+            if not there.get(name, True):
+                raise ValueError(f"[sampling.{name}]: the scenario has no such part")
+        if self.sampling.rates and self.replay is not None:
+            raise ValueError("[replay] has the rows of the recorded file: leave [sampling] out")
+        if self.schedule is not None:
+            self.sampling.check(self.schedule)
+
+    def updated(self, changes: Mapping[str, Any]) -> Scenario:
+        """A copy with dotted keys changed, checked again: `{"magnetometer.lsb_mG": 0.0, "seed": 2}`.
+
+        A value of None takes the key (or the whole section) out.
+        """
+        tree = self.model_dump(exclude_none=True, exclude_defaults=True)
+        for dotted, value in changes.items():
+            *path, last = dotted.split(".")
+            node = tree
+            for part in path:
+                node = node.setdefault(part, {})
+            if value is None:
+                node.pop(last, None)
+            else:
+                node[last] = value
+        changed = validate(tree, Scenario, where="scenario")
+        changed._folder = self._folder
+        return changed
+
+    def path_of(self, name: str) -> Path:
+        """A file named in the scenario, relative to the scenario's own folder."""
+        return Path(name) if Path(name).is_absolute() else self._folder / name
+
+    def to_toml(self) -> str:
+        """The scenario as TOML, every key that has a value, so that it does not change with the defaults."""
+        return tomli_w.dumps(_plain(self.model_dump(exclude_none=True)))
+
+
+def load_scenario(path: Path | str) -> Scenario:
+    """Read and check a scenario file.
+
+    Raises BadInput: a missing or oversized file, TOML that cannot be read, an unknown key (the nearest one is
+    named), a missing or impossible value. All faults are listed at once.
+    """
+    path = Path(path)
+    scenario = validate(read_tree(path), Scenario, where=str(path))
+    scenario._folder = path.parent
+    return scenario
+
+
+def parse_scenario(text: str, *, where: str = "scenario", folder: Path | str = ".") -> Scenario:
+    """As `load_scenario`, from text; files that it names lie in `folder`."""
+    scenario = validate(parse_tree(text, where=where), Scenario, where=where)
+    scenario._folder = Path(folder)
+    return scenario
+
+
+def save_scenario(scenario: Scenario, path: Path | str) -> Path:
+    """Write the scenario beside a run's results (atomic)."""
+    return files.write_toml(path, scenario.to_toml())
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(item) for item in value]
+    return value

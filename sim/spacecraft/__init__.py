@@ -1,0 +1,1 @@
+"""The spacecraft: sensors, power, temperature, wheels, torquers, dynamics, torques and control laws."""

@@ -1,0 +1,159 @@
+"""The body that flies: inertia, wheels, torques, control and what it is told to point at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.sim.attitude.rigid_body import principal_axes
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.spacecraft.control.base import Control
+from fluxtwin.sim.spacecraft.control.catalogue import CONTROLS
+from fluxtwin.sim.spacecraft.dynamics import layout
+from fluxtwin.sim.spacecraft.torques.base import Torque
+from fluxtwin.sim.spacecraft.torques.catalogue import TORQUES
+
+
+@dataclass(frozen=True)
+class Wheel:
+    """A momentum or reaction wheel; a limit of 0 is none."""
+
+    axis_B: tuple[float, float, float]
+    inertia_kg_m2: float
+    """About its axis; `Vehicle.inertia_kg_m2` contains it."""
+    max_speed_rad_s: float = 0.0
+    max_torque_Nm: float = 0.0
+    viscous_Nm_s: float = 0.0
+    """Friction per rad/s of speed relative to the body."""
+    coulomb_Nm: float = 0.0
+    """Friction against the sense of turning."""
+
+    def __post_init__(self) -> None:
+        if not np.linalg.norm(self.axis_B) > 0.0 or not self.inertia_kg_m2 > 0.0:
+            raise BadInput(
+                f"axis {self.axis_B}, inertia {self.inertia_kg_m2:g} kg m2",
+                where="wheels",
+                wanted="an axis of three numbers, not all zero, and an inertia > 0",
+            )
+
+    @property
+    def row(self) -> list[float]:
+        """As the kernel has it."""
+        axis = np.asarray(self.axis_B, dtype=np.float64) / np.linalg.norm(self.axis_B)
+        return [*axis.tolist(), self.inertia_kg_m2, self.max_speed_rad_s, self.max_torque_Nm, self.viscous_Nm_s,
+                self.coulomb_Nm]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Target:
+    """What the control law steers to."""
+
+    frame: str = "orbital"
+    """orbital: the target stays with O; inertial: with N."""
+    attitude: Rotation = field(default_factory=Rotation.identity)
+    """Of the target, from O or N to B; one rotation."""
+    axis: tuple[float, float, float] = (0.0, -1.0, 0.0)
+    """The wanted direction of the momentum, in O or N; the default is the orbit normal."""
+
+    @property
+    def row(self) -> list[float]:
+        """As the kernel has it."""
+        axis = np.asarray(self.axis, dtype=np.float64)
+        return [float(self.frame == "inertial"), *self.attitude.as_matrix().ravel(), *(axis / np.linalg.norm(axis))]
+
+
+@dataclass(frozen=True)
+class Compass:
+    """The magnetometer that the control law reads, with S and b of equation 1; the default is perfect."""
+
+    S: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    b_nT: FloatArray = field(default_factory=lambda: np.zeros(3))
+
+    def __post_init__(self) -> None:
+        if not np.linalg.cond(np.eye(3) + np.asarray(self.S, dtype=np.float64)) < 1e6:
+            raise BadInput("I + S cannot be inverted", where="magnetometer S", wanted="small elements")
+
+    @property
+    def row(self) -> list[float]:
+        """As the kernel has it: the matrix from field to reading, row by row, and what is added [T]."""
+        matrix = np.linalg.inv(np.eye(3) + np.asarray(self.S, dtype=np.float64))
+        return [*matrix.ravel(), *(-1e-9 * matrix @ np.asarray(self.b_nT, dtype=np.float64))]
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """One spacecraft. Raises BadInput for an inertia that no body has, or wheels that outweigh it."""
+
+    inertia_kg_m2: FloatArray
+    """(3, 3) in B, of everything, wheels (as if locked) included."""
+    wheels: tuple[Wheel, ...] = ()
+    torques: tuple[Torque, ...] = ()
+    control: Control | None = None
+    target: Target = field(default_factory=Target)
+    compass: Compass = field(default_factory=Compass)
+
+    def __post_init__(self) -> None:
+        principal_axes(self.inertia_kg_m2)
+        if not (np.linalg.eigvalsh(self.bare_inertia_kg_m2) > 0.0).all():
+            raise BadInput("the wheels have more inertia than the body", where="wheels")
+
+    @property
+    def bare_inertia_kg_m2(self) -> FloatArray:
+        """(3, 3) without the wheels' inertia about their own axes: what the rate of B is multiplied with."""
+        J = np.array(self.inertia_kg_m2, dtype=np.float64)
+        for row in self.wheel_rows:
+            J -= row[layout.WHEEL_INERTIA] * np.outer(row[:3], row[:3])
+        return J
+
+    @property
+    def wheel_rows(self) -> FloatArray:
+        """(W, WHEEL_SIZE)."""
+        return np.array([wheel.row for wheel in self.wheels], dtype=np.float64).reshape(-1, layout.WHEEL_SIZE)
+
+    @property
+    def share(self) -> FloatArray:
+        """(W, 3): torques of the wheels, least in sum of squares, for a torque on the body."""
+        axes = self.wheel_rows[:, :3]
+        share: FloatArray = np.zeros((0, 3))
+        if len(axes):
+            share = np.asarray(np.linalg.pinv(axes.T), dtype=np.float64)
+        return share
+
+    def packed(self) -> tuple[FloatArray, np.ndarray]:
+        """Parameters of torques and law in one row, and where each begins (0: absent), as `kernels.fly` has them."""
+        parts: dict[str, list[float]] = {t.name: t.packed(self.inertia_kg_m2) for t in self.torques}
+        if len(parts) < len(self.torques):
+            raise BadInput("a torque is listed twice", where="torques")
+        if self.control is not None:
+            parts[self.control.name] = self.control.packed(self.inertia_kg_m2)
+        row, slots = [0.0], []
+        for name in part_names():
+            slots.append(len(row) if name in parts else 0)
+            row += parts.get(name, [])
+        return np.array(row, dtype=np.float64), np.array(slots, dtype=np.int64)
+
+
+def part_names() -> list[str]:
+    """All torques and laws in the order of the slots."""
+    return [torque.name for torque in TORQUES] + [law.name for law in CONTROLS]
+
+
+def stacked(vehicles: Sequence[Vehicle]) -> dict[str, np.ndarray]:
+    """What the kernel wants of a batch of vehicles; BadInput unless all have the same parts."""
+    rows, slots = zip(*(vehicle.packed() for vehicle in vehicles), strict=True)
+    alike = {(tuple(s), r.size, len(v.wheels)) for s, r, v in zip(slots, rows, vehicles, strict=True)}
+    if len(alike) > 1:
+        raise BadInput("the vehicles of a batch differ in torques, plates, law or wheels", where="vehicles")
+    return {
+        "wheels": np.stack([vehicle.wheel_rows for vehicle in vehicles]),
+        "inverse": np.stack([np.linalg.inv(vehicle.bare_inertia_kg_m2) for vehicle in vehicles]),
+        "packed": np.stack(rows),
+        "slots": slots[0],
+        "targets": np.array([vehicle.target.row for vehicle in vehicles]),
+        "compasses": np.array([vehicle.compass.row for vehicle in vehicles]),
+        "share": np.stack([vehicle.share for vehicle in vehicles]),
+    }

@@ -1,0 +1,65 @@
+"""The reference attitude that the ground is given: an error model, or sun and nadir measurements."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.sim.attitude.gauss_markov import gauss_markov
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.earth import frames
+
+
+def attitude_with_error(
+    time: TimeArray, R_BN: Rotation, sigma_rad: FloatArray | float, tau_s: float, rng: np.random.Generator
+) -> Rotation:
+    """Reported attitude: the true R_BN (batch of N) turned by a small random rotation about the body axes.
+
+    R_reported = exp([theta x]) R_BN, theta per body axis a stationary first-order Gauss-Markov process with
+    standard deviation sigma_rad (one number, or three) and time constant tau_s (0: white), exact for uneven
+    stamps. A field v_B is thus predicted as v_B + theta x v_B.
+    """
+    theta_B_rad = gauss_markov(time, sigma_rad, tau_s, rng, columns=3)
+    return Rotation.from_rotvec(theta_B_rad) * R_BN
+
+
+def attitude_from_sun_and_nadir(
+    sun_B: FloatArray,
+    nadir_B: FloatArray,
+    sun_N: FloatArray,
+    nadir_N: FloatArray,
+    *,
+    least_separation_rad: float = np.radians(3.0),
+) -> FloatArray:
+    """Attitude as q_NB (N, 4), textbook quaternion, scalar last, by the algebraic method (TRIAD).
+
+    Nadir is matched exactly; the sun gives the turn about it (Wertz 1978, section 12.2.2). All arguments
+    (N, 3); lengths do not matter. Rows are NaN where a vector is NaN, or where sun and nadir, or their
+    opposites, are less than `least_separation_rad` apart in either frame: there the turn is not known.
+    """
+    B, known_B = _triad(nadir_B, sun_B, least_separation_rad)
+    N, known_N = _triad(nadir_N, sun_N, least_separation_rad)
+    if B.shape != N.shape:
+        raise BadInput(f"{B.shape[0]} rows in B, {N.shape[0]} in N", where="sun and nadir", wanted="the same rows")
+    return q_where(Rotation.from_matrix(np.swapaxes(B, 1, 2) @ N), known_B & known_N)
+
+
+def q_where(R_BN: Rotation, known: BoolArray) -> FloatArray:
+    """q_NB (N, 4) of R_BN, NaN in the rows that are not `known` (N,): no head sees the sun, say."""
+    q = frames.q_from_rotation(R_BN)
+    q[~np.asarray(known, dtype=bool)] = np.nan
+    return q
+
+
+def _triad(first: FloatArray, second: FloatArray, least_rad: float) -> tuple[FloatArray, BoolArray]:
+    """Matrices (N, 3, 3) whose rows are the triad of two vectors; identity where they do not make one."""
+    a = np.atleast_2d(np.asarray(first, dtype=np.float64))
+    b = np.atleast_2d(np.asarray(second, dtype=np.float64))
+    across = np.cross(a, b)
+    size_a, size_b, size = (np.linalg.norm(v, axis=1) for v in (a, b, across))
+    with np.errstate(invalid="ignore"):
+        known: BoolArray = size > np.sin(least_rad) * size_a * size_b
+    x = np.where(known[:, None], a / np.where(known, size_a, 1.0)[:, None], [1.0, 0.0, 0.0])
+    y = np.where(known[:, None], across / np.where(known, size, 1.0)[:, None], [0.0, 1.0, 0.0])
+    return np.stack([x, y, np.cross(x, y)], axis=1), known

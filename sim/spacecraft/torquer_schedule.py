@@ -1,0 +1,119 @@
+"""What the magnetic torquers do, as a function of time: drawn once, evaluated anywhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch as clock
+
+Dipole = tuple[float, float, float]
+
+
+class TorquerSchedule(Protocol):
+    """Anything that tells the commanded dipole."""
+
+    def dipole_B_Am2(self, time: TimeArray, field_B_nT: FloatArray | None = None) -> FloatArray:
+        """(N, 3) dipole at each stamp; field_B_nT (N, 3) is for schedules that react to the field."""
+
+
+@dataclass(frozen=True)
+class ConstantDipole:
+    """The same dipole always; zero is a torquer that is off."""
+
+    dipole_Am2: Dipole = (0.0, 0.0, 0.0)
+
+    def dipole_B_Am2(self, time: TimeArray, field_B_nT: FloatArray | None = None) -> FloatArray:
+        """(N, 3) dipole at each stamp."""
+        return np.tile(np.asarray(self.dipole_Am2, dtype=np.float64), (clock.as_times(time).size, 1))
+
+
+@dataclass(frozen=True)
+class ProportionalDipole:
+    """A dipole in proportion to the field: no torque, and a calibration cannot tell it from scale."""
+
+    gain_Am2_per_nT: float
+
+    def dipole_B_Am2(self, time: TimeArray, field_B_nT: FloatArray | None = None) -> FloatArray:
+        """(N, 3) dipole at each stamp; needs field_B_nT."""
+        if field_B_nT is None:
+            raise BadInput("no field was given", where="proportional torquer", wanted="field_B_nT, shape (N, 3)")
+        return self.gain_Am2_per_nT * np.atleast_2d(np.asarray(field_B_nT, dtype=np.float64))
+
+
+@dataclass(frozen=True)
+class RandomDuty:
+    """Momentum unloading: each axis on or off at random, in slots of `dwell_s`, either way round.
+
+    A slot is on with probability `duty`, independently of all others, then +amplitude or -amplitude with
+    equal chance (always + when not `both_signs`). A state lasts a whole number of slots; on-stretches have a
+    mean length of dwell_s / (1 - duty).
+    """
+
+    amplitude_Am2: Dipole
+    duty: Dipole
+    dwell_s: float
+    key: tuple[int, int, int]
+    """One 64-bit key an axis; what a slot does is a hash of its number and the key."""
+    offset_s: Dipole
+    """When the slots of each axis begin, relative to `epoch`."""
+    both_signs: bool = True
+    epoch: np.datetime64 = clock.MJD2000
+
+    def dipole_B_Am2(self, time: TimeArray, field_B_nT: FloatArray | None = None) -> FloatArray:
+        """(N, 3) dipole at each stamp, the same whatever other stamps are asked for."""
+        seconds = clock.seconds_since(time, self.epoch)
+        dipole = np.zeros((seconds.size, 3))
+        for axis in range(3):
+            slot = np.floor((seconds - self.offset_s[axis]) / self.dwell_s).astype("int64").astype("uint64")
+            bits = _hash(slot, self.key[axis])
+            on = (bits >> np.uint64(11)) * 2.0**-53 < self.duty[axis]
+            # The lowest bit is not among the 53 that decide on or off, so the sign is independent.
+            sign = np.where(self.both_signs & (bits & np.uint64(1) == 1), -1.0, 1.0)
+            dipole[:, axis] = np.where(on, sign * self.amplitude_Am2[axis], 0.0)
+        return dipole
+
+
+def draw_random_duty(
+    amplitude_Am2: float | Dipole,
+    duty: float | Dipole,
+    dwell_s: float,
+    rng: np.random.Generator,
+    *,
+    both_signs: bool = True,
+) -> RandomDuty:
+    """A random unloading duty, see `RandomDuty`. Raises BadInput for a duty outside [0, 1] or dwell 0."""
+    amplitudes = np.broadcast_to(np.asarray(amplitude_Am2, dtype=np.float64), (3,))
+    duties = np.broadcast_to(np.asarray(duty, dtype=np.float64), (3,))
+    if not ((duties >= 0) & (duties <= 1)).all() or not dwell_s > 0:
+        raise BadInput(f"duty {duty}, dwell {dwell_s:g} s", where="torquers", wanted="duty in [0, 1], dwell > 0 s")
+    keys = rng.integers(0, 2**64, size=3, dtype=np.uint64)
+    offsets = dwell_s * rng.random(3)
+    return RandomDuty(
+        amplitude_Am2=_three(amplitudes),
+        duty=_three(duties),
+        dwell_s=float(dwell_s),
+        key=(int(keys[0]), int(keys[1]), int(keys[2])),
+        offset_s=_three(offsets),
+        both_signs=both_signs,
+    )
+
+
+def _three(values: FloatArray) -> Dipole:
+    x, y, z = (float(v) for v in values)
+    return (x, y, z)
+
+
+def _hash(number: np.ndarray, key: int) -> np.ndarray:
+    """64 well-mixed bits of number and key: the finaliser of SplitMix64 (Steele et al. 2014), twice."""
+    bits = number
+    for salt in (key, key ^ 0x9E3779B97F4A7C15):
+        bits = bits ^ np.uint64(salt)  # unsigned array arithmetic wraps, as it should here
+        bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        bits = bits ^ (bits >> np.uint64(31))
+    return bits

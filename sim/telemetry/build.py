@@ -1,0 +1,208 @@
+"""From a table of file columns to the record: units, frames, and the refusals that keep a wrong file out.
+
+Every reader ends here, so a file, a column map and a simulation pass the same door.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.telemetry.columns import ANGLES, BY_NAME, Resolution, Table, resolve
+from fluxtwin.sim.telemetry.record import Telemetry
+
+METRES_ABOVE = 1.0e5
+"""A median |r| beyond this is no orbit in km that a magnetometer serves (GEO is 42,164 km) but metres."""
+METRES_PER_SECOND_ABOVE = 1.0e3
+"""A median |v| beyond this is no orbit in km/s."""
+NORM_TOLERANCE = 1.0e-3
+"""Largest |q| - 1: files print quaternions to four digits or more, which keeps the norm within 2e-4."""
+
+
+def record(table: Table, *, tle: Path | str | None = None) -> Telemetry:
+    """The record of a table. With `tle`, a file of two-line elements gives the position where the table has none.
+
+    Raises BadInput naming the file and the row or column at fault.
+    """
+    found = resolve(table.columns, table.where)
+    notices = list(table.notices)
+    fields = _fields(table, found)
+    time = table.time
+    _check_time_present(time, table.where)
+    _check_positions(fields, table.where)
+    if "r_E_km" in fields:
+        fields["r_N_km"] = earth_fixed_to_N(time, fields.pop("r_E_km"))
+        notices.append("positions were turned from Earth-fixed to GCRS")
+    _positions_from_tle(fields, time, tle, notices)
+    if ANGLES.name in fields:
+        fields["q_NB"] = _from_angles(fields, time, notices, table.where)
+    _check_quaternions(fields.get("q_NB"), table.where)
+    _check_binary(fields, table.where)
+    notices.extend(_missing_rows(fields))
+    provenance = dict(table.provenance)
+    if notices:
+        provenance["notices"] = "; ".join(notice.replace("; ", ", ") for notice in notices)
+    flags = {name: table.columns[column] for name, column in found.flags.items()}
+    for name, value in flags.items():
+        _binary(f"flag_{name}", value, table.where)
+    try:
+        return Telemetry(time=time, flags=flags, provenance=provenance, **fields)
+    except BadInput as error:
+        raise BadInput(str(error), where=table.where) from None
+
+
+def earth_fixed_to_N(time: TimeArray, r_E_km: FloatArray) -> FloatArray:
+    """GCRS components (N, 3) of Earth-fixed positions; rows with NaN stay NaN."""
+    return frames.rotation_EN(time).apply(np.where(np.isnan(r_E_km), 0.0, r_E_km), inverse=True) + 0.0 * r_E_km
+
+
+def velocity_from_positions(time: TimeArray, r_N_km: FloatArray) -> FloatArray:
+    """Velocity (N, 3) in km/s by the derivative of a cubic spline through the positions.
+
+    The spline is broken at gaps longer than ten median steps, or 300 s where that is more; pieces of fewer than
+    four positions, and rows without a position, get NaN.
+    """
+    v = np.full_like(r_N_km, np.nan)
+    rows = np.flatnonzero(np.isfinite(r_N_km).all(axis=1))
+    if rows.size < 4:
+        return v
+    seconds = (time - time[0]).astype("int64") * 1e-9
+    from scipy.interpolate import CubicSpline  # here: it takes a fifth of a second to load
+
+    step = np.diff(seconds[rows])
+    breaks = np.flatnonzero(step > max(10.0 * float(np.median(step)), 300.0)) + 1
+    for piece in np.split(rows, breaks):
+        if piece.size >= 4:
+            spline = CubicSpline(seconds[piece], r_N_km[piece])
+            v[piece] = spline(seconds[piece], 1)
+    return v
+
+
+def _fields(table: Table, found: Resolution) -> dict[str, FloatArray]:
+    fields: dict[str, FloatArray] = {}
+    for name, (columns, unit) in found.found.items():
+        factor = BY_NAME[name].units[unit]
+        parts = [table.columns[column] for column in columns]
+        value = parts[0] if len(parts) == 1 else np.stack(parts, axis=1)
+        fields[name] = value if factor == 1.0 else value * factor
+    if found.wheels:
+        fields["wheel_speed_rpm"] = np.stack([table.columns[c] for c in found.wheels], axis=1)
+    return fields
+
+
+def _check_time_present(time: TimeArray, where: str) -> None:
+    if time.size == 0:
+        raise BadInput("there are no rows", where=where, wanted="a header and at least one row of data")
+    missing = np.flatnonzero(np.isnat(time))
+    if missing.size:
+        raise BadInput(
+            f"time is missing in row {missing[0] + 1}", where=where, wanted="a UTC stamp in every row (ISO 8601)"
+        )
+
+
+def _check_positions(fields: dict[str, FloatArray], where: str) -> None:
+    for name, limit, unit in (
+        ("r_N_km", METRES_ABOVE, "km"),
+        ("r_E_km", METRES_ABOVE, "km"),
+        ("v_N_km_s", METRES_PER_SECOND_ABOVE, "km/s"),
+    ):
+        size = np.linalg.norm(fields[name], axis=1) if name in fields else np.empty(0)
+        size = size[np.isfinite(size)]
+        typical = float(np.median(size)) if size.size else 0.0
+        if typical > limit:
+            what = "positions look like metres" if unit == "km" else "velocities look like metres per second"
+            stem = BY_NAME[name].written[0]
+            raise BadInput(
+                f"{what}: the median of |{stem[:-5] if unit == 'km' else 'v'}| is {typical:.6g} in a column that "
+                f"says {unit}",
+                where=where,
+                wanted=f"{', '.join(BY_NAME[name].written)} in {unit}, or a column map with the unit",
+            )
+
+
+def _positions_from_tle(
+    fields: dict[str, FloatArray], time: TimeArray, tle: Path | str | None, notices: list[str]
+) -> None:
+    if tle is None:
+        return
+    if "r_N_km" in fields:
+        notices.append(f"the file has positions, so the elements in {Path(tle).name} were not used")
+        return
+    from fluxtwin.sim.earth.tle import read_tle
+
+    elements = read_tle(tle)
+    fields["r_N_km"], fields["v_N_km_s"] = elements.propagate(time)
+    notices.extend(elements.notices(time))
+    notices.append(f"positions and velocities were computed from the elements in {Path(tle).name}")
+
+
+def _from_angles(fields: dict[str, FloatArray], time: TimeArray, notices: list[str], where: str) -> FloatArray:
+    angles = fields.pop(ANGLES.name)
+    r = fields.get("r_N_km")
+    if r is None:
+        raise BadInput(
+            "yaw, roll and pitch need the position, and the file has none",
+            where=where,
+            wanted="r_x_km r_y_km r_z_km (or ecef_x_km ...), or two-line elements (--tle)",
+        )
+    v = fields.get("v_N_km_s")
+    if v is None:
+        v = velocity_from_positions(time, r)
+        notices.append("the orbital frame of yaw, roll and pitch was found by differentiating the positions")
+    return q_from_angles(angles, r, v)
+
+
+def q_from_angles(angles_rad: FloatArray, r_N_km: FloatArray, v_N_km_s: FloatArray) -> FloatArray:
+    """Quaternions q_NB (N, 4) from yaw, roll, pitch (N, 3) relative to the orbital frame; NaN where unknown."""
+    q = np.full((len(angles_rad), 4), np.nan)
+    rows: BoolArray = np.isfinite(np.concatenate([angles_rad, r_N_km, v_N_km_s], axis=1)).all(axis=1)
+    if rows.any():
+        R_BO = frames.rotation_BO(*angles_rad[rows].T)
+        q[rows] = frames.q_from_rotation(R_BO * frames.rotation_ON(r_N_km[rows], v_N_km_s[rows]))
+    return q
+
+
+def _check_quaternions(q: FloatArray | None, where: str) -> None:
+    if q is None:
+        return
+    size = np.linalg.norm(q, axis=1)
+    zero = np.flatnonzero(size < 1e-8)
+    if zero.size:
+        raise BadInput(
+            f"the quaternion in row {zero[0] + 1} is zero ({zero.size} such row{'s' if zero.size > 1 else ''})",
+            where=where,
+            wanted="unit quaternions q_x q_y q_z q_w; leave the cells blank where the attitude is not known",
+        )
+    off = np.flatnonzero(np.abs(size - 1.0) > NORM_TOLERANCE)
+    if off.size:
+        raise BadInput(
+            f"the quaternion in row {off[0] + 1} has norm {size[off[0]]:.6g} ({off.size} such"
+            f" row{'s' if off.size > 1 else ''})",
+            where=where,
+            wanted=f"unit quaternions, norm 1 within {NORM_TOLERANCE:g}",
+        )
+
+
+def _check_binary(fields: dict[str, FloatArray], where: str) -> None:
+    for name, value in fields.items():
+        if name in BY_NAME and BY_NAME[name].binary:
+            _binary(name, value, where)
+
+
+def _binary(name: str, value: FloatArray, where: str) -> None:
+    wrong = np.flatnonzero(~((value == 0) | (value == 1) | np.isnan(value)))
+    if wrong.size:
+        raise BadInput(f"{name} is {value[wrong[0]]:g} in row {wrong[0] + 1}", where=where, wanted="0, 1 or blank")
+
+
+def _missing_rows(fields: dict[str, FloatArray]) -> list[str]:
+    notices = []
+    for name, value in fields.items():
+        rows = int(np.isnan(value).reshape(len(value), -1).any(axis=1).sum())
+        if rows:
+            notices.append(f"{name} is missing in {rows} of {len(value)} rows")
+    return notices

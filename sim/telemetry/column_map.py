@@ -1,0 +1,314 @@
+"""Column maps: a TOML file that says what the columns of foreign telemetry are, in which units and frames.
+
+One `[[file]]` entry a source; several sources at several rates become one record on the magnetometer's stamps.
+The magnetometer is never interpolated; attitude is (slerp), and positions are, within `max_gap_s` of the entry.
+
+    tle = "satellite.tle"                      # optional: positions from two-line elements
+
+    [[file]]
+    path = "*MAGNETOMETER*.csv"                # a pattern inside the folder; may be left out for a single file
+    time = { recipe = "seconds_ns", columns = ["timeSeconds", "timeNs"] }
+    [file.columns]
+    mag = { from = ["mx", "my", "mz"], unit = "uT", valid = { magIsValid = 1 } }
+
+    [[file]]
+    path = "*ESTIMATOR*.csv"
+    max_gap_s = 60
+    time = { recipe = "unix_ms", columns = "timestamp_ms" }
+    [file.columns]
+    attitude = { from = ["q0", "q1", "q2", "q3"], order = "xyzw", relative_to = "orbital" }
+
+Nothing is guessed: a quantity with a dimension must state its unit.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.toml_input import Strict, read_model
+from fluxtwin.sim.telemetry import column_map_words as words
+from fluxtwin.sim.telemetry.columns import Table
+from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
+from fluxtwin.sim.telemetry.record import Telemetry
+
+UNITS: dict[str, dict[str, float]] = {
+    "mag": {"nT": 1.0, "uT": 1e3, "mG": 100.0, "G": 1e5, "T": 1e9},
+    "position": {"km": 1.0, "m": 1e-3},
+    "velocity": {"km/s": 1.0, "m/s": 1e-3},
+    "rate": {"deg/s": 0.017453292519943295, "rad/s": 1.0},
+    "dipole": {"Am2": 1.0, "mAm2": 1e-3},
+    "array_current": {"A": 1.0, "mA": 1e-3},
+    "battery_current": {"A": 1.0, "mA": 1e-3},
+    "temperature": {"degC": 1.0, "K": 1.0},
+    "wheel_speed": {"rpm": 1.0, "rad/s": 9.549296585513721},
+}
+"""Quantity: accepted units and their factor into the record's unit."""
+UNITLESS = {"attitude", "sun", "nadir", "sunlit", "heater_on", "sun_sensor_head"}
+_VECTORS = {"mag", "position", "velocity", "rate", "dipole", "sun", "nadir"}
+_FLAG = re.compile(r"flag_[A-Za-z0-9_]{1,60}")
+
+
+class TimeRecipe(Strict):
+    """How the stamps of a source are made."""
+
+    recipe: Literal["iso", "unix_s", "unix_ms", "unix_us", "seconds_ns", "gps_week_tow", "seconds_since", "cf"]
+    example: ClassVar[str] = '{ recipe = "unix_ms", columns = "NAME" }'
+    columns: str | list[str] = "time"
+    epoch: str | None = None
+    """UTC origin of `seconds_since` (SI seconds)."""
+    offset_s: float = 0.0
+    """Added to every stamp."""
+    invalid: list[float] = []
+    """Values of the first column that mean "no time": such rows are left out."""
+
+    @property
+    def names(self) -> list[str]:
+        """The columns as a list."""
+        return [self.columns] if isinstance(self.columns, str) else self.columns
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        wanted = 2 if self.recipe in ("seconds_ns", "gps_week_tow") else 1
+        if len(self.names) != wanted:
+            raise ValueError(f"recipe {self.recipe} takes {wanted} column{'s' if wanted > 1 else ''}")
+        if (self.recipe == "seconds_since") != (self.epoch is not None):
+            raise ValueError("epoch belongs to the recipe seconds_since, and is needed there")
+        return self
+
+
+class ColumnSpec(Strict):
+    """One quantity: its columns in the source and what they mean."""
+
+    example: ClassVar[str] = '{ from = ["X", "Y", "Z"], unit = "nT" }'
+    source: str | list[str] = Field(alias="from")
+    """Column names, one a component; or one variable of several components (NetCDF)."""
+    unit: str | None = None
+    scale: Annotated[float, Field(gt=0)] = 1.0
+    """Unit per stored number, as 0.01 nT a count."""
+    invalid: list[float] = []
+    """Stored values that mean "missing"; a vector is missing when all its components are such values."""
+    valid: dict[str, float] = {}
+    """Columns that must have these values for the row to count."""
+    frame: Annotated[str | None, BeforeValidator(words.frame)] = None
+    """Axes of position and velocity; `axes` resolves other words for them."""
+    relative_to: Annotated[str | None, BeforeValidator(words.reference)] = None
+    """Reference of the attitude; orbital is z nadir, y negative orbit normal, NEC is geocentric. See `reference`."""
+    order: Annotated[Literal["xyzw", "wxyz", "xyz"] | None, BeforeValidator(words.order)] = None
+    """Order of the quaternion's components; xyz leaves the scalar out (it is taken as positive)."""
+    sense: Literal["textbook", "conjugate"] = "textbook"
+    """textbook: the attitude matrix of the quaternion maps reference components to body components."""
+    angles: Literal["yaw_roll_pitch_deg", "yaw_roll_pitch_rad"] | None = None
+    """The three columns are the 3-1-2 angles instead of a quaternion."""
+
+    @property
+    def names(self) -> list[str]:
+        """The columns as a list."""
+        return [self.source] if isinstance(self.source, str) else self.source
+
+    @property
+    def axes(self) -> str | None:
+        """`frame` by its own name, as GCRS for ECI."""
+        return None if self.frame is None else words.canonical(self.frame)
+
+    @property
+    def reference(self) -> str | None:
+        """`relative_to` by its own name."""
+        return None if self.relative_to is None else words.canonical(self.relative_to)
+
+    def assumptions(self, quantity: str) -> list[str]:
+        """What was taken for granted in reading `frame` and `relative_to`."""
+        said = [words.assumption(word, quantity) for word in (self.frame, self.relative_to) if word is not None]
+        return [text for text in said if text is not None]
+
+
+def _recipe(value: Any) -> Any:
+    """A bare column name in place of a recipe is answered with an example."""
+    if isinstance(value, str):
+        raise ValueError(
+            f'wants a recipe and its column, as {{ recipe = "unix_ms", columns = "{value[:40]}" }} (found {value[:40]!r})'
+        )
+    return value
+
+
+def _specs(value: Any) -> Any:
+    """Bare column names in place of a table are answered with an example."""
+    for name, spec in value.items() if isinstance(value, dict) else ():
+        if isinstance(spec, str | list):
+            raise ValueError(f'{name} wants a table, as {{ from = ["a", "b", "c"], unit = "nT" }} (found {spec!r:.60})')
+    return value
+
+
+class FileEntry(Strict):
+    """One source."""
+
+    path: str | None = None
+    """File name or pattern inside the folder; several matches are joined in the order of their names."""
+    time: Annotated[TimeRecipe, BeforeValidator(_recipe)]
+    columns: Annotated[dict[str, ColumnSpec], BeforeValidator(_specs)]
+    max_gap_s: Annotated[float, Field(gt=0)] = 60.0
+    """Longest distance between two samples across which this source is interpolated or held."""
+    sort: bool = False
+    """Sort by time and drop rows that repeat another one exactly."""
+
+    @model_validator(mode="after")
+    def _quantities(self) -> Self:
+        for name, spec in self.columns.items():
+            _check_quantity(name, spec)
+        return self
+
+
+class LayoutVariable(Strict):
+    """What a layout states of one variable."""
+
+    shape: list[Literal["time"] | int]
+    """Its sizes; `time` is the number of stamps."""
+    units: str | None = None
+    """Its units, for `time` the word before "since"; absent: the variable must have none."""
+
+
+class Layout(Strict):
+    """Which NetCDF files a packaged map is for: all of this must be so. See `layouts.recognised`."""
+
+    name: str
+    taken_as: str
+    """In words: what the map takes the columns for."""
+    title_begins: Annotated[str, Field(min_length=10)]
+    """How the file's attribute `title` begins."""
+    variables: dict[str, LayoutVariable]
+    """Every variable of the file; one more or one less is another layout."""
+
+    @model_validator(mode="after")
+    def _has_time(self) -> Self:
+        if "time" not in self.variables:
+            raise ValueError("a layout has the variable time")
+        return self
+
+
+class ColumnMap(Strict):
+    """A whole column map. Exactly one `[[file]]` carries the magnetometer; with a `layout` it may be none."""
+
+    file_kind: ClassVar[str] = "a column map"
+    file: Annotated[list[FileEntry], Field(min_length=1, max_length=100)]
+    layout: Layout | None = None
+    """Files that `check` reads with this map unasked; only packaged maps are looked through."""
+    tle: str | None = None
+    """File with two-line elements, beside the data or beside the map."""
+
+    @model_validator(mode="after")
+    def _one_magnetometer(self) -> Self:
+        carriers = sum("mag" in entry.columns for entry in self.file)
+        if carriers > 1 or (carriers == 0 and self.layout is None):
+            raise ValueError(f"{carriers} [[file]] entries carry `mag`; exactly one must")
+        names = [name for entry in self.file for name in entry.columns]
+        doubled = sorted({name for name in names if names.count(name) > 1})
+        if doubled:
+            raise ValueError(f"{doubled[0]} comes from two [[file]] entries; one sensor, one source")
+        return self
+
+
+def load_column_map(path: Path | str) -> ColumnMap:
+    """Read and check a column map. Raises BadInput listing every fault."""
+    return read_model(path, ColumnMap)
+
+
+def read_mapped(
+    path: Path | str,
+    column_map: Path | str | ColumnMap,
+    *,
+    tle: Path | str | None = None,
+    max_samples: int = MAX_SAMPLES,
+) -> Telemetry:
+    """The record of the foreign file or folder `path` under `column_map`. See `telemetry_io.read_telemetry`."""
+    from fluxtwin.sim.telemetry.build import record
+
+    return record(mapped_table(path, column_map, tle=tle, max_samples=max_samples))
+
+
+def mapped_table(
+    path: Path | str,
+    column_map: Path | str | ColumnMap,
+    *,
+    tle: Path | str | None = None,
+    max_samples: int = MAX_SAMPLES,
+    any_order: bool = False,
+) -> Table:
+    """The columns of `read_mapped` before they are a record.
+
+    any_order: rows of a single source without attitude are let through as they come, for `check` to judge.
+    """
+    from fluxtwin.sim.telemetry.column_map_merge import merged_table
+
+    if isinstance(column_map, ColumnMap):
+        loaded, folder, name = column_map, Path("."), "column map"
+    else:
+        loaded, folder, name = load_column_map(column_map), Path(column_map).parent, Path(column_map).name
+    tle = elements_path(path, loaded, folder, tle)
+    table = merged_table(Path(path), loaded, tle=tle, max_samples=max_samples, any_order=any_order)
+    table.provenance["column_map"] = name
+    return table
+
+
+def elements_path(path: Path | str, column_map: ColumnMap, folder: Path, tle: Path | str | None) -> Path | str | None:
+    """The file of two-line elements: `tle`, or the map's, beside the data or in the map's own `folder`."""
+    if tle is None and column_map.tle is not None:
+        return _beside(column_map.tle, [_folder(Path(path)), folder])
+    return tle
+
+
+def matches(path: Path, entry: FileEntry) -> list[Path]:
+    """The files an entry names. Raises BadInput when there is none."""
+    if entry.path is None:
+        if path.is_dir():
+            raise BadInput("is a folder", where=str(path), wanted="`path` in every [[file]] of the column map")
+        return [path]
+    folder = _folder(path)
+    if not folder.is_dir():
+        raise BadInput("there is no such folder", where=str(folder))
+    if Path(entry.path).is_absolute() or ".." in Path(entry.path).parts:
+        raise BadInput(
+            f"path {entry.path!r} leaves the folder", where="column map", wanted="a name or pattern inside it"
+        )
+    found = sorted(p for p in folder.glob(entry.path) if p.is_file())
+    if not found:
+        raise BadInput(f"no file matches {entry.path!r}", where=str(folder), wanted="the files the column map names")
+    return found
+
+
+def _folder(path: Path) -> Path:
+    return path if path.is_dir() else path.parent
+
+
+def _beside(name: str, folders: list[Path]) -> Path:
+    return next((folder / name for folder in folders if (folder / name).is_file()), folders[0] / name)
+
+
+def _check_quantity(name: str, spec: ColumnSpec) -> None:
+    if name not in UNITS and name not in UNITLESS and not _FLAG.fullmatch(name):
+        raise ValueError(f"unknown quantity {name}; known: {', '.join([*UNITS, *sorted(UNITLESS), 'flag_NAME'])}")
+    accepted = UNITS.get(name)
+    if accepted is not None and spec.unit not in accepted:
+        what = "has no unit" if spec.unit is None else f"has the unit {spec.unit!r}"
+        raise ValueError(f"{name} {what}; accepted: {', '.join(accepted)}")
+    if accepted is None and spec.unit is not None:
+        raise ValueError(f"{name} takes no unit")
+    if name in ("position", "velocity") and spec.frame is None:
+        raise ValueError(f"{name} wants frame: {', '.join(words.FRAMES)}")
+    if name in _VECTORS and isinstance(spec.source, list) and len(spec.source) != 3:
+        raise ValueError(f"{name} takes three columns")
+    if name == "attitude":
+        _check_attitude(spec)
+
+
+def _check_attitude(spec: ColumnSpec) -> None:
+    if spec.relative_to is None:
+        raise ValueError(f"attitude wants relative_to: {', '.join(words.REFERENCES)}")
+    if (spec.order is None) == (spec.angles is None):
+        raise ValueError("attitude wants either order (xyzw, wxyz, xyz) or angles (yaw_roll_pitch_deg, ..._rad)")
+    wanted = 3 if spec.order in (None, "xyz") else 4
+    if isinstance(spec.source, list) and len(spec.source) != wanted:
+        raise ValueError(f"attitude takes {wanted} columns here")

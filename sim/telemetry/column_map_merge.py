@@ -1,0 +1,257 @@
+"""Sources at their own rates, brought onto the magnetometer's stamps.
+
+Attitude: slerp. Position: cubic Hermite where the source has velocity, else a cubic spline. Rates, currents,
+temperature, wheel speeds: linear. Flags, dipole, sensor head: the last value holds. Beyond `max_gap_s` of the
+source the value is missing. The magnetometer itself is never touched.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
+from scipy.spatial.transform import Rotation, Slerp
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.frames_of_date import rotation_from_N
+from fluxtwin.sim.telemetry.build import velocity_from_positions
+from fluxtwin.sim.telemetry.column_map import ColumnMap, ColumnSpec
+from fluxtwin.sim.telemetry.column_map_read import Source, read_source, require_increasing
+from fluxtwin.sim.telemetry.columns import Table
+
+_LARGEST_TURN_RAD = np.pi / 2.0
+"""A turn beyond this between two attitude samples is not interpolated: the way it went is not known."""
+_HELD = {"sunlit", "heater_on", "sun_sensor_head", "dipole"}
+_COLUMNS = {
+    "mag": ("mag_x_nT", "mag_y_nT", "mag_z_nT"),
+    "position": ("r_x_km", "r_y_km", "r_z_km"),
+    "velocity": ("v_x_km_s", "v_y_km_s", "v_z_km_s"),
+    "rate": ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s"),
+    "dipole": ("dipole_x_Am2", "dipole_y_Am2", "dipole_z_Am2"),
+    "sun": ("sun_x", "sun_y", "sun_z"),
+    "nadir": ("nadir_x", "nadir_y", "nadir_z"),
+    "array_current": ("array_current_A",),
+    "battery_current": ("battery_current_A",),
+    "temperature": ("temperature_degC",),
+}
+
+
+def merged_table(
+    path: Path, column_map: ColumnMap, *, tle: Path | str | None, max_samples: int, any_order: bool = False
+) -> Table:
+    """All sources of the map as one table of contract columns on the magnetometer's stamps.
+
+    Without a magnetometer the first source gives the stamps. any_order: see `column_map.mapped_table`.
+    """
+    sources = [read_source(path, entry, max_samples) for entry in column_map.file]
+    master = next((source for source in sources if "mag" in source.values), sources[0])
+    if not any_order or len(sources) > 1 or "attitude" in master.values:
+        require_increasing(master)
+    time = master.time
+    notices = [text for source in sources for text in source.notices]
+    columns: dict[str, FloatArray] = {}
+    attitude: tuple[ColumnSpec, Rotation, BoolArray] | None = None
+    for source in sources:
+        if source is not master:
+            require_increasing(source)
+        for name in source.values:
+            if name == "attitude":
+                attitude = (source.entry.columns[name], *_slerped(source, time, notices))
+            elif name != "velocity" or "position" not in source.values:
+                _put(columns, name, _resampled(source, name, time, source is master))
+        if {"position", "velocity"} <= source.values.keys():
+            _put(columns, "velocity", _velocity(source, time, source is master))
+    r, v = _orbit(columns, time, tle, notices)
+    if attitude is not None:
+        q = _absolute(attitude, time, r, v, master.where, notices)
+        columns.update(zip(("q_x", "q_y", "q_z", "q_w"), q.T, strict=True))
+    digests = "+".join(digest for source in sources for digest in source.digests)
+    return Table(str(path), time, columns, notices, {"source": path.name, "sha256": digests})
+
+
+def _put(columns: dict[str, FloatArray], name: str, value: FloatArray) -> None:
+    if name == "wheel_speed":
+        names = tuple(f"wheel_{k}_speed_rpm" for k in range(1, value.shape[1] + 1))
+    else:
+        names = _COLUMNS.get(name, (name,))
+    columns.update(zip(names, value.T, strict=True))
+
+
+def _seconds(time: TimeArray, origin: np.datetime64) -> FloatArray:
+    return (time - origin).astype("int64") * 1e-9
+
+
+def _brackets(have: FloatArray, want: FloatArray, max_gap_s: float) -> tuple[np.ndarray, BoolArray]:
+    """Index of the sample at or before each wanted instant, and whether the pair around it is close enough."""
+    place = np.clip(np.searchsorted(have, want, side="right") - 1, 0, max(have.size - 2, 0))
+    after = np.minimum(place + 1, have.size - 1)
+    inside = (want >= have[place]) & (want <= have[after]) & (have[after] - have[place] <= max_gap_s)
+    return place, inside | (want == have[place]) | (want == have[after])
+
+
+def _resampled(source: Source, name: str, time: TimeArray, same: bool) -> FloatArray:
+    value = source.values[name]
+    if same:
+        return value
+    out = np.full((time.size, value.shape[1]), np.nan)
+    rows = np.flatnonzero(np.isfinite(value).all(axis=1))
+    if rows.size == 0:
+        return out
+    origin = time[0]
+    have, want = _seconds(source.time[rows], origin), _seconds(time, origin)
+    gap = source.entry.max_gap_s
+    if name in _HELD or name.startswith("flag_"):
+        place = np.searchsorted(have, want, side="right") - 1
+        fresh = (place >= 0) & (want - have[np.maximum(place, 0)] <= gap)
+        out[fresh] = value[rows][place[fresh]]
+        return out
+    place, inside = _brackets(have, want, gap)
+    if name == "position":
+        out[inside] = _position(source, rows, have, gap, 0)(want[inside])
+        return out
+    for axis in range(value.shape[1]):
+        out[inside, axis] = np.interp(want[inside], have, value[rows, axis])
+    if name in ("sun", "nadir"):
+        out /= np.linalg.norm(out, axis=1, keepdims=True)
+    return out
+
+
+def _position(source: Source, rows: np.ndarray, have: FloatArray, gap: float, order: int) -> _Curve:
+    return _Curve(have, source.values["position"][rows], _rows_of(source, "velocity", rows), gap, order)
+
+
+def _rows_of(source: Source, name: str, rows: np.ndarray) -> FloatArray | None:
+    value = source.values.get(name)
+    if value is None or not np.isfinite(value[rows]).all():
+        return None
+    chosen: FloatArray = value[rows]
+    return chosen
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """Positions between samples, piece by piece between gaps; order 1 gives the velocity."""
+
+    have: FloatArray
+    r: FloatArray
+    v: FloatArray | None
+    gap: float
+    order: int
+
+    def __call__(self, want: FloatArray) -> FloatArray:
+        out = np.full((want.size, 3), np.nan)
+        for piece in np.split(np.arange(self.have.size), np.flatnonzero(np.diff(self.have) > self.gap) + 1):
+            inside = (want >= self.have[piece[0]]) & (want <= self.have[piece[-1]])
+            if piece.size >= (2 if self.v is not None else 4) and inside.any():
+                curve = (
+                    CubicSpline(self.have[piece], self.r[piece])
+                    if self.v is None
+                    else CubicHermiteSpline(self.have[piece], self.r[piece], self.v[piece])
+                )
+                out[inside] = curve(want[inside], self.order)
+            elif piece.size and inside.any() and self.order == 0:
+                exact = np.searchsorted(self.have[piece], want[inside])
+                hit = self.have[piece][np.minimum(exact, piece.size - 1)] == want[inside]
+                out[np.flatnonzero(inside)[hit]] = self.r[piece][exact[hit]]
+        return out
+
+
+def _velocity(source: Source, time: TimeArray, same: bool) -> FloatArray:
+    if same:
+        return source.values["velocity"]
+    rows = np.flatnonzero(np.isfinite(np.hstack([source.values["position"], source.values["velocity"]])).all(axis=1))
+    out = np.full((time.size, 3), np.nan)
+    if rows.size:
+        have, want = _seconds(source.time[rows], time[0]), _seconds(time, time[0])
+        _, inside = _brackets(have, want, source.entry.max_gap_s)
+        out[inside] = _position(source, rows, have, source.entry.max_gap_s, 1)(want[inside])
+    return out
+
+
+def _slerped(source: Source, time: TimeArray, notices: list[str]) -> tuple[Rotation, BoolArray]:
+    """The attitude at the wanted stamps as scipy rotations of the stored quaternion, and where it is known."""
+    q = source.values["attitude"]
+    rows = np.flatnonzero(np.isfinite(q).all(axis=1))
+    out = Rotation.from_quat(np.tile([0.0, 0.0, 0.0, 1.0], (time.size, 1)))
+    known: BoolArray = np.zeros(time.size, dtype=bool)
+    if rows.size == 0:
+        return out, known
+    have, want = _seconds(source.time[rows], time[0]), _seconds(time, time[0])
+    have_R = Rotation.from_quat(q[rows])
+    place, known = _brackets(have, want, source.entry.max_gap_s)
+    if rows.size > 1:
+        turn = np.atleast_1d((have_R[1:] * have_R[:-1].inv()).magnitude())
+        exact = (want == have[place]) | (want == have[np.minimum(place + 1, have.size - 1)])
+        wild = known & ~exact & (turn[np.minimum(place, turn.size - 1)] > _LARGEST_TURN_RAD)
+        known &= ~wild
+        if wild.any():
+            notices.append(f"attitude turns more than 90 deg between samples; {int(wild.sum())} rows have none")
+        inside = Slerp(have, have_R)(np.clip(want, have[0], have[-1]))
+        out = inside
+    elif known.any():
+        out = Rotation.from_quat(np.tile(q[rows[0]], (time.size, 1)))
+    lost = int((~known).sum())
+    if lost:
+        notices.append(f"{lost} of {time.size} rows have no attitude within {source.entry.max_gap_s:g} s")
+    return out, known
+
+
+def _orbit(
+    columns: dict[str, FloatArray], time: TimeArray, tle: Path | str | None, notices: list[str]
+) -> tuple[FloatArray | None, FloatArray | None]:
+    if "r_x_km" not in columns and tle is not None:
+        from fluxtwin.sim.earth.tle import read_tle
+
+        elements = read_tle(tle)
+        r, v = elements.propagate(time)
+        _put(columns, "position", r)
+        _put(columns, "velocity", v)
+        notices.append(f"positions and velocities were computed from the elements in {Path(tle).name}")
+        notices.extend(elements.notices(time))
+    elif tle is not None:
+        notices.append(f"the files have positions, so the elements in {Path(tle).name} were not used")
+    groups = [
+        np.stack([columns[c] for c in _COLUMNS[name]], axis=1) if _COLUMNS[name][0] in columns else None
+        for name in ("position", "velocity")
+    ]
+    return groups[0], groups[1]
+
+
+def _absolute(
+    attitude: tuple[ColumnSpec, Rotation, BoolArray],
+    time: TimeArray,
+    r: FloatArray | None,
+    v: FloatArray | None,
+    where: str,
+    notices: list[str],
+) -> FloatArray:
+    """Quaternions q_NB (N, 4) from the attitude relative to the map's reference; NaN where unknown."""
+    spec, stored, known = attitude
+    q = np.full((time.size, 4), np.nan)
+    if spec.reference in ("orbital", "NEC"):
+        if r is None:
+            what = "the orbital frame" if spec.reference == "orbital" else "north, east, centre"
+            raise BadInput(f"an attitude relative to {what} needs positions", where=where, wanted="a TLE")
+        known = known & np.isfinite(r).all(axis=1)
+    if spec.reference == "orbital" and r is not None:
+        if v is None:
+            v = velocity_from_positions(time, r)
+            notices.append("the orbital frame of the attitude was found by differentiating the positions")
+        known = known & np.isfinite(np.hstack([r, v])).all(axis=1)
+    rows = np.flatnonzero(known)
+    if rows.size == 0:
+        return q
+    R_BX = stored[rows].inv()
+    if spec.reference == "orbital" and r is not None and v is not None:
+        R_XN = frames.rotation_ON(r[rows], v[rows])
+    elif spec.reference == "NEC" and r is not None:
+        R_EN = frames.rotation_EN(time[rows])
+        R_XN = frames.rotation_NEC_E(R_EN.apply(r[rows])) * R_EN
+    else:
+        R_XN = rotation_from_N(str(spec.reference), time[rows])
+    q[rows] = frames.q_from_rotation(R_BX * R_XN)
+    return q

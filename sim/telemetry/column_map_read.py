@@ -1,0 +1,247 @@
+"""Reading one source of a column map: its stamps and quantities in the record's units and axes."""
+
+from __future__ import annotations
+
+from collections.abc import MutableMapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.constants import EARTH_RATE_RAD_S
+from fluxtwin.sim.earth.frames_of_date import rotation_from_N
+from fluxtwin.sim.telemetry import time_stamps as telemetry_time
+from fluxtwin.sim.telemetry.column_map import UNITS, ColumnSpec, FileEntry, TimeRecipe, matches
+from fluxtwin.sim.telemetry.columns import clip
+from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
+from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
+
+
+@dataclass
+class Source:
+    """One `[[file]]`, read: quantities in the record's units on the source's own stamps."""
+
+    entry: FileEntry
+    where: str
+    time: TimeArray
+    values: MutableMapping[str, FloatArray]
+    """Quantity: (N, components)."""
+    notices: list[str] = field(default_factory=list)
+    digests: list[str] = field(default_factory=list)
+
+
+def read_source(path: Path, entry: FileEntry, max_samples: int) -> Source:
+    """Read the file or files of one entry; rows without a stamp are left out and counted."""
+    parts = [_read_one(one, entry, max_samples) for one in matches(path, entry)]
+    for part in parts:
+        if Path(part.where) != path:  # one file of several: which?
+            part.notices[:] = [f"{Path(part.where).name}: {text}" for text in part.notices]
+    source = parts[0]
+    if len(parts) > 1:
+        source = Source(
+            entry,
+            f"{parts[0].where} and {len(parts) - 1} more",
+            np.concatenate([part.time for part in parts]),
+            {name: np.concatenate([part.values[name] for part in parts]) for name in parts[0].values},
+            [text for part in parts for text in part.notices],
+            [digest for part in parts for digest in part.digests],
+        )
+    keep = ~np.isnat(source.time)
+    if not keep.all():
+        source.notices.append(f"{Path(source.where).name}: {int((~keep).sum())} rows without a time were left out")
+        _cut(source, np.flatnonzero(keep))
+    if entry.sort:
+        _sort(source)
+    if source.time.size == 0:
+        raise BadInput("no row has a time", where=source.where, wanted="at least one")
+    return source
+
+
+def _read_one(path: Path, entry: FileEntry, max_samples: int) -> Source:
+    if path.name.lower().endswith((".nc", ".nc4", ".h5")):
+        with NetcdfFile(path, max_samples=max_samples) as opened:
+            known = opened.names()
+            reader = _Reader(str(path), known, opened)
+            return _source(reader, entry, [], opened.sha256)
+    csv = open_csv(path, max_samples=max_samples)
+    return _source(_Reader(str(path), list(csv.names), csv), entry, list(csv.notices), csv.sha256)
+
+
+@dataclass
+class _Reader:
+    """The columns of a CSV or NetCDF file under one roof."""
+
+    where: str
+    known: list[str]
+    file: CsvFile | NetcdfFile
+
+    def numbers(self, names: list[str]) -> FloatArray:
+        """(N, k) of the named columns; one NetCDF variable may bring several components."""
+        for name in names:
+            if name not in self.known:
+                listed = ", ".join(clip(n) for n in self.known[:12])
+                raise BadInput(f"column {clip(name)} is missing; the columns are: {listed}", where=self.where)
+        if isinstance(self.file, CsvFile):
+            found = self.file.numbers(list(dict.fromkeys(names)))
+            return np.stack([found[name] for name in names], axis=1)
+        parts = [self.file.numbers(name) for name in names]
+        if any(part.ndim not in (1, 2) for part in parts) or len({part.shape[0] for part in parts}) > 1:
+            raise BadInput(
+                f"{clip(names[0])} has not one row a sample", where=self.where, wanted="(time,) or (time, 3)"
+            )
+        return np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
+
+    def times(self, recipe: TimeRecipe, notices: list[str]) -> TimeArray:
+        """UTC stamps by `recipe`; what was assumed of them goes to `notices`."""
+        first = recipe.names[0]
+        if recipe.recipe in ("iso", "cf"):
+            if first not in self.known:
+                self.numbers([first])
+            if recipe.recipe == "iso" and isinstance(self.file, CsvFile):
+                text = self.file.text(first)
+                notices += telemetry_time.zone_assumed(text, first)
+                return telemetry_time.parse_iso(text, self.where)
+            if recipe.recipe == "cf" and isinstance(self.file, NetcdfFile):
+                return self.file.times(first)
+            raise BadInput(f"time recipe {recipe.recipe} does not fit this kind of file", where=self.where)
+        raw = self.numbers(recipe.names)
+        raw[np.isin(raw[:, 0], recipe.invalid), 0] = np.nan
+        return _counted(raw, recipe)
+
+
+def _counted(raw: FloatArray, recipe: TimeRecipe) -> TimeArray:
+    count = raw[:, 0]
+    if recipe.recipe == "seconds_ns":
+        return telemetry_time.from_unix(count, raw[:, 1])
+    if recipe.recipe == "gps_week_tow":
+        return telemetry_time.from_gps(count, raw[:, 1])
+    if recipe.recipe == "seconds_since":
+        good = np.isfinite(count)
+        stamps = np.full(count.shape, np.datetime64("NaT", "ns"))
+        if good.any():
+            origin = epoch.parse_time(str(recipe.epoch), where="column map: epoch")
+            stamps[good] = epoch.add_seconds(origin, count[good])
+        return stamps
+    per_second = {"unix_s": 1.0, "unix_ms": 1e3, "unix_us": 1e6}[recipe.recipe]
+    whole = np.floor(count / per_second)
+    return telemetry_time.from_unix(whole, (count - whole * per_second) * (1e9 / per_second))
+
+
+def _source(reader: _Reader, entry: FileEntry, notices: list[str], digest: str) -> Source:
+    time = reader.times(entry.time, notices)
+    if entry.time.offset_s:
+        time = time + np.timedelta64(round(entry.time.offset_s * 1e9), "ns")
+    values = {}
+    for name, spec in entry.columns.items():
+        value = _quantity(reader, name, spec)
+        if len(value) != len(time):
+            raise BadInput(f"{name} has {len(value)} rows, time has {len(time)}", where=reader.where)
+        values[name] = _to_N(name, spec, time, value)
+    if "velocity" in values and entry.columns["velocity"].axes == "ITRS":
+        values["velocity"] = _inertial_velocity(values, entry, time, reader.where)
+    notices += [text for name, spec in entry.columns.items() for text in spec.assumptions(name)]
+    return Source(entry, reader.where, time, values, notices, [digest])
+
+
+def _quantity(reader: _Reader, name: str, spec: ColumnSpec) -> FloatArray:
+    raw = reader.numbers(spec.names)
+    missing = np.isnan(raw).any(axis=1)
+    if spec.invalid:
+        missing |= np.isin(raw, spec.invalid).all(axis=1)
+    for column, wanted in spec.valid.items():
+        missing |= reader.numbers([column])[:, 0] != wanted
+    width = 3 if name in ("mag", "position", "velocity", "rate", "dipole", "sun", "nadir") else None
+    if width is not None and raw.shape[1] != width:
+        raise BadInput(f"{name} has {raw.shape[1]} components", where=reader.where, wanted="three")
+    factor = spec.scale * UNITS.get(name, {}).get(spec.unit or "", 1.0)
+    value = raw if factor == 1.0 else raw * factor
+    if spec.unit == "K":
+        value = value - 273.15
+    if name in ("sun", "nadir"):
+        size = np.linalg.norm(value, axis=1, keepdims=True)
+        value = np.divide(value, size, out=np.full_like(value, np.nan), where=size > 0)
+    if name == "attitude":
+        value = _quaternion(value, spec, reader.where)
+    value = np.array(value, dtype=np.float64)
+    value[missing] = np.nan
+    return value
+
+
+def _quaternion(value: FloatArray, spec: ColumnSpec, where: str) -> FloatArray:
+    """Textbook quaternion of the body relative to `relative_to`, scalar last, (N, 4)."""
+    if spec.angles is not None:
+        angles = np.radians(value) if spec.angles.endswith("deg") else value
+        q = np.full((len(value), 4), np.nan)
+        rows = np.isfinite(angles).all(axis=1)
+        if rows.any():
+            q[rows] = frames.q_from_rotation(frames.rotation_BO(*angles[rows].T))
+        return q
+    if spec.order == "xyz":
+        value = np.column_stack([value, np.sqrt(np.maximum(1.0 - np.sum(value**2, axis=1), 0.0))])
+    elif spec.order == "wxyz":
+        value = value[:, [1, 2, 3, 0]]
+    size = np.linalg.norm(value, axis=1)
+    wrong = np.flatnonzero(np.abs(size - 1.0) > 0.02)
+    if wrong.size:
+        raise BadInput(
+            f"the quaternion in row {wrong[0] + 1} has norm {size[wrong[0]]:.4g}",
+            where=where,
+            wanted="norm 1 within 0.02; `invalid` for the rows without attitude",
+        )
+    value = value / size[:, None]
+    return value * [-1.0, -1.0, -1.0, 1.0] if spec.sense == "conjugate" else value
+
+
+def _to_N(name: str, spec: ColumnSpec, time: TimeArray, value: FloatArray) -> FloatArray:
+    """Positions and velocities in GCRS axes."""
+    if name not in ("position", "velocity") or spec.axes in (None, "GCRS"):
+        return value
+    good = np.flatnonzero(np.isfinite(value).all(axis=1) & ~np.isnat(time))
+    turned = np.full_like(value, np.nan)
+    if good.size:
+        turned[good] = rotation_from_N(str(spec.axes), time[good]).apply(value[good], inverse=True)
+    return turned
+
+
+def _inertial_velocity(values: dict[str, FloatArray], entry: FileEntry, time: TimeArray, where: str) -> FloatArray:
+    """Add the Earth's rotation to velocities measured relative to it."""
+    if "position" not in values:
+        raise BadInput("velocity in ITRS needs the position from the same file", where=where)
+    axis = rotation_from_N("ITRS", np.where(np.isnat(time), np.datetime64("2000-01-01"), time)).apply(
+        [0.0, 0.0, EARTH_RATE_RAD_S], inverse=True
+    )
+    return values["velocity"] + np.cross(axis, values["position"])
+
+
+def _cut(source: Source, rows: np.ndarray) -> None:
+    source.time = source.time[rows]
+    source.values = {name: value[rows] for name, value in source.values.items()}
+
+
+def _sort(source: Source) -> None:
+    order = np.argsort(source.time, kind="stable")
+    moved = int((order != np.arange(order.size)).sum())
+    _cut(source, order)
+    same = np.zeros(order.size, dtype=bool)
+    same[1:] = np.diff(source.time.astype("int64")) == 0
+    for value in source.values.values():
+        same[1:] &= ((value[1:] == value[:-1]) | (np.isnan(value[1:]) & np.isnan(value[:-1]))).all(axis=1)
+    _cut(source, np.flatnonzero(~same))
+    if moved or same.any():
+        source.notices.append(f"{Path(source.where).name}: sorted by time; {int(same.sum())} repeated rows dropped")
+
+
+def require_increasing(source: Source) -> None:
+    """Raises BadInput naming the first row whose stamp does not follow."""
+    step = np.diff(source.time.astype("int64"))
+    back = np.flatnonzero(step <= 0)
+    if back.size:
+        row = int(back[0])
+        raise BadInput(
+            f"time does not increase: row {row + 1} is {source.time[row]}, row {row + 2} is {source.time[row + 1]}",
+            where=source.where,
+            wanted="increasing stamps, or `sort = true` in this [[file]]",
+        )

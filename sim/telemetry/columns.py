@@ -1,0 +1,285 @@
+"""The column contract: which names and units a telemetry file may use, and what they mean in the record.
+
+A file column is `stem_unit`, as `mag_x_nT`; dimensionless columns have no unit. `resolve` turns the names found
+in a file into the quantities of the record, or says in one message what is missing, doubled or without a unit.
+`file_columns` is the way back. Nothing here guesses: a column without its unit is refused, a column the contract
+does not name is left out and said so.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable, Mapping, MutableMapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.telemetry.record import Telemetry, plain_text
+
+_DEG = float(np.pi / 180.0)
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One quantity of the contract: its columns in a file, the units they may carry, its place in the record."""
+
+    name: str
+    """Record field, or `r_E_km` and `yaw_roll_pitch_rad`, which are turned into record fields on reading."""
+    stems: tuple[str, ...]
+    """Column names without the unit, one a component."""
+    units: Mapping[str, float]
+    """Accepted unit suffix: factor into the record's unit. The first one is written. "" is no suffix."""
+    long_name: str
+    cf_units: str
+    """Unit of the first suffix as CF (UDUNITS) spells it."""
+    binary: bool = False
+    """Values are 0 or 1."""
+
+    def columns(self, unit: str) -> tuple[str, ...]:
+        """File column names in `unit`, one a component."""
+        return tuple(f"{stem}_{unit}" if unit else stem for stem in self.stems)
+
+    @property
+    def written(self) -> tuple[str, ...]:
+        """File column names in the unit that is written."""
+        return self.columns(next(iter(self.units)))
+
+
+def _xyz(stem: str) -> tuple[str, ...]:
+    return tuple(f"{stem}_{axis}" for axis in "xyz")
+
+
+POSITION = Quantity("r_N_km", _xyz("r"), {"km": 1.0}, "position, GCRS", "km")
+POSITION_E = Quantity("r_E_km", _xyz("ecef"), {"km": 1.0}, "position, Earth-fixed (ITRS)", "km")
+VELOCITY = Quantity("v_N_km_s", _xyz("v"), {"km_s": 1.0}, "velocity, GCRS", "km s-1")
+MAG = Quantity(
+    "mag_B_nT", _xyz("mag"), {"nT": 1.0, "mG": 100.0, "uT": 1e3, "T": 1e9},
+    "magnetometer reading, nominal body axes", "nT",
+)  # fmt: skip
+QUATERNION = Quantity(
+    "q_NB", ("q_x", "q_y", "q_z", "q_w"), {"": 1.0},
+    "attitude quaternion of the body relative to GCRS, scalar last (Wertz; Markley and Crassidis)", "1",
+)  # fmt: skip
+ANGLES = Quantity(
+    "yaw_roll_pitch_rad", ("yaw", "roll", "pitch"), {"deg": _DEG},
+    "3-1-2 attitude angles from the orbital frame to the body", "degree",
+)  # fmt: skip
+QUANTITIES: tuple[Quantity, ...] = (
+    POSITION,
+    POSITION_E,
+    VELOCITY,
+    MAG,
+    QUATERNION,
+    ANGLES,
+    Quantity("dipole_B_Am2", _xyz("dipole"), {"Am2": 1.0}, "torquer dipole, body axes", "A m2"),
+    Quantity("sunlit", ("sunlit",), {"": 1.0}, "1 in sunlight, 0 in shadow", "1", binary=True),
+    Quantity("heater_on", ("heater_on",), {"": 1.0}, "1 while the heater is on", "1", binary=True),
+    Quantity("array_current_A", ("array_current",), {"A": 1.0}, "solar array current", "A"),
+    Quantity("battery_current_A", ("battery_current",), {"A": 1.0}, "battery current, positive charging", "A"),
+    Quantity("temperature_degC", ("temperature",), {"degC": 1.0}, "magnetometer temperature", "degree_Celsius"),
+    Quantity("sun_sensor_head", ("sun_sensor_head",), {"": 1.0}, "sun sensor head in use, 0 none", "1"),
+    Quantity("sun_B", _xyz("sun"), {"": 1.0}, "measured unit vector to the sun, body axes", "1"),
+    Quantity("nadir_B", _xyz("nadir"), {"": 1.0}, "measured unit vector to nadir, body axes", "1"),
+    Quantity("rate_B_rad_s", _xyz("rate"), {"deg_s": _DEG, "rad_s": 1.0}, "body rate", "degree s-1"),
+)
+BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}
+
+FLAG = re.compile(r"flag_([A-Za-z0-9_]{1,60})")
+WHEEL = re.compile(r"wheel_([1-9][0-9]?)_speed_rpm")
+_WHEEL_NO_UNIT = re.compile(r"wheel_[1-9][0-9]?_speed(_rad_s|_rps|_Hz)?", re.IGNORECASE)
+_UNIT_LIKE = {
+    "nt", "mg", "ut", "t", "g", "gauss", "mgauss", "tesla", "nanotesla", "microtesla", "mt", "pt", "count", "counts",
+    "raw", "lsb", "adu", "km", "m", "metre", "metres", "meter", "meters", "km_s", "m_s", "kms", "ms", "a", "ma", "ua",
+    "k", "c", "f", "degc", "celsius", "kelvin", "deg", "rad", "degree", "degrees", "radian", "radians", "deg_s",
+    "rad_s", "dps", "am2", "a_m2", "mam2", "polecm",
+}  # fmt: skip
+
+TEXTS = {"spacecraft": "spacecraft", "mag_corrected_by": "calibration"}
+"""Columns of a CSV that hold one text in every row, and what the provenance calls it. NetCDF has attributes for them.
+
+A column, not a comment line: it stays in the file when another program sorts, cuts or joins it, and every reader of CSV
+takes it.
+"""
+
+
+@dataclass
+class Table:
+    """What a file holds, before it is a record: rows may still be in any order and values missing (NaN)."""
+
+    where: str
+    """The file, for messages."""
+    time: TimeArray
+    """(N,) UTC."""
+    columns: MutableMapping[str, FloatArray]
+    """Contract columns by file name, each (N,), in the file's own units."""
+    notices: list[str] = field(default_factory=list)
+    provenance: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """Which columns of a file carry which quantity."""
+
+    found: dict[str, tuple[tuple[str, ...], str]]
+    """Quantity name: (file columns, unit suffix)."""
+    flags: dict[str, str]
+    """NAME: `flag_NAME`."""
+    wheels: tuple[str, ...]
+    unknown: tuple[str, ...]
+
+    @property
+    def used(self) -> tuple[str, ...]:
+        """All file columns the record takes."""
+        named = [column for columns, _ in self.found.values() for column in columns]
+        return (*named, *self.flags.values(), *self.wheels)
+
+    @property
+    def notices(self) -> list[str]:
+        """One sentence on the columns left out, if any."""
+        if not self.unknown:
+            return []
+        more = f" and {len(self.unknown) - 8} more" if len(self.unknown) > 8 else ""
+        shown = ", ".join(clip(name) for name in self.unknown[:8])
+        return [f"columns that are not in the contract were left out: {shown}{more}"]
+
+
+def resolve(names: Iterable[str], where: str, described: Mapping[str, str] | None = None) -> Resolution:
+    """Match file column names (without `time`) to the contract.
+
+    described: what to show for a name in the message that lists the file's columns.
+
+    Raises BadInput for a quantity with a component missing, given in two units, or named without a unit; and when
+    the magnetometer is absent.
+    """
+    present = [name for name in names if name != "time"]
+    known = set(present)
+    found: dict[str, tuple[tuple[str, ...], str]] = {}
+    for quantity in QUANTITIES:
+        unit = _unit_of(quantity, known, where)
+        if unit is not None:
+            found[quantity.name] = (quantity.columns(unit), unit)
+    _no_rivals(found, where)
+    flags = {match[1]: name for name in present if (match := FLAG.fullmatch(name))}
+    wheels = tuple(sorted((n for n in present if WHEEL.fullmatch(n)), key=_wheel_number))
+    _wheels_without_unit(known, where)
+    taken = {c for columns, _ in found.values() for c in columns} | set(flags.values()) | set(wheels)
+    if MAG.name not in found:
+        raise _missing_magnetometer(present, where, described or {})
+    return Resolution(found, flags, wheels, tuple(name for name in present if name not in taken))
+
+
+def file_columns(telemetry: Telemetry) -> dict[str, FloatArray]:
+    """The record as contract columns in the units that are written (angular rates in deg/s). Without `time`."""
+    columns: dict[str, FloatArray] = {}
+    for quantity in QUANTITIES:
+        value = getattr(telemetry, quantity.name, None)
+        if value is None:
+            continue
+        factor = next(iter(quantity.units.values()))
+        parts = np.asarray(value).reshape(len(telemetry), -1).T
+        for name, part in zip(quantity.written, parts, strict=True):
+            columns[name] = np.ascontiguousarray(part if factor == 1.0 else part / factor)
+    for name in sorted(telemetry.flags):
+        columns[f"flag_{name}"] = np.asarray(telemetry.flags[name])
+    if telemetry.wheel_speed_rpm is not None:
+        for number, speed in enumerate(telemetry.wheel_speed_rpm.T, start=1):
+            columns[f"wheel_{number}_speed_rpm"] = np.ascontiguousarray(speed)
+    return columns
+
+
+def file_texts(telemetry: Telemetry) -> dict[str, str]:
+    """The text columns of a CSV: free of what would need quotes, as short as the reader takes them."""
+    stated = {column: telemetry.provenance.get(key, "") for column, key in TEXTS.items()}
+    return {column: plain_text(text) for column, text in stated.items() if text}
+
+
+def describe(column: str) -> tuple[str, str]:
+    """(long_name, CF units) of a written column."""
+    if FLAG.fullmatch(column):
+        return f"flag {column[5:]}, 0 or 1", "1"
+    if WHEEL.fullmatch(column):
+        return f"speed of wheel {_wheel_number(column)}", "rpm"
+    for quantity in QUANTITIES:
+        if column in quantity.written:
+            axis = f", {column.split('_')[1]} component" if len(quantity.stems) > 1 and "_" in column else ""
+            return quantity.long_name + axis, quantity.cf_units
+    raise KeyError(column)
+
+
+def _unit_of(quantity: Quantity, known: set[str], where: str) -> str | None:
+    """The unit suffix in which all components are there; None when the quantity is absent."""
+    complete = [unit for unit in quantity.units if known.issuperset(quantity.columns(unit))]
+    if len(complete) > 1:
+        raise BadInput(
+            f"{quantity.stems[0]} is given in two units: {', '.join(complete)}", where=where, wanted="one of them"
+        )
+    if complete:
+        return complete[0]
+    partial = {unit: [c for c in quantity.columns(unit) if c in known] for unit in quantity.units}
+    some = {unit: columns for unit, columns in partial.items() if columns}
+    if len(some) > 1:
+        names = ", ".join(c for columns in some.values() for c in columns)
+        raise BadInput(f"components in different units: {names}", where=where, wanted="one unit for all of them")
+    for unit, columns in some.items():
+        lacking = [c for c in quantity.columns(unit) if c not in known]
+        raise BadInput(
+            f"column {lacking[0]} is missing (found {', '.join(columns)})",
+            where=where,
+            wanted=", ".join(quantity.columns(unit)),
+        )
+    _refuse_missing_unit(quantity, known, where)
+    return None
+
+
+def _refuse_missing_unit(quantity: Quantity, known: set[str], where: str) -> None:
+    if "" in quantity.units:
+        return
+    for stem in quantity.stems:
+        for name in sorted(known):
+            bare = name == stem
+            foreign = name.startswith(f"{stem}_") and name[len(stem) + 1 :].lower() in _UNIT_LIKE
+            if bare or foreign:
+                what = "has no unit in its name" if bare else "has a unit that is not accepted"
+                accepted = " or ".join(f"{stem}_{unit}" for unit in quantity.units)
+                raise BadInput(f"column {name} {what}", where=where, wanted=f"{accepted}, or a column map (--map)")
+
+
+def _no_rivals(found: dict[str, tuple[tuple[str, ...], str]], where: str) -> None:
+    for one, other in ((POSITION, POSITION_E), (QUATERNION, ANGLES)):
+        if one.name in found and other.name in found:
+            raise BadInput(
+                f"both {', '.join(one.written)} and {', '.join(other.written)} are given",
+                where=where,
+                wanted="one of the two",
+            )
+
+
+def _wheels_without_unit(known: set[str], where: str) -> None:
+    bare = sorted(name for name in known if _WHEEL_NO_UNIT.fullmatch(name))
+    if bare:
+        raise BadInput(f"column {bare[0]} has no unit in its name", where=where, wanted="wheel_N_speed_rpm")
+
+
+def _wheel_number(name: str) -> int:
+    match = WHEEL.fullmatch(name)
+    return int(match[1]) if match else 0
+
+
+def _missing_magnetometer(present: list[str], where: str, described: Mapping[str, str]) -> BadInput:
+    listed = ", ".join(clip(described.get(n, n)) for n in present[:12]) + (" ..." if len(present) > 12 else "")
+    near = difflib.get_close_matches("mag_x_nT", present, n=1, cutoff=0.6)
+    hint = f" (nearest: {clip(near[0])})" if near else ""
+    return BadInput(
+        f"column mag_x_nT is missing{hint}; the columns are: {listed or 'none'}",
+        where=where,
+        wanted="mag_x_nT, mag_y_nT, mag_z_nT (or _mG, _uT, _T), or a column map (--map) for a foreign file",
+    )
+
+
+def clip(text: object, length: int = 60) -> str:
+    """Foreign text for a message: printable, at most `length` characters."""
+    plain = "".join(c if c.isprintable() else "?" for c in str(text))
+    return plain if len(plain) <= length else plain[: length - 3] + "..."

@@ -1,0 +1,361 @@
+"""Telemetry as CSV: a strict front, then a fast parser; and a writer that loses nothing.
+
+The front settles what a CSV parser would otherwise settle silently: encoding, delimiter, the number of fields of
+every row, doubled columns, a last row that may be cut, numbers that are text or infinite. Only then do the bytes
+go to the parser of pandas (imported on use), with exact conversion of decimals.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import hashlib
+import io
+import re
+import zlib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.files import write_with
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.telemetry.columns import TEXTS, Table, clip, file_columns, file_texts, resolve
+from fluxtwin.sim.telemetry.record import TEXT_BYTES, Telemetry
+from fluxtwin.sim.telemetry.time_stamps import format_iso, parse_iso, zone_assumed
+
+MAX_SAMPLES = 5_000_000
+"""Default limit of rows: five times the largest record the project is built for."""
+_MAX_BYTES = 4 * 1024**3
+_MAX_COLUMNS = 5_000
+_GZIP_RATIO = 200
+_MISSING = ["", "NaN", "nan", "NAN"]
+_NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*")
+_STAMP = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.(\d{3}){1,3})?Z")
+"""A stamp as `format_iso` writes it."""
+_ROWS_AT_ONCE = 50_000
+_TEXT = f"S{TEXT_BYTES}"
+
+
+@dataclass(frozen=True)
+class CsvFile:
+    """A CSV file that passed the front: names, rows of equal width, not yet numbers."""
+
+    where: str
+    names: tuple[str, ...]
+    body: bytes
+    """Rows, LF line ends, without quotes; empty when `cells` holds them."""
+    cells: list[list[str]] | None
+    """Rows already split, where the file uses quotes."""
+    rows: int
+    sha256: str
+    notices: tuple[str, ...] = field(default=())
+
+    def text(self, name: str) -> np.ndarray:
+        """One column as bytes (N,), cut at 80."""
+        if self.cells is not None:
+            place = self.names.index(name)
+            return np.array([row[place].encode("utf-8") for row in self.cells], dtype=np.bytes_)
+        return np.asarray(self._parse([name], _TEXT)[name].to_numpy(), dtype=_TEXT)
+
+    def numbers(self, names: list[str]) -> dict[str, FloatArray]:
+        """Columns as float64, blank and NaN missing. Raises BadInput naming the first cell that is no number."""
+        if not names:
+            return {}
+        if self.cells is not None:
+            return {name: self._numbers_from_cells(name) for name in names}
+        try:
+            frame = self._parse(names, "float64")
+        except (ValueError, OverflowError):
+            raise self._bad_cell(names) from None
+        found = {name: np.ascontiguousarray(frame[name].to_numpy(dtype=np.float64)) for name in names}
+        for name, value in found.items():
+            self._finite(name, value)
+        return found
+
+    def _parse(self, names: list[str], kind: str) -> Any:
+        import pandas
+
+        places = [self.names.index(name) for name in names]
+        frame = pandas.read_csv(
+            io.BytesIO(self.body),
+            header=None,
+            names=list(range(len(self.names))),
+            usecols=places,
+            dtype=kind,
+            index_col=False,
+            engine="c",
+            keep_default_na=False,
+            na_values=[] if kind == _TEXT else _MISSING,
+            na_filter=kind != _TEXT,
+            skip_blank_lines=False,
+            quoting=csv.QUOTE_NONE,
+            low_memory=False,
+            **_exact(pandas.__version__),
+        )
+        return frame.rename(columns=dict(zip(places, names, strict=True)))
+
+    def _numbers_from_cells(self, name: str) -> FloatArray:
+        place = self.names.index(name)
+        texts = [row[place] for row in self.cells or []]
+        wrong = next((i for i, text in enumerate(texts) if not _is_number(text)), None)
+        if wrong is not None:
+            raise self._not_a_number(name, wrong, texts[wrong])
+        value = np.array([np.nan if t.strip() in _MISSING else float(t) for t in texts], dtype=np.float64)
+        self._finite(name, value)
+        return value
+
+    def _finite(self, name: str, value: FloatArray) -> None:
+        rows = np.flatnonzero(np.isinf(value))
+        if rows.size:
+            raise BadInput(
+                f"{clip(name)} in row {rows[0] + 1} is infinite or too large for a number",
+                where=self.where,
+                wanted="finite numbers; blank or NaN where a value is missing",
+            )
+
+    def _bad_cell(self, names: list[str]) -> BadInput:
+        for name in names:
+            for row, raw in enumerate(self.text(name).tolist()):
+                text = raw.decode("utf-8", "replace")
+                if not _is_number(text):
+                    return self._not_a_number(name, row, text)
+        return BadInput("a number could not be read", where=self.where, wanted="plain decimal numbers")
+
+    def _not_a_number(self, name: str, row: int, text: str) -> BadInput:
+        return BadInput(
+            f"{clip(name)} in row {row + 1} is {clip(text, 30)!r}, which is no number",
+            where=self.where,
+            wanted="plain decimal numbers; blank or NaN where a value is missing",
+        )
+
+
+def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> Table:
+    """The contract columns of a CSV file. Raises BadInput naming the file and what is wrong with it."""
+    opened = open_csv(path, max_samples=max_samples)
+    if "time" not in opened.names:
+        listed = ", ".join(clip(name) for name in opened.names[:12])
+        raise BadInput(
+            f"column time is missing; the columns are: {listed}",
+            where=opened.where,
+            wanted="time (ISO 8601 UTC), or a column map (--map) for a foreign file",
+        )
+    found = resolve([name for name in opened.names if name not in TEXTS], opened.where)
+    used = set(found.used)
+    columns = opened.numbers([name for name in opened.names if name in used])
+    stamps = opened.text("time")
+    return Table(
+        where=opened.where,
+        time=parse_iso(stamps, opened.where),
+        columns=columns,
+        notices=[*opened.notices, *found.notices, *zone_assumed(stamps, "time")],
+        provenance={**_texts(opened), "source": Path(path).name, "sha256": opened.sha256},
+    )
+
+
+def _texts(opened: CsvFile) -> dict[str, str]:
+    """What the text columns say, by key of the provenance. Raises BadInput where rows differ."""
+    stated = {}
+    for column, key in TEXTS.items():
+        if column not in opened.names:
+            continue
+        cells = np.unique(opened.text(column))
+        texts = [cell.decode("utf-8", "ignore").strip() for cell in cells.tolist()]
+        if len(texts) > 1:
+            listed = " and ".join(repr(clip(text)) if text else "nothing" for text in texts[:2])
+            raise BadInput(
+                f"{column} says {listed} in different rows",
+                where=opened.where,
+                wanted="one spacecraft, and all readings corrected by one calibration or none, in one file",
+            )
+        if texts[0]:
+            stated[key] = texts[0]
+    return stated
+
+
+def write(telemetry: Telemetry, path: Path | str) -> Path:
+    """Write the record as CSV (or .csv.gz) atomically; numbers read back bit-equal, NaN is a blank cell."""
+    columns = file_columns(telemetry)
+    compressed = str(path).endswith(".gz")
+
+    def fill(temporary: Path) -> None:
+        with open(temporary, "wb") as plain:
+            if not compressed:
+                _write_rows(plain, telemetry, columns)
+                return
+            with gzip.GzipFile(filename="", mode="wb", fileobj=plain, mtime=0, compresslevel=6) as packed:
+                _write_rows(packed, telemetry, columns)
+
+    return write_with(path, fill)
+
+
+def open_csv(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> CsvFile:
+    """Read the bytes and pass them through the front. Raises BadInput; never a parser's own error."""
+    where = str(path)
+    content = _content(Path(path), where)
+    digest = hashlib.sha256(content).hexdigest()
+    data = _decoded(_unpacked(content, where), where)
+    notices: list[str] = []
+    head, newline, body = data.partition(b"\n")
+    if not newline:
+        raise BadInput("there are no rows", where=where, wanted="a header and at least one row of data")
+    names = _names(head, where)
+    body = _whole_rows(body, notices, where)
+    if b'"' in body:
+        cells = _quoted(body, len(names), where)
+        return CsvFile(where, names, b"", cells, _limited(len(cells), max_samples, where), digest, tuple(notices))
+    rows = _checked_rows(body, len(names), max_samples, where)
+    return CsvFile(where, names, body, None, rows, digest, tuple(notices))
+
+
+def _content(path: Path, where: str) -> bytes:
+    try:
+        if path.is_dir():
+            raise BadInput("is a folder", where=where, wanted="a telemetry file (.csv, .csv.gz or .nc)")
+        if path.stat().st_size > _MAX_BYTES:
+            raise BadInput(f"is larger than {_MAX_BYTES} bytes", where=where, wanted="a smaller file, or NetCDF")
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise BadInput("there is no such file", where=where) from None
+    except OSError as error:
+        raise BadInput(f"cannot be read ({error.strerror or error})", where=where) from None
+    if not content:
+        raise BadInput("the file is empty", where=where, wanted="a header and at least one row of data")
+    return content
+
+
+def _unpacked(content: bytes, where: str) -> bytes:
+    """gzip undone in pieces, so that a bomb is refused before it is large."""
+    if content[:2] != b"\x1f\x8b":
+        return content
+    most = max(1 << 20, _GZIP_RATIO * len(content))
+    pieces, size = [], 0
+    try:
+        with gzip.GzipFile(fileobj=io.BytesIO(content)) as packed:
+            while piece := packed.read(1 << 20):
+                size += len(piece)
+                if size > min(most, _MAX_BYTES):
+                    raise BadInput(
+                        f"unpacks to more than {_GZIP_RATIO} times its size", where=where, wanted="plain telemetry"
+                    )
+                pieces.append(piece)
+    except (OSError, EOFError, zlib.error) as error:
+        raise BadInput(f"the gzip data are damaged ({error})", where=where) from None
+    return b"".join(pieces)
+
+
+def _decoded(data: bytes, where: str) -> bytes:
+    """UTF-8 without BOM, LF line ends."""
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\0" in data[:4]:
+        raise BadInput("is UTF-16", where=where, wanted="UTF-8 (save it again as CSV UTF-8)")
+    data = data.removeprefix(b"\xef\xbb\xbf")
+    if not data.isascii():
+        try:
+            data.decode("utf-8")
+        except UnicodeDecodeError as error:
+            line = data.count(b"\n", 0, error.start) + 1
+            raise BadInput(
+                f"is not UTF-8: byte 0x{data[error.start]:02X} in line {line}, as in latin-1 or Windows-1252",
+                where=where,
+                wanted="UTF-8 (save it again as CSV UTF-8)",
+            ) from None
+    if b"\0" in data:
+        line = data.count(b"\n", 0, data.index(b"\0")) + 1
+        raise BadInput(f"has a NUL byte in line {line}: the file is damaged or not text", where=where)
+    data = data.replace(b"\r\n", b"\n")
+    if b"\r" in data:
+        line = data.count(b"\n", 0, data.index(b"\r")) + 1
+        raise BadInput(f"has a bare carriage return in line {line}", where=where, wanted="LF or CRLF line ends")
+    return data
+
+
+def _names(head: bytes, where: str) -> tuple[str, ...]:
+    text = head.decode("utf-8")
+    if "," not in text:
+        for mark, word in ((";", "semicolons"), ("\t", "tabs"), ("|", "bars")):
+            if mark in text:
+                raise BadInput(f"its columns are separated by {word}", where=where, wanted="commas")
+    if text.lower().startswith("sep="):
+        raise BadInput("the first line is a spreadsheet's sep= line", where=where, wanted="the header first")
+    if text.count(",") >= _MAX_COLUMNS:
+        raise BadInput(f"has more than {_MAX_COLUMNS} columns", where=where)
+    try:
+        names = tuple(name.strip() for name in next(csv.reader([text], strict=True), []))
+    except csv.Error as error:
+        raise BadInput(f"the header cannot be split ({error})", where=where) from None
+    doubled = sorted({name for name in names if names.count(name) > 1}) if len(set(names)) < len(names) else []
+    if doubled:
+        raise BadInput(f"column {clip(doubled[0]) or '(no name)'} is there twice", where=where, wanted="each once")
+    return names
+
+
+def _whole_rows(body: bytes, notices: list[str], where: str) -> bytes:
+    if body and not body.endswith(b"\n"):
+        body = body[: body.rfind(b"\n") + 1]
+        notices.append("the last row has no line end and was left out (it may be cut)")
+    if body.startswith(b"\n") or body.endswith(b"\n\n"):  # a copy only where there is something to cut
+        body = body.rstrip(b"\n") + b"\n"
+    if len(body) < 2:
+        raise BadInput("there are no rows", where=where, wanted="a header and at least one row of data")
+    return body
+
+
+def _checked_rows(body: bytes, width: int, max_samples: int, where: str) -> int:
+    raw = np.frombuffer(body, dtype=np.uint8)
+    ends = np.flatnonzero(raw == 10)
+    _limited(ends.size, max_samples, where)
+    commas = np.flatnonzero(raw == 44)
+    fields = np.diff(np.searchsorted(commas, ends), prepend=0) + 1
+    wrong = np.flatnonzero(fields != width)
+    if wrong.size:
+        row = int(wrong[0])
+        start = 0 if row == 0 else int(ends[row - 1]) + 1
+        raise _width(row, int(fields[row]), width, int(ends[row]) == start, where)
+    return int(ends.size)
+
+
+def _quoted(body: bytes, width: int, where: str) -> list[list[str]]:
+    try:
+        cells = list(csv.reader(io.StringIO(body.decode("utf-8"), newline=""), strict=True))
+    except csv.Error as error:
+        raise BadInput(f"the quotes do not match ({error})", where=where) from None
+    for row, found in enumerate(cells):
+        if len(found) != width:
+            raise _width(row, len(found), width, not found, where)
+    return cells
+
+
+def _width(row: int, found: int, width: int, blank: bool, where: str) -> BadInput:
+    what = "is blank" if blank else f"has {found} field{'s' if found > 1 else ''}, the header has {width}"
+    return BadInput(f"row {row + 1} {what}", where=where, wanted="as many fields in every row as in the header")
+
+
+def _limited(rows: int, max_samples: int, where: str) -> int:
+    if rows > max_samples:
+        raise BadInput(f"has {rows} rows", where=where, wanted=f"at most {max_samples} (--max-samples N reads more)")
+    return rows
+
+
+def _exact(version: str) -> dict[str, str]:
+    """Keywords that make pandas convert decimals exactly; from 3.1 on it always does, and deprecates the keyword."""
+    major, minor = (int(part) for part in version.split(".")[:2])
+    return {} if (major, minor) >= (3, 1) else {"float_precision": "round_trip"}
+
+
+def _is_number(text: str) -> bool:
+    return text.strip() in _MISSING or _NUMBER.fullmatch(text) is not None
+
+
+def _write_rows(out: Any, telemetry: Telemetry, columns: dict[str, FloatArray]) -> None:
+    texts = file_texts(telemetry)
+    out.write((",".join(["time", *columns, *texts]) + "\n").encode("utf-8"))
+    stamps = format_iso(telemetry.time)
+    for start in range(0, len(telemetry), _ROWS_AT_ONCE):
+        part = slice(start, start + _ROWS_AT_ONCE)
+        cells = [stamps[part]] + [
+            ["" if x != x else repr(x) for x in value[part].tolist()] for value in columns.values()
+        ]
+        cells += [[text] * len(cells[0]) for text in texts.values()]
+        out.write(("\n".join(map(",".join, zip(*cells, strict=True))) + "\n").encode("utf-8"))

@@ -1,0 +1,237 @@
+"""The telemetry record: what the ground gets, whether it flew or was simulated.
+
+One frozen record of time-first float64 arrays. Simulated and recorded data pass the same constructor, so
+that nobody downstream can tell which it was. Missing values are NaN; a column that is absent is None.
+The columns of the files are in `telemetry_columns`, the readers and writers in `telemetry_csv`,
+`telemetry_netcdf` and `column_map`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+
+_SHAPES = {
+    "r_N_km": 3, "v_N_km_s": 3, "mag_B_nT": 3, "q_NB": 4, "dipole_B_Am2": 3, "sun_B": 3, "nadir_B": 3,
+    "rate_B_rad_s": 3, "sunlit": 0, "heater_on": 0, "array_current_A": 0, "battery_current_A": 0,
+    "temperature_degC": 0, "sun_sensor_head": 0, "wheel_speed_rpm": -1,
+}  # fmt: skip
+
+
+TEXT_BYTES = 80
+"""Width of a text cell in a CSV at most: a fixed width spares a Python object a cell."""
+_LARGEST = 1e15  # of any unit in the columns: beyond it a cell is spoilt, and squares overflow
+
+
+@dataclass(frozen=True)
+class Telemetry:
+    """One record; N rows. Arrays are read-only float64, `time` is datetime64[ns] UTC, strictly increasing."""
+
+    time: TimeArray
+    """(N,) UTC."""
+    mag_B_nT: FloatArray
+    """(N, 3) magnetometer reading in nominal body axes, as the preflight calibration gives it."""
+    r_N_km: FloatArray | None = None
+    """(N, 3) position, GCRS."""
+    v_N_km_s: FloatArray | None = None
+    """(N, 3) velocity, GCRS."""
+    q_NB: FloatArray | None = None
+    """(N, 4) reference attitude: textbook quaternion of B relative to N, scalar last; NaN rows lack it."""
+    dipole_B_Am2: FloatArray | None = None
+    """(N, 3) torquer dipole."""
+    sunlit: FloatArray | None = None
+    """(N,) 1 in sunlight, 0 in shadow."""
+    heater_on: FloatArray | None = None
+    """(N,) 0 or 1."""
+    flags: Mapping[str, FloatArray] = field(default_factory=dict)
+    """`flag_NAME` columns by NAME, each (N,) of 0 or 1."""
+    array_current_A: FloatArray | None = None
+    battery_current_A: FloatArray | None = None
+    """(N,) positive when charging."""
+    temperature_degC: FloatArray | None = None
+    wheel_speed_rpm: FloatArray | None = None
+    """(N, W), one column a wheel."""
+    sun_sensor_head: FloatArray | None = None
+    """(N,) number of the head that gave the reference attitude; 0 none."""
+    sun_B: FloatArray | None = None
+    """(N, 3) measured unit vector to the sun."""
+    nadir_B: FloatArray | None = None
+    """(N, 3) measured unit vector to nadir."""
+    rate_B_rad_s: FloatArray | None = None
+    """(N, 3) body rate relative to N from the gyro."""
+    provenance: Mapping[str, str] = field(default_factory=dict)
+    """Where the record comes from: source file and SHA-256, or the generator; column notes. No truth.
+
+    `spacecraft` is its name; `calibration` is there once a calibration has corrected the readings, and says which.
+    """
+
+    def __post_init__(self) -> None:
+        time = np.array(self.time, dtype="datetime64[ns]").reshape(-1)
+        rows = time.size
+        _check_time(time)
+        time.setflags(write=False)
+        object.__setattr__(self, "time", time)
+        for name, width in _SHAPES.items():
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, _frozen_array(name, value, rows, width))
+        flags = {name: _frozen_array(f"flag_{name}", value, rows, 0) for name, value in self.flags.items()}
+        object.__setattr__(self, "flags", MappingProxyType(flags))
+        object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
+
+    def __len__(self) -> int:
+        return int(self.time.size)
+
+    @property
+    def spacecraft(self) -> str:
+        """Name of the spacecraft; empty where the file does not say."""
+        return self.provenance.get("spacecraft", "")
+
+    @property
+    def corrected_by(self) -> str:
+        """The calibration that has corrected the readings, in words; empty for readings as the sensor gave them."""
+        return self.provenance.get("calibration", "")
+
+    @property
+    def has_attitude(self) -> BoolArray:
+        """(N,) True where the reference attitude is known."""
+        if self.q_NB is None:
+            return np.zeros(len(self), dtype=bool)
+        return np.asarray(np.isfinite(self.q_NB).all(axis=1), dtype=np.bool_)
+
+    @property
+    def has_reading(self) -> BoolArray:
+        """(N,) True where all three magnetometer components are finite."""
+        return np.asarray(np.isfinite(self.mag_B_nT).all(axis=1), dtype=np.bool_)
+
+    @property
+    def has_position(self) -> BoolArray:
+        """(N,) True where the position is known."""
+        if self.r_N_km is None:
+            return np.zeros(len(self), dtype=bool)
+        return np.asarray(np.isfinite(self.r_N_km).all(axis=1), dtype=np.bool_)
+
+    def select(self, rows: BoolArray | slice | np.ndarray) -> Telemetry:
+        """The record cut to `rows` (a mask, a slice or increasing indices)."""
+        changes: dict[str, object] = {"time": self.time[rows]}
+        for name in _SHAPES:
+            value = getattr(self, name)
+            changes[name] = None if value is None else value[rows]
+        changes["flags"] = {name: value[rows] for name, value in self.flags.items()}
+        return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
+
+    def replace(self, **changes: object) -> Telemetry:
+        """A copy with some fields changed; every check of the constructor runs again."""
+        return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
+
+
+def recorded_columns(telemetry: Telemetry) -> dict[str, FloatArray]:
+    """Everything recorded beside time, orbit, attitude and reading, by name; flags as `flag_NAME`."""
+    names = [name for name in _SHAPES if name not in ("r_N_km", "v_N_km_s", "mag_B_nT", "q_NB")]
+    columns = {name: np.array(value) for name in names if (value := getattr(telemetry, name)) is not None}
+    return columns | {f"flag_{name}": np.array(value) for name, value in telemetry.flags.items()}
+
+
+def plain_text(text: str) -> str:
+    """`text` as it stands in a CSV cell: no comma, quote or control character, at most 80 bytes of UTF-8."""
+    kept = "".join({",": ";", '"': "'"}.get(c, c if c.isprintable() else " ") for c in text).strip()
+    return kept.encode("utf-8")[:TEXT_BYTES].decode("utf-8", "ignore").strip()
+
+
+def concatenate(records: list[Telemetry]) -> Telemetry:
+    """Several records, one after the other in time, as one.
+
+    A column is kept if any record has it; the others get NaN there. Raises BadInput for an empty list, records that
+    overlap in time, records of two spacecraft, and corrected readings beside uncorrected ones.
+    """
+    if not records:
+        raise BadInput("there is no record to join", where="telemetry")
+    ordered = sorted(records, key=lambda record: record.time[0])
+    _check_one_origin(ordered)
+    for one, other in itertools.pairwise(ordered):
+        if other.time[0] <= one.time[-1]:
+            raise BadInput(
+                f"two records overlap in time: one ends at {one.time[-1]}, another begins at {other.time[0]}",
+                where=other.provenance.get("source", "telemetry"),
+                wanted="records that follow each other, each given once",
+            )
+    columns: dict[str, object] = {"time": np.concatenate([r.time for r in ordered])}
+    for name in _SHAPES:
+        parts = [getattr(r, name) for r in ordered]
+        known = [p for p in parts if p is not None]
+        if known:
+            shape = max((p.shape[1:] for p in known), default=())
+            filled = [
+                np.full((len(r), *shape), np.nan) if p is None else p for p, r in zip(parts, ordered, strict=True)
+            ]
+            columns[name] = np.concatenate(filled)
+    names = sorted({name for r in ordered for name in r.flags})
+    columns["flags"] = {n: np.concatenate([r.flags.get(n, np.full(len(r), np.nan)) for r in ordered]) for n in names}
+    sources = "; ".join(dict.fromkeys(r.provenance.get("source", "") for r in ordered))
+    columns["provenance"] = {**ordered[0].provenance, **_same_origin(ordered), "source": sources}
+    return Telemetry(**columns)  # type: ignore[arg-type]
+
+
+def _same_origin(records: list[Telemetry]) -> dict[str, str]:
+    """Spacecraft and calibration of all records, where any record states them."""
+    spacecraft = next((r.spacecraft for r in records if r.spacecraft), "")
+    corrected = "; ".join(dict.fromkeys(r.corrected_by for r in records if r.corrected_by))
+    return {key: text for key, text in (("spacecraft", spacecraft), ("calibration", corrected)) if text}
+
+
+def _check_one_origin(records: list[Telemetry]) -> None:
+    names = sorted({plain_text(r.spacecraft) for r in records if r.spacecraft})
+    if len(names) > 1:
+        raise BadInput(
+            f"the records are of different spacecraft: {', '.join(names)}", where="telemetry", wanted="one spacecraft"
+        )
+    corrected = [r for r in records if r.corrected_by]
+    if corrected and len(corrected) < len(records):
+        raise BadInput(
+            f"the readings of one record are corrected ({corrected[0].corrected_by}), those of another are not",
+            where=corrected[0].provenance.get("source", "telemetry"),
+            wanted="all of them corrected, or none",
+        )
+
+
+def _check_time(time: TimeArray) -> None:
+    if time.size == 0:
+        raise BadInput("the record has no rows", where="time", wanted="at least one row")
+    if np.isnat(time).any():
+        row = int(np.flatnonzero(np.isnat(time))[0])
+        raise BadInput(f"the time is missing in row {row + 1}", where="time", wanted="a UTC stamp in every row")
+    backwards = np.flatnonzero(np.diff(time.astype("int64")) <= 0)
+    if backwards.size:
+        row = int(backwards[0])
+        raise BadInput(
+            f"time does not increase: row {row + 1} is {time[row]}, row {row + 2} is {time[row + 1]}"
+            f" ({backwards.size} such step{'s' if backwards.size > 1 else ''})",
+            where="time",
+            wanted="strictly increasing UTC; `fluxtwin check FILE --repair OUT` sorts and drops exact duplicates",
+        )
+
+
+def _frozen_array(name: str, value: object, rows: int, width: int) -> FloatArray:
+    array = np.array(value, dtype=np.float64)
+    if width == -1 and array.ndim == 1:
+        array = array.reshape(rows, -1)
+    wanted = (rows,) if width == 0 else (rows, array.shape[-1] if width == -1 else width)
+    if array.shape != wanted:
+        raise BadInput(f"has shape {array.shape}", where=name, wanted=f"shape {wanted}")
+    if np.isinf(array).any():
+        row = int(np.flatnonzero(np.isinf(array).reshape(rows, -1).any(axis=1))[0])
+        raise BadInput(f"the value in row {row + 1} is infinite", where=name, wanted="finite numbers or blank")
+    if np.nanmax(np.abs(array), initial=0.0) > _LARGEST:
+        row = int(np.flatnonzero((np.abs(array) > _LARGEST).reshape(rows, -1).any(axis=1))[0])
+        worst = float(np.nanmax(np.abs(array[row])))
+        raise BadInput(f"{worst:.3g} in row {row + 1} is no measurement", where=name, wanted="a blank cell")
+    array.setflags(write=False)
+    return array

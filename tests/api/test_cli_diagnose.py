@@ -1,0 +1,355 @@
+"""`fluxtwin diagnose` as a person meets it: the answer, what it writes, and the one message for each mistake."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from jsonschema import Draft202012Validator
+
+from fluxtwin.gap.schema import diagnosis_schema
+from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.scenario.effect_sections import active_effects
+from fluxtwin.sim.scenario.scenario import load_scenario, parse_scenario
+from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
+
+SCENARIO = """
+seed = 5
+[spacecraft]
+name = "Floor"
+[orbit]
+epoch_utc = "2020-03-01T00:00:00Z"
+altitude_km = 650.0
+inclination_deg = 97.9
+raan_deg = 10.0
+argument_of_latitude_deg = 0.0
+[attitude]
+yaw_rms_deg = 4.0
+roll_rms_deg = 4.0
+pitch_rms_deg = 4.0
+shortest_period_min = 40.0
+[attitude.reference]
+sigma_deg = 0.05
+tau_s = 0.0
+[magnetometer]
+S = [[0.005, 0.002, 0.0], [0.0, -0.005, 0.0], [0.001, 0.0, 0.004]]
+b_nT = [1000.0, -500.0, 200.0]
+noise_nT = 30.0
+lsb_nT = 10.0
+[schedule]
+segments = [{ start_utc = "2020-03-01T00:00:00Z", duration_min = 200.0, step_s = 30.0 }]
+"""
+LATE = "[effects.time_tag_offset]\noffset_s = 15.0\n"
+FLAGS = ("--noise-nT", 30, "--lsb-nT", 10, "--attitude-sigma-deg", 0.05)
+
+# The keys of the contract, written down a second time on purpose: the schema is not its own witness.
+TOP = {
+    "verdict", "effects", "resembles", "where", "gap", "modelled", "untestable", "isolability", "minimum_detectable",
+    "samples", "provenance", "ranking", "transfers",
+}  # fmt: skip
+EFFECT = {
+    "name", "group", "rivals", "probability", "parameters", "stage", "axis", "frame", "condition", "significance",
+}  # fmt: skip
+GAP = {
+    "left_nT", "before_nT", "after_nT", "floor_nT", "floor_with_effects_nT", "closed", "interval", "prediction",
+    "shape_incomplete", "per_axis",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Case:
+    """A record with a late clock, and what the command answered and wrote."""
+
+    folder: Path
+    record: Telemetry
+    telemetry: Path
+    outcome: Any
+    answer: dict[str, Any]
+
+
+def call(*arguments: object) -> int:
+    from fluxtwin.cli import main
+
+    return main([str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def late(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    folder = tmp_path_factory.mktemp("late")
+    record, _ = simulate(parse_scenario(SCENARIO + LATE))
+    write_telemetry(record, folder / "late.csv")
+    written = ("--json", folder / "a.json", "--html", folder / "a.html", "--close", folder / "closed.toml")
+    status = call("diagnose", folder / "late.csv", *FLAGS, *written)
+    return Case(folder, record, folder / "late.csv", status, strict(folder / "a.json"))
+
+
+def strict(path: Path) -> dict[str, Any]:
+    def refuse(text: str) -> None:
+        raise ValueError(f"{text} is not JSON")
+
+    answer: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+    return answer
+
+
+def check_contract(answer: dict[str, Any]) -> None:
+    """An answer against the packaged schema and against the contract's own list of keys."""
+    Draft202012Validator(diagnosis_schema()).validate(answer)
+    assert set(answer) >= TOP
+    assert all(set(effect) >= EFFECT for effect in answer["effects"])
+    assert set(answer["gap"]) == GAP
+    assert set(answer["where"]) == {"stage", "axis", "frame", "condition", "equivalent", "probabilities"}
+    assert set(answer["samples"]) == {"used", "cut", "without_attitude"}
+    for shares in answer["where"]["probabilities"].values():
+        assert sum(shares.values()) == pytest.approx(1.0, abs=1e-6)  # a sum of a dozen doubles, some rounded
+    for effect in answer["effects"]:
+        assert effect["name"] in effect["group"]
+    if answer["verdict"] == "no_gap":
+        assert answer["gap"]["after_nT"] == answer["gap"]["before_nT"]
+
+
+def test_the_schema_is_one_and_refuses_what_breaks_the_contract(late: Case) -> None:
+    schema = diagnosis_schema()
+    Draft202012Validator.check_schema(schema)
+    validator = Draft202012Validator(schema)
+    for key in TOP:
+        assert not validator.is_valid({k: v for k, v in late.answer.items() if k != key}), key
+    wrong = [
+        {"verdict": "perhaps"},
+        {"verdict": "no_gap"},
+        {"effects": []},
+        {"gap": {**late.answer["gap"], "closed": 1.2}},
+        {"gap": {**late.answer["gap"], "interval": [0.5]}},
+        {"where": {**late.answer["where"], "stage": "none"}},
+        {"samples": {"used": 1.5, "cut": 0, "without_attitude": 0}},
+    ]
+    assert [change for change in wrong if validator.is_valid({**late.answer, **change})] == []
+
+
+def test_a_late_clock_is_named_and_the_answer_keeps_the_contract(late: Case) -> None:
+    assert late.outcome == 0
+    check_contract(late.answer)
+    assert late.answer["verdict"] == "effect"
+    assert [effect["name"] for effect in late.answer["effects"]] == ["time_tag_offset"]
+    assert set(late.answer["effects"][0]["group"]) <= {"time_tag_offset", "sensor_lag"}  # alike to first order
+    offset = late.answer["effects"][0]["parameters"]["offset"]
+    assert offset["unit"] == "s"
+    assert abs(offset["value"] - 15.0) < 4.0 * offset["sigma"]
+    assert late.answer["modelled"] == ["bias", "scale_misalignment"]
+    assert late.answer["provenance"]["notes"] == []
+
+
+def test_the_page_stands_alone_and_answers_the_questions(late: Case) -> None:
+    page = (late.folder / "a.html").read_text(encoding="utf-8")
+    for words in ("Where the gap lies", "Which effect causes it", "How far it shrinks", "What could not be tested"):
+        assert f">{words}</h2>" in page
+    rivals = any(effect["rivals"] for effect in late.answer["effects"])
+    assert page.count("data:image/png;base64,") == 3 + rivals  # one bar alone is no figure
+    assert ">Where the closed scenario holds</h2>" in page
+    assert "http" not in page.replace("http-equiv", "")
+    assert "the state of the heater in the telemetry" in page  # what would settle an untestable effect
+    assert late.answer["would_settle"]["eddy_current"].startswith("for ")
+    assert "h of such data" in " ".join(late.answer["would_settle"].values())
+
+
+def test_the_closed_scenario_simulates_and_closes_the_gap(late: Case, cli: Callable[..., Any]) -> None:
+    closed = late.folder / "closed.toml"
+    scenario = load_scenario(closed)
+    assert [effect.name for effect, _ in active_effects(scenario)] == ["time_tag_offset"]
+    again = late.folder / "again.csv"
+    assert cli("simulate", closed, "--out", again).status == 0
+    mine, theirs = read_telemetry(again), read_telemetry(late.telemetry)
+    assert (mine.time == theirs.time).all()
+    rms = float(np.sqrt(np.mean((mine.mag_B_nT - theirs.mag_B_nT) ** 2)))
+    # two draws of the reading's noise, one attitude error of 0.05 deg in about 30,000 nT, fitted parameters
+    assert rms < 1.2 * np.sqrt(2 * (30.0**2 + 10.0**2 / 12) + (np.radians(0.05) * 30_000.0) ** 2)
+    assert rms < 0.7 * late.answer["gap"]["before_nT"]
+
+
+def test_the_closed_scenario_says_for_which_designs_it_is_good_enough(late: Case, cli: Callable[..., Any]) -> None:
+    said = late.answer["transfers"]
+    assert {one["effect"] for one in said} == {"time_tag_offset"}
+    assert [one["design"] for one in said][:3] == ["nadir, 12 h later", "nadir, 90 days later", "nadir, 182 days later"]
+    assert all(one["why"] for one in said if not one["transfers"])
+    written = load_scenario(late.folder / "closed.toml").closure
+    assert written is not None and written.telemetry == "late.csv" and written.rows == len(late.record)
+    assert [one.transfers for one in written.transfer] == [one["transfers"] for one in said]
+    unasked = json.loads(cli("diagnose", late.telemetry, *FLAGS, "--json", "-").out)
+    assert unasked["transfers"] is None
+    assert unasked["ranking"][0]["name"] in {"time_tag_offset", "sensor_lag"}
+
+
+def test_a_key_of_the_closure_table_that_does_not_exist_is_named(
+    late: Case, tmp_path: Path, cli: Callable[..., Any]
+) -> None:
+    text = (late.folder / "closed.toml").read_text(encoding="utf-8").replace("[closure]\n", "[closure]\nrow = 3\n")
+    (tmp_path / "wrong.toml").write_text(text, encoding="utf-8")
+    outcome = cli("simulate", tmp_path / "wrong.toml", "--out", tmp_path / "x.csv")
+    assert outcome.status == 2
+    assert "closure.row" in outcome.err and "rows" in outcome.err
+
+
+def test_the_scenario_with_the_effect_has_no_gap_left(late: Case, cli: Callable[..., Any]) -> None:
+    """Effects of --scenario are applied as they are; JSON alone goes to standard output."""
+    (late.folder / "with.toml").write_text(SCENARIO + LATE, encoding="utf-8")
+    outcome = cli("diagnose", late.telemetry, "--scenario", late.folder / "with.toml", "--json", "-")
+    assert outcome.status == 0
+    answer = json.loads(outcome.out)
+    check_contract(answer)
+    assert answer["verdict"] == "no_gap"
+    assert answer["gap"]["before_nT"] < late.answer["gap"]["before_nT"]
+
+
+def test_nothing_to_close_is_said_and_no_file_is_written(late: Case, cli: Callable[..., Any]) -> None:
+    (late.folder / "with.toml").write_text(SCENARIO + LATE, encoding="utf-8")
+    out = late.folder / "nothing.toml"
+    outcome = cli("diagnose", late.telemetry, "--scenario", late.folder / "with.toml", "--close", out)
+    assert outcome.status == 0
+    assert outcome.out.startswith("No gap")
+    assert "nothing to close" in outcome.err
+    assert not out.exists()
+
+
+def test_modelled_none_makes_the_calibration_a_candidate(late: Case, cli: Callable[..., Any]) -> None:
+    outcome = cli("diagnose", late.telemetry, *FLAGS, "--modelled", "none", "--json", "-")
+    assert outcome.status == 0
+    answer = json.loads(outcome.out)
+    check_contract(answer)
+    assert answer["modelled"] == []
+    assert answer["verdict"] != "no_gap"
+    assert "bias" in {*answer["minimum_detectable"], *answer["untestable"]}
+
+
+@pytest.fixture
+def broken(late: Case, tmp_path: Path, cli: Callable[..., Any]) -> Callable[..., Any]:
+    """Diagnose a changed record and demand that nothing was written."""
+
+    def run(record: Telemetry, *options: object, suffix: str = ".csv") -> Any:
+        path = write_telemetry(record, tmp_path / f"broken{suffix}") or tmp_path / f"broken{suffix}"
+        before = sorted(tmp_path.iterdir())
+        targets = ("--html", tmp_path / "x.html", "--close", tmp_path / "x.toml", "--json", tmp_path / "x.json")
+        outcome = cli("diagnose", path, *FLAGS, *options, *targets)
+        assert sorted(tmp_path.iterdir()) == before, "something half-written is left"
+        assert "Traceback" not in outcome.err
+        return outcome
+
+    return run
+
+
+def test_no_reading_at_all(late: Case, broken: Callable[..., Any]) -> None:
+    outcome = broken(late.record.replace(mag_B_nT=np.full_like(late.record.mag_B_nT, np.nan)), suffix=".nc")
+    assert outcome.status == 1
+    assert "all 401 magnetometer readings are missing" in outcome.err
+
+
+def test_an_unknown_modelled_effect_is_named_with_the_nearest(late: Case, broken: Callable[..., Any]) -> None:
+    outcome = broken(late.record, "--modelled", "bias,scale_misalignmnt")
+    assert outcome.status == 2
+    assert "scale_misalignment" in outcome.err
+
+
+def test_a_scenario_of_another_spacecraft(late: Case, tmp_path: Path, broken: Callable[..., Any]) -> None:
+    (tmp_path / "other.toml").write_text(SCENARIO.replace('"Floor"', '"Ceiling"'), encoding="utf-8")
+    outcome = broken(late.record, "--scenario", tmp_path / "other.toml", suffix=".nc")
+    assert outcome.status == 2
+    assert "'Floor'" in outcome.err and "'Ceiling'" in outcome.err
+
+
+def test_too_few_rows_says_how_many_are_needed(late: Case, broken: Callable[..., Any]) -> None:
+    outcome = broken(late.record.select(slice(0, 12)))
+    assert outcome.status == 1
+    assert "12 rows" in outcome.err
+    assert "at least 24 are needed" in outcome.err  # 12 parameters and 30 to spare, three a row, and ten more
+
+
+def test_no_position(late: Case, broken: Callable[..., Any]) -> None:
+    placeless = broken(late.record.replace(r_N_km=None, v_N_km_s=None))
+    assert placeless.status == 2
+    assert "no position" in placeless.err
+
+
+def test_a_record_without_any_attitude_is_diagnosed(late: Case, cli: Callable[..., Any], tmp_path: Path) -> None:
+    write_telemetry(late.record.replace(q_NB=None), tmp_path / "blind.csv")
+    outcome = cli("diagnose", tmp_path / "blind.csv", *FLAGS, "--json", "-")
+    assert outcome.status == 0
+    answer = json.loads(outcome.out)
+    check_contract(answer)
+    assert answer["samples"]["without_attitude"] == 401
+    assert answer["untestable"]["yaw_drift"] == "no row has a reference attitude"
+    assert "401 of 401 rows have no reference attitude" in outcome.err
+
+
+def test_numbers_and_folders_that_cannot_be(late: Case, cli: Callable[..., Any], tmp_path: Path) -> None:
+    negative = cli("diagnose", late.telemetry, "--noise-nT", -3)
+    assert negative.status == 2
+    assert "--noise-nT: -3" in negative.err
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    nowhere = cli("diagnose", late.telemetry, *FLAGS, "--html", tmp_path / "file" / "x.html")
+    assert nowhere.status == 2
+    assert "is a file" in nowhere.err
+    assert "noise" not in nowhere.err, "found before the work, not after it"
+
+
+def test_rows_without_attitude_are_counted_and_said(late: Case, cli: Callable[..., Any], tmp_path: Path) -> None:
+    q = late.record.q_NB.copy()
+    q[::8] = np.nan
+    write_telemetry(late.record.replace(q_NB=q), tmp_path / "some.csv")
+    outcome = cli("diagnose", tmp_path / "some.csv", *FLAGS, "--json", "-")
+    assert outcome.status == 0
+    answer = json.loads(outcome.out)
+    check_contract(answer)
+    assert answer["samples"]["without_attitude"] == 51  # ceil(401 / 8)
+    assert "51 of 401 rows have no reference attitude" in outcome.err
+
+
+def test_a_stuck_attitude_is_a_warning(late: Case, cli: Callable[..., Any], tmp_path: Path) -> None:
+    few = late.record.select(slice(0, 160))
+    q = few.q_NB.copy()
+    q[60:150] = q[60]
+    write_telemetry(few.replace(q_NB=q), tmp_path / "stuck.csv")
+    outcome = cli("diagnose", tmp_path / "stuck.csv", *FLAGS, "--json", "-")
+    assert outcome.status == 0
+    check_contract(json.loads(outcome.out))
+    assert "the reference attitude looks stuck" in outcome.err
+    assert "56 % of the rows" in outcome.err  # 89 of 159 steps
+
+
+def test_a_trap_in_the_file_is_named_before_the_answer(late: Case, cli: Callable[..., Any], tmp_path: Path) -> None:
+    record = late.record.select(slice(0, 120))  # an hour shows the trap; in an orbit the search has far more to explain
+    assert record.q_NB is not None
+    write_telemetry(record.replace(q_NB=record.q_NB * np.array([-1.0, -1.0, -1.0, 1.0])), tmp_path / "turned.csv")
+    result = cli("diagnose", tmp_path / "turned.csv", *FLAGS)
+    said = " ".join((result.out + result.err).split())
+    assert result.status == 0
+    assert "conjugated" in said
+    assert "fluxtwin check" in said
+
+
+def test_a_budget_far_too_large_is_said(late: Case, cli: Callable[..., Any]) -> None:
+    result = cli("diagnose", late.folder / "late.csv", "--noise-nT", 5000, "--lsb-nT", 10, "--attitude-sigma-deg", 0.05)
+    assert "the budget is too large" in " ".join((result.out + result.err).split())
+
+
+def test_a_value_that_no_instrument_gives_is_named(late: Case, cli: Callable[..., Any], tmp_path: Path) -> None:
+    text = (late.folder / "late.csv").read_text().splitlines()
+    row = text[5].split(",")
+    row[text[0].split(",").index("mag_x_nT")] = "1e300"
+    (tmp_path / "spoilt.csv").write_text("\n".join([*text[:5], ",".join(row), *text[6:]]) + "\n")
+    result = cli("diagnose", tmp_path / "spoilt.csv", *FLAGS)
+    assert result.status == 2
+    assert "1e+300" in result.err
+    assert "row 5" in result.err
+
+
+def test_a_result_that_cannot_be_written_is_said_before_the_work(
+    late: Case, cli: Callable[..., Any], tmp_path: Path
+) -> None:
+    outcome = cli("diagnose", late.folder / "late.csv", *FLAGS, "--json", tmp_path)
+    assert outcome.status == 2
+    assert "is a folder" in outcome.err
+    assert "every effect" not in outcome.err

@@ -1,0 +1,147 @@
+"""The recursive calibration: within its sigmas of truth, by the reference or by sensors alone, and what it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fluxtwin
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
+
+pytestmark = pytest.mark.closure
+
+README = Path(__file__).resolve().parents[3] / "README.md"
+SENSORS = {
+    "attitude.reference": {"source": "sensors"},
+    "horizon_scanner": {"noise_deg": 0.1, "tau_s": 60.0},
+    "sun_sensor": {
+        str(k + 1): {"azimuth_deg": 90.0 * k, "elevation_deg": 30.0, "noise_deg": 0.1} for k in range(4)
+    },
+}  # fmt: skip
+
+
+def scenario(**changes: Any) -> Scenario:
+    """README's, changed."""
+    text = README.read_text(encoding="utf-8").split("```toml")[1].split("```")[0]
+    return parse_scenario(text, where="README.md").updated(changes)
+
+
+def pulls(fit: Any, truth: Any) -> np.ndarray:
+    """(12,) errors over sigmas."""
+    known = fit.calibration
+    return np.asarray((known.values - np.append(truth.S.ravel(), truth.b_nT)) / known.sigmas)
+
+
+@pytest.fixture(scope="module")
+def flown() -> tuple[Any, Any]:
+    """README's scenario with seed 31; ten readings are wild."""
+    telemetry, truth = simulate(scenario(seed=31))
+    mag = np.array(telemetry.mag_B_nT)
+    mag[100:1800:170] += 3000.0
+    return telemetry.replace(mag_B_nT=mag), truth
+
+
+def test_with_a_noisy_reference_it_agrees_with_truth_and_the_batch(flown: tuple[Any, Any]) -> None:
+    """Twelve pulls of one seed: one beyond 4.5 in 10,000 runs; three sigma of 12 squares are within 2.3 of their mean 1."""
+    telemetry, truth = flown
+    fit = fluxtwin.calibrate(telemetry, method="recursive")
+    pull = pulls(fit, truth)
+    assert np.abs(pull).max() < 4.5
+    assert (pull**2).mean() < 2.3
+    assert fit.rejected == 10
+    assert fit.verdict is not None and fit.verdict.level == "good", fit.verdict
+    batch = fluxtwin.calibrate(telemetry, method="linear")
+    assert (fit.calibration.sigmas < 1.3 * batch.calibration.sigmas).all()
+    assert np.abs(pulls(fit, truth) * fit.calibration.sigmas / batch.calibration.sigmas).max() < 4.5
+    assert np.degrees(fit.attitude_sigma_rad[500:].max()) < 0.2
+    assert fit.to_dict()["noises"]["field_nT"] == pytest.approx(20.2, rel=0.1)
+
+
+def test_nadir_and_sun_are_enough() -> None:
+    telemetry, truth = simulate(scenario(seed=32, **SENSORS))
+    fit = fluxtwin.calibrate(telemetry.replace(q_NB=None), method="recursive")
+    pull = pulls(fit, truth)
+    assert np.abs(pull).max() < 4.5
+    assert (pull**2).mean() < 2.3
+    assert fit.calibration.sigmas[:9].max() < 0.01
+
+
+def test_b_alone_leaves_S_at_zero() -> None:
+    telemetry, truth = simulate(scenario(seed=33, **{"magnetometer.S": np.zeros((3, 3)).tolist()}))
+    options = {"attitude_sigma_deg": 0.1, "attitude_tau_s": 300.0, "noise_nT": 20.0}
+    known = fluxtwin.calibrate(telemetry, method="recursive", parameters="b", **options).calibration
+    assert not known.S.any() and not known.sigmas[:9].any()
+    assert np.abs((known.b_nT - truth.b_nT) / known.sigmas[9:]).max() < 4.0
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"parameters": "b,S,T"}, "method recursive"),
+        ({"robust": "huber"}, "tukey"),
+        ({"covariance": "white"}, "blocks"),
+        ({"block_s": 100.0}, "method linear"),
+        ({"telemetry_bias": ["temperature_degC"]}, "method scalar"),
+        ({"inertia_ratio": 1.2}, "method iterative"),
+        ({"attitude_tau_s": 100.0}, "attitude-sigma-deg"),
+    ],
+)
+def test_options_of_other_methods_are_refused(flown: tuple[Any, Any], options: dict[str, Any], words: str) -> None:
+    with pytest.raises(BadInput, match=words):
+        fluxtwin.calibrate(flown[0], method="recursive", **options)
+
+
+def test_without_attitude_nadir_or_sun_there_is_no_start(flown: tuple[Any, Any]) -> None:
+    with pytest.raises(NoAnswer, match="cannot be started"):
+        fluxtwin.calibrate(flown[0].replace(q_NB=None), method="recursive")
+
+
+def test_a_field_that_does_not_vary_names_what_is_unknown() -> None:
+    minutes = {"schedule.segments": [{"start_utc": "2026-03-01T00:00:00Z", "duration_min": 1.0, "step_s": 0.5}]}
+    telemetry, _ = simulate(scenario(seed=34, **minutes))
+    with pytest.raises(NoAnswer, match=r"S11.* not separable"):
+        fluxtwin.calibrate(telemetry, method="recursive")
+
+
+@pytest.mark.parametrize("wrong", ["reading", "attitude"])
+def test_a_wild_first_row_does_not_move_the_answer(flown: tuple[Any, Any], wrong: str) -> None:
+    telemetry, truth = flown
+    mag, q = np.array(telemetry.mag_B_nT), np.array(telemetry.q_NB)
+    if wrong == "reading":
+        mag[0] += 20000.0
+    else:
+        q[0] = [0.0, 0.0, 0.0, 1.0]
+    fit = fluxtwin.calibrate(telemetry.replace(mag_B_nT=mag, q_NB=q), method="recursive")
+    assert np.abs(pulls(fit, truth)).max() < 4.5
+
+
+def test_a_doubt_of_the_method_caps_the_verdict(flown: tuple[Any, Any]) -> None:
+    """The attitude error that is declared is a tenth of the true one: what is left goes to the field."""
+    options = {"attitude_sigma_deg": 0.01, "attitude_tau_s": 300.0, "noise_nT": 20.0}
+    fit = fluxtwin.calibrate(flown[0], method="recursive", **options)
+    assert fit.doubts
+    assert fit.verdict is not None and fit.verdict.level != "good"
+    assert set(fit.doubts) <= set(fit.verdict.reasons) or fit.verdict.impossible
+
+
+def test_a_tumbling_body_is_followed() -> None:
+    """Its rate changes by the torque-free motion, which the filter knows only as a random walk."""
+    changes = {
+        "seed": 36, "spacecraft.inertia_kg_m2": [[0.05, 0.0, 0.0], [0.0, 0.06, 0.0], [0.0, 0.0, 0.08]],
+        "attitude.mode": "tumble", "attitude.yaw_rms_deg": None, "attitude.rate_deg_s": [0.3, 0.4, 0.1],
+    }  # fmt: skip
+    telemetry, truth = simulate(scenario(**SENSORS, **changes))
+    fit = fluxtwin.calibrate(telemetry.replace(q_NB=None), method="recursive")
+    pull = pulls(fit, truth)
+    assert np.abs(pull).max() < 4.5
+    assert (pull**2).mean() < 2.3
+
+
+def test_a_step_without_a_noise_is_refused(flown: tuple[Any, Any]) -> None:
+    with pytest.raises(BadInput, match="noise-nT"):
+        fluxtwin.calibrate(flown[0], method="recursive", lsb_nT=10.0)

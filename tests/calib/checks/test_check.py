@@ -1,0 +1,360 @@
+"""The traps of foreign telemetry: each one put into a good simulated file is named, and good files stay clean."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.calib.checks.check import check_file, check_telemetry, repair
+from fluxtwin.scenarios.seasat import mission
+from fluxtwin.sim.attitude import record as attitude
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.earth import frames, sun
+from fluxtwin.sim.earth.field import FieldModel, field_N_nT, load_field
+from fluxtwin.sim.earth.orbit import Orbit
+from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
+
+pytestmark = pytest.mark.property
+
+LSB_nT = 440.0
+"""4.4 mG, the step of Seasat's magnetometer (Lerner and Shuster 1979): the coarsest that these checks must bear."""
+
+
+@pytest.fixture(scope="module")
+def model() -> FieldModel:
+    return load_field("igrf14")
+
+
+def good(
+    model: FieldModel,
+    seed: int = 1,
+    *,
+    rows: int = 600,
+    step_s: float = 30.0,
+    mode: str = "earth",
+    year: int = 1978,
+    altitude_km: float = 790.0,
+    inclination_deg: float = 108.0,
+    bias_nT: float | None = None,
+    scale_error: float = 0.02,
+) -> Telemetry:
+    """A record as a healthy spacecraft sends it: preflight errors of 2 %, 1000 nT, 0.3 deg, LSB 440 nT.
+
+    `bias_nT` is the size of a bias in a random direction instead.
+    """
+    rng = stream(seed, "check.good")
+    start = np.datetime64(f"{year}-07-24T06:00:00", "ns")
+    orbit = Orbit(
+        epoch_utc=start,
+        altitude_km=altitude_km,
+        inclination_rad=float(np.radians(inclination_deg)),
+        raan_rad=float(rng.uniform(0.0, 2.0 * np.pi)),
+        eccentricity=0.005,
+    )
+    time = start + (np.arange(rows) * round(step_s * 1e9)).astype("timedelta64[ns]")
+    r, v = orbit.propagate(time)
+    R_BN = _attitude(mode, time, r, v, rng)
+    field = R_BN.apply(field_N_nT(model, time, r))
+    S, b = rng.normal(0.0, 0.02, (3, 3)) * (scale_error / 0.02), rng.normal(0.0, 1000.0, 3)
+    b *= 1.0 if bias_nT is None else bias_nT / np.linalg.norm(b)
+    reading = (field - b) @ np.linalg.inv(np.eye(3) + S).T + rng.normal(0.0, 50.0, field.shape)
+    noise = Rotation.from_rotvec(rng.normal(0.0, np.radians(0.3), (rows, 3)))
+    light = sun.illumination(r, sun.sun_N_km(time))
+    sun_B = R_BN.apply(sun.sun_direction_N(time, r)) + rng.normal(0.0, np.radians(0.1), (rows, 3))
+    sun_B /= np.linalg.norm(sun_B, axis=1)[:, None]
+    sun_B[light < 0.5] = np.nan
+    return Telemetry(
+        time=time,
+        mag_B_nT=np.round(reading / LSB_nT) * LSB_nT,
+        r_N_km=r,
+        v_N_km_s=v,
+        q_NB=frames.q_from_rotation(noise * R_BN),
+        sun_B=sun_B,
+        sunlit=(light > 0.5).astype(float),
+    )
+
+
+def _attitude(mode: str, time: np.ndarray, r: np.ndarray, v: np.ndarray, rng: np.random.Generator) -> Rotation:
+    start = Rotation.from_rotvec(rng.normal(0.0, 1.5, 3))
+    if mode == "hold":
+        return Rotation.from_matrix(np.tile(start.as_matrix(), (len(time), 1, 1)))
+    if mode == "spin":
+        seconds = (time - time[0]).astype("int64") * 1e-9
+        return Rotation.from_rotvec(np.outer(seconds * 2.0 * np.pi / 97.3, [0.0, 0.0, 1.0])) * start
+    if mode == "tumble":
+        return attitude.tumble(
+            time, np.array([1.0, 1.6, 2.1]), frames.q_from_rotation(start), rng.normal(0.0, 0.01, 3)
+        ).R_BN
+    swing = 30.0 if mode == "wide" else 1.0
+    return attitude.earth_pointing(
+        time, r, v,
+        yaw_amplitude_rad=swing * 0.02, roll_amplitude_rad=swing * 0.01, pitch_amplitude_rad=swing * 0.01,
+        shortest_period_s=600.0, longest_period_s=6000.0, rng=rng,
+    ).R_BN  # fmt: skip
+
+
+CASES = (
+    {"rows": 600, "step_s": 30.0},
+    {"rows": 150, "step_s": 120.0, "year": 2015, "altitude_km": 500.0, "inclination_deg": 97.5},
+    {"rows": 2000, "step_s": 0.5, "year": 2022, "altitude_km": 425.0, "inclination_deg": 93.0},
+    {"rows": 1500, "step_s": 4.0, "year": 1990, "altitude_km": 1200.0, "inclination_deg": 30.0},
+    {"rows": 400, "step_s": 60.0, "year": 2005, "altitude_km": 20000.0, "inclination_deg": 55.0},
+)
+
+
+@pytest.mark.parametrize("mode", ["earth", "spin", "hold"])
+@pytest.mark.parametrize("case", CASES)
+def test_good_files_are_clean(model: FieldModel, mode: str, case: dict[str, float]) -> None:
+    for seed in range(3):
+        found = check_telemetry(good(model, seed, mode=mode, **case), model)  # type: ignore[arg-type]
+        assert [(f.code, f.text) for f in found.traps] == []
+        assert found.exit_status == 0
+
+
+LARGE = (*CASES, {"rows": 150, "step_s": 60.0, "year": 2020, "altitude_km": 550.0, "inclination_deg": 97.6})
+
+
+@pytest.mark.parametrize("mode", ["earth", "wide", "spin", "tumble", "hold"])
+@pytest.mark.parametrize("bias_nT", [10_000.0, 20_000.0, 50_000.0])
+def test_a_large_bias_is_no_trap(model: FieldModel, mode: str, bias_nT: float) -> None:
+    """Uncompensated CubeSats fly with 170 to 620 mG an axis. False alarms: under 1 % of such files."""
+    for seed, case in enumerate(LARGE):
+        record = good(model, seed, mode=mode, bias_nT=bias_nT, scale_error=0.06, **case)  # type: ignore[arg-type]
+        assert [(f.code, f.text) for f in check_telemetry(record, model).traps] == []
+
+
+@pytest.fixture(scope="module")
+def seasat() -> Telemetry:
+    return mission.fly(mission.scenario()).telemetry
+
+
+@pytest.mark.parametrize("day", [None, 205, 219, 225, 227])
+@pytest.mark.parametrize("extra_mG", [(0, 0, 0), (120, -60, -100), (-96, 96, 98), (-170, 170, 175), (0, 500, 0)])
+def test_simulated_seasat_is_clean(
+    model: FieldModel, seasat: Telemetry, day: int | None, extra_mG: tuple[float, ...]
+) -> None:
+    """Its printed bias is 98.2 mG (Lerner and Shuster 1979, Table 1); more is put on top, up to 600 mG in all."""
+    days = (seasat.time.astype("datetime64[D]") - np.datetime64("1978-01-01")).astype(int) + 1
+    record = seasat if day is None else seasat.select(days == day)
+    record = record.replace(mag_B_nT=record.mag_B_nT - 100.0 * np.array(extra_mG))
+    found = check_telemetry(record, model)
+    assert [(f.code, f.text) for f in found.traps] == []
+    assert found.exit_status == 0
+    if day is None:
+        assert "large_bias" in {finding.code for finding in found.notes}, "what it cannot tell is still said"
+
+
+def turned_attitude(record: Telemetry, R_XN: Rotation) -> Telemetry:
+    """The attitude relative to X under the name of GCRS."""
+    return record.replace(q_NB=frames.q_from_rotation(frames.rotation_from_q(record.q_NB) * R_XN.inv()))
+
+
+def times(record: Telemetry, factor: float) -> Telemetry:
+    return record.replace(mag_B_nT=record.mag_B_nT * factor)
+
+
+def axes(record: Telemetry, order: list[int], signs: list[float]) -> Telemetry:
+    return record.replace(mag_B_nT=np.array(record.mag_B_nT)[:, order] * signs)
+
+
+def quaternion(record: Telemetry, order: list[int], signs: list[float]) -> Telemetry:
+    return record.replace(q_NB=np.array(record.q_NB)[:, order] * signs)
+
+
+def earth_fixed(record: Telemetry) -> Telemetry:
+    r = frames.rotation_EN(record.time).apply(np.array(record.r_N_km))
+    return record.replace(r_N_km=r, v_N_km_s=None)
+
+
+def earth_fixed_velocity(record: Telemetry) -> Telemetry:
+    turning = np.cross([0.0, 0.0, 7.292115e-5], np.array(record.r_N_km))
+    return record.replace(v_N_km_s=record.v_N_km_s - turning)
+
+
+def stuck(record: Telemetry) -> Telemetry:
+    mag = np.array(record.mag_B_nT)
+    mag[100:140] = mag[100]
+    return record.replace(mag_B_nT=mag)
+
+
+def no_fix(record: Telemetry) -> Telemetry:
+    r = np.array(record.r_N_km)
+    r[50:60] = 0.0
+    return record.replace(r_N_km=r)
+
+
+TRAPS: dict[str, tuple[Callable[[Telemetry], Telemetry], str, str]] = {
+    "counts": (lambda t: times(t, 100.7), "magnetometer_unit", "counts of 0.01 nT sold as nT"),
+    "milligauss": (lambda t: times(t, 1e-2), "magnetometer_unit", "milligauss sold as nT"),
+    "microtesla": (lambda t: times(t, 1e-3), "magnetometer_unit", "microtesla sold as nT"),
+    "tesla": (lambda t: times(t, 1e-9), "magnetometer_unit", "tesla sold as nT"),
+    "gauss": (lambda t: times(t, 1e-5), "magnetometer_unit", "gauss sold as nT"),
+    "transposed": (lambda t: quaternion(t, [0, 1, 2, 3], [-1, -1, -1, 1]), "attitude_convention", "is conjugated"),
+    "scalar first": (lambda t: quaternion(t, [3, 0, 1, 2], [1, 1, 1, 1]), "attitude_convention", "scalar first"),
+    "orbital": (
+        lambda t: turned_attitude(t, frames.rotation_ON(t.r_N_km, t.v_N_km_s)), "attitude_convention", "orbital frame",
+    ),
+    "Earth-fixed attitude": (
+        lambda t: turned_attitude(t, frames.rotation_EN(t.time)), "attitude_convention", "relative to Earth-fixed axes",
+    ),
+    "of date": (lambda t: turned_attitude(t, frames.rotation_TN(t.time)), "attitude_of_date", "equinox of date"),
+    "swapped": (lambda t: axes(t, [1, 0, 2], [1, 1, 1]), "magnetometer_axes", "mag_x is +y, mag_y is +x"),
+    "flipped": (lambda t: axes(t, [0, 1, 2], [1, 1, -1]), "magnetometer_axes", "mag_z is -z; mirrored"),
+    "shifted": (lambda t: axes(t, [2, 0, 1], [1, 1, 1]), "magnetometer_axes", "mag_x is +z, mag_y is +x"),
+    "Earth-fixed position": (earth_fixed, "position_frame", "ecef_x_km"),
+    "Earth-fixed velocity": (earth_fixed_velocity, "velocity_frame", "derivative of the position"),
+    "stuck": (stuck, "stuck_values", "does not change for up to 1"),
+    "constant": (lambda t: t.replace(mag_B_nT=np.ones((len(t), 3)) * 2e4), "constant_field", "never changes"),
+    "dead axis": (lambda t: axes(t, [0, 1, 2], [1, 1, 0]), "stuck_axis", "mag_z is"),
+    "sunlit": (lambda t: t.replace(sunlit=1.0 - np.array(t.sunlit)), "sunlit_flag", "where geometry says"),
+    "no fix": (no_fix, "position_inside_earth", "there was no fix"),
+    "ten rows": (lambda t: t.select(slice(0, 10)), "too_few_samples", "10 rows have a reading"),
+    "time zone": (
+        lambda t: t.replace(time=t.time + np.timedelta64(5 * 3600, "s"), q_NB=None), "clock", "5 h too late",
+    ),
+    "positions of other rows": (
+        lambda t: t.replace(
+            r_N_km=np.random.default_rng(1).permutation(t.r_N_km), v_N_km_s=None, q_NB=None, sunlit=None
+        ), "field_mismatch", "wrong positions",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TRAPS)
+def test_a_trap_is_named(model: FieldModel, name: str) -> None:
+    spoil, code, words = TRAPS[name]
+    found = check_telemetry(spoil(good(model, 2)), model)
+    assert found.exit_status == 1
+    texts = [finding.text for finding in found.traps if finding.code == code]
+    assert texts, [finding.code for finding in found.traps]
+    assert any(words in text for text in texts), texts
+    if code == "magnetometer_unit":
+        assert len(found.traps) == 1, "a wrong unit must not be taken for other traps"
+
+
+LARGE_TRAPS = (
+    "counts", "milligauss", "microtesla", "tesla", "gauss", "transposed", "scalar first", "orbital",
+    "Earth-fixed attitude", "swapped", "flipped", "shifted", "Earth-fixed position",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LARGE_TRAPS)
+@pytest.mark.parametrize("mode", ["earth", "tumble"])
+def test_a_large_bias_hides_no_trap(model: FieldModel, mode: str, name: str) -> None:
+    spoil, code, _ = TRAPS[name]
+    found = check_telemetry(spoil(good(model, 2, mode=mode, bias_nT=20_000.0)), model)
+    assert code in {finding.code for finding in found.traps}, found.traps
+
+
+def test_metres_sold_as_kilometres_and_kilometres_sold_as_metres_are_named(model: FieldModel) -> None:
+    record = good(model, 2)
+    for factor in (1e3, 1e-3):
+        wrong = record.replace(r_N_km=np.array(record.r_N_km) * factor, v_N_km_s=np.array(record.v_N_km_s) * factor)
+        assert check_telemetry(wrong, model).exit_status == 1
+
+
+@pytest.mark.parametrize("name", ["transposed", "scalar first", "orbital", "swapped", "shifted"])
+@pytest.mark.parametrize("mode", ["earth", "hold"])
+def test_a_short_arc_cannot_hide_a_wrong_attitude_behind_a_bias(model: FieldModel, mode: str, name: str) -> None:
+    spoil, code, _ = TRAPS[name]
+    record = good(model, 2, mode=mode, rows=1000, step_s=1.0, year=2022, altitude_km=425.0, inclination_deg=93.0)
+    codes = {finding.code for finding in check_telemetry(spoil(record), model).traps}
+    assert codes & {code, "vector_mismatch"}, codes
+
+
+def test_without_positions_an_impossible_magnitude_is_still_named(model: FieldModel) -> None:
+    record = good(model, 3).replace(r_N_km=None, v_N_km_s=None, sunlit=None)
+    assert check_telemetry(record, model).exit_status == 0
+    for factor in (100.0, 1e-2, 1e-9):
+        found = check_telemetry(times(record, factor), model)
+        assert [finding.code for finding in found.traps] == ["magnetometer_unit"]
+
+
+def test_what_cannot_be_tested_is_said(model: FieldModel) -> None:
+    record = good(model, 3, mode="hold")
+    codes = {finding.code for finding in check_telemetry(record.replace(sun_B=None), model).notes}
+    assert "of_date_not_tested" in codes
+    far = check_telemetry(record.replace(time=record.time + np.timedelta64(60 * 365, "D")), model)
+    assert "outside_field_model" in {finding.code for finding in far.traps}
+
+
+def test_missing_rows_and_gaps_are_notes(model: FieldModel) -> None:
+    record = good(model, 4)
+    mag, keep = np.array(record.mag_B_nT), np.ones(600, dtype=bool)
+    mag[10:15] = np.nan
+    keep[300:330] = False
+    found = check_telemetry(record.replace(mag_B_nT=mag).select(keep), model)
+    assert found.exit_status == 0
+    by_code = {finding.code: finding for finding in found.findings}
+    assert by_code["missing_magnetometer"].rows == (11, 12, 13, 14, 15)
+    assert by_code["gaps"].row_count == 1
+
+
+def test_the_report_is_json(model: FieldModel) -> None:
+    found = check_telemetry(times(good(model, 2), 1e-2), model).to_dict()
+    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    assert found["clean"] is False
+
+
+def shuffled(model: FieldModel, folder: Path) -> tuple[Telemetry, Path]:
+    """A good file with two rows swapped, one repeated exactly and one repeated with other content."""
+    record = good(model, 5)
+    lines = write_telemetry(record, folder / "good.csv").read_text().splitlines()
+    lines[100], lines[101] = lines[101], lines[100]
+    lines.insert(201, lines[200])
+    rival = lines[300].split(",")
+    rival[7] = "1.0"
+    lines.insert(301, ",".join(rival))
+    path = folder / "shuffled.csv"
+    path.write_text("\n".join(lines) + "\n")
+    return record, path
+
+
+def test_stamps_out_of_order_are_a_trap_and_repair_mends_them(model: FieldModel, tmp_path: Path) -> None:
+    record, path = shuffled(model, tmp_path)
+    with pytest.raises(BadInput, match="time does not increase"):
+        read_telemetry(path)
+    found = check_file(path, model)
+    assert {"time_not_increasing", "time_repeated"} <= {finding.code for finding in found.traps}
+    before = path.read_bytes()
+    mended = repair(path, tmp_path / "out.nc")
+    by_code = {finding.code: finding for finding in mended.findings}
+    assert by_code["duplicates_dropped"].rows == (201,)
+    assert by_code["conflicting_rows"].rows == (301,)
+    assert path.read_bytes() == before
+    back = read_telemetry(tmp_path / "out.nc")
+    assert np.array_equal(back.time, record.time)
+    assert np.array_equal(back.mag_B_nT, record.mag_B_nT)
+    assert check_file(tmp_path / "out.nc", model).exit_status == 0
+
+
+def test_repair_never_writes_over_its_input(model: FieldModel, tmp_path: Path) -> None:
+    path = write_telemetry(good(model, 5), tmp_path / "a.csv")
+    with pytest.raises(BadInput, match="would overwrite the input"):
+        repair(path, tmp_path / "." / "a.csv")
+
+
+def test_a_record_without_any_reading_is_a_trap_and_no_crash():
+    time = np.datetime64("2020-03-01T00:00:00", "ns") + np.arange(50) * np.timedelta64(60, "s")
+    report = check_telemetry(Telemetry(time=time, mag_B_nT=np.full((50, 3), np.nan)), load_field("igrf14"))
+    assert "no_readings" in {finding.code for finding in report.traps}
+    assert report.exit_status == 1
+
+
+def test_stamps_outside_the_field_model_are_a_trap():
+    time = np.datetime64("2051-03-01T00:00:00", "ns") + np.arange(50) * np.timedelta64(60, "s")
+    angle = 0.06 * np.arange(50)
+    r = 7000.0 * np.stack([np.cos(angle), np.sin(angle), np.zeros(50)], axis=1)
+    mag = 20000.0 * np.stack([np.cos(angle), np.sin(angle), 0.5 + 0.1 * np.sin(angle)], axis=1)
+    report = check_telemetry(Telemetry(time=time, mag_B_nT=mag, r_N_km=r), load_field("igrf14"))
+    (found,) = [finding for finding in report.traps if finding.code == "outside_field_model"]
+    assert "1900" in found.text
+    assert "2030" in found.text
+    assert not [finding for finding in report.notes if "no positions" in finding.text]

@@ -1,0 +1,163 @@
+"""What a calibration says of itself: good ones are called good, impossible ones bad, and the degrees are kept."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fluxtwin.calib.common.fit import Fit
+from fluxtwin.calib.methods import calibrate_by
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.telemetry.record import Telemetry
+
+pytestmark = pytest.mark.closure
+
+HOUR = np.timedelta64(3600, "s")
+
+
+def flown(seasat: Any, seed: int = 1, **changes: float) -> Telemetry:
+    """Seasat's four days: noise 20 nT, reference attitude wrong by 0.1 deg white."""
+    rng = np.random.default_rng(seed)
+    meter = seasat.magnetometer(noise_nT=changes.pop("noise_nT", 20.0))
+    record = seasat.record(meter.reading(seasat.field_B_nT, None, rng))
+    turn = frames.Rotation.from_rotvec(np.radians(changes.pop("attitude_deg", 0.1)) * rng.normal(size=(len(record), 3)))
+    assert not changes
+    return record.replace(q_NB=frames.q_from_rotation(turn * frames.rotation_from_q(record.q_NB)))
+
+
+def fitted(record: Telemetry, seasat: Any, **options: Any) -> Fit:
+    return calibrate_by(record, seasat.model, **options)
+
+
+@pytest.mark.parametrize("method", ["linear", "forward", "scalar"])
+def test_a_good_fit_is_called_good(seasat: Any, method: str) -> None:
+    """Four records each; a comparison of variances errs once in a thousand."""
+    for seed in range(4):
+        verdict = fitted(flown(seasat, seed, noise_nT=5.0), seasat, method=method).verdict
+        assert verdict is not None
+        assert verdict.level == "good", verdict.reasons
+        assert verdict.lines[0].startswith("Good. The residual")
+        assert verdict.lines[-1] == f"Next: {verdict.next_step}"
+        assert verdict.next_step.startswith(("fluxtwin apply", "add data"))
+
+
+def test_the_clock_an_hour_off_is_no_calibration(seasat: Any) -> None:
+    record = flown(seasat)
+    verdict = fitted(record.replace(time=record.time + HOUR), seasat).verdict
+    assert verdict is not None
+    assert verdict.level == "bad"
+    assert any("clock" in words for words in verdict.reasons)
+    assert verdict.next_step == "fluxtwin check TELEMETRY"
+
+
+def test_a_clock_twenty_minutes_off_is_not_the_field_model(seasat: Any) -> None:
+    """Between what a field model may be wrong by and what is impossible: said as more than a model gives."""
+    record = flown(seasat)
+    verdict = fitted(record.replace(time=record.time + HOUR / 3), seasat).verdict
+    assert verdict is not None
+    assert verdict.level == "usable"
+    words = " ".join(verdict.reasons)
+    assert "an error of the field model" not in words
+    assert "clock" in words
+    assert verdict.next_step == "fluxtwin check TELEMETRY"
+
+
+def test_an_S_that_no_magnetometer_has_is_named(seasat: Any) -> None:
+    record = flown(seasat)
+    verdict = fitted(record.replace(mag_B_nT=record.mag_B_nT * np.array([1.0, 1.4, 1.0])), seasat).verdict
+    assert verdict is not None
+    assert verdict.level == "bad"
+    assert verdict.reasons[0].startswith("S22 = -0.3")
+    sound = fitted(record.replace(mag_B_nT=record.mag_B_nT * np.array([1.0, 1.1, 1.0])), seasat).verdict
+    assert sound is not None
+    assert sound.level == "good"  # a tenth is a magnetometer badly made, not an impossible one
+
+
+def test_an_attitude_error_is_not_taken_for_a_bad_calibration(seasat: Any) -> None:
+    """0.3 deg give 200 nT across the field and none along it."""
+    verdict = fitted(flown(seasat, attitude_deg=0.3), seasat).verdict
+    assert verdict is not None
+    assert verdict.level == "good", verdict.reasons
+    assert verdict.residual_nT > 100.0
+    assert verdict.along_field_nT < 30.0
+
+
+def test_an_attitude_error_beyond_the_declared_one_is_said(seasat: Any) -> None:
+    record = flown(seasat, attitude_deg=0.3)
+    levels = [
+        (verdict.level, " ".join(verdict.reasons))
+        for declared in (0.3, 0.15, 0.02)
+        if (verdict := fitted(record, seasat, attitude_sigma_deg=declared, attitude_tau_s=0.0).verdict) is not None
+    ]
+    assert [level for level, _ in levels] == ["good", "usable", "bad"], levels
+    assert "0.02 deg were declared" in levels[2][1]
+
+
+def test_what_is_left_along_the_field_limits_it(seasat: Any) -> None:
+    """A field that follows no parameter, 150 nT along the field, beside 20 nT of noise."""
+    record = flown(seasat)
+    unit = record.mag_B_nT / np.linalg.norm(record.mag_B_nT, axis=1)[:, None]
+    wave = 200.0 * np.sin(np.arange(len(record)) / 3.0)[:, None] * unit
+    verdict = fitted(record.replace(mag_B_nT=record.mag_B_nT + wave), seasat).verdict
+    assert verdict is not None
+    assert verdict.level == "usable"
+    assert "Along the field" in verdict.reasons[0]
+    assert verdict.next_step.startswith("fluxtwin diagnose")
+
+
+def test_a_weak_direction_is_answered_with_a_manoeuvre(seasat: Any) -> None:
+    """Day 227 alone, 44 minutes: the field hardly varies along body Y."""
+    verdict = fitted(flown(seasat).select(slice(281, 325)), seasat).verdict
+    assert verdict is not None
+    assert "along body Y" in verdict.next_step
+    assert verdict.level == "usable"
+    assert "only: in attitudes that these data do not have" in verdict.reasons[0]
+    assert verdict.direction.calibration_anywhere_deg > 2.0 * verdict.direction.calibration_deg
+    assert len(verdict.correlated) == 5
+    sizes = [abs(pair.correlation) for pair in verdict.correlated]
+    assert sizes == sorted(sizes, reverse=True)
+    assert sizes[-1] >= 0.95
+
+
+def test_a_symmetric_S_is_no_correlation(seasat: Any) -> None:
+    """S12 and S21 of a scalar fit are one number."""
+    verdict = fitted(flown(seasat), seasat, method="scalar").verdict
+    assert verdict is not None
+    assert not [pair for pair in verdict.correlated if pair.one[0] == "S" and pair.one[1:] == pair.other[:0:-1]]
+
+
+def test_the_stated_angle_holds(seasat: Any) -> None:
+    """Mean over 15 records of the share of calibrated readings within the stated angle of the true field.
+
+    Noise alone makes up most of it; its share of 325 rows has a standard error of 1.2 % a record, the calibration's
+    part is one draw a record: 0.95 +- 0.02 is about four sigma of the mean.
+    """
+    shares, before = [], []
+    for seed in range(15):
+        record = flown(seasat, seed)
+        fit = fitted(record, seasat)
+        assert fit.verdict is not None
+        estimate, true = fit.calibration.apply(record.mag_B_nT), seasat.field_B_nT
+        cross = np.linalg.norm(np.cross(estimate, true), axis=1)
+        angle = np.degrees(np.arctan2(cross, (estimate * true).sum(axis=1)))
+        shares.append((angle <= fit.verdict.direction.after_deg).mean())
+        raw = np.linalg.norm(np.cross(record.mag_B_nT, true), axis=1)
+        angle = np.degrees(np.arctan2(raw, (record.mag_B_nT * true).sum(axis=1)))
+        before.append(np.quantile(angle, 0.95) / fit.verdict.direction.before_deg)
+    assert abs(np.mean(shares) - 0.95) < 0.02, np.mean(shares)
+    assert abs(np.mean(before) - 1.0) < 0.01, np.mean(before)
+
+
+def test_the_record_is_plain(seasat: Any) -> None:
+    import json
+
+    fit = fitted(flown(seasat), seasat)
+    content = json.loads(json.dumps(fit.to_dict(), allow_nan=False))["verdict"]
+    assert content["level"] == "good"
+    assert content["confidence"] == 0.95
+    assert content["lines"][0].startswith("Good.")
+    assert set(content["direction"]) == {
+        "before_deg", "after_deg", "calibration_deg", "calibration_anywhere_deg", "noise_deg", "against_reference_deg"
+    }  # fmt: skip

@@ -1,0 +1,237 @@
+"""What must hold for a calibration without attitude, whatever the numbers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.calib.common.apply import apply_calibration
+from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.methods import calibrate_by, default_method
+from fluxtwin.calib.scalar.calibrate import ScalarOptions, calibrate_scalar, fit_rows
+from fluxtwin.calib.scalar.model import ScalarData, own_noise, residual, terms
+from fluxtwin.calib.scalar.predict import predict_scalar
+from fluxtwin.calib.scalar.rows import ScalarRows
+from fluxtwin.calib.scalar.running import RunningScalar
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.field import FieldModel, field_N_nT, load_field
+from fluxtwin.sim.earth.orbit import Orbit
+from fluxtwin.sim.telemetry.record import Telemetry
+
+pytestmark = pytest.mark.property
+
+D = np.array([[0.03, 0.01, -0.005], [0.01, -0.02, 0.004], [-0.005, 0.004, 0.01]])
+B_NT = np.array([100.0, -200.0, 300.0])
+
+
+def some_rows(seed: int = 1, samples: int = 800, noise_nT: float = 200.0) -> ScalarRows:
+    """Random directions; (I+D) B + b is the field."""
+    rng = np.random.default_rng(seed)
+    unit = rng.normal(size=(samples, 3))
+    H = 30_000.0 * (1.0 + 0.15 * rng.uniform(-1, 1, samples))
+    field = unit / np.linalg.norm(unit, axis=1)[:, None] * H[:, None]
+    B = (field - B_NT) @ np.linalg.inv(np.eye(3) + D) + noise_nT * rng.normal(size=(samples, 3))
+    time = np.datetime64("2020-01-01", "ns") + np.arange(samples) * np.timedelta64(60, "s")
+    return ScalarRows(time, B, H, {}, np.arange(samples), {})
+
+
+@pytest.fixture(scope="module")
+def model() -> FieldModel:
+    return load_field("igrf14")
+
+
+@pytest.fixture(scope="module")
+def record(model: FieldModel) -> Telemetry:
+    """A tumbling spacecraft with everything, torquers and an array current too."""
+    rng = np.random.default_rng(7)
+    time = np.datetime64("2020-03-01", "ns") + np.arange(900) * np.timedelta64(20, "s")
+    r, v = Orbit(epoch_utc=time[0], altitude_km=600.0, inclination_rad=1.5, raan_rad=1.0).propagate(time)
+    R_BN = Rotation.from_rotvec(rng.normal(size=(900, 3)) * 2.0)
+    field = R_BN.apply(field_N_nT(model, time, r))
+    dipole, current = rng.choice([-5.0, 0.0, 5.0], (900, 3)), np.abs(rng.normal(size=900)) * 2.0
+    mag = (field - B_NT) @ np.linalg.inv(np.eye(3) + D) + dipole @ np.diag([8.0, -6.0, 9.0])
+    mag = mag + current[:, None] * np.array([50.0, -30.0, 20.0]) + 30.0 * rng.normal(size=(900, 3))
+    return Telemetry(
+        time=time, mag_B_nT=mag, r_N_km=r, v_N_km_s=v, q_NB=frames.q_from_rotation(R_BN), dipole_B_Am2=dipole,
+        array_current_A=current,
+    )  # fmt: skip
+
+
+def test_derivatives_are_those_of_the_residual(close: Callable[..., None]) -> None:
+    rng = np.random.default_rng(3)
+    columns, Sigma = rng.normal(size=(50, 2)), 1e-10 * np.eye(3)
+    p = 0.02 * rng.normal(size=15)
+    B = rng.normal(size=(50, 3))
+    data = ScalarData(B, np.linalg.norm(B, axis=1), columns, Sigma, True)
+    data = data._replace(H=data.H + residual(p, data))
+    step = 1e-6 * np.eye(15)
+    slope = np.stack([(residual(p + e, data) - residual(p - e, data)) / 2e-6 for e in step], axis=1)
+    close(terms(p, data).g, slope, atol=1e-8, unit="1", because="central difference; noise of 1e-10 has its own slope")
+    moved = [data._replace(B=B + e) for e in 1e-6 * np.eye(3)], [data._replace(B=B - e) for e in 1e-6 * np.eye(3)]
+    slope = np.stack([(terms(p, a).g - terms(p, b).g) / 2e-6 for a, b in zip(*moved, strict=True)], axis=2)
+    close(own_noise(p, data), slope, atol=1e-7, unit="1", because="central difference")
+
+
+def test_turning_the_sensor_turns_the_answer(close: Callable[..., None]) -> None:
+    rows = some_rows()
+    R = Rotation.from_rotvec([0.4, -0.7, 1.1]).as_matrix()
+    turned = ScalarRows(rows.time, rows.B_nT @ R.T, rows.H_nT, {}, rows.rows, {})
+    for method in ("twostep", "scalar"):
+        options = ScalarOptions(method=method, noise_nT=200.0, lsb_nT=0.0, covariance="white")
+        one, other = (fit_rows(part, options).calibration for part in (rows, turned))
+        close(other.S, R @ one.S @ R.T, atol=1e-9, unit="1", because="rounding and the end of the search")
+        close(other.b_nT, R @ one.b_nT, atol=1e-4, unit="nT", because="rounding and the end of the search")
+
+
+def test_the_unit_of_the_field_does_not_matter(close: Callable[..., None]) -> None:
+    rows = some_rows()
+    small = ScalarRows(rows.time, rows.B_nT * 1e-3, rows.H_nT * 1e-3, {}, rows.rows, {})
+    one = fit_rows(rows, ScalarOptions(noise_nT=200.0, lsb_nT=0.0)).calibration
+    other = fit_rows(small, ScalarOptions(noise_nT=0.2, lsb_nT=0.0)).calibration
+    close(other.S, one.S, atol=1e-12, unit="1", because="rounding")
+    close(other.b_nT * 1e3, one.b_nT, atol=1e-6, unit="nT", because="rounding")
+
+
+def test_the_running_form_is_the_batch(close: Callable[..., None]) -> None:
+    """Row by row, in chunks and all at once. The weights hang on what was known when a row came in: a small part of a
+    sigma (4e-4 and 9 nT here)."""
+    rows = some_rows(samples=1500)
+    options = ScalarOptions(method="twostep", noise_nT=200.0, lsb_nT=0.0, covariance="white")
+    batch = fit_rows(rows, options).calibration
+    for chunk in (1, 7, 1500):
+        running = RunningScalar(200.0)
+        innovations = [
+            running.add(float(at), rows.B_nT[at : at + chunk], rows.H_nT[at : at + chunk])
+            for at in range(0, 1500, chunk)
+        ]
+        answer = running.answer()
+        close(answer.S, batch.S, atol=2e-5, unit="1", because="a twentieth of a sigma")
+        close(answer.b_nT, batch.b_nT, atol=0.5, unit="nT", because="a twentieth of a sigma")
+        sigma = np.sqrt(np.diag(answer.covariance))[[0, 6]]
+        close(sigma / batch.sigmas[[0, 9]], 1.0, atol=0.1, unit="1", because="the sandwich varies by a few per cent")
+        if chunk == 1:
+            late = np.concatenate(innovations)[500:]
+            close(np.std(late) / 200.0, 1.0, atol=0.1, unit="1", because="1000 innovations: 2.2 % each way, four times")
+            assert 0.75 < running.innovation_ratio < 1.25
+
+
+def test_the_running_form_forgets_and_refuses() -> None:
+    """A bias that jumps by 1000 nT is found again within a few memories; too few rows and a plane are refused."""
+    rows = some_rows(samples=1200)
+    running = RunningScalar(200.0, memory_s=100.0)
+    with pytest.raises(NoAnswer, match="too few rows"):
+        running.answer()
+    B = rows.B_nT.copy()
+    B[600:, 0] += 1000.0
+    for at in range(1200):
+        running.add(float(at), B[at], rows.H_nT[at])
+    sigma = np.sqrt(running.answer().covariance[6, 6])
+    assert abs(running.answer().b_nT[0] - (100.0 - 1.03 * 1000.0)) < 5.0 * sigma
+    assert running.answer().rows < 150.0
+    flat = RunningScalar(1.0)
+    plane = rows.B_nT.copy()
+    plane[:, 2] = 5000.0
+    flat.add(0.0, plane, np.linalg.norm(plane, axis=1))
+    with pytest.raises(NoAnswer, match=r"S[123]3"):
+        flat.answer()
+    with pytest.raises(BadInput, match="go back"):
+        flat.add(-1.0, plane[0], 1.0)
+    assert np.isnan(flat.add(1.0, np.full(3, np.nan), 30_000.0)).all()
+
+
+def test_the_attitude_is_not_looked_at(record: Telemetry, model: FieldModel) -> None:
+    blind = record.replace(q_NB=None)
+    one, other = calibrate_scalar(record, model), calibrate_scalar(blind, model)
+    assert np.array_equal(one.calibration.values, other.calibration.values)
+    assert default_method(record) == "linear"
+    assert default_method(blind) == "scalar"
+    assert calibrate_by(blind, model).method == "scalar"
+    assert calibrate_by(record, model).method == "linear"
+
+
+def test_one_record_whatever_the_method(record: Telemetry, model: FieldModel, tmp_path: Path) -> None:
+    shared: set[str] = set()
+    for method in ("linear", "forward", "center", "twostep", "scalar"):
+        fit = calibrate_by(record, model, method)
+        content = fit.to_dict()
+        json.dumps(content, allow_nan=False)
+        shared = shared & set(content) if shared else set(content)
+        assert content["method_name"] == method
+        path = fit.calibration.to_toml(tmp_path / f"{method}.toml")
+        assert np.array_equal(Calibration.from_toml(path).values, fit.calibration.values)
+        statistics = predict_scalar(record.replace(q_NB=None), fit.calibration, model)
+        assert statistics.component_rms_nT < 3000.0
+    assert shared >= {"calibration", "parameters", "residuals", "samples", "observability", "noise", "messages"}
+
+
+@pytest.mark.parametrize(
+    ("method", "options", "words"),
+    [
+        ("center", {"parameters": "b,S"}, "CENTER finds the bias alone"),
+        ("twostep", {"parameters": "b,S,T"}, "method scalar"),
+        ("twostep", {"robust": "cauchy"}, "robust"),
+        ("twostep", {"telemetry_bias": ["array_current_A"]}, "method scalar"),
+        ("scalar", {"telemetry_bias": ["array_curent_A"]}, "'array_current_A' is near"),
+        ("scalar", {"errors_in_variables": True}, "method linear"),
+        ("linear", {"telemetry_bias": ["array_current_A"]}, "method scalar"),
+        ("scalar", {"parameters": "S"}, "parameters"),
+        ("scalar", {"covariance": "pink"}, "covariance"),
+        ("scalar", {"noise_nT": -1.0}, "noise_nT"),
+        ("scalar", {"block_s": 0.0}, "block_s"),
+        ("scalar", {"robust": "cauchy"}, "robust"),
+        ("residg", {}, "is no method"),
+    ],
+)
+def test_what_a_method_does_not_take(
+    record: Telemetry, model: FieldModel, method: str, options: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(BadInput, match=words):
+        calibrate_by(record, model, method, **options)
+
+
+def test_rows_left_out_are_counted(record: Telemetry, model: FieldModel) -> None:
+    mag, r, current = record.mag_B_nT.copy(), record.r_N_km.copy(), record.array_current_A.copy()
+    mag[5:15], r[20:22], current[30:33] = np.nan, np.nan, np.nan
+    part = record.replace(mag_B_nT=mag, r_N_km=r, array_current_A=current)
+    fit = calibrate_scalar(part, model, telemetry_bias=["array_current_A"])
+    assert fit.left_out == {"no reading": 10, "no position": 2, "no array_current_A": 3}
+    assert fit.rows[5] == 15
+    with pytest.raises(NoAnswer, match="900 rows have no position"):
+        calibrate_scalar(record.replace(r_N_km=None, v_N_km_s=None), model)
+    with pytest.raises(NoAnswer, match="usable sample"):
+        calibrate_scalar(record.select(slice(0, 9)), model)
+    with pytest.raises(NoAnswer, match="reads zero throughout"):
+        calibrate_scalar(record.replace(mag_B_nT=np.zeros((900, 3))), model)
+
+
+def test_a_field_that_follows_a_column_survives_saving(record: Telemetry, model: FieldModel, tmp_path: Path) -> None:
+    """The file holds s of B = ... + s I; read back, it takes that field out of telemetry, and asks for the column."""
+    s = np.array([900.0, -600.0, 300.0])
+    current = (np.arange(len(record)) // 40 % 2).astype(float)
+    spoilt = record.replace(mag_B_nT=record.mag_B_nT + current[:, None] * s, array_current_A=current)
+    fit = calibrate_scalar(spoilt, model, telemetry_bias=["array_current_A"])
+    path = fit.calibration.to_toml(tmp_path / "known.toml")
+    again = Calibration.from_toml(path)
+    bias = again.telemetry_bias["array_current_A"]
+    assert np.array_equal(bias.value_nT, fit.telemetry_bias["array_current_A"].value_nT)
+    assert np.array_equal(bias.sigma_nT, fit.telemetry_bias["array_current_A"].sigma_nT)
+    expected = fit.calibration.apply(
+        spoilt.mag_B_nT - current[:, None] * bias.value_nT, columns={"array_current_A": 0 * current}
+    )
+    corrected = apply_calibration(spoilt, again).mag_B_nT
+    np.testing.assert_allclose(corrected, expected, rtol=0.0, atol=1e-6)
+    left = predict_scalar(spoilt, again, model).to_dict()
+    assert left == predict_scalar(spoilt, fit.calibration, model).to_dict()
+    with pytest.raises(BadInput, match="a field that follows 'array_current_A', and the column is not there"):
+        apply_calibration(spoilt.replace(array_current_A=None), again)
+    lines = [line for line in path.read_text().splitlines() if not line.startswith("sha256")]
+    path.write_text("\n".join(lines).replace("nT_per_unit", "nT"))
+    with pytest.raises(BadInput, match=r"telemetry_bias\.array_current_A"):
+        Calibration.from_toml(path)

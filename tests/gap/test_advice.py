@@ -1,0 +1,62 @@
+"""Doubts about the attitude, and advice in hours."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fluxtwin.gap.advice import MANOEUVRES, hours_needed, would_settle
+from fluxtwin.gap.doubts import stuck_and_misfit, stuck_attitude
+from fluxtwin.gap.records import Detectable
+from fluxtwin.sim.effects.catalogue import CATALOGUE
+from fluxtwin.sim.telemetry.record import Telemetry
+
+pytestmark = pytest.mark.property
+
+ROWS = 200
+
+
+def record(still: slice, rate_rad_s: float | None = None) -> Telemetry:
+    """A record whose attitude is noise about one quaternion, and stands still in the rows `still`."""
+    rng = np.random.default_rng(1)
+    q = np.array([0.0, 0.0, 0.0, 1.0]) + 1e-3 * rng.standard_normal((ROWS, 4))
+    q /= np.linalg.norm(q, axis=1)[:, None]
+    q[still] = q[still][0] if len(q[still]) else 0.0
+    time = np.datetime64("2020-01-01", "ns") + np.arange(ROWS) * np.timedelta64(10, "s")
+    mag = 20_000.0 * rng.standard_normal((ROWS, 3))
+    rate = None if rate_rad_s is None else np.full((ROWS, 3), rate_rad_s / np.sqrt(3.0))
+    return Telemetry(time, mag, q_NB=q, rate_B_rad_s=rate)
+
+
+def test_a_moving_attitude_raises_no_doubt():
+    assert stuck_attitude(record(slice(0, 0)), 1e-3) is None
+    assert stuck_and_misfit(record(slice(0, 0)), 1e5) is None
+    assert stuck_attitude(record(slice(50, 60)), 1e-3) is None  # ten rows held: an attitude given more rarely
+
+
+def test_a_standing_one_is_doubted_only_where_something_speaks_against_a_hold():
+    hold = record(slice(0, ROWS))
+    assert stuck_attitude(hold, None) is None
+    assert stuck_attitude(hold, 0.0) is None
+    assert "100 % of the rows, for up to 33 min" in str(stuck_attitude(hold, 1e-3))  # 199 steps of 10 s
+    assert "by the gyro the body turned 114 deg" in str(stuck_attitude(record(slice(0, ROWS), 1e-3), None))  # 1.99 rad
+    assert stuck_attitude(record(slice(0, ROWS), 1e-6), None) is None
+    assert stuck_and_misfit(hold, 100.0) is None
+    assert "do not fit it (3000 nT" in str(stuck_and_misfit(hold, 3000.0))
+
+
+def test_a_long_stretch_is_enough():
+    assert "in 20 % of the rows" in str(stuck_attitude(record(slice(100, 140)), 1e-3))  # 39 of 199 steps
+
+
+def test_hours_grow_with_the_square_of_the_size():
+    found = Detectable("offset", 2.0, "s", 10.0)
+    assert hours_needed(found, 0.5, 5.0) == pytest.approx(80.0, rel=1e-12)
+    words = would_settle({"time_tag_offset": found}, {"heater_switching": "no column"}, 5.0)
+    assert words["time_tag_offset"].startswith("for offset 0.5 s: about 80 h of such data in place of 5 h, or a spin")
+    assert words["heater_switching"] == MANOEUVRES["heater_switching"]
+    assert would_settle({"time_tag_offset": Detectable("offset", 0.4, "s", 10.0)}, {}, 5.0) == {}
+
+
+def test_every_effect_of_the_catalogue_has_its_manoeuvre():
+    assert {effect.name for effect in CATALOGUE} == set(MANOEUVRES)

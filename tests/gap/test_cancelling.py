@@ -1,0 +1,63 @@
+"""A pair whose signals undo each other is seen, one that adds up is not."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from fluxtwin.gap.cancelling import undone
+from fluxtwin.gap.problem import Problem, pose
+from fluxtwin.gap.refit import refit
+from fluxtwin.gap.whitening import NoiseModel, make_whitener, turn_images
+from fluxtwin.sim.earth.field import load_field
+from fluxtwin.sim.effects.catalogue import find_effect
+from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.scenario.scenario import parse_scenario
+
+pytestmark = pytest.mark.property
+
+SPIN = """
+seed = 1
+[spacecraft]
+name = "test"
+inertia_kg_m2 = [[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]]
+[orbit]
+epoch_utc = "2020-03-01T00:00:00Z"
+altitude_km = 600.0
+inclination_deg = 97.8
+raan_deg = 10.0
+argument_of_latitude_deg = 0.0
+[attitude]
+mode = "spin"
+spin_axis_N = [0.36, 0.48, 0.8]
+spin_rate_rpm = 1.6
+nutation_deg = 3.0
+[schedule]
+segments = [{ start_utc = "2020-03-01T00:00:00Z", samples = 300, step_s = 1.5 }]
+"""
+
+
+@pytest.fixture(scope="module")
+def spin() -> Problem:
+    return pose(simulate(parse_scenario(SPIN))[0], load_field("igrf14"))
+
+
+@pytest.mark.parametrize(
+    ("offset_s", "lag_s", "expected"), [(0.8, 0.8, True), (0.8, 0.4, False), (-0.8, 0.8, False), (0.0, 0.8, False)]
+)
+def test_an_offset_and_a_lag(spin: Problem, offset_s: float, lag_s: float, expected: bool) -> None:
+    """Sampled later and answering later: equal ones leave what goes with the square of time times rate, 0.13 here."""
+    active = [(find_effect("time_tag_offset"), np.array([offset_s])), (find_effect("sensor_lag"), np.array([lag_s]))]
+    noise = 5.0 * np.random.default_rng(3).standard_normal((spin.rows, 3))
+    telemetry = spin.telemetry.replace(mag_B_nT=spin.chain.reading_nT(active) + noise)
+    problem = dataclasses.replace(spin, telemetry=telemetry)
+    whitener = make_whitener(
+        turn_images(problem.field_B_nT), problem.setting.seconds, problem.segment, NoiseModel(5.0, 0.0, 1.0)
+    )
+    base = refit(problem, whitener)
+    fit = refit(problem, whitener, active)
+    found = undone(problem, whitener, fit, base.jacobian, [False, False])
+    assert found is expected
+    assert not undone(problem, whitener, fit, base.jacobian, [True, True])

@@ -1,0 +1,251 @@
+"""Closing: eq. 1 takes what was re-estimated exactly, effects keep nothing of their record, chances are what they say."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from fluxtwin.gap.closing import Declared, closed_scenario, settle
+from fluxtwin.gap.closure import Closure, Stochastic
+from fluxtwin.gap.far import Prediction, shrinkage
+from fluxtwin.gap.flexible import FlexibleFinding
+from fluxtwin.gap.noise import NoiseModel
+from fluxtwin.gap.problem import Budget, Problem, pose
+from fluxtwin.gap.stochastic import expected, floor_noise, with_frozen_noise
+from fluxtwin.gap.targets import DAYS, targets
+from fluxtwin.gap.transfer import _seen_by_chance, transfers
+from fluxtwin.gap.whitening import make_whitener, turn_images
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.earth import epoch, frames, sun
+from fluxtwin.sim.earth.field import load_field
+from fluxtwin.sim.effects.bit_errors import BitErrors
+from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
+from fluxtwin.sim.effects.chain import Chain
+from fluxtwin.sim.effects.heater_switching import HeaterSwitching
+from fluxtwin.sim.effects.saturation import Saturation
+from fluxtwin.sim.effects.switched_field import SwitchedField
+from fluxtwin.sim.effects.thermal_bias_drift import ThermalBiasDrift
+from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.scenario.scenario import Scenario, load_scenario, parse_scenario, save_scenario
+from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
+
+pytestmark = pytest.mark.property
+
+SCENARIO = """
+seed = 4
+[spacecraft]
+name = "test"
+[orbit]
+epoch_utc = "2020-03-01T00:00:00Z"
+altitude_km = 650.0
+inclination_deg = 97.9932
+raan_deg = 10.0
+argument_of_latitude_deg = 0.0
+[attitude]
+yaw_rms_deg = 4.0
+roll_rms_deg = 4.0
+pitch_rms_deg = 4.0
+[thermal]
+sunlit_degC = 25.0
+eclipse_degC = -20.0
+time_constant_min = 20.0
+[torquers]
+dipole_Am2 = 10.0
+positions_m = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+[schedule]
+segments = [{ start_utc = "2020-03-01T00:00:00Z", duration_min = 200.0, step_s = 60.0 }]
+"""
+NOISE = NoiseModel(100.0, np.radians(0.1), 150.0)
+MODELLED = ("bias", "scale_misalignment", "torquer_coupling")
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    return parse_scenario(SCENARIO)
+
+
+@pytest.fixture(scope="module")
+def problem(scenario: Scenario) -> Problem:
+    base = Magnetometer(
+        np.array([[0.01, 0.002, 0.0], [0.0, -0.02, 0.0], [0.003, 0.0, 0.01]]), np.array([300.0, -200.0, 100.0]),
+        np.diag([1.0, 2.0, 3.0]),
+    )  # fmt: skip
+    record = simulate(scenario)[0]
+    return pose(record, load_field("igrf14", degree=6), modelled=MODELLED, instrument=base)
+
+
+def closure_of(problem: Problem, modelled=(), chosen=(), stochastic=()) -> Closure:
+    problem = dataclasses.replace(problem, modelled=tuple(effect for effect, _ in modelled))
+    whitener = make_whitener(turn_images(problem.field_B_nT), problem.setting.seconds, problem.segment, NOISE)
+    return Closure(problem, whitener, modelled, chosen, tuple(() for _ in chosen), stochastic, 1.0, 40, None)
+
+
+def test_the_closed_magnetometer_reads_what_the_fit_read(problem: Problem, close) -> None:
+    """b, S and C re-estimated as effects, against one magnetometer with eq. 1's b + db, S + dS, T - C."""
+    rng = np.random.default_rng(1)
+    modelled = tuple(
+        (find_effect(name), scale * rng.standard_normal(size))
+        for name, scale, size in (("bias", 500.0, 3), ("scale_misalignment", 0.05, 9), ("torquer_coupling", 20.0, 9))
+    )
+    closed = settle(closure_of(problem, modelled))
+    fitted = problem.chain.reading_nT(modelled)
+    again = Chain(dataclasses.replace(problem.setting, instrument=closed.instrument)).baseline_nT
+    close(again, fitted, atol=1e-6, unit="nT", because="eq. 1 holds both exactly; rounding of 5e4 nT")
+    assert closed.modelled == ()
+    wrong = dataclasses.replace(closed.instrument, T_nT_per_Am2=-np.asarray(closed.instrument.T_nT_per_Am2))
+    assert np.abs(Chain(dataclasses.replace(problem.setting, instrument=wrong)).baseline_nT - fitted).max() > 100.0
+
+
+def test_the_scenario_takes_S_b_and_T_and_survives_the_file(
+    problem: Problem, scenario: Scenario, tmp_path: Path
+) -> None:
+    modelled = ((find_effect("bias"), np.array([1.0, 2.0, 3.0])), (find_effect("torquer_coupling"), np.arange(9.0)))
+    noisy = (Stochastic(find_effect("excess_noise"), np.array([50.0]), np.array([5.0])),)
+    closure = closure_of(problem, modelled, stochastic=noisy)
+    closed = settle(closure)
+    made = closed_scenario(closure, closed, [], scenario, Path("flight.csv"), None, Declared())
+    again = load_scenario(save_scenario(made, tmp_path / "closed.toml"))
+    assert np.array_equal(again.magnetometer.b_nT, [301.0, -198.0, 103.0])
+    assert np.array_equal(again.magnetometer.T_nT_per_Am2, np.diag([1.0, 2.0, 3.0]) - np.arange(9.0).reshape(3, 3))
+    assert again.magnetometer.S == scenario.magnetometer.S  # it was not re-estimated
+    assert again.effects.excess_noise.rms_nT == 50.0 and again.effects.excess_noise.covariance == ((25.0,),)
+    assert again.closure.rows == problem.rows and again.closure.telemetry == "flight.csv"
+
+
+def test_an_effect_that_the_scenario_has_is_added_to_or_refused(problem: Problem, scenario: Scenario) -> None:
+    lag, late = find_effect("sensor_lag"), find_effect("time_tag_offset")
+    had = dataclasses.replace(problem, frozen=((late, np.array([2.0])), (SwitchedField("night"), np.ones(3))))
+    closure = closure_of(had)
+    closed = dataclasses.replace(
+        settle(closure), named=((late, np.array([1.5]), np.eye(1)), (lag, np.ones(1), np.eye(1)))
+    )
+    closure = dataclasses.replace(closure, chosen=((late, np.array([1.5])),))
+    made = closed_scenario(closure, closed, [], scenario, Path("x.csv"), None, Declared())
+    assert made.effects.time_tag_offset.offset_s == 3.5 and made.effects.sensor_lag.lag_s == 1.0
+    other = dataclasses.replace(closed, named=((SwitchedField("eclipse"), np.ones(3), np.eye(3)),))
+    with pytest.raises(BadInput, match="other settings"):
+        closed_scenario(closure, other, [], scenario, Path("x.csv"), None, Declared())
+
+
+def test_pinned_effects_say_the_same_and_keep_it_on_another_record(problem: Problem) -> None:
+    setting, reading = problem.setting, problem.chain.baseline_nT
+    half = dataclasses.replace(setting, time=setting.time[100:])
+    sequence = tuple(int(n % 7 < 3) for n in range(setting.time.size))
+    heater = HeaterSwitching(sequence).pinned(setting, reading)
+    assert np.array_equal(heater.on(setting), sequence)
+    assert np.array_equal(heater.on(half), sequence[100:])
+    theta = np.array([20.0, -10.0, 5.0])
+    for effect, size in ((ThermalBiasDrift(), theta), (Saturation(), np.array([3000.0]))):
+        pinned = effect.pinned(setting, reading)
+        assert pinned != effect
+        assert np.array_equal(problem.chain.reading_nT([(pinned, size)]), problem.chain.reading_nT([(effect, size)]))
+    clip = Saturation().pinned(setting, reading)
+    assert clip.full_scale_nT == np.abs(reading).max()
+
+
+def test_effects_of_a_moment_say_that_they_are() -> None:
+    bound = {effect.name for effect in CATALOGUE if effect.bound}
+    assert bound == {"bias_step", "bias_random_walk", "ring_current", "wheel_field"}
+    assert "2020" in find_effect("bias_step").__class__(at="2020-03-01T00:00:00Z").bound
+    assert SwitchedField("interval", "2020-03-01T00:00:00Z", "2020-03-02T00:00:00Z").bound
+    assert HeaterSwitching((0, 1, 0)).bound and not HeaterSwitching().bound
+
+
+def test_what_the_record_did_not_excite_does_not_transfer(problem: Problem) -> None:
+    """Covariances are NaN where a torquer never fired; a well-known effect on the same design does transfer."""
+    coupling, late = find_effect("torquer_coupling"), find_effect("time_tag_offset")
+    covariance = np.full((9, 9), np.nan)
+    covariance[np.ix_([0, 3, 6], [0, 3, 6])] = 0.1 * np.eye(3)
+    theta = np.array([8.0, 0.0, 0.0, 5.0, 0.0, 0.0, -6.0, 0.0, 0.0])
+    modelled = ((find_effect("bias"), np.zeros(3)),)
+    closure = closure_of(problem, modelled, ((coupling, theta), (late, np.array([5.0]))))
+    found = transfers(closure, [(coupling, theta, covariance), (late, np.array([5.0]), np.array([[1e-4]]))])
+    unseen = [one for one in found if one.effect == "torquer_coupling"]
+    assert unseen and not any(one.transfers for one in unseen)
+    assert all(one.why == "these data did not excite C_xy, C_xz, C_yy, C_yz, C_zy, C_zz" for one in unseen)
+    nadir = next(one for one in found if one.effect == "time_tag_offset")
+    assert nadir.transfers and 0.0 < nadir.uncertainty_nT < nadir.detectable_nT
+    vague = transfers(closure, [(coupling, theta, covariance), (late, np.array([5.0]), np.array([[100.0]]))])
+    assert not next(one for one in vague if one.effect == "time_tag_offset").transfers
+
+
+def test_chance_of_being_seen_is_that_of_the_score(close) -> None:
+    """With equal variances 1 + l the score is (1 + l) times chi-square: an exact witness."""
+    for spread, rank in ((0.0, 1), (3.0, 3), (0.5, 9)):
+        bar = float(chi2.isf(0.01, rank))
+        close(
+            _seen_by_chance(np.full(rank, spread), bar), chi2.sf(bar / (1.0 + spread), rank), atol=0.01, unit="1",
+            because="20,000 draws: 0.0035 at most, one sigma",
+        )  # fmt: skip
+
+
+def test_targets_keep_the_motion_and_follow_the_sun(problem: Problem) -> None:
+    """A sun-synchronous node (97.99 deg at 650 km: Wertz, 360 deg in 365.24 days) keeps its local time all year."""
+    found = targets(problem)
+    names = [target.name for target in found]
+    assert names == [
+        "nadir, 12 h later", "nadir, 90 days later", "nadir, 182 days later", "tumble of 0.25 deg/s, 90 days later",
+        "spin of 1.9 rpm, 90 days later",
+    ]  # fmt: skip
+    here = problem.setting
+    R_BO = here.given[2] * here.R_ON.inv()
+    for target, days in zip(found[:3], DAYS, strict=True):
+        there = target.setting
+        assert epoch.seconds_since(there.time[:1], here.time[0])[0] == pytest.approx(86400.0 * days, abs=1e-3)
+        assert ((there.given[2] * there.R_ON.inv()) * R_BO.inv()).magnitude().max() < 1e-6  # rad
+        assert abs(local_hours(there) - local_hours(here)) < 0.6  # the equation of time alone moves it by 0.5 h
+    assert not np.allclose(found[1].setting.columns["temperature_degC"], here.columns["temperature_degC"])
+    assert np.array_equal(found[1].setting.columns["dipole_B_Am2"], here.columns["dipole_B_Am2"])
+    turned = found[3].setting.given[2]
+    assert np.degrees((turned[1:] * turned[:-1].inv()).magnitude()).mean() == pytest.approx(0.25 * 60.0, rel=0.05)
+
+
+def local_hours(setting) -> float:
+    """True local solar time of the ascending node [h]."""
+    r, v, _ = setting.given
+    normal = np.cross(r[0], v[0])
+    pole = frames.rotation_TN(setting.time[0]).inv().apply([0.0, 0.0, 1.0]).reshape(3)
+    node, to_sun = np.cross(pole, normal), sun.sun_direction_N(setting.time[:1])[0]
+    flat = to_sun - (to_sun @ pole) * pole
+    return float(np.degrees(np.arctan2(np.cross(flat, node) @ pole, flat @ node))) / 15.0
+
+
+def test_an_effect_of_a_few_stretches_is_measured() -> None:
+    """A clip acts near the poles only: how much it closes is known though few stretches show it."""
+    rng = np.random.default_rng(2)
+    after = 100.0 * rng.standard_normal((480, 3))
+    signal = np.zeros((480, 3))
+    signal[200:208] = 800.0
+    kept = np.ones(480, dtype=bool)
+    found = shrinkage(Prediction(after + signal, after), kept, 100.0, 100.0, seed=1, named=True)
+    assert found.closed is not None and found.closed > 0.9
+    nothing = shrinkage(Prediction(after, after), kept, 100.0, 100.0, seed=1, named=True)
+    assert nothing.closed is None  # nothing is left of spikes that are cut: not measurable, not zero and not one
+
+
+def test_noise_of_the_scenario_is_expected_and_no_other() -> None:
+    frozen = [(find_effect("excess_noise"), np.array([150.0])), (find_effect("coarse_quantization"), np.array([400.0]))]
+    assert with_frozen_noise(frozen, 100.0, 100.0) == (pytest.approx(np.hypot(100.0, 150.0)), 400.0)
+    assert with_frozen_noise(frozen, None, None) == (None, 400.0)
+    assert with_frozen_noise([], 100.0, None) == (100.0, None)
+    alike = FlexibleFinding("excess_noise", {"rms": (165.0, 10.0, "nT")})
+    assert expected(alike, frozen) and not expected(alike, [])
+    assert not expected(FlexibleFinding("excess_noise", {"rms": (300.0, 10.0, "nT")}), frozen)
+    assert not expected(FlexibleFinding("bit_errors", {"rate": (0.01, 0.001, "1")}), frozen)
+
+
+def test_the_floor_is_that_of_the_declared_noise() -> None:
+    """A strong clip was noise to the choice of the noise; the floor must not rise with it. A stuck bit has its own."""
+    noise, budget = (
+        NoiseModel(900.0, np.radians(0.8), 150.0, sigma_prior_nT=104.0),
+        Budget(100.0, 100.0, np.radians(0.1)),
+    )
+    white, theta = floor_noise([], noise, budget)
+    assert white == pytest.approx(104.0) and np.degrees(theta) == pytest.approx(0.1)
+    assert floor_noise([], noise, Budget()) == (pytest.approx(900.0), noise.theta_rad)
+    stuck = FlexibleFinding("bit_errors", {"rate": (1.0, 0.0, "1")}, 0.0, True, "", BitErrors(4, "stuck_1", 100.0))
+    assert floor_noise([stuck], noise, budget)[0] == pytest.approx(np.hypot(104.0, 800.0))

@@ -1,0 +1,168 @@
+"""What a diagnosis says when nobody declared the noise, and when what is left is more than was declared."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomli_w
+from scipy.stats import chi2
+
+from fluxtwin.gap.detectable import GATE, noncentrality
+from fluxtwin.gap.diagnose import diagnose
+from fluxtwin.gap.far import predict_blocks
+from fluxtwin.gap.problem import Budget
+from fluxtwin.gap.records import Diagnosis
+from fluxtwin.gap.whitening import NoiseModel, make_whitener, turn_images
+from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.earth.field import load_field
+from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
+from fluxtwin.sim.telemetry.record import Telemetry
+
+pytestmark = pytest.mark.closure
+
+README = Path(__file__).parents[2] / "README.md"
+DECLARED = Budget(20.0, 10.0, float(np.radians(0.1)), 300.0)
+
+
+def readme_scenario(seed: int = 1) -> Scenario:
+    """The scenario that the README shows."""
+    text = re.search(r"```toml\n(.*?)```", README.read_text(), re.S)
+    assert text is not None
+    return parse_scenario(text.group(1), where="README.md").model_copy(update={"seed": seed})
+
+
+@pytest.fixture(scope="module")
+def record() -> Telemetry:
+    return simulate(readme_scenario())[0]
+
+
+def asked(record: Telemetry, budget: Budget | None = None) -> Diagnosis:
+    return diagnose(record, load_field("igrf14"), budget=budget)
+
+
+def test_the_readme_scenario_has_no_gap_without_any_flag(record: Telemetry) -> None:
+    """0.1 deg over 300 s, declared by nobody: found to a third, and named as what was assumed."""
+    found = asked(record)
+    assert found.verdict == "no_gap"
+    sigma, tau = (found.assumed[name] for name in ("attitude_sigma_deg", "attitude_tau_s"))
+    assert sigma["source"] == tau["source"] == "found"
+    assert abs(np.log(sigma["value"] / 0.1)) < 0.3 and abs(np.log(tau["value"] / 300.0)) < 0.7
+    assert "Not declared, so found in these data" in found.sentence and "--attitude-sigma-deg" in found.sentence
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_rounding_that_lasts_over_rows_is_no_gap(seed: int) -> None:
+    """Rows a second apart, a step of 117 nT: a reading stays in a step for four rows of five, and so does its error."""
+    segment = {"start_utc": "2026-03-01T00:00:00Z", "duration_min": 60.0, "step_s": 1.0}
+    coarse = {"magnetometer.noise_nT": 13.7, "magnetometer.lsb_nT": 117.0, "schedule.segments": [segment]}
+    budget = replace(DECLARED, noise_nT=13.7, lsb_nT=117.0)
+    found = asked(simulate(readme_scenario(seed).updated(coarse))[0], budget)
+    assert found.verdict == "no_gap" and found.provenance["rounding_lasts_rows"] == 4
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_late_sensor_is_not_blamed_on_the_orbit_alone(seed: int) -> None:
+    """10 s on a vehicle that keeps to the Earth look nearly like 77 km along the orbit; the linear image of the clock is
+    made of an attitude that errs itself, so only the refit tells the two apart."""
+    config = readme_scenario(seed).updated({"effects.time_tag_offset": {"offset_s": 10.0}})
+    found = asked(simulate(config)[0])
+    assert found.verdict == "effect"
+    assert "time_tag_offset" in found.effects[0].group
+    assert [one.name for one in found.effects] in (["time_tag_offset"], ["sensor_lag"])
+
+
+def test_what_is_declared_is_not_said_to_be_found(record: Telemetry) -> None:
+    found = asked(record, DECLARED)
+    assert found.verdict == "no_gap"
+    assert {one["source"] for one in found.assumed.values()} == {"declared"}
+    assert "Not declared" not in found.sentence
+
+
+def test_outliers_are_a_finding(record: Telemetry) -> None:
+    """Two axes exchanged in twelve rows, here and there: no single bit, no structure, and not silence."""
+    reading, rows = np.array(record.mag_B_nT), np.arange(100, 1800, 140)[:12]
+    reading[rows] = reading[rows][:, [2, 1, 0]]
+    found = asked(record.replace(mag_B_nT=reading), DECLARED)
+    assert found.verdict == "unknown" and found.where.stage == "telemetry"
+    assert found.samples["cut"] == 12
+    assert "12 rows have outliers of more than six sigma, from 2026-03-01T00:16:40" in found.sentence
+
+
+def test_more_noise_than_declared_is_never_no_gap(record: Telemetry) -> None:
+    """Twice the declared noise, from a heavy-tailed source: no excess_noise, which is Gaussian, and not nothing."""
+    heavy = np.random.default_rng(5).standard_t(4, size=(len(record), 3)) / np.sqrt(2.0)
+    found = asked(record.replace(mag_B_nT=np.array(record.mag_B_nT) + 35.0 * heavy), DECLARED)
+    assert found.verdict == "unknown"
+    assert {found.where.stage, *found.where.equivalent} == {"sensor", "telemetry"}
+    assert "the budget says" in found.sentence or "were expected" in found.sentence
+
+
+def test_an_attitude_error_reaches_the_reading_through_the_matrix_of_the_sensor() -> None:
+    """Whitened by its own image, an error under a matrix of 4 % is white; by theta x B it is not."""
+    rng = np.random.default_rng(3)
+    rows, sigma_nT, theta_rad = 4000, 2.0, 0.004
+    field = 3e4 * np.stack([np.cos(np.arange(rows) / 200.0), np.sin(np.arange(rows) / 170.0), np.ones(rows)], axis=1)
+    matrix = np.linalg.inv(np.eye(3) + 0.04 * rng.standard_normal((3, 3)))
+    error = np.cross(theta_rad * rng.standard_normal((rows, 3)), field) @ matrix.T
+    reading = error + sigma_nT * rng.standard_normal((rows, 3))
+    seconds, segment, noise = 10.0 * np.arange(rows), np.zeros(rows), NoiseModel(sigma_nT, theta_rad, 0.0)
+    right, wrong = (
+        float(np.mean(make_whitener(turn_images(field, m), seconds, segment, noise).apply(reading) ** 2))
+        for m in (matrix, None)
+    )
+    assert abs(right - 1.0) < 4.0 * np.sqrt(2.0 / (3 * rows))  # four standard deviations of a mean of chi-squares
+    assert wrong > 2.0
+
+
+def test_a_block_that_the_others_do_not_determine_is_not_predicted() -> None:
+    """One column lives in the last fifth alone: nothing is held out there, and nothing explodes."""
+    rng = np.random.default_rng(2)
+    seconds, kept = np.arange(500.0), np.ones(500, dtype=bool)
+    y = rng.standard_normal((500, 3))
+    x = np.where(np.arange(500)[:, None, None] >= 400, rng.standard_normal((500, 3, 1)), 1e-9 * np.ones((500, 3, 1)))
+    none = np.zeros((500, 3, 0))
+    found = predict_blocks(seconds, kept, (y, x, y, none), (y, x, y, none), 1.0)
+    assert found.known is not None and found.known[:400].all() and not found.known[400:].any()
+
+
+def test_the_smallest_size_is_that_of_the_gate_of_a_name() -> None:
+    """By simulation: at the stated non-centrality the gate is passed nine times in ten."""
+    rng, rank, tested = np.random.default_rng(4), 3, 60
+    draws = rng.standard_normal((200_000, rank))
+    draws[:, 0] += np.sqrt(noncentrality(rank, tested))
+    passed = float(np.mean(chi2.sf(np.sum(draws**2, axis=1), rank) * tested <= GATE))
+    assert abs(passed - 0.9) < 0.004
+
+
+def test_a_spinner_without_attitude_that_leaves_b_open_is_refused() -> None:
+    """Four minutes of a pure spin: the part of b along the axis shows by nothing but the slow change of the field."""
+    tree = readme_scenario().model_dump(exclude_none=True, mode="json")
+    tree["spacecraft"]["inertia_kg_m2"] = [[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]]
+    tree["magnetometer"] |= {"noise_nT": 120.0, "b_nT": [60_000.0, -80_000.0, 50_000.0]}
+    tree["attitude"] = {"mode": "spin", "spin_axis_N": [0.0, 0.0, 1.0], "spin_rate_rpm": 8.0}
+    tree["schedule"] = {"segments": [{"start_utc": "2026-03-01T00:00:00Z", "duration_min": 4.0, "step_s": 1.0}]}
+    spun = simulate(parse_scenario(tomli_w.dumps(tree), where="spinner"))[0]
+    with pytest.raises(NoAnswer, match=r"b\d by .* open"):
+        diagnose(spun.replace(q_NB=None), load_field("igrf14"))
+
+
+def test_passes_over_stations_with_a_fine_sensor_have_no_gap() -> None:
+    """Ten minutes a pass, hours apart, S of some per cent: plain least squares takes the slow attitude errors up in S, and
+    the noise must not be built on that S."""
+    config = readme_scenario().updated({
+        "magnetometer": {"S": [[0.03, 0.01, -0.006], [-0.008, -0.025, 0.01], [0.006, -0.01, 0.02]],
+                         "b_nT": [1500.0, -800.0, 300.0], "noise_nT": 2.0, "lsb_nT": 0.5},
+        "attitude.reference": {"sigma_deg": 0.25, "tau_s": 500.0},
+        "schedule.segments": [
+            {"start_utc": f"2026-03-01T{hour:02d}:{minute:02d}:00Z", "duration_min": 10.0, "step_s": 2.4}
+            for hour, minute in ((0, 0), (3, 10), (8, 40), (14, 20), (19, 50))
+        ],
+    })  # fmt: skip
+    for seed in range(6):
+        found = asked(simulate(config.updated({"seed": seed}))[0], Budget(2.0, 0.5, float(np.radians(0.25))))
+        assert found.verdict == "no_gap", found.sentence

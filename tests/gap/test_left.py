@@ -1,0 +1,87 @@
+"""Laws of the searches in a residual: known answers, uniform p-values, invariances."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from fluxtwin.gap.evidence import Leftover, log10_sf_f, orthonormal, share_mimicked
+from fluxtwin.gap.left import drift, step, structured_share
+from fluxtwin.gap.tones import strongest_tone, tone_columns
+
+pytestmark = pytest.mark.property
+
+
+class Identity:
+    """Noise that is white already."""
+
+    def apply(self, columns):
+        return columns
+
+
+def make_left(series: np.ndarray, columns: np.ndarray | None = None) -> Leftover:
+    rows = series.shape[0]
+    basis = orthonormal(np.zeros((3 * rows, 0)) if columns is None else columns.reshape(3 * rows, -1))
+    flat = series.reshape(-1)
+    return Leftover(Identity(), flat - basis @ (basis.T @ flat), basis, flat.size - basis.shape[1])
+
+
+def test_f_tail_continues_where_doubles_end() -> None:
+    for ratio, rank, spare in ((3.0, 5, 200), (40.0, 3, 500), (90.0, 9, 1000)):
+        assert log10_sf_f(ratio, rank, spare) == pytest.approx(stats.f.logsf(ratio, rank, spare) / np.log(10), rel=1e-6)
+    # Beyond the range of doubles: the exact tail of F with two degrees of freedom is (1 + 2 f / n)^(-n / 2).
+    assert log10_sf_f(900.0, 2, 1000) == pytest.approx(-500 * np.log10(1 + 2 * 900 / 1000))
+    assert log10_sf_f(90_000.0, 2, 1000) == pytest.approx(-500 * np.log10(1 + 180.0), rel=1e-3)
+
+
+def test_the_searches_keep_their_false_alarm_rates() -> None:
+    """p below 5 % in at most 5 % of 300 runs each: more than 27 would come by chance in 0.1 % of seeds."""
+    rng = np.random.default_rng(1)
+    seconds = np.arange(500) * 10.0
+    columns = np.einsum("ik,n->nik", np.eye(3), np.ones(500))
+    runs, low = 300, {"tone": 0, "step": 0, "drift": 0}
+    for _ in range(runs):
+        left = make_left(rng.standard_normal((500, 3)), columns)
+        low["tone"] += strongest_tone(seconds, left).log10_p < np.log10(0.05)
+        low["step"] += step(seconds, left)[0] < 0.05
+        low["drift"] += drift(left) < np.log10(0.05)
+    assert max(low.values()) <= 27, low
+    # The searches are not empty either: with bounds this tight some runs are below.
+    assert low["tone"] >= 2
+    assert low["step"] >= 2
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_a_line_is_found_at_its_frequency(even: bool) -> None:
+    rng = np.random.default_rng(2)
+    seconds = np.arange(800) * 10.0 if even else np.sort(rng.uniform(0, 8000.0, 800))
+    frequency = 0.01234
+    series = rng.standard_normal((800, 3))
+    series += tone_columns(seconds, frequency) @ np.array([0.4, 0.0, 0.1, 0.0, 0.4, 0.2])
+    tone = strongest_tone(seconds, make_left(series))
+    assert tone.log10_p < -6
+    assert tone.frequency_Hz == pytest.approx(frequency, abs=0.5 / 8000.0)
+
+
+def test_a_step_and_a_drift_are_found() -> None:
+    rng = np.random.default_rng(3)
+    seconds = np.arange(900) * 5.0
+    series = rng.standard_normal((900, 3))
+    series[300:, 1] += 0.6
+    p, moment = step(seconds, make_left(series))
+    assert p < 1e-6
+    assert moment == pytest.approx(1500.0, abs=100.0)
+    slow = rng.standard_normal((900, 3)) + 0.1 * np.cumsum(rng.standard_normal((900, 3)), axis=0)
+    assert drift(make_left(slow)) < -6
+    # Louder white noise is no drift.
+    assert drift(make_left(5.0 * rng.standard_normal((900, 3)))) > -3
+
+
+def test_shares() -> None:
+    assert structured_share((100.0, 90), (300.0, 100), (85.0, 85)) == pytest.approx(190 / 200)
+    assert structured_share((95.0, 95), (100.0, 100), (80.0, 80)) == 0.0
+    rng = np.random.default_rng(4)
+    a, b = rng.standard_normal((60, 2)), rng.standard_normal((60, 3))
+    assert share_mimicked(a, np.concatenate([b, a @ [[1.0, 2.0], [0.0, 1.0]]], axis=1)) == pytest.approx(1.0)
+    assert share_mimicked(a, b - a @ np.linalg.lstsq(a, b, rcond=None)[0]) == pytest.approx(0.0, abs=1e-12)

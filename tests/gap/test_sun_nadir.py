@@ -1,0 +1,74 @@
+"""The sun-nadir channel names a faulty attitude sensor and keeps quiet about a turned magnetometer."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from fluxtwin.gap.sun_nadir import weigh_sun_nadir
+from fluxtwin.scenarios.hcmm import mission
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
+
+pytestmark = pytest.mark.closure
+
+HEAD_1 = {"sun_sensor.1.misalignment_deg": [0.3, 0.52, 0.0]}
+CASES = {
+    "nothing": ({}, None),
+    "magnetometer": ({"magnetometer.S": [[0.0, 0.02, -0.01], [-0.02, 0.0, 0.01], [0.01, -0.01, 0.0]]}, None),
+    "head 1": (HEAD_1, ("sun_sensor_head_misalignment", 1)),
+    "head 2": ({"sun_sensor.2.misalignment_deg": [0.0, 0.4, 0.0]}, ("sun_sensor_head_misalignment", 2)),
+    "scanner": (
+        {"horizon_scanner.roll_bias_deg": 0.3, "horizon_scanner.pitch_bias_deg": -0.2},
+        ("horizon_scanner_bias", None),
+    ),
+}
+
+
+def fly(changes, seed=1978):
+    plain = {"sun_sensor.1.misalignment_deg": None, "seed": seed}
+    return mission.fly(mission.scenario().updated(plain | changes)).telemetry
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_fault_is_named(case):
+    changes, expected = CASES[case]
+    found = weigh_sun_nadir(fly(changes))
+    named = None if found.named is None else (found.named.name, found.named.head)
+    assert named == expected
+    json.dumps(found.to_dict(), allow_nan=False)
+    assert found.words.startswith("sun and nadir")
+
+
+def test_the_turn_of_head_1_comes_back_where_it_can_be_seen():
+    """Only the turn about the normal of the plane of sun and nadir moves the angle; at dawn the sun stands at azimuth -28
+    to -34 deg, so that normal lies at azimuth 58 deg. A head turned by theta reports the sun turned by minus theta."""
+    named = weigh_sun_nadir(fly(HEAD_1)).named
+    normal = np.array([np.cos(np.radians(59.0)), np.sin(np.radians(59.0))])
+    found = normal @ [named.parameters["turn_x"][0], named.parameters["turn_y"][0]]
+    assert found == pytest.approx(-normal @ [0.3, 0.52], abs=0.08)  # 0.5 deg steps of the head over four short passes
+
+
+def test_false_alarms_are_rare():
+    """30 flights without a fault: at 1 % two alarms or more have a chance of 4 %."""
+    alarms = [seed for seed in range(30) if weigh_sun_nadir(fly({}, seed)).named is not None]
+    assert len(alarms) <= 1
+
+
+def test_too_little_is_said_in_words():
+    telemetry = fly({})
+    with pytest.raises(NoAnswer, match="passes have measured sun and nadir"):
+        weigh_sun_nadir(telemetry.select(np.arange(100)))
+    with pytest.raises(BadInput, match="no such columns"):
+        weigh_sun_nadir(telemetry.replace(sun_B=None))
+
+
+def test_a_record_without_gaps_is_cut_into_stretches():
+    continuous = mission.scenario().updated(
+        {"schedule.in_view_of_stations": None, "sun_sensor.1.misalignment_deg": None}
+    )
+    segment = {"start_utc": "1978-11-29T14:00:00Z", "duration_min": 400.0, "step_s": 10.0}
+    found = weigh_sun_nadir(mission.fly(continuous.updated({"schedule.segments": [segment]})).telemetry)
+    assert found.passes >= 8
+    assert found.named is None

@@ -1,0 +1,277 @@
+"""Rows without a reference attitude: what they say of each effect, and what a turn of the body cannot do to it.
+
+The witness is the same record with its attitude: along the field, or in the plane of field and nadir, the two must agree.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.gap.candidates import candidates
+from fluxtwin.gap.far import floor_rms_nT, one_step, one_step_seen
+from fluxtwin.gap.problem import Budget, Problem, pose
+from fluxtwin.gap.refit import settled
+from fluxtwin.gap.robust_rows import first_weights, standing_out
+from fluxtwin.gap.whitening import NoiseModel, make_whitener
+from fluxtwin.gap.without_attitude import RowAxes, row_axes
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.field import load_field
+from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.scenario.scenario import parse_scenario
+from fluxtwin.sim.telemetry.record import Telemetry
+
+pytestmark = pytest.mark.property
+
+SCENARIO = """
+seed = 3
+[spacecraft]
+name = "test"
+inertia_kg_m2 = [[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]]
+[orbit]
+epoch_utc = "2020-03-01T00:00:00Z"
+altitude_km = 650.0
+inclination_deg = 70.0
+raan_deg = 10.0
+argument_of_latitude_deg = 0.0
+[attitude]
+mode = "tumble"
+rate_deg_s = [0.12, 0.08, 0.2]
+[magnetometer]
+CALIBRATION
+[schedule]
+segments = [{ start_utc = "2020-03-01T00:00:00Z", duration_min = 100.0, step_s = 20.0 }]
+"""
+TRUE_S = np.array([[0.02, 0.01, 0.0], [0.0, -0.02, 0.01], [0.005, 0.0, 0.01]])
+TRUE_B_NT = np.array([3000.0, -2000.0, 1000.0])
+SEED_ROWS = 5
+
+
+@cache
+def flight(calibration: str = "") -> Telemetry:
+    """Without noise or rounding, so what is compared is geometry alone."""
+    return simulate(parse_scenario(SCENARIO.replace("CALIBRATION", calibration)))[0]
+
+
+def wrongly_calibrated() -> Telemetry:
+    return flight(f"S = {TRUE_S.tolist()}\nb_nT = {TRUE_B_NT.tolist()}")
+
+
+def without(record: Telemetry, rows: np.ndarray, nadir: bool = False) -> Telemetry:
+    q = np.array(record.q_NB)
+    q[rows] = np.nan
+    changes: dict[str, object] = {"q_NB": q}
+    if nadir:
+        down_N = -np.array(record.r_N_km) / np.linalg.norm(record.r_N_km, axis=1)[:, None]
+        changes["nadir_B"] = frames.rotation_from_q(np.array(record.q_NB)).apply(down_N)
+    return record.replace(**changes)
+
+
+def posed(record: Telemetry) -> Problem:
+    return pose(record, load_field("igrf14"), budget=Budget(10.0, 0.0, 1e-3))
+
+
+def everywhere(record: Telemetry) -> np.ndarray:
+    return np.ones(len(record), dtype=bool)
+
+
+def along(problem: Problem) -> np.ndarray:
+    return problem.field_B_nT / np.linalg.norm(problem.field_B_nT, axis=1)[:, None]
+
+
+@pytest.fixture(scope="module")
+def pair() -> tuple[Problem, Problem]:
+    """The same record with its attitude and without any."""
+    return posed(flight()), posed(without(flight(), everywhere(flight())))
+
+
+def test_every_effect_shows_along_the_field_as_it_does_with_the_attitude(pair):
+    known, unknown = pair
+    there = {c.label: c.jacobian for c in candidates(known)[0]}
+    here, untestable = candidates(unknown)
+    unit, compared = along(known), 0
+    for one in here:
+        if one.label not in there or one.name == "solar_array_current":  # the sun's incidence needs the attitude
+            continue
+        wanted = np.einsum("ni,nip->np", unit, there[one.label])
+        found = unknown.judged(one.jacobian)[:, 0]
+        # Rates of the body come from nine rows of readings or attitudes and differ by a few thousandths.
+        least = 1e-3 * float(np.abs(there[one.label]).max())
+        assert np.abs(found - wanted).max() < 0.01 * np.abs(wanted).max() + least, one.label
+        compared += 1
+    assert compared > 20
+    assert {"horizon_scanner_bias", "yaw_drift"} <= set(untestable)
+    assert untestable["yaw_drift"] == "no row has a reference attitude"
+
+
+def test_what_is_not_measured_is_zero_and_never_whitened(pair):
+    _, unknown = pair
+    axes = unknown.axes
+    assert axes is not None
+    whitener = make_whitener(
+        unknown.noise_image_nT, unknown.setting.seconds, unknown.segment, NoiseModel(10.0, 0.1, 100.0), None, axes
+    )
+    random = np.random.default_rng(SEED_ROWS).standard_normal((unknown.rows, 3, 2))
+    white = whitener.apply(random)
+    assert whitener.measured == unknown.rows
+    assert np.all(white[:, 1:] == 0.0)
+    np.testing.assert_allclose(white[:, 0], np.einsum("ni,nip->np", along(unknown), random) / 10.0, atol=1e-12)
+    in_place = random.copy()
+    assert np.array_equal(whitener.apply(in_place, out=in_place), white)
+    assert np.array_equal(np.concatenate(list(whitener.stream([random[:100], random[100:]]))), white)
+
+
+def test_a_large_bias_and_matrix_are_found_from_the_size_of_the_field_alone(close):
+    record = wrongly_calibrated()
+    problem = settled(posed(without(record, everywhere(record))))
+    left = problem.judged(problem.residual_nT)
+    close(
+        left, np.zeros_like(left), atol=0.5, unit="nT",
+        because="four steps of Gauss and Newton from zero leave 1e-5 of the 3700 nT of bias",
+    )  # fmt: skip
+    b, S = (np.asarray(theta) for theta in problem.modelled_theta)
+    field = (np.eye(3) + S.reshape(3, 3)) @ np.array(record.mag_B_nT).T + b[:, None]
+    true = (np.eye(3) + TRUE_S) @ np.array(record.mag_B_nT).T + TRUE_B_NT[:, None]
+    turn, _ = Rotation.align_vectors(true.T, field.T)
+    close(
+        turn.apply(field.T), true.T, atol=5.0, unit="nT",
+        because="but for a turn of all axes, which a size cannot show, the calibration is the true one to 1e-4",
+    )  # fmt: skip
+    assert not np.allclose(b, 0.0, atol=500.0)
+
+
+def test_any_turn_of_the_body_leaves_the_residual_of_a_row_without_attitude_alone(close):
+    """Size: all turns. Size and angle: turns about nadir. The same turns move the residual of rows with attitude."""
+    rng = np.random.default_rng(7)
+    record = flight()
+    rows = np.arange(len(record)) >= 150
+    for nadir in (False, True):
+        problem = posed(without(record, rows, nadir))
+        axes, field = problem.axes, problem.field_B_nT
+        assert axes is not None and axes.with_nadir.sum() > (100 if nadir else -1)
+        axis = axes.nadir_B if nadir else rng.standard_normal((problem.rows, 3))
+        use = axes.with_nadir if nadir else ~axes.known
+        turned = Rotation.from_rotvec(0.05 * axis).apply(field) + 40.0 - field
+        still = axes.judged(axes.without_turn(turned, field))[use]
+        # The same addition seen from the turned body, as large as it is: sizes compared by hand.
+        F, G = field[use], field[use] + turned[use]
+        close(
+            still[:, 0] if not nadir else np.einsum("ni,ni->n", axes.turn[use][:, 0], axes.without_turn(turned, field)[use]),
+            np.linalg.norm(G, axis=1) - np.linalg.norm(F, axis=1) if not nadir else still[:, 0],
+            atol=1e-6, unit="nT", because="both are the same geometry",
+        )  # fmt: skip
+        alone = axes.judged(axes.without_turn(Rotation.from_rotvec(0.05 * axis).apply(field) - field, field))
+        assert np.abs(alone[use]).max() < 1e-6
+        assert np.abs(alone[axes.known]).max() > (100.0 if not nadir else -1.0)
+
+
+def test_the_pseudo_attitude_takes_the_model_field_and_nadir_to_what_was_measured(close):
+    record = flight()
+    rows = np.arange(len(record)) % 3 > 0
+    problem = posed(without(record, rows))
+    R_BN = problem.setting.given[2]
+    true = frames.rotation_from_q(np.array(record.q_NB))
+    assert np.allclose((R_BN[~rows] * true[~rows].inv()).magnitude(), 0.0, atol=1e-12)
+    unit = np.array(record.mag_B_nT) / np.linalg.norm(record.mag_B_nT, axis=1)[:, None]
+    close(along(problem), unit, atol=1e-9, unit="1", because="the rotation is built to do that")
+    off_deg = np.degrees((R_BN * true.inv()).magnitude())
+    assert off_deg[rows].max() < 12.0  # two rows of 20 s after a known one, at 0.25 deg/s about the field: 10 degrees
+    angle = posed(without(record, everywhere(record), nadir=True))
+    use = angle.axes.with_nadir
+    assert use.sum() > 200
+    close(
+        (angle.setting.given[2] * true.inv()).magnitude()[use], np.zeros(use.sum()), atol=1e-6, unit="rad",
+        because="without noise nadir and field together are the whole attitude",
+    )  # fmt: skip
+
+
+def test_nadir_is_used_only_where_it_can_be_weighed():
+    record = flight()
+    late = np.arange(len(record)) >= 150
+    both = without(record, late, nadir=True)
+    assert posed(both).axes.with_nadir.sum() > 100
+    unchecked = np.array(both.nadir_B)
+    unchecked[~late] = np.nan
+    assert not posed(both.replace(nadir_B=unchecked)).axes.with_nadir.any()
+    every_second = without(record, np.arange(len(record)) % 2 > 0, nadir=True)
+    assert not posed(every_second).axes.with_nadir.any()  # its error has no stretch to go on over
+
+
+def test_a_constant_turn_of_the_nadir_sensor_is_taken_out_and_its_scatter_weighs(close):
+    record = flight()
+    both = without(record, np.arange(len(record)) >= 150, nadir=True)
+    rng = np.random.default_rng(11)
+    off = Rotation.from_rotvec([0.01, -0.02, 0.015])
+    noisy = off.apply(np.array(both.nadir_B)) + 2e-3 * rng.standard_normal((len(record), 3))
+    axes = posed(both.replace(nadir_B=noisy)).axes
+    use = axes.with_nadir
+    angle = np.linalg.norm(np.cross(axes.nadir_B, np.array(both.nadir_B)), axis=1)[use]
+    close(
+        np.sqrt(np.mean(angle**2) / 2.0), 2e-3, atol=4e-4, unit="rad",
+        because="the turn of 27 mrad is gone, the noise of 2 mrad an axis stays (150 rows: 6 %)",
+    )  # fmt: skip
+    close(axes.nadir_error, np.hypot(1.0, 2.0), atol=0.3, unit="1", because="2 mrad on top of the declared 1 mrad")
+    assert np.unique(posed(both.replace(nadir_B=noisy)).segment).size == 2  # where the sensor changes
+
+
+def test_an_attitude_error_reaches_nadir_rows_in_the_plane_only(pair):
+    _, unknown = pair
+    assert not unknown.noise_field_nT.any()
+    angle = posed(without(flight(), everywhere(flight()), nadir=True))
+    use = angle.axes.with_nadir
+    size = np.linalg.norm(angle.field_B_nT, axis=1)
+    reached = np.cross(np.eye(3)[2], angle.noise_field_nT)
+    np.testing.assert_allclose(reached[use], np.outer(size[use], [0.0, 1.0, 0.0]), rtol=1e-12)
+
+
+def test_the_floor_counts_measured_components_alone(close):
+    field = np.array([[30000.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    measured = np.array([[True, True, True], [True, False, False]])
+    close(
+        floor_rms_nT(field, 10.0, 1e-3, measured), np.sqrt(100.0 + 900.0 * 2 / 4), atol=1e-9, unit="nT",
+        because="two of four components feel 30 nT of attitude error",
+    )  # fmt: skip
+
+
+def test_a_walk_is_predicted_alike_one_axis_at_a_time_or_together(close):
+    rng = np.random.default_rng(2)
+    rows, seconds = 80, 10.0 * np.arange(80)
+    data = rng.standard_normal((rows, 3)).cumsum(axis=0) * 20.0
+    kept = np.ones(rows, dtype=bool)
+    kept[10] = False
+    axes = RowAxes(
+        kept, np.broadcast_to(np.eye(3), (rows, 3, 3)), np.ones((rows, 3), dtype=bool), np.zeros((rows, 3)), np.eye(3)
+    )
+    for found, wanted in zip(
+        one_step_seen(data, axes, seconds, kept, 3.0, 15.0), one_step(data, seconds, kept, 3.0, 15.0), strict=True
+    ):
+        close(found, wanted, atol=1e-6, unit="nT", because="the same filter")
+
+
+def test_a_spike_stands_out_among_rows_of_which_half_are_not_measured():
+    rng = np.random.default_rng(4)
+    rows = 300
+    measured = np.ones((rows, 3), dtype=bool)
+    measured[::2, 1:] = False
+    residual = np.where(measured, 10.0 * rng.standard_normal((rows, 3)), 0.0)
+    residual[101, 1] = 400.0
+    assert standing_out(residual, measured=measured)[101, 1] > 6.0
+    weights = first_weights(residual, [np.zeros((rows, 3, 0))], np.arange(rows), measured)
+    assert weights[101, 1] == 0.0 and np.all(weights[~measured] == 0.0)
+    assert int(((weights <= 0) & measured).sum()) == 1
+
+
+def test_axes_do_not_see_what_a_turn_does_through_a_wrong_matrix(close):
+    rng = np.random.default_rng(9)
+    matrix = np.eye(3) + 0.05 * rng.standard_normal((3, 3))
+    field = 30000.0 * rng.standard_normal((50, 3))
+    known = np.zeros(50, dtype=bool)
+    axes = row_axes(known, field, np.zeros((50, 3)), matrix, 1.0)
+    moved = np.cross(rng.standard_normal((50, 3)), field) @ np.linalg.inv(matrix).T
+    close(
+        axes.judged(moved)[:, 0], np.zeros(50), atol=1e-9 * 3e4, unit="nT",
+        because="(I + S)^T B is across (I + S)^-1 (theta x B)",
+    )  # fmt: skip

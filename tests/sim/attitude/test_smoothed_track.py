@@ -1,0 +1,236 @@
+"""The smoothed attitude track, and motion along a record, against motions known in closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.sim.attitude.recorded_motion import RecordedMotion, carried
+from fluxtwin.sim.attitude.smoothed_track import smoothed
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.earth.orbit import Orbit
+
+pytestmark = pytest.mark.reference
+
+START = np.datetime64("2020-03-01T00:00:00", "ns")
+ORBIT = Orbit(epoch_utc=START, altitude_km=650.0, inclination_rad=1.7, raan_rad=1.0)
+Law = Callable[[FloatArray], Rotation]
+
+
+def coning(spin_rad_s: float, nutation_deg: float = 3.0, ratio: float = 15.0 / 11.0) -> Law:
+    """Torque-free symmetric top: precession at spin * ratio, body turned back (Goldstein, Classical Mechanics, 5.6)."""
+    tilt = Rotation.from_rotvec([np.radians(nutation_deg), 0.0, 0.0])
+
+    def at(t: FloatArray) -> Rotation:
+        about_body = Rotation.from_rotvec(np.outer(-spin_rad_s * (1.0 - ratio) * t, [0.0, 0.0, 1.0]))
+        return about_body * tilt * Rotation.from_rotvec(np.outer(-spin_rad_s * ratio * t, [0.0, 0.0, 1.0]))
+
+    return at
+
+
+def librating(t: FloatArray) -> Rotation:
+    """Nadir pointing with 4 deg rms about each axis, the fastest with a period of ten minutes."""
+    w = 2.0 * np.pi / 600.0
+    angles = np.radians(4.0 * np.sqrt(2.0)) * np.stack(
+        [np.sin(w * t), np.sin(0.7 * w * t + 1.0), np.sin(0.5 * w * t + 2.0)], axis=1
+    )
+    orbital = Rotation.from_rotvec(np.outer(2.0 * np.pi / 5800.0 * t, [0.0, 1.0, 0.0]))
+    return Rotation.from_euler("ZXY", angles).inv() * orbital
+
+
+LAWS: dict[str, Law] = {"spin": coning(0.15), "tumble": coning(np.radians(0.25), 35.0, 1.3), "libration": librating}
+
+
+def uneven(step_s: float, rows: int = 500, seed: int = 1) -> FloatArray:
+    """Stamps that wander by a tenth of the spacing, whole nanoseconds."""
+    return np.round(np.cumsum(np.random.default_rng(seed).uniform(0.9, 1.1, rows)) * step_s, 9)
+
+
+def shaken(law: Law, t: FloatArray, sigma_deg: float, seed: int = 2) -> tuple[Rotation, Rotation]:
+    """(error, attitude with that error): white, per axis, body axes."""
+    theta = np.radians(sigma_deg) * np.random.default_rng(seed).standard_normal((t.size, 3))
+    return Rotation.from_rotvec(theta), Rotation.from_rotvec(theta) * law(t)
+
+
+def rms_deg(found: Rotation, expected: Rotation) -> float:
+    """Of one component."""
+    return float(np.degrees(np.sqrt(np.mean((found * expected.inv()).magnitude() ** 2) / 3.0)))
+
+
+def moved(record: RecordedMotion, law: Law, t: FloatArray, offset_s: float, inside: slice) -> float:
+    """rms error of the motion from each stamp to the moment offset_s later, deg."""
+    found = record.at(offset_s)[2] * record.R_BN.inv()
+    return rms_deg(found[inside], (law(t + offset_s) * law(t).inv())[inside])
+
+
+def recorded(t: FloatArray, R_BN: Rotation, gyro: FloatArray | None = None, known: np.ndarray | None = None):
+    time = epoch.add_seconds(START, t)
+    r, v = ORBIT.propagate(time)
+    return RecordedMotion(time, r, v, R_BN, gyro, known)
+
+
+EXACT = [
+    # The quintic over +-4 rows errs by the sixth power of w h: a thousandth of the noise usual in attitudes, or less.
+    ("spin", 0.1, 1e-8), ("spin", 1.0, 1e-4), ("spin", 2.0, 5e-3), ("tumble", 1.0, 1e-9), ("tumble", 20.0, 1e-5),
+    ("tumble", 60.0, 1e-2), ("libration", 0.1, 1e-9), ("libration", 5.0, 1e-7), ("libration", 30.0, 2e-3),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "step_s", "within_deg"), EXACT)
+def test_without_noise_the_motion_is_followed(name: str, step_s: float, within_deg: float) -> None:
+    law, t = LAWS[name], uneven(step_s)
+    record = recorded(t, law(t))
+    for steps in (-3.3, -0.5, 0.1, 0.5, 1.0, 1.7, 6.0):
+        inside = slice(8, -8)
+        assert moved(record, law, t, steps * step_s, inside) < within_deg
+        half_as_far = (law(t + 0.5 * steps * step_s) * law(t).inv())[inside]
+        found = (record.at(steps * step_s)[2] * record.R_BN.inv())[inside]
+        assert rms_deg(found, half_as_far) > 5.0 * within_deg
+
+
+@pytest.mark.parametrize(("name", "step_s"), [("spin", 1.3), ("tumble", 20.0), ("libration", 30.0), ("tumble", 1.0)])
+def test_noise_is_averaged_and_the_own_error_stays(name: str, step_s: float) -> None:
+    """With 0.1 deg of noise: what an offset adds has much less than the sqrt 2 of two attitudes' errors.
+
+    Half a step on: the slope's noise, at most 0.35 sigma a step over thirteen rows and more of a quintic, so
+    under 0.18 sigma; a straight line through nine rows is a degree off here for the libration.
+    """
+    law, t, sigma = LAWS[name], uneven(step_s), 0.1
+    error, R_BN = shaken(law, t, sigma)
+    record = recorded(t, R_BN)
+    inside = slice(20, -20)
+    added = record.at(0.5 * step_s)[2] * R_BN.inv() * error * (law(t + 0.5 * step_s) * law(t).inv() * error).inv()
+    assert np.degrees(added[inside].magnitude()).mean() / np.sqrt(3.0) < 0.3 * sigma
+    far = record.at(6.0 * step_s)[2]
+    assert rms_deg(far[inside], (law(t + 6.0 * step_s) * law(t).inv() * R_BN)[inside]) < 1.0 * sigma
+    assert record.at(0.0)[2] is R_BN
+
+
+def test_the_noise_of_a_row_hardly_moves_the_track_beside_it() -> None:
+    """The response of the track at rows 0, 1, 2 away to a jolt of one attitude: flat near the middle, as a fit's is.
+
+    A track that goes through the attitudes themselves would give 1, 0, 0.
+    """
+    law, t = LAWS["spin"], uneven(1.3)
+    _, R_BN = shaken(law, t, 0.1)
+    before = smoothed(t, R_BN)
+    jolt = np.zeros((t.size, 3))
+    jolt[250] = [1e-4, 0.0, 0.0]
+    after = smoothed(t, Rotation.from_rotvec(jolt) * R_BN)
+    assert (after.degree, after.half) == (before.degree, before.half)
+    moved_by = (after.at(t) * before.at(t).inv()).magnitude() / 1e-4
+    assert 0.1 < moved_by[250] < 0.35
+    assert abs(moved_by[251] - moved_by[250]) < 0.05
+    assert moved_by[:200].max() < 1e-6
+
+
+def test_the_window_follows_the_motion() -> None:
+    """Quiet motion is smoothed over many rows, quick motion over few, noise-free motion over hardly any."""
+    t = uneven(30.0)
+    wide = smoothed(t, shaken(coning(2e-4), t, 0.1)[1])
+    narrow = smoothed(t, shaken(librating, t, 0.1)[1])
+    bare = smoothed(t, librating(t))
+    assert wide.half > narrow.half >= bare.half
+    assert narrow.half * 30.0 < 300.0  # half a period
+
+
+def test_gaps_are_not_fitted_across() -> None:
+    """A record in two parts with a turn by hand between them: each part as if it were alone."""
+    t = np.concatenate([uneven(20.0, 60), 9000.0 + uneven(20.0, 60, seed=3)])
+    law = LAWS["tumble"]
+    turned = np.zeros((120, 3))
+    turned[60:] = [0.0, 1.0, 0.5]
+    R_BN = Rotation.from_rotvec(turned) * law(t)
+    track = smoothed(t, R_BN)
+    assert rms_deg(track.at(t + 7.0)[:59], law(t[:59] + 7.0)) < 1e-3
+    assert rms_deg(track.at(t + 7.0)[60:119], Rotation.from_rotvec(turned[60:119]) * law(t[60:119] + 7.0)) < 1e-3
+    reached = track.reaches(t + 25.0)
+    assert reached[:58].all()
+    assert not reached[59]
+    assert not reached[-1]
+    assert track.reaches(t + 9.0).all()
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3, 4, 6])
+def test_a_few_rows_are_enough_for_something(rows: int) -> None:
+    """One row stands still; with two or more the motion goes on at its rate."""
+    t = 10.0 * np.arange(rows)
+    law = coning(0.01, 0.0)
+    found = smoothed(t, law(t)).at(t + 3.0)
+    assert rms_deg(found, law(t + 3.0) if rows > 1 else law(t)) < 1e-9
+
+
+def test_a_gyro_tells_a_spin_that_the_attitudes_are_too_far_apart_for() -> None:
+    """2 rpm seen each 40 s, 480 deg a step: only the gyro knows. Its bias and noise are put right by the attitudes."""
+    law, rate = coning(2.0 * np.pi / 30.0, 0.0), 2.0 * np.pi / 30.0
+    t = uneven(40.0)
+    rng = np.random.default_rng(5)
+    gyro = np.array([0.0, 0.0, rate + np.radians(0.01)]) + np.radians(0.002) * rng.standard_normal((t.size, 3))
+    gyro[::7] = np.nan
+    _, R_BN = shaken(law, t, 0.1)
+    blind, told = recorded(t, R_BN), recorded(t, R_BN, gyro)
+    inside = slice(5, -5)
+    assert moved(blind, law, t, 9.0, inside) > 10.0
+    assert moved(told, law, t, 9.0, inside) < 0.15
+
+
+def test_a_poor_gyro_is_not_believed() -> None:
+    law = LAWS["tumble"]
+    t = uneven(20.0)
+    _, R_BN = shaken(law, t, 0.1)
+    gyro = np.radians(0.25) + np.radians(0.5) * np.random.default_rng(5).standard_normal((t.size, 3))
+    inside = slice(20, -20)
+    assert moved(recorded(t, R_BN, gyro), law, t, 5.0, inside) < 0.03
+
+
+def test_rows_of_unknown_attitude_say_nothing() -> None:
+    """Attitudes that only fit a reading: the others are followed as if these were not there."""
+    law = LAWS["tumble"]
+    t = uneven(20.0)
+    known = np.random.default_rng(8).random(t.size) > 0.3
+    pseudo = Rotation.random(t.size, random_state=4)
+    mixed = Rotation.from_quat(np.where(known[:, None], law(t).as_quat(), pseudo.as_quat()))
+    record = recorded(t, mixed, known=known)
+    found = record.at(6.0)[2] * mixed.inv()
+    assert rms_deg(found[10:-10], (law(t + 6.0) * law(t).inv())[10:-10]) < 1e-3
+    assert record.reaches(3000.0)[~known].all()
+
+
+def test_positions_between_the_stamps(close: Callable[..., None]) -> None:
+    t = np.arange(0.0, 6000.0, 60.0)
+    record = recorded(t, Rotation.identity(t.size))
+    for offset_s in (-20.0, 0.5, 45.0, 600.0):
+        r, v = ORBIT.propagate(epoch.add_seconds(START, t + offset_s))
+        inside = (t + offset_s >= 0.0) & (t + offset_s <= t[-1])
+        found_r, found_v, _ = record.at(offset_s)
+        why = "short-period J2, 1.5e-5 km/s2, over half a step"
+        close(found_r[inside], r[inside], atol=0.01, unit="km", because=why)
+        close(found_v[inside], v[inside], atol=5e-4, unit="km/s", because=why)
+        assert np.abs(found_r - record.r_N_km).max() > 3.0
+
+
+def test_positions_beyond_the_last_stamp(close: Callable[..., None]) -> None:
+    """Against an integrator that is not ours, of the same force written as the gradient of its potential."""
+    r, v = (part[0] for part in ORBIT.propagate(epoch.add_seconds(START, np.zeros(1))))
+
+    def potential(x: FloatArray) -> float:
+        size = float(np.linalg.norm(x))
+        return 398600.4418 / size * (1.0 - 1.08262668e-3 * (6378.137 / size) ** 2 * (1.5 * (x[2] / size) ** 2 - 0.5))
+
+    def motion(_: float, state: FloatArray) -> FloatArray:
+        steps = 0.5 * np.eye(3)
+        slope = [potential(state[:3] + step) - potential(state[:3] - step) for step in steps]
+        return np.concatenate([state[3:], slope])
+
+    for after_s in (-37.0, 600.0):
+        expected = solve_ivp(motion, (0.0, after_s), np.concatenate([r, v]), rtol=1e-10, atol=1e-9).y[:, -1]
+        found = carried(r[None], v[None], np.array([after_s]))
+        close(found[0][0], expected[:3], atol=2e-3, unit="km", because="steps of 60 s: (w h)^5 / 120 of 7000 km each")
+        close(found[1][0], expected[3:], atol=2e-6, unit="km/s", because="the same, times w")
+        bare = r + after_s * v - 0.5 * after_s**2 * 398600.4418 * r / np.linalg.norm(r) ** 3
+        assert np.abs(found[0][0] - bare).max() > 5e-3

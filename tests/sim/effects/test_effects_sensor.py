@@ -1,0 +1,341 @@
+"""Effects of spacecraft, sensor and telemetry: what must hold whatever the design."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fluxtwin.sim.attitude.recorded_motion import RecordedMotion
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.field_models import load_field
+from fluxtwin.sim.earth.orbit import Orbit
+from fluxtwin.sim.effects.base import DistributionEffect, SignalEffect
+from fluxtwin.sim.effects.battery_current import BatteryCurrent
+from fluxtwin.sim.effects.bias_random_walk import BiasRandomWalk
+from fluxtwin.sim.effects.bias_step import BiasStep
+from fluxtwin.sim.effects.bit_errors import BitErrors
+from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
+from fluxtwin.sim.effects.chain import Chain, jacobian
+from fluxtwin.sim.effects.coarse_quantization import CoarseQuantization
+from fluxtwin.sim.effects.excess_noise import ExcessNoise
+from fluxtwin.sim.effects.heater_switching import HeaterSwitching
+from fluxtwin.sim.effects.saturation import Saturation
+from fluxtwin.sim.effects.signal import Setting
+from fluxtwin.sim.effects.solar_array_current import SolarArrayCurrent
+from fluxtwin.sim.effects.switched_field import SwitchedField
+from fluxtwin.sim.effects.thermal_bias_drift import ThermalBiasDrift
+from fluxtwin.sim.effects.wheel_field import WheelField
+from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
+
+pytestmark = pytest.mark.property
+
+START = np.datetime64("2020-03-01T00:00:00", "ns")
+ORBIT = Orbit(
+    epoch_utc=START, altitude_km=600.0, inclination_rad=1.7, raan_rad=0.5, argument_of_latitude_rad=0.3
+)  # goes through the shadow at this date
+MINE = {
+    "torquer_coupling": ("spacecraft", 9, "nT/(A m2)"),
+    "solar_array_current": ("spacecraft", 3, "nT/A"),
+    "battery_current": ("spacecraft", 3, "nT/A"),
+    "heater_switching": ("spacecraft", 3, "nT"),
+    "wheel_field": ("spacecraft", 6, "nT"),
+    "eddy_current": ("spacecraft", 5, "s"),
+    "switched_field": ("spacecraft", 3, "nT"),
+    "boom_bending": ("spacecraft", 3, "deg/K"),
+    "bias": ("sensor", 3, "nT"),
+    "scale_misalignment": ("sensor", 9, "1"),
+    "thermal_bias_drift": ("sensor", 3, "nT/K"),
+    "thermal_scale_drift": ("sensor", 3, "1/K"),
+    "bias_step": ("sensor", 3, "nT"),
+    "bias_random_walk": ("sensor", 1, "nT/sqrt(s)"),
+    "hysteresis": ("sensor", 3, "nT"),
+    "quadratic_nonlinearity": ("sensor", 18, "nT"),
+    "cubic_nonlinearity": ("sensor", 30, "nT"),
+    "sensor_lag": ("sensor", 1, "s"),
+    "excess_noise": ("sensor", 1, "nT"),
+    "saturation": ("sensor", 1, "nT"),
+    "coarse_quantization": ("sensor", 1, "nT"),
+    "bit_errors": ("telemetry", 1, "1"),
+}
+NOT_LINEAR = {"saturation", "sensor_lag", "scale_misalignment", "thermal_scale_drift", "hysteresis", "boom_bending"}
+INSTRUMENT = Magnetometer(np.diag([0.02, -0.01, 0.03]), np.array([100.0, -50.0, 20.0]))
+
+
+def design(
+    rows: int = 800, step_s: float = 15.0, instrument: Magnetometer = INSTRUMENT, **columns: FloatArray
+) -> Chain:
+    time = epoch.add_seconds(START, np.arange(rows) * step_s)
+    r, v = ORBIT.propagate(time)
+    motion = RecordedMotion(time, r, v, frames.rotation_ON(r, v))
+    return Chain(Setting(time, motion, "predict", load_field("igrf14"), instrument, columns))
+
+
+@pytest.fixture(scope="module")
+def full() -> Chain:
+    """A design with every column, all of them moving."""
+    rows, rng = 800, np.random.default_rng(11)
+    return design(
+        rows,
+        dipole_B_Am2=rng.choice([-20.0, 0.0, 20.0], (rows, 3)),
+        heater_on=(np.arange(rows) // 37 % 2).astype(float),
+        array_current_A=rng.uniform(0.0, 5.0, rows),
+        battery_current_A=rng.uniform(-3.0, 3.0, rows),
+        temperature_degC=10.0 + 8.0 * np.sin(np.arange(rows) / 60.0),
+        wheel_speed_rpm=rng.uniform(500.0, 3000.0, (rows, 2)),
+        flag_tx=(np.arange(rows) // 50 % 3 == 0).astype(float),
+        flag_never=np.zeros(rows),
+    )
+
+
+@pytest.fixture(scope="module")
+def bare() -> Chain:
+    return design()
+
+
+def added(chain: Chain, effect: SignalEffect, theta: Any) -> FloatArray:
+    return chain.reading_nT([(effect, np.asarray(theta, dtype=float))]) - chain.baseline_nT
+
+
+def drawn(chain: Chain, effect: DistributionEffect, size: float, seed: int = 3) -> FloatArray:
+    signal = effect.draw(chain.signal(), np.array([size]), np.random.default_rng(seed))
+    return signal.reading - chain.baseline_nT
+
+
+@pytest.mark.parametrize("name", MINE)
+def test_stage_count_and_unit_are_the_contracts(name: str) -> None:
+    effect = find_effect(name)
+    stage, count, unit = MINE[name]
+    assert (effect.stage, len(effect.parameters)) == (stage, count)
+    assert {parameter.unit for parameter in effect.parameters} == {unit}
+    assert len({parameter.name for parameter in effect.parameters}) == count
+    assert all(parameter.scale > 0 and parameter.low <= 0 < parameter.high for parameter in effect.parameters)
+
+
+def test_the_catalogue_is_in_stage_order() -> None:
+    from fluxtwin.sim.effects.base import STAGES
+
+    stages = [STAGES.index(effect.stage) for effect in CATALOGUE]
+    assert stages == sorted(stages)
+    assert len({effect.name for effect in CATALOGUE}) == len(CATALOGUE)
+
+
+@pytest.mark.parametrize("name", [name for name in MINE if isinstance(find_effect(name), SignalEffect)])
+def test_every_alternative_moves_the_reading(name: str, full: Chain) -> None:
+    effect = find_effect(name)
+    assert effect.untestable(full.setting) is None
+    for choice in effect.alternatives(full.setting):
+        assert isinstance(choice, SignalEffect)
+        image = jacobian(full, choice) * [parameter.scale for parameter in choice.parameters]
+        assert np.isfinite(image).all()
+        # A typical size moves the reading, on this quiet design too: a lag by no more than its 0.5 s.
+        assert np.sqrt((image**2).mean(axis=(0, 1))).min() > 0.01, choice
+
+
+@pytest.mark.parametrize(
+    "name",
+    sorted(set(MINE) - NOT_LINEAR),
+)
+def test_linear_effects_have_one_jacobian(name: str, full: Chain, close: Callable[..., None]) -> None:
+    effect = find_effect(name)
+    if not isinstance(effect, SignalEffect):
+        return
+    theta = np.array([0.3 * parameter.scale for parameter in effect.parameters])
+    close(
+        added(full, effect, theta),
+        jacobian(full, effect) @ theta,
+        atol=1e-6,
+        unit="nT",
+        because="the effect is linear in its parameters",
+    )
+
+
+def test_untestable_effects_say_why(bare: Chain) -> None:
+    words = {
+        "torquer_coupling": "no torquer dipole",
+        "heater_switching": "no heater_on",
+        "wheel_field": "no wheel speed",
+    }
+    for name, reason in words.items():
+        assert reason in str(find_effect(name).untestable(bare.setting))
+    still = design(50, dipole_B_Am2=np.zeros((50, 3)), heater_on=np.ones(50), array_current_A=np.full(50, 2.0))
+    assert find_effect("torquer_coupling").untestable(still.setting) == "the torquers never fired"
+    assert find_effect("heater_switching").untestable(still.setting) == "the heater never switches"
+    assert "never changes" in str(find_effect("solar_array_current").untestable(still.setting))
+    assert "outside the record" in str(BiasStep(at="2019-01-01T00:00:00Z").untestable(bare.setting))
+    assert "flag_radar" in str(SwitchedField("flag:radar").untestable(bare.setting))
+
+
+def test_temperature_effects_need_a_temperature_or_a_shadow() -> None:
+    """In twelve minutes of sunlight nothing warms or cools; a recorded temperature that never changes is another reason."""
+    lit = np.flatnonzero(design().setting.illumination > 0.99)
+    first = int(lit[np.flatnonzero(lit[48:] - lit[:-48] == 48)[0]])
+    short = design(first + 48).setting
+    short = dataclasses.replace(
+        short,
+        time=short.time[first:],
+        motion=RecordedMotion(short.time[first:], *(part[first:] for part in short.given)),
+    )
+    even = dataclasses.replace(short, columns={"temperature_degC": np.full(48, 12.0)})
+    for name in ("thermal_bias_drift", "thermal_scale_drift", "boom_bending"):
+        effect = find_effect(name)
+        assert effect.untestable(short) == "no temperature was recorded, and the sunlight never changes"
+        assert effect.untestable(even) == "the temperature never changes"
+
+
+def test_without_columns_geometry_stands_in(bare: Chain) -> None:
+    setting = bare.setting
+    lit = setting.illumination
+    assert 0.3 < lit.mean() < 0.9, "this orbit must go through the shadow"
+    names = ("solar_array_current", "battery_current", "thermal_bias_drift", "thermal_scale_drift", "boom_bending")
+    for name in names:
+        assert find_effect(name).untestable(setting) is None
+    charge = added(design(instrument=Magnetometer(np.zeros((3, 3)), np.zeros(3))), BatteryCurrent(), [1.0, 0, 0])[:, 0]
+    np.testing.assert_allclose(charge, 2.0 * lit - 1.0, atol=1e-9)
+    panels = [choice.panel for choice in SolarArrayCurrent().alternatives(setting)]
+    assert panels == ["zenith", "tracking", "constant"]
+
+
+def test_signs_are_the_contracts(close: Callable[..., None]) -> None:
+    """Stray fields add; what belongs to eq. 1's b is taken away, both through (I + S)^-1."""
+    instrument = Magnetometer(np.diag([0.25, 0.0, 0.0]), np.zeros(3))
+    on = (np.arange(100) >= 40).astype(float)
+    chain = design(100, instrument=instrument, heater_on=on, flag_tx=on, temperature_degC=20.0 + 5.0 * on)
+    because = "by hand"
+    for effect in (HeaterSwitching(), SwitchedField("flag:tx")):
+        found = added(chain, effect, [100.0, 7.0, 0.0])
+        close(found, np.outer(on, [80.0, 7.0, 0.0]), atol=1e-9, unit="nT", because=because)
+    warm = added(chain, ThermalBiasDrift(reference_degC=20.0), [10.0, 2.0, 0.0])
+    close(warm, -np.outer(on, [40.0, 10.0, 0.0]), atol=1e-9, unit="nT", because=because)
+    mean = added(chain, ThermalBiasDrift(), [10.0, 2.0, 0.0])
+    close(mean, -np.outer(on - 0.6, [40.0, 10.0, 0.0]), atol=1e-9, unit="nT", because=because)
+
+
+def test_a_searched_heater_sequence_takes_the_place_of_the_column(bare: Chain, full: Chain) -> None:
+    sequence = tuple(int(on) for on in full.setting.columns["heater_on"])
+    searched = HeaterSwitching(sequence)
+    assert searched.untestable(bare.setting) is None
+    found = added(bare, searched, [50.0, 20.0, -10.0])
+    np.testing.assert_allclose(found, added(full, HeaterSwitching(), [50.0, 20.0, -10.0]), atol=1e-9)
+    with pytest.raises(BadInput, match="one entry a row"):
+        HeaterSwitching((0, 1)).untestable(bare.setting)
+
+
+def test_wheels_are_alternatives(full: Chain) -> None:
+    assert [choice.wheel for choice in WheelField().alternatives(full.setting)] == [1, 2]
+    assert WheelField(wheel=3).untestable(full.setting) is not None
+    assert WheelField(frequency_Hz=0.01).alternatives(full.setting) == (WheelField(frequency_Hz=0.01),)
+
+
+def test_conditions_of_a_switched_field(full: Chain) -> None:
+    setting = full.setting
+    tried = [choice.condition for choice in SwitchedField().alternatives(setting)]
+    assert tried == ["flag:tx", "eclipse", "night"]
+    on = {name: SwitchedField(name).on(setting) for name in tried}
+    np.testing.assert_array_equal(on["flag:tx"], setting.columns["flag_tx"])
+    assert on["eclipse"] is not None and on["night"] is not None
+    # Where the spacecraft is in shadow, it is night below: the shadow lies behind the Earth.
+    assert (on["night"][on["eclipse"] > 0.5] == 1.0).all()
+    assert on["night"].sum() > on["eclipse"].sum()
+    inside = SwitchedField("interval", "2020-03-01T00:10:00Z", "2020-03-01T00:20:00Z").on(setting)
+    assert inside is not None and np.flatnonzero(inside).tolist() == list(range(40, 80))
+    polar = SwitchedField("region", region_deg=(60.0, 90.0, -180.0, 180.0)).on(setting)
+    assert polar is not None
+    np.testing.assert_array_equal(polar, (setting.latitude_rad >= np.radians(60.0)).astype(float))
+    east = SwitchedField("region", region_deg=(-90.0, 90.0, 0.0, 180.0)).on(setting)
+    west = SwitchedField("region", region_deg=(-90.0, 90.0, 180.0, 0.0)).on(setting)
+    assert east is not None and west is not None
+    np.testing.assert_array_equal(east + west, 1.0)
+    dark_east = SwitchedField("night", region_deg=(-90.0, 90.0, 0.0, 180.0))
+    np.testing.assert_array_equal(dark_east.on(setting), on["night"] * east)
+    assert dark_east.region_words == "90 S to 90 N, 0 E to 180 W"
+
+
+@pytest.mark.parametrize(
+    ("effect", "message"),
+    [
+        (SwitchedField("noon"), "one of eclipse"),
+        (SwitchedField("interval"), "from_utc and to_utc"),
+        (SwitchedField("interval", "2020-03-02T00:00:00Z", "2020-03-01T00:00:00Z"), "an end after the start"),
+        (SwitchedField("region"), "south, north, west, east"),
+    ],
+)
+def test_conditions_that_say_nothing_are_refused(effect: SwitchedField, message: str, bare: Chain) -> None:
+    with pytest.raises(BadInput, match=message):
+        effect.on(bare.setting)
+
+
+def test_a_step_is_where_it_is_said_to_be(bare: Chain) -> None:
+    found = added(bare, BiasStep(at=epoch.iso(bare.setting.time[300])), [0.0, 99.0, 0.0])
+    assert np.flatnonzero(found[:, 1]).tolist() == list(range(300, 800))
+    np.testing.assert_allclose(found[300:, 1], -99.0 / 0.99, atol=1e-9)
+    moments = BiasStep().alternatives(bare.setting)
+    rows = [int(np.flatnonzero(choice.after(bare.setting))[0]) for choice in moments]
+    assert len(rows) == 31 and np.ptp(np.diff([0, *rows, 800])) <= 1
+
+
+def test_saturation_clips_at_the_depth(bare: Chain) -> None:
+    largest = np.abs(bare.baseline_nT).max()
+    clipped = bare.reading_nT([(Saturation(), np.array([5000.0]))])
+    np.testing.assert_array_equal(clipped, np.clip(bare.baseline_nT, 5000.0 - largest, largest - 5000.0))
+    assert 3 < (clipped != bare.baseline_nT).sum() < clipped.size
+
+
+def test_saturated_readings_have_no_noise(bare: Chain) -> None:
+    """Noise, clipping, rounding, in that order: what is clipped repeats exactly."""
+    noise = 100.0 * np.random.default_rng(1).standard_normal((800, 3))
+    reading = bare.simulated([(Saturation(), np.array([8000.0]))], seed=1, noise_nT=noise).reading
+    limit = np.abs(bare.baseline_nT).max() - 8000.0
+    assert np.abs(reading).max() == limit
+    assert (np.abs(reading) == limit).sum() > 20
+
+
+def test_a_coarser_step_comes_after_the_declared_one() -> None:
+    chain = design(100, instrument=Magnetometer(np.zeros((3, 3)), np.zeros(3), lsb_nT=10.0))
+    reading = chain.simulated([(CoarseQuantization(), np.array([400.0]))], seed=1, noise_nT=np.zeros((100, 3))).reading
+    np.testing.assert_array_equal(reading, 400.0 * np.rint(10.0 * np.rint(chain.baseline_nT / 10.0) / 400.0))
+
+
+def test_a_random_walk_grows_with_the_root_of_time(close: Callable[..., None]) -> None:
+    """Increments over dt have variance rate^2 dt, uneven dt too; the spread after t is rate sqrt(t)."""
+    plain = Magnetometer(np.zeros((3, 3)), np.zeros(3))
+    chain = design(800, instrument=plain)
+    effect = BiasRandomWalk()
+    walks = np.stack([drawn(chain, effect, 2.0, seed) for seed in range(200)])
+    assert (walks[:, 0] == 0.0).all()
+    # 600 walks (200 draws, 3 axes): the variance is known to sqrt(2/600) = 5.8 %; 4 sigma, a chance of 6e-5 each.
+    for row in (10, 100, 799):
+        variance = float((walks[:, row] ** 2).mean())
+        close(variance / (4.0 * 15.0 * row), 1.0, atol=0.23, unit="", because="4 sigma of 600 squares")
+    steps = np.diff(walks, axis=1)
+    correlation = float((steps[:, 1:] * steps[:, :-1]).mean() / (steps**2).mean())
+    close(
+        correlation, 0.0, atol=4.0 / np.sqrt(steps[:, 1:].size), unit="", because="4 sigma: increments are independent"
+    )
+
+
+def test_excess_noise_is_white_and_stays_on_its_axis(bare: Chain, close: Callable[..., None]) -> None:
+    noise = drawn(bare, ExcessNoise(), 50.0)
+    close(noise.std(), 50.0, atol=50.0 * 4.0 / np.sqrt(2 * 2400), unit="nT", because="4 sigma of 2400 draws")
+    lag = float((noise[1:] * noise[:-1]).mean()) / 2500.0
+    close(lag, 0.0, atol=4.0 / np.sqrt(2397), unit="", because="4 sigma of 2397 products")
+    one = drawn(bare, ExcessNoise("y"), 50.0)
+    assert (one[:, [0, 2]] == 0.0).all() and one[:, 1].std() > 40.0
+
+
+def test_distribution_effects_repeat_with_their_seed(bare: Chain) -> None:
+    for effect, size in ((BiasRandomWalk(), 1.0), (ExcessNoise(), 30.0), (BitErrors(), 0.1)):
+        first, again, other = (bare.simulated([(effect, np.array([size]))], seed=seed).reading for seed in (5, 5, 6))
+        np.testing.assert_array_equal(first, again)
+        assert (first != other).any()
+        assert (effect.draw(bare.signal(), np.zeros(1), np.random.default_rng(1)).reading == bare.baseline_nT).all()
+
+
+def test_a_bit_that_does_not_exist_is_refused(bare: Chain) -> None:
+    with pytest.raises(BadInput, match="0 to 61"):
+        BitErrors(bit=80).draw(bare.signal(), np.array([0.1]), np.random.default_rng(1))

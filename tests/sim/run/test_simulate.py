@@ -1,0 +1,217 @@
+"""Properties of a whole run: streams by name, one door for telemetry, every mode and part flies."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import xarray
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.scenario.scenario import parse_scenario
+from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
+
+pytestmark = pytest.mark.property
+
+FULL = """
+seed = 5
+[spacecraft]
+name = "test"
+inertia_kg_m2 = [[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]]
+[orbit]
+epoch_utc = "2020-03-01T00:00:00Z"
+altitude_km = 650.0
+inclination_deg = 97.9
+raan_deg = 100.0
+argument_of_latitude_deg = 0.0
+[attitude]
+yaw_rms_deg = 1.0
+[attitude.reference]
+sigma_deg = 0.1
+tau_s = 120.0
+[magnetometer]
+S = [[0.01, 0.002, 0.0], [0.0, -0.01, 0.0], [0.001, 0.0, 0.02]]
+b_nT = [1000.0, -500.0, 200.0]
+noise_nT = 20.0
+lsb_nT = 10.0
+[magnetometer.unknown]
+kind = "white"
+rms_nT = 30.0
+[sun_sensor.1]
+azimuth_deg = 0.0
+elevation_deg = 90.0
+noise_deg = 0.1
+[horizon_scanner]
+noise_deg = 0.1
+[gyro]
+noise_deg_s = 0.01
+[torquers]
+dipole_Am2 = 50.0
+positions_m = [[0.0, 0.0, 2.0], [0.0, 2.0, 0.0], [1.5, 0.0, 0.0]]
+[power]
+full_sun_current_A = 8.0
+load_A = 3.0
+[thermal]
+sunlit_degC = 25.0
+eclipse_degC = -20.0
+time_constant_min = 20.0
+heater_on_below_degC = -5.0
+heater_off_above_degC = 0.0
+heater_rise_degC = 30.0
+[wheels]
+axes_B = [[0.0, 1.0, 0.0]]
+inertia_kg_m2 = 0.01
+bias_rpm = [2000.0]
+[schedule]
+segments = [{ start_utc = "2020-03-01T00:00:00Z", duration_min = 97.0, step_s = 20.0 }]
+"""
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return parse_scenario(FULL)
+
+
+@pytest.fixture(scope="module")
+def run(scenario):
+    return simulate(scenario)
+
+
+@pytest.mark.parametrize(
+    ("switch", "kept"),
+    [
+        ({"magnetometer.noise_nT": 0.0}, ("q_NB", "sun_B", "nadir_B", "rate_B_rad_s", "dipole_B_Am2")),
+        ({"attitude.reference.sigma_deg": 0.0}, ("mag_B_nT", "sun_B", "nadir_B", "rate_B_rad_s")),
+        ({"gyro": None}, ("mag_B_nT", "q_NB", "sun_B", "nadir_B")),
+        ({"magnetometer.unknown": None}, ("q_NB", "sun_B", "nadir_B", "rate_B_rad_s")),
+        ({"torquers": None}, ("q_NB", "sun_B", "nadir_B", "rate_B_rad_s")),
+        ({"sun_sensor.2": {"azimuth_deg": 90.0}}, ("mag_B_nT", "q_NB", "nadir_B", "rate_B_rad_s")),
+    ],
+)
+def test_switching_a_source_moves_no_other_stream(scenario, run, switch, kept):
+    """Random streams derive from (seed, source name), so everything else stays bit-identical."""
+    other = simulate(scenario.updated(switch))[0]
+    for name in kept:
+        assert np.array_equal(getattr(run[0], name), getattr(other, name), equal_nan=True), name
+
+
+def test_streams_differ_by_name_and_seed():
+    draws = [stream(*key).random(4).tolist() for key in ((1, "a"), (1, "b"), (2, "a"))]
+    assert len({tuple(d) for d in draws}) == 3
+    assert stream(1, "a").random(4).tolist() == draws[0]
+
+
+def test_equation_1_holds_along_the_whole_run(run, close):
+    """Lerner & Shuster 1981, eq. 1: (I+S) B + b + T D is the field at the sensor, here with the unknown in it."""
+    _, truth = run
+    back = truth.ideal_B_nT @ (np.eye(3) + truth.S).T + truth.b_nT + truth.dipole_B_Am2 @ truth.T_nT_per_Am2.T
+    wanted = truth.field_B_nT + truth.unknown_B_nT
+    close(back, wanted, atol=1e-8, unit="nT", because="rounding of a 3x3 solve at 5e4 nT")
+    transposed = truth.ideal_B_nT @ (np.eye(3) + truth.S) + truth.b_nT
+    assert np.abs(transposed - wanted).max() > 10.0
+
+
+def test_true_field_is_the_ambient_field_seen_from_the_body(run, close):
+    telemetry, truth = run
+    turned = frames.rotation_from_q(truth.q_NB).apply(truth.field_N_nT)
+    close(turned, truth.field_B_nT, atol=1e-8, unit="nT", because="the same rotation")
+    strength = np.linalg.norm(truth.field_N_nT, axis=1)
+    # WMM/IGRF: 18,000 to 52,000 nT at 650 km, NOAA's published maps of total intensity scaled by (a/r)^3.
+    assert 15000 < strength.min() < strength.max() < 55000
+    assert len(telemetry) == len(truth.time)
+
+
+def test_reported_attitude_has_the_stated_error(scenario):
+    """2000 samples 30 time constants apart are independent: the rms of three axes is known to 1/sqrt(2*6000) = 0.9 %;
+    5 % is 5.5 sigma."""
+    far = scenario.updated(
+        {"schedule.segments": [{"start_utc": "2020-03-01T00:00:00Z", "samples": 2000, "step_s": 3600.0}],
+         "power": None, "thermal": None}
+    )  # fmt: skip
+    telemetry, truth = simulate(far)
+    error = frames.rotation_from_q(telemetry.q_NB) * frames.rotation_from_q(truth.q_NB).inv()
+    rms_deg = np.degrees(np.sqrt(np.mean(error.as_rotvec() ** 2)))
+    assert abs(rms_deg - 0.1) < 0.005
+
+
+def test_telemetry_carries_no_truth(run, tmp_path):
+    path = write_telemetry(run[0], tmp_path / "t.nc")
+    content = path.read_bytes()
+    for word in (b"unknown", b"truth", b"seed", b"rms_nT"):
+        assert word not in content
+    assert "unknown" not in " ".join([*run[0].provenance, *run[0].provenance.values()])
+
+
+def test_truth_is_written_apart_and_whole(run, tmp_path):
+    path = run[1].write(tmp_path / "truth.nc")
+    with xarray.open_dataset(path, engine="h5netcdf") as opened:
+        for item in dataclasses.fields(run[1]):
+            if item.name != "time":
+                assert np.array_equal(opened[item.name].values, getattr(run[1], item.name)), item.name
+
+
+@pytest.mark.parametrize(
+    "mode",
+    [
+        {"attitude": {"mode": "inertial_hold", "q_NB": [0.0, 0.0, 0.6, 0.8]}},
+        {"attitude": {"mode": "tumble", "rate_deg_s": [0.2, -0.1, 0.3]}},
+        {
+            "attitude": {"mode": "spin", "spin_rate_rpm": 2.0, "nutation_deg": 1.0},
+            "spacecraft.inertia_kg_m2": [[10.0, 0, 0], [0, 10.0, 0], [0, 0, 15.0]],
+        },
+        {"attitude": {"mode": "slews", "waypoints": [{"after_s": 0.0}, {"after_s": 900.0, "yaw_deg": 30.0}]}},
+    ],
+    ids=["inertial_hold", "tumble", "spin", "slews"],
+)
+def test_every_mode_flies_with_housekeeping(scenario, mode):
+    """The attitude behind the warm-up of the housekeeping is the motion of the run itself: a battery column on a run
+    split in two is the same as on the whole one, except for the state it starts from."""
+    telemetry, _ = simulate(scenario.updated(mode))
+    for name in ("array_current_A", "battery_current_A", "temperature_degC", "heater_on", "wheel_speed_rpm"):
+        column = getattr(telemetry, name)
+        assert column is not None
+        assert np.isfinite(column).all(), name
+    half = [
+        {"start_utc": "2020-03-01T00:00:00Z", "samples": 100, "step_s": 20.0},
+        {"start_utc": "2020-03-01T00:33:20Z", "samples": 192, "step_s": 20.0},
+    ]
+    split, _ = simulate(scenario.updated({**mode, "schedule.segments": half}))
+    assert np.allclose(split.array_current_A, telemetry.array_current_A, atol=1e-6, rtol=0)
+
+
+def test_attitude_from_sensors_only_where_a_head_sees_the_sun(scenario):
+    other = scenario.updated({"attitude.reference": {"source": "sensors"}})
+    telemetry, truth = simulate(other)
+    assert 0 < telemetry.has_attitude.mean() < 1
+    assert not telemetry.has_attitude[telemetry.sun_sensor_head == 0].any()
+    seen = telemetry.has_attitude
+    error = frames.rotation_from_q(telemetry.q_NB[seen]) * frames.rotation_from_q(truth.q_NB[seen]).inv()
+    # 0.1 deg noise on sun and nadir; the turn about nadir is worse where the sun is high (1/sin 3 deg at most).
+    assert np.degrees(np.median(error.magnitude())) < 0.6
+
+
+def test_replay_keeps_the_record_and_simulates_the_magnetometer(scenario, run, tmp_path, close):
+    write_telemetry(run[0], tmp_path / "recorded.nc")
+    text = "\n".join(
+        ["seed = 8", "[spacecraft]", 'name = "test"', "[replay]", 'telemetry = "recorded.nc"', "[magnetometer]",
+         "b_nT = [10.0, 20.0, 30.0]"]
+    )  # fmt: skip
+    path = tmp_path / "replay.toml"
+    path.write_text(text)
+    from fluxtwin.sim.scenario.scenario import load_scenario
+
+    telemetry, truth = simulate(load_scenario(path))
+    recorded = read_telemetry(tmp_path / "recorded.nc")
+    assert np.array_equal(telemetry.q_NB, recorded.q_NB)
+    assert np.array_equal(telemetry.temperature_degC, recorded.temperature_degC)
+    assert np.array_equal(truth.dipole_B_Am2, recorded.dipole_B_Am2)
+    corrected = telemetry.mag_B_nT + np.array([10.0, 20.0, 30.0])
+    close(corrected, truth.field_B_nT, atol=1e-8, unit="nT", because="eq. 1 with b alone")
+    lacking = run[0].replace(q_NB=None)
+    write_telemetry(lacking, tmp_path / "recorded.nc")
+    with pytest.raises(BadInput, match="q_NB"):
+        simulate(load_scenario(path))

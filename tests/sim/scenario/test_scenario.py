@@ -1,0 +1,136 @@
+"""A scenario says what is wrong with it, and a run can be repeated from the saved one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fluxtwin.scenarios.seasat import mission
+from fluxtwin.sim.base.errors import BadInput, OutOfRange
+from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.run.world import build_world
+from fluxtwin.sim.scenario.scenario import load_scenario, parse_scenario, save_scenario
+
+pytestmark = pytest.mark.property
+
+SMALL = """
+seed = 3
+[spacecraft]
+name = "test"
+[orbit]
+epoch_utc = "2020-03-01T00:00:00Z"
+altitude_km = 650.0
+inclination_deg = 97.9
+raan_deg = 10.0
+argument_of_latitude_deg = 0.0
+[schedule]
+segments = [{ start_utc = "2020-03-01T00:00:00Z", samples = 50, step_s = 30.0 }]
+"""
+
+
+def test_a_saved_scenario_repeats_the_run_bit_for_bit(tmp_path):
+    scenario = mission.scenario().updated({"seed": 11})
+    again = load_scenario(save_scenario(scenario, tmp_path / "scenario.toml"))
+    first, second = simulate(scenario)[0], simulate(again)[0]
+    assert np.array_equal(first.mag_B_nT, second.mag_B_nT)
+    assert np.array_equal(first.q_NB, second.q_NB)
+    other = simulate(scenario.updated({"seed": 12}))[0]
+    assert not np.array_equal(first.mag_B_nT, other.mag_B_nT)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("altitude_km = 650.0\naltitud_km = 3.0", "unknown key orbit.altitud_km; did you mean altitude_km?"),
+        ('altitude_km = "650"', "orbit.altitude_km: one number is wanted (found '650')"),
+        ("altitude_km = nan", "orbit.altitude_km"),
+        ("altitude_km = 650.0\neccentricity = 0.5", "the perigee is at"),
+        ("", "missing altitude_km"),
+    ],
+)
+def test_faults_are_named(change, said):
+    with pytest.raises(BadInput) as caught:
+        parse_scenario(SMALL.replace("altitude_km = 650.0", change), where="my.toml")
+    assert said in str(caught.value)
+    assert "my.toml" in str(caught.value)
+
+
+def test_every_fault_is_listed_at_once():
+    text = SMALL.replace("seed = 3", "seed = -1").replace('name = "test"', 'nam = "test"')
+    with pytest.raises(BadInput) as caught:
+        parse_scenario(text)
+    for part in ("seed", "spacecraft.name is missing", "did you mean name?"):
+        assert part in str(caught.value)
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"a = [" * 20000, b"x = 1" * 300000, b"seed = ", b""])
+def test_files_that_are_no_scenario(tmp_path, content):
+    path = tmp_path / "bad.toml"
+    path.write_bytes(content)
+    with pytest.raises(BadInput, match=r"bad\.toml"):
+        load_scenario(path)
+    with pytest.raises(BadInput, match="no such file"):
+        load_scenario(tmp_path / "absent.toml")
+
+
+def test_epoch_outside_the_field_model_names_its_range():
+    late = SMALL.replace("2020-03-01", "2031-03-01")
+    with pytest.raises(OutOfRange, match="1900") as caught:
+        simulate(parse_scenario(late))
+    assert "2030" in str(caught.value)
+
+
+def test_segments_must_be_in_order():
+    start = '{ start_utc = "2020-03-01T00:00:00Z", samples = 50, step_s = 30.0 }'
+    with pytest.raises(BadInput, match="overlap"):
+        build_world(parse_scenario(SMALL.replace(start, f"{start}, {start}")))
+
+
+def test_updated_changes_only_what_is_named():
+    scenario = parse_scenario(SMALL)
+    changed = scenario.updated({"magnetometer.lsb_nT": 5.0, "orbit.altitude_km": 700.0})
+    assert changed.magnetometer.step_nT == 5.0
+    assert changed.orbit.altitude_km == 700.0
+    assert changed.orbit.inclination_deg == scenario.orbit.inclination_deg
+    assert (
+        changed.updated({"magnetometer.lsb_nT": None, "orbit.altitude_km": 650.0}).model_dump() == scenario.model_dump()
+    )
+    with pytest.raises(BadInput, match=r"unknown key magnetometer\.lsb"):
+        scenario.updated({"magnetometer.lsb": 5.0})
+
+
+def test_units_are_exclusive_and_convert():
+    # 1 mG = 100 nT by definition.
+    scenario = parse_scenario(SMALL + "[magnetometer]\nb_mG = [1.0, 2.0, 3.0]\nlsb_mG = 4.4\n")
+    assert scenario.magnetometer.bias_nT == (100.0, 200.0, 300.0)
+    assert scenario.magnetometer.step_nT == pytest.approx(440.0, rel=1e-12)
+    with pytest.raises(BadInput, match="not both"):
+        parse_scenario(SMALL + "[magnetometer]\nb_mG = [1.0, 2.0, 3.0]\nb_nT = [1.0, 2.0, 3.0]\n")
+
+
+def test_a_run_across_a_leap_second_leaves_out_the_sample_that_has_no_stamp():
+    """UTC had 23:59:60 on 31 December 1978 (IERS Bulletin C); 200 samples a second apart hold one without a stamp."""
+    text = SMALL.replace("2020-03-01T00:00:00Z", "1978-12-31T23:59:30Z").replace(
+        "samples = 50, step_s = 30.0", "samples = 200, step_s = 1.0"
+    )
+    world = build_world(parse_scenario(text))
+    assert world.time.size == 199
+    assert (np.diff(world.time.astype("int64")) > 0).all()
+    moved_km = np.linalg.norm(np.diff(world.r_N_km, axis=0), axis=1)
+    assert moved_km.max() == pytest.approx(2 * np.median(moved_km), rel=1e-3)  # two seconds across the gap
+
+
+def test_sensors_and_an_error_model_exclude_each_other():
+    text = (
+        SMALL
+        + """
+[attitude.reference]
+source = "sensors"
+sigma_deg = 0.1
+[sun_sensor.1]
+azimuth_deg = 0.0
+[horizon_scanner]
+"""
+    )
+    with pytest.raises(BadInput, match="leave sigma_deg and tau_s out"):
+        parse_scenario(text)

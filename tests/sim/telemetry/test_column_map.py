@@ -1,0 +1,289 @@
+"""Column maps: recipes for time, units, frames, quaternion conventions, several rates, and their error messages."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.calib.checks.check import check_file
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.field import load_field
+from fluxtwin.sim.earth.orbit import Orbit
+from fluxtwin.sim.telemetry import time_stamps as telemetry_time
+from fluxtwin.sim.telemetry.column_map import load_column_map
+from fluxtwin.sim.telemetry.layouts import packaged
+from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
+
+pytestmark = pytest.mark.property
+
+ROOT = Path(__file__).resolve().parents[3]
+START = np.datetime64("2020-03-01T00:00:00", "ns")
+ORBIT = Orbit(epoch_utc=START, altitude_km=500.0, inclination_rad=np.radians(97.4), raan_rad=2.0)
+MAG = 'mag = { from = ["bx", "by", "bz"], unit = "nT" }'
+
+
+def csv(path: Path, head: str, rows: list[list[object]]) -> None:
+    text = [head, *(",".join(x if isinstance(x, str) else repr(x) for x in row) for row in rows)]
+    path.write_text("\n".join(text) + "\n")
+
+
+def mapped(folder: Path, toml: str, data: str | None = None) -> Telemetry:
+    path = folder / "map.toml"
+    path.write_text(toml)
+    return read_telemetry(folder if data is None else folder / data, column_map=path)
+
+
+def one_file(time: str, columns: str = MAG) -> str:
+    return f"[[file]]\ntime = {time}\n[file.columns]\n{columns}\n"
+
+
+@pytest.mark.parametrize(
+    ("time", "head", "first", "second", "stamps"),
+    [
+        ('{ recipe = "iso", columns = "t" }', "t", ["2020-03-01T00:00:00Z"], ["2020-03-01T00:00:01.25Z"], (0, 1.25)),
+        ('{ recipe = "unix_s", columns = "t" }', "t", [1583020800], [1583020801.25], (0, 1.25)),
+        ('{ recipe = "unix_ms", columns = "t" }', "t", [1583020800000], [1583020801250], (0, 1.25)),
+        ('{ recipe = "unix_us", columns = "t", offset_s = 2 }', "t", [1583020800000000], [1583020801250000], (2, 3.25)),
+        ('{ recipe = "seconds_ns", columns = ["t", "n"] }', "t,n", [1583020800, 0], [1583020801, 250000001],
+         (0, 1.250000001)),
+        # from one second before the leap second at the end of 2016: one more SI second than the stamps differ by
+        # 2020-03-01 is day 14666 since the GPS epoch: week 2095, day 1; GPS - UTC = 18 s (IERS Bulletin C 58)
+        ('{ recipe = "gps_week_tow", columns = ["w", "t"] }', "w,t", [2095, 18.0], [2095, 19.25], (0, 1.25)),
+        ('{ recipe = "seconds_since", columns = "t", epoch = "2016-12-31T23:59:59Z" }', "t", [99792002.0], [99792003.25],
+         (0, 1.25)),
+    ],
+)  # fmt: skip
+def test_time_recipes(
+    tmp_path: Path, time: str, head: str, first: list[object], second: list[object], stamps: tuple[float, float]
+) -> None:
+    csv(tmp_path / "a.csv", f"{head},bx,by,bz", [[*first, 1.0, 2.0, 3.0], [*second, 4.0, 5.0, 6.0]])
+    read = mapped(tmp_path, one_file(time), "a.csv")
+    wanted = [START + np.timedelta64(round(s * 1e9), "ns") for s in stamps]
+    assert list(read.time) == wanted
+
+
+def test_gps_time_against_the_leap_second_list() -> None:
+    # GPS - UTC: 0 s at its epoch, 13 s in 1999-2005, 17 s from 2015-07, 18 s from 2017 (IERS Bulletin C)
+    for stamp, offset in (("1980-01-06", 0), ("2000-01-02", 13), ("2016-01-03", 17), ("2020-03-01", 18)):
+        days = (np.datetime64(stamp) - np.datetime64("1980-01-06")).astype(int)
+        week, second = divmod(int(days) * 86400 + offset, 604800)
+        assert telemetry_time.from_gps(np.array([week]), np.array([second]))[0] == np.datetime64(stamp)
+
+
+@pytest.mark.parametrize(
+    ("unit", "scale", "factor"), [("uT", 1.0, 1e3), ("G", 1.0, 1e5), ("nT", 0.01, 0.01), ("T", 2.0, 2e9)]
+)
+def test_units_and_counts(tmp_path: Path, unit: str, scale: float, factor: float) -> None:
+    csv(tmp_path / "a.csv", "t,bx,by,bz", [[1583020800, 1.0, -2.0, 3.0]])
+    spec = f'mag = {{ from = ["bx", "by", "bz"], unit = "{unit}", scale = {scale} }}'
+    read = mapped(tmp_path, one_file('{ recipe = "unix_s", columns = "t" }', spec), "a.csv")
+    assert np.allclose(read.mag_B_nT, np.array([[1.0, -2.0, 3.0]]) * factor, rtol=1e-15)
+
+
+def test_invalid_values_and_validity_columns_are_missing(tmp_path: Path) -> None:
+    rows = [
+        [1583020800 + k, 1.0, 2.0, 3.0, int(k != 1), *p] for k, p in enumerate([[0, 0, 0], [7e6, 0, 0], [0, 7e6, 0]])
+    ]
+    csv(tmp_path / "a.csv", "t,bx,by,bz,ok,px,py,pz", rows)
+    spec = (
+        'mag = { from = ["bx", "by", "bz"], unit = "nT", valid = { ok = 1 } }\n'
+        'position = { from = ["px", "py", "pz"], unit = "m", frame = "GCRS", invalid = [0] }'
+    )
+    read = mapped(tmp_path, one_file('{ recipe = "unix_s", columns = "t" }', spec), "a.csv")
+    assert list(read.has_reading) == [True, False, True]
+    assert list(read.has_position) == [False, True, True]
+    assert read.r_N_km is not None
+    assert read.r_N_km[1, 0] == 7000.0
+
+
+@pytest.mark.parametrize("frame", ["GCRS", "ITRS", "true_of_date"])
+@pytest.mark.parametrize("order", ["xyzw", "wxyz", "xyz"])
+@pytest.mark.parametrize("sense", ["textbook", "conjugate"])
+def test_every_way_to_write_an_attitude_gives_the_same_record(
+    tmp_path: Path, frame: str, order: str, sense: str, close: Callable[..., None]
+) -> None:
+    time = START + np.arange(5) * np.timedelta64(10, "s")
+    R_BN = Rotation.from_rotvec(np.outer(0.02 * np.arange(5) + 0.5, [0.2, -0.5, 0.8]))
+    R_XN = {"GCRS": Rotation.identity(5), "ITRS": frames.rotation_EN(time), "true_of_date": frames.rotation_TN(time)}[
+        frame
+    ]
+    q = frames.q_from_rotation(R_BN * R_XN.inv())
+    q = q * [-1, -1, -1, 1] if sense == "conjugate" else q
+    q = {"xyzw": q, "wxyz": q[:, [3, 0, 1, 2]], "xyz": q[:, :3]}[order]
+    rows = [[str(t), 1.0, 2.0, 3.0, *map(float, row)] for t, row in zip(time, q, strict=True)]
+    names = [f"q{k}" for k in range(q.shape[1])]
+    csv(tmp_path / "a.csv", f"t,bx,by,bz,{','.join(names)}", rows)
+    spec = f'{MAG}\nattitude = {{ from = {names}, order = "{order}", sense = "{sense}", relative_to = "{frame}" }}'
+    read = mapped(tmp_path, one_file('{ recipe = "iso", columns = "t" }', spec.replace("'", '"')), "a.csv")
+    off = (frames.rotation_from_q(read.q_NB) * R_BN.inv()).magnitude()
+    close(off, 0.0, atol=1e-7, unit="rad", because="the scalar of a three-component quaternion loses half the digits")
+    other = (frames.rotation_from_q(np.array(read.q_NB) * [-1, -1, -1, 1]) * R_BN.inv()).magnitude()
+    assert other.min() > 0.1, "a transposed attitude would have passed"
+
+
+def two_rates(folder: Path, attitude_step_s: float, gap: float) -> Telemetry:
+    """Magnetometer every second for 20 s, attitude turning at 1 deg/s, slower."""
+    csv(folder / "mag.csv", "t,bx,by,bz", [[1583020800.5 + k, float(k), 2.0, 3.0] for k in range(20)])
+    seconds = np.arange(0, 25, attitude_step_s)
+    q = frames.q_from_rotation(Rotation.from_rotvec(np.outer(np.radians(seconds), [0, 0, -1])))
+    rows = [[1583020800 + float(s), *map(float, row), 20.0 + float(s)] for s, row in zip(seconds, q, strict=True)]
+    csv(folder / "att.csv", "t,q1,q2,q3,q4,temp", rows)
+    return mapped(
+        folder,
+        '[[file]]\npath = "mag.csv"\ntime = { recipe = "unix_s", columns = "t" }\n[file.columns]\n'
+        f'{MAG}\n[[file]]\npath = "att.csv"\nmax_gap_s = {gap}\ntime = {{ recipe = "unix_s", columns = "t" }}\n'
+        '[file.columns]\nattitude = { from = ["q1", "q2", "q3", "q4"], order = "xyzw", relative_to = "GCRS" }\n'
+        'temperature = { from = "temp", unit = "K" }\n',
+    )
+
+
+def test_attitude_is_slerped_to_the_magnetometer_and_the_reading_is_untouched(
+    tmp_path: Path, close: Callable[..., None]
+) -> None:
+    read = two_rates(tmp_path, 4.0, 5.0)
+    assert np.array_equal(read.mag_B_nT[:, 0], np.arange(20.0))
+    turned = frames.rotation_from_q(read.q_NB).as_rotvec()[:, 2]
+    close(turned, -np.radians(np.arange(20) + 0.5), atol=1e-12, unit="rad", because="slerp is exact for a steady turn")
+    close(read.temperature_degC, np.arange(20) + 20.5 - 273.15, atol=1e-6, unit="K", because="linear, stamps to 1e-7 s")
+
+
+def test_beyond_the_largest_gap_the_attitude_is_missing(tmp_path: Path) -> None:
+    read = two_rates(tmp_path, 4.0, 3.0)
+    assert not read.has_attitude.any()
+    assert "20 of 20 rows have no attitude within 3 s" in read.provenance["notices"]
+
+
+@pytest.mark.parametrize("with_velocity", [True, False])
+def test_earth_fixed_positions_at_a_slower_rate(
+    tmp_path: Path, with_velocity: bool, close: Callable[..., None]
+) -> None:
+    time = START + np.arange(120) * np.timedelta64(7, "s")
+    slow = START + np.arange(30) * np.timedelta64(30, "s")
+    r, v = ORBIT.propagate(slow)
+    R = frames.rotation_EN(slow)
+    turning = np.cross(R.apply([0.0, 0.0, 7.292115e-5], inverse=True), r)
+    csv(tmp_path / "m.csv", "t,bx,by,bz", [[str(t), 1.0, 2.0, 3.0] for t in time])
+    state = np.hstack([R.apply(r), R.apply(v - turning)]) * 1e3
+    csv(tmp_path / "g.csv", "t,x,y,z,u,v,w", [[str(t), *map(float, row)] for t, row in zip(slow, state, strict=True)])
+    velocity = 'velocity = { from = ["u", "v", "w"], unit = "m/s", frame = "ITRS" }\n' if with_velocity else ""
+    read = mapped(
+        tmp_path,
+        '[[file]]\npath = "m.csv"\ntime = { recipe = "iso", columns = "t" }\n[file.columns]\n'
+        f'{MAG}\n[[file]]\npath = "g.csv"\nmax_gap_s = 31\ntime = {{ recipe = "iso", columns = "t" }}\n[file.columns]\n'
+        f'position = {{ from = ["x", "y", "z"], unit = "m", frame = "ITRS" }}\n{velocity}',
+    )
+    known = read.has_position
+    assert known.sum() > 110
+    assert read.r_N_km is not None
+    true_r, true_v = ORBIT.propagate(time)
+    because = "cubic over 30 s: (n h)^4/384 r with n h = 0.033 is 2e-5 km, ten times that at the ends"
+    close(read.r_N_km[known], true_r[known], atol=1e-3, unit="km", because=because)
+    if with_velocity:
+        assert read.v_N_km_s is not None
+        close(read.v_N_km_s[known], true_v[known], atol=1e-4, unit="km/s", because="derivative of the same cubic")
+
+
+def test_packets_in_the_order_of_reception_are_sorted_only_when_asked(tmp_path: Path) -> None:
+    rows = [[1583020800 + k, float(k), 2.0, 3.0] for k in (2, 0, 1, 1)]
+    csv(tmp_path / "a.csv", "t,bx,by,bz", rows)
+    toml = one_file('{ recipe = "unix_s", columns = "t" }')
+    with pytest.raises(BadInput, match=r"time does not increase.*sort = true"):
+        mapped(tmp_path, toml, "a.csv")
+    read = mapped(tmp_path, toml.replace("[[file]]", "[[file]]\nsort = true"), "a.csv")
+    assert list(read.mag_B_nT[:, 0]) == [0.0, 1.0, 2.0]
+    assert "sorted by time, 1 repeated rows dropped" in read.provenance["notices"]
+
+
+def test_quoted_cells_of_lists_do_no_harm(tmp_path: Path) -> None:
+    csv(tmp_path / "a.csv", "t,list,bx,by,bz", [[1583020800 + k, '"[1, 2, 3]"', 1.0, 2.0, 3.0] for k in range(3)])
+    assert len(mapped(tmp_path, one_file('{ recipe = "unix_s", columns = "t" }'), "a.csv")) == 3
+
+
+GOOD = one_file('{ recipe = "unix_s", columns = "t" }')
+
+
+@pytest.mark.parametrize(
+    ("toml", "said"),
+    [
+        (GOOD.replace(', unit = "nT"', ""), "mag has no unit; accepted: nT, uT, mG, G, T"),
+        (GOOD.replace('"nT"', '"furlong"'), "mag has the unit 'furlong'"),
+        (GOOD.replace("mag =", "magnet ="), "unknown quantity magnet; known: mag,"),
+        (GOOD.replace("recipe", "recepi"), "unknown key file.0.time.recepi; did you mean recipe?"),
+        (GOOD.replace("unix_s", "sundial"), "file.0.time.recipe"),
+        (GOOD.replace("[[file]]", "[[fil]]"), "did you mean file?"),
+        (GOOD.replace('["bx", "by", "bz"]', '["bx", "by"]'), "mag takes three columns"),
+        (GOOD.replace('"bz"', '"bw"'), "column bw is missing; the columns are: t, bx, by, bz"),
+        (GOOD.replace('"t"', '"when"'), "column when is missing"),
+        (GOOD + GOOD, "2 [[file]] entries carry `mag`"),
+        (GOOD + 'position = { from = ["bx", "by", "bz"], unit = "km" }\n', "position wants frame"),
+        (GOOD + 'attitude = { from = ["bx", "by", "bz"], order = "xyz" }\n', "attitude wants relative_to"),
+        (GOOD + 'attitude = { from = ["bx", "by", "bz"], order = "xyz", relative_to = "GCRS" }\n', "has norm"),
+        (GOOD.replace("[[file]]", '[[file]]\npath = "../a.csv"'), "leaves the folder"),
+        (GOOD.replace("[[file]]", '[[file]]\npath = "*.dat"'), "no file matches '*.dat'"),
+        ("[[file]\n", "is not valid TOML"),
+        ("x = " + "[" * 5000, "is not valid TOML"),
+        ("tle = 5\n" + GOOD, "tle"),
+        ('tle = "none.tle"\n' + GOOD, "none.tle"),
+    ],
+)  # fmt: skip
+def test_a_bad_map_gets_one_message(tmp_path: Path, toml: str, said: str) -> None:
+    csv(tmp_path / "a.csv", "t,bx,by,bz", [[1583020800, 100.0, 200.0, 300.0]])
+    with pytest.raises(BadInput) as caught:
+        mapped(tmp_path, toml, "a.csv")
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value).strip()
+
+
+def test_a_missing_map_is_named(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=r"none\.toml: there is no such file"):
+        load_column_map(tmp_path / "none.toml")
+
+
+def examples() -> list[str]:
+    return re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / "telemetry.md").read_text(encoding="utf-8"), re.DOTALL)
+
+
+def test_the_maps_beside_the_docs_are_valid() -> None:
+    maps = sorted((ROOT / "docs" / "maps").glob("*.toml"))
+    assert len(maps) == 2
+    for path in maps:
+        assert load_column_map(path).file
+        assert load_column_map(path).layout is None
+
+
+def test_the_maps_that_travel_say_which_files_they_are_for() -> None:
+    maps = sorted((ROOT / "sim" / "telemetry" / "data" / "layouts").glob("*.toml"))
+    assert [path.stem for path in maps] == sorted(packaged())
+    text = (ROOT / "docs" / "telemetry.md").read_text(encoding="utf-8")
+    for name, column_map in packaged().items():
+        assert column_map.layout is not None
+        used = {source for entry in column_map.file for spec in entry.columns.values() for source in spec.names}
+        assert used <= set(column_map.layout.variables), "a map reads what its layout promises"
+        assert f"`{name}`" in text
+
+
+def test_check_names_rows_out_of_order_under_a_map_too(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t,x,y,z\n" + "".join(f"{t},{t},2{t},3{t}\n" for t in (10, 12, 11, 13)))
+    (tmp_path / "map.toml").write_text(
+        '[[file]]\ntime = { recipe = "unix_s", columns = "t" }\n[file.columns]\n'
+        'mag = { from = ["x", "y", "z"], unit = "uT" }\n'
+    )
+    found = check_file(tmp_path / "a.csv", load_field("igrf14"), column_map=tmp_path / "map.toml")
+    (finding,) = [one for one in found.traps if one.code == "time_not_increasing"]
+    assert finding.rows == (3,)
+    assert "sort = true" in finding.text
+    assert "--repair" not in finding.text, "a mapped file cannot be repaired"
+
+
+def test_the_maps_in_the_docs_are_valid(tmp_path: Path) -> None:
+    assert len(examples()) == 3
+    for text in examples():
+        (tmp_path / "map.toml").write_text(text)
+        assert load_column_map(tmp_path / "map.toml").file

@@ -1,0 +1,157 @@
+"""`fluxtwin map`: first maps from foreign headers; the words for frames; near misses are answered."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.cli import main
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.field import field_N_nT, load_field
+from fluxtwin.sim.earth.orbit import Orbit
+from fluxtwin.sim.telemetry.column_map import load_column_map
+from fluxtwin.sim.telemetry.column_map_draft import CONFIRM, draft
+from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
+
+pytestmark = pytest.mark.property
+
+START = np.datetime64("2022-03-01T00:00:00", "ns")
+TIME = START + np.arange(200) * np.timedelta64(30, "s")
+R, V = Orbit(epoch_utc=START, altitude_km=550.0, inclination_rad=1.7, raan_rad=1.0).propagate(TIME)
+R_BN = Rotation.from_rotvec(np.outer(np.arange(200) * 0.02, [0.2, 0.5, 0.1]))
+MAG = R_BN.apply(field_N_nT(load_field("igrf14"), TIME, R))
+Q = frames.q_from_rotation(R_BN)
+UNIX = TIME.astype("int64") * 1e-9
+
+
+def table(path: Path, columns: dict[str, np.ndarray]) -> Path:
+    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+    text = [",".join(columns), *(",".join(map(str, row)) for row in rows)]
+    path.write_text("\n".join(text) + "\n")
+    return path
+
+
+def triple(names: str, values: np.ndarray) -> dict[str, np.ndarray]:
+    return dict(zip(names.split(), values.T, strict=True))
+
+
+HEADERS = {
+    "milliseconds, uT, scalar first, ECEF metres": {
+        "ts_unix_ms": UNIX * 1e3,
+        **triple("magX magY magZ", MAG * 1e-3),
+        **triple("q0 q1 q2 q3", Q[:, [3, 0, 1, 2]]),
+        **triple("posECEF_x_m posECEF_y_m posECEF_z_m", frames.rotation_EN(TIME).apply(R) * 1e3),
+    },
+    "ISO, bracketed units, ECI": {
+        "utc": np.datetime_as_string(TIME, unit="ms"),
+        **triple("Bx[nT] By[nT] Bz[nT]", MAG),
+        **triple("q_x q_y q_z q_w", Q),
+        **triple("ECI_X_km ECI_Y_km ECI_Z_km", R),
+        **triple("VX_km_s VY_km_s VZ_km_s", V),
+    },
+    "seconds and nanoseconds, mG, numbered": {
+        "timeSeconds": np.floor(UNIX),
+        "timeNs": (UNIX % 1.0) * 1e9,
+        **triple("tam_1_mG tam_2_mG tam_3_mG", MAG * 1e-2),
+        **triple("quat_1 quat_2 quat_3 quat_4", Q),
+        **triple("pos_j2000_x pos_j2000_y pos_j2000_z", R),
+    },
+}
+
+
+@pytest.mark.parametrize("name", HEADERS)
+def test_a_drafted_map_reads_the_file_where_its_guesses_are_right(
+    name: str, tmp_path: Path, close: Callable[..., None]
+) -> None:
+    data = table(tmp_path / "foreign.csv", HEADERS[name])
+    (tmp_path / "map.toml").write_text(draft([data]))
+    record = read_telemetry(data, column_map=tmp_path / "map.toml")
+    close(record.mag_B_nT, MAG, atol=1e-6, unit="nT", because="the same numbers in another unit")
+    assert record.r_N_km is not None
+    close(record.r_N_km, R, atol=0.01, unit="km", because="J2000 axes are 23 mas from GCRS, 0.8 m")
+    off = (frames.rotation_from_q(record.q_NB) * R_BN.inv()).magnitude()
+    close(off, 0.0, atol=1e-6, unit="rad", because="the same quaternion in another order")
+
+
+def test_guesses_are_marked_and_what_is_plain_is_not(tmp_path: Path) -> None:
+    data = table(tmp_path / "foreign.csv", HEADERS["ISO, bracketed units, ECI"])
+    text = draft([data])
+    marked = [line for line in text.splitlines() if line.startswith(CONFIRM)]
+    assert any("relative_to" in line for line in marked)
+    assert any("velocity: the frame" in line for line in marked)
+    assert not any("unit" in line for line in marked), "the header states them"
+
+
+def test_a_file_without_magnetometer_is_refused_in_words(tmp_path: Path) -> None:
+    data = table(tmp_path / "a.csv", {"time": UNIX, "volts": UNIX * 0.0})
+    with pytest.raises(BadInput, match="no three columns look like a magnetometer"):
+        draft([data])
+
+
+def test_the_command_writes_the_map_and_check_accepts_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = table(tmp_path / "foreign.csv", HEADERS["ISO, bracketed units, ECI"])
+    assert main(["map", str(data), "--out", str(tmp_path / "map.toml")]) == 0
+    assert "to be confirmed" in capsys.readouterr().out
+    assert main(["check", str(data), "--map", str(tmp_path / "map.toml")]) == 0
+    assert "ECI was taken as GCRS" in capsys.readouterr().out
+
+
+def one(tmp_path: Path, attitude: str, columns: dict[str, np.ndarray], frame: str = "ECI") -> Path:
+    table(tmp_path / "a.csv", {"t": UNIX, **triple("bx by bz", MAG), **triple("x y z", R), **columns})
+    (tmp_path / "map.toml").write_text(
+        '[[file]]\ntime = { recipe = "unix_s", columns = "t" }\n[file.columns]\n'
+        'mag = { from = ["bx", "by", "bz"], unit = "nT" }\n'
+        f'position = {{ from = ["x", "y", "z"], unit = "km", frame = "{frame}" }}\n{attitude}\n'
+    )
+    return tmp_path / "map.toml"
+
+
+def test_an_attitude_relative_to_nec_is_read(tmp_path: Path, close: Callable[..., None]) -> None:
+    """NEC by its definition (geocentric): the field's own components there are those of `field_NEC_nT`."""
+    up = R / np.linalg.norm(R, axis=1)[:, None]
+    pole = frames.rotation_EN(TIME).apply([0.0, 0.0, 1.0], inverse=True)
+    east = np.cross(pole, up)
+    east /= np.linalg.norm(east, axis=1)[:, None]
+    axes = Rotation.from_matrix(np.stack([np.cross(up, east), east, -up], axis=1))
+    q = frames.q_from_rotation(R_BN * axes.inv())
+    spec = 'attitude = { from = ["q1", "q2", "q3", "q4"], order = "scalar_last", relative_to = "nec" }'
+    column_map = one(tmp_path, spec, triple("q1 q2 q3 q4", q))
+    record = read_telemetry(tmp_path / "a.csv", column_map=column_map)
+    off = (frames.rotation_from_q(record.q_NB) * R_BN.inv()).magnitude()
+    close(off, 0.0, atol=1e-7, unit="rad", because="rotations of float64 numbers printed in full")
+    assert "position: ECI was taken as GCRS" in record.provenance["notices"]
+
+
+@pytest.mark.parametrize(
+    ("attitude", "frame", "said"),
+    [
+        ("", "ECIF", "'ECIF' is not known; did you mean ECI?"),
+        ('attitude = { from = ["bx"], order = "xyzw", relative_to = "orbit" }', "GCRS", "did you mean orbital?"),
+        ('attitude = { from = ["bx"], order = "wxzy", relative_to = "GCRS" }', "GCRS", "did you mean wxyz?"),
+        ('sun = ["bx", "by", "bz"]', "GCRS", "sun wants a table, as { from ="),
+    ],
+)
+def test_a_near_miss_is_answered(tmp_path: Path, attitude: str, frame: str, said: str) -> None:
+    with pytest.raises(BadInput) as caught:
+        load_column_map(one(tmp_path, attitude, {}, frame))
+    assert said in str(caught.value)
+    assert "Input should be" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("time", "said"),
+    [('"ts_unix_ms"', 'as { recipe = "unix_ms", columns = "ts_unix_ms" }'),
+     ('{ recipe = "unixms", columns = "t" }', "did you mean unix_ms?")],
+)  # fmt: skip
+def test_a_bare_time_column_is_answered_with_an_example(tmp_path: Path, time: str, said: str) -> None:
+    (tmp_path / "map.toml").write_text(
+        f'[[file]]\ntime = {time}\n[file.columns]\nmag = {{ from = ["a", "b", "c"], unit = "nT" }}\n'
+    )
+    with pytest.raises(BadInput) as caught:
+        load_column_map(tmp_path / "map.toml")
+    assert said in str(caught.value)

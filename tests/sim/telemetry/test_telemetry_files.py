@@ -1,0 +1,446 @@
+"""Telemetry files: what is written reads back bit-equal, damage is refused, bad input gets one clear message."""
+
+from __future__ import annotations
+
+import dataclasses
+import gzip
+from collections.abc import Callable
+from pathlib import Path
+
+import h5netcdf
+import h5py
+import numpy as np
+import pytest
+import xarray
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.orbit import Orbit
+from fluxtwin.sim.telemetry import csv_files as telemetry_csv
+from fluxtwin.sim.telemetry import netcdf_files as telemetry_netcdf
+from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
+
+pytestmark = pytest.mark.property
+
+START = np.datetime64("1978-07-24T06:00:00", "ns")
+ORBIT = Orbit(epoch_utc=START, altitude_km=790.0, inclination_rad=np.radians(108.0), raan_rad=1.0)
+KINDS = ("a.csv", "a.csv.gz", "a.nc")
+
+
+def full_record(rows: int = 40) -> Telemetry:
+    """Every column, awkward values, some missing ones."""
+    rng = stream(3, "telemetry.files")
+    time = START + np.cumsum(rng.integers(1, 2_000_000_000, rows)).astype("timedelta64[ns]")
+    r, v = ORBIT.propagate(time)
+    q = rng.normal(size=(rows, 4))
+    q /= np.linalg.norm(q, axis=1)[:, None]
+    q[5] = np.nan
+    mag = rng.normal(0.0, 3e4, (rows, 3)) * 10.0 ** rng.integers(-12, 1, (rows, 3))
+    mag[7, 1] = np.nan
+    mag[8] = [0.1 + 0.2, -0.0, 5e-324]
+    bits = (rng.random((rows, 3)) > 0.5).astype(float)
+    return Telemetry(
+        time=time,
+        mag_B_nT=mag,
+        r_N_km=r,
+        v_N_km_s=v,
+        q_NB=q,
+        dipole_B_Am2=rng.normal(0, 100, (rows, 3)),
+        sunlit=bits[:, 0],
+        heater_on=bits[:, 1],
+        flags={"transmitter": bits[:, 2]},
+        array_current_A=rng.normal(size=rows),
+        battery_current_A=rng.normal(size=rows),
+        temperature_degC=rng.normal(size=rows),
+        wheel_speed_rpm=rng.normal(0, 2000, (rows, 3)),
+        sun_sensor_head=rng.integers(0, 5, rows).astype(float),
+        sun_B=rng.normal(size=(rows, 3)),
+        nadir_B=rng.normal(size=(rows, 3)),
+        rate_B_rad_s=rng.normal(0, 1e-3, (rows, 3)),
+        provenance={"generator": "test"},
+    )
+
+
+def small_record(rows: int) -> Telemetry:
+    """The needed columns only, so that hundreds of damaged copies are read quickly."""
+    full = full_record(rows)
+    return Telemetry(full.time, full.mag_B_nT, r_N_km=full.r_N_km, q_NB=full.q_NB)
+
+
+def plain_lines(rows: int = 4) -> list[str]:
+    """A minimal good CSV file as lines."""
+    head = "time,r_x_km,r_y_km,r_z_km,mag_x_nT,mag_y_nT,mag_z_nT,q_x,q_y,q_z,q_w"
+    return [head] + [f"1978-07-24T06:{k:02d}:00Z,7168.1,0,{k},1e4,-2e4,3.5e4,0,0,0,1" for k in range(rows)]
+
+
+def save(folder: Path, lines: list[str], name: str = "t.csv", encoding: str = "utf-8") -> Path:
+    path = folder / name
+    path.write_bytes(("\n".join(lines) + "\n").encode(encoding))
+    return path
+
+
+def assert_same(one: Telemetry, other: Telemetry) -> None:
+    for item in dataclasses.fields(Telemetry):
+        a, b = getattr(one, item.name), getattr(other, item.name)
+        if item.name == "provenance" or (a is None and b is None):
+            continue
+        if item.name == "flags":
+            assert {k: v.tobytes() for k, v in a.items()} == {k: v.tobytes() for k, v in b.items()}
+        elif item.name == "rate_B_rad_s":  # kept in deg/s in files
+            assert np.allclose(a, b, rtol=4e-16, atol=0)
+        else:
+            assert np.array_equal(a, b, equal_nan=item.name != "time"), item.name
+            if item.name != "time":
+                assert np.array_equal(np.signbit(a[~np.isnan(a)]), np.signbit(b[~np.isnan(b)])), item.name
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_record_with_every_column_reads_back_bit_equal(tmp_path: Path, name: str) -> None:
+    record = full_record()
+    back = read_telemetry(write_telemetry(record, tmp_path / name))
+    assert_same(record, back)
+    assert back.provenance["source"] == name
+    assert len(back.provenance["sha256"]) == 64
+    assert "mag_B_nT is missing in 1 of 40 rows" in back.provenance["notices"]
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_the_same_record_gives_the_same_bytes(tmp_path: Path, name: str) -> None:
+    first = write_telemetry(full_record(), tmp_path / name).read_bytes()
+    assert write_telemetry(full_record(), tmp_path / f"2{name}").read_bytes() == first
+
+
+def test_csv_and_netcdf_agree(tmp_path: Path) -> None:
+    record = full_record()
+    a = read_telemetry(write_telemetry(record, tmp_path / "a.csv"))
+    assert_same(a, read_telemetry(write_telemetry(a, tmp_path / "a.nc")))
+
+
+def test_xarray_reads_our_netcdf_and_every_variable_is_packed_with_a_checksum(tmp_path: Path) -> None:
+    record = full_record()
+    path = write_telemetry(record, tmp_path / "a.nc")
+    with xarray.open_dataset(path, engine="h5netcdf") as dataset:
+        assert np.array_equal(dataset["time"].values.astype("datetime64[ns]"), record.time)
+        assert np.array_equal(dataset["mag_x_nT"].values, record.mag_B_nT[:, 0], equal_nan=True)
+        assert dataset["mag_x_nT"].attrs["units"] == "nT"
+        assert dataset.attrs["Conventions"].startswith("CF-")
+    with h5py.File(path) as opened:
+        for name, variable in opened.items():
+            assert variable.fletcher32, name
+            assert variable.shuffle, name
+            assert variable.compression == "gzip", name
+
+
+def test_spellings_that_must_not_matter(tmp_path: Path) -> None:
+    lines = plain_lines()
+    plain = read_telemetry(save(tmp_path, lines))
+    order = [4, 5, 6, 0, 1, 2, 3, 7, 8, 9, 10]
+    turned = [",".join(line.split(",")[k] for k in order) for line in lines]
+    variants = {
+        "bom": b"\xef\xbb\xbf" + "\n".join([*lines, ""]).encode(),
+        "crlf": "\r\n".join([*lines, ""]).encode(),
+        "order": "\n".join([*turned, ""]).encode(),
+        "no_z": "\n".join([*lines, ""]).replace(":00Z", ":00").encode(),
+        "offset": "\n".join([*lines, ""]).replace(":00Z", ":00.000+00:00").encode(),
+        "blank_for_t": "\n".join([*lines, ""]).replace("T06", " 06").encode(),
+    }
+    for name, content in variants.items():
+        path = tmp_path / f"{name}.csv"
+        path.write_bytes(content)
+        read = read_telemetry(path)
+        assert np.array_equal(read.time, plain.time), name
+        assert np.array_equal(read.mag_B_nT, plain.mag_B_nT), name
+    packed = tmp_path / "p.csv.gz"
+    packed.write_bytes(gzip.compress("\n".join([*lines, ""]).encode()))
+    assert np.array_equal(read_telemetry(packed).mag_B_nT, plain.mag_B_nT)
+
+
+def test_a_last_row_without_line_end_is_left_out_with_a_notice(tmp_path: Path) -> None:
+    path = tmp_path / "cut.csv"
+    path.write_text("\n".join(plain_lines())[:-3])
+    read = read_telemetry(path)
+    assert len(read) == 3
+    assert "last row has no line end" in read.provenance["notices"]
+
+
+def test_unknown_columns_are_left_out_with_a_notice(tmp_path: Path) -> None:
+    lines = [f"{line},{extra}" for line, extra in zip(plain_lines(), ["mood", "a", "b", "c", "d"], strict=True)]
+    assert "left out: mood" in read_telemetry(save(tmp_path, lines)).provenance["notices"]
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("nT", 1.0), ("mG", 100.0), ("uT", 1e3), ("T", 1e9)])
+def test_units_of_the_magnetometer(tmp_path: Path, unit: str, factor: float) -> None:
+    lines = plain_lines()
+    lines[0] = lines[0].replace("_nT", f"_{unit}")
+    assert np.array_equal(read_telemetry(save(tmp_path, lines)).mag_B_nT[0], np.array([1e4, -2e4, 3.5e4]) * factor)
+
+
+def test_earth_fixed_positions_and_orbital_angles(tmp_path: Path, close: Callable[..., None]) -> None:
+    time = START + np.arange(200) * np.timedelta64(30, "s")
+    r, v = ORBIT.propagate(time)
+    angles = np.array([0.3, -0.1, 0.05])
+    truth = frames.q_from_rotation(frames.rotation_BO(*np.tile(angles, (200, 1)).T) * frames.rotation_ON(r, v))
+    ecef = frames.rotation_EN(time).apply(r)
+    head = "time,ecef_x_km,ecef_y_km,ecef_z_km,mag_x_nT,mag_y_nT,mag_z_nT,yaw_deg,roll_deg,pitch_deg"
+    rows = [
+        ",".join([str(t), *(repr(float(x)) for x in e), "1", "2", "3", *(repr(float(a)) for a in np.degrees(angles))])
+        for t, e in zip(time, ecef, strict=True)
+    ]
+    read = read_telemetry(save(tmp_path, [head, *rows]))
+    close(read.r_N_km, r, atol=1e-9, unit="km", because="rounding of one rotation there and back")
+    angle = (frames.rotation_from_q(read.q_NB) * frames.rotation_from_q(truth).inv()).magnitude()
+    close(angle[3:-3], 0.0, atol=1e-5, unit="rad", because="cubic spline of 30 s samples: (n h)^4/24 of the velocity")
+    assert "differentiating the positions" in read.provenance["notices"]
+
+
+FAULTS: dict[str, tuple[Callable[[list[str]], list[str]], str]] = {
+    "missing column": (lambda x: [s.replace("mag_y_nT", "other") for s in x], "column mag_y_nT is missing"),
+    "no magnetometer": (lambda x: [s.replace("mag_", "b_") for s in x], "column mag_x_nT is missing"),
+    "no time": (lambda x: [s.replace("time", "when") for s in x], "column time is missing"),
+    "no unit": (lambda x: [s.replace("mag_x_nT", "mag_x") for s in x], "column mag_x_nT is missing"),
+    "no unit at all": (lambda x: [s.replace("_nT", "") for s in x], "mag_x has no unit in its name. Wanted: mag_x_nT"),
+    "no unit for position": (lambda x: [s.replace("_km", "") for s in x], "r_x has no unit in its name. Wanted: r_x_"),
+    "other unit": (lambda x: [s.replace("_nT", "_gauss") for s in x], "mag_x_gauss has a unit that is not accepted"),
+    "two units": (lambda x: [s.replace("mag_x_nT", "mag_x_mG") for s in x], "components in different units"),
+    "time not increasing": (lambda x: [x[0], x[2], x[1], *x[3:]], "time does not increase: row 1 is"),
+    "time repeated": (lambda x: [*x, x[-1]], "time does not increase"),
+    "bad time": (lambda x: [s.replace("06:02:00Z", "noon") for s in x], "time in row 3 is '1978-07-24Tnoon'"),
+    "leap second": (lambda x: [s.replace("06:02:00Z", "06:02:60Z") for s in x], "leap second"),
+    "other zone": (lambda x: [s.replace("06:02:00Z", "06:02:00+02:00") for s in x], "time in row 3"),
+    "no such day": (lambda x: [s.replace("07-24T06:02", "02-29T06:02") for s in x], "time in row 3"),
+    "blank time": (lambda x: [s.replace("1978-07-24T06:02:00Z", "") for s in x], "time is missing in row 3"),
+    "no rows": (lambda x: x[:1], "there are no rows"),
+    "short row": (lambda x: [*x[:2], x[2].rsplit(",", 1)[0], *x[3:]], "row 2 has 10 fields, the header has 11"),
+    "every row too long": (lambda x: [x[0], *(s + ",1" for s in x[1:])], "row 1 has 12 fields"),
+    "blank row": (lambda x: [*x[:2], "", *x[2:]], "row 2 is blank"),
+    "doubled column": (lambda x: [s.replace("r_y_km", "r_x_km") for s in x], "column r_x_km is there twice"),
+    "text for a number": (lambda x: [s.replace(",2,1e4", ",2,#REF!") for s in x], "mag_x_nT in row 3 is '#REF!'"),
+    "hexadecimal": (lambda x: [s.replace(",2,1e4", ",2,0x10") for s in x], "is '0x10', which is no number"),
+    "infinite": (lambda x: [s.replace(",2,1e4", ",2,1e400") for s in x], "mag_x_nT in row 3 is infinite"),
+    "semicolons": (lambda x: [s.replace(",", ";") for s in x], "separated by semicolons"),
+    "sep line": (lambda x: ["sep=,", *x], "sep= line"),
+    "metres": (lambda x: [s.replace("7168.1", "7168100.0") for s in x], "positions look like metres"),
+    "zero quaternion": (lambda x: [s.replace(",2,1e4,-2e4,3.5e4,0,0,0,1", ",2,1,1,1,0,0,0,0") for s in x],
+                        "the quaternion in row 3 is zero"),
+    "long quaternion": (lambda x: [s.replace(",0,0,0,1", ",0,0,0,1.01") for s in x], "in row 1 has norm 1.01"),
+    "flag of 2": (lambda x: [x[0] + ",sunlit", *(s + ",2" for s in x[1:])], "sunlit is 2 in row 1"),
+    "NUL": (lambda x: [s.replace(",2,1e4", ",2,1\0") for s in x], "NUL byte in line 4"),
+    "two frames": (lambda x: [x[0] + ",ecef_x_km,ecef_y_km,ecef_z_km", *(s + ",1,1,1" for s in x[1:])], "both r_x_km"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_bad_csv_gets_one_message_that_names_file_and_place(tmp_path: Path, fault: str) -> None:
+    change, said = FAULTS[fault]
+    path = save(tmp_path, change(plain_lines()))
+    with pytest.raises(BadInput) as caught:
+        read_telemetry(path)
+    assert said in str(caught.value)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_bad_bytes_get_one_message(tmp_path: Path) -> None:
+    text = "\n".join([*plain_lines(), ""])
+    cases = {
+        "utf16": (text.encode("utf-16"), "UTF-16"),
+        "latin": (text.replace("mag_x_nT", "mag_x_nT,é").encode("latin-1"), "latin-1"),
+        "cr": (text.replace("\n", "\r\r\n", 1).encode(), "bare carriage return"),
+        "empty": (b"", "the file is empty"),
+        "gz": (gzip.compress(text.encode())[:-20], "gzip data are damaged"),
+        "bomb": (gzip.compress(b"," * 30_000_000), "unpacks to more than 200 times"),
+    }
+    for name, (content, said) in cases.items():
+        path = tmp_path / f"{name}.csv"
+        path.write_bytes(content)
+        with pytest.raises(BadInput, match=said):
+            read_telemetry(path)
+
+
+def test_missing_folder_and_unknown_kinds(tmp_path: Path) -> None:
+    for path, said in (
+        (tmp_path / "absent.csv", "there is no such file"),
+        (tmp_path / "absent.nc", "there is no such file"),
+        (tmp_path, "is a folder"),
+        (tmp_path / "a.txt", "not known from its name"),
+    ):
+        with pytest.raises(BadInput, match=said):
+            read_telemetry(path)
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.nc"])
+def test_more_rows_than_allowed_are_refused_before_they_are_read(tmp_path: Path, name: str) -> None:
+    path = write_telemetry(full_record(), tmp_path / name)
+    with pytest.raises(BadInput, match="at most 39"):
+        read_telemetry(path, max_samples=39)
+    assert len(read_telemetry(path, max_samples=40)) == 40
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.nc"])
+def test_a_failure_while_writing_leaves_the_old_file(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_telemetry(full_record(), tmp_path / name)
+    old = path.read_bytes()
+
+    def fail(*_: object, **__: object) -> None:
+        raise RuntimeError("power lost")
+
+    monkeypatch.setattr(telemetry_csv, "_write_rows", fail)
+    monkeypatch.setattr(h5netcdf.File, "create_variable", fail)
+    with pytest.raises(RuntimeError):
+        write_telemetry(full_record(20), path)
+    assert path.read_bytes() == old
+    assert [p.name for p in tmp_path.iterdir()] == [name]
+
+
+def test_one_flipped_bit_in_a_netcdf_file_is_refused_or_harmless(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    content = bytearray(write_telemetry(small_record(300), tmp_path / "a.nc").read_bytes())
+    original = read_telemetry(tmp_path / "a.nc")
+    rng = stream(5, "bits")
+    path, messages = tmp_path / "b.nc", []
+    for place in rng.integers(0, len(content) * 8, 250):
+        content[place // 8] ^= 1 << (place % 8)
+        path.write_bytes(content)
+        content[place // 8] ^= 1 << (place % 8)
+        try:
+            assert_same(read_telemetry(path), original)
+        except BadInput as error:
+            messages.append(str(error))
+    assert len(messages) > 125
+    assert [text for text in messages if str(path) not in text] == []
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.nc"])
+def test_mutated_files_give_bad_input_or_a_record(tmp_path: Path, name: str, capfd: pytest.CaptureFixture[str]) -> None:
+    content = write_telemetry(small_record(40), tmp_path / name).read_bytes()
+    rng = stream(6, name)
+    path, messages = tmp_path / f"m{name}", []
+    for trial in range(300):
+        path.write_bytes(mutated(content, rng, trial % 5))
+        try:
+            read_telemetry(path)
+        except BadInput as error:
+            messages.append(str(error))
+    assert len(messages) > 100
+    assert [text for text in messages if str(path) not in text] == []
+    assert capfd.readouterr().err == ""
+
+
+def mutated(content: bytes, rng: np.random.Generator, kind: int) -> bytes:
+    data = bytearray(content)
+    if kind == 0:  # a few random bytes
+        for place in rng.integers(0, len(data), 5):
+            data[place] = int(rng.integers(0, 256))
+    elif kind == 1:  # truncated
+        del data[int(rng.integers(0, len(data))) :]
+    elif kind == 2:  # a piece repeated elsewhere
+        start = int(rng.integers(0, len(data)))
+        data[int(rng.integers(0, len(data))) :] += data[start : start + 100]
+    elif kind == 3:  # a piece gone
+        start = int(rng.integers(0, len(data)))
+        del data[start : start + int(rng.integers(1, 50))]
+    else:  # damage near the start, where the structure is
+        for place in rng.integers(0, min(len(data), 4000), 3):
+            data[place] = int(rng.integers(0, 256))
+    return bytes(data)
+
+
+def test_netcdf_that_points_elsewhere_or_claims_too_much_is_refused(tmp_path: Path) -> None:
+    good = write_telemetry(full_record(), tmp_path / "good.nc")
+
+    def variant(name: str, change: Callable[[h5py.File], None]) -> Path:
+        path = tmp_path / name
+        path.write_bytes(good.read_bytes())
+        with h5py.File(path, "r+") as opened:
+            change(opened)
+        return path
+
+    def external_link(opened: h5py.File) -> None:
+        del opened["mag_x_nT"]
+        opened["mag_x_nT"] = h5py.ExternalLink("good.nc", "/mag_x_nT")
+
+    def soft_link(opened: h5py.File) -> None:
+        del opened["mag_x_nT"]
+        opened["mag_x_nT"] = h5py.SoftLink("/mag_y_nT")
+
+    def external_storage(opened: h5py.File) -> None:
+        del opened["mag_x_nT"]
+        opened.create_dataset("mag_x_nT", shape=(40,), dtype="f8", external=[("good.nc", 0, 320)])
+
+    def text(opened: h5py.File) -> None:
+        del opened["mag_x_nT"]
+        opened["mag_x_nT"] = np.array([b"1.0"] * 40)
+
+    def huge(opened: h5py.File) -> None:
+        del opened["mag_x_nT"]
+        opened.create_dataset("mag_x_nT", shape=(10**13,), dtype="f8", chunks=(1000,))
+
+    def shorter(opened: h5py.File) -> None:
+        del opened["mag_x_nT"], opened.attrs["fluxtwin_sha256"]
+        opened["mag_x_nT"] = np.zeros(39)
+
+    def changed(opened: h5py.File) -> None:
+        opened["mag_x_nT"][3] = 1.0
+
+    def attribute(opened: h5py.File) -> None:
+        opened["mag_x_nT"].attrs["units"] = "mG"
+
+    def no_units(opened: h5py.File) -> None:
+        del opened.attrs["fluxtwin_sha256"]
+        opened["time"].attrs["units"] = "fortnights since the flood"
+
+    for change, said in (
+        (external_link, "link to another place"),
+        (soft_link, "link to another place"),
+        (external_storage, "stored in another file"),
+        (text, "has the type"),
+        (huge, "claims 10000000000000 rows"),
+        (shorter, r"has the shape \(39,\)"),
+        (changed, "SHA-256"),
+        (attribute, "SHA-256"),
+        (no_units, "the unit of time is"),
+    ):
+        path = variant(f"{change.__name__}.nc", change)
+        with pytest.raises(BadInput, match=said):
+            read_telemetry(path)
+
+
+def test_a_foreign_netcdf_of_the_contract_without_digest_is_read_with_a_notice(tmp_path: Path) -> None:
+    record = full_record()
+    names = ["mag_x_nT", "mag_y_nT", "mag_z_nT"]
+    stamps = record.time.astype("datetime64[ms]").astype("datetime64[ns]")
+    data = {name: ("time", np.nan_to_num(record.mag_B_nT[:, k])) for k, name in enumerate(names)}
+    dataset = xarray.Dataset(data, coords={"time": stamps})
+    path = tmp_path / "foreign.nc"
+    dataset.to_netcdf(
+        path, engine="h5netcdf", encoding={"mag_x_nT": {"dtype": "i4", "scale_factor": 0.5, "_FillValue": -9}}
+    )
+    read = read_telemetry(path)
+    assert np.array_equal(read.time, stamps)
+    assert np.allclose(read.mag_B_nT, np.nan_to_num(record.mag_B_nT), atol=0.25)
+    assert "no digest" in read.provenance["notices"]
+
+
+def test_a_netcdf_3_file_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "old.nc"
+    path.write_bytes(b"CDF\x01" + bytes(200))
+    with pytest.raises(BadInput, match="not a NetCDF-4 file"):
+        telemetry_netcdf.read_table(path)
+
+
+def test_two_line_elements_give_the_position_a_file_lacks(tmp_path: Path) -> None:
+    line1 = "1 25544U 98067A   08264.51782528 -.00002182  00000-0 -11606-4 0  2927"
+    line2 = "2 25544  51.6416 247.4627 0006703 130.5360 325.0288 15.72125391563537"
+    (tmp_path / "iss.tle").write_text(f"{line1}\n{line2}\n")
+    lines = [",".join(line.split(",")[:1] + line.split(",")[4:7]) for line in plain_lines()]
+    lines = [line.replace("1978-07-24", "2008-09-20") for line in lines]
+    read = read_telemetry(save(tmp_path, lines), tle=tmp_path / "iss.tle")
+    assert read.r_N_km is not None
+    assert np.all(np.abs(np.linalg.norm(read.r_N_km, axis=1) - 6730.0) < 30.0)
+    assert "elements in iss.tle" in read.provenance["notices"]

@@ -1,0 +1,120 @@
+"""Seasat's geometry, once for the closure tests of the calibration; results of a study in another world."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.field import FieldModel, field_N_nT, load_field
+from fluxtwin.sim.earth.orbit import Orbit
+from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
+from fluxtwin.sim.telemetry.record import Telemetry
+
+# Lerner & Shuster 1979/1981: final b (eq. 10), final S (eq. 11) with the conference paper's sign of S12
+SEASAT_S = np.array([[0.021, -0.016, 0.004], [0.013, -0.022, -0.004], [0.007, -0.003, 0.002]])
+SEASAT_B_NT = np.array([7150.0, -2810.0, -6120.0])
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Orbit, attitude and true field of the four days; the truth stays here, a record carries none."""
+
+    model: FieldModel
+    time: np.ndarray
+    r_N_km: np.ndarray
+    v_N_km_s: np.ndarray
+    q_NB: np.ndarray
+    field_B_nT: np.ndarray
+
+    def record(
+        self, mag_B_nT: np.ndarray, dipole_B_Am2: np.ndarray | None = None, rows: slice = slice(None)
+    ) -> Telemetry:
+        """Telemetry with the given readings; what the calibrator sees."""
+        whole = Telemetry(
+            time=self.time, mag_B_nT=mag_B_nT, r_N_km=self.r_N_km, v_N_km_s=self.v_N_km_s, q_NB=self.q_NB,
+            dipole_B_Am2=dipole_B_Am2,
+        )  # fmt: skip
+        return whole.select(rows)
+
+    def magnetometer(self, T: np.ndarray | None = None, **noise: float) -> Magnetometer:
+        """The papers' final calibration as the truth of an instrument."""
+        return Magnetometer(SEASAT_S, SEASAT_B_NT, T, **noise)
+
+
+def stamps(day: int, samples: int) -> np.ndarray:
+    """`samples` UTC stamps a minute apart from 6 h on a day of 1978."""
+    start = np.datetime64("1978-01-01T06:00:00", "ns") + np.timedelta64(day - 1, "D")
+    return start + np.arange(samples) * np.timedelta64(60, "s")
+
+
+def geometry(time: np.ndarray) -> Geometry:
+    """a = 7168 km, i = 108 deg, e = 0 (1979 paper), earth-pointing. Node and phase are free choices."""
+    orbit = Orbit(
+        epoch_utc=np.datetime64("1978-07-24", "ns"),
+        altitude_km=7168.0 - 6378.137,
+        inclination_rad=np.radians(108.0),
+        raan_rad=1.0,
+    )
+    r, v = orbit.propagate(time)
+    R_BN = frames.rotation_ON(r, v)
+    model = load_field("igrf14")
+    return Geometry(model, time, r, v, frames.q_from_rotation(R_BN), R_BN.apply(field_N_nT(model, time, r)))
+
+
+@pytest.fixture(scope="session")
+def seasat() -> Geometry:
+    """Days 205, 219, 225 and 227 of 1978 with 92, 88, 101 and 44 samples a minute apart (1979 paper)."""
+    days = ((205, 92), (219, 88), (225, 101), (227, 44))
+    return geometry(np.concatenate([stamps(day, samples) for day, samples in days]))
+
+
+@pytest.fixture(scope="session")
+def passes() -> Geometry:
+    """Forty passes of twelve samples over eight days."""
+    starts = np.datetime64("1978-07-24T00:17:00", "ns") + np.arange(40) * np.timedelta64(4 * 3600 + 2711, "s")
+    return geometry((starts[:, None] + np.arange(12) * np.timedelta64(60, "s")).ravel())
+
+
+@pytest.fixture(scope="session")
+def changed() -> Callable[..., Any]:
+    """`changed(results, "accuracy.lsb_x_deg", value)`: the frozen records with one field, or entry of a mapping, replaced.
+
+    A value that can be called gets the old one.
+    """
+
+    def change(record: Any, path: str, value: Any) -> Any:
+        name, _, rest = path.partition(".")
+        old = record[name] if isinstance(record, Mapping) else getattr(record, name)
+        new = change(old, rest, value) if rest else value(old) if callable(value) else value
+        if isinstance(record, Mapping):
+            return {**record, name: new}
+        if hasattr(record, "model_copy"):
+            return record.model_copy(update={name: new})
+        return dataclasses.replace(record, **{name: new})
+
+    return change
+
+
+@pytest.fixture(scope="session")
+def close_sizes(close: Callable[..., None]) -> Callable[..., None]:
+    """`close_sizes(curves, frozen)`: rms and largest size of each curve of a figure, within 0.1 % and a last digit of 1e-4.
+
+    The seed fixes all draws; what is left is the rounding of another machine, which moves a curve far less, unless it
+    turns a bit of a reading.
+    """
+
+    def compare(curves: Mapping[str, Any], frozen: Mapping[str, tuple[float, float]]) -> None:
+        shown = [np.asarray(curve, dtype=float)[np.isfinite(curve)] for curve in curves.values()]
+        found = np.array([(np.sqrt(np.mean(one**2)), np.abs(one).max()) for one in shown])
+        said = "; ".join(f"{name}: {rms:.4f}, {peak:.4f}" for name, (rms, peak) in zip(curves, found, strict=True))
+        assert list(curves) == list(frozen), said
+        expected = np.array(list(frozen.values()))
+        close(found, expected, atol=1e-3 * expected + 1e-4, unit="as drawn", because=f"the same seed; found {said}")
+
+    return compare

@@ -17,6 +17,7 @@ from fluxtwin.sim.earth.orbit import argument_of_latitude
 from fluxtwin.sim.effects.base import known_column
 from fluxtwin.sim.effects.drivers import sun_in_body
 from fluxtwin.sim.effects.signal import Setting
+from fluxtwin.sim.telemetry.quantities import QUANTITIES
 
 THERMAL_LAGS_S = (600.0, 1500.0, 3600.0)
 """Time constants tried for a temperature that was not recorded."""
@@ -129,10 +130,10 @@ def _housekeeping(setting: Setting) -> Iterator[Condition]:
     if dipole is not None:
         yield _smooth("torquer", "torquer dipole", dipole, zero_known=True)
         yield _indicator("torquer", "any torquer on", (np.abs(dipole) > 1e-3 * np.abs(dipole).max()).any(axis=1))
-    for name in ("array_current_A", "battery_current_A"):
-        current = known_column(setting, name)
-        if current is not None:
-            yield _smooth("current", name.removesuffix("_A").replace("_", " "), current, zero_known=True)
+    for quantity in QUANTITIES:
+        recorded = None if quantity.condition is None else known_column(setting, quantity.name)
+        if recorded is not None:
+            yield _smooth(quantity.condition, quantity.stems[0].replace("_", " "), recorded, zero_known=True)
     head = known_column(setting, "sun_sensor_head")
     for number in np.unique(head)[1:] if head is not None else ():
         yield _indicator("head", f"head {number:.0f}", head == number)
@@ -160,7 +161,7 @@ def _indicator(name: str, label: str, values: FloatArray | BoolArray) -> Conditi
     return Condition(name, label, np.asarray(values, dtype=np.float64).reshape(-1, 1), indicator=True)
 
 
-def _smooth(name: str, label: str, values: FloatArray, zero_known: bool = False) -> Condition:
+def _smooth(name: str | None, label: str, values: FloatArray, zero_known: bool = False) -> Condition:
     columns = np.asarray(values, dtype=np.float64).reshape(values.shape[0], -1)
     moving = columns.std(axis=0) > 1e-9 * np.abs(columns).max(initial=1e-30)
     columns = columns[:, moving]

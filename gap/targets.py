@@ -22,9 +22,8 @@ from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.constants import GM_EARTH_KM3_S2
 from fluxtwin.sim.earth.orbit import orbital_rates
-from fluxtwin.sim.effects.drivers import array_current_A, battery_current_A, temperature_K
+from fluxtwin.sim.effects.drivers import STAND_INS
 from fluxtwin.sim.effects.signal import Motion, Setting
-from fluxtwin.sim.effects.thermal_bias_drift import TIME_CONSTANTS_S
 
 DAYS = (0.5, 90.0, 182.0)
 """Half a day turns the ground below, a quarter and half a year the sun."""
@@ -170,16 +169,8 @@ def _regime(name: str, start: np.datetime64) -> Callable[[TimeArray, FloatArray,
 
 def _driven(flown: Setting, moved: Setting) -> dict[str, FloatArray]:
     """Recorded columns that follow the sunlight, as they follow it on the other day."""
-    shapes: dict[str, Sequence[Callable[[Setting], FloatArray]]] = {
-        "array_current_A": [
-            lambda s: array_current_A(s, "zenith"), lambda s: array_current_A(s, "tracking"),
-            lambda s: array_current_A(s, "constant"),
-        ],
-        "battery_current_A": [battery_current_A],
-        "temperature_degC": [lambda s, tau=tau: temperature_K(s, tau) for tau in TIME_CONSTANTS_S],  # type: ignore[misc]
-    }  # fmt: skip
     found = {}
-    for name, choices in shapes.items():
+    for name, choices in STAND_INS.items():
         column = flown.columns.get(name)
         if column is not None:
             made = _best_shape(column, [(one(_without(flown, name)), one(_without(moved, name))) for one in choices])

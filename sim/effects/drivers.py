@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -16,6 +18,8 @@ from fluxtwin.sim.spacecraft.power import FixedPanel, TrackingArray, incidence_c
 PanelKind = Literal["zenith", "tracking", "constant"]
 """A panel on the -z face, an array that turns about y, or a current that only shadow cuts."""
 
+TIME_CONSTANTS_S = (300.0, 900.0, 2700.0)
+"""Thermal time constants tried where no temperature was recorded: a boom's sensor to one inside the body."""
 STANDARD_SWING_K = 20.0
 """Swing of the equilibrium temperature between shadow and sun where no temperature was recorded."""
 _REMEMBERED = 8
@@ -102,3 +106,11 @@ def orbital_period_s(setting: Setting) -> float:
 def varies(column: FloatArray, least: float = 1e-6) -> bool:
     """Whether a column moves by more than a millionth of its largest value (or of one unit)."""
     return bool(np.ptp(column) > least * max(1.0, float(np.abs(column).max())))
+
+
+STAND_INS: Mapping[str, tuple[Callable[[Setting], FloatArray], ...]] = {
+    "array_current_A": tuple(partial(array_current_A, panel=panel) for panel in get_args(PanelKind)),
+    "battery_current_A": (battery_current_A,),
+    "temperature_degC": tuple(partial(temperature_K, time_constant_s=tau_s) for tau_s in TIME_CONSTANTS_S),
+}
+"""What may stand in for a column where it was not recorded, by its name."""

@@ -7,12 +7,9 @@ from typing import ClassVar
 
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Parameter, SignalEffect, known_column, vector_parameters
-from fluxtwin.sim.effects.drivers import STANDARD_SWING_K, temperature_K, varies
+from fluxtwin.sim.effects.drivers import STANDARD_SWING_K, TIME_CONSTANTS_S, temperature_K, varies
 from fluxtwin.sim.effects.instrument import in_reading
 from fluxtwin.sim.effects.signal import Setting, Signal
-
-TIME_CONSTANTS_S = (300.0, 900.0, 2700.0)
-"""Thermal time constants tried where no temperature was recorded: a boom's sensor to one inside the body."""
 
 
 @dataclass(frozen=True)

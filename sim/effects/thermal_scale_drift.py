@@ -9,10 +9,10 @@ import numpy as np
 
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Parameter, SignalEffect, known_column
-from fluxtwin.sim.effects.drivers import temperature_K
+from fluxtwin.sim.effects.drivers import TIME_CONSTANTS_S, temperature_K
 from fluxtwin.sim.effects.instrument import mapped
 from fluxtwin.sim.effects.signal import Setting, Signal
-from fluxtwin.sim.effects.thermal_bias_drift import TIME_CONSTANTS_S, thermally_untestable, warmer_K
+from fluxtwin.sim.effects.thermal_bias_drift import thermally_untestable, warmer_K
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,36 +16,24 @@ from fluxtwin.sim.attitude.gauss_markov import gauss_markov
 from fluxtwin.sim.attitude.record import Attitude
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.earth import frames, horizon
+from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.effects.base import DynamicsEffect
 from fluxtwin.sim.effects.chain import Active, Chain
 from fluxtwin.sim.effects.signal import Direction, Motion, Setting, Signal
 from fluxtwin.sim.run import spacecraft as spacecraft
 from fluxtwin.sim.run.flights import flights, vehicle_of
-from fluxtwin.sim.run.housekeeping import Housekeeping
 from fluxtwin.sim.run.truth import Truth
 from fluxtwin.sim.run.world import World
 from fluxtwin.sim.scenario.effect_sections import active_effects, effects_record
 from fluxtwin.sim.scenario.scenario import Scenario
+from fluxtwin.sim.spacecraft.sensors.base import Surroundings
 from fluxtwin.sim.spacecraft.sensors.reference_attitude import (
     attitude_from_sun_and_nadir,
     attitude_with_error,
     q_where,
 )
-from fluxtwin.sim.spacecraft.sensors.sun_sensor import measure_sun
 from fluxtwin.sim.telemetry.record import Telemetry
-
-
-@dataclass(frozen=True)
-class Attached:
-    """What the other sensors say."""
-
-    q_NB: FloatArray
-    sun_sensor_head: FloatArray | None
-    sun_B: FloatArray | None
-    nadir_B: FloatArray | None
-    rate_B_rad_s: FloatArray | None
 
 
 def torquer_dipole_B_Am2(scenario: Scenario, world: World, attitude: Attitude) -> FloatArray:
@@ -99,49 +86,32 @@ def _testable(scenario: Scenario, setting: Setting) -> list[Active]:
     return kept
 
 
-def fly_others(scenario: Scenario, world: World, motion: Attitude) -> Attached:
-    """Sun sensors, horizon scanner, gyro and the reference attitude made from them."""
-    seed, reference = scenario.seed, scenario.attitude.reference
-    heads = spacecraft.sun_sensor_heads(scenario)
-    head = sun_B = nadir_B = None
-    if heads:
-        head, sun_B = measure_sun(heads, motion.R_BN.apply(world.sun_N), world.illumination, stream(seed, "sun_sensor"))
-    nadir_N = -world.r_N_km / np.linalg.norm(world.r_N_km, axis=1)[:, None]
-    scanner = spacecraft.horizon_scanner(scenario)
-    if scanner is not None:
-        *_, nadir_B = scanner.measure(
-            world.time, _horizon_nadir_B(scenario, world, motion), stream(seed, "horizon_scanner")
-        )
-    gyro = spacecraft.gyro(scenario)
-    rate = None if gyro is None else gyro.measure(world.time, motion.rate_B_rad_s, stream(seed, "gyro"))
+def fly_sensors(scenario: Scenario, world: World, motion: Attitude) -> dict[str, FloatArray]:
+    """What the sensors beside the magnetometer give, by telemetry name, and the reference attitude `q_NB`."""
+    around = Surroundings(
+        time=world.time,
+        r_N_km=world.r_N_km,
+        R_BN=motion.R_BN,
+        R_ON=world.R_ON,
+        rate_B_rad_s=motion.rate_B_rad_s,
+        sun_N=world.sun_N,
+        illumination=world.illumination,
+    )
+    columns = scenario.measure(around, lambda name: stream(scenario.seed, name))
+    reference = scenario.attitude.reference
     if reference.source == "sensors":
-        assert sun_B is not None and nadir_B is not None
-        q = attitude_from_sun_and_nadir(sun_B, nadir_B, world.sun_N, nadir_N)
-    else:
+        columns["q_NB"] = attitude_from_sun_and_nadir(columns["sun_B"], columns["nadir_B"], world.sun_N, around.nadir_N)
+    elif reference.source == "error_model":
         reported = attitude_with_error(
             world.time,
             motion.R_BN,
             float(np.radians(reference.sigma_deg)),
             reference.tau_s,
-            stream(seed, "attitude.reference"),
+            stream(scenario.seed, "attitude.reference"),
         )
-        known = np.ones(world.time.size, dtype=bool)
-        if reference.needs_sun:
-            assert head is not None
-            known = head > 0
-        q = q_where(reported, known)
-    return Attached(q, head, sun_B, nadir_B, rate)
-
-
-def _horizon_nadir_B(scenario: Scenario, world: World, motion: Attitude) -> FloatArray:
-    """(N, 3) nadir as the horizon shows it to the scanner, before the errors of its own."""
-    section = scenario.horizon_scanner
-    assert section is not None
-    if section.earth == "disc":
-        return motion.R_BN.apply(-world.r_N_km / np.linalg.norm(world.r_N_km, axis=1)[:, None])
-    seen, assumed = (horizon.surface(name, world.time) for name in (section.earth, section.assumed))
-    scans = spacecraft.conical_scanner(section)
-    return scans.nadir(world.r_N_km, horizon.north_N(world.time), motion.R_BN, world.R_ON, seen, assumed)
+        known = columns["sun_sensor_head"] > 0 if reference.needs_sun else np.ones(world.time.size, dtype=bool)
+        columns["q_NB"] = q_where(reported, known)
+    return columns
 
 
 def _unknown_field_nT(scenario: Scenario, world: World) -> FloatArray:
@@ -153,30 +123,11 @@ def _unknown_field_nT(scenario: Scenario, world: World) -> FloatArray:
     return gauss_markov(world.time, source.nT, tau_s, rng, columns=3)
 
 
-def recorded_columns(
-    world: World, attached: Attached, housekeeping: Housekeeping, dipole_B_Am2: FloatArray
-) -> dict[str, FloatArray]:
-    """What effects may follow, by telemetry name."""
-    columns = {
-        "dipole_B_Am2": dipole_B_Am2,
-        "sunlit": (world.illumination > 0.5).astype(np.float64),
-        "heater_on": housekeeping.heater_on,
-        "array_current_A": housekeeping.array_current_A,
-        "battery_current_A": housekeeping.battery_current_A,
-        "temperature_degC": housekeeping.temperature_degC,
-        "wheel_speed_rpm": housekeeping.wheel_speed_rpm,
-        "sun_sensor_head": attached.sun_sensor_head,
-        "sun_B": attached.sun_B,
-        "nadir_B": attached.nadir_B,
-        "rate_B_rad_s": attached.rate_B_rad_s,
-    }
-    return {name: column for name, column in columns.items() if column is not None}
+def to_telemetry(scenario: Scenario, signal: Signal, columns: Mapping[str, FloatArray], q_NB: FloatArray) -> Telemetry:
+    """What reaches the ground; no truth in it, not even in the provenance.
 
-
-def to_telemetry(
-    scenario: Scenario, signal: Signal, attached: Attached, columns: Mapping[str, FloatArray]
-) -> Telemetry:
-    """What reaches the ground; no truth in it, not even in the provenance."""
+    columns: all that is recorded beside orbit, attitude and reading, by name; q_NB (N, 4): the reference attitude.
+    """
     telemetered = dict(columns)
     if scenario.torquers is None or not scenario.torquers.telemetered:
         del telemetered["dipole_B_Am2"]
@@ -188,7 +139,7 @@ def to_telemetry(
         mag_B_nT=signal.reading,
         r_N_km=signal.r_reported_N_km,
         v_N_km_s=signal.v_reported_N_km_s,
-        q_NB=_reported_q_NB(signal, attached.q_NB),
+        q_NB=_reported_q_NB(signal, q_NB),
         provenance={"source": "simulation", "spacecraft": scenario.spacecraft.name},
         **telemetered,  # type: ignore[arg-type]
     )

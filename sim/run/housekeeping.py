@@ -7,8 +7,6 @@ thermal constant of several orbits, is still on its way when the stretch begins.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from fluxtwin.sim.base.types import FloatArray
@@ -24,30 +22,20 @@ _GRID_S = 30.0
 _WARM_UP_ORBITS = 3
 
 
-@dataclass(frozen=True)
-class Housekeeping:
-    """Columns of the telemetry; None where the scenario has no such part. Arrays as in `Telemetry`."""
-
-    array_current_A: FloatArray | None = None
-    battery_current_A: FloatArray | None = None
-    state_of_charge: FloatArray | None = None
-    temperature_degC: FloatArray | None = None
-    heater_on: FloatArray | None = None
-    wheel_speed_rpm: FloatArray | None = None
-
-
-def run_housekeeping(scenario: Scenario, world: World) -> Housekeeping:
-    """Housekeeping at the world's stamps (nothing random in it)."""
+def run_housekeeping(scenario: Scenario, world: World) -> dict[str, FloatArray]:
+    """Columns of the telemetry at the world's stamps, by name, for the parts that the scenario has; nothing is random."""
+    columns = {"sunlit": (world.illumination > 0.5).astype(np.float64)}
     speeds = _wheel_speeds(scenario, world)
+    if speeds is not None:
+        columns["wheel_speed_rpm"] = speeds
     if scenario.power is None and scenario.thermal is None:
-        return Housekeeping(wheel_speed_rpm=speeds)
+        return columns
     rows: dict[str, list[FloatArray]] = {}
     for number in np.unique(world.segment):
         inside = world.segment == number
         for name, column in _segment(scenario, world, inside).items():
             rows.setdefault(name, []).append(column)
-    columns = {name: np.concatenate(parts) for name, parts in rows.items()}
-    return Housekeeping(wheel_speed_rpm=speeds, **columns)
+    return columns | {name: np.concatenate(parts) for name, parts in rows.items()}
 
 
 def _segment(scenario: Scenario, world: World, inside: np.ndarray) -> dict[str, FloatArray]:
@@ -84,8 +72,8 @@ def _power(scenario: Scenario, world: World) -> dict[str, FloatArray]:
     sun_B = true_attitude(scenario, world).R_BN.apply(world.sun_N)
     array = power.array_current_A(sun_B, world.illumination, [panel])
     battery = power.Battery(section.battery_capacity_Ah, section.charge_efficiency, section.taper_above)
-    current, charge = power.battery_history(world.time, array, section.load_A, battery)
-    return {"array_current_A": array, "battery_current_A": current, "state_of_charge": charge}
+    current, _ = power.battery_history(world.time, array, section.load_A, battery)
+    return {"array_current_A": array, "battery_current_A": current}
 
 
 def _thermal(scenario: Scenario, world: World) -> dict[str, FloatArray]:

@@ -31,14 +31,14 @@ def simulate(scenario: Scenario, *, world: World | None = None, progress: Progre
     motion = ScenarioMotion(scenario, world, true_attitude(scenario, world))
     progress("housekeeping", 0.6)
     attitude = motion.attitude
-    housekeeping = run_housekeeping(scenario, world)
+    columns = run_housekeeping(scenario, world)
     progress("sensors", 0.8)
-    attached = chain.fly_others(scenario, world, attitude)
-    dipole = chain.torquer_dipole_B_Am2(scenario, world, attitude)
-    columns = chain.recorded_columns(world, attached, housekeeping, dipole)
+    columns |= chain.fly_sensors(scenario, world, attitude)
+    q_NB = columns.pop("q_NB")
+    columns["dipole_B_Am2"] = chain.torquer_dipole_B_Am2(scenario, world, attitude)
     signal = chain.fly_magnetometer(scenario, world, motion, columns)
     progress("done", 1.0)
-    telemetry = _as_read(scenario, world, chain.to_telemetry(scenario, signal, attached, columns))
+    telemetry = _as_read(scenario, world, chain.to_telemetry(scenario, signal, columns, q_NB))
     truth = chain.to_truth(scenario, world, attitude, signal)
     return with_pulses(telemetry, scenario, world, truth), truth
 

@@ -1,4 +1,4 @@
-"""From a scenario's sections to the parts of the spacecraft: magnetometer, torquers, heads, scanner, gyro."""
+"""From a scenario's sections to the magnetometer and the torquers."""
 
 from __future__ import annotations
 
@@ -7,12 +7,7 @@ import numpy as np
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.scenario.scenario import Scenario
-from fluxtwin.sim.scenario.sections import HorizonScannerSection, SunSensorSection
-from fluxtwin.sim.spacecraft.sensors.gyro import Gyro
-from fluxtwin.sim.spacecraft.sensors.horizon_crossings import ConicalScanner
-from fluxtwin.sim.spacecraft.sensors.horizon_scanner import HorizonScanner
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
-from fluxtwin.sim.spacecraft.sensors.sun_sensor import SunSensorHead
 from fluxtwin.sim.spacecraft.sensors.torquers import coupling_nT_per_Am2
 from fluxtwin.sim.spacecraft.torquer_schedule import ConstantDipole, TorquerSchedule, draw_random_duty
 
@@ -49,57 +44,3 @@ def torquer_schedule(scenario: Scenario) -> TorquerSchedule:
     if section.activity == "constant":
         return ConstantDipole((section.Am2, section.Am2, section.Am2))
     return draw_random_duty(section.Am2, section.duty, section.dwell_s, stream(scenario.seed, "torquers.schedule"))
-
-
-def sun_sensor_heads(scenario: Scenario) -> list[SunSensorHead]:
-    """The heads in order of their numbers."""
-    return [_head(int(number), scenario.sun_sensor[number]) for number in sorted(scenario.sun_sensor, key=int)]
-
-
-def horizon_scanner(scenario: Scenario) -> HorizonScanner | None:
-    """The scanner, if the scenario has one."""
-    section = scenario.horizon_scanner
-    if section is None:
-        return None
-    correlated = section.tau_s > 0
-    return HorizonScanner(
-        noise_rad=0.0 if correlated else float(np.radians(section.noise_deg)),
-        lsb_rad=float(np.radians(section.lsb_deg)),
-        bias_rad=(float(np.radians(section.roll_bias_deg)), float(np.radians(section.pitch_bias_deg))),
-        wander_rad=float(np.radians(section.noise_deg)) if correlated else 0.0,
-        wander_tau_s=section.tau_s,
-    )
-
-
-def conical_scanner(section: HorizonScannerSection) -> ConicalScanner:
-    """The scans of a horizon scanner."""
-    axes = {"pair": (1, -1), "+y": (1,), "-y": (-1,)}[section.scans]
-    return ConicalScanner(axes, float(np.radians(section.half_cone_deg)))
-
-
-def gyro(scenario: Scenario) -> Gyro | None:
-    """The gyro, if the scenario has one."""
-    section = scenario.gyro
-    if section is None:
-        return None
-    x, y, z = (float(np.radians(rate) / 3600.0) for rate in section.bias_deg_h)
-    return Gyro(
-        bias_rad_s=(x, y, z),
-        noise_rad_s=float(np.radians(section.noise_deg_s)),
-        random_walk_rad_s_per_sqrt_s=float(np.radians(section.random_walk_deg_h_per_sqrt_h) / 3600.0 / 60.0),
-    )
-
-
-def _head(number: int, section: SunSensorSection) -> SunSensorHead:
-    azimuth, elevation = np.radians(section.azimuth_deg), np.radians(section.elevation_deg)
-    flat = float(np.cos(elevation))
-    x, y, z = (float(np.radians(angle)) for angle in section.misalignment_deg)
-    return SunSensorHead(
-        number=number,
-        boresight_B=(flat * float(np.cos(azimuth)), flat * float(np.sin(azimuth)), -float(np.sin(elevation))),
-        x_axis_B=(-float(np.sin(azimuth)), float(np.cos(azimuth)), 0.0),
-        half_fov_rad=float(np.radians(section.half_fov_deg)),
-        lsb_rad=float(np.radians(section.lsb_deg)),
-        noise_rad=float(np.radians(section.noise_deg)),
-        misalignment_B_rad=(x, y, z),
-    )

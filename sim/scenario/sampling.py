@@ -11,18 +11,8 @@ from fluxtwin.sim.base.section_types import NonNegative, Positive, Section
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.scenario.sections import ScheduleSection
+from fluxtwin.sim.telemetry.quantities import columns_of
 from fluxtwin.sim.telemetry.record import Telemetry
-
-_COLUMNS = {
-    "magnetometer": ("mag_B_nT",),
-    "attitude": ("q_NB",),
-    "sun_sensor": ("sun_B", "sun_sensor_head"),
-    "horizon_scanner": ("nadir_B",),
-    "gyro": ("rate_B_rad_s",),
-    "torquers": ("dipole_B_Am2",),
-    "housekeeping": ("array_current_A", "battery_current_A", "temperature_degC", "heater_on", "wheel_speed_rpm"),
-}
-"""What each part of the spacecraft writes."""
 
 
 class RateSection(Section):
@@ -52,7 +42,7 @@ class SamplingSection(Section):
     @property
     def rates(self) -> dict[str, RateSection]:
         """Those that are given, by name."""
-        given = {name: getattr(self, name) for name in _COLUMNS}
+        given = {name: getattr(self, name) for name in type(self).model_fields}
         return {name: rate for name, rate in given.items() if rate is not None}
 
     def check(self, schedule: ScheduleSection) -> None:
@@ -93,7 +83,7 @@ def interleaved(telemetry: Telemetry, rows: dict[str, BoolArray], *, attitude_fr
         )
     changes: dict[str, object] = {}
     for name, read in taken.items():
-        for column in _COLUMNS[name]:
+        for column in columns_of(name):
             value = getattr(telemetry, column)
             if value is not None:
                 changes[column] = np.where(read if value.ndim == 1 else read[:, None], value, np.nan)

@@ -10,7 +10,6 @@ import tomli_w
 from pydantic import Field, PrivateAttr, model_validator
 
 from fluxtwin.sim.base import files
-from fluxtwin.sim.base.section_types import Section
 from fluxtwin.sim.base.toml_input import parse_tree, read_tree, validate
 from fluxtwin.sim.scenario import draws as scenario_draws
 from fluxtwin.sim.scenario import sections as sections
@@ -18,9 +17,10 @@ from fluxtwin.sim.scenario.draws import DrawSection
 from fluxtwin.sim.scenario.dynamics_sections import ControlSection, DynamicsSection, TorquesSection
 from fluxtwin.sim.scenario.effect_sections import EffectsSection
 from fluxtwin.sim.scenario.sampling import SamplingSection
+from fluxtwin.sim.spacecraft.sensors.catalogue import SensorSections
 
 
-class Scenario(Section):
+class Scenario(SensorSections):
     """A whole scenario, checked. `load_scenario` reads one, `save_scenario` writes one."""
 
     file_kind: ClassVar[str] = "a scenario"
@@ -35,10 +35,7 @@ class Scenario(Section):
     station: dict[str, sections.StationSection] = {}
     attitude: sections.AttitudeSection = sections.AttitudeSection()
     magnetometer: sections.MagnetometerSection = sections.MagnetometerSection()
-    sun_sensor: dict[str, sections.SunSensorSection] = {}
     slit_sun_sensor: sections.SlitSunSensorSection | None = None
-    horizon_scanner: sections.HorizonScannerSection | None = None
-    gyro: sections.GyroSection | None = None
     torquers: sections.TorquersSection | None = None
     power: sections.PowerSection | None = None
     thermal: sections.ThermalSection | None = None
@@ -66,10 +63,15 @@ class Scenario(Section):
         reference = self.attitude.reference
         if (reference.needs_sun or reference.source == "sensors") and not self.sun_sensor:
             raise ValueError("the reference attitude wants sun sensors: add [sun_sensor.1], ...")
-        if reference.source == "sensors" and (reference.sigma_deg or reference.tau_s):
+        if reference.source != "error_model" and (reference.sigma_deg or reference.tau_s):
             raise ValueError(
                 "a reference attitude from sensors has the sensors' errors: leave sigma_deg and tau_s out, or use "
                 'source = "error_model"'
+            )
+        if (reference.source == "star_tracker") != (self.star_tracker is not None):
+            raise ValueError(
+                'a [star_tracker] gives the reference attitude, with source = "star_tracker" in [attitude.reference]: '
+                "give both or neither"
             )
         if reference.source == "sensors" and self.horizon_scanner is None:
             raise ValueError("a reference attitude from sensors wants a [horizon_scanner]")
@@ -143,7 +145,9 @@ class Scenario(Section):
 
     def to_toml(self) -> str:
         """The scenario as TOML, every key that has a value, so that it does not change with the defaults."""
-        return tomli_w.dumps(_plain(self.model_dump(exclude_none=True)))
+        tree = self.model_dump(exclude_none=True)
+        ordered = {name: tree[name] for name in sorted(tree, key=lambda name: name in SensorSections.model_fields)}
+        return tomli_w.dumps(_plain(ordered))
 
 
 def load_scenario(path: Path | str) -> Scenario:

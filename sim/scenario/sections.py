@@ -100,8 +100,9 @@ class ReferenceAttitudeSection(Section):
     sigma_deg: NonNegative = 0.0
     tau_s: NonNegative = 0.0
     """Time constant of the error; 0 is white."""
-    source: Literal["error_model", "sensors"] = "error_model"
-    """error_model: truth turned by the error; sensors: computed from sun-sensor and scanner readings."""
+    source: Literal["error_model", "sensors", "star_tracker"] = "error_model"
+    """error_model: truth turned by the error; sensors: computed from sun-sensor and scanner readings; star_tracker: as the
+    [star_tracker] gives it."""
     needs_sun: bool = False
     """Rows in which no sun-sensor head sees the sun have no attitude."""
 
@@ -214,47 +215,11 @@ class MagnetometerSection(Section):
         return None if self.range_nT is None and self.range_mG is None else _nT(self.range_nT, self.range_mG)
 
 
-class SunSensorSection(Section):
-    """One two-axis head. Azimuth from +x towards +y, elevation from the xy plane towards -z (up)."""
-
-    azimuth_deg: float
-    elevation_deg: float = 0.0
-    half_fov_deg: Annotated[float, Field(gt=0, lt=90)] = 64.0
-    lsb_deg: NonNegative = 0.0
-    noise_deg: NonNegative = 0.0
-    misalignment_deg: Vector3 = ZERO3
-
-
 class SlitSunSensorSection(Section):
     """One slit in a half plane that holds body z, at an azimuth from +x towards +y; one pulse a spin."""
 
     azimuth_deg: float = 0.0
     noise_deg: NonNegative = 0.0
-
-
-class HorizonScannerSection(Section):
-    """Measures roll and pitch against the Earth's horizon; noise is correlated over `tau_s`."""
-
-    earth: Literal["disc", "ellipsoid", "infrared"] = "disc"
-    """What is seen: a disc whose middle is found as it is, or the horizon of that surface, crossed by conical scans."""
-    assumed: Literal["sphere", "ellipsoid"] = "sphere"
-    """What the processing takes the Earth for."""
-    scans: Literal["pair", "+y", "-y"] = "pair"
-    """Body axes that the half-cones are centred on."""
-    half_cone_deg: Annotated[float, Field(gt=0, lt=90)] = 45.0
-    noise_deg: NonNegative = 0.0
-    lsb_deg: NonNegative = 0.0
-    tau_s: NonNegative = 0.0
-    roll_bias_deg: float = 0.0
-    pitch_bias_deg: float = 0.0
-
-
-class GyroSection(Section):
-    """Body rate with a constant bias, white noise and a bias that wanders."""
-
-    bias_deg_h: Vector3 = ZERO3
-    noise_deg_s: NonNegative = 0.0
-    random_walk_deg_h_per_sqrt_h: NonNegative = 0.0
 
 
 class TorquersSection(Section):

@@ -12,7 +12,8 @@ import numpy as np
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import frames
-from fluxtwin.sim.telemetry.columns import ANGLES, BY_NAME, Resolution, Table, resolve
+from fluxtwin.sim.telemetry.columns import Resolution, Table, resolve
+from fluxtwin.sim.telemetry.quantities import ANGLES, BY_NAME
 from fluxtwin.sim.telemetry.record import Telemetry
 
 METRES_ABOVE = 1.0e5

@@ -34,22 +34,11 @@ from fluxtwin.sim.base.toml_input import Strict, read_model
 from fluxtwin.sim.telemetry import column_map_words as words
 from fluxtwin.sim.telemetry.columns import Table
 from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
+from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME
 from fluxtwin.sim.telemetry.record import Telemetry
 
-UNITS: dict[str, dict[str, float]] = {
-    "mag": {"nT": 1.0, "uT": 1e3, "mG": 100.0, "G": 1e5, "T": 1e9},
-    "position": {"km": 1.0, "m": 1e-3},
-    "velocity": {"km/s": 1.0, "m/s": 1e-3},
-    "rate": {"deg/s": 0.017453292519943295, "rad/s": 1.0},
-    "dipole": {"Am2": 1.0, "mAm2": 1e-3},
-    "array_current": {"A": 1.0, "mA": 1e-3},
-    "battery_current": {"A": 1.0, "mA": 1e-3},
-    "temperature": {"degC": 1.0, "K": 1.0},
-    "wheel_speed": {"rpm": 1.0, "rad/s": 9.549296585513721},
-}
-"""Quantity: accepted units and their factor into the record's unit."""
-UNITLESS = {"attitude", "sun", "nadir", "sunlit", "heater_on", "sun_sensor_head"}
-_VECTORS = {"mag", "position", "velocity", "rate", "dipole", "sun", "nadir"}
+KNOWN = [*sorted(BY_MAP_NAME, key=lambda name: not BY_MAP_NAME[name].map_units), "flag_NAME"]
+"""What a map may name; those that take a unit first."""
 _FLAG = re.compile(r"flag_[A-Za-z0-9_]{1,60}")
 
 
@@ -288,17 +277,19 @@ def _beside(name: str, folders: list[Path]) -> Path:
 
 
 def _check_quantity(name: str, spec: ColumnSpec) -> None:
-    if name not in UNITS and name not in UNITLESS and not _FLAG.fullmatch(name):
-        raise ValueError(f"unknown quantity {name}; known: {', '.join([*UNITS, *sorted(UNITLESS), 'flag_NAME'])}")
-    accepted = UNITS.get(name)
-    if accepted is not None and spec.unit not in accepted:
+    quantity = BY_MAP_NAME.get(name)
+    if quantity is None and not _FLAG.fullmatch(name):
+        raise ValueError(f"unknown quantity {name}; known: {', '.join(KNOWN)}")
+    accepted = quantity.map_units if quantity is not None else {}
+    if accepted and spec.unit not in accepted:
         what = "has no unit" if spec.unit is None else f"has the unit {spec.unit!r}"
         raise ValueError(f"{name} {what}; accepted: {', '.join(accepted)}")
-    if accepted is None and spec.unit is not None:
+    if not accepted and spec.unit is not None:
         raise ValueError(f"{name} takes no unit")
     if name in ("position", "velocity") and spec.frame is None:
         raise ValueError(f"{name} wants frame: {', '.join(words.FRAMES)}")
-    if name in _VECTORS and isinstance(spec.source, list) and len(spec.source) != 3:
+    vector = quantity is not None and quantity.components == 3
+    if vector and isinstance(spec.source, list) and len(spec.source) != 3:
         raise ValueError(f"{name} takes three columns")
     if name == "attitude":
         _check_attitude(spec)

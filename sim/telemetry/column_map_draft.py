@@ -15,6 +15,7 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
 from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
+from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME
 
 CONFIRM = "# to be confirmed:"
 _AXES = (("x", "y", "z"), ("1", "2", "3"), ("0", "1", "2"))
@@ -252,13 +253,11 @@ def _vector(header: _Header, quantity: str, columns: list[str]) -> _Found:
 
 
 def _stated_unit(header: _Header, quantity: str, columns: list[str]) -> str | None:
-    from fluxtwin.sim.telemetry.column_map import UNITS
-
     said = header.units.get(columns[0], "")
     words = [said, *re.split(r"[_\[\]() ]+", columns[0])[1:], "".join(re.split(r"[_/\[\]() ]+", columns[0])[-2:])]
     for word in words:
         unit = _UNIT_NAMES.get(re.sub(r"[^a-z0-9]", "", word.lower()))
-        if unit in UNITS.get(quantity, {}):
+        if quantity in BY_MAP_NAME and unit in BY_MAP_NAME[quantity].map_units:
             return unit
     return None
 

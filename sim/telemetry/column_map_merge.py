@@ -22,22 +22,10 @@ from fluxtwin.sim.telemetry.build import velocity_from_positions
 from fluxtwin.sim.telemetry.column_map import ColumnMap, ColumnSpec
 from fluxtwin.sim.telemetry.column_map_read import Source, read_source, require_increasing
 from fluxtwin.sim.telemetry.columns import Table
+from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, POSITION, VELOCITY
 
 _LARGEST_TURN_RAD = np.pi / 2.0
 """A turn beyond this between two attitude samples is not interpolated: the way it went is not known."""
-_HELD = {"sunlit", "heater_on", "sun_sensor_head", "dipole"}
-_COLUMNS = {
-    "mag": ("mag_x_nT", "mag_y_nT", "mag_z_nT"),
-    "position": ("r_x_km", "r_y_km", "r_z_km"),
-    "velocity": ("v_x_km_s", "v_y_km_s", "v_z_km_s"),
-    "rate": ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s"),
-    "dipole": ("dipole_x_Am2", "dipole_y_Am2", "dipole_z_Am2"),
-    "sun": ("sun_x", "sun_y", "sun_z"),
-    "nadir": ("nadir_x", "nadir_y", "nadir_z"),
-    "array_current": ("array_current_A",),
-    "battery_current": ("battery_current_A",),
-    "temperature": ("temperature_degC",),
-}
 
 
 def merged_table(
@@ -77,7 +65,7 @@ def _put(columns: dict[str, FloatArray], name: str, value: FloatArray) -> None:
     if name == "wheel_speed":
         names = tuple(f"wheel_{k}_speed_rpm" for k in range(1, value.shape[1] + 1))
     else:
-        names = _COLUMNS.get(name, (name,))
+        names = (name,) if name.startswith("flag_") else BY_MAP_NAME[name].plain
     columns.update(zip(names, value.T, strict=True))
 
 
@@ -104,7 +92,7 @@ def _resampled(source: Source, name: str, time: TimeArray, same: bool) -> FloatA
     origin = time[0]
     have, want = _seconds(source.time[rows], origin), _seconds(time, origin)
     gap = source.entry.max_gap_s
-    if name in _HELD or name.startswith("flag_"):
+    if name.startswith("flag_") or BY_MAP_NAME[name].held:
         place = np.searchsorted(have, want, side="right") - 1
         fresh = (place >= 0) & (want - have[np.maximum(place, 0)] <= gap)
         out[fresh] = value[rows][place[fresh]]
@@ -215,8 +203,8 @@ def _orbit(
     elif tle is not None:
         notices.append(f"the files have positions, so the elements in {Path(tle).name} were not used")
     groups = [
-        np.stack([columns[c] for c in _COLUMNS[name]], axis=1) if _COLUMNS[name][0] in columns else None
-        for name in ("position", "velocity")
+        np.stack([columns[c] for c in quantity.plain], axis=1) if quantity.plain[0] in columns else None
+        for quantity in (POSITION, VELOCITY)
     ]
     return groups[0], groups[1]
 

@@ -14,10 +14,11 @@ from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.constants import EARTH_RATE_RAD_S
 from fluxtwin.sim.earth.frames_of_date import rotation_from_N
 from fluxtwin.sim.telemetry import time_stamps as telemetry_time
-from fluxtwin.sim.telemetry.column_map import UNITS, ColumnSpec, FileEntry, TimeRecipe, matches
+from fluxtwin.sim.telemetry.column_map import ColumnSpec, FileEntry, TimeRecipe, matches
 from fluxtwin.sim.telemetry.columns import clip
 from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
 from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
+from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME
 
 
 @dataclass
@@ -153,10 +154,10 @@ def _quantity(reader: _Reader, name: str, spec: ColumnSpec) -> FloatArray:
         missing |= np.isin(raw, spec.invalid).all(axis=1)
     for column, wanted in spec.valid.items():
         missing |= reader.numbers([column])[:, 0] != wanted
-    width = 3 if name in ("mag", "position", "velocity", "rate", "dipole", "sun", "nadir") else None
-    if width is not None and raw.shape[1] != width:
+    quantity = BY_MAP_NAME.get(name)
+    if quantity is not None and quantity.components == 3 and raw.shape[1] != 3:
         raise BadInput(f"{name} has {raw.shape[1]} components", where=reader.where, wanted="three")
-    factor = spec.scale * UNITS.get(name, {}).get(spec.unit or "", 1.0)
+    factor = spec.scale * (quantity.map_units.get(spec.unit or "", 1.0) if quantity is not None else 1.0)
     value = raw if factor == 1.0 else raw * factor
     if spec.unit == "K":
         value = value - 273.15

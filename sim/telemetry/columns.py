@@ -1,4 +1,4 @@
-"""The column contract: which names and units a telemetry file may use, and what they mean in the record.
+"""The columns of a telemetry file: which quantity each one is, and the refusals where that is not plain.
 
 A file column is `stem_unit`, as `mag_x_nT`; dimensionless columns have no unit. `resolve` turns the names found
 in a file into the quantities of the record, or says in one message what is missing, doubled or without a unit.
@@ -17,75 +17,8 @@ import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.telemetry.quantities import ANGLES, MAG, POSITION, POSITION_E, QUANTITIES, QUATERNION, Quantity
 from fluxtwin.sim.telemetry.record import Telemetry, plain_text
-
-_DEG = float(np.pi / 180.0)
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """One quantity of the contract: its columns in a file, the units they may carry, its place in the record."""
-
-    name: str
-    """Record field, or `r_E_km` and `yaw_roll_pitch_rad`, which are turned into record fields on reading."""
-    stems: tuple[str, ...]
-    """Column names without the unit, one a component."""
-    units: Mapping[str, float]
-    """Accepted unit suffix: factor into the record's unit. The first one is written. "" is no suffix."""
-    long_name: str
-    cf_units: str
-    """Unit of the first suffix as CF (UDUNITS) spells it."""
-    binary: bool = False
-    """Values are 0 or 1."""
-
-    def columns(self, unit: str) -> tuple[str, ...]:
-        """File column names in `unit`, one a component."""
-        return tuple(f"{stem}_{unit}" if unit else stem for stem in self.stems)
-
-    @property
-    def written(self) -> tuple[str, ...]:
-        """File column names in the unit that is written."""
-        return self.columns(next(iter(self.units)))
-
-
-def _xyz(stem: str) -> tuple[str, ...]:
-    return tuple(f"{stem}_{axis}" for axis in "xyz")
-
-
-POSITION = Quantity("r_N_km", _xyz("r"), {"km": 1.0}, "position, GCRS", "km")
-POSITION_E = Quantity("r_E_km", _xyz("ecef"), {"km": 1.0}, "position, Earth-fixed (ITRS)", "km")
-VELOCITY = Quantity("v_N_km_s", _xyz("v"), {"km_s": 1.0}, "velocity, GCRS", "km s-1")
-MAG = Quantity(
-    "mag_B_nT", _xyz("mag"), {"nT": 1.0, "mG": 100.0, "uT": 1e3, "T": 1e9},
-    "magnetometer reading, nominal body axes", "nT",
-)  # fmt: skip
-QUATERNION = Quantity(
-    "q_NB", ("q_x", "q_y", "q_z", "q_w"), {"": 1.0},
-    "attitude quaternion of the body relative to GCRS, scalar last (Wertz; Markley and Crassidis)", "1",
-)  # fmt: skip
-ANGLES = Quantity(
-    "yaw_roll_pitch_rad", ("yaw", "roll", "pitch"), {"deg": _DEG},
-    "3-1-2 attitude angles from the orbital frame to the body", "degree",
-)  # fmt: skip
-QUANTITIES: tuple[Quantity, ...] = (
-    POSITION,
-    POSITION_E,
-    VELOCITY,
-    MAG,
-    QUATERNION,
-    ANGLES,
-    Quantity("dipole_B_Am2", _xyz("dipole"), {"Am2": 1.0}, "torquer dipole, body axes", "A m2"),
-    Quantity("sunlit", ("sunlit",), {"": 1.0}, "1 in sunlight, 0 in shadow", "1", binary=True),
-    Quantity("heater_on", ("heater_on",), {"": 1.0}, "1 while the heater is on", "1", binary=True),
-    Quantity("array_current_A", ("array_current",), {"A": 1.0}, "solar array current", "A"),
-    Quantity("battery_current_A", ("battery_current",), {"A": 1.0}, "battery current, positive charging", "A"),
-    Quantity("temperature_degC", ("temperature",), {"degC": 1.0}, "magnetometer temperature", "degree_Celsius"),
-    Quantity("sun_sensor_head", ("sun_sensor_head",), {"": 1.0}, "sun sensor head in use, 0 none", "1"),
-    Quantity("sun_B", _xyz("sun"), {"": 1.0}, "measured unit vector to the sun, body axes", "1"),
-    Quantity("nadir_B", _xyz("nadir"), {"": 1.0}, "measured unit vector to nadir, body axes", "1"),
-    Quantity("rate_B_rad_s", _xyz("rate"), {"deg_s": _DEG, "rad_s": 1.0}, "body rate", "degree s-1"),
-)
-BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}
 
 FLAG = re.compile(r"flag_([A-Za-z0-9_]{1,60})")
 WHEEL = re.compile(r"wheel_([1-9][0-9]?)_speed_rpm")

@@ -20,8 +20,9 @@ from fluxtwin.sim.base.files import escaped
 from fluxtwin.sim.base.netcdf_out import TRUTH_TITLE, Variable, write_netcdf
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth.epoch import parse_time
-from fluxtwin.sim.telemetry.columns import MAG, Table, clip, describe, file_columns, resolve
+from fluxtwin.sim.telemetry.columns import Table, clip, describe, file_columns, resolve
 from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
+from fluxtwin.sim.telemetry.quantities import MAG
 from fluxtwin.sim.telemetry.record import Telemetry
 
 if TYPE_CHECKING:

@@ -2,8 +2,7 @@
 
 One frozen record of time-first float64 arrays. Simulated and recorded data pass the same constructor, so
 that nobody downstream can tell which it was. Missing values are NaN; a column that is absent is None.
-The columns of the files are in `telemetry_columns`, the readers and writers in `telemetry_csv`,
-`telemetry_netcdf` and `column_map`.
+What each column is says `quantities`; `csv_files`, `netcdf_files` and `column_map` read and write them.
 """
 
 from __future__ import annotations
@@ -18,13 +17,9 @@ import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.telemetry.quantities import RECORDED
 
-_SHAPES = {
-    "r_N_km": 3, "v_N_km_s": 3, "mag_B_nT": 3, "q_NB": 4, "dipole_B_Am2": 3, "sun_B": 3, "nadir_B": 3,
-    "rate_B_rad_s": 3, "sunlit": 0, "heater_on": 0, "array_current_A": 0, "battery_current_A": 0,
-    "temperature_degC": 0, "sun_sensor_head": 0, "wheel_speed_rpm": -1,
-}  # fmt: skip
-
+_SHAPES = {quantity.name: quantity.components for quantity in RECORDED}
 
 TEXT_BYTES = 80
 """Width of a text cell in a CSV at most: a fixed width spares a Python object a cell."""

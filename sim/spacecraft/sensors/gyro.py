@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.section_types import ZERO3, NonNegative, Vector3
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch as clock
+from fluxtwin.sim.spacecraft.sensors.base import SensorSection, Surroundings
 
 
 @dataclass(frozen=True)
@@ -35,3 +38,22 @@ class Gyro:
         change = self.random_walk_rad_s_per_sqrt_s * np.sqrt(step)[:, None] * rng.standard_normal(rate.shape)
         measured: FloatArray = rate + self.bias_rad_s + np.cumsum(change, axis=0) + noise
         return measured
+
+
+class GyroSection(SensorSection):
+    """Body rate with a constant bias, white noise and a bias that wanders."""
+
+    columns: ClassVar[tuple[str, ...]] = ("rate_B_rad_s",)
+    bias_deg_h: Vector3 = ZERO3
+    noise_deg_s: NonNegative = 0.0
+    random_walk_deg_h_per_sqrt_h: NonNegative = 0.0
+
+    def measure(self, around: Surroundings, rng: np.random.Generator) -> dict[str, FloatArray]:
+        """rate_B_rad_s (N, 3)."""
+        x, y, z = (float(np.radians(rate) / 3600.0) for rate in self.bias_deg_h)
+        gyro = Gyro(
+            bias_rad_s=(x, y, z),
+            noise_rad_s=float(np.radians(self.noise_deg_s)),
+            random_walk_rad_s_per_sqrt_s=float(np.radians(self.random_walk_deg_h_per_sqrt_h) / 3600.0 / 60.0),
+        )
+        return {"rate_B_rad_s": gyro.measure(around.time, around.rate_B_rad_s, rng)}

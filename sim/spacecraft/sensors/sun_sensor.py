@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
+from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.section_types import ZERO3, NonNegative, Vector3
 from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.spacecraft.sensors.base import SensorSection, Surroundings
 
 Direction = tuple[float, float, float]
 """Components of a direction in body axes, of any length but zero."""
@@ -122,3 +126,39 @@ def measure_sun(
         number[chosen] = head.number
         measured[chosen] = reading[chosen]
     return number, measured
+
+
+class SunSensorSection(SensorSection):
+    """One two-axis head. Azimuth from +x towards +y, elevation from the xy plane towards -z (up)."""
+
+    columns: ClassVar[tuple[str, ...]] = ("sun_B", "sun_sensor_head")
+    azimuth_deg: float
+    elevation_deg: float = 0.0
+    half_fov_deg: Annotated[float, Field(gt=0, lt=90)] = 64.0
+    lsb_deg: NonNegative = 0.0
+    noise_deg: NonNegative = 0.0
+    misalignment_deg: Vector3 = ZERO3
+
+    @classmethod
+    def measure_with(
+        cls, heads: Mapping[str, Self], around: Surroundings, rng: np.random.Generator
+    ) -> dict[str, FloatArray]:
+        """sun_B (N, 3) unit vectors in body axes, and the number of the head in use (N,)."""
+        fitted = [heads[number].head(int(number)) for number in sorted(heads, key=int)]
+        number, sun_B = measure_sun(fitted, around.R_BN.apply(around.sun_N), around.illumination, rng)
+        return {"sun_sensor_head": number, "sun_B": sun_B}
+
+    def head(self, number: int) -> SunSensorHead:
+        """The head of this section."""
+        azimuth, elevation = np.radians(self.azimuth_deg), np.radians(self.elevation_deg)
+        flat = float(np.cos(elevation))
+        x, y, z = (float(np.radians(angle)) for angle in self.misalignment_deg)
+        return SunSensorHead(
+            number=number,
+            boresight_B=(flat * float(np.cos(azimuth)), flat * float(np.sin(azimuth)), -float(np.sin(elevation))),
+            x_axis_B=(-float(np.sin(azimuth)), float(np.cos(azimuth)), 0.0),
+            half_fov_rad=float(np.radians(self.half_fov_deg)),
+            lsb_rad=float(np.radians(self.lsb_deg)),
+            noise_rad=float(np.radians(self.noise_deg)),
+            misalignment_B_rad=(x, y, z),
+        )

@@ -212,9 +212,9 @@ GOOD = one_file('{ recipe = "unix_s", columns = "t" }')
 @pytest.mark.parametrize(
     ("toml", "said"),
     [
-        (GOOD.replace(', unit = "nT"', ""), "mag has no unit; accepted: nT, uT, mG, G, T"),
+        (GOOD.replace(', unit = "nT"', ""), "mag has no unit; accepted: nT, mG, uT, T, G"),
         (GOOD.replace('"nT"', '"furlong"'), "mag has the unit 'furlong'"),
-        (GOOD.replace("mag =", "magnet ="), "unknown quantity magnet; known: mag,"),
+        (GOOD.replace("mag =", "magnet ="), "unknown quantity magnet; known: position,"),
         (GOOD.replace("recipe", "recepi"), "unknown key file.0.time.recepi; did you mean recipe?"),
         (GOOD.replace("unix_s", "sundial"), "file.0.time.recipe"),
         (GOOD.replace("[[file]]", "[[fil]]"), "did you mean file?"),

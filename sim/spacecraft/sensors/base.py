@@ -1,0 +1,54 @@
+"""What a sensor of a scenario is: a section that measures the vehicle's surroundings into columns of telemetry."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.sim.base.section_types import Section
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What the sensors of a vehicle look at, at N stamps; all of it is true."""
+
+    time: TimeArray
+    r_N_km: FloatArray
+    R_BN: Rotation
+    R_ON: Rotation
+    rate_B_rad_s: FloatArray
+    """(N, 3) relative to N."""
+    sun_N: FloatArray
+    """(N, 3) unit vectors."""
+    illumination: FloatArray
+    """(N,) share of the sun's disc in view."""
+
+    @property
+    def nadir_N(self) -> FloatArray:
+        """(N, 3) unit vectors to the centre of the Earth."""
+        nadir: FloatArray = -self.r_N_km / np.linalg.norm(self.r_N_km, axis=1)[:, None]
+        return nadir
+
+
+class SensorSection(Section):
+    """Base of the sensors. Each is a frozen record, checked as the section [NAME] of a scenario, or as [NAME.1],
+    [NAME.2], ... where a vehicle has several heads of it."""
+
+    columns: ClassVar[tuple[str, ...]]
+    """Fields of the telemetry that it gives; `q_NB` for a sensor that gives the reference attitude."""
+
+    def measure(self, around: Surroundings, rng: np.random.Generator) -> dict[str, FloatArray]:
+        """The columns, each (N,) or (N, k), NaN where it measures nothing."""
+        raise NotImplementedError(f"{type(self).__name__} measures with all its heads")
+
+    @classmethod
+    def measure_with(
+        cls, heads: Mapping[str, Self], around: Surroundings, rng: np.random.Generator
+    ) -> dict[str, FloatArray]:
+        """The same of all its heads, by number."""
+        raise NotImplementedError(f"{cls.__name__} has no heads")

@@ -1,0 +1,229 @@
+"""The columns of telemetry, in one table: names, units, what a file may call them, and who writes them.
+
+A new column is a row of `QUANTITIES`, a field of the record (`Telemetry`) and the part of the simulator that writes it.
+Files, column maps, rates of sampling, the record and the diagnosis read the table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+_DEG = float(np.pi / 180.0)
+
+Part = Literal["magnetometer", "attitude", "sun_sensor", "horizon_scanner", "gyro", "torquers", "housekeeping"]
+"""Who writes a column: a section under [sampling] of a scenario says when."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One quantity: its columns in a file, the units they may carry, its place in the record."""
+
+    name: str
+    """Field of the record, or `r_E_km` and `yaw_roll_pitch_rad`, which become fields of the record on reading."""
+    stems: tuple[str, ...]
+    """Names of its columns without the unit, one a component."""
+    units: Mapping[str, float]
+    """Unit at the end of a column's name: factor into the record's unit. The first one is written. "" is no unit."""
+    long_name: str
+    cf_units: str
+    """Unit of the first ending as CF (UDUNITS) spells it."""
+    part: Part | None = None
+    mapped: str | None = None
+    """What a column map calls it; None where a map has no such quantity."""
+    more_units: Mapping[str, float] = field(default_factory=dict)
+    """Units that a column map takes besides."""
+    binary: bool = False
+    """Values are 0 or 1."""
+    held: bool = False
+    """Between samples the last value holds; otherwise it is interpolated."""
+    condition: str | None = None
+    """The condition of a diagnosis that follows it as it stands; None where it enters in another way, or not at all."""
+
+    def columns(self, unit: str) -> tuple[str, ...]:
+        """Names of the file's columns in `unit`, one a component."""
+        return tuple(f"{stem}_{unit}" if unit else stem for stem in self.stems)
+
+    @property
+    def written(self) -> tuple[str, ...]:
+        """Names of the file's columns in the unit that is written."""
+        return self.columns(next(iter(self.units)))
+
+    @property
+    def plain(self) -> tuple[str, ...]:
+        """Names of the file's columns in the record's own unit."""
+        return self.columns(next(unit for unit, factor in self.units.items() if factor == 1.0))
+
+    @property
+    def components(self) -> int:
+        """Columns of the record's array (N, k); 0 for an array (N,), -1 for any number."""
+        return -1 if self is WHEELS else 0 if len(self.stems) == 1 else len(self.stems)
+
+    @property
+    def map_units(self) -> dict[str, float]:
+        """Units that a column map takes, in its spelling: km/s for the ending km_s. Empty: it takes none."""
+        units = {unit.replace("_", "/"): factor for unit, factor in self.units.items() if unit}
+        return units | dict(self.more_units)
+
+
+def _xyz(stem: str) -> tuple[str, ...]:
+    return tuple(f"{stem}_{axis}" for axis in "xyz")
+
+
+POSITION = Quantity("r_N_km", _xyz("r"), {"km": 1.0}, "position, GCRS", "km", mapped="position", more_units={"m": 1e-3})
+POSITION_E = Quantity("r_E_km", _xyz("ecef"), {"km": 1.0}, "position, Earth-fixed (ITRS)", "km")
+VELOCITY = Quantity(
+    "v_N_km_s", _xyz("v"), {"km_s": 1.0}, "velocity, GCRS", "km s-1", mapped="velocity", more_units={"m/s": 1e-3}
+)
+MAG = Quantity(
+    "mag_B_nT",
+    _xyz("mag"),
+    {"nT": 1.0, "mG": 100.0, "uT": 1e3, "T": 1e9},
+    "magnetometer reading, nominal body axes",
+    "nT",
+    part="magnetometer",
+    mapped="mag",
+    more_units={"G": 1e5},
+)
+QUATERNION = Quantity(
+    "q_NB",
+    ("q_x", "q_y", "q_z", "q_w"),
+    {"": 1.0},
+    "attitude quaternion of the body relative to GCRS, scalar last (Wertz; Markley and Crassidis)",
+    "1",
+    part="attitude",
+    mapped="attitude",
+)
+ANGLES = Quantity(
+    "yaw_roll_pitch_rad",
+    ("yaw", "roll", "pitch"),
+    {"deg": _DEG},
+    "3-1-2 attitude angles from the orbital frame to the body",
+    "degree",
+)
+WHEELS = Quantity(
+    "wheel_speed_rpm",
+    ("wheel_speed",),
+    {"rpm": 1.0},
+    "wheel speeds; columns wheel_1_speed_rpm, wheel_2_speed_rpm, ...",
+    "rpm",
+    part="housekeeping",
+    mapped="wheel_speed",
+    more_units={"rad/s": 60.0 / (2.0 * np.pi)},
+)
+QUANTITIES: tuple[Quantity, ...] = (
+    POSITION,
+    POSITION_E,
+    VELOCITY,
+    MAG,
+    QUATERNION,
+    ANGLES,
+    Quantity(
+        "dipole_B_Am2",
+        _xyz("dipole"),
+        {"Am2": 1.0},
+        "torquer dipole, body axes",
+        "A m2",
+        part="torquers",
+        mapped="dipole",
+        more_units={"mAm2": 1e-3},
+        held=True,
+    ),
+    Quantity(
+        "sunlit", ("sunlit",), {"": 1.0}, "1 in sunlight, 0 in shadow", "1", mapped="sunlit", binary=True, held=True
+    ),
+    Quantity(
+        "heater_on",
+        ("heater_on",),
+        {"": 1.0},
+        "1 while the heater is on",
+        "1",
+        part="housekeeping",
+        mapped="heater_on",
+        binary=True,
+        held=True,
+    ),
+    Quantity(
+        "array_current_A",
+        ("array_current",),
+        {"A": 1.0},
+        "solar array current",
+        "A",
+        part="housekeeping",
+        mapped="array_current",
+        more_units={"mA": 1e-3},
+        condition="current",
+    ),
+    Quantity(
+        "battery_current_A",
+        ("battery_current",),
+        {"A": 1.0},
+        "battery current, positive charging",
+        "A",
+        part="housekeeping",
+        mapped="battery_current",
+        more_units={"mA": 1e-3},
+        condition="current",
+    ),
+    Quantity(
+        "temperature_degC",
+        ("temperature",),
+        {"degC": 1.0},
+        "magnetometer temperature",
+        "degree_Celsius",
+        part="housekeeping",
+        mapped="temperature",
+        more_units={"K": 1.0},
+    ),
+    Quantity(
+        "sun_sensor_head",
+        ("sun_sensor_head",),
+        {"": 1.0},
+        "sun sensor head in use, 0 none",
+        "1",
+        part="sun_sensor",
+        mapped="sun_sensor_head",
+        held=True,
+    ),
+    Quantity(
+        "sun_B",
+        _xyz("sun"),
+        {"": 1.0},
+        "measured unit vector to the sun, body axes",
+        "1",
+        part="sun_sensor",
+        mapped="sun",
+    ),
+    Quantity(
+        "nadir_B",
+        _xyz("nadir"),
+        {"": 1.0},
+        "measured unit vector to nadir, body axes",
+        "1",
+        part="horizon_scanner",
+        mapped="nadir",
+    ),
+    Quantity(
+        "rate_B_rad_s",
+        _xyz("rate"),
+        {"deg_s": _DEG, "rad_s": 1.0},
+        "body rate",
+        "degree s-1",
+        part="gyro",
+        mapped="rate",
+    ),
+)
+"""In the order in which files have them."""
+
+BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}
+RECORDED = tuple(q for q in (*QUANTITIES, WHEELS) if q not in (POSITION_E, ANGLES))
+"""The arrays of a record beside time and flags."""
+BY_MAP_NAME = {q.mapped: q for q in RECORDED if q.mapped is not None}
+
+
+def columns_of(part: str) -> tuple[str, ...]:
+    """Fields of the record that a part of the spacecraft writes."""
+    return tuple(quantity.name for quantity in RECORDED if quantity.part == part)

@@ -17,7 +17,6 @@ from fluxtwin.gap.flexible import FlexibleFinding
 from fluxtwin.gap.level import Excess
 from fluxtwin.gap.momentum_far import MomentumGap
 from fluxtwin.gap.named import Named
-from fluxtwin.gap.places import place_of
 from fluxtwin.gap.records import Alone, Diagnosis, EffectParameter, FoundEffect, GapSeries, Place, Shrinkage
 from fluxtwin.gap.stochastic import expected
 from fluxtwin.sim.effects.base import Effect, SignalEffect
@@ -197,7 +196,6 @@ def _found(one: Named, setting: Setting) -> FoundEffect:
         parameter.name: EffectParameter(float(value), float(sigma) if np.isfinite(sigma) else None, parameter.unit)
         for parameter, value, sigma in zip(one.effect.parameters, one.theta, sigmas, strict=True)
     }
-    place = place_of(one.effect, setting)
     shares = dict(zip("xyz", one.axis_shares, strict=True))
     axis = max(shares, key=lambda name: shares[name])
     return FoundEffect(
@@ -209,8 +207,8 @@ def _found(one: Named, setting: Setting) -> FoundEffect:
         settings=settings_of(one.effect),
         stage=one.effect.stage,
         axis=None if np.isnan(shares["x"]) else axis if shares[axis] >= _OWN_AXIS else "all",
-        frame=place.frame,
-        condition=place.condition,
+        frame=one.effect.frame,
+        condition=one.effect.condition_on(setting),
         significance=one.p_value,
         visible_nT=one.visible_nT,
     )
@@ -218,7 +216,6 @@ def _found(one: Named, setting: Setting) -> FoundEffect:
 
 def _flexible(one: FlexibleFinding, setting: Setting) -> FoundEffect:
     effect: Effect = one.instance if one.instance is not None else find_effect(one.effect)
-    place = place_of(effect, setting)
     settings = settings_of(effect) if isinstance(effect, SignalEffect) else _plain_settings(effect)
     return FoundEffect(
         name=one.effect,
@@ -232,8 +229,8 @@ def _flexible(one: FlexibleFinding, setting: Setting) -> FoundEffect:
         settings=settings,
         stage=effect.stage,
         axis=str(settings["axis"]) if settings.get("axis") in ("x", "y", "z") else "all",
-        frame=place.frame,
-        condition=place.condition,
+        frame=effect.frame,
+        condition=effect.condition_on(setting),
         significance=one.p_value,
         visible_nT=0.0,
     )

@@ -22,7 +22,6 @@ from scipy.special import expit, logsumexp
 from fluxtwin.gap.blocks import STAGES, Block, blocks, step_block
 from fluxtwin.gap.evidence import Fit, Leftover, Whitens, fit, fit_all, leftover, share_mimicked
 from fluxtwin.gap.left import step
-from fluxtwin.gap.places import place_of
 from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.records import STAGES as ALL_STAGES
 from fluxtwin.gap.records import Place
@@ -154,10 +153,11 @@ def locate(left: Leftover, fits: Sequence[Fit]) -> Where:
 
 
 def catalogue_blocks(problem: Problem, candidates: Iterable[HasJacobian]) -> list[Block]:
-    """Catalogue effects as blocks: stage from the effect, frame and condition from `places`."""
+    """Catalogue effects as blocks: stage from the effect, frame and condition too."""
     found = []
     for candidate in candidates:
-        place = place_of(candidate.effect, problem.setting)
+        effect = candidate.effect
+        condition = effect.condition_on(problem.setting)
         stages = {candidate.effect.stage: 1.0}
         if candidate.effect.stage not in STAGES:
             continue
@@ -167,7 +167,7 @@ def catalogue_blocks(problem: Problem, candidates: Iterable[HasJacobian]) -> lis
         jacobian = candidate.jacobian
         label = candidate.effect.name.replace("_", " ")
         found.append(
-            Block(stages, place.condition, place.frame, label, axes, partial(np.asarray, jacobian), _CATALOGUE_PRIOR)
+            Block(stages, condition, effect.frame, label, axes, partial(np.asarray, jacobian), _CATALOGUE_PRIOR)
         )
     return found
 

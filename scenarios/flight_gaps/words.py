@@ -8,6 +8,7 @@ from fluxtwin.gap import advice
 from fluxtwin.gap.records import Diagnosis, FoundEffect
 from fluxtwin.scenarios.flight_gaps.cases import SWARM, names_of
 from fluxtwin.scenarios.flight_gaps.compute import STORM_NT, Answer, Outcome
+from fluxtwin.sim.effects.catalogue import find_effect
 
 SUSPICIOUS = 100.0
 """Times its typical size: a parameter as large as that is no effect of its name."""
@@ -82,7 +83,7 @@ def storm(outcome: Outcome) -> list[str]:
         + _sure(bare),
         f"With b and S modelled ring_current is {_state(full, 'ring_current')}: of a ring current of "
         f"{STORM_NT:.0f} nT, {arc[2]:.0f} nT rms along this arc, {arc[3]:.3f} nT are left once b and S are free "
-        f"(independent: 0.04 of 48). What would settle it, it says: {advice.MANOEUVRES['ring_current']}.",
+        f"(independent: 0.04 of 48). What would settle it, it says: {find_effect('ring_current').settled_by}.",
         f"The arc is too short, not the attitude too quiet: with b and S free, a whole orbit leaves {orbit[3]:.1f} of "
         f"{orbit[2]:.0f} nT of it, a day {whole[3]:.1f}. So one whole orbit of the storm would split the names, or a "
         "calibration from before it: with b and S known, a constant b of a hundred nT is no rival.",

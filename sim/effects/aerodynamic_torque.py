@@ -21,6 +21,9 @@ class AerodynamicTorque(DynamicsEffect):
 
     name: ClassVar[str] = "aerodynamic_torque"
     stage: ClassVar[str] = "dynamics"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = None
+    settled_by: ClassVar[str] = "a lower perigee, or a day of an active sun"
     about: ClassVar[str] = (
         "torque of a drag that acts beside the centre of mass, C_D A c, the same area and centre for every wind "
         "(Wertz 1978, section 17.2.3), in the air of the density table"

@@ -19,6 +19,9 @@ class AlongTrackError(SignalEffect):
 
     name: ClassVar[str] = "along_track_error"
     stage: ClassVar[str] = "orbit"
+    frame: ClassVar[str | None] = "orbital"
+    follows: ClassVar[str | None] = None
+    settled_by: ClassVar[str] = "any body rate; a slow tumble of 0.25 deg/s is enough"
     about: ClassVar[str] = (
         "the reported position is ahead of the true one by this arc along the orbit, constant over the record; two-line "
         "elements are off by 1-5 km at their epoch and tens of km a week later, nearly all of it along track "

@@ -44,7 +44,23 @@ class Effect(ABC):
     stage: ClassVar[str]
     about: ClassVar[str]
     """What reality does, what + means, and the source of the model."""
+    frame: ClassVar[str | None]
+    """The frame in which it is coherent: body, orbital or earth; None: in none of them."""
+    follows: ClassVar[str | None]
+    """The condition of a diagnosis that it follows; None: none of them."""
+    settled_by: ClassVar[str]
+    """The manoeuvre, or the data, that would show it best. From a study of confusions over five designs: nadir pointing for
+    one and for six orbits, inertial hold, a tumble of 0.25 deg/s, a spin of 2 rpm; the tumble gains three to ten times on
+    what nadir geometry hides in bias and matrix."""
     equivalent_stages: ClassVar[tuple[str, ...]] = ()
+
+    def __init_subclass__(cls) -> None:
+        """Raise TypeError for an effect that does not say all of the above."""
+        super().__init_subclass__()
+        wanted = ("stage", "about", "frame", "follows", "settled_by")
+        missing = [attribute for attribute in wanted if not hasattr(cls, attribute)]
+        if hasattr(cls, "name") and missing:
+            raise TypeError(f"the effect {cls.name} does not say its {', '.join(missing)}")
 
     @property
     @abstractmethod
@@ -54,6 +70,10 @@ class Effect(ABC):
     def alternatives(self, setting: Setting) -> tuple[Effect, ...]:
         """The discrete settings worth trying on this design; just itself for most."""
         return (self,)
+
+    def condition_on(self, setting: Setting) -> str | None:
+        """The condition that it follows on this design, with these settings."""
+        return self.follows
 
     def untestable(self, setting: Setting) -> str | None:
         """Why this design cannot show the effect at all, in words; None when it can."""

@@ -22,6 +22,11 @@ class BatteryCurrent(SignalEffect):
 
     name: ClassVar[str] = "battery_current"
     stage: ClassVar[str] = "spacecraft"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = "current"
+    settled_by: ClassVar[str] = (
+        "steps of the load, or the taper at the end of charge, with the current in the telemetry"
+    )
     about: ClassVar[str] = (
         "field in proportion to the battery's current (+ when charging), + along the axis "
         "(CryoSat-2: Olsen et al. 2020, doi 10.1186/s40623-020-01171-9)"
@@ -30,6 +35,9 @@ class BatteryCurrent(SignalEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return vector_parameters("s", "nT/A", 20.0)
+
+    def condition_on(self, setting: Setting) -> str | None:
+        return "sunlit" if setting.column("battery_current_A") is None else self.follows
 
     def untestable(self, setting: Setting) -> str | None:
         if varies(battery_current_A(setting)):

@@ -21,6 +21,9 @@ class Bias(SignalEffect):
 
     name: ClassVar[str] = "bias"
     stage: ClassVar[str] = "sensor"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = None
+    settled_by: ClassVar[str] = "a slow tumble of 0.25 deg/s"
     equivalent_stages: ClassVar[tuple[str, ...]] = ("spacecraft",)
     about: ClassVar[str] = "b of A B0 = (I+S) B + b + T D (Lerner & Shuster 1981, eq. 1); + lowers the reading"
 

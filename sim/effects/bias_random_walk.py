@@ -22,6 +22,9 @@ class BiasRandomWalk(DistributionEffect):
 
     name: ClassVar[str] = "bias_random_walk"
     stage: ClassVar[str] = "sensor"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = "time"
+    settled_by: ClassVar[str] = "a slow tumble of 0.25 deg/s"
     equivalent_stages: ClassVar[tuple[str, ...]] = ("spacecraft",)
     about: ClassVar[str] = (
         "b of eq. 1 wanders, its variance growing by rate^2 a second (rate random walk of IEEE Std 952)"

@@ -25,6 +25,9 @@ class BiasStep(SignalEffect):
 
     name: ClassVar[str] = "bias_step"
     stage: ClassVar[str] = "sensor"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = "after_time"
+    settled_by: ClassVar[str] = "data from well before and well after the jump"
     equivalent_stages: ClassVar[tuple[str, ...]] = ("spacecraft",)
     about: ClassVar[str] = (
         "b of eq. 1 jumps at a moment and stays; + lowers the reading from then on "

@@ -27,6 +27,9 @@ class BitErrors(DistributionEffect):
 
     name: ClassVar[str] = "bit_errors"
     stage: ClassVar[str] = "telemetry"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = None
+    settled_by: ClassVar[str] = "the raw counts"
     after_rounding: ClassVar[bool] = True
     about: ClassVar[str] = (
         "single readings with a flipped or stuck bit, share of the components that are hit (undetected bit errors of "

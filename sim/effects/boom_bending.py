@@ -31,6 +31,11 @@ class BoomBending(SignalEffect):
 
     name: ClassVar[str] = "boom_bending"
     stage: ClassVar[str] = "spacecraft"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = "temperature"
+    settled_by: ClassVar[str] = (
+        "a slow tumble of 0.25 deg/s through sun and shadow, with the boom's temperature in the telemetry"
+    )
     equivalent_stages: ClassVar[tuple[str, ...]] = ("attitude", "sensor")
     about: ClassVar[str] = (
         "turn of the sensor per K of temperature, + right-handed about the body axis (thermal bending of a boom: "

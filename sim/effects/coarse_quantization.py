@@ -21,6 +21,9 @@ class CoarseQuantization(DistributionEffect):
 
     name: ClassVar[str] = "coarse_quantization"
     stage: ClassVar[str] = "sensor"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = None
+    settled_by: ClassVar[str] = "slower motion, so that single steps of the reading show"
     equivalent_stages: ClassVar[tuple[str, ...]] = ("telemetry",)
     after_rounding: ClassVar[bool] = True
     about: ClassVar[str] = (

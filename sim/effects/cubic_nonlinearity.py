@@ -21,6 +21,9 @@ class CubicNonlinearity(SignalEffect):
 
     name: ClassVar[str] = "cubic_nonlinearity"
     stage: ClassVar[str] = "sensor"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = "field_strength"
+    settled_by: ClassVar[str] = "a slow tumble of 0.25 deg/s"
     about: ClassVar[str] = (
         "reading gains products of three components, nT at 50,000 nT each, + raises it (the 10 x 3 terms of CryoSat-2: "
         "Olsen et al. 2020, doi 10.1186/s40623-020-01171-9)"

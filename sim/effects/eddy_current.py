@@ -33,6 +33,9 @@ class EddyCurrent(SignalEffect):
 
     name: ClassVar[str] = "eddy_current"
     stage: ClassVar[str] = "spacecraft"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = "rate"
+    settled_by: ClassVar[str] = "a spin of 2 rpm"
     about: ClassVar[str] = (
         "field -K dB/dt of the dipole that a changing field induces in a conductor, K_zz = -K_xx - K_yy "
         "(Landau & Lifshitz, Electrodynamics of Continuous Media, section 59)"

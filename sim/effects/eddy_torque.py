@@ -20,6 +20,9 @@ class EddyTorque(DynamicsEffect):
 
     name: ClassVar[str] = "eddy_torque"
     stage: ClassVar[str] = "dynamics"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = "rate"
+    settled_by: ClassVar[str] = "a spin of several rpm"
     about: ClassVar[str] = (
         "braking torque (K (w x B)) x B of eddy currents, K diagonal in body axes (Wertz 1978, section 17.2.4; a thin "
         "spherical shell has 2 pi / 3 r^4 s d about each axis)"

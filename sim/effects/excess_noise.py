@@ -21,6 +21,9 @@ class ExcessNoise(DistributionEffect):
 
     name: ClassVar[str] = "excess_noise"
     stage: ClassVar[str] = "sensor"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = None
+    settled_by: ClassVar[str] = "a quiet stretch with torquers and payload off"
     about: ClassVar[str] = (
         "white noise beyond the declared, adding to it in variance (magnetoresistors 10 to 100 nT rms; "
         "200 nT in ST5's simulation, Sedlak)"

@@ -25,6 +25,9 @@ class FieldEpoch(SignalEffect):
 
     name: ClassVar[str] = "field_epoch"
     stage: ClassVar[str] = "field"
+    frame: ClassVar[str | None] = "earth"
+    follows: ClassVar[str | None] = None
+    settled_by: ClassVar[str] = "a slow tumble of 0.25 deg/s"
     about: ClassVar[str] = (
         "the real field is that of the model so many years (of 365.25 days) after the stamp: a model evaluated at a "
         "fixed old epoch, or secular variation forecast wrongly; beyond the model's last knot its last year's change "

@@ -32,6 +32,9 @@ class FieldTruncation(SignalEffect):
 
     name: ClassVar[str] = "field_truncation"
     stage: ClassVar[str] = "field"
+    frame: ClassVar[str | None] = "earth"
+    follows: ClassVar[str | None] = None
+    settled_by: ClassVar[str] = "a whole day, so that all longitudes are flown over"
     about: ClassVar[str] = (
         "real field and model differ by the share given (1: wholly) of the degrees above N; truth = poorer: the real "
         "field lacks the model's, truth = richer: it has IGRF-14's up to 13, the model has not"

@@ -27,6 +27,9 @@ class GravityGradientInertiaError(DynamicsEffect):
 
     name: ClassVar[str] = "gravity_gradient_inertia_error"
     stage: ClassVar[str] = "dynamics"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = None
+    settled_by: ClassVar[str] = "slews about all three axes, or a slow tumble"
     about: ClassVar[str] = (
         "true inertia tensor less that of the scenario; acts_in = both: in the gravity gradient 3 GM / r^3 (r x dJ r) "
         "and in the gyroscopic torque; acts_in = torque: in the gravity gradient alone, where the trace is not seen "

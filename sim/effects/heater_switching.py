@@ -24,6 +24,9 @@ class HeaterSwitching(SignalEffect):
 
     name: ClassVar[str] = "heater_switching"
     stage: ClassVar[str] = "spacecraft"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = "flag:heater_on"
+    settled_by: ClassVar[str] = "the state of the heater in the telemetry, or an orbit with the thermostat off"
     about: ClassVar[str] = (
         "constant field while a thermostat's heater is on, + along the axis (Ampere's law for its loop)"
     )
@@ -52,6 +55,9 @@ class HeaterSwitching(SignalEffect):
                 wanted="one entry a row",
             )
         return np.array(self.sequence, dtype=np.float64)
+
+    def condition_on(self, setting: Setting) -> str | None:
+        return None if setting.column("heater_on") is None else self.follows
 
     def untestable(self, setting: Setting) -> str | None:
         on = self.on(setting)

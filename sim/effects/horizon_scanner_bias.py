@@ -22,6 +22,9 @@ class HorizonScannerBias(SignalEffect):
 
     name: ClassVar[str] = "horizon_scanner_bias"
     stage: ClassVar[str] = "attitude"
+    frame: ClassVar[str | None] = "orbital"
+    follows: ClassVar[str | None] = "latitude"
+    settled_by: ClassVar[str] = "a second attitude sensor beside the scanner"
     about: ClassVar[str] = (
         "reported roll and pitch are too large by sin p sin(latitude) + cos2 p cos(2 latitude), p the parameter and "
         "latitude geocentric: the Earth's 15-micron radiance goes with latitude and season (Wertz 1978, section 4.2; "

@@ -33,6 +33,9 @@ class Hysteresis(SignalEffect):
 
     name: ClassVar[str] = "hysteresis"
     stage: ClassVar[str] = "sensor"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = "field_strength"
+    settled_by: ClassVar[str] = "a slow tumble of 0.25 deg/s"
     equivalent_stages: ClassVar[tuple[str, ...]] = ("spacecraft",)
     about: ClassVar[str] = (
         "remanence that follows the field's history: + reads low on a rising field and high on a falling one "

@@ -21,6 +21,9 @@ class ResidualDipoleTorque(DynamicsEffect):
 
     name: ClassVar[str] = "residual_dipole_torque"
     stage: ClassVar[str] = "dynamics"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = "field_strength"
+    settled_by: ClassVar[str] = "wheels and torquers left alone for an orbit or two, with a better reference attitude"
     about: ClassVar[str] = (
         "torque m x B of a residual magnetic dipole m fixed in the body (Wertz 1978, section 17.2.4); NASA SP-8018 "
         "gives about 1e-3 A m2 a kilogram for an ordinary spacecraft"

@@ -30,6 +30,9 @@ class RingCurrent(SignalEffect):
 
     name: ClassVar[str] = "ring_current"
     stage: ClassVar[str] = "field"
+    frame: ClassVar[str | None] = "earth"
+    follows: ClassVar[str | None] = None
+    settled_by: ClassVar[str] = "a slow tumble of 0.25 deg/s, or days of different Dst"
     about: ClassVar[str] = (
         "external field along the geomagnetic dipole axis, northward at the dipole equator, so negative in a storm as "
         "Dst is; 0.27 of it enters again as an internal dipole field (Langel & Estes 1985), so that Dst on the ground "

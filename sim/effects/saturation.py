@@ -25,6 +25,11 @@ class Saturation(SignalEffect):
 
     name: ClassVar[str] = "saturation"
     stage: ClassVar[str] = "sensor"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = "field_strength"
+    settled_by: ClassVar[str] = (
+        "turning the axis concerned along the strongest field, near the poles (a level axis by 90 deg)"
+    )
     after_noise: ClassVar[bool] = True
     about: ClassVar[str] = (
         "each axis clipped at +-(full scale - depth), full scale as declared or else the largest reading; + clips more "

@@ -22,6 +22,9 @@ class ScaleMisalignment(SignalEffect):
 
     name: ClassVar[str] = "scale_misalignment"
     stage: ClassVar[str] = "sensor"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = "field_strength"
+    settled_by: ClassVar[str] = "a slow tumble of 0.25 deg/s"
     equivalent_stages: ClassVar[tuple[str, ...]] = ("attitude",)
     about: ClassVar[str] = (
         "S of A B0 = (I+S) B + b + T D (Lerner & Shuster 1981, eq. 1), row by row; + on the diagonal lowers the reading"

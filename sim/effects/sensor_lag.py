@@ -27,6 +27,9 @@ class SensorLag(SignalEffect):
 
     name: ClassVar[str] = "sensor_lag"
     stage: ClassVar[str] = "sensor"
+    frame: ClassVar[str | None] = None
+    follows: ClassVar[str | None] = None
+    settled_by: ClassVar[str] = "a spin of 2 rpm, or torquer edges sampled fast"
     equivalent_stages: ClassVar[tuple[str, ...]] = ("time",)
     about: ClassVar[str] = (
         "first-order low-pass, lag dy/dt + y = x: the reading is late by the lag and smoothed "

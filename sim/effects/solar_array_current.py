@@ -22,6 +22,9 @@ class SolarArrayCurrent(SignalEffect):
 
     name: ClassVar[str] = "solar_array_current"
     stage: ClassVar[str] = "spacecraft"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = "current"
+    settled_by: ClassVar[str] = "steps of the load, or panels turned off the sun, with the current in the telemetry"
     about: ClassVar[str] = (
         "field in proportion to the solar array's current, + along the axis (RAX: Springmann & Cutler 2012, "
         "doi 10.2514/1.56726; CryoSat-2: Olsen et al. 2020)"
@@ -40,6 +43,9 @@ class SolarArrayCurrent(SignalEffect):
             kinds = ("constant",)  # no incidence is known
         choices = tuple(SolarArrayCurrent(kind) for kind in kinds)
         return tuple(choice for choice in choices if choice.untestable(setting) is None) or (self,)
+
+    def condition_on(self, setting: Setting) -> str | None:
+        return "sunlit" if setting.column("array_current_A") is None else self.follows
 
     def untestable(self, setting: Setting) -> str | None:
         if known_column(setting, "array_current_A") is not None:

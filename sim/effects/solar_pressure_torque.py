@@ -21,6 +21,9 @@ class SolarPressureTorque(DynamicsEffect):
 
     name: ClassVar[str] = "solar_pressure_torque"
     stage: ClassVar[str] = "dynamics"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = "sunlit"
+    settled_by: ClassVar[str] = "the sun held on one side for whole orbits, wheels taking up the momentum"
     about: ClassVar[str] = (
         "torque of sunlight that pushes beside the centre of mass, C_R A c, the same area and centre for every "
         "direction of the sun (Wertz 1978, section 17.2.2), none in the shadow"

@@ -24,6 +24,11 @@ class SunSensorHeadMisalignment(SignalEffect):
 
     name: ClassVar[str] = "sun_sensor_head_misalignment"
     stage: ClassVar[str] = "attitude"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = "head"
+    settled_by: ClassVar[str] = (
+        "the number of the head in the telemetry, and turns of 90 deg that bring each head to the sun for half an orbit"
+    )
     about: ClassVar[str] = (
         "while head k is in use the reported attitude is turned by this rotation vector, body axes: a field v is "
         "predicted as v + turn x v (mounting error as in Wertz 1978, section 7.1; tenths of a degree before alignment "

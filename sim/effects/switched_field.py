@@ -29,6 +29,9 @@ class SwitchedField(SignalEffect):
 
     name: ClassVar[str] = "switched_field"
     stage: ClassVar[str] = "spacecraft"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = None
+    settled_by: ClassVar[str] = "switching it on and off in sunlight and in shadow, with its flag in the telemetry"
     about: ClassVar[str] = (
         "constant field while a flag, a clock interval, shadow, night or a region holds, + along the axis "
         "(HCMM's night passes: Lerner & Shuster 1981)"
@@ -60,6 +63,11 @@ class SwitchedField(SignalEffect):
         raise BadInput(
             f"condition {self.condition!r}", where=self.name, wanted=f"{FLAG}NAME or one of {', '.join(_PLAIN)}"
         )
+
+    def condition_on(self, setting: Setting) -> str | None:
+        if self.region_deg is not None:
+            return "region"
+        return {"night": "eclipse", "interval": None}.get(self.condition, self.condition)
 
     def alternatives(self, setting: Setting) -> tuple[SwitchedField, ...]:
         if self != SwitchedField():

@@ -24,6 +24,9 @@ class ThermalBiasDrift(SignalEffect):
 
     name: ClassVar[str] = "thermal_bias_drift"
     stage: ClassVar[str] = "sensor"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = "temperature"
+    settled_by: ClassVar[str] = "warming and cooling through a full range, over several sun angles"
     about: ClassVar[str] = (
         "b of eq. 1 per K of temperature; + lowers the reading when warm (offset temperature coefficients: CryoSat-2, "
         "Olsen et al. 2020, doi 10.1186/s40623-020-01171-9; 0.1-10 nT/K fluxgates, more for magnetoresistors)"

@@ -24,6 +24,9 @@ class ThermalScaleDrift(SignalEffect):
 
     name: ClassVar[str] = "thermal_scale_drift"
     stage: ClassVar[str] = "sensor"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = "temperature"
+    settled_by: ClassVar[str] = "a slow tumble of 0.25 deg/s, at several temperatures"
     about: ClassVar[str] = (
         "diagonal of eq. 1's S per K of temperature; + lowers the reading when warm (Swarm, about 1e-6 1/K: "
         "Toffner-Clausen et al. 2016; fluxgates 1e-5 to 5e-5, magnetoresistors up to 3e-3)"

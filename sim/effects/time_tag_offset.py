@@ -19,6 +19,9 @@ class TimeTagOffset(SignalEffect):
 
     name: ClassVar[str] = "time_tag_offset"
     stage: ClassVar[str] = "time"
+    frame: ClassVar[str | None] = None
+    follows: ClassVar[str | None] = None
+    settled_by: ClassVar[str] = "a spin of 2 rpm (milliseconds show), or a slow tumble of 0.25 deg/s"
     about: ClassVar[str] = "sampled later than the stamp (DMSP, Alken et al. 2014; GRACE-FO, Stolle et al. 2021)"
 
     @property

@@ -20,6 +20,9 @@ class TorquerCoupling(SignalEffect):
 
     name: ClassVar[str] = "torquer_coupling"
     stage: ClassVar[str] = "spacecraft"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = "torquer"
+    settled_by: ClassVar[str] = "firing each torquer alone, on and off at full dipole, with the dipole in the telemetry"
     about: ClassVar[str] = (
         "field C m of the torquers at the sensor (T = -C of Lerner & Shuster 1981, eq. 1; Seasat 1.7 nT/(A m2) at 6 m)"
     )

@@ -21,6 +21,9 @@ class TorquerGainError(DynamicsEffect):
 
     name: ClassVar[str] = "torquer_gain_error"
     stage: ClassVar[str] = "dynamics"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = "torquer"
+    settled_by: ClassVar[str] = "each torquer full on in turn, with its dipole in the telemetry at every switch"
     about: ClassVar[str] = (
         "true dipole of a torquer over the one that telemetry says, less 1, each axis; its torque alone (the field at "
         "the sensor is torquer_coupling)"

@@ -26,6 +26,9 @@ class WheelField(SignalEffect):
 
     name: ClassVar[str] = "wheel_field"
     stage: ClassVar[str] = "spacecraft"
+    frame: ClassVar[str | None] = "body"
+    follows: ClassVar[str | None] = None
+    settled_by: ClassVar[str] = "the wheel speed in the telemetry, or a few speeds held in turn"
     about: ClassVar[str] = (
         "field of a dipole that rotates with a wheel, a cos(phase) + b sin(phase), aliased by the sampling "
         "(dipole law: Jackson, section 5.6)"

@@ -33,12 +33,18 @@ class YawDrift(SignalEffect):
 
     name: ClassVar[str] = "yaw_drift"
     stage: ClassVar[str] = "attitude"
+    frame: ClassVar[str | None] = "orbital"
+    follows: ClassVar[str | None] = "time"
+    settled_by: ClassVar[str] = "a second attitude sensor through the eclipse"
     about: ClassVar[str] = (
         "reported yaw (3-1-2, so about nadir; or, axis = body_z, the turn about body z) is too large by rate x time "
         "since the first stamp, or, when = eclipse, since entering the shadow and zero outside it: drift of the gyro "
         "that carries yaw while no sensor sees it (rate integration, Wertz 1978, section 6.5: 0.01-0.1 deg/h for a "
         "good gyro, 10 deg/h for a small one)"
     )
+
+    def condition_on(self, setting: Setting) -> str | None:
+        return "eclipse" if self.when == "eclipse" else self.follows
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

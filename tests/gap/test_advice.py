@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fluxtwin.gap.advice import MANOEUVRES, hours_needed, would_settle
+from fluxtwin.gap.advice import hours_needed, would_settle
 from fluxtwin.gap.doubts import stuck_and_misfit, stuck_attitude
 from fluxtwin.gap.records import Detectable
-from fluxtwin.sim.effects.catalogue import CATALOGUE
+from fluxtwin.sim.effects.base import SignalEffect
+from fluxtwin.sim.effects.heater_switching import HeaterSwitching
 from fluxtwin.sim.telemetry.record import Telemetry
 
 pytestmark = pytest.mark.property
@@ -54,9 +55,12 @@ def test_hours_grow_with_the_square_of_the_size():
     assert hours_needed(found, 0.5, 5.0) == pytest.approx(80.0, rel=1e-12)
     words = would_settle({"time_tag_offset": found}, {"heater_switching": "no column"}, 5.0)
     assert words["time_tag_offset"].startswith("for offset 0.5 s: about 80 h of such data in place of 5 h, or a spin")
-    assert words["heater_switching"] == MANOEUVRES["heater_switching"]
+    assert words["heater_switching"] == HeaterSwitching.settled_by
     assert would_settle({"time_tag_offset": Detectable("offset", 0.4, "s", 10.0)}, {}, 5.0) == {}
 
 
-def test_every_effect_of_the_catalogue_has_its_manoeuvre():
-    assert {effect.name for effect in CATALOGUE} == set(MANOEUVRES)
+def test_an_effect_that_forgets_what_a_diagnosis_needs_cannot_be_made():
+    said = {"name": "hum", "stage": "sensor", "about": "a hum", "frame": "body", "follows": None}
+    with pytest.raises(TypeError, match="hum does not say its settled_by"):
+        type("Hum", (SignalEffect,), said)
+    assert type("Hum", (SignalEffect,), said | {"settled_by": "silence"}).name == "hum"

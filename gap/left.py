@@ -108,17 +108,6 @@ def judge(problem: Problem, left: Leftover, fits: Sequence[Fit], *, alpha: float
     )  # fmt: skip
 
 
-def structured_share(named: tuple[float, int], calibration: tuple[float, int], saturated: tuple[float, int]) -> float:
-    """Share of the structured energy that the named effects carry, within [0, 1].
-
-    Each argument is (residual sum of squares, degrees of freedom) in noise units: with calibration and the named
-    effects, with calibration alone, with everything (math: each sum less its degrees of freedom).
-    """
-    total = (calibration[0] - calibration[1]) - (saturated[0] - saturated[1])
-    carried = (calibration[0] - calibration[1]) - (named[0] - named[1])
-    return float(np.clip(carried / total, 0.0, 1.0)) if total > 0 else 0.0
-
-
 def step(seconds: FloatArray, left: Leftover) -> tuple[float, float]:
     """p-value of a step and its likeliest moment.
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.sim.attitude.libration import Libration, draw_libration
+from fluxtwin.sim.attitude.libration import Libration
 from fluxtwin.sim.attitude.rigid_body import torque_free
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray, TimeArray
@@ -114,35 +114,6 @@ def librating(
         orbital_rate_O_rad_s = kepler_rate_O_rad_s(r_N_km, v_N_km_s)
     rate = rate_BO_B(angles, libration.rates(time)) + R_BO.apply(orbital_rate_O_rad_s)
     return Attitude(R_BO * R_ON, rate)
-
-
-def earth_pointing(
-    time: TimeArray,
-    r_N_km: FloatArray,
-    v_N_km_s: FloatArray,
-    *,
-    yaw_amplitude_rad: float,
-    roll_amplitude_rad: float,
-    pitch_amplitude_rad: float,
-    shortest_period_s: float,
-    longest_period_s: float,
-    rng: np.random.Generator,
-    offsets_rad: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    orbital_rate_O_rad_s: FloatArray | None = None,
-) -> Attitude:
-    """Earth-pointing with a libration drawn from `rng`: `draw_libration` followed by `librating`.
-
-    An amplitude is sqrt 2 times the rms of that angle about its offset, as for a single sinusoid. The same
-    stream gives the same motion whatever the stamps.
-    """
-    libration = draw_libration(
-        (yaw_amplitude_rad, roll_amplitude_rad, pitch_amplitude_rad),
-        shortest_period_s,
-        longest_period_s,
-        rng,
-        offsets_rad=offsets_rad,
-    )
-    return librating(time, r_N_km, v_N_km_s, libration, orbital_rate_O_rad_s=orbital_rate_O_rad_s)
 
 
 def inertial_hold(time: TimeArray, R_BN0: Rotation) -> Attitude:

@@ -118,14 +118,6 @@ def decimal_year(time: TimeArray | np.datetime64) -> FloatArray:
     return year
 
 
-def from_decimal_year(year: float) -> np.datetime64:
-    """The UTC stamp at which `decimal_year` has the value `year`."""
-    whole = int(np.floor(year))
-    start = np.datetime64(f"{whole:04d}-01-01", "ns")
-    length = (np.datetime64(f"{whole + 1:04d}-01-01", "ns") - start).astype("int64")
-    return start + np.timedelta64(round((year - whole) * int(length)), "ns")
-
-
 def days_mjd2000(time: TimeArray | np.datetime64) -> FloatArray:
     """Days since 2000-01-01 0 h UTC, leap seconds not counted: the clock of the field models. Shape (N,)."""
     return (as_times(time) - MJD2000).astype("int64") / _NS_PER_DAY

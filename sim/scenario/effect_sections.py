@@ -110,12 +110,6 @@ def effect_section(effect: Effect, theta: FloatArray, covariance: FloatArray | N
     return section
 
 
-def effect_covariance(scenario: Scenario, effect: Effect) -> FloatArray | None:
-    """(p, p) covariance that stands beside the effect's parameters; None where there is none."""
-    section = getattr(scenario.effects, effect.name)
-    return None if section is None or section.covariance is None else np.array(section.covariance, dtype=np.float64)
-
-
 def effect_toml(effect: Effect, theta: FloatArray | Sequence[float]) -> str:
     """The same as TOML text."""
     return tomli_w.dumps({"effects": {effect.name: effect_section(effect, np.asarray(theta, dtype=np.float64))}})

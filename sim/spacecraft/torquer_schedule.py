@@ -33,19 +33,6 @@ class ConstantDipole:
 
 
 @dataclass(frozen=True)
-class ProportionalDipole:
-    """A dipole in proportion to the field: no torque, and a calibration cannot tell it from scale."""
-
-    gain_Am2_per_nT: float
-
-    def dipole_B_Am2(self, time: TimeArray, field_B_nT: FloatArray | None = None) -> FloatArray:
-        """(N, 3) dipole at each stamp; needs field_B_nT."""
-        if field_B_nT is None:
-            raise BadInput("no field was given", where="proportional torquer", wanted="field_B_nT, shape (N, 3)")
-        return self.gain_Am2_per_nT * np.atleast_2d(np.asarray(field_B_nT, dtype=np.float64))
-
-
-@dataclass(frozen=True)
 class RandomDuty:
     """Momentum unloading: each axis on or off at random, in slots of `dwell_s`, either way round.
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.types import FloatArray, TimeArray
-from fluxtwin.sim.earth import epoch as clock
+from fluxtwin.sim.base.types import FloatArray
 
 RPM_PER_RAD_S = 60.0 / (2.0 * np.pi)
 
@@ -49,15 +48,4 @@ def periodic_momentum_B_Nms(
     """
     angle = np.asarray(phase_rad, dtype=np.float64)[:, None] + np.asarray(offset_rad)
     momentum: FloatArray = np.asarray(amplitude_B_Nms, dtype=np.float64) * np.sin(angle)
-    return momentum
-
-
-def unloading_momentum_B_Nms(
-    time: TimeArray, torque_B_Nm: tuple[float, float, float], unload_every_s: float, epoch: np.datetime64
-) -> FloatArray:
-    """Momentum (N, 3) that a constant torque piles up and that is dumped at once every `unload_every_s`."""
-    if not unload_every_s > 0:
-        raise BadInput(f"{unload_every_s:g} s", where="momentum unloading", wanted="an interval > 0 s")
-    since = np.mod(clock.seconds_since(time, epoch), unload_every_s)
-    momentum: FloatArray = since[:, None] * np.asarray(torque_B_Nm, dtype=np.float64)
     return momentum

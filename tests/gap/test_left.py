@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from fluxtwin.gap.evidence import Leftover, log10_sf_f, orthonormal, share_mimicked
-from fluxtwin.gap.left import drift, step, structured_share
+from fluxtwin.gap.left import drift, step
 from fluxtwin.gap.tones import strongest_tone, tone_columns
 
 pytestmark = pytest.mark.property
@@ -79,8 +79,6 @@ def test_a_step_and_a_drift_are_found() -> None:
 
 
 def test_shares() -> None:
-    assert structured_share((100.0, 90), (300.0, 100), (85.0, 85)) == pytest.approx(190 / 200)
-    assert structured_share((95.0, 95), (100.0, 100), (80.0, 80)) == 0.0
     rng = np.random.default_rng(4)
     a, b = rng.standard_normal((60, 2)), rng.standard_normal((60, 3))
     assert share_mimicked(a, np.concatenate([b, a @ [[1.0, 2.0], [0.0, 1.0]]], axis=1)) == pytest.approx(1.0)

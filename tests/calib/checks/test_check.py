@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import motions
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -93,7 +94,7 @@ def _attitude(mode: str, time: np.ndarray, r: np.ndarray, v: np.ndarray, rng: np
             time, np.array([1.0, 1.6, 2.1]), frames.q_from_rotation(start), rng.normal(0.0, 0.01, 3)
         ).R_BN
     swing = 30.0 if mode == "wide" else 1.0
-    return attitude.earth_pointing(
+    return motions.earth_pointing(
         time, r, v,
         yaw_amplitude_rad=swing * 0.02, roll_amplitude_rad=swing * 0.01, pitch_amplitude_rad=swing * 0.01,
         shortest_period_s=600.0, longest_period_s=6000.0, rng=rng,

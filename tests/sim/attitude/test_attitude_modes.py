@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
+import motions
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -30,7 +31,7 @@ def stamps(seconds: np.ndarray) -> np.ndarray:
 
 
 def earth_pointing(time: np.ndarray) -> Attitude:
-    return attitude.earth_pointing(
+    return motions.earth_pointing(
         time,
         *ORBIT.propagate(time),
         yaw_amplitude_rad=AMPLITUDES[0],

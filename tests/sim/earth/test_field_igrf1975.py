@@ -8,10 +8,11 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import motions
 import numpy as np
 import pytest
 
-from fluxtwin.sim.earth import epoch, field, frames
+from fluxtwin.sim.earth import field, frames
 
 pytestmark = pytest.mark.reference
 
@@ -33,7 +34,7 @@ def test_difference_from_the_definitive_field(
     altitude_km: float, vector: float, axis: float, close: Callable[..., None]
 ) -> None:
     """Figures of an independent prototype with the same coefficients, given to 1 nT."""
-    time = epoch.from_decimal_year(1978.6)
+    time = motions.from_decimal_year(1978.6)
     r_E_km, weights = over_the_sphere(altitude_km)
     issued = field.field_E_nT(field.load_field("igrf1975"), time, r_E_km)
     definitive = field.field_E_nT(field.load_field("igrf14"), time, r_E_km)
@@ -50,7 +51,7 @@ def test_largest_difference_from_the_definitive_field(close: Callable[..., None]
     """663 nT near 3 N 73 E at 600 km, on a grid of one degree."""
     lat, lon = (grid.ravel() for grid in np.meshgrid(np.arange(-89.0, 90.0), np.arange(360.0), indexing="ij"))
     r_E_km = frames.from_geocentric(np.radians(lat), np.radians(lon), np.full(lat.size, 6971.2))
-    time = epoch.from_decimal_year(1978.6)
+    time = motions.from_decimal_year(1978.6)
     issued, definitive = (field.field_E_nT(field.load_field(name), time, r_E_km) for name in ("igrf1975", "igrf14"))
     size = np.linalg.norm(issued - definitive, axis=1)
     worst = int(np.argmax(size))

@@ -7,6 +7,7 @@ import warnings
 
 import numpy as np
 import pytest
+from adaptive_flight import torques_B_Nm
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.attitude.record import Attitude
@@ -19,7 +20,6 @@ from fluxtwin.sim.run.flights import vehicle_of
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.effect_sections import active_effects, effect_section
 from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
-from fluxtwin.sim.spacecraft.dynamics.along import torques_B_Nm
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 
 pytestmark = pytest.mark.property

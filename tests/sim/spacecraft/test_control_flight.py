@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from adaptive_flight import fly_adaptive, torques_B_Nm
 
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import load_field
@@ -14,10 +15,8 @@ from fluxtwin.sim.spacecraft.control.catalogue import CONTROLS
 from fluxtwin.sim.spacecraft.control.momentum_bias import MomentumBias
 from fluxtwin.sim.spacecraft.control.spin import Spin
 from fluxtwin.sim.spacecraft.control.three_axis import ThreeAxis
-from fluxtwin.sim.spacecraft.dynamics.along import torques_B_Nm
 from fluxtwin.sim.spacecraft.dynamics.environment import environment_along
 from fluxtwin.sim.spacecraft.dynamics.flight import Start, fly
-from fluxtwin.sim.spacecraft.dynamics.reference import fly_adaptive
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Compass, Target, Vehicle, Wheel
 from fluxtwin.sim.spacecraft.torques.aerodynamic import Aerodynamic
 from fluxtwin.sim.spacecraft.torques.base import Torque

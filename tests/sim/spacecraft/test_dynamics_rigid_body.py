@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from adaptive_flight import fly_adaptive
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.attitude.rigid_body import torque_free
@@ -12,7 +13,6 @@ from fluxtwin.sim.earth import frames
 from fluxtwin.sim.spacecraft.control.three_axis import ThreeAxis
 from fluxtwin.sim.spacecraft.dynamics.environment import Environment
 from fluxtwin.sim.spacecraft.dynamics.flight import Flight, Start, fly
-from fluxtwin.sim.spacecraft.dynamics.reference import fly_adaptive
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Target, Vehicle, Wheel
 from fluxtwin.sim.spacecraft.torques.gravity_gradient import GravityGradient
 from fluxtwin.sim.spacecraft.torques.residual_dipole import ResidualDipole

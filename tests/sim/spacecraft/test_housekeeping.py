@@ -18,7 +18,7 @@ from fluxtwin.sim.spacecraft.power import (
     incidence_cosine,
 )
 from fluxtwin.sim.spacecraft.thermal import Thermostat, equilibrium_degC, temperature_history
-from fluxtwin.sim.spacecraft.wheels import periodic_momentum_B_Nms, unloading_momentum_B_Nms, wheel_speed_rpm
+from fluxtwin.sim.spacecraft.wheels import periodic_momentum_B_Nms, wheel_speed_rpm
 
 pytestmark = pytest.mark.reference
 
@@ -216,12 +216,6 @@ def test_wheels_hold_the_momentum_that_they_are_given(close) -> None:
     close(biased - speed, [[2000.0, -2000.0, 2000.0, -2000.0]], atol=1e-9, unit="rpm", because="added")
     close(wheel_speed_rpm([[0.0, 1.0, 0.0]], [[0.0, 2.0, 0.0]], 0.1), 10.0 * 30.0 / np.pi, atol=1e-12, unit="rpm",
           because="1 N m s / 0.1 kg m2 = 10 rad/s")  # fmt: skip
-
-
-def test_unloading_is_a_saw_tooth(close) -> None:
-    time = stamps(np.array([0.0, 100.0, 3599.0, 3600.0, 3700.0]))
-    found = unloading_momentum_B_Nms(time, (1e-5, 0.0, -2e-5), 3600.0, START)
-    close(found[:, 0], np.array([0.0, 100.0, 3599.0, 0.0, 100.0]) * 1e-5, atol=1e-12, unit="N m s", because="t mod P")
 
 
 def test_impossible_housekeeping_is_refused() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.random_streams import stream
-from fluxtwin.sim.spacecraft.torquer_schedule import ConstantDipole, ProportionalDipole, draw_random_duty
+from fluxtwin.sim.spacecraft.torquer_schedule import ConstantDipole, draw_random_duty
 
 pytestmark = pytest.mark.property
 
@@ -73,10 +73,6 @@ def test_degenerate_activities() -> None:
     time = stamps(np.arange(3.0))
     assert (ConstantDipole().dipole_B_Am2(time) == 0.0).all()
     np.testing.assert_array_equal(ConstantDipole((1.0, 2.0, 3.0)).dipole_B_Am2(time), np.tile([1.0, 2.0, 3.0], (3, 1)))
-    field = np.arange(9.0).reshape(3, 3)
-    np.testing.assert_array_equal(ProportionalDipole(0.5).dipole_B_Am2(time, field), 0.5 * field)
-    with pytest.raises(BadInput, match="no field"):
-        ProportionalDipole(0.5).dipole_B_Am2(time)
     for duty, dwell in ((1.5, 60.0), (0.5, 0.0)):
         with pytest.raises(BadInput, match="torquers"):
             draw_random_duty(1.0, duty, dwell, stream(1, "t"))

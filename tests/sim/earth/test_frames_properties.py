@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.sim.base.interpolation import on_grid, spline
+from fluxtwin.sim.base.interpolation import on_grid
 from fluxtwin.sim.earth import epoch, frames, sun
 from fluxtwin.sim.earth.orbit import Orbit
 
@@ -118,13 +117,3 @@ def test_a_batch_is_its_rows(close):
         close(v_one[0], v[row], atol=1e-12, unit="km/s", because="rounding")
         close(sun.illumination(r_one, sun.sun_N_km(times[row]))[0], light[row], atol=1e-6, unit="disc",
               because="the sun's spline, 1e-3 km")  # fmt: skip
-
-
-@pytest.mark.parametrize("count", [4, 5, 9, 200])
-def test_our_spline_is_that_of_scipy(close, count: int) -> None:
-    """Witness: scipy.interpolate.CubicSpline with its default ends. Values of size 1: rounding."""
-    rng = np.random.default_rng(count)
-    values, wanted = rng.standard_normal((count, 3)), rng.uniform(1.5, 2.5 + 0.5 * count, 500)
-    theirs = CubicSpline(2.0 + 0.5 * np.arange(count), values)(wanted)
-    scale = np.maximum(1.0, np.abs(theirs))  # beyond the ends a cubic grows
-    close(spline(2.0, 0.5, values, wanted) / scale, theirs / scale, atol=1e-12, unit="1", because="rounding")

@@ -3,20 +3,25 @@
 The verbs, each imported when it is first used:
 
     telemetry = fluxtwin.read("pass.nc")             # NetCDF or CSV, or a foreign file with a column map
-    report = fluxtwin.check(telemetry)               # the classic traps, named
+    found = fluxtwin.diagnose(telemetry)             # where the gap to the simulation lies, which effect causes it
+    found, scenario = fluxtwin.close(found, scenario=None, telemetry="pass.nc")   # a scenario that has the effect
+    report = fluxtwin.check(telemetry)               # the classic traps, named; fluxtwin.repair mends a file
     fit = fluxtwin.calibrate(telemetry)              # S, b, T with covariance and observability
     better = fluxtwin.apply(telemetry, fit.calibration)
     fluxtwin.write(better, "pass_corrected.nc")
-    found = fluxtwin.attitude(better)                # three axes, through the night, with sigmas
+    axes = fluxtwin.attitude(better)                 # three axes, through the night, with sigmas; fluxtwin.yaw one
 
     scenario = fluxtwin.load_scenario("mine.toml")
     telemetry, truth = fluxtwin.simulate(scenario)
     many = fluxtwin.ensemble(scenario, 1000, "results")   # with drawn parameters, on all cores
 
     fluxtwin.field("2020-01-01", 45.0, 3.0, 400.0)   # the field at a geodetic point
+    fluxtwin.effects()                               # what reality may do that a simulation lacks
+    fluxtwin.passes(scenario)                        # when its ground stations see it
+    fluxtwin.draft_map("foreign.csv")                # a first column map
     fluxtwin.run_study("seasat")                     # a whole study, as the command line runs it
 
-The parts stand in `fluxtwin.sim`, `fluxtwin.calib`, `fluxtwin.plots` and `fluxtwin.scenarios`.
+The parts stand in `fluxtwin.sim`, `fluxtwin.calib`, `fluxtwin.gap`, `fluxtwin.plots` and `fluxtwin.scenarios`.
 """
 
 from __future__ import annotations
@@ -28,7 +33,9 @@ if __name__ == "api":
     raise ImportError("import fluxtwin, never the bare folder name: two copies of every class would exist")
 
 if TYPE_CHECKING:
+    from fluxtwin.calib.checks.check import repair as repair
     from fluxtwin.calib.common.records import Calibration as Calibration
+    from fluxtwin.diagnosing import close as close
     from fluxtwin.diagnosing import diagnose as diagnose
     from fluxtwin.sim.base.errors import BadInput as BadInput
     from fluxtwin.sim.base.errors import FluxtwinError as FluxtwinError
@@ -45,7 +52,11 @@ if TYPE_CHECKING:
     from fluxtwin.verbs import attitude as attitude
     from fluxtwin.verbs import calibrate as calibrate
     from fluxtwin.verbs import check as check
+    from fluxtwin.verbs import draft_map as draft_map
+    from fluxtwin.verbs import effects as effects
     from fluxtwin.verbs import field as field
+    from fluxtwin.verbs import passes as passes
+    from fluxtwin.verbs import yaw as yaw
 
     read = read_telemetry
     write = write_telemetry
@@ -60,7 +71,13 @@ _HOMES = {
     "calibrate": "fluxtwin.verbs:calibrate",
     "apply": "fluxtwin.verbs:apply",
     "attitude": "fluxtwin.verbs:attitude",
+    "yaw": "fluxtwin.verbs:yaw",
     "diagnose": "fluxtwin.diagnosing:diagnose",
+    "close": "fluxtwin.diagnosing:close",
+    "repair": "fluxtwin.calib.checks.check:repair",
+    "effects": "fluxtwin.verbs:effects",
+    "passes": "fluxtwin.verbs:passes",
+    "draft_map": "fluxtwin.verbs:draft_map",
     "field": "fluxtwin.verbs:field",
     "load_field": "fluxtwin.sim.earth.field_models:load_field",
     "load_scenario": "fluxtwin.sim.scenario.scenario:load_scenario",

@@ -96,7 +96,7 @@ def diagnose(
     )
 
 
-def closed(
+def close(
     diagnosis: Diagnosis,
     *,
     scenario: Path | str | None,

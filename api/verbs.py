@@ -20,8 +20,11 @@ from fluxtwin.sim.telemetry.telemetry_files import as_path, read_telemetry
 
 if TYPE_CHECKING:
     from fluxtwin.calib.attitude.three_axis import AttitudeSolution
+    from fluxtwin.calib.attitude.yaw import YawSolution
     from fluxtwin.calib.checks.check import CheckReport
     from fluxtwin.calib.common.fit import Fit
+    from fluxtwin.sim.effects.base import Effect
+    from fluxtwin.sim.scenario.scenario import Scenario
 
 
 def as_model(field: str | FieldModel, degree: int | None = None) -> FieldModel:
@@ -171,3 +174,64 @@ def field(
         "declination_deg": float(np.degrees(np.arctan2(east, north))) if horizontal > 0 else None,
         "inclination_deg": float(np.degrees(np.arctan2(down, horizontal))),
     }
+
+
+def yaw(
+    telemetry: Telemetry | Path | str,
+    calibration: Calibration | Path | str | None = None,
+    *,
+    field: str | FieldModel = "igrf14",
+    degree: int | None = None,
+    sigma_B_nT: float | None = None,
+    attitude_sigma_deg: float = 0.1,
+    average_s: float = 120.0,
+    force: bool = False,
+) -> YawSolution:
+    """Yaw from the calibrated field, with roll and pitch from elsewhere, and its sigma.
+
+    calibration: None for a record that `apply` has corrected. sigma_B_nT: the error of a field component, 1 sigma; None
+    takes the calibration's. attitude_sigma_deg: the error of roll and of pitch. Raises BadInput as `apply` does.
+    """
+    from fluxtwin.calib.attitude.yaw import yaw_from_field
+
+    record = as_record(telemetry)
+    given = Calibration.from_toml(calibration) if isinstance(calibration, Path | str) else calibration
+    return yaw_from_field(
+        record,
+        calibration_of(record, given, force=force),
+        as_model(field, degree),
+        sigma_B_nT=sigma_B_nT,
+        sigma_angle_rad=float(np.radians(attitude_sigma_deg)),
+        average_s=average_s,
+    )
+
+
+def effects(name: str | None = None) -> tuple[Effect, ...]:
+    """The catalogue of what reality may do that a simulation lacks, or the one effect of that name. BadInput for no such."""
+    from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
+
+    return CATALOGUE if name is None else (find_effect(name, where="effects"),)
+
+
+def passes(scenario: Scenario | Path | str, stations: Path | str | None = None) -> list[dict[str, Any]]:
+    """Every pass over the scenario's [station.NAME], or those of the file `stations`: rise, set, highest elevation."""
+    from fluxtwin.sim.run.scenario_passes import list_passes
+    from fluxtwin.sim.run.scenario_stations import read_stations
+    from fluxtwin.sim.scenario.scenario import Scenario, load_scenario
+
+    plan = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    if stations is not None:
+        plan = plan.updated({"station": read_stations(Path(stations))})
+    if not plan.station:
+        raise BadInput(
+            "the scenario has no station", where=plan.name, wanted="[station.NAME] sections, or a file of them"
+        )
+    return list_passes(plan)
+
+
+def draft_map(files: Path | str | Sequence[Path | str]) -> str:
+    """A first column map, as TOML, from the headers of foreign files; what was guessed is marked "to be confirmed"."""
+    from fluxtwin.sim.telemetry import column_map_draft
+
+    given = [files] if isinstance(files, Path | str) else files
+    return column_map_draft.draft([as_path(one) for one in given])

@@ -106,7 +106,7 @@ def command(
         scene = None
         if close is not None:
             declared = diagnosing.Declared(noise_nt, lsb_nt, attitude_sigma_deg, attitude_tau_s, field, degree)
-            diagnosis, scene = diagnosing.closed(
+            diagnosis, scene = diagnosing.close(
                 diagnosis, scenario=scenario, telemetry=telemetry, column_map=column_map, declared=declared
             )
         title = f"The gap: {telemetry.name}"

@@ -60,14 +60,14 @@ def arguments(asked: dict[str, Any]) -> dict[str, Any]:
 def _closed(store: Store, identity: str, found: Any, asked: dict[str, Any]) -> Any:
     """The answer with its transfers; beside it the scenario with what was named, as `--close` writes it."""
     try:
-        from fluxtwin.diagnosing import Declared, closed
+        from fluxtwin.diagnosing import Declared, close
         from fluxtwin.sim.scenario.scenario import save_scenario
 
         declared = Declared(
             asked["noise_nT"], asked["lsb_nT"], asked["attitude_sigma_deg"], None, None, asked["degree"]
         )
         path = store.path("telemetry", identity).resolve()
-        told, scene = closed(found, scenario=None, telemetry=path, declared=declared)
+        told, scene = close(found, scenario=None, telemetry=path, declared=declared)
         if scene is not None:
             save_scenario(scene, store.path("closed", identity))
         return told

@@ -11,8 +11,6 @@ SLOW = (
     "pandas",
     "matplotlib",
     "jinja2",
-    "scipy.interpolate",
-    "scipy.optimize",
     "scipy.integrate",
     "scipy.stats",
 )

@@ -67,7 +67,7 @@ def flown(effects: str, day: str, seed: int) -> Telemetry:
 
 def closed(effects: str, folder: Path) -> tuple[Diagnosis, Scenario]:
     found = diagnosing.diagnose(flown(effects, FIRST, 4), **FLAGS)
-    found, scene = diagnosing.closed(
+    found, scene = diagnosing.close(
         found, scenario=None, telemetry=folder / "flight.csv", declared=diagnosing.Declared(100.0, 100.0, 0.1)
     )
     assert scene is not None

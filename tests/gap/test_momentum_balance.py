@@ -270,7 +270,7 @@ def test_a_torque_and_a_field_are_both_named(mixed) -> None:
 def test_the_closed_scenario_flies_with_the_torque(mixed, tmp_path) -> None:
     telemetry, scenario, found = mixed
     save_scenario(scenario, tmp_path / "plan.toml")
-    _, made = diagnosing.closed(found, scenario=tmp_path / "plan.toml", telemetry=tmp_path / "t.nc")
+    _, made = diagnosing.close(found, scenario=tmp_path / "plan.toml", telemetry=tmp_path / "t.nc")
     assert made is not None
     (torque,) = [theta for effect, theta in active_effects(made) if effect.name == "residual_dipole_torque"]
     assert np.abs(torque - [0.2, 0.0, -0.1]).max() < 0.02

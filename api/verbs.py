@@ -10,6 +10,7 @@ import numpy as np
 
 from fluxtwin.calib.common.apply import apply_calibration, calibration_of
 from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.methods import calibrate_by, with_options
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.earth import epoch, frames
@@ -51,30 +52,25 @@ def check(
     return check_file(as_path(telemetry), model)
 
 
+@with_options
 def calibrate(
     telemetry: Telemetry | Path | str | Sequence[Telemetry | Path | str],
     *,
     field: str | FieldModel = "igrf14",
     degree: int | None = None,
-    method: str | None = None,
     **options: Any,
 ) -> Fit:
     """S, b (and T) from one record or several; `.calibration` of the answer is what `apply` takes.
 
-    method: linear, forward (against the attitude), center, twostep, scalar (without one), batch, iterative (a spinner
-    with sun pulses), recursive (a filter that estimates the attitude too); None is linear where the attitude is known, else
-    scalar. options: those of `calibrate_linear`, `calibrate_scalar`, `calibrate_spin` or `calibrate_recursive`.
-    Raises NoAnswer, naming the parameters, where the data do not determine them.
+    Raises BadInput for an option that the method does not take, NoAnswer, naming the parameters, where the data do not
+    determine them.
     """
-    from fluxtwin.calib.methods import calibrate_by
-
     given = (
         list(telemetry)
         if isinstance(telemetry, Sequence | Iterator) and not isinstance(telemetry, str)
         else [telemetry]
     )
-    method = options.pop("direction", None) if method is None else method
-    return calibrate_by([as_record(one) for one in given], as_model(field, degree), method, **options)
+    return calibrate_by([as_record(one) for one in given], as_model(field, degree), **options)
 
 
 def apply(

@@ -32,7 +32,8 @@ import numpy as np
 
 from fluxtwin.calib.common.design import Design
 from fluxtwin.calib.common.regression import regress, residuals
-from fluxtwin.calib.linear.calibrate import Options, fit_design
+from fluxtwin.calib.linear.calibrate import fit_design
+from fluxtwin.calib.linear.method import LinearOptions
 from fluxtwin.sim.base import files
 
 WANTED_RATIO = 15.0
@@ -60,8 +61,8 @@ def numpy_qr(design: Design) -> np.ndarray:
 def contestants(design: Design) -> dict[str, Callable[[], Any]]:
     """What is timed."""
     B, H = design.B_nT, design.H_nT
-    white = Options(noise_nT=370.0, lsb_nT=0.0, covariance="white")
-    correlated = Options(noise_nT=370.0, lsb_nT=0.0, covariance="blocks")
+    white = LinearOptions(noise_nT=370.0, lsb_nT=0.0, covariance="white", robust="none")
+    correlated = LinearOptions(noise_nT=370.0, lsb_nT=0.0, covariance="blocks", robust="none")
     return {
         "sum": lambda: (np.sum(B), np.sum(H)),
         "sum, by column": lambda: (np.sum(B, axis=0), np.sum(H, axis=0)),

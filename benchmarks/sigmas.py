@@ -37,7 +37,8 @@ import numpy as np
 from fluxtwin.calib.attitude.recursive import calibrate_recursive
 from fluxtwin.calib.common.design import Design
 from fluxtwin.calib.common.fit import Fit
-from fluxtwin.calib.linear.calibrate import Options, fit_design
+from fluxtwin.calib.linear.calibrate import fit_design
+from fluxtwin.calib.linear.method import LinearOptions
 from fluxtwin.calib.scalar.calibrate import ScalarOptions, fit_rows
 from fluxtwin.calib.scalar.rows import ScalarRows
 from fluxtwin.calib.spin.calibrate import SpinOptions, fit_spin
@@ -197,7 +198,7 @@ class Flown:
     def _linear(self, telemetry: Telemetry, B_nT: np.ndarray) -> Fit:
         assert self.world is not None and telemetry.q_NB is not None
         H_nT = rotation_from_q(telemetry.q_NB).apply(self.world.field_N_nT)
-        options = Options(direction=self.case.method, robust="tukey", **self.case.options)
+        options = LinearOptions(method=self.case.method, robust="tukey", **self.case.options)
         dipole = telemetry.dipole_B_Am2 if "T" in options.parameters else None
         return fit_design(Design(telemetry.time, B_nT, H_nT, dipole, np.arange(len(B_nT)), {}, RADIAN_S), options)
 

@@ -1,53 +1,139 @@
-"""Which estimator a `--method` names, and what each takes."""
+"""The methods of calibration: the registry, and what a method takes.
+
+A new method is a file with its options and its estimator, and a line in `ESTIMATORS`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+import inspect
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
-from fluxtwin.calib.common.design import joined
-from fluxtwin.calib.common.fit import Fit
-from fluxtwin.calib.common.verdict import judge
+from fluxtwin.calib.attitude import method as attitude
+from fluxtwin.calib.common.options import METHOD, Estimator, Option
+from fluxtwin.calib.linear import method as linear
+from fluxtwin.calib.scalar import method as scalar
+from fluxtwin.calib.spin import method as spin
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.earth.field import FieldModel
-from fluxtwin.sim.telemetry.record import Telemetry
 
-WITH_ATTITUDE = ("linear", "forward")
-WITHOUT_ATTITUDE = ("center", "twostep", "scalar")
-SPINNING = ("iterative", "batch")
-RECURSIVE = "recursive"
-METHODS = (*WITH_ATTITUDE, *WITHOUT_ATTITUDE, *SPINNING, RECURSIVE)
-_OF_SPINNERS = ("sun_sigma_deg", "sun_alignment_deg", "inertia_ratio", "torque_walk_rad_s")
-_OF_REGRESSIONS = ("block_s", "field_error_nT", "passes")
-_OF_ATTITUDE = ("attitude_sigma_deg", "attitude_tau_s")
+if TYPE_CHECKING:
+    from fluxtwin.calib.common.fit import Fit
+    from fluxtwin.sim.earth.field import FieldModel
+    from fluxtwin.sim.telemetry.record import Telemetry
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+ESTIMATORS: dict[str, Estimator] = {
+    one.name: one for one in (*linear.ESTIMATORS, *scalar.ESTIMATORS, *spin.ESTIMATORS, *attitude.ESTIMATORS)
+}
+
+
+class Offered(NamedTuple):
+    """One option as the command line and the signature of `fluxtwin.calibrate` offer it."""
+
+    name: str
+    option: Option
+    annotation: str
+    default: Any
+    """That of the methods where all of them share it; else None, which is the method's own."""
+
+
+def offered() -> list[Offered]:
+    """The method and the options of all methods, each once."""
+    of: dict[str, list[Any]] = {}
+    for estimator in ESTIMATORS.values():
+        for name, item in estimator.takes.items():
+            of.setdefault(name, []).append(item)
+    out = [Offered("method", METHOD, "str | None", None)]
+    for name, items in of.items():
+        of_all = len(items) == len(ESTIMATORS) and len({str(item.default) for item in items}) == 1
+        default = items[0].default if of_all else None
+        kind = items[0].type.removesuffix(" | None")
+        out.append(
+            Offered(name, items[0].metadata["option"], kind if default is not None else f"{kind} | None", default)
+        )
+    return out
+
+
+def with_options(verb: F) -> F:
+    """The verb, whose `**options` are those of the methods: its signature and its docstring name them."""
+    own = inspect.signature(verb)
+    added = [
+        inspect.Parameter(one.name, inspect.Parameter.KEYWORD_ONLY, default=one.default, annotation=one.annotation)
+        for one in offered()
+    ]
+    kept = [one for one in own.parameters.values() if one.kind is not one.VAR_KEYWORD]
+    whole = own.replace(parameters=[*kept, *added])
+
+    @functools.wraps(verb)
+    def checked(*arguments: Any, **keywords: Any) -> Any:
+        whole.bind(*arguments, **keywords)  # refuses unknown names, as Python does
+        return verb(*arguments, **keywords)
+
+    checked.__signature__ = whole  # type: ignore[attr-defined]
+    lines = "\n".join(f"    {one.name}: {one.option.help}" for one in offered())
+    checked.__doc__ = f"{inspect.cleandoc(verb.__doc__ or '')}\n\n{inspect.cleandoc(lines)}\n"
+    return cast(F, checked)
+
+
+def require(method: str | None, given: Mapping[str, Any]) -> None:
+    """Raises BadInput for an unknown method or a value that is not allowed, before anything is read.
+
+    Where no method is named the options are held against those of `linear`, which takes the most values.
+    """
+    if method is not None and method not in ESTIMATORS:
+        raise BadInput(f"{method!r} is no method", where="--method", wanted=" or ".join(ESTIMATORS))
+    estimator = ESTIMATORS[method or "linear"]
+    if method is None:
+        given = {name: value for name, value in given.items() if name in estimator.takes}
+    estimator.options(method=estimator.name, **_taken(estimator, given))
 
 
 def default_method(records: Telemetry | Sequence[Telemetry]) -> str:
     """`linear` where any row has reading, position and attitude, else `scalar`."""
+    from fluxtwin.calib.common.design import joined
+
     telemetry = joined(records)
-    return (
-        "linear" if bool((telemetry.has_attitude & telemetry.has_reading & telemetry.has_position).any()) else "scalar"
-    )
+    complete = telemetry.has_attitude & telemetry.has_reading & telemetry.has_position
+    return "linear" if bool(complete.any()) else "scalar"
 
 
 def calibrate_by(
-    records: Telemetry | Sequence[Telemetry], model: FieldModel, method: str | None = None, **options: Any
+    records: Telemetry | Sequence[Telemetry], model: FieldModel, method: str | None = None, **given: Any
 ) -> Fit:
-    """Calibrate by the method of that name, None for `default_method`.
+    """Calibrate by the method of that name, None for `default_method`, and judge the answer.
 
-    options: those of `linear.calibrate_linear`, `scalar.calibrate_scalar`, `spin.calibrate_spin` or
-    `recursive.calibrate_recursive`; one that is None is as if not given.
+    given: options of the method, by the fields of its options; one that is None is as if not given.
     Raises BadInput for an unknown method, and for an option that the method does not take.
     """
-    if method is not None and method not in METHODS:
-        raise BadInput(f"{method!r} is no method", where="--method", wanted=" or ".join(METHODS))
-    chosen = default_method(records) if method is None else method
-    given = {name: value for name, value in options.items() if value is not None}
+    from fluxtwin.calib.common.design import joined
+    from fluxtwin.calib.common.verdict import judge
+
+    require(method, given)
     telemetry = joined(records)
-    fit = _named(_fit(telemetry, model, chosen, given), telemetry)
-    sigma_deg, reference = given.get("attitude_sigma_deg"), chosen in WITH_ATTITUDE
+    estimator = ESTIMATORS[default_method(telemetry) if method is None else method]
+    fit = _named(estimator.fit(telemetry, model, _taken(estimator, given)), telemetry)
+    sigma_deg, reference = given.get("attitude_sigma_deg"), "attitude" in estimator.needs
     return replace(fit, verdict=judge(fit, telemetry, attitude_sigma_deg=sigma_deg, against_attitude=reference))
+
+
+def _taken(estimator: Estimator, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The options that are given. Raises BadInput for one that the method does not take."""
+    taken = {}
+    for name, value in given.items():
+        if name == "method" or value is None or (isinstance(value, tuple | list) and not value):
+            continue
+        if name not in estimator.takes:
+            others = [other.name for other in ESTIMATORS.values() if name in other.takes]
+            raise BadInput(
+                f"the method {estimator.name} has no use for it",
+                where=f"--{name.replace('_', '-')}",
+                wanted=f"--method {' or '.join(others)}, or leave it out" if others else "nothing of that name",
+            )
+        taken[name] = value
+    return taken
 
 
 def _named(fit: Fit, telemetry: Telemetry) -> Fit:
@@ -60,55 +146,3 @@ def _named(fit: Fit, telemetry: Telemetry) -> Fit:
         "and act on readings that it has corrected"
     )
     return replace(fit, calibration=calibration, messages=(residual, *fit.messages))
-
-
-def _fit(records: Telemetry, model: FieldModel, chosen: str, given: dict[str, Any]) -> Fit:
-    if chosen in SPINNING:
-        return _calibrate_spinner(records, model, chosen, given)
-    if chosen == RECURSIVE:
-        return _calibrate_recursive(records, model, given)
-    _refuse(given, _OF_SPINNERS, chosen, "batch")
-    if chosen in WITH_ATTITUDE:
-        from fluxtwin.calib.linear.calibrate import calibrate_linear
-
-        _refuse(given, ("telemetry_bias",), chosen, "scalar")
-        return calibrate_linear(records, model, direction=chosen, **given)
-    from fluxtwin.calib.scalar.calibrate import calibrate_scalar
-
-    _refuse(given, ("errors_in_variables", "weights", "direction", *_OF_ATTITUDE), chosen, "linear")
-    return calibrate_scalar(records, model, method=chosen, **given)
-
-
-def _calibrate_recursive(records: Telemetry, model: FieldModel, given: dict[str, Any]) -> Fit:
-    from fluxtwin.calib.attitude.recursive import calibrate_recursive
-
-    _refuse(given, _OF_SPINNERS[1:], RECURSIVE, "iterative")
-    _refuse(given, ("errors_in_variables", "weights", "direction", *_OF_REGRESSIONS), RECURSIVE, "linear")
-    _refuse(given, ("telemetry_bias",), RECURSIVE, "scalar")
-    return calibrate_recursive(records, model, **given)
-
-
-def _calibrate_spinner(
-    records: Telemetry | Sequence[Telemetry], model: FieldModel, method: str, given: dict[str, Any]
-) -> Fit:
-    from fluxtwin.calib.spin.calibrate import calibrate_spin
-
-    _refuse(given, ("errors_in_variables", "weights", "direction", *_OF_REGRESSIONS, *_OF_ATTITUDE), method, "linear")
-    _refuse(given, ("telemetry_bias",), method, "scalar")
-    parameters = given.pop("parameters", "b,S")
-    if parameters != "b,S":
-        raise BadInput(f"{parameters!r}", where="--parameters", wanted=f"'b,S': method {method} finds both")
-    return calibrate_spin(records, model, method=method, **given)
-
-
-def _refuse(given: dict[str, Any], names: tuple[str, ...], method: str, other: str) -> None:
-    for name in names:
-        value = given.get(name)
-        if value is not None and not (isinstance(value, tuple | list) and not value):
-            option = name.replace("_", "-")
-            raise BadInput(
-                f"the method {method} has no use for it",
-                where=f"--{option}",
-                wanted=f"--method {other}, or leave it out",
-            )
-        given.pop(name, None)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fluxtwin.commands.options import (
+    AttitudeSigmaOption,
+    AttitudeTauOption,
     DegreeOption,
     FieldOption,
     ForceOption,
@@ -23,10 +25,8 @@ if TYPE_CHECKING:
     from fluxtwin.calib.attitude.three_axis import AttitudeSolution
 
 NAME = "attitude"
-COLUMNS = (
-    "time", "q_x", "q_y", "q_z", "q_w", "yaw_deg", "roll_deg", "pitch_deg", "sigma_x_deg", "sigma_y_deg", "sigma_z_deg",
-    "aided",
-)  # fmt: skip
+ANGLES = ("yaw_deg", "roll_deg", "pitch_deg")
+COLUMNS = ("time", *(f"q_{k}" for k in "xyzw"), *ANGLES, *(f"sigma_{k}_deg" for k in "xyz"), "aided")
 BRIEF = "Three-axis attitude from magnetometer, horizon scanner and sun, through the night."
 
 
@@ -49,18 +49,8 @@ def command(
             help="White noise of the reading, rounding included, 1 sigma per axis [nT]; else found.",
         ),
     ] = None,
-    attitude_sigma_deg: Annotated[
-        float | None,
-        typer.Option(
-            "--attitude-sigma-deg",
-            metavar="DEG",
-            help="Error of the scanner, or of the reference attitude if followed, 1 sigma per axis [deg]; else found.",
-        ),
-    ] = None,
-    attitude_tau_s: Annotated[
-        float | None,
-        typer.Option("--attitude-tau-s", metavar="S", help="Its time constant [s]; 0 for white; else found."),
-    ] = None,
+    attitude_sigma_deg: AttitudeSigmaOption = None,
+    attitude_tau_s: AttitudeTauOption = None,
     sun_sigma_deg: Annotated[
         float | None,
         typer.Option(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fluxtwin.calib import methods
 from fluxtwin.commands.options import (
     DegreeOption,
     FieldOption,
@@ -16,6 +17,7 @@ from fluxtwin.commands.options import (
     MapOption,
     MaxSamplesOption,
     TleOption,
+    with_options,
 )
 from fluxtwin.commands.reading import read
 from fluxtwin.console import Output, manners
@@ -28,38 +30,15 @@ if TYPE_CHECKING:
     from fluxtwin.sim.telemetry.record import Telemetry
 
 NAME = "calibrate"
-WEIGHTS = ("none", "huber", "tukey")
 BRIEF = "Bias, matrix and torquer coupling from telemetry, with attitude or without."
 
 
+@with_options(methods.offered())
 def command(
     telemetry: Annotated[
         list[Path],
         typer.Argument(metavar="TELEMETRY", help="One file or several; they are calibrated together."),
     ],
-    method: Annotated[
-        str | None,
-        typer.Option(
-            "--method",
-            metavar="NAME",
-            help="With attitude: linear (reading to field, the papers') or forward. Without: scalar (maximum likelihood "
-            "of |B|), twostep or center (b alone). A spinner with sun pulses: batch or iterative. A filter "
-            "that estimates the attitude too, by scanner and sun or the reference: recursive. Where not given: linear "
-            "where there is attitude, scalar where there is none.",
-        ),
-    ] = None,
-    parameters: Annotated[
-        str | None,
-        typer.Option("--parameters", metavar="LIST", help="What is estimated: b, b,S or b,S,T; b,S where not given."),
-    ] = None,
-    telemetry_bias: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--telemetry-bias",
-            metavar="COLUMN",
-            help="Also the field that follows this column (array_current_A, ...); method scalar; repeatable.",
-        ),
-    ] = None,
     out: Annotated[Path | None, typer.Option("--out", metavar="FILE.toml", help="Write the calibration file.")] = None,
     unseen: Annotated[
         list[Path] | None,
@@ -69,82 +48,6 @@ def command(
         Path | None, typer.Option("--figures", metavar="DIR", help="Write the figures of the residuals here.")
     ] = None,
     html: HtmlOption = None,
-    errors_in_variables: Annotated[
-        bool | None,
-        typer.Option(
-            "--errors-in-variables/--no-errors-in-variables",
-            help="Take out the attenuation of S by the noise of the reading; on for linear.",
-        ),
-    ] = None,
-    robust: Annotated[
-        str,
-        typer.Option("--robust", metavar="WEIGHTS", help="tukey, huber or none: weights that outliers do not move."),
-    ] = "tukey",
-    covariance: Annotated[
-        str,
-        typer.Option(
-            "--covariance",
-            metavar="KIND",
-            help="blocks: allows for errors that are correlated in time; or white.",
-        ),
-    ] = "blocks",
-    block_s: Annotated[
-        float | None, typer.Option("--block-s", metavar="S", help="Length of a block [s]; else found in the data.")
-    ] = None,
-    field_error_nt: Annotated[
-        float | None,
-        typer.Option(
-            "--field-error-nT",
-            metavar="NT",
-            help="Error of the field model, rms an axis [nT], lasting about an orbit: widens the sigmas.",
-        ),
-    ] = None,
-    attitude_sigma_deg: Annotated[
-        float | None,
-        typer.Option(
-            "--attitude-sigma-deg",
-            metavar="DEG",
-            help="Error of the reference attitude, 1 sigma per body axis [deg]; else found in the data.",
-        ),
-    ] = None,
-    attitude_tau_s: Annotated[
-        float | None,
-        typer.Option(
-            "--attitude-tau-s", metavar="S", help="Its time constant [s]; 0 for white; else found in the data."
-        ),
-    ] = None,
-    noise_nt: Annotated[
-        float | None,
-        typer.Option(
-            "--noise-nT", metavar="NT", help="Noise of the reading, 1 sigma an axis [nT]; else found in the data."
-        ),
-    ] = None,
-    lsb_nt: Annotated[
-        float | None,
-        typer.Option(
-            "--lsb-nT", metavar="NT", help="Least significant bit of the reading [nT]; else found in the data."
-        ),
-    ] = None,
-    sun_sigma_deg: Annotated[
-        float | None,
-        typer.Option(
-            "--sun-sigma-deg",
-            metavar="DEG",
-            help="Noise of a sun pulse or vector, 1 sigma; batch, iterative, recursive.",
-        ),
-    ] = None,
-    sun_alignment_deg: Annotated[
-        float | None,
-        typer.Option(
-            "--sun-alignment-deg", metavar="DEG", help="How well the sun sensor's mounting is known; iterative; 0.05."
-        ),
-    ] = None,
-    inertia_ratio: Annotated[
-        float | None,
-        typer.Option(
-            "--inertia-ratio", metavar="JS/JT", help="Moment about the spin axis over that across; iterative."
-        ),
-    ] = None,
     field: FieldOption = "igrf14",
     degree: DegreeOption = None,
     column_map: MapOption = None,
@@ -152,6 +55,7 @@ def command(
     max_samples: MaxSamplesOption = None,
     force: ForceOption = False,
     json: JsonOption = None,
+    **options: Any,
 ) -> None:
     """Estimate S, b [nT] and T [nT/(A m2)] of A B0 = (I+S) B + b + T D, and say whether it is good.
 
@@ -160,42 +64,20 @@ def command(
     output = Output(json)
     with output.progress(f"reading {telemetry[0]}") as progress:
         from fluxtwin import outputs, verbs
-        from fluxtwin.calib.methods import METHODS
-        from fluxtwin.sim.base.errors import BadInput
 
-        if method is not None and method not in METHODS:
-            raise BadInput(f"{method!r} is no method", where="--method", wanted=" or ".join(METHODS))
-        if robust not in WEIGHTS:  # the next option, where the value was forgotten
-            raise BadInput(f"{robust!r} is no kind of weights", where="--robust", wanted=" or ".join(WEIGHTS))
+        methods.require(options["method"], options)
         targets = {
-            "--out": (out, outputs.CALIBRATION), "--json": (json, outputs.JSON), "--html": (html, outputs.PAGE),
+            "--out": (out, outputs.CALIBRATION),
+            "--json": (json, outputs.JSON),
+            "--html": (html, outputs.PAGE),
             "--figures": (figures, outputs.RESIDUALS),
-        }  # fmt: skip
+        }
         outputs.claim(targets, [*telemetry, *(unseen or ()), field, column_map, tle], force=force)
         manner: dict[str, Any] = {"column_map": column_map, "tle": tle, "max_samples": max_samples}
         many = len(telemetry) + len(unseen or ()) > 1
         records = [read(path, output, **manner, one_of_many=many) for path in telemetry]
         progress("calibrating", 0.5)
-        fit = verbs.calibrate(
-            records,
-            field=field,
-            degree=degree,
-            method=method,
-            parameters=None if parameters is None else parameters.replace(" ", ""),
-            telemetry_bias=telemetry_bias or None,
-            errors_in_variables=errors_in_variables,
-            robust=robust,
-            covariance=covariance,
-            block_s=block_s,
-            field_error_nT=field_error_nt,
-            attitude_sigma_deg=attitude_sigma_deg,
-            attitude_tau_s=attitude_tau_s,
-            noise_nT=noise_nt,
-            lsb_nT=lsb_nt,
-            sun_sigma_deg=sun_sigma_deg,
-            sun_alignment_deg=sun_alignment_deg,
-            inertia_ratio=inertia_ratio,
-        )
+        fit = verbs.calibrate(records, field=field, degree=degree, **options)
         predicted = {}
         for path in unseen or []:
             record = read(path, output, **manner, one_of_many=many)
@@ -227,10 +109,10 @@ def command(
 
 def _predict(fit: Fit, record: Telemetry, known: Calibration, model: FieldModel) -> ResidualStatistics:
     from fluxtwin.calib.common.residuals import predict
-    from fluxtwin.calib.methods import WITH_ATTITUDE
     from fluxtwin.calib.scalar.predict import predict_scalar
 
-    return (predict if fit.method in WITH_ATTITUDE else predict_scalar)(record, known, model)
+    against_attitude = "attitude" in methods.ESTIMATORS[fit.method].needs
+    return (predict if against_attitude else predict_scalar)(record, known, model)
 
 
 def _next_step(fit: Fit, telemetry: list[Path], out: Path | None, column_map: Path | None, tle: Path | None) -> str:

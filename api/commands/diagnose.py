@@ -8,11 +8,15 @@ from typing import Annotated
 import typer
 
 from fluxtwin.commands.options import (
+    AttitudeSigmaOption,
+    AttitudeTauOption,
     DegreeOption,
     ForceOption,
     HtmlOption,
     JsonOption,
+    LsbOption,
     MapOption,
+    NoiseOption,
     ScenarioFieldOption,
     TleOption,
 )
@@ -35,32 +39,10 @@ def command(
         str,
         typer.Option("--modelled", metavar="NAMES", help="Effects re-estimated in every test, by commas; or none."),
     ] = "bias,scale_misalignment",
-    noise_nt: Annotated[
-        float | None,
-        typer.Option(
-            "--noise-nT",
-            metavar="NT",
-            help="White noise of a reading, 1 sigma per axis [nT]; else the scenario's, else found in the data.",
-        ),
-    ] = None,
-    lsb_nt: Annotated[
-        float | None,
-        typer.Option(
-            "--lsb-nT", metavar="NT", help="Step of the readings [nT]; else the scenario's, else found in the data."
-        ),
-    ] = None,
-    attitude_sigma_deg: Annotated[
-        float | None,
-        typer.Option(
-            "--attitude-sigma-deg",
-            metavar="DEG",
-            help="Error of the reference attitude, 1 sigma [deg]; else the scenario's, else found in the data.",
-        ),
-    ] = None,
-    attitude_tau_s: Annotated[
-        float | None,
-        typer.Option("--attitude-tau-s", metavar="S", help="Its time constant, if known; 0 is white [s]."),
-    ] = None,
+    noise_nt: NoiseOption = None,
+    lsb_nt: LsbOption = None,
+    attitude_sigma_deg: AttitudeSigmaOption = None,
+    attitude_tau_s: AttitudeTauOption = None,
     field: ScenarioFieldOption = None,
     degree: DegreeOption = None,
     html: HtmlOption = None,
@@ -72,7 +54,10 @@ def command(
     force: ForceOption = False,
     json: JsonOption = None,
 ) -> None:
-    """Say where the gap between telemetry and simulation lies, which effect causes it and how far it shrinks."""
+    """Say where the gap between telemetry and simulation lies, which effect causes it and how far it shrinks.
+
+    Errors that are not declared are the scenario's, where it has them, else found in the data.
+    """
     output = Output(json)
     with output.progress(f"reading {telemetry}") as progress:
         from fluxtwin import diagnosing, diagnosis_page, outputs

@@ -3,14 +3,36 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar, get_type_hints
 
 import typer
 
+from fluxtwin.calib.common import options as declared
 from fluxtwin.console import manners
 
+if TYPE_CHECKING:
+    from fluxtwin.calib.methods import Offered
+
+_KEYWORD = inspect.Parameter.KEYWORD_ONLY
+C = TypeVar("C", bound=Callable[..., None])
+
+
+def declared_option(name: str, option: declared.Option) -> Any:
+    """The option of a calibration method, on the command line."""
+    flag = f"--{name.replace('_', '-')}"
+    return typer.Option(
+        f"{flag}/--no-{flag[2:]}" if option.kind is bool else flag, metavar=option.metavar or None, help=option.help
+    )
+
+
+NoiseOption: TypeAlias = Annotated[float | None, declared_option("noise_nT", declared.NOISE_NT)]
+LsbOption: TypeAlias = Annotated[float | None, declared_option("lsb_nT", declared.LSB_NT)]
+AttitudeSigmaOption: TypeAlias = Annotated[
+    float | None, declared_option("attitude_sigma_deg", declared.ATTITUDE_SIGMA_DEG)
+]
+AttitudeTauOption: TypeAlias = Annotated[float | None, declared_option("attitude_tau_s", declared.ATTITUDE_TAU_S)]
 JsonOption: TypeAlias = Annotated[
     str | None,
     typer.Option("--json", metavar="FILE", help="Write the result as JSON; '-' is standard output."),
@@ -63,6 +85,26 @@ VerboseOption: TypeAlias = Annotated[
 ]
 
 
+def with_options(offered: Iterable[Offered]) -> Callable[[C], C]:
+    """The command, whose `**options` are those of the calibration methods, after its argument."""
+
+    def decorate(command: C) -> C:
+        hints = get_type_hints(command, include_extras=True)
+        own = [one.replace(annotation=hints[one.name]) for one in inspect.signature(command).parameters.values()]
+        added = []
+        for one in offered:
+            if one.option.kind is not None:
+                kind: Any = one.option.kind if one.default is not None else one.option.kind | None
+                note: Any = Annotated[kind, declared_option(one.name, one.option)]
+                added.append(inspect.Parameter(one.name, _KEYWORD, default=one.default, annotation=note))
+        whole = [own[0], *added, *(one.replace(kind=_KEYWORD) for one in own[1:-1])]
+        command.__annotations__ = {one.name: one.annotation for one in whole}
+        command.__signature__ = inspect.Signature(whole)  # type: ignore[attr-defined]
+        return command
+
+    return decorate
+
+
 def with_manners(command: Callable[..., None]) -> Callable[..., None]:
     """The command with --quiet and --verbose, which every command takes, before its name or after it."""
 
@@ -77,9 +119,9 @@ def with_manners(command: Callable[..., None]) -> Callable[..., None]:
     polite.__annotations__ = {**hints, "quiet": QuietOption, "verbose": VerboseOption}
     polite.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [
-            *(one.replace(annotation=hints[one.name], kind=one.KEYWORD_ONLY) for one in given),
-            inspect.Parameter("quiet", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=QuietOption),
-            inspect.Parameter("verbose", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=VerboseOption),
+            *(one.replace(annotation=hints[one.name], kind=_KEYWORD) for one in given),
+            inspect.Parameter("quiet", _KEYWORD, default=False, annotation=QuietOption),
+            inspect.Parameter("verbose", _KEYWORD, default=False, annotation=VerboseOption),
         ]
     )
     return polite

@@ -33,6 +33,7 @@ from fluxtwin.calib.attitude.filter import (
     run,
     starts,
 )  # fmt: skip
+from fluxtwin.calib.attitude.method import RecursiveOptions
 from fluxtwin.calib.attitude.three_axis import consistency, declared_noises, limits
 from fluxtwin.calib.common.design import joined
 from fluxtwin.calib.common.digits import plain
@@ -45,7 +46,7 @@ from fluxtwin.calib.common.records import Calibration, parameter_names
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.linear.calibrate import calibrate_linear
 from fluxtwin.calib.scalar.words import errors
-from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import FieldModel
@@ -76,47 +77,27 @@ class RecursiveFit(Fit):
 
 
 def calibrate_recursive(
-    records: Telemetry | Sequence[Telemetry],
-    model: FieldModel,
-    *,
-    parameters: str = "b,S",
-    noise_nT: float | None = None,
-    lsb_nT: float | None = None,
-    attitude_sigma_deg: float | None = None,
-    attitude_tau_s: float | None = None,
-    sun_sigma_deg: float | None = None,
-    robust: str = "tukey",
-    covariance: str = "blocks",
+    records: Telemetry | Sequence[Telemetry], model: FieldModel, options: RecursiveOptions | None = None, **given: Any
 ) -> RecursiveFit:
     """S and b (or b alone) by a Kalman filter over readings, nadir and sun, or the reference attitude.
 
-    parameters: "b,S" or "b". noise_nT, lsb_nT: of the reading. attitude_sigma_deg, attitude_tau_s: error of the scanner,
-    or of the reference attitude where there is no scanner. sun_sigma_deg: of the sun vector. What is None is found in the
-    innovations. Slow errors are states, so the covariance allows for them: it is of the kind `blocks`.
+    given: fields of `RecursiveOptions`, where no options are; the error of the attitude is that of the scanner, or of the
+    reference attitude where there is no scanner. What is None is found in the innovations.
 
     Raises BadInput for options that this method does not take, NoAnswer where the attitude cannot be started from nadir and
     sun or from a reference, and, with the names of the parameters, where the data do not determine them.
     """
-    for name, value, wanted in (
-        ("parameters", parameters, ("b,S", "b")), ("robust", robust, ("tukey",)), ("covariance", covariance, ("blocks",)),
-    ):  # fmt: skip
-        if value not in wanted:
-            raise BadInput(
-                f"{value!r}", where=f"--{name}", wanted=f"{' or '.join(wanted)}: the method recursive has no other"
-            )
-    if lsb_nT is not None and noise_nT is None:
-        raise BadInput(
-            f"{lsb_nT!r}", where="--lsb-nT", wanted="--noise-nT beside it: noise that is found includes rounding"
-        )
+    options = RecursiveOptions(**given) if options is None else options
+    parameters, noise_nT = options.parameters, options.noise_nT
     telemetry = joined(records)
     rows = assemble_rows(telemetry, model)
     reading = rows.reading_nT[np.isfinite(rows.reading_nT).all(axis=1)]
     require_samples(len(reading), 4 if parameters == "b,S" else 1)
     white_nT = None
     if noise_nT is not None:
-        lsb = lsb_from_spacing_nT(reading) if lsb_nT is None else per_axis(lsb_nT, "lsb_nT")
+        lsb = lsb_from_spacing_nT(reading) if options.lsb_nT is None else per_axis(options.lsb_nT, "lsb_nT")
         white_nT = float(np.sqrt((per_axis(noise_nT, "noise_nT") ** 2 + lsb**2 / 12.0).mean()))
-    declared = declared_noises(white_nT, attitude_sigma_deg, attitude_tau_s, sun_sigma_deg)
+    declared = declared_noises(white_nT, options.attitude_sigma_deg, options.attitude_tau_s, options.sun_sigma_deg)
     begun = starts(rows, None)
     first = np.diag(_FIRST_SIGMA**2)
     if parameters == "b":

@@ -1,17 +1,16 @@
-"""Every convention of a magnetometer calibration, and the one place where they convert.
+"""The conventions of a magnetometer calibration, and the one place where they convert.
 
 | form | equation | used by |
 |---|---|---|
 | correction | A H = (I+S) B + b + T D | Lerner & Shuster (journal eq. 1); scenarios and calibration files |
-| forward | B = G A H + o + C D, G = I + K | simulators, "scale matrix and offset" |
-| scalar | (I+D) B = O' A H + b_A, D symmetric, O orthogonal | Alonso & Shuster (TWOSTEP) |
-| iron | A H = M (B - h) | "soft iron M, hard iron h" of compass makers |
+| forward | B = G A H + o + C D, G = I + K | simulators, "scale matrix and offset", "soft and hard iron" |
 
 A H is the true field in body axes, B the reading, both nT; the dipole of the torquers in A m2.
 
-    I + S = G^-1 = O (I + D) = M        o = h = -(I+S)^-1 b = (I+D)^-1 b_A        C = -(I+S)^-1 T
+    I + S = G^-1        o = -(I+S)^-1 b        C = -(I+S)^-1 T
 
-The sign trap: b and b_A have opposite signs, b = -O b_A.
+The sign trap: Alonso & Shuster (TWOSTEP) write (I+D) B = O' A H + b_A with D symmetric and O orthogonal; their b_A and b
+have opposite signs, b = -O b_A.
 """
 
 from __future__ import annotations
@@ -53,28 +52,6 @@ class Forward:
         return self.G - np.eye(3)
 
 
-@dataclass(frozen=True)
-class ScalarForm:
-    """(I+D) B = O' A H + b_A: the attitude-independent part (D symmetric, b_A) and the rotation O."""
-
-    D: FloatArray
-    """(3, 3) symmetric."""
-    b_nT: FloatArray
-    """(3,) b_A."""
-    O: FloatArray  # noqa: E741  (the letter of Alonso & Shuster)
-    """(3, 3) orthogonal, identity where nothing is known of it."""
-
-
-@dataclass(frozen=True)
-class Iron:
-    """A H = M (B - h)."""
-
-    M: FloatArray
-    """(3, 3) soft-iron matrix, applied after the offset is taken off."""
-    h_nT: FloatArray
-    """(3,) hard-iron offset, in reading units."""
-
-
 def polar_split(M: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(O, P) with M = O P, O orthogonal, P symmetric positive definite, through the SVD; each (3, 3).
 
@@ -100,49 +77,6 @@ def correction_from_forward(forward: Forward) -> Correction:
     inverse = _inverse(_matrix(forward.G, "G"), "G")
     C = forward.C_nT_per_Am2
     return Correction(inverse - np.eye(3), -inverse @ forward.o_nT, None if C is None else -inverse @ C)
-
-
-def scalar_from_correction(correction: Correction) -> ScalarForm:
-    """Polar split of I + S; T has no place in this form and is left behind."""
-    rotation, stretch = polar_split(np.eye(3) + correction.S)
-    return ScalarForm(stretch - np.eye(3), -rotation.T @ correction.b_nT, rotation)
-
-
-def correction_from_scalar(scalar: ScalarForm) -> Correction:
-    """Inverse of `scalar_from_correction`. Raises BadInput when D is not symmetric or O not orthogonal."""
-    D, rotation = _matrix(scalar.D, "D"), _matrix(scalar.O, "O")
-    if not np.allclose(D, D.T, rtol=0.0, atol=1e-9):
-        raise BadInput("the matrix is not symmetric", where="D", wanted="D = D'")
-    if not np.allclose(rotation @ rotation.T, np.eye(3), rtol=0.0, atol=1e-9):
-        raise BadInput("the matrix is not orthogonal", where="O", wanted="O O' = I")
-    return Correction(rotation @ (np.eye(3) + D) - np.eye(3), -rotation @ scalar.b_nT)
-
-
-def iron_from_correction(correction: Correction) -> Iron:
-    """M = I + S, h = -(I+S)^-1 b; T is left behind."""
-    return Iron(np.eye(3) + correction.S, forward_from_correction(correction).o_nT)
-
-
-def correction_from_iron(iron: Iron) -> Correction:
-    """Inverse of `iron_from_correction`."""
-    M = _matrix(iron.M, "M")
-    return Correction(M - np.eye(3), -M @ np.asarray(iron.h_nT, dtype=float))
-
-
-def misalignment_rad(S: FloatArray) -> FloatArray:
-    """(3,) rotation vector of the orthogonal part of I + S: v_true = exp([vector x]) v_scaled.
-
-    For a small S it is the axial part of (S - S')/2.
-    """
-    rotation, _ = polar_split(np.eye(3) + _matrix(S, "S"))
-    if np.linalg.det(rotation) < 0:
-        raise BadInput("I + S turns a right-handed triad into a left-handed one", where="S", wanted="det(I+S) > 0")
-    axial = 0.5 * np.array(
-        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
-    )
-    sine = float(np.linalg.norm(axial))
-    angle = float(np.arctan2(sine, 0.5 * (np.trace(rotation) - 1.0)))
-    return axial if sine < 1e-12 else axial * (angle / sine)
 
 
 def forward_jacobian(correction: Correction) -> FloatArray:

@@ -47,11 +47,6 @@ class ReadingNoise:
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     """(3, 3) of `variance_nT2` [nT^4]; 0 where it was declared."""
 
-    @property
-    def matrix(self) -> FloatArray:
-        """(3, 3) Sigma_B."""
-        return np.diag(self.variance_nT2)
-
 
 def per_axis(value: float | FloatArray, name: str) -> FloatArray:
     """(3,) of a scalar or three numbers; raises BadInput for anything negative or not finite."""

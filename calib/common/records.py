@@ -107,11 +107,6 @@ class Calibration:
         return np.sqrt(np.diag(self.covariance))
 
     @property
-    def estimated(self) -> tuple[str, ...]:
-        """Names of the parameters that were estimated."""
-        return tuple(n for n, s in zip(self.names, self.sigmas, strict=True) if s > 0)
-
-    @property
     def sigma(self) -> dict[str, float | None]:
         """1 sigma by parameter name; None where the parameter was not estimated."""
         return {n: float(s) if s > 0 else None for n, s in zip(self.names, self.sigmas, strict=True)}
@@ -163,20 +158,6 @@ class Calibration:
                 )
             reading_nT = reading_nT - np.asarray(columns[name], dtype=np.float64)[..., None] * bias.value_nT
         return reading_nT
-
-    def unapply(self, field_B_nT: FloatArray, dipole_B_Am2: FloatArray | None = None) -> FloatArray:
-        """(N, 3) the reading that this calibration expects of a true field; inverse of `apply`."""
-        plain = np.asarray(field_B_nT, dtype=np.float64) - self.apply(np.zeros(3), None if self._no_T else np.zeros(3))
-        if not self._no_T:
-            if dipole_B_Am2 is None:
-                raise BadInput("this calibration has a T, and no torquer dipole is given", where="dipole")
-            assert self.T_nT_per_Am2 is not None
-            plain = plain - np.asarray(dipole_B_Am2, dtype=np.float64) @ self.T_nT_per_Am2.T
-        return np.asarray(plain @ np.linalg.inv(np.eye(3) + self.S).T)
-
-    @property
-    def _no_T(self) -> bool:
-        return self.T_nT_per_Am2 is None or not self.T_nT_per_Am2.any()
 
     @property
     def digest(self) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -46,11 +46,6 @@ class ResidualStatistics:
         """The same in mG."""
         return self.component_rms_nT / NT_PER_MG
 
-    @property
-    def rms_mG(self) -> FloatArray:
-        """(3,) per axis in mG."""
-        return self.rms_nT / NT_PER_MG
-
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers; no NaN."""
         return {
@@ -83,27 +78,6 @@ def residual_statistics(time: TimeArray, residual_nT: FloatArray) -> ResidualSta
     )
 
 
-def expected_covariance_nT2(
-    S: FloatArray,
-    field_B_nT: FloatArray,
-    noise_variance_nT2: FloatArray,
-    sigma_attitude_rad: float,
-    sigma_field_nT: float = 0.0,
-) -> FloatArray:
-    """(N, 3, 3) covariance that the residual should have: (I+S) Sigma_B (I+S)' + [B x] Sigma_att [B x]' + Sigma_field.
-
-    field_B_nT: (N, 3). noise_variance_nT2: (3,), quantisation included. sigma_attitude_rad: per axis of the
-    reference attitude. sigma_field_nT: per component of the field model. From journal eq. 1, errors to
-    first order.
-    """
-    M = np.eye(3) + S
-    B = np.asarray(field_B_nT, dtype=np.float64)
-    # [B x][B x]' = |B|^2 I - B B'
-    turned = (B**2).sum(axis=1)[:, None, None] * np.eye(3) - B[:, :, None] * B[:, None, :]
-    constant = (M * noise_variance_nT2) @ M.T + sigma_field_nT**2 * np.eye(3)
-    return np.asarray(constant + sigma_attitude_rad**2 * turned)
-
-
 def residuals_of(records: Telemetry | Sequence[Telemetry], calibration: Calibration, model: FieldModel) -> FloatArray:
     """(N, 3) A B0 - [(I+S) B + b + T D] of telemetry under a calibration made elsewhere; NaN where unknown."""
     telemetry = joined(records)
@@ -116,19 +90,3 @@ def predict(
     """How well a calibration predicts telemetry that was not used to make it."""
     telemetry = joined(records)
     return residual_statistics(telemetry.time, residuals_of(telemetry, calibration, model))
-
-
-def hold_out(
-    records: Sequence[Telemetry], fit: Callable[[list[Telemetry]], Calibration], model: FieldModel
-) -> list[ResidualStatistics]:
-    """Each record predicted by the calibration of all the others.
-
-    Raises NoAnswer for fewer than two records.
-    """
-    if len(records) < 2:
-        raise NoAnswer("one record alone leaves nothing to hold out; give two or more", evidence={})
-    out = []
-    for held, record in enumerate(records):
-        others = [other for at, other in enumerate(records) if at != held]
-        out.append(predict(record, fit(others), model))
-    return out

@@ -17,24 +17,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 
-KINDS = ("huber", "tukey")
 _MAD_TO_SIGMA = 1.482602218505602
 _HUBER_AT = 2.0
 """In sigma of the three-component distance: 74 % of a Gaussian lies inside, efficiency 96 %."""
 TUKEY_AT = 6.0
 """Efficiency for three Gaussian components 95 %; weight zero beyond six sigma."""
 _ROUNDS = 50
-
-
-def kind_of(asked: str | bool | None) -> str | None:
-    """`tukey` where nothing is asked for, None for `none`; raises BadInput for another kind."""
-    kind = "tukey" if asked is None or asked is True else "none" if asked is False else asked
-    if kind not in (*KINDS, "none"):
-        raise BadInput(f"{kind!r}", where="robust", wanted=" or ".join((*KINDS, "none")))
-    return None if kind == "none" else kind
 
 
 @dataclass(frozen=True)
@@ -53,10 +43,8 @@ def robust_weights(start_nT: FloatArray, refit: Callable[[FloatArray], FloatArra
     """Weights of rows by `huber` or `tukey`.
 
     start_nT: (N, 3) residuals that no outlier has pulled, up to a constant; (N, 1) where only |B| is fitted. refit:
-    residuals like it of the fit with the weights (N,) it is given. Raises BadInput for another kind.
+    residuals like it of the fit with the weights (N,) it is given.
     """
-    if kind not in KINDS:
-        raise BadInput(f"{kind!r}", where="robust", wanted=" or ".join(KINDS))
     r = start_nT - np.median(start_nT, axis=0)
     weights = np.ones(len(r))
     for stage in ("huber", "tukey") if kind == "tukey" else ("huber",):

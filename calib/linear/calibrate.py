@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -25,10 +26,11 @@ from fluxtwin.calib.common.noise import reading_noise
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.regression import regress, residuals
 from fluxtwin.calib.common.residuals import residual_statistics
-from fluxtwin.calib.common.robust import kind_of, robust_weights
+from fluxtwin.calib.common.robust import robust_weights
 from fluxtwin.calib.linear.covariance_report import stated_covariance
 from fluxtwin.calib.linear.fit import LinearFit
-from fluxtwin.calib.linear.problem import DIRECTIONS, PARAMETERS, Job, Options, Solution, corrected
+from fluxtwin.calib.linear.method import LinearOptions
+from fluxtwin.calib.linear.problem import Job, Solution, corrected
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.field import FieldModel
@@ -38,57 +40,25 @@ _SAMPLES = {"b": 3, "b,S": 12, "b,S,T": 21}
 
 
 def calibrate_linear(
-    records: Telemetry | Sequence[Telemetry],
-    model: FieldModel,
-    *,
-    parameters: str = "b,S",
-    direction: str = "linear",
-    errors_in_variables: bool | None = None,
-    noise_nT: float | FloatArray | None = None,
-    lsb_nT: float | FloatArray | None = None,
-    weights: FloatArray | None = None,
-    robust: str | bool = "tukey",
-    covariance: str = "blocks",
-    passes: np.ndarray | None = None,
-    block_s: float | None = None,
-    field_error_nT: float | None = None,
-    attitude_sigma_deg: float | None = None,
-    attitude_tau_s: float | None = None,
+    records: Telemetry | Sequence[Telemetry], model: FieldModel, options: LinearOptions | None = None, **given: Any
 ) -> LinearFit:
     """Calibrate one or several records against `model` and their reference attitude.
 
-    parameters: `b`, `b,S` or `b,S,T`. errors_in_variables: None is on for `linear`; takes out the attenuation of S by
-    noise of the reading, and the shortening by errors of the attitude. noise_nT, lsb_nT: of the reading, scalar or per
-    axis; found in the data when not given. weights: (N,) of the joined rows (journal eq. 4, any scale). robust: weights
-    that outliers do not move, `tukey`, `huber` or `none`. covariance: `blocks`, which allows for errors that are
-    correlated in time (see `stated`), or `white`; `passes`: (N,) labels of the joined rows, or `block_s` seconds, say
-    what a block is. field_error_nT: rms an axis of the error of the field model, with a memory of a radian of the
-    orbit, which is added to the covariance; nothing is added when not given. attitude_sigma_deg, attitude_tau_s: error
-    of the reference attitude, 1 sigma per body axis, and its time constant (0: white); found in the data when not given.
-
-    Raises BadInput for unknown options and absent columns, OutOfRange for epochs outside the model, NoAnswer,
-    naming the parameters, when the data do not determine them.
+    given: fields of `LinearOptions`, where no options are. Raises BadInput for unknown options and absent columns,
+    OutOfRange for epochs outside the model, NoAnswer, naming the parameters, when the data do not determine them.
     """
-    options = Options(
-        parameters, direction, errors_in_variables, noise_nT, lsb_nT, kind_of(robust),
-        covariance, block_s, field_error_nT, attitude_sigma_deg, attitude_tau_s,
-    )  # fmt: skip
+    options = LinearOptions(**given) if options is None else options
     telemetry = joined(records)
-    design = assemble(telemetry, model, with_dipole="T" in parameters)
-    fit = fit_design(
-        design,
-        options,
-        model_name=model.name,
-        weights=_of_rows(weights, design, "weights"),
-        passes=_of_rows(passes, design, "passes"),
-    )
-    doubts = suspicions(telemetry, fit.calibration, fit.residuals_nT, robust=options.robust is not None)
+    design = assemble(telemetry, model, with_dipole="T" in options.parameters)
+    weights, passes = (_of_rows(getattr(options, name), design, name) for name in ("weights", "passes"))
+    fit = fit_design(design, options, model_name=model.name, weights=weights, passes=passes)
+    doubts = suspicions(telemetry, fit.calibration, fit.residuals_nT, robust=options.robust != "none")
     return dataclasses.replace(fit, messages=(*fit.messages, *doubts))
 
 
 def fit_design(
     design: Design,
-    options: Options,
+    options: LinearOptions,
     *,
     model_name: str = "",
     weights: FloatArray | None = None,
@@ -104,7 +74,7 @@ def fit_design(
             seen.require_excitation(seen.excitation(field_nT, dipole, fired, a), np.zeros(3), 0.0)
     refit = _forward_refit(design, dipole, a, options.parameters == "b")
     robust = None
-    if options.robust is not None:
+    if options.robust != "none":
         robust = robust_weights(design.B_nT - design.H_nT, refit, options.robust)
         a = robust.weights if a is None else a * robust.weights
         a = a / a.sum()
@@ -148,7 +118,7 @@ def _solve(job: Job) -> Solution:
 
 def _regressed(job: Job, longer_nT: FloatArray) -> Solution:
     """longer_nT: (N, 3) or (3,) by how much errors of the attitude shorten the mean of the reference field."""
-    design, linear = job.design, job.options.direction == "linear"
+    design, linear = job.design, job.options.method == "linear"
     # On the right side it is the true field given the reference that falls short.
     y, x = (design.H_nT + longer_nT, design.B_nT) if linear else (design.B_nT, design.H_nT - longer_nT)
     fit = regress(y, [x, *job.dipole], job.a)
@@ -194,7 +164,7 @@ def _calibration(job: Job, M: FloatArray, c: FloatArray) -> Calibration:
     T = np.zeros((3, 3))
     T[:, job.fired] = M[:, 3:]
     with_T = "T" in job.options.parameters
-    if job.options.direction == "linear":
+    if job.options.method == "linear":
         return Calibration(M[:, :3] - np.eye(3), c, T if with_T else None)
     back = correction_from_forward(Forward(M[:, :3], c, T))
     return Calibration(back.S, back.b_nT, back.T_nT_per_Am2 if with_T else None)
@@ -233,7 +203,7 @@ def _report(job: Job, solution: Solution, model_name: str, passes: np.ndarray | 
     )
     return LinearFit(
         calibration=calibration,
-        method=options.direction,
+        method=options.method,
         time=design.time,
         residuals_nT=solution.residual_nT,
         weights=job.weights,
@@ -264,11 +234,11 @@ def _messages(job: Job, solution: Solution, variation: seen.FieldVariation) -> t
     return tuple(out)
 
 
-def _method_words(options: Options) -> str:
-    parts = [f"{options.direction} regression for {options.parameters}"]
+def _method_words(options: LinearOptions) -> str:
+    parts = [f"{options.method} regression for {options.parameters}"]
     if options.corrects:
         parts.append("corrected for errors in variables")
-    if options.robust is not None:
+    if options.robust != "none":
         parts.append(f"{options.robust} weights")
     return ", ".join(parts)
 
@@ -290,6 +260,3 @@ def _check_weights(weights: FloatArray | None, rows: int) -> FloatArray | None:
     if a.shape != (rows,) or not np.isfinite(a).all() or (a < 0).any() or not a.sum() > 0:
         raise BadInput("a weight is negative, not finite, or all are zero", where="weights", wanted=f"{rows} weights")
     return np.asarray(a / a.sum())
-
-
-__all__ = ["DIRECTIONS", "PARAMETERS", "LinearFit", "Options", "calibrate_linear", "fit_design"]

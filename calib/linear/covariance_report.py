@@ -258,7 +258,7 @@ def _from_field_error(job: Job, solution: Solution) -> FloatArray:
     mean_x = np.zeros(0) if solution.fit is None else solution.fit.mean_x
     seen.columns[:, :-1] -= mean_x
     K = kernel_moments(seen, np.array([job.design.radian_s]))[0]
-    turn = solution.M[:, :3] if job.options.direction == "forward" and solution.fit is not None else np.eye(3)
+    turn = solution.M[:, :3] if job.options.method == "forward" and solution.fit is not None else np.eye(3)
     C = job.options.field_error_nT**2 * turn @ turn.T
     whole = np.kron(np.eye(3), np.eye(1) if solution.fit is None else bread_of(solution.fit, job.noise_xx))
     moments = np.einsum("ij,fg->ifjg", C, K).reshape(3 * size, 3 * size)
@@ -289,7 +289,7 @@ def _in_file_order(job: Job, solution: Solution, stacked: FloatArray) -> FloatAr
         place[i * (m + 1) : (i + 1) * (m + 1)] = [*columns, 9 + i]
     full = np.zeros((21, 21))
     full[np.ix_(place, place)] = stacked
-    if with_S and job.options.direction == "forward":
+    if with_S and job.options.method == "forward":
         jacobian = forward_jacobian(solution.calibration.correction)
         full = jacobian @ full @ jacobian.T
     size = 21 if "T" in job.options.parameters else 12

@@ -53,7 +53,7 @@ def images(job: Job, solution: Solution, rows: np.ndarray | slice) -> FloatArray
     x, y, z = job.design.H_nT[rows].T
     none = np.zeros(len(x))
     U = np.array([[none, z, -y], [-z, none, x], [y, -x, none]]).transpose(2, 0, 1)
-    return U if job.options.direction == "linear" or solution.fit is None else np.asarray(solution.M[:, :3] @ U)
+    return U if job.options.method == "linear" or solution.fit is None else np.asarray(solution.M[:, :3] @ U)
 
 
 def white_of(job: Job, solution: Solution) -> FloatArray:
@@ -62,7 +62,7 @@ def white_of(job: Job, solution: Solution) -> FloatArray:
     W = np.diag(np.maximum(job.noise.variance_nT2, max(floor, 1e-12)))
     return (
         np.asarray(solution.M[:, :3] @ W @ solution.M[:, :3].T)
-        if job.options.direction == "linear" and solution.fit is not None
+        if job.options.method == "linear" and solution.fit is not None
         else W
     )
 

@@ -1,4 +1,4 @@
-"""What is fitted and what came out: the options, the rows at work and the solution of one linear calibration."""
+"""What is fitted and what came out: the rows at work and the solution of one linear calibration."""
 
 from __future__ import annotations
 
@@ -12,64 +12,9 @@ from fluxtwin.calib.common.noise import ReadingNoise
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.regression import Regression
 from fluxtwin.calib.common.robust import RobustWeights
-from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.calib.linear.method import LinearOptions
+from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray
-
-PARAMETERS = ("b", "b,S", "b,S,T")
-DIRECTIONS = ("linear", "forward")
-
-
-LEAST_BLOCK_S = 1e-3
-
-
-def require_block(block_s: float | None) -> None:
-    """Raises BadInput for a length that no block can have."""
-    if block_s is not None and not LEAST_BLOCK_S <= block_s < np.inf:
-        raise BadInput(f"{block_s!r}", where="block_s", wanted=f"seconds, at least {LEAST_BLOCK_S:g}")
-
-
-@dataclass(frozen=True)
-class Options:
-    """How the regression is done; see `calibrate_linear`."""
-
-    parameters: str = "b,S"
-    direction: str = "linear"
-    errors_in_variables: bool | None = None
-    noise_nT: float | FloatArray | None = None
-    lsb_nT: float | FloatArray | None = None
-    robust: str | None = None
-    """`huber`, `tukey`; None: all rows alike."""
-    covariance: str = "blocks"
-    block_s: float | None = None
-    field_error_nT: float | None = None
-    attitude_sigma_deg: float | None = None
-    attitude_tau_s: float | None = None
-
-    def __post_init__(self) -> None:
-        _one_of(self.parameters, PARAMETERS, "parameters")
-        _one_of(self.direction, DIRECTIONS, "direction")
-        _one_of(self.covariance, ("white", "blocks"), "covariance")
-        if self.errors_in_variables and self.direction == "forward":
-            raise BadInput(
-                "the correction for noise in the reading has no place in the forward direction",
-                where="errors_in_variables",
-                wanted="direction linear, or the correction off",
-            )
-        require_block(self.block_s)
-        for name, low in (("attitude_sigma_deg", 1e-6), ("attitude_tau_s", 0.0)):
-            value = getattr(self, name)
-            if value is not None and not low <= value < 1e9:
-                raise BadInput(f"{value!r}", where=name, wanted="degrees, positive" if low else "seconds, not negative")
-        if self.attitude_sigma_deg is not None and not self.attitude_sigma_deg < 90.0:
-            raise BadInput(f"{self.attitude_sigma_deg!r}", where="attitude_sigma_deg", wanted="degrees, below 90")
-        if self.field_error_nT is not None and not 0 <= self.field_error_nT < np.inf:
-            raise BadInput(f"{self.field_error_nT!r}", where="field_error_nT", wanted="nT, not negative")
-
-    @property
-    def corrects(self) -> bool:
-        """Whether the errors-in-variables correction is made."""
-        wanted = self.direction == "linear" if self.errors_in_variables is None else self.errors_in_variables
-        return wanted and self.parameters != "b"
 
 
 @dataclass(frozen=True)
@@ -77,7 +22,7 @@ class Job:
     """The rows at work."""
 
     design: Design
-    options: Options
+    options: LinearOptions
     fired: np.ndarray
     dipole: list[np.ndarray]
     a: np.ndarray | None  # (N,) weights of sum 1, None for equal
@@ -106,7 +51,7 @@ class Job:
         """Regressors of the fitted direction."""
         if self.options.parameters == "b":
             return []
-        return [self.design.B_nT if self.options.direction == "linear" else self.design.H_nT, *self.dipole]
+        return [self.design.B_nT if self.options.method == "linear" else self.design.H_nT, *self.dipole]
 
     @property
     def noise_xx(self) -> FloatArray | None:
@@ -145,8 +90,3 @@ def corrected(
     half = np.linalg.solve(factor, (yx / scale).T)
     M = np.linalg.solve(factor.T, half).T / scale
     return M, mean_y - M @ mean_x
-
-
-def _one_of(value: str, allowed: tuple[str, ...], name: str) -> None:
-    if value not in allowed:
-        raise BadInput(f"{value!r}", where=name, wanted=" or ".join(repr(v) for v in allowed))

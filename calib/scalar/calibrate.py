@@ -12,8 +12,8 @@ A rotation of the magnetometer leaves |B| as it is: S is found up to one and giv
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,13 +24,13 @@ from fluxtwin.calib.common.moments import covariance_of
 from fluxtwin.calib.common.noise import ReadingNoise
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.residuals import residual_statistics
-from fluxtwin.calib.common.robust import RobustWeights, kind_of, robust_weights
-from fluxtwin.calib.linear.problem import require_block
-from fluxtwin.calib.scalar import words as words
+from fluxtwin.calib.common.robust import RobustWeights, robust_weights
+from fluxtwin.calib.scalar import words
 from fluxtwin.calib.scalar.center import center, center_terms
 from fluxtwin.calib.scalar.covariance import Scores, field_error_covariance, scores_of, stated_scalar_covariance
 from fluxtwin.calib.scalar.fit import NO_ROTATION, ScalarFit, file_parameters, hardly_separable, telemetry_biases
 from fluxtwin.calib.scalar.maximum_likelihood import Solved, Sums, add_up, solve
+from fluxtwin.calib.scalar.method import ScalarOptions
 from fluxtwin.calib.scalar.model import ScalarData, pack, residual
 from fluxtwin.calib.scalar.noise import scalar_noise
 from fluxtwin.calib.scalar.observability import (
@@ -45,42 +45,13 @@ from fluxtwin.calib.scalar.observability import (
 )
 from fluxtwin.calib.scalar.rows import ScalarRows, assemble_scalar
 from fluxtwin.calib.scalar.twostep import twostep
-from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.telemetry.record import Telemetry
 
-METHODS = ("center", "twostep", "scalar")
 _SMALL = 1e-6
 """Noise in parts of the field, before it is known."""
-
-
-@dataclass(frozen=True)
-class ScalarOptions:
-    """How the calibration is done; see `calibrate_scalar`."""
-
-    method: str = "scalar"
-    parameters: str = "b,S"
-    noise_nT: float | FloatArray | None = None
-    lsb_nT: float | FloatArray | None = None
-    robust: str | None = None
-    covariance: str = "blocks"
-    block_s: float | None = None
-    field_error_nT: float | None = None
-
-    def __post_init__(self) -> None:
-        for name, allowed in (
-            ("method", METHODS), ("parameters", ("b", "b,S", "b,S,T")), ("covariance", ("white", "blocks")),
-        ):  # fmt: skip
-            if getattr(self, name) not in allowed:
-                raise BadInput(f"{getattr(self, name)!r}", where=name, wanted=" or ".join(map(repr, allowed)))
-        require_block(self.block_s)
-        if self.field_error_nT is not None and not 0 <= self.field_error_nT < np.inf:
-            raise BadInput(f"{self.field_error_nT!r}", where="field_error_nT", wanted="nT, not negative")
-        if self.method == "center" and self.parameters != "b":
-            raise BadInput(f"{self.parameters!r}", where="parameters", wanted="'b': CENTER finds the bias alone")
-        if self.method != "scalar" and "T" in self.parameters:
-            raise BadInput("T", where="parameters", wanted="method scalar, which alone takes the torquers")
 
 
 class ScalarJob(NamedTuple):
@@ -109,40 +80,20 @@ class ScalarJob(NamedTuple):
 
 
 def calibrate_scalar(
-    records: Telemetry | Sequence[Telemetry],
-    model: FieldModel,
-    *,
-    method: str = "scalar",
-    parameters: str | None = None,
-    telemetry_bias: Sequence[str] = (),
-    noise_nT: float | FloatArray | None = None,
-    lsb_nT: float | FloatArray | None = None,
-    robust: str | bool = "tukey",
-    covariance: str = "blocks",
-    passes: np.ndarray | None = None,
-    block_s: float | None = None,
-    field_error_nT: float | None = None,
+    records: Telemetry | Sequence[Telemetry], model: FieldModel, options: ScalarOptions | None = None, **given: Any
 ) -> ScalarFit:
     """Calibrate one or several records against |H| of `model`; no attitude is looked at.
 
-    method: see the module. parameters: `b`, `b,S` or `b,S,T`; None is `b` for center, `b,S` for the others.
-    telemetry_bias: columns of telemetry (`array_current_A`, `temperature_degC`, `flag_NAME`, ...) whose field is
-    estimated too, scalar only (Springmann & Cutler 2012). The rest as in `calibrate_linear`; passes: (N,) labels of
-    the joined rows.
-
-    Raises BadInput for unknown options and absent columns, OutOfRange for epochs outside the model, NoAnswer, naming
-    the parameters and the null direction, when the data do not determine them or two solutions fit alike.
+    given: fields of `ScalarOptions`, where no options are. Raises BadInput for unknown options and absent columns,
+    OutOfRange for epochs outside the model, NoAnswer, naming the parameters and the null direction, when the data do not
+    determine them or two solutions fit alike.
     """
-    wanted = parameters or ("b" if method == "center" else "b,S")
-    kind = kind_of(robust)
-    options = ScalarOptions(method, wanted, noise_nT, lsb_nT, kind, covariance, block_s, field_error_nT)
-    if telemetry_bias and method != "scalar":
-        raise BadInput(", ".join(telemetry_bias), where="telemetry_bias", wanted="method scalar")
+    options = ScalarOptions(**given) if options is None else options
     telemetry = joined(records)
-    rows = assemble_scalar(telemetry, model, with_dipole="T" in wanted, names=telemetry_bias)
-    labels = None if passes is None else np.asarray(passes)[rows.rows]
+    rows = assemble_scalar(telemetry, model, with_dipole="T" in options.parameters, names=options.telemetry_bias)
+    labels = None if options.passes is None else np.asarray(options.passes)[rows.rows]
     fit = fit_rows(rows, options, model_name=model.name, passes=labels)
-    doubts = suspicions(telemetry, fit.calibration, fit.residuals_nT, robust=kind is not None)
+    doubts = suspicions(telemetry, fit.calibration, fit.residuals_nT, robust=options.robust != "none")
     return replace(fit, messages=(*fit.messages, *doubts))
 
 
@@ -209,7 +160,7 @@ def _first(job: ScalarJob, start: FloatArray) -> tuple[Solved, RobustWeights | N
     """A solution before the noise is known, and robust weights where they are asked for."""
     data = job.data
     solved = solve(start, data, adjusted=False)
-    if job.options.robust is None:
+    if job.options.robust == "none":
         return solved, None
     state = {"p": start}
 

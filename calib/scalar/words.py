@@ -13,7 +13,7 @@ from fluxtwin.calib.scalar.model import ScalarData, pack
 from fluxtwin.calib.scalar.rows import ScalarRows
 
 if TYPE_CHECKING:
-    from fluxtwin.calib.scalar.calibrate import ScalarOptions
+    from fluxtwin.calib.scalar.method import ScalarOptions
 
 _NAMES = {"center": "CENTER", "twostep": "TWOSTEP with the noise term corrected", "scalar": "scalar maximum likelihood"}
 _MISSTATED = 1.25
@@ -27,7 +27,7 @@ def method(options: ScalarOptions, columns: tuple[str, ...]) -> str:
     others = [name for name in columns if not name.startswith("dipole_")]
     if others:
         parts.append("field of " + " and ".join(others) + " estimated")
-    if options.robust is not None:
+    if options.robust != "none":
         parts.append(f"{options.robust} weights")
     return ", ".join(parts)
 

@@ -28,7 +28,9 @@ def accumulate(
     """Add the normal equations of seen = G A(t) ref + o to the upper half of N (19, 19) and to v (19,).
 
     Order: d0, dOm, dlam, o, G row by row; with `full` False only the first seven are touched. Returns the weighted sum
-    of squared residuals. The motion and its slopes are those of `spin_motion.Motion`.
+    of squared residuals. The motion is `motion.Motion`, its slopes to first order in errors (d0 a turn in B at t = 0)
+
+        d(t) = Rz d0 + Rz A0 Jl(-Om t) t dOm + z t dlam,   Jl(x) = 1 + (1-cos x)/x^2 [x x] + (x - sin x)/x^3 [x x]^2
     """
     rate = max(math.sqrt(Om[0] ** 2 + Om[1] ** 2 + Om[2] ** 2), 1e-300)
     n0, n1, n2 = Om[0] / rate, Om[1] / rate, Om[2] / rate

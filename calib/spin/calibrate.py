@@ -28,7 +28,8 @@ from fluxtwin.calib.common.noise import ReadingNoise
 from fluxtwin.calib.common.observability import field_variation
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.residuals import residual_statistics
-from fluxtwin.calib.linear.calibrate import Options, fit_design
+from fluxtwin.calib.linear.calibrate import fit_design
+from fluxtwin.calib.linear.method import LinearOptions
 from fluxtwin.calib.scalar.maximum_likelihood import residual
 from fluxtwin.calib.scalar.model import ScalarData, pack
 from fluxtwin.calib.scalar.noise import scalar_noise
@@ -44,18 +45,18 @@ from fluxtwin.calib.spin.batch import (
     solve_batch,
 )
 from fluxtwin.calib.spin.filter import Filtered, FilterSettings, spin_filter
+from fluxtwin.calib.spin.method import SpinOptions as SpinOptions
 from fluxtwin.calib.spin.motion import Motion, skew
 from fluxtwin.calib.spin.outliers import beyond, wild_readings, wild_words, without
 from fluxtwin.calib.spin.rows import SpinRows, assemble_spin
 from fluxtwin.calib.spin.sedlak import Iterated, at, free_motion, iterate
 from fluxtwin.calib.spin.start import Start, blind_start
-from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.telemetry.record import Telemetry
 
-METHODS = ("iterative", "batch")
 GAUGE = (
     "the azimuth of the body's x axis: an axisymmetric body has none of its own. The sun sensor defines it (the gauge); a "
     "misalignment of the sun sensor about body Z goes into S as one of the magnetometer"
@@ -71,38 +72,6 @@ _LEAP = 4
 """Every so many passes a step goes to where the geometric series of the steps would end."""
 _OF_SIGMA = 0.1
 _CUTS = 5
-
-
-@dataclass(frozen=True)
-class SpinOptions:
-    """How it is done; see `calibrate_spin`."""
-
-    method: str = "batch"
-    noise_nT: float | FloatArray | None = None
-    lsb_nT: float | FloatArray | None = None
-    sun_sigma_deg: float | None = None
-    sun_alignment_deg: float = 0.05
-    inertia_ratio: float | None = None
-    torque_walk_rad_s: float = 0.0
-    covariance: str = "blocks"
-    robust: str = "tukey"
-    """`tukey`: readings beyond six robust sigma are left out, the others weigh alike; or `none`."""
-
-    def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise BadInput(f"{self.method!r}", where="method", wanted=" or ".join(METHODS))
-        if self.covariance not in ("white", "blocks"):
-            raise BadInput(f"{self.covariance!r}", where="covariance", wanted="'white' or 'blocks'")
-        if self.robust not in ("tukey", "none"):
-            raise BadInput(f"{self.robust!r}", where="--robust", wanted=f"tukey or none for method {self.method}")
-        for name in ("sun_sigma_deg", "sun_alignment_deg"):
-            value = getattr(self, name)
-            if value is not None and not 0.0 < value < 90.0:
-                raise BadInput(f"{value!r}", where=name, wanted="degrees, positive")
-        if self.inertia_ratio is not None and not 0.0 < self.inertia_ratio < 2.0:
-            raise BadInput(f"{self.inertia_ratio!r}", where="inertia_ratio", wanted="Js/Jt, above 0 and below 2")
-        if not self.torque_walk_rad_s >= 0.0:
-            raise BadInput(f"{self.torque_walk_rad_s!r}", where="torque_walk_rad_s", wanted="rad/s, not negative")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,18 +108,15 @@ class _Found(NamedTuple):
     steps_rad: tuple[float, ...]
 
 
-def calibrate_spin(records: Telemetry | Sequence[Telemetry], model: FieldModel, **options: Any) -> SpinFit:
-    """S (9) and b (3) of one record of a spinner with sun pulses; options as the fields of `SpinOptions`.
-
-    method: `batch` or `iterative`. noise_nT, lsb_nT: of the reading; found in the size of the field where not given.
-    sun_sigma_deg: of a pulse; found in the residual (batch) or 0.2. sun_alignment_deg: what is known of the sun sensor's
-    mounting, 1 sigma, iterative only. inertia_ratio: Js/Jt, iterative only; else the blind start's. torque_walk_rad_s:
-    process noise of the filter.
+def calibrate_spin(
+    records: Telemetry | Sequence[Telemetry], model: FieldModel, options: SpinOptions | None = None, **given: Any
+) -> SpinFit:
+    """S (9) and b (3) of one record of a spinner with sun pulses; given: fields of `SpinOptions`, where no options are.
 
     Raises BadInput for unknown options or no sun column, NoAnswer, in words, where no free motion fits, the iteration
     does not settle, or readings and pulses are too few.
     """
-    fit = fit_spin(assemble_spin(records, model), SpinOptions(**options), model_name=model.name)
+    fit = fit_spin(assemble_spin(records, model), options or SpinOptions(**given), model_name=model.name)
     doubts = suspicions(joined(records), fit.calibration, fit.residuals_nT, robust=fit.rejected > 0)
     return replace(fit, messages=(*fit.messages, *doubts))
 
@@ -326,7 +292,7 @@ def _regress(
 ) -> tuple[Calibration, Filtered, int]:
     """Linear regression on the attitude and filter with what it gives, in turn, until a tenth of a sigma is left."""
     sigma_nT = np.sqrt(noise.variance_nT2)
-    how = Options(direction="forward", noise_nT=sigma_nT, lsb_nT=0.0, covariance="white")
+    how = LinearOptions(method="forward", noise_nT=sigma_nT, lsb_nT=0.0, covariance="white", robust="none")
     inertia = np.array([1.0, 1.0, ratio])
     free = options.torque_walk_rad_s == 0.0
     near = replace(settings, extended=not free)

@@ -1,7 +1,4 @@
-"""The compiled steps of the filter for spinning spacecraft. Imported only where they are needed.
-
-Loops, not products of matrices: for so few numbers a library call costs more, and each costs the compiler a second.
-"""
+"""The compiled steps of the filter for spinning spacecraft. Imported only where they are needed."""
 
 from __future__ import annotations
 
@@ -9,37 +6,10 @@ import math
 
 import numpy as np
 
+from fluxtwin.calib.common import kalman_kernels
+from fluxtwin.calib.common.kalman_kernels import passive, product, times, update
 from fluxtwin.sim.base.kernel_cache import kernel, part
 from fluxtwin.sim.base.types import FloatArray
-
-
-@part()
-def _passive(x: float, y: float, z: float) -> FloatArray:
-    """exp(-[v x])."""
-    out = np.empty((3, 3))
-    angle = math.sqrt(x * x + y * y + z * z)
-    c, s, bend = 1.0, 1.0, 0.0
-    if angle >= 1e-12:
-        c, s = math.cos(angle), math.sin(angle)
-        bend = 1.0 - c
-        x, y, z = x / angle, y / angle, z / angle
-    out[0, 0], out[0, 1], out[0, 2] = c + bend * x * x, bend * x * y + s * z, bend * x * z - s * y
-    out[1, 0], out[1, 1], out[1, 2] = bend * x * y - s * z, c + bend * y * y, bend * y * z + s * x
-    out[2, 0], out[2, 1], out[2, 2] = bend * x * z + s * y, bend * y * z - s * x, c + bend * z * z
-    return out
-
-
-@part()
-def _product(one: FloatArray, two: FloatArray) -> FloatArray:
-    """one two."""
-    out = np.empty((one.shape[0], two.shape[1]))
-    for i in range(one.shape[0]):
-        for j in range(two.shape[1]):
-            total = 0.0
-            for k in range(one.shape[1]):
-                total += one[i, k] * two[k, j]
-            out[i, j] = total
-    return out
 
 
 @part()
@@ -55,7 +25,7 @@ def _sum(one: FloatArray, a: float, two: FloatArray, b: float) -> FloatArray:
 @part()
 def _between(one: FloatArray, two: FloatArray) -> FloatArray:
     """one two one'; two is symmetric, and so is this to the last bit."""
-    half = _product(one, two)
+    half = product(one, two)
     out = np.empty((one.shape[0], one.shape[0]))
     for i in range(one.shape[0]):
         for j in range(i + 1):
@@ -66,19 +36,7 @@ def _between(one: FloatArray, two: FloatArray) -> FloatArray:
     return out
 
 
-@part()
-def _times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
-    """matrix vector."""
-    out = np.empty(matrix.shape[0])
-    for i in range(matrix.shape[0]):
-        total = 0.0
-        for k in range(matrix.shape[1]):
-            total += matrix[i, k] * vector[k]
-        out[i] = total
-    return out
-
-
-@kernel(fastmath=False)
+@kernel(uses=(kalman_kernels,), fastmath=False)
 def step_symmetric(A: FloatArray, L: FloatArray, J: FloatArray, h: float) -> tuple[FloatArray, FloatArray]:
     """A after h and the transition (6, 6) of [dtheta, dL], free axisymmetric body about z; exact in A.
 
@@ -87,10 +45,10 @@ def step_symmetric(A: FloatArray, L: FloatArray, J: FloatArray, h: float) -> tup
     x, y, z = L[0] / J[0], L[1] / J[0], L[2] / J[0]
     size = math.sqrt(x * x + y * y + z * z)
     g = h * (1.0 / J[2] - 1.0 / J[0])
-    L_B = _times(A, L)
-    Rz = _passive(0.0, 0.0, L_B[2] * g)
-    turned = _product(Rz, A)
-    new = _product(turned, _passive(x * h, y * h, z * h))
+    L_B = times(A, L)
+    Rz = passive(np.array([0.0, 0.0, L_B[2] * g]))
+    turned = product(Rz, A)
+    new = product(turned, passive(np.array([x * h, y * h, z * h])))
     a = size * h
     Jl = np.eye(3)
     if a > 1e-9:  # of -L h / Jt: 1 + (1 - cos a) / a [n x] + (1 - sin a / a) [n x]^2
@@ -101,7 +59,7 @@ def step_symmetric(A: FloatArray, L: FloatArray, J: FloatArray, h: float) -> tup
                 Jl[i, k] += two * (n[i] * n[k] - (1.0 if i == k else 0.0))
             Jl[i, (i + 1) % 3] -= one * n[(i + 2) % 3]
             Jl[i, (i + 2) % 3] += one * n[(i + 1) % 3]
-    side = _product(turned, Jl)
+    side = product(turned, Jl)
     Phi = np.eye(6)
     for i in range(3):
         for k in range(3):
@@ -117,7 +75,7 @@ def step_symmetric(A: FloatArray, L: FloatArray, J: FloatArray, h: float) -> tup
 @part()
 def _slope(A: FloatArray, Phi: FloatArray, L: FloatArray, J: FloatArray, dA: FloatArray, dPhi: FloatArray) -> None:
     """Rates of A (3, 3) and of the upper half of Phi (6, 6); the lower half stands still."""
-    L_B = _times(A, L)
+    L_B = times(A, L)
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         wj, wk = L_B[j] / J[j], L_B[k] / J[k]
@@ -131,7 +89,7 @@ def _slope(A: FloatArray, Phi: FloatArray, L: FloatArray, J: FloatArray, dA: Flo
                 dPhi[i, m] += A[i, n] / J[i] * Phi[3 + n, m]
 
 
-@kernel(fastmath=False)
+@kernel(uses=(kalman_kernels,), fastmath=False)
 def step_triaxial(A: FloatArray, L: FloatArray, J: FloatArray, h: float) -> tuple[FloatArray, FloatArray]:
     """As `step_symmetric` for three different moments, by Runge and Kutta's fourth-order method, 0.02 rad a step."""
     rate = math.sqrt(L[0] ** 2 + L[1] ** 2 + L[2] ** 2) / min(J[0], min(J[1], J[2]))
@@ -146,68 +104,8 @@ def step_triaxial(A: FloatArray, L: FloatArray, J: FloatArray, h: float) -> tupl
             _slope(_sum(A, 1.0, dA, reach), _sum(Phi, 1.0, dPhi, reach), L, J, dA, dPhi)
             sum_A, sum_Phi = _sum(sum_A, 1.0, dA, weight), _sum(sum_Phi, 1.0, dPhi, weight)
         A, Phi = _sum(A, 1.0, sum_A, d / 6.0), _sum(Phi, 1.0, sum_Phi, d / 6.0)
-        A = _sum(A, 1.5, _product(_product(A, A.T), A), -0.5)  # back to a rotation
+        A = _sum(A, 1.5, product(product(A, A.T), A), -0.5)  # back to a rotation
     return A, Phi
-
-
-@part()
-def _inverse(S: FloatArray) -> FloatArray:
-    """Of a symmetric positive matrix, by Cholesky's factor."""
-    size = S.shape[0]
-    root = np.zeros((size, size))  # the inverse of the factor, in the end
-    for i in range(size):
-        for j in range(i + 1):
-            total = S[i, j]
-            for k in range(j):
-                total -= root[i, k] * root[j, k]
-            root[i, j] = math.sqrt(total) if i == j else total / root[j, j]
-    for i in range(size):
-        root[i, i] = 1.0 / root[i, i]
-        for j in range(i):
-            total = 0.0
-            for k in range(j, i):
-                total -= root[i, k] * root[k, j]
-            root[i, j] = total * root[i, i]
-    return _product(root.T, root)
-
-
-@part()
-def _update(x: FloatArray, P: FloatArray, r: FloatArray, H: FloatArray, R: FloatArray) -> tuple[FloatArray, float]:
-    """One measurement r = H dtheta + noise R (diagonal (m,)) on the error x (6,) = [dtheta, dL], which is changed in
-    place: P after it (Joseph), and r' S^-1 r.
-    """
-    size = R.size
-    left, PH, S = r.copy(), np.zeros((6, size)), np.zeros((size, size))
-    for i in range(size):
-        for k in range(3):
-            left[i] -= H[i, k] * x[k]
-            for m in range(6):
-                PH[m, i] += P[m, k] * H[i, k]
-    for i in range(size):
-        for j in range(size):
-            for k in range(3):
-                S[i, j] += H[i, k] * PH[k, j]
-        S[i, i] += R[i]
-    inverse = _inverse(S)
-    K = _product(PH, inverse)
-    I_KH = np.eye(6)
-    for i in range(6):
-        for k in range(3):
-            for m in range(size):
-                I_KH[i, k] -= K[i, m] * H[m, k]
-    after = _between(I_KH, P)
-    for i in range(6):
-        for k in range(i + 1):
-            for m in range(size):
-                after[i, k] += K[i, m] * R[m] * K[k, m]
-            after[k, i] = after[i, k]
-    nis = 0.0
-    for i in range(size):
-        for j in range(size):
-            nis += left[i] * inverse[i, j] * left[j]
-        for m in range(6):
-            x[m] += K[m, i] * left[i]
-    return after, nis
 
 
 @part()
@@ -216,13 +114,13 @@ def _moved(L: FloatArray, x: float, y: float, z: float) -> FloatArray:
     size = math.sqrt(L[0] ** 2 + L[1] ** 2 + L[2] ** 2)
     a, b, c = L[0] / size, L[1] / size, L[2] / size
     along = 1.0 + (a * x + b * y + c * z) / size
-    out = _times(_passive((c * y - b * z) / size, (a * z - c * x) / size, (b * x - a * y) / size), L)
+    out = times(passive(np.array([c * y - b * z, a * z - c * x, b * x - a * y]) / size), L)
     for i in range(3):
         out[i] *= along
     return out
 
 
-@kernel(fastmath=False)
+@kernel(uses=(kalman_kernels,), fastmath=False)
 def run_filter(
     t_s: FloatArray,
     kind: FloatArray,
@@ -256,33 +154,32 @@ def run_filter(
             else:
                 A, Phi = step_triaxial(A, L, J, h)
             P = _between(Phi, P)
-            x = _times(Phi, x)
+            x = times(Phi, x)
             for i in range(3):
                 P[i, i] += noise[3] * h
                 P[3 + i, 3 + i] += noise[2] * h
-        y = _times(A, ref_N[k])
+        y = times(A, ref_N[k])
         if kind[k] == 0.0:
-            H, R, r = np.zeros((3, 3)), np.full(3, noise[0] ** 2), np.empty(3)
+            H, R, r = np.zeros((3, 6)), noise[0] ** 2 * np.eye(3), np.empty(3)
             for m in range(3):
                 H[m, (m + 1) % 3], H[m, (m + 2) % 3] = -y[(m + 2) % 3], y[(m + 1) % 3]
                 r[m] = seen[k, m] - y[m]
-            P, nis[k] = _update(x, P, r, H, R)
         else:
             across = math.sqrt(y[0] ** 2 + y[1] ** 2)
-            H = np.zeros((2, 3))
+            H = np.zeros((2, 6))
             H[0, 0], H[0, 1], H[0, 2] = y[0] * y[2] / across**2, y[1] * y[2] / across**2, -1.0
             H[1, 0], H[1, 1] = -y[1] / across, y[0] / across
             turned = math.atan2(seen[k, 1], seen[k, 0]) - math.atan2(y[1], y[0])
             turned = math.atan2(math.sin(turned), math.cos(turned))
-            r, R = np.empty(2), np.empty(2)
+            r, R = np.empty(2), np.zeros((2, 2))
             r[0], r[1] = turned, math.asin(seen[k, 2]) - math.asin(min(max(y[2], -1.0), 1.0))
-            R[0], R[1] = (noise[1] / across) ** 2, noise[1] ** 2
-            P, nis[k] = _update(x, P, r, H, R)
+            R[0, 0], R[1, 1] = (noise[1] / across) ** 2, noise[1] ** 2
+        nis[k] = r.size * update(x, P, H, r, R, np.empty(3), np.inf)[0]
         if extended:
-            A, L = _product(_passive(x[0], x[1], x[2]), A), _moved(L, x[3], x[4], x[5])
+            A, L = product(passive(x[:3]), A), _moved(L, x[3], x[4], x[5])
             x = np.zeros(6)
-        best = _product(_passive(x[0], x[1], x[2]), A)
+        best = product(passive(x[:3]), A)
         for i in range(3):
             for j in range(3):
                 history[k, i, j], spread[k, i, j] = best[i, j], P[i, j]
-    return _product(_passive(x[0], x[1], x[2]), A), _moved(L, x[3], x[4], x[5]), P
+    return product(passive(x[:3]), A), _moved(L, x[3], x[4], x[5]), P

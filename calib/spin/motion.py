@@ -5,10 +5,6 @@
 A0 is the attitude matrix (N to B) at t = 0, Om = L/Jt the precession in N, lam = w3 (1 - Js/Jt) the turn of the body
 about its axis of symmetry, z; Rz(a) = exp(-[a z x]). An error d of the attitude is A_true = (1 - [d x]) A. (Markley &
 Sedlak 2008 write the same motion with L and J; here the three are free, so that no inertia need be known.)
-
-To first order in errors (dA0 as a turn in B at t = 0, dOm, dlam)
-
-    d(t) = Rz d0 + Rz A0 Jl(-Om t) t dOm + z t dlam,   Jl(x) = 1 + (1-cos x)/x^2 [x x] + (x - sin x)/x^3 [x x]^2
 """
 
 from __future__ import annotations
@@ -16,6 +12,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.base.types import FloatArray
 
@@ -78,26 +75,6 @@ class Motion(NamedTuple):
         sine, cosine = np.sin(rate * t_s)[:, None], np.cos(rate * t_s)[:, None]
         return np.asarray(v_N - sine * across + (1.0 - cosine) * cross_by(n, across))
 
-    def slopes(self, t_s: FloatArray, v_N: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(N, 3) y = A v, and (N, 3, 7) dy/d[d0, dOm, dlam] = [y x] d(t)."""
-        rate = float(np.linalg.norm(self.Om_N_rad_s))
-        n = self.Om_N_rad_s / max(rate, 1e-300)
-        v = self.unspun(t_s, v_N)
-        u = v @ self.A0.T
-        a = rate * t_s
-        spin = self.lam_rad_s * t_s
-        y = about_z(spin, u)
-        out = np.empty((len(t_s), 3, 7))
-        slow = ((1.0 - np.cos(a)) / max(rate, 1e-300))[:, None]
-        fast = (t_s - np.sin(a) / max(rate, 1e-300))[:, None]
-        for k in range(3):
-            axis = np.eye(3)[k]
-            out[:, :, k] = about_z(spin, np.cross(u, axis))
-            jl = t_s[:, None] * axis - slow * np.cross(n, axis) + fast * np.cross(n, np.cross(n, axis))
-            out[:, :, 3 + k] = about_z(spin, np.cross(v, jl) @ self.A0.T)
-        out[:, 0, 6], out[:, 1, 6], out[:, 2, 6] = y[:, 1] * t_s, -y[:, 0] * t_s, 0.0
-        return y, out
-
 
 def about_z(angle_rad: FloatArray, v: FloatArray) -> FloatArray:
     """(N, 3) Rz(angle) v: components in axes turned by the angle about z."""
@@ -117,16 +94,9 @@ def skew(v: FloatArray) -> FloatArray:
 
 def turn(v: FloatArray) -> FloatArray:
     """(3, 3) exp([v x])."""
-    angle = float(np.linalg.norm(v))
-    if angle < 1e-12:
-        return np.asarray(np.eye(3) + skew(v))
-    n = skew(v / angle)
-    return np.asarray(np.eye(3) + np.sin(angle) * n + (1.0 - np.cos(angle)) * n @ n)
+    return np.asarray(Rotation.from_rotvec(v).as_matrix())
 
 
 def turn_vector(R: FloatArray) -> FloatArray:
     """(3,) v of R = exp([v x])."""
-    axial = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    sine = float(np.linalg.norm(axial))
-    angle = float(np.arctan2(sine, 0.5 * (np.trace(R) - 1.0)))
-    return axial if sine < 1e-12 else axial * (angle / sine)
+    return np.asarray(Rotation.from_matrix(R).as_rotvec())

@@ -15,7 +15,8 @@ from scipy.signal import lfilter
 
 from fluxtwin.calib.common.covariance import groupings, make_blocks
 from fluxtwin.calib.common.design import Design, assemble
-from fluxtwin.calib.linear.calibrate import Options, calibrate_linear, fit_design
+from fluxtwin.calib.linear.calibrate import calibrate_linear, fit_design
+from fluxtwin.calib.linear.method import LinearOptions
 
 pytestmark = pytest.mark.closure
 
@@ -49,13 +50,13 @@ def test_errors_constant_within_a_pass_widen_the_covariance(passes: Any) -> None
         rng = np.random.default_rng([40, seed])
         constant = np.repeat(rng.normal(size=(40, 3)) * 120.0, 12, axis=0)
         now = with_reading(design, meter.reading(passes.field_B_nT + constant, None, rng))
-        known = Options(noise_nT=50.0, lsb_nT=0.0, covariance="white")
+        known = LinearOptions(noise_nT=50.0, lsb_nT=0.0, covariance="white", robust="none")
         white.append(pull(fit_design(now, known), meter))
         blocks.append(pull(fit_design(now, dataclasses.replace(known, covariance="blocks")), meter))
     assert np.var(white, axis=0).mean() > 4.0
     assert 0.65 < np.var(blocks, axis=0).mean() < 1.35
     assert np.var(blocks, axis=0).max() < 1.0 + 4.0 * np.sqrt(2.0 / 40.0)
-    words = fit_design(now, Options(covariance="blocks")).messages[-1]
+    words = fit_design(now, LinearOptions(covariance="blocks", robust="none")).messages[-1]
     assert "40 blocks" in words
     assert "passes separated by gaps" in words
 
@@ -67,8 +68,10 @@ def test_blocks_agree_with_white_when_errors_are_white(seasat: Any) -> None:
     ratio = []
     for seed in range(15):
         now = with_reading(design, meter.reading(seasat.field_B_nT, None, np.random.default_rng([8, seed])))
-        white = fit_design(now, Options(noise_nT=300.0, lsb_nT=0.0, covariance="white"))
-        blocks = fit_design(now, Options(noise_nT=300.0, lsb_nT=0.0, covariance="blocks", block_s=600.0))
+        white = fit_design(now, LinearOptions(noise_nT=300.0, lsb_nT=0.0, covariance="white", robust="none"))
+        blocks = fit_design(
+            now, LinearOptions(noise_nT=300.0, lsb_nT=0.0, covariance="blocks", block_s=600.0, robust="none")
+        )
         ratio.append(blocks.calibration.sigmas / white.calibration.sigmas)
     assert abs(np.mean(ratio) - 1.0) < 0.15
 
@@ -85,7 +88,7 @@ def test_slow_errors_under_white_noise_are_seen(seasat: Any) -> None:
         rng = np.random.default_rng([17, seed])
         slow = lfilter([150.0 * np.sqrt(1.0 - rho**2)], [1.0, -rho], rng.normal(size=(400, 3)), axis=0)[75:]
         now = with_reading(design, meter.reading(seasat.field_B_nT + slow, None, rng))
-        known = Options(noise_nT=200.0, lsb_nT=0.0, covariance="white")
+        known = LinearOptions(noise_nT=200.0, lsb_nT=0.0, covariance="white", robust="none")
         white.append(pull(fit_design(now, known), meter))
         blocks.append(pull(fit_design(now, dataclasses.replace(known, covariance="blocks")), meter))
     assert np.var(white, axis=0).mean() > 2.5
@@ -118,7 +121,8 @@ def test_noise_found_in_the_data_serves_as_well_as_noise_declared(seasat: Any) -
         now = with_reading(design, meter.reading(seasat.field_B_nT, None, rng))
         tilt = rng.normal(size=now.H_nT.shape) * np.radians(0.1)
         fit = fit_design(
-            dataclasses.replace(now, H_nT=now.H_nT - np.cross(tilt, now.H_nT)), Options(covariance="white")
+            dataclasses.replace(now, H_nT=now.H_nT - np.cross(tilt, now.H_nT)),
+            LinearOptions(covariance="white", robust="none"),
         )
         found.append(pull(fit, meter))
         sigma.append(np.sqrt(fit.noise.variance_nT2.mean()))
@@ -142,7 +146,7 @@ def test_weights_follow_the_papers_equation_4(seasat: Any) -> None:
             with_reading(design, meter.ideal_reading(seasat.field_B_nT)),
             H_nT=design.H_nT + rng.normal(size=(len(design), 3)) * sigma[:, None],
         )
-        options = Options(noise_nT=0.0, lsb_nT=0.0, covariance="white")
+        options = LinearOptions(noise_nT=0.0, lsb_nT=0.0, covariance="white", robust="none")
         fit = fit_design(noisy_reference, options, weights=7.0 / sigma**2)
         plain = fit_design(noisy_reference, options)
         weighted.append(pull(fit, meter))
@@ -174,7 +178,7 @@ def test_robust_weights_survive_five_per_cent_bit_errors(seasat: Any, kind: str,
     for seed in range(40):
         rng = np.random.default_rng([14, seed])
         now = with_reading(design, flip_bits(meter.reading(seasat.field_B_nT, None, rng), 440.0, 0.05, rng))
-        known = Options(direction=direction, noise_nT=150.0, lsb_nT=440.0, covariance="white")
+        known = LinearOptions(method=direction, noise_nT=150.0, lsb_nT=440.0, covariance="white", robust="none")
         fit = fit_design(now, dataclasses.replace(known, robust=kind))
         robust.append(pull(fit, meter))
         robust_b.append(np.abs(fit.calibration.b_nT - meter.b_nT).max())
@@ -193,8 +197,8 @@ def test_robust_weights_cost_little_on_clean_data(seasat: Any) -> None:
     found, growth = [], []
     for seed in range(200):
         now = with_reading(design, meter.reading(seasat.field_B_nT, None, np.random.default_rng([15, seed])))
-        plain = fit_design(now, Options(noise_nT=300.0, lsb_nT=0.0, covariance="white"))
-        robust = fit_design(now, Options(noise_nT=300.0, lsb_nT=0.0, robust="tukey", covariance="white"))
+        plain = fit_design(now, LinearOptions(noise_nT=300.0, lsb_nT=0.0, covariance="white", robust="none"))
+        robust = fit_design(now, LinearOptions(noise_nT=300.0, lsb_nT=0.0, robust="tukey", covariance="white"))
         found.append(pull(robust, meter))
         growth.append(robust.calibration.sigmas / plain.calibration.sigmas)
     assert 0.8 < np.var(found, axis=0).mean() < 1.25
@@ -228,13 +232,17 @@ def test_one_block_that_alone_determines_a_column(seasat: Any) -> None:
     time = np.datetime64("1978-07-24", "ns") + np.arange(300) * np.timedelta64(60, "s")
     design = Design(time, reading, field, None, np.arange(300), {})
     fit = fit_design(
-        design, Options(noise_nT=10.0, lsb_nT=0.0, covariance="blocks"), passes=np.repeat(np.arange(10), 30)
+        design,
+        LinearOptions(noise_nT=10.0, lsb_nT=0.0, covariance="blocks", robust="none"),
+        passes=np.repeat(np.arange(10), 30),
     )
     assert np.isfinite(fit.calibration.sigmas).all()
     reading[:, 1] = np.where(np.arange(300) < 30, reading[:, 1], 500.0)  # no noise left there either
     exact = Design(time, reading, field, None, np.arange(300), {})
     fit = fit_design(
-        exact, Options(noise_nT=10.0, lsb_nT=0.0, covariance="blocks"), passes=np.repeat(np.arange(10), 30)
+        exact,
+        LinearOptions(noise_nT=10.0, lsb_nT=0.0, covariance="blocks", robust="none"),
+        passes=np.repeat(np.arange(10), 30),
     )
     scale = np.outer(fit.calibration.sigmas, fit.calibration.sigmas)
     assert np.linalg.eigvalsh(fit.calibration.covariance / scale)[0] > 0.0
@@ -247,7 +255,10 @@ def test_the_names_of_passes_do_not_matter(seasat: Any) -> None:
     reading = seasat.magnetometer().ideal_reading(field) + np.repeat(rng.normal(size=(10, 3)), 30, axis=0) * 30.0
     reading += rng.normal(size=field.shape) * 10.0
     time = np.datetime64("1978-07-24", "ns") + np.arange(300) * np.timedelta64(60, "s")
-    design, options = Design(time, reading, field, None, np.arange(300), {}), Options(noise_nT=10.0, lsb_nT=0.0)
+    design, options = (
+        Design(time, reading, field, None, np.arange(300), {}),
+        LinearOptions(noise_nT=10.0, lsb_nT=0.0, robust="none"),
+    )
     rising = np.repeat(np.arange(10), 30)
     sigmas = [fit_design(design, options, passes=passes).calibration.sigmas for passes in (rising, -rising)]
     np.testing.assert_allclose(sigmas[1], sigmas[0], rtol=1e-9)
@@ -265,7 +276,7 @@ def test_blocks_in_the_forward_direction(passes: Any) -> None:
         rng = np.random.default_rng([41, seed])
         constant = np.repeat(rng.normal(size=(40, 3)) * 120.0, 12, axis=0)
         now = with_reading(design, meter.reading(passes.field_B_nT + constant, None, rng))
-        options = Options(direction="forward", noise_nT=50.0, lsb_nT=0.0, covariance="blocks")
+        options = LinearOptions(method="forward", noise_nT=50.0, lsb_nT=0.0, covariance="blocks", robust="none")
         found.append(pull(fit_design(now, options), meter))
     assert 0.55 < np.var(found, axis=0).mean() < 1.45
 
@@ -279,7 +290,10 @@ def test_one_orbit_with_the_correction_for_noise(seasat: Any) -> None:
     found = []
     for seed in range(400):
         reading = meter.reading(seasat.field_B_nT, None, np.random.default_rng([16, seed]))
-        fit = fit_design(with_reading(design, reading, rows), Options(noise_nT=250.0, lsb_nT=0.0, covariance="white"))
+        fit = fit_design(
+            with_reading(design, reading, rows),
+            LinearOptions(noise_nT=250.0, lsb_nT=0.0, covariance="white", robust="none"),
+        )
         found.append(pull(fit, meter))
     variance = np.var(found, axis=0)
     assert variance.min() > 0.75

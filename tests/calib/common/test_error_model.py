@@ -12,7 +12,7 @@ from fluxtwin.calib.common.design import Design
 from fluxtwin.calib.common.error_kernels import whitened_gram
 from fluxtwin.calib.common.shrinkage import widening
 from fluxtwin.calib.linear.calibrate import calibrate_linear, fit_design
-from fluxtwin.calib.linear.problem import Options
+from fluxtwin.calib.linear.method import LinearOptions
 from fluxtwin.calib.methods import calibrate_by
 from fluxtwin.sim.base.errors import BadInput
 
@@ -95,12 +95,12 @@ def test_the_attitude_error_is_found_and_can_be_declared() -> None:
     field = orbiting(seconds)
     reference = turned(field, np.radians(0.2) * markov(1800, 40.0, rng))
     design = rows_of(seconds, read(field, 20.0, rng), reference)
-    errors = fit_design(design, Options()).error_model
+    errors = fit_design(design, LinearOptions(robust="none")).error_model
     assert errors is not None
     assert errors.attitude_source == "found in the data"
     assert errors.attitude_sigma_deg == pytest.approx(0.2, rel=0.27)
     assert errors.attitude_tau_s == pytest.approx(400.0, rel=0.6)
-    told = fit_design(design, Options(attitude_sigma_deg=0.2, attitude_tau_s=400.0)).error_model
+    told = fit_design(design, LinearOptions(attitude_sigma_deg=0.2, attitude_tau_s=400.0, robust="none")).error_model
     assert told is not None
     assert told.attitude_source == "declared"
 
@@ -116,7 +116,7 @@ def test_slow_attitude_errors_leave_the_sigmas_right() -> None:
         seconds = 10.0 * np.arange(1800.0)
         field = orbiting(seconds)
         reference = turned(field, np.radians(0.3) * markov(1800, 150.0, rng))
-        fit = fit_design(rows_of(seconds, read(field, 20.0, rng), reference), Options(robust="tukey"))
+        fit = fit_design(rows_of(seconds, read(field, 20.0, rng), reference), LinearOptions(robust="tukey"))
         p, sigma = pull(fit), fit.calibration.sigmas
         pulls.append(p)
         nees.append(p @ np.linalg.solve(fit.calibration.covariance / np.outer(sigma, sigma), p) / 12.0)
@@ -136,10 +136,10 @@ def test_an_attitude_error_does_not_shorten_the_field() -> None:
             field = rng.normal(size=(1500, 3))
             field *= 35_000.0 / np.linalg.norm(field, axis=1)[:, None]
             reference = turned(field, np.radians(0.5) * rng.normal(size=(1500, 3)))
-            known: dict[str, Any] = {"noise_nT": 20.0, "lsb_nT": 0.0, "covariance": "white", "direction": direction}
+            known: dict[str, Any] = {"noise_nT": 20.0, "lsb_nT": 0.0, "covariance": "white", "method": direction}
             design = rows_of(60.0 * np.arange(1500.0), read(field, 20.0, rng), reference)
-            fit = fit_design(design, Options(**known))
-            plain = fit_design(design, Options(**known, errors_in_variables=False))
+            fit = fit_design(design, LinearOptions(**known, robust="none"))
+            plain = fit_design(design, LinearOptions(**known, errors_in_variables=False, robust="none"))
             off.append([np.trace(one.calibration.S - S) for one in (fit, plain)])
             way = np.zeros(12)
             way[[0, 4, 8]] = 1.0
@@ -179,7 +179,9 @@ def test_the_price_on_clean_data_is_three_per_cent() -> None:
         field = orbiting(seconds)
         reference = turned(field, np.radians(0.1) * markov(1800, 30.0, rng))
         design = rows_of(seconds, read(field, 20.0, rng), reference)
-        robust, plain = (fit_design(design, Options(robust=kind)).calibration.sigmas for kind in ("tukey", None))
+        robust, plain = (
+            fit_design(design, LinearOptions(robust=kind)).calibration.sigmas for kind in ("tukey", "none")
+        )
         ratio.append(robust / plain)
     assert float(np.median(ratio)) < 1.03
 
@@ -199,7 +201,7 @@ def test_a_spinner_whose_gain_drifts() -> None:
             field = np.stack([c * F[:, 0] + s * F[:, 2], -s * F[:, 0] + c * F[:, 2], F[:, 1]], axis=1)
             gain = 1.0 + 2e-3 * markov(8000, 750.0, rng)
             fits.append(fit_design(rows_of(seconds, read(field, 0.0, rng) * gain + 20.0 * rng.normal(size=(8000, 3)), field),
-                                   Options(robust="tukey")).calibration)  # fmt: skip
+                                   LinearOptions(robust="tukey")).calibration)  # fmt: skip
         spread = np.sqrt(np.diag(fits[0].covariance + fits[1].covariance))
         pulls.append((fits[0].values - fits[1].values) / spread)
     assert np.sqrt(np.square(pulls)[:, [0, 4, 8]].mean()) < 3.0

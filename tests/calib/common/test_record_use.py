@@ -11,9 +11,9 @@ from fluxtwin.calib.common.apply import apply_calibration
 from fluxtwin.calib.common.covariance import autocorrelation, correlation_time_s
 from fluxtwin.calib.common.noise import lsb_from_spacing_nT
 from fluxtwin.calib.common.records import Calibration
-from fluxtwin.calib.common.residuals import expected_covariance_nT2, hold_out, predict, residual_statistics
+from fluxtwin.calib.common.residuals import predict, residual_statistics
 from fluxtwin.calib.linear.calibrate import calibrate_linear
-from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import field_N_nT, load_field
 from fluxtwin.sim.earth.orbit import Orbit
@@ -70,22 +70,20 @@ def test_apply_gives_the_field_of_the_model(days: Any) -> None:
 def test_days_that_were_not_used_are_predicted(days: Any) -> None:
     """Hold-out rms is the noise (100 nT) and the little that the calibration lacks; S' predicts badly."""
     records, model = days
-    held = hold_out(records, lambda some: calibrate_linear(some, model).calibration, model)
-    assert len(held) == 4
-    for statistics in held:
+    for day, record in enumerate(records):
+        known = calibrate_linear([*records[:day], *records[day + 1 :]], model).calibration
+        statistics = predict(record, known, model)
         assert 90.0 < statistics.component_rms_nT < 115.0
         assert abs(statistics.lag_correlation[1]) < 0.2
     wrong = Calibration(S.T, B_NT)
     assert predict(records[0], wrong, model).component_rms_nT > 200.0
-    with pytest.raises(NoAnswer, match="one record alone"):
-        hold_out(records[:1], lambda some: calibrate_linear(some, model).calibration, model)
 
 
 def test_bias_alone(days: Any) -> None:
     """b only: the mean of A B0 - B, the covariance only of b."""
     records, model = days
     fit = calibrate_linear(records, model, parameters="b", robust="none")
-    assert fit.calibration.estimated == ("b1", "b2", "b3")
+    assert [name for name, sigma in fit.sigma.items() if sigma is not None] == ["b1", "b2", "b3"]
     assert not fit.calibration.S.any()
     assert np.abs(fit.residuals_nT.mean(axis=0)).max() < 1e-8
     robust = calibrate_linear(records, model, parameters="b", robust="tukey", covariance="blocks")
@@ -122,18 +120,3 @@ def test_no_lsb_is_found_where_there_is_none() -> None:
     values = np.random.default_rng(22).normal(size=(300, 3)) * 1e4
     assert lsb_from_spacing_nT(values).tolist() == [0.0, 0.0, 0.0]
     assert lsb_from_spacing_nT(np.zeros((10, 3))).tolist() == [0.0, 0.0, 0.0]
-
-
-def test_what_the_residual_is_made_of() -> None:
-    """Noise of the reading, of the attitude and of the model against 40,000 draws at one field (band 3 %)."""
-    rng = np.random.default_rng(23)
-    field = np.array([12_000.0, -7_000.0, 31_000.0])
-    noise, attitude, model = np.array([100.0, 200.0, 50.0]), np.radians(0.3), 120.0
-    draws = 40_000
-    tilt = rng.normal(size=(draws, 3)) * attitude
-    residual = np.cross(field, tilt) + rng.normal(size=(draws, 3)) * model
-    residual -= (rng.normal(size=(draws, 3)) * noise) @ (np.eye(3) + 10 * S).T
-    expected = expected_covariance_nT2(10 * S, field[None], noise**2, attitude, model)[0]
-    assert np.abs(np.cov(residual.T) - expected).max() < 0.03 * np.abs(expected).max()
-    without = expected_covariance_nT2(10 * S, field[None], noise**2, 0.0, model)[0]
-    assert np.abs(np.cov(residual.T) - without).max() > 0.3 * np.abs(expected).max()

@@ -16,7 +16,8 @@ from scipy.signal import lfilter
 
 from fluxtwin.calib.common.design import Design
 from fluxtwin.calib.common.slow_errors import Cells, kernel_moments
-from fluxtwin.calib.linear.calibrate import Options, calibrate_linear, fit_design
+from fluxtwin.calib.linear.calibrate import calibrate_linear, fit_design
+from fluxtwin.calib.linear.method import LinearOptions
 from fluxtwin.sim.base.errors import NoAnswer
 
 pytestmark = pytest.mark.closure
@@ -59,11 +60,11 @@ def test_a_weak_slow_error_that_neighbours_hardly_show(seasat: Any) -> None:
     for seed in range(12):
         rng = np.random.default_rng([51, seed])
         now = rows_at(seconds, meter.reading(field + 20.0 * markov(20_000, 600.0, rng), None, rng), field)
-        plain = fit_design(now, Options(covariance="white"))
+        plain = fit_design(now, LinearOptions(covariance="white", robust="none"))
         assert plain.statistics.lag_correlation[1] < 0.2
         assert "correlated in time" in plain.messages[-1]
         white.append(pull(plain, meter))
-        default.append(pull(fit_design(now, Options()), meter))
+        default.append(pull(fit_design(now, LinearOptions(robust="none")), meter))
     assert mean_square(white) > 10.0
     assert 0.3 < mean_square(default) < 2.5
 
@@ -91,9 +92,11 @@ def test_errors_that_last_ten_minutes(seasat: Any, rows: int, limit: float) -> N
         slow = np.concatenate([markov(n, 10.0, rng) for n in (92, 88, 101, 44)]) * 250.0
         reading = meter.reading(seasat.field_B_nT + slow, None, rng)[:rows]
         now = Design(seasat.time[:rows], reading, seasat.field_B_nT[:rows], None, np.arange(rows), {})
-        fit = fit_design(now, Options(noise_nT=50.0, lsb_nT=0.0))
+        fit = fit_design(now, LinearOptions(noise_nT=50.0, lsb_nT=0.0, robust="none"))
         found.append(pull(fit, meter))
-        white.append(pull(fit_design(now, Options(noise_nT=50.0, lsb_nT=0.0, covariance="white")), meter))
+        white.append(
+            pull(fit_design(now, LinearOptions(noise_nT=50.0, lsb_nT=0.0, covariance="white", robust="none")), meter)
+        )
         said += any("errors that last an orbit" in words for words in fit.observability)
     assert said == 20 if rows == 92 else said >= 14  # under 5 % of several passes nothing is said
     assert mean_square(white) > 4.0
@@ -146,11 +149,11 @@ def test_forward_solves_what_varies_less_than_the_reading_is_noisy(seasat: Any, 
     meter = seasat.magnetometer(noise_nT=100.0)
     now = rows_at(np.arange(float(rows)), meter.reading(field, None, rng), field)
     known: dict[str, Any] = {"noise_nT": 100.0, "lsb_nT": 0.0, "covariance": "white"}
-    fit = fit_design(now, Options(direction="forward", **known))
+    fit = fit_design(now, LinearOptions(method="forward", **known, robust="none"))
     assert np.abs(pull(fit, meter)).max() < 5.0
     assert np.allclose(fit.calibration.sigmas[[1, 4, 7]], 100.0 / 60.0 / np.sqrt(rows), rtol=0.15)
     with pytest.raises(NoAnswer, match="direction forward"):
-        fit_design(now, Options(**known))
+        fit_design(now, LinearOptions(**known, robust="none"))
 
 
 def test_noise_that_differs_between_axes_is_found(seasat: Any) -> None:
@@ -163,7 +166,7 @@ def test_noise_that_differs_between_axes_is_found(seasat: Any) -> None:
         rng = np.random.default_rng([57, seed])
         reading = meter.ideal_reading(seasat.field_B_nT) + rng.normal(size=(325, 3)) * noise
         now = Design(seasat.time, reading, seasat.field_B_nT, None, np.arange(325), {})
-        fit = fit_design(now, Options(covariance="white"))
+        fit = fit_design(now, LinearOptions(covariance="white", robust="none"))
         pulls.append(pull(fit, meter))
         found.append(fit.noise.variance_nT2)
     assert np.abs(np.sqrt(np.mean(found, axis=0)) / noise - 1.0).max() < 0.1
@@ -180,7 +183,7 @@ def test_noise_that_lasts_is_counted_as_unknown(seasat: Any) -> None:
         rng = np.random.default_rng([58, seed])
         reading = meter.ideal_reading(seasat.field_B_nT) + 300.0 * markov(325, 3.0, rng)
         now = Design(seasat.time, reading, seasat.field_B_nT, None, np.arange(325), {})
-        fit = fit_design(now, Options())
+        fit = fit_design(now, LinearOptions(robust="none"))
         assert (fit.noise.variance_nT2 < 250.0**2).all()
         sigma = np.sqrt(np.diag(fit.noise.covariance))
         chance = 3.0 * np.sqrt(2.0 * 6.0 / 325.0) * 300.0**2
@@ -205,7 +208,7 @@ def test_errors_of_the_attitude_have_a_direction(seasat: Any) -> None:
         field *= 35_000.0 / np.linalg.norm(field, axis=1)[:, None]
         tilt = rng.normal(size=(300, 3)) * np.radians(0.5)
         now = rows_at(60.0 * np.arange(300.0), meter.reading(field, None, rng), field + np.cross(tilt, field))
-        fit = fit_design(now, Options(noise_nT=20.0, lsb_nT=0.0, covariance="white"))
+        fit = fit_design(now, LinearOptions(noise_nT=20.0, lsb_nT=0.0, covariance="white", robust="none"))
         error = fit.calibration.values - np.concatenate([meter.S.ravel(), meter.b_nT])
         sigma = np.sqrt(np.einsum("wi,ij,wj->w", ways, fit.calibration.covariance, ways))
         found.append(ways @ error / sigma)
@@ -218,4 +221,4 @@ def test_the_command_line_allows_for_correlation_by_default() -> None:
     from fluxtwin.commands.calibrate import command
 
     assert inspect.signature(command).parameters["covariance"].default == "blocks"
-    assert inspect.signature(calibrate_linear).parameters["covariance"].default == "blocks"
+    assert LinearOptions().covariance == "blocks"

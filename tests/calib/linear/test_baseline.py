@@ -54,7 +54,7 @@ def calibrate(
         dipole_B_Am2=np.roll(dipole, shift, axis=0),
     )  # fmt: skip
     known: dict[str, Any] = {"parameters": "b,S,T", "noise_nT": 200.0, "lsb_nT": 440.0, "robust": "none"}
-    fit = calibrate_linear(record, model, direction=direction, **known)
+    fit = calibrate_linear(record, model, method=direction, **known)
     return fit.calibration, fit
 
 

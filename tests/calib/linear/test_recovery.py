@@ -17,7 +17,8 @@ import pytest
 from scipy.stats import binom
 
 from fluxtwin.calib.common.design import assemble
-from fluxtwin.calib.linear.calibrate import Options, calibrate_linear, fit_design
+from fluxtwin.calib.linear.calibrate import calibrate_linear, fit_design
+from fluxtwin.calib.linear.method import LinearOptions
 
 pytestmark = pytest.mark.closure
 
@@ -42,7 +43,17 @@ def pulls(seasat: Any, parameters: str, direction: str, runs: int = RUNS) -> tup
             design = assemble(record, seasat.model, with_dipole=with_T)
         else:  # the reference field is that of the first run
             design = dataclasses.replace(design, B_nT=record.mag_B_nT, D_Am2=record.dipole_B_Am2)
-        fit = fit_design(design, Options(parameters, direction, noise_nT=NOISE_NT, lsb_nT=0.0, covariance="white"))
+        fit = fit_design(
+            design,
+            LinearOptions(
+                parameters=parameters,
+                method=direction,
+                noise_nT=NOISE_NT,
+                lsb_nT=0.0,
+                covariance="white",
+                robust="none",
+            ),
+        )
         error, sigma = fit.calibration.values - truth, fit.calibration.sigmas
         out.append(error / sigma)
         distance.append(error / sigma @ np.linalg.solve(fit.correlation, error / sigma))
@@ -75,7 +86,7 @@ def test_the_correction_for_noise_in_the_reading_is_needed(seasat: Any) -> None:
     truth = meter.S[1, 1]
     off, on, predicted = [], [], []
     design = assemble(seasat.record(seasat.field_B_nT), seasat.model, with_dipole=False)
-    known = Options(noise_nT=NOISE_NT, lsb_nT=0.0, covariance="white")
+    known = LinearOptions(noise_nT=NOISE_NT, lsb_nT=0.0, covariance="white", robust="none")
     for seed in range(100):
         reading = meter.reading(seasat.field_B_nT, None, np.random.default_rng([11, seed]))
         now = dataclasses.replace(design, B_nT=reading)

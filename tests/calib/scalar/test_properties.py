@@ -84,7 +84,7 @@ def test_turning_the_sensor_turns_the_answer(close: Callable[..., None]) -> None
     R = Rotation.from_rotvec([0.4, -0.7, 1.1]).as_matrix()
     turned = ScalarRows(rows.time, rows.B_nT @ R.T, rows.H_nT, {}, rows.rows, {})
     for method in ("twostep", "scalar"):
-        options = ScalarOptions(method=method, noise_nT=200.0, lsb_nT=0.0, covariance="white")
+        options = ScalarOptions(method=method, noise_nT=200.0, lsb_nT=0.0, covariance="white", robust="none")
         one, other = (fit_rows(part, options).calibration for part in (rows, turned))
         close(other.S, R @ one.S @ R.T, atol=1e-9, unit="1", because="rounding and the end of the search")
         close(other.b_nT, R @ one.b_nT, atol=1e-4, unit="nT", because="rounding and the end of the search")
@@ -93,8 +93,8 @@ def test_turning_the_sensor_turns_the_answer(close: Callable[..., None]) -> None
 def test_the_unit_of_the_field_does_not_matter(close: Callable[..., None]) -> None:
     rows = some_rows()
     small = ScalarRows(rows.time, rows.B_nT * 1e-3, rows.H_nT * 1e-3, {}, rows.rows, {})
-    one = fit_rows(rows, ScalarOptions(noise_nT=200.0, lsb_nT=0.0)).calibration
-    other = fit_rows(small, ScalarOptions(noise_nT=0.2, lsb_nT=0.0)).calibration
+    one = fit_rows(rows, ScalarOptions(noise_nT=200.0, lsb_nT=0.0, robust="none")).calibration
+    other = fit_rows(small, ScalarOptions(noise_nT=0.2, lsb_nT=0.0, robust="none")).calibration
     close(other.S, one.S, atol=1e-12, unit="1", because="rounding")
     close(other.b_nT * 1e3, one.b_nT, atol=1e-6, unit="nT", because="rounding")
 
@@ -103,7 +103,7 @@ def test_the_running_form_is_the_batch(close: Callable[..., None]) -> None:
     """Row by row, in chunks and all at once. The weights hang on what was known when a row came in: a small part of a
     sigma (4e-4 and 9 nT here)."""
     rows = some_rows(samples=1500)
-    options = ScalarOptions(method="twostep", noise_nT=200.0, lsb_nT=0.0, covariance="white")
+    options = ScalarOptions(method="twostep", noise_nT=200.0, lsb_nT=0.0, covariance="white", robust="none")
     batch = fit_rows(rows, options).calibration
     for chunk in (1, 7, 1500):
         running = RunningScalar(200.0)

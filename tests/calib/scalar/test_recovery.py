@@ -87,7 +87,13 @@ def test_complete_fits_state_their_sigmas(options: dict[str, Any]) -> None:
     found = []
     for seed in range(RUNS):
         rng = np.random.default_rng([1, seed])
-        found.append(pulls(fit_rows(rows_of(varied(rng), rng), ScalarOptions(**{"covariance": "white", **options}))))
+        found.append(
+            pulls(
+                fit_rows(
+                    rows_of(varied(rng), rng), ScalarOptions(**{"covariance": "white", "robust": "none", **options})
+                )
+            )
+        )
     check_pulls(found)
 
 
@@ -97,7 +103,9 @@ def test_bias_alone_states_its_sigmas(method: str) -> None:
     for seed in range(RUNS):
         rng = np.random.default_rng([2, seed])
         rows = rows_of(varied(rng), rng, S=none)
-        found.append(pulls(fit_rows(rows, ScalarOptions(method=method, parameters="b", covariance="white")), none))
+        found.append(
+            pulls(fit_rows(rows, ScalarOptions(method=method, parameters="b", covariance="white", robust="none")), none)
+        )
     check_pulls(found)
 
 
@@ -110,7 +118,9 @@ def test_strong_uneven_noise_leaves_no_bias() -> None:
         rng = np.random.default_rng([3, seed])
         rows = rows_of(varied(rng, 2000), rng, noise_nT=noise)
         for method, found in of.items():
-            found.append(pulls(fit_rows(rows, ScalarOptions(method=method, noise_nT=noise, covariance="white"))))
+            found.append(
+                pulls(fit_rows(rows, ScalarOptions(method=method, noise_nT=noise, covariance="white", robust="none")))
+            )
     for found in of.values():
         assert np.abs(np.mean(found, axis=0)).max() < 4.0 / np.sqrt(RUNS)
 
@@ -121,7 +131,7 @@ def test_constant_size_is_solved_and_said(close: Callable[..., None]) -> None:
         for seed in range(30):
             rng = np.random.default_rng([4, seed])
             rows = rows_of(directions(rng, 600) * 30_000.0, rng)
-            fit = fit_rows(rows, ScalarOptions(method=method, covariance="white"))
+            fit = fit_rows(rows, ScalarOptions(method=method, covariance="white", robust="none"))
             found.append(pulls(fit))
         assert np.abs(found).max() < 4.5
         assert any("|H| is nearly constant" in words for words in fit.messages)
@@ -145,7 +155,7 @@ def test_a_field_in_a_plane_is_refused(options: dict[str, Any], words: str, para
         field[:, 2] = 6000.0
         S = D if "b" not in options.get("parameters", "b,S").split(",")[1:] and not options.get("parameters") else D * 0
         with pytest.raises(NoAnswer, match=words) as refusal:
-            fit_rows(rows_of(field, rng, S=S), ScalarOptions(**options))
+            fit_rows(rows_of(field, rng, S=S), ScalarOptions(**options, robust="none"))
         if parameters:
             assert parameters <= set(refusal.value.evidence["null_direction"])
         assert "b3" in str(refusal.value)
@@ -157,17 +167,17 @@ def test_a_plane_through_zero_and_a_line_and_a_cone() -> None:
     flat = varied(rng)
     flat[:, 2] = 0.0  # through the sensor's own zero: the mirror is the same point, and the slope there is nil
     with pytest.raises(NoAnswer, match="b3"):
-        fit_rows(rows_of(flat, rng, S=D * 0), ScalarOptions(parameters="b"))
+        fit_rows(rows_of(flat, rng, S=D * 0), ScalarOptions(parameters="b", robust="none"))
     line = np.outer(30_000.0 + 8000.0 * rng.uniform(-1, 1, 600), [0.6, 0.0, 0.8])
     with pytest.raises(NoAnswer, match="along one line"):
-        fit_rows(rows_of(line, rng), ScalarOptions())
+        fit_rows(rows_of(line, rng), ScalarOptions(robust="none"))
     angle = rng.uniform(0, 2 * np.pi, 600)
     cone = np.stack([0.6 * np.cos(angle), 0.6 * np.sin(angle), np.full(600, 0.8)], axis=1)
     cone = cone * (30_000.0 + 8000.0 * rng.uniform(-1, 1, 600))[:, None]
     rows = rows_of(cone, rng, S=D * 0)
     rows = ScalarRows(rows.time, rows.B_nT + B_NT, rows.H_nT, {}, rows.rows, {})  # no bias: a cone in the readings too
     with pytest.raises(NoAnswer, match="cone about body Z") as refusal:
-        fit_rows(rows, ScalarOptions())
+        fit_rows(rows, ScalarOptions(robust="none"))
     assert "S33" in refusal.value.evidence["parameters"]
     assert "--parameters b)" not in str(refusal.value)  # b alone takes in what S does, many sigmas of it
 
@@ -178,7 +188,7 @@ def test_of_two_solutions_the_better_is_taken() -> None:
         rng = np.random.default_rng([7, seed])
         field = varied(rng, 1500)
         field[:, 2] = 4000.0 + 300.0 * rng.normal(size=1500)
-        fit = fit_rows(rows_of(field, rng, S=D * 0), ScalarOptions(parameters="b", covariance="white"))
+        fit = fit_rows(rows_of(field, rng, S=D * 0), ScalarOptions(parameters="b", covariance="white", robust="none"))
         assert np.abs(pulls(fit, D * 0)).max() < 4.5
         assert any("mirror solution" in words and "fits worse" in words for words in fit.messages)
 
@@ -197,19 +207,19 @@ def test_a_current_and_torquers_without_attitude() -> None:
         current = (np.arange(900) // 60 % 2).astype(float)
         field = varied(rng, 900)
         rows = rows_of(field, rng, added=current[:, None] * s, columns={"array_current_A": current})
-        fit = fit_rows(rows, ScalarOptions(noise_nT=200.0, covariance="white"))
+        fit = fit_rows(rows, ScalarOptions(noise_nT=200.0, covariance="white", robust="none"))
         bias = fit.telemetry_bias["array_current_A"]
         found.append(np.concatenate([pulls(fit), (bias.value_nT - s) / bias.sigma_nT]))
         ignored = fit_rows(
             ScalarRows(rows.time, rows.B_nT, rows.H_nT, {}, rows.rows, {}),
-            ScalarOptions(noise_nT=200.0, covariance="white"),
+            ScalarOptions(noise_nT=200.0, covariance="white", robust="none"),
         )
         dipole = rng.choice([-20.0, 0.0, 20.0], (900, 3))
         names = {f"dipole_{axis}_Am2": dipole[:, i] for i, axis in enumerate("xyz")}
         added = -dipole @ np.linalg.solve(np.eye(3) + D, T).T
         known = fit_rows(
             rows_of(field, rng, added=added, columns=names),
-            ScalarOptions(parameters="b,S,T", noise_nT=200.0, covariance="white"),
+            ScalarOptions(parameters="b,S,T", noise_nT=200.0, covariance="white", robust="none"),
         ).calibration
         assert known.T_nT_per_Am2 is not None
         of_T.append((known.T_nT_per_Am2 - T).ravel() / known.sigmas[12:])
@@ -224,11 +234,11 @@ def test_a_constant_column_and_a_silent_torquer() -> None:
     rng = np.random.default_rng(9)
     columns = {"array_current_A": np.full(600, 2.0)}
     with pytest.raises(NoAnswer, match=r"b1 .*array_current_A|array_current_A x") as refusal:
-        fit_rows(rows_of(varied(rng), rng, columns=columns), ScalarOptions())
+        fit_rows(rows_of(varied(rng), rng, columns=columns), ScalarOptions(robust="none"))
     assert any(name.startswith("array_current_A") for name in refusal.value.evidence["parameters"])
     dipole = rng.choice([-20.0, 20.0], (600, 3)) * np.array([1.0, 0.0, 1.0])
     names = {f"dipole_{axis}_Am2": dipole[:, i] for i, axis in enumerate("xyz")}
-    fit = fit_rows(rows_of(varied(rng), rng, columns=names), ScalarOptions(parameters="b,S,T"))
+    fit = fit_rows(rows_of(varied(rng), rng, columns=names), ScalarOptions(parameters="b,S,T", robust="none"))
     assert any("T12, T22 and T32 not estimated" in words for words in fit.observability)
     assert fit.sigma["T22"] is None
     assert fit.sigma["T11"] is not None
@@ -241,7 +251,7 @@ def test_outliers_are_set_aside() -> None:
         rng = np.random.default_rng([10, seed])
         hit = rng.random((900, 1)) < 0.01
         rows = rows_of(varied(rng, 900), rng, added=hit * 20_000.0 * rng.normal(size=(900, 3)))
-        plain.append(pulls(fit_rows(rows, ScalarOptions(noise_nT=200.0, covariance="white"))))
+        plain.append(pulls(fit_rows(rows, ScalarOptions(noise_nT=200.0, covariance="white", robust="none"))))
         fit = fit_rows(rows, ScalarOptions(noise_nT=200.0, covariance="white", robust="tukey"))
         robust.append(fit.calibration.values[9:] - B_NT)
         assert fit.rejected >= 0.5 * hit.sum()
@@ -253,16 +263,16 @@ def test_noise_that_is_mis_stated_is_said() -> None:
     rng = np.random.default_rng(11)
     rows = rows_of(varied(rng), rng)
     for declared, said in ((200.0, False), (50.0, True), (800.0, True)):
-        fit = fit_rows(rows, ScalarOptions(noise_nT=declared, lsb_nT=0.0, covariance="white"))
+        fit = fit_rows(rows, ScalarOptions(noise_nT=declared, lsb_nT=0.0, covariance="white", robust="none"))
         assert any("times what the noise gives" in words for words in fit.messages) is said
         assert abs(fit.calibration.sigmas[9] / 14.0 - 1.0) < 0.25  # the sigmas follow the residual: 200 sqrt(3/600)
 
 
 def test_scale_errors_in_a_fit_of_the_bias_are_said() -> None:
     rng = np.random.default_rng(12)
-    fit = fit_rows(rows_of(varied(rng), rng), ScalarOptions(parameters="b"))
+    fit = fit_rows(rows_of(varied(rng), rng), ScalarOptions(parameters="b", robust="none"))
     assert any("S is not estimated" in words and "--parameters b,S" in words for words in fit.messages)
-    fit = fit_rows(rows_of(varied(rng), rng, S=D * 0), ScalarOptions(parameters="b"))
+    fit = fit_rows(rows_of(varied(rng), rng, S=D * 0), ScalarOptions(parameters="b", robust="none"))
     assert not any("S is not estimated" in words for words in fit.messages)
 
 
@@ -279,9 +289,11 @@ def test_errors_that_hang_together_widen_the_sigmas() -> None:
         rows = rows_of(field, rng, noise_nT=50.0, error_nT=slow)
         rows = ScalarRows(rows.time, rows.B_nT, rows.H_nT, {}, rows.rows, {}, radian_s=600.0)
         known = {"noise_nT": 50.0, "lsb_nT": 0.0}
-        white.append(pulls(fit_rows(rows, ScalarOptions(covariance="white", **known))))
-        blocks.append(pulls(fit_rows(rows, ScalarOptions(covariance="blocks", block_s=2400.0, **known))))
-        declared.append(pulls(fit_rows(rows, ScalarOptions(covariance="white", field_error_nT=150.0, **known))))
+        white.append(pulls(fit_rows(rows, ScalarOptions(covariance="white", **known, robust="none"))))
+        blocks.append(pulls(fit_rows(rows, ScalarOptions(covariance="blocks", block_s=2400.0, **known, robust="none"))))
+        declared.append(
+            pulls(fit_rows(rows, ScalarOptions(covariance="white", field_error_nT=150.0, **known, robust="none")))
+        )
     assert np.var(white) > 4.0
     assert 0.6 < np.var(blocks) < 1.5
     assert 0.5 < np.var(declared) < 1.4  # white and declared count the slow part twice where it is short
@@ -298,7 +310,7 @@ def test_blocks_allow_for_errors_that_are_constant_in_a_pass(passes: Any) -> Non
         H = np.linalg.norm(passes.field_B_nT + wrong, axis=1)
         rows = ScalarRows(passes.time, B, H, {}, np.arange(480), {})
         known = {"noise_nT": 40.0, "lsb_nT": 0.0}
-        white.append(pulls(fit_rows(rows, ScalarOptions(covariance="white", **known))))
-        blocks.append(pulls(fit_rows(rows, ScalarOptions(covariance="blocks", **known))))
+        white.append(pulls(fit_rows(rows, ScalarOptions(covariance="white", **known, robust="none"))))
+        blocks.append(pulls(fit_rows(rows, ScalarOptions(covariance="blocks", **known, robust="none"))))
     assert np.mean(np.square(white)) > 2.5
     assert 0.6 < np.mean(np.square(blocks)) < 1.6

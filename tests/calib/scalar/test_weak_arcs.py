@@ -39,7 +39,7 @@ def test_the_bias_along_the_spin_is_right_within_its_sigma(hour: Telemetry, minu
     rows = stretch(hour, minutes)
     pulls = {}
     for method in ("twostep", "scalar"):
-        options = ScalarOptions(method=method, noise_nT=NOISE_NT, lsb_nT=0.0, covariance="white")
+        options = ScalarOptions(method=method, noise_nT=NOISE_NT, lsb_nT=0.0, covariance="white", robust="none")
         found = fit_rows(rows, options).calibration
         pulls[method] = (found.b_nT[2] - B3_NT) / found.sigmas[11]
     running = RunningScalar(NOISE_NT)
@@ -65,7 +65,7 @@ def spiked(hour: Telemetry) -> Telemetry:
 def test_bit_errors_that_make_a_matrix_no_magnetometer_has_are_refused(spiked: Telemetry, method: str) -> None:
     rows = assemble_scalar(spiked, load_field("igrf14"))
     with pytest.raises(NoAnswer, match=r"no magnetometer is that wrong; .*--robust tukey"):
-        fit_rows(rows, ScalarOptions(method=method, noise_nT=NOISE_NT, lsb_nT=0.0))
+        fit_rows(rows, ScalarOptions(method=method, noise_nT=NOISE_NT, lsb_nT=0.0, robust="none"))
 
 
 def test_robust_weights_settle_on_the_truth(spiked: Telemetry) -> None:

@@ -265,7 +265,7 @@ def test_a_sun_along_the_axis_is_refused(rows: SpinRows) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"parameters": "b"}, "finds both"),
+        ({"parameters": "b"}, "b,S with method batch"),
         ({"robust": "huber"}, "tukey or none"),
         ({"telemetry_bias": ["array_current_A"]}, "method scalar"),
         ({"sun_sigma_deg": -1.0}, "sun_sigma_deg"),

@@ -1,0 +1,149 @@
+"""The compiled parts that Kalman filters share: small matrices, turns, one measurement.
+
+Loops, not products of matrices: for so few numbers a library call costs more, and each costs the compiler a second.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fluxtwin.sim.base.kernel_cache import part
+from fluxtwin.sim.base.types import FloatArray
+
+TAIL = 4.0
+"""Beyond the gate the likelihood of a component falls with this power of its square: above 1, so that too small a noise is
+never likely; low, so that a percent of outliers hardly widens the noise."""
+
+
+@part()
+def product(a: FloatArray, b: FloatArray) -> FloatArray:
+    """a b."""
+    out = np.zeros((a.shape[0], b.shape[1]))
+    for i in range(a.shape[0]):
+        for k in range(a.shape[1]):
+            for j in range(b.shape[1]):
+                out[i, j] += a[i, k] * b[k, j]
+    return out
+
+
+@part()
+def times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
+    """matrix vector."""
+    out = np.zeros(matrix.shape[0])
+    for i in range(matrix.shape[0]):
+        for k in range(matrix.shape[1]):
+            out[i] += matrix[i, k] * vector[k]
+    return out
+
+
+@part()
+def skew(v: FloatArray) -> FloatArray:
+    """[v x], (3, 3)."""
+    out = np.zeros((3, 3))
+    out[0, 1], out[0, 2], out[1, 2] = -v[2], v[1], -v[0]
+    out[1, 0], out[2, 0], out[2, 1] = v[2], -v[1], v[0]
+    return out
+
+
+@part()
+def passive(v: FloatArray) -> FloatArray:
+    """exp(-[v x]), (3, 3): components in axes that are turned by v."""
+    angle = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
+    first = math.sin(angle) / angle if angle > 1e-9 else 1.0
+    second = 2.0 * (math.sin(0.5 * angle) / angle) ** 2 if angle > 1e-9 else 0.5
+    W = skew(v)
+    return np.eye(3) - first * W + second * product(W, W)
+
+
+@part()
+def whitened(V: FloatArray, r: FloatArray, L: FloatArray) -> tuple[float, float]:
+    """r' V^-1 r and the logarithm of det V; fills L, lower, L L' = V."""
+    total, log_det = 0.0, 0.0
+    y = np.empty(r.size)
+    for i in range(r.size):
+        for j in range(i + 1):
+            value = V[i, j]
+            for k in range(j):
+                value -= L[i, k] * L[j, k]
+            L[i, j] = math.sqrt(value) if i == j else value / L[j, j]
+        y[i] = r[i]
+        for k in range(i):
+            y[i] -= L[i, k] * y[k]
+        y[i] /= L[i, i]
+        total += y[i] * y[i]
+        log_det += 2.0 * math.log(L[i, i])
+    return total, log_det
+
+
+@part()
+def update(
+    x: FloatArray, P: FloatArray, H: FloatArray, r: FloatArray, R: FloatArray, sigma: FloatArray, gate: float
+) -> tuple[float, float, bool]:
+    """Measurement r = H x + noise of covariance R (m, m); x and P in place, sigma (m,) of the innovation, predicted.
+
+    Returns the squared innovation over its covariance, a component, minus twice the log likelihood, whether R was inflated.
+    """
+    n, m = x.size, r.size
+    PH, V, L, left = np.zeros((n, m)), R.copy(), np.zeros((m, m)), r.copy()
+    for j in range(m):
+        for i in range(n):
+            if H[j, i] != 0.0:
+                left[j] -= H[j, i] * x[i]
+                for k in range(n):
+                    PH[k, j] += P[k, i] * H[j, i]
+    for j in range(m):
+        for i in range(n):
+            if H[j, i] != 0.0:
+                for k in range(m):
+                    V[j, k] += H[j, i] * PH[i, k]
+        sigma[j] = math.sqrt(V[j, j])
+    squared, log_det = whitened(V, left, L)
+    nis = squared / m
+    wild = nis > gate**2
+    cost = log_det + squared
+    if wild:
+        # A tail by a power law: were it the likelihood of the inflated noise, too small a noise would be likely.
+        cost = log_det + m * (gate**2 + TAIL * math.log(nis / gate**2))
+        more = (nis / gate**2) ** 2  # the further out, the less it counts: a redescending weight
+        V += R * (more - 1.0)
+        R = R * more
+        squared, log_det = whitened(V, left, L)
+    K = PH.copy()
+    for i in range(n):  # K V = PH by L and then by L'
+        for j in range(m):
+            for k in range(j):
+                K[i, j] -= K[i, k] * L[j, k]
+            K[i, j] /= L[j, j]
+        for j in range(m - 1, -1, -1):
+            for k in range(j + 1, m):
+                K[i, j] -= K[i, k] * L[k, j]
+            K[i, j] /= L[j, j]
+    for i in range(n):
+        for j in range(m):
+            x[i] += K[i, j] * left[j]
+    # Joseph's form, (1 - K H) P (1 - K H)' + K R K': P stays positive where it was wide and the measurement is sharp.
+    for i in range(n):
+        for k in range(n):
+            for j in range(m):
+                P[i, k] -= K[i, j] * PH[k, j]
+    rest = np.zeros((n, m))
+    for j in range(m):
+        for k in range(n):
+            if H[j, k] != 0.0:
+                for i in range(n):
+                    rest[i, j] -= P[i, k] * H[j, k]
+    for i in range(n):
+        for j in range(m):
+            for k in range(m):
+                rest[i, j] += K[i, k] * R[k, j]
+    for i in range(n):
+        for k in range(i + 1):
+            one, other = P[i, k], P[k, i]
+            for j in range(m):
+                one += rest[i, j] * K[k, j]
+                other += rest[k, j] * K[i, j]
+            P[i, k] = 0.5 * (one + other)
+            P[k, i] = P[i, k]
+    return nis, cost, wild

@@ -1,0 +1,138 @@
+"""The options of calibration methods, each declared once: its type, its help, what is allowed.
+
+The options of a method are a dataclass whose fields carry these as metadata. The command line, the signature of
+`fluxtwin.calibrate` and the refusal of what a method does not take follow from the dataclasses. `--help` reads this module,
+so it imports nothing heavy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from fluxtwin.sim.base.errors import BadInput
+
+if TYPE_CHECKING:
+    from fluxtwin.calib.common.fit import Fit
+    from fluxtwin.sim.earth.field import FieldModel
+    from fluxtwin.sim.telemetry.record import Telemetry
+
+
+@dataclass(frozen=True)
+class Option:
+    """One option. Called, it is the metadata of a field of a dataclass."""
+
+    help: str
+    kind: Any = None
+    """Type on the command line; None: for Python alone."""
+    metavar: str = ""
+    noun: str = ""
+    """What a choice is a choice of."""
+    allowed: Callable[[Any], bool] = lambda value: True
+    wanted: str = ""
+    """What is allowed, in words."""
+
+    def __call__(self, *choices: str) -> dict[str, Any]:
+        """The metadata of the field; choices: the values that this method takes, where they can be counted."""
+        return {"option": self, "choices": choices}
+
+
+METHOD = Option(
+    "With attitude: linear (reading to field, the papers') or forward. Without: scalar (maximum likelihood of |B|), twostep "
+    "or center (b alone). A spinner with sun pulses: batch or iterative. A filter that estimates the attitude too, by "
+    "scanner and sun or the reference: recursive. Where not given: linear where there is attitude, scalar where there is "
+    "none.",
+    str,
+    "NAME",
+    "method",
+)
+PARAMETERS = Option("What is estimated: b, b,S or b,S,T; b,S where not given.", str, "LIST", "choice of parameters")
+ROBUST = Option("tukey, huber or none: weights that outliers do not move.", str, "WEIGHTS", "kind of weights")
+COVARIANCE = Option(
+    "blocks: allows for errors that are correlated in time; or white.", str, "KIND", "kind of covariance"
+)
+BLOCK_S = Option(
+    "Length of a block [s]; else found in the data.",
+    float,
+    "S",
+    allowed=lambda value: 1e-3 <= value < float("inf"),
+    wanted="seconds, at least 0.001",
+)
+FIELD_ERROR_NT = Option(
+    "Error of the field model, rms an axis [nT], lasting about an orbit: widens the sigmas.",
+    float,
+    "NT",
+    allowed=lambda value: 0.0 <= value < float("inf"),
+    wanted="nT, not negative",
+)
+NOISE_NT = Option("Noise of the reading, 1 sigma per axis [nT]; else found in the data.", float, "NT")
+LSB_NT = Option("Least significant bit of the reading [nT]; else found in the data.", float, "NT")
+ATTITUDE_SIGMA_DEG = Option(
+    "Error of the reference attitude, or of the scanner, 1 sigma per body axis [deg]; else found in the data.",
+    float,
+    "DEG",
+    allowed=lambda value: 1e-6 <= value < 90.0,
+    wanted="degrees, positive, below 90",
+)
+ATTITUDE_TAU_S = Option(
+    "Its time constant [s]; 0 for white; else found in the data.",
+    float,
+    "S",
+    allowed=lambda value: 0.0 <= value < 1e9,
+    wanted="seconds, not negative",
+)
+SUN_SIGMA_DEG = Option(
+    "Noise of a sun pulse or vector, 1 sigma; batch, iterative, recursive.",
+    float,
+    "DEG",
+    allowed=lambda value: 0.0 < value < 90.0,
+    wanted="degrees, positive, below 90",
+)
+PASSES = Option("(N,) labels of the joined rows: what a block is.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """How a calibration is done. Raises BadInput, naming the option, for a value that is not allowed."""
+
+    method: str
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            option, choices, value = item.metadata["option"], item.metadata["choices"], getattr(self, item.name)
+            if choices:
+                value = value.replace(" ", "")
+                object.__setattr__(self, item.name, value)
+                if value not in choices:
+                    whose = "" if item.name == "method" else f" with method {self.method}"
+                    wanted = " or ".join(filter(None, choices)) + whose
+                    raise BadInput(f"{value!r} is no {option.noun}", where=f"--{item.name}", wanted=wanted)
+            elif value is not None and not option.allowed(value):
+                raise BadInput(f"{value!r}", where=item.name, wanted=option.wanted)
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """One method of calibration."""
+
+    name: str
+    needs: tuple[str, ...]
+    """What the telemetry must have beside readings and positions: attitude, sun pulses."""
+    options: type[Options]
+    home: str
+    """`module:function`, imported when it is used: `function(telemetry, model, options)` gives the `Fit`."""
+    without: tuple[str, ...] = ()
+    """Fields of the options that are for other methods of the family."""
+
+    @property
+    def takes(self) -> dict[str, Any]:
+        """Its options: fields of the dataclass by name."""
+        return {item.name: item for item in fields(self.options) if item.name not in ("method", *self.without)}
+
+    def fit(self, telemetry: Telemetry, model: FieldModel, given: Mapping[str, Any]) -> Fit:
+        """Calibrate a record by the options that are given. Errors as the method's own."""
+        module, _, function = self.home.partition(":")
+        found: Fit = getattr(import_module(module), function)(telemetry, model, self.options(method=self.name, **given))
+        return found

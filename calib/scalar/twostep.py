@@ -30,7 +30,6 @@ from fluxtwin.calib.scalar.center import center
 from fluxtwin.calib.scalar.model import PAIRS, ScalarData
 from fluxtwin.sim.base.types import FloatArray
 
-NOISE_TERMS = ("corrected", "published")
 TRIVIAL = 0.5
 """Smallest eigenvalue of I + E below which the centred solution is taken for the trivial one (E = -I: 0)."""
 _WEIGHTINGS = 3
@@ -52,7 +51,7 @@ class Twostep(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """All that the solution needs of the rows; moments of several stretches add up by `merged`."""
+    """All that the solution needs of the rows."""
 
     total: float
     """Sum of the weights, 1 over the variance of v."""
@@ -73,13 +72,6 @@ class Moments(NamedTuple):
     def signal(self) -> FloatArray:
         """(p, p) LL without the noise."""
         return self.LL - self.noise_LL
-
-    def faded(self, share: float) -> Moments:
-        """Of the same rows at so large a share of their weight."""
-        return Moments(
-            self.total * share, self.mean_L, self.mean_z, self.LL * share, self.Lz * share,
-            self.noise_LL * share, self.noise_Lz * share,
-        )  # fmt: skip
 
 
 def twostep(data: ScalarData, a: FloatArray | None = None, *, noise_term: str = "corrected") -> Twostep:
@@ -137,22 +129,6 @@ def _from_noise(data: ScalarData, weight: FloatArray) -> tuple[FloatArray, Float
     return noise_LL, 2.0 * np.einsum("mik,kl,ml->i", slopes, data.Sigma, second[:, 1:], optimize=True)
 
 
-def merged(one: Moments, other: Moments) -> Moments:
-    """Of both stretches."""
-    total = one.total + other.total
-    share = one.total * other.total / total
-    step_L, step_z = other.mean_L - one.mean_L, other.mean_z - one.mean_z
-    return Moments(
-        total,
-        one.mean_L + step_L * (other.total / total),
-        one.mean_z + step_z * (other.total / total),
-        one.LL + other.LL + share * np.outer(step_L, step_L),
-        one.Lz + other.Lz + share * step_L * step_z,
-        one.noise_LL + other.noise_LL,
-        one.noise_Lz + other.noise_Lz,
-    )
-
-
 def solve_moments(moments: Moments, with_D: bool, bias: FloatArray) -> Twostep:
     """Both steps. bias: (3,) CENTER's, where step 1 is of no use."""
     centred = _least(moments.signal, moments.Lz - moments.noise_Lz)
@@ -171,21 +147,6 @@ def back(theta: FloatArray) -> tuple[FloatArray, FloatArray]:
     root = np.sqrt(np.maximum(1.0 + value, 1e-300))
     D = (vector * (root - 1.0)) @ vector.T
     return D, (vector / root) @ vector.T @ theta[:3]
-
-
-def information(moments: Moments, theta: FloatArray, with_D: bool) -> FloatArray:
-    """(p, p) of theta: what both steps know; the noise of B, which tells nothing, is off it."""
-    _, slope = _b_squared(theta, with_D)
-    centre = moments.mean_L - slope
-    return moments.signal + moments.total * np.outer(centre, centre)
-
-
-def theta_of(D: FloatArray, b: FloatArray, with_D: bool) -> FloatArray:
-    """Inverse of `back`; b itself for bias only."""
-    if not with_D:
-        return b
-    E = 2.0 * D + D @ D
-    return np.concatenate([(np.eye(3) + D) @ b, [E[i, j] for i, j in PAIRS]])
 
 
 def _E(theta: FloatArray) -> FloatArray:

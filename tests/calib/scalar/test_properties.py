@@ -18,7 +18,6 @@ from fluxtwin.calib.scalar.calibrate import ScalarOptions, calibrate_scalar, fit
 from fluxtwin.calib.scalar.model import ScalarData, own_noise, residual, terms
 from fluxtwin.calib.scalar.predict import predict_scalar
 from fluxtwin.calib.scalar.rows import ScalarRows
-from fluxtwin.calib.scalar.running import RunningScalar
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT, load_field
@@ -97,53 +96,6 @@ def test_the_unit_of_the_field_does_not_matter(close: Callable[..., None]) -> No
     other = fit_rows(small, ScalarOptions(noise_nT=0.2, lsb_nT=0.0, robust="none")).calibration
     close(other.S, one.S, atol=1e-12, unit="1", because="rounding")
     close(other.b_nT * 1e3, one.b_nT, atol=1e-6, unit="nT", because="rounding")
-
-
-def test_the_running_form_is_the_batch(close: Callable[..., None]) -> None:
-    """Row by row, in chunks and all at once. The weights hang on what was known when a row came in: a small part of a
-    sigma (4e-4 and 9 nT here)."""
-    rows = some_rows(samples=1500)
-    options = ScalarOptions(method="twostep", noise_nT=200.0, lsb_nT=0.0, covariance="white", robust="none")
-    batch = fit_rows(rows, options).calibration
-    for chunk in (1, 7, 1500):
-        running = RunningScalar(200.0)
-        innovations = [
-            running.add(float(at), rows.B_nT[at : at + chunk], rows.H_nT[at : at + chunk])
-            for at in range(0, 1500, chunk)
-        ]
-        answer = running.answer()
-        close(answer.S, batch.S, atol=2e-5, unit="1", because="a twentieth of a sigma")
-        close(answer.b_nT, batch.b_nT, atol=0.5, unit="nT", because="a twentieth of a sigma")
-        sigma = np.sqrt(np.diag(answer.covariance))[[0, 6]]
-        close(sigma / batch.sigmas[[0, 9]], 1.0, atol=0.1, unit="1", because="the sandwich varies by a few per cent")
-        if chunk == 1:
-            late = np.concatenate(innovations)[500:]
-            close(np.std(late) / 200.0, 1.0, atol=0.1, unit="1", because="1000 innovations: 2.2 % each way, four times")
-            assert 0.75 < running.innovation_ratio < 1.25
-
-
-def test_the_running_form_forgets_and_refuses() -> None:
-    """A bias that jumps by 1000 nT is found again within a few memories; too few rows and a plane are refused."""
-    rows = some_rows(samples=1200)
-    running = RunningScalar(200.0, memory_s=100.0)
-    with pytest.raises(NoAnswer, match="too few rows"):
-        running.answer()
-    B = rows.B_nT.copy()
-    B[600:, 0] += 1000.0
-    for at in range(1200):
-        running.add(float(at), B[at], rows.H_nT[at])
-    sigma = np.sqrt(running.answer().covariance[6, 6])
-    assert abs(running.answer().b_nT[0] - (100.0 - 1.03 * 1000.0)) < 5.0 * sigma
-    assert running.answer().rows < 150.0
-    flat = RunningScalar(1.0)
-    plane = rows.B_nT.copy()
-    plane[:, 2] = 5000.0
-    flat.add(0.0, plane, np.linalg.norm(plane, axis=1))
-    with pytest.raises(NoAnswer, match=r"S[123]3"):
-        flat.answer()
-    with pytest.raises(BadInput, match="go back"):
-        flat.add(-1.0, plane[0], 1.0)
-    assert np.isnan(flat.add(1.0, np.full(3, np.nan), 30_000.0)).all()
 
 
 def test_the_attitude_is_not_looked_at(record: Telemetry, model: FieldModel) -> None:

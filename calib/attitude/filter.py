@@ -318,8 +318,8 @@ def run(rows: Rows, begun: Sequence[Start], noises: Noises, p: FloatArray, p_cov
             *(part[at] for part in out),
         )  # fmt: skip
         C, cost = P[12:, 12:].copy(), cost + total
-    A, spread, rates, nis, wild, innovation = out
-    return Run(A, spread, rates, nis, wild, innovation, cost, p, C)
+    A, spread, rates, nis, outlying, innovation = out
+    return Run(A, spread, rates, nis, outlying, innovation, cost, p, C)
 
 
 def learned(

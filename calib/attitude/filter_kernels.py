@@ -96,13 +96,13 @@ def run_filter(
     t_s: FloatArray, field_B: FloatArray, coupling_B: FloatArray, field_N: FloatArray, nadir_B: FloatArray,
     nadir_N: FloatArray, sun_B: FloatArray, sun_N: FloatArray, A_seen: FloatArray, A: FloatArray, w: FloatArray,
     p: FloatArray, P: FloatArray, noise: FloatArray, history: FloatArray, spread: FloatArray, rates: FloatArray,
-    nis: FloatArray, wild: FloatArray, innovation: FloatArray,
+    nis: FloatArray, outlying: FloatArray, innovation: FloatArray,
 ) -> tuple[float, FloatArray, FloatArray]:  # fmt: skip
     """Through the rows of one stretch in order of time; a measurement that is NaN is not there.
 
     field_B: (N, 3) readings [nT]; coupling_B: (N, 3) T D; field_N, nadir_N, sun_N: (N, 3) models; nadir_B, sun_B: (N, 3);
     A_seen: (N, 3, 3) reference attitude; A, w, p (12,), P (n, n) at the first row. Fills history (N, 3, 3), spread
-    (N, 3, 3) [rad^2], rates (N, 3), nis and wild (N, 3 sensors), innovation (N, 3) of the field over its predicted sigma.
+    (N, 3, 3) [rad^2], rates (N, 3), nis and outlying (N, 3 sensors), innovation (N, 3) of the field over its sigma.
     Returns minus twice the log likelihood, p and P at the end. The reading that multiplies an error of S is the predicted
     one, by p of the start: so its noise does not attenuate S, and no early error of the estimate freezes in.
     """
@@ -122,16 +122,16 @@ def run_filter(
             for i in range(3):
                 H[i, i] = H[i, 9 + i] = 1.0
             r = 0.5 * np.array([D[1, 2] - D[2, 1], D[2, 0] - D[0, 2], D[0, 1] - D[1, 0]])
-            nis[k, 1], cost, wild[k, 1] = update(x, P, H, r, white_R, sigma, GATE)
+            nis[k, 1], cost, outlying[k, 1] = update(x, P, H, r, white_R, sigma, GATE)
             total += cost
         if not math.isnan(nadir_B[k, 0]):
             H, r = _direction(times(A, nadir_N[k]), nadir_B[k], n)
             H[:, 9:12] = H[:, :3]
-            nis[k, 1], cost, wild[k, 1] = update(x, P, H, r, white_R[:2, :2], sigma, GATE)
+            nis[k, 1], cost, outlying[k, 1] = update(x, P, H, r, white_R[:2, :2], sigma, GATE)
             total += cost
         if not math.isnan(sun_B[k, 0]):
             H, r = _direction(times(A, sun_N[k]), sun_B[k], n)
-            nis[k, 2], cost, wild[k, 2] = update(x, P, H, r, noise[SUN] ** 2 * np.eye(2), sigma, GATE)
+            nis[k, 2], cost, outlying[k, 2] = update(x, P, H, r, noise[SUN] ** 2 * np.eye(2), sigma, GATE)
             total += cost
         if not math.isnan(field_B[k, 0]) and not math.isnan(coupling_B[k, 0]):
             y = times(A, field_N[k])
@@ -152,7 +152,7 @@ def run_filter(
             for i in range(n):
                 for j in range(3):
                     innovation[k, j] -= H[j, i] * x[i]
-            nis[k, 0], cost, wild[k, 0] = update(x, P, H, r, field_R, sigma, GATE)
+            nis[k, 0], cost, outlying[k, 0] = update(x, P, H, r, field_R, sigma, GATE)
             innovation[k] /= sigma
             total += cost
         A = _turned(A, x[:3])

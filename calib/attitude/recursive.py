@@ -1,10 +1,10 @@
 """S and b row by row, with the attitude estimated beside them: the filter of `attitude_filter` with twelve more states.
 
 The recursive counterpart of the batch methods (for b and D alone, without attitude: Crassidis, Lai & Harman 2005, Journal
-of Guidance, Control, and Dynamics 28, 115). Attitude comes from scanner and sun, or from a reference that is wrong by a
-slow error; readings that stand out count less, and those far from a robust batch fit not at all, because nothing stands
-out while little is known. Passes are repeated about the last answer until it stays, as in an iterated
-filter, because an extended filter freezes what it got wrong while it knew little.
+of Guidance, Control, and Dynamics 28, 115). Attitude comes from scanner and sun, or from a reference that is wrong by
+a slow error; outliers count less, and readings far from a robust batch fit not at all, because while little is known no
+innovation is large. Passes are repeated about the last answer until it stays, as in an iterated filter, because an extended
+filter freezes what it got wrong while it knew little.
 
 How long the slow errors last is known badly from one record, and the sigmas hang on it: S, b and covariance are averaged
 over times that the innovations leave possible.
@@ -38,7 +38,7 @@ from fluxtwin.calib.attitude.three_axis import consistency, declared_noises, lim
 from fluxtwin.calib.common.design import joined
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.fit import Fit
-from fluxtwin.calib.common.fit_warnings import suspicions
+from fluxtwin.calib.common.fit_warnings import with_warnings
 from fluxtwin.calib.common.moments import covariance_of
 from fluxtwin.calib.common.noise import ReadingNoise, lsb_from_spacing_nT, per_axis
 from fluxtwin.calib.common.observability import field_variation, pair_words, require_samples, weak_direction_words
@@ -102,7 +102,7 @@ def calibrate_recursive(
     first = np.diag(_FIRST_SIGMA**2)
     if parameters == "b":
         first[:9, :9] = 0.0
-    rows, p, far = _without_far(telemetry, rows, model, parameters)
+    rows, p, far = _without_outliers(telemetry, rows, model, parameters)
     taken = learned(rows, begun, declared, p, first, by_field=False)
     noises = taken.noises
     done, passes = _settled(rows, begun, noises, p, first)
@@ -112,7 +112,7 @@ def calibrate_recursive(
     return _report(telemetry, rows, done, taken, parameters, passes, model, declared=noise_nT is not None, far=far)
 
 
-def _without_far(
+def _without_outliers(
     telemetry: Telemetry, rows: Rows, model: FieldModel, parameters: str
 ) -> tuple[Rows, FloatArray, BoolArray]:
     """Rows without the readings that lie far from a robust batch fit to the rows with a fix; its S and b; which they are.
@@ -183,8 +183,8 @@ def _require_known(done: Run, first: FloatArray) -> None:
     unknown = [name for name, weak in zip(parameter_names(False), left & (np.diag(first) > 0), strict=True) if weak]
     if unknown:
         raise NoAnswer(
-            f"these data do not determine {', '.join(unknown)}: the field hardly varies in the body, or most readings stand "
-            "out. More attitudes, --parameters b, or fluxtwin check",
+            f"these data do not determine {', '.join(unknown)}: the field hardly varies in the body, or most readings are "
+            "outliers. More attitudes, --parameters b, or fluxtwin check",
             evidence={"parameters": unknown},
         )
 
@@ -206,10 +206,10 @@ def _report(
     kept = np.flatnonzero(np.isfinite(rows.reading_nT).all(axis=1) & np.isfinite(done.A[:, 0, 0]))
     B, A = rows.reading_nT[kept], done.A[kept]
     r = np.einsum("kij,kj->ki", A, rows.field_N_nT[kept]) - (B + B @ S.T + b_nT)
-    wild = done.inflated[kept, 0] == 1.0
-    statistics = residual_statistics(rows.time[kept[~wild]], r[~wild])
+    outlying = done.inflated[kept, 0] == 1.0
+    statistics = residual_statistics(rows.time[kept[~outlying]], r[~outlying])
     sigma_nT = float(statistics.component_rms_nT)
-    variation = field_variation(covariance_of(B[~wild]))
+    variation = field_variation(covariance_of(B[~outlying]))
     words = [
         *pair_words(done.p_covariance, False, float(np.sqrt((B**2).mean())), sigma_nT),
         *(weak_direction_words(variation, done.p_covariance, sigma_nT) if parameters == "b,S" else []),
@@ -230,7 +230,6 @@ def _report(
         left_out["no reading, or before a first fix"] = len(rows.t_s) - len(kept) - int(far.sum())
     # The residual has the slow error of the field in it, and can not explain it.
     against = limits(rows, replace(calibration, sigma_nT=0.0), taken)
-    doubts = [*reasons, *(f"{text[0].upper()}{text[1:]}." for text in against)]
     messages = [
         *(f"{count} rows left out: {reason}" for reason, count in left_out.items()),
         f"noise of the reading: {noise.source}; slow error of the field {plain(noises.slow_nT)} nT over "
@@ -240,13 +239,24 @@ def _report(
         "squared innovations over what was predicted (1 is right): "
         + ", ".join(f"{sensor} {plain(nis[sensor])}" for sensor in SENSORS if sensor in nis)
         + f"; correlation of the field's from row to row {lag_correlation:.2f}; {passes} passes",
-        *suspicions(telemetry, calibration, r, robust=True),
     ]
-    return RecursiveFit(
-        calibration=calibration, method="recursive", time=rows.time[kept], residuals_nT=r,
-        weights=np.where(wild, 0.0, 1.0 / max(int((~wild).sum()), 1)), rows=rows.rows[kept], left_out=left_out,
-        doubts=tuple(doubts), rejected=int(wild.sum() + far.sum()), variation=variation, noise=noise, statistics=statistics,
+    fit = RecursiveFit(
+        calibration=calibration,
+        method="recursive",
+        time=rows.time[kept],
+        residuals_nT=r,
+        weights=np.where(outlying, 0.0, 1.0 / max(int((~outlying).sum()), 1)),
+        rows=rows.rows[kept],
+        left_out=left_out,
+        warnings=(*reasons, *(f"{text[0].upper()}{text[1:]}." for text in against)),
+        rejected=int(outlying.sum() + far.sum()),
+        variation=variation,
+        noise=noise,
+        statistics=statistics,
         messages=tuple(messages),
-        error_model=errors(noise, declared), q_NB=frames.q_from_rotation(Rotation.from_matrix(A)),
-        attitude_sigma_rad=np.sqrt(np.einsum("kii->ki", done.covariance[kept])), noises=noises,
-    )  # fmt: skip
+        error_model=errors(noise, declared),
+        q_NB=frames.q_from_rotation(Rotation.from_matrix(A)),
+        attitude_sigma_rad=np.sqrt(np.einsum("kii->ki", done.covariance[kept])),
+        noises=noises,
+    )
+    return with_warnings(fit, telemetry, robust=True)

@@ -30,7 +30,7 @@ from fluxtwin.sim.telemetry.record import Telemetry
 _CONSISTENT = (0.8, 1.25)
 """Squared innovations over their predicted variance, mean of a sensor."""
 _REPEATS = 0.2  # correlation of neighbouring innovations of the field
-_STANDING_OUT = 0.05  # share of innovations of a sensor
+_MOST_OUTLIERS = 0.05  # share of innovations of a sensor
 _EXPLAINED = 1.5  # error of the field over that which calibration and noise explain
 _LASTING_S = (
     1000.0  # an error of scanner or reference that lasts so long may as well be a mounting, or the sun sensor's
@@ -264,8 +264,8 @@ def consistency(done: Run) -> tuple[dict[str, float], float, tuple[str, ...]]:
             continue
         out = done.inflated[seen, k] == 1.0
         nis[sensor] = float(done.nis[seen, k][~out].mean()) if not out.all() else float("inf")
-        if out.mean() > _STANDING_OUT:
-            reasons.append(f"{100 * out.mean():.0f} % of the innovations of the {sensor} stand far out.")
+        if out.mean() > _MOST_OUTLIERS:
+            reasons.append(f"{100 * out.mean():.0f} % of the innovations of the {sensor} are outliers.")
         low, high = _CONSISTENT
         if not low - 4.0 / np.sqrt(seen.sum()) < nis[sensor] < high + 4.0 / np.sqrt(seen.sum()):
             reasons.append(
@@ -273,7 +273,7 @@ def consistency(done: Run) -> tuple[dict[str, float], float, tuple[str, ...]]:
             )
     v = done.innovation
     pair = np.isfinite(v[1:]).all(axis=1) & np.isfinite(v[:-1]).all(axis=1)
-    r = np.clip(v, -5.0, 5.0)  # one wild reading must not decide
+    r = np.clip(v, -5.0, 5.0)  # one outlier must not decide
     lag_correlation = float((r[1:] * r[:-1])[pair].sum() / max((r[1:][pair] ** 2).sum(), 1e-300))
     if abs(lag_correlation) > _REPEATS + 4.0 / np.sqrt(max(int(pair.sum()), 1)):
         reasons.append(

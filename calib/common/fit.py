@@ -44,7 +44,7 @@ class Fit:
     """Of the residuals with weight."""
     messages: tuple[str, ...]
     """What a person should know, in sentences."""
-    doubts: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     """What the method itself found to contradict its answer, in sentences: with one, a fit is not good."""
     error_model: ErrorModel | None = None
     """What the residuals were taken to be made of; None where only white errors were."""

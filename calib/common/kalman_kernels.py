@@ -101,9 +101,9 @@ def update(
         sigma[j] = math.sqrt(V[j, j])
     squared, log_det = whitened(V, left, L)
     nis = squared / m
-    wild = nis > gate**2
+    outlying = nis > gate**2
     cost = log_det + squared
-    if wild:
+    if outlying:
         # A tail by a power law: were it the likelihood of the inflated noise, too small a noise would be likely.
         cost = log_det + m * (gate**2 + TAIL * math.log(nis / gate**2))
         more = (nis / gate**2) ** 2  # the further out, the less it counts: a redescending weight
@@ -146,4 +146,4 @@ def update(
                 other += rest[k, j] * K[i, j]
             P[i, k] = 0.5 * (one + other)
             P[k, i] = P[i, k]
-    return nis, cost, wild
+    return nis, cost, outlying

@@ -11,6 +11,7 @@ the rest, N l / s^2 is the information about that combination of parameters, in 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,22 +120,22 @@ def excitation(
     return Excitation(gram, field_rms_nT, fired, len(field_nT))
 
 
-def require_excitation(seen: Excitation, noise_variance_nT2: FloatArray, sigma_nT: float) -> None:
+def require_excitation(excited: Excitation, noise_variance_nT2: FloatArray, sigma_nT: float) -> None:
     """Raises NoAnswer, naming the parameters, where a combination of them is not determined.
 
     noise_variance_nT2: (3,) of the field's noise (0 for a reference). sigma_nT: of the residual.
     """
-    values, vectors = np.linalg.eigh(seen.correlation)
+    values, vectors = np.linalg.eigh(excited.correlation)
     noise = np.zeros(len(values))
-    noise[1:4] = noise_variance_nT2 / seen.field_rms_nT**2
+    noise[1:4] = noise_variance_nT2 / excited.field_rms_nT**2
     for value, v in zip(values, vectors.T, strict=True):
         from_noise = float(noise @ v**2)
         signal = value - from_noise
-        free = max(seen.rows - len(values), 1)
-        relative = sigma_nT / seen.field_rms_nT / np.sqrt(max(signal, 1e-300) * free)
+        free = max(excited.rows - len(values), 1)
+        relative = sigma_nT / excited.field_rms_nT / np.sqrt(max(signal, 1e-300) * free)
         if value < _ROUNDING or signal < (_NOISE_SHARE - 1.0) * from_noise or relative > _WORST_SIGMA:
             within_noise = signal < (_NOISE_SHARE - 1.0) * from_noise and relative <= _WORST_SIGMA
-            _refuse(v, seen.fired, float(np.sqrt(max(value, 0.0)) * seen.field_rms_nT), relative, within_noise)
+            _refuse(v, excited.fired, float(np.sqrt(max(value, 0.0)) * excited.field_rms_nT), relative, within_noise)
 
 
 def _refuse(v: FloatArray, fired: np.ndarray, moves_nT: float, relative: float, within_noise: bool) -> None:
@@ -148,22 +149,22 @@ def _refuse(v: FloatArray, fired: np.ndarray, moves_nT: float, relative: float, 
     if coils and axes:
         text = (
             f"the dipole of torquer {where} is in proportion to the field along {_axes_words(axes)}: "
-            f"{_and(names)} are not separable in this data. Fire the torquers independently of the field, or "
+            f"{listed(names)} are not separable in this data. Fire the torquers independently of the field, or "
             "use --parameters b,S (S then holds the effect of the torquers)"
         )
     elif coils and len(coils) > 1 and abs(v[0]) <= 0.02:
         text = (
-            f"torquers {where} always fire in the same proportion: {_and(names)} are not separable in this data. "
+            f"torquers {where} always fire in the same proportion: {listed(names)} are not separable in this data. "
             "Fire them one at a time, or use --parameters b,S"
         )
     elif coils:
         text = (
-            f"the dipole of torquer {where} never changes: {_and(names)} are not separable in this data. Switch "
+            f"the dipole of torquer {where} never changes: {listed(names)} are not separable in this data. Switch "
             "it on and off, or use --parameters b,S (b then holds the field of the torquer)"
         )
     else:
         text = (
-            f"the field does not vary beyond the noise along {direction_words(of_field)}: {_and(names)} are not "
+            f"the field does not vary beyond the noise along {direction_words(of_field)}: {listed(names)} are not "
             "separable in this data. Add orbits, days or attitudes in which it varies, or use --parameters b"
         )
         if within_noise:
@@ -237,5 +238,6 @@ def _axes_words(axes: list[int]) -> str:
     return " and ".join(f"body {AXES[j]}" for j in axes)
 
 
-def _and(names: list[str]) -> str:
+def listed(names: Sequence[str]) -> str:
+    """`a, b and c`."""
     return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]

@@ -19,6 +19,9 @@ CONVENTION = "A B0 = (I+S) B + b + T D"
 COVARIANCE_KINDS = ("white", "blocks", "none")
 """`white`: errors independent from sample to sample; `blocks`: correlated within blocks; `none`: unknown."""
 
+LARGE_S = 0.3
+"""No magnetometer is off by 30 %; wrong units, axes and attitudes are."""
+
 
 def parameter_names(with_T: bool) -> tuple[str, ...]:
     """Names in the order of the covariance: S row by row, b, T row by row (12 or 21)."""

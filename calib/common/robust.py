@@ -1,7 +1,7 @@
-"""Weights that survive bit errors.
+"""Weights that bit errors do not move, and the outliers of a fit.
 
 Iteratively reweighted least squares on the size of the residual vector, in the *forward* form B = G A H + o +
-C D: a bit error sits in the reading B, so there it can spoil the left side only and has no leverage. The
+C D: a bit error sits in the reading B, so there it can move the left side only and has no leverage. The
 weights then serve either direction. Huber weights lead from a start that no outlier reaches (G = I, o the
 median) to the neighbourhood; Tukey's biweight then gives gross errors the weight zero. Huber alone only
 bounds them: what it leaves of a wrong reading still attenuates S in the linear direction.
@@ -24,6 +24,8 @@ _HUBER_AT = 2.0
 """In sigma of the three-component distance: 74 % of a Gaussian lies inside, efficiency 96 %."""
 TUKEY_AT = 6.0
 """Efficiency for three Gaussian components 95 %; weight zero beyond six sigma."""
+_OUTLIER_SIGMA = 8.0
+"""Robust sigmas: of Gaussian rows none, of correlated errors next to none."""
 _ROUNDS = 50
 
 
@@ -60,6 +62,13 @@ def robust_weights(start_nT: FloatArray, refit: Callable[[FloatArray], FloatArra
     # E[psi'] of a radial influence w(d) r in n dimensions is w + w'(d) d / n
     sharpness = float((weights + slope * distance / r.shape[1]).mean() / weights.mean())
     return RobustWeights(weights, sharpness, int((weights < 0.01).sum()))
+
+
+def find_outliers(residuals: FloatArray) -> np.ndarray:
+    """(N,) rows of (N, k) residuals that lie far from the others, by a scale that half of them may be wrong in."""
+    r = residuals - np.median(residuals, axis=0)
+    scale = _MAD_TO_SIGMA * np.median(np.abs(r))
+    return np.asarray((np.linalg.norm(r, axis=1) > _OUTLIER_SIGMA * scale) & (scale > 0))
 
 
 def robust_distance(r: FloatArray) -> FloatArray:

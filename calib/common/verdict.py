@@ -242,7 +242,7 @@ def _impossible(fit: Fit, declared: Declared, along: Along, residual_nT: float, 
 def _limits(fit: Fit, declared: Declared, along: Along, direction: DirectionKnowledge, strength_nT: float) -> list[str]:
     """Sentences that say what a usable calibration lacks."""
     known = fit.calibration
-    found = [*fit.doubts, *([declared.words] if declared.ratio > _TRUSTED else [])]
+    found = [*fit.warnings, *([declared.words] if declared.ratio > _TRUSTED else [])]
     only_b = not known.sigmas[:9].any()
     if along.found_nT > np.sqrt(2.0) * along.allowed * along.noise_nT:
         rest = float(np.sqrt(along.found_nT**2 - along.noise_nT**2))

@@ -34,7 +34,7 @@ from fluxtwin.calib.common.error_model import DECLARED, FOUND, ErrorModel, Poste
 from fluxtwin.calib.common.shrinkage import grown, half_of, in_units_of
 from fluxtwin.calib.common.slow_errors import cells, kernel_moments
 from fluxtwin.calib.linear.estimating_equations import Spread, evidence, of_blocks, spread_of, sums, white_of
-from fluxtwin.calib.linear.problem import Job, Solution
+from fluxtwin.calib.linear.problem import LinearProblem, Solution
 from fluxtwin.sim.base.types import FloatArray
 
 _SANDWICH_ROWS = 10  # a parameter of one axis
@@ -43,7 +43,7 @@ _LONG_MEMORY = 0.05  # of a pass
 
 
 @dataclass(frozen=True)
-class Stated:
+class CovarianceReport:
     """What the calibration says of its own errors."""
 
     covariance: FloatArray
@@ -56,31 +56,31 @@ class Stated:
     """What the errors were taken for; None for white ones."""
 
 
-def stated_covariance(job: Job, solution: Solution, passes: np.ndarray | None) -> Stated:
+def report_covariance(problem: LinearProblem, solution: Solution, passes: np.ndarray | None) -> CovarianceReport:
     """White or allowing for correlation, plus what the noise of the reading and a declared field error add."""
     messages, unobservable = [], []
-    segment = segments(job.design.time)
+    segment = segments(problem.design.time)
     errors = None
-    if job.options.covariance == "blocks":
-        found = _correlated(job, solution, passes)
+    if problem.options.covariance == "blocks":
+        found = _correlated(problem, solution, passes)
         stacked, errors = found.stacked, found.errors
         messages.append(f"covariance: {found.words}")
-        unobservable += _orbit_long_words(job, segment, found.memory_s, passes)
+        unobservable += _orbit_long_words(problem, segment, found.memory_s, passes)
     else:
-        stacked = _white(job, solution)
+        stacked = _white(problem, solution)
         factor = float(np.sqrt(batch_widening(solution.residual_nT, segment)))
         if factor > _TOO_SMALL:
             messages.append(
                 f"the residuals are correlated in time: white sigmas are too small, by up to {factor:.1f}; "
                 "covariance blocks (--covariance blocks) allows for it"
             )
-    stacked = stacked + _from_noise_uncertainty(job, solution) + _from_field_error(job, solution)
-    if job.options.field_error_nT:
+    stacked = stacked + _from_noise_uncertainty(problem, solution) + _from_field_error(problem, solution)
+    if problem.options.field_error_nT:
         messages.append(
-            f"field model taken as wrong by {job.options.field_error_nT:.4g} nT rms an axis with a memory of "
-            f"{job.design.radian_s:.0f} s, a radian of the orbit"
+            f"field model taken as wrong by {problem.options.field_error_nT:.4g} nT rms an axis with a memory of "
+            f"{problem.design.radian_s:.0f} s, a radian of the orbit"
         )
-    return Stated(_in_file_order(job, solution, stacked), tuple(messages), tuple(unobservable), errors)
+    return CovarianceReport(_in_file_order(problem, solution, stacked), tuple(messages), tuple(unobservable), errors)
 
 
 class _Found(NamedTuple):
@@ -90,29 +90,36 @@ class _Found(NamedTuple):
     errors: ErrorModel | None
 
 
-def _correlated(job: Job, solution: Solution, passes: np.ndarray | None) -> _Found:
+def _correlated(problem: LinearProblem, solution: Solution, passes: np.ndarray | None) -> _Found:
     """Stacked covariance by the model of the errors, as far as blocks bear it out."""
-    options = job.options
-    kept = job.weights > 0 if job.robust is None else (job.robust.weights >= 0.01) & (job.weights > 0)
-    posterior = find_errors(evidence(job, solution, kept), options.attitude_sigma_deg, options.attitude_tau_s)
+    options = problem.options
+    kept = problem.weights > 0 if problem.robust is None else (problem.robust.weights >= 0.01) & (problem.weights > 0)
+    posterior = find_errors(evidence(problem, solution, kept), options.attitude_sigma_deg, options.attitude_tau_s)
     if posterior is None:
-        return _Found(_white(job, solution), "too few rows to see correlation: white", 0.0, None)
-    sharpness = 1.0 if job.robust is None else job.robust.sharpness
-    label = segments(job.design.time)
+        return _Found(_white(problem, solution), "too few rows to see correlation: white", 0.0, None)
+    sharpness = 1.0 if problem.robust is None else problem.robust.sharpness
+    label = segments(problem.design.time)
     if passes is not None or options.block_s is not None:
-        label = next(groupings(job.design.time, label, passes, options.block_s))[0]
-    added = sums(job, solution, label)
+        label = next(groupings(problem.design.time, label, passes, options.block_s))[0]
+    added = sums(problem, solution, label)
     spread = spread_of(
-        added, posterior, white_of(job, solution), _common_noise(job, solution), _white_factor(job, solution), sharpness
+        added,
+        posterior,
+        white_of(problem, solution),
+        _common_noise(problem, solution),
+        _white_factor(problem, solution),
+        sharpness,
     )
-    memory_s = posterior.memory_s(_field_nT(job))
-    checked = _checked(job, spread, label, memory_s, passes)
-    whole = np.kron(np.eye(3), np.eye(1) if solution.fit is None else bread_of(solution.fit, job.noise_xx)) / sharpness
+    memory_s = posterior.memory_s(_field_nT(problem))
+    checked = _checked(problem, spread, label, memory_s, passes)
+    whole = (
+        np.kron(np.eye(3), np.eye(1) if solution.fit is None else bread_of(solution.fit, problem.noise_xx)) / sharpness
+    )
     centred = whole @ checked.total @ whole.T
     stacked = uncentred(centred, np.zeros(0) if solution.fit is None else solution.fit.mean_x)
-    covered_s = observed_s(job.design.time, segments(job.design.time))
+    covered_s = observed_s(problem.design.time, segments(problem.design.time))
     stacked = stacked + _from_turning(solution, posterior.constant_rad2(covered_s))
-    errors = _error_model(job, solution, posterior, checked.misfit)
+    errors = _error_model(problem, solution, posterior, checked.misfit)
     return _Found(stacked, f"{_error_words(errors)}; {checked.words}", memory_s, errors)
 
 
@@ -122,15 +129,17 @@ class _Checked(NamedTuple):
     words: str
 
 
-def _checked(job: Job, spread: Spread, label: np.ndarray, memory_s: float, passes: np.ndarray | None) -> _Checked:
+def _checked(
+    problem: LinearProblem, spread: Spread, label: np.ndarray, memory_s: float, passes: np.ndarray | None
+) -> _Checked:
     """The covariance of the scores as blocks bear it out: the blocks are grown until their scatter grows no more."""
     first = spread.sums.first
-    asked = job.options.block_s
+    asked = problem.options.block_s
     up = half_of(spread.total)
 
     def scatter() -> Iterator[tuple[FloatArray, str]]:
-        covered_s = observed_s(job.design.time, segments(job.design.time))
-        for of_row, words in groupings(job.design.time, label, passes, asked):
+        covered_s = observed_s(problem.design.time, segments(problem.design.time))
+        for of_row, words in groupings(problem.design.time, label, passes, asked):
             block, count = of_row[first], int(of_row.max()) + 1
             cut = passes is None and asked is None and not np.array_equal(of_row, label)
             if count >= FEWEST_BLOCKS and not (cut and covered_s / count < 2.0 * memory_s):
@@ -147,41 +156,41 @@ def _checked(job: Job, spread: Spread, label: np.ndarray, memory_s: float, passe
     return _Checked(up @ W @ up.T, misfit, words)
 
 
-def _common_noise(job: Job, solution: Solution) -> FloatArray:
+def _common_noise(problem: LinearProblem, solution: Solution) -> FloatArray:
     """(p, p) of E[r_i n_g] E[r_j n_f], for a row: noise that residual and regressor share."""
     m = solution.M.shape[1]
     out = np.zeros((3, m + 1, 3, m + 1))
-    if solution.fit is not None and job.noise_xx is not None:
-        shared = solution.M @ job.noise_xx
+    if solution.fit is not None and problem.noise_xx is not None:
+        shared = solution.M @ problem.noise_xx
         out[:, :m, :, :m] = np.einsum("ig,jf->ifjg", shared, shared)
     return out.reshape(3 * (m + 1), 3 * (m + 1))
 
 
-def _white_factor(job: Job, solution: Solution) -> float:
+def _white_factor(problem: LinearProblem, solution: Solution) -> float:
     """Mean square that robust weights leave of white noise, over that of the rows with weight."""
-    if job.robust is None:
+    if problem.robust is None:
         return 1.0
-    w, kept = job.robust.weights, job.robust.weights >= 0.01
+    w, kept = problem.robust.weights, problem.robust.weights >= 0.01
     r = (solution.own_residual_nT**2).sum(axis=1)
     return float((w**2 * r)[kept].mean() / ((w**2)[kept].mean() * r[kept].mean()))
 
 
-def _field_nT(job: Job) -> float:
-    return float(np.sqrt((job.design.H_nT**2).sum(axis=1).mean() * 2.0 / 3.0))
+def _field_nT(problem: LinearProblem) -> float:
+    return float(np.sqrt((problem.design.H_nT**2).sum(axis=1).mean() * 2.0 / 3.0))
 
 
-def _error_model(job: Job, solution: Solution, posterior: Posterior, misfit: float) -> ErrorModel:
+def _error_model(problem: LinearProblem, solution: Solution, posterior: Posterior, misfit: float) -> ErrorModel:
     """In the words of a reader."""
-    options = job.options
+    options = problem.options
     sigma = float(np.median(posterior.sigma_nT))
     attitude = posterior.attitude_rad
     theta, white = float(np.median(posterior.theta_rad)), float(np.median(posterior.white_theta_rad))
     declared = options.attitude_sigma_deg is not None
     low, high = np.degrees(np.quantile(attitude, [0.05, 0.95]))
-    variance = np.diag(white_of(job, solution)) * sigma**2
+    variance = np.diag(white_of(problem, solution)) * sigma**2
     middle = float(np.median(attitude))
-    across = middle * _field_nT(job)
-    reading = job.noise.variance_nT2 * sigma**2
+    across = middle * _field_nT(problem)
+    reading = problem.noise.variance_nT2 * sigma**2
     return ErrorModel(
         white_nT=np.sqrt(reading), white_source=DECLARED if options.noise_nT is not None else FOUND,
         expected_rms_nT=float(np.sqrt(variance.mean() + across**2)),
@@ -202,16 +211,18 @@ def _error_words(errors: ErrorModel) -> str:
     return words + (f" over {plain(errors.attitude_tau_s, 2)} s" if errors.attitude_tau_s else ", white")
 
 
-def _orbit_long_words(job: Job, segment: np.ndarray, memory_s: float, passes: np.ndarray | None) -> list[str]:
+def _orbit_long_words(
+    problem: LinearProblem, segment: np.ndarray, memory_s: float, passes: np.ndarray | None
+) -> list[str]:
     """A sentence where errors that last an orbit cannot have been seen."""
-    orbit_s = 2.0 * np.pi * job.design.radian_s
-    covered_s = observed_s(job.design.time, segment)
+    orbit_s = 2.0 * np.pi * problem.design.radian_s
+    covered_s = observed_s(problem.design.time, segment)
     count = int(segment[-1]) + 1
     pass_s = min(covered_s / count, orbit_s)
     seen = max(count, covered_s / orbit_s, 0 if passes is None else np.unique(passes).size)
     # One pass is too little to find a long memory, so that a short one proves nothing.
     hidden = seen < 2 or memory_s >= _LONG_MEMORY * pass_s
-    if job.options.field_error_nT or seen >= FEWEST_BLOCKS or not hidden:
+    if problem.options.field_error_nT or seen >= FEWEST_BLOCKS or not hidden:
         return []
     return [
         f"errors that last an orbit, as those of the field model do, are not in these sigmas: the data hold {seen:.2g} "
@@ -219,17 +230,17 @@ def _orbit_long_words(job: Job, segment: np.ndarray, memory_s: float, passes: np
     ]
 
 
-def _from_noise_uncertainty(job: Job, solution: Solution) -> FloatArray:
+def _from_noise_uncertainty(problem: LinearProblem, solution: Solution) -> FloatArray:
     """What an uncertain Sigma_B adds: dM = M[:, i] (row i of the inverse of <x|x> - Sigma_x) for each variance i."""
     size = 3 * (solution.M.shape[1] + 1)
-    if solution.fit is None or job.noise_xx is None or not job.noise.covariance.any():
+    if solution.fit is None or problem.noise_xx is None or not problem.noise.covariance.any():
         return np.zeros((size, size))
-    inverse = np.linalg.inv(solution.fit.xx - job.noise_xx)
+    inverse = np.linalg.inv(solution.fit.xx - problem.noise_xx)
     moved = []
     for i in range(3):
         step = np.outer(solution.M[:, i], inverse[i])
         moved.append(np.hstack([step, -(step @ solution.fit.mean_x)[:, None]]).ravel())
-    return np.asarray(np.array(moved).T @ job.noise.covariance @ np.array(moved))
+    return np.asarray(np.array(moved).T @ problem.noise.covariance @ np.array(moved))
 
 
 def _from_turning(solution: Solution, power_rad2: float) -> FloatArray:
@@ -248,49 +259,49 @@ def _from_turning(solution: Solution, power_rad2: float) -> FloatArray:
     return np.asarray(np.einsum("ijkl,jf,lg->ifkg", square, moved, moved).reshape(3 * (m + 1), 3 * (m + 1)))
 
 
-def _from_field_error(job: Job, solution: Solution) -> FloatArray:
+def _from_field_error(problem: LinearProblem, solution: Solution) -> FloatArray:
     """A declared error of the field model: Gauss-Markov with a memory of one radian of the orbit."""
     size = solution.M.shape[1] + 1
-    if not job.options.field_error_nT:
+    if not problem.options.field_error_nT:
         return np.zeros((3 * size, 3 * size))
-    x = np.hstack([*job.parts, np.zeros((len(job.design), 0))])
-    seen = cells(job.design.time, segments(job.design.time), [x, np.ones((len(x), 1))], job.weights)
+    x = np.hstack([*problem.parts, np.zeros((len(problem.design), 0))])
+    seen = cells(problem.design.time, segments(problem.design.time), [x, np.ones((len(x), 1))], problem.weights)
     mean_x = np.zeros(0) if solution.fit is None else solution.fit.mean_x
     seen.columns[:, :-1] -= mean_x
-    K = kernel_moments(seen, np.array([job.design.radian_s]))[0]
-    turn = solution.M[:, :3] if job.options.method == "forward" and solution.fit is not None else np.eye(3)
-    C = job.options.field_error_nT**2 * turn @ turn.T
-    whole = np.kron(np.eye(3), np.eye(1) if solution.fit is None else bread_of(solution.fit, job.noise_xx))
+    K = kernel_moments(seen, np.array([problem.design.radian_s]))[0]
+    turn = solution.M[:, :3] if problem.options.method == "forward" and solution.fit is not None else np.eye(3)
+    C = problem.options.field_error_nT**2 * turn @ turn.T
+    whole = np.kron(np.eye(3), np.eye(1) if solution.fit is None else bread_of(solution.fit, problem.noise_xx))
     moments = np.einsum("ij,fg->ifjg", C, K).reshape(3 * size, 3 * size)
     return uncentred(whole @ moments @ whole.T, mean_x)
 
 
-def _white(job: Job, solution: Solution) -> FloatArray:
-    effective, m = job.effective, solution.M.shape[1]
-    sharpness = 1.0 if job.robust is None else job.robust.sharpness
+def _white(problem: LinearProblem, solution: Solution) -> FloatArray:
+    effective, m = problem.effective, solution.M.shape[1]
+    sharpness = 1.0 if problem.robust is None else problem.robust.sharpness
     own = solution.own_residual_nT
     if solution.fit is not None and effective >= _SANDWICH_ROWS * (m + 1):
-        stacked = sandwich_covariance(own, job.parts, solution.fit, solution.M, job.a, job.noise_xx)
+        stacked = sandwich_covariance(own, problem.parts, solution.fit, solution.M, problem.a, problem.noise_xx)
         return np.asarray(stacked / sharpness**2)
     # With equal weights this is N/(N-p) times the mean of r r'.
-    rr = job.mean_square(own, 2) * effective / max(effective - m - 1, 1e-9) / sharpness**2
+    rr = problem.mean_square(own, 2) * effective / max(effective - m - 1, 1e-9) / sharpness**2
     if solution.fit is None:
         return np.asarray(rr / effective)
-    return plain_covariance(solution.fit, solution.M, rr, effective, job.noise_xx)
+    return plain_covariance(solution.fit, solution.M, rr, effective, problem.noise_xx)
 
 
-def _in_file_order(job: Job, solution: Solution, stacked: FloatArray) -> FloatArray:
+def _in_file_order(problem: LinearProblem, solution: Solution, stacked: FloatArray) -> FloatArray:
     with_S = solution.fit is not None
     m = solution.M.shape[1]
     place = np.zeros(3 * (m + 1), dtype=int)
     for i in range(3):
         columns = [3 * i + k for k in range(3)] if with_S else []
-        columns += [12 + 3 * i + int(j) for j in job.fired] if with_S else []
+        columns += [12 + 3 * i + int(j) for j in problem.fired] if with_S else []
         place[i * (m + 1) : (i + 1) * (m + 1)] = [*columns, 9 + i]
     full = np.zeros((21, 21))
     full[np.ix_(place, place)] = stacked
-    if with_S and job.options.method == "forward":
+    if with_S and problem.options.method == "forward":
         jacobian = forward_jacobian(solution.calibration.correction)
         full = jacobian @ full @ jacobian.T
-    size = 21 if "T" in job.options.parameters else 12
+    size = 21 if "T" in problem.options.parameters else 12
     return np.asarray(full[:size, :size])

@@ -13,7 +13,7 @@ import numpy as np
 from fluxtwin.calib.common.covariance import observed_s, segments
 from fluxtwin.calib.common.error_model import Evidence, Posterior
 from fluxtwin.calib.common.slow_errors import CELLS, responses
-from fluxtwin.calib.linear.problem import Job, Solution
+from fluxtwin.calib.linear.problem import LinearProblem, Solution
 from fluxtwin.sim.base.types import FloatArray
 
 _CHUNK = 16384
@@ -48,29 +48,29 @@ class Sums(NamedTuple):
     """(K, p, p) of a^2 (U e_j) [z] (U e_j)' [z]', over j."""
 
 
-def images(job: Job, solution: Solution, rows: np.ndarray | slice) -> FloatArray:
+def images(problem: LinearProblem, solution: Solution, rows: np.ndarray | slice) -> FloatArray:
     """(n, 3, 3) U [nT/rad]: columns e_j x B0, seen from the side that is fitted."""
-    x, y, z = job.design.H_nT[rows].T
+    x, y, z = problem.design.H_nT[rows].T
     none = np.zeros(len(x))
     U = np.array([[none, z, -y], [-z, none, x], [y, -x, none]]).transpose(2, 0, 1)
-    return U if job.options.method == "linear" or solution.fit is None else np.asarray(solution.M[:, :3] @ U)
+    return U if problem.options.method == "linear" or solution.fit is None else np.asarray(solution.M[:, :3] @ U)
 
 
-def white_of(job: Job, solution: Solution) -> FloatArray:
+def white_of(problem: LinearProblem, solution: Solution) -> FloatArray:
     """(3, 3) covariance of the noise of a reading in the residual."""
-    floor = 1e-6 * float(np.trace(job.mean_square(solution.own_residual_nT))) / 3.0
-    W = np.diag(np.maximum(job.noise.variance_nT2, max(floor, 1e-12)))
+    floor = 1e-6 * float(np.trace(problem.mean_square(solution.own_residual_nT))) / 3.0
+    W = np.diag(np.maximum(problem.noise.variance_nT2, max(floor, 1e-12)))
     return (
         np.asarray(solution.M[:, :3] @ W @ solution.M[:, :3].T)
-        if job.options.method == "linear" and solution.fit is not None
+        if problem.options.method == "linear" and solution.fit is not None
         else W
     )
 
 
-def evidence(job: Job, solution: Solution, kept: np.ndarray) -> Evidence:
+def evidence(problem: LinearProblem, solution: Solution, kept: np.ndarray) -> Evidence:
     """Cells for the likelihood, in which the field hardly turns; of a long record stretches. kept: (N,) rows."""
-    rows, length_s = _looked_at(job, np.flatnonzero(kept))
-    time = job.design.time[rows]
+    rows, length_s = _looked_at(problem, np.flatnonzero(kept))
+    time = problem.design.time[rows]
     seconds = (time - time[0]).astype("int64") * 1e-9
     segment = segments(time)
     starts = _cell_starts(seconds, segment, length_s)
@@ -83,21 +83,21 @@ def evidence(job: Job, solution: Solution, kept: np.ndarray) -> Evidence:
     one = np.ones((len(seconds), 1))
     design = mean(one)
     if solution.fit is not None:
-        H = mean(job.design.H_nT[rows]) - _smooth(mean(solution.residual_nT[rows]), segment[starts])
-        others = [mean(part[rows]) for part in job.parts[1:]]
+        H = mean(problem.design.H_nT[rows]) - _smooth(mean(solution.residual_nT[rows]), segment[starts])
+        others = [mean(part[rows]) for part in problem.parts[1:]]
         design = np.hstack([H - H.mean(axis=0), *others, design])
     edges = np.flatnonzero(np.diff(segment)) + 1
     first, last = np.concatenate([[0], edges]), np.concatenate([edges, [len(seconds)]]) - 1
     return Evidence(
         mean(seconds), mean(solution.own_residual_nT[rows]), design,
-        mean(images(job, solution, rows)), white_of(job, solution), count,
+        mean(images(problem, solution, rows)), white_of(problem, solution), count,
         np.where(count > 1, count, 0.0) * step_s, float((seconds[last] - seconds[first]).max()),
     )  # fmt: skip
 
 
-def _looked_at(job: Job, rows: np.ndarray) -> tuple[np.ndarray, float]:
+def _looked_at(problem: LinearProblem, rows: np.ndarray) -> tuple[np.ndarray, float]:
     """Rows for the likelihood and the length of a cell [s]; 0: each row is one."""
-    time, H = job.design.time[rows], job.design.H_nT[rows]
+    time, H = problem.design.time[rows], problem.design.H_nT[rows]
     covered_s = observed_s(time, segments(time))
     length_s = covered_s / _LIKELY_CELLS
     step_s = np.diff(time).astype("int64") * 1e-9
@@ -138,9 +138,9 @@ def _cell_starts(seconds: FloatArray, label: np.ndarray, length_s: float) -> np.
     return np.flatnonzero(new | np.concatenate([[True], np.diff(within) != 0]))
 
 
-def sums(job: Job, solution: Solution, label: np.ndarray) -> Sums:
+def sums(problem: LinearProblem, solution: Solution, label: np.ndarray) -> Sums:
     """Of all rows; label (N,): cells do not reach across a change of it."""
-    time, a = job.design.time, job.weights
+    time, a = problem.design.time, problem.weights
     seconds = (time - time[0]).astype("int64") * 1e-9
     length_s = observed_s(time, segments(time)) / CELLS if len(time) > CELLS else 0.0
     starts = _cell_starts(seconds, label, length_s)
@@ -148,8 +148,8 @@ def sums(job: Job, solution: Solution, label: np.ndarray) -> Sums:
     mean_x = np.zeros(0) if solution.fit is None else solution.fit.mean_x
     m = mean_x.size
     shift = np.zeros((3, m + 1))
-    if job.noise_xx is not None and solution.fit is not None:
-        shift[:, :m] = solution.M @ job.noise_xx
+    if problem.noise_xx is not None and solution.fit is not None:
+        shift[:, :m] = solution.M @ problem.noise_xx
     out: list[tuple[FloatArray, ...]] = []
     cell = 0
     while cell < len(starts):
@@ -158,9 +158,9 @@ def sums(job: Job, solution: Solution, label: np.ndarray) -> Sums:
         local = starts[cell:stop] - starts[cell]
         w = a[rows]
         n = len(w)
-        x = np.hstack([part[rows] for part in job.parts]) if m else np.zeros((n, 0))
+        x = np.hstack([part[rows] for part in problem.parts]) if m else np.zeros((n, 0))
         z = np.hstack([x - mean_x, np.ones((n, 1))])
-        U = images(job, solution, rows)
+        U = images(problem, solution, rows)
         u = np.einsum("nij,nf->njif", U, z).reshape(n, 3, -1)
         r = solution.own_residual_nT[rows]
         score = (r[:, :, None] * z[:, None, :] + shift).reshape(n, -1)
@@ -175,8 +175,8 @@ def sums(job: Job, solution: Solution, label: np.ndarray) -> Sums:
     z, theta, score, slope, white_z, white_theta, when, weight = (
         np.concatenate([part[k] for part in out]) for k in range(8)
     )
-    if job.noise_xx is not None and solution.fit is not None:
-        slope[:, :m, :m] -= weight[:, None, None] * job.noise_xx
+    if problem.noise_xx is not None and solution.fit is not None:
+        slope[:, :m, :m] -= weight[:, None, None] * problem.noise_xx
     middle = 0.5 * (seconds[starts] + seconds[ends - 1])
     at = np.where(weight > 0, when / np.where(weight > 0, weight, 1.0), middle)
     step_s = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 1.0

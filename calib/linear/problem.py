@@ -18,7 +18,7 @@ from fluxtwin.sim.base.types import FloatArray
 
 
 @dataclass(frozen=True)
-class Job:
+class LinearProblem:
     """The rows at work."""
 
     design: Design

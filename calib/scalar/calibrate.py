@@ -12,14 +12,13 @@ A rotation of the magnetometer leaves |B| as it is: S is found up to one and giv
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from fluxtwin.calib.common import observability as seen
+from fluxtwin.calib.common import observability
 from fluxtwin.calib.common.design import joined
-from fluxtwin.calib.common.fit_warnings import suspicions
+from fluxtwin.calib.common.fit_warnings import with_warnings
 from fluxtwin.calib.common.moments import covariance_of
 from fluxtwin.calib.common.noise import ReadingNoise
 from fluxtwin.calib.common.records import Calibration
@@ -27,7 +26,7 @@ from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import RobustWeights, robust_weights
 from fluxtwin.calib.scalar import words
 from fluxtwin.calib.scalar.center import center, center_terms
-from fluxtwin.calib.scalar.covariance import Scores, field_error_covariance, scores_of, stated_scalar_covariance
+from fluxtwin.calib.scalar.covariance import Scores, field_error_covariance, scalar_covariance, scores_of
 from fluxtwin.calib.scalar.fit import NO_ROTATION, ScalarFit, file_parameters, hardly_separable, telemetry_biases
 from fluxtwin.calib.scalar.maximum_likelihood import Solved, Sums, add_up, solve
 from fluxtwin.calib.scalar.method import ScalarOptions
@@ -54,7 +53,7 @@ _SMALL = 1e-6
 """Noise in parts of the field, before it is known."""
 
 
-class ScalarJob(NamedTuple):
+class ScalarProblem(NamedTuple):
     """The rows at work, without units."""
 
     rows: ScalarRows
@@ -72,7 +71,7 @@ class ScalarJob(NamedTuple):
         """(p,) parameters."""
         return parameter_words(self.data, self.columns)
 
-    def with_noise(self, noise: ReadingNoise) -> ScalarJob:
+    def with_noise(self, noise: ReadingNoise) -> ScalarProblem:
         """The same with Sigma known."""
         least = (_SMALL * self.scale_nT) ** 2
         Sigma = np.diag(np.maximum(noise.variance_nT2, least)) / self.scale_nT**2
@@ -93,54 +92,53 @@ def calibrate_scalar(
     rows = assemble_scalar(telemetry, model, with_dipole="T" in options.parameters, names=options.telemetry_bias)
     labels = None if options.passes is None else np.asarray(options.passes)[rows.rows]
     fit = fit_rows(rows, options, model_name=model.name, passes=labels)
-    doubts = suspicions(telemetry, fit.calibration, fit.residuals_nT, robust=options.robust != "none")
-    return replace(fit, messages=(*fit.messages, *doubts))
+    return with_warnings(fit, telemetry, robust=options.robust != "none")
 
 
 def fit_rows(
     rows: ScalarRows, options: ScalarOptions, *, model_name: str = "", passes: np.ndarray | None = None
 ) -> ScalarFit:
     """The calibration of rows that are already assembled; arguments and errors as `calibrate_scalar`."""
-    job = make_job(rows, options)
-    how = geometry(job.data, job.scale_nT)
-    start = pack(np.zeros((3, 3)), center(job.data), job.data)
-    require_observed(add_up(start, job.data, noise=True), job.names, how)
-    solved, robust = _first(job, start)
+    problem = make_problem(rows, options)
+    how = geometry(problem.data, problem.scale_nT)
+    start = pack(np.zeros((3, 3)), center(problem.data), problem.data)
+    require_observed(add_up(start, problem.data, noise=True), problem.names, how)
+    solved, robust = _first(problem, start)
     noise = scalar_noise(
-        rows.B_nT, rows.time, residual(solved.p, job.data) * job.scale_nT, options.noise_nT, options.lsb_nT
+        rows.B_nT, rows.time, residual(solved.p, problem.data) * problem.scale_nT, options.noise_nT, options.lsb_nT
     )
-    job = job.with_noise(noise)
-    how = geometry(job.data, job.scale_nT)
+    problem = problem.with_noise(noise)
+    how = geometry(problem.data, problem.scale_nT)
     a = None if robust is None else robust.weights
     first = solved
     try:
-        solved, notes = _estimate(job, first, robust)
+        solved, notes = _estimate(problem, first, robust)
     except NoAnswer:
         for p in (start, first.p):  # says more where it applies
-            require_observed(add_up(p, job.data, noise=True), job.names, how, over_noise=10.0)
-        refuse_thin(add_up(start, job.data), job.names, how)
+            require_observed(add_up(p, problem.data, noise=True), problem.names, how, over_noise=10.0)
+        refuse_thin(add_up(start, problem.data), problem.names, how)
         raise
     weight = float(len(rows) if a is None else a.sum())
-    inflation = solved.sums.cost / max(weight - job.data.size, 1.0)
-    scores = _scores(job, solved, robust)
+    inflation = solved.sums.cost / max(weight - problem.data.size, 1.0)
+    scores = _scores(problem, solved, robust)
     if options.method == "center":
-        require_observed(_center_sums(job, solved), job.names, how, max(inflation, 1.0))
+        require_observed(_center_sums(problem, solved), problem.names, how, max(inflation, 1.0))
     else:
-        sums = add_up(solved.p, job.data, a, noise=True)
-        require_observed(sums, job.names, how, inflation if options.noise_nT is None else max(inflation, 1.0))
-        polished = solve(solved.p, job.data, a) if options.method == "twostep" else solved
-        mirrored = other_solution(polished, job.data, how, a)
+        sums = add_up(solved.p, problem.data, a, noise=True)
+        require_observed(sums, problem.names, how, inflation if options.noise_nT is None else max(inflation, 1.0))
+        polished = solve(solved.p, problem.data, a) if options.method == "twostep" else solved
+        mirrored = other_solution(polished, problem.data, how, a)
         if mirrored is not None:
-            better, sentence = choose(polished, mirrored, job.data, job.names, job.scale_nT, inflation, how)
+            better, sentence = choose(polished, mirrored, problem.data, problem.names, problem.scale_nT, inflation, how)
             solved = solved if better is polished else better
-            scores = _scores(job, solved, robust)
+            scores = _scores(problem, solved, robust)
             notes.append(sentence)
         settled = robust is not None and solved.converged
-        require_meaning(solved, job.data, job.names, how, job.scale_nT, robust=settled)
-    return _report(job, solved, scores, noise, robust, how, (inflation, *notes), model_name, passes)
+        require_meaning(solved, problem.data, problem.names, how, problem.scale_nT, robust=settled)
+    return _report(problem, solved, scores, noise, robust, how, (inflation, *notes), model_name, passes)
 
 
-def make_job(rows: ScalarRows, options: ScalarOptions) -> ScalarJob:
+def make_problem(rows: ScalarRows, options: ScalarOptions) -> ScalarProblem:
     """Scale the rows; columns that are zero throughout are dropped."""
     scale = float(np.sqrt((rows.H_nT**2).mean()))
     rms = {name: float(np.sqrt((values**2).mean())) for name, values in rows.columns.items()}
@@ -149,18 +147,18 @@ def make_job(rows: ScalarRows, options: ScalarOptions) -> ScalarJob:
         np.stack([rows.columns[name] / rms[name] for name in columns], axis=1) if columns else np.zeros((len(rows), 0))
     )
     data = ScalarData(rows.B_nT / scale, rows.H_nT / scale, used, _SMALL**2 * np.eye(3), options.parameters != "b")
-    seen.require_samples(len(rows), data.size + 1)
+    observability.require_samples(len(rows), data.size + 1)
     if not (data.B**2).sum() > 0:
         raise NoAnswer("the magnetometer reads zero throughout: nothing can be calibrated", evidence={})
     dead = tuple(name for name in rms if rms[name] == 0)
-    return ScalarJob(rows, options, data, scale, columns, rms, dead)
+    return ScalarProblem(rows, options, data, scale, columns, rms, dead)
 
 
-def _first(job: ScalarJob, start: FloatArray) -> tuple[Solved, RobustWeights | None]:
+def _first(problem: ScalarProblem, start: FloatArray) -> tuple[Solved, RobustWeights | None]:
     """A solution before the noise is known, and robust weights where they are asked for."""
-    data = job.data
+    data = problem.data
     solved = solve(start, data, adjusted=False)
-    if job.options.robust == "none":
+    if problem.options.robust == "none":
         return solved, None
     state = {"p": start}
 
@@ -169,13 +167,13 @@ def _first(job: ScalarJob, start: FloatArray) -> tuple[Solved, RobustWeights | N
         return residual(state["p"], data)[:, None]
 
     size = np.sqrt((data.B**2).sum(axis=1))
-    robust = robust_weights((size - data.H)[:, None], refit, job.options.robust)
+    robust = robust_weights((size - data.H)[:, None], refit, problem.options.robust)
     return solve(state["p"], data, robust.weights, adjusted=False), robust
 
 
-def _estimate(job: ScalarJob, first: Solved, robust: RobustWeights | None) -> tuple[Solved, list[str]]:
+def _estimate(problem: ScalarProblem, first: Solved, robust: RobustWeights | None) -> tuple[Solved, list[str]]:
     """The method's own answer, with what is to be said about the way to it."""
-    data, method = job.data, job.options.method
+    data, method = problem.data, problem.options.method
     a, sharpness = (None, 1.0) if robust is None else (robust.weights, robust.sharpness)
     if method == "center":
         p = center(data, a)
@@ -186,7 +184,7 @@ def _estimate(job: ScalarJob, first: Solved, robust: RobustWeights | None) -> tu
         notes.append(words.trivial(data))
     if method == "twostep":
         if not step.converged:
-            raise NoAnswer(words.not_settled("TWOSTEP"), evidence={"b_nT": (-step.b * job.scale_nT).tolist()})
+            raise NoAnswer(words.not_settled("TWOSTEP"), evidence={"b_nT": (-step.b * problem.scale_nT).tolist()})
         p = pack(step.D, step.b, data)
         return Solved(p, add_up(p, data, a), True, 1), notes
     found = [solve(first.p, data, a, sharpness=sharpness)]
@@ -198,26 +196,26 @@ def _estimate(job: ScalarJob, first: Solved, robust: RobustWeights | None) -> tu
     return min(settled, key=lambda one: one.sums.cost), notes
 
 
-def _scores(job: ScalarJob, solved: Solved, robust: RobustWeights | None) -> Scores:
+def _scores(problem: ScalarProblem, solved: Solved, robust: RobustWeights | None) -> Scores:
     a, sharpness = (None, 1.0) if robust is None else (robust.weights, robust.sharpness)
-    if job.options.method == "center":
-        rows, slope, half = center_terms(solved.p, job.data, a)
+    if problem.options.method == "center":
+        rows, slope, half = center_terms(solved.p, problem.data, a)
         w = np.ones(len(rows)) if a is None else a
-        far = -2.0 * half * (w * job.data.H)[:, None]
+        far = -2.0 * half * (w * problem.data.H)[:, None]
         return Scores(rows, sharpness * slope, far, np.sqrt(sharpness * w)[:, None] * half)
-    return scores_of(solved, job.data, a, sharpness)
+    return scores_of(solved, problem.data, a, sharpness)
 
 
-def _center_sums(job: ScalarJob, solved: Solved) -> Sums:
+def _center_sums(problem: ScalarProblem, solved: Solved) -> Sums:
     """CENTER's information: that of differences alone."""
-    data = job.data
+    data = problem.data
     weight = 1.0 / float((4.0 * data.H**2).mean() * np.trace(data.Sigma) / 3.0)
     _, slope, _ = center_terms(solved.p, data)
     return solved.sums._replace(information=slope * weight, from_noise=4.0 * len(data.H) * weight * data.Sigma)
 
 
 def _report(
-    job: ScalarJob,
+    problem: ScalarProblem,
     solved: Solved,
     scores: Scores,
     noise: ReadingNoise,
@@ -227,53 +225,57 @@ def _report(
     model_name: str,
     passes: np.ndarray | None,
 ) -> ScalarFit:
-    rows, options, data, inflation = job.rows, job.options, job.data, float(found[0])
+    rows, options, data, inflation = problem.rows, problem.options, problem.data, float(found[0])
     r = residual(solved.p, data)
-    covariance, how_found = stated_scalar_covariance(
+    covariance, how_found = scalar_covariance(
         scores, r, rows.time, options.covariance, passes=passes, block_s=options.block_s
     )
-    covariance = covariance + _from_noise(job, scores, solved, noise)
-    messages = words.messages(rows, noise, options, inflation, job.columns)
+    covariance = covariance + _from_noise(problem, scores, solved, noise)
+    messages = words.messages(rows, noise, options, inflation, problem.columns)
     messages += [str(one) for one in found[1:]] + [how_found]
     if options.field_error_nT:
         covariance = covariance + field_error_covariance(
-            scores, rows.time, options.field_error_nT / job.scale_nT, rows.radian_s
+            scores, rows.time, options.field_error_nT / problem.scale_nT, rows.radian_s
         )
         messages.append(words.field_error(options.field_error_nT, rows.radian_s))
     if not data.with_D:
         messages += words.missing_S(solved, data, inflation)
     if robust is not None and robust.rejected:
         messages.append(f"robust weights ({options.robust}): {robust.rejected} rows set aside")
-    units = np.array([job.rms_of[name] for name in job.columns])
-    S, b_nT, T, whole = file_parameters(solved.p, covariance, data, job.columns, job.scale_nT, units)
+    units = np.array([problem.rms_of[name] for name in problem.columns])
+    S, b_nT, T, whole = file_parameters(solved.p, covariance, data, problem.columns, problem.scale_nT, units)
     with_T = "T" in options.parameters
     kept = np.ones(len(r), dtype=bool) if robust is None else robust.weights >= 0.01
-    residuals_nT = (r * job.scale_nT)[:, None]
+    residuals_nT = (r * problem.scale_nT)[:, None]
     sigma_nT = float(np.sqrt((residuals_nT[kept] ** 2).sum() / max(int(kept.sum()) - data.size, 1)))
-    unobservable = [NO_ROTATION, *words.never_fired(job.never_fired), *hardly_separable(covariance, job.names, 1e-3)]
-    biases = telemetry_biases(solved.p, covariance, data, job.columns, job.scale_nT, units)
+    unobservable = [
+        NO_ROTATION,
+        *words.never_fired(problem.never_fired),
+        *hardly_separable(covariance, problem.names, 1e-3),
+    ]
+    biases = telemetry_biases(solved.p, covariance, data, problem.columns, problem.scale_nT, units)
     calibration = Calibration(
         S, b_nT, T if with_T else None, whole if with_T else whole[:12, :12], options.covariance, sigma_nT,
-        int(kept.sum()), (rows.time[0], rows.time[-1]), model_name, words.method(options, job.columns),
+        int(kept.sum()), (rows.time[0], rows.time[-1]), model_name, words.method(options, problem.columns),
         tuple(unobservable), biases,
     )  # fmt: skip
     a = np.ones(len(r)) if robust is None else robust.weights
     return ScalarFit(
         calibration=calibration, method=options.method, time=rows.time, residuals_nT=residuals_nT,
         weights=a / a.sum(), rows=rows.rows, left_out=dict(rows.left_out), rejected=int((~kept).sum()),
-        variation=seen.field_variation(covariance_of(rows.B_nT)), noise=noise,
+        variation=observability.field_variation(covariance_of(rows.B_nT)), noise=noise,
         statistics=residual_statistics(rows.time[kept], residuals_nT[kept]), messages=tuple(messages),
         telemetry_bias=biases, error_model=words.errors(noise, options.noise_nT is not None),
         quality={"chi2_per_sample": inflation, "field_size_variation": how.constant_share, "rounds": solved.rounds},
     )  # fmt: skip
 
 
-def _from_noise(job: ScalarJob, scores: Scores, solved: Solved, noise: ReadingNoise) -> FloatArray:
+def _from_noise(problem: ScalarProblem, scores: Scores, solved: Solved, noise: ReadingNoise) -> FloatArray:
     """What an uncertain Sigma adds: the adjustment is in proportion to it."""
-    if not noise.covariance.any() or job.options.method == "center":
+    if not noise.covariance.any() or problem.options.method == "center":
         return np.zeros_like(scores.slope)
     relative = float(np.sqrt(np.trace(noise.covariance) / 3.0) / max(noise.variance_nT2.mean(), 1e-300))
-    mean_r = job.data._replace(Sigma=2.0 * job.data.Sigma)
+    mean_r = problem.data._replace(Sigma=2.0 * problem.data.Sigma)
     # The residual's own mean moves by tr_perp / 2|H|, the score by its share of noise.
     shift = add_up(solved.p, mean_r).score * 2.0 - solved.sums.score - solved.sums.shared
     moved = np.linalg.solve(scores.slope, shift) * relative

@@ -60,7 +60,7 @@ def white_covariance(scores: Scores) -> FloatArray:
     return np.asarray(inverse @ meat @ inverse.T)
 
 
-def stated_scalar_covariance(
+def scalar_covariance(
     scores: Scores,
     residual: FloatArray,
     time: TimeArray,

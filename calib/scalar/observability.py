@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fluxtwin.calib.common.fit_warnings import LARGE_S, standing_out
-from fluxtwin.calib.common.observability import direction_words
+from fluxtwin.calib.common.observability import direction_words, listed
+from fluxtwin.calib.common.records import LARGE_S
+from fluxtwin.calib.common.robust import find_outliers
 from fluxtwin.calib.scalar.maximum_likelihood import Solved, Sums, solve
 from fluxtwin.calib.scalar.model import ScalarData, residual, unpack
 from fluxtwin.sim.base.errors import NoAnswer
@@ -131,9 +132,9 @@ def _refusal(
     mixture = _mixture(v, names)
     kind = "does not determine" if sigma > 1e3 or only_noise else "hardly determines"
     reason = how.words() or ("only its noise moves them" if only_noise else "the field varies too little")
-    what = _listed(named)
+    what = listed(named)
     more = [name for name in names if name in also and name not in named]
-    others = f"; further directions with {_listed(more)} are no better" if more else ""
+    others = f"; further directions with {listed(more)} are no better" if more else ""
     mixed = f" (null direction {mixture})" if len(named) > 1 else ""
     # Readings that keep to a plane or a cone leave a component of b free, or what S does goes into it.
     spoilt = bool(how.words()) or any(name[0] == "b" for name in [*named, *more])
@@ -143,10 +144,6 @@ def _refusal(
         f"|B| {kind} {what} in this data{mixed}{others}: {reason}. Add attitudes or orbits in which the field takes other "
         f"directions in the body{less}, or give the attitude (--method linear)"
     )
-
-
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
 
 
 def _evidence(v: FloatArray, names: tuple[str, ...], how: Geometry, sigma: float) -> dict[str, Any]:
@@ -178,20 +175,20 @@ def require_meaning(
     raise NoAnswer(
         f"the fit leaves {float(np.std(r)) * scale_nT:.3g} nT and means nothing: S comes out as {values[worst]:+.2g} along "
         f"{direction_words(vectors[:, worst])}, and no magnetometer is that wrong; "
-        + _why_meaningless(how, int(standing_out(r[:, None]).sum()), len(r), _mixture(null, names)),
+        + _why_meaningless(how, int(find_outliers(r[:, None]).sum()), len(r), _mixture(null, names)),
         evidence=_evidence(null, names, how, float("inf")),
     )
 
 
-def _why_meaningless(how: Geometry, wild: int, rows: int, mixture: str) -> str:
+def _why_meaningless(how: Geometry, outlying: int, rows: int, mixture: str) -> str:
     if how.words():
         return (
             f"{how.words()}. There errors of the model pass for signal; least determined is {mixture}. Add attitudes in "
             "which the field leaves the plane, or give the attitude (--method linear)"
         )
-    if wild:
+    if outlying:
         return (
-            f"{wild} of {rows} rows stand far out of the others (bit errors?): set them aside with --method scalar "
+            f"{outlying} of {rows} rows are outliers (bit errors?): set them aside with --method scalar "
             "--robust tukey, or leave those readings empty"
         )
     return (

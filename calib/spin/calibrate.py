@@ -22,11 +22,11 @@ from fluxtwin.calib.common.conventions import Forward, correction_from_forward, 
 from fluxtwin.calib.common.covariance import batch_widening, segments
 from fluxtwin.calib.common.design import Design, joined
 from fluxtwin.calib.common.fit import Fit
-from fluxtwin.calib.common.fit_warnings import LARGE_S, suspicions
+from fluxtwin.calib.common.fit_warnings import with_warnings
 from fluxtwin.calib.common.moments import covariance_of
 from fluxtwin.calib.common.noise import ReadingNoise
 from fluxtwin.calib.common.observability import field_variation
-from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.common.records import LARGE_S, Calibration
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.linear.calibrate import fit_design
 from fluxtwin.calib.linear.method import LinearOptions
@@ -47,7 +47,7 @@ from fluxtwin.calib.spin.batch import (
 from fluxtwin.calib.spin.filter import Filtered, FilterSettings, spin_filter
 from fluxtwin.calib.spin.method import SpinOptions as SpinOptions
 from fluxtwin.calib.spin.motion import Motion, skew
-from fluxtwin.calib.spin.outliers import beyond, wild_readings, wild_words, without
+from fluxtwin.calib.spin.outliers import beyond, outlier_words, outlying_readings, without
 from fluxtwin.calib.spin.rows import SpinRows, assemble_spin
 from fluxtwin.calib.spin.sedlak import Iterated, at, free_motion, iterate
 from fluxtwin.calib.spin.start import Start, blind_start
@@ -117,15 +117,14 @@ def calibrate_spin(
     does not settle, or readings and pulses are too few.
     """
     fit = fit_spin(assemble_spin(records, model), options or SpinOptions(**given), model_name=model.name)
-    doubts = suspicions(joined(records), fit.calibration, fit.residuals_nT, robust=fit.rejected > 0)
-    return replace(fit, messages=(*fit.messages, *doubts))
+    return with_warnings(fit, joined(records), robust=fit.rejected > 0)
 
 
 def fit_spin(rows: SpinRows, options: SpinOptions, *, model_name: str = "") -> SpinFit:
     """The calibration of rows that are already assembled; errors as `calibrate_spin`."""
     kept, fit = rows, None
     if options.robust != "none":
-        kept = without(rows, wild_readings(rows))
+        kept = without(rows, outlying_readings(rows))
     try:
         for _ in range(_CUTS):
             fit = _fit(kept, options, model_name)
@@ -136,15 +135,15 @@ def fit_spin(rows: SpinRows, options: SpinOptions, *, model_name: str = "") -> S
         cut = len(rows) - len(kept)
         if not cut:
             return fit
-        said = f"{cut} of {len(rows)} readings stand out by more than six sigma and are left out (--robust none keeps them)"
-        return replace(
-            fit, rejected=cut, left_out={**fit.left_out, "standing out": cut}, messages=(said, *fit.messages)
+        said = (
+            f"{cut} of {len(rows)} readings are outliers beyond six sigma and are left out (--robust none keeps them)"
         )
+        return replace(fit, rejected=cut, left_out={**fit.left_out, "outliers": cut}, messages=(said, *fit.messages))
     except NoAnswer as refusal:
-        wild = wild_words(rows, left_out=options.robust != "none")
-        if not wild:
+        outlying = outlier_words(rows, left_out=options.robust != "none")
+        if not outlying:
             raise
-        raise NoAnswer(f"{wild}. As it is, {refusal}", evidence=refusal.evidence) from refusal
+        raise NoAnswer(f"{outlying}. As it is, {refusal}", evidence=refusal.evidence) from refusal
 
 
 def _fit(rows: SpinRows, options: SpinOptions, model_name: str) -> SpinFit:

@@ -1,4 +1,4 @@
-"""Readings of a spinner that stand out in |B|: bit errors spoil a blind start, and attitude is not needed to see them."""
+"""Outliers of a spinner in |B|: bit errors mislead a blind start, and no attitude is needed to see them."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fluxtwin.calib.common.fit_warnings import standing_out
-from fluxtwin.calib.common.robust import TUKEY_AT, robust_distance, robust_weights
+from fluxtwin.calib.common.robust import TUKEY_AT, find_outliers, robust_distance, robust_weights
 from fluxtwin.calib.scalar.maximum_likelihood import solve
 from fluxtwin.calib.scalar.model import ScalarData, residual
 from fluxtwin.calib.spin.rows import SpinRows
@@ -18,8 +17,8 @@ _LOOSE = 0.005
 """Noise in parts of the field; it sets no weight here."""
 
 
-def wild_readings(rows: SpinRows) -> np.ndarray:
-    """(N,) readings whose |B| stands out after a robust fit of b and S to |H|."""
+def outlying_readings(rows: SpinRows) -> np.ndarray:
+    """(N,) readings whose |B| is an outlier after a robust fit of b and S to |H|."""
     H = np.linalg.norm(rows.H_N_nT, axis=1)
     scale = float(np.sqrt((H**2).mean()))
     data = ScalarData(rows.B_nT / scale, H / scale, np.zeros((len(H), 0)), _LOOSE**2 * np.eye(3), True)
@@ -30,20 +29,20 @@ def wild_readings(rows: SpinRows) -> np.ndarray:
         return residual(state["p"], data)[:, None]
 
     robust_weights(residual(state["p"], data)[:, None], refit, "tukey")
-    return standing_out(residual(state["p"], data)[:, None])
+    return find_outliers(residual(state["p"], data)[:, None])
 
 
 def beyond(residuals_nT: FloatArray) -> np.ndarray:
-    """(N,) residuals (N, 3) of more than six robust sigma, where Tukey's weight is nought."""
+    """(N,) residuals (N, 3) of more than six robust sigma, where Tukey's weight is zero."""
     r = residuals_nT - np.median(residuals_nT, axis=0)
     return robust_distance(r) > TUKEY_AT
 
 
-def without(rows: SpinRows, wild: np.ndarray) -> SpinRows:
+def without(rows: SpinRows, outlying: np.ndarray) -> SpinRows:
     """The rows but for these readings; the pulses stay."""
-    if not wild.any():
+    if not outlying.any():
         return rows
-    kept = ~wild
+    kept = ~outlying
     return replace(
         rows,
         time=rows.time[kept],
@@ -54,17 +53,14 @@ def without(rows: SpinRows, wild: np.ndarray) -> SpinRows:
     )
 
 
-def wild_words(rows: SpinRows, *, left_out: bool) -> str:
-    """How many stand out, and what to do; empty where none does."""
-    wild = np.flatnonzero(wild_readings(rows))
-    if not wild.size:
+def outlier_words(rows: SpinRows, *, left_out: bool) -> str:
+    """How many outliers there are, and what to do; empty where there are none."""
+    outlying = np.flatnonzero(outlying_readings(rows))
+    if not outlying.size:
         return ""
-    first = ", ".join(epoch.iso(rows.time[k], "ms") for k in wild[:3])
-    return (
-        f"{wild.size} of {len(rows)} readings stand far out of the others in |B| (bit errors?), the first at {first}. "
-        + (
-            "They were left out, and others that |B| does not show may remain: leave those readings empty"
-            if left_out
-            else "--robust tukey leaves them out"
-        )
+    first = ", ".join(epoch.iso(rows.time[k], "ms") for k in outlying[:3])
+    return f"{outlying.size} of {len(rows)} readings are outliers in |B| (bit errors?), the first at {first}. " + (
+        "They were left out, and others that |B| does not show may remain: leave those readings empty"
+        if left_out
+        else "--robust tukey leaves them out"
     )

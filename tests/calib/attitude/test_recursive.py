@@ -124,9 +124,9 @@ def test_a_doubt_of_the_method_caps_the_verdict(flown: tuple[Any, Any]) -> None:
     """The attitude error that is declared is a tenth of the true one: what is left goes to the field."""
     options = {"attitude_sigma_deg": 0.01, "attitude_tau_s": 300.0, "noise_nT": 20.0}
     fit = fluxtwin.calibrate(flown[0], method="recursive", **options)
-    assert fit.doubts
+    assert fit.warnings
     assert fit.verdict is not None and fit.verdict.level != "good"
-    assert set(fit.doubts) <= set(fit.verdict.reasons) or fit.verdict.impossible
+    assert set(fit.warnings) <= set(fit.verdict.reasons) or fit.verdict.impossible
 
 
 def test_a_tumbling_body_is_followed() -> None:

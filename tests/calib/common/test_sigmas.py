@@ -1,4 +1,4 @@
-"""Stated sigmas where errors hang together, turn with the attitude or differ from axis to axis.
+"""CovarianceReport sigmas where errors hang together, turn with the attitude or differ from axis to axis.
 
 Monte Carlo with fixed seeds. The mean square of the pulls of 12 parameters over R runs scatters by at most
 sqrt(2/R) (fully correlated parameters); bands are three of those about 1 unless said otherwise (false alarm under

@@ -37,9 +37,13 @@ class Geometry:
     ) -> Telemetry:
         """Telemetry with the given readings; what the calibrator sees."""
         whole = Telemetry(
-            time=self.time, mag_B_nT=mag_B_nT, r_N_km=self.r_N_km, v_N_km_s=self.v_N_km_s, q_NB=self.q_NB,
+            time=self.time,
+            mag_B_nT=mag_B_nT,
+            r_N_km=self.r_N_km,
+            v_N_km_s=self.v_N_km_s,
+            q_NB=self.q_NB,
             dipole_B_Am2=dipole_B_Am2,
-        )  # fmt: skip
+        )
         return whole.select(rows)
 
     def magnetometer(self, T: np.ndarray | None = None, **noise: float) -> Magnetometer:

@@ -50,16 +50,33 @@ FLAGS = ("--noise-nT", 30, "--lsb-nT", 10, "--attitude-sigma-deg", 0.05)
 
 # The keys of the contract, written down a second time on purpose: the schema is not its own witness.
 TOP = {
-    "verdict", "effects", "resembles", "where", "gap", "modelled", "untestable", "isolability", "minimum_detectable",
-    "samples", "provenance", "ranking", "transfers",
-}  # fmt: skip
-EFFECT = {
-    "name", "group", "rivals", "probability", "parameters", "stage", "axis", "frame", "condition", "significance",
-}  # fmt: skip
+    "verdict",
+    "effects",
+    "resembles",
+    "where",
+    "gap",
+    "modelled",
+    "untestable",
+    "isolability",
+    "minimum_detectable",
+    "samples",
+    "provenance",
+    "ranking",
+    "transfers",
+}
+EFFECT = {"name", "group", "rivals", "probability", "parameters", "stage", "axis", "frame", "condition", "significance"}
 GAP = {
-    "left_nT", "before_nT", "after_nT", "floor_nT", "floor_with_effects_nT", "closed", "interval", "prediction",
-    "shape_incomplete", "per_axis",
-}  # fmt: skip
+    "left_nT",
+    "before_nT",
+    "after_nT",
+    "floor_nT",
+    "floor_with_effects_nT",
+    "closed",
+    "interval",
+    "prediction",
+    "shape_incomplete",
+    "per_axis",
+}
 
 
 @dataclass(frozen=True)

@@ -51,9 +51,12 @@ def started(code: str, words: list[str], folder: Path) -> subprocess.Popen[str]:
     ready += " m.stop_when_asked = lambda: (say(), print('heeds', flush=True))"
     process = subprocess.Popen(
         [sys.executable, "-c", code.format(ready), *words],
-        cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )  # fmt: skip
+    )
     assert process.stdout is not None and process.stdout.readline() == "heeds\n"
     return process
 

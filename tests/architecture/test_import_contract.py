@@ -35,19 +35,44 @@ MAY_IMPORT = {
 the truth; the diagnosis may see all of sim but that."""
 
 RECORD_MODULES = {
-    "fluxtwin.sim.telemetry.record", "fluxtwin.sim.base.types", "fluxtwin.sim.earth.constants", "fluxtwin.sim.base.errors",
-    "fluxtwin.sim.earth.epoch", "fluxtwin.calib.checks.check", "fluxtwin.calib.common.records", "fluxtwin.gap.records",
-}  # fmt: skip
+    "fluxtwin.sim.telemetry.record",
+    "fluxtwin.sim.base.types",
+    "fluxtwin.sim.earth.constants",
+    "fluxtwin.sim.base.errors",
+    "fluxtwin.sim.earth.epoch",
+    "fluxtwin.calib.checks.check",
+    "fluxtwin.calib.common.records",
+    "fluxtwin.gap.records",
+}
 """What a figure may be drawn from."""
 
 ONLY_IN = {
-    "typer": {"api"}, "rich": {"api"}, "click": set(), "jinja2": {"scenarios", "api"},
-    "matplotlib": {"plots", "scenarios", "api"}, "pydantic": {"sim"}, "numba": {"sim", "calib", "gap"},
-    "xarray": set(), "h5py": {"sim"}, "erfa": {"sim"}, "sgp4": {"sim"},
-    "pickle": set(), "yaml": set(), "marshal": set(), "shelve": set(), "astropy": set(),
-    "ppigrf": set(), "chaosmagpy": set(), "pytest": set(), "sim": set(), "calib": set(), "gap": set(),
-    "plots": set(), "scenarios": set(), "api": set(),
-}  # fmt: skip
+    "typer": {"api"},
+    "rich": {"api"},
+    "click": set(),
+    "jinja2": {"scenarios", "api"},
+    "matplotlib": {"plots", "scenarios", "api"},
+    "pydantic": {"sim"},
+    "numba": {"sim", "calib", "gap"},
+    "xarray": set(),
+    "h5py": {"sim"},
+    "erfa": {"sim"},
+    "sgp4": {"sim"},
+    "pickle": set(),
+    "yaml": set(),
+    "marshal": set(),
+    "shelve": set(),
+    "astropy": set(),
+    "ppigrf": set(),
+    "chaosmagpy": set(),
+    "pytest": set(),
+    "sim": set(),
+    "calib": set(),
+    "gap": set(),
+    "plots": set(),
+    "scenarios": set(),
+    "api": set(),
+}
 """Where a name from outside may be imported. The six folders are never imported by their short names."""
 
 

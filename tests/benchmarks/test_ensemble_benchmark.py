@@ -17,8 +17,11 @@ SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "ensembles.py"
 def test_smoke_run() -> None:
     done = subprocess.run(
         [sys.executable, str(SCRIPT), "--quick", "--jobs", "1", "--json", "-"],
-        capture_output=True, text=True, timeout=300, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     record = json.loads(done.stdout)
     assert record["cpu_per_vehicle_over_that_of_fewer"] > 0.0

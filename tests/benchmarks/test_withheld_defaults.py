@@ -94,9 +94,13 @@ def test_the_readme_flies_with_a_seed_of_its_own(tmp_path: Path) -> None:
 def test_a_printed_size_is_flown_in_the_parameter_that_is_printed(name: str, close: Close) -> None:
     """Each against its definition: what one unit of the parameter changes in A B0 - (I+S) B - b of the reported flight."""
     parameter, value = {
-        "along_track_error": ("ahead", 3.0), "ring_current": ("external", -40.0), "time_tag_offset": ("offset", 0.7),
-        "thermal_bias_drift": ("b_z", 2.0), "solar_array_current": ("s_y", -6.0), "cubic_nonlinearity": ("c_z_xxy", 90.0),
-    }[name]  # fmt: skip
+        "along_track_error": ("ahead", 3.0),
+        "ring_current": ("external", -40.0),
+        "time_tag_offset": ("offset", 0.7),
+        "thermal_bias_drift": ("b_z", 2.0),
+        "solar_array_current": ("s_y", -6.0),
+        "cubic_nonlinearity": ("c_z_xxy", 90.0),
+    }[name]
     _, world, _ = limits.draw(SEED, list(limits.SIZED).index(name))
     flown, bare = (chain.noise_free(world, t) for t in ((limits.SIZED[name](parameter, value),), ()))
     changed = flown.reading_nT - bare.reading_nT
@@ -166,9 +170,15 @@ def test_how_open_b_is_agrees_with_differences_of_the_size_of_the_field(number: 
 
 def spinner(verdict: str, *, open_: bool, drifts: bool, names: tuple[str, ...] = (), **more: Any) -> Judged:
     sealed = {
-        "population": "undetermined", "number": 0, "truths": [], "weakest_b_nT": 3000.0 if open_ else 30.0,
-        "drifts": [{}] if drifts else [], "modelled": ["bias", "scale_misalignment"], "label": "", "regime": "spin",
-    }  # fmt: skip
+        "population": "undetermined",
+        "number": 0,
+        "truths": [],
+        "weakest_b_nT": 3000.0 if open_ else 30.0,
+        "drifts": [{}] if drifts else [],
+        "modelled": ["bias", "scale_misalignment"],
+        "label": "",
+        "regime": "spin",
+    }
     return Judged(sealed, {"verdict": verdict, "effects": [{"name": name} for name in names], **more})
 
 

@@ -60,9 +60,14 @@ def test_the_simulator_flies_the_same(craft, around, close) -> None:
     dipole = (0.2, -0.1, 0.3)
     vector = np.array(dipole)
     flown = fly(
-        craft.body, around, [gravity_gradient, lambda now: np.cross(vector, now["field"])], craft.q, craft.rate, 0.0,
+        craft.body,
+        around,
+        [gravity_gradient, lambda now: np.cross(vector, now["field"])],
+        craft.q,
+        craft.rate,
+        0.0,
         LENGTH_S,
-    )  # fmt: skip
+    )
     vehicle = Vehicle(craft.body.inertia, torques=(GravityGradient(), ResidualDipole(dipole_Am2=dipole)))
     nodes = environment_along(craft.orbit.propagate, craft.orbit.epoch_utc, LENGTH_S, field=load_field("igrf14"))
     start = Start(craft.q, craft.rate, np.zeros(0))
@@ -91,10 +96,16 @@ def test_each_truth_grows_with_its_size(name, craft, around) -> None:
         return
     values, _, density = around.at(10.0)
     now = {
-        "r": values[:3], "v": values[3:6], "field": values[6:9], "sun": values[9:12], "rate": np.array([0.1, 0.2, 0.3]),
-        "J": craft.body.inertia, "dipole": np.array([0.1, 0.2, -0.3]), "light": np.array(1.0),
+        "r": values[:3],
+        "v": values[3:6],
+        "field": values[6:9],
+        "sun": values[9:12],
+        "rate": np.array([0.1, 0.2, 0.3]),
+        "J": craft.body.inertia,
+        "dipole": np.array([0.1, 0.2, -0.3]),
+        "light": np.array(1.0),
         "density": np.array(density),
-    }  # fmt: skip
+    }
     assert np.allclose(drawn.torque(2.0)(now), 2.0 * drawn.torque(1.0)(now), rtol=1e-12)
     assert np.abs(drawn.torque(1.0)(now)).max() > 0.0
     assert not np.any(drawn.torque(0.0)(now))

@@ -46,13 +46,21 @@ def small_world(regime: str = "nadir", step_s: float = 30.0, rows: int = 240, se
     start = np.datetime64("2012-03-20T10:00:00", "ns")
     time = epoch.add_seconds(start, step_s * np.arange(rows))
     orbit = dataclasses.replace(
-        world.orbit, epoch_utc=start, altitude_km=650.0, eccentricity=0.001, inclination_rad=np.radians(97.8),
+        world.orbit,
+        epoch_utc=start,
+        altitude_km=650.0,
+        eccentricity=0.001,
+        inclination_rad=np.radians(97.8),
         raan_rad=0.4,
-    )  # fmt: skip
+    )
     return dataclasses.replace(
-        world, orbit=orbit, time=time, motion=draw_motion(np.random.default_rng(seed), regime, time),
-        recorded=frozenset(OPTIONAL), missing=np.zeros(rows, dtype=bool),
-    )  # fmt: skip
+        world,
+        orbit=orbit,
+        time=time,
+        motion=draw_motion(np.random.default_rng(seed), regime, time),
+        recorded=frozenset(OPTIONAL),
+        missing=np.zeros(rows, dtype=bool),
+    )
 
 
 def drawn(maker: Any, world: World, size: float, seed: int = 11) -> tuple[World, Truth]:
@@ -65,11 +73,13 @@ def drawn(maker: Any, world: World, size: float, seed: int = 11) -> tuple[World,
 def wertz_matrix(q: np.ndarray) -> np.ndarray:
     """Attitude matrix of a quaternion, scalar last: Wertz 1978, equation 12-13a, element by element."""
     q1, q2, q3, q4 = q
-    return np.array([
-        [q1**2 - q2**2 - q3**2 + q4**2, 2 * (q1 * q2 + q3 * q4), 2 * (q1 * q3 - q2 * q4)],
-        [2 * (q1 * q2 - q3 * q4), -(q1**2) + q2**2 - q3**2 + q4**2, 2 * (q2 * q3 + q1 * q4)],
-        [2 * (q1 * q3 + q2 * q4), 2 * (q2 * q3 - q1 * q4), -(q1**2) - q2**2 + q3**2 + q4**2],
-    ])  # fmt: skip
+    return np.array(
+        [
+            [q1**2 - q2**2 - q3**2 + q4**2, 2 * (q1 * q2 + q3 * q4), 2 * (q1 * q3 - q2 * q4)],
+            [2 * (q1 * q2 - q3 * q4), -(q1**2) + q2**2 - q3**2 + q4**2, 2 * (q2 * q3 + q1 * q4)],
+            [2 * (q1 * q3 + q2 * q4), 2 * (q2 * q3 - q1 * q4), -(q1**2) - q2**2 + q3**2 + q4**2],
+        ]
+    )
 
 
 def field_by_coefficients(world: World, time: np.ndarray, at_epoch: np.ndarray, r_N_km: np.ndarray) -> np.ndarray:

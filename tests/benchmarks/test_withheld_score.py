@@ -36,14 +36,27 @@ def entry(
 
 
 def case(
-    truths: list[dict[str, Any]], effects: list[dict[str, Any]], verdict: str = "effect", population: str = "singles",
-    stage: str | None = "sensor", equivalent: tuple[str, ...] = (), closed: float | None = 0.95,
-) -> Judged:  # fmt: skip
+    truths: list[dict[str, Any]],
+    effects: list[dict[str, Any]],
+    verdict: str = "effect",
+    population: str = "singles",
+    stage: str | None = "sensor",
+    equivalent: tuple[str, ...] = (),
+    closed: float | None = 0.95,
+) -> Judged:
     """One case with its answer open."""
     sealed = {
-        "case": "a", "population": population, "number": 0, "label": "x", "regime": "nadir", "truths": truths,
-        "rows": 500, "step_s": 10.0, "bursts": False, "attitude_tau_s": 0.0,
-    }  # fmt: skip
+        "case": "a",
+        "population": population,
+        "number": 0,
+        "label": "x",
+        "regime": "nadir",
+        "truths": truths,
+        "rows": 500,
+        "step_s": 10.0,
+        "bursts": False,
+        "attitude_tau_s": 0.0,
+    }
     where = {"stage": stage, "equivalent": list(equivalent), "condition": None}
     said = {"verdict": verdict, "effects": effects, "where": where, "gap": {"closed": closed}, "seconds": 1.0}
     return Judged(sealed, said | {"resembles": []})
@@ -80,13 +93,16 @@ def test_stage_counts_equivalents_and_no_claim_is_wrong() -> None:
 
 def test_every_row_counts_what_it_names() -> None:
     cases = [
-        case([], [], verdict="no_gap", population="nulls"), case([], [], verdict="unknown", population="nulls"),
-        case([truth("ring_current", 0.9)], [entry("ring_current")]), case([truth("ring_current", 0.9)], [], "unknown"),
-        case([truth("ring_current", 0.1)], [], "no_gap"), case([truth("excess_noise", 0.4)], [], "no_gap"),
+        case([], [], verdict="no_gap", population="nulls"),
+        case([], [], verdict="unknown", population="nulls"),
+        case([truth("ring_current", 0.9)], [entry("ring_current")]),
+        case([truth("ring_current", 0.9)], [], "unknown"),
+        case([truth("ring_current", 0.1)], [], "no_gap"),
+        case([truth("excess_noise", 0.4)], [], "no_gap"),
         case([truth("excess_noise", 0.6)], [entry("excess_noise")]),
         case([truth("yaw_flex", 1.5)], [], "unknown", "outside"),
         case([truth("yaw_flex", 1.5)], [entry("yaw_drift")], "effect", "outside"),
-    ]  # fmt: skip
+    ]
     rows = score.rows_of(cases)
     assert value(rows, "no gap on a perfect simulation") == 0.5
     assert value(rows, "single, with a Jacobian") == 0.5
@@ -106,12 +122,14 @@ def test_rows_with_sun_and_nadir_stand_beside_those_without() -> None:
     head, other = [truth("horizon_scanner_bias")], [truth("along_track_error")]
     both = entry("horizon_scanner_bias", "yaw_drift")
     cases = [
-        sealed(case([], [], "no_gap", "nulls"), sensors_deg={}), case([], [], "effect", "nulls"),
+        sealed(case([], [], "no_gap", "nulls"), sensors_deg={}),
+        case([], [], "effect", "nulls"),
         sealed(case(head, [entry("horizon_scanner_bias")], population="sensed"), sensors_deg={}),
-        case(head, [both], population="sensed"), case(head, [], "unknown", "sensed"),
+        case(head, [both], population="sensed"),
+        case(head, [], "unknown", "sensed"),
         sealed(case(other, [entry("along_track_error"), both], population="sensed"), sensors_deg={}),
         case(other, [entry("along_track_error")], population="sensed"),
-    ]  # fmt: skip
+    ]
     rows = beside.second_channel(cases)
     found = [row["value"] for row in rows]
     assert [row["figure"].startswith("sun and nadir measured") for row in rows] == 6 * [True, False]

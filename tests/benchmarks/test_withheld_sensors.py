@@ -40,8 +40,9 @@ def world() -> World:
     while True:
         drawn = draw_world(rng, "nadir")
         if of_place.sun_sensor_head_misalignment(drawn, np.random.default_rng(1)) is not None:
-            return dataclasses.replace(drawn, time=drawn.time[:2000], missing=drawn.missing[:2000],
-                                       sensors=draw_sensors(drawn.key))  # fmt: skip
+            return dataclasses.replace(
+                drawn, time=drawn.time[:2000], missing=drawn.missing[:2000], sensors=draw_sensors(drawn.key)
+            )
 
 
 def made(maker: Callable[..., object], world: World, size: float) -> tuple[World, Truth]:
@@ -80,8 +81,16 @@ def test_a_biased_scanner_turns_nadir_as_it_turns_the_attitude(maker, world: Wor
 
 def test_only_faults_of_these_sensors_touch_them(world: World) -> None:
     before = vectors(world, [])
-    names = ("sun_sensor_head_misalignment", "horizon_scanner_bias", "yaw_drift", "along_track_error", "time_tag_offset",
-             "ring_current", "scale_misalignment", "bias_step")  # fmt: skip
+    names = (
+        "sun_sensor_head_misalignment",
+        "horizon_scanner_bias",
+        "yaw_drift",
+        "along_track_error",
+        "time_tag_offset",
+        "ring_current",
+        "scale_misalignment",
+        "bias_step",
+    )
     touched = []
     for name in names:
         _, truth = made(PLAIN[name], world, 0.5)

@@ -71,9 +71,10 @@ def scenario() -> Scenario:
 @pytest.fixture(scope="module")
 def problem(scenario: Scenario) -> Problem:
     base = Magnetometer(
-        np.array([[0.01, 0.002, 0.0], [0.0, -0.02, 0.0], [0.003, 0.0, 0.01]]), np.array([300.0, -200.0, 100.0]),
+        np.array([[0.01, 0.002, 0.0], [0.0, -0.02, 0.0], [0.003, 0.0, 0.01]]),
+        np.array([300.0, -200.0, 100.0]),
         np.diag([1.0, 2.0, 3.0]),
-    )  # fmt: skip
+    )
     record = simulate(scenario)[0]
     return pose(record, load_field("igrf14", degree=6), modelled=MODELLED, instrument=base)
 
@@ -178,9 +179,12 @@ def test_chance_of_being_seen_is_that_of_the_score(close) -> None:
     for spread, rank in ((0.0, 1), (3.0, 3), (0.5, 9)):
         bar = float(chi2.isf(0.01, rank))
         close(
-            _seen_by_chance(np.full(rank, spread), bar), chi2.sf(bar / (1.0 + spread), rank), atol=0.01, unit="1",
+            _seen_by_chance(np.full(rank, spread), bar),
+            chi2.sf(bar / (1.0 + spread), rank),
+            atol=0.01,
+            unit="1",
             because="20,000 draws: 0.0035 at most, one sigma",
-        )  # fmt: skip
+        )
 
 
 def test_targets_keep_the_motion_and_follow_the_sun(problem: Problem) -> None:
@@ -188,9 +192,12 @@ def test_targets_keep_the_motion_and_follow_the_sun(problem: Problem) -> None:
     found = targets(problem)
     names = [target.name for target in found]
     assert names == [
-        "nadir, 12 h later", "nadir, 90 days later", "nadir, 182 days later", "tumble of 0.25 deg/s, 90 days later",
+        "nadir, 12 h later",
+        "nadir, 90 days later",
+        "nadir, 182 days later",
+        "tumble of 0.25 deg/s, 90 days later",
         "spin of 1.9 rpm, 90 days later",
-    ]  # fmt: skip
+    ]
     here = problem.setting
     R_BO = here.given[2] * here.R_ON.inv()
     for target, days in zip(found[:3], DAYS, strict=True):

@@ -58,10 +58,12 @@ SINGLES = {
     "time_tag_offset": ("tumble", "[effects.time_tag_offset]\noffset_s = 4.0", "time", {"offset": 4.0}),
     "field_epoch": ("tumble", "[effects.field_epoch]\nahead_yr = 5.0", "field", {"ahead": 5.0}),
     "thermal_bias_drift": (
-        "nadir", "[effects.thermal_bias_drift]\nb_nT_per_K = [34.0, -24.0, 17.0]", "sensor",
+        "nadir",
+        "[effects.thermal_bias_drift]\nb_nT_per_K = [34.0, -24.0, 17.0]",
+        "sensor",
         {"b_x": 34.0, "b_y": -24.0, "b_z": 17.0},
     ),
-}  # fmt: skip
+}
 
 
 def telemetry(design: str, effects: str = "") -> Telemetry:
@@ -79,9 +81,12 @@ def test_a_perfect_simulation_has_no_gap(design, close):
     assert found.verdict == "no_gap"
     assert found.effects == [] and found.gap.closed is None
     close(
-        found.gap.before_nT, found.gap.floor_nT, atol=0.1 * found.gap.floor_nT, unit="nT",
+        found.gap.before_nT,
+        found.gap.floor_nT,
+        atol=0.1 * found.gap.floor_nT,
+        unit="nT",
         because="held-out residual of a perfect simulation is its noise, to a tenth (slow attitude error, 480 rows)",
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("name", SINGLES)

@@ -154,15 +154,21 @@ def test_a_spinner_without_attitude_that_leaves_b_open_is_refused() -> None:
 def test_passes_over_stations_with_a_fine_sensor_have_no_gap() -> None:
     """Ten minutes a pass, hours apart, S of some per cent: plain least squares takes the slow attitude errors up in S, and
     the noise must not be built on that S."""
-    config = readme_scenario().updated({
-        "magnetometer": {"S": [[0.03, 0.01, -0.006], [-0.008, -0.025, 0.01], [0.006, -0.01, 0.02]],
-                         "b_nT": [1500.0, -800.0, 300.0], "noise_nT": 2.0, "lsb_nT": 0.5},
-        "attitude.reference": {"sigma_deg": 0.25, "tau_s": 500.0},
-        "schedule.segments": [
-            {"start_utc": f"2026-03-01T{hour:02d}:{minute:02d}:00Z", "duration_min": 10.0, "step_s": 2.4}
-            for hour, minute in ((0, 0), (3, 10), (8, 40), (14, 20), (19, 50))
-        ],
-    })  # fmt: skip
+    config = readme_scenario().updated(
+        {
+            "magnetometer": {
+                "S": [[0.03, 0.01, -0.006], [-0.008, -0.025, 0.01], [0.006, -0.01, 0.02]],
+                "b_nT": [1500.0, -800.0, 300.0],
+                "noise_nT": 2.0,
+                "lsb_nT": 0.5,
+            },
+            "attitude.reference": {"sigma_deg": 0.25, "tau_s": 500.0},
+            "schedule.segments": [
+                {"start_utc": f"2026-03-01T{hour:02d}:{minute:02d}:00Z", "duration_min": 10.0, "step_s": 2.4}
+                for hour, minute in ((0, 0), (3, 10), (8, 40), (14, 20), (19, 50))
+            ],
+        }
+    )
     for seed in range(6):
         found = asked(simulate(config.updated({"seed": seed}))[0], Budget(2.0, 0.5, float(np.radians(0.25))))
         assert found.verdict == "no_gap", found.sentence

@@ -92,9 +92,12 @@ def test_a_perfect_simulation_without_any_attitude_has_no_gap(close):
     assert {"horizon_scanner_bias", "yaw_drift", "sun_sensor_head_misalignment", "bit_errors"} <= set(found.untestable)
     assert "481 of 481 rows" in found.provenance["without_attitude"]
     close(
-        found.gap.before_nT, float(np.hypot(100.0, 100.0 / np.sqrt(12.0))), atol=12.0, unit="nT",
+        found.gap.before_nT,
+        float(np.hypot(100.0, 100.0 / np.sqrt(12.0))),
+        atol=12.0,
+        unit="nT",
         because="sensor noise and rounding alone: 481 components, nine parameters, to three sigma",
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("name", SINGLES)

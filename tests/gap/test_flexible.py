@@ -121,9 +121,11 @@ def test_none_is_named_for_what_is_not_in_the_list(bench: Bench) -> None:
         + np.outer(np.sin(0.04 * t) * t / t[-1], [0, 200.0, 0]),
         "random telegraph": np.outer(np.cumsum(rng.random(t.size) < 0.02) % 2, [150.0, 80.0, -90.0]),
         "sunlit": np.outer(bench.problem.setting.illumination > 0.5, [150.0, 0.0, 100.0]),
-        "noise that breathes": 150.0 * rng.standard_normal((t.size, 3)) * (bench.problem.setting.latitude_rad > 0)[:, None],
+        "noise that breathes": 150.0
+        * rng.standard_normal((t.size, 3))
+        * (bench.problem.setting.latitude_rad > 0)[:, None],
         "heavy tails": 80.0 * rng.standard_t(3, (t.size, 3)),
-    }  # fmt: skip
+    }
     for number, (name, signal) in enumerate(unknown.items()):
         assert bench.confirmed(signal, 100 + number) == set(), name
 

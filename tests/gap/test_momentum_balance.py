@@ -153,9 +153,15 @@ def posed(telemetry: Telemetry, scenario: Scenario) -> Problem:
 def alone(telemetry: Telemetry, scenario: Scenario) -> Momentum:
     """The balance by itself: a magnetometer's channel without rows, of thirty alternatives."""
     nothing: Any = SimpleNamespace(
-        modelled=(), chosen=(), named=(), candidates=(), residual_nT=np.zeros((3, 3)), tested=30,
-        apply=lambda columns: np.zeros((0, 3, *columns.shape[2:])), measured=0,
-    )  # fmt: skip
+        modelled=(),
+        chosen=(),
+        named=(),
+        candidates=(),
+        residual_nT=np.zeros((3, 3)),
+        tested=30,
+        apply=lambda columns: np.zeros((0, 3, *columns.shape[2:])),
+        measured=0,
+    )
     craft = Craft(vehicle_of(scenario))
     return balanced(posed(telemetry, scenario), craft, nothing, nothing, np.zeros((3, 3, 0)))
 
@@ -248,9 +254,10 @@ def test_an_effect_that_the_scenario_has_is_no_gap() -> None:
 def mixed() -> tuple[Telemetry, Scenario, Diagnosis]:
     """A torque and a storm, through the front door."""
     telemetry, scenario = flown(
-        "bias", effects__residual_dipole_torque={"dipole_Am2": [0.2, 0.0, -0.1]},
+        "bias",
+        effects__residual_dipole_torque={"dipole_Am2": [0.2, 0.0, -0.1]},
         effects__ring_current={"external_nT": -300.0},
-    )  # fmt: skip
+    )
     return telemetry, scenario, diagnosing.diagnose(telemetry, scenario=scenario)
 
 

@@ -532,9 +532,11 @@ def test_the_budget_is_completed_and_says_how(flight: Problem, close: Close) -> 
     close(whole.noise_nT, 60.0, atol=12.0, unit="nT", because="scatter of a MAD of 598 second differences, 5 %, at 4")
     assert whole.attitude_sigma_rad is None
     assert dict(whole.sources or {}) == {
-        "lsb_nT": FROM_SPACING, "noise_nT": FROM_DIFFERENCES,
-        "attitude_sigma_rad": NOT_KNOWN, "attitude_tau_s": NOT_KNOWN,
-    }  # fmt: skip
+        "lsb_nT": FROM_SPACING,
+        "noise_nT": FROM_DIFFERENCES,
+        "attitude_sigma_rad": NOT_KNOWN,
+        "attitude_tau_s": NOT_KNOWN,
+    }
     given = complete_budget(dataclasses.replace(flight, budget=Budget(60.0, 44.0, 0.002)))
     assert dict(given.sources or {})["noise_nT"] == DECLARED
     assert prior_of(given).sigma_log_sd < prior_of(whole).sigma_log_sd

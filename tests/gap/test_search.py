@@ -82,12 +82,31 @@ ATTITUDES = {
 VISIBLE_NT = 25.0
 NOISE = NoiseModel(20.0, np.radians(0.03), 150.0)
 NAMES = (
-    "time_tag_offset", "along_track_error", "field_epoch", "field_truncation", "ring_current",
-    "sun_sensor_head_misalignment", "horizon_scanner_bias", "yaw_drift", "torquer_coupling", "solar_array_current",
-    "battery_current", "heater_switching", "wheel_field", "eddy_current", "switched_field", "boom_bending",
-    "thermal_bias_drift", "thermal_scale_drift", "bias_step", "hysteresis", "quadratic_nonlinearity",
-    "cubic_nonlinearity", "sensor_lag", "saturation",
-)  # fmt: skip
+    "time_tag_offset",
+    "along_track_error",
+    "field_epoch",
+    "field_truncation",
+    "ring_current",
+    "sun_sensor_head_misalignment",
+    "horizon_scanner_bias",
+    "yaw_drift",
+    "torquer_coupling",
+    "solar_array_current",
+    "battery_current",
+    "heater_switching",
+    "wheel_field",
+    "eddy_current",
+    "switched_field",
+    "boom_bending",
+    "thermal_bias_drift",
+    "thermal_scale_drift",
+    "bias_step",
+    "hysteresis",
+    "quadratic_nonlinearity",
+    "cubic_nonlinearity",
+    "sensor_lag",
+    "saturation",
+)
 
 
 @dataclasses.dataclass(frozen=True)

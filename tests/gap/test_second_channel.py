@@ -42,8 +42,10 @@ def test_a_turned_head_is_named_and_the_angle_confirms_it():
     found = ask(record(HEAD_2))
     first = found.effects[0]
     assert (first.name, first.settings, first.group) == (
-        "sun_sensor_head_misalignment", {"head": 2}, ("sun_sensor_head_misalignment",),
-    )  # fmt: skip
+        "sun_sensor_head_misalignment",
+        {"head": 2},
+        ("sun_sensor_head_misalignment",),
+    )
     # With one head in use a constant bias of the scanner changes the angle alike; the readings tell the two apart.
     shown = found.provenance["sun_nadir"]
     assert "sun_sensor_head_misalignment of head 2" in [

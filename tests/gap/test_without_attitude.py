@@ -129,17 +129,23 @@ def test_a_large_bias_and_matrix_are_found_from_the_size_of_the_field_alone(clos
     problem = settled(posed(without(record, everywhere(record))))
     left = problem.judged(problem.residual_nT)
     close(
-        left, np.zeros_like(left), atol=0.5, unit="nT",
+        left,
+        np.zeros_like(left),
+        atol=0.5,
+        unit="nT",
         because="four steps of Gauss and Newton from zero leave 1e-5 of the 3700 nT of bias",
-    )  # fmt: skip
+    )
     b, S = (np.asarray(theta) for theta in problem.modelled_theta)
     field = (np.eye(3) + S.reshape(3, 3)) @ np.array(record.mag_B_nT).T + b[:, None]
     true = (np.eye(3) + TRUE_S) @ np.array(record.mag_B_nT).T + TRUE_B_NT[:, None]
     turn, _ = Rotation.align_vectors(true.T, field.T)
     close(
-        turn.apply(field.T), true.T, atol=5.0, unit="nT",
+        turn.apply(field.T),
+        true.T,
+        atol=5.0,
+        unit="nT",
         because="but for a turn of all axes, which a size cannot show, the calibration is the true one to 1e-4",
-    )  # fmt: skip
+    )
     assert not np.allclose(b, 0.0, atol=500.0)
 
 
@@ -159,10 +165,14 @@ def test_any_turn_of_the_body_leaves_the_residual_of_a_row_without_attitude_alon
         # The same addition seen from the turned body, as large as it is: sizes compared by hand.
         F, G = field[use], field[use] + turned[use]
         close(
-            still[:, 0] if not nadir else np.einsum("ni,ni->n", axes.turn[use][:, 0], axes.without_turn(turned, field)[use]),
+            still[:, 0]
+            if not nadir
+            else np.einsum("ni,ni->n", axes.turn[use][:, 0], axes.without_turn(turned, field)[use]),
             np.linalg.norm(G, axis=1) - np.linalg.norm(F, axis=1) if not nadir else still[:, 0],
-            atol=1e-6, unit="nT", because="both are the same geometry",
-        )  # fmt: skip
+            atol=1e-6,
+            unit="nT",
+            because="both are the same geometry",
+        )
         alone = axes.judged(axes.without_turn(Rotation.from_rotvec(0.05 * axis).apply(field) - field, field))
         assert np.abs(alone[use]).max() < 1e-6
         assert np.abs(alone[axes.known]).max() > (100.0 if not nadir else -1.0)
@@ -183,9 +193,12 @@ def test_the_pseudo_attitude_takes_the_model_field_and_nadir_to_what_was_measure
     use = angle.axes.with_nadir
     assert use.sum() > 200
     close(
-        (angle.setting.given[2] * true.inv()).magnitude()[use], np.zeros(use.sum()), atol=1e-6, unit="rad",
+        (angle.setting.given[2] * true.inv()).magnitude()[use],
+        np.zeros(use.sum()),
+        atol=1e-6,
+        unit="rad",
         because="without noise nadir and field together are the whole attitude",
-    )  # fmt: skip
+    )
 
 
 def test_nadir_is_used_only_where_it_can_be_weighed():
@@ -210,9 +223,12 @@ def test_a_constant_turn_of_the_nadir_sensor_is_taken_out_and_its_scatter_weighs
     use = axes.with_nadir
     angle = np.linalg.norm(np.cross(axes.nadir_B, np.array(both.nadir_B)), axis=1)[use]
     close(
-        np.sqrt(np.mean(angle**2) / 2.0), 2e-3, atol=4e-4, unit="rad",
+        np.sqrt(np.mean(angle**2) / 2.0),
+        2e-3,
+        atol=4e-4,
+        unit="rad",
         because="the turn of 27 mrad is gone, the noise of 2 mrad an axis stays (150 rows: 6 %)",
-    )  # fmt: skip
+    )
     close(axes.nadir_error, np.hypot(1.0, 2.0), atol=0.3, unit="1", because="2 mrad on top of the declared 1 mrad")
     assert np.unique(posed(both.replace(nadir_B=noisy)).segment).size == 2  # where the sensor changes
 
@@ -231,9 +247,12 @@ def test_the_floor_counts_measured_components_alone(close):
     field = np.array([[30000.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     measured = np.array([[True, True, True], [True, False, False]])
     close(
-        floor_rms_nT(field, 10.0, 1e-3, measured), np.sqrt(100.0 + 900.0 * 2 / 4), atol=1e-9, unit="nT",
+        floor_rms_nT(field, 10.0, 1e-3, measured),
+        np.sqrt(100.0 + 900.0 * 2 / 4),
+        atol=1e-9,
+        unit="nT",
         because="two of four components feel 30 nT of attitude error",
-    )  # fmt: skip
+    )
 
 
 def test_a_walk_is_predicted_alike_one_axis_at_a_time_or_together(close):
@@ -272,6 +291,9 @@ def test_axes_do_not_see_what_a_turn_does_through_a_wrong_matrix(close):
     axes = row_axes(known, field, np.zeros((50, 3)), matrix, 1.0)
     moved = np.cross(rng.standard_normal((50, 3)), field) @ np.linalg.inv(matrix).T
     close(
-        axes.judged(moved)[:, 0], np.zeros(50), atol=1e-9 * 3e4, unit="nT",
+        axes.judged(moved)[:, 0],
+        np.zeros(50),
+        atol=1e-9 * 3e4,
+        unit="nT",
         because="(I + S)^T B is across (I + S)^-1 (theta x B)",
-    )  # fmt: skip
+    )

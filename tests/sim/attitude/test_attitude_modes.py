@@ -187,9 +187,12 @@ def test_slews_rest_at_the_waypoints_and_hold(close) -> None:
     middle = slewing(stamps(np.array([575.0])))
     turn = (points[1].attitude * points[0].attitude.inv()).magnitude()
     close(
-        np.linalg.norm(middle.rate_B_rad_s), 1.875 * turn / 850.0, atol=1e-12, unit="rad/s",
+        np.linalg.norm(middle.rate_B_rad_s),
+        1.875 * turn / 850.0,
+        atol=1e-12,
+        unit="rad/s",
         because="the quintic's steepest slope is 15/8",
-    )  # fmt: skip
+    )
 
 
 def test_inertial_hold(close) -> None:
@@ -204,8 +207,13 @@ def test_spin_starts_with_the_momentum_where_it_was_asked(close) -> None:
     axis = np.array([0.2, -0.5, 0.7])
     spinner = spinning(stamps(np.arange(0.0, 500.0, 7.0)))
     L_N = spinner.R_BN.inv().apply(np.array([0.8, 0.8, 1.12]) * spinner.rate_B_rad_s)
-    close(L_N / np.linalg.norm(L_N, axis=1)[:, None], axis / np.linalg.norm(axis), atol=1e-12, unit="1",
-          because="momentum is kept")  # fmt: skip
+    close(
+        L_N / np.linalg.norm(L_N, axis=1)[:, None],
+        axis / np.linalg.norm(axis),
+        atol=1e-12,
+        unit="1",
+        because="momentum is kept",
+    )
     z_N = spinner.R_BN.inv().apply([0.0, 0.0, 1.0])
     nutation = np.arccos(z_N @ axis / np.linalg.norm(axis))
     close(nutation, np.radians(2.0), atol=1e-9, unit="rad", because="the nutation angle of an axisymmetric body")

@@ -54,9 +54,15 @@ SPIN = 'mode = "spin"\nspin_axis_N = [0.36, 0.48, 0.8]\nspin_rate_rpm = 1.6\nnut
 
 
 def flown(
-    attitude: str, *, seed: int, effects: str = "", samples: int = 500, step_s: float = 30.0, tau_s: float = 150.0,
+    attitude: str,
+    *,
+    seed: int,
+    effects: str = "",
+    samples: int = 500,
+    step_s: float = 30.0,
+    tau_s: float = 150.0,
     sigma_deg: float = 0.12,
-) -> Telemetry:  # fmt: skip
+) -> Telemetry:
     """Telemetry of a scenario."""
     text = SCENARIO.format(
         seed=seed, attitude=attitude, effects=effects, samples=samples, step_s=step_s, tau_s=tau_s, sigma_deg=sigma_deg

@@ -76,9 +76,16 @@ def recorded(t: FloatArray, R_BN: Rotation, gyro: FloatArray | None = None, know
 
 EXACT = [
     # The quintic over +-4 rows errs by the sixth power of w h: a thousandth of the noise usual in attitudes, or less.
-    ("spin", 0.1, 1e-8), ("spin", 1.0, 1e-4), ("spin", 2.0, 5e-3), ("tumble", 1.0, 1e-9), ("tumble", 20.0, 1e-5),
-    ("tumble", 60.0, 1e-2), ("libration", 0.1, 1e-9), ("libration", 5.0, 1e-7), ("libration", 30.0, 2e-3),
-]  # fmt: skip
+    ("spin", 0.1, 1e-8),
+    ("spin", 1.0, 1e-4),
+    ("spin", 2.0, 5e-3),
+    ("tumble", 1.0, 1e-9),
+    ("tumble", 20.0, 1e-5),
+    ("tumble", 60.0, 1e-2),
+    ("libration", 0.1, 1e-9),
+    ("libration", 5.0, 1e-7),
+    ("libration", 30.0, 2e-3),
+]
 
 
 @pytest.mark.parametrize(("name", "step_s", "within_deg"), EXACT)

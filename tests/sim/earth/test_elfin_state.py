@@ -98,15 +98,25 @@ def test_a_day_of_flight_is_a_mean_orbit_with_j2(state, times, close):
     v = state.velocity_gei.values[rows].astype(float)
     T = frames.rotation_TN(t[0])
     h = np.cross(T.apply(r[0]), T.apply(v[0]))[0]
-    guess = [6800 / 7000, 0.0, 0.0, np.arccos(h[2] / np.linalg.norm(h)), np.arctan2(h[0], -h[1]),
-             argument_of_latitude(t[:1], r[:1], v[:1])[0]]  # fmt: skip
+    guess = [
+        6800 / 7000,
+        0.0,
+        0.0,
+        np.arccos(h[2] / np.linalg.norm(h)),
+        np.arctan2(h[0], -h[1]),
+        argument_of_latitude(t[:1], r[:1], v[:1])[0],
+    ]
 
     def model(x):
         return Orbit(
-            epoch_utc=t[0], altitude_km=x[0] * 7000 - EARTH_RADIUS_KM, eccentricity=np.hypot(x[1], x[2]),
-            inclination_rad=x[3], raan_rad=x[4], argument_of_perigee_rad=np.arctan2(x[2], x[1]),
+            epoch_utc=t[0],
+            altitude_km=x[0] * 7000 - EARTH_RADIUS_KM,
+            eccentricity=np.hypot(x[1], x[2]),
+            inclination_rad=x[3],
+            raan_rad=x[4],
+            argument_of_perigee_rad=np.arctan2(x[2], x[1]),
             argument_of_latitude_rad=x[5],
-        )  # fmt: skip
+        )
 
     head = slice(0, 60)  # two hours fix the phase before the whole day fixes the period
     first = least_squares(lambda x: (model(x).propagate(t[head])[0] - r[head]).ravel(), guess, x_scale=1e-3)

@@ -85,8 +85,13 @@ def test_splined_series_agree_with_the_full_series(close):
     bound = {"atol": 1e-11, "unit": "rad", "because": "cubic spline of terms of 5 days and more on a 3 h grid"}
     close(frames.rotation_EN(times).as_matrix()[rows], full, **bound)
     close(frames.rotation_TN(times).as_matrix()[rows], erfa.pnm06a(*tt), **bound)
-    close(sun.sun_N_km(times)[rows], np.concatenate([sun.sun_N_km(t) for t in few]), atol=1e-3, unit="km",
-          because="7e-12 of an astronomical unit")  # fmt: skip
+    close(
+        sun.sun_N_km(times)[rows],
+        np.concatenate([sun.sun_N_km(t) for t in few]),
+        atol=1e-3,
+        unit="km",
+        because="7e-12 of an astronomical unit",
+    )
 
 
 def test_grid_is_used_only_where_it_saves_work():
@@ -106,8 +111,14 @@ def test_grid_is_used_only_where_it_saves_work():
 
 def test_a_batch_is_its_rows(close):
     """Position, velocity and light of many stamps at once, in any order, are those of each stamp alone."""
-    flying = Orbit(epoch_utc=np.datetime64("1978-07-24T06:00:00"), altitude_km=790.0, eccentricity=0.01,
-                   inclination_rad=1.885, raan_rad=2.0, argument_of_perigee_rad=1.0)  # fmt: skip
+    flying = Orbit(
+        epoch_utc=np.datetime64("1978-07-24T06:00:00"),
+        altitude_km=790.0,
+        eccentricity=0.01,
+        inclination_rad=1.885,
+        raan_rad=2.0,
+        argument_of_perigee_rad=1.0,
+    )
     times = flying.epoch_utc + np.random.default_rng(4).integers(-(10**14), 10**14, 200).astype("timedelta64[ns]")
     r, v = flying.propagate(times)
     light = sun.illumination(r, sun.sun_N_km(times))
@@ -115,5 +126,10 @@ def test_a_batch_is_its_rows(close):
         r_one, v_one = flying.propagate(times[row])
         close(r_one[0], r[row], atol=1e-9, unit="km", because="rounding")
         close(v_one[0], v[row], atol=1e-12, unit="km/s", because="rounding")
-        close(sun.illumination(r_one, sun.sun_N_km(times[row]))[0], light[row], atol=1e-6, unit="disc",
-              because="the sun's spline, 1e-3 km")  # fmt: skip
+        close(
+            sun.illumination(r_one, sun.sun_N_km(times[row]))[0],
+            light[row],
+            atol=1e-6,
+            unit="disc",
+            because="the sun's spline, 1e-3 km",
+        )

@@ -20,9 +20,14 @@ DEG_PER_DAY = np.degrees(1.0) * 86400.0
 
 def orbit(a_km=7168.0, e=0.0, i_deg=108.0, raan=1.0, perigee=0.6, latitude=0.6):
     return Orbit(
-        epoch_utc=START, altitude_km=a_km - EARTH_RADIUS_KM, eccentricity=e, inclination_rad=np.radians(i_deg),
-        raan_rad=raan, argument_of_perigee_rad=perigee, argument_of_latitude_rad=latitude,
-    )  # fmt: skip
+        epoch_utc=START,
+        altitude_km=a_km - EARTH_RADIUS_KM,
+        eccentricity=e,
+        inclination_rad=np.radians(i_deg),
+        raan_rad=raan,
+        argument_of_perigee_rad=perigee,
+        argument_of_latitude_rad=latitude,
+    )
 
 
 @pytest.mark.parametrize(("a", "e", "i_deg"), [(7168, 0.0, 108), (26560, 0.74, 63.4), (6778, 0.001, 51.6)])
@@ -145,8 +150,12 @@ def test_argument_of_latitude(close):
 
 def test_leap_second_moves_the_spacecraft_by_its_velocity(close):
     """1 January 1979 came one second late: a satellite is 7.5 km further than a clock without it would say."""
-    before = Orbit(epoch_utc=np.datetime64("1978-12-31T12:00:00", "ns"), altitude_km=790.0,
-                   inclination_rad=np.radians(108.0), raan_rad=0.0)  # fmt: skip
+    before = Orbit(
+        epoch_utc=np.datetime64("1978-12-31T12:00:00", "ns"),
+        altitude_km=790.0,
+        inclination_rad=np.radians(108.0),
+        raan_rad=0.0,
+    )
     midnight = np.datetime64("1979-01-01T00:00:00", "ns")
     r, v = before.propagate(midnight)
     earlier = before.propagate(midnight - np.timedelta64(1, "s"))[0]  # 23:59:59 is two seconds before
@@ -164,8 +173,15 @@ def j2_acceleration(_t, y):
 
 def from_vector(x):
     e, perigee = np.hypot(x[1], x[2]), np.arctan2(x[2], x[1])
-    return Orbit(epoch_utc=START, altitude_km=x[0] * 7000 - EARTH_RADIUS_KM, eccentricity=e, inclination_rad=x[3],
-                 raan_rad=x[4], argument_of_perigee_rad=perigee, argument_of_latitude_rad=x[5])  # fmt: skip
+    return Orbit(
+        epoch_utc=START,
+        altitude_km=x[0] * 7000 - EARTH_RADIUS_KM,
+        eccentricity=e,
+        inclination_rad=x[3],
+        raan_rad=x[4],
+        argument_of_perigee_rad=perigee,
+        argument_of_latitude_rad=x[5],
+    )
 
 
 @pytest.mark.parametrize(
@@ -196,8 +212,13 @@ def test_mean_orbit_against_numerical_integration(close, a, e, i_deg):
         reverse = Orbit(**{**vars(matched), "inclination_rad": np.pi - matched.inclination_rad})
         close(reverse.propagate(times)[0], truth_km, atol=15.0, unit="km", because=because)
     node_truth = node_rate(solved, seconds)
-    close(matched.raan_rate_rad_s * DEG_PER_DAY, node_truth * DEG_PER_DAY, atol=0.02, unit="deg/day",
-          because="second order in J2, and the matched a")  # fmt: skip
+    close(
+        matched.raan_rate_rad_s * DEG_PER_DAY,
+        node_truth * DEG_PER_DAY,
+        atol=0.02,
+        unit="deg/day",
+        because="second order in J2, and the matched a",
+    )
 
 
 @pytest.mark.parametrize("i_deg", [20.0, 80.0])
@@ -241,10 +262,14 @@ def node_rate(states, seconds):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"e": 1.0}, "eccentricity"), ({"e": -0.1}, "eccentricity"), ({"i_deg": 190.0}, "inclination"),
-        ({"a_km": 6400.0}, "perigee"), ({"e": 0.2}, "perigee"), ({"raan": np.nan}, "raan_rad"),
+        ({"e": 1.0}, "eccentricity"),
+        ({"e": -0.1}, "eccentricity"),
+        ({"i_deg": 190.0}, "inclination"),
+        ({"a_km": 6400.0}, "perigee"),
+        ({"e": 0.2}, "perigee"),
+        ({"raan": np.nan}, "raan_rad"),
     ],
-)  # fmt: skip
+)
 def test_elements_that_are_no_orbit_are_refused(changes, message):
     with pytest.raises(BadInput, match=message):
         orbit(**changes)

@@ -25,9 +25,12 @@ def at(
 
 def low_orbit(inclination_deg: float) -> Orbit:
     return Orbit(
-        epoch_utc=START, altitude_km=700.0, inclination_rad=np.radians(inclination_deg), raan_rad=0.3,
+        epoch_utc=START,
+        altitude_km=700.0,
+        inclination_rad=np.radians(inclination_deg),
+        raan_rad=0.3,
         argument_of_latitude_rad=0.0,
-    )  # fmt: skip
+    )
 
 
 def test_straight_above_is_ninety_degrees_and_the_horizon_is_level(close):

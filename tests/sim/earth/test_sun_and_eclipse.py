@@ -52,8 +52,13 @@ def test_low_precision_formula_of_the_almanac(close):
     bound = {"atol": np.radians(0.02), "unit": "rad", "because": "twice the accuracy the Almanac states"}
     close(ours, expected, **bound)
     distance_au = np.linalg.norm(sun.sun_N_km(times), axis=1) / AU_KM
-    close(distance_au, 1.00014 - 0.01671 * np.cos(g) - 0.00014 * np.cos(2 * g),
-          atol=3e-4, unit="au", because="no lunar term in the formula, constants rounded")  # fmt: skip
+    close(
+        distance_au,
+        1.00014 - 0.01671 * np.cos(g) - 0.00014 * np.cos(2 * g),
+        atol=3e-4,
+        unit="au",
+        because="no lunar term in the formula, constants rounded",
+    )
     for mutant in (-ours, ours[:, [0, 2, 1]], sun.sun_direction_N(times + np.timedelta64(1, "D"))):
         with pytest.raises(AssertionError):
             close(mutant, expected, **bound)

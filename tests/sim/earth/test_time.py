@@ -12,10 +12,21 @@ pytestmark = pytest.mark.reference
 
 # TAI - UTC [s] from the stated day on: IERS Bulletin C and its history table.
 BULLETIN_C = {
-    "1972-01-01": 10, "1972-07-01": 11, "1973-01-01": 12, "1978-01-01": 17, "1979-01-01": 18, "1980-01-01": 19,
-    "1981-07-01": 20, "1990-01-01": 25, "1999-01-01": 32, "2006-01-01": 33, "2009-01-01": 34, "2012-07-01": 35,
-    "2015-07-01": 36, "2017-01-01": 37,
-}  # fmt: skip
+    "1972-01-01": 10,
+    "1972-07-01": 11,
+    "1973-01-01": 12,
+    "1978-01-01": 17,
+    "1979-01-01": 18,
+    "1980-01-01": 19,
+    "1981-07-01": 20,
+    "1990-01-01": 25,
+    "1999-01-01": 32,
+    "2006-01-01": 33,
+    "2009-01-01": 34,
+    "2012-07-01": 35,
+    "2015-07-01": 36,
+    "2017-01-01": 37,
+}
 
 
 def test_tai_minus_utc_of_bulletin_c(close):
@@ -36,8 +47,13 @@ def test_stamps_around_a_leap_second():
     start = np.datetime64("2016-12-31T23:59:58", "ns")
     stamps = epoch.add_seconds(start, np.array([0.0, 1.0, 2.0, 3.0, 4.0]))
     # 23:59:60 has no stamp of its own and gets that of the second after it.
-    expected = ["2016-12-31T23:59:58", "2016-12-31T23:59:59", "2017-01-01T00:00:00", "2017-01-01T00:00:00",
-                "2017-01-01T00:00:01"]  # fmt: skip
+    expected = [
+        "2016-12-31T23:59:58",
+        "2016-12-31T23:59:59",
+        "2017-01-01T00:00:00",
+        "2017-01-01T00:00:00",
+        "2017-01-01T00:00:01",
+    ]
     assert (stamps == np.array(expected, dtype="datetime64[ns]")).all()
 
 
@@ -52,9 +68,21 @@ def test_day_counts_of_the_field_models(close):
 
 @pytest.mark.parametrize(
     "text",
-    ["", "yesterday", "1978", "1978-07", "1978-13-01", "1978-02-30", "1978-07-24T25:00", "1978-07-24T06:00:00+02:00",
-     "24/07/1978", "NaT", "3000-01-01", "1600-01-01T00:00:00Z"],
-)  # fmt: skip
+    [
+        "",
+        "yesterday",
+        "1978",
+        "1978-07",
+        "1978-13-01",
+        "1978-02-30",
+        "1978-07-24T25:00",
+        "1978-07-24T06:00:00+02:00",
+        "24/07/1978",
+        "NaT",
+        "3000-01-01",
+        "1600-01-01T00:00:00Z",
+    ],
+)
 def test_what_is_no_time_is_refused(text):
     with pytest.raises(BadInput, match=r"no time|out of range"):
         epoch.parse_time(text, where="row 3")

@@ -139,9 +139,10 @@ def test_elements_far_from_their_epoch_are_noted_not_refused():
 
 def test_files_with_and_without_a_name(tmp_path, shared):
     for text, name in (
-        (f"{LINE1}\n{LINE2}\n", ""), (f"PADRE   \r\n{LINE1}\r\n{LINE2}", "PADRE"),
+        (f"{LINE1}\n{LINE2}\n", ""),
+        (f"PADRE   \r\n{LINE1}\r\n{LINE2}", "PADRE"),
         (f"\ufeff0 PADRE\n\n{LINE1}  \n{LINE2}\n", "PADRE"),
-    ):  # fmt: skip
+    ):
         path = tmp_path / "one.tle"
         path.write_bytes(text.encode("utf-8"))
         read = tle.read_tle(path)

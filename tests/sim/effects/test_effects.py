@@ -75,25 +75,55 @@ segments = [{ start_utc = "2020-03-01T00:00:00Z", duration_min = 200.0, step_s =
 """Everything that any effect acts on, and no noise at all."""
 
 STAGE_OF = {
-    "residual_dipole_torque": "dynamics", "aerodynamic_torque": "dynamics", "solar_pressure_torque": "dynamics",
-    "eddy_torque": "dynamics", "gravity_gradient_inertia_error": "dynamics", "torquer_gain_error": "dynamics",
-    "bias": "sensor", "scale_misalignment": "sensor", "torquer_coupling": "spacecraft",
-    "quadratic_nonlinearity": "sensor", "cubic_nonlinearity": "sensor", "hysteresis": "sensor",
-    "saturation": "sensor", "sensor_lag": "sensor", "coarse_quantization": "sensor", "excess_noise": "sensor",
-    "thermal_bias_drift": "sensor", "thermal_scale_drift": "sensor", "bias_step": "sensor",
-    "bias_random_walk": "sensor", "bit_errors": "telemetry", "time_tag_offset": "time", "along_track_error": "orbit",
-    "field_epoch": "field", "field_truncation": "field", "ring_current": "field", "solar_array_current": "spacecraft",
-    "battery_current": "spacecraft", "heater_switching": "spacecraft", "wheel_field": "spacecraft",
-    "eddy_current": "spacecraft", "switched_field": "spacecraft", "boom_bending": "spacecraft",
-    "sun_sensor_head_misalignment": "attitude", "horizon_scanner_bias": "attitude", "yaw_drift": "attitude",
-}  # fmt: skip
+    "residual_dipole_torque": "dynamics",
+    "aerodynamic_torque": "dynamics",
+    "solar_pressure_torque": "dynamics",
+    "eddy_torque": "dynamics",
+    "gravity_gradient_inertia_error": "dynamics",
+    "torquer_gain_error": "dynamics",
+    "bias": "sensor",
+    "scale_misalignment": "sensor",
+    "torquer_coupling": "spacecraft",
+    "quadratic_nonlinearity": "sensor",
+    "cubic_nonlinearity": "sensor",
+    "hysteresis": "sensor",
+    "saturation": "sensor",
+    "sensor_lag": "sensor",
+    "coarse_quantization": "sensor",
+    "excess_noise": "sensor",
+    "thermal_bias_drift": "sensor",
+    "thermal_scale_drift": "sensor",
+    "bias_step": "sensor",
+    "bias_random_walk": "sensor",
+    "bit_errors": "telemetry",
+    "time_tag_offset": "time",
+    "along_track_error": "orbit",
+    "field_epoch": "field",
+    "field_truncation": "field",
+    "ring_current": "field",
+    "solar_array_current": "spacecraft",
+    "battery_current": "spacecraft",
+    "heater_switching": "spacecraft",
+    "wheel_field": "spacecraft",
+    "eddy_current": "spacecraft",
+    "switched_field": "spacecraft",
+    "boom_bending": "spacecraft",
+    "sun_sensor_head_misalignment": "attitude",
+    "horizon_scanner_bias": "attitude",
+    "yaw_drift": "attitude",
+}
 """The names that are promised, and where in the chain each acts."""
 
 ALSO_LOOKS_LIKE = {
-    "bias": {"spacecraft"}, "scale_misalignment": {"attitude"}, "hysteresis": {"spacecraft"}, "sensor_lag": {"time"},
-    "coarse_quantization": {"telemetry"}, "bias_step": {"spacecraft"}, "bias_random_walk": {"spacecraft"},
+    "bias": {"spacecraft"},
+    "scale_misalignment": {"attitude"},
+    "hysteresis": {"spacecraft"},
+    "sensor_lag": {"time"},
+    "coarse_quantization": {"telemetry"},
+    "bias_step": {"spacecraft"},
+    "bias_random_walk": {"spacecraft"},
     "boom_bending": {"attitude", "sensor"},
-}  # fmt: skip
+}
 
 NOT_EXACT_NT = {
     # The prediction knows the motion between stamps only from the record, here by quintics over four rows to either
@@ -408,9 +438,14 @@ def test_faults_in_an_effects_section_are_named(section, said):
 
 def test_units_become_suffixes():
     wanted = {
-        "nT": "nT", "deg/h": "deg_h", "nT/(A m2)": "nT_per_Am2", "1/K": "per_K", "nT/sqrt(s)": "nT_per_sqrt_s", "1": "",
+        "nT": "nT",
+        "deg/h": "deg_h",
+        "nT/(A m2)": "nT_per_Am2",
+        "1/K": "per_K",
+        "nT/sqrt(s)": "nT_per_sqrt_s",
+        "1": "",
         "nT/K": "nT_per_K",
-    }  # fmt: skip
+    }
     assert {unit: unit_suffix(unit) for unit in wanted} == wanted
 
 

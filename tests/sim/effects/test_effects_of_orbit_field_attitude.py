@@ -275,9 +275,7 @@ def test_yaw_drift_predicts_what_it_simulates(axis, close):
     effect, rate = YawDrift(axis=axis), np.array([20.0])
     setting = setting_at(np.arange(0.0, 7201.0, 30.0), R_BO=Rotation.from_rotvec([0.4, -0.4, -0.5]))
     signal = Chain(setting).simulated([(effect, rate)], seed=0)
-    reported = setting_at(
-        setting.seconds, R_BO=signal.R_reported_BN * setting.R_ON.inv(), direction="predict"
-    )  # fmt: skip
+    reported = setting_at(setting.seconds, R_BO=signal.R_reported_BN * setting.R_ON.inv(), direction="predict")
     found = Chain(reported).signal([(effect, rate)]).R_BN
     error = np.degrees((found * signal.R_BN.inv()).magnitude())
     close(error, 0.0, atol=1e-9, unit="deg", because="the same turn, the other way")
@@ -288,8 +286,11 @@ def test_yaw_drift_offers_body_z_where_the_body_leans():
     straight, leaning = (setting_at(seconds, R_BO=Rotation.from_rotvec([lean, 0.0, 0.3])) for lean in (0.01, 0.05))
     assert {one.axis for one in YawDrift().alternatives(straight)} == {"nadir"}
     assert [(one.when, one.axis) for one in YawDrift().alternatives(leaning)] == [
-        ("always", "nadir"), ("eclipse", "nadir"), ("always", "body_z"), ("eclipse", "body_z"),
-    ]  # fmt: skip
+        ("always", "nadir"),
+        ("eclipse", "nadir"),
+        ("always", "body_z"),
+        ("eclipse", "body_z"),
+    ]
 
 
 @pytest.mark.parametrize("spacing_s", [60.0, 7.0])

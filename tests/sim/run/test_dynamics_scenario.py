@@ -159,8 +159,12 @@ def test_a_saved_scenario_flies_again(scenario: Scenario) -> None:
     )
     assert vehicle_of(again).packed()[0].tolist() == vehicle_of(scenario).packed()[0].tolist()
     assert {torque.name for torque in vehicle_of(scenario).torques} == {
-        "gravity_gradient", "residual_dipole", "aerodynamic", "solar_pressure", "torquers",
-    }  # fmt: skip
+        "gravity_gradient",
+        "residual_dipole",
+        "aerodynamic",
+        "solar_pressure",
+        "torquers",
+    }
 
 
 def test_a_scheduled_dipole_turns_the_body(scenario: Scenario) -> None:
@@ -179,8 +183,10 @@ def test_the_law_may_read_the_instrument(scenario: Scenario) -> None:
     same = sure.updated({"control.magnetometer": "instrument"})
     biased = same.updated({"magnetometer.b_nT": [7000.0, -3000.0, -6000.0]})
     ideal = sure.updated({"magnetometer.b_nT": [7000.0, -3000.0, -6000.0]})
-    dipole = {name: flights(s).flights[0].dipole_B_Am2 for name, s in
-              {"sure": sure, "same": same, "biased": biased, "ideal": ideal}.items()}  # fmt: skip
+    dipole = {
+        name: flights(s).flights[0].dipole_B_Am2
+        for name, s in {"sure": sure, "same": same, "biased": biased, "ideal": ideal}.items()
+    }
     assert np.array_equal(dipole["sure"], dipole["same"]) and np.array_equal(dipole["sure"], dipole["ideal"])
     assert np.abs(dipole["biased"] - dipole["sure"]).max() > 0.1 * np.abs(dipole["sure"]).max()
 

@@ -126,8 +126,13 @@ def test_figures_are_those_of_the_series(scenario: Scenario, straight: Path, clo
         figures = dict(zip(opened["figures"].attrs["columns"].split(), opened["figures"].to_numpy().T, strict=True))
         angle = opened["pointing_deg"].to_numpy().astype(np.float64)
         squares = sum(opened[f"{name}_deg"].to_numpy().astype(np.float64) ** 2 for name in ("yaw", "roll", "pitch"))
-        close(figures["pointing_rms_deg"], np.sqrt(np.mean(angle**2, axis=1)), atol=1e-5, unit="deg",
-              because="float32 series")  # fmt: skip
+        close(
+            figures["pointing_rms_deg"],
+            np.sqrt(np.mean(angle**2, axis=1)),
+            atol=1e-5,
+            unit="deg",
+            because="float32 series",
+        )
         # For small turns the angle is the root of the squares of yaw, roll and pitch.
         close(angle**2, squares, atol=0.05, unit="deg2", because="third order of ten degrees")
         duty = 10.0 * np.abs(opened["dipole_B_Am2"]).mean("time").to_numpy()
@@ -306,9 +311,12 @@ def test_the_command_interrupted_says_how_to_go_on(straight: Path, tmp_path: Pat
     words = [sys.executable, "-m", "fluxtwin", "ensemble", str(tmp_path / "s.toml"), "--vehicles", "400"]
     words += ["--out", str(results), "--jobs", "2", "--chunk", "2"]
     process = subprocess.Popen(
-        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        words,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a suite in the background ignores it
-    )  # fmt: skip
+    )
     patience = time.monotonic() + 240.0
     while not list(results.glob("chunk-*.nc")) and process.poll() is None and time.monotonic() < patience:
         time.sleep(0.05)

@@ -162,12 +162,14 @@ def test_noises_of_the_other_sensors_are_degrees(plain: Scenario) -> None:
     """Sun sensor, horizon scanner and gyro, each against the same flight without its noise."""
     sensors = {
         "sun_sensor.1": {"azimuth_deg": 0.0, "elevation_deg": 90.0, "half_fov_deg": 80.0},
-        "horizon_scanner": {}, "gyro": {},
-    }  # fmt: skip
+        "horizon_scanner": {},
+        "gyro": {},
+    }
     noisy = {
         "sun_sensor.1": {**sensors["sun_sensor.1"], "noise_deg": 0.3},
-        "horizon_scanner": {"noise_deg": 0.2}, "gyro": {"noise_deg_s": 0.01},
-    }  # fmt: skip
+        "horizon_scanner": {"noise_deg": 0.2},
+        "gyro": {"noise_deg_s": 0.01},
+    }
     quiet, loud = simulate(plain.updated(sensors))[0], simulate(plain.updated(noisy))[0]
     assert quiet.sun_B is not None and loud.sun_B is not None
     seen = np.isfinite(quiet.sun_B).all(axis=1) & np.isfinite(loud.sun_B).all(axis=1)

@@ -129,9 +129,12 @@ def test_reported_attitude_has_the_stated_error(scenario):
     """2000 samples 30 time constants apart are independent: the rms of three axes is known to 1/sqrt(2*6000) = 0.9 %;
     5 % is 5.5 sigma."""
     far = scenario.updated(
-        {"schedule.segments": [{"start_utc": "2020-03-01T00:00:00Z", "samples": 2000, "step_s": 3600.0}],
-         "power": None, "thermal": None}
-    )  # fmt: skip
+        {
+            "schedule.segments": [{"start_utc": "2020-03-01T00:00:00Z", "samples": 2000, "step_s": 3600.0}],
+            "power": None,
+            "thermal": None,
+        }
+    )
     telemetry, truth = simulate(far)
     error = frames.rotation_from_q(telemetry.q_NB) * frames.rotation_from_q(truth.q_NB).inv()
     rms_deg = np.degrees(np.sqrt(np.mean(error.as_rotvec() ** 2)))
@@ -197,9 +200,16 @@ def test_attitude_from_sensors_only_where_a_head_sees_the_sun(scenario):
 def test_replay_keeps_the_record_and_simulates_the_magnetometer(scenario, run, tmp_path, close):
     write_telemetry(run[0], tmp_path / "recorded.nc")
     text = "\n".join(
-        ["seed = 8", "[spacecraft]", 'name = "test"', "[replay]", 'telemetry = "recorded.nc"', "[magnetometer]",
-         "b_nT = [10.0, 20.0, 30.0]"]
-    )  # fmt: skip
+        [
+            "seed = 8",
+            "[spacecraft]",
+            'name = "test"',
+            "[replay]",
+            'telemetry = "recorded.nc"',
+            "[magnetometer]",
+            "b_nT = [10.0, 20.0, 30.0]",
+        ]
+    )
     path = tmp_path / "replay.toml"
     path.write_text(text)
     from fluxtwin.sim.scenario.scenario import load_scenario

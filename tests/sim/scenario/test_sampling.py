@@ -77,8 +77,11 @@ def test_each_sensor_has_its_rows_and_blanks_elsewhere(scenario: Scenario) -> No
     for start, part in (("2022-01-01T00:00:00", ~second), ("2022-01-01T12:00:02.5", second)):
         seconds = epoch.seconds_since(telemetry.time[part], np.datetime64(start, "ns"))
         for name, every_s, offset_s in (
-            ("mag_B_nT", 10.0, 0.0), ("q_NB", 30.0, 5.0), ("rate_B_rad_s", 15.0, 0.0), ("temperature_degC", 60.0, 0.0),
-        ):  # fmt: skip
+            ("mag_B_nT", 10.0, 0.0),
+            ("q_NB", 30.0, 5.0),
+            ("rate_B_rad_s", 15.0, 0.0),
+            ("temperature_degC", 60.0, 0.0),
+        ):
             value, full = (np.array(getattr(record, name))[part] for record in (telemetry, whole))
             known = np.isfinite(value.reshape(len(value), -1)).all(axis=1)
             assert np.array_equal(known, np.isclose(seconds % every_s, offset_s))
@@ -97,9 +100,13 @@ def test_an_attitude_from_sensors_wants_both_in_its_row(scenario: Scenario) -> N
     head = {"azimuth_deg": 0.0, "elevation_deg": 20.0, "half_fov_deg": 80.0}
     other = {"azimuth_deg": 180.0, "elevation_deg": 20.0, "half_fov_deg": 80.0}
     sensed = scenario.updated(
-        {"sun_sensor": {"1": head, "2": other}, "horizon_scanner": {}, "attitude.reference": {"source": "sensors"},
-         "sampling": {"sun_sensor": {"every_s": 10.0}, "horizon_scanner": {"every_s": 15.0}}}
-    )  # fmt: skip
+        {
+            "sun_sensor": {"1": head, "2": other},
+            "horizon_scanner": {},
+            "attitude.reference": {"source": "sensors"},
+            "sampling": {"sun_sensor": {"every_s": 10.0}, "horizon_scanner": {"every_s": 15.0}},
+        }
+    )
     telemetry, _ = simulate(sensed)
     seen = np.isfinite(np.array(telemetry.sun_B)).all(axis=1)
     nadir = np.isfinite(np.array(telemetry.nadir_B)).all(axis=1)
@@ -135,10 +142,12 @@ def test_blanks_are_read_as_the_documents_say(scenario: Scenario, tmp_path: Path
         ({"sampling.attitude.offset_s": 30.0}, "offset_s is to be less than every_s"),
         ({"sampling.torquers": {"every_s": 10.0}}, r"\[sampling.torquers\]: the scenario has no such part"),
         ({"sampling.compass": {"every_s": 10.0}}, "unknown key sampling.compass"),
-        ({"torquers": {"dipole_Am2": [1.0, 1.0, 1.0], "positions_m": [[1.0, 0.0, 0.0]] * 3}},
-         r"torquers.dipole_Am2: one number is wanted \(found a list of 3\)"),
+        (
+            {"torquers": {"dipole_Am2": [1.0, 1.0, 1.0], "positions_m": [[1.0, 0.0, 0.0]] * 3}},
+            r"torquers.dipole_Am2: one number is wanted \(found a list of 3\)",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_does_not_fit_is_said(scenario: Scenario, changes: dict[str, object], words: str) -> None:
     with pytest.raises(BadInput, match=words):
         scenario.updated(changes)

@@ -146,8 +146,13 @@ def test_roll_and_pitch_are_those_of_the_3_1_2_set(close) -> None:
     close(found_pitch, pitch, atol=1e-13, unit="rad", because="round trip")
     close(nadir_from(roll, pitch), nadir, atol=1e-14, unit="1", because="round trip")
     # Journal eq. 13: to first order the column of nadir is (-p, r, 1).
-    close(nadir_from(np.array([1e-4]), np.array([2e-4])), [[-2e-4, 1e-4, 1.0]], atol=3e-8, unit="1",
-          because="second order in the angles")  # fmt: skip
+    close(
+        nadir_from(np.array([1e-4]), np.array([2e-4])),
+        [[-2e-4, 1e-4, 1.0]],
+        atol=3e-8,
+        unit="1",
+        because="second order in the angles",
+    )
 
 
 def test_scanner_bias_noise_and_rounding(close) -> None:

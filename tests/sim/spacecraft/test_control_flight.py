@@ -124,9 +124,12 @@ def test_the_momentum_balances_the_torques_along_the_flight(close) -> None:
     """H(t2) - H(t1) is the integral of the torque in N, which is worked out anew from what the flight recorded."""
     J = np.diag([100.0, 120.0, 80.0])
     torques = (
-        GravityGradient(), ResidualDipole(dipole_Am2=(1.0, 0.5, -0.3)), Torquers(dipole_Am2=10.0),
-        Aerodynamic(plates=PLATES), SolarPressure(plates=PLATES),
-    )  # fmt: skip
+        GravityGradient(),
+        ResidualDipole(dipole_Am2=(1.0, 0.5, -0.3)),
+        Torquers(dipole_Am2=10.0),
+        Aerodynamic(plates=PLATES),
+        SolarPressure(plates=PLATES),
+    )
     wheel = Wheel((0.0, 1.0, 0.0), 0.05, 300.0, 0.05, 1e-5, 1e-3)
     vehicle = Vehicle(J, (wheel,), torques, LAWS["b_dot"])
     around = environment_along(

@@ -214,8 +214,13 @@ def test_wheels_hold_the_momentum_that_they_are_given(close) -> None:
     close(speed @ [1.0, -1.0, 1.0, -1.0], 0.0, atol=1e-9, unit="rpm", because="least squares: no null motion")
     biased = wheel_speed_rpm(momentum, axes, 0.01, [2000.0, -2000.0, 2000.0, -2000.0])
     close(biased - speed, [[2000.0, -2000.0, 2000.0, -2000.0]], atol=1e-9, unit="rpm", because="added")
-    close(wheel_speed_rpm([[0.0, 1.0, 0.0]], [[0.0, 2.0, 0.0]], 0.1), 10.0 * 30.0 / np.pi, atol=1e-12, unit="rpm",
-          because="1 N m s / 0.1 kg m2 = 10 rad/s")  # fmt: skip
+    close(
+        wheel_speed_rpm([[0.0, 1.0, 0.0]], [[0.0, 2.0, 0.0]], 0.1),
+        10.0 * 30.0 / np.pi,
+        atol=1e-12,
+        unit="rpm",
+        because="1 N m s / 0.1 kg m2 = 10 rad/s",
+    )
 
 
 def test_impossible_housekeeping_is_refused() -> None:

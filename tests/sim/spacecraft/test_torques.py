@@ -113,11 +113,22 @@ def test_a_compass_needle_swings_at_the_textbook_rate(close) -> None:
     J, m, b_nT, turn0 = 2.0, 5.0, 40_000.0, 1e-3
     vehicle = Vehicle(np.diag([J, J, J]), torques=(ResidualDipole(dipole_Am2=(m, 0.0, 0.0)),))
     q = np.array([0.0, 0.0, np.sin(turn0 / 2), np.cos(turn0 / 2)])
-    flight = fly([vehicle], [still((b_nT, 0, 0), 3000.0)], [Start(q, np.zeros(3), np.zeros(0))],
-                 duration_s=3000.0, step_s=1.0, log_every=50)  # fmt: skip
+    flight = fly(
+        [vehicle],
+        [still((b_nT, 0, 0), 3000.0)],
+        [Start(q, np.zeros(3), np.zeros(0))],
+        duration_s=3000.0,
+        step_s=1.0,
+        log_every=50,
+    )
     swing = np.sqrt(m * b_nT * 1e-9 / J)
-    close(2.0 * flight.q_NB[0, :, 2], turn0 * np.cos(swing * flight.seconds_s), atol=1e-8, unit="rad",
-          because="a swing of 1e-3 is longer by 6e-8, five swings; fourth order in 0.01")  # fmt: skip
+    close(
+        2.0 * flight.q_NB[0, :, 2],
+        turn0 * np.cos(swing * flight.seconds_s),
+        atol=1e-8,
+        unit="rad",
+        because="a swing of 1e-3 is longer by 6e-8, five swings; fourth order in 0.01",
+    )
 
 
 DRIVES = {
@@ -346,9 +357,12 @@ BAD = {
         SolarPressure,
         {"plates": [FACE], "specular": 0.7, "diffuse": 0.7},
     ),
-    "eddy currents that speed up": (EddyCurrents, {"K_Am2_s_per_T": [[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]}),
+    "eddy currents that speed up": (
+        EddyCurrents,
+        {"K_Am2_s_per_T": [[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]},
+    ),
     "no plates": (Aerodynamic, {"plates": []}),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", BAD)

@@ -51,15 +51,25 @@ def one_file(time: str, columns: str = MAG) -> str:
         ('{ recipe = "unix_s", columns = "t" }', "t", [1583020800], [1583020801.25], (0, 1.25)),
         ('{ recipe = "unix_ms", columns = "t" }', "t", [1583020800000], [1583020801250], (0, 1.25)),
         ('{ recipe = "unix_us", columns = "t", offset_s = 2 }', "t", [1583020800000000], [1583020801250000], (2, 3.25)),
-        ('{ recipe = "seconds_ns", columns = ["t", "n"] }', "t,n", [1583020800, 0], [1583020801, 250000001],
-         (0, 1.250000001)),
+        (
+            '{ recipe = "seconds_ns", columns = ["t", "n"] }',
+            "t,n",
+            [1583020800, 0],
+            [1583020801, 250000001],
+            (0, 1.250000001),
+        ),
         # from one second before the leap second at the end of 2016: one more SI second than the stamps differ by
         # 2020-03-01 is day 14666 since the GPS epoch: week 2095, day 1; GPS - UTC = 18 s (IERS Bulletin C 58)
         ('{ recipe = "gps_week_tow", columns = ["w", "t"] }', "w,t", [2095, 18.0], [2095, 19.25], (0, 1.25)),
-        ('{ recipe = "seconds_since", columns = "t", epoch = "2016-12-31T23:59:59Z" }', "t", [99792002.0], [99792003.25],
-         (0, 1.25)),
+        (
+            '{ recipe = "seconds_since", columns = "t", epoch = "2016-12-31T23:59:59Z" }',
+            "t",
+            [99792002.0],
+            [99792003.25],
+            (0, 1.25),
+        ),
     ],
-)  # fmt: skip
+)
 def test_time_recipes(
     tmp_path: Path, time: str, head: str, first: list[object], second: list[object], stamps: tuple[float, float]
 ) -> None:
@@ -232,7 +242,7 @@ GOOD = one_file('{ recipe = "unix_s", columns = "t" }')
         ("tle = 5\n" + GOOD, "tle"),
         ('tle = "none.tle"\n' + GOOD, "none.tle"),
     ],
-)  # fmt: skip
+)
 def test_a_bad_map_gets_one_message(tmp_path: Path, toml: str, said: str) -> None:
     csv(tmp_path / "a.csv", "t,bx,by,bz", [[1583020800, 100.0, 200.0, 300.0]])
     with pytest.raises(BadInput) as caught:

@@ -145,9 +145,11 @@ def test_a_near_miss_is_answered(tmp_path: Path, attitude: str, frame: str, said
 
 @pytest.mark.parametrize(
     ("time", "said"),
-    [('"ts_unix_ms"', 'as { recipe = "unix_ms", columns = "ts_unix_ms" }'),
-     ('{ recipe = "unixms", columns = "t" }', "did you mean unix_ms?")],
-)  # fmt: skip
+    [
+        ('"ts_unix_ms"', 'as { recipe = "unix_ms", columns = "ts_unix_ms" }'),
+        ('{ recipe = "unixms", columns = "t" }', "did you mean unix_ms?"),
+    ],
+)
 def test_a_bare_time_column_is_answered_with_an_example(tmp_path: Path, time: str, said: str) -> None:
     (tmp_path / "map.toml").write_text(
         f'[[file]]\ntime = {time}\n[file.columns]\nmag = {{ from = ["a", "b", "c"], unit = "nT" }}\n'

@@ -222,13 +222,15 @@ FAULTS: dict[str, tuple[Callable[[list[str]], list[str]], str]] = {
     "semicolons": (lambda x: [s.replace(",", ";") for s in x], "separated by semicolons"),
     "sep line": (lambda x: ["sep=,", *x], "sep= line"),
     "metres": (lambda x: [s.replace("7168.1", "7168100.0") for s in x], "positions look like metres"),
-    "zero quaternion": (lambda x: [s.replace(",2,1e4,-2e4,3.5e4,0,0,0,1", ",2,1,1,1,0,0,0,0") for s in x],
-                        "the quaternion in row 3 is zero"),
+    "zero quaternion": (
+        lambda x: [s.replace(",2,1e4,-2e4,3.5e4,0,0,0,1", ",2,1,1,1,0,0,0,0") for s in x],
+        "the quaternion in row 3 is zero",
+    ),
     "long quaternion": (lambda x: [s.replace(",0,0,0,1", ",0,0,0,1.01") for s in x], "in row 1 has norm 1.01"),
     "flag of 2": (lambda x: [x[0] + ",sunlit", *(s + ",2" for s in x[1:])], "sunlit is 2 in row 1"),
     "NUL": (lambda x: [s.replace(",2,1e4", ",2,1\0") for s in x], "NUL byte in line 4"),
     "two frames": (lambda x: [x[0] + ",ecef_x_km,ecef_y_km,ecef_z_km", *(s + ",1,1,1" for s in x[1:])], "both r_x_km"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("fault", FAULTS)

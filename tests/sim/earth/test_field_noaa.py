@@ -23,11 +23,12 @@ from fluxtwin.sim.earth import field, field_models, frames
 pytestmark = pytest.mark.reference
 
 ROOT = Path(__file__).resolve().parents[3]
+NOAA = ROOT / "tests" / "reference" / "data" / "ncei_igrf_values.csv.gz"
 
 
-def noaa(shared: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
+def noaa(name: str) -> tuple[np.ndarray, np.ndarray]:
     """Earth-fixed position [km] and field [nT] of one set of values."""
-    with gzip.open(shared / "flight" / "ncei_igrf_values.csv.gz", "rt", encoding="utf-8") as opened:
+    with gzip.open(NOAA, "rt", encoding="utf-8") as opened:
         rows = [row for row in csv.DictReader(opened) if row["set"] == name]
     columns = ("lat_deg", "lon_deg", "alt_km", "B_N_nT", "B_E_nT", "B_down_nT")
     values = np.array([[float(row[column]) for column in columns] for row in rows])
@@ -43,8 +44,8 @@ def igrf13() -> field.FieldModel:
     return field_models.linear_model("igrf13", "IGRF-13", knots, data["coefficients_nT"])
 
 
-def test_dgrf_2010(shared: Path, close: Callable[..., None]) -> None:
-    r_E_km, b_E_nT = noaa(shared, "dgrf-2010-01-01")
+def test_dgrf_2010(close: Callable[..., None]) -> None:
+    r_E_km, b_E_nT = noaa("dgrf-2010-01-01")
     ours = field.field_E_nT(field.load_field("igrf14"), np.datetime64("2010-01-01"), r_E_km)
     because = "three components rounded to 0.1 nT: 0.05 sqrt 3, turned to Earth-fixed axes"
     close(ours, b_E_nT, atol=0.087, unit="nT", because=because)
@@ -73,9 +74,9 @@ def _as_if_geocentric(r_E_km: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
     ],
 )
 def test_igrf13_coefficients_behind_the_values(
-    name: str, atol: float, because: str, shared: Path, close: Callable[..., None]
+    name: str, atol: float, because: str, close: Callable[..., None]
 ) -> None:
-    r_E_km, b_E_nT = noaa(shared, name)
+    r_E_km, b_E_nT = noaa(name)
     design = field.design_matrix_E(13, r_E_km).reshape(-1, 195)
     found, _, rank, _ = np.linalg.lstsq(design, b_E_nT.ravel(), rcond=None)
     assert rank == 195

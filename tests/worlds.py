@@ -1,8 +1,9 @@
-"""Seasat's geometry, once for the closure tests of the calibration; results of a study in another world."""
+"""Scenarios as text; Seasat's geometry for the closure tests of the calibration; results of a study in another world."""
 
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -19,6 +20,51 @@ from fluxtwin.sim.telemetry.record import Telemetry
 # Lerner & Shuster 1979/1981: final b (eq. 10), final S (eq. 11) with the conference paper's sign of S12
 SEASAT_S = np.array([[0.021, -0.016, 0.004], [0.013, -0.022, -0.004], [0.007, -0.003, 0.002]])
 SEASAT_B_NT = np.array([7150.0, -2810.0, -6120.0])
+
+ORBIT = {
+    "epoch_utc": "2020-03-01T00:00:00Z",
+    "altitude_km": 650.0,
+    "inclination_deg": 97.9,
+    "raan_deg": 10.0,
+    "argument_of_latitude_deg": 0.0,
+}
+
+COARSE_MAGNETOMETER = """[magnetometer]
+S = [[0.005, 0.002, 0.0], [0.0, -0.005, 0.0], [0.001, 0.0, 0.004]]
+b_nT = [1000.0, -500.0, 200.0]
+noise_nT = 100.0
+lsb_nT = 100.0
+"""
+THERMAL = """[thermal]
+sunlit_degC = 25.0
+eclipse_degC = -20.0
+time_constant_min = 20.0
+"""
+
+
+def scenario_text(
+    sections: str = "",
+    *,
+    seed: int = 1,
+    name: str = "test",
+    inertia_kg_m2: list[list[float]] | None = None,
+    start_utc: str | None = None,
+    segment: str | None = "samples = 50, step_s = 30.0",
+    **orbit: Any,
+) -> str:
+    """The TOML text of a scenario: `ORBIT` with its changes, further sections, one segment from `start_utc` or the epoch.
+
+    With `segment=None` the sections bring their own schedule.
+    """
+    elements = {**ORBIT, **orbit}
+    body = {"name": name} if inertia_kg_m2 is None else {"name": name, "inertia_kg_m2": inertia_kg_m2}
+    text = f"seed = {seed}\n"
+    for section, values in (("spacecraft", body), ("orbit", elements)):
+        text += f"[{section}]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
+    text += sections.lstrip("\n")
+    if segment is not None:
+        text += f'[schedule]\nsegments = [{{ start_utc = "{start_utc or elements["epoch_utc"]}", {segment} }}]\n'
+    return text
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
+from worlds import scenario_text
 
 from fluxtwin.gap.schema import diagnosis_schema
 from fluxtwin.sim.run.simulate import simulate
@@ -19,16 +20,7 @@ from fluxtwin.sim.scenario.scenario import load_scenario, parse_scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
 
-SCENARIO = """
-seed = 5
-[spacecraft]
-name = "Floor"
-[orbit]
-epoch_utc = "2020-03-01T00:00:00Z"
-altitude_km = 650.0
-inclination_deg = 97.9
-raan_deg = 10.0
-argument_of_latitude_deg = 0.0
+SECTIONS = """
 [attitude]
 yaw_rms_deg = 4.0
 roll_rms_deg = 4.0
@@ -42,9 +34,8 @@ S = [[0.005, 0.002, 0.0], [0.0, -0.005, 0.0], [0.001, 0.0, 0.004]]
 b_nT = [1000.0, -500.0, 200.0]
 noise_nT = 30.0
 lsb_nT = 10.0
-[schedule]
-segments = [{ start_utc = "2020-03-01T00:00:00Z", duration_min = 200.0, step_s = 30.0 }]
 """
+SCENARIO = scenario_text(SECTIONS, seed=5, name="Floor", segment="duration_min = 200.0, step_s = 30.0")
 LATE = "[effects.time_tag_offset]\noffset_s = 15.0\n"
 FLAGS = ("--noise-nT", 30, "--lsb-nT", 10, "--attitude-sigma-deg", 0.05)
 

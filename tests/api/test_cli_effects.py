@@ -9,22 +9,11 @@ from pathlib import Path
 
 import pytest
 import xarray as xr
+from worlds import scenario_text
 
 from fluxtwin.sim.effects.catalogue import CATALOGUE
 
-SCENARIO = """
-seed = 3
-[spacecraft]
-name = "test"
-[orbit]
-epoch_utc = "2020-03-01T00:00:00Z"
-altitude_km = 650.0
-inclination_deg = 97.9
-raan_deg = 10.0
-argument_of_latitude_deg = 0.0
-[schedule]
-segments = [{ start_utc = "2020-03-01T00:00:00Z", samples = 50, step_s = 30.0 }]
-"""
+SCENARIO = scenario_text(seed=3)
 
 
 def test_the_catalogue_as_a_table_and_as_json(cli: Callable[..., object]) -> None:

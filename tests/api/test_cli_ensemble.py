@@ -8,29 +8,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from worlds import scenario_text
 
 import fluxtwin
 
-TEXT = """
-name = "few"
-seed = 2
-[spacecraft]
-name = "X"
-[orbit]
-epoch_utc = "2022-01-01T00:00:00Z"
-altitude_km = 600.0
-inclination_deg = 97.0
-raan_deg = 10.0
-argument_of_latitude_deg = 0.0
+SECTIONS = """
 [attitude]
 yaw_rms_deg = 1.0
 [magnetometer]
 b_nT = [0.0, 0.0, 0.0]
-[schedule]
-segments = [{ start_utc = "2022-01-01T00:00:00Z", samples = 20, step_s = 60.0 }]
 [draws]
 "magnetometer.b_nT" = { normal = 100.0 }
 """
+TEXT = 'name = "few"\n' + scenario_text(SECTIONS, seed=2, segment="samples = 20, step_s = 60.0")
 
 
 @pytest.fixture

@@ -11,18 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from worlds import scenario_text
 
-SCENARIO = """
-name = "floor"
-seed = 7
-[spacecraft]
-name = "Floor"
-[orbit]
-epoch_utc = "2012-03-01T00:00:00Z"
-altitude_km = 700.0
-inclination_deg = 98.0
-raan_deg = 40.0
-argument_of_latitude_deg = 0.0
+SECTIONS = """
 [attitude]
 yaw_rms_deg = 5.0
 roll_rms_deg = 5.0
@@ -35,9 +26,17 @@ noise_nT = 20.0
 dipole_Am2 = 10.0
 positions_m = [[0.5, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, 0.5]]
 activity = "off"
-[schedule]
-segments = [{ start_utc = "2012-03-01T00:00:00Z", samples = 200, step_s = 60.0 }]
 """
+SCENARIO = 'name = "floor"\n' + scenario_text(
+    SECTIONS,
+    seed=7,
+    name="Floor",
+    epoch_utc="2012-03-01T00:00:00Z",
+    altitude_km=700.0,
+    inclination_deg=98.0,
+    raan_deg=40.0,
+    segment="samples = 200, step_s = 60.0",
+)
 
 Cli = Callable[..., object]
 

@@ -11,32 +11,25 @@ import time
 from pathlib import Path
 
 import pytest
+from worlds import scenario_text
 
 from fluxtwin.sim.base import processes
 from fluxtwin.sim.base.progress import part_of, silent
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="sends signals as a terminal does")
 
-SCENARIO = """
-seed = 1
-[spacecraft]
-name = "X"
-[orbit]
-epoch_utc = "2026-03-01T00:00:00Z"
-altitude_km = 650.0
-inclination_deg = 97.9
-raan_deg = 120.0
-argument_of_latitude_deg = 0.0
+SECTIONS = """
 [attitude]
 mode = "earth_pointing"
 [magnetometer]
 b_nT = [0.0, 0.0, 0.0]
 noise_nT = 30.0
-[schedule]
-segments = [{ start_utc = "2026-03-01T00:00:00Z", duration_min = 600.0, step_s = 1.0 }]
 [draws]
 "magnetometer.b_nT" = { normal = 1500.0 }
 """
+SCENARIO = scenario_text(
+    SECTIONS, seed=1, epoch_utc="2026-03-01T00:00:00Z", raan_deg=120.0, segment="duration_min = 600.0, step_s = 1.0"
+)
 COMMANDS = {
     # Both last longer than any of the instants below.
     "ensemble": ["ensemble", "s.toml", "--vehicles", "1000", "--out", "results", "--jobs", "2", "--chunk", "4"],

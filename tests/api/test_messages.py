@@ -12,21 +12,11 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from worlds import scenario_text
 
 import fluxtwin
 
-SCENARIO = """seed = 7
-[spacecraft]
-name = "Words"
-[orbit]
-epoch_utc = "2012-03-01T00:00:00Z"
-altitude_km = 700.0
-inclination_deg = 98.0
-raan_deg = 40.0
-argument_of_latitude_deg = 0.0
-[schedule]
-segments = [{ start_utc = "2012-03-01T00:00:00Z", samples = 5, step_s = 60.0 }]
-"""
+SCENARIO = scenario_text(seed=7, epoch_utc="2012-03-01T00:00:00Z", segment="samples = 5, step_s = 60.0")
 CALIBRATION = """convention = "A B0 = (I+S) B + b + T D"
 S = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
 b_nT = [0.0, 0.0, 0.0]

@@ -14,28 +14,27 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from worlds import scenario_text
 
 from fluxtwin.outputs import written_by_fluxtwin
 
-SCENARIO = """# the author's own words
-seed = 7
-[spacecraft]
-name = "Outputs"
-[orbit]
-epoch_utc = "2012-03-01T00:00:00Z"
-altitude_km = 700.0
-inclination_deg = 98.0
-raan_deg = 40.0
-argument_of_latitude_deg = 0.0
+SECTIONS = """
 [attitude]
 yaw_rms_deg = 5.0
 roll_rms_deg = 5.0
 pitch_rms_deg = 5.0
 [magnetometer]
 noise_nT = 20.0
-[schedule]
-segments = [{ start_utc = "2012-03-01T00:00:00Z", samples = 60, step_s = 60.0 }]
 """
+SCENARIO = "# the author's own words\n" + scenario_text(
+    SECTIONS,
+    seed=7,
+    epoch_utc="2012-03-01T00:00:00Z",
+    altitude_km=700.0,
+    inclination_deg=98.0,
+    raan_deg=40.0,
+    segment="samples = 60, step_s = 60.0",
+)
 REPLAY = """seed = 7
 [spacecraft]
 name = "Replay"

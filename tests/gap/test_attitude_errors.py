@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from worlds import scenario_text
 
 from fluxtwin.gap.conditions import conditions
 from fluxtwin.gap.diagnose import diagnose
@@ -23,29 +24,9 @@ from fluxtwin.sim.telemetry.record import Telemetry
 
 pytestmark = pytest.mark.closure
 
-SCENARIO = """
-seed = {seed}
-[spacecraft]
-name = "still"
-inertia_kg_m2 = [[3.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 0.0, 5.0]]
-[orbit]
-epoch_utc = "2021-05-01T00:00:00Z"
-altitude_km = 700.0
-inclination_deg = 97.0
-raan_deg = 120.0
-argument_of_latitude_deg = 0.0
-[attitude]
-{motion}
-[attitude.reference]
-sigma_deg = 0.1
-tau_s = {tau_s}
-[magnetometer]
+MAGNETOMETER = """[magnetometer]
 S = [[0.005, 0.002, 0.001], [0.0, -0.004, 0.002], [0.001, 0.003, 0.006]]
 b_nT = [700.0, -800.0, 300.0]
-noise_nT = 100.0
-lsb_nT = 100.0
-[schedule]
-segments = [{{ start_utc = "2021-05-01T00:00:00Z", samples = {samples}, step_s = {step_s} }}]
 """
 STILL = 'mode = "inertial_hold"\nq_NB = [0.1, -0.3, 0.5, 0.8062257748298549]'
 NADIR = "yaw_rms_deg = 2.0\nroll_rms_deg = 2.0\npitch_rms_deg = 2.0"
@@ -54,8 +35,27 @@ TUMBLE = 'mode = "tumble"\nq_NB = [0.0, 0.0, 0.0, 1.0]\nrate_deg_s = [0.1, 0.2, 
 BUDGET = Budget(100.0, 100.0, float(np.radians(0.1)), None)
 
 
-def flown(motion: str, tau_s: float, samples: int, step_s: float, seed: int) -> Telemetry:
-    text = SCENARIO.format(motion=motion, tau_s=tau_s, samples=samples, step_s=step_s, seed=seed)
+def flown(
+    motion: str,
+    tau_s: float,
+    samples: int,
+    step_s: float,
+    seed: int,
+    sigma_deg: float = 0.1,
+    noise_nT: float = 100.0,
+    lsb_nT: float = 100.0,
+) -> Telemetry:
+    text = scenario_text(
+        f"[attitude]\n{motion}\n[attitude.reference]\nsigma_deg = {sigma_deg}\ntau_s = {tau_s}\n"
+        f"{MAGNETOMETER}noise_nT = {noise_nT}\nlsb_nT = {lsb_nT}\n",
+        seed=seed,
+        inertia_kg_m2=[[3.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 0.0, 5.0]],
+        epoch_utc="2021-05-01T00:00:00Z",
+        altitude_km=700.0,
+        inclination_deg=97.0,
+        raan_deg=120.0,
+        segment=f"samples = {samples}, step_s = {step_s}",
+    )
     return simulate(parse_scenario(text, where="test"))[0]
 
 
@@ -81,9 +81,7 @@ SHARP = Budget(20.0, 5.0, float(np.radians(0.1)), None)
 
 
 def flown_sharp(motion: str, sigma_deg: float, tau_s: float, samples: int, step_s: float, seed: int) -> Telemetry:
-    text = SCENARIO.format(motion=motion, tau_s=tau_s, samples=samples, step_s=step_s, seed=seed)
-    text = text.replace("noise_nT = 100.0", "noise_nT = 20.0").replace("lsb_nT = 100.0", "lsb_nT = 5.0")
-    return simulate(parse_scenario(text.replace("sigma_deg = 0.1", f"sigma_deg = {sigma_deg}"), where="test"))[0]
+    return flown(motion, tau_s, samples, step_s, seed, sigma_deg, noise_nT=20.0, lsb_nT=5.0)
 
 
 @pytest.mark.parametrize(("motion", "seed"), [(NADIR, 8), (TUMBLE, 9)])

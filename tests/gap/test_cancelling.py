@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from worlds import scenario_text
 
 from fluxtwin.gap.cancelling import undone
 from fluxtwin.gap.problem import Problem, pose
@@ -18,25 +19,21 @@ from fluxtwin.sim.scenario.scenario import parse_scenario
 
 pytestmark = pytest.mark.property
 
-SPIN = """
-seed = 1
-[spacecraft]
-name = "test"
-inertia_kg_m2 = [[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]]
-[orbit]
-epoch_utc = "2020-03-01T00:00:00Z"
-altitude_km = 600.0
-inclination_deg = 97.8
-raan_deg = 10.0
-argument_of_latitude_deg = 0.0
+SECTIONS = """
 [attitude]
 mode = "spin"
 spin_axis_N = [0.36, 0.48, 0.8]
 spin_rate_rpm = 1.6
 nutation_deg = 3.0
-[schedule]
-segments = [{ start_utc = "2020-03-01T00:00:00Z", samples = 300, step_s = 1.5 }]
 """
+SPIN = scenario_text(
+    SECTIONS,
+    seed=1,
+    inertia_kg_m2=[[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]],
+    altitude_km=600.0,
+    inclination_deg=97.8,
+    segment="samples = 300, step_s = 1.5",
+)
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from worlds import scenario_text
 
 from fluxtwin.gap.closing import Declared, closed_scenario, settle
 from fluxtwin.gap.closure import Closure, Stochastic
@@ -35,16 +36,7 @@ from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 
 pytestmark = pytest.mark.property
 
-SCENARIO = """
-seed = 4
-[spacecraft]
-name = "test"
-[orbit]
-epoch_utc = "2020-03-01T00:00:00Z"
-altitude_km = 650.0
-inclination_deg = 97.9932
-raan_deg = 10.0
-argument_of_latitude_deg = 0.0
+SECTIONS = """
 [attitude]
 yaw_rms_deg = 4.0
 roll_rms_deg = 4.0
@@ -56,9 +48,8 @@ time_constant_min = 20.0
 [torquers]
 dipole_Am2 = 10.0
 positions_m = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-[schedule]
-segments = [{ start_utc = "2020-03-01T00:00:00Z", duration_min = 200.0, step_s = 60.0 }]
 """
+SCENARIO = scenario_text(SECTIONS, seed=4, inclination_deg=97.9932, segment="duration_min = 200.0, step_s = 60.0")
 NOISE = NoiseModel(100.0, np.radians(0.1), 150.0)
 MODELLED = ("bias", "scale_misalignment", "torquer_coupling")
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from worlds import COARSE_MAGNETOMETER, THERMAL, scenario_text
 
 from fluxtwin import diagnosing
 from fluxtwin.gap.records import Diagnosis
@@ -19,16 +20,7 @@ from fluxtwin.sim.telemetry.record import Telemetry
 
 pytestmark = pytest.mark.closure
 
-SCENARIO = """
-seed = {seed}
-[spacecraft]
-name = "test"
-[orbit]
-epoch_utc = "2020-03-01T00:00:00Z"
-altitude_km = 650.0
-inclination_deg = 97.9
-raan_deg = 10.0
-argument_of_latitude_deg = 0.0
+SECTIONS = f"""
 [attitude]
 yaw_rms_deg = 4.0
 roll_rms_deg = 4.0
@@ -36,18 +28,7 @@ pitch_rms_deg = 4.0
 [attitude.reference]
 sigma_deg = 0.1
 tau_s = 150.0
-[magnetometer]
-S = [[0.005, 0.002, 0.0], [0.0, -0.005, 0.0], [0.001, 0.0, 0.004]]
-b_nT = [1000.0, -500.0, 200.0]
-noise_nT = 100.0
-lsb_nT = 100.0
-[thermal]
-sunlit_degC = 25.0
-eclipse_degC = -20.0
-time_constant_min = 20.0
-[schedule]
-segments = [{{ start_utc = "{day}T00:00:00Z", duration_min = 240.0, step_s = 30.0 }}]
-"""
+{COARSE_MAGNETOMETER}{THERMAL}"""
 FIRST, LATER = "2020-03-01", "2020-05-30"  # 90 days
 FLAGS = {"noise_nT": 100.0, "lsb_nT": 100.0, "attitude_sigma_deg": 0.1}
 
@@ -61,7 +42,10 @@ HOLDS = {
 
 
 def flown(effects: str, day: str, seed: int) -> Telemetry:
-    record = simulate(parse_scenario(SCENARIO.format(day=day, seed=seed) + effects))[0]
+    text = scenario_text(
+        f"{SECTIONS}{effects}\n", seed=seed, start_utc=f"{day}T00:00:00Z", segment="duration_min = 240.0, step_s = 30.0"
+    )
+    record = simulate(parse_scenario(text))[0]
     return record.replace(temperature_degC=None)  # the closed scenario must hold its own time constant
 
 

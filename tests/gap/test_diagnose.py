@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from worlds import COARSE_MAGNETOMETER, THERMAL, scenario_text
 
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.problem import Budget
@@ -22,34 +23,11 @@ from fluxtwin.sim.telemetry.record import Telemetry
 
 pytestmark = pytest.mark.closure
 
-SCENARIO = """
-seed = 4
-[spacecraft]
-name = "test"
-inertia_kg_m2 = [[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]]
-[orbit]
-epoch_utc = "2020-03-01T00:00:00Z"
-altitude_km = 650.0
-inclination_deg = 97.9
-raan_deg = 10.0
-argument_of_latitude_deg = 0.0
-[attitude]
-{attitude}
+SECTIONS = f"""
 [attitude.reference]
 sigma_deg = 0.1
 tau_s = 150.0
-[magnetometer]
-S = [[0.005, 0.002, 0.0], [0.0, -0.005, 0.0], [0.001, 0.0, 0.004]]
-b_nT = [1000.0, -500.0, 200.0]
-noise_nT = 100.0
-lsb_nT = 100.0
-[thermal]
-sunlit_degC = 25.0
-eclipse_degC = -20.0
-time_constant_min = 20.0
-[schedule]
-segments = [{{ start_utc = "2020-03-01T00:00:00Z", duration_min = 240.0, step_s = 30.0 }}]
-"""
+{COARSE_MAGNETOMETER}{THERMAL}"""
 ATTITUDES = {
     "nadir": "yaw_rms_deg = 4.0\nroll_rms_deg = 4.0\npitch_rms_deg = 4.0",
     "tumble": 'mode = "tumble"\nrate_deg_s = [0.12, 0.08, 0.2]',
@@ -67,7 +45,13 @@ SINGLES = {
 
 
 def telemetry(design: str, effects: str = "") -> Telemetry:
-    return simulate(parse_scenario(SCENARIO.format(attitude=ATTITUDES[design]) + effects))[0]
+    text = scenario_text(
+        f"[attitude]\n{ATTITUDES[design]}\n{SECTIONS}{effects}\n",
+        seed=4,
+        inertia_kg_m2=[[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]],
+        segment="duration_min = 240.0, step_s = 30.0",
+    )
+    return simulate(parse_scenario(text))[0]
 
 
 def diagnosed(record: Telemetry) -> Diagnosis:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from worlds import COARSE_MAGNETOMETER, scenario_text
 
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.problem import Budget
@@ -20,35 +21,16 @@ from fluxtwin.sim.telemetry.record import Telemetry
 
 pytestmark = pytest.mark.closure
 
-SCENARIO = """
-seed = 4
-[spacecraft]
-name = "test"
-inertia_kg_m2 = [[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]]
-[orbit]
-epoch_utc = "2020-03-01T00:00:00Z"
-altitude_km = 650.0
-inclination_deg = 97.9
-raan_deg = 10.0
-argument_of_latitude_deg = 0.0
-[attitude]
-{attitude}
+SECTIONS = f"""
 [attitude.reference]
 sigma_deg = 0.1
 tau_s = 150.0
 [horizon_scanner]
 noise_deg = 0.15
 tau_s = 200.0
-[magnetometer]
-S = [[0.005, 0.002, 0.0], [0.0, -0.005, 0.0], [0.001, 0.0, 0.004]]
-b_nT = [1000.0, -500.0, 200.0]
-noise_nT = 100.0
-lsb_nT = 100.0
-[power]
+{COARSE_MAGNETOMETER}[power]
 full_sun_current_A = 8.0
 load_A = 3.0
-[schedule]
-segments = [{{ start_utc = "2020-03-01T00:00:00Z", duration_min = 240.0, step_s = 30.0 }}]
 """
 NADIR = "yaw_rms_deg = 4.0\nroll_rms_deg = 4.0\npitch_rms_deg = 4.0"
 TUMBLE = 'mode = "tumble"\nrate_deg_s = [0.12, 0.08, 0.2]'
@@ -62,7 +44,13 @@ SINGLES = {
 
 
 def flight(attitude: str, effects: str = "") -> Telemetry:
-    return simulate(parse_scenario(SCENARIO.format(attitude=attitude) + effects))[0]
+    text = scenario_text(
+        f"[attitude]\n{attitude}\n{SECTIONS}{effects}\n",
+        seed=4,
+        inertia_kg_m2=[[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]],
+        segment="duration_min = 240.0, step_s = 30.0",
+    )
+    return simulate(parse_scenario(text))[0]
 
 
 def without(record: Telemetry, rows: np.ndarray, nadir: bool = False) -> Telemetry:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from worlds import scenario_text
 
 from fluxtwin.gap.blocks import Block, blocks
 from fluxtwin.gap.evidence import fit_all, leftover
@@ -33,23 +34,21 @@ from fluxtwin.sim.scenario.scenario import parse_scenario
 
 pytestmark = pytest.mark.closure
 
-SCENARIO = """
-seed = 3
-[spacecraft]
-name = "test"
-[orbit]
-epoch_utc = "2021-06-01T00:00:00Z"
-altitude_km = 550.0
-inclination_deg = 97.6
-raan_deg = 150.0
-argument_of_latitude_deg = 0.0
+SECTIONS = """
 [attitude]
 yaw_rms_deg = 2.0
 roll_rms_deg = 2.0
 pitch_rms_deg = 2.0
-[schedule]
-segments = [{ start_utc = "2021-06-01T00:00:00Z", duration_min = 480.0, step_s = 30.0 }]
 """
+SCENARIO = scenario_text(
+    SECTIONS,
+    seed=3,
+    epoch_utc="2021-06-01T00:00:00Z",
+    altitude_km=550.0,
+    inclination_deg=97.6,
+    raan_deg=150.0,
+    segment="duration_min = 480.0, step_s = 30.0",
+)
 SIGMA_NT = 100.0
 
 

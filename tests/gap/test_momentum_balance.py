@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 from scipy.spatial.transform import Rotation
+from worlds import scenario_text
 
 from fluxtwin import diagnosing, diagnosis_page
 from fluxtwin.gap.momentum import Momentum, balanced
@@ -33,16 +34,6 @@ from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemet
 pytestmark = pytest.mark.closure
 
 COMMON = """
-seed = 11
-[spacecraft]
-name = "X"
-inertia_kg_m2 = {inertia}
-[orbit]
-epoch_utc = "2022-03-05T00:00:00Z"
-altitude_km = 450.0
-inclination_deg = 97.0
-raan_deg = 40.0
-argument_of_latitude_deg = 10.0
 [attitude]
 mode = "dynamics"
 [attitude.reference]
@@ -56,9 +47,7 @@ noise_nT = 20.0
 b_nT = [-300.0, 500.0, 100.0]
 lsb_nT = 50.0
 """
-BIAS = (
-    COMMON.format(inertia="[[25.0, 0.3, 0.0], [0.3, 20.0, 0.0], [0.0, 0.0, 22.0]]")
-    + """
+BIAS = """
 [dynamics]
 step_s = 0.5
 settle_min = 120.0
@@ -82,13 +71,8 @@ max_torque_Nm = 0.02
 dipole_Am2 = 10.0
 positions_m = [[0.5, 0.0, 0.6], [0.5, 0.3, 0.6], [0.5, -0.3, 0.6]]
 activity = "control"
-[schedule]
-segments = [{ start_utc = "2022-03-05T04:00:00Z", duration_min = 200.0, step_s = 10.0 }]
 """
-)
-THREE = (
-    COMMON.format(inertia="[[100.0, 0.0, 2.0], [0.0, 120.0, 0.0], [2.0, 0.0, 80.0]]")
-    + """
+THREE = """
 [dynamics]
 step_s = 0.5
 settle_min = 60.0
@@ -110,13 +94,8 @@ max_torque_Nm = 0.1
 dipole_Am2 = 30.0
 positions_m = [[0.5, 0.0, 0.6], [0.5, 0.3, 0.6], [0.5, -0.3, 0.6]]
 activity = "control"
-[schedule]
-segments = [{ start_utc = "2022-03-05T04:00:00Z", duration_min = 200.0, step_s = 20.0 }]
 """
-)
-TUMBLE = (
-    COMMON.format(inertia="[[1.0, 0.02, 0.0], [0.02, 1.3, 0.0], [0.0, 0.0, 0.8]]")
-    + """
+TUMBLE = """
 [dynamics]
 step_s = 0.25
 rate_deg_s = [0.8, -0.6, 0.7]
@@ -126,22 +105,39 @@ gain_Am2_s_per_T = 3e4
 dipole_Am2 = 0.3
 positions_m = [[0.5, 0.0, 0.6], [0.5, 0.3, 0.6], [0.5, -0.3, 0.6]]
 activity = "control"
-[schedule]
-segments = [{ start_utc = "2022-03-05T04:00:00Z", duration_min = 150.0, step_s = 5.0 }]
 """
-)
-SPIN = (
-    COMMON.format(inertia="[[1.0, 0.0, 0.0], [0.0, 1.05, 0.0], [0.0, 0.0, 1.4]]")
-    + """
+SPIN = """
 [dynamics]
 step_s = 0.1
 roll_deg = 95.0
 rate_deg_s = [0.3, 0.0, 25.0]
-[schedule]
-segments = [{ start_utc = "2022-03-05T04:00:00Z", duration_min = 80.0, step_s = 2.0 }]
 """
-)
-DESIGNS = {"bias": BIAS, "three_axis": THREE, "tumble": TUMBLE, "spin": SPIN}
+
+
+def text(sections: str, inertia_kg_m2: list[list[float]], segment: str) -> str:
+    """A spacecraft four hours after the epoch of its orbit."""
+    return scenario_text(
+        COMMON + sections.lstrip(),
+        seed=11,
+        inertia_kg_m2=inertia_kg_m2,
+        epoch_utc="2022-03-05T00:00:00Z",
+        altitude_km=450.0,
+        inclination_deg=97.0,
+        raan_deg=40.0,
+        argument_of_latitude_deg=10.0,
+        start_utc="2022-03-05T04:00:00Z",
+        segment=segment,
+    )
+
+
+DESIGNS = {
+    "bias": text(BIAS, [[25.0, 0.3, 0.0], [0.3, 20.0, 0.0], [0.0, 0.0, 22.0]], "duration_min = 200.0, step_s = 10.0"),
+    "three_axis": text(
+        THREE, [[100.0, 0.0, 2.0], [0.0, 120.0, 0.0], [2.0, 0.0, 80.0]], "duration_min = 200.0, step_s = 20.0"
+    ),
+    "tumble": text(TUMBLE, [[1.0, 0.02, 0.0], [0.02, 1.3, 0.0], [0.0, 0.0, 0.8]], "duration_min = 150.0, step_s = 5.0"),
+    "spin": text(SPIN, [[1.0, 0.0, 0.0], [0.0, 1.05, 0.0], [0.0, 0.0, 1.4]], "duration_min = 80.0, step_s = 2.0"),
+}
 
 
 def posed(telemetry: Telemetry, scenario: Scenario) -> Problem:
@@ -174,7 +170,7 @@ def flown(name: str, **changes: Any) -> tuple[Telemetry, Scenario]:
 def test_a_perfect_record_balances(close) -> None:
     """True attitudes, and rows at the ticks: two integrators agree to a hundred-thousandth of a degree in half an hour."""
     scenario = (
-        parse_scenario(BIAS)
+        parse_scenario(DESIGNS["bias"])
         .updated({"attitude.reference": {}, "dynamics.step_s": 0.25})
         .updated({"schedule.segments": [{"start_utc": "2022-03-05T04:00:00Z", "duration_min": 70.0, "step_s": 1.0}]})
     )
@@ -303,7 +299,7 @@ def test_a_turned_reference_is_told_from_a_turned_magnetometer() -> None:
 
 def test_sensors_at_rates_of_their_own_are_diagnosed(tmp_path) -> None:
     """From the scenario through a file to a named torque and a named field; few rows have reading and attitude."""
-    scenario = parse_scenario(BIAS).updated(
+    scenario = parse_scenario(DESIGNS["bias"]).updated(
         {
             "schedule.segments": [{"start_utc": "2022-03-05T04:00:00Z", "duration_min": 200.0, "step_s": 4.0}],
             "sampling.magnetometer": {"every_s": 8.0},
@@ -338,7 +334,9 @@ ALIKE = {"along_track_error", "time_tag_offset", "sensor_lag"}
 def test_torques_tell_a_clock_from_the_orbit(effect: str, size: Any, sigma_deg: float, group: set[str]) -> None:
     """Readings of a body that keeps to the Earth show both alike; a star tracker's attitude has the torques decide, which
     know the place to 7 km here. With an attitude ten times as rough they do not, and nothing is ruled out."""
-    scenario = parse_scenario(THREE).updated({"attitude.reference": {"sigma_deg": sigma_deg, "tau_s": 60.0}})
+    scenario = parse_scenario(DESIGNS["three_axis"]).updated(
+        {"attitude.reference": {"sigma_deg": sigma_deg, "tau_s": 60.0}}
+    )
     telemetry = simulate(scenario.updated({f"effects.{effect}": size}))[0]
     found = diagnosing.diagnose(telemetry, scenario=scenario)
     assert found.verdict == "effect"

@@ -11,6 +11,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from worlds import scenario_text
 
 from fluxtwin.gap.candidates import candidates, in_order
 from fluxtwin.gap.detectable import noncentrality, visible_part
@@ -36,17 +37,7 @@ from fluxtwin.sim.scenario.scenario import parse_scenario
 
 pytestmark = pytest.mark.closure
 
-SCENARIO = """
-seed = 1
-[spacecraft]
-name = "test"
-inertia_kg_m2 = [[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]]
-[orbit]
-epoch_utc = "2020-03-01T00:00:00Z"
-altitude_km = 600.0
-inclination_deg = 97.8
-raan_deg = 10.0
-argument_of_latitude_deg = 0.0
+SECTIONS = """
 [attitude]
 ATTITUDE
 [sun_sensor.1]
@@ -72,9 +63,15 @@ heater_rise_degC = 30.0
 axes_B = [[0.0, 1.0, 0.0]]
 inertia_kg_m2 = 0.01
 bias_rpm = [2003.7]
-[schedule]
-segments = [{ start_utc = "2020-03-01T00:00:00Z", duration_min = 290.0, step_s = 60.0 }]
 """
+SCENARIO = scenario_text(
+    SECTIONS,
+    seed=1,
+    inertia_kg_m2=[[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]],
+    altitude_km=600.0,
+    inclination_deg=97.8,
+    segment="duration_min = 290.0, step_s = 60.0",
+)
 ATTITUDES = {
     "nadir": 'mode = "earth_pointing"\nyaw_rms_deg = 3.0\nroll_rms_deg = 3.0\npitch_rms_deg = 3.0',
     "tumble": 'mode = "tumble"\nrate_deg_s = [0.12, 0.08, 0.2]',

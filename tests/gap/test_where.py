@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from worlds import scenario_text
 
 from fluxtwin.gap.blocks import Block, blocks
 from fluxtwin.gap.evidence import fit_all, leftover, prepare
@@ -25,27 +26,13 @@ from fluxtwin.sim.earth.field import field_N_nT
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import parse_scenario
+from fluxtwin.sim.telemetry.record import Telemetry
 
 pytestmark = pytest.mark.closure
 
-SCENARIO = """
-seed = 11
-[spacecraft]
-name = "test"
-inertia_kg_m2 = [[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]]
-[orbit]
-epoch_utc = "2020-03-01T00:00:00Z"
-altitude_km = 600.0
-inclination_deg = 97.8
-raan_deg = 40.0
-argument_of_latitude_deg = 25.0
-[attitude]
-{attitude}
-[torquers]
+TORQUERS = """[torquers]
 dipole_Am2 = 20.0
 positions_m = [[0.0, 0.0, 2.0], [0.0, 2.0, 0.0], [1.5, 0.0, 0.0]]
-[schedule]
-segments = [{{ start_utc = "2020-03-01T00:00:00Z", duration_min = {minutes}, step_s = 30.0 }}]
 """
 ATTITUDES = {
     "nadir": ("yaw_rms_deg = 2.8\nroll_rms_deg = 2.8\npitch_rms_deg = 2.8", 580.0),
@@ -81,9 +68,22 @@ class Design:
         return judge(self.problem, left, fits), locate(left, [*fits, *step_fits(self.problem, left)])
 
 
+def flown(attitude: str, minutes: float) -> Telemetry:
+    text = scenario_text(
+        f"[attitude]\n{attitude}\n{TORQUERS}",
+        seed=11,
+        inertia_kg_m2=[[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]],
+        altitude_km=600.0,
+        inclination_deg=97.8,
+        raan_deg=40.0,
+        argument_of_latitude_deg=25.0,
+        segment=f"duration_min = {minutes}, step_s = 30.0",
+    )
+    return simulate(parse_scenario(text))[0]
+
+
 def make_design(attitude: str, with_heads: bool = False) -> Design:
-    text, minutes = ATTITUDES[attitude]
-    telemetry, _ = simulate(parse_scenario(SCENARIO.format(attitude=text, minutes=minutes)))
+    telemetry = flown(*ATTITUDES[attitude])
     if with_heads:
         seconds = np.arange(len(telemetry)) * 30.0
         telemetry = telemetry.replace(sun_sensor_head=1.0 + (seconds % 2700.0 > 1100.0))
@@ -303,9 +303,7 @@ def test_calibration_error_leaves_nothing(design: Design) -> None:
 
 def test_stages_with_one_image_are_called_equivalent() -> None:
     """At a fixed attitude in space a late stamp and a place too far back along the orbit are one and the same."""
-    text = ATTITUDES["nadir"]
-    inertial = SCENARIO.format(attitude='mode = "inertial_hold"', minutes=text[1])
-    telemetry, _ = simulate(parse_scenario(inertial))
+    telemetry = flown('mode = "inertial_hold"', ATTITUDES["nadir"][1])
     base = make_design("nadir")
     problem = pose(telemetry, load_field("igrf14"), modelled=("bias",))
     B = problem.field_B_nT

@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from worlds import scenario_text
 
 from fluxtwin.gap.candidates import candidates
 from fluxtwin.gap.far import floor_rms_nT, one_step, one_step_seen
@@ -26,25 +27,20 @@ from fluxtwin.sim.telemetry.record import Telemetry
 
 pytestmark = pytest.mark.property
 
-SCENARIO = """
-seed = 3
-[spacecraft]
-name = "test"
-inertia_kg_m2 = [[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]]
-[orbit]
-epoch_utc = "2020-03-01T00:00:00Z"
-altitude_km = 650.0
-inclination_deg = 70.0
-raan_deg = 10.0
-argument_of_latitude_deg = 0.0
+SECTIONS = """
 [attitude]
 mode = "tumble"
 rate_deg_s = [0.12, 0.08, 0.2]
 [magnetometer]
 CALIBRATION
-[schedule]
-segments = [{ start_utc = "2020-03-01T00:00:00Z", duration_min = 100.0, step_s = 20.0 }]
 """
+SCENARIO = scenario_text(
+    SECTIONS,
+    seed=3,
+    inertia_kg_m2=[[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]],
+    inclination_deg=70.0,
+    segment="duration_min = 100.0, step_s = 20.0",
+)
 TRUE_S = np.array([[0.02, 0.01, 0.0], [0.0, -0.02, 0.01], [0.005, 0.0, 0.01]])
 TRUE_B_NT = np.array([3000.0, -2000.0, 1000.0])
 SEED_ROWS = 5

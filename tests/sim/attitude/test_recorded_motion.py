@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from worlds import COARSE_MAGNETOMETER, scenario_text
 
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.problem import Budget, pose
@@ -20,31 +21,6 @@ from fluxtwin.sim.telemetry.record import Telemetry
 
 pytestmark = pytest.mark.closure
 
-SCENARIO = """
-seed = {seed}
-[spacecraft]
-name = "test"
-inertia_kg_m2 = [[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]]
-[orbit]
-epoch_utc = "2020-03-01T00:00:00Z"
-altitude_km = 650.0
-inclination_deg = 97.9
-raan_deg = 10.0
-argument_of_latitude_deg = 0.0
-[attitude]
-{attitude}
-[attitude.reference]
-sigma_deg = {sigma_deg}
-tau_s = {tau_s}
-[magnetometer]
-S = [[0.005, 0.002, 0.0], [0.0, -0.005, 0.0], [0.001, 0.0, 0.004]]
-b_nT = [1000.0, -500.0, 200.0]
-noise_nT = 100.0
-lsb_nT = 100.0
-[schedule]
-segments = [{{ start_utc = "2020-03-01T00:00:00Z", samples = {samples}, step_s = {step_s} }}]
-{effects}
-"""
 FAST = """yaw_rms_deg = 4.0
 roll_rms_deg = 4.0
 pitch_rms_deg = 4.0
@@ -64,8 +40,12 @@ def flown(
     sigma_deg: float = 0.12,
 ) -> Telemetry:
     """Telemetry of a scenario."""
-    text = SCENARIO.format(
-        seed=seed, attitude=attitude, effects=effects, samples=samples, step_s=step_s, tau_s=tau_s, sigma_deg=sigma_deg
+    reference = f"[attitude.reference]\nsigma_deg = {sigma_deg}\ntau_s = {tau_s}\n"
+    text = scenario_text(
+        f"[attitude]\n{attitude}\n{reference}{COARSE_MAGNETOMETER}{effects}\n",
+        seed=seed,
+        inertia_kg_m2=[[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]],
+        segment=f"samples = {samples}, step_s = {step_s}",
     )
     return simulate(parse_scenario(text))[0]
 

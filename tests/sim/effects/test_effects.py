@@ -8,6 +8,7 @@ import warnings
 
 import numpy as np
 import pytest
+from worlds import scenario_text
 
 from fluxtwin.gap.problem import pose
 from fluxtwin.sim.base.errors import BadInput
@@ -30,16 +31,7 @@ from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemet
 
 pytestmark = pytest.mark.property
 
-DESIGN = """
-seed = 5
-[spacecraft]
-name = "test"
-[orbit]
-epoch_utc = "2020-03-01T00:00:00Z"
-altitude_km = 650.0
-inclination_deg = 97.9
-raan_deg = 100.0
-argument_of_latitude_deg = 0.0
+SECTIONS = """
 [attitude]
 yaw_rms_deg = 1.0
 roll_rms_deg = 1.0
@@ -69,9 +61,8 @@ heater_rise_degC = 60.0
 axes_B = [[0.0, 1.0, 0.0]]
 inertia_kg_m2 = 0.01
 bias_rpm = [2000.0]
-[schedule]
-segments = [{ start_utc = "2020-03-01T00:00:00Z", duration_min = 200.0, step_s = 10.0 }]
 """
+DESIGN = scenario_text(SECTIONS, seed=5, raan_deg=100.0, segment="duration_min = 200.0, step_s = 10.0")
 """Everything that any effect acts on, and no noise at all."""
 
 STAGE_OF = {

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from adaptive_flight import torques_B_Nm
 from scipy.spatial.transform import Rotation
+from worlds import scenario_text
 
 from fluxtwin.sim.attitude.record import Attitude
 from fluxtwin.sim.base.random_streams import stream
@@ -25,17 +26,7 @@ from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 pytestmark = pytest.mark.property
 
 EFFECTS = {effect.name: effect for effect in CATALOGUE if isinstance(effect, DynamicsEffect)}
-DESIGN = """
-seed = 4
-[spacecraft]
-name = "X"
-inertia_kg_m2 = [[10.0, 0.0, 0.2], [0.0, 12.0, 0.0], [0.2, 0.0, 8.0]]
-[orbit]
-epoch_utc = "2022-01-01T00:00:00Z"
-altitude_km = 400.0
-inclination_deg = 97.0
-raan_deg = 10.0
-argument_of_latitude_deg = 0.0
+SECTIONS = """
 [attitude]
 mode = "dynamics"
 [dynamics]
@@ -48,9 +39,16 @@ K_Am2_s_per_T = [[100.0, 0.0, 0.0], [0.0, 100.0, 0.0], [0.0, 0.0, 100.0]]
 [torquers]
 dipole_Am2 = 5.0
 positions_m = [[0.0, 0.0, 2.0], [0.0, 0.0, 2.0], [0.0, 0.0, 2.0]]
-[schedule]
-segments = [{ start_utc = "2022-01-01T00:00:00Z", duration_min = 40.0, step_s = 20.0 }]
 """
+DESIGN = scenario_text(
+    SECTIONS,
+    seed=4,
+    inertia_kg_m2=[[10.0, 0.0, 0.2], [0.0, 12.0, 0.0], [0.2, 0.0, 8.0]],
+    epoch_utc="2022-01-01T00:00:00Z",
+    altitude_km=400.0,
+    inclination_deg=97.0,
+    segment="duration_min = 40.0, step_s = 20.0",
+)
 
 
 @pytest.fixture(scope="module")

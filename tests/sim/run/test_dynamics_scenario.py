@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from worlds import scenario_text
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.random_streams import stream
@@ -24,17 +25,7 @@ from fluxtwin.sim.spacecraft.torques.plates import Plate
 
 pytestmark = pytest.mark.property
 
-TEXT = """
-seed = 3
-[spacecraft]
-name = "X"
-inertia_kg_m2 = [[100.0, 0.0, 2.0], [0.0, 120.0, 0.0], [2.0, 0.0, 80.0]]
-[orbit]
-epoch_utc = "2022-01-01T00:00:00Z"
-altitude_km = 600.0
-inclination_deg = 97.0
-raan_deg = 10.0
-argument_of_latitude_deg = 0.0
+SECTIONS = """
 [attitude]
 mode = "dynamics"
 [dynamics]
@@ -74,6 +65,15 @@ segments = [
     { start_utc = "2022-01-03T00:00:00Z", duration_min = 10.0, step_s = 10.0 },
 ]
 """
+TEXT = scenario_text(
+    SECTIONS,
+    seed=3,
+    inertia_kg_m2=[[100.0, 0.0, 2.0], [0.0, 120.0, 0.0], [2.0, 0.0, 80.0]],
+    epoch_utc="2022-01-01T00:00:00Z",
+    altitude_km=600.0,
+    inclination_deg=97.0,
+    segment=None,
+)
 
 
 @pytest.fixture(scope="module")

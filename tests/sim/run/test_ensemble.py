@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from worlds import scenario_text
 
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.run.ensemble import chunk, run
@@ -29,18 +30,7 @@ pytestmark = pytest.mark.property
 
 ROOT = Path(__file__).resolve().parents[3]
 VEHICLES, IN_CHUNK = 7, 2
-TEXT = """
-name = "small"
-seed = 3
-[spacecraft]
-name = "X"
-inertia_kg_m2 = [[25.0, 0.0, 0.0], [0.0, 20.0, 0.0], [0.0, 0.0, 22.0]]
-[orbit]
-epoch_utc = "2022-01-01T00:00:00Z"
-altitude_km = 600.0
-inclination_deg = 97.0
-raan_deg = 10.0
-argument_of_latitude_deg = 0.0
+SECTIONS = """
 [attitude]
 mode = "dynamics"
 [dynamics]
@@ -63,14 +53,21 @@ activity = "control"
 [magnetometer]
 b_nT = [0.0, 0.0, 0.0]
 noise_nT = 20.0
-[schedule]
-segments = [{ start_utc = "2022-01-01T00:00:00Z", duration_min = 10.0, step_s = 10.0 }]
 [draws]
 "spacecraft.inertia_kg_m2" = { relative_normal = 0.03 }
 "dynamics.yaw_deg" = { normal = 5.0 }
 "torques.residual_dipole.dipole_Am2" = { normal = 0.05 }
 "magnetometer.b_nT" = { normal = 1500.0 }
 """
+TEXT = 'name = "small"\n' + scenario_text(
+    SECTIONS,
+    seed=3,
+    inertia_kg_m2=[[25.0, 0.0, 0.0], [0.0, 20.0, 0.0], [0.0, 0.0, 22.0]],
+    epoch_utc="2022-01-01T00:00:00Z",
+    altitude_km=600.0,
+    inclination_deg=97.0,
+    segment="duration_min = 10.0, step_s = 10.0",
+)
 
 
 @pytest.fixture(scope="module")
@@ -250,9 +247,8 @@ def test_a_chunk_fits_a_fixed_memory_however_long_the_flights() -> None:
 
 
 def test_prescribed_attitudes_have_ensembles_too(tmp_path: Path) -> None:
-    before, after = TEXT.split("[attitude]")[0], TEXT.split("[schedule]")[1].split("[draws]")[0]
-    prescribed = '[attitude]\nmode = "earth_pointing"\nyaw_rms_deg = 1.0\n[schedule]'
-    text = before + prescribed + after + '[draws]\n"orbit.raan_deg" = { uniform = [0.0, 360.0] }\n'
+    sections = '[attitude]\nyaw_rms_deg = 1.0\n[draws]\n"orbit.raan_deg" = { uniform = [0.0, 360.0] }\n'
+    text = scenario_text(sections, segment="duration_min = 10.0, step_s = 10.0")
     flown = fly_ensemble(parse_scenario(text), 3, tmp_path / "results", jobs=1)
     assert 0.1 < flown.summary["figures"]["yaw_rms_deg"]["mean"] < 3.0
     with xr.open_dataset(tmp_path / "results" / "chunk-00000.nc", engine="h5netcdf") as opened:

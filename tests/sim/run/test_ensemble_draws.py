@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import stats
+from worlds import scenario_text
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.run.ensemble.draws import drawn_values, flattened, quantile, vehicle_scenario, vehicle_seed
@@ -17,26 +18,23 @@ from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
 
 pytestmark = pytest.mark.property
 
-TEXT = """
-seed = 5
-[spacecraft]
-name = "X"
-inertia_kg_m2 = [[100.0, 1.0, 2.0], [1.0, 120.0, 0.0], [2.0, 0.0, 80.0]]
-[orbit]
-epoch_utc = "2022-01-01T00:00:00Z"
-altitude_km = 600.0
-inclination_deg = 97.0
-raan_deg = 10.0
-argument_of_latitude_deg = 0.0
+SECTIONS = """
 [attitude]
 mode = "tumble"
 rate_deg_s = [0.1, 0.0, 0.0]
 [magnetometer]
 b_nT = [100.0, 0.0, 0.0]
 noise_nT = 20.0
-[schedule]
-segments = [{ start_utc = "2022-01-01T00:00:00Z", samples = 5, step_s = 10.0 }]
 """
+TEXT = scenario_text(
+    SECTIONS,
+    seed=5,
+    inertia_kg_m2=[[100.0, 1.0, 2.0], [1.0, 120.0, 0.0], [2.0, 0.0, 80.0]],
+    epoch_utc="2022-01-01T00:00:00Z",
+    altitude_km=600.0,
+    inclination_deg=97.0,
+    segment="samples = 5, step_s = 10.0",
+)
 COUNT = 2000
 FALSE_ALARM = 1e-4
 """Of each Kolmogorov-Smirnov test; the seed is fixed, so a test that passes always passes."""

@@ -11,6 +11,7 @@ import erfa
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from worlds import scenario_text
 
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import field_N_nT, load_field
@@ -24,16 +25,7 @@ pytestmark = pytest.mark.property
 ROWS = 9000
 FOUR_SIGMA = 4.0 / np.sqrt(2.0 * 3.0 * ROWS)
 """Of the standard deviation of three components of so many rows: 1.7 %."""
-PLAIN = """
-seed = 11
-[spacecraft]
-name = "chain"
-[orbit]
-epoch_utc = "2020-03-01T00:00:00Z"
-altitude_km = 650.0
-inclination_deg = 97.9
-raan_deg = 100.0
-argument_of_latitude_deg = 0.0
+SECTIONS = """
 [attitude]
 yaw_rms_deg = 3.0
 roll_rms_deg = 2.0
@@ -44,9 +36,8 @@ sigma_deg = 0.0
 [magnetometer]
 S = [[0.01, 0.002, -0.003], [0.004, -0.01, 0.006], [0.001, -0.005, 0.02]]
 b_nT = [1000.0, -500.0, 200.0]
-[schedule]
-segments = [{ start_utc = "2020-03-01T00:00:00Z", duration_min = 1500.0, step_s = 10.0 }]
 """
+PLAIN = scenario_text(SECTIONS, seed=11, name="chain", raan_deg=100.0, segment="duration_min = 1500.0, step_s = 10.0")
 SHORT = {"schedule.segments": [{"start_utc": "2020-03-01T00:00:00Z", "duration_min": 100.0, "step_s": 10.0}]}
 
 

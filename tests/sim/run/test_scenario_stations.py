@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from worlds import scenario_text
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import frames
@@ -19,16 +20,7 @@ from fluxtwin.sim.scenario.scenario import parse_scenario
 
 pytestmark = pytest.mark.property
 
-TEXT = """
-seed = 3
-[spacecraft]
-name = "test"
-[orbit]
-epoch_utc = "2020-03-01T00:00:00Z"
-altitude_km = 650.0
-inclination_deg = 97.9
-raan_deg = 10.0
-argument_of_latitude_deg = 0.0
+SECTIONS = """
 [station.north]
 latitude_deg = 64.97
 longitude_deg = 212.49
@@ -40,6 +32,7 @@ longitude_deg = 148.96
 in_view_of_stations = true
 segments = [{ start_utc = "2020-03-01T00:00:00Z", duration_min = 600.0, step_s = 20.0 }]
 """
+TEXT = scenario_text(SECTIONS, seed=3, segment=None)
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 import xarray
+from worlds import scenario_text
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.random_streams import stream
@@ -17,17 +18,7 @@ from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemet
 
 pytestmark = pytest.mark.property
 
-FULL = """
-seed = 5
-[spacecraft]
-name = "test"
-inertia_kg_m2 = [[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]]
-[orbit]
-epoch_utc = "2020-03-01T00:00:00Z"
-altitude_km = 650.0
-inclination_deg = 97.9
-raan_deg = 100.0
-argument_of_latitude_deg = 0.0
+SECTIONS = """
 [attitude]
 yaw_rms_deg = 1.0
 [attitude.reference]
@@ -66,9 +57,14 @@ heater_rise_degC = 30.0
 axes_B = [[0.0, 1.0, 0.0]]
 inertia_kg_m2 = 0.01
 bias_rpm = [2000.0]
-[schedule]
-segments = [{ start_utc = "2020-03-01T00:00:00Z", duration_min = 97.0, step_s = 20.0 }]
 """
+FULL = scenario_text(
+    SECTIONS,
+    seed=5,
+    inertia_kg_m2=[[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]],
+    raan_deg=100.0,
+    segment="duration_min = 97.0, step_s = 20.0",
+)
 
 
 @pytest.fixture(scope="module")

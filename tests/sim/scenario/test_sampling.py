@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from worlds import scenario_text
 
 from fluxtwin.calib.checks.check import check_telemetry
 from fluxtwin.calib.linear.calibrate import calibrate_linear
@@ -21,16 +22,7 @@ from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemet
 
 pytestmark = pytest.mark.property
 
-TEXT = """
-seed = 5
-[spacecraft]
-name = "X"
-[orbit]
-epoch_utc = "2022-01-01T00:00:00Z"
-altitude_km = 600.0
-inclination_deg = 97.0
-raan_deg = 10.0
-argument_of_latitude_deg = 0.0
+SECTIONS = """
 [attitude]
 yaw_rms_deg = 8.0
 roll_rms_deg = 8.0
@@ -62,6 +54,9 @@ segments = [
     { start_utc = "2022-01-01T12:00:02.5Z", step_s = 2.5, duration_min = 10.0 },
 ]
 """
+TEXT = scenario_text(
+    SECTIONS, seed=5, epoch_utc="2022-01-01T00:00:00Z", altitude_km=600.0, inclination_deg=97.0, segment=None
+)
 
 
 @pytest.fixture(scope="module")

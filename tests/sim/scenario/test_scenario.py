@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from worlds import scenario_text
 
 from fluxtwin.scenarios.seasat import mission
 from fluxtwin.sim.base.errors import BadInput, OutOfRange
@@ -13,19 +14,7 @@ from fluxtwin.sim.scenario.scenario import load_scenario, parse_scenario, save_s
 
 pytestmark = pytest.mark.property
 
-SMALL = """
-seed = 3
-[spacecraft]
-name = "test"
-[orbit]
-epoch_utc = "2020-03-01T00:00:00Z"
-altitude_km = 650.0
-inclination_deg = 97.9
-raan_deg = 10.0
-argument_of_latitude_deg = 0.0
-[schedule]
-segments = [{ start_utc = "2020-03-01T00:00:00Z", samples = 50, step_s = 30.0 }]
-"""
+SMALL = scenario_text(seed=3)
 
 
 def test_a_saved_scenario_repeats_the_run_bit_for_bit(tmp_path):

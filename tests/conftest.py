@@ -13,12 +13,24 @@ from typing import Any
 import matplotlib
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 
 matplotlib.use("Agg")
 
 ROOT = Path(__file__).resolve().parent.parent
 
 pytest_plugins = ["worlds", "command_line"]
+
+# The same examples on every run; a fixture that only names a folder may serve all of them.
+settings.register_profile(
+    "fluxtwin",
+    max_examples=50,
+    derandomize=True,
+    database=None,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+settings.load_profile("fluxtwin")
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import erfa
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.base.errors import BadInput
@@ -70,6 +72,14 @@ def test_orbital_frame_axes(close):
 def test_parallel_position_and_velocity_are_refused():
     with pytest.raises(BadInput, match="row 1"):
         frames.rotation_ON(np.array([7000 * X, 7000 * X]), np.array([7 * Y, 7 * X]))
+
+
+@given(st.tuples(*3 * [st.floats(-np.pi, np.pi)]))
+def test_any_three_angles_are_turns_about_z_x_and_y(close, angles):
+    yaw, roll, pitch = angles
+    expected = passive(2, pitch) @ passive(1, roll) @ passive(3, yaw)
+    ours = frames.rotation_BO(yaw, roll, pitch).as_matrix()[0]
+    close(ours, expected, atol=2e-15, unit="1", because="rounding of a product of three matrices")
 
 
 def test_angles_are_the_3_1_2_set(close):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from worlds import scenario_text
 
 from fluxtwin.scenarios.seasat import mission
@@ -25,6 +27,15 @@ def test_a_saved_scenario_repeats_the_run_bit_for_bit(tmp_path):
     assert np.array_equal(first.q_NB, second.q_NB)
     other = simulate(scenario.updated({"seed": 12}))[0]
     assert not np.array_equal(first.mag_B_nT, other.mag_B_nT)
+
+
+@given(st.tuples(*9 * [st.floats(-0.4, 0.4)]), st.tuples(*3 * [st.floats(-1e5, 1e5)]), st.integers(0, 2**31))
+def test_whatever_the_numbers_a_saved_scenario_is_the_same(tmp_path, matrix, bias, seed):
+    values = {"magnetometer.S": np.reshape(matrix, (3, 3)).tolist(), "magnetometer.b_nT": list(bias), "seed": seed}
+    scenario = parse_scenario(SMALL).updated(values)
+    (tmp_path / "scenario.toml").unlink(missing_ok=True)
+    again = load_scenario(save_scenario(scenario, tmp_path / "scenario.toml"))
+    assert again.model_dump() == scenario.model_dump()
 
 
 @pytest.mark.parametrize(

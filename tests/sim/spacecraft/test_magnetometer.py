@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth.constants import AM2_PER_POLE_CM, NT_PER_MG
@@ -41,6 +43,19 @@ def test_equation_1_of_the_reading_is_the_truth(field, close) -> None:
         wrong = mutant + mutant @ S.T + B_NT + D @ T.T
         with pytest.raises(AssertionError):
             close(wrong, truth, atol=1.0, unit="nT", because="a mutant must fail by more than a nanotesla")
+
+
+@given(
+    st.tuples(*9 * [st.floats(-0.05, 0.05)]),
+    st.tuples(*3 * [st.floats(-1e5, 1e5)]),
+    st.tuples(*9 * [st.floats(-1.0, 1.0)]),
+    st.tuples(*6 * [st.floats(-6e4, 6e4)]),
+)
+def test_whatever_the_calibration_the_corrected_reading_is_the_truth(close, matrix, bias, coupling, state) -> None:
+    S, T = np.reshape(matrix, (3, 3)), np.reshape(coupling, (3, 3))
+    truth, D = np.array([state[:3]]), np.array([state[3:]]) / 600.0
+    B = Magnetometer(S, np.array(bias), T).ideal_reading(truth, D)
+    close(B + B @ S.T + bias + D @ T.T, truth, atol=1e-9, unit="nT", because="rounding of 2e5 nT is 3e-11")
 
 
 def test_signs_of_stray_field_and_coupling(close) -> None:

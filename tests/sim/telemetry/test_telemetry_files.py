@@ -12,6 +12,8 @@ import h5py
 import numpy as np
 import pytest
 import xarray
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.random_streams import stream
@@ -104,6 +106,23 @@ def test_a_record_with_every_column_reads_back_bit_equal(tmp_path: Path, name: s
     assert back.provenance["source"] == name
     assert len(back.provenance["sha256"]) == 64
     assert "mag_B_nT is missing in 1 of 40 rows" in back.provenance["notices"]
+
+
+@pytest.mark.parametrize("name", KINDS)
+@settings(max_examples=15)
+@given(
+    st.lists(st.tuples(st.integers(1, 10**16), *3 * [st.floats(-1e9, 1e9) | st.just(np.nan)]), min_size=1, max_size=9),
+)
+def test_whatever_the_numbers_they_read_back_bit_equal(
+    tmp_path: Path, name: str, rows: list[tuple[float, ...]]
+) -> None:
+    """Subnormal, a negative zero, missing, nanoseconds apart or four months."""
+    time = START + np.cumsum([row[0] for row in rows]).astype("timedelta64[ns]")
+    r_N_km, _ = ORBIT.propagate(time)
+    record = Telemetry(time, np.array([row[1:] for row in rows]), r_N_km=r_N_km)
+    path = tmp_path / name
+    path.unlink(missing_ok=True)
+    assert_same(record, read_telemetry(write_telemetry(record, path)))
 
 
 @pytest.mark.parametrize("name", KINDS)

@@ -393,7 +393,7 @@ def test_standard_output_by_name_keeps_what_was_said_before(here: Path) -> None:
 
 
 @posix
-def test_names_that_are_not_utf_8(process: Cli, here: Path) -> None:
+def test_names_that_are_not_utf_8(process: Cli, cli: Cli, here: Path) -> None:
     odd = os.fsdecode(b"t\xff.nc")
     try:
         shutil.copy(here / "t.nc", here / odd)
@@ -403,9 +403,9 @@ def test_names_that_are_not_utf_8(process: Cli, here: Path) -> None:
     out = os.fsdecode(b"o\xff.nc")
     assert process("check", odd, "--json", os.fspath(report), cwd=here).status == 0
     assert json.loads(report.read_bytes())["fluxtwin"]
-    assert process("apply", odd, "--calibration", "c.toml", "--out", out, "--json", "a.json", cwd=here).status == 0
+    assert cli("apply", odd, "--calibration", "c.toml", "--out", out, "--json", "a.json").status == 0
     assert json.loads((here / "a.json").read_bytes())["written"] == [out]
-    assert process("check", out, cwd=here).status == 0, "the digest of the file is right"
+    assert cli("check", out).status == 0, "the digest of the file is right"
 
 
 @posix

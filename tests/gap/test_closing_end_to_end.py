@@ -7,7 +7,9 @@ Every record has another seed, so noise, libration and attitude error are new. A
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from worlds import COARSE_MAGNETOMETER, THERMAL, scenario_text
@@ -49,19 +51,23 @@ def flown(effects: str, day: str, seed: int) -> Telemetry:
     return record.replace(temperature_degC=None)  # the closed scenario must hold its own time constant
 
 
-def closed(effects: str, folder: Path) -> tuple[Diagnosis, Scenario]:
+@cache
+def closed(effects: str) -> tuple[Diagnosis, Scenario]:
+    """The diagnosis of the first day and the scenario that it closes with, through a file."""
     found = diagnosing.diagnose(flown(effects, FIRST, 4), **FLAGS)
-    found, scene = diagnosing.close(
-        found, scenario=None, telemetry=folder / "flight.csv", declared=diagnosing.Declared(100.0, 100.0, 0.1)
-    )
-    assert scene is not None
-    return found, load_scenario(save_scenario(scene, folder / "closed.toml"))
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        found, scene = diagnosing.close(
+            found, scenario=None, telemetry=folder / "flight.csv", declared=diagnosing.Declared(100.0, 100.0, 0.1)
+        )
+        assert scene is not None
+        return found, load_scenario(save_scenario(scene, folder / "closed.toml"))
 
 
 @pytest.mark.parametrize("name", HOLDS)
-def test_what_transfers_leaves_no_gap_on_another_day(name: str, tmp_path: Path) -> None:
+def test_what_transfers_leaves_no_gap_on_another_day(name: str) -> None:
     effects = f"[effects.{name}]\n{HOLDS[name]}\n"
-    found, scene = closed(effects, tmp_path)
+    found, scene = closed(effects)
     assert [effect.name for effect in found.effects] == [name]
     said = {one.design: one.transfers for one in found.transfers or ()}
     assert said["nadir, 90 days later"]
@@ -71,16 +77,16 @@ def test_what_transfers_leaves_no_gap_on_another_day(name: str, tmp_path: Path) 
     assert diagnosing.diagnose(later, **FLAGS).verdict != "no_gap"
 
 
-def test_a_jump_of_the_past_says_that_it_does_not_transfer(tmp_path: Path) -> None:
-    found, _ = closed("[effects.bias_step]\nb_nT = [300.0, -200.0, 250.0]\n", tmp_path)
+def test_a_jump_of_the_past_says_that_it_does_not_transfer() -> None:
+    found, _ = closed("[effects.bias_step]\nb_nT = [300.0, -200.0, 250.0]\n")
     assert [effect.name for effect in found.effects] == ["bias_step"]
     assert found.transfers and not any(one.transfers for one in found.transfers)
     assert all("it happened once, at 2020-03-01T" in one.why for one in found.transfers)
 
 
-def test_what_nadir_pointing_learns_of_the_clock_is_not_good_enough_for_a_spin(tmp_path: Path) -> None:
+def test_what_nadir_pointing_learns_of_the_clock_is_not_good_enough_for_a_spin() -> None:
     """A third of a second is nothing at the orbital rate; at 11 deg/s it is 4 deg of the field."""
-    found, _ = closed(f"[effects.time_tag_offset]\n{HOLDS['time_tag_offset']}\n", tmp_path)
+    found, _ = closed(f"[effects.time_tag_offset]\n{HOLDS['time_tag_offset']}\n")
     spin = next(one for one in found.transfers or () if one.design.startswith("spin"))
     nadir = next(one for one in found.transfers or () if one.design == "nadir, 90 days later")
     assert not spin.transfers and spin.why

@@ -131,11 +131,11 @@ def text(sections: str, inertia_kg_m2: list[list[float]], segment: str) -> str:
 
 
 DESIGNS = {
-    "bias": text(BIAS, [[25.0, 0.3, 0.0], [0.3, 20.0, 0.0], [0.0, 0.0, 22.0]], "duration_min = 200.0, step_s = 10.0"),
+    "bias": text(BIAS, [[25.0, 0.3, 0.0], [0.3, 20.0, 0.0], [0.0, 0.0, 22.0]], "duration_min = 120.0, step_s = 10.0"),
     "three_axis": text(
-        THREE, [[100.0, 0.0, 2.0], [0.0, 120.0, 0.0], [2.0, 0.0, 80.0]], "duration_min = 200.0, step_s = 20.0"
+        THREE, [[100.0, 0.0, 2.0], [0.0, 120.0, 0.0], [2.0, 0.0, 80.0]], "duration_min = 120.0, step_s = 20.0"
     ),
-    "tumble": text(TUMBLE, [[1.0, 0.02, 0.0], [0.02, 1.3, 0.0], [0.0, 0.0, 0.8]], "duration_min = 150.0, step_s = 5.0"),
+    "tumble": text(TUMBLE, [[1.0, 0.02, 0.0], [0.02, 1.3, 0.0], [0.0, 0.0, 0.8]], "duration_min = 90.0, step_s = 5.0"),
     "spin": text(SPIN, [[1.0, 0.0, 0.0], [0.0, 1.05, 0.0], [0.0, 0.0, 1.4]], "duration_min = 80.0, step_s = 2.0"),
 }
 
@@ -301,7 +301,7 @@ def test_sensors_at_rates_of_their_own_are_diagnosed(tmp_path) -> None:
     """From the scenario through a file to a named torque and a named field; few rows have reading and attitude."""
     scenario = parse_scenario(DESIGNS["bias"]).updated(
         {
-            "schedule.segments": [{"start_utc": "2022-03-05T04:00:00Z", "duration_min": 200.0, "step_s": 4.0}],
+            "schedule.segments": [{"start_utc": "2022-03-05T04:00:00Z", "duration_min": 120.0, "step_s": 4.0}],
             "sampling.magnetometer": {"every_s": 8.0},
             "sampling.attitude": {"every_s": 20.0, "offset_s": 4.0},
             "sampling.housekeeping": {"every_s": 20.0},

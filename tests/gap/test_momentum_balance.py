@@ -218,12 +218,17 @@ CASES = {
     "gravity_gradient_inertia_error": ("three_axis", {"inertia_xx_kg_m2": 4.0, "inertia_xy_kg_m2": -3.0}),
     "torquer_gain_error": ("tumble", {"gain": [0.2, 0.2, -0.3]}),
 }
+LONGER = {  # two orbits tell the elements of the inertia apart
+    "gravity_gradient_inertia_error": {
+        "schedule__segments": [{"start_utc": "2022-03-05T04:00:00Z", "duration_min": 200.0, "step_s": 20.0}]
+    }
+}
 
 
 @pytest.mark.parametrize("effect", list(CASES))
 def test_each_effect_is_named_with_its_size(effect: str) -> None:
     design, section = CASES[effect]
-    telemetry, scenario = flown(design, **{f"effects__{effect}": section})
+    telemetry, scenario = flown(design, **{f"effects__{effect}": section}, **LONGER.get(effect, {}))
     found = alone(telemetry, scenario)
     assert [one.name for one in found.named] == [effect]
     assert found.standing == found.named

@@ -96,12 +96,6 @@ def content(folder: Path) -> dict[str, Any]:
     return found
 
 
-def test_the_number_of_processes_changes_no_bit(scenario: Scenario, straight: Path, tmp_path: Path) -> None:
-    fly_ensemble(scenario, VEHICLES, tmp_path / "two", jobs=2, in_chunk=IN_CHUNK)
-    assert content(tmp_path / "two") == content(straight)
-    assert len(list(straight.glob("chunk-*.nc"))) == 4
-
-
 def test_another_executor_changes_no_bit(scenario: Scenario, straight: Path, tmp_path: Path) -> None:
     with ThreadPoolExecutor(1) as pool:
         fly_ensemble(scenario, VEHICLES, tmp_path / "pool", in_chunk=IN_CHUNK, executor=pool)
@@ -179,8 +173,9 @@ def test_an_interrupted_run_goes_on_without_loss(scenario: Scenario, straight: P
     assert not [path for path in folder.iterdir() if path.name.startswith(".")]  # nothing half-written
     plan = make_plan(scenario, VEHICLES, in_chunk=IN_CHUNK)
     assert all(chunk.is_whole(plan, folder, int(name[6:11])) for name in there)
-    fly_ensemble(scenario, VEHICLES, folder, jobs=1, resume=True)  # the size of the chunks is in the record
-    assert content(folder) == content(straight)
+    fly_ensemble(scenario, VEHICLES, folder, jobs=jobs, resume=True)  # the size of the chunks is in the record
+    assert content(folder) == content(straight), "the number of processes changes no bit either"
+    assert len(list(straight.glob("chunk-*.nc"))) == 4
     assert all((folder / name).stat().st_mtime_ns == then for name, then in there.items()), "flown a second time"
 
 

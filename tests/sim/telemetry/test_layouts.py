@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ import h5py
 import numpy as np
 import pytest
 import xarray
+from command_line import Outcome
 
 import fluxtwin
 from fluxtwin.calib.checks.check import check_file, repair
@@ -32,6 +32,7 @@ pytestmark = pytest.mark.reference
 FLUXGATE = "elfin_a_20220112.nc"
 STATE = "elfin_a_20220112_state.nc"
 NO_POSITION = "elfin_a_20190721_raw_no_position.nc"
+Findings = Callable[[Path], dict[str, dict[str, Any]]]
 DOCS_MAPS = Path(__file__).resolve().parents[3] / "docs" / "maps"
 MAPS = {
     FLUXGATE: "elfin_fluxgate_as_labelled",
@@ -45,25 +46,26 @@ def model() -> FieldModel:
     return load_field("igrf14")
 
 
-def plain_check(*arguments: str | Path) -> tuple[int, str, str]:
-    """Status, output and messages of `fluxtwin check ...`."""
-    command = [sys.executable, "-m", "fluxtwin", "check", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    return done.returncode, done.stdout, done.stderr
-
-
-def found_in(path: Path) -> dict[str, dict[str, Any]]:
+@pytest.fixture
+def found_in(cli: Callable[..., Outcome]) -> Callable[[Path], dict[str, dict[str, Any]]]:
     """Findings by code, from the JSON of the plain command; status 1 is demanded."""
-    status, out, errors = plain_check(path, "--json", "-")
-    assert status == 1, errors
-    answer = json.loads(out)
+    return partial(_found_in, cli)
+
+
+def _found_in(cli: Callable[..., Outcome], path: Path) -> dict[str, dict[str, Any]]:
+    outcome = cli("check", path, "--json", "-")
+    assert outcome.status == 1, outcome.err
+    answer = json.loads(outcome.out)
     assert answer["clean"] is False
     return {finding["code"]: finding for finding in answer["findings"]}
 
 
-def test_the_plain_command_says_that_the_counts_are_no_nT(shared: Path, close: Callable[..., None]) -> None:
-    status, out, _ = plain_check(shared / "flight" / FLUXGATE)
-    assert status == 1
+def test_the_plain_command_says_that_the_counts_are_no_nT(
+    shared: Path, process: Callable[..., Outcome], close: Callable[..., None]
+) -> None:
+    outcome = process("check", shared / "flight" / FLUXGATE)
+    assert outcome.status == 1
+    out = outcome.out
     assert "recognised layout: ELFIN-A fluxgate" in out
     assert f"read with the packaged map {MAPS[FLUXGATE]}" in out
     assert "give --map to read it otherwise" in out
@@ -75,7 +77,7 @@ def test_the_plain_command_says_that_the_counts_are_no_nT(shared: Path, close: C
     close(factor, 100.7, atol=2.0, unit="counts per nT", because="medians of |B| against a fit: offsets are 1 % of |B|")
 
 
-def test_the_json_has_the_same_findings(shared: Path) -> None:
+def test_the_json_has_the_same_findings(shared: Path, found_in: Findings) -> None:
     found = found_in(shared / "flight" / FLUXGATE)
     assert found["magnetometer_unit"]["severity"] == "trap"
     assert "counts" in found["magnetometer_unit"]["text"]
@@ -84,7 +86,7 @@ def test_the_json_has_the_same_findings(shared: Path) -> None:
     assert found["clock_slips"]["row_count"] > 0
 
 
-def test_counts_without_positions_are_named_by_the_plain_command(shared: Path) -> None:
+def test_counts_without_positions_are_named_by_the_plain_command(shared: Path, found_in: Findings) -> None:
     found = found_in(shared / "flight" / NO_POSITION)
     assert found["magnetometer_unit"]["severity"] == "trap"
     assert "counts of 0.01 nT" in found["magnetometer_unit"]["text"]
@@ -92,7 +94,7 @@ def test_counts_without_positions_are_named_by_the_plain_command(shared: Path) -
     assert MAPS[NO_POSITION] in found["recognised_layout"]["text"]
 
 
-def test_the_state_file_is_judged_though_it_has_no_magnetometer(shared: Path) -> None:
+def test_the_state_file_is_judged_though_it_has_no_magnetometer(shared: Path, found_in: Findings) -> None:
     found = found_in(shared / "flight" / STATE)
     assert {code for code, finding in found.items() if finding["severity"] == "trap"} == {"sunlit_flag"}
     spans = re.findall(r"2022-01-12T(\d\d):(\d\d):\d\dZ to 2022-01-12T(\d\d):(\d\d)", found["sunlit_flag"]["text"])
@@ -102,10 +104,10 @@ def test_the_state_file_is_judged_though_it_has_no_magnetometer(shared: Path) ->
     assert "nothing can be calibrated" in found["no_magnetometer"]["text"]
 
 
-def test_an_own_map_still_decides(shared: Path) -> None:
-    status, out, _ = plain_check(shared / "flight" / FLUXGATE, "--map", DOCS_MAPS / "elfin.toml")
-    assert status == 0, "with 0.01 nT a count nothing is wrong"
-    assert "recognised layout" not in out
+def test_an_own_map_still_decides(shared: Path, cli: Callable[..., Outcome]) -> None:
+    outcome = cli("check", shared / "flight" / FLUXGATE, "--map", DOCS_MAPS / "elfin.toml")
+    assert outcome.status == 0, "with 0.01 nT a count nothing is wrong"
+    assert "recognised layout" not in outcome.out
 
 
 def test_what_computes_still_wants_the_map(shared: Path, tmp_path: Path) -> None:
@@ -182,12 +184,12 @@ def test_a_recognised_file_out_of_order_is_a_trap_not_an_error(shared: Path, tmp
     assert codes == {"time_not_increasing", "magnetometer_unit"}
 
 
-def test_max_samples_is_an_option_of_the_readers(shared: Path) -> None:
+def test_max_samples_is_an_option_of_the_readers(shared: Path, cli: Callable[..., Outcome]) -> None:
     path = shared / "flight" / NO_POSITION
     with h5py.File(path) as opened:
         rows = len(opened["time"])
-    status, _, errors = plain_check(path, "--max-samples", str(rows - 1))
-    assert status == 2
-    assert f"claims {rows} rows" in errors
-    assert "--max-samples" in errors
-    assert plain_check(path, "--max-samples", str(rows))[0] == 1
+    outcome = cli("check", path, "--max-samples", rows - 1)
+    assert outcome.status == 2
+    assert f"claims {rows} rows" in outcome.err
+    assert "--max-samples" in outcome.err
+    assert cli("check", path, "--max-samples", rows).status == 1

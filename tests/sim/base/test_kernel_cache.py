@@ -53,13 +53,12 @@ pytestmark = [
 def test_a_damaged_cache_is_compiled_again(tmp_path: Path) -> None:
     cache = tmp_path / "cache"
     assert run(tmp_path / "src", XDG_CACHE_HOME=str(cache))[:2] == ["42.0", "0"]
-    assert run(tmp_path / "src", XDG_CACHE_HOME=str(cache))[:2] == ["42.0", "1"]  # it is a cache
     assert not list((tmp_path / "src").rglob("*.nb?"))  # and not beside the source
     for pattern in ("*.nbi", "*.nbc"):
         for damaged in cache.rglob(pattern):
             damaged.write_bytes(damaged.read_bytes()[:40])
         assert run(tmp_path / "src", XDG_CACHE_HOME=str(cache))[:2] == ["42.0", "0"]
-        assert run(tmp_path / "src", XDG_CACHE_HOME=str(cache))[:2] == ["42.0", "1"]  # mended
+        assert run(tmp_path / "src", XDG_CACHE_HOME=str(cache))[:2] == ["42.0", "1"]  # mended: it is a cache
 
 
 def test_no_folder_means_no_cache_and_no_failure(tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ def witness(shared: Path, points: dict[str, np.ndarray], tmp_path_factory: pytes
         try:
             for frame in ("gsm", "sm"):
                 path = str(tmp_path_factory.mktemp("spectrum") / f"{frame}.npz")
-                coordinate_utils.rotate_gauss_fft(2, 2, N=8766, reference=frame, scaled=True, save_to=path)
+                coordinate_utils.rotate_gauss_fft(2, 2, N=2922, reference=frame, scaled=True, save_to=path)
                 chaosmagpy.basicConfig[f"file.{frame.upper()}_spectrum"] = path
             latitude, longitude, radius = frames.geocentric(points["r_E_km"])
             angles = (radius, 90.0 - np.degrees(latitude), np.degrees(longitude))

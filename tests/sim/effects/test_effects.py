@@ -260,7 +260,13 @@ def test_what_is_simulated_is_what_is_predicted(signal_effect, chain, scenario, 
             assert np.abs(reported.reading_nT([(found, wrong * parameters)]) - telemetry.mag_B_nT).max() > 2 * atol
 
 
-def test_switched_on_the_telemetry_changes_and_carries_no_name_of_it(effect, scenario, run, tmp_path):
+@pytest.fixture(scope="module")
+def plain(run, tmp_path_factory):
+    """The file without any effect, which has a column battery_current_A, say."""
+    return write_telemetry(run[0], tmp_path_factory.mktemp("plain") / "plain.nc").read_bytes()
+
+
+def test_switched_on_the_telemetry_changes_and_carries_no_name_of_it(effect, scenario, run, plain, tmp_path):
     theta = scale_of(effect)
     flown = switched_on(scenario, effect, theta)
     telemetry, truth = simulate(flown)
@@ -273,7 +279,6 @@ def test_switched_on_the_telemetry_changes_and_carries_no_name_of_it(effect, sce
     assert not all(same)
     assert telemetry.provenance == run[0].provenance
     content = write_telemetry(telemetry, tmp_path / "t.nc").read_bytes()
-    plain = write_telemetry(run[0], tmp_path / "plain.nc").read_bytes()  # has a column battery_current_A, say
     for word in (effect.name, "effect", *(key.name for key in keys_of(effect) if len(key.name) > 6)):
         assert word.encode() not in content or word.encode() in plain
     recorded = json.loads(truth.effects)

@@ -1,4 +1,4 @@
-"""What the floor tests share: the source tree, the files in git, and a way to call the command line."""
+"""What the tests of the architecture share: the source tree, the files in git, and a way to call the command line."""
 
 from __future__ import annotations
 
@@ -22,6 +22,17 @@ class Outcome:
     status: int
     out: str
     err: str
+
+
+Cli = Callable[..., Outcome]
+"""What the fixtures `cli` and `process` give."""
+
+
+def status_of(*arguments: object) -> int:
+    """Exit status of the command line, called in this process; for fixtures that make files."""
+    from fluxtwin.cli import main
+
+    return main([str(argument) for argument in arguments])
 
 
 @pytest.fixture(scope="session")
@@ -59,14 +70,12 @@ def tracked() -> list[Path]:
 
 
 @pytest.fixture
-def cli(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., Outcome]:
+def cli(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Cli:
     """`cli("field", "--date", ...)`: call the command line in this process."""
     monkeypatch.setattr(warnings, "formatwarning", warnings.formatwarning)  # put back what main changes
 
     def call(*arguments: object) -> Outcome:
-        from fluxtwin.cli import main
-
-        status = main([str(argument) for argument in arguments])
+        status = status_of(*arguments)
         streams = capsys.readouterr()
         return Outcome(status, streams.out, streams.err)
 
@@ -74,7 +83,7 @@ def cli(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @pytest.fixture
-def process() -> Callable[..., Outcome]:
+def process() -> Cli:
     """`process("--help")`: call the installed command line in a process of its own."""
 
     def call(*arguments: object, **options: object) -> Outcome:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from command_line import Cli, status_of
 from jsonschema import Draft202012Validator
 from worlds import scenario_text
 
@@ -81,19 +81,13 @@ class Case:
     answer: dict[str, Any]
 
 
-def call(*arguments: object) -> int:
-    from fluxtwin.cli import main
-
-    return main([str(argument) for argument in arguments])
-
-
 @pytest.fixture(scope="module")
 def late(tmp_path_factory: pytest.TempPathFactory) -> Case:
     folder = tmp_path_factory.mktemp("late")
     record, _ = simulate(parse_scenario(SCENARIO + LATE))
     write_telemetry(record, folder / "late.csv")
     written = ("--json", folder / "a.json", "--html", folder / "a.html", "--close", folder / "closed.toml")
-    status = call("diagnose", folder / "late.csv", *FLAGS, *written)
+    status = status_of("diagnose", folder / "late.csv", *FLAGS, *written)
     return Case(folder, record, folder / "late.csv", status, strict(folder / "a.json"))
 
 
@@ -165,7 +159,7 @@ def test_the_page_stands_alone_and_answers_the_questions(late: Case) -> None:
     assert "h of such data" in " ".join(late.answer["would_settle"].values())
 
 
-def test_the_closed_scenario_simulates_and_closes_the_gap(late: Case, cli: Callable[..., Any]) -> None:
+def test_the_closed_scenario_simulates_and_closes_the_gap(late: Case, cli: Cli) -> None:
     closed = late.folder / "closed.toml"
     scenario = load_scenario(closed)
     assert [effect.name for effect, _ in active_effects(scenario)] == ["time_tag_offset"]
@@ -179,7 +173,7 @@ def test_the_closed_scenario_simulates_and_closes_the_gap(late: Case, cli: Calla
     assert rms < 0.7 * late.answer["gap"]["before_nT"]
 
 
-def test_the_closed_scenario_says_for_which_designs_it_is_good_enough(late: Case, cli: Callable[..., Any]) -> None:
+def test_the_closed_scenario_says_for_which_designs_it_is_good_enough(late: Case, cli: Cli) -> None:
     said = late.answer["transfers"]
     assert {one["effect"] for one in said} == {"time_tag_offset"}
     assert [one["design"] for one in said][:3] == ["nadir, 12 h later", "nadir, 90 days later", "nadir, 182 days later"]
@@ -192,9 +186,7 @@ def test_the_closed_scenario_says_for_which_designs_it_is_good_enough(late: Case
     assert unasked["ranking"][0]["name"] in {"time_tag_offset", "sensor_lag"}
 
 
-def test_a_key_of_the_closure_table_that_does_not_exist_is_named(
-    late: Case, tmp_path: Path, cli: Callable[..., Any]
-) -> None:
+def test_a_key_of_the_closure_table_that_does_not_exist_is_named(late: Case, tmp_path: Path, cli: Cli) -> None:
     text = (late.folder / "closed.toml").read_text(encoding="utf-8").replace("[closure]\n", "[closure]\nrow = 3\n")
     (tmp_path / "wrong.toml").write_text(text, encoding="utf-8")
     outcome = cli("simulate", tmp_path / "wrong.toml", "--out", tmp_path / "x.csv")
@@ -202,7 +194,7 @@ def test_a_key_of_the_closure_table_that_does_not_exist_is_named(
     assert "closure.row" in outcome.err and "rows" in outcome.err
 
 
-def test_the_scenario_with_the_effect_has_no_gap_left(late: Case, cli: Callable[..., Any]) -> None:
+def test_the_scenario_with_the_effect_has_no_gap_left(late: Case, cli: Cli) -> None:
     """Effects of --scenario are applied as they are; JSON alone goes to standard output."""
     (late.folder / "with.toml").write_text(SCENARIO + LATE, encoding="utf-8")
     outcome = cli("diagnose", late.telemetry, "--scenario", late.folder / "with.toml", "--json", "-")
@@ -213,7 +205,7 @@ def test_the_scenario_with_the_effect_has_no_gap_left(late: Case, cli: Callable[
     assert answer["gap"]["before_nT"] < late.answer["gap"]["before_nT"]
 
 
-def test_nothing_to_close_is_said_and_no_file_is_written(late: Case, cli: Callable[..., Any]) -> None:
+def test_nothing_to_close_is_said_and_no_file_is_written(late: Case, cli: Cli) -> None:
     (late.folder / "with.toml").write_text(SCENARIO + LATE, encoding="utf-8")
     out = late.folder / "nothing.toml"
     outcome = cli("diagnose", late.telemetry, "--scenario", late.folder / "with.toml", "--close", out)
@@ -223,7 +215,7 @@ def test_nothing_to_close_is_said_and_no_file_is_written(late: Case, cli: Callab
     assert not out.exists()
 
 
-def test_modelled_none_makes_the_calibration_a_candidate(late: Case, cli: Callable[..., Any], tmp_path: Path) -> None:
+def test_modelled_none_makes_the_calibration_a_candidate(late: Case, cli: Cli, tmp_path: Path) -> None:
     write_telemetry(late.record.select(slice(0, 120)), tmp_path / "hour.csv")
     outcome = cli("diagnose", tmp_path / "hour.csv", *FLAGS, "--modelled", "none", "--json", "-")
     assert outcome.status == 0
@@ -235,7 +227,7 @@ def test_modelled_none_makes_the_calibration_a_candidate(late: Case, cli: Callab
 
 
 @pytest.fixture
-def broken(late: Case, tmp_path: Path, cli: Callable[..., Any]) -> Callable[..., Any]:
+def broken(late: Case, tmp_path: Path, cli: Cli) -> Cli:
     """Diagnose a changed record and demand that nothing was written."""
 
     def run(record: Telemetry, *options: object, suffix: str = ".csv") -> Any:
@@ -250,39 +242,39 @@ def broken(late: Case, tmp_path: Path, cli: Callable[..., Any]) -> Callable[...,
     return run
 
 
-def test_no_reading_at_all(late: Case, broken: Callable[..., Any]) -> None:
+def test_no_reading_at_all(late: Case, broken: Cli) -> None:
     outcome = broken(late.record.replace(mag_B_nT=np.full_like(late.record.mag_B_nT, np.nan)), suffix=".nc")
     assert outcome.status == 1
     assert "all 401 magnetometer readings are missing" in outcome.err
 
 
-def test_an_unknown_modelled_effect_is_named_with_the_nearest(late: Case, broken: Callable[..., Any]) -> None:
+def test_an_unknown_modelled_effect_is_named_with_the_nearest(late: Case, broken: Cli) -> None:
     outcome = broken(late.record, "--modelled", "bias,scale_misalignmnt")
     assert outcome.status == 2
     assert "scale_misalignment" in outcome.err
 
 
-def test_a_scenario_of_another_spacecraft(late: Case, tmp_path: Path, broken: Callable[..., Any]) -> None:
+def test_a_scenario_of_another_spacecraft(late: Case, tmp_path: Path, broken: Cli) -> None:
     (tmp_path / "other.toml").write_text(SCENARIO.replace('"Floor"', '"Ceiling"'), encoding="utf-8")
     outcome = broken(late.record, "--scenario", tmp_path / "other.toml", suffix=".nc")
     assert outcome.status == 2
     assert "'Floor'" in outcome.err and "'Ceiling'" in outcome.err
 
 
-def test_too_few_rows_says_how_many_are_needed(late: Case, broken: Callable[..., Any]) -> None:
+def test_too_few_rows_says_how_many_are_needed(late: Case, broken: Cli) -> None:
     outcome = broken(late.record.select(slice(0, 12)))
     assert outcome.status == 1
     assert "12 rows" in outcome.err
     assert "at least 24 are needed" in outcome.err  # 12 parameters and 30 to spare, three a row, and ten more
 
 
-def test_no_position(late: Case, broken: Callable[..., Any]) -> None:
+def test_no_position(late: Case, broken: Cli) -> None:
     placeless = broken(late.record.replace(r_N_km=None, v_N_km_s=None))
     assert placeless.status == 2
     assert "no position" in placeless.err
 
 
-def test_a_record_without_any_attitude_is_diagnosed(late: Case, cli: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_record_without_any_attitude_is_diagnosed(late: Case, cli: Cli, tmp_path: Path) -> None:
     write_telemetry(late.record.replace(q_NB=None), tmp_path / "blind.csv")
     outcome = cli("diagnose", tmp_path / "blind.csv", *FLAGS, "--json", "-")
     assert outcome.status == 0
@@ -293,7 +285,7 @@ def test_a_record_without_any_attitude_is_diagnosed(late: Case, cli: Callable[..
     assert "401 of 401 rows have no reference attitude" in outcome.err
 
 
-def test_numbers_and_folders_that_cannot_be(late: Case, cli: Callable[..., Any], tmp_path: Path) -> None:
+def test_numbers_and_folders_that_cannot_be(late: Case, cli: Cli, tmp_path: Path) -> None:
     negative = cli("diagnose", late.telemetry, "--noise-nT", -3)
     assert negative.status == 2
     assert "--noise-nT: -3" in negative.err
@@ -304,7 +296,7 @@ def test_numbers_and_folders_that_cannot_be(late: Case, cli: Callable[..., Any],
     assert "noise" not in nowhere.err, "found before the work, not after it"
 
 
-def test_rows_without_attitude_are_counted_and_said(late: Case, cli: Callable[..., Any], tmp_path: Path) -> None:
+def test_rows_without_attitude_are_counted_and_said(late: Case, cli: Cli, tmp_path: Path) -> None:
     q = late.record.q_NB.copy()
     q[::8] = np.nan
     write_telemetry(late.record.replace(q_NB=q), tmp_path / "some.csv")
@@ -316,7 +308,7 @@ def test_rows_without_attitude_are_counted_and_said(late: Case, cli: Callable[..
     assert "51 of 401 rows have no reference attitude" in outcome.err
 
 
-def test_a_stuck_attitude_is_a_warning(late: Case, cli: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_stuck_attitude_is_a_warning(late: Case, cli: Cli, tmp_path: Path) -> None:
     few = late.record.select(slice(0, 60))
     q = few.q_NB.copy()
     q[20:54] = q[20]
@@ -328,7 +320,7 @@ def test_a_stuck_attitude_is_a_warning(late: Case, cli: Callable[..., Any], tmp_
     assert "56 % of the rows" in outcome.err  # 33 of 59 steps
 
 
-def test_a_trap_in_the_file_is_named_before_the_answer(late: Case, cli: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_trap_in_the_file_is_named_before_the_answer(late: Case, cli: Cli, tmp_path: Path) -> None:
     record = late.record.select(
         slice(0, 60)
     )  # half an hour shows the trap; in an orbit the search has far more to explain
@@ -341,12 +333,12 @@ def test_a_trap_in_the_file_is_named_before_the_answer(late: Case, cli: Callable
     assert "fluxtwin check" in said
 
 
-def test_a_budget_far_too_large_is_said(late: Case, cli: Callable[..., Any]) -> None:
+def test_a_budget_far_too_large_is_said(late: Case, cli: Cli) -> None:
     result = cli("diagnose", late.folder / "late.csv", "--noise-nT", 5000, "--lsb-nT", 10, "--attitude-sigma-deg", 0.05)
     assert "the budget is too large" in " ".join((result.out + result.err).split())
 
 
-def test_a_value_that_no_instrument_gives_is_named(late: Case, cli: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_value_that_no_instrument_gives_is_named(late: Case, cli: Cli, tmp_path: Path) -> None:
     text = (late.folder / "late.csv").read_text().splitlines()
     row = text[5].split(",")
     row[text[0].split(",").index("mag_x_nT")] = "1e300"
@@ -357,9 +349,7 @@ def test_a_value_that_no_instrument_gives_is_named(late: Case, cli: Callable[...
     assert "row 5" in result.err
 
 
-def test_a_result_that_cannot_be_written_is_said_before_the_work(
-    late: Case, cli: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_a_result_that_cannot_be_written_is_said_before_the_work(late: Case, cli: Cli, tmp_path: Path) -> None:
     outcome = cli("diagnose", late.folder / "late.csv", *FLAGS, "--json", tmp_path)
     assert outcome.status == 2
     assert "is a folder" in outcome.err

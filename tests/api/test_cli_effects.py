@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import xarray as xr
+from command_line import Cli
 from worlds import scenario_text
 
 from fluxtwin.sim.effects.catalogue import CATALOGUE
@@ -16,7 +16,7 @@ from fluxtwin.sim.effects.catalogue import CATALOGUE
 SCENARIO = scenario_text(seed=3)
 
 
-def test_the_catalogue_as_a_table_and_as_json(cli: Callable[..., object]) -> None:
+def test_the_catalogue_as_a_table_and_as_json(cli: Cli) -> None:
     table = cli("effects")
     assert table.status == 0
     lines = table.out.splitlines()
@@ -37,7 +37,7 @@ def test_the_catalogue_as_a_table_and_as_json(cli: Callable[..., object]) -> Non
 
 
 @pytest.mark.parametrize("name", [effect.name for effect in CATALOGUE])
-def test_one_effect_in_full_gives_a_section_that_works(cli: Callable[..., object], name: str) -> None:
+def test_one_effect_in_full_gives_a_section_that_works(cli: Cli, name: str) -> None:
     from fluxtwin.sim.scenario.effect_sections import active_effects
     from fluxtwin.sim.scenario.scenario import parse_scenario
 
@@ -50,13 +50,13 @@ def test_one_effect_in_full_gives_a_section_that_works(cli: Callable[..., object
     assert theta.tolist() == [parameter.scale for parameter in effect.parameters]
 
 
-def test_a_mistyped_effect_is_named_with_the_nearest(cli: Callable[..., object]) -> None:
+def test_a_mistyped_effect_is_named_with_the_nearest(cli: Cli) -> None:
     outcome = cli("effects", "yaw_drif")
     assert outcome.status == 2
     assert "did you mean yaw_drift?" in outcome.err
 
 
-def test_simulate_with_effects_writes_them_to_the_truth_only(cli: Callable[..., object], tmp_path: Path) -> None:
+def test_simulate_with_effects_writes_them_to_the_truth_only(cli: Cli, tmp_path: Path) -> None:
     plan, out, truth = (tmp_path / name for name in ("s.toml", "t.nc", "truth.nc"))
     plan.write_text(SCENARIO + "[effects.field_epoch]\nahead_yr = 2.0\n", encoding="utf-8")
     assert cli("simulate", plan, "--out", out, "--truth", truth).status == 0
@@ -71,7 +71,7 @@ def test_simulate_with_effects_writes_them_to_the_truth_only(cli: Callable[..., 
     assert wrong.err.count("\n") == 1
 
 
-def test_simulate_says_which_effect_had_nothing_to_act_on(process: Callable[..., object], tmp_path: Path) -> None:
+def test_simulate_says_which_effect_had_nothing_to_act_on(process: Cli, tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(
         SCENARIO + "[effects.sun_sensor_head_misalignment]\nturn_deg = [0.1, 0.0, 0.0]\n", encoding="utf-8"
     )

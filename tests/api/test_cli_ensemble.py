@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
+from command_line import Cli
 from worlds import scenario_text
 
 import fluxtwin
@@ -30,7 +29,7 @@ def scenario(tmp_path: Path) -> Path:
     return path
 
 
-def test_an_ensemble_and_one_vehicle_of_it(cli: Callable[..., Any], scenario: Path, tmp_path: Path) -> None:
+def test_an_ensemble_and_one_vehicle_of_it(cli: Cli, scenario: Path, tmp_path: Path) -> None:
     out = tmp_path / "results"
     outcome = cli("ensemble", scenario, "--vehicles", 3, "--out", out, "--jobs", 1)
     assert outcome.status == 0, outcome.err
@@ -58,7 +57,7 @@ def test_an_ensemble_and_one_vehicle_of_it(cli: Callable[..., Any], scenario: Pa
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(
-    cli: Callable[..., Any], scenario: Path, tmp_path: Path, change: tuple[str, ...], words: list[str]
+    cli: Cli, scenario: Path, tmp_path: Path, change: tuple[str, ...], words: list[str]
 ) -> None:
     outcome = cli("ensemble", scenario, "--out", tmp_path / "results", *change)
     assert outcome.status == 2 and outcome.out == ""
@@ -66,7 +65,7 @@ def test_what_is_wrong_is_said_in_one_line(
     assert not (tmp_path / "results").exists()
 
 
-def test_a_folder_with_an_ensemble_is_left_alone(cli: Callable[..., Any], scenario: Path, tmp_path: Path) -> None:
+def test_a_folder_with_an_ensemble_is_left_alone(cli: Cli, scenario: Path, tmp_path: Path) -> None:
     command = ("ensemble", scenario, "--vehicles", 2, "--out", tmp_path / "results", "--jobs", 1)
     assert cli(*command).status == 0
     outcome = cli(*command)

@@ -7,11 +7,11 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import typer
+from command_line import Cli
 
 COMMANDS = (
     "run",
@@ -54,7 +54,7 @@ def test_help_names_every_command_and_imports_nothing_heavy() -> None:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_explains_itself_and_takes_json(cli: Callable[..., object], name: str) -> None:
+def test_every_command_explains_itself_and_takes_json(cli: Cli, name: str) -> None:
     outcome = cli(name, "--help")
     assert outcome.status == 0
     assert "--json" in outcome.out
@@ -68,19 +68,19 @@ def test_every_command_explains_itself_and_takes_json(cli: Callable[..., object]
         assert "--field" in outcome.out
 
 
-def test_units_survive_in_the_help(cli: Callable[..., object]) -> None:
+def test_units_survive_in_the_help(cli: Cli) -> None:
     text = cli("field", "--help").out
     assert "[nT]" in text
     assert "[km]" in text
 
 
-def test_the_version(cli: Callable[..., object]) -> None:
+def test_the_version(cli: Cli) -> None:
     import fluxtwin
 
     assert cli("--version").out == f"fluxtwin {fluxtwin.__version__}\n"
 
 
-def test_a_mistyped_command_or_option_is_named_with_the_nearest(cli: Callable[..., object]) -> None:
+def test_a_mistyped_command_or_option_is_named_with_the_nearest(cli: Cli) -> None:
     command = cli("feild")
     assert command.status == 2
     assert "field" in command.err
@@ -89,7 +89,7 @@ def test_a_mistyped_command_or_option_is_named_with_the_nearest(cli: Callable[..
     assert "--degree" in option.err
 
 
-def test_field_as_json_alone_on_standard_output(process: Callable[..., object]) -> None:
+def test_field_as_json_alone_on_standard_output(process: Cli) -> None:
     outcome = process(*POINT, "--json", "-")
     assert outcome.status == 0
     record = json.loads(outcome.out)
@@ -98,7 +98,7 @@ def test_field_as_json_alone_on_standard_output(process: Callable[..., object]) 
     assert abs(record["F_nT"] - total) < 1e-6
 
 
-def test_field_as_json_in_a_file(cli: Callable[..., object], tmp_path: Path) -> None:
+def test_field_as_json_in_a_file(cli: Cli, tmp_path: Path) -> None:
     outcome = cli(*POINT, "--json", tmp_path / "field.json")
     assert outcome.status == 0
     assert "nT" in outcome.out
@@ -119,9 +119,7 @@ def test_field_as_json_in_a_file(cli: Callable[..., object], tmp_path: Path) -> 
         (("--degree", "0"), ["0", "1 to 13"]),
     ],
 )
-def test_field_says_what_is_wrong_where_and_what_is_wanted(
-    cli: Callable[..., object], change: tuple[str, str], words: list[str]
-) -> None:
+def test_field_says_what_is_wrong_where_and_what_is_wanted(cli: Cli, change: tuple[str, str], words: list[str]) -> None:
     outcome = cli(*POINT, *change)
     assert outcome.status == 2
     assert outcome.out == ""
@@ -131,14 +129,14 @@ def test_field_says_what_is_wrong_where_and_what_is_wanted(
         assert word in outcome.err
 
 
-def test_an_unknown_study_is_answered_with_the_nearest(cli: Callable[..., object], tmp_path: Path) -> None:
+def test_an_unknown_study_is_answered_with_the_nearest(cli: Cli, tmp_path: Path) -> None:
     outcome = cli("run", "saesat", "--out", tmp_path / "out")
     assert outcome.status == 2
     assert "did you mean 'seasat'" in outcome.err
     assert not (tmp_path / "out").exists()
 
 
-def test_a_data_folder_that_is_not_there(cli: Callable[..., object], tmp_path: Path) -> None:
+def test_a_data_folder_that_is_not_there(cli: Cli, tmp_path: Path) -> None:
     outcome = cli("run", "flight-field", "--data", tmp_path / "none", "--out", tmp_path / "out")
     assert outcome.status == 2
     assert "none" in outcome.err
@@ -156,7 +154,7 @@ def test_a_data_folder_that_is_not_there(cli: Callable[..., object], tmp_path: P
     ],
 )
 def test_what_nobody_expects_costs_one_line(
-    cli: Callable[..., object], monkeypatch: pytest.MonkeyPatch, error: BaseException, status: int, words: str
+    cli: Cli, monkeypatch: pytest.MonkeyPatch, error: BaseException, status: int, words: str
 ) -> None:
     def fail(*_: object, **__: object) -> None:
         raise error
@@ -170,7 +168,7 @@ def test_what_nobody_expects_costs_one_line(
     assert "Traceback" not in outcome.err
 
 
-def test_an_option_without_its_value_is_said_to_lack_it(cli: Callable[..., object], tmp_path: Path) -> None:
+def test_an_option_without_its_value_is_said_to_lack_it(cli: Cli, tmp_path: Path) -> None:
     outcome = cli("calibrate", tmp_path / "x.csv", "--robust", "--out", tmp_path / "c.toml")
     assert outcome.status == 2
     assert "--robust: '--out' is no kind of weights" in outcome.err
@@ -178,7 +176,7 @@ def test_an_option_without_its_value_is_said_to_lack_it(cli: Callable[..., objec
 
 @pytest.mark.parametrize("there", [True, False])
 def test_an_interrupted_study_leaves_no_folder_of_its_own(
-    cli: Callable[..., object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there: bool
+    cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there: bool
 ) -> None:
     from fluxtwin import studies
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import Cli, status_of
 from worlds import scenario_text
 
 SECTIONS = """
@@ -38,20 +39,16 @@ SCENARIO = 'name = "floor"\n' + scenario_text(
     segment="samples = 200, step_s = 60.0",
 )
 
-Cli = Callable[..., object]
-
 
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a scenario, its telemetry as .nc and .csv, and a calibration."""
-    from fluxtwin.cli import main
-
     folder = tmp_path_factory.mktemp("flight")
     (folder / "floor.toml").write_text(SCENARIO, encoding="utf-8")
     for suffix in ("nc", "csv"):
         out = str(folder / f"floor.{suffix}")
-        assert main(["simulate", str(folder / "floor.toml"), "--out", out, "--truth", str(folder / "truth.nc")]) == 0
-    assert main(["calibrate", str(folder / "floor.nc"), "--out", str(folder / "calibration.toml")]) == 0
+        assert status_of("simulate", folder / "floor.toml", "--out", out, "--truth", folder / "truth.nc") == 0
+    assert status_of("calibrate", folder / "floor.nc", "--out", folder / "calibration.toml") == 0
     return folder
 
 

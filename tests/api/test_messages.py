@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from command_line import Cli
 from worlds import scenario_text
 
 import fluxtwin
@@ -28,7 +29,6 @@ time = { recipe = "unix_s", columns = "t" }
 mag = { from = ["x", "y", "z"], unit = "nT" }
 """
 TELEMETRY = "time,r_x_km,r_y_km,r_z_km,mag_x_nT,mag_y_nT,mag_z_nT\n2012-03-01T00:00:00Z,7000,0,0,1,2,3\n"
-Cli = Callable[..., object]
 
 
 @pytest.fixture

@@ -10,10 +10,10 @@ import subprocess
 import sys
 import threading
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from command_line import Cli, status_of
 from worlds import scenario_text
 
 from fluxtwin.outputs import written_by_fluxtwin
@@ -50,19 +50,16 @@ time = { recipe = "iso", columns = "time" }
 [file.columns]
 mag = { from = ["mag_x_nT", "mag_y_nT", "mag_z_nT"], unit = "nT" }
 """
-Cli = Callable[..., object]
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a scenario, its telemetry as .nc and .csv, and a calibration."""
-    from fluxtwin.cli import main
-
     folder = tmp_path_factory.mktemp("made")
     (folder / "s.toml").write_text(SCENARIO, encoding="utf-8")
     for name in ("t.nc", "t.csv", "t.csv.gz"):
-        assert main(["simulate", str(folder / "s.toml"), "--out", str(folder / name)]) == 0
-    assert main(["calibrate", str(folder / "t.nc"), "--out", str(folder / "c.toml")]) == 0
+        assert status_of("simulate", folder / "s.toml", "--out", folder / name) == 0
+    assert status_of("calibrate", folder / "t.nc", "--out", folder / "c.toml") == 0
     return folder
 
 

@@ -84,20 +84,19 @@ def test_a_schedule_in_view_of_no_stations_is_refused():
         list_passes(parse_scenario(text.replace("in_view_of_stations = true", "")))
 
 
-def test_the_command_lists_passes(tmp_path, capsys):
-    from fluxtwin.cli import main
-
+def test_the_command_lists_passes(tmp_path, cli):
     path = tmp_path / "two.toml"
     path.write_text(TEXT, encoding="utf-8")
-    assert main(["passes", str(path), "--json", str(tmp_path / "passes.json")]) == 0
-    shown = capsys.readouterr().out
+    outcome = cli("passes", path, "--json", tmp_path / "passes.json")
+    assert outcome.status == 0
+    shown = outcome.out
     found = json.loads((tmp_path / "passes.json").read_text(encoding="utf-8"))["passes"]
     assert found == list_passes(parse_scenario(TEXT))
     assert f"{len(found)} passes over 2 stations" in shown
     for item in found:
         assert item["rise"] in shown
     path.write_text(TEXT[: TEXT.index("[station.north]")], encoding="utf-8")
-    assert main(["passes", str(path)]) == 2
+    assert cli("passes", path).status == 2
 
 
 STATION = """[station.home]
@@ -107,22 +106,21 @@ mask_deg = 10.0
 """
 
 
-def test_anyones_stations_stand_in_for_those_of_a_scenario(tmp_path, capsys):
-    from fluxtwin.cli import main
-
+def test_anyones_stations_stand_in_for_those_of_a_scenario(tmp_path, cli):
     scenario, stations = tmp_path / "two.toml", tmp_path / "mine.toml"
     scenario.write_text(TEXT, encoding="utf-8")
     stations.write_text(STATION, encoding="utf-8")
-    assert main(["passes", str(scenario), "--stations", str(stations)]) == 0
+    outcome = cli("passes", scenario, "--stations", stations)
+    assert outcome.status == 0
     mine = {"home": {"latitude_deg": 52.1, "longitude_deg": 4.3, "mask_deg": 10.0}}
     found = list_passes(parse_scenario(TEXT).updated({"station": mine}))
-    shown = capsys.readouterr().out
+    shown = outcome.out
     assert f"{len(found)} passes over 1 station," in shown
     for item in found:
         assert item["rise"] in shown
     stations.write_text(STATION.replace("10.0", "89.9"), encoding="utf-8")
-    assert main(["passes", str(scenario), "--stations", str(stations)]) == 0
-    assert "0 passes over 1 station," in capsys.readouterr().out
+    outcome = cli("passes", scenario, "--stations", stations)
+    assert outcome.status == 0 and "0 passes over 1 station," in outcome.out
 
 
 @pytest.mark.parametrize(
@@ -139,28 +137,27 @@ def test_anyones_stations_stand_in_for_those_of_a_scenario(tmp_path, capsys):
         ("[station.home", "not valid TOML"),
     ],
 )
-def test_a_bad_station_file_is_refused_in_words(tmp_path, capsys, text, said):
-    from fluxtwin.cli import main
-
+def test_a_bad_station_file_is_refused_in_words(tmp_path, cli, text, said):
     path = tmp_path / "stations.toml"
     path.write_text(text, encoding="utf-8")
-    assert main(["passes", "hcmm", "--stations", str(path)]) == 2
-    shown = capsys.readouterr().err
+    outcome = cli("passes", "hcmm", "--stations", path)
+    assert outcome.status == 2
+    shown = outcome.err
     assert "stations.toml" in shown
     assert said in shown
     assert "Traceback" not in shown
 
 
-def test_a_name_that_is_no_scenario_is_answered_with_what_there_is(capsys):
-    from fluxtwin.cli import main
-
-    assert main(["passes", "hcm"]) == 2
-    shown = " ".join(capsys.readouterr().err.split())
+def test_a_name_that_is_no_scenario_is_answered_with_what_there_is(cli):
+    outcome = cli("passes", "hcm")
+    assert outcome.status == 2
+    shown = " ".join(outcome.err.split())
     assert "did you mean 'hcmm'" in shown
     for name in ("hcmm", "seasat", "st5"):
         assert name in shown
-    assert main(["passes", "seasat"]) == 2  # packaged, but without stations
-    shown = " ".join(capsys.readouterr().err.split())
+    outcome = cli("passes", "seasat")  # packaged, but without stations
+    assert outcome.status == 2
+    shown = " ".join(outcome.err.split())
     assert "no station" in shown
     assert "--stations" in shown
 

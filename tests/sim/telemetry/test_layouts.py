@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 import pytest
 import xarray
-from command_line import Outcome
+from command_line import Cli
 
 import fluxtwin
 from fluxtwin.calib.checks.check import check_file, repair
@@ -47,12 +47,12 @@ def model() -> FieldModel:
 
 
 @pytest.fixture
-def found_in(cli: Callable[..., Outcome]) -> Callable[[Path], dict[str, dict[str, Any]]]:
+def found_in(cli: Cli) -> Callable[[Path], dict[str, dict[str, Any]]]:
     """Findings by code, from the JSON of the plain command; status 1 is demanded."""
     return partial(_found_in, cli)
 
 
-def _found_in(cli: Callable[..., Outcome], path: Path) -> dict[str, dict[str, Any]]:
+def _found_in(cli: Cli, path: Path) -> dict[str, dict[str, Any]]:
     outcome = cli("check", path, "--json", "-")
     assert outcome.status == 1, outcome.err
     answer = json.loads(outcome.out)
@@ -61,7 +61,7 @@ def _found_in(cli: Callable[..., Outcome], path: Path) -> dict[str, dict[str, An
 
 
 def test_the_plain_command_says_that_the_counts_are_no_nT(
-    shared: Path, process: Callable[..., Outcome], close: Callable[..., None]
+    shared: Path, process: Cli, close: Callable[..., None]
 ) -> None:
     outcome = process("check", shared / "flight" / FLUXGATE)
     assert outcome.status == 1
@@ -104,7 +104,7 @@ def test_the_state_file_is_judged_though_it_has_no_magnetometer(shared: Path, fo
     assert "nothing can be calibrated" in found["no_magnetometer"]["text"]
 
 
-def test_an_own_map_still_decides(shared: Path, cli: Callable[..., Outcome]) -> None:
+def test_an_own_map_still_decides(shared: Path, cli: Cli) -> None:
     outcome = cli("check", shared / "flight" / FLUXGATE, "--map", DOCS_MAPS / "elfin.toml")
     assert outcome.status == 0, "with 0.01 nT a count nothing is wrong"
     assert "recognised layout" not in outcome.out
@@ -184,7 +184,7 @@ def test_a_recognised_file_out_of_order_is_a_trap_not_an_error(shared: Path, tmp
     assert codes == {"time_not_increasing", "magnetometer_unit"}
 
 
-def test_max_samples_is_an_option_of_the_readers(shared: Path, cli: Callable[..., Outcome]) -> None:
+def test_max_samples_is_an_option_of_the_readers(shared: Path, cli: Cli) -> None:
     path = shared / "flight" / NO_POSITION
     with h5py.File(path) as opened:
         rows = len(opened["time"])

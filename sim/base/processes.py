@@ -54,9 +54,24 @@ def stop_when_asked() -> None:
             signal.signal(number, _take)
 
 
-def end_when_asked() -> None:
-    """End this process at once and without a word on SIGTERM: it works for another one, which says what there is to say."""
+def work_for_another() -> None:
+    """This process works for another one, which says what there is to say: it hears no Ctrl-C, ends at once and without a
+    word on SIGTERM, and when the other is gone."""
+    import multiprocessing
+    import threading
+
+    os.environ["OPENBLAS_NUM_THREADS"] = os.environ["MKL_NUM_THREADS"] = "1"  # the processes share the cores
+    start_and_end_quickly()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda number, frame: _end(number))
+    parent = multiprocessing.parent_process()
+
+    def end_with_parent() -> None:
+        if parent is not None:
+            parent.join()
+            _end(signal.SIGTERM)
+
+    threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 def stop_if_asked() -> None:

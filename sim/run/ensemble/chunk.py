@@ -12,6 +12,7 @@ import re
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -96,10 +97,16 @@ def chunk_path(folder: Path, number: int) -> Path:
 
 def fly_chunk(record: Mapping[str, Any], folder: str, number: int) -> dict[str, Any]:
     """Fly and write one chunk of a recorded plan: for a process anywhere that sees the folder. Returns what to tell."""
-    plan = Plan.from_record(record)
-    made = Flyer(plan).chunk(number)
-    write_chunk(plan, made, Path(folder), number)
+    flyer = _flyer(json.dumps(record))
+    made = flyer.chunk(number)
+    write_chunk(flyer.plan, made, Path(folder), number)
     return told(made, number)
+
+
+@lru_cache(maxsize=1)
+def _flyer(record: str) -> Flyer:
+    """A process flies many chunks of one plan, mostly around one Earth."""
+    return Flyer(Plan.from_record(json.loads(record)))
 
 
 def told(made: Chunk, number: int) -> dict[str, Any]:

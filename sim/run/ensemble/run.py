@@ -10,15 +10,19 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Executor, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any
 
 from fluxtwin.sim.base import files
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.processes import stop_if_asked, work_for_another
 from fluxtwin.sim.base.progress import Progress, silent
-from fluxtwin.sim.run.ensemble import chunk, summary, workers
+from fluxtwin.sim.run.ensemble import chunk, summary
 from fluxtwin.sim.run.ensemble.plan import (
     RECORD,
     Plan,
@@ -29,6 +33,11 @@ from fluxtwin.sim.run.ensemble.plan import (
 )
 from fluxtwin.sim.run.ensemble.summary import Envelope
 from fluxtwin.sim.scenario.scenario import Scenario, load_scenario
+
+_LOOK_S = 0.2
+"""Between two looks whether the user asked for an end."""
+Event = dict[str, Any]
+"""{"flown": n} after vehicles; after each chunk what `chunk.told` says of it."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +65,7 @@ def fly_ensemble(
     """Fly so many vehicles of a scenario with [draws] and leave the results in the folder `out`.
 
     seed: of the draws and of all that is random; the scenario's own where not given. jobs: processes, all cores where not
-    given. in_chunk: vehicles that are held in memory and written at a time. resume: go on with what is in the folder,
+    given; a script that asks for more than one needs the usual `if __name__ == "__main__":`. in_chunk: vehicles that are held in memory and written at a time. resume: go on with what is in the folder,
     if it is the same ensemble. executor: flies the chunks instead of processes here, any of `concurrent.futures`' kind
     (as dask's `client.get_executor()`), whose workers see the folder.
     Raises BadInput for a scenario or a vehicle that cannot be, for a folder with another ensemble, and NoAnswer where
@@ -116,11 +125,12 @@ def _fly(plan: Plan, folder: Path, todo: list[int], jobs: int, executor: Executo
             _stop_if_hopeless(plan, todo[0], event["lost"])
 
 
-def _events(plan: Plan, folder: Path, todo: list[int], jobs: int, executor: Executor | None) -> Iterator[workers.Event]:
+def _events(plan: Plan, folder: Path, todo: list[int], jobs: int, executor: Executor | None) -> Iterator[Event]:
     if executor is not None:
         yield from _by_executor(plan, folder, todo, executor)
     elif jobs > 1 and len(todo) > 1:
-        yield from workers.fly_in_processes(plan.record(), folder, todo, jobs)
+        with _processes(min(jobs, len(todo))) as own:
+            yield from _by_executor(plan, folder, todo, own)
     else:
         flyer = chunk.Flyer(plan)
         for number in todo:
@@ -130,17 +140,42 @@ def _events(plan: Plan, folder: Path, todo: list[int], jobs: int, executor: Exec
             yield chunk.told(made, number)
 
 
-def _by_executor(plan: Plan, folder: Path, todo: list[int], executor: Executor) -> Iterator[workers.Event]:
+def _by_executor(plan: Plan, folder: Path, todo: list[int], executor: Executor) -> Iterator[Event]:
     record, place = plan.record(), str(folder.resolve())
-    waiting = {executor.submit(chunk.fly_chunk, record, place, number): number for number in todo}
+    numbers = {executor.submit(chunk.fly_chunk, record, place, number): number for number in todo}
+    waiting = set(numbers)
     try:
-        for future in as_completed(waiting):
-            number = waiting[future]
-            yield {"flown": len(plan.members(number))}
-            yield future.result()
+        while waiting:
+            stop_if_asked()
+            done, waiting = wait(waiting, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
+            for future in done:
+                told = future.result()
+                yield {"flown": len(plan.members(numbers[future]))}
+                yield told
+    except BrokenProcessPool:
+        raise BadInput(
+            "a process ended before its chunk was flown (what it said stands above)",
+            where="ensemble",
+            wanted="fewer --jobs where memory is short; --resume goes on with what is there",
+        ) from None
     finally:
         for future in waiting:
             future.cancel()
+
+
+@contextmanager
+def _processes(count: int) -> Iterator[Executor]:
+    """Processes that fly chunks, ended at once when the work here ends early."""
+    others = set(active_children())
+    pool = ProcessPoolExecutor(count, get_context("spawn"), initializer=work_for_another)
+    try:
+        yield pool
+    except BaseException:
+        for process in set(active_children()) - others:
+            process.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _stop_if_hopeless(plan: Plan, number: int, lost: Sequence[str]) -> None:

@@ -288,11 +288,14 @@ def test_a_vehicle_that_cannot_be_stops_the_ensemble_before_it_begins(scenario: 
 
 
 def test_an_error_in_a_process_reads_as_it_would_here(scenario: Scenario, tmp_path: Path) -> None:
-    from fluxtwin.sim.run.ensemble.workers import fly_in_processes
+    from fluxtwin.sim.run.ensemble.run import _by_executor, _processes
 
-    record = Plan(scenario.updated({"field.truth": "chaos:gone.mat", "draws": None}), 1, 2, 1).record()
-    with pytest.raises(BadInput, match=r"gone\.mat"):
-        list(fly_in_processes(record, tmp_path, [0, 1], 1))
+    plan = Plan(scenario.updated({"field.truth": "chaos:gone.mat", "draws": None}), 1, 2, 1)
+    with (
+        pytest.raises(BadInput, match=r"^gone\.mat: no such file\. Wanted: a CHAOS file, \.mat or \.shc$"),
+        _processes(1) as own,
+    ):
+        list(_by_executor(plan, tmp_path, [0, 1], own))
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends an interrupt as a terminal does")

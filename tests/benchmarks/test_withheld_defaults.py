@@ -4,28 +4,22 @@ smallest sizes and records that determine nothing, held to what their names say.
 from __future__ import annotations
 
 import dataclasses
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import withheld
+from withheld_cases import chain, defaults, limits, make, null_regimes, of_place, readme, store, undetermined
+from withheld_cases.cases import POPULATIONS, case_seed, make_case, question
+from withheld_cases.judged import Judged
+from withheld_cases.worlds import World, shift
+
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
 
 pytestmark = pytest.mark.property
-
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
-if str(BENCHMARKS) not in sys.path:
-    sys.path.insert(0, str(BENCHMARKS))
-
-import withheld  # noqa: E402
-from withheld_cases import chain, defaults, limits, make, null_regimes, of_place, readme, store, undetermined  # noqa: E402
-from withheld_cases.cases import POPULATIONS, case_seed, make_case, question  # noqa: E402
-from withheld_cases.judged import Judged  # noqa: E402
-from withheld_cases.worlds import World, shift  # noqa: E402
-
-from fluxtwin.sim.earth import epoch, frames  # noqa: E402
-from fluxtwin.sim.telemetry.telemetry_files import read_telemetry  # noqa: E402
 
 Close = Callable[..., None]
 SEED = 31

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from withheld_cases.flight import Surroundings, fly, gravity_gradient
+from withheld_cases.of_dynamics import WHERE, draw_craft, truth
+from withheld_cases.torque_visible import WINDOW_S, Ground, Seen, seen
+from withheld_cases.worlds import draw_world
 
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import load_field
@@ -19,13 +21,6 @@ from fluxtwin.sim.spacecraft.dynamics.flight import fly as compiled
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 from fluxtwin.sim.spacecraft.torques.gravity_gradient import GravityGradient
 from fluxtwin.sim.spacecraft.torques.residual_dipole import ResidualDipole
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-
-from withheld_cases.flight import Surroundings, fly, gravity_gradient
-from withheld_cases.of_dynamics import WHERE, draw_craft, truth
-from withheld_cases.torque_visible import WINDOW_S, Ground, Seen, seen
-from withheld_cases.worlds import draw_world
 
 pytestmark = pytest.mark.property
 

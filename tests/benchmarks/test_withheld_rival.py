@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from withheld_cases import of_place, of_sensor, rival
+from withheld_cases.chain import Truth, fly
+from withheld_cases.worlds import OPTIONAL, World, draw_world
+
+from fluxtwin.gap.problem import Budget
+from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
 
 pytestmark = pytest.mark.property
-
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
-if str(BENCHMARKS) not in sys.path:
-    sys.path.insert(0, str(BENCHMARKS))
-
-from withheld_cases import of_place, of_sensor, rival  # noqa: E402
-from withheld_cases.chain import Truth, fly  # noqa: E402
-from withheld_cases.worlds import OPTIONAL, World, draw_world  # noqa: E402
-
-from fluxtwin.gap.problem import Budget  # noqa: E402
-from fluxtwin.sim.telemetry.telemetry_files import write_telemetry  # noqa: E402
 
 BIC = rival.BIC
 

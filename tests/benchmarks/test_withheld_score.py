@@ -10,16 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import withheld
+from withheld_cases import beside, score, store
+from withheld_cases.judged import Judged
 
 pytestmark = pytest.mark.property
-
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
-if str(BENCHMARKS) not in sys.path:
-    sys.path.insert(0, str(BENCHMARKS))
-
-import withheld  # noqa: E402
-from withheld_cases import beside, score, store  # noqa: E402
-from withheld_cases.judged import Judged  # noqa: E402
 
 
 def truth(name: str, visible: float = 1.0, stage: str = "sensor") -> dict[str, Any]:

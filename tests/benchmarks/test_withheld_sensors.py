@@ -3,21 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytestmark = pytest.mark.property
-
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
-if str(BENCHMARKS) not in sys.path:
-    sys.path.insert(0, str(BENCHMARKS))
-
-from withheld_cases import of_place, shapes, spacecraft  # noqa: E402
-from withheld_cases.attitude_sensors import (  # noqa: E402
+from withheld_cases import of_place, shapes, spacecraft
+from withheld_cases.attitude_sensors import (
     clean_roll_pitch,
     clean_sun,
     draw_sensors,
@@ -25,9 +16,11 @@ from withheld_cases.attitude_sensors import (  # noqa: E402
     vectors,
     wandering,
 )
-from withheld_cases.cases import PLAIN, make_case  # noqa: E402
-from withheld_cases.chain import Truth, fly, noise_free  # noqa: E402
-from withheld_cases.worlds import World, draw_world  # noqa: E402
+from withheld_cases.cases import PLAIN, make_case
+from withheld_cases.chain import Truth, fly, noise_free
+from withheld_cases.worlds import World, draw_world
+
+pytestmark = pytest.mark.property
 
 Close = Callable[..., None]
 SMALL_RAD = 1e-9

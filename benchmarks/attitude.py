@@ -115,11 +115,18 @@ class Basilisk:
         field_file.write_text(cof(), encoding="ascii")
         r, v = ORBIT(np.array([START]))
         flight = {
-            "step_s": STEP_S, "steps": steps, "log_every": LOG_EVERY, "inertia_kg_m2": INERTIA_KG_M2.tolist(),
-            "r_N_m": (1e3 * r[0]).tolist(), "v_N_m_s": (1e3 * v[0]).tolist(), "mrp_BN": MRP_BN.tolist(),
-            "rate_B_rad_s": RATE_B_RAD_S.tolist(), "gm_m3_s2": GM_EARTH_KM3_S2 * 1e9, "field_file": str(field_file),
+            "step_s": STEP_S,
+            "steps": steps,
+            "log_every": LOG_EVERY,
+            "inertia_kg_m2": INERTIA_KG_M2.tolist(),
+            "r_N_m": (1e3 * r[0]).tolist(),
+            "v_N_m_s": (1e3 * v[0]).tolist(),
+            "mrp_BN": MRP_BN.tolist(),
+            "rate_B_rad_s": RATE_B_RAD_S.tolist(),
+            "gm_m3_s2": GM_EARTH_KM3_S2 * 1e9,
+            "field_file": str(field_file),
             "year": 2022.0,
-        }  # fmt: skip
+        }
         script = Path(__file__).with_name("peers") / "basilisk_attitude.py"
         self.process = subprocess.Popen(
             [python, str(script)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

@@ -84,9 +84,14 @@ def varying(samples: int, rng: np.random.Generator) -> Set:
     t = np.linspace(0.0, 3600.0, samples)
     time = START + (t * 1e9).astype("timedelta64[ns]")
     orbit = Orbit(
-        epoch_utc=START, altitude_km=2400.0, eccentricity=0.239231, inclination_rad=np.radians(105.6),
-        raan_rad=np.radians(113.0), argument_of_perigee_rad=np.radians(160.0), argument_of_latitude_rad=np.radians(100.0),
-    )  # fmt: skip
+        epoch_utc=START,
+        altitude_km=2400.0,
+        eccentricity=0.239231,
+        inclination_rad=np.radians(105.6),
+        raan_rad=np.radians(113.0),
+        argument_of_perigee_rad=np.radians(160.0),
+        argument_of_latitude_rad=np.radians(100.0),
+    )
     field_N = field_N_nT(load_field("igrf14"), time, orbit.propagate(time)[0])
     spin = Rotation.from_euler("z", -2.7227 * t[:, None]) * Rotation.from_euler("x", 0.41)
     return made(time, spin.apply(field_N), rng, 200.0)
@@ -255,8 +260,10 @@ def spinner(samples: int, repeats: int) -> dict[str, float]:
             seconds.append(time.perf_counter() - begin)
     off = fit.calibration.b_nT - flight.truth.b_nT
     return {
-        "readings": len(rows), "median_s": statistics.median(seconds), "bias_error_mG": float(np.abs(off).max()) / NT_PER_MG,
-    }  # fmt: skip
+        "readings": len(rows),
+        "median_s": statistics.median(seconds),
+        "bias_error_mG": float(np.abs(off).max()) / NT_PER_MG,
+    }
 
 
 def attempt(run: Callable[[Set], Answer], data: Set, clean: Set, *, told: bool) -> dict[str, Any]:

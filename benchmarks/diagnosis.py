@@ -80,8 +80,11 @@ def world(rng: np.random.Generator, design: str) -> Tree:
         "seed": int(rng.integers(1, 2**31)),
         "spacecraft": {"name": "bench", "inertia_kg_m2": [[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]]},
         "orbit": {
-            "epoch_utc": start, "altitude_km": float(rng.uniform(450.0, 800.0)), "inclination_deg": inclination,
-            "raan_deg": float(rng.uniform(0, 360)), "argument_of_latitude_deg": float(rng.uniform(0, 360)),
+            "epoch_utc": start,
+            "altitude_km": float(rng.uniform(450.0, 800.0)),
+            "inclination_deg": inclination,
+            "raan_deg": float(rng.uniform(0, 360)),
+            "argument_of_latitude_deg": float(rng.uniform(0, 360)),
         },
         "attitude": {
             **_motion(rng, design, samples * step_s),
@@ -91,20 +94,26 @@ def world(rng: np.random.Generator, design: str) -> Tree:
             "S": (np.diag(0.005 * rng.standard_normal(3)) + skew).tolist(),
             "b_nT": (1000.0 * rng.standard_normal(3)).tolist(),
             "T_nT_per_Am2": np.zeros((3, 3)).tolist(),
-            "noise_nT": float(rng.uniform(100.0, 200.0)), "lsb_nT": float(rng.uniform(100.0, 440.0)),
+            "noise_nT": float(rng.uniform(100.0, 200.0)),
+            "lsb_nT": float(rng.uniform(100.0, 440.0)),
         },
         "sun_sensor": {
-            "1": {"azimuth_deg": 0.0, "elevation_deg": 90.0}, "2": {"azimuth_deg": 180.0, "elevation_deg": 20.0},
+            "1": {"azimuth_deg": 0.0, "elevation_deg": 90.0},
+            "2": {"azimuth_deg": 180.0, "elevation_deg": 20.0},
         },
         "torquers": {"dipole_Am2": 20.0, "positions_m": [[0.0, 0.0, 2.0], [0.0, 2.0, 0.0], [1.5, 0.0, 0.0]]},
         "power": {"full_sun_current_A": 8.0, "load_A": 3.0},
         "thermal": {
-            "sunlit_degC": 25.0, "eclipse_degC": -20.0, "time_constant_min": 20.0, "heater_on_below_degC": -5.0,
-            "heater_off_above_degC": 0.0, "heater_rise_degC": 30.0,
+            "sunlit_degC": 25.0,
+            "eclipse_degC": -20.0,
+            "time_constant_min": 20.0,
+            "heater_on_below_degC": -5.0,
+            "heater_off_above_degC": 0.0,
+            "heater_rise_degC": 30.0,
         },
         "wheels": {"axes_B": [[0.0, 1.0, 0.0]], "inertia_kg_m2": 0.01, "bias_rpm": [2003.7]},
         "schedule": {"segments": [{"start_utc": start, "samples": samples, "step_s": step_s}]},
-    }  # fmt: skip
+    }
 
 
 def _motion(rng: np.random.Generator, design: str, span_s: float) -> Tree:
@@ -123,9 +132,12 @@ def _motion(rng: np.random.Generator, design: str, span_s: float) -> Tree:
         return {"mode": "slews", "waypoints": points}
     axis = rng.standard_normal(3)
     return {
-        "mode": "spin", "spin_axis_N": (axis / np.linalg.norm(axis)).tolist(),
-        "spin_rate_rpm": float(rng.uniform(1.0, 2.0)), "nutation_deg": 3.0, "phase_deg": float(rng.uniform(0, 360)),
-    }  # fmt: skip
+        "mode": "spin",
+        "spin_axis_N": (axis / np.linalg.norm(axis)).tolist(),
+        "spin_rate_rpm": float(rng.uniform(1.0, 2.0)),
+        "nutation_deg": 3.0,
+        "phase_deg": float(rng.uniform(0, 360)),
+    }
 
 
 def fixed_world(design: str, seed: int) -> Tree:
@@ -134,9 +146,12 @@ def fixed_world(design: str, seed: int) -> Tree:
     start = "2020-03-01T00:00:00Z"
     segment = {"start_utc": start, "samples": 900, "step_s": 1.3 if design == "spin" else 20.0}
     tree["orbit"] |= {
-        "epoch_utc": start, "altitude_km": 650.0, "inclination_deg": 97.9, "raan_deg": 10.0,
+        "epoch_utc": start,
+        "altitude_km": 650.0,
+        "inclination_deg": 97.9,
+        "raan_deg": 10.0,
         "argument_of_latitude_deg": 0.0,
-    }  # fmt: skip
+    }
     tree["schedule"] = {"segments": [segment]}
     tree["attitude"]["reference"] = {"sigma_deg": 0.1, "tau_s": 150.0}
     tree["magnetometer"] |= {"noise_nT": 100.0, "lsb_nT": 100.0}
@@ -165,10 +180,15 @@ def null(number: int) -> Tree:
     scenario = as_scenario(world(np.random.default_rng([7, number]), design))
     found, spent = answer(scenario)
     return {
-        "design": design, "number": number, "verdict": found.verdict, "names": [e.name for e in found.effects],
-        "words": "" if found.verdict == "no_gap" else found.sentence, "cpu_s": spent,
-        "tau_s": scenario.attitude.reference.tau_s, "noise": found.provenance["noise"],
-    }  # fmt: skip
+        "design": design,
+        "number": number,
+        "verdict": found.verdict,
+        "names": [e.name for e in found.effects],
+        "words": "" if found.verdict == "no_gap" else found.sentence,
+        "cpu_s": spent,
+        "tau_s": scenario.attitude.reference.tau_s,
+        "noise": found.provenance["noise"],
+    }
 
 
 def _quiet(tree: Tree) -> Tree:
@@ -230,15 +250,24 @@ def single(case: Single, seed: int = 11) -> Tree:
     first = next((e for e in found.effects if effect.name in {e.name, *e.group}), None)
     stages = {effect.stage, *effect.equivalent_stages}
     return {
-        "effect": case.label or effect.name, "design": case.design, "size": _sizes(effect, theta),
-        "visible": visible, "verdict": found.verdict,
+        "effect": case.label or effect.name,
+        "design": case.design,
+        "size": _sizes(effect, theta),
+        "visible": visible,
+        "verdict": found.verdict,
         "named": "yes" if first is not None and first.name == effect.name else "group" if first else "no",
-        "names": [e.name for e in found.effects], "group": list(first.group) if first else [],
+        "names": [e.name for e in found.effects],
+        "group": list(first.group) if first else [],
         "settings": dict(first.settings) if first else {},
-        "stage": found.where.stage, "stage_right": found.where.stage in stages,
-        "pull": _pull(effect, theta, first), "closed": found.gap.closed, "resembles": list(found.resembles),
-        "words": found.sentence, "cpu_s": spent, "noise": found.provenance["noise"],
-    }  # fmt: skip
+        "stage": found.where.stage,
+        "stage_right": found.where.stage in stages,
+        "pull": _pull(effect, theta, first),
+        "closed": found.gap.closed,
+        "resembles": list(found.resembles),
+        "words": found.sentence,
+        "cpu_s": spent,
+        "noise": found.provenance["noise"],
+    }
 
 
 def _sizes(effect: Effect, theta: np.ndarray) -> str:
@@ -288,11 +317,21 @@ def cases() -> list[Single]:
         _of("solar_array_current", vector, without=("power",), label="solar_array_current, no column"),
         _of("battery_current", vector),
         _of("heater_switching", vector),
-        _of("heater_switching", vector, without=("thermal",), settings={"sequence": _thermostat()},
-            label="heater_switching, no column"),
+        _of(
+            "heater_switching",
+            vector,
+            without=("thermal",),
+            settings={"sequence": _thermostat()},
+            label="heater_switching, no column",
+        ),
         _of("wheel_field", (1.0, -0.5, 0.2, 0.3, 0.9, -0.4)),
-        _of("wheel_field", (1.0, -0.5, 0.2, 0.3, 0.9, -0.4), without=("wheels",), settings={"frequency_Hz": 33.3947},
-            label="wheel_field, no column"),
+        _of(
+            "wheel_field",
+            (1.0, -0.5, 0.2, 0.3, 0.9, -0.4),
+            without=("wheels",),
+            settings={"frequency_Hz": 33.3947},
+            label="wheel_field, no column",
+        ),
         _of("eddy_current", eddy, "spin"),
         _of("switched_field", vector, "tumble", settings={"condition": "eclipse"}),
         _of("boom_bending", [0.005, -0.0035, 0.0025], "tumble"),
@@ -313,7 +352,7 @@ def cases() -> list[Single]:
         _of("excess_noise", [150.0], settings={"axis": "y"}, label="excess_noise on y"),
         _of("bit_errors", [0.01]),
         _of("bit_errors", [0.02], settings={"bit": 4}, label="bit_errors in bit 4"),
-    ]  # fmt: skip
+    ]
 
 
 def _thermostat(rows: int = 900, step_s: float = 20.0) -> tuple[int, ...]:
@@ -347,8 +386,20 @@ def print_singles(results: Sequence[Tree]) -> None:
         pull = "" if r["pull"] is None else f"{r['pull']:.1f}"
         closed = "" if r["closed"] is None else f"{r['closed']:.2f}"
         said = "+".join(r["names"]) or "resembles " + ",".join(r["resembles"])
-        print(shape.format(r["effect"], r["design"], r["size"], f"{r['visible']:.2f}", r["verdict"], r["named"],
-                           stage, pull, closed, said))  # fmt: skip
+        print(
+            shape.format(
+                r["effect"],
+                r["design"],
+                r["size"],
+                f"{r['visible']:.2f}",
+                r["verdict"],
+                r["named"],
+                stage,
+                pull,
+                closed,
+                said,
+            )
+        )
 
 
 def _all(work: Callable[[Any], Tree], items: Sequence[Any]) -> list[Tree]:

@@ -133,8 +133,12 @@ def growth(scenario: Scenario, counts: list[int], cores: int, steps: int) -> lis
         }
         if cores > 1:
             every, busy = seconds_of(scenario, count, cores)
-            row |= {"all_cores_s": every, "all_cores_cpu_s": busy, "cores_kept_busy": busy / every,
-                    "cpu_over_that_of_one_core": busy / used}  # fmt: skip
+            row |= {
+                "all_cores_s": every,
+                "all_cores_cpu_s": busy,
+                "cores_kept_busy": busy / every,
+                "cpu_over_that_of_one_core": busy / used,
+            }
         rows.append(row)
     return rows
 
@@ -181,9 +185,12 @@ def second_start(scenario: Scenario, repeats: int) -> dict[str, float]:
         took.append([*(float(word) for word in done.stdout.split()), sum(os.times()[2:4]) - before])
     imports, first, another, whole = (statistics.median(column) for column in zip(*took, strict=True))
     return {
-        "imports_cpu_s": imports, "first_vehicle_cpu_s": first, "another_vehicle_cpu_s": another,
-        "whole_process_cpu_s": whole, "start_cpu_s": whole - 2.0 * another,
-    }  # fmt: skip
+        "imports_cpu_s": imports,
+        "first_vehicle_cpu_s": first,
+        "another_vehicle_cpu_s": another,
+        "whole_process_cpu_s": whole,
+        "start_cpu_s": whole - 2.0 * another,
+    }
 
 
 def report(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -193,9 +200,11 @@ def report(arguments: argparse.Namespace) -> dict[str, Any]:
     section = plan.make_plan(scenario, 1).scenario.schedule
     assert section is not None
     own_orbit = scenario.updated(
-        {"draws": {key: draw.model_dump(exclude_none=True) for key, draw in scenario.draws.items()}
-                  | {"orbit.raan_deg": {"uniform": (0.0, 360.0)}}}
-    )  # fmt: skip
+        {
+            "draws": {key: draw.model_dump(exclude_none=True) for key, draw in scenario.draws.items()}
+            | {"orbit.raan_deg": {"uniform": (0.0, 360.0)}}
+        }
+    )
     steps = int((section.segments[0].count - 1) * section.segments[0].step_s)
     rows = growth(scenario, arguments.vehicles, arguments.jobs, steps)
     record: dict[str, Any] = {

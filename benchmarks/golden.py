@@ -83,47 +83,77 @@ FREE: Tree = {"spacecraft": {"name": "free", **BODY}, "attitude": {"mode": "dyna
 SCENARIOS: dict[str, Tree] = {
     "as in the README": {},
     "elliptic": {"orbit": {"eccentricity": 0.02, "argument_of_perigee_deg": 40.0}},
-    "IGRF 1975": {"field": {"truth": "igrf1975"}, "orbit": {"epoch_utc": "1978-07-10T00:00:00Z"},
-                  "schedule": {"segments": [{**SEGMENT, "start_utc": "1978-07-10T00:00:00Z"}]}},
+    "IGRF 1975": {
+        "field": {"truth": "igrf1975"},
+        "orbit": {"epoch_utc": "1978-07-10T00:00:00Z"},
+        "schedule": {"segments": [{**SEGMENT, "start_utc": "1978-07-10T00:00:00Z"}]},
+    },
     "field to degree 8": {"field": {"truth_degree": 8}},
     "inertial hold": {"attitude": {"mode": "inertial_hold", "q_NB": [0.1, 0.2, 0.3, 0.9273618495495703]}},
     "slews": {"attitude": {"mode": "slews", "waypoints": WAYPOINTS}},
     "tumble": {"spacecraft": BODY, "attitude": {"mode": "tumble", "rate_deg_s": [0.12, 0.08, 0.2]}},
-    "spin": {"spacecraft": {"inertia_kg_m2": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.5]]},
-             "attitude": SPINNER, "schedule": {"segments": [{**SEGMENT, "duration_min": 20.0, "step_s": 0.5}]}},
-    "slit sun sensor": {"spacecraft": {"inertia_kg_m2": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.5]]},
-                        "attitude": SPINNER, "slit_sun_sensor": {"noise_deg": 0.1},
-                        "schedule": {"segments": [{**SEGMENT, "duration_min": 20.0, "step_s": 0.5}]}},
-    "unknown field, full scale": {"magnetometer": {"range_nT": 60000.0,
-                                                   "unknown": {"kind": "gauss_markov", "rms_nT": 80.0, "tau_s": 900.0}}},
+    "spin": {
+        "spacecraft": {"inertia_kg_m2": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.5]]},
+        "attitude": SPINNER,
+        "schedule": {"segments": [{**SEGMENT, "duration_min": 20.0, "step_s": 0.5}]},
+    },
+    "slit sun sensor": {
+        "spacecraft": {"inertia_kg_m2": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.5]]},
+        "attitude": SPINNER,
+        "slit_sun_sensor": {"noise_deg": 0.1},
+        "schedule": {"segments": [{**SEGMENT, "duration_min": 20.0, "step_s": 0.5}]},
+    },
+    "unknown field, full scale": {
+        "magnetometer": {"range_nT": 60000.0, "unknown": {"kind": "gauss_markov", "rms_nT": 80.0, "tau_s": 900.0}}
+    },
     "sun sensors, scanner, gyro": {
         "sun_sensor": HEADS,
         "horizon_scanner": {"noise_deg": 0.2, "tau_s": 60.0, "roll_bias_deg": 0.3},
-        "gyro": {"bias_deg_h": [1.0, -2.0, 3.0], "noise_deg_s": 0.01, "random_walk_deg_h_per_sqrt_h": 0.1}},
+        "gyro": {"bias_deg_h": [1.0, -2.0, 3.0], "noise_deg_s": 0.01, "random_walk_deg_h_per_sqrt_h": 0.1},
+    },
     "attitude from sensors": {
         "sun_sensor": HEADS,
         "horizon_scanner": {"noise_deg": 0.2},
-        "attitude": {"reference": {"sigma_deg": 0.0, "tau_s": 0.0, "source": "sensors", "needs_sun": True}}},
+        "attitude": {"reference": {"sigma_deg": 0.0, "tau_s": 0.0, "source": "sensors", "needs_sun": True}},
+    },
     "torquers": {"torquers": TORQUERS},
     "torquers on, compensated": {"torquers": {**TORQUERS, "activity": "constant", "compensation": 0.8}},
-    "power, thermal, wheels": {"power": POWER, "thermal": THERMAL,
-                               "wheels": {**WHEELS, "momentum_amplitude_Nms": [0.0, 0.01, 0.0]}},
+    "power, thermal, wheels": {
+        "power": POWER,
+        "thermal": THERMAL,
+        "wheels": {**WHEELS, "momentum_amplitude_Nms": [0.0, 0.01, 0.0]},
+    },
     "heater": {"thermal": HEATED},
     "free motion": FREE,
     "gravity gradient": {**FREE, "torques": {"gravity_gradient": {}}},
-    "two segments": {"schedule": {"segments": [{**SEGMENT, "duration_min": 30.0},
-                                               {**SEGMENT, "start_utc": "2026-03-01T06:00:00Z", "duration_min": 30.0}]}},
-}  # fmt: skip
+    "two segments": {
+        "schedule": {
+            "segments": [
+                {**SEGMENT, "duration_min": 30.0},
+                {**SEGMENT, "start_utc": "2026-03-01T06:00:00Z", "duration_min": 30.0},
+            ]
+        }
+    },
+}
 CALIBRATIONS: dict[str, tuple[str, dict[str, Any]]] = {
     f"{flight}: {' '.join(map(str, options.values())) or 'default'}": (flight, options)
     for flight, choices in {
         "as in the README": [
-            {}, {"method": "forward"}, {"parameters": "b"}, {"robust": "none"}, {"robust": "huber"},
-            {"covariance": "white"}, {"attitude_sigma_deg": 0.1, "attitude_tau_s": 300.0}, {"field_error_nT": 50.0},
+            {},
+            {"method": "forward"},
+            {"parameters": "b"},
+            {"robust": "none"},
+            {"robust": "huber"},
+            {"covariance": "white"},
+            {"attitude_sigma_deg": 0.1, "attitude_tau_s": 300.0},
+            {"field_error_nT": 50.0},
             {"degree": 8},
         ],
         "torquers": [{"parameters": "b,S,T"}, {"parameters": "b,S,T", "method": "forward"}],
-        "elliptic": [{}], "slews": [{}], "inertial hold": [{}], "IGRF 1975": [{"field": "igrf1975"}],
+        "elliptic": [{}],
+        "slews": [{}],
+        "inertial hold": [{}],
+        "IGRF 1975": [{"field": "igrf1975"}],
         "two segments": [{}],
         "tumble": [{}, *({"method": method} for method in ("scalar", "twostep", "center"))],
         "power, thermal, wheels": [{"telemetry_bias": ("array_current_A",), "method": "scalar"}],
@@ -132,12 +162,27 @@ CALIBRATIONS: dict[str, tuple[str, dict[str, Any]]] = {
         "unknown field, full scale": [{}],
     }.items()
     for options in choices
-}  # fmt: skip
+}
 DIAGNOSES = {
-    "nulls": 6, "nulls_off": 2, "singles": 14, "faint": 3, "pairs": 5, "triples": 2, "shapes": 4, "outside": 5,
-    "sensed": 3, "torque_nulls": 1, "torques": 2, "torque_pairs": 1, "nulls_undeclared": 3, "singles_undeclared": 3,
-    "passes_only": 1, "short": 2, "coarse": 2, "undetermined": 1,
-}  # fmt: skip
+    "nulls": 6,
+    "nulls_off": 2,
+    "singles": 14,
+    "faint": 3,
+    "pairs": 5,
+    "triples": 2,
+    "shapes": 4,
+    "outside": 5,
+    "sensed": 3,
+    "torque_nulls": 1,
+    "torques": 2,
+    "torque_pairs": 1,
+    "nulls_undeclared": 3,
+    "singles_undeclared": 3,
+    "passes_only": 1,
+    "short": 2,
+    "coarse": 2,
+    "undetermined": 1,
+}
 """Cases of each population of the withheld benchmark."""
 STUDIES = ("seasat", "hcmm", "st5")
 
@@ -240,7 +285,7 @@ PARTS: dict[str, tuple[Callable[[str, Path], Answer], list[str]]] = {
     "checks": (check, [f"{kind} 0" for kind in (*traps_cases.KINDS, traps_cases.GOOD)]),
     "diagnoses": (diagnosis, [f"{name} {number}" for name, count in DIAGNOSES.items() for number in range(count)]),
     "studies": (study, list(STUDIES)),
-}  # fmt: skip
+}
 
 
 def spoken(say: Callable[[], Tree]) -> Tree:

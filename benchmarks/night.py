@@ -53,10 +53,13 @@ def scenario(name: str) -> Scenario:
     """HCMM without what hides the magnetometer, over one of SPANS."""
     return prescribed(mission.scenario()).updated(
         {
-            "schedule.in_view_of_stations": None, "schedule.segments": [SPANS[name]], "torquers.telemetered": True,
-            "torquers.compensation": None, "sun_sensor.1.misalignment_deg": None,
+            "schedule.in_view_of_stations": None,
+            "schedule.segments": [SPANS[name]],
+            "torquers.telemetered": True,
+            "torquers.compensation": None,
+            "sun_sensor.1.misalignment_deg": None,
         }
-    )  # fmt: skip
+    )
 
 
 def turn_deg(q_NB: np.ndarray, truth: Truth) -> np.ndarray:
@@ -126,10 +129,13 @@ def score(parts: list[dict[str, np.ndarray]]) -> dict[str, float | None]:
     error = np.concatenate([part["error"] for part in parts])
     known = np.isfinite(error)
     row: dict[str, float | None] = {
-        "rms_deg": float(np.sqrt((error[known] ** 2).mean())), "p95_deg": float(np.quantile(np.abs(error[known]), 0.95)),
-        "sigma_deg": None, "within_3_sigma": None, "holds": None,
+        "rms_deg": float(np.sqrt((error[known] ** 2).mean())),
+        "p95_deg": float(np.quantile(np.abs(error[known]), 0.95)),
+        "sigma_deg": None,
+        "within_3_sigma": None,
+        "holds": None,
         "good": None,
-    }  # fmt: skip
+    }
     if "sigma" in parts[0]:
         sigma = np.concatenate([part["sigma"] for part in parts])[known]
         row["sigma_deg"] = float(np.sqrt((sigma**2).mean()))

@@ -185,9 +185,14 @@ class Flown:
             )
             return of_estimated(known.values - values, known.covariance, known.names)
         rows = ScalarRows(
-            time=telemetry.time, B_nT=B_nT, H_nT=np.linalg.norm(self.world.field_N_nT, axis=1), columns={},
-            rows=np.arange(len(telemetry)), left_out={}, radian_s=RADIAN_S,
-        )  # fmt: skip
+            time=telemetry.time,
+            B_nT=B_nT,
+            H_nT=np.linalg.norm(self.world.field_N_nT, axis=1),
+            columns={},
+            rows=np.arange(len(telemetry)),
+            left_out={},
+            radian_s=RADIAN_S,
+        )
         known = fit_rows(rows, ScalarOptions(method=self.case.method, robust="tukey")).calibration
         U, s, V = np.linalg.svd(M)  # |B| does not tell the rotation: M = O P
         P, turn = V.T @ np.diag(s) @ V, U @ V
@@ -237,10 +242,14 @@ def score(answers: list[Answer]) -> dict[str, Any]:
     names = answers[0].names
     return {
         "seeds": len(answers),
-        "pull": dict(zip(names, each.tolist(), strict=True)), "pull_all": float(np.sqrt(square.mean())),
-        "share": dict(zip(names, share.tolist(), strict=True)), "share_all": float(inside.mean()),
-        "largest": float(np.sqrt(square.max())), "nees": float(np.mean(nees)), "nees_median": float(np.median(nees)),
-    }  # fmt: skip
+        "pull": dict(zip(names, each.tolist(), strict=True)),
+        "pull_all": float(np.sqrt(square.mean())),
+        "share": dict(zip(names, share.tolist(), strict=True)),
+        "share_all": float(inside.mean()),
+        "largest": float(np.sqrt(square.max())),
+        "nees": float(np.mean(nees)),
+        "nees_median": float(np.median(nees)),
+    }
 
 
 def run_case(name: str, seeds: int, first: int = FIRST_SEED) -> dict[str, Any]:

@@ -50,24 +50,54 @@ from fluxtwin.sim.base import files
 
 ROOT = Path(__file__).resolve().parent.parent
 FROZEN = {
-    "nulls": 1000, "nulls_off": 60, "singles": 3 * len(PLAIN), "faint": 20, "pairs": 30, "triples": 12, "shapes": 30,
-    "outside": 2 * len(OUTSIDE), "sensed": 10 * len(SENSED),
-    "torque_nulls": 40, "torques": 24, "torque_pairs": 12,
-    "nulls_undeclared": 300, "singles_undeclared": 3 * len(PLAIN), "passes_only": 200, "short": 200, "coarse": 200,
-    "limits": 100 * len(limits.SIZED), "undetermined": 40,
-}  # fmt: skip
+    "nulls": 1000,
+    "nulls_off": 60,
+    "singles": 3 * len(PLAIN),
+    "faint": 20,
+    "pairs": 30,
+    "triples": 12,
+    "shapes": 30,
+    "outside": 2 * len(OUTSIDE),
+    "sensed": 10 * len(SENSED),
+    "torque_nulls": 40,
+    "torques": 24,
+    "torque_pairs": 12,
+    "nulls_undeclared": 300,
+    "singles_undeclared": 3 * len(PLAIN),
+    "passes_only": 200,
+    "short": 200,
+    "coarse": 200,
+    "limits": 100 * len(limits.SIZED),
+    "undetermined": 40,
+}
 """Cases of a frozen run."""
 RIVAL = {"nulls": 200, "singles": 40, "pairs": 15, "triples": 6}
 """How many of them the rival is asked, the first ones."""
 LOOPS = {"singles": len(PLAIN)}
 """How many of them are put to the test on another day."""
 SECONDS = {
-    "nulls": 3.5, "nulls_off": 3.5, "singles": 6.5, "faint": 5.5, "pairs": 9.5, "triples": 12.0, "shapes": 6.0,
-    "outside": 10.0, "sensed": 5.0, "rival": 2.0, "loops": 10.0,
-    "torque_nulls": 5.0, "torques": 22.0, "torque_pairs": 22.0,
-    "nulls_undeclared": 8.0, "singles_undeclared": 8.0, "passes_only": 11.0, "short": 3.0, "coarse": 5.0,
-    "limits": 13.0, "undetermined": 3.0,
-}  # fmt: skip
+    "nulls": 3.5,
+    "nulls_off": 3.5,
+    "singles": 6.5,
+    "faint": 5.5,
+    "pairs": 9.5,
+    "triples": 12.0,
+    "shapes": 6.0,
+    "outside": 10.0,
+    "sensed": 5.0,
+    "rival": 2.0,
+    "loops": 10.0,
+    "torque_nulls": 5.0,
+    "torques": 22.0,
+    "torque_pairs": 22.0,
+    "nulls_undeclared": 8.0,
+    "singles_undeclared": 8.0,
+    "passes_only": 11.0,
+    "short": 3.0,
+    "coarse": 5.0,
+    "limits": 13.0,
+    "undetermined": 3.0,
+}
 """Mean CPU time of one answer on a busy core of 2026 (tuning rounds), to tell how long a run will take."""
 DOCS = ROOT / "docs"
 QUICK = {"tune": 1, "population": ["nulls", "singles", "undetermined"], "count": 1}

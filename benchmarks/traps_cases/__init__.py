@@ -77,10 +77,14 @@ def fly(rng: np.random.Generator, model: FieldModel, kind: str) -> Case:
     eccentricity = float(rng.choice([0.001, 0.005, 0.02]))
     inclination = float(rng.choice([51.6, 97.5, rng.uniform(20.0, 110.0)]))
     orbit = Orbit(
-        epoch_utc=start, altitude_km=low + eccentricity * 6900.0, inclination_rad=np.radians(inclination),
-        raan_rad=rng.uniform(0, 6.28), eccentricity=eccentricity, argument_of_perigee_rad=rng.uniform(0, 6.28),
+        epoch_utc=start,
+        altitude_km=low + eccentricity * 6900.0,
+        inclination_rad=np.radians(inclination),
+        raan_rad=rng.uniform(0, 6.28),
+        eccentricity=eccentricity,
+        argument_of_perigee_rad=rng.uniform(0, 6.28),
         argument_of_latitude_rad=rng.uniform(0, 6.28),
-    )  # fmt: skip
+    )
     r, v = orbit.propagate(time)
     modes = ["nadir", "tumble", "inertial", "spin", "slews"]
     mode = str(rng.choice(modes))
@@ -114,9 +118,17 @@ def fly(rng: np.random.Generator, model: FieldModel, kind: str) -> Case:
         f"{', no attitude' if attitude_free else ''}"
     )
     case = Case(
-        label, rng, time, r, v, np.round(reading / lsb) * lsb, None if attitude_free else q, extra, spread,
+        label,
+        rng,
+        time,
+        r,
+        v,
+        np.round(reading / lsb) * lsb,
+        None if attitude_free else q,
+        extra,
+        spread,
         earth_fixed=bool(rng.uniform() < 0.2),
-    )  # fmt: skip
+    )
     if case.earth_fixed:
         case.label += ", ecef"
     return case

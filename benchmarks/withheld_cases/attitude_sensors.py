@@ -46,9 +46,13 @@ def draw_sensors(key: int) -> AttitudeSensors:
         return float(np.radians(np.exp(rng.uniform(np.log(low_deg), np.log(high_deg)))))
 
     return AttitudeSensors(
-        sun_noise_rad=size(0.01, 0.1), sun_lsb_rad=size(0.02, 0.5), nadir_noise_rad=size(0.02, 0.15),
-        nadir_wander_rad=size(0.01, 0.1), nadir_tau_s=float(rng.uniform(5.0, 600.0)), nadir_lsb_rad=size(0.005, 0.1),
-    )  # fmt: skip
+        sun_noise_rad=size(0.01, 0.1),
+        sun_lsb_rad=size(0.02, 0.5),
+        nadir_noise_rad=size(0.02, 0.15),
+        nadir_wander_rad=size(0.01, 0.1),
+        nadir_tau_s=float(rng.uniform(5.0, 600.0)),
+        nadir_lsb_rad=size(0.005, 0.1),
+    )
 
 
 def fitted(key: int, regime: str) -> AttitudeSensors | None:

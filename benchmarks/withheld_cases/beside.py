@@ -21,16 +21,23 @@ def torques(cases: Sequence[Judged]) -> list[dict[str, Any]]:
     closed = [float(gap["closed"]) for c in alone if (gap := c.said.get("momentum")) and gap["closed"] is not None]
     middle = median(closed)
     return [
-        share_row("perfect flight of a modelled vehicle: no gap", ">= 99 %", of(cases, "torque_nulls"),
-                  lambda c: c.verdict == "no_gap", 0.99),
+        share_row(
+            "perfect flight of a modelled vehicle: no gap",
+            ">= 99 %",
+            of(cases, "torque_nulls"),
+            lambda c: c.verdict == "no_gap",
+            0.99,
+        ),
         share_row("torque, visible >= 0.7: first name", ">= 95 %", alone, lambda c: c.first_right, 0.95),
         share_row("the same: list exactly right", ">= 90 %", alone, lambda c: c.list_right, 0.90),
         share_row("torque: false extra", "<= 5 %", alone, lambda c: c.extra, 0.0, 0.05),
         share_row("torque: stage right", ">= 95 %", alone, lambda c: c.stage_right, 0.95),
         number_row("torque, closed in attitude: median", ">= 0.90", middle, len(closed), middle >= 0.90),
-        share_row("torque and sensor, each visible >= 0.7: both exactly", ">= 80 %", mixed, lambda c: c.list_right, 0.80),
+        share_row(
+            "torque and sensor, each visible >= 0.7: both exactly", ">= 80 %", mixed, lambda c: c.list_right, 0.80
+        ),
         share_row("torque and sensor: false extra", "<= 5 %", mixed, lambda c: c.extra, 0.0, 0.05),
-    ]  # fmt: skip
+    ]
 
 
 def has_channel(case: Judged) -> bool:
@@ -48,11 +55,15 @@ def second_channel(cases: Sequence[Judged]) -> list[dict[str, Any]]:
         *_both(nulls, "no gap on a perfect simulation", ">= 99 %", lambda c: c.verdict == "no_gap", 0.99),
         *_both(singles, "single, with a Jacobian, visible >= 0.2: list exactly right", TOLD, lambda c: c.list_right),
         *_both(faults, "fault of an attitude sensor, visible >= 0.2: list exactly right", TOLD, lambda c: c.list_right),
-        *_both(faults, "fault of an attitude sensor: the same, and no other name in the group", TOLD,
-               lambda c: c.list_right and len(names_of(c.effects[0])) == 1),
+        *_both(
+            faults,
+            "fault of an attitude sensor: the same, and no other name in the group",
+            TOLD,
+            lambda c: c.list_right and len(names_of(c.effects[0])) == 1,
+        ),
         *_both(others, "another cause, visible >= 0.2: list exactly right", TOLD, lambda c: c.list_right),
         *_both(others, "another cause: a fault of an attitude sensor named", "<= 5 %", _blamed, 0.0, 0.05),
-    ]  # fmt: skip
+    ]
 
 
 def _both(

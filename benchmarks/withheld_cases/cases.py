@@ -24,17 +24,38 @@ from withheld_cases.worlds import REGIMES, World, between, draw_world
 PLAIN: dict[str, Maker] = {
     maker.__name__: maker
     for maker in (
-        of_sensor.bias, of_sensor.scale_misalignment, of_spacecraft.torquer_coupling, of_sensor.quadratic_nonlinearity,
-        of_sensor.cubic_nonlinearity, of_sensor.hysteresis, of_sensor.saturation, of_sensor.sensor_lag,
-        of_sensor.coarse_quantization, of_sensor.excess_noise, of_sensor.thermal_bias_drift,
-        of_sensor.thermal_scale_drift, of_sensor.bias_step, of_sensor.bias_random_walk, of_sensor.bit_errors,
-        of_place.time_tag_offset, of_place.along_track_error, of_place.field_epoch, of_place.field_truncation,
-        of_place.ring_current, of_spacecraft.solar_array_current, of_spacecraft.battery_current,
-        of_spacecraft.heater_switching, of_spacecraft.wheel_field, of_spacecraft.eddy_current,
-        of_spacecraft.switched_field, of_spacecraft.boom_bending, of_place.sun_sensor_head_misalignment,
-        of_place.horizon_scanner_bias, of_place.yaw_drift,
+        of_sensor.bias,
+        of_sensor.scale_misalignment,
+        of_spacecraft.torquer_coupling,
+        of_sensor.quadratic_nonlinearity,
+        of_sensor.cubic_nonlinearity,
+        of_sensor.hysteresis,
+        of_sensor.saturation,
+        of_sensor.sensor_lag,
+        of_sensor.coarse_quantization,
+        of_sensor.excess_noise,
+        of_sensor.thermal_bias_drift,
+        of_sensor.thermal_scale_drift,
+        of_sensor.bias_step,
+        of_sensor.bias_random_walk,
+        of_sensor.bit_errors,
+        of_place.time_tag_offset,
+        of_place.along_track_error,
+        of_place.field_epoch,
+        of_place.field_truncation,
+        of_place.ring_current,
+        of_spacecraft.solar_array_current,
+        of_spacecraft.battery_current,
+        of_spacecraft.heater_switching,
+        of_spacecraft.wheel_field,
+        of_spacecraft.eddy_current,
+        of_spacecraft.switched_field,
+        of_spacecraft.boom_bending,
+        of_place.sun_sensor_head_misalignment,
+        of_place.horizon_scanner_bias,
+        of_place.yaw_drift,
     )
-}  # fmt: skip
+}
 DISTRIBUTIONAL = ("excess_noise", "coarse_quantization", "bit_errors", "bias_random_walk")
 CALIBRATION = ("bias", "scale_misalignment")
 POINTED = ("horizon_scanner_bias", "yaw_drift", "yaw_runs_away", "horizon_third")
@@ -42,9 +63,11 @@ POINTED = ("horizon_scanner_bias", "yaw_drift", "yaw_runs_away", "horizon_third"
 PACKETS = ("stale_packets", "swapped_rows")
 """Only where the field changes little from row to row: else each bad packet would be a spike."""
 CONFUSED = (
-    {"sensor_lag", "time_tag_offset", "along_track_error"}, {"bias_step", "bias_random_walk"},
-    {"wheel_field", "excess_noise"}, {"wheel_field", "coarse_quantization"},
-)  # fmt: skip
+    {"sensor_lag", "time_tag_offset", "along_track_error"},
+    {"bias_step", "bias_random_walk"},
+    {"wheel_field", "excess_noise"},
+    {"wheel_field", "coarse_quantization"},
+)
 """Names that are one group by nature, beside what the numbers show."""
 POPULATIONS = (
     "nulls",
@@ -67,12 +90,22 @@ TWICE = ("sensed", *null_regimes.REGIMES)
 """Each flight is in these two times, in an even and in an odd number."""
 NULLS = ("nulls", "nulls_off", "nulls_undeclared")
 STRENGTH = {
-    "singles": (0.2, 3.0), "faint": (0.1, 0.3), "pairs": (0.7, 3.0), "triples": (1.0, 3.0), "shapes": (0.5, 3.0),
-    "outside": (1.0, 3.0), "sensed": (0.2, 3.0), "singles_undeclared": (0.5, 3.0),
-}  # fmt: skip
+    "singles": (0.2, 3.0),
+    "faint": (0.1, 0.3),
+    "pairs": (0.7, 3.0),
+    "triples": (1.0, 3.0),
+    "shapes": (0.5, 3.0),
+    "outside": (1.0, 3.0),
+    "sensed": (0.2, 3.0),
+    "singles_undeclared": (0.5, 3.0),
+}
 SENSED = (
-    "sun_sensor_head_misalignment", "horizon_scanner_bias", "scale_misalignment", "along_track_error", "yaw_drift",
-)  # fmt: skip
+    "sun_sensor_head_misalignment",
+    "horizon_scanner_bias",
+    "scale_misalignment",
+    "along_track_error",
+    "yaw_drift",
+)
 """Faults of the two attitude sensors, and what may be taken for one. Each case is made twice, the same but for sun and
 nadir: even numbers have them, odd ones have not."""
 _TRIES = 60
@@ -266,15 +299,25 @@ def _alike(world: World, truths: Sequence[Truth]) -> bool:
 def answer(case: Case) -> dict[str, Any]:
     """What is sealed."""
     return {
-        "case": case.identity, "population": case.population, "number": case.number, "label": case.label,
+        "case": case.identity,
+        "population": case.population,
+        "number": case.number,
+        "label": case.label,
         "truths": [
-            {"name": t.name, "stage": t.stage, "parameters": dict(t.parameters), "signal": t.signal,
-             "target": target, "visible": got, "size": size}
+            {
+                "name": t.name,
+                "stage": t.stage,
+                "parameters": dict(t.parameters),
+                "signal": t.signal,
+                "target": target,
+                "visible": got,
+                "size": size,
+            }
             for t, target, got, size in zip(case.truths, case.targets, case.achieved, case.sizes, strict=True)
         ],
         "tries": case.tries,
         **sealed_world(case.world),
-    }  # fmt: skip
+    }
 
 
 def sealed_world(world: World) -> dict[str, Any]:
@@ -282,20 +325,32 @@ def sealed_world(world: World) -> dict[str, Any]:
     rows = world.time.size
     return {
         "regime": world.regime,
-        "noise_rms_nT": noise_rms_nT(world), "attitude_tau_s": world.budget.attitude_tau_s,
+        "noise_rms_nT": noise_rms_nT(world),
+        "attitude_tau_s": world.budget.attitude_tau_s,
         "attitude_sigma_deg": float(np.degrees(world.budget.attitude_sigma_rad)),
-        "altitude_km": world.orbit.altitude_km, "eccentricity": world.orbit.eccentricity,
-        "inclination_deg": float(np.degrees(world.orbit.inclination_rad)), "start": str(world.start), "rows": rows,
-        "step_s": world.step_s, "span_s": world.span_s, "bursts": bool(world.span_s > 1.2 * rows * world.step_s),
-        "recorded": sorted(world.recorded), "modelled": list(world.modelled), "degree": world.degree,
-        "real_model": world.real_model.name.partition(":")[0], "richer_nT": richer_nT(world),
-        "b_nT": world.b_nT.tolist(), "S": world.S.tolist(),
+        "altitude_km": world.orbit.altitude_km,
+        "eccentricity": world.orbit.eccentricity,
+        "inclination_deg": float(np.degrees(world.orbit.inclination_rad)),
+        "start": str(world.start),
+        "rows": rows,
+        "step_s": world.step_s,
+        "span_s": world.span_s,
+        "bursts": bool(world.span_s > 1.2 * rows * world.step_s),
+        "recorded": sorted(world.recorded),
+        "modelled": list(world.modelled),
+        "degree": world.degree,
+        "real_model": world.real_model.name.partition(":")[0],
+        "richer_nT": richer_nT(world),
+        "b_nT": world.b_nT.tolist(),
+        "S": world.S.tolist(),
         "declared_sigma_factor": world.declared_sigma_factor,
-        "sensors_deg": None if world.sensors is None else {
+        "sensors_deg": None
+        if world.sensors is None
+        else {
             name.replace("_rad", ""): value if name.endswith("_s") else float(np.degrees(value))
             for name, value in dataclasses.asdict(world.sensors).items()
         },
-    }  # fmt: skip
+    }
 
 
 def richer_nT(world: World) -> float:
@@ -319,10 +374,13 @@ def declared(identity: str, world: World) -> dict[str, Any]:
     """With the noise, the step and the attitude error of the world; never the error's time constant."""
     budget = world.budget
     return {
-        "case": identity, "noise_nT": budget.noise_nT, "lsb_nT": budget.lsb_nT,
+        "case": identity,
+        "noise_nT": budget.noise_nT,
+        "lsb_nT": budget.lsb_nT,
         "attitude_sigma_deg": float(np.degrees(budget.attitude_sigma_rad)) * world.declared_sigma_factor,
-        "modelled": list(world.modelled), "degree": world.degree,
-    }  # fmt: skip
+        "modelled": list(world.modelled),
+        "degree": world.degree,
+    }
 
 
 def undeclared(identity: str, world: World) -> dict[str, Any]:

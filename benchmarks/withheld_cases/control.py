@@ -14,8 +14,11 @@ from withheld_cases.cases import CONFUSED
 from withheld_cases.store import Store
 from withheld_cases.twins import against_twin, left, rms
 
-WRONG = (("time_tag_offset", "offset_s", 0.1, 60.0), ("field_epoch", "ahead_yr", 1.0, 15.0),
-         ("along_track_error", "ahead_km", 2.0, 150.0))  # fmt: skip
+WRONG = (
+    ("time_tag_offset", "offset_s", 0.1, 60.0),
+    ("field_epoch", "ahead_yr", 1.0, 15.0),
+    ("along_track_error", "ahead_km", 2.0, 150.0),
+)
 """Name, key, a small size, the largest that makes sense."""
 
 

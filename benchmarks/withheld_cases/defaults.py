@@ -14,9 +14,7 @@ from withheld_cases.rows import distributional, expressible, of, share_row
 POPULATIONS = ("nulls_undeclared", "singles_undeclared", *null_regimes.REGIMES, "limits", "undetermined")
 BEYOND_DECLARED = ("excess_noise", "coarse_quantization")
 """More than was declared: where nothing was, there is nothing to be more than."""
-TURNS = (
-    "sun_sensor_head_misalignment", "horizon_scanner_bias", "yaw_drift", "boom_bending", "scale_misalignment",
-)  # fmt: skip
+TURNS = ("sun_sensor_head_misalignment", "horizon_scanner_bias", "yaw_drift", "boom_bending", "scale_misalignment")
 """Turns of the attitude or of the sensor lie across the field, where an attitude error of unknown size lies too."""
 DETECTED = (0.85, 0.95)
 """90 % is promised; of 100 records the binomial sigma is 3 %."""
@@ -67,16 +65,26 @@ def _singles(cases: Sequence[Judged]) -> list[dict[str, Any]]:
     across = [c for c in asked if c.truths[0] in TURNS]
     noises = [c for c in everything if distributional(c)]
     return [
-        share_row("nothing declared, single, visible >= 0.5 (but for more noise or coarser steps than declared): first name",
-                  ">= 85 %", asked, lambda c: c.first_right, 0.85),
+        share_row(
+            "nothing declared, single, visible >= 0.5 (but for more noise or coarser steps than declared): first name",
+            ">= 85 %",
+            asked,
+            lambda c: c.first_right,
+            0.85,
+        ),
         share_row("nothing declared, the same: list exactly right", TOLD, asked, lambda c: c.list_right, 0.0),
         share_row("nothing declared, the same: false extra", TOLD, asked, lambda c: c.extra, 0.0),
         share_row("nothing declared, the same: no gap", TOLD, asked, lambda c: c.verdict == "no_gap", 0.0),
-        share_row("nothing declared, turns of attitude or sensor alone: first name", TOLD, across,
-                  lambda c: c.first_right, 0.0),
+        share_row(
+            "nothing declared, turns of attitude or sensor alone: first name",
+            TOLD,
+            across,
+            lambda c: c.first_right,
+            0.0,
+        ),
         share_row("nothing declared, known by distribution: first name", TOLD, noises, lambda c: c.first_right, 0.0),
         share_row("nothing declared, every single: first name", TOLD, everything, lambda c: c.first_right, 0.0),
-    ]  # fmt: skip
+    ]
 
 
 def _limits(cases: Sequence[Judged]) -> list[dict[str, Any]]:

@@ -65,8 +65,12 @@ class Surroundings:
         sun_km = sun.sun_N_km(time)
         towards = sun_km - r_km
         light = sun.illumination(r_km, sun_km)[:, None]
-        nodes = [1e3 * r_km, 1e3 * v_km_s, 1e-9 * field_N_nT(model, time, r_km),
-                 towards / np.linalg.norm(towards, axis=1)[:, None]]  # fmt: skip
+        nodes = [
+            1e3 * r_km,
+            1e3 * v_km_s,
+            1e-9 * field_N_nT(model, time, r_km),
+            towards / np.linalg.norm(towards, axis=1)[:, None],
+        ]
         self.smooth = CubicSpline(seconds, np.hstack([*nodes, np.log(density_along(time, r_km))[:, None]]))
         self.seconds, self.light = seconds, light[:, 0]
 
@@ -124,9 +128,14 @@ def fly(
         dipole = body.dipole(np.array([0.5 * (a + b)]))[0]
         moments = np.append(np.arange(a, b, step), b)
         found = solve_ivp(
-            lambda t, y, m=dipole: _slope(t, y, body, inverse, around, torques, m), (a, b), state, method="DOP853",
-            rtol=1e-9, atol=1e-11, t_eval=moments,
-        )  # fmt: skip
+            lambda t, y, m=dipole: _slope(t, y, body, inverse, around, torques, m),
+            (a, b),
+            state,
+            method="DOP853",
+            rtol=1e-9,
+            atol=1e-11,
+            t_eval=moments,
+        )
         state = found.y[:, -1]
         rows.append(found.y[:, :-1].T)
         times.append(found.t[:-1])
@@ -135,32 +144,52 @@ def fly(
 
 
 def _slope(
-    t: float, y: FloatArray, body: Body, inverse: FloatArray, around: Surroundings, torques: list[Torque],
+    t: float,
+    y: FloatArray,
+    body: Body,
+    inverse: FloatArray,
+    around: Surroundings,
+    torques: list[Torque],
     dipole: FloatArray,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     q, w = y[:4] / math.sqrt(y[:4] @ y[:4]), y[4:]
     values, light, density = around.at(t)
     R = _from_N(q)
     r, v, field, towards = values.reshape(4, 3) @ R.T
     wind = v - R @ cross(EARTH_RATE, values[:3])
     now = {
-        "r": r, "v": wind, "field": field, "sun": towards, "rate": w, "J": body.inertia, "dipole": dipole,
-        "light": np.array(light), "density": np.array(density),
-    }  # fmt: skip
+        "r": r,
+        "v": wind,
+        "field": field,
+        "sun": towards,
+        "rate": w,
+        "J": body.inertia,
+        "dipole": dipole,
+        "light": np.array(light),
+        "density": np.array(density),
+    }
     own = body.wheel_inertia * body.axes.T
     momentum = body.inertia @ w + own @ body.speed_rad_s(t)
     torque = sum((one(now) for one in torques), np.zeros(3)) - cross(w, momentum) - own @ body.acceleration(t)
     x, yy, z, s = q.tolist()
-    turn = 0.5 * np.array([s * w[0] - z * w[1] + yy * w[2], z * w[0] + s * w[1] - x * w[2],
-                           -yy * w[0] + x * w[1] + s * w[2], -x * w[0] - yy * w[1] - z * w[2]])  # fmt: skip
+    turn = 0.5 * np.array(
+        [
+            s * w[0] - z * w[1] + yy * w[2],
+            z * w[0] + s * w[1] - x * w[2],
+            -yy * w[0] + x * w[1] + s * w[2],
+            -x * w[0] - yy * w[1] - z * w[2],
+        ]
+    )
     return np.concatenate([turn, inverse @ torque])
 
 
 def _from_N(q: FloatArray) -> FloatArray:
     """(3, 3) matrix that takes N into B, of a unit quaternion that takes B into N."""
     x, y, z, s = q.tolist()
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y + z * s), 2 * (x * z - y * s)],
-        [2 * (x * y - z * s), 1 - 2 * (x * x + z * z), 2 * (y * z + x * s)],
-        [2 * (x * z + y * s), 2 * (y * z - x * s), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y + z * s), 2 * (x * z - y * s)],
+            [2 * (x * y - z * s), 1 - 2 * (x * x + z * z), 2 * (y * z + x * s)],
+            [2 * (x * z + y * s), 2 * (y * z - x * s), 1 - 2 * (x * x + y * y)],
+        ]
+    )

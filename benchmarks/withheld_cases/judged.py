@@ -6,10 +6,15 @@ from dataclasses import dataclass
 from typing import Any
 
 EQUIVALENT = {
-    "bias": {"spacecraft"}, "scale_misalignment": {"attitude"}, "hysteresis": {"spacecraft"}, "sensor_lag": {"time"},
-    "coarse_quantization": {"telemetry"}, "bias_step": {"spacecraft"}, "bias_random_walk": {"spacecraft"},
+    "bias": {"spacecraft"},
+    "scale_misalignment": {"attitude"},
+    "hysteresis": {"spacecraft"},
+    "sensor_lag": {"time"},
+    "coarse_quantization": {"telemetry"},
+    "bias_step": {"spacecraft"},
+    "bias_random_walk": {"spacecraft"},
     "boom_bending": {"attitude", "sensor"},
-}  # fmt: skip
+}
 """Stages that the effects table itself holds to be the same."""
 
 

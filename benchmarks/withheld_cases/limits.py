@@ -39,9 +39,11 @@ def ring_current(parameter: str, value: float) -> Truth:
     """External field [nT], constant; at the dipole equator the induced part comes on top of it."""
     dst = (1.0 + of_place.INDUCED_SHARE) * value
     return Truth(
-        "ring_current", "field", {parameter: value},
+        "ring_current",
+        "field",
+        {parameter: value},
         field=lambda w, t, r: of_place.ring_field_N_nT(w, t, r, np.full(t.size, dst)),
-    )  # fmt: skip
+    )
 
 
 def time_tag_offset(parameter: str, value: float) -> Truth:
@@ -53,9 +55,11 @@ def solar_array_current(parameter: str, value: float) -> Truth:
     """Field per current on one axis [nT/A]."""
     axis = _unit(parameter)
     return Truth(
-        "solar_array_current", "spacecraft", {parameter: value},
+        "solar_array_current",
+        "spacecraft",
+        {parameter: value},
         stray=lambda w, t, field: np.outer(spacecraft.array_current_A(w, t), value * axis),
-    )  # fmt: skip
+    )
 
 
 def thermal_bias_drift(parameter: str, value: float) -> Truth:
@@ -83,9 +87,14 @@ def cubic_nonlinearity(parameter: str, value: float) -> Truth:
 SIZED: Mapping[str, Sized] = {
     maker.__name__: maker
     for maker in (
-        along_track_error, ring_current, time_tag_offset, thermal_bias_drift, solar_array_current, cubic_nonlinearity,
+        along_track_error,
+        ring_current,
+        time_tag_offset,
+        thermal_bias_drift,
+        solar_array_current,
+        cubic_nonlinearity,
     )
-}  # fmt: skip
+}
 COLUMNS = {"thermal_bias_drift": ("temperature_degC",), "solar_array_current": ("array_current_A",)}
 """Without its column an effect is sought by what stands in, whose parameters are in other units."""
 

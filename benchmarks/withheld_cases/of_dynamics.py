@@ -49,9 +49,13 @@ _SAME_COURSE = 0.3
 """Of the size's logarithm: within it the body moves so alike that what another start does is not worked out again."""
 STRENGTH = (0.7, 5.0)
 PARTNERS: tuple[Maker, ...] = (
-    of_place.time_tag_offset, of_place.field_epoch, of_place.ring_current, of_sensor.quadratic_nonlinearity,
-    of_sensor.bias_step, of_spacecraft.solar_array_current,
-)  # fmt: skip
+    of_place.time_tag_offset,
+    of_place.field_epoch,
+    of_place.ring_current,
+    of_sensor.quadratic_nonlinearity,
+    of_sensor.bias_step,
+    of_spacecraft.solar_array_current,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +86,12 @@ def truth(name: str, rng: np.random.Generator, inertia: FloatArray) -> Turned:
     """One truth with everything drawn but its size."""
     vector = rng.standard_normal(3)
     vector /= np.linalg.norm(vector)
-    words = {"residual_dipole_torque": "dipole_Am2", "aerodynamic_torque": "moment_m3",
-             "solar_pressure_torque": "moment_m3", "torquer_gain_error": "gain"}  # fmt: skip
+    words = {
+        "residual_dipole_torque": "dipole_Am2",
+        "aerodynamic_torque": "moment_m3",
+        "solar_pressure_torque": "moment_m3",
+        "torquer_gain_error": "gain",
+    }
     if name == "gravity_gradient_inertia_error":
         mixed = rng.standard_normal((3, 3))
         change = 0.5 * (mixed + mixed.T) * np.trace(inertia) / 3.0
@@ -116,10 +124,13 @@ def _of(name: str, vector: FloatArray, now: Instant) -> FloatArray:
 
 
 WHERE = {
-    "residual_dipole_torque": REGIMES, "torquer_gain_error": ("bias", "wheels", "tumble"), "eddy_torque": ("spin",),
-    "aerodynamic_torque": ("bias", "wheels"), "solar_pressure_torque": ("bias", "wheels"),
+    "residual_dipole_torque": REGIMES,
+    "torquer_gain_error": ("bias", "wheels", "tumble"),
+    "eddy_torque": ("spin",),
+    "aerodynamic_torque": ("bias", "wheels"),
+    "solar_pressure_torque": ("bias", "wheels"),
     "gravity_gradient_inertia_error": ("bias", "wheels", "tumble"),
-}  # fmt: skip
+}
 """Regimes in which a truth can be told from the free start of a window."""
 
 
@@ -139,19 +150,34 @@ class Craft:
         """The scenario that the ground has."""
         J = self.body.inertia.tolist()
         lines = [
-            'name = "ground"', "seed = 1", "[spacecraft]", 'name = "withheld"', f"inertia_kg_m2 = {J}", "[orbit]",
-            f'epoch_utc = "{epoch.iso(self.orbit.epoch_utc)}"', f"altitude_km = {self.orbit.altitude_km!r}",
+            'name = "ground"',
+            "seed = 1",
+            "[spacecraft]",
+            'name = "withheld"',
+            f"inertia_kg_m2 = {J}",
+            "[orbit]",
+            f'epoch_utc = "{epoch.iso(self.orbit.epoch_utc)}"',
+            f"altitude_km = {self.orbit.altitude_km!r}",
             f"inclination_deg = {float(np.degrees(self.orbit.inclination_rad))!r}",
             f"raan_deg = {float(np.degrees(self.orbit.raan_rad))!r}",
             f"argument_of_latitude_deg = {float(np.degrees(self.orbit.argument_of_latitude_rad))!r}",
-            "[attitude]", 'mode = "dynamics"', "[torques.gravity_gradient]", "[torquers]", "dipole_Am2 = 10.0",
-            "positions_m = [[0.0, 0.0, 9.0], [0.0, 0.0, 9.0], [0.0, 0.0, 9.0]]", "[schedule]",
+            "[attitude]",
+            'mode = "dynamics"',
+            "[torques.gravity_gradient]",
+            "[torquers]",
+            "dipole_Am2 = 10.0",
+            "positions_m = [[0.0, 0.0, 9.0], [0.0, 0.0, 9.0], [0.0, 0.0, 9.0]]",
+            "[schedule]",
             f'segments = [{{ start_utc = "{epoch.iso(world.start)}", samples = {self.rows}, step_s = {self.step_s} }}]',
-        ]  # fmt: skip
+        ]
         if len(self.body.axes):
             speeds = self.body.speed_rad_s(0.0) * 30.0 / np.pi
-            lines += ["[wheels]", f"axes_B = {self.body.axes.tolist()}",
-                      f"inertia_kg_m2 = {self.body.wheel_inertia!r}", f"bias_rpm = {speeds.tolist()}"]  # fmt: skip
+            lines += [
+                "[wheels]",
+                f"axes_B = {self.body.axes.tolist()}",
+                f"inertia_kg_m2 = {self.body.wheel_inertia!r}",
+                f"bias_rpm = {speeds.tolist()}",
+            ]
         return "\n".join(lines) + "\n"
 
 
@@ -159,10 +185,12 @@ def draw_craft(rng: np.random.Generator, regime: str, *, low: bool) -> Craft:
     """Vehicle, orbit and plan. low: where there is air."""
     day = np.datetime64("2010-01-01", "s") + int(rng.integers(0, 8 * 365 * 86400)) * np.timedelta64(1, "s")
     orbit = Orbit(
-        epoch_utc=day.astype("datetime64[ns]"), altitude_km=float(rng.uniform(380, 450) if low else rng.uniform(500, 800)),
-        inclination_rad=float(np.radians(rng.uniform(50, 98))), raan_rad=float(rng.uniform(0, 6.28)),
+        epoch_utc=day.astype("datetime64[ns]"),
+        altitude_km=float(rng.uniform(380, 450) if low else rng.uniform(500, 800)),
+        inclination_rad=float(np.radians(rng.uniform(50, 98))),
+        raan_rad=float(rng.uniform(0, 6.28)),
         argument_of_latitude_rad=float(rng.uniform(0, 6.28)),
-    )  # fmt: skip
+    )
     scale = {"bias": 25.0, "wheels": 60.0, "tumble": 2.0, "spin": 2.0}[regime]
     shape = {"bias": [1.2, 1.25, 0.8], "wheels": [1.1, 1.2, 0.8], "tumble": [1.0, 1.3, 0.8], "spin": [1.0, 1.1, 1.5]}
     J = scale * np.diag(shape[regime])
@@ -180,9 +208,14 @@ def draw_craft(rng: np.random.Generator, regime: str, *, low: bool) -> Craft:
     most = {"bias": 1.0, "wheels": 5.0, "tumble": 0.3, "spin": 0.0}[regime]
     dipoles = most * rng.choice([-1.0, 0.0, 1.0], (switches.size, 3))
     body = Body(
-        J, axes, size, lambda t: middle + swing * np.sin(slow * t + phase),
-        lambda t: swing * slow * np.cos(slow * t + phase), switches, dipoles,
-    )  # fmt: skip
+        J,
+        axes,
+        size,
+        lambda t: middle + swing * np.sin(slow * t + phase),
+        lambda t: swing * slow * np.cos(slow * t + phase),
+        switches,
+        dipoles,
+    )
     q, rate = _start(rng, regime, orbit)
     return Craft(regime, body, orbit, q, rate, step, rows)
 
@@ -219,30 +252,64 @@ def make(root: str, seed: int, population: str, number: int) -> str:
     partner = _partner(world, rng) if population == "torque_pairs" else None
     if partner is not None:
         world, other, strength = partner
-        truths.append({"name": other.name, "stage": other.stage, "parameters": dict(other.parameters), "signal": True,
-                       "target": strength, "visible": strength, "size": 1.0})  # fmt: skip
+        truths.append(
+            {
+                "name": other.name,
+                "stage": other.stage,
+                "parameters": dict(other.parameters),
+                "signal": True,
+                "target": strength,
+                "visible": strength,
+                "size": 1.0,
+            }
+        )
     _write(store, name, craft, world, [] if partner is None else [partner[1]])
-    store.write("sealed", name, {
-        "case": name, "population": population, "number": number, "regime": regime, "truths": truths,
-        "label": turned or "", "plain_share": 1.0, "second": None, "declared_sigma_factor": 1.0,
-        "attitude_sigma_deg": float(np.degrees(world.budget.attitude_sigma_rad)), "rows": craft.rows,
-        "step_s": craft.step_s, "span_s": world.span_s, "bursts": False, "attitude_tau_s": world.budget.attitude_tau_s,
-        "altitude_km": craft.orbit.altitude_km, "start": str(world.start), "recorded": sorted(world.recorded),
-        "real_model": world.real_model.name, "sensors_deg": None, "tries": tries,
-    })  # fmt: skip
+    store.write(
+        "sealed",
+        name,
+        {
+            "case": name,
+            "population": population,
+            "number": number,
+            "regime": regime,
+            "truths": truths,
+            "label": turned or "",
+            "plain_share": 1.0,
+            "second": None,
+            "declared_sigma_factor": 1.0,
+            "attitude_sigma_deg": float(np.degrees(world.budget.attitude_sigma_rad)),
+            "rows": craft.rows,
+            "step_s": craft.step_s,
+            "span_s": world.span_s,
+            "bursts": False,
+            "attitude_tau_s": world.budget.attitude_tau_s,
+            "altitude_km": craft.orbit.altitude_km,
+            "start": str(world.start),
+            "recorded": sorted(world.recorded),
+            "real_model": world.real_model.name,
+            "sensors_deg": None,
+            "tries": tries,
+        },
+    )
     return name
 
 
 def _drawn(
     rng: np.random.Generator, regime: str, turned: str | None
-) -> tuple[Craft, World, list[dict[str, Any]]] | None:  # fmt: skip
+) -> tuple[Craft, World, list[dict[str, Any]]] | None:
     """A vehicle, its flight with the truth in it, and what is sealed of that."""
     craft = draw_craft(rng, regime, low=turned == "aerodynamic_torque")
-    base = dataclasses.replace(draw_world(rng, "nadir"), orbit=craft.orbit, real_model=load_field("igrf14"),
-                               sensors=None)  # fmt: skip
+    base = dataclasses.replace(
+        draw_world(rng, "nadir"), orbit=craft.orbit, real_model=load_field("igrf14"), sensors=None
+    )
     time = shift(np.full(craft.rows, craft.orbit.epoch_utc), BEFORE_S + craft.step_s * np.arange(craft.rows))
-    world = dataclasses.replace(base, time=time, missing=np.zeros(craft.rows, dtype=bool), regime=regime,
-                                recorded=base.recorded - {"rate_B_rad_s", "wheel_speed_rpm"})  # fmt: skip
+    world = dataclasses.replace(
+        base,
+        time=time,
+        missing=np.zeros(craft.rows, dtype=bool),
+        regime=regime,
+        recorded=base.recorded - {"rate_B_rad_s", "wheel_speed_rpm"},
+    )
     around = Surroundings(
         craft.orbit, world.real_model, craft.orbit.epoch_utc, craft.rows * craft.step_s + 2 * BEFORE_S
     )
@@ -252,8 +319,16 @@ def _drawn(
     sized = _sized(craft, around, chosen, target, world)
     if sized is None:
         return None
-    told = {"name": turned, "stage": "dynamics", "parameters": chosen.parameters(sized.size), "signal": True,
-            "target": target, "visible": sized.visible, "size": sized.size, "chi_square": sized.chi_square}  # fmt: skip
+    told = {
+        "name": turned,
+        "stage": "dynamics",
+        "parameters": chosen.parameters(sized.size),
+        "signal": True,
+        "target": target,
+        "visible": sized.visible,
+        "size": sized.size,
+        "chi_square": sized.chi_square,
+    }
     return craft, dataclasses.replace(world, motion=_motion(sized.flown, craft)), [told]
 
 
@@ -308,8 +383,9 @@ def _partner(world: World, rng: np.random.Generator) -> tuple[World, Truth, floa
         draft = PARTNERS[place](world, rng)
         if draft is None:
             continue
-        found = scaled(lambda s, d=draft: visible(d.world, [d.at(s)]), between(rng, 0.7, 3.0), draft.low, draft.high,
-                       draft.start)  # fmt: skip
+        found = scaled(
+            lambda s, d=draft: visible(d.world, [d.at(s)]), between(rng, 0.7, 3.0), draft.low, draft.high, draft.start
+        )
         if found is not None:
             return draft.world, draft.at(found[0]), found[1]
     return None
@@ -323,11 +399,19 @@ def _write(store: Store, name: str, craft: Craft, world: World, truths: list[Tru
     )
     write_telemetry(telemetry, store.path("telemetry", name))
     budget = world.budget
-    store.write("asked", name, {
-        "case": name, "noise_nT": budget.noise_nT, "lsb_nT": budget.lsb_nT,
-        "attitude_sigma_deg": float(np.degrees(budget.attitude_sigma_rad)), "modelled": list(world.modelled),
-        "degree": world.degree, "scenario": craft.text(world),
-    })  # fmt: skip
+    store.write(
+        "asked",
+        name,
+        {
+            "case": name,
+            "noise_nT": budget.noise_nT,
+            "lsb_nT": budget.lsb_nT,
+            "attitude_sigma_deg": float(np.degrees(budget.attitude_sigma_rad)),
+            "modelled": list(world.modelled),
+            "degree": world.degree,
+            "scenario": craft.text(world),
+        },
+    )
 
 
 __all__ = ["POPULATIONS", "make", "sign"]

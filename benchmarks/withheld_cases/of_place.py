@@ -29,9 +29,8 @@ def time_tag_offset(world: World, rng: np.random.Generator) -> Draft:
 
     def at(size: float) -> Truth:
         return Truth(
-            "time_tag_offset", "time", {"offset_s": way * size},
-            clock=lambda w, t: np.full(t.size, way * size),
-        )  # fmt: skip
+            "time_tag_offset", "time", {"offset_s": way * size}, clock=lambda w, t: np.full(t.size, way * size)
+        )
 
     most = latest_s(world)
     return Draft(followed(world), at, 1e-4, most, min(3.0, 0.2 * most))
@@ -53,10 +52,7 @@ def along_track_error(world: World, rng: np.random.Generator) -> Draft:
     way = sign(rng)
 
     def at(size: float) -> Truth:
-        return Truth(
-            "along_track_error", "orbit", {"ahead_km": way * size},
-            place=lambda w, t: ahead(w, t, way * size),
-        )  # fmt: skip
+        return Truth("along_track_error", "orbit", {"ahead_km": way * size}, place=lambda w, t: ahead(w, t, way * size))
 
     return Draft(world, at, 0.2, 100.0, 20.0)
 

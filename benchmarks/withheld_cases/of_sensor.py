@@ -32,9 +32,11 @@ def bias(world: World, rng: np.random.Generator) -> Draft:
 
     def at(size: float) -> Truth:
         return Truth(
-            "bias", "sensor", {"b_nT": listed(size * b)},
+            "bias",
+            "sensor",
+            {"b_nT": listed(size * b)},
             correction=lambda w, t: _plain_b(w, t, np.tile(size * b, (t.size, 1))),
-        )  # fmt: skip
+        )
 
     return Draft(world, at, 3.0, 20000.0, 100.0)
 
@@ -52,9 +54,11 @@ def scale_misalignment(world: World, rng: np.random.Generator) -> Draft:
 
     def at(size: float) -> Truth:
         return Truth(
-            "scale_misalignment", "sensor", {"S": listed(size * shape), "kind": kind},
+            "scale_misalignment",
+            "sensor",
+            {"S": listed(size * shape), "kind": kind},
             correction=lambda w, t: (np.tile(size * shape, (t.size, 1, 1)), np.zeros((t.size, 3))),
-        )  # fmt: skip
+        )
 
     return Draft(world, at, 1e-5, 0.1, 2e-3)
 
@@ -100,9 +104,11 @@ def bias_step(world: World, rng: np.random.Generator) -> Draft:
 
     def at(size: float) -> Truth:
         return Truth(
-            "bias_step", "sensor", {"at": str(instant), "jump_nT": listed(size * jump)},
+            "bias_step",
+            "sensor",
+            {"at": str(instant), "jump_nT": listed(size * jump)},
             correction=lambda w, t: _plain_b(w, t, np.outer(t >= instant, size * jump)),
-        )  # fmt: skip
+        )
 
     return Draft(world, at, 2.0, 5000.0, 100.0)
 
@@ -154,9 +160,11 @@ def _nonlinearity(name: str, order: int, world: World, rng: np.random.Generator)
 
     def at(size: float) -> Truth:
         return Truth(
-            name, "sensor", {"c_nT": listed(size * c), "kind": kind},
+            name,
+            "sensor",
+            {"c_nT": listed(size * c), "kind": kind},
             sense=lambda w, t, m, perfect: m + products(m, order) @ (size * c).T,
-        )  # fmt: skip
+        )
 
     return Draft(world, at, 1.0, 8000.0, 300.0)
 
@@ -225,9 +233,12 @@ def saturation(world: World, rng: np.random.Generator) -> Draft:
     def at(size: float) -> Truth:
         level = top - size
         return Truth(
-            "saturation", "sensor", {"depth_nT": size, "level_nT": level}, hidden={"clip_nT": level},
+            "saturation",
+            "sensor",
+            {"depth_nT": size, "level_nT": level},
+            hidden={"clip_nT": level},
             sense=lambda w, t, m, perfect: np.clip(m, -level, level),
-        )  # fmt: skip
+        )
 
     return Draft(world, at, 50.0, 0.6 * top, 1500.0)
 
@@ -249,9 +260,12 @@ def excess_noise(world: World, rng: np.random.Generator) -> Draft:
 
     def at(size: float) -> Truth:
         return Truth(
-            "excess_noise", "sensor", {"noise_nT": size, "axis": axis}, signal=False,
+            "excess_noise",
+            "sensor",
+            {"noise_nT": size, "axis": axis},
+            signal=False,
             noise=lambda w, rng: size * on * rng.standard_normal((w.time.size, 3)),
-        )  # fmt: skip
+        )
 
     def measure(w: World, truth: Truth) -> float:
         return float(truth.parameters["noise_nT"] * np.sqrt(on.mean()) / noise_rms_nT(w))

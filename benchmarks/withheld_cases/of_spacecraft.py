@@ -26,9 +26,11 @@ def torquer_coupling(world: World, rng: np.random.Generator) -> Draft | None:
 
     def at(size: float) -> Truth:
         return Truth(
-            "torquer_coupling", "spacecraft", {"coupling_nT_per_Am2": listed(size * shape)},
+            "torquer_coupling",
+            "spacecraft",
+            {"coupling_nT_per_Am2": listed(size * shape)},
             stray=lambda w, t, field: spacecraft.dipole_B_Am2(w, t) @ (size * shape).T,
-        )  # fmt: skip
+        )
 
     return Draft(world, at, 0.01, 300.0, 2.0)
 
@@ -41,9 +43,11 @@ def solar_array_current(world: World, rng: np.random.Generator) -> Draft | None:
 
     def at(size: float) -> Truth:
         return Truth(
-            "solar_array_current", "spacecraft", {"k_nT_per_A": listed(size * axis)},
+            "solar_array_current",
+            "spacecraft",
+            {"k_nT_per_A": listed(size * axis)},
             stray=lambda w, t, field: np.outer(spacecraft.array_current_A(w, t), size * axis),
-        )  # fmt: skip
+        )
 
     return Draft(world, at, 0.2, 1000.0, 20.0)
 
@@ -57,9 +61,11 @@ def battery_current(world: World, rng: np.random.Generator) -> Draft | None:
 
     def at(size: float) -> Truth:
         return Truth(
-            "battery_current", "spacecraft", {"k_nT_per_A": listed(size * axis)},
+            "battery_current",
+            "spacecraft",
+            {"k_nT_per_A": listed(size * axis)},
             stray=lambda w, t, field: np.outer(spacecraft.battery_current_A(w, t), size * axis),
-        )  # fmt: skip
+        )
 
     return Draft(world, at, 0.2, 1000.0, 20.0)
 
@@ -73,9 +79,11 @@ def heater_switching(world: World, rng: np.random.Generator) -> Draft | None:
 
     def at(size: float) -> Truth:
         return Truth(
-            "heater_switching", "spacecraft", {"field_nT": listed(size * axis), "switches": changes(on)},
+            "heater_switching",
+            "spacecraft",
+            {"field_nT": listed(size * axis), "switches": changes(on)},
             stray=lambda w, t, field: np.outer(spacecraft.heater_on(w, t), size * axis),
-        )  # fmt: skip
+        )
 
     return Draft(world, at, 2.0, 5000.0, 100.0)
 
@@ -100,9 +108,12 @@ def wheel_field(world: World, rng: np.random.Generator) -> Draft:
             return size * (np.outer(np.cos(phase), cosine) + np.outer(np.sin(phase), sine))
 
         parameters = {
-            "cos_nT": listed(size * cosine), "sin_nT": listed(size * sine), "speed_rpm": world.craft.wheel_rpm,
-            "swing_rpm": world.craft.wheel_swing_rpm, "step_s": world.step_s,
-        }  # fmt: skip
+            "cos_nT": listed(size * cosine),
+            "sin_nT": listed(size * sine),
+            "speed_rpm": world.craft.wheel_rpm,
+            "swing_rpm": world.craft.wheel_swing_rpm,
+            "step_s": world.step_s,
+        }
         return Truth("wheel_field", "spacecraft", parameters, stray=stray)
 
     return Draft(world, at, 1.0, 2000.0, 80.0)
@@ -130,9 +141,11 @@ def eddy_current(world: World, rng: np.random.Generator) -> Draft:
 
     def at(size: float) -> Truth:
         return Truth(
-            "eddy_current", "spacecraft", {"K_s": listed(size * shape)},
+            "eddy_current",
+            "spacecraft",
+            {"K_s": listed(size * shape)},
             stray=lambda w, t, field: -field_rate_nT_s(w, t, field) @ (size * shape).T,
-        )  # fmt: skip
+        )
 
     most = min(30.0, world.turn_period_s() / 20.0)
     return Draft(followed(world), at, 1e-5, most, 0.1 * most)
@@ -184,9 +197,11 @@ def switched_field(world: World, rng: np.random.Generator) -> Draft | None:
 
     def at(size: float) -> Truth:
         return Truth(
-            "switched_field", "spacecraft", {**words, "field_nT": listed(size * axis), "share": share(on)},
+            "switched_field",
+            "spacecraft",
+            {**words, "field_nT": listed(size * axis), "share": share(on)},
             stray=lambda w, t, field: np.outer(state(w, t), size * axis),  # type: ignore[operator]
-        )  # fmt: skip
+        )
 
     return Draft(world, at, 2.0, 5000.0, 100.0)
 

@@ -294,7 +294,19 @@ WHY = {
 OUTSIDE = {
     maker.__name__: maker
     for maker in (
-        clock_sawtooth, clock_daily, eccentricity_error, plane_error, auroral_currents, wrong_coefficient, frame_of_date,
-        yaw_flex, drive_magnet, payload_modes, gain_ageing, gain_step, stale_packets, swapped_rows,
+        clock_sawtooth,
+        clock_daily,
+        eccentricity_error,
+        plane_error,
+        auroral_currents,
+        wrong_coefficient,
+        frame_of_date,
+        yaw_flex,
+        drive_magnet,
+        payload_modes,
+        gain_ageing,
+        gain_step,
+        stale_packets,
+        swapped_rows,
     )
-}  # fmt: skip
+}

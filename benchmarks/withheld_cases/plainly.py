@@ -20,9 +20,11 @@ from withheld_cases.worlds import World
 
 State = Callable[[World, np.ndarray], np.ndarray]
 STOOD_IN = {
-    "solar_array_current": "array_current_A", "battery_current": "battery_current_A",
-    "thermal_bias_drift": "temperature_degC", "thermal_scale_drift": "temperature_degC",
-}  # fmt: skip
+    "solar_array_current": "array_current_A",
+    "battery_current": "battery_current_A",
+    "thermal_bias_drift": "temperature_degC",
+    "thermal_scale_drift": "temperature_degC",
+}
 """Entries for which something stands in where their column is not recorded."""
 _TAUS_S = (300.0, 500.0, 800.0, 1200.0, 1800.0, 2700.0, 4000.0)
 _TRACELESS = [np.diag([1.0, -1.0, 0.0]), np.diag([0.0, 1.0, -1.0])] + [
@@ -45,10 +47,12 @@ def families(world: World, truth: Truth, size: float) -> list[list[Truth]]:
     """What the plain entry may choose from; each family is fitted by linear combination."""
     name, p = truth.name, truth.parameters
     switched: dict[str, State] = {
-        "solar_array_current": spacecraft.array_current_A, "battery_current": spacecraft.battery_current_A,
-        "heater_switching": spacecraft.heater_on, "switched_field": spacecraft.payload_on,
+        "solar_array_current": spacecraft.array_current_A,
+        "battery_current": spacecraft.battery_current_A,
+        "heater_switching": spacecraft.heater_on,
+        "switched_field": spacecraft.payload_on,
         "thermal_bias_drift": spacecraft.temperature_degC,
-    }  # fmt: skip
+    }
     if name in STOOD_IN and STOOD_IN[name] not in world.recorded:
         return _stood_in(name)
     if name == "switched_field" and p.get("condition") == "region":
@@ -58,8 +62,10 @@ def families(world: World, truth: Truth, size: float) -> list[list[Truth]]:
     if name == "torquer_coupling":
         return [[_stray(_component(k), axis) for k in range(3) for axis in np.eye(3)]]
     if name == "wheel_field":
-        waves: list[State] = [lambda w, t: np.cos(spacecraft.wheel_phase_rad(w, t)),
-                              lambda w, t: np.sin(spacecraft.wheel_phase_rad(w, t))]  # fmt: skip
+        waves: list[State] = [
+            lambda w, t: np.cos(spacecraft.wheel_phase_rad(w, t)),
+            lambda w, t: np.sin(spacecraft.wheel_phase_rad(w, t)),
+        ]
         return [[_stray(wave, axis) for wave in waves for axis in np.eye(3)]]
     if name == "bias_step":
         instant = np.datetime64(p["at"])

@@ -32,7 +32,13 @@ def readme(seed: int, number: int) -> tuple[Telemetry, dict[str, Any]]:
     record, _ = simulate(scene)
     seconds = epoch.seconds_since(record.time, np.datetime64(record.time[0], "ns"))
     return record, {
-        "label": README_LABEL, "regime": "nadir", "truths": [], "rows": len(record), "bursts": False,
-        "step_s": float(np.median(np.diff(seconds))), "attitude_tau_s": scene.attitude.reference.tau_s,
-        "attitude_sigma_deg": scene.attitude.reference.sigma_deg, "scenario_seed": word,
-    }  # fmt: skip
+        "label": README_LABEL,
+        "regime": "nadir",
+        "truths": [],
+        "rows": len(record),
+        "bursts": False,
+        "step_s": float(np.median(np.diff(seconds))),
+        "attitude_tau_s": scene.attitude.reference.tau_s,
+        "attitude_sigma_deg": scene.attitude.reference.sigma_deg,
+        "scenario_seed": word,
+    }

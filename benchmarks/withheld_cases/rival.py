@@ -172,9 +172,14 @@ def regression(
     columns = np.concatenate([*parts, np.zeros((residual.size, 0))], axis=1)
     owner = np.concatenate([*(np.full(part.shape[1], k) for k, part in enumerate(parts)), np.zeros(0, dtype=int)])
     return Regression(
-        tuple(candidate.name for candidate in found), columns.T @ columns, columns.T @ residual, owner,
-        float(residual @ residual), whitener.measured - calibration.shape[1], least,
-    )  # fmt: skip
+        tuple(candidate.name for candidate in found),
+        columns.T @ columns,
+        columns.T @ residual,
+        owner,
+        float(residual @ residual),
+        whitener.measured - calibration.shape[1],
+        least,
+    )
 
 
 def _saturated(problem: Problem, found: Sequence[Candidate]) -> FloatArray:

@@ -53,17 +53,28 @@ def _detection(cases: Sequence[Judged]) -> list[dict[str, Any]]:
     sizes = [len(names_of(entry)) for c in named for entry in c.effects]
     mean = sum(sizes) / len(sizes) if sizes else None
     return [
-        share_row("no gap on a perfect simulation", ">= 99 %", of(cases, "nulls"), lambda c: c.verdict == "no_gap", 0.99),
-        share_row("the same, declared attitude sigma off by 1.5", ">= 97 %", of(cases, "nulls_off"),
-                  lambda c: c.verdict == "no_gap", 0.97),
-        share_row("single, with a Jacobian, visible >= 0.2: first name", ">= 98 %", signals, lambda c: c.first_right, 0.98),
+        share_row(
+            "no gap on a perfect simulation", ">= 99 %", of(cases, "nulls"), lambda c: c.verdict == "no_gap", 0.99
+        ),
+        share_row(
+            "the same, declared attitude sigma off by 1.5",
+            ">= 97 %",
+            of(cases, "nulls_off"),
+            lambda c: c.verdict == "no_gap",
+            0.97,
+        ),
+        share_row(
+            "single, with a Jacobian, visible >= 0.2: first name", ">= 98 %", signals, lambda c: c.first_right, 0.98
+        ),
         share_row("the same: list exactly right", ">= 95 %", signals, lambda c: c.list_right, 0.95),
-        share_row("known by distribution, visible >= 0.5: list exactly right", ">= 95 %", noises,
-                  lambda c: c.list_right, 0.95),
-        share_row("truth in the group, singles that are named, visible >= 0.2", ">= 99 %", named,
-                  lambda c: c.in_group, 0.99),
+        share_row(
+            "known by distribution, visible >= 0.5: list exactly right", ">= 95 %", noises, lambda c: c.list_right, 0.95
+        ),
+        share_row(
+            "truth in the group, singles that are named, visible >= 0.2", ">= 99 %", named, lambda c: c.in_group, 0.99
+        ),
         number_row("mean group size", "<= 1.5", mean, len(sizes), mean is not None and mean <= 1.5),
-    ]  # fmt: skip
+    ]
 
 
 def _several(cases: Sequence[Judged]) -> list[dict[str, Any]]:
@@ -86,17 +97,34 @@ def _elsewhere(cases: Sequence[Judged]) -> list[dict[str, Any]]:
     without = of(cases, "singles", least=0.2, names=lambda c: not expressible(c))
     staged = of(cases, "singles", "shapes", least=0.5)
     return [
-        share_row("another shape, visible >= 0.5: verdict effect and first name", ">= 95 %", shaped,
-                  lambda c: c.verdict == "effect" and c.first_right, 0.95),
-        share_row("another shape that the plain entry carries less than 90 % of: named, or unknown that resembles it",
-                  "told", strange, lambda c: c.first_right or _resembled(c), 0.0),
-        share_row("single whose driving column is missing, of which what stands in carries less than 90 %: the same",
-                  "told", without, lambda c: c.first_right or _resembled(c), 0.0),
-        share_row("outside the catalogue, visible >= 1: unknown", ">= 97 %", beyond, lambda c: c.verdict == "unknown", 0.97),
+        share_row(
+            "another shape, visible >= 0.5: verdict effect and first name",
+            ">= 95 %",
+            shaped,
+            lambda c: c.verdict == "effect" and c.first_right,
+            0.95,
+        ),
+        share_row(
+            "another shape that the plain entry carries less than 90 % of: named, or unknown that resembles it",
+            "told",
+            strange,
+            lambda c: c.first_right or _resembled(c),
+            0.0,
+        ),
+        share_row(
+            "single whose driving column is missing, of which what stands in carries less than 90 %: the same",
+            "told",
+            without,
+            lambda c: c.first_right or _resembled(c),
+            0.0,
+        ),
+        share_row(
+            "outside the catalogue, visible >= 1: unknown", ">= 97 %", beyond, lambda c: c.verdict == "unknown", 0.97
+        ),
         share_row("outside the catalogue: wrongly confirmed", "<= 3 %", beyond, lambda c: bool(c.effects), 0.0, 0.03),
         share_row("stage right, visible >= 0.5", ">= 95 %", staged, lambda c: c.stage_right, 0.95),
         share_row("stage right outside the catalogue, visible >= 1", ">= 70 %", beyond, lambda c: c.stage_right, 0.70),
-    ]  # fmt: skip
+    ]
 
 
 def _resembled(case: Judged) -> bool:
@@ -137,10 +165,18 @@ def _closing(cases: Sequence[Judged]) -> list[dict[str, Any]]:
     return [
         number_row("closed, visible >= 0.5: median", ">= 0.90", middle, len(closed), middle >= 0.90),
         number_row("closed: median error against the noise-free twin", "<= 0.03", off, len(errors), off <= 0.03),
-        share_row("loop on another day: no gap, or it had said 'does not transfer'", ">= 95 %", looped, _loop_right, 0.95),
-        share_row("control, a wrong effect of equal rms: no gap", "<= 10 %", controls,
-                  lambda c: (c.control or {})["verdict"] == "no_gap", 0.0, 0.10),
-    ]  # fmt: skip
+        share_row(
+            "loop on another day: no gap, or it had said 'does not transfer'", ">= 95 %", looped, _loop_right, 0.95
+        ),
+        share_row(
+            "control, a wrong effect of equal rms: no gap",
+            "<= 10 %",
+            controls,
+            lambda c: (c.control or {})["verdict"] == "no_gap",
+            0.0,
+            0.10,
+        ),
+    ]
 
 
 def _loop_right(case: Judged) -> bool:
@@ -203,10 +239,13 @@ def report(store: Store, names: Iterable[str]) -> tuple[str, dict[str, Any]]:
     parts += [by(cases, "regime", "regime"), _confusion_text(cases), seconds(cases), _failures(cases)]
     pairs = [pair for case in cases for pair in case.stated()]
     record = {
-        "rows": rows, "cases": len(cases), "void": void, "confusion": confusion(cases),
+        "rows": rows,
+        "cases": len(cases),
+        "void": void,
+        "confusion": confusion(cases),
         "reliability": reliability(*_columns(pairs)) if pairs else [],
         "failures": [_line(case) for case in cases if not right(case)],
-    }  # fmt: skip
+    }
     return "\n\n".join(parts) + "\n", record
 
 

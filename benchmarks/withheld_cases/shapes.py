@@ -50,10 +50,11 @@ def array_current_power(world: World, rng: np.random.Generator) -> Draft | None:
 
     def at(size: float) -> Truth:
         return Truth(
-            "solar_array_current", "spacecraft", {"k_nT_per_A": listed(size * axis), "power": 1.3},
-            stray=lambda w, t, field: np.outer(
-                full * (spacecraft.array_current_A(w, t) / full) ** 1.3, size * axis),
-        )  # fmt: skip
+            "solar_array_current",
+            "spacecraft",
+            {"k_nT_per_A": listed(size * axis), "power": 1.3},
+            stray=lambda w, t, field: np.outer(full * (spacecraft.array_current_A(w, t) / full) ** 1.3, size * axis),
+        )
 
     return Draft(world, at, 0.2, 1000.0, 20.0)
 
@@ -372,8 +373,25 @@ def dahl(x: FloatArray, width_nT: float) -> FloatArray:
 SHAPES = {
     maker.__name__: maker
     for maker in (
-        torquer_saturates, array_current_power, battery_two_paths, thermal_other_node, storm_wanders, head_other_view,
-        heater_tapers, switch_ramps, wheel_harmonic, step_settles, lag_two_poles, clipping_softly, track_error_grows,
-        clock_creeps, epoch_other_rates, yaw_runs_away, horizon_third, eddy_late, bent_by_strength, soft_hysteresis,
+        torquer_saturates,
+        array_current_power,
+        battery_two_paths,
+        thermal_other_node,
+        storm_wanders,
+        head_other_view,
+        heater_tapers,
+        switch_ramps,
+        wheel_harmonic,
+        step_settles,
+        lag_two_poles,
+        clipping_softly,
+        track_error_grows,
+        clock_creeps,
+        epoch_other_rates,
+        yaw_runs_away,
+        horizon_third,
+        eddy_late,
+        bent_by_strength,
+        soft_hysteresis,
     )
-}  # fmt: skip
+}

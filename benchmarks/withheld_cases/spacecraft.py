@@ -65,8 +65,9 @@ def draw_spacecraft(rng: np.random.Generator, orbit: Orbit) -> Spacecraft:
             float(rng.uniform(5.0, 60.0)), float(rng.uniform(0.1, 0.6)), float(rng.uniform(40.0, 400.0)), rng
         ),
         torquer_level=draw_random_duty(1.0, 0.5, float(rng.uniform(60.0, 600.0)), rng, both_signs=False),
-        payload=draw_random_duty(1.0, float(rng.uniform(0.2, 0.5)), float(rng.uniform(300.0, 1500.0)), rng,
-                                 both_signs=False),
+        payload=draw_random_duty(
+            1.0, float(rng.uniform(0.2, 0.5)), float(rng.uniform(300.0, 1500.0)), rng, both_signs=False
+        ),
         panels_B=panels,
         full_sun_A=float(rng.uniform(4.0, 12.0)),
         load_A=float(rng.uniform(1.5, 3.0)),
@@ -83,7 +84,7 @@ def draw_spacecraft(rng: np.random.Generator, orbit: Orbit) -> Spacecraft:
         wheel_swing_rad_s=float(2 * np.pi / orbit.nodal_period_s * rng.choice([1.0, 2.0])),
         heads_B=heads,
         head_half_angle_rad=float(np.radians(64.0)),
-    )  # fmt: skip
+    )
 
 
 def dipole_B_Am2(world: World, time: TimeArray) -> FloatArray:

@@ -26,8 +26,19 @@ from fluxtwin.sim.base import files
 
 LOG = Path(__file__).resolve().parent.parent / "withheld.log"
 FOLDERS = (
-    "asked", "telemetry", "said", "closed", "sealed", "twin", "second", "judged", "loop", "control", "rival", "limit",
-)  # fmt: skip
+    "asked",
+    "telemetry",
+    "said",
+    "closed",
+    "sealed",
+    "twin",
+    "second",
+    "judged",
+    "loop",
+    "control",
+    "rival",
+    "limit",
+)
 
 
 @dataclass(frozen=True)

@@ -58,11 +58,15 @@ def _spinner(rng: np.random.Generator, *, one_axis: bool) -> World:
     recorded = world.recorded - {"rate_B_rad_s", "temperature_degC", "dipole_B_Am2"}
     recorded |= {name for name in ("rate_B_rad_s", "temperature_degC") if rng.random() < 0.5}
     return dataclasses.replace(
-        world, time=time, motion=_spinning(inertia, axis, float(turn), float(nutation), phase, start),
+        world,
+        time=time,
+        motion=_spinning(inertia, axis, float(turn), float(nutation), phase, start),
         b_nT=GAUSS_NT * float(rng.uniform(1.0, 2.0)) * direction(rng) / np.sqrt(3.0),
-        S=float(rng.uniform(0.01, 0.05)) * rng.standard_normal((3, 3)), recorded=recorded,
-        missing=np.ones(time.size, dtype=bool), sensors=None,
-    )  # fmt: skip
+        S=float(rng.uniform(0.01, 0.05)) * rng.standard_normal((3, 3)),
+        recorded=recorded,
+        missing=np.ones(time.size, dtype=bool),
+        sensors=None,
+    )
 
 
 def weakest(world: World) -> tuple[float, float]:

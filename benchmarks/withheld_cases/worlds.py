@@ -26,9 +26,18 @@ from withheld_cases.spacecraft import Spacecraft, draw_spacecraft
 
 REGIMES = ("nadir", "tumble", "slews", "spin")
 OPTIONAL = (
-    "dipole_B_Am2", "sunlit", "heater_on", "array_current_A", "battery_current_A", "temperature_degC",
-    "wheel_speed_rpm", "sun_sensor_head", "flag_payload", "v_N_km_s", "rate_B_rad_s",
-)  # fmt: skip
+    "dipole_B_Am2",
+    "sunlit",
+    "heater_on",
+    "array_current_A",
+    "battery_current_A",
+    "temperature_degC",
+    "wheel_speed_rpm",
+    "sun_sensor_head",
+    "flag_payload",
+    "v_N_km_s",
+    "rate_B_rad_s",
+)
 """Columns that a record may lack, each drawn for itself."""
 
 Motion = Callable[[TimeArray, FloatArray, FloatArray], attitude.Attitude]

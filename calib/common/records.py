@@ -82,13 +82,13 @@ class Calibration:
     """Of fluxtwin, that made it."""
 
     def __post_init__(self) -> None:
-        _set(self, "S", self.S, (3, 3))
-        _set(self, "b_nT", self.b_nT, (3,))
-        if self.T_nT_per_Am2 is not None:
-            _set(self, "T_nT_per_Am2", self.T_nT_per_Am2, (3, 3))
         size = len(self.names)
-        covariance = np.asarray(self.covariance, dtype=np.float64)
-        _set(self, "covariance", np.zeros((size, size)) if covariance.size == 0 else covariance, (size, size))
+        if np.size(self.covariance) == 0:
+            object.__setattr__(self, "covariance", np.zeros((size, size)))
+        shapes = {"S": (3, 3), "b_nT": (3,), "T_nT_per_Am2": (3, 3), "covariance": (size, size)}
+        for name, shape in shapes.items():
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, array_of(getattr(self, name), shape, name))
         if self.covariance_kind not in COVARIANCE_KINDS:
             raise BadInput(f"{self.covariance_kind!r}", where="covariance_kind", wanted=" or ".join(COVARIANCE_KINDS))
         object.__setattr__(self, "unobservable", tuple(self.unobservable))
@@ -189,11 +189,15 @@ class Calibration:
         return read_calibration(path)
 
 
-def _set(record: Calibration, name: str, value: FloatArray, shape: tuple[int, ...]) -> None:
-    array = np.array(value, dtype=np.float64)
+def array_of(value: Any, shape: tuple[int, ...], name: str) -> FloatArray:
+    """A finite, read-only array of that shape; raises BadInput for anything else."""
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (ValueError, OverflowError):
+        raise BadInput("is no array of numbers", where=name, wanted=f"shape {shape}") from None
     if array.shape != shape:
         raise BadInput(f"has shape {array.shape}", where=name, wanted=f"shape {shape}")
     if not np.isfinite(array).all():
         raise BadInput("holds a number that is not finite", where=name, wanted="finite numbers")
     array.setflags(write=False)
-    object.__setattr__(record, name, array)
+    return array

@@ -52,7 +52,7 @@ ONLY_IN = {
     "click": set(),
     "jinja2": {"scenarios", "api"},
     "matplotlib": {"plots", "scenarios", "api"},
-    "pydantic": {"sim"},
+    "pydantic": {"sim", "calib"},
     "numba": {"sim", "calib", "gap"},
     "xarray": set(),
     "h5py": {"sim"},

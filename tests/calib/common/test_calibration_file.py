@@ -93,13 +93,13 @@ def test_a_file_written_by_hand_needs_three_keys(tmp_path: Path) -> None:
         (("b_nT", "b_mG"), r"unknown key b_mG; did you mean b_nT"),
         (("S = [", "Q = ["), r"unknown key Q"),
         (("A B0 = (I+S) B + b + T D", "B = K A B0 + o"), r"convention: 'B = K A B0 \+ o'"),
-        (("samples = 325", "samples = -1"), "samples: -1"),
-        (("samples = 325", "samples = 3.5"), "samples: 3.5"),
-        (("samples = 325", "samples = true"), "samples: True"),
-        (("sigma_nT = 371.25", "sigma_nT = nan"), "sigma_nT: nan"),
-        (("sigma_nT = 371.25", 'sigma_nT = "371"'), "sigma_nT: '371'"),
-        (('"blocks"', '"pink"'), "covariance_kind: 'pink'"),
-        (('"igrf1975"', "1975"), "field_model: 1975"),
+        (("samples = 325", "samples = -1"), r"samples: .*0 \(found -1\)"),
+        (("samples = 325", "samples = 3.5"), r"samples: one whole number is wanted \(found 3\.5\)"),
+        (("samples = 325", "samples = true"), r"samples: .*\(found True\)"),
+        (("sigma_nT = 371.25", "sigma_nT = nan"), r"sigma_nT: .*finite number \(found nan\)"),
+        (("sigma_nT = 371.25", 'sigma_nT = "371"'), r"sigma_nT: one number is wanted \(found '371'\)"),
+        (('"blocks"', '"pink"'), "covariance_kind: 'pink' is not known"),
+        (('"igrf1975"', "1975"), r"field_model: text is wanted \(found 1975\)"),
         (("1978-08-15T06:43:00Z", "1977-08-15T06:43:00Z"), "ends before it begins"),
         (("1978-08-15T06:43:00Z", "yesterday"), "'yesterday' is no time"),
     ],
@@ -119,10 +119,10 @@ def test_what_is_refused(tmp_path: Path, change: tuple[str, str], words: str) ->
     [
         ("S", "[[0, 0], [0, 0]]", "S: has shape"),
         ("S", "[[0, 0, 0], [0, 0, 0], [0, 0]]", "S: "),
-        ("S", "[0, 0, 0]", "S: "),
-        ("S", '[[0, 0, 0], [0, "0", 0], [0, 0, 0]]', "S: "),
-        ("S", "[[0, 0, 0], [0, inf, 0], [0, 0, 0]]", "S: holds a number that is not finite"),
-        ("b_nT", "[true, 0, 0]", "b_nT: "),
+        ("S", "[0, 0, 0]", r"S\.0: .*list"),
+        ("S", '[[0, 0, 0], [0, "0", 0], [0, 0, 0]]', r"S\.1\.1: one number"),
+        ("S", "[[0, 0, 0], [0, inf, 0], [0, 0, 0]]", r"S\.1\.1: .*finite number \(found inf\)"),
+        ("b_nT", "[true, 0, 0]", r"b_nT\.0: one number"),
         ("covariance", "[[1, 0], [0, 1]]", "covariance: has shape"),
     ],
 )
@@ -148,15 +148,15 @@ def test_a_covariance_that_is_none(tmp_path: Path) -> None:
 
 
 def test_unreadable_files(tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match=r"absent.toml: cannot be read"):
+    with pytest.raises(BadInput, match=r"absent.toml: there is no such file"):
         Calibration.from_toml(tmp_path / "absent.toml")
-    with pytest.raises(BadInput, match="cannot be read"):
+    with pytest.raises(BadInput, match="is a folder"):
         Calibration.from_toml(tmp_path)
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(BadInput, match="not UTF-8"):
         Calibration.from_toml(tmp_path / "binary.toml")
     (tmp_path / "not.toml").write_text("S = [[")
-    with pytest.raises(BadInput, match="is not TOML"):
+    with pytest.raises(BadInput, match="is not valid TOML"):
         Calibration.from_toml(tmp_path / "not.toml")
 
 
@@ -221,11 +221,11 @@ def test_a_change_by_hand_is_named_and_may_be_meant(tmp_path: Path) -> None:
     [
         (('unit = "nT"', 'unit = "mG"'), "parameters: b1: unit 'mG'"),
         (("b1 = {", "b4 = {"), "unknown key b4"),
-        (("samples = 325", "sample = 325"), "unknown key sample; did you mean samples"),
-        (("kind = ", "sort = "), "covariance: unknown key sort"),
+        (("samples = 325", "sample = 325"), r"unknown key source\.sample; did you mean samples"),
+        (("kind = ", "sort = "), r"unknown key covariance\.sort"),
         (('order = ["S11", "S12"', 'order = ["S12", "S11"'), "is not the order of the parameters"),
-        (("[parameters]\n", "[parameters]\nS11 = 3\n#"), "S11: 3. Wanted: a table"),
-        (("value = ", "values = "), "unknown key values; did you mean value"),
+        (("[parameters]\n", "[parameters]\nS11 = 3\n#"), r"parameters\.S11: a table of keys is wanted \(found 3\)"),
+        (("value = ", "values = "), r"unknown key parameters\.S11\.values; did you mean value"),
     ],
 )
 def test_what_is_refused_of_the_tables(tmp_path: Path, change: tuple[str, str], words: str) -> None:
@@ -250,7 +250,7 @@ def test_a_sigma_that_contradicts_the_covariance(tmp_path: Path) -> None:
 def test_toml_that_breaks_the_parser_is_bad_input(tmp_path: Path, text: str) -> None:
     path = tmp_path / "c.toml"
     path.write_text(text)
-    with pytest.raises(BadInput, match="is not TOML"):
+    with pytest.raises(BadInput, match="is not valid TOML"):
         Calibration.from_toml(path)
 
 

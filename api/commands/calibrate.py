@@ -109,7 +109,7 @@ def command(
 
 def _predict(fit: Fit, record: Telemetry, known: Calibration, model: FieldModel) -> ResidualStatistics:
     from fluxtwin.calib.common.residuals import predict
-    from fluxtwin.calib.scalar.predict import predict_scalar
+    from fluxtwin.calib.scalar.rows import predict_scalar
 
     against_attitude = "attitude" in methods.ESTIMATORS[fit.method].needs
     return (predict if against_attitude else predict_scalar)(record, known, model)

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from fluxtwin.calib.common.covariance import segments, small_sample
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
@@ -24,7 +25,6 @@ from fluxtwin.sim.earth import sun
 from fluxtwin.sim.telemetry.record import Telemetry
 
 _FEWEST = 10
-_STEPS = 6
 _NEAR_LINE = float(np.radians(3.0))
 """Rows with sun and nadir nearer to one line than this are left out: the angle says nothing of a small tilt there."""
 _WEAK_DEG = 5.0
@@ -79,13 +79,14 @@ def calibrate_scanner(
     computed = _angle(-r_N_km, sun.sun_direction_N(telemetry.time[rows], r_N_km))
     sun_B = np.array(telemetry.sun_B)[rows]
     measured = _angles(np.array(telemetry.nadir_B)[rows])
-    bias = np.zeros(2)
-    first = _angle(sun_B, _nadir(measured)) - computed
-    for _ in range(_STEPS):
-        residual, J = _residual(sun_B, measured - bias, computed)
-        _require_both(J, float(np.sqrt(np.mean(residual**2))))
-        bias = bias + np.linalg.lstsq(J, residual, rcond=None)[0]
-    residual, J = _residual(sun_B, measured - bias, computed)
+
+    def residual_of(bias: FloatArray) -> FloatArray:
+        return _angle(sun_B, _nadir(measured - bias)) - computed
+
+    first = residual_of(np.zeros(2))
+    found = least_squares(residual_of, np.zeros(2), jac="3-point", xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    bias, residual, J = found.x, found.fun, np.asarray(found.jac)
+    _require_both(J, float(np.sqrt(np.mean(residual**2))))
     label = segments(telemetry.time[rows]) if passes is None else np.asarray(passes)[rows]
     covariance, count = _by_pass(J, residual, label)
     return ScannerCalibration(
@@ -114,17 +115,6 @@ def _usable(telemetry: Telemetry, heads: Sequence[int] | None) -> BoolArray:
     apart = _angle(np.array(telemetry.sun_B)[known], np.array(telemetry.nadir_B)[known])
     good[known] = (apart > _NEAR_LINE) & (apart < np.pi - _NEAR_LINE)
     return np.asarray(good)
-
-
-def _residual(sun_B: FloatArray, angles: FloatArray, computed: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Measured less computed angle (N,) and its change per taken-off roll and pitch bias (N, 2), sign reversed."""
-    residual = _angle(sun_B, _nadir(angles)) - computed
-    step = 1e-5
-    columns = [
-        (_angle(sun_B, _nadir(angles + step * axis)) - _angle(sun_B, _nadir(angles - step * axis))) / (2 * step)
-        for axis in np.eye(2)
-    ]
-    return residual, np.stack(columns, axis=1)
 
 
 def _require_both(J: FloatArray, residual_rad: float) -> None:

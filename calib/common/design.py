@@ -18,8 +18,6 @@ from fluxtwin.sim.earth.constants import GM_EARTH_KM3_S2
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
 from fluxtwin.sim.telemetry.record import Telemetry, concatenate
 
-_BLOCK_ROWS = 65536
-
 
 @dataclass(frozen=True)
 class Design:
@@ -61,13 +59,7 @@ def assemble(records: Telemetry | Sequence[Telemetry], model: FieldModel, *, wit
         "no position": telemetry.has_position,
     }
     if with_dipole:
-        if telemetry.dipole_B_Am2 is None:
-            raise BadInput(
-                "T is asked for, and the telemetry has no torquer dipole",
-                where="dipole_x_Am2 dipole_y_Am2 dipole_z_Am2",
-                wanted="the dipole columns, or --parameters b,S",
-            )
-        needs["no torquer dipole"] = np.asarray(np.isfinite(telemetry.dipole_B_Am2).all(axis=1))
+        needs["no torquer dipole"] = np.asarray(np.isfinite(dipole_for_T(telemetry)).all(axis=1))
     rows, left_out = complete_rows(needs, "by attitude needs reading, attitude and position")
     used = telemetry.select(rows)
     return Design(
@@ -77,27 +69,35 @@ def assemble(records: Telemetry | Sequence[Telemetry], model: FieldModel, *, wit
         D_Am2=used.dipole_B_Am2 if with_dipole else None,
         rows=rows,
         left_out=left_out,
-        radian_s=_radian_s(used),
+        radian_s=radian_s(used),
     )
 
 
-def _radian_s(telemetry: Telemetry) -> float:
-    """sqrt(r^3 / GM) at the median radius."""
+def radian_s(telemetry: Telemetry) -> float:
+    """Time in which the spacecraft moves one radian along its orbit, sqrt(r^3 / GM) at the median radius."""
     assert telemetry.r_N_km is not None
     radius_km = float(np.median(np.linalg.norm(telemetry.r_N_km, axis=1)))
     return float(np.sqrt(radius_km**3 / GM_EARTH_KM3_S2))
+
+
+def dipole_for_T(telemetry: Telemetry) -> FloatArray:
+    """(N, 3) torquer dipole [A m2]. Raises BadInput where the telemetry has none."""
+    if telemetry.dipole_B_Am2 is None:
+        raise BadInput(
+            "T is asked for, and the telemetry has no torquer dipole",
+            where="dipole_x_Am2 dipole_y_Am2 dipole_z_Am2",
+            wanted="the dipole columns, or --parameters b,S",
+        )
+    return telemetry.dipole_B_Am2
 
 
 def reference_field_B_nT(telemetry: Telemetry, model: FieldModel) -> FloatArray:
     """(N, 3) model field in body axes, A B0, where position and attitude are known; NaN elsewhere."""
     known = np.flatnonzero(telemetry.has_position & telemetry.has_attitude)
     reference = np.full((len(telemetry), 3), np.nan)
-    if known.size == 0 or telemetry.r_N_km is None or telemetry.q_NB is None:
-        return reference
-    for start in range(0, known.size, _BLOCK_ROWS):
-        rows = known[start : start + _BLOCK_ROWS]
-        field_N = field_N_nT(model, telemetry.time[rows], telemetry.r_N_km[rows])
-        reference[rows] = frames.rotation_from_q(telemetry.q_NB[rows]).apply(field_N)
+    if known.size and telemetry.r_N_km is not None and telemetry.q_NB is not None:
+        field_N = field_N_nT(model, telemetry.time[known], telemetry.r_N_km[known])
+        reference[known] = frames.rotation_from_q(telemetry.q_NB[known]).apply(field_N)
     return reference
 
 

@@ -76,13 +76,9 @@ def reading_noise(
     in differences; how much of the residual along the field may be of that kind goes into the covariance.
     """
     some = stretches(len(design), _ROWS)
-    B_nT = design.B_nT[some]
-    lsb = lsb_from_spacing_nT(B_nT) if lsb_nT is None else per_axis(lsb_nT, "lsb_nT")
-    found = "found in the spacing of the readings" if lsb.any() else "as no spacing of the readings is seen"
-    lsb_words = f"LSB {_three(lsb)} nT {found if lsb_nT is None else 'declared'}"
-    if noise_nT is not None:
-        noise = per_axis(noise_nT, "noise_nT")
-        return ReadingNoise(noise**2 + lsb**2 / 12.0, f"noise {_three(noise)} nT declared, {lsb_words}")
+    declared, lsb, lsb_words = _declared(design.B_nT[some], noise_nT, lsb_nT)
+    if declared is not None:
+        return declared
     reference, r = design.H_nT[some], residual_nT[some]
     first, differences = _differences(r, design.time[some])
     if len(differences) < _FEWEST_PAIRS:
@@ -105,6 +101,51 @@ def reading_noise(
     sizes = " / ".join(measured(float(s), float(u)) for s, u in zip(sigma, unsure, strict=True))
     words = f"{sizes} nT from short differences of the residual, taken for white, axis by axis; {lsb_words}"
     return ReadingNoise(variance, words, covariance)
+
+
+def scalar_noise(
+    B_nT: FloatArray,
+    time: TimeArray,
+    residual_nT: FloatArray,
+    noise_nT: float | FloatArray | None,
+    lsb_nT: float | FloatArray | None,
+) -> ReadingNoise:
+    """Sigma_B: declared, or taken alike on the three axes from differences of neighbours.
+
+    B_nT: (N, 3). residual_nT: (N,) |B| less |H| of a first fit. What lasts longer than a sample is not noise here; how
+    much of the residual is of that kind goes into the covariance, as any part of it may be noise all the same.
+    """
+    some = stretches(len(time), _ROWS)
+    declared, lsb, words = _declared(B_nT[some], noise_nT, lsb_nT)
+    if declared is not None:
+        return declared
+    floor = lsb**2 / 12.0
+    r, step = residual_nT[some], np.diff(time[some]).astype("int64")
+    near = np.flatnonzero(step <= 1.5 * np.median(step)) if step.size else np.zeros(0, dtype=int)
+    if near.size < _FEWEST_PAIRS:
+        return ReadingNoise(floor, f"{words}; too few neighbouring samples to find the noise beyond it")
+    whole = clipped_sigma(r) ** 2
+    white = min(0.5 * clipped_sigma(np.diff(r)[near]) ** 2, whole)
+    variance = np.maximum(np.full(3, white), floor)
+    hidden = max(0.0, whole * len(r) / max(len(r) - 9, 1) - white)
+    spread = np.full((3, 3), hidden**2 / 12.0 + 3.0 * white**2 / near.size)
+    text = (
+        f"{plain(float(np.sqrt(white)))} nT an axis from short differences of the residual of |B|, taken alike; {words}"
+    )
+    return ReadingNoise(variance, text, spread)
+
+
+def _declared(
+    B_nT: FloatArray, noise_nT: float | FloatArray | None, lsb_nT: float | FloatArray | None
+) -> tuple[ReadingNoise | None, FloatArray, str]:
+    """The noise where it is declared; (3,) LSB of each axis and where it comes from."""
+    lsb = lsb_from_spacing_nT(B_nT) if lsb_nT is None else per_axis(lsb_nT, "lsb_nT")
+    found = "found in the spacing of the readings" if lsb.any() else "as no spacing of the readings is seen"
+    words = f"LSB {_three(lsb)} nT {found if lsb_nT is None else 'declared'}"
+    if noise_nT is None:
+        return None, lsb, words
+    noise = per_axis(noise_nT, "noise_nT")
+    return ReadingNoise(noise**2 + lsb**2 / 12.0, f"noise {_three(noise)} nT declared, {words}"), lsb, words
 
 
 def clipped_sigma(values: FloatArray) -> float:

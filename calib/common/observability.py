@@ -179,26 +179,43 @@ def _refuse(v: FloatArray, fired: np.ndarray, moves_nT: float, relative: float, 
     })  # fmt: skip
 
 
+def correlated_pairs(covariance: FloatArray) -> list[tuple[float, int, int]]:
+    """Correlations of 0.95 or more, with the numbers of the two parameters, i < j."""
+    sigma = np.sqrt(np.diag(covariance))
+    scale = np.where(sigma > 0, sigma, np.inf)
+    C = covariance / np.outer(scale, scale)
+    return [(float(C[j, i]), int(i), int(j)) for j, i in np.argwhere(np.tril(np.abs(C) >= HARDLY_SEPARABLE, -1))]
+
+
 def pair_words(covariance: FloatArray, with_T: bool, field_rms_nT: float, sigma_nT: float) -> list[str]:
     """A sentence for pairs of parameters that the data hardly separate; the worst is named.
 
     A pair is named when its correlation is at least 0.95 and the weaker one's sigma matters: an error of one
     sigma in S (times the rms field) or in b is larger than the residual's sigma.
     """
-    names = parameter_names(with_T)
-    sigma = np.sqrt(np.diag(covariance))
+    names, sigma = parameter_names(with_T), np.sqrt(np.diag(covariance))
     found = []
-    for i in range(12):
-        for j in range(i + 1, 12):
-            if sigma[i] == 0 or sigma[j] == 0:
-                continue
-            correlation = float(covariance[i, j] / (sigma[i] * sigma[j]))
-            matters = max(_in_nT(names[k], sigma[k], field_rms_nT) for k in (i, j)) > sigma_nT
-            if abs(correlation) >= HARDLY_SEPARABLE and matters:
-                sizes = f"sigma {_sized(names[i], sigma[i])}, {_sized(names[j], sigma[j])}"
-                found.append((abs(correlation), f"{names[i]} and {names[j]} are not separable in this data: "
-                              f"correlation {correlation:.3f}, {sizes}"))  # fmt: skip
+    for correlation, i, j in correlated_pairs(covariance[:12, :12]):
+        if max(_in_nT(names[k], sigma[k], field_rms_nT) for k in (i, j)) > sigma_nT:
+            sizes = f"sigma {_sized(names[i], sigma[i])}, {_sized(names[j], sigma[j])}"
+            found.append((correlation, f"{_pair(names[i], names[j], correlation)}, {sizes}"))
     return worst_of(found)
+
+
+def relative_pair_words(covariance: FloatArray, names: Sequence[str], least_sigma: float) -> list[str]:
+    """As `pair_words` for parameters in parts of the field; least_sigma: from which a sigma matters."""
+    sigma = np.sqrt(np.diag(covariance))
+    return worst_of(
+        [
+            (correlation, _pair(names[i], names[j], correlation))
+            for correlation, i, j in correlated_pairs(covariance)
+            if max(sigma[i], sigma[j]) > least_sigma
+        ]
+    )
+
+
+def _pair(one: str, other: str, correlation: float) -> str:
+    return f"{one} and {other} are not separable in this data: correlation {correlation:.3f}"
 
 
 def worst_of(found: list[tuple[float, str]]) -> list[str]:
@@ -206,7 +223,7 @@ def worst_of(found: list[tuple[float, str]]) -> list[str]:
     if not found:
         return []
     more = f"; {len(found) - 1} more pairs with a correlation of {HARDLY_SEPARABLE} or more" if len(found) > 1 else ""
-    return [max(found)[1] + more]
+    return [max((abs(correlation), words) for correlation, words in found)[1] + more]
 
 
 def weak_direction_words(variation: FieldVariation, covariance: FloatArray, sigma_nT: float) -> list[str]:

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from fluxtwin.calib.common.covariance import correlation_time_s, observed_s, segments
 from fluxtwin.calib.common.digits import measured, plain
 from fluxtwin.calib.common.direction import CONFIDENCE, DirectionKnowledge, direction_knowledge
-from fluxtwin.calib.common.observability import HARDLY_SEPARABLE, direction_words
+from fluxtwin.calib.common.observability import correlated_pairs, direction_words
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
 
@@ -167,12 +167,11 @@ def kept_rows(weights: FloatArray) -> BoolArray:
 def worst_pairs(fit: Fit) -> tuple[Pair, ...]:
     """Pairs of parameters with a correlation of 0.95 or more, worst first; S12 and S21 of a symmetric S are one."""
     C, names = fit.correlation, fit.calibration.names
-    found = []
-    for i in range(len(names)):
-        for j in range(i):
-            twins = names[i][0] == "S" and names[i][1:] == names[j][:0:-1] and bool(np.allclose(C[i], C[j], atol=1e-9))
-            if abs(C[i, j]) >= HARDLY_SEPARABLE and not twins:
-                found.append(Pair(names[j], names[i], float(C[i, j])))
+    found = [
+        Pair(names[i], names[j], correlation)
+        for correlation, i, j in correlated_pairs(fit.calibration.covariance)
+        if names[j] != f"S{names[i][:0:-1]}" or not np.allclose(C[i], C[j], atol=1e-9)
+    ]
     return tuple(sorted(found, key=lambda pair: -abs(pair.correlation))[:_SHOWN])
 
 

@@ -20,18 +20,17 @@ from fluxtwin.calib.common import observability
 from fluxtwin.calib.common.design import joined
 from fluxtwin.calib.common.fit_warnings import with_warnings
 from fluxtwin.calib.common.moments import covariance_of
-from fluxtwin.calib.common.noise import ReadingNoise
+from fluxtwin.calib.common.noise import ReadingNoise, scalar_noise
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import RobustWeights, robust_weights
 from fluxtwin.calib.scalar import words
 from fluxtwin.calib.scalar.center import center, center_terms
 from fluxtwin.calib.scalar.covariance import Scores, field_error_covariance, scalar_covariance, scores_of
-from fluxtwin.calib.scalar.fit import NO_ROTATION, ScalarFit, file_parameters, hardly_separable, telemetry_biases
+from fluxtwin.calib.scalar.fit import NO_ROTATION, ScalarFit, file_parameters, telemetry_biases
 from fluxtwin.calib.scalar.maximum_likelihood import Solved, Sums, add_up, solve
 from fluxtwin.calib.scalar.method import ScalarOptions
 from fluxtwin.calib.scalar.model import ScalarData, pack, residual
-from fluxtwin.calib.scalar.noise import scalar_noise
 from fluxtwin.calib.scalar.observability import (
     Geometry,
     choose,
@@ -251,7 +250,7 @@ def _report(
     unobservable = [
         NO_ROTATION,
         *words.never_fired(problem.never_fired),
-        *hardly_separable(covariance, problem.names, 1e-3),
+        *observability.relative_pair_words(covariance, problem.names, 1e-3),
     ]
     biases = telemetry_biases(solved.p, covariance, data, problem.columns, problem.scale_nT, units)
     calibration = Calibration(

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from fluxtwin.calib.common.fit import Fit
-from fluxtwin.calib.common.observability import HARDLY_SEPARABLE, worst_of
 from fluxtwin.calib.common.records import TelemetryBias
 from fluxtwin.calib.scalar.model import PAIRS, ScalarData, unpack
 from fluxtwin.sim.base.types import FloatArray
@@ -93,19 +92,3 @@ def telemetry_biases(
         for j, name in enumerate(columns)
         if name not in _DIPOLES
     }
-
-
-def hardly_separable(covariance: FloatArray, names: tuple[str, ...], worth: float) -> list[str]:
-    """A sentence for pairs whose correlation is at least 0.95 and whose sigma matters; the worst is named.
-
-    worth: a sigma, in parts of the field, from which it matters.
-    """
-    sigma = np.sqrt(np.diag(covariance))
-    found = []
-    for i in range(len(names)):
-        for j in range(i + 1, len(names)):
-            correlation = float(covariance[i, j] / (sigma[i] * sigma[j]))
-            if abs(correlation) >= HARDLY_SEPARABLE and max(sigma[i], sigma[j]) > worth:
-                words = f"{names[i]} and {names[j]} are not separable in this data: correlation {correlation:.3f}"
-                found.append((abs(correlation), words))
-    return worst_of(found)

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.calib.common.design import complete_rows, joined
+from fluxtwin.calib.common.design import complete_rows, dipole_for_T, joined, radian_s
+from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.common.residuals import ResidualStatistics, residual_statistics
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray, TimeArray
-from fluxtwin.sim.earth.constants import GM_EARTH_KM3_S2
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
 from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
 
-_BLOCK_ROWS = 65536
 _NO_SCALARS = ("sun_B", "nadir_B", "rate_B_rad_s", "dipole_B_Am2", "wheel_speed_rpm")
 
 
@@ -64,39 +64,22 @@ def assemble_scalar(
     rows, left_out = complete_rows(needs, "without attitude needs reading and position")
     used = telemetry.select(rows)
     assert used.r_N_km is not None
-    radius_km = float(np.median(np.linalg.norm(used.r_N_km, axis=1)))
     return ScalarRows(
         time=used.time,
         B_nT=used.mag_B_nT,
-        H_nT=field_size_nT(used, model),
+        H_nT=np.linalg.norm(field_N_nT(model, used.time, used.r_N_km), axis=1),
         columns={name: values[rows] for name, values in columns.items()},
         rows=rows,
         left_out=left_out,
-        radian_s=float(np.sqrt(radius_km**3 / GM_EARTH_KM3_S2)),
+        radian_s=radian_s(used),
     )
-
-
-def field_size_nT(telemetry: Telemetry, model: FieldModel) -> FloatArray:
-    """(N,) |B0| of the model at rows that all have a position."""
-    assert telemetry.r_N_km is not None
-    size = np.empty(len(telemetry))
-    for start in range(0, len(telemetry), _BLOCK_ROWS):
-        at = slice(start, start + _BLOCK_ROWS)
-        size[at] = np.linalg.norm(field_N_nT(model, telemetry.time[at], telemetry.r_N_km[at]), axis=1)
-    return size
 
 
 def _columns(telemetry: Telemetry, with_dipole: bool, names: Sequence[str]) -> dict[str, FloatArray]:
     known = {name: v for name, v in recorded_columns(telemetry).items() if name not in _NO_SCALARS and v.ndim == 1}
     out: dict[str, FloatArray] = {}
     if with_dipole:
-        if telemetry.dipole_B_Am2 is None:
-            raise BadInput(
-                "T is asked for, and the telemetry has no torquer dipole",
-                where="dipole_x_Am2 dipole_y_Am2 dipole_z_Am2",
-                wanted="the dipole columns, or --parameters b,S",
-            )
-        out |= {f"dipole_{axis}_Am2": telemetry.dipole_B_Am2[:, i] for i, axis in enumerate("xyz")}
+        out |= {f"dipole_{axis}_Am2": dipole_for_T(telemetry)[:, i] for i, axis in enumerate("xyz")}
     for name in names:
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
@@ -104,3 +87,15 @@ def _columns(telemetry: Telemetry, with_dipole: bool, names: Sequence[str]) -> d
             raise BadInput(f"the telemetry has no column {name!r}", where="telemetry_bias", wanted=hint)
         out[name] = known[name]
     return out
+
+
+def predict_scalar(
+    records: Telemetry | Sequence[Telemetry], calibration: Calibration, model: FieldModel
+) -> ResidualStatistics:
+    """Statistics of |(I+S) B + b + T D| - |H| of telemetry that was not used to make the calibration."""
+    telemetry = joined(records)
+    rows = assemble_scalar(telemetry, model)
+    dipole = telemetry.dipole_B_Am2
+    columns = {name: values[rows.rows] for name, values in recorded_columns(telemetry).items()}
+    true = calibration.apply(rows.B_nT, None if dipole is None else dipole[rows.rows], columns)
+    return residual_statistics(rows.time, (np.linalg.norm(true, axis=1) - rows.H_nT)[:, None])

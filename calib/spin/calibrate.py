@@ -24,7 +24,7 @@ from fluxtwin.calib.common.design import Design, joined
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.fit_warnings import with_warnings
 from fluxtwin.calib.common.moments import covariance_of
-from fluxtwin.calib.common.noise import ReadingNoise
+from fluxtwin.calib.common.noise import ReadingNoise, scalar_noise
 from fluxtwin.calib.common.observability import field_variation
 from fluxtwin.calib.common.records import LARGE_S, Calibration
 from fluxtwin.calib.common.residuals import residual_statistics
@@ -32,7 +32,6 @@ from fluxtwin.calib.linear.calibrate import fit_design
 from fluxtwin.calib.linear.method import LinearOptions
 from fluxtwin.calib.scalar.maximum_likelihood import residual
 from fluxtwin.calib.scalar.model import ScalarData, pack
-from fluxtwin.calib.scalar.noise import scalar_noise
 from fluxtwin.calib.scalar.twostep import twostep
 from fluxtwin.calib.scalar.words import errors
 from fluxtwin.calib.spin.batch import (

@@ -16,8 +16,7 @@ from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.methods import calibrate_by, default_method
 from fluxtwin.calib.scalar.calibrate import ScalarOptions, calibrate_scalar, fit_rows
 from fluxtwin.calib.scalar.model import ScalarData, own_noise, residual, terms
-from fluxtwin.calib.scalar.predict import predict_scalar
-from fluxtwin.calib.scalar.rows import ScalarRows
+from fluxtwin.calib.scalar.rows import ScalarRows, predict_scalar
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT, load_field

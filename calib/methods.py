@@ -103,20 +103,20 @@ def default_method(records: Telemetry | Sequence[Telemetry]) -> str:
 def calibrate_by(
     records: Telemetry | Sequence[Telemetry], model: FieldModel, method: str | None = None, **given: Any
 ) -> Fit:
-    """Calibrate by the method of that name, None for `default_method`, and judge the answer.
+    """Calibrate by the method of that name, None for `default_method`, with the verdict on the answer.
 
     given: options of the method, by the fields of its options; one that is None is as if not given.
     Raises BadInput for an unknown method, and for an option that the method does not take.
     """
     from fluxtwin.calib.common.design import joined
-    from fluxtwin.calib.common.verdict import judge
+    from fluxtwin.calib.common.verdict import assess
 
     require(method, given)
     telemetry = joined(records)
     estimator = ESTIMATORS[default_method(telemetry) if method is None else method]
     fit = _named(estimator.fit(telemetry, model, _taken(estimator, given)), telemetry)
     sigma_deg, reference = given.get("attitude_sigma_deg"), "attitude" in estimator.needs
-    return replace(fit, verdict=judge(fit, telemetry, attitude_sigma_deg=sigma_deg, against_attitude=reference))
+    return replace(fit, verdict=assess(fit, telemetry, attitude_sigma_deg=sigma_deg, against_attitude=reference))
 
 
 def _taken(estimator: Estimator, given: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """The multiplicative Kalman filter of attitude from field, horizon scanner, sun or reference attitude, without a gyro.
 
 Where two directions are known at once, Davenport's q-method gives the attitude (Wertz 1978, section 12.2.3); from there
-the filter carries it on (`attitude_kernels`). The rate wanders at random; field and scanner have, beside white noise,
+the filter carries it on (`filter_kernels`). The rate wanders at random; field and scanner have white noise and
 slow errors. Sizes that are not declared are those that make the innovations most likely (Mehra 1970, IEEE Transactions on
 Automatic Control 15, 175). S and b of the magnetometer may be part of the state, known to a covariance or unknown.
 """
@@ -106,7 +106,7 @@ class Rows:
     """(N,) indices into the joined telemetry."""
     left_out: Mapping[str, int]
     source: str = "nadir and sun"
-    """What is followed beside the field, in words."""
+    """What is followed besides the field, in words."""
     set_aside: str = ""
     """What the record has besides, and is not used."""
 
@@ -233,7 +233,7 @@ def starts(rows: Rows, p: FloatArray | None, breaks: np.ndarray | None = None) -
     """A start for each stretch of rows that has two fixes: by reference attitude, or by directions seen together.
 
     p: (12,) S row by row and b by which the field counts as a direction; None: it does not. breaks: rows at which a new
-    stretch begins, beside those after gaps. Raises NoAnswer where there is no start, or the body turns by nearly half a
+    stretch begins, besides those after gaps. Raises NoAnswer where there is no start, or the body turns by nearly half a
     revolution from fix to fix.
     """
     R, covariance = fixes(rows, p)
@@ -252,7 +252,7 @@ def starts(rows: Rows, p: FloatArray | None, breaks: np.ndarray | None = None) -
         if angle[0] > _ALIASED_RAD:
             raise NoAnswer(
                 f"the body turns by {np.degrees(angle[0]):.0f} deg or more from one fix to the next, in "
-                f"{rows.t_s[later[0]] - rows.t_s[begin]:g} s: how fast it turns cannot be told without more frequent rows",
+                f"{rows.t_s[later[0]] - rows.t_s[begin]:g} s: its rate cannot be found without more frequent rows",
                 evidence={"turn_rad": float(angle[0])},
             )
         far = np.flatnonzero(angle > _RATE_RAD)

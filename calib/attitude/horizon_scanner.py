@@ -6,7 +6,7 @@ scanner's biases are those that make the two agree best: the idea of S. G. Hotov
 Jackson Hole, 1977), as Lerner & Shuster (1979, 1981) describe it.
 
 Nadir in body axes is (-sin p cos r, sin r, cos p cos r) for roll r and pitch p of the 3-1-2 set, whatever the yaw. The
-sun moves through the body along an orbit, and so both biases can be told apart; from one sun direction only the
+sun moves through the body along an orbit, and so both biases can be separated; from one sun direction only the
 tilt towards the sun is seen.
 """
 
@@ -109,7 +109,7 @@ def _usable(telemetry: Telemetry, heads: Sequence[int] | None) -> BoolArray:
     good = good & telemetry.has_position
     if heads is not None:
         if telemetry.sun_sensor_head is None:
-            raise BadInput("heads are chosen, and the record does not tell them", where="sun_sensor_head")
+            raise BadInput("heads are chosen, and the record does not say which saw the sun", where="sun_sensor_head")
         good = good & np.isin(telemetry.sun_sensor_head, heads)
     known = np.flatnonzero(good)
     apart = _angle(np.array(telemetry.sun_B)[known], np.array(telemetry.nadir_B)[known])

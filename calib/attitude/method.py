@@ -10,7 +10,7 @@ from fluxtwin.sim.base.errors import BadInput
 
 @dataclass(frozen=True, kw_only=True)
 class RecursiveOptions(of.Options):
-    """What the filter is told. The slow errors are states, so the covariance is always of the kind `blocks`."""
+    """What is known to the filter. The slow errors are states, so the covariance is always of the kind `blocks`."""
 
     method: str = field(default="recursive", metadata=of.METHOD("recursive"))
     parameters: str = field(default="b,S", metadata=of.PARAMETERS("b,S", "b"))
@@ -28,7 +28,7 @@ class RecursiveOptions(of.Options):
             raise BadInput(
                 f"{self.lsb_nT!r}",
                 where="--lsb-nT",
-                wanted="--noise-nT beside it: noise that is found includes rounding",
+                wanted="--noise-nT too: noise that is found includes rounding",
             )
 
 

@@ -1,4 +1,4 @@
-"""S and b row by row, with the attitude estimated beside them: the filter of `attitude_filter` with twelve more states.
+"""S and b row by row, with the attitude estimated too: the filter of `attitude.filter` with twelve more states.
 
 The recursive counterpart of the batch methods (for b and D alone, without attitude: Crassidis, Lai & Harman 2005, Journal
 of Guidance, Control, and Dynamics 28, 115). Attitude comes from scanner and sun, or from a reference that is wrong by
@@ -6,8 +6,8 @@ a slow error; outliers count less, and readings far from a robust batch fit not 
 innovation is large. Passes are repeated about the last answer until it stays, as in an iterated filter, because an extended
 filter freezes what it got wrong while it knew little.
 
-How long the slow errors last is known badly from one record, and the sigmas hang on it: S, b and covariance are averaged
-over times that the innovations leave possible.
+One record says little about how long the slow errors last, and the sigmas depend on it: S, b and the covariance are averages
+over the times that the innovations allow.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.telemetry.record import Telemetry
 
 _FIRST_SIGMA = np.repeat([0.3, 1e5], [9, 3])  # far wider than any magnetometer: 1, nT
-_UNKNOWN = 0.3  # of that sigma left: the data did not tell
+_UNKNOWN = 0.3  # of that sigma: a parameter no better known than that is not determined
 _FAR = 10.0  # such residuals of the batch fit, over their median size, belong to no reading
 _PASSES, _OF_SIGMA = 6, 0.05
 _LONGER = np.arange(-1.0, 2.6, 0.5)
@@ -216,7 +216,7 @@ def _report(
     ]
     calibration = Calibration(
         S, b_nT, None, done.p_covariance, "blocks", sigma_nT, len(kept), (rows.time[kept[0]], rows.time[kept[-1]]),
-        model.name, f"recursive filter for {parameters}, attitude beside it", tuple(words),
+        model.name, f"recursive filter for {parameters}, attitude estimated too", tuple(words),
     )  # fmt: skip
     noise = ReadingNoise(
         np.full(3, noises.field_nT**2),

@@ -1,6 +1,6 @@
 """Three-axis attitude of a record, through the night too, and whether it holds.
 
-The filter is in `attitude_filter`. Its innovations over their predicted sigma say whether it holds: they should average 1
+The filter is in `attitude.filter`. Its innovations over their predicted sigma say whether it holds: they should average 1
 squared, sensor by sensor, and not repeat from row to row. Sizes that are found in the innovations make them so in many a
 wrong world too; what the calibration says of its errors, and the noise along the field, where no attitude acts, are held
 against them.
@@ -72,7 +72,7 @@ class AttitudeSolution:
     limits: tuple[str, ...] = ()
     """What speaks against it although the innovations do not, in sentences."""
     source: str = ""
-    """What was followed beside the field."""
+    """What was followed besides the field."""
     set_aside: str = ""
     """What the record has besides, and was not used; empty where all was."""
 
@@ -168,7 +168,7 @@ def declared_noises(
         raise BadInput(
             f"{attitude_tau_s!r}",
             where="--attitude-tau-s",
-            wanted="s, finite, not negative, beside --attitude-sigma-deg",
+            wanted="s, finite, not negative, together with --attitude-sigma-deg",
         )
     if attitude_sigma_deg is not None:
         sigma = float(np.radians(attitude_sigma_deg))

@@ -72,7 +72,7 @@ class YawSolution:
     def rms_error_rad(self, estimate_rad: FloatArray | None = None) -> float | None:
         """rms of (estimate - reference) where the reference is known; None where it never is.
 
-        estimate_rad: (N,), the full solution when not given; zeros judge "yaw = 0".
+        estimate_rad: (N,), the full solution when not given; zeros test "yaw = 0".
         """
         known = np.isfinite(self.yaw_reference_rad)
         if not known.any():
@@ -110,7 +110,7 @@ def yaw_first_order(field_B_nT: FloatArray, field_O_nT: FloatArray, roll: FloatA
 
 def yaw_full(field_B_nT: FloatArray, field_O_nT: FloatArray, roll: FloatArray, pitch: FloatArray) -> FloatArray:
     """(N,) yaw [rad] in (-pi, pi], for angles of any size. Arguments as `yaw_first_order`."""
-    tilt = frames.rotation_BO(np.zeros_like(roll), roll, pitch)  # what is left of O to B without yaw
+    tilt = frames.rotation_BO(np.zeros_like(roll), roll, pitch)  # O to B without yaw
     c = tilt.inv().apply(field_B_nT)
     b0 = np.asarray(field_O_nT)
     return np.asarray(np.arctan2(b0[:, 1] * c[:, 0] - b0[:, 0] * c[:, 1], b0[:, 0] * c[:, 0] + b0[:, 1] * c[:, 1]))

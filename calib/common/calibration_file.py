@@ -225,10 +225,10 @@ def _from_tree(content: dict[str, Any], where: str) -> Calibration:
         **tables.source.model_dump(),
     )
     calibration = _from_flat(flat, where)
-    for name, beside, inside in zip(names, sigmas, calibration.sigmas, strict=True):
-        if abs(beside - inside) > _SIGMA_AGREES * inside:
+    for name, written, inside in zip(names, sigmas, calibration.sigmas, strict=True):
+        if abs(written - inside) > _SIGMA_AGREES * inside:
             raise BadInput(
-                f"sigma {beside:.3g}, and the covariance says {inside:.3g}",
+                f"sigma {written:.3g}, and the covariance says {inside:.3g}",
                 where=f"{where}: parameters: {name}",
                 wanted="one and the same",
             )

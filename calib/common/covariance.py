@@ -7,7 +7,7 @@ residual, and with it what the correction for noise in the reading adds. Under t
 is too little for it and the plain formula stands: Cov(rows i, j of M) = R_ij <x|x>^-1 / N, R the residual covariance,
 plus what the correction adds (Fuller 1987, Measurement Error Models, section 2.2, known error covariance).
 
-`blocks`: correlated in time; see `stated`.
+`blocks`: correlated in time; see `covariance_report`.
 
 Slopes here are stacked axis by axis: (row i of M, c_i) for i = x, y, z, with m + 1 numbers each.
 """

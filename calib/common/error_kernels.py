@@ -196,7 +196,7 @@ def log_posterior(p: FloatArray, cells: Cells, gram: FloatArray) -> tuple[float,
     """Its value at p (5,), and the factor of the white noise. gram (q, q): room to work in."""
     size, low, high, declared = np.empty(5), cells.low, cells.high, cells.declared
     _shift(p, 1.0, size)
-    for i in (1, 4):  # the others hang on the factor
+    for i in (1, 4):  # the others depend on the factor
         if not low[i] <= size[i] <= high[i]:
             return -np.inf, 1.0
     logs = whitened_gram(

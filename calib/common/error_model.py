@@ -11,7 +11,7 @@ None of the sizes is known. They are weighed by the restricted likelihood (Patte
 1e-7 rad to 6 deg, h likewise, tau from a cell to the longest unbroken stretch (what lasts longer is a misalignment or a
 bias to these data), or about what was declared. The posterior is sampled by an adaptive Metropolis
 chain (Haario, Saksman & Tamminen 2001, Bernoulli 7, 223) with a fixed seed; covariances are means over it, so that
-they widen where the record does not tell sigma and tau apart.
+they widen where the record does not separate sigma and tau.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ FOUND, DECLARED = "found in the data", "declared"
 _SIZES_RAD = (1e-7, 0.1)
 _LOG_SD = 0.4  # a declared attitude error is trusted to a factor 1.5
 _TAU_LOG_SD = 0.5
-_SPARE = 8  # degrees of freedom that must be left to judge by
+_SPARE = 8  # degrees of freedom that must remain
 _SEARCH = 6  # rounds of the coordinate search
 _BURN, _KEPT = 160, 360
 _NODES = 14  # time constants of the table
@@ -72,7 +72,7 @@ class Evidence(NamedTuple):
     residual_nT: FloatArray
     """(K, 3)."""
     design: FloatArray
-    """(K, m+1) regressors and a one, free of errors as far as may be: see `estimating.evidence`."""
+    """(K, m+1) regressors and a one, free of errors as far as may be: see `estimating_equations.evidence`."""
     image_nT: FloatArray
     """(K, 3, 3) U."""
     white: FloatArray
@@ -212,7 +212,7 @@ def _sizes(p: FloatArray) -> FloatArray:
 
 
 def find_errors(of: Evidence, sigma_deg: float | None = None, tau_s: float | None = None) -> Posterior | None:
-    """Sample the sizes; None where there are too few rows, or nothing is left to judge by.
+    """Sample the sizes; None where there are too few rows, or the residual is zero.
 
     sigma_deg, tau_s: error of the attitude as declared, tau 0 for white; None leaves it to the data.
     """

@@ -19,7 +19,7 @@ from fluxtwin.sim.base.types import FloatArray, TimeArray
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """A calibration and all that should stand beside it. N rows used."""
+    """A calibration and the evidence for it. N rows used."""
 
     calibration: Calibration
     method: str
@@ -70,7 +70,7 @@ class Fit:
 
     @property
     def observability(self) -> tuple[str, ...]:
-        """What the data cannot tell, in words."""
+        """What the data do not determine, in words."""
         return self.calibration.unobservable
 
     def parameters(self) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""What about a finished fit should make a person look again, in words; whether it is good says `verdict`."""
+"""What about a finished fit should make a person look again; `verdict` says whether it is good."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the data can tell, and what they cannot, in words.
+"""What the data determine, and what they do not, in words.
 
 Before the fit: a torquer axis that never fired, a dipole that never changed, a dipole in proportion to the
 field, a field that does not vary in some body direction are found and named. After it: pairs of parameters

@@ -71,7 +71,7 @@ class Calibration:
     field_model: str = ""
     method: str = ""
     unobservable: tuple[str, ...] = ()
-    """In words: what these data cannot tell."""
+    """In words: what these data do not determine."""
     telemetry_bias: Mapping[str, TelemetryBias] = field(default_factory=dict)
     """By column of telemetry: field s I in the reading that is taken out before S, b and T act. Not in `covariance`."""
     spacecraft: str = ""

@@ -17,7 +17,7 @@ from fluxtwin.sim.base.types import FloatArray
 _BEYOND = np.geomspace(2.0, 2048.0, 11)
 """Degrees of freedom of the prior beyond the fewest that give it a mean."""
 _SURE = 3.0  # standard errors
-_LEAST = 1e-6  # of an eigenvalue beside the others
+_LEAST = 1e-6  # of an eigenvalue relative to the largest
 _SCALES = np.geomspace(0.5, 2.0**15, 33)
 
 
@@ -31,7 +31,7 @@ def half_of(total: FloatArray) -> FloatArray:
 def in_units_of(half: FloatArray, scores: FloatArray, each: FloatArray) -> FloatArray:
     """h (G, p): scores of blocks over the symmetric root of the mean of their covariances (G, p, p), in units of `half`.
 
-    The mean, not each block's own: a block weighs as it does in the sum, and directions that it hardly tells count
+    The mean, not each block's own: a block weighs as it does in the sum, and directions that it hardly determines count
     for little.
     """
     down = np.linalg.inv(half)

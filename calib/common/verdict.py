@@ -1,4 +1,4 @@
-"""Is a calibration good, what does it mean in degrees, what do the data not tell, what comes next: one judgement.
+"""Is a calibration good, what does it mean in degrees, what do the data not determine, what comes next: one verdict.
 
 The residual is compared with what noise, LSB and attitude error give. Where the attitude error was found in the same
 residual that comparison proves nothing, so the part along the field is compared by itself: no error of the attitude,
@@ -67,7 +67,7 @@ class Verdict:
     reasons: tuple[str, ...]
     """Why it is not good, in sentences; none for a good one."""
     residual: str
-    """The residual beside what is expected, in words."""
+    """The residual and what is expected, in words."""
     residual_nT: float
     along_field_nT: float
     """rms along the field, where no attitude error has a part."""
@@ -118,7 +118,7 @@ class Verdict:
         return {**asdict(self), **plain_lists, "correlated": pairs, "confidence": CONFIDENCE}
 
 
-def judge(
+def assess(
     fit: Fit, telemetry: Telemetry, *, attitude_sigma_deg: float | None = None, against_attitude: bool = True
 ) -> Verdict:
     """The verdict on a fit of a record (joined, as it was fitted). Pure: the same fit, the same verdict.
@@ -247,7 +247,7 @@ def _limits(fit: Fit, declared: Declared, along: Along, direction: DirectionKnow
         rest = float(np.sqrt(along.found_nT**2 - along.noise_nT**2))
         of_model = not _beyond_model(along)
         found.append(
-            f"Along the field {plain(rest)} nT are left that noise does not give"
+            f"Along the field {plain(rest)} nT remain that noise does not explain"
             + (
                 ": an error of the field model"
                 if of_model
@@ -275,12 +275,12 @@ def _limits(fit: Fit, declared: Declared, along: Along, direction: DirectionKnow
 
 
 def _beyond_model(along: Along) -> bool:
-    """Whether more is left along the field than noise and a field model give."""
+    """Whether the residual along the field is more than noise and a field model give."""
     return bool(along.found_nT > np.hypot(along.allowed * along.noise_nT, FIELD_MODEL_NT))
 
 
 def _residual_words(fit: Fit, along: Along, residual_nT: float, *, impossible: bool) -> str:
-    if impossible:  # of a fit that is none the noise cannot be told
+    if impossible:  # of a fit that is none the noise is not known
         return (
             f"The residual is {plain(residual_nT)} nT {'of |B|' if fit.residuals_nT.shape[1] == 1 else 'a component'}."
         )

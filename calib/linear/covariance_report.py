@@ -1,10 +1,10 @@
-"""The covariance that a linear calibration states, in the order of the calibration file, and the words beside it.
+"""The covariance that a linear calibration states, in the order of the calibration file, and how it was found.
 
 `white`: see `covariance`. `blocks`: errors are correlated in time. What errors can be is fitted to the residual
 (`error_model`: white noise, an error theta x B0 of the reference attitude, slow errors of the field), and carried through
 the estimator that was used, (X'X)^-1 X' V X (X'X)^-1, averaged over what the residual leaves possible. The estimator
 stays least squares: it is right whatever V is, where one weighted by V would lean on the component along the field,
-which an attitude error spares and an error of the field model does not. Blocks then judge the model: scores of blocks are
+which an attitude error spares and an error of the field model does not. Blocks then test the model: scores of blocks are
 compared with what it gives them, blocks growing from a 192nd to an eighth of the record until their scatter grows no
 more, and the covariance follows them as far as they are many (`shrinkage`). It is never singular.
 """
@@ -91,7 +91,7 @@ class _Found(NamedTuple):
 
 
 def _correlated(problem: LinearProblem, solution: Solution, passes: np.ndarray | None) -> _Found:
-    """Stacked covariance by the model of the errors, as far as blocks bear it out."""
+    """Stacked covariance by the model of the errors, as far as blocks confirm it."""
     options = problem.options
     kept = problem.weights > 0 if problem.robust is None else (problem.robust.weights >= 0.01) & (problem.weights > 0)
     posterior = find_errors(evidence(problem, solution, kept), options.attitude_sigma_deg, options.attitude_tau_s)
@@ -132,7 +132,7 @@ class _Checked(NamedTuple):
 def _checked(
     problem: LinearProblem, spread: Spread, label: np.ndarray, memory_s: float, passes: np.ndarray | None
 ) -> _Checked:
-    """The covariance of the scores as blocks bear it out: the blocks are grown until their scatter grows no more."""
+    """The covariance of the scores as blocks confirm it: the blocks are grown until their scatter grows no more."""
     first = spread.sums.first
     asked = problem.options.block_s
     up = half_of(spread.total)

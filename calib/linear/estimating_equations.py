@@ -239,10 +239,10 @@ def of_blocks(spread: Spread, block: np.ndarray, count: int) -> tuple[FloatArray
 
     score, own, cross, slope = (by_block(v) for v in (added.score, inside, spread.from_all, added.slope))
     share = np.linalg.solve(slope.sum(axis=0).T, slope.transpose(0, 2, 1)).transpose(0, 2, 1)
-    eaten = np.einsum("ij,gab->giajb", np.eye(3), share).reshape(count, size, size)
-    back = cross @ eaten.transpose(0, 2, 1)
-    left = own - back - back.transpose(0, 2, 1) + eaten @ spread.total @ eaten.transpose(0, 2, 1)
-    return score - np.einsum("gpq,q->gp", eaten, score.sum(axis=0)), 0.5 * (left + left.transpose(0, 2, 1))
+    absorbed = np.einsum("ij,gab->giajb", np.eye(3), share).reshape(count, size, size)
+    back = cross @ absorbed.transpose(0, 2, 1)
+    left = own - back - back.transpose(0, 2, 1) + absorbed @ spread.total @ absorbed.transpose(0, 2, 1)
+    return score - np.einsum("gpq,q->gp", absorbed, score.sum(axis=0)), 0.5 * (left + left.transpose(0, 2, 1))
 
 
 def _slow_part(

@@ -4,7 +4,7 @@
 |---|---|
 | `center` | b from differences of |B|^2 - |H|^2 (`center`) |
 | `twostep` | Alonso & Shuster's b, or b and symmetric D, with the noise term corrected (`twostep`) |
-| `scalar` | maximum likelihood of |B| (`scalar_ml`), started from TWOSTEP; takes torquers, telemetry, robust weights |
+| `scalar` | maximum likelihood of |B| (`maximum_likelihood`), from TWOSTEP; takes torquers and columns of telemetry |
 
 A rotation of the magnetometer leaves |B| as it is: S is found up to one and given symmetric.
 """

@@ -22,7 +22,7 @@ from fluxtwin.sim.base.types import FloatArray, TimeArray
 
 _CELLS = 2000
 _FEWEST_BLOCKS = 8
-_MOST_SHARE = 0.99  # of the slope in one block: what one block alone tells cannot be judged by it
+_MOST_SHARE = 0.99  # of the slope in one block: a block cannot test what it alone determines
 
 
 class Scores(NamedTuple):
@@ -115,7 +115,7 @@ def _moved(scores: Scores, of_row: np.ndarray, count: int) -> FloatArray:
 
     Corrected for leverage (CR2 of Bell & McCaffrey 2002, Survey Methodology 28, 169): in units in which the slope is one,
     the scores of a block have the covariance A (1 - A), A being its share of the slope. Leaving blocks out one at a time
-    (A / (1 - A)) makes sigmas 18 % too wide, because blocks differ in what they tell.
+    (A / (1 - A)) makes sigmas 18 % too wide, because blocks differ in information.
     """
     order = np.argsort(of_row, kind="stable")
     edges = np.searchsorted(of_row[order], np.arange(count + 1))

@@ -14,7 +14,7 @@ from fluxtwin.calib.scalar.model import PAIRS, ScalarData, unpack
 from fluxtwin.sim.base.types import FloatArray
 
 NO_ROTATION = (
-    "how the magnetometer is turned in the body: |B| does not tell. S is given symmetric, S12 = S21, S13 = S31, "
+    "how the magnetometer is turned in the body: |B| does not show it. S is given symmetric, S12 = S21, S13 = S31, "
     "S23 = S32; its rotation is not in the sigmas"
 )
 _DIPOLES = ("dipole_x_Am2", "dipole_y_Am2", "dipole_z_Am2")

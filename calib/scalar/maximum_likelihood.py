@@ -1,6 +1,6 @@
 """Scalar maximum likelihood: the residual of |B| itself is minimised, a quadratic cost where TWOSTEP's is quartic.
 
-    minimise sum a_k r_k^2 / q_k                     r, q as in `scalar_model`
+    minimise sum a_k r_k^2 / q_k                     r, q as in `model`
 
 by Levenberg's and Marquardt's method, then steps to where the adjusted score vanishes.
 """

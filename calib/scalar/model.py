@@ -7,7 +7,7 @@ The residual of a row, to second order in the noise eps of B with covariance Sig
 
     r = |y| - |H| - (tr PSP - u'PSPu) / (2|H|),    variance q = u'PSPu                                   (S = Sigma)
 
-has mean zero, but it hangs together with its own derivative g, which is made of the same noisy B: E[g r] is not zero.
+has mean zero, but it is correlated with its own derivative g, which is made of the same noisy B: E[g r] is not zero.
 Least squares would be biased by about (sigma/|H|)^2, one sigma at ten thousand rows. The score here has that term
 taken off, so that its mean vanishes at the truth (an adjusted score, as in Kukush, Markovsky & Van Huffel 2004 for
 the ellipsoid).

@@ -1,11 +1,11 @@
-"""What |B| can tell, and what it cannot, in words; and the second solution that a field in a plane leaves.
+"""What |B| determines, and what it does not, in words; and the second solution that a field in a plane leaves.
 
 Parameters are scaled so that one is a change of the size of the field. Along a unit vector v of that space v'Fv, F the
 information of the rows, is one over the variance of the combination v. What the noise of the readings contributes to F
 is no information. A combination that is less certain than 30 % of the field, or that only noise moves, is refused.
 
 Readings in a plane with normal n leave a mirror solution: with b' = b + 2 (n.(<B> - b)) n each |B - b| is the same
-(Alonso & Shuster 2003, J. Astronaut. Sci. 51, 71). It is found, polished, and judged by the cost of both.
+(Alonso & Shuster 2003, J. Astronaut. Sci. 51, 71). It is found and refined, and the costs of both are compared.
 """
 
 from __future__ import annotations
@@ -137,8 +137,8 @@ def _refusal(
     others = f"; further directions with {listed(more)} are no better" if more else ""
     mixed = f" (null direction {mixture})" if len(named) > 1 else ""
     # Readings that keep to a plane or a cone leave a component of b free, or what S does goes into it.
-    spoilt = bool(how.words()) or any(name[0] == "b" for name in [*named, *more])
-    several = any(name[0] == "S" for name in names) and not spoilt
+    free_bias = bool(how.words()) or any(name[0] == "b" for name in [*named, *more])
+    several = any(name[0] == "S" for name in names) and not free_bias
     less = ", fewer parameters (--parameters b)" if several else ""
     return (
         f"|B| {kind} {what} in this data{mixed}{others}: {reason}. Add attitudes or orbits in which the field takes other "
@@ -163,7 +163,7 @@ def require_meaning(
 
     Where the readings hardly go the sums may hold such a combination to be known: errors that repeat with the spin, of
     attitude-free data the most usual ones, move the residual as a signal would. Elsewhere it comes of bit errors, of
-    a wrong unit or orbit; robust weights that settled on it leave it to the reader with a word of doubt.
+    a wrong unit or orbit; a fit whose robust weights converged is returned, with a warning.
     """
     D, _, _ = unpack(solved.p, data)
     values, vectors = np.linalg.eigh(D)
@@ -233,7 +233,7 @@ def choose(
 ) -> tuple[Solved, str]:
     """The better of two solutions and a sentence; raises NoAnswer where neither is better by three sigma.
 
-    The difference of the costs is judged by its own scatter from row to row (Vuong 1989, Econometrica 57, 307): noise
+    The difference of the costs is compared with its own scatter from row to row (Vuong 1989, Econometrica 57, 307): noise
     out of the plane makes one of the two look better by chance.
     """
     better, worse = sorted((solved, mirrored), key=lambda one: one.sums.cost)

@@ -1,6 +1,6 @@
 """The rows of a calibration without attitude: each pairs the reading B with the size |H| of the model field there.
 
-Columns of telemetry (torquer dipole, currents, temperature) may stand beside them, for fields that follow them.
+Columns of telemetry (torquer dipole, currents, temperature) may be added, for fields that follow them.
 """
 
 from __future__ import annotations

@@ -78,7 +78,7 @@ def twostep(data: ScalarData, a: FloatArray | None = None, *, noise_term: str = 
     """Solve for b, and D where `data.with_D`. Columns of telemetry are not looked at. a: (N,) weights."""
     start = Twostep(np.zeros((3, 3)), center(data, a), 1.0, True)
     found = start
-    for _ in range(_WEIGHTINGS):  # the variances hang on the solution; the third time nothing moves
+    for _ in range(_WEIGHTINGS):  # the variances depend on the solution; the third time nothing moves
         moments = moments_of(data, found.D, found.b, noise_term, a)
         found = solve_moments(moments, data.with_D, start.b)
         if not found.converged:

@@ -28,7 +28,7 @@ class Alignment(NamedTuple):
     R: FloatArray
     """(3, 3) body to sensor axes, both nominally the same."""
     information: FloatArray
-    """(3, 3) of the rotation vector [rad^-2]; a weak eigenvalue is a direction the sensor hardly tells."""
+    """(3, 3) of the rotation vector [rad^-2]; a weak eigenvalue is a direction that the sensor hardly determines."""
 
     @property
     def vector_rad(self) -> FloatArray:
@@ -54,7 +54,7 @@ def align(seen: FloatArray, reference_B: FloatArray, weight: FloatArray) -> Alig
 def align_with_prior(seen: FloatArray, reference_B: FloatArray, weight: FloatArray, sigma_rad: float) -> Alignment:
     """As `align`, with no turn at all known beforehand to sigma_rad an axis; the information holds the prior.
 
-    Sought from no turn onward: Wahba's own answer may lie half a turn off about a line that the sensor hardly tells.
+    Sought from no turn onward: Wahba's own answer may lie half a turn off about a line that the sensor hardly determines.
     """
     m = seen / np.linalg.norm(seen, axis=1)[:, None]
     v = reference_B / np.linalg.norm(reference_B, axis=1)[:, None]

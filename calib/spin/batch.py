@@ -2,10 +2,10 @@
 
     B = G A(t) H + o,   sun seen = A(t) s
 
-Unknowns: the seven numbers of the motion (`spin_motion`), o (3) and G (9). One gauge is left by an axisymmetric body:
+Unknowns: the seven numbers of the motion (`motion`), o (3) and G (9). One gauge is left by an axisymmetric body:
 the azimuth of its x axis. The sun sensor defines it: its own misalignment about z goes into the magnetometer's.
 
-The tilt of the sensors against z needs no gauge: the dynamics know the axis. Start: see `spin_start`.
+The tilt of the sensors against z needs no gauge: the dynamics know the axis. Start: see `start`.
 """
 
 from __future__ import annotations
@@ -74,18 +74,6 @@ class Batch(NamedTuple):
     normal: Normal
     converged: bool
     rounds: int
-
-
-def part(rows: SpinRows, first_s: float, last_s: float, most: int = 0) -> SpinRows:
-    """The rows within a stretch of time; `most`: so many readings at most, evenly taken (0: all)."""
-    inside = np.flatnonzero((rows.t_s >= first_s) & (rows.t_s <= last_s))
-    if most and inside.size > most:
-        inside = inside[:: -(-inside.size // most)]
-    pulses = (rows.pulse_s >= first_s) & (rows.pulse_s <= last_s)
-    return SpinRows(
-        rows.start, rows.time[inside], rows.t_s[inside], rows.B_nT[inside], rows.H_N_nT[inside],
-        rows.pulse_s[pulses], rows.sun_B[pulses], rows.sun_N[pulses], rows.rows[inside], rows.left_out,
-    )  # fmt: skip
 
 
 def residuals(state: State, rows: SpinRows) -> tuple[FloatArray, FloatArray]:

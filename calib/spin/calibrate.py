@@ -2,7 +2,7 @@
 
 | method | what it is |
 |---|---|
-| `batch` | motion and magnetometer at once, without inertia (`spin_batch`), from a blind start (`spin_start`) |
+| `batch` | motion and magnetometer at once, without inertia (`batch`), from a blind start (`start`) |
 | `iterative` | Sedlak's: TWOSTEP, filter, alignment, repeated (`sedlak`); then linear regression and filter in turn |
 
 Both need body z to be the axis of symmetry, and a record without thrust. The azimuth of the body is a convention of
@@ -46,7 +46,7 @@ from fluxtwin.calib.spin.batch import (
 from fluxtwin.calib.spin.filter import Filtered, FilterSettings, spin_filter
 from fluxtwin.calib.spin.method import SpinOptions as SpinOptions
 from fluxtwin.calib.spin.motion import Motion, skew
-from fluxtwin.calib.spin.outliers import beyond, outlier_words, outlying_readings, without
+from fluxtwin.calib.spin.outliers import beyond, outlier_words, outlying_readings
 from fluxtwin.calib.spin.rows import SpinRows, assemble_spin
 from fluxtwin.calib.spin.sedlak import Iterated, at, free_motion, iterate
 from fluxtwin.calib.spin.start import Start, blind_start
@@ -123,13 +123,13 @@ def fit_spin(rows: SpinRows, options: SpinOptions, *, model_name: str = "") -> S
     """The calibration of rows that are already assembled; errors as `calibrate_spin`."""
     kept, fit = rows, None
     if options.robust != "none":
-        kept = without(rows, outlying_readings(rows))
+        kept = rows.select(~outlying_readings(rows))
     try:
         for _ in range(_CUTS):
             fit = _fit(kept, options, model_name)
             if options.robust == "none" or not beyond(fit.residuals_nT).any():
                 break
-            kept = without(kept, beyond(fit.residuals_nT))
+            kept = kept.select(~beyond(fit.residuals_nT))
         assert fit is not None
         cut = len(rows) - len(kept)
         if not cut:
@@ -301,7 +301,7 @@ def _regress(
         if count == _REGRESSIONS:
             raise NoAnswer(
                 f"regression and filter in turn still move by {moved:.2g} sigma after {count} passes: the record is too "
-                "short to tell the magnetometer from the motion in this way; --method batch solves for both at once",
+                "short to separate the magnetometer from the motion in this way; --method batch solves for both at once",
                 evidence={"moved_sigma": moved},
             )
         count += 1
@@ -336,7 +336,7 @@ def _finished(ratio: float, what: str) -> list[str]:
     if _FEWEST_FINISHED < ratio < _FINISHED:
         return [f"squared {what} are {ratio:.3f} of what the noise gives: the calibration is finished"]
     return [
-        f"squared {what} are {ratio:.3f} of what the noise gives, not 1: the noise is mis-stated, or something is left"
+        f"squared {what} are {ratio:.3f} of what the noise gives, not 1: the noise is wrong, or something is not modelled"
     ]
 
 

@@ -33,7 +33,7 @@ class Motion(NamedTuple):
 
     @property
     def inertia_ratio(self) -> float:
-        """Js / Jt; without nutation lam and Om cannot be told apart and it means nothing."""
+        """Js / Jt; without nutation lam and Om cannot be separated and it means nothing."""
         return 1.0 - self.lam_rad_s / self.spin_rad_s
 
     @property

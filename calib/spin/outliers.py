@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from fluxtwin.calib.common.robust import TUKEY_AT, find_outliers, robust_distance, robust_weights
@@ -36,21 +34,6 @@ def beyond(residuals_nT: FloatArray) -> np.ndarray:
     """(N,) residuals (N, 3) of more than six robust sigma, where Tukey's weight is zero."""
     r = residuals_nT - np.median(residuals_nT, axis=0)
     return robust_distance(r) > TUKEY_AT
-
-
-def without(rows: SpinRows, outlying: np.ndarray) -> SpinRows:
-    """The rows but for these readings; the pulses stay."""
-    if not outlying.any():
-        return rows
-    kept = ~outlying
-    return replace(
-        rows,
-        time=rows.time[kept],
-        t_s=rows.t_s[kept],
-        B_nT=rows.B_nT[kept],
-        H_N_nT=rows.H_N_nT[kept],
-        rows=rows.rows[kept],
-    )
 
 
 def outlier_words(rows: SpinRows, *, left_out: bool) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,6 +43,17 @@ class SpinRows:
 
     def __len__(self) -> int:
         return int(self.t_s.size)
+
+    def select(self, readings: np.ndarray, pulses: np.ndarray | slice = slice(None)) -> SpinRows:
+        """Some of the readings, and of the pulses; masks or indices."""
+        of_reading = {name: getattr(self, name)[readings] for name in ("time", "t_s", "B_nT", "H_N_nT", "rows")}
+        return replace(
+            self, **of_reading, **{name: getattr(self, name)[pulses] for name in ("pulse_s", "sun_B", "sun_N")}
+        )
+
+    def within(self, first_s: float, last_s: float) -> SpinRows:
+        """Readings and pulses of a stretch of time."""
+        return self.select(*((first_s <= t_s) & (t_s <= last_s) for t_s in (self.t_s, self.pulse_s)))
 
 
 def assemble_spin(records: Telemetry | Sequence[Telemetry], model: FieldModel) -> SpinRows:

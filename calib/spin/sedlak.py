@@ -32,7 +32,7 @@ class Iterated(NamedTuple):
     """The end of the iteration."""
 
     turn: FloatArray
-    """(3, 3) R: what is left to do to the scalar calibration's readings is R'."""
+    """(3, 3) R: R' is still to be applied to the scalar calibration's readings."""
     first: Filtered
     """The filter before any alignment."""
     last: Filtered
@@ -41,7 +41,7 @@ class Iterated(NamedTuple):
     steps_rad: tuple[float, ...]
     """Size of the turn found in each pass."""
     sun_weakest_rad: float
-    """1 sigma of the sun sensor's own turn about the line that it hardly tells."""
+    """1 sigma of the sun sensor's own turn about the line that it hardly determines."""
 
 
 def iterate(

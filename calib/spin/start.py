@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fluxtwin.calib.spin.batch import Batch, Noise, Prior, State, part, solve_batch
+from fluxtwin.calib.spin.batch import Batch, Noise, Prior, State, solve_batch
 from fluxtwin.calib.spin.motion import Motion
 from fluxtwin.calib.spin.rows import SpinRows
 from fluxtwin.sim.base.errors import NoAnswer
@@ -110,7 +110,7 @@ def _candidates(
 ) -> Iterator[Batch]:
     """States fitted to the first arc, best first."""
     at_s = float(rows.pulse_s[centre])
-    arc = part(rows, at_s - 0.5 * arc_s, at_s + 0.5 * arc_s)
+    arc = rows.within(at_s - 0.5 * arc_s, at_s + 0.5 * arc_s)
     found = []
     for axis_N in _axes(rows, true_side):
         A = _attitude_at(axis_N, rows.sun_N[centre], rows.sun_B[centre])
@@ -122,7 +122,7 @@ def _candidates(
             found.append(solve_batch(State(motion, prior.G, prior.o_nT), arc, noise, prior, rounds=6))
     if not found:
         raise NoAnswer(
-            "the sun stands along the spin axis: its pulses do not tell the phase",
+            "the sun stands along the spin axis: its pulses do not show the phase",
             evidence={"pulses": len(rows.pulse_s)},
         )
     found.sort(key=lambda one: one.normal.cost)
@@ -135,7 +135,7 @@ def _axes(rows: SpinRows, true_side: FloatArray) -> list[FloatArray]:
     sigma = _NUTATION * float(np.sqrt((H**2).sum(axis=1).mean()))
     centred = (H - H.mean(axis=0)) / sigma
     z = (true_side[:, 2] - true_side[:, 2].mean()) / sigma
-    mean = np.append(H.mean(axis=0), true_side[:, 2].mean()) / sigma  # the constant is small beside the field
+    mean = np.append(H.mean(axis=0), true_side[:, 2].mean()) / sigma  # the constant is small compared with the field
     share = 30.0 / len(z)
     Q = share * centred.T @ centred + 4.0 * np.outer(mean[:3], mean[:3])
     q = share * centred.T @ z + 4.0 * mean[:3] * mean[3]
@@ -180,7 +180,7 @@ def _grow(
     end_s = max(float(rows.t_s[-1]), float(rows.pulse_s[-1]))
     while True:
         arc_s *= _GROWTH
-        solved = solve_batch(state, part(rows, at_s - 0.5 * arc_s, at_s + 0.5 * arc_s), noise, prior)
+        solved = solve_batch(state, rows.within(at_s - 0.5 * arc_s, at_s + 0.5 * arc_s), noise, prior)
         now = solved.normal
         if max(now.field_chi2, now.sun_chi2) > _GOOD**2:
             size = np.sqrt(max(now.field_chi2, now.sun_chi2))

@@ -84,7 +84,7 @@ def test_too_little_is_said_in_words(telemetry):
         calibrate_scanner(telemetry.select(np.arange(5)))
     with pytest.raises(BadInput, match="no such columns"):
         calibrate_scanner(telemetry.replace(nadir_B=None))
-    with pytest.raises(BadInput, match="does not tell them"):
+    with pytest.raises(BadInput, match="does not say which saw the sun"):
         calibrate_scanner(telemetry.replace(sun_sensor_head=None), heads=(2, 3))
 
 

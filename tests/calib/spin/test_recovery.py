@@ -235,7 +235,7 @@ def test_errors_beyond_the_noise_are_said_and_noise_free_rows_solved(rows: SpinR
     disturbed = dataclasses.replace(rows, B_nT=rows.B_nT + slow)
     for options in (KNOWN, {}):
         fit = fit_spin(disturbed, SpinOptions(**options))
-        assert any("not 1: the noise is mis-stated, or something is left" in words for words in fit.messages)
+        assert any("not 1: the noise is wrong, or something is not modelled" in words for words in fit.messages)
         assert fit.quality["field_chi2"] > 1.5
     G, o = np.linalg.inv(np.eye(3) + flight.truth.S), -np.linalg.solve(np.eye(3) + flight.truth.S, flight.truth.b_nT)
     clean = dataclasses.replace(rows, B_nT=flight.truth.field_B_nT @ G.T + o)

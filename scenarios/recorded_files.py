@@ -1,15 +1,39 @@
-"""Files of recorded data that a study reads: are they there, do they have the columns, is every number there?"""
+"""Recorded data that a study reads: is every file there, with its columns, and is every number one that can be?"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.base.toml_input import Strict
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
+
+ORBIT_KM = (6480.0, 8400.0)
+"""Distance from the centre of the Earth: altitudes of about 100 to 2,000 km, where these satellites fly."""
+
+
+class FlightSettings(Strict):
+    """Settings whose keys that end in `file` or `files` name recorded data."""
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Every file that the study reads from the data folder."""
+        return tuple(_files(self.model_dump()))
+
+
+def _files(tree: dict[str, Any]) -> list[str]:
+    found: list[str] = []
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            found += _files(value)
+        elif key.endswith(("file", "files")):
+            found += value if isinstance(value, list) else [value]
+    return found
 
 
 def check_folder(data: Path | None, files: Sequence[str]) -> Path:
@@ -44,3 +68,22 @@ def numbers(table: CsvFile, names: Sequence[str]) -> FloatArray:
         row, column = blank[0]
         raise BadInput(f"{names[column]} in row {row + 1} is missing", where=table.where, wanted="a number")
     return values
+
+
+def increasing(time: TimeArray, where: str) -> TimeArray:
+    """The stamps (N,), each later than the one before. Raises BadInput naming the first that is missing or is not."""
+    missing, back = np.isnat(time), np.diff(time) <= np.timedelta64(0, "ns")
+    if missing.any():
+        wanted = "a stamp in every row"
+        raise BadInput(f"time in row {np.argmax(missing) + 1} is missing", where=where, wanted=wanted)
+    if back.any():
+        wanted = "strictly increasing UTC"
+        raise BadInput(f"time does not increase in row {np.argmax(back) + 2}", where=where, wanted=wanted)
+    return time
+
+
+def none_wrong(wrong: BoolArray, where: str, value: FloatArray, what: str, wanted: str) -> None:
+    """Raises BadInput for the first row (N,) that is wrong. what: as "has |B| = {:.6g} nT", for its value."""
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise BadInput(f"row {row + 1} {what.format(value[row])}", where=where, wanted=wanted)

@@ -1,4 +1,4 @@
-"""What a residual may be made of: least-squares fits of a few simple causes, each with one number.
+"""What a residual may consist of: least-squares fits of a few simple causes, each with one number.
 
 The causes, as first-order differences of the field that the satellite reports:
 
@@ -8,7 +8,7 @@ The causes, as first-order differences of the field that the satellite reports:
 * time offset: the position belongs to a time that many seconds after the measurement (an error along the track);
 * pitch: the measured vector is turned about the orbit normal, as by an attitude error.
 
-On the magnitude alone an attitude error has no effect, so that a time offset found there is none.
+An attitude error does not change the magnitude, so a time offset found in the magnitude alone is not an attitude error.
 """
 
 from __future__ import annotations
@@ -25,17 +25,20 @@ from fluxtwin.sim.earth.constants import FIELD_RADIUS_KM
 from fluxtwin.sim.earth.field import FieldModel, field_NEC_nT
 
 RING_CURRENT, TIME_OFFSET, PITCH = "ring current [nT]", "time offset [s]", "pitch [deg]"
+_STEP_S = 0.5
 
 
 @dataclass(frozen=True)
 class CauseFit:
     """One least-squares fit over chosen rows."""
 
-    causes: tuple[str, ...]
-    size: Mapping[str, float]
-    """Each cause's size, unit in its name."""
+    track: str
+    rows: str
+    """Which rows, in words."""
     on: str
     """`vector` or `magnitude`."""
+    size: Mapping[str, float]
+    """Each cause's size, unit in its name."""
     rms_before_nT: float
     rms_after_nT: float
     fitted_NEC_nT: FloatArray
@@ -57,10 +60,9 @@ def ring_current_NEC(model: FieldModel, residual: Residual, induced_share: float
 
 def time_offset_NEC(model: FieldModel, residual: Residual) -> FloatArray:
     """(N, 3) change of the residual for each second by which the position runs ahead of the field [nT/s]."""
-    track, step_s = residual.track, 0.5
-    velocity = _velocity_E_km_s(residual)
-    ahead, behind = (field_NEC_nT(model, track.time, track.r_E_km + sign * step_s * velocity) for sign in (1.0, -1.0))
-    return -(ahead - behind) / (2.0 * step_s)
+    track, velocity = residual.track, _velocity_E_km_s(residual)
+    ahead, behind = (field_NEC_nT(model, track.time, track.r_E_km + s * velocity) for s in (_STEP_S, -_STEP_S))
+    return -(ahead - behind) / (2.0 * _STEP_S)
 
 
 def pitch_NEC(residual: Residual) -> FloatArray:
@@ -73,28 +75,33 @@ def pitch_NEC(residual: Residual) -> FloatArray:
 
 
 def fit(
-    residual: Residual, rows: BoolArray, columns: Mapping[str, FloatArray], causes: Sequence[str], on: str = "vector"
+    residual: Residual,
+    chosen: tuple[str, BoolArray],
+    columns: Mapping[str, FloatArray],
+    causes: Sequence[str],
+    on: str = "vector",
 ) -> CauseFit:
-    """Least squares of the named causes to the residual over the rows, all components alike.
+    """Least squares of the named causes to the residual over the chosen rows, all components alike.
 
-    columns: field (N, 3) of each cause at size 1. on: "vector", or "magnitude" for |B| alone.
+    chosen: the rows in words, and (N,). columns: field (N, 3) of each cause at size 1. on: "vector", or "magnitude".
     """
+    words, rows = chosen
     if on == "vector":
         design = np.stack([columns[name][rows].ravel() for name in causes], axis=1)
-        found = residual.NEC_nT[rows].ravel()
+        measured = residual.NEC_nT[rows].ravel()
     else:
         along = residual.model_NEC_nT / np.linalg.norm(residual.model_NEC_nT, axis=1)[:, None]
         design = np.stack([np.einsum("ij,ij->i", columns[name], along)[rows] for name in causes], axis=1)
-        found = residual.F_nT[rows]
-    size = np.linalg.lstsq(design, found, rcond=None)[0]
+        measured = residual.F_nT[rows]
+    size = np.linalg.lstsq(design, measured, rcond=None)[0]
     fitted = sum((s * columns[name] for s, name in zip(size, causes, strict=True)), np.zeros_like(residual.NEC_nT))
     sizes = {name: float(s) for name, s in zip(causes, size, strict=True)}
-    return CauseFit(tuple(causes), sizes, on, rms(found), rms(found - design @ size), fitted)
+    track = residual.track.name.rpartition(" ")[0]
+    return CauseFit(track, words, on, sizes, rms(measured), rms(measured - design @ size), fitted)
 
 
 def _velocity_E_km_s(residual: Residual) -> FloatArray:
     """(N, 3) Earth-fixed velocity from the positions."""
     track = residual.track
-    seconds = epoch.seconds_since(track.time, track.time[0])
-    velocity: FloatArray = np.gradient(track.r_E_km, seconds, axis=0)
+    velocity: FloatArray = np.gradient(track.r_E_km, epoch.seconds_since(track.time, track.time[0]), axis=0)
     return velocity

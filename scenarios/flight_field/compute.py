@@ -9,15 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from fluxtwin.scenarios.flight_field import causes
-from fluxtwin.scenarios.flight_field.causes import CauseFit
+from fluxtwin.scenarios.flight_field.causes import PITCH, RING_CURRENT, TIME_OFFSET, CauseFit
 from fluxtwin.scenarios.flight_field.figures import Key
-from fluxtwin.scenarios.flight_field.residuals import (
-    Residual,
-    against_field,
-    against_model,
-    low_latitude,
-    statistics,
-)
+from fluxtwin.scenarios.flight_field.residuals import Residual, against_field, against_model, low_latitude, statistics
 from fluxtwin.scenarios.flight_field.settings import Settings
 from fluxtwin.scenarios.flight_field.tracks import (
     RingCurrentIndex,
@@ -28,19 +22,12 @@ from fluxtwin.scenarios.flight_field.tracks import (
     read_swarm,
 )
 from fluxtwin.sim.base.progress import Progress
-from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import FieldModel, field_NEC_nT, load_field
 from fluxtwin.sim.earth.field_external import magnetospheric_field_E_nT, read_magnetosphere
 
-
-@dataclass(frozen=True)
-class Fit:
-    """One row of the table of causes."""
-
-    track: str
-    rows: str
-    fit: CauseFit
+_CHAOS = "chaos7 with external field"
 
 
 @dataclass(frozen=True)
@@ -57,8 +44,7 @@ class Outcome:
     kp: FloatArray
     """Eight values of the day of MAGSAT."""
     rc: RingCurrentIndex
-    fits: tuple[Fit, ...]
-    low_latitude_deg: float
+    fits: tuple[CauseFit, ...]
 
     @property
     def rc_range_nT(self) -> tuple[float, float]:
@@ -79,33 +65,39 @@ def compute(folder: Path, settings: Settings, progress: Progress) -> Outcome:
     one_epoch = epoch.parse_time(settings.magsat.epoch_utc, where="magsat.epoch_utc")
     fixed = against_model(magsat, model, f"IGRF-14 at {epoch.decimal_year(one_epoch)[0]:.1f}", one_epoch)
     at_stamps = against_model(magsat, model, "IGRF-14 at each stamp")
-    progress("what the MAGSAT residual is made of", 0.3)
+    progress("what the MAGSAT residual consists of", 0.3)
     fits, explained = _magsat_fits(at_stamps, model, settings)
     progress("CHAOS-7 along the orbit of Swarm A", 0.5)
-    swarm_residuals = _swarm_residuals(swarm, folder, settings, rc)
-    fits += _swarm_fits(swarm_residuals[0], load_field(settings.swarm.model), settings)
-    return Outcome(fixed, at_stamps, explained, swarm_residuals, kp, rc, tuple(fits), settings.low_latitude_deg)
+    storm = _swarm_residuals(swarm, folder, settings, rc)
+    ring = causes.ring_current_NEC(load_field(settings.swarm.model), storm[0], settings.ring_current_induced_share)
+    one_pass = ("one pass", low_latitude(swarm, settings.low_latitude_deg))
+    fits += [causes.fit(storm[0], one_pass, {RING_CURRENT: ring}, [RING_CURRENT], on) for on in ("vector", "magnitude")]
+    return Outcome(fixed, at_stamps, explained, storm, kp, rc, tuple(fits))
 
 
 def found_figures(outcome: Outcome, settings: Settings) -> Mapping[Key, float]:
     """Every figure that can be set beside an independent one."""
     found: dict[Key, float] = {}
-    labels = (("magsat", "igrf14 at 1980.0", outcome.magsat), ("swarm", "igrf14", outcome.swarm[0]),
-              ("swarm", "chaos7 with external field", outcome.swarm[2]))  # fmt: skip
-    for track, model, residual in labels:
+    plain, _, whole = outcome.swarm
+    for track, model, residual in (
+        ("magsat", "igrf14 at 1980.0", outcome.magsat),
+        ("swarm", "igrf14", plain),
+        ("swarm", _CHAOS, whole),
+    ):
         low = low_latitude(residual.track, settings.low_latitude_deg)
         for selection, rows in (("all", np.ones_like(low)), ("low", low)):
             for (quantity, component), value in statistics(residual, rows).items():
                 found[track, model, selection, quantity, component] = value
-    plain = found["swarm", "igrf14", "low", "mean", "N"]
-    left = found["swarm", "chaos7 with external field", "low", "mean", "N"]
-    found["swarm", "chaos7 with external field", "low", "share", "N"] = 1.0 - left / plain
-    found["magsat", "index", "track", "kp", "first"] = float(outcome.kp[0])
-    found["magsat", "index", "day", "kp", "largest"] = float(outcome.kp.max())
-    stamps = outcome.swarm[0].track.time
-    middle = stamps[0] + (stamps[-1] - stamps[0]) // 2
-    found["swarm", "index", "track", "rc", "nearest hour"] = outcome.rc.nearest(middle)
-    return found
+    remaining = found["swarm", _CHAOS, "low", "mean", "N"] / found["swarm", "igrf14", "low", "mean", "N"]
+    stamps = plain.track.time
+    return found | {
+        ("swarm", _CHAOS, "low", "share", "N"): 1.0 - remaining,
+        ("magsat", "index", "track", "kp", "first"): float(outcome.kp[0]),
+        ("magsat", "index", "day", "kp", "largest"): float(outcome.kp.max()),
+        ("swarm", "index", "track", "rc", "nearest hour"): outcome.rc.nearest(
+            stamps[0] + (stamps[-1] - stamps[0]) // 2
+        ),
+    }
 
 
 def _swarm_residuals(
@@ -123,39 +115,22 @@ def _swarm_residuals(
     )
 
 
-def _magsat_fits(residual: Residual, model: FieldModel, settings: Settings) -> tuple[list[Fit], Residual]:
-    """The causes at low latitude, together and pass by pass, and the residual that is left along the whole track."""
+def _magsat_fits(residual: Residual, model: FieldModel, settings: Settings) -> tuple[list[CauseFit], Residual]:
+    """The causes at low latitude, both passes and each, and the residual that remains along the whole track."""
     track = residual.track
     columns = {
-        causes.RING_CURRENT: causes.ring_current_NEC(model, residual, settings.ring_current_induced_share),
-        causes.TIME_OFFSET: causes.time_offset_NEC(model, residual),
-        causes.PITCH: causes.pitch_NEC(residual),
+        RING_CURRENT: causes.ring_current_NEC(model, residual, settings.ring_current_induced_share),
+        TIME_OFFSET: causes.time_offset_NEC(model, residual),
+        PITCH: causes.pitch_NEC(residual),
     }
+    ring, ring_time, every = [RING_CURRENT], [RING_CURRENT, TIME_OFFSET], list(columns)
     low = low_latitude(track, settings.low_latitude_deg)
-    ring, time, pitch = columns
-    fits = [
-        Fit("MAGSAT", "both passes", causes.fit(residual, low, columns, names))
-        for names in ([ring], [ring, time], [ring, pitch], [ring, time, pitch])
-    ]
-    fits.append(Fit("MAGSAT", "both passes", causes.fit(residual, low, columns, [ring, time], "magnitude")))
-    for words, rows in _passes(track, low):
-        fits.append(Fit("MAGSAT", words, causes.fit(residual, rows, columns, [ring, time, pitch])))
-        fits.append(Fit("MAGSAT", words, causes.fit(residual, rows, columns, [ring, time], "magnitude")))
-    best = fits[3].fit
-    words = "IGRF-14 with ring current, time offset and pitch fitted"
-    return fits, against_field(track, residual.model_NEC_nT + best.fitted_NEC_nT, words)
-
-
-def _swarm_fits(residual: Residual, model: FieldModel, settings: Settings) -> list[Fit]:
-    ring = causes.ring_current_NEC(model, residual, settings.ring_current_induced_share)
-    low = low_latitude(residual.track, settings.low_latitude_deg)
-    columns = {causes.RING_CURRENT: ring}
-    return [
-        Fit("Swarm A", "one pass", causes.fit(residual, low, columns, [causes.RING_CURRENT], on))
-        for on in ("vector", "magnitude")
-    ]
-
-
-def _passes(track: Track, low: BoolArray) -> tuple[tuple[str, BoolArray], tuple[str, BoolArray]]:
-    northbound: BoolArray = np.gradient(track.latitude_deg) > 0.0
-    return ("northbound pass", low & northbound), ("southbound pass", low & ~northbound)
+    both = ("both passes", low)
+    fits = [causes.fit(residual, both, columns, names) for names in (ring, ring_time, [RING_CURRENT, PITCH], every)]
+    explained = residual.model_NEC_nT + fits[-1].fitted_NEC_nT
+    fits.append(causes.fit(residual, both, columns, ring_time, "magnitude"))
+    northbound = np.gradient(track.latitude_deg) > 0.0
+    for one in (("northbound pass", low & northbound), ("southbound pass", low & ~northbound)):
+        fits.append(causes.fit(residual, one, columns, every))
+        fits.append(causes.fit(residual, one, columns, ring_time, "magnitude"))
+    return fits, against_field(track, explained, "IGRF-14 with ring current, time offset and pitch fitted")

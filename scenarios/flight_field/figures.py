@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
-
-from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.telemetry.csv_files import open_csv
 
 PACKAGED = Path(__file__).parent / "data" / "figures.csv"
 
@@ -18,7 +16,7 @@ Key: TypeAlias = tuple[str, str, str, str, str]
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure of the independent look."""
+    """One figure of the independent look, and ours."""
 
     id: str
     key: Key
@@ -26,57 +24,35 @@ class Figure:
     unit: str
     last_digit: float
     printed: str
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Ours beside one independent figure."""
-
-    figure: Figure
-    here: float | None
-    status: str
+    here: float | None = None
+    status: str = "not testable"
     """`reproduced`, `differs` or `not testable`."""
     why: str = ""
     """Why it differs or cannot be tested; empty where it is reproduced."""
 
 
-def read_figures(path: Path = PACKAGED) -> list[Figure]:
-    """The figures of a table in the form of data/README.md; raises BadInput."""
-    table = open_csv(path)
-    names = ("id", "track", "model", "selection", "quantity", "component", "unit", "printed")
-    text = {name: [cell.decode() for cell in table.text(name).tolist()] for name in names}
-    number = table.numbers(["value", "last_digit"])
-    found = []
-    for row in range(table.rows):
-        key = (
-            text["track"][row],
-            text["model"][row],
-            text["selection"][row],
-            text["quantity"][row],
-            text["component"][row],
-        )
-        value, digit = float(number["value"][row]), float(number["last_digit"][row])
-        found.append(Figure(text["id"][row], key, value, text["unit"][row], digit, text["printed"][row]))
-    if len({figure.id for figure in found}) < len(found):
-        raise BadInput("an id is there twice", where=str(path))
-    return found
+def read_figures() -> list[Figure]:
+    """The packaged figures, in the form of data/README.md."""
+    with PACKAGED.open(encoding="utf-8", newline="") as lines:
+        return [
+            Figure(name, (track, model, rows, quantity, part), float(value), unit, float(digit), printed)
+            for name, track, model, rows, quantity, part, value, unit, digit, printed in list(csv.reader(lines))[1:]
+        ]
 
 
-def compare(figures: list[Figure], here: Mapping[Key, float], why: Mapping[str, str]) -> list[Finding]:
+def compare(figures: list[Figure], here: Mapping[Key, float], why: Mapping[str, str]) -> list[Figure]:
     """Ours beside each figure: reproduced within one unit of its last printed digit.
 
     here: what was computed, by key; a key that is missing makes the figure not testable. why: the explanation
     for a figure that differs or is not testable, by id.
     """
-    findings = []
+    compared = []
     for figure in figures:
-        ours = here.get(figure.key)
-        if ours is None:
-            status = "not testable"
-        else:
+        ours, status = here.get(figure.key), "not testable"
+        if ours is not None:
             # a thousandth of a digit for the decimals that binary numbers cannot hold
             agrees = abs(ours - figure.value) <= 1.001 * figure.last_digit
             status = "reproduced" if agrees else "differs"
         reason = "" if status == "reproduced" else why.get(figure.id, "no explanation found")
-        findings.append(Finding(figure, ours, status, reason))
-    return findings
+        compared.append(replace(figure, here=ours, status=status, why=reason))
+    return compared

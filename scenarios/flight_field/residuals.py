@@ -29,10 +29,6 @@ class Residual:
     F_nT: FloatArray
     """(N,) difference of the magnitudes."""
 
-    def component(self, name: str) -> FloatArray:
-        """(N,) residual of N, E, C or F [nT]."""
-        return self.F_nT if name == "F" else self.NEC_nT[:, COMPONENTS.index(name)]
-
 
 def against_model(
     track: Track, model: FieldModel, words: str, time: TimeArray | np.datetime64 | None = None
@@ -63,9 +59,7 @@ def rms(value: FloatArray) -> float:
 
 def statistics(residual: Residual, rows: BoolArray) -> Mapping[tuple[str, str], float]:
     """rms and mean [nT] of N, E, C and F over the rows, by (quantity, component)."""
-    found = {}
-    for name in COMPONENTS:
-        value = residual.component(name)[rows]
-        found["rms", name] = rms(value)
-        found["mean", name] = float(value.mean())
-    return found
+    parts = dict(zip(COMPONENTS, (*residual.NEC_nT[rows].T, residual.F_nT[rows]), strict=True))
+    return {("rms", name): rms(part) for name, part in parts.items()} | {
+        ("mean", name): float(part.mean()) for name, part in parts.items()
+    }

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from fluxtwin.scenarios.recorded_files import FlightSettings
 from fluxtwin.sim.base.toml_input import Strict, read_model
 
 PACKAGED = Path(__file__).parent / "flight_field.toml"
 
 
-class MagsatSettings(Strict):
-    """The MAGSAT half."""
-
+class _Magsat(Strict):
     file: str
     kp_file: str
     model: str
     epoch_utc: str
 
 
-class SwarmSettings(Strict):
-    """The Swarm half."""
-
+class _Swarm(Strict):
     file: str
     model: str
     chaos_file: str
@@ -28,25 +25,14 @@ class SwarmSettings(Strict):
     crust_degree: int
 
 
-class Settings(Strict):
+class Settings(FlightSettings):
     """All of `flight_field.toml`."""
 
     name: str
     low_latitude_deg: float
     ring_current_induced_share: float
-    magsat: MagsatSettings
-    swarm: SwarmSettings
-
-    @property
-    def files(self) -> tuple[str, ...]:
-        """Every file the study reads from the data folder."""
-        return (
-            self.magsat.file,
-            self.swarm.file,
-            self.swarm.chaos_file,
-            self.swarm.rc_file,
-            self.magsat.kp_file,
-        )
+    magsat: _Magsat
+    swarm: _Swarm
 
 
 def read_settings(path: Path = PACKAGED) -> Settings:

@@ -7,19 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
-from fluxtwin.scenarios.recorded_files import numbers, opened
+from fluxtwin.scenarios.recorded_files import ORBIT_KM, increasing, none_wrong, numbers, opened
 from fluxtwin.sim.base.errors import BadInput, OutOfRange
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
-from fluxtwin.sim.telemetry.csv_files import open_csv
 from fluxtwin.sim.telemetry.time_stamps import parse_iso
 
 _POSITION = ("x_ecef_km", "y_ecef_km", "z_ecef_km")
 _GEODETIC = ("lat_geod_deg", "lon_deg", "alt_geod_km")
 _MAGSAT_FIELD = ("B_north_geoc_nT", "B_east_geoc_nT", "B_down_geoc_nT")
 _SWARM_FIELD = ("B_N_nT", "B_E_nT", "B_C_nT")
-_LOWEST_KM, _HIGHEST_KM = 6480.0, 8400.0  # 100 to 2000 km: where the two satellites and their like fly
-_WEAKEST_nT, _STRONGEST_nT = 8_000.0, 70_000.0  # what the geomagnetic field can be in that shell
+_WEAKEST_nT, _STRONGEST_nT = 8_000.0, 70_000.0  # what the geomagnetic field can be at those altitudes
 _RC_STEP = np.timedelta64(60, "m")
 
 
@@ -41,9 +39,6 @@ class Track:
     attitude_good: BoolArray
     """(N,) the source's own flag; all true where it has none."""
 
-    def __len__(self) -> int:
-        return int(self.time.size)
-
 
 @dataclass(frozen=True)
 class RingCurrentIndex:
@@ -54,31 +49,30 @@ class RingCurrentIndex:
     induced_nT: FloatArray
 
     def at(self, time: TimeArray) -> tuple[FloatArray, FloatArray]:
-        """External and induced part (N,) at the stamps, linear between hours that stand side by side.
+        """External and induced part (N,) at the stamps, linear between adjacent hours.
 
         Half an hour before the first or after the last value of a day the nearest value holds. Raises OutOfRange
         for a stamp further than that from any value.
         """
-        return self._interpolated(time, self.external_nT), self._interpolated(time, self.induced_nT)
+        after = np.clip(np.searchsorted(self.time, time), 1, self.time.size - 1)
+        before = after - 1
+        span = self.time[after] - self.time[before]
+        share = np.clip((time - self.time[before]).astype("int64") / span.astype("int64"), 0.0, 1.0)
+        share = np.where(span > _RC_STEP, np.rint(share), share)
+        far = np.abs(time - np.where(share < 0.5, self.time[before], self.time[after])) > _RC_STEP // 2
+        if far.any():
+            when = epoch.iso(time[int(np.argmax(far))])
+            raise OutOfRange(f"no RC index near {when}", where="RC index", wanted="hourly values")
+        external, induced = (
+            np.asarray((1.0 - share) * part[before] + share * part[after])
+            for part in (self.external_nT, self.induced_nT)
+        )
+        return external, induced
 
     def nearest(self, time: np.datetime64) -> float:
         """External plus induced part of the hour nearest to the stamp [nT]."""
         row = int(np.argmin(np.abs(self.time - time)))
         return float(self.external_nT[row] + self.induced_nT[row])
-
-    def _interpolated(self, time: TimeArray, value_nT: FloatArray) -> FloatArray:
-        after = np.clip(np.searchsorted(self.time, time), 1, self.time.size - 1)
-        before = after - 1
-        span = self.time[after] - self.time[before]
-        share = (time - self.time[before]).astype("int64") / span.astype("int64")
-        share = np.where(span > _RC_STEP, np.rint(np.clip(share, 0.0, 1.0)), np.clip(share, 0.0, 1.0))
-        nearest = np.where(share < 0.5, self.time[before], self.time[after])
-        far = np.abs(time - nearest) > _RC_STEP // 2
-        if far.any():
-            row = int(np.argmax(far))
-            raise OutOfRange(f"no RC index near {epoch.iso(time[row])}", where="RC index", wanted="hourly values")
-        value: FloatArray = (1.0 - share) * value_nT[before] + share * value_nT[after]
-        return value
 
 
 def read_magsat(path: Path) -> Track:
@@ -94,11 +88,11 @@ def read_swarm(path: Path) -> Track:
 
     Raises BadInput naming the file and what is wrong in it, as a vector that does not have the magnitude F.
     """
-    track = _read(path, "Swarm A 2016-01-01", _SWARM_FIELD, flag=None)
-    magnitude_nT = open_csv(path).numbers(["F_nT"])["F_nT"] if "F_nT" in open_csv(path).names else None
-    if magnitude_nT is not None:
-        gap = np.abs(np.linalg.norm(track.b_NEC_nT, axis=1) - magnitude_nT)
-        _first_wrong(gap > 5.0, str(path), gap, "differs from F_nT by", "nT", "a vector whose length is F_nT")
+    track, table = _read(path, "Swarm A 2016-01-01", _SWARM_FIELD), opened(path, ())
+    if "F_nT" in table.names:
+        apart = np.abs(np.linalg.norm(track.b_NEC_nT, axis=1) - table.numbers(["F_nT"])["F_nT"])
+        what = "differs from F_nT by {:.6g} nT"
+        none_wrong(apart > 5.0, table.where, apart, what, "a vector whose length is F_nT")
     return track
 
 
@@ -109,7 +103,7 @@ def read_ring_current(path: Path) -> RingCurrentIndex:
     stamps = [epoch.parse_time(text.decode(), where=table.where) for text in table.text("time_utc").tolist()]
     time = np.array(stamps, dtype="datetime64[ns]")
     order = np.argsort(time)
-    _increasing(time[order], table.where, "after sorting (an hour is there twice)")
+    increasing(time[order], f"{table.where}, sorted by time")
     return RingCurrentIndex(time[order], values[order, 0], values[order, 1])
 
 
@@ -126,46 +120,26 @@ def read_kp(path: Path, day: np.datetime64) -> FloatArray:
     return np.rint(tenths * 0.3) / 3.0
 
 
-def _read(path: Path, name: str, field: tuple[str, ...], flag: str | None) -> Track:
-    wanted = ("time_utc", *_POSITION, *_GEODETIC, *field, *((flag,) if flag else ()))
-    table = opened(path, wanted)
-    time = parse_iso(table.text("time_utc"), table.where)
-    _increasing(time, table.where)
+def _read(path: Path, name: str, field: tuple[str, ...], flag: str | None = None) -> Track:
+    table = opened(path, ("time_utc", *_POSITION, *_GEODETIC, *field, *((flag,) if flag else ())))
+    time = increasing(parse_iso(table.text("time_utc"), table.where), table.where)
     r_E_km, geodetic, b_NEC_nT = (numbers(table, names) for names in (_POSITION, _GEODETIC, field))
     _check_position(r_E_km, geodetic, table.where)
     size = np.linalg.norm(b_NEC_nT, axis=1)
     wrong = (size < _WEAKEST_nT) | (size > _STRONGEST_nT)
-    _first_wrong(wrong, table.where, size, "has |B| =", "nT", f"{_WEAKEST_nT:.0f} to {_STRONGEST_nT:.0f} nT")
-    flags = table.numbers([flag])[flag] if flag else np.zeros(time.size)
+    none_wrong(wrong, table.where, size, "has |B| = {:.6g} nT", f"{_WEAKEST_nT:.0f} to {_STRONGEST_nT:.0f} nT")
+    good = table.numbers([flag])[flag] == 0 if flag else np.ones(time.size, dtype=bool)
     source = f"{Path(path).name}, SHA-256 {table.sha256}"
-    return Track(name, source, time, r_E_km, geodetic[:, 0], geodetic[:, 1], b_NEC_nT, flags == 0)
-
-
-def _increasing(time: TimeArray, where: str, when: str = "") -> None:
-    if np.isnat(time).any():
-        row = int(np.argmax(np.isnat(time)))
-        raise BadInput(f"time in row {row + 1} is missing", where=where, wanted="a stamp in every row")
-    back = np.diff(time) <= np.timedelta64(0, "ns")
-    if back.any():
-        row = int(np.argmax(back)) + 2
-        raise BadInput(
-            f"time does not increase in row {row} {when}".rstrip(), where=where, wanted="strictly increasing UTC"
-        )
+    return Track(name, source, time, r_E_km, geodetic[:, 0], geodetic[:, 1], b_NEC_nT, good)
 
 
 def _check_position(r_E_km: FloatArray, geodetic: FloatArray, where: str) -> None:
     """Radius in kilometres, and the Cartesian position that of the geodetic columns to 1 km."""
     radius = np.linalg.norm(r_E_km, axis=1)
-    wanted = f"kilometres, {_LOWEST_KM:.0f} to {_HIGHEST_KM:.0f} from the centre of the Earth"
-    wrong = (radius < _LOWEST_KM) | (radius > _HIGHEST_KM)
-    _first_wrong(wrong, where, radius, "has a position of length", "km", wanted)
+    wanted = f"kilometres, {ORBIT_KM[0]:.0f} to {ORBIT_KM[1]:.0f} from the centre of the Earth"
+    outside = (radius < ORBIT_KM[0]) | (radius > ORBIT_KM[1])
+    none_wrong(outside, where, radius, "has a position of length {:.6g} km", wanted)
     other_km = frames.from_geodetic(np.radians(geodetic[:, 0]), np.radians(geodetic[:, 1]), geodetic[:, 2])
-    gap = np.linalg.norm(other_km - r_E_km, axis=1)
+    apart = np.linalg.norm(other_km - r_E_km, axis=1)
     wanted = "x, y, z_ecef_km at lat_geod_deg, lon_deg, alt_geod_km (WGS 84)"
-    _first_wrong(gap > 1.0, where, gap, "has its two positions apart by", "km", wanted)
-
-
-def _first_wrong(wrong: BoolArray, where: str, value: FloatArray, what: str, unit: str, wanted: str) -> None:
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise BadInput(f"row {row + 1} {what} {value[row]:.6g} {unit}", where=where, wanted=wanted)
+    none_wrong(apart > 1.0, where, apart, "has its two positions apart by {:.6g} km", wanted)

@@ -15,22 +15,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.scenarios.elfin.record import Day, Zone
-from fluxtwin.scenarios.elfin.zone_fit import ZoneFit, rms, turning
+from fluxtwin.scenarios.elfin.record import Flight
+from fluxtwin.scenarios.elfin.zone_fit import ZoneFit, powers, rms, turning
 from fluxtwin.sim.base.types import FloatArray
 
 _ROUNDS = 40
 _BIAS_UNIT_NT = 1e3
-_SIZE = {"matrix": 1e-4, "offset": 1.0, "turn": 1e-4, "scale": 1e-4, "bias": 1e-3, "phase": 1e-5}
+_PHASE_STEP = 1e-5
+_STEPS = {"matrix": 1e-4, "offset": 1.0, "turn": 1e-4, "scale": 1e-4, "bias": 1e-3}
 _AXIS_RESPONSE = (1.0, -0.6, 0.0)
 """Where the third column of the matrix starts: the field is near the spin plane, one zone hardly shows it."""
+
+Lags = tuple[tuple[float, ...], ...]
+"""The lags of each state, those of one state in series [s]."""
 
 
 @dataclass(frozen=True)
 class Rows:
     """Used rows of one zone, thinned; N rows."""
 
-    number: int
     share: FloatArray
     """(N,) time from the middle over half the length."""
     base_rad: FloatArray
@@ -55,30 +58,17 @@ class Sensor:
     bias_knT: FloatArray
     """(J, 3) b, thousands of nT."""
 
-    @property
-    def vector(self) -> FloatArray:
-        """All numbers in a row."""
-        parts = (self.matrix, self.offset_nT, self.turn_rad, self.scale, self.bias_knT)
-        return np.concatenate([np.ravel(part) for part in parts])
-
     def moved(self, step: FloatArray) -> Sensor:
         """After a step (12 + 9 J,)."""
-        cut = np.cumsum([9, 3, self.turn_rad.size, self.turn_rad.size])
-        m, o, a, k, b = np.split(step, cut)
-        shape = self.turn_rad.shape
-        return Sensor(
-            self.matrix + m.reshape(3, 3), self.offset_nT + o, self.turn_rad + a.reshape(shape),
-            self.scale + k.reshape(shape), self.bias_knT + b.reshape(shape),
-        )  # fmt: skip
+        parts = (self.matrix, self.offset_nT, self.turn_rad, self.scale, self.bias_knT)
+        steps = np.split(step, np.cumsum([part.size for part in parts])[:-1])
+        return Sensor(*(part + one.reshape(part.shape) for part, one in zip(parts, steps, strict=True)))
 
     def reading_nT(self, rows: Rows, phase: FloatArray) -> FloatArray:
         """(N, 3)."""
-        seen = self.in_body_nT(rows, phase)
-        return (
-            (seen @ self.matrix.T) * (1.0 + rows.states @ self.scale)
-            + self.offset_nT
-            + rows.states @ (_BIAS_UNIT_NT * self.bias_knT)
-        )
+        turned = self.in_body_nT(rows, phase) @ self.matrix.T
+        bias_nT = rows.states @ (_BIAS_UNIT_NT * self.bias_knT)
+        return turned * (1.0 + rows.states @ self.scale) + self.offset_nT + bias_nT
 
     def in_body_nT(self, rows: Rows, phase: FloatArray) -> FloatArray:
         """(N, 3) field as the turned sensor sees it, body axes."""
@@ -104,20 +94,16 @@ class Joint:
         return float(np.sqrt(np.mean(np.square(self.rms_nT))))
 
 
-def rows_of(zone: Zone, own: ZoneFit, day: Day, lags_s: Sequence[Sequence[float]], every: int) -> Rows:
-    """Thinned rows with one state for each entry of lags_s, itself lags in series."""
-    picked = np.flatnonzero(zone.used)[::every]
-    t = zone.seconds - zone.seconds.mean()
-    states = [day.lagged(zone.seconds[picked], *series) for series in lags_s]
-    return Rows(
-        zone.number, (t / t[-1])[picked], own.rate_rad_s * t[picked], zone.field_S_nT[picked], zone.reading_nT[picked],
-        np.stack(states, axis=1) if states else np.zeros((picked.size, 0)),
-    )  # fmt: skip
-
-
-def powers(share: FloatArray, count: int) -> FloatArray:
-    """(N, count) 1, share, share^2, ..."""
-    return np.stack([share**power for power in range(count)], axis=1)
+def rows_of(flight: Flight, own: Sequence[ZoneFit], lags_s: Lags, every: int) -> list[Rows]:
+    """Thinned rows of each zone with one state for each entry of lags_s, itself lags in series."""
+    found = []
+    for zone, fit in zip(flight.zones, own, strict=True):
+        picked = np.flatnonzero(zone.used)[::every]
+        states = [flight.day.lagged(zone.seconds[picked], *series) for series in lags_s]
+        stacked = np.stack(states, axis=1) if states else np.zeros((picked.size, 0))
+        base = fit.rate_rad_s * zone.late_s[picked]
+        found.append(Rows(zone.share[picked], base, zone.field_S_nT[picked], zone.reading_nT[picked], stacked))
+    return found
 
 
 def start(fits: Sequence[ZoneFit], states: int, degree: int) -> tuple[Sensor, list[FloatArray]]:
@@ -141,33 +127,34 @@ def fit_joint(
 ) -> Joint:
     """Levenberg-Marquardt over all zones given.
 
-    free: of "turn", "scale", "bias", what follows the states beside the twelve. hold: only the phases are free.
+    free: of "turn", "scale", "bias", what follows the states besides the twelve. hold: only the phases are free.
     """
-    sensor, phases = begin[0], [np.array(phase) for phase in begin[1]]
-    names = _names(sensor)
-    chosen = np.array([not hold and (name in ("matrix", "offset") or name in free) for name in names])
-    damping = 1e-5
+    sensor, phases = begin[0], list(begin[1])
+    states = sensor.turn_rad.size
+    names = ["matrix"] * 9 + ["offset"] * 3 + ["turn"] * states + ["scale"] * states + ["bias"] * states
+    sizes = np.array([_STEPS[name] * (not hold and name in ("matrix", "offset", *free)) for name in names])
+    damping, r = 1e-5, _residual(rows, sensor, phases)
     for _ in range(_ROUNDS):
-        A, r = _linear(rows, sensor, phases, names, chosen)
-        cost, size = float(r @ r), np.linalg.norm(A, axis=0)
-        size[size == 0.0] = 1.0
-        A = A / size
+        A, cost = _slopes(rows, sensor, phases, sizes), float(r @ r)
+        length = np.linalg.norm(A, axis=0)
+        length[length == 0.0] = 1.0
+        A = A / length
         normal, slope = A.T @ A, A.T @ r
-        better = None
         for _ in range(8):
-            step = np.linalg.solve(normal + damping * np.eye(len(normal)), slope) / size
-            better = _stepped(rows, sensor, phases, chosen, step)
-            if better[2] < cost:
-                damping = max(damping / 10.0, 1e-9)
+            step = np.linalg.solve(normal + damping * np.eye(len(normal)), slope) / length
+            tried = _stepped(sensor, phases, sizes, step)
+            after = _residual(rows, *tried)
+            reached = float(after @ after)
+            if reached < cost:
                 break
             damping *= 20.0
-        if better is None or better[2] >= cost:
+        else:
             break
-        sensor, phases, now = better
-        if cost - now < 1e-5 * cost:
+        (sensor, phases), r, damping = tried, after, max(damping / 10.0, 1e-9)
+        if cost - reached < 1e-5 * cost:
             break
-    left = tuple(rms(one.reading_nT - sensor.reading_nT(one, p)) for one, p in zip(rows, phases, strict=True))
-    return Joint(sensor, tuple(phases), left)
+    rms_nT = [rms(one.reading_nT - sensor.reading_nT(one, p)) for one, p in zip(rows, phases, strict=True)]
+    return Joint(sensor, tuple(phases), tuple(rms_nT))
 
 
 def seen_by(sensor: Sensor, rows: Rows, phase: FloatArray) -> Joint:
@@ -181,45 +168,31 @@ def without_states(sensor: Sensor) -> Sensor:
     return replace(sensor, turn_rad=none, scale=none, bias_knT=none)
 
 
-def _names(sensor: Sensor) -> list[str]:
-    each = sensor.turn_rad.size
-    return ["matrix"] * 9 + ["offset"] * 3 + ["turn"] * each + ["scale"] * each + ["bias"] * each
+def _residual(rows: Sequence[Rows], sensor: Sensor, phases: Sequence[FloatArray]) -> FloatArray:
+    parts = [one.reading_nT - sensor.reading_nT(one, p) for one, p in zip(rows, phases, strict=True)]
+    return np.concatenate([part.ravel() for part in parts])
 
 
-def _linear(
-    rows: Sequence[Rows], sensor: Sensor, phases: Sequence[FloatArray], names: Sequence[str], chosen: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """(M, P) derivative of all readings by what is free, and what is left (M,)."""
-    places = [int(place) for place in np.flatnonzero(chosen)]
-    width = phases[0].size
-    blocks, left = [], []
+def _slopes(rows: Sequence[Rows], sensor: Sensor, phases: Sequence[FloatArray], sizes: FloatArray) -> FloatArray:
+    """(M, P) derivative of all readings by the sensor's parameters of non-zero step, then by the zones' phases."""
+    places, width, blocks = np.flatnonzero(sizes), phases[0].size, []
+    moved = [(sensor.moved(sizes * (np.arange(sizes.size) == place)), sizes[place]) for place in places]
     for number, (one, phase) in enumerate(zip(rows, phases, strict=True)):
         now = sensor.reading_nT(one, phase)
-        block = np.zeros((now.size, len(places) + len(rows) * width))
-        for column, place in enumerate(places):
-            step = np.zeros(len(names))
-            step[place] = _SIZE[names[place]]
-            block[:, column] = ((sensor.moved(step).reading_nT(one, phase) - now) / step[place]).ravel()
-        for power in range(width):
-            moved = phase.copy()
-            moved[power] += _SIZE["phase"]
-            column = len(places) + number * width + power
-            block[:, column] = ((sensor.reading_nT(one, moved) - now) / _SIZE["phase"]).ravel()
+        block = np.zeros((now.size, places.size + len(rows) * width))
+        for column, (other, size) in enumerate(moved):
+            block[:, column] = ((other.reading_nT(one, phase) - now) / size).ravel()
+        for power, step in enumerate(_PHASE_STEP * np.eye(width)):
+            change = (sensor.reading_nT(one, phase + step) - now) / _PHASE_STEP
+            block[:, places.size + number * width + power] = change.ravel()
         blocks.append(block)
-        left.append((one.reading_nT - now).ravel())
-    return np.concatenate(blocks), np.concatenate(left)
+    return np.concatenate(blocks)
 
 
 def _stepped(
-    rows: Sequence[Rows], sensor: Sensor, phases: Sequence[FloatArray], chosen: FloatArray, step: FloatArray
-) -> tuple[Sensor, list[FloatArray], float]:
-    places = np.flatnonzero(chosen)
-    whole = np.zeros(chosen.size)
+    sensor: Sensor, phases: Sequence[FloatArray], sizes: FloatArray, step: FloatArray
+) -> tuple[Sensor, list[FloatArray]]:
+    places, whole = np.flatnonzero(sizes), np.zeros(sizes.size)
     whole[places] = step[: places.size]
-    moved = sensor.moved(whole)
-    turned = step[places.size :].reshape(len(rows), -1)
-    after = [phase + more for phase, more in zip(phases, turned, strict=True)]
-    cost = sum(
-        float(((one.reading_nT - moved.reading_nT(one, p)) ** 2).sum()) for one, p in zip(rows, after, strict=True)
-    )
-    return moved, after, cost
+    turned = step[places.size :].reshape(len(phases), -1)
+    return sensor.moved(whole), [phase + more for phase, more in zip(phases, turned, strict=True)]

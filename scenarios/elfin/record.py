@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import h5netcdf
 import numpy as np
-from numpy.typing import NDArray
 
 from fluxtwin.scenarios.elfin.settings import MAP, Settings
-from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import epoch, sun
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
 from fluxtwin.sim.earth.frames_of_date import rotation_from_N
+from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
 
@@ -58,6 +56,21 @@ class Zone:
         """(N, 3) sensor axes."""
         return np.asarray(self.telemetry.mag_B_nT)
 
+    @property
+    def late_s(self) -> FloatArray:
+        """(N,) time from the middle."""
+        return np.asarray(self.seconds - self.seconds.mean())
+
+    @property
+    def share(self) -> FloatArray:
+        """(N,) the same over its last value."""
+        return np.asarray(self.late_s / self.late_s[-1])
+
+    @property
+    def sunlit(self) -> float:
+        """Mean share of the sun in view."""
+        return float(self.lit.mean())
+
 
 @dataclass(frozen=True)
 class Day:
@@ -68,18 +81,22 @@ class Day:
     lit: FloatArray
 
     def lagged(self, seconds: FloatArray, *lags_s: float) -> FloatArray:
-        """(N,) sunlight behind one or more first-order lags in series, less its mean of the day."""
+        """(N,) sunlight behind one or more first-order lags in series, minus its mean of the day."""
         state = self.lit
         for lag_s in lags_s:
-            state = _followed(self.seconds, state, lag_s)
+            kept, goal = np.exp(-np.diff(self.seconds) / lag_s), state
+            state = np.full_like(goal, goal.mean())
+            for row, between in enumerate(0.5 * (goal[1:] + goal[:-1])):
+                state[row + 1] = between + kept[row] * (state[row] - between)
         found: FloatArray = np.interp(seconds, self.seconds, state) - float(state.mean())
         return found
 
-    def shadow_entry_s(self, at_s: float) -> float:
-        """The last entry into shadow before a moment."""
+    def shadow_s(self, at_s: float) -> tuple[float, float]:
+        """The last entry into shadow before a moment, and how long that shadow lasts."""
         dark = self.lit < 0.5
         entries = self.seconds[1:][dark[1:] & ~dark[:-1]]
-        return float(entries[entries < at_s][-1])
+        entry = float(entries[entries < at_s][-1])
+        return entry, float(self.seconds[(self.seconds > entry) & (self.lit > 0.5)][0]) - entry
 
 
 @dataclass(frozen=True)
@@ -96,10 +113,9 @@ def read_flight(folder: Path, settings: Settings, model: FieldModel) -> Flight:
     """Both files; raises BadInput for what cannot be used."""
     path = folder / settings.file
     whole = read_telemetry(path, column_map=MAP)
-    with h5netcdf.File(path, "r") as source:
-        axis = np.asarray(source.variables["spin_axis_gei"][...], dtype=np.float64)
-        number = np.asarray(source.variables["zone"][...])
-        sigma_deg = float(np.mean(source.variables["spin_axis_uncertainty"][...]))
+    with NetcdfFile(path) as source:
+        names = ("spin_axis_gei", "zone", "spin_axis_uncertainty")
+        axis, number, sigma_deg = (source.numbers(name) for name in names)
     axis_N = _unit(rotation_from_N("J2000", whole.time).apply(axis, inverse=True))
     assert whole.r_N_km is not None
     field_N = field_N_nT(model, whole.time, whole.r_N_km)
@@ -108,16 +124,16 @@ def read_flight(folder: Path, settings: Settings, model: FieldModel) -> Flight:
     zones = []
     for one in np.unique(number):
         rows = np.flatnonzero(number == one)
-        frame = _spin_axes(axis_N[rows])
-        slips = clock_slips(seconds[rows], settings.packet_rows)
-        used, left_out = _usable(seconds[rows], slips, settings)
-        zones.append(
-            Zone(
-                int(one), whole.select(rows), seconds[rows], frame, np.einsum("nij,nj->ni", frame, field_N[rows]),
-                lit[rows], slips, used, left_out,
-            )
-        )  # fmt: skip
-    return Flight(tuple(zones), _day(folder / settings.state_file, whole.time[0]), float(np.radians(sigma_deg)))
+        frame, t = _spin_axes(axis_N[rows]), seconds[rows]
+        field_S = np.einsum("nij,nj->ni", frame, field_N[rows])
+        slips = clock_slips(t, settings.packet_rows)
+        used = usable(t, slips, settings)
+        zones.append(Zone(int(one), whole.select(rows), t, frame, field_S, lit[rows], slips, *used))
+    with NetcdfFile(folder / settings.state_file) as source:
+        time, position = source.times(), source.numbers("position_gei")
+    r_N_km = rotation_from_N("J2000", time).apply(position, inverse=True)
+    day = Day(epoch.seconds_since(time, whole.time[0]), sun.illumination(r_N_km, sun.sun_N_km(time)))
+    return Flight(tuple(zones), day, float(np.radians(np.mean(sigma_deg))))
 
 
 def clock_slips(seconds: FloatArray, packet_rows: int) -> tuple[Slip, ...]:
@@ -136,7 +152,8 @@ def clock_slips(seconds: FloatArray, packet_rows: int) -> tuple[Slip, ...]:
     return tuple(slips)
 
 
-def _usable(seconds: FloatArray, slips: tuple[Slip, ...], settings: Settings) -> tuple[BoolArray, dict[str, int]]:
+def usable(seconds: FloatArray, slips: tuple[Slip, ...], settings: Settings) -> tuple[BoolArray, dict[str, int]]:
+    """(N,) which rows are used, and how many are left out, by reason."""
     starting = seconds < seconds[0] + settings.switch_on_s
     slipped = np.zeros(seconds.size, dtype=np.bool_)
     for slip in slips:
@@ -154,33 +171,3 @@ def _spin_axes(axis_N: FloatArray) -> FloatArray:
 def _unit(vectors: FloatArray) -> FloatArray:
     lengths: FloatArray = np.linalg.norm(vectors, axis=1)[:, None]
     return vectors / lengths
-
-
-def _day(path: Path, start: np.datetime64) -> Day:
-    with h5netcdf.File(path, "r") as source:
-        stored = source.variables["time"]
-        time = _times(np.asarray(stored[...]), str(stored.attrs["units"]))
-        position = np.asarray(source.variables["position_gei"][...], dtype=np.float64)
-    r_N_km = rotation_from_N("J2000", time).apply(position, inverse=True)
-    return Day(epoch.seconds_since(time, start), sun.illumination(r_N_km, sun.sun_N_km(time)))
-
-
-def _times(values: NDArray[np.generic], units: str) -> NDArray[np.datetime64]:
-    """UTC stamps of a variable with CF units such as "seconds since 2022-01-12"."""
-    step, _, since = units.partition(" since ")
-    scale = {"nanoseconds": 1, "microseconds": 10**3, "milliseconds": 10**6, "seconds": 10**9, "minutes": 60 * 10**9}
-    if step not in scale or not since:
-        raise BadInput(f"units {units!r}", where="time of the state file", wanted="seconds since a date")
-    origin = np.datetime64(since.strip().replace(" ", "T").removesuffix("Z"), "ns")
-    whole = np.asarray(values, dtype=np.int64) * scale[step]
-    return np.asarray(origin + whole.astype("timedelta64[ns]"))
-
-
-def _followed(seconds: FloatArray, goal: FloatArray, lag_s: float) -> FloatArray:
-    kept = np.exp(-np.diff(seconds) / lag_s)
-    state = np.empty_like(goal)
-    state[0] = goal.mean()
-    for row in range(1, goal.size):
-        between = 0.5 * (goal[row] + goal[row - 1])
-        state[row] = between + kept[row - 1] * (state[row - 1] - between)
-    return state

@@ -4,29 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fluxtwin.sim.base.toml_input import Strict, read_model
+from fluxtwin.scenarios.recorded_files import FlightSettings
+from fluxtwin.sim.base.toml_input import read_model
 
 PACKAGED = Path(__file__).parent / "elfin.toml"
 MAP = Path(__file__).parent / "map.toml"
 
 
-class Printed(Strict):
-    """Figures of an independent look at the same files."""
-
-    static_nT: list[float]
-    linear_nT: float
-    quadratic_nT: float
-    harmonic_nT: float
-    sunlit_static_nT: list[float]
-    sunlit_last_nT: list[float]
-    noise_nT: list[float]
-    outliers_nT: list[float]
-    response_X: list[float]
-    turn_XZ_deg: float
-    slip_s: float
-
-
-class Settings(Strict):
+class Settings(FlightSettings):
     """All of `elfin.toml`."""
 
     name: str
@@ -41,14 +26,10 @@ class Settings(Strict):
     every: int
     settle_s: list[float]
     pairs_s: list[list[float]]
-    printed: Printed
-
-    @property
-    def files(self) -> tuple[str, ...]:
-        """Every file the study reads from the data folder."""
-        return self.file, self.state_file
+    printed: dict[str, float | list[float]]
+    """Figures of an independent look at the same files."""
 
 
-def read_settings(path: Path = PACKAGED) -> Settings:
-    """The settings in the file `path`; raises BadInput that lists every fault in it."""
-    return read_model(path, Settings)
+def read_settings() -> Settings:
+    """The packaged settings."""
+    return read_model(PACKAGED, Settings)

@@ -1,8 +1,9 @@
-"""`fluxtwin run elfin`: a real spinner calibrated zone by zone, asked what is unmodelled, and predicted where unseen."""
+"""`fluxtwin run elfin`: a real spinner calibrated zone by zone, diagnosed for what is unmodelled, and predicted unseen."""
 
 from __future__ import annotations
 
 import platform
+from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -10,26 +11,26 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from fluxtwin.scenarios.elfin import tables
-from fluxtwin.scenarios.elfin.compute import Results, compute
+from fluxtwin.plots.elfin import Bars, Left, Response, left_figure, response_figure, zones_figure
+from fluxtwin.scenarios.elfin.bending import Lags
+from fluxtwin.scenarios.elfin.compute import Results, ZoneResult, compute
 from fluxtwin.scenarios.elfin.settings import Settings, read_settings
-from fluxtwin.scenarios.page import Page, Section, StudyResult, Table
+from fluxtwin.scenarios.elfin.unseen import Way
+from fluxtwin.scenarios.elfin.zone_fit import KINDS
+from fluxtwin.scenarios.page import Cell, FigureBlock, Page, StudyResult, Table
 from fluxtwin.scenarios.recorded_files import check_folder
+from fluxtwin.scenarios.worded_page import PageWords
 from fluxtwin.sim.base.files import write_text
 from fluxtwin.sim.base.progress import Progress, part_of, silent
+from fluxtwin.sim.base.types import FloatArray
 
+_WORDS = PageWords("fluxtwin.scenarios.elfin")
 _AGREE_S = 5e-4
 """A slip seen in the spin phase to within that is the one that the stamps show."""
-REACH = 0.5
+_REACH = 0.5
 """Of the static sensor's rms on unseen zones."""
-ASSUMED = (
-    "The body's axis of spin is the reported one. Its azimuth is a convention: channel Z's response across the axis is put "
-    "on +y. The spin phase of a zone is an angle, a rate and a drift of the rate, estimated from the same readings.",
-    "The temperature of the boom is nowhere recorded. What follows sun and shadow here follows the sunlight of the whole "
-    "day along the orbit, from geometry (the file's own flag is wrong in three stretches of that day), behind lags.",
-    "The field stays within a few degrees of the spin plane, so the response along the axis is known from small changes "
-    "of the field along it only.",
-)
+_SUNLIT = 0.999
+_RANKED = 6
 
 
 def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResult:
@@ -38,102 +39,110 @@ def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResul
     Raises BadInput, before anything is written, for a missing folder or file or one that cannot be used.
     """
     settings = read_settings()
-    folder = check_folder(data, settings.files)
-    results = compute(folder, settings, part_of(progress, 0.0, 0.95))
+    found = compute(check_folder(data, settings.files), settings, part_of(progress, 0.0, 0.95))
     progress("drawing", 0.95)
-    line = status(results)
-    saved = write_text(out / "elfin.toml", tomli_w.dumps(settings.model_dump()))
+    values = _values(found, settings)
+    tables = [_zone_table(found), _unseen_table(found, values), _found_table(found), _slip_table(found)]
+    independent = [line.split(" | ") for line in _WORDS.say("independent_rows", **values).splitlines()]
+    tables.append(_WORDS.table("independent", independent))
+    page = _page(found, tables, values, settings)
     return StudyResult(
         name="elfin",
-        status_line=line,
-        summary=summary(results, settings),
-        tables=_tables(results, settings),
-        page=page(results, settings, line),
-        written=[saved],
+        status_line=page.verdict,
+        summary=_summary(found, values["share"], independent, settings),
+        tables=tables,
+        page=page,
+        written=[write_text(out / "elfin.toml", tomli_w.dumps(settings.model_dump()))],
     )
 
 
-def status(results: Results) -> str:
-    """One sentence."""
-    best, static = results.best, results.told[0]
-    reached = [b < REACH * s for b, s in zip(best.unseen_nT, static.unseen_nT, strict=True)]
-    refused = sum(bool(told.refusal) for told in results.zones)
-    names = ", ".join(effect.name for effect in results.diagnosis.effects) or "no known cause for all of it"
-    return (
-        f"ELFIN-A: the scalar fit is refused in {refused} of {len(results.zones)} zones; on unseen zones "
-        f"{best.way.about} leave {best.unseen_whole_nT:.0f} nT where a static sensor leaves "
-        f"{static.unseen_whole_nT:.0f} ({tables.share(results, best):.2f}), below half in {sum(reached)} of "
-        f"{len(reached)}; the diagnosis names {names}."
-    )
+def _values(found: Results, settings: Settings) -> dict[str, Any]:
+    """What the words of the page and the rows of the independent figures take."""
+    static = found.ways[0]
+    off = [slip for slip in found.slips if abs(slip.stamps_late_s - slip.field_late_s) > _AGREE_S]
+    sunny = [one for one in found.zones if one.zone.sunlit > _SUNLIT]
+    response_X = np.concatenate([one.response[:, 0] for one in found.zones])
+    noise = [one.noise_nT for one in found.zones]
+    return {
+        "o": found,
+        "p": settings.printed,
+        "refused": sum(bool(one.refusal) for one in found.zones),
+        "share": lambda way: round(way.unseen_whole_nT / static.unseen_whole_nT, 3),
+        "below": lambda way: sum(np.array(way.unseen_nT) < _REACH * np.array(static.unseen_nT)),
+        "lags": lambda way: lags_words(way.lags_s),
+        "tilted_deg": lambda way: _tilted_deg(found, way),
+        "span": lambda values, digits=0: f"{min(values):.{digits}f} to {max(values):.{digits}f}",
+        "median": np.median,
+        "noise": noise,
+        "noise_nT": float(np.median(noise)),
+        "off": off,
+        "agree_ms": 1e3 * _AGREE_S,
+        "starting_nT": max(one.starting_nT for one in found.zones),
+        "starting_rows": sum(one.zone.left_out.get("switching on", 0) for one in found.zones),
+        **{kind: [one.fits[kind].rms_nT for one in found.zones] for kind in KINDS},
+        **{f"sunlit_{kind}": [one.fits[kind].rms_nT for one in sunny] for kind in KINDS},
+        "response_X": 100.0 * abs(response_X),
+        "turn_XZ_deg": np.ptp(np.degrees(np.angle(response_X))),
+        "slips_ms": [1e3 * abs(slip.stamps_late_s) for slip in found.slips],
+        "slips_nT": max(slip.largest_nT for slip in found.slips),
+    }
 
 
-def summary(results: Results, settings: Settings) -> dict[str, Any]:
-    """The content of `summary.json`."""
+def _summary(
+    found: Results, share: Callable[[Way], float], independent: list[list[str]], settings: Settings
+) -> dict[str, Any]:
     return {
         "study": settings.name,
         "zones": [
             {
-                "zone": told.zone.number,
-                "rows": len(told.zone.telemetry),
-                "left_out": told.zone.left_out,
-                "lit": float(told.zone.lit.mean()),
-                "spin_period_s": 2.0 * float(np.pi) / told.fits["static"].rate_rad_s,
-                "rms_nT": {kind: fit.rms_nT for kind, fit in told.fits.items()},
-                "local_noise_nT": told.noise_nT,
-                "scalar_refused": told.refusal or None,
-                "switching_on_nT": told.starting_nT,
+                "zone": one.zone.number,
+                "rows": len(one.zone.telemetry),
+                "left_out": one.zone.left_out,
+                "lit": one.zone.sunlit,
+                "spin_period_s": _period_s(one),
+                "rms_nT": {kind: fit.rms_nT for kind, fit in one.fits.items()},
+                "local_noise_nT": one.noise_nT,
+                "scalar_refused": one.refusal or None,
+                "switching_on_nT": one.starting_nT,
             }
-            for told in results.zones
+            for one in found.zones
         ],
-        "clock_slips": [vars(slip) for slip in results.slips],
+        "clock_slips": [vars(slip) for slip in found.slips],
         "unseen": [
             {
-                "way": told.way.name,
-                "lags_s": [list(series) for series in told.lags_s],
-                "within_nT": list(told.within.rms_nT),
-                "unseen_nT": list(told.unseen_nT),
-                "unseen_all_nT": told.unseen_whole_nT,
-                "of_static": tables.share(results, told),
-                "turn_deg": np.degrees(told.within.sensor.turn_rad).tolist(),
-                "scale": told.within.sensor.scale.tolist(),
+                "way": way.name,
+                "lags_s": [list(series) for series in way.lags_s],
+                "within_nT": list(way.within.rms_nT),
+                "unseen_nT": list(way.unseen_nT),
+                "unseen_all_nT": way.unseen_whole_nT,
+                "of_static": share(way),
+                "turn_deg": np.degrees(way.within.sensor.turn_rad).tolist(),
+                "scale": way.within.sensor.scale.tolist(),
             }
-            for told in results.told
+            for way in found.ways
         ],
-        "diagnosis": results.diagnosis.to_dict(),
-        "diagnosis_in_shadow": results.in_shadow.to_dict(),
-        "figures": [
-            {"what": what, "independent": theirs, "here": ours, "remark": remark}
-            for what, theirs, ours, remark in tables.figures(results, settings)
-        ],
+        "diagnosis": found.diagnosis.to_dict(),
+        "diagnosis_in_shadow": found.in_shadow.to_dict(),
+        "figures": [dict(zip(("what", "independent", "here", "remark"), row, strict=True)) for row in independent],
         "settings": settings.model_dump(),
     }
 
 
-def _tables(results: Results, settings: Settings) -> list[Table]:
-    return [
-        tables.zone_table(results),
-        tables.unseen_table(results),
-        tables.found_table(results),
-        tables.slip_table(results),
-        tables.figures_table(results, settings),
-    ]
-
-
-def page(results: Results, settings: Settings, verdict: str) -> Page:
-    """The report."""
-    zones, unseen, found, slips, figures = _tables(results, settings)
-    drawn = tables.blocks(results)
+def _page(found: Results, tables: list[Table], values: dict[str, Any], settings: Settings) -> Page:
+    zones, unseen, diagnosed, slips, independent = tables
+    responses, *predicted = _figures(found)
+    refused = _WORDS.table("refusals", [[one.zone.number, one.refusal or "not refused"] for one in found.zones])
     return Page(
         title="ELFIN-A, 12 January 2022: a spinner whose sensor follows sun and shadow",
-        verdict=verdict,
+        verdict=_WORDS.sentence("status", **values),
         sections=[
-            Section("What is assumed", ASSUMED),
-            Section("The scalar fit", _scalar_words(results), [tables.refusal_table(results)]),
-            Section("Each zone by itself", [], [zones], [drawn[0]]),
-            Section("What is unmodelled", _diagnosis_words(results), [found]),
-            Section("Zones that were not used", _unseen_words(results), [unseen], drawn[1:]),
-            Section("Clock slips and switching on", _slip_words(results), [slips]),
-            Section("The independent figures", [], [figures]),
+            _WORDS.section("assumptions"),
+            _WORDS.section("scalar", [refused], **values),
+            _WORDS.section("zones", [zones], [responses]),
+            _WORDS.section("unmodelled", [diagnosed], **values),
+            _WORDS.section("unseen", [unseen], predicted, **values),
+            _WORDS.section("slips", [slips], **values),
+            _WORDS.section("independent", [independent]),
         ],
         provenance={
             "data": "ELFIN-A, UCLA (V. Angelopoulos), NASA and NSF; github jiashuwu89/elf_fgm fbaba5dd",
@@ -144,62 +153,89 @@ def page(results: Results, settings: Settings, verdict: str) -> Page:
     )
 
 
-def _scalar_words(results: Results) -> list[str]:
-    refused = [told for told in results.zones if told.refusal]
+def _zone_table(found: Results) -> Table:
+    rows: list[list[Cell]] = []
+    for one in found.zones:
+        fitted = [round(one.fits[kind].rms_nT, 1) for kind in KINDS]
+        last = (round(one.noise_nT, 2), int((~one.zone.used).sum()))
+        rows.append([one.zone.number, _light(one), round(_period_s(one), 4), *fitted, *last])
+    return _WORDS.table("zones", rows)
+
+
+def _slip_table(found: Results) -> Table:
+    rows: list[list[Cell]] = []
+    for slip in found.slips:
+        late_ms = [round(1e3 * float(late), 1) for late in (slip.stamps_late_s, slip.field_late_s)]
+        rows.append([slip.zone, slip.start_utc, slip.rows, *late_ms, round(slip.largest_nT)])
+    return _WORDS.table("slips", rows)
+
+
+def _unseen_table(found: Results, values: dict[str, Any]) -> Table:
+    rows: list[list[Cell]] = []
+    for place, one in enumerate(found.zones):
+        predicted = [round(way.unseen_nT[place]) for way in found.ways]
+        own = round(one.fits["static"].rms_nT)
+        rows.append([str(one.zone.number), _light(one), own, *predicted, round(one.noise_nT, 1)])
+    own_nT, noise_nT = (float(np.sqrt(np.mean(np.square(values[name])))) for name in ("static", "noise"))
+    whole = [round(way.unseen_whole_nT) for way in found.ways]
+    rows.append(["all", "", round(own_nT), *whole, round(noise_nT, 1)])
+    rows.append(["of static", "", None, *map(values["share"], found.ways), None])
+    headings = [f"unseen, {way.name} [nT]" for way in found.ways]
+    return _WORDS.table("unseen", rows, [*headings, "local noise [nT]"], **values)
+
+
+def _found_table(found: Results) -> Table:
+    """Both answers of the diagnosis, and the causes by what each explains alone."""
+    rows: list[list[Cell]] = []
+    for words, one in (("all", found.diagnosis), ("begin in shadow", found.in_shadow)):
+        named = ", ".join(" or ".join(effect.group) for effect in one.effects)
+        ranked = ", ".join(f"{cause.name} {cause.drop:.3g}" for cause in one.ranking[:_RANKED])
+        rms_nT = (round(one.gap.before_nT), round(one.gap.after_nT))
+        rows.append([words, one.verdict, named, ", ".join(one.resembles), ranked, *rms_nT])
+    return _WORDS.table("diagnoses", rows)
+
+
+def _tilted_deg(found: Results, way: Way) -> float:
+    """How far the sensor tilts from one moment of the zones to another, at most; its turn about the spin axis cannot be
+    distinguished from the spin phase."""
+    seconds = np.concatenate([one.zone.seconds[one.zone.used][::50] for one in found.zones])
+    states = np.stack([found.flight.day.lagged(seconds, *series) for series in way.lags_s], axis=1)
+    tilts = (states @ way.within.sensor.turn_rad)[:, :2]
+    return float(np.degrees(np.linalg.norm(tilts[:, None, :] - tilts[None, :, :], axis=2).max()))
+
+
+def _figures(found: Results) -> list[FigureBlock]:
+    day = found.flight.day
+    shadows = [day.shadow_s(float(one.zone.seconds[0])) for one in found.zones]
+
+    def response(one: ZoneResult, entry_s: float, channel: int) -> Response:
+        size: FloatArray = np.abs(one.response[:, channel])
+        return Response(f"zone {one.zone.number}", one.middle_s - entry_s, size, one.zone.sunlit > _SUNLIT)
+
+    channels = [
+        (name, [response(one, shadow[0], place) for one, shadow in zip(found.zones, shadows, strict=True)])
+        for place, name in enumerate(("channel X", "channel Y"))
+    ]
+    bars = [Bars(f"unseen: {way.name}", way.unseen_nT) for way in found.ways]
+    bars.append(Bars("static, the zone's own", [one.fits["static"].rms_nT for one in found.zones]))
+    bars.append(Bars("local noise", [one.noise_nT for one in found.zones]))
+    residuals = [Left(f"zone {found.zones[place].zone.number}", *shown) for place, shown in found.shown.items()]
     return [
-        f"The size of the field alone is asked for S and b of each zone: refused in {len(refused)} of "
-        f"{len(results.zones)}. The field stays near the spin plane, so the direction along the spin axis is free."
+        _WORDS.figure("responses", response_figure(channels, shadows[0][1])),
+        _WORDS.figure("unseen_zones", zones_figure(bars, [one.zone.number for one in found.zones])),
+        _WORDS.figure("unseen_residuals", left_figure(residuals)),
     ]
 
 
-def _diagnosis_words(results: Results) -> list[str]:
-    words = []
-    for which, found in (("All zones", results.diagnosis), ("The zones that begin in shadow", results.in_shadow)):
-        gap = found.gap
-        closed = "" if gap.closed is None or gap.closed <= 0.0 else f", {gap.closed:.0%} of the gap"
-        fails = " What is named does not hold on stretches it was not fitted to: it explains nothing here."
-        words.append(
-            f"{which}: {found.sentence} On held-out samples the residual goes from {gap.before_nT:.0f} to "
-            f"{gap.after_nT:.0f} nT a component{closed}; the noise it can reach is {gap.floor_nT:.0f} nT."
-            + (fails if gap.after_nT > gap.before_nT else "")
-        )
-    return words
+def lags_words(lags_s: Lags) -> str:
+    """ "200 + 200": in series; "200; 400": side by side."""
+    return "; ".join(" + ".join(f"{lag:g}" for lag in series) for series in lags_s)
 
 
-def _unseen_words(results: Results) -> list[str]:
-    static = results.told[0]
-    words = []
-    for told in results.told[1:]:
-        below = sum(b < REACH * s for b, s in zip(told.unseen_nT, static.unseen_nT, strict=True))
-        words.append(
-            f"{told.way.about[0].upper()}{told.way.about[1:]}: {told.unseen_whole_nT:.0f} nT on unseen zones "
-            f"({tables.share(results, told):.2f} of static), below half in {below} of {len(static.unseen_nT)} zones; the "
-            f"sensor tilts by up to {tables.tilted_deg(results, told):.1f} deg."
-        )
-    words.append(
-        "These tilts are what the fits need, not what was measured. They are large for a boom, change with what else is "
-        "fitted, and the source does not say that it bends: an error of the attitude or of the responses that follows the "
-        "sunlight passes for a tilt here."
-    )
-    noise = float(np.median([told.noise_nT for told in results.zones]))
-    words.append(f"The local noise is {noise:.1f} nT: what is left is not noise.")
-    return words
+def _period_s(one: ZoneResult) -> float:
+    return 2.0 * float(np.pi) / one.fits["static"].rate_rad_s
 
 
-def _slip_words(results: Results) -> list[str]:
-    starting = max(told.starting_nT for told in results.zones)
-    count = sum(told.zone.left_out.get("switching on", 0) for told in results.zones)
-    off = [slip for slip in results.slips if abs(slip.stamps_late_s - slip.field_late_s) > _AGREE_S]
-    agree = len(results.slips) - len(off)
-    others = "".join(
-        f" Not so in zone {slip.zone} at {slip.start_utc}: stamps {1e3 * slip.stamps_late_s:.1f} ms late, readings "
-        f"{1e3 * slip.field_late_s:.1f} ms: only a part of that packet may be off."
-        for slip in off
-    )
-    return [
-        f"{len(results.slips)} stretches of up to one packet carry stamps that the spacing of the stamps gives away; the "
-        f"spin phase of the readings confirms {agree} of them to {1e3 * _AGREE_S:g} ms, and that there the readings "
-        "themselves kept time." + others,
-        f"In the first second of a zone the readings settle, up to {starting:.0f} nT off: {count} rows are left out as "
-        "switching on.",
-    ]
+def _light(one: ZoneResult) -> str:
+    lit = one.zone.sunlit
+    return "sunlit" if lit > _SUNLIT else "shadow" if lit < 1.0 - _SUNLIT else "shadow, then sun"

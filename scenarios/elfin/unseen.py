@@ -7,31 +7,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.scenarios.elfin.bending import Joint, Rows, fit_joint, rows_of, seen_by, start
+from fluxtwin.scenarios.elfin.bending import Joint, Lags, Rows, fit_joint, rows_of, seen_by, start
 from fluxtwin.scenarios.elfin.record import Flight
 from fluxtwin.scenarios.elfin.settings import Settings
 from fluxtwin.scenarios.elfin.zone_fit import ZoneFit
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.types import FloatArray
 
-Lags = tuple[tuple[float, ...], ...]
-
 
 @dataclass(frozen=True)
 class Way:
-    """One model of what follows sun and shadow, with the lags it may choose from."""
+    """One model of what follows sun and shadow, with the lags it may choose from, and how it predicts."""
 
     name: str
     about: str
     free: tuple[str, ...]
-    choices: tuple[Lags, ...]
-
-
-@dataclass(frozen=True)
-class Told:
-    """A way and what came of it."""
-
-    way: Way
     within: Joint
     """Fitted to all zones."""
     lags_s: Lags
@@ -47,68 +37,52 @@ class Told:
         return float(np.sqrt(np.mean(np.square(self.unseen_nT))))
 
 
-def ways(settings: Settings) -> tuple[Way, ...]:
-    """From nothing to all that the catalogue has for temperature."""
-    once: tuple[Lags, ...] = tuple(((lag,),) for lag in settings.settle_s)
-    twice: tuple[Lags, ...] = tuple(((lag, lag),) for lag in settings.settle_s)
-    pairs: tuple[Lags, ...] = tuple(((first,), (second,)) for first, second in settings.pairs_s)
-    return (
-        Way("static", "twelve parameters", (), ((),)),
-        Way("boom", "boom behind one lag", ("turn",), once),
-        Way("boom, two lags", "boom behind two equal lags in series", ("turn",), twice),
-        Way("boom and scale", "boom and scale behind two lags side by side", ("turn", "scale"), pairs),
-    )
+def compare(flight: Flight, own: Sequence[ZoneFit], settings: Settings, progress: Progress = silent) -> tuple[Way, ...]:
+    """Every model, from nothing to all that the catalogue has for temperature, within and on unseen zones."""
+    once: list[Lags] = [((lag,),) for lag in settings.settle_s]
+    twice: list[Lags] = [((lag, lag),) for lag in settings.settle_s]
+    pairs: list[Lags] = [((first,), (second,)) for first, second in settings.pairs_s]
+    asked: list[tuple[str, str, tuple[str, ...], list[Lags]]] = [
+        ("static", "twelve parameters", (), [()]),
+        ("boom", "boom behind one lag", ("turn",), once),
+        ("boom, two lags", "boom behind two equal lags in series", ("turn",), twice),
+        ("boom and scale", "boom and scale behind two lags side by side", ("turn", "scale"), pairs),
+    ]
+    ways = []
+    for number, (name, about, free, choices) in enumerate(asked):
+        progress(about, number / len(asked))
+        fitted = []
+        for lags_s in choices:
+            rows = rows_of(flight, own, lags_s, settings.every)
+            begin = start(own, len(lags_s), settings.phase_degree)
+            fitted.append((lags_s, rows, fit_joint(rows, begin, free)))
+        best = min(fitted, key=lambda one: one[2].whole_nT)
+        folds = [_fold(fitted, free, left_out) for left_out in range(len(own))]
+        unseen_nT, fold_lags_s = zip(*folds, strict=True)
+        ways.append(Way(name, about, free, best[2], best[0], unseen_nT, fold_lags_s))
+    return tuple(ways)
 
 
-def compare(
-    flight: Flight, own: Sequence[ZoneFit], settings: Settings, progress: Progress = silent
-) -> tuple[Told, ...]:
-    """Every way, within and on unseen zones."""
-    told = []
-    for number, way in enumerate(ways(settings)):
-        progress(way.about, number / len(ways(settings)))
-        told.append(_told(flight, own, way, settings))
-    return tuple(told)
-
-
-def _told(flight: Flight, own: Sequence[ZoneFit], way: Way, settings: Settings) -> Told:
-    every: list[tuple[Lags, list[Rows], Joint]] = []
-    for lags_s in way.choices:
-        rows = _rows(flight, own, lags_s, settings)
-        every.append((lags_s, rows, fit_joint(rows, start(own, len(lags_s), settings.phase_degree), way.free)))
-    best = min(every, key=lambda one: one[2].whole_nT)
-    unseen, chosen = [], []
-    for left_out in range(len(own)):
-        found, lags_s = _fold(every, way, left_out)
-        unseen.append(found)
-        chosen.append(lags_s)
-    return Told(way, best[2], best[0], tuple(unseen), tuple(chosen))
-
-
-def _fold(every: Sequence[tuple[Lags, list[Rows], Joint]], way: Way, left_out: int) -> tuple[float, Lags]:
+def _fold(fitted: Sequence[tuple[Lags, list[Rows], Joint]], free: tuple[str, ...], left_out: int) -> tuple[float, Lags]:
     """The lags are chosen without the zone too; the other zones' phases start where they are with it."""
     trained = []
-    for lags_s, rows, whole in every:
+    for lags_s, rows, whole in fitted:
         rest = [number for number in range(len(rows)) if number != left_out]
         begin = (whole.sensor, [whole.phases[number] for number in rest])
-        trained.append((lags_s, rows, fit_joint([rows[number] for number in rest], begin, way.free), whole))
-    lags_s, rows, joint, whole = min(trained, key=lambda one: one[2].whole_nT)
-    return seen_by(joint.sensor, rows[left_out], whole.phases[left_out]).rms_nT[0], lags_s
+        joint = fit_joint([rows[number] for number in rest], begin, free)
+        trained.append((joint, lags_s, rows[left_out], whole.phases[left_out]))
+    joint, lags_s, unseen, phase = min(trained, key=lambda one: one[0].whole_nT)
+    return seen_by(joint.sensor, unseen, phase).rms_nT[0], lags_s
 
 
 def residuals_nT(
-    flight: Flight, own: Sequence[ZoneFit], told: Told, left_out: int, settings: Settings
+    flight: Flight, own: Sequence[ZoneFit], way: Way, left_out: int, settings: Settings
 ) -> tuple[FloatArray, FloatArray]:
     """Minutes and residual (N, 3) of a zone by the sensor fitted to the others, for a figure."""
-    rows = _rows(flight, own, told.fold_lags_s[left_out], settings)
-    rest = [number for number in range(len(rows)) if number != left_out]
-    begin = start(own, len(told.fold_lags_s[left_out]), settings.phase_degree)
-    joint = fit_joint([rows[n] for n in rest], (begin[0], [begin[1][n] for n in rest]), told.way.free)
-    seen = seen_by(joint.sensor, rows[left_out], begin[1][left_out])
-    one = rows[left_out]
+    lags_s = way.fold_lags_s[left_out]
+    rows = rows_of(flight, own, lags_s, settings.every)
+    sensor, phases = start(own, len(lags_s), settings.phase_degree)
+    one, phase = rows.pop(left_out), phases.pop(left_out)
+    seen = seen_by(fit_joint(rows, (sensor, phases), way.free).sensor, one, phase)
     half_s = 0.5 * float(np.ptp(flight.zones[left_out].seconds))
     return half_s * (1.0 + one.share) / 60.0, one.reading_nT - seen.sensor.reading_nT(one, seen.phases[0])
-
-
-def _rows(flight: Flight, own: Sequence[ZoneFit], lags_s: Lags, settings: Settings) -> list[Rows]:
-    return [rows_of(zone, fit, flight.day, lags_s, settings.every) for zone, fit in zip(flight.zones, own, strict=True)]

@@ -1,17 +1,19 @@
-"""What each effect takes alone by plain least squares: nothing is whitened, priced or searched.
+"""What each effect explains alone by plain least squares: nothing is whitened, penalised or searched.
 
-It is the look that a person takes first, and the table beside which the diagnosis must be read: many names take much of
-one and the same residual.
+It is the look that a person takes first, and the table next to which the diagnosis must be read: many names explain
+much of one and the same residual.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.gap.problem import Problem, pose
+from fluxtwin.gap.problem import pose
+from fluxtwin.scenarios.flight_field.residuals import rms
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.field_models import FieldModel
 from fluxtwin.sim.effects.base import SignalEffect
@@ -23,7 +25,7 @@ _RCOND = 1e-12
 
 @dataclass(frozen=True)
 class Share:
-    """What is left of a residual once an effect is fitted beside what is modelled."""
+    """What remains of a residual once effects are fitted in addition to what is modelled."""
 
     effects: tuple[str, ...]
     """Fitted together."""
@@ -45,61 +47,68 @@ class Alone:
     """rms per component with what is modelled fitted."""
     shares: tuple[Share, ...]
 
+    def share(self, *effects: str) -> Share:
+        """Of those effects, fitted together."""
+        return next(share for share in self.shares if share.effects == effects)
+
     def left_nT(self, *effects: str) -> float:
-        """What is left beside those effects."""
-        return next(share.left_nT for share in self.shares if share.effects == effects)
+        """What remains with those effects fitted as well."""
+        return self.share(*effects).left_nT
 
     def size(self, *effects: str) -> float:
         """The first fitted value of those effects."""
-        return next(share.sizes[0] for share in self.shares if share.effects == effects)
+        return self.share(*effects).sizes[0]
+
+
+class LeastSquares:
+    """A record's residual to a field model, and the columns of what is modelled. Raises as `pose` does."""
+
+    def __init__(self, telemetry: Telemetry, model: FieldModel, modelled: Sequence[str]) -> None:
+        """Pose the problem."""
+        self._problem = pose(telemetry, model, modelled=modelled)
+        self.residual_nT: FloatArray = np.asarray(self._problem.residual_nT).reshape(-1)
+        self.nuisance = self._problem.nuisance.reshape(self.residual_nT.size, -1)
+
+    def image(self, effect: SignalEffect) -> FloatArray:
+        """(M, P) change of the residual by the parameters of an effect."""
+        image = jacobian(self._problem.chain, effect, at=self._problem.modelled_active)
+        return np.asarray(image).reshape(self.residual_nT.size, -1)
+
+    def remaining_nT(self, *effects: SignalEffect) -> tuple[FloatArray, list[FloatArray]]:
+        """The residual (M,) once what is modelled and the effects are fitted, and the coefficients of each effect."""
+        images = [self.image(effect) for effect in effects]
+        fitted, values = _fit(np.concatenate([self.nuisance, *images], axis=1), self.residual_nT)
+        ends = np.cumsum([self.nuisance.shape[1], *(image.shape[1] for image in images)])
+        return self.residual_nT - fitted, [values[a:b] for a, b in itertools.pairwise(ends)]
 
 
 def alone(
-    telemetry: Telemetry,
-    model: FieldModel,
-    modelled: Sequence[str],
-    wanted: Sequence[tuple[SignalEffect, ...]],
+    telemetry: Telemetry, model: FieldModel, modelled: Sequence[str], wanted: Sequence[tuple[SignalEffect, ...]]
 ) -> Alone:
-    """Least squares of each set of effects beside what is modelled, all components alike. Raises as `pose` does."""
-    problem = pose(telemetry, model, modelled=modelled)
-    residual = np.asarray(problem.residual_nT).reshape(-1)
-    nuisance = problem.nuisance.reshape(residual.size, -1)
-    shares = [_share(problem, residual, nuisance, effects) for effects in wanted]
-    base = _rms(residual - least_squares(nuisance, residual)[0])
-    return Alone(_rms(residual), tuple(modelled), base, tuple(shares))
+    """Least squares of each set of effects and what is modelled, all components alike. Raises as `pose` does."""
+    problem, shares = LeastSquares(telemetry, model, modelled), []
+    for effects in wanted:
+        remaining_nT, values = problem.remaining_nT(*effects)
+        sizes = tuple(float(part[np.argmax(np.abs(part))]) for part in values)
+        names, count = tuple(one.name for one in effects), sum(part.size for part in values)
+        shares.append(Share(names, count, rms(remaining_nT), sizes))
+    return Alone(rms(problem.residual_nT), tuple(modelled), rms(problem.remaining_nT()[0]), tuple(shares))
 
 
 def visible_nT(
     telemetry: Telemetry, model: FieldModel, modelled: Sequence[str], effect: SignalEffect, size: float
 ) -> tuple[float, float]:
-    """rms per component of an effect with one parameter of that size: whole, and beside what is modelled."""
-    problem = pose(telemetry, model, modelled=modelled)
-    image = size * jacobian(problem.chain, effect, at=problem.modelled_active).reshape(-1)
-    nuisance = problem.nuisance.reshape(image.size, -1)
-    return _rms(image), _rms(image - least_squares(nuisance, image)[0])
+    """rms per component of an effect with one parameter of that size: whole, and after projecting out what is modelled."""
+    problem = LeastSquares(telemetry, model, modelled)
+    image = size * problem.image(effect)[:, 0]
+    return rms(image), rms(image - _fit(problem.nuisance, image)[0])
 
 
-def _share(problem: Problem, residual: FloatArray, nuisance: FloatArray, effects: tuple[SignalEffect, ...]) -> Share:
-    images = [jacobian(problem.chain, one, at=problem.modelled_active) for one in effects]
-    own = np.concatenate([image.reshape(residual.size, -1) for image in images], axis=1)
-    fitted, values = least_squares(np.concatenate([nuisance, own], axis=1), residual)
-    sizes, first = [], nuisance.shape[1]
-    for image in images:
-        part = values[first : first + image.shape[2]]
-        sizes.append(float(part[np.argmax(np.abs(part))]))
-        first += image.shape[2]
-    return Share(tuple(one.name for one in effects), own.shape[1], _rms(residual - fitted), tuple(sizes))
-
-
-def least_squares(design: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """What columns (M, P) of any units give of the residual (M,), and their coefficients."""
+def _fit(design: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What columns (M, P) of any units explain of the residual (M,), and their coefficients."""
     if not design.shape[1]:
         return np.zeros_like(residual), np.zeros(0)
     length = np.linalg.norm(design, axis=0)
     length = np.where(length > 0, length, 1.0)
     found = np.linalg.lstsq(design / length, residual, rcond=_RCOND)[0]
     return np.asarray(design / length @ found), np.asarray(found / length)
-
-
-def _rms(value: FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.square(value))))

@@ -1,4 +1,4 @@
-"""Field models that are wrong in a way known to us, and the one-dipole field of the aircraft."""
+"""Field models with a known error, and the one-dipole field of the aircraft."""
 
 from __future__ import annotations
 
@@ -12,6 +12,19 @@ from fluxtwin.sim.earth.field_models import FieldModel, linear_model, load_field
 _DIPOLE_NT = 30_000.0
 
 
+def field_model(name: str) -> FieldModel:
+    """The model of a case: `igrf14`, `igrf14, degree 8`, `igrf1975, held back`, `igrf1975, carried on` or `dipole`."""
+    base, _, change = name.partition(", ")
+    if base == "dipole":
+        # a centred dipole along the Earth's axis that does not change: the field of an aircraft at an unknown place
+        knots = np.array(["2000-01-01", "2100-01-01"], dtype="datetime64[ns]")
+        return linear_model("dipole", "a centred dipole, fixed", knots, np.array([[-_DIPOLE_NT, 0.0, 0.0]] * 2))
+    if change.startswith("degree"):
+        return load_field(base, int(change.removeprefix("degree ")))
+    model = load_field(base)
+    return held_back(model) if change == "held back" else carried_on(model) if change == "carried on" else model
+
+
 def held_back(model: FieldModel) -> FieldModel:
     """The model as it was one whole validity earlier, with its secular variation: IGRF 1975 of 1975.0 in 1980.0."""
     return replace(model, title=f"{model.title}, used as if it were five years ago", knots=_later(model))
@@ -19,23 +32,11 @@ def held_back(model: FieldModel) -> FieldModel:
 
 def carried_on(model: FieldModel) -> FieldModel:
     """The model with its straight secular variation carried on for one whole validity more."""
-    knots, later = model.knots, _later(model)
     polynomial = model.polynomial_nT.copy()
     polynomial[-1, 1:] *= 2.0
+    knots = np.append(model.knots[:-1], _later(model)[-1])
     title = f"{model.title}, its secular variation carried on"
-    return replace(model, title=title, knots=np.append(knots[:-1], later[-1]), polynomial_nT=polynomial)
-
-
-def degree_8() -> FieldModel:
-    """IGRF-14 cut at degree 8."""
-    return load_field("igrf14", 8)
-
-
-def dipole() -> FieldModel:
-    """A centred dipole along the Earth's axis that does not change: the field of an aircraft at an unknown place."""
-    g10 = np.array([-_DIPOLE_NT, 0.0, 0.0])
-    knots = np.array(["2000-01-01", "2100-01-01"], dtype="datetime64[ns]")
-    return linear_model("dipole", "a centred dipole, fixed", knots, np.stack([g10, g10]))
+    return replace(model, title=title, knots=knots, polynomial_nT=polynomial)
 
 
 def dipole_radius_km(size_nT: FloatArray, latitude_rad: float, radius_km: float) -> FloatArray:

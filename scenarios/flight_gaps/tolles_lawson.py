@@ -1,4 +1,4 @@
-"""The coefficients behind a published Tolles-Lawson compensation, found again exactly.
+"""The coefficients behind a published Tolles-Lawson compensation, recovered exactly.
 
 With the fluxgate's reading f and its direction u the compensation is u . (p + S f + K df/dt): permanent, induced (S
 symmetric) and eddy-current terms (Tolles & Lawson 1950; Leliak 1961, doi 10.1109/TANE3.1961.4201799). df/dt is the
@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.scenarios.flight_gaps.readers import Compensation
+from fluxtwin.scenarios.flight_field.residuals import rms
+from fluxtwin.scenarios.flight_gaps.records import Compensation
 from fluxtwin.sim.base.types import FloatArray
 
 
@@ -44,24 +45,15 @@ def coefficients(given: Compensation, rate_Hz: float) -> Coefficients:
     """The 18 coefficients of a published compensation."""
     flux = given.fluxgate_B_nT
     u = flux / np.linalg.norm(flux, axis=1)[:, None]
-    rate = np.gradient(flux, 1.0 / rate_Hz, axis=0)
-    pairs = [(i, j) for i in range(3) for j in range(i, 3)]
-    induced = np.stack([u[:, i] * flux[:, j] for i, j in pairs], axis=1)
-    eddy = np.einsum("ni,nj->nij", u, rate).reshape(-1, 9)
+    rows, columns = np.triu_indices(3)
+    induced = u[:, rows] * flux[:, columns]
+    eddy = np.einsum("ni,nj->nij", u, np.gradient(flux, 1.0 / rate_Hz, axis=0)).reshape(-1, 9)
     design = np.concatenate([u, induced, eddy], axis=1)
     length = np.linalg.norm(design, axis=0)
     found = np.linalg.lstsq(design / length, given.taken_nT, rcond=1e-13)[0] / length
     S = np.zeros((3, 3))
-    for (i, j), value in zip(pairs, found[3:9], strict=True):
-        S[i, j] += 0.5 * value
-        S[j, i] += 0.5 * value
+    S[rows, columns] = 0.5 * found[3:9]
     K = found[9:].reshape(3, 3)
-    parts = (u @ found[:3], induced @ found[3:9], eddy @ found[9:])
-    swirl = eddy @ (0.5 * (K - K.T)).reshape(-1)
+    parts = (rms(u @ found[:3]), rms(induced @ found[3:9]), rms(eddy @ found[9:]))
     worst = float(np.abs(design @ found - given.taken_nT).max())
-    permanent, of_S, of_K = (_rms(part) for part in parts)
-    return Coefficients(found[:3], S, K, worst, (permanent, of_S, of_K), _rms(swirl))
-
-
-def _rms(value: FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.square(value))))
+    return Coefficients(found[:3], S + S.T, K, worst, parts, rms(eddy @ (0.5 * (K - K.T)).reshape(-1)))

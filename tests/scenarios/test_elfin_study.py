@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.scenarios.elfin import bending, record, tables, unseen
+from fluxtwin.scenarios.elfin import bending, record, study, unseen
 from fluxtwin.scenarios.elfin.compute import refusal
 from fluxtwin.scenarios.elfin.settings import MAP, Settings, read_settings
 from fluxtwin.scenarios.elfin.zone_fit import fit_zone, local_noise_nT, spin_rate
@@ -59,7 +59,7 @@ def a_zone(number: int, begin_s: float, turned: bool, settings: Settings = SETTI
     reading = (body @ MATRIX.T) * gain + OFFSET_NT + NOISE_NT * rng.standard_normal(body.shape)
     stamps = epoch.add_seconds(np.datetime64("2022-01-12T00:00:00", "ns"), seconds)
     none, frame = np.zeros(seconds.size), np.tile(np.eye(3), (seconds.size, 1, 1))
-    used, left_out = record._usable(seconds, (), settings)
+    used, left_out = record.usable(seconds, (), settings)
     return record.Zone(number, Telemetry(stamps, reading), seconds, frame, field, none, (), used, left_out)
 
 
@@ -88,7 +88,7 @@ def test_a_bending_boom_is_found_and_predicts_an_unseen_zone(close: Close) -> No
     """Five zones with a boom and scale that follow the light: from four of them the fifth is predicted to the noise."""
     flight = a_flight(turned=True)
     own = [fit_zone(zone, "static", SETTINGS) for zone in flight.zones]
-    rows = [bending.rows_of(z, f, flight.day, LAGS_S, 15) for z, f in zip(flight.zones, own, strict=True)]
+    rows = bending.rows_of(flight, own, LAGS_S, 15)
     joint = bending.fit_joint(rows, bending.start(own, 2, 2), ("turn", "scale"))
     close(joint.whole_nT, NOISE_NT * np.sqrt(3.0), atol=1.0, unit="nT", because="nothing but noise is left")
     begin = (joint.sensor, joint.phases[1:])
@@ -98,7 +98,7 @@ def test_a_bending_boom_is_found_and_predicts_an_unseen_zone(close: Close) -> No
     blind = bending.seen_by(static.sensor, rows[0], joint.phases[0])
     assert seen.rms_nT[0] < 0.1 * blind.rms_nT[0]
     # The wrong lags, and a boom alone, do not do.
-    other = [bending.rows_of(z, f, flight.day, ((60.0,),), 15) for z, f in zip(flight.zones, own, strict=True)]
+    other = bending.rows_of(flight, own, ((60.0,),), 15)
     wrong = bending.fit_joint(other, bending.start(own, 1, 2), ("turn", "scale"))
     alone = bending.fit_joint(rows, bending.start(own, 2, 2), ("turn",))
     assert min(wrong.whole_nT, alone.whole_nT) > 5.0 * joint.whole_nT
@@ -107,7 +107,7 @@ def test_a_bending_boom_is_found_and_predicts_an_unseen_zone(close: Close) -> No
 def test_a_still_sensor_gains_nothing_from_sun_and_shadow(close: Close) -> None:
     flight = a_flight(turned=False)
     own = [fit_zone(zone, "static", SETTINGS) for zone in flight.zones]
-    rows = [bending.rows_of(z, f, flight.day, LAGS_S, 15) for z, f in zip(flight.zones, own, strict=True)]
+    rows = bending.rows_of(flight, own, LAGS_S, 15)
     static = bending.fit_joint(rows, bending.start(own, 2, 2), ())
     joint = bending.fit_joint(rows, bending.start(own, 2, 2), ("turn", "scale"))
     close(static.whole_nT, joint.whole_nT, atol=0.1, unit="nT", because="12 parameters more among 3,600 numbers")
@@ -118,7 +118,7 @@ def test_the_turn_is_that_of_the_effect() -> None:
     """`boom_bending` turns the sensor by +, so the field in it by -, right-handed; so does this model."""
     zone = a_zone(0, 6000.0, turned=False)
     fit = fit_zone(zone, "static", SETTINGS)
-    one = bending.rows_of(zone, fit, a_day(), ((200.0,),), 50)
+    (one,) = bending.rows_of(record.Flight((zone,), a_day(), 0.004), [fit], ((200.0,),), 50)
     sensor = bending.Sensor(np.eye(3), np.zeros(3), np.array([[0.0, 0.0, 0.2]]), np.zeros((1, 3)), np.zeros((1, 3)))
     straight = bending.without_states(sensor).in_body_nT(one, np.zeros(3))
     a = 0.2 * one.states[:, 0]
@@ -166,7 +166,7 @@ def test_zones_slips_and_noise_of_the_flight(flight: record.Flight) -> None:
         zone = flight.zones[place]
         fit = fit_zone(zone, "static", SETTINGS)
         assert 2.84 < 2.0 * np.pi / fit.rate_rad_s < 2.89  # the README: 2.84 to 2.88 s
-        low, high = SETTINGS.printed.noise_nT
+        low, high = SETTINGS.printed["noise_nT"]
         assert 0.8 * low < local_noise_nT(zone, fit) < high
         kinds = [fit_zone(zone, kind, SETTINGS, fit.rate_rad_s).rms_nT for kind in ("linear", "quadratic")]
         assert kinds[1] < kinds[0] < 0.5 * fit.rms_nT  # a static sensor it is not
@@ -184,4 +184,4 @@ def test_what_follows_sun_and_shadow_predicts_unseen_zones(flight: record.Flight
     assert np.median(np.array(boom.unseen_nT[dark]) / np.array(static.unseen_nT[dark])) < 0.5
     noise = max(local_noise_nT(zone, fit) for zone, fit in zip(flight.zones, own, strict=True))
     assert min(scaled.unseen_nT) > noise
-    assert tables.lags_words(scaled.lags_s) == "300; 500"
+    assert study.lags_words(scaled.lags_s) == "300; 500"

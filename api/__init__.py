@@ -11,7 +11,7 @@ The verbs, each imported when it is first used:
     fluxtwin.write(better, "pass_corrected.nc")
     axes = fluxtwin.attitude(better)                 # three axes, through the night, with sigmas; fluxtwin.yaw one
 
-    scenario = fluxtwin.load_scenario("mine.toml")
+    scenario = fluxtwin.load_scenario("mine.toml")        # or "cubesat", and the other packaged ones
     telemetry, truth = fluxtwin.simulate(scenario)
     many = fluxtwin.ensemble(scenario, 1000, "results")   # with drawn parameters, on all cores
 
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from fluxtwin.calib.common.records import Calibration as Calibration
     from fluxtwin.diagnosing import close as close
     from fluxtwin.diagnosing import diagnose as diagnose
+    from fluxtwin.scenarios.packaged import load_scenario as load_scenario
     from fluxtwin.sim.base.errors import BadInput as BadInput
     from fluxtwin.sim.base.errors import FluxtwinError as FluxtwinError
     from fluxtwin.sim.base.errors import NoAnswer as NoAnswer
@@ -44,7 +45,6 @@ if TYPE_CHECKING:
     from fluxtwin.sim.earth.field_models import load_field as load_field
     from fluxtwin.sim.run.ensemble.run import fly_ensemble
     from fluxtwin.sim.run.simulate import simulate as simulate
-    from fluxtwin.sim.scenario.scenario import load_scenario as load_scenario
     from fluxtwin.sim.telemetry.record import Telemetry as Telemetry
     from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
     from fluxtwin.studies import run_study as run_study
@@ -80,7 +80,7 @@ _HOMES = {
     "draft_map": "fluxtwin.verbs:draft_map",
     "field": "fluxtwin.verbs:field",
     "load_field": "fluxtwin.sim.earth.field_models:load_field",
-    "load_scenario": "fluxtwin.sim.scenario.scenario:load_scenario",
+    "load_scenario": "fluxtwin.scenarios.packaged:load_scenario",
     "simulate": "fluxtwin.sim.run.simulate:simulate",
     "ensemble": "fluxtwin.sim.run.ensemble.run:fly_ensemble",
     "run_study": "fluxtwin.studies:run_study",

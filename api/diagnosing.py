@@ -16,6 +16,7 @@ from fluxtwin.gap.momentum_arcs import Craft
 from fluxtwin.gap.problem import DEFAULT_MODELLED, Budget
 from fluxtwin.gap.records import Diagnosis
 from fluxtwin.gap.stochastic import with_frozen_noise
+from fluxtwin.scenarios.packaged import load_scenario
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.earth import epoch
@@ -27,7 +28,7 @@ from fluxtwin.sim.run import spacecraft as spacecraft
 from fluxtwin.sim.run.flights import vehicle_of
 from fluxtwin.sim.run.world import ephemeris, schedule_times
 from fluxtwin.sim.scenario.effect_sections import active_effects
-from fluxtwin.sim.scenario.scenario import Scenario, load_scenario
+from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.verbs import as_record
 

@@ -1,9 +1,8 @@
-"""Scenario files by path, or the packaged scenario of a study by its name."""
+"""Scenario files by path, or a packaged scenario by its name."""
 
 from __future__ import annotations
 
 import difflib
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,27 +11,34 @@ from fluxtwin.sim.base.errors import BadInput
 if TYPE_CHECKING:
     from fluxtwin.sim.scenario.scenario import Scenario
 
-SCENARIOS = ("hcmm", "seasat", "st5")
-"""Studies with a packaged scenario; the first has stations of its own."""
+_FOLDER = Path(__file__).parent
+_OF_STUDIES = ("hcmm", "seasat", "st5")
+SCENARIOS: dict[str, Path] = {path.stem: path for path in sorted(_FOLDER.glob("*.toml"))} | {
+    name: _FOLDER / name / f"{name}.toml" for name in _OF_STUDIES
+}
+"""The packaged scenarios by name: those that lie beside this file, and what the studies fly."""
+NAMES = f"{', '.join(sorted(SCENARIOS)[:-1])} or {max(SCENARIOS)}"
+"""The names as a list to read."""
 
 
-def open_scenario(path: Path) -> Scenario:
-    """The scenario file, or, where there is none of that name, the packaged one of a study.
+def load_scenario(scenario: Path | str) -> Scenario:
+    """The scenario file, or, where there is no file of that name, the packaged scenario.
 
-    Raises BadInput as `load_scenario`; for a name that is neither, one that lists what there is.
+    Raises BadInput as `fluxtwin.sim.scenario.scenario.load_scenario`; for what is neither a file nor a name, one that
+    lists the names.
     """
-    from fluxtwin.sim.scenario.scenario import load_scenario, parse_scenario
+    from fluxtwin.sim.scenario import scenario as files
 
-    name = str(path)
-    if path.exists():
-        return load_scenario(path)
+    name = str(scenario)
+    path = Path(scenario)
+    if path.exists() and not (path.is_dir() and name in SCENARIOS):
+        return files.load_scenario(path)
     if name not in SCENARIOS:
-        near = difflib.get_close_matches(name.lower(), SCENARIOS, n=1, cutoff=0.5)
+        near = difflib.get_close_matches(path.stem.lower(), SCENARIOS, n=1, cutoff=0.5)
         hint = f" (did you mean {near[0]!r}?)" if near else ""
         raise BadInput(
-            f"there is no such file, and no packaged scenario is called so{hint}",
+            f"there is no such file, and no packaged scenario of that name{hint}",
             where=name,
-            wanted=f"a scenario as a TOML file, or {' or '.join(SCENARIOS)}",
+            wanted=f"a scenario as a TOML file, or {NAMES}",
         )
-    text = resources.files(f"fluxtwin.scenarios.{name}").joinpath(f"{name}.toml").read_text(encoding="utf-8")
-    return parse_scenario(text, where=f"{name}.toml")
+    return files.load_scenario(SCENARIOS[name])

@@ -64,10 +64,12 @@ def command(
     outputs.claim({"--out": (out, outputs.ENSEMBLE), "--json": (json, outputs.JSON)}, [scenario], force=force)
     try:
         with output.progress(f"reading {scenario}") as progress:
+            from fluxtwin.scenarios.packaged import load_scenario
             from fluxtwin.sim.run.ensemble.run import fly_ensemble
 
+            plan = load_scenario(scenario)
             flown = fly_ensemble(
-                scenario, vehicles, out, seed=seed, jobs=jobs, in_chunk=chunk, resume=resume, progress=progress
+                plan, vehicles, out, seed=seed, jobs=jobs, in_chunk=chunk, resume=resume, progress=progress
             )
             drawing = _draw(flown)
     except KeyboardInterrupt:
@@ -88,9 +90,10 @@ def _say_how_to_go_on(output: Output, out: Path, words: list[Any], seed: int | N
 
 def _extract(output: Output, scenario: Path, out: Path, seed: int | None, vehicle: int, force: bool) -> None:
     from fluxtwin import outputs
+    from fluxtwin.scenarios.packaged import load_scenario
     from fluxtwin.sim.base.errors import BadInput
     from fluxtwin.sim.run.ensemble.draws import vehicle_scenario
-    from fluxtwin.sim.scenario.scenario import load_scenario, save_scenario
+    from fluxtwin.sim.scenario.scenario import save_scenario
 
     if vehicle < 0:
         raise BadInput(f"{vehicle}", where="--extract", wanted="the number of a vehicle, from 0")

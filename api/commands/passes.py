@@ -9,7 +9,7 @@ import typer
 
 from fluxtwin.commands.options import ForceOption, JsonOption
 from fluxtwin.console import Output
-from fluxtwin.scenarios.packaged import SCENARIOS, open_scenario
+from fluxtwin.scenarios.packaged import NAMES, load_scenario
 
 NAME = "passes"
 BRIEF = "When the stations of a scenario see the spacecraft."
@@ -20,7 +20,7 @@ def command(
         Path,
         typer.Argument(
             metavar="SCENARIO.toml",
-            help=f"Orbit, schedule and stations; or {' or '.join(SCENARIOS)}, which are packaged.",
+            help=f"Orbit, schedule and stations: a TOML file, or by name {NAMES}.",
         ),
     ],
     stations: Annotated[
@@ -42,7 +42,7 @@ def command(
         from fluxtwin.sim.run.scenario_stations import read_stations
 
         outputs.claim({"--json": (json, outputs.JSON)}, [scenario, stations], force=force)
-        plan = open_scenario(scenario)
+        plan = load_scenario(scenario)
         if stations is not None:
             plan = plan.updated({"station": read_stations(stations)})
         if not plan.station:

@@ -10,6 +10,7 @@ import typer
 
 from fluxtwin.commands.options import DegreeOption, ForceOption, JsonOption, OutOption, ScenarioFieldOption
 from fluxtwin.console import Output
+from fluxtwin.scenarios.packaged import NAMES, load_scenario
 
 if TYPE_CHECKING:
     from fluxtwin.sim.scenario.scenario import Scenario
@@ -19,7 +20,9 @@ BRIEF = "A scenario becomes telemetry."
 
 
 def command(
-    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.toml", help="What is simulated.")],
+    scenario: Annotated[
+        Path, typer.Argument(metavar="SCENARIO.toml", help=f"What is simulated: a TOML file, or by name {NAMES}.")
+    ],
     out: OutOption,
     truth: Annotated[
         Path | None,
@@ -37,14 +40,14 @@ def command(
         from fluxtwin.sim.base.files import is_stream
         from fluxtwin.sim.earth.epoch import iso
         from fluxtwin.sim.run.simulate import simulate
-        from fluxtwin.sim.scenario.scenario import load_scenario, save_scenario
+        from fluxtwin.sim.scenario.scenario import save_scenario
         from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
 
         plan = load_scenario(scenario)
         changes = {"field.truth": field, "field.truth_degree": degree}
         plan = plan.updated({key: value for key, value in changes.items() if value is not None})
         beside = None if is_stream(out) else out.with_name(f"{_stem(out)}.scenario.toml")
-        if beside is not None and beside.exists() and beside.samefile(scenario):
+        if beside is not None and beside.exists() and scenario.exists() and beside.samefile(scenario):
             beside = None  # the scenario lies there already, as its author wrote it
         outputs.claim(
             {

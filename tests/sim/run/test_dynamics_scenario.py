@@ -114,7 +114,7 @@ def test_the_motion_is_the_same_at_any_stamps(scenario: Scenario, close) -> None
 
 
 def test_the_example_in_the_documents_flies_within_its_pointing() -> None:
-    telemetry, truth = simulate(load_scenario(Path(__file__).resolve().parents[3] / "docs/examples/momentum_bias.toml"))
+    telemetry, truth = simulate(load_scenario(Path(__file__).resolve().parents[3] / "scenarios/momentum_bias.toml"))
     rms = np.degrees(np.sqrt(np.mean(np.square([truth.yaw_rad, truth.roll_rad, truth.pitch_rad]), axis=1)))
     assert (rms < [2.0, 0.7, 0.5]).all(), rms
     assert telemetry.dipole_B_Am2 is not None and np.ptp(telemetry.dipole_B_Am2) > 0.1

@@ -56,28 +56,17 @@ def residual_map(track: ResidualTrack, title: str, low_latitude_deg: float) -> F
         order = np.argsort(np.abs(value), kind="stable")
         # a dark rim, so that a residual near zero is seen too
         axes.scatter(track.longitude_deg, track.latitude_deg, s=17.0, color=style.GREY, linewidths=0.0)
-        points = axes.scatter(
-            track.longitude_deg[order],
-            track.latitude_deg[order],
-            c=value[order],
-            s=7.0,
-            cmap=style.SIGNED_MAP,
-            vmin=-limit,
-            vmax=limit,
-            linewidths=0.0,
-        )
+        place = (track.longitude_deg[order], track.latitude_deg[order])
+        scale: dict[str, Any] = {"cmap": style.SIGNED_MAP, "vmin": -limit, "vmax": limit}
+        points = axes.scatter(*place, c=value[order], s=7.0, linewidths=0.0, **scale)
         bar = figure.colorbar(points, ax=axes, extend="both", pad=0.02, shrink=0.9)
         bar.ax.tick_params(labelsize=style.TICK_PT)
         bar.set_label("[nT]", fontsize=style.LABEL_PT)
         for edge in (-low_latitude_deg, low_latitude_deg):
             axes.axhline(edge, color=style.GREY, linewidth=0.8, linestyle="--", zorder=0.9)
         _world(axes)
-        style.label(
-            axes,
-            x="longitude [deg]" if number >= 2 else None,
-            y="latitude [deg]" if number % 2 == 0 else None,
-            title=f"{name} residual",
-        )
+        x, y = "longitude [deg]" if number >= 2 else None, None if number % 2 else "latitude [deg]"
+        style.label(axes, x=x, y=y, title=f"{name} residual")
     return figure
 
 
@@ -108,9 +97,8 @@ def residual_series(tracks: Sequence[ResidualTrack], title: str, low_latitude_de
     grid[3][1].set_xlim(max(float(reach.min()) - 4.0, -90.0), min(float(reach.max()) + 4.0, 90.0))
     grid[3][1].xaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 3, 6, 10], prune="both"))
     handles, labels = grid[0][0].get_legend_handles_labels()
-    made = figure.legend(
-        handles, labels, loc="outside lower center", ncols=len(tracks), fontsize=style.NOTE_PT, frameon=False
-    )
+    below: dict[str, Any] = {"loc": "outside lower center", "fontsize": style.NOTE_PT, "frameon": False}
+    made = figure.legend(handles, labels, ncols=len(tracks), **below)
     for text in made.get_texts():
         text.set_parse_math(False)
     return figure

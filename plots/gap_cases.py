@@ -1,8 +1,9 @@
-"""Figures of diagnoses side by side: what each name takes alone, what is left by latitude, satellites compared."""
+"""Figures of diagnoses side by side: what each name explains alone, the residual by latitude, satellites compared."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -22,10 +23,8 @@ def left_alone(bars: Sequence[tuple[str, float, str]], limit_nT: float, title: s
     axes.set_yticks(places, [label for label, _, _ in bars])
     axes.invert_yaxis()
     for place, (_, value, remark) in zip(places, bars, strict=True):
-        axes.text(
-            value + 0.012 * limit_nT, float(place), remark, va="center", fontsize=style.NOTE_PT,
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
-        )  # fmt: skip
+        box: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
+        axes.text(value + 0.012 * limit_nT, float(place), remark, va="center", fontsize=style.NOTE_PT, bbox=box)
     axes.axvline(limit_nT, color=style.BLACK, linewidth=1.0, linestyle="--", zorder=1.5)
     axes.set_xlim(0.0, 1.32 * limit_nT)
     style.label(axes, x="rms left per component [nT]; dashed: before", title=title)
@@ -62,10 +61,13 @@ def groups(labels: Sequence[str], series: Mapping[str, Sequence[float]], quantit
     hatches = ("", "//", "..", "xx")
     for number, (name, values) in enumerate(series.items()):
         shift = (number - 0.5 * (len(series) - 1)) * width
-        axes.bar(
-            places + shift, values, width=0.92 * width, color=style.CYCLE[number], hatch=hatches[number % 4],
-            edgecolor="white", linewidth=0.0, label=name,
-        )  # fmt: skip
+        look: dict[str, Any] = {
+            "color": style.CYCLE[number],
+            "hatch": hatches[number % 4],
+            "edgecolor": "white",
+            "linewidth": 0.0,
+        }
+        axes.bar(places + shift, values, width=0.92 * width, label=name, **look)
     axes.set_xticks(places, list(labels))
     style.zero_line(axes)
     style.label(axes, y=quantity, title=title)

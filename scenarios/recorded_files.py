@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.toml_input import Strict
+from fluxtwin.sim.base.toml_input import read_tree
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
 
@@ -17,23 +17,34 @@ ORBIT_KM = (6480.0, 8400.0)
 """Distance from the centre of the Earth: altitudes of about 100 to 2,000 km, where these satellites fly."""
 
 
-class FlightSettings(Strict):
-    """Settings whose keys that end in `file` or `files` name recorded data."""
+class Settings:
+    """The settings of a study, as its packaged TOML has them: `settings.magsat.file`."""
+
+    def __init__(self, tree: dict[str, Any]) -> None:
+        """tree: tables and values."""
+        self.tree = tree
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in self.__dict__.get("tree", {}):
+            raise AttributeError(f"the settings have no {name!r}")
+        value = self.tree[name]
+        return Settings(value) if isinstance(value, dict) else value
 
     @property
-    def files(self) -> tuple[str, ...]:
-        """Every file that the study reads from the data folder."""
-        return tuple(_files(self.model_dump()))
+    def files(self) -> list[str]:
+        """Every recorded file that the study reads: the keys that end in `file` or `files`."""
+        found: list[str] = []
+        for key, value in self.tree.items():
+            if isinstance(value, dict):
+                found += Settings(value).files
+            elif key.endswith(("file", "files")):
+                found += value if isinstance(value, list) else [value]
+        return found
 
 
-def _files(tree: dict[str, Any]) -> list[str]:
-    found: list[str] = []
-    for key, value in tree.items():
-        if isinstance(value, dict):
-            found += _files(value)
-        elif key.endswith(("file", "files")):
-            found += value if isinstance(value, list) else [value]
-    return found
+def read_settings(path: Path) -> Settings:
+    """The settings in a TOML file. Raises BadInput as `read_tree`."""
+    return Settings(read_tree(path))
 
 
 def check_folder(data: Path | None, files: Sequence[str]) -> Path:

@@ -12,9 +12,9 @@ from fluxtwin.calib.scalar.calibrate import calibrate_scalar
 from fluxtwin.gap.records import Diagnosis
 from fluxtwin.scenarios.elfin.gap_question import ask
 from fluxtwin.scenarios.elfin.record import Flight, Slip, Zone, read_flight
-from fluxtwin.scenarios.elfin.settings import Settings
 from fluxtwin.scenarios.elfin.unseen import Way, compare, residuals_nT
 from fluxtwin.scenarios.elfin.zone_fit import KINDS, ComplexArray, ZoneFit, fit_zone, local_noise_nT, responses
+from fluxtwin.scenarios.recorded_files import Settings
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.progress import Progress, part_of, silent
 from fluxtwin.sim.base.types import FloatArray

@@ -13,8 +13,8 @@ from fluxtwin.gap.problem import Budget
 from fluxtwin.gap.records import Diagnosis
 from fluxtwin.scenarios.elfin.bending import Joint, fit_joint, rows_of, start
 from fluxtwin.scenarios.elfin.record import Flight
-from fluxtwin.scenarios.elfin.settings import Settings
 from fluxtwin.scenarios.elfin.zone_fit import ZoneFit, powers
+from fluxtwin.scenarios.recorded_files import Settings
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import load_field

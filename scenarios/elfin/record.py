@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fluxtwin.scenarios.elfin.settings import MAP, Settings
+from fluxtwin.scenarios.recorded_files import Settings
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import epoch, sun
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
@@ -16,6 +16,8 @@ from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
 
+MAP = Path(__file__).parent / "map.toml"
+"""The column map of the record."""
 _IRREGULAR_S = 1e-3
 _STEP_S = 0.1
 _LOST_S = 1.0

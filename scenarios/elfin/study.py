@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -11,20 +11,21 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from fluxtwin.plots.elfin import Bars, Left, Response, left_figure, response_figure, zones_figure
+from fluxtwin.plots.elfin import Response, residuals_figure, response_figure, zones_figure
 from fluxtwin.scenarios.elfin.bending import Lags
 from fluxtwin.scenarios.elfin.compute import Results, ZoneResult, compute
-from fluxtwin.scenarios.elfin.settings import Settings, read_settings
 from fluxtwin.scenarios.elfin.unseen import Way
 from fluxtwin.scenarios.elfin.zone_fit import KINDS
 from fluxtwin.scenarios.page import Cell, FigureBlock, Page, StudyResult, Table
-from fluxtwin.scenarios.recorded_files import check_folder
+from fluxtwin.scenarios.recorded_files import Settings, check_folder, read_settings
 from fluxtwin.scenarios.worded_page import PageWords
 from fluxtwin.sim.base.files import write_text
 from fluxtwin.sim.base.progress import Progress, part_of, silent
 from fluxtwin.sim.base.types import FloatArray
 
 _WORDS = PageWords("fluxtwin.scenarios.elfin")
+SETTINGS = Path(__file__).parent / "elfin.toml"
+"""What the study runs with; a copy lies beside its results."""
 _AGREE_S = 5e-4
 """A slip seen in the spin phase to within that is the one that the stamps show."""
 _REACH = 0.5
@@ -38,7 +39,7 @@ def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResul
 
     Raises BadInput, before anything is written, for a missing folder or file or one that cannot be used.
     """
-    settings = read_settings()
+    settings = read_settings(SETTINGS)
     found = compute(check_folder(data, settings.files), settings, part_of(progress, 0.0, 0.95))
     progress("drawing", 0.95)
     values = _values(found, settings)
@@ -52,7 +53,7 @@ def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResul
         summary=_summary(found, values["share"], independent, settings),
         tables=tables,
         page=page,
-        written=[write_text(out / "elfin.toml", tomli_w.dumps(settings.model_dump()))],
+        written=[write_text(out / "elfin.toml", tomli_w.dumps(settings.tree))],
     )
 
 
@@ -124,7 +125,7 @@ def _summary(
         "diagnosis": found.diagnosis.to_dict(),
         "diagnosis_in_shadow": found.in_shadow.to_dict(),
         "figures": [dict(zip(("what", "independent", "here", "remark"), row, strict=True)) for row in independent],
-        "settings": settings.model_dump(),
+        "settings": settings.tree,
     }
 
 
@@ -212,18 +213,19 @@ def _figures(found: Results) -> list[FigureBlock]:
         size: FloatArray = np.abs(one.response[:, channel])
         return Response(f"zone {one.zone.number}", one.middle_s - entry_s, size, one.zone.sunlit > _SUNLIT)
 
-    channels = [
-        (name, [response(one, shadow[0], place) for one, shadow in zip(found.zones, shadows, strict=True)])
+    channels = {
+        name: [response(one, shadow[0], place) for one, shadow in zip(found.zones, shadows, strict=True)]
         for place, name in enumerate(("channel X", "channel Y"))
-    ]
-    bars = [Bars(f"unseen: {way.name}", way.unseen_nT) for way in found.ways]
-    bars.append(Bars("static, the zone's own", [one.fits["static"].rms_nT for one in found.zones]))
-    bars.append(Bars("local noise", [one.noise_nT for one in found.zones]))
-    residuals = [Left(f"zone {found.zones[place].zone.number}", *shown) for place, shown in found.shown.items()]
+    }
+    series_nT: dict[str, Sequence[float]] = {f"unseen: {way.name}": way.unseen_nT for way in found.ways}
+    series_nT["static, the zone's own"] = [one.fits["static"].rms_nT for one in found.zones]
+    series_nT["local noise"] = [one.noise_nT for one in found.zones]
+    numbers = [one.zone.number for one in found.zones]
+    shown = {f"zone {numbers[place]}": residuals for place, residuals in found.shown.items()}
     return [
         _WORDS.figure("responses", response_figure(channels, shadows[0][1])),
-        _WORDS.figure("unseen_zones", zones_figure(bars, [one.zone.number for one in found.zones])),
-        _WORDS.figure("unseen_residuals", left_figure(residuals)),
+        _WORDS.figure("unseen_zones", zones_figure(series_nT, numbers)),
+        _WORDS.figure("unseen_residuals", residuals_figure(shown)),
     ]
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from fluxtwin.scenarios.elfin.bending import Joint, Lags, Rows, fit_joint, rows_of, seen_by, start
 from fluxtwin.scenarios.elfin.record import Flight
-from fluxtwin.scenarios.elfin.settings import Settings
 from fluxtwin.scenarios.elfin.zone_fit import ZoneFit
+from fluxtwin.scenarios.recorded_files import Settings
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.types import FloatArray
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fluxtwin.scenarios.elfin.record import Zone
-from fluxtwin.scenarios.elfin.settings import Settings
+from fluxtwin.scenarios.recorded_files import Settings
 from fluxtwin.sim.base.types import FloatArray
 
 ComplexArray: TypeAlias = NDArray[np.complex128]

@@ -12,7 +12,6 @@ from fluxtwin.scenarios.flight_field import causes
 from fluxtwin.scenarios.flight_field.causes import PITCH, RING_CURRENT, TIME_OFFSET, CauseFit
 from fluxtwin.scenarios.flight_field.figures import Key
 from fluxtwin.scenarios.flight_field.residuals import Residual, against_field, against_model, low_latitude, statistics
-from fluxtwin.scenarios.flight_field.settings import Settings
 from fluxtwin.scenarios.flight_field.tracks import (
     RingCurrentIndex,
     Track,
@@ -21,6 +20,7 @@ from fluxtwin.scenarios.flight_field.tracks import (
     read_ring_current,
     read_swarm,
 )
+from fluxtwin.scenarios.recorded_files import Settings
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames

@@ -15,9 +15,8 @@ from fluxtwin.scenarios.flight_field.causes import PITCH, RING_CURRENT, TIME_OFF
 from fluxtwin.scenarios.flight_field.compute import Outcome, compute, found_figures
 from fluxtwin.scenarios.flight_field.figures import Figure, compare, read_figures
 from fluxtwin.scenarios.flight_field.residuals import COMPONENTS, Residual, low_latitude, rms, statistics
-from fluxtwin.scenarios.flight_field.settings import Settings, read_settings
 from fluxtwin.scenarios.page import Cell, FigureBlock, Page, StudyResult, Table
-from fluxtwin.scenarios.recorded_files import check_folder
+from fluxtwin.scenarios.recorded_files import Settings, check_folder, read_settings
 from fluxtwin.scenarios.worded_page import PageWords
 from fluxtwin.sim.base.files import write_text
 from fluxtwin.sim.base.progress import Progress, part_of, silent
@@ -25,6 +24,8 @@ from fluxtwin.sim.base.types import BoolArray
 from fluxtwin.sim.earth import epoch
 
 _WORDS = PageWords("fluxtwin.scenarios.flight_field")
+SETTINGS = Path(__file__).parent / "flight_field.toml"
+"""What the study runs with; a copy lies beside its results."""
 _NAMES = {"share": "share of the mean explained", "kp": "Kp", "rc": "RC"}
 _CAUSES = (RING_CURRENT, TIME_OFFSET, PITCH)
 
@@ -34,7 +35,7 @@ def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResul
 
     Raises BadInput, before anything is written, for a missing folder or file or one that cannot be used.
     """
-    settings = read_settings()
+    settings = read_settings(SETTINGS)
     outcome = compute(check_folder(data, settings.files), settings, part_of(progress, 0.0, 0.8))
     figures = compare(read_figures(), found_figures(outcome, settings), explanations(outcome))
     progress("drawing the residuals", 0.85)
@@ -46,7 +47,7 @@ def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResul
         summary=_summary(outcome, figures, settings),
         tables=tables,
         page=page,
-        written=[write_text(out / "flight_field.toml", tomli_w.dumps(settings.model_dump()))],
+        written=[write_text(out / "flight_field.toml", tomli_w.dumps(settings.tree))],
     )
 
 
@@ -79,7 +80,7 @@ def _summary(outcome: Outcome, figures: Sequence[Figure], settings: Settings) ->
         ],
         "causes": [{key: getattr(fit, key) for key in fitted} for fit in outcome.fits],
         "kp": [float(value) for value in outcome.kp],
-        "settings": settings.model_dump(),
+        "settings": settings.tree,
         "sources": {r.track.name: r.track.source for r in (outcome.magsat, outcome.swarm[0])},
     }
 

@@ -9,7 +9,7 @@ from fluxtwin.gap.records import Diagnosis
 from fluxtwin.scenarios.flight_field.tracks import read_magsat, read_swarm
 from fluxtwin.scenarios.flight_gaps import records
 from fluxtwin.scenarios.flight_gaps.models import field_model
-from fluxtwin.scenarios.flight_gaps.settings import Settings
+from fluxtwin.scenarios.recorded_files import Settings
 from fluxtwin.sim.base.toml_input import Strict, read_model
 from fluxtwin.sim.earth.field_models import FieldModel
 from fluxtwin.sim.telemetry.record import Telemetry

@@ -18,8 +18,8 @@ from fluxtwin.scenarios.flight_gaps import records
 from fluxtwin.scenarios.flight_gaps.alone import Alone, LeastSquares, alone, visible_nT
 from fluxtwin.scenarios.flight_gaps.cases import Case, magsat_record, names_of, read_cases, storm_record
 from fluxtwin.scenarios.flight_gaps.models import field_model
-from fluxtwin.scenarios.flight_gaps.settings import Settings
 from fluxtwin.scenarios.flight_gaps.tolles_lawson import Coefficients, coefficients
+from fluxtwin.scenarios.recorded_files import Settings
 from fluxtwin.sim.base.progress import Progress, part_of
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import frames

@@ -15,10 +15,9 @@ from fluxtwin.plots import gap_cases
 from fluxtwin.scenarios.flight_gaps.alone import Alone
 from fluxtwin.scenarios.flight_gaps.cases import names_of
 from fluxtwin.scenarios.flight_gaps.compute import STORM_NT, Answer, Outcome, compute
-from fluxtwin.scenarios.flight_gaps.settings import Settings, read_settings
 from fluxtwin.scenarios.page import Cell, FigureBlock, Page, Section, StudyResult, Table
 from fluxtwin.scenarios.page_markdown import as_markdown
-from fluxtwin.scenarios.recorded_files import check_folder
+from fluxtwin.scenarios.recorded_files import Settings, check_folder, read_settings
 from fluxtwin.scenarios.worded_page import PageWords
 from fluxtwin.sim.base.files import write_text
 from fluxtwin.sim.base.progress import Progress, part_of, silent
@@ -27,6 +26,8 @@ from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 SUSPICIOUS = 100.0
 """Times its typical size: a parameter as large as that is no effect of its name."""
 _WORDS = PageWords("fluxtwin.scenarios.flight_gaps")
+SETTINGS = Path(__file__).parent / "flight_gaps.toml"
+"""What the study runs with; a copy lies beside its results."""
 _AURORA_DEG = 60.0
 _TOP = 5
 _EDDY = {"K_xx": (0, 0), "K_yy": (1, 1), "K_xy": (0, 1), "K_xz": (0, 2), "K_yz": (1, 2)}
@@ -38,7 +39,7 @@ def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResul
 
     Raises BadInput, before anything is written, for a missing folder or file or one that cannot be used.
     """
-    settings = read_settings()
+    settings = read_settings(SETTINGS)
     outcome = compute(check_folder(data, settings.files), settings, part_of(progress, 0.0, 0.95))
     progress("drawing", 0.95)
     whole = page(outcome, settings)
@@ -49,7 +50,7 @@ def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResul
         tables=tables(outcome),
         page=whole,
         written=[
-            write_text(out / "flight_gaps.toml", tomli_w.dumps(settings.model_dump())),
+            write_text(out / "flight_gaps.toml", tomli_w.dumps(settings.tree)),
             write_text(out / "report.md", as_markdown(whole)),
         ],
     )
@@ -85,7 +86,7 @@ def summary(outcome: Outcome, settings: Settings) -> dict[str, Any]:
             "worst_nT": outcome.coefficients.worst_nT,
             "rms_nT": list(outcome.coefficients.parts_nT),
         },
-        "settings": settings.model_dump(),
+        "settings": settings.tree,
     }
 
 

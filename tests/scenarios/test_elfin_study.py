@@ -15,9 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from fluxtwin.scenarios.elfin import bending, record, study, unseen
 from fluxtwin.scenarios.elfin.compute import refusal
-from fluxtwin.scenarios.elfin.settings import MAP, Settings, read_settings
 from fluxtwin.scenarios.elfin.zone_fit import fit_zone, local_noise_nT, spin_rate
-from fluxtwin.scenarios.recorded_files import check_folder
+from fluxtwin.scenarios.recorded_files import Settings, check_folder, read_settings
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import load_field
@@ -26,7 +25,7 @@ from fluxtwin.sim.telemetry.record import Telemetry
 pytestmark = pytest.mark.closure
 
 Close = Callable[..., None]
-SETTINGS = read_settings()
+SETTINGS = read_settings(study.SETTINGS)
 NOISE_NT = 3.0
 MATRIX = np.array([[0.38, 0.05, 0.95], [0.75, 0.15, -0.55], [0.02, 1.12, 0.03]])
 OFFSET_NT = np.array([-600.0, -300.0, 200.0])
@@ -140,7 +139,9 @@ def test_slips_are_named_by_the_stamps() -> None:
 
 def test_the_map_is_the_documents() -> None:
     docs = Path(__file__).resolve().parents[2] / "docs" / "maps" / "elfin.toml"
-    ours, theirs = ([line for line in p.read_text().splitlines() if not line.startswith("#")] for p in (MAP, docs))
+    ours, theirs = (
+        [line for line in p.read_text().splitlines() if not line.startswith("#")] for p in (record.MAP, docs)
+    )
     assert ours == theirs
 
 
@@ -166,7 +167,7 @@ def test_zones_slips_and_noise_of_the_flight(flight: record.Flight) -> None:
         zone = flight.zones[place]
         fit = fit_zone(zone, "static", SETTINGS)
         assert 2.84 < 2.0 * np.pi / fit.rate_rad_s < 2.89  # the README: 2.84 to 2.88 s
-        low, high = SETTINGS.printed["noise_nT"]
+        low, high = SETTINGS.printed.noise_nT
         assert 0.8 * low < local_noise_nT(zone, fit) < high
         kinds = [fit_zone(zone, kind, SETTINGS, fit.rate_rad_s).rms_nT for kind in ("linear", "quadratic")]
         assert kinds[1] < kinds[0] < 0.5 * fit.rms_nT  # a static sensor it is not
@@ -177,7 +178,7 @@ def test_what_follows_sun_and_shadow_predicts_unseen_zones(flight: record.Flight
     """The reach: below half of the static sensor's rms on zones that were not used, over all nine; the boom alone in
     the zones in shadow. The spin phase is the only thing that an unseen zone gives."""
     own = [fit_zone(zone, "static", SETTINGS) for zone in flight.zones]
-    coarse = SETTINGS.model_copy(update={"every": 23, "settle_s": [300.0], "pairs_s": [[300.0, 500.0]]})
+    coarse = Settings(SETTINGS.tree | {"every": 23, "settle_s": [300.0], "pairs_s": [[300.0, 500.0]]})
     static, _, boom, scaled = unseen.compare(flight, own, coarse)
     assert scaled.unseen_whole_nT < 0.5 * static.unseen_whole_nT
     dark = slice(0, 7)

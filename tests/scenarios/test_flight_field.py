@@ -17,8 +17,7 @@ from fluxtwin.report import png_bytes, render_report
 from fluxtwin.scenarios.flight_field import causes, compute, study, tracks
 from fluxtwin.scenarios.flight_field.figures import Figure, compare, read_figures
 from fluxtwin.scenarios.flight_field.residuals import against_field, against_model, low_latitude, statistics
-from fluxtwin.scenarios.flight_field.settings import read_settings
-from fluxtwin.scenarios.recorded_files import check_folder
+from fluxtwin.scenarios.recorded_files import check_folder, read_settings
 from fluxtwin.sim.base.errors import BadInput, OutOfRange
 from fluxtwin.sim.base.files import to_json
 from fluxtwin.sim.base.progress import silent
@@ -27,6 +26,7 @@ from fluxtwin.sim.earth.field import field_NEC_nT, load_field
 
 pytestmark = pytest.mark.reference
 
+SETTINGS = read_settings(study.SETTINGS)
 FIGURES = {figure.id: figure for figure in read_figures()}
 DIFFERS = {"swarm-rc"}
 """Printed as -118 nT; the index in the same folder has -129 nT along the track, and -118 an hour later."""
@@ -36,19 +36,19 @@ EPOCH = np.datetime64("1980-01-01", "ns")
 @pytest.fixture(scope="module")
 def flight(shared: Path) -> Path:
     folder = shared / "flight"
-    if not (folder / read_settings().magsat.file).is_file():
+    if not (folder / SETTINGS.magsat.file).is_file():
         pytest.skip("the recorded flight data are absent from the shared folder")
     return folder
 
 
 @pytest.fixture(scope="module")
 def outcome(flight: Path) -> compute.Outcome:
-    return compute.compute(flight, read_settings(), silent)
+    return compute.compute(flight, SETTINGS, silent)
 
 
 @pytest.fixture(scope="module")
 def here(outcome: compute.Outcome) -> dict[tuple[str, str, str, str, str], float]:
-    return dict(compute.found_figures(outcome, read_settings()))
+    return dict(compute.found_figures(outcome, SETTINGS))
 
 
 @pytest.mark.parametrize("name", sorted(set(FIGURES) - DIFFERS))
@@ -130,7 +130,7 @@ def test_a_mistake_is_not_reproduced(outcome: compute.Outcome, name: str) -> Non
 
 
 def findings_of(outcome: compute.Outcome) -> dict[str, Figure]:
-    found = compare(read_figures(), compute.found_figures(outcome, read_settings()), study.explanations(outcome))
+    found = compare(read_figures(), compute.found_figures(outcome, SETTINGS), study.explanations(outcome))
     return {figure.id: figure for figure in found}
 
 
@@ -217,7 +217,7 @@ def test_the_index_is_not_stretched_over_days(flight: Path) -> None:
 def test_the_study_reports_what_it_found(flight: Path, tmp_path: Path) -> None:
     result = study.run(tmp_path, flight)
     assert [path.name for path in tmp_path.iterdir()] == ["flight_field.toml"]
-    assert read_settings(tmp_path / "flight_field.toml") == read_settings()
+    assert read_settings(tmp_path / "flight_field.toml").tree == SETTINGS.tree
     summary = json.loads(to_json(result.summary))
     status = {figure["id"]: figure["status"] for figure in summary["figures"]}
     assert status == {name: "differs" if name in DIFFERS else "reproduced" for name in FIGURES}
@@ -242,9 +242,9 @@ def test_without_data_nothing_is_written(tmp_path: Path) -> None:
 def test_missing_files_are_named(flight: Path, tmp_path: Path) -> None:
     shutil.copy(flight / "magsat_19800101.csv.gz", tmp_path)
     with pytest.raises(BadInput) as raised:
-        check_folder(tmp_path, read_settings().files)
+        check_folder(tmp_path, SETTINGS.files)
     before, after = str(raised.value).split("Wanted:")
-    for name in read_settings().files:
+    for name in SETTINGS.files:
         assert (name in before) == (name != "magsat_19800101.csv.gz")
         assert name in after
 

@@ -16,10 +16,9 @@ from fluxtwin.report import png_bytes
 from fluxtwin.scenarios.flight_field.tracks import read_magsat
 from fluxtwin.scenarios.flight_gaps import cases, compute, models, records, study
 from fluxtwin.scenarios.flight_gaps.alone import alone, visible_nT
-from fluxtwin.scenarios.flight_gaps.settings import Settings, read_settings
 from fluxtwin.scenarios.flight_gaps.tolles_lawson import coefficients
 from fluxtwin.scenarios.page_markdown import as_markdown
-from fluxtwin.scenarios.recorded_files import check_folder, numbers, opened
+from fluxtwin.scenarios.recorded_files import Settings, check_folder, numbers, opened, read_settings
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import to_json
 from fluxtwin.sim.base.progress import silent
@@ -38,7 +37,7 @@ MODELLED = ("bias", "scale_misalignment")
 
 @pytest.fixture(scope="module")
 def settings() -> Settings:
-    return read_settings()
+    return read_settings(study.SETTINGS)
 
 
 @pytest.fixture(scope="module")

@@ -24,6 +24,8 @@ from fluxtwin.sim.earth.field_models import FieldModel
 
 NAMED = ("boom", "boom, two lags")
 """Models whose lags the diagnosis may be given: the one that fits all zones best."""
+SUNLIT = 0.999
+"""Mean share of the sun in view from which on a zone is sunlit."""
 _NEIGHBOURS = 50
 
 
@@ -56,6 +58,17 @@ class ZoneResult:
     """(M, 3) complex, see `responses`."""
     starting_nT: float
     """Largest residual vector in the rows after switching on."""
+
+    @property
+    def period_s(self) -> float:
+        """Of the spin."""
+        return 2.0 * float(np.pi) / self.fits["static"].rate_rad_s
+
+    @property
+    def light(self) -> str:
+        """Whether the zone is sunlit."""
+        lit = self.zone.sunlit
+        return "sunlit" if lit > SUNLIT else "shadow" if lit < 1.0 - SUNLIT else "shadow, then sun"
 
 
 @dataclass(frozen=True)

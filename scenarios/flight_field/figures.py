@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,6 +30,11 @@ class Figure:
     """`reproduced`, `differs` or `not testable`."""
     why: str = ""
     """Why it differs or cannot be tested; empty where it is reproduced."""
+
+    @property
+    def shown(self) -> float | None:
+        """Ours with one digit more than the printed figure."""
+        return None if self.here is None else round(self.here, 1 - math.floor(math.log10(self.last_digit)))
 
 
 def read_figures() -> list[Figure]:

@@ -37,7 +37,7 @@ class Share:
 
 
 @dataclass(frozen=True)
-class Alone:
+class Shares:
     """The table of one record."""
 
     raw_nT: float
@@ -84,7 +84,7 @@ class LeastSquares:
 
 def alone(
     telemetry: Telemetry, model: FieldModel, modelled: Sequence[str], wanted: Sequence[tuple[SignalEffect, ...]]
-) -> Alone:
+) -> Shares:
     """Least squares of each set of effects and what is modelled, all components alike. Raises as `pose` does."""
     problem, shares = LeastSquares(telemetry, model, modelled), []
     for effects in wanted:
@@ -92,7 +92,7 @@ def alone(
         sizes = tuple(float(part[np.argmax(np.abs(part))]) for part in values)
         names, count = tuple(one.name for one in effects), sum(part.size for part in values)
         shares.append(Share(names, count, rms(remaining_nT), sizes))
-    return Alone(rms(problem.residual_nT), tuple(modelled), rms(problem.remaining_nT()[0]), tuple(shares))
+    return Shares(rms(problem.residual_nT), tuple(modelled), rms(problem.remaining_nT()[0]), tuple(shares))
 
 
 def visible_nT(

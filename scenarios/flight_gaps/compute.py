@@ -15,7 +15,7 @@ from fluxtwin.gap.records import Diagnosis
 from fluxtwin.scenarios.flight_field.residuals import rms
 from fluxtwin.scenarios.flight_field.tracks import read_kp, read_swarm
 from fluxtwin.scenarios.flight_gaps import records
-from fluxtwin.scenarios.flight_gaps.alone import Alone, LeastSquares, alone, visible_nT
+from fluxtwin.scenarios.flight_gaps.alone import LeastSquares, Shares, alone, visible_nT
 from fluxtwin.scenarios.flight_gaps.cases import Case, magsat_record, names_of, read_cases, storm_record
 from fluxtwin.scenarios.flight_gaps.models import field_model
 from fluxtwin.scenarios.flight_gaps.tolles_lawson import Coefficients, coefficients
@@ -103,10 +103,10 @@ class Outcome:
     """All that the study found."""
 
     answers: tuple[Answer, ...]
-    storm: Alone
+    storm: Shares
     """Swarm A in the storm, nothing modelled."""
     storm_visible: tuple[Visible, ...]
-    magsat: Mapping[str, Alone]
+    magsat: Mapping[str, Shares]
     """MAGSAT by model and axes, b and S free."""
     magsat_left: Left
     """What IGRF-14 with b and S free leaves along MAGSAT's orbit."""
@@ -165,7 +165,7 @@ def _effects(*names: str) -> tuple[SignalEffect, ...]:
     return tuple(effect for effect in map(find_effect, names) if isinstance(effect, SignalEffect))
 
 
-def _storm_tables(folder: Path, settings: Settings) -> tuple[Alone, tuple[Visible, ...]]:
+def _storm_tables(folder: Path, settings: Settings) -> tuple[Shares, tuple[Visible, ...]]:
     arc, model = storm_record(folder, settings), field_model("igrf14")
     names = ("ring_current", "bias", "scale_misalignment", "along_track_error", "time_tag_offset", "field_epoch")
     table = alone(arc, model, (), [_effects(name) for name in names])
@@ -184,7 +184,7 @@ def _storm_tables(folder: Path, settings: Settings) -> tuple[Alone, tuple[Visibl
     )
 
 
-def _magsat_tables(folder: Path, settings: Settings) -> Mapping[str, Alone]:
+def _magsat_tables(folder: Path, settings: Settings) -> Mapping[str, Shares]:
     epoch, track, tag, ring = map(_effects, ("field_epoch", "along_track_error", "time_tag_offset", "ring_current"))
     cut = (FieldTruncation(8, "richer"),)
     asked = {

@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 import tomli_w
+from matplotlib.figure import Figure
 
 from fluxtwin.gap import advice
-from fluxtwin.gap.records import Diagnosis, EffectParameter, FoundEffect
+from fluxtwin.gap.records import Alone, Diagnosis, EffectParameter, FoundEffect
 from fluxtwin.plots import gap_cases
-from fluxtwin.scenarios.flight_gaps.alone import Alone
+from fluxtwin.scenarios.flight_gaps.alone import Share, Shares
 from fluxtwin.scenarios.flight_gaps.cases import names_of
 from fluxtwin.scenarios.flight_gaps.compute import STORM_NT, Answer, Outcome, compute
-from fluxtwin.scenarios.page import Cell, FigureBlock, Page, Section, StudyResult, Table
+from fluxtwin.scenarios.page import Cell, Page, StudyResult
 from fluxtwin.scenarios.page_markdown import as_markdown
 from fluxtwin.scenarios.recorded_files import Settings, check_folder, read_settings
 from fluxtwin.scenarios.worded_page import PageWords
@@ -31,7 +32,6 @@ SETTINGS = Path(__file__).parent / "flight_gaps.toml"
 _AURORA_DEG = 60.0
 _TOP = 5
 _EDDY = {"K_xx": (0, 0), "K_yy": (1, 1), "K_xy": (0, 1), "K_xz": (0, 2), "K_yz": (1, 2)}
-_MINUS_IGRF = "MAGSAT minus IGRF-14"
 
 
 def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResult:
@@ -42,24 +42,18 @@ def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResul
     settings = read_settings(SETTINGS)
     outcome = compute(check_folder(data, settings.files), settings, part_of(progress, 0.0, 0.95))
     progress("drawing", 0.95)
-    whole = page(outcome, settings)
+    values, whole = page_values(outcome), page(outcome, settings)
     return StudyResult(
         name="flight-gaps",
         status_line=whole.verdict,
         summary=summary(outcome, settings),
-        tables=tables(outcome),
+        tables=[_WORDS.table(name, values) for name in ("short", "storm")],
         page=whole,
         written=[
             write_text(out / "flight_gaps.toml", tomli_w.dumps(settings.tree)),
             write_text(out / "report.md", as_markdown(whole)),
         ],
     )
-
-
-def tables(outcome: Outcome) -> list[Table]:
-    """The tables for the terminal."""
-    rows = [[answer.case.title, _said(answer), as_expected(answer)] for answer in outcome.answers]
-    return [_WORDS.table("short", rows), _storm_table(outcome)]
 
 
 def summary(outcome: Outcome, settings: Settings) -> dict[str, Any]:
@@ -90,29 +84,17 @@ def summary(outcome: Outcome, settings: Settings) -> dict[str, Any]:
     }
 
 
-def _plain(table: Alone) -> dict[str, Any]:
+def _plain(table: Shares) -> dict[str, Any]:
     kept = {key: value for key, value in vars(table).items() if key != "shares"}
     return kept | {"effects": [vars(share) for share in table.shares]}
 
 
 def page(outcome: Outcome, settings: Settings) -> Page:
     """The whole report."""
-    rows: list[list[Cell]] = []
-    for answer in outcome.answers:
-        case = answer.case
-        rows.append([case.title, case.known, case.expected, _said(answer), as_expected(answer)])
     return Page(
         title="Gaps that really flew",
         verdict=verdict(outcome),
-        sections=[
-            _WORDS.section("answers", [_WORDS.table("answers", rows)]),
-            storm(outcome),
-            _magsat(outcome),
-            remains(outcome),
-            _swarm(outcome),
-            _dmsp(outcome),
-            _aircraft(outcome),
-        ],
+        sections=_WORDS.sections(page_values(outcome), _figures(outcome)),
         provenance={
             "settings": "flight_gaps.toml beside this page",
             "files": ", ".join(settings.files),
@@ -178,32 +160,34 @@ def _said(answer: Answer) -> str:
     return said + (f"; resembles {', '.join(found.resembles)}" if found.resembles else "")
 
 
-def _storm_table(outcome: Outcome) -> Table:
-    rows: list[list[Cell]] = [["nothing", 0, round(outcome.storm.raw_nT, 1), ""]]
-    for share in sorted(outcome.storm.shares, key=lambda one: one.left_nT):
-        size = f"{share.sizes[0]:.4g}" if share.parameters == 1 else ""
-        rows.append([" + ".join(share.effects), share.parameters, round(share.left_nT, 1), size])
-    return _WORDS.table("storm", rows)
+def _ranked(answers: Sequence[Answer]) -> list[tuple[str, Alone]]:
+    """The best effects alone of every case, the first of each with the title of its record."""
+    return [
+        ("" if place else answer.case.title, line)
+        for answer in answers
+        for place, line in enumerate(answer.found.ranking[:_TOP])
+    ]
 
 
-def _ranking_table(answers: Sequence[Answer]) -> Table:
-    """The best effects alone of every case."""
-    rows: list[list[Cell]] = []
-    for answer in answers:
-        for place, line in enumerate(answer.found.ranking[:_TOP]):
-            p = "< 1e-12" if line.p_value < 1e-12 else f"{min(line.p_value, 1.0):.1e}"
-            rows.append(["" if place else answer.case.title, line.name, f"{line.drop:.4g}", line.directions, p])
-    return _WORDS.table("ranking", rows, top=_TOP)
-
-
-def storm(outcome: Outcome) -> Section:
-    """Swarm A in the storm."""
-    bare, full = outcome.answer("storm-none").found, outcome.answer("storm-default").found
-    arc, _, orbit, day = outcome.storm_visible
-    values = {
+def page_values(outcome: Outcome) -> dict[str, Any]:
+    """What the words and tables of the page take."""
+    bare, f16, table = outcome.answer("storm-none").found, outcome.answer("dmsp-f16"), outcome.storm
+    arc, _, one_orbit, day = outcome.storm_visible
+    nec, orbit = outcome.magsat["IGRF-14, NEC"], outcome.magsat["IGRF-14, orbit"]
+    change = np.diff(f16.left_nT, axis=0)[np.abs(f16.latitude_deg[1:]) > 65.0]
+    steps = np.sqrt(np.nanmean(np.square(change), axis=0)) if np.isfinite(change).any() else []
+    answers = outcome.part("swarm")
+    return {
         "o": outcome,
+        "names": _names,
+        "unnamed": _unnamed,
+        "names_of": names_of,
+        "doubts": doubts,
+        "said": _said,
+        "as_expected": as_expected,
+        "ranked": _ranked,
         "bare": bare,
-        "full": full,
+        "full": outcome.answer("storm-default").found,
         "ring": bare.ranking[0],
         "bias": next(line for line in bare.ranking if line.name == "bias"),
         "storm_nT": STORM_NT,
@@ -212,43 +196,69 @@ def storm(outcome: Outcome) -> Section:
         "unnamed": _unnamed,
         "names_of": names_of,
     }
-    rows: list[list[Cell]] = [
-        [one.rows, one.samples, round(one.whole_nT, 2), round(one.beside_b_and_S_nT, 3)]
-        for one in outcome.storm_visible
-    ]
-    visible = _WORDS.table("visible", rows, size=STORM_NT)
-    tables = [_storm_table(outcome), visible, _ranking_table(outcome.part("storm"))]
-    bars = []
-    for share in sorted(outcome.storm.shares, key=lambda one: one.left_nT):
-        count = f"{share.parameters} parameter{'s' if share.parameters > 1 else ''}"
-        bars.append((share.effects[0], share.left_nT, f"{share.left_nT:.1f} nT, {count}"))
-    title = "Swarm A in the storm of 1 January 2016, |latitude| < 50 deg: each effect alone, nothing modelled"
-    drawn = _WORDS.figure("storm_alone", gap_cases.left_alone(bars, outcome.storm.raw_nT, title))
-    return _WORDS.section("storm", tables, [drawn], arc=arc, orbit=orbit, day=day, **values)
 
 
-def _magsat(outcome: Outcome) -> Section:
-    """MAGSAT, four wrong or right models."""
-    fitted = zip(("b and S", "b, S and field_truncation"), outcome.degree_left, strict=True)
-    tracks = [(name, left.latitude_deg, left.residual_nT) for name, left in fitted]
-    drawn = gap_cases.by_latitude(tracks, f"{_MINUS_IGRF} to degree 8", _AURORA_DEG)
-    figures = [_WORDS.figure("magsat_degree_8", drawn)]
-    return _WORDS.section("magsat", [_ranking_table(outcome.part("magsat"))], figures, o=outcome, doubts=doubts)
-
-
-def remains(outcome: Outcome) -> Section:
-    """What IGRF-14 leaves of MAGSAT, and why an epoch helps."""
-    nec, orbit = outcome.magsat["IGRF-14, NEC"], outcome.magsat["IGRF-14, orbit"]
-    left, bands = outcome.magsat_left, outcome.magsat_left.bands()
+def _magsat_rows(outcome: Outcome) -> list[list[Cell]]:
     rows: list[list[Cell]] = []
     for name, table in outcome.magsat.items():
         rows.append([name, "b and S", round(table.base_nT, 1), ""])
         for share in table.shares:
             sizes = ", ".join(f"{size:.3g}" for size in share.sizes)
             rows.append(["", " + ".join(share.effects), round(share.left_nT, 1), sizes])
-    by_band: list[list[Cell]] = [[f"{low:g} to {high:g}", count, round(rms, 1)] for low, high, count, rms in bands]
+    return rows
+
+
+def _swarm_rows(found: Sequence[Diagnosis]) -> list[list[Cell]]:
+    of_stage = [one.where.probabilities.get("stage", {}).get(one.where.stage or "", 0.0) for one in found]
+    places = enumerate(("first of the ranking", "second", "third"))
+    ranked: list[list[Cell]] = [[name, *(one.ranking[place].name for one in found)] for place, name in places]
+    return [
+        ["verdict", *(one.verdict for one in found)],
+        ["stage", *(one.where.stage for one in found)],
+        ["probability of that stage", *(round(float(np.clip(share, 0.0, 1.0)), 2) for share in of_stage)],
+        ["frame", *(one.where.frame for one in found)],
+        ["left", *map(_unnamed, found)],
+        *ranked,
+        ["rms before [nT]", *(round(one.gap.before_nT, 1) for one in found)],
+        ["floor [nT]", *(round(one.gap.floor_nT, 1) for one in found)],
+        ["rows cut", *(one.samples["cut"] for one in found)],
+    ]
+
+
+def _eddy_us(outcome: Outcome) -> dict[str, dict[str, float]]:
+    """Published and found eddy terms of the aircraft, in microseconds."""
+    named = [one for one in outcome.answer("aircraft-eddy_current").found.effects if one.name == "eddy_current"]
+    published = -1e6 * outcome.coefficients.symmetric_eddy_s
+    return {
+        "published": {name: float(published[place]) for name, place in _EDDY.items()},
+        "found": {name: 1e6 * value.value for one in named for name, value in one.parameters.items()},
+    }
+
+
+def _figures(outcome: Outcome) -> dict[str, Figure]:
+    return {**_magsat_figures(outcome), **_storm_and_aircraft_figures(outcome), **_swarm_figures(outcome)}
+
+
+def _storm_and_aircraft_figures(outcome: Outcome) -> dict[str, Figure]:
+    bars = []
+    for share in sorted(outcome.storm.shares, key=lambda one: one.left_nT):
+        count = f"{share.parameters} parameter{'s' if share.parameters > 1 else ''}"
+        bars.append((share.effects[0], share.left_nT, f"{share.left_nT:.1f} nT, {count}"))
+    title = "Swarm A in the storm of 1 January 2016, |latitude| < 50 deg: each effect alone, nothing modelled"
+    eddy = {name: [values[term] for term in _EDDY] for name, values in _eddy_us(outcome).items() if values}
+    return {
+        "storm_alone": gap_cases.left_alone(bars, outcome.storm.raw_nT, title),
+        "aircraft_eddy": gap_cases.groups(list(_EDDY), eddy, "coefficient [us]", "An aircraft's eddy currents"),
+    }
+
+
+def _magsat_figures(outcome: Outcome) -> dict[str, Figure]:
+    left, (without, with_it) = outcome.magsat_left, outcome.degree_left
+    fitted = {"b and S": without, "b, S and field_truncation": with_it}
+    cut = [(name, one.latitude_deg, one.residual_nT) for name, one in fitted.items()]
+    track = ("rms in steps of 5 deg", left.latitude_deg, left.residual_nT)
+    pair = (outcome.magsat["IGRF-14, NEC"], outcome.magsat["IGRF-14, orbit"])
     along, epoch = "along_track_error", "field_epoch"
-    pair = (nec, orbit)
     series = {
         "b and S": [table.base_nT for table in pair],
         "with field_epoch": [table.left_nT(epoch) for table in pair],
@@ -256,85 +266,22 @@ def remains(outcome: Outcome) -> Section:
         "with both": [table.left_nT(along, epoch) for table in pair],
     }
     axes, title = ["north, east, centre", "axes of the orbit"], "MAGSAT and IGRF-14: what stands in for what"
-    track = ("rms in steps of 5 deg", left.latitude_deg, left.residual_nT)
-    by_latitude = gap_cases.by_latitude([track], f"{_MINUS_IGRF}, b and S free", _AURORA_DEG)
-    figures = [
-        _WORDS.figure("magsat_latitude", by_latitude),
-        _WORDS.figure("magsat_epoch", gap_cases.groups(axes, series, "rms left per component [nT]", title)),
-    ]
-    tables = [_WORDS.table("magsat", rows), _WORDS.table("bands", by_band)]
-    both = nec.share(along, epoch)
-    return _WORDS.section("remains", tables, figures, o=outcome, nec=nec, orbit=orbit, bands=bands, both=both)
-
-
-def _swarm(outcome: Outcome) -> Section:
-    """Three satellites on one day."""
-    answers = outcome.part("swarm")
-    found = [answer.found for answer in answers]
-    labels = [answer.case.title.partition(",")[0] for answer in answers]
-    rows: list[list[Cell]] = [
-        ["verdict", *(one.verdict for one in found)],
-        ["stage", *(one.where.stage for one in found)],
-        ["probability of that stage", *(_share_of_stage(one) for one in found)],
-        ["frame", *(one.where.frame for one in found)],
-        ["left", *map(_unnamed, found)],
-        ["rms before [nT]", *(round(one.gap.before_nT, 1) for one in found)],
-        ["floor [nT]", *(round(one.gap.floor_nT, 1) for one in found)],
-        ["rows cut", *(one.samples["cut"] for one in found)],
-    ]
-    ranked = ("first of the ranking", "second", "third")
-    rows[5:5] = [[name, *(one.ranking[place].name for one in found)] for place, name in enumerate(ranked)]
-    first = [line.name for line in found[0].ranking[:4]]
-    drops = [{line.name: line.drop for line in one.ranking} for one in found]
-    series = {label: [drop.get(name, 0.0) for name in first] for label, drop in zip(labels, drops, strict=True)}
-    tracks = [(label, a.latitude_deg, a.left_nT) for label, a in zip(labels, answers, strict=True)]
-    by_latitude = gap_cases.by_latitude(tracks, "Swarm minus CHAOS, 8 September 2014, b and S free", _AURORA_DEG)
-    figures = [
-        _WORDS.figure("swarm_latitude", by_latitude),
-        _WORDS.figure("swarm_ranking", gap_cases.groups(first, series, "drop of chi-square", "Each effect alone")),
-    ]
-    values = {
-        "alike": len({(one.verdict, one.where.stage) for one in found}) == 1,
-        "same_resemblance": len({tuple(one.resembles) for one in found}) == 1,
-        "beyond": sum(int((a.cut & (np.abs(a.latitude_deg) > _AURORA_DEG)).sum()) for a in answers),
-        "cut": sum(int(a.cut.sum()) for a in answers),
-        "spurious": [a.case.title for a in answers if "bit_errors" in names_of(a.found)],
+    minus = "MAGSAT minus IGRF-14"
+    return {
+        "magsat_degree_8": gap_cases.by_latitude(cut, f"{minus} to degree 8", _AURORA_DEG),
+        "magsat_latitude": gap_cases.by_latitude([track], f"{minus}, b and S free", _AURORA_DEG),
+        "magsat_epoch": gap_cases.groups(axes, series, "rms left per component [nT]", title),
     }
-    tables = [Table("Three satellites, one day", ["", *labels], rows), _ranking_table(answers)]
-    return _WORDS.section("swarm", tables, figures, answers=answers, **values)
 
 
-def _share_of_stage(found: Diagnosis) -> float:
-    """Probability of the stage that the answer gives."""
-    shares = found.where.probabilities.get("stage", {})
-    return round(float(np.clip(shares.get(found.where.stage or "", 0.0), 0.0, 1.0)), 2)
-
-
-def _dmsp(outcome: Outcome) -> Section:
-    """Two days in spacecraft axes; rms of the change from row to row beyond 65 deg, by axis."""
-    f16 = outcome.answer("dmsp-f16")
-    change = np.diff(f16.left_nT, axis=0)[np.abs(f16.latitude_deg[1:]) > 65.0]
-    steps = "nothing that is known"
-    if np.isfinite(change).any():
-        steps = ", ".join(f"{value:.0f}" for value in np.sqrt(np.nanmean(np.square(change), axis=0)))
-    tables = [_ranking_table(outcome.part("dmsp"))]
-    return _WORDS.section("dmsp", tables, o=outcome, unnamed=_unnamed, steps=steps)
-
-
-def _aircraft(outcome: Outcome) -> Section:
-    eddy, drawn = aircraft_eddy(outcome)
-    tables, c = [eddy, _ranking_table(outcome.part("aircraft"))], outcome.coefficients
-    return _WORDS.section("aircraft", tables, [drawn], o=outcome, c=c, eddy=bool(eddy.rows[0][2]))
-
-
-def aircraft_eddy(outcome: Outcome) -> tuple[Table, FigureBlock]:
-    """Published and found eddy terms, as a table and drawn."""
-    named = [one for one in outcome.answer("aircraft-eddy_current").found.effects if one.name == "eddy_current"]
-    found_us = {name: 1e6 * value.value for one in named for name, value in one.parameters.items()}
-    published_us = {name: -1e6 * float(outcome.coefficients.symmetric_eddy_s[ij]) for name, ij in _EDDY.items()}
-    rows = [[name, f"{published_us[name]:.1f}", f"{found_us[name]:.1f}" if name in found_us else ""] for name in _EDDY]
-    series = {"published": list(published_us.values())}
-    if found_us:
-        series["found"] = [found_us[name] for name in _EDDY]
-    drawn = gap_cases.groups(list(_EDDY), series, "coefficient [us]", "An aircraft's eddy currents")
-    return _WORDS.table("eddy", rows), _WORDS.figure("aircraft_eddy", drawn)
+def _swarm_figures(outcome: Outcome) -> dict[str, Figure]:
+    answers = {answer.case.title.partition(",")[0]: answer for answer in outcome.part("swarm")}
+    tracks = [(label, a.latitude_deg, a.left_nT) for label, a in answers.items()]
+    drops = {label: {line.name: line.drop for line in a.found.ranking} for label, a in answers.items()}
+    first = list(next(iter(drops.values())))[:4]
+    series = {label: [drop.get(name, 0.0) for name in first] for label, drop in drops.items()}
+    title = "Swarm minus CHAOS, 8 September 2014, b and S free"
+    return {
+        "swarm_latitude": gap_cases.by_latitude(tracks, title, _AURORA_DEG),
+        "swarm_ranking": gap_cases.groups(first, series, "drop of chi-square", "Each effect alone"),
+    }

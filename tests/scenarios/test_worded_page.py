@@ -1,0 +1,80 @@
+"""A page from a file of words: sections, tables by expression or by rows, captions; what is missing is an error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from jinja2 import UndefinedError
+from matplotlib.figure import Figure
+
+from fluxtwin.scenarios import words
+from fluxtwin.scenarios.worded_page import PageWords
+
+pytestmark = pytest.mark.property
+
+TEXT = """# Heading that nobody reads
+
+## section_first
+A title
+
+Words over
+two lines with {{ '%.1f' % x }} nT.
+
+[table plain]
+
+[table drawn north]
+
+[figure one]
+
+## table_plain
+Plain
+
+a | b {%- for n in (1, 2) %} | c{{ n }}{% endfor %}
+
+## table_drawn
+By expression
+
+for item in items
+name = item.name ~ argument
+half [nT] = round(item.size / 2, 2)
+missing = none
+
+A note
+in two lines.
+
+## figure_one
+Caption of {{ x }}.
+"""
+
+
+@pytest.fixture
+def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> PageWords:
+    (tmp_path / "words.md").write_text(TEXT, encoding="utf-8")
+    monkeypatch.setattr(words.resources, "files", lambda _: tmp_path)
+    return PageWords("anything")
+
+
+def test_a_page_is_built_in_the_order_of_the_file(page: PageWords) -> None:
+    items = [{"name": "A", "size": 3.0}, {"name": "B", "size": 0.25}]
+    values = {"x": 1.25, "items": items, "rows": {"plain": [[1, 2, 3, 4]]}}
+    figure = Figure()
+    (section,) = page.sections(values, {"one": figure})
+    assert section.title == "A title"
+    assert section.paragraphs == ["Words over two lines with 1.2 nT."]
+    plain, drawn = section.tables
+    assert (plain.columns, plain.rows, plain.note) == (["a", "b", "c1", "c2"], [[1, 2, 3, 4]], "")
+    assert drawn.columns == ["name", "half [nT]", "missing"]
+    assert drawn.rows == [["Anorth", 1.5, None], ["Bnorth", 0.12, None]]
+    assert drawn.note == "A note in two lines."
+    (block,) = section.figures
+    assert (block.name, block.caption, block.figure) == ("one", "Caption of 1.25.", figure)
+
+
+def test_a_value_that_is_missing_is_an_error(page: PageWords) -> None:
+    with pytest.raises(UndefinedError, match="size"):
+        page.table("drawn", {"items": [{"name": "A"}]})
+    with pytest.raises(UndefinedError, match="'x' is undefined"):
+        page.sections({"items": []}, {})
+    with pytest.raises(KeyError):
+        page.table("absent", {})

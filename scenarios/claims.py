@@ -11,18 +11,19 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from fluxtwin.scenarios.page import Cell, Table
 
-REPRODUCED, PUT_IN, DEFINITION, DIFFERS, NOT_TESTABLE = (
-    "reproduced", "put in", "definition", "differs", "not testable",
-)  # fmt: skip
-STATUSES = (REPRODUCED, PUT_IN, DEFINITION, DIFFERS, NOT_TESTABLE)
-
-ResultsT = TypeVar("ResultsT")
+STATUSES = REPRODUCED, PUT_IN, DEFINITION, DIFFERS, NOT_TESTABLE = (
+    "reproduced",
+    "put in",
+    "definition",
+    "differs",
+    "not testable",
+)
 
 
 @dataclass(frozen=True)
@@ -40,58 +41,39 @@ class Claim:
 
     def to_dict(self) -> dict[str, object]:
         """As it stands in `summary.json`."""
-        plain: dict[str, object] = {
-            "id": self.id, "where": self.where, "paper": self.paper, "here": self.here, "value": self.value,
-            "unit": self.unit, "status": self.status,
-        }  # fmt: skip
+        plain = {name: value for name, value in vars(self).items() if name != "why"}
         return plain | ({"why": self.why} if self.why else {})
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """What a judge says of one claim."""
-
-    here: str
-    """Text with the number and its unit."""
-    value: float
-    unit: str
-    holds: bool | None
-    """Whether the printed claim holds here; None: it cannot be tested."""
-    otherwise: str = ""
-    """Why not, if it does not hold; what would test it, if it cannot be tested."""
-    remark: str = ""
-    """What is to be said of it in any case."""
-
-
-def agree(ours: float, printed: float, margin: float) -> bool:
-    """Whether the two are no further apart than the margin."""
-    return bool(abs(ours - printed) <= margin)
-
-
-def judged(
-    entries: Iterable[Mapping[str, Any]], judges: Mapping[int, Callable[[ResultsT], Verdict]], results: ResultsT
-) -> list[Claim]:
+def judged(entries: Iterable[Mapping[str, Any]], judge: Callable[[int], Mapping[str, Any]]) -> list[Claim]:
     """Every entry (id, where, paper, and kind where it is no outcome) judged, in order.
 
-    Raises KeyError for a claim without a judge, ValueError for a verdict without a number or without its reason.
+    judge: of a claim's number what was found: `here` (text with the number and its unit), `value`, `unit`, `holds` (None: it
+    cannot be tested), `otherwise` (why not; what would test it), `remark` (to be said in any case). Raises KeyError for a
+    claim without a judge, ValueError for a verdict without a number or without its reason.
     """
     claims = []
     for entry in entries:
-        verdict, kind = judges[entry["id"]](results), entry.get("kind", REPRODUCED)
+        found, kind = judge(entry["id"]), entry.get("kind", REPRODUCED)
         if kind not in (REPRODUCED, PUT_IN, DEFINITION):
             raise ValueError(f"claim {entry['id']}: there is no kind {kind!r}")
-        if not np.isfinite(verdict.value):
+        if not np.isfinite(found["value"]):
             raise ValueError(f"claim {entry['id']}: no finite number was computed")
-        status = NOT_TESTABLE if verdict.holds is None else kind if verdict.holds else DIFFERS
-        if not verdict.holds and not verdict.otherwise:
+        status = NOT_TESTABLE if found["holds"] is None else kind if found["holds"] else DIFFERS
+        if not found["holds"] and not found["otherwise"]:
             raise ValueError(f"claim {entry['id']}: {status} without a reason")
-        reasons = (verdict.remark, "" if verdict.holds else verdict.otherwise)
         claims.append(
             Claim(
-                entry["id"], entry["where"], entry["paper"], verdict.here, float(verdict.value), verdict.unit, status,
-                "; ".join(filter(None, reasons)),
+                id=entry["id"],
+                where=entry["where"],
+                paper=entry["paper"],
+                here=found["here"],
+                value=float(found["value"]),
+                unit=found["unit"],
+                status=status,
+                why="; ".join(filter(None, (found["remark"], "" if found["holds"] else found["otherwise"]))),
             )
-        )  # fmt: skip
+        )
     return claims
 
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.calib.common.records import parameter_names
 from fluxtwin.calib.linear.calibrate import calibrate_linear
 from fluxtwin.calib.linear.fit import LinearFit
+from fluxtwin.scenarios.calibration_records import NAMES, truth_vector, vector, vector_sigma
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.mission import DAYS, SAMPLES, Flight
 from fluxtwin.scenarios.motion import prescribed
@@ -28,7 +28,6 @@ RUNS = 60
 SETS = ("A", "B", "AB")
 KINDS = ("white", "pass", "pass and field")
 """What the stated sigma allows for: nothing that lasts; errors that last a pass; these and the field model's."""
-NAMES = parameter_names(with_T=False)
 FIELD_ERROR_NT = 125.0
 """What the papers give for IGRF 1975, 1.0 to 1.5 mG: the ground of 1979 could have allowed for it."""
 _FEWEST_IN_PASS = 4
@@ -115,7 +114,7 @@ def run_calibrations(config: Scenario, ground: FieldModel, progress: Progress, r
             stated = _sigmas_of_kinds(*(vector_sigma(fit) for fit in (white, by_pass, with_field)))
             for kind, sigma in stated.items():
                 sigmas[kind][run, place] = sigma
-    truth = mission.truth_vector(config)
+    truth = truth_vector(config)
     alone = mission.fly(mission.only(days, "field"))
     return CalibrationStudy(
         fits=fits,
@@ -174,22 +173,6 @@ def fit_rows(flight: Flight, rows: np.ndarray, ground: FieldModel, kind: str = "
         passes=None if kind.startswith("white") else pass_labels(flight)[rows],
         field_error_nT=FIELD_ERROR_NT if kind.endswith("and field") else None,
     )
-
-
-def vector(fit: LinearFit) -> FloatArray:
-    """(12,) S row by row and b in mG."""
-    return np.concatenate([fit.calibration.S.ravel(), fit.calibration.b_nT / NT_PER_MG])
-
-
-def vector_sigma(fit: LinearFit) -> FloatArray:
-    """(12,) 1 sigma in the same order and units."""
-    sigma = fit.calibration.sigmas[:12]
-    return np.concatenate([sigma[:9], sigma[9:] / NT_PER_MG])
-
-
-def rms_mG(fit: LinearFit) -> float:
-    """Residual, rms per component over all three axes [mG]."""
-    return float(np.sqrt(np.mean(fit.residuals_nT**2)) / NT_PER_MG)
 
 
 def _sigmas_of_kinds(white: FloatArray, by_pass: FloatArray, with_field: FloatArray) -> dict[str, FloatArray]:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.calib.common.design import assemble
+from fluxtwin.scenarios.calibration_records import rms_mG
 from fluxtwin.scenarios.hcmm import mission
-from fluxtwin.scenarios.hcmm.calibration_study import choose_rows, fit_rows, rms_mG, with_random_phase
+from fluxtwin.scenarios.hcmm.calibration_study import choose_rows, fit_rows, with_random_phase
 from fluxtwin.scenarios.hcmm.mission import Flight
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.types import FloatArray

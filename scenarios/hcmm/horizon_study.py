@@ -63,7 +63,7 @@ EARTHS = (
     Earth("null: that with the season reversed", "infrared", "sphere", 1.0, True),
 )
 """An ellipsoid that is corrected leaves no error at all (a test shows it), so it is the scanner of the study."""
-_PUBLISHED = (FLAT.words, CORRECTED.words, WORST.words)
+PUBLISHED = (FLAT.words, CORRECTED.words, WORST.words)
 
 
 @dataclass(frozen=True)
@@ -115,27 +115,6 @@ class HorizonStudy:
         """The errors elsewhere on the orbit, all scans; without half an orbit, from where an ellipsoid looks the same."""
         elsewhere = np.flatnonzero(SHIFTS_DEG % 180.0)
         return [seen[at] for seen in self.shifted.values() for at in elsewhere]
-
-    @property
-    def words(self) -> str:
-        """What it says."""
-        scans, near = self.nearest
-        others = [seen.ratio for (name, earth), seen in self.cases.items() if name != scans and earth in _PUBLISHED]
-        corrected = [seen.ratio for (_, earth), seen in self.cases.items() if earth == CORRECTED.words]
-        factors, ranked = (np.array([getattr(one, name) for one in self.nulls]) for name in ("ratio", "correlation"))
-        as_large, as_good = int((factors >= near.ratio).sum()), int((ranked >= near.correlation).sum())
-        shown = "so it is no evidence of the horizon" if as_large else "so nothing else tried gives the factor"
-        return (
-            f"by night it is {self.printed.ratio:.2f} times that by day in print, {self.disc.ratio:.2f} times in ours. A "
-            f"horizon can do that: {scans}, the infrared Earth taken for a sphere, leaves {near.ratio:.2f} times "
-            f"({near.night:.2f} and {near.day:.2f} deg; printed {self.printed.night:.2f} and {self.printed.day:.2f}) and "
-            f"ranks the night passes as print does with {near.correlation:.2f} (without: {self.disc.correlation:.2f}); the "
-            f"other scanners {min(others):.2f} to {max(others):.2f}, all with the flattening corrected "
-            f"{min(corrected):.2f} to {max(corrected):.2f}. Neither side nor correction is printed, and of "
-            f"{factors.size} nulls, the same errors elsewhere on the orbit, {as_large} leave as large a factor "
-            f"({factors.min():.2f} to {factors.max():.2f}), {shown}; {as_good or 'none'} of them rank the night passes as "
-            f"well (at most {ranked.max():.2f}), a hint"
-        )
 
     def to_dict(self) -> dict[str, Any]:
         """As it stands in `summary.json`."""

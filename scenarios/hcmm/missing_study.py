@@ -16,8 +16,9 @@ import numpy as np
 from scipy.stats import t as student_t
 
 from fluxtwin.gap.records import Diagnosis
+from fluxtwin.scenarios.calibration_records import rms_mG
 from fluxtwin.scenarios.hcmm import mission
-from fluxtwin.scenarios.hcmm.calibration_study import SETS, choose_rows, fit_rows, rms_mG
+from fluxtwin.scenarios.hcmm.calibration_study import SETS, choose_rows, fit_rows
 from fluxtwin.scenarios.hcmm.field_evidence import FieldEvidence, rank_correlation
 from fluxtwin.scenarios.hcmm.gallery_study import GROUND, diagnosed
 from fluxtwin.scenarios.hcmm.mission import printed_value
@@ -90,15 +91,6 @@ class MissingStudy:
     printed: FloatArray
     """(NUMBERS,)."""
     hypotheses: tuple[Hypothesis, ...]
-
-    @property
-    def words(self) -> str:
-        """What print says of each hypothesis."""
-        told = []
-        for one in self.hypotheses[1:]:
-            excluded = [name.split(" [")[0] for name in one.excluded_by(self.printed)]
-            told.append(f"{one.name}: " + (f"excluded by {', '.join(excluded)}" if excluded else "not excluded"))
-        return "; ".join(told)
 
     def to_dict(self) -> dict[str, Any]:
         """As it stands in `summary.json`."""

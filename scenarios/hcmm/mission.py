@@ -10,15 +10,14 @@ import numpy as np
 
 from fluxtwin.scenarios.motion import ATTITUDES, with_attitude
 from fluxtwin.scenarios.printed import Printed
-from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.run.truth import Truth
 from fluxtwin.sim.run.world import World, build_world
 from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 
-_PRINTED = Printed("fluxtwin.scenarios.hcmm")
-read_table, read_claims, printed_value = _PRINTED.table, _PRINTED.claims, _PRINTED.value
+PRINTED = Printed("fluxtwin.scenarios.hcmm")
+read_table, read_claims, printed_value = PRINTED.table, PRINTED.claims, PRINTED.value
 
 
 def quantity(name: str) -> float:
@@ -44,12 +43,12 @@ class Flight:
 
 def scenario(attitude: str = ATTITUDES[0]) -> Scenario:
     """The packaged scenario: its vehicle moved by torques, or as `prescribed`."""
-    return with_attitude(parse_scenario(_PRINTED.text("hcmm.toml"), where="hcmm.toml"), attitude)
+    return with_attitude(parse_scenario(PRINTED.text("hcmm.toml"), where="hcmm.toml"), attitude)
 
 
 def scenario_text(attitude: str = ATTITUDES[0]) -> str:
     """The packaged scenario: as it is written, with the source of each number, or every key of the prescribed one."""
-    return _PRINTED.text("hcmm.toml") if attitude == ATTITUDES[0] else scenario(attitude).to_toml()
+    return PRINTED.text("hcmm.toml") if attitude == ATTITUDES[0] else scenario(attitude).to_toml()
 
 
 def fly(config: Scenario, world: World | None = None) -> Flight:
@@ -91,9 +90,3 @@ def only(config: Scenario, *sources: str) -> Scenario:
         if source not in sources:
             changes |= _OFF[source]
     return config.updated(changes)
-
-
-def truth_vector(config: Scenario) -> FloatArray:
-    """(12,) S row by row and b [mG] as the scenario has them; for comparison, no estimator sees it."""
-    assert config.magnetometer.b_mG is not None
-    return np.concatenate([np.array(config.magnetometer.S).ravel(), np.array(config.magnetometer.b_mG)])

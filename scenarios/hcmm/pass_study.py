@@ -75,6 +75,17 @@ class PassStudy:
         values = self.column(name)[chosen]
         return float(np.sqrt(np.nanmean(values**2)))
 
+    def printed_rms(self, name: str, chosen: BoolArray) -> float:
+        """The same of the printed entries that are there; name: a field of `Pass`."""
+        values = [getattr(item, name) for item in self.passes]
+        known = np.array([np.nan if value is None else value for value in values])[chosen]
+        return float(np.sqrt(np.nanmean(known**2)))
+
+    @property
+    def everything(self) -> BoolArray:
+        """(43,) all passes."""
+        return np.ones(len(self.passes), dtype=bool)
+
     @property
     def quiet(self) -> BoolArray:
         """(43,) the 39 passes of the first rms line."""
@@ -89,6 +100,11 @@ class PassStudy:
     def sunlit(self) -> BoolArray:
         """(43,) passes with printed sun-field angles."""
         return np.array([p.sunlit for p in self.passes])
+
+    @property
+    def lit(self) -> BoolArray:
+        """(43,) the 19 sunlit passes that are not at dawn."""
+        return self.sunlit & ~self.dawn
 
 
 def run_passes(
@@ -163,12 +179,6 @@ def _row(item: Pass, found: Angles, rows: np.ndarray) -> Row:
         sun_nadir=_range(found.computed_deg["sun_nadir"][rows]),
         delta_sun_nadir=_rms_deg(found.sun_nadir[rows]) if seen else None,
     )
-
-
-def printed_rms(values: Sequence[float | None]) -> float:
-    """Root mean square of the printed entries that are there."""
-    known = np.array([value for value in values if value is not None])
-    return float(np.sqrt(np.mean(known**2)))
 
 
 def _range(values: FloatArray) -> tuple[float, float]:

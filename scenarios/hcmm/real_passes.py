@@ -73,6 +73,11 @@ class RealPasses:
                 return one
         raise KeyError(name)
 
+    @property
+    def single_stations(self) -> list[Question]:
+        """Each station against the others, as printed."""
+        return [one for one in self.questions if one.name.endswith("against the others") and not one.corrected]
+
 
 def ask(passes: Sequence[Pass], evidence: FieldEvidence, seed: int, orders: int = ORDERS) -> RealPasses:
     """All questions. orders: number of permutations."""

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.calib.common.records import Calibration, parameter_names
+from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.linear.calibrate import calibrate_linear
 from fluxtwin.calib.linear.fit import LinearFit
+from fluxtwin.scenarios.calibration_records import NAMES, truth_vector, vector
 from fluxtwin.scenarios.seasat import mission
 from fluxtwin.scenarios.seasat.mission import DATA_SETS, Flight
 from fluxtwin.sim.base.errors import NoAnswer
@@ -18,12 +19,10 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.constants import NT_PER_MG
 from fluxtwin.sim.earth.field import FieldModel
-from fluxtwin.sim.scenario.scenario import Scenario
 
 RUNS = 200
 WHITE_RUNS = 50
 WHITE_SETS = ("205", "all")
-NAMES = parameter_names(with_T=False)
 
 
 @dataclass(frozen=True)
@@ -101,22 +100,6 @@ def run_calibrations(flight: Flight, ground: FieldModel, progress: Progress, run
         reference_3sigma_deg=3 * np.degrees(np.sqrt(reference_square.mean(axis=0))),
         truth=truth_vector(flight.scenario),
     )
-
-
-def truth_vector(config: Scenario) -> FloatArray:
-    """(12,) S row by row and b in mG as the scenario has them. For comparison only; no estimator sees it."""
-    b = np.array(config.magnetometer.bias_nT) / NT_PER_MG
-    return np.concatenate([np.array(config.magnetometer.S).ravel(), b])
-
-
-def vector(fit: LinearFit) -> FloatArray:
-    """(12,) S row by row and b in mG of a fit."""
-    return np.concatenate([fit.calibration.S.ravel(), fit.calibration.b_nT / NT_PER_MG])
-
-
-def rms_mG(fit: LinearFit) -> float:
-    """Residual, rms per component over all three axes [mG]."""
-    return float(np.sqrt(np.mean(fit.residuals_nT**2)) / NT_PER_MG)
 
 
 def _white_estimates(flight: Flight, ground: FieldModel) -> FloatArray:

@@ -19,8 +19,8 @@ from fluxtwin.sim.run.world import World, build_world
 from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 
-_PRINTED = Printed("fluxtwin.scenarios.seasat")
-read_table, read_claims, printed_value = _PRINTED.table, _PRINTED.claims, _PRINTED.value
+PRINTED = Printed("fluxtwin.scenarios.seasat")
+read_table, read_claims, printed_value = PRINTED.table, PRINTED.claims, PRINTED.value
 
 
 def quantity(name: str) -> float:
@@ -59,12 +59,12 @@ class Flight:
 
 def scenario(attitude: str = ATTITUDES[0]) -> Scenario:
     """The packaged scenario: its vehicle moved by torques, or as `prescribed`."""
-    return with_attitude(parse_scenario(_PRINTED.text("seasat.toml"), where="seasat.toml"), attitude)
+    return with_attitude(parse_scenario(PRINTED.text("seasat.toml"), where="seasat.toml"), attitude)
 
 
 def scenario_text(attitude: str = ATTITUDES[0]) -> str:
     """The packaged scenario: as it is written, with the source of each number, or every key of the prescribed one."""
-    return _PRINTED.text("seasat.toml") if attitude == ATTITUDES[0] else scenario(attitude).to_toml()
+    return PRINTED.text("seasat.toml") if attitude == ATTITUDES[0] else scenario(attitude).to_toml()
 
 
 def fly(config: Scenario, world: World | None = None) -> Flight:

@@ -65,11 +65,6 @@ def attitude_error_deg(A: FloatArray, q_NB: FloatArray) -> FloatArray:
     return np.asarray(np.degrees(0.5 * axial))
 
 
-def world_of(config: Scenario) -> World:
-    """Orbit, sun and field; the same for any seed and attitude."""
-    return build_world(config)
-
-
 def fly(config: Scenario, world: World | None = None) -> Flight:
     """Run a scenario in mode spin; `world` if it is known already."""
     world = build_world(config) if world is None else world
@@ -80,3 +75,7 @@ def fly(config: Scenario, world: World | None = None) -> Flight:
         provenance=dict(whole.provenance),
     )  # fmt: skip
     return Flight(config, told, truth)
+
+
+world_of = build_world
+"""Orbit, sun and field; the same for any seed and attitude."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from fluxtwin.scenarios.hcmm.gallery_page import _drive, _furthest
 from fluxtwin.scenarios.hcmm.gallery_study import Compared
+from fluxtwin.scenarios.hcmm.report import words
 
 pytestmark = pytest.mark.property
 
@@ -33,14 +34,15 @@ LAW = answer(
 
 def test_an_element_within_its_noise_is_not_given_as_found():
     """The column of x has the size that was put in, of noise alone, and its own element the wrong sign."""
-    words = _drive(answer(drive=10.0), LAW)
-    assert "but 1 of its 3 elements is above 3 sigma: C_yy -95 ± 17 (put in -100)" in words
-    assert "C_xx" not in words
-    assert "up to 71 nT/(A m2)" in words
+    said = words("gallery.md").say("drive", answer=answer(drive=10.0), law=LAW)
+    assert "but 1 of its 3 elements is above 3 sigma: C_yy -95 ± 17 (put in -100)" in said
+    assert "C_xx" not in said
+    assert "up to 71 nT/(A m2)" in said
 
 
 def test_the_number_furthest_from_what_was_put_in_is_named():
-    assert _furthest(LAW).startswith("Furthest from what was put in: C_xx, by 2.1 of its sigma")
+    furthest = partial(words("gallery.md").say, "furthest")
+    assert furthest(answer=LAW).startswith("Furthest from what was put in: C_xx, by 2.1 of its sigma")
     wrong = answer(element("S_zz", -0.007, -0.0075, 0.0001))
-    assert _furthest(wrong).endswith("that sigma is too small.")
-    assert _furthest(answer()) == ""
+    assert furthest(answer=wrong).endswith("that sigma is too small.")
+    assert furthest(answer=answer()) == ""

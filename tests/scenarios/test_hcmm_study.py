@@ -11,15 +11,14 @@ import json
 import numpy as np
 import pytest
 
+from fluxtwin.scenarios.calibration_records import NAMES, vector, vector_sigma
 from fluxtwin.scenarios.claims import STATUSES, counted
-from fluxtwin.scenarios.hcmm import mission, pass_tables, study, tables
-from fluxtwin.scenarios.hcmm.calibration_study import NAMES, SETS, choose_rows, vector, vector_sigma
-from fluxtwin.scenarios.hcmm.claims import judge_claims
+from fluxtwin.scenarios.hcmm import mission, study
+from fluxtwin.scenarios.hcmm.calibration_study import SETS, choose_rows
 from fluxtwin.scenarios.hcmm.dawn_study import run_dawn
 from fluxtwin.scenarios.hcmm.horizon_study import SCANS, WORST, with_horizon
-from fluxtwin.scenarios.hcmm.judges_calibration import pulls
 from fluxtwin.scenarios.hcmm.missing_study import NUMBERS
-from fluxtwin.scenarios.hcmm.report import page
+from fluxtwin.scenarios.hcmm.report import judge_claims, pulls, words
 from fluxtwin.scenarios.hcmm.yaw_study import equation_11
 from fluxtwin.sim.base import files
 
@@ -186,7 +185,7 @@ def test_of_what_may_be_missing_only_noise_is_not_excluded_by_the_calibrations(r
         assert calibration in excluded[name]
     for one in m.hypotheses[1:]:  # the size is set by the first number
         assert abs(one.mean[0] - m.printed[0]) < 0.2
-    assert m.words in claims[41].why
+    assert words().say("missing_words", r=results) in claims[41].why
 
 
 def test_summary_is_json_with_the_promised_keys(results, claims):
@@ -290,7 +289,8 @@ def _plain(words: object) -> str:
 
 
 def test_table_5_is_there_in_full_beside_the_paper_s(results):
-    strength, angles = pass_tables.strength_table(results), pass_tables.angles_table(results)
+    tables = study.tables(results)
+    strength, angles = tables["strength"], tables["angles"]
     for table in (strength, angles):
         assert len(table.rows) == 43 + 4
         for row, item in zip(table.rows, results.passes.passes, strict=False):
@@ -307,9 +307,10 @@ def test_table_5_is_there_in_full_beside_the_paper_s(results):
 
 
 def test_table_3_and_table_4_hold_every_set_and_both_ways(results, close):
-    table = tables.calibration_table(results)
+    tables = study.tables(results)
+    table = tables["calibration"]
     assert list(table.columns) == ["parameter", "set A", "printed", "set B", "printed", "A and B", "printed"]
-    assert len(tables.sigma_table(results).rows) == 13
+    assert len(tables["sigmas"].rows) == 13
     assert [row[0] for row in table.rows[:12]] == [f"{name} [mG]" if name[0] == "b" else name for name in NAMES]
     samples = next(row for row in table.rows if row[0] == "samples")
     assert samples[1:] == ["135", "135", "308", "308", "443", "443"]
@@ -317,7 +318,7 @@ def test_table_3_and_table_4_hold_every_set_and_both_ways(results, close):
     assert set(results.errors.simulated) == set(rule) == {*mission.SOURCES, "all"}
     # The independent program: 2.04 to 2.53 with the LSB rounded up to 1.4.
     close(rule["all"], (2.04, 2.53), atol=0.03, unit="mG", because="1.36 against 1.4 for the LSB")
-    assert len(tables.error_table(results).rows) == 6
+    assert len(tables["errors"].rows) == 6
 
 
 def test_figure_3_and_its_error_bar(results, close):
@@ -331,7 +332,7 @@ def test_figure_3_and_its_error_bar(results, close):
         yaw.error_bar_deg, 0.5 * (yaw.delta_nadir_field_deg + 0.802), atol=0.001, unit="deg", because="the papers' rule"
     )
     assert 0.8 * yaw.error_bar_deg < yaw.magnetometer_yaw_rms_deg < 2.0 * yaw.error_bar_deg
-    rows = {row[0]: row[1:] for row in pass_tables.figure_3_table(results).rows}
+    rows = {row[0]: row[1:] for row in study.tables(results)["figure_3"].rows}
     assert rows["error bar [deg]"] == [f"{yaw.error_bar_deg:.2f}", "0.58"]
 
 
@@ -414,7 +415,7 @@ def test_an_S_of_zero_would_be_missed(results, changed):
 
 
 def test_figures_and_page_are_drawn(results, claims, tmp_path):
-    made = page(results, list(claims.values()), "verdict")
+    made = study.page(results, list(claims.values()), "verdict")
     blocks = [block for section in made.sections for block in section.figures]
     wanted = {
         "flight_test",

@@ -13,10 +13,10 @@ import json
 import numpy as np
 import pytest
 
+from fluxtwin.scenarios.calibration_records import vector
 from fluxtwin.scenarios.claims import STATUSES, counted
 from fluxtwin.scenarios.seasat import geometry, mission, study
-from fluxtwin.scenarios.seasat.calibration_study import vector
-from fluxtwin.scenarios.seasat.claims import judge_claims
+from fluxtwin.scenarios.seasat.report import judge_claims
 from fluxtwin.sim.base import files
 
 pytestmark = pytest.mark.closure

@@ -21,9 +21,9 @@ from fluxtwin.scenarios.claims import Claim, counted
 from fluxtwin.scenarios.registry import STUDIES
 from fluxtwin.scenarios.st5 import mission, study
 from fluxtwin.scenarios.st5.calibration_study import options
-from fluxtwin.scenarios.st5.claims import judge_claims
 from fluxtwin.scenarios.st5.monte_carlo import truth_terms
 from fluxtwin.scenarios.st5.open_settings import filtered, settings
+from fluxtwin.scenarios.st5.report import judge_claims
 from fluxtwin.scenarios.st5.terms import terms_of
 from fluxtwin.sim.earth.field import load_field
 

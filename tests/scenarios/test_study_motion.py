@@ -8,8 +8,9 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from fluxtwin.scenarios.calibration_records import truth_vector, vector
 from fluxtwin.scenarios.hcmm import mission as hcmm
-from fluxtwin.scenarios.hcmm.calibration_study import choose_rows, fit_rows, vector, with_random_phase
+from fluxtwin.scenarios.hcmm.calibration_study import choose_rows, fit_rows, with_random_phase
 from fluxtwin.scenarios.motion import Motion, motion_of, prescribed
 from fluxtwin.scenarios.seasat import mission as seasat
 from fluxtwin.sim.base.errors import BadInput
@@ -115,7 +116,7 @@ def test_the_scatter_of_hcmms_calibrations_does_not_hang_on_the_motion() -> None
     values each, much of the errors common) has a spread of about 0.1; 0.3 is three of it.
     """
     days, ground = hcmm.on_days(hcmm.scenario()), load_field("igrf1975")
-    truth = hcmm.truth_vector(days)
+    truth = truth_vector(days)
     errors = np.empty((2, 10, 12))
     for run in range(10):
         moved = with_random_phase(days, 100 + run)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,69 +12,45 @@ from fluxtwin.plots import style
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 
-@dataclass(frozen=True)
-class ParameterScatter:
-    """Estimates of the same parameters from several data sets; K parameters, D data sets, R runs."""
+def draw_scatter(
+    names: Sequence[str],
+    data_sets: Sequence[str],
+    estimates: FloatArray,
+    truth: FloatArray,
+    printed: FloatArray,
+    signed: BoolArray,
+    *,
+    title: str,
+) -> Figure:
+    """One panel a parameter: spread of the estimates per data set, truth, and what is printed.
 
-    names: Sequence[str]
-    data_sets: Sequence[str]
-    estimates: FloatArray
-    """(R, D, K)."""
-    truth: FloatArray
-    """(K,)."""
-    printed: FloatArray
-    """(D, K) values printed in the paper, NaN where there is none."""
-    signed: BoolArray
-    """(D,) data sets whose printed values have their signs; of the others both are drawn."""
-
-
-@dataclass(frozen=True)
-class ErrorBudget:
-    """Contributions to the residual, two ways [mG]."""
-
-    sources: Sequence[str]
-    simulated_mG: FloatArray
-    paper_rule_mG: FloatArray
-    paper_range_mG: FloatArray | None = None
-    """(N, 2) lowest and highest, where the papers give a range."""
-
-
-@dataclass(frozen=True)
-class NodeMisfit:
-    """Misfit of each node tried, with the one chosen and the witness."""
-
-    raan_deg: FloatArray
-    misfit: FloatArray
-    chosen_deg: float
-    witness_deg: float
-
-
-def draw_scatter(record: ParameterScatter, *, title: str) -> Figure:
-    """One panel a parameter: spread of the estimates per data set, truth, and what is printed."""
-    rows = int(np.ceil(len(record.names) / 3))
+    estimates: (R, D, K); truth: (K,); printed: (D, K) values printed in the paper, NaN where there is none; signed:
+    (D,) data sets whose printed values have their signs; of the others both are drawn.
+    """
+    rows = int(np.ceil(len(names) / 3))
     figure, grid = style.figure(7.2, 2.0 * rows + 0.6, rows=rows, cols=3)
     all_axes = [axes for row in grid for axes in row]
-    places = np.arange(len(record.data_sets))
-    largest = np.max(np.abs(np.nanpercentile(record.estimates, [2.5, 97.5], axis=0)), axis=(0, 1))
-    marked = np.maximum(largest, np.nanmax(np.abs(record.printed), axis=0))
+    places = np.arange(len(data_sets))
+    largest = np.max(np.abs(np.nanpercentile(estimates, [2.5, 97.5], axis=0)), axis=(0, 1))
+    marked = np.maximum(largest, np.nanmax(np.abs(printed), axis=0))
     limits = [marked[column::3].max() for column in range(3)]
-    either = ~record.signed
-    for number, (axes, name) in enumerate(zip(all_axes, record.names, strict=False)):
-        low, middle, high = np.nanpercentile(record.estimates[:, :, number], [2.5, 50.0, 97.5], axis=0)
-        printed = record.printed[:, number]
+    either = ~signed
+    for number, (axes, name) in enumerate(zip(all_axes, names, strict=False)):
+        low, middle, high = np.nanpercentile(estimates[:, :, number], [2.5, 50.0, 97.5], axis=0)
+        theirs = printed[:, number]
         axes.vlines(places, low, high, color=style.BLUE, linewidth=4, alpha=0.6, label="95 % of the simulated runs")
         axes.plot(places, middle, "_", color=style.BLUE, markersize=10, label="their median")
         axes.plot(
-            places[record.signed], printed[record.signed], "x", color=style.PAPER, markersize=6,
+            places[signed], theirs[signed], "x", color=style.PAPER, markersize=6,
             label="printed, with its sign",
         )  # fmt: skip
         axes.plot(
-            np.tile(places[either], 2), np.concatenate([printed[either], -printed[either]]), "o", color=style.PAPER,
+            np.tile(places[either], 2), np.concatenate([theirs[either], -theirs[either]]), "o", color=style.PAPER,
             markersize=4, markerfacecolor="none", label="printed without a sign: both are drawn",
         )  # fmt: skip
-        axes.axhline(record.truth[number], color="black", linewidth=0.8, label="put in")
+        axes.axhline(truth[number], color="black", linewidth=0.8, label="put in")
         axes.set_title(name)
-        axes.set_xticks(places, record.data_sets, rotation=60, fontsize=7)
+        axes.set_xticks(places, data_sets, rotation=60, fontsize=7)
         limit = 1.1 * limits[number % 3]
         axes.set_ylim(-limit, limit)
         if number % 3 == 0:
@@ -86,39 +61,51 @@ def draw_scatter(record: ParameterScatter, *, title: str) -> Figure:
     return figure
 
 
-def draw_budget(record: ErrorBudget, *, title: str) -> Figure:
-    """Bars of the residual's sources: simulated alone, and by the paper's arithmetic."""
+def draw_budget(
+    sources: Sequence[str],
+    simulated_mG: FloatArray,
+    paper_rule_mG: FloatArray,
+    paper_range_mG: FloatArray | None = None,
+    *,
+    title: str,
+) -> Figure:
+    """Bars of the residual's sources: simulated alone, and by the paper's arithmetic.
+
+    paper_range_mG: (N, 2) lowest and highest, where the papers give a range.
+    """
     figure, ((axes,),) = style.figure(7.2, 3.8)
-    places = np.arange(len(record.sources))
+    places = np.arange(len(sources))
     for shift, values, label, colour in (
-        (-0.2, record.simulated_mG, "simulated, source alone", style.BLUE),
-        (0.2, record.paper_rule_mG, "the papers' arithmetic", style.ORANGE),
+        (-0.2, simulated_mG, "simulated, source alone", style.BLUE),
+        (0.2, paper_rule_mG, "the papers' arithmetic", style.ORANGE),
     ):
         axes.bar(places + shift, values, 0.38, label=label, color=colour)
-    tops = record.paper_rule_mG
-    if record.paper_range_mG is not None:
-        low, tops = record.paper_range_mG.T
+    tops = paper_rule_mG
+    if paper_range_mG is not None:
+        low, tops = paper_range_mG.T
         wide = tops > low
         axes.vlines(places[wide] + 0.2, low[wide], tops[wide], color=style.BLACK, linewidth=1.5, label="its range")
-    for shift, values, heights in ((-0.2, record.simulated_mG, record.simulated_mG), (0.2, record.paper_rule_mG, tops)):
+    for shift, values, heights in ((-0.2, simulated_mG, simulated_mG), (0.2, paper_rule_mG, tops)):
         for place, value, height in zip(places + shift, values, heights, strict=True):
             axes.annotate(f"{value:.2f}", (place, height), (0, 2), textcoords="offset points", ha="center", fontsize=8)
-    axes.set_xticks(places, [textwrap.fill(name, 14) for name in record.sources])
+    axes.set_xticks(places, [textwrap.fill(name, 14) for name in sources])
     axes.set(title=title, ylabel="rms per component [mG]")
     axes.legend()
     return figure
 
 
-def draw_node_misfit(record: NodeMisfit, *, title: str) -> Figure:
+def draw_node_misfit(
+    raan_deg: FloatArray, misfit: FloatArray, chosen_deg: float, witness_deg: float, *, title: str
+) -> Figure:
     """Misfit against the node, with the chosen one and the one that the launch gives."""
     figure, ((axes,),) = style.figure(7.2, 3.4)
-    axes.plot(record.raan_deg, 100 * record.misfit, color=style.BLUE)
-    axes.axvline(record.chosen_deg, color=style.VERMILION, label=f"chosen: {record.chosen_deg:.0f} deg")
+    axes.plot(raan_deg, 100 * misfit, color=style.BLUE)
+    axes.axvline(chosen_deg, color=style.VERMILION, label=f"chosen: {chosen_deg:.0f} deg")
     axes.axvline(
-        record.witness_deg,
+        witness_deg,
         color="black",
         linestyle="--",
-        label=f"from the launch: {record.witness_deg:.1f} deg",
+        label=f"from the launch: {witness_deg:.1f} deg",
     )
     axes.set(
         title=title,

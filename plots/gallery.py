@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,108 +12,68 @@ from fluxtwin.plots import style
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 
-@dataclass(frozen=True)
-class PassResiduals:
-    """Residual of each pass without and with the named cause; P passes."""
-
-    labels: Sequence[str]
-    unit: str
-    before: FloatArray
-    after: FloatArray
-    concerned: BoolArray
-    floor: float
-
-
-@dataclass(frozen=True)
-class HeadAngles:
-    """Measured less computed sun-nadir angle, by the head that saw the sun."""
-
-    hours: FloatArray
-    error_deg: FloatArray
-    head: np.ndarray
-
-
-@dataclass(frozen=True)
-class NightMap:
-    """Residual of field strength in rows without attitude, where they were taken, and the boxes."""
-
-    latitude_deg: FloatArray
-    longitude_deg: FloatArray
-    residual_nT: FloatArray
-    put_in_deg: tuple[float, float, float, float]
-    found_deg: tuple[float, float, float, float] | None
-
-
-@dataclass(frozen=True)
-class Following:
-    """A residual against what drives it, one series an axis."""
-
-    driver: FloatArray
-    """(N, 3)."""
-    residual_nT: FloatArray
-    """(N, 3)."""
-    driver_label: str
-
-
-@dataclass(frozen=True)
-class RealResiduals:
-    """Printed residual of each pass by station, and what is left once the known error of the model is out."""
-
-    stations: Sequence[str]
-    night: BoolArray
-    printed_mG: FloatArray
-    ratio: FloatArray
-    notes: tuple[str, str]
-    """What the tests say, one line a panel."""
-
-
-def draw_later(record: PassResiduals, *, title: str) -> Figure:
+def draw_later(
+    labels: Sequence[str],
+    unit: str,
+    before: FloatArray,
+    after: FloatArray,
+    concerned: BoolArray,
+    floor: float,
+    *,
+    title: str,
+) -> Figure:
     """A pair of points a pass; passes in which the cause acts are marked."""
     figure, ((axes,),) = style.figure(7.2, 3.0)
-    at = np.arange(len(record.labels))
-    for place in at[record.concerned]:
+    at = np.arange(len(labels))
+    for place in at[concerned]:
         axes.axvspan(place - 0.5, place + 0.5, color=style.PALE, alpha=0.5, linewidth=0)
-    axes.vlines(at, record.after, record.before, color=style.GREY, linewidth=1)
-    axes.plot(at, record.before, "o", color=style.ORANGE, markersize=4, label="without the cause")
-    axes.plot(at, record.after, "s", color=style.BLUE, markersize=4, label="with it, as found")
-    axes.axhline(record.floor, color=style.BLACK, linewidth=1, linestyle=":", label="where nothing is wrong")
+    axes.vlines(at, after, before, color=style.GREY, linewidth=1)
+    axes.plot(at, before, "o", color=style.ORANGE, markersize=4, label="without the cause")
+    axes.plot(at, after, "s", color=style.BLUE, markersize=4, label="with it, as found")
+    axes.axhline(floor, color=style.BLACK, linewidth=1, linestyle=":", label="where nothing is wrong")
     ticks = at[:: max(1, len(at) // 12)]
-    axes.set_xticks(ticks, [record.labels[k] for k in ticks], rotation=45, ha="right", fontsize=7)
+    axes.set_xticks(ticks, [labels[k] for k in ticks], rotation=45, ha="right", fontsize=7)
     axes.set(
-        title=title, xlabel="start of the pass [UTC]", ylabel=f"residual, rms [{record.unit}]", ylim=(0, None),
+        title=title, xlabel="start of the pass [UTC]", ylabel=f"residual, rms [{unit}]", ylim=(0, None),
         xlim=(-0.6, len(at) - 0.4),
     )  # fmt: skip
     axes.legend(loc="upper right", frameon=True, ncols=3, fontsize=8)
-    top = max(np.nanmax(record.before), np.nanmax(record.after))
+    top = max(np.nanmax(before), np.nanmax(after))
     axes.set_ylim(0, 1.25 * top)
     return figure
 
 
-def draw_heads(record: HeadAngles, *, title: str) -> Figure:
+def draw_heads(hours: FloatArray, error_deg: FloatArray, head: np.ndarray, *, title: str) -> Figure:
     """Dots by time, one colour and marker a head."""
     figure, ((axes,),) = style.figure(7.2, 3.0)
     for number, colour, marker in ((2, style.GREY, "."), (3, style.SKY, "x"), (1, style.VERMILION, "o")):
-        mine = record.head == number
-        axes.plot(
-            record.hours[mine], record.error_deg[mine], marker, color=colour, markersize=3, label=f"head {number}"
-        )
+        mine = head == number
+        axes.plot(hours[mine], error_deg[mine], marker, color=colour, markersize=3, label=f"head {number}")
     axes.axhline(0.0, color=style.BLACK, linewidth=0.8)
     axes.set(title=title, xlabel="hours from the first sample [h]", ylabel="measured less computed [deg]")
-    axes.set_ylim(top=1.45 * float(np.nanmax(record.error_deg)))
+    axes.set_ylim(top=1.45 * float(np.nanmax(error_deg)))
     axes.legend(loc="upper right", frameon=True, ncols=3, markerscale=2)
     return figure
 
 
-def draw_night_map(record: NightMap, *, title: str) -> Figure:
+def draw_night_map(
+    latitude_deg: FloatArray,
+    longitude_deg: FloatArray,
+    residual_nT: FloatArray,
+    put_in_deg: tuple[float, float, float, float],
+    found_deg: tuple[float, float, float, float] | None,
+    *,
+    title: str,
+) -> Figure:
     """Rows by night on the map, coloured by residual; the box that was put in and the one found."""
     figure, ((axes,),) = style.figure(7.2, 3.6)
-    limit = float(np.nanpercentile(np.abs(record.residual_nT), 99))
+    limit = float(np.nanpercentile(np.abs(residual_nT), 99))
     shown = axes.scatter(
-        record.longitude_deg, record.latitude_deg, c=record.residual_nT, s=7, cmap=style.SIGNED_MAP, vmin=-limit,
+        longitude_deg, latitude_deg, c=residual_nT, s=7, cmap=style.SIGNED_MAP, vmin=-limit,
         vmax=limit, edgecolors=style.GREY, linewidths=0.2,
     )  # fmt: skip
     for box, colour, line, label in (
-        (record.found_deg, style.SKY, "-", "found"), (record.put_in_deg, style.BLACK, ":", "put in"),
+        (found_deg, style.SKY, "-", "found"), (put_in_deg, style.BLACK, ":", "put in"),
     ):  # fmt: skip
         if box is not None:
             south, north, west, east = box
@@ -128,29 +87,41 @@ def draw_night_map(record: NightMap, *, title: str) -> Figure:
     return figure
 
 
-def draw_following(record: Following, *, title: str) -> Figure:
-    """One panel an axis."""
+def draw_following(driver: FloatArray, residual_nT: FloatArray, driver_label: str, *, title: str) -> Figure:
+    """One panel an axis.
+
+    driver: (N, 3); residual_nT: (N, 3).
+    """
     figure, (panels,) = style.figure(7.2, 2.8, cols=3, share_y=True)
     for number, (axes, name) in enumerate(zip(panels, "xyz", strict=True)):
-        axes.plot(
-            record.driver[:, number], record.residual_nT[:, number], ".", color=style.AXIS_COLOURS[number], markersize=2
-        )
-        axes.set(title=name, xlabel=record.driver_label)
+        axes.plot(driver[:, number], residual_nT[:, number], ".", color=style.AXIS_COLOURS[number], markersize=2)
+        axes.set(title=name, xlabel=driver_label)
     panels[0].set(ylabel="residual [nT]")
     figure.suptitle(title, fontsize=style.TITLE_PT)
     return figure
 
 
-def draw_real_passes(record: RealResiduals, *, title: str) -> Figure:
-    """Left: printed residuals by station. Right: over what the error of the flown model lets expect."""
-    names = sorted({*record.stations}, key=list(record.stations).index)
+def draw_real_passes(
+    stations: Sequence[str],
+    night: BoolArray,
+    printed_mG: FloatArray,
+    ratio: FloatArray,
+    notes: tuple[str, str],
+    *,
+    title: str,
+) -> Figure:
+    """Left: printed residuals by station. Right: over what the error of the flown model lets expect.
+
+    notes: what the tests say, one line a panel.
+    """
+    names = sorted({*stations}, key=list(stations).index)
     figure, ((left, right),) = style.figure(7.2, 3.8, cols=2)
-    for axes, values, words in ((left, record.printed_mG, record.notes[0]), (right, record.ratio, record.notes[1])):
+    for axes, values, words in ((left, printed_mG, notes[0]), (right, ratio, notes[1])):
         for place, name in enumerate(names):
-            mine = np.array([station == name for station in record.stations])
+            mine = np.array([station == name for station in stations])
             for chosen, shift, marker, colour, label in (
-                (mine & record.night, 0.13, "o", style.BLACK, "night"),
-                (mine & ~record.night, -0.13, "s", style.ORANGE, "day"),
+                (mine & night, 0.13, "o", style.BLACK, "night"),
+                (mine & ~night, -0.13, "s", style.ORANGE, "day"),
             ):
                 axes.plot(
                     np.full(int(chosen.sum()), place + shift), values[chosen], marker, color=colour, markersize=4,

@@ -1,16 +1,41 @@
-"""What the studies of Lerner and Shuster's papers read off a linear fit: S row by row, and b in mG."""
+"""The regression of Lerner and Shuster's papers, and what their studies read off it: S row by row, and b in mG."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from fluxtwin.calib.common.design import assemble
 from fluxtwin.calib.common.records import Calibration, parameter_names
+from fluxtwin.calib.linear.calibrate import calibrate_linear
 from fluxtwin.calib.linear.fit import LinearFit
+from fluxtwin.scenarios.flights import Flight
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.constants import NT_PER_MG
+from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.scenario.scenario import Scenario
+from fluxtwin.sim.telemetry.record import Telemetry
 
 NAMES = parameter_names(with_T=False)
+
+
+def papers_regression(telemetry: Telemetry, ground: FieldModel, **options: Any) -> LinearFit:
+    """Equations 8 and 9 as the papers have them: every sample an error of its own, none of them in the regressor."""
+    plain = {"errors_in_variables": False, "robust": "none", "covariance": "white"}
+    return calibrate_linear(telemetry, ground, **{**plain, **options})
+
+
+def bias_alone(telemetry: Telemetry, ground: FieldModel) -> Calibration:
+    """The mean bias, with S = T = 0, as the flight software of 1978 had it."""
+    return calibrate_linear(telemetry, ground, parameters="b", robust="none", covariance="white").calibration
+
+
+def error_square_mG2(flight: Flight, telemetry: Telemetry, ground: FieldModel) -> float:
+    """Mean square of equation 1's error at the true S, b, T = 0, as the ground sees it in rows of the flight."""
+    design = assemble(telemetry, ground, with_dipole=False)
+    corrected = design.B_nT @ (np.eye(3) + flight.truth.S).T + flight.truth.b_nT
+    return float(np.mean((design.H_nT - corrected) ** 2) / NT_PER_MG**2)
 
 
 def vector(fit: LinearFit) -> FloatArray:

@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import builtins
 import re
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
+from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
+from jinja2 import Environment, StrictUndefined, Undefined, UndefinedError
 
 from fluxtwin.scenarios.claims import Claim, judged
 from fluxtwin.scenarios.page import FigureBlock, Page, Section, Table
@@ -52,6 +54,7 @@ class Report(Words):
     ) -> None:
         """names: functions and constants that every section may use; filters: further ones of jinja's kind."""
         self._names, self._filters = names, filters or {}
+        self._made = self._new_environment()
         super().__init__(package, file)
 
     def say(self, name: str, **values: Any) -> str:
@@ -111,6 +114,38 @@ class Report(Words):
         """The packaged claims, each judged by the section with its number."""
         return judged(printed.claims(), lambda number: self._verdict(str(number), values))
 
+    def summary(self, **values: Any) -> dict[str, Any]:
+        """The content of `summary.json` from `summary.toml`, which says of each entry what it is, as an expression of jinja.
+
+        `let` names parts. In a table `with` is a mapping whose entries it has as well; with `each` the table is made of
+        every entry of a mapping (`key`, `one`) or of a list (`place`, `one`).
+        """
+        tree = tomllib.loads(resources.files(self._package).joinpath("summary.toml").read_text(encoding="utf-8"))
+        names = dict(values)
+        for name, expression in tree.pop("let").items():
+            names[name] = self._value(expression, names)
+        made: dict[str, Any] = _plain(self._entry(tree, names))
+        return made
+
+    def _entry(self, node: Any, names: Mapping[str, Any]) -> Any:
+        if isinstance(node, str):
+            return self._value(node, names)
+        table = {key: part for key, part in node.items() if key not in ("each", "with")}
+        if "each" in node:
+            items = self._value(node["each"], names)
+            inner = table if "with" not in node else {**table, "with": node["with"]}
+            if isinstance(items, Mapping):
+                return {key: self._entry(inner, {**names, "key": key, "one": one}) for key, one in items.items()}
+            return [self._entry(inner, {**names, "place": place, "one": one}) for place, one in enumerate(items)]
+        more = self._value(node["with"], names) if "with" in node else {}
+        return {**more, **{key: self._entry(part, names) for key, part in table.items()}}
+
+    def _value(self, expression: str, names: Mapping[str, Any]) -> Any:
+        found = self._made.compile_expression(expression, undefined_to_none=False)(**names)
+        if isinstance(found, Undefined):
+            raise UndefinedError(f"summary.toml: {expression}")
+        return found
+
     def _verdict(self, name: str, values: Mapping[str, Any]) -> dict[str, Any]:
         module = self._sections[name].make_module(dict(values))
         said = {"here": "", "otherwise": "", "remark": ""}
@@ -120,6 +155,9 @@ class Report(Words):
         return {**said, "value": module.value, "unit": module.unit, "holds": module.holds}  # type: ignore[attr-defined]
 
     def _environment(self) -> Environment:
+        return self._made
+
+    def _new_environment(self) -> Environment:
         made = Environment(
             undefined=StrictUndefined,
             autoescape=False,
@@ -142,6 +180,15 @@ class Report(Words):
 
     def _source(self, first: str, body: str) -> str:
         return first + body.strip() + "\n"
+
+
+def _plain(value: Any) -> Any:
+    """Numbers and lists of Python at any depth, as JSON knows them."""
+    if isinstance(value, Mapping):
+        return {key: _plain(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
 
 def _fixed(value: float, digits: int = 2) -> str:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.optimize import minimize
 
@@ -14,6 +11,7 @@ from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.mission import Flight
 from fluxtwin.scenarios.hcmm_orbit.geometry import angle_between
 from fluxtwin.scenarios.hcmm_orbit.record import read_stations
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.constants import FIELD_RADIUS_KM, NT_PER_MG
@@ -22,44 +20,9 @@ from fluxtwin.sim.run.world import orbit_from
 from fluxtwin.sim.scenario.scenario import Scenario
 
 
-@dataclass(frozen=True)
-class AccuracyStudy:
-    """Numbers in deg unless named otherwise."""
-
-    lsb_scalar_mG: float
-    """Residual in field strength with the LSB as the only error, the true S and b."""
-    field_mG: tuple[float, float]
-    """Weakest and strongest field along the passes."""
-    direction_noise: float
-    """rms angle between the calibrated and the true field, body axes."""
-    direction_model: float
-    """rms angle between the ground's model and the true field, in the passes."""
-    sun_error: float
-    """rms error of the measured sun direction in the plane of sun and nadir, heads 2 and 3."""
-    nadir_error: float
-    """The same of the measured nadir."""
-    dipole_equator_mG: float
-    """Equatorial field of the dipole part of the field of 1978 at HCMM's altitude."""
-    dipole_pole_deg: tuple[float, float]
-    """Arc from Orroral to the southern, from Fairbanks to the northern pole of that dipole."""
-    dip_pole_deg: tuple[float, float]
-    """The same to the points where the field is vertical at the ground."""
-    raw_direction: tuple[float, float]
-    """rms and largest angle between the reading as it is and the true field, body axes."""
-    yaw_known: Mapping[str, float]
-    """Share of the samples whose yaw, from the magnetometer with roll and pitch known, errs by less than was wanted: of the
-    reading as it is (`raw`), with a bias alone (`b`) and with b and S (`b, S`)."""
-    yaw_median: Mapping[str, float]
-    """The median errors."""
-    attitude_within: float
-    """Share of the samples with roll, pitch and yaw within 0.7, 0.5 and 2.0 deg."""
-    attitude_largest: FloatArray
-    """(3,) largest roll, pitch, yaw."""
-
-
 def run_accuracy(
     config: Scenario, flight: Flight, calibration: Calibration, bias_nT: FloatArray, ground: FieldModel
-) -> AccuracyStudy:
+) -> Numbers:
     """Evaluate them on the three days of Table 5. bias_nT: (3,) of a calibration with S = T = 0."""
     truth = load_field(config.field.truth)
     strength = np.linalg.norm(flight.world.field_N_nT, axis=1) / NT_PER_MG
@@ -74,24 +37,30 @@ def run_accuracy(
     }
     yaw_error = {name: _yaw_error_deg(flight, way, model_N) for name, way in ways.items()}
     wanted = mission.quantity("yaw wanted")
-    largest = np.degrees(
-        [np.abs(a).max() for a in (flight.truth.roll_rad, flight.truth.pitch_rad, flight.truth.yaw_rad)]
-    )
-    return AccuracyStudy(
+    return Numbers(
+        # Residual in field strength with the LSB as the only error, the true S and b.
         lsb_scalar_mG=_lsb_scalar(config),
+        # Weakest and strongest field along the passes.
         field_mG=(float(strength.min()), float(strength.max())),
+        # [deg] rms angle of the calibrated reading, and of the ground's model, to the true field.
         direction_noise=_rms_deg(angle_between(calibrated, flight.truth.field_B_nT)),
         direction_model=_rms_deg(angle_between(model_N, flight.world.field_N_nT)),
+        # [deg] rms error of measured sun and nadir in the plane of both, heads 2 and 3.
         sun_error=sun_error,
         nadir_error=nadir_error,
+        # Equatorial field of the dipole part of the field of 1978 at HCMM's altitude.
         dipole_equator_mG=_dipole_equator(config, truth),
+        # Arc from Orroral to the southern, from Fairbanks to the northern pole of that dipole; the same to the points
+        # where the field is vertical at the ground.
         dipole_pole_deg=_arcs(*_dipole_axis(truth, flight.world.time[0])),
         dip_pole_deg=_arcs(*_dip_poles(truth, flight.world.time[0])),
+        # [deg] rms and largest angle between the reading as it is and the true field.
         raw_direction=(_rms_deg(raw), float(np.degrees(raw.max()))),
+        # Share of the samples whose yaw, with roll and pitch known, errs by less than was wanted, and the median error.
         yaw_known={name: float((error < wanted).mean()) for name, error in yaw_error.items()},
         yaw_median={name: float(np.median(error)) for name, error in yaw_error.items()},
-        attitude_within=float(np.mean(_within(flight))),
-        attitude_largest=largest,
+        # Share of the samples with roll, pitch and yaw within the limits of the mission.
+        attitude_within=np.mean(_within(flight)),
     )
 
 

@@ -8,12 +8,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.calib.linear.calibrate import calibrate_linear
 from fluxtwin.calib.linear.fit import LinearFit
-from fluxtwin.scenarios.calibration_records import NAMES, truth_vector, vector, vector_sigma
+from fluxtwin.scenarios.calibration_records import (
+    NAMES,
+    bias_alone,
+    papers_regression,
+    truth_vector,
+    vector,
+    vector_sigma,
+)
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.mission import DAYS, SAMPLES, Flight
 from fluxtwin.scenarios.motion import prescribed
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.base.types import FloatArray
@@ -35,27 +42,6 @@ _FEWEST_IN_PASS = 4
 
 
 @dataclass(frozen=True)
-class BiasOnly:
-    """The bias that each pass alone gives, with S = T = 0; Q passes."""
-
-    b_mG: FloatArray
-    """(Q, 3)."""
-    mean_field_mG: FloatArray
-    """(Q, 3) mean reading of the pass, body axes."""
-    slope: float
-    """Of b1 against the mean X reading: what S11 would make it."""
-    explained: float
-    """Share of the variance of b1 that the first row of the printed S explains."""
-    explained_by_scale: float
-    """The same of S11 alone."""
-
-    @property
-    def half_range_mG(self) -> FloatArray:
-        """(3,) half the distance from the least to the greatest bias."""
-        return np.asarray(np.ptp(self.b_mG, axis=0) / 2.0)
-
-
-@dataclass(frozen=True)
 class CalibrationStudy:
     """Fits by set, and the scatter over many runs; K = 12 parameters (S, then b in mG)."""
 
@@ -70,7 +56,7 @@ class CalibrationStudy:
     """(RUNS, sets, K); every run has its own seed and orbital phase, so other passes; the motion is prescribed."""
     sigmas: Mapping[str, FloatArray]
     """(RUNS, sets, K) stated sigmas of each of KINDS."""
-    bias_only: BiasOnly
+    bias_only: Numbers
     truth: FloatArray
     """(K,)."""
     field_shift: FloatArray
@@ -164,11 +150,9 @@ def pass_labels(flight: Flight) -> np.ndarray:
 
 def fit_rows(flight: Flight, rows: np.ndarray, ground: FieldModel, kind: str = "pass and field") -> LinearFit:
     """The papers' regression with a covariance `white`, by `pass`, or either `and field`."""
-    return calibrate_linear(
+    return papers_regression(
         flight.telemetry.select(rows),
         ground,
-        errors_in_variables=False,
-        robust="none",
         covariance="white" if kind.startswith("white") else "blocks",
         passes=None if kind.startswith("white") else pass_labels(flight)[rows],
         field_error_nT=FIELD_ERROR_NT if kind.endswith("and field") else None,
@@ -183,7 +167,7 @@ def _sigmas_of_kinds(white: FloatArray, by_pass: FloatArray, with_field: FloatAr
     return dict(zip(KINDS, (white, by_pass, np.sqrt(by_pass**2 + with_field**2 - white**2)), strict=True))
 
 
-def _bias_only(flight: Flight, ground: FieldModel, S: FloatArray) -> BiasOnly:
+def _bias_only(flight: Flight, ground: FieldModel, S: FloatArray) -> Numbers:
     found, means = [], []
     usable = flight.telemetry.has_attitude
     labels = pass_labels(flight)
@@ -192,10 +176,18 @@ def _bias_only(flight: Flight, ground: FieldModel, S: FloatArray) -> BiasOnly:
         if rows.size < _FEWEST_IN_PASS:
             continue
         record = flight.telemetry.select(rows)
-        alone = calibrate_linear(record, ground, parameters="b", robust="none", covariance="white")
-        found.append(alone.calibration.b_nT / NT_PER_MG)
+        found.append(bias_alone(record, ground).b_nT / NT_PER_MG)
         means.append(record.mag_B_nT.mean(axis=0) / NT_PER_MG)
     b, mean = np.array(found), np.array(means)
-    slope = float(np.polyfit(mean[:, 0], b[:, 0], 1)[0])
-    explained = [float(1.0 - (b[:, 0] - part).var() / b[:, 0].var()) for part in (mean @ S[0], mean[:, 0] * S[0, 0])]
-    return BiasOnly(b, mean, slope, *explained)
+    explained, by_scale = (1.0 - (b[:, 0] - part).var() / b[:, 0].var() for part in (mean @ S[0], mean[:, 0] * S[0, 0]))
+    return Numbers(
+        # (Q, 3) bias that each pass alone gives with S = T = 0, and its mean reading; half the range of the bias.
+        b_mG=b,
+        mean_field_mG=mean,
+        half_range_mG=np.ptp(b, axis=0) / 2.0,
+        # Of b1 against the mean X reading: what S11 would make it.
+        slope=np.polyfit(mean[:, 0], b[:, 0], 1)[0],
+        # Share of the variance of b1 that the first row of the printed S explains, and S11 alone.
+        explained=explained,
+        explained_by_scale=by_scale,
+    )

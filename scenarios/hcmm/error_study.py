@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from fluxtwin.calib.common.design import assemble
-from fluxtwin.scenarios.calibration_records import rms_mG
+from fluxtwin.scenarios.calibration_records import error_square_mG2, rms_mG
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.calibration_study import choose_rows, fit_rows, with_random_phase
 from fluxtwin.scenarios.hcmm.mission import Flight
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
@@ -19,7 +18,6 @@ from fluxtwin.sim.earth.constants import NT_PER_MG
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
 from fluxtwin.sim.run.world import World, build_world
 from fluxtwin.sim.scenario.scenario import Scenario
-from fluxtwin.sim.scenario.sections import TorquersSection
 from fluxtwin.sim.spacecraft.sensors.torquers import coupling_nT_per_Am2
 
 RUNS = 12
@@ -27,35 +25,7 @@ NEAR_EQUATOR_DEG, NEAR_POLES_DEG = 5.0, 75.0
 """Geocentric latitudes that count as near the equator and near the poles."""
 
 
-@dataclass(frozen=True)
-class ErrorStudy:
-    """Contributions [mG, rms per component over the 443 samples], and what stands beside them."""
-
-    flights: int
-    simulated: Mapping[str, float]
-    """Error of equation 1 at the true S, b, T = 0, with that source alone; mean square over seeds and phases."""
-    simulated_spread: Mapping[str, float]
-    paper_rule: Mapping[str, tuple[float, float]]
-    """The papers' arithmetic, low and high."""
-    fit: float
-    """Residual of the 12-parameter fit with all sources."""
-    coil_axial_mG: float
-    """Field of one coil at the magnetometer on its axis, without compensation."""
-    coil_left_mG: float
-    """What the compensation leaves of it."""
-    reference_deg: FloatArray
-    """(3,) rms error of the reference attitude in yaw, roll, pitch; sunlit rows, heads 2 and 3."""
-    field_scalar_mG: float
-    """rms error of IGRF 1975 in field strength along the orbit, three days."""
-    field_axis_mG: float
-    """The same per axis."""
-    field_ends_mG: tuple[float, float]
-    """Mean strength of the field of 1978 along the orbit near the equator and near the poles, three days."""
-    field_direction_deg: FloatArray
-    """(4,) rms, three times that, largest of the three days, and largest over the passes of Table 5's stations."""
-
-
-def run_errors(config: Scenario, ground: FieldModel, progress: Progress, runs: int = RUNS) -> ErrorStudy:
+def run_errors(config: Scenario, ground: FieldModel, progress: Progress, runs: int = RUNS) -> Numbers:
     """Switch the sources on one at a time, then together."""
     days = mission.on_days(config)
     cases = {source: (source,) for source in mission.SOURCES} | {"all": mission.SOURCES}
@@ -68,22 +38,28 @@ def run_errors(config: Scenario, ground: FieldModel, progress: Progress, runs: i
         for case, sources in cases.items():
             flight = mission.fly(mission.only(moved, *sources), worlds["field" in sources])
             rows = choose_rows(flight, "AB")
-            squares[case].append(_error_square(flight, rows, ground))
+            squares[case].append(error_square_mG2(flight, flight.telemetry.select(rows), ground))
             if case == "all":
                 fits.append(rms_mG(fit_rows(flight, rows, ground, "white")) ** 2)
                 turned.append(_reference_error_square(flight, rows))
-    coupling = np.linalg.norm(coupling_nT_per_Am2(np.array(_torquers(config).positions_m)), axis=0).max()
-    axial = float(coupling * _torquers(config).Am2 / NT_PER_MG)
-    return ErrorStudy(
+    assert config.torquers is not None
+    coupling = np.linalg.norm(coupling_nT_per_Am2(np.array(config.torquers.positions_m)), axis=0).max()
+    axial_mG = coupling * config.torquers.Am2 / NT_PER_MG
+    return Numbers(
         flights=runs,
+        # [mG, rms per component over the 443 samples] Error of equation 1 at the true S, b, T = 0, with that source alone:
+        # mean square over seeds and phases, and standard deviation.
         simulated={case: float(np.sqrt(np.mean(values))) for case, values in squares.items()},
         simulated_spread={case: float(np.std(np.sqrt(values))) for case, values in squares.items()},
         paper_rule=paper_rule(config),
-        fit=float(np.sqrt(np.mean(fits))),
-        coil_axial_mG=axial,
-        coil_left_mG=axial * (1.0 - _torquers(config).compensation),
+        # Residual of the 12-parameter fit with all sources.
+        fit=np.sqrt(np.mean(fits)),
+        # Field of one coil at the magnetometer on its axis, and what the compensation leaves of it.
+        coil_axial_mG=axial_mG,
+        coil_left_mG=axial_mG * (1.0 - config.torquers.compensation),
+        # (3,) rms error of the reference attitude in yaw, roll, pitch; sunlit rows, heads 2 and 3.
         reference_deg=np.degrees(np.sqrt(np.mean(turned, axis=0))),
-        **_field_model(config, ground),  # type: ignore[arg-type]
+        **_field_model(config, ground),
     )
 
 
@@ -98,18 +74,6 @@ def paper_rule(config: Scenario) -> dict[str, tuple[float, float]]:
     return rule | {"all": (total[0], total[1])}
 
 
-def _torquers(config: Scenario) -> TorquersSection:
-    assert config.torquers is not None
-    return config.torquers
-
-
-def _error_square(flight: Flight, rows: np.ndarray, ground: FieldModel) -> float:
-    """Mean square of equation 1's error at the true S, b, T = 0, as the ground sees it [mG2]."""
-    design = assemble(flight.telemetry.select(rows), ground, with_dipole=False)
-    corrected = design.B_nT @ (np.eye(3) + flight.truth.S).T + flight.truth.b_nT
-    return float(np.mean((design.H_nT - corrected) ** 2) / NT_PER_MG**2)
-
-
 def _reference_error_square(flight: Flight, rows: np.ndarray) -> FloatArray:
     """(3,) mean square error of the reference attitude in yaw, roll and pitch [rad2]."""
     assert flight.telemetry.q_NB is not None
@@ -119,7 +83,7 @@ def _reference_error_square(flight: Flight, rows: np.ndarray) -> FloatArray:
     return np.array([np.mean((seen - real[rows]) ** 2) for seen, real in zip(reported, true, strict=True)])
 
 
-def _field_model(config: Scenario, ground: FieldModel) -> dict[str, object]:
+def _field_model(config: Scenario, ground: FieldModel) -> dict[str, Any]:
     """The error of the ground's model along three days of the orbit, at 30 s."""
     assert config.schedule is not None
     segment = config.schedule.segments[0]
@@ -127,20 +91,18 @@ def _field_model(config: Scenario, ground: FieldModel) -> dict[str, object]:
         {"schedule.in_view_of_stations": None, "schedule.segments": [
             {"start_utc": segment.start_utc, "duration_min": segment.duration_min, "step_s": 30.0}]}
     )  # fmt: skip
-    world: World = build_world(everywhere)
-    seen: World = build_world(config)
+    world = build_world(everywhere)
     strength, axis, angle = _differences(world, ground)
+    rms_rad, seen_rad = np.sqrt(np.mean(angle**2)), _differences(build_world(config), ground)[2]
     return {
-        "field_scalar_mG": float(np.sqrt(np.mean(strength**2)) / NT_PER_MG),
-        "field_axis_mG": float(np.sqrt(np.mean(axis**2)) / NT_PER_MG),
+        # rms error of IGRF 1975 in field strength, and per axis.
+        "field_scalar_mG": np.sqrt(np.mean(strength**2)) / NT_PER_MG,
+        "field_axis_mG": np.sqrt(np.mean(axis**2)) / NT_PER_MG,
+        # Mean strength of the field of 1978 near the equator and near the poles.
         "field_ends_mG": _field_ends_mG(world),
-        "field_direction_deg": np.degrees(
-            [
-                np.sqrt(np.mean(angle**2)), 3.0 * np.sqrt(np.mean(angle**2)), angle.max(),
-                _differences(seen, ground)[2].max(),
-            ]
-        ),
-    }  # fmt: skip
+        # rms, three times that, largest of the three days, and largest over the passes of Table 5's stations.
+        "field_direction_deg": np.degrees([rms_rad, 3.0 * rms_rad, angle.max(), seen_rad.max()]),
+    }
 
 
 def _field_ends_mG(world: World) -> tuple[float, float]:

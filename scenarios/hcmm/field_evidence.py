@@ -7,8 +7,6 @@ the residual that was printed. The witness against chance: the same map of error
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.stats import rankdata
 
@@ -18,6 +16,7 @@ from fluxtwin.scenarios.hcmm_orbit.angles import angles_along
 from fluxtwin.scenarios.hcmm_orbit.fit import OrbitFit
 from fluxtwin.scenarios.hcmm_orbit.record import read_passes
 from fluxtwin.scenarios.hcmm_orbit.windows import Windows
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
@@ -31,46 +30,7 @@ _SHUFFLES = 20_000
 _TURNS_DEG = np.arange(0.0, 360.0, 15.0)
 
 
-@dataclass(frozen=True)
-class FieldEvidence:
-    """43 passes."""
-
-    labels: tuple[str, ...]
-    printed_mG: FloatArray
-    """(43,) residual of Table 5."""
-    predicted_mG: FloatArray
-    """(43,) rms error of IGRF 1975 in field strength along the pass."""
-    night: FloatArray
-    """(43,) 1 at night."""
-    correlation: float
-    """Rank correlation of the two."""
-    correlation_without_four: float
-    """The same without the four passes above 3 mG."""
-    correlation_night: float
-    """Among the night passes alone; none of these went into a calibration."""
-    correlation_sunlit: float
-    chance: float
-    """Share of random orders of the overflights with at least that correlation (all 43).
-
-    The map of errors is smooth, so a wrong one correlates as well: see `turned_correlation`."""
-    top_shared: int
-    """Of the ten largest printed residuals, how many are among the ten largest predicted errors."""
-    turns_deg: FloatArray
-    turned_correlation: FloatArray
-    """Rank correlation with the map of errors turned east by so much."""
-
-    def best_turned(self, count: int) -> list[tuple[float, float]]:
-        """The largest rank correlations of maps that are turned, with the turn [deg] of each, largest first."""
-        turned = [(c, t) for t, c in zip(self.turns_deg.tolist(), self.turned_correlation.tolist(), strict=True) if t]
-        return [(t, c) for c, t in sorted(turned, reverse=True)[:count]]
-
-    @property
-    def with_lsb_mG(self) -> FloatArray:
-        """(43,) predicted error and the LSB's 1.36 mG together."""
-        return np.asarray(np.hypot(self.predicted_mG, LSB_MG))
-
-
-def weigh_field_error(fit: OrbitFit, windows: Windows, seed: int) -> FieldEvidence:
+def weigh_field_error(fit: OrbitFit, windows: Windows, seed: int) -> Numbers:
     """Predict, compare, and turn the map."""
     passes = read_passes()
     truth, flown = load_field("igrf14"), load_field("igrf1975")
@@ -91,19 +51,30 @@ def weigh_field_error(fit: OrbitFit, windows: Windows, seed: int) -> FieldEviden
     shuffled = _shuffled_correlations(printed, predicted, orders_of(overflights_of(passes), rng, _SHUFFLES))
     quiet = printed <= quantity("residual limit")
     night = np.array([not p.sunlit for p in passes])
-    return FieldEvidence(
+    turned = np.array([rank_correlation(printed, error_mG(turn)) for turn in _TURNS_DEG])
+    order = np.argsort(-turned[1:], kind="stable") + 1
+    return Numbers(
         labels=tuple(p.label for p in passes),
+        # (43,) residual of Table 5; rms error of IGRF 1975 in field strength along the pass, without and with the LSB's.
         printed_mG=printed,
         predicted_mG=predicted,
+        with_lsb_mG=np.hypot(predicted, LSB_MG),
+        # (43,) 1 at night.
         night=night.astype(np.float64),
+        # Rank correlation of the two; without the four passes above 3 mG; among the night passes, of which none went into
+        # a calibration; among the sunlit ones.
         correlation=found,
         correlation_without_four=rank_correlation(printed[quiet], predicted[quiet]),
         correlation_night=rank_correlation(printed[night], predicted[night]),
         correlation_sunlit=rank_correlation(printed[~night], predicted[~night]),
-        chance=float(np.mean(shuffled >= found)),
-        top_shared=len(set(np.argsort(-printed)[:TOP]) & set(np.argsort(-predicted)[:TOP])),
+        # Share of random orders of the overflights with at least that correlation. The map of errors is smooth, so a wrong
+        # one correlates as well: the rank correlations with the map turned east by so much, and the three best of these.
+        chance=np.mean(shuffled >= found),
         turns_deg=_TURNS_DEG,
-        turned_correlation=np.array([rank_correlation(printed, error_mG(turn)) for turn in _TURNS_DEG]),
+        turned_correlation=turned,
+        best_turned=[(float(_TURNS_DEG[k]), float(turned[k])) for k in order[:3]],
+        # Of the ten largest printed residuals, how many are among the ten largest predicted errors.
+        top_shared=len(set(np.argsort(-printed)[:TOP]) & set(np.argsort(-predicted)[:TOP])),
     )
 
 

@@ -53,8 +53,6 @@ class Case:
     title: str
     cause: str
     """The name of the catalogue that it has."""
-    told: str
-    """What flew, in words."""
     changes: Mapping[str, Any]
     """Against the scenario with head 1 mounted right."""
     modelled: tuple[str, ...] = _BOTH
@@ -64,32 +62,18 @@ def cases(config: Scenario) -> tuple[Case, ...]:
     """The four, with the scenario's own misalignment of head 1."""
     turn = list(config.sun_sensor["1"].misalignment_deg)
     field = {"condition": "night", "region_deg": list(REGION_DEG), "f_nT": list(FIELD_NT)}
+    uncompensated = {"torquers.compensation": 0.0, "torquers.telemetered": True}
     return (
+        Case("a", "Head 1 is turned", "sun_sensor_head_misalignment", {"sun_sensor.1.misalignment_deg": turn}),
         Case(
-            "a", "Head 1 is turned", "sun_sensor_head_misalignment",
-            f"Sun-sensor head 1 sits {np.linalg.norm(turn):.1f} deg from where the ground believes. It gives the attitude "
-            "of the dawn passes over Orroral alone.",
-            {"sun_sensor.1.misalignment_deg": turn},
-        ),
-        Case(
-            "b", "A field at night over the eastern United States", "switched_field",
-            "Something on board is switched on at night over the eastern United States: a field of 4.7 mG, 4 mG of it along "
-            "the field of the Earth there. No row of the night has an attitude.",
+            "b",
+            "A field at night over the eastern United States",
+            "switched_field",
             {"effects.switched_field": field},
         ),
-        Case(
-            "c", "Torquer compensation is off", "torquer_coupling",
-            "The electronic compensation of the torquers is off, and a coil adds up to 20 mG to the reading while it works. "
-            "The commanded dipole is in the telemetry.",
-            {"torquers.compensation": 0.0, "torquers.telemetered": True},
-        ),
-        Case(
-            "d", "Only b is modelled", "scale_misalignment",
-            "Nothing is wrong on board, but the ground solves for the bias alone, as the flight software of 1978 did: the "
-            "misalignment and scale of the magnetometer are the gap.",
-            {}, ("bias",),
-        ),
-    )  # fmt: skip
+        Case("c", "Torquer compensation is off", "torquer_coupling", uncompensated),
+        Case("d", "Only b is modelled", "scale_misalignment", {}, ("bias",)),
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -24,6 +23,7 @@ from fluxtwin.scenarios.hcmm.pass_study import Row, rows_of_passes
 from fluxtwin.scenarios.hcmm.scanner_study import TRUSTED_HEADS, with_new_attitude
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, read_passes
 from fluxtwin.scenarios.hcmm_orbit.windows import Windows
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames, horizon
@@ -67,66 +67,34 @@ PUBLISHED = (FLAT.words, CORRECTED.words, WORST.words)
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What one kind of scanner leaves in the 43 passes [deg, rms]."""
-
-    night: float
-    """Nadir-field residual of the passes without sun."""
-    day: float
-    sun_nadir: float
-    """Sunlit passes, without those at dawn."""
-    correlation: float
-    """Rank correlation of the night passes' nadir-field residuals with those printed."""
-
-    @property
-    def ratio(self) -> float:
-        """Night over day."""
-        return self.night / self.day
-
-    def to_dict(self) -> dict[str, float]:
-        """As it stands in `summary.json`."""
-        return {
-            "night_deg": self.night, "day_deg": self.day, "sun_nadir_deg": self.sun_nadir,
-            "night_rank_correlation": self.correlation,
-        }  # fmt: skip
-
-
-@dataclass(frozen=True)
 class HorizonStudy:
     """Scanner by scanner."""
 
-    printed: Seen
+    printed: Numbers
     """The papers' own rows."""
-    disc: Seen
+    disc: Numbers
     """The scanner of the study, whose horizon is without error."""
-    cases: Mapping[tuple[str, str], Seen]
+    cases: Mapping[tuple[str, str], Numbers]
     """By scans (names of SCANS) and Earth (words of EARTHS)."""
-    shifted: Mapping[str, tuple[Seen, ...]]
+    shifted: Mapping[str, tuple[Numbers, ...]]
     """By scans: WORST with its errors moved along the orbit by each of SHIFTS_DEG."""
 
     @property
-    def nearest(self) -> tuple[str, Seen]:
+    def nearest(self) -> tuple[str, Numbers]:
         """The scans that come nearest to the printed ratio where the Earth is WORST, and what they leave."""
         worst = {scans: self.cases[scans, WORST.words] for scans in SCANS}
         return min(worst.items(), key=lambda item: abs(item[1].ratio - self.printed.ratio))
 
     @property
-    def nulls(self) -> list[Seen]:
+    def nulls(self) -> list[Numbers]:
         """The errors elsewhere on the orbit, all scans; without half an orbit, from where an ellipsoid looks the same."""
         elsewhere = np.flatnonzero(SHIFTS_DEG % 180.0)
         return [seen[at] for seen in self.shifted.values() for at in elsewhere]
 
-    def to_dict(self) -> dict[str, Any]:
-        """As it stands in `summary.json`."""
-        return {
-            "printed": self.printed.to_dict(),
-            "scanner_of_the_study": self.disc.to_dict(),
-            "cases": [
-                {"scans": scans, "horizon": earth, **one.to_dict()} for (scans, earth), one in self.cases.items()
-            ],
-            "moved_deg": SHIFTS_DEG.tolist(),
-            "moved_night_over_day": {scans: [one.ratio for one in seen] for scans, seen in self.shifted.items()},
-        }
+    @property
+    def moved_ratios(self) -> dict[str, list[float]]:
+        """Night over day of the moved errors, by scans."""
+        return {scans: [one.ratio for one in seen] for scans, seen in self.shifted.items()}
 
 
 def run_horizon(
@@ -136,13 +104,13 @@ def run_horizon(
     days = mission.fly(mission.on_days(config))
     rows, labels = choose_rows(days, "AB"), pass_labels(days)
 
-    def left_by(one: Flight, other: Flight) -> Seen:
+    def left_by(one: Flight, other: Flight) -> Numbers:
         found = calibrate_scanner(one.telemetry, heads=TRUSTED_HEADS, passes=labels)
         repaired = replace(one, telemetry=with_new_attitude(one, found.apply(one.telemetry)))
         calibration = fit_rows(repaired, rows, ground, "white").calibration
         return _seen(rows_of_passes(found.apply(other.telemetry), calibration, ground, windows))
 
-    def seen_by(scans: str, earth: Earth, shift_deg: float = 0.0) -> Seen:
+    def seen_by(scans: str, earth: Earth, shift_deg: float = 0.0) -> Numbers:
         progress(f"scanner: {scans}", list(SCANS).index(scans) / len(SCANS))
         return left_by(*(with_horizon(one, SCANS[scans], earth, shift_deg) for one in (days, flight)))
 
@@ -173,7 +141,7 @@ def with_horizon(flight: Flight, axes: tuple[int, ...], earth: Earth, shift_deg:
     return replace(flight, telemetry=flight.telemetry.replace(nadir_B=nadir_from(*angles)))
 
 
-def _seen(rows: Sequence[Row] | Sequence[Pass]) -> Seen:
+def _seen(rows: Sequence[Row] | Sequence[Pass]) -> Numbers:
     """From rows of the study, or from those of print."""
     passes = read_passes()
     night, dawn = (np.array(v) for v in ([not p.sunlit for p in passes], [p.dawn for p in passes]))
@@ -186,10 +154,15 @@ def _seen(rows: Sequence[Row] | Sequence[Pass]) -> Seen:
     def rms(values: FloatArray) -> float:
         return float(np.sqrt(np.nanmean(values**2)))
 
-    return Seen(
-        night=rms(nadir_field[night]),
-        day=rms(nadir_field[~night]),
+    night_deg, day_deg = rms(nadir_field[night]), rms(nadir_field[~night])
+    return Numbers(
+        # [deg, rms] Nadir-field residual of the passes without and with sun, and the one over the other.
+        night=night_deg,
+        day=day_deg,
+        ratio=night_deg / day_deg,
+        # Sunlit passes, without those at dawn.
         sun_nadir=rms(sun_nadir[~night & ~dawn]),
+        # Rank correlation of the night passes' nadir-field residuals with those printed.
         correlation=rank_correlation(printed[night], nadir_field[night]),
     )
 

@@ -19,13 +19,14 @@ from fluxtwin.gap.records import Diagnosis
 from fluxtwin.scenarios.calibration_records import rms_mG
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.calibration_study import SETS, choose_rows, fit_rows
-from fluxtwin.scenarios.hcmm.field_evidence import FieldEvidence, rank_correlation
+from fluxtwin.scenarios.hcmm.field_evidence import rank_correlation
 from fluxtwin.scenarios.hcmm.gallery_study import GROUND, diagnosed
 from fluxtwin.scenarios.hcmm.mission import printed_value
 from fluxtwin.scenarios.hcmm.pass_study import LIMIT_MG, QUIET_ROWS, rows_of_passes
 from fluxtwin.scenarios.hcmm_orbit.record import read_passes
 from fluxtwin.scenarios.hcmm_orbit.windows import Windows
 from fluxtwin.scenarios.motion import prescribed
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
@@ -92,24 +93,9 @@ class MissingStudy:
     """(NUMBERS,)."""
     hypotheses: tuple[Hypothesis, ...]
 
-    def to_dict(self) -> dict[str, Any]:
-        """As it stands in `summary.json`."""
-        return {
-            "printed": dict(zip(NUMBERS, self.printed.tolist(), strict=True)),
-            "hypotheses": {
-                one.name: {
-                    "mean": dict(zip(NUMBERS, one.mean.tolist(), strict=True)),
-                    "standard_deviation": dict(zip(NUMBERS, one.spread.tolist(), strict=True)),
-                    "excluded_by": one.excluded_by(self.printed),
-                    "diagnosis": None if one.diagnosis is None else one.diagnosis.sentence,
-                }
-                for one in self.hypotheses
-            },
-        }
-
 
 def run_missing(
-    config: Scenario, ground: FieldModel, windows: Windows, evidence: FieldEvidence, progress: Progress, *,
+    config: Scenario, ground: FieldModel, windows: Windows, evidence: Numbers, progress: Progress, *,
     flights: int = FLIGHTS, diagnose: bool = True,
 ) -> MissingStudy:  # fmt: skip
     """Fly each hypothesis over the days of Table 3 and the three of Table 5, in the prescribed motion."""
@@ -137,13 +123,13 @@ def run_missing(
     )
 
 
-def _numbers(flight: mission.Flight, ground: FieldModel, windows: Windows, evidence: FieldEvidence) -> list[float]:
+def _numbers(flight: mission.Flight, ground: FieldModel, windows: Windows, evidence: Numbers) -> list[float]:
     fit = fit_rows(flight, choose_rows(flight, SETS[-1]), ground, "white")
     rows = rows_of_passes(flight.telemetry, fit.calibration, ground, windows)
     return [*_of_residuals(np.array([row.eps_M_mG for row in rows]), evidence), rms_mG(fit)]
 
 
-def _of_residuals(eps_mG: FloatArray, evidence: FieldEvidence) -> list[float]:
+def _of_residuals(eps_mG: FloatArray, evidence: Numbers) -> list[float]:
     """All NUMBERS but the last, from the 43 residuals of field strength."""
     quiet = eps_mG[[number - 1 for number in QUIET_ROWS]]
     return [

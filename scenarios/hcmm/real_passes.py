@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.scenarios.hcmm.field_evidence import FieldEvidence
 from fluxtwin.scenarios.hcmm.overflights import orders_of, overflights_of
 from fluxtwin.scenarios.hcmm_orbit.record import Pass
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 
@@ -79,7 +79,7 @@ class RealPasses:
         return [one for one in self.questions if one.name.endswith("against the others") and not one.corrected]
 
 
-def ask(passes: Sequence[Pass], evidence: FieldEvidence, seed: int, orders: int = ORDERS) -> RealPasses:
+def ask(passes: Sequence[Pass], evidence: Numbers, seed: int, orders: int = ORDERS) -> RealPasses:
     """All questions. orders: number of permutations."""
     stations = tuple(p.station for p in passes)
     night = evidence.night > 0.5

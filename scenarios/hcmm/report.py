@@ -2,69 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
 
 import numpy as np
 
 from fluxtwin.gap.records import Diagnosis, EffectParameter
-from fluxtwin.scenarios.calibration_records import NAMES, rms_mG, vector, vector_sigma
+from fluxtwin.scenarios.calibration_records import NAMES, calibration_summary, rms_mG, vector, vector_sigma
 from fluxtwin.scenarios.claims import Claim
-from fluxtwin.scenarios.hcmm import mission
-from fluxtwin.scenarios.hcmm.accuracy_study import AccuracyStudy
-from fluxtwin.scenarios.hcmm.calibration_study import FIELD_ERROR_NT, KINDS, SETS, CalibrationStudy
-from fluxtwin.scenarios.hcmm.dawn_study import DawnStudy
-from fluxtwin.scenarios.hcmm.error_study import NEAR_EQUATOR_DEG, NEAR_POLES_DEG, ErrorStudy
-from fluxtwin.scenarios.hcmm.field_evidence import FieldEvidence
+from fluxtwin.scenarios.hcmm import calibration_study, error_study, horizon_study, missing_study, mission, yaw_study
 from fluxtwin.scenarios.hcmm.gallery_study import REGION_DEG, Answer
-from fluxtwin.scenarios.hcmm.horizon_study import CORRECTED, EARTHS, PUBLISHED, SCANS, HorizonStudy
-from fluxtwin.scenarios.hcmm.missing_study import NUMBERS, SURE, Hypothesis, MissingStudy
-from fluxtwin.scenarios.hcmm.pass_study import ANOMALOUS, PassStudy
-from fluxtwin.scenarios.hcmm.real_passes import Question, RealPasses
-from fluxtwin.scenarios.hcmm.scanner_study import ScannerStudy
-from fluxtwin.scenarios.hcmm.yaw_study import PRINTED_SIGMA_DEG, SIGMA_B_MG, SIGMA_DEG, YawStudy
-from fluxtwin.scenarios.hcmm_orbit.fit import OrbitFit
-from fluxtwin.scenarios.hcmm_orbit.flight_test import FlightTest
-from fluxtwin.scenarios.hcmm_orbit.nadir_field import DIPOLE, MAIN_FIELD, NEAR_DEG, NadirField
+from fluxtwin.scenarios.hcmm.missing_study import Hypothesis, MissingStudy
+from fluxtwin.scenarios.hcmm.pass_study import ANOMALOUS
+from fluxtwin.scenarios.hcmm.real_passes import Question
+from fluxtwin.scenarios.hcmm_orbit import nadir_field
 from fluxtwin.scenarios.hcmm_orbit.record import Range
-from fluxtwin.scenarios.hcmm_orbit.windows import Windows
-from fluxtwin.scenarios.motion import Motion
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.scenarios.report import Report, matrix
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.horizon import INFRARED_SOURCE
-from fluxtwin.sim.scenario.scenario import Scenario
-
-
-@dataclass(frozen=True)
-class Results:
-    """All that a run has found."""
-
-    scenario: Scenario
-    motion: Motion
-    """Of the three days of Table 5."""
-    orbit: OrbitFit
-    windows: Windows
-    """Of all 43 passes, from the sun-nadir ranges with their documented digits."""
-    flight_test: FlightTest
-    nadir_field: NadirField
-    evidence: FieldEvidence
-    calibration: CalibrationStudy
-    errors: ErrorStudy
-    passes: PassStudy
-    dawn: DawnStudy
-    yaw: YawStudy
-    accuracy: AccuracyStudy
-    scanner: ScannerStudy
-    horizon: HorizonStudy
-    missing: MissingStudy
-    real_passes: RealPasses
-    gallery: tuple[Answer, ...]
-    gallery_law: Answer | None
-    """Case (c) with the coils driven by the control law; None where the motion of the study is prescribed too."""
-
 
 NULLS = {
     "dipole": "dipole only",
@@ -76,46 +34,73 @@ NULLS = {
 """What is wrong in each null test."""
 
 
-def pulls(r: Results) -> FloatArray:
+def pulls(r: Numbers) -> FloatArray:
     """(12,) estimate of both sets less truth, over its rms error in many runs."""
-    return (vector(r.calibration.fits["AB"]) - r.calibration.truth) / r.calibration.rms_error("AB")
+    return np.asarray((vector(r.calibration.fits["AB"]) - r.calibration.truth) / r.calibration.rms_error("AB"))
 
 
-def judge_claims(results: Results) -> list[Claim]:
+def judge_claims(results: Numbers) -> list[Claim]:
     """Every claim of the packaged list, in order. Raises KeyError for a claim without words."""
     return words("claims.md").judge(mission.PRINTED, r=results)
+
+
+def summary(results: Numbers, claims: list[Claim]) -> dict[str, Any]:
+    """The content of `summary.json`."""
+    return {**words().summary(r=results), "claims": [claim.to_dict() for claim in claims]}
+
+
+def gallery_summary(answers: Sequence[Answer]) -> list[dict[str, Any]]:
+    """For `summary.json`."""
+    return [
+        {
+            "case": answer.case.key,
+            "title": answer.case.title,
+            "verdict": answer.diagnosis.verdict,
+            "named": answer.name,
+            "right": answer.right,
+            "where": {name: getattr(answer.diagnosis.where, name) for name in ("stage", "axis", "frame", "condition")},
+            "located": answer.located,
+            "parameters": [
+                {"name": c.name, "put_in": c.put_in, "found": c.found, "sigma": c.sigma, "unit": c.unit}
+                for c in answer.compared
+            ],
+            "passes_not_used": None if answer.later is None else {
+                "unit": answer.later.unit, "before": answer.later.rms[0], "after": answer.later.rms[1],
+                "floor": answer.later.floor, "concerned": int(answer.later.concerned.sum()),
+                "passes": len(answer.later.labels),
+            },
+        }
+        for answer in answers
+    ]  # fmt: skip
 
 
 @cache
 def words(file: str = "words.md") -> Report:
     """The sections of one of the study's files."""
+    other = "gallery.md" if file == "gallery.md" else "words.md"
     return Report(
         "fluxtwin.scenarios.hcmm",
         file,
         filters=_FILTERS,
+        calibration_study=calibration_study,
+        calibration_summary=calibration_summary,
         clock=lambda time: epoch.iso(time)[11:19],
-        corrected_earth=CORRECTED.words,
         days=mission.DAYS,
         diagnosed=_diagnosed,
         differ=differ,
-        dipole_part=DIPOLE,
-        earths=[earth.words for earth in EARTHS],
+        error_study=error_study,
         excluded=_excluded,
-        field_error_nT=FIELD_ERROR_NT,
+        gallery=gallery_summary,
+        horizon_study=horizon_study,
         infrared_source=INFRARED_SOURCE,
         iso=epoch.iso,
-        kinds=KINDS,
-        main_field=MAIN_FIELD,
         matrix=matrix,
+        missing_study=missing_study,
+        nadir_study=nadir_field,
         names=NAMES,
-        near_deg=NEAR_DEG,
-        near_equator_deg=NEAR_EQUATOR_DEG,
-        near_poles_deg=NEAR_POLES_DEG,
-        numbers=NUMBERS,
+        null_words=NULLS,
         print_of=_printed_column,
         printed=mission.printed_value,
-        printed_sigma_deg=PRINTED_SIGMA_DEG,
-        published_earths=PUBLISHED,
         pulls=pulls,
         quantity=mission.quantity,
         ranges=_ranges,
@@ -124,16 +109,11 @@ def words(file: str = "words.md") -> Report:
         rms_mG=rms_mG,
         rounded=_rounded,
         say=lambda name, **values: words("claims.md").say(name, **values),
-        scans=list(SCANS),
-        null_words=NULLS,
-        sets=SETS,
-        sigma_B_mG=SIGMA_B_MG,
-        sigma_deg=SIGMA_DEG,
         size=lambda source: next(row["magnitude"] for row in mission.read_table("errors") if row["source"] == source),
-        sure=SURE,
         vector=vector,
         vector_sigma=vector_sigma,
-        words=lambda name, **values: words("gallery.md" if file == "gallery.md" else "words.md").say(name, **values),
+        words=lambda name, **values: words(other).say(name, **values),
+        yaw_study=yaw_study,
     )
 
 

@@ -7,16 +7,16 @@ magnetometer are one and the same thing to a calibration that takes the attitude
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from fluxtwin.calib.attitude.horizon_scanner import ScannerCalibration, calibrate_scanner
-from fluxtwin.calib.linear.calibrate import calibrate_linear
-from fluxtwin.gap.sun_nadir import SunNadir, weigh_sun_nadir
+from fluxtwin.gap.sun_nadir import weigh_sun_nadir
+from fluxtwin.scenarios.calibration_records import papers_regression
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.calibration_study import choose_rows, pass_labels
 from fluxtwin.scenarios.hcmm.mission import Flight
+from fluxtwin.scenarios.hcmm_orbit.geometry import angle_between
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
@@ -31,34 +31,7 @@ TRUSTED_HEADS = (2, 3)
 """Heads that define the attitude reference (C, text)."""
 
 
-@dataclass(frozen=True)
-class ScannerStudy:
-    """Angles in deg."""
-
-    bias_deg: tuple[float, float]
-    """Roll and pitch put in."""
-    found: ScannerCalibration
-    rms_before_deg: float
-    """Sun-nadir residual before and after, heads 2 and 3."""
-    rms_after_deg: float
-    tilt_biased_deg: float
-    """Rotation in S that is none of the magnetometer's: from the reference attitude as it comes."""
-    tilt_corrected_deg: float
-    """The same after the scanner is calibrated."""
-    tilt_unbiased_deg: float
-    """And of a flight whose scanner has no bias: what field model and noise leave."""
-    dawn_before_deg: float
-    """Sun-nadir residual of head 1 at dawn over Orroral."""
-    head_1_deg: float
-    """Misalignment of head 1 towards nadir found from those rows, the scanner calibrated by heads 2 and 3."""
-    head_1_truth_deg: float
-    channel: SunNadir
-    """What the sun-nadir channel says of the three days, the scanner without bias: head 1 is turned, nothing else."""
-    turned_magnetometer: SunNadir
-    """The same with head 1 right and the magnetometer's S as it is."""
-
-
-def run_scanner(config: Scenario, ground: FieldModel, progress: Progress) -> ScannerStudy:
+def run_scanner(config: Scenario, ground: FieldModel, progress: Progress) -> Numbers:
     """Fly with and without biases on the days of Table 3, and the three days of Table 5 for head 1."""
     progress("horizon scanner", 0.0)
     biased = config.updated(
@@ -72,20 +45,25 @@ def run_scanner(config: Scenario, ground: FieldModel, progress: Progress) -> Sca
     rows = choose_rows(flight, "AB")
     tilts = [_tilt_deg(t.select(rows), ground, flight.truth.S) for t in (flight.telemetry, repaired, plain.telemetry)]
     progress("head 1 at dawn", 0.7)
-    dawn = mission.fly(biased)
-    before, offset, truth = _head_1(dawn, found)
+    offset, truth = _head_1(mission.fly(biased), found)
     right = config.updated({"sun_sensor.1.misalignment_deg": None})
-    return ScannerStudy(
+    return Numbers(
+        # Roll and pitch put in.
         bias_deg=BIAS_DEG,
         found=found,
-        rms_before_deg=float(np.degrees(found.rms_before_rad)),
-        rms_after_deg=float(np.degrees(found.rms_after_rad)),
+        # Sun-nadir residual before and after, heads 2 and 3.
+        rms_before_deg=np.degrees(found.rms_before_rad),
+        rms_after_deg=np.degrees(found.rms_after_rad),
+        # Rotation in S that is none of the magnetometer's: from the reference attitude as it comes, after the scanner is
+        # calibrated, and of a flight whose scanner has no bias, which is what field model and noise leave.
         tilt_biased_deg=tilts[0],
         tilt_corrected_deg=tilts[1],
         tilt_unbiased_deg=tilts[2],
-        dawn_before_deg=before,
+        # Misalignment of head 1 towards nadir, found at dawn with the scanner calibrated by heads 2 and 3.
         head_1_deg=offset,
         head_1_truth_deg=truth,
+        # The sun-nadir channel of the three days, the scanner without bias: head 1 turned; and head 1 right, with the
+        # magnetometer's S as it is.
         channel=weigh_sun_nadir(mission.fly(config).telemetry),
         turned_magnetometer=weigh_sun_nadir(mission.fly(right).telemetry),
     )
@@ -101,27 +79,22 @@ def with_new_attitude(flight: Flight, telemetry: Telemetry) -> Telemetry:
 
 def _tilt_deg(telemetry: Telemetry, ground: FieldModel, truth_S: FloatArray) -> float:
     """Size of the rotation by which the found I+S differs from the true one."""
-    S = calibrate_linear(telemetry, ground, errors_in_variables=False, robust="none", covariance="white").calibration.S
+    S = papers_regression(telemetry, ground).calibration.S
     between = (np.eye(3) + S) @ np.linalg.inv(np.eye(3) + truth_S)
     turn = 0.5 * (between - between.T)
     return float(np.degrees(np.linalg.norm([turn[2, 1], turn[0, 2], turn[1, 0]])))
 
 
-def _head_1(flight: Flight, found: ScannerCalibration) -> tuple[float, float, float]:
-    """Residual at dawn, its mean after the scanner's correction, and what the misalignment should give [deg]."""
+def _head_1(flight: Flight, found: ScannerCalibration) -> tuple[float, float]:
+    """Mean residual at dawn after the scanner's correction, and what the misalignment should give [deg]."""
     corrected = found.apply(flight.telemetry)
     assert corrected.sun_B is not None and corrected.nadir_B is not None and corrected.sun_sensor_head is not None
     rows = np.flatnonzero((corrected.sun_sensor_head == 1) & np.isfinite(corrected.nadir_B).all(axis=1))
-    computed = _angle(flight.world.sun_N[rows], -flight.world.r_N_km[rows])
-    residual = _angle(np.array(corrected.sun_B)[rows], np.array(corrected.nadir_B)[rows]) - computed
+    computed = angle_between(flight.world.sun_N[rows], -flight.world.r_N_km[rows])
+    residual = angle_between(np.array(corrected.sun_B)[rows], np.array(corrected.nadir_B)[rows]) - computed
     # A head turned by theta reports the sun turned by minus theta: what that does to the angle from nadir.
     theta = np.radians(flight.scenario.sun_sensor["1"].misalignment_deg)
     B = frames.rotation_from_q(flight.truth.q_NB[rows])
     sun_B, nadir_B = B.apply(flight.world.sun_N[rows]), B.apply(-flight.world.r_N_km[rows])
-    expected = _angle(sun_B - np.cross(theta, sun_B), nadir_B) - computed
-    return tuple(float(np.degrees(v)) for v in (np.sqrt(np.mean(residual**2)), residual.mean(), expected.mean()))  # type: ignore[return-value]
-
-
-def _angle(a: FloatArray, b: FloatArray) -> FloatArray:
-    angle: FloatArray = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("ij,ij->i", a, b))
-    return angle
+    expected = angle_between(sun_B - np.cross(theta, sun_B), nadir_B) - computed
+    return float(np.degrees(residual.mean())), float(np.degrees(expected.mean()))

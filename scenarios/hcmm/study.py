@@ -19,15 +19,15 @@ from fluxtwin.scenarios.hcmm.horizon_study import run_horizon
 from fluxtwin.scenarios.hcmm.missing_study import FLIGHTS, run_missing
 from fluxtwin.scenarios.hcmm.pass_study import run_passes
 from fluxtwin.scenarios.hcmm.real_passes import ask
-from fluxtwin.scenarios.hcmm.report import Results, judge_claims, words
+from fluxtwin.scenarios.hcmm.report import judge_claims, summary, words
 from fluxtwin.scenarios.hcmm.scanner_study import run_scanner
-from fluxtwin.scenarios.hcmm.summary import summary
 from fluxtwin.scenarios.hcmm.yaw_study import run_yaw
 from fluxtwin.scenarios.hcmm_orbit.fit import fit_orbit
 from fluxtwin.scenarios.hcmm_orbit.flight_test import run_flight_test, windows_of
 from fluxtwin.scenarios.hcmm_orbit.nadir_field import weigh_ideas
 from fluxtwin.scenarios.hcmm_orbit.record import read_passes
 from fluxtwin.scenarios.motion import ATTITUDES, is_dynamic, motion_of
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.scenarios.page import Page, StudyResult, Table
 from fluxtwin.scenarios.study_files import provenance, write_flight
 from fluxtwin.sim.base.progress import Progress, part_of, silent
@@ -87,7 +87,7 @@ def compute(
     runs: int = RUNS,
     only: Sequence[str] = ("a", "b", "c", "d"),
     attitude: str = ATTITUDES[0],
-) -> Results:
+) -> Numbers:
     """All the numbers. `runs`: size of the Monte Carlo, `only`: cases of the gallery, both for quick looks.
 
     attitude: as in `run`.
@@ -107,7 +107,7 @@ def compute(
     progress("the 43 passes", 0.88)
     flight = mission.fly(config)
     passes = run_passes(flight, full, ground, windows, calibration.estimates[:, SETS.index("AB")])
-    return Results(
+    return Numbers(
         scenario=config,
         motion=motion_of(config, flight.telemetry, flight.truth),
         orbit=orbit,
@@ -142,7 +142,7 @@ def compute(
     )
 
 
-def tables(results: Results) -> dict[str, Table]:
+def tables(results: Numbers) -> dict[str, Table]:
     """All of the report but the claims."""
     named = [name for name in TABLES if name not in ("motion", "overview")]
     return {
@@ -152,7 +152,7 @@ def tables(results: Results) -> dict[str, Table]:
     }
 
 
-def page(results: Results, claims: list[Claim], verdict: str) -> Page:
+def page(results: Numbers, claims: list[Claim], verdict: str) -> Page:
     """The report."""
     return words().page(
         "page",

@@ -8,18 +8,19 @@ import numpy as np
 
 from fluxtwin.calib.attitude.yaw import yaw_from_field, yaw_full, yaw_sigma
 from fluxtwin.calib.common.records import Calibration
-from fluxtwin.plots.yaw import YawComparison
 from fluxtwin.scenarios.hcmm import mission
+from fluxtwin.scenarios.hcmm.pass_study import compare
 from fluxtwin.scenarios.hcmm_orbit.geometry import angle_between
 from fluxtwin.scenarios.hcmm_orbit.record import read_stations
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.scenarios.yaw_comparison import compare_yaw
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.constants import NT_PER_MG
-from fluxtwin.sim.earth.field import FieldModel, load_field
-from fluxtwin.sim.earth.stations import Contact, find_contacts
+from fluxtwin.sim.earth.field import FieldModel, field_N_nT, load_field
+from fluxtwin.sim.earth.stations import find_contacts
 from fluxtwin.sim.run.scenario_stations import stations_of
 from fluxtwin.sim.run.world import ephemeris
 from fluxtwin.sim.scenario.scenario import Scenario
@@ -53,34 +54,10 @@ class StationYaw:
     """Monte Carlo in the dipole: scatter of yaw for such errors."""
 
 
-@dataclass(frozen=True)
-class YawStudy:
-    """Everything about yaw."""
-
-    stations: tuple[StationYaw, ...]
-    figure: YawComparison
-    contact: Contact
-    """The pass of figure 3 by our orbit."""
-    minutes_late: float
-    """Our rise less the printed 11 h 35 min."""
-    sun_nadir_deg: tuple[float, float]
-    """Its range while the spacecraft is above the horizon."""
-    delta_sun_nadir_deg: float
-    delta_nadir_field_deg: float
-    error_bar_deg: float
-    """By the papers' rule, from our numbers: the mean of the nadir-field residual and Table 6."""
-    yaw_rms_deg: float
-    """Magnetometer less sun-sensor yaw, single samples."""
-    sun_yaw_rms_deg: float
-    """Sun-sensor less true yaw."""
-    magnetometer_yaw_rms_deg: float
-    """Magnetometer less true yaw."""
-
-
-def run_yaw(config: Scenario, calibration: Calibration, ground: FieldModel, progress: Progress) -> YawStudy:
+def run_yaw(config: Scenario, calibration: Calibration, ground: FieldModel, progress: Progress) -> Numbers:
     """Evaluate equation 11 over the stations and fly the pass of figure 3."""
     progress("yaw over the stations", 0.0)
-    stations = tuple(_station(config, name) for name in mission_order())
+    stations = tuple(_station(config, row["station"]) for row in mission.read_table("yaw"))
     progress("figure 3", 0.6)
     contact = next(
         item
@@ -100,30 +77,26 @@ def run_yaw(config: Scenario, calibration: Calibration, ground: FieldModel, prog
     solution = yaw_from_field(flight.telemetry, calibration, ground, sigma_angle_rad=float(np.radians(SIGMA_DEG)))
     found, reference = solution.yaw_rad, solution.yaw_reference_rad
     truth = flight.truth.yaw_rad[solution.rows]
-    from fluxtwin.scenarios.hcmm.pass_study import compare
-
     angles = compare(flight.telemetry, calibration, ground)
     d_se, d_em = (float(np.degrees(np.sqrt(np.nanmean(v**2)))) for v in (angles.sun_nadir, angles.nadir_field))
     sun_nadir = angles.computed_deg["sun_nadir"]
     winkfield = next(row for row in stations if row.station == "WNK")
-    return YawStudy(
+    return Numbers(
         stations=stations,
         figure=compare_yaw(flight.telemetry, solution),
+        # The pass of figure 3 by our orbit, its rise less the printed 11 h 35 min, and the range of the sun-nadir angle.
         contact=contact,
-        minutes_late=float(epoch.seconds_since(contact.rise, _PRINTED_START)[0] / 60.0),
+        minutes_late=epoch.seconds_since(contact.rise, _PRINTED_START)[0] / 60.0,
         sun_nadir_deg=(float(sun_nadir.min()), float(sun_nadir.max())),
         delta_sun_nadir_deg=d_se,
         delta_nadir_field_deg=d_em,
+        # By the papers' rule: the mean of the nadir-field residual and Table 6.
         error_bar_deg=0.5 * (d_em + winkfield.dipole),
+        # Magnetometer less sun-sensor yaw, sun-sensor less true yaw, magnetometer less true yaw; single samples.
         yaw_rms_deg=_rms_deg(found - reference),
         sun_yaw_rms_deg=_rms_deg(reference - truth),
         magnetometer_yaw_rms_deg=_rms_deg(found - truth),
     )
-
-
-def mission_order() -> list[str]:
-    """Stations in the order of Table 6."""
-    return [row["station"] for row in mission.read_table("yaw")]
 
 
 def equation_11(latitude_deg: float, sigma_deg: float) -> float:
@@ -158,8 +131,6 @@ def _in_main_field(config: Scenario, name: str) -> float:
     r_E_km = R_EN.apply(r_N_km)
     site = np.broadcast_to(read_stations()[name].r_E_km, r_E_km.shape)
     near = np.flatnonzero(np.degrees(angle_between(r_E_km, site)) < _NEAR_DEG)
-    from fluxtwin.sim.earth.field import field_N_nT
-
     field_N = field_N_nT(load_field(config.field.truth), time[near], r_N_km[near])
     field_O = frames.rotation_ON(r_N_km[near], v_N_km_s[near]).apply(field_N)
     sigma = np.degrees(yaw_sigma(field_O, SIGMA_B_MG * NT_PER_MG, np.radians(SIGMA_DEG)))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from fluxtwin.calib.attitude.yaw import yaw_first_order, yaw_full, yaw_sigma
 from fluxtwin.plots.yaw import YawSigma
+from fluxtwin.scenarios.flights import day
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.scenarios.seasat import geometry, mission
 from fluxtwin.scenarios.seasat.yaw_study import STEP_S, fine_scenario
 from fluxtwin.sim.base.progress import Progress
@@ -24,45 +24,7 @@ BASES = 400
 _NEAR_EQUATOR_RAD = float(np.radians(1.0))
 
 
-@dataclass(frozen=True)
-class AccuracyStudy:
-    """Numbers in deg unless named otherwise."""
-
-    sigma_equator_deg: float
-    """Mean over equator crossings at the printed residual."""
-    sigma_equator_range_deg: tuple[float, float]
-    sigma_equator_ours_deg: float
-    """The same at this run's residual."""
-    figure: YawSigma
-    worst_quantiles_deg: dict[str, float]
-    """Quantiles of the largest value of a data base of four orbits."""
-    printed_percentile: float
-    """Share [%] of data bases whose largest value is below the printed one."""
-    worst_possible_deg: float
-    """Largest value met in all orbits tried."""
-    orbits_above: float
-    """Share [%] of single orbits whose largest value exceeds the printed one."""
-    lsb_x_deg: float
-    lsb_y_deg: float
-    """Yaw of one LSB of the X and Y reading, mean over equator crossings."""
-    lsb_mean_deg: float
-    """Mean yaw error over an orbit with quantisation alone."""
-    lsb_rms_deg: float
-    lsb_correlation_s: float
-    """Lag at which the autocorrelation of that error falls below 1/e."""
-    seconds_per_step: tuple[float, float, float]
-    """Median time the field's motion along the orbit takes for one LSB, X, Y, Z."""
-    equation_12_error_deg: float
-    """Largest difference between equation 12 and the pseudo-inverse of equation 13, solved numerically."""
-    equation_14_ratio: float
-    """Scatter of yaw in a Monte Carlo over the sigma of equation 14; median along an orbit."""
-    equator_field_mG: float
-    """Mean field strength along the equator at Seasat's altitude."""
-    field_direction_3sigma_deg: tuple[float, float]
-    """Three times the rms direction error of IGRF 1975 at 600 and 800 km."""
-
-
-def run_accuracy(config: Scenario, ground: FieldModel, residual_mG: float, progress: Progress) -> AccuracyStudy:
+def run_accuracy(config: Scenario, ground: FieldModel, residual_mG: float, progress: Progress) -> Numbers:
     """Evaluate the papers' formulas in the field of 1978. residual_mG: of this run's calibration."""
     printed_mG = mission.printed_value("errors", "rms_mG", source="observed rms")
     progress("yaw accuracy along many orbits", 0.0)
@@ -76,28 +38,32 @@ def run_accuracy(config: Scenario, ground: FieldModel, residual_mG: float, progr
     lsb = config.magnetometer.step_nT
     horizontal = np.sum(crossing_O[:, :2] ** 2, axis=1)
     mean, rms, correlation = _lsb_error(config, ground)
-    return AccuracyStudy(
-        sigma_equator_deg=float(at_equator.mean()),
+    return Numbers(
+        # Mean and range over equator crossings at the printed residual, and at this run's.
+        sigma_equator_deg=at_equator.mean(),
         sigma_equator_range_deg=(float(at_equator.min()), float(at_equator.max())),
-        sigma_equator_ours_deg=float(ours.mean()),
+        sigma_equator_ours_deg=ours.mean(),
         figure=YawSigma(latitude, along, worst_orbit, worst_base, printed_deg),
+        # Largest value of a data base of four orbits; share [%] of the data bases in which it is below the printed one,
+        # and share [%] of single orbits in which it is above.
         worst_quantiles_deg={f"{q:g} %": float(np.percentile(worst_base, q)) for q in (5, 25, 50, 75, 95)},
-        printed_percentile=float(100 * np.mean(worst_base < printed_deg)),
-        worst_possible_deg=float(worst_orbit.max()),
-        orbits_above=float(100 * np.mean(worst_orbit > printed_deg)),
-        lsb_x_deg=float(np.degrees(np.mean(lsb * np.abs(crossing_O[:, 1]) / horizontal))),
-        lsb_y_deg=float(np.degrees(np.mean(lsb * np.abs(crossing_O[:, 0]) / horizontal))),
+        printed_percentile=100 * np.mean(worst_base < printed_deg),
+        orbits_above=100 * np.mean(worst_orbit > printed_deg),
+        # Yaw of one LSB of the X and Y reading, mean over equator crossings.
+        lsb_x_deg=np.degrees(np.mean(lsb * np.abs(crossing_O[:, 1]) / horizontal)),
+        lsb_y_deg=np.degrees(np.mean(lsb * np.abs(crossing_O[:, 0]) / horizontal)),
+        # Yaw error along an orbit with quantisation alone; lag at which its autocorrelation falls below 1/e.
         lsb_mean_deg=mean,
         lsb_rms_deg=rms,
         lsb_correlation_s=correlation,
+        # X, Y, Z: median time that the field's motion along the orbit takes for one LSB.
         seconds_per_step=_seconds_per_step(config, truth),
+        # Largest difference of equation 12 from the pseudo-inverse of equation 13; scatter of yaw over equation 14.
         equation_12_error_deg=_equation_12_error(crossing_O, config.seed),
         equation_14_ratio=_equation_14_ratio(config, truth, printed_mG),
         equator_field_mG=_equator_strength(truth),
-        field_direction_3sigma_deg=(
-            _direction_3sigma(config, truth, ground, 600.0),
-            _direction_3sigma(config, truth, ground, 800.0),
-        ),
+        # Three times the rms direction error of IGRF 1975 at 600 and 800 km.
+        field_direction_3sigma_deg=[_direction_3sigma(config, truth, ground, altitude) for altitude in (600.0, 800.0)],
     )
 
 
@@ -112,7 +78,7 @@ def _field_O(config: Scenario, model: FieldModel, time: TimeArray) -> tuple[Floa
 
 def _equator_fields(config: Scenario, model: FieldModel) -> FloatArray:
     """Field in O at samples within a degree of the equator, 30 days of the mission at 10 s."""
-    time = epoch.add_seconds(geometry.day(geometry.DATA_DAYS[0]), np.arange(0.0, 30 * 86400.0, 10.0))
+    time = epoch.add_seconds(day(geometry.DATA_DAYS[0]), np.arange(0.0, 30 * 86400.0, 10.0))
     field, latitude = _field_O(config, model, time)
     return field[np.abs(latitude) < _NEAR_EQUATOR_RAD]
 
@@ -128,7 +94,7 @@ def _worst_values(
     for minutes in geometry.DATA_MINUTES:
         start_s = rng.uniform(0.0, 60 * 86400.0, size=BASES)
         seconds = (start_s[:, None] + 60.0 * np.arange(minutes)).ravel()
-        field, latitude = _field_O(config, model, epoch.add_seconds(geometry.day(geometry.DATA_DAYS[0]), seconds))
+        field, latitude = _field_O(config, model, epoch.add_seconds(day(geometry.DATA_DAYS[0]), seconds))
         sigma = np.degrees(yaw_sigma(field, residual_mG * NT_PER_MG, SIGMA_ANGLE_RAD)).reshape(BASES, minutes)
         if not largest:
             first = (np.degrees(latitude[:minutes]), sigma[0])
@@ -157,7 +123,7 @@ def _lsb_error(config: Scenario, ground: FieldModel) -> tuple[float, float, floa
 
 
 def _seconds_per_step(config: Scenario, model: FieldModel) -> tuple[float, float, float]:
-    time = epoch.add_seconds(geometry.day(geometry.DATA_DAYS[0]), np.arange(0.0, 86400.0, 10.0))
+    time = epoch.add_seconds(day(geometry.DATA_DAYS[0]), np.arange(0.0, 86400.0, 10.0))
     field, _ = _field_O(config, model, time)
     rate = np.abs(np.gradient(field, 10.0, axis=0))
     x, y, z = np.median(config.magnetometer.step_nT / np.maximum(rate, 1e-12), axis=0)
@@ -181,7 +147,7 @@ def _equation_12_error(field_O_nT: FloatArray, seed: int) -> float:
 
 
 def _equation_14_ratio(config: Scenario, model: FieldModel, sigma_mG: float, draws: int = 400) -> float:
-    time = epoch.add_seconds(geometry.day(geometry.DATA_DAYS[0]), np.arange(0.0, 6040.0, 60.0))
+    time = epoch.add_seconds(day(geometry.DATA_DAYS[0]), np.arange(0.0, 6040.0, 60.0))
     field, _ = _field_O(config, model, time)
     expected = yaw_sigma(field, sigma_mG * NT_PER_MG, SIGMA_ANGLE_RAD)
     rng = stream(config.seed, "seasat.equation_14")
@@ -195,7 +161,7 @@ def _equator_strength(model: FieldModel) -> float:
     longitude = np.radians(np.arange(0.0, 360.0, 1.0))
     radius = np.full_like(longitude, geometry.SEMI_MAJOR_AXIS_KM)
     r_E_km = frames.from_geocentric(np.zeros_like(longitude), longitude, radius)
-    field = field_E_nT(model, geometry.day(geometry.DATA_DAYS[0]), r_E_km)
+    field = field_E_nT(model, day(geometry.DATA_DAYS[0]), r_E_km)
     return float(np.mean(np.linalg.norm(field, axis=1)) / NT_PER_MG)
 
 
@@ -203,7 +169,7 @@ def _direction_3sigma(config: Scenario, truth: FieldModel, ground: FieldModel, a
     """Three times the rms angle between the two models along ten days at an altitude [deg]."""
     assert config.orbit is not None
     other = config.updated({"orbit.altitude_km": altitude_km})
-    time = epoch.add_seconds(geometry.day(geometry.DATA_DAYS[0]), np.arange(0.0, 10 * 86400.0, 60.0))
+    time = epoch.add_seconds(day(geometry.DATA_DAYS[0]), np.arange(0.0, 10 * 86400.0, 60.0))
     a, b = (_field_O(other, model, time)[0] for model in (truth, ground))
     angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.sum(a * b, axis=1))
     return float(3 * np.degrees(np.sqrt(np.mean(angle**2))))

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.calib.common.records import Calibration
-from fluxtwin.calib.linear.calibrate import calibrate_linear
 from fluxtwin.calib.linear.fit import LinearFit
-from fluxtwin.scenarios.calibration_records import NAMES, truth_vector, vector
+from fluxtwin.scenarios.calibration_records import NAMES, bias_alone, papers_regression, truth_vector, vector
 from fluxtwin.scenarios.seasat import mission
 from fluxtwin.scenarios.seasat.mission import DATA_SETS, Flight
 from fluxtwin.sim.base.errors import NoAnswer
@@ -82,8 +81,7 @@ def run_calibrations(flight: Flight, ground: FieldModel, progress: Progress, run
         other = mission.fly(mission.with_random_hours(flight.scenario, flight.scenario.seed + 1 + run))
         reference_square[run] = np.nanmean(reference_error_rad(other) ** 2, axis=0)
         day_205 = other.telemetry.select(other.rows("205"))
-        alone = calibrate_linear(day_205, ground, parameters="b", robust="none", covariance="white")
-        bias_only[run] = alone.calibration.b_nT / NT_PER_MG
+        bias_only[run] = bias_alone(day_205, ground).b_nT / NT_PER_MG
         for place, name in enumerate(DATA_SETS):
             found = _try_both(other, name, ground)
             estimates[run, place], corrected_estimates[run, place], spread[run, place] = found
@@ -121,10 +119,8 @@ def reference_error_rad(flight: Flight) -> FloatArray:
 
 def calibrations(flight: Flight, ground: FieldModel) -> tuple[Calibration, Calibration]:
     """The full calibration of all days, and the mean bias of day 205."""
-    whole = calibrate_linear(flight.telemetry, ground, errors_in_variables=False, robust="none", covariance="white")
-    day_205 = flight.telemetry.select(flight.rows("205"))
-    bias_only = calibrate_linear(day_205, ground, parameters="b", robust="none", covariance="white")
-    return whole.calibration, bias_only.calibration
+    whole = papers_regression(flight.telemetry, ground).calibration
+    return whole, bias_alone(flight.telemetry.select(flight.rows("205")), ground)
 
 
 def _try_both(flight: Flight, data_set: str, ground: FieldModel) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -138,10 +134,6 @@ def _try_both(flight: Flight, data_set: str, ground: FieldModel) -> tuple[FloatA
 
 
 def _fit(flight: Flight, data_set: str, ground: FieldModel, *, corrected: bool, blocks: bool = False) -> LinearFit:
-    return calibrate_linear(
-        flight.telemetry.select(flight.rows(data_set)),
-        ground,
-        errors_in_variables=corrected,
-        robust="none",
-        covariance="blocks" if blocks else "white",
-    )
+    covariance = "blocks" if blocks else "white"
+    telemetry = flight.telemetry.select(flight.rows(data_set))
+    return papers_regression(telemetry, ground, errors_in_variables=corrected, covariance=covariance)

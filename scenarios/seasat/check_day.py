@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from fluxtwin.calib.common.residuals import residuals_of
+from fluxtwin.scenarios.flights import day
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.scenarios.seasat import geometry, mission
 from fluxtwin.scenarios.seasat.calibration_study import calibrations, reference_error_rad
 from fluxtwin.sim.base.types import FloatArray
@@ -20,26 +20,12 @@ SEEDS = 10
 _MINUTES = 125
 
 
-@dataclass(frozen=True)
-class CheckDay:
-    """rms over the samples in which a head sees the sun south of 45 S or north of 30 N; each seed is calibrated anew."""
+def run_check_day(config: Scenario, ground: FieldModel) -> Numbers:
+    """Fly the four days and day 279 with SEEDS seeds, each calibrated anew.
 
-    rms_mG: FloatArray
-    """(SEEDS, 3) residual per body axis."""
-    attitude_deg: FloatArray
-    """(SEEDS, 3) error of the reference attitude about each body axis: roll, pitch, yaw."""
-    attitude_mG: FloatArray
-    """(SEEDS, 3) what that error leaves in the residual."""
-    field_mG: FloatArray
-    """(3,) true field per body axis."""
-    sun_nadir_deg: tuple[float, float]
-    """Least and greatest angle between sun and nadir."""
-    samples: int
-
-
-def run_check_day(config: Scenario, ground: FieldModel) -> CheckDay:
-    """Fly the four days and day 279 with SEEDS seeds."""
-    later = mission.with_schedule(config, geometry.day(geometry.CHECK_DAY), _MINUTES, 60.0)
+    rms over the samples in which a head sees the sun south of 45 S or north of 30 N.
+    """
+    later = mission.with_schedule(config, day(geometry.CHECK_DAY), _MINUTES, 60.0)
     base, world = build_world(config), build_world(later)
     latitude = np.degrees(frames.geocentric(frames.rotation_EN(world.time).apply(world.r_N_km))[0])
     rows = []
@@ -55,13 +41,17 @@ def run_check_day(config: Scenario, ground: FieldModel) -> CheckDay:
     rms, attitude_deg, attitude_mG = np.moveaxis(np.array(rows), 1, 0)
     nadir_N = -world.r_N_km / np.linalg.norm(world.r_N_km, axis=1)[:, None]
     angle = np.degrees(np.arccos(np.sum(nadir_N * world.sun_N, axis=1)))[chosen]
-    return CheckDay(
+    return Numbers(
+        # (SEEDS, 3) residual per body axis.
         rms_mG=rms,
+        # (SEEDS, 3) error of the reference attitude about each body axis (roll, pitch, yaw), and what it leaves.
         attitude_deg=attitude_deg,
         attitude_mG=attitude_mG,
+        # (3,) true field per body axis.
         field_mG=_rms(field),
+        # Least and greatest angle between sun and nadir.
         sun_nadir_deg=(float(angle.min()), float(angle.max())),
-        samples=int(chosen.sum()),
+        samples=chosen.sum(),
     )
 
 

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-
 import numpy as np
 
-from fluxtwin.calib.common.design import assemble
-from fluxtwin.calib.linear.calibrate import calibrate_linear
+from fluxtwin.scenarios.calibration_records import error_square_mG2, papers_regression
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.scenarios.seasat import mission
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.types import FloatArray
@@ -22,31 +19,7 @@ KNOWN = ("lsb", "attitude", "torquer", "field")
 RUNS = 20
 
 
-@dataclass(frozen=True)
-class ErrorStudy:
-    """Contributions [mG, rms per component over the 325 samples], and residuals of the fit."""
-
-    simulated: Mapping[str, float]
-    """Error of equation 1 at the true S, b, T = 0, with that source alone; mean square over seeds."""
-    simulated_spread: Mapping[str, float]
-    """Standard deviation over seeds."""
-    paper_rule: Mapping[str, float]
-    """LSB/sqrt 12, the printed rms values, and their root sum of squares."""
-    fit_known: float
-    """Residual of the 12-parameter fit with the known sources only."""
-    fit_all: float
-    """The same with the unknown of 2.6 mG."""
-    unknown_for_paper: float
-    """The unknown that should bring the residual to the printed 3.7 mG, from the simulated known part."""
-    fit_with_that: float
-    """The residual of the fit with that unknown."""
-    torquer_bounds: tuple[float, float, float]
-    """Field [mG] of one torquer broadside, one axial, and the worst case of three orthogonal ones."""
-    field_shift: FloatArray
-    """(12,) shift of S and b [mG] that the error of the ground's field model alone causes."""
-
-
-def run_errors(config: Scenario, ground: FieldModel, progress: Progress, runs: int = RUNS) -> ErrorStudy:
+def run_errors(config: Scenario, ground: FieldModel, progress: Progress, runs: int = RUNS) -> Numbers:
     """Switch the sources on one at a time, then together."""
     worlds = {True: build_world(config), False: build_world(mission.only(config))}
     squares: dict[str, list[float]] = {}
@@ -57,23 +30,26 @@ def run_errors(config: Scenario, ground: FieldModel, progress: Progress, runs: i
         switched = mission.only(config, *sources)
         world = worlds["field" in sources]
         squares[case] = [_error_square(switched, world, ground, config.seed + run) for run in range(runs)]
-    simulated = {case: float(np.sqrt(np.mean(values))) for case, values in squares.items()}
-    spread = {case: float(np.std(np.sqrt(values))) for case, values in squares.items()}
     progress("error budget: residual of the fit", 0.75)
     fit_known = _fit_rms(mission.only(config, *KNOWN), worlds[True], ground, runs)
     fit_all = _fit_rms(config, worlds[True], ground, runs)
     printed = mission.printed_value("errors", "rms_mG", source="observed rms")
     progress("error budget: the unknown that the papers' residual needs", 0.8)
     unknown, fit_with_that = _unknown_for(printed, config, worlds[True], ground, (fit_known, fit_all), runs)
-    return ErrorStudy(
-        simulated=simulated,
-        simulated_spread=spread,
+    return Numbers(
+        # [mG, rms per component over the 325 samples] Error of equation 1 at the true S, b, T = 0, with that source alone:
+        # mean square over seeds, and standard deviation.
+        simulated={case: float(np.sqrt(np.mean(values))) for case, values in squares.items()},
+        simulated_spread={case: float(np.std(np.sqrt(values))) for case, values in squares.items()},
         paper_rule=paper_rule(config),
+        # Residual of the 12-parameter fit with the known sources, and with the unknown of 2.6 mG.
         fit_known=fit_known,
         fit_all=fit_all,
+        # The unknown that should bring it to the printed 3.7 mG, and what it then is.
         unknown_for_paper=unknown,
         fit_with_that=fit_with_that,
         torquer_bounds=torquer_bounds(config),
+        # (12,) shift of S and b [mG] that the error of the ground's field model alone causes.
         field_shift=_field_shift(mission.only(config, "field"), worlds[True], ground),
     )
 
@@ -109,18 +85,15 @@ def _worst_of_three(dipole_Am2: float, distance_m: float) -> float:
 
 
 def _error_square(config: Scenario, world: World, ground: FieldModel, seed: int) -> float:
-    """Mean square of equation 1's error at the true S, b, T = 0, as the ground sees it [mG2]."""
     flight = mission.fly(config.updated({"seed": seed}), world)
-    design = assemble(flight.telemetry, ground, with_dipole=False)
-    corrected = design.B_nT @ (np.eye(3) + flight.truth.S).T + flight.truth.b_nT
-    return float(np.mean((design.H_nT - corrected) ** 2) / NT_PER_MG**2)
+    return error_square_mG2(flight, flight.telemetry, ground)
 
 
 def _fit_rms(config: Scenario, world: World, ground: FieldModel, runs: int) -> float:
     squares = []
     for run in range(runs):
         flight = mission.fly(config.updated({"seed": config.seed + run}), world)
-        fit = calibrate_linear(flight.telemetry, ground, errors_in_variables=False, robust="none", covariance="white")
+        fit = papers_regression(flight.telemetry, ground)
         squares.append(np.mean(fit.residuals_nT**2))
     return float(np.sqrt(np.mean(squares)) / NT_PER_MG)
 
@@ -143,6 +116,6 @@ def _unknown_for(
 
 def _field_shift(config: Scenario, world: World, ground: FieldModel) -> FloatArray:
     flight = mission.fly(config, world)
-    fit = calibrate_linear(flight.telemetry, ground, errors_in_variables=False, robust="none", covariance="white")
+    fit = papers_regression(flight.telemetry, ground)
     shift_S = fit.calibration.S - flight.truth.S
     return np.concatenate([shift_S.ravel(), (fit.calibration.b_nT - flight.truth.b_nT) / NT_PER_MG])

@@ -15,11 +15,12 @@ enters nowhere: it gives a node of its own, and is the witness.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
+from fluxtwin.scenarios.flights import day
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import frames, sun
 from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM
@@ -42,45 +43,7 @@ _SPACINGS = (15.0, 30.0, 45.0, 60.0, 90.0)
 _U = np.radians(np.arange(0.0, 360.0, 2.0))
 
 
-@dataclass(frozen=True)
-class NodeScan:
-    """One misfit for each node tried, and the node chosen. Nodes refer to 0 h UTC of day 205, true of date."""
-
-    raan_deg: FloatArray
-    misfit: FloatArray
-    late_dark_share: FloatArray
-    """(K, days) share of the orbit in darkness on the late days, for each node."""
-    data_dark_share: FloatArray
-    """(K, 4) the same on the data days."""
-    chosen_deg: float
-    launch_deg: float
-    """Node that the launch gives: the witness."""
-
-
-@dataclass(frozen=True)
-class HeadScan:
-    """The mounting chosen for four heads and what it sees."""
-
-    azimuth_deg: tuple[float, float, float, float]
-    elevation_deg: float
-    half_fov_deg: float
-    misfit: float
-    late_visible_share: float
-    late_visible_south: float
-    """Share of the late days' visible samples that lie in the southern hemisphere."""
-    data_visible_minutes: tuple[float, ...]
-    check_south_of_45_share: float
-    """Share of the samples of day 279 south of 45 S that some head sees."""
-    check_north_of_30_share: float
-
-
-def day(number: int, hour: float = 0.0) -> np.datetime64:
-    """UTC stamp of a day of the year 1978 (1 is 1 January)."""
-    seconds = np.timedelta64(round(hour * 3600), "s")
-    return np.datetime64("1978-01-01", "ns") + np.timedelta64(number - 1, "D") + seconds
-
-
-def scan_node(step_deg: float = 1.0) -> NodeScan:
+def scan_node(step_deg: float = 1.0) -> Numbers:
     """Try every node. Misfit: mean distance of the late days' dark share from 0.30-0.35, plus the mean share
     of the data days' orbits that darkness makes impossible (both as shares of the orbit)."""
     days = np.array([*DATA_DAYS, *LATE_DAYS], dtype=float)
@@ -90,33 +53,32 @@ def scan_node(step_deg: float = 1.0) -> NodeScan:
     late, data = dark[:, len(DATA_DAYS) :], dark[:, : len(DATA_DAYS)]
     distance = np.maximum(np.maximum(0.30 - late, late - 0.35), 0.0)
     misfit = distance.mean(axis=1) + data.mean(axis=1)
-    return NodeScan(
+    return Numbers(
+        # (K,) nodes at 0 h UTC of day 205, true of date, and the misfit of each.
         raan_deg=nodes,
         misfit=misfit,
+        # (K, days) share of the orbit in darkness on the late days, and (K, 4) on the data days.
         late_dark_share=late,
         data_dark_share=data,
-        chosen_deg=float(nodes[np.argmin(misfit)]),
+        chosen_deg=nodes[np.argmin(misfit)],
+        # Node that the launch gives: the witness.
         launch_deg=node_from_launch(),
     )
 
 
-def scan_heads(raan_deg: float) -> HeadScan:
+def scan_heads(raan_deg: float) -> Numbers:
     """Try four-head mountings (equal elevation, equal spacing in azimuth) for the node chosen.
 
     Misfit: how far claims 10-11, 28 and 32 are missed, as shares of the orbit, summed with equal weight.
     """
     days = np.array([*DATA_DAYS, *LATE_DAYS[::3], CHECK_DAY], dtype=float)
     sun_O, lit, latitude = _sun_in_orbit(raan_deg, days)
-    best: HeadScan | None = None
-    for elevation, half, spacing in product(_ELEVATIONS, _HALF_FOVS, _SPACINGS):
-        for first in np.arange(0.0, 360.0, 15.0):
-            azimuths = tuple(float((first + k * spacing) % 360.0) for k in range(4))
-            seen = np.stack([lit & _in_view(sun_O, a, elevation, half) for a in azimuths])
-            found = _judge(azimuths, elevation, half, seen, latitude)
-            if best is None or found.misfit < best.misfit:
-                best = found
-    assert best is not None
-    return best
+    found = [
+        _judge(tuple(float((first + k * spacing) % 360.0) for k in range(4)), elevation, half, sun_O, lit, latitude)
+        for elevation, half, spacing in product(_ELEVATIONS, _HALF_FOVS, _SPACINGS)
+        for first in np.arange(0.0, 360.0, 15.0)
+    ]
+    return min(found, key=lambda one: one.misfit)
 
 
 def node_from_launch() -> float:
@@ -132,8 +94,9 @@ def node_from_launch() -> float:
 
 
 def _judge(
-    azimuths: tuple[float, ...], elevation: float, half: float, seen: BoolArray, latitude: FloatArray
-) -> HeadScan:
+    azimuths: tuple[float, ...], elevation: float, half: float, sun_O: FloatArray, lit: BoolArray, latitude: FloatArray
+) -> Numbers:
+    seen = np.stack([lit & _in_view(sun_O, azimuth, elevation, half) for azimuth in azimuths])
     some = np.asarray(seen.any(axis=0))
     data, late, check = some[: len(DATA_DAYS)], some[len(DATA_DAYS) : -1], some[-1]
     minutes = data.mean(axis=1) * _period_min()
@@ -145,20 +108,18 @@ def _judge(
     heads_south, heads_north = seen[:, -1, far_south].any(axis=1), seen[:, -1, far_north].any(axis=1)
     wrong = check & ~far_south & ~far_north
     two_heads = bool((heads_south & ~heads_north).any() and (heads_north & ~heads_south).any())
-    misfit = float(
-        short.mean() + abs(visible - 0.20) + visible * (1.0 - visible_south) + wrong.mean()
-        + (0.0 if two_heads else 0.1)
-    )  # fmt: skip
-    return HeadScan(
-        azimuth_deg=(azimuths[0], azimuths[1], azimuths[2], azimuths[3]),
+    return Numbers(
+        azimuth_deg=azimuths,
         elevation_deg=elevation,
         half_fov_deg=half,
-        misfit=misfit,
+        misfit=short.mean()
+        + abs(visible - 0.20)
+        + visible * (1.0 - visible_south)
+        + wrong.mean()
+        + (0.0 if two_heads else 0.1),
+        # Share of the late days' samples in which some head sees the sun, and of these the share in the south.
         late_visible_share=visible,
         late_visible_south=visible_south,
-        data_visible_minutes=tuple(float(m) for m in minutes),
-        check_south_of_45_share=float(check[far_south].mean()),
-        check_north_of_30_share=float(check[far_north].mean()),
     )
 
 

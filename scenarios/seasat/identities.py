@@ -2,64 +2,46 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from fluxtwin.calib.common.design import assemble
 from fluxtwin.calib.linear.calibrate import calibrate_linear
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.scenarios.seasat.mission import Flight
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import FieldModel
 
 
-@dataclass(frozen=True)
-class Identities:
-    """Each number should be at rounding level."""
-
-    equation_1_nT: float
-    """Largest error of (I+S) B + b + T D = A B0 on readings without noise and rounding."""
-    frame_error: float
-    """Largest departure of the orbital axes from z = nadir, y = -orbit normal, x = y cross z."""
-    loss_excess: float
-    """Smallest relative growth of the loss (2) when a parameter is moved by a hundredth of its sigma; > 0."""
-    normal_equations: float
-    """Largest relative violation of (5a)-(5c) by the fit."""
-    equation_8_difference: float
-    """Largest difference between the fit's S and the explicit equation 9."""
-    rotation_error_deg: float
-    """A pure misalignment of 1 deg as I+S: departure from orthogonality and from 1 deg, in deg."""
-
-
-def check_identities(flight: Flight, ground: FieldModel) -> Identities:
-    """Evaluate all of them on one flight."""
+def check_identities(flight: Flight, ground: FieldModel) -> Numbers:
+    """Evaluate all of them on one flight; each number should be at rounding level."""
     truth = flight.truth
     stray = truth.dipole_B_Am2 @ truth.T_nT_per_Am2.T
     back = truth.ideal_B_nT @ (np.eye(3) + truth.S).T + truth.b_nT + stray
     fit = calibrate_linear(flight.telemetry, ground, errors_in_variables=False, robust="none")
-    H, B = _regression_rows(flight, ground)
+    design = assemble(flight.telemetry, ground, with_dipole=False)
+    H, B = design.H_nT, design.B_nT
     S, b = fit.calibration.S, fit.calibration.b_nT
     centred_B, centred_h = B - B.mean(axis=0), (H - B) - (H - B).mean(axis=0)
     BB, hB = centred_B.T @ centred_B / len(B), centred_h.T @ centred_B / len(B)
     explicit = hB @ np.linalg.inv(BB)
     normal = np.abs(S @ BB - hB).max() / np.abs(hB).max()
     mean = np.abs((H - B).mean(axis=0) - S @ B.mean(axis=0) - b).max() / np.abs(b).max()
-    return Identities(
-        equation_1_nT=float(np.abs(back - truth.field_B_nT - truth.unknown_B_nT).max()),
+    return Numbers(
+        # Largest error of (I+S) B + b + T D = A B0 on readings without noise and rounding.
+        equation_1_nT=np.abs(back - truth.field_B_nT - truth.unknown_B_nT).max(),
+        # Largest departure of the orbital axes from z = nadir, y = -orbit normal, x = y cross z.
         frame_error=_frame_error(flight),
+        # Smallest relative growth of the loss (2) when a parameter is moved by a hundredth of its sigma; > 0.
         loss_excess=_loss_excess(H, B, S, b, fit.calibration.sigmas),
-        normal_equations=float(max(normal, mean)),
-        equation_8_difference=float(np.abs(explicit - S).max()),
+        # Largest relative violation of (5a)-(5c) by the fit.
+        normal_equations=max(normal, mean),
+        # Largest difference between the fit's S and the explicit equation 9.
+        equation_8_difference=np.abs(explicit - S).max(),
+        # A pure misalignment of 1 deg as I+S: departure from orthogonality and from 1 deg.
         rotation_error_deg=_rotation_error_deg(),
     )
-
-
-def _regression_rows(flight: Flight, ground: FieldModel) -> tuple[FloatArray, FloatArray]:
-    from fluxtwin.calib.common.design import assemble
-
-    design = assemble(flight.telemetry, ground, with_dipole=False)
-    return design.H_nT, design.B_nT
 
 
 def _frame_error(flight: Flight) -> float:

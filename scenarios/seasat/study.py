@@ -11,13 +11,14 @@ from fluxtwin.calib.common.records import Calibration
 from fluxtwin.scenarios.calibration_records import rms_mG
 from fluxtwin.scenarios.claims import Claim, claims_table, counted, whys_table
 from fluxtwin.scenarios.motion import ATTITUDES, motion_of
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.scenarios.page import Page, StudyResult, Table
 from fluxtwin.scenarios.seasat import geometry, mission
 from fluxtwin.scenarios.seasat.accuracy_study import run_accuracy
 from fluxtwin.scenarios.seasat.calibration_study import run_calibrations
 from fluxtwin.scenarios.seasat.error_study import run_errors
 from fluxtwin.scenarios.seasat.identities import check_identities
-from fluxtwin.scenarios.seasat.report import Results, figures, judge_claims, summary, words
+from fluxtwin.scenarios.seasat.report import figures, judge_claims, summary, words
 from fluxtwin.scenarios.seasat.yaw_study import run_yaw
 from fluxtwin.scenarios.study_files import provenance, write_flight
 from fluxtwin.sim.base.progress import Progress, part_of, silent
@@ -46,9 +47,9 @@ def run(
     )
 
 
-def _with_monte_carlo(results: Results) -> Calibration:
+def _with_monte_carlo(results: Numbers) -> Calibration:
     """The calibration of all days with the covariance of the Monte Carlo, which holds errors that last an orbit."""
-    found = results.calibration.fits["all"].calibration
+    found: Calibration = results.calibration.fits["all"].calibration
     scale = np.repeat([1.0, NT_PER_MG], [9, 3])
     estimates = results.calibration.estimates[:, results.calibration.index("all")]
     covariance = np.cov(estimates[np.isfinite(estimates).all(axis=1)].T) * np.outer(scale, scale)
@@ -56,7 +57,7 @@ def _with_monte_carlo(results: Results) -> Calibration:
     return dataclasses.replace(found, covariance=covariance, covariance_kind="blocks", method=method)
 
 
-def compute(progress: Progress = silent, *, runs: int | None = None, attitude: str = ATTITUDES[0]) -> Results:
+def compute(progress: Progress = silent, *, runs: int | None = None, attitude: str = ATTITUDES[0]) -> Numbers:
     """All the numbers. `runs`: size of the Monte Carlo, for quick looks; attitude: as in `run`."""
     config = mission.scenario(attitude)
     ground = load_field(config.field.model)
@@ -67,7 +68,7 @@ def compute(progress: Progress = silent, *, runs: int | None = None, attitude: s
     progress("geometry of the orbit", 0.60)
     nodes = geometry.scan_node()
     fit = calibration.fits["all"]
-    return Results(
+    return Numbers(
         scenario=config,
         motion=motion_of(config, flight.telemetry, flight.truth),
         calibration=calibration,
@@ -80,13 +81,13 @@ def compute(progress: Progress = silent, *, runs: int | None = None, attitude: s
     )
 
 
-def tables(results: Results) -> dict[str, Table]:
+def tables(results: Numbers) -> dict[str, Table]:
     """All but the claims, in the order of the terminal."""
     made = words().tables(("calibration", "scatter", "attenuation", "errors", "yaw"), r=results)
     return {**made, "motion": results.motion.table(words().say("pointing", r=results))}
 
 
-def page(results: Results, claims: list[Claim], verdict: str) -> Page:
+def page(results: Numbers, claims: list[Claim], verdict: str) -> Page:
     """The report."""
     return words().page(
         "page",

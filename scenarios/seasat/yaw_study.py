@@ -6,17 +6,17 @@ the amplitude of a prescribed motion is swept and the crossover reported.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from fluxtwin.calib.attitude.yaw import yaw_from_field
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.plots.yaw import YawComparison, YawSweep
+from fluxtwin.scenarios.flights import day
 from fluxtwin.scenarios.motion import prescribed
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.scenarios.seasat import geometry, mission
 from fluxtwin.scenarios.seasat.calibration_study import calibrations
-from fluxtwin.scenarios.seasat.check_day import SEEDS, CheckDay, run_check_day
+from fluxtwin.scenarios.seasat.check_day import SEEDS, run_check_day
 from fluxtwin.scenarios.seasat.mission import Flight
 from fluxtwin.scenarios.yaw_comparison import compare_yaw
 from fluxtwin.sim.base.progress import Progress
@@ -31,36 +31,7 @@ ORBIT_SAMPLES = 1510
 AMPLITUDES_DEG = (0.2, 0.3, 0.5, 0.7, 1.0, 1.4, 2.0)
 
 
-@dataclass(frozen=True)
-class YawErrors:
-    """How one calibration does against yaw = 0, over the windows of an orbit."""
-
-    rms_deg: float
-    """rms of magnetometer yaw less sun-sensor yaw over the windows."""
-    rms_at_nodes_deg: float
-    """The same over windows within 10 deg of the equator."""
-    zero_rms_deg: float
-    """rms of yaw = 0 less sun-sensor yaw."""
-    zero_wins: float
-    """Share of windows in which yaw = 0 is nearer to the sun-sensor yaw."""
-    zero_wins_at_nodes: float
-    """The same over windows within 10 deg of the equator."""
-
-
-@dataclass(frozen=True)
-class YawStudy:
-    """Everything about yaw on day 205 and on the day of the check."""
-
-    bias_only: Calibration
-    bias_errors: YawErrors
-    full_errors: YawErrors
-    figure_1: YawComparison
-    figure_2: YawComparison
-    sweep: YawSweep
-    check: CheckDay
-
-
-def run_yaw(config: Scenario, full: Calibration, ground: FieldModel, progress: Progress) -> YawStudy:
+def run_yaw(config: Scenario, full: Calibration, ground: FieldModel, progress: Progress) -> Numbers:
     """Calibrate with a mean bias, solve for yaw both ways, sweep the true amplitude, check day 279."""
     progress("yaw on day 205", 0.0)
     coarse = mission.fly(config)
@@ -69,8 +40,7 @@ def run_yaw(config: Scenario, full: Calibration, ground: FieldModel, progress: P
     figure_1, figure_2 = (_compared(fine, c, ground) for c in (bias_only, full))
     sweep = _sweep(config, fine, ground, progress)
     progress("day 279", 0.9)
-    return YawStudy(
-        bias_only=bias_only,
+    return Numbers(
         bias_errors=judge(figure_1),
         full_errors=judge(figure_2),
         figure_1=figure_1,
@@ -82,18 +52,20 @@ def run_yaw(config: Scenario, full: Calibration, ground: FieldModel, progress: P
 
 def fine_scenario(config: Scenario) -> Scenario:
     """One orbit of day 205, a sample every few seconds."""
-    return mission.with_schedule(config, geometry.day(geometry.DATA_DAYS[0]), ORBIT_SAMPLES, STEP_S)
+    return mission.with_schedule(config, day(geometry.DATA_DAYS[0]), ORBIT_SAMPLES, STEP_S)
 
 
-def judge(record: YawComparison) -> YawErrors:
-    """Compare averages over windows with the sun sensor's, as the figures do."""
+def judge(record: YawComparison) -> Numbers:
+    """How one calibration does against yaw = 0, over the windows of an orbit and those near the equator."""
     error, zero, at_nodes = record.mean_error_deg, record.mean_sun_deg, record.near_node
-    return YawErrors(
-        rms_deg=float(np.sqrt(np.mean(error**2))),
-        rms_at_nodes_deg=float(np.sqrt(np.mean(error[at_nodes] ** 2))),
-        zero_rms_deg=float(np.sqrt(np.mean(zero**2))),
-        zero_wins=float(1.0 - record.nearer.mean()),
-        zero_wins_at_nodes=float(1.0 - record.nearer[at_nodes].mean()),
+    return Numbers(
+        # Yaw of the magnetometer, and yaw = 0, less that of the sun sensor.
+        rms_deg=np.sqrt(np.mean(error**2)),
+        rms_at_nodes_deg=np.sqrt(np.mean(error[at_nodes] ** 2)),
+        zero_rms_deg=np.sqrt(np.mean(zero**2)),
+        # Share of windows in which yaw = 0 is nearer.
+        zero_wins=1.0 - record.nearer.mean(),
+        zero_wins_at_nodes=1.0 - record.nearer[at_nodes].mean(),
     )
 
 

@@ -15,6 +15,7 @@ from fluxtwin.calib.spin.calibrate import SpinFit, SpinOptions, fit_spin, scalar
 from fluxtwin.calib.spin.rows import SpinRows, assemble_spin
 from fluxtwin.calib.spin.sedlak import iterate
 from fluxtwin.calib.spin.start import blind_start
+from fluxtwin.scenarios.flights import Flight
 from fluxtwin.scenarios.st5 import mission
 from fluxtwin.scenarios.st5.mission import attitude_error_deg
 from fluxtwin.scenarios.st5.open_settings import Search, Setting, filtered, search, settings
@@ -49,7 +50,7 @@ class Solved:
 class Hour:
     """All of one run."""
 
-    flight: mission.Flight
+    flight: Flight
     rows: SpinRows
     search: Search
     before: Solved
@@ -74,7 +75,7 @@ def options(method: str) -> SpinOptions:
     )  # fmt: skip
 
 
-def run_hour(flight: mission.Flight, ground: FieldModel, progress: Progress = silent, **grid: Sequence[float]) -> Hour:
+def run_hour(flight: Flight, ground: FieldModel, progress: Progress = silent, **grid: Sequence[float]) -> Hour:
     """The search and the three ways. `grid`: `walks_rad_s` and `factors` of another search."""
     rows = assemble_spin(flight.telemetry, ground)
     q_true = flight.truth.q_NB

@@ -4,35 +4,24 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from fluxtwin.calib.spin.batch import Noise
+from fluxtwin.scenarios import flights
+from fluxtwin.scenarios.flights import Flight
 from fluxtwin.scenarios.printed import Printed
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.constants import NT_PER_MG
-from fluxtwin.sim.run.simulate import simulate
-from fluxtwin.sim.run.truth import Truth
 from fluxtwin.sim.run.world import World, build_world
 from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 
 PRINTED = Printed("fluxtwin.scenarios.st5")
 """The abstract's numbers and claims, as packaged."""
-
-
-@dataclass(frozen=True)
-class Flight:
-    """One run: what the ground gets, and the truth apart."""
-
-    scenario: Scenario
-    telemetry: Telemetry
-    """Rows of the magnetometer, and rows that hold a sun pulse alone; no attitude."""
-    truth: Truth
-    """Rows of the magnetometer."""
 
 
 def scenario() -> Scenario:
@@ -66,15 +55,23 @@ def attitude_error_deg(A: FloatArray, q_NB: FloatArray) -> FloatArray:
 
 
 def fly(config: Scenario, world: World | None = None) -> Flight:
-    """Run a scenario in mode spin; `world` if it is known already."""
-    world = build_world(config) if world is None else world
-    whole, truth = simulate(config, world=world)
+    """Run a scenario in mode spin; `world` if it is known already.
+
+    The telemetry has the rows of the magnetometer, and rows that hold a sun pulse alone; no attitude. The truth has the
+    rows of the magnetometer.
+    """
+    flight = flights.fly(config, world)
+    whole = flight.telemetry
     assert whole.sun_B is not None
     told = Telemetry(
-        whole.time, whole.mag_B_nT, r_N_km=whole.r_N_km, v_N_km_s=whole.v_N_km_s, sun_B=whole.sun_B,
+        whole.time,
+        whole.mag_B_nT,
+        r_N_km=whole.r_N_km,
+        v_N_km_s=whole.v_N_km_s,
+        sun_B=whole.sun_B,
         provenance=dict(whole.provenance),
-    )  # fmt: skip
-    return Flight(config, told, truth)
+    )
+    return replace(flight, telemetry=told)
 
 
 world_of = build_world

@@ -16,7 +16,7 @@ from fluxtwin.plots.spin_attitude import AttitudeError, draw_attitude_error
 from fluxtwin.scenarios.claims import Claim
 from fluxtwin.scenarios.report import Report
 from fluxtwin.scenarios.st5 import mission
-from fluxtwin.scenarios.st5.calibration_study import Hour, Solved
+from fluxtwin.scenarios.st5.calibration_study import Hour
 from fluxtwin.scenarios.st5.monte_carlo import MonteCarlo, Starts, truth_terms
 from fluxtwin.scenarios.st5.open_settings import Setting
 from fluxtwin.scenarios.st5.terms import terms_of
@@ -48,6 +48,7 @@ def words() -> Report:
         distances=_distances,
         names=NAMES,
         published=lambda: mission.published(),
+        setting=_setting,
         terms_of=terms_of,
         truth_terms=truth_terms,
     )
@@ -92,44 +93,8 @@ def figures(hour: Hour) -> dict[str, Callable[[], Figure]]:
 
 
 def summary(results: Results, claims: list[Claim]) -> dict[str, Any]:
-    """The content of `summary.json`; b and misalignment in the abstract's terms, raw = R A H + b."""
-    hour, many, starts = results.hour, results.many, results.starts
-    printed, alone = mission.published(), terms_of(results.hour.alone)
-    return {
-        "study": "st5",
-        "seed": hour.flight.scenario.seed,
-        "convention": "raw = R A H + b, R = exp(-[misalignment x]); the calibration files keep A B0 = (I+S) B + b + T D",
-        "truth": {"b_mG": printed["b_mG"], "misalignment_deg": printed["misalignment_deg"]},
-        "pre_rss_deg": hour.before.rss_deg,
-        "pre_rms_deg": hour.before.rms_deg.tolist(),
-        "steps_alone": {
-            "post_rss_deg": hour.steps_alone.rss_deg,
-            "b_mG": alone.b_mG.tolist(),
-            "misalignment_deg": alone.misalignment_deg.tolist(),
-        },
-        "iterative": _way(hour.iterative),
-        "batch": _way(hour.batch),
-        "abstract": {
-            key: printed[key]
-            for key in ("pre_rms_deg", "pre_rss_deg", "post_rss_deg", "b_estimated_mG", "misalignment_estimated_deg")
-        },
-        "monte_carlo": {
-            "runs": len(many.nees),
-            "pull_mean": many.pulls.mean(axis=0).tolist(),
-            "pull_rms": many.pulls.std(axis=0, ddof=1).tolist(),
-            "error_rms": np.sqrt((many.errors_mG_deg**2).mean(axis=0)).tolist(),
-            "nees_mean": float(many.nees.mean()),
-            "nees_band_95": list(many.nees_band),
-            "attitude_rss_deg": float(many.attitude_rss_deg.mean()),
-        },
-        "blind_start": {"tried": starts.tried, "found": starts.found},
-        "settings": {
-            "searched": [_setting(row) for row in hour.search.grid],
-            "by_rms_before": _setting(hour.search.by_axes),
-            "by_both_rss": _setting(hour.search.by_rss),
-        },
-        "claims": [claim.to_dict() for claim in claims],
-    }
+    """The content of `summary.json`."""
+    return {**words().summary(**vars(results)), "claims": [claim.to_dict() for claim in claims]}
 
 
 def _setting(row: Setting) -> dict[str, Any]:
@@ -140,16 +105,4 @@ def _setting(row: Setting) -> dict[str, Any]:
         "pre_rss_deg": row.pre_rss_deg,
         "post_rms_deg": row.post_deg.tolist(),
         "post_rss_deg": row.post_rss_deg,
-    }
-
-
-def _way(solved: Solved) -> dict[str, Any]:
-    assert solved.fit is not None
-    return {
-        "post_rss_deg": solved.rss_deg,
-        "post_rms_deg": solved.rms_deg.tolist(),
-        **terms_of(solved.fit.calibration).to_dict(),
-        "squared_over_noise": solved.nis,
-        "motion": dict(solved.fit.motion),
-        "steps_deg": list(solved.fit.steps_deg),
     }

@@ -12,8 +12,8 @@ import pytest
 
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.gallery_study import REGION_DEG, run_gallery
+from fluxtwin.scenarios.hcmm.report import gallery_summary
 from fluxtwin.scenarios.hcmm.study import gallery_page
-from fluxtwin.scenarios.hcmm.summary import gallery_summary
 from fluxtwin.sim.base import files
 
 pytestmark = pytest.mark.closure

@@ -5,8 +5,6 @@ Witness: the same tests on residuals drawn at random on the real passes' station
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -35,7 +33,7 @@ def evidence(passes):
 def drawn(evidence, rng, night_ratio=1.0):
     """Residuals that follow the model's error, with 10 % of scatter."""
     night = np.where(evidence.night > 0.5, night_ratio, 1.0)
-    return replace(evidence, printed_mG=evidence.with_lsb_mG * night * np.exp(0.1 * rng.standard_normal(43)))
+    return evidence.model_copy({"printed_mG": evidence.with_lsb_mG * night * np.exp(0.1 * rng.standard_normal(43))})
 
 
 def test_residuals_without_a_difference_rarely_show_one(passes, evidence):

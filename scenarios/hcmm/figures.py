@@ -13,7 +13,7 @@ from fluxtwin.plots import calibration as calibration_plots
 from fluxtwin.plots import gallery as gallery_plots
 from fluxtwin.plots import passes as pass_plots
 from fluxtwin.plots import yaw as yaw_plots
-from fluxtwin.scenarios.hcmm.gallery_study import REGION_DEG, Answer
+from fluxtwin.scenarios.hcmm.gallery_study import REGION_DEG
 from fluxtwin.scenarios.hcmm.horizon_study import SHIFTS_DEG
 from fluxtwin.scenarios.hcmm.report import NULLS, differ, p_is
 from fluxtwin.scenarios.numbers import Numbers
@@ -121,7 +121,7 @@ def figures(r: Numbers) -> dict[str, Callable[[], Figure]]:
     }
 
 
-def gallery_figures(answers: Sequence[Answer]) -> dict[str, Callable[[], Figure]]:
+def gallery_figures(answers: Sequence[Numbers]) -> dict[str, Callable[[], Figure]]:
     """Those of the gallery, of each case its evidence and the passes that were not used."""
     evidence = {"a": _heads, "b": _night_map, "c": _torquers, "d": _readings}
     drawn: dict[str, Callable[[], Figure]] = {}
@@ -131,13 +131,13 @@ def gallery_figures(answers: Sequence[Answer]) -> dict[str, Callable[[], Figure]
     return drawn
 
 
-def _later(answer: Answer) -> Figure:
+def _later(answer: Numbers) -> Figure:
     assert answer.later is not None
     shown = {name: value for name, value in vars(answer.later).items() if name != "rms"}
     return gallery_plots.draw_later(**shown, title="Passes not used")
 
 
-def _heads(answer: Answer) -> Figure:
+def _heads(answer: Numbers) -> Figure:
     channel, t = open_channel(answer.telemetry), answer.telemetry
     assert t.sun_sensor_head is not None
     hours = epoch.seconds_since(t.time[channel.rows], t.time[0]) / 3600.0
@@ -147,7 +147,7 @@ def _heads(answer: Answer) -> Figure:
     )
 
 
-def _night_map(answer: Answer) -> Figure:
+def _night_map(answer: Numbers) -> Figure:
     night = ~answer.known
     found = answer.diagnosis.effects[0].settings.get("region_deg") if answer.diagnosis.effects else None
     return gallery_plots.draw_night_map(
@@ -160,16 +160,16 @@ def _night_map(answer: Answer) -> Figure:
     )
 
 
-def _torquers(answer: Answer) -> Figure:
+def _torquers(answer: Numbers) -> Figure:
     dipole = np.array(answer.telemetry.dipole_B_Am2)
     return _following(answer, dipole, "dipole [A m2]", "What the torquers do to the readings")
 
 
-def _readings(answer: Answer) -> Figure:
+def _readings(answer: Numbers) -> Figure:
     reading_uT = np.array(answer.telemetry.mag_B_nT) / 1000.0
     return _following(answer, reading_uT, "reading [uT]", "What a bias alone leaves")
 
 
-def _following(answer: Answer, driver: np.ndarray, label: str, title: str) -> Figure:
+def _following(answer: Numbers, driver: np.ndarray, label: str, title: str) -> Figure:
     residual_nT = answer.residual_nT[answer.known]
     return gallery_plots.draw_following(driver[answer.known], residual_nT, label, title=title)

@@ -23,6 +23,7 @@ from fluxtwin.gap.second_channel import channel_of, with_second_channel
 from fluxtwin.gap.sun_nadir import Channel, open_channel
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.motion import prescribed
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.sim.base.progress import Progress, part_of, silent
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
@@ -76,24 +77,6 @@ def cases(config: Scenario) -> tuple[Case, ...]:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Later:
-    """Residual of the passes that were not used; P passes."""
-
-    labels: Sequence[str]
-    unit: str
-    before: FloatArray
-    """(P,) rms, what is modelled taken from the passes used, without the named cause."""
-    after: FloatArray
-    """(P,) rms with the cause."""
-    concerned: BoolArray
-    """(P,) passes in which the cause acts."""
-    rms: tuple[float, float]
-    """Before and after, over all samples in which it acts."""
-    floor: float
-    """What is left where nothing is wrong."""
-
-
 @dataclass(frozen=True)
 class Compared:
     """One number that was put in, and what was found."""
@@ -105,44 +88,13 @@ class Compared:
     unit: str
 
 
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """One case, diagnosed."""
-
-    case: Case
-    diagnosis: Diagnosis
-    located: str
-    """Head, night and region, torquer, axis: where the diagnosis says it lies."""
-    compared: tuple[Compared, ...]
-    later: Later | None
-    """None where nothing was named."""
-    telemetry: Telemetry
-    residual_nT: FloatArray
-    """(N, 3) of the passes used, as judged, without the cause: body axes; without attitude, along the field first."""
-    place_deg: FloatArray
-    """(N, 2) latitude and longitude of those rows."""
-    known: BoolArray
-    """(N,) rows with an attitude."""
-
-    @property
-    def right(self) -> bool:
-        """Whether the cause that flew is named, and nothing else."""
-        names = [effect.name for effect in self.diagnosis.effects]
-        return self.diagnosis.verdict == "effect" and names == [self.case.cause]
-
-    @property
-    def name(self) -> str | None:
-        """The first cause named."""
-        return self.diagnosis.effects[0].name if self.diagnosis.effects else None
-
-
 def run_gallery(
     config: Scenario,
     progress: Progress = silent,
     *,
     only: Sequence[str] = ("a", "b", "c", "d"),
     by_law: bool = False,
-) -> tuple[Answer, ...]:
+) -> tuple[Numbers, ...]:
     """Fly and diagnose the cases of `only`, in the prescribed motion; by_law: as the scenario moves, coils by its law."""
     # The coils at random and at full dipole, which is not what the law commands: under it the coupling is still named,
     # but with sigmas of tens of nT/(A m2) along x and z, and later passes hardly gain by it.
@@ -152,11 +104,11 @@ def run_gallery(
     chosen = [case for case in cases(config) if case.key in only]
     answers = []
     for number, case in enumerate(chosen):
-        part = part_of(progress, number / len(chosen), (number + 1) / len(chosen))
+        part = part_of(_named(progress, case), number / len(chosen), (number + 1) / len(chosen))
         telemetry = mission.fly(plain.updated(dict(case.changes)), world).telemetry
         end = _end_of_record(config)
         used, later = telemetry.select(telemetry.time < end), telemetry.select(telemetry.time >= end)
-        answers.append(_answer(config, case, used, later, ground, _named(part, case)))
+        answers.append(_answer(config, case, used, later, ground, part))
     return tuple(answers)
 
 
@@ -173,19 +125,25 @@ def diagnosed(
 
 def _answer(
     config: Scenario, case: Case, used: Telemetry, later: Telemetry, ground: FieldModel, progress: Progress
-) -> Answer:
+) -> Numbers:
     found = diagnosed(used, ground, config, case.modelled, progress)
     alone = settled(pose(used, ground, modelled=case.modelled, budget=_budget(config))).modelled_active
     problem, residual = _left(used, ground, alone, config)
     longitude_latitude = frames.geocentric(problem.setting.R_EN.apply(problem.setting.given[0]))[:2]
-    return Answer(
+    names = [effect.name for effect in found.effects]
+    return Numbers(
         case=case,
         diagnosis=found,
+        # The first cause named; whether the cause that flew is named, and nothing else; where the diagnosis says it lies.
+        name=names[0] if names else None,
+        right=found.verdict == "effect" and names == [case.cause],
         located=_located(found),
         compared=_compared(config, case, found),
-        later=_judged(found, alone, later, ground, config) if found.effects else None,
+        later=_judged(found, alone, later, ground, config) if names else None,
         telemetry=used,
+        # (N, 3) of the passes used, as judged, without the cause: body axes; without attitude, along the field first.
         residual_nT=residual,
+        # (N, 2) latitude and longitude of those rows, and whether they have an attitude.
         place_deg=np.degrees(np.stack(longitude_latitude, axis=1)),
         known=used.has_attitude,
     )
@@ -207,12 +165,12 @@ def _end_of_record(config: Scenario) -> np.datetime64:
     return epoch.parse_time(first.start_utc) + np.timedelta64(round(1e9 * seconds), "ns")
 
 
-def _budget(config: Scenario) -> Budget:
-    return Budget(noise_nT=0.0, lsb_nT=config.magnetometer.step_nT)
-
-
 def _named(progress: Progress, case: Case) -> Progress:
     return lambda words, share: progress(f"gallery, {case.key}: {words}", share)
+
+
+def _budget(config: Scenario) -> Budget:
+    return Budget(noise_nT=0.0, lsb_nT=config.magnetometer.step_nT)
 
 
 def _left(
@@ -225,7 +183,7 @@ def _left(
 
 def _judged(
     found: Diagnosis, alone: Sequence[Active], later: Telemetry, ground: FieldModel, config: Scenario
-) -> Later | None:
+) -> Numbers:
     """The first named cause on the passes that were not used."""
     first, closure = found.effects[0], found.closure
     if closure is None or closure.empty:
@@ -242,7 +200,7 @@ def _judged(
 
 def _judged_angle(
     channel: Channel, time: TimeArray, name: str, head: int | None, parameters_deg: Mapping[str, float]
-) -> Later:
+) -> Numbers:
     """The sun-nadir angle, deg."""
     after = channel.without(name, head, parameters_deg)
     acts = channel.residual_rad != after.residual_rad
@@ -250,15 +208,19 @@ def _judged_angle(
     return _by_pass(time[channel.rows], before_deg, after_deg, acts, "deg", _rms(before_deg[~acts]))
 
 
-def _by_pass(time: TimeArray, before: FloatArray, after: FloatArray, acts: BoolArray, unit: str, floor: float) -> Later:
+def _by_pass(
+    time: TimeArray, before: FloatArray, after: FloatArray, acts: BoolArray, unit: str, floor: float
+) -> Numbers:
     seconds = epoch.seconds_since(time, time[0])
     number = np.concatenate([[0], np.cumsum(np.diff(seconds) > _APART_S)])
     passes = [np.flatnonzero(number == n) for n in range(int(number[-1]) + 1)]
-    return Later(
+    return Numbers(
         labels=[epoch.iso(time[rows[0]])[:16].replace("T", " ") for rows in passes],
         unit=unit,
+        # (P,) rms: what is modelled taken from the passes used, without the named cause and with it.
         before=np.array([_rms(before[rows]) for rows in passes]),
         after=np.array([_rms(after[rows]) for rows in passes]),
+        # (P,) passes in which the cause acts; both rms over the samples in which it does; the same where nothing is wrong.
         concerned=np.array([bool(acts[rows].any()) for rows in passes]),
         rms=(_rms(before[acts]), _rms(after[acts])),
         floor=floor,

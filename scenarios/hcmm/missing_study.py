@@ -85,19 +85,10 @@ class Hypothesis:
         return [name for name, far in list(zip(NUMBERS, away > limit, strict=True))[1:] if far]
 
 
-@dataclass(frozen=True)
-class MissingStudy:
-    """All hypotheses, and what is printed."""
-
-    printed: FloatArray
-    """(NUMBERS,)."""
-    hypotheses: tuple[Hypothesis, ...]
-
-
 def run_missing(
     config: Scenario, ground: FieldModel, windows: Windows, evidence: Numbers, progress: Progress, *,
     flights: int = FLIGHTS, diagnose: bool = True,
-) -> MissingStudy:  # fmt: skip
+) -> Numbers:  # fmt: skip
     """Fly each hypothesis over the days of Table 3 and the three of Table 5, in the prescribed motion."""
     days = mission.on_days(config)
     assert days.schedule is not None and config.schedule is not None
@@ -118,9 +109,8 @@ def run_missing(
         )
         found.append(Hypothesis(name, values, asked))
     printed = np.array([p.eps_M_mG for p in read_passes()])
-    return MissingStudy(
-        np.array([*_of_residuals(printed, evidence), printed_value("calibration", "AB", parameter="rms")]), tuple(found)
-    )
+    calibration_mG = printed_value("calibration", "AB", parameter="rms")
+    return Numbers(printed=np.array([*_of_residuals(printed, evidence), calibration_mG]), hypotheses=tuple(found))
 
 
 def _numbers(flight: mission.Flight, ground: FieldModel, windows: Windows, evidence: Numbers) -> list[float]:

@@ -12,8 +12,8 @@ from fluxtwin.gap.records import Diagnosis, EffectParameter
 from fluxtwin.scenarios.calibration_records import NAMES, calibration_summary, rms_mG, vector, vector_sigma
 from fluxtwin.scenarios.claims import Claim
 from fluxtwin.scenarios.hcmm import calibration_study, error_study, horizon_study, missing_study, mission, yaw_study
-from fluxtwin.scenarios.hcmm.gallery_study import REGION_DEG, Answer
-from fluxtwin.scenarios.hcmm.missing_study import Hypothesis, MissingStudy
+from fluxtwin.scenarios.hcmm.gallery_study import REGION_DEG
+from fluxtwin.scenarios.hcmm.missing_study import Hypothesis
 from fluxtwin.scenarios.hcmm.pass_study import ANOMALOUS
 from fluxtwin.scenarios.hcmm.real_passes import Question
 from fluxtwin.scenarios.hcmm_orbit import nadir_field
@@ -49,7 +49,7 @@ def summary(results: Numbers, claims: list[Claim]) -> dict[str, Any]:
     return {**words().summary(r=results), "claims": [claim.to_dict() for claim in claims]}
 
 
-def gallery_summary(answers: Sequence[Answer]) -> list[dict[str, Any]]:
+def gallery_summary(answers: Sequence[Numbers]) -> list[dict[str, Any]]:
     """For `summary.json`."""
     return [
         {
@@ -145,7 +145,7 @@ def _residuals(ours: float | None, printed: float | None) -> str:
     return " | ".join("-" if value is None else f"{value:.2f}" for value in (ours, printed))
 
 
-def _excluded(one: Hypothesis, study: MissingStudy, between: str) -> str:
+def _excluded(one: Hypothesis, study: Numbers, between: str) -> str:
     return between.join(name.split(" [")[0] for name in one.excluded_by(study.printed))
 
 

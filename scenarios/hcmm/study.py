@@ -14,7 +14,7 @@ from fluxtwin.scenarios.hcmm.error_study import RUNS as ERROR_RUNS
 from fluxtwin.scenarios.hcmm.error_study import run_errors
 from fluxtwin.scenarios.hcmm.field_evidence import weigh_field_error
 from fluxtwin.scenarios.hcmm.figures import figures, gallery_figures
-from fluxtwin.scenarios.hcmm.gallery_study import GROUND, Answer, run_gallery
+from fluxtwin.scenarios.hcmm.gallery_study import GROUND, run_gallery
 from fluxtwin.scenarios.hcmm.horizon_study import run_horizon
 from fluxtwin.scenarios.hcmm.missing_study import FLIGHTS, run_missing
 from fluxtwin.scenarios.hcmm.pass_study import run_passes
@@ -165,7 +165,7 @@ def page(results: Numbers, claims: list[Claim], verdict: str) -> Page:
     )
 
 
-def gallery_page(answers: Sequence[Answer], seed: int, law: Answer | None = None) -> Page:
+def gallery_page(answers: Sequence[Numbers], seed: int, law: Numbers | None = None) -> Page:
     """The four diagnosed cases. law: case (c) with the coils driven by the control law of the study."""
     said = words("gallery.md")
     shown = {f"compared_{one.case.key}": said.table("compared", answer=one) for one in answers}

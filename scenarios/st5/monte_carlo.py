@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.stats import chi2
 
 from fluxtwin.calib.spin.calibrate import fit_spin
 from fluxtwin.calib.spin.rows import assemble_spin
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.scenarios.st5 import mission
 from fluxtwin.scenarios.st5.calibration_study import options
 from fluxtwin.scenarios.st5.mission import attitude_error_deg
@@ -30,37 +29,6 @@ SUN_CONE_DEG = 30.0
 """Random spin axes keep so far from the sun's line: nearer, a slit sees no azimuth worth the name."""
 
 
-@dataclass(frozen=True)
-class MonteCarlo:
-    """R runs of the same hour with other noise."""
-
-    pulls: FloatArray
-    """(R, 6) errors of b and misalignment over their sigmas."""
-    errors_mG_deg: FloatArray
-    """(R, 6)."""
-    nees: FloatArray
-    """(R,) of the 12 parameters of S and b."""
-    attitude_rss_deg: FloatArray
-    """(R,)."""
-
-    @property
-    def nees_band(self) -> tuple[float, float]:
-        """95 % of the mean of R sums of 12 squares."""
-        freedom = 12 * len(self.nees)
-        low, high = (float(chi2.ppf(p, freedom)) / len(self.nees) for p in (0.025, 0.975))
-        return low, high
-
-
-@dataclass(frozen=True)
-class Starts:
-    """Blind starts."""
-
-    tried: int
-    found: int
-    attitude_rss_deg: FloatArray
-    """(tried,), infinite where none was found."""
-
-
 def truth_terms() -> FloatArray:
     """(6,) b [mG] and misalignment [deg] of the abstract."""
     printed = mission.published()
@@ -69,7 +37,7 @@ def truth_terms() -> FloatArray:
 
 def run_monte_carlo(
     config: Scenario, world: World, ground: FieldModel, progress: Progress = silent, runs: int = RUNS
-) -> MonteCarlo:
+) -> Numbers:
     """`runs` seeds, each solved by the batch from a blind start."""
     pulls, errors, nees, rss = [], [], [], []
     truth = truth_terms()
@@ -80,13 +48,22 @@ def run_monte_carlo(
         pulls.append(errors[-1] / terms.sigma)
         nees.append(score)
         rss.append(error_deg)
-    return MonteCarlo(np.array(pulls), np.array(errors), np.array(nees), np.array(rss))
+    return Numbers(
+        # (R, 6) errors of b and misalignment, and the same over their sigmas.
+        errors_mG_deg=np.array(errors),
+        pulls=np.array(pulls),
+        # (R,) normalised squared error of the 12 parameters of S and b, and 95 % of the mean of R sums of 12 squares.
+        nees=np.array(nees),
+        nees_band=[float(chi2.ppf(p, 12 * runs)) / runs for p in (0.025, 0.975)],
+        # (R,)
+        attitude_rss_deg=np.array(rss),
+    )
 
 
 def run_starts(
     config: Scenario, world: World, ground: FieldModel, progress: Progress = silent, starts: int = STARTS
-) -> Starts:
-    """`starts` random spin axes, phases, phases of nutation by the phase, and seeds."""
+) -> Numbers:
+    """`starts` random spin axes, phases, phases of nutation by the phase, and seeds; RSS infinite where none was found."""
     found = []
     for run in range(starts):
         progress(f"start {run + 1} of {starts}", run / starts)
@@ -102,7 +79,7 @@ def run_starts(
         except NoAnswer:
             found.append(float("inf"))
     rss = np.array(found)
-    return Starts(starts, int((rss < GOOD_DEG).sum()), rss)
+    return Numbers(tried=starts, found=(rss < GOOD_DEG).sum(), attitude_rss_deg=rss)
 
 
 def _axis(rng: np.random.Generator, sun_N: FloatArray) -> FloatArray:

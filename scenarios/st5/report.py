@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
 
@@ -14,24 +13,16 @@ from scipy.stats import chi2
 from fluxtwin.plots.filter_settings import Mark, SettingsPanel, draw_settings
 from fluxtwin.plots.spin_attitude import AttitudeError, draw_attitude_error
 from fluxtwin.scenarios.claims import Claim
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.scenarios.report import Report
 from fluxtwin.scenarios.st5 import mission
 from fluxtwin.scenarios.st5.calibration_study import Hour
-from fluxtwin.scenarios.st5.monte_carlo import MonteCarlo, Starts, truth_terms
+from fluxtwin.scenarios.st5.monte_carlo import truth_terms
 from fluxtwin.scenarios.st5.open_settings import Setting
 from fluxtwin.scenarios.st5.terms import terms_of
 
 NAMES = ("b x [mG]", "b y [mG]", "b z [mG]", "turn x [deg]", "turn y [deg]", "turn z [deg]")
 """The six parameters of the abstract."""
-
-
-@dataclass(frozen=True)
-class Results:
-    """All that a run has found."""
-
-    hour: Hour
-    many: MonteCarlo
-    starts: Starts
 
 
 def judge_claims(hour: Hour) -> list[Claim]:
@@ -92,7 +83,7 @@ def figures(hour: Hour) -> dict[str, Callable[[], Figure]]:
     return {**drawn, "settings": settings}
 
 
-def summary(results: Results, claims: list[Claim]) -> dict[str, Any]:
+def summary(results: Numbers, claims: list[Claim]) -> dict[str, Any]:
     """The content of `summary.json`."""
     return {**words().summary(**vars(results)), "claims": [claim.to_dict() for claim in claims]}
 

@@ -18,6 +18,7 @@ from fluxtwin.calib.spin.rows import assemble_spin
 from fluxtwin.calib.spin.start import blind_start
 from fluxtwin.plots.spin_attitude import AttitudeError, draw_attitude_error
 from fluxtwin.scenarios.claims import Claim, counted
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.scenarios.registry import STUDIES
 from fluxtwin.scenarios.st5 import mission, study
 from fluxtwin.scenarios.st5.calibration_study import options
@@ -34,17 +35,17 @@ COARSE = {"walks_rad_s": np.geomspace(5e-5, 1e-2, 3).tolist(), "factors": np.geo
 
 
 @pytest.fixture(scope="module")
-def results() -> study.Results:
+def results() -> Numbers:
     return study.compute(runs=3, starts=2, **COARSE)
 
 
 @pytest.fixture(scope="module")
-def claims(results: study.Results) -> dict[int, Claim]:
+def claims(results: Numbers) -> dict[int, Claim]:
     return {claim.id: claim for claim in judge_claims(results.hour)}
 
 
 @pytest.fixture(scope="module")
-def summary(results: study.Results, claims: dict[int, Claim]) -> dict[str, Any]:
+def summary(results: Numbers, claims: dict[int, Claim]) -> dict[str, Any]:
     made = study.summary(results, list(claims.values()))
     return json.loads(json.dumps(made, allow_nan=False))
 
@@ -92,7 +93,7 @@ RECOVERED = np.array(
 """S row by row and b [mG] of equation 1, by the batch, seed of the scenario; no torquers, so no T."""
 
 
-def test_the_recovered_S_and_b(results: study.Results, close: Callable[..., None]) -> None:
+def test_the_recovered_S_and_b(results: Numbers, close: Callable[..., None]) -> None:
     """Within the stated sigmas of what was put in, and the numbers themselves, frozen.
 
     The hour of the scenario's seed is an unkind one: its noise along z has a mean of 2.8 sigma, and b3 and S23 are off by
@@ -117,7 +118,7 @@ def test_the_recovered_S_and_b(results: study.Results, close: Callable[..., None
     assert (results.many.nees < chi2.ppf(0.999, 12)).all()
 
 
-def test_the_sigmas_of_b_and_of_the_turn(results: study.Results, close: Callable[..., None]) -> None:
+def test_the_sigmas_of_b_and_of_the_turn(results: Numbers, close: Callable[..., None]) -> None:
     """b: 2 mG over the root of 28,800 is 0.0118 mG; the turn about the spin also hangs on the sun's 1562 pulses."""
     assert results.hour.batch.fit is not None
     terms = terms_of(results.hour.batch.fit.calibration)
@@ -138,7 +139,7 @@ def test_every_claim_has_its_status_a_number_and_a_reason(claims: dict[int, Clai
     assert all(claim.why for claim in claims.values() if claim.status != "reproduced")
 
 
-def test_the_two_choices_of_settings(results: study.Results, close: Callable[..., None]) -> None:
+def test_the_two_choices_of_settings(results: Numbers, close: Callable[..., None]) -> None:
     """What was used is met, what was not is predicted: 0.24 deg for the printed 0.151, axes off by 0.10 deg."""
     found, printed = results.hour.search, mission.published()
     reason = "the search ends within 1e-3 of its range, and begins on another grid than the report's"
@@ -162,29 +163,29 @@ def test_the_two_choices_of_settings(results: study.Results, close: Callable[...
     close(found.rss_deg("post"), exact, atol=1e-3 * np.abs(exact), unit="deg", because="four digits written")
 
 
-def test_the_error_after_is_the_filters_not_the_calibrations(results: study.Results) -> None:
+def test_the_error_after_is_the_filters_not_the_calibrations(results: Numbers) -> None:
     """The abstract's steps and the batch's calibration, 20 times better, give the same with the chosen settings."""
     assert abs(results.hour.steps_alone.rss_deg / results.hour.search.by_axes.post_rss_deg - 1.0) < 0.01
 
 
-def _met(results: study.Results, changed: Callable[..., Any]) -> study.Results:
+def _met(results: Numbers, changed: Callable[..., Any]) -> Numbers:
     """A world in which the error after calibration came out as the abstract's."""
     scale = mission.published()["post_rss_deg"] / results.hour.steps_alone.rss_deg
     return changed(results, "hour.steps_alone.error_deg", lambda error: scale * error)
 
 
-def _statuses(results: study.Results) -> dict[int, str]:
+def _statuses(results: Numbers) -> dict[int, str]:
     return {claim.id: claim.status for claim in judge_claims(results.hour)}
 
 
-def test_claim_55_in_a_stronger_field_and_another_nutation(results: study.Results, changed: Callable[..., Any]) -> None:
+def test_claim_55_in_a_stronger_field_and_another_nutation(results: Numbers, changed: Callable[..., Any]) -> None:
     assert _statuses(changed(results, "hour.flight.truth.field_N_nT", lambda field: 1.34 * field))[55] == "differs"
     other = changed(results, "hour.batch.fit.motion.nutation_deg", 2.1)
     assert _statuses(other)[55] == "differs"
 
 
 def test_claim_56_could_have_come_out_and_goes_with_noise_or_without_misalignment(
-    results: study.Results, changed: Callable[..., Any]
+    results: Numbers, changed: Callable[..., Any]
 ) -> None:
     met = _met(results, changed)
     assert _statuses(met)[56] == "reproduced"
@@ -199,9 +200,7 @@ def test_claim_56_could_have_come_out_and_goes_with_noise_or_without_misalignmen
     assert _statuses(changed(met, "hour.search.by_axes.pre_deg", before))[56] == "differs"
 
 
-def test_claim_57_with_twice_the_noise_and_with_turns_that_stay(
-    results: study.Results, changed: Callable[..., Any]
-) -> None:
+def test_claim_57_with_twice_the_noise_and_with_turns_that_stay(results: Numbers, changed: Callable[..., Any]) -> None:
     """The iteration settles on noisier readings as well, but they leave four times what the stated noise does."""
     segment = {"start_utc": "2006-04-15T00:00:00Z", "samples": 7200, "step_s": 0.125}
     noisy = mission.scenario().updated({"magnetometer.noise_mG": 4.0, "schedule.segments": [segment]})
@@ -216,7 +215,7 @@ def test_claim_57_with_twice_the_noise_and_with_turns_that_stay(
     [("b_mG", [1.0, -2.0, 31.0]), ("misalignment_deg", [-2.0, 1.5, 13.0]), ("pre_rms_deg", [0.87, 0.896, 1.156])],
 )
 def test_claim_58_with_digits_for_brackets_and_another_axis(
-    results: study.Results, monkeypatch: pytest.MonkeyPatch, key: str, value: list[float]
+    results: Numbers, monkeypatch: pytest.MonkeyPatch, key: str, value: list[float]
 ) -> None:
     printed = {**mission.published(), key: value}
     monkeypatch.setattr(mission, "published", lambda: printed)
@@ -231,7 +230,7 @@ CURVES = {
 """rms and largest size of X, Y, Z as drawn [deg]."""
 
 
-def test_the_page_and_the_sizes_of_its_curves(results: study.Results, close: Callable[..., None]) -> None:
+def test_the_page_and_the_sizes_of_its_curves(results: Numbers, close: Callable[..., None]) -> None:
     made = study.page(results, judge_claims(results.hour), "verdict")
     blocks = {block.name: block for section in made.sections for block in section.figures}
     assert list(blocks) == ["figure_1", "figure_2", "batch", "settings"]

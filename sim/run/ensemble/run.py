@@ -65,9 +65,10 @@ def fly_ensemble(
     """Fly so many vehicles of a scenario with [draws] and leave the results in the folder `out`.
 
     seed: of the draws and of all that is random; the scenario's own where not given. jobs: processes, all cores where not
-    given; a script that asks for more than one needs the usual `if __name__ == "__main__":`. in_chunk: vehicles that are held in memory and written at a time. resume: go on with what is in the folder,
-    if it is the same ensemble. executor: flies the chunks instead of processes here, any of `concurrent.futures`' kind
-    (as dask's `client.get_executor()`), whose workers see the folder.
+    given; a script that asks for more than one needs the usual `if __name__ == "__main__":`. in_chunk: vehicles that are
+    held in memory and written at a time. resume: go on with what is in the folder, if it is the same ensemble. executor:
+    flies the chunks instead of processes here, any of `concurrent.futures`' kind (as dask's `client.get_executor()`), whose
+    workers see the folder.
     Raises BadInput for a scenario or a vehicle that cannot be, for a folder with another ensemble, and NoAnswer where
     every vehicle was lost.
     """

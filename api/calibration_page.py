@@ -125,8 +125,13 @@ def _provenance(fit: Fit) -> dict[str, str]:
     known = fit.calibration
     span = "" if known.span is None else f"{epoch.iso(known.span[0])} to {epoch.iso(known.span[1])}"
     lines = {
-        "spacecraft": known.spacecraft, "span": span, "samples": str(known.samples), "field model": known.field_model,
-        "method": known.method, "covariance": known.covariance_kind, "SHA-256 of the calibration": known.digest,
+        "spacecraft": known.spacecraft,
+        "span": span,
+        "samples": str(known.samples),
+        "field model": known.field_model,
+        "method": known.method,
+        "covariance": known.covariance_kind,
+        "SHA-256 of the calibration": known.digest,
         "residual to": known.residual_to,
-    }  # fmt: skip
+    }
     return {key: value for key, value in lines.items() if value}

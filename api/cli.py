@@ -31,7 +31,7 @@ from fluxtwin.commands import (
     run,
     simulate,
     yaw,
-)  # fmt: skip
+)
 from fluxtwin.commands import map as map_
 from fluxtwin.commands.options import QuietOption, VerboseOption, with_manners
 from fluxtwin.console import clean, manners

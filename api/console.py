@@ -108,9 +108,7 @@ class Output:
         """Sentences of a result: on a terminal they are broken between words, later lines behind `indent`."""
         if self.talks and sys.stdout.isatty():
             width = shutil.get_terminal_size().columns
-            text = textwrap.fill(
-                text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
-            )  # fmt: skip
+            text = textwrap.fill(text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
         self.say(text)
 
     def note(self, text: str) -> None:

@@ -193,8 +193,11 @@ def _budget(
     attitude_tau_s: float | None,
 ) -> Budget:
     given = {
-        "noise_nT": noise_nT, "lsb_nT": lsb_nT, "attitude_sigma_deg": attitude_sigma_deg, "attitude_tau_s": attitude_tau_s,
-    }  # fmt: skip
+        "noise_nT": noise_nT,
+        "lsb_nT": lsb_nT,
+        "attitude_sigma_deg": attitude_sigma_deg,
+        "attitude_tau_s": attitude_tau_s,
+    }
     sources = {} if config is None else {name: "scenario" for name, value in given.items() if value is None}
     if config is not None:
         reference = config.attitude.reference

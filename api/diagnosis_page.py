@@ -19,11 +19,15 @@ def diagnosis_page(diagnosis: Diagnosis, title: str) -> Page:
         title=title,
         verdict=diagnosis.sentence,
         sections=[
-            _where(diagnosis), _which(diagnosis), _far(diagnosis), *_elsewhere(diagnosis), _open(diagnosis),
+            _where(diagnosis),
+            _which(diagnosis),
+            _far(diagnosis),
+            *_elsewhere(diagnosis),
+            _open(diagnosis),
             _could(diagnosis),
         ],
         provenance=_provenance(diagnosis),
-    )  # fmt: skip
+    )
 
 
 def tables(diagnosis: Diagnosis) -> list[Table]:
@@ -252,9 +256,14 @@ def ranking_table(diagnosis: Diagnosis) -> Table:
     lines = diagnosis.ranking[:_RANKED]
     named = {name for effect in diagnosis.effects for name in effect.group}
     rows = [
-        [line.name + (" (named)" if line.name in named else ""), f"{line.drop:.1f}", str(line.directions),
-         _p_value(line.p_value)] for line in lines
-    ]  # fmt: skip
+        [
+            line.name + (" (named)" if line.name in named else ""),
+            f"{line.drop:.1f}",
+            str(line.directions),
+            _p_value(line.p_value),
+        ]
+        for line in lines
+    ]
     return Table(
         f"The first {len(lines)} of {len(diagnosis.ranking)} effects, each alone",
         ["effect", "drop of chi-square", "parameters seen", "p-value"],

@@ -144,8 +144,10 @@ def field(
     54600.0
     """
     for name, value, low, high in (
-        ("lat", lat_deg, -90, 90), ("lon", lon_deg, -180, 360), ("alt-km", alt_km, -100, 1e6),
-    ):  # fmt: skip
+        ("lat", lat_deg, -90, 90),
+        ("lon", lon_deg, -180, 360),
+        ("alt-km", alt_km, -100, 1e6),
+    ):
         if not low <= value <= high:
             raise BadInput(f"{value:g} is out of range", where=f"--{name}", wanted=f"{low:g} to {high:g}")
     time = epoch.parse_time(date, where="--date") if isinstance(date, str) else date

@@ -91,9 +91,13 @@ def answered_with(
         return answer
     whole = answer.result  # what was asked of every candidate
     result = replace(
-        other.result, ranking=whole.ranking, untestable=whole.untestable, isolability=whole.isolability,
-        minimum_detectable=whole.minimum_detectable, smallest_images_nT=whole.smallest_images_nT,
-    )  # fmt: skip
+        other.result,
+        ranking=whole.ranking,
+        untestable=whole.untestable,
+        isolability=whole.isolability,
+        minimum_detectable=whole.minimum_detectable,
+        smallest_images_nT=whole.smallest_images_nT,
+    )
     return replace(other, result=result)
 
 
@@ -168,10 +172,15 @@ def bare(problem: Problem, answer: Answer, dictionary: Sequence[Block]) -> Answe
     """The same noise with no effect named."""
     found = answer.result
     result = replace(
-        found, named=(), chosen=(), modelled=found.modelled_alone, residual_nT=found.residual_alone_nT,
-        residual_white=found.residual_alone_white, jacobian_white=found.nuisance_alone_white,
+        found,
+        named=(),
+        chosen=(),
+        modelled=found.modelled_alone,
+        residual_nT=found.residual_alone_nT,
+        residual_white=found.residual_alone_white,
+        jacobian_white=found.nuisance_alone_white,
         chi2={**found.chi2, "named": found.chi2["nuisance"]},
-    )  # fmt: skip
+    )
     signals = signals_of(answer.shapes)
     own = [derivatives(problem, signals)] if signals else []
     fitted = np.concatenate([answer.alone_nT, *own], axis=2)

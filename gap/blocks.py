@@ -144,9 +144,13 @@ def step_block(problem: Problem, step_s: float) -> Block:
     c = after(problem.setting, step_s)
     columns = c.columns
     return Block(
-        _BODY_STAGES["after_time"], c.name, "body", c.label, "xyz",
+        _BODY_STAGES["after_time"],
+        c.name,
+        "body",
+        c.label,
+        "xyz",
         lambda: _spread(np.broadcast_to(np.eye(3), (columns.shape[0], 3, 3)), columns),
-    )  # fmt: skip
+    )
 
 
 _BODY_STAGES: Mapping[str | None, Mapping[str, float]] = {
@@ -219,9 +223,14 @@ def _field(carrier: Carrier) -> Iterator[Block]:
     for degree in _FIELD_DEGREES[: 2 if carrier.rows > _LONG else None]:
         terms = degree * (degree + 2)
         yield Block(
-            {"field": 1.0}, None, "earth", f"field to degree {degree}", " " * terms,
-            partial(carrier.potential, degree), 2.0,
-        )  # fmt: skip
+            {"field": 1.0},
+            None,
+            "earth",
+            f"field to degree {degree}",
+            " " * terms,
+            partial(carrier.potential, degree),
+            2.0,
+        )
 
 
 def _block(

@@ -83,9 +83,11 @@ def settle(closure: Closure) -> Closed:
     for number in range(_ROUNDS):
         problem = dataclasses.replace(
             problem,
-            chain=Chain(dataclasses.replace(problem.setting, instrument=_corrected(problem.setting.instrument, modelled))),
+            chain=Chain(
+                dataclasses.replace(problem.setting, instrument=_corrected(problem.setting.instrument, modelled))
+            ),
             modelled_theta=tuple(_rest(effect, theta) for effect, theta in modelled),
-        )  # fmt: skip
+        )
         modelled = problem.modelled_active
         if not chosen or number == _ROUNDS - 1:
             break

@@ -115,9 +115,7 @@ def diagnose(
     record = _each(whole, every)
     if instrument is None and modelled and not record.has_attitude.any():
         instrument = start_without_attitude(record, model)
-    problem = pose(
-        record, model, modelled=modelled, budget=budget, instrument=instrument, frozen=frozen
-    )  # fmt: skip
+    problem = pose(record, model, modelled=modelled, budget=budget, instrument=instrument, frozen=frozen)
     out = dict.fromkeys(ruled_out, "the angle between sun and nadir has nothing of it")
     problem = replace(problem, ruled_out=out)
     _require_rows(problem)
@@ -191,10 +189,17 @@ def investigate(
         )
         if fast is None
         else flexible_findings(
-            fast.problem, fast.whitener, fast.noise, fast.robust, fast.residual_nT, fast.fitted_nT, left.structured,
-            coarser, answer.shapes,
+            fast.problem,
+            fast.whitener,
+            fast.noise,
+            fast.robust,
+            fast.residual_nT,
+            fast.fitted_nT,
+            left.structured,
+            coarser,
+            answer.shapes,
         )
-    )  # fmt: skip
+    )
     flexible = tuple(one for one in findings if one.confirmed)
     loud = next((one.words for one in findings if one.effect == "excess_noise" and not one.confirmed), None)
     would_do_rad = _attitude_would_do(problem, answer, dictionary)
@@ -203,9 +208,23 @@ def investigate(
     shrinkage, series = _how_far(problem, robust, declared_lsb_nT, answer, flexible)
     momentum = balanced(problem, craft, whitener, result, fitted)
     return Work(
-        problem, noise, robust, whitener, result, alone, fitted, answer.constant, left, flexible, loud, place,
-        shrinkage, series, momentum, would_do_rad,
-    )  # fmt: skip
+        problem,
+        noise,
+        robust,
+        whitener,
+        result,
+        alone,
+        fitted,
+        answer.constant,
+        left,
+        flexible,
+        loud,
+        place,
+        shrinkage,
+        series,
+        momentum,
+        would_do_rad,
+    )
 
 
 def _about_the_whitened_fit(problem: Problem) -> Problem:
@@ -325,9 +344,12 @@ def _how_far(
     white_nT, theta_rad = floor_noise(flexible, noise, problem.budget)
     with_effects = far.floor_rms_nT(problem.noise_field_nT[kept], white_nT, theta_rad, problem.measured[kept])
     prediction = far.predict_blocks(
-        problem.setting.seconds, kept, (own[0], own[1], own[2], own[3]), (white[0], white[1], white[2], white[3]),
+        problem.setting.seconds,
+        kept,
+        (own[0], own[1], own[2], own[3]),
+        (white[0], white[1], white[2], white[3]),
         with_effects,
-    )  # fmt: skip
+    )
     extra = stochastic_nT(flexible, noise, declared_lsb_nT)
     floor = float(np.sqrt(max(with_effects**2 - extra**2, 0.0)))
     walk = next((one for one in flexible if one.effect == "bias_random_walk"), None)
@@ -336,10 +358,7 @@ def _how_far(
         prediction = far.Prediction(prediction.before_nT, after, "one_step", prediction.known)
         with_effects = float(np.hypot(with_effects, unsure))
     named = bool(result.named) or bool(flexible)
-    shrinkage = far.shrinkage(
-        prediction, kept, floor, with_effects, seed=problem.rows, named=named,
-        axes=problem.axes,
-    )  # fmt: skip
+    shrinkage = far.shrinkage(prediction, kept, floor, with_effects, seed=problem.rows, named=named, axes=problem.axes)
     parts = (prediction.before_nT, prediction.after_nT if named else prediction.before_nT)
     before, after = (part if problem.axes is None else problem.axes.in_body(part) for part in parts)
     unseen = ~(kept if prediction.known is None else kept & prediction.known)[:, None]

@@ -74,9 +74,14 @@ def full_rate(
     parts = [derivative(near.design, active, place) for place in places]
     fitted = np.concatenate(parts, axis=2) if parts else np.zeros((near.rows, 3, 0))
     noise, robust = select_noise(
-        near.judged(residual), [near.judged(fitted)], near.noise_image_nT, near.setting.seconds, near.segment,
-        prior_of(complete_budget(near)), None if near.axes is None else near.measured,
-    )  # fmt: skip
+        near.judged(residual),
+        [near.judged(fitted)],
+        near.noise_image_nT,
+        near.setting.seconds,
+        near.segment,
+        prior_of(complete_budget(near)),
+        None if near.axes is None else near.measured,
+    )
     whitener = whitener_of(near, noise, robust.weights)
     left = leftover(whitener, residual, fitted)
     tone = strongest_tone(near.setting.seconds, left)
@@ -88,10 +93,13 @@ def _stretch(whole: Telemetry, problem: Problem, modelled: Sequence[Active], cho
     """The same problem on the middle rows of a record, about the same parameters."""
     first = max((len(whole) - MOST_ROWS) // 2, 0)
     near = pose(
-        whole.select(slice(first, first + MOST_ROWS)), problem.setting.model,
-        modelled=[effect.name for effect in problem.modelled], budget=problem.budget,
-        instrument=problem.setting.instrument, frozen=problem.frozen,
-    )  # fmt: skip
+        whole.select(slice(first, first + MOST_ROWS)),
+        problem.setting.model,
+        modelled=[effect.name for effect in problem.modelled],
+        budget=problem.budget,
+        instrument=problem.setting.instrument,
+        frozen=problem.frozen,
+    )
     thetas = {effect.name: theta for effect, theta in modelled}
     near = replace(
         near,

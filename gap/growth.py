@@ -81,8 +81,8 @@ class Search:
         if key not in self.fits:
             chosen = [(self.found[number].effect, theta) for number, theta in zip(numbers, start, strict=True)]
             self.fits[key] = refit(
-                self.problem, self.whitener, chosen, modelled=self.base.modelled, guess=self._image(numbers),
-            )  # fmt: skip
+                self.problem, self.whitener, chosen, modelled=self.base.modelled, guess=self._image(numbers)
+            )
         return self.fits[key]
 
     def _image(self, numbers: Sequence[int]) -> FloatArray:

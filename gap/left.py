@@ -103,9 +103,17 @@ def judge(problem: Problem, left: Leftover, fits: Sequence[Fit], *, alpha: float
     condition = block.condition if named else {"step": "after_time", "drift": "time"}.get(kind)
     frame = block.frame if named else None
     return Left(
-        True, p_value, condition, frame, kind, _words(kind, block, tone, step_s), p_values,
-        block.label if named else kind, tone.frequency_Hz, step_s,
-    )  # fmt: skip
+        True,
+        p_value,
+        condition,
+        frame,
+        kind,
+        _words(kind, block, tone, step_s),
+        p_values,
+        block.label if named else kind,
+        tone.frequency_Hz,
+        step_s,
+    )
 
 
 def step(seconds: FloatArray, left: Leftover) -> tuple[float, float]:

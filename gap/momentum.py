@@ -204,8 +204,10 @@ def _others(result: SearchResult) -> list[Candidate]:
 def _shared(cut: Windows, problem: Problem, result: SearchResult) -> FloatArray:
     """(M, 3, c + p) image of what the magnetometer's channel fits, in its order; zero where attitude and orbit stay."""
     there = [*problem.frozen, *result.modelled, *result.chosen]
-    parts = [causes.image_of(cut, cast(SignalEffect, effect), there, theta)
-             for effect, theta in (*result.modelled, *result.chosen)]  # fmt: skip
+    parts = [
+        causes.image_of(cut, cast(SignalEffect, effect), there, theta)
+        for effect, theta in (*result.modelled, *result.chosen)
+    ]
     return np.concatenate(parts, axis=2) if parts else np.zeros((cut.rows.size, 3, 0))
 
 

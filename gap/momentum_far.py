@@ -61,11 +61,8 @@ def how_far(balance: Balance, fit: Refit | None, noise: str, standing: tuple[Flo
     if fit is not None:
         after = plain.left(_held_out(balance, fit.residual, np.concatenate([balance.nuisance, *fit.columns], axis=2)))
     sums = np.array(
-        [
-            [float(np.sum(before[w.place] ** 2)), float(np.sum(after[w.place] ** 2)), 3.0 * w.size]
-            for w in cut.windows
-        ]
-    )  # fmt: skip
+        [[float(np.sum(before[w.place] ** 2)), float(np.sum(after[w.place] ** 2)), 3.0 * w.size] for w in cut.windows]
+    )
     floor = plain.floor_rad(balance.whitener.noise)
     rng = np.random.default_rng(len(sums))
     drawn = sums[rng.integers(0, len(sums), size=(_DRAWS, len(sums)))].sum(axis=1)
@@ -85,9 +82,16 @@ def how_far(balance: Balance, fit: Refit | None, noise: str, standing: tuple[Flo
     }
     longest = max(float(w.seconds[-1] - w.seconds[0]) for w in cut.windows)
     return MomentumGap(
-        float(np.degrees(rms_before)), float(np.degrees(rms_after)), float(np.degrees(floor)), closed, interval,
-        len(cut.windows), longest, noise, errors,
-    )  # fmt: skip
+        float(np.degrees(rms_before)),
+        float(np.degrees(rms_after)),
+        float(np.degrees(floor)),
+        closed,
+        interval,
+        len(cut.windows),
+        longest,
+        noise,
+        errors,
+    )
 
 
 def _held_out(balance: Balance, residual: FloatArray, columns: FloatArray) -> FloatArray:

@@ -246,11 +246,18 @@ def named(balance: Balance, first: Board, chosen: Sequence[int], fit: Refit, tes
         shares = energy / max(float(energy.sum()), 1e-300)
         found.append(
             Named(
-                effect=candidate.effect, theta=fit.thetas[place], covariance=fit.covariances[place], p_value=p_value,
-                group=group, rivals=rivals, probability=min(_MOST, inside * (1.0 - min(p_value, 1.0))), visible_nT=0.0,
-                axis_shares=(float(shares[0]), float(shares[1]), float(shares[2])), signal_nT=np.zeros((0, 3)),
+                effect=candidate.effect,
+                theta=fit.thetas[place],
+                covariance=fit.covariances[place],
+                p_value=p_value,
+                group=group,
+                rivals=rivals,
+                probability=min(_MOST, inside * (1.0 - min(p_value, 1.0))),
+                visible_nT=0.0,
+                axis_shares=(float(shares[0]), float(shares[1]), float(shares[2])),
+                signal_nT=np.zeros((0, 3)),
             )
-        )  # fmt: skip
+        )
     return tuple(sorted(found, key=lambda one: one.p_value))
 
 

@@ -18,9 +18,17 @@ from fluxtwin.gap.whitening import NoiseModel, Whitener, make_whitener
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 __all__ = [
-    "NoiseChoice", "NoiseModel", "RobustRows", "Whitener", "choose_noise", "complete_budget", "make_whitener",
-    "noise_choice", "select_noise", "whitener_of",
-]  # fmt: skip
+    "NoiseChoice",
+    "NoiseModel",
+    "RobustRows",
+    "Whitener",
+    "choose_noise",
+    "complete_budget",
+    "make_whitener",
+    "noise_choice",
+    "select_noise",
+    "whitener_of",
+]
 
 SEARCH_ROWS = 2_000
 REFINE_ROWS = 3_000

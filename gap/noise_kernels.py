@@ -169,9 +169,14 @@ def _forecast(phi: float, P: FloatArray) -> None:
 
 @kernel(fastmath={"contract"}, error_model="numpy")
 def whiten(
-    image_nT: FloatArray, gains: FloatArray, sigma_nT: float, ratio: float, state: FloatArray, columns: FloatArray,
+    image_nT: FloatArray,
+    gains: FloatArray,
+    sigma_nT: float,
+    ratio: float,
+    state: FloatArray,
+    columns: FloatArray,
     out: FloatArray,
-) -> None:  # fmt: skip
+) -> None:
     """Whiten `columns` (n, 3, P) into `out` (may be the same array); `state` (3, P) is carried from call to call."""
     scale = 1.0 / sigma_nT
     for t in range(columns.shape[0]):

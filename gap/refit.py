@@ -104,7 +104,7 @@ def refit(
     rank_modelled = _covariance(jacobian[:, :, :size], np.any(jacobian[:, :, :size] != 0.0, axis=(0, 1)))[2]
     return Fit(
         tuple(active[:count]), tuple(active[count:]), chi2, residual, jacobian, covariance, seen, rank, rank_modelled
-    )  # fmt: skip
+    )
 
 
 def settled(problem: Problem, *, robust_nT: float | None = None) -> Problem:

@@ -74,9 +74,14 @@ class Shapes:
 
     def _signal(self, trial: Answer) -> FlexibleFinding | None:
         return shape_of(
-            self.problem, trial.whitener, trial.result.residual_nT, trial.fitted_nT, trial.left, self.dictionary,
+            self.problem,
+            trial.whitener,
+            trial.result.residual_nT,
+            trial.fitted_nT,
+            trial.left,
+            self.dictionary,
             [effect for effect, _ in trial.result.chosen],
-        )  # fmt: skip
+        )
 
     def beside(self, answer: Answer, finding: FlexibleFinding) -> Answer:
         """Effects sought afresh beside one more signal."""
@@ -160,9 +165,14 @@ class Shapes:
             return None
         for _ in range(_ROUNDS):
             found = answered_with(
-                self.problem, answer.noise, answer.robust, wander.whitening(rate), self.dictionary, self.known,
+                self.problem,
+                answer.noise,
+                answer.robust,
+                wander.whitening(rate),
+                self.dictionary,
+                self.known,
                 answer.shapes,
-            )  # fmt: skip
+            )
             again = wander.rate(self._left(found))
             if again is None:
                 return None
@@ -207,9 +217,16 @@ class Shapes:
         words = f"a line at a period of {1 / fast.tone.frequency_Hz:.3g} s, in the full rate"
         p_value = min(1.0, 4.0 * float(10**fast.tone.log10_p))
         found = replace(
-            answer.left, structured=True, p_value=p_value, condition=None, frame=None, kind="tone", words=words,
-            label="tone", frequency_Hz=fast.tone.frequency_Hz,
-        )  # fmt: skip
+            answer.left,
+            structured=True,
+            p_value=p_value,
+            condition=None,
+            frame=None,
+            kind="tone",
+            words=words,
+            label="tone",
+            frequency_Hz=fast.tone.frequency_Hz,
+        )
         return replace(answer, left=found)
 
 

@@ -63,9 +63,16 @@ def assemble(
     gap = _gap(shrunk, verdict, bool(effects), level.left_in_fit_nT(work), incomplete=incomplete)
     where = _where(work, effects) if beyond is None else _at(work, beyond.stage)
     said = _sentence(
-        work, verdict, effects, where, gap, resembles, _left_words(work, where) if beyond is None else beyond.words,
-        excess, outliers,
-    )  # fmt: skip
+        work,
+        verdict,
+        effects,
+        where,
+        gap,
+        resembles,
+        _left_words(work, where) if beyond is None else beyond.words,
+        excess,
+        outliers,
+    )
     said = " ".join(one for one in (said, level.assumed_words(assumed)) if one)
     return Diagnosis(
         verdict=verdict,
@@ -308,16 +315,31 @@ def _gap(gap: Shrinkage, verdict: str, named: bool, left_nT: float, *, incomplet
         for axis, values in gap.per_axis.items()
     }
     return Shrinkage(
-        gap.before_nT, after, gap.floor_nT, gap.floor_with_effects_nT if measured else gap.floor_nT,
-        gap.closed if measured else None, gap.interval if measured else None, gap.prediction, incomplete, per_axis,
-        gap.worse, left_nT,
-    )  # fmt: skip
+        gap.before_nT,
+        after,
+        gap.floor_nT,
+        gap.floor_with_effects_nT if measured else gap.floor_nT,
+        gap.closed if measured else None,
+        gap.interval if measured else None,
+        gap.prediction,
+        incomplete,
+        per_axis,
+        gap.worse,
+        left_nT,
+    )
 
 
 def _sentence(
-    work: Work, verdict: str, effects: Sequence[FoundEffect], where: Place, gap: Shrinkage, resembles: Sequence[str],
-    left: str, excess: Excess | None, outliers: Excess | None,
-) -> str:  # fmt: skip
+    work: Work,
+    verdict: str,
+    effects: Sequence[FoundEffect],
+    where: Place,
+    gap: Shrinkage,
+    resembles: Sequence[str],
+    left: str,
+    excess: Excess | None,
+    outliers: Excess | None,
+) -> str:
     if verdict == "no_gap":
         if work.attitude_would_do_rad is not None:
             return (

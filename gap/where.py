@@ -147,9 +147,15 @@ def locate(left: Leftover, fits: Sequence[Fit]) -> Where:
     assert at is not None
     same = _equivalent(left, at, _strongest(hypotheses, weight, at).fit, fits)
     return Where(
-        at, likeliest["axis"], likeliest["frame"], likeliest["condition"], same, probabilities,
-        float(logs[best]), _strongest(hypotheses, weight, at).fit.block.label,
-    )  # fmt: skip
+        at,
+        likeliest["axis"],
+        likeliest["frame"],
+        likeliest["condition"],
+        same,
+        probabilities,
+        float(logs[best]),
+        _strongest(hypotheses, weight, at).fit.block.label,
+    )
 
 
 def catalogue_blocks(problem: Problem, candidates: Iterable[HasJacobian]) -> list[Block]:

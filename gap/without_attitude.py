@@ -158,8 +158,13 @@ def _least_turned(q: _Quaternion, there: list[float], wanted: list[float]) -> _Q
 
 
 def with_nadir_exact(
-    R_BN: Rotation, rows: BoolArray, nadir_B: FloatArray, nadir_N: FloatArray, field_N_nT: FloatArray, field_B_nT: FloatArray
-) -> Rotation:  # fmt: skip
+    R_BN: Rotation,
+    rows: BoolArray,
+    nadir_B: FloatArray,
+    nadir_N: FloatArray,
+    field_N_nT: FloatArray,
+    field_B_nT: FloatArray,
+) -> Rotation:
     """R_BN with the rows (N,) replaced by the attitude that has nadir exactly and the field in its plane (TRIAD)."""
     if not rows.any():
         return R_BN
@@ -190,9 +195,13 @@ def row_axes(
 
 
 def usable_nadir(
-    nadir_B: FloatArray | None, known: BoolArray, R_BN: Rotation, nadir_N: FloatArray, field_N_nT: FloatArray,
+    nadir_B: FloatArray | None,
+    known: BoolArray,
+    R_BN: Rotation,
+    nadir_N: FloatArray,
+    field_N_nT: FloatArray,
     attitude_sigma_rad: float | None,
-) -> tuple[FloatArray, float]:  # fmt: skip
+) -> tuple[FloatArray, float]:
     """(N, 3) nadir vectors to be used, zero elsewhere, and their error over that of the reference attitude.
 
     Where no row has an attitude the noise model finds the error of nadir. Where some have, rows with both say how the

@@ -40,14 +40,16 @@ def draw_scatter(
         theirs = printed[:, number]
         axes.vlines(places, low, high, color=style.BLUE, linewidth=4, alpha=0.6, label="95 % of the simulated runs")
         axes.plot(places, middle, "_", color=style.BLUE, markersize=10, label="their median")
+        axes.plot(places[signed], theirs[signed], "x", color=style.PAPER, markersize=6, label="printed, with its sign")
         axes.plot(
-            places[signed], theirs[signed], "x", color=style.PAPER, markersize=6,
-            label="printed, with its sign",
-        )  # fmt: skip
-        axes.plot(
-            np.tile(places[either], 2), np.concatenate([theirs[either], -theirs[either]]), "o", color=style.PAPER,
-            markersize=4, markerfacecolor="none", label="printed without a sign: both are drawn",
-        )  # fmt: skip
+            np.tile(places[either], 2),
+            np.concatenate([theirs[either], -theirs[either]]),
+            "o",
+            color=style.PAPER,
+            markersize=4,
+            markerfacecolor="none",
+            label="printed without a sign: both are drawn",
+        )
         axes.axhline(truth[number], color="black", linewidth=0.8, label="put in")
         axes.set_title(name)
         axes.set_xticks(places, data_sets, rotation=60, fontsize=7)

@@ -60,15 +60,22 @@ def _panel(
     axes.plot([], [], color=style.PAPER, linewidth=2.2, label="as printed")
     for mark, marker in zip(marks, _MARKERS, strict=False):
         axes.plot(
-            mark.walk_rad_s, mark.sun_factor, marker, markersize=7, color=style.BLUE, markeredgecolor="white",
+            mark.walk_rad_s,
+            mark.sun_factor,
+            marker,
+            markersize=7,
+            color=style.BLUE,
+            markeredgecolor="white",
             label=mark.words,
-        )  # fmt: skip
+        )
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(NullFormatter())
     style.label(
-        axes, x="random walk of L/Jt in 1 s [rad/s]", y="sun noise taken over true [1]",
+        axes,
+        x="random walk of L/Jt in 1 s [rad/s]",
+        y="sun noise taken over true [1]",
         title=f"{panel.words}: RSS [deg], printed {panel.printed_deg:g}",
-    )  # fmt: skip
+    )

@@ -34,9 +34,12 @@ def draw_later(
     ticks = at[:: max(1, len(at) // 12)]
     axes.set_xticks(ticks, [labels[k] for k in ticks], rotation=45, ha="right", fontsize=7)
     axes.set(
-        title=title, xlabel="start of the pass [UTC]", ylabel=f"residual, rms [{unit}]", ylim=(0, None),
+        title=title,
+        xlabel="start of the pass [UTC]",
+        ylabel=f"residual, rms [{unit}]",
+        ylim=(0, None),
         xlim=(-0.6, len(at) - 0.4),
-    )  # fmt: skip
+    )
     axes.legend(loc="upper right", frameon=True, ncols=3, fontsize=8)
     top = max(np.nanmax(before), np.nanmax(after))
     axes.set_ylim(0, 1.25 * top)
@@ -69,18 +72,31 @@ def draw_night_map(
     figure, ((axes,),) = style.figure(7.2, 3.6)
     limit = float(np.nanpercentile(np.abs(residual_nT), 99))
     shown = axes.scatter(
-        longitude_deg, latitude_deg, c=residual_nT, s=7, cmap=style.SIGNED_MAP, vmin=-limit,
-        vmax=limit, edgecolors=style.GREY, linewidths=0.2,
-    )  # fmt: skip
-    for box, colour, line, label in (
-        (found_deg, style.SKY, "-", "found"), (put_in_deg, style.BLACK, ":", "put in"),
-    ):  # fmt: skip
+        longitude_deg,
+        latitude_deg,
+        c=residual_nT,
+        s=7,
+        cmap=style.SIGNED_MAP,
+        vmin=-limit,
+        vmax=limit,
+        edgecolors=style.GREY,
+        linewidths=0.2,
+    )
+    for box, colour, line, label in ((found_deg, style.SKY, "-", "found"), (put_in_deg, style.BLACK, ":", "put in")):
         if box is not None:
             south, north, west, east = box
             axes.add_patch(
-                Rectangle((west, south), east - west, north - south, fill=False, edgecolor=colour, linestyle=line,
-                          linewidth=4.0 if line == "-" else 1.8, label=label)
-            )  # fmt: skip
+                Rectangle(
+                    (west, south),
+                    east - west,
+                    north - south,
+                    fill=False,
+                    edgecolor=colour,
+                    linestyle=line,
+                    linewidth=4.0 if line == "-" else 1.8,
+                    label=label,
+                )
+            )
     figure.colorbar(shown, ax=axes, label="|B| less model [nT]")
     axes.set(title=title, xlabel="longitude [deg]", ylabel="latitude [deg]", xlim=(-180, 180), ylim=(-75, 85))
     axes.legend(loc="lower left", frameon=True)
@@ -124,9 +140,13 @@ def draw_real_passes(
                 (mine & ~night, -0.13, "s", style.ORANGE, "day"),
             ):
                 axes.plot(
-                    np.full(int(chosen.sum()), place + shift), values[chosen], marker, color=colour, markersize=4,
+                    np.full(int(chosen.sum()), place + shift),
+                    values[chosen],
+                    marker,
+                    color=colour,
+                    markersize=4,
                     label=label if place == 0 or (place == 1 and label == "night") else None,
-                )  # fmt: skip
+                )
         axes.set_xticks(np.arange(len(names)), names)
         axes.set_title(words, fontsize=8)
     right.axhline(1.0, color=style.GREY, linewidth=0.8)

@@ -45,10 +45,14 @@ def _bars(axes: Axes, shares: Sequence[tuple[str, float]], rows: int) -> None:
     for spot, value in zip(places, values, strict=True):
         inside = value > 80
         axes.text(
-            value - 2 if inside else value + 2, float(spot), "> 99 %" if value > 99 else f"{value:.0f} %",
-            va="center", ha="right" if inside else "left", fontsize=style.NOTE_PT,
+            value - 2 if inside else value + 2,
+            float(spot),
+            "> 99 %" if value > 99 else f"{value:.0f} %",
+            va="center",
+            ha="right" if inside else "left",
+            fontsize=style.NOTE_PT,
             color="white" if inside else style.BLACK,
-        )  # fmt: skip
+        )
     axes.set_xlim(0, 100)
     axes.set_ylim(rows - 0.4, -0.6)  # the likeliest on top, bars alike in both panels of a row
     axes.grid(False, axis="y")

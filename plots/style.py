@@ -147,9 +147,16 @@ def mark_beyond(axes: Axes, x: FloatArray, y: FloatArray, *, colour: str, size: 
     for beyond, edge, marker in ((y > high, 1.0, 6), (y < low, 0.0, 7)):  # caretup, caretdown: the tip is the point
         if beyond.any():
             axes.plot(
-                x[beyond], np.full(int(beyond.sum()), edge), linestyle="", marker=marker, markersize=size, color=colour,
-                transform=axes.get_xaxis_transform(), scalex=False, clip_on=False,
-            )  # fmt: skip
+                x[beyond],
+                np.full(int(beyond.sum()), edge),
+                linestyle="",
+                marker=marker,
+                markersize=size,
+                color=colour,
+                transform=axes.get_xaxis_transform(),
+                scalex=False,
+                clip_on=False,
+            )
 
 
 def zero_line(axes: Axes) -> None:

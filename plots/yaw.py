@@ -90,14 +90,23 @@ def draw_mean_bias(record: YawComparison, *, title: str) -> Figure:
     half = record.window_s / 120.0
     for number, minute in enumerate(record.mean_minutes[record.nearer]):
         axes.axvspan(
-            minute - half, minute + half, color=style.PALE, alpha=0.7, linewidth=0,
+            minute - half,
+            minute + half,
+            color=style.PALE,
+            alpha=0.7,
+            linewidth=0,
             label=None if number else "magnetometer nearer than yaw = 0",
-        )  # fmt: skip
+        )
     ends = record.mean_minutes[record.near_node] + half * np.array([[-1.0], [1.0]])
     axes.plot(
-        ends, np.ones_like(ends), color=style.GREY, linewidth=5, solid_capstyle="butt",
-        transform=axes.get_xaxis_transform(), label=["near the equator"] + [""] * (ends.shape[1] - 1),
-    )  # fmt: skip
+        ends,
+        np.ones_like(ends),
+        color=style.GREY,
+        linewidth=5,
+        solid_capstyle="butt",
+        transform=axes.get_xaxis_transform(),
+        label=["near the equator"] + [""] * (ends.shape[1] - 1),
+    )
     _dashed(axes, record)
     _dotted(axes, record)
     axes.legend(loc="lower left", frameon=True)
@@ -144,9 +153,13 @@ def draw_pass(record: YawComparison, error_bar_deg: float, *, title: str) -> Fig
     _dotted(axes, record)
     middle = record.mean_minutes.size // 2
     axes.errorbar(
-        record.mean_minutes[middle], record.mean_deg[middle], error_bar_deg, color=style.VERMILION, capsize=4,
+        record.mean_minutes[middle],
+        record.mean_deg[middle],
+        error_bar_deg,
+        color=style.VERMILION,
+        capsize=4,
         label=f"error bar, {error_bar_deg:.2f} deg",
-    )  # fmt: skip
+    )
     axes.set(title=title, xlabel="time from rise [min]", ylabel="yaw [deg]")
     _zero(axes)
     handles, labels = axes.get_legend_handles_labels()
@@ -169,9 +182,11 @@ def draw_sweep(record: YawSweep, *, title: str) -> Figure:
             axes.axvline(crossover, color=colour, linestyle=":")
             axes.text(crossover, 3.0, f" {crossover:.2f} deg", color=colour)
     axes.set(
-        title=title, xlabel="amplitude of the true yaw, sqrt 2 times its rms [deg]",
-        ylabel="windows in which yaw = 0 is better [%]", ylim=(0, 100),
-    )  # fmt: skip
+        title=title,
+        xlabel="amplitude of the true yaw, sqrt 2 times its rms [deg]",
+        ylabel="windows in which yaw = 0 is better [%]",
+        ylim=(0, 100),
+    )
     axes.legend()
     return figure
 
@@ -181,8 +196,15 @@ def draw_sigma(record: YawSigma, *, title: str) -> Figure:
     figure, ((along, worst),) = style.figure(7.2, 3.6, cols=2)
     along.semilogy(record.latitude_deg, record.sigma_deg, color=style.BLUE)
     along.axhline(record.printed_deg, color="black", linestyle="--", linewidth=0.8)
-    along.annotate("printed", (0.5, record.printed_deg), (0, 3), xycoords=("axes fraction", "data"), fontsize=8,
-                   textcoords="offset points", ha="center")  # fmt: skip
+    along.annotate(
+        "printed",
+        (0.5, record.printed_deg),
+        (0, 3),
+        xycoords=("axes fraction", "data"),
+        fontsize=8,
+        textcoords="offset points",
+        ha="center",
+    )
     along.set(xlabel="geocentric latitude [deg]", ylabel="sigma of yaw, equation 14 [deg]", title="one orbit")
     for values, label, colour in (
         (record.worst_orbit_deg, "one orbit", style.BLUE),
@@ -214,28 +236,48 @@ def _broken(axes: Axes, record: YawComparison, inside: BoolArray) -> None:
     ):
         rows = np.flatnonzero(inside & flags)
         axes.scatter(
-            record.minutes[rows], record.magnetometer_deg[rows], marker=f"${letter}$", s=16, linewidths=0.2,
-            color=colour, label=f"{letter} bit change", zorder=3,
-        )  # fmt: skip
+            record.minutes[rows],
+            record.magnetometer_deg[rows],
+            marker=f"${letter}$",
+            s=16,
+            linewidths=0.2,
+            color=colour,
+            label=f"{letter} bit change",
+            zorder=3,
+        )
 
 
 def _dashed(axes: Axes, record: YawComparison) -> None:
     axes.plot(
-        record.mean_minutes, record.mean_sun_deg, color="black", linestyle="--", linewidth=1.4,
+        record.mean_minutes,
+        record.mean_sun_deg,
+        color="black",
+        linestyle="--",
+        linewidth=1.4,
         label=f"sun sensor, {record.window_s:.0f} s means",
-    )  # fmt: skip
+    )
 
 
 def _dotted(axes: Axes, record: YawComparison) -> None:
     axes.plot(
-        record.mean_minutes, record.mean_deg, color=style.VERMILION, linestyle=":", linewidth=1.8,
+        record.mean_minutes,
+        record.mean_deg,
+        color=style.VERMILION,
+        linestyle=":",
+        linewidth=1.8,
         label=f"magnetometer, {record.window_s:.0f} s means",
-    )  # fmt: skip
+    )
 
 
 def _zero(axes: Axes) -> None:
     axes.axhline(0.0, color="grey", linewidth=0.8)
     axes.annotate(
-        " yaw = 0", xy=(1.0, 0.0), xycoords=("axes fraction", "data"), fontsize=8, color="grey", ha="left",
-        va="center", annotation_clip=False,
-    )  # fmt: skip
+        " yaw = 0",
+        xy=(1.0, 0.0),
+        xycoords=("axes fraction", "data"),
+        fontsize=8,
+        color="grey",
+        ha="left",
+        va="center",
+        annotation_clip=False,
+    )

@@ -153,9 +153,12 @@ def _sizes(found: AttitudeSolution) -> str:
         ("field", n.field_nT, n.slow_nT, n.slow_s, "nT"),
         (
             "reference" if "reference" in found.source else "nadir",
-            math.degrees(n.white_rad), math.degrees(n.drift_rad), n.drift_s, "deg",
+            math.degrees(n.white_rad),
+            math.degrees(n.drift_rad),
+            n.drift_s,
+            "deg",
         ),
-    ):  # fmt: skip
+    ):
         if name == "field" or "attitude" in found.nis:
             size = [f"{plain(white, 2)} {unit} white"] if white > 0.1 * slow else []
             size += [f"{plain(slow, 2)} {unit} over {plain(slow_s, 2)} s"] if slow > 0.1 * white else []

@@ -86,13 +86,16 @@ def _record(effect: Effect) -> dict[str, Any]:
         "settings": _settings(effect),
         "parameters": [
             {
-                "name": p.name, "unit": _unit(p.unit), "typical": p.scale, "key": key.name,
+                "name": p.name,
+                "unit": _unit(p.unit),
+                "typical": p.scale,
+                "key": key.name,
                 "range": [_bound(p.low), _bound(p.high)],
             }
             for key in keys_of(effect)
             for p in key.parameters
         ],
-    }  # fmt: skip
+    }
 
 
 def _settings(effect: Effect) -> dict[str, Any]:

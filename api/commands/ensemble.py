@@ -120,9 +120,13 @@ def _draw(flown: Ensemble) -> Path | None:
 
     figure = pointing_envelope(
         epoch.seconds_since(around.time, around.time[0]) / 3600.0,
-        around.p5_deg, around.median_deg, around.p95_deg, around.max_deg,
-        title=flown.plan.scenario.name, vehicles=flown.plan.vehicles - flown.summary["lost"],
-    )  # fmt: skip
+        around.p5_deg,
+        around.median_deg,
+        around.p95_deg,
+        around.max_deg,
+        title=flown.plan.scenario.name,
+        vehicles=flown.plan.vehicles - flown.summary["lost"],
+    )
     return files.write_with(flown.folder / "envelope.png", lambda path: figure.savefig(path, dpi=150))
 
 

@@ -52,11 +52,16 @@ def command(
     columns = ("station", "rise [UTC]", "set [UTC]", "minutes", "highest [deg]", "sunlit", "cut")
     rows = [
         (
-            item["station"], item["rise"], item["set"], f"{item['minutes']:.1f}", f"{item['highest_deg']:.1f}",
-            "yes" if item["sunlit"] else "no", "yes" if item["cut"] else "",
+            item["station"],
+            item["rise"],
+            item["set"],
+            f"{item['minutes']:.1f}",
+            f"{item['highest_deg']:.1f}",
+            "yes" if item["sunlit"] else "no",
+            "yes" if item["cut"] else "",
         )
         for item in found
-    ]  # fmt: skip
+    ]
     if rows:
         output.table(f"Passes of {plan.spacecraft.name}", columns, rows, "Sunlit: the spacecraft, at its highest.")
     total, count = sum(item["minutes"] for item in found), len(plan.station)

@@ -161,9 +161,14 @@ class AttitudeTrack:
         from fluxtwin.sim.attitude.track_kernels import about
 
         return about(
-            after_s, self._reach_s[row], self.mid_s[row], self.span_s[row], self.coefficients_rad[row],
-            self.course.onward(row, after_s, to), self._q_BN[row],
-        )  # fmt: skip
+            after_s,
+            self._reach_s[row],
+            self.mid_s[row],
+            self.span_s[row],
+            self.coefficients_rad[row],
+            self.course.onward(row, after_s, to),
+            self._q_BN[row],
+        )
 
     @cached_property
     def _q_BN(self) -> FloatArray:

@@ -93,9 +93,12 @@ def read_magnetosphere(path: Path | str) -> MagnetosphericModel:
         sm, gsm, dst, dipole = (
             np.ravel(record[key]).astype(np.float64)
             for record, key in (
-                (external, "m_sm"), (external, "m_gsm"), (external, "m_Dst"), (parameters, "igrf_dipole"),
+                (external, "m_sm"),
+                (external, "m_gsm"),
+                (external, "m_Dst"),
+                (parameters, "igrf_dipole"),
             )
-        )  # fmt: skip
+        )
         edges = tuple(_stamps(np.ravel(external[key])) for key in ("t_break_q10", "t_break_qs11"))
         offsets = (np.ravel(external["q10"]).astype(np.float64), np.asarray(external["qs11"], dtype=np.float64))
     except (ValueError, KeyError, TypeError, IndexError, OSError, EOFError, NotImplementedError) as error:

@@ -69,8 +69,14 @@ class Orbit:
     """Argument of perigee plus mean anomaly, at the epoch."""
 
     def __post_init__(self) -> None:
-        for name in ("altitude_km", "inclination_rad", "raan_rad", "eccentricity",
-                     "argument_of_perigee_rad", "argument_of_latitude_rad"):  # fmt: skip
+        for name in (
+            "altitude_km",
+            "inclination_rad",
+            "raan_rad",
+            "eccentricity",
+            "argument_of_perigee_rad",
+            "argument_of_latitude_rad",
+        ):
             if not np.isfinite(getattr(self, name)):
                 raise BadInput(f"{name} is {getattr(self, name)}", where="orbit", wanted="a finite number")
         if not 0.0 <= self.eccentricity < 1.0:

@@ -188,10 +188,14 @@ def checksum(line: str) -> int:
 _FIELDS = {
     1: (("epoch year", 18, 20), ("epoch day", 20, 32), ("first derivative of mean motion", 33, 43)),
     2: (
-        ("inclination", 8, 16), ("right ascension of the node", 17, 25), ("eccentricity", 26, 33),
-        ("argument of perigee", 34, 42), ("mean anomaly", 43, 51), ("mean motion", 52, 63),
+        ("inclination", 8, 16),
+        ("right ascension of the node", 17, 25),
+        ("eccentricity", 26, 33),
+        ("argument of perigee", 34, 42),
+        ("mean anomaly", 43, 51),
+        ("mean motion", 52, 63),
     ),
-}  # fmt: skip
+}
 
 
 def _is_number(text: str, label: str) -> bool:

@@ -92,11 +92,20 @@ def flights(scenario: Scenario) -> Flights:
     assert scenario.schedule is not None
     field, wheels = scenario.field, scenario.wheels
     moving = (
-        scenario.seed, scenario.spacecraft.inertia_kg_m2, scenario.orbit, field.truth, field.truth_degree,
-        scenario.schedule.segments, wheels, scenario.dynamics, scenario.torques, scenario.control, _actuators(scenario),
+        scenario.seed,
+        scenario.spacecraft.inertia_kg_m2,
+        scenario.orbit,
+        field.truth,
+        field.truth_degree,
+        scenario.schedule.segments,
+        wheels,
+        scenario.dynamics,
+        scenario.torques,
+        scenario.control,
+        _actuators(scenario),
         scenario.path_of("."),
         _moving_effects(scenario),
-    )  # fmt: skip
+    )
     key = repr(moving)
     if key not in _made:
         segments = scenario.schedule.segments

@@ -24,9 +24,12 @@ def true_attitude(scenario: Scenario, world: World) -> Attitude:
     section = scenario.attitude
     if section.mode == "earth_pointing":
         return attitude.librating(
-            world.time, world.r_N_km, world.v_N_km_s, libration(scenario),
+            world.time,
+            world.r_N_km,
+            world.v_N_km_s,
+            libration(scenario),
             orbital_rate_O_rad_s=_orbital_rate(scenario, world),
-        )  # fmt: skip
+        )
     if section.mode == "inertial_hold":
         return attitude.inertial_hold(world.time, frames.rotation_from_q(np.array([section.q_NB])))
     if section.mode == "dynamics":
@@ -34,9 +37,12 @@ def true_attitude(scenario: Scenario, world: World) -> Attitude:
     start = _start(scenario, world)
     if section.mode == "slews":
         return attitude.orbital_slews(
-            world.time, world.r_N_km, world.v_N_km_s, _waypoints(scenario, start),
+            world.time,
+            world.r_N_km,
+            world.v_N_km_s,
+            _waypoints(scenario, start),
             orbital_rate_O_rad_s=_orbital_rate(scenario, world),
-        )  # fmt: skip
+        )
     inertia = np.array(scenario.spacecraft.inertia_kg_m2)
     if section.mode == "tumble":
         rate0 = np.radians(section.rate_deg_s)

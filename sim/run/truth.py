@@ -9,9 +9,14 @@ from fluxtwin.sim.base.netcdf_out import TRUTH_TITLE, Variable, write_netcdf
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 
 _UNITS = (
-    ("_nT_per_Am2", "nT/(A m2)"), ("_nT", "nT"), ("_rad_s", "rad/s"), ("_rad", "rad"), ("_km_s", "km/s"), ("_km", "km"),
+    ("_nT_per_Am2", "nT/(A m2)"),
+    ("_nT", "nT"),
+    ("_rad_s", "rad/s"),
+    ("_rad", "rad"),
+    ("_km_s", "km/s"),
+    ("_km", "km"),
     ("_Am2", "A m2"),
-)  # fmt: skip
+)
 """Unit by the end of a name, longest first."""
 _PACKING = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
 

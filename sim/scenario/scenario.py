@@ -109,9 +109,12 @@ class Scenario(SensorSections):
     def _sampled(self) -> None:
         """Rates are of parts that are there, and whole numbers of rows."""
         there = {
-            "sun_sensor": bool(self.sun_sensor), "horizon_scanner": self.horizon_scanner, "gyro": self.gyro,
-            "torquers": self.torquers, "housekeeping": self.power or self.thermal or self.wheels,
-        }  # fmt: skip
+            "sun_sensor": bool(self.sun_sensor),
+            "horizon_scanner": self.horizon_scanner,
+            "gyro": self.gyro,
+            "torquers": self.torquers,
+            "housekeeping": self.power or self.thermal or self.wheels,
+        }
         for name in self.sampling.rates:
             if not there.get(name, True):
                 raise ValueError(f"[sampling.{name}]: the scenario has no such part")

@@ -20,19 +20,48 @@ from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME
 CONFIRM = "# to be confirmed:"
 _AXES = (("x", "y", "z"), ("1", "2", "3"), ("0", "1", "2"))
 _QUATERNIONS = (
-    ("xyzw", ("x", "y", "z", "w"), False), ("wxyz", ("w", "x", "y", "z"), False),
-    ("xyzw", ("1", "2", "3", "4"), True), ("wxyz", ("0", "1", "2", "3"), True), ("xyzw", ("i", "j", "k", "r"), False),
-)  # fmt: skip
+    ("xyzw", ("x", "y", "z", "w"), False),
+    ("wxyz", ("w", "x", "y", "z"), False),
+    ("xyzw", ("1", "2", "3", "4"), True),
+    ("wxyz", ("0", "1", "2", "3"), True),
+    ("xyzw", ("i", "j", "k", "r"), False),
+)
 """Order that the endings of four names suggest, and whether that is a guess."""
 _UNIT_NAMES = {
-    "nt": "nT", "ut": "uT", "mg": "mG", "g": "G", "gauss": "G", "t": "T", "km": "km", "m": "m", "kms": "km/s", "ms": "m/s",
-    "degs": "deg/s", "dps": "deg/s", "rads": "rad/s", "degc": "degC", "c": "degC", "k": "K", "rpm": "rpm", "am2": "Am2",
-}  # fmt: skip
+    "nt": "nT",
+    "ut": "uT",
+    "mg": "mG",
+    "g": "G",
+    "gauss": "G",
+    "t": "T",
+    "km": "km",
+    "m": "m",
+    "kms": "km/s",
+    "ms": "m/s",
+    "degs": "deg/s",
+    "dps": "deg/s",
+    "rads": "rad/s",
+    "degc": "degC",
+    "c": "degC",
+    "k": "K",
+    "rpm": "rpm",
+    "am2": "Am2",
+}
 _FRAME_WORDS = (
-    ("ecef", "ITRS"), ("itrf", "ITRS"), ("itrs", "ITRS"), ("gcrs", "GCRS"), ("gcrf", "GCRS"), ("j2000", "J2000"),
-    ("teme", "TEME"), ("tod", "TOD"), ("gei", "GEI"), ("eci", "ECI"), ("nec", "NEC"), ("lvlh", "orbital"),
+    ("ecef", "ITRS"),
+    ("itrf", "ITRS"),
+    ("itrs", "ITRS"),
+    ("gcrs", "GCRS"),
+    ("gcrf", "GCRS"),
+    ("j2000", "J2000"),
+    ("teme", "TEME"),
+    ("tod", "TOD"),
+    ("gei", "GEI"),
+    ("eci", "ECI"),
+    ("nec", "NEC"),
+    ("lvlh", "orbital"),
     ("orb", "orbital"),
-)  # fmt: skip
+)
 _KINDS = (
     ("mag", re.compile(r"mag|(^|_)b(_|$)|fgm|tam|field|^b$|bfield")),
     ("velocity", re.compile(r"vel|^v(_|$)|(_|^)v$")),

@@ -9,9 +9,17 @@ FRAMES = ("GCRS", "J2000", "mean_of_date", "true_of_date", "ITRS")
 REFERENCES = (*FRAMES, "NEC", "orbital")
 ORDERS = ("xyzw", "wxyz", "xyz")
 _OTHER_FRAMES = {
-    "ECI": "GCRS", "ICRF": "GCRS", "EME2000": "J2000", "GEI": "true_of_date", "TOD": "true_of_date",
-    "TEME": "true_of_date", "MOD": "mean_of_date", "ECEF": "ITRS", "ITRF": "ITRS", "WGS84": "ITRS",
-}  # fmt: skip
+    "ECI": "GCRS",
+    "ICRF": "GCRS",
+    "EME2000": "J2000",
+    "GEI": "true_of_date",
+    "TOD": "true_of_date",
+    "TEME": "true_of_date",
+    "MOD": "mean_of_date",
+    "ECEF": "ITRS",
+    "ITRF": "ITRS",
+    "WGS84": "ITRS",
+}
 _OTHER_REFERENCES = {**_OTHER_FRAMES, "LVLH": "orbital"}
 _OTHER_ORDERS = {"scalar_last": "xyzw", "scalar_first": "wxyz"}
 _LOOSE = {

@@ -135,8 +135,13 @@ def require_same(plan: Plan, folder: Path) -> None:
         given, now = dict(then["plan"]), plan.record()
     except (OSError, ValueError, KeyError, TypeError):
         raise BadInput("cannot be read as the record of an ensemble", where=str(path), wanted="another --out") from None
-    words = {"scenario": "the scenario", "files": "a file that the scenario names", "versions": "the program",
-             "seed": "the seed", "vehicles_in_chunk": "the size of the chunks"}  # fmt: skip
+    words = {
+        "scenario": "the scenario",
+        "files": "a file that the scenario names",
+        "versions": "the program",
+        "seed": "the seed",
+        "vehicles_in_chunk": "the size of the chunks",
+    }
     other = [text for key, text in words.items() if given.get(key) != now[key]]
     if other:
         numbers = [

@@ -53,8 +53,17 @@ def fly_arcs(
                     at = 2 * number + (order + 1) // 2
                     for k in range(_SIZE):
                         trial[k] = state[a, k] + reach * slope[k]
-                    _slope(trial, inverse, packed, slots, around[a, row, at], wheels[row, at, a], dipole[row, at, a],
-                           stage, slope)  # fmt: skip
+                    _slope(
+                        trial,
+                        inverse,
+                        packed,
+                        slots,
+                        around[a, row, at],
+                        wheels[row, at, a],
+                        dipole[row, at, a],
+                        stage,
+                        slope,
+                    )
                     for k in range(_SIZE):
                         total[k] += weight * slope[k]
                 for k in range(_SIZE):

@@ -164,10 +164,22 @@ def fly(
 
     def run(v: slice) -> None:
         compiled(
-            begin[v], parts["wheels"][v], parts["inverse"][v], parts["packed"][v], parts["slots"],
-            nodes if len(nodes) == 1 else nodes[v], substeps, extra, errors, parts["targets"][v], parts["compasses"][v],
-            parts["share"][v], float(step_s), every, out[v],
-        )  # fmt: skip
+            begin[v],
+            parts["wheels"][v],
+            parts["inverse"][v],
+            parts["packed"][v],
+            parts["slots"],
+            nodes if len(nodes) == 1 else nodes[v],
+            substeps,
+            extra,
+            errors,
+            parts["targets"][v],
+            parts["compasses"][v],
+            parts["share"][v],
+            float(step_s),
+            every,
+            out[v],
+        )
 
     edges = np.linspace(0, len(vehicles), min(threads, len(vehicles)) + 1).astype(int)
     slices = [slice(a, b) for a, b in pairwise(edges)]

@@ -141,8 +141,25 @@ def fly(
                 _log(state, wheels[v], stage, out[v, row])
                 row += 1
             if i < steps:
-                _step(around, node, (sub + 0.5) / substeps, (sub + 1.0) / substeps, inner, wheels[v], inverse[v],
-                      packed[v], slots, motor, step_s, state, carry, trial, stage, slope, total)  # fmt: skip
+                _step(
+                    around,
+                    node,
+                    (sub + 0.5) / substeps,
+                    (sub + 1.0) / substeps,
+                    inner,
+                    wheels[v],
+                    inverse[v],
+                    packed[v],
+                    slots,
+                    motor,
+                    step_s,
+                    state,
+                    carry,
+                    trial,
+                    stage,
+                    slope,
+                    total,
+                )
                 sub += 1
                 if sub == substeps:
                     node, sub = node + 1, 0

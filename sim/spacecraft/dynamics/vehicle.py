@@ -44,8 +44,14 @@ class Wheel:
     def row(self) -> list[float]:
         """As the kernel has it."""
         axis = np.asarray(self.axis_B, dtype=np.float64) / np.linalg.norm(self.axis_B)
-        return [*axis.tolist(), self.inertia_kg_m2, self.max_speed_rad_s, self.max_torque_Nm, self.viscous_Nm_s,
-                self.coulomb_Nm]  # fmt: skip
+        return [
+            *axis.tolist(),
+            self.inertia_kg_m2,
+            self.max_speed_rad_s,
+            self.max_torque_Nm,
+            self.viscous_Nm_s,
+            self.coulomb_Nm,
+        ]
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import importlib
 import re
 from pathlib import Path
 
-LONGEST_MODULE = 500
+LONGEST_MODULE = 600
 LONGEST_FUNCTION = 70
 
 UNIT = re.compile(

@@ -158,7 +158,7 @@ def effects_table(diagnosis: Diagnosis) -> Table:
         "Named effects",
         ["effect", "parameter", "value, 1 sigma", "probability", "stage", "p-value"],
         rows,
-        "The p-value is after the price of the search: how often noise alone would look as good.",
+        "The p-value is corrected for the number of tests: how often noise alone would look as good.",
     )
 
 
@@ -268,8 +268,8 @@ def ranking_table(diagnosis: Diagnosis) -> Table:
         f"The first {len(lines)} of {len(diagnosis.ranking)} effects, each alone",
         ["effect", "drop of chi-square", "parameters seen", "p-value"],
         rows,
-        "Before any is named, so whatever imitates a cause is high too. The p-value is after the price of the search: near "
-        "1 means no better than chance.",
+        "Before any is named, so whatever imitates a cause is high too. The p-value is corrected for the number of tests: "
+        "near 1 means no better than chance.",
     )
 
 

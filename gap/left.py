@@ -33,14 +33,14 @@ class Left:
 
     structured: bool
     p_value: float
-    """After the price of all four searches."""
+    """Corrected for all four searches."""
     condition: str | None
     frame: str | None
     kind: str
     """`block`, `tone`, `step`, `drift` or `none`: what the structure resembles most."""
     words: str
     p_values: dict[str, float]
-    """By search, each after the price of its own alternatives."""
+    """By search, each corrected for the number of its alternatives."""
     label: str = ""
     """Which variant of the condition."""
     frequency_Hz: float | None = None

@@ -283,7 +283,7 @@ def _support(
 def significant_left(
     balance: Balance, fit: Refit | None, blocks: Mapping[tuple[str, str], FloatArray]
 ) -> dict[tuple[str, str], float]:
-    """{(condition, frame): p-value after the price} of torques that no effect makes, beside what is named."""
+    """{(condition, frame): p-value corrected for the number of tests} of torques that no effect makes."""
     residual = balance.residual if fit is None else fit.residual
     white = balance.whitener.apply(residual).reshape(-1)
     columns = [balance.nuisance, *(() if fit is None else fit.columns)]

@@ -23,7 +23,7 @@ class Named:
     covariance: FloatArray
     """(p, p); NaN where a parameter is not estimated (not seen, or at its limit)."""
     p_value: float
-    """Of the effect on top of all others, after the price of the search."""
+    """Of the effect on top of all others, corrected for the number of tests."""
     group: tuple[str, ...]
     """Names, its own first, that these data cannot tell from it. More than three: no name can be given."""
     rivals: tuple[tuple[str, float], ...]
@@ -58,7 +58,7 @@ class Ranked:
     """Of chi-square."""
     rank: int
     p_value: float
-    """After the price of the search."""
+    """Corrected for the number of tests."""
 
 
 @dataclass(frozen=True, eq=False)

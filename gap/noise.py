@@ -1,4 +1,4 @@
-"""The noise of a problem: budget, model, spoilt readings, whitening. The front door of the modules around it."""
+"""The noise of a problem: budget, model, outliers, whitening. The front door of the modules around it."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def _chosen(
 
 
 class _Basis:
-    """The orthonormal basis of a design on the components that are not cut, made anew only when the cut changes."""
+    """The orthonormal basis of a design on the components that are not cut, recomputed only when the cut changes."""
 
     def __init__(
         self, designs: Sequence[FloatArray], rows: int, measured: BoolArray | None, limit: int, share: float

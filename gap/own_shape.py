@@ -118,7 +118,7 @@ def irregular(seconds: FloatArray, on: BoolArray, sunlit: BoolArray) -> list[str
 def follows_place(setting: Setting, on: BoolArray) -> str | None:
     """The coordinate from which the state can be told; None where it cannot.
 
-    Each row's state is foretold by the nearest rows on other passes; agreement beyond chance is Cohen's kappa (1960,
+    Each row's state is predicted by the nearest rows on other passes; agreement beyond chance is Cohen's kappa (1960,
     Educational and Psychological Measurement 20, 37).
     """
     r, v, _ = setting.given

@@ -47,7 +47,7 @@ class FoundEffect:
     frame: str | None
     condition: str | None
     significance: float
-    """p-value after the price of the search."""
+    """p-value corrected for the number of tests."""
     visible_nT: float
     """rms per component that it leaves after the best re-estimation of what is modelled."""
 
@@ -161,7 +161,7 @@ class Alone:
     """Of chi-square, over the directions that it has."""
     directions: int
     p_value: float
-    """After the price of the search."""
+    """Corrected for the number of tests."""
 
     def to_dict(self) -> dict[str, Any]:
         return {"name": self.name, "drop": self.drop, "directions": self.directions, "p_value": self.p_value}

@@ -72,7 +72,7 @@ def refit(
 
     chosen, modelled: effects with starting values (modelled: the problem's own by default). guess (M, 3, c + p): about
     the whitened Jacobian, to begin with. A Jacobian whose step did what it promised is used once more; the last one
-    is made anew.
+    is recomputed.
     """
     work = _Work(problem, whitener)
     count = len(problem.modelled)

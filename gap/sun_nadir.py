@@ -59,7 +59,7 @@ class Hypothesis:
     """Value and sigma in deg by name: `turn_x` ... (sun as measured is the true one so turned), or `roll` ... (measured
     less true). Only what the angle can see: along directions that it cannot see the value is zero."""
     p_value: float
-    """That nothing of the kind is there, after the price of trying all hypotheses."""
+    """That nothing of the kind is there, corrected for the number of hypotheses tried."""
     explained: float
     """Share of the mean square of the angles that it takes away."""
     rms_left_deg: float

@@ -25,7 +25,7 @@ class Support:
     """Of one named effect."""
 
     p_value: float
-    """After the price of the search."""
+    """Corrected for the number of tests."""
     probability: float
     """That it, or a member of its group, is present."""
     group: tuple[str, ...]
@@ -36,7 +36,7 @@ def support(search: Search, fit: Fit, number: int, variance: float, groups: Mapp
     """Weigh effect `number` of a fit against everything that might stand in its place, and against nothing.
 
     Among effects: weights exp(-cost / 2), the cost being that of `Search.cost`; alternatives of one effect are
-    added up. Against nothing: the p-value after the price of the search, because the cost would count thirty
+    added up. Against nothing: the p-value corrected for the number of tests, because the cost would count thirty
     parameters of which the data see one as thirty.
     """
     effect = fit.chosen[number][0]

@@ -2,7 +2,7 @@
 
 A day later the orbit is the recorded one with its node moved by the Earth's flattening (J2, secular), over another
 ground and under another sun. What was recorded of the housekeeping repeats in time; a current or temperature that
-follows the sunlight is made anew from the sunlight of that day.
+follows the sunlight is recomputed from the sunlight of that day.
 """
 
 from __future__ import annotations

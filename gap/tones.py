@@ -23,7 +23,7 @@ class Tone:
 
     frequency_Hz: float
     log10_p: float
-    """After the price of all frequencies."""
+    """Corrected for the number of frequencies."""
     explained: float
     """Energy that it carries, in noise units."""
 

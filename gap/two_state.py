@@ -107,7 +107,7 @@ def _not_a_heater(setting: Setting, left: Leftover, on: BoolArray, sunlit: BoolA
     """One field in body axes, flat while on and while off; dwell times that a place does not give."""
     faults = irregular(setting.seconds, on, sunlit)
     place = follows_place(setting, on)
-    if place is not None and not _foretold_by_chance(setting, on):
+    if place is not None and not _predicted_by_chance(setting, on):
         faults.append(f"it can be told from {place}")
     columns = on.astype(float)[:, None, None] * np.eye(3)
     faults += varies(left, columns, {**halves(setting), **drivers(setting)})
@@ -122,7 +122,7 @@ def _not_a_heater(setting: Setting, left: Leftover, on: BoolArray, sunlit: BoolA
     return faults
 
 
-def _foretold_by_chance(setting: Setting, on: BoolArray) -> bool:
+def _predicted_by_chance(setting: Setting, on: BoolArray) -> bool:
     """Whether a place that foretells the state says no more than the dwell times do.
 
     A rule of place has a free edge for each switch of a revolution, a thermostat four dwell times. Where a revolution

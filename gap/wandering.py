@@ -181,7 +181,7 @@ def _follows(
     reduced: tuple[FloatArray, FloatArray, FloatArray],
     found: Sequence[Block],
 ) -> tuple[str, float]:
-    """The block that explains most of what the walk left of itself, and its p-value after the price of them all."""
+    """The block that explains most of what the walk left of itself, and its p-value corrected for their number."""
     z, scale, into = reduced
     best, tests = ("", 1.0), 0
     dictionary = found if isinstance(found, Dictionary) else Dictionary(found, left.residual.size // 3)

@@ -42,11 +42,11 @@ def check_telemetry(telemetry: Telemetry, model: FieldModel, origin: Origin | No
 
     origin: what positions and attitude were made from; None: both were recorded relative to GCRS.
     """
-    stuck, spoilt = check_stuck(telemetry)
+    stuck, faulty = check_stuck(telemetry)
     motion = check_motion(telemetry)
     findings = [*stuck, *motion, *check_readings(telemetry)]
     if not any(finding.severity == "trap" and finding.code in POSITION_TRAPS for finding in motion):
-        against_field = check_field(telemetry, model, origin or Origin(), ~spoilt)
+        against_field = check_field(telemetry, model, origin or Origin(), ~faulty)
         if any(finding.code == "clock" and finding.severity == "trap" for finding in against_field):
             findings = [finding for finding in findings if finding.code != "sunlit_flag"]  # the sun is elsewhere, then
         findings = [*against_field, *findings]

@@ -70,8 +70,8 @@ def check_field(telemetry: Telemetry, model: FieldModel, origin: Origin, usable:
     chosen = posed if posed is not None and with_attitude else sample
     if len(chosen) < FEWEST:
         return findings
-    outliers, spoilt = check_outliers(telemetry, chosen, model, usable)
-    chosen = without_gross_outliers(chosen.take(~spoilt[chosen.rows]))
+    outliers, faulty = check_outliers(telemetry, chosen, model, usable)
+    chosen = without_gross_outliers(chosen.take(~faulty[chosen.rows]))
     named = _by_vectors(chosen, telemetry, model, origin) if with_attitude else _by_size(chosen, model, origin)
     if not any(found.severity == "trap" for found in named):
         named += check_clock(chosen, model, origin)

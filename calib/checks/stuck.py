@@ -20,9 +20,9 @@ _WINDOWS, _LONGEST_RUNS = 400, 50
 def check_stuck(telemetry: Telemetry) -> tuple[list[Finding], BoolArray]:
     """The traps `constant_field`, `stuck_values`, `stuck_axis`, and which rows (N,) they spoil."""
     mag, good = telemetry.mag_B_nT, telemetry.has_reading
-    spoilt = np.zeros(len(mag), dtype=bool)
+    faulty = np.zeros(len(mag), dtype=bool)
     if good.sum() < 13:
-        return [], spoilt
+        return [], faulty
     spread = np.ptp(mag[good], axis=0)
     if (spread == 0).all():
         text = "the magnetometer never changes: the reading is stuck or a placeholder"

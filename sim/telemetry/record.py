@@ -23,7 +23,7 @@ _SHAPES = {quantity.name: quantity.components for quantity in RECORDED}
 
 TEXT_BYTES = 80
 """Width of a text cell in a CSV at most: a fixed width spares a Python object a cell."""
-_LARGEST = 1e15  # of any unit in the columns: beyond it a cell is spoilt, and squares overflow
+_LARGEST = 1e15  # of any unit in the columns: beyond it a cell is corrupt, and squares overflow
 
 
 @dataclass(frozen=True)

@@ -28,9 +28,7 @@ class AlongTrackError(SignalEffect):
         "(Vallado & Cefola 2012)"
     )
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("ahead", "km", 5.0, -1000.0, 1000.0),)
+    parameters = (Parameter("ahead", "km", 5.0, -1000.0, 1000.0),)
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         return signal.position_reported_ahead(float(theta[0]))

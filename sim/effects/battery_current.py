@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.effects.base import Parameter, SignalEffect, vector_parameters
+from fluxtwin.sim.effects.base import SignalEffect, vector_parameters
 from fluxtwin.sim.effects.drivers import battery_current_A, varies
 from fluxtwin.sim.effects.signal import Setting, Signal
 
@@ -32,9 +32,7 @@ class BatteryCurrent(SignalEffect):
         "(CryoSat-2: Olsen et al. 2020, doi 10.1186/s40623-020-01171-9)"
     )
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return vector_parameters("s", "nT/A", 20.0)
+    parameters = vector_parameters("s", "nT/A", 20.0)
 
     def condition_on(self, setting: Setting) -> str | None:
         return "sunlit" if setting.column("battery_current_A") is None else self.follows

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.effects.base import Parameter, SignalEffect, vector_parameters
+from fluxtwin.sim.effects.base import SignalEffect, vector_parameters
 from fluxtwin.sim.effects.signal import Signal
 
 
@@ -27,9 +27,7 @@ class Bias(SignalEffect):
     equivalent_stages: ClassVar[tuple[str, ...]] = ("spacecraft",)
     about: ClassVar[str] = "b of A B0 = (I+S) B + b + T D (Lerner & Shuster 1981, eq. 1); + lowers the reading"
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return vector_parameters("b", "nT", 100.0)
+    parameters = vector_parameters("b", "nT", 100.0)
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         matrix = np.eye(3) + signal.setting.instrument.S

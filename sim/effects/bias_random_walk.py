@@ -30,9 +30,7 @@ class BiasRandomWalk(DistributionEffect):
         "b of eq. 1 wanders, its variance growing by rate^2 a second (rate random walk of IEEE Std 952)"
     )
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("rate", "nT/sqrt(s)", 1.0, 0.0),)
+    parameters = (Parameter("rate", "nT/sqrt(s)", 1.0, 0.0),)
 
     @property
     def bound(self) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
-from fluxtwin.sim.effects.base import Parameter, SignalEffect, vector_parameters
+from fluxtwin.sim.effects.base import SignalEffect, vector_parameters
 from fluxtwin.sim.effects.instrument import in_reading
 from fluxtwin.sim.effects.signal import Setting, Signal
 
@@ -36,9 +36,7 @@ class BiasStep(SignalEffect):
     at: str | None = None
     """ISO 8601 UTC; None: the middle row."""
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return vector_parameters("b", "nT", 100.0)
+    parameters = vector_parameters("b", "nT", 100.0)
 
     def alternatives(self, setting: Setting) -> tuple[BiasStep, ...]:
         """Moments spread evenly over the rows, at a row each; the given one alone where there is one."""

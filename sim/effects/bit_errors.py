@@ -42,9 +42,7 @@ class BitErrors(DistributionEffect):
     """Step of the code; None: the instrument's, or 1 nT if that does not round."""
     axis: Literal["x", "y", "z", "all"] = "all"
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("rate", "1", 0.01, 0.0, 1.0),)
+    parameters = (Parameter("rate", "1", 0.01, 0.0, 1.0),)
 
     def step_nT(self, signal: Signal) -> float:
         """The step of the code."""

@@ -46,9 +46,7 @@ class BoomBending(SignalEffect):
     reference_degC: float | None = None
     """Temperature at which the boom is straight; None: the record's mean."""
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(Parameter(f"turn_{axis}", "deg/K", 0.005, -1.0, 1.0) for axis in "xyz")
+    parameters = tuple(Parameter(f"turn_{axis}", "deg/K", 0.005, -1.0, 1.0) for axis in "xyz")
 
     def alternatives(self, setting: Setting) -> tuple[BoomBending, ...]:
         if known_column(setting, "temperature_degC") is not None:

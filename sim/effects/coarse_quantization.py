@@ -31,9 +31,7 @@ class CoarseQuantization(DistributionEffect):
         "Noise; Seasat 440 nT, HCMM 470 nT)"
     )
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("lsb", "nT", 400.0, 0.0),)
+    parameters = (Parameter("lsb", "nT", 400.0, 0.0),)
 
     def draw(self, signal: Signal, theta: FloatArray, rng: np.random.Generator) -> Signal:
         lsb = float(theta[0])

@@ -41,9 +41,7 @@ class EddyCurrent(SignalEffect):
         "(Landau & Lifshitz, Electrodynamics of Continuous Media, section 59)"
     )
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(Parameter(name, "s", 0.05) for name in _NAMES)
+    parameters = tuple(Parameter(name, "s", 0.05) for name in _NAMES)
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         return signal.with_stray(-mapped(traceless(theta), signal.field_rate_B_nT_s))

@@ -28,9 +28,7 @@ class EddyTorque(DynamicsEffect):
         "spherical shell has 2 pi / 3 r^4 s d about each axis)"
     )
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(Parameter(f"K_{axis}", "A m2 s/T", 1000.0, low=0.0) for axis in "xyz")
+    parameters = tuple(Parameter(f"K_{axis}", "A m2 s/T", 1000.0, low=0.0) for axis in "xyz")
 
     def on(self, vehicle: Vehicle, theta: FloatArray) -> Vehicle:
         known = torque_of(vehicle, EddyCurrents)

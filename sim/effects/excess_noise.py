@@ -30,9 +30,7 @@ class ExcessNoise(DistributionEffect):
     )
     axis: Literal["x", "y", "z", "all"] = "all"
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("rms", "nT", 50.0, 0.0),)
+    parameters = (Parameter("rms", "nT", 50.0, 0.0),)
 
     def draw(self, signal: Signal, theta: FloatArray, rng: np.random.Generator) -> Signal:
         noisy = np.ones(3) if self.axis == "all" else np.array([float(self.axis == axis) for axis in "xyz"])

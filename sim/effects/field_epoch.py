@@ -34,9 +34,7 @@ class FieldEpoch(SignalEffect):
         "goes on (IGRF-14: up to about 100 nT a year)"
     )
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("ahead", "yr", 1.0, -20.0, 20.0),)
+    parameters = (Parameter("ahead", "yr", 1.0, -20.0, 20.0),)
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         r_E_km = signal.R_EN.apply(signal.r_N_km)

@@ -40,9 +40,7 @@ class FieldTruncation(SignalEffect):
         "field lacks the model's, truth = richer: it has IGRF-14's up to 13, the model has not"
     )
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("share", "1", 1.0, -2.0, 2.0),)
+    parameters = (Parameter("share", "1", 1.0, -2.0, 2.0),)
 
     def alternatives(self, setting: Setting) -> tuple[Effect, ...]:
         """Degrees from 4 to 12 below the model's own, and what a truncated model leaves out."""

@@ -39,9 +39,7 @@ class GravityGradientInertiaError(DynamicsEffect):
     acts_in: Literal["both", "torque"] = "both"
     """both: the tensor of the body; torque: that of the gravity gradient alone."""
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(Parameter(f"inertia_{place}", "kg m2", 0.5) for place in _PLACES)
+    parameters = tuple(Parameter(f"inertia_{place}", "kg m2", 0.5) for place in _PLACES)
 
     def on(self, vehicle: Vehicle, theta: FloatArray) -> Vehicle:
         xx, yy, zz, xy, xz, yz = (float(value) for value in theta)

@@ -10,7 +10,7 @@ import numpy as np
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
-from fluxtwin.sim.effects.base import Parameter, SignalEffect, known_column, vector_parameters
+from fluxtwin.sim.effects.base import SignalEffect, known_column, vector_parameters
 from fluxtwin.sim.effects.drivers import varies
 from fluxtwin.sim.effects.signal import Setting, Signal
 
@@ -35,9 +35,7 @@ class HeaterSwitching(SignalEffect):
     switches_utc: tuple[str, ...] | None = None
     """The same for any rows: moments at which the heater goes on, off, on, ... in order; off before the first."""
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return vector_parameters("f", "nT", 100.0)
+    parameters = vector_parameters("f", "nT", 100.0)
 
     def on(self, setting: Setting) -> FloatArray | None:
         """(N,) 1 while the heater is on; None when nothing tells."""

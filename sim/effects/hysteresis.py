@@ -9,7 +9,7 @@ import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.effects.base import Parameter, SignalEffect, vector_parameters
+from fluxtwin.sim.effects.base import SignalEffect, vector_parameters
 from fluxtwin.sim.effects.history import play
 from fluxtwin.sim.effects.instrument import in_reading
 from fluxtwin.sim.effects.signal import Setting, Signal
@@ -47,9 +47,7 @@ class Hysteresis(SignalEffect):
     start: str = "ooo"
     """How each axis came to the first row: o as it goes on from there, r reversed, the other way; n neutral."""
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return vector_parameters("a", "nT", 50.0)
+    parameters = vector_parameters("a", "nT", 50.0)
 
     def alternatives(self, setting: Setting) -> tuple[Hysteresis, ...]:
         if self != Hysteresis():

@@ -29,9 +29,7 @@ class QuadraticNonlinearity(SignalEffect):
         "Olsen et al. 2020, doi 10.1186/s40623-020-01171-9)"
     )
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(Parameter(f"q_{axis}_{name}", "nT", 50.0) for axis in "xyz" for name in monomials(2))
+    parameters = tuple(Parameter(f"q_{axis}_{name}", "nT", 50.0) for axis in "xyz" for name in monomials(2))
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         return signal.with_reading(signal.reading + mapped(theta.reshape(3, 6), products(signal.reading, 2)))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.effects.base import DynamicsEffect, Parameter, vector_parameters
+from fluxtwin.sim.effects.base import DynamicsEffect, vector_parameters
 from fluxtwin.sim.effects.with_torque import plus, torque_of, with_torque
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 from fluxtwin.sim.spacecraft.torques.residual_dipole import ResidualDipole
@@ -29,9 +29,7 @@ class ResidualDipoleTorque(DynamicsEffect):
         "gives about 1e-3 A m2 a kilogram for an ordinary spacecraft"
     )
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return vector_parameters("dipole", "A m2", 0.5)
+    parameters = vector_parameters("dipole", "A m2", 0.5)
 
     def on(self, vehicle: Vehicle, theta: FloatArray) -> Vehicle:
         known = torque_of(vehicle, ResidualDipole)

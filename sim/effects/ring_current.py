@@ -39,9 +39,7 @@ class RingCurrent(SignalEffect):
         "is 1.27 times the parameter; constant, or decaying from the first stamp (Burton et al. 1975: 7.7 h)"
     )
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("external", "nT", 50.0, -2000.0, 2000.0),)
+    parameters = (Parameter("external", "nT", 50.0, -2000.0, 2000.0),)
 
     def alternatives(self, setting: Setting) -> tuple[Effect, ...]:
         """Constant, and the two decays where the record is long enough to show one."""

@@ -30,9 +30,7 @@ class ScaleMisalignment(SignalEffect):
         "S of A B0 = (I+S) B + b + T D (Lerner & Shuster 1981, eq. 1), row by row; + on the diagonal lowers the reading"
     )
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(Parameter(f"S_{row}{column}", "1", 0.01, -0.5, 0.5) for row in "xyz" for column in "xyz")
+    parameters = tuple(Parameter(f"S_{row}{column}", "1", 0.01, -0.5, 0.5) for row in "xyz" for column in "xyz")
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         nominal = np.eye(3) + signal.setting.instrument.S

@@ -36,9 +36,7 @@ class SensorLag(SignalEffect):
         "(RC low-pass: Oppenheim & Willsky, Signals and Systems, section 3.10)"
     )
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("lag", "s", 0.5, 0.0, 600.0),)
+    parameters = (Parameter("lag", "s", 0.5, 0.0, 600.0),)
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         setting, lag_s = signal.setting, float(theta[0])

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.effects.base import Parameter, SignalEffect, known_column, vector_parameters
+from fluxtwin.sim.effects.base import SignalEffect, known_column, vector_parameters
 from fluxtwin.sim.effects.drivers import PanelKind, array_current_A, sun_in_body, varies
 from fluxtwin.sim.effects.signal import Setting, Signal
 
@@ -31,9 +31,7 @@ class SolarArrayCurrent(SignalEffect):
     )
     panel: PanelKind = "zenith"
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return vector_parameters("s", "nT/A", 20.0)
+    parameters = vector_parameters("s", "nT/A", 20.0)
 
     def alternatives(self, setting: Setting) -> tuple[SolarArrayCurrent, ...]:
         if known_column(setting, "array_current_A") is not None:

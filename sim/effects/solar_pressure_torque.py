@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.effects.base import DynamicsEffect, Parameter, vector_parameters
+from fluxtwin.sim.effects.base import DynamicsEffect, vector_parameters
 from fluxtwin.sim.effects.with_torque import plus, torque_of, with_torque
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 from fluxtwin.sim.spacecraft.torques.sunlight_moment import SunlightMoment
@@ -29,9 +29,7 @@ class SolarPressureTorque(DynamicsEffect):
         "direction of the sun (Wertz 1978, section 17.2.2), none in the shadow"
     )
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return vector_parameters("moment", "m3", 0.5)
+    parameters = vector_parameters("moment", "m3", 0.5)
 
     def on(self, vehicle: Vehicle, theta: FloatArray) -> Vehicle:
         known = torque_of(vehicle, SunlightMoment)

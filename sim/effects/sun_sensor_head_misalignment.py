@@ -35,9 +35,7 @@ class SunSensorHeadMisalignment(SignalEffect):
         "in flight)"
     )
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(Parameter(f"turn_{axis}", "deg", 0.2, -20.0, 20.0) for axis in "xyz")
+    parameters = tuple(Parameter(f"turn_{axis}", "deg", 0.2, -20.0, 20.0) for axis in "xyz")
 
     def alternatives(self, setting: Setting) -> tuple[Effect, ...]:
         """Each head in use."""

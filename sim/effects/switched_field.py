@@ -10,7 +10,7 @@ import numpy as np
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames
-from fluxtwin.sim.effects.base import Parameter, SignalEffect, known_column, vector_parameters
+from fluxtwin.sim.effects.base import SignalEffect, known_column, vector_parameters
 from fluxtwin.sim.effects.drivers import lit, varies
 from fluxtwin.sim.effects.signal import Setting, Signal
 
@@ -42,9 +42,7 @@ class SwitchedField(SignalEffect):
     region_deg: tuple[float, float, float, float] | None = None
     """Southern and northern geocentric latitude, western and eastern longitude; west > east crosses 180."""
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return vector_parameters("f", "nT", 100.0)
+    parameters = vector_parameters("f", "nT", 100.0)
 
     def on(self, setting: Setting) -> FloatArray | None:
         """(N,) share of the row during which the condition holds, mostly 0 or 1; None when nothing tells.

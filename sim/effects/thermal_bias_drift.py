@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.effects.base import Parameter, SignalEffect, known_column, vector_parameters
+from fluxtwin.sim.effects.base import SignalEffect, known_column, vector_parameters
 from fluxtwin.sim.effects.drivers import STANDARD_SWING_K, TIME_CONSTANTS_S, temperature_K, varies
 from fluxtwin.sim.effects.instrument import in_reading
 from fluxtwin.sim.effects.signal import Setting, Signal
@@ -35,9 +35,7 @@ class ThermalBiasDrift(SignalEffect):
     reference_degC: float | None = None
     """Temperature without effect; None: the record's mean."""
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return vector_parameters("b", "nT/K", 5.0)
+    parameters = vector_parameters("b", "nT/K", 5.0)
 
     def alternatives(self, setting: Setting) -> tuple[ThermalBiasDrift, ...]:
         if known_column(setting, "temperature_degC") is not None:

@@ -35,9 +35,7 @@ class ThermalScaleDrift(SignalEffect):
     reference_degC: float | None = None
     """Temperature without effect; None: the record's mean."""
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(Parameter(f"S_{axis}{axis}", "1/K", 1e-4, -0.01, 0.01) for axis in "xyz")
+    parameters = tuple(Parameter(f"S_{axis}{axis}", "1/K", 1e-4, -0.01, 0.01) for axis in "xyz")
 
     def alternatives(self, setting: Setting) -> tuple[ThermalScaleDrift, ...]:
         if known_column(setting, "temperature_degC") is not None:

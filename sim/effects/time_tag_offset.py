@@ -24,9 +24,7 @@ class TimeTagOffset(SignalEffect):
     settled_by: ClassVar[str] = "a spin of 2 rpm (milliseconds show), or a slow tumble of 0.25 deg/s"
     about: ClassVar[str] = "sampled later than the stamp (DMSP, Alken et al. 2014; GRACE-FO, Stolle et al. 2021)"
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("offset", "s", 0.5, -600.0, 600.0),)
+    parameters = (Parameter("offset", "s", 0.5, -600.0, 600.0),)
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         return signal.sampled_later(float(theta[0]))

@@ -27,9 +27,7 @@ class TorquerCoupling(SignalEffect):
         "field C m of the torquers at the sensor (T = -C of Lerner & Shuster 1981, eq. 1; Seasat 1.7 nT/(A m2) at 6 m)"
     )
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(Parameter(f"C_{to}{of}", "nT/(A m2)", 2.0) for to in "xyz" for of in "xyz")
+    parameters = tuple(Parameter(f"C_{to}{of}", "nT/(A m2)", 2.0) for to in "xyz" for of in "xyz")
 
     def untestable(self, setting: Setting) -> str | None:
         dipole = known_column(setting, "dipole_B_Am2")

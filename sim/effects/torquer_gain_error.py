@@ -29,9 +29,7 @@ class TorquerGainError(DynamicsEffect):
         "the sensor is torquer_coupling)"
     )
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(Parameter(f"gain_{axis}", "1", 0.05, low=-2.0, high=2.0) for axis in "xyz")
+    parameters = tuple(Parameter(f"gain_{axis}", "1", 0.05, low=-2.0, high=2.0) for axis in "xyz")
 
     def on(self, vehicle: Vehicle, theta: FloatArray) -> Vehicle:
         known = torque_of(vehicle, Torquers)

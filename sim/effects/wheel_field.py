@@ -38,9 +38,7 @@ class WheelField(SignalEffect):
     frequency_Hz: float | None = None
     """Constant frequency; None: the recorded speed."""
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(Parameter(f"{part}_{axis}", "nT", 50.0) for part in ("cos", "sin") for axis in "xyz")
+    parameters = tuple(Parameter(f"{part}_{axis}", "nT", 50.0) for part in ("cos", "sin") for axis in "xyz")
 
     def phase_rad(self, setting: Setting, offset_s: float = 0.0) -> FloatArray | None:
         """(N,) phase since the first stamp, `offset_s` after each stamp; None when nothing tells."""

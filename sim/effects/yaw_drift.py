@@ -46,9 +46,7 @@ class YawDrift(SignalEffect):
     def condition_on(self, setting: Setting) -> str | None:
         return "eclipse" if self.when == "eclipse" else self.follows
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("rate", "deg/h", 0.1, -100.0, 100.0),)
+    parameters = (Parameter("rate", "deg/h", 0.1, -100.0, 100.0),)
 
     def alternatives(self, setting: Setting) -> tuple[Effect, ...]:
         """Always, and in eclipse if there is one; about body z too where the body leans enough to tell."""

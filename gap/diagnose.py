@@ -183,23 +183,10 @@ def investigate(
     every = [whitener, *(whitener_of(problem, other, robust.weights) for other in others)]
     smallest = under_all(result.minimum_detectable, result.smallest_images_nT, alone, every)
     result = replace(result, minimum_detectable=smallest)
-    findings = (
-        flexible_findings(
-            problem, whitener, noise, robust, result.residual_nT, fitted, left.structured, coarser, answer.shapes
-        )
-        if fast is None
-        else flexible_findings(
-            fast.problem,
-            fast.whitener,
-            fast.noise,
-            fast.robust,
-            fast.residual_nT,
-            fast.fitted_nT,
-            left.structured,
-            coarser,
-            answer.shapes,
-        )
-    )
+    rows = (problem, whitener, noise, robust, result.residual_nT, fitted)
+    if fast is not None:
+        rows = (fast.problem, fast.whitener, fast.noise, fast.robust, fast.residual_nT, fast.fitted_nT)
+    findings = flexible_findings(*rows, left.structured, coarser, answer.shapes)
     flexible = tuple(one for one in findings if one.confirmed)
     loud = next((one.words for one in findings if one.effect == "excess_noise" and not one.confirmed), None)
     would_do_rad = _attitude_would_do(problem, answer, dictionary)

@@ -70,28 +70,28 @@ MUTANTS: dict[str, Mutant] = {
         "sim/run/true_attitude.py", "np.radians(a.roll_rms_deg)", "np.radians(a.pitch_rms_deg)", CHAIN
     ),
     "head's misalignment in radians": Mutant(
-        "sim/run/spacecraft.py", "(float(np.radians(angle)) for angle", "(float(angle) for angle", CHAIN
+        "sim/spacecraft/sensors/sun_sensor.py", "(float(np.radians(angle)) for angle", "(float(angle) for angle", CHAIN
     ),
     "sun sensor's noise in radians": Mutant(
-        "sim/run/spacecraft.py",
-        "noise_rad=float(np.radians(section.noise_deg)),\n        mis",
-        "noise_rad=float(section.noise_deg),\n        mis",
+        "sim/spacecraft/sensors/sun_sensor.py",
+        "noise_rad=float(np.radians(self.noise_deg)),\n            mis",
+        "noise_rad=float(self.noise_deg),\n            mis",
         CHAIN,
     ),
     "scanner's noise x 2": Mutant(
-        "sim/run/spacecraft.py",
-        "0.0 if correlated else float(np.radians(section",
-        "0.0 if correlated else 2.0 * float(np.radians(section",
+        "sim/spacecraft/sensors/horizon_scanner.py",
+        "0.0 if correlated else float(np.radians(self",
+        "0.0 if correlated else 2.0 * float(np.radians(self",
         CHAIN,
     ),
     "scanner's biases exchanged": Mutant(
-        "sim/run/spacecraft.py",
-        "radians(section.roll_bias_deg)), float(np.radians(section.pitch_bias_deg))",
-        "radians(section.pitch_bias_deg)), float(np.radians(section.roll_bias_deg))",
+        "sim/spacecraft/sensors/horizon_scanner.py",
+        "radians(self.roll_bias_deg)), float(np.radians(self.pitch_bias_deg))",
+        "radians(self.pitch_bias_deg)), float(np.radians(self.roll_bias_deg))",
         "tests/calib/attitude/test_horizon_scanner.py",
     ),
     "gyro's noise in radians": Mutant(
-        "sim/run/spacecraft.py", "float(np.radians(section.noise_deg_s))", "float(section.noise_deg_s)", CHAIN
+        "sim/spacecraft/sensors/gyro.py", "float(np.radians(self.noise_deg_s))", "float(self.noise_deg_s)", CHAIN
     ),
     "memory of the reference halved": Mutant(
         "sim/attitude/gauss_markov.py", "stamps[0])) / tau_s", "stamps[0])) / (0.5 * tau_s)", CHAIN

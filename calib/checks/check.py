@@ -24,7 +24,7 @@ from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.earth.tle import read_tle
 from fluxtwin.sim.telemetry.build import record
 from fluxtwin.sim.telemetry.column_map import ColumnMap, elements_path, load_column_map, mapped_table
-from fluxtwin.sim.telemetry.columns import Table
+from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
 from fluxtwin.sim.telemetry.layouts import recognised
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -85,7 +85,7 @@ def check_file(
 
 def _read(
     path: Path | str, column_map: Path | str | None, tle: Path | str | None, max_samples: int
-) -> tuple[Table, list[Finding]]:
+) -> tuple[FileTable, list[Finding]]:
     """The columns of `path`, and a note where a packaged map was needed and fits to the letter."""
     if column_map is not None:
         return mapped_table(path, column_map, tle=tle, max_samples=max_samples, any_order=True), []
@@ -103,7 +103,7 @@ def _read(
     return table, [note(RECOGNISED, f"{text}; give --map to read it otherwise")]
 
 
-def _origin(path: Path | str, table: Table, column_map: Path | str | None, tle: Path | str | None) -> Origin:
+def _origin(path: Path | str, table: FileTable, column_map: Path | str | None, tle: Path | str | None) -> Origin:
     """What the stamps had a part in, from the columns of a file or from its map."""
     loaded: ColumnMap | None = None if column_map is None else load_column_map(column_map)
     if loaded is not None and column_map is not None:
@@ -153,7 +153,7 @@ def repair(path: Path | str, out: Path | str, *, max_samples: int = MAX_SAMPLES)
     return report(str(path), len(telemetry), findings)
 
 
-def _order(table: Table, mend: str) -> list[Finding]:
+def _order(table: FileTable, mend: str) -> list[Finding]:
     """Stamps that do not increase, as a trap; `mend` is what sorts them and drops exact duplicates."""
     stamps = table.time
     missing = np.flatnonzero(np.isnat(stamps))
@@ -180,7 +180,7 @@ def _order(table: Table, mend: str) -> list[Finding]:
     return findings
 
 
-def _ordered(table: Table) -> tuple[Table, list[Finding]]:
+def _ordered(table: FileTable) -> tuple[FileTable, list[Finding]]:
     """The table sorted, one row an instant; and what had to be left out beyond exact duplicates."""
     rows = np.flatnonzero(~np.isnat(table.time))
     rows = rows[np.argsort(table.time[rows], kind="stable")]
@@ -204,4 +204,4 @@ def _ordered(table: Table) -> tuple[Table, list[Finding]]:
         findings.append(trap("conflicting_rows", text, np.sort(rivals)))
     keep = rows[is_first]
     columns = {name: value[keep] for name, value in table.columns.items()}
-    return Table(table.where, table.time[keep], columns, list(table.notices), dict(table.provenance)), findings
+    return FileTable(table.where, table.time[keep], columns, list(table.notices), dict(table.provenance)), findings

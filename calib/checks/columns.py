@@ -8,13 +8,13 @@ import numpy as np
 
 from fluxtwin.calib.checks.report import Finding, trap
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.telemetry.columns import Table
+from fluxtwin.sim.telemetry.columns import FileTable
 
 ORBIT_SPREAD = 0.15
 """Relative spread of |r| up to an eccentricity of 0.2."""
 
 
-def check_columns(table: Table) -> list[Finding]:
+def check_columns(table: FileTable) -> list[Finding]:
     """The trap `shifted_columns`: the numbers make sense only under the names one place further."""
     names = list(table.columns)
     if not all(_sense(table, names, 0).values()):
@@ -30,7 +30,7 @@ def check_columns(table: Table) -> list[Finding]:
     return []
 
 
-def _sense(table: Table, names: list[str], shift: int) -> dict[str, bool]:
+def _sense(table: FileTable, names: list[str], shift: int) -> dict[str, bool]:
     """For each quantity that is there, by its first column: whether the numbers `shift` places further can be it."""
     out = {}
     for stems, possible in _POSSIBLE:

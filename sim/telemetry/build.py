@@ -12,7 +12,7 @@ import numpy as np
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import frames
-from fluxtwin.sim.telemetry.columns import Resolution, Table, resolve
+from fluxtwin.sim.telemetry.columns import FileTable, Resolution, resolve
 from fluxtwin.sim.telemetry.quantities import ANGLES, BY_NAME
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -24,7 +24,7 @@ NORM_TOLERANCE = 1.0e-3
 """Largest |q| - 1: files print quaternions to four digits or more, which keeps the norm within 2e-4."""
 
 
-def record(table: Table, *, tle: Path | str | None = None) -> Telemetry:
+def record(table: FileTable, *, tle: Path | str | None = None) -> Telemetry:
     """The record of a table. With `tle`, a file of two-line elements gives the position where the table has none.
 
     Raises BadInput naming the file and the row or column at fault.
@@ -83,7 +83,7 @@ def velocity_from_positions(time: TimeArray, r_N_km: FloatArray) -> FloatArray:
     return v
 
 
-def _fields(table: Table, found: Resolution) -> dict[str, FloatArray]:
+def _fields(table: FileTable, found: Resolution) -> dict[str, FloatArray]:
     fields: dict[str, FloatArray] = {}
     for name, (columns, unit) in found.found.items():
         factor = BY_NAME[name].units[unit]

@@ -32,7 +32,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.toml_input import Strict, read_model
 from fluxtwin.sim.telemetry import column_map_words as words
-from fluxtwin.sim.telemetry.columns import Table
+from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -225,7 +225,7 @@ def mapped_table(
     tle: Path | str | None = None,
     max_samples: int = MAX_SAMPLES,
     any_order: bool = False,
-) -> Table:
+) -> FileTable:
     """The columns of `read_mapped` before they are a record.
 
     any_order: rows of a single source without attitude are let through as they come, for `check` to judge.

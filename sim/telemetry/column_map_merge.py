@@ -21,7 +21,7 @@ from fluxtwin.sim.earth.frames_of_date import rotation_from_N
 from fluxtwin.sim.telemetry.build import velocity_from_positions
 from fluxtwin.sim.telemetry.column_map import ColumnMap, ColumnSpec
 from fluxtwin.sim.telemetry.column_map_read import Source, read_source, require_increasing
-from fluxtwin.sim.telemetry.columns import Table
+from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, POSITION, VELOCITY
 
 _LARGEST_TURN_RAD = np.pi / 2.0
@@ -30,7 +30,7 @@ _LARGEST_TURN_RAD = np.pi / 2.0
 
 def merged_table(
     path: Path, column_map: ColumnMap, *, tle: Path | str | None, max_samples: int, any_order: bool = False
-) -> Table:
+) -> FileTable:
     """All sources of the map as one table of contract columns on the magnetometer's stamps.
 
     Without a magnetometer the first source gives the stamps. any_order: see `column_map.mapped_table`.
@@ -58,7 +58,7 @@ def merged_table(
         q = _absolute(attitude, time, r, v, master.where, notices)
         columns.update(zip(("q_x", "q_y", "q_z", "q_w"), q.T, strict=True))
     digests = "+".join(digest for source in sources for digest in source.digests)
-    return Table(str(path), time, columns, notices, {"source": path.name, "sha256": digests})
+    return FileTable(str(path), time, columns, notices, {"source": path.name, "sha256": digests})
 
 
 def _put(columns: dict[str, FloatArray], name: str, value: FloatArray) -> None:

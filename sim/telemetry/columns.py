@@ -84,7 +84,7 @@ takes it.
 
 
 @dataclass
-class Table:
+class FileTable:
     """What a file holds, before it is a record: rows may still be in any order and values missing (NaN)."""
 
     where: str

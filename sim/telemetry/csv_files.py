@@ -22,7 +22,7 @@ import numpy as np
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import write_with
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.telemetry.columns import TEXTS, Table, clip, file_columns, file_texts, resolve
+from fluxtwin.sim.telemetry.columns import TEXTS, FileTable, clip, file_columns, file_texts, resolve
 from fluxtwin.sim.telemetry.record import TEXT_BYTES, Telemetry
 from fluxtwin.sim.telemetry.time_stamps import format_iso, parse_iso, zone_assumed
 
@@ -132,7 +132,7 @@ class CsvFile:
         )
 
 
-def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> Table:
+def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> FileTable:
     """The contract columns of a CSV file. Raises BadInput naming the file and what is wrong with it."""
     opened = open_csv(path, max_samples=max_samples)
     if "time" not in opened.names:
@@ -146,7 +146,7 @@ def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> Table:
     used = set(found.used)
     columns = opened.numbers([name for name in opened.names if name in used])
     stamps = opened.text("time")
-    return Table(
+    return FileTable(
         where=opened.where,
         time=parse_iso(stamps, opened.where),
         columns=columns,

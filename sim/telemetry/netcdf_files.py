@@ -20,7 +20,7 @@ from fluxtwin.sim.base.files import escaped
 from fluxtwin.sim.base.netcdf_out import TRUTH_TITLE, Variable, write_netcdf
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth.epoch import parse_time
-from fluxtwin.sim.telemetry.columns import Table, clip, describe, file_columns, resolve
+from fluxtwin.sim.telemetry.columns import FileTable, clip, describe, file_columns, resolve
 from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
 from fluxtwin.sim.telemetry.quantities import MAG
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -216,7 +216,7 @@ class NetcdfFile:
         return BadInput(f"{what} ({reason})", where=self.where)
 
 
-def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> Table:
+def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> FileTable:
     """The contract columns of a NetCDF file. Raises BadInput naming the file and what is wrong with it."""
     with NetcdfFile(path, max_samples=max_samples) as opened:
         names = opened.names()
@@ -240,7 +240,7 @@ def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> Table:
         notices = list(found.notices)
         if not sealed:
             notices.append("the file carries no digest, so damage would not be noticed")
-        return Table(opened.where, time, columns, notices, _provenance(opened, attributes))
+        return FileTable(opened.where, time, columns, notices, _provenance(opened, attributes))
 
 
 def write(telemetry: Telemetry, path: Path | str) -> Path:

@@ -8,7 +8,7 @@ from typing import Any
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import is_stream
-from fluxtwin.sim.telemetry.columns import Table
+from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -55,7 +55,7 @@ def as_path(given: Any) -> Path:
     )
 
 
-def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> Table:
+def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> FileTable:
     """The columns of a contract file before they are a record; rows may still be in any order."""
     if _kind(path) == "nc":
         from fluxtwin.sim.telemetry import netcdf_files as telemetry_netcdf

@@ -197,12 +197,21 @@ def assemble_rows(
         whole = calibration.apply(reading, used.dipole_B_Am2, recorded_columns(used))
         coupling = whole - calibration.b_nT - reading @ (np.eye(3) + calibration.S).T
     return Rows(
-        time=used.time, t_s=epoch.seconds_since(used.time, used.time[0]), reading_nT=reading, coupling_nT=coupling,
-        field_N_nT=field_N_nT(model, used.time, r_N_km), nadir_B=nadir_B,
-        nadir_N=-r_N_km / np.linalg.norm(r_N_km, axis=1)[:, None], sun_B=sun_B,
-        sun_N=sun.sun_direction_N(used.time, r_N_km), R_BN=A, rows=rows, left_out=left_out,
-        source=source if by_sensors or given else "no other sensor", set_aside=set_aside,
-    )  # fmt: skip
+        time=used.time,
+        t_s=epoch.seconds_since(used.time, used.time[0]),
+        reading_nT=reading,
+        coupling_nT=coupling,
+        field_N_nT=field_N_nT(model, used.time, r_N_km),
+        nadir_B=nadir_B,
+        nadir_N=-r_N_km / np.linalg.norm(r_N_km, axis=1)[:, None],
+        sun_B=sun_B,
+        sun_N=sun.sun_direction_N(used.time, r_N_km),
+        R_BN=A,
+        rows=rows,
+        left_out=left_out,
+        source=source if by_sensors or given else "no other sensor",
+        set_aside=set_aside,
+    )
 
 
 def _directions(seen_B: FloatArray | None, count: int) -> FloatArray:
@@ -313,10 +322,22 @@ def run(rows: Rows, begun: Sequence[Start], noises: Noises, p: FloatArray, p_cov
         P[12:, 12:] = C
         at = slice(one.begin, one.end)
         total, p, P = run_filter(
-            rows.t_s[at], rows.reading_nT[at], rows.coupling_nT[at], rows.field_N_nT[at], rows.nadir_B[at],
-            rows.nadir_N[at], rows.sun_B[at], rows.sun_N[at], rows.R_BN[at], one.A, one.rate, p, P, np.array(noises),
+            rows.t_s[at],
+            rows.reading_nT[at],
+            rows.coupling_nT[at],
+            rows.field_N_nT[at],
+            rows.nadir_B[at],
+            rows.nadir_N[at],
+            rows.sun_B[at],
+            rows.sun_N[at],
+            rows.R_BN[at],
+            one.A,
+            one.rate,
+            p,
+            P,
+            np.array(noises),
             *(part[at] for part in out),
-        )  # fmt: skip
+        )
         C, cost = P[12:, 12:].copy(), cost + total
     A, spread, rates, nis, outlying, innovation = out
     return Run(A, spread, rates, nis, outlying, innovation, cost, p, C)
@@ -337,9 +358,10 @@ def learned(
     would show so many sizes.
     """
     seen = (
-        np.isfinite(rows.reading_nT[:, 0]), np.isfinite(rows.nadir_B[:, 0]) | np.isfinite(rows.R_BN[:, 0, 0]),
+        np.isfinite(rows.reading_nT[:, 0]),
+        np.isfinite(rows.nadir_B[:, 0]) | np.isfinite(rows.R_BN[:, 0, 0]),
         np.isfinite(rows.sun_B[:, 0]),
-    )  # fmt: skip
+    )
     some, used = list(begun), np.zeros(len(rows.t_s), dtype=bool)
     for one in begun:
         used[one.begin : one.end] = True
@@ -350,9 +372,10 @@ def learned(
             used[one.begin : one.end] = True
     of = dict(zip(("field", "slow", "white", "drift", "sun"), (0, 0, 1, 1, 2), strict=True))
     free = [
-        k for k, name in enumerate(Noises._fields)
+        k
+        for k, name in enumerate(Noises._fields)
         if name not in declared and (name.startswith("walk") or (seen[of[name.split("_")[0]]] & used).any())
-    ]  # fmt: skip
+    ]
     if used.sum() < _ROWS_A_SIZE * len(free):
         raise NoAnswer(
             f"{int(used.sum())} rows do not show how large {len(free)} kinds of error are: "

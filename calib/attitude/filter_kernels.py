@@ -93,11 +93,27 @@ def _direction(y: FloatArray, seen: FloatArray, n: int) -> tuple[FloatArray, Flo
 
 @kernel(uses=(kalman_kernels,), fastmath=False)
 def run_filter(
-    t_s: FloatArray, field_B: FloatArray, coupling_B: FloatArray, field_N: FloatArray, nadir_B: FloatArray,
-    nadir_N: FloatArray, sun_B: FloatArray, sun_N: FloatArray, A_seen: FloatArray, A: FloatArray, w: FloatArray,
-    p: FloatArray, P: FloatArray, noise: FloatArray, history: FloatArray, spread: FloatArray, rates: FloatArray,
-    nis: FloatArray, outlying: FloatArray, innovation: FloatArray,
-) -> tuple[float, FloatArray, FloatArray]:  # fmt: skip
+    t_s: FloatArray,
+    field_B: FloatArray,
+    coupling_B: FloatArray,
+    field_N: FloatArray,
+    nadir_B: FloatArray,
+    nadir_N: FloatArray,
+    sun_B: FloatArray,
+    sun_N: FloatArray,
+    A_seen: FloatArray,
+    A: FloatArray,
+    w: FloatArray,
+    p: FloatArray,
+    P: FloatArray,
+    noise: FloatArray,
+    history: FloatArray,
+    spread: FloatArray,
+    rates: FloatArray,
+    nis: FloatArray,
+    outlying: FloatArray,
+    innovation: FloatArray,
+) -> tuple[float, FloatArray, FloatArray]:
     """Through the rows of one stretch in order of time; a measurement that is NaN is not there.
 
     field_B: (N, 3) readings [nT]; coupling_B: (N, 3) T D; field_N, nadir_N, sun_N: (N, 3) models; nadir_B, sun_B: (N, 3);

@@ -32,7 +32,7 @@ from fluxtwin.calib.attitude.filter import (
     learned,
     run,
     starts,
-)  # fmt: skip
+)
 from fluxtwin.calib.attitude.method import RecursiveOptions
 from fluxtwin.calib.attitude.three_axis import consistency, declared_noises, limits
 from fluxtwin.calib.common.design import joined
@@ -162,13 +162,17 @@ def _averaged(
     for of_drift, of_slow in itertools.product(drift, slow):
         sized = {} if "drift_rad" in declared else {"drift_rad": noises.drift_rad * np.exp(0.5 * of_drift)}
         one = run(
-            rows, begun,
+            rows,
+            begun,
             noises._replace(
-                drift_s=noises.drift_s * np.exp(of_drift), slow_nT=noises.slow_nT * np.exp(0.5 * of_slow),
-                slow_s=noises.slow_s * np.exp(of_slow), **sized,
+                drift_s=noises.drift_s * np.exp(of_drift),
+                slow_nT=noises.slow_nT * np.exp(0.5 * of_slow),
+                slow_s=noises.slow_s * np.exp(of_slow),
+                **sized,
             ),
-            done.p, first,
-        )  # fmt: skip
+            done.p,
+            first,
+        )
         answers.append((one.cost, one.p, one.p_covariance))
     cost, p, C = (np.array([one[k] for one in answers]) for k in range(3))
     weight = np.exp(-0.5 * (cost - cost.min()))
@@ -215,9 +219,17 @@ def _report(
         *(weak_direction_words(variation, done.p_covariance, sigma_nT) if parameters == "b,S" else []),
     ]
     calibration = Calibration(
-        S, b_nT, None, done.p_covariance, "blocks", sigma_nT, len(kept), (rows.time[kept[0]], rows.time[kept[-1]]),
-        model.name, f"recursive filter for {parameters}, attitude estimated too", tuple(words),
-    )  # fmt: skip
+        S=S,
+        b_nT=b_nT,
+        covariance=done.p_covariance,
+        covariance_kind="blocks",
+        sigma_nT=sigma_nT,
+        samples=len(kept),
+        span=(rows.time[kept[0]], rows.time[kept[-1]]),
+        field_model=model.name,
+        method=f"recursive filter for {parameters}, attitude estimated too",
+        unobservable=tuple(words),
+    )
     noise = ReadingNoise(
         np.full(3, noises.field_nT**2),
         f"{plain(noises.field_nT)} nT white, {'declared' if declared else 'found in the innovations'}",

@@ -156,7 +156,7 @@ def declared_noises(
         ("noise_nT", noise_nT, 1e5),
         ("attitude_sigma_deg", attitude_sigma_deg, 90.0),
         ("sun_sigma_deg", sun_sigma_deg, 90.0),
-    ):  # fmt: skip
+    ):
         if value is not None and not 0.0 < value < top:
             raise BadInput(
                 f"{value!r}", where=f"--{name.replace('_', '-')}", wanted=f"1 sigma, positive, below {top:g}"
@@ -246,13 +246,24 @@ def _solution(
     nis, lag_correlation, reasons = consistency(done)
     covariance = done.covariance[known]
     return AttitudeSolution(
-        time=rows.time[known], q_NB=frames.q_from_rotation(R), covariance=covariance,
-        sigma_rad=np.sqrt(np.einsum("kii->ki", covariance)), yaw_roll_pitch_rad=angles, rate_B_rad_s=done.rate[known],
+        time=rows.time[known],
+        q_NB=frames.q_from_rotation(R),
+        covariance=covariance,
+        sigma_rad=np.sqrt(np.einsum("kii->ki", covariance)),
+        yaw_roll_pitch_rad=angles,
+        rate_B_rad_s=done.rate[known],
         aided=np.isfinite(rows.sun_B[known, 0]) | np.isfinite(rows.R_BN[known, 0, 0]),
-        inflated=np.asarray((done.inflated[known] == 1.0).any(axis=1)), rows=index, left_out=left_out, noises=noises,
-        nis=nis, lag_correlation=lag_correlation, reasons=reasons, limits=against,
-        source=rows.source, set_aside=rows.set_aside,
-    )  # fmt: skip
+        inflated=np.asarray((done.inflated[known] == 1.0).any(axis=1)),
+        rows=index,
+        left_out=left_out,
+        noises=noises,
+        nis=nis,
+        lag_correlation=lag_correlation,
+        reasons=reasons,
+        limits=against,
+        source=rows.source,
+        set_aside=rows.set_aside,
+    )
 
 
 def consistency(done: Run) -> tuple[dict[str, float], float, tuple[str, ...]]:

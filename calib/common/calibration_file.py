@@ -126,11 +126,16 @@ def file_content(calibration: Calibration) -> dict[str, Any]:
 def _source(calibration: Calibration) -> dict[str, Any]:
     span = None if calibration.span is None else [_iso(stamp) for stamp in calibration.span]
     stated = {
-        "spacecraft": calibration.spacecraft, "span": span, "samples": int(calibration.samples),
-        "sigma_nT": float(calibration.sigma_nT), "field_model": calibration.field_model, "method": calibration.method,
-        "residual_to": calibration.residual_to, "unobservable": list(calibration.unobservable),
+        "spacecraft": calibration.spacecraft,
+        "span": span,
+        "samples": int(calibration.samples),
+        "sigma_nT": float(calibration.sigma_nT),
+        "field_model": calibration.field_model,
+        "method": calibration.method,
+        "residual_to": calibration.residual_to,
+        "unobservable": list(calibration.unobservable),
         "version": calibration.version or _version(),
-    }  # fmt: skip
+    }
     optional = ("spacecraft", "span", "residual_to")
     return {key: value for key, value in stated.items() if value or key not in optional}
 

@@ -200,10 +200,15 @@ def log_posterior(p: FloatArray, cells: Cells, gram: FloatArray) -> tuple[float,
         if not low[i] <= size[i] <= high[i]:
             return -np.inf, 1.0
     logs = whitened_gram(
-        cells.columns, cells.image, cells.noise, cells.turned, cells.gap_s, cells.length_s,
+        cells.columns,
+        cells.image,
+        cells.noise,
+        cells.turned,
+        cells.gap_s,
+        cells.length_s,
         (0.0 if cells.white else np.exp(size[0]), np.exp(size[1]), np.exp(size[2]), np.exp(size[3]), np.exp(size[4])),
         gram,
-    )  # fmt: skip
+    )
     q = gram.shape[0]
     width, value = (q - 1) // 3, -0.5 * logs
     for i in range(q):  # Cholesky in place: the last entry is the root of the weighted sum of squares left

@@ -160,10 +160,17 @@ class _Likelihood:
         sigma = np.nan if sigma_deg is None else np.log(np.radians(sigma_deg))
         declared = np.array([sigma, _LOG_SD, np.log(tau_s) if tau_s else np.nan, _TAU_LOG_SD])
         self.cells = Cells(
-            columns, np.ascontiguousarray(of.image_nT), of.white[None] / of.effective[:, None, None],
+            columns,
+            np.ascontiguousarray(of.image_nT),
+            of.white[None] / of.effective[:, None, None],
             np.einsum("kij,klj->kil", of.image_nT, of.image_nT) / of.effective[:, None, None],
-            gap, np.ascontiguousarray(of.length_s), self.low, self.high, declared, tau_s == 0.0,
-        )  # fmt: skip
+            gap,
+            np.ascontiguousarray(of.length_s),
+            self.low,
+            self.high,
+            declared,
+            tau_s == 0.0,
+        )
         self.gram = np.zeros((3 * width + 1, 3 * width + 1))
 
     def __call__(self, p: FloatArray) -> float:
@@ -183,9 +190,12 @@ class _Likelihood:
 
         rng = np.random.default_rng(0)  # the same record, the same answer
         draws = Draws(
-            rng.uniform(size=n), rng.normal(size=(n, 3)), rng.integers(5, size=n), rng.uniform(size=n),
             rng.uniform(size=n),
-        )  # fmt: skip
+            rng.normal(size=(n, 3)),
+            rng.integers(5, size=n),
+            rng.uniform(size=n),
+            rng.uniform(size=n),
+        )
         return sample(p, self.cells, draws, Walk(_BURN, _LOCAL, _NUDGED, _NUDGE, _ACCEPTED))
 
     def starts(self) -> list[FloatArray]:

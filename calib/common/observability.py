@@ -171,12 +171,15 @@ def _refuse(v: FloatArray, fired: np.ndarray, moves_nT: float, relative: float, 
             text += (
                 ", or, where the reference varies, direction forward (--method forward), which its noise leaves right"
             )
-    raise NoAnswer(text, evidence={
-        "parameters": names,
-        "direction": {"constant": float(v[0]), "field": of_field.tolist(), "dipole": of_dipole.tolist()},
-        "varies_nT": moves_nT,
-        "relative_sigma": float(relative) if relative < 1e6 else None,
-    })  # fmt: skip
+    raise NoAnswer(
+        text,
+        evidence={
+            "parameters": names,
+            "direction": {"constant": float(v[0]), "field": of_field.tolist(), "dipole": of_dipole.tolist()},
+            "varies_nT": moves_nT,
+            "relative_sigma": float(relative) if relative < 1e6 else None,
+        },
+    )
 
 
 def correlated_pairs(covariance: FloatArray) -> list[tuple[float, int, int]]:

@@ -106,10 +106,13 @@ class Verdict:
             words,
             *self.reasons,
             *([] if self.impossible else [degrees]),
-            f"Not observable in these data: {len(seen)} limits, listed below." if len(seen) > 1
-            else f"Not observable in these data: {seen[0]}." if seen else "Nothing that was asked for is unobservable.",
+            f"Not observable in these data: {len(seen)} limits, listed below."
+            if len(seen) > 1
+            else f"Not observable in these data: {seen[0]}."
+            if seen
+            else "Nothing that was asked for is unobservable.",
             f"Next: {self.next_step}",
-        )  # fmt: skip
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and text for JSON."""

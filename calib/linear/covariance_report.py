@@ -192,13 +192,17 @@ def _error_model(problem: LinearProblem, solution: Solution, posterior: Posterio
     across = middle * _field_nT(problem)
     reading = problem.noise.variance_nT2 * sigma**2
     return ErrorModel(
-        white_nT=np.sqrt(reading), white_source=DECLARED if options.noise_nT is not None else FOUND,
+        white_nT=np.sqrt(reading),
+        white_source=DECLARED if options.noise_nT is not None else FOUND,
         expected_rms_nT=float(np.sqrt(variance.mean() + across**2)),
         attitude_sigma_deg=float(np.degrees(middle)),
         attitude_tau_s=float(np.median(posterior.tau_s)) if theta > white else 0.0,
-        attitude_source=DECLARED if declared else FOUND, attitude_range_deg=(float(low), float(high)),
-        slow_nT=float(np.median(posterior.slow_nT)), slow_tau_s=float(np.median(posterior.slow_tau_s)), misfit=misfit,
-    )  # fmt: skip
+        attitude_source=DECLARED if declared else FOUND,
+        attitude_range_deg=(float(low), float(high)),
+        slow_nT=float(np.median(posterior.slow_nT)),
+        slow_tau_s=float(np.median(posterior.slow_tau_s)),
+        misfit=misfit,
+    )
 
 
 def _error_words(errors: ErrorModel) -> str:

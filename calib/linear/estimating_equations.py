@@ -89,10 +89,15 @@ def evidence(problem: LinearProblem, solution: Solution, kept: np.ndarray) -> Ev
     edges = np.flatnonzero(np.diff(segment)) + 1
     first, last = np.concatenate([[0], edges]), np.concatenate([edges, [len(seconds)]]) - 1
     return Evidence(
-        mean(seconds), mean(solution.own_residual_nT[rows]), design,
-        mean(images(problem, solution, rows)), white_of(problem, solution), count,
-        np.where(count > 1, count, 0.0) * step_s, float((seconds[last] - seconds[first]).max()),
-    )  # fmt: skip
+        mean(seconds),
+        mean(solution.own_residual_nT[rows]),
+        design,
+        mean(images(problem, solution, rows)),
+        white_of(problem, solution),
+        count,
+        np.where(count > 1, count, 0.0) * step_s,
+        float((seconds[last] - seconds[first]).max()),
+    )
 
 
 def _looked_at(problem: LinearProblem, rows: np.ndarray) -> tuple[np.ndarray, float]:
@@ -167,9 +172,15 @@ def sums(problem: LinearProblem, solution: Solution, label: np.ndarray) -> Sums:
         zz = z[:, :, None] * z[:, None, :]
         uu = np.einsum("njp,njq->npq", u * (w * w)[:, None, None], u, optimize=True)
         whole = (
-            w[:, None] * z, w[:, None, None] * u, w[:, None] * score, w[:, None, None] * zz,
-            (w * w)[:, None, None] * zz, uu, w * seconds[rows], w,
-        )  # fmt: skip
+            w[:, None] * z,
+            w[:, None, None] * u,
+            w[:, None] * score,
+            w[:, None, None] * zz,
+            (w * w)[:, None, None] * zz,
+            uu,
+            w * seconds[rows],
+            w,
+        )
         out.append(tuple(np.add.reduceat(part, local, axis=0) for part in whole))
         cell = stop
     z, theta, score, slope, white_z, white_theta, when, weight = (

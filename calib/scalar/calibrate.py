@@ -254,19 +254,37 @@ def _report(
     ]
     biases = telemetry_biases(solved.p, covariance, data, problem.columns, problem.scale_nT, units)
     calibration = Calibration(
-        S, b_nT, T if with_T else None, whole if with_T else whole[:12, :12], options.covariance, sigma_nT,
-        int(kept.sum()), (rows.time[0], rows.time[-1]), model_name, words.method(options, problem.columns),
-        tuple(unobservable), biases,
-    )  # fmt: skip
+        S=S,
+        b_nT=b_nT,
+        T_nT_per_Am2=T if with_T else None,
+        covariance=whole if with_T else whole[:12, :12],
+        covariance_kind=options.covariance,
+        sigma_nT=sigma_nT,
+        samples=int(kept.sum()),
+        span=(rows.time[0], rows.time[-1]),
+        field_model=model_name,
+        method=words.method(options, problem.columns),
+        unobservable=tuple(unobservable),
+        telemetry_bias=biases,
+    )
     a = np.ones(len(r)) if robust is None else robust.weights
     return ScalarFit(
-        calibration=calibration, method=options.method, time=rows.time, residuals_nT=residuals_nT,
-        weights=a / a.sum(), rows=rows.rows, left_out=dict(rows.left_out), rejected=int((~kept).sum()),
-        variation=observability.field_variation(covariance_of(rows.B_nT)), noise=noise,
-        statistics=residual_statistics(rows.time[kept], residuals_nT[kept]), messages=tuple(messages),
-        telemetry_bias=biases, error_model=words.errors(noise, options.noise_nT is not None),
+        calibration=calibration,
+        method=options.method,
+        time=rows.time,
+        residuals_nT=residuals_nT,
+        weights=a / a.sum(),
+        rows=rows.rows,
+        left_out=dict(rows.left_out),
+        rejected=int((~kept).sum()),
+        variation=observability.field_variation(covariance_of(rows.B_nT)),
+        noise=noise,
+        statistics=residual_statistics(rows.time[kept], residuals_nT[kept]),
+        messages=tuple(messages),
+        telemetry_bias=biases,
+        error_model=words.errors(noise, options.noise_nT is not None),
         quality={"chi2_per_sample": inflation, "field_size_variation": how.constant_share, "rounds": solved.rounds},
-    )  # fmt: skip
+    )
 
 
 def _from_noise(problem: ScalarProblem, scores: Scores, solved: Solved, noise: ReadingNoise) -> FloatArray:

@@ -262,9 +262,11 @@ def _iterative(
     if options.torque_walk_rad_s == 0.0:
         known, A = _with_motion(known, motion, rows, sensors, options), motion.attitude(rows.t_s)
     quality = {
-        "nis_first": done.first.field_nis, "nis_last": last.field_nis, "sun_nis_last": last.sun_nis,
+        "nis_first": done.first.field_nis,
+        "nis_last": last.field_nis,
+        "sun_nis_last": last.sun_nis,
         "rounds": float(len(done.steps_rad) + passes),
-    }  # fmt: skip
+    }
     return _Found(known, A, motion, quality, words, done.steps_rad)
 
 
@@ -348,23 +350,39 @@ def _report(
     r = H_B - known.apply(rows.B_nT)
     statistics = residual_statistics(rows.time, r)
     label = {"batch": "batch of motion and magnetometer", "iterative": "TWOSTEP, filter, alignment, linear regression"}
-    calibration = Calibration(
-        known.S, known.b_nT, None, known.covariance, known.covariance_kind, float(statistics.component_rms_nT),
-        len(rows), (rows.time[0], rows.time[-1]), model_name,
-        f"{label[options.method]} for b,S, spinning, without attitude", (GAUGE,),
-    )  # fmt: skip
+    calibration = replace(
+        known,
+        sigma_nT=float(statistics.component_rms_nT),
+        samples=len(rows),
+        span=(rows.time[0], rows.time[-1]),
+        field_model=model_name,
+        method=f"{label[options.method]} for b,S, spinning, without attitude",
+        unobservable=(GAUGE,),
+    )
     motion = found.motion
     nutation_deg = float(np.degrees(motion.nutation_rad))
     said = [*messages, *found.messages, f"nutation {nutation_deg:.3g} deg, Js/Jt {motion.inertia_ratio:.6g}"]
     return SpinFit(
-        calibration=calibration, method=options.method, time=rows.time, residuals_nT=r,
-        weights=np.full(len(rows), 1.0 / len(rows)), rows=rows.rows, left_out=dict(rows.left_out), rejected=0,
-        variation=field_variation(covariance_of(rows.B_nT)), noise=noise, statistics=statistics, messages=tuple(said),
+        calibration=calibration,
+        method=options.method,
+        time=rows.time,
+        residuals_nT=r,
+        weights=np.full(len(rows), 1.0 / len(rows)),
+        rows=rows.rows,
+        left_out=dict(rows.left_out),
+        rejected=0,
+        variation=field_variation(covariance_of(rows.B_nT)),
+        noise=noise,
+        statistics=statistics,
+        messages=tuple(said),
         q_NB=frames.q_from_rotation(Rotation.from_matrix(found.A)),
         motion={
-            "spin_rad_s": motion.spin_rad_s, "nutation_deg": nutation_deg, "inertia_ratio": motion.inertia_ratio,
+            "spin_rad_s": motion.spin_rad_s,
+            "nutation_deg": nutation_deg,
+            "inertia_ratio": motion.inertia_ratio,
             "precession_rad_s": float(np.linalg.norm(motion.Om_N_rad_s)),
         },
         error_model=errors(noise, options.noise_nT is not None),
-        quality=found.quality, steps_deg=tuple(float(np.degrees(step)) for step in found.steps_rad),
-    )  # fmt: skip
+        quality=found.quality,
+        steps_deg=tuple(float(np.degrees(step)) for step in found.steps_rad),
+    )

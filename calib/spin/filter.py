@@ -68,9 +68,13 @@ class Filtered(NamedTuple):
 
 
 def spin_filter(
-    rows: SpinRows, field_B_nT: FloatArray, A0: FloatArray, rate_B_rad_s: FloatArray, inertia: FloatArray,
+    rows: SpinRows,
+    field_B_nT: FloatArray,
+    A0: FloatArray,
+    rate_B_rad_s: FloatArray,
+    inertia: FloatArray,
     settings: FilterSettings,
-) -> Filtered:  # fmt: skip
+) -> Filtered:
     """Run through the rows from attitude A0 (3, 3) and rate (3,) at their first event.
 
     field_B_nT: (N, 3) readings as calibrated so far. inertia: (3,) moments about body x, y, z, any unit.

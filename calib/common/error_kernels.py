@@ -19,6 +19,14 @@ import numpy as np
 from fluxtwin.sim.base.kernel_cache import kernel, part
 from fluxtwin.sim.base.types import FloatArray
 
+BURN = 160
+"""Steps in which the chain finds the width of its proposals."""
+LOCAL, NUDGED = 0.55, 0.25
+"""Shares of the proposals; the rest draw one coordinate anew."""
+NUDGE = 0.7
+ACCEPTED = 0.35
+"""Aimed at (Gelman, Roberts & Gilks 1996: 0.35 in two dimensions)."""
+
 
 class Cells(NamedTuple):
     """K cells, as `whitened_gram` takes them, and what is known of the sizes beforehand."""
@@ -52,16 +60,6 @@ class Draws(NamedTuple):
     """(n,) where between its bounds, uniform."""
     accept: FloatArray
     """(n,) uniform."""
-
-
-class Walk(NamedTuple):
-    """How the chain goes; see `error_model`."""
-
-    burn: int
-    local: float
-    nudged: float
-    nudge: float
-    accepted: float
 
 
 @part(error_model="numpy")
@@ -257,7 +255,7 @@ def _root(points: FloatArray, first: int, last: int) -> tuple[float, float, floa
 
 
 @kernel(error_model="numpy")
-def sample(p: FloatArray, cells: Cells, draws: Draws, how: Walk) -> tuple[float, FloatArray, FloatArray]:
+def sample(p: FloatArray, cells: Cells, draws: Draws) -> tuple[float, FloatArray, FloatArray]:
     """Log posterior at p (5,), and the adaptive Metropolis chain from there on, n steps: (n+1, 5) points, (n+1,) factors.
 
     The one entry, with no steps for a single value: each entry is compiled by itself, and that takes seconds.
@@ -272,15 +270,15 @@ def sample(p: FloatArray, cells: Cells, draws: Draws, how: Walk) -> tuple[float,
     tried, there = np.empty(5), np.empty(5)
     scale, root = 1.0, (0.2, 0.0, 0.2)
     for k in range(steps):
-        kind, step, local = draws.kind[k], draws.step, draws.kind[k] < how.local
+        kind, step, local = draws.kind[k], draws.step, draws.kind[k] < LOCAL
         for i in range(5):
             tried[i] = points[k, i]
         if local:
             tried[0] += scale * root[0] * step[k, 0]
             tried[1] += scale * (root[1] * step[k, 0] + root[2] * step[k, 1])
-        elif kind < how.local + how.nudged:
+        elif kind < LOCAL + NUDGED:
             for i in range(3):
-                tried[2 + i] += step[k, i] * how.nudge
+                tried[2 + i] += step[k, i] * NUDGE
         else:  # one size or time constant anew, the others as they are
             at = draws.coordinate[k]
             _shift(points[k], 1.0, there)
@@ -295,9 +293,9 @@ def sample(p: FloatArray, cells: Cells, draws: Draws, how: Walk) -> tuple[float,
         if taken:
             value, factor = then, new
         factors[k + 1] = factor
-        if k < how.burn:
+        if k < BURN:
             if local:
-                scale *= np.exp(((1.0 if taken else 0.0) - how.accepted) / np.sqrt(1.0 + k / 10.0))
+                scale *= np.exp(((1.0 if taken else 0.0) - ACCEPTED) / np.sqrt(1.0 + k / 10.0))
             if k % 40 == 39:
                 root = _root(points, (k + 2) // 2, k + 2)
     return begin, points, factors

@@ -29,11 +29,8 @@ _LOG_SD = 0.4  # a declared attitude error is trusted to a factor 1.5
 _TAU_LOG_SD = 0.5
 _SPARE = 8  # degrees of freedom that must remain
 _SEARCH = 6  # rounds of the coordinate search
-_BURN, _KEPT = 160, 360
+_KEPT = 360
 _NODES = 14  # time constants of the table
-_LOCAL, _NUDGED = 0.55, 0.25  # shares of the proposals; the rest draw one coordinate anew
-_NUDGE = 0.7
-_ACCEPTED = 0.35  # aimed at (Gelman, Roberts & Gilks 1996: 0.35 in two dimensions)
 
 
 @dataclass(frozen=True)
@@ -182,11 +179,13 @@ class _Likelihood:
 
         The attitude's sigma and tau are moved together, the others apart.
         """
-        _, points, factors = self._walk(p, _BURN + _KEPT)
-        return points[_BURN + 1 :], factors[_BURN + 1 :]
+        from fluxtwin.calib.common.error_kernels import BURN
+
+        _, points, factors = self._walk(p, BURN + _KEPT)
+        return points[BURN + 1 :], factors[BURN + 1 :]
 
     def _walk(self, p: FloatArray, n: int) -> tuple[float, FloatArray, FloatArray]:
-        from fluxtwin.calib.common.error_kernels import Draws, Walk, sample
+        from fluxtwin.calib.common.error_kernels import Draws, sample
 
         rng = np.random.default_rng(0)  # the same record, the same answer
         draws = Draws(
@@ -196,7 +195,7 @@ class _Likelihood:
             rng.uniform(size=n),
             rng.uniform(size=n),
         )
-        return sample(p, self.cells, draws, Walk(_BURN, _LOCAL, _NUDGED, _NUDGE, _ACCEPTED))
+        return sample(p, self.cells, draws)
 
     def starts(self) -> list[FloatArray]:
         """An error of the attitude, slow or white; a slow error of the field; none of them."""

@@ -24,11 +24,6 @@ class Cells(NamedTuple):
     """(K,) sum of a_k, total 1."""
     columns: FloatArray
     """(K, q) weighted means of the columns."""
-    length_s: float
-    effective: FloatArray
-    """(K,) rows in each cell: (sum a)^2 / sum a^2."""
-    starts: np.ndarray
-    """(K,) first row of each cell."""
 
 
 def cells(time: TimeArray, segment: np.ndarray, parts: Sequence[FloatArray], a: FloatArray, most: int = CELLS) -> Cells:
@@ -48,11 +43,9 @@ def cells(time: TimeArray, segment: np.ndarray, parts: Sequence[FloatArray], a: 
     kept = weight > 0
     columns = [np.add.reduceat(part[:, f] * a, starts)[kept] for part in parts for f in range(part.shape[1])]
     total = np.stack(columns, axis=1)
-    square = np.add.reduceat(a * a, starts)[kept]
     weight = weight[kept]
     when = np.add.reduceat(seconds * a, starts)[kept] / weight
-    step = float(np.median(np.diff(when))) if when.size > 1 else 1.0
-    return Cells(when, weight, total / weight[:, None], step, weight**2 / square, starts[kept])
+    return Cells(when, weight, total / weight[:, None])
 
 
 def kernel_moments(seen: Cells, tau_s: FloatArray) -> FloatArray:

@@ -27,7 +27,7 @@ from fluxtwin.calib.common.robust import RobustWeights, robust_weights
 from fluxtwin.calib.scalar import words
 from fluxtwin.calib.scalar.center import center, center_terms
 from fluxtwin.calib.scalar.covariance import Scores, field_error_covariance, scalar_covariance, scores_of
-from fluxtwin.calib.scalar.fit import NO_ROTATION, ScalarFit, file_parameters, telemetry_biases
+from fluxtwin.calib.scalar.fit import NO_ROTATION, ScalarFit, file_parameters
 from fluxtwin.calib.scalar.maximum_likelihood import Solved, Sums, add_up, solve
 from fluxtwin.calib.scalar.method import ScalarOptions
 from fluxtwin.calib.scalar.model import ScalarData, pack, residual
@@ -134,7 +134,7 @@ def fit_rows(
             notes.append(sentence)
         settled = robust is not None and solved.converged
         require_meaning(solved, problem.data, problem.names, how, problem.scale_nT, robust=settled)
-    return _report(problem, solved, scores, noise, robust, how, (inflation, *notes), model_name, passes)
+    return _report(problem, solved, scores, noise, robust, how, inflation, notes, model_name, passes)
 
 
 def make_problem(rows: ScalarRows, options: ScalarOptions) -> ScalarProblem:
@@ -220,18 +220,19 @@ def _report(
     noise: ReadingNoise,
     robust: RobustWeights | None,
     how: Geometry,
-    found: tuple[float | str, ...],
+    inflation: float,
+    notes: list[str],
     model_name: str,
     passes: np.ndarray | None,
 ) -> ScalarFit:
-    rows, options, data, inflation = problem.rows, problem.options, problem.data, float(found[0])
+    rows, options, data = problem.rows, problem.options, problem.data
     r = residual(solved.p, data)
     covariance, how_found = scalar_covariance(
         scores, r, rows.time, options.covariance, passes=passes, block_s=options.block_s
     )
     covariance = covariance + _from_noise(problem, scores, solved, noise)
     messages = words.messages(rows, noise, options, inflation, problem.columns)
-    messages += [str(one) for one in found[1:]] + [how_found]
+    messages += [*notes, how_found]
     if options.field_error_nT:
         covariance = covariance + field_error_covariance(
             scores, rows.time, options.field_error_nT / problem.scale_nT, rows.radian_s
@@ -242,7 +243,7 @@ def _report(
     if robust is not None and robust.rejected:
         messages.append(f"robust weights ({options.robust}): {robust.rejected} rows set aside")
     units = np.array([problem.rms_of[name] for name in problem.columns])
-    S, b_nT, T, whole = file_parameters(solved.p, covariance, data, problem.columns, problem.scale_nT, units)
+    S, b_nT, T, whole, biases = file_parameters(solved.p, covariance, data, problem.columns, problem.scale_nT, units)
     with_T = "T" in options.parameters
     kept = np.ones(len(r), dtype=bool) if robust is None else robust.weights >= 0.01
     residuals_nT = (r * problem.scale_nT)[:, None]
@@ -252,7 +253,6 @@ def _report(
         *words.never_fired(problem.never_fired),
         *observability.relative_pair_words(covariance, problem.names, 1e-3),
     ]
-    biases = telemetry_biases(solved.p, covariance, data, problem.columns, problem.scale_nT, units)
     calibration = Calibration(
         S=S,
         b_nT=b_nT,
@@ -281,7 +281,6 @@ def _report(
         noise=noise,
         statistics=residual_statistics(rows.time[kept], residuals_nT[kept]),
         messages=tuple(messages),
-        telemetry_bias=biases,
         error_model=words.errors(noise, options.noise_nT is not None),
         quality={"chi2_per_sample": inflation, "field_size_variation": how.constant_share, "rounds": solved.rounds},
     )

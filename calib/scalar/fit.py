@@ -24,17 +24,12 @@ _DIPOLES = ("dipole_x_Am2", "dipole_y_Am2", "dipole_z_Am2")
 class ScalarFit(Fit):
     """What the methods without attitude add to the record of every method."""
 
-    telemetry_bias: Mapping[str, TelemetryBias] = field(default_factory=dict)
-    """By column."""
     quality: Mapping[str, float] = field(default_factory=dict)
     """`chi2_per_sample`: mean of r^2/q; `field_size_variation`: rms of |H| over its mean; `rounds` of the search."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and text for JSON; no NaN."""
-        biases = {
-            name: {"nT_per_unit": bias.value_nT.tolist(), "sigma": bias.sigma_nT.tolist()}
-            for name, bias in self.telemetry_bias.items()
-        }
+        biases = self.calibration.to_dict().get("telemetry_bias", {})
         return {**super().to_dict(), "telemetry_bias": biases, "quality": dict(self.quality)}
 
 
@@ -45,12 +40,14 @@ def file_parameters(
     columns: tuple[str, ...],
     scale_nT: float,
     units: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """S (3, 3), b_nT (3,), T (3, 3) and their covariance (21, 21) in the order of the calibration file.
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, dict[str, TelemetryBias]]:
+    """S (3, 3), b_nT (3,), T (3, 3), their covariance (21, 21) in the order of the calibration file, and other fields.
 
     O = I: I + S = I + D, b = -b_A, T = -(I+D) s. units: (J,) rms of the columns that they were scaled by.
     """
     D, b, s = unpack(p, data)
+    sigma_s = np.sqrt(np.diag(covariance))[(6 if data.with_D else 0) + 3 :].reshape(-1, 3)
+    biases = {}
     P = np.eye(3) + D
     T = np.zeros((3, 3))
     jacobian = np.zeros((21, len(p)))
@@ -61,9 +58,11 @@ def file_parameters(
         at = 6
     jacobian[9:12, at : at + 3] = -scale_nT * np.eye(3)
     for j, name in enumerate(columns):
+        per = scale_nT / units[j]
         if name not in _DIPOLES:
+            biases[name] = TelemetryBias(s[j] * per, sigma_s[j] * per)
             continue
-        axis, per = _DIPOLES.index(name), scale_nT / units[j]
+        axis = _DIPOLES.index(name)
         T[:, axis] = -per * P @ s[j]
         rows = 12 + 3 * np.arange(3) + axis
         jacobian[rows, at + 3 + 3 * j : at + 6 + 3 * j] = -per * P
@@ -72,23 +71,4 @@ def file_parameters(
                 unit = np.zeros((3, 3))
                 unit[m, n] = unit[n, m] = 1.0
                 jacobian[rows, k] = -per * unit @ s[j]
-    return D, -b * scale_nT, T, jacobian @ covariance @ jacobian.T
-
-
-def telemetry_biases(
-    p: FloatArray,
-    covariance: FloatArray,
-    data: ScalarData,
-    columns: tuple[str, ...],
-    scale_nT: float,
-    units: FloatArray,
-) -> dict[str, TelemetryBias]:
-    """s of every column that is no dipole."""
-    _, _, s = unpack(p, data)
-    first = (6 if data.with_D else 0) + 3
-    sigma = np.sqrt(np.diag(covariance))[first:].reshape(-1, 3)
-    return {
-        name: TelemetryBias(s[j] * scale_nT / units[j], sigma[j] * scale_nT / units[j])
-        for j, name in enumerate(columns)
-        if name not in _DIPOLES
-    }
+    return D, -b * scale_nT, T, jacobian @ covariance @ jacobian.T, biases

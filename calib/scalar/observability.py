@@ -23,8 +23,6 @@ from fluxtwin.calib.scalar.model import ScalarData, residual, unpack
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray
 
-CONSTANT_H = 0.01
-"""Relative rms variation of |H| below which it counts as constant."""
 _ROUNDING = 1e-13
 _WORST_SIGMA = 0.3
 _PART = 0.2

@@ -30,11 +30,6 @@ class Alignment(NamedTuple):
     information: FloatArray
     """(3, 3) of the rotation vector [rad^-2]; a weak eigenvalue is a direction that the sensor hardly determines."""
 
-    @property
-    def vector_rad(self) -> FloatArray:
-        """(3,) v of R = exp([v x])."""
-        return turn_vector(self.R)
-
     def weakest(self) -> tuple[float, FloatArray]:
         """1 sigma [rad] about the direction known least, and that direction (3,)."""
         values, vectors = np.linalg.eigh(self.information)

@@ -35,8 +35,6 @@ class FilterSettings:
     """1 sigma of either angle."""
     torque_walk_rad_s: float = 0.0
     """Process noise: random walk of L / Jt in a second, per axis, 1 sigma."""
-    attitude_walk_rad: float = 0.0
-    """The same of the attitude."""
     first_attitude_rad: float = 0.1
     """1 sigma of the start."""
     first_rate_rad_s: float = 0.05
@@ -59,8 +57,6 @@ class Filtered(NamedTuple):
     last_s: float
     P: FloatArray
     """(6, 6) at the end."""
-    spread: FloatArray
-    """(3, 3) mean covariance of the attitude [rad^2]."""
     field_nis: float
     """Mean squared innovation a component of the field: 1 when finished."""
     sun_nis: float
@@ -88,17 +84,13 @@ def spin_filter(
     seen = np.concatenate([field_B_nT, rows.sun_B])[order]
     ref = np.concatenate([rows.H_N_nT, rows.sun_N])[order]
     P = np.diag(np.repeat([settings.first_attitude_rad**2, settings.first_rate_rad_s**2], 3))
-    noise = np.array(
-        [settings.field_nT, settings.sun_rad, settings.torque_walk_rad_s**2, settings.attitude_walk_rad**2]
-    )
+    noise = np.array([settings.field_nT, settings.sun_rad, settings.torque_walk_rad_s**2])
     n = t.size
-    history, nis, spread = np.empty((n, 3, 3)), np.empty(n), np.empty((n, 3, 3))
+    history, nis = np.empty((n, 3, 3)), np.empty(n)
     A0 = np.ascontiguousarray(A0, dtype=np.float64)
     L0 = np.ascontiguousarray(A0.T @ (J * rate_B_rad_s))
     symmetric = bool(abs(J[1] - J[0]) <= _EQUAL)
-    A, L, P = run_filter(
-        t[order], kind, seen, ref, A0, L0, P, J, noise, symmetric, settings.extended, history, nis, spread
-    )
+    A, L, P = run_filter(t[order], kind, seen, ref, A0, L0, P, J, noise, symmetric, settings.extended, history, nis)
     field = kind == 0.0
     settled = np.arange(n) >= n // 10  # the start is not the filter's merit
     return Filtered(
@@ -108,7 +100,6 @@ def spin_filter(
         A_last=A,
         last_s=float(t[order][-1]),
         P=P,
-        spread=spread[settled].mean(axis=0),
         field_nis=float(nis[field & settled].mean() / 3.0),
         sun_nis=float(nis[~field & settled].mean() / 2.0),
     )

@@ -135,13 +135,12 @@ def run_filter(
     extended: bool,
     history: FloatArray,
     nis: FloatArray,
-    spread: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Through all events in order of time; kind 0 a field vector, 1 a sun pulse.
 
-    noise: field, sun [rad], then variances a second of L and of the attitude. `extended`: each measurement is linearised
+    noise: field, sun [rad], then the variance of L a second. `extended`: each measurement is linearised
     about the latest estimate; else all about the motion given, which is then one step of Gauss and Newton. Fills history
-    (n, 3, 3), nis (n,) and spread (n, 3, 3), the attitude's covariance. Returns A, L, P at the last event.
+    (n, 3, 3), and nis (n,). Returns A, L, P at the last event.
     """
     now = t_s[0]
     x = np.zeros(6)
@@ -156,7 +155,6 @@ def run_filter(
             P = _between(Phi, P)
             x = times(Phi, x)
             for i in range(3):
-                P[i, i] += noise[3] * h
                 P[3 + i, 3 + i] += noise[2] * h
         y = times(A, ref_N[k])
         if kind[k] == 0.0:
@@ -181,5 +179,5 @@ def run_filter(
         best = product(passive(x[:3]), A)
         for i in range(3):
             for j in range(3):
-                history[k, i, j], spread[k, i, j] = best[i, j], P[i, j]
+                history[k, i, j] = best[i, j]
     return product(passive(x[:3]), A), _moved(L, x[3], x[4], x[5]), P

@@ -171,8 +171,8 @@ def test_a_field_that_follows_a_column_survives_saving(record: Telemetry, model:
     path = fit.calibration.to_toml(tmp_path / "known.toml")
     again = Calibration.from_toml(path)
     bias = again.telemetry_bias["array_current_A"]
-    assert np.array_equal(bias.value_nT, fit.telemetry_bias["array_current_A"].value_nT)
-    assert np.array_equal(bias.sigma_nT, fit.telemetry_bias["array_current_A"].sigma_nT)
+    assert np.array_equal(bias.value_nT, fit.calibration.telemetry_bias["array_current_A"].value_nT)
+    assert np.array_equal(bias.sigma_nT, fit.calibration.telemetry_bias["array_current_A"].sigma_nT)
     expected = fit.calibration.apply(
         spoilt.mag_B_nT - current[:, None] * bias.value_nT, columns={"array_current_A": 0 * current}
     )

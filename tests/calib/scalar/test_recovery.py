@@ -208,7 +208,7 @@ def test_a_current_and_torquers_without_attitude() -> None:
         field = varied(rng, 900)
         rows = rows_of(field, rng, added=current[:, None] * s, columns={"array_current_A": current})
         fit = fit_rows(rows, ScalarOptions(noise_nT=200.0, covariance="white", robust="none"))
-        bias = fit.telemetry_bias["array_current_A"]
+        bias = fit.calibration.telemetry_bias["array_current_A"]
         found.append(np.concatenate([pulls(fit), (bias.value_nT - s) / bias.sigma_nT]))
         ignored = fit_rows(
             ScalarRows(rows.time, rows.B_nT, rows.H_nT, {}, rows.rows, {}),

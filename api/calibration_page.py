@@ -38,7 +38,7 @@ def calibration_page(fit: Fit, title: str, *, next_step: str, command: str, refu
             ),
             Section("Parameters", [], [parameter_table(fit), *_bias_tables(fit)]),
             Section("Residuals", [], [_residuals(fit)], [FigureBlock("residuals", caption, residual_figure(fit))]),
-            Section("What these data do not tell", unseen, correlation_tables(fit)),
+            Section("What these data do not determine", unseen, correlation_tables(fit)),
             Section("How it was made", [f"{message}." for message in fit.messages]),
             Section("Repeat it", [command]),
         ],

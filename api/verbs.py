@@ -99,7 +99,7 @@ def attitude(
     force: bool = False,
     progress: Progress = silent,
 ) -> AttitudeSolution:
-    """Three-axis attitude from field, horizon scanner and sun (or reference attitude), by night from what is left.
+    """Three-axis attitude from field, horizon scanner and sun (or reference attitude), by night from field and scanner.
 
     calibration: None for a record that `apply` has corrected. The errors that are None are found in the data; see
     `fluxtwin.calib.attitude.estimate_attitude`. `.holds` of the answer says whether its innovations are consistent. Raises

@@ -10,6 +10,7 @@ import typer
 from fluxtwin.commands.options import (
     AttitudeSigmaOption,
     AttitudeTauOption,
+    CalibrationOption,
     DegreeOption,
     FieldOption,
     ForceOption,
@@ -32,12 +33,7 @@ BRIEF = "Three-axis attitude from magnetometer, horizon scanner and sun, through
 
 def command(
     telemetry: TelemetryArgument,
-    calibration: Annotated[
-        Path | None,
-        typer.Option(
-            "--calibration", metavar="FILE.toml", help="Calibration file; not for telemetry that apply has corrected."
-        ),
-    ] = None,
+    calibration: CalibrationOption = None,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE.csv", help="Write attitude and sigma row by row.")
     ] = None,

@@ -1,4 +1,4 @@
-"""`fluxtwin calibrate`: parameters, their sigmas, and what the data cannot tell."""
+"""`fluxtwin calibrate`: parameters, their sigmas, and what the data do not determine."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def _print(output: Output, fit: Fit, next_step: str) -> None:
     for message in () if manners.quiet or impossible else fit.messages:  # how a fit that is none was made helps nobody
         output.prose(f"- {message}", indent="  ")
     if len(fit.observability) > 1:  # a single one stands in the verdict
-        output.say("what these data cannot tell:")
+        output.say("what these data do not determine:")
         for words in fit.observability:
             output.prose(f"- {words}", indent="  ")
 

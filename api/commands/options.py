@@ -33,6 +33,12 @@ AttitudeSigmaOption: TypeAlias = Annotated[
     float | None, declared_option("attitude_sigma_deg", declared.ATTITUDE_SIGMA_DEG)
 ]
 AttitudeTauOption: TypeAlias = Annotated[float | None, declared_option("attitude_tau_s", declared.ATTITUDE_TAU_S)]
+CalibrationOption: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(
+        "--calibration", metavar="FILE.toml", help="Calibration file; not for telemetry that apply has corrected."
+    ),
+]
 JsonOption: TypeAlias = Annotated[
     str | None,
     typer.Option("--json", metavar="FILE", help="Write the result as JSON; '-' is standard output."),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fluxtwin.commands.options import (
+    CalibrationOption,
     DegreeOption,
     FieldOption,
     ForceOption,
@@ -29,12 +30,7 @@ BRIEF = "Yaw from the magnetometer, roll and pitch, with its sigma."
 
 def command(
     telemetry: TelemetryArgument,
-    calibration: Annotated[
-        Path | None,
-        typer.Option(
-            "--calibration", metavar="FILE.toml", help="Calibration file; not for telemetry that apply has corrected."
-        ),
-    ] = None,
+    calibration: CalibrationOption = None,
     out: Annotated[Path | None, typer.Option("--out", metavar="FILE.csv", help="Write yaw row by row.")] = None,
     sigma_nt: Annotated[
         float | None,

@@ -105,7 +105,7 @@ def test_the_page_has_it_all(cli: Cli, flight: Path, tmp_path: Path) -> None:
     text = page.read_text("utf-8")
     places = [text.index(word) for word in (
         'class="verdict">Good.', "absolute knowledge error", "<h2>Parameters", "<h2>Residuals", "data:image/png",
-        "<h2>What these data do not tell", f"fluxtwin calibrate {flight / 'my.nc'} --robust tukey --html {page}",
+        "<h2>What these data do not determine", f"fluxtwin calibrate {flight / 'my.nc'} --robust tukey --html {page}",
         "SHA-256 of the calibration",
     )]  # fmt: skip
     assert places == sorted(places)

@@ -10,7 +10,7 @@ spin phase (angle, rate, drift of the rate): no file gives one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -160,12 +160,6 @@ def fit_joint(
 def seen_by(sensor: Sensor, rows: Rows, phase: FloatArray) -> Joint:
     """A sensor that is known on a zone it was not fitted to: only the zone's spin phase is estimated."""
     return fit_joint([rows], (sensor, [phase]), (), hold=True)
-
-
-def without_states(sensor: Sensor) -> Sensor:
-    """The same sensor that follows nothing."""
-    none = np.zeros_like(sensor.turn_rad)
-    return replace(sensor, turn_rad=none, scale=none, bias_knT=none)
 
 
 def _residual(rows: Sequence[Rows], sensor: Sensor, phases: Sequence[FloatArray]) -> FloatArray:

@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from fluxtwin.calib.scalar.calibrate import calibrate_scalar
+from fluxtwin.gap.diagnose import diagnose
+from fluxtwin.gap.problem import Budget
 from fluxtwin.gap.records import Diagnosis
-from fluxtwin.scenarios.elfin.gap_question import ask
+from fluxtwin.scenarios.elfin.gap_record import record_of
 from fluxtwin.scenarios.elfin.record import Flight, Slip, Zone, read_flight
 from fluxtwin.scenarios.elfin.unseen import Way, compare, residuals_nT
 from fluxtwin.scenarios.elfin.zone_fit import KINDS, ComplexArray, ZoneFit, fit_zone, local_noise_nT, responses
@@ -27,6 +29,7 @@ NAMED = ("boom", "boom, two lags")
 SUNLIT = 0.999
 """Mean share of the sun in view from which on a zone is sunlit."""
 _NEIGHBOURS = 50
+_LSB_NT = 0.01
 
 
 @dataclass(frozen=True)
@@ -106,15 +109,15 @@ def compute(folder: Path, settings: Settings, progress: Progress = silent) -> Re
     boom = min((way for way in ways if way.name in NAMED), key=lambda way: way.within.whole_nT)
     component = float(np.median([one.noise_nT for one in zones]) / np.sqrt(3.0))
     shadow = [place for place, zone in enumerate(flight.zones) if zone.lit[0] < 0.5]
-    asked = [
-        ask(part, [own[place] for place in places], boom.lags_s[0], component, settings, part_of(progress, *share))
-        for part, places, share in (
-            (flight, range(len(own)), (0.75, 0.85)),
-            (replace(flight, zones=tuple(flight.zones[place] for place in shadow)), shadow, (0.85, 0.95)),
-        )
-    ]
+    # the attitude is as uncertain as the spin axis is stated to be
+    budget = Budget(component, _LSB_NT, flight.axis_sigma_rad, None)
+    part = replace(flight, zones=tuple(flight.zones[place] for place in shadow))
+    record = record_of(flight, own, boom.lags_s[0], settings)
+    whole = diagnose(record, model, budget=budget, progress=part_of(progress, 0.75, 0.85))
+    record = record_of(part, [own[place] for place in shadow], boom.lags_s[0], settings)
+    in_shadow = diagnose(record, model, budget=budget, progress=part_of(progress, 0.85, 0.95))
     slips = tuple(_seen(one, slip) for one in zones for slip in one.zone.slips)
-    found = Results(flight, tuple(zones), slips, ways, asked[0], asked[1], {})
+    found = Results(flight, tuple(zones), slips, ways, whole, in_shadow, {})
     sunny = [place for place, zone in enumerate(flight.zones) if zone.sunlit > 0.5]
     dark = [place for place, zone in enumerate(flight.zones) if zone.sunlit < 0.5]
     shown = {}

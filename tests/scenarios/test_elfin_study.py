@@ -7,6 +7,7 @@ figures come from an independent look at the same file.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +69,12 @@ def a_flight(turned: bool) -> record.Flight:
     return record.Flight(zones, a_day(), 0.004)
 
 
+def without_states(sensor: bending.Sensor) -> bending.Sensor:
+    """The same sensor that follows nothing."""
+    none = np.zeros_like(sensor.turn_rad)
+    return replace(sensor, turn_rad=none, scale=none, bias_knT=none)
+
+
 def test_a_static_sensor_is_found_with_its_phase(close: Close) -> None:
     """A still sensor leaves the noise: sqrt(3) times 3 nT; the drift of the rate is in the phase, not in the sensor."""
     zone = a_zone(2, 12000.0, turned=False)
@@ -93,7 +100,7 @@ def test_a_bending_boom_is_found_and_predicts_an_unseen_zone(close: Close) -> No
     begin = (joint.sensor, joint.phases[1:])
     rest = bending.fit_joint(rows[1:], begin, ("turn", "scale"))
     seen = bending.seen_by(rest.sensor, rows[0], joint.phases[0])
-    static = bending.fit_joint(rows[1:], (bending.without_states(joint.sensor), joint.phases[1:]), ())
+    static = bending.fit_joint(rows[1:], (without_states(joint.sensor), joint.phases[1:]), ())
     blind = bending.seen_by(static.sensor, rows[0], joint.phases[0])
     assert seen.rms_nT[0] < 0.1 * blind.rms_nT[0]
     # The wrong lags, and a boom alone, do not do.
@@ -119,7 +126,7 @@ def test_the_turn_is_that_of_the_effect() -> None:
     fit = fit_zone(zone, "static", SETTINGS)
     (one,) = bending.rows_of(record.Flight((zone,), a_day(), 0.004), [fit], ((200.0,),), 50)
     sensor = bending.Sensor(np.eye(3), np.zeros(3), np.array([[0.0, 0.0, 0.2]]), np.zeros((1, 3)), np.zeros((1, 3)))
-    straight = bending.without_states(sensor).in_body_nT(one, np.zeros(3))
+    straight = without_states(sensor).in_body_nT(one, np.zeros(3))
     a = 0.2 * one.states[:, 0]
     x = straight[:, 0] * np.cos(a) + straight[:, 1] * np.sin(a)
     np.testing.assert_allclose(sensor.in_body_nT(one, np.zeros(3))[:, 0], x, atol=1e-6)

@@ -20,6 +20,7 @@ from fluxtwin.scenarios.flight_gaps.alone import alone, visible_nT
 from fluxtwin.scenarios.flight_gaps.tolles_lawson import coefficients
 from fluxtwin.scenarios.page_markdown import as_markdown
 from fluxtwin.scenarios.recorded_files import Settings, check_folder, numbers, opened, read_settings
+from fluxtwin.scenarios.worded_page import PageWords
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import to_json
 from fluxtwin.sim.base.progress import silent
@@ -273,7 +274,10 @@ def test_the_page_holds_what_was_found(quick: compute.Outcome, settings: Setting
 def test_the_whole_page_can_be_written_for_any_answers(quick: compute.Outcome, settings: Settings) -> None:
     """Other cases with an answer that was quick to have: what is tested is the page, not the finding."""
     for name in ("storm-default", "aircraft-eddy_current"):
-        page = study.page(completed(quick, quick.answer(name)), settings)
+        whole = completed(quick, quick.answer(name))
+        short = PageWords("fluxtwin.scenarios.flight_gaps").table("short", study.page_values(whole))
+        assert len(short.rows) == 15
+        page = study.page(whole, settings)
         assert len(page.sections) == 7
         text = as_markdown(page)
         assert "The three agree: Swarm A: " in text

@@ -1,4 +1,4 @@
-"""The gap diagnosis of the static sensor's residual: one record of all zones with the attitude that was estimated."""
+"""The record that the gap diagnosis is given: all zones through the static sensor, with the attitude that was estimated."""
 
 from __future__ import annotations
 
@@ -8,48 +8,26 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.gap.diagnose import diagnose
-from fluxtwin.gap.problem import Budget
-from fluxtwin.gap.records import Diagnosis
-from fluxtwin.scenarios.elfin.bending import Joint, fit_joint, rows_of, start
+from fluxtwin.scenarios.elfin.bending import fit_joint, rows_of, start
 from fluxtwin.scenarios.elfin.record import Flight
 from fluxtwin.scenarios.elfin.zone_fit import ZoneFit, powers
 from fluxtwin.scenarios.recorded_files import Settings
-from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.earth import frames
-from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.effects.drivers import STANDARD_SWING_K
 from fluxtwin.sim.telemetry.record import Telemetry
 
 _EVERY = 11
-_LSB_NT = 0.01
 
 
-def ask(
-    flight: Flight,
-    own: Sequence[ZoneFit],
-    lags_s: Sequence[float],
-    noise_nT: float,
-    settings: Settings,
-    progress: Progress = silent,
-) -> Diagnosis:
-    """The diagnosis of the record of `record_of`, through the static sensor that fits these zones best.
-
-    noise_nT: of one component. The attitude is as uncertain as the spin axis is stated to be.
-    """
-    static = fit_joint(rows_of(flight, own, (), settings.every), start(own, 0, settings.phase_degree), ())
-    budget = Budget(noise_nT, _LSB_NT, flight.axis_sigma_rad, None)
-    record = record_of(flight, own, static, lags_s)
-    return diagnose(record, load_field(settings.field_model), budget=budget, progress=progress)
-
-
-def record_of(flight: Flight, own: Sequence[ZoneFit], static: Joint, lags_s: Sequence[float]) -> Telemetry:
-    """All zones, thinned, in body axes: readings through the static sensor, attitude from spin axis and phase.
+def record_of(flight: Flight, own: Sequence[ZoneFit], lags_s: Sequence[float], settings: Settings) -> Telemetry:
+    """All zones, thinned, in body axes: readings through the static sensor that fits them best, attitude from spin axis
+    and phase.
 
     The file has no temperature. The column holds what stands in for it: the day's sunlight behind `lags_s` in series,
     a swing of 20, the same that the thermal effects use where nothing was recorded; those start again in each record
     and do not know the sunlight between two zones.
     """
+    static = fit_joint(rows_of(flight, own, (), settings.every), start(own, 0, settings.phase_degree), ())
     inverse = np.linalg.inv(static.sensor.matrix)
     parts: dict[str, list[Any]] = {}
     for zone, fit, phase in zip(flight.zones, own, static.phases, strict=True):

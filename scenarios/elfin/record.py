@@ -116,8 +116,8 @@ def read_flight(folder: Path, settings: Settings, model: FieldModel) -> Flight:
     path = folder / settings.file
     whole = read_telemetry(path, column_map=MAP)
     with NetcdfFile(path) as source:
-        names = ("spin_axis_gei", "zone", "spin_axis_uncertainty")
-        axis, number, sigma_deg = (source.numbers(name) for name in names)
+        axis, number = source.numbers("spin_axis_gei"), source.numbers("zone")
+        sigma_deg = float(np.mean(source.raw("spin_axis_uncertainty")))
     axis_N = _unit(rotation_from_N("J2000", whole.time).apply(axis, inverse=True))
     assert whole.r_N_km is not None
     field_N = field_N_nT(model, whole.time, whole.r_N_km)
@@ -135,7 +135,7 @@ def read_flight(folder: Path, settings: Settings, model: FieldModel) -> Flight:
         time, position = source.times(), source.numbers("position_gei")
     r_N_km = rotation_from_N("J2000", time).apply(position, inverse=True)
     day = Day(epoch.seconds_since(time, whole.time[0]), sun.illumination(r_N_km, sun.sun_N_km(time)))
-    return Flight(tuple(zones), day, float(np.radians(np.mean(sigma_deg))))
+    return Flight(tuple(zones), day, float(np.radians(sigma_deg)))
 
 
 def clock_slips(seconds: FloatArray, packet_rows: int) -> tuple[Slip, ...]:

@@ -130,8 +130,8 @@ def oversized(effect: FoundEffect) -> str | None:
         return None
     name, value = ratios[ratio]
     unit = "" if value.unit == "1" else f" {value.unit}"
-    told = {"effect": effect.name, "parameter": name, "value": value.value, "unit": unit, "ratio": ratio}
-    return _WORDS.sentence("oversized", **told)
+    values = {"effect": effect.name, "parameter": name, "value": value.value, "unit": unit, "ratio": ratio}
+    return _WORDS.sentence("oversized", **values)
 
 
 def doubts(answer: Answer) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import subprocess
 import sys
 import warnings
@@ -54,6 +55,12 @@ def sources() -> dict[str, Path]:
             parts = parts[:-1] if parts and parts[-1] == "__init__" else parts
             found[".".join(["fluxtwin", *parts])] = path
     return found
+
+
+@pytest.fixture(scope="session")
+def trees(sources: dict[str, Path]) -> dict[str, ast.Module]:
+    """The syntax tree of every module of the product."""
+    return {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in sources.items()}
 
 
 @pytest.fixture(scope="session")

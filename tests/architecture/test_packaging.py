@@ -54,14 +54,14 @@ def test_every_data_file_of_a_package_is_listed(project: dict[str, Any], tracked
 
 
 def test_everything_that_is_imported_is_a_declared_dependency(
-    project: dict[str, Any], sources: dict[str, Path]
+    project: dict[str, Any], trees: dict[str, ast.Module]
 ) -> None:
     """What arrives with another package today may stay away tomorrow."""
     distribution = {"erfa": "pyerfa", "tomli_w": "tomli-w", "mpl_toolkits": "matplotlib"}
     declared = {re.split(r"[<>=\[]", line)[0] for line in project["project"]["dependencies"]}
     missing = set()
-    for name, path in sources.items():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for name, tree in trees.items():
+        for node in ast.walk(tree):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
             for top in {text.split(".")[0] for text in names} - set(sys.stdlib_module_names) - {"fluxtwin"}:

@@ -76,10 +76,10 @@ NO_UNIT = {
 }
 
 
-def lengths(source: str) -> dict[str, int]:
-    """Lines of each function of a source, without its signature and docstring."""
+def lengths(tree: ast.Module) -> dict[str, int]:
+    """Lines of each function of a module, without its signature and docstring."""
     found = {}
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             body = node.body[1:] if ast.get_docstring(node) is not None else node.body
             first = body[0].lineno if body else 0
@@ -92,11 +92,11 @@ def test_no_module_is_too_long(sources: dict[str, Path]) -> None:
     assert {n: lines for n, lines in long.items() if lines > LONGEST_MODULE} == {}
 
 
-def test_no_function_is_longer_than_a_screen(sources: dict[str, Path]) -> None:
+def test_no_function_is_longer_than_a_screen(trees: dict[str, ast.Module]) -> None:
     found = {
         f"{name}.{function}": lines
-        for name, path in sources.items()
-        for function, lines in lengths(path.read_text(encoding="utf-8")).items()
+        for name, tree in trees.items()
+        for function, lines in lengths(tree).items()
         if lines > LONGEST_FUNCTION
     }
     assert found == {}
@@ -104,7 +104,7 @@ def test_no_function_is_longer_than_a_screen(sources: dict[str, Path]) -> None:
 
 def test_the_length_of_a_function_is_counted() -> None:
     source = 'def f():\n    """One.\n\n    Two."""\n    a = 1\n    return a\n'
-    assert lengths(source) == {"f:1": 2}
+    assert lengths(ast.parse(source)) == {"f:1": 2}
 
 
 def test_public_records_say_their_units(sources: dict[str, Path]) -> None:
@@ -128,10 +128,9 @@ def test_public_records_say_their_units(sources: dict[str, Path]) -> None:
     assert not bare, "\n".join(sorted(bare))
 
 
-def test_every_module_and_public_function_has_a_docstring(sources: dict[str, Path]) -> None:
+def test_every_module_and_public_function_has_a_docstring(trees: dict[str, ast.Module]) -> None:
     bare = []
-    for name, path in sources.items():
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+    for name, tree in trees.items():
         if not ast.get_docstring(tree):
             bare.append(name)
         bare += [
@@ -144,10 +143,10 @@ def test_every_module_and_public_function_has_a_docstring(sources: dict[str, Pat
     assert not bare, "\n".join(bare)
 
 
-def bare_calendar_steps(source: str) -> list[int]:
+def bare_calendar_steps(tree: ast.Module) -> list[int]:
     """Lines that add an integer without a unit to a date, or subtract one, as far as a function's own names tell."""
     lines = []
-    for function in ast.walk(ast.parse(source)):
+    for function in ast.walk(tree):
         if isinstance(function, ast.FunctionDef):
             dates = {
                 target.id
@@ -178,12 +177,12 @@ def _is_integer(node: ast.expr) -> bool:
     return isinstance(node, ast.Constant) and isinstance(node.value, int)
 
 
-def test_a_step_of_the_calendar_names_its_unit(sources: dict[str, Path]) -> None:
+def test_a_step_of_the_calendar_names_its_unit(trees: dict[str, ast.Module]) -> None:
     # numpy 2.5 deprecates integers without a unit beside datetime64; the numpy that Python 3.11 gets is silent.
-    found = {name: bare_calendar_steps(path.read_text(encoding="utf-8")) for name, path in sources.items()}
+    found = {name: bare_calendar_steps(tree) for name, tree in trees.items()}
     assert {name: lines for name, lines in found.items() if lines} == {}
 
 
 def test_a_bare_calendar_step_is_seen() -> None:
     source = 'def f(t):\n    y = t.astype("datetime64[Y]")\n    n = y.astype("int64") + 1\n    return (y + 1) - t'
-    assert bare_calendar_steps(source) == [4]
+    assert bare_calendar_steps(ast.parse(source)) == [4]

@@ -93,13 +93,6 @@ def test_two_effects_at_once_are_both_named_and_nothing_else():
     assert {effect.name for effect in found.effects} == {"time_tag_offset", "thermal_bias_drift"}
 
 
-def test_more_noise_than_declared_is_noise_and_nothing_else():
-    found = diagnosed(telemetry("nadir", "[effects.excess_noise]\nrms_nT = 150.0\n"))
-    assert [effect.name for effect in found.effects] == ["excess_noise"]
-    assert found.where.stage == "sensor"
-    assert abs(found.effects[0].parameters["rms"].value - 150.0) < 15.0  # nT; declared noise is trusted to 10 %
-
-
 def test_a_patch_of_unknown_field_over_a_region_is_unknown():
     """A field of 800 nT, pointing up, over a bell of 2000 km around a place: no effect of the catalogue is like it."""
     record = telemetry("nadir")

@@ -40,15 +40,7 @@ LATE = "[effects.time_tag_offset]\noffset_s = 15.0\n"
 FLAGS = ("--noise-nT", 30, "--lsb-nT", 10, "--attitude-sigma-deg", 0.05)
 
 # The keys of the contract, written down a second time on purpose: the schema is not its own witness.
-TOP = {
-    "verdict",
-    "effects",
-    "resembles",
-    "where",
-    "gap",
-    "modelled",
-    "untestable",
-    "isolability",
+TOP = {"verdict", "effects", "resembles", "where", "gap", "modelled", "untestable", "isolability"} | {
     "minimum_detectable",
     "samples",
     "provenance",
@@ -56,14 +48,7 @@ TOP = {
     "transfers",
 }
 EFFECT = {"name", "group", "rivals", "probability", "parameters", "stage", "axis", "frame", "condition", "significance"}
-GAP = {
-    "left_nT",
-    "before_nT",
-    "after_nT",
-    "floor_nT",
-    "floor_with_effects_nT",
-    "closed",
-    "interval",
+GAP = {"left_nT", "before_nT", "after_nT", "floor_nT", "floor_with_effects_nT", "closed", "interval"} | {
     "prediction",
     "shape_incomplete",
     "per_axis",

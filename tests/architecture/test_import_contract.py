@@ -46,32 +46,19 @@ RECORD_MODULES = {
 }
 """What a figure may be drawn from."""
 
+NOWHERE = {"click", "xarray", "pickle", "yaml", "marshal", "shelve", "astropy", "ppigrf", "chaosmagpy", "pytest"}
+SHORT_NAMES = {"sim", "calib", "gap", "plots", "scenarios", "api"}
 ONLY_IN = {
     "typer": {"api"},
     "rich": {"api"},
-    "click": set(),
     "jinja2": {"scenarios", "api"},
     "matplotlib": {"plots", "scenarios", "api"},
     "pydantic": {"sim", "calib"},
     "numba": {"sim", "calib", "gap"},
-    "xarray": set(),
     "h5py": {"sim"},
     "erfa": {"sim"},
     "sgp4": {"sim"},
-    "pickle": set(),
-    "yaml": set(),
-    "marshal": set(),
-    "shelve": set(),
-    "astropy": set(),
-    "ppigrf": set(),
-    "chaosmagpy": set(),
-    "pytest": set(),
-    "sim": set(),
-    "calib": set(),
-    "gap": set(),
-    "plots": set(),
-    "scenarios": set(),
-    "api": set(),
+    **{name: set() for name in NOWHERE | SHORT_NAMES},
 }
 """Where a name from outside may be imported. The six folders are never imported by their short names."""
 

@@ -15,65 +15,22 @@ UNIT = re.compile(
     r"_(nT|uT|mG|T|km|m|km_s|m_s|s|h|min|d|yr|days|rad|deg|rad_s|deg_s|deg_h|rpm|A|V|W|Wh|Ah|Am2|A_m2|Nm|N_m|Nms|kg"
     r"|kg_m2|degC|K|Hz|nT_per_Am2|nT_per_A|nT_per_K|nT_per_yr|km3_s2|W_m2|J_K|W_K|J|per_K|N_m_s|m2|mG2|nT2)$"
 )
-NO_UNIT = {
+NO_UNIT = (
     # ratios, matrices of ratios, rotations, states of 0 and 1, counts and probabilities
-    "S",
-    "q_NB",
-    "sunlit",
-    "heater_on",
-    "sun_sensor_head",
-    "sun_B",
-    "sun_N",
-    "nadir_B",
-    "nadir_N",
-    "illumination",
-    "weights",
-    "eccentricity",
-    "condition",
-    "covariance",
-    "correlation",
-    "singular_values",
-    "state_of_charge",
-    "probability",
-    "significance",
-    "efficiency",
-    "duty",
-    "R_BN",
-    "segment",
-    "eiv_shift",
-    "relative_uncertainty",
-    "directions_B",
-    "lag_correlation",
-    "sharpness",
-    "taper_above_fraction",
-    "G",
-    "M",
-    "D",
-    "O",
-    "taper_above",
-    "rc_weights",
-    "gram",
-    "inertia_ratio",
-    "misfit",
-    "flattening",
+    {"S", "q_NB", "sunlit", "heater_on", "sun_sensor_head", "sun_B", "sun_N", "nadir_B", "nadir_N"}
+    | {"illumination", "weights", "eccentricity", "condition", "covariance", "correlation", "singular_values"}
+    | {"state_of_charge", "probability", "significance", "efficiency", "duty", "R_BN", "segment", "eiv_shift"}
+    | {"relative_uncertainty", "directions_B", "lag_correlation", "sharpness", "taper_above_fraction", "G", "M"}
+    | {"D", "O", "taper_above", "rc_weights", "gram", "inertia_ratio", "misfit", "flattening"}
     # logarithms of likelihoods and odds; a distance in standard deviations
-    "log",
-    "cost",
-    "distance",
+    | {"log", "cost", "distance"}
     # directions, and a table whose columns have a unit each
-    "axis",
-    "axis_B",
-    "nodes",
+    | {"axis", "axis_B", "nodes"}
     # a parameter of an effect names its unit in a field of its own
-    "scale",
-    "low",
-    "high",
+    | {"scale", "low", "high"}
     # a regression knows no units: its columns are nT and A m2 side by side
-    "xx",
-    "mean_x",
-    "rr",
-    "c",
-}
+    | {"xx", "mean_x", "rr", "c"}
+)
 
 
 def lengths(tree: ast.Module) -> dict[str, int]:

@@ -97,8 +97,11 @@ def run_calibrations(config: Scenario, ground: FieldModel, progress: Progress, r
                 fit_rows(other, chosen, ground, kind) for kind in ("white", "pass", "white and field")
             )
             estimates[run, place] = vector(white)
-            stated = _sigmas_of_kinds(*(vector_sigma(fit) for fit in (white, by_pass, with_field)))
-            for kind, sigma in stated.items():
+            # The allowance for the field model adds the same variance to any covariance: the dear one, by pass, is
+            # worked out once.
+            pair = vector_sigma(white), vector_sigma(by_pass)
+            with_both = np.sqrt(pair[1] ** 2 + vector_sigma(with_field) ** 2 - pair[0] ** 2)
+            for kind, sigma in zip(KINDS, (*pair, with_both), strict=True):
                 sigmas[kind][run, place] = sigma
     truth = truth_vector(config)
     alone = mission.fly(mission.only(days, "field"))
@@ -157,14 +160,6 @@ def fit_rows(flight: Flight, rows: np.ndarray, ground: FieldModel, kind: str = "
         passes=None if kind.startswith("white") else pass_labels(flight)[rows],
         field_error_nT=FIELD_ERROR_NT if kind.endswith("and field") else None,
     )
-
-
-def _sigmas_of_kinds(white: FloatArray, by_pass: FloatArray, with_field: FloatArray) -> dict[str, FloatArray]:
-    """(12,) of each of KINDS; with_field: a white one that allows for the field model.
-
-    That allowance adds the same variance to any covariance, so that the dear one, by pass, is worked out once.
-    """
-    return dict(zip(KINDS, (white, by_pass, np.sqrt(by_pass**2 + with_field**2 - white**2)), strict=True))
 
 
 def _bias_only(flight: Flight, ground: FieldModel, S: FloatArray) -> Numbers:

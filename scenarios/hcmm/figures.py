@@ -30,14 +30,15 @@ _SOURCES = {
 
 def figures(r: Numbers) -> dict[str, Callable[[], Figure]]:
     """Those of the report."""
-    t, v, h, real, bias = r.flight_test, r.evidence, r.horizon, r.real_passes, r.calibration.bias_only
-    ideas, passes = r.nadir_field.ideas, r.nadir_field.passes
+    return {**_of_the_orbit(r), **_of_the_residual(r), **_of_the_passes(r)}
+
+
+def _of_the_orbit(r: Numbers) -> dict[str, Callable[[], Figure]]:
+    t, ideas, passes = r.flight_test, r.nadir_field.ideas, r.nadir_field.passes
     used, scanned = (
         np.array([getattr(p, name) for p in passes if p.sunlit], dtype=float)
         for name in ("sun_field", "sun_field_read")
     )
-    ranges = np.array([r.errors.paper_rule[source] for source in r.errors.simulated])
-    raw, left = (real.question("station against station", corrected=c) for c in (False, True))
     return {
         "flight_test": partial(
             pass_plots.draw_ranges,
@@ -65,6 +66,13 @@ def figures(r: Numbers) -> dict[str, Callable[[], Figure]]:
             total=2 * len(passes),
             title="The open question: the nadir-field column",
         ),
+    }
+
+
+def _of_the_residual(r: Numbers) -> dict[str, Callable[[], Figure]]:
+    v, h = r.evidence, r.horizon
+    ranges = np.array([r.errors.paper_rule[source] for source in r.errors.simulated])
+    return {
         "field_model_error": partial(
             pass_plots.draw_evidence,
             labels=v.labels,
@@ -75,13 +83,6 @@ def figures(r: Numbers) -> dict[str, Callable[[], Figure]]:
             turned_correlation=v.turned_correlation,
             title="The residuals of 1978 and the error of IGRF 1975",
         ),
-        "bias_of_passes": partial(
-            pass_plots.draw_bias,
-            mean_x_mG=bias.mean_field_mG[:, 0],
-            bias_x_mG=bias.b_mG[:, 0],
-            explained_mG=bias.mean_field_mG @ r.calibration.truth[:3] + r.calibration.truth[9],
-            title="The X bias of single passes",
-        ),
         "table_4_errors": partial(
             calibration_plots.draw_budget,
             sources=[_SOURCES[source] for source in r.errors.simulated],
@@ -89,12 +90,6 @@ def figures(r: Numbers) -> dict[str, Callable[[], Figure]]:
             paper_rule_mG=ranges.mean(axis=1),
             paper_range_mG=ranges,
             title="Sources of the residual",
-        ),
-        "figure_3": partial(
-            yaw_plots.draw_pass,
-            r.yaw.figure,
-            r.yaw.error_bar_deg,
-            title="Figure 3, simulated: yaw over Winkfield, 1978-11-29",
         ),
         "scanner_nulls": partial(
             pass_plots.draw_moved,
@@ -105,6 +100,26 @@ def figures(r: Numbers) -> dict[str, Callable[[], Figure]]:
             ratio_without=h.disc.ratio,
             correlation_without=h.disc.correlation,
             title="The scanner's errors, where they belong and elsewhere",
+        ),
+    }
+
+
+def _of_the_passes(r: Numbers) -> dict[str, Callable[[], Figure]]:
+    real, bias = r.real_passes, r.calibration.bias_only
+    raw, left = (real.question("station against station", corrected=c) for c in (False, True))
+    return {
+        "bias_of_passes": partial(
+            pass_plots.draw_bias,
+            mean_x_mG=bias.mean_field_mG[:, 0],
+            bias_x_mG=bias.b_mG[:, 0],
+            explained_mG=bias.mean_field_mG @ r.calibration.truth[:3] + r.calibration.truth[9],
+            title="The X bias of single passes",
+        ),
+        "figure_3": partial(
+            yaw_plots.draw_pass,
+            r.yaw.figure,
+            r.yaw.error_bar_deg,
+            title="Figure 3, simulated: yaw over Winkfield, 1978-11-29",
         ),
         "real_passes": partial(
             gallery_plots.draw_real_passes,

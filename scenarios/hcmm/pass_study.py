@@ -15,6 +15,7 @@ from fluxtwin.scenarios.hcmm.mission import Flight, quantity
 from fluxtwin.scenarios.hcmm_orbit.geometry import angle_between
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, read_passes
 from fluxtwin.scenarios.hcmm_orbit.windows import Windows
+from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import epoch, sun
 from fluxtwin.sim.earth.constants import NT_PER_MG
@@ -25,19 +26,6 @@ ANOMALOUS = (11, 12, 13, 34)
 """Rows whose printed residual exceeds 3 mG."""
 LIMIT_MG = quantity("residual limit")
 QUIET_ROWS = tuple(number for number in range(1, 44) if number not in ANOMALOUS)
-
-
-@dataclass(frozen=True)
-class Angles:
-    """Measured less computed angles [rad] at N samples; NaN where a sensor gives nothing."""
-
-    magnitude_nT: FloatArray
-    """Measured less model field strength."""
-    sun_field: FloatArray
-    nadir_field: FloatArray
-    sun_nadir: FloatArray
-    computed_deg: dict[str, FloatArray]
-    """(N,) `sun_field`, `nadir_field`, `sun_nadir` from ephemeris and model."""
 
 
 @dataclass(frozen=True)
@@ -139,8 +127,8 @@ def _eps_range(flight: Flight, ground: FieldModel, others: FloatArray, inside: S
     return np.asarray(np.percentile(found, [5.0, 95.0], axis=0).T)
 
 
-def compare(telemetry: Telemetry, calibration: Calibration, ground: FieldModel) -> Angles:
-    """Equation 19 of the conference paper, sample by sample."""
+def compare(telemetry: Telemetry, calibration: Calibration, ground: FieldModel) -> Numbers:
+    """Equation 19 of the conference paper, sample by sample: measured less computed, NaN where a sensor gives nothing."""
     assert telemetry.r_N_km is not None and telemetry.nadir_B is not None and telemetry.sun_B is not None
     field_B = calibration.apply(telemetry.mag_B_nT)
     r_N_km = np.array(telemetry.r_N_km)
@@ -151,7 +139,8 @@ def compare(telemetry: Telemetry, calibration: Calibration, ground: FieldModel) 
         "nadir_field": angle_between(-r_N_km, model_N),
         "sun_nadir": angle_between(-r_N_km, sun_N),
     }
-    return Angles(
+    return Numbers(
+        # [nT] Field strength, and [rad] angles; what orbit and model give for these.
         magnitude_nT=np.linalg.norm(field_B, axis=1) - np.linalg.norm(model_N, axis=1),
         sun_field=angle_between(telemetry.sun_B, field_B) - computed["sun_field"],
         nadir_field=angle_between(telemetry.nadir_B, field_B) - computed["nadir_field"],
@@ -166,7 +155,7 @@ def rows_of(telemetry: Telemetry, item: Pass, windows: Windows, k: int) -> np.nd
     return np.flatnonzero((minutes >= windows.start_min[k]) & (minutes <= windows.end_min[k]))
 
 
-def _row(item: Pass, found: Angles, rows: np.ndarray) -> Row:
+def _row(item: Pass, found: Numbers, rows: np.ndarray) -> Row:
     seen = np.isfinite(found.sun_field[rows]).any() and item.sunlit
     return Row(
         number=item.number,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from fluxtwin.calib.attitude.yaw import yaw_from_field, yaw_full, yaw_sigma
@@ -36,22 +34,6 @@ _DAYS, _NEAR_DEG = 20, 2.0
 """For the field over a station: days of orbit, and how near the ground track must come."""
 _FIGURE_DAY = np.datetime64("1978-11-29T11:20:00", "ns")
 _PRINTED_START = np.datetime64("1978-11-29T11:35:00", "ns")
-
-
-@dataclass(frozen=True)
-class StationYaw:
-    """One row of Table 6, deg."""
-
-    station: str
-    printed: float
-    dipole: float
-    """Equation 11 in the papers' dipole, SIGMA_DEG."""
-    dipole_printed_sigma: float
-    """The same with PRINTED_SIGMA_DEG."""
-    main_field: float
-    """In the field of 1978 over the station, rms of the sigmas of all passes near it, northbound and southbound."""
-    scatter: float
-    """Monte Carlo in the dipole: scatter of yaw for such errors."""
 
 
 def run_yaw(config: Scenario, calibration: Calibration, ground: FieldModel, progress: Progress) -> Numbers:
@@ -109,14 +91,18 @@ def _dipole_nT(latitude_deg: float) -> FloatArray:
     return DIPOLE_MG * NT_PER_MG * np.array([[np.cos(angle), 0.0, 2.0 * np.sin(angle)]])
 
 
-def _station(config: Scenario, name: str) -> StationYaw:
+def _station(config: Scenario, name: str) -> Numbers:
+    """One row of Table 6, deg."""
     latitude = float(np.degrees(read_stations()[name].latitude_rad))
-    return StationYaw(
+    return Numbers(
         station=name,
         printed=mission.printed_value("yaw", "yaw_deg", station=name),
+        # Equation 11 in the papers' dipole, with the angle that gives their numbers and with the printed one.
         dipole=equation_11(latitude, SIGMA_DEG),
         dipole_printed_sigma=equation_11(latitude, PRINTED_SIGMA_DEG),
+        # In the field of 1978, rms of the sigmas of all passes near the station, northbound and southbound.
         main_field=_in_main_field(config, name),
+        # Monte Carlo in the dipole: scatter of yaw for such errors.
         scatter=_scatter(config, latitude),
     )
 

@@ -28,8 +28,6 @@ class Angles:
     sun_field_deg: FloatArray
     nadir_field_deg: FloatArray
     sun_nadir_deg: FloatArray
-    field_nT: FloatArray
-    """(P, M) strength."""
     latitude_deg: FloatArray
     """(P, M) geocentric."""
     longitude_deg: FloatArray
@@ -61,7 +59,6 @@ def angles_along(
         sun_field_deg=np.degrees(angle_between(towards_sun, field_N)).reshape(shape),
         nadir_field_deg=np.degrees(angle_between(-r_N_km, field_N)).reshape(shape),
         sun_nadir_deg=np.degrees(angle_between(-r_N_km, towards_sun)).reshape(shape),
-        field_nT=np.linalg.norm(field_N, axis=1).reshape(shape),
         latitude_deg=np.degrees(latitude).reshape(shape),
         longitude_deg=np.degrees(longitude).reshape(shape),
     )

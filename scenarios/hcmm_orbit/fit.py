@@ -64,14 +64,10 @@ class OrbitFit:
     """Fixed from the sun-nadir ranges alone, along the fitted orbit."""
     rise_min: FloatArray
     """(P,) predicted rise less printed acquisition."""
-    set_min: FloatArray
-    """(P,) predicted end of visibility after the printed acquisition."""
     highest_deg: FloatArray
     """(P,) greatest elevation."""
     start_offset_min: float
     """Mean time from acquisition to the first datum."""
-    guess: tuple[float, float, float]
-    """Where the fit started from."""
 
     @property
     def sigmas(self) -> FloatArray:
@@ -86,37 +82,30 @@ class OrbitFit:
         return float((np.degrees(hour_angle_rad) / 15.0 + 12.0) % 24.0)
 
 
-def fit_orbit(
-    passes: tuple[Pass, ...] | None = None, *, as_scanned: bool = True, free_inclination: bool = False
-) -> OrbitFit:
-    """Fit the record. as_scanned: sun-nadir ranges as the scan shows them, else with the documented corrections.
+def fit_orbit(passes: tuple[Pass, ...] | None = None, *, free_inclination: bool = False) -> OrbitFit:
+    """Fit the record, with the sun-nadir ranges as the scan shows them.
 
     Acquisition times are those of the table with its seven corrections: three minutes above 59, and four
     hours at which the satellite cannot be in view. No sun-field and no nadir-field angle enters.
     """
     passes = read_passes() if passes is None else passes
-    ranges = [item.sun_nadir_read if as_scanned else item.sun_nadir for item in passes]
+    ranges = [item.sun_nadir_read for item in passes]
     grid = make_grid(passes)
-    guess = first_guess(passes)
-    start = np.array([*guess, INCLINATION_DEG])
-    problem = _Problem(grid, ranges, 4 if free_inclination else 3, start)
+    problem = _Problem(grid, ranges, 4 if free_inclination else 3, np.array([*first_guess(passes), INCLINATION_DEG]))
     found = problem.solve()
     K = problem.free
     elements = problem.elements(found)
     orbit = orbit_of(*elements)
     sky = look(grid, orbit)
-    rise, fall = rise_and_set_min(grid, sky)
     return OrbitFit(
         orbit=orbit,
         names=(*ELEMENTS, "inclination_deg")[:K],
         values=elements[:K],
         covariance=problem.covariance(found)[:K, :K] + problem.common_rounding(found)[:K, :K],
         windows=fix_windows(grid, sky, ranges),
-        rise_min=rise,
-        set_min=fall,
+        rise_min=rise_and_set_min(grid, sky)[0],
         highest_deg=sky.elevation_deg.max(axis=1),
         start_offset_min=float(found[K]),
-        guess=guess,
     )
 
 

@@ -60,7 +60,6 @@ class NadirField:
     """(P,)."""
     pole_deg: tuple[float, float]
     """Latitude and east longitude of the pole of the centred dipole that fits the sunlit ends best."""
-    pole_median_deg: float
     model_pole_deg: tuple[float, float]
     """The pole of the dipole part of IGRF-14 on that day."""
     dipole_wrong_deg: float
@@ -109,14 +108,12 @@ def weigh_ideas(fit: OrbitFit, windows: Windows) -> NadirField:
     north = printed.mean(axis=1) < 90.0
     poleward = np.stack([north, ~north], axis=1)
     sunlit = np.array([p.sunlit for p in passes])
-    pole, median = _fit_pole(passes, windows, fit, printed, sunlit)
     return NadirField(
         passes=passes,
         ideas=tuple(_idea(name, predict, printed) for name, predict in shown.items()),
         poleward=poleward,
         sunlit=sunlit,
-        pole_deg=pole,
-        pole_median_deg=median,
+        pole_deg=_fit_pole(passes, windows, fit, printed, sunlit),
         model_pole_deg=_dipole_pole(model, passes[20].aos),
         dipole_wrong_deg=_apart(*(angles_along(passes, windows, fit.orbit, m) for m in (model, model.truncated(1)))),
     )
@@ -134,10 +131,8 @@ def _whole(predicted: FloatArray) -> Predict:
 def _idea(name: str, predict: Predict, printed: FloatArray) -> Idea:
     predicted = predict(printed)
     error = predicted - printed
-    repaired = np.array(
-        [[min(abs(end - value) for value in _readings(what)) for end, what in zip(*pair, strict=True)]
-         for pair in zip(predicted, printed, strict=True)]
-    )  # fmt: skip
+    ends = zip(predicted.ravel(), printed.ravel(), strict=True)
+    repaired = np.array([min(abs(end - value) for value in _readings(what)) for end, what in ends])
     rng = np.random.default_rng(1978)
     dealt = []
     for _ in range(_DEALS):
@@ -187,13 +182,19 @@ def _ranges(
     passes: Sequence[Pass], windows: Windows, fit: OrbitFit, angle: Callable[[np.ndarray, FloatArray], FloatArray]
 ) -> FloatArray:
     out = np.empty((len(passes), 2))
-    for row, item in enumerate(passes):
-        minutes = np.linspace(windows.start_min[row], windows.end_min[row], 41)
-        time = epoch.add_seconds(item.aos, 60.0 * minutes)
-        r_E_km = frames.rotation_EN(time).apply(fit.orbit.propagate(time)[0])
-        values = np.degrees(angle(time, r_E_km))
+    for row in range(len(passes)):
+        values = np.degrees(angle(*_track(passes, windows, fit, row, 41)))
         out[row] = values.min(), values.max()
     return out
+
+
+def _track(
+    passes: Sequence[Pass], windows: Windows, fit: OrbitFit, row: int, count: int
+) -> tuple[np.ndarray, FloatArray]:
+    """(count,) times in the window of a pass, and positions r_E_km (count, 3)."""
+    minutes = np.linspace(windows.start_min[row], windows.end_min[row], count)
+    time = epoch.add_seconds(passes[row].aos, 60.0 * minutes)
+    return time, frames.rotation_EN(time).apply(fit.orbit.propagate(time)[0])
 
 
 def _best_part(passes: Sequence[Pass], windows: Windows, fit: OrbitFit, model: FieldModel) -> Predict:
@@ -219,15 +220,10 @@ def _best_part(passes: Sequence[Pass], windows: Windows, fit: OrbitFit, model: F
 
 def _fit_pole(
     passes: Sequence[Pass], windows: Windows, fit: OrbitFit, printed: FloatArray, sunlit: BoolArray
-) -> tuple[tuple[float, float], float]:
+) -> tuple[float, float]:
     """The centred dipole whose nadir-field angles fit the sunlit passes best (median of 48 ends)."""
-    up = []
-    for row in np.flatnonzero(sunlit).tolist():
-        minutes = np.linspace(windows.start_min[row], windows.end_min[row], 25)
-        time = epoch.add_seconds(passes[row].aos, 60.0 * minutes)
-        r_E = frames.rotation_EN(time).apply(fit.orbit.propagate(time)[0])
-        up.append(r_E / np.linalg.norm(r_E, axis=1)[:, None])
-    unit = np.array(up)
+    unit = np.array([_track(passes, windows, fit, row, 25)[1] for row in np.flatnonzero(sunlit).tolist()])
+    unit /= np.linalg.norm(unit, axis=2)[:, :, None]
     best = (np.inf, (0.0, 0.0))
     for latitude, longitude in _POLES:
         axis = frames.from_geocentric(np.radians([latitude]), np.radians([longitude]), np.ones(1))[0]
@@ -236,7 +232,7 @@ def _fit_pole(
         angle = np.degrees(np.arctan2(np.sqrt(1.0 - sine**2), 2.0 * sine))
         error = np.stack([angle.min(axis=1), angle.max(axis=1)], axis=1) - printed[sunlit]
         best = min(best, (float(np.median(np.abs(error))), (latitude, longitude)))
-    return best[1], best[0]
+    return best[1]
 
 
 def _apart(a: Angles, b: Angles) -> float:

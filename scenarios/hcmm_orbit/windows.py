@@ -95,11 +95,3 @@ def _with_turning_points(printed: Range, turning: FloatArray) -> Range:
         elif abs(value - high) < _TURN_DEG:
             high = float(value)
     return low, high
-
-
-def range_within(minutes: FloatArray, values: FloatArray, start_min: float, end_min: float) -> Range:
-    """Lowest and highest value of a tabulated curve between two times."""
-    inside = values[(minutes > start_min) & (minutes < end_min)]
-    ends = np.interp([start_min, end_min], minutes, values)
-    everything = np.concatenate([inside, ends])
-    return float(everything.min()), float(everything.max())

@@ -9,7 +9,7 @@ from fluxtwin.plots.yaw import YawSigma
 from fluxtwin.scenarios.flights import day
 from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.scenarios.seasat import geometry, mission
-from fluxtwin.scenarios.seasat.yaw_study import STEP_S, fine_scenario
+from fluxtwin.scenarios.seasat.yaw_study import fine_scenario
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.base.types import FloatArray, TimeArray
@@ -37,7 +37,7 @@ def run_accuracy(config: Scenario, ground: FieldModel, residual_mG: float, progr
     progress("quantisation and the equations", 0.6)
     lsb = config.magnetometer.step_nT
     horizontal = np.sum(crossing_O[:, :2] ** 2, axis=1)
-    mean, rms, correlation = _lsb_error(config, ground)
+    mean, rms = _lsb_error(config)
     return Numbers(
         # Mean and range over equator crossings at the printed residual, and at this run's.
         sigma_equator_deg=at_equator.mean(),
@@ -52,10 +52,9 @@ def run_accuracy(config: Scenario, ground: FieldModel, residual_mG: float, progr
         # Yaw of one LSB of the X and Y reading, mean over equator crossings.
         lsb_x_deg=np.degrees(np.mean(lsb * np.abs(crossing_O[:, 1]) / horizontal)),
         lsb_y_deg=np.degrees(np.mean(lsb * np.abs(crossing_O[:, 0]) / horizontal)),
-        # Yaw error along an orbit with quantisation alone; lag at which its autocorrelation falls below 1/e.
+        # Yaw error along an orbit with quantisation alone.
         lsb_mean_deg=mean,
         lsb_rms_deg=rms,
-        lsb_correlation_s=correlation,
         # X, Y, Z: median time that the field's motion along the orbit takes for one LSB.
         seconds_per_step=_seconds_per_step(config, truth),
         # Largest difference of equation 12 from the pseudo-inverse of equation 13; scatter of yaw over equation 14.
@@ -102,8 +101,8 @@ def _worst_values(
     return np.concatenate(largest[:3]), np.max(largest, axis=0), *first
 
 
-def _lsb_error(config: Scenario, ground: FieldModel) -> tuple[float, float, float]:
-    """Mean and rms [deg] of yaw error by quantisation alone where it is below 5 deg, and its correlation [s].
+def _lsb_error(config: Scenario) -> tuple[float, float]:
+    """Mean and rms [deg] of yaw error by quantisation alone where it is below 5 deg.
 
     Known S and b, the true field as model: what is left is the rounding.
     """
@@ -114,12 +113,7 @@ def _lsb_error(config: Scenario, ground: FieldModel) -> tuple[float, float, floa
     solved = yaw_full(corrected, field_O, flight.truth.roll_rad, flight.truth.pitch_rad)
     error = np.degrees(np.arctan2(np.sin(solved - flight.truth.yaw_rad), np.cos(solved - flight.truth.yaw_rad)))
     usable = np.where(np.abs(error) < 5.0, error, np.nan)
-    centred = usable - np.nanmean(usable)
-    variance = np.nanmean(centred**2)
-    lag = 1
-    while lag < error.size // 4 and np.nanmean(centred[lag:] * centred[:-lag]) > variance / np.e:
-        lag += 1
-    return float(np.nanmean(usable)), float(np.sqrt(np.nanmean(usable**2))), lag * STEP_S
+    return float(np.nanmean(usable)), float(np.sqrt(np.nanmean(usable**2)))
 
 
 def _seconds_per_step(config: Scenario, model: FieldModel) -> tuple[float, float, float]:

@@ -10,9 +10,16 @@ import pytest
 from fluxtwin.scenarios.hcmm_orbit.fit import fit_orbit
 from fluxtwin.scenarios.hcmm_orbit.geometry import INCLINATION_DEG, look, make_grid, orbit_of, rise_and_set_min
 from fluxtwin.scenarios.hcmm_orbit.record import read_passes
-from fluxtwin.scenarios.hcmm_orbit.windows import range_within
 
 pytestmark = pytest.mark.closure
+
+
+def _range_within(minutes, values, start_min, end_min):
+    """Lowest and highest value of a tabulated curve between two times."""
+    inside = values[(minutes > start_min) & (minutes < end_min)]
+    everything = np.concatenate([inside, np.interp([start_min, end_min], minutes, values)])
+    return everything.min(), everything.max()
+
 
 TRUTH = np.array([6996.4, 271.3, 52.8])
 
@@ -33,7 +40,7 @@ def make_record(seed: int, wrong_digits: int = 0):
     for k, item in enumerate(passes):
         start = rise[k] + max(1.1 + 0.7 * rng.standard_normal(), 0.0)
         end = max(fall[k] - 2.0 * rng.random(), start + 3.0)
-        low, high = (float(np.rint(v)) for v in range_within(grid.minutes, sky.sun_nadir_deg[k], start, end))
+        low, high = (float(np.rint(v)) for v in _range_within(grid.minutes, sky.sun_nadir_deg[k], start, end))
         shift = np.rint(start - 1.1 + 0.1 * rng.standard_normal())
         made.append(
             dataclasses.replace(

@@ -105,11 +105,11 @@ WORLDS = {
     46: ("dawn.residual_deg", lambda v: v + 0.3),
     48: ("accuracy.direction_model", 0.3),
     49: ("scenario.sun_sensor", lambda heads: {k: v for k, v in heads.items() if k != "3"}),
-    50: ("yaw.stations", lambda v: tuple(dataclasses.replace(one, dipole=1.1 * one.dipole) for one in v)),
+    50: ("yaw.stations", lambda v: tuple(one.model_copy({"dipole": 1.1 * one.dipole}) for one in v)),
     51: ("accuracy.dipole_equator_mG", lambda v: 1.05 * v),
     52: ("accuracy.dipole_pole_deg", (30.2, 18.4)),
     53: ("yaw", lambda v: v.model_copy(FIGURE_3_AS_PRINTED)),
-    54: ("yaw.stations", lambda v: tuple(dataclasses.replace(one, dipole=1.1 * one.dipole) for one in v)),
+    54: ("yaw.stations", lambda v: tuple(one.model_copy({"dipole": 1.1 * one.dipole}) for one in v)),
     59: ("errors.field_direction_deg", np.array([0.3, 0.5, 0.5, 0.5])),
     61: ("accuracy.sun_error", lambda v: 2.0 * v),
 }

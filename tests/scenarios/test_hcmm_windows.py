@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fluxtwin.scenarios.hcmm_orbit.geometry import Grid, Sky
-from fluxtwin.scenarios.hcmm_orbit.windows import fix_windows, range_within, turning_ends
+from fluxtwin.scenarios.hcmm_orbit.windows import fix_windows, turning_ends
 
 pytestmark = pytest.mark.property
 
@@ -58,10 +58,3 @@ def test_the_window_never_leaves_the_visible_arc():
     found = fix_windows(grid, sky, [(60.0, 180.0)])
     assert found.start_min[0] >= -0.5 - 1e-9
     assert found.end_min[0] <= 12.5 + 1e-9
-
-
-def test_range_within_holds_an_extremum_between_the_ends():
-    values = np.hypot(26.4, 3.7 * (MINUTES - 7.0))
-    low, high = range_within(MINUTES, values, 1.0, 10.0)
-    assert low == pytest.approx(26.4)
-    assert high == pytest.approx(np.hypot(26.4, 3.7 * 6.0), abs=1e-9)

@@ -40,7 +40,14 @@ def draw_scatter(
         theirs = printed[:, number]
         axes.vlines(places, low, high, color=style.BLUE, linewidth=4, alpha=0.6, label="95 % of the simulated runs")
         axes.plot(places, middle, "_", color=style.BLUE, markersize=10, label="their median")
-        axes.plot(places[signed], theirs[signed], "x", color=style.PAPER, markersize=6, label="printed, with its sign")
+        axes.plot(
+            places[signed],
+            theirs[signed],
+            "x",
+            color=style.PAPER,
+            markersize=6,
+            label="printed, with its sign",
+        )
         axes.plot(
             np.tile(places[either], 2),
             np.concatenate([theirs[either], -theirs[either]]),

@@ -41,7 +41,12 @@ def draw_ranges(
             label="predicted ends" if end == 0 else None,
         )
         axes.plot(
-            printed_deg[:, end], rows, "|", color=style.BLACK, markersize=9, label="printed ends" if end == 0 else None
+            printed_deg[:, end],
+            rows,
+            "|",
+            color=style.BLACK,
+            markersize=9,
+            label="printed ends" if end == 0 else None,
         )
     wrong = np.argwhere(misread)
     axes.plot(
@@ -85,7 +90,10 @@ def draw_evidence(
 ) -> Figure:
     """Printed residual against predicted model error, and the rank correlation as the map is turned."""
     figure, ((left, right),) = style.figure(7.2, 3.8, cols=2)
-    for chosen, marker, label, colour in ((night, "o", "night", style.BLACK), (~night, "s", "sunlit", style.ORANGE)):
+    for chosen, marker, label, colour in (
+        (night, "o", "night", style.BLACK),
+        (~night, "s", "sunlit", style.ORANGE),
+    ):
         left.plot(predicted_mG[chosen], printed_mG[chosen], marker, color=colour, markersize=4, label=label)
     for rank, k in enumerate(np.argsort(-printed_mG)[:4]):
         left.annotate(

@@ -22,6 +22,7 @@ from fluxtwin.scenarios.claims import Claim, judged
 from fluxtwin.scenarios.page import FigureBlock, Page, Section, Table
 from fluxtwin.scenarios.printed import Printed
 from fluxtwin.scenarios.words import Words
+from fluxtwin.sim.earth.constants import NT_PER_MG
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -57,11 +58,11 @@ class Report(Words):
         self._made = self._new_environment()
         super().__init__(package, file)
 
-    def say(self, name: str, **values: Any) -> str:
+    def say(self, name: str, /, **values: Any) -> str:
         """One section as running text: line ends become spaces."""
         return _one_line(super().say(name, **values))
 
-    def table(self, name: str, **values: Any) -> Table:
+    def table(self, name: str, /, **values: Any) -> Table:
         """One section as a table; cells are text."""
         blocks = _BLOCK.split(super().say(name, **values).strip())
         place = next(k for k, block in enumerate(blocks) if block.startswith("|"))
@@ -69,7 +70,7 @@ class Report(Words):
         note = _one_line(" ".join(blocks[place + 1 :]))
         return Table(_one_line(blocks[0]), _cells(heading), [_cells(row) for row in rows if row.strip()], note)
 
-    def tables(self, names: Sequence[str], **values: Any) -> dict[str, Table]:
+    def tables(self, names: Sequence[str], /, **values: Any) -> dict[str, Table]:
         """Several sections as tables."""
         return {name: self.table(name, **values) for name in names}
 
@@ -165,7 +166,8 @@ class Report(Words):
             lstrip_blocks=True,
             extensions=["jinja2.ext.do"],
         )
-        made.globals |= {name: getattr(builtins, name) for name in _BUILTINS} | {"np": np} | self._names
+        made.globals |= {name: getattr(builtins, name) for name in _BUILTINS} | {"np": np, "nT_per_mG": NT_PER_MG}
+        made.globals |= self._names
         made.filters |= {
             "f": _fixed,
             "listed": lambda values, digits=2, between=", ": between.join(_fixed(value, digits) for value in values),

@@ -25,7 +25,7 @@ class Words:
             for name, body in zip(parts[::2], parts[1::2], strict=True)
         }
 
-    def say(self, name: str, **values: Any) -> str:
+    def say(self, name: str, /, **values: Any) -> str:
         """One section with `values` put in. Raises KeyError without such a section, UndefinedError without a value."""
         return self._sections[name].render(**values)
 

@@ -127,8 +127,12 @@ def _dip_poles(truth: FieldModel, when: np.datetime64) -> tuple[FloatArray, Floa
             up = r_E[0] / FIELD_RADIUS_KM
             return float(np.linalg.norm(field - (field @ up) * up))
 
-        best = minimize(horizontal, np.array([latitude[0], longitude[0]]), method="Nelder-Mead",
-                        options={"xatol": 1e-5, "fatol": 1e-3, "maxiter": 600}).x  # fmt: skip
+        best = minimize(
+            horizontal,
+            np.array([latitude[0], longitude[0]]),
+            method="Nelder-Mead",
+            options={"xatol": 1e-5, "fatol": 1e-3, "maxiter": 600},
+        ).x
         found.append(frames.from_geocentric(best[:1], best[1:], np.ones(1))[0])
     return found[0], found[1]
 

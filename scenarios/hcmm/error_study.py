@@ -88,9 +88,13 @@ def _field_model(config: Scenario, ground: FieldModel) -> dict[str, Any]:
     assert config.schedule is not None
     segment = config.schedule.segments[0]
     everywhere = config.updated(
-        {"schedule.in_view_of_stations": None, "schedule.segments": [
-            {"start_utc": segment.start_utc, "duration_min": segment.duration_min, "step_s": 30.0}]}
-    )  # fmt: skip
+        {
+            "schedule.in_view_of_stations": None,
+            "schedule.segments": [
+                {"start_utc": segment.start_utc, "duration_min": segment.duration_min, "step_s": 30.0}
+            ],
+        }
+    )
     world = build_world(everywhere)
     strength, axis, angle = _differences(world, ground)
     rms_rad, seen_rad = np.sqrt(np.mean(angle**2)), _differences(build_world(config), ground)[2]

@@ -117,9 +117,14 @@ def diagnosed(
 ) -> Diagnosis:
     """Diagnose a record; the step of the readings is all that is declared."""
     investigated = partial(
-        diagnose, telemetry, ground, modelled=modelled, budget=_budget(config), progress=progress,
+        diagnose,
+        telemetry,
+        ground,
+        modelled=modelled,
+        budget=_budget(config),
+        progress=progress,
         provenance={"source": "simulation"},
-    )  # fmt: skip
+    )
     return with_second_channel(investigated, channel_of(telemetry))
 
 

@@ -33,8 +33,10 @@ from fluxtwin.sim.spacecraft.sensors.horizon_crossings import ConicalScanner
 from fluxtwin.sim.spacecraft.sensors.horizon_scanner import nadir_from, roll_pitch
 
 SCANS: Mapping[str, tuple[int, ...]] = {
-    "two scanners": (1, -1), "one, away from the sun": (1,), "one, towards the sun": (-1,),
-}  # fmt: skip
+    "two scanners": (1, -1),
+    "one, away from the sun": (1,),
+    "one, towards the sun": (-1,),
+}
 """Sign of body y of each scan axis; HCMM's orbit has the sun on the side of -y."""
 SHIFTS_DEG = np.arange(0.0, 360.0, 30.0)
 _HALF_A_YEAR = np.timedelta64(183, "D")
@@ -132,9 +134,13 @@ def with_horizon(flight: Flight, axes: tuple[int, ...], earth: Earth, shift_deg:
     turn = Rotation.from_rotvec(np.radians(shift_deg) * normal / np.linalg.norm(normal, axis=1)[:, None])
     time = world.time + _HALF_A_YEAR if earth.reversed_season else world.time
     found = ConicalScanner(axes).nadir(
-        turn.apply(world.r_N_km), horizon.north_N(world.time), R_BN * turn.inv(), world.R_ON * turn.inv(),
-        horizon.surface(earth.seen, time, earth.radiance), horizon.surface(earth.assumed, time),
-    )  # fmt: skip
+        turn.apply(world.r_N_km),
+        horizon.north_N(world.time),
+        R_BN * turn.inv(),
+        world.R_ON * turn.inv(),
+        horizon.surface(earth.seen, time, earth.radiance),
+        horizon.surface(earth.assumed, time),
+    )
     down_B = R_BN.apply(-world.r_N_km / np.linalg.norm(world.r_N_km, axis=1)[:, None])
     nadir_B = np.array(flight.telemetry.nadir_B)
     angles = [m + h - t for m, h, t in zip(roll_pitch(nadir_B), roll_pitch(found), roll_pitch(down_B), strict=True)]

@@ -50,9 +50,15 @@ HYPOTHESES: Mapping[str, Mapping[str, Any]] = {
 """Magnetometer, field, torquers. Sizes to two digits at which the 39 passes leave what was printed: the table shows how
 near they come."""
 NUMBERS = (
-    "rms of 39 passes [mG]", "rms of 43 passes [mG]", "least of 43 [mG]", "greatest of 43 [mG]", "passes above 3 mG",
-    "spread of the logarithm", "correlation with the field model's error", "calibration A and B, rms [mG]",
-)  # fmt: skip
+    "rms of 39 passes [mG]",
+    "rms of 43 passes [mG]",
+    "least of 43 [mG]",
+    "greatest of 43 [mG]",
+    "passes above 3 mG",
+    "spread of the logarithm",
+    "correlation with the field model's error",
+    "calibration A and B, rms [mG]",
+)
 """What is compared; the first has set the size."""
 
 
@@ -86,9 +92,15 @@ class Hypothesis:
 
 
 def run_missing(
-    config: Scenario, ground: FieldModel, windows: Windows, evidence: Numbers, progress: Progress, *,
-    flights: int = FLIGHTS, diagnose: bool = True,
-) -> Numbers:  # fmt: skip
+    config: Scenario,
+    ground: FieldModel,
+    windows: Windows,
+    evidence: Numbers,
+    progress: Progress,
+    *,
+    flights: int = FLIGHTS,
+    diagnose: bool = True,
+) -> Numbers:
     """Fly each hypothesis over the days of Table 3 and the three of Table 5, in the prescribed motion."""
     days = mission.on_days(config)
     assert days.schedule is not None and config.schedule is not None
@@ -123,6 +135,11 @@ def _of_residuals(eps_mG: FloatArray, evidence: Numbers) -> list[float]:
     """All NUMBERS but the last, from the 43 residuals of field strength."""
     quiet = eps_mG[[number - 1 for number in QUIET_ROWS]]
     return [
-        float(np.sqrt(np.mean(quiet**2))), float(np.sqrt(np.mean(eps_mG**2))), float(eps_mG.min()), float(eps_mG.max()),
-        float((eps_mG > LIMIT_MG).sum()), float(np.log(eps_mG).std()), rank_correlation(eps_mG, evidence.predicted_mG),
-    ]  # fmt: skip
+        float(np.sqrt(np.mean(quiet**2))),
+        float(np.sqrt(np.mean(eps_mG**2))),
+        float(eps_mG.min()),
+        float(eps_mG.max()),
+        float((eps_mG > LIMIT_MG).sum()),
+        float(np.log(eps_mG).std()),
+        rank_correlation(eps_mG, evidence.predicted_mG),
+    ]

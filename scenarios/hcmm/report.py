@@ -64,14 +64,19 @@ def gallery_summary(answers: Sequence[Numbers]) -> list[dict[str, Any]]:
                 {"name": c.name, "put_in": c.put_in, "found": c.found, "sigma": c.sigma, "unit": c.unit}
                 for c in answer.compared
             ],
-            "passes_not_used": None if answer.later is None else {
-                "unit": answer.later.unit, "before": answer.later.rms[0], "after": answer.later.rms[1],
-                "floor": answer.later.floor, "concerned": int(answer.later.concerned.sum()),
+            "passes_not_used": None
+            if answer.later is None
+            else {
+                "unit": answer.later.unit,
+                "before": answer.later.rms[0],
+                "after": answer.later.rms[1],
+                "floor": answer.later.floor,
+                "concerned": int(answer.later.concerned.sum()),
                 "passes": len(answer.later.labels),
             },
         }
         for answer in answers
-    ]  # fmt: skip
+    ]
 
 
 @cache
@@ -90,6 +95,7 @@ def words(file: str = "words.md") -> Report:
         differ=differ,
         error_study=error_study,
         excluded=_excluded,
+        four=[number - 1 for number in ANOMALOUS],
         gallery=gallery_summary,
         horizon_study=horizon_study,
         infrared_source=INFRARED_SOURCE,

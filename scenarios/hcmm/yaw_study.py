@@ -44,10 +44,12 @@ def run_yaw(config: Scenario, calibration: Calibration, ground: FieldModel, prog
     contact = next(
         item
         for item in find_contacts(
-            [s for s in stations_of(config) if s.name == "WNK"], lambda time: ephemeris(config, time),
-            _FIGURE_DAY, epoch.add_seconds(_FIGURE_DAY, 3600.0)[0],
+            [s for s in stations_of(config) if s.name == "WNK"],
+            lambda time: ephemeris(config, time),
+            _FIGURE_DAY,
+            epoch.add_seconds(_FIGURE_DAY, 3600.0)[0],
         )
-    )  # fmt: skip
+    )
     samples = int(contact.seconds // STEP_S) + 1
     short = config.updated(
         {

@@ -69,10 +69,13 @@ def options(method: str) -> SpinOptions:
     printed, known = mission.published(), mission.noises()
     inertia = printed["inertia_kg_m2"]
     return SpinOptions(
-        method=method, noise_nT=known.field_nT, lsb_nT=0.0, sun_sigma_deg=float(np.degrees(known.sun_rad)),
+        method=method,
+        noise_nT=known.field_nT,
+        lsb_nT=0.0,
+        sun_sigma_deg=float(np.degrees(known.sun_rad)),
         robust="none",
         inertia_ratio=inertia[2] / inertia[0] if method == "iterative" else None,
-    )  # fmt: skip
+    )
 
 
 def run_hour(flight: Flight, ground: FieldModel, progress: Progress = silent, **grid: Sequence[float]) -> Hour:
@@ -103,9 +106,15 @@ def run_hour(flight: Flight, ground: FieldModel, progress: Progress = silent, **
     chosen = searched.by_axes
     steps_alone, alone = _steps_alone(rows, q_true, chosen)
     return Hour(
-        flight, rows, searched, before(chosen.walk_rad_s, chosen.sun_factor), steps_alone, alone, solved["iterative"],
+        flight,
+        rows,
+        searched,
+        before(chosen.walk_rad_s, chosen.sun_factor),
+        steps_alone,
+        alone,
+        solved["iterative"],
         solved["batch"],
-    )  # fmt: skip
+    )
 
 
 def _steps_alone(rows: SpinRows, q_true: FloatArray, chosen: Setting) -> tuple[Solved, Calibration]:

@@ -122,9 +122,14 @@ def search(
             return misfit(at(place))
 
         found = least_squares(
-            off, np.clip(begin, 1.0, 2.0), bounds=(1.0, 2.0), diff_step=[_STEP, _STEP], xtol=_CLOSE, ftol=_CLOSE,
+            off,
+            np.clip(begin, 1.0, 2.0),
+            bounds=(1.0, 2.0),
+            diff_step=[_STEP, _STEP],
+            xtol=_CLOSE,
+            ftol=_CLOSE,
             max_nfev=_MOST_STEPS,
-        )  # fmt: skip
+        )
         return at(found.x)
 
     return Search(tuple(walks_rad_s), tuple(factors), tuple(grid), nearest(axes), nearest(sums))

@@ -26,7 +26,7 @@ import json
 import math
 import sys
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
@@ -310,17 +310,22 @@ def digest(said: Any) -> str:
     return hashed.hexdigest()[:16]
 
 
-def _parts(said: Any, largest: float = 0.0) -> Iterator[bytes]:
+def _largest(values: Iterable[Any]) -> float:
+    return max((abs(one) for one in values if isinstance(one, float) and math.isfinite(one)), default=0.0)
+
+
+def _parts(said: Any, nothing: float = 0.0) -> Iterator[bytes]:
     if isinstance(said, dict):
+        nothing = 1e-14 * _largest(said.values())
         for key in sorted(said.keys() - {"source"}):
             yield f"{key}:".encode()
-            yield from _parts(said[key])
+            yield from _parts(said[key], nothing)
     elif isinstance(said, list | tuple):
-        largest = max((abs(one) for one in said if isinstance(one, float) and math.isfinite(one)), default=0.0)
+        nothing = 1e-9 * _largest(said)
         for one in said:
-            yield from _parts(one, largest)
+            yield from _parts(one, nothing)
     elif isinstance(said, float):
-        yield (f"{said:.5e}" if abs(said) > 1e-9 * largest else "0").encode()
+        yield (f"{said:.5e}" if abs(said) > nothing else "0").encode()
     elif isinstance(said, np.ndarray):
         yield str(said.shape).encode() + (repr(said.tolist()).encode() if said.dtype.hasobject else said.tobytes())
     else:

@@ -138,9 +138,14 @@ def fly_adaptive(
         state = np.concatenate([state[:4] / np.linalg.norm(state[:4]), state[4:]])
     history = np.array(rows)
     return Flight(
-        environment.start, period_s, history[None, :, :4], history[None, :, 4:7], np.array(dipoles)[None],
-        history[None, :, 7:], np.array(fields)[None],
-    )  # fmt: skip
+        environment.start,
+        period_s,
+        history[None, :, :4],
+        history[None, :, 4:7],
+        np.array(dipoles)[None],
+        history[None, :, 7:],
+        np.array(fields)[None],
+    )
 
 
 def torques_B_Nm(

@@ -23,7 +23,7 @@ from fluxtwin.calib.checks.clock import (
     readings_shift,
     shift_words,
     shifts_s,
-)  # fmt: skip
+)
 from fluxtwin.calib.checks.evidence import Evidence, scalar_evidence, vector_evidence
 from fluxtwin.calib.checks.orientation import FAR_BETTER, SINGLE_COST, Hypothesis, orientations
 from fluxtwin.calib.checks.outliers import check_outliers, without_gross_outliers
@@ -171,10 +171,13 @@ def _positions(sample: Sample, model: FieldModel) -> list[Hypothesis]:
     r_from_E = sample.R_EN.apply(sample.r_N_km, inverse=True)
     readings: list[tuple[str, str, str, float, FloatArray]] = [
         (
-            "position_frame", "the positions are Earth-fixed", "name them ecef_x_km ecef_y_km ecef_z_km", SINGLE_COST,
+            "position_frame",
+            "the positions are Earth-fixed",
+            "name them ecef_x_km ecef_y_km ecef_z_km",
+            SINGLE_COST,
             r_from_E,
         )
-    ]  # fmt: skip
+    ]
     for order in () if sample.q_NB is None else ((0, 2, 1), (1, 0, 2), (2, 1, 0), (1, 2, 0), (2, 0, 1)):
         r = sample.r_N_km[:, order]
         said = ", ".join(f"r_{one} is {'xyz'[other]}" for one, other in zip("xyz", order, strict=True))

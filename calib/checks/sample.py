@@ -75,9 +75,14 @@ class Sample:
         """The sample cut to `rows` (indices or a mask)."""
         q = None if self.q_NB is None else self.q_NB[rows]
         part = Sample(
-            self.rows[rows], self.time[rows], self.r_N_km[rows], self.mag_nT[rows], self.field_N_nT[rows], q,
+            self.rows[rows],
+            self.time[rows],
+            self.r_N_km[rows],
+            self.mag_nT[rows],
+            self.field_N_nT[rows],
+            q,
             self.v_N_km_s[rows],
-        )  # fmt: skip
+        )
         part.__dict__.update({name: self.__dict__[name][rows] for name in ("R_BN", "R_EN") if name in self.__dict__})
         return part
 

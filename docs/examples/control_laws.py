@@ -59,8 +59,12 @@ def angles_deg(flight: Flight) -> np.ndarray:
 
 
 MOST_AM2 = {
-    "momentum bias, signs": 10.0, "momentum bias, components": 10.0, "three axes": 100.0, "spin": 2.0, "B-dot": 3.0,
-}  # fmt: skip
+    "momentum bias, signs": 10.0,
+    "momentum bias, components": 10.0,
+    "three axes": 100.0,
+    "spin": 2.0,
+    "B-dot": 3.0,
+}
 """What one torquer can do."""
 
 
@@ -106,14 +110,21 @@ def momentum_bias(
     """2.5 N m s on the pitch axis, from 5 deg of roll and some nutation."""
     h, speed_rpm = BIAS_NMS, BIAS_RPM
     law = MomentumBias(
-        momentum_Nms=h, nutation_gain_Am2_s_per_T=nutation, precession_gain_Am2_per_rad=precession,
-        momentum_gain_per_T=100.0, field_use=field_use,
-    )  # fmt: skip
+        momentum_Nms=h,
+        nutation_gain_Am2_s_per_T=nutation,
+        precession_gain_Am2_per_rad=precession,
+        momentum_gain_per_T=100.0,
+        field_use=field_use,
+    )
     wheel = Wheel((0.0, 1.0, 0.0), h / (speed_rpm * RPM), 400.0, 0.02, 1e-6, 1e-4)
     flight = flown(
-        law, np.diag([25.0, 20.0, 22.0]), (wheel,), Torquers(dipole_Am2=10.0, drive=drive, threshold_Am2=threshold),
-        start_from(0.0, 5.0, 2.0, [-speed_rpm - 100.0], [0.02, 0.0, 0.02]), 0.05,
-    )  # fmt: skip
+        law,
+        np.diag([25.0, 20.0, 22.0]),
+        (wheel,),
+        Torquers(dipole_Am2=10.0, drive=drive, threshold_Am2=threshold),
+        start_from(0.0, 5.0, 2.0, [-speed_rpm - 100.0], [0.02, 0.0, 0.02]),
+        0.05,
+    )
     rms = np.sqrt(np.mean(np.square(angles_deg(flight)[-4320:]), axis=0))
     excess, nutation = excess_Nms(flight)[-2000:], nutation_deg(flight)[-2000:-50]
     return flight, (
@@ -128,9 +139,16 @@ def running_mean(values: np.ndarray, width: int) -> np.ndarray:
 
 
 def flown(
-    law: Control, inertia: np.ndarray, wheels: tuple[Wheel, ...], torquers: Torquers, start: Start, dipole_Am2: float,
-    target: Target | None = None, duration_s: float = DAY_S, step_s: float = 0.5,
-) -> Flight:  # fmt: skip
+    law: Control,
+    inertia: np.ndarray,
+    wheels: tuple[Wheel, ...],
+    torquers: Torquers,
+    start: Start,
+    dipole_Am2: float,
+    target: Target | None = None,
+    duration_s: float = DAY_S,
+    step_s: float = 0.5,
+) -> Flight:
     """One vehicle under a law, a tick each second, a row each ten."""
     torques = (GravityGradient(), ResidualDipole(dipole_Am2=(dipole_Am2,) * 3), torquers)
     vehicle = Vehicle(inertia, wheels, torques, law, target or Target())

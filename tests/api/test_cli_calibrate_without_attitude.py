@@ -41,9 +41,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_without_attitude_scalar_is_taken(cli: Cli, folder: Path, tmp_path: Path) -> None:
     outcome = cli(
-        "calibrate", folder / "tumbling.nc", "--out", tmp_path / "c.toml", "--json", tmp_path / "c.json",
-        "--telemetry-bias", "array_current_A", "--figures", tmp_path / "figures", "--unseen", folder / "tumbling.nc",
-    )  # fmt: skip
+        "calibrate",
+        folder / "tumbling.nc",
+        "--out",
+        tmp_path / "c.toml",
+        "--json",
+        tmp_path / "c.json",
+        "--telemetry-bias",
+        "array_current_A",
+        "--figures",
+        tmp_path / "figures",
+        "--unseen",
+        folder / "tumbling.nc",
+    )
     assert outcome.status == 0, outcome.err
     assert "without attitude" in outcome.out
     assert "array_current_A x" in outcome.out
@@ -99,9 +109,19 @@ def test_a_spinner_by_batch_and_iteration(cli: Cli, tmp_path: Path) -> None:
         record, out = tmp_path / f"st5.{suffix}", tmp_path / f"{method}.toml"
         write_telemetry(flight.telemetry, record)
         outcome = cli(
-            "calibrate", record, "--method", method, "--noise-nT", "200", "--sun-sigma-deg", "0.18", "--out", out,
-            "--json", tmp_path / "c.json",
-        )  # fmt: skip
+            "calibrate",
+            record,
+            "--method",
+            method,
+            "--noise-nT",
+            "200",
+            "--sun-sigma-deg",
+            "0.18",
+            "--out",
+            out,
+            "--json",
+            tmp_path / "c.json",
+        )
         assert outcome.status == 0, outcome.err
         assert "blind start" in outcome.out
         assert "per component" in outcome.out

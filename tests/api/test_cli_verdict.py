@@ -103,11 +103,19 @@ def test_the_page_has_it_all(cli: Cli, flight: Path, tmp_path: Path) -> None:
     page = tmp_path / "my.html"
     assert cli("calibrate", flight / "my.nc", "--robust", "tukey", "--html", page).status == 0  # type: ignore[attr-defined]
     text = page.read_text("utf-8")
-    places = [text.index(word) for word in (
-        'class="verdict">Good.', "absolute knowledge error", "<h2>Parameters", "<h2>Residuals", "data:image/png",
-        "<h2>What these data do not determine", f"fluxtwin calibrate {flight / 'my.nc'} --robust tukey --html {page}",
-        "SHA-256 of the calibration",
-    )]  # fmt: skip
+    places = [
+        text.index(word)
+        for word in (
+            'class="verdict">Good.',
+            "absolute knowledge error",
+            "<h2>Parameters",
+            "<h2>Residuals",
+            "data:image/png",
+            "<h2>What these data do not determine",
+            f"fluxtwin calibrate {flight / 'my.nc'} --robust tukey --html {page}",
+            "SHA-256 of the calibration",
+        )
+    ]
     assert places == sorted(places)
 
 

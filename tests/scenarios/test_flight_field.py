@@ -108,10 +108,14 @@ def mutated(track: tracks.Track, name: str) -> tuple[tracks.Track, np.datetime64
 @pytest.mark.parametrize(
     "name",
     [
-        "epoch five years early", "north and east swapped", "down taken as up", "longitude 10 deg east",
-        "geodetic components", "1 % scale",
+        "epoch five years early",
+        "north and east swapped",
+        "down taken as up",
+        "longitude 10 deg east",
+        "geodetic components",
+        "1 % scale",
     ],
-)  # fmt: skip
+)
 def test_a_mistake_is_not_reproduced(outcome: compute.Outcome, name: str) -> None:
     """Each mistake moves every figure of a component at least (there are three of each), one by over 5 nT."""
     track, when = mutated(outcome.magsat.track, name)

@@ -132,8 +132,14 @@ def test_seven_acquisition_times_and_four_sun_field_digits_are_changed():
     hhmm = {p.number: str(p.aos)[11:13] + str(p.aos)[14:16] for p in passes}
     changed = {p.aos_read: hhmm[p.number] for p in passes if p.aos_read != hhmm[p.number]}
     assert changed == {
-        "0067": "0057", "1584": "1554", "1615": "1815", "1619": "1819", "0821": "0921", "1089": "1059", "1637": "1837",
-    }  # fmt: skip
+        "0067": "0057",
+        "1584": "1554",
+        "1615": "1815",
+        "1619": "1819",
+        "0821": "0921",
+        "1089": "1059",
+        "1637": "1837",
+    }
     assert sum(p.sun_field != p.sun_field_read for p in passes) == 4
     # No sunlit pass has a changed sun-nadir range, so both forms of the test use the same windows.
     assert not [p.number for p in passes if p.sunlit and p.sun_nadir != p.sun_nadir_read]

@@ -66,11 +66,18 @@ def test_the_shared_figures_are_the_packaged_ones(shared: Path) -> None:
     theirs = json.loads((shared / "reference" / "papers" / "st5.json").read_text(encoding="utf-8"))
     ours = mission.published()
     for mine, other in (
-        ("inertia_kg_m2", "inertia_kgm2"), ("b_mG", "bias_true_mG"), ("misalignment_deg", "misalign_true_deg"),
-        ("pre_rms_deg", "pre_rms_deg"), ("pre_rss_deg", "pre_rss_deg"), ("post_rss_deg", "post_rss_deg"),
-        ("b_estimated_mG", "bias_est_mG"), ("misalignment_estimated_deg", "misalign_est_deg"),
-        ("noise_mG", "tam_noise_mG"), ("sun_noise_deg", "sun_noise_deg"), ("spin_rpm", "spin_rpm"),
-    ):  # fmt: skip
+        ("inertia_kg_m2", "inertia_kgm2"),
+        ("b_mG", "bias_true_mG"),
+        ("misalignment_deg", "misalign_true_deg"),
+        ("pre_rms_deg", "pre_rms_deg"),
+        ("pre_rss_deg", "pre_rss_deg"),
+        ("post_rss_deg", "post_rss_deg"),
+        ("b_estimated_mG", "bias_est_mG"),
+        ("misalignment_estimated_deg", "misalign_est_deg"),
+        ("noise_mG", "tam_noise_mG"),
+        ("sun_noise_deg", "sun_noise_deg"),
+        ("spin_rpm", "spin_rpm"),
+    ):
         assert np.array_equal(ours[mine], theirs[other]), mine
 
 
@@ -109,9 +116,12 @@ def test_the_recovered_S_and_b(results: Numbers, close: Callable[..., None]) -> 
         assert off @ np.linalg.solve(found.covariance, off) < chi2.ppf(0.999, 12)
         values = found.values * np.repeat([1.0, 0.01], [9, 3])
         close(
-            values, RECOVERED, atol=np.repeat([5e-5, 5e-4], [9, 3]), unit="1, mG for b",
+            values,
+            RECOVERED,
+            atol=np.repeat([5e-5, 5e-4], [9, 3]),
+            unit="1, mG for b",
             because="a tenth of a sigma: both ways solve the same rows",
-        )  # fmt: skip
+        )
         misread = values * np.repeat([1.01, 1.0], [9, 3])
         assert np.abs(misread - RECOVERED).max() > 2e-4
     assert np.abs(results.many.pulls).max() < 3.0

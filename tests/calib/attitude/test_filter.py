@@ -26,9 +26,17 @@ pytestmark = pytest.mark.closure
 
 STEP_S, COUNT, SUBSTEPS = 10.0, 700, 5
 NOISES = Noises(
-    walk_x_rad_s=2e-6, walk_y_rad_s=1e-6, walk_z_rad_s=3e-6, field_nT=40.0, slow_nT=60.0, slow_s=400.0,
-    sun_rad=1.5e-3, white_rad=5e-4, drift_rad=1.5e-3, drift_s=100.0,
-)  # fmt: skip
+    walk_x_rad_s=2e-6,
+    walk_y_rad_s=1e-6,
+    walk_z_rad_s=3e-6,
+    field_nT=40.0,
+    slow_nT=60.0,
+    slow_s=400.0,
+    sun_rad=1.5e-3,
+    white_rad=5e-4,
+    drift_rad=1.5e-3,
+    drift_s=100.0,
+)
 S = np.array([[0.02, -0.01, 0.004], [0.013, -0.02, -0.004], [0.007, -0.003, 0.01]])
 B_NT = np.array([1500.0, -800.0, 300.0])
 P = np.concatenate([S.ravel(), B_NT])
@@ -73,9 +81,13 @@ def orbit() -> dict[str, np.ndarray]:
     time = np.datetime64("2026-03-01", "ns") + np.arange(COUNT) * np.timedelta64(int(STEP_S * 1e9), "ns")
     r, v = Orbit(epoch_utc=time[0], altitude_km=620.0, inclination_rad=np.radians(97.6), raan_rad=0.0).propagate(time)
     return {
-        "time": time, "r": r, "field_N": field_N_nT(load_field("igrf14"), time, r), "sun_N": sun_direction_N(time, r),
-        "lit": illumination(r, sun_N_km(time)), "first": frames.rotation_ON(r[:1], v[:1]).as_matrix()[0],
-    }  # fmt: skip
+        "time": time,
+        "r": r,
+        "field_N": field_N_nT(load_field("igrf14"), time, r),
+        "sun_N": sun_direction_N(time, r),
+        "lit": illumination(r, sun_N_km(time)),
+        "first": frames.rotation_ON(r[:1], v[:1]).as_matrix()[0],
+    }
 
 
 def world(orbit: dict[str, np.ndarray], seed: int) -> tuple[Rows, np.ndarray]:
@@ -102,10 +114,19 @@ def world(orbit: dict[str, np.ndarray], seed: int) -> tuple[Rows, np.ndarray]:
     sun_B[orbit["lit"] < 0.5] = np.nan
     reading = (field_B - B_NT) @ np.linalg.inv(np.eye(3) + S).T + n.field_nT * rng.normal(size=(COUNT, 3))
     rows = Rows(
-        time=time, t_s=STEP_S * np.arange(COUNT), reading_nT=reading, coupling_nT=np.zeros((COUNT, 3)),
-        field_N_nT=orbit["field_N"], nadir_B=seen(nadir_N, drift), nadir_N=nadir_N, sun_B=sun_B, sun_N=orbit["sun_N"],
-        R_BN=np.full((COUNT, 3, 3), np.nan), rows=np.arange(COUNT), left_out={},
-    )  # fmt: skip
+        time=time,
+        t_s=STEP_S * np.arange(COUNT),
+        reading_nT=reading,
+        coupling_nT=np.zeros((COUNT, 3)),
+        field_N_nT=orbit["field_N"],
+        nadir_B=seen(nadir_N, drift),
+        nadir_N=nadir_N,
+        sun_B=sun_B,
+        sun_N=orbit["sun_N"],
+        R_BN=np.full((COUNT, 3, 3), np.nan),
+        rows=np.arange(COUNT),
+        left_out={},
+    )
     return rows, truth
 
 
@@ -166,8 +187,12 @@ def test_the_noise_is_found_and_a_wrong_world_is_seen(orbit: dict[str, np.ndarra
     assert taken.settled and not taken.at_bound
     found = taken.noises
     for name, factor in (
-        ("field_nT", 1.2), ("sun_rad", 1.2), ("drift_rad", 1.6), ("walk_x_rad_s", 2.0), ("walk_z_rad_s", 2.0),
-    ):  # fmt: skip
+        ("field_nT", 1.2),
+        ("sun_rad", 1.2),
+        ("drift_rad", 1.6),
+        ("walk_x_rad_s", 2.0),
+        ("walk_z_rad_s", 2.0),
+    ):
         ratio = getattr(found, name) / getattr(NOISES, name)
         assert 1.0 / factor < ratio < factor, name
     assert consistency(run(rows, begun, found, P, NOTHING))[2] == ()

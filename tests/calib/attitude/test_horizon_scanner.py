@@ -19,10 +19,12 @@ def config():
     segment = {"start_utc": "1978-10-17T00:00:00Z", "duration_min": 720.0, "step_s": 30.0}
     return mission.scenario().updated(
         {
-            "schedule.segments": [segment], "horizon_scanner.roll_bias_deg": float(BIAS_DEG[0]),
-            "horizon_scanner.pitch_bias_deg": float(BIAS_DEG[1]), "sun_sensor.1.misalignment_deg": None,
+            "schedule.segments": [segment],
+            "horizon_scanner.roll_bias_deg": float(BIAS_DEG[0]),
+            "horizon_scanner.pitch_bias_deg": float(BIAS_DEG[1]),
+            "sun_sensor.1.misalignment_deg": None,
         }
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="module")

@@ -19,10 +19,8 @@ README = Path(__file__).resolve().parents[3] / "README.md"
 SENSORS = {
     "attitude.reference": {"source": "sensors"},
     "horizon_scanner": {"noise_deg": 0.1, "tau_s": 60.0},
-    "sun_sensor": {
-        str(k + 1): {"azimuth_deg": 90.0 * k, "elevation_deg": 30.0, "noise_deg": 0.1} for k in range(4)
-    },
-}  # fmt: skip
+    "sun_sensor": {str(k + 1): {"azimuth_deg": 90.0 * k, "elevation_deg": 30.0, "noise_deg": 0.1} for k in range(4)},
+}
 
 
 def scenario(**changes: Any) -> Scenario:
@@ -132,9 +130,12 @@ def test_a_doubt_of_the_method_caps_the_verdict(flown: tuple[Any, Any]) -> None:
 def test_a_tumbling_body_is_followed() -> None:
     """Its rate changes by the torque-free motion, which the filter knows only as a random walk."""
     changes = {
-        "seed": 36, "spacecraft.inertia_kg_m2": [[0.05, 0.0, 0.0], [0.0, 0.06, 0.0], [0.0, 0.0, 0.08]],
-        "attitude.mode": "tumble", "attitude.yaw_rms_deg": None, "attitude.rate_deg_s": [0.3, 0.4, 0.1],
-    }  # fmt: skip
+        "seed": 36,
+        "spacecraft.inertia_kg_m2": [[0.05, 0.0, 0.0], [0.0, 0.06, 0.0], [0.0, 0.0, 0.08]],
+        "attitude.mode": "tumble",
+        "attitude.yaw_rms_deg": None,
+        "attitude.rate_deg_s": [0.3, 0.4, 0.1],
+    }
     telemetry, truth = simulate(scenario(**SENSORS, **changes))
     fit = fluxtwin.calibrate(telemetry.replace(q_NB=None), method="recursive")
     pull = pulls(fit, truth)

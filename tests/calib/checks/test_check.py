@@ -95,10 +95,16 @@ def _attitude(mode: str, time: np.ndarray, r: np.ndarray, v: np.ndarray, rng: np
         ).R_BN
     swing = 30.0 if mode == "wide" else 1.0
     return motions.earth_pointing(
-        time, r, v,
-        yaw_amplitude_rad=swing * 0.02, roll_amplitude_rad=swing * 0.01, pitch_amplitude_rad=swing * 0.01,
-        shortest_period_s=600.0, longest_period_s=6000.0, rng=rng,
-    ).R_BN  # fmt: skip
+        time,
+        r,
+        v,
+        yaw_amplitude_rad=swing * 0.02,
+        roll_amplitude_rad=swing * 0.01,
+        pitch_amplitude_rad=swing * 0.01,
+        shortest_period_s=600.0,
+        longest_period_s=6000.0,
+        rng=rng,
+    ).R_BN
 
 
 CASES = (
@@ -200,10 +206,14 @@ TRAPS: dict[str, tuple[Callable[[Telemetry], Telemetry], str, str]] = {
     "transposed": (lambda t: quaternion(t, [0, 1, 2, 3], [-1, -1, -1, 1]), "attitude_convention", "is conjugated"),
     "scalar first": (lambda t: quaternion(t, [3, 0, 1, 2], [1, 1, 1, 1]), "attitude_convention", "scalar first"),
     "orbital": (
-        lambda t: turned_attitude(t, frames.rotation_ON(t.r_N_km, t.v_N_km_s)), "attitude_convention", "orbital frame",
+        lambda t: turned_attitude(t, frames.rotation_ON(t.r_N_km, t.v_N_km_s)),
+        "attitude_convention",
+        "orbital frame",
     ),
     "Earth-fixed attitude": (
-        lambda t: turned_attitude(t, frames.rotation_EN(t.time)), "attitude_convention", "relative to Earth-fixed axes",
+        lambda t: turned_attitude(t, frames.rotation_EN(t.time)),
+        "attitude_convention",
+        "relative to Earth-fixed axes",
     ),
     "of date": (lambda t: turned_attitude(t, frames.rotation_TN(t.time)), "attitude_of_date", "equinox of date"),
     "swapped": (lambda t: axes(t, [1, 0, 2], [1, 1, 1]), "magnetometer_axes", "mag_x is +y, mag_y is +x"),
@@ -218,14 +228,18 @@ TRAPS: dict[str, tuple[Callable[[Telemetry], Telemetry], str, str]] = {
     "no fix": (no_fix, "position_inside_earth", "there was no fix"),
     "ten rows": (lambda t: t.select(slice(0, 10)), "too_few_samples", "10 rows have a reading"),
     "time zone": (
-        lambda t: t.replace(time=t.time + np.timedelta64(5 * 3600, "s"), q_NB=None), "clock", "5 h too late",
+        lambda t: t.replace(time=t.time + np.timedelta64(5 * 3600, "s"), q_NB=None),
+        "clock",
+        "5 h too late",
     ),
     "positions of other rows": (
         lambda t: t.replace(
             r_N_km=np.random.default_rng(1).permutation(t.r_N_km), v_N_km_s=None, q_NB=None, sunlit=None
-        ), "field_mismatch", "wrong positions",
+        ),
+        "field_mismatch",
+        "wrong positions",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", TRAPS)
@@ -241,9 +255,20 @@ def test_a_trap_is_named(model: FieldModel, name: str) -> None:
 
 
 LARGE_TRAPS = (
-    "counts", "milligauss", "microtesla", "tesla", "gauss", "transposed", "scalar first", "orbital",
-    "Earth-fixed attitude", "swapped", "flipped", "shifted", "Earth-fixed position",
-)  # fmt: skip
+    "counts",
+    "milligauss",
+    "microtesla",
+    "tesla",
+    "gauss",
+    "transposed",
+    "scalar first",
+    "orbital",
+    "Earth-fixed attitude",
+    "swapped",
+    "flipped",
+    "shifted",
+    "Earth-fixed position",
+)
 
 
 @pytest.mark.parametrize("name", LARGE_TRAPS)

@@ -48,11 +48,20 @@ def checked(case: Case, model: FieldModel, folder: Path) -> CheckReport:
 @pytest.mark.parametrize(
     "kind",
     [
-        "counts", "position Earth-fixed", "attitude to NEC", "axis mirrored", "mounting 45 deg", "all columns shifted",
-        "clock 1 h", "clock 2 to 12 h", "readings 1 h", "outliers of 30 to 65 uT", "outliers of 15 to 40 sigma",
+        "counts",
+        "position Earth-fixed",
+        "attitude to NEC",
+        "axis mirrored",
+        "mounting 45 deg",
+        "all columns shifted",
+        "clock 1 h",
+        "clock 2 to 12 h",
+        "readings 1 h",
+        "outliers of 30 to 65 uT",
+        "outliers of 15 to 40 sigma",
         "one axis stuck",
     ],
-)  # fmt: skip
+)
 def test_the_right_trap_is_named_first_and_alone(kind: str, model: FieldModel, tmp_path: Path) -> None:
     case = flown(model, kind)
     wanted = spoil(case, kind)

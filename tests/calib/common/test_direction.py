@@ -59,6 +59,9 @@ def test_draws_of_the_errors_stay_within_in_95_of_100(close: Callable[..., None]
         cross = np.linalg.norm(np.cross(estimate, true), axis=2)
         angle = np.degrees(np.arctan2(cross, (estimate * true).sum(axis=2)))
         close(
-            float((angle <= stated).mean()), 0.95, atol=0.006, unit="1",
+            float((angle <= stated).mean()),
+            0.95,
+            atol=0.006,
+            unit="1",
             because="drawn p repeat over 40 rows: 5000 calibrations give 0.3 %, two sigma",
-        )  # fmt: skip
+        )

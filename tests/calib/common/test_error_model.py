@@ -200,8 +200,12 @@ def test_a_spinner_whose_gain_drifts() -> None:
             c, s = np.cos(a), np.sin(a)
             field = np.stack([c * F[:, 0] + s * F[:, 2], -s * F[:, 0] + c * F[:, 2], F[:, 1]], axis=1)
             gain = 1.0 + 2e-3 * markov(8000, 750.0, rng)
-            fits.append(fit_design(rows_of(seconds, read(field, 0.0, rng) * gain + 20.0 * rng.normal(size=(8000, 3)), field),
-                                   LinearOptions(robust="tukey")).calibration)  # fmt: skip
+            fits.append(
+                fit_design(
+                    rows_of(seconds, read(field, 0.0, rng) * gain + 20.0 * rng.normal(size=(8000, 3)), field),
+                    LinearOptions(robust="tukey"),
+                ).calibration
+            )
         spread = np.sqrt(np.diag(fits[0].covariance + fits[1].covariance))
         pulls.append((fits[0].values - fits[1].values) / spread)
     assert np.sqrt(np.square(pulls)[:, [0, 4, 8]].mean()) < 3.0

@@ -159,5 +159,10 @@ def test_the_record_is_plain(seasat: Any) -> None:
     assert content["confidence"] == 0.95
     assert content["lines"][0].startswith("Good.")
     assert set(content["direction"]) == {
-        "before_deg", "after_deg", "calibration_deg", "calibration_anywhere_deg", "noise_deg", "against_reference_deg"
-    }  # fmt: skip
+        "before_deg",
+        "after_deg",
+        "calibration_deg",
+        "calibration_anywhere_deg",
+        "noise_deg",
+        "against_reference_deg",
+    }

@@ -39,9 +39,11 @@ def calibrate(
     minute, day = np.timedelta64(60, "s"), np.timedelta64(1, "D")
     time = np.concatenate([start + (d - 1) * day + np.arange(n) * minute for d, n in days])
     orbit = Orbit(
-        epoch_utc=np.datetime64("1978-07-24", "ns"), altitude_km=789.863, inclination_rad=np.radians(108.0),
+        epoch_utc=np.datetime64("1978-07-24", "ns"),
+        altitude_km=789.863,
+        inclination_rad=np.radians(108.0),
         raan_rad=1.0,
-    )  # fmt: skip
+    )
     r, v = orbit.propagate(time)
     R_BN = frames.rotation_ON(r, v)
     model = load_field("igrf14")
@@ -50,9 +52,13 @@ def calibrate(
     reading = Magnetometer(S, b, T_NT_PER_AM2).ideal_reading(R_BN.apply(field_N_nT(model, time, r)), dipole)
     reading = 440.0 * np.rint((reading + rng.normal(size=reading.shape) * 200.0) / 440.0)
     record = Telemetry(
-        time=time, mag_B_nT=reading, r_N_km=r, v_N_km_s=v, q_NB=frames.q_from_rotation(R_BN),
+        time=time,
+        mag_B_nT=reading,
+        r_N_km=r,
+        v_N_km_s=v,
+        q_NB=frames.q_from_rotation(R_BN),
         dipole_B_Am2=np.roll(dipole, shift, axis=0),
-    )  # fmt: skip
+    )
     known: dict[str, Any] = {"parameters": "b,S,T", "noise_nT": 200.0, "lsb_nT": 440.0, "robust": "none"}
     fit = calibrate_linear(record, model, method=direction, **known)
     return fit.calibration, fit

@@ -57,9 +57,14 @@ def record(model: FieldModel) -> Telemetry:
     mag = (field - B_NT) @ np.linalg.inv(np.eye(3) + D) + dipole @ np.diag([8.0, -6.0, 9.0])
     mag = mag + current[:, None] * np.array([50.0, -30.0, 20.0]) + 30.0 * rng.normal(size=(900, 3))
     return Telemetry(
-        time=time, mag_B_nT=mag, r_N_km=r, v_N_km_s=v, q_NB=frames.q_from_rotation(R_BN), dipole_B_Am2=dipole,
+        time=time,
+        mag_B_nT=mag,
+        r_N_km=r,
+        v_N_km_s=v,
+        q_NB=frames.q_from_rotation(R_BN),
+        dipole_B_Am2=dipole,
         array_current_A=current,
-    )  # fmt: skip
+    )
 
 
 def test_derivatives_are_those_of_the_residual(close: Callable[..., None]) -> None:

@@ -99,10 +99,12 @@ def test_blind_starts_from_anywhere(config: Scenario, world: World, model: Field
             axis = rng.normal(size=3)
             axis /= np.linalg.norm(axis)
         changes = {
-            "seed": 50 + run, "attitude.spin_axis_N": tuple(axis.tolist()),
-            "attitude.phase_deg": float(rng.uniform(0, 360)), "attitude.nutation_deg": float(rng.uniform(0.1, 4.0)),
+            "seed": 50 + run,
+            "attitude.spin_axis_N": tuple(axis.tolist()),
+            "attitude.phase_deg": float(rng.uniform(0, 360)),
+            "attitude.nutation_deg": float(rng.uniform(0.1, 4.0)),
             "attitude.spin_rate_rpm": float(rng.choice([-1.0, 1.0]) * rng.uniform(8.0, 30.0)),
-        }  # fmt: skip
+        }
         flight = mission.fly(config.updated(changes), world)
         fit = calibrate_spin(flight.telemetry, model, method="batch")
         assert rss_deg(fit, flight) < 0.1, changes
@@ -193,9 +195,12 @@ def test_the_sun_sensor_is_the_gauge(close: Callable[..., None], rows: SpinRows)
     close(one.b_mG, two.b_mG, atol=1e-4, unit="mG", because="the end of the search")
     turn = [Rotation.from_rotvec(-np.radians(part.misalignment_deg)) for part in (one, two)]
     close(
-        np.degrees((turn[1] * turn[0].inv()).as_rotvec()) @ [0, 0, 1], np.degrees(turned.inv().as_rotvec())[2],
-        atol=0.01, unit="deg", because="turns in other axes by 2 deg, and the end of the search",
-    )  # fmt: skip
+        np.degrees((turn[1] * turn[0].inv()).as_rotvec()) @ [0, 0, 1],
+        np.degrees(turned.inv().as_rotvec())[2],
+        atol=0.01,
+        unit="deg",
+        because="turns in other axes by 2 deg, and the end of the search",
+    )
 
 
 def test_the_prior_of_the_sun_sensor_closes_the_trap(config: Scenario, world: World, model: FieldModel) -> None:

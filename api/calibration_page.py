@@ -8,7 +8,7 @@ from fluxtwin.calib.common.digits import plain, with_sigma
 from fluxtwin.calib.common.direction import CONFIDENCE
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.verdict import kept_rows
-from fluxtwin.scenarios.page import FigureBlock, Page, Section, Table
+from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 from fluxtwin.sim.earth import epoch
 
 if TYPE_CHECKING:
@@ -31,16 +31,16 @@ def calibration_page(fit: Fit, title: str, *, next_step: str, command: str, refu
         title=title,
         verdict=lines[0] if lines else fit.calibration.method,
         sections=[
-            Section(
+            PageSection(
                 "What it means",
                 [*lines[1:-1], *(["No calibration file was written."] if refused else []), f"Next: {next_step}"],
                 [] if verdict is None or verdict.impossible else [_angles(fit)],
             ),
-            Section("Parameters", [], [parameter_table(fit), *_bias_tables(fit)]),
-            Section("Residuals", [], [_residuals(fit)], [FigureBlock("residuals", caption, residual_figure(fit))]),
-            Section("What these data do not determine", unseen, correlation_tables(fit)),
-            Section("How it was made", [f"{message}." for message in fit.messages]),
-            Section("Repeat it", [command]),
+            PageSection("Parameters", [], [parameter_table(fit), *_bias_tables(fit)]),
+            PageSection("Residuals", [], [_residuals(fit)], [FigureBlock("residuals", caption, residual_figure(fit))]),
+            PageSection("What these data do not determine", unseen, correlation_tables(fit)),
+            PageSection("How it was made", [f"{message}." for message in fit.messages]),
+            PageSection("Repeat it", [command]),
         ],
         provenance={key: value for key, value in _provenance(fit).items() if not (refused and "SHA-256" in key)},
     )

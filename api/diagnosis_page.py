@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from fluxtwin.calib.common.digits import measured
 from fluxtwin.gap.advice import typical_size
 from fluxtwin.gap.records import Diagnosis
-from fluxtwin.scenarios.page import FigureBlock, Page, Section, Table
+from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 
 _CONFUSED = 0.8  # shares below this are in the JSON
 _RANKED = 6
@@ -71,17 +71,17 @@ def percent(share: float) -> str:
     return "< 1 %" if share < 0.01 else f"{100 * share:.0f} %"
 
 
-def _where(diagnosis: Diagnosis) -> Section:
+def _where(diagnosis: Diagnosis) -> PageSection:
     if diagnosis.verdict == "no_gap":
-        return Section("Where the gap lies", ["There is none, so no place is shown."])
+        return PageSection("Where the gap lies", ["There is none, so no place is shown."])
     from fluxtwin.plots.gap import draw_where
 
     caption = "Probability of each place; those below 1 % are left out, and each set sums to one with none (grey)."
     block = FigureBlock("gap_where", caption, draw_where(diagnosis))
-    return Section("Where the gap lies", where_lines(diagnosis), [], [block])
+    return PageSection("Where the gap lies", where_lines(diagnosis), [], [block])
 
 
-def _which(diagnosis: Diagnosis) -> Section:
+def _which(diagnosis: Diagnosis) -> PageSection:
     words = []
     if diagnosis.verdict == "unknown":
         words.append("Structure is left that no effect of the catalogue explains; nothing is named on a guess.")
@@ -100,10 +100,12 @@ def _which(diagnosis: Diagnosis) -> Section:
 
         caption = "Blue: named effects and how sure each is. Orange, hatched: rivals, less likely."
         figures = [FigureBlock("gap_which", caption, draw_which(diagnosis))]
-    return Section("Which effect causes it", words or ([] if diagnosis.effects else ["None is named."]), shown, figures)
+    return PageSection(
+        "Which effect causes it", words or ([] if diagnosis.effects else ["None is named."]), shown, figures
+    )
 
 
-def _far(diagnosis: Diagnosis) -> Section:
+def _far(diagnosis: Diagnosis) -> PageSection:
     figures = []
     named = bool(diagnosis.effects)
     if diagnosis.series is not None:
@@ -122,24 +124,26 @@ def _far(diagnosis: Diagnosis) -> Section:
                 draw_spectra(diagnosis.series),
             ),
         ]
-    return Section("How far it shrinks", [], [far_table(diagnosis), *momentum_tables(diagnosis)], figures)
+    return PageSection("How far it shrinks", [], [far_table(diagnosis), *momentum_tables(diagnosis)], figures)
 
 
-def _elsewhere(diagnosis: Diagnosis) -> list[Section]:
+def _elsewhere(diagnosis: Diagnosis) -> list[PageSection]:
     """Where the closed scenario holds; nothing when closing was not asked for."""
-    return [Section("Where the closed scenario holds", [], [transfer_table(diagnosis)])] if diagnosis.transfers else []
+    return (
+        [PageSection("Where the closed scenario holds", [], [transfer_table(diagnosis)])] if diagnosis.transfers else []
+    )
 
 
-def _open(diagnosis: Diagnosis) -> Section:
+def _open(diagnosis: Diagnosis) -> PageSection:
     if not diagnosis.untestable:
-        return Section("What could not be tested", ["Every effect of the catalogue could be tested."])
-    return Section("What could not be tested", [], [untestable_table(diagnosis)])
+        return PageSection("What could not be tested", ["Every effect of the catalogue could be tested."])
+    return PageSection("What could not be tested", [], [untestable_table(diagnosis)])
 
 
-def _could(diagnosis: Diagnosis) -> Section:
+def _could(diagnosis: Diagnosis) -> PageSection:
     shown = [detectable_table(diagnosis)]
     confused = confused_table(diagnosis)
-    return Section("What these data could show", [], [*shown, confused] if confused.rows else shown)
+    return PageSection("What these data could show", [], [*shown, confused] if confused.rows else shown)
 
 
 def effects_table(diagnosis: Diagnosis) -> Table:

@@ -49,7 +49,7 @@ class FigureBlock:
 
 
 @dataclass(frozen=True)
-class Section:
+class PageSection:
     """A part of a page: a heading, paragraphs, then tables, then figures."""
 
     title: str
@@ -65,7 +65,7 @@ class Page:
     title: str
     verdict: str
     """One sentence: what came out."""
-    sections: Sequence[Section] = ()
+    sections: Sequence[PageSection] = ()
     errata: Sequence[str] = ()
     """Slips found in the published source, one sentence each."""
     provenance: Mapping[str, str] = field(default_factory=dict)

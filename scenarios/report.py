@@ -19,7 +19,7 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined, Undefined, UndefinedError
 
 from fluxtwin.scenarios.claims import Claim, judged
-from fluxtwin.scenarios.page import FigureBlock, Page, Section, Table
+from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 from fluxtwin.scenarios.printed import Printed
 from fluxtwin.scenarios.words import Words
 from fluxtwin.sim.earth.constants import NT_PER_MG
@@ -104,7 +104,9 @@ class Report(Words):
             title=_one_line(title).removeprefix("# "),
             verdict=verdict,
             sections=[
-                Section(part[0], [_one_line(p) for p in part[1]], *part[2:]) for part in sections if part[0] != "Errata"
+                PageSection(part[0], [_one_line(p) for p in part[1]], *part[2:])
+                for part in sections
+                if part[0] != "Errata"
             ],
             errata=errata,
             provenance=provenance,

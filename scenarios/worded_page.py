@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from jinja2 import Environment, StrictUndefined
 
-from fluxtwin.scenarios.page import FigureBlock, Section, Table
+from fluxtwin.scenarios.page import FigureBlock, PageSection, Table
 from fluxtwin.scenarios.words import Words
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class PageWords(Words):
         """A whole section of the file as one paragraph."""
         return " ".join(self.say(name, **values).split())
 
-    def sections(self, values: Mapping[str, Any], figures: Mapping[str, Figure]) -> list[Section]:
+    def sections(self, values: Mapping[str, Any], figures: Mapping[str, Figure]) -> list[PageSection]:
         """The parts of the page, in the order of the file."""
         return [self._section(name, values, figures) for name in self.names() if name.startswith("section_")]
 
@@ -53,7 +53,7 @@ class PageWords(Words):
         rows = [[cell(**values, **{variable: one}) for cell in cells] for one in source(**values) or ()]
         return Table(title, list(columns), rows, note)
 
-    def _section(self, name: str, values: Mapping[str, Any], figures: Mapping[str, Figure]) -> Section:
+    def _section(self, name: str, values: Mapping[str, Any], figures: Mapping[str, Figure]) -> PageSection:
         title, *parts = self._parts(name, values)
         words, tables, blocks = [], [], []
         for part in parts:
@@ -64,7 +64,7 @@ class PageWords(Words):
                 blocks.append(FigureBlock(what, self.sentence(f"figure_{what}", **values), figures[what]))
             else:
                 words.append(" ".join(part.split()))
-        return Section(title, words, tables, blocks)
+        return PageSection(title, words, tables, blocks)
 
     def _parts(self, name: str, values: Mapping[str, Any]) -> list[str]:
         return [part.strip() for part in self.say(name, **values).split("\n\n") if part.strip()]

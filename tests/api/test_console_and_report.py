@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 import fluxtwin
 from fluxtwin.console import Manners, Output, clean, shown
 from fluxtwin.report import png_bytes, render_report
-from fluxtwin.scenarios.page import FigureBlock, Page, Section, StudyResult, Table
+from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, StudyResult, Table
 
 HOSTILE = [
     "<script>alert(1)</script>",
@@ -54,7 +54,7 @@ def page_with(text: str) -> Page:
     return Page(
         title=text,
         verdict=text,
-        sections=[Section(text, [text], [table], [FigureBlock("one", text, figure)]), Section("other")],
+        sections=[PageSection(text, [text], [table], [FigureBlock("one", text, figure)]), PageSection("other")],
         errata=[text],
         provenance={text: text},
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fluxtwin.scenarios.page import FigureBlock, Page, Section, Table
+from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 from fluxtwin.scenarios.page_markdown import as_markdown, table_as_markdown
 
 
@@ -18,7 +18,7 @@ def test_a_table_keeps_its_columns() -> None:
 
 def test_a_page_has_its_words_and_figures_in_order() -> None:
     block = FigureBlock("fig", "what it shows", b"")
-    page = Page("Title", "The verdict.", [Section("One", ["said"], [], [block])], provenance={"seed": "1"})
+    page = Page("Title", "The verdict.", [PageSection("One", ["said"], [], [block])], provenance={"seed": "1"})
     text = as_markdown(page, "images/")
     places = [
         text.index(part) for part in ("# Title", "The verdict.", "## One", "said", "(images/fig.png)", "- seed: 1")

@@ -83,7 +83,7 @@ class Learned(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Rows:
+class FilterRows:
     """What the filter sees; N rows with a position and a measurement. NaN: not measured."""
 
     time: TimeArray
@@ -160,7 +160,7 @@ def q_method(seen_B: FloatArray, known_N: FloatArray, sigma_rad: FloatArray) -> 
 
 def assemble_rows(
     records: Telemetry | Sequence[Telemetry], model: FieldModel, calibration: Calibration | None = None
-) -> Rows:
+) -> FilterRows:
     """Measurements and what they are of, from telemetry. The calibration's T, and fields that follow telemetry, are applied.
 
     Raises NoAnswer where no row has a position and a measurement, BadInput where the calibration needs a column that is
@@ -196,7 +196,7 @@ def assemble_rows(
     if calibration is not None:
         whole = calibration.apply(reading, used.dipole_B_Am2, recorded_columns(used))
         coupling = whole - calibration.b_nT - reading @ (np.eye(3) + calibration.S).T
-    return Rows(
+    return FilterRows(
         time=used.time,
         t_s=epoch.seconds_since(used.time, used.time[0]),
         reading_nT=reading,
@@ -222,7 +222,7 @@ def _directions(seen_B: FloatArray | None, count: int) -> FloatArray:
     return np.asarray(seen_B / np.where(length > 0.0, length, np.nan)[:, None])
 
 
-class Start(NamedTuple):
+class FilterStart(NamedTuple):
     """Where a stretch of rows begins to be followed."""
 
     begin: int
@@ -238,7 +238,7 @@ class Start(NamedTuple):
     """(3, 3) (rad/s)^2, likewise."""
 
 
-def starts(rows: Rows, p: FloatArray | None, breaks: np.ndarray | None = None) -> list[Start]:
+def starts(rows: FilterRows, p: FloatArray | None, breaks: np.ndarray | None = None) -> list[FilterStart]:
     """A start for each stretch of rows that has two fixes: by reference attitude, or by directions seen together.
 
     p: (12,) S row by row and b by which the field counts as a direction; None: it does not. breaks: rows at which a new
@@ -269,7 +269,7 @@ def starts(rows: Rows, p: FloatArray | None, breaks: np.ndarray | None = None) -
         h = float(rows.t_s[later[k]] - rows.t_s[begin])
         of_rate = (covariance[begin] + covariance[later[k]]) / h**2
         A = np.ascontiguousarray(R[begin].as_matrix())
-        found.append(Start(begin, int(end), A, -turned[k] / h, covariance[begin], of_rate))
+        found.append(FilterStart(begin, int(end), A, -turned[k] / h, covariance[begin], of_rate))
     if not found:
         raise NoAnswer(
             "nowhere are two directions (nadir, sun, calibrated field), or a reference attitude, known in two rows that "
@@ -291,7 +291,7 @@ def _first_credible(t_s: FloatArray, R: Rotation) -> int:
     return int(np.argmax(off <= np.maximum(_AGREES * best, _AGREES_RAD)))
 
 
-def fixes(rows: Rows, p: FloatArray | None) -> tuple[Rotation, FloatArray]:
+def fixes(rows: FilterRows, p: FloatArray | None) -> tuple[Rotation, FloatArray]:
     """The attitude of each row by itself and its covariance (N, 3, 3), infinite where it cannot be fixed."""
     field = np.full_like(rows.reading_nT, np.nan)
     if p is not None:
@@ -305,7 +305,7 @@ def fixes(rows: Rows, p: FloatArray | None) -> tuple[Rotation, FloatArray]:
     return Rotation.from_matrix(matrices), covariance
 
 
-def run(rows: Rows, begun: Sequence[Start], noises: Noises, p: FloatArray, p_covariance: FloatArray) -> Run:
+def run(rows: FilterRows, begun: Sequence[FilterStart], noises: Noises, p: FloatArray, p_covariance: FloatArray) -> Run:
     """One pass through all stretches. p: (12,) S row by row and b; p_covariance: (12, 12), or (0, 0) where p is exact."""
     from fluxtwin.calib.attitude.filter_kernels import run_filter
 
@@ -344,8 +344,8 @@ def run(rows: Rows, begun: Sequence[Start], noises: Noises, p: FloatArray, p_cov
 
 
 def learned(
-    rows: Rows,
-    begun: Sequence[Start],
+    rows: FilterRows,
+    begun: Sequence[FilterStart],
     declared: Mapping[str, float],
     p: FloatArray,
     p_covariance: FloatArray,
@@ -416,7 +416,9 @@ def learned(
     return Learned(best, names, above, bool(found.success) and found.fun < _NO_COST)
 
 
-def _pieces(rows: Rows, begun: Sequence[Start], seen: Sequence[np.ndarray], p: FloatArray | None) -> list[Start]:
+def _pieces(
+    rows: FilterRows, begun: Sequence[FilterStart], seen: Sequence[np.ndarray], p: FloatArray | None
+) -> list[FilterStart]:
     """Starts of a few pieces of a long record, about a third and two thirds of the rows that each sensor has."""
     used = np.zeros(len(rows.t_s), dtype=bool)
     for have in seen:

@@ -22,11 +22,11 @@ from scipy.spatial.transform import Rotation
 
 from fluxtwin.calib.attitude.filter import (
     SENSORS,
+    FilterRows,
+    FilterStart,
     Learned,
     Noises,
-    Rows,
     Run,
-    Start,
     assemble_rows,
     fixes,
     learned,
@@ -113,8 +113,8 @@ def calibrate_recursive(
 
 
 def _without_outliers(
-    telemetry: Telemetry, rows: Rows, model: FieldModel, parameters: str
-) -> tuple[Rows, FloatArray, BoolArray]:
+    telemetry: Telemetry, rows: FilterRows, model: FieldModel, parameters: str
+) -> tuple[FilterRows, FloatArray, BoolArray]:
     """Rows without the readings that lie far from a robust batch fit to the rows with a fix; its S and b; which they are.
 
     Raises NoAnswer where the fit is not determined.
@@ -134,7 +134,9 @@ def _without_outliers(
     return replace(rows, reading_nT=reading), np.concatenate([known.S.ravel(), known.b_nT]), np.asarray(far)
 
 
-def _settled(rows: Rows, begun: Sequence[Start], noises: Noises, p: FloatArray, first: FloatArray) -> tuple[Run, int]:
+def _settled(
+    rows: FilterRows, begun: Sequence[FilterStart], noises: Noises, p: FloatArray, first: FloatArray
+) -> tuple[Run, int]:
     """The pass that moves the answer by less than a twentieth of a sigma, and how many it took."""
     moved = np.inf
     for count in range(1, _PASSES + 1):
@@ -153,7 +155,12 @@ def _settled(rows: Rows, begun: Sequence[Start], noises: Noises, p: FloatArray, 
 
 
 def _averaged(
-    rows: Rows, begun: Sequence[Start], noises: Noises, done: Run, first: FloatArray, declared: dict[str, float]
+    rows: FilterRows,
+    begun: Sequence[FilterStart],
+    noises: Noises,
+    done: Run,
+    first: FloatArray,
+    declared: dict[str, float],
 ) -> tuple[FloatArray, FloatArray]:
     """p and its covariance, over durations of the slow errors weighted by their likelihood."""
     drift = (0.0,) if "drift_s" in declared else _LONGER
@@ -195,7 +202,7 @@ def _require_known(done: Run, first: FloatArray) -> None:
 
 def _report(
     telemetry: Telemetry,
-    rows: Rows,
+    rows: FilterRows,
     done: Run,
     taken: Learned,
     parameters: str,

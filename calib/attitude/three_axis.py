@@ -15,7 +15,17 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.calib.attitude.filter import SENSORS, Learned, Noises, Rows, Run, assemble_rows, learned, run, starts
+from fluxtwin.calib.attitude.filter import (
+    SENSORS,
+    FilterRows,
+    Learned,
+    Noises,
+    Run,
+    assemble_rows,
+    learned,
+    run,
+    starts,
+)
 from fluxtwin.calib.attitude.yaw import velocity_of
 from fluxtwin.calib.common.design import joined
 from fluxtwin.calib.common.digits import plain
@@ -180,7 +190,7 @@ def declared_noises(
     return found
 
 
-def limits(rows: Rows, calibration: Calibration, taken: Learned) -> tuple[str, ...]:
+def limits(rows: FilterRows, calibration: Calibration, taken: Learned) -> tuple[str, ...]:
     """What speaks against the sizes that were found, in sentences: innovations cannot, for the sizes were fitted to them."""
     n, said = taken.noises, []
     explained_nT = _explained_nT(rows, calibration)
@@ -211,7 +221,7 @@ def limits(rows: Rows, calibration: Calibration, taken: Learned) -> tuple[str, .
     return tuple(said)
 
 
-def _explained_nT(rows: Rows, calibration: Calibration) -> float:
+def _explained_nT(rows: FilterRows, calibration: Calibration) -> float:
     """What a component of the field may be off by: the calibration's residual and sigma, and noise, declared or seen.
 
     The noise is that of the field's length from row to row, which no attitude changes.
@@ -230,7 +240,7 @@ def _explained_nT(rows: Rows, calibration: Calibration) -> float:
 
 
 def _solution(
-    telemetry: Telemetry, rows: Rows, done: Run, noises: Noises, against: tuple[str, ...]
+    telemetry: Telemetry, rows: FilterRows, done: Run, noises: Noises, against: tuple[str, ...]
 ) -> AttitudeSolution:
     known = np.flatnonzero(np.isfinite(done.A[:, 0, 0]))
     left_out = dict(rows.left_out)

@@ -62,7 +62,7 @@ class ErrorModel:
         return plain | {"white_nT": self.white_nT.tolist()}
 
 
-class Evidence(NamedTuple):
+class LikelihoodCells(NamedTuple):
     """What the likelihood is taken of: K cells."""
 
     seconds: FloatArray
@@ -86,7 +86,7 @@ class Posterior(NamedTuple):
     """Samples of the sizes."""
 
     sigma_nT: FloatArray
-    """(n,) factor on the root of `Evidence.white`."""
+    """(n,) factor on the root of `LikelihoodCells.white`."""
     theta_rad: FloatArray
     tau_s: FloatArray
     white_theta_rad: FloatArray
@@ -134,7 +134,7 @@ class _Likelihood:
     """Log posterior of `error_kernels`. What a process does in a short time, sigma^2/tau, is well known where sigma and
     tau are not."""
 
-    def __init__(self, of: Evidence, sigma_deg: float | None, tau_s: float | None) -> None:
+    def __init__(self, of: LikelihoodCells, sigma_deg: float | None, tau_s: float | None) -> None:
         from fluxtwin.calib.common.error_kernels import Cells
 
         self.of = of
@@ -220,7 +220,7 @@ def _sizes(p: FloatArray) -> FloatArray:
     return out
 
 
-def find_errors(of: Evidence, sigma_deg: float | None = None, tau_s: float | None = None) -> Posterior | None:
+def find_errors(of: LikelihoodCells, sigma_deg: float | None = None, tau_s: float | None = None) -> Posterior | None:
     """Sample the sizes; None where there are too few rows, or the residual is zero.
 
     sigma_deg, tau_s: error of the attitude as declared, tau 0 for white; None leaves it to the data.

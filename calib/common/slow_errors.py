@@ -15,7 +15,7 @@ from fluxtwin.sim.base.types import FloatArray, TimeArray
 CELLS = 400
 
 
-class Cells(NamedTuple):
+class PairedCells(NamedTuple):
     """Consecutive rows taken together: K cells."""
 
     seconds: FloatArray
@@ -26,7 +26,9 @@ class Cells(NamedTuple):
     """(K, q) weighted means of the columns."""
 
 
-def cells(time: TimeArray, segment: np.ndarray, parts: Sequence[FloatArray], a: FloatArray, most: int = CELLS) -> Cells:
+def cells(
+    time: TimeArray, segment: np.ndarray, parts: Sequence[FloatArray], a: FloatArray, most: int = CELLS
+) -> PairedCells:
     """Average the columns of `parts` (each (N, k)) with weights a (N,) over about `most` cells, none across a gap."""
     seconds = (time - time[0]).astype("int64") * 1e-9
     first = np.concatenate([[0], np.flatnonzero(np.diff(segment)) + 1])
@@ -45,10 +47,10 @@ def cells(time: TimeArray, segment: np.ndarray, parts: Sequence[FloatArray], a: 
     total = np.stack(columns, axis=1)
     weight = weight[kept]
     when = np.add.reduceat(seconds * a, starts)[kept] / weight
-    return Cells(when, weight, total / weight[:, None])
+    return PairedCells(when, weight, total / weight[:, None])
 
 
-def kernel_moments(seen: Cells, tau_s: FloatArray) -> FloatArray:
+def kernel_moments(seen: PairedCells, tau_s: FloatArray) -> FloatArray:
     """(len(tau), q, q) sum over pairs of cells of w_k w_l z_k z_l' exp(-|t_k - t_l|/tau): one recursion in time."""
     weighted = seen.columns * seen.weight[:, None]
     half = np.einsum("kg,ktf->tgf", weighted, _before(seen.seconds, weighted, tau_s), optimize=True)

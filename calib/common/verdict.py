@@ -191,7 +191,7 @@ def _along(fit: Fit, field_nT: FloatArray, kept: BoolArray) -> Along:
     return Along(float(np.sqrt((r**2).mean())), noise, allowed)
 
 
-class Declared(NamedTuple):
+class DeclaredNoise(NamedTuple):
     """The attitude error that the residual asks for, against the declared one."""
 
     ratio: float
@@ -199,19 +199,19 @@ class Declared(NamedTuple):
     words: str
 
 
-def _against_declared(fit: Fit, declared_deg: float | None) -> Declared:
+def _against_declared(fit: Fit, declared_deg: float | None) -> DeclaredNoise:
     model = fit.error_model
     if not declared_deg or model is None or model.attitude_sigma_deg is None or model.attitude_range_deg is None:
-        return Declared(0.0, "")
+        return DeclaredNoise(0.0, "")
     low, high = model.attitude_range_deg
-    return Declared(
+    return DeclaredNoise(
         low / declared_deg,
         f"The residual asks for an attitude error of {plain(model.attitude_sigma_deg, 2)} deg (90 %: {plain(low, 2)} to "
         f"{plain(high, 2)} deg); {declared_deg:g} deg were declared.",
     )
 
 
-def _impossible(fit: Fit, declared: Declared, along: Along, residual_nT: float, field_rms_nT: float) -> list[str]:
+def _impossible(fit: Fit, declared: DeclaredNoise, along: Along, residual_nT: float, field_rms_nT: float) -> list[str]:
     """Sentences that say why this is no calibration of a magnetometer; none where it may be one."""
     found = []
     known = fit.calibration
@@ -241,7 +241,9 @@ def _impossible(fit: Fit, declared: Declared, along: Along, residual_nT: float, 
     return found
 
 
-def _limits(fit: Fit, declared: Declared, along: Along, direction: DirectionKnowledge, strength_nT: float) -> list[str]:
+def _limits(
+    fit: Fit, declared: DeclaredNoise, along: Along, direction: DirectionKnowledge, strength_nT: float
+) -> list[str]:
     """Sentences that say what a usable calibration lacks."""
     known = fit.calibration
     found = [*fit.warnings, *([declared.words] if declared.ratio > _TRUSTED else [])]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fluxtwin.calib.common.covariance import observed_s, segments
-from fluxtwin.calib.common.error_model import Evidence, Posterior
+from fluxtwin.calib.common.error_model import LikelihoodCells, Posterior
 from fluxtwin.calib.common.slow_errors import CELLS, responses
 from fluxtwin.calib.linear.problem import LinearProblem, Solution
 from fluxtwin.sim.base.types import FloatArray
@@ -24,7 +24,7 @@ _RUNNING = 9
 _APART_S = 1e13
 
 
-class Sums(NamedTuple):
+class RowSums(NamedTuple):
     """K cells, p = 3 (m+1)."""
 
     seconds: FloatArray
@@ -67,7 +67,7 @@ def white_of(problem: LinearProblem, solution: Solution) -> FloatArray:
     )
 
 
-def evidence(problem: LinearProblem, solution: Solution, kept: np.ndarray) -> Evidence:
+def evidence(problem: LinearProblem, solution: Solution, kept: np.ndarray) -> LikelihoodCells:
     """Cells for the likelihood, in which the field hardly turns; of a long record stretches. kept: (N,) rows."""
     rows, length_s = _looked_at(problem, np.flatnonzero(kept))
     time = problem.design.time[rows]
@@ -88,7 +88,7 @@ def evidence(problem: LinearProblem, solution: Solution, kept: np.ndarray) -> Ev
         design = np.hstack([H - H.mean(axis=0), *others, design])
     edges = np.flatnonzero(np.diff(segment)) + 1
     first, last = np.concatenate([[0], edges]), np.concatenate([edges, [len(seconds)]]) - 1
-    return Evidence(
+    return LikelihoodCells(
         mean(seconds),
         mean(solution.own_residual_nT[rows]),
         design,
@@ -143,7 +143,7 @@ def _cell_starts(seconds: FloatArray, label: np.ndarray, length_s: float) -> np.
     return np.flatnonzero(new | np.concatenate([[True], np.diff(within) != 0]))
 
 
-def sums(problem: LinearProblem, solution: Solution, label: np.ndarray) -> Sums:
+def sums(problem: LinearProblem, solution: Solution, label: np.ndarray) -> RowSums:
     """Of all rows; label (N,): cells do not reach across a change of it."""
     time, a = problem.design.time, problem.weights
     seconds = (time - time[0]).astype("int64") * 1e-9
@@ -191,13 +191,13 @@ def sums(problem: LinearProblem, solution: Solution, label: np.ndarray) -> Sums:
     middle = 0.5 * (seconds[starts] + seconds[ends - 1])
     at = np.where(weight > 0, when / np.where(weight > 0, weight, 1.0), middle)
     step_s = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 1.0
-    return Sums(at, length_s, step_s, starts, z, theta, score, slope, white_z, white_theta)
+    return RowSums(at, length_s, step_s, starts, z, theta, score, slope, white_z, white_theta)
 
 
 class Spread(NamedTuple):
     """Covariance of the summed scores under a model of the errors, and what it makes of blocks."""
 
-    sums: Sums
+    sums: RowSums
     total: FloatArray
     """(p, p)."""
     from_all: FloatArray
@@ -212,7 +212,7 @@ class Spread(NamedTuple):
 
 
 def spread_of(
-    added: Sums, posterior: Posterior, white: FloatArray, pull: FloatArray, white_factor: float, sharpness: float
+    added: RowSums, posterior: Posterior, white: FloatArray, pull: FloatArray, white_factor: float, sharpness: float
 ) -> Spread:
     """white: (3, 3) of a row, before the posterior's factor. pull: (3, m+1, 3, m+1) what noise common to residual and
     regressor adds to a row. white_factor: of robust weights, their effect on it."""
@@ -257,7 +257,7 @@ def of_blocks(spread: Spread, block: np.ndarray, count: int) -> tuple[FloatArray
 
 
 def _slow_part(
-    added: Sums, seconds: FloatArray, nodes_s: FloatArray, theta: FloatArray, slow: FloatArray
+    added: RowSums, seconds: FloatArray, nodes_s: FloatArray, theta: FloatArray, slow: FloatArray
 ) -> FloatArray:
     """(K, p, p) covariance of each cell's score with that of all cells, from the correlated errors."""
     K, size = added.score.shape

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fluxtwin.calib.spin.motion import Motion
+from fluxtwin.calib.spin.motion import SpinMotion
 from fluxtwin.calib.spin.rows import SpinRows
 from fluxtwin.sim.base.types import FloatArray
 
@@ -29,7 +29,7 @@ SIZE = 19
 class State(NamedTuple):
     """What is estimated."""
 
-    motion: Motion
+    motion: SpinMotion
     G: FloatArray
     """(3, 3)."""
     o_nT: FloatArray

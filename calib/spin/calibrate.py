@@ -45,11 +45,11 @@ from fluxtwin.calib.spin.batch import (
 )
 from fluxtwin.calib.spin.filter import Filtered, FilterSettings, spin_filter
 from fluxtwin.calib.spin.method import SpinOptions as SpinOptions
-from fluxtwin.calib.spin.motion import Motion, skew
+from fluxtwin.calib.spin.motion import SpinMotion, skew
 from fluxtwin.calib.spin.outliers import beyond, outlier_words, outlying_readings
 from fluxtwin.calib.spin.rows import SpinRows, assemble_spin
 from fluxtwin.calib.spin.sedlak import Iterated, at, free_motion, iterate
-from fluxtwin.calib.spin.start import Start, blind_start
+from fluxtwin.calib.spin.start import SpinStart, blind_start
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
@@ -101,7 +101,7 @@ class _Found(NamedTuple):
 
     calibration: Calibration
     A: FloatArray
-    motion: Motion
+    motion: SpinMotion
     quality: dict[str, float]
     messages: list[str]
     steps_rad: tuple[float, ...]
@@ -191,7 +191,7 @@ def _of_size(data: ScalarData) -> tuple[FloatArray, FloatArray, bool]:
     return (found.D, found.b, True) if sound else (np.zeros((3, 3)), np.zeros(3), False)
 
 
-def _batch(rows: SpinRows, options: SpinOptions, start: Start, sensors: Noise) -> _Found:
+def _batch(rows: SpinRows, options: SpinOptions, start: SpinStart, sensors: Noise) -> _Found:
     solved = solve_batch(start.state, rows, sensors)
     words = []
     ratio = solved.normal.field_chi2
@@ -232,7 +232,7 @@ def _from_forward(solved: Batch, rows: SpinRows, r: FloatArray, options: SpinOpt
 def _iterative(
     rows: SpinRows,
     options: SpinOptions,
-    start: Start,
+    start: SpinStart,
     sensors: Noise,
     scalar: tuple[FloatArray, FloatArray],
     noise: ReadingNoise,
@@ -271,7 +271,7 @@ def _iterative(
 
 
 def _with_motion(
-    known: Calibration, motion: Motion, rows: SpinRows, sensors: Noise, options: SpinOptions
+    known: Calibration, motion: SpinMotion, rows: SpinRows, sensors: Noise, options: SpinOptions
 ) -> Calibration:
     """The same values with the covariance that leaves the motion free too: of the batch's equations there."""
     forward = known.forward

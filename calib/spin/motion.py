@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.sim.base.types import FloatArray
 
 
-class Motion(NamedTuple):
+class SpinMotion(NamedTuple):
     """Seven numbers that hold the attitude at any time."""
 
     A0: FloatArray
@@ -42,7 +42,7 @@ class Motion(NamedTuple):
         along = float(self.A0[2] @ self.Om_N_rad_s) / float(np.linalg.norm(self.Om_N_rad_s))
         return float(np.arccos(min(abs(along), 1.0)))
 
-    def moved(self, step: FloatArray) -> Motion:
+    def moved(self, step: FloatArray) -> SpinMotion:
         """After a step (7,) of [d0, dOm, dlam].
 
         The part of dOm across Om turns it and leaves its size: a step of 2 deg added as a vector would be 6e-4 longer,
@@ -52,9 +52,9 @@ class Motion(NamedTuple):
         n = self.Om_N_rad_s / max(rate, 1e-300)
         longer = 1.0 + float(n @ step[3:6]) / max(rate, 1e-300)
         Om = turn(np.cross(n, step[3:6]) / max(rate, 1e-300)) @ self.Om_N_rad_s * longer
-        return Motion(turn(-step[:3]) @ self.A0, Om, self.lam_rad_s + float(step[6]))
+        return SpinMotion(turn(-step[:3]) @ self.A0, Om, self.lam_rad_s + float(step[6]))
 
-    def shifted(self, seconds: float) -> Motion:
+    def shifted(self, seconds: float) -> SpinMotion:
         """The same motion with its zero of time `seconds` later."""
         return self._replace(A0=self.attitude(np.array([seconds]))[0])
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from fluxtwin.calib.spin.aliquest import align, align_with_prior, relative
 from fluxtwin.calib.spin.filter import Filtered, FilterSettings, spin_filter
-from fluxtwin.calib.spin.motion import Motion, turn_vector
+from fluxtwin.calib.spin.motion import SpinMotion, turn_vector
 from fluxtwin.calib.spin.rows import SpinRows
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray
@@ -36,7 +36,7 @@ class Iterated(NamedTuple):
     first: Filtered
     """The filter before any alignment."""
     last: Filtered
-    motion: Motion
+    motion: SpinMotion
     """Free motion through the filter's end, zero of time at the rows' start."""
     steps_rad: tuple[float, ...]
     """Size of the turn found in each pass."""
@@ -45,7 +45,12 @@ class Iterated(NamedTuple):
 
 
 def iterate(
-    rows: SpinRows, field_B_nT: FloatArray, start: Motion, ratio: float, settings: FilterSettings, sun_prior_rad: float
+    rows: SpinRows,
+    field_B_nT: FloatArray,
+    start: SpinMotion,
+    ratio: float,
+    settings: FilterSettings,
+    sun_prior_rad: float,
 ) -> Iterated:
     """Passes of filter and alignment from the motion `start`.
 
@@ -86,13 +91,13 @@ def iterate(
     )
 
 
-def free_motion(filtered: Filtered, ratio: float) -> Motion:
+def free_motion(filtered: Filtered, ratio: float) -> SpinMotion:
     """The motion that passes through the filter's last state, zero of time at the rows' start."""
     lam = float(filtered.A_last[2] @ filtered.L) * (1.0 / ratio - 1.0)
-    return Motion(filtered.A_last, filtered.L, lam).shifted(-filtered.last_s)
+    return SpinMotion(filtered.A_last, filtered.L, lam).shifted(-filtered.last_s)
 
 
-def at(motion: Motion, seconds: float) -> tuple[FloatArray, FloatArray]:
+def at(motion: SpinMotion, seconds: float) -> tuple[FloatArray, FloatArray]:
     """Attitude (3, 3) and rate in B (3,)."""
     A = motion.attitude(np.array([seconds]))[0]
     return A, A @ motion.Om_N_rad_s + np.array([0.0, 0.0, motion.lam_rad_s])

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fluxtwin.calib.spin.batch import Batch, Noise, Prior, State, solve_batch
-from fluxtwin.calib.spin.motion import Motion
+from fluxtwin.calib.spin.motion import SpinMotion
 from fluxtwin.calib.spin.rows import SpinRows
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray
@@ -40,7 +40,7 @@ _OFF_AXIS = 0.08
 _NUTATION = 0.04
 
 
-class Start(NamedTuple):
+class SpinStart(NamedTuple):
     """Where the final search may begin."""
 
     state: State
@@ -49,7 +49,7 @@ class Start(NamedTuple):
     first_arc_s: float
 
 
-def blind_start(rows: SpinRows, noise: Noise, G: FloatArray, o_nT: FloatArray) -> Start:
+def blind_start(rows: SpinRows, noise: Noise, G: FloatArray, o_nT: FloatArray) -> SpinStart:
     """A state within a few degrees all along the record.
 
     G (3, 3), o_nT (3,): from a calibration without attitude, up to a rotation of the sensor by some degrees. Raises
@@ -66,7 +66,7 @@ def blind_start(rows: SpinRows, noise: Noise, G: FloatArray, o_nT: FloatArray) -
         tried += 1
         grown, said = _grow(candidate, rows, noise, prior, rows.pulse_s[centre], arc_s)
         if grown is not None:
-            return Start(grown, tried, arc_s)
+            return SpinStart(grown, tried, arc_s)
         worst = said
     raise NoAnswer(
         f"no free motion of an axisymmetric body about z fits these readings and sun pulses ({worst}). Torques or "
@@ -118,7 +118,7 @@ def _candidates(
             continue
         for ratio in _RATIOS:
             lam = spin * (1.0 - ratio)
-            motion = Motion(A, (spin - lam) * axis_N, lam).shifted(-at_s)
+            motion = SpinMotion(A, (spin - lam) * axis_N, lam).shifted(-at_s)
             found.append(solve_batch(State(motion, prior.G, prior.o_nT), arc, noise, prior, rounds=6))
     if not found:
         raise NoAnswer(

@@ -14,7 +14,7 @@ from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.pass_study import rows_of
 from fluxtwin.scenarios.hcmm_orbit.geometry import angle_between
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, read_passes
-from fluxtwin.scenarios.hcmm_orbit.windows import Windows
+from fluxtwin.scenarios.hcmm_orbit.windows import PassWindows
 from fluxtwin.scenarios.motion import prescribed
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, sun
@@ -62,7 +62,7 @@ class DawnStudy:
         return float(each.mean()), float(each.std(ddof=1))
 
 
-def run_dawn(config: Scenario, windows: Windows, flights: int = FLIGHTS) -> DawnStudy:
+def run_dawn(config: Scenario, windows: PassWindows, flights: int = FLIGHTS) -> DawnStudy:
     """Fly the windows of the dawn passes again and again, in the prescribed motion; every row sees what it can."""
     passes = read_passes()
     dawn = [k for k, item in enumerate(passes) if item.dawn]
@@ -83,7 +83,7 @@ def run_dawn(config: Scenario, windows: Windows, flights: int = FLIGHTS) -> Dawn
     return DawnStudy(tuple(passes[k].label for k in dawn), tuple(samples), residual)
 
 
-def _segment(item: Pass, windows: Windows, k: int, step_s: float) -> dict[str, object]:
+def _segment(item: Pass, windows: PassWindows, k: int, step_s: float) -> dict[str, object]:
     start = epoch.add_seconds(item.aos, 60.0 * windows.start_min[k])[0]
     return {
         "start_utc": f"{start}Z",

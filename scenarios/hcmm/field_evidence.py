@@ -15,7 +15,7 @@ from fluxtwin.scenarios.hcmm.overflights import orders_of, overflights_of
 from fluxtwin.scenarios.hcmm_orbit.angles import angles_along
 from fluxtwin.scenarios.hcmm_orbit.fit import OrbitFit
 from fluxtwin.scenarios.hcmm_orbit.record import read_passes
-from fluxtwin.scenarios.hcmm_orbit.windows import Windows
+from fluxtwin.scenarios.hcmm_orbit.windows import PassWindows
 from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.base.types import FloatArray
@@ -30,7 +30,7 @@ _SHUFFLES = 20_000
 _TURNS_DEG = np.arange(0.0, 360.0, 15.0)
 
 
-def weigh_field_error(fit: OrbitFit, windows: Windows, seed: int) -> Numbers:
+def weigh_field_error(fit: OrbitFit, windows: PassWindows, seed: int) -> Numbers:
     """Predict, compare, and turn the map."""
     passes = read_passes()
     truth, flown = load_field("igrf14"), load_field("igrf1975")

@@ -22,7 +22,7 @@ from fluxtwin.scenarios.hcmm.mission import Flight
 from fluxtwin.scenarios.hcmm.pass_study import Row, rows_of_passes
 from fluxtwin.scenarios.hcmm.scanner_study import TRUSTED_HEADS, with_new_attitude
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, read_passes
-from fluxtwin.scenarios.hcmm_orbit.windows import Windows
+from fluxtwin.scenarios.hcmm_orbit.windows import PassWindows
 from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.types import FloatArray
@@ -100,7 +100,7 @@ class HorizonStudy:
 
 
 def run_horizon(
-    config: Scenario, flight: Flight, ground: FieldModel, windows: Windows, progress: Progress
+    config: Scenario, flight: Flight, ground: FieldModel, windows: PassWindows, progress: Progress
 ) -> HorizonStudy:
     """Every scanner on the days of Table 3 and on `flight`, the three days of Table 5."""
     days = mission.fly(mission.on_days(config))

@@ -24,7 +24,7 @@ from fluxtwin.scenarios.hcmm.gallery_study import GROUND, diagnosed
 from fluxtwin.scenarios.hcmm.mission import printed_value
 from fluxtwin.scenarios.hcmm.pass_study import LIMIT_MG, QUIET_ROWS, rows_of_passes
 from fluxtwin.scenarios.hcmm_orbit.record import read_passes
-from fluxtwin.scenarios.hcmm_orbit.windows import Windows
+from fluxtwin.scenarios.hcmm_orbit.windows import PassWindows
 from fluxtwin.scenarios.motion import prescribed
 from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.sim.base.progress import Progress
@@ -94,7 +94,7 @@ class Hypothesis:
 def run_missing(
     config: Scenario,
     ground: FieldModel,
-    windows: Windows,
+    windows: PassWindows,
     evidence: Numbers,
     progress: Progress,
     *,
@@ -125,7 +125,7 @@ def run_missing(
     return Numbers(printed=np.array([*_of_residuals(printed, evidence), calibration_mG]), hypotheses=tuple(found))
 
 
-def _numbers(flight: mission.Flight, ground: FieldModel, windows: Windows, evidence: Numbers) -> list[float]:
+def _numbers(flight: mission.Flight, ground: FieldModel, windows: PassWindows, evidence: Numbers) -> list[float]:
     fit = fit_rows(flight, choose_rows(flight, SETS[-1]), ground, "white")
     rows = rows_of_passes(flight.telemetry, fit.calibration, ground, windows)
     return [*_of_residuals(np.array([row.eps_M_mG for row in rows]), evidence), rms_mG(fit)]

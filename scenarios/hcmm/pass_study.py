@@ -14,7 +14,7 @@ from fluxtwin.calib.common.records import Calibration
 from fluxtwin.scenarios.hcmm.mission import Flight, quantity
 from fluxtwin.scenarios.hcmm_orbit.geometry import angle_between
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, read_passes
-from fluxtwin.scenarios.hcmm_orbit.windows import Windows
+from fluxtwin.scenarios.hcmm_orbit.windows import PassWindows
 from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import epoch, sun
@@ -96,7 +96,7 @@ class PassStudy:
 
 
 def run_passes(
-    flight: Flight, calibration: Calibration, ground: FieldModel, windows: Windows, others: FloatArray
+    flight: Flight, calibration: Calibration, ground: FieldModel, windows: PassWindows, others: FloatArray
 ) -> PassStudy:
     """Ours of all 43 passes. others: (R, 12) S row by row and b [mG] of other calibrations."""
     passes = read_passes()
@@ -110,7 +110,7 @@ def run_passes(
 
 
 def rows_of_passes(
-    telemetry: Telemetry, calibration: Calibration, ground: FieldModel, windows: Windows
+    telemetry: Telemetry, calibration: Calibration, ground: FieldModel, windows: PassWindows
 ) -> tuple[Row, ...]:
     """Ours of all 43 passes, from the telemetry alone."""
     compared = compare(telemetry, calibration, ground)
@@ -149,7 +149,7 @@ def compare(telemetry: Telemetry, calibration: Calibration, ground: FieldModel) 
     )
 
 
-def rows_of(telemetry: Telemetry, item: Pass, windows: Windows, k: int) -> np.ndarray:
+def rows_of(telemetry: Telemetry, item: Pass, windows: PassWindows, k: int) -> np.ndarray:
     """Rows of the telemetry in the window of pass number k of the table (from 0)."""
     minutes = epoch.seconds_since(telemetry.time, item.aos) / 60.0
     return np.flatnonzero((minutes >= windows.start_min[k]) & (minutes <= windows.end_min[k]))

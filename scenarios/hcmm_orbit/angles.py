@@ -9,7 +9,7 @@ import numpy as np
 
 from fluxtwin.scenarios.hcmm_orbit.geometry import angle_between
 from fluxtwin.scenarios.hcmm_orbit.record import Pass
-from fluxtwin.scenarios.hcmm_orbit.windows import Windows
+from fluxtwin.scenarios.hcmm_orbit.windows import PassWindows
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames, sun
 from fluxtwin.sim.earth.field import FieldModel, field_E_nT
@@ -20,7 +20,7 @@ _SAMPLES = 61
 
 
 @dataclass(frozen=True)
-class Angles:
+class PassAngles:
     """Along each pass's window; P passes, M times."""
 
     minutes: FloatArray
@@ -39,8 +39,8 @@ class Angles:
 
 
 def angles_along(
-    passes: Sequence[Pass], windows: Windows, orbit: Orbit, model: FieldModel, *, turned_east_deg: float = 0.0
-) -> Angles:
+    passes: Sequence[Pass], windows: PassWindows, orbit: Orbit, model: FieldModel, *, turned_east_deg: float = 0.0
+) -> PassAngles:
     """Evaluate the model along the orbit. turned_east_deg: the whole field is turned about the Earth's axis by this."""
     share = np.linspace(0.0, 1.0, _SAMPLES)
     minutes = windows.start_min[:, None] + (windows.end_min - windows.start_min)[:, None] * share[None, :]
@@ -54,7 +54,7 @@ def angles_along(
     towards_sun = sun.sun_direction_N(time, r_N_km)
     latitude, longitude, _ = frames.geocentric(r_E_km)
     shape = minutes.shape
-    return Angles(
+    return PassAngles(
         minutes=minutes,
         sun_field_deg=np.degrees(angle_between(towards_sun, field_N)).reshape(shape),
         nadir_field_deg=np.degrees(angle_between(-r_N_km, field_N)).reshape(shape),

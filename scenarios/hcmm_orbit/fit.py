@@ -31,7 +31,7 @@ from fluxtwin.scenarios.hcmm_orbit.geometry import (
     rise_and_set_min,
 )
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, Range, read_passes
-from fluxtwin.scenarios.hcmm_orbit.windows import Windows, fix_windows, ranges_of_windows, turning_ends
+from fluxtwin.scenarios.hcmm_orbit.windows import PassWindows, fix_windows, ranges_of_windows, turning_ends
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames, sun
 from fluxtwin.sim.earth.orbit import Orbit
@@ -60,7 +60,7 @@ class OrbitFit:
     """(K,) km and deg, at the epoch, true equator and equinox of date."""
     covariance: FloatArray
     """(K, K), from the scatter of the passes."""
-    windows: Windows
+    windows: PassWindows
     """Fixed from the sun-nadir ranges alone, along the fitted orbit."""
     rise_min: FloatArray
     """(P,) predicted rise less printed acquisition."""

@@ -18,7 +18,7 @@ from fluxtwin.scenarios.hcmm_orbit.angles import angles_along
 from fluxtwin.scenarios.hcmm_orbit.fit import OrbitFit
 from fluxtwin.scenarios.hcmm_orbit.geometry import look, make_grid
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, read_passes
-from fluxtwin.scenarios.hcmm_orbit.windows import Windows, fix_windows
+from fluxtwin.scenarios.hcmm_orbit.windows import PassWindows, fix_windows
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth.field import FieldModel, load_field
 from fluxtwin.sim.earth.orbit import Orbit
@@ -93,7 +93,7 @@ def run_flight_test(fit: OrbitFit, model: FieldModel | None = None) -> FlightTes
     return FlightTest(tuple(p.label for p in passes), predicted, predicted - scanned, predicted - used, nulls)
 
 
-def windows_of(passes: tuple[Pass, ...], orbit: Orbit, *, as_scanned: bool = True) -> Windows:
+def windows_of(passes: tuple[Pass, ...], orbit: Orbit, *, as_scanned: bool = True) -> PassWindows:
     """Windows along an orbit, from the printed sun-nadir ranges."""
     grid = make_grid(passes)
     return fix_windows(grid, look(grid, orbit), [p.sun_nadir_read if as_scanned else p.sun_nadir for p in passes])

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.scenarios.hcmm_orbit.angles import Angles, angles_along
+from fluxtwin.scenarios.hcmm_orbit.angles import PassAngles, angles_along
 from fluxtwin.scenarios.hcmm_orbit.fit import OrbitFit
 from fluxtwin.scenarios.hcmm_orbit.geometry import angle_between
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, read_passes
-from fluxtwin.scenarios.hcmm_orbit.windows import Windows
+from fluxtwin.scenarios.hcmm_orbit.windows import PassWindows
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import FieldModel, field_E_nT, load_field
@@ -80,16 +80,16 @@ class NadirField:
         return np.asarray(ends & (self.sunlit if sunlit else ~self.sunlit)[:, None])
 
 
-def weigh_ideas(fit: OrbitFit, windows: Windows) -> NadirField:
+def weigh_ideas(fit: OrbitFit, windows: PassWindows) -> NadirField:
     """Predict the column by every idea, along the fitted orbit and in the windows of all 43 passes."""
     passes = read_passes()
     model, flown = load_field("igrf14"), load_field("igrf1975")
     printed = np.array([p.nadir_field_read for p in passes])
 
-    def along(which: FieldModel, where: Windows = windows) -> FloatArray:
+    def along(which: FieldModel, where: PassWindows = windows) -> FloatArray:
         return angles_along(passes, where, fit.orbit, which).range_of("nadir_field_deg")
 
-    def moved(start_min: float, end_min: float) -> Windows:
+    def moved(start_min: float, end_min: float) -> PassWindows:
         return dataclasses.replace(windows, start_min=windows.start_min + start_min, end_min=windows.end_min + end_min)
 
     shown = {
@@ -158,7 +158,7 @@ def _readings(value: float) -> list[float]:
     return [float(item) for item in shown if float(item) <= 180.0]
 
 
-def _geodetic(passes: Sequence[Pass], windows: Windows, fit: OrbitFit, model: FieldModel) -> FloatArray:
+def _geodetic(passes: Sequence[Pass], windows: PassWindows, fit: OrbitFit, model: FieldModel) -> FloatArray:
     """Ranges of the angle between the field and the inward normal of the ellipsoid."""
 
     def down(r_E_km: FloatArray) -> FloatArray:
@@ -168,7 +168,7 @@ def _geodetic(passes: Sequence[Pass], windows: Windows, fit: OrbitFit, model: Fi
     return _ranges(passes, windows, fit, lambda time, r: angle_between(down(r), field_E_nT(model, time, r)))
 
 
-def _axial(passes: Sequence[Pass], windows: Windows, fit: OrbitFit) -> FloatArray:
+def _axial(passes: Sequence[Pass], windows: PassWindows, fit: OrbitFit) -> FloatArray:
     """Ranges for the dipole of the papers' equation 20, along the Earth's axis."""
 
     def angle(time: np.ndarray, r_E_km: FloatArray) -> FloatArray:
@@ -179,7 +179,7 @@ def _axial(passes: Sequence[Pass], windows: Windows, fit: OrbitFit) -> FloatArra
 
 
 def _ranges(
-    passes: Sequence[Pass], windows: Windows, fit: OrbitFit, angle: Callable[[np.ndarray, FloatArray], FloatArray]
+    passes: Sequence[Pass], windows: PassWindows, fit: OrbitFit, angle: Callable[[np.ndarray, FloatArray], FloatArray]
 ) -> FloatArray:
     out = np.empty((len(passes), 2))
     for row in range(len(passes)):
@@ -189,7 +189,7 @@ def _ranges(
 
 
 def _track(
-    passes: Sequence[Pass], windows: Windows, fit: OrbitFit, row: int, count: int
+    passes: Sequence[Pass], windows: PassWindows, fit: OrbitFit, row: int, count: int
 ) -> tuple[np.ndarray, FloatArray]:
     """(count,) times in the window of a pass, and positions r_E_km (count, 3)."""
     minutes = np.linspace(windows.start_min[row], windows.end_min[row], count)
@@ -197,7 +197,7 @@ def _track(
     return time, frames.rotation_EN(time).apply(fit.orbit.propagate(time)[0])
 
 
-def _best_part(passes: Sequence[Pass], windows: Windows, fit: OrbitFit, model: FieldModel) -> Predict:
+def _best_part(passes: Sequence[Pass], windows: PassWindows, fit: OrbitFit, model: FieldModel) -> Predict:
     """The ranges nearest to print that any part of at least 1.5 min of each window can give: two free numbers a pass."""
     found = angles_along(passes, windows, fit.orbit, model)
     tables = []
@@ -219,7 +219,7 @@ def _best_part(passes: Sequence[Pass], windows: Windows, fit: OrbitFit, model: F
 
 
 def _fit_pole(
-    passes: Sequence[Pass], windows: Windows, fit: OrbitFit, printed: FloatArray, sunlit: BoolArray
+    passes: Sequence[Pass], windows: PassWindows, fit: OrbitFit, printed: FloatArray, sunlit: BoolArray
 ) -> tuple[float, float]:
     """The centred dipole whose nadir-field angles fit the sunlit passes best (median of 48 ends)."""
     unit = np.array([_track(passes, windows, fit, row, 25)[1] for row in np.flatnonzero(sunlit).tolist()])
@@ -235,7 +235,7 @@ def _fit_pole(
     return best[1]
 
 
-def _apart(a: Angles, b: Angles) -> float:
+def _apart(a: PassAngles, b: PassAngles) -> float:
     return float(np.sqrt(np.mean((a.nadir_field_deg - b.nadir_field_deg) ** 2)))
 
 

@@ -20,7 +20,7 @@ _EQUAL_DEG = 0.05
 
 
 @dataclass(frozen=True)
-class Windows:
+class PassWindows:
     """Minutes after the printed acquisition, (P,) each."""
 
     start_min: FloatArray
@@ -31,7 +31,7 @@ class Windows:
     """1 where the angle passes through an extremum inside the visible arc, so that its range may not fix both ends."""
 
 
-def fix_windows(grid: Grid, sky: Sky, ranges: list[Range]) -> Windows:
+def fix_windows(grid: Grid, sky: Sky, ranges: list[Range]) -> PassWindows:
     """The window of every pass, from its printed sun-nadir range alone; of equal ones the longest.
 
     Only times with the spacecraft above the station's horizon count, half a minute of grace at either end. Where the
@@ -45,7 +45,7 @@ def fix_windows(grid: Grid, sky: Sky, ranges: list[Range]) -> Windows:
             for k in range(len(ranges))
         ]
     )
-    return Windows(*found.T)
+    return PassWindows(*found.T)
 
 
 def turning_ends(grid: Grid, sky: Sky, ranges: list[Range]) -> BoolArray:

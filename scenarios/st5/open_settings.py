@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 
 from fluxtwin.calib.spin.batch import Noise
 from fluxtwin.calib.spin.filter import Filtered, FilterSettings, spin_filter
-from fluxtwin.calib.spin.motion import Motion
+from fluxtwin.calib.spin.motion import SpinMotion
 from fluxtwin.calib.spin.rows import SpinRows
 from fluxtwin.scenarios.st5 import mission
 from fluxtwin.sim.base.progress import Progress, silent
@@ -78,7 +78,7 @@ def settings(walk_rad_s: float = 0.0, sun_factor: float = 1.0) -> FilterSettings
     return FilterSettings(known.field_nT, known.sun_rad * sun_factor, walk_rad_s)
 
 
-def filtered(rows: SpinRows, field_B_nT: FloatArray, motion: Motion, chosen: FilterSettings) -> Filtered:
+def filtered(rows: SpinRows, field_B_nT: FloatArray, motion: SpinMotion, chosen: FilterSettings) -> Filtered:
     """One pass over readings (N, 3) from the motion at the first event, with the abstract's inertia."""
     begin = np.array([min(rows.t_s[0], rows.pulse_s[0])])
     A0 = motion.attitude(begin)[0]

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import fluxtwin
-from fluxtwin.calib.attitude.filter import Noises, Rows, assemble_rows, learned, q_method, run, starts
+from fluxtwin.calib.attitude.filter import FilterRows, Noises, assemble_rows, learned, q_method, run, starts
 from fluxtwin.calib.attitude.three_axis import consistency
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.sim.attitude.gauss_markov import gauss_markov
@@ -90,7 +90,7 @@ def orbit() -> dict[str, np.ndarray]:
     }
 
 
-def world(orbit: dict[str, np.ndarray], seed: int) -> tuple[Rows, np.ndarray]:
+def world(orbit: dict[str, np.ndarray], seed: int) -> tuple[FilterRows, np.ndarray]:
     """Rows whose errors are those of NOISES, and the true attitude (N, 3, 3)."""
     rng, n, time = np.random.default_rng(seed), NOISES, orbit["time"]
     h = STEP_S / SUBSTEPS
@@ -113,7 +113,7 @@ def world(orbit: dict[str, np.ndarray], seed: int) -> tuple[Rows, np.ndarray]:
     sun_B = seen(orbit["sun_N"], n.sun_rad * rng.normal(size=(COUNT, 3)))
     sun_B[orbit["lit"] < 0.5] = np.nan
     reading = (field_B - B_NT) @ np.linalg.inv(np.eye(3) + S).T + n.field_nT * rng.normal(size=(COUNT, 3))
-    rows = Rows(
+    rows = FilterRows(
         time=time,
         t_s=STEP_S * np.arange(COUNT),
         reading_nT=reading,

@@ -15,7 +15,7 @@ import pytest
 from scipy.signal import lfilter
 
 from fluxtwin.calib.common.design import Design
-from fluxtwin.calib.common.slow_errors import Cells, kernel_moments
+from fluxtwin.calib.common.slow_errors import PairedCells, kernel_moments
 from fluxtwin.calib.linear.calibrate import calibrate_linear, fit_design
 from fluxtwin.calib.linear.method import LinearOptions
 from fluxtwin.sim.base.errors import NoAnswer
@@ -133,7 +133,7 @@ def test_the_kernel_sum_is_the_double_sum() -> None:
     seconds = np.cumsum(rng.uniform(1.0, 50.0, size=60))
     weights = rng.uniform(0.1, 1.0, size=60)
     z = rng.normal(size=(60, 3))
-    found = kernel_moments(Cells(seconds, weights, z), np.array([5.0, 300.0]))
+    found = kernel_moments(PairedCells(seconds, weights, z), np.array([5.0, 300.0]))
     for K, tau in zip(found, (5.0, 300.0), strict=True):
         decay = np.exp(-np.abs(seconds[:, None] - seconds) / tau)
         assert np.allclose(K, (z * weights[:, None]).T @ decay @ (z * weights[:, None]), rtol=1e-12)

@@ -18,7 +18,7 @@ from fluxtwin.calib.spin.aliquest import align, align_with_prior, relative
 from fluxtwin.calib.spin.batch import Noise, State, normal_equations
 from fluxtwin.calib.spin.filter import FilterSettings, spin_filter
 from fluxtwin.calib.spin.filter_kernels import step_symmetric, step_triaxial
-from fluxtwin.calib.spin.motion import Motion, about_z, skew, turn, turn_vector
+from fluxtwin.calib.spin.motion import SpinMotion, about_z, skew, turn, turn_vector
 from fluxtwin.calib.spin.rows import SpinRows
 from fluxtwin.sim.attitude.rigid_body import torque_free
 from fluxtwin.sim.spacecraft.sensors.slit_sun_sensor import SlitSunSensor
@@ -34,15 +34,17 @@ def free(inertia: np.ndarray, rate0: np.ndarray, t: np.ndarray, R0: Rotation) ->
     return np.asarray(torque_free(t, inertia, R0, rate0)[0].as_matrix())
 
 
-def st5_motion(R0: Rotation, nutation_deg: float = 2.0) -> tuple[Motion, np.ndarray]:
+def st5_motion(R0: Rotation, nutation_deg: float = 2.0) -> tuple[SpinMotion, np.ndarray]:
     """The motion in the estimator's terms, and the initial rate in the body."""
     tilt = np.tan(np.radians(nutation_deg)) * ST5[2] / ST5[0] * SPIN
     rate = np.array([0.6 * tilt, 0.8 * tilt, SPIN])
     A0 = R0.as_matrix()
-    return Motion(A0, A0.T @ (ST5 * rate) / ST5[0], SPIN * (1.0 - ST5[2] / ST5[0])), rate
+    return SpinMotion(A0, A0.T @ (ST5 * rate) / ST5[0], SPIN * (1.0 - ST5[2] / ST5[0])), rate
 
 
-def some_rows(motion: Motion, seconds: float, noise_nT: float = 0.0, sun_rad: float = 0.0, seed: int = 0) -> SpinRows:
+def some_rows(
+    motion: SpinMotion, seconds: float, noise_nT: float = 0.0, sun_rad: float = 0.0, seed: int = 0
+) -> SpinRows:
     """Field that turns once in the time, sun fixed, pulses once a turn where the slit sees the sun."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, 0.125)
@@ -58,7 +60,7 @@ def some_rows(motion: Motion, seconds: float, noise_nT: float = 0.0, sun_rad: fl
     return SpinRows(start, time, t, B, H, pulse_s, seen, np.tile(s, (len(pulse_s), 1)), np.arange(len(t)), {})
 
 
-def slopes_of(motion: Motion, t_s: np.ndarray, v_N: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def slopes_of(motion: SpinMotion, t_s: np.ndarray, v_N: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(N, 3) y = A v, and (N, 3, 7) dy/d[d0, dOm, dlam] = [y x] d(t)."""
     rate = float(np.linalg.norm(motion.Om_N_rad_s))
     n = motion.Om_N_rad_s / max(rate, 1e-300)

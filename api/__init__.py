@@ -37,14 +37,14 @@ if TYPE_CHECKING:
     from fluxtwin.calib.common.records import Calibration as Calibration
     from fluxtwin.diagnosing import close as close
     from fluxtwin.diagnosing import diagnose as diagnose
+    from fluxtwin.flying import ensemble as ensemble
+    from fluxtwin.flying import simulate as simulate
     from fluxtwin.scenarios.packaged import load_scenario as load_scenario
     from fluxtwin.sim.base.errors import BadInput as BadInput
     from fluxtwin.sim.base.errors import FluxtwinError as FluxtwinError
     from fluxtwin.sim.base.errors import NoAnswer as NoAnswer
     from fluxtwin.sim.base.errors import OutOfRange as OutOfRange
     from fluxtwin.sim.earth.field_models import load_field as load_field
-    from fluxtwin.sim.run.ensemble.run import fly_ensemble
-    from fluxtwin.sim.run.simulate import simulate as simulate
     from fluxtwin.sim.telemetry.record import Telemetry as Telemetry
     from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
     from fluxtwin.studies import run_study as run_study
@@ -60,7 +60,6 @@ if TYPE_CHECKING:
 
     read = read_telemetry
     write = write_telemetry
-    ensemble = fly_ensemble
 
 __version__ = "0.1.0"
 
@@ -81,8 +80,8 @@ _HOMES = {
     "field": "fluxtwin.verbs:field",
     "load_field": "fluxtwin.sim.earth.field_models:load_field",
     "load_scenario": "fluxtwin.scenarios.packaged:load_scenario",
-    "simulate": "fluxtwin.sim.run.simulate:simulate",
-    "ensemble": "fluxtwin.sim.run.ensemble.run:fly_ensemble",
+    "simulate": "fluxtwin.flying:simulate",
+    "ensemble": "fluxtwin.flying:ensemble",
     "run_study": "fluxtwin.studies:run_study",
     "Telemetry": "fluxtwin.sim.telemetry.record:Telemetry",
     "Calibration": "fluxtwin.calib.common.records:Calibration",

@@ -24,7 +24,7 @@ from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.saturation import Saturation
-from fluxtwin.sim.run import spacecraft as spacecraft
+from fluxtwin.sim.run import spacecraft
 from fluxtwin.sim.run.flights import vehicle_of
 from fluxtwin.sim.run.world import ephemeris, schedule_times
 from fluxtwin.sim.scenario.effect_sections import active_effects
@@ -101,8 +101,8 @@ def close(
     diagnosis: Diagnosis,
     *,
     scenario: Path | str | None,
-    telemetry: Path,
-    column_map: Path | None = None,
+    telemetry: Path | str,
+    column_map: Path | str | None = None,
     declared: Declared | None = None,
 ) -> tuple[Diagnosis, Scenario | None]:
     """The diagnosis with its transfers, and the scenario with the named effects in it; None when nothing was named.
@@ -116,7 +116,15 @@ def close(
     closure = closing.refined(closure)
     found = closing.settle(closure)
     transfers = transfer.transfers(closure, found.named)
-    made = closing.closed_scenario(closure, found, transfers, base, telemetry, column_map, declared or Declared())
+    made = closing.closed_scenario(
+        closure,
+        found,
+        transfers,
+        base,
+        Path(telemetry),
+        None if column_map is None else Path(column_map),
+        declared or Declared(),
+    )
     return replace(diagnosis, transfers=transfers), made
 
 

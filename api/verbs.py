@@ -213,9 +213,10 @@ def effects(name: str | None = None) -> tuple[Effect, ...]:
 
 def passes(scenario: Scenario | Path | str, stations: Path | str | None = None) -> list[dict[str, Any]]:
     """Every pass over the scenario's [station.NAME], or those of the file `stations`: rise, set, highest elevation."""
+    from fluxtwin.scenarios.packaged import load_scenario
     from fluxtwin.sim.run.scenario_passes import list_passes
     from fluxtwin.sim.run.scenario_stations import read_stations
-    from fluxtwin.sim.scenario.scenario import Scenario, load_scenario
+    from fluxtwin.sim.scenario.scenario import Scenario
 
     plan = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     if stations is not None:
@@ -231,5 +232,7 @@ def draft_map(files: Path | str | Sequence[Path | str]) -> str:
     """A first column map, as TOML, from the headers of foreign files; what was guessed is marked "to be confirmed"."""
     from fluxtwin.sim.telemetry import column_map_draft
 
-    given = [files] if isinstance(files, Path | str) else files
+    given = list(files) if isinstance(files, Sequence) and not isinstance(files, str) else [files]
+    if not given:
+        raise BadInput("no file was named", where="draft_map", wanted="one foreign file or several")
     return column_map_draft.draft([as_path(one) for one in given])

@@ -60,7 +60,6 @@ def work_for_another() -> None:
     import multiprocessing
     import threading
 
-    os.environ["OPENBLAS_NUM_THREADS"] = os.environ["MKL_NUM_THREADS"] = "1"  # the processes share the cores
     start_and_end_quickly()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda number, frame: _end(number))
@@ -72,6 +71,35 @@ def work_for_another() -> None:
             _end(signal.SIGTERM)
 
     threading.Thread(target=end_with_parent, daemon=True).start()
+
+
+@contextlib.contextmanager
+def starting_others() -> Iterator[None]:
+    """While inside, processes that `multiprocessing` starts hear no Ctrl-C, have a thread each, and do not run the caller's
+    script again: what they are sent can be imported without it, so scripts, notebooks and standard input may call alike."""
+    import sys
+
+    main = sys.modules["__main__"]
+    hidden = {name: value for name, value in vars(main).items() if name in ("__file__", "__spec__")}
+    single = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in single}
+    block = getattr(signal, "pthread_sigmask", None)  # where there is none, Ctrl-C is not inherited in this way
+    masked = block(signal.SIG_BLOCK, {signal.SIGINT}) if block is not None else None
+    try:
+        vars(main).pop("__file__", None)
+        vars(main)["__spec__"] = None
+        os.environ.update(dict.fromkeys(single, "1"))
+        yield
+    finally:
+        vars(main).pop("__spec__", None)
+        vars(main).update(hidden)
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+        if block is not None:
+            block(signal.SIG_SETMASK, masked)
 
 
 def stop_if_asked() -> None:

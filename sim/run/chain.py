@@ -21,7 +21,7 @@ from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.effects.base import DynamicsEffect
 from fluxtwin.sim.effects.chain import Active, Chain
 from fluxtwin.sim.effects.signal import Direction, Motion, Setting, Signal
-from fluxtwin.sim.run import spacecraft as spacecraft
+from fluxtwin.sim.run import spacecraft
 from fluxtwin.sim.run.flights import flights, vehicle_of
 from fluxtwin.sim.run.truth import Truth
 from fluxtwin.sim.run.world import World
@@ -31,7 +31,6 @@ from fluxtwin.sim.spacecraft.sensors.base import Surroundings
 from fluxtwin.sim.spacecraft.sensors.reference_attitude import (
     attitude_from_sun_and_nadir,
     attitude_with_error,
-    q_where,
 )
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -109,8 +108,9 @@ def fly_sensors(scenario: Scenario, world: World, motion: Attitude) -> dict[str,
             reference.tau_s,
             stream(scenario.seed, "attitude.reference"),
         )
-        known = columns["sun_sensor_head"] > 0 if reference.needs_sun else np.ones(world.time.size, dtype=bool)
-        columns["q_NB"] = q_where(reported, known)
+        columns["q_NB"] = frames.q_from_rotation(reported)
+    if reference.needs_sun:
+        columns["q_NB"][columns["sun_sensor_head"] == 0] = np.nan
     return columns
 
 

@@ -65,8 +65,13 @@ class Scenario(SensorSections):
             raise ValueError("the reference attitude wants sun sensors: add [sun_sensor.1], ...")
         if reference.source != "error_model" and (reference.sigma_deg or reference.tau_s):
             raise ValueError(
-                "a reference attitude from sensors has the sensors' errors: leave sigma_deg and tau_s out, or use "
-                'source = "error_model"'
+                f'a reference attitude with source = "{reference.source}" has the errors of what measures it: leave '
+                'sigma_deg and tau_s out, or use source = "error_model"'
+            )
+        if reference.source != "error_model" and self.replay is not None:
+            raise ValueError(
+                "[replay] takes the attitude from the recorded file, less an error that [attitude.reference] draws: "
+                'leave source = "error_model"'
             )
         if (reference.source == "star_tracker") != (self.star_tracker is not None):
             raise ValueError(

@@ -212,7 +212,7 @@ def read_mapped(
     tle: Path | str | None = None,
     max_samples: int = MAX_SAMPLES,
 ) -> Telemetry:
-    """The record of the foreign file or folder `path` under `column_map`. See `telemetry_io.read_telemetry`."""
+    """The record of the foreign file or folder `path` under `column_map`. See `telemetry_files.read_telemetry`."""
     from fluxtwin.sim.telemetry.build import record
 
     return record(mapped_table(path, column_map, tle=tle, max_samples=max_samples))

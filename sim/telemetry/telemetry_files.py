@@ -58,23 +58,23 @@ def as_path(given: Any) -> Path:
 def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> FileTable:
     """The columns of a contract file before they are a record; rows may still be in any order."""
     if _kind(path) == "nc":
-        from fluxtwin.sim.telemetry import netcdf_files as telemetry_netcdf
+        from fluxtwin.sim.telemetry import netcdf_files
 
-        return telemetry_netcdf.read_table(path, max_samples=max_samples)
-    from fluxtwin.sim.telemetry import csv_files as telemetry_csv
+        return netcdf_files.read_table(path, max_samples=max_samples)
+    from fluxtwin.sim.telemetry import csv_files
 
-    return telemetry_csv.read_table(path, max_samples=max_samples)
+    return csv_files.read_table(path, max_samples=max_samples)
 
 
 def write_telemetry(telemetry: Telemetry, path: Path | str) -> Path:
     """Write the record to `path` (.nc, .csv or .csv.gz), atomically; CSV to a device or pipe. Returns the path."""
     if not is_stream(path) and _kind(path) == "nc":
-        from fluxtwin.sim.telemetry import netcdf_files as telemetry_netcdf
+        from fluxtwin.sim.telemetry import netcdf_files
 
-        return telemetry_netcdf.write(telemetry, path)
-    from fluxtwin.sim.telemetry import csv_files as telemetry_csv
+        return netcdf_files.write(telemetry, path)
+    from fluxtwin.sim.telemetry import csv_files
 
-    return telemetry_csv.write(telemetry, path)
+    return csv_files.write(telemetry, path)
 
 
 def _kind(path: Path | str) -> str:

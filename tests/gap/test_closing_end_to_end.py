@@ -59,7 +59,7 @@ def closed(effects: str) -> tuple[Diagnosis, Scenario]:
     with TemporaryDirectory() as name:
         folder = Path(name)
         found, scene = diagnosing.close(
-            found, scenario=None, telemetry=folder / "flight.csv", declared=diagnosing.Declared(100.0, 100.0, 0.1)
+            found, scenario=None, telemetry=str(folder / "flight.csv"), declared=diagnosing.Declared(100.0, 100.0, 0.1)
         )
         assert scene is not None
         return found, load_scenario(save_scenario(scene, folder / "closed.toml"))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import re
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -63,8 +63,8 @@ class Flyer:
         self.plan = plan
         self._around: tuple[str, Around] | None = None
 
-    def chunk(self, number: int, flown: Callable[[], None] = lambda: None) -> Chunk:
-        """Fly a chunk; `flown` is called after each vehicle. Raises BadInput where the surroundings cannot be made."""
+    def chunk(self, number: int) -> Chunk:
+        """Fly a chunk. Raises BadInput where the surroundings cannot be made."""
         members = self.plan.members(number)
         made = Chunk(members, self.surroundings(self.plan.vehicle(members[0])).world.time)
         with warnings.catch_warnings(record=True) as caught:
@@ -78,7 +78,6 @@ class Flyer:
                     made.put(row, kept, figures(scenario, kept, truth))
                 except BadInput as error:
                     made.lost[vehicle] = str(error)
-                flown()
         made.notices = list(dict.fromkeys(str(one.message) for one in caught))
         return made
 
@@ -110,8 +109,8 @@ def _flyer(record: str) -> Flyer:
 
 
 def told(made: Chunk, number: int) -> dict[str, Any]:
-    """What is told of a chunk that is written: its number, notices, and why vehicles were lost."""
-    return {"done": number, "notices": made.notices, "lost": list(made.lost.values())}
+    """What is told of a chunk that is written: its number, vehicles, notices, and why some were lost."""
+    return {"done": number, "flown": len(made.members), "notices": made.notices, "lost": list(made.lost.values())}
 
 
 def write_chunk(plan: Plan, chunk: Chunk, folder: Path, number: int) -> Path:

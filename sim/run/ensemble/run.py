@@ -20,7 +20,7 @@ from typing import Any
 
 from fluxtwin.sim.base import files
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
-from fluxtwin.sim.base.processes import stop_if_asked, work_for_another
+from fluxtwin.sim.base.processes import starting_others, stop_if_asked, work_for_another
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.run.ensemble import chunk, summary
 from fluxtwin.sim.run.ensemble.plan import (
@@ -37,7 +37,7 @@ from fluxtwin.sim.scenario.scenario import Scenario, load_scenario
 _LOOK_S = 0.2
 """Between two looks whether the user asked for an end."""
 Event = dict[str, Any]
-"""{"flown": n} after vehicles; after each chunk what `chunk.told` says of it."""
+"""What `chunk.told` says of a chunk that is written."""
 
 
 @dataclass(frozen=True)
@@ -65,10 +65,9 @@ def fly_ensemble(
     """Fly so many vehicles of a scenario with [draws] and leave the results in the folder `out`.
 
     seed: of the draws and of all that is random; the scenario's own where not given. jobs: processes, all cores where not
-    given; a script that asks for more than one needs the usual `if __name__ == "__main__":`. in_chunk: vehicles that are
-    held in memory and written at a time. resume: go on with what is in the folder, if it is the same ensemble. executor:
-    flies the chunks instead of processes here, any of `concurrent.futures`' kind (as dask's `client.get_executor()`), whose
-    workers see the folder.
+    given. in_chunk: vehicles that are held in memory and written at a time, and the step of the progress. resume: go on
+    with what is in the folder, if it is the same ensemble. executor: flies the chunks instead of processes here, any of
+    `concurrent.futures`' kind (as dask's `client.get_executor()`), whose workers see the folder.
     Raises BadInput for a scenario or a vehicle that cannot be, for a folder with another ensemble, and NoAnswer where
     every vehicle was lost.
     """
@@ -137,23 +136,20 @@ def _events(plan: Plan, folder: Path, todo: list[int], jobs: int, executor: Exec
         for number in todo:
             made = flyer.chunk(number)
             chunk.write_chunk(plan, made, folder, number)
-            yield {"flown": len(made.members)}
             yield chunk.told(made, number)
 
 
 def _by_executor(plan: Plan, folder: Path, todo: list[int], executor: Executor) -> Iterator[Event]:
     record, place = plan.record(), str(folder.resolve())
-    numbers = {executor.submit(chunk.fly_chunk, record, place, number): number for number in todo}
-    waiting = set(numbers)
+    waiting = {executor.submit(chunk.fly_chunk, record, place, number) for number in todo}
     try:
         while waiting:
             stop_if_asked()
             done, waiting = wait(waiting, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
             for future in done:
-                told = future.result()
-                yield {"flown": len(plan.members(numbers[future]))}
-                yield told
+                yield future.result()
     except BrokenProcessPool:
+        stop_if_asked()
         raise BadInput(
             "a process ended before its chunk was flown (what it said stands above)",
             where="ensemble",
@@ -169,10 +165,14 @@ def _processes(count: int) -> Iterator[Executor]:
     """Processes that fly chunks, ended at once when the work here ends early."""
     others = set(active_children())
     pool = ProcessPoolExecutor(count, get_context("spawn"), initializer=work_for_another)
+    with starting_others():
+        for _ in range(count):
+            pool.submit(os.getpid)  # each starts a process
+        own = set(active_children()) - others
     try:
         yield pool
     except BaseException:
-        for process in set(active_children()) - others:
+        for process in own:
             process.terminate()
         raise
     finally:

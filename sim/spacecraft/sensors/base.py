@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -39,11 +39,11 @@ class SensorSection(Section):
     """Base of the sensors. Each is a frozen record, checked as the section [NAME] of a scenario, or as [NAME.1],
     [NAME.2], ... where a vehicle has several heads of it."""
 
-    columns: ClassVar[tuple[str, ...]]
-    """Fields of the telemetry that it gives; `q_NB` for a sensor that gives the reference attitude."""
-
     def measure(self, around: Surroundings, rng: np.random.Generator) -> dict[str, FloatArray]:
-        """The columns, each (N,) or (N, k), NaN where it measures nothing."""
+        """Columns of the telemetry by name, each (N,) or (N, k), NaN where it measures nothing.
+
+        A sensor that gives the reference attitude has the column `q_NB`.
+        """
         raise NotImplementedError(f"{type(self).__name__} measures with all its heads")
 
     @classmethod

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -43,7 +42,6 @@ class Gyro:
 class GyroSection(SensorSection):
     """Body rate with a constant bias, white noise and a bias that wanders."""
 
-    columns: ClassVar[tuple[str, ...]] = ("rate_B_rad_s",)
     bias_deg_h: Vector3 = ZERO3
     noise_deg_s: NonNegative = 0.0
     random_walk_deg_h_per_sqrt_h: NonNegative = 0.0

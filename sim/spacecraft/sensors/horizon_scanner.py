@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -75,7 +75,6 @@ class HorizonScanner:
 class HorizonScannerSection(SensorSection):
     """Measures roll and pitch against the Earth's horizon; noise is correlated over `tau_s`."""
 
-    columns: ClassVar[tuple[str, ...]] = ("nadir_B",)
     earth: Literal["disc", "ellipsoid", "infrared"] = "disc"
     """What is seen: a disc whose middle is found as it is, or the horizon of that surface, crossed by conical scans."""
     assumed: Literal["sphere", "ellipsoid"] = "sphere"

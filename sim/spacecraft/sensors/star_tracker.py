@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -15,7 +15,7 @@ from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM
 from fluxtwin.sim.spacecraft.sensors.base import SensorSection, Surroundings
 
 _RAD_PER_ARCSEC = float(np.pi / 180.0 / 3600.0)
-Angle = Annotated[float, Field(ge=0, lt=90)]
+_Angle = Annotated[float, Field(ge=0, lt=90)]
 
 
 class StarTrackerSection(SensorSection):
@@ -26,15 +26,14 @@ class StarTrackerSection(SensorSection):
     (Liebe 2002, IEEE Trans. Aerosp. Electron. Syst. 38, 587).
     """
 
-    columns: ClassVar[tuple[str, ...]] = ("q_NB",)
     boresight_B: Direction = (0.0, 0.0, -1.0)
     noise_arcsec: NonNegative = 0.0
     """Standard deviation about each axis across the boresight."""
     roll_noise_arcsec: NonNegative = 0.0
     """Standard deviation about the boresight."""
-    sun_exclusion_deg: Angle = 0.0
+    sun_exclusion_deg: _Angle = 0.0
     """No attitude while the boresight is within this angle of a sun that is not eclipsed."""
-    earth_exclusion_deg: Angle = 0.0
+    earth_exclusion_deg: _Angle = 0.0
     """No attitude while the boresight is within this angle of the Earth's limb, or on the Earth."""
     max_rate_deg_s: Positive | None = None
     """No attitude while the body turns faster across the boresight."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field
@@ -15,8 +15,6 @@ from fluxtwin.sim.base.section_types import ZERO3, NonNegative, Vector3
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.spacecraft.sensors.base import SensorSection, Surroundings
 
-Direction = tuple[float, float, float]
-"""Components of a direction in body axes, of any length but zero."""
 _SUNLIT = 0.5  # a head needs more than half of the disc
 
 
@@ -30,8 +28,9 @@ class SunSensorHead:
 
     number: int
     """From 1; 0 stands for no head."""
-    boresight_B: Direction
-    x_axis_B: Direction
+    boresight_B: tuple[float, float, float]
+    """Of any length but zero."""
+    x_axis_B: tuple[float, float, float]
     half_fov_rad: float
     """Largest size of either angle: a 128 x 128 degree head has 64 degrees."""
     lsb_rad: float = 0.0
@@ -131,7 +130,6 @@ def measure_sun(
 class SunSensorSection(SensorSection):
     """One two-axis head. Azimuth from +x towards +y, elevation from the xy plane towards -z (up)."""
 
-    columns: ClassVar[tuple[str, ...]] = ("sun_B", "sun_sensor_head")
     azimuth_deg: float
     elevation_deg: float = 0.0
     half_fov_deg: Annotated[float, Field(gt=0, lt=90)] = 64.0

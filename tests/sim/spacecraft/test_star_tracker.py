@@ -108,6 +108,16 @@ def test_a_scenario_flies_it_and_its_attitude_is_the_reference() -> None:
     assert parse_scenario(scenario.to_toml()) == scenario
 
 
+def test_rows_without_sun_have_no_attitude_where_it_is_needed() -> None:
+    heads = {"1": {"azimuth_deg": 0.0, "half_fov_deg": 40.0}}
+    scenario = parse_scenario(SCENARIO).updated({"attitude.reference.needs_sun": True, "sun_sensor": heads})
+    telemetry, _ = fluxtwin.simulate(scenario)
+    assert telemetry.sun_sensor_head is not None
+    seen = telemetry.sun_sensor_head > 0
+    assert 0 < seen.sum() < len(seen)
+    assert not telemetry.has_attitude[~seen].any() and telemetry.has_attitude[seen].any()
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -116,6 +126,10 @@ def test_a_scenario_flies_it_and_its_attitude_is_the_reference() -> None:
         ({"attitude.reference.sigma_deg": 0.1}, "leave sigma_deg and tau_s out"),
         ({"star_tracker.boresight_B": [0.0, 0.0, 0.0]}, "no such direction"),
         ({"star_tracker.noise": 1.0}, "unknown key star_tracker.noise"),
+        (
+            {"orbit": None, "schedule": None, "replay.telemetry": "t.nc"},
+            "takes the attitude from the recorded file",
+        ),
     ],
 )
 def test_what_does_not_fit_is_refused_in_words(change: dict[str, object], said: str) -> None:

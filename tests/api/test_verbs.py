@@ -1,0 +1,65 @@
+"""The verbs of Python as a person types them: files as text, scenarios by name."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from worlds import scenario_text
+
+import fluxtwin
+
+MAGNETOMETER = "\n[magnetometer]\nb_nT = [1000.0, -500.0, 300.0]\nnoise_nT = 20.0\n"
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> str:
+    folder = tmp_path_factory.mktemp("verbs")
+    (folder / "s.toml").write_text(scenario_text(MAGNETOMETER), encoding="utf-8")
+    telemetry, _ = fluxtwin.simulate(str(folder / "s.toml"))
+    return str(fluxtwin.write(telemetry, str(folder / "t.nc")))
+
+
+def test_yaw_of_a_file(flown: str) -> None:
+    fit = fluxtwin.calibrate(flown)
+    solution = fluxtwin.yaw(flown, fit.calibration, attitude_sigma_deg=0.05, average_s=60.0)
+    error = solution.rms_error_rad()
+    assert error is not None and 0.0 < np.degrees(error) < 2.0
+    with pytest.raises(fluxtwin.BadInput):
+        fluxtwin.yaw(flown)  # neither corrected nor a calibration
+
+
+def test_effects_by_name() -> None:
+    assert {effect.name for effect in fluxtwin.effects()} >= {"bias", "time_tag_offset"}
+    assert [effect.name for effect in fluxtwin.effects("bias")] == ["bias"]
+    with pytest.raises(fluxtwin.BadInput, match="bias"):
+        fluxtwin.effects("biass")
+
+
+def test_passes_of_a_packaged_scenario() -> None:
+    found = fluxtwin.passes("hcmm")
+    assert found and {"station", "rise", "set"} <= set(found[0])
+    with pytest.raises(fluxtwin.BadInput, match="no station"):
+        fluxtwin.passes("cubesat")
+
+
+def test_a_map_from_a_header(tmp_path: Path) -> None:
+    (tmp_path / "f.csv").write_text("time,Bx_nT,By_nT,Bz_nT\n2026-03-01T00:00:00Z,20000,100,-30000\n", encoding="utf-8")
+    assert "[[file]]" in fluxtwin.draft_map(str(tmp_path / "f.csv"))
+    with pytest.raises(fluxtwin.BadInput, match="no file was named"):
+        fluxtwin.draft_map([])
+
+
+def test_an_unguarded_script_flies_an_ensemble_in_processes(tmp_path: Path) -> None:
+    """The script is not run again in each process, from a file or from standard input."""
+    (tmp_path / "s.toml").write_text(scenario_text(MAGNETOMETER), encoding="utf-8")
+    code = "import fluxtwin; print(len(fluxtwin.ensemble('s.toml', 4, 'OUT', jobs=2, in_chunk=1).summary) > 0)"
+    (tmp_path / "script.py").write_text(code.replace("OUT", "a-results"), encoding="utf-8")
+    for words, fed in ((["script.py"], None), (["-"], code.replace("OUT", "b-results"))):
+        done = subprocess.run(
+            [sys.executable, *words], cwd=tmp_path, input=fed, capture_output=True, text=True, timeout=240, check=False
+        )
+        assert done.stdout == "True\n", done.stderr

@@ -15,7 +15,7 @@ from fluxtwin.sim.earth import field_external, frames
 pytestmark = pytest.mark.reference
 
 WHEN = np.datetime64("2000-06-21T03:00:00", "ns")
-BECAUSE = "the witness holds the same hourly year as a Fourier series, and a sun good to 0.006 deg: 1e-4 of 75 nT"
+BECAUSE = "the witness holds every second hour of the same year as a Fourier series, and a sun good to 0.006 deg: 1e-4 of 75 nT"
 """ChaosMagPy turns SM and GSM to the Earth by a Fourier series. The one it ships is cut to its 20 largest lines, which
 costs up to 0.13 nT; the witness here is its own series of one year (2000, its origin of time) with every line kept."""
 
@@ -52,7 +52,7 @@ def witness(shared: Path, points: dict[str, np.ndarray], tmp_path_factory: pytes
         try:
             for frame in ("gsm", "sm"):
                 path = str(tmp_path_factory.mktemp("spectrum") / f"{frame}.npz")
-                coordinate_utils.rotate_gauss_fft(2, 2, N=2922, reference=frame, scaled=True, save_to=path)
+                coordinate_utils.rotate_gauss_fft(2, 2, N=4383, reference=frame, scaled=True, save_to=path)
                 chaosmagpy.basicConfig[f"file.{frame.upper()}_spectrum"] = path
             latitude, longitude, radius = frames.geocentric(points["r_E_km"])
             angles = (radius, 90.0 - np.degrees(latitude), np.degrees(longitude))

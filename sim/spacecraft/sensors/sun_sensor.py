@@ -11,7 +11,7 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.section_types import ZERO3, NonNegative, Vector3
+from fluxtwin.sim.base.section_types import ZERO3, Direction, NonNegative, Vector3
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.spacecraft.sensors.base import SensorSection, Surroundings
 
@@ -28,9 +28,8 @@ class SunSensorHead:
 
     number: int
     """From 1; 0 stands for no head."""
-    boresight_B: tuple[float, float, float]
-    """Of any length but zero."""
-    x_axis_B: tuple[float, float, float]
+    boresight_B: Direction
+    x_axis_B: Direction
     half_fov_rad: float
     """Largest size of either angle: a 128 x 128 degree head has 64 degrees."""
     lsb_rad: float = 0.0

@@ -15,7 +15,9 @@ from fluxtwin.sim.earth import field_external, frames
 pytestmark = pytest.mark.reference
 
 WHEN = np.datetime64("2000-06-21T03:00:00", "ns")
-BECAUSE = "the witness holds every second hour of the same year as a Fourier series, and a sun good to 0.006 deg: 1e-4 of 75 nT"
+BECAUSE = (
+    "the witness is a Fourier series of every second hour of the year; its sun is good to 0.006 deg: 1e-4 of 75 nT"
+)
 """ChaosMagPy turns SM and GSM to the Earth by a Fourier series. The one it ships is cut to its 20 largest lines, which
 costs up to 0.13 nT; the witness here is its own series of one year (2000, its origin of time) with every line kept."""
 

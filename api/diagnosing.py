@@ -16,7 +16,7 @@ from fluxtwin.gap.momentum_arcs import Craft
 from fluxtwin.gap.problem import DEFAULT_MODELLED, Budget
 from fluxtwin.gap.records import Diagnosis
 from fluxtwin.gap.stochastic import with_frozen_noise
-from fluxtwin.scenarios.packaged import load_scenario
+from fluxtwin.scenarios.packaged import as_scenario
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.earth import epoch
@@ -57,7 +57,7 @@ def diagnose(
     for name in modelled:
         find_effect(name, where="--modelled")
     record = as_record(telemetry)
-    config = load_scenario(scenario) if isinstance(scenario, Path | str) else scenario
+    config = None if scenario is None else as_scenario(scenario)
     if config is not None:
         record = _with_scenario(record, config)
     _require_something(record)
@@ -112,7 +112,7 @@ def close(
     closure = diagnosis.closure
     if closure is None or closure.empty:
         return replace(diagnosis, transfers=[]), None
-    base = None if scenario is None else load_scenario(scenario)
+    base = None if scenario is None else as_scenario(scenario)
     closure = closing.refined(closure)
     found = closing.settle(closure)
     transfers = transfer.transfers(closure, found.named)

@@ -6,7 +6,7 @@ from functools import wraps
 from pathlib import Path
 from typing import Any
 
-from fluxtwin.scenarios.packaged import load_scenario
+from fluxtwin.scenarios.packaged import as_scenario
 from fluxtwin.sim.run.ensemble.run import Ensemble, fly_ensemble
 from fluxtwin.sim.run.simulate import simulate as fly
 from fluxtwin.sim.run.truth import Truth
@@ -17,14 +17,10 @@ from fluxtwin.sim.telemetry.record import Telemetry
 @wraps(fly)
 def simulate(scenario: Scenario | Path | str, **options: Any) -> tuple[Telemetry, Truth]:
     """As `fluxtwin.sim.run.simulate.simulate`."""
-    return fly(_loaded(scenario), **options)
+    return fly(as_scenario(scenario), **options)
 
 
 @wraps(fly_ensemble)
 def ensemble(scenario: Scenario | Path | str, vehicles: int, out: Path | str, **options: Any) -> Ensemble:
     """As `fluxtwin.sim.run.ensemble.run.fly_ensemble`."""
-    return fly_ensemble(_loaded(scenario), vehicles, out, **options)
-
-
-def _loaded(scenario: Scenario | Path | str) -> Scenario:
-    return scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    return fly_ensemble(as_scenario(scenario), vehicles, out, **options)

@@ -192,11 +192,17 @@ def yaw(
     """
     from fluxtwin.calib.attitude.yaw import yaw_from_field
 
+    for name, value in (("--sigma-nT", sigma_B_nT), ("--attitude-sigma-deg", attitude_sigma_deg)):
+        if value is not None and not 0 <= value < np.inf:
+            raise BadInput(f"{value:g}", where=name, wanted="zero or a positive number")
     record = as_record(telemetry)
     given = Calibration.from_toml(calibration) if isinstance(calibration, Path | str) else calibration
+    known = calibration_of(record, given, force=force)
+    if given is None and sigma_B_nT is None and known.sigma_nT == 0:
+        raise BadInput("the error of a field component is not known", where="--sigma-nT", wanted="nT, 1 sigma")
     return yaw_from_field(
         record,
-        calibration_of(record, given, force=force),
+        known,
         as_model(field, degree),
         sigma_B_nT=sigma_B_nT,
         sigma_angle_rad=float(np.radians(attitude_sigma_deg)),
@@ -213,19 +219,24 @@ def effects(name: str | None = None) -> tuple[Effect, ...]:
 
 def passes(scenario: Scenario | Path | str, stations: Path | str | None = None) -> list[dict[str, Any]]:
     """Every pass over the scenario's [station.NAME], or those of the file `stations`: rise, set, highest elevation."""
-    from fluxtwin.scenarios.packaged import load_scenario
     from fluxtwin.sim.run.scenario_passes import list_passes
-    from fluxtwin.sim.run.scenario_stations import read_stations
-    from fluxtwin.sim.scenario.scenario import Scenario
 
-    plan = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    return list_passes(with_stations(scenario, stations))
+
+
+def with_stations(scenario: Scenario | Path | str, stations: Path | str | None) -> Scenario:
+    """The scenario, with the stations of a file in place of its own. Raises BadInput where there are none."""
+    from fluxtwin.scenarios.packaged import as_scenario
+    from fluxtwin.sim.run.scenario_stations import read_stations
+
+    plan = as_scenario(scenario)
     if stations is not None:
         plan = plan.updated({"station": read_stations(Path(stations))})
     if not plan.station:
-        raise BadInput(
-            "the scenario has no station", where=plan.name, wanted="[station.NAME] sections, or a file of them"
-        )
-    return list_passes(plan)
+        where = str(scenario) if isinstance(scenario, Path | str) else plan.name
+        wanted = "[station.NAME] sections in it, or a file of them as --stations FILE.toml"
+        raise BadInput("the scenario has no station", where=where, wanted=wanted)
+    return plan
 
 
 def draft_map(files: Path | str | Sequence[Path | str]) -> str:

@@ -21,6 +21,11 @@ NAMES = f"{', '.join(sorted(SCENARIOS)[:-1])} or {max(SCENARIOS)}"
 """The names as a list to read."""
 
 
+def as_scenario(scenario: Scenario | Path | str) -> Scenario:
+    """A scenario, loaded first where a file or a name is given."""
+    return load_scenario(scenario) if isinstance(scenario, Path | str) else scenario
+
+
 def load_scenario(scenario: Path | str) -> Scenario:
     """The scenario file, or, where there is no file of that name, the packaged scenario.
 

@@ -42,6 +42,28 @@ time_constant_min = 20.0
 """
 
 
+PARTS = """
+[torquers]
+dipole_Am2 = 50.0
+positions_m = [[0.0, 0.0, 2.0], [0.0, 2.0, 0.0], [1.5, 0.0, 0.0]]
+[power]
+full_sun_current_A = 8.0
+load_A = 3.0
+[thermal]
+sunlit_degC = 25.0
+eclipse_degC = -20.0
+time_constant_min = 20.0
+heater_on_below_degC = -5.0
+heater_off_above_degC = 0.0
+heater_rise_degC = 30.0
+[wheels]
+axes_B = [[0.0, 1.0, 0.0]]
+inertia_kg_m2 = 0.01
+bias_rpm = [2000.0]
+"""
+"""Torquers, power, temperature with a heater, and a wheel."""
+
+
 def scenario_text(
     sections: str = "",
     *,

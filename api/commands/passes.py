@@ -9,7 +9,7 @@ import typer
 
 from fluxtwin.commands.options import ForceOption, JsonOption
 from fluxtwin.console import Output
-from fluxtwin.scenarios.packaged import NAMES, load_scenario
+from fluxtwin.scenarios.packaged import NAMES
 
 NAME = "passes"
 BRIEF = "When the stations of a scenario see the spacecraft."
@@ -37,17 +37,11 @@ def command(
     output = Output(json)
     with output.progress(f"reading {scenario}"):
         from fluxtwin import outputs
-        from fluxtwin.sim.base.errors import BadInput
         from fluxtwin.sim.run.scenario_passes import list_passes
-        from fluxtwin.sim.run.scenario_stations import read_stations
+        from fluxtwin.verbs import with_stations
 
         outputs.claim({"--json": (json, outputs.JSON)}, [scenario, stations], force=force)
-        plan = load_scenario(scenario)
-        if stations is not None:
-            plan = plan.updated({"station": read_stations(stations)})
-        if not plan.station:
-            wanted = "[station.NAME] sections in it, or a file of them as --stations FILE.toml"
-            raise BadInput("the scenario has no station", where=str(scenario), wanted=wanted)
+        plan = with_stations(scenario, stations)
         found = list_passes(plan)
     columns = ("station", "rise [UTC]", "set [UTC]", "minutes", "highest [deg]", "sunlit", "cut")
     rows = [

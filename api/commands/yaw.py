@@ -53,34 +53,26 @@ def command(
     """Yaw [deg] from the calibrated field, roll and pitch, with its sigma; the reference only for comparison."""
     output = Output(json)
     with output.progress(f"reading {telemetry}") as progress:
-        import math
-
         from fluxtwin import outputs, verbs
-        from fluxtwin.calib.attitude.yaw import yaw_from_field
-        from fluxtwin.calib.common.apply import calibration_of, waived
+        from fluxtwin.calib.common.apply import waived
         from fluxtwin.calib.common.records import Calibration
-        from fluxtwin.sim.base.errors import BadInput
 
-        for name, value in (("--sigma-nT", sigma_nt), ("--attitude-sigma-deg", attitude_sigma_deg)):
-            if value is not None and not 0 <= value < math.inf:
-                raise BadInput(f"{value:g}", where=name, wanted="zero or a positive number")
         targets = {"--out": (out, outputs.TABLE), "--json": (json, outputs.JSON)}
         outputs.claim(targets, [telemetry, calibration, field, column_map, tle], force=force)
         record = read(telemetry, output, column_map=column_map, tle=tle, max_samples=max_samples)
         given = None if calibration is None else Calibration.from_toml(calibration)
         if force and given is not None and (refusal := waived(record, given)) is not None:
             output.note(f"note: applied all the same, by --force: {refusal}")
-        known = calibration_of(record, given, force=force)
-        if given is None and sigma_nt is None and known.sigma_nT == 0:
-            raise BadInput("the error of a field component is not known", where="--sigma-nT", wanted="nT, 1 sigma")
         progress("yaw", 0.5)
-        solution = yaw_from_field(
+        solution = verbs.yaw(
             record,
-            known,
-            verbs.as_model(field, degree),
+            given,
+            field=field,
+            degree=degree,
             sigma_B_nT=sigma_nt,
-            sigma_angle_rad=math.radians(attitude_sigma_deg),
+            attitude_sigma_deg=attitude_sigma_deg,
             average_s=average_s,
+            force=force,
         )
         if out is not None:
             _write(solution, out)

@@ -11,7 +11,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from worlds import scenario_text
+from worlds import PARTS, scenario_text
 
 from fluxtwin.gap.candidates import candidates, in_order
 from fluxtwin.gap.detectable import noncentrality, visible_part
@@ -46,26 +46,9 @@ elevation_deg = 90.0
 [sun_sensor.2]
 azimuth_deg = 180.0
 elevation_deg = 20.0
-[torquers]
-dipole_Am2 = 20.0
-positions_m = [[0.0, 0.0, 2.0], [0.0, 2.0, 0.0], [1.5, 0.0, 0.0]]
-[power]
-full_sun_current_A = 8.0
-load_A = 3.0
-[thermal]
-sunlit_degC = 25.0
-eclipse_degC = -20.0
-time_constant_min = 20.0
-heater_on_below_degC = -5.0
-heater_off_above_degC = 0.0
-heater_rise_degC = 30.0
-[wheels]
-axes_B = [[0.0, 1.0, 0.0]]
-inertia_kg_m2 = 0.01
-bias_rpm = [2003.7]
 """
 SCENARIO = scenario_text(
-    SECTIONS,
+    SECTIONS + PARTS.replace("dipole_Am2 = 50.0", "dipole_Am2 = 20.0").replace("2000.0", "2003.7"),
     seed=1,
     inertia_kg_m2=[[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]],
     altitude_km=600.0,

@@ -40,7 +40,7 @@ class StarTrackerSection(SensorSection):
 
     def measure(self, around: Surroundings, rng: np.random.Generator) -> dict[str, FloatArray]:
         """q_NB (N, 4), NaN in the rows without an attitude."""
-        boresight = np.asarray(self.boresight_B) / np.linalg.norm(self.boresight_B)
+        boresight = self._unit_B
         draws = rng.standard_normal((around.time.size, 3))
         about = (draws @ boresight)[:, None] * boresight
         turn = _RAD_PER_ARCSEC * (self.noise_arcsec * (draws - about) + self.roll_noise_arcsec * about)
@@ -48,9 +48,14 @@ class StarTrackerSection(SensorSection):
         q_NB[~self.sees(around)] = np.nan
         return {"q_NB": q_NB}
 
+    @property
+    def _unit_B(self) -> FloatArray:
+        unit: FloatArray = np.asarray(self.boresight_B) / np.linalg.norm(self.boresight_B)
+        return unit
+
     def sees(self, around: Surroundings) -> BoolArray:
         """(N,) True where it sees stars."""
-        boresight = np.asarray(self.boresight_B) / np.linalg.norm(self.boresight_B)
+        boresight = self._unit_B
         boresight_N = around.R_BN.inv().apply(boresight)
         from_sun = _angle(boresight_N, around.sun_N)
         from_nadir = _angle(boresight_N, around.nadir_N)

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 import xarray
-from worlds import scenario_text
+from worlds import PARTS, scenario_text
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.random_streams import stream
@@ -40,26 +40,9 @@ noise_deg = 0.1
 noise_deg = 0.1
 [gyro]
 noise_deg_s = 0.01
-[torquers]
-dipole_Am2 = 50.0
-positions_m = [[0.0, 0.0, 2.0], [0.0, 2.0, 0.0], [1.5, 0.0, 0.0]]
-[power]
-full_sun_current_A = 8.0
-load_A = 3.0
-[thermal]
-sunlit_degC = 25.0
-eclipse_degC = -20.0
-time_constant_min = 20.0
-heater_on_below_degC = -5.0
-heater_off_above_degC = 0.0
-heater_rise_degC = 30.0
-[wheels]
-axes_B = [[0.0, 1.0, 0.0]]
-inertia_kg_m2 = 0.01
-bias_rpm = [2000.0]
 """
 FULL = scenario_text(
-    SECTIONS,
+    SECTIONS + PARTS,
     seed=5,
     inertia_kg_m2=[[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]],
     raan_deg=100.0,

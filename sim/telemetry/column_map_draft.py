@@ -133,15 +133,16 @@ def _file(header: _Header, *, named: bool, seen: set[str]) -> list[str]:
     lines += [f"{CONFIRM} {doubt}"] * bool(doubt) + [f"time = {recipe}", "[file.columns]"]
     free = [name for name in header.names if name not in used]
     for quantity, columns, keys, doubts in _quantities(header, free):
-        if quantity in seen:
-            lines.append(f"# left out, a second {quantity}: {', '.join(columns)}")
-            continue
-        seen.add(quantity)
-        lines += [f"{CONFIRM} {text}" for text in doubts]
         source = columns[0] if len(columns) == 1 else columns
         inner = ", ".join(
             [f"from = {json.dumps(source)}", *(f"{key} = {json.dumps(value)}" for key, value in keys.items())]
         )
+        if quantity in seen:
+            another = f"; if of another sensor: mag2 = {{ {inner} }}" if quantity == "mag" else ""
+            lines.append(f"# left out, a second {quantity}: {', '.join(columns)}{another}")
+            continue
+        seen.add(quantity)
+        lines += [f"{CONFIRM} {text}" for text in doubts]
         lines.append(f"{quantity} = {{ {inner} }}")
         used |= set(columns)
     rest = [name for name in header.names if name not in used]

@@ -2,7 +2,7 @@
 
 Attitude: slerp. Position: cubic Hermite where the source has velocity, else a cubic spline. Rates, currents,
 temperature, wheel speeds: linear. Flags, dipole, sensor head: the last value holds. Beyond `max_gap_s` of the
-source the value is missing. The magnetometer itself is never touched.
+source the value is missing. Magnetometers are never interpolated: a second one counts where the stamps agree.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from fluxtwin.sim.telemetry.build import velocity_from_positions
 from fluxtwin.sim.telemetry.column_map import ColumnMap, ColumnSpec
 from fluxtwin.sim.telemetry.column_map_read import Source, read_source, require_increasing
 from fluxtwin.sim.telemetry.columns import FileTable
-from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, POSITION, VELOCITY
+from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, MAG2, POSITION, VELOCITY
 
 _LARGEST_TURN_RAD = np.pi / 2.0
 """A turn beyond this between two attitude samples is not interpolated: the way it went is not known."""
@@ -91,7 +91,7 @@ def _resampled(source: Source, name: str, time: TimeArray, same: bool) -> FloatA
         return out
     origin = time[0]
     have, want = _seconds(source.time[rows], origin), _seconds(time, origin)
-    gap = source.entry.max_gap_s
+    gap = 0.0 if name == MAG2.mapped else source.entry.max_gap_s
     if name.startswith("flag_") or BY_MAP_NAME[name].held:
         place = np.searchsorted(have, want, side="right") - 1
         fresh = (place >= 0) & (want - have[np.maximum(place, 0)] <= gap)

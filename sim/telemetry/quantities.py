@@ -7,14 +7,23 @@ Files, column maps, rates of sampling, the record and the diagnosis read the tab
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
 _DEG = float(np.pi / 180.0)
 
-Part = Literal["magnetometer", "attitude", "sun_sensor", "horizon_scanner", "gyro", "torquers", "housekeeping"]
+Part = Literal[
+    "magnetometer",
+    "magnetometer_2",
+    "attitude",
+    "sun_sensor",
+    "horizon_scanner",
+    "gyro",
+    "torquers",
+    "housekeeping",
+]
 """Who writes a column: a section under [sampling] of a scenario says when."""
 
 
@@ -88,6 +97,14 @@ MAG = Quantity(
     mapped="mag",
     more_units={"G": 1e5},
 )
+MAG2 = replace(
+    MAG,
+    name="mag2_B_nT",
+    stems=_xyz("mag2"),
+    long_name="reading of the second magnetometer, nominal body axes",
+    part="magnetometer_2",
+    mapped="mag2",
+)
 QUATERNION = Quantity(
     "q_NB",
     ("q_x", "q_y", "q_z", "q_w"),
@@ -119,6 +136,7 @@ QUANTITIES: tuple[Quantity, ...] = (
     POSITION_E,
     VELOCITY,
     MAG,
+    MAG2,
     QUATERNION,
     ANGLES,
     Quantity(

@@ -62,6 +62,8 @@ class Telemetry:
     """(N, 3) measured unit vector to nadir."""
     rate_B_rad_s: FloatArray | None = None
     """(N, 3) body rate relative to N from the gyro."""
+    mag2_B_nT: FloatArray | None = None
+    """(N, 3) reading of a second magnetometer, in nominal body axes; no calibration corrects it."""
     provenance: Mapping[str, str] = field(default_factory=dict)
     """Where the record comes from: source file and SHA-256, or the generator; column notes. No truth.
 
@@ -129,8 +131,8 @@ class Telemetry:
 
 
 def recorded_columns(telemetry: Telemetry) -> dict[str, FloatArray]:
-    """Everything recorded beside time, orbit, attitude and reading, by name; flags as `flag_NAME`."""
-    names = [name for name in _SHAPES if name not in ("r_N_km", "v_N_km_s", "mag_B_nT", "q_NB")]
+    """Everything recorded beside time, orbit, attitude and readings, by name; flags as `flag_NAME`."""
+    names = [name for name in _SHAPES if name not in ("r_N_km", "v_N_km_s", "mag_B_nT", "mag2_B_nT", "q_NB")]
     columns = {name: np.array(value) for name in names if (value := getattr(telemetry, name)) is not None}
     return columns | {f"flag_{name}": np.array(value) for name, value in telemetry.flags.items()}
 

@@ -97,6 +97,19 @@ def test_units_and_counts(tmp_path: Path, unit: str, scale: float, factor: float
     assert np.allclose(read.mag_B_nT, np.array([[1.0, -2.0, 3.0]]) * factor, rtol=1e-15)
 
 
+def test_a_second_magnetometer_counts_where_the_stamps_agree_and_is_never_interpolated(tmp_path: Path) -> None:
+    csv(tmp_path / "a.csv", "t,bx,by,bz", [[1583020800 + k, 1.0, 2.0, 3.0] for k in range(5)])
+    csv(tmp_path / "b.csv", "t,x,y,z", [[1583020800 + 0.5 * k, float(k), -1.0, 0.5] for k in (0, 1, 3, 4, 8)])
+    first, second = one_file('{ recipe = "unix_s", columns = "t" }'), MAG.replace("b", "").replace("mag", "mag2")
+    toml = first.replace("]]", ']]\npath = "a.csv"') + first.replace(MAG, second.replace("nT", "mG")).replace(
+        "]]", ']]\npath = "b.csv"'
+    )
+    read = mapped(tmp_path, toml)
+    assert np.array_equal(read.mag2_B_nT[:, 0], [0.0, np.nan, 400.0, np.nan, 800.0], equal_nan=True)
+    assert np.array_equal(read.mag2_B_nT[4], [800.0, -100.0, 50.0])
+    assert read.has_reading.all()
+
+
 def test_invalid_values_and_validity_columns_are_missing(tmp_path: Path) -> None:
     rows = [
         [1583020800 + k, 1.0, 2.0, 3.0, int(k != 1), *p] for k, p in enumerate([[0, 0, 0], [7e6, 0, 0], [0, 7e6, 0]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -85,6 +86,16 @@ def test_guesses_are_marked_and_what_is_plain_is_not(tmp_path: Path) -> None:
     assert any("relative_to" in line for line in marked)
     assert any("velocity: the frame" in line for line in marked)
     assert not any("unit" in line for line in marked), "the header states them"
+
+
+def test_a_second_magnetometer_is_left_out_with_the_line_that_takes_it_in(tmp_path: Path) -> None:
+    header = HEADERS["ISO, bracketed units, ECI"] | triple("mag2_x_uT mag2_y_uT mag2_z_uT", 2e-3 * MAG)
+    data, path = table(tmp_path / "foreign.csv", header), tmp_path / "map.toml"
+    text = draft([data])
+    path.write_text(text)
+    assert read_telemetry(data, column_map=path).mag2_B_nT is None
+    path.write_text(re.sub("# left out, a second mag: .*; if of another sensor: ", "", text))
+    assert np.allclose(read_telemetry(data, column_map=path).mag2_B_nT, 2.0 * MAG, atol=1e-6, rtol=0)
 
 
 def test_a_file_without_magnetometer_is_refused_in_words(tmp_path: Path) -> None:

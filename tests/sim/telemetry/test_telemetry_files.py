@@ -61,6 +61,7 @@ def full_record(rows: int = 40) -> Telemetry:
         sun_B=rng.normal(size=(rows, 3)),
         nadir_B=rng.normal(size=(rows, 3)),
         rate_B_rad_s=rng.normal(0, 1e-3, (rows, 3)),
+        mag2_B_nT=mag[::-1, [1, 2, 0]],
         provenance={"generator": "test"},
     )
 
@@ -111,7 +112,7 @@ def test_a_record_with_every_column_reads_back_bit_equal(tmp_path: Path, name: s
 @pytest.mark.parametrize("name", KINDS)
 @settings(max_examples=15)
 @given(
-    st.lists(st.tuples(st.integers(1, 10**16), *3 * [st.floats(-1e9, 1e9) | st.just(np.nan)]), min_size=1, max_size=9),
+    st.lists(st.tuples(st.integers(1, 10**16), *6 * [st.floats(-1e9, 1e9) | st.just(np.nan)]), min_size=1, max_size=9),
 )
 def test_whatever_the_numbers_they_read_back_bit_equal(
     tmp_path: Path, name: str, rows: list[tuple[float, ...]]
@@ -119,7 +120,8 @@ def test_whatever_the_numbers_they_read_back_bit_equal(
     """Subnormal, a negative zero, missing, nanoseconds apart or four months."""
     time = START + np.cumsum([row[0] for row in rows]).astype("timedelta64[ns]")
     r_N_km, _ = ORBIT.propagate(time)
-    record = Telemetry(time, np.array([row[1:] for row in rows]), r_N_km=r_N_km)
+    both = np.array([row[1:] for row in rows])
+    record = Telemetry(time, both[:, :3], r_N_km=r_N_km, mag2_B_nT=both[:, 3:])
     path = tmp_path / name
     path.unlink(missing_ok=True)
     assert_same(record, read_telemetry(write_telemetry(record, path)))
@@ -144,6 +146,9 @@ def test_xarray_reads_our_netcdf_and_every_variable_is_packed_with_a_checksum(tm
         assert np.array_equal(dataset["time"].values.astype("datetime64[ns]"), record.time)
         assert np.array_equal(dataset["mag_x_nT"].values, record.mag_B_nT[:, 0], equal_nan=True)
         assert dataset["mag_x_nT"].attrs["units"] == "nT"
+        assert np.array_equal(dataset["mag2_z_nT"].values, record.mag2_B_nT[:, 2], equal_nan=True)
+        said = "reading of the second magnetometer, nominal body axes, z component"
+        assert dataset["mag2_z_nT"].attrs == {"units": "nT", "long_name": said}
         assert dataset.attrs["Conventions"].startswith("CF-")
     with h5py.File(path) as opened:
         for name, variable in opened.items():
@@ -191,9 +196,12 @@ def test_unknown_columns_are_left_out_with_a_notice(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("unit", "factor"), [("nT", 1.0), ("mG", 100.0), ("uT", 1e3), ("T", 1e9)])
 def test_units_of_the_magnetometer(tmp_path: Path, unit: str, factor: float) -> None:
-    lines = plain_lines()
+    second = [f",mag2_x_{unit},mag2_y_{unit},mag2_z_{unit}", *4 * [",1e4,,3"]]
+    lines = [line + more for line, more in zip(plain_lines(), second, strict=True)]
     lines[0] = lines[0].replace("_nT", f"_{unit}")
-    assert np.array_equal(read_telemetry(save(tmp_path, lines)).mag_B_nT[0], np.array([1e4, -2e4, 3.5e4]) * factor)
+    record = read_telemetry(save(tmp_path, lines))
+    assert np.array_equal(record.mag_B_nT[0], np.array([1e4, -2e4, 3.5e4]) * factor)
+    assert np.array_equal(record.mag2_B_nT[0], np.array([1e4, np.nan, 3.0]) * factor, equal_nan=True)
 
 
 def test_earth_fixed_positions_and_orbital_angles(tmp_path: Path, close: Callable[..., None]) -> None:
@@ -223,6 +231,14 @@ FAULTS: dict[str, tuple[Callable[[list[str]], list[str]], str]] = {
     "no unit for position": (lambda x: [s.replace("_km", "") for s in x], "r_x has no unit in its name. Wanted: r_x_"),
     "other unit": (lambda x: [s.replace("_nT", "_gauss") for s in x], "mag_x_gauss has a unit that is not accepted"),
     "two units": (lambda x: [s.replace("mag_x_nT", "mag_x_mG") for s in x], "components in different units"),
+    "part of a second": (
+        lambda x: [x[0] + ",mag2_x_nT,mag2_z_nT", *(s + ",1,2" for s in x[1:])],
+        "column mag2_y_nT is missing",
+    ),
+    "no unit for a second": (
+        lambda x: [x[0] + ",mag2_x", *(s + ",1" for s in x[1:])],
+        "mag2_x has no unit in its name",
+    ),
     "time not increasing": (lambda x: [x[0], x[2], x[1], *x[3:]], "time does not increase: row 1 is"),
     "time repeated": (lambda x: [*x, x[-1]], "time does not increase"),
     "bad time": (lambda x: [s.replace("06:02:00Z", "noon") for s in x], "time in row 3 is '1978-07-24Tnoon'"),

@@ -69,4 +69,4 @@ class BoomBending(SignalEffect):
         warmer = warmer_K(signal.setting, self.time_constant_s, self.reference_degC)
         at_sensor = signal.field_B_nT if signal.stray_B_nT is None else signal.field_B_nT + signal.stray_B_nT
         seen = Rotation.from_rotvec(-np.radians(np.outer(warmer, theta))).apply(at_sensor)
-        return signal.with_stray(seen - at_sensor)
+        return signal.with_stray(seen - at_sensor, here_alone=True)

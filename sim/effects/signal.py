@@ -184,6 +184,8 @@ class Signal:
     """Ambient field; None before the field stage."""
     stray_B_nT: FloatArray | None = None
     """Field of the spacecraft at the sensor (the baseline's torquer coupling is in the instrument's T)."""
+    here_alone_B_nT: FloatArray | None = None
+    """What of it no other magnetometer sees: the unknown source, the turn of a boom."""
     reading_B_nT: FloatArray | None = None
     """Reading; None before the sensor stage."""
     ideal_B_nT: FloatArray | None = None
@@ -280,10 +282,20 @@ class Signal:
         assert self.field_N_nT is not None
         return dataclasses.replace(self, field_N_nT=self.field_N_nT + extra_N_nT)
 
-    def with_stray(self, extra_B_nT: FloatArray) -> Signal:
-        """More field of the spacecraft at the sensor."""
-        before = np.zeros((self.rows, 3)) if self.stray_B_nT is None else self.stray_B_nT
-        return dataclasses.replace(self, stray_B_nT=before + extra_B_nT)
+    def with_stray(self, extra_B_nT: FloatArray, *, here_alone: bool = False) -> Signal:
+        """More field of the spacecraft at the sensor; here_alone: no other magnetometer sees it."""
+        stray = self._none_or(self.stray_B_nT) + extra_B_nT
+        alone = self._none_or(self.here_alone_B_nT) + extra_B_nT if here_alone else self.here_alone_B_nT
+        return dataclasses.replace(self, stray_B_nT=stray, here_alone_B_nT=alone)
+
+    @property
+    def spacecraft_B_nT(self) -> FloatArray:
+        """(N, 3) field of the spacecraft's effects at the sensor, without what this sensor alone sees."""
+        stray = self._none_or(self.stray_B_nT)
+        return stray if self.here_alone_B_nT is None else stray - self.here_alone_B_nT
+
+    def _none_or(self, field_B_nT: FloatArray | None) -> FloatArray:
+        return np.zeros((self.rows, 3)) if field_B_nT is None else field_B_nT
 
     def with_reading(self, reading_B_nT: FloatArray) -> Signal:
         """Another reading. Each effect of the sensor makes one: copied by hand, which takes a tenth of the time."""
@@ -295,7 +307,7 @@ class Signal:
 def start(setting: Setting) -> Signal:
     """The signal before any stage."""
     r, v, R = setting.given
-    return Signal(setting, r, v, R, r, v, R, stray_B_nT=setting.unknown_B_nT)
+    return Signal(setting, r, v, R, r, v, R, stray_B_nT=setting.unknown_B_nT, here_alone_B_nT=setting.unknown_B_nT)
 
 
 def _along_orbit(r_N_km: FloatArray, v_N_km_s: FloatArray, along_km: FloatArray) -> tuple[FloatArray, FloatArray]:

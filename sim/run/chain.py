@@ -15,7 +15,7 @@ import numpy as np
 from fluxtwin.sim.attitude.gauss_markov import gauss_markov
 from fluxtwin.sim.attitude.record import Attitude
 from fluxtwin.sim.base.random_streams import stream
-from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.effects.base import DynamicsEffect
@@ -65,7 +65,7 @@ def fly_magnetometer(
         columns=columns,
         full_scale_nT=scenario.magnetometer.full_scale_nT,
         field_N_nT=world.field_N_nT,
-        unknown_B_nT=_unknown_field_nT(scenario, world),
+        unknown_B_nT=_unknown_field_nT(scenario, world.time, "magnetometer"),
     )
     noise_nT = instrument.noise_nT * stream(scenario.seed, "magnetometer.noise").standard_normal((world.time.size, 3))
     return Chain(setting).simulated(_testable(scenario, setting), scenario.seed, noise_nT)
@@ -114,13 +114,28 @@ def fly_sensors(scenario: Scenario, world: World, motion: Attitude) -> dict[str,
     return columns
 
 
-def _unknown_field_nT(scenario: Scenario, world: World) -> FloatArray:
-    source = scenario.magnetometer.unknown
+def second_reading_B_nT(scenario: Scenario, signal: Signal) -> FloatArray | None:
+    """(N, 3) what [magnetometer_2] reads beside the first, whose signal this is; None where there is none.
+
+    Effects on time, orbit, field and attitude are in the field that both see, those of the spacecraft reach it by its
+    factor, those of the sensor not at all.
+    """
+    section, name, setting = scenario.magnetometer_2, "magnetometer_2", signal.setting
+    if section is None:
+        return None
+    at_sensor = signal.field_B_nT + section.spacecraft_field_factor * signal.spacecraft_B_nT
+    at_sensor += _unknown_field_nT(scenario, setting.time, name)
+    noise = stream(scenario.seed, f"{name}.noise")
+    return spacecraft.magnetometer(scenario, name).reading(at_sensor, setting.column("dipole_B_Am2"), noise)
+
+
+def _unknown_field_nT(scenario: Scenario, time: TimeArray, name: str) -> FloatArray:
+    """(N, 3) field that nobody has explained at the magnetometer of this section."""
+    source = getattr(scenario, name).unknown
     if source is None:
-        return np.zeros((world.time.size, 3))
+        return np.zeros((time.size, 3))
     tau_s = source.tau_s if source.kind == "gauss_markov" else 0.0
-    rng = stream(scenario.seed, "magnetometer.unknown")
-    return gauss_markov(world.time, source.nT, tau_s, rng, columns=3)
+    return gauss_markov(time, source.nT, tau_s, stream(scenario.seed, f"{name}.unknown"), columns=3)
 
 
 def to_telemetry(scenario: Scenario, signal: Signal, columns: Mapping[str, FloatArray], q_NB: FloatArray) -> Telemetry:
@@ -137,6 +152,7 @@ def to_telemetry(scenario: Scenario, signal: Signal, columns: Mapping[str, Float
     return Telemetry(
         time=signal.setting.time,
         mag_B_nT=signal.reading,
+        mag2_B_nT=second_reading_B_nT(scenario, signal),
         r_N_km=signal.r_reported_N_km,
         v_N_km_s=signal.v_reported_N_km_s,
         q_NB=_reported_q_NB(signal, q_NB),

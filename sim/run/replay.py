@@ -1,4 +1,4 @@
-"""Replay: orbit, attitude and housekeeping from a recorded file, the magnetometer simulated anew."""
+"""Replay: orbit, attitude and housekeeping from a recorded file, the magnetometers simulated anew."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
 def simulate_replay(scenario: Scenario, progress: Progress = silent) -> tuple[Telemetry, Truth]:
     """Run a scenario with [replay]: the recorded readings are replaced, everything else stays as recorded.
 
+    Those of a second magnetometer are left out where the scenario has none: they belong to another field.
     The recorded attitude stays the reported one; the true one is that less an error drawn from
     [attitude.reference]. Likewise the effects of the scenario change what was true, not what was recorded: the truth
     gives orbit and attitude without those on orbit and attitude. Rows without position, velocity or attitude are left out.
@@ -58,7 +59,8 @@ def simulate_replay(scenario: Scenario, progress: Progress = silent) -> tuple[Te
         columns["dipole_B_Am2"] = chain.torquer_dipole_B_Am2(scenario, world, attitude)
     signal = chain.fly_magnetometer(scenario, world, motion, columns, direction="predict")
     provenance = {"source": "simulation along a recorded file", "spacecraft": scenario.spacecraft.name}
-    telemetry = recorded.replace(mag_B_nT=signal.reading_B_nT, provenance=provenance)
+    second_B_nT = chain.second_reading_B_nT(scenario, signal)
+    telemetry = recorded.replace(mag_B_nT=signal.reading_B_nT, mag2_B_nT=second_B_nT, provenance=provenance)
     progress("done", 1.0)
     return telemetry, chain.to_truth(scenario, world, attitude, signal)
 

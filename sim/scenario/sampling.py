@@ -32,6 +32,7 @@ class SamplingSection(Section):
     """Who is read when; without a section in every row."""
 
     magnetometer: RateSection | None = None
+    magnetometer_2: RateSection | None = None
     attitude: RateSection | None = None
     sun_sensor: RateSection | None = None
     horizon_scanner: RateSection | None = None

@@ -35,6 +35,7 @@ class Scenario(SensorSections):
     station: dict[str, sections.StationSection] = {}
     attitude: sections.AttitudeSection = sections.AttitudeSection()
     magnetometer: sections.MagnetometerSection = sections.MagnetometerSection()
+    magnetometer_2: sections.SecondMagnetometerSection | None = None
     slit_sun_sensor: sections.SlitSunSensorSection | None = None
     torquers: sections.TorquersSection | None = None
     power: sections.PowerSection | None = None
@@ -114,6 +115,7 @@ class Scenario(SensorSections):
     def _sampled(self) -> None:
         """Rates are of parts that are there, and whole numbers of rows."""
         there = {
+            "magnetometer_2": self.magnetometer_2,
             "sun_sensor": bool(self.sun_sensor),
             "horizon_scanner": self.horizon_scanner,
             "gyro": self.gyro,

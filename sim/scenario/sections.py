@@ -215,6 +215,19 @@ class MagnetometerSection(Section):
         return None if self.range_nT is None and self.range_mG is None else _nT(self.range_nT, self.range_mG)
 
 
+class SecondMagnetometerSection(MagnetometerSection):
+    """Another one, at a place of its own: the same ambient field, less or more of the spacecraft's, no effect on sensors.
+
+    The field of a dipole falls with the cube of the distance, so along one boom the second sees a share (r1/r2)^3 of what
+    the first sees of each source (Ness et al. 1971, J. Geophys. Res. 76, 3564).
+    """
+
+    spacecraft_field_factor: NonNegative = 0.3
+    """The field of the spacecraft here, over that at the first; 0.3 is half as far again from the source."""
+    position_m: Vector3 | None = None
+    """Where it sits as seen from the first, body axes: the torquers' field is then that of the dipole law."""
+
+
 class SlitSunSensorSection(Section):
     """One slit in a half plane that holds body z, at an azimuth from +x towards +y; one pulse a spin."""
 

@@ -464,6 +464,39 @@ def test_a_replay_has_every_effect(effect, replayed, chain, run, close):
         close(telemetry.mag_B_nT, predicted, atol=1e-6, unit="nT", because="one chain: rounding of 5e4 nT")
 
 
+@pytest.fixture(scope="module")
+def beside(replayed):
+    """Two perfect magnetometers, the torquers' own field apart, and what they read without any effect."""
+    perfect = {"T_nT_per_Am2": np.zeros((3, 3)).tolist()}
+    both = replayed.updated({"magnetometer": perfect, "magnetometer_2": {**perfect, "spacecraft_field_factor": 0.4}})
+    return both, simulate(both)[0]
+
+
+def test_a_second_magnetometer_sees_the_field_whole_the_spacecraft_in_part_and_the_sensor_not(effect, beside, close):
+    """What every effect changes in the second reading, over what it changes in the first: 1, 0.4 or 0 by its stage."""
+    both, plain = beside
+    spoiled, _ = simulate(switched_on(both, effect, 0.9 * scale_of(effect)))
+    share = {"spacecraft": 0.4, "sensor": 0.0, "telemetry": 0.0}.get(effect.stage, 1.0) * (
+        effect.name != "boom_bending"
+    )
+    first, second = spoiled.mag_B_nT - plain.mag_B_nT, spoiled.mag2_B_nT - plain.mag2_B_nT
+    assert np.abs(first).max() > 1.0
+    close(second, share * first, atol=1e-9, unit="nT", because="rounding of sums of 5e4 nT, 7e-12 each")
+
+
+def test_a_bent_boom_takes_no_other_field_from_the_second_magnetometer(beside, close):
+    both, plain = beside
+    bent = switched_on(both, find_effect("boom_bending"), [0.01, -0.02, 0.03])
+    spoiled, _ = simulate(
+        switched_on(bent, find_effect("bias_step"), [5.0, 6.0, 7.0]).updated(
+            {"effects.switched_field": {"f_nT": [100.0, -50.0, 20.0], "condition": "eclipse"}}
+        )
+    )
+    dark = np.array(plain.sunlit)[:, None] < 0.5
+    wanted = plain.mag2_B_nT + 0.4 * np.array([100.0, -50.0, 20.0]) * dark
+    close(spoiled.mag2_B_nT, wanted, atol=1e-9, unit="nT", because="rounding of sums of 5e4 nT, 7e-12 each")
+
+
 def test_what_a_chain_remembers_changes_no_answer(scenario, run):
     """Whatever was asked before, a chain that has been used answers as a fresh one does, to the last bit."""
     used, rng = predicting(scenario, run[0]), np.random.default_rng(7)

@@ -32,6 +32,10 @@ lsb_nT = 10.0
 [magnetometer.unknown]
 kind = "white"
 rms_nT = 30.0
+[magnetometer_2]
+S = [[-0.01, 0.002, 0.003], [0.0, 0.02, 0.0], [0.005, 0.0, 0.01]]
+b_nT = [-300.0, 200.0, 700.0]
+noise_nT = 5.0
 [sun_sensor.1]
 azimuth_deg = 0.0
 elevation_deg = 90.0
@@ -63,10 +67,12 @@ def run(scenario):
 @pytest.mark.parametrize(
     ("switch", "kept"),
     [
-        ({"magnetometer.noise_nT": 0.0}, ("q_NB", "sun_B", "nadir_B", "rate_B_rad_s", "dipole_B_Am2")),
-        ({"attitude.reference.sigma_deg": 0.0}, ("mag_B_nT", "sun_B", "nadir_B", "rate_B_rad_s")),
-        ({"gyro": None}, ("mag_B_nT", "q_NB", "sun_B", "nadir_B")),
-        ({"magnetometer.unknown": None}, ("q_NB", "sun_B", "nadir_B", "rate_B_rad_s")),
+        ({"magnetometer.noise_nT": 0.0}, ("mag2_B_nT", "q_NB", "sun_B", "nadir_B", "rate_B_rad_s", "dipole_B_Am2")),
+        ({"attitude.reference.sigma_deg": 0.0}, ("mag_B_nT", "mag2_B_nT", "sun_B", "nadir_B", "rate_B_rad_s")),
+        ({"gyro": None}, ("mag_B_nT", "mag2_B_nT", "q_NB", "sun_B", "nadir_B")),
+        ({"magnetometer_2": None}, ("mag_B_nT", "q_NB", "sun_B", "nadir_B", "rate_B_rad_s", "dipole_B_Am2")),
+        ({"magnetometer_2.noise_nT": 0.0}, ("mag_B_nT", "q_NB", "sun_B", "nadir_B", "rate_B_rad_s")),
+        ({"magnetometer.unknown": None}, ("mag2_B_nT", "q_NB", "sun_B", "nadir_B", "rate_B_rad_s")),
         ({"torquers": None}, ("q_NB", "sun_B", "nadir_B", "rate_B_rad_s")),
         ({"sun_sensor.2": {"azimuth_deg": 90.0}}, ("mag_B_nT", "q_NB", "nadir_B", "rate_B_rad_s")),
     ],

@@ -136,6 +136,7 @@ def test_blanks_are_read_as_the_documents_say(scenario: Scenario, tmp_path: Path
         ({"sampling.gyro.every_s": 7.0}, "whole multiples of the rows' step_s"),
         ({"sampling.attitude.offset_s": 30.0}, "offset_s is to be less than every_s"),
         ({"sampling.torquers": {"every_s": 10.0}}, r"\[sampling.torquers\]: the scenario has no such part"),
+        ({"sampling.magnetometer_2": {"every_s": 10.0}}, "the scenario has no such part"),
         ({"sampling.compass": {"every_s": 10.0}}, "unknown key sampling.compass"),
         (
             {"torquers": {"dipole_Am2": [1.0, 1.0, 1.0], "positions_m": [[1.0, 0.0, 0.0]] * 3}},

@@ -32,6 +32,7 @@ def test_a_saved_scenario_repeats_the_run_bit_for_bit(tmp_path):
 @given(st.tuples(*9 * [st.floats(-0.4, 0.4)]), st.tuples(*3 * [st.floats(-1e5, 1e5)]), st.integers(0, 2**31))
 def test_whatever_the_numbers_a_saved_scenario_is_the_same(tmp_path, matrix, bias, seed):
     values = {"magnetometer.S": np.reshape(matrix, (3, 3)).tolist(), "magnetometer.b_nT": list(bias), "seed": seed}
+    values["magnetometer_2"] = {"S": values["magnetometer.S"], "position_m": list(bias)}
     scenario = parse_scenario(SMALL).updated(values)
     (tmp_path / "scenario.toml").unlink(missing_ok=True)
     again = load_scenario(save_scenario(scenario, tmp_path / "scenario.toml"))

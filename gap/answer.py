@@ -1,24 +1,31 @@
-"""What one noise model leads to: the named effects, and what is left beside them."""
+"""What one noise model leads to: explanations with one cause more each, weighed against each other.
+
+An explanation names none, one, two or three effects. What it leaves is noise, the shape error of its effects, or
+something unknown; each has its worth by the one criterion. The noise is chosen beside each explanation, and each has the
+noise that suits it best: a slow attitude error may be what another takes for a cause.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from fluxtwin.gap.blocks import Block
 from fluxtwin.gap.candidates import Candidate, derivatives, in_order
-from fluxtwin.gap.constancy import MANY, constant, pliable
-from fluxtwin.gap.evidence import Leftover, leftover
+from fluxtwin.gap.criterion import LOG_UNKNOWN, THRESHOLD, Weights, misfit
+from fluxtwin.gap.evidence import Leftover, leftover, orthonormal
 from fluxtwin.gap.flexible import FlexibleFinding
-from fluxtwin.gap.left import Left, what_is_left
+from fluxtwin.gap.growth import Search, begin, run
+from fluxtwin.gap.left import Left, judge
 from fluxtwin.gap.named import SearchResult
-from fluxtwin.gap.noise import NoiseChoice, NoiseModel, RobustRows, Whitener, noise_choice, whitener_of
+from fluxtwin.gap.noise import NoiseModel, RobustRows, Whitener, complete_budget, noise_choice, whitener_of
+from fluxtwin.gap.noise_budget import prior_of
 from fluxtwin.gap.problem import Problem
-from fluxtwin.gap.search import search
-from fluxtwin.gap.tones import TONE_DEGREES, strongest_tone
+from fluxtwin.gap.refit import Fit
+from fluxtwin.gap.score import Board
+from fluxtwin.gap.search import result_of
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
@@ -26,46 +33,66 @@ from fluxtwin.sim.effects.chain import Active
 Known = tuple[list[Candidate], dict[str, str]]
 """What `candidates` gives for a problem."""
 _ROUNDS = 2
-CARRIED = 0.9
-"""Share of the structured energy that the named effects must carry where structure is left."""
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """Named effects at their refit, and what is left beside them."""
+
+    fit: Fit
+    beside: Board
+    """Scores of all others."""
+    left: Left
+    worth: float
+    """Of its names, against none."""
+    explained: float
+    """Drop of chi-square by its names."""
+    gained: float = 0.0
+    """Of the worth, by a noise model under which the rest is not looked at."""
+
+    @property
+    def with_shape(self) -> float:
+        """Worth with what is left taken for the shape error of the names, where there are any."""
+        if not self.left.structured or not self.fit.chosen:
+            return self.worth
+        return self.worth - self.gained + self.left.worth - misfit(self.left.drop, self.explained)
+
+    @property
+    def with_unknown(self) -> float:
+        """Worth with what is left taken for something else than the catalogue has."""
+        structured = self.left.structured
+        return self.worth - self.gained + self.left.worth - LOG_UNKNOWN if structured else -np.inf
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What one noise model leads to; Jacobians as in `diagnose.Work`."""
+    """All explanations under one noise model, and the one that weighs most."""
 
     noise: NoiseModel
     robust: RobustRows
     whitener: Whitener
     result: SearchResult
+    """Of the explanation that weighs most."""
     alone_nT: FloatArray
+    """(N, 3, C) Jacobian of what is modelled."""
     fitted_nT: FloatArray
+    """(N, 3, C + P) and of the named effects."""
     left: Left
+    known: float
+    """Probability that nothing, or what is named, is all there is."""
+    worth: float
+    """Of the explanation that weighs most, in its best reading."""
+    handicap: float = 0.0
+    """Twice the log likelihood that another noise model gives to an explanation without names."""
     shapes: tuple[FlexibleFinding, ...] = ()
     """Causes that are known by their own shape: a line, a sequence, a region in the dark, a walk."""
-
-    @cached_property
-    def constant(self) -> bool:
-        """Whether what is named keeps its parameters over the record."""
-        return constant(self.result)
+    fullest: Fit | None = None
+    """The explanation with most names."""
 
     @property
     def carries(self) -> bool:
-        """Whether something is named that leaves no structure, or little of it."""
-        left = self.left.structured and (self.result.explained_share or 0.0) < CARRIED
-        return bool(self.result.named) and not left
-
-    @property
-    def burden(self) -> tuple[bool, int]:
-        """How much has to be believed: structure without a name, then names."""
-        return self.left.structured, len(self.result.named)
-
-
-def answered(
-    problem: Problem, noise: NoiseModel, robust: RobustRows, dictionary: Sequence[Block], known: Known
-) -> Answer:
-    """The search with one noise model, and what is left."""
-    return answered_with(problem, noise, robust, whitener_of(problem, noise, robust.weights), dictionary, known)
+        """Whether something is named and nothing unknown is likelier."""
+        return bool(self.result.named) and self.known >= 0.5
 
 
 def answered_with(
@@ -76,73 +103,126 @@ def answered_with(
     dictionary: Sequence[Block],
     known: Known,
     shapes: tuple[FlexibleFinding, ...] = (),
+    others: Sequence[NoiseModel] = (),
 ) -> Answer:
-    """The same with a whitening at hand, beside shapes: those that are signals are fitted in every test.
-
-    What has many parameters and does not keep them follows something else; then an answer without such names is taken,
-    if it carries the structure.
-    """
-    answer = _once(problem, noise, robust, whitener, dictionary, known, shapes)
-    if not pliable(answer.result) or answer.constant:
-        return answer
-    bound = [candidate for candidate in known[0] if len(candidate.effect.parameters) <= MANY]
-    other = _once(problem, noise, robust, whitener, dictionary, (bound, known[1]), shapes)
-    if not other.carries:
-        return answer
-    whole = answer.result  # what was asked of every candidate
-    result = replace(
-        other.result,
-        ranking=whole.ranking,
-        untestable=whole.untestable,
-        isolability=whole.isolability,
-        minimum_detectable=whole.minimum_detectable,
-        smallest_images_nT=whole.smallest_images_nT,
-    )
-    return replace(other, result=result)
-
-
-def _once(
-    problem: Problem,
-    noise: NoiseModel,
-    robust: RobustRows,
-    whitener: Whitener,
-    dictionary: Sequence[Block],
-    known: Known,
-    shapes: tuple[FlexibleFinding, ...],
-) -> Answer:
+    """The search under one whitening, beside shapes: those that are signals are fitted in every test. others: further noise
+    models that an explanation may have."""
     signals = signals_of(shapes)
-    result = _stripped(problem, search(_beside(problem, signals), whitener, known=known), signals)
+    inside = _beside(problem, signals)
+    under_way, untestable = begin(inside, whitener, known=known)
+    path = run(under_way)
+    explanations, handicap = _weighed(under_way, path, dictionary, others, robust)
+    best, share, total = _best(explanations)
+    chosen = explanations[best]
+    result = result_of(under_way, untestable, chosen.fit, chosen.beside, share)
+    result = _stripped(problem, result, signals)
     alone = derivatives(problem, result.modelled_alone)
     fitted = derivatives(problem, [*result.modelled, *result.chosen]) if result.chosen else alone
     if signals:
         fitted = np.concatenate([fitted, derivatives(problem, signals)], axis=2)
-    left = left_of(problem, whitener, result, fitted, dictionary)
-    if signals and left.kind == "tone":
-        result = _with_the_line(problem, result, leftover(whitener, result.residual_nT, fitted))
-    return Answer(noise, robust, whitener, result, alone, fitted, left, shapes)
+    return Answer(
+        noise, robust, whitener, result, alone, fitted, chosen.left, share, total, handicap, shapes, path[-1][0]
+    )
 
 
-def noise_and_answer(problem: Problem, dictionary: Sequence[Block], known: Known) -> tuple[NoiseChoice, Answer]:
+def _best(explanations: Sequence[Explanation]) -> tuple[int, float, float]:
+    """The explanation that weighs most, the probability that nothing unknown is there, and the most worth."""
+    unknown = [
+        -np.inf if _covered(one, explanations[place + 1 : place + 2]) else one.with_unknown
+        for place, one in enumerate(explanations)
+    ]
+    logs = np.array([[one.with_shape for one in explanations], unknown]).T
+    if not np.max(logs) > THRESHOLD:
+        return 0, 1.0, float(np.max(logs))
+    named = logs.copy()
+    named[0, 0] = -np.inf  # something is there
+    shares = Weights(named.reshape(-1)).shares.reshape(named.shape)
+    known = float(shares[:, 0].sum())
+    column = 0 if known >= 0.5 else 1
+    return int(np.argmax(named[:, column])), known, float(np.max(logs))
+
+
+def _covered(one: Explanation, following: Sequence[Explanation]) -> bool:
+    """Whether what is left beside an explanation is in the catalogue: one more name explains it, to its shape error."""
+    if not following:
+        return False
+    more = following[0]
+    left = misfit(more.left.drop, more.explained - one.explained) if more.left.structured else 0.0
+    return len(more.fit.chosen) == len(one.fit.chosen) + 1 and left < LOG_UNKNOWN
+
+
+def _weighed(
+    under_way: Search,
+    path: Sequence[tuple[Fit, Board]],
+    dictionary: Sequence[Block],
+    others: Sequence[NoiseModel],
+    robust: RobustRows,
+) -> tuple[list[Explanation], float]:
+    """Each step of the path with its worth and what is left, at the noise that suits it best."""
+    variance = path[-1][1].variance
+    nothing = under_way.cost(path[0][0], variance)
+    gained = _gained(under_way, [fit for fit, _ in path], others, robust)
+    found = []
+    for (fit, beside), gain in zip(path, gained, strict=True):
+        left = left_of(under_way, fit, dictionary, variance)
+        worth = nothing - under_way.cost(fit, variance) + gain - gained[0]
+        found.append(Explanation(fit, beside, left, worth, (path[0][0].chi2 - fit.chi2) / variance, gain))
+    return found, gained[0]
+
+
+def _gained(under_way: Search, fits: Sequence[Fit], others: Sequence[NoiseModel], robust: RobustRows) -> list[float]:
+    """Twice the log likelihood that each fit wins by the best of other noise models; none is below zero."""
+    problem, noise = under_way.problem, under_way.whitener.noise
+    if not others or len(fits) < 2:
+        return [0.0] * len(fits)
+    prior = prior_of(complete_budget(problem))
+    gained = []
+    for fit in fits:
+        residual = problem.residual_of(in_order([*problem.frozen, *fit.active]))
+        columns = derivatives(problem, fit.active)
+        logs = []
+        for one in (noise, *others):
+            whitener = whitener_of(problem, one, robust.weights)
+            rest = leftover(whitener, residual, columns)
+            density = prior.log_density(one.sigma_nT, one.theta_rad, one.tau_s)
+            logs.append(2.0 * density - whitener.log_det - rest.energy)
+        gained.append(max(logs) - logs[0])
+    return gained
+
+
+def noise_and_answer(problem: Problem, dictionary: Sequence[Block], known: Known) -> tuple[NoiseModel, Answer]:
     """The noise beside what is modelled, the answer under it; then the noise beside the named effects too, and the answer
-    under that, in turn until the names stay.
+    under that, in turn until the names stay. Also the first of these noise models.
 
     The noise is that of the model as it stands, never beside everything that might be there: some hundred columns can
     make up any slow error of the attitude, and what they leave would be taken for all there is.
     """
-    choice = noise_choice(problem)
+    first = choice = noise_choice(problem)
     answer = answered(problem, choice.noise, choice.robust, dictionary, known)
     for _ in range(_ROUNDS):
-        names = {effect for effect, _ in answer.result.chosen}
-        if not names:
+        fit = answer.fullest
+        if fit is None or not fit.chosen:
             break
-        beside = noise_choice(problem, answer.fitted_nT, residual_nT=answer.result.residual_nT)
-        then = answered(problem, beside.noise, beside.robust, dictionary, known)
-        if not (answer.carries or then.carries):
-            break  # what is named is not what there is, under either noise
-        choice, answer = beside, then
-        if {effect for effect, _ in answer.result.chosen} == names:
+        names = {effect for effect, _ in fit.chosen}
+        residual = problem.residual_of(in_order([*problem.frozen, *fit.active]))
+        choice = noise_choice(problem, derivatives(problem, fit.active), residual_nT=residual)
+        answer = answered(problem, choice.noise, choice.robust, dictionary, known, [first.noise])
+        if answer.fullest is not None and {effect for effect, _ in answer.fullest.chosen} == names:
             break
-    return choice, answer
+    return first.noise, answer
+
+
+def answered(
+    problem: Problem,
+    noise: NoiseModel,
+    robust: RobustRows,
+    dictionary: Sequence[Block],
+    known: Known,
+    others: Sequence[NoiseModel] = (),
+) -> Answer:
+    """The search with one noise model, and what is left."""
+    whitener = whitener_of(problem, noise, robust.weights)
+    return answered_with(problem, noise, robust, whitener, dictionary, known, (), others)
 
 
 def signals_of(shapes: Sequence[FlexibleFinding]) -> list[Active]:
@@ -155,37 +235,27 @@ def signals_of(shapes: Sequence[FlexibleFinding]) -> list[Active]:
     return found
 
 
-def left_of(
-    problem: Problem, whitener: Whitener, result: SearchResult, fitted: FloatArray, dictionary: Sequence[Block]
-) -> Left:
+def left_of(under_way: Search, fit: Fit, dictionary: Sequence[Block], variance: float) -> Left:
     """What is left beside the named effects at their refit and, of a large one, beside its image at nothing too.
 
     The two images of one effect differ by what its size changes and by errors of the attitude in both: structure along
     that difference is the same cause once more.
     """
-    at_nothing = [c.jacobian for c in result.candidates if any(c.effect == effect for effect, _ in result.chosen)]
-    columns = np.concatenate([fitted, *at_nothing], axis=2)
-    return what_is_left(problem, whitener, result.residual_nT, columns, found=dictionary)
+    numbers = [
+        number for number, c in enumerate(under_way.found) if any(c.effect == effect for effect, _ in fit.chosen)
+    ]
+    at_nothing = under_way.white[:, :, np.isin(under_way.first.owner, numbers)]
+    rest = leftover_of(under_way, fit, at_nothing)
+    own = fit.jacobian[:, :, fit.jacobian.shape[2] - sum(len(theta) for _, theta in fit.chosen) :]
+    return judge(under_way.problem, rest, dictionary, own if fit.chosen else None, variance)
 
 
-def bare(problem: Problem, answer: Answer, dictionary: Sequence[Block]) -> Answer:
-    """The same noise with no effect named."""
-    found = answer.result
-    result = replace(
-        found,
-        named=(),
-        chosen=(),
-        modelled=found.modelled_alone,
-        residual_nT=found.residual_alone_nT,
-        residual_white=found.residual_alone_white,
-        jacobian_white=found.nuisance_alone_white,
-        chi2={**found.chi2, "named": found.chi2["nuisance"]},
-    )
-    signals = signals_of(answer.shapes)
-    own = [derivatives(problem, signals)] if signals else []
-    fitted = np.concatenate([answer.alone_nT, *own], axis=2)
-    left = what_is_left(problem, answer.whitener, result.residual_nT, fitted, found=dictionary)
-    return replace(answer, result=result, fitted_nT=fitted, left=left)
+def leftover_of(under_way: Search, fit: Fit, further: FloatArray) -> Leftover:
+    """The whitened residual of a fit, with its columns and further ones (N, 3, p), whitened, out of it."""
+    flat = fit.residual.reshape(-1)
+    basis = orthonormal(np.concatenate([fit.jacobian, further], axis=2).reshape(flat.size, -1))
+    rest = flat - basis @ (basis.T @ flat)
+    return Leftover(under_way.whitener, rest, basis, max(under_way.whitener.measured - basis.shape[1], 1))
 
 
 def _beside(problem: Problem, signals: Sequence[Active]) -> Problem:
@@ -210,11 +280,3 @@ def _stripped(problem: Problem, result: SearchResult, signals: Sequence[Active])
         residual_nT=problem.residual_of(in_order([*problem.frozen, *modelled, *result.chosen])),
         residual_alone_nT=problem.residual_of(in_order([*problem.frozen, *alone])),
     )
-
-
-def _with_the_line(problem: Problem, result: SearchResult, rest: Leftover) -> SearchResult:
-    """The result with the strongest line in what is structured: no image of an effect holds it."""
-    tone = strongest_tone(problem.setting.seconds, rest)
-    whole, rank = result.chi2["saturated"]
-    line = (whole - tone.explained, rank + TONE_DEGREES)
-    return replace(result, chi2={**result.chi2, "saturated": line})

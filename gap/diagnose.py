@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fluxtwin.gap import far, level, verdict
-from fluxtwin.gap.answer import CARRIED, Answer, answered, left_of, noise_and_answer
+from fluxtwin.gap.answer import Answer, noise_and_answer
 from fluxtwin.gap.blocks import Block, blocks
 from fluxtwin.gap.candidates import candidates
 from fluxtwin.gap.detectable import under_all
@@ -17,8 +17,7 @@ from fluxtwin.gap.far import floor_rms_nT
 from fluxtwin.gap.flexible import FlexibleFinding
 from fluxtwin.gap.frail import Shaken
 from fluxtwin.gap.full_rate import full_rate
-from fluxtwin.gap.growth import needed
-from fluxtwin.gap.left import Left
+from fluxtwin.gap.left import Left, what_is_left
 from fluxtwin.gap.momentum import Momentum, balanced
 from fluxtwin.gap.momentum_arcs import Craft
 from fluxtwin.gap.named import SearchResult
@@ -30,7 +29,6 @@ from fluxtwin.gap.noise import (
     complete_budget,
     whitener_of,
 )
-from fluxtwin.gap.noise_range import plausible_noise
 from fluxtwin.gap.problem import DEFAULT_MODELLED, Budget, Problem, pose, realigned
 from fluxtwin.gap.records import Diagnosis, GapSeries, Shrinkage
 from fluxtwin.gap.refit import refit, settled
@@ -55,9 +53,6 @@ the reading moves by about a step from row to row (Widrow & Kollar 2008, Quantiz
 _FEWEST_ROWS = 200
 _LEAST_FREE = 30
 _BOUNDLESS_RAD = 1.0
-_NOTHING = (False, 0)
-_SURE = 1e-6
-"""p-value below which structure is no matter of the noise model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +68,8 @@ class Work:
     """(N, 3, C) Jacobian of what is modelled, without named effects."""
     fitted_nT: FloatArray
     """(N, 3, C + P) Jacobian of what is modelled and of the named effects, at the refit."""
-    constant: bool
-    """Whether the named effects keep their parameters over the record."""
+    known: float
+    """Probability that nothing, or what is named, is all there is."""
     left: Left
     flexible: tuple[FlexibleFinding, ...]
     """Those that are confirmed."""
@@ -153,26 +148,12 @@ def investigate(
     known = candidates(problem, shaken=shaken)
     dictionary = Dictionary(blocks(problem, shaken=shaken), problem.rows)
     progress("noise, and which effects", 0.25)
-    settled_on, answer = noise_and_answer(problem, dictionary, known)
-    noise, robust = settled_on.noise, settled_on.robust
+    first_noise, answer = noise_and_answer(problem, dictionary, known)
     if problem.axes is not None and answer.result.chosen:
         # A large effect moves where readings without attitude point to.
         problem = realigned(problem, beside=[*answer.result.modelled, *answer.result.chosen])
         known = candidates(problem)
-        answer = answered(problem, noise, robust, dictionary, known)
-    others = plausible_noise(problem, settled_on)
-    if answer.burden > _NOTHING:
-        # A finding must hold with every noise model that the data leave possible; the plainest answer counts.
-        progress("whether the noise explains it", 0.6)
-        for other in others:
-            if _stands(problem, answer, other, robust):
-                continue
-            if _stays_structured(problem, answer, other, dictionary):
-                break  # the first has the most slow noise: what stands beside it stands beside the others
-            answer = min(answer, answered(problem, other, robust, dictionary, known), key=lambda one: one.burden)
-            if answer.burden == _NOTHING:
-                break
-    del settled_on  # its likelihood holds the whole design once more
+        first_noise, answer = noise_and_answer(problem, dictionary, known)
     progress("what is left, and where", 0.75)
     fast = None if whole is None else full_rate(whole, problem, answer.result.modelled, answer.result.chosen)
     shapes = Shapes(problem, dictionary, known, lambda own: choose_noise(problem, own))
@@ -180,7 +161,7 @@ def investigate(
     robust = answer.robust
     noise, whitener, result = answer.noise, answer.whitener, answer.result
     alone, fitted, left = answer.alone_nT, answer.fitted_nT, answer.left
-    every = [whitener, *(whitener_of(problem, other, robust.weights) for other in others)]
+    every = [whitener, whitener_of(problem, first_noise, robust.weights)]
     smallest = under_all(result.minimum_detectable, result.smallest_images_nT, alone, every)
     result = replace(result, minimum_detectable=smallest)
     rows = (problem, whitener, noise, robust, result.residual_nT, fitted)
@@ -190,7 +171,7 @@ def investigate(
     flexible = tuple(one for one in findings if one.confirmed)
     loud = next((one.words for one in findings if one.effect == "excess_noise" and not one.confirmed), None)
     would_do_rad = _attitude_would_do(problem, answer, dictionary)
-    place = _place(problem, whitener, result, alone, fitted, dictionary, left)
+    place = _place(problem, whitener, result, alone, fitted, dictionary, left, answer.known)
     progress("how far", 0.9)
     shrinkage, series = _how_far(problem, robust, declared_lsb_nT, answer, flexible)
     momentum = balanced(problem, craft, whitener, result, fitted)
@@ -202,7 +183,7 @@ def investigate(
         result,
         alone,
         fitted,
-        answer.constant,
+        answer.known,
         left,
         flexible,
         loud,
@@ -243,30 +224,12 @@ def _attitude_would_do(problem: Problem, answer: Answer, dictionary: Dictionary)
         return None
     boundless = replace(answer.noise, theta_rad=_BOUNDLESS_RAD, tau_s=0.0)
     whitener = whitener_of(problem, boundless, answer.robust.weights)
-    if left_of(problem, whitener, answer.result, answer.fitted_nT, dictionary).structured:
+    if what_is_left(problem, whitener, answer.result.residual_nT, answer.fitted_nT, found=dictionary).structured:
         return None
     rest = problem.judged(answer.result.residual_nT)[~answer.robust.cut.any(axis=1)]
     reach = floor_rms_nT(problem.noise_field_nT, 0.0, 1.0, problem.measured)
     excess = max(float(np.mean(rest**2)) - float(np.mean(answer.noise.white_nT**2)), 0.0)
     return float(np.sqrt(excess)) / max(reach, 1e-9)
-
-
-def _stands(problem: Problem, answer: Answer, other: NoiseModel, robust: RobustRows) -> bool:
-    """Whether an answer of one name and nothing left could not be plainer under another noise model."""
-    if answer.left.structured or len(answer.result.chosen) != 1:
-        return False
-    effect, _ = answer.result.chosen[0]
-    one = next(c for c in answer.result.candidates if c.effect == effect)
-    return needed(problem, whitener_of(problem, other, robust.weights), one, answer.result.tested)
-
-
-def _stays_structured(problem: Problem, answer: Answer, other: NoiseModel, dictionary: Sequence[Block]) -> bool:
-    """Whether beside the same name, or names that do not carry it, the structure is as sure under another noise model:
-    too sure for noise."""
-    if not answer.left.structured or (len(answer.result.chosen) > 1 and answer.carries):
-        return False
-    whitener = whitener_of(problem, other, answer.robust.weights)
-    return left_of(problem, whitener, answer.result, answer.fitted_nT, dictionary).p_value < _SURE
 
 
 def _new_rounding(telemetry: Telemetry) -> tuple[Telemetry, int]:
@@ -307,9 +270,10 @@ def _place(
     fitted: FloatArray,
     dictionary: Sequence[Block],
     left: Left,
+    known: float,
 ) -> Where:
     """Of the whole gap where it is explained, of the rest where structure remains that is not."""
-    if left.structured and result.named and (result.explained_share or 1.0) < CARRIED:
+    if left.structured and result.named and known < 0.5:
         return where(problem, whitener, result.residual_nT, fitted, found=dictionary)
     return where(problem, whitener, result.residual_alone_nT, alone, found=dictionary, candidates=result.candidates)
 

@@ -15,7 +15,6 @@ import numpy as np
 from fluxtwin.gap.candidates import derivative, in_order
 from fluxtwin.gap.evidence import Leftover, leftover
 from fluxtwin.gap.flexible import FlexibleFinding, wheel_line
-from fluxtwin.gap.left import ALPHA
 from fluxtwin.gap.noise import NoiseModel, RobustRows, Whitener, complete_budget, select_noise, whitener_of
 from fluxtwin.gap.noise_budget import prior_of
 from fluxtwin.gap.problem import Problem, pose, realigned
@@ -26,7 +25,7 @@ from fluxtwin.sim.telemetry.record import Telemetry
 
 MOST_ROWS = 60_000
 """Of the stretch: its Jacobians, their whitened and orthonormal copies take about a third of a gigabyte."""
-_SEARCHES = 4
+_SURE = 5e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +48,7 @@ class FullRate:
     @property
     def has_line(self) -> bool:
         """A line too fast for the evenly spaced rows."""
-        return self.tone.frequency_Hz > self.slow_Hz and self.tone.log10_p < np.log10(ALPHA / _SEARCHES)
+        return self.tone.frequency_Hz > self.slow_Hz and self.tone.log10_p < np.log10(_SURE)
 
     def line(self) -> FlexibleFinding | None:
         """The line, if it is that of a wheel."""

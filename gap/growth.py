@@ -15,10 +15,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from fluxtwin.gap.cancelling import undone
 from fluxtwin.gap.candidates import Candidate, candidate_of, candidates
+from fluxtwin.gap.criterion import penalty
 from fluxtwin.gap.detectable import GATE
 from fluxtwin.gap.groups import alike, shares_by_name
 from fluxtwin.gap.interval import likeliest_interval
@@ -38,7 +38,6 @@ lost by taking a large effect as linear (8 % of a clock 10 s late, whose linear 
 its own). Generous, because what it costs is at most four refits."""
 _REFITS = 4
 _STEPS = (1.5, 1 / 1.5, 1.25, 1 / 1.25, 1.12, 1 / 1.12)
-_FREE_RIDER = 0.8  # of what one name leaves, the further names must explain this much
 
 
 @dataclass(eq=False)
@@ -99,7 +98,7 @@ class Search:
         """chi2 / variance + the price of parameters and names; lower is better."""
         drop = (self.base.chi2 - fit.chi2) / variance
         names = 2 * len(fit.chosen) * np.log(self.tested)
-        return float(fit.chi2 / variance + price(fit.rank_chosen, drop, self.samples) + names)
+        return float(fit.chi2 / variance + penalty(fit.rank_chosen, drop, self.samples) + names)
 
     def beside(self, fit: Fit) -> tuple[Board, list[Candidate]]:
         """Effects other than those chosen, scored at a refit.
@@ -132,13 +131,6 @@ class Search:
         ]
 
 
-def price(rank: ArrayLike, drop: ArrayLike, samples: float) -> FloatArray:
-    """Of `rank` parameters that lower chi-square (unit variance) by `drop` together."""
-    ranks = np.maximum(np.asarray(rank, dtype=np.float64), 0.0)
-    each = np.asarray(drop, dtype=np.float64) / np.maximum(ranks, 1.0)
-    return np.asarray(ranks * np.minimum(np.log(samples), 1.0 + np.log(np.maximum(each, 1.0))))
-
-
 def begin(
     problem: Problem,
     whitener: Whitens,
@@ -157,24 +149,19 @@ def begin(
     return Search(problem, whitener, found, base, first, white, gate, same=same), untestable
 
 
-def needed(problem: Problem, whitener: Whitens, candidate: Candidate, tested: int, gate: float = GATE) -> bool:
-    """Whether one candidate, of `tested` in all, is significant by itself under this whitening: a search would not
-    then end without a name."""
-    alone, _ = begin(problem, whitener, gate, ([candidate], {}))
-    return bool(tested * float(alone.first.p_values.min()) <= gate)
-
-
-def run(search: Search) -> tuple[Fit, Board]:
-    """The best set of at most three effects (maybe none), and what is left beside it."""
+def run(search: Search) -> list[tuple[Fit, Board]]:
+    """The best sets of none, one, two, three effects, as long as one more is significant and worth it; each with what
+    is to be scored beside it."""
+    path = [(search.base, search.first)]
     if not search.found or search.tested * float(search.first.p_values.min()) > search.gate:
-        return search.base, search.first
+        return path
     interval = likeliest_interval(search.problem, search.whitener, search.base.residual, search.base.jacobian)
     if interval is not None and "switched_field" in {candidate.name for candidate in search.found}:
         search.add([interval])
     fit = _best(search, [[number] for number in _shortlist(search, search.first)], search.first)
     rest, others = search.beside(fit)
     fit, rest, others = _sharper(search, fit, rest, others)
-    path = [(fit, rest)]
+    path.append((fit, rest))
     while len(fit.chosen) < LARGEST:
         larger = _grown(search, fit, rest, others)
         if larger is None:
@@ -182,8 +169,11 @@ def run(search: Search) -> tuple[Fit, Board]:
         fit = larger
         fit, rest, others = _sharper(search, fit, *search.beside(fit))
         path.append((fit, rest))
-    fit = _eliminated(search, _without_free_riders(path), rest)
-    return fit, search.beside(fit)[0]
+    last = _eliminated(search, fit, rest)
+    if last is not fit:
+        kept = [pair for pair in path if len(pair[0].chosen) < len(last.chosen)]
+        path = [*kept, (last, search.beside(last)[0])]
+    return path
 
 
 def _sharper(search: Search, fit: Fit, rest: Board, others: list[Candidate]) -> tuple[Fit, Board, list[Candidate]]:
@@ -231,7 +221,7 @@ def _with_setting(search: Search, fit: Fit, number: int, moved: Effect | None) -
 def _shortlist(search: Search, scored: Board) -> list[int]:
     """Candidates whose linear model is nearly as good as the best one, at most two alternatives of an effect."""
     drop = scored.statistic / scored.variance
-    cost = -drop + price(scored.rank, drop, search.samples)
+    cost = -drop + penalty(scored.rank, drop, search.samples)
     cost = np.where(scored.rank > 0, cost, np.inf)
     window = max(WITHIN, NONLINEAR * float(scored.statistic.max() / scored.variance))
     chosen: list[int] = []
@@ -291,7 +281,7 @@ def _afresh(search: Search, size: int, present: Sequence[int], partners: Sequenc
         inside = np.isin(scored.block, seed)
         own = float(scored.statistic[seed[0]]) if len(seed) == 1 else _joint(scored, inside)
         whole = (own + drop) / scored.variance
-        cost = -whole + price(int(inside.sum()) + rank, whole, search.samples)
+        cost = -whole + penalty(int(inside.sum()) + rank, whole, search.samples)
         names = {search.found[n].name for n in seed}
         free = [n for n in np.argsort(cost)[:3] if rank[n] > 0 and search.found[n].name not in names]
         ranked += [(float(cost[n]), sorted([*seed, int(n)])) for n in free]
@@ -308,23 +298,6 @@ def _joint(scored: Board, inside: BoolArray) -> float:
     values, vectors = np.linalg.eigh(scored.unit_gram[np.ix_(inside, inside)])
     good = values > 1e-6
     return float(np.sum((vectors[:, good].T @ scored.score[inside]) ** 2 / values[good]))
-
-
-def _without_free_riders(path: Sequence[tuple[Fit, Board]]) -> Fit:
-    """The last fit, unless its further names only mop up after the first.
-
-    A cause whose shape is slightly wrong leaves structure that many effects each explain a little. A real further
-    cause explains nearly all of what the first one leaves.
-    """
-    alone, rest = path[0]
-    last = path[-1][0]
-    if len(path) == 1 or not {id(e) for e, _ in alone.chosen} <= {id(e) for e, _ in last.chosen}:
-        return last
-    whole, rank = rest.saturated
-    left = whole - rest.variance * rank
-    explained = alone.chi2 - last.chi2 - rest.variance * (last.rank - alone.rank)
-    spread = 3.0 * rest.variance * float(np.sqrt(2.0 * rank))
-    return alone if explained < _FREE_RIDER * left and left - explained > spread else last
 
 
 def _eliminated(search: Search, fit: Fit, rest: Board) -> Fit:

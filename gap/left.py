@@ -1,46 +1,45 @@
 """What is left once calibration and the named effects are out: is there structure, and what does it look like?
 
-Four searches, each with its own exact or analytic law: blocks of columns (F tests), one line of any frequency
-(three-axis periodogram), one step (cumulated sums against the Brownian bridge), drift (energy of block means at
-growing lengths against short scales).
+Five ways to look, all judged by one criterion: blocks of columns, one line of any frequency (three-axis periodogram), one
+step (cumulated sums), drift (energy of block means at growing lengths), and parameters of their own for each part of the
+record (Chow 1960, Econometrica 28, 591).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from fluxtwin.gap.blocks import Block, blocks, step_block
-from fluxtwin.gap.evidence import Fit, Leftover, Whitens, fit, fit_all, leftover, log10_sf_f
+from fluxtwin.gap.criterion import THRESHOLD, worth
+from fluxtwin.gap.evidence import Leftover, Whitens, fit, fit_all, leftover, log10_sf_f
 from fluxtwin.gap.problem import Problem
-from fluxtwin.gap.tones import Tone, strongest_tone
+from fluxtwin.gap.tones import TONE_DEGREES, strongest_tone
 from fluxtwin.sim.base.types import FloatArray
 
-ALPHA = 0.002
-"""False-alarm rate of the four searches together when the noise is what the whitening takes it for."""
 NOISE_TOLERANCE = 1.15**2
 """How much larger the noise energy at long scales may be than at short ones before it is called drift: the slow
 part of the attitude error, which the whitening cannot know better than to 15 % rms."""
-_SEARCHES = 4
+_PARTS = (2, 5)
+_LEAST_LEFT = 1e-6  # of its energy that a direction must have beside what is fitted
 
 
 @dataclass(frozen=True)
 class Left:
-    """What was found in a residual."""
+    """The finding of most worth in a residual."""
 
-    structured: bool
-    p_value: float
-    """Corrected for all four searches."""
-    condition: str | None
-    frame: str | None
+    worth: float
+    drop: float
+    """Of chi-square, by the finding."""
     kind: str
-    """`block`, `tone`, `step`, `drift` or `none`: what the structure resembles most."""
+    """`block`, `tone`, `step`, `drift`, `parts` or `none`."""
     words: str
-    p_values: dict[str, float]
-    """By search, each corrected for the number of its alternatives."""
+    condition: str | None = None
+    frame: str | None = None
     label: str = ""
     """Which variant of the condition."""
     frequency_Hz: float | None = None
@@ -48,14 +47,9 @@ class Left:
     step_s: float | None = None
     """Likeliest moment of a step, from the first stamp."""
 
-
-@dataclass(frozen=True)
-class _Clue:
-    kind: str
-    log10_p: float
-    explained: float
-    price: float
-    """Parameters that were free, settings that were searched included."""
+    @property
+    def structured(self) -> bool:
+        return self.worth > THRESHOLD
 
 
 def what_is_left(
@@ -65,55 +59,81 @@ def what_is_left(
     fitted: FloatArray,
     *,
     found: Sequence[Block] | None = None,
-    alpha: float = ALPHA,
 ) -> Left:
     """Search a residual for structure.
 
     residual_nT (N, 3): reading less the best prediction; fitted (N, 3, q): Jacobian of everything that was fitted,
     calibration included. Both in nT; they are whitened here. found: blocks made before for this design.
     """
-    left = leftover(whitener, residual_nT, fitted)
-    tests = fit_all(blocks(problem) if found is None else found, left)
-    return judge(problem, left, tests, alpha=alpha)
+    return judge(problem, leftover(whitener, residual_nT, fitted), blocks(problem) if found is None else found)
 
 
-def judge(problem: Problem, left: Leftover, fits: Sequence[Fit], *, alpha: float = ALPHA) -> Left:
-    """As `what_is_left`, from fits that are at hand."""
-    seconds = problem.setting.seconds
-    scored = [(*one.f_test(left), one.block) for one in fits]
-    best = min(scored, key=lambda item: item[0])
+def judge(
+    problem: Problem,
+    left: Leftover,
+    found: Sequence[Block],
+    own: FloatArray | None = None,
+    variance: float | None = None,
+) -> Left:
+    """As `what_is_left`. own (N, 3, p): whitened columns of the named effects, which keep their parameters or not;
+    variance: of whitened rows, default that of the residual."""
+    unit = left.energy / left.degrees if variance is None else variance
+    seconds, samples = problem.setting.seconds, left.degrees / 3.0
+    fits = [(one.f_test(left), one.block) for one in fit_all(found, left)]
+    tried = float(np.log(max(len(fits), 1)))
+    clues: list[Left] = []
+    for (_, gain, rank), block in fits:
+        drop = gain / unit
+        frame = f", coherent in the {block.frame} frame" if block.frame else ""
+        words = f"structure that follows {block.label}{frame}"
+        clues.append(
+            Left(worth(drop, rank, samples, tried), drop, "block", words, block.condition, block.frame, block.label)
+        )
     tone = strongest_tone(seconds, left)
-    step_p, step_s = step(seconds, left)
-    drift_p = drift(left)
-    logs = {
-        "block": float(best[0] + np.log10(len(scored))),
-        "tone": tone.log10_p,
-        "step": float(np.log10(max(step_p, 1e-300))),
-        "drift": drift_p,
-    }
-    smallest = min(logs.values())
-    p_value = float(min(1.0, _SEARCHES * 10**smallest))
-    p_values = {name: float(min(1.0, 10**value)) for name, value in logs.items()}
-    if p_value >= alpha:
-        words = "nothing structured is left"
-        return Left(False, p_value, None, None, "none", words, p_values, "", tone.frequency_Hz, step_s)
-    kind = _kind(problem, left, logs, best, tone, step_s)
-    block = best[3]
-    named = kind == "block"
-    condition = block.condition if named else {"step": "after_time", "drift": "time"}.get(kind)
-    frame = block.frame if named else None
-    return Left(
-        True,
-        p_value,
-        condition,
-        frame,
-        kind,
-        _words(kind, block, tone, step_s),
-        p_values,
-        block.label if named else kind,
-        tone.frequency_Hz,
-        step_s,
-    )
+    if tone.frequency_Hz > 0:
+        drop = tone.explained / unit
+        cycles = max(float(seconds[-1] - seconds[0]) / (2.0 * float(np.median(np.diff(seconds)))), 1.0)
+        words = f"a line at a period of {1 / tone.frequency_Hz:.0f} s"
+        clues.append(Left(worth(drop, TONE_DEGREES, samples, float(np.log(cycles))), drop, "tone", words))
+    _, step_s = step(seconds, left)
+    _, gain, rank = fit(step_block(problem, step_s), left).f_test(left)
+    drop, words = gain / unit, f"a step {step_s:.0f} s after the first sample"
+    clues.append(Left(worth(drop, rank, samples, float(np.log(seconds.size))), drop, "step", words, "after_time"))
+    log10_p, excess = drift(left)
+    words = "slow wandering that follows no condition"
+    clues.append(Left(-2.0 * log10_p * float(np.log(10.0)), excess, "drift", words, "time"))
+    if own is not None and own.shape[2]:
+        clues += _parts(left, own, samples, unit)
+    best = max(clues, key=lambda clue: clue.worth)
+    if best.worth <= THRESHOLD:
+        best = Left(best.worth, 0.0, "none", "nothing structured is left")
+    return replace(best, frequency_Hz=tone.frequency_Hz or None, step_s=step_s)
+
+
+def _parts(left: Leftover, own: FloatArray, samples: float, unit: float) -> list[Left]:
+    """Parameters of their own for each of two or five parts."""
+    found = []
+    for count in _PARTS:
+        rows = np.array_split(np.arange(len(own)), count)[:-1]
+        cut = np.concatenate([_only(own, part) for part in rows], axis=1)
+        size = np.linalg.norm(cut, axis=0)
+        cut = cut[:, size > 0] / size[size > 0]
+        for _ in range(2):  # the second pass removes the rounding of the first
+            cut = cut - left.basis @ (left.basis.T @ cut)
+        values, vectors = np.linalg.eigh(cut.T @ cut)
+        live = values > _LEAST_LEFT
+        gain, rank = float(np.sum((vectors[:, live].T @ (cut.T @ left.residual)) ** 2 / values[live])), int(live.sum())
+        drop = gain / unit
+        words = f"the parameters differ between the {count} parts of the record"
+        found.append(Left(worth(drop, rank, samples, float(np.log(len(_PARTS)))), drop, "parts", words, "time"))
+    return found
+
+
+def _only(columns: FloatArray, rows: NDArray[np.intp]) -> FloatArray:
+    """(3M, p) the columns with nothing outside some rows."""
+    part = np.zeros_like(columns)
+    part[rows] = columns[rows]
+    return part.reshape(-1, columns.shape[2])
 
 
 def step(seconds: FloatArray, left: Leftover) -> tuple[float, float]:
@@ -134,8 +154,8 @@ def step(seconds: FloatArray, left: Leftover) -> tuple[float, float]:
     return min(p, 1.0), float(seconds[row])
 
 
-def drift(left: Leftover) -> float:
-    """log10 p-value of too much energy at long scales.
+def drift(left: Leftover) -> tuple[float, float]:
+    """log10 p-value of too much energy at long scales, and the excess.
 
     Means over blocks of 4, 16, 64, ... samples (an Allan-like scale) hold a known share of the energy of white
     noise; the fitted columns' share is taken out exactly. F against the rest, less a tolerance.
@@ -143,7 +163,7 @@ def drift(left: Leftover) -> float:
     series = left.residual.reshape(-1, 3)
     rows = series.shape[0]
     lengths = [length for length in (4**n for n in range(1, 10)) if rows // length >= 6]
-    found = [0.0]
+    found = [(0.0, 0.0)]
     for length in lengths:
         means = _block_means(series, length)
         basis = _block_means(left.basis.reshape(rows, 3, -1), length)
@@ -152,9 +172,12 @@ def drift(left: Leftover) -> float:
         spare = left.degrees - degrees
         if degrees < 3 or spare < 10:
             continue
-        ratio = (energy / degrees) / max((left.energy - energy) / spare, 1e-300) / NOISE_TOLERANCE
-        found.append(log10_sf_f(ratio, degrees, spare) if ratio > 1 else 0.0)
-    return float(min(found) + np.log10(max(len(lengths), 1)))
+        rest = max((left.energy - energy) / spare, 1e-300)
+        ratio = (energy / degrees) / rest / NOISE_TOLERANCE
+        if ratio > 1:
+            found.append((log10_sf_f(ratio, degrees, spare), energy / max(rest, 0.25) - degrees * NOISE_TOLERANCE))
+    log10_p, excess = min(found)
+    return min(float(log10_p + np.log10(max(len(lengths), 1))), 0.0), excess
 
 
 def _block_degrees(left: Leftover, most: int, length: int) -> float:
@@ -170,42 +193,3 @@ def _block_means(series: FloatArray, length: int) -> FloatArray:
     count = series.shape[0] // length
     grouped = series[: count * length].reshape(count, length, *series.shape[1:])
     return np.asarray(grouped.sum(axis=1) / np.sqrt(length))
-
-
-def _kind(
-    problem: Problem,
-    left: Leftover,
-    logs: dict[str, float],
-    best: tuple[float, float, int, Block],
-    tone: Tone,
-    step_s: float,
-) -> str:
-    """What the structure resembles most: the search whose fit is worth most after its price (as in BIC)."""
-    price = np.log(left.degrees)
-    jump = step_block(problem, step_s)
-    _, gain, rank = fit(jump, left).f_test(left)
-    log_gate = np.log10(ALPHA / _SEARCHES)
-    clues = [
-        _Clue("block", logs["block"], best[1], best[2] + 1),
-        _Clue("tone", logs["tone"], tone.explained, 6 + 2),
-        _Clue("step", logs["step"], gain, rank + 2),
-    ]
-    clues = [c for c in clues if c.log10_p < log_gate] or [_Clue("drift", logs["drift"], 0.0, 0.0)]
-
-    def worth(clue: _Clue) -> float:
-        rest = max(left.energy - clue.explained, 1e-300)
-        return -left.degrees * float(np.log(rest / left.energy)) - clue.price * float(price)
-
-    winner = max(clues, key=worth)
-    return winner.kind if winner.kind == "drift" or worth(winner) > 0 else "drift"
-
-
-def _words(kind: str, block: Block, tone: Tone, step_s: float) -> str:
-    if kind == "tone":
-        return f"a line at a period of {1 / tone.frequency_Hz:.0f} s" if tone.frequency_Hz else "a line"
-    if kind == "step":
-        return f"a step {step_s:.0f} s after the first sample"
-    if kind == "drift":
-        return "slow wandering that follows no condition"
-    frame = f", coherent in the {block.frame} frame" if block.frame else ""
-    return f"structure that follows {block.label}{frame}"

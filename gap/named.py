@@ -98,7 +98,7 @@ class SearchResult:
     nuisance_alone_white: FloatArray
     """(M, 3, c)."""
     chi2: Mapping[str, tuple[float, int]]
-    """`nuisance`, `named`, `saturated`: chi-square and number of parameters seen."""
+    """`nuisance`, `named`: chi-square and number of parameters seen."""
     variance: float
     """Of whitened rows about the saturated fit: 1 when the noise model is right."""
     tested: int
@@ -108,12 +108,3 @@ class SearchResult:
     def resembles(self) -> tuple[str, ...]:
         """Names that would do, where more than three cannot be told apart; else none."""
         return tuple(dict.fromkeys(name for one in self.named if one.too_many_alike for name in one.group))
-
-    @property
-    def explained_share(self) -> float | None:
-        """Of the structured energy, by the named effects; None where there is next to none."""
-        none, named, whole = (self.chi2[key] for key in ("nuisance", "named", "saturated"))
-        structured = none[0] - whole[0] - self.variance * (whole[1] - none[1])
-        if structured <= 0:
-            return None
-        return (none[0] - named[0] - self.variance * (named[1] - none[1])) / structured

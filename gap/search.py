@@ -9,45 +9,40 @@ from __future__ import annotations
 import numpy as np
 
 from fluxtwin.gap import groups
-from fluxtwin.gap.candidates import Candidate, candidates, derivatives, in_order
+from fluxtwin.gap.candidates import derivatives, in_order
 from fluxtwin.gap.detectable import GATE, detectable, visible_part
-from fluxtwin.gap.growth import Search, begin, run
+from fluxtwin.gap.growth import Search
 from fluxtwin.gap.named import Named, Ranked, SearchResult
 from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.refit import Fit, white_residual
-from fluxtwin.gap.score import Board, Whitens
+from fluxtwin.gap.score import Board
 from fluxtwin.gap.support import support
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
 
-__all__ = ["GATE", "Named", "Ranked", "SearchResult", "candidates", "search"]
+__all__ = ["GATE", "Named", "Ranked", "SearchResult", "result_of"]
 
 
-def search(
-    problem: Problem,
-    whitener: Whitens,
-    *,
-    gate: float = GATE,
-    known: tuple[list[Candidate], dict[str, str]] | None = None,
+def result_of(
+    under_way: Search,
+    untestable: dict[str, str],
+    fit: Fit,
+    rest: Board,
+    present: float,
 ) -> SearchResult:
-    """Find the effects that explain the gap, at most three.
-
-    whitener: of the problem's rows. gate: the probability that a perfect simulation gets any name, over the whole search.
-    known: the problem's `candidates`, if at hand. Memory: about 60 P bytes per row for P columns of all alternatives
-    together (some 250), so thin records beyond some ten thousand rows.
-    """
-    under_way, untestable = begin(problem, whitener, gate, known)
-    first, base = under_way.first, under_way.base
+    """All that later steps need of a search that ended with a fit. rest: scores beside it; present: the probability that
+    its effects, or what may stand in their places, are there at all."""
+    first, base, problem = under_way.first, under_way.base, under_way.problem
     raw_nuisance = derivatives(problem, base.modelled)
     table = groups.shares_by_name(first)
     smallest, images, hidden = detectable(first, under_way.white, raw_nuisance, base.jacobian)
-    fit, rest = run(under_way)
-    named = [_named(under_way, fit, number, rest.variance, table, raw_nuisance) for number in range(len(fit.chosen))]
+    named = [
+        _named(under_way, fit, number, rest.variance, table, raw_nuisance, present) for number in range(len(fit.chosen))
+    ]
     order = sorted(range(len(named)), key=lambda number: -_gain(under_way, fit, number))
     chosen = tuple(fit.chosen[number] for number in order)
     residual, alone = (problem.residual_of(in_order([*problem.frozen, *each.active])) for each in (fit, base))
-    whole = rest.saturated if fit.chosen else first.saturated
     return SearchResult(
         named=tuple(named[number] for number in order),
         ranking=_ranking(under_way),
@@ -66,11 +61,7 @@ def search(
         jacobian_white=fit.jacobian[:, :, _columns(fit, order)],
         residual_alone_white=base.residual,
         nuisance_alone_white=base.jacobian,
-        chi2={
-            "nuisance": (base.chi2, base.rank),
-            "named": (fit.chi2, fit.rank),
-            "saturated": (fit.chi2 - whole[0], fit.rank + whole[1]),
-        },
+        chi2={"nuisance": (base.chi2, base.rank), "named": (fit.chi2, fit.rank)},
         variance=rest.variance,
         tested=under_way.tested,
     )
@@ -83,10 +74,11 @@ def _named(
     variance: float,
     table: dict[str, dict[str, float]],
     raw_nuisance: FloatArray,
+    present: float,
 ) -> Named:
     effect, theta = fit.chosen[number]
     assert isinstance(effect, SignalEffect)
-    backing = support(under_way, fit, number, variance, groups.alike(table))
+    backing = support(under_way, fit, number, variance, groups.alike(table), present)
     part = fit.slices()[number]
     signal = _visible(under_way, fit, number, raw_nuisance)
     problem = under_way.problem

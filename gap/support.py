@@ -7,17 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.gap.growth import NONLINEAR, WITHIN, Search, price, without
+from fluxtwin.gap.criterion import penalty
+from fluxtwin.gap.growth import NONLINEAR, WITHIN, Search, without
 from fluxtwin.gap.refit import Fit, white_residual
 from fluxtwin.gap.score import board
 
 _REFITS = 4
 _IN_GROUP = 0.05
 _WORTH_SAYING = 0.001
-_MOST = 0.98
-"""Most that is ever stated: in rounds of benchmarks/withheld.py on tuning seeds (2001, 2002, 2003, 2010), of some 160
-names for which the posterior said 0.995 and that held on samples held out, two or three were wrong; by Laplace's rule
-(1 + 160) / (2 + 163) = 0.976."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +29,13 @@ class Support:
     rivals: tuple[tuple[str, float], ...]
 
 
-def support(search: Search, fit: Fit, number: int, variance: float, groups: Mapping[str, tuple[str, ...]]) -> Support:
+def support(
+    search: Search, fit: Fit, number: int, variance: float, groups: Mapping[str, tuple[str, ...]], there: float
+) -> Support:
     """Weigh effect `number` of a fit against everything that might stand in its place, and against nothing.
 
     Among effects: weights exp(-cost / 2), the cost being that of `Search.cost`; alternatives of one effect are
-    added up. Against nothing: the p-value corrected for the number of tests, because the cost would count thirty
-    parameters of which the data see one as thirty.
+    added up. there: the probability that any of them is there.
     """
     effect = fit.chosen[number][0]
     bare = without(search, fit, number)
@@ -54,19 +52,10 @@ def support(search: Search, fit: Fit, number: int, variance: float, groups: Mapp
     rivals = [(n, p) for n, p in sorted(posterior.items(), key=lambda pair: -pair[1]) if n not in group]
     return Support(
         p_value=p_value,
-        probability=min(_MOST, inside / total * (1.0 - _nothing(p_value))),
+        probability=inside / total * there,
         group=group,
         rivals=tuple((name, float(p)) for name, p in rivals if p >= _WORTH_SAYING),
     )
-
-
-def _nothing(p_value: float) -> float:
-    """The least probability of mere noise that a p-value allows, at even odds before: with b = -e p log p it is
-    b / (1 + b) (Sellke, Bayarri & Berger 2001, doi 10.1198/000313001300339950)."""
-    if p_value >= np.exp(-1.0):
-        return 0.5
-    least = float(-np.e * p_value * np.log(p_value)) if p_value > 0.0 else 0.0
-    return least / (1.0 + least)
 
 
 def _weights(search: Search, fit: Fit, number: int, bare: Fit, variance: float) -> dict[str, float]:
@@ -89,8 +78,8 @@ def _weights(search: Search, fit: Fit, number: int, bare: Fit, variance: float) 
         if scored.rank[place] == 0 or candidate.name in taken or candidate.effect is fit.chosen[number][0]:
             continue
         worse = (drop_own - scored.statistic[place]) / variance
-        theirs = price(scored.rank[place], scored.statistic[place] / variance, search.samples)
-        worse += float(theirs - price(rank_own, drop_own / variance, search.samples))
+        theirs = penalty(scored.rank[place], scored.statistic[place] / variance, search.samples)
+        worse += float(theirs - penalty(rank_own, drop_own / variance, search.samples))
         trials.append((worse, place))
     for count, (worse, place) in enumerate(sorted(trials)):
         if count < _REFITS and worse < WITHIN + NONLINEAR * drop_own / variance:

@@ -92,7 +92,7 @@ def heater_sequence(
         faults.append("it follows the sunlight")
     faults += _not_a_heater(setting, left, on, sunlit, tone)
     rest = leftover(whitener, residual_nT, np.concatenate([fitted, columns], axis=2))
-    if drift(rest) < _DRIFT_P:
+    if drift(rest)[0] < _DRIFT_P:
         faults.append("slow structure is left beside it")
     sigma = np.sqrt(variance * np.diag(np.linalg.pinv(gram, rcond=1e-9)))
     parameters = {f"f_{a}": (float(v), float(s), "nT") for a, v, s in zip("xyz", field, sigma, strict=True)}

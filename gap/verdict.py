@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fluxtwin.gap import level
-from fluxtwin.gap.answer import CARRIED
 from fluxtwin.gap.candidates import settings_of
 from fluxtwin.gap.closure import Closure, Stochastic
-from fluxtwin.gap.constancy import pliable
 from fluxtwin.gap.flexible import FlexibleFinding
 from fluxtwin.gap.level import Excess
 from fluxtwin.gap.momentum_far import MomentumGap
@@ -29,10 +27,6 @@ if TYPE_CHECKING:
 
 _OWN_AXIS = 0.8
 _AT_STAGE = 0.9  # probability of that stage where its error is beyond the declared one: a judgement
-_HELD_OUT = 0.75
-"""Most that is stated of a single name where the 90 % interval of the closed share lies below CARRIED. In rounds of
-benchmarks/withheld.py on tuning seeds (2001, 2002, 2003, 2010, 2020, 2030) eight of ten such names were right; of eight
-that came with others none was (such answers are now `unknown`), where the samples held out agreed nearly all."""
 
 
 def assemble(
@@ -43,8 +37,8 @@ def assemble(
     confirmed = [one for one in work.flexible if one.confirmed and one not in known]
     structured = work.left.structured and work.attitude_would_do_rad is None
     named = [] if work.found.resembles else list(work.found.named)
-    stands = bool(named) and (not structured or _carried(work)) and _holds(work)
-    signals = [_weighed(_found(one, work.problem.setting), work) for one in named] if stands else []
+    stands = bool(named) and work.known >= 0.5 and not work.shrinkage.worse
+    signals = [_found(one, work.problem.setting) for one in named] if stands else []
     momentum = work.momentum
     if momentum.standing:
         signals += [_found(one, work.problem.setting) for one in momentum.standing]
@@ -105,32 +99,6 @@ def assemble(
     )
 
 
-def _carried(work: Work) -> bool:
-    """Whether the named effects carry the structured energy, so that what is left is only their incomplete shape."""
-    share = work.found.explained_share
-    return share is not None and share >= CARRIED
-
-
-def _holds(work: Work) -> bool:
-    """Whether the named effects keep their parameters; those that are bound to a condition may as well do little worse
-    than they promise on the samples held out (a strong cause whose shape is not quite right)."""
-    if work.shrinkage.worse:
-        return False
-    return work.constant or not (pliable(work.found) or _held_out_fails(work.shrinkage))
-
-
-def _held_out_fails(gap: Shrinkage) -> bool:
-    return gap.interval is not None and gap.interval[1] < CARRIED
-
-
-def _weighed(found: FoundEffect, work: Work) -> FoundEffect:
-    """An entry with less to say for it where the samples held out are not explained. Many parameters are hard to foretell,
-    right or not: for them it counts whether they keep their values."""
-    if pliable(work.found) or not _held_out_fails(work.shrinkage):
-        return found
-    return replace(found, probability=min(found.probability, _HELD_OUT))
-
-
 def _ranking(work: Work) -> list[Alone]:
     """Both channels, most significant first; each was tested in its own."""
     lines = [*work.found.ranking, *work.momentum.ranking]
@@ -142,9 +110,7 @@ def _ranking(work: Work) -> list[Alone]:
 def _left_words(work: Work, where: Place) -> str:
     """What an answer without a name says of the data; of frame and condition the same as `where`."""
     if not work.left.structured and not work.found.resembles:
-        worse = "what fits best predicts the samples held out worse than nothing does"
-        fits = worse if work.shrinkage.worse else "what fits best does not keep its parameters over the record"
-        return work.momentum.words or fits
+        return work.momentum.words or "what fits best predicts the samples held out worse than nothing does"
     left = work.left
     words = left.words
     if left.kind == "block" and (left.condition, left.frame) != (where.condition, where.frame):

@@ -79,28 +79,29 @@ class Wander:
             plain.image_nT, plain.gains, plain.noise, plain.weights, plain.log_det, plain.axes, span, damping
         )
 
-    def log_det(self, rate: float, beside: FloatArray) -> float:
-        """Of the covariance that a walk adds, freed of a basis (3N, q): what the restricted likelihood charges."""
-        energy = np.linalg.eigvalsh(self._free_gram(beside))
-        return float(np.sum(np.log1p(rate**2 * np.maximum(energy, 0.0))))
-
     def rate(self, left: Leftover) -> float | None:
-        """The likeliest rate of a walk in a whitened residual, for noise of unit variance; None where a walk is hardly
-        more likely than none."""
+        """The likeliest rate of a walk in a whitened residual; None where a walk is hardly more likely than none."""
+        span = float(self.seconds[-1] - self.seconds[0])
+        rates = np.exp(LOG_RMS) * self.noise.sigma_nT / np.sqrt(span)
+        gains = self._gains(left, rates)
+        best = int(np.argmax(gains))
+        return float(rates[best]) if gains[best] >= 2.0 * _LEAST_EVIDENCE else None
+
+    def gain(self, left: Leftover, rate: float) -> float:
+        """Twice the log likelihood that a walk of that rate wins on a whitened residual."""
+        return float(self._gains(left, np.array([rate]))[0])
+
+    def _gains(self, left: Leftover, rates: FloatArray) -> FloatArray:
+        """(k,) of rates (k,). The noise level is profiled out: one that was declared wrong is no walk."""
         value, vector = np.linalg.eigh(self._free_gram(left.basis))
         live = value > _LIVE * value[-1]
         value, vector = value[live], vector[:, live]
         q = (vector.T @ (self._white.T @ left.residual)) ** 2 / value
-        span = float(self.seconds[-1] - self.seconds[0])
-        rates = np.exp(LOG_RMS) * self.noise.sigma_nT / np.sqrt(span)
-        # The noise level is profiled out: one that was declared wrong is no walk.
         rest = left.energy - float(q.sum())
         scaled = rates[:, None] ** 2 * value
         chi2 = rest + np.sum(q / (1.0 + scaled), axis=1)
         free = max(left.degrees, 1)
-        logs = -0.5 * np.sum(np.log1p(scaled), axis=1) - 0.5 * free * np.log(chi2 / left.energy)
-        best = int(np.argmax(logs))
-        return float(rates[best]) if logs[best] >= _LEAST_EVIDENCE else None
+        return np.asarray(-np.sum(np.log1p(scaled), axis=1) - free * np.log(chi2 / left.energy))
 
     def _free_gram(self, basis: FloatArray) -> FloatArray:
         along = basis.T @ self._white

@@ -50,12 +50,13 @@ class Explanation:
     gained: float = 0.0
     """Of the worth, by a noise model under which the rest is not looked at."""
 
-    @property
-    def with_shape(self) -> float:
-        """Worth with what is left taken for the shape error of the names, where there are any."""
+    def with_shape(self, most: float = np.inf) -> float:
+        """Worth with what is left taken for the shape error of the names, where there are any. most: of chi-square, that
+        one more name explains of it, where one does."""
         if not self.left.structured or not self.fit.chosen:
             return self.worth
-        return self.worth - self.gained + self.left.worth - misfit(self.left.drop, self.explained)
+        kept = self.left.worth - max(self.left.drop - most, 0.0)
+        return self.worth - self.gained + kept - misfit(self.left.drop, self.explained)
 
     @property
     def with_unknown(self) -> float:
@@ -127,11 +128,11 @@ def answered_with(
 
 def _best(explanations: Sequence[Explanation]) -> tuple[int, float, float]:
     """The explanation that weighs most, the probability that nothing unknown is there, and the most worth."""
-    unknown = [
-        -np.inf if _covered(one, explanations[place + 1 : place + 2]) else one.with_unknown
-        for place, one in enumerate(explanations)
-    ]
-    logs = np.array([[one.with_shape for one in explanations], unknown]).T
+    logs = np.full((len(explanations), 2), -np.inf)
+    for place, one in enumerate(explanations):
+        covered = _covered(one, explanations[place + 1 : place + 2])
+        logs[place, 0] = one.with_shape(np.inf if covered is None else covered)
+        logs[place, 1] = one.with_unknown if covered is None else -np.inf
     if not np.max(logs) > THRESHOLD:
         return 0, 1.0, float(np.max(logs))
     named = logs.copy()
@@ -142,13 +143,14 @@ def _best(explanations: Sequence[Explanation]) -> tuple[int, float, float]:
     return int(np.argmax(named[:, column])), known, float(np.max(logs))
 
 
-def _covered(one: Explanation, following: Sequence[Explanation]) -> bool:
-    """Whether what is left beside an explanation is in the catalogue: one more name explains it, to its shape error."""
-    if not following:
-        return False
+def _covered(one: Explanation, following: Sequence[Explanation]) -> float | None:
+    """How much of what is left beside an explanation one more name explains; None where it does not, to its shape error."""
+    if not following or len(following[0].fit.chosen) != len(one.fit.chosen) + 1:
+        return None
     more = following[0]
-    left = misfit(more.left.drop, more.explained - one.explained) if more.left.structured else 0.0
-    return len(more.fit.chosen) == len(one.fit.chosen) + 1 and left < LOG_UNKNOWN
+    gain = more.explained - one.explained
+    left = misfit(more.left.drop, gain) if more.left.structured else 0.0
+    return gain if left < LOG_UNKNOWN else None
 
 
 def _weighed(
@@ -159,7 +161,7 @@ def _weighed(
     robust: RobustRows,
 ) -> tuple[list[Explanation], float]:
     """Each step of the path with its worth and what is left, at the noise that suits it best."""
-    variance = path[-1][1].variance
+    variance = 1.0  # what the noise model says: explanations under several noise models are compared
     nothing = under_way.cost(path[0][0], variance)
     gained = _gained(under_way, [fit for fit, _ in path], others, robust)
     found = []
@@ -175,19 +177,22 @@ def _gained(under_way: Search, fits: Sequence[Fit], others: Sequence[NoiseModel]
     problem, noise = under_way.problem, under_way.whitener.noise
     if not others or len(fits) < 2:
         return [0.0] * len(fits)
-    prior = prior_of(complete_budget(problem))
     gained = []
     for fit in fits:
         residual = problem.residual_of(in_order([*problem.frozen, *fit.active]))
         columns = derivatives(problem, fit.active)
-        logs = []
-        for one in (noise, *others):
-            whitener = whitener_of(problem, one, robust.weights)
-            rest = leftover(whitener, residual, columns)
-            density = prior.log_density(one.sigma_nT, one.theta_rad, one.tau_s)
-            logs.append(2.0 * density - whitener.log_det - rest.energy)
+        logs = [log_likelihood(problem, one, robust, residual, columns) for one in (noise, *others)]
         gained.append(max(logs) - logs[0])
     return gained
+
+
+def log_likelihood(
+    problem: Problem, noise: NoiseModel, robust: RobustRows, residual_nT: FloatArray, columns: FloatArray
+) -> float:
+    """Twice the log likelihood of a residual (N, 3) with columns (N, 3, c) fitted, and of the noise by its budget."""
+    whitener = whitener_of(problem, noise, robust.weights)
+    density = prior_of(complete_budget(problem)).log_density(noise.sigma_nT, noise.theta_rad, noise.tau_s)
+    return 2.0 * density - whitener.log_det - leftover(whitener, residual_nT, columns).energy
 
 
 def noise_and_answer(problem: Problem, dictionary: Sequence[Block], known: Known) -> tuple[NoiseModel, Answer]:

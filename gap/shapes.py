@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fluxtwin.gap.answer import Answer, Known, answered_with, signals_of
+from fluxtwin.gap.answer import Answer, Known, answered_with, log_likelihood, signals_of
 from fluxtwin.gap.blocks import Block
 from fluxtwin.gap.candidates import derivatives
 from fluxtwin.gap.criterion import THRESHOLD, worth
@@ -32,6 +32,7 @@ from fluxtwin.sim.base.types import FloatArray
 _MOST = 3
 _ROUNDS = 3
 _SETTLED = 0.2  # in the logarithm of the rate
+_MEMORIES_S = (30.0, 100.0, 300.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,42 +92,69 @@ class Shapes:
 
     def _walking(self, answer: Answer) -> Answer | None:
         """The answer with a walk in the noise, where that explains more."""
-        wander = Wander(answer.whitener, self.problem.setting.seconds)
-        bare = leftover(answer.whitener, answer.result.residual_alone_nT, self._alone(answer))
-        rate = wander.rate(bare)
-        samples, tried = max(answer.whitener.measured / 3.0, 2.0), float(np.log(answer.result.tested))
-        if rate is None:
+        seconds = self.problem.setting.seconds
+        wander = Wander(answer.whitener, seconds)
+        bare_nT, alone = answer.result.residual_alone_nT, self._alone(answer)
+        if wander.rate(leftover(answer.whitener, bare_nT, alone)) is None:
             return None
-        walking = answer
+        # Beside a walk the error of the attitude is another: without one it had to stand for it.
+        noise, _ = self.choose(wander.columns)
+        trials = [noise, answer.noise, *_declared(self.problem, noise)]
+        likeliest = max(trials, key=lambda one: self._gain(answer, one, bare_nT, alone)[0])
+        whole, rate, walking = self._walks(answer, likeliest, bare_nT, alone)
+        if walking is None or whole < max(answer.worth, THRESHOLD):
+            return None
+        finding = random_walk(seconds, self._left(walking), self.dictionary, walking.noise.sigma_nT)
+        if finding is None or not finding.confirmed:
+            return None
+        scaled = rate * float(np.sqrt(walking.result.variance))
+        _, sigma, unit = finding.parameters["rate"]
+        finding = replace(finding, parameters={"rate": (scaled, sigma, unit)})
+        return replace(walking, shapes=(*answer.shapes, finding))
+
+    def _gain(
+        self, answer: Answer, noise: NoiseModel, bare_nT: FloatArray, alone: FloatArray, rate: float | None = None
+    ) -> tuple[float, float | None]:
+        """Twice the log likelihood that a walk beside this noise wins against the best noise without one, and its rate
+        (default: the likeliest)."""
+        whitener = whitener_of(self.problem, noise, answer.robust.weights)
+        wander, bare = Wander(whitener, self.problem.setting.seconds), leftover(whitener, bare_nT, alone)
+        rate = wander.rate(bare) if rate is None else rate
+        if rate is None:
+            return -np.inf, None
+        before, now = (
+            log_likelihood(self.problem, one, answer.robust, bare_nT, alone) for one in (answer.noise, noise)
+        )
+        return wander.gain(bare, rate) + now - before - answer.handicap, rate
+
+    def _walks(
+        self, answer: Answer, noise: NoiseModel, bare_nT: FloatArray, alone: FloatArray
+    ) -> tuple[float, float, Answer | None]:
+        """Worth of a walk and of the effects beside it, its likeliest rate, and those effects."""
+        _, rate = self._gain(answer, noise, bare_nT, alone)
+        whitener = whitener_of(self.problem, noise, answer.robust.weights)
+        wander, walking = Wander(whitener, self.problem.setting.seconds), answer
         for _ in range(_ROUNDS):
+            if rate is None:
+                return -np.inf, 0.0, None
+            before = rate
             walking = answered_with(
                 self.problem,
-                answer.noise,
+                noise,
                 answer.robust,
                 wander.whitening(rate),
                 self.dictionary,
                 self.known,
                 answer.shapes,
             )
-            again = wander.rate(self._left(walking))
-            if again is None:
-                return None
-            settled = abs(np.log(again / rate)) < _SETTLED
-            rate = again
-            if settled:
+            rate = wander.rate(self._left(walking))
+            if rate is not None and abs(np.log(rate / before)) < _SETTLED:
                 break
-        gain = wander.gain(bare, rate) - answer.handicap
-        whole = worth(gain, 1, samples, tried) + max(walking.worth, 0.0)
-        if whole < answer.worth or whole < THRESHOLD:
-            return None
-        left = self._left(walking)
-        finding = random_walk(self.problem.setting.seconds, left, self.dictionary, answer.noise.sigma_nT)
-        if finding is None or not finding.confirmed:
-            return None
-        likeliest = rate * float(np.sqrt(walking.result.variance))
-        _, sigma, unit = finding.parameters["rate"]
-        finding = replace(finding, parameters={"rate": (likeliest, sigma, unit)})
-        return replace(walking, shapes=(*answer.shapes, finding))
+        if rate is None:
+            return -np.inf, 0.0, None
+        gain, _ = self._gain(answer, noise, bare_nT, alone, rate)
+        samples, tried = max(whitener.measured / 3.0, 2.0), float(np.log(answer.result.tested))
+        return worth(gain, 1, samples, tried) + max(walking.worth, 0.0), rate, walking
 
     def _left(self, answer: Answer) -> Leftover:
         """Beside what was fitted, with no walk in the noise."""
@@ -149,3 +177,12 @@ class Shapes:
         value = worth(drop, TONE_DEGREES, fast.left.degrees / 3.0, 0.0) - 2.0 * float(np.log(fast.problem.rows))
         found = Left(value, drop, "tone", words, label="tone", frequency_Hz=fast.tone.frequency_Hz)
         return replace(answer, left=found, known=0.0)
+
+
+def _declared(problem: Problem, noise: NoiseModel) -> list[NoiseModel]:
+    """The declared noise, with a few memories of the attitude's error."""
+    theta_rad = problem.budget.attitude_sigma_rad
+    sigma_nT = noise.sigma_prior_nT
+    if not theta_rad or sigma_nT <= 0.0:
+        return []
+    return [replace(noise, sigma_nT=sigma_nT, theta_rad=theta_rad, tau_s=tau_s) for tau_s in _MEMORIES_S]

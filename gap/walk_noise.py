@@ -83,25 +83,26 @@ class Wander:
         """The likeliest rate of a walk in a whitened residual; None where a walk is hardly more likely than none."""
         span = float(self.seconds[-1] - self.seconds[0])
         rates = np.exp(LOG_RMS) * self.noise.sigma_nT / np.sqrt(span)
-        gains = self._gains(left, rates)
+        chi2, log_det = self._beside(left, rates)
+        # The noise level is profiled out: one that was declared wrong is no walk.
+        gains = -log_det - max(left.degrees, 1) * np.log(chi2 / left.energy)
         best = int(np.argmax(gains))
         return float(rates[best]) if gains[best] >= 2.0 * _LEAST_EVIDENCE else None
 
     def gain(self, left: Leftover, rate: float) -> float:
-        """Twice the log likelihood that a walk of that rate wins on a whitened residual."""
-        return float(self._gains(left, np.array([rate]))[0])
+        """Twice the log likelihood that a walk of that rate wins on a whitened residual, for noise of unit variance."""
+        chi2, log_det = self._beside(left, np.array([rate]))
+        return float(left.energy - chi2[0] - log_det[0])
 
-    def _gains(self, left: Leftover, rates: FloatArray) -> FloatArray:
-        """(k,) of rates (k,). The noise level is profiled out: one that was declared wrong is no walk."""
+    def _beside(self, left: Leftover, rates: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Chi-square (k,) with walks of rates (k,), and what they add to the log determinant of the covariance (k,)."""
         value, vector = np.linalg.eigh(self._free_gram(left.basis))
         live = value > _LIVE * value[-1]
         value, vector = value[live], vector[:, live]
         q = (vector.T @ (self._white.T @ left.residual)) ** 2 / value
-        rest = left.energy - float(q.sum())
         scaled = rates[:, None] ** 2 * value
-        chi2 = rest + np.sum(q / (1.0 + scaled), axis=1)
-        free = max(left.degrees, 1)
-        return np.asarray(-np.sum(np.log1p(scaled), axis=1) - free * np.log(chi2 / left.energy))
+        chi2 = left.energy - float(q.sum()) + np.sum(q / (1.0 + scaled), axis=1)
+        return chi2, np.sum(np.log1p(scaled), axis=1)
 
     def _free_gram(self, basis: FloatArray) -> FloatArray:
         along = basis.T @ self._white

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from fluxtwin.gap.blocks import Block
 from fluxtwin.gap.candidates import Candidate, derivatives, in_order
-from fluxtwin.gap.criterion import LOG_UNKNOWN, THRESHOLD, Weights, misfit
-from fluxtwin.gap.evidence import Leftover, leftover, orthonormal
+from fluxtwin.gap.criterion import LOG_UNKNOWN, SHAPE, THRESHOLD, Weights, worth
+from fluxtwin.gap.evidence import Leftover, fit_all, leftover, orthonormal
 from fluxtwin.gap.flexible import FlexibleFinding
 from fluxtwin.gap.growth import Search, begin, run
 from fluxtwin.gap.left import Left, judge
@@ -45,24 +46,9 @@ class Explanation:
     left: Left
     worth: float
     """Of its names, against none."""
-    explained: float
-    """Drop of chi-square by its names."""
-    gained: float = 0.0
-    """Of the worth, by a noise model under which the rest is not looked at."""
-
-    def with_shape(self, most: float = np.inf) -> float:
-        """Worth with what is left taken for the shape error of the names, where there are any. most: of chi-square, that
-        one more name explains of it, where one does."""
-        if not self.left.structured or not self.fit.chosen:
-            return self.worth
-        kept = self.left.worth - max(self.left.drop - most, 0.0)
-        return self.worth - self.gained + kept - misfit(self.left.drop, self.explained)
-
-    @property
-    def with_unknown(self) -> float:
-        """Worth with what is left taken for something else than the catalogue has."""
-        structured = self.left.structured
-        return self.worth - self.gained + self.left.worth - LOG_UNKNOWN if structured else -np.inf
+    unknown: float
+    """Of its names and of what is left, taken for something that the catalogue does not have; minus infinity where what is
+    left is no more than noise and shape error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,11 +114,10 @@ def answered_with(
 
 def _best(explanations: Sequence[Explanation]) -> tuple[int, float, float]:
     """The explanation that weighs most, the probability that nothing unknown is there, and the most worth."""
-    logs = np.full((len(explanations), 2), -np.inf)
-    for place, one in enumerate(explanations):
-        covered = _covered(one, explanations[place + 1 : place + 2])
-        logs[place, 0] = one.with_shape(np.inf if covered is None else covered)
-        logs[place, 1] = one.with_unknown if covered is None else -np.inf
+    logs = np.array([[one.worth, one.unknown] for one in explanations])
+    for place, (one, more) in enumerate(pairwise(explanations)):
+        if len(more.fit.chosen) == len(one.fit.chosen) + 1 and not np.isfinite(more.unknown):
+            logs[place, 1] = -np.inf  # the catalogue has it
     if not np.max(logs) > THRESHOLD:
         return 0, 1.0, float(np.max(logs))
     named = logs.copy()
@@ -143,16 +128,6 @@ def _best(explanations: Sequence[Explanation]) -> tuple[int, float, float]:
     return int(np.argmax(named[:, column])), known, float(np.max(logs))
 
 
-def _covered(one: Explanation, following: Sequence[Explanation]) -> float | None:
-    """How much of what is left beside an explanation one more name explains; None where it does not, to its shape error."""
-    if not following or len(following[0].fit.chosen) != len(one.fit.chosen) + 1:
-        return None
-    more = following[0]
-    gain = more.explained - one.explained
-    left = misfit(more.left.drop, gain) if more.left.structured else 0.0
-    return gain if left < LOG_UNKNOWN else None
-
-
 def _weighed(
     under_way: Search,
     path: Sequence[tuple[Fit, Board]],
@@ -161,14 +136,20 @@ def _weighed(
     robust: RobustRows,
 ) -> tuple[list[Explanation], float]:
     """Each step of the path with its worth and what is left, at the noise that suits it best."""
-    variance = 1.0  # what the noise model says: explanations under several noise models are compared
-    nothing = under_way.cost(path[0][0], variance)
     gained = _gained(under_way, [fit for fit, _ in path], others, robust)
-    found = []
+    tried, samples = float(np.log(under_way.tested)), under_way.samples
+    found: list[Explanation] = []
+    base, before, total = path[0][0], path[0][0], 0.0
     for (fit, beside), gain in zip(path, gained, strict=True):
-        left = left_of(under_way, fit, dictionary, variance)
-        worth = nothing - under_way.cost(fit, variance) + gain - gained[0]
-        found.append(Explanation(fit, beside, left, worth, (path[0][0].chi2 - fit.chi2) / variance, gain))
+        shape = SHAPE * max(base.chi2 - before.chi2, 0.0)
+        drop, rank = (before.chi2 - fit.chi2) / (1.0 + shape), fit.rank_chosen - before.rank_chosen
+        names = len(fit.chosen) - len(before.chosen)
+        total += worth(drop, rank, samples, names * tried)
+        left = left_of(under_way, fit, dictionary)
+        beyond = left.beyond(SHAPE * max(base.chi2 - fit.chi2, 0.0), samples) - LOG_UNKNOWN if left.structured else 0.0
+        unknown = total - gained[0] + beyond if beyond > 0.0 else -np.inf
+        found.append(Explanation(fit, beside, left, total + gain - gained[0], unknown))
+        before = fit
     return found, gained[0]
 
 
@@ -240,7 +221,7 @@ def signals_of(shapes: Sequence[FlexibleFinding]) -> list[Active]:
     return found
 
 
-def left_of(under_way: Search, fit: Fit, dictionary: Sequence[Block], variance: float) -> Left:
+def left_of(under_way: Search, fit: Fit, dictionary: Sequence[Block]) -> Left:
     """What is left beside the named effects at their refit and, of a large one, beside its image at nothing too.
 
     The two images of one effect differ by what its size changes and by errors of the attitude in both: structure along
@@ -252,7 +233,7 @@ def left_of(under_way: Search, fit: Fit, dictionary: Sequence[Block], variance: 
     at_nothing = under_way.white[:, :, np.isin(under_way.first.owner, numbers)]
     rest = leftover_of(under_way, fit, at_nothing)
     own = fit.jacobian[:, :, fit.jacobian.shape[2] - sum(len(theta) for _, theta in fit.chosen) :]
-    return judge(under_way.problem, rest, dictionary, own if fit.chosen else None, variance)
+    return judge(under_way.problem, rest, fit_all(dictionary, rest), own, 1.0)
 
 
 def leftover_of(under_way: Search, fit: Fit, further: FloatArray) -> Leftover:

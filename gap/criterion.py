@@ -7,8 +7,9 @@ n_h settings that were tried,
 
 The first penalty of a parameter is Schwarz's (1978, Annals of Statistics 6, 461), that of parameters which are seen well;
 the second integrates p alike parameters over their unknown common size at its likeliest value (empirical Bayes: George &
-Foster 2000, Biometrika 87, 731). Nature's form is not the catalogue's: what a named cause leaves is its own shape, up to a
-share eps^2 of what it explains, eps half-normal of scale `SHAPE_SD`; beyond that something else is there.
+Foster 2000, Biometrika 87, 731). Nature's form is not the catalogue's: what named causes that
+explain a drop D leave has, beside the noise, a variance of `SHAPE` D in each direction that anything else could explain.
+A further cause, or an unknown one, must stand out of that too.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ from numpy.typing import ArrayLike
 
 from fluxtwin.sim.base.types import FloatArray
 
-SHAPE_SD = 0.15
-"""Of the amplitude of a cause: how far its form in nature is off the catalogue's."""
+SHAPE = 0.15**2 / 15.0
+"""Share of the energy of named causes that their shape error has in one direction: an error of 15 % of their amplitude,
+spread over fifteen directions (columns of some three to five blocks)."""
 LOG_UNKNOWN = 6.0
 """Minus twice the log of the prior odds of a cause outside the catalogue: one in twenty."""
 THRESHOLD = 6.0
@@ -38,11 +40,6 @@ def penalty(rank: ArrayLike, drop: ArrayLike, samples: float) -> FloatArray:
 def worth(drop: float, rank: int, samples: float, log_tried: float) -> float:
     """Twice the log of the Bayes factor against nothing. log_tried: of the number of settings searched."""
     return float(drop - penalty(rank, drop, samples)) - 2.0 * log_tried
-
-
-def misfit(left: float, explained: float) -> float:
-    """What it costs to take a drop `left`, of structure, for the shape error of causes that explain a drop `explained`."""
-    return left / max(explained, 1e-300) / SHAPE_SD**2
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from scipy import stats
 
 from fluxtwin.gap.blocks import Block, blocks, step_block
 from fluxtwin.gap.criterion import THRESHOLD, worth
-from fluxtwin.gap.evidence import Leftover, Whitens, fit, fit_all, leftover, log10_sf_f
+from fluxtwin.gap.evidence import Fit, Leftover, Whitens, fit, fit_all, leftover, log10_sf_f
 from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.tones import TONE_DEGREES, strongest_tone
 from fluxtwin.sim.base.types import FloatArray
@@ -47,9 +47,17 @@ class Left:
     step_s: float | None = None
     """Likeliest moment of a step, from the first stamp."""
 
+    rank: int = 0
+    log_tried: float = 0.0
+
     @property
     def structured(self) -> bool:
         return self.worth > THRESHOLD
+
+    def beyond(self, shape_error: float, samples: float) -> float:
+        """Worth where each direction may have so much energy of a shape error, in units of the noise."""
+        wider = 1.0 + shape_error
+        return worth(self.drop / wider, self.rank, samples, self.log_tried) if self.rank else self.worth / wider
 
 
 def what_is_left(
@@ -65,53 +73,63 @@ def what_is_left(
     residual_nT (N, 3): reading less the best prediction; fitted (N, 3, q): Jacobian of everything that was fitted,
     calibration included. Both in nT; they are whitened here. found: blocks made before for this design.
     """
-    return judge(problem, leftover(whitener, residual_nT, fitted), blocks(problem) if found is None else found)
+    left = leftover(whitener, residual_nT, fitted)
+    return judge(problem, left, fit_all(blocks(problem) if found is None else found, left))
 
 
 def judge(
     problem: Problem,
     left: Leftover,
-    found: Sequence[Block],
+    fits: Sequence[Fit],
     own: FloatArray | None = None,
     variance: float | None = None,
 ) -> Left:
-    """As `what_is_left`. own (N, 3, p): whitened columns of the named effects, which keep their parameters or not;
-    variance: of whitened rows, default that of the residual."""
+    """As `what_is_left`, from fits of blocks that are at hand.
+
+    own (N, 3, p): whitened columns of the named effects, which keep their parameters or not. variance: of whitened rows,
+    default that of the residual.
+    """
     unit = left.energy / left.degrees if variance is None else variance
     seconds, samples = problem.setting.seconds, left.degrees / 3.0
-    fits = [(one.f_test(left), one.block) for one in fit_all(found, left)]
     tried = float(np.log(max(len(fits), 1)))
-    clues: list[Left] = []
-    for (_, gain, rank), block in fits:
+
+    def clue(kind: str, gain: float, rank: int, log_tried: float, words: str, block: Block | None = None) -> Left:
         drop = gain / unit
+        value = worth(drop, rank, samples, log_tried)
+        if block is None:
+            return Left(value, drop, kind, words, rank=rank, log_tried=log_tried)
+        return Left(value, drop, kind, words, block.condition, block.frame, block.label, rank=rank, log_tried=log_tried)
+
+    clues: list[Left] = []
+    for one in fits:
+        (_, gain, rank), block = one.f_test(left), one.block
         frame = f", coherent in the {block.frame} frame" if block.frame else ""
-        words = f"structure that follows {block.label}{frame}"
-        clues.append(
-            Left(worth(drop, rank, samples, tried), drop, "block", words, block.condition, block.frame, block.label)
-        )
+        clues.append(clue("block", gain, rank, tried, f"structure that follows {block.label}{frame}", block))
     tone = strongest_tone(seconds, left)
     if tone.frequency_Hz > 0:
-        drop = tone.explained / unit
         cycles = max(float(seconds[-1] - seconds[0]) / (2.0 * float(np.median(np.diff(seconds)))), 1.0)
         words = f"a line at a period of {1 / tone.frequency_Hz:.0f} s"
-        clues.append(Left(worth(drop, TONE_DEGREES, samples, float(np.log(cycles))), drop, "tone", words))
+        clues.append(clue("tone", tone.explained, TONE_DEGREES, float(np.log(cycles)), words))
     _, step_s = step(seconds, left)
-    _, gain, rank = fit(step_block(problem, step_s), left).f_test(left)
-    drop, words = gain / unit, f"a step {step_s:.0f} s after the first sample"
-    clues.append(Left(worth(drop, rank, samples, float(np.log(seconds.size))), drop, "step", words, "after_time"))
+    jump = step_block(problem, step_s)
+    _, gain, rank = fit(jump, left).f_test(left)
+    words = f"a step {step_s:.0f} s after the first sample"
+    clues.append(replace(clue("step", gain, rank, float(np.log(seconds.size)), words), condition="after_time"))
     log10_p, excess = drift(left)
     words = "slow wandering that follows no condition"
     clues.append(Left(-2.0 * log10_p * float(np.log(10.0)), excess, "drift", words, "time"))
     if own is not None and own.shape[2]:
-        clues += _parts(left, own, samples, unit)
+        for count, (gain, rank) in zip(_PARTS, _parts(left, own), strict=True):
+            words = f"the parameters differ between the {count} parts of the record"
+            clues.append(replace(clue("parts", gain, rank, float(np.log(len(_PARTS))), words), condition="time"))
     best = max(clues, key=lambda clue: clue.worth)
     if best.worth <= THRESHOLD:
         best = Left(best.worth, 0.0, "none", "nothing structured is left")
     return replace(best, frequency_Hz=tone.frequency_Hz or None, step_s=step_s)
 
 
-def _parts(left: Leftover, own: FloatArray, samples: float, unit: float) -> list[Left]:
-    """Parameters of their own for each of two or five parts."""
+def _parts(left: Leftover, own: FloatArray) -> list[tuple[float, int]]:
+    """What parameters of their own for each of two, or five, parts explain, and their number."""
     found = []
     for count in _PARTS:
         rows = np.array_split(np.arange(len(own)), count)[:-1]
@@ -122,10 +140,8 @@ def _parts(left: Leftover, own: FloatArray, samples: float, unit: float) -> list
             cut = cut - left.basis @ (left.basis.T @ cut)
         values, vectors = np.linalg.eigh(cut.T @ cut)
         live = values > _LEAST_LEFT
-        gain, rank = float(np.sum((vectors[:, live].T @ (cut.T @ left.residual)) ** 2 / values[live])), int(live.sum())
-        drop = gain / unit
-        words = f"the parameters differ between the {count} parts of the record"
-        found.append(Left(worth(drop, rank, samples, float(np.log(len(_PARTS)))), drop, "parts", words, "time"))
+        gain = float(np.sum((vectors[:, live].T @ (cut.T @ left.residual)) ** 2 / values[live]))
+        found.append((gain, int(live.sum())))
     return found
 
 

@@ -45,7 +45,7 @@ def test_the_searches_keep_their_false_alarm_rates() -> None:
         left = make_left(rng.standard_normal((500, 3)), columns)
         low["tone"] += strongest_tone(seconds, left).log10_p < np.log10(0.05)
         low["step"] += step(seconds, left)[0] < 0.05
-        low["drift"] += drift(left) < np.log10(0.05)
+        low["drift"] += drift(left)[0] < np.log10(0.05)
     assert max(low.values()) <= 27, low
     # The searches are not empty either: with bounds this tight some runs are below.
     assert low["tone"] >= 2
@@ -73,9 +73,9 @@ def test_a_step_and_a_drift_are_found() -> None:
     assert p < 1e-6
     assert moment == pytest.approx(1500.0, abs=100.0)
     slow = rng.standard_normal((900, 3)) + 0.1 * np.cumsum(rng.standard_normal((900, 3)), axis=0)
-    assert drift(make_left(slow)) < -6
+    assert drift(make_left(slow))[0] < -6
     # Louder white noise is no drift.
-    assert drift(make_left(5.0 * rng.standard_normal((900, 3)))) > -3
+    assert drift(make_left(5.0 * rng.standard_normal((900, 3))))[0] > -3
 
 
 def test_shares() -> None:

@@ -13,15 +13,19 @@ import numpy as np
 import pytest
 from worlds import PARTS, scenario_text
 
+from fluxtwin.gap.answer import answered_with
+from fluxtwin.gap.blocks import blocks
 from fluxtwin.gap.candidates import candidates, in_order
+from fluxtwin.gap.criterion import penalty
 from fluxtwin.gap.detectable import noncentrality, visible_part
-from fluxtwin.gap.growth import Search, begin, price
+from fluxtwin.gap.evidence import Dictionary
+from fluxtwin.gap.growth import Search, begin
 from fluxtwin.gap.interval import likeliest_interval
 from fluxtwin.gap.named import SearchResult
 from fluxtwin.gap.problem import Problem, pose
 from fluxtwin.gap.refit import settled
+from fluxtwin.gap.robust_rows import RobustRows
 from fluxtwin.gap.score import board
-from fluxtwin.gap.search import search
 from fluxtwin.gap.whitening import NoiseModel, Whitener, make_whitener, turn_images
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import load_field
@@ -143,6 +147,13 @@ def design(kind: str) -> Design:
     return Design(problem, whitener, begin(problem, whitener)[0])
 
 
+def search(problem: Problem, whitener: Whitener) -> SearchResult:
+    """What the explanation that weighs most says."""
+    robust = RobustRows(np.ones((problem.rows, 3)))
+    dictionary = Dictionary(blocks(problem), problem.rows)
+    return answered_with(problem, NOISE, robust, whitener, dictionary, candidates(problem)).result
+
+
 def found(result: SearchResult) -> list[str]:
     return [one.name for one in result.named]
 
@@ -199,7 +210,7 @@ def test_large_lag_needs_no_partner() -> None:
 @pytest.mark.parametrize("kind", ["nadir", "tumble"])
 def test_a_perfect_simulation_gets_no_name_score(kind: str) -> None:
     """500 draws of noise alone through the score test: the gate lets at most 2 in 1000 pass, so more than 5 have
-    probability 6e-4. A gate without the price of the search would pass more than 10."""
+    probability 6e-4. A gate without the penalty of the search would pass more than 10."""
     here = design(kind)
     search_, rng = here.begun, np.random.default_rng(1)
     priced = unpriced = 0
@@ -293,14 +304,16 @@ def test_a_setting_between_those_tried_calls_for_no_second_name(effect: SignalEf
 
 
 def test_many_faint_parameters_are_charged_for_what_they_show() -> None:
-    """Schwarz's price at most; with each parameter's drop near its noise, the parameters cost what they bring."""
-    assert price(3, 1e6, 500.0) == pytest.approx(3 * np.log(500.0))
-    assert price(30, 30.0, 500.0) == pytest.approx(30.0)
-    assert price(0, 0.0, 500.0) == 0.0
+    """Schwarz's penalty at most; with each parameter's drop near its noise, the parameters cost what they bring."""
+    assert penalty(3, 1e6, 500.0) == pytest.approx(3 * np.log(500.0))
+    assert penalty(30, 30.0, 500.0) == pytest.approx(30.0)
+    assert penalty(0, 0.0, 500.0) == 0.0
     drops = np.linspace(0.0, 1e4, 200)
-    assert (np.diff(drops - price(30, drops, 500.0)) >= -1e-9)[drops[:-1] > 30.0].all(), "more explained is never worse"
+    assert (np.diff(drops - penalty(30, drops, 500.0)) >= -1e-9)[drops[:-1] > 30.0].all(), (
+        "more explained is never worse"
+    )
     # Thirty parameters that all show a little, against four that explain a quarter of it.
-    assert 214.0 - price(30, 214.0, 1025.0) > 49.9 - price(4, 49.9, 1025.0)
+    assert 214.0 - penalty(30, 214.0, 1025.0) > 49.9 - penalty(4, 49.9, 1025.0)
 
 
 def test_a_field_that_was_on_for_one_stretch_is_found_and_a_step_is_none() -> None:

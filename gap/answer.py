@@ -15,7 +15,7 @@ import numpy as np
 
 from fluxtwin.gap.blocks import Block
 from fluxtwin.gap.candidates import Candidate, derivatives, in_order
-from fluxtwin.gap.criterion import LOG_UNKNOWN, SHAPE, THRESHOLD, Weights, worth
+from fluxtwin.gap.criterion import LOG_UNKNOWN, SHAPE, THRESHOLD, Weights, penalty
 from fluxtwin.gap.evidence import Leftover, fit_all, leftover, orthonormal
 from fluxtwin.gap.flexible import FlexibleFinding
 from fluxtwin.gap.growth import Search, begin, run
@@ -138,18 +138,27 @@ def _weighed(
     """Each step of the path with its worth and what is left, at the noise that suits it best."""
     gained = _gained(under_way, [fit for fit, _ in path], others, robust)
     tried, samples = float(np.log(under_way.tested)), under_way.samples
+    explained = [max(path[0][0].chi2 - fit.chi2, 0.0) for fit, _ in path]
+    ranks = [fit.rank_chosen for fit, _ in path]
+    lefts = [left_of(under_way, fit, dictionary) for fit, _ in path]
+    beyond = [left.drop if left.structured else 0.0 for left in lefts]
+    for place in reversed(range(len(path) - 1)):
+        beyond[place] = max(beyond[place], explained[place + 1] - explained[place] + beyond[place + 1])
     found: list[Explanation] = []
-    base, before, total = path[0][0], path[0][0], 0.0
-    for (fit, beside), gain in zip(path, gained, strict=True):
-        shape = SHAPE * max(base.chi2 - before.chi2, 0.0)
-        drop, rank = (before.chi2 - fit.chi2) / (1.0 + shape), fit.rank_chosen - before.rank_chosen
-        names = len(fit.chosen) - len(before.chosen)
-        total += worth(drop, rank, samples, names * tried)
-        left = left_of(under_way, fit, dictionary)
-        beyond = left.beyond(SHAPE * max(base.chi2 - fit.chi2, 0.0), samples) - LOG_UNKNOWN if left.structured else 0.0
-        unknown = total - gained[0] + beyond if beyond > 0.0 else -np.inf
-        found.append(Explanation(fit, beside, left, total + gain - gained[0], unknown))
-        before = fit
+    names = 0.0
+    for place, ((fit, beside), left) in enumerate(zip(path, lefts, strict=True)):
+        if place:
+            wider = 1.0 + SHAPE * explained[place - 1]
+            more = explained[place] - explained[place - 1]
+            names += more - float(penalty(ranks[place] - ranks[place - 1], more / wider, samples))
+            names -= 2.0 * (len(fit.chosen) - len(path[place - 1][0].chosen)) * tried
+        wider = 1.0 + SHAPE * explained[place]
+        shaped = names + beyond[place] * (1.0 - 1.0 / wider)
+        worth = max(shaped, names + gained[place]) - gained[0]
+        unknown = -np.inf
+        if left.structured and left.beyond(wider, samples) > LOG_UNKNOWN:
+            unknown = shaped + left.beyond(wider, samples) - LOG_UNKNOWN - gained[0]
+        found.append(Explanation(fit, beside, left, worth, unknown))
     return found, gained[0]
 
 

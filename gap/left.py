@@ -54,9 +54,8 @@ class Left:
     def structured(self) -> bool:
         return self.worth > THRESHOLD
 
-    def beyond(self, shape_error: float, samples: float) -> float:
-        """Worth where each direction may have so much energy of a shape error, in units of the noise."""
-        wider = 1.0 + shape_error
+    def beyond(self, wider: float, samples: float) -> float:
+        """Worth where noise and shape error together have so many times the variance of the noise."""
         return worth(self.drop / wider, self.rank, samples, self.log_tried) if self.rank else self.worth / wider
 
 

@@ -116,7 +116,8 @@ def _best(explanations: Sequence[Explanation]) -> tuple[int, float, float]:
     """The explanation that weighs most, the probability that nothing unknown is there, and the most worth."""
     logs = np.array([[one.worth, one.unknown] for one in explanations])
     for place, (one, more) in enumerate(pairwise(explanations)):
-        if len(more.fit.chosen) == len(one.fit.chosen) + 1 and not np.isfinite(more.unknown):
+        added = {effect for effect, _ in more.fit.chosen} - {effect for effect, _ in one.fit.chosen}
+        if len(added) == 1 and not np.isfinite(more.unknown):
             logs[place, 1] = -np.inf  # the catalogue has it
     if not np.max(logs) > THRESHOLD:
         return 0, 1.0, float(np.max(logs))

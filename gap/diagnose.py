@@ -153,6 +153,7 @@ def investigate(
         # A large effect moves where readings without attitude point to.
         problem = realigned(problem, beside=[*answer.result.modelled, *answer.result.chosen])
         known = candidates(problem)
+        dictionary = Dictionary(blocks(problem), problem.rows)
         first_noise, answer = noise_and_answer(problem, dictionary, known)
     progress("what is left, and where", 0.75)
     fast = None if whole is None else full_rate(whole, problem, answer.result.modelled, answer.result.chosen)
@@ -220,7 +221,7 @@ def _attitude_would_do(problem: Problem, answer: Answer, dictionary: Dictionary)
     An attitude error leaves the component along the field alone. So the rows are whitened as if it were without bounds,
     and what is structured then is none of its doing.
     """
-    if not (problem.free_attitude_error and answer.left.structured) or answer.result.named:
+    if not problem.free_attitude_error or answer.known >= 0.5 or answer.result.named:
         return None
     boundless = replace(answer.noise, theta_rad=_BOUNDLESS_RAD, tau_s=0.0)
     whitener = whitener_of(problem, boundless, answer.robust.weights)
@@ -273,7 +274,7 @@ def _place(
     known: float,
 ) -> Where:
     """Of the whole gap where it is explained, of the rest where structure remains that is not."""
-    if left.structured and result.named and known < 0.5:
+    if result.named and known < 0.5:
         return where(problem, whitener, result.residual_nT, fitted, found=dictionary)
     return where(problem, whitener, result.residual_alone_nT, alone, found=dictionary, candidates=result.candidates)
 

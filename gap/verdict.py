@@ -35,7 +35,7 @@ def assemble(
     """The diagnosis of a finished investigation. assumed: as from `level.assumed`."""
     known = [one for one in work.flexible if one.confirmed and expected(one, work.problem.frozen)]
     confirmed = [one for one in work.flexible if one.confirmed and one not in known]
-    structured = work.left.structured and work.attitude_would_do_rad is None
+    unknown = work.known < 0.5 and work.attitude_would_do_rad is None
     named = [] if work.found.resembles else list(work.found.named)
     stands = bool(named) and work.known >= 0.5 and not work.shrinkage.worse
     signals = [_found(one, work.problem.setting) for one in named] if stands else []
@@ -45,7 +45,7 @@ def assemble(
         signals.sort(key=lambda effect: effect.significance)
     stochastic = [_flexible(one, work.problem.setting) for one in confirmed]
     effects = [*signals, *stochastic]
-    unexplained = bool(work.found.resembles) or (not stands and (structured or bool(named))) or momentum.unexplained
+    unexplained = bool(work.found.resembles) or (not stands and (unknown or bool(named))) or momentum.unexplained
     verdict = "unknown" if unexplained else "effect" if effects else "no_gap"
     outliers = level.outliers(work.problem, work.robust, level.confirmed_bits(work.flexible))
     excess = level.beyond_budget(work) if verdict != "unknown" else None
@@ -53,7 +53,9 @@ def assemble(
     verdict = verdict if beyond is None else "unknown"
     resembles = _resembles(work, verdict)
     shrunk, series = _without_known(work.shrinkage, work.series, known, bool(effects))
-    incomplete = (stands and structured) or momentum.incomplete or (verdict == "effect" and excess is not None)
+    incomplete = (
+        (stands and work.left.structured) or momentum.incomplete or (verdict == "effect" and excess is not None)
+    )
     gap = _gap(shrunk, verdict, bool(effects), level.left_in_fit_nT(work), incomplete=incomplete)
     where = _where(work, effects) if beyond is None else _at(work, beyond.stage)
     said = _sentence(

@@ -1,6 +1,6 @@
 """How often the diagnosis is right about effects that it has not been told.
 
-    python benchmarks/withheld.py [--population NAME ...] [--count N] [--jobs N] [--out DIR] [--chaos FILE]
+    python benchmarks/withheld.py [--population NAME ...] [--count N|small] [--jobs N] [--out DIR] [--chaos FILE]
     python benchmarks/withheld.py --tune SEED ...     any other seed (or --seed), on any tree; nothing is logged
     python benchmarks/withheld.py --out DIR --score   score what is there again
     ... --score --docs                                and write docs/withheld.md with its figure
@@ -36,41 +36,46 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from withheld_cases import limits, page, printed, score, store
+from withheld_cases import limits, null_regimes, page, printed, score, store
 from withheld_cases.ask import ask, ask_rival
-from withheld_cases.cases import PLAIN, POPULATIONS, SENSED, identity
+from withheld_cases.cases import KINDS, PLAIN, POPULATIONS, SENSED, identity
 from withheld_cases.control import wrong
+from withheld_cases.joining import JOINING
 from withheld_cases.loop import again
 from withheld_cases.make import make
 from withheld_cases.outside import OUTSIDE, WHY
 from withheld_cases.shapes import SHAPES
 from withheld_cases.twins import judge
+from withheld_cases.worlds import REGIMES
 
 from fluxtwin.sim.base import files
 
 ROOT = Path(__file__).resolve().parent.parent
 FROZEN = {
-    "nulls": 1000,
+    "nulls": 2000,
     "nulls_off": 60,
-    "singles": 3 * len(PLAIN),
-    "faint": 20,
-    "pairs": 30,
-    "triples": 12,
-    "shapes": 30,
-    "outside": 2 * len(OUTSIDE),
+    "singles": 5 * len(PLAIN),
+    "faint": 2 * len(PLAIN),
+    "pairs": 60,
+    "triples": 30,
+    "shapes": 3 * len(SHAPES),
+    "outside": 4 * len(OUTSIDE),
+    "new_singles": 4 * len(JOINING),
     "sensed": 10 * len(SENSED),
     "torque_nulls": 40,
     "torques": 24,
     "torque_pairs": 12,
     "nulls_undeclared": 300,
     "singles_undeclared": 3 * len(PLAIN),
-    "passes_only": 200,
-    "short": 200,
-    "coarse": 200,
+    "passes_only": 100,
+    "short": 100,
+    "coarse": 100,
     "limits": 100 * len(limits.SIZED),
     "undetermined": 40,
 }
 """Cases of a frozen run."""
+SMALL = 0
+"""`--count small`: as many cases as a population has kinds."""
 RIVAL = {"nulls": 200, "singles": 40, "pairs": 15, "triples": 6}
 """How many of them the rival is asked, the first ones."""
 LOOPS = {"singles": len(PLAIN)}
@@ -84,6 +89,7 @@ SECONDS = {
     "triples": 12.0,
     "shapes": 6.0,
     "outside": 10.0,
+    "new_singles": 8.0,
     "sensed": 5.0,
     "rival": 2.0,
     "loops": 10.0,
@@ -184,7 +190,9 @@ def _minutes(plan: Plan, given: argparse.Namespace) -> float:
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--population", nargs="+", choices=POPULATIONS, default=list(POPULATIONS))
-    parser.add_argument("--count", type=int, help="cases of each population (default: those of a frozen run)")
+    parser.add_argument(
+        "--count", type=_count, help="cases of each population, or small: each kind once (default: a frozen run's)"
+    )
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--out", type=Path, help="folder of the run")
     parser.add_argument("--chaos", metavar="FILE", help="half of the truths (no nulls) have this richer field")
@@ -202,9 +210,16 @@ def _arguments() -> argparse.Namespace:
         parser.error("--score needs --out DIR")
     if given.docs and not given.score:
         parser.error("--docs goes with --score")
-    if given.count is not None and given.count < 1:
-        parser.error("--count is at least 1")
     return given
+
+
+def _count(text: str) -> int:
+    """A count; of `small` none, which no number stands for. Raises ArgumentTypeError."""
+    if text == "small":
+        return SMALL
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r}: a number, at least 1, or small")
+    return int(text)
 
 
 def _tell() -> int:
@@ -217,7 +232,12 @@ def _tell() -> int:
 
 
 def _plan(populations: Sequence[str], count: int | None) -> Plan:
-    return [(name, number) for name in populations for number in range(FROZEN[name] if count is None else count)]
+    def many(name: str) -> int:
+        if count == SMALL:
+            return len(null_regimes.declared() if name == "nulls" else KINDS.get(name, REGIMES))
+        return FROZEN[name] if count is None else count
+
+    return [(name, number) for name in populations for number in range(many(name))]
 
 
 def _counts(plan: Plan) -> dict[str, int]:

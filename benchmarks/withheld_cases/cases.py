@@ -14,7 +14,7 @@ from scipy.special import gammaln
 
 from fluxtwin.sim.earth.field import field_N_nT
 from fluxtwin.sim.earth.field_models import FieldModel
-from withheld_cases import null_regimes, of_dynamics, of_place, of_sensor, of_spacecraft, outside, shapes
+from withheld_cases import joining, null_regimes, of_dynamics, of_place, of_sensor, of_spacecraft, outside, shapes
 from withheld_cases.attitude_sensors import draw_sensors
 from withheld_cases.chain import Truth
 from withheld_cases.draft import Draft, Maker
@@ -58,10 +58,12 @@ PLAIN: dict[str, Maker] = {
 }
 DISTRIBUTIONAL = ("excess_noise", "coarse_quantization", "bit_errors", "bias_random_walk")
 CALIBRATION = ("bias", "scale_misalignment")
-POINTED = ("horizon_scanner_bias", "yaw_drift", "yaw_runs_away", "horizon_third")
+POINTED = ("horizon_scanner_bias", "yaw_drift", "yaw_runs_away", "horizon_third", *joining.POINTED)
 """Only where there is a roll, a pitch and a yaw to speak of."""
-PACKETS = ("stale_packets", "swapped_rows")
+PACKETS = ("stale_packets", "swapped_rows", "missorted_samples")
 """Only where the field changes little from row to row: else each bad packet would be a spike."""
+TURNING = ("spin_gain",)
+"""Only where the size of the body's rate changes."""
 CONFUSED = (
     {"sensor_lag", "time_tag_offset", "along_track_error"},
     {"bias_step", "bias_random_walk"},
@@ -78,17 +80,22 @@ POPULATIONS = (
     "triples",
     "shapes",
     "outside",
+    "new_singles",
     "sensed",
     *of_dynamics.POPULATIONS,
     "nulls_undeclared",
     "singles_undeclared",
-    *null_regimes.REGIMES,
+    *null_regimes.UNDECLARED,
     "limits",
     "undetermined",
 )
-TWICE = ("sensed", *null_regimes.REGIMES)
-"""Each flight is in these two times, in an even and in an odd number."""
 NULLS = ("nulls", "nulls_off", "nulls_undeclared")
+KINDS: dict[str, dict[str, Maker]] = {
+    "shapes": shapes.SHAPES,
+    "outside": outside.OUTSIDE,
+    "new_singles": joining.JOINING,
+}
+"""Populations with kinds of their own; the others go through PLAIN."""
 STRENGTH = {
     "singles": (0.2, 3.0),
     "faint": (0.1, 0.3),
@@ -96,6 +103,7 @@ STRENGTH = {
     "triples": (1.0, 3.0),
     "shapes": (0.5, 3.0),
     "outside": (1.0, 3.0),
+    "new_singles": (0.2, 3.0),
     "sensed": (0.2, 3.0),
     "singles_undeclared": (0.5, 3.0),
 }
@@ -143,15 +151,15 @@ def case_seed(seed: int, population: str, *number: int) -> np.random.Generator:
 
 def make_case(seed: int, population: str, number: int, rich: FieldModel | None = None) -> Case:
     """The case. Raises RuntimeError if no world in many shows the truths at the wanted size."""
-    own = number // 2 if population in TWICE else number
+    own = number // 2 if population == "sensed" else number
     rng = case_seed(seed, population, own)
     makers, regimes, label = _chosen(population, own, case_seed(seed, population))
     regime = regimes[own % len(regimes)]
     if population == "sensed":
         label += ", sun and nadir " + ("left out" if number % 2 else "measured")
-    if population in null_regimes.REGIMES:
-        label = "asked without a flag" if number % 2 else "declared"
-        world = null_regimes.REGIMES[population](rng, regime)
+    if population in ("nulls", *null_regimes.UNDECLARED):
+        label, motion = null_regimes.chosen(population, number)
+        world = null_regimes.REGIMES[label](rng, motion)
         return Case(identity(seed, population, number), population, number, world, (), (), (), (), 1, label)
     if population in NULLS:
         world = draw_world(rng, regime)
@@ -174,7 +182,7 @@ def make_case(seed: int, population: str, number: int, rich: FieldModel | None =
 
 def _chosen(population: str, number: int, order: np.random.Generator) -> tuple[list[Maker], tuple[str, ...], str]:
     """Makers, the regimes they may have (rotated by the round), and a label."""
-    if population in (*NULLS, *null_regimes.REGIMES):
+    if population in (*NULLS, *null_regimes.UNDECLARED):
         return [], REGIMES, ""
     if population == "sensed":
         name = SENSED[number % len(SENSED)]
@@ -183,7 +191,7 @@ def _chosen(population: str, number: int, order: np.random.Generator) -> tuple[l
         sets = _sets({"pairs": 2, "triples": 3}[population])
         names = sets[int(order.permutation(len(sets))[number % len(sets)])]
         return [PLAIN[name] for name in names], _regimes(names), "+".join(names)
-    table = {"shapes": shapes.SHAPES, "outside": outside.OUTSIDE}.get(population, PLAIN)
+    table = KINDS.get(population, PLAIN)
     names = tuple(table)
     name = names[number % len(names)]
     regimes = _regimes((name,))
@@ -193,6 +201,8 @@ def _chosen(population: str, number: int, order: np.random.Generator) -> tuple[l
 
 
 def _regimes(names: Sequence[str]) -> tuple[str, ...]:
+    if any(name in TURNING for name in names):
+        return ("slews",)
     return ("nadir", "slews") if any(name in POINTED + PACKETS for name in names) else REGIMES
 
 
@@ -257,6 +267,8 @@ def _size(world: World, draft: Draft, target: float) -> tuple[float, float] | fl
         truth = draft.at(size)
         return visible(world, [truth]) if draft.measure is None else draft.measure(world, truth)
 
+    if draft.as_drawn:
+        return draft.start, measure(draft.start)
     found = scaled(measure, target, draft.low, draft.high, draft.start)
     if found is not None:
         return found
@@ -364,9 +376,7 @@ def richer_nT(world: World) -> float:
 
 def question(case: Case) -> dict[str, Any]:
     """What the diagnosis is told besides the telemetry: as a user would."""
-    flagless = case.population in ("nulls_undeclared", "singles_undeclared") or (
-        case.population in null_regimes.REGIMES and case.number % 2 == 1
-    )
+    flagless = case.population in ("nulls_undeclared", "singles_undeclared", *null_regimes.UNDECLARED)
     return (undeclared if flagless else declared)(case.identity, case.world)
 
 

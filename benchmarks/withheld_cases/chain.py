@@ -23,7 +23,7 @@ from fluxtwin.sim.earth.field import field_N_nT
 from fluxtwin.sim.spacecraft.sensors.reference_attitude import attitude_with_error
 from fluxtwin.sim.telemetry.record import Telemetry
 from withheld_cases import attitude_sensors, spacecraft
-from withheld_cases.worlds import World, shift
+from withheld_cases.worlds import SECOND_READING, World, shift
 
 Ambient = Callable[[TimeArray], FloatArray]
 """Stamps to the geomagnetic field in true body axes, (N, 3) nT, before anything of the spacecraft's own."""
@@ -146,21 +146,28 @@ def _reading(world: World, truths: Sequence[Truth], time: TimeArray) -> FloatArr
 
 
 def _lagged(world: World, truths: Sequence[Truth], time: TimeArray) -> FloatArray:
-    """First-order low-pass of what is at the sensor, by Gauss-Laguerre quadrature of its impulse response.
+    """What the sensor follows; with a lag, the first one there is."""
 
-    tau y' = x - y has the solution y(t) = int_0^inf exp(-s) x(t - tau s) ds. Two equal poles: weight s exp(-s).
-    """
+    def perfect(at: TimeArray) -> FloatArray:
+        return _equation_1(world, truths, at)
+
     lag = next((truth for truth in truths if truth.lag_s > 0.0), None)
-    if lag is None:
-        return _equation_1(world, truths, time)
+    return perfect(time) if lag is None else low_pass(perfect, time, lag.lag_s, two_pole=lag.lag_two_pole)
+
+
+def low_pass(signal: Ambient, time: TimeArray, tau_s: float, *, two_pole: bool = False) -> FloatArray:
+    """First-order low-pass of a function of time, by Gauss-Laguerre quadrature of its impulse response.
+
+    tau y' = x - y has the solution y(t) = int_0^inf exp(-s) x(t - tau s) ds. Two equal poles, each of half the time
+    constant: weight s exp(-s).
+    """
     nodes, weights = np.polynomial.laguerre.laggauss(_LAG_NODES)
-    if lag.lag_two_pole:
+    if two_pole:
         weights = weights * nodes
     kept = weights > 1e-7  # what is left out weighs less than 1e-6 of the field's change over 20 tau
     total = np.zeros((time.size, 3))
     for node, weight in zip(nodes[kept], weights[kept] / weights[kept].sum(), strict=True):
-        scale = 0.5 * lag.lag_s if lag.lag_two_pole else lag.lag_s
-        total += weight * _equation_1(world, truths, shift(time, -scale * node))
+        total += weight * signal(shift(time, -(0.5 * tau_s if two_pole else tau_s) * node))
     return total
 
 
@@ -175,7 +182,7 @@ def fly(world: World, truths: Sequence[Truth], clean: Clean | None = None) -> Te
             reading = reading + truth.noise(world, stream(world.key, f"noise {number}"))
     lsb = next((truth.lsb_nT for truth in truths if truth.lsb_nT is not None), budget.lsb_nT)
     reading = clipped(truths, reading)
-    reading = lsb * np.rint(reading / lsb)
+    reading = lsb * np.rint((reading + outliers_nT(world)) / lsb)
     for number, truth in enumerate(truths):
         if truth.codes is not None:
             reading = truth.codes(world, stream(world.key, f"codes {number}"), reading, lsb)
@@ -183,10 +190,33 @@ def fly(world: World, truths: Sequence[Truth], clean: Clean | None = None) -> Te
         world.time, clean.R_BN, budget.attitude_sigma_rad, budget.attitude_tau_s, stream(world.key, "reference")
     )
     told = record(world, reading, clean, reference)
+    if world.second is not None:
+        told = told.replace(**{SECOND_READING: second_reading_nT(world, truths)})
     if world.sensors is None:
         return told
     sun_B, nadir_B = attitude_sensors.vectors(world, truths)
     return told.replace(sun_B=sun_B, nadir_B=nadir_B)
+
+
+def outliers_nT(world: World) -> FloatArray:
+    """(N, 3) what is wrong with single readings, 10 to 100 times the noise; at least one where there are any."""
+    wrong = np.zeros((world.time.size, 3))
+    if world.outlier_share:
+        rng = stream(world.key, "outliers")
+        rows = rng.choice(len(wrong), max(1, round(world.outlier_share * len(wrong))), replace=False)
+        sizes = world.budget.noise_nT * rng.uniform(10.0, 100.0, rows.size)
+        wrong[rows, rng.integers(0, 3, rows.size)] = sizes * rng.choice([-1.0, 1.0], rows.size)
+    return wrong
+
+
+def second_reading_nT(world: World, truths: Sequence[Truth]) -> FloatArray:
+    """(N, 3) what the second magnetometer says of the field alone: nothing of the spacecraft's own is in it."""
+    assert world.second is not None
+    S, b, budget = world.second.S, world.second.b_nT, world.second.budget
+    perfect = np.linalg.solve(np.eye(3) + S, (ambient(world, truths, world.time) - b).T).T
+    noise = budget.noise_nT * stream(world.key, "second magnetometer").standard_normal(perfect.shape)
+    read: FloatArray = budget.lsb_nT * np.rint((perfect + noise) / budget.lsb_nT)
+    return read
 
 
 def clipped(truths: Sequence[Truth], reading: FloatArray) -> FloatArray:

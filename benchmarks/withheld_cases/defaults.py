@@ -11,18 +11,13 @@ from withheld_cases.beside import TOLD
 from withheld_cases.judged import Judged, names_of
 from withheld_cases.rows import distributional, expressible, of, share_row
 
-POPULATIONS = ("nulls_undeclared", "singles_undeclared", *null_regimes.REGIMES, "limits", "undetermined")
+POPULATIONS = ("nulls_undeclared", "singles_undeclared", *null_regimes.UNDECLARED, "limits", "undetermined")
 BEYOND_DECLARED = ("excess_noise", "coarse_quantization")
 """More than was declared: where nothing was, there is nothing to be more than."""
 TURNS = ("sun_sensor_head_misalignment", "horizon_scanner_bias", "yaw_drift", "boom_bending", "scale_misalignment")
 """Turns of the attitude or of the sensor lie across the field, where an attitude error of unknown size lies too."""
 DETECTED = (0.85, 0.95)
 """90 % is promised; of 100 records the binomial sigma is 3 %."""
-_WORDS = {
-    "passes_only": "station passes, fine sensor, slow attitude error",
-    "short": "300 to 600 rows, slow attitude error",
-    "coarse": "steps 7 to 10 times the noise",
-}
 
 
 def rows(cases: Sequence[Judged]) -> list[dict[str, Any]]:
@@ -40,21 +35,14 @@ def _nulls(cases: Sequence[Judged]) -> list[dict[str, Any]]:
         quiet("nothing declared: of these the scenario of the README", TOLD, [c for c in plain if _readme(c)], 0.0),
         quiet("nothing declared: of these the usual worlds", TOLD, [c for c in plain if not _readme(c)], 0.0),
     ]
-    for regime, words in _WORDS.items():
-        mine = of(cases, regime)
-        found += [
-            quiet(f"{words}, declared: no gap", ">= 99 %", [c for c in mine if _even(c)], 0.99),
-            quiet(f"{words}, nothing declared: no gap", ">= 99 %", [c for c in mine if not _even(c)], 0.99),
-        ]
-    return found if any(c.population in ("nulls_undeclared", *_WORDS) for c in cases) else []
+    for regime in null_regimes.UNDECLARED:
+        title = f"{null_regimes.WORDS[regime]}, nothing declared: no gap"
+        found.append(quiet(title, ">= 99 %", of(cases, regime), 0.99))
+    return found if any(c.population in ("nulls_undeclared", *null_regimes.UNDECLARED) for c in cases) else []
 
 
 def _readme(case: Judged) -> bool:
     return bool(case.sealed["label"] == null_regimes.README_LABEL)
-
-
-def _even(case: Judged) -> bool:
-    return int(case.sealed["number"]) % 2 == 0
 
 
 def _singles(cases: Sequence[Judged]) -> list[dict[str, Any]]:

@@ -26,6 +26,8 @@ class Draft:
     start: float
     measure: Callable[[World, Truth], float] | None = None
     """Visible size of a truth that is no signal; None: `visible`."""
+    as_drawn: bool = False
+    """Its size is `start`, however visible that is."""
 
 
 Maker = Callable[[World, np.random.Generator], Draft | None]

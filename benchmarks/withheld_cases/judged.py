@@ -14,8 +14,12 @@ EQUIVALENT = {
     "bias_step": {"spacecraft"},
     "bias_random_walk": {"spacecraft"},
     "boom_bending": {"attitude", "sensor"},
+    "axis_skew": {"time"},
+    "linear_drift": {"spacecraft"},
+    "attitude_step": {"sensor"},
+    "mounting_step": {"attitude"},
 }
-"""Stages that the effects table itself holds to be the same."""
+"""Stages that the effects table itself holds to be the same, or that have one image."""
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,16 +12,17 @@ from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.orbit import argument_of_latitude
-from withheld_cases import of_place
+from withheld_cases import of_place, outside_places, outside_sensor
 from withheld_cases.chain import Ambient, Truth, noise_free
-from withheld_cases.draft import Draft, direction, listed, sign
+from withheld_cases.draft import Draft, Maker, direction, listed, sign
 from withheld_cases.visible import noise_rms_nT
 from withheld_cases.worlds import World, shift
 
 
 def clock_sawtooth(world: World, rng: np.random.Generator) -> Draft:
     """The clock runs late and is set right at each contact."""
-    every, phase = world.orbit.nodal_period_s * float(rng.uniform(0.3, 1.3)), float(rng.random())
+    every = min(world.orbit.nodal_period_s * float(rng.uniform(0.3, 1.3)), world.span_s / 3.0)
+    phase = float(rng.random())
 
     def at(size: float) -> Truth:
         def clock(w: World, time: TimeArray) -> FloatArray:
@@ -33,8 +35,9 @@ def clock_sawtooth(world: World, rng: np.random.Generator) -> Draft:
 
 
 def clock_daily(world: World, rng: np.random.Generator) -> Draft:
-    """The clock swings with the temperature, once or three times per orbit's two and a half."""
-    period, phase = float(rng.uniform(1.5, 3.5)) * 3600.0, float(rng.uniform(0, 2 * np.pi))
+    """The clock swings with the temperature, twice in the record at least: a part of one swing would be a drift."""
+    period = min(float(rng.uniform(1.5, 3.5)) * 3600.0, world.span_s / 2.0)
+    phase = float(rng.uniform(0, 2 * np.pi))
 
     def at(size: float) -> Truth:
         def clock(w: World, time: TimeArray) -> FloatArray:
@@ -152,7 +155,7 @@ def yaw_flex(world: World, rng: np.random.Generator) -> Draft:
 
 
 def drive_magnet(world: World, rng: np.random.Generator) -> Draft:
-    """A magnet on the array drive turns with the sun; the sensor sees a near, uneven dipole."""
+    """A magnet behind the gear of the array drive: it turns twice as the sun is seen to turn once."""
     cosine, sine, second = direction(rng), direction(rng), direction(rng)
     spin_axis = int(rng.integers(0, 3))
 
@@ -162,9 +165,9 @@ def drive_magnet(world: World, rng: np.random.Generator) -> Draft:
             x, y = (sun_B[:, (spin_axis + k) % 3] for k in (1, 2))
             angle = np.arctan2(y, x)
             return size * (
-                np.outer(np.cos(angle), cosine)
-                + np.outer(np.sin(angle), sine)
-                + 0.5 * np.outer(np.cos(2 * angle), second)
+                np.outer(np.cos(2 * angle), cosine)
+                + np.outer(np.sin(2 * angle), sine)
+                + 0.5 * np.outer(np.cos(4 * angle), second)
             )
 
         return Truth("drive_magnet", "spacecraft", {"size_nT": size, "axis": spin_axis}, stray=stray)
@@ -196,8 +199,8 @@ def gain_ageing(world: World, rng: np.random.Generator) -> Draft:
 
     def at(size: float) -> Truth:
         def correction(w: World, time: TimeArray) -> tuple[FloatArray, FloatArray]:
-            share = epoch.seconds_since(time, begin) / span
-            return (size * np.sin(1.5 * np.pi * share))[:, None, None] * np.diag(axes), np.zeros((time.size, 3))
+            away = 0.5 - 0.5 * np.cos(2.0 * np.pi * epoch.seconds_since(time, begin) / span)
+            return away[:, None, None] * np.diag(size * axes), np.zeros((time.size, 3))
 
         return Truth("gain_ageing", "sensor", {"scale": listed(size * axes)}, correction=correction)
 
@@ -219,6 +222,10 @@ def gain_step(world: World, rng: np.random.Generator) -> Draft:
     return Draft(world, at, 1e-5, 0.1, 4e-3)
 
 
+Places = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+"""Row, first and last row of its packet to the row that is found there."""
+
+
 def _blocks(world: World, share: float, length: int) -> FloatArray:
     """(N,) 1 in whole packets of `length` rows, a share of them."""
     packets = -(-world.time.size // length)
@@ -226,7 +233,7 @@ def _blocks(world: World, share: float, length: int) -> FloatArray:
     return np.repeat(chosen, length)[: world.time.size].astype(np.float64)
 
 
-def _rearranged(name: str, world: World, rng: np.random.Generator, reverse: bool) -> Draft | None:
+def _rearranged(name: str, world: World, rng: np.random.Generator, places: Places) -> Draft | None:
     """Packets whose rows are not where they belong; the size is the share of packets.
 
     A packet is so long that the rows in it are off by a few times the noise, no spikes.
@@ -240,8 +247,7 @@ def _rearranged(name: str, world: World, rng: np.random.Generator, reverse: bool
     def order(w: World, share: float) -> np.ndarray:
         rows = np.arange(w.time.size)
         first = rows - rows % length
-        last = np.minimum(first + length, w.time.size) - 1
-        moved = first + last - rows if reverse else np.maximum(first - 1, 0)
+        moved = places(rows, first, np.minimum(first + length, w.time.size) - 1)
         return np.where(_blocks(w, share, length) > 0, moved, rows)
 
     def at(size: float) -> Truth:
@@ -265,48 +271,59 @@ def _rearranged(name: str, world: World, rng: np.random.Generator, reverse: bool
 
 def stale_packets(world: World, rng: np.random.Generator) -> Draft | None:
     """Some packets hold the last reading of the one before in all their rows."""
-    return _rearranged("stale_packets", world, rng, reverse=False)
+    return _rearranged("stale_packets", world, rng, lambda row, first, last: np.maximum(first - 1, 0))
 
 
 def swapped_rows(world: World, rng: np.random.Generator) -> Draft | None:
     """Some packets hold their rows in reverse order."""
-    return _rearranged("swapped_rows", world, rng, reverse=True)
+    return _rearranged("swapped_rows", world, rng, lambda row, first, last: first + last - row)
+
+
+def missorted_samples(world: World, rng: np.random.Generator) -> Draft | None:
+    """Some packets are read out of their ring from the wrong place: their rows are right but for a turn of the ring."""
+    part = float(rng.uniform(0.3, 0.7))
+
+    def turned(row: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+        length = last - first + 1
+        moved: np.ndarray = first + (row - first + (part * length).astype(int)) % length
+        return moved
+
+    return _rearranged("missorted_samples", world, rng, turned)
 
 
 WHY = {
-    "clock_sawtooth": "late and set right again and again; time_tag_offset is one constant",
-    "clock_daily": "the offset swings with hours; no entry lets an offset vary",
-    "eccentricity_error": "radial and along-track once per orbit; along_track_error is one constant",
+    "clock_sawtooth": "late and set right again and again; time_tag_offset has one constant and one drift",
+    "clock_daily": "the offset swings with hours; no entry lets an offset come and go",
+    "counter_resets": "the offset jumps to another value again and again; time_tag_offset has no jump",
+    "eccentricity_error": "radial and along-track once per orbit; along_track_error is constant or grows",
     "plane_error": "cross-track once per orbit; no entry moves the position across",
+    "longitude_error": "the place is turned about the Earth's axis; no entry moves the position across the orbit",
     "auroral_currents": "eastward in two ovals, of both signs; a switched field is constant in the body and of one sign",
     "wrong_coefficient": "one coefficient of degree 2 to 4; neither the change with the years nor the high degrees",
+    "sq_dynamo": "stands still under the sun, inside the orbit; the ring current is outside and follows the dipole",
+    "plasma_depletions": "along the field, in bubbles of the evening; no entry follows local time and latitude",
     "frame_of_date": "the reference axes are turned by a constant in N; no constant in the body, no drift of yaw",
     "yaw_flex": "bends twice and three times per orbit about yaw; horizon_scanner_bias has no yaw and no sin 2u",
-    "drive_magnet": "turns with the sun as seen from the body; follows no current and is no line of a wheel",
+    "gyro_scale": "errs by a share of the turn since the last fix, all axes; yaw_drift grows with time, about one axis",
+    "drive_magnet": "turns twice while the sun does once; a stray field over the sun's direction turns with it",
     "payload_modes": "five hidden modes, each with a field of its own; a switch has two states, a walk no plateaus",
-    "gain_ageing": "the scale of an axis creeps and comes back; thermal entries follow the temperature, bias knows no field",
+    "scanning_arm": "falls with the cube of a distance that swings; a wheel's line is a sine, a switch has two states",
+    "switching_transients": "decays after each step of a torquer, always one way; a coupling follows the dipole",
+    "two_heaters": "two hidden switches at nearly one period, less than their sum together; a heater has two states",
+    "motional_current": "rectified v x B; an eddy current follows dB/dt, no entry knows the velocity in the body",
+    "chirping_line": "a folded line whose frequency follows the temperature; a wheel's is steady or recorded",
+    "gain_ageing": "the scale of an axis creeps and comes back; thermal entries follow the temperature, a drift does not",
     "gain_step": "the scale of an axis jumps once; bias_step adds a constant, not a share of the field",
+    "delayed_crosstalk": "one axis follows another's past; scale_misalignment knows no past, a lag no other axis",
+    "thermal_shear": "an angle between axes follows the temperature; thermal_scale_drift has the diagonal, a boom turns",
+    "spin_gain": "the gains follow the square of the rate; no entry lets a gain follow the motion",
+    "shocked_amplifier": "the gains fall at each shock and recover; a step stays, a thermal entry follows the sun",
+    "converter_sawtooth": "a sawtooth of the reading; polynomials of order two and three have no such teeth",
     "stale_packets": "packets repeat one reading for many rows; bit errors are single, a lag is always there",
     "swapped_rows": "packets come in reverse order; errors of the stamp that alternate and have no mean",
+    "missorted_samples": "packets are turned in their ring; errors of the stamp that jump inside a packet and have no mean",
 }
 """Member: why no entry can express it."""
 
-OUTSIDE = {
-    maker.__name__: maker
-    for maker in (
-        clock_sawtooth,
-        clock_daily,
-        eccentricity_error,
-        plane_error,
-        auroral_currents,
-        wrong_coefficient,
-        frame_of_date,
-        yaw_flex,
-        drive_magnet,
-        payload_modes,
-        gain_ageing,
-        gain_step,
-        stale_packets,
-        swapped_rows,
-    )
-}
+_MAKERS = {**vars(outside_sensor), **vars(outside_places), **globals()}
+OUTSIDE: dict[str, Maker] = {name: _MAKERS[name] for name in WHY}

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from fluxtwin.sim.base import files
-from withheld_cases import beside, score
+from withheld_cases import beside, promises, score
 from withheld_cases.judged import Judged
-from withheld_cases.outside import WHY
 from withheld_cases.statistics import median
 
 FIGURE = "withheld_confusion.png"
@@ -46,16 +45,16 @@ def page(cases: Sequence[Judged], void: int, run: dict[str, Any]) -> str:
         score.table(score.rows_of(cases)),
         "## What was said of each effect",
         f"![Confusion matrix](images/{FIGURE})",
-        "Singles, other shapes and torques. Each row is a truth, each column what came first in the answer, in percent "
-        "of the row; a name whose group holds the truth counts as the truth.",
+        "Singles, new ones, other shapes and torques. Each row is a truth, each column what came first in the answer, in "
+        "percent of the row; a name whose group holds the truth counts as the truth.",
         "## Stated probabilities",
         _reliability(cases),
         "## By regime",
         score.by(cases, "regime", "regime"),
-        "## By effect, shape and outside member",
+        "## By effect, shape and regime",
         score.by(cases, "label", "effect or member"),
         "## Outside the catalogue",
-        "\n".join(f"- `{name}`: {why}" for name, why in WHY.items()),
+        promises.outside_list(cases),
         score.seconds(cases),
     ]
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
@@ -92,9 +91,10 @@ def _contents(cases: Sequence[Judged]) -> str:
 
 _BESIDE = {
     "nulls_undeclared": "Half of `nulls_undeclared` are the scenario of the README with seeds of their own.",
-    "passes_only": "`passes_only` are arcs of ten minutes, hours apart: sensor noise of 2 to 6 nT, an attitude error of "
-    "0.18 to 0.27 deg that wanders over 200 to 4000 s, S of 1.5 to 4 %; `short` has 300 to 600 rows, `coarse` steps 7 to "
-    "10 times the noise. Each flight of the three is asked twice, with its noise declared and without a flag.",
+    "nulls": "`nulls` goes through the regimes in turn, with everything declared: passes are arcs of ten minutes, hours "
+    "apart, with a sensor noise of 2 to 6 nT, an attitude error of 0.18 to 0.27 deg that wanders over 200 to 4000 s, and S "
+    "of 1.5 to 4 %; outliers are 10 to 100 times the noise. `passes_only`, `short` and `coarse` are asked without a flag.",
+    "new_singles": "`new_singles` has effects that join the table with its next edition.",
     "limits": "`limits` takes the smallest detectable size that the answer on a perfect flight prints for an effect, and "
     "flies it in the same world, in the parameter that is printed, with a random sign and other noise.",
     "undetermined": "`undetermined` are spins of 20 to 100 deg/s without attitude, with a body field of 1 to 2 gauss; where "

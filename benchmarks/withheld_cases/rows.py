@@ -16,7 +16,11 @@ def share_row(
     title: str, reach: str, cases: Sequence[Judged], test: Test, least: float, most: float = 1.0
 ) -> dict[str, Any]:
     """A share: met where the point estimate lies from least to most; a row that is `told` has nothing to meet."""
-    right, of = sum(test(case) for case in cases), len(cases)
+    return counted_row(title, reach, sum(test(case) for case in cases), len(cases), least, most)
+
+
+def counted_row(title: str, reach: str, right: int, of: int, least: float, most: float = 1.0) -> dict[str, Any]:
+    """The same of what is no case."""
     low, high = wilson(right, of)
     value = right / of if of else None
     met = None if value is None or reach == "told" else bool(least <= value <= most)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from withheld_cases import beside, defaults
+from withheld_cases import beside, defaults, promises
 from withheld_cases.judged import Judged, names_of
 from withheld_cases.rows import Test, distributional, expressible, number_row, of, share_row
 from withheld_cases.statistics import brier, calibration_error, median, reliability
@@ -40,6 +40,7 @@ def rows_of(cases: Sequence[Judged]) -> list[dict[str, Any]]:
         *beside.second_channel(cases),
         *beside.richer_field(cases),
         *defaults.rows(cases),
+        *promises.rows(cases),
         *_probabilities(cases),
         *_closing(cases),
         *_rival(cases),
@@ -236,7 +237,8 @@ def report(store: Store, names: Iterable[str]) -> tuple[str, dict[str, Any]]:
     cases, void = opened(store, names)
     rows = rows_of(cases)
     parts = [table(rows), f"{len(cases)} cases; {void} could not be made.", by(cases, "label", "effect or member")]
-    parts += [by(cases, "regime", "regime"), _confusion_text(cases), seconds(cases), _failures(cases)]
+    parts += [by(cases, "regime", "regime"), _confusion_text(cases)]
+    parts += [promises.outside_list(cases), seconds(cases), _failures(cases)]
     pairs = [pair for case in cases for pair in case.stated()]
     record = {
         "rows": rows,
@@ -268,7 +270,7 @@ def by(cases: Sequence[Judged], key: str, title: str) -> str:
     for case in cases:
         groups.setdefault((case.population, str(case.sealed[key])), []).append(case)
     for (population, label), mine in sorted(groups.items()):
-        if key == "label" and population in ("pairs", "triples"):
+        if key == "label" and population in ("pairs", "triples", "outside"):
             continue
         wrong = [_short(case) for case in mine if not right(case)]
         counts = {text: wrong.count(text) for text in dict.fromkeys(wrong)}
@@ -285,9 +287,9 @@ def _short(case: Judged) -> str:
 
 
 def confusion(cases: Sequence[Judged]) -> dict[str, dict[str, int]]:
-    """Singles, other shapes, torques: truth by what came first (a name that is in a right group counts as the truth)."""
+    """Truth by what came first, of those with one truth (a name that is in a right group counts as the truth)."""
     counts: dict[str, dict[str, int]] = {}
-    for case in of(cases, "singles", "shapes", "torques"):
+    for case in of(cases, "singles", "new_singles", "shapes", "torques"):
         said = case.truths[0] if case.first_right else str(case.effects[0]["name"]) if case.effects else case.verdict
         row = counts.setdefault(case.truths[0], {})
         row[said] = row.get(said, 0) + 1

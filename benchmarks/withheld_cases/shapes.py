@@ -370,6 +370,96 @@ def dahl(x: FloatArray, width_nT: float) -> FloatArray:
     return states
 
 
+def thermal_two_rates(world: World, rng: np.random.Generator) -> Draft | None:
+    """The electronics cool two to four times as slowly as they warm."""
+    world = recording(world, "temperature_degC")
+    if of_sensor.thermal_bias_drift(world, rng) is None:
+        return None
+    slope, warms_s = direction(rng), 0.6 * world.craft.temperature_tau_s
+    cools_s = warms_s * float(rng.uniform(2.0, 4.0))
+
+    def at(size: float) -> Truth:
+        def correction(w: World, time: TimeArray) -> tuple[FloatArray, FloatArray]:
+            warmer = spacecraft.temperature_degC(w, time, warms_s, cools_s)
+            return np.zeros((time.size, 3, 3)), np.outer(warmer, size * slope)
+
+        parameters = {"slope_nT_per_K": listed(size * slope), "tau_s": warms_s, "cooling_tau_s": cools_s}
+        return Truth("thermal_bias_drift", "sensor", parameters, correction=correction)
+
+    return Draft(world, at, 0.05, 300.0, 5.0)
+
+
+def two_current_loops(world: World, rng: np.random.Generator) -> Draft | None:
+    """Beyond 60 % of its current the array feeds a second loop, which lies otherwise."""
+    world = recording(world, "array_current_A")
+    if of_spacecraft.solar_array_current(world, rng) is None:
+        return None
+    axis, other, knee_A = direction(rng), direction(rng), 0.6 * world.craft.full_sun_A
+
+    def at(size: float) -> Truth:
+        def stray(w: World, time: TimeArray, field: Ambient) -> FloatArray:
+            amperes = spacecraft.array_current_A(w, time)
+            return size * (np.outer(amperes, axis) + np.outer(np.maximum(amperes - knee_A, 0.0), other))
+
+        return Truth("solar_array_current", "spacecraft", {"k_nT_per_A": listed(size * axis)}, stray=stray)
+
+    return Draft(world, at, 0.2, 1000.0, 20.0)
+
+
+def array_watts(world: World, rng: np.random.Generator) -> Draft | None:
+    """The field follows the power of the array: cells that warm twice as far as the sensor lose 0.4 %/K."""
+    world = recording(world, "array_current_A")
+    if of_spacecraft.solar_array_current(world, rng) is None:
+        return None
+    axis, tau_s = direction(rng), float(rng.uniform(300.0, 900.0))
+
+    def at(size: float) -> Truth:
+        def stray(w: World, time: TimeArray, field: Ambient) -> FloatArray:
+            volts = 1.0 - 0.004 * 2.0 * (spacecraft.temperature_degC(w, time, tau_s) - w.craft.sunlit_degC)
+            return np.outer(volts * spacecraft.array_current_A(w, time), size * axis)
+
+        parameters = {"k_nT_per_A": listed(size * axis), "tau_s": tau_s}
+        return Truth("solar_array_current", "spacecraft", parameters, stray=stray)
+
+    return Draft(world, at, 0.2, 1000.0, 20.0)
+
+
+def torquer_remanence(world: World, rng: np.random.Generator) -> Draft | None:
+    """A core stays magnetised by an eighth of its full dipole, the way it was last driven."""
+    plain = of_spacecraft.torquer_coupling(world, rng)
+    if plain is None:
+        return None
+    full, shape = max(world.craft.torquers.amplitude_Am2), direction(rng, 9).reshape(3, 3)
+    nodes = np.arange(-6000.0, world.span_s + 60.0, 2.0)
+    driven = np.sign(spacecraft.dipole_B_Am2(world, epoch.add_seconds(world.start, nodes)))
+    last = np.maximum.accumulate(np.where(driven != 0.0, np.arange(nodes.size)[:, None], 0), axis=0)
+    way = np.take_along_axis(driven, last, axis=0)
+
+    def at(size: float) -> Truth:
+        def stray(w: World, time: TimeArray, field: Ambient) -> FloatArray:
+            held = np.searchsorted(nodes, epoch.seconds_since(time, w.start), side="right") - 1
+            return (spacecraft.dipole_B_Am2(w, time) + 0.125 * full * way[held]) @ (size * shape).T
+
+        return Truth("torquer_coupling", "spacecraft", {"coupling_nT_per_Am2": listed(size * shape)}, stray=stray)
+
+    return Draft(plain.world, at, 0.01, 300.0, 2.0)
+
+
+def quintic_beside_cubic(world: World, rng: np.random.Generator) -> Draft:
+    """Each axis bends with the third and, half to once as much at 50,000 nT, with the fifth power of its own component."""
+    c, fifth = direction(rng), rng.uniform(0.5, 1.0, 3)
+
+    def at(size: float) -> Truth:
+        def sense(w: World, time: TimeArray, m: FloatArray, perfect: Ambient) -> FloatArray:
+            x = m / 5e4
+            return m + size * c * (x**3 + fifth * x**5)
+
+        parameters = {"c_nT": listed(size * c), "quintic_nT": listed(size * c * fifth)}
+        return Truth("cubic_nonlinearity", "sensor", parameters, sense=sense)
+
+    return Draft(world, at, 1.0, 8000.0, 300.0)
+
+
 SHAPES = {
     maker.__name__: maker
     for maker in (
@@ -393,5 +483,10 @@ SHAPES = {
         eddy_late,
         bent_by_strength,
         soft_hysteresis,
+        thermal_two_rates,
+        two_current_loops,
+        array_watts,
+        torquer_remanence,
+        quintic_beside_cubic,
     )
 }

@@ -142,27 +142,31 @@ def _accepted(charge: FloatArray, surplus_A: FloatArray, capacity_Ah: float) -> 
     return np.where(surplus_A <= 0.0, surplus_A, np.minimum(surplus_A, limit))
 
 
-def temperature_degC(world: World, time: TimeArray, tau_s: float | None = None) -> FloatArray:
+def temperature_degC(
+    world: World, time: TimeArray, tau_s: float | None = None, cooling_tau_s: float | None = None
+) -> FloatArray:
     """(N,) temperature of the magnetometer: a first-order lag behind sun and shadow."""
-    seconds, values = _temperature(world, world.craft.temperature_tau_s if tau_s is None else tau_s)
+    seconds, values = _temperature(world, world.craft.temperature_tau_s if tau_s is None else tau_s, cooling_tau_s)
     return np.interp(_since(world, time), seconds, values)
 
 
 @lru_cache(maxsize=16)
-def _temperature(world: World, tau_s: float) -> tuple[FloatArray, FloatArray]:
+def _temperature(world: World, tau_s: float, cooling_tau_s: float | None) -> tuple[FloatArray, FloatArray]:
     grid, seconds = _grid(world)
     _, light = world.sun(grid)
     craft = world.craft
     goal = craft.eclipse_degC + (craft.sunlit_degC - craft.eclipse_degC) * light
-    return seconds, lagged(seconds, goal, tau_s)
+    return seconds, lagged(seconds, goal, tau_s, cooling_tau_s)
 
 
-def lagged(seconds: FloatArray, goal: FloatArray, tau_s: float) -> FloatArray:
-    """First-order lag behind `goal` (held from node to node), from its mean."""
+def lagged(seconds: FloatArray, goal: FloatArray, tau_s: float, cooling_tau_s: float | None = None) -> FloatArray:
+    """First-order lag behind `goal` (held from node to node), from its mean; downwards with a tau of its own."""
     state = [float(goal.mean())]
-    keep = np.exp(-np.diff(seconds) / tau_s).tolist()
-    for a, g in zip(keep, goal[:-1].tolist(), strict=True):
-        state.append(g + (state[-1] - g) * a)
+    keep, cooled = (
+        np.exp(-np.diff(seconds) / tau).tolist() for tau in (tau_s, tau_s if cooling_tau_s is None else cooling_tau_s)
+    )
+    for a, b, g in zip(keep, cooled, goal[:-1].tolist(), strict=True):
+        state.append(g + (state[-1] - g) * (a if g > state[-1] else b))
     return np.array(state)
 
 

@@ -40,6 +40,9 @@ OPTIONAL = (
 )
 """Columns that a record may lack, each drawn for itself."""
 
+SECOND_READING = ""
+"""Field of the record that has a second magnetometer's reading: "mag2_B_nT" switches the regime `two_sensors` on."""
+
 Motion = Callable[[TimeArray, FloatArray, FloatArray], attitude.Attitude]
 MARGIN_S = 8000.0
 """How long before the first sample the motion is known: memories are filled there."""
@@ -62,6 +65,15 @@ class Budget:
             lsb_nT=self.lsb_nT * factor,
             attitude_sigma_rad=self.attitude_sigma_rad * factor,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class SecondSensor:
+    """Another magnetometer in the same axes; of its budget only noise and step are its own."""
+
+    S: FloatArray
+    b_nT: FloatArray
+    budget: Budget
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +104,9 @@ class World:
     """Degree at which the ground cuts its model; None: not."""
     sensors: AttitudeSensors | None = None
     """Of sun and nadir, where the record has what they measure."""
+    outlier_share: float = 0.0
+    """Of the rows: one reading there is off by 10 to 100 times the noise."""
+    second: SecondSensor | None = None
 
     @property
     def start(self) -> np.datetime64:

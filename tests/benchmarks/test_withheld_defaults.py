@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import withheld
-from withheld_cases import chain, defaults, limits, make, null_regimes, of_place, readme, store, undetermined
+from withheld_cases import chain, defaults, limits, make, null_regimes, of_place, readme, store, undetermined, worlds
 from withheld_cases.cases import POPULATIONS, case_seed, make_case, question
 from withheld_cases.judged import Judged
 from withheld_cases.worlds import World, shift
@@ -57,6 +57,69 @@ def test_scale_errors_of_the_passes_are_of_the_size_said(number: int) -> None:
     assert 0.015 <= rms <= 0.04 and np.sqrt(np.mean(cross**2)) == pytest.approx(rms / 3.0)
 
 
+def test_nulls_go_through_every_regime_equally_often(monkeypatch: pytest.MonkeyPatch) -> None:
+    def counts() -> dict[str, int]:
+        names = [null_regimes.chosen("nulls", number)[0] for number in range(withheld.FROZEN["nulls"])]
+        return {name: names.count(name) for name in set(names)}
+
+    assert min(counts().values()) >= 200 and len(counts()) == 9
+    monkeypatch.setattr(worlds, "SECOND_READING", "rate_B_rad_s")
+    assert min(counts().values()) >= 200 and set(counts()) == set(null_regimes.REGIMES) == set(null_regimes.WORDS)
+    motions = {null_regimes.chosen("nulls", number) for number in range(40)}
+    assert {m for name, m in motions if name == "gaps"} == set(worlds.REGIMES)
+    assert {m for name, m in motions if name == "slews"} == {"slews"}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_dawn_dusk_orbit_follows_the_sun(seed: int, close: Close) -> None:
+    world = null_regimes.dawn_dusk(np.random.default_rng(seed), "nadir")
+    a_km, i = 6378.137 + world.orbit.altitude_km, world.orbit.inclination_rad
+    rate_rad_s = np.sqrt(398600.4418 / a_km**3)
+    node_deg_day = np.degrees(-1.5 * 1.08263e-3 * rate_rad_s * (6378.137 / a_km) ** 2 * np.cos(i)) * 86400.0
+    close(node_deg_day, 360.0 / 365.2422, atol=0.002, unit="deg/day", because="Vallado's constant has five digits")
+    normal = np.cross(*(one[0] for one in world.where(world.time[:1])))
+    towards = world.sun(world.time[:1])[0][0]
+    off_deg = np.degrees(np.arccos(abs(normal @ towards) / np.linalg.norm(normal)))
+    assert off_deg < 23.5 + 8.8, "the sun stands over the plane, but for its declination and the inclination"
+
+
+def test_long_flights_gaps_and_outliers_are_what_they_say(close: Close) -> None:
+    day = null_regimes.fifteen_orbits(np.random.default_rng(1), "nadir")
+    close(day.span_s / day.orbit.nodal_period_s, 15.0, atol=0.15, unit="orbits", because="steps have one decimal")
+    for seed in range(6):
+        holes = null_regimes.gaps(np.random.default_rng(seed), "tumble")
+        steps = np.diff(epoch.seconds_since(holes.time, holes.start))
+        whole = worlds.draw_world(np.random.default_rng(seed), "tumble")
+        assert holes.start == whole.start and 0.45 < holes.time.size / whole.time.size < 0.95
+        assert (
+            3
+            <= np.count_nonzero(steps > 1.5 * holes.step_s)
+            <= 10 + 20 * (whole.span_s > 1.2 * whole.time.size * whole.step_s)
+        )
+        wrong = null_regimes.outliers(np.random.default_rng(seed), "tumble")
+        off = np.abs(
+            chain.fly(wrong, ()).mag_B_nT - chain.fly(dataclasses.replace(wrong, outlier_share=0.0), ()).mag_B_nT
+        )
+        hit = off[off > 0.0] / wrong.budget.noise_nT
+        assert hit.size == max(1, round(0.001 * wrong.time.size))
+        slack = wrong.budget.lsb_nT / wrong.budget.noise_nT
+        assert 10.0 - slack <= hit.min() <= hit.max() <= 100.0 + slack
+
+
+def test_the_second_sensor_solves_equation_1_by_itself(monkeypatch: pytest.MonkeyPatch, close: Close) -> None:
+    monkeypatch.setattr(chain, "SECOND_READING", "rate_B_rad_s")  # any column of three stands for the one to come
+    world = null_regimes.two_sensors(np.random.default_rng(2), "nadir")
+    assert world.second is not None
+    told, second = chain.fly(world, ()), world.second
+    field = chain.ambient(world, (), world.time)
+    off = np.asarray(told.rate_B_rad_s) @ (np.eye(3) + second.S).T + second.b_nT - field
+    noise = np.hypot(second.budget.noise_nT, second.budget.lsb_nT / np.sqrt(12.0))
+    close(off.std() / noise, 1.0, atol=0.1, unit="1", because="300 rows and more: sigma 2.4 %, four of them")
+    assert np.abs(off.mean(axis=0)).max() < 5.0 * noise / np.sqrt(len(off))
+    apart = np.corrcoef(off[:, 0], (told.mag_B_nT @ (np.eye(3) + world.S).T + world.b_nT - field)[:, 0])[0, 1]
+    assert abs(apart) < 0.25, "noise of its own"
+
+
 def test_short_and_coarse_are_what_they_say() -> None:
     for number in range(0, 12, 2):
         few, steps = regime("short", number), regime("coarse", number).budget
@@ -64,12 +127,12 @@ def test_short_and_coarse_are_what_they_say() -> None:
         assert 6.9 <= steps.lsb_nT / steps.noise_nT <= 10.1
 
 
-def test_a_flight_of_a_regime_is_asked_declared_and_without_a_flag() -> None:
-    even, odd = (make_case(SEED, "short", number) for number in (6, 7))
-    assert np.array_equal(even.world.time, odd.world.time) and even.world.key == odd.world.key
-    assert question(even)["noise_nT"] == even.world.budget.noise_nT
-    assert [question(odd)[k] for k in ("noise_nT", "lsb_nT", "attitude_sigma_deg")] == [None] * 3
-    assert question(odd)["modelled"] == question(even)["modelled"]
+def test_a_regime_is_asked_declared_among_the_nulls_and_without_a_flag_by_itself() -> None:
+    declared, bare = make_case(SEED, "nulls", 3), make_case(SEED, "short", 7)
+    assert declared.label == bare.label == "short"
+    assert question(declared)["noise_nT"] == declared.world.budget.noise_nT
+    assert [question(bare)[k] for k in ("noise_nT", "lsb_nT", "attitude_sigma_deg")] == [None] * 3
+    assert question(bare)["modelled"] == question(declared)["modelled"]
     assert question(make_case(SEED, "nulls_undeclared", 1))["lsb_nT"] is None
 
 

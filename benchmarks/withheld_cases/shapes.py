@@ -390,8 +390,9 @@ def thermal_two_rates(world: World, rng: np.random.Generator) -> Draft | None:
 
 
 def two_current_loops(world: World, rng: np.random.Generator) -> Draft | None:
-    """Beyond 60 % of its current the array feeds a second loop, which lies otherwise."""
-    world = recording(world, "array_current_A")
+    """Beyond 60 % of its current the array, a fixed panel, feeds a second loop, which lies otherwise."""
+    craft = dataclasses.replace(world.craft, panels_B=np.eye(3)[[int(rng.integers(0, 3))]])
+    world = dataclasses.replace(recording(world, "array_current_A"), craft=craft)
     if of_spacecraft.solar_array_current(world, rng) is None:
         return None
     axis, other, knee_A = direction(rng), direction(rng), 0.6 * world.craft.full_sun_A

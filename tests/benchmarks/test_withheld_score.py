@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import json
 import subprocess
@@ -11,7 +12,8 @@ from typing import Any
 
 import pytest
 import withheld
-from withheld_cases import beside, score, store
+from withheld_cases import beside, promises, score, store
+from withheld_cases.cases import POPULATIONS
 from withheld_cases.judged import Judged
 
 pytestmark = pytest.mark.property
@@ -158,6 +160,75 @@ def test_stated_probabilities_are_held_to_the_truth() -> None:
     assert named.stated() == [(0.8, True), (0.2, False)]
     rows = score.rows_of([named] * 10)
     assert value(rows, "stated probabilities") == pytest.approx(0.2)
+
+
+def faint(visible: float, verdict: str, effects: list[dict[str, Any]], **more: Any) -> Judged:
+    """A single of 100 nT noise with a size of ring_current printed that makes 15 nT."""
+    one = case([truth("ring_current", visible)], effects, verdict)
+    printed = {"minimum_detectable": {"ring_current": {"nT": 15.0}}}
+    return dataclasses.replace(one, sealed=one.sealed | {"noise_rms_nT": 100.0}, said=one.said | printed | more)
+
+
+def test_silence_is_honest_below_the_size_that_is_printed() -> None:
+    assert promises.honest_silence(faint(0.14, "no_gap", []))
+    assert not promises.honest_silence(faint(0.16, "no_gap", [])), "it says that it would have seen this"
+    assert not promises.honest_silence(faint(0.14, "unknown", []))
+    assert promises.honest_silence(faint(0.19, "no_gap", [], untestable={"ring_current": "no column"}))
+    assert not promises.honest_silence(faint(0.14, "no_gap", [], minimum_detectable={}))
+    cases = [
+        faint(0.14, "no_gap", []),
+        faint(0.16, "no_gap", []),
+        faint(0.16, "effect", [entry("ring_current")]),
+        faint(0.16, "effect", [entry("bias_step")]),
+        faint(0.21, "effect", [entry("bias_step")]),
+    ]
+    rows = promises.rows(cases)
+    assert value(rows, "single, with a Jacobian, visible 0.1-0.2") == 0.5
+    assert [row["value"] for row in rows if row["figure"].startswith("the same: wrong name")] == [0.25]
+
+
+def test_what_is_stated_as_98_percent_is_counted_and_sets_and_time_are_told() -> None:
+    hit, miss = ([truth("ring_current")], [entry("ring_current", "bias", probability=0.98)]), [truth("field_epoch")]
+    cases = [case(*hit)] * 3 + [case(miss, [entry("ring_current", probability=0.976)])]
+    cases += [case(miss, [entry("ring_current", probability=p)]) for p in (0.97, 0.99)]
+    rows = {row["figure"]: row for row in promises.rows(cases)}
+    assert rows["a stated 98 % comes true"]["value"] == 0.75 and rows["a stated 98 % comes true"]["of"] == 4
+    assert rows["mean set size, everything named of records with a truth"]["value"] == 1.5
+    slow = [dataclasses.replace(cases[0], said=cases[0].said | {"seconds": float(k)}) for k in range(101)]
+    assert value(promises.rows(slow), "processor time") == pytest.approx(99.0)
+
+
+def test_regimes_joining_effects_and_outside_kinds_have_rows_of_their_own() -> None:
+    def null(label: str, verdict: str) -> Judged:
+        return sealed(case([], [], verdict, "nulls"), label=label)
+
+    kind = sealed(
+        case([truth("yaw_flex")], [entry("yaw_drift")], "effect", "outside", stage="attitude"), label="yaw_flex"
+    )
+    cases = [null("short", "no_gap"), null("short", "effect"), null("gaps", "no_gap"), kind]
+    cases += [case([truth("driver")], [entry("driver")], population="new_singles"), case([], [], "no_gap", "nulls_off")]
+    rows = promises.rows(cases)
+    alarms = {row["figure"]: (row["right"], row["of"]) for row in rows if row["figure"].startswith("false alarms")}
+    assert alarms == {
+        "false alarms on perfect flights: 300 to 600 rows, slow attitude error": (1, 2),
+        "false alarms on perfect flights: gaps": (0, 1),
+    }
+    assert value(rows, "effects that join the table, visible >= 0.2: first name") == 1.0
+    (line,) = [line for line in promises.outside_list(cases).splitlines() if line.startswith("| `yaw_flex`")]
+    assert line.startswith("| `yaw_flex` | 1 | 0 | 0 | 0 | yaw_drift |")
+
+
+def test_a_small_run_has_each_kind_once_and_a_frozen_run_enough_of_all() -> None:
+    def count(name: str, of: int | None) -> int:
+        return len(withheld._plan([name], of))
+
+    small = {name: count(name, withheld._count("small")) for name in POPULATIONS}
+    assert small | {"outside": 30, "shapes": 25, "new_singles": 14, "nulls": 9, "pairs": 4} == small
+    least = {"nulls": 2000, "singles": 150, "pairs": 60, "triples": 30, "shapes": 60, "outside": 100}
+    assert all(count(name, None) >= wanted for name, wanted in least.items())
+    for wrong in ("0", "-3", "few"):
+        with pytest.raises(argparse.ArgumentTypeError, match="at least 1, or small"):
+            withheld._count(wrong)
 
 
 def test_the_seed_is_the_commit_and_a_dirty_tree_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

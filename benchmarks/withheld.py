@@ -40,7 +40,7 @@ from withheld_cases import limits, null_regimes, page, printed, score, store
 from withheld_cases.ask import ask, ask_rival
 from withheld_cases.cases import KINDS, PLAIN, POPULATIONS, SENSED, identity
 from withheld_cases.control import wrong
-from withheld_cases.joining import JOINING
+from withheld_cases.joining import JOINING, NAMES
 from withheld_cases.loop import again
 from withheld_cases.make import make
 from withheld_cases.outside import OUTSIDE, WHY
@@ -225,6 +225,7 @@ def _count(text: str) -> int:
 def _tell() -> int:
     print("cases of a frozen run: " + ", ".join(f"{name} {count}" for name, count in FROZEN.items()))
     print("other shapes: " + ", ".join(SHAPES))
+    print("effects that join the table: " + ", ".join(f"{kind} ({name})" for kind, name in NAMES.items()))
     print("outside the catalogue, and why no entry can express it:")
     for name, why in WHY.items():
         print(f"  {name}: {why}")

@@ -2,11 +2,8 @@
 
 One effect is sought first; others are sought beside it at the refit (a large lag is not linear, and tested at zero
 it would call for partners). When one more is significant, pairs (and triples) are ranked afresh, so that a wrong first
-pick can be undone; before that, a setting of which only a few values were tried is moved where the data want it. A
-model is better when chi2 / variance + p min(log n, 1 + log(drop / p)) + 2 m log K falls, with prior 1/K for each of m
-effects among K alternatives tested. n is the number of time samples: Schwarz's price (1978) for p parameters that are
-seen well. The other price is that of p alike parameters of unknown common size, integrated out at its likeliest value
-(type II likelihood: MacKay 1992, Neural Computation 4, 415): many parameters that are each seen a little cost less.
+pick can be undone; before that, a setting of which only a few values were tried is moved where the data want it. Sets are
+compared by the one criterion, with prior 1/K for each effect among K alternatives tested.
 """
 
 from __future__ import annotations
@@ -24,8 +21,8 @@ from fluxtwin.gap.groups import alike, shares_by_name
 from fluxtwin.gap.interval import likeliest_interval
 from fluxtwin.gap.problem import Problem
 from fluxtwin.gap.refit import Fit, refit, white_residual
-from fluxtwin.gap.score import SHARE_LEFT, Board, Whitens, board, orthonormal, whitened
-from fluxtwin.gap.whitening import least_share
+from fluxtwin.gap.score import SHARE_LEFT, Board, board, orthonormal, whitened
+from fluxtwin.gap.whitening import Whitener, least_share
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.chain import Active
@@ -45,7 +42,7 @@ class Search:
     """A search under way: what it needs, and the fits it has made."""
 
     problem: Problem
-    whitener: Whitens
+    whitener: Whitener
     found: list[Candidate]
     base: Fit
     first: Board
@@ -133,7 +130,7 @@ class Search:
 
 def begin(
     problem: Problem,
-    whitener: Whitens,
+    whitener: Whitener,
     gate: float = GATE,
     known: tuple[list[Candidate], dict[str, str]] | None = None,
 ) -> tuple[Search, dict[str, str]]:

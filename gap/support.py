@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.gap.criterion import penalty
+from fluxtwin.gap.criterion import MOST_SURE, penalty
 from fluxtwin.gap.growth import NONLINEAR, WITHIN, Search, without
 from fluxtwin.gap.refit import Fit, white_residual
 from fluxtwin.gap.score import board
@@ -52,7 +52,7 @@ def support(
     rivals = [(n, p) for n, p in sorted(posterior.items(), key=lambda pair: -pair[1]) if n not in group]
     return Support(
         p_value=p_value,
-        probability=inside / total * there,
+        probability=min(MOST_SURE, inside / total * there),
         group=group,
         rivals=tuple((name, float(p)) for name, p in rivals if p >= _WORTH_SAYING),
     )

@@ -1,10 +1,11 @@
 """Compiled kernels that start quickly and never fail for their cache.
 
 numba keeps compiled code on disk. Left alone it writes beside the source (impossible in a read-only install),
-gives up where there is no home folder, and raises at every start once a cache file is damaged. Here the cache
-is a private folder of the user (mode 0700, its files are pickles: never shared), a damaged file is dropped
-and compiled again, and where no folder can be had the kernel is compiled for this process only.
-NUMBA_CACHE_DIR, if set, is honoured.
+gives up where there is no home folder, compiles again for every copy and reinstall, and raises at every start once a
+cache file is damaged. Here the cache is a private folder of the user (mode 0700, its files are pickles: never shared)
+where a kernel lies under the digest of its text and of the versions that compile it: wherever the text was installed,
+and whenever, it is found again. A damaged file is dropped and compiled again, and where no folder can be had the kernel
+is compiled for this process only. NUMBA_CACHE_DIR, if set, is honoured.
 """
 
 from __future__ import annotations
@@ -14,13 +15,14 @@ import hashlib
 import os
 import sys
 from collections.abc import Callable, Iterable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import ModuleType
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
-from numba.core.caching import FunctionCache
+import numpy as np
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -38,14 +40,8 @@ def kernel(*, uses: Iterable[ModuleType] = (), **options: Any) -> Callable[[Call
         compiled: Any = numba.njit(**options)(function)
         folder = cache_folder()
         if folder is not None and not _config.DISABLE_JIT:
-            before = _config.CACHE_DIR
-            _config.CACHE_DIR = folder  # read when the cache object is made, and only then
-            try:
-                with contextlib.suppress(OSError, RuntimeError):
-                    compiled._cache = _cache_type(function)
-                    _stamp_with(compiled._cache, uses)
-            finally:
-                _config.CACHE_DIR = before
+            with contextlib.suppress(OSError, RuntimeError):
+                compiled._cache = _cache_type(function, _Place(function, uses, folder))
         same_signature: Callable[P, R] = compiled
         return same_signature
 
@@ -62,8 +58,43 @@ def part(**options: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:
     return decorate
 
 
+class _Place(_CacheLocator):
+    """The folder of a kernel: the digest of all that it is compiled from, but not of where that lies."""
+
+    def __init__(self, function: Any, uses: Iterable[ModuleType], folder: str) -> None:
+        self._py_file = function.__code__.co_filename
+        self._lineno = function.__code__.co_firstlineno
+        said = [function.__module__, numba.__version__, np.__version__, str(sys.implementation.cache_tag)]
+        self.files = [self._py_file, *(module.__file__ for module in uses if module.__file__ is not None)]
+        parts = [word.encode() for word in said] + [Path(file).read_bytes() for file in self.files]
+        self._stamp = hashlib.sha256(b"".join(hashlib.sha256(one).digest() for one in parts)).hexdigest()
+        self._folder = os.path.join(folder, f"{function.__module__.rpartition('.')[2]}_{self._stamp[:32]}")
+
+    def get_cache_path(self) -> str:
+        return self._folder
+
+    def get_source_stamp(self) -> str:
+        return self._stamp
+
+    def get_disambiguator(self) -> str:
+        return str(self._lineno)
+
+
+class _Kept(CompileResultCacheImpl):
+    """What numba keeps of a kernel, at the place given."""
+
+    def __init__(self, function: Any, place: _Place) -> None:
+        self._locator, self._lineno, parent = place, place._lineno, cast(Any, super())
+        self._filename_base = parent.get_filename_base(function.__qualname__, getattr(sys, "abiflags", ""))
+
+
 class _ForgivingCache(FunctionCache):
     """A cache whose every failure means: compile."""
+
+    def __init__(self, function: Any, place: _Place) -> None:
+        own, parent = cast(Any, self), cast(Any, super())
+        own._impl_class = partial(_Kept, place=place)
+        parent.__init__(function)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         parent: Any = super()
@@ -88,22 +119,13 @@ class _ForgivingCache(FunctionCache):
 _cache_type: Any = _ForgivingCache
 
 
-def _stamp_with(cached: Any, modules: Iterable[ModuleType]) -> None:
-    """Make the text of other modules part of what the cache is good for."""
-    texts = [Path(module.__file__).read_bytes() for module in modules if module.__file__ is not None]
-    if texts:
-        digest = hashlib.sha256(b"\0".join(texts)).hexdigest()
-        cached._cache_file._source_stamp = (cached._cache_file._source_stamp, digest)
-
-
 @cache
 def cache_folder() -> str | None:
     """The private folder for compiled code, made if need be; None where there can be none."""
     if os.environ.get("NUMBA_CACHE_DIR"):
         return os.environ["NUMBA_CACHE_DIR"]
-    version = f"numba-{numba.__version__}-py{sys.version_info.major}{sys.version_info.minor}"
     with contextlib.suppress(OSError, RuntimeError):
-        folder = _user_cache() / "fluxtwin" / version
+        folder = _user_cache() / "fluxtwin" / "kernels"
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if _private(folder) and os.access(folder, os.W_OK | os.X_OK):
             return str(folder)

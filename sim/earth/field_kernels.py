@@ -20,6 +20,7 @@ import numpy as np
 
 from fluxtwin.sim.base.kernel_cache import kernel
 from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import constants
 from fluxtwin.sim.earth.constants import FIELD_RADIUS_KM
 
 _FAST = {"contract"}  # fused multiply-add: one rounding instead of two, nothing is reordered
@@ -129,7 +130,7 @@ def first_outside(r_km: FloatArray, lowest_km: float) -> int:
     return -1
 
 
-@kernel(fastmath=_FAST, error_model="numpy", nogil=True)
+@kernel(uses=[constants], fastmath=_FAST, error_model="numpy", nogil=True)
 def synthesize(r_km: FloatArray, table: FloatArray, weight: FloatArray, out: FloatArray) -> None:
     """Add weight times the field of the folded table to `out` (N, 3), at positions (N, 3).
 
@@ -164,7 +165,7 @@ def synthesize(r_km: FloatArray, table: FloatArray, weight: FloatArray, out: Flo
 # p of the two degrees before 576 640, sums over k of the six factors times p 704 768 832 896 960 1024.
 
 
-@kernel(fastmath=_FAST, error_model="numpy")
+@kernel(uses=[constants], fastmath=_FAST, error_model="numpy")
 def _begin(r_km: FloatArray, start: int, state: FloatArray) -> None:
     last = r_km.shape[0] - 1
     for i in range(64):

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
 import os
 import subprocess
 import sys
+import types
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
+import numba
+import numpy as np
 import pytest
+
+from fluxtwin.sim.base import kernel_cache
 
 SCRIPT = """
 import pickle, sys
@@ -98,3 +107,76 @@ def test_a_kernel_is_compiled_again_when_what_it_uses_has_changed(tmp_path: Path
         (source / "other.py").write_text(f"def scale(x):\n    return {factor} * x\n", encoding="utf-8")
         assert run(source, XDG_CACHE_HOME=cache)[:2] == [answer, "0"]
     assert run(source, XDG_CACHE_HOME=cache)[:2] == ["63.0", "1"]
+
+
+def test_a_copy_or_a_reinstall_finds_what_was_compiled_elsewhere(tmp_path: Path) -> None:
+    """What counts is the text: not its folder, nor its age; and two versions of it do not drive each other out."""
+    cache = str(tmp_path / "cache")
+    assert run(tmp_path / "first", XDG_CACHE_HOME=cache)[:2] == ["42.0", "0"]
+    os.utime(tmp_path / "first" / "tiny.py", (0, 0))
+    assert run(tmp_path / "first", XDG_CACHE_HOME=cache)[:2] == ["42.0", "1"]
+    assert run(tmp_path / "second", XDG_CACHE_HOME=cache)[:2] == ["42.0", "1"]
+    (tmp_path / "second" / "tiny.py").write_text(MODULE.replace("2.0", "3.0"), encoding="utf-8")
+    assert run(tmp_path / "second", XDG_CACHE_HOME=cache)[:2] == ["63.0", "0"]
+    assert run(tmp_path / "first", XDG_CACHE_HOME=cache)[:2] == ["42.0", "1"]
+
+
+def test_a_kernel_of_another_name_or_of_other_versions_is_another(tmp_path: Path) -> None:
+    """The compiled code looks its globals up by the name of its module, and is laid out as numba and numpy have it."""
+
+    def place(module: str = "tiny") -> str:
+        function: Any = types.FunctionType(codes.__code__, {"__name__": module})
+        return kernel_cache._Place(function, (), str(tmp_path)).get_cache_path()
+
+    with pytest.MonkeyPatch.context() as patch:
+        found = [place(), place("huge.tiny")]
+        for package in (np, numba):
+            patch.setattr(package, "__version__", "0.1")
+            found.append(place())
+    assert place() == found[0]
+    assert len(set(found)) == 4
+
+
+def wanted(function: Any, trees: Mapping[str, ast.Module], found: dict[Any, None]) -> set[str]:
+    """Modules of the product from which something is compiled into a function, its own among them."""
+    function = getattr(function, "py_func", function)
+    if not isinstance(function, types.FunctionType) or function in found:
+        return set()
+    found[function] = None
+    names = {name for code in codes(function.__code__) for name in code.co_names}
+    needed = {function.__module__} & set(trees)
+    for node in ast.walk(trees.get(function.__module__, ast.Module([], []))):
+        if isinstance(node, ast.ImportFrom):
+            for alias in (one for one in node.names if (one.asname or one.name) in names):
+                whole = f"{node.module}.{alias.name}"
+                needed |= {whole if whole in trees else str(node.module)} & set(trees)
+    inside = [cell.cell_contents for cell in function.__closure__ or ()]
+    for one in [*inside, *(function.__globals__[name] for name in names & set(function.__globals__))]:
+        needed |= wanted(one, trees, found)
+    return needed
+
+
+def codes(code: types.CodeType) -> Iterator[types.CodeType]:
+    yield code
+    for one in code.co_consts:
+        if isinstance(one, types.CodeType):
+            yield from codes(one)
+
+
+def test_every_kernel_names_what_is_compiled_into_it(trees: dict[str, ast.Module], sources: dict[str, Path]) -> None:
+    """Else an old copy of it is taken from the cache when only that has changed."""
+    kernels = {
+        f"{name}.{label}": value
+        for name in trees
+        if name.endswith(("kernel", "kernels"))
+        for label, value in vars(importlib.import_module(name)).items()
+        if isinstance(getattr(value, "_cache", None), kernel_cache._ForgivingCache)
+    }
+    assert len(kernels) > 20
+    missing = {}
+    for name, value in kernels.items():
+        named = {Path(file).resolve() for file in value._cache._impl.locator.files}
+        if left := {one for one in wanted(value, trees, {}) if sources[one].resolve() not in named}:
+            missing[name] = left
+    assert not missing
+    assert "fluxtwin.sim.earth.constants" in wanted(kernels["fluxtwin.sim.earth.field_kernels._begin"], trees, {})

@@ -38,6 +38,12 @@ def pytest_configure(config: pytest.Config) -> None:
     would let the others go anywhere; pytest-xdist 3.8 loses them with pytest 9.2.)"""
     if getattr(config.option, "dist", "no") == "load":
         config.option.dist = "loadfile"
+        config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The studies begin: their files take longest, and one begun last would keep one worker busy and the others idle."""
+    items.sort(key=lambda item: item.path.parent.name != "scenarios")
 
 
 @pytest.fixture(scope="session")

@@ -76,21 +76,20 @@ class CalibrationStudy:
         return float(np.sqrt(np.mean((self.rms_error(name) / stated) ** 2)))
 
 
-def run_calibrations(config: Scenario, ground: FieldModel, progress: Progress, runs: int = RUNS) -> CalibrationStudy:
-    """Fit the sets of one flight, then of many with other seeds and phases.
+def run_calibrations(flight: Flight, ground: FieldModel, progress: Progress, runs: int = RUNS) -> CalibrationStudy:
+    """Fit the sets of one flight over the days of Table 3, then of many with other seeds and phases.
 
     The many have the prescribed motion: ten days each by torques would take longer than all else in the study, and
     the scatter of calibrations comes from passes, sensors and field model (a test sets both motions side by side).
     """
-    days = mission.on_days(config)
-    flight = mission.fly(days)
+    days = flight.scenario
     rows = {name: choose_rows(flight, name) for name in SETS}
     fits = {name: fit_rows(flight, rows[name], ground) for name in SETS}
     estimates = np.empty((runs, len(SETS), len(NAMES)))
     sigmas = {kind: np.empty_like(estimates) for kind in KINDS}
     for run in range(runs):
         progress(f"calibration {run + 1} of {runs}", run / runs)
-        other = mission.fly(with_random_phase(prescribed(days), config.seed + 1 + run))
+        other = mission.fly(with_random_phase(prescribed(days), days.seed + 1 + run))
         for place, name in enumerate(SETS):
             chosen = choose_rows(other, name)
             white, by_pass, with_field = (
@@ -103,8 +102,8 @@ def run_calibrations(config: Scenario, ground: FieldModel, progress: Progress, r
             with_both = np.sqrt(pair[1] ** 2 + vector_sigma(with_field) ** 2 - pair[0] ** 2)
             for kind, sigma in zip(KINDS, (*pair, with_both), strict=True):
                 sigmas[kind][run, place] = sigma
-    truth = truth_vector(config)
-    alone = mission.fly(mission.only(days, "field"))
+    truth = truth_vector(days)
+    alone = mission.fly(mission.only(days, "field"), flight.world)
     return CalibrationStudy(
         fits=fits,
         white_sigma={name: vector_sigma(fit_rows(flight, rows[name], ground, "white")) for name in SETS},

@@ -18,6 +18,7 @@ from fluxtwin.scenarios.hcmm_orbit.windows import PassWindows
 from fluxtwin.scenarios.motion import prescribed
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, sun
+from fluxtwin.sim.run.world import build_world
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -70,9 +71,9 @@ def run_dawn(config: Scenario, windows: PassWindows, flights: int = FLIGHTS) -> 
     step_s = config.schedule.segments[0].step_s
     segments = [_segment(passes[k], windows, k, step_s) for k in dawn]
     plain = prescribed(config).updated({"schedule.segments": segments, "schedule.in_view_of_stations": None})
-    residual, samples = np.full((flights, len(dawn)), np.nan), [0] * len(dawn)
+    residual, samples, world = np.full((flights, len(dawn)), np.nan), [0] * len(dawn), build_world(plain)
     for number in range(flights):
-        telemetry = mission.fly(plain.updated({"seed": config.seed + 1 + number})).telemetry
+        telemetry = mission.fly(plain.updated({"seed": config.seed + 1 + number}), world).telemetry
         away = _away_rad(telemetry)
         for place, k in enumerate(dawn):
             inside = away[rows_of(telemetry, passes[k], windows, k)]

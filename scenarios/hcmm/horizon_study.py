@@ -15,7 +15,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.calib.attitude.horizon_scanner import calibrate_scanner
-from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.calibration_study import choose_rows, fit_rows, pass_labels
 from fluxtwin.scenarios.hcmm.field_evidence import rank_correlation
 from fluxtwin.scenarios.hcmm.mission import Flight
@@ -28,7 +27,6 @@ from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames, horizon
 from fluxtwin.sim.earth.field import FieldModel
-from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.spacecraft.sensors.horizon_crossings import ConicalScanner
 from fluxtwin.sim.spacecraft.sensors.horizon_scanner import nadir_from, roll_pitch
 
@@ -100,10 +98,9 @@ class HorizonStudy:
 
 
 def run_horizon(
-    config: Scenario, flight: Flight, ground: FieldModel, windows: PassWindows, progress: Progress
+    days: Flight, flight: Flight, ground: FieldModel, windows: PassWindows, progress: Progress
 ) -> HorizonStudy:
-    """Every scanner on the days of Table 3 and on `flight`, the three days of Table 5."""
-    days = mission.fly(mission.on_days(config))
+    """Every scanner on `days`, those of Table 3, and on `flight`, the three of Table 5."""
     rows, labels = choose_rows(days, "AB"), pass_labels(days)
 
     def left_by(one: Flight, other: Flight) -> Numbers:

@@ -21,7 +21,6 @@ from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import FieldModel
-from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.spacecraft.sensors.reference_attitude import attitude_from_sun_and_nadir
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -31,22 +30,19 @@ TRUSTED_HEADS = (2, 3)
 """Heads that define the attitude reference (C, text)."""
 
 
-def run_scanner(config: Scenario, ground: FieldModel, progress: Progress) -> Numbers:
-    """Fly with and without biases on the days of Table 3, and the three days of Table 5 for head 1."""
+def run_scanner(days: Flight, last: Flight, ground: FieldModel, progress: Progress) -> Numbers:
+    """Fly with biases too on the days of Table 3 (`days`), and the three days of Table 5 (`last`) for head 1."""
     progress("horizon scanner", 0.0)
-    biased = config.updated(
-        {"horizon_scanner.roll_bias_deg": BIAS_DEG[0], "horizon_scanner.pitch_bias_deg": BIAS_DEG[1]}
-    )
-    flight = mission.fly(mission.on_days(biased))
+    biases = {"horizon_scanner.roll_bias_deg": BIAS_DEG[0], "horizon_scanner.pitch_bias_deg": BIAS_DEG[1]}
+    flight = mission.fly(days.scenario.updated(biases), days.world)
     labels = pass_labels(flight)
     found = calibrate_scanner(flight.telemetry, heads=TRUSTED_HEADS, passes=labels)
     repaired = with_new_attitude(flight, found.apply(flight.telemetry))
-    plain = mission.fly(mission.on_days(config))
     rows = choose_rows(flight, "AB")
-    tilts = [_tilt_deg(t.select(rows), ground, flight.truth.S) for t in (flight.telemetry, repaired, plain.telemetry)]
+    tilts = [_tilt_deg(t.select(rows), ground, flight.truth.S) for t in (flight.telemetry, repaired, days.telemetry)]
     progress("head 1 at dawn", 0.7)
-    offset, truth = _head_1(mission.fly(biased), found)
-    right = config.updated({"sun_sensor.1.misalignment_deg": None})
+    offset, truth = _head_1(mission.fly(last.scenario.updated(biases), last.world), found)
+    right = mission.fly(last.scenario.updated({"sun_sensor.1.misalignment_deg": None}), last.world)
     return Numbers(
         # Roll and pitch put in.
         bias_deg=BIAS_DEG,
@@ -64,8 +60,8 @@ def run_scanner(config: Scenario, ground: FieldModel, progress: Progress) -> Num
         head_1_truth_deg=truth,
         # The sun-nadir channel of the three days, the scanner without bias: head 1 turned; and head 1 right, with the
         # magnetometer's S as it is.
-        channel=weigh_sun_nadir(mission.fly(config).telemetry),
-        turned_magnetometer=weigh_sun_nadir(mission.fly(right).telemetry),
+        channel=weigh_sun_nadir(last.telemetry),
+        turned_magnetometer=weigh_sun_nadir(right.telemetry),
     )
 
 

@@ -101,7 +101,8 @@ def compute(
     progress("the test against flight", 0.05)
     flight_test, nadir_field = run_flight_test(orbit), weigh_ideas(orbit, windows)
     evidence = weigh_field_error(orbit, windows, config.seed)
-    calibration = run_calibrations(config, ground, part_of(progress, 0.10, 0.75), runs)
+    days = mission.fly(mission.on_days(config))
+    calibration = run_calibrations(days, ground, part_of(progress, 0.10, 0.75), runs)
     full = calibration.fits["AB"].calibration
     errors = run_errors(config, ground, part_of(progress, 0.75, 0.88), min(runs, ERROR_RUNS))
     progress("the 43 passes", 0.88)
@@ -121,8 +122,8 @@ def compute(
         dawn=run_dawn(config, windows),
         yaw=run_yaw(config, full, ground, part_of(progress, 0.90, 0.95)),
         accuracy=run_accuracy(config, flight, full, calibration.bias_only.b_mG.mean(axis=0) * NT_PER_MG, ground),
-        scanner=run_scanner(config, ground, part_of(progress, 0.96, 1.0)),
-        horizon=run_horizon(config, flight, ground, windows, part_of(whole, 0.5, 0.55)),
+        scanner=run_scanner(days, flight, ground, part_of(progress, 0.96, 1.0)),
+        horizon=run_horizon(days, flight, ground, windows, part_of(whole, 0.5, 0.55)),
         missing=run_missing(
             config,
             ground,

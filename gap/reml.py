@@ -37,6 +37,7 @@ _TAU_FACTOR = 4.0  # between the time constants of the search
 _MOST_MOVES = 6
 _TRUSTED = 0.3  # in log likelihood: how far a parabola may be off before narrower points are taken
 _SHARP = 10.0  # second derivative from which on it must be looked at
+_HOPELESS_POSTERIOR = -1e12
 _HOPELESS = 6.0  # log likelihood by which a white error must be behind to be left alone
 
 
@@ -156,7 +157,10 @@ class Likelihood:
         along, log_q, rss = np.zeros(rank), 0.0, total
         if rank:
             gram = white.T @ white
-            L = np.linalg.cholesky(gram[:rank, :rank])
+            try:
+                L = np.linalg.cholesky(gram[:rank, :rank])
+            except np.linalg.LinAlgError:  # an attitude error so large that nothing is left of some column
+                return Choice(unit, _HOPELESS_POSTERIOR, along, self.dof)
             log_q = 2.0 * float(np.log(np.diag(L)).sum(dtype=np.float64))
             half = solve_triangular(L, gram[:rank, rank], lower=True, check_finite=False)
             along = solve_triangular(L, half, lower=True, trans=1, check_finite=False).astype(np.float64)

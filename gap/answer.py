@@ -116,8 +116,7 @@ def _best(explanations: Sequence[Explanation]) -> tuple[int, float, float]:
     """The explanation that weighs most, the probability that nothing unknown is there, and the most worth."""
     logs = np.array([[one.worth, one.unknown] for one in explanations])
     for place, (one, more) in enumerate(pairwise(explanations)):
-        added = {effect for effect, _ in more.fit.chosen} - {effect for effect, _ in one.fit.chosen}
-        if len(added) == 1 and not np.isfinite(more.unknown):
+        if _added(one.fit, more.fit) == 1 and not np.isfinite(more.unknown):
             logs[place, 1] = -np.inf  # the catalogue has it
     if not np.max(logs) > THRESHOLD:
         return 0, 1.0, float(np.max(logs))
@@ -127,6 +126,11 @@ def _best(explanations: Sequence[Explanation]) -> tuple[int, float, float]:
     known = float(shares[:, 0].sum())
     column = 0 if known >= 0.5 else 1
     return int(np.argmax(named[:, column])), known, float(np.max(logs))
+
+
+def _added(one: Fit, more: Fit) -> int:
+    """How many effects a fit has that another has not."""
+    return len({effect for effect, _ in more.chosen} - {effect for effect, _ in one.chosen})
 
 
 def _weighed(
@@ -144,7 +148,10 @@ def _weighed(
     lefts = [left_of(under_way, fit, dictionary) for fit, _ in path]
     beyond = [left.drop if left.structured else 0.0 for left in lefts]
     for place in reversed(range(len(path) - 1)):
-        beyond[place] = max(beyond[place], explained[place + 1] - explained[place] + beyond[place + 1])
+        # What one more name explains is better known by its refit than by the finding that led to it.
+        further = explained[place + 1] - explained[place] + beyond[place + 1]
+        one_more = _added(path[place][0], path[place + 1][0]) == 1
+        beyond[place] = further if one_more else max(beyond[place], further)
     found: list[Explanation] = []
     names = 0.0
     for place, ((fit, beside), left) in enumerate(zip(path, lefts, strict=True)):

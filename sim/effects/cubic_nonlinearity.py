@@ -8,7 +8,7 @@ from typing import ClassVar
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Parameter, SignalEffect
 from fluxtwin.sim.effects.instrument import mapped
-from fluxtwin.sim.effects.polynomial import monomials, products
+from fluxtwin.sim.effects.polynomial import LARGEST_NT, monomials, products
 from fluxtwin.sim.effects.signal import Signal
 
 
@@ -29,7 +29,9 @@ class CubicNonlinearity(SignalEffect):
         "Olsen et al. 2020, doi 10.1186/s40623-020-01171-9)"
     )
 
-    parameters = tuple(Parameter(f"c_{axis}_{name}", "nT", 50.0) for axis in "xyz" for name in monomials(3))
+    parameters = tuple(
+        Parameter(f"c_{axis}_{name}", "nT", 50.0, -LARGEST_NT, LARGEST_NT) for axis in "xyz" for name in monomials(3)
+    )
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         return signal.with_reading(signal.reading + mapped(theta.reshape(3, 10), products(signal.reading, 3)))

@@ -41,7 +41,8 @@ class EddyCurrent(SignalEffect):
         "(Landau & Lifshitz, Electrodynamics of Continuous Media, section 59)"
     )
 
-    parameters = tuple(Parameter(name, "s", 0.05) for name in _NAMES)
+    # A sphere of aluminium of half a metre: mu_0 sigma a^2 / pi^2 = 1.1 s (Landau & Lifshitz, section 59).
+    parameters = tuple(Parameter(name, "s", 0.05, -1.0, 1.0) for name in _NAMES)
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         return signal.with_stray(-mapped(traceless(theta), signal.field_rate_B_nT_s))

@@ -11,6 +11,8 @@ from fluxtwin.sim.base.types import FloatArray
 
 STANDARD_FIELD_NT = 50_000.0
 """Where coefficients of nonlinearities are given."""
+LARGEST_NT = 5_000.0
+"""No magnetometer is off a straight line by more than a tenth of the field: what is called so is something else."""
 
 
 def monomials(degree: int) -> tuple[str, ...]:

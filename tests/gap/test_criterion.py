@@ -16,7 +16,7 @@ pytestmark = pytest.mark.property
 
 def test_noise_alone_is_seldom_worth_the_threshold() -> None:
     """The largest of 150 independent drops of chi-square with 1, 3, 9 or 18 degrees of freedom, in 20,000 records of 700
-    samples: above the threshold in 0.2 % of them, as `THRESHOLD` says. Without the penalty of the search in more than 5 %."""
+    samples: above the threshold in 0.2 % of them, as `THRESHOLD` says; without the penalty of the search in over 5 %."""
     rng = np.random.default_rng(3)
     ranks = np.tile([1, 3, 3, 9, 18], 30)
     drops = rng.chisquare(ranks, size=(20_000, ranks.size))

@@ -33,6 +33,8 @@ from fluxtwin.sim.effects.chain import Active
 
 Known = tuple[list[Candidate], dict[str, str]]
 """What `candidates` gives for a problem."""
+_Searched = tuple[Search, dict[str, str], list[tuple[Fit, Board]]]
+"""A search, names that cannot be tested with the reason, and the path that it took."""
 _ROUNDS = 2
 
 
@@ -73,8 +75,6 @@ class Answer:
     """Twice the log likelihood that another noise model gives to an explanation without names."""
     shapes: tuple[FlexibleFinding, ...] = ()
     """Causes that are known by their own shape: a line, a sequence, a region in the dark, a walk."""
-    fullest: Fit | None = None
-    """The explanation with most names."""
 
     @property
     def carries(self) -> bool:
@@ -84,20 +84,32 @@ class Answer:
 
 def answered_with(
     problem: Problem,
-    noise: NoiseModel,
     robust: RobustRows,
     whitener: Whitener,
     dictionary: Sequence[Block],
     known: Known,
     shapes: tuple[FlexibleFinding, ...] = (),
-    others: Sequence[NoiseModel] = (),
 ) -> Answer:
-    """The search under one whitening, beside shapes: those that are signals are fitted in every test. others: further noise
-    models that an explanation may have."""
-    signals = signals_of(shapes)
-    inside = _beside(problem, signals)
-    under_way, untestable = begin(inside, whitener, known=known)
-    path = run(under_way)
+    """The search under one whitening, beside shapes: those that are signals are fitted in every test."""
+    searched = _searched(_beside(problem, signals_of(shapes)), whitener, known)
+    return _concluded(problem, robust, searched, dictionary, shapes, ())
+
+
+def _searched(problem: Problem, whitener: Whitener, known: Known) -> _Searched:
+    under_way, untestable = begin(problem, whitener, known=known)
+    return under_way, untestable, run(under_way)
+
+
+def _concluded(
+    problem: Problem,
+    robust: RobustRows,
+    searched: _Searched,
+    dictionary: Sequence[Block],
+    shapes: tuple[FlexibleFinding, ...],
+    others: Sequence[NoiseModel],
+) -> Answer:
+    under_way, untestable, path = searched
+    whitener, signals = under_way.whitener, signals_of(shapes)
     explanations, handicap = _weighed(under_way, path, dictionary, others, robust)
     best, share, total = _best(explanations)
     chosen = explanations[best]
@@ -107,9 +119,7 @@ def answered_with(
     fitted = derivatives(problem, [*result.modelled, *result.chosen]) if result.chosen else alone
     if signals:
         fitted = np.concatenate([fitted, derivatives(problem, signals)], axis=2)
-    return Answer(
-        noise, robust, whitener, result, alone, fitted, chosen.left, share, total, handicap, shapes, path[-1][0]
-    )
+    return Answer(whitener.noise, robust, whitener, result, alone, fitted, chosen.left, share, total, handicap, shapes)
 
 
 def _best(explanations: Sequence[Explanation]) -> tuple[int, float, float]:
@@ -201,31 +211,18 @@ def noise_and_answer(problem: Problem, dictionary: Sequence[Block], known: Known
     make up any slow error of the attitude, and what they leave would be taken for all there is.
     """
     first = choice = noise_choice(problem)
-    answer = answered(problem, choice.noise, choice.robust, dictionary, known)
+    searched = _searched(problem, whitener_of(problem, choice.noise, choice.robust.weights), known)
     for _ in range(_ROUNDS):
-        fit = answer.fullest
-        if fit is None or not fit.chosen:
+        fit = searched[2][-1][0]
+        if not fit.chosen:
             break
-        names = {effect for effect, _ in fit.chosen}
         residual = problem.residual_of(in_order([*problem.frozen, *fit.active]))
         choice = noise_choice(problem, derivatives(problem, fit.active), residual_nT=residual)
-        answer = answered(problem, choice.noise, choice.robust, dictionary, known, [first.noise])
-        if answer.fullest is not None and {effect for effect, _ in answer.fullest.chosen} == names:
+        searched = _searched(problem, whitener_of(problem, choice.noise, choice.robust.weights), known)
+        if {effect for effect, _ in searched[2][-1][0].chosen} == {effect for effect, _ in fit.chosen}:
             break
-    return first.noise, answer
-
-
-def answered(
-    problem: Problem,
-    noise: NoiseModel,
-    robust: RobustRows,
-    dictionary: Sequence[Block],
-    known: Known,
-    others: Sequence[NoiseModel] = (),
-) -> Answer:
-    """The search with one noise model, and what is left."""
-    whitener = whitener_of(problem, noise, robust.weights)
-    return answered_with(problem, noise, robust, whitener, dictionary, known, (), others)
+    others = [] if choice is first else [first.noise]
+    return first.noise, _concluded(problem, choice.robust, searched, dictionary, (), others)
 
 
 def signals_of(shapes: Sequence[FlexibleFinding]) -> list[Active]:

@@ -14,7 +14,7 @@ from typing import Protocol, overload
 
 import numpy as np
 from scipy import stats
-from scipy.special import fdtrc, logsumexp
+from scipy.special import fdtrc
 
 from fluxtwin.gap.blocks import Block
 from fluxtwin.gap.whitening import least_share
@@ -137,7 +137,7 @@ class Fit:
         shrunk = np.sum(explained * scaled / (1 + scaled), axis=1)
         rest = np.log1p(-np.minimum(shrunk / left.energy, 1 - 1e-12))
         logs = -0.5 * np.log1p(scaled).sum(axis=1) - 0.5 * left.degrees * rest
-        return float(logsumexp(logs) - np.log(_LOG_SIZES.size))
+        return float(np.logaddexp.reduce(logs) - np.log(_LOG_SIZES.size))
 
 
 def fit(block: Block, left: Leftover) -> Fit:

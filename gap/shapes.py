@@ -88,7 +88,7 @@ class Shapes:
         for one in shapes:
             if one.effect == "bias_random_walk":
                 whitener = Wander(whitener, self.problem.setting.seconds).whitening(one.parameters["rate"][0])
-        return answered_with(self.problem, noise, robust, whitener, self.dictionary, self.known, shapes)
+        return answered_with(self.problem, robust, whitener, self.dictionary, self.known, shapes)
 
     def _walking(self, answer: Answer) -> Answer | None:
         """The answer with a walk in the noise, where that explains more."""
@@ -139,13 +139,7 @@ class Shapes:
                 return -np.inf, 0.0, None
             before = rate
             walking = answered_with(
-                self.problem,
-                noise,
-                answer.robust,
-                wander.whitening(rate),
-                self.dictionary,
-                self.known,
-                answer.shapes,
+                self.problem, answer.robust, wander.whitening(rate), self.dictionary, self.known, answer.shapes
             )
             rate = wander.rate(self._left(walking))
             if rate is not None and abs(np.log(rate / before)) < _SETTLED:

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy import stats
-from scipy.special import logsumexp
 
 from fluxtwin.gap.blocks import Block
 from fluxtwin.gap.evidence import Dictionary, Leftover
@@ -101,7 +100,7 @@ def _evidence(gram: FloatArray, moment: FloatArray, sizes: FloatArray) -> tuple[
     value, q, _ = _modes(gram, moment)
     scaled = sizes[:, None] ** 2 * value
     logs = np.sum(-0.5 * np.log1p(scaled) + 0.5 * q**2 * scaled / (1 + scaled), axis=1)
-    return float(sizes[np.argmax(logs)]), float(logsumexp(logs) - np.log(logs.size))
+    return float(sizes[np.argmax(logs)]), float(np.logaddexp.reduce(logs) - np.log(logs.size))
 
 
 def _rivals(gram: FloatArray, moment: FloatArray, sizes: FloatArray) -> dict[str, float]:

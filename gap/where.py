@@ -17,7 +17,7 @@ from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
-from scipy.special import expit, logsumexp
+from scipy.special import expit
 
 from fluxtwin.gap.blocks import STAGES, Block, blocks, step_block
 from fluxtwin.gap.evidence import Fit, Leftover, Whitens, fit, fit_all, leftover, share_mimicked
@@ -122,10 +122,10 @@ def locate(left: Leftover, fits: Sequence[Fit]) -> Where:
     logs = np.array([h.log_evidence for h in hypotheses])
     priors = np.array([h.log_prior for h in hypotheses])
     best = int(np.argmax(logs))
-    something = float(expit(logsumexp(logs + priors)))
+    something = float(expit(np.logaddexp.reduce(logs + priors)))
     temperature = max(TEMPERATURE, SHAPE_TOLERANCE * float(logs[best]))
     heat = logs / temperature + priors
-    weight = something * np.exp(heat - logsumexp(heat))
+    weight = something * np.exp(heat - np.logaddexp.reduce(heat))
     stage = _share([h.stage for h in hypotheses], weight)
     probabilities = {
         "stage": {**dict.fromkeys(ALL_STAGES, 0.0), **stage},
@@ -213,13 +213,13 @@ def _by_axis(left: Leftover, one: Fit) -> tuple[float, dict[str, float]]:
     logs = {"all": whole + np.log(0.5)}
     for letter in present:
         logs[letter] = one.log_evidence(left, letters == letter) + np.log(0.5 / len(present))
-    evidence = float(logsumexp(list(logs.values())))
+    evidence = float(np.logaddexp.reduce(list(logs.values())))
     allowed = AXIS_TOLERANCE * max(whole, 0.0)
     heat = {
         letter: (value + (min(max(whole - value, 0.0), allowed) if letter != "all" else 0.0)) / TEMPERATURE
         for letter, value in logs.items()
     }
-    norm = logsumexp(list(heat.values()))
+    norm = np.logaddexp.reduce(list(heat.values()))
     return evidence, {letter: float(np.exp(value - norm)) for letter, value in heat.items()}
 
 

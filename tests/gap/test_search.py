@@ -151,7 +151,7 @@ def search(problem: Problem, whitener: Whitener) -> SearchResult:
     """What the explanation that weighs most says."""
     robust = RobustRows(np.ones((problem.rows, 3)))
     dictionary = Dictionary(blocks(problem), problem.rows)
-    return answered_with(problem, NOISE, robust, whitener, dictionary, candidates(problem)).result
+    return answered_with(problem, robust, whitener, dictionary, candidates(problem)).result
 
 
 def found(result: SearchResult) -> list[str]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from fluxtwin.gap.blocks import Block
 from fluxtwin.gap.candidates import Candidate, derivatives, in_order
-from fluxtwin.gap.criterion import LOG_UNKNOWN, SHAPE, THRESHOLD, Weights, penalty
+from fluxtwin.gap.criterion import LOG_FURTHER, SHAPE, THRESHOLD, Weights, penalty
 from fluxtwin.gap.evidence import Leftover, fit_all, leftover, orthonormal
 from fluxtwin.gap.flexible import FlexibleFinding
 from fluxtwin.gap.growth import Search, begin, run
@@ -170,12 +170,13 @@ def _weighed(
             more = explained[place] - explained[place - 1]
             names += more - float(penalty(ranks[place] - ranks[place - 1], more / wider, samples))
             names -= 2.0 * (len(fit.chosen) - len(path[place - 1][0].chosen)) * tried
+            names -= LOG_FURTHER if place > 1 else 0.0
         wider = 1.0 + SHAPE * explained[place]
         shaped = names + beyond[place] * (1.0 - 1.0 / wider)
         worth = max(shaped, names + gained[place]) - gained[0]
         unknown = -np.inf
-        if left.structured and left.beyond(wider, samples) > LOG_UNKNOWN:
-            unknown = shaped + left.beyond(wider, samples) - LOG_UNKNOWN - gained[0]
+        if left.structured and left.beyond(wider, samples) > LOG_FURTHER:
+            unknown = shaped + left.beyond(wider, samples) - LOG_FURTHER - gained[0]
         found.append(Explanation(fit, beside, left, worth, unknown))
     return found, gained[0]
 

@@ -24,8 +24,9 @@ from fluxtwin.sim.base.types import FloatArray
 SHAPE = 0.15**2 / 15.0
 """Share of the energy of named causes that their shape error has in one direction: an error of 15 % of their amplitude,
 spread over fifteen directions (columns of some three to five blocks)."""
-LOG_UNKNOWN = 6.0
-"""Minus twice the log of the prior odds of a cause outside the catalogue: one in twenty."""
+LOG_FURTHER = 6.0
+"""Minus twice the log of the prior odds of one more cause beside a named one, and of one outside the catalogue: one in
+twenty."""
 THRESHOLD = 6.0
 """The least worth of a finding. On noise alone the largest worth of a whole search exceeds it in about 0.2 % of records."""
 MOST_SURE = 0.98

@@ -36,7 +36,7 @@ class Mutant(NamedTuple):
 MUTANTS: dict[str, Mutant] = {
     "noise x 1.05": Mutant("sim/run/chain.py", "noise_nT = instrument.", "noise_nT = 1.05 * instrument.", CHAIN),
     "noise x 2": Mutant("sim/run/chain.py", "noise_nT = instrument.", "noise_nT = 2.0 * instrument.", CHAIN),
-    "unknown field x 2": Mutant("sim/run/chain.py", "world.time, source.nT,", "world.time, 2.0 * source.nT,", CHAIN),
+    "unknown field x 2": Mutant("sim/run/chain.py", "(time, source.nT,", "(time, 2.0 * source.nT,", CHAIN),
     "floor for rint": Mutant("sim/spacecraft/sensors/magnetometer.py", "np.rint(reading", "np.floor(reading", CHAIN),
     "S transposed": Mutant(
         "sim/spacecraft/sensors/magnetometer.py",
@@ -56,11 +56,16 @@ MUTANTS: dict[str, Mutant] = {
         "corrected + np.atleast_2d(dip",
         CHAIN,
     ),
-    "sign of T from positions": Mutant("sim/run/spacecraft.py", "return -left *", "return left *", CHAIN),
+    "sign of T from positions": Mutant(
+        "sim/run/spacecraft.py",
+        "return (scenario.torquers.compensation - 1.0) *",
+        "return (1.0 - scenario.torquers.compensation) *",
+        CHAIN,
+    ),
     "compensation the wrong way": Mutant(
         "sim/run/spacecraft.py",
-        "left = 1.0 - scenario",
-        "left = 1.0 + scenario",
+        "(scenario.torquers.compensation - 1.0)",
+        "(-scenario.torquers.compensation - 1.0)",
         "tests/scenarios/test_hcmm_gallery.py tests/scenarios/test_study_motion.py",
     ),
     "yaw in radians": Mutant(

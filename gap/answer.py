@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.special import softmax
 
 from fluxtwin.gap.blocks import Block
 from fluxtwin.gap.candidates import Candidate, derivatives, in_order
-from fluxtwin.gap.criterion import LOG_FURTHER, SHAPE, THRESHOLD, Weights, penalty
+from fluxtwin.gap.criterion import LOG_FURTHER, SHAPE, THRESHOLD, penalty
 from fluxtwin.gap.evidence import Leftover, fit_all, leftover, orthonormal
 from fluxtwin.gap.flexible import FlexibleFinding
 from fluxtwin.gap.growth import Search, begin, run
@@ -132,8 +133,7 @@ def _best(explanations: Sequence[Explanation]) -> tuple[int, float, float]:
         return 0, 1.0, float(np.max(logs))
     named = logs.copy()
     named[0, 0] = -np.inf  # something is there
-    shares = Weights(named.reshape(-1)).shares.reshape(named.shape)
-    known = float(shares[:, 0].sum())
+    known = float(softmax(0.5 * named)[:, 0].sum())
     column = 0 if known >= 0.5 else 1
     return int(np.argmax(named[:, column])), known, float(np.max(logs))
 

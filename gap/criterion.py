@@ -14,8 +14,6 @@ A further cause, or an unknown one, must stand out of that too.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -45,17 +43,3 @@ def penalty(rank: ArrayLike, drop: ArrayLike, samples: float) -> FloatArray:
 def worth(drop: float, rank: int, samples: float, log_tried: float) -> float:
     """Twice the log of the Bayes factor against nothing. log_tried: of the number of settings searched."""
     return float(drop - penalty(rank, drop, samples)) - 2.0 * log_tried
-
-
-@dataclass(frozen=True)
-class Weights:
-    """Probabilities of explanations, from twice the logs of their Bayes factors."""
-
-    logs: FloatArray
-
-    @property
-    def shares(self) -> FloatArray:
-        """They sum to one."""
-        half = 0.5 * (self.logs - self.logs.max())
-        weight = np.exp(half)
-        return np.asarray(weight / weight.sum())

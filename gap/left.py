@@ -42,8 +42,6 @@ class Left:
     frame: str | None = None
     label: str = ""
     """Which variant of the condition."""
-    frequency_Hz: float | None = None
-    """Of the strongest line."""
     step_s: float | None = None
     """Likeliest moment of a step, from the first stamp."""
 
@@ -124,7 +122,7 @@ def judge(
     best = max(clues, key=lambda clue: clue.worth)
     if best.worth <= THRESHOLD:
         best = Left(best.worth, 0.0, "none", "nothing structured is left")
-    return replace(best, frequency_Hz=tone.frequency_Hz or None, step_s=step_s)
+    return replace(best, step_s=step_s)
 
 
 def _parts(left: Leftover, own: FloatArray) -> list[tuple[float, int]]:

@@ -169,7 +169,7 @@ class Shapes:
         words = f"a line at a period of {1 / fast.tone.frequency_Hz:.3g} s, in the full rate"
         drop = fast.tone.explained
         value = worth(drop, TONE_DEGREES, fast.left.degrees / 3.0, 0.0) - 2.0 * float(np.log(fast.problem.rows))
-        found = Left(value, drop, "tone", words, label="tone", frequency_Hz=fast.tone.frequency_Hz)
+        found = Left(value, drop, "tone", words, label="tone")
         return replace(answer, left=found, known=0.0)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fluxtwin.gap.answer import _best
-from fluxtwin.gap.criterion import LOG_FURTHER, THRESHOLD, Weights, penalty, worth
+from fluxtwin.gap.criterion import LOG_FURTHER, THRESHOLD, penalty, worth
 from fluxtwin.gap.left import Left
 
 pytestmark = pytest.mark.property
@@ -59,7 +59,5 @@ def test_the_explanation_that_weighs_most_is_taken(
     assert most == max(*worths, *unknowns)
 
 
-def test_weights_sum_to_one_and_follow_odds() -> None:
-    shares = Weights(np.array([0.0, 2.0 * np.log(4.0), -1e6])).shares
-    assert shares == pytest.approx([0.2, 0.8, 0.0])
+def test_the_prior_of_a_further_cause_is_one_in_twenty() -> None:
     assert pytest.approx(2.0 * np.log(20.0), abs=0.01) == LOG_FURTHER

@@ -42,11 +42,10 @@ _UNEVEN = 1.25  # axes whose white noise differs by more get a factor each
 
 @dataclass(frozen=True, eq=False)
 class NoiseChoice:
-    """The noise model of a problem, the readings that no model explains, and the likelihood both were found with."""
+    """The noise model of a problem, and the readings that no model explains."""
 
     noise: NoiseModel
     robust: RobustRows
-    likelihood: Likelihood
 
 
 def choose_noise(problem: Problem, *columns: FloatArray) -> tuple[NoiseModel, RobustRows]:
@@ -136,7 +135,7 @@ def _chosen(
     assert choice is not None
     noise = replace(choice.noise, words=noise_words(choice.noise))
     robust = RobustRows(weights, difference, measured=measured)
-    return NoiseChoice(noise, replace(robust, words=_spike_words(robust)), likelihood)
+    return NoiseChoice(noise, replace(robust, words=_spike_words(robust)))
 
 
 class _Basis:

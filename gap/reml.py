@@ -114,8 +114,6 @@ class Likelihood:
         )
         self.field_nT = max(self.field_nT, 1.0)
         self._known: dict[tuple[float, float], Choice] = {}
-        self.latest: Ridge | None = None
-        """Where the best point was sought last."""
 
     @property
     def rank(self) -> int:
@@ -137,11 +135,6 @@ class Likelihood:
     def point(self, noise: NoiseModel) -> tuple[float, float]:
         """Ratio and time constant of a noise model, as for `at`."""
         return noise.theta_rad * self.field_nT / noise.sigma_nT, noise.tau_s
-
-    def ridge(self, ratio: float, tau_s: float) -> Ridge:
-        """The ridge that the best point is sought on, from a ratio and a time constant; kept for later questions."""
-        self.latest = Ridge(self, ratio, tau_s)
-        return self.latest
 
     def coefficients(self, choice: Choice) -> FloatArray:
         """(P,) generalised least-squares coefficients of the design's columns at a choice."""
@@ -202,7 +195,7 @@ def best_noise(likelihood: Likelihood, start: NoiseModel | None = None) -> Choic
     if none and prior.theta_rad is not None:
         return _with_uncertainty(likelihood, none[0], np.zeros(2))
     ratio, tau_s = _start(likelihood, start)
-    best, curvature = _white(likelihood, ratio) if tau_s <= 0 else likelihood.ridge(ratio, tau_s).best()
+    best, curvature = _white(likelihood, ratio) if tau_s <= 0 else Ridge(likelihood, ratio, tau_s).best()
     if prior.tau_s is None and tau_s > 0:
         spacing = _usual_spacing(likelihood.data.seconds)
         guess = likelihood.point(best.noise)[0] * (max(spacing, 1.0) / best.noise.tau_s) ** RIDGE
@@ -340,16 +333,6 @@ class Ridge:
                 break
             middle, width = max(self.known, key=lambda known: _posterior(self.known[known])), width / 3.0
         return max(self.known.values(), key=_posterior), np.array([self.second, second])
-
-    def between(self, log_tau: float) -> tuple[float, float]:
-        """Likeliest ratio (its logarithm) and log posterior at a time constant, from parabolas through known ones."""
-        nodes = sorted(self.known, key=lambda other: abs(other - log_tau))[:3]
-        values = np.array(
-            [[np.log(self.likelihood.point(self.known[x].noise)[0]), _posterior(self.known[x])] for x in nodes]
-        )
-        weights = [np.prod([(log_tau - y) / (x - y) for y in nodes if y != x]) for x in nodes]
-        ratio, posterior = weights @ values
-        return float(ratio), float(posterior)
 
 
 def _with_uncertainty(likelihood: Likelihood, best: Choice, curvature: FloatArray) -> Choice:

@@ -100,8 +100,9 @@ class Shapes:
         # Beside a walk the error of the attitude is another: without one it had to stand for it.
         noise, _ = self.choose(wander.columns)
         trials = [noise, answer.noise, *_declared(self.problem, noise)]
-        likeliest = max(trials, key=lambda one: self._gain(answer, one, bare_nT, alone)[0])
-        whole, rate, walking = self._walks(answer, likeliest, bare_nT, alone)
+        gained = [(self._gain(answer, one, bare_nT, alone), one) for one in trials]
+        (_, first), likeliest = max(gained, key=lambda found: found[0][0])
+        whole, rate, walking = self._walks(answer, likeliest, first, bare_nT, alone)
         if walking is None or whole < max(answer.worth, THRESHOLD):
             return None
         finding = random_walk(seconds, self._left(walking), self.dictionary, walking.noise.sigma_nT)
@@ -128,10 +129,9 @@ class Shapes:
         return wander.gain(bare, rate) + now - before - answer.handicap, rate
 
     def _walks(
-        self, answer: Answer, noise: NoiseModel, bare_nT: FloatArray, alone: FloatArray
+        self, answer: Answer, noise: NoiseModel, rate: float | None, bare_nT: FloatArray, alone: FloatArray
     ) -> tuple[float, float, Answer | None]:
-        """Worth of a walk and of the effects beside it, its likeliest rate, and those effects."""
-        _, rate = self._gain(answer, noise, bare_nT, alone)
+        """Worth of a walk and of the effects beside it, its likeliest rate (first guess given), and those effects."""
         whitener = whitener_of(self.problem, noise, answer.robust.weights)
         wander, walking = Wander(whitener, self.problem.setting.seconds), answer
         for _ in range(_ROUNDS):

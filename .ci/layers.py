@@ -21,7 +21,7 @@ FOLDERS = {
     "scenarios": "fluxtwin.scenarios",
     "api": "fluxtwin",
 }
-MOST_FLOORS = {"sim": 7, "calib": 5}
+MOST_FLOORS = {"sim": 7, "calib": 5, "gap": 8}
 """Floors that a wing may have, counted within the wing."""
 Graph = dict[str, set[str]]
 
@@ -51,11 +51,11 @@ def imports_of(source: str, known: set[str]) -> set[str]:
 
 
 def room_of(module: str, known: dict[str, Path]) -> str:
-    """`sim.earth` for fluxtwin.sim.earth.frames, `sim.spacecraft` for its sensors too, `gap` for all of gap."""
+    """`sim.earth` for fluxtwin.sim.earth.frames, `sim.spacecraft` for its sensors too, `gap` for fluxtwin.gap.diagnose."""
     parts = module.split(".")[1:]
     if not parts or parts[0] not in FOLDERS or parts[0] == "api":
         return "api"
-    inner = parts[0] in ("sim", "calib") and len(parts) > 1
+    inner = parts[0] in ("sim", "calib", "gap") and len(parts) > 1
     package = inner and (len(parts) > 2 or known[module].name == "__init__.py")
     return ".".join(parts[:2]) if package else parts[0]
 

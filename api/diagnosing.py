@@ -9,13 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from fluxtwin.gap import advice, closing, doubts, full_rate, second_channel, transfer
-from fluxtwin.gap.closing import Declared as Declared
+from fluxtwin.gap.channels.momentum_arcs import Craft
+from fluxtwin.gap.detectors import full_rate
+from fluxtwin.gap.detectors.stochastic import with_frozen_noise
 from fluxtwin.gap.diagnose import diagnose as investigate_record
-from fluxtwin.gap.momentum_arcs import Craft
-from fluxtwin.gap.problem import DEFAULT_MODELLED, Budget
-from fluxtwin.gap.records import Diagnosis
-from fluxtwin.gap.stochastic import with_frozen_noise
+from fluxtwin.gap.held_out import closing, transfer
+from fluxtwin.gap.held_out.closing import Declared as Declared
+from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget
+from fluxtwin.gap.records.diagnosis import Diagnosis
+from fluxtwin.gap.report import advice, input_warnings, second_channel
 from fluxtwin.scenarios.packaged import as_scenario
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.progress import Progress, silent
@@ -78,13 +80,13 @@ def diagnose(
     )
     frozen = () if config is None else _frozen(config)
     found = second_channel.with_second_channel(investigated, second_channel.channel_of(record, frozen))
-    stuck = doubts.stuck_attitude(record, budget.attitude_sigma_rad)
+    stuck = input_warnings.stuck_attitude(record, budget.attitude_sigma_rad)
     notes = [
         _corrected(record),
-        *doubts.traps(record, model),
+        *input_warnings.traps(record, model),
         *_left_out(record, found),
-        stuck if stuck is not None else doubts.stuck_and_misfit(record, found.gap.before_nT),
-        doubts.far_below_budget(found.gap.before_nT, found.gap.floor_nT),
+        stuck if stuck is not None else input_warnings.stuck_and_misfit(record, found.gap.before_nT),
+        input_warnings.far_below_budget(found.gap.before_nT, found.gap.floor_nT),
     ]
     notes += found.provenance.get("sun_nadir_notes", [])
     return replace(

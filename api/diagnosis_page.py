@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from fluxtwin.calib.common.digits import measured
-from fluxtwin.gap.advice import typical_size
-from fluxtwin.gap.records import Diagnosis
+from fluxtwin.gap.records.diagnosis import Diagnosis
+from fluxtwin.gap.report.advice import typical_size
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 
 _CONFUSED = 0.8  # shares below this are in the JSON

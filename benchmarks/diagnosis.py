@@ -32,8 +32,8 @@ import numpy as np
 import tomli_w
 
 from fluxtwin.gap.diagnose import diagnose
-from fluxtwin.gap.problem import DEFAULT_MODELLED, Budget
-from fluxtwin.gap.records import Diagnosis
+from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget
+from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.sim.base import files
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import field_N_nT, load_field

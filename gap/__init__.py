@@ -7,7 +7,9 @@ if __name__ == "gap":
 
 __getattr__, __dir__ = door(
     __name__,
-    records="Diagnosis FoundEffect EffectParameter Place",
-    problem="Budget",
-    closing="Declared",
+    **{
+        "records.diagnosis": "Diagnosis FoundEffect EffectParameter Place",
+        "problem.problem": "Budget",
+        "held_out.closing": "Declared",
+    },
 )

@@ -3,39 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from fluxtwin.gap import far, level, verdict
-from fluxtwin.gap.answer import Answer, noise_and_answer
-from fluxtwin.gap.blocks import Block, blocks
-from fluxtwin.gap.candidates import candidates
-from fluxtwin.gap.detectable import under_all
-from fluxtwin.gap.evidence import Dictionary
-from fluxtwin.gap.far import floor_rms_nT
-from fluxtwin.gap.flexible import FlexibleFinding
-from fluxtwin.gap.frail import Shaken
-from fluxtwin.gap.full_rate import full_rate
-from fluxtwin.gap.left import Left, what_is_left
-from fluxtwin.gap.momentum import Momentum, balanced
-from fluxtwin.gap.momentum_arcs import Craft
-from fluxtwin.gap.named import SearchResult
-from fluxtwin.gap.noise import (
-    NoiseModel,
+from fluxtwin.gap.channels.momentum import balanced
+from fluxtwin.gap.channels.momentum_arcs import Craft
+from fluxtwin.gap.detectors.flexible import FlexibleFinding
+from fluxtwin.gap.detectors.full_rate import full_rate
+from fluxtwin.gap.detectors.residual_structure import Left, what_is_left
+from fluxtwin.gap.detectors.stochastic import coarse, flexible_findings, floor_noise, stochastic_nT
+from fluxtwin.gap.held_out import held_out
+from fluxtwin.gap.held_out.held_out import floor_rms_nT
+from fluxtwin.gap.hypotheses.blocks import Block, blocks
+from fluxtwin.gap.hypotheses.candidates import candidates
+from fluxtwin.gap.hypotheses.evidence import Dictionary
+from fluxtwin.gap.hypotheses.perturbed_design import Shaken
+from fluxtwin.gap.noise.choice import (
     RobustRows,
     Whitener,
     choose_noise,
     complete_budget,
     whitener_of,
 )
-from fluxtwin.gap.problem import DEFAULT_MODELLED, Budget, Problem, pose, realigned
-from fluxtwin.gap.records import Diagnosis, GapSeries, Shrinkage
-from fluxtwin.gap.refit import refit, settled
-from fluxtwin.gap.shapes import Shapes
-from fluxtwin.gap.start import start_without_attitude
-from fluxtwin.gap.stochastic import coarse, flexible_findings, floor_noise, stochastic_nT
-from fluxtwin.gap.where import Where, where
+from fluxtwin.gap.posterior.explanations import Answer, noise_and_answer
+from fluxtwin.gap.posterior.structured import Shapes
+from fluxtwin.gap.posterior.where import Where, where
+from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget, Problem, pose, realigned
+from fluxtwin.gap.problem.start import start_without_attitude
+from fluxtwin.gap.records.diagnosis import Diagnosis, GapSeries, Shrinkage
+from fluxtwin.gap.report import level, verdict
+from fluxtwin.gap.report.work import Work
+from fluxtwin.gap.selection.detectable import under_all
+from fluxtwin.gap.selection.named import SearchResult
+from fluxtwin.gap.selection.refit import refit, settled
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.types import BoolArray, FloatArray
@@ -53,35 +54,6 @@ the reading moves by about a step from row to row (Widrow & Kollar 2008, Quantiz
 _FEWEST_ROWS = 200
 _LEAST_FREE = 30
 _BOUNDLESS_RAD = 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class Work:
-    """Everything that was found on the way; N rows."""
-
-    problem: Problem
-    noise: NoiseModel
-    robust: RobustRows
-    whitener: Whitener
-    found: SearchResult
-    nuisance_nT: FloatArray
-    """(N, 3, C) Jacobian of what is modelled, without named effects."""
-    fitted_nT: FloatArray
-    """(N, 3, C + P) Jacobian of what is modelled and of the named effects, at the refit."""
-    known: float
-    """Probability that nothing, or what is named, is all there is."""
-    left: Left
-    flexible: tuple[FlexibleFinding, ...]
-    """Those that are confirmed."""
-    loud: str | None
-    """Words for white noise above its budget that is not like noise."""
-    where: Where
-    shrinkage: Shrinkage
-    series: GapSeries
-    momentum: Momentum
-    """The balance of the momentum."""
-    attitude_would_do_rad: float | None = None
-    """Size of an attitude error, 1 sigma per axis, that makes all the structure that is left; None where none does."""
 
 
 def diagnose(
@@ -294,8 +266,8 @@ def _how_far(
     own = tuple(problem.judged(part) for part in raw)
     white = tuple(answer.whitener.apply(part) if part.size else part for part in raw)
     white_nT, theta_rad = floor_noise(flexible, noise, problem.budget)
-    with_effects = far.floor_rms_nT(problem.noise_field_nT[kept], white_nT, theta_rad, problem.measured[kept])
-    prediction = far.predict_blocks(
+    with_effects = held_out.floor_rms_nT(problem.noise_field_nT[kept], white_nT, theta_rad, problem.measured[kept])
+    prediction = held_out.predict_blocks(
         problem.setting.seconds,
         kept,
         (own[0], own[1], own[2], own[3]),
@@ -307,10 +279,12 @@ def _how_far(
     walk = next((one for one in flexible if one.effect == "bias_random_walk"), None)
     if walk is not None:
         after, unsure = _one_step(problem, result.residual_nT, kept, walk.parameters["rate"][0], with_effects)
-        prediction = far.Prediction(prediction.before_nT, after, "one_step", prediction.known)
+        prediction = held_out.Prediction(prediction.before_nT, after, "one_step", prediction.known)
         with_effects = float(np.hypot(with_effects, unsure))
     named = bool(result.named) or bool(flexible)
-    shrinkage = far.shrinkage(prediction, kept, floor, with_effects, seed=problem.rows, named=named, axes=problem.axes)
+    shrinkage = held_out.shrinkage(
+        prediction, kept, floor, with_effects, seed=problem.rows, named=named, axes=problem.axes
+    )
     parts = (prediction.before_nT, prediction.after_nT if named else prediction.before_nT)
     before, after = (part if problem.axes is None else problem.axes.in_body(part) for part in parts)
     unseen = ~(kept if prediction.known is None else kept & prediction.known)[:, None]
@@ -322,8 +296,8 @@ def _one_step(
 ) -> tuple[FloatArray, float]:
     seconds = problem.setting.seconds
     if problem.axes is None:
-        return far.one_step(residual_nT, seconds, kept, rate, noise_nT)
-    return far.one_step_seen(problem.judged(residual_nT), problem.axes, seconds, kept, rate, noise_nT)
+        return held_out.one_step(residual_nT, seconds, kept, rate, noise_nT)
+    return held_out.one_step_seen(problem.judged(residual_nT), problem.axes, seconds, kept, rate, noise_nT)
 
 
 __all__ = ["MOST_ROWS", "SignalEffect", "Work", "diagnose", "investigate"]

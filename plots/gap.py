@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
-from fluxtwin.gap.records import Diagnosis, GapSeries
+from fluxtwin.gap.records.diagnosis import Diagnosis, GapSeries
 from fluxtwin.plots import style
 from fluxtwin.sim.base.types import FloatArray
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from fluxtwin.calib.scalar.calibrate import calibrate_scalar
 from fluxtwin.gap.diagnose import diagnose
-from fluxtwin.gap.problem import Budget
-from fluxtwin.gap.records import Diagnosis
+from fluxtwin.gap.problem.problem import Budget
+from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.scenarios.elfin.gap_record import record_of
 from fluxtwin.scenarios.elfin.record import Flight, Slip, Zone, read_flight
 from fluxtwin.scenarios.elfin.unseen import Way, compare, residuals_nT

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.gap.problem import pose
+from fluxtwin.gap.problem.problem import pose
 from fluxtwin.scenarios.flight_field.residuals import rms
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.field_models import FieldModel

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fluxtwin.gap.problem import DEFAULT_MODELLED
-from fluxtwin.gap.records import Diagnosis
+from fluxtwin.gap.problem.problem import DEFAULT_MODELLED
+from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.scenarios.flight_field.tracks import read_magsat, read_swarm
 from fluxtwin.scenarios.flight_gaps import records
 from fluxtwin.scenarios.flight_gaps.models import field_model

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from fluxtwin.gap.diagnose import diagnose
-from fluxtwin.gap.problem import DEFAULT_MODELLED
-from fluxtwin.gap.records import Diagnosis
+from fluxtwin.gap.problem.problem import DEFAULT_MODELLED
+from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.scenarios.flight_field.residuals import rms
 from fluxtwin.scenarios.flight_field.tracks import read_kp, read_swarm
 from fluxtwin.scenarios.flight_gaps import records

@@ -10,8 +10,8 @@ import numpy as np
 import tomli_w
 from matplotlib.figure import Figure
 
-from fluxtwin.gap import advice
-from fluxtwin.gap.records import Alone, Diagnosis, EffectParameter, FoundEffect
+from fluxtwin.gap.records.diagnosis import Alone, Diagnosis, EffectParameter, FoundEffect
+from fluxtwin.gap.report import advice
 from fluxtwin.plots import gap_cases
 from fluxtwin.scenarios.flight_gaps.alone import Share, Shares
 from fluxtwin.scenarios.flight_gaps.cases import names_of

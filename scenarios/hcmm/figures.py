@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from matplotlib.figure import Figure
 
-from fluxtwin.gap.sun_nadir import open_channel
+from fluxtwin.gap.channels.sun_nadir import open_channel
 from fluxtwin.plots import calibration as calibration_plots
 from fluxtwin.plots import gallery as gallery_plots
 from fluxtwin.plots import passes as pass_plots

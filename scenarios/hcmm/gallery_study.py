@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.gap.candidates import in_order
+from fluxtwin.gap.channels.sun_nadir import Channel, open_channel
 from fluxtwin.gap.diagnose import diagnose
-from fluxtwin.gap.problem import Budget, Problem, pose, realigned
-from fluxtwin.gap.records import Diagnosis
-from fluxtwin.gap.refit import refit, settled
-from fluxtwin.gap.second_channel import channel_of, with_second_channel
-from fluxtwin.gap.sun_nadir import Channel, open_channel
+from fluxtwin.gap.hypotheses.candidates import in_order
+from fluxtwin.gap.problem.problem import Budget, Problem, pose, realigned
+from fluxtwin.gap.records.diagnosis import Diagnosis
+from fluxtwin.gap.report.second_channel import channel_of, with_second_channel
+from fluxtwin.gap.selection.refit import refit, settled
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.motion import prescribed
 from fluxtwin.scenarios.numbers import Numbers

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student_t
 
-from fluxtwin.gap.records import Diagnosis
+from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.scenarios.calibration_records import rms_mG
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.calibration_study import SETS, choose_rows, fit_rows

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.gap.records import Diagnosis, EffectParameter
+from fluxtwin.gap.records.diagnosis import Diagnosis, EffectParameter
 from fluxtwin.scenarios.calibration_records import NAMES, calibration_summary, rms_mG, vector, vector_sigma
 from fluxtwin.scenarios.claims import Claim
 from fluxtwin.scenarios.hcmm import calibration_study, error_study, horizon_study, missing_study, mission, yaw_study

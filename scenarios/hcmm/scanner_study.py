@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from fluxtwin.calib.attitude.horizon_scanner import ScannerCalibration, calibrate_scanner
-from fluxtwin.gap.sun_nadir import weigh_sun_nadir
+from fluxtwin.gap.channels.sun_nadir import weigh_sun_nadir
 from fluxtwin.scenarios.calibration_records import papers_regression
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.calibration_study import choose_rows, pass_labels

@@ -13,7 +13,7 @@ from command_line import Cli, status_of
 from jsonschema import Draft202012Validator
 from worlds import scenario_text
 
-from fluxtwin.gap.schema import diagnosis_schema
+from fluxtwin.gap.records.schema import diagnosis_schema
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.effect_sections import active_effects
 from fluxtwin.sim.scenario.scenario import load_scenario, parse_scenario

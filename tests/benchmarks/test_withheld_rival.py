@@ -12,7 +12,7 @@ from withheld_cases import of_place, of_sensor, rival
 from withheld_cases.chain import Truth, fly
 from withheld_cases.worlds import OPTIONAL, World, draw_world
 
-from fluxtwin.gap.problem import Budget
+from fluxtwin.gap.problem.problem import Budget
 from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
 
 pytestmark = pytest.mark.property

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fluxtwin.gap.advice import hours_needed, would_settle
-from fluxtwin.gap.doubts import stuck_and_misfit, stuck_attitude
-from fluxtwin.gap.records import Detectable
+from fluxtwin.gap.records.diagnosis import Detectable
+from fluxtwin.gap.report.advice import hours_needed, would_settle
+from fluxtwin.gap.report.input_warnings import stuck_and_misfit, stuck_attitude
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.heater_switching import HeaterSwitching
 from fluxtwin.sim.telemetry.record import Telemetry

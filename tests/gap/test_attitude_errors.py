@@ -13,10 +13,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from worlds import scenario_text
 
-from fluxtwin.gap.conditions import conditions
 from fluxtwin.gap.diagnose import diagnose
-from fluxtwin.gap.frail import Shaken, steady
-from fluxtwin.gap.problem import Budget, Problem, pose
+from fluxtwin.gap.hypotheses.conditions import conditions
+from fluxtwin.gap.hypotheses.perturbed_design import Shaken, steady
+from fluxtwin.gap.problem.problem import Budget, Problem, pose
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import parse_scenario

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from worlds import scenario_text
 
-from fluxtwin.gap.cancelling import undone
-from fluxtwin.gap.problem import Problem, pose
-from fluxtwin.gap.refit import refit
-from fluxtwin.gap.whitening import NoiseModel, make_whitener, turn_images
+from fluxtwin.gap.noise.whitening import NoiseModel, make_whitener
+from fluxtwin.gap.problem.problem import Problem, pose
+from fluxtwin.gap.problem.row_axes import turn_images
+from fluxtwin.gap.selection.collinear import undone
+from fluxtwin.gap.selection.refit import refit
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.run.simulate import simulate

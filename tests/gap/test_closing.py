@@ -10,16 +10,17 @@ import pytest
 from scipy.stats import chi2
 from worlds import scenario_text
 
-from fluxtwin.gap.closing import Declared, closed_scenario, settle
-from fluxtwin.gap.closure import Closure, Stochastic
-from fluxtwin.gap.far import Prediction, shrinkage
-from fluxtwin.gap.flexible import FlexibleFinding
-from fluxtwin.gap.noise import NoiseModel
-from fluxtwin.gap.problem import Budget, Problem, pose
-from fluxtwin.gap.stochastic import expected, floor_noise, with_frozen_noise
-from fluxtwin.gap.targets import DAYS, targets
-from fluxtwin.gap.transfer import _seen_by_chance, transfers
-from fluxtwin.gap.whitening import make_whitener, turn_images
+from fluxtwin.gap.detectors.flexible import FlexibleFinding
+from fluxtwin.gap.detectors.stochastic import expected, floor_noise, with_frozen_noise
+from fluxtwin.gap.held_out.closing import Declared, closed_scenario, settle
+from fluxtwin.gap.held_out.held_out import Prediction, shrinkage
+from fluxtwin.gap.held_out.targets import DAYS, targets
+from fluxtwin.gap.held_out.transfer import _seen_by_chance, transfers
+from fluxtwin.gap.noise.choice import NoiseModel
+from fluxtwin.gap.noise.whitening import make_whitener
+from fluxtwin.gap.problem.problem import Budget, Problem, pose
+from fluxtwin.gap.problem.row_axes import turn_images
+from fluxtwin.gap.records.closure import Closure, Stochastic
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import epoch, frames, sun
 from fluxtwin.sim.earth.field import load_field

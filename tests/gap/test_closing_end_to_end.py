@@ -16,7 +16,7 @@ import pytest
 from worlds import COARSE_MAGNETOMETER, THERMAL, scenario_text
 
 from fluxtwin import diagnosing
-from fluxtwin.gap.records import Diagnosis
+from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import Scenario, load_scenario, parse_scenario, save_scenario
 from fluxtwin.sim.telemetry.record import Telemetry

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fluxtwin.gap.answer import _best
-from fluxtwin.gap.criterion import LOG_FURTHER, THRESHOLD, penalty, worth
-from fluxtwin.gap.left import Left
+from fluxtwin.gap.detectors.residual_structure import Left
+from fluxtwin.gap.posterior.explanations import _best
+from fluxtwin.gap.selection.criterion import LOG_FURTHER, THRESHOLD, penalty, worth
 
 pytestmark = pytest.mark.property
 

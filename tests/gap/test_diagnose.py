@@ -13,8 +13,8 @@ import pytest
 from worlds import COARSE_MAGNETOMETER, THERMAL, scenario_text
 
 from fluxtwin.gap.diagnose import diagnose
-from fluxtwin.gap.problem import Budget
-from fluxtwin.gap.records import Diagnosis
+from fluxtwin.gap.problem.problem import Budget
+from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.run.simulate import simulate

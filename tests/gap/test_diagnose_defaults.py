@@ -11,12 +11,13 @@ import pytest
 import tomli_w
 from scipy.stats import chi2
 
-from fluxtwin.gap.detectable import GATE, noncentrality
 from fluxtwin.gap.diagnose import diagnose
-from fluxtwin.gap.far import predict_blocks
-from fluxtwin.gap.problem import Budget
-from fluxtwin.gap.records import Diagnosis
-from fluxtwin.gap.whitening import NoiseModel, make_whitener, turn_images
+from fluxtwin.gap.held_out.held_out import predict_blocks
+from fluxtwin.gap.noise.whitening import NoiseModel, make_whitener
+from fluxtwin.gap.problem.problem import Budget
+from fluxtwin.gap.problem.row_axes import turn_images
+from fluxtwin.gap.records.diagnosis import Diagnosis
+from fluxtwin.gap.selection.detectable import GATE, noncentrality
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.run.simulate import simulate

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from worlds import scenario_text
 
-from fluxtwin.gap.blocks import Block, blocks
-from fluxtwin.gap.evidence import fit_all, leftover
-from fluxtwin.gap.flexible import (
+from fluxtwin.gap.detectors.flexible import (
     FlexibleFinding,
     coarse_steps,
     companion,
@@ -20,13 +18,17 @@ from fluxtwin.gap.flexible import (
     stuck_bit,
     wheel_line,
 )
-from fluxtwin.gap.left import drift, judge
-from fluxtwin.gap.problem import Problem, pose
-from fluxtwin.gap.tones import strongest_tone
-from fluxtwin.gap.two_state import heater_sequence
-from fluxtwin.gap.walk_noise import Wander
-from fluxtwin.gap.wandering import random_walk
-from fluxtwin.gap.whitening import NoiseModel, Whitener, make_whitener, turn_images
+from fluxtwin.gap.detectors.random_walk import random_walk
+from fluxtwin.gap.detectors.residual_structure import drift, judge
+from fluxtwin.gap.detectors.tones import strongest_tone
+from fluxtwin.gap.detectors.two_state import heater_sequence
+from fluxtwin.gap.hypotheses.blocks import Block, blocks
+from fluxtwin.gap.hypotheses.evidence import fit_all
+from fluxtwin.gap.linear.leftover import leftover
+from fluxtwin.gap.noise.walk import Wander
+from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
+from fluxtwin.gap.problem.problem import Problem, pose
+from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.effects.wheel_field import WheelField
 from fluxtwin.sim.run.simulate import simulate

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fluxtwin.gap.evidence import Leftover, log10_sf_f, orthonormal, share_mimicked
-from fluxtwin.gap.left import drift, step
-from fluxtwin.gap.tones import strongest_tone, tone_columns
+from fluxtwin.gap.detectors.residual_structure import drift, step
+from fluxtwin.gap.detectors.tones import strongest_tone, tone_columns
+from fluxtwin.gap.linear.leftover import Leftover, log10_sf_f, orthonormal, share_mimicked
 
 pytestmark = pytest.mark.property
 

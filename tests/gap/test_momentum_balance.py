@@ -16,12 +16,12 @@ from scipy.spatial.transform import Rotation
 from worlds import scenario_text
 
 from fluxtwin import diagnosing, diagnosis_page
-from fluxtwin.gap.momentum import Momentum, balanced
-from fluxtwin.gap.momentum_arcs import Craft, arcs
-from fluxtwin.gap.momentum_windows import MOST_NODES, WINDOW_S, windows
-from fluxtwin.gap.problem import Budget, Problem, pose
-from fluxtwin.gap.records import Diagnosis
-from fluxtwin.gap.schema import diagnosis_schema
+from fluxtwin.gap.channels.momentum import Momentum, balanced
+from fluxtwin.gap.channels.momentum_arcs import Craft, arcs
+from fluxtwin.gap.channels.momentum_windows import MOST_NODES, WINDOW_S, windows
+from fluxtwin.gap.problem.problem import Budget, Problem, pose
+from fluxtwin.gap.records.diagnosis import Diagnosis
+from fluxtwin.gap.records.schema import diagnosis_schema
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.run.flights import vehicle_of

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fluxtwin.gap.noise import choose_noise, complete_budget, select_noise
-from fluxtwin.gap.noise_budget import (
+from fluxtwin.gap.noise.budget import (
     DECLARED,
     FROM_DIFFERENCES,
     FROM_SPACING,
@@ -22,12 +21,14 @@ from fluxtwin.gap.noise_budget import (
     prior_of,
     reading_spacing,
 )
-from fluxtwin.gap.noise_kernels import predict_each
-from fluxtwin.gap.noise_rows import condensed
-from fluxtwin.gap.problem import Budget, Problem, pose
-from fluxtwin.gap.reml import Data, Likelihood, mean_share
-from fluxtwin.gap.robust_rows import first_weights, standing_out, weights_of
-from fluxtwin.gap.whitening import NoiseModel, Whitener, make_whitener, turn_images
+from fluxtwin.gap.noise.choice import choose_noise, complete_budget, select_noise
+from fluxtwin.gap.noise.kernels import predict_each
+from fluxtwin.gap.noise.reml import Data, Likelihood, mean_share
+from fluxtwin.gap.noise.robust_rows import first_weights, standing_out, weights_of
+from fluxtwin.gap.noise.rows import condensed
+from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
+from fluxtwin.gap.problem.problem import Budget, Problem, pose
+from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import field_N_nT, load_field
 from fluxtwin.sim.earth.orbit import Orbit

@@ -13,20 +13,21 @@ import numpy as np
 import pytest
 from worlds import PARTS, scenario_text
 
-from fluxtwin.gap.answer import answered_with
-from fluxtwin.gap.blocks import blocks
-from fluxtwin.gap.candidates import candidates, in_order
-from fluxtwin.gap.criterion import penalty
-from fluxtwin.gap.detectable import noncentrality, visible_part
-from fluxtwin.gap.evidence import Dictionary
-from fluxtwin.gap.growth import Search, begin
-from fluxtwin.gap.interval import likeliest_interval
-from fluxtwin.gap.named import SearchResult
-from fluxtwin.gap.problem import Problem, pose
-from fluxtwin.gap.refit import settled
-from fluxtwin.gap.robust_rows import RobustRows
-from fluxtwin.gap.score import board
-from fluxtwin.gap.whitening import NoiseModel, Whitener, make_whitener, turn_images
+from fluxtwin.gap.hypotheses.blocks import blocks
+from fluxtwin.gap.hypotheses.candidates import candidates, in_order
+from fluxtwin.gap.hypotheses.evidence import Dictionary
+from fluxtwin.gap.noise.robust_rows import RobustRows
+from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
+from fluxtwin.gap.posterior.explanations import answered_with
+from fluxtwin.gap.problem.problem import Problem, pose
+from fluxtwin.gap.problem.row_axes import turn_images
+from fluxtwin.gap.selection.criterion import penalty
+from fluxtwin.gap.selection.detectable import noncentrality, visible_part
+from fluxtwin.gap.selection.forward import Search, begin
+from fluxtwin.gap.selection.interval import likeliest_interval
+from fluxtwin.gap.selection.named import SearchResult
+from fluxtwin.gap.selection.refit import settled
+from fluxtwin.gap.selection.score import board
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.effects.base import SignalEffect

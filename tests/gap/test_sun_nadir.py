@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from fluxtwin.gap.sun_nadir import weigh_sun_nadir
+from fluxtwin.gap.channels.sun_nadir import weigh_sun_nadir
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 

@@ -14,12 +14,14 @@ import numpy as np
 import pytest
 from worlds import scenario_text
 
-from fluxtwin.gap.blocks import Block, blocks
-from fluxtwin.gap.evidence import fit_all, leftover, prepare
-from fluxtwin.gap.left import Left, judge
-from fluxtwin.gap.problem import Problem, pose
-from fluxtwin.gap.where import Where, locate, step_fits
-from fluxtwin.gap.whitening import NoiseModel, Whitener, make_whitener, turn_images
+from fluxtwin.gap.detectors.residual_structure import Left, judge
+from fluxtwin.gap.hypotheses.blocks import Block, blocks
+from fluxtwin.gap.hypotheses.evidence import fit_all, prepare
+from fluxtwin.gap.linear.leftover import leftover
+from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
+from fluxtwin.gap.posterior.where import Where, locate, step_fits
+from fluxtwin.gap.problem.problem import Problem, pose
+from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.sim.attitude.gauss_markov import gauss_markov
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import field_N_nT

@@ -12,13 +12,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from worlds import scenario_text
 
-from fluxtwin.gap.candidates import candidates
-from fluxtwin.gap.far import floor_rms_nT, one_step, one_step_seen
-from fluxtwin.gap.problem import Budget, Problem, pose
-from fluxtwin.gap.refit import settled
-from fluxtwin.gap.robust_rows import first_weights, standing_out
-from fluxtwin.gap.whitening import NoiseModel, make_whitener
-from fluxtwin.gap.without_attitude import RowAxes, row_axes
+from fluxtwin.gap.held_out.held_out import floor_rms_nT, one_step, one_step_seen
+from fluxtwin.gap.hypotheses.candidates import candidates
+from fluxtwin.gap.noise.robust_rows import first_weights, standing_out
+from fluxtwin.gap.noise.whitening import NoiseModel, make_whitener
+from fluxtwin.gap.problem.problem import Budget, Problem, pose
+from fluxtwin.gap.problem.row_axes import RowAxes, row_axes
+from fluxtwin.gap.selection.refit import settled
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.run.simulate import simulate

@@ -10,8 +10,8 @@ import pytest
 from worlds import COARSE_MAGNETOMETER, scenario_text
 
 from fluxtwin.gap.diagnose import diagnose
-from fluxtwin.gap.problem import Budget, pose
-from fluxtwin.gap.records import Diagnosis
+from fluxtwin.gap.problem.problem import Budget, pose
+from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.chain import Active

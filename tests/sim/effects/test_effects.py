@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from worlds import scenario_text
 
-from fluxtwin.gap.problem import pose
+from fluxtwin.gap.problem.problem import pose
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.earth.field import load_field

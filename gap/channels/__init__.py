@@ -1,0 +1,1 @@
+"""Further measurements beside the readings: the balance of the momentum, and the angle between sun and nadir."""

@@ -1,0 +1,199 @@
+"""What may turn the body, or the recorded attitude: images of all causes in the balance of the momentum.
+
+An effect on the dynamics has its image from the same vehicle that the simulation flies; one on the recorded attitude
+turns the attitudes that the balance is compared with; one on the reported orbit has the torques act elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import cast
+
+import numpy as np
+
+from fluxtwin.gap.channels.momentum_windows import Windows
+from fluxtwin.gap.hypotheses.candidates import Candidate
+from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth.orbit import argument_of_latitude
+from fluxtwin.sim.effects.base import DynamicsEffect, Effect, SignalEffect
+from fluxtwin.sim.effects.catalogue import CATALOGUE
+from fluxtwin.sim.effects.chain import Active
+from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
+
+_DEAD_RAD = 1e-9
+"""A parameter of its typical size that turns no node by more is not there."""
+
+_SPANS = (3, 9)
+"""Rows over which the quick part of wheels is told from the slow one."""
+
+DYNAMICS: tuple[DynamicsEffect, ...] = tuple(e for e in CATALOGUE if isinstance(e, DynamicsEffect))
+
+
+def dynamics_causes(windows: Windows) -> tuple[list[Candidate], dict[str, str]]:
+    """All alternatives of all effects on the dynamics, and why others cannot be tested."""
+    vehicle, setting = windows.arcs.craft.vehicle, windows.arcs.problem.setting
+    found: list[Candidate] = []
+    untestable: dict[str, str] = {}
+    for effect in DYNAMICS:
+        alternatives = [one for one in effect.alternatives(setting) if isinstance(one, DynamicsEffect)]
+        reasons = [one.idle(vehicle) for one in alternatives]
+        made = [cause(windows, vehicle, one) for one, no in zip(alternatives, reasons, strict=True) if no is None]
+        live = [one for one in made if one.live.any()]
+        found += live
+        if not live:
+            nothing = "nothing in these data excites it: a typical size would not turn the body"
+            untestable[effect.name] = next((reason for reason in reasons if reason), nothing)
+    return found, untestable
+
+
+def cause(windows: Windows, vehicle: Vehicle, effect: DynamicsEffect) -> Candidate:
+    """One effect with its image: (M, 3, p) turn of the nodes [rad] per unit of each parameter."""
+    steps = effect.step(vehicle)
+    images = [windows.image(effect.on(vehicle, step)) for step in np.diag(steps)]
+    jacobian = np.stack(images, axis=2) / steps
+    return _candidate(effect, jacobian)
+
+
+def _candidate(effect: Effect, jacobian: FloatArray) -> Candidate:
+    scale = np.array([parameter.scale for parameter in effect.parameters])
+    live = np.sqrt(np.mean(jacobian**2, axis=(0, 1))) * scale > _DEAD_RAD
+    return Candidate(cast(SignalEffect, effect), jacobian, live)
+
+
+def attitude_image(windows: Windows, effect: SignalEffect, on: Sequence[Active], theta: FloatArray) -> FloatArray:
+    """(M, 3, p) turn of the recorded attitude [rad] per unit of each parameter of an effect on the attitude.
+
+    on: other effects on the attitude.
+    """
+    chain = windows.arcs.problem.design
+    columns = []
+    for number, parameter in enumerate(effect.parameters):
+        up, down = np.array(theta, dtype=np.float64), np.array(theta, dtype=np.float64)
+        up[number] = min(up[number] + parameter.scale, parameter.high)
+        down[number] = max(down[number] - parameter.scale, parameter.low)
+        high, low = (chain.signal([*on, (effect, value)]).R_BN[windows.rows] for value in (up, down))
+        columns.append(-(high * low.inv()).as_rotvec() / (up[number] - down[number]))
+    return np.stack(columns, axis=2)
+
+
+def orbit_image(windows: Windows, effect: SignalEffect, on: Sequence[Active], theta: FloatArray) -> FloatArray:
+    """(M, 3, p) turn of the nodes [rad] per unit of each parameter of an effect on the reported orbit.
+
+    on: other effects on it. Gravity gradient, field and light are those of where the body really was.
+    """
+    arcs, columns = windows.arcs, []
+    for number, parameter in enumerate(effect.parameters):
+        ends = []
+        values = (
+            min(theta[number] + parameter.scale, parameter.high),
+            max(theta[number] - parameter.scale, parameter.low),
+        )
+        for value in values:
+            moved = np.array(theta, dtype=np.float64)
+            moved[number] = value
+            there = arcs.elsewhere(orbit_of(arcs.problem, [*on, (effect, moved)]))
+            ends.append(there.flown(arcs.craft.vehicle))
+        columns.append((ends[0] - ends[1]) / (values[0] - values[1]))
+    return windows.chained(np.stack(columns, axis=2))
+
+
+def orbit_of(problem: Problem, active: Sequence[Active]) -> tuple[FloatArray, FloatArray]:
+    """(N, 3) position [km] and velocity [km/s] with these effects on the reported orbit taken out of it."""
+    on = [pair for pair in active if pair[0].stage == "orbit"]
+    if not on:
+        return problem.setting.given[:2]
+    signal = problem.design.signal(on)
+    return signal.r_N_km, signal.v_N_km_s
+
+
+def image_of(windows: Windows, effect: SignalEffect, on: Sequence[Active], theta: FloatArray) -> FloatArray:
+    """(M, 3, p) of any effect that the readings have too; zero where it leaves attitude and orbit alone.
+
+    on: all effects that are there.
+    """
+    others = [pair for pair in on if pair[0] is not effect and pair[0].stage == effect.stage]
+    if effect.stage == "attitude":
+        return attitude_image(windows, effect, others, theta)
+    if effect.stage == "orbit":
+        return orbit_image(windows, effect, others, theta)
+    return np.zeros((windows.rows.size, 3, len(theta)))
+
+
+def on_attitude(active: Sequence[Active]) -> list[Active]:
+    """Those that turn the recorded attitude."""
+    return [pair for pair in active if pair[0].stage == "attitude"]
+
+
+def standing(windows: Windows) -> FloatArray:
+    """(M, 3, 3) an attitude error that stands still in the body: no torque, but it leans the momentum."""
+    return np.tile(np.eye(3), (windows.rows.size, 1, 1))
+
+
+def unresolved(windows: Windows) -> FloatArray:
+    """(M, 3, p) turns by what wheels and torquers may have done between the rows: more or less of the wheels' quick part,
+    and dipoles that hold instead of going straight to the next row.
+
+    The momentum that a jittering wheel has between rows is drawn too smooth; body and wheel jitter against each other,
+    so this looks like another inertia. Nothing where rows are as close as the ticks.
+    """
+    arcs = windows.arcs
+    parts: list[FloatArray] = []
+    if not arcs.resolved:
+        vehicle, axes = arcs.craft.vehicle, np.eye(3)
+        for span in _SPANS:
+            quick = _quick(arcs.wheels_B, span)
+            parts += [arcs.flown(vehicle, wheels_B=quick * axis) - arcs.base for axis in axes if np.any(quick * axis)]
+        moved = np.any(np.diff(arcs.dipole_B_Am2, axis=0) != 0.0, axis=0)
+        parts += [arcs.holding(axis).flown(vehicle) - arcs.base for axis in range(3) if moved[axis]]
+    if not parts:
+        return np.zeros((windows.rows.size, 3, 0))
+    return windows.chained(np.stack(parts, axis=2))
+
+
+def _quick(values: FloatArray, span: int) -> FloatArray:
+    """(N, 3) less the mean of `span` rows; missing values count as zero."""
+    known = np.nan_to_num(values)
+    kernel = np.ones(span) / span
+    padded = np.pad(known, ((span // 2, span // 2), (0, 0)), mode="edge")
+    mean = np.stack([np.convolve(column, kernel, mode="valid") for column in padded.T], axis=1)
+    return np.asarray(known - mean)
+
+
+def plain_torques(windows: Windows) -> dict[tuple[str, str], FloatArray]:
+    """{(condition, frame): (M, 3, p)} turns by torques that no effect makes: with sunlight, orbit and time."""
+    arcs = windows.arcs
+    problem, rows = arcs.problem, arcs.rows[:, 0]
+    r, v, _ = problem.setting.given
+    u = argument_of_latitude(problem.time, r, v)[rows]
+    t = problem.setting.seconds[rows]
+    t = (t - t.mean()) / max(float(np.ptp(t)), 1.0)
+    light = (problem.setting.illumination[rows] > 0.5).astype(np.float64)
+    courses = {
+        "none": [np.ones(rows.size)],
+        "orbit_phase": [f(k * u) for k in (1, 2) for f in (np.cos, np.sin)],
+        "time": [t, t**2],
+        "sunlit": [light - light.mean()],
+    }
+    frames = {
+        "body": arcs.track[rows].inv().as_matrix(),
+        "orbital": problem.setting.R_ON[rows].inv().as_matrix(),
+        "inertial": np.tile(np.eye(3), (rows.size, 1, 1)),
+    }
+    made = {}
+    for condition, values in courses.items():
+        for frame, axes in frames.items():
+            impulse = np.concatenate([axes * (value * arcs.seconds)[:, None, None] for value in values], axis=2)
+            made[condition, frame] = windows.chained(arcs.pushed(slice(None), impulse))
+    return made
+
+
+def shared_candidates(windows: Windows, candidates: Sequence[Candidate], on: Sequence[Active]) -> list[Candidate]:
+    """The candidates of the readings that turn the recorded attitude or move the orbit, with their image in the balance."""
+    found = []
+    for candidate in candidates:
+        if candidate.effect.stage in ("attitude", "orbit"):
+            zero = np.zeros(len(candidate.effect.parameters))
+            image = _candidate(candidate.effect, image_of(windows, candidate.effect, on, zero))
+            found.append(Candidate(candidate.effect, image.jacobian, image.live & candidate.live))
+    return [one for one in found if one.live.any()]

@@ -1,0 +1,1 @@
+"""Causes that are known by their own shape, and structure that a residual keeps."""

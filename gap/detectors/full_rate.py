@@ -1,0 +1,108 @@
+"""What only the full rate shows: fast lines, single wrong readings, and the noise from one reading to the next.
+
+A long record is diagnosed on evenly spaced rows: what is slow is all there. One contiguous stretch at the full rate
+then shows the rest, beside the fit that was found. Its noise is chosen anew, with only that fit as design: slow
+structure counts as noise there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fluxtwin.gap.detectors.flexible import FlexibleFinding, wheel_line
+from fluxtwin.gap.detectors.tones import Tone, strongest_tone
+from fluxtwin.gap.hypotheses.candidates import derivative, in_order
+from fluxtwin.gap.linear.leftover import Leftover, leftover
+from fluxtwin.gap.noise.budget import prior_of
+from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, Whitener, complete_budget, select_noise, whitener_of
+from fluxtwin.gap.problem.problem import Problem, pose, realigned
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.effects.chain import Active
+from fluxtwin.sim.telemetry.record import Telemetry
+
+MOST_ROWS = 60_000
+"""Of the stretch: its Jacobians, their whitened and orthonormal copies take about a third of a gigabyte."""
+_SURE = 5e-4
+
+
+@dataclass(frozen=True, eq=False)
+class FullRate:
+    """The stretch beside the fit; n rows."""
+
+    problem: Problem
+    noise: NoiseModel
+    robust: RobustRows
+    whitener: Whitener
+    residual_nT: FloatArray
+    """(n, 3) beside everything that was fitted on the evenly spaced rows."""
+    fitted_nT: FloatArray
+    """(n, 3, q) its Jacobian."""
+    left: Leftover
+    tone: Tone
+    slow_Hz: float
+    """Highest frequency that the evenly spaced rows show as it is."""
+
+    @property
+    def has_line(self) -> bool:
+        """A line too fast for the evenly spaced rows."""
+        return self.tone.frequency_Hz > self.slow_Hz and self.tone.log10_p < np.log10(_SURE)
+
+    def line(self) -> FlexibleFinding | None:
+        """The line, if it is that of a wheel."""
+        found = wheel_line(self.problem.setting, self.left, self.tone) if self.has_line else None
+        return found if found is not None and found.confirmed else None
+
+
+def full_rate(
+    whole: Telemetry, problem: Problem, modelled: Sequence[Active], chosen: Sequence[Active]
+) -> FullRate | None:
+    """Look at the middle of a record at its full rate; None where what was found holds for the thinned rows only.
+
+    problem: that of the thinned rows; modelled, chosen: what was fitted there.
+    """
+    if any(hasattr(effect, "sequence") and effect.sequence for effect, _ in chosen):
+        return None
+    setting = problem.setting
+    near = _stretch(whole, problem, modelled, chosen)
+    active = in_order([*near.frozen, *modelled, *chosen])
+    residual = near.residual_of(active)
+    places = [n for n, (effect, _) in enumerate(active) if any(effect is one for one, _ in (*modelled, *chosen))]
+    parts = [derivative(near.design, active, place) for place in places]
+    fitted = np.concatenate(parts, axis=2) if parts else np.zeros((near.rows, 3, 0))
+    noise, robust = select_noise(
+        near.judged(residual),
+        [near.judged(fitted)],
+        near.noise_image_nT,
+        near.setting.seconds,
+        near.segment,
+        prior_of(complete_budget(near)),
+        None if near.axes is None else near.measured,
+    )
+    whitener = whitener_of(near, noise, robust.weights)
+    left = leftover(whitener, residual, fitted)
+    tone = strongest_tone(near.setting.seconds, left)
+    slow_Hz = 0.5 / float(np.median(np.diff(setting.seconds)))
+    return FullRate(near, noise, robust, whitener, residual, fitted, left, tone, slow_Hz)
+
+
+def _stretch(whole: Telemetry, problem: Problem, modelled: Sequence[Active], chosen: Sequence[Active]) -> Problem:
+    """The same problem on the middle rows of a record, about the same parameters."""
+    first = max((len(whole) - MOST_ROWS) // 2, 0)
+    near = pose(
+        whole.select(slice(first, first + MOST_ROWS)),
+        problem.setting.model,
+        modelled=[effect.name for effect in problem.modelled],
+        budget=problem.budget,
+        instrument=problem.setting.instrument,
+        frozen=problem.frozen,
+    )
+    thetas = {effect.name: theta for effect, theta in modelled}
+    near = replace(
+        near,
+        modelled=problem.modelled,
+        modelled_theta=tuple(np.asarray(thetas[effect.name]) for effect in problem.modelled),
+    )
+    return realigned(near, beside=[*modelled, *chosen])

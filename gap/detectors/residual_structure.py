@@ -1,0 +1,209 @@
+"""What is left once calibration and the named effects are out: is there structure, and what does it look like?
+
+Five ways to look, all judged by one criterion: blocks of columns, one line of any frequency (three-axis periodogram), one
+step (cumulated sums), drift (energy of block means at growing lengths), and parameters of their own for each part of the
+record (Chow 1960, Econometrica 28, 591).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from fluxtwin.gap.detectors.tones import TONE_DEGREES, strongest_tone
+from fluxtwin.gap.hypotheses.blocks import Block, blocks, step_block
+from fluxtwin.gap.hypotheses.evidence import Fit, fit, fit_all
+from fluxtwin.gap.linear.leftover import Leftover, Whitens, leftover, log10_sf_f
+from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.gap.selection.criterion import THRESHOLD, worth
+from fluxtwin.sim.base.types import FloatArray
+
+NOISE_TOLERANCE = 1.15**2
+"""How much larger the noise energy at long scales may be than at short ones before it is called drift: the slow
+part of the attitude error, which the whitening cannot know better than to 15 % rms."""
+_PARTS = (2, 5)
+_LEAST_LEFT = 1e-6  # of its energy that a direction must have beside what is fitted
+
+
+@dataclass(frozen=True)
+class Left:
+    """The finding of most worth in a residual."""
+
+    worth: float
+    drop: float
+    """Of chi-square, by the finding."""
+    kind: str
+    """`block`, `tone`, `step`, `drift`, `parts` or `none`."""
+    words: str
+    condition: str | None = None
+    frame: str | None = None
+    label: str = ""
+    """Which variant of the condition."""
+    step_s: float | None = None
+    """Likeliest moment of a step, from the first stamp."""
+
+    rank: int = 0
+    log_tried: float = 0.0
+
+    @property
+    def structured(self) -> bool:
+        return self.worth > THRESHOLD
+
+    def beyond(self, wider: float, samples: float) -> float:
+        """Worth where noise and shape error together have so many times the variance of the noise."""
+        return worth(self.drop / wider, self.rank, samples, self.log_tried) if self.rank else self.worth / wider
+
+
+def what_is_left(
+    problem: Problem,
+    whitener: Whitens,
+    residual_nT: FloatArray,
+    fitted: FloatArray,
+    *,
+    found: Sequence[Block] | None = None,
+) -> Left:
+    """Search a residual for structure.
+
+    residual_nT (N, 3): reading less the best prediction; fitted (N, 3, q): Jacobian of everything that was fitted,
+    calibration included. Both in nT; they are whitened here. found: blocks made before for this design.
+    """
+    left = leftover(whitener, residual_nT, fitted)
+    return judge(problem, left, fit_all(blocks(problem) if found is None else found, left))
+
+
+def judge(
+    problem: Problem,
+    left: Leftover,
+    fits: Sequence[Fit],
+    own: FloatArray | None = None,
+    variance: float | None = None,
+) -> Left:
+    """As `what_is_left`, from fits of blocks that are at hand.
+
+    own (N, 3, p): whitened columns of the named effects, which keep their parameters or not. variance: of whitened rows,
+    default that of the residual.
+    """
+    unit = left.energy / left.degrees if variance is None else variance
+    seconds, samples = problem.setting.seconds, left.degrees / 3.0
+    tried = float(np.log(max(len(fits), 1)))
+
+    def clue(kind: str, gain: float, rank: int, log_tried: float, words: str, block: Block | None = None) -> Left:
+        drop = gain / unit
+        value = worth(drop, rank, samples, log_tried)
+        if block is None:
+            return Left(value, drop, kind, words, rank=rank, log_tried=log_tried)
+        return Left(value, drop, kind, words, block.condition, block.frame, block.label, rank=rank, log_tried=log_tried)
+
+    clues: list[Left] = []
+    for one in fits:
+        (_, gain, rank), block = one.f_test(left), one.block
+        frame = f", coherent in the {block.frame} frame" if block.frame else ""
+        clues.append(clue("block", gain, rank, tried, f"structure that follows {block.label}{frame}", block))
+    tone = strongest_tone(seconds, left)
+    if tone.frequency_Hz > 0:
+        cycles = max(float(seconds[-1] - seconds[0]) / (2.0 * float(np.median(np.diff(seconds)))), 1.0)
+        words = f"a line at a period of {1 / tone.frequency_Hz:.0f} s"
+        clues.append(clue("tone", tone.explained, TONE_DEGREES, float(np.log(cycles)), words))
+    _, step_s = step(seconds, left)
+    jump = step_block(problem, step_s)
+    _, gain, rank = fit(jump, left).f_test(left)
+    words = f"a step {step_s:.0f} s after the first sample"
+    clues.append(replace(clue("step", gain, rank, float(np.log(seconds.size)), words), condition="after_time"))
+    log10_p, excess = drift(left)
+    words = "slow wandering that follows no condition"
+    clues.append(Left(-2.0 * log10_p * float(np.log(10.0)), excess, "drift", words, "time"))
+    if own is not None and own.shape[2]:
+        for count, (gain, rank) in zip(_PARTS, _parts(left, own), strict=True):
+            words = f"the parameters differ between the {count} parts of the record"
+            clues.append(replace(clue("parts", gain, rank, float(np.log(len(_PARTS))), words), condition="time"))
+    best = max(clues, key=lambda clue: clue.worth)
+    if best.worth <= THRESHOLD:
+        best = Left(best.worth, 0.0, "none", "nothing structured is left")
+    return replace(best, step_s=step_s)
+
+
+def _parts(left: Leftover, own: FloatArray) -> list[tuple[float, int]]:
+    """What parameters of their own for each of two, or five, parts explain, and their number."""
+    found = []
+    for count in _PARTS:
+        rows = np.array_split(np.arange(len(own)), count)[:-1]
+        cut = np.concatenate([_only(own, part) for part in rows], axis=1)
+        size = np.linalg.norm(cut, axis=0)
+        cut = cut[:, size > 0] / size[size > 0]
+        for _ in range(2):  # the second pass removes the rounding of the first
+            cut = cut - left.basis @ (left.basis.T @ cut)
+        values, vectors = np.linalg.eigh(cut.T @ cut)
+        live = values > _LEAST_LEFT
+        gain = float(np.sum((vectors[:, live].T @ (cut.T @ left.residual)) ** 2 / values[live]))
+        found.append((gain, int(live.sum())))
+    return found
+
+
+def _only(columns: FloatArray, rows: NDArray[np.intp]) -> FloatArray:
+    """(3M, p) the columns with nothing outside some rows."""
+    part = np.zeros_like(columns)
+    part[rows] = columns[rows]
+    return part.reshape(-1, columns.shape[2])
+
+
+def step(seconds: FloatArray, left: Leftover) -> tuple[float, float]:
+    """p-value of a step and its likeliest moment.
+
+    Cumulated sums of the whitened residual, one an axis, against the largest excursion of a Brownian bridge
+    (Kolmogorov's law), times three axes. The projection of the fitted columns only lowers them.
+    """
+    series = left.residual.reshape(-1, 3)
+    rows = series.shape[0]
+    scale = np.sqrt(max(left.energy / left.degrees, 1e-300) * rows)
+    bridge = np.cumsum(series - series.mean(axis=0), axis=0) / scale
+    p = 3 * float(stats.kstwobign.sf(np.abs(bridge).max(axis=0).max()))
+    share = (np.arange(rows) + 1.0) / rows
+    inside = (share > 0.02) & (share < 0.98)
+    score = np.sum(bridge**2, axis=1) / np.where(inside, share * (1 - share), np.inf)
+    row = min(int(np.argmax(score)) + 1, rows - 1)
+    return min(p, 1.0), float(seconds[row])
+
+
+def drift(left: Leftover) -> tuple[float, float]:
+    """log10 p-value of too much energy at long scales, and the excess.
+
+    Means over blocks of 4, 16, 64, ... samples (an Allan-like scale) hold a known share of the energy of white
+    noise; the fitted columns' share is taken out exactly. F against the rest, less a tolerance.
+    """
+    series = left.residual.reshape(-1, 3)
+    rows = series.shape[0]
+    lengths = [length for length in (4**n for n in range(1, 10)) if rows // length >= 6]
+    found = [(0.0, 0.0)]
+    for length in lengths:
+        means = _block_means(series, length)
+        basis = _block_means(left.basis.reshape(rows, 3, -1), length)
+        degrees = _block_degrees(left, means.size, length) - float(np.sum(basis**2))
+        energy = float(np.sum(means**2))
+        spare = left.degrees - degrees
+        if degrees < 3 or spare < 10:
+            continue
+        rest = max((left.energy - energy) / spare, 1e-300)
+        ratio = (energy / degrees) / rest / NOISE_TOLERANCE
+        if ratio > 1:
+            found.append((log10_sf_f(ratio, degrees, spare), energy / max(rest, 0.25) - degrees * NOISE_TOLERANCE))
+    log10_p, excess = min(found)
+    return min(float(log10_p + np.log10(max(len(lengths), 1))), 0.0), excess
+
+
+def _block_degrees(left: Leftover, most: int, length: int) -> float:
+    """Degrees of freedom of the block means of white noise; less than `most` where components are not measured."""
+    weights = getattr(left.whitener, "weights", None)
+    if weights is None:
+        return float(most)
+    return float(np.sum(_block_means((weights > 0).astype(float), length))) / float(np.sqrt(length))
+
+
+def _block_means(series: FloatArray, length: int) -> FloatArray:
+    """Sums over blocks of rows over the root of their length: orthonormal combinations."""
+    count = series.shape[0] // length
+    grouped = series[: count * length].reshape(count, length, *series.shape[1:])
+    return np.asarray(grouped.sum(axis=1) / np.sqrt(length))

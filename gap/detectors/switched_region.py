@@ -1,0 +1,230 @@
+"""A field that is on only where it is dark and only over a part of the Earth: the box is found in the residual.
+
+Boxes of latitude and longitude are tried by night and in shadow over all places that the record passes, and the best is
+refined edge by edge. Any patch of wrong field looks a little like that, so the name is given only if the same box by
+day has nothing of it (a field of the Earth's own is there by day too), if the field is one in body axes, and if no
+block of columns does as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fluxtwin.gap.detectors.flexible import FlexibleFinding
+from fluxtwin.gap.detectors.waveform_checks import gains, halves, varies
+from fluxtwin.gap.hypotheses.candidates import derivatives
+from fluxtwin.gap.hypotheses.evidence import Fit
+from fluxtwin.gap.linear.leftover import Leftover, log10_sf_f, orthonormal
+from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.effects.signal import Setting
+from fluxtwin.sim.effects.switched_field import SwitchedField
+
+_DARK = ("night", "eclipse")
+_HALF_SIZES_DEG = (12.0, 20.0)
+_MOVES_DEG = (1.0, 3.0, 9.0)
+_ROUNDS = 6
+_FEWEST_ROWS = 20
+_FEWEST_TIMES = 2
+"""Separate passes through the box on which the field must have been on."""
+_PASS_S = 1800.0
+_LOG_CERTAIN = 10.0
+_SEEN = 1e-3
+"""Of the best seen direction of the field: what is seen less has no value of its own."""
+_DAY_P = 0.01
+_MOST_OF_DARK = 0.5
+"""Share of the dark rows that a region may have: beyond it, it is not the place that matters."""
+
+Box = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where the rows are, in deg."""
+
+    latitude: FloatArray
+    longitude: FloatArray
+    dark: dict[str, BoolArray]
+
+    def inside(self, box: Box) -> BoolArray:
+        """(N,) rows whose ground point lies in the box."""
+        south, north, west, east = box
+        turn = np.mod(self.longitude - west, 360.0)
+        return np.asarray((self.latitude >= south) & (self.latitude <= north) & (turn <= np.mod(east - west, 360.0)))
+
+
+@dataclass(frozen=True)
+class _Trial:
+    condition: str
+    box: Box
+    gain: float
+
+    @property
+    def effect(self) -> SwitchedField:
+        return SwitchedField(self.condition, region_deg=self.box)
+
+
+def switched_region(problem: Problem, left: Leftover, rivals: Sequence[Fit]) -> FlexibleFinding | None:
+    """Look for a field switched on in the dark over a region; None where nothing like it is there.
+
+    left: whitened residual with what was fitted out; rivals: fits of the design's blocks to it.
+    """
+    place = _place(problem.setting)
+    search = _Search(left, place)
+    best = search.best()
+    if best is None:
+        return None
+    on = search.rows_on(best)
+    images = derivatives(problem, [(best.effect, np.zeros(3))])
+    field, sigma, gain, variance = _field(left, images)
+    # Four edges are estimated beside the field, and every box that was tried counts.
+    worth = 0.5 * gain / variance - 3.5 * np.log(left.degrees) - np.log(search.tried)
+    if worth < _LOG_CERTAIN:
+        return None
+    faults = _rivals(gain, variance, left, rivals)
+    if _times(problem.setting.seconds, on) < _FEWEST_TIMES:
+        faults.append("it was there on one pass only")
+    faults += _by_day(left, images, place.inside(best.box) & ~on)
+    faults += varies(left, images, halves(problem.setting))
+    spare = max(left.degrees - 7, 1)
+    log10_p = log10_sf_f(gain / 7.0 / variance, 7, spare) + np.log10(search.tried)
+    words = f"a field by {best.condition}, {best.effect.region_words}" + (
+        f"; but {', '.join(faults)}" if faults else ""
+    )
+    parameters = {f"f_{a}": (float(v), float(s), "nT") for a, v, s in zip("xyz", field, sigma, strict=True)}
+    p_value = float(min(1.0, 10.0 ** max(log10_p, -300.0)))
+    return FlexibleFinding("switched_field", parameters, p_value, not faults, words, best.effect)
+
+
+class _Search:
+    """The boxes that were tried, and what each explains."""
+
+    def __init__(self, left: Leftover, place: _Place) -> None:
+        self.left, self.place, self.tried = left, place, 0
+        self._known: dict[bytes, float] = {}
+
+    def rows_on(self, trial: _Trial) -> BoolArray:
+        """(N,) rows in which the field is on."""
+        return np.asarray(self.place.inside(trial.box) & self.place.dark[trial.condition])
+
+    def best(self) -> _Trial | None:
+        """The box that explains most, refined edge by edge."""
+        found = [trial for trial in (self._trial(*each) for each in _coarse(self.place)) if trial.gain > 0]
+        if not found:
+            return None
+        best = max(found, key=lambda trial: trial.gain)
+        for _ in range(_ROUNDS):
+            moved = max((self._trial(best.condition, box) for box in _moved(best.box)), key=lambda trial: trial.gain)
+            if moved.gain <= best.gain + 1e-9:
+                break
+            best = moved
+        other = [self._trial(condition, best.box) for condition in self.place.dark]
+        best = max([best, *other], key=lambda trial: trial.gain)
+        return replace(best, box=_snug(self.place, best.box, self.rows_on(best)))
+
+    def _trial(self, condition: str, box: Box) -> _Trial:
+        trial = _Trial(condition, box, 0.0)
+        on = self.rows_on(trial)
+        if not _FEWEST_ROWS <= on.sum() <= _MOST_OF_DARK * self.place.dark[condition].sum():
+            return trial
+        key = on.tobytes()
+        if key not in self._known:
+            self.tried += 1
+            columns, _ = self.left.project(on.astype(float)[:, None, None] * np.eye(3))
+            self._known[key] = float(np.sum((orthonormal(columns).T @ self.left.residual) ** 2))
+        return replace(trial, gain=self._known[key])
+
+
+def _place(setting: Setting) -> _Place:
+    latitude, longitude = (np.degrees(a) for a in frames.geocentric(setting.R_EN.apply(setting.given[0]))[:2])
+    dark = {}
+    for condition in _DARK:
+        on = SwitchedField(condition).on(setting)
+        if on is not None and 0.0 < on.mean() < 1.0:
+            dark[condition] = np.asarray(on > 0.5)
+    return _Place(latitude, longitude, dark)
+
+
+def _coarse(place: _Place) -> Iterator[tuple[str, Box]]:
+    """Boxes of two sizes, half a box apart, over all places that the record passes in the dark.
+
+    Night and shadow hardly differ: which of them it is, is asked when the box is found.
+    """
+    for condition, dark in list(place.dark.items())[:1]:
+        for half in _HALF_SIZES_DEG:
+            cells = {
+                (round(float(a) / half), round(float(b) / half))
+                for a, b in zip(place.latitude[dark], place.longitude[dark], strict=True)
+            }
+            for row, column in sorted(cells):
+                latitude = row * half
+                wide = min(half / max(np.cos(np.radians(latitude)), 0.2), 90.0)
+                yield condition, _box(latitude - half, latitude + half, column * half - wide, column * half + wide)
+
+
+def _box(south: float, north: float, west: float, east: float) -> Box:
+    return (max(south, -90.0), min(north, 90.0), west, east)
+
+
+def _moved(box: Box) -> Iterator[Box]:
+    """The box with one edge moved."""
+    for edge in range(4):
+        for move in (*_MOVES_DEG, *(-m for m in _MOVES_DEG)):
+            south, north, west, east = (value + (move if place == edge else 0.0) for place, value in enumerate(box))
+            if south < north and west < east < west + 360.0:
+                yield _box(south, north, west, east)
+
+
+def _snug(place: _Place, box: Box, on: BoolArray) -> Box:
+    """The box that just holds its rows: of what lies beyond the record knows nothing."""
+    latitude = place.latitude[on]
+    eastward = box[2] + np.mod(place.longitude[on] - box[2], 360.0)
+    west, east = np.floor(eastward.min()), np.ceil(eastward.max())
+    shift = 360.0 * np.floor((west + 180.0) / 360.0)
+    edges = (np.floor(latitude.min()), np.ceil(latitude.max()), west - shift, east - shift)
+    south, north, west, east = (float(edge) for edge in edges)
+    return (south, north, west, east)
+
+
+def _field(left: Leftover, images: FloatArray) -> tuple[FloatArray, FloatArray, float, float]:
+    """The field (3,), its sigma (NaN of a component that is not seen), energy explained and variance of the rest."""
+    free, _ = left.project(images)
+    values, vectors = np.linalg.eigh(free.T @ free)
+    good = values > _SEEN * values[-1]
+    inverse = (vectors[:, good] / values[good]) @ vectors[:, good].T
+    moment = free.T @ left.residual
+    field = inverse @ moment
+    gain = float(moment @ inverse @ moment)
+    variance = (left.energy - gain) / max(left.degrees - 7, 1)
+    sigma = np.sqrt(variance * np.diag(inverse))
+    seen = np.sum(vectors[:, good] ** 2, axis=1) > 0.99
+    return field, np.where(seen, sigma, np.nan), gain, variance
+
+
+def _rivals(gain: float, variance: float, left: Leftover, rivals: Sequence[Fit]) -> list[str]:
+    """A block that explains as much, each parameter at the price of BIC."""
+    price = np.log(left.degrees)
+    for one in rivals:
+        _, explained = one.modes()
+        if float(explained.sum()) / variance - explained.size * price > gain / variance - 7.0 * price:
+            return [f"{one.block.label} does as well"]
+    return []
+
+
+def _times(seconds: FloatArray, on: BoolArray) -> int:
+    """Separate passes through the box."""
+    at = seconds[on]
+    return 1 + int(np.sum(np.diff(at) > _PASS_S)) if at.size else 0
+
+
+def _by_day(left: Leftover, images: FloatArray, day: BoolArray) -> list[str]:
+    """What speaks against darkness: no rows by day, or a field there by day too."""
+    if day.sum() < _FEWEST_ROWS:
+        return ["the record has no pass over it by day, so a field of the Earth's own would look the same"]
+    columns = day.astype(float)[:, None, None] * np.eye(3)
+    p, share = gains(left, images, np.concatenate([images, columns], axis=2))
+    return ["it is there by day as well"] if p < _DAY_P and share > 0.1 else []

@@ -1,0 +1,1 @@
+"""How far the gap closes on samples that were not fitted, and on other designs."""

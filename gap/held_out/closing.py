@@ -1,0 +1,259 @@
+"""Closing the loop: the named effects as sections of a scenario, so that the simulation has them too."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fluxtwin.gap.hypotheses.candidates import in_order
+from fluxtwin.gap.records.closure import Closure
+from fluxtwin.gap.records.diagnosis import Transfer
+from fluxtwin.gap.selection.refit import refit
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.effects.base import Effect, SignalEffect
+from fluxtwin.sim.effects.chain import Active, Chain
+from fluxtwin.sim.scenario.effect_sections import effect_section
+from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
+from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
+
+_CALIBRATION = ("bias", "scale_misalignment", "torquer_coupling")
+_ROUNDS = 2
+_RATIOS = (1.5, 1.25, 1.12, 1.25)
+"""Steps of a search; the last is also how far to either side a setting is taken to be unsure."""
+
+
+@dataclass(frozen=True, eq=False)
+class Closed:
+    """What the closed scenario says: eq. 1's S, b, T, and the effects beside them."""
+
+    instrument: Magnetometer
+    modelled: tuple[Active, ...]
+    """Other effects that were re-estimated."""
+    named: tuple[tuple[SignalEffect, FloatArray, FloatArray], ...]
+    """Effects as pinned (nothing is taken from the record any more), parameters (p,), covariance (p, p)."""
+
+
+@dataclass(frozen=True)
+class Declared:
+    """What the command was told of noise and field; None where it was found in the data, or is the default."""
+
+    noise_nT: float | None = None
+    lsb_nT: float | None = None
+    attitude_sigma_deg: float | None = None
+    attitude_tau_s: float | None = None
+    field: str | None = None
+    degree: int | None = None
+
+
+def refined(closure: Closure) -> Closure:
+    """The closure with settings between those that the search tries (a time constant), where the data prefer one."""
+    problem, whitener, modelled = closure.problem, closure.whitener, closure.modelled
+    chosen, alternatives = list(closure.chosen), list(closure.alternatives)
+    for number, (effect, _) in enumerate(closure.chosen):
+        if effect.between(problem.setting, 1.0) is None:
+            continue
+        best = refit(problem, whitener, chosen, modelled=modelled)
+        for ratio in _RATIOS:
+            for step in (ratio, 1.0 / ratio):
+                moved = best.chosen[number][0].between(problem.setting, step)
+                assert moved is not None
+                start = [(moved, pair[1]) if place == number else pair for place, pair in enumerate(best.chosen)]
+                trial = refit(problem, whitener, start, modelled=best.modelled)
+                best = trial if trial.chi2 < best.chi2 else best
+        chosen, modelled = list(best.chosen), best.modelled
+        near = [chosen[number][0].between(problem.setting, step) for step in (_RATIOS[-1], 1.0 / _RATIOS[-1])]
+        alternatives[number] = (*(one for one in near if isinstance(one, SignalEffect)), *alternatives[number])
+    return dataclasses.replace(closure, chosen=tuple(chosen), modelled=modelled, alternatives=tuple(alternatives))
+
+
+def settle(closure: Closure) -> Closed:
+    """S, b and T with what was re-estimated, and the effects refitted beside the magnetometer that these make.
+
+    The effects of a sensor act through its matrix, so a change of S changes them a little: hence the second fit.
+    """
+    problem, chosen, modelled = closure.problem, closure.chosen, closure.modelled
+    covariances: list[FloatArray] = []
+    for number in range(_ROUNDS):
+        problem = dataclasses.replace(
+            problem,
+            chain=Chain(
+                dataclasses.replace(problem.setting, instrument=_corrected(problem.setting.instrument, modelled))
+            ),
+            modelled_theta=tuple(_rest(effect, theta) for effect, theta in modelled),
+        )
+        modelled = problem.modelled_active
+        if not chosen or number == _ROUNDS - 1:
+            break
+        fit = refit(problem, closure.whitener, chosen, modelled=modelled)
+        chosen, modelled = fit.chosen, fit.modelled
+        covariances = [fit.covariance[part, part] * max(closure.variance, 1.0) for part in fit.slices()]
+    named = []
+    for (effect, theta), covariance in zip(chosen, covariances, strict=True):
+        assert isinstance(effect, SignalEffect)
+        named.append((_pinned(problem.chain, effect, [*problem.frozen, *modelled, *chosen]), theta, covariance))
+    others = tuple(pair for pair in modelled if pair[0].name not in _CALIBRATION)
+    return Closed(problem.setting.instrument, others, tuple(named))
+
+
+def closed_scenario(
+    closure: Closure,
+    closed: Closed,
+    transfers: Sequence[Transfer],
+    scenario: Scenario | None,
+    telemetry: Path,
+    column_map: Path | None,
+    declared: Declared,
+) -> Scenario:
+    """The scenario with the named effects, their parameters and covariance in it, and where they hold.
+
+    Without a scenario one is made that replays the telemetry, with the noise that was declared, else found.
+    S, b and T take what was re-estimated beside the effects.
+    Raises NoAnswer when nothing was named, BadInput when the scenario has the same effect with other settings.
+    """
+    if closure.empty:
+        raise NoAnswer("no effect was named, so there is nothing to put into a scenario")
+    base = _replaying(closure, telemetry, column_map) if scenario is None else scenario
+    frozen = {effect.name: (effect, theta) for effect, theta in closure.problem.frozen}
+    changes: dict[str, Any] = _files(base)
+    added: list[tuple[Effect, FloatArray, FloatArray | None]] = [(e, theta, None) for e, theta in closed.modelled]
+    added += [(effect, theta, covariance) for effect, theta, covariance in closed.named]
+    added += [(one.effect, one.theta, _diagonal(one.sigma)) for one in closure.stochastic]
+    for effect, theta, covariance in added:
+        whole = _with_frozen(frozen, effect, theta)
+        changes[f"effects.{effect.name}"] = effect_section(effect, whole, _finite(covariance))
+    changes |= _calibration(closure, closed.instrument)
+    if scenario is None:
+        changes |= _noise(closure, declared)
+    changes["closure"] = _closure_table(closure, transfers, telemetry)
+    return base.updated(changes)
+
+
+def _corrected(old: Magnetometer, modelled: Sequence[Active]) -> Magnetometer:
+    """S, b, T with the re-estimated corrections: bias and scale add to b and S exactly, a coupling C is -T."""
+    found = {effect.name: theta for effect, theta in modelled}
+    S, b, T = np.array(old.S), np.array(old.b_nT), old.T_nT_per_Am2
+    if "scale_misalignment" in found:
+        S = S + found["scale_misalignment"].reshape(3, 3)
+    if "bias" in found:
+        b = b + found["bias"]
+    if "torquer_coupling" in found:
+        T = (np.zeros((3, 3)) if T is None else np.array(T)) - found["torquer_coupling"].reshape(3, 3)
+    return dataclasses.replace(old, S=S, b_nT=b, T_nT_per_Am2=T)
+
+
+def _rest(effect: Effect, theta: FloatArray) -> FloatArray:
+    """What is left of a modelled effect once eq. 1 has taken it."""
+    return np.zeros_like(theta) if effect.name in _CALIBRATION else theta
+
+
+def _pinned(chain: Chain, effect: SignalEffect, active: Sequence[Active]) -> SignalEffect:
+    others = [pair for pair in active if pair[0] is not effect]
+    pinned = effect.pinned(chain.setting, chain.reading_nT(in_order(others)))
+    assert isinstance(pinned, SignalEffect)
+    return pinned
+
+
+def _with_frozen(frozen: Mapping[str, Active], effect: Effect, theta: FloatArray) -> FloatArray:
+    """What the scenario had already and what was found beside it, together."""
+    if effect.name not in frozen:
+        return theta
+    had, amount = frozen[effect.name]
+    if had != effect:
+        raise BadInput(
+            f"the scenario has [effects.{effect.name}] with other settings than what was found beside it",
+            where="--close",
+            wanted="a scenario without that effect",
+        )
+    return np.asarray(amount + theta)
+
+
+def _calibration(closure: Closure, instrument: Magnetometer) -> dict[str, Any]:
+    changes: dict[str, Any] = {}
+    if closure.theta_of("scale_misalignment") is not None:
+        changes["magnetometer.S"] = np.asarray(instrument.S).tolist()
+    if closure.theta_of("bias") is not None:
+        changes |= {"magnetometer.b_mG": None, "magnetometer.b_nT": np.asarray(instrument.b_nT).tolist()}
+    if closure.theta_of("torquer_coupling") is not None and instrument.T_nT_per_Am2 is not None:
+        changes["magnetometer.T_nT_per_Am2"] = np.asarray(instrument.T_nT_per_Am2).tolist()
+    return changes
+
+
+def _files(base: Scenario) -> dict[str, Any]:
+    """Files that the scenario names, found from any folder."""
+    named = {"orbit.tle": base.orbit and base.orbit.tle}
+    if base.replay is not None:
+        named |= {"replay.telemetry": base.replay.telemetry, "replay.column_map": base.replay.column_map}
+    return {key: str(base.path_of(name).resolve()) for key, name in named.items() if name}
+
+
+def _noise(closure: Closure, declared: Declared) -> dict[str, Any]:
+    """Noise, reference attitude and field of a scenario that had none of them."""
+    noise, lsb_nT = closure.whitener.noise, declared.lsb_nT or 0.0
+    white_nT = declared.noise_nT
+    if white_nT is None:
+        extra = sum(float(one.theta[0]) ** 2 for one in closure.stochastic if one.effect.name == "excess_noise")
+        rest = float(np.mean(noise.white_nT**2)) - lsb_nT**2 / 12.0 - extra
+        white_nT = float(np.sqrt(max(rest, 0.0)))
+    sigma_deg = declared.attitude_sigma_deg
+    tau_s = declared.attitude_tau_s
+    changes: dict[str, Any] = {
+        "magnetometer.noise_nT": white_nT,
+        "magnetometer.lsb_nT": lsb_nT,
+        "attitude.reference.sigma_deg": float(np.degrees(noise.theta_rad)) if sigma_deg is None else sigma_deg,
+        "attitude.reference.tau_s": float(noise.tau_s) if tau_s is None else tau_s,
+    }
+    changes |= {key: _absolute(declared.field) for key in ("field.model", "field.truth")}
+    changes |= dict.fromkeys(("field.degree", "field.truth_degree"), declared.degree)
+    return {key: value for key, value in changes.items() if value}
+
+
+def _absolute(field: str | None) -> str | None:
+    """The name of a field model; a file in it is found from any folder."""
+    kind, colon, path = (field or "").partition(":")
+    return f"{kind}:{Path(path).resolve()}" if colon else field
+
+
+def _closure_table(closure: Closure, transfers: Sequence[Transfer], telemetry: Path) -> dict[str, Any]:
+    time = closure.problem.time
+    rows = [
+        {key: _short(value) for key, value in one.to_dict().items() if value not in (None, "")} for one in transfers
+    ]
+    table: dict[str, Any] = {
+        "telemetry": telemetry.name,
+        "from_utc": epoch.iso(time[0], "ms"),
+        "to_utc": epoch.iso(time[-1], "ms"),
+        "rows": closure.problem.rows,
+        "transfer": rows,
+    }
+    return table if closure.incomplete is None else {**table, "incomplete": closure.incomplete}
+
+
+def _short(value: Any) -> Any:
+    return float(f"{value:.3g}") if isinstance(value, float) else value
+
+
+def _replaying(closure: Closure, telemetry: Path, column_map: Path | None) -> Scenario:
+    mapped = "" if column_map is None else f"column_map = {str(column_map.resolve())!r}\n"
+    name = closure.problem.telemetry.provenance.get("spacecraft") or telemetry.stem
+    base = parse_scenario(
+        f'name = "closed"\nseed = 1\n[spacecraft]\nname = "x"\n'
+        f"[replay]\ntelemetry = {str(telemetry.resolve())!r}\n{mapped}",
+        where="closing",
+    )
+    return base.updated({"spacecraft.name": name})
+
+
+def _finite(covariance: FloatArray | None) -> FloatArray | None:
+    """A covariance without gaps, or none: a parameter that was not estimated has no finite entry."""
+    return covariance if covariance is not None and np.isfinite(covariance).all() else None
+
+
+def _diagonal(sigma: FloatArray) -> FloatArray:
+    return np.diag(np.square(sigma))

@@ -1,0 +1,252 @@
+"""Discrepancies placed inside the chain: at each stage, under each condition, carried to the reading.
+
+A block is a small set of columns: what the reading would show if the stage's quantity were off by a free vector
+whenever (or in proportion as) the condition holds. Attitude: theta(c) x B. Orbit: A grad(B) dr(c). Time: dt(c)
+dB/dt. Sensor: gain and non-linearity. Spacecraft: a field in body axes. Field: a field in Earth-fixed, inertial
+or local axes. (Kennedy & O'Hagan 2001 put one discrepancy at the output; here every stage has its own.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from fluxtwin.gap.hypotheses.conditions import Condition, after, always, conditions, regions
+from fluxtwin.gap.hypotheses.perturbed_design import Shaken, steady
+from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.field import design_matrix_E, field_gradient_E_nT_km
+from fluxtwin.sim.effects.chain import jacobian
+from fluxtwin.sim.effects.time_tag_offset import TimeTagOffset
+
+STAGES = ("time", "orbit", "field", "attitude", "spacecraft", "sensor")
+"""Where a discrepancy of this kind can lie; dynamics and telemetry have none."""
+_FIELD_DEGREES = (1, 3, 6, 10)
+_LONG = 50_000  # rows from which the highest degrees are left out: their columns would fill the memory
+
+
+@dataclass(frozen=True)
+class Block:
+    """One hypothesis about where something is off, and when."""
+
+    stages: Mapping[str, float]
+    """The stages it may belong to, with their prior shares; more than one where nature could do it at either."""
+    condition: str | None
+    frame: str | None
+    label: str
+    axes: str
+    """One letter a column: x, y, z, or a blank where a column belongs to no axis."""
+    make: Callable[[], FloatArray]
+    """(N, 3, k) columns, in nT per unit; made when wanted, so that long records do not fill the memory."""
+    prior: float = 1.0
+    """Weight against the other blocks of its stage."""
+
+
+class Carrier:
+    """What carries a discrepancy to the reading, for one problem: made once, shared by all blocks."""
+
+    def __init__(self, problem: Problem) -> None:
+        setting = problem.design.setting
+        self.problem, self.rows = problem, problem.rows
+        r, _, R_BN = setting.given
+        self.field_B_nT = problem.design.signal([*problem.frozen, *problem.modelled_active]).field_B_nT
+        r_E_km = setting.R_EN.apply(r)
+        R_BE = R_BN * setting.R_EN.inv()
+        R_NEC_E = frames.rotation_NEC_E(r_E_km)
+        self.turns = {
+            "body": np.broadcast_to(np.eye(3), (self.rows, 3, 3)),
+            "inertial": R_BN.as_matrix(),
+            "earth": R_BE.as_matrix(),
+            "orbital": (R_BN * setting.R_ON.inv()).as_matrix(),
+            "local": (R_BE * R_NEC_E.inv()).as_matrix(),
+        }
+        gradient = field_gradient_E_nT_km(setting.model, setting.time, r_E_km)
+        R_EO = (setting.R_EN * setting.R_ON.inv()).as_matrix()
+        self.displaced_nT_km = self.turns["earth"] @ gradient @ R_EO
+        self.delayed_nT_s = jacobian(problem.design, TimeTagOffset(), at=problem.frozen)[:, :, 0]
+        self._r_E_km = r_E_km
+
+    def additive(self, condition: Condition, frame: str) -> FloatArray:
+        """(N, 3, 3k) a vector in `frame` under the condition."""
+        return _spread(np.asarray(self.turns[frame]), condition.columns)
+
+    def turned(self, condition: Condition, frame: str) -> FloatArray:
+        """(N, 3, 3k) a rotation about the axes of `frame` under the condition: theta x B, in nT per rad."""
+        axes = np.swapaxes(self.turns[frame], 1, 2)
+        turned = np.swapaxes(np.cross(axes, self.field_B_nT[:, None, :]), 1, 2)
+        return _spread(turned, condition.columns)
+
+    def gain(self, condition: Condition) -> FloatArray:
+        """(N, 3, 3k) a scale error of each axis under the condition."""
+        return _spread(np.eye(3) * self.field_B_nT[:, None, :], condition.columns)
+
+    def moved(self, condition: Condition) -> FloatArray:
+        """(N, 3, 3k) an error of position along x, y, z of the orbital frame under the condition."""
+        return _spread(self.displaced_nT_km, condition.columns)
+
+    def late(self, condition: Condition) -> FloatArray:
+        """(N, 3, k) an error of the time under the condition."""
+        late: FloatArray = self.delayed_nT_s[:, :, None] * condition.columns[:, None, :]
+        return late
+
+    def potential(self, degree: int) -> FloatArray:
+        """(N, 3, K) an error of the field model's coefficients up to a degree."""
+        return np.asarray(self.turns["earth"] @ design_matrix_E(degree, self._r_E_km))
+
+    def products(self, power: int) -> FloatArray:
+        """(N, 3, 3m) all products of two or three components in each axis, at 50,000 nT."""
+        x, y, z = (self.field_B_nT / 5e4).T
+        terms = [x * x, y * y, z * z, x * y, x * z, y * z]
+        if power == 3:
+            terms = [x**3, y**3, z**3, x * x * y, x * x * z, y * y * x, y * y * z, z * z * x, z * z * y, x * y * z]
+        return _spread(np.broadcast_to(np.eye(3), (self.rows, 3, 3)), np.stack(terms, axis=1))
+
+    def own_slope(self) -> FloatArray:
+        """(N, 3, 3) the sign of each component's own slope, in its own axis: what hysteresis follows."""
+        return np.asarray(np.eye(3) * np.sign(self.delayed_nT_s)[:, None, :])
+
+    def excess(self) -> FloatArray:
+        """(N, 3, 3) by how much each component is beyond its 80th percentile, in its own axis: what clipping cuts."""
+        size = np.abs(self.field_B_nT)
+        beyond = np.sign(self.field_B_nT) * np.maximum(size - np.quantile(size, 0.8, axis=0), 0.0)
+        return np.asarray(np.eye(3) * beyond[:, None, :])
+
+    def induced(self) -> FloatArray:
+        """(N, 3, 9) the slope of each component of the field in each axis: what eddy currents follow."""
+        return _spread(np.broadcast_to(np.eye(3), (self.rows, 3, 3)), self.delayed_nT_s)
+
+
+def blocks(problem: Problem, *, step_s: float | None = None, shaken: Shaken | None = None) -> tuple[Block, ...]:
+    """All blocks of this design. step_s: a moment (from the first stamp) after which something may have changed;
+    shaken: the design with one more attitude error, if at hand."""
+    carrier = Carrier(problem)
+    setting = problem.design.setting
+    found = steady(shaken or Shaken(problem), conditions(setting))
+    patches = list(regions(setting))
+    if step_s is not None:
+        found.append(after(setting, step_s))
+    constant = always(setting)
+    return (
+        *_additive(carrier, found, patches, constant),
+        *_rotations(carrier, found),
+        *_sensor(carrier, found),
+        *_orbit_and_time(carrier, found, constant),
+        *_field(carrier),
+    )
+
+
+def step_block(problem: Problem, step_s: float) -> Block:
+    """A field in body axes that sets in at a moment, in seconds from the first stamp."""
+    c = after(problem.setting, step_s)
+    columns = c.columns
+    return Block(
+        _BODY_STAGES["after_time"],
+        c.name,
+        "body",
+        c.label,
+        "xyz",
+        lambda: _spread(np.broadcast_to(np.eye(3), (columns.shape[0], 3, 3)), columns),
+    )
+
+
+_BODY_STAGES: Mapping[str | None, Mapping[str, float]] = {
+    "temperature": {"sensor": 0.8, "spacecraft": 0.2},
+    "time": {"sensor": 0.8, "spacecraft": 0.2},
+    "after_time": {"sensor": 0.7, "spacecraft": 0.3},
+    "field_strength": {"sensor": 1.0},
+}
+_DEFAULT_BODY: Mapping[str, float] = {"spacecraft": 0.85, "sensor": 0.15}
+
+
+def _additive(
+    carrier: Carrier, found: list[Condition], patches: list[Condition], constant: Condition
+) -> Iterator[Block]:
+    for c in found:
+        if c.name == "head":
+            continue
+        stages = _BODY_STAGES.get(c.name, _DEFAULT_BODY)
+        yield _block(carrier.additive, c, "body", stages)
+        weight = 0.3 if c.name in ("latitude", "region", "time", "sunlit", "eclipse") else 0.1
+        for frame in ("orbital", "inertial", "earth"):
+            yield _block(carrier.additive, c, frame, {"field": 1.0}, weight, axes=" ")
+    for frame in ("orbital", "inertial", "earth"):
+        yield _block(carrier.additive, constant, frame, {"field": 1.0}, 0.5, axes=" ")
+    for c in patches:
+        few = 4.0 / max(len(patches), 1)
+        yield _block(carrier.additive, c, "body", {"spacecraft": 1.0}, 0.5 * few)
+        yield _block(carrier.additive, c, "local", {"field": 1.0}, few, axes=" ", named="earth")
+
+
+def _rotations(carrier: Carrier, found: list[Condition]) -> Iterator[Block]:
+    for c in found:
+        if c.name in ("torquer", "current", "field_strength"):
+            continue
+        weight = 3.0 if c.name in ("head", "eclipse", "latitude", "time") else 0.7
+        for frame in ("body", "orbital"):
+            yield _block(carrier.turned, c, frame, {"attitude": 1.0}, weight)
+
+
+def _sensor(carrier: Carrier, found: list[Condition]) -> Iterator[Block]:
+    for c in found:
+        if (
+            c.name in ("temperature", "time", "after_time", "sunlit", "orbit_phase", "eclipse")
+            and c.columns.shape[1] <= 4
+        ):
+            yield _block(lambda c, _: carrier.gain(c), c, "body", {"sensor": 1.0})
+    only: Mapping[str, float] = {"sensor": 1.0}
+    for power, weight in ((2, 2.0), (3, 2.0)):
+        terms = 6 if power == 2 else 10
+        label = "products of two components" if power == 2 else "products of three components"
+        yield Block(only, "field_strength", "body", label, "xyz" * terms, partial(carrier.products, power), weight)
+    yield Block({"sensor": 0.8, "spacecraft": 0.2}, "field_strength", "body", "own slope", "xyz", carrier.own_slope)
+    yield Block(only, "field_strength", "body", "beyond a level", "xyz", carrier.excess, 2.0)
+    yield Block({"spacecraft": 1.0}, "rate", "body", "induced by the slope", "xyz" * 3, carrier.induced)
+
+
+def _orbit_and_time(carrier: Carrier, found: list[Condition], constant: Condition) -> Iterator[Block]:
+    smooth = [c for c in found if c.name in ("orbit_phase", "time", "sunlit", "after_time") and c.columns.shape[1] <= 4]
+    for c in [constant, *smooth]:
+        weight = 3.0 if c is constant else 0.5
+        axes = "   "
+        yield _block(lambda c, _: carrier.moved(c), c, "orbital", {"orbit": 1.0}, weight, axes=axes)
+        stages = {"time": 0.9, "sensor": 0.1} if c is constant else {"time": 1.0}
+        yield Block(
+            stages, c.name, None, f"time, {c.label}", " " * c.columns.shape[1], partial(carrier.late, c), weight
+        )
+
+
+def _field(carrier: Carrier) -> Iterator[Block]:
+    for degree in _FIELD_DEGREES[: 2 if carrier.rows > _LONG else None]:
+        terms = degree * (degree + 2)
+        yield Block(
+            {"field": 1.0},
+            None,
+            "earth",
+            f"field to degree {degree}",
+            " " * terms,
+            partial(carrier.potential, degree),
+            2.0,
+        )
+
+
+def _block(
+    make: Callable[[Condition, str], FloatArray],
+    c: Condition,
+    frame: str,
+    stages: Mapping[str, float],
+    prior: float = 1.0,
+    axes: str = "xyz",
+    named: str | None = None,
+) -> Block:
+    pattern = (axes * 3)[:3] * c.columns.shape[1]
+    return Block(stages, c.name, named or frame, c.label, pattern, lambda: make(c, frame), prior)
+
+
+def _spread(vectors: FloatArray, columns: FloatArray) -> FloatArray:
+    """(N, 3, 3k): each of the vectors (N, 3, m) times each of the columns (N, k); the vectors run fastest."""
+    spread = vectors[:, :, None, :] * columns[:, None, :, None]
+    return np.asarray(spread.reshape(vectors.shape[0], 3, -1))

@@ -1,0 +1,184 @@
+"""The causes to be tested: every effect of the catalogue that is not re-estimated, with its image in the readings.
+
+The image is the Jacobian of the noise-free chain at the best present fit. Columns that move nothing (a panel never
+lit, a torquer axis never fired) are dropped one by one; an effect with no column left is untestable, not absent.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from fluxtwin.gap.hypotheses.perturbed_design import FRAIL, Shaken
+from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.effects.base import Effect, SignalEffect
+from fluxtwin.sim.effects.bit_errors import BitErrors
+from fluxtwin.sim.effects.catalogue import CATALOGUE
+from fluxtwin.sim.effects.chain import Active, Chain
+
+_DEAD_NT = 1e-6  # a parameter of its typical size that moves the readings by less is not there
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One alternative: an effect with its discrete settings."""
+
+    effect: SignalEffect
+    jacobian: FloatArray
+    """(M, 3, p) derivative of the reading by its parameters, nT per unit."""
+    live: BoolArray
+    """(p,) columns that move anything."""
+    change: float = 0.0
+    """Share of its image, beside what is modelled, that another attitude error would change."""
+
+    @property
+    def name(self) -> str:
+        return self.effect.name
+
+    @cached_property
+    def label(self) -> str:
+        """The name with its settings."""
+        settings = settings_of(self.effect)
+        inside = ", ".join(f"{key}={value}" for key, value in settings.items())
+        return f"{self.name}({inside})" if inside else self.name
+
+    @cached_property
+    def scale(self) -> FloatArray:
+        """(p,) typical sizes of its parameters."""
+        return np.array([parameter.scale for parameter in self.effect.parameters])
+
+
+def candidates(
+    problem: Problem,
+    *,
+    modelled: Sequence[Active] | None = None,
+    active: Sequence[Active] = (),
+    shaken: Shaken | None = None,
+) -> tuple[list[Candidate], dict[str, str]]:
+    """All alternatives of all signal effects that are neither modelled nor active, and why others cannot be tested.
+
+    modelled, active: where to linearise (default: the problem's own). shaken: the design with one more attitude error,
+    if at hand. Returns (candidates, {name: reason}).
+    """
+    if modelled is None:
+        modelled = problem.modelled_active
+    taken = {effect.name for effect in problem.modelled} | {effect.name for effect, _ in active}
+    on = in_order([*problem.frozen, *modelled, *active])
+    shaken = shaken or Shaken(problem)
+    found: list[Candidate] = []
+    untestable: dict[str, str] = {}
+    for effect in CATALOGUE:
+        if effect.name in taken:
+            continue
+        reason = _not_reported(effect, problem)
+        if reason is None and isinstance(effect, SignalEffect):
+            reason = effect.untestable(problem.setting)
+        if reason is not None:
+            untestable[effect.name] = reason
+        if reason is not None or not isinstance(effect, SignalEffect):
+            continue
+        made = [
+            _candidate(problem.design, alternative, on, shaken) for alternative in _signal_alternatives(effect, problem)
+        ]
+        testable = [candidate for candidate in made if candidate.live.any()]
+        if not testable:
+            untestable[effect.name] = "nothing in these data excites it: a typical size would not move any reading"
+        firm = [candidate for candidate in testable if candidate.change <= FRAIL]
+        if testable and not firm:
+            untestable[effect.name] = (
+                "beside what is re-estimated its image is mostly the error of the reference attitude: "
+                "the body would have to turn further"
+            )
+        found += firm
+    return found, untestable
+
+
+def candidate_of(problem: Problem, effect: SignalEffect, *, modelled: Sequence[Active]) -> Candidate:
+    """One alternative that `candidates` does not try, linearised beside what is modelled."""
+    on = in_order([*problem.frozen, *modelled, (effect, np.zeros(len(effect.parameters)))])
+    number = next(place for place, pair in enumerate(on) if pair[0] is effect)
+    jacobian = derivative(problem.design, on, number)
+    return Candidate(effect, jacobian, _live(effect, jacobian))
+
+
+def _live(effect: SignalEffect, jacobian: FloatArray) -> BoolArray:
+    scale = np.array([parameter.scale for parameter in effect.parameters])
+    return np.asarray(np.sqrt(np.mean(jacobian**2, axis=(0, 1))) * scale > _DEAD_NT)
+
+
+def _not_reported(effect: Effect, problem: Problem) -> str | None:
+    """Why an effect is not to be tested: another measurement rules it out, or no attitude was reported."""
+    if effect.name in problem.ruled_out:
+        return f"another measurement rules it out: {problem.ruled_out[effect.name]}"
+    if problem.axes is None or problem.axes.known.any():
+        return None
+    if isinstance(effect, BitErrors):
+        return "no row has a reference attitude, so the axis of a spike, and its bit, are not known"
+    return "no row has a reference attitude" if effect.stage == "attitude" else None
+
+
+def in_order(active: Sequence[Active]) -> list[Active]:
+    """Active effects in the order in which nature applies them: that of the catalogue."""
+    place = {effect.name: number for number, effect in enumerate(CATALOGUE)}
+    return sorted(active, key=lambda pair: place.get(pair[0].name, len(place)))
+
+
+def derivative(chain: Chain, on: Sequence[Active], number: int) -> FloatArray:
+    """(N, 3, p) derivative of the reading by the parameters of effect `number` of `on`, all of them switched on.
+
+    Central differences with the typical size as step, one-sided at the end of the physical range.
+    """
+    effect, theta = on[number]
+    columns = []
+    for place, parameter in enumerate(effect.parameters):
+        step = np.zeros(len(theta))
+        up = min(theta[place] + parameter.scale, parameter.high)
+        down = max(theta[place] - parameter.scale, parameter.low)
+        readings = []
+        for value in (up, down):
+            step = np.array(theta, dtype=np.float64)
+            step[place] = value
+            readings.append(chain.reading_nT([*on[:number], (effect, step), *on[number + 1 :]]))
+        columns.append((readings[0] - readings[1]) / (up - down))
+    return np.stack(columns, axis=-1)
+
+
+def derivatives(problem: Problem, wanted: Sequence[Active]) -> FloatArray:
+    """(N, 3, sum of parameters) derivative of the reading by the parameters of `wanted`, in that order, all of them and
+    the frozen effects switched on."""
+    on = in_order([*problem.frozen, *wanted])
+    place = {id(effect): number for number, (effect, _) in enumerate(on)}
+    # From the first stage to the last, so that the chain finds what comes before already computed.
+    blocks = {id(effect): derivative(problem.design, on, place[id(effect)]) for effect, _ in in_order(wanted)}
+    if not blocks:
+        return np.zeros((problem.rows, 3, 0))
+    return np.concatenate([blocks[id(effect)] for effect, _ in wanted], axis=2)
+
+
+def settings_of(effect: SignalEffect) -> dict[str, object]:
+    """Discrete settings of an effect that can be written in a word: numbers, words, flags, the edges of a region."""
+    fields = {item.name: getattr(effect, item.name) for item in dataclasses.fields(effect)}
+    return {
+        key: list(value) if isinstance(value, tuple) else value
+        for key, value in fields.items()
+        if isinstance(value, int | float | str) or (key == "region_deg" and value is not None)
+    }
+
+
+def _signal_alternatives(effect: SignalEffect, problem: Problem) -> list[SignalEffect]:
+    return [one for one in effect.alternatives(problem.setting) if isinstance(one, SignalEffect)]
+
+
+def _candidate(chain: Chain, effect: SignalEffect, on: Sequence[Active], shaken: Shaken) -> Candidate:
+    start = np.zeros(len(effect.parameters))
+    with_it = in_order([*on, (effect, start)])
+    number = next(place for place, pair in enumerate(with_it) if pair[0] is effect)
+    jacobian = derivative(chain, with_it, number)
+    live = _live(effect, jacobian)
+    change = shaken.change(effect, jacobian, with_it, number) if live.any() else 0.0
+    return Candidate(effect, jacobian, live, change)

@@ -1,0 +1,111 @@
+"""Images that the error of the reference attitude makes by itself.
+
+Some regressors are made of the recorded attitude: the sun's direction in body axes, the body rate. Where the body
+hardly turns they hold little but the attitude's error, and the residual holds the same error as theta x B: the two
+correlate, and mere noise looks like a cause (errors in variables: Fuller 1987, Measurement Error Models, section
+1.1). The design is made a second time with one more attitude error of the same size; what does not come out alike
+is no evidence of anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.gap.hypotheses.conditions import Condition, conditions
+from fluxtwin.gap.linear.span import span_of
+from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.sim.attitude.gauss_markov import gauss_markov
+from fluxtwin.sim.attitude.recorded_motion import RecordedMotion
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.effects.base import SignalEffect
+from fluxtwin.sim.effects.chain import Active, Chain
+from fluxtwin.sim.effects.signal import Setting
+
+FRAIL = 0.3
+"""Share of an image's energy that may change with the attitude's error."""
+_SLOW_S = 300.0
+_SEED = 12
+
+
+def steady(shaken: Shaken, found: Iterable[Condition]) -> list[Condition]:
+    """Conditions of a design that do not follow the attitude's error."""
+    if shaken.setting is None:
+        return list(found)
+    again = {(c.name, c.label): c.columns for c in conditions(shaken.setting)}
+    return [c for c in found if _alike(c.columns, again.get((c.name, c.label)))]
+
+
+def _alike(columns: FloatArray, again: FloatArray | None) -> bool:
+    if again is None or again.shape != columns.shape:
+        return False
+    level, other = columns - columns.mean(axis=0), again - again.mean(axis=0)
+    return bool(np.sum((level - other) ** 2) <= FRAIL * np.sum(level**2))
+
+
+class Shaken:
+    """The design of a problem with one more attitude error in it."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        motion = problem.setting.motion
+        sigma = attitude_error_rad(problem)
+        self.chain: Chain | None = None
+        if sigma <= 0 or not isinstance(motion, RecordedMotion):
+            return
+        rng = np.random.default_rng(_SEED)
+        time = problem.time
+        turn = gauss_markov(time, sigma, 0.0, rng, columns=3) + gauss_markov(time, sigma, _SLOW_S, rng, columns=3)
+        if motion.attitude_known is not None:
+            turn[~motion.attitude_known] = 0.0
+        shaken = replace(motion, R_BN=Rotation.from_rotvec(turn) * motion.R_BN)
+        self.chain = Chain(replace(problem.setting, motion=shaken.along_track()))
+
+    @property
+    def setting(self) -> Setting | None:
+        """The design that is shaken; None where the attitude has no error."""
+        return None if self.chain is None else self.chain.setting
+
+    def change(self, effect: SignalEffect, jacobian: FloatArray, on: Sequence[Active], number: int) -> float:
+        """Share of the energy of an effect's image that changes, beside what is modelled.
+
+        jacobian (N, 3, p) of effect `number` of `on`, in body axes; all its parameters move together, each by its typical
+        size, with signs that are drawn once.
+        """
+        if self.chain is None:
+            return 0.0
+        signs = np.random.default_rng(_SEED).choice([-1.0, 1.0], len(effect.parameters))
+        step = np.array([parameter.scale for parameter in effect.parameters]) * signs
+        low, high = (np.array([getattr(p, end) for p in effect.parameters]) for end in ("low", "high"))
+        theta = on[number][1]
+        up, down = np.clip(theta + step, low, high), np.clip(theta - step, low, high)
+        readings = [self.chain.reading_nT([*on[:number], (effect, end), *on[number + 1 :]]) for end in (up, down)]
+        first, again = (self._beside(image) for image in (jacobian @ (up - down), readings[0] - readings[1]))
+        whole = float(np.sum(first**2))
+        return float(np.sum((again - first) ** 2)) / whole if whole > 0 else 0.0
+
+    def _beside(self, image: FloatArray) -> FloatArray:
+        flat = self.problem.judged(image).reshape(-1)
+        return np.asarray(flat - self._basis @ (self._basis.T @ flat))
+
+    @cached_property
+    def _basis(self) -> FloatArray:
+        judged = self.problem.judged(self.problem.nuisance)
+        flat = judged.reshape(3 * self.problem.rows, judged.shape[2])  # none where nothing is modelled
+        return span_of(flat).basis(flat)
+
+
+def attitude_error_rad(problem: Problem) -> float:
+    """Error of the reference attitude, 1 sigma per axis: as declared, or at least what stands off the smooth track."""
+    declared = problem.budget.attitude_sigma_rad or 0.0
+    motion = problem.setting.motion
+    if not isinstance(motion, RecordedMotion):
+        return declared
+    off = (motion.track(0.0) * motion.R_BN.inv()).as_rotvec()
+    if motion.attitude_known is not None:
+        off = off[motion.attitude_known]
+    return max(declared, float(np.sqrt(np.mean(off**2))) if off.size else 0.0)

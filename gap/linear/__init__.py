@@ -1,0 +1,1 @@
+"""Whitened columns: spans, projections, and how much of a residual they explain."""

@@ -1,0 +1,113 @@
+"""A whitened residual with fitted columns out of it, and the algebra that treats other columns alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy import stats
+from scipy.special import fdtrc
+
+from fluxtwin.sim.base.types import FloatArray
+
+_RANK_TOLERANCE = 1e-7
+_MARGIN = 50.0
+_LARGEST_SHARE = 0.05
+
+
+class Whitens(Protocol):
+    """What turns nT into independent unit noise."""
+
+    def apply(self, columns: FloatArray) -> FloatArray:
+        """Whiten (N, 3) or (N, 3, P)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Leftover:
+    """A whitened residual with the fitted columns out of it, and what is needed to treat columns alike."""
+
+    whitener: Whitens
+    residual: FloatArray
+    """(3N,) whitened, orthogonal to `basis`."""
+    basis: FloatArray
+    """(3N, q) orthonormal: the whitened fitted columns."""
+    degrees: int
+    """Degrees of freedom that are left."""
+
+    @property
+    def least_share(self) -> float:
+        """Of its energy that an image must have beside the fitted columns."""
+        return least_share(self.whitener, _RANK_TOLERANCE)
+
+    @property
+    def energy(self) -> float:
+        """Residual sum of squares in units of the noise variance."""
+        return float(self.residual @ self.residual)
+
+    def project(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Columns (N, 3, k) whitened and freed of the basis, (3N, k), and their squared sizes before, (k,)."""
+        white = self.whitener.apply(np.ascontiguousarray(columns)).reshape(self.residual.size, -1)
+        size = np.einsum("ij,ij->j", white, white)
+        return white - self.basis @ (self.basis.T @ white), size
+
+
+def leftover(whitener: Whitens, residual_nT: FloatArray, fitted: FloatArray) -> Leftover:
+    """Whiten a residual (N, 3) and project the fitted columns (N, 3, q), in nT, out of it."""
+    white = whitener.apply(residual_nT).reshape(-1)
+    columns = whitener.apply(np.ascontiguousarray(fitted)).reshape(white.size, -1)
+    basis = orthonormal(columns)
+    rest = white - basis @ (basis.T @ white)
+    measured = int(getattr(whitener, "measured", white.size))
+    return Leftover(whitener, rest, basis, max(measured - basis.shape[1], 1))
+
+
+def orthonormal(columns: FloatArray) -> FloatArray:
+    """An orthonormal basis of the span of columns (M, k); dead and dependent columns fall out."""
+    size = np.sqrt(np.einsum("ij,ij->j", columns, columns))
+    live = columns[:, size > 0] / size[size > 0]
+    if not live.shape[1]:
+        return np.zeros((columns.shape[0], 0))
+    value, vector = np.linalg.eigh(live.T @ live)
+    keep = value > _RANK_TOLERANCE
+    basis = live @ (vector[:, keep] / np.sqrt(value[keep]))
+    # Once more: the square root of the tolerance is all that one pass gives.
+    q, _ = np.linalg.qr(basis)
+    return np.asarray(q)
+
+
+def log10_sf_f(ratio: float, rank: float, spare: float) -> float:
+    """log10 of the upper tail of the F law, also where it underflows."""
+    p = float(fdtrc(rank, spare, ratio)) if ratio > 0 else 1.0
+    if p > 1e-280:
+        return float(np.log10(p))
+    # Leading term of the tail: I_x(spare/2, rank/2) with x -> 0 (Abramowitz & Stegun 26.5.4).
+    x = spare / (spare + rank * ratio)
+    a, b = spare / 2, rank / 2
+    log_beta = float(stats.beta.logpdf(0.5, a, b)) - (a + b - 2) * np.log(0.5)
+    return float((a * np.log(x) + (b - 1) * np.log1p(-x) + log_beta - np.log(a)) / np.log(10))
+
+
+def share_mimicked(one: FloatArray, other: FloatArray) -> float:
+    """Share of the energy of columns (M, k) that the span of others (M, l) can make."""
+    total = float(np.sum(one**2))
+    if total == 0 or not other.shape[1]:
+        return 0.0
+    basis = orthonormal(other)
+    return float(np.sum((basis.T @ one) ** 2)) / total
+
+
+def least_share(whitener: object, least: float) -> float:
+    """`share_of_errors` for what a whitener takes the attitude error to be; `least` for one without a noise model."""
+    noise = getattr(whitener, "noise", None)
+    return share_of_errors(None if noise is None else noise.theta_rad, least)
+
+
+def share_of_errors(theta_rad: float | None, least: float) -> float:
+    """Share of its energy that an image must have left beside others to be more than attitude error.
+
+    An image made with attitudes that are off by theta is off by theta of its length. Where others make up all but a
+    share of theta**2 of it, what is left is that error, which the residual has too: such directions are passed over.
+    The factor covers errors that smoothing leaves in many rows.
+    """
+    return least if theta_rad is None else float(np.clip(_MARGIN * theta_rad**2, least, _LARGEST_SHARE))

@@ -1,0 +1,174 @@
+"""Readings that no noise model explains: spikes and bit errors, found, counted and passed over.
+
+A spike stands alone. What a component's neighbours and the noise model predict for it is compared with what it is;
+the difference must stand out of the differences around it too, so that a run of rows that an unknown effect
+moves is never taken for spikes and its evidence thrown away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from fluxtwin.gap.noise.whitening import NoiseModel, full_weights
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+
+CUT_SIGMA = 6.0
+_DOUBT_SIGMA = 4.5  # from here to the cut a component loses weight; seven of a million good ones do
+_LARGEST_SHARE = 0.10  # of the rows: more are no spikes but something that the diagnosis must see
+_NEAR_ROWS = 7  # for the level around a component
+_AROUND_ROWS = 25  # for the scatter around it
+_MAD = 1.4826  # of a normal distribution: sigma over median absolute deviation
+
+
+@dataclass(frozen=True, eq=False)
+class RobustRows:
+    """Weights of the components of N rows."""
+
+    weights: FloatArray
+    """(N, 3): 1 good, 0 cut, between for doubtful ones. Give it to `make_whitener`."""
+    difference_nT: FloatArray | None = None
+    """(N, 3) each component less what the saturated fit and all other readings predict for it."""
+    words: str = ""
+    measured: BoolArray | None = None
+    """(N, 3) components that there are; None: all."""
+
+    @property
+    def cut(self) -> BoolArray:
+        """(N, 3) True for components that are cut."""
+        cut = self.weights <= 0
+        return np.asarray(cut if self.measured is None else cut & self.measured, dtype=np.bool_)
+
+    @property
+    def rows_cut(self) -> int:
+        """Rows with a component cut."""
+        return int(self.cut.any(axis=1).sum())
+
+    @property
+    def components_cut(self) -> int:
+        """Scalar readings cut."""
+        return int(self.cut.sum())
+
+
+def standing_out(difference: FloatArray, least: float = 0.0, measured: BoolArray | None = None) -> FloatArray:
+    """(N, 3) how far each component stands out of its neighbourhood, in robust sigmas of it.
+
+    difference (N, 3) in any unit; least: the sigma that noise alone would give, in that unit, if known; measured
+    (N, 3): components that there are, the others do not stand out.
+    """
+    if measured is not None:
+        found = np.zeros_like(difference)
+        for axis, there in enumerate(measured.T):
+            found[there, axis] = standing_out(difference[there, axis : axis + 1], least)[:, 0]
+        return found
+    rows = difference.shape[0]
+    if rows < 3:
+        return np.zeros_like(difference)
+    level = median_filter(difference, size=(min(_NEAR_ROWS, rows), 1), mode="reflect")
+    alone = np.minimum(np.abs(difference), np.abs(difference - level))
+    spread = _MAD * median_filter(np.abs(difference - level), size=(min(_AROUND_ROWS, rows), 1), mode="reflect")
+    return np.asarray(alone / np.maximum(np.maximum(spread, least), _scatter(difference - level)))
+
+
+def _scatter(difference: FloatArray) -> FloatArray:
+    """(k,) robust sigma of each component over all rows, never zero."""
+    scatter = _MAD * np.median(np.abs(difference), axis=0)
+    return np.asarray(np.maximum(scatter, 1e-9 + 1e-12 * np.max(np.abs(difference), axis=0)))
+
+
+def weights_of(distance: FloatArray, measured: BoolArray | None = None) -> FloatArray:
+    """(N, 3) weights from how far the components stand out: 1, less from 4.5 sigma, 0 from 6 sigma on.
+
+    At most a tenth of the rows is cut, those that stand out most. What is not measured (N, 3) has weight 0.
+    """
+    weights = np.minimum(1.0, np.square(_DOUBT_SIGMA / np.maximum(distance, 1e-9)))
+    worst = distance.max(axis=1)
+    allowed = max(1, int(_LARGEST_SHARE * worst.size))
+    bar = max(CUT_SIGMA, float(np.partition(worst, -allowed - 1)[-allowed - 1]) if worst.size > allowed else 0.0)
+    return np.where(distance > bar if measured is None else (distance > bar) | ~measured, 0.0, weights)
+
+
+def spike_weights(
+    left_nT: FloatArray,
+    image_nT: FloatArray,
+    seconds: FloatArray,
+    segment: FloatArray,
+    noise: NoiseModel,
+    weights: FloatArray,
+    measured: BoolArray | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Weights (N, 3) under a noise model, and each component less what all others predict for it [nT].
+
+    left_nT (N, 3): residual after the saturated fit; weights (N, 3) as they are now. Components that are cut now
+    are judged like all others and may come back.
+    """
+    from fluxtwin.gap.noise.kernels import predict_each
+
+    now = full_weights(weights, left_nT.shape[0]) / np.square(noise.axis_factor)
+    own = full_weights(None, left_nT.shape[0]) / np.square(noise.axis_factor)
+    image, when, part = (np.ascontiguousarray(a, dtype=np.float64) for a in (image_nT, seconds, segment))
+    scaled = np.ascontiguousarray(left_nT / noise.sigma_nT)
+    standard, plain = np.empty_like(scaled), np.empty_like(scaled)
+    predict_each(image, when, part, now, own, noise.theta_rad / noise.sigma_nT, noise.tau_s, scaled, standard, plain)
+    return weights_of(standing_out(standard, 1.0, measured), measured), plain * noise.sigma_nT
+
+
+def first_weights(
+    residual_nT: FloatArray,
+    designs: Sequence[FloatArray],
+    rows: NDArray[np.intp],
+    measured: BoolArray | None = None,
+) -> FloatArray:
+    """Weights (N, 3) before anything is known of the noise: gross spikes only.
+
+    Least squares first; if anything stands out of it, the fit of least absolute residuals, which a tenth of wild
+    readings does not move. designs: (N, 3, P) each; rows: indices the fit is made on; measured (N, 3): what there is.
+    """
+    there = np.ones(residual_nT.shape, dtype=np.bool_) if measured is None else measured
+    for rounds in (1, 15):
+        coefficients = _fit(residual_nT, designs, rows, there, rounds=rounds)
+        distance = standing_out(residual_nT - combine(designs, coefficients), measured=measured)
+        weights = np.where(weights_of(distance, measured) > 0, 1.0, 0.0)
+        if (weights[there] > 0).all():
+            break
+    return weights
+
+
+def combine(designs: Sequence[FloatArray], coefficients: FloatArray) -> FloatArray:
+    """(N, 3) sum of the designs' columns times coefficients (P,), P over all designs."""
+    total, first = np.zeros(designs[0].shape[:2]), 0
+    for design in designs:
+        last = first + design.shape[2]
+        total += design @ coefficients[first:last]
+        first = last
+    return total
+
+
+def _fit(
+    residual_nT: FloatArray, designs: Sequence[FloatArray], rows: NDArray[np.intp], there: BoolArray, *, rounds: int
+) -> FloatArray:
+    """Coefficients (P,) by iterated reweighting towards least absolute residuals; one round is least squares."""
+    A = np.concatenate([d[rows] for d in designs], axis=2)[there[rows]]
+    y = residual_nT[rows][there[rows]]
+    size = np.linalg.norm(A, axis=0)
+    A = A / np.where(size > 0, size, 1.0)
+    weight: FloatArray = np.ones(y.size)
+    solution: FloatArray = np.zeros(A.shape[1])
+    before = np.inf
+    for _ in range(rounds):
+        half = A * np.sqrt(weight)[:, None]
+        gram = half.T @ half
+        gram[np.diag_indices_from(gram)] += 1e-10 * max(float(np.trace(gram)) / max(len(gram), 1), 1e-300)
+        solution = np.asarray(np.linalg.solve(gram, A.T @ (weight * y)), dtype=np.float64)
+        off = np.abs(y - A @ solution)
+        total = float(off.sum())
+        if total > before * (1.0 - 2e-3):
+            break
+        before = total
+        weight = np.asarray(1.0 / np.maximum(off, 0.3 * float(np.median(off)) + 1e-12), dtype=np.float64)
+        weight /= float(weight.max())
+    return np.asarray(solution / np.where(size > 0, size, 1.0))

@@ -1,0 +1,1 @@
+"""Explanations weighed against each other, and the place of the gap."""

@@ -1,0 +1,284 @@
+"""What one noise model leads to: explanations with one cause more each, weighed against each other.
+
+An explanation names none, one, two or three effects. What it leaves is noise, the shape error of its effects, or
+something unknown; each has its worth by the one criterion. The noise is chosen beside each explanation, and each has the
+noise that suits it best: a slow attitude error may be what another takes for a cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.special import softmax
+
+from fluxtwin.gap.detectors.flexible import FlexibleFinding
+from fluxtwin.gap.detectors.residual_structure import Left, judge
+from fluxtwin.gap.hypotheses.blocks import Block
+from fluxtwin.gap.hypotheses.candidates import Candidate, derivatives, in_order
+from fluxtwin.gap.hypotheses.evidence import fit_all
+from fluxtwin.gap.linear.leftover import Leftover, leftover, orthonormal
+from fluxtwin.gap.noise.budget import prior_of
+from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, Whitener, complete_budget, noise_choice, whitener_of
+from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.gap.selection.criterion import LOG_FURTHER, SHAPE, THRESHOLD, penalty
+from fluxtwin.gap.selection.forward import Search, begin, run
+from fluxtwin.gap.selection.named import SearchResult
+from fluxtwin.gap.selection.refit import Fit
+from fluxtwin.gap.selection.score import Board
+from fluxtwin.gap.selection.search import result_of
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.effects.base import SignalEffect
+from fluxtwin.sim.effects.chain import Active
+
+Known = tuple[list[Candidate], dict[str, str]]
+"""What `candidates` gives for a problem."""
+_Searched = tuple[Search, dict[str, str], list[tuple[Fit, Board]]]
+"""A search, names that cannot be tested with the reason, and the path that it took."""
+_ROUNDS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """Named effects at their refit, and what is left beside them."""
+
+    fit: Fit
+    beside: Board
+    """Scores of all others."""
+    left: Left
+    worth: float
+    """Of its names, against none."""
+    unknown: float
+    """Of its names and of what is left, taken for something that the catalogue does not have; minus infinity where what is
+    left is no more than noise and shape error."""
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """All explanations under one noise model, and the one that weighs most."""
+
+    noise: NoiseModel
+    robust: RobustRows
+    whitener: Whitener
+    result: SearchResult
+    """Of the explanation that weighs most."""
+    alone_nT: FloatArray
+    """(N, 3, C) Jacobian of what is modelled."""
+    fitted_nT: FloatArray
+    """(N, 3, C + P) and of the named effects."""
+    left: Left
+    known: float
+    """Probability that nothing, or what is named, is all there is."""
+    worth: float
+    """Of the explanation that weighs most, in its best reading."""
+    handicap: float = 0.0
+    """Twice the log likelihood that another noise model gives to an explanation without names."""
+    shapes: tuple[FlexibleFinding, ...] = ()
+    """Causes that are known by their own shape: a line, a sequence, a region in the dark, a walk."""
+
+    @property
+    def carries(self) -> bool:
+        """Whether something is named and nothing unknown is likelier."""
+        return bool(self.result.named) and self.known >= 0.5
+
+
+def answered_with(
+    problem: Problem,
+    robust: RobustRows,
+    whitener: Whitener,
+    dictionary: Sequence[Block],
+    known: Known,
+    shapes: tuple[FlexibleFinding, ...] = (),
+) -> Answer:
+    """The search under one whitening, beside shapes: those that are signals are fitted in every test."""
+    searched = _searched(_beside(problem, signals_of(shapes)), whitener, known)
+    return _concluded(problem, robust, searched, dictionary, shapes, ())
+
+
+def _searched(problem: Problem, whitener: Whitener, known: Known) -> _Searched:
+    under_way, untestable = begin(problem, whitener, known=known)
+    return under_way, untestable, run(under_way)
+
+
+def _concluded(
+    problem: Problem,
+    robust: RobustRows,
+    searched: _Searched,
+    dictionary: Sequence[Block],
+    shapes: tuple[FlexibleFinding, ...],
+    others: Sequence[NoiseModel],
+) -> Answer:
+    under_way, untestable, path = searched
+    whitener, signals = under_way.whitener, signals_of(shapes)
+    explanations, handicap = _weighed(under_way, path, dictionary, others, robust)
+    best, share, total = _best(explanations)
+    chosen = explanations[best]
+    result = result_of(under_way, untestable, chosen.fit, chosen.beside, share)
+    result = _stripped(problem, result, signals)
+    alone = derivatives(problem, result.modelled_alone)
+    fitted = derivatives(problem, [*result.modelled, *result.chosen]) if result.chosen else alone
+    if signals:
+        fitted = np.concatenate([fitted, derivatives(problem, signals)], axis=2)
+    return Answer(whitener.noise, robust, whitener, result, alone, fitted, chosen.left, share, total, handicap, shapes)
+
+
+def _best(explanations: Sequence[Explanation]) -> tuple[int, float, float]:
+    """The explanation that weighs most, the probability that nothing unknown is there, and the most worth."""
+    logs = np.array([[one.worth, one.unknown] for one in explanations])
+    for place, (one, more) in enumerate(pairwise(explanations)):
+        if _added(one.fit, more.fit) == 1 and not np.isfinite(more.unknown):
+            logs[place, 1] = -np.inf  # the catalogue has it
+    if not np.max(logs) > THRESHOLD:
+        return 0, 1.0, float(np.max(logs))
+    named = logs.copy()
+    named[0, 0] = -np.inf  # something is there
+    known = float(softmax(0.5 * named)[:, 0].sum())
+    column = 0 if known >= 0.5 else 1
+    return int(np.argmax(named[:, column])), known, float(np.max(logs))
+
+
+def _added(one: Fit, more: Fit) -> int:
+    """How many effects a fit has that another has not."""
+    return len({effect for effect, _ in more.chosen} - {effect for effect, _ in one.chosen})
+
+
+def _weighed(
+    under_way: Search,
+    path: Sequence[tuple[Fit, Board]],
+    dictionary: Sequence[Block],
+    others: Sequence[NoiseModel],
+    robust: RobustRows,
+) -> tuple[list[Explanation], float]:
+    """Each step of the path with its worth and what is left, at the noise that suits it best."""
+    gained = _gained(under_way, [fit for fit, _ in path], others, robust)
+    tried, samples = float(np.log(under_way.tested)), under_way.samples
+    explained = [max(path[0][0].chi2 - fit.chi2, 0.0) for fit, _ in path]
+    ranks = [fit.rank_chosen for fit, _ in path]
+    lefts = [left_of(under_way, fit, dictionary) for fit, _ in path]
+    beyond = [left.drop if left.structured else 0.0 for left in lefts]
+    for place in reversed(range(len(path) - 1)):
+        # What one more name explains is better known by its refit than by the finding that led to it.
+        further = explained[place + 1] - explained[place] + beyond[place + 1]
+        one_more = _added(path[place][0], path[place + 1][0]) == 1
+        beyond[place] = further if one_more else max(beyond[place], further)
+    found: list[Explanation] = []
+    names = 0.0
+    for place, ((fit, beside), left) in enumerate(zip(path, lefts, strict=True)):
+        if place:
+            wider = 1.0 + SHAPE * explained[place - 1]
+            more = explained[place] - explained[place - 1]
+            names += more - float(penalty(ranks[place] - ranks[place - 1], more / wider, samples))
+            names -= 2.0 * (len(fit.chosen) - len(path[place - 1][0].chosen)) * tried
+            names -= LOG_FURTHER if place > 1 else 0.0
+        wider = 1.0 + SHAPE * explained[place]
+        shaped = names + beyond[place] * (1.0 - 1.0 / wider)
+        worth = max(shaped, names + gained[place]) - gained[0]
+        unknown = -np.inf
+        if left.structured and left.beyond(wider, samples) > LOG_FURTHER:
+            unknown = shaped + left.beyond(wider, samples) - LOG_FURTHER - gained[0]
+        found.append(Explanation(fit, beside, left, worth, unknown))
+    return found, gained[0]
+
+
+def _gained(under_way: Search, fits: Sequence[Fit], others: Sequence[NoiseModel], robust: RobustRows) -> list[float]:
+    """Twice the log likelihood that each fit wins by the best of other noise models; none is below zero."""
+    problem, noise = under_way.problem, under_way.whitener.noise
+    if not others or len(fits) < 2:
+        return [0.0] * len(fits)
+    gained = []
+    for fit in fits:
+        residual = problem.residual_of(in_order([*problem.frozen, *fit.active]))
+        columns = derivatives(problem, fit.active)
+        logs = [log_likelihood(problem, one, robust, residual, columns) for one in (noise, *others)]
+        gained.append(max(logs) - logs[0])
+    return gained
+
+
+def log_likelihood(
+    problem: Problem, noise: NoiseModel, robust: RobustRows, residual_nT: FloatArray, columns: FloatArray
+) -> float:
+    """Twice the log likelihood of a residual (N, 3) with columns (N, 3, c) fitted, and of the noise by its budget."""
+    whitener = whitener_of(problem, noise, robust.weights)
+    density = prior_of(complete_budget(problem)).log_density(noise.sigma_nT, noise.theta_rad, noise.tau_s)
+    return 2.0 * density - whitener.log_det - leftover(whitener, residual_nT, columns).energy
+
+
+def noise_and_answer(problem: Problem, dictionary: Sequence[Block], known: Known) -> tuple[NoiseModel, Answer]:
+    """The noise beside what is modelled, the answer under it; then the noise beside the named effects too, and the answer
+    under that, in turn until the names stay. Also the first of these noise models.
+
+    The noise is that of the model as it stands, never beside everything that might be there: some hundred columns can
+    make up any slow error of the attitude, and what they leave would be taken for all there is.
+    """
+    first = choice = noise_choice(problem)
+    searched = _searched(problem, whitener_of(problem, choice.noise, choice.robust.weights), known)
+    for _ in range(_ROUNDS):
+        fit = searched[2][-1][0]
+        if not fit.chosen:
+            break
+        residual = problem.residual_of(in_order([*problem.frozen, *fit.active]))
+        choice = noise_choice(problem, derivatives(problem, fit.active), residual_nT=residual)
+        searched = _searched(problem, whitener_of(problem, choice.noise, choice.robust.weights), known)
+        if {effect for effect, _ in searched[2][-1][0].chosen} == {effect for effect, _ in fit.chosen}:
+            break
+    others = [] if choice is first else [first.noise]
+    return first.noise, _concluded(problem, choice.robust, searched, dictionary, (), others)
+
+
+def signals_of(shapes: Sequence[FlexibleFinding]) -> list[Active]:
+    """Those that a fit can have, with the parameters they were found with."""
+    found: list[Active] = []
+    for one in shapes:
+        if isinstance(one.instance, SignalEffect):
+            theta = np.array([one.parameters.get(p.name, (0.0,))[0] for p in one.instance.parameters])
+            found.append((one.instance, theta))
+    return found
+
+
+def left_of(under_way: Search, fit: Fit, dictionary: Sequence[Block]) -> Left:
+    """What is left beside the named effects at their refit and, of a large one, beside its image at nothing too.
+
+    The two images of one effect differ by what its size changes and by errors of the attitude in both: structure along
+    that difference is the same cause once more.
+    """
+    numbers = [
+        number for number, c in enumerate(under_way.found) if any(c.effect == effect for effect, _ in fit.chosen)
+    ]
+    at_nothing = under_way.white[:, :, np.isin(under_way.first.owner, numbers)]
+    rest = leftover_of(under_way, fit, at_nothing)
+    own = fit.jacobian[:, :, fit.jacobian.shape[2] - sum(len(theta) for _, theta in fit.chosen) :]
+    return judge(under_way.problem, rest, fit_all(dictionary, rest), own, 1.0)
+
+
+def leftover_of(under_way: Search, fit: Fit, further: FloatArray) -> Leftover:
+    """The whitened residual of a fit, with its columns and further ones (N, 3, p), whitened, out of it."""
+    flat = fit.residual.reshape(-1)
+    basis = orthonormal(np.concatenate([fit.jacobian, further], axis=2).reshape(flat.size, -1))
+    rest = flat - basis @ (basis.T @ flat)
+    return Leftover(under_way.whitener, rest, basis, max(under_way.whitener.measured - basis.shape[1], 1))
+
+
+def _beside(problem: Problem, signals: Sequence[Active]) -> Problem:
+    """The problem with further signals among what is re-estimated."""
+    if not signals:
+        return problem
+    every = [*problem.modelled_active, *signals]
+    effects = [effect for effect, _ in every if isinstance(effect, SignalEffect)]
+    return replace(problem, modelled=tuple(effects), modelled_theta=tuple(np.asarray(theta) for _, theta in every))
+
+
+def _stripped(problem: Problem, result: SearchResult, signals: Sequence[Active]) -> SearchResult:
+    """The result with those signals not among what is re-estimated: they are causes, and in the residual."""
+    if not signals:
+        return result
+    count = len(problem.modelled)
+    modelled, alone = result.modelled[:count], result.modelled_alone[:count]
+    return replace(
+        result,
+        modelled=modelled,
+        modelled_alone=alone,
+        residual_nT=problem.residual_of(in_order([*problem.frozen, *modelled, *result.chosen])),
+        residual_alone_nT=problem.residual_of(in_order([*problem.frozen, *alone])),
+    )

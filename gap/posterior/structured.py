@@ -1,0 +1,182 @@
+"""Causes that are known by their own shape (a line, a sequence, a region in the dark, a walk) among the named effects.
+
+What has such a shape is not in the catalogue's images, so the search explains it by several effects that each mop up
+a little. Where a shape is found, effects are therefore sought afresh beside it: a line or a sequence is fitted in every
+test, a walk belongs to the noise. Whether a walk is there is a matter of the likelihood: "a walk and these effects"
+against "those effects", by the one criterion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fluxtwin.gap.detectors.flexible import FlexibleFinding, wheel_line
+from fluxtwin.gap.detectors.full_rate import FullRate
+from fluxtwin.gap.detectors.random_walk import random_walk
+from fluxtwin.gap.detectors.residual_structure import Left, what_is_left
+from fluxtwin.gap.detectors.stochastic import shape_of
+from fluxtwin.gap.detectors.tones import TONE_DEGREES, tone_near
+from fluxtwin.gap.hypotheses.blocks import Block
+from fluxtwin.gap.hypotheses.candidates import derivatives
+from fluxtwin.gap.linear.leftover import Leftover, leftover
+from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, whitener_of
+from fluxtwin.gap.noise.walk import Wander, without_walk
+from fluxtwin.gap.posterior.explanations import Answer, Known, answered_with, log_likelihood, signals_of
+from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.gap.selection.criterion import THRESHOLD, worth
+from fluxtwin.sim.base.types import FloatArray
+
+_MOST = 3
+_ROUNDS = 3
+_SETTLED = 0.2  # in the logarithm of the rate
+_MEMORIES_S = (30.0, 100.0, 300.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Shapes:
+    """Looks for shapes on one design."""
+
+    problem: Problem
+    dictionary: Sequence[Block]
+    known: Known
+    choose: Callable[[FloatArray], tuple[NoiseModel, RobustRows]]
+    """The noise with these columns (N, 3, P) in the signal: a line was noise to the first choice."""
+
+    def among(self, answer: Answer) -> Answer:
+        """The answer with the shapes that are in the data, effects sought afresh beside them."""
+        for _ in range(_MOST):
+            more = self._one_more(answer)
+            if more is None:
+                break
+            answer = more
+        return answer
+
+    def _one_more(self, answer: Answer) -> Answer | None:
+        walks = any(one.effect == "bias_random_walk" for one in answer.shapes)
+        if answer.left.structured:
+            for bare in (True, False) if answer.result.named and not answer.carries else (False,):
+                finding = self._signal(answer, bare=bare)
+                if finding is not None:
+                    return self.beside(answer, finding)
+        if not walks and (answer.left.structured or len(answer.result.named) > 1):
+            return self._walking(answer)
+        return None
+
+    def _signal(self, answer: Answer, *, bare: bool) -> FlexibleFinding | None:
+        result, whitener = answer.result, answer.whitener
+        residual, fitted, left = result.residual_nT, answer.fitted_nT, answer.left
+        if bare:
+            residual, fitted = result.residual_alone_nT, self._alone(answer)
+            left = what_is_left(self.problem, whitener, residual, fitted, found=self.dictionary)
+        chosen = [] if bare else [effect for effect, _ in result.chosen]
+        return shape_of(self.problem, whitener, residual, fitted, left, self.dictionary, chosen)
+
+    def _alone(self, answer: Answer) -> FloatArray:
+        """(N, 3, c) Jacobian of what is re-estimated and of the shapes that are signals."""
+        signals = signals_of(answer.shapes)
+        own = [derivatives(self.problem, signals)] if signals else []
+        return np.concatenate([answer.alone_nT, *own], axis=2)
+
+    def beside(self, answer: Answer, finding: FlexibleFinding) -> Answer:
+        """Effects sought afresh beside one more signal."""
+        shapes = (*answer.shapes, finding)
+        noise, robust = self.choose(derivatives(self.problem, signals_of(shapes)))
+        whitener = whitener_of(self.problem, noise, robust.weights)
+        for one in shapes:
+            if one.effect == "bias_random_walk":
+                whitener = Wander(whitener, self.problem.setting.seconds).whitening(one.parameters["rate"][0])
+        return answered_with(self.problem, robust, whitener, self.dictionary, self.known, shapes)
+
+    def _walking(self, answer: Answer) -> Answer | None:
+        """The answer with a walk in the noise, where that explains more."""
+        seconds = self.problem.setting.seconds
+        wander = Wander(answer.whitener, seconds)
+        bare_nT, alone = answer.result.residual_alone_nT, self._alone(answer)
+        if wander.rate(leftover(answer.whitener, bare_nT, alone)) is None:
+            return None
+        # Beside a walk the error of the attitude is another: without one it had to stand for it.
+        noise, _ = self.choose(wander.columns)
+        trials = [noise, answer.noise, *_declared(self.problem, noise)]
+        gained = [(self._gain(answer, one, bare_nT, alone), one) for one in trials]
+        (_, first), likeliest = max(gained, key=lambda found: found[0][0])
+        whole, rate, walking = self._walks(answer, likeliest, first, bare_nT, alone)
+        if walking is None or whole < max(answer.worth, THRESHOLD):
+            return None
+        finding = random_walk(seconds, self._left(walking), self.dictionary, walking.noise.sigma_nT)
+        if finding is None or not finding.confirmed:
+            return None
+        scaled = rate * float(np.sqrt(walking.result.variance))
+        _, sigma, unit = finding.parameters["rate"]
+        finding = replace(finding, parameters={"rate": (scaled, sigma, unit)})
+        return replace(walking, shapes=(*answer.shapes, finding))
+
+    def _gain(
+        self, answer: Answer, noise: NoiseModel, bare_nT: FloatArray, alone: FloatArray, rate: float | None = None
+    ) -> tuple[float, float | None]:
+        """Twice the log likelihood that a walk beside this noise wins against the best noise without one, and its rate
+        (default: the likeliest)."""
+        whitener = whitener_of(self.problem, noise, answer.robust.weights)
+        wander, bare = Wander(whitener, self.problem.setting.seconds), leftover(whitener, bare_nT, alone)
+        rate = wander.rate(bare) if rate is None else rate
+        if rate is None:
+            return -np.inf, None
+        before, now = (
+            log_likelihood(self.problem, one, answer.robust, bare_nT, alone) for one in (answer.noise, noise)
+        )
+        return wander.gain(bare, rate) + now - before - answer.handicap, rate
+
+    def _walks(
+        self, answer: Answer, noise: NoiseModel, rate: float | None, bare_nT: FloatArray, alone: FloatArray
+    ) -> tuple[float, float, Answer | None]:
+        """Worth of a walk and of the effects beside it, its likeliest rate (first guess given), and those effects."""
+        whitener = whitener_of(self.problem, noise, answer.robust.weights)
+        wander, walking = Wander(whitener, self.problem.setting.seconds), answer
+        for _ in range(_ROUNDS):
+            if rate is None:
+                return -np.inf, 0.0, None
+            before = rate
+            walking = answered_with(
+                self.problem, answer.robust, wander.whitening(rate), self.dictionary, self.known, answer.shapes
+            )
+            rate = wander.rate(self._left(walking))
+            if rate is not None and abs(np.log(rate / before)) < _SETTLED:
+                break
+        if rate is None:
+            return -np.inf, 0.0, None
+        gain, _ = self._gain(answer, noise, bare_nT, alone, rate)
+        samples, tried = max(whitener.measured / 3.0, 2.0), float(np.log(answer.result.tested))
+        return worth(gain, 1, samples, tried) + max(walking.worth, 0.0), rate, walking
+
+    def _left(self, answer: Answer) -> Leftover:
+        """Beside what was fitted, with no walk in the noise."""
+        return leftover(without_walk(answer.whitener), answer.result.residual_nT, answer.fitted_nT)
+
+    def with_line(self, answer: Answer, fast: FullRate | None) -> Answer:
+        """A line that only the full rate shows, with its name or as structure that has none."""
+        if fast is None or not fast.has_line:
+            return answer
+        line = fast.line()
+        if line is not None:
+            # The thinned rows hold the phase over the whole record.
+            tone = tone_near(self.problem.setting.seconds, self._left(answer), fast.tone.frequency_Hz)
+            longer = wheel_line(self.problem.setting, self._left(answer), tone)
+            return self.beside(answer, longer if longer is not None and longer.confirmed else line)
+        if answer.left.structured:
+            return answer
+        words = f"a line at a period of {1 / fast.tone.frequency_Hz:.3g} s, in the full rate"
+        drop = fast.tone.explained
+        value = worth(drop, TONE_DEGREES, fast.left.degrees / 3.0, 0.0) - 2.0 * float(np.log(fast.problem.rows))
+        found = Left(value, drop, "tone", words, label="tone")
+        return replace(answer, left=found, known=0.0)
+
+
+def _declared(problem: Problem, noise: NoiseModel) -> list[NoiseModel]:
+    """The declared noise, with a few memories of the attitude's error."""
+    theta_rad = problem.budget.attitude_sigma_rad
+    sigma_nT = noise.sigma_prior_nT
+    if not theta_rad or sigma_nT <= 0.0:
+        return []
+    return [replace(noise, sigma_nT=sigma_nT, theta_rad=theta_rad, tau_s=tau_s) for tau_s in _MEMORIES_S]

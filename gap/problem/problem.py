@@ -1,0 +1,321 @@
+"""The problem a diagnosis works on: telemetry, the noise-free chain that predicts it, and what is re-estimated.
+
+Everything is at the rows that have time, position and reading; body axes, nT. Rows without a reference attitude have
+a pseudo attitude that fits the reading, and axes of their own in which they are judged (`without_attitude`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.gap.problem import row_axes
+from fluxtwin.gap.problem.row_axes import RowAxes, turn_images
+from fluxtwin.sim.attitude.recorded_motion import RecordedMotion
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.field import field_N_nT
+from fluxtwin.sim.earth.field_models import FieldModel
+from fluxtwin.sim.effects.base import SignalEffect
+from fluxtwin.sim.effects.catalogue import find_effect
+from fluxtwin.sim.effects.chain import Active, Chain, jacobian
+from fluxtwin.sim.effects.signal import Setting
+from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
+from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
+
+DEFAULT_MODELLED = ("bias", "scale_misalignment")
+_OTHER_STAMPS = np.timedelta64(1, "D")  # so far beyond the model's ends a clock error may lead a trial
+_GAP_FACTOR = 5.0
+_LARGEST_ERROR = 5.0  # times its sigma: what an attitude error is taken to be at the most
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The declared noise, and how far it is trusted. None where nothing was declared."""
+
+    noise_nT: float | None = None
+    """White noise of a reading, 1 sigma per axis; trusted to 10 %."""
+    lsb_nT: float | None = None
+    attitude_sigma_rad: float | None = None
+    """Error of the reference attitude, 1 sigma per axis; trusted to a factor 1.5."""
+    attitude_tau_s: float | None = None
+    """Its time constant; unknown by default, white included."""
+    sources: Mapping[str, str] | None = None
+    """Where each comes from, in words."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is to be explained, N rows."""
+
+    telemetry: Telemetry
+    """The rows used."""
+    chain: Chain
+    """Noise-free prediction at those rows; `chain.setting` is the design."""
+    frozen: tuple[Active, ...]
+    """Effects that are applied as they are (from a scenario)."""
+    modelled: tuple[SignalEffect, ...]
+    """Effects whose parameters are re-estimated as nuisance in every test."""
+    budget: Budget
+    left_out: Mapping[str, int]
+    """Rows not used, by reason."""
+    modelled_theta: tuple[FloatArray, ...] = ()
+    """Parameters of the modelled effects about which everything is linear; empty: zero. See `refit.settled`."""
+    axes: RowAxes | None = None
+    """Where rows have no reference attitude: the axes in which each row is judged. None: all rows have one."""
+    attitude_found_rad: float | None = None
+    """Error of the reference attitude as found in the data, where none was declared."""
+    ruled_out: Mapping[str, str] = field(default_factory=dict)
+    """Names of effects that another measurement has ruled out: why."""
+
+    @cached_property
+    def modelled_active(self) -> tuple[Active, ...]:
+        """The modelled effects with the parameters about which everything is linear."""
+        if self.modelled_theta:
+            return tuple(zip(self.modelled, self.modelled_theta, strict=True))
+        return tuple((effect, np.zeros(len(effect.parameters))) for effect in self.modelled)
+
+    @property
+    def free_attitude_error(self) -> bool:
+        """Whether nothing bounds the error of the reference attitude but these data."""
+        return self.budget.attitude_sigma_rad is None and bool(self.noise_image_nT.any())
+
+    @property
+    def setting(self) -> Setting:
+        return self.chain.setting
+
+    @cached_property
+    def design(self) -> Chain:
+        """The chain along the smoothed attitude track, for images of causes (Jacobians, blocks).
+
+        An image made with the recorded attitudes repeats their errors, which are in the residual too: the two would
+        correlate, and noise look like a cause.
+        """
+        motion = self.setting.motion
+        if not isinstance(motion, RecordedMotion) or self.setting.direction != "predict":
+            return self.chain
+        return Chain(replace(self.setting, motion=motion.along_track()))
+
+    @property
+    def time(self) -> TimeArray:
+        """(N,) UTC."""
+        return self.setting.time
+
+    @property
+    def rows(self) -> int:
+        return int(self.time.size)
+
+    @cached_property
+    def residual_nT(self) -> FloatArray:
+        """(N, 3) reading less prediction with the frozen and the modelled effects."""
+        return self.residual_of([*self.frozen, *self.modelled_active])
+
+    def residual_of(self, active: Sequence[Active]) -> FloatArray:
+        """(N, 3) reading less prediction with these effects on; without attitude, what no turn of the body explains."""
+        signal = self.chain.signal(active)
+        residual = np.asarray(self.telemetry.mag_B_nT - signal.reading)
+        if signal.sample_offset_s and isinstance(self.setting.motion, RecordedMotion):
+            # A row sampled where nobody knows the attitude has no say.
+            residual = np.where(self.setting.motion.reaches(signal.sample_offset_s)[:, None], residual, 0.0)
+        residual = self._unshortened(residual, signal.field_B_nT)
+        return residual if self.axes is None else self.axes.without_turn(residual, signal.field_B_nT)
+
+    def _unshortened(self, residual_nT: FloatArray, field_B_nT: FloatArray) -> FloatArray:
+        """The residual (N, 3) as if an attitude error theta gave theta x B alone.
+
+        A turn also shortens the component along the field by half of theta squared: 9 nT at 1 deg, always of one sign.
+        What the residual across the field says of theta is believed as far as the declared error goes, or the one found.
+        """
+        sigma_rad = self.budget.attitude_sigma_rad or self.attitude_found_rad
+        if not sigma_rad:
+            return residual_nT
+        size_nT = np.linalg.norm(field_B_nT, axis=1)
+        along = field_B_nT / np.maximum(size_nT, 1e-9)[:, None]
+        across = residual_nT - np.einsum("nc,nc->n", residual_nT, along)[:, None] * along
+        turn_rad = np.linalg.norm(across, axis=1) / np.maximum(size_nT, 1e-9)
+        turn_rad = np.where(turn_rad < _LARGEST_ERROR * sigma_rad, turn_rad, 0.0)
+        return np.asarray(residual_nT + (0.5 * turn_rad**2 * size_nT)[:, None] * along)
+
+    def judged(self, columns: FloatArray) -> FloatArray:
+        """(N, 3) or (N, 3, P) columns in body axes as they are judged: in the rows' own axes, zero where unmeasured."""
+        return columns if self.axes is None else self.axes.judged(columns)
+
+    @cached_property
+    def measured(self) -> BoolArray:
+        """(N, 3) components that are judged."""
+        return np.ones((self.rows, 3), dtype=np.bool_) if self.axes is None else self.axes.measured
+
+    @property
+    def whole_rows(self) -> int:
+        """Rows of three components that are worth as many components as are judged."""
+        return int(self.measured.sum()) // 3
+
+    @cached_property
+    def noise_field_nT(self) -> FloatArray:
+        """(N, 3) field that an attitude error acts on, in the rows' own axes: what the whitening works with."""
+        return self.field_B_nT if self.axes is None else self.axes.noise_field_nT(self.field_B_nT)
+
+    @cached_property
+    def sensor_image(self) -> FloatArray:
+        """(3, 3) (I + S)^-1: how a change of the field reaches the reading (equation 1)."""
+        S = [theta.reshape(3, 3) for effect, theta in self.modelled_active if effect.name == "scale_misalignment"]
+        matrix = np.eye(3) + self.setting.instrument.S + sum(S, np.zeros((3, 3)))
+        return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+
+    @cached_property
+    def noise_image_nT(self) -> FloatArray:
+        """(N, 3, 3) what a turn of a radian does to a row, in the row's own axes: what the whitening works with."""
+        images = turn_images(self.noise_field_nT)
+        known = np.ones(self.rows, dtype=np.bool_) if self.axes is None else self.axes.known
+        images[known] = self.sensor_image @ images[known]
+        return images
+
+    @cached_property
+    def field_B_nT(self) -> FloatArray:
+        """(N, 3) predicted ambient field in reported body axes: what an attitude error theta acts on, theta x B."""
+        return self.chain.signal([*self.frozen, *self.modelled_active]).field_B_nT
+
+    @cached_property
+    def nuisance(self) -> FloatArray:
+        """(N, 3, C) Jacobian of all modelled effects; C may be 0."""
+        blocks = []
+        for number, (_, theta) in enumerate(self.modelled_active):
+            others = [*self.frozen, *self.modelled_active[:number], *self.modelled_active[number + 1 :]]
+            blocks.append(jacobian(self.design, self.modelled[number], at=others, theta=theta))
+        return np.concatenate(blocks, axis=2) if blocks else np.zeros((self.rows, 3, 0))
+
+    @cached_property
+    def segment(self) -> FloatArray:
+        """(N,) number of the stretch without gaps, from 0: a gap is five times the usual spacing."""
+        steps = np.diff(self.setting.seconds)
+        usual = float(np.median(steps)) if steps.size else 1.0
+        breaks = steps > _GAP_FACTOR * usual
+        if self.axes is not None and self.axes.with_nadir.any():
+            breaks = breaks | _another_sensor(self.axes)
+        return np.concatenate([[0.0], np.cumsum(breaks)])
+
+
+def pose(
+    telemetry: Telemetry,
+    model: FieldModel,
+    *,
+    modelled: Sequence[str] = DEFAULT_MODELLED,
+    budget: Budget | None = None,
+    instrument: Magnetometer | None = None,
+    frozen: Sequence[Active] = (),
+) -> Problem:
+    """Pose the problem for a record.
+
+    modelled: names of effects to re-estimate. instrument: starting S, b, T (default: none). frozen: effects that the
+    scenario has. Rows without reference attitude are used too: linear about the reading as the instrument has it until
+    `refit.settled`. Raises BadInput for unknown names and absent columns, OutOfRange for rows outside the field model,
+    NoAnswer when no row is complete.
+    """
+    effects = []
+    for name in modelled:
+        effect = find_effect(name, where="--modelled")
+        if not isinstance(effect, SignalEffect):
+            raise BadInput(f"{name} has no parameters to re-estimate", where="--modelled", wanted="a signal effect")
+        effects.append(effect)
+    used, left_out = _usable(telemetry)
+    model.pieces(used.time)
+    model = model.lasting(_OTHER_STAMPS)
+    assert used.r_N_km is not None
+    r, v, known = np.array(used.r_N_km), _velocity(used), used.has_attitude
+    q = np.tile([0.0, 0.0, 0.0, 1.0], (known.size, 1)) if used.q_NB is None else np.array(used.q_NB)
+    q[~known] = [0.0, 0.0, 0.0, 1.0]
+    motion = RecordedMotion(used.time, r, v, frames.rotation_from_q(q), used.rate_B_rad_s)
+    plain = Magnetometer(np.zeros((3, 3)), np.zeros(3)) if instrument is None else instrument
+    setting = Setting(used.time, motion, "predict", model, plain, recorded_columns(used))
+    budget = budget or Budget()
+    axes = None
+    if not known.all():
+        setting, axes = _with_pseudo_attitude(setting, used, known, budget)
+    return Problem(used, Chain(setting), tuple(frozen), tuple(effects), budget, left_out, axes=axes)
+
+
+def realigned(problem: Problem, beside: Sequence[Active] | None = None) -> Problem:
+    """The problem with pseudo attitudes that fit the reading as it is calibrated now; itself where all are known.
+
+    beside: all that is on beside the frozen effects, default the modelled ones as they stand.
+    """
+    if problem.axes is None:
+        return problem
+    active = [*problem.frozen, *(problem.modelled_active if beside is None else beside)]
+    signal, setting, axes = problem.chain.signal(active), problem.setting, problem.axes
+    residual = np.asarray(problem.telemetry.mag_B_nT - signal.reading)
+    turn = Rotation.from_rotvec(axes.fitting_turn(residual, signal.field_B_nT))
+    motion = replace(_motion(setting), R_BN=turn * setting.given[2])
+    chain = Chain(replace(setting, motion=motion))
+    S = [theta.reshape(3, 3) for effect, theta in active if effect.name == "scale_misalignment"]
+    matrix = np.eye(3) + setting.instrument.S + sum(S, np.zeros((3, 3)))
+    field = chain.signal(active).field_B_nT
+    fresh = row_axes.row_axes(axes.known, field, axes.nadir_B, matrix, axes.nadir_error)
+    return replace(problem, chain=chain, axes=fresh)
+
+
+def _with_pseudo_attitude(
+    setting: Setting, used: Telemetry, known: BoolArray, budget: Budget
+) -> tuple[Setting, RowAxes]:
+    """The setting with an attitude in every row, and the axes in which the rows are judged."""
+    r_N_km, _, R_BN = setting.given
+    field_N = field_N_nT(setting.model, setting.time, r_N_km, setting.R_EN)
+    field_B = row_axes.calibrated(np.array(used.mag_B_nT), setting.instrument, used.dipole_B_Am2)
+    nadir_N = -r_N_km / np.linalg.norm(r_N_km, axis=1)[:, None]
+    nadir_B, ratio = row_axes.usable_nadir(used.nadir_B, known, R_BN, nadir_N, field_N, budget.attitude_sigma_rad)
+    R_BN = row_axes.pseudo_attitude(R_BN, known, field_N, field_B)
+    with_nadir = np.any(nadir_B != 0.0, axis=1)
+    R_BN = row_axes.with_nadir_exact(R_BN, with_nadir, nadir_B, nadir_N, field_N, field_B)
+    motion = replace(_motion(setting), R_BN=R_BN, attitude_known=known)
+    filled = replace(setting, motion=motion, field_N_nT=field_N, attitude_known=known)
+    matrix = np.eye(3) + setting.instrument.S
+    return filled, row_axes.row_axes(known, R_BN.apply(field_N), nadir_B, matrix, ratio)
+
+
+def _motion(setting: Setting) -> RecordedMotion:
+    assert isinstance(setting.motion, RecordedMotion)
+    return setting.motion
+
+
+def _another_sensor(axes: RowAxes) -> BoolArray:
+    """(N - 1,) where the row after is judged by the attitude and the last one with a say was by nadir, or the reverse."""
+    says = np.where(axes.known, 1, np.where(axes.with_nadir, 2, 0))
+    latest = np.maximum.accumulate(np.where(says > 0, np.arange(says.size), 0))
+    held = says[latest]
+    return np.asarray((held[1:] != held[:-1]) & (held[:-1] > 0), dtype=np.bool_)
+
+
+def _usable(telemetry: Telemetry) -> tuple[Telemetry, dict[str, int]]:
+    if telemetry.r_N_km is None:
+        raise BadInput("the telemetry has no position", where="r_x_km r_y_km r_z_km", wanted="positions, or --tle FILE")
+    needs = {
+        "no reading": telemetry.has_reading,
+        "no position": telemetry.has_position,
+    }
+    usable, left_out = np.ones(len(telemetry), dtype=bool), {}
+    for reason, present in needs.items():
+        count = int((usable & ~present).sum())
+        if count:
+            left_out[reason] = count
+        usable &= present
+    if not usable.any():
+        raise NoAnswer("no row has reading and position", evidence={"left_out": left_out})
+    return telemetry.select(usable), left_out
+
+
+def _velocity(telemetry: Telemetry) -> FloatArray:
+    """(N, 3) recorded velocity, or the slope of the positions where it is missing."""
+    assert telemetry.r_N_km is not None
+    r = np.array(telemetry.r_N_km)
+    if len(r) < 2:
+        raise NoAnswer("one row alone has no velocity and no time series", evidence={"rows": len(r)})
+    slope = np.gradient(r, epoch.seconds_since(telemetry.time, telemetry.time[0]), axis=0)
+    if telemetry.v_N_km_s is None:
+        return np.asarray(slope)
+    known = np.asarray(np.isfinite(telemetry.v_N_km_s).all(axis=1))
+    return np.where(known[:, None], telemetry.v_N_km_s, slope)

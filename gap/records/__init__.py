@@ -1,0 +1,1 @@
+"""The diagnosis as a record, and the contract of its JSON."""

@@ -1,0 +1,1 @@
+"""Which effects: score tests, refits, forward selection, by one criterion."""

@@ -1,0 +1,128 @@
+"""The smallest size of each effect that a design would show: nine times in ten, at the gate that a name has to pass.
+
+An effect is seen when its score, chi-square with r degrees of freedom and non-centrality d, exceeds the level that
+noise alone passes with probability GATE / K, K being the number of alternatives tested (the price of the search). The
+size is the d at which that happens nine times in ten (noncentral chi-square, exact). A name has to pass under every noise
+model that the data do not rule out, so d is that of the noise model that hides the effect best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import chi2, ncx2
+
+from fluxtwin.gap.records.diagnosis import Detectable
+from fluxtwin.gap.selection.score import Board, Whitens, orthonormal
+from fluxtwin.sim.base.types import FloatArray
+
+GATE = 0.002
+"""Probability that a perfect simulation gets any name."""
+MISS = 0.10
+_ABSURD = 1000.0  # times the typical size: no flight would show it
+
+
+@cache
+def noncentrality(rank: int, tested: int) -> float:
+    """The non-centrality that a test with `rank` degrees of freedom, one of `tested`, finds nine times in ten."""
+    level = float(chi2.isf(GATE / tested, rank))
+    return float(brentq(lambda d: ncx2.cdf(level, rank, d) - MISS, 1e-3, 20.0 * level + 100.0))
+
+
+def detectable(
+    board: Board, white: FloatArray, raw_nuisance: FloatArray, white_nuisance: FloatArray
+) -> tuple[dict[str, Detectable], FloatArray, dict[str, str]]:
+    """For each effect, the parameter (in its typical size) that is seen best, and the smallest size of it alone.
+
+    white: (M, 3, P) whitened columns of the board. raw_nuisance, white_nuisance: (M, 3, c) what is re-estimated, as
+    it is and whitened. Returns ({name: Detectable}, (M, 3, k) image of each, nT per unit, {name: why it is untestable}).
+    """
+    best = _best_columns(board)
+    found: dict[str, Detectable] = {}
+    reasons: dict[str, str] = {}
+    for name in dict.fromkeys(candidate.name for candidate in board.candidates):
+        reason = _reason(board, best.get(name))
+        if reason is not None:
+            reasons[name] = reason
+    seen = {name: choice for name, choice in best.items() if name not in reasons}
+    columns = [column for _, _, column in seen.values()]
+    raw = [board.candidates[n].jacobian[:, :, int(board.place[column])] for _, n, column in seen.values()]
+    images = np.stack(raw, axis=-1) if raw else np.zeros((*white.shape[:2], 0))
+    visible = visible_part(images, white[:, :, columns], raw_nuisance, white_nuisance)
+    for number, (name, (relative, owner, column)) in enumerate(seen.items()):
+        parameter = board.candidates[owner].effect.parameters[int(board.place[column])]
+        value = relative * parameter.scale
+        rms = float(np.sqrt(np.mean(visible[:, :, number] ** 2)))
+        found[name] = Detectable(parameter.name, value, parameter.unit, value * rms)
+    return found, images, reasons
+
+
+def under_all(
+    smallest: Mapping[str, Detectable], images_nT: FloatArray, nuisance_nT: FloatArray, noises: Sequence[Whitens]
+) -> dict[str, Detectable]:
+    """The same sizes, enlarged to what the last of several noise models lets through.
+
+    images_nT (M, 3, k), in the order of `smallest`; nuisance_nT (M, 3, c); noises: the one that the sizes hold under
+    first.
+    """
+    if len(noises) == 1 or not smallest:
+        return dict(smallest)
+    seen = np.array([_length(noise.apply(images_nT), noise.apply(nuisance_nT)) for noise in noises])
+    worse = seen[0] / seen.min(axis=0)
+    return {
+        name: replace(one, value=one.value * factor, visible_nT=one.visible_nT * factor)
+        for (name, one), factor in zip(smallest.items(), worse.tolist(), strict=True)
+    }
+
+
+def _length(white: FloatArray, white_nuisance: FloatArray) -> FloatArray:
+    """(k,) of whitened columns (M, 3, k) beside a nuisance (M, 3, c)."""
+    flat, basis = white.reshape(-1, white.shape[2]), orthonormal(white_nuisance)
+    for _ in range(2):  # twice is enough: the second pass removes the rounding of the first
+        flat = flat - basis @ (basis.T @ flat)
+    return np.asarray(np.linalg.norm(flat, axis=0))
+
+
+def visible_part(
+    raw: FloatArray, white: FloatArray, raw_nuisance: FloatArray, white_nuisance: FloatArray
+) -> FloatArray:
+    """(M, 3, k) what is left of columns (raw and whitened) after the best re-estimation of the nuisance, nT."""
+    if not raw_nuisance.shape[2]:
+        return raw
+    flat = white_nuisance.reshape(-1, white_nuisance.shape[2])
+    length = np.linalg.norm(flat, axis=0)
+    length = np.where(length > 0, length, 1.0)
+    weights = np.linalg.lstsq(flat / length, white.reshape(flat.shape[0], -1), rcond=1e-9)[0] / length[:, None]
+    return np.asarray(raw - raw_nuisance @ weights)
+
+
+def _best_columns(board: Board) -> dict[str, tuple[float, int, int]]:
+    """For each name: smallest size relative to the typical one, number of the candidate, number of the column."""
+    tested = max(int((board.rank > 0).sum()), 1)
+    best: dict[str, tuple[float, int, int]] = {}
+    for column in np.flatnonzero(board.left > board.share_left):
+        owner = int(board.owner[column])
+        candidate = board.candidates[owner]
+        if board.rank[owner] == 0:
+            continue
+        curvature = board.left[column] * board.lengths[column] ** 2
+        value = np.sqrt(noncentrality(int(board.rank[owner]), tested) / curvature)
+        relative = float(value / candidate.scale[int(board.place[column])])
+        if candidate.name not in best or relative < best[candidate.name][0]:
+            best[candidate.name] = (relative, owner, int(column))
+    return best
+
+
+def _reason(board: Board, best: tuple[float, int, int] | None) -> str | None:
+    if best is None:
+        return "what is re-estimated can imitate it wholly on this orbit and attitude"
+    relative, number, column = best
+    parameter = board.candidates[number].effect.parameters[int(board.place[column])]
+    size = relative * parameter.scale
+    if relative > _ABSURD or size > max(abs(parameter.low), abs(parameter.high)):
+        return f"only {parameter.name} above {size:.3g} {parameter.unit} would show, which is beyond what is physical"
+    return None

@@ -1,0 +1,321 @@
+"""Which effects: score tests, refits in the nonlinear chain, growth, and undoing of wrong picks.
+
+One effect is sought first; others are sought beside it at the refit (a large lag is not linear, and tested at zero
+it would call for partners). When one more is significant, pairs (and triples) are ranked afresh, so that a wrong first
+pick can be undone; before that, a setting of which only a few values were tried is moved where the data want it. Sets are
+compared by the one criterion, with prior 1/K for each effect among K alternatives tested.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fluxtwin.gap.hypotheses.candidates import Candidate, candidate_of, candidates
+from fluxtwin.gap.linear.leftover import least_share
+from fluxtwin.gap.noise.whitening import Whitener
+from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.gap.selection.collinear import undone
+from fluxtwin.gap.selection.criterion import penalty
+from fluxtwin.gap.selection.detectable import GATE
+from fluxtwin.gap.selection.groups import alike, shares_by_name
+from fluxtwin.gap.selection.interval import likeliest_interval
+from fluxtwin.gap.selection.refit import Fit, refit, white_residual
+from fluxtwin.gap.selection.score import SHARE_LEFT, Board, board, orthonormal, whitened
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.effects.base import Effect, SignalEffect
+from fluxtwin.sim.effects.chain import Active
+
+LARGEST = 3
+WITHIN = 8.0
+NONLINEAR = 0.2
+"""A candidate is refitted if its linear score comes within the first, or this share, of the best: so much of a drop may be
+lost by taking a large effect as linear (8 % of a clock 10 s late, whose linear image is made of an attitude with errors of
+its own). Generous, because what it costs is at most four refits."""
+_REFITS = 4
+_STEPS = (1.5, 1 / 1.5, 1.25, 1 / 1.25, 1.12, 1 / 1.12)
+
+
+@dataclass(eq=False)
+class Search:
+    """A search under way: what it needs, and the fits it has made."""
+
+    problem: Problem
+    whitener: Whitener
+    found: list[Candidate]
+    base: Fit
+    first: Board
+    """All candidates beside what is modelled alone."""
+    white: FloatArray
+    gate: float = GATE
+    fits: dict[frozenset[str], Fit] = field(default_factory=dict)
+    same: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    """Names that imitate each other on this design, from `groups.alike`."""
+
+    def clash(self, numbers: Sequence[int]) -> bool:
+        """Whether two of these candidates are one cause under two names, large and nearly cancelling if both fitted."""
+        names = [self.found[number].name for number in numbers]
+        return any(b in self.same.get(a, ()) for k, a in enumerate(names) for b in names[k + 1 :])
+
+    @property
+    def share_left(self) -> float:
+        """Of its energy that an image must have beside others."""
+        return least_share(self.whitener, SHARE_LEFT)
+
+    @property
+    def tested(self) -> int:
+        return max(int((self.first.rank > 0).sum()), 1)
+
+    @property
+    def samples(self) -> float:
+        return max(self.whitener.measured / 3.0, 2.0)
+
+    def fit(self, numbers: Sequence[int], start: Sequence[FloatArray]) -> Fit:
+        """The refit of these candidates; each set is fitted once."""
+        key = frozenset(self.found[number].label for number in numbers)
+        if key not in self.fits:
+            chosen = [(self.found[number].effect, theta) for number, theta in zip(numbers, start, strict=True)]
+            self.fits[key] = refit(
+                self.problem, self.whitener, chosen, modelled=self.base.modelled, guess=self._image(numbers)
+            )
+        return self.fits[key]
+
+    def _image(self, numbers: Sequence[int]) -> FloatArray:
+        """(M, 3, c + p) whitened Jacobian of what is modelled and of these candidates at the base."""
+        parts = [self.base.jacobian]
+        for number in numbers:
+            live = self.found[number].live
+            part = np.zeros((*self.white.shape[:2], live.size))
+            part[:, :, live] = self.white[:, :, self.first.owner == number]
+            parts.append(part)
+        return np.concatenate(parts, axis=2)
+
+    def cost(self, fit: Fit, variance: float) -> float:
+        """chi2 / variance + the price of parameters and names; lower is better."""
+        drop = (self.base.chi2 - fit.chi2) / variance
+        names = 2 * len(fit.chosen) * np.log(self.tested)
+        return float(fit.chi2 / variance + penalty(fit.rank_chosen, drop, self.samples) + names)
+
+    def beside(self, fit: Fit) -> tuple[Board, list[Candidate]]:
+        """Effects other than those chosen, scored at a refit.
+
+        The residual and what is projected out are those of the refit. The candidates' own images are those at the
+        base: a chosen effect changes them little, and whatever is picked is fitted in the nonlinear chain.
+        """
+        taken = {effect.name for effect, _ in fit.chosen}
+        others = [candidate for candidate in self.found if candidate.name not in taken]
+        kept = np.array([self.found[int(owner)].name not in taken for owner in self.first.owner], dtype=bool)
+        measured = self.whitener.measured
+        scored = board(others, self.white[:, :, kept], fit.residual, fit.jacobian, measured, self.share_left)
+        return scored, others
+
+    def add(self, effects: Sequence[SignalEffect], fit: Fit | None = None) -> None:
+        """Further candidates, and the fit that has them if there is one."""
+        more = [candidate_of(self.problem, effect, modelled=self.base.modelled) for effect in effects]
+        own = whitened(more, self.whitener, self.base.residual.shape[0])
+        self.found = [*self.found, *more]
+        self.white = np.concatenate([self.white, own], axis=2)
+        nuisance, measured = self.base.jacobian, self.whitener.measured
+        self.first = board(self.found, self.white, self.base.residual, nuisance, measured, self.share_left)
+        if fit is not None:
+            self.fits[frozenset(self.found[number].label for number in self.numbers(fit))] = fit
+
+    def numbers(self, fit: Fit) -> list[int]:
+        return [
+            next(n for n, c in enumerate(self.found) if c.effect is effect or c.effect == effect)
+            for effect, _ in fit.chosen
+        ]
+
+
+def begin(
+    problem: Problem,
+    whitener: Whitener,
+    gate: float = GATE,
+    known: tuple[list[Candidate], dict[str, str]] | None = None,
+) -> tuple[Search, dict[str, str]]:
+    """Fit what is modelled, and score every candidate beside it.
+
+    known: what `candidates` gave for this problem: noise moves the fit of what is modelled by too little to matter.
+    """
+    base = refit(problem, whitener)
+    found, untestable = known or candidates(problem, modelled=base.modelled)
+    white = whitened(found, whitener, base.residual.shape[0])
+    first = board(found, white, base.residual, base.jacobian, whitener.measured, least_share(whitener, SHARE_LEFT))
+    same = alike(shares_by_name(first))
+    return Search(problem, whitener, found, base, first, white, gate, same=same), untestable
+
+
+def run(search: Search) -> list[tuple[Fit, Board]]:
+    """The best sets of none, one, two, three effects, as long as one more is significant and worth it; each with what
+    is to be scored beside it."""
+    path = [(search.base, search.first)]
+    if not search.found or search.tested * float(search.first.p_values.min()) > search.gate:
+        return path
+    interval = likeliest_interval(search.problem, search.whitener, search.base.residual, search.base.jacobian)
+    if interval is not None and "switched_field" in {candidate.name for candidate in search.found}:
+        search.add([interval])
+    fit = _best(search, [[number] for number in _shortlist(search, search.first)], search.first)
+    rest, others = search.beside(fit)
+    fit, rest, others = _sharper(search, fit, rest, others)
+    path.append((fit, rest))
+    while len(fit.chosen) < LARGEST:
+        larger = _grown(search, fit, rest, others)
+        if larger is None:
+            break
+        fit = larger
+        fit, rest, others = _sharper(search, fit, *search.beside(fit))
+        path.append((fit, rest))
+    last = _eliminated(search, fit, rest)
+    if last is not fit:
+        kept = [pair for pair in path if len(pair[0].chosen) < len(last.chosen)]
+        path = [*kept, (last, search.beside(last)[0])]
+    return path
+
+
+def _sharper(search: Search, fit: Fit, rest: Board, others: list[Candidate]) -> tuple[Fit, Board, list[Candidate]]:
+    """Where a further cause would be looked for: the fit with its settings moved, and what is beside it then."""
+    if search.tested * float(rest.p_values.min()) > search.gate:
+        return fit, rest, others
+    moved = _sharpened(search, fit)
+    return (fit, rest, others) if moved is fit else (moved, *search.beside(moved))
+
+
+def _sharpened(search: Search, fit: Fit) -> Fit:
+    """The fit with settings between the values that were tried, as further candidates.
+
+    What a setting that is a little off leaves would be taken for one more cause.
+    """
+    start, setting = fit, search.problem.setting
+    for number in range(len(start.chosen)):
+        for step in _STEPS:
+            fit = _with_setting(search, fit, number, fit.chosen[number][0].between(setting, step))
+        for place in range(len(fit.chosen[number][0].variants(setting))):
+            fit = _with_setting(search, fit, number, fit.chosen[number][0].variants(setting)[place])
+    pairs = zip(fit.chosen, start.chosen, strict=True)
+    new = [mine for (mine, _), (old, _) in pairs if isinstance(mine, SignalEffect) and mine != old]
+    if new:
+        search.add(new, fit)
+    return fit
+
+
+def _with_setting(search: Search, fit: Fit, number: int, moved: Effect | None) -> Fit:
+    """The fit with another setting of one effect, if it is better.
+
+    Looked at first along the images at hand, so that only what will be taken is fitted in the nonlinear chain.
+    """
+    if not isinstance(moved, SignalEffect):
+        return fit
+    chosen = [(moved, theta) if place == number else (one, theta) for place, (one, theta) in enumerate(fit.chosen)]
+    basis = orthonormal(fit.jacobian)
+    rest = white_residual(search.problem, search.whitener, [*fit.modelled, *chosen]).reshape(-1)
+    if float(np.sum((rest - basis @ (basis.T @ rest)) ** 2)) >= fit.chi2 - 1.0:
+        return fit
+    trial = refit(search.problem, search.whitener, chosen, modelled=fit.modelled, guess=fit.jacobian)
+    return trial if trial.chi2 < fit.chi2 - 1.0 else fit
+
+
+def _shortlist(search: Search, scored: Board) -> list[int]:
+    """Candidates whose linear model is nearly as good as the best one, at most two alternatives of an effect."""
+    drop = scored.statistic / scored.variance
+    cost = -drop + penalty(scored.rank, drop, search.samples)
+    cost = np.where(scored.rank > 0, cost, np.inf)
+    window = max(WITHIN, NONLINEAR * float(scored.statistic.max() / scored.variance))
+    chosen: list[int] = []
+    for number in np.argsort(cost):
+        same = sum(scored.candidates[other].name == scored.candidates[number].name for other in chosen)
+        if cost[number] <= cost.min() + window and same < 2 and len(chosen) < _REFITS:
+            chosen.append(int(number))
+    return chosen
+
+
+def _best(search: Search, sets: Sequence[Sequence[int]], scored: Board) -> Fit:
+    """The cheapest refit among sets of candidates, started from the linear estimates at zero."""
+    fits = [search.fit(numbers, search.first.estimate(numbers)) for numbers in sets]
+    return min(fits, key=lambda fit: search.cost(fit, scored.variance))
+
+
+def _grown(search: Search, fit: Fit, rest: Board, others: Sequence[Candidate]) -> Fit | None:
+    """The best larger set, if one more effect is significant at the refit and worth its price."""
+    if not others or search.tested * float(rest.p_values.min()) > search.gate:
+        return None
+    present = search.numbers(fit)
+    pairs = [(place, search.found.index(others[place])) for place in _shortlist(search, rest)]
+    pairs = [(place, partner) for place, partner in pairs if not search.clash([*present, partner])][:3]
+    places, partners = [place for place, _ in pairs], [partner for _, partner in pairs]
+    thetas = [theta for _, theta in fit.chosen]
+    trials = []
+    for place, partner in zip(places, partners, strict=True):
+        trials.append(search.fit([*present, partner], [*thetas, rest.estimate([place])[0]]))
+    afresh = _afresh(search, len(present) + 1, present, partners)
+    trials += [search.fit(numbers, search.first.estimate(numbers)) for numbers in afresh]
+    if not trials:
+        return None
+    trials.sort(key=lambda trial: search.cost(trial, rest.variance))
+    best = next((trial for trial in trials if not _undone(search, trial)), None)
+    if best is None:
+        return None
+    gain, rank = fit.chi2 - best.chi2, max(best.rank_chosen - fit.rank_chosen, 1)
+    significant = search.tested * rest.p_value(gain, rank) < search.gate
+    return best if significant and search.cost(best, rest.variance) < search.cost(fit, rest.variance) else None
+
+
+def _undone(search: Search, fit: Fit) -> bool:
+    alone = [search.tested * float(search.first.p_values[number]) < search.gate for number in search.numbers(fit)]
+    return undone(search.problem, search.whitener, fit, search.base.jacobian, alone)
+
+
+def _afresh(search: Search, size: int, present: Sequence[int], partners: Sequence[int]) -> list[list[int]]:
+    """The two best sets of `size` effects at zero: all pairs; for triples, a beam of pairs with every third."""
+    scored = search.first
+    if size == 2:
+        seeds = [[n] for n in range(len(search.found)) if scored.rank[n] > 0]
+    else:
+        seeds = [[a, b] for a in [*present, *partners] for b in [*present, *partners] if a < b]
+    ranked: list[tuple[float, list[int]]] = []
+    for seed in seeds:
+        drop, rank = scored.given(seed)
+        inside = np.isin(scored.block, seed)
+        own = float(scored.statistic[seed[0]]) if len(seed) == 1 else _joint(scored, inside)
+        whole = (own + drop) / scored.variance
+        cost = -whole + penalty(int(inside.sum()) + rank, whole, search.samples)
+        names = {search.found[n].name for n in seed}
+        free = [n for n in np.argsort(cost)[:3] if rank[n] > 0 and search.found[n].name not in names]
+        ranked += [(float(cost[n]), sorted([*seed, int(n)])) for n in free]
+    ranked.sort(key=lambda pair: pair[0])
+    distinct: list[list[int]] = []
+    for _, numbers in ranked:
+        if numbers not in distinct and not search.clash(numbers):
+            distinct.append(numbers)
+    return distinct[:2]
+
+
+def _joint(scored: Board, inside: BoolArray) -> float:
+    """Drop of chi-square by all directions that are inside."""
+    values, vectors = np.linalg.eigh(scored.unit_gram[np.ix_(inside, inside)])
+    good = values > 1e-6
+    return float(np.sum((vectors[:, good].T @ scored.score[inside]) ** 2 / values[good]))
+
+
+def _eliminated(search: Search, fit: Fit, rest: Board) -> Fit:
+    """Effects that the others have made needless are taken out again."""
+    while len(fit.chosen) > 1:
+        smaller = [without(search, fit, number) for number in range(len(fit.chosen))]
+        drops = [(one.chi2 - fit.chi2, max(fit.rank_chosen - one.rank_chosen, 1)) for one in smaller]
+        worst = int(np.argmax([rest.p_value(*drop) for drop in drops]))
+        needless = search.tested * rest.p_value(*drops[worst]) > search.gate
+        if not needless and search.cost(smaller[worst], rest.variance) > search.cost(fit, rest.variance):
+            break
+        fit = smaller[worst]
+    return fit
+
+
+def without(search: Search, fit: Fit, number: int) -> Fit:
+    """The refit without one of the chosen effects."""
+    left: list[Active] = [pair for place, pair in enumerate(fit.chosen) if place != number]
+    if not left:
+        return search.base
+    numbers = search.numbers(fit)
+    del numbers[number]
+    return search.fit(numbers, [theta for _, theta in left])

@@ -1,0 +1,64 @@
+"""Which causes a design can tell apart, found before the data are looked at."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fluxtwin.gap.selection.score import Board
+from fluxtwin.sim.base.types import FloatArray
+
+ALIKE = 0.98
+"""Two effects that each imitate this share of the other are one group."""
+WORTH_SAYING = 0.5
+
+
+def shares(board: Board) -> FloatArray:
+    """(K, K) share of candidate k's signal (row; beside the nuisance) that candidate l (column) can imitate.
+
+    S_kl = ||P_l X_k||**2 / ||X_k||**2 with the parameters of k in their typical sizes.
+    """
+    size = np.concatenate([c.scale[c.live] for c in board.candidates] or [np.zeros(0)]) * board.lengths
+    scaled = board.gram * size
+    power = np.bincount(board.owner.astype(int), weights=np.diag(board.gram) * size**2, minlength=len(board.candidates))
+    imitated = (board.turn.T @ scaled) ** 2
+    by_direction = np.zeros((len(board.candidates), imitated.shape[1]))
+    np.add.at(by_direction, board.block.astype(int), imitated)
+    both = np.zeros((len(board.candidates), len(board.candidates)))
+    np.add.at(both, board.owner.astype(int), by_direction.T)
+    return np.asarray(np.clip(both / np.where(power > 0, power, np.inf)[:, None], 0.0, 1.0))
+
+
+def shares_by_name(board: Board) -> dict[str, dict[str, float]]:
+    """{a: {b: share of a that b can imitate}}, the largest over alternatives of both; effects that are seen only."""
+    table = shares(board)
+    seen = board.rank > 0
+    found: dict[str, dict[str, float]] = {}
+    for k, one in enumerate(board.candidates):
+        for m, other in enumerate(board.candidates):
+            if seen[k] and seen[m] and one.name != other.name:
+                row = found.setdefault(one.name, {})
+                row[other.name] = max(row.get(other.name, 0.0), float(table[k, m]))
+    return found
+
+
+def isolability(table: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+    """The shares worth saying: 0.5 and more, largest first."""
+    found = {}
+    for name, row in table.items():
+        large = {
+            other: share for other, share in sorted(row.items(), key=lambda pair: -pair[1]) if share >= WORTH_SAYING
+        }
+        if large:
+            found[name] = large
+    return found
+
+
+def alike(table: dict[str, dict[str, float]]) -> dict[str, tuple[str, ...]]:
+    """{name: names, its own first, that each imitate 0.98 of the other}."""
+    return {
+        name: (
+            name,
+            *(other for other, share in row.items() if share >= ALIKE and table.get(other, {}).get(name, 0.0) >= ALIKE),
+        )
+        for name, row in table.items()
+    }

@@ -1,0 +1,57 @@
+"""A field that was on for one stretch of the record and that no column reports: when it began and ended."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.gap.selection.score import Whitens, orthonormal
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.effects.switched_field import SwitchedField
+
+_EDGES = 64
+_LEAST_SHARE = 0.05  # of the record, inside and on either side: shorter ones are spikes, or a step
+_SURER = 14.0  # of chi-square, beyond the best single step on the same edges: a fourth of a second edge's price, twice
+_MORE = 0.05  # of the step's own
+
+
+def likeliest_interval(
+    problem: Problem, whitener: Whitens, residual: FloatArray, nuisance: FloatArray
+) -> SwitchedField | None:
+    """The interval in which a constant field explains most of a whitened residual (M, 3), beside the nuisance (M, 3, c).
+
+    None where one step does about as well. Each pair of edges is a difference of two steps, so all pairs follow from one
+    Gram matrix of the steps.
+    """
+    rows = problem.rows
+    if rows < 4 * _EDGES:
+        return None
+    at = np.linspace(0, rows, _EDGES + 1).astype(int)[1:-1]
+    steps = (np.arange(rows)[:, None] >= at[None, :]).astype(np.float64)
+    columns = (np.eye(3)[None, :, None, :] * steps[:, None, :, None]).reshape(rows, 3, -1)
+    white = whitener.apply(columns).reshape(residual.size, -1)
+    basis = orthonormal(nuisance)
+    white = white - basis @ (basis.T @ white)
+    gram = (white.T @ white).reshape(at.size, 3, at.size, 3)
+    moment = (white.T @ residual.reshape(-1)).reshape(at.size, 3)
+    own = np.stack([gram[k, :, k, :] for k in range(at.size)])
+    single = _explained(own, moment)
+    first, last = np.triu_indices(at.size, k=max(int(_LEAST_SHARE * _EDGES), 1))
+    inside = (at[first] > _LEAST_SHARE * rows) & (at[last] < (1.0 - _LEAST_SHARE) * rows)
+    first, last = first[inside], last[inside]
+    mixed = gram[first, :, last, :]
+    both = own[first] + own[last] - mixed - np.transpose(mixed, (0, 2, 1))
+    double = _explained(both, moment[first] - moment[last])
+    best = int(np.argmax(double))
+    if double[best] < single.max() * (1.0 + _MORE) + _SURER:
+        return None
+    begin, end = (epoch.iso(problem.time[at[edge[best]]], "ms") for edge in (first, last))
+    return SwitchedField("interval", begin, end)
+
+
+def _explained(gram: FloatArray, moment: FloatArray) -> FloatArray:
+    """(K,) drop of chi-square by the columns of each Gram matrix (K, 3, 3) with its moment (K, 3)."""
+    ridge = 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-300 * np.eye(3)
+    solved = np.linalg.solve(gram + ridge, moment[:, :, None])[:, :, 0]
+    return np.asarray(np.einsum("ki,ki->k", moment, solved))

@@ -1,0 +1,234 @@
+"""Fits in the nonlinear chain: damped Gauss-Newton for chosen effects together with everything that is modelled."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fluxtwin.gap.hypotheses.candidates import derivatives, in_order
+from fluxtwin.gap.problem.problem import Problem, realigned
+from fluxtwin.gap.selection.score import SHARE_LEFT, Whitens
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.effects.chain import Active
+
+_STEPS = 12
+_HALVINGS = 6
+_WHOLLY = 0.99  # of a parameter's direction
+_AS_PROMISED = 0.9
+_CONVERGED = 0.01  # of chi-square: far below anything a decision turns on
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Modelled and chosen effects at their best parameters; M rows, c + p parameters."""
+
+    modelled: tuple[Active, ...]
+    chosen: tuple[Active, ...]
+    chi2: float
+    """Of the whitened residual."""
+    residual: FloatArray
+    """(M, 3) whitened."""
+    jacobian: FloatArray
+    """(M, 3, c + p) whitened derivative of the reading, parameters of `modelled`, then of `chosen`."""
+    covariance: FloatArray
+    """(c + p, c + p) for unit variance; parameters that are not seen (or at a limit) have none: NaN."""
+    seen: BoolArray
+    """(c + p,) parameters of which every part is seen: none lies along a direction that moves nothing."""
+    rank: int
+    """Directions seen, of modelled and chosen effects together."""
+    rank_modelled: int
+
+    @property
+    def active(self) -> list[Active]:
+        """All that is on, apart from frozen effects."""
+        return [*self.modelled, *self.chosen]
+
+    @property
+    def rank_chosen(self) -> int:
+        """Directions that the chosen effects add."""
+        return self.rank - self.rank_modelled
+
+    def slices(self) -> list[slice]:
+        """Where the parameters of each chosen effect stand."""
+        start, found = sum(len(theta) for _, theta in self.modelled), []
+        for _, theta in self.chosen:
+            found.append(slice(start, start + len(theta)))
+            start += len(theta)
+        return found
+
+
+def refit(
+    problem: Problem,
+    whitener: Whitens,
+    chosen: Sequence[Active] = (),
+    *,
+    modelled: Sequence[Active] | None = None,
+    guess: FloatArray | None = None,
+) -> Fit:
+    """Minimise the whitened chi-square over the parameters of all modelled and chosen effects, within their ranges.
+
+    chosen, modelled: effects with starting values (modelled: the problem's own by default). guess (M, 3, c + p): about
+    the whitened Jacobian, to begin with. A Jacobian whose step did what it promised is used once more; the last one
+    is recomputed.
+    """
+    work = _Work(problem, whitener)
+    count = len(problem.modelled)
+    active = [*(problem.modelled_active if modelled is None else modelled), *chosen]
+    vector = _packed(active)
+    low, high = _limits(active)
+    vector = np.clip(vector, low, high)
+    residual = work.residual(_unpacked(active, vector))
+    chi2 = float(np.sum(residual**2))
+    jacobian = work.jacobian(_unpacked(active, vector)) if guess is None else guess
+    exact = guess is None
+    for _ in range(2 * _STEPS):
+        free = _free(jacobian, residual, vector, low, high)
+        step = _step(jacobian, residual, free)
+        promised = 2 * float(np.sum(residual * (jacobian @ step))) - float(np.sum((jacobian @ step) ** 2))
+        found = _search_line(work, active, vector, step, (low, high), chi2) if promised >= _CONVERGED else None
+        if found is None and exact:
+            break
+        kept = False
+        if found is not None:
+            kept = chi2 - found[2] > _AS_PROMISED * promised
+            vector, residual, chi2 = found
+        exact = not kept
+        if exact:
+            jacobian = work.jacobian(_unpacked(active, vector))
+    active = _unpacked(active, vector)
+    size = sum(len(theta) for _, theta in active[:count])
+    covariance, seen, rank = _covariance(jacobian, _free(jacobian, residual, vector, low, high))
+    rank_modelled = _covariance(jacobian[:, :, :size], np.any(jacobian[:, :, :size] != 0.0, axis=(0, 1)))[2]
+    return Fit(
+        tuple(active[:count]), tuple(active[count:]), chi2, residual, jacobian, covariance, seen, rank, rank_modelled
+    )
+
+
+def settled(problem: Problem, *, robust_nT: float | None = None) -> Problem:
+    """The problem, linear about a first fit of what is modelled (a raw magnetometer may be off by thousands of nT).
+
+    Plain least squares with the weight of large residuals limited (Huber), so that single wrong readings do not
+    pull it; robust_nT: where large begins (default 3 robust sigma of the residual). Rows without attitude point where
+    the reading does as it is then calibrated.
+    """
+    problem = realigned(problem)
+    if not problem.modelled:
+        return problem
+    current = problem
+    for _ in range(4):
+        residual = current.judged(current.residual_nT)
+        size = np.linalg.norm(residual, axis=1)
+        limit = robust_nT if robust_nT is not None else 3.0 * max(float(np.median(size)) / 1.54, 1e-9)
+        weight = np.sqrt(np.minimum(1.0, limit / np.maximum(size, 1e-12)))[:, None]
+        vector = _packed(current.modelled_active)
+        low, high = _limits(current.modelled_active)
+        jacobian = current.judged(current.nuisance) * weight[:, :, None]
+        step = _step(jacobian, residual * weight, np.any(jacobian != 0.0, axis=(0, 1)))
+        moved = _unpacked(current.modelled_active, np.clip(vector + step, low, high))
+        current = realigned(dataclasses.replace(current, modelled_theta=tuple(theta for _, theta in moved)))
+        if np.sqrt(np.mean((jacobian @ step) ** 2)) < 1e-3 * limit:
+            break
+    return current
+
+
+def white_residual(problem: Problem, whitener: Whitens, active: Sequence[Active]) -> FloatArray:
+    """(M, 3) whitened residual with these effects on, beside the frozen ones."""
+    return _Work(problem, whitener).residual(active)
+
+
+class _Work:
+    """Residual and Jacobian of a problem, whitened."""
+
+    def __init__(self, problem: Problem, whitener: Whitens) -> None:
+        self.problem, self.whitener = problem, whitener
+
+    def residual(self, active: Sequence[Active]) -> FloatArray:
+        """(M, 3)."""
+        return self.whitener.apply(self.problem.residual_of(in_order([*self.problem.frozen, *active])))
+
+    def jacobian(self, active: Sequence[Active]) -> FloatArray:
+        """(M, 3, sum of parameters), in the order of `active`."""
+        images = derivatives(self.problem, active)
+        return self.whitener.apply(images) if images.shape[2] else images
+
+
+def _packed(active: Sequence[Active]) -> FloatArray:
+    return np.concatenate([np.asarray(theta, dtype=np.float64) for _, theta in active] or [np.zeros(0)])
+
+
+def _unpacked(active: Sequence[Active], vector: FloatArray) -> list[Active]:
+    ends = np.cumsum([len(theta) for _, theta in active])
+    return [
+        (effect, np.array(vector[end - len(theta) : end])) for (effect, theta), end in zip(active, ends, strict=True)
+    ]
+
+
+def _limits(active: Sequence[Active]) -> tuple[FloatArray, FloatArray]:
+    parameters = [parameter for effect, _ in active for parameter in effect.parameters]
+    low = np.array([parameter.low for parameter in parameters])
+    high = np.array([parameter.high for parameter in parameters])
+    return low, high
+
+
+def _free(
+    jacobian: FloatArray, residual: FloatArray, vector: FloatArray, low: FloatArray, high: FloatArray
+) -> BoolArray:
+    """Parameters that move something and do not push against a limit."""
+    pull = np.einsum("nap,na->p", jacobian, residual)
+    stuck = ((vector <= low) & (pull < 0)) | ((vector >= high) & (pull > 0))
+    return np.asarray(~stuck & np.any(jacobian != 0.0, axis=(0, 1)))
+
+
+def _step(jacobian: FloatArray, residual: FloatArray, free: BoolArray) -> FloatArray:
+    """Gauss-Newton step; directions that the data do not see are not moved."""
+    step = np.zeros(free.size)
+    if not free.any():
+        return step
+    flat = jacobian.reshape(-1, free.size)[:, free]
+    length = np.linalg.norm(flat, axis=0)
+    solution = np.linalg.lstsq(flat / length, residual.reshape(-1), rcond=_rcond())[0]
+    step[free] = solution / length
+    return step
+
+
+def _rcond() -> float:
+    return 0.1 * float(np.sqrt(SHARE_LEFT))
+
+
+def _covariance(jacobian: FloatArray, free: BoolArray) -> tuple[FloatArray, BoolArray, int]:
+    """(p, p) covariance for unit variance, NaN where a parameter is not estimated; (p,) wholly seen; the rank."""
+    covariance, seen = np.full((free.size, free.size), np.nan), np.zeros(free.size, dtype=np.bool_)
+    if not free.any():
+        return covariance, seen, 0
+    flat = jacobian.reshape(-1, free.size)[:, free]
+    length = np.linalg.norm(flat, axis=0)
+    _, values, vectors = np.linalg.svd(flat / length, full_matrices=False)
+    good = values > _rcond() * values[0]
+    turned = vectors[good].T / values[good]
+    covariance[np.ix_(free, free)] = (turned @ turned.T) / np.outer(length, length)
+    seen[free] = np.sum(vectors[good] ** 2, axis=0) > _WHOLLY
+    return covariance, seen, int(good.sum())
+
+
+def _search_line(
+    work: _Work,
+    active: Sequence[Active],
+    vector: FloatArray,
+    step: FloatArray,
+    limits: tuple[FloatArray, FloatArray],
+    chi2: float,
+) -> tuple[FloatArray, FloatArray, float] | None:
+    """The longest of the step, its half, its quarter, ... that makes the residual smaller."""
+    for halving in range(_HALVINGS):
+        trial = np.clip(vector + step / 2**halving, *limits)
+        try:
+            residual = work.residual(_unpacked(active, trial))
+        except np.linalg.LinAlgError:  # a matrix at the edge of its range that has no inverse
+            continue
+        found = float(np.sum(residual**2))
+        if np.isfinite(found) and found < chi2:
+            return trial, residual, found
+    return None

@@ -1,0 +1,241 @@
+"""Score tests of all causes, alone and together, from one Gram matrix.
+
+Everything is whitened first and projected off the nuisance (what is modelled, and effects already named), so a score
+is the exact drop of chi-square in the linear model. math: Rao's score test; F = (T / rank) / variance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+from scipy.stats import f as f_distribution
+
+from fluxtwin.gap.hypotheses.candidates import Candidate
+from fluxtwin.sim.base.types import FloatArray
+
+SHARE_LEFT = 1e-6
+"""A column (or combination of columns) with less of its energy left beside the nuisance is not there."""
+_NUISANCE_RANK = 1e-9
+_QUIETEST = 0.25
+
+
+class Whitens(Protocol):
+    """What makes the noise of rows white with variance 1."""
+
+    @property
+    def measured(self) -> int:
+        """Number of scalar measurements that are not cut."""
+
+    def apply(self, columns: FloatArray) -> FloatArray:
+        """Columns (M, 3) or (M, 3, P), whitened; rows that are cut come back as zeros."""
+
+
+@dataclass(frozen=True, eq=False)
+class Board:
+    """Whitened candidates beside a nuisance, ready for tests; M rows, P live columns of K candidates."""
+
+    candidates: Sequence[Candidate]
+    columns: FloatArray
+    """(3M, P) whitened, projected off the nuisance, each of unit length before the projection."""
+    lengths: FloatArray
+    """(P,) lengths before the projection, per unit of the parameter."""
+    owner: FloatArray
+    """(P,) number of the candidate that a column belongs to."""
+    place: FloatArray
+    """(P,) number of the parameter within its effect."""
+    residual: FloatArray
+    """(3M,) whitened, projected."""
+    nuisance_basis: FloatArray
+    """(3M, c) orthonormal."""
+    measured: int
+    """Scalar measurements that are not cut."""
+    share_left: float = SHARE_LEFT
+    """Of its energy that a column, or a combination of columns, must have beside the nuisance and other columns."""
+
+    @cached_property
+    def left(self) -> FloatArray:
+        """(P,) share of each column's energy that the nuisance leaves."""
+        return np.asarray(np.einsum("ij,ij->j", self.columns, self.columns))
+
+    @cached_property
+    def gram(self) -> FloatArray:
+        """(P, P) inner products of the projected columns."""
+        return np.asarray(self.columns.T @ self.columns)
+
+    @cached_property
+    def turn(self) -> FloatArray:
+        """(P, R) to an orthonormal basis of each candidate's block; directions that the nuisance eats are left out."""
+        blocks, total = [], 0
+        for number in range(len(self.candidates)):
+            here = np.flatnonzero((self.owner == number) & (self.left > self.share_left))
+            values, vectors = (
+                np.linalg.eigh(self.gram[np.ix_(here, here)]) if here.size else (np.zeros(0), np.zeros((0, 0)))
+            )
+            good = values > self.share_left
+            blocks.append((here, vectors[:, good] / np.sqrt(values[good])))
+            total += int(good.sum())
+        turn, column = np.zeros((self.gram.shape[0], total)), 0
+        for here, block in blocks:
+            turn[here, column : column + block.shape[1]] = block
+            column += block.shape[1]
+        return turn
+
+    @cached_property
+    def block(self) -> FloatArray:
+        """(R,) number of the candidate that each orthonormal direction belongs to."""
+        which = np.argmax(self.turn != 0, axis=0) if self.turn.size else np.zeros(self.turn.shape[1], dtype=int)
+        return np.asarray(self.owner[which])
+
+    @cached_property
+    def rank(self) -> NDArray[np.intp]:
+        """(K,) directions of each candidate that can be seen."""
+        return np.bincount(self.block.astype(int), minlength=len(self.candidates)).astype(np.intp)
+
+    @cached_property
+    def unit_gram(self) -> FloatArray:
+        """(R, R) Gram matrix in the orthonormal bases: unit blocks on the diagonal."""
+        return np.asarray(self.turn.T @ self.gram @ self.turn)
+
+    @cached_property
+    def score(self) -> FloatArray:
+        """(R,) residual along each orthonormal direction."""
+        return np.asarray(self.turn.T @ (self.columns.T @ self.residual))
+
+    @cached_property
+    def statistic(self) -> FloatArray:
+        """(K,) drop of chi-square by each candidate alone."""
+        drops = np.bincount(self.block.astype(int), weights=self.score**2, minlength=len(self.candidates))
+        return np.asarray(drops, dtype=np.float64)
+
+    @cached_property
+    def chi2(self) -> float:
+        """Of the residual beside the nuisance."""
+        return float(self.residual @ self.residual)
+
+    @cached_property
+    def saturated(self) -> tuple[float, int]:
+        """Drop of chi-square by all candidates together, and their joint rank."""
+        if not self.score.size:
+            return 0.0, 0
+        values, vectors = np.linalg.eigh(self.unit_gram)
+        good = values > self.share_left
+        return float(np.sum((vectors[:, good].T @ self.score) ** 2 / values[good])), int(good.sum())
+
+    @cached_property
+    def freedom(self) -> int:
+        """Degrees of freedom left by nuisance and all candidates."""
+        free: int = self.measured - self.nuisance_basis.shape[1] - self.saturated[1]
+        return max(free, 1)
+
+    @cached_property
+    def variance(self) -> float:
+        """Of whitened rows about the saturated fit; 1 if the noise model is right, and where too few rows say.
+
+        Never below a quarter: data much quieter than their noise model must not turn rounding into causes.
+        """
+        if self.freedom < 50:
+            return 1.0
+        return max(_QUIETEST, (self.chi2 - self.saturated[0]) / self.freedom)
+
+    def p_value(self, drop: float, rank: int) -> float:
+        """Of a drop of chi-square by `rank` directions, before any price."""
+        if rank == 0:
+            return 1.0
+        return float(f_distribution.sf(max(drop, 0.0) / rank / self.variance, rank, self.freedom))
+
+    @cached_property
+    def p_values(self) -> FloatArray:
+        """(K,) of each candidate alone, before any price."""
+        rank = np.maximum(self.rank, 1)
+        p = f_distribution.sf(self.statistic / rank / self.variance, rank, self.freedom)
+        return np.asarray(np.where(self.rank > 0, p, 1.0))
+
+    def given(self, numbers: Sequence[int]) -> tuple[FloatArray, NDArray[np.intp]]:
+        """(K,) further drop of chi-square by each candidate once those of `numbers` are in, and its rank then."""
+        inside = np.isin(self.block, numbers)
+        values, vectors = np.linalg.eigh(self.unit_gram[np.ix_(inside, inside)])
+        good = values > self.share_left
+        basis = vectors[:, good] / np.sqrt(values[good])
+        mixed = basis.T @ self.unit_gram[inside]
+        score = self.score - mixed.T @ (basis.T @ self.score[inside])
+        return self._drops(mixed, score, np.asarray(numbers))
+
+    def _drops(self, mixed: FloatArray, score: FloatArray, numbers: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
+        drop, rank = np.zeros(len(self.candidates)), np.zeros(len(self.candidates), dtype=np.intp)
+        start = np.concatenate([[0], np.cumsum(self.rank)])[:-1]
+        for size in np.unique(self.rank[self.rank > 0]):
+            members = np.flatnonzero((self.rank == size) & ~np.isin(np.arange(len(drop)), numbers))
+            index = start[members][:, None] + np.arange(size)
+            part = mixed[:, index].transpose(1, 0, 2)
+            left = np.eye(size) - part.transpose(0, 2, 1) @ part
+            values, vectors = np.linalg.eigh(left)
+            along = np.einsum("kij,ki->kj", vectors, score[index])
+            seen = values > self.share_left
+            drop[members] = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
+            rank[members] = seen.sum(axis=1)
+        return drop, rank
+
+    def estimate(self, numbers: Sequence[int]) -> list[FloatArray]:
+        """Linear estimate of the parameters of the candidates in `numbers`, jointly; zero where nothing is seen."""
+        inside = np.isin(self.block, numbers)
+        values, vectors = np.linalg.eigh(self.unit_gram[np.ix_(inside, inside)])
+        good = values > self.share_left
+        along = vectors[:, good] @ ((vectors[:, good].T @ self.score[inside]) / values[good])
+        scaled = self.turn[:, inside] @ along / self.lengths
+        estimates = []
+        for number in numbers:
+            theta = np.zeros(len(self.candidates[number].effect.parameters))
+            mine = self.owner == number
+            theta[self.place[mine].astype(int)] = scaled[mine]
+            estimates.append(theta)
+        return estimates
+
+
+def board(
+    candidates: Sequence[Candidate],
+    white: FloatArray,
+    residual: FloatArray,
+    nuisance: FloatArray,
+    measured: int,
+    share_left: float = SHARE_LEFT,
+) -> Board:
+    """Set up the tests.
+
+    white: whitened live columns (M, 3, P) of the candidates in turn (see `whitened`). residual: (M, 3) whitened.
+    nuisance: (M, 3, c) whitened; whatever is in it is projected out. measured: scalar measurements not cut.
+    """
+    basis = orthonormal(nuisance)
+    owner = np.concatenate([np.full(int(c.live.sum()), n) for n, c in enumerate(candidates)] or [np.zeros(0, int)])
+    place = np.concatenate([np.flatnonzero(c.live) for c in candidates] or [np.zeros(0, int)])
+    flat = white.reshape(-1, white.shape[2])
+    lengths = np.linalg.norm(flat, axis=0)
+    lengths = np.where(lengths > 0, lengths, 1.0)
+    columns = flat / lengths
+    rest = residual.reshape(-1)
+    for _ in range(2):  # twice is enough: the second pass removes the rounding of the first
+        columns = columns - basis @ (basis.T @ columns)
+        rest = rest - basis @ (basis.T @ rest)
+    return Board(tuple(candidates), columns, lengths, owner, place, rest, basis, measured, share_left)
+
+
+def whitened(candidates: Sequence[Candidate], whitener: Whitens, rows: int) -> FloatArray:
+    """(M, 3, P) whitened live columns of all candidates in turn; M rows."""
+    parts = [whitener.apply(candidate.jacobian[:, :, candidate.live]) for candidate in candidates]
+    return np.concatenate(parts, axis=2) if parts else np.zeros((rows, 3, 0))
+
+
+def orthonormal(columns: FloatArray) -> FloatArray:
+    """(3M, r) orthonormal basis of whitened columns (M, 3, c); columns that others make up are left out."""
+    flat = columns.reshape(columns.shape[0] * columns.shape[1], columns.shape[2])
+    length = np.linalg.norm(flat, axis=0)
+    flat = flat[:, length > 0] / length[length > 0]
+    if not flat.shape[1]:
+        return np.zeros((flat.shape[0], 0))
+    Q, R, _ = qr(flat, mode="economic", pivoting=True)
+    return np.asarray(Q[:, : int((np.abs(np.diag(R)) > _NUISANCE_RANK).sum())])

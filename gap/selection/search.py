@@ -1,0 +1,169 @@
+"""Which effects the gap is made of: the front door of the search.
+
+Groups, isolability and the smallest detectable sizes come from the design before the residual is looked at; then the
+search of `growth`, and for every named effect its support against rivals.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fluxtwin.gap.hypotheses.candidates import derivatives, in_order
+from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.gap.selection import groups
+from fluxtwin.gap.selection.detectable import GATE, detectable, visible_part
+from fluxtwin.gap.selection.forward import Search
+from fluxtwin.gap.selection.named import Named, Ranked, SearchResult
+from fluxtwin.gap.selection.refit import Fit, white_residual
+from fluxtwin.gap.selection.score import Board
+from fluxtwin.gap.selection.support import support
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.effects.base import SignalEffect
+from fluxtwin.sim.effects.chain import Active
+
+__all__ = ["GATE", "Named", "Ranked", "SearchResult", "result_of"]
+
+
+def result_of(
+    under_way: Search,
+    untestable: dict[str, str],
+    fit: Fit,
+    rest: Board,
+    present: float,
+) -> SearchResult:
+    """All that later steps need of a search that ended with a fit. rest: scores beside it; present: the probability that
+    its effects, or what may stand in their places, are there at all."""
+    first, base, problem = under_way.first, under_way.base, under_way.problem
+    raw_nuisance = derivatives(problem, base.modelled)
+    table = groups.shares_by_name(first)
+    smallest, images, hidden = detectable(first, under_way.white, raw_nuisance, base.jacobian)
+    named = [
+        _named(under_way, fit, number, rest.variance, table, raw_nuisance, present) for number in range(len(fit.chosen))
+    ]
+    order = sorted(range(len(named)), key=lambda number: -_gain(under_way, fit, number))
+    chosen = tuple(fit.chosen[number] for number in order)
+    residual, alone = (problem.residual_of(in_order([*problem.frozen, *each.active])) for each in (fit, base))
+    return SearchResult(
+        named=tuple(named[number] for number in order),
+        ranking=_ranking(under_way),
+        untestable={**untestable, **hidden},
+        isolability=groups.isolability(table),
+        minimum_detectable=smallest,
+        smallest_images_nT=images,
+        groups=groups.alike(table),
+        candidates=tuple(under_way.found),
+        modelled=fit.modelled,
+        chosen=chosen,
+        modelled_alone=base.modelled,
+        residual_nT=residual,
+        residual_alone_nT=alone,
+        residual_white=fit.residual,
+        jacobian_white=fit.jacobian[:, :, _columns(fit, order)],
+        residual_alone_white=base.residual,
+        nuisance_alone_white=base.jacobian,
+        chi2={"nuisance": (base.chi2, base.rank), "named": (fit.chi2, fit.rank)},
+        variance=rest.variance,
+        tested=under_way.tested,
+    )
+
+
+def _named(
+    under_way: Search,
+    fit: Fit,
+    number: int,
+    variance: float,
+    table: dict[str, dict[str, float]],
+    raw_nuisance: FloatArray,
+    present: float,
+) -> Named:
+    effect, theta = fit.chosen[number]
+    assert isinstance(effect, SignalEffect)
+    backing = support(under_way, fit, number, variance, groups.alike(table), present)
+    part = fit.slices()[number]
+    signal = _visible(under_way, fit, number, raw_nuisance)
+    problem = under_way.problem
+    judged, count = problem.judged(signal), problem.measured.sum()
+    shares = _axis_shares(under_way, fit, number, signal)
+    covariance = fit.covariance[part, part] * max(variance, 1.0)
+    if problem.axes is not None:
+        # From the field's size alone some sums of parameters are seen and their parts are not.
+        covariance = np.where(fit.seen[part, None] & fit.seen[None, part], covariance, np.nan)
+    return Named(
+        effect=effect,
+        theta=theta,
+        covariance=covariance,
+        p_value=backing.p_value,
+        group=backing.group,
+        rivals=backing.rivals,
+        probability=backing.probability,
+        visible_nT=float(np.sqrt(np.sum(judged**2) / count)),
+        axis_shares=shares,
+        signal_nT=signal,
+    )
+
+
+def _axis_shares(under_way: Search, fit: Fit, number: int, signal: FloatArray) -> tuple[float, float, float]:
+    """Share of each body axis in what an effect leaves, signal (M, 3); NaN where the data do not tell the axes apart.
+
+    Rows without attitude see one direction at a time, so there the effect's own vector says which axis, and what the
+    others may have within their sigma counts for them.
+    """
+    energy = np.mean(signal**2, axis=0)
+    parameters = fit.chosen[number][0].parameters
+    if under_way.problem.axes is not None and len(parameters) > 1:
+        part = fit.slices()[number]
+        spread = np.where(fit.seen[part], np.diag(fit.covariance)[part], np.nan)
+        if [one.name[-2:] for one in parameters] != ["_x", "_y", "_z"]:
+            return (np.nan, np.nan, np.nan)
+        energy = fit.chosen[number][1] ** 2
+        energy = energy + np.where(np.arange(3) == np.argmax(energy), 0.0, spread)
+    x, y, z = energy / max(float(energy.sum()), 1e-300)
+    return (float(x), float(y), float(z))
+
+
+def _visible(under_way: Search, fit: Fit, number: int, raw_nuisance: FloatArray) -> FloatArray:
+    """(M, 3) signal of one named effect beside the best re-estimation of what is modelled, nT."""
+    problem = under_way.problem
+    others = [pair for place, pair in enumerate(fit.chosen) if place != number]
+    with_it = _chain_reading(problem, fit.active)
+    without_it = _chain_reading(problem, [*fit.modelled, *others])
+    raw = with_it - without_it
+    white = under_way.whitener.apply(raw)
+    return visible_part(raw[:, :, None], white[:, :, None], raw_nuisance, under_way.base.jacobian)[:, :, 0]
+
+
+def _gain(under_way: Search, fit: Fit, number: int) -> float:
+    """How much larger chi-square is without this effect, all else as it is."""
+    others = [pair for place, pair in enumerate(fit.chosen) if place != number]
+    bare = white_residual(under_way.problem, under_way.whitener, [*fit.modelled, *others])
+    return float(np.sum(bare**2)) - fit.chi2
+
+
+def _columns(fit: Fit, order: list[int]) -> list[int]:
+    """Columns of a fit's Jacobian with the chosen effects in another order."""
+    start = sum(len(theta) for _, theta in fit.modelled)
+    slices = fit.slices()
+    return [*range(start), *(c for number in order for c in range(slices[number].start, slices[number].stop))]
+
+
+def _chain_reading(problem: Problem, active: list[Active]) -> FloatArray:
+    return problem.chain.reading_nT(in_order([*problem.frozen, *active]))
+
+
+def _ranking(under_way: Search) -> tuple[Ranked, ...]:
+    """Every effect alone, by its best alternative."""
+    first: Board = under_way.first
+    best: dict[str, Ranked] = {}
+    for number, candidate in enumerate(first.candidates):
+        rank = int(first.rank[number])
+        if rank == 0:
+            continue
+        drop = float(first.statistic[number])
+        p_value = min(1.0, under_way.tested * float(first.p_values[number]))
+        line = Ranked(candidate.name, candidate.label, drop, rank, p_value)
+        if candidate.name not in best or (p_value, -drop) < (
+            best[candidate.name].p_value,
+            -best[candidate.name].drop,
+        ):
+            best[candidate.name] = line
+    return tuple(sorted(best.values(), key=lambda line: (line.p_value, -line.drop)))

@@ -1,0 +1,93 @@
+"""How well a named effect is supported: rivals refitted in its place, its group, and a probability that counts both."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fluxtwin.gap.selection.criterion import MOST_SURE, penalty
+from fluxtwin.gap.selection.forward import NONLINEAR, WITHIN, Search, without
+from fluxtwin.gap.selection.refit import Fit, white_residual
+from fluxtwin.gap.selection.score import board
+
+_REFITS = 4
+_IN_GROUP = 0.05
+_WORTH_SAYING = 0.001
+
+
+@dataclass(frozen=True)
+class Support:
+    """Of one named effect."""
+
+    p_value: float
+    """Corrected for the number of tests."""
+    probability: float
+    """That it, or a member of its group, is present."""
+    group: tuple[str, ...]
+    rivals: tuple[tuple[str, float], ...]
+
+
+def support(
+    search: Search, fit: Fit, number: int, variance: float, groups: Mapping[str, tuple[str, ...]], there: float
+) -> Support:
+    """Weigh effect `number` of a fit against everything that might stand in its place, and against nothing.
+
+    Among effects: weights exp(-cost / 2), the cost being that of `Search.cost`; alternatives of one effect are
+    added up. there: the probability that any of them is there.
+    """
+    effect = fit.chosen[number][0]
+    bare = without(search, fit, number)
+    weights = _weights(search, fit, number, bare, variance)
+    present = weights.pop(effect.name)
+    total = present + sum(weights.values())
+    posterior = {name: weight / total for name, weight in weights.items()}
+    alike = [name for name in groups.get(effect.name, (effect.name,)) if name != effect.name]
+    likely = [n for n, p in sorted(posterior.items(), key=lambda pair: -pair[1]) if p >= _IN_GROUP and n not in alike]
+    group = (effect.name, *alike, *likely)
+    drop, rank = bare.chi2 - fit.chi2, max(fit.rank_chosen - bare.rank_chosen, 1)
+    p_value = min(1.0, search.tested * search.first.p_value(drop, rank))
+    inside = present + sum(weights.get(name, 0.0) for name in group)
+    rivals = [(n, p) for n, p in sorted(posterior.items(), key=lambda pair: -pair[1]) if n not in group]
+    return Support(
+        p_value=p_value,
+        probability=min(MOST_SURE, inside / total * there),
+        group=group,
+        rivals=tuple((name, float(p)) for name, p in rivals if p >= _WORTH_SAYING),
+    )
+
+
+def _weights(search: Search, fit: Fit, number: int, bare: Fit, variance: float) -> dict[str, float]:
+    """{name: weight} of each effect in the place of effect `number`, whose own weight is near 1."""
+    own = search.cost(fit, variance)
+    others = [pair for place, pair in enumerate(fit.chosen) if place != number]
+    taken = {effect.name for effect, _ in others}
+    mine = fit.slices()[number]
+    kept = [c for c in range(fit.jacobian.shape[2]) if not mine.start <= c < mine.stop]
+    # The data with this effect's own signal put back: what the others would have to explain.
+    put_back = white_residual(search.problem, search.whitener, [*fit.modelled, *others])
+    beside = fit.jacobian[:, :, kept]
+    scored = board(search.found, search.white, put_back, beside, search.whitener.measured, search.share_left)
+    # A large effect is not linear: what the others make up for at their own refit says how much it is worth.
+    drop_own = max(scored.chi2, bare.chi2) - fit.chi2
+    rank_own = fit.rank_chosen - bare.rank_chosen
+    weights: dict[str, float] = {fit.chosen[number][0].name: 1.0}
+    trials = []
+    for place, candidate in enumerate(search.found):
+        if scored.rank[place] == 0 or candidate.name in taken or candidate.effect is fit.chosen[number][0]:
+            continue
+        worse = (drop_own - scored.statistic[place]) / variance
+        theirs = penalty(scored.rank[place], scored.statistic[place] / variance, search.samples)
+        worse += float(theirs - penalty(rank_own, drop_own / variance, search.samples))
+        trials.append((worse, place))
+    for count, (worse, place) in enumerate(sorted(trials)):
+        if count < _REFITS and worse < WITHIN + NONLINEAR * drop_own / variance:
+            present = search.numbers(fit)
+            present[number] = place
+            start = [theta for _, theta in fit.chosen]
+            start[number] = scored.estimate([place])[0]
+            worse = search.cost(search.fit(present, start), variance) - own
+        name = search.found[place].name
+        weights[name] = weights.get(name, 0.0) + float(np.exp(-0.5 * np.clip(worse, -100.0, 1400.0)))
+    return weights

@@ -25,7 +25,7 @@ from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.chain import Active
-from fluxtwin.sim.effects.saturation import Saturation
+from fluxtwin.sim.effects.response import Saturation
 from fluxtwin.sim.run import spacecraft
 from fluxtwin.sim.run.flights import vehicle_of
 from fluxtwin.sim.run.world import ephemeris, schedule_times

@@ -14,9 +14,8 @@ from fluxtwin.gap.channels.momentum_search import Balance, Refit
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.selection.named import SearchResult
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.effects.along_track_error import AlongTrackError
-from fluxtwin.sim.effects.sensor_lag import SensorLag
-from fluxtwin.sim.effects.time_tag_offset import TimeTagOffset
+from fluxtwin.sim.effects.clock_and_orbit import AlongTrackError, TimeTagOffset
+from fluxtwin.sim.effects.response import SensorLag
 
 _AHEAD = AlongTrackError.name
 _LATE = (TimeTagOffset.name, SensorLag.name)

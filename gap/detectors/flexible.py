@@ -19,11 +19,9 @@ from fluxtwin.gap.hypotheses.conditions import conditions
 from fluxtwin.gap.linear.leftover import Leftover, log10_sf_f, orthonormal
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import Effect
-from fluxtwin.sim.effects.bit_errors import BitErrors
-from fluxtwin.sim.effects.coarse_quantization import CoarseQuantization
-from fluxtwin.sim.effects.excess_noise import ExcessNoise
+from fluxtwin.sim.effects.digits import BitErrors, CoarseQuantization, ExcessNoise
 from fluxtwin.sim.effects.signal import Setting
-from fluxtwin.sim.effects.wheel_field import WheelField
+from fluxtwin.sim.effects.spacecraft_field import WheelField
 
 _BITS = 24
 _LOG_CERTAIN = float(np.log(100.0))

@@ -18,7 +18,7 @@ from fluxtwin.gap.hypotheses.evidence import Dictionary
 from fluxtwin.gap.linear.leftover import Leftover
 from fluxtwin.gap.noise.walk import LOG_RMS, modes_of_a_walk, three_axes
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.effects.bias_random_walk import BiasRandomWalk
+from fluxtwin.sim.effects.calibration import BiasRandomWalk
 
 _MOST_KNOTS = 48
 _ROWS_A_KNOT = 8

@@ -26,10 +26,8 @@ from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, Whitener, complete
 from fluxtwin.gap.problem.problem import Budget, Problem
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import DistributionEffect, Effect
-from fluxtwin.sim.effects.bit_errors import BitErrors
 from fluxtwin.sim.effects.chain import Active
-from fluxtwin.sim.effects.coarse_quantization import CoarseQuantization
-from fluxtwin.sim.effects.excess_noise import ExcessNoise
+from fluxtwin.sim.effects.digits import BitErrors, CoarseQuantization, ExcessNoise
 
 _ALIKE = 0.25
 

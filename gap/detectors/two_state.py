@@ -30,8 +30,8 @@ from fluxtwin.gap.hypotheses.conditions import lit
 from fluxtwin.gap.hypotheses.evidence import Fit
 from fluxtwin.gap.linear.leftover import Leftover, Whitens, leftover
 from fluxtwin.sim.base.types import BoolArray, FloatArray
-from fluxtwin.sim.effects.heater_switching import HeaterSwitching
 from fluxtwin.sim.effects.signal import Setting
+from fluxtwin.sim.effects.switched_field import HeaterSwitching
 
 _ROUNDS = 8
 _FEWEST_SWITCHES = 6

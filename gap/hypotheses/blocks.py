@@ -21,7 +21,7 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import design_matrix_E, field_gradient_E_nT_km
 from fluxtwin.sim.effects.chain import jacobian
-from fluxtwin.sim.effects.time_tag_offset import TimeTagOffset
+from fluxtwin.sim.effects.clock_and_orbit import TimeTagOffset
 
 STAGES = ("time", "orbit", "field", "attitude", "spacecraft", "sensor")
 """Where a discrepancy of this kind can lie; dynamics and telemetry have none."""

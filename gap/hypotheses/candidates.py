@@ -17,9 +17,9 @@ from fluxtwin.gap.hypotheses.perturbed_design import FRAIL, Shaken
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import Effect, SignalEffect
-from fluxtwin.sim.effects.bit_errors import BitErrors
 from fluxtwin.sim.effects.catalogue import CATALOGUE
 from fluxtwin.sim.effects.chain import Active, Chain
+from fluxtwin.sim.effects.digits import BitErrors
 
 _DEAD_NT = 1e-6  # a parameter of its typical size that moves the readings by less is not there
 

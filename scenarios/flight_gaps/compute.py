@@ -24,9 +24,9 @@ from fluxtwin.sim.base.progress import Progress, part_of
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field_models import FieldModel
+from fluxtwin.sim.effects.ambient_field import FieldTruncation
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
-from fluxtwin.sim.effects.field_truncation import FieldTruncation
 from fluxtwin.sim.telemetry.record import Telemetry
 
 BANDS_DEG = (0.0, 30.0, 50.0, 60.0, 75.0, 90.0)

@@ -21,15 +21,13 @@ def gauss_markov(
     scale = np.broadcast_to(np.asarray(sigma, dtype=np.float64), (columns,))
     if not (scale >= 0).all() or not tau_s >= 0:
         raise BadInput(f"sigma {sigma}, time constant {tau_s} s", where="correlated noise", wanted="both >= 0")
-    from fluxtwin.sim.attitude.gauss_markov_kernel import follow
+    from fluxtwin.sim.base.recursion_kernels import recursion
 
     stamps = clock.as_times(time)
     white = rng.standard_normal((stamps.size, columns))
     if tau_s == 0.0:
         return white * scale
     exponent = np.diff(clock.seconds_since(stamps, stamps[0])) / tau_s
-    driven = white[1:] * np.sqrt(-np.expm1(-2.0 * exponent))[:, None]
-    noise = np.empty_like(white)
-    noise[0] = white[0]
-    follow(np.exp(-exponent), driven, noise)
-    return noise * scale
+    keep = np.concatenate([[0.0], np.exp(-exponent)])
+    driven = white * np.sqrt(np.concatenate([[1.0], -np.expm1(-2.0 * exponent)]))[:, None]
+    return recursion(keep, driven, white, np.arange(stamps.size) == 0) * scale

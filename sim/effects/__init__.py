@@ -1,4 +1,4 @@
-"""Effects: what reality does and the baseline lacks. One effect, one module; `catalogue` lists them."""
+"""Effects: what reality does and the baseline lacks. One effect, one class; `catalogue` lists them."""
 
 from fluxtwin.sim.base.doors import door
 

@@ -7,7 +7,7 @@ difference of the noise-free chain), so what can be diagnosed can by constructio
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 STAGES = ("dynamics", "time", "orbit", "field", "attitude", "spacecraft", "sensor", "telemetry")
 """In the order in which nature applies them."""
+MATRIX = tuple(row + column for row in "xyz" for column in "xyz")
+"""Places of a matrix, row by row: xx, xy, ... zz."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +133,9 @@ class DynamicsEffect(Effect):
     It acts in attitude mode dynamics; a diagnosis sees it in the balance of the momentum.
     """
 
+    stage = "dynamics"
+    frame = "body"
+
     @abstractmethod
     def on(self, vehicle: Vehicle, theta: FloatArray) -> Vehicle:
         """The vehicle with the effect in it; theta = 0 is identity."""
@@ -144,9 +149,16 @@ class DynamicsEffect(Effect):
         return None
 
 
-def vector_parameters(prefix: str, unit: str, scale: float) -> tuple[Parameter, ...]:
-    """Three parameters, one an axis: prefix_x, prefix_y, prefix_z."""
-    return tuple(Parameter(f"{prefix}_{axis}", unit, scale) for axis in "xyz")
+def vector_parameters(
+    prefix: str,
+    unit: str,
+    scale: float,
+    low: float = -np.inf,
+    high: float = np.inf,
+    axes: Iterable[str] = "xyz",
+) -> tuple[Parameter, ...]:
+    """One parameter an axis, or a place of a matrix, alike but for the name: prefix_x, prefix_y, prefix_z."""
+    return tuple(Parameter(f"{prefix}_{axis}", unit, scale, low, high) for axis in axes)
 
 
 def known_column(setting: Setting, name: str) -> FloatArray | None:

@@ -1,47 +1,34 @@
-"""The list of effects: adding one is a module and a line here."""
+"""The list of effects: adding one is a class and a line here."""
 
 from __future__ import annotations
 
 import difflib
 
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.effects.aerodynamic_torque import AerodynamicTorque
-from fluxtwin.sim.effects.along_track_error import AlongTrackError
+from fluxtwin.sim.effects.ambient_field import FieldEpoch, FieldTruncation, RingCurrent
 from fluxtwin.sim.effects.base import Effect
-from fluxtwin.sim.effects.battery_current import BatteryCurrent
-from fluxtwin.sim.effects.bias import Bias
-from fluxtwin.sim.effects.bias_random_walk import BiasRandomWalk
-from fluxtwin.sim.effects.bias_step import BiasStep
-from fluxtwin.sim.effects.bit_errors import BitErrors
-from fluxtwin.sim.effects.boom_bending import BoomBending
-from fluxtwin.sim.effects.coarse_quantization import CoarseQuantization
-from fluxtwin.sim.effects.cubic_nonlinearity import CubicNonlinearity
-from fluxtwin.sim.effects.eddy_current import EddyCurrent
-from fluxtwin.sim.effects.eddy_torque import EddyTorque
-from fluxtwin.sim.effects.excess_noise import ExcessNoise
-from fluxtwin.sim.effects.field_epoch import FieldEpoch
-from fluxtwin.sim.effects.field_truncation import FieldTruncation
-from fluxtwin.sim.effects.gravity_gradient_inertia_error import GravityGradientInertiaError
-from fluxtwin.sim.effects.heater_switching import HeaterSwitching
-from fluxtwin.sim.effects.horizon_scanner_bias import HorizonScannerBias
-from fluxtwin.sim.effects.hysteresis import Hysteresis
-from fluxtwin.sim.effects.quadratic_nonlinearity import QuadraticNonlinearity
-from fluxtwin.sim.effects.residual_dipole_torque import ResidualDipoleTorque
-from fluxtwin.sim.effects.ring_current import RingCurrent
-from fluxtwin.sim.effects.saturation import Saturation
-from fluxtwin.sim.effects.scale_misalignment import ScaleMisalignment
-from fluxtwin.sim.effects.sensor_lag import SensorLag
-from fluxtwin.sim.effects.solar_array_current import SolarArrayCurrent
-from fluxtwin.sim.effects.solar_pressure_torque import SolarPressureTorque
-from fluxtwin.sim.effects.sun_sensor_head_misalignment import SunSensorHeadMisalignment
-from fluxtwin.sim.effects.switched_field import SwitchedField
-from fluxtwin.sim.effects.thermal_bias_drift import ThermalBiasDrift
-from fluxtwin.sim.effects.thermal_scale_drift import ThermalScaleDrift
-from fluxtwin.sim.effects.time_tag_offset import TimeTagOffset
-from fluxtwin.sim.effects.torquer_coupling import TorquerCoupling
-from fluxtwin.sim.effects.torquer_gain_error import TorquerGainError
-from fluxtwin.sim.effects.wheel_field import WheelField
-from fluxtwin.sim.effects.yaw_drift import YawDrift
+from fluxtwin.sim.effects.calibration import Bias, BiasRandomWalk, BiasStep, ScaleMisalignment
+from fluxtwin.sim.effects.clock_and_orbit import AlongTrackError, TimeTagOffset
+from fluxtwin.sim.effects.digits import BitErrors, CoarseQuantization, ExcessNoise
+from fluxtwin.sim.effects.reference_attitude import HorizonScannerBias, SunSensorHeadMisalignment, YawDrift
+from fluxtwin.sim.effects.response import CubicNonlinearity, Hysteresis, QuadraticNonlinearity, Saturation, SensorLag
+from fluxtwin.sim.effects.spacecraft_field import (
+    BatteryCurrent,
+    EddyCurrent,
+    SolarArrayCurrent,
+    TorquerCoupling,
+    WheelField,
+)
+from fluxtwin.sim.effects.switched_field import HeaterSwitching, SwitchedField
+from fluxtwin.sim.effects.temperature import BoomBending, ThermalBiasDrift, ThermalScaleDrift
+from fluxtwin.sim.effects.torques import (
+    AerodynamicTorque,
+    EddyTorque,
+    GravityGradientInertiaError,
+    ResidualDipoleTorque,
+    SolarPressureTorque,
+    TorquerGainError,
+)
 
 CATALOGUE: tuple[Effect, ...] = (
     ResidualDipoleTorque(),

@@ -21,7 +21,7 @@ def restarts(seconds: FloatArray) -> BoolArray:
 
 def relax(seconds: FloatArray, goal: FloatArray, time_constant_s: float, *, start: float) -> FloatArray:
     """(N,) what follows `goal` (N,) with a time constant; between stamps the goal is the mean of both ends."""
-    from fluxtwin.sim.effects.history_kernels import recursion
+    from fluxtwin.sim.base.recursion_kernels import recursion
 
     keep = np.exp(-np.diff(seconds, prepend=seconds[0]) / time_constant_s)
     between = 0.5 * (goal + np.concatenate([goal[:1], goal[:-1]]))
@@ -46,7 +46,7 @@ def low_pass(
     (-tau)^n times its n-th derivative, and a decaying exponential. Each stretch starts with `start` (N, k), or in
     balance, or, with slopes, with the delay of a steady one.
     """
-    from fluxtwin.sim.effects.history_kernels import recursion
+    from fluxtwin.sim.base.recursion_kernels import recursion
 
     if tau_s <= 0.0 or seconds.size < 2:
         return signal
@@ -72,7 +72,7 @@ def play(signal: FloatArray, half_width: float, neutral: FloatArray) -> FloatArr
     y_t = min(max(y_(t-1), x_t - w), x_t + w) (Visintin 1994, Differential Models of Hysteresis, section III.2),
     from y = neutral (k,) before the first row.
     """
-    from fluxtwin.sim.effects.history_kernels import played
+    from fluxtwin.sim.base.recursion_kernels import played
 
     moved: FloatArray = played(np.ascontiguousarray(signal), half_width, np.asarray(neutral, dtype=np.float64))
     return moved

@@ -1,9 +1,8 @@
-"""The field of equipment that is on at times."""
+"""Fields that are on at times: a heater, and any equipment that a flag, a clock, shadow or a region switches."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +18,72 @@ _PLAIN = ("eclipse", "night", "interval", "region")
 
 
 @dataclass(frozen=True)
+class HeaterSwitching(SignalEffect):
+    """Constant field while the heater is on.
+
+    Constant field while the heater is on: by `switches_utc` or `sequence` if given, else the column `heater_on`.
+    """
+
+    name = "heater_switching"
+    stage = "spacecraft"
+    frame = "body"
+    follows = "flag:heater_on"
+    settled_by = "the state of the heater in the telemetry, or an orbit with the thermostat off"
+    about = "constant field while a thermostat's heater is on, + along the axis (Ampere's law for its loop)"
+    sequence: tuple[int, ...] | None = None
+    """Heater off (0) or on (1), one entry a row: what a search in the residual has found."""
+    switches_utc: tuple[str, ...] | None = None
+    """The same for any rows: moments at which the heater goes on, off, on, ... in order; off before the first."""
+
+    parameters = vector_parameters("f", "nT", 100.0)
+
+    def on(self, setting: Setting) -> FloatArray | None:
+        """(N,) 1 while the heater is on; None when nothing tells."""
+        if self.switches_utc is not None:
+            moments = np.array([epoch.parse_time(moment, where=self.name) for moment in self.switches_utc])
+            if (np.diff(moments.astype("int64")) <= 0).any():
+                raise BadInput("switches_utc is out of order", where=self.name, wanted="moments in time order")
+            return np.asarray(np.searchsorted(moments, setting.time, side="right") % 2, dtype=np.float64)
+        if self.sequence is None:
+            return known_column(setting, "heater_on")
+        if len(self.sequence) != setting.time.size:
+            raise BadInput(
+                f"{len(self.sequence)} entries for {setting.time.size} rows",
+                where=f"{self.name} sequence",
+                wanted="one entry a row",
+            )
+        return np.array(self.sequence, dtype=np.float64)
+
+    def condition_on(self, setting: Setting) -> str | None:
+        return None if setting.column("heater_on") is None else self.follows
+
+    def untestable(self, setting: Setting) -> str | None:
+        on = self.on(setting)
+        if on is None:
+            return "the telemetry has no heater_on; only a two-state sequence found in the residual can stand in"
+        return None if varies(on) else "the heater never switches"
+
+    def pinned(self, setting: Setting, reading_B_nT: FloatArray) -> HeaterSwitching:
+        if self.sequence is None:
+            return self
+        state = np.concatenate([[0.0], np.asarray(self.on(setting)), [0.0]])
+        rows = np.flatnonzero(np.diff(state))
+        usual_s = float(np.median(np.diff(setting.seconds)))
+        moments = np.append(setting.time, epoch.add_seconds(setting.time[-1], usual_s))[rows]
+        return replace(self, sequence=None, switches_utc=tuple(epoch.iso(moment, "ms") for moment in moments))
+
+    @property
+    def bound(self) -> str | None:
+        if self.sequence is None and self.switches_utc is None:
+            return None
+        return "the thermostat's moments are those of this record: only the field is carried over"
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        on = self.on(signal.setting)
+        return signal if on is None else signal.with_stray(on[:, None] * theta)
+
+
+@dataclass(frozen=True)
 class SwitchedField(SignalEffect):
     """Constant field while a condition holds.
 
@@ -27,12 +92,12 @@ class SwitchedField(SignalEffect):
     `region_deg` given, `eclipse` and `night` hold inside it only.
     """
 
-    name: ClassVar[str] = "switched_field"
-    stage: ClassVar[str] = "spacecraft"
-    frame: ClassVar[str | None] = "body"
-    follows: ClassVar[str | None] = None
-    settled_by: ClassVar[str] = "switching it on and off in sunlight and in shadow, with its flag in the telemetry"
-    about: ClassVar[str] = (
+    name = "switched_field"
+    stage = "spacecraft"
+    frame = "body"
+    follows = None
+    settled_by = "switching it on and off in sunlight and in shadow, with its flag in the telemetry"
+    about = (
         "constant field while a flag, a clock interval, shadow, night or a region holds, + along the axis "
         "(HCMM's night passes: Lerner & Shuster 1981)"
     )

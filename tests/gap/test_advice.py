@@ -9,7 +9,7 @@ from fluxtwin.gap.records.diagnosis import Detectable
 from fluxtwin.gap.report.advice import hours_needed, would_settle
 from fluxtwin.gap.report.input_warnings import stuck_and_misfit, stuck_attitude
 from fluxtwin.sim.effects.base import SignalEffect
-from fluxtwin.sim.effects.heater_switching import HeaterSwitching
+from fluxtwin.sim.effects.switched_field import HeaterSwitching
 from fluxtwin.sim.telemetry.record import Telemetry
 
 pytestmark = pytest.mark.property

@@ -24,13 +24,12 @@ from fluxtwin.gap.records.closure import Closure, Stochastic
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import epoch, frames, sun
 from fluxtwin.sim.earth.field import load_field
-from fluxtwin.sim.effects.bit_errors import BitErrors
 from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 from fluxtwin.sim.effects.chain import Chain
-from fluxtwin.sim.effects.heater_switching import HeaterSwitching
-from fluxtwin.sim.effects.saturation import Saturation
-from fluxtwin.sim.effects.switched_field import SwitchedField
-from fluxtwin.sim.effects.thermal_bias_drift import ThermalBiasDrift
+from fluxtwin.sim.effects.digits import BitErrors
+from fluxtwin.sim.effects.response import Saturation
+from fluxtwin.sim.effects.switched_field import HeaterSwitching, SwitchedField
+from fluxtwin.sim.effects.temperature import ThermalBiasDrift
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import Scenario, load_scenario, parse_scenario, save_scenario
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer

@@ -30,7 +30,7 @@ from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
 from fluxtwin.gap.problem.problem import Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.sim.earth.field_models import load_field
-from fluxtwin.sim.effects.wheel_field import WheelField
+from fluxtwin.sim.effects.spacecraft_field import WheelField
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import parse_scenario
 

@@ -30,12 +30,12 @@ from fluxtwin.gap.selection.refit import settled
 from fluxtwin.gap.selection.score import board
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import load_field
+from fluxtwin.sim.effects.ambient_field import RingCurrent
 from fluxtwin.sim.effects.base import SignalEffect
-from fluxtwin.sim.effects.bias_step import BiasStep
+from fluxtwin.sim.effects.calibration import BiasStep
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.chain import Active, jacobian
-from fluxtwin.sim.effects.hysteresis import Hysteresis
-from fluxtwin.sim.effects.ring_current import RingCurrent
+from fluxtwin.sim.effects.response import Hysteresis
 from fluxtwin.sim.effects.switched_field import SwitchedField
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import parse_scenario

@@ -27,9 +27,8 @@ from fluxtwin.sim.base.progress import silent
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import field_N_nT
 from fluxtwin.sim.earth.field_models import load_field
-from fluxtwin.sim.effects.bias import Bias
-from fluxtwin.sim.effects.ring_current import RingCurrent
-from fluxtwin.sim.effects.scale_misalignment import ScaleMisalignment
+from fluxtwin.sim.effects.ambient_field import RingCurrent
+from fluxtwin.sim.effects.calibration import Bias, ScaleMisalignment
 from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
 
 pytestmark = pytest.mark.reference

@@ -15,23 +15,15 @@ from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.effects.base import SignalEffect
-from fluxtwin.sim.effects.bit_errors import BitErrors
-from fluxtwin.sim.effects.boom_bending import BoomBending
+from fluxtwin.sim.effects.calibration import ScaleMisalignment
 from fluxtwin.sim.effects.chain import Chain
-from fluxtwin.sim.effects.coarse_quantization import CoarseQuantization
-from fluxtwin.sim.effects.cubic_nonlinearity import CubicNonlinearity
+from fluxtwin.sim.effects.digits import BitErrors, CoarseQuantization
 from fluxtwin.sim.effects.drivers import STANDARD_SWING_K, orbital_period_s, temperature_K
-from fluxtwin.sim.effects.eddy_current import EddyCurrent
 from fluxtwin.sim.effects.history import low_pass, play, restarts
-from fluxtwin.sim.effects.hysteresis import Hysteresis
-from fluxtwin.sim.effects.quadratic_nonlinearity import QuadraticNonlinearity
-from fluxtwin.sim.effects.scale_misalignment import ScaleMisalignment
-from fluxtwin.sim.effects.sensor_lag import SensorLag
+from fluxtwin.sim.effects.response import CubicNonlinearity, Hysteresis, QuadraticNonlinearity, SensorLag
 from fluxtwin.sim.effects.signal import Setting, Signal
-from fluxtwin.sim.effects.solar_array_current import SolarArrayCurrent
-from fluxtwin.sim.effects.thermal_scale_drift import ThermalScaleDrift
-from fluxtwin.sim.effects.torquer_coupling import TorquerCoupling
-from fluxtwin.sim.effects.wheel_field import WheelField
+from fluxtwin.sim.effects.spacecraft_field import EddyCurrent, SolarArrayCurrent, TorquerCoupling, WheelField
+from fluxtwin.sim.effects.temperature import BoomBending, ThermalScaleDrift
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 
 pytestmark = pytest.mark.reference

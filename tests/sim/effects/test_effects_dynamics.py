@@ -16,7 +16,7 @@ from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.earth.constants import EARTH_RATE_RAD_S, SOLAR_CONSTANT_W_M2, SPEED_OF_LIGHT_M_S
 from fluxtwin.sim.effects.base import DynamicsEffect
 from fluxtwin.sim.effects.catalogue import CATALOGUE
-from fluxtwin.sim.effects.gravity_gradient_inertia_error import GravityGradientInertiaError
+from fluxtwin.sim.effects.torques import GravityGradientInertiaError
 from fluxtwin.sim.run.flights import vehicle_of
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.effect_sections import active_effects, effect_section

@@ -13,15 +13,16 @@ from fluxtwin.sim.attitude.recorded_motion import RecordedMotion
 from fluxtwin.sim.earth import epoch, field_external, frames, sun
 from fluxtwin.sim.earth.field import field_N_nT, load_field
 from fluxtwin.sim.earth.orbit import Orbit
-from fluxtwin.sim.effects.along_track_error import AlongTrackError
+from fluxtwin.sim.effects.ambient_field import FieldEpoch, FieldTruncation, RingCurrent, field_beyond_E_nT, unit_storm_E
 from fluxtwin.sim.effects.chain import Chain
-from fluxtwin.sim.effects.field_epoch import FieldEpoch, field_beyond_E_nT
-from fluxtwin.sim.effects.field_truncation import FieldTruncation
-from fluxtwin.sim.effects.horizon_scanner_bias import HorizonScannerBias
-from fluxtwin.sim.effects.ring_current import RingCurrent, unit_storm_E
+from fluxtwin.sim.effects.clock_and_orbit import AlongTrackError
+from fluxtwin.sim.effects.reference_attitude import (
+    HorizonScannerBias,
+    SunSensorHeadMisalignment,
+    YawDrift,
+    seconds_in_eclipse,
+)
 from fluxtwin.sim.effects.signal import Setting, _along_orbit
-from fluxtwin.sim.effects.sun_sensor_head_misalignment import SunSensorHeadMisalignment
-from fluxtwin.sim.effects.yaw_drift import YawDrift, seconds_in_eclipse
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 
 pytestmark = pytest.mark.reference

@@ -16,21 +16,15 @@ from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.earth.orbit import Orbit
 from fluxtwin.sim.effects.base import DistributionEffect, SignalEffect
-from fluxtwin.sim.effects.battery_current import BatteryCurrent
-from fluxtwin.sim.effects.bias_random_walk import BiasRandomWalk
-from fluxtwin.sim.effects.bias_step import BiasStep
-from fluxtwin.sim.effects.bit_errors import BitErrors
+from fluxtwin.sim.effects.calibration import BiasRandomWalk, BiasStep
 from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 from fluxtwin.sim.effects.chain import Chain, jacobian
-from fluxtwin.sim.effects.coarse_quantization import CoarseQuantization
-from fluxtwin.sim.effects.excess_noise import ExcessNoise
-from fluxtwin.sim.effects.heater_switching import HeaterSwitching
-from fluxtwin.sim.effects.saturation import Saturation
+from fluxtwin.sim.effects.digits import BitErrors, CoarseQuantization, ExcessNoise
+from fluxtwin.sim.effects.response import Saturation
 from fluxtwin.sim.effects.signal import Setting
-from fluxtwin.sim.effects.solar_array_current import SolarArrayCurrent
-from fluxtwin.sim.effects.switched_field import SwitchedField
-from fluxtwin.sim.effects.thermal_bias_drift import ThermalBiasDrift
-from fluxtwin.sim.effects.wheel_field import WheelField
+from fluxtwin.sim.effects.spacecraft_field import BatteryCurrent, SolarArrayCurrent, WheelField
+from fluxtwin.sim.effects.switched_field import HeaterSwitching, SwitchedField
+from fluxtwin.sim.effects.temperature import ThermalBiasDrift
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 
 pytestmark = pytest.mark.property

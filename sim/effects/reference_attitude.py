@@ -1,22 +1,107 @@
-"""The reference yaw runs away: a gyro carries it, and the gyro has a bias."""
+"""Errors of the reference attitude: its sensors, and the gyro that carries it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import sun
-from fluxtwin.sim.effects.base import Effect, Parameter, SignalEffect, known_column
+from fluxtwin.sim.effects.base import Effect, Parameter, SignalEffect, vector_parameters
+from fluxtwin.sim.effects.drivers import lit
 from fluxtwin.sim.effects.signal import Setting, Signal
 
 _LONGEST_ECLIPSE_S = 4500.0  # geostationary: 72 minutes
 _STEP_S = 10.0
 _SAME_PASS_S = 300.0
 _SAME_AXIS_RAD = float(np.radians(1.0))  # the two images then differ by less than two parts in a hundred
+
+
+@dataclass(frozen=True)
+class SunSensorHeadMisalignment(SignalEffect):
+    """A sun sensor head is not mounted as stated.
+
+    The reference attitude is turned while that head gives it, and so is the sun that the head measures.
+    """
+
+    head: int = 0
+    """Number of the head; 0 stands for whichever is in use, so: wherever the sun is seen."""
+
+    name = "sun_sensor_head_misalignment"
+    stage = "attitude"
+    frame = "body"
+    follows = "head"
+    settled_by = (
+        "the number of the head in the telemetry, and turns of 90 deg that bring each head to the sun for half an orbit"
+    )
+    about = (
+        "while head k is in use the reported attitude is turned by this rotation vector, body axes: a field v is "
+        "predicted as v + turn x v (mounting error as in Wertz 1978, section 7.1; tenths of a degree before alignment "
+        "in flight)"
+    )
+    parameters = vector_parameters("turn", "deg", 0.2, -20.0, 20.0)
+
+    def alternatives(self, setting: Setting) -> tuple[Effect, ...]:
+        """Each head in use."""
+        return tuple(SunSensorHeadMisalignment(head) for head in _heads(setting)) or (self,)
+
+    def untestable(self, setting: Setting) -> str | None:
+        if setting.column("sun_sensor_head") is None:
+            return "the telemetry has no column sun_sensor_head"
+        heads = _heads(setting)
+        if not heads:
+            return "no sun-sensor head is ever in use"
+        if self.head and self.head not in heads:
+            return f"head {self.head} is never in use (in use: {', '.join(map(str, heads))})"
+        return None
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        column = signal.setting.column("sun_sensor_head")
+        if column is None:
+            return signal
+        used = column == self.head if self.head else column > 0
+        return signal.attitude_reported_turned(np.where(used[:, None], np.radians(theta), 0.0), "sun_B")
+
+
+def _heads(setting: Setting) -> list[int]:
+    column = setting.column("sun_sensor_head")
+    if column is None:
+        return []
+    return [int(head) for head in np.unique(column[np.isfinite(column)]) if head > 0]
+
+
+@dataclass(frozen=True)
+class HorizonScannerBias(SignalEffect):
+    """Roll and pitch are wrong in step with latitude.
+
+    Roll and pitch of the reference attitude, and of the nadir that the scanner measures, are wrong by
+    a sin(latitude) + b cos(2 latitude).
+    """
+
+    name = "horizon_scanner_bias"
+    stage = "attitude"
+    frame = "orbital"
+    follows = "latitude"
+    settled_by = "a second attitude sensor beside the scanner"
+    about = (
+        "reported roll and pitch are too large by sin p sin(latitude) + cos2 p cos(2 latitude), p the parameter and "
+        "latitude geocentric: the Earth's 15-micron radiance goes with latitude and season (Wertz 1978, section 4.2; "
+        "Phenneger et al. 1985: 0.05-0.2 deg); a constant part would be absorbed by S"
+    )
+
+    parameters = tuple(
+        Parameter(name, "deg", 0.2, -20.0, 20.0) for name in ("roll_sin", "roll_cos2", "pitch_sin", "pitch_cos2")
+    )
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        latitude = signal.setting.latitude_rad
+        shapes = np.stack([np.sin(latitude), np.cos(2.0 * latitude)], axis=1)
+        roll, pitch = shapes @ np.radians(theta[:2]), shapes @ np.radians(theta[2:])
+        # A larger angle turns the axes one way, so it turns the vectors the other way.
+        return signal.attitude_reported_turned(-np.stack([roll, pitch, np.zeros_like(roll)], axis=1), "nadir_B")
 
 
 @dataclass(frozen=True)
@@ -31,12 +116,12 @@ class YawDrift(SignalEffect):
     axis: Literal["nadir", "body_z"] = "nadir"
     """nadir: the yaw of the 3-1-2 set drifts. body_z: the attitude turns about the axis of a gyro along body z."""
 
-    name: ClassVar[str] = "yaw_drift"
-    stage: ClassVar[str] = "attitude"
-    frame: ClassVar[str | None] = "orbital"
-    follows: ClassVar[str | None] = "time"
-    settled_by: ClassVar[str] = "a second attitude sensor through the eclipse"
-    about: ClassVar[str] = (
+    name = "yaw_drift"
+    stage = "attitude"
+    frame = "orbital"
+    follows = "time"
+    settled_by = "a second attitude sensor through the eclipse"
+    about = (
         "reported yaw (3-1-2, so about nadir; or, axis = body_z, the turn about body z) is too large by rate x time "
         "since the first stamp, or, when = eclipse, since entering the shadow and zero outside it: drift of the gyro "
         "that carries yaw while no sensor sees it (rate integration, Wertz 1978, section 6.5: 0.01-0.1 deg/h for a "
@@ -94,9 +179,7 @@ def _leans(setting: Setting) -> bool:
 
 def in_eclipse(setting: Setting) -> BoolArray:
     """(N,) True in the shadow: as recorded, else from geometry."""
-    lit = known_column(setting, "sunlit")
-    dark: BoolArray = (setting.illumination if lit is None else lit) <= 0.5
-    return dark
+    return np.asarray(lit(setting) <= 0.5)
 
 
 def seconds_in_eclipse(setting: Setting) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Kernels of answers that depend on the rows before."""
+"""Kernels of series whose every row depends on the rows before."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Readings with a wrong bit."""
+"""Single readings: their noise, their step, their bits."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -16,6 +16,58 @@ _DEFAULT_LSB_NT = 1.0
 
 
 @dataclass(frozen=True)
+class ExcessNoise(DistributionEffect):
+    """More white noise than was declared.
+
+    White Gaussian noise on each reading, on one axis or on all.
+    """
+
+    name = "excess_noise"
+    stage = "sensor"
+    frame = "body"
+    follows = None
+    settled_by = "a quiet stretch with torquers and payload off"
+    about = (
+        "white noise beyond the declared, adding to it in variance (magnetoresistors 10 to 100 nT rms; "
+        "200 nT in ST5's simulation, Sedlak)"
+    )
+    axis: Literal["x", "y", "z", "all"] = "all"
+
+    parameters = (Parameter("rms", "nT", 50.0, 0.0),)
+
+    def draw(self, signal: Signal, theta: FloatArray, rng: np.random.Generator) -> Signal:
+        noisy = np.ones(3) if self.axis == "all" else np.array([float(self.axis == axis) for axis in "xyz"])
+        return signal.with_reading(signal.reading + theta[0] * noisy * rng.standard_normal((signal.rows, 3)))
+
+
+@dataclass(frozen=True)
+class CoarseQuantization(DistributionEffect):
+    """The readings' step is coarser than declared.
+
+    The true step is `lsb`, not the declared one. Steps finer than the declared change nothing.
+    """
+
+    name = "coarse_quantization"
+    stage = "sensor"
+    frame = "body"
+    follows = None
+    settled_by = "slower motion, so that single steps of the reading show"
+    equivalent_stages = ("telemetry",)
+    after_rounding = True
+    about = (
+        "readings rounded to a step larger than declared, error lsb/sqrt(12) rms (Widrow & Kollar 2008, Quantization "
+        "Noise; Seasat 440 nT, HCMM 470 nT)"
+    )
+    parameters = (Parameter("lsb", "nT", 400.0, 0.0),)
+
+    def draw(self, signal: Signal, theta: FloatArray, rng: np.random.Generator) -> Signal:
+        lsb = float(theta[0])
+        if lsb <= signal.setting.instrument.lsb_nT:
+            return signal
+        return signal.with_reading(lsb * np.rint(signal.reading / lsb))
+
+
+@dataclass(frozen=True)
 class BitErrors(DistributionEffect):
     """Single readings have a flipped or stuck bit.
 
@@ -25,13 +77,13 @@ class BitErrors(DistributionEffect):
     its sign bit. Only whole codes change, by a power of two, so a reading that was not rounded keeps its rest.
     """
 
-    name: ClassVar[str] = "bit_errors"
-    stage: ClassVar[str] = "telemetry"
-    frame: ClassVar[str | None] = "body"
-    follows: ClassVar[str | None] = None
-    settled_by: ClassVar[str] = "the raw counts"
-    after_rounding: ClassVar[bool] = True
-    about: ClassVar[str] = (
+    name = "bit_errors"
+    stage = "telemetry"
+    frame = "body"
+    follows = None
+    settled_by = "the raw counts"
+    after_rounding = True
+    about = (
         "single readings with a flipped or stuck bit, share of the components that are hit (undetected bit errors of "
         "Seasat's telemetry: Lerner & Shuster 1981)"
     )

@@ -1,0 +1,192 @@
+"""What the real field has and the model has not, or the other way round."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth.constants import FIELD_RADIUS_KM
+from fluxtwin.sim.earth.field import field_E_nT, field_N_nT
+from fluxtwin.sim.earth.field_models import FieldModel, load_field
+from fluxtwin.sim.effects.base import Effect, Parameter, SignalEffect
+from fluxtwin.sim.effects.signal import Setting, Signal
+
+_YEAR = np.timedelta64(round(365.25 * 86400e9), "ns")
+_RICHEST = 13
+_POOREST = 4
+INDUCED_SHARE = 0.27
+RECOVERY_H = (7.7, 24.0)
+"""Decay times of a storm's recovery: early (Burton et al. 1975) and late, when the slow ions are left."""
+_LEAST_SPAN = 0.1  # of the decay time: over less, decaying and constant are the same
+
+
+@dataclass(frozen=True)
+class FieldEpoch(SignalEffect):
+    """The field is that of another date.
+
+    The field of another epoch at the same place over the ground.
+    """
+
+    name = "field_epoch"
+    stage = "field"
+    frame = "earth"
+    follows = None
+    settled_by = "a slow tumble of 0.25 deg/s"
+    about = (
+        "the real field is that of the model so many years (of 365.25 days) after the stamp: a model evaluated at a "
+        "fixed old epoch, or secular variation forecast wrongly; beyond the model's last knot its last year's change "
+        "goes on (IGRF-14: up to about 100 nT a year)"
+    )
+    parameters = (Parameter("ahead", "yr", 1.0, -20.0, 20.0),)
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        r_E_km = signal.R_EN.apply(signal.r_N_km)
+        time = signal.sampled_time
+        later = time + np.timedelta64(round(float(theta[0]) * float(_YEAR.astype("int64"))), "ns")
+        model = signal.setting.model
+        change_E = field_beyond_E_nT(model, later, r_E_km) - field_E_nT(model, time, r_E_km)
+        return signal.with_ambient(signal.R_EN.inv().apply(change_E))
+
+
+def field_beyond_E_nT(model: FieldModel, time: TimeArray, r_E_km: FloatArray) -> FloatArray:
+    """`field_E_nT`, and outside the model's validity the change of its outermost year carried on; (N, 3).
+
+    For a model that is linear between knots, such as IGRF, that is the straight line of the outermost interval.
+    """
+    first, last = model.valid_from, model.valid_to
+    field_nT = field_E_nT(model, np.clip(time, first, last), r_E_km)
+    for outside, edge, inner in (
+        (time > last, last, max(last - _YEAR, first)),
+        (time < first, first, min(first + _YEAR, last)),
+    ):
+        if outside.any():
+            there = r_E_km[outside]
+            change = field_E_nT(model, edge, there) - field_E_nT(model, inner, there)
+            share = (time[outside] - edge) / (edge - inner)
+            field_nT[outside] += share[:, None] * change
+    return field_nT
+
+
+@dataclass(frozen=True)
+class FieldTruncation(SignalEffect):
+    """Reality or the model ends at a lower degree.
+
+    The degrees above `degree` are in one of real field and model, not in the other.
+    """
+
+    degree: int = 8
+    """The highest degree that both have."""
+    truth: Literal["poorer", "richer"] = "poorer"
+    """poorer: the real field lacks the model's degrees above `degree`; richer: it has those of IGRF-14 above `degree`,
+    to 13, and the model has not."""
+
+    name = "field_truncation"
+    stage = "field"
+    frame = "earth"
+    follows = None
+    settled_by = "a whole day, so that all longitudes are flown over"
+    about = (
+        "real field and model differ by the share given (1: wholly) of the degrees above N; truth = poorer: the real "
+        "field lacks the model's, truth = richer: it has IGRF-14's up to 13, the model has not"
+    )
+    parameters = (Parameter("share", "1", 1.0, -2.0, 2.0),)
+
+    def alternatives(self, setting: Setting) -> tuple[Effect, ...]:
+        """Degrees from 4 to 12 below the model's own, and what a truncated model leaves out."""
+        top = min(setting.model.degree - 1, _RICHEST)
+        poorer = [FieldTruncation(degree, "poorer") for degree in range(_POOREST, top + 1)]
+        richer = FieldTruncation(setting.model.degree, "richer")
+        return (*poorer, richer) if richer._nothing(setting) is None else tuple(poorer)
+
+    def untestable(self, setting: Setting) -> str | None:
+        """Nothing, as long as one of the alternatives is possible."""
+        return None if self.alternatives(setting) else self._nothing(setting)
+
+    def _nothing(self, setting: Setting) -> str | None:
+        """Why the two fields cannot differ in this way."""
+        model = setting.model
+        if self.truth == "poorer":
+            return None if self.degree < model.degree else f"the field model ends at degree {model.degree}"
+        if self.degree >= _RICHEST or model.degree >= _RICHEST:
+            return f"the field model, of degree {model.degree}, has all that IGRF-14 could add above {self.degree}"
+        source = load_field("igrf14")
+        if setting.time[0] < source.valid_from or setting.time[-1] > source.valid_to:
+            return "the record is outside IGRF-14, from which the higher degrees would come"
+        return None
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        model, share = signal.setting.model, float(theta[0])
+        if self.truth == "poorer":
+            return signal.with_ambient(-share * _above(model, self.degree, signal))
+        extra = _above(load_field("igrf14"), self.degree, signal) - _above(model, self.degree, signal)
+        return signal.with_ambient(share * extra)
+
+
+def _above(model: FieldModel, degree: int, signal: Signal) -> FloatArray:
+    """(N, 3) GCRS field of the model's degrees above `degree`."""
+    if degree >= model.degree:
+        return np.zeros((signal.rows, 3))
+    kept = degree * (degree + 2)
+    polynomial, static = model.polynomial_nT.copy(), model.static_nT.copy()
+    polynomial[:, :, :kept], static[:kept] = 0.0, 0.0
+    high = replace(model, polynomial_nT=polynomial, static_nT=static)
+    return field_N_nT(high, signal.sampled_time, signal.r_N_km, signal.R_EN)
+
+
+@dataclass(frozen=True)
+class RingCurrent(SignalEffect):
+    """Field of the ring current in a magnetic storm.
+
+    Uniform along the dipole axis, with the dipole it induces in the Earth.
+    """
+
+    decay_h: float = 0.0
+    """0: constant; else it decays by e in so many hours from the first stamp."""
+
+    name = "ring_current"
+    stage = "field"
+    frame = "earth"
+    follows = None
+    settled_by = "a slow tumble of 0.25 deg/s, or days of different Dst"
+    about = (
+        "external field along the geomagnetic dipole axis, northward at the dipole equator, so negative in a storm as "
+        "Dst is; 0.27 of it enters again as an internal dipole field (Langel & Estes 1985), so that Dst on the ground "
+        "is 1.27 times the parameter; constant, or decaying from the first stamp (Burton et al. 1975: 7.7 h)"
+    )
+    parameters = (Parameter("external", "nT", 50.0, -2000.0, 2000.0),)
+    bound = "the ring current of these hours is not that of others: take the Dst of the day"
+
+    def alternatives(self, setting: Setting) -> tuple[Effect, ...]:
+        """Constant, and the two decays where the record is long enough to show one."""
+        span_h = float(setting.seconds[-1]) / 3600.0
+        return (RingCurrent(), *(RingCurrent(hours) for hours in RECOVERY_H if span_h > _LEAST_SPAN * hours))
+
+    def between(self, setting: Setting, ratio: float) -> RingCurrent | None:
+        return RingCurrent(ratio * self.decay_h) if self.decay_h > 0 else None
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        size_nT = np.full(signal.rows, float(theta[0]))
+        if self.decay_h > 0:
+            since_s = signal.setting.seconds + signal.sample_offset_s
+            size_nT = size_nT * np.exp(-since_s / (3600.0 * self.decay_h))
+        shape_E = unit_storm_E(dipole_axis_E(signal.setting), signal.R_EN.apply(signal.r_N_km))
+        return signal.with_ambient(signal.R_EN.inv().apply(size_nT[:, None] * shape_E))
+
+
+def dipole_axis_E(setting: Setting) -> FloatArray:
+    """(3,) unit vector to the northern dipole pole, Earth-fixed, at the first stamp."""
+    g10, g11, h11 = setting.model.coefficients_nT(setting.time[:1])[0, :3]
+    axis = -np.array([g11, h11, g10])
+    return np.asarray(axis / np.linalg.norm(axis))
+
+
+def unit_storm_E(axis_E: FloatArray, r_E_km: FloatArray) -> FloatArray:
+    """(N, 3) field for 1 nT of external field along the axis (3,), at positions (N, 3)."""
+    radius = np.linalg.norm(r_E_km, axis=1)[:, None]
+    up = r_E_km / radius
+    dipole = axis_E - 3.0 * (up @ axis_E)[:, None] * up
+    field: FloatArray = axis_E + INDUCED_SHARE * (FIELD_RADIUS_KM / radius) ** 3 * dipole
+    return field

@@ -1,0 +1,223 @@
+"""How the magnetometer answers a field: curved, late, with a memory, or not beyond full scale."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import reduce
+from itertools import combinations_with_replacement
+from typing import ClassVar
+
+import numpy as np
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.effects.base import Parameter, SignalEffect, vector_parameters
+from fluxtwin.sim.effects.field_history import field_history
+from fluxtwin.sim.effects.history import low_pass, play, restarts
+from fluxtwin.sim.effects.instrument import in_reading, mapped
+from fluxtwin.sim.effects.signal import Setting, Signal
+
+STANDARD_FIELD_NT = 50_000.0
+"""Where coefficients of nonlinearities are given."""
+LARGEST_NT = 5_000.0
+"""No magnetometer is off a straight line by more than a tenth of the field: what is called so is something else."""
+_WAYS = {"o": 1.0, "r": -1.0, "n": 0.0}
+_WIDTHS_NT = (1000.0, 4000.0, 16000.0)
+_DEPTHS_NT = (500.0, 2000.0, 8000.0)
+
+
+def monomials(degree: int) -> tuple[str, ...]:
+    """Names of the products of `degree` components: xx xy xz yy yz zz, or xxx xxy ... zzz."""
+    return tuple("".join(letters) for letters in combinations_with_replacement("xyz", degree))
+
+
+def products(reading_B_nT: FloatArray, degree: int) -> FloatArray:
+    """(N, M) products of the components (N, 3), in units of the standard field, in the order of `monomials`."""
+    unit = dict(zip("xyz", np.ascontiguousarray(reading_B_nT.T) / STANDARD_FIELD_NT, strict=True))
+    columns = [reduce(np.multiply, [unit[letter] for letter in name]) for name in monomials(degree)]
+    return np.stack(columns, axis=1)
+
+
+@dataclass(frozen=True)
+class Nonlinearity(SignalEffect):
+    """Base of the curved responses: each axis gains a combination of products of `degree` components of the reading."""
+
+    stage = "sensor"
+    frame = "body"
+    follows = "field_strength"
+    settled_by = "a slow tumble of 0.25 deg/s"
+    degree: ClassVar[int]
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        terms = products(signal.reading, self.degree)
+        return signal.with_reading(signal.reading + mapped(theta.reshape(3, -1), terms))
+
+
+def nonlinear_parameters(prefix: str, degree: int) -> tuple[Parameter, ...]:
+    """One an axis and product: prefix_x_xx, prefix_x_xy, ..."""
+    places = [f"{axis}_{name}" for axis in "xyz" for name in monomials(degree)]
+    return vector_parameters(prefix, "nT", 50.0, -LARGEST_NT, LARGEST_NT, axes=places)
+
+
+@dataclass(frozen=True)
+class QuadraticNonlinearity(Nonlinearity):
+    """The reading gains second-order terms."""
+
+    name = "quadratic_nonlinearity"
+    about = (
+        "reading gains products of two components, nT at 50,000 nT each, + raises it (the 6 x 3 terms of CryoSat-2: "
+        "Olsen et al. 2020, doi 10.1186/s40623-020-01171-9)"
+    )
+    degree = 2
+    parameters = nonlinear_parameters("q", 2)
+
+
+@dataclass(frozen=True)
+class CubicNonlinearity(Nonlinearity):
+    """The reading gains third-order terms."""
+
+    name = "cubic_nonlinearity"
+    about = (
+        "reading gains products of three components, nT at 50,000 nT each, + raises it (the 10 x 3 terms of CryoSat-2: "
+        "Olsen et al. 2020, doi 10.1186/s40623-020-01171-9)"
+    )
+    degree = 3
+    parameters = nonlinear_parameters("c", 3)
+
+
+@dataclass(frozen=True)
+class Hysteresis(SignalEffect):
+    """The reading lags behind the field.
+
+    It is `a` too low where it rises, `a` too high where it falls.
+
+    A core whose magnetisation follows the play operator y = play_w(x) of the field x along each axis, w half
+    the loop's width, has a part in proportion to x, which is a scale error, and the rest, a (y - x) / w, which
+    is this effect. It lies between -a and a; the loop of y against x is `width_nT` = 2 w wide. Before the first row the
+    field is taken to have come the way it goes on, so that the core has followed it, unless `start` says otherwise; what
+    the field did between rows is not seen.
+    """
+
+    name = "hysteresis"
+    stage = "sensor"
+    frame = "body"
+    follows = "field_strength"
+    settled_by = "a slow tumble of 0.25 deg/s"
+    equivalent_stages = ("spacecraft",)
+    about = (
+        "remanence that follows the field's history: + reads low on a rising field and high on a falling one "
+        "(play operator: Visintin 1994, Differential Models of Hysteresis)"
+    )
+    width_nT: float = 4000.0
+    """Full width of the loop: how far the field must go back before the reading has followed."""
+    start: str = "ooo"
+    """How each axis came to the first row: o as it goes on from there, r reversed, the other way; n neutral."""
+
+    parameters = vector_parameters("a", "nT", 50.0)
+
+    def alternatives(self, setting: Setting) -> tuple[Hysteresis, ...]:
+        if self != Hysteresis():
+            return (self,)
+        return tuple(replace(self, width_nT=width_nT) for width_nT in _WIDTHS_NT)
+
+    def between(self, setting: Setting, ratio: float) -> Hysteresis | None:
+        return replace(self, width_nT=ratio * self.width_nT)
+
+    def variants(self, setting: Setting) -> tuple[Hysteresis, ...]:
+        moved = [(axis, way) for axis in range(3) for way in _WAYS if way != self.start[axis]]
+        return tuple(replace(self, start=self.start[:axis] + way + self.start[axis + 1 :]) for axis, way in moved)
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        if len(self.start) != 3 or not set(self.start) <= set(_WAYS):
+            raise BadInput(f"{self.start!r}", where=f"{self.name} start", wanted="three letters of o, r and n")
+        if not self.width_nT > 0:
+            raise BadInput(f"{self.width_nT:g} nT", where=f"{self.name} width_nT", wanted="more than 0 nT")
+        field = signal.R_track_BN.apply(signal.ambient_N_nT)
+        field = field if signal.stray_B_nT is None else field + signal.stray_B_nT
+        half = 0.5 * self.width_nT
+        onward = np.sign(field[min(1, len(field) - 1)] - field[0])
+        came = onward * np.array([_WAYS[way] for way in self.start])
+        behind = (play(field, half, field[0] - half * came) - field) / half
+        shift = in_reading(signal.setting, behind * theta)
+        return signal.with_reading(signal.reading + shift)
+
+
+@dataclass(frozen=True)
+class SensorLag(SignalEffect):
+    """The reading is smoothed and late.
+
+    First-order low-pass of the reading with the time constant `lag`.
+
+    Between stamps the ambient field's part is followed by its value and its rate of change, at moments between two
+    stamps too where the body turns far in a step, so a lag far below the sampling interval comes out right; the rest
+    of the reading (torquers, stray fields) as straight lines. After a gap the filter starts anew, as if the body had
+    turned at that rate before.
+    """
+
+    name = "sensor_lag"
+    stage = "sensor"
+    frame = None
+    follows = None
+    settled_by = "a spin of 2 rpm, or torquer edges sampled fast"
+    equivalent_stages = ("time",)
+    about = (
+        "first-order low-pass, lag dy/dt + y = x: the reading is late by the lag and smoothed "
+        "(RC low-pass: Oppenheim & Willsky, Signals and Systems, section 3.10)"
+    )
+    parameters = (Parameter("lag", "s", 0.5, 0.0, 600.0),)
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        setting, lag_s = signal.setting, float(theta[0])
+        if setting.seconds.size < 2:
+            return signal
+        field = field_history(signal)
+        start = field.steady_B_nT(lag_s)
+        late = low_pass(field.time_s, field.along_B_nT, lag_s, field.restart, field.slope_B_nT_s, start)
+        late = late - field.along_B_nT
+        shift = in_reading(setting, signal.with_own_turn(late[field.stamps]))
+        rest = signal.reading - in_reading(setting, signal.field_B_nT)
+        late_rest = low_pass(setting.seconds, rest, lag_s, restarts(setting.seconds)) - rest
+        return signal.with_reading(signal.reading + shift + late_rest)
+
+
+@dataclass(frozen=True)
+class Saturation(SignalEffect):
+    """Each axis is clipped near full scale.
+
+    It is clipped at full scale less the depth. Full scale is `full_scale_nT`, else the setting\'s, else the largest
+    reading without noise.
+    """
+
+    name = "saturation"
+    stage = "sensor"
+    frame = "body"
+    follows = "field_strength"
+    settled_by = "turning the axis concerned along the strongest field, near the poles (a level axis by 90 deg)"
+    after_noise = True
+    about = (
+        "each axis clipped at +-(full scale - depth), full scale as declared or else the largest reading; + clips more "
+        "(the limiter of every converter)"
+    )
+    typical_nT: float = 2000.0
+    """Depth at which the effect is linearised; not part of what reality does."""
+    full_scale_nT: float | None = None
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter("depth", "nT", self.typical_nT, 0.0),)
+
+    def alternatives(self, setting: Setting) -> tuple[Saturation, ...]:
+        """The effect linearised at several depths, because a clip is anything but linear."""
+        return tuple(replace(self, typical_nT=depth_nT) for depth_nT in _DEPTHS_NT)
+
+    def pinned(self, setting: Setting, reading_B_nT: FloatArray) -> Saturation:
+        declared = setting.full_scale_nT
+        largest_nT = float(np.abs(reading_B_nT).max()) if declared is None else declared
+        return self if self.full_scale_nT is not None else replace(self, full_scale_nT=largest_nT)
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        declared = signal.setting.full_scale_nT if self.full_scale_nT is None else self.full_scale_nT
+        clean = signal.reading if signal.ideal_B_nT is None else signal.ideal_B_nT
+        full_scale_nT = float(np.abs(clean).max()) if declared is None else declared
+        limit = max(full_scale_nT - float(theta[0]), 0.0)
+        return signal.with_reading(np.clip(signal.reading, -limit, limit))

@@ -1,0 +1,218 @@
+"""The spacecraft's own field at the magnetometer: torquers, currents, wheels, eddy currents."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.effects.base import MATRIX, SignalEffect, held, known_column, vector_parameters
+from fluxtwin.sim.effects.drivers import PanelKind, array_current_A, battery_current_A, sun_in_body, varies
+from fluxtwin.sim.effects.instrument import mapped
+from fluxtwin.sim.effects.signal import Setting, Signal
+
+
+@dataclass(frozen=True)
+class TorquerCoupling(SignalEffect):
+    """Field of the torquers at the sensor.
+
+    The field is C m, m the torquers' dipole. C row by row; eq. 1's T is -C.
+    """
+
+    name = "torquer_coupling"
+    stage = "spacecraft"
+    frame = "body"
+    follows = "torquer"
+    settled_by = "firing each torquer alone, on and off at full dipole, with the dipole in the telemetry"
+    about = (
+        "field C m of the torquers at the sensor (T = -C of Lerner & Shuster 1981, eq. 1; Seasat 1.7 nT/(A m2) at 6 m)"
+    )
+    parameters = vector_parameters("C", "nT/(A m2)", 2.0, axes=MATRIX)
+
+    def untestable(self, setting: Setting) -> str | None:
+        dipole = known_column(setting, "dipole_B_Am2")
+        if dipole is None:
+            return "the telemetry has no torquer dipole"
+        return None if (dipole != 0.0).any() else "the torquers never fired"
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        dipole = known_column(signal.setting, "dipole_B_Am2")
+        return signal if dipole is None else signal.with_stray(mapped(theta.reshape(3, 3), dipole))
+
+
+@dataclass(frozen=True)
+class SolarArrayCurrent(SignalEffect):
+    """Field in proportion to the array's current.
+
+    Without the column `array_current_A` the current is that of an array of 1 A in full sun, so the parameter
+    is the field in full sun: `panel` says whether it sits on the -z face (zenith), tracks about the y axis, or
+    gives a constant current in sunlight.
+    """
+
+    name = "solar_array_current"
+    stage = "spacecraft"
+    frame = "body"
+    follows = "current"
+    settled_by = "steps of the load, or panels turned off the sun, with the current in the telemetry"
+    about = (
+        "field in proportion to the solar array's current, + along the axis (RAX: Springmann & Cutler 2012, "
+        "doi 10.2514/1.56726; CryoSat-2: Olsen et al. 2020)"
+    )
+    panel: PanelKind = "zenith"
+
+    parameters = vector_parameters("s", "nT/A", 20.0)
+
+    def alternatives(self, setting: Setting) -> tuple[SolarArrayCurrent, ...]:
+        if known_column(setting, "array_current_A") is not None:
+            return (self,)
+        kinds: tuple[PanelKind, ...] = ("zenith", "tracking", "constant")
+        if not sun_in_body(setting)[1].any():
+            kinds = ("constant",)  # no incidence is known
+        choices = tuple(SolarArrayCurrent(kind) for kind in kinds)
+        return tuple(choice for choice in choices if choice.untestable(setting) is None) or (self,)
+
+    def condition_on(self, setting: Setting) -> str | None:
+        return "sunlit" if setting.column("array_current_A") is None else self.follows
+
+    def untestable(self, setting: Setting) -> str | None:
+        if varies(array_current_A(setting, self.panel)):
+            return None
+        if known_column(setting, "array_current_A") is not None:
+            return "the solar array's current never changes: its field is a bias"
+        return "no array current was recorded, and neither sunlight nor the sun's incidence changes"
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        return signal.with_stray(array_current_A(signal.setting, self.panel)[:, None] * theta)
+
+
+@dataclass(frozen=True)
+class BatteryCurrent(SignalEffect):
+    """Field in proportion to the battery's current.
+
+    Without the column `battery_current_A` the current is +1 A in sunlight and -1 A in shadow.
+    """
+
+    name = "battery_current"
+    stage = "spacecraft"
+    frame = "body"
+    follows = "current"
+    settled_by = "steps of the load, or the taper at the end of charge, with the current in the telemetry"
+    about = (
+        "field in proportion to the battery's current (+ when charging), + along the axis "
+        "(CryoSat-2: Olsen et al. 2020, doi 10.1186/s40623-020-01171-9)"
+    )
+    parameters = vector_parameters("s", "nT/A", 20.0)
+
+    def condition_on(self, setting: Setting) -> str | None:
+        return "sunlit" if setting.column("battery_current_A") is None else self.follows
+
+    def untestable(self, setting: Setting) -> str | None:
+        if varies(battery_current_A(setting)):
+            return None
+        return "the battery neither charges and discharges in turn, nor changes its current: its field is a bias"
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        return signal.with_stray(battery_current_A(signal.setting)[:, None] * theta)
+
+
+@dataclass(frozen=True)
+class WheelField(SignalEffect):
+    """Field of a dipole that turns with a wheel.
+
+    Rotating dipole: a cos(phase) + b sin(phase) at the sensor, an ellipse as a and b are free vectors.
+
+    The phase is the integral of the recorded speed of wheel number `wheel` (linear between stamps), or, where
+    `frequency_Hz` is given, of that constant frequency; the sampling aliases both. A speed known to d rpm holds
+    the phase for about 60 / (2 pi d) seconds only.
+    """
+
+    name = "wheel_field"
+    stage = "spacecraft"
+    frame = "body"
+    follows = None
+    settled_by = "the wheel speed in the telemetry, or a few speeds held in turn"
+    about = (
+        "field of a dipole that rotates with a wheel, a cos(phase) + b sin(phase), aliased by the sampling "
+        "(dipole law: Jackson, section 5.6)"
+    )
+    wheel: int = 1
+    """Number of the wheel, from 1."""
+    frequency_Hz: float | None = None
+    """Constant frequency; None: the recorded speed."""
+
+    parameters = vector_parameters("cos", "nT", 50.0) + vector_parameters("sin", "nT", 50.0)
+    bound = "the phase is counted from the first sample of this record: only the amplitude is carried over"
+
+    def phase_rad(self, setting: Setting, offset_s: float = 0.0) -> FloatArray | None:
+        """(N,) phase since the first stamp, `offset_s` after each stamp; None when nothing tells."""
+        if self.frequency_Hz is not None:
+            return np.asarray(2.0 * np.pi * self.frequency_Hz * (setting.seconds + offset_s))
+        rate = self._rate_rad_s(setting)
+        if rate is None:
+            return None
+        turned = 0.5 * (rate[1:] + rate[:-1]) * np.diff(setting.seconds)
+        return np.concatenate([[0.0], np.cumsum(turned)]) + rate * offset_s
+
+    def _rate_rad_s(self, setting: Setting) -> FloatArray | None:
+        speeds = setting.column("wheel_speed_rpm")
+        if speeds is None:
+            return None
+        columns = speeds[:, None] if speeds.ndim == 1 else speeds
+        if not 1 <= self.wheel <= columns.shape[1]:
+            return None
+        one = held(columns[:, self.wheel - 1])
+        return None if one is None else one * (2.0 * np.pi / 60.0)
+
+    def alternatives(self, setting: Setting) -> tuple[WheelField, ...]:
+        speeds = setting.column("wheel_speed_rpm")
+        if self.frequency_Hz is not None or speeds is None:
+            return (self,)
+        wheels = 1 if speeds.ndim == 1 else speeds.shape[1]
+        choices = tuple(WheelField(number) for number in range(1, wheels + 1))
+        return tuple(choice for choice in choices if choice.untestable(setting) is None) or (self,)
+
+    def untestable(self, setting: Setting) -> str | None:
+        phase = self.phase_rad(setting)
+        if phase is None:
+            return "the telemetry has no wheel speed; only a line found in the residual can stand in"
+        return None if varies(phase) else "the wheel never turns"
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        phase = self.phase_rad(signal.setting, signal.sample_offset_s)
+        if phase is None:
+            return signal
+        return signal.with_stray(np.cos(phase)[:, None] * theta[:3] + np.sin(phase)[:, None] * theta[3:])
+
+
+def traceless(theta: FloatArray) -> FloatArray:
+    """(3, 3) symmetric K without trace from K_xx, K_yy, K_xy, K_xz, K_yz."""
+    xx, yy, xy, xz, yz = theta
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, -xx - yy]])
+
+
+@dataclass(frozen=True)
+class EddyCurrent(SignalEffect):
+    """Field of currents that a changing field drives.
+
+    Induced dipole's field -K dB_B/dt at the sensor, K symmetric, K_zz = -K_xx - K_yy.
+
+    Good while the currents decay much faster than the field changes. The part of K that is a multiple of the
+    identity is left out: it is a time tag (-K dB/dt is a delay by K).
+    """
+
+    name = "eddy_current"
+    stage = "spacecraft"
+    frame = "body"
+    follows = "rate"
+    settled_by = "a spin of 2 rpm"
+    about = (
+        "field -K dB/dt of the dipole that a changing field induces in a conductor, K_zz = -K_xx - K_yy "
+        "(Landau & Lifshitz, Electrodynamics of Continuous Media, section 59)"
+    )
+
+    # A sphere of aluminium of half a metre: mu_0 sigma a^2 / pi^2 = 1.1 s (Landau & Lifshitz, section 59).
+    parameters = vector_parameters("K", "s", 0.05, -1.0, 1.0, axes=("xx", "yy", "xy", "xz", "yz"))
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        return signal.with_stray(-mapped(traceless(theta), signal.field_rate_B_nT_s))

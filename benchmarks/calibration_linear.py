@@ -8,7 +8,7 @@ numpy does far slower on three columns. `regression` is `calib.regression.regres
 covariance, all that the parameters and their white covariance need. `residuals` writes the N x 3 residuals. `whole`
 is `calib.linear.fit_design`: the tests of excitation, the correction for noise in the reading, the sandwich
 covariance, statistics and words as well; `whole, blocks` with the covariance that allows for correlated errors.
-`qr` is our blocked QR, `numpy qr` plain Householder QR of the full design. Each
+`numpy qr` is plain Householder QR of the full design. Each
 repeat runs every contestant once, in turn; medians count. The answers are compared with numpy's QR.
 """
 
@@ -70,7 +70,6 @@ def contestants(design: Design) -> dict[str, Callable[[], Any]]:
         "residuals": lambda: residuals(H, [B], np.eye(3), np.ones(3)),
         "whole": lambda: fit_design(design, white),
         "whole, blocks": lambda: fit_design(design, correlated),
-        "qr": lambda: regress(H, [B], solver="qr"),
         "numpy qr": lambda: numpy_qr(design),
     }
 

@@ -39,7 +39,6 @@ from fluxtwin.calib.common.design import joined
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.fit_warnings import with_warnings
-from fluxtwin.calib.common.moments import covariance_of
 from fluxtwin.calib.common.noise import ReadingNoise, lsb_from_spacing_nT, per_axis
 from fluxtwin.calib.common.observability import field_variation, pair_words, require_samples, weak_direction_words
 from fluxtwin.calib.common.records import Calibration, parameter_names
@@ -220,7 +219,7 @@ def _report(
     outlying = done.inflated[kept, 0] == 1.0
     statistics = residual_statistics(rows.time[kept[~outlying]], r[~outlying])
     sigma_nT = float(statistics.component_rms_nT)
-    variation = field_variation(covariance_of(B[~outlying]))
+    variation = field_variation(B[~outlying])
     words = [
         *pair_words(done.p_covariance, False, float(np.sqrt((B**2).mean())), sigma_nT),
         *(weak_direction_words(variation, done.p_covariance, sigma_nT) if parameters == "b,S" else []),

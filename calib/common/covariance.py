@@ -15,7 +15,6 @@ Slopes here are stacked axis by axis: (row i of M, c_i) for i = x, y, z, with m 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtr, stdtrit
@@ -31,34 +30,21 @@ _MOST_BLOCKS, _MOST_ASKED = 200, 1000
 _FEWEST_BATCHES = 20
 
 
-@dataclass(frozen=True)
-class Blocks:
-    """How rows were grouped for a covariance that allows for correlated errors."""
-
-    of_row: np.ndarray
-    """(N,) block number of each row, 0 to count - 1, in any order."""
-    count: int
-    words: str
-    """What a block is."""
-
-
 def plain_covariance(
-    fit: Regression, slopes: FloatArray, rr: FloatArray, effective_rows: float, noise_xx: FloatArray | None
+    fit: Regression, slopes: FloatArray, rr: FloatArray, effective_rows: float, noise_xx: FloatArray
 ) -> FloatArray:
     """(3(m+1), 3(m+1)) covariance of stacked slopes, all rows alike.
 
     slopes: (3, m) M as corrected. rr: (3, 3) residual covariance. noise_xx: (m, m) noise covariance of the
-    regressors when the slopes were corrected for it, else None.
+    regressors that the slopes were corrected for, else 0.
     """
     m = fit.xx.shape[0]
-    inverse = np.linalg.inv(fit.xx if noise_xx is None else fit.xx - noise_xx)
-    pull = np.zeros((m, 3)) if noise_xx is None else inverse @ (-noise_xx @ slopes.T)
-    spread = inverse @ fit.xx @ inverse
+    inverse = np.linalg.inv(fit.xx - noise_xx)
+    pull = inverse @ noise_xx @ slopes.T
     out = np.zeros((3, m + 1, 3, m + 1))
-    for i in range(3):
-        for j in range(3):
-            out[i, :m, j, :m] = (rr[i, j] * spread + np.outer(pull[:, j], pull[:, i])) / effective_rows
-            out[i, m, j, m] = rr[i, j] / effective_rows
+    out[:, :m, :, :m] = np.einsum("ij,fg->ifjg", rr, inverse @ fit.xx @ inverse) + np.einsum("fj,gi->ifjg", pull, pull)
+    out[:, m, :, m] = rr
+    out /= effective_rows
     return uncentred(out.reshape(3 * (m + 1), 3 * (m + 1)), fit.mean_x)
 
 
@@ -67,38 +53,34 @@ def sandwich_covariance(
     parts: Sequence[FloatArray],
     fit: Regression,
     slopes: FloatArray,
-    a: FloatArray | None,
-    noise_xx: FloatArray | None,
+    a: FloatArray,
+    noise_xx: FloatArray,
 ) -> FloatArray:
     """(3(m+1), 3(m+1)) covariance of stacked slopes, each row with its own residual (HC2); one pass in blocks.
 
-    residual: (N, 3). parts: the regressors. a: (N,) weights of sum 1, None for equal; the rest as
-    `plain_covariance`. The score of a row is r_i x + Sigma_x M_i, whose mean vanishes at the corrected slopes.
+    residual: (N, 3). parts: the regressors. a: (N,) weights of sum 1; the rest as `plain_covariance`. The score of a row
+    is r_i x + Sigma_x M_i, whose mean vanishes at the corrected slopes.
     """
-    m, rows = fit.xx.shape[0], len(residual)
-    bread = bread_of(fit, noise_xx)
-    leverage = np.zeros((m + 1, m + 1))
-    leverage[:m, :m], leverage[m, m] = np.linalg.inv(fit.xx), 1.0
-    shift = np.zeros((3, m + 1))
-    if noise_xx is not None:
-        shift[:, :m] = slopes @ noise_xx
+    m = fit.xx.shape[0]
+    leverage = np.eye(m + 1)
+    leverage[:m, :m] = np.linalg.inv(fit.xx)
+    shift = np.pad(slopes @ noise_xx, ((0, 0), (0, 1)))
     meat = np.zeros((3 * (m + 1), 3 * (m + 1)))
-    for at, x in blocks(parts, rows):
+    for at, x in blocks(parts, len(residual)):
         z = np.vstack([(x - fit.mean_x).T, np.ones((1, len(x)))])  # in columns of rows: contiguous products
-        held = np.einsum("fk,fk->k", leverage @ z, z) * (1.0 / rows if a is None else a[at])
+        held = np.einsum("fk,fk->k", leverage @ z, z) * a[at]
         r = residual[at].T / np.sqrt(1.0 - np.minimum(held, 0.99))
-        score = (r[:, None, :] * z + shift[:, :, None]).reshape(3 * (m + 1), -1)
-        score *= 1.0 / rows if a is None else a[at]
+        score = (r[:, None, :] * z + shift[:, :, None]).reshape(3 * (m + 1), -1) * a[at]
         meat += score @ score.T
-    whole = np.kron(np.eye(3), bread)
+    whole = np.kron(np.eye(3), bread_of(fit, noise_xx))
     return uncentred(whole @ meat @ whole.T, fit.mean_x)
 
 
-def bread_of(fit: Regression, noise_xx: FloatArray | None) -> FloatArray:
+def bread_of(fit: Regression, noise_xx: FloatArray) -> FloatArray:
     """(m+1, m+1) what turns the mean of r [x - <x>, 1] into an error of (M_i, c_i + M_i <x>)."""
     m = fit.xx.shape[0]
     bread = np.eye(m + 1)
-    bread[:m, :m] = np.linalg.inv(fit.xx if noise_xx is None else fit.xx - noise_xx)
+    bread[:m, :m] = np.linalg.inv(fit.xx - noise_xx)
     return bread
 
 
@@ -117,15 +99,13 @@ def small_sample(count: float) -> float:
     return float(stdtrit(float(count) - 1.0, float(ndtr(2.0)))) / 2.0
 
 
-def make_blocks(time: TimeArray, memory_s: float) -> Blocks:
-    """Rows between gaps in time where there are at least eight such stretches, else cut to four times `memory_s`."""
+def make_blocks(time: TimeArray, memory_s: float) -> np.ndarray:
+    """(N,) block of each row: what lies between gaps in time where there are at least eight such stretches, else pieces of
+    four times `memory_s`."""
     segment = segments(time, 1.5 * memory_s)
-    count = int(segment[-1]) + 1
-    if count >= FEWEST_BLOCKS:
-        return Blocks(segment, count, "passes separated by gaps in time")
-    length = max(4.0 * memory_s, observed_s(time, segment) / _MOST_BLOCKS)
-    of_row = _cut(time, segment, length)
-    return Blocks(of_row, int(of_row.max()) + 1, f"stretches of {length:.0f} s, four times the memory of the residual")
+    if int(segment[-1]) + 1 >= FEWEST_BLOCKS:
+        return segment
+    return _cut(time, segment, max(4.0 * memory_s, observed_s(time, segment) / _MOST_BLOCKS))
 
 
 def groupings(

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.calib.common.digits import plain
-from fluxtwin.calib.common.moments import second_moment
 from fluxtwin.calib.common.records import parameter_names
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray
@@ -53,9 +52,9 @@ class FieldVariation:
         return "the field varies by " + ", ".join(parts) + " (rms, body axes)"
 
 
-def field_variation(xx_nT2: FloatArray) -> FieldVariation:
-    """From <B|B> (3, 3)."""
-    values, vectors = np.linalg.eigh(xx_nT2)
+def field_variation(B_nT: FloatArray, a: FloatArray | None = None) -> FieldVariation:
+    """From readings (N, 3) with weights a (N,), equal where not given."""
+    values, vectors = np.linalg.eigh(np.cov(B_nT, rowvar=False, bias=True, aweights=a))
     return FieldVariation(np.sqrt(np.maximum(values, 0.0)), vectors.T)
 
 
@@ -92,53 +91,42 @@ def require_samples(rows: int, parameters: int) -> None:
         )
 
 
-@dataclass(frozen=True)
-class Excitation:
-    """Mean products of the columns of z = [1, field / |field|rms, dipole / its rms]."""
+def require_excitation(
+    field_nT: FloatArray,
+    dipole: Sequence[FloatArray],
+    fired: np.ndarray,
+    a: FloatArray,
+    noise_variance_nT2: FloatArray | float = 0.0,
+    sigma_nT: float = 0.0,
+) -> None:
+    """Raises NoAnswer, naming the parameters, where a combination of them is not determined.
 
-    correlation: FloatArray
-    """(4 + fired, 4 + fired) <z z'>, about zero; its eigenvalues are the l of the module."""
-    field_rms_nT: float
-    fired: np.ndarray
-    """Torquer axes that stand in z."""
-    rows: int
-
-
-def excitation(
-    field_nT: FloatArray, dipole: list[FloatArray], fired: np.ndarray, a: FloatArray | None = None
-) -> Excitation:
-    """From B or A H (N, 3), and the used columns of D in a list of one, or of none; a: weights of sum 1."""
-    parts = [field_nT, *dipole]
-    mean, square = second_moment(parts, a)
+    field_nT: B or A H (N, 3). dipole: the columns of D that fired, in a list of one, or of none; a: (N,) weights of sum 1.
+    noise_variance_nT2: (3,) of the field's noise (0 for a reference). sigma_nT: of the residual.
+    """
+    x = np.hstack([field_nT, *dipole])
+    square = (x * a[:, None]).T @ x
     field_rms_nT = float(np.sqrt(np.trace(square[:3, :3])))
     if not field_rms_nT > 0:
         raise NoAnswer("the magnetometer reads zero throughout: nothing can be calibrated", evidence={})
     scale = np.concatenate([np.full(3, field_rms_nT), np.sqrt(np.diag(square)[3:])])
-    gram = np.ones((mean.size + 1, mean.size + 1))
-    gram[0, 1:] = gram[1:, 0] = mean / scale
+    gram = np.ones((scale.size + 1, scale.size + 1))
+    gram[0, 1:] = gram[1:, 0] = a @ x / scale
     gram[1:, 1:] = square / np.outer(scale, scale)
-    return Excitation(gram, field_rms_nT, fired, len(field_nT))
-
-
-def require_excitation(excited: Excitation, noise_variance_nT2: FloatArray, sigma_nT: float) -> None:
-    """Raises NoAnswer, naming the parameters, where a combination of them is not determined.
-
-    noise_variance_nT2: (3,) of the field's noise (0 for a reference). sigma_nT: of the residual.
-    """
-    values, vectors = np.linalg.eigh(excited.correlation)
+    values, vectors = np.linalg.eigh(gram)
     noise = np.zeros(len(values))
-    noise[1:4] = noise_variance_nT2 / excited.field_rms_nT**2
+    noise[1:4] = noise_variance_nT2 / field_rms_nT**2
     for value, v in zip(values, vectors.T, strict=True):
         from_noise = float(noise @ v**2)
         signal = value - from_noise
-        free = max(excited.rows - len(values), 1)
-        relative = sigma_nT / excited.field_rms_nT / np.sqrt(max(signal, 1e-300) * free)
-        if value < _ROUNDING or signal < (_NOISE_SHARE - 1.0) * from_noise or relative > _WORST_SIGMA:
-            within_noise = signal < (_NOISE_SHARE - 1.0) * from_noise and relative <= _WORST_SIGMA
-            _refuse(v, excited.fired, float(np.sqrt(max(value, 0.0)) * excited.field_rms_nT), relative, within_noise)
+        relative = sigma_nT / field_rms_nT / np.sqrt(max(signal, 1e-300) * max(len(x) - len(values), 1))
+        hidden = signal < (_NOISE_SHARE - 1.0) * from_noise
+        if value < _ROUNDING or hidden or relative > _WORST_SIGMA:
+            moves_nT = float(np.sqrt(max(value, 0.0)) * field_rms_nT)
+            _refuse(v, fired, moves_nT, relative, within_noise=hidden and relative <= _WORST_SIGMA)
 
 
-def _refuse(v: FloatArray, fired: np.ndarray, moves_nT: float, relative: float, within_noise: bool) -> None:
+def _refuse(v: FloatArray, fired: np.ndarray, moves_nT: float, relative: float, *, within_noise: bool) -> None:
     of_field, of_dipole = v[1:4], v[4:]
     axes = [int(j) for j in np.flatnonzero(np.abs(of_field) > _PART)]
     coils = [int(fired[j]) for j in np.flatnonzero(np.abs(of_dipole) > _PART)]

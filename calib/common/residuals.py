@@ -10,7 +10,7 @@ import numpy as np
 
 from fluxtwin.calib.common.covariance import autocorrelation, correlation_time_s, segments
 from fluxtwin.calib.common.design import joined, reference_field_B_nT
-from fluxtwin.calib.common.moments import second_moment, stretches
+from fluxtwin.calib.common.moments import stretches
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray, TimeArray
@@ -65,14 +65,13 @@ def residual_statistics(time: TimeArray, residual_nT: FloatArray) -> ResidualSta
     r, stamps = (residual_nT, time) if finite.all() else (residual_nT[finite], time[finite])
     if not len(r):
         raise NoAnswer("there is no residual: no row has reading, attitude and position", evidence={"samples": 0})
-    mean, square = second_moment([r])
     some = stretches(len(r), _ROWS)
     segment = segments(stamps[some])
     lags = min(_LAGS_SHOWN, max(1, len(some) // 4))
     return ResidualStatistics(
         samples=len(r),
-        mean_nT=mean,
-        rms_nT=np.sqrt(np.diag(square)),
+        mean_nT=r.mean(axis=0),
+        rms_nT=np.sqrt((r**2).mean(axis=0)),
         lag_correlation=autocorrelation(r[some], segment, range(lags + 1)),
         correlation_time_s=correlation_time_s(stamps[some], r[some], segment),
     )

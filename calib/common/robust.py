@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 _MAD_TO_SIGMA = 1.482602218505602
 _HUBER_AT = 2.0
@@ -37,18 +37,28 @@ class RobustWeights:
     """(N,) between 0 and 1."""
     sharpness: float
     """Mean derivative of the influence over the mean weight: slopes are 1/sharpness as uncertain."""
-    rejected: int
-    """Rows of weight below 0.01."""
+
+    @property
+    def kept(self) -> BoolArray:
+        """(N,) rows that are not set aside."""
+        return np.asarray(self.weights >= 0.01)
+
+    @property
+    def rejected(self) -> int:
+        """How many are."""
+        return int((~self.kept).sum())
 
 
 def robust_weights(start_nT: FloatArray, refit: Callable[[FloatArray], FloatArray], kind: str) -> RobustWeights:
-    """Weights of rows by `huber` or `tukey`.
+    """Weights of rows by `huber` or `tukey`; `none`: one each.
 
     start_nT: (N, 3) residuals that no outlier has pulled, up to a constant; (N, 1) where only |B| is fitted. refit:
     residuals like it of the fit with the weights (N,) it is given.
     """
     r = start_nT - np.median(start_nT, axis=0)
     weights = np.ones(len(r))
+    if kind == "none":
+        return RobustWeights(weights, 1.0)
     for stage in ("huber", "tukey") if kind == "tukey" else ("huber",):
         for _ in range(_ROUNDS):
             new, _ = _weigh(robust_distance(r), stage)
@@ -61,7 +71,7 @@ def robust_weights(start_nT: FloatArray, refit: Callable[[FloatArray], FloatArra
     weights, slope = _weigh(distance, kind)
     # E[psi'] of a radial influence w(d) r in n dimensions is w + w'(d) d / n
     sharpness = float((weights + slope * distance / r.shape[1]).mean() / weights.mean())
-    return RobustWeights(weights, sharpness, int((weights < 0.01).sum()))
+    return RobustWeights(weights, sharpness)
 
 
 def find_outliers(residuals: FloatArray) -> np.ndarray:

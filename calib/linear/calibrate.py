@@ -10,27 +10,28 @@ the reading is noisier than the reference.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from fluxtwin.calib.common import observability
 from fluxtwin.calib.common.conventions import Forward, correction_from_forward
 from fluxtwin.calib.common.design import Design, assemble, joined
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.fit_warnings import with_warnings
-from fluxtwin.calib.common.moments import covariance_of
 from fluxtwin.calib.common.noise import reading_noise
 from fluxtwin.calib.common.records import Calibration
-from fluxtwin.calib.common.regression import regress, residuals
+from fluxtwin.calib.common.regression import Regression, regress, residuals
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import robust_weights
 from fluxtwin.calib.linear.covariance_report import report_covariance
 from fluxtwin.calib.linear.fit import LinearFit
 from fluxtwin.calib.linear.method import LinearOptions
-from fluxtwin.calib.linear.problem import LinearProblem, Solution, corrected
-from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.calib.linear.problem import LinearProblem, Solution
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -65,50 +66,28 @@ def fit_design(
     """The regression on rows that are already assembled; arguments and errors as `calibrate_linear`."""
     fired = np.zeros(0, dtype=int) if design.D_Am2 is None else observability.fired_axes(design.D_Am2)
     observability.require_samples(len(design), _SAMPLES[options.parameters])
-    dipole = [] if design.D_Am2 is None or not fired.size else [np.ascontiguousarray(design.D_Am2[:, fired])]
+    dipole = [design.D_Am2[:, fired]] if design.D_Am2 is not None and fired.size else []
     a = _check_weights(weights, len(design))
-    if options.parameters != "b":
-        for field_nT in (design.H_nT, design.B_nT):
-            observability.require_excitation(observability.excitation(field_nT, dipole, fired, a), np.zeros(3), 0.0)
-    refit = _forward_refit(design, dipole, a, options.parameters == "b")
-    robust = None
-    if options.robust != "none":
-        robust = robust_weights(design.B_nT - design.H_nT, refit, options.robust)
-        a = robust.weights if a is None else a * robust.weights
-        a = a / a.sum()
-    first = refit(None if robust is None else robust.weights)
-    noise = reading_noise(design, first, options.noise_nT, options.lsb_nT)
-    problem = LinearProblem(design, options, fired, dipole, a, robust, noise)
-    solution = _solve_b(problem) if options.parameters == "b" else _solve(problem)
-    return _report(problem, solution, model_name, passes)
+    only_b = options.parameters == "b"
+    for field_nT in () if only_b else (design.H_nT, design.B_nT):
+        observability.require_excitation(field_nT, dipole, fired, a)
+    y, x = (design.B_nT - design.H_nT, []) if only_b else (design.B_nT, [design.H_nT, *dipole])
 
+    def refit(more: FloatArray) -> FloatArray:
+        """Residuals (N, 3) of B = G A B0 + o + C D (or of B = A B0 + o) for given further weights."""
+        fit = regress(y, x, a * more)
+        return residuals(y, x, fit.M, fit.c)
 
-def _forward_refit(
-    design: Design, dipole: list[FloatArray], a: FloatArray | None, only_b: bool
-) -> Callable[[FloatArray | None], FloatArray]:
-    """Residuals (N, 3) of B = G A B0 + o + C D (or of B = A B0 + o) for given further weights."""
-
-    def refit(more: FloatArray | None) -> FloatArray:
-        weights = more if a is None else a if more is None else a * more
-        if only_b:
-            difference = design.B_nT - design.H_nT
-            return np.asarray(difference - np.average(difference, axis=0, weights=weights))
-        fit = regress(design.B_nT, [design.H_nT, *dipole], weights)
-        return residuals(design.B_nT, [design.H_nT, *dipole], fit.M, fit.c)
-
-    return refit
-
-
-def _solve_b(problem: LinearProblem) -> Solution:
-    h = problem.design.H_nT - problem.design.B_nT
-    b = problem.weights @ h
-    calibration = Calibration(np.zeros((3, 3)), b)
-    return Solution(None, np.zeros((3, 0)), b, calibration, h - b, h - b, np.zeros((3, 3)))
+    robust = robust_weights(design.B_nT - design.H_nT, refit, options.robust)
+    noise = reading_noise(design, refit(robust.weights), options.noise_nT, options.lsb_nT)
+    a = a * robust.weights
+    problem = LinearProblem(design, options, fired, a / a.sum(), robust, noise)
+    return _report(problem, _solve(problem), model_name, passes)
 
 
 def _solve(problem: LinearProblem) -> Solution:
     solution = _regressed(problem, np.zeros(3))
-    if problem.options.errors_in_variables is False:
+    if problem.options.parameters == "b" or problem.options.errors_in_variables is False:
         return solution
     short = _shortening(problem, solution.residual_nT)
     return solution if short is None else _regressed(problem, short)
@@ -116,26 +95,41 @@ def _solve(problem: LinearProblem) -> Solution:
 
 def _regressed(problem: LinearProblem, longer_nT: FloatArray) -> Solution:
     """longer_nT: (N, 3) or (3,) by how much errors of the attitude shorten the mean of the reference field."""
-    design, linear = problem.design, problem.options.method == "linear"
+    design, (y, x) = problem.design, problem.sides
     # On the right side it is the true field given the reference that falls short.
-    y, x = (design.H_nT + longer_nT, design.B_nT) if linear else (design.B_nT, design.H_nT - longer_nT)
-    fit = regress(y, [x, *problem.dipole], problem.a)
-    variance = problem.noise.variance_nT2
-    sigma_nT = float(np.sqrt(np.trace(fit.rr) / 3.0))
-    moved = observability.excitation(x, problem.dipole, problem.fired, problem.a)
-    # The reference on the right side carries none of the noise of the reading.
-    observability.require_excitation(moved, variance if linear else np.zeros(3), sigma_nT)
-    M, c = fit.M, fit.c
-    shift = np.zeros((3, 3))
-    if problem.noise_xx is not None:
-        # <y|x> (<x|x> - Sigma)^-1 = M + (M Sigma) (<x|x> - Sigma)^-1: keeps the digits of the regression
-        step, offset = corrected(fit.xx, fit.M @ problem.noise_xx, fit.mean_x, np.zeros(3), problem.noise_xx)
-        M, c, shift = fit.M + step, fit.c + offset, step[:, :3]
-    y, x = (design.H_nT, design.B_nT) if linear else (design.B_nT, design.H_nT)
-    own = residuals(y, [x, *problem.dipole], M, c)
+    if problem.forward:
+        fit = regress(y, [x[0] - longer_nT, *x[1:]], problem.weights)
+    else:
+        fit = regress(y + longer_nT, x, problem.weights)
+    M, c, shift = fit.M, fit.c, np.zeros((3, 3))
+    if x:
+        # The reference on the right side carries none of the noise of the reading.
+        sigma_nT, variance = float(np.sqrt(np.trace(fit.rr) / 3.0)), problem.noise.variance_nT2 * problem.linear
+        observability.require_excitation(x[0], x[1:], problem.fired, problem.weights, variance, sigma_nT)
+    if problem.noise_xx.any():
+        step = _corrected(fit, problem.noise_xx)
+        M, c, shift = fit.M + step, fit.c - step @ fit.mean_x, step[:, :3]
+    own = residuals(y, x, M, c)
     calibration = _calibration(problem, M, c)
-    true_side = own if linear else design.H_nT - calibration.apply(design.B_nT, design.D_Am2)
+    true_side = design.H_nT - calibration.apply(design.B_nT, design.D_Am2) if problem.forward else own
     return Solution(fit, M, c, calibration, true_side, own, shift)
+
+
+def _corrected(fit: Regression, noise_xx: FloatArray) -> FloatArray:
+    """What the correction for noise adds to the slopes (journal eqs. 5, 8; Fuller 1987).
+
+    <y|x> (<x|x> - Sigma)^-1 = M + (M Sigma) (<x|x> - Sigma)^-1: so the digits of the regression are kept.
+    """
+    clean = fit.xx - noise_xx
+    scale = np.sqrt(np.maximum(np.diag(clean), 1e-300))
+    try:
+        factor = cho_factor(clean / np.outer(scale, scale))
+    except np.linalg.LinAlgError:
+        raise NoAnswer(
+            "the field varies by less than the noise of the reading in some body direction: S is not determined",
+            evidence={"field_covariance_nT2": fit.xx[:3, :3].tolist()},
+        ) from None
+    return np.asarray(cho_solve(factor, (fit.M @ noise_xx / scale).T).T / scale)
 
 
 def _shortening(problem: LinearProblem, residual_nT: FloatArray) -> FloatArray | None:
@@ -159,10 +153,12 @@ def _shortening(problem: LinearProblem, residual_nT: FloatArray) -> FloatArray |
 
 def _calibration(problem: LinearProblem, M: FloatArray, c: FloatArray) -> Calibration:
     """S, b, T from slopes in the fitted direction."""
+    if problem.options.parameters == "b":
+        return Calibration(np.zeros((3, 3)), c)
     T = np.zeros((3, 3))
     T[:, problem.fired] = M[:, 3:]
     with_T = "T" in problem.options.parameters
-    if problem.options.method == "linear":
+    if problem.linear:
         return Calibration(M[:, :3] - np.eye(3), c, T if with_T else None)
     back = correction_from_forward(Forward(M[:, :3], c, T))
     return Calibration(back.S, back.b_nT, back.T_nT_per_Am2 if with_T else None)
@@ -172,28 +168,25 @@ def _report(problem: LinearProblem, solution: Solution, model_name: str, passes:
     design, options = problem.design, problem.options
     report = report_covariance(problem, solution, passes)
     covariance = report.covariance
-    per_axis = 1 if solution.fit is None else solution.fit.xx.shape[0] + 1
-    free = problem.effective / max(problem.effective - per_axis, 1e-9)
-    kept = slice(None) if problem.robust is None else problem.robust.weights >= 0.01
+    free = problem.effective / max(problem.effective - solution.M.shape[1] - 1, 1e-9)
+    kept, rejected = problem.robust.kept, problem.robust.rejected
     square = float(np.trace(problem.mean_square(solution.residual_nT))) / 3.0
-    if problem.robust is not None:  # the weights shrink the tails of sound rows, too
+    if options.robust != "none":  # the weights shrink the tails of sound rows, too
         square = float((solution.residual_nT[kept] ** 2).mean())
     sigma_nT = float(np.sqrt(square * free))
-    variation = observability.field_variation(covariance_of(design.B_nT, problem.a))
+    variation = observability.field_variation(design.B_nT, problem.weights)
     words = observability.never_fired_words(problem.fired) if design.D_Am2 is not None else []
     if options.parameters != "b":
         field_rms = float(np.sqrt(np.trace(problem.mean_square(design.B_nT))))
         words += observability.weak_direction_words(variation, covariance, sigma_nT)
         words += observability.pair_words(covariance, "T" in options.parameters, field_rms, sigma_nT)
     words += report.unobservable
-    calibration = Calibration(
-        S=solution.calibration.S,
-        b_nT=solution.calibration.b_nT,
-        T_nT_per_Am2=solution.calibration.T_nT_per_Am2,
+    calibration = replace(
+        solution.calibration,
         covariance=covariance,
         covariance_kind=options.covariance,
         sigma_nT=sigma_nT,
-        samples=len(design) - (0 if problem.robust is None else problem.robust.rejected),
+        samples=len(design) - rejected,
         span=(design.time[0], design.time[-1]),
         field_model=model_name,
         method=_method_words(options),
@@ -207,7 +200,7 @@ def _report(problem: LinearProblem, solution: Solution, model_name: str, passes:
         weights=problem.weights,
         rows=design.rows,
         left_out=dict(design.left_out),
-        rejected=0 if problem.robust is None else problem.robust.rejected,
+        rejected=rejected,
         variation=variation,
         noise=problem.noise,
         eiv_shift=solution.eiv_shift,
@@ -225,7 +218,7 @@ def _messages(problem: LinearProblem, solution: Solution, variation: observabili
             "S corrected for the noise of the reading (errors in variables): largest change "
             f"{plain(float(np.abs(solution.eiv_shift).max()), 2)}"
         )
-    if problem.robust is not None and problem.robust.rejected:
+    if problem.robust.rejected:
         out.append(f"robust weights ({problem.options.robust}): {problem.robust.rejected} rows set aside")
     if problem.options.parameters != "b":
         out.append(f"{variation.words()}; condition number {plain(variation.condition_number)}")
@@ -251,10 +244,9 @@ def _of_rows(values: np.ndarray | None, design: Design, name: str) -> np.ndarray
     return np.asarray(array[design.rows])
 
 
-def _check_weights(weights: FloatArray | None, rows: int) -> FloatArray | None:
-    if weights is None:
-        return None
-    a = np.asarray(weights, dtype=np.float64)
+def _check_weights(weights: FloatArray | None, rows: int) -> FloatArray:
+    """(N,) of sum 1, equal where none are given."""
+    a = np.ones(rows) if weights is None else np.asarray(weights, dtype=np.float64)
     if a.shape != (rows,) or not np.isfinite(a).all() or (a < 0).any() or not a.sum() > 0:
         raise BadInput("a weight is negative, not finite, or all are zero", where="weights", wanted=f"{rows} weights")
     return np.asarray(a / a.sum())

@@ -93,11 +93,11 @@ class _Found(NamedTuple):
 def _correlated(problem: LinearProblem, solution: Solution, passes: np.ndarray | None) -> _Found:
     """Stacked covariance by the model of the errors, as far as blocks confirm it."""
     options = problem.options
-    kept = problem.weights > 0 if problem.robust is None else (problem.robust.weights >= 0.01) & (problem.weights > 0)
+    kept = problem.robust.kept & (problem.weights > 0)
     posterior = find_errors(evidence(problem, solution, kept), options.attitude_sigma_deg, options.attitude_tau_s)
     if posterior is None:
         return _Found(_white(problem, solution), "too few rows to see correlation: white", 0.0, None)
-    sharpness = 1.0 if problem.robust is None else problem.robust.sharpness
+    sharpness = problem.robust.sharpness
     label = segments(problem.design.time)
     if passes is not None or options.block_s is not None:
         label = next(groupings(problem.design.time, label, passes, options.block_s))[0]
@@ -106,17 +106,14 @@ def _correlated(problem: LinearProblem, solution: Solution, passes: np.ndarray |
         added,
         posterior,
         white_of(problem, solution),
-        _common_noise(problem, solution),
+        np.pad(solution.M @ problem.noise_xx, ((0, 0), (0, 1))),
         _white_factor(problem, solution),
         sharpness,
     )
     memory_s = posterior.memory_s(_field_nT(problem))
     checked = _checked(problem, spread, label, memory_s, passes)
-    whole = (
-        np.kron(np.eye(3), np.eye(1) if solution.fit is None else bread_of(solution.fit, problem.noise_xx)) / sharpness
-    )
-    centred = whole @ checked.total @ whole.T
-    stacked = uncentred(centred, np.zeros(0) if solution.fit is None else solution.fit.mean_x)
+    whole = np.kron(np.eye(3), bread_of(solution.fit, problem.noise_xx)) / sharpness
+    stacked = uncentred(whole @ checked.total @ whole.T, solution.fit.mean_x)
     covered_s = observed_s(problem.design.time, segments(problem.design.time))
     stacked = stacked + _from_turning(solution, posterior.constant_rad2(covered_s))
     errors = _error_model(problem, solution, posterior, checked.misfit)
@@ -156,21 +153,11 @@ def _checked(
     return _Checked(up @ W @ up.T, misfit, words)
 
 
-def _common_noise(problem: LinearProblem, solution: Solution) -> FloatArray:
-    """(p, p) of E[r_i n_g] E[r_j n_f], for a row: noise that residual and regressor share."""
-    m = solution.M.shape[1]
-    out = np.zeros((3, m + 1, 3, m + 1))
-    if solution.fit is not None and problem.noise_xx is not None:
-        shared = solution.M @ problem.noise_xx
-        out[:, :m, :, :m] = np.einsum("ig,jf->ifjg", shared, shared)
-    return out.reshape(3 * (m + 1), 3 * (m + 1))
-
-
 def _white_factor(problem: LinearProblem, solution: Solution) -> float:
     """Mean square that robust weights leave of white noise, over that of the rows with weight."""
-    if problem.robust is None:
+    if problem.options.robust == "none":
         return 1.0
-    w, kept = problem.robust.weights, problem.robust.weights >= 0.01
+    w, kept = problem.robust.weights, problem.robust.kept
     r = (solution.own_residual_nT**2).sum(axis=1)
     return float((w**2 * r)[kept].mean() / ((w**2)[kept].mean() * r[kept].mean()))
 
@@ -237,7 +224,7 @@ def _orbit_long_words(
 def _from_noise_uncertainty(problem: LinearProblem, solution: Solution) -> FloatArray:
     """What an uncertain Sigma_B adds: dM = M[:, i] (row i of the inverse of <x|x> - Sigma_x) for each variance i."""
     size = 3 * (solution.M.shape[1] + 1)
-    if solution.fit is None or problem.noise_xx is None or not problem.noise.covariance.any():
+    if not (problem.noise_xx.any() and problem.noise.covariance.any()):
         return np.zeros((size, size))
     inverse = np.linalg.inv(solution.fit.xx - problem.noise_xx)
     moved = []
@@ -254,7 +241,7 @@ def _from_turning(solution: Solution, power_rad2: float) -> FloatArray:
     (w_i w_j - d_ij |w|^2)/2 for normal w of that power an axis.
     """
     one, m = np.eye(3), solution.M.shape[1]
-    if solution.fit is None:
+    if not m:
         return np.zeros((3, 3))
     # E of the products of four normals; the traces of w w' add 2 and 2 to 3
     both = np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one)
@@ -268,43 +255,38 @@ def _from_field_error(problem: LinearProblem, solution: Solution) -> FloatArray:
     size = solution.M.shape[1] + 1
     if not problem.options.field_error_nT:
         return np.zeros((3 * size, 3 * size))
-    x = np.hstack([*problem.parts, np.zeros((len(problem.design), 0))])
+    x = np.hstack([np.zeros((len(problem.design), 0)), *problem.sides[1]])
     seen = cells(problem.design.time, segments(problem.design.time), [x, np.ones((len(x), 1))], problem.weights)
-    mean_x = np.zeros(0) if solution.fit is None else solution.fit.mean_x
-    seen.columns[:, :-1] -= mean_x
+    seen.columns[:, :-1] -= solution.fit.mean_x
     K = kernel_moments(seen, np.array([problem.design.radian_s]))[0]
-    turn = solution.M[:, :3] if problem.options.method == "forward" and solution.fit is not None else np.eye(3)
+    turn = solution.M[:, :3] if problem.forward else np.eye(3)
     C = problem.options.field_error_nT**2 * turn @ turn.T
-    whole = np.kron(np.eye(3), np.eye(1) if solution.fit is None else bread_of(solution.fit, problem.noise_xx))
+    whole = np.kron(np.eye(3), bread_of(solution.fit, problem.noise_xx))
     moments = np.einsum("ij,fg->ifjg", C, K).reshape(3 * size, 3 * size)
-    return uncentred(whole @ moments @ whole.T, mean_x)
+    return uncentred(whole @ moments @ whole.T, solution.fit.mean_x)
 
 
 def _white(problem: LinearProblem, solution: Solution) -> FloatArray:
-    effective, m = problem.effective, solution.M.shape[1]
-    sharpness = 1.0 if problem.robust is None else problem.robust.sharpness
-    own = solution.own_residual_nT
-    if solution.fit is not None and effective >= _SANDWICH_ROWS * (m + 1):
-        stacked = sandwich_covariance(own, problem.parts, solution.fit, solution.M, problem.a, problem.noise_xx)
+    effective, m, x = problem.effective, solution.M.shape[1], problem.sides[1]
+    sharpness, own = problem.robust.sharpness, solution.own_residual_nT
+    if x and effective >= _SANDWICH_ROWS * (m + 1):
+        stacked = sandwich_covariance(own, x, solution.fit, solution.M, problem.weights, problem.noise_xx)
         return np.asarray(stacked / sharpness**2)
     # With equal weights this is N/(N-p) times the mean of r r'.
     rr = problem.mean_square(own, 2) * effective / max(effective - m - 1, 1e-9) / sharpness**2
-    if solution.fit is None:
-        return np.asarray(rr / effective)
     return plain_covariance(solution.fit, solution.M, rr, effective, problem.noise_xx)
 
 
 def _in_file_order(problem: LinearProblem, solution: Solution, stacked: FloatArray) -> FloatArray:
-    with_S = solution.fit is not None
-    m = solution.M.shape[1]
-    place = np.zeros(3 * (m + 1), dtype=int)
-    for i in range(3):
-        columns = [3 * i + k for k in range(3)] if with_S else []
-        columns += [12 + 3 * i + int(j) for j in problem.fired] if with_S else []
-        place[i * (m + 1) : (i + 1) * (m + 1)] = [*columns, 9 + i]
+    x = problem.sides[1]
+    per_axis = [
+        [*range(3 * i, 3 * i + 3), *(12 + 3 * i + int(j) for j in problem.fired), 9 + i] if x else [9 + i]
+        for i in range(3)
+    ]
+    place = np.concatenate(per_axis)
     full = np.zeros((21, 21))
     full[np.ix_(place, place)] = stacked
-    if with_S and problem.options.method == "forward":
+    if problem.forward:
         jacobian = forward_jacobian(solution.calibration.correction)
         full = jacobian @ full @ jacobian.T
     size = 21 if "T" in problem.options.parameters else 12

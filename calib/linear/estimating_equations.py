@@ -53,18 +53,14 @@ def images(problem: LinearProblem, solution: Solution, rows: np.ndarray | slice)
     x, y, z = problem.design.H_nT[rows].T
     none = np.zeros(len(x))
     U = np.array([[none, z, -y], [-z, none, x], [y, -x, none]]).transpose(2, 0, 1)
-    return U if problem.options.method == "linear" or solution.fit is None else np.asarray(solution.M[:, :3] @ U)
+    return np.asarray(solution.M[:, :3] @ U) if problem.forward else U
 
 
 def white_of(problem: LinearProblem, solution: Solution) -> FloatArray:
     """(3, 3) covariance of the noise of a reading in the residual."""
     floor = 1e-6 * float(np.trace(problem.mean_square(solution.own_residual_nT))) / 3.0
     W = np.diag(np.maximum(problem.noise.variance_nT2, max(floor, 1e-12)))
-    return (
-        np.asarray(solution.M[:, :3] @ W @ solution.M[:, :3].T)
-        if problem.options.method == "linear" and solution.fit is not None
-        else W
-    )
+    return np.asarray(solution.M[:, :3] @ W @ solution.M[:, :3].T) if problem.linear else W
 
 
 def evidence(problem: LinearProblem, solution: Solution, kept: np.ndarray) -> LikelihoodCells:
@@ -82,9 +78,10 @@ def evidence(problem: LinearProblem, solution: Solution, kept: np.ndarray) -> Li
     step_s = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 1.0
     one = np.ones((len(seconds), 1))
     design = mean(one)
-    if solution.fit is not None:
+    x = problem.sides[1]
+    if x:
         H = mean(problem.design.H_nT[rows]) - _smooth(mean(solution.residual_nT[rows]), segment[starts])
-        others = [mean(part[rows]) for part in problem.parts[1:]]
+        others = [mean(part[rows]) for part in x[1:]]
         design = np.hstack([H - H.mean(axis=0), *others, design])
     edges = np.flatnonzero(np.diff(segment)) + 1
     first, last = np.concatenate([[0], edges]), np.concatenate([edges, [len(seconds)]]) - 1
@@ -150,11 +147,9 @@ def sums(problem: LinearProblem, solution: Solution, label: np.ndarray) -> RowSu
     length_s = observed_s(time, segments(time)) / CELLS if len(time) > CELLS else 0.0
     starts = _cell_starts(seconds, label, length_s)
     ends = np.concatenate([starts[1:], [len(seconds)]])
-    mean_x = np.zeros(0) if solution.fit is None else solution.fit.mean_x
-    m = mean_x.size
-    shift = np.zeros((3, m + 1))
-    if problem.noise_xx is not None and solution.fit is not None:
-        shift[:, :m] = solution.M @ problem.noise_xx
+    m = solution.M.shape[1]
+    shift = np.pad(solution.M @ problem.noise_xx, ((0, 0), (0, 1)))
+    parts = problem.sides[1]
     out: list[tuple[FloatArray, ...]] = []
     cell = 0
     while cell < len(starts):
@@ -163,8 +158,8 @@ def sums(problem: LinearProblem, solution: Solution, label: np.ndarray) -> RowSu
         local = starts[cell:stop] - starts[cell]
         w = a[rows]
         n = len(w)
-        x = np.hstack([part[rows] for part in problem.parts]) if m else np.zeros((n, 0))
-        z = np.hstack([x - mean_x, np.ones((n, 1))])
+        x = np.hstack([np.zeros((n, 0)), *(part[rows] for part in parts)])
+        z = np.hstack([x - solution.fit.mean_x, np.ones((n, 1))])
         U = images(problem, solution, rows)
         u = np.einsum("nij,nf->njif", U, z).reshape(n, 3, -1)
         r = solution.own_residual_nT[rows]
@@ -186,8 +181,7 @@ def sums(problem: LinearProblem, solution: Solution, label: np.ndarray) -> RowSu
     z, theta, score, slope, white_z, white_theta, when, weight = (
         np.concatenate([part[k] for part in out]) for k in range(8)
     )
-    if problem.noise_xx is not None and solution.fit is not None:
-        slope[:, :m, :m] -= weight[:, None, None] * problem.noise_xx
+    slope[:, :m, :m] -= weight[:, None, None] * problem.noise_xx
     middle = 0.5 * (seconds[starts] + seconds[ends - 1])
     at = np.where(weight > 0, when / np.where(weight > 0, weight, 1.0), middle)
     step_s = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 1.0
@@ -212,10 +206,10 @@ class Spread(NamedTuple):
 
 
 def spread_of(
-    added: RowSums, posterior: Posterior, white: FloatArray, pull: FloatArray, white_factor: float, sharpness: float
+    added: RowSums, posterior: Posterior, white: FloatArray, shared: FloatArray, white_factor: float, sharpness: float
 ) -> Spread:
-    """white: (3, 3) of a row, before the posterior's factor. pull: (3, m+1, 3, m+1) what noise common to residual and
-    regressor adds to a row. white_factor: of robust weights, their effect on it."""
+    """white: (3, 3) of a row, before the posterior's factor. shared: (3, m+1) mean product of a component of the noise in
+    residual and regressor. white_factor: of robust weights, their effect on it."""
     K, size = added.score.shape
     # Within a cell an error counts as constant; one that lasts less is white, as strong as its integral over time.
     brief = [np.where(tau < added.length_s, 1.0 / np.tanh(0.5 * added.step_s / tau), 0.0) for tau in posterior.taus_s]
@@ -223,6 +217,7 @@ def spread_of(
     W = white * float((posterior.sigma_nT**2).mean()) * white_factor
     W = W + float((slow2 * brief[1]).mean()) * white_factor * np.eye(3)
     own = np.einsum("ij,kfg->kifjg", W, added.white_z).reshape(K, size, size)
+    pull = np.einsum("ig,jf->ifjg", shared, shared).reshape(size, size)
     own = own + added.white_z[:, -1, -1][:, None, None] * pull * white_factor
     own = own + float((posterior.white_theta_rad**2 + theta2 * brief[0]).mean()) * white_factor * added.white_theta
     nodes = posterior.nodes_s

@@ -19,7 +19,6 @@ import numpy as np
 from fluxtwin.calib.common import observability
 from fluxtwin.calib.common.design import joined
 from fluxtwin.calib.common.fit_warnings import with_warnings
-from fluxtwin.calib.common.moments import covariance_of
 from fluxtwin.calib.common.noise import ReadingNoise, scalar_noise
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.residuals import residual_statistics
@@ -277,7 +276,7 @@ def _report(
         rows=rows.rows,
         left_out=dict(rows.left_out),
         rejected=int((~kept).sum()),
-        variation=observability.field_variation(covariance_of(rows.B_nT)),
+        variation=observability.field_variation(rows.B_nT),
         noise=noise,
         statistics=residual_statistics(rows.time[kept], residuals_nT[kept]),
         messages=tuple(messages),

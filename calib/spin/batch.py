@@ -84,15 +84,20 @@ def residuals(state: State, rows: SpinRows) -> tuple[FloatArray, FloatArray]:
 
 def normal_equations(state: State, rows: SpinRows, noise: Noise, prior: Prior | None = None) -> Normal:
     """Sums over all rows."""
-    from fluxtwin.calib.spin.batch_kernels import accumulate
-
     N, v = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
-    A0, Om, lam = state.motion
-    A0, Om, G = np.ascontiguousarray(A0), np.ascontiguousarray(Om), np.ascontiguousarray(state.G)
-    w, w_sun = 1.0 / noise.field_nT**2, 1.0 / noise.sun_rad**2
-    field = accumulate(rows.t_s, rows.B_nT, rows.H_N_nT, A0, Om, lam, G, state.o_nT, w, True, N, v)
-    nothing = np.zeros(3)
-    suns = accumulate(rows.pulse_s, rows.sun_B, rows.sun_N, A0, Om, lam, np.eye(3), nothing, w_sun, False, N, v)
+    y, slope = state.motion.slopes(rows.t_s, rows.H_N_nT)
+    X, r, w = state.G @ slope, rows.B_nT - y @ state.G.T - state.o_nT, 1.0 / noise.field_nT**2
+    seen, sun_slope = state.motion.slopes(rows.pulse_s, rows.sun_N)
+    X_sun, r_sun, w_sun = sun_slope.reshape(-1, 7), rows.sun_B - seen, 1.0 / noise.sun_rad**2
+    N[:7, :7] = w * X.reshape(-1, 7).T @ X.reshape(-1, 7) + w_sun * X_sun.T @ X_sun
+    N[:7, 7:10] = w * X.sum(axis=0).T
+    N[:7, 10:] = w * np.einsum("nim,nj->mij", X, y).reshape(7, 9)
+    N[7:10, 7:10] = w * len(y) * np.eye(3)
+    N[7:10, 10:] = w * np.kron(np.eye(3), y.sum(axis=0))
+    N[10:, 10:] = w * np.kron(np.eye(3), y.T @ y)
+    v[:7] = w * r.ravel() @ X.reshape(-1, 7) + w_sun * r_sun.ravel() @ X_sun
+    v[7:10], v[10:] = w * r.sum(axis=0), w * (r.T @ y).ravel()
+    field, suns = w * float((r**2).sum()), w_sun * float((r_sun**2).sum())
     cost = field + suns
     if prior is not None:
         N[7:10, 7:10] += np.eye(3) / prior.sigma_o_nT**2

@@ -23,7 +23,6 @@ from fluxtwin.calib.common.covariance import batch_widening, segments
 from fluxtwin.calib.common.design import Design, joined
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.fit_warnings import with_warnings
-from fluxtwin.calib.common.moments import covariance_of
 from fluxtwin.calib.common.noise import ReadingNoise, scalar_noise
 from fluxtwin.calib.common.observability import field_variation
 from fluxtwin.calib.common.records import LARGE_S, Calibration
@@ -293,7 +292,6 @@ def _regress(
     """Linear regression on the attitude and filter with what it gives, in turn, until a tenth of a sigma is left."""
     sigma_nT = np.sqrt(noise.variance_nT2)
     how = LinearOptions(method="forward", noise_nT=sigma_nT, lsb_nT=0.0, covariance="white", robust="none")
-    inertia = np.array([1.0, 1.0, ratio])
     free = options.torque_walk_rad_s == 0.0
     near = replace(settings, extended=not free)
     motion, A = done.motion, done.last.A
@@ -314,7 +312,7 @@ def _regress(
         if count % _LEAP == 0 and 0.5 < share < 0.97:
             ahead = known.values + (known.values - before) * share / (1.0 - share)
             used = Calibration(ahead[:9].reshape(3, 3), ahead[9:])
-        filtered = spin_filter(rows, used.apply(rows.B_nT), *at(motion, begin), inertia, near)
+        filtered = spin_filter(rows, used.apply(rows.B_nT), *at(motion, begin), ratio, near)
         if not filtered.field_nis < _MISFIT**2:
             raise NoAnswer(
                 f"regression and filter in turn run away: squared innovations {filtered.field_nis:.3g} times the noise; "
@@ -371,7 +369,7 @@ def _report(
         rows=rows.rows,
         left_out=dict(rows.left_out),
         rejected=0,
-        variation=field_variation(covariance_of(rows.B_nT)),
+        variation=field_variation(rows.B_nT),
         noise=noise,
         statistics=statistics,
         messages=tuple(said),

@@ -1,9 +1,9 @@
 """A Kalman filter for a spinning spacecraft whose rate comes from its momentum.
 
 State: the attitude A (N to B) and the angular momentum L in N, which is constant without torque; rate w = J^-1 A L.
-Errors: dtheta in B and dL in N (the form that Markley & Sedlak 2008 recommend). Axisymmetric bodies move in closed
-form, three different moments by integration. A slit's pulse is two scalars: the azimuth of the sun when it crosses, and
-its elevation. Only ratios of the inertia matter; L is in its unit.
+Errors: dtheta in B and dL in N (the form that Markley & Sedlak 2008 recommend). An axisymmetric body moves in closed
+form. A slit's pulse is two scalars: the azimuth of the sun when it crosses, and its elevation. Only the ratio of the
+moments matters; L is in units of Jt.
 
 An extended filter freezes what it got wrong while it knew little: a sigma in an hour. Where a near motion is known, all
 is linearised about that one instead (`extended` off), which makes a pass a step of Gauss and Newton.
@@ -21,8 +21,6 @@ import numpy as np
 
 from fluxtwin.calib.spin.rows import SpinRows
 from fluxtwin.sim.base.types import FloatArray
-
-_EQUAL = 1e-9
 
 
 @dataclass(frozen=True)
@@ -68,16 +66,15 @@ def spin_filter(
     field_B_nT: FloatArray,
     A0: FloatArray,
     rate_B_rad_s: FloatArray,
-    inertia: FloatArray,
+    ratio: float,
     settings: FilterSettings,
 ) -> Filtered:
     """Run through the rows from attitude A0 (3, 3) and rate (3,) at their first event.
 
-    field_B_nT: (N, 3) readings as calibrated so far. inertia: (3,) moments about body x, y, z, any unit.
+    field_B_nT: (N, 3) readings as calibrated so far. ratio: Js / Jt, of the moments about body z and across it.
     """
     from fluxtwin.calib.spin.filter_kernels import run_filter
 
-    J = np.asarray(inertia, dtype=np.float64) / float(inertia[0])
     t = np.concatenate([rows.t_s, rows.pulse_s])
     order = np.argsort(t, kind="stable")
     kind = np.concatenate([np.zeros(len(rows)), np.ones(len(rows.pulse_s))])[order]
@@ -88,9 +85,8 @@ def spin_filter(
     n = t.size
     history, nis = np.empty((n, 3, 3)), np.empty(n)
     A0 = np.ascontiguousarray(A0, dtype=np.float64)
-    L0 = np.ascontiguousarray(A0.T @ (J * rate_B_rad_s))
-    symmetric = bool(abs(J[1] - J[0]) <= _EQUAL)
-    A, L, P = run_filter(t[order], kind, seen, ref, A0, L0, P, J, noise, symmetric, settings.extended, history, nis)
+    L0 = np.ascontiguousarray(A0.T @ (np.array([1.0, 1.0, ratio]) * rate_B_rad_s))
+    A, L, P = run_filter(t[order], kind, seen, ref, A0, L0, P, ratio, noise, settings.extended, history, nis)
     field = kind == 0.0
     settled = np.arange(n) >= n // 10  # the start is not the filter's merit
     return Filtered(

@@ -13,16 +13,6 @@ from fluxtwin.sim.base.types import FloatArray
 
 
 @part()
-def _sum(one: FloatArray, a: float, two: FloatArray, b: float) -> FloatArray:
-    """a one + b two."""
-    out = np.empty(one.shape)
-    for i in range(one.shape[0]):
-        for k in range(one.shape[1]):
-            out[i, k] = a * one[i, k] + b * two[i, k]
-    return out
-
-
-@part()
 def _between(one: FloatArray, two: FloatArray) -> FloatArray:
     """one two one'; two is symmetric, and so is this to the last bit."""
     half = product(one, two)
@@ -37,14 +27,14 @@ def _between(one: FloatArray, two: FloatArray) -> FloatArray:
 
 
 @kernel(uses=(kalman_kernels,), fastmath=False)
-def step_symmetric(A: FloatArray, L: FloatArray, J: FloatArray, h: float) -> tuple[FloatArray, FloatArray]:
-    """A after h and the transition (6, 6) of [dtheta, dL], free axisymmetric body about z; exact in A.
+def step(A: FloatArray, L: FloatArray, ratio: float, h: float) -> tuple[FloatArray, FloatArray]:
+    """A after h and the transition (6, 6) of [dtheta, dL], free axisymmetric body about z; exact in A. ratio: Js/Jt.
 
-    A(t+h) = Rz(lam h) A exp(-[L x] h / Jt), lam = L_B3 (1/Js - 1/Jt) (Markley & Sedlak 2008, in closed form).
+    A(t+h) = Rz(lam h) A exp(-[L x] h), lam = L_B3 (Jt/Js - 1), L in units of Jt (Markley & Sedlak 2008, in closed form).
     """
-    x, y, z = L[0] / J[0], L[1] / J[0], L[2] / J[0]
+    x, y, z = L[0], L[1], L[2]
     size = math.sqrt(x * x + y * y + z * z)
-    g = h * (1.0 / J[2] - 1.0 / J[0])
+    g = h * (1.0 / ratio - 1.0)
     L_B = times(A, L)
     Rz = passive(np.array([0.0, 0.0, L_B[2] * g]))
     turned = product(Rz, A)
@@ -64,48 +54,12 @@ def step_symmetric(A: FloatArray, L: FloatArray, J: FloatArray, h: float) -> tup
     for i in range(3):
         for k in range(3):
             Phi[i, k] = Rz[i, k]
-            Phi[i, 3 + k] = h / J[0] * side[i, k]
+            Phi[i, 3 + k] = h * side[i, k]
     Phi[2, 0] -= g * L_B[1]
     Phi[2, 1] += g * L_B[0]
     for k in range(3):
         Phi[2, 3 + k] += g * A[2, k]
     return new, Phi
-
-
-@part()
-def _slope(A: FloatArray, Phi: FloatArray, L: FloatArray, J: FloatArray, dA: FloatArray, dPhi: FloatArray) -> None:
-    """Rates of A (3, 3) and of the upper half of Phi (6, 6); the lower half stands still."""
-    L_B = times(A, L)
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        wj, wk = L_B[j] / J[j], L_B[k] / J[k]
-        for m in range(3):
-            dA[i, m] = wk * A[j, m] - wj * A[k, m]
-        # [L_B x] / J - [w x], row i.
-        to_j, to_k = wk - L_B[k] / J[i], L_B[j] / J[i] - wj
-        for m in range(6):
-            dPhi[i, m] = to_j * Phi[j, m] + to_k * Phi[k, m]
-            for n in range(3):
-                dPhi[i, m] += A[i, n] / J[i] * Phi[3 + n, m]
-
-
-@kernel(uses=(kalman_kernels,), fastmath=False)
-def step_triaxial(A: FloatArray, L: FloatArray, J: FloatArray, h: float) -> tuple[FloatArray, FloatArray]:
-    """As `step_symmetric` for three different moments, by Runge and Kutta's fourth-order method, 0.02 rad a step."""
-    rate = math.sqrt(L[0] ** 2 + L[1] ** 2 + L[2] ** 2) / min(J[0], min(J[1], J[2]))
-    steps = max(1, math.ceil(abs(h) * rate / 0.02))
-    d = h / steps
-    Phi, dA, dPhi = np.eye(6), np.zeros((3, 3)), np.zeros((6, 6))
-    for _ in range(steps):
-        sum_A, sum_Phi = np.zeros((3, 3)), np.zeros((6, 6))
-        for order in range(4):
-            reach = 0.0 if order == 0 else d if order == 3 else 0.5 * d
-            weight = 1.0 if order == 0 or order == 3 else 2.0
-            _slope(_sum(A, 1.0, dA, reach), _sum(Phi, 1.0, dPhi, reach), L, J, dA, dPhi)
-            sum_A, sum_Phi = _sum(sum_A, 1.0, dA, weight), _sum(sum_Phi, 1.0, dPhi, weight)
-        A, Phi = _sum(A, 1.0, sum_A, d / 6.0), _sum(Phi, 1.0, sum_Phi, d / 6.0)
-        A = _sum(A, 1.5, product(product(A, A.T), A), -0.5)  # back to a rotation
-    return A, Phi
 
 
 @part()
@@ -129,9 +83,8 @@ def run_filter(
     A: FloatArray,
     L: FloatArray,
     P: FloatArray,
-    J: FloatArray,
+    ratio: float,
     noise: FloatArray,
-    symmetric: bool,
     extended: bool,
     history: FloatArray,
     nis: FloatArray,
@@ -148,10 +101,7 @@ def run_filter(
         h = t_s[k] - now
         now = t_s[k]
         if h > 0.0:
-            if symmetric:
-                A, Phi = step_symmetric(A, L, J, h)
-            else:
-                A, Phi = step_triaxial(A, L, J, h)
+            A, Phi = step(A, L, ratio, h)
             P = _between(Phi, P)
             x = times(Phi, x)
             for i in range(3):

@@ -67,6 +67,26 @@ class SpinMotion(NamedTuple):
         """(N, 3) vectors of N in B: A(t) v."""
         return about_z(self.lam_rad_s * t_s, self.unspun(t_s, v_N) @ self.A0.T)
 
+    def slopes(self, t_s: FloatArray, v_N: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(N, 3) y = A(t) v and (N, 3, 7) its derivatives by [d0, dOm, dlam], to first order in these.
+
+        d(t) = Rz d0 + Rz A0 Jl(-Om t) t dOm + z t dlam,   Jl(x) = 1 + (1-cos x)/x^2 [x x] + (x - sin x)/x^3 [x x]^2
+        """
+        rate = max(float(np.linalg.norm(self.Om_N_rad_s)), 1e-300)
+        n = self.Om_N_rad_s / rate
+        v = self.unspun(t_s, v_N)
+        u, spin = v @ self.A0.T, self.lam_rad_s * t_s
+        y = about_z(spin, u)
+        out = np.zeros((len(t_s), 3, 7))
+        slow, fast = ((1.0 - np.cos(rate * t_s)) / rate)[:, None], (t_s - np.sin(rate * t_s) / rate)[:, None]
+        for k, axis in enumerate(np.eye(3)):
+            out[:, :, k] = about_z(spin, np.cross(u, axis))
+            across = np.cross(n, axis)
+            turned = t_s[:, None] * axis - slow * across + fast * np.cross(n, across)
+            out[:, :, 3 + k] = about_z(spin, np.cross(v, turned) @ self.A0.T)
+        out[:, 0, 6], out[:, 1, 6] = y[:, 1] * t_s, -y[:, 0] * t_s
+        return y, out
+
     def unspun(self, t_s: FloatArray, v_N: FloatArray) -> FloatArray:
         """(N, 3) exp(-[Om x] t) v."""
         rate = float(np.linalg.norm(self.Om_N_rad_s))

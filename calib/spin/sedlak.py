@@ -58,13 +58,12 @@ def iterate(
     alignment before launch. Raises NoAnswer where the turns grow or do not become small.
     """
     begin = min(float(rows.t_s[0]), float(rows.pulse_s[0]))
-    inertia = np.array([1.0, 1.0, ratio])
     whole, B, motion = np.eye(3), field_B_nT, start
     steps: list[float] = []
     first: Filtered | None = None
     weakest = 0.0
     for _ in range(_PASSES):
-        filtered = spin_filter(rows, B, *at(motion, begin), inertia, settings)
+        filtered = spin_filter(rows, B, *at(motion, begin), ratio, settings)
         first = filtered if first is None else first
         end = free_motion(filtered, ratio)
         motion = start if settings.torque_walk_rad_s else end

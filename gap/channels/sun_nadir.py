@@ -227,7 +227,7 @@ def open_channel(telemetry: Telemetry, *, passes: np.ndarray | None = None, fewe
         rows = rows[np.linspace(0, rows.size - 1, _MOST_ROWS).astype(int)]
     of_row = np.zeros(0, dtype=int)
     if rows.size and passes is None:
-        of_row = make_blocks(telemetry.time[rows], _MEMORY_S).of_row
+        of_row = make_blocks(telemetry.time[rows], _MEMORY_S)
     elif rows.size:
         of_row = np.unique(np.asarray(passes)[rows], return_inverse=True)[1]
     count = int(of_row.max()) + 1 if rows.size else 0

@@ -18,6 +18,7 @@ from fluxtwin.calib.spin.batch import Noise
 from fluxtwin.calib.spin.filter import Filtered, FilterSettings, spin_filter
 from fluxtwin.calib.spin.motion import SpinMotion
 from fluxtwin.calib.spin.rows import SpinRows
+from fluxtwin.calib.spin.sedlak import at
 from fluxtwin.scenarios.st5 import mission
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.types import FloatArray
@@ -80,11 +81,9 @@ def settings(walk_rad_s: float = 0.0, sun_factor: float = 1.0) -> FilterSettings
 
 def filtered(rows: SpinRows, field_B_nT: FloatArray, motion: SpinMotion, chosen: FilterSettings) -> Filtered:
     """One pass over readings (N, 3) from the motion at the first event, with the abstract's inertia."""
-    begin = np.array([min(rows.t_s[0], rows.pulse_s[0])])
-    A0 = motion.attitude(begin)[0]
-    rate = A0 @ motion.Om_N_rad_s + np.array([0.0, 0.0, motion.lam_rad_s])
     inertia: Sequence[float] = mission.published()["inertia_kg_m2"]
-    return spin_filter(rows, field_B_nT, A0, rate, np.array(inertia), chosen)
+    begin_s = float(min(rows.t_s[0], rows.pulse_s[0]))
+    return spin_filter(rows, field_B_nT, *at(motion, begin_s), inertia[2] / inertia[0], chosen)
 
 
 def search(

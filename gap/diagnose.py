@@ -36,7 +36,7 @@ from fluxtwin.gap.report import level, verdict
 from fluxtwin.gap.report.work import Work
 from fluxtwin.gap.selection.detectable import under_all
 from fluxtwin.gap.selection.named import SearchResult
-from fluxtwin.gap.selection.refit import refit, settled
+from fluxtwin.gap.selection.refit import Readings, refit, settled
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.types import BoolArray, FloatArray
@@ -183,7 +183,7 @@ def _about_the_whitened_fit(problem: Problem) -> Problem:
         problem = replace(problem, attitude_found_rad=noise.theta_rad)
     if not problem.modelled:
         return problem
-    fit = refit(problem, whitener_of(problem, noise, robust.weights))
+    fit = refit(Readings(problem, whitener_of(problem, noise, robust.weights)))
     return realigned(replace(problem, modelled_theta=tuple(theta for _, theta in fit.modelled)))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from fluxtwin.gap.hypotheses.candidates import in_order
 from fluxtwin.gap.records.closure import Closure
 from fluxtwin.gap.records.diagnosis import Transfer
-from fluxtwin.gap.selection.refit import refit
+from fluxtwin.gap.selection.refit import Readings, refit
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
@@ -59,13 +59,13 @@ def refined(closure: Closure) -> Closure:
     for number, (effect, _) in enumerate(closure.chosen):
         if effect.between(problem.setting, 1.0) is None:
             continue
-        best = refit(problem, whitener, chosen, modelled=modelled)
+        best = refit(Readings(problem, whitener), chosen, modelled=modelled)
         for ratio in _RATIOS:
             for step in (ratio, 1.0 / ratio):
                 moved = best.chosen[number][0].between(problem.setting, step)
                 assert moved is not None
                 start = [(moved, pair[1]) if place == number else pair for place, pair in enumerate(best.chosen)]
-                trial = refit(problem, whitener, start, modelled=best.modelled)
+                trial = refit(Readings(problem, whitener), start, modelled=best.modelled)
                 best = trial if trial.chi2 < best.chi2 else best
         chosen, modelled = list(best.chosen), best.modelled
         near = [chosen[number][0].between(problem.setting, step) for step in (_RATIOS[-1], 1.0 / _RATIOS[-1])]
@@ -91,7 +91,7 @@ def settle(closure: Closure) -> Closed:
         modelled = problem.modelled_active
         if not chosen or number == _ROUNDS - 1:
             break
-        fit = refit(problem, closure.whitener, chosen, modelled=modelled)
+        fit = refit(Readings(problem, closure.whitener), chosen, modelled=modelled)
         chosen, modelled = fit.chosen, fit.modelled
         covariances = [fit.covariance[part, part] * max(closure.variance, 1.0) for part in fit.slices()]
     named = []

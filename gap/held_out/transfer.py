@@ -23,7 +23,7 @@ from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.closure import Closure, Stochastic
 from fluxtwin.gap.records.diagnosis import Transfer
 from fluxtwin.gap.selection.detectable import GATE, noncentrality, visible_part
-from fluxtwin.gap.selection.refit import refit
+from fluxtwin.gap.selection.refit import Readings, refit
 from fluxtwin.gap.selection.score import orthonormal
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
@@ -189,13 +189,13 @@ def _learnt(closure: Closure, number: int, effect: SignalEffect, theta: FloatArr
 def _others(closure: Closure, number: int) -> tuple[Other, ...]:
     """What might stand in the place of a named effect, refitted, with posterior weights exp(-BIC / 2)."""
     problem, effect = closure.problem, closure.chosen[number][0]
-    own = refit(problem, closure.whitener, closure.chosen, modelled=closure.modelled)
+    own = refit(Readings(problem, closure.whitener), closure.chosen, modelled=closure.modelled)
     samples = max(closure.whitener.measured / 3.0, 2.0)
     found: list[Other] = []
     for other in closure.alternatives[number][:_MOST_TRIALS]:
         trial = list(closure.chosen)
         trial[number] = (other, np.zeros(len(other.parameters)))
-        fit = refit(problem, closure.whitener, trial, modelled=closure.modelled)
+        fit = refit(Readings(problem, closure.whitener), trial, modelled=closure.modelled)
         worse = (fit.chi2 - own.chi2) / closure.variance + (fit.rank_chosen - own.rank_chosen) * np.log(samples)
         weight = float(np.exp(-0.5 * np.clip(worse, -100.0, 1400.0)))
         if weight > _UNLIKELY:

@@ -26,7 +26,7 @@ from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import LOG_FURTHER, SHAPE, THRESHOLD, penalty
 from fluxtwin.gap.selection.forward import Search, begin, run
 from fluxtwin.gap.selection.named import SearchResult
-from fluxtwin.gap.selection.refit import Fit
+from fluxtwin.gap.selection.refit import Fit, Readings
 from fluxtwin.gap.selection.score import Board
 from fluxtwin.gap.selection.search import result_of
 from fluxtwin.sim.base.types import FloatArray
@@ -35,7 +35,7 @@ from fluxtwin.sim.effects.chain import Active
 
 Known = tuple[list[Candidate], dict[str, str]]
 """What `candidates` gives for a problem."""
-_Searched = tuple[Search, dict[str, str], list[tuple[Fit, Board]]]
+_Searched = tuple[Search[Readings], dict[str, str], list[tuple[Fit, Board]]]
 """A search, names that cannot be tested with the reason, and the path that it took."""
 _ROUNDS = 2
 
@@ -98,7 +98,8 @@ def answered_with(
 
 
 def _searched(problem: Problem, whitener: Whitener, known: Known) -> _Searched:
-    under_way, untestable = begin(problem, whitener, known=known)
+    found, untestable = known
+    under_way = begin(Readings(problem, whitener), found)
     return under_way, untestable, run(under_way)
 
 
@@ -111,7 +112,7 @@ def _concluded(
     others: Sequence[NoiseModel],
 ) -> Answer:
     under_way, untestable, path = searched
-    whitener, signals = under_way.whitener, signals_of(shapes)
+    whitener, signals = under_way.channel.whitener, signals_of(shapes)
     explanations, handicap = _weighed(under_way, path, dictionary, others, robust)
     best, share, total = _best(explanations)
     chosen = explanations[best]
@@ -145,7 +146,7 @@ def _added(one: Fit, more: Fit) -> int:
 
 
 def _weighed(
-    under_way: Search,
+    under_way: Search[Readings],
     path: Sequence[tuple[Fit, Board]],
     dictionary: Sequence[Block],
     others: Sequence[NoiseModel],
@@ -182,9 +183,11 @@ def _weighed(
     return found, gained[0]
 
 
-def _gained(under_way: Search, fits: Sequence[Fit], others: Sequence[NoiseModel], robust: RobustRows) -> list[float]:
+def _gained(
+    under_way: Search[Readings], fits: Sequence[Fit], others: Sequence[NoiseModel], robust: RobustRows
+) -> list[float]:
     """Twice the log likelihood that each fit wins by the best of other noise models; none is below zero."""
-    problem, noise = under_way.problem, under_way.whitener.noise
+    problem, noise = under_way.channel.problem, under_way.channel.whitener.noise
     if not others or len(fits) < 2:
         return [0.0] * len(fits)
     gained = []
@@ -237,7 +240,7 @@ def signals_of(shapes: Sequence[FlexibleFinding]) -> list[Active]:
     return found
 
 
-def left_of(under_way: Search, fit: Fit, dictionary: Sequence[Block]) -> Left:
+def left_of(under_way: Search[Readings], fit: Fit, dictionary: Sequence[Block]) -> Left:
     """What is left beside the named effects at their refit and, of a large one, beside its image at nothing too.
 
     The two images of one effect differ by what its size changes and by errors of the attitude in both: structure along
@@ -249,15 +252,17 @@ def left_of(under_way: Search, fit: Fit, dictionary: Sequence[Block]) -> Left:
     at_nothing = under_way.white[:, :, np.isin(under_way.first.owner, numbers)]
     rest = leftover_of(under_way, fit, at_nothing)
     own = fit.jacobian[:, :, fit.jacobian.shape[2] - sum(len(theta) for _, theta in fit.chosen) :]
-    return judge(under_way.problem, rest, fit_all(dictionary, rest), own, 1.0)
+    return judge(under_way.channel.problem, rest, fit_all(dictionary, rest), own, 1.0)
 
 
-def leftover_of(under_way: Search, fit: Fit, further: FloatArray) -> Leftover:
+def leftover_of(under_way: Search[Readings], fit: Fit, further: FloatArray) -> Leftover:
     """The whitened residual of a fit, with its columns and further ones (N, 3, p), whitened, out of it."""
     flat = fit.residual.reshape(-1)
     basis = orthonormal(np.concatenate([fit.jacobian, further], axis=2).reshape(flat.size, -1))
     rest = flat - basis @ (basis.T @ flat)
-    return Leftover(under_way.whitener, rest, basis, max(under_way.whitener.measured - basis.shape[1], 1))
+    return Leftover(
+        under_way.channel.whitener, rest, basis, max(under_way.channel.whitener.measured - basis.shape[1], 1)
+    )
 
 
 def _beside(problem: Problem, signals: Sequence[Active]) -> Problem:

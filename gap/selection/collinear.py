@@ -7,16 +7,15 @@ from itertools import combinations
 
 import numpy as np
 
-from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.selection.refit import Fit, white_residual
-from fluxtwin.gap.selection.score import Whitens, orthonormal
+from fluxtwin.gap.selection.refit import Channel, Fit
+from fluxtwin.gap.selection.score import orthonormal
 from fluxtwin.sim.base.types import FloatArray
 
 _OPPOSITE = -0.9  # cosine of two signals, in the linear model, from which on they are looked at closely
 _LITTLE = 0.2  # of the smaller signal: what a pair may leave at the least
 
 
-def undone(problem: Problem, whitener: Whitens, fit: Fit, nuisance: FloatArray, alone: Sequence[bool]) -> bool:
+def undone(channel: Channel, fit: Fit, nuisance: FloatArray, alone: Sequence[bool]) -> bool:
     """Whether two of a fit's effects leave together less than a fifth of what either does by itself.
 
     Signals are whitened and beside the nuisance (M, 3, c). alone: for each chosen effect, whether it is significant
@@ -35,18 +34,16 @@ def undone(problem: Problem, whitener: Whitens, fit: Fit, nuisance: FloatArray, 
         size = float(np.linalg.norm(linear[one]) * np.linalg.norm(linear[other]))
         if size == 0.0 or float(linear[one] @ linear[other]) > _OPPOSITE * size:
             continue
-        of_one, of_other, of_both = (
-            _signal(problem, whitener, fit, basis, out) for out in ((one,), (other,), (one, other))
-        )
+        of_one, of_other, of_both = (_signal(channel, fit, basis, out) for out in ((one,), (other,), (one, other)))
         if of_both < _LITTLE * min(of_one, of_other):
             return True
     return False
 
 
-def _signal(problem: Problem, whitener: Whitens, fit: Fit, basis: FloatArray, out: Sequence[int]) -> float:
+def _signal(channel: Channel, fit: Fit, basis: FloatArray, out: Sequence[int]) -> float:
     """Size of what these of the chosen effects do together, in the nonlinear chain."""
     left = [pair for place, pair in enumerate(fit.chosen) if place not in out]
-    bare = white_residual(problem, whitener, [*fit.modelled, *left])
+    bare = channel.residual([*fit.modelled, *left])
     return float(np.linalg.norm(_beside(basis, bare - fit.residual)))
 
 

@@ -10,23 +10,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from fluxtwin.gap.hypotheses.candidates import Candidate, candidate_of, candidates
-from fluxtwin.gap.linear.leftover import least_share
-from fluxtwin.gap.noise.whitening import Whitener
-from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.gap.hypotheses.candidates import Candidate
 from fluxtwin.gap.selection.collinear import undone
 from fluxtwin.gap.selection.criterion import penalty
 from fluxtwin.gap.selection.detectable import GATE
 from fluxtwin.gap.selection.groups import alike, shares_by_name
-from fluxtwin.gap.selection.interval import likeliest_interval
-from fluxtwin.gap.selection.refit import Fit, refit, white_residual
-from fluxtwin.gap.selection.score import SHARE_LEFT, Board, board, orthonormal, whitened
+from fluxtwin.gap.selection.refit import Channel, Fit, refit
+from fluxtwin.gap.selection.score import Board, board, orthonormal, whitened
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.chain import Active
+from fluxtwin.sim.effects.signal import Setting
 
 LARGEST = 3
 WITHIN = 8.0
@@ -38,12 +36,14 @@ _REFITS = 4
 _STEPS = (1.5, 1 / 1.5, 1.25, 1 / 1.25, 1.12, 1 / 1.12)
 
 
+OfChannel = TypeVar("OfChannel", bound=Channel)
+
+
 @dataclass(eq=False)
-class Search:
+class Search(Generic[OfChannel]):
     """A search under way: what it needs, and the fits it has made."""
 
-    problem: Problem
-    whitener: Whitener
+    channel: OfChannel
     found: list[Candidate]
     base: Fit
     first: Board
@@ -53,6 +53,8 @@ class Search:
     fits: dict[frozenset[str], Fit] = field(default_factory=dict)
     same: dict[str, tuple[str, ...]] = field(default_factory=dict)
     """Names that imitate each other on this design, from `groups.alike`."""
+    tested_before: int = 0
+    """Alternatives tested in other channels."""
 
     def clash(self, numbers: Sequence[int]) -> bool:
         """Whether two of these candidates are one cause under two names, large and nearly cancelling if both fitted."""
@@ -60,26 +62,19 @@ class Search:
         return any(b in self.same.get(a, ()) for k, a in enumerate(names) for b in names[k + 1 :])
 
     @property
-    def share_left(self) -> float:
-        """Of its energy that an image must have beside others."""
-        return least_share(self.whitener, SHARE_LEFT)
-
-    @property
     def tested(self) -> int:
-        return max(int((self.first.rank > 0).sum()), 1)
+        return max(self.tested_before + int((self.first.rank > 0).sum()), 1)
 
     @property
     def samples(self) -> float:
-        return max(self.whitener.measured / 3.0, 2.0)
+        return max(self.channel.measured / 3.0, 2.0)
 
     def fit(self, numbers: Sequence[int], start: Sequence[FloatArray]) -> Fit:
         """The refit of these candidates; each set is fitted once."""
         key = frozenset(self.found[number].label for number in numbers)
         if key not in self.fits:
             chosen = [(self.found[number].effect, theta) for number, theta in zip(numbers, start, strict=True)]
-            self.fits[key] = refit(
-                self.problem, self.whitener, chosen, modelled=self.base.modelled, guess=self._image(numbers)
-            )
+            self.fits[key] = refit(self.channel, chosen, modelled=self.base.modelled, guess=self._image(numbers))
         return self.fits[key]
 
     def _image(self, numbers: Sequence[int]) -> FloatArray:
@@ -107,18 +102,16 @@ class Search:
         taken = {effect.name for effect, _ in fit.chosen}
         others = [candidate for candidate in self.found if candidate.name not in taken]
         kept = np.array([self.found[int(owner)].name not in taken for owner in self.first.owner], dtype=bool)
-        measured = self.whitener.measured
-        scored = board(others, self.white[:, :, kept], fit.residual, fit.jacobian, measured, self.share_left)
-        return scored, others
+        measured, share_left = self.channel.measured, self.channel.share_left
+        return board(others, self.white[:, :, kept], fit.residual, fit.jacobian, measured, share_left), others
 
     def add(self, effects: Sequence[SignalEffect], fit: Fit | None = None) -> None:
         """Further candidates, and the fit that has them if there is one."""
-        more = [candidate_of(self.problem, effect, modelled=self.base.modelled) for effect in effects]
-        own = whitened(more, self.whitener, self.base.residual.shape[0])
+        more = [self.channel.candidate(effect, self.base.modelled) for effect in effects]
+        own = whitened(more, self.channel, self.base.residual.shape[0])
         self.found = [*self.found, *more]
         self.white = np.concatenate([self.white, own], axis=2)
-        nuisance, measured = self.base.jacobian, self.whitener.measured
-        self.first = board(self.found, self.white, self.base.residual, nuisance, measured, self.share_left)
+        self.first = _first(self.channel, self.found, self.white, self.base)
         if fit is not None:
             self.fits[frozenset(self.found[number].label for number in self.numbers(fit))] = fit
 
@@ -129,33 +122,29 @@ class Search:
         ]
 
 
-def begin(
-    problem: Problem,
-    whitener: Whitener,
-    gate: float = GATE,
-    known: tuple[list[Candidate], dict[str, str]] | None = None,
-) -> tuple[Search, dict[str, str]]:
-    """Fit what is modelled, and score every candidate beside it.
-
-    known: what `candidates` gave for this problem: noise moves the fit of what is modelled by too little to matter.
-    """
-    base = refit(problem, whitener)
-    found, untestable = known or candidates(problem, modelled=base.modelled)
-    white = whitened(found, whitener, base.residual.shape[0])
-    first = board(found, white, base.residual, base.jacobian, whitener.measured, least_share(whitener, SHARE_LEFT))
+def begin(channel: OfChannel, found: list[Candidate], gate: float = GATE, tested_before: int = 0) -> Search[OfChannel]:
+    """Fit what is modelled, and score every candidate beside it."""
+    base = refit(channel)
+    white = whitened(found, channel, base.residual.shape[0])
+    first = _first(channel, found, white, base)
     same = alike(shares_by_name(first))
-    return Search(problem, whitener, found, base, first, white, gate, same=same), untestable
+    return Search(channel, found, base, first, white, gate, same=same, tested_before=tested_before)
 
 
-def run(search: Search) -> list[tuple[Fit, Board]]:
+def _first(channel: Channel, found: Sequence[Candidate], white: FloatArray, base: Fit) -> Board:
+    return board(found, white, base.residual, base.jacobian, channel.measured, channel.share_left)
+
+
+def run(search: Search[Any]) -> list[tuple[Fit, Board]]:
     """The best sets of none, one, two, three effects, as long as one more is significant and worth it; each with what
     is to be scored beside it."""
     path = [(search.base, search.first)]
     if not search.found or search.tested * float(search.first.p_values.min()) > search.gate:
         return path
-    interval = likeliest_interval(search.problem, search.whitener, search.base.residual, search.base.jacobian)
-    if interval is not None and "switched_field" in {candidate.name for candidate in search.found}:
-        search.add([interval])
+    names = {candidate.name for candidate in search.found}
+    proposed = [effect for effect in search.channel.proposed(search.base) if effect.name in names]
+    if proposed:
+        search.add(proposed)
     fit = _best(search, [[number] for number in _shortlist(search, search.first)], search.first)
     rest, others = search.beside(fit)
     fit, rest, others = _sharper(search, fit, rest, others)
@@ -174,20 +163,20 @@ def run(search: Search) -> list[tuple[Fit, Board]]:
     return path
 
 
-def _sharper(search: Search, fit: Fit, rest: Board, others: list[Candidate]) -> tuple[Fit, Board, list[Candidate]]:
+def _sharper(search: Search[Any], fit: Fit, rest: Board, others: list[Candidate]) -> tuple[Fit, Board, list[Candidate]]:
     """Where a further cause would be looked for: the fit with its settings moved, and what is beside it then."""
-    if search.tested * float(rest.p_values.min()) > search.gate:
+    if search.channel.setting is None or search.tested * float(rest.p_values.min()) > search.gate:
         return fit, rest, others
-    moved = _sharpened(search, fit)
+    moved = _sharpened(search, search.channel.setting, fit)
     return (fit, rest, others) if moved is fit else (moved, *search.beside(moved))
 
 
-def _sharpened(search: Search, fit: Fit) -> Fit:
+def _sharpened(search: Search[Any], setting: Setting, fit: Fit) -> Fit:
     """The fit with settings between the values that were tried, as further candidates.
 
     What a setting that is a little off leaves would be taken for one more cause.
     """
-    start, setting = fit, search.problem.setting
+    start = fit
     for number in range(len(start.chosen)):
         for step in _STEPS:
             fit = _with_setting(search, fit, number, fit.chosen[number][0].between(setting, step))
@@ -200,7 +189,7 @@ def _sharpened(search: Search, fit: Fit) -> Fit:
     return fit
 
 
-def _with_setting(search: Search, fit: Fit, number: int, moved: Effect | None) -> Fit:
+def _with_setting(search: Search[Any], fit: Fit, number: int, moved: Effect | None) -> Fit:
     """The fit with another setting of one effect, if it is better.
 
     Looked at first along the images at hand, so that only what will be taken is fitted in the nonlinear chain.
@@ -209,14 +198,14 @@ def _with_setting(search: Search, fit: Fit, number: int, moved: Effect | None) -
         return fit
     chosen = [(moved, theta) if place == number else (one, theta) for place, (one, theta) in enumerate(fit.chosen)]
     basis = orthonormal(fit.jacobian)
-    rest = white_residual(search.problem, search.whitener, [*fit.modelled, *chosen]).reshape(-1)
+    rest = search.channel.residual([*fit.modelled, *chosen]).reshape(-1)
     if float(np.sum((rest - basis @ (basis.T @ rest)) ** 2)) >= fit.chi2 - 1.0:
         return fit
-    trial = refit(search.problem, search.whitener, chosen, modelled=fit.modelled, guess=fit.jacobian)
+    trial = refit(search.channel, chosen, modelled=fit.modelled, guess=fit.jacobian)
     return trial if trial.chi2 < fit.chi2 - 1.0 else fit
 
 
-def _shortlist(search: Search, scored: Board) -> list[int]:
+def _shortlist(search: Search[Any], scored: Board) -> list[int]:
     """Candidates whose linear model is nearly as good as the best one, at most two alternatives of an effect."""
     drop = scored.statistic / scored.variance
     cost = -drop + penalty(scored.rank, drop, search.samples)
@@ -230,13 +219,13 @@ def _shortlist(search: Search, scored: Board) -> list[int]:
     return chosen
 
 
-def _best(search: Search, sets: Sequence[Sequence[int]], scored: Board) -> Fit:
+def _best(search: Search[Any], sets: Sequence[Sequence[int]], scored: Board) -> Fit:
     """The cheapest refit among sets of candidates, started from the linear estimates at zero."""
     fits = [search.fit(numbers, search.first.estimate(numbers)) for numbers in sets]
     return min(fits, key=lambda fit: search.cost(fit, scored.variance))
 
 
-def _grown(search: Search, fit: Fit, rest: Board, others: Sequence[Candidate]) -> Fit | None:
+def _grown(search: Search[Any], fit: Fit, rest: Board, others: Sequence[Candidate]) -> Fit | None:
     """The best larger set, if one more effect is significant at the refit and worth its price."""
     if not others or search.tested * float(rest.p_values.min()) > search.gate:
         return None
@@ -261,12 +250,12 @@ def _grown(search: Search, fit: Fit, rest: Board, others: Sequence[Candidate]) -
     return best if significant and search.cost(best, rest.variance) < search.cost(fit, rest.variance) else None
 
 
-def _undone(search: Search, fit: Fit) -> bool:
+def _undone(search: Search[Any], fit: Fit) -> bool:
     alone = [search.tested * float(search.first.p_values[number]) < search.gate for number in search.numbers(fit)]
-    return undone(search.problem, search.whitener, fit, search.base.jacobian, alone)
+    return undone(search.channel, fit, search.base.jacobian, alone)
 
 
-def _afresh(search: Search, size: int, present: Sequence[int], partners: Sequence[int]) -> list[list[int]]:
+def _afresh(search: Search[Any], size: int, present: Sequence[int], partners: Sequence[int]) -> list[list[int]]:
     """The two best sets of `size` effects at zero: all pairs; for triples, a beam of pairs with every third."""
     scored = search.first
     if size == 2:
@@ -298,7 +287,7 @@ def _joint(scored: Board, inside: BoolArray) -> float:
     return float(np.sum((vectors[:, good].T @ scored.score[inside]) ** 2 / values[good]))
 
 
-def _eliminated(search: Search, fit: Fit, rest: Board) -> Fit:
+def _eliminated(search: Search[Any], fit: Fit, rest: Board) -> Fit:
     """Effects that the others have made needless are taken out again."""
     while len(fit.chosen) > 1:
         smaller = [without(search, fit, number) for number in range(len(fit.chosen))]
@@ -311,7 +300,7 @@ def _eliminated(search: Search, fit: Fit, rest: Board) -> Fit:
     return fit
 
 
-def without(search: Search, fit: Fit, number: int) -> Fit:
+def without(search: Search[Any], fit: Fit, number: int) -> Fit:
     """The refit without one of the chosen effects."""
     left: list[Active] = [pair for place, pair in enumerate(fit.chosen) if place != number]
     if not left:

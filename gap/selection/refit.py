@@ -1,24 +1,61 @@
-"""Fits in the nonlinear chain: damped Gauss-Newton for chosen effects together with everything that is modelled."""
+"""Fits in the nonlinear chain: damped Gauss-Newton for chosen effects together with everything that is modelled.
+
+What is fitted is a channel: readings of the magnetometer (`Readings`), or others that offer the same.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
-from fluxtwin.gap.hypotheses.candidates import derivatives, in_order
+from fluxtwin.gap.hypotheses.candidates import Candidate, candidate_of, derivatives, in_order
+from fluxtwin.gap.linear.leftover import least_share
+from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem, realigned
+from fluxtwin.gap.selection.interval import likeliest_interval
 from fluxtwin.gap.selection.score import SHARE_LEFT, Whitens
 from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
+from fluxtwin.sim.effects.signal import Setting
 
 _STEPS = 12
 _HALVINGS = 6
 _WHOLLY = 0.99  # of a parameter's direction
 _AS_PROMISED = 0.9
 _CONVERGED = 0.01  # of chi-square: far below anything a decision turns on
+
+
+class Channel(Whitens, Protocol):
+    """A measurement as the selection of effects sees it: a residual and images, whitened; M rows."""
+
+    @property
+    def modelled(self) -> Sequence[Active]:
+        """What is re-estimated in every fit, with starting values."""
+
+    @property
+    def share_left(self) -> float:
+        """Of its energy that an image must have beside others."""
+
+    @property
+    def setting(self) -> Setting | None:
+        """In which settings of effects between those tried are looked for; None: they are not."""
+
+    def residual(self, active: Sequence[Active]) -> FloatArray:
+        """(M, 3) whitened, with these effects on."""
+
+    def jacobian(self, active: Sequence[Active]) -> FloatArray:
+        """(M, 3, sum of parameters) whitened images of these effects, in their order, all of them on."""
+
+    def candidate(self, effect: SignalEffect, modelled: Sequence[Active]) -> Candidate:
+        """One more alternative, linearised beside what is modelled."""
+
+    def proposed(self, base: Fit) -> Sequence[SignalEffect]:
+        """Alternatives that the residual of a fit without any effect suggests."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +98,7 @@ class Fit:
 
 
 def refit(
-    problem: Problem,
-    whitener: Whitens,
+    channel: Channel,
     chosen: Sequence[Active] = (),
     *,
     modelled: Sequence[Active] | None = None,
@@ -70,25 +106,24 @@ def refit(
 ) -> Fit:
     """Minimise the whitened chi-square over the parameters of all modelled and chosen effects, within their ranges.
 
-    chosen, modelled: effects with starting values (modelled: the problem's own by default). guess (M, 3, c + p): about
+    chosen, modelled: effects with starting values (modelled: the channel's own by default). guess (M, 3, c + p): about
     the whitened Jacobian, to begin with. A Jacobian whose step did what it promised is used once more; the last one
     is recomputed.
     """
-    work = _Work(problem, whitener)
-    count = len(problem.modelled)
-    active = [*(problem.modelled_active if modelled is None else modelled), *chosen]
+    modelled = channel.modelled if modelled is None else modelled
+    count, active = len(modelled), [*modelled, *chosen]
     vector = _packed(active)
     low, high = _limits(active)
     vector = np.clip(vector, low, high)
-    residual = work.residual(_unpacked(active, vector))
+    residual = channel.residual(_unpacked(active, vector))
     chi2 = float(np.sum(residual**2))
-    jacobian = work.jacobian(_unpacked(active, vector)) if guess is None else guess
+    jacobian = channel.jacobian(_unpacked(active, vector)) if guess is None else guess
     exact = guess is None
     for _ in range(2 * _STEPS):
         free = _free(jacobian, residual, vector, low, high)
         step = _step(jacobian, residual, free)
         promised = 2 * float(np.sum(residual * (jacobian @ step))) - float(np.sum((jacobian @ step) ** 2))
-        found = _search_line(work, active, vector, step, (low, high), chi2) if promised >= _CONVERGED else None
+        found = _search_line(channel, active, vector, step, (low, high), chi2) if promised >= _CONVERGED else None
         if found is None and exact:
             break
         kept = False
@@ -97,7 +132,7 @@ def refit(
             vector, residual, chi2 = found
         exact = not kept
         if exact:
-            jacobian = work.jacobian(_unpacked(active, vector))
+            jacobian = channel.jacobian(_unpacked(active, vector))
     active = _unpacked(active, vector)
     size = sum(len(theta) for _, theta in active[:count])
     covariance, seen, rank = _covariance(jacobian, _free(jacobian, residual, vector, low, high))
@@ -134,25 +169,49 @@ def settled(problem: Problem, *, robust_nT: float | None = None) -> Problem:
     return current
 
 
-def white_residual(problem: Problem, whitener: Whitens, active: Sequence[Active]) -> FloatArray:
-    """(M, 3) whitened residual with these effects on, beside the frozen ones."""
-    return _Work(problem, whitener).residual(active)
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """The channel of the magnetometer's readings."""
 
+    problem: Problem
+    whitener: Whitener
 
-class _Work:
-    """Residual and Jacobian of a problem, whitened."""
+    @property
+    def modelled(self) -> Sequence[Active]:
+        return self.problem.modelled_active
 
-    def __init__(self, problem: Problem, whitener: Whitens) -> None:
-        self.problem, self.whitener = problem, whitener
+    @property
+    def measured(self) -> int:
+        return self.whitener.measured
+
+    @property
+    def share_left(self) -> float:
+        return least_share(self.whitener, SHARE_LEFT)
+
+    @property
+    def setting(self) -> Setting:
+        return self.problem.setting
+
+    def apply(self, columns: FloatArray) -> FloatArray:
+        """Columns (M, 3) or (M, 3, P) in nT, whitened."""
+        return self.whitener.apply(columns)
 
     def residual(self, active: Sequence[Active]) -> FloatArray:
-        """(M, 3)."""
+        """(M, 3) whitened, with these effects on beside the frozen ones."""
         return self.whitener.apply(self.problem.residual_of(in_order([*self.problem.frozen, *active])))
 
     def jacobian(self, active: Sequence[Active]) -> FloatArray:
-        """(M, 3, sum of parameters), in the order of `active`."""
+        """(M, 3, sum of parameters) whitened, in the order of `active`."""
         images = derivatives(self.problem, active)
         return self.whitener.apply(images) if images.shape[2] else images
+
+    def candidate(self, effect: SignalEffect, modelled: Sequence[Active]) -> Candidate:
+        return candidate_of(self.problem, effect, modelled=modelled)
+
+    def proposed(self, base: Fit) -> list[SignalEffect]:
+        """A field that was on for one stretch of the record."""
+        interval = likeliest_interval(self.problem, self.whitener, base.residual, base.jacobian)
+        return [] if interval is None else [interval]
 
 
 def _packed(active: Sequence[Active]) -> FloatArray:
@@ -214,7 +273,7 @@ def _covariance(jacobian: FloatArray, free: BoolArray) -> tuple[FloatArray, Bool
 
 
 def _search_line(
-    work: _Work,
+    channel: Channel,
     active: Sequence[Active],
     vector: FloatArray,
     step: FloatArray,
@@ -225,7 +284,7 @@ def _search_line(
     for halving in range(_HALVINGS):
         trial = np.clip(vector + step / 2**halving, *limits)
         try:
-            residual = work.residual(_unpacked(active, trial))
+            residual = channel.residual(_unpacked(active, trial))
         except np.linalg.LinAlgError:  # a matrix at the edge of its range that has no inverse
             continue
         found = float(np.sum(residual**2))

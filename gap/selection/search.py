@@ -6,6 +6,8 @@ search of `growth`, and for every named effect its support against rivals.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from fluxtwin.gap.hypotheses.candidates import derivatives, in_order
@@ -14,7 +16,7 @@ from fluxtwin.gap.selection import groups
 from fluxtwin.gap.selection.detectable import GATE, detectable, visible_part
 from fluxtwin.gap.selection.forward import Search
 from fluxtwin.gap.selection.named import Named, Ranked, SearchResult
-from fluxtwin.gap.selection.refit import Fit, white_residual
+from fluxtwin.gap.selection.refit import Fit, Readings
 from fluxtwin.gap.selection.score import Board
 from fluxtwin.gap.selection.support import support
 from fluxtwin.sim.base.types import FloatArray
@@ -25,7 +27,7 @@ __all__ = ["GATE", "Named", "Ranked", "SearchResult", "result_of"]
 
 
 def result_of(
-    under_way: Search,
+    under_way: Search[Readings],
     untestable: dict[str, str],
     fit: Fit,
     rest: Board,
@@ -33,7 +35,7 @@ def result_of(
 ) -> SearchResult:
     """All that later steps need of a search that ended with a fit. rest: scores beside it; present: the probability that
     its effects, or what may stand in their places, are there at all."""
-    first, base, problem = under_way.first, under_way.base, under_way.problem
+    first, base, problem = under_way.first, under_way.base, under_way.channel.problem
     raw_nuisance = derivatives(problem, base.modelled)
     table = groups.shares_by_name(first)
     smallest, images, hidden = detectable(first, under_way.white, raw_nuisance, base.jacobian)
@@ -68,7 +70,7 @@ def result_of(
 
 
 def _named(
-    under_way: Search,
+    under_way: Search[Readings],
     fit: Fit,
     number: int,
     variance: float,
@@ -81,7 +83,7 @@ def _named(
     backing = support(under_way, fit, number, variance, groups.alike(table), present)
     part = fit.slices()[number]
     signal = _visible(under_way, fit, number, raw_nuisance)
-    problem = under_way.problem
+    problem = under_way.channel.problem
     judged, count = problem.judged(signal), problem.measured.sum()
     shares = _axis_shares(under_way, fit, number, signal)
     covariance = fit.covariance[part, part] * max(variance, 1.0)
@@ -102,7 +104,7 @@ def _named(
     )
 
 
-def _axis_shares(under_way: Search, fit: Fit, number: int, signal: FloatArray) -> tuple[float, float, float]:
+def _axis_shares(under_way: Search[Readings], fit: Fit, number: int, signal: FloatArray) -> tuple[float, float, float]:
     """Share of each body axis in what an effect leaves, signal (M, 3); NaN where the data do not tell the axes apart.
 
     Rows without attitude see one direction at a time, so there the effect's own vector says which axis, and what the
@@ -110,7 +112,7 @@ def _axis_shares(under_way: Search, fit: Fit, number: int, signal: FloatArray) -
     """
     energy = np.mean(signal**2, axis=0)
     parameters = fit.chosen[number][0].parameters
-    if under_way.problem.axes is not None and len(parameters) > 1:
+    if under_way.channel.problem.axes is not None and len(parameters) > 1:
         part = fit.slices()[number]
         spread = np.where(fit.seen[part], np.diag(fit.covariance)[part], np.nan)
         if [one.name[-2:] for one in parameters] != ["_x", "_y", "_z"]:
@@ -121,21 +123,21 @@ def _axis_shares(under_way: Search, fit: Fit, number: int, signal: FloatArray) -
     return (float(x), float(y), float(z))
 
 
-def _visible(under_way: Search, fit: Fit, number: int, raw_nuisance: FloatArray) -> FloatArray:
+def _visible(under_way: Search[Readings], fit: Fit, number: int, raw_nuisance: FloatArray) -> FloatArray:
     """(M, 3) signal of one named effect beside the best re-estimation of what is modelled, nT."""
-    problem = under_way.problem
+    problem = under_way.channel.problem
     others = [pair for place, pair in enumerate(fit.chosen) if place != number]
     with_it = _chain_reading(problem, fit.active)
     without_it = _chain_reading(problem, [*fit.modelled, *others])
     raw = with_it - without_it
-    white = under_way.whitener.apply(raw)
+    white = under_way.channel.whitener.apply(raw)
     return visible_part(raw[:, :, None], white[:, :, None], raw_nuisance, under_way.base.jacobian)[:, :, 0]
 
 
-def _gain(under_way: Search, fit: Fit, number: int) -> float:
+def _gain(under_way: Search[Readings], fit: Fit, number: int) -> float:
     """How much larger chi-square is without this effect, all else as it is."""
     others = [pair for place, pair in enumerate(fit.chosen) if place != number]
-    bare = white_residual(under_way.problem, under_way.whitener, [*fit.modelled, *others])
+    bare = under_way.channel.residual([*fit.modelled, *others])
     return float(np.sum(bare**2)) - fit.chi2
 
 
@@ -150,7 +152,7 @@ def _chain_reading(problem: Problem, active: list[Active]) -> FloatArray:
     return problem.chain.reading_nT(in_order([*problem.frozen, *active]))
 
 
-def _ranking(under_way: Search) -> tuple[Ranked, ...]:
+def _ranking(under_way: Search[Any]) -> tuple[Ranked, ...]:
     """Every effect alone, by its best alternative."""
     first: Board = under_way.first
     best: dict[str, Ranked] = {}

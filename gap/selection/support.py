@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from fluxtwin.gap.selection.criterion import MOST_SURE, penalty
 from fluxtwin.gap.selection.forward import NONLINEAR, WITHIN, Search, without
-from fluxtwin.gap.selection.refit import Fit, white_residual
+from fluxtwin.gap.selection.refit import Fit
 from fluxtwin.gap.selection.score import board
 
 _REFITS = 4
@@ -30,7 +31,7 @@ class Support:
 
 
 def support(
-    search: Search, fit: Fit, number: int, variance: float, groups: Mapping[str, tuple[str, ...]], there: float
+    search: Search[Any], fit: Fit, number: int, variance: float, groups: Mapping[str, tuple[str, ...]], there: float
 ) -> Support:
     """Weigh effect `number` of a fit against everything that might stand in its place, and against nothing.
 
@@ -58,7 +59,7 @@ def support(
     )
 
 
-def _weights(search: Search, fit: Fit, number: int, bare: Fit, variance: float) -> dict[str, float]:
+def _weights(search: Search[Any], fit: Fit, number: int, bare: Fit, variance: float) -> dict[str, float]:
     """{name: weight} of each effect in the place of effect `number`, whose own weight is near 1."""
     own = search.cost(fit, variance)
     others = [pair for place, pair in enumerate(fit.chosen) if place != number]
@@ -66,9 +67,9 @@ def _weights(search: Search, fit: Fit, number: int, bare: Fit, variance: float) 
     mine = fit.slices()[number]
     kept = [c for c in range(fit.jacobian.shape[2]) if not mine.start <= c < mine.stop]
     # The data with this effect's own signal put back: what the others would have to explain.
-    put_back = white_residual(search.problem, search.whitener, [*fit.modelled, *others])
+    put_back = search.channel.residual([*fit.modelled, *others])
     beside = fit.jacobian[:, :, kept]
-    scored = board(search.found, search.white, put_back, beside, search.whitener.measured, search.share_left)
+    scored = board(search.found, search.white, put_back, beside, search.channel.measured, search.channel.share_left)
     # A large effect is not linear: what the others make up for at their own refit says how much it is worth.
     drop_own = max(scored.chi2, bare.chi2) - fit.chi2
     rank_own = fit.rank_chosen - bare.rank_chosen

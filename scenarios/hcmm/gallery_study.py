@@ -20,7 +20,7 @@ from fluxtwin.gap.hypotheses.candidates import in_order
 from fluxtwin.gap.problem.problem import Budget, Problem, pose, realigned
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.report.second_channel import channel_of, with_second_channel
-from fluxtwin.gap.selection.refit import refit, settled
+from fluxtwin.gap.selection.refit import Readings, refit, settled
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.motion import prescribed
 from fluxtwin.scenarios.numbers import Numbers
@@ -195,7 +195,7 @@ def _judged(
         values = {name: parameter.value for name, parameter in first.parameters.items()}
         return _judged_angle(open_channel(later, fewest=1), later.time, first.name, first.settings.get("head"), values)
     searched = [(one.effect, one.theta) for one in closure.stochastic if isinstance(one.effect, SignalEffect)]
-    fit = refit(closure.problem, closure.whitener, [*closure.chosen, *searched], modelled=closure.modelled)
+    fit = refit(Readings(closure.problem, closure.whitener), [*closure.chosen, *searched], modelled=closure.modelled)
     bare, before = _left(later, ground, alone, config)
     full, after = _left(later, ground, fit.active, config)
     quiet = full.chain.reading_nT(in_order(fit.modelled))

@@ -12,7 +12,7 @@ from fluxtwin.gap.noise.whitening import NoiseModel, make_whitener
 from fluxtwin.gap.problem.problem import Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.selection.collinear import undone
-from fluxtwin.gap.selection.refit import refit
+from fluxtwin.gap.selection.refit import Readings, refit
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.run.simulate import simulate
@@ -54,8 +54,9 @@ def test_an_offset_and_a_lag(spin: Problem, offset_s: float, lag_s: float, expec
     whitener = make_whitener(
         turn_images(problem.field_B_nT), problem.setting.seconds, problem.segment, NoiseModel(5.0, 0.0, 1.0)
     )
-    base = refit(problem, whitener)
-    fit = refit(problem, whitener, active)
-    found = undone(problem, whitener, fit, base.jacobian, [False, False])
+    channel = Readings(problem, whitener)
+    base = refit(channel)
+    fit = refit(channel, active)
+    found = undone(channel, fit, base.jacobian, [False, False])
     assert found is expected
-    assert not undone(problem, whitener, fit, base.jacobian, [True, True])
+    assert not undone(channel, fit, base.jacobian, [True, True])

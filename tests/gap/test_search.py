@@ -26,7 +26,7 @@ from fluxtwin.gap.selection.detectable import noncentrality, visible_part
 from fluxtwin.gap.selection.forward import Search, begin
 from fluxtwin.gap.selection.interval import likeliest_interval
 from fluxtwin.gap.selection.named import SearchResult
-from fluxtwin.gap.selection.refit import settled
+from fluxtwin.gap.selection.refit import Readings, refit, settled
 from fluxtwin.gap.selection.score import board
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import load_field
@@ -100,7 +100,7 @@ class Design:
 
     problem: Problem
     whitener: Whitener
-    begun: Search
+    begun: Search[Readings]
 
     def data(self, active: list[Active], seed: int, *, wrong: float = 1.0) -> Problem:
         """The problem with readings that hold these effects, a wrong calibration and noise."""
@@ -145,7 +145,12 @@ def design(kind: str) -> Design:
     scenario = parse_scenario(SCENARIO.replace("ATTITUDE", ATTITUDES[kind]))
     problem = pose(simulate(scenario)[0], load_field("igrf14"))
     whitener = make_whitener(turn_images(problem.field_B_nT), problem.setting.seconds, problem.segment, NOISE)
-    return Design(problem, whitener, begin(problem, whitener)[0])
+    return Design(problem, whitener, begun_on(problem, whitener))
+
+
+def begun_on(problem: Problem, whitener: Whitener) -> Search[Readings]:
+    channel = Readings(problem, whitener)
+    return begin(channel, candidates(problem, modelled=refit(channel).modelled)[0])
 
 
 def search(problem: Problem, whitener: Whitener) -> SearchResult:
@@ -333,5 +338,5 @@ def test_a_field_that_was_on_for_one_stretch_is_found_and_a_step_is_none() -> No
     ]
     assert max(off) < 1.5 / 64.0
     step = here.data([(BiasStep(begin_utc), np.array([60.0, -40.0, 50.0]))], seed=9)
-    begun = begin(step, here.whitener)[0]
+    begun = begun_on(step, here.whitener)
     assert likeliest_interval(step, here.whitener, begun.base.residual, begun.base.jacobian) is None

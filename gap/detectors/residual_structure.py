@@ -16,7 +16,7 @@ from scipy import stats
 
 from fluxtwin.gap.detectors.tones import TONE_DEGREES, strongest_tone
 from fluxtwin.gap.hypotheses.blocks import Block, blocks, step_block
-from fluxtwin.gap.hypotheses.evidence import Fit, fit, fit_all
+from fluxtwin.gap.hypotheses.evidence import BlockFit, fit, fit_all
 from fluxtwin.gap.linear.leftover import Leftover, Whitens, leftover, log10_sf_f
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import THRESHOLD, worth
@@ -78,7 +78,7 @@ def what_is_left(
 def judge(
     problem: Problem,
     left: Leftover,
-    fits: Sequence[Fit],
+    fits: Sequence[BlockFit],
     own: FloatArray | None = None,
     variance: float | None = None,
 ) -> Left:
@@ -100,7 +100,7 @@ def judge(
 
     clues: list[Left] = []
     for one in fits:
-        (_, gain, rank), block = one.f_test(left), one.block
+        (gain, rank), block = one.explained(), one.block
         frame = f", coherent in the {block.frame} frame" if block.frame else ""
         clues.append(clue("block", gain, rank, tried, f"structure that follows {block.label}{frame}", block))
     tone = strongest_tone(seconds, left)
@@ -110,7 +110,7 @@ def judge(
         clues.append(clue("tone", tone.explained, TONE_DEGREES, float(np.log(cycles)), words))
     _, step_s = step(seconds, left)
     jump = step_block(problem, step_s)
-    _, gain, rank = fit(jump, left).f_test(left)
+    gain, rank = fit(jump, left).explained()
     words = f"a step {step_s:.0f} s after the first sample"
     clues.append(replace(clue("step", gain, rank, float(np.log(seconds.size)), words), condition="after_time"))
     log10_p, excess = drift(left)

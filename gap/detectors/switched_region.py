@@ -16,7 +16,7 @@ import numpy as np
 from fluxtwin.gap.detectors.flexible import FlexibleFinding
 from fluxtwin.gap.detectors.waveform_checks import gains, halves, varies
 from fluxtwin.gap.hypotheses.candidates import derivatives
-from fluxtwin.gap.hypotheses.evidence import Fit
+from fluxtwin.gap.hypotheses.evidence import BlockFit
 from fluxtwin.gap.linear.leftover import Leftover, log10_sf_f, orthonormal
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.sim.base.types import BoolArray, FloatArray
@@ -68,7 +68,7 @@ class _Trial:
         return SwitchedField(self.condition, region_deg=self.box)
 
 
-def switched_region(problem: Problem, left: Leftover, rivals: Sequence[Fit]) -> FlexibleFinding | None:
+def switched_region(problem: Problem, left: Leftover, rivals: Sequence[BlockFit]) -> FlexibleFinding | None:
     """Look for a field switched on in the dark over a region; None where nothing like it is there.
 
     left: whitened residual with what was fitted out; rivals: fits of the design's blocks to it.
@@ -205,12 +205,12 @@ def _field(left: Leftover, images: FloatArray) -> tuple[FloatArray, FloatArray, 
     return field, np.where(seen, sigma, np.nan), gain, variance
 
 
-def _rivals(gain: float, variance: float, left: Leftover, rivals: Sequence[Fit]) -> list[str]:
+def _rivals(gain: float, variance: float, left: Leftover, rivals: Sequence[BlockFit]) -> list[str]:
     """A block that explains as much, each parameter at the price of BIC."""
     price = np.log(left.degrees)
     for one in rivals:
-        _, explained = one.modes()
-        if float(explained.sum()) / variance - explained.size * price > gain / variance - 7.0 * price:
+        theirs, rank = one.explained()
+        if theirs / variance - rank * price > gain / variance - 7.0 * price:
             return [f"{one.block.label} does as well"]
     return []
 

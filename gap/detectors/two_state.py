@@ -27,7 +27,7 @@ from fluxtwin.gap.detectors.waveform_checks import (
     within_dwells,
 )
 from fluxtwin.gap.hypotheses.conditions import lit
-from fluxtwin.gap.hypotheses.evidence import Fit
+from fluxtwin.gap.hypotheses.evidence import BlockFit
 from fluxtwin.gap.linear.leftover import Leftover, Whitens, leftover
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.signal import Setting
@@ -57,7 +57,7 @@ def heater_sequence(
     whitener: Whitens,
     residual_nT: FloatArray,
     fitted: FloatArray,
-    rivals: Sequence[Fit] = (),
+    rivals: Sequence[BlockFit] = (),
     tone: Tone | None = None,
 ) -> FlexibleFinding | None:
     """Look for a two-state sequence in a residual (N, 3), fitted columns (N, 3, q); None where there is none.
@@ -268,12 +268,12 @@ def _path(gain: FloatArray, price: float) -> BoolArray:
     return on
 
 
-def _rivals(gain: float, variance: float, price: float, rows: int, rivals: Sequence[Fit]) -> list[str]:
+def _rivals(gain: float, variance: float, price: float, rows: int, rivals: Sequence[BlockFit]) -> list[str]:
     mine = gain / variance - 2 * price
     faults = []
     for one in rivals:
-        _, explained = one.modes()
-        if float(explained.sum()) / variance - explained.size * np.log(rows) > mine:
+        theirs, rank = one.explained()
+        if theirs / variance - rank * np.log(rows) > mine:
             faults.append(f"{one.block.label} does as well")
             break
     return faults

@@ -1,4 +1,4 @@
-"""How well each block of columns explains a residual: F statistics and evidences, from small Gram matrices.
+"""How much each block of columns explains of a residual, from small Gram matrices.
 
 Everything happens in whitened units with the fitted columns projected out, so that a block is only credited with
 what calibration and the named effects cannot do. A block is made, whitened, reduced to its Gram matrix and
@@ -15,110 +15,50 @@ from typing import overload
 import numpy as np
 
 from fluxtwin.gap.hypotheses.blocks import Block
-from fluxtwin.gap.linear.leftover import Leftover, Whitens, log10_sf_f
+from fluxtwin.gap.linear.leftover import Leftover, Whitens
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 
-_RANK_TOLERANCE = 1e-7
 _MOST_BYTES = 400e6  # that all columns of a design may take at once
-_LOG_SIZES = np.linspace(np.log(0.01), np.log(100.0), 19)
-"""Prior of a discrepancy's size against the noise of a reading: even in its logarithm."""
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
-    """A block against a leftover: its Gram matrix and moments, scaled to one noise unit a reading."""
+class BlockFit:
+    """A block against a residual: what its projected columns explain of it."""
 
     block: Block
     gram: FloatArray
+    """(k, k) of the whitened columns with the fitted ones out of them."""
     moment: FloatArray
+    """(k,) of these columns with the residual."""
     size: FloatArray
-    """(k,) squared sizes of the scaled columns before the projection: what rank is judged against."""
-    least_share: float = _RANK_TOLERANCE
+    """(k,) squared lengths of the whitened columns before the projection: what rank is measured against."""
+    least_share: float
 
-    def modes(self, columns: BoolArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """Squared singular values d^2 and squared projections q^2 of the residual, of the live modes."""
-        return self._all_modes if columns is None else self._modes(columns)
+    def explained(self, columns: BoolArray | None = None) -> tuple[float, int]:
+        """Drop of chi-square by all columns, or by some of them (k,), and the number of directions that are seen."""
+        return self._whole if columns is None else self._explained(columns)
 
     @cached_property
-    def _all_modes(self) -> tuple[FloatArray, FloatArray]:
-        return self._modes(np.ones(self.moment.size, dtype=np.bool_))
+    def _whole(self) -> tuple[float, int]:
+        return self._explained(np.ones(self.moment.size, dtype=np.bool_))
 
-    def _modes(self, pick: BoolArray) -> tuple[FloatArray, FloatArray]:
-        pick = pick & (np.diag(self.gram) > max(1e-6, self.least_share) * self.size)
+    def _explained(self, pick: BoolArray) -> tuple[float, int]:
+        pick = pick & (np.diag(self.gram) > self.least_share * self.size)
         if not pick.any():
-            return np.zeros(0), np.zeros(0)
+            return 0.0, 0
         value, vector = np.linalg.eigh(self.gram[np.ix_(pick, pick)])
-        live = value > self.least_share * self.size[pick].max()
-        projected = vector[:, live].T @ self.moment[pick]
-        return value[live], projected**2 / value[live]
-
-    def f_test(self, left: Leftover) -> tuple[float, float, int]:
-        """p-value (log10), explained energy and rank."""
-        _, explained = self.modes()
-        rank = explained.size
-        if not rank or left.degrees <= rank + 5:
-            return 0.0, 0.0, 0
-        gain = float(explained.sum())
-        spare = left.degrees - rank
-        ratio = (gain / rank) / max((left.energy - gain) / spare, 1e-300)
-        return float(log10_sf_f(ratio, rank, spare)), gain, rank
-
-    def log_evidence(self, left: Leftover, columns: BoolArray | None = None) -> float:
-        """Log Bayes factor against "nothing", the unknown noise level and the block's size integrated out.
-
-        Normal coefficients of standard deviation s noise units, s even in log; Jeffreys' prior of the noise level.
-        """
-        squared, explained = self.modes(columns)
-        if not squared.size:
-            return -np.inf
-        scaled = np.exp(2 * _LOG_SIZES)[:, None] * squared
-        shrunk = np.sum(explained * scaled / (1 + scaled), axis=1)
-        rest = np.log1p(-np.minimum(shrunk / left.energy, 1 - 1e-12))
-        logs = -0.5 * np.log1p(scaled).sum(axis=1) - 0.5 * left.degrees * rest
-        return float(np.logaddexp.reduce(logs) - np.log(_LOG_SIZES.size))
+        seen = value > self.least_share * self.size[pick].max()
+        along = vector[:, seen].T @ self.moment[pick]
+        return float(np.sum(along**2 / value[seen])), int(seen.sum())
 
 
-def fit(block: Block, left: Leftover) -> Fit:
+def fit(block: Block, left: Leftover) -> BlockFit:
     """Make a block, whiten it, project it, and keep what counts."""
-    free, size = _scaled(block, left)
-    return Fit(block, free.T @ free, free.T @ left.residual, size, left.least_share)
-
-
-def _scaled(block: Block, left: Leftover) -> tuple[FloatArray, FloatArray]:
     free, size = left.project(block.make())
-    scale = np.sqrt(size.sum() / max(size.size * left.residual.size, 1))
-    scale = scale if scale > 0 else 1.0
-    return free / scale, size / scale**2
+    return BlockFit(block, free.T @ free, free.T @ left.residual, size, left.least_share)
 
 
-@dataclass(frozen=True, eq=False)
-class Prepared:
-    """Blocks made, whitened and projected once, for many residuals on one design with one noise model."""
-
-    found: Sequence[Block]
-    columns: Sequence[FloatArray]
-    """(3N, k) each, scaled to one noise unit a reading."""
-    sizes: Sequence[FloatArray]
-
-    def fits(self, left: Leftover) -> list[Fit]:
-        """As `fit_all`; `left` must have the whitening and the basis of the preparation."""
-        return [
-            Fit(block, gram, free.T @ left.residual, size, left.least_share)
-            for block, gram, free, size in zip(self.found, self._grams, self.columns, self.sizes, strict=True)
-        ]
-
-    @cached_property
-    def _grams(self) -> list[FloatArray]:
-        return [free.T @ free for free in self.columns]
-
-
-def prepare(found: Sequence[Block], left: Leftover) -> Prepared:
-    """Do the part of `fit_all` that does not depend on the residual; takes memory for all columns."""
-    columns, sizes = zip(*(_scaled(block, left) for block in found), strict=True)
-    return Prepared(found, columns, sizes)
-
-
-def fit_all(found: Sequence[Block], left: Leftover) -> list[Fit]:
+def fit_all(found: Sequence[Block], left: Leftover) -> list[BlockFit]:
     """`fit` for each."""
     return found.fits(left) if isinstance(found, Dictionary) else [fit(block, left) for block in found]
 
@@ -174,7 +114,7 @@ class Dictionary(Sequence[Block]):
             white = left.whitener.apply(np.ascontiguousarray(block.make()))
             yield white.reshape(other.shape[0], -1).T @ other
 
-    def fits(self, left: Leftover) -> list[Fit]:
+    def fits(self, left: Leftover) -> list[BlockFit]:
         """`fit` for each block."""
         if not self.small or not self.found:
             return [fit(block, left) for block in self.found]
@@ -183,10 +123,7 @@ class Dictionary(Sequence[Block]):
         return [_fit_of(*each, left) for each in zip(self.found, grams, along, strict=True)]
 
 
-def _fit_of(block: Block, gram: FloatArray, along: FloatArray, left: Leftover) -> Fit:
+def _fit_of(block: Block, gram: FloatArray, along: FloatArray, left: Leftover) -> BlockFit:
     """A fit from a block's whitened Gram matrix (k, k) and its products (k, q + 1) with basis and residual."""
-    size = np.diag(gram)
-    scale = np.sqrt(size.sum() / max(size.size * left.residual.size, 1))
-    scale = scale if scale > 0 else 1.0
     free = gram - along[:, :-1] @ along[:, :-1].T
-    return Fit(block, free / scale**2, along[:, -1] / scale, size / scale**2, left.least_share)
+    return BlockFit(block, free, along[:, -1], np.diag(gram), left.least_share)

@@ -19,9 +19,11 @@ from numpy.typing import ArrayLike
 
 from fluxtwin.sim.base.types import FloatArray
 
-SHAPE = 0.15**2 / 15.0
-"""Share of the energy of named causes that their shape error has in one direction: an error of 15 % of their amplitude,
-spread over fifteen directions (columns of some three to five blocks)."""
+SHAPE_ERROR = 0.15
+"""Of its amplitude, rms: how far the image of a hypothesis is from what nature does where the hypothesis is right."""
+SHAPE = SHAPE_ERROR**2 / 15.0
+"""Share of the energy of named causes that their shape error has in one direction, spread over fifteen directions (columns
+of some three to five blocks)."""
 LOG_FURTHER = 6.0
 """Minus twice the log of the prior odds of one more cause beside a named one, and of one outside the catalogue: one in
 twenty."""

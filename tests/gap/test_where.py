@@ -16,7 +16,7 @@ from worlds import scenario_text
 
 from fluxtwin.gap.detectors.residual_structure import Left, judge
 from fluxtwin.gap.hypotheses.blocks import Block, blocks
-from fluxtwin.gap.hypotheses.evidence import fit_all, prepare
+from fluxtwin.gap.hypotheses.evidence import Dictionary, fit_all
 from fluxtwin.gap.linear.leftover import leftover
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
 from fluxtwin.gap.posterior.where import Where, locate, step_fits
@@ -276,7 +276,7 @@ def test_noise_alone_has_no_structure_and_no_place(design: Design) -> None:
     """The four searches together have a false-alarm rate of 0.2 %: two alarms or more in 100 runs (below 99 %) would
     come by chance in 2 % of seeds."""
     rng = np.random.default_rng(2024)
-    ready = prepare(design.found, leftover(design.whitener, design.noise_nT(rng), design.calibration))
+    ready = Dictionary(design.found, design.problem.rows)
     runs, alarms, claims = 100, 0, 0
     for run in range(runs):
         left = leftover(design.whitener, design.noise_nT(rng), design.calibration)

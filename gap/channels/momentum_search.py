@@ -18,11 +18,12 @@ import numpy as np
 from fluxtwin.gap.channels.momentum_noise import MomentumWhitener
 from fluxtwin.gap.channels.momentum_windows import Windows
 from fluxtwin.gap.hypotheses.candidates import Candidate
+from fluxtwin.gap.linear.leftover import orthonormal
 from fluxtwin.gap.selection.detectable import GATE
 from fluxtwin.gap.selection.forward import LARGEST
 from fluxtwin.gap.selection.groups import alike, shares_by_name
 from fluxtwin.gap.selection.named import Named
-from fluxtwin.gap.selection.score import Board, board, orthonormal
+from fluxtwin.gap.selection.score import Board, board
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import DynamicsEffect

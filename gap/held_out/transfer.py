@@ -18,13 +18,13 @@ from scipy.stats import chi2, ncx2
 from fluxtwin.gap.held_out.held_out import floor_rms_nT
 from fluxtwin.gap.held_out.targets import Target, targets
 from fluxtwin.gap.hypotheses.candidates import derivative, in_order, settings_of
+from fluxtwin.gap.linear.leftover import orthonormal
 from fluxtwin.gap.noise.whitening import Whitener, make_whitener
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.closure import Closure, Stochastic
 from fluxtwin.gap.records.diagnosis import Transfer
 from fluxtwin.gap.selection.detectable import GATE, noncentrality, visible_part
 from fluxtwin.gap.selection.refit import Readings, refit
-from fluxtwin.gap.selection.score import orthonormal
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active, Chain

@@ -11,7 +11,8 @@ from scipy.special import fdtrc
 
 from fluxtwin.sim.base.types import FloatArray
 
-_RANK_TOLERANCE = 1e-7
+SHARE_LEFT = 1e-6
+"""Of its energy that a column, or a combination of columns, must have left after projection to count as a direction."""
 _MARGIN = 50.0
 _LARGEST_SHARE = 0.05
 
@@ -19,8 +20,12 @@ _LARGEST_SHARE = 0.05
 class Whitens(Protocol):
     """What turns nT into independent unit noise."""
 
+    @property
+    def measured(self) -> int:
+        """Number of scalar measurements that are not cut."""
+
     def apply(self, columns: FloatArray) -> FloatArray:
-        """Whiten (N, 3) or (N, 3, P)."""
+        """Whiten (N, 3) or (N, 3, P); rows that are cut come back as zeros."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +43,7 @@ class Leftover:
     @property
     def least_share(self) -> float:
         """Of its energy that an image must have beside the fitted columns."""
-        return least_share(self.whitener, _RANK_TOLERANCE)
+        return least_share(self.whitener, SHARE_LEFT)
 
     @property
     def energy(self) -> float:
@@ -63,14 +68,15 @@ def leftover(whitener: Whitens, residual_nT: FloatArray, fitted: FloatArray) -> 
 
 
 def orthonormal(columns: FloatArray) -> FloatArray:
-    """An orthonormal basis of the span of columns (M, k); dead and dependent columns fall out."""
-    size = np.sqrt(np.einsum("ij,ij->j", columns, columns))
-    live = columns[:, size > 0] / size[size > 0]
-    if not live.shape[1]:
-        return np.zeros((columns.shape[0], 0))
-    value, vector = np.linalg.eigh(live.T @ live)
-    keep = value > _RANK_TOLERANCE
-    basis = live @ (vector[:, keep] / np.sqrt(value[keep]))
+    """(M, r) orthonormal basis of the span of columns (M, k), or (N, 3, k) with M = 3N; dead and dependent ones fall out."""
+    flat = columns.reshape(int(np.prod(columns.shape[:-1])), columns.shape[-1])
+    size = np.sqrt(np.einsum("ij,ij->j", flat, flat))
+    unit = flat[:, size > 0] / size[size > 0]
+    if not unit.shape[1]:
+        return np.zeros((flat.shape[0], 0))
+    value, vector = np.linalg.eigh(unit.T @ unit)
+    seen = value > SHARE_LEFT**2
+    basis = unit @ (vector[:, seen] / np.sqrt(value[seen]))
     # Once more: the square root of the tolerance is all that one pass gives.
     q, _ = np.linalg.qr(basis)
     return np.asarray(q)

@@ -7,8 +7,8 @@ from itertools import combinations
 
 import numpy as np
 
+from fluxtwin.gap.linear.leftover import orthonormal
 from fluxtwin.gap.selection.refit import Channel, Fit
-from fluxtwin.gap.selection.score import orthonormal
 from fluxtwin.sim.base.types import FloatArray
 
 _OPPOSITE = -0.9  # cosine of two signals, in the linear model, from which on they are looked at closely

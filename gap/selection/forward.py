@@ -15,12 +15,13 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from fluxtwin.gap.hypotheses.candidates import Candidate
+from fluxtwin.gap.linear.leftover import orthonormal
 from fluxtwin.gap.selection.collinear import undone
 from fluxtwin.gap.selection.criterion import penalty
 from fluxtwin.gap.selection.detectable import GATE
 from fluxtwin.gap.selection.groups import alike, shares_by_name
 from fluxtwin.gap.selection.refit import Channel, Fit, refit
-from fluxtwin.gap.selection.score import Board, board, orthonormal, whitened
+from fluxtwin.gap.selection.score import Board, board, whitened
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.chain import Active

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from fluxtwin.gap.linear.leftover import Whitens, orthonormal
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.selection.score import Whitens, orthonormal
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.switched_field import SwitchedField

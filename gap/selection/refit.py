@@ -13,11 +13,10 @@ from typing import Protocol
 import numpy as np
 
 from fluxtwin.gap.hypotheses.candidates import Candidate, candidate_of, derivatives, in_order
-from fluxtwin.gap.linear.leftover import least_share
+from fluxtwin.gap.linear.leftover import SHARE_LEFT, Whitens, least_share
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem, realigned
 from fluxtwin.gap.selection.interval import likeliest_interval
-from fluxtwin.gap.selection.score import SHARE_LEFT, Whitens
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active

@@ -9,31 +9,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr
 from scipy.stats import f as f_distribution
 
 from fluxtwin.gap.hypotheses.candidates import Candidate
+from fluxtwin.gap.linear.leftover import SHARE_LEFT, Whitens, orthonormal
 from fluxtwin.sim.base.types import FloatArray
 
-SHARE_LEFT = 1e-6
-"""A column (or combination of columns) with less of its energy left beside the nuisance is not there."""
-_NUISANCE_RANK = 1e-9
 _QUIETEST = 0.25
-
-
-class Whitens(Protocol):
-    """What makes the noise of rows white with variance 1."""
-
-    @property
-    def measured(self) -> int:
-        """Number of scalar measurements that are not cut."""
-
-    def apply(self, columns: FloatArray) -> FloatArray:
-        """Columns (M, 3) or (M, 3, P), whitened; rows that are cut come back as zeros."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,14 +213,3 @@ def whitened(candidates: Sequence[Candidate], whitener: Whitens, rows: int) -> F
     """(M, 3, P) whitened live columns of all candidates in turn; M rows."""
     parts = [whitener.apply(candidate.jacobian[:, :, candidate.live]) for candidate in candidates]
     return np.concatenate(parts, axis=2) if parts else np.zeros((rows, 3, 0))
-
-
-def orthonormal(columns: FloatArray) -> FloatArray:
-    """(3M, r) orthonormal basis of whitened columns (M, 3, c); columns that others make up are left out."""
-    flat = columns.reshape(columns.shape[0] * columns.shape[1], columns.shape[2])
-    length = np.linalg.norm(flat, axis=0)
-    flat = flat[:, length > 0] / length[length > 0]
-    if not flat.shape[1]:
-        return np.zeros((flat.shape[0], 0))
-    Q, R, _ = qr(flat, mode="economic", pivoting=True)
-    return np.asarray(Q[:, : int((np.abs(np.diag(R)) > _NUISANCE_RANK).sum())])

@@ -170,24 +170,22 @@ def _additive(
             continue
         stages = _BODY_STAGES.get(c.name, _DEFAULT_BODY)
         yield _block(carrier.additive, c, "body", stages)
-        weight = 0.3 if c.name in ("latitude", "region", "time", "sunlit", "eclipse") else 0.1
         for frame in ("orbital", "inertial", "earth"):
-            yield _block(carrier.additive, c, frame, {"field": 1.0}, weight, axes=" ")
+            yield _block(carrier.additive, c, frame, {"field": 1.0}, axes=" ")
     for frame in ("orbital", "inertial", "earth"):
-        yield _block(carrier.additive, constant, frame, {"field": 1.0}, 0.5, axes=" ")
+        yield _block(carrier.additive, constant, frame, {"field": 1.0}, axes=" ")
     for c in patches:
-        few = 4.0 / max(len(patches), 1)
-        yield _block(carrier.additive, c, "body", {"spacecraft": 1.0}, 0.5 * few)
-        yield _block(carrier.additive, c, "local", {"field": 1.0}, few, axes=" ", named="earth")
+        one = 1.0 / len(patches)  # all patches together count as one block
+        yield _block(carrier.additive, c, "body", {"spacecraft": 1.0}, one)
+        yield _block(carrier.additive, c, "local", {"field": 1.0}, one, axes=" ", named="earth")
 
 
 def _rotations(carrier: Carrier, found: list[Condition]) -> Iterator[Block]:
     for c in found:
         if c.name in ("torquer", "current", "field_strength"):
             continue
-        weight = 3.0 if c.name in ("head", "eclipse", "latitude", "time") else 0.7
         for frame in ("body", "orbital"):
-            yield _block(carrier.turned, c, frame, {"attitude": 1.0}, weight)
+            yield _block(carrier.turned, c, frame, {"attitude": 1.0})
 
 
 def _sensor(carrier: Carrier, found: list[Condition]) -> Iterator[Block]:
@@ -198,25 +196,22 @@ def _sensor(carrier: Carrier, found: list[Condition]) -> Iterator[Block]:
         ):
             yield _block(lambda c, _: carrier.gain(c), c, "body", {"sensor": 1.0})
     only: Mapping[str, float] = {"sensor": 1.0}
-    for power, weight in ((2, 2.0), (3, 2.0)):
+    for power in (2, 3):
         terms = 6 if power == 2 else 10
         label = "products of two components" if power == 2 else "products of three components"
-        yield Block(only, "field_strength", "body", label, "xyz" * terms, partial(carrier.products, power), weight)
+        yield Block(only, "field_strength", "body", label, "xyz" * terms, partial(carrier.products, power))
     yield Block({"sensor": 0.8, "spacecraft": 0.2}, "field_strength", "body", "own slope", "xyz", carrier.own_slope)
-    yield Block(only, "field_strength", "body", "beyond a level", "xyz", carrier.excess, 2.0)
+    yield Block(only, "field_strength", "body", "beyond a level", "xyz", carrier.excess)
     yield Block({"spacecraft": 1.0}, "rate", "body", "induced by the slope", "xyz" * 3, carrier.induced)
 
 
 def _orbit_and_time(carrier: Carrier, found: list[Condition], constant: Condition) -> Iterator[Block]:
     smooth = [c for c in found if c.name in ("orbit_phase", "time", "sunlit", "after_time") and c.columns.shape[1] <= 4]
     for c in [constant, *smooth]:
-        weight = 3.0 if c is constant else 0.5
         axes = "   "
-        yield _block(lambda c, _: carrier.moved(c), c, "orbital", {"orbit": 1.0}, weight, axes=axes)
+        yield _block(lambda c, _: carrier.moved(c), c, "orbital", {"orbit": 1.0}, axes=axes)
         stages = {"time": 0.9, "sensor": 0.1} if c is constant else {"time": 1.0}
-        yield Block(
-            stages, c.name, None, f"time, {c.label}", " " * c.columns.shape[1], partial(carrier.late, c), weight
-        )
+        yield Block(stages, c.name, None, f"time, {c.label}", " " * c.columns.shape[1], partial(carrier.late, c))
 
 
 def _field(carrier: Carrier) -> Iterator[Block]:
@@ -229,7 +224,6 @@ def _field(carrier: Carrier) -> Iterator[Block]:
             f"field to degree {degree}",
             " " * terms,
             partial(carrier.potential, degree),
-            2.0,
         )
 
 

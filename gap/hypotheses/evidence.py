@@ -33,9 +33,11 @@ class BlockFit:
     size: FloatArray
     """(k,) squared lengths of the whitened columns before the projection: what rank is measured against."""
     least_share: float
+    searched: int = 0
+    """Parameters that no column has: a moment, a frequency."""
 
     def explained(self, columns: BoolArray | None = None) -> tuple[float, int]:
-        """Drop of chi-square by all columns, or by some of them (k,), and the number of directions that are seen."""
+        """Drop of chi-square by all columns, or by some of them (k,), and the number of parameters that are seen."""
         return self._whole if columns is None else self._explained(columns)
 
     @cached_property
@@ -49,7 +51,7 @@ class BlockFit:
         value, vector = np.linalg.eigh(self.gram[np.ix_(pick, pick)])
         seen = value > self.least_share * self.size[pick].max()
         along = vector[:, seen].T @ self.moment[pick]
-        return float(np.sum(along**2 / value[seen])), int(seen.sum())
+        return float(np.sum(along**2 / value[seen])), int(seen.sum()) + self.searched
 
 
 def fit(block: Block, left: Leftover) -> BlockFit:

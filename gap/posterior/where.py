@@ -11,7 +11,7 @@ images, and there the shape error of the right one has a variance of `SHAPE_ERRO
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Protocol
 
@@ -26,12 +26,10 @@ from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.records.diagnosis import STAGES as ALL_STAGES
 from fluxtwin.gap.records.diagnosis import Place
 from fluxtwin.gap.selection.criterion import SHAPE_ERROR, THRESHOLD, penalty
+from fluxtwin.gap.selection.groups import ALIKE
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect
 
-EQUIVALENT_SHARE = 0.98
-_STEP_P = 1e-3
-_CATALOGUE_PRIOR = 4.0
 _NOTHING = "none"
 _QUESTIONS = ("stage", "axis", "frame", "condition")
 
@@ -103,9 +101,9 @@ def where(
 
 
 def step_fits(problem: Problem, left: Leftover) -> list[BlockFit]:
-    """The block of a step at its likeliest moment, if the cumulated sums show one."""
-    p_value, moment_s = step(problem.setting.seconds, left)
-    return [fit(step_block(problem, moment_s), left)] if p_value < _STEP_P else []
+    """The block of a step at its likeliest moment, a parameter too."""
+    _, moment_s = step(problem.setting.seconds, left)
+    return [replace(fit(step_block(problem, moment_s), left), searched=1)]
 
 
 def locate(left: Leftover, fits: Sequence[BlockFit]) -> Where:
@@ -156,9 +154,7 @@ def catalogue_blocks(problem: Problem, candidates: Iterable[HasJacobian]) -> lis
         axes = axes if len(axes) == width else " " * width
         jacobian = candidate.jacobian
         label = candidate.effect.name.replace("_", " ")
-        found.append(
-            Block(stages, condition, effect.frame, label, axes, partial(np.asarray, jacobian), _CATALOGUE_PRIOR)
-        )
+        found.append(Block(stages, condition, effect.frame, label, axes, partial(np.asarray, jacobian)))
     return found
 
 
@@ -230,6 +226,6 @@ def _equivalent(left: Leftover, stage: str, best: BlockFit, fits: Sequence[Block
         if not stages or its_gain < 0.9 * gain or its_rank > 2 * rank + 3:
             continue
         columns, _ = left.project(other.block.make())
-        if share_mimicked(image, columns) >= EQUIVALENT_SHARE:
+        if share_mimicked(image, columns) >= ALIKE:
             same |= stages
     return tuple(name for name in ALL_STAGES if name in same)

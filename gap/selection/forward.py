@@ -16,10 +16,8 @@ import numpy as np
 
 from fluxtwin.gap.hypotheses.candidates import Candidate
 from fluxtwin.gap.linear.leftover import orthonormal
-from fluxtwin.gap.selection.collinear import undone
 from fluxtwin.gap.selection.criterion import penalty
 from fluxtwin.gap.selection.detectable import GATE
-from fluxtwin.gap.selection.groups import alike, shares_by_name
 from fluxtwin.gap.selection.refit import Channel, Fit, refit
 from fluxtwin.gap.selection.score import Board, board, whitened
 from fluxtwin.sim.base.types import BoolArray, FloatArray
@@ -52,15 +50,8 @@ class Search(Generic[OfChannel]):
     white: FloatArray
     gate: float = GATE
     fits: dict[frozenset[str], Fit] = field(default_factory=dict)
-    same: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    """Names that imitate each other on this design, from `groups.alike`."""
     tested_before: int = 0
     """Alternatives tested in other channels."""
-
-    def clash(self, numbers: Sequence[int]) -> bool:
-        """Whether two of these candidates are one cause under two names, large and nearly cancelling if both fitted."""
-        names = [self.found[number].name for number in numbers]
-        return any(b in self.same.get(a, ()) for k, a in enumerate(names) for b in names[k + 1 :])
 
     @property
     def tested(self) -> int:
@@ -128,8 +119,7 @@ def begin(channel: OfChannel, found: list[Candidate], gate: float = GATE, tested
     base = refit(channel)
     white = whitened(found, channel, base.residual.shape[0])
     first = _first(channel, found, white, base)
-    same = alike(shares_by_name(first))
-    return Search(channel, found, base, first, white, gate, same=same, tested_before=tested_before)
+    return Search(channel, found, base, first, white, gate, tested_before=tested_before)
 
 
 def _first(channel: Channel, found: Sequence[Candidate], white: FloatArray, base: Fit) -> Board:
@@ -231,29 +221,19 @@ def _grown(search: Search[Any], fit: Fit, rest: Board, others: Sequence[Candidat
     if not others or search.tested * float(rest.p_values.min()) > search.gate:
         return None
     present = search.numbers(fit)
-    pairs = [(place, search.found.index(others[place])) for place in _shortlist(search, rest)]
-    pairs = [(place, partner) for place, partner in pairs if not search.clash([*present, partner])][:3]
-    places, partners = [place for place, _ in pairs], [partner for _, partner in pairs]
+    places = _shortlist(search, rest)[:3]
+    partners = [search.found.index(others[place]) for place in places]
     thetas = [theta for _, theta in fit.chosen]
-    trials = []
-    for place, partner in zip(places, partners, strict=True):
-        trials.append(search.fit([*present, partner], [*thetas, rest.estimate([place])[0]]))
+    trials = [
+        search.fit([*present, partner], [*thetas, rest.estimate([place])[0]])
+        for place, partner in zip(places, partners, strict=True)
+    ]
     afresh = _afresh(search, len(present) + 1, present, partners)
     trials += [search.fit(numbers, search.first.estimate(numbers)) for numbers in afresh]
-    if not trials:
-        return None
-    trials.sort(key=lambda trial: search.cost(trial, rest.variance))
-    best = next((trial for trial in trials if not _undone(search, trial)), None)
-    if best is None:
-        return None
+    best = min(trials, key=lambda trial: search.cost(trial, rest.variance))
     gain, rank = fit.chi2 - best.chi2, max(best.rank_chosen - fit.rank_chosen, 1)
     significant = search.tested * rest.p_value(gain, rank) < search.gate
     return best if significant and search.cost(best, rest.variance) < search.cost(fit, rest.variance) else None
-
-
-def _undone(search: Search[Any], fit: Fit) -> bool:
-    alone = [search.tested * float(search.first.p_values[number]) < search.gate for number in search.numbers(fit)]
-    return undone(search.channel, fit, search.base.jacobian, alone)
 
 
 def _afresh(search: Search[Any], size: int, present: Sequence[int], partners: Sequence[int]) -> list[list[int]]:
@@ -276,7 +256,7 @@ def _afresh(search: Search[Any], size: int, present: Sequence[int], partners: Se
     ranked.sort(key=lambda pair: pair[0])
     distinct: list[list[int]] = []
     for _, numbers in ranked:
-        if numbers not in distinct and not search.clash(numbers):
+        if numbers not in distinct:
             distinct.append(numbers)
     return distinct[:2]
 

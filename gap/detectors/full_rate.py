@@ -14,7 +14,7 @@ import numpy as np
 
 from fluxtwin.gap.detectors.flexible import FlexibleFinding, wheel_line
 from fluxtwin.gap.detectors.tones import Tone, strongest_tone
-from fluxtwin.gap.hypotheses.candidates import derivative, in_order
+from fluxtwin.gap.hypotheses.candidates import derivatives
 from fluxtwin.gap.linear.leftover import Leftover, leftover
 from fluxtwin.gap.noise.budget import prior_of
 from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, Whitener, complete_budget, select_noise, whitener_of
@@ -67,11 +67,8 @@ def full_rate(
         return None
     setting = problem.setting
     near = _stretch(whole, problem, modelled, chosen)
-    active = in_order([*near.frozen, *modelled, *chosen])
-    residual = near.residual_of(active)
-    places = [n for n, (effect, _) in enumerate(active) if any(effect is one for one, _ in (*modelled, *chosen))]
-    parts = [derivative(near.design, active, place) for place in places]
-    fitted = np.concatenate(parts, axis=2) if parts else np.zeros((near.rows, 3, 0))
+    residual = near.residual_of([*near.frozen, *modelled, *chosen])
+    fitted = derivatives(near, [*modelled, *chosen])
     noise, robust = select_noise(
         near.judged(residual),
         [near.judged(fitted)],

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.gap.hypotheses.candidates import in_order
 from fluxtwin.gap.records.closure import Closure
 from fluxtwin.gap.records.diagnosis import Transfer
 from fluxtwin.gap.selection.refit import Readings, refit
@@ -155,7 +154,7 @@ def _rest(effect: Effect, theta: FloatArray) -> FloatArray:
 
 def _pinned(chain: Chain, effect: SignalEffect, active: Sequence[Active]) -> SignalEffect:
     others = [pair for pair in active if pair[0] is not effect]
-    pinned = effect.pinned(chain.setting, chain.reading_nT(in_order(others)))
+    pinned = effect.pinned(chain.setting, chain.reading_nT(others))
     assert isinstance(pinned, SignalEffect)
     return pinned
 

@@ -17,7 +17,7 @@ from scipy.stats import chi2, ncx2
 
 from fluxtwin.gap.held_out.held_out import floor_rms_nT
 from fluxtwin.gap.held_out.targets import Target, targets
-from fluxtwin.gap.hypotheses.candidates import derivative, in_order, settings_of
+from fluxtwin.gap.hypotheses.candidates import settings_of
 from fluxtwin.gap.linear.leftover import orthonormal
 from fluxtwin.gap.noise.whitening import Whitener, make_whitener
 from fluxtwin.gap.problem.row_axes import turn_images
@@ -27,7 +27,7 @@ from fluxtwin.gap.selection.detectable import GATE, noncentrality, visible_part
 from fluxtwin.gap.selection.refit import Readings, refit
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
-from fluxtwin.sim.effects.chain import Active, Chain
+from fluxtwin.sim.effects.chain import Active, Chain, jacobians
 
 MOST_CHANCE = 0.05
 """Of a false gap on the other design: more, and the parameters do not transfer."""
@@ -76,24 +76,20 @@ class _Design:
         self.target, self.chain = target, Chain(target.setting)
         self.base = [*closure.problem.frozen, *closure.modelled]
         self.chosen = list(chosen)
-        on = in_order([*self.base, *chosen])
-        field = self.chain.signal(on).field_B_nT
+        field = self.chain.signal([*self.base, *chosen]).field_B_nT
         noise = closure.whitener.noise
         self.whitener: Whitener = make_whitener(
             turn_images(field, closure.problem.sensor_image), target.setting.seconds, target.segment, noise
         )
-        places = [next(n for n, pair in enumerate(on) if pair[0] is effect) for effect, _ in closure.modelled]
-        blocks = [derivative(self.chain, on, place) for place in places]
-        rows = target.setting.time.size
-        self.nuisance = np.concatenate(blocks, axis=2) if blocks else np.zeros((rows, 3, 0))
-        self.nuisance_white = self.whitener.apply(self.nuisance) if blocks else self.nuisance
+        self.nuisance = jacobians(self.chain, closure.modelled, [*closure.problem.frozen, *chosen])
+        self.nuisance_white = self.whitener.apply(self.nuisance) if closure.modelled else self.nuisance
         self.basis = orthonormal(self.nuisance_white)
         self.floor_nT = floor_rms_nT(field, float(np.sqrt(np.mean(noise.white_nT**2))), noise.theta_rad)
 
     def reading(self, old: SignalEffect, new: Sequence[Active]) -> FloatArray:
         """(N, 3) noise-free reading with `new` in place of the effect `old`."""
         others = [pair for pair in self.chosen if pair[0] is not old]
-        return self.chain.reading_nT(in_order([*self.base, *others, *new]))
+        return self.chain.reading_nT([*self.base, *others, *new])
 
     def left(self, signals: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Signals (N, 3, k) beside what is re-estimated: in nT (N, 3, k), and whitened and projected (3N, k)."""
@@ -200,7 +196,7 @@ def _others(closure: Closure, number: int) -> tuple[Other, ...]:
         weight = float(np.exp(-0.5 * np.clip(worse, -100.0, 1400.0)))
         if weight > _UNLIKELY:
             rest = [pair for place, pair in enumerate(fit.chosen) if place != number]
-            reading = problem.chain.reading_nT(in_order([*problem.frozen, *fit.modelled, *rest]))
+            reading = problem.chain.reading_nT([*problem.frozen, *fit.modelled, *rest])
             pinned = other.pinned(problem.setting, reading)
             assert isinstance(pinned, SignalEffect) and isinstance(effect, SignalEffect)
             found.append(Other(weight, _label(effect, other), pinned, fit.chosen[number][1]))

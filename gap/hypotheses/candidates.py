@@ -18,7 +18,7 @@ from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.catalogue import CATALOGUE
-from fluxtwin.sim.effects.chain import Active, Chain
+from fluxtwin.sim.effects.chain import Active, Chain, jacobian, jacobians
 from fluxtwin.sim.effects.digits import BitErrors
 
 _DEAD_NT = 1e-6  # a parameter of its typical size that moves the readings by less is not there
@@ -68,7 +68,7 @@ def candidates(
     if modelled is None:
         modelled = problem.modelled_active
     taken = {effect.name for effect in problem.modelled} | {effect.name for effect, _ in active}
-    on = in_order([*problem.frozen, *modelled, *active])
+    on = [*problem.frozen, *modelled, *active]
     shaken = shaken or Shaken(problem)
     found: list[Candidate] = []
     untestable: dict[str, str] = {}
@@ -100,10 +100,8 @@ def candidates(
 
 def candidate_of(problem: Problem, effect: SignalEffect, *, modelled: Sequence[Active]) -> Candidate:
     """One alternative that `candidates` does not try, linearised beside what is modelled."""
-    on = in_order([*problem.frozen, *modelled, (effect, np.zeros(len(effect.parameters)))])
-    number = next(place for place, pair in enumerate(on) if pair[0] is effect)
-    jacobian = derivative(problem.design, on, number)
-    return Candidate(effect, jacobian, _live(effect, jacobian))
+    image = jacobian(problem.design, effect, [*problem.frozen, *modelled])
+    return Candidate(effect, image, _live(effect, image))
 
 
 def _live(effect: SignalEffect, jacobian: FloatArray) -> BoolArray:
@@ -122,42 +120,10 @@ def _not_reported(effect: Effect, problem: Problem) -> str | None:
     return "no row has a reference attitude" if effect.stage == "attitude" else None
 
 
-def in_order(active: Sequence[Active]) -> list[Active]:
-    """Active effects in the order in which nature applies them: that of the catalogue."""
-    place = {effect.name: number for number, effect in enumerate(CATALOGUE)}
-    return sorted(active, key=lambda pair: place.get(pair[0].name, len(place)))
-
-
-def derivative(chain: Chain, on: Sequence[Active], number: int) -> FloatArray:
-    """(N, 3, p) derivative of the reading by the parameters of effect `number` of `on`, all of them switched on.
-
-    Central differences with the typical size as step, one-sided at the end of the physical range.
-    """
-    effect, theta = on[number]
-    columns = []
-    for place, parameter in enumerate(effect.parameters):
-        step = np.zeros(len(theta))
-        up = min(theta[place] + parameter.scale, parameter.high)
-        down = max(theta[place] - parameter.scale, parameter.low)
-        readings = []
-        for value in (up, down):
-            step = np.array(theta, dtype=np.float64)
-            step[place] = value
-            readings.append(chain.reading_nT([*on[:number], (effect, step), *on[number + 1 :]]))
-        columns.append((readings[0] - readings[1]) / (up - down))
-    return np.stack(columns, axis=-1)
-
-
 def derivatives(problem: Problem, wanted: Sequence[Active]) -> FloatArray:
     """(N, 3, sum of parameters) derivative of the reading by the parameters of `wanted`, in that order, all of them and
     the frozen effects switched on."""
-    on = in_order([*problem.frozen, *wanted])
-    place = {id(effect): number for number, (effect, _) in enumerate(on)}
-    # From the first stage to the last, so that the chain finds what comes before already computed.
-    blocks = {id(effect): derivative(problem.design, on, place[id(effect)]) for effect, _ in in_order(wanted)}
-    if not blocks:
-        return np.zeros((problem.rows, 3, 0))
-    return np.concatenate([blocks[id(effect)] for effect, _ in wanted], axis=2)
+    return jacobians(problem.design, wanted, problem.frozen)
 
 
 def settings_of(effect: SignalEffect) -> dict[str, object]:
@@ -175,10 +141,6 @@ def _signal_alternatives(effect: SignalEffect, problem: Problem) -> list[SignalE
 
 
 def _candidate(chain: Chain, effect: SignalEffect, on: Sequence[Active], shaken: Shaken) -> Candidate:
-    start = np.zeros(len(effect.parameters))
-    with_it = in_order([*on, (effect, start)])
-    number = next(place for place, pair in enumerate(with_it) if pair[0] is effect)
-    jacobian = derivative(chain, with_it, number)
-    live = _live(effect, jacobian)
-    change = shaken.change(effect, jacobian, with_it, number) if live.any() else 0.0
-    return Candidate(effect, jacobian, live, change)
+    image = jacobian(chain, effect, on)
+    live = _live(effect, image)
+    return Candidate(effect, image, live, shaken.change(effect, image, on) if live.any() else 0.0)

@@ -70,20 +70,19 @@ class Shaken:
         """The design that is shaken; None where the attitude has no error."""
         return None if self.chain is None else self.chain.setting
 
-    def change(self, effect: SignalEffect, jacobian: FloatArray, on: Sequence[Active], number: int) -> float:
+    def change(self, effect: SignalEffect, jacobian: FloatArray, on: Sequence[Active]) -> float:
         """Share of the energy of an effect's image that changes, beside what is modelled.
 
-        jacobian (N, 3, p) of effect `number` of `on`, in body axes; all its parameters move together, each by its typical
-        size, with signs that are drawn once.
+        jacobian (N, 3, p) of the effect at nothing, with `on` on, in body axes; all its parameters move together, each by
+        its typical size, with signs that are drawn once.
         """
         if self.chain is None:
             return 0.0
         signs = np.random.default_rng(_SEED).choice([-1.0, 1.0], len(effect.parameters))
         step = np.array([parameter.scale for parameter in effect.parameters]) * signs
         low, high = (np.array([getattr(p, end) for p in effect.parameters]) for end in ("low", "high"))
-        theta = on[number][1]
-        up, down = np.clip(theta + step, low, high), np.clip(theta - step, low, high)
-        readings = [self.chain.reading_nT([*on[:number], (effect, end), *on[number + 1 :]]) for end in (up, down)]
+        up, down = np.clip(step, low, high), np.clip(-step, low, high)
+        readings = [self.chain.reading_nT([*on, (effect, end)]) for end in (up, down)]
         first, again = (self._beside(image) for image in (jacobian @ (up - down), readings[0] - readings[1]))
         whole = float(np.sum(first**2))
         return float(np.sum((again - first) ** 2)) / whole if whole > 0 else 0.0

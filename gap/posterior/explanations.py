@@ -17,7 +17,7 @@ from scipy.special import softmax
 from fluxtwin.gap.detectors.flexible import FlexibleFinding
 from fluxtwin.gap.detectors.residual_structure import Left, judge
 from fluxtwin.gap.hypotheses.blocks import Block
-from fluxtwin.gap.hypotheses.candidates import Candidate, derivatives, in_order
+from fluxtwin.gap.hypotheses.candidates import Candidate, derivatives
 from fluxtwin.gap.hypotheses.evidence import fit_all
 from fluxtwin.gap.linear.leftover import Leftover, leftover, orthonormal
 from fluxtwin.gap.noise.budget import prior_of
@@ -192,7 +192,7 @@ def _gained(
         return [0.0] * len(fits)
     gained = []
     for fit in fits:
-        residual = problem.residual_of(in_order([*problem.frozen, *fit.active]))
+        residual = problem.residual_of([*problem.frozen, *fit.active])
         columns = derivatives(problem, fit.active)
         logs = [log_likelihood(problem, one, robust, residual, columns) for one in (noise, *others)]
         gained.append(max(logs) - logs[0])
@@ -221,7 +221,7 @@ def noise_and_answer(problem: Problem, dictionary: Sequence[Block], known: Known
         fit = searched[2][-1][0]
         if not fit.chosen:
             break
-        residual = problem.residual_of(in_order([*problem.frozen, *fit.active]))
+        residual = problem.residual_of([*problem.frozen, *fit.active])
         choice = noise_choice(problem, derivatives(problem, fit.active), residual_nT=residual)
         searched = _searched(problem, whitener_of(problem, choice.noise, choice.robust.weights), known)
         if {effect for effect, _ in searched[2][-1][0].chosen} == {effect for effect, _ in fit.chosen}:
@@ -284,6 +284,6 @@ def _stripped(problem: Problem, result: SearchResult, signals: Sequence[Active])
         result,
         modelled=modelled,
         modelled_alone=alone,
-        residual_nT=problem.residual_of(in_order([*problem.frozen, *modelled, *result.chosen])),
-        residual_alone_nT=problem.residual_of(in_order([*problem.frozen, *alone])),
+        residual_nT=problem.residual_of([*problem.frozen, *modelled, *result.chosen]),
+        residual_alone_nT=problem.residual_of([*problem.frozen, *alone]),
     )

@@ -23,7 +23,7 @@ from fluxtwin.sim.earth.field import field_N_nT
 from fluxtwin.sim.earth.field_models import FieldModel
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
-from fluxtwin.sim.effects.chain import Active, Chain, jacobian
+from fluxtwin.sim.effects.chain import Active, Chain, jacobians
 from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
@@ -183,11 +183,7 @@ class Problem:
     @cached_property
     def nuisance(self) -> FloatArray:
         """(N, 3, C) Jacobian of all modelled effects; C may be 0."""
-        blocks = []
-        for number, (_, theta) in enumerate(self.modelled_active):
-            others = [*self.frozen, *self.modelled_active[:number], *self.modelled_active[number + 1 :]]
-            blocks.append(jacobian(self.design, self.modelled[number], at=others, theta=theta))
-        return np.concatenate(blocks, axis=2) if blocks else np.zeros((self.rows, 3, 0))
+        return jacobians(self.design, self.modelled_active, self.frozen)
 
     @cached_property
     def segment(self) -> FloatArray:

@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from fluxtwin.gap.hypotheses.candidates import Candidate, candidate_of, derivatives, in_order
+from fluxtwin.gap.hypotheses.candidates import Candidate, candidate_of, derivatives
 from fluxtwin.gap.linear.leftover import SHARE_LEFT, Whitens, least_share
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem, realigned
@@ -20,7 +20,6 @@ from fluxtwin.gap.selection.interval import likeliest_interval
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
-from fluxtwin.sim.effects.signal import Setting
 
 _STEPS = 12
 _HALVINGS = 6
@@ -39,10 +38,6 @@ class Channel(Whitens, Protocol):
     @property
     def share_left(self) -> float:
         """Of its energy that an image must have beside others."""
-
-    @property
-    def setting(self) -> Setting | None:
-        """In which settings of effects between those tried are looked for; None: they are not."""
 
     def residual(self, active: Sequence[Active]) -> FloatArray:
         """(M, 3) whitened, with these effects on."""
@@ -187,17 +182,13 @@ class Readings:
     def share_left(self) -> float:
         return least_share(self.whitener, SHARE_LEFT)
 
-    @property
-    def setting(self) -> Setting:
-        return self.problem.setting
-
     def apply(self, columns: FloatArray) -> FloatArray:
         """Columns (M, 3) or (M, 3, P) in nT, whitened."""
         return self.whitener.apply(columns)
 
     def residual(self, active: Sequence[Active]) -> FloatArray:
         """(M, 3) whitened, with these effects on beside the frozen ones."""
-        return self.whitener.apply(self.problem.residual_of(in_order([*self.problem.frozen, *active])))
+        return self.whitener.apply(self.problem.residual_of([*self.problem.frozen, *active]))
 
     def jacobian(self, active: Sequence[Active]) -> FloatArray:
         """(M, 3, sum of parameters) whitened, in the order of `active`."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.gap.hypotheses.candidates import derivatives, in_order
+from fluxtwin.gap.hypotheses.candidates import derivatives
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection import groups
 from fluxtwin.gap.selection.detectable import GATE, detectable, visible_part
@@ -44,7 +44,7 @@ def result_of(
     ]
     order = sorted(range(len(named)), key=lambda number: -_gain(under_way, fit, number))
     chosen = tuple(fit.chosen[number] for number in order)
-    residual, alone = (problem.residual_of(in_order([*problem.frozen, *each.active])) for each in (fit, base))
+    residual, alone = (problem.residual_of([*problem.frozen, *each.active]) for each in (fit, base))
     return SearchResult(
         named=tuple(named[number] for number in order),
         ranking=_ranking(under_way),
@@ -149,7 +149,7 @@ def _columns(fit: Fit, order: list[int]) -> list[int]:
 
 
 def _chain_reading(problem: Problem, active: list[Active]) -> FloatArray:
-    return problem.chain.reading_nT(in_order([*problem.frozen, *active]))
+    return problem.chain.reading_nT([*problem.frozen, *active])
 
 
 def _ranking(under_way: Search[Any]) -> tuple[Ranked, ...]:

@@ -16,7 +16,6 @@ import numpy as np
 
 from fluxtwin.gap.channels.sun_nadir import Channel, open_channel
 from fluxtwin.gap.diagnose import diagnose
-from fluxtwin.gap.hypotheses.candidates import in_order
 from fluxtwin.gap.problem.problem import Budget, Problem, pose, realigned
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.report.second_channel import channel_of, with_second_channel
@@ -182,7 +181,7 @@ def _left(
     telemetry: Telemetry, ground: FieldModel, active: Sequence[Active], config: Scenario
 ) -> tuple[Problem, FloatArray]:
     """The record with effects applied as they are, and its residual (N, 3) as judged; NaN where nothing is measured."""
-    problem = realigned(pose(telemetry, ground, modelled=(), budget=_budget(config), frozen=in_order(active)))
+    problem = realigned(pose(telemetry, ground, modelled=(), budget=_budget(config), frozen=active))
     return problem, np.where(problem.measured, problem.judged(problem.residual_nT), np.nan)
 
 
@@ -198,8 +197,8 @@ def _judged(
     fit = refit(Readings(closure.problem, closure.whitener), [*closure.chosen, *searched], modelled=closure.modelled)
     bare, before = _left(later, ground, alone, config)
     full, after = _left(later, ground, fit.active, config)
-    quiet = full.chain.reading_nT(in_order(fit.modelled))
-    acts = np.linalg.norm(full.chain.reading_nT(in_order(fit.active)) - quiet, axis=1) > 1.0
+    quiet = full.chain.reading_nT(fit.modelled)
+    acts = np.linalg.norm(full.chain.reading_nT(fit.active) - quiet, axis=1) > 1.0
     return _by_pass(bare.time, before, after, acts, "nT", found.gap.floor_with_effects_nT)
 
 

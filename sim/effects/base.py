@@ -7,7 +7,7 @@ difference of the noise-free chain), so what can be diagnosed can by constructio
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -91,10 +91,6 @@ class Effect(ABC):
     def between(self, setting: Setting, ratio: float) -> Effect | None:
         """The effect with a setting moved by a ratio that `alternatives` tries at a few values only; None: it has none."""
         return None
-
-    def variants(self, setting: Setting) -> Sequence[Effect]:
-        """The effect with one more setting of which `alternatives` tries one value only."""
-        return ()
 
     @property
     def bound(self) -> str | None:

@@ -20,6 +20,7 @@ from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.field import field_N_nT
 from fluxtwin.sim.effects.base import STAGES, DistributionEffect, Effect, SignalEffect
+from fluxtwin.sim.effects.catalogue import CATALOGUE
 from fluxtwin.sim.effects.signal import Setting, Signal, start
 
 Active = tuple[Effect, FloatArray]
@@ -29,6 +30,8 @@ _Key = tuple[tuple[int, bytes], ...]
 _Step = tuple[SignalEffect, FloatArray, tuple[int, bytes]]
 _STEP_BY_STEP_ROWS = 20_000
 """Records of so many rows are remembered effect by effect: some tens of signals, half a megabyte each."""
+
+_PLACE = {effect.name: number for number, effect in enumerate(CATALOGUE)}
 
 
 class Chain:
@@ -57,8 +60,8 @@ class Chain:
         return self.signal(active).reading
 
     def signal(self, active: Sequence[Active] = ()) -> Signal:
-        """The signal at the end of the chain with these signal effects on."""
-        wanted = [pair for pair in active if isinstance(pair[0], SignalEffect) and _on(pair[1])]
+        """The signal at the end of the chain with these signal effects on, in any order."""
+        wanted = in_order([pair for pair in active if isinstance(pair[0], SignalEffect) and _on(pair[1])])
         if not wanted:
             return self._baseline["telemetry"]
         stop_if_asked()
@@ -142,6 +145,22 @@ def jacobian(
     return np.stack(columns, axis=-1)
 
 
+def jacobians(chain: Chain, wanted: Sequence[Active], at: Sequence[Active] = ()) -> FloatArray:
+    """(N, 3, P) `jacobian` by the parameters of each of `wanted`, side by side, with all the others of them on as well."""
+    images: dict[int, FloatArray] = {}
+    for effect, theta in in_order(wanted):  # so that the chain finds what comes before already computed
+        others = [pair for pair in wanted if pair[0] is not effect]
+        images[id(effect)] = jacobian(chain, effect, [*at, *others], theta)
+    if not wanted:
+        return np.zeros((chain.setting.time.size, 3, 0))
+    return np.concatenate([images[id(effect)] for effect, _ in wanted], axis=2)
+
+
+def in_order(active: Sequence[Active]) -> list[Active]:
+    """Active effects in the order in which nature applies them: that of the catalogue."""
+    return sorted(active, key=lambda pair: _PLACE.get(pair[0].name, len(_PLACE)))
+
+
 def _on(theta: FloatArray) -> bool:
     """Whether any of a few parameters is not zero; numpy's `any` takes ten times as long."""
     return any(np.asarray(theta).tolist())
@@ -196,4 +215,4 @@ def _draw(signal: Signal, active: Sequence[Active], stage: str, seed: int, after
     return signal
 
 
-__all__ = ["Active", "Chain", "Setting", "jacobian"]
+__all__ = ["Active", "Chain", "Setting", "in_order", "jacobian", "jacobians"]

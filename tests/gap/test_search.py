@@ -14,7 +14,7 @@ import pytest
 from worlds import PARTS, scenario_text
 
 from fluxtwin.gap.hypotheses.blocks import blocks
-from fluxtwin.gap.hypotheses.candidates import candidates, in_order
+from fluxtwin.gap.hypotheses.candidates import candidates
 from fluxtwin.gap.hypotheses.evidence import Dictionary
 from fluxtwin.gap.noise.robust_rows import RobustRows
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
@@ -109,7 +109,7 @@ class Design:
             (find_effect("bias"), wrong * 300.0 * rng.standard_normal(3)),
             (find_effect("scale_misalignment"), wrong * 0.005 * rng.standard_normal(9)),
         ]
-        reading = self.problem.chain.reading_nT(in_order([*calibration, *active])) + self.noise(rng)
+        reading = self.problem.chain.reading_nT([*calibration, *active]) + self.noise(rng)
         telemetry = dataclasses.replace(self.problem.telemetry, mag_B_nT=reading)
         return settled(dataclasses.replace(self.problem, telemetry=telemetry))
 

@@ -149,6 +149,7 @@ def jacobians(chain: Chain, wanted: Sequence[Active], at: Sequence[Active] = ())
     """(N, 3, P) `jacobian` by the parameters of each of `wanted`, side by side, with all the others of them on as well."""
     images: dict[int, FloatArray] = {}
     for effect, theta in in_order(wanted):  # so that the chain finds what comes before already computed
+        assert isinstance(effect, SignalEffect)
         others = [pair for pair in wanted if pair[0] is not effect]
         images[id(effect)] = jacobian(chain, effect, [*at, *others], theta)
     if not wanted:

@@ -23,10 +23,10 @@ from fluxtwin.gap.channels.momentum_windows import MOST_NODES, WINDOW_S, Windows
 from fluxtwin.gap.hypotheses.candidates import Candidate
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.records.diagnosis import Detectable, MomentumGap
+from fluxtwin.gap.records.diagnosis import Detectable, FoundEffect, MomentumGap, Ranked
 from fluxtwin.gap.selection.detectable import noncentrality
 from fluxtwin.gap.selection.groups import isolability, shares_by_name
-from fluxtwin.gap.selection.named import Named, Ranked, SearchResult
+from fluxtwin.gap.selection.named import SearchResult
 from fluxtwin.gap.selection.score import Board
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
@@ -43,7 +43,7 @@ _NO_SCENARIO = 'no scenario with attitude mode "dynamics" says what the body is 
 class Momentum:
     """What the balance of the momentum says; `gap` is None where there is no balance."""
 
-    named: tuple[Named, ...] = ()
+    named: tuple[FoundEffect, ...] = ()
     untestable: Mapping[str, str] = field(default_factory=dict)
     ranking: tuple[Ranked, ...] = ()
     isolability: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
@@ -61,7 +61,7 @@ class Momentum:
     """Names that the readings would accept and the torques do not: why."""
 
     @property
-    def standing(self) -> tuple[Named, ...]:
+    def standing(self) -> tuple[FoundEffect, ...]:
         """Named effects that stand: one of few that would do, and either nothing is left or little beside them."""
         carried = self.explained_share is not None and self.explained_share >= CARRIED
         few = not any(one.too_many_alike for one in self.named)
@@ -235,7 +235,7 @@ def _ranking(first: Board, tested: int) -> tuple[Ranked, ...]:
         if first.rank[number] == 0 or candidate.effect.stage != "dynamics":
             continue
         p_value = min(1.0, tested * float(first.p_values[number]))
-        line = Ranked(candidate.name, candidate.label, float(first.statistic[number]), int(first.rank[number]), p_value)
+        line = Ranked(candidate.name, float(first.statistic[number]), int(first.rank[number]), p_value)
         if candidate.name not in best or p_value < best[candidate.name].p_value:
             best[candidate.name] = line
     return tuple(best.values())

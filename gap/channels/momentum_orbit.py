@@ -87,7 +87,7 @@ def _by_readings_km(result: SearchResult, whitener: Whitener, place: int) -> tup
     """The error along the orbit that would do in place of a named effect, and its sigma [km]."""
     effect, theta = result.chosen[place]
     if effect.name == _AHEAD:
-        return float(theta[0]), float(np.sqrt(result.named[place].covariance[0, 0]))
+        return float(theta[0]), float(result.named[place].sigma[0])
     image = next(c.jacobian for c in result.candidates if c.name == _AHEAD)
     first = sum(len(each) for _, each in (*result.modelled, *result.chosen[:place]))
     own = slice(first, first + len(theta))

@@ -19,10 +19,11 @@ from fluxtwin.gap.channels.momentum_noise import MomentumWhitener
 from fluxtwin.gap.channels.momentum_windows import Windows
 from fluxtwin.gap.hypotheses.candidates import Candidate
 from fluxtwin.gap.linear.leftover import orthonormal
+from fluxtwin.gap.records.diagnosis import FoundEffect
 from fluxtwin.gap.selection.detectable import GATE
 from fluxtwin.gap.selection.forward import LARGEST
 from fluxtwin.gap.selection.groups import alike, shares_by_name
-from fluxtwin.gap.selection.named import Named
+from fluxtwin.gap.selection.named import axis_of, found_effect, parameters_of
 from fluxtwin.gap.selection.score import Board, board
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
@@ -231,7 +232,7 @@ def _covariances(balance: Balance, first: Board, chosen: Sequence[int]) -> list[
     return found
 
 
-def named(balance: Balance, first: Board, chosen: Sequence[int], fit: Refit, tested: int) -> tuple[Named, ...]:
+def named(balance: Balance, first: Board, chosen: Sequence[int], fit: Refit, tested: int) -> tuple[FoundEffect, ...]:
     """The chosen effects with their support, best supported first."""
     table = alike(shares_by_name(first))
     found = []
@@ -244,22 +245,21 @@ def named(balance: Balance, first: Board, chosen: Sequence[int], fit: Refit, tes
         group, rivals, inside = _support(first, number, others, table.get(candidate.name, (candidate.name,)), tested)
         signal = candidate.jacobian @ fit.thetas[place]
         energy = np.mean(balance.whitener.by_attitude.left(signal) ** 2, axis=0)
-        shares = energy / max(float(energy.sum()), 1e-300)
+        effect, theta, covariance = candidate.effect, fit.thetas[place], fit.covariances[place]
         found.append(
-            Named(
-                effect=candidate.effect,
-                theta=fit.thetas[place],
-                covariance=fit.covariances[place],
+            found_effect(
+                effect,
+                parameters_of(effect, theta, np.sqrt(np.diag(covariance))),
+                balance.windows.arcs.problem.setting,
                 p_value=p_value,
+                probability=min(_MOST, inside * (1.0 - min(p_value, 1.0))),
                 group=group,
                 rivals=rivals,
-                probability=min(_MOST, inside * (1.0 - min(p_value, 1.0))),
-                visible_nT=0.0,
-                axis_shares=(float(shares[0]), float(shares[1]), float(shares[2])),
-                signal_nT=np.zeros((0, 3)),
+                axis=axis_of(energy),
+                covariance=covariance,
             )
         )
-    return tuple(sorted(found, key=lambda one: one.p_value))
+    return tuple(sorted(found, key=lambda one: one.significance))
 
 
 def _support(

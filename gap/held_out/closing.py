@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.gap.records.closure import Closure
-from fluxtwin.gap.records.diagnosis import Transfer
+from fluxtwin.gap.records.diagnosis import Closure, Transfer
 from fluxtwin.gap.selection.refit import Readings, refit
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.types import FloatArray
@@ -123,7 +122,7 @@ def closed_scenario(
     changes: dict[str, Any] = _files(base)
     added: list[tuple[Effect, FloatArray, FloatArray | None]] = [(e, theta, None) for e, theta in closed.modelled]
     added += [(effect, theta, covariance) for effect, theta, covariance in closed.named]
-    added += [(one.effect, one.theta, _diagonal(one.sigma)) for one in closure.stochastic]
+    added += [(one.effect, one.theta, np.diag(one.sigma**2)) for one in closure.stochastic if one.effect is not None]
     for effect, theta, covariance in added:
         whole = _with_frozen(frozen, effect, theta)
         changes[f"effects.{effect.name}"] = effect_section(effect, whole, _finite(covariance))
@@ -197,7 +196,7 @@ def _noise(closure: Closure, declared: Declared) -> dict[str, Any]:
     noise, lsb_nT = closure.whitener.noise, declared.lsb_nT or 0.0
     white_nT = declared.noise_nT
     if white_nT is None:
-        extra = sum(float(one.theta[0]) ** 2 for one in closure.stochastic if one.effect.name == "excess_noise")
+        extra = sum(float(one.theta[0]) ** 2 for one in closure.stochastic if one.name == "excess_noise")
         rest = float(np.mean(noise.white_nT**2)) - lsb_nT**2 / 12.0 - extra
         white_nT = float(np.sqrt(max(rest, 0.0)))
     sigma_deg = declared.attitude_sigma_deg
@@ -252,7 +251,3 @@ def _replaying(closure: Closure, telemetry: Path, column_map: Path | None) -> Sc
 def _finite(covariance: FloatArray | None) -> FloatArray | None:
     """A covariance without gaps, or none: a parameter that was not estimated has no finite entry."""
     return covariance if covariance is not None and np.isfinite(covariance).all() else None
-
-
-def _diagonal(sigma: FloatArray) -> FloatArray:
-    return np.diag(np.square(sigma))

@@ -21,8 +21,7 @@ from fluxtwin.gap.hypotheses.candidates import settings_of
 from fluxtwin.gap.linear.leftover import orthonormal
 from fluxtwin.gap.noise.whitening import Whitener, make_whitener
 from fluxtwin.gap.problem.row_axes import turn_images
-from fluxtwin.gap.records.closure import Closure, Stochastic
-from fluxtwin.gap.records.diagnosis import Transfer
+from fluxtwin.gap.records.diagnosis import Closure, FoundEffect, Transfer
 from fluxtwin.gap.selection.detectable import GATE, noncentrality, visible_part
 from fluxtwin.gap.selection.refit import Readings, refit
 from fluxtwin.sim.base.types import FloatArray
@@ -204,9 +203,9 @@ def _others(closure: Closure, number: int) -> tuple[Other, ...]:
     return tuple(dataclasses.replace(one, weight=one.weight / total) for one in found)
 
 
-def _known(one: Stochastic, target: Target) -> Transfer:
+def _known(one: FoundEffect, target: Target) -> Transfer:
     """An effect that is known by its distribution: a property of the instrument, or a path that never comes again."""
-    bound = one.effect.bound
-    owner = "body" if one.effect.stage == "dynamics" else "readings"
+    bound = None if one.effect is None else one.effect.bound
+    owner = "body" if one.stage == "dynamics" else "readings"
     why = bound or f"a property of the {owner}, not of the orbit: its size is carried over"
-    return Transfer(one.effect.name, target.name, bound is None, None, None, None, None, why)
+    return Transfer(one.name, target.name, bound is None, None, None, None, None, why)

@@ -126,7 +126,7 @@ def derivatives(problem: Problem, wanted: Sequence[Active]) -> FloatArray:
     return jacobians(problem.design, wanted, problem.frozen)
 
 
-def settings_of(effect: SignalEffect) -> dict[str, object]:
+def settings_of(effect: Effect) -> dict[str, object]:
     """Discrete settings of an effect that can be written in a word: numbers, words, flags, the edges of a region."""
     fields = {item.name: getattr(effect, item.name) for item in dataclasses.fields(effect)}
     return {

@@ -23,11 +23,11 @@ from fluxtwin.gap.hypotheses.blocks import STAGES, Block, blocks, step_block
 from fluxtwin.gap.hypotheses.evidence import BlockFit, fit, fit_all
 from fluxtwin.gap.linear.leftover import Leftover, Whitens, leftover, share_mimicked
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.records.diagnosis import STAGES as ALL_STAGES
 from fluxtwin.gap.records.diagnosis import Place
 from fluxtwin.gap.selection.criterion import SHAPE_ERROR, THRESHOLD, penalty
 from fluxtwin.gap.selection.groups import ALIKE
 from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.effects.base import STAGES as ALL_STAGES
 from fluxtwin.sim.effects.base import Effect
 
 _NOTHING = "none"

@@ -1,19 +1,17 @@
-"""The JSON Schema of a diagnosis, as it ships with the package."""
+"""The JSON Schema of a diagnosis, made from its record."""
 
 from __future__ import annotations
 
-import json
 from functools import cache
-from importlib.resources import files
 from typing import Any
+
+from pydantic import TypeAdapter
+
+from fluxtwin.gap.records.diagnosis import Diagnosis
 
 
 @cache
-def _text() -> str:
-    return (files("fluxtwin.gap") / "data" / "diagnosis.schema.json").read_text(encoding="utf-8")
-
-
 def diagnosis_schema() -> dict[str, Any]:
     """The schema (draft 2020-12) that every answer of `fluxtwin diagnose --json` keeps."""
-    schema: dict[str, Any] = json.loads(_text())
-    return schema
+    schema = TypeAdapter(Diagnosis).json_schema(mode="serialization")
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

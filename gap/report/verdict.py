@@ -10,22 +10,21 @@ import numpy as np
 
 from fluxtwin.gap.detectors.flexible import FlexibleFinding
 from fluxtwin.gap.detectors.stochastic import expected
-from fluxtwin.gap.hypotheses.candidates import settings_of
-from fluxtwin.gap.records.closure import Closure, Stochastic
 from fluxtwin.gap.records.diagnosis import (
-    Alone,
+    Closure,
     Diagnosis,
     EffectParameter,
     FoundEffect,
     GapSeries,
     MomentumGap,
     Place,
+    Ranked,
     Shrinkage,
 )
 from fluxtwin.gap.report import level
 from fluxtwin.gap.report.level import Excess
-from fluxtwin.gap.selection.named import Named
-from fluxtwin.sim.effects.base import Effect, SignalEffect
+from fluxtwin.gap.selection.named import found_effect
+from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.effects.switched_field import SwitchedField
@@ -33,7 +32,6 @@ from fluxtwin.sim.effects.switched_field import SwitchedField
 if TYPE_CHECKING:
     from fluxtwin.gap.report.work import Work
 
-_OWN_AXIS = 0.8
 _AT_STAGE = 0.9  # probability of that stage where its error is beyond the declared one: a judgement
 
 
@@ -46,12 +44,11 @@ def assemble(
     unknown = work.known < 0.5 and work.attitude_would_do_rad is None
     named = [] if work.found.resembles else list(work.found.named)
     stands = bool(named) and work.known >= 0.5 and not work.shrinkage.worse
-    signals = [_found(one, work.problem.setting) for one in named] if stands else []
+    signals = named if stands else []
     momentum = work.momentum
     if momentum.standing:
-        signals += [_found(one, work.problem.setting) for one in momentum.standing]
-        signals.sort(key=lambda effect: effect.significance)
-    stochastic = [_flexible(one, work.problem.setting) for one in confirmed]
+        signals = sorted([*signals, *momentum.standing], key=lambda effect: effect.significance)
+    stochastic = [_of_shape(one, work.problem.setting) for one in confirmed]
     effects = [*signals, *stochastic]
     unexplained = bool(work.found.resembles) or (not stands and (unknown or bool(named))) or momentum.unexplained
     verdict = "unknown" if unexplained else "effect" if effects else "no_gap"
@@ -105,16 +102,16 @@ def assemble(
         series=series if effects else replace(series, after_nT=series.before_nT),
         ranking=_ranking(work),
         momentum=momentum.gap,
-        closure=_closure(work, named if stands else [], confirmed, _incomplete(verdict, incomplete)),
+        closure=_closure(work, named if stands else [], stochastic, _incomplete(verdict, incomplete)),
     )
 
 
-def _ranking(work: Work) -> list[Alone]:
+def _ranking(work: Work) -> list[Ranked]:
     """Both channels, most significant first; each was tested in its own."""
     lines = [*work.found.ranking, *work.momentum.ranking]
     if work.momentum.ranking:
         lines.sort(key=lambda line: (line.p_value, -line.drop))
-    return [Alone(line.name, line.drop, line.rank, line.p_value) for line in lines]
+    return lines
 
 
 def _left_words(work: Work, where: Place) -> str:
@@ -139,33 +136,23 @@ def _incomplete(verdict: str, left: bool) -> str | None:
 
 
 def _closure(
-    work: Work, named: Sequence[Named], confirmed: Sequence[FlexibleFinding], incomplete: str | None
+    work: Work, named: Sequence[FoundEffect], stochastic: Sequence[FoundEffect], incomplete: str | None
 ) -> Closure:
-    """Effects with parameters, what was re-estimated beside them, and what might stand in their place."""
-    stochastic = []
-    for finding in confirmed:
-        effect = finding.instance if finding.instance is not None else find_effect(finding.effect)
-        known = [finding.parameters.get(parameter.name) for parameter in effect.parameters]
-        values = np.array([0.0 if entry is None else entry[0] for entry in known])
-        sigmas = np.array([np.nan if entry is None else entry[1] for entry in known])
-        stochastic.append(Stochastic(effect, values, sigmas))
-    stochastic += [
-        Stochastic(one.effect, one.theta, np.sqrt(np.diag(one.covariance))) for one in work.momentum.standing
-    ]
+    """Effects with parameters, what was re-estimated together with them, and what might be in their place."""
     return Closure(
         problem=work.problem,
         whitener=work.whitener,
         modelled=work.found.modelled if named else work.found.modelled_alone,
-        chosen=tuple((one.effect, one.theta) for one in named),
+        chosen=work.found.chosen if named else (),
         alternatives=tuple(_alternatives(work, one) for one in named),
-        stochastic=tuple(stochastic),
+        stochastic=(*stochastic, *work.momentum.standing),
         variance=work.found.variance,
         tested=work.found.tested,
         incomplete=incomplete,
     )
 
 
-def _alternatives(work: Work, one: Named) -> tuple[SignalEffect, ...]:
+def _alternatives(work: Work, one: FoundEffect) -> tuple[SignalEffect, ...]:
     """Other settings of a named effect, its group and its rivals. A clip's settings are but places to linearise at."""
     names = {*one.group, *(name for name, _ in one.rivals)} - {other.name for other in work.found.named}
     own = {one.name} if one.name != "saturation" else set()
@@ -173,54 +160,21 @@ def _alternatives(work: Work, one: Named) -> tuple[SignalEffect, ...]:
     return tuple(effect for effect in found if effect != one.effect)
 
 
-def _found(one: Named, setting: Setting) -> FoundEffect:
-    sigmas = np.sqrt(np.diag(one.covariance))
-    parameters = {
-        parameter.name: EffectParameter(float(value), float(sigma) if np.isfinite(sigma) else None, parameter.unit)
-        for parameter, value, sigma in zip(one.effect.parameters, one.theta, sigmas, strict=True)
-    }
-    shares = dict(zip("xyz", one.axis_shares, strict=True))
-    axis = max(shares, key=lambda name: shares[name])
-    return FoundEffect(
-        name=one.name,
-        group=one.group,
-        rivals=one.rivals,
-        probability=one.probability,
-        parameters=parameters,
-        settings=settings_of(one.effect),
-        stage=one.effect.stage,
-        axis=None if np.isnan(shares["x"]) else axis if shares[axis] >= _OWN_AXIS else "all",
-        frame=one.effect.frame,
-        condition=one.effect.condition_on(setting),
-        significance=one.p_value,
-        visible_nT=one.visible_nT,
-    )
-
-
-def _flexible(one: FlexibleFinding, setting: Setting) -> FoundEffect:
-    effect: Effect = one.instance if one.instance is not None else find_effect(one.effect)
-    settings = settings_of(effect) if isinstance(effect, SignalEffect) else _plain_settings(effect)
-    return FoundEffect(
-        name=one.effect,
-        group=(one.effect,),
-        rivals=(),
-        probability=one.probability,
-        parameters={
+def _of_shape(one: FlexibleFinding, setting: Setting) -> FoundEffect:
+    """A cause that is known by its own shape."""
+    effect = one.instance if one.instance is not None else find_effect(one.effect)
+    axis = getattr(effect, "axis", None)
+    return found_effect(
+        effect,
+        {
             name: EffectParameter(float(value), float(sigma) if np.isfinite(sigma) else None, unit)
             for name, (value, sigma, unit) in one.parameters.items()
         },
-        settings=settings,
-        stage=effect.stage,
-        axis=str(settings["axis"]) if settings.get("axis") in ("x", "y", "z") else "all",
-        frame=effect.frame,
-        condition=effect.condition_on(setting),
-        significance=one.p_value,
-        visible_nT=0.0,
+        setting,
+        p_value=one.p_value,
+        probability=one.probability,
+        axis=axis if axis in ("x", "y", "z") else "all",
     )
-
-
-def _plain_settings(effect: Effect) -> dict[str, object]:
-    return {key: value for key, value in vars(effect).items() if isinstance(value, int | float | str)}
 
 
 def _at(work: Work, stage: str) -> Place:
@@ -290,18 +244,15 @@ def _gap(gap: Shrinkage, verdict: str, named: bool, left_nT: float, *, incomplet
         axis: dict(values) if measured else {**values, "after_nT": values["before_nT"]}
         for axis, values in gap.per_axis.items()
     }
-    return Shrinkage(
-        gap.before_nT,
-        after,
-        gap.floor_nT,
-        gap.floor_with_effects_nT if measured else gap.floor_nT,
-        gap.closed if measured else None,
-        gap.interval if measured else None,
-        gap.prediction,
-        incomplete,
-        per_axis,
-        gap.worse,
-        left_nT,
+    return replace(
+        gap,
+        after_nT=after,
+        floor_with_effects_nT=gap.floor_with_effects_nT if measured else gap.floor_nT,
+        closed=gap.closed if measured else None,
+        interval=gap.interval if measured else None,
+        shape_incomplete=incomplete,
+        per_axis=per_axis,
+        left_nT=left_nT,
     )
 
 

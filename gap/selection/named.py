@@ -5,67 +5,72 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from fluxtwin.gap.hypotheses.candidates import Candidate
-from fluxtwin.gap.records.diagnosis import Detectable
+import numpy as np
+
+from fluxtwin.gap.hypotheses.candidates import Candidate, settings_of
+from fluxtwin.gap.records.diagnosis import Detectable, EffectParameter, FoundEffect, Ranked
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.effects.base import SignalEffect
+from fluxtwin.sim.effects.base import Effect
 from fluxtwin.sim.effects.chain import Active
+from fluxtwin.sim.effects.signal import Setting
+
+OWN_AXIS = 0.8
+"""Share of the energy from which on an effect is of one axis."""
 
 
-@dataclass(frozen=True, eq=False)
-class Named:
-    """One cause that is present, at its refitted parameters."""
-
-    effect: SignalEffect
-    """With its discrete settings."""
-    theta: FloatArray
-    """(p,) in the units of its parameters."""
-    covariance: FloatArray
-    """(p, p); NaN where a parameter is not estimated (not seen, or at its limit)."""
-    p_value: float
-    """Of the effect on top of all others, corrected for the number of tests."""
-    group: tuple[str, ...]
-    """Names, its own first, that these data cannot tell from it. More than three: no name can be given."""
-    rivals: tuple[tuple[str, float], ...]
-    """Less likely alternatives with their probabilities, most likely first."""
-    probability: float
-    """That this entry, or a member of its group, is present."""
-    visible_nT: float
-    """rms per component that it leaves after the best re-estimation of what is modelled."""
-    axis_shares: tuple[float, float, float]
-    """Of that, the share of each body axis (of the energy)."""
-    signal_nT: FloatArray
-    """(M, 3) what it leaves after the best re-estimation of what is modelled."""
-
-    @property
-    def name(self) -> str:
-        return self.effect.name
-
-    @property
-    def too_many_alike(self) -> bool:
-        """More than three effects would do as well."""
-        return len(self.group) > 3
+def parameters_of(effect: Effect, theta: FloatArray, sigma: FloatArray) -> dict[str, EffectParameter]:
+    """Parameters (p,) by name, a sigma (p,) that is not finite left out."""
+    return {
+        one.name: EffectParameter(float(value), float(spread) if np.isfinite(spread) else None, one.unit)
+        for one, value, spread in zip(effect.parameters, theta, sigma, strict=True)
+    }
 
 
-@dataclass(frozen=True)
-class Ranked:
-    """One line of the ranking before anything is named."""
+def found_effect(
+    effect: Effect,
+    parameters: Mapping[str, EffectParameter],
+    setting: Setting,
+    *,
+    p_value: float,
+    probability: float,
+    group: Sequence[str] = (),
+    rivals: Sequence[tuple[str, float]] = (),
+    axis: str | None = "all",
+    visible_nT: float = 0.0,
+    covariance: FloatArray | None = None,
+) -> FoundEffect:
+    """A cause on a design. group: its own name first, default that alone."""
+    return FoundEffect(
+        name=effect.name,
+        group=tuple(group) or (effect.name,),
+        rivals=tuple(rivals),
+        probability=probability,
+        parameters=parameters,
+        settings=settings_of(effect),
+        stage=effect.stage,
+        axis=axis,
+        frame=effect.frame,
+        condition=effect.condition_on(setting),
+        significance=p_value,
+        visible_nT=visible_nT,
+        effect=effect,
+        covariance=covariance,
+    )
 
-    name: str
-    label: str
-    """The name with its settings."""
-    drop: float
-    """Of chi-square."""
-    rank: int
-    p_value: float
-    """Corrected for the number of tests."""
+
+def axis_of(energy: FloatArray) -> str | None:
+    """The axis that has most of an energy (3,), "all" where none has; None where the data do not tell the axes apart."""
+    if not np.isfinite(energy).all():
+        return None
+    axis = int(np.argmax(energy))
+    return "xyz"[axis] if energy[axis] >= OWN_AXIS * max(float(energy.sum()), 1e-300) else "all"
 
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
     """The outcome of a search; M rows, those of the problem."""
 
-    named: tuple[Named, ...]
+    named: tuple[FoundEffect, ...]
     """Jointly present, best supported first; empty: no gap that the catalogue explains."""
     ranking: tuple[Ranked, ...]
     """Every effect alone, best alternative, most significant first."""
@@ -80,9 +85,7 @@ class SearchResult:
     candidates: Sequence[Candidate]
     """With their Jacobians at the fit without any named effect."""
     modelled: tuple[Active, ...]
-    """What is re-estimated, refitted beside the named effects."""
-    chosen: tuple[Active, ...]
-    """Effects and parameters of `named`, same order."""
+    """What is re-estimated, refitted together with the named effects."""
     modelled_alone: tuple[Active, ...]
     """What is re-estimated, refitted without any named effect."""
     residual_nT: FloatArray
@@ -102,7 +105,12 @@ class SearchResult:
     variance: float
     """Of whitened rows about the saturated fit: 1 when the noise model is right."""
     tested: int
-    """Alternatives tested: the price of the search."""
+    """Alternatives tested, for which every p-value is corrected."""
+
+    @property
+    def chosen(self) -> tuple[Active, ...]:
+        """Effects and parameters of `named`, same order."""
+        return tuple((one.effect, one.theta) for one in self.named if one.effect is not None)
 
     @property
     def resembles(self) -> tuple[str, ...]:

@@ -12,10 +12,11 @@ import numpy as np
 
 from fluxtwin.gap.hypotheses.candidates import derivatives
 from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.gap.records.diagnosis import FoundEffect, Ranked
 from fluxtwin.gap.selection import groups
 from fluxtwin.gap.selection.detectable import GATE, detectable, visible_part
 from fluxtwin.gap.selection.forward import Search
-from fluxtwin.gap.selection.named import Named, Ranked, SearchResult
+from fluxtwin.gap.selection.named import SearchResult, axis_of, found_effect, parameters_of
 from fluxtwin.gap.selection.refit import Fit, Readings
 from fluxtwin.gap.selection.score import Board
 from fluxtwin.gap.selection.support import support
@@ -23,7 +24,7 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
 
-__all__ = ["GATE", "Named", "Ranked", "SearchResult", "result_of"]
+__all__ = ["GATE", "SearchResult", "result_of"]
 
 
 def result_of(
@@ -43,7 +44,6 @@ def result_of(
         _named(under_way, fit, number, rest.variance, table, raw_nuisance, present) for number in range(len(fit.chosen))
     ]
     order = sorted(range(len(named)), key=lambda number: -_gain(under_way, fit, number))
-    chosen = tuple(fit.chosen[number] for number in order)
     residual, alone = (problem.residual_of([*problem.frozen, *each.active]) for each in (fit, base))
     return SearchResult(
         named=tuple(named[number] for number in order),
@@ -55,7 +55,6 @@ def result_of(
         groups=groups.alike(table),
         candidates=tuple(under_way.found),
         modelled=fit.modelled,
-        chosen=chosen,
         modelled_alone=base.modelled,
         residual_nT=residual,
         residual_alone_nT=alone,
@@ -77,7 +76,7 @@ def _named(
     table: dict[str, dict[str, float]],
     raw_nuisance: FloatArray,
     present: float,
-) -> Named:
+) -> FoundEffect:
     effect, theta = fit.chosen[number]
     assert isinstance(effect, SignalEffect)
     backing = support(under_way, fit, number, variance, groups.alike(table), present)
@@ -85,27 +84,26 @@ def _named(
     signal = _visible(under_way, fit, number, raw_nuisance)
     problem = under_way.channel.problem
     judged, count = problem.judged(signal), problem.measured.sum()
-    shares = _axis_shares(under_way, fit, number, signal)
     covariance = fit.covariance[part, part] * max(variance, 1.0)
     if problem.axes is not None:
         # From the field's size alone some sums of parameters are seen and their parts are not.
         covariance = np.where(fit.seen[part, None] & fit.seen[None, part], covariance, np.nan)
-    return Named(
-        effect=effect,
-        theta=theta,
-        covariance=covariance,
+    return found_effect(
+        effect,
+        parameters_of(effect, theta, np.sqrt(np.diag(covariance))),
+        problem.setting,
         p_value=backing.p_value,
+        probability=backing.probability,
         group=backing.group,
         rivals=backing.rivals,
-        probability=backing.probability,
+        axis=axis_of(_axis_energy(under_way, fit, number, signal)),
         visible_nT=float(np.sqrt(np.sum(judged**2) / count)),
-        axis_shares=shares,
-        signal_nT=signal,
+        covariance=covariance,
     )
 
 
-def _axis_shares(under_way: Search[Readings], fit: Fit, number: int, signal: FloatArray) -> tuple[float, float, float]:
-    """Share of each body axis in what an effect leaves, signal (M, 3); NaN where the data do not tell the axes apart.
+def _axis_energy(under_way: Search[Readings], fit: Fit, number: int, signal: FloatArray) -> FloatArray:
+    """(3,) energy on each body axis of what an effect leaves, signal (M, 3); NaN where the data do not tell them apart.
 
     Rows without attitude see one direction at a time, so there the effect's own vector says which axis, and what the
     others may have within their sigma counts for them.
@@ -116,11 +114,10 @@ def _axis_shares(under_way: Search[Readings], fit: Fit, number: int, signal: Flo
         part = fit.slices()[number]
         spread = np.where(fit.seen[part], np.diag(fit.covariance)[part], np.nan)
         if [one.name[-2:] for one in parameters] != ["_x", "_y", "_z"]:
-            return (np.nan, np.nan, np.nan)
+            return np.full(3, np.nan)
         energy = fit.chosen[number][1] ** 2
         energy = energy + np.where(np.arange(3) == np.argmax(energy), 0.0, spread)
-    x, y, z = energy / max(float(energy.sum()), 1e-300)
-    return (float(x), float(y), float(z))
+    return np.asarray(energy)
 
 
 def _visible(under_way: Search[Readings], fit: Fit, number: int, raw_nuisance: FloatArray) -> FloatArray:
@@ -162,7 +159,7 @@ def _ranking(under_way: Search[Any]) -> tuple[Ranked, ...]:
             continue
         drop = float(first.statistic[number])
         p_value = min(1.0, under_way.tested * float(first.p_values[number]))
-        line = Ranked(candidate.name, candidate.label, drop, rank, p_value)
+        line = Ranked(candidate.name, drop, rank, p_value)
         if candidate.name not in best or (p_value, -drop) < (
             best[candidate.name].p_value,
             -best[candidate.name].drop,

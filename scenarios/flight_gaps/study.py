@@ -10,7 +10,7 @@ import numpy as np
 import tomli_w
 from matplotlib.figure import Figure
 
-from fluxtwin.gap.records.diagnosis import Alone, Diagnosis, EffectParameter, FoundEffect
+from fluxtwin.gap.records.diagnosis import Diagnosis, EffectParameter, FoundEffect, Ranked
 from fluxtwin.gap.report import advice
 from fluxtwin.plots import gap_cases
 from fluxtwin.scenarios.flight_gaps.alone import Share, Shares
@@ -160,7 +160,7 @@ def _said(answer: Answer) -> str:
     return said + (f"; resembles {', '.join(found.resembles)}" if found.resembles else "")
 
 
-def _ranked(answers: Sequence[Answer]) -> list[tuple[str, Alone]]:
+def _ranked(answers: Sequence[Answer]) -> list[tuple[str, Ranked]]:
     """The best effects alone of every case, the first of each with the title of its record."""
     return [
         ("" if place else answer.case.title, line)

@@ -58,7 +58,7 @@ ONLY_IN = {
     "rich": {"api"},
     "jinja2": {"scenarios", "api"},
     "matplotlib": {"plots", "scenarios", "api"},
-    "pydantic": {"sim", "calib"},
+    "pydantic": {"sim", "calib", "gap"},
     "numba": {"sim", "calib", "gap"},
     "h5py": {"sim"},
     "erfa": {"sim"},

@@ -20,7 +20,8 @@ from fluxtwin.gap.noise.choice import NoiseModel
 from fluxtwin.gap.noise.whitening import make_whitener
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
-from fluxtwin.gap.records.closure import Closure, Stochastic
+from fluxtwin.gap.records.diagnosis import Closure, EffectParameter
+from fluxtwin.gap.selection.named import found_effect
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import epoch, frames, sun
 from fluxtwin.sim.earth.field import load_field
@@ -96,7 +97,8 @@ def test_the_scenario_takes_S_b_and_T_and_survives_the_file(
     problem: Problem, scenario: Scenario, tmp_path: Path
 ) -> None:
     modelled = ((find_effect("bias"), np.array([1.0, 2.0, 3.0])), (find_effect("torquer_coupling"), np.arange(9.0)))
-    noisy = (Stochastic(find_effect("excess_noise"), np.array([50.0]), np.array([5.0])),)
+    rms = {"rms": EffectParameter(50.0, 5.0, "nT")}
+    noisy = (found_effect(find_effect("excess_noise"), rms, problem.setting, p_value=0.0, probability=1.0),)
     closure = closure_of(problem, modelled, stochastic=noisy)
     closed = settle(closure)
     made = closed_scenario(closure, closed, [], scenario, Path("flight.csv"), None, Declared())

@@ -10,14 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from fluxtwin.gap.channels.momentum_arcs import Craft
-from fluxtwin.gap.detectors import full_rate
 from fluxtwin.gap.detectors.stochastic import with_frozen_noise
 from fluxtwin.gap.diagnose import diagnose as investigate_record
 from fluxtwin.gap.held_out import closing, transfer
 from fluxtwin.gap.held_out.closing import Declared as Declared
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget
 from fluxtwin.gap.records.diagnosis import Diagnosis
-from fluxtwin.gap.report import advice, input_warnings, second_channel
+from fluxtwin.gap.report import input_warnings, second_channel
 from fluxtwin.scenarios.packaged import as_scenario
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.progress import Progress, silent
@@ -84,19 +83,11 @@ def diagnose(
     notes = [
         _corrected(record),
         *input_warnings.traps(record, model),
-        *_left_out(record, found),
+        *found.notes,
         stuck if stuck is not None else input_warnings.stuck_and_misfit(record, found.gap.before_nT),
         input_warnings.far_below_budget(found.gap.before_nT, found.gap.floor_nT),
     ]
-    notes += found.provenance.get("sun_nadir_notes", [])
-    return replace(
-        found,
-        would_settle=advice.would_settle(found.minimum_detectable, _asked_for(found), _hours(found)),
-        provenance={
-            **{key: value for key, value in found.provenance.items() if key != "sun_nadir_notes"},
-            "notes": [note for note in notes if note],
-        },
-    )
+    return replace(found, notes=[note for note in notes if note])
 
 
 def close(
@@ -150,49 +141,13 @@ def _require_something(record: Telemetry) -> None:
 
 
 def _corrected(record: Telemetry) -> str | None:
-    """What is found in corrected readings is what the correction has left."""
+    """What is found in corrected readings is what the correction leaves."""
     if not record.corrected_by:
         return None
     return (
-        f"the readings are corrected already (by {record.corrected_by}): the gap is what that calibration has left, and "
+        f"the readings are corrected already (by {record.corrected_by}): the gap is what that calibration leaves, and "
         "the starting S, b and T of a scenario are not used"
     )
-
-
-def _left_out(record: Telemetry, found: Diagnosis) -> list[str | None]:
-    """What the person who reads the answer must know about rows that are not in it, or not wholly."""
-    notes: list[str | None] = []
-    if "without_attitude" in found.provenance:
-        notes.append(str(found.provenance["without_attitude"]))
-    if "outliers" in found.provenance:
-        notes.append(str(found.provenance["outliers"]))
-    repeats = found.provenance.get("rounding_lasts_rows", 1)
-    if repeats != 1:
-        notes.append(
-            f"one row in {repeats} is used: from row to row most readings stay within a step of the sensor, and their "
-            "rounding is the same error again"
-        )
-    every = found.provenance.get("rows_thinned_by", 1)
-    if every != 1:
-        notes.append(
-            f"one row in {every} is used for what is slow; fast lines, bit errors and noise are looked for at the full "
-            f"rate, in up to {full_rate.MOST_ROWS:,} rows"
-        )
-    return notes
-
-
-def _asked_for(found: Diagnosis) -> dict[str, str]:
-    """Effects that cannot be tested; those on the dynamics only where the momentum was balanced."""
-    balanced = found.momentum is not None
-    return {name: why for name, why in found.untestable.items() if balanced or find_effect(name).stage != "dynamics"}
-
-
-def _hours(found: Diagnosis) -> float:
-    """Hours of data that were used, gaps left out."""
-    if found.series is None or found.series.time.size < 2:
-        return 0.0
-    usual_s = float(np.median(np.diff(found.series.time)) / np.timedelta64(1, "s"))
-    return advice.hours_of(usual_s, found.series.time.size)
 
 
 def _budget(

@@ -84,7 +84,9 @@ def _where(diagnosis: Diagnosis) -> PageSection:
 def _which(diagnosis: Diagnosis) -> PageSection:
     words = []
     if diagnosis.verdict == "unknown":
-        words.append("Structure is left that no effect of the catalogue explains; nothing is named on a guess.")
+        words.append(
+            "The residual has structure that no effect of the catalogue explains; nothing is named on a guess."
+        )
     if diagnosis.resembles:
         words.append(f"It resembles {', '.join(diagnosis.resembles)}.")
     groups = [effect.group for effect in diagnosis.effects if len(effect.group) > 1]
@@ -338,9 +340,7 @@ def _p_value(value: float) -> str:
 
 
 def _provenance(diagnosis: Diagnosis) -> dict[str, str]:
-    lines = {
-        key: "; ".join(value) if isinstance(value, list) else str(value) for key, value in diagnosis.provenance.items()
-    }
+    lines = {key: str(value) for key, value in diagnosis.provenance.items()} | {"notes": "; ".join(diagnosis.notes)}
     lines["modelled, re-estimated in every test"] = ", ".join(diagnosis.modelled) or "none"
     names = {"used": "used", "cut": "cut as spikes", "without_attitude": "without attitude"}
     lines["samples"] = ", ".join(f"{diagnosis.samples[key]} {words}" for key, words in names.items())

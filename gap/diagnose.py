@@ -10,38 +10,30 @@ import numpy as np
 from fluxtwin.gap.channels.momentum import balanced
 from fluxtwin.gap.channels.momentum_arcs import Craft
 from fluxtwin.gap.detectors.flexible import FlexibleFinding
+from fluxtwin.gap.detectors.full_rate import MOST_ROWS as MOST_ROWS_FAST
 from fluxtwin.gap.detectors.full_rate import full_rate
-from fluxtwin.gap.detectors.residual_structure import Left, what_is_left
+from fluxtwin.gap.detectors.residual_structure import what_is_left
 from fluxtwin.gap.detectors.stochastic import coarse, flexible_findings, floor_noise, stochastic_nT
-from fluxtwin.gap.held_out import held_out
-from fluxtwin.gap.held_out.held_out import floor_rms_nT
+from fluxtwin.gap.held_out.held_out import Fitted, Prediction, floor_rms_nT, one_step, predict_blocks
 from fluxtwin.gap.hypotheses.blocks import Block, blocks
 from fluxtwin.gap.hypotheses.candidates import candidates
 from fluxtwin.gap.hypotheses.evidence import Dictionary
 from fluxtwin.gap.hypotheses.perturbed_design import Shaken
-from fluxtwin.gap.noise.choice import (
-    RobustRows,
-    Whitener,
-    choose_noise,
-    complete_budget,
-    whitener_of,
-)
+from fluxtwin.gap.noise.choice import choose_noise, complete_budget, whitener_of
 from fluxtwin.gap.posterior.explanations import Answer, noise_and_answer
 from fluxtwin.gap.posterior.structured import Shapes
-from fluxtwin.gap.posterior.where import Where, where
+from fluxtwin.gap.posterior.where import where
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget, Problem, pose, realigned
 from fluxtwin.gap.problem.start import start_without_attitude
-from fluxtwin.gap.records.diagnosis import Diagnosis, GapSeries, Shrinkage
-from fluxtwin.gap.report import level, verdict
-from fluxtwin.gap.report.work import Work
+from fluxtwin.gap.records.diagnosis import Diagnosis, Place
+from fluxtwin.gap.report import level, verdict, words
+from fluxtwin.gap.report.verdict import Work
 from fluxtwin.gap.selection.detectable import under_all
-from fluxtwin.gap.selection.named import SearchResult
 from fluxtwin.gap.selection.refit import Readings, refit, settled
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth.field_models import FieldModel
-from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -91,25 +83,35 @@ def diagnose(
     if work.momentum.ruled_out:
         problem = replace(problem, ruled_out={**out, **work.momentum.ruled_out})
         work = investigate(settled(problem), progress, faster, craft)
-    notes: dict[str, object] = dict(provenance or {})
-    notes |= {"field_model": model.title, "noise": work.noise.words}
-    notes |= {"rows_thinned_by": every, "rounding_lasts_rows": new}
-    complete = complete_budget(work.problem)
-    notes |= {f"budget: {name}": source for name, source in (complete.sources or {}).items()}
-    if work.robust.components_cut:
-        notes["outliers"] = level.outlier_words(work.problem, work.robust)
-    if work.problem.axes is not None:
-        notes["without_attitude"] = work.problem.axes.words
-    without = int((telemetry.has_reading & ~telemetry.has_attitude).sum())
+    answer, problem = work.answer, work.problem
+    facts: dict[str, object] = dict(provenance or {})
+    facts |= {"field_model": model.title, "noise": answer.noise.words}
+    facts |= {"rows_thinned_by": every, "rounding_lasts_rows": new}
+    sources = complete_budget(problem).sources or {}
+    facts |= {f"budget: {name}": source for name, source in sources.items()}
+    notes = []
+    if problem.axes is not None:
+        facts["without_attitude"] = problem.axes.words
+        notes.append(problem.axes.words)
+    if answer.robust.components_cut:
+        facts["outliers"] = words.outliers(problem.time, answer.robust.cut)
+        notes.append(words.outliers(problem.time, answer.robust.cut))
+    notes += [] if new == 1 else [words.repeated_rounding(new)]
+    notes += [] if every == 1 else [words.thinned(every, MOST_ROWS_FAST)]
     progress("done", 1.0)
-    found = level.assumed(budget or Budget(), work.problem, work.noise)
-    return verdict.assemble(work, notes, found, without_attitude=without)
+    return verdict.assemble(
+        work,
+        facts,
+        level.assumed(budget or Budget(), problem, answer.noise),
+        without_attitude=int((telemetry.has_reading & ~telemetry.has_attitude).sum()),
+        notes=notes,
+    )
 
 
 def investigate(
     problem: Problem, progress: Progress = silent, whole: Telemetry | None = None, craft: Craft | None = None
 ) -> Work:
-    """Noise, search, what is left, where, how far. whole: the record that the problem's rows are thinned from."""
+    """Noise, search, residual structure, where, how far. whole: the record that the problem's rows are thinned from."""
     progress("every effect on this design", 0.05)
     coarser, declared_lsb_nT = coarse(problem), problem.budget.lsb_nT
     if coarser is not None and coarser.confirmed:
@@ -127,44 +129,31 @@ def investigate(
         known = candidates(problem)
         dictionary = Dictionary(blocks(problem), problem.rows)
         first_noise, answer = noise_and_answer(problem, dictionary, known)
-    progress("what is left, and where", 0.75)
+    progress("residual structure, and where", 0.75)
     fast = None if whole is None else full_rate(whole, problem, answer.result.modelled, answer.result.chosen)
     shapes = Shapes(problem, dictionary, known, lambda own: choose_noise(problem, own))
     answer = shapes.with_line(shapes.among(answer), fast)
-    robust = answer.robust
-    noise, whitener, result = answer.noise, answer.whitener, answer.result
-    alone, fitted, left = answer.alone_nT, answer.fitted_nT, answer.left
-    every = [whitener, whitener_of(problem, first_noise, robust.weights)]
-    smallest = under_all(result.minimum_detectable, result.smallest_images_nT, alone, every)
-    result = replace(result, minimum_detectable=smallest)
-    rows = (problem, whitener, noise, robust, result.residual_nT, fitted)
+    result = answer.result
+    every = [answer.whitener, whitener_of(problem, first_noise, answer.robust.weights)]
+    smallest = under_all(result.minimum_detectable, result.smallest_images_nT, answer.alone_nT, every)
+    answer = replace(answer, result=replace(result, minimum_detectable=smallest))
+    rows = (problem, answer.whitener, answer.noise, answer.robust, result.residual_nT, answer.fitted_nT)
     if fast is not None:
         rows = (fast.problem, fast.whitener, fast.noise, fast.robust, fast.residual_nT, fast.fitted_nT)
-    findings = flexible_findings(*rows, left.structured, coarser, answer.shapes)
+    findings = flexible_findings(*rows, answer.left.structured, coarser, answer.shapes)
     flexible = tuple(one for one in findings if one.confirmed)
-    loud = next((one.words for one in findings if one.effect == "excess_noise" and not one.confirmed), None)
-    would_do_rad = _attitude_would_do(problem, answer, dictionary)
-    place = _place(problem, whitener, result, alone, fitted, dictionary, left, answer.known)
+    attitude_would_do_rad = _attitude_would_do(problem, answer, dictionary)
+    place = _place(problem, answer, dictionary)
     progress("how far", 0.9)
-    shrinkage, series = _how_far(problem, robust, declared_lsb_nT, answer, flexible)
-    momentum = balanced(problem, craft, whitener, result, fitted)
     return Work(
-        problem,
-        noise,
-        robust,
-        whitener,
-        result,
-        alone,
-        fitted,
-        answer.known,
-        left,
-        flexible,
-        loud,
-        place,
-        shrinkage,
-        series,
-        momentum,
-        would_do_rad,
+        problem=problem,
+        answer=answer,
+        flexible=flexible,
+        loud=next((one.words for one in findings if one.effect == "excess_noise" and not one.confirmed), None),
+        where=place,
+        prediction=_prediction(problem, answer, flexible, declared_lsb_nT),
+        momentum=balanced(problem, craft, answer.whitener, result, answer.fitted_nT),
+        attitude_would_do_rad=attitude_would_do_rad,
     )
 
 
@@ -235,69 +224,47 @@ def _require_rows(problem: Problem) -> None:
         )
 
 
-def _place(
-    problem: Problem,
-    whitener: Whitener,
-    result: SearchResult,
-    alone: FloatArray,
-    fitted: FloatArray,
-    dictionary: Sequence[Block],
-    left: Left,
-    known: float,
-) -> Where:
+def _place(problem: Problem, answer: Answer, dictionary: Sequence[Block]) -> Place:
     """Of the whole gap where it is explained, of the rest where structure remains that is not."""
-    if result.named and known < 0.5:
-        return where(problem, whitener, result.residual_nT, fitted, found=dictionary)
-    return where(problem, whitener, result.residual_alone_nT, alone, found=dictionary, candidates=result.candidates)
-
-
-def _how_far(
-    problem: Problem,
-    robust: RobustRows,
-    declared_lsb_nT: float | None,
-    answer: Answer,
-    flexible: Sequence[FlexibleFinding],
-) -> tuple[Shrinkage, GapSeries]:
-    """Held-out figures. Where a walk was found it is judged one step ahead."""
-    kept: BoolArray = ~np.any(robust.cut, axis=1)
-    result, alone, noise = answer.result, answer.alone_nT, answer.noise
-    effect_columns = answer.fitted_nT[:, :, alone.shape[2] :]
-    raw = (result.residual_alone_nT, alone, result.residual_nT, effect_columns)
-    own = tuple(problem.judged(part) for part in raw)
-    white = tuple(answer.whitener.apply(part) if part.size else part for part in raw)
-    white_nT, theta_rad = floor_noise(flexible, noise, problem.budget)
-    with_effects = held_out.floor_rms_nT(problem.noise_field_nT[kept], white_nT, theta_rad, problem.measured[kept])
-    prediction = held_out.predict_blocks(
-        problem.setting.seconds,
-        kept,
-        (own[0], own[1], own[2], own[3]),
-        (white[0], white[1], white[2], white[3]),
-        with_effects,
+    result, whitener = answer.result, answer.whitener
+    if result.named and answer.known < 0.5:
+        return where(problem, whitener, result.residual_nT, answer.fitted_nT, found=dictionary).place
+    found = where(
+        problem, whitener, result.residual_alone_nT, answer.alone_nT, found=dictionary, candidates=result.candidates
     )
-    extra = stochastic_nT(flexible, noise, declared_lsb_nT)
-    floor = float(np.sqrt(max(with_effects**2 - extra**2, 0.0)))
+    return found.place
+
+
+def _prediction(
+    problem: Problem, answer: Answer, flexible: Sequence[FlexibleFinding], declared_lsb_nT: float | None
+) -> Prediction:
+    """Held-out residuals; a walk is predicted one row ahead."""
+    result, noise, axes, seconds = answer.result, answer.noise, problem.axes, problem.setting.seconds
+    kept: BoolArray = ~np.any(answer.robust.cut, axis=1)
+    white_nT, theta_rad = floor_noise(flexible, noise, problem.budget)
+    with_effects_nT = floor_rms_nT(problem.noise_field_nT[kept], white_nT, theta_rad, problem.measured[kept])
+    floor_nT = float(np.sqrt(max(with_effects_nT**2 - stochastic_nT(flexible, noise, declared_lsb_nT) ** 2, 0.0)))
+    own = answer.fitted_nT[:, :, answer.alone_nT.shape[2] :]
+    columns = (answer.alone_nT, np.concatenate([answer.alone_nT, own], axis=2))
+    fits = [
+        Fitted(
+            problem.judged(residual),
+            problem.judged(part),
+            answer.whitener.apply(residual),
+            answer.whitener.apply(part) if part.size else part,
+        )
+        for residual, part in zip((result.residual_alone_nT, result.residual_nT), columns, strict=True)
+    ]
+    before, after, counted = predict_blocks(seconds, kept, with_effects_nT, *fits)
+    of = "blocks"
+    if 2 * counted.sum() < kept.sum():
+        before, after, counted, of = fits[0].residual_nT, fits[1].residual_nT, kept, "fit"
     walk = next((one for one in flexible if one.effect == "bias_random_walk"), None)
     if walk is not None:
-        after, unsure = _one_step(problem, result.residual_nT, kept, walk.parameters["rate"][0], with_effects)
-        prediction = held_out.Prediction(prediction.before_nT, after, "one_step", prediction.known)
-        with_effects = float(np.hypot(with_effects, unsure))
-    named = bool(result.named) or bool(flexible)
-    shrinkage = held_out.shrinkage(
-        prediction, kept, floor, with_effects, seed=problem.rows, named=named, axes=problem.axes
-    )
-    parts = (prediction.before_nT, prediction.after_nT if named else prediction.before_nT)
-    before, after = (part if problem.axes is None else problem.axes.in_body(part) for part in parts)
-    unseen = ~(kept if prediction.known is None else kept & prediction.known)[:, None]
-    return shrinkage, GapSeries(problem.time, np.where(unseen, np.nan, before), np.where(unseen, np.nan, after))
+        of, rate = "one_step", walk.parameters["rate"][0]
+        after, unsure_nT = one_step(fits[1].residual_nT, seconds, kept, rate, with_effects_nT, axes)
+        with_effects_nT = float(np.hypot(with_effects_nT, unsure_nT))
+    return Prediction(before, after, counted, floor_nT, with_effects_nT, of, axes)
 
 
-def _one_step(
-    problem: Problem, residual_nT: FloatArray, kept: BoolArray, rate: float, noise_nT: float
-) -> tuple[FloatArray, float]:
-    seconds = problem.setting.seconds
-    if problem.axes is None:
-        return held_out.one_step(residual_nT, seconds, kept, rate, noise_nT)
-    return held_out.one_step_seen(problem.judged(residual_nT), problem.axes, seconds, kept, rate, noise_nT)
-
-
-__all__ = ["MOST_ROWS", "SignalEffect", "Work", "diagnose", "investigate"]
+__all__ = ["MOST_ROWS", "Work", "diagnose", "investigate"]

@@ -100,7 +100,7 @@ def command(
             write_text(html, page)
         if close is not None and scene is not None:
             save_scenario(scene, close)
-    for note in diagnosis.provenance.get("notes", ()):
+    for note in diagnosis.notes:
         output.note(f"note: {note}")
     if close is not None and scene is None:
         why = "what is named is not in the readings" if diagnosis.effects else "no effect is named"

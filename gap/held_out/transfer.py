@@ -31,14 +31,17 @@ from fluxtwin.sim.effects.chain import Active, Chain, jacobians
 MOST_CHANCE = 0.05
 """Of a false gap on the other design: more, and the parameters do not transfer."""
 _DRAWS = 20_000
-_SEEN = 1e-9
+"""A chance of 0.05 is then good to 0.0015."""
+_ABSORBED = 1e-9
+"""Whitened energy of an error that what is re-estimated absorbs: rounding."""
 _UNLIKELY = 1e-3
 _MOST_TRIALS = 8
+"""Refits of what might be in the place of a named effect, and the weight below which one does not matter."""
 
 
 @dataclass(frozen=True, eq=False)
 class Other:
-    """What might stand in the place of a named effect, as refitted there."""
+    """What might be in the place of a named effect, as refitted there."""
 
     weight: float
     label: str
@@ -46,25 +49,26 @@ class Other:
     theta: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class Learnt:
-    """A named effect with what the data leave open about it."""
-
-    effect: SignalEffect
-    theta: FloatArray
-    directions: FloatArray
-    """(p, k) one sigma along each independent direction of its parameters."""
-    unseen: tuple[str, ...]
-    """Parameters that these data did not excite."""
-    others: tuple[Other, ...]
-    """What might stand in its place; its own weight is the rest to one."""
-
-
 def transfers(closure: Closure, effects: Sequence[tuple[SignalEffect, FloatArray, FloatArray]]) -> list[Transfer]:
     """For each named effect (as pinned, parameters (p,), covariance (p, p)) and each target, whether it transfers."""
     designs = [_Design(closure, target, [(e, theta) for e, theta, _ in effects]) for target in targets(closure.problem)]
-    learnt = [_learnt(closure, number, *effect) for number, effect in enumerate(effects)]
-    rows = [_one(closure, design, one) for one in learnt for design in designs]
+    rows = []
+    for number, (effect, theta, covariance) in enumerate(effects):
+        known = np.isfinite(np.diag(covariance))
+        unseen = [p.name for p, seen in zip(effect.parameters, known, strict=True) if not seen]
+        why = closure.incomplete or effect.bound
+        if why is None and unseen:
+            why = f"these data did not excite {', '.join(unseen)}"
+        others = _others(closure, number) if why is None else ()
+        for design in designs:
+            name, lost = design.target.name, effect.untestable(design.target.setting)
+            if why is not None:
+                rows.append(Transfer(effect.name, name, False, None, None, design.floor_nT, None, why))
+            elif lost is not None:
+                lost = f"it does not act there: {lost}"
+                rows.append(Transfer(effect.name, name, True, 0.0, 0.0, design.floor_nT, None, lost))
+            else:
+                rows.append(_one(closure.tested, design, effect, theta, covariance, others))
     return rows + [_known(one, design.target) for one in closure.stochastic for design in designs]
 
 
@@ -90,54 +94,49 @@ class _Design:
         others = [pair for pair in self.chosen if pair[0] is not old]
         return self.chain.reading_nT([*self.base, *others, *new])
 
-    def left(self, signals: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Signals (N, 3, k) beside what is re-estimated: in nT (N, 3, k), and whitened and projected (3N, k)."""
+    def projected(self, signals: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Signals (N, 3, k) after projecting out what is re-estimated: in nT (N, 3, k), and whitened (3N, k)."""
         white = self.whitener.apply(signals)
         flat = white.reshape(-1, white.shape[2])
         flat = flat - self.basis @ (self.basis.T @ flat)
         return visible_part(signals, white, self.nuisance, self.nuisance_white), flat
 
 
-def _one(closure: Closure, design: _Design, learnt: Learnt) -> Transfer:
-    effect, name = learnt.effect, design.target.name
-    why = closure.incomplete or effect.bound
-    lost = effect.untestable(design.target.setting)
-    if why is None and learnt.unseen:
-        why = f"these data did not excite {', '.join(learnt.unseen)}"
-    if why is not None:
-        return Transfer(effect.name, name, False, None, None, design.floor_nT, None, why)
-    if lost is not None:
-        return Transfer(effect.name, name, True, 0.0, 0.0, design.floor_nT, None, f"it does not act there: {lost}")
-    raw, white = design.left(_errors(design, learnt))
+def _one(
+    tested: int,
+    design: _Design,
+    effect: SignalEffect,
+    theta: FloatArray,
+    covariance: FloatArray,
+    others: Sequence[Other],
+) -> Transfer:
+    """By the errors of the parameters, and by what else the effect may be: both as a diagnosis there would see them."""
+    raw, white = design.projected(_errors(design, effect, theta, covariance))
     spread: FloatArray = np.asarray(np.linalg.eigvalsh(white.T @ white), dtype=np.float64)
-    rank = max(int((spread > _SEEN).sum()), 1)
-    unsure_nT = float(np.sqrt(np.sum(raw**2) / raw[:, :, 0].size))
-    bar = float(chi2.isf(GATE / closure.tested, rank))
-    chance = _seen_by_chance(spread[spread > _SEEN], bar)
-    whole, wrong_name = float(spread.sum()), ""
-    share = 1.0 - sum(other.weight for other in learnt.others)
-    total = share * chance
-    mine = design.reading(effect, [(effect, learnt.theta)])
-    for other in learnt.others:
-        raw, white = design.left((design.reading(effect, [(other.effect, other.theta)]) - mine)[:, :, None])
-        size = float(np.sum(white**2))
-        seen = float(ncx2.sf(bar, rank, max(size, 1e-12)))
-        total += other.weight * seen
-        unsure_nT = float(np.hypot(unsure_nT, np.sqrt(other.weight * np.mean(raw**2))))
-        whole += other.weight * size
-        if other.weight * seen > MOST_CHANCE / 2 and not wrong_name:
-            wrong_name = other.label
-    detectable = unsure_nT * float(np.sqrt(noncentrality(rank, closure.tested) / whole)) if whole > _SEEN else None
-    good = total <= MOST_CHANCE
-    return Transfer(
-        effect.name, name, good, total, unsure_nT, design.floor_nT, detectable, "" if good else _reason(wrong_name)
-    )
-
-
-def _reason(wrong_name: str) -> str:
+    seen = spread[spread > _ABSORBED]
+    rank = max(seen.size, 1)
+    bar = float(chi2.isf(GATE / tested, rank))
+    unsure2, energy = float(np.sum(raw**2) / raw[:, :, 0].size), float(spread.sum())
+    chance = (1.0 - sum(other.weight for other in others)) * _seen_by_chance(seen, bar)
+    reading = design.reading(effect, [(effect, theta)])
+    wrong_name = ""
+    for other in others:
+        raw, white = design.projected((design.reading(effect, [(other.effect, other.theta)]) - reading)[:, :, None])
+        own = float(np.sum(white**2))
+        added = other.weight * float(ncx2.sf(bar, rank, max(own, 1e-12)))
+        chance += added
+        unsure2 += other.weight * float(np.mean(raw**2))
+        energy += other.weight * own
+        wrong_name = wrong_name or (other.label if added > MOST_CHANCE / 2 else "")
+    unsure_nT = float(np.sqrt(unsure2))
+    detectable = unsure_nT * float(np.sqrt(noncentrality(rank, tested) / energy)) if energy > _ABSORBED else None
+    why = "the error of its parameters would show there"
     if wrong_name:
-        return f"it may as well be {wrong_name} in these data, which differs there"
-    return "the error of its parameters would show there"
+        why = f"it may as well be {wrong_name} in these data, which differs there"
+    good = chance <= MOST_CHANCE
+    return Transfer(
+        effect.name, design.target.name, good, chance, unsure_nT, design.floor_nT, detectable, "" if good else why
+    )
 
 
 def _label(effect: SignalEffect, other: SignalEffect) -> str:
@@ -149,14 +148,14 @@ def _label(effect: SignalEffect, other: SignalEffect) -> str:
     return f"{other.name} with {', '.join(words)}" if words else other.name
 
 
-def _errors(design: _Design, learnt: Learnt) -> FloatArray:
-    """(N, 3, k) what one sigma along each direction of the parameters changes in the reading."""
-    low = np.array([parameter.low for parameter in learnt.effect.parameters])
-    high = np.array([parameter.high for parameter in learnt.effect.parameters])
+def _errors(design: _Design, effect: SignalEffect, theta: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(N, 3, k) what one sigma along each principal direction of the parameters changes in the reading."""
+    values, vectors = np.linalg.eigh(covariance)
+    low, high = (np.array([getattr(one, end) for one in effect.parameters]) for end in ("low", "high"))
     columns = []
-    for step in learnt.directions.T:
-        up, down = (np.clip(learnt.theta + sign * step, low, high) for sign in (1.0, -1.0))
-        both = [design.reading(learnt.effect, [(learnt.effect, theta)]) for theta in (up, down)]
+    for step in (vectors * np.sqrt(np.maximum(values, 0.0))).T:
+        up, down = (np.clip(theta + sign * step, low, high) for sign in (1.0, -1.0))
+        both = [design.reading(effect, [(effect, moved)]) for moved in (up, down)]
         columns.append((both[0] - both[1]) / 2.0)
     return np.stack(columns, axis=-1)
 
@@ -169,20 +168,8 @@ def _seen_by_chance(spread: FloatArray, bar: float) -> float:
     return float(np.mean(z2 @ (1.0 + spread) > bar))
 
 
-def _learnt(closure: Closure, number: int, effect: SignalEffect, theta: FloatArray, covariance: FloatArray) -> Learnt:
-    known = np.isfinite(np.diag(covariance))
-    unseen = tuple(p.name for p, seen in zip(effect.parameters, known, strict=True) if not seen)
-    directions = np.zeros((theta.size, 1))
-    if known.any():
-        values, vectors = np.linalg.eigh(covariance[np.ix_(known, known)])
-        directions = np.zeros((theta.size, int(known.sum())))
-        directions[known] = vectors * np.sqrt(np.maximum(values, 0.0))
-    others = () if effect.bound or closure.incomplete else _others(closure, number)
-    return Learnt(effect, theta, directions, unseen, others)
-
-
 def _others(closure: Closure, number: int) -> tuple[Other, ...]:
-    """What might stand in the place of a named effect, refitted, with posterior weights exp(-BIC / 2)."""
+    """What might be in the place of a named effect, refitted, with posterior weights exp(-BIC / 2)."""
     problem, effect = closure.problem, closure.chosen[number][0]
     own = refit(Readings(problem, closure.whitener), closure.chosen, modelled=closure.modelled)
     samples = max(closure.whitener.measured / 3.0, 2.0)

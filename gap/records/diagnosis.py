@@ -12,7 +12,6 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from pydantic import ConfigDict, Field, GetPydanticSchema, PlainSerializer, TypeAdapter, WithJsonSchema
-from pydantic_core.core_schema import any_schema
 
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem
@@ -57,7 +56,7 @@ def _shares(names: str) -> dict[str, Any]:
     }
 
 
-Kept = GetPydanticSchema(lambda *_: any_schema())
+Kept = GetPydanticSchema(lambda _, handler: handler(Any))
 Inner = Field(exclude=True)
 _BY_AXIS = Field(json_schema_extra={"propertyNames": {"enum": ["x", "y", "z"]}})
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -212,8 +211,6 @@ class Shrinkage(Record):
     ] = field(default_factory=dict)
     left_nT: Size = 0.0
     """rms per component of the residual of the fit, with every sample in it: what is to be compared with the floor."""
-    worse: Annotated[bool, Inner] = False
-    """Whether held-out samples are predicted worse with the named effects than without: they are refuted."""
 
 
 @dataclass(frozen=True)
@@ -369,10 +366,14 @@ class Diagnosis(Record):
     """The noise that the answer rests on: declared, from the scenario, or found in the data; and the flag that sets it."""
     momentum: MomentumGap | None = None
     """The balance of the momentum; None, and not in the JSON, where there is none."""
+    notes: Annotated[Sequence[str], Inner] = ()
+    """What the reader must know of the record: rows that are not in it, inputs that look wrong. In the JSON a part of the
+    provenance."""
     series: Annotated[GapSeries | None, Kept, Inner] = None
     closure: Annotated[Closure | None, Kept, Inner] = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON; every key always present, but `momentum` only where it was balanced."""
         plain = super().to_dict()
+        plain["provenance"]["notes"] = list(self.notes)
         return plain if self.momentum is not None else {key: v for key, v in plain.items() if key != "momentum"}

@@ -8,7 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from fluxtwin.gap.records.diagnosis import Detectable
+from fluxtwin.sim.base.types import TimeArray
 from fluxtwin.sim.effects.catalogue import CATALOGUE
 
 MOST_HOURS = 24.0 * 14
@@ -22,10 +25,8 @@ def hours_needed(found: Detectable, wanted: float, hours: float) -> float:
 
 def typical_size(name: str, parameter: str) -> float | None:
     """The typical size of a parameter in the catalogue, None for what is not there."""
-    for effect in CATALOGUE:
-        if effect.name == name:
-            return next((p.scale for p in effect.parameters if p.name == parameter), None)
-    return None
+    known = (p for effect in CATALOGUE if effect.name == name for p in effect.parameters if p.name == parameter)
+    return next((one.scale for one in known), None)
 
 
 def would_settle(detectable: Mapping[str, Detectable], untestable: Mapping[str, str], hours: float) -> dict[str, str]:
@@ -45,8 +46,7 @@ def would_settle(detectable: Mapping[str, Detectable], untestable: Mapping[str, 
         if needed <= MOST_HOURS:
             data = f"about {_plain(needed)} h of such data in place of {_plain(hours)} h"
         advice[name] = f"for {found.parameter} {abs(wanted):.3g}{unit}: {data}, or {settled_by[name]}"
-    advice |= {name: settled_by[name] for name in untestable if name in settled_by}
-    return advice
+    return advice | {name: settled_by[name] for name in untestable if name in settled_by}
 
 
 def _plain(value: float) -> str:
@@ -54,6 +54,8 @@ def _plain(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}"
 
 
-def hours_of(seconds_per_row: float, rows: int) -> float:
-    """Hours that so many rows cover."""
-    return seconds_per_row * rows / 3600.0
+def hours_of(time: TimeArray) -> float:
+    """Hours of data that rows at these times (N,) cover, gaps left out."""
+    if time.size < 2:
+        return 0.0
+    return float(np.median(np.diff(time)) / np.timedelta64(1, "h")) * time.size

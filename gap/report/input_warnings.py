@@ -1,4 +1,4 @@
-"""Doubts about the input that do not stop a diagnosis but must be said."""
+"""Warnings about the input: they do not stop a diagnosis but must be said."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from fluxtwin.sim.telemetry.record import Telemetry
 LONG_STRETCH_ROWS = 30
 """So many rows with the same quaternion to the last digit do not happen while a sensor measures."""
 ROOMY = 2.0
+"""Factor by which an expected rms is too large to be an error of a declared noise, which is trusted to 1.5 at most."""
 MISFIT = 0.05
 """Residual over field: a reference that is 3 degrees off."""
 
@@ -21,16 +22,13 @@ def far_below_budget(before_nT: float, floor_nT: float) -> str | None:
     if before_nT * ROOMY > floor_nT:
         return None
     return (
-        f"{before_nT:.1f} nT rms are left where the declared noise and attitude error would give {floor_nT:.1f}: the "
-        "budget is too large, and hides what is smaller. Give --noise-nT and --attitude-sigma-deg as they are"
+        f"the residual is {before_nT:.1f} nT rms where the declared noise and attitude error would give {floor_nT:.1f} nT: "
+        "the budget is too large, and hides what is smaller. Give --noise-nT and --attitude-sigma-deg as they are"
     )
 
 
 def traps(telemetry: Telemetry, model: FieldModel) -> list[str]:
-    """What `fluxtwin check` would say is not what it seems; nothing where it finds no trap.
-
-    Without its word on outliers: the diagnosis sets them aside and says so itself.
-    """
+    """The traps that `fluxtwin check` finds, but outliers: the diagnosis sets them aside and says so itself."""
     found = check_telemetry(telemetry, model).traps
     return [f"{finding.text} (fluxtwin check)" for finding in found if finding.code != "outliers"]
 
@@ -40,7 +38,7 @@ def stuck_attitude(telemetry: Telemetry, attitude_sigma_rad: float | None) -> st
 
     An inertial hold stands still rightly. So the quaternion must be the same to the last digit over more than half of
     the rows, or over a long stretch while it changes elsewhere, and something must speak against a hold: an error
-    was declared (errors do not repeat), or a gyro that turns. What neither tells `stuck_and_misfit` may.
+    was declared (errors do not repeat), or a gyro that turns; where neither is there, see `stuck_and_misfit`.
     """
     stretch, share, same = _standing(telemetry)
     if stretch == 0.0:
@@ -57,12 +55,12 @@ def stuck_attitude(telemetry: Telemetry, attitude_sigma_rad: float | None) -> st
 
 
 def stuck_and_misfit(telemetry: Telemetry, before_nT: float) -> str | None:
-    """The same doubt after the fact: a standing attitude, and readings that do not fit it. before_nT: residual rms."""
+    """The same after the fit: an attitude that stands still, and readings that do not fit it. before_nT: residual rms."""
     stretch, share, _ = _standing(telemetry)
     field_nT = float(np.sqrt(np.nanmean(telemetry.mag_B_nT**2)))
     if stretch == 0.0 or before_nT < MISFIT * field_nT:
         return None
-    return _words(stretch, share, f"the readings do not fit it ({before_nT:.0f} nT rms are left)")
+    return _words(stretch, share, f"the readings do not fit it ({before_nT:.0f} nT rms residual)")
 
 
 def _words(stretch_s: float, share: float, against: str) -> str:

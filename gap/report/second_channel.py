@@ -15,8 +15,8 @@ import numpy as np
 from scipy import stats
 
 from fluxtwin.gap.channels.sun_nadir import FALSE_ALARM, Channel, Hypothesis, SunNadir, open_channel
-from fluxtwin.gap.records.diagnosis import Diagnosis, EffectParameter, FoundEffect, Place
-from fluxtwin.gap.report.verdict import blended
+from fluxtwin.gap.records.diagnosis import Diagnosis, EffectParameter, FoundEffect
+from fluxtwin.gap.report.verdict import place_of
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -83,8 +83,8 @@ def judged(found: Diagnosis, channel: Channel, without: Sequence[str] = ()) -> D
     weighed = _as_found(found, channel).weigh()
     record: dict[str, Any] = {**weighed.to_dict(), "ruled_out": list(without)}
     named = weighed.named
-    notes = _notes(found, weighed, without)
-    found = replace(found, provenance={**found.provenance, "sun_nadir": record, "sun_nadir_notes": notes})
+    notes = [*found.notes, *_notes(found, weighed, without)]
+    found = replace(found, provenance={**found.provenance, "sun_nadir": record}, notes=notes)
     if named is None:
         return found
     effects = list(found.effects)
@@ -165,19 +165,14 @@ def _with_entry(found: Diagnosis, weighed: SunNadir, named: Hypothesis, entry: F
         sentence = (
             f"The gap is {shown}. The readings of the magnetometer show none ({found.gap.before_nT:.1f} nT are left)."
         )
-        return replace(found, verdict="effect", effects=effects, where=_place(found.where, entry), sentence=sentence)
+        return replace(
+            found,
+            verdict="effect",
+            effects=effects,
+            where=place_of(entry, found.where.probabilities),
+            sentence=sentence,
+        )
     return replace(found, effects=effects, sentence=f"{found.sentence} Beside it, {shown}.")
-
-
-def _place(where: Place, entry: FoundEffect) -> Place:
-    chosen = {"stage": entry.stage, "axis": entry.axis, "frame": entry.frame, "condition": entry.condition}
-    shares: dict[str, Mapping[str, float]] = {
-        name: where.probabilities[name]
-        if value is None
-        else blended(where.probabilities[name], value, entry.probability)
-        for name, value in chosen.items()
-    }
-    return Place(entry.stage, entry.axis, entry.frame, entry.condition, (), shares)
 
 
 def _same(one: FoundEffect, named: Hypothesis) -> bool:

@@ -13,7 +13,7 @@ from worlds import scenario_text
 from fluxtwin.gap.detectors.flexible import FlexibleFinding
 from fluxtwin.gap.detectors.stochastic import expected, floor_noise, with_frozen_noise
 from fluxtwin.gap.held_out.closing import Declared, closed_scenario, settle
-from fluxtwin.gap.held_out.held_out import Prediction, shrinkage
+from fluxtwin.gap.held_out.held_out import Prediction
 from fluxtwin.gap.held_out.targets import DAYS, targets
 from fluxtwin.gap.held_out.transfer import _seen_by_chance, transfers
 from fluxtwin.gap.noise.choice import NoiseModel
@@ -221,9 +221,9 @@ def test_an_effect_of_a_few_stretches_is_measured() -> None:
     signal = np.zeros((480, 3))
     signal[200:208] = 800.0
     kept = np.ones(480, dtype=bool)
-    found = shrinkage(Prediction(after + signal, after), kept, 100.0, 100.0, seed=1, named=True)
+    found = Prediction(after + signal, after, kept, 100.0, 100.0).shrinkage(named=True)
     assert found.closed is not None and found.closed > 0.9
-    nothing = shrinkage(Prediction(after, after), kept, 100.0, 100.0, seed=1, named=True)
+    nothing = Prediction(after, after, kept, 100.0, 100.0).shrinkage(named=True)
     assert nothing.closed is None  # nothing is left of spikes that are cut: not measurable, not zero and not one
 
 

@@ -12,7 +12,7 @@ import tomli_w
 from scipy.stats import chi2
 
 from fluxtwin.gap.diagnose import diagnose
-from fluxtwin.gap.held_out.held_out import predict_blocks
+from fluxtwin.gap.held_out.held_out import Fitted, predict_blocks
 from fluxtwin.gap.noise.whitening import NoiseModel, make_whitener
 from fluxtwin.gap.problem.problem import Budget
 from fluxtwin.gap.problem.row_axes import turn_images
@@ -126,9 +126,9 @@ def test_a_block_that_the_others_do_not_determine_is_not_predicted() -> None:
     seconds, kept = np.arange(500.0), np.ones(500, dtype=bool)
     y = rng.standard_normal((500, 3))
     x = np.where(np.arange(500)[:, None, None] >= 400, rng.standard_normal((500, 3, 1)), 1e-9 * np.ones((500, 3, 1)))
-    none = np.zeros((500, 3, 0))
-    found = predict_blocks(seconds, kept, (y, x, y, none), (y, x, y, none), 1.0)
-    assert found.known is not None and found.known[:400].all() and not found.known[400:].any()
+    fit = Fitted(y, x, y, x)
+    *_, known = predict_blocks(seconds, kept, 1.0, fit, fit)
+    assert known[:400].all() and not known[400:].any()
 
 
 def test_the_smallest_size_is_that_of_the_gate_of_a_name() -> None:

@@ -65,7 +65,7 @@ def test_a_turned_magnetometer_is_not_blamed_on_the_head():
     assert [effect.name for effect in found.effects] == ["scale_misalignment"]
     assert "angle between sun and nadir" in found.untestable["sun_sensor_head_misalignment"]
     assert found.provenance["sun_nadir"]["ruled_out"] == ["sun_sensor_head_misalignment"]
-    assert any("ruled out" in note for note in found.provenance["notes"])
+    assert any("ruled out" in note for note in found.notes)
 
 
 @pytest.mark.parametrize(

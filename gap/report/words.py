@@ -1,0 +1,165 @@
+"""What a diagnosis says, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from fluxtwin.gap.detectors.residual_structure import Left
+from fluxtwin.gap.noise.choice import NoiseModel
+from fluxtwin.gap.records.diagnosis import EffectParameter, FoundEffect, MomentumGap, Place, Shrinkage
+from fluxtwin.sim.base.types import BoolArray, TimeArray
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.effects.switched_field import SwitchedField
+
+SHAPE_INCOMPLETE = "a smaller structure remains"
+UNEXPLAINED = "the catalogue does not explain all of the gap"
+WORSE = "the best fit predicts held-out samples worse than no effect does"
+
+
+def no_gap(gap: Shrinkage, attitude_would_do_rad: float | None) -> str:
+    """Where nothing is found."""
+    if attitude_would_do_rad is None:
+        return (
+            f"No gap: the residual of the fit, {gap.left_nT:.1f} nT rms per component, is what noise and attitude error "
+            f"give ({gap.floor_nT:.1f} nT)."
+        )
+    return (
+        "No gap that these data can distinguish from an error of the reference attitude of "
+        f"{np.degrees(attitude_would_do_rad):.2g} deg, which was not declared: the structure of the residual lies across "
+        "the field, as that of such an error does, and none lies along it."
+    )
+
+
+def unexplained(what: str, where: Place, resembles: Sequence[str]) -> str:
+    """Where something is there that nothing in the catalogue explains."""
+    stages = [] if where.stage is None else [where.stage, *where.equivalent]
+    at = f"at the stage {' or '.join(stages)}" if stages else "at a stage that remains open"
+    like = f" It resembles {', '.join(resembles)}." if resembles else ""
+    return f"Something that the catalogue does not explain, {at}: {what}.{like}"
+
+
+def named(
+    effects: Sequence[FoundEffect],
+    gap: Shrinkage,
+    momentum: MomentumGap | None,
+    remains: str = SHAPE_INCOMPLETE,
+    outlying: str | None = None,
+) -> str:
+    """Where effects are named. remains: what does, if the shape is incomplete; outlying: of the outliers."""
+    causes = " and ".join(_cause(effect) for effect in effects)
+    rest = f" Its shape is incomplete: {remains}." if gap.shape_incomplete else ""
+    rest += f" In addition, {outlying}." if outlying else ""
+    return f"The gap is {causes}; {_closed(effects, gap, momentum)}.{rest}"
+
+
+def _cause(effect: FoundEffect) -> str:
+    known = {name: one for name, one in effect.parameters.items() if one.sigma is not None} or effect.parameters
+    sizes = ", ".join(_size(name, one) for name, one in list(known.items())[:3])
+    over = ""
+    if "region_deg" in effect.settings:
+        where = SwitchedField(str(effect.settings["condition"]), region_deg=tuple(effect.settings["region_deg"]))
+        over = f" by {where.condition} over {where.region_words}"
+    return f"{' or '.join(effect.group)}{over} ({sizes})"
+
+
+def _size(name: str, one: EffectParameter) -> str:
+    return f"{name} {one.value:.3g}{'' if one.unit == '1' else f' {one.unit}'}"
+
+
+def _closed(effects: Sequence[FoundEffect], gap: Shrinkage, momentum: MomentumGap | None) -> str:
+    if momentum is not None and all(effect.stage == "dynamics" for effect in effects):
+        share = "" if momentum.closed is None else f" and closes {100 * momentum.closed:.0f} % of the gap"
+        return (
+            "it leaves the readings as they are, and takes the attitude against the balance of the momentum from "
+            f"{momentum.before_deg:.2g} to {momentum.after_deg:.2g} deg{share}"
+        )
+    if gap.closed is None:
+        if all(effect.name == "bit_errors" for effect in effects):
+            return "the wrong readings are set aside, and count neither before nor after"
+        return _not_measured(effects, gap)
+    share = f"closes {100 * gap.closed:.0f} % of the gap"
+    if gap.after_nT == gap.before_nT:
+        expected_nT = gap.floor_with_effects_nT
+        return (
+            f"with it, {expected_nT:.1f} nT rms of noise are expected where there are {gap.before_nT:.1f}: it {share}"
+        )
+    return f"it takes the residual from {gap.before_nT:.1f} to {gap.after_nT:.1f} nT rms and {share}"
+
+
+def _not_measured(effects: Sequence[FoundEffect], gap: Shrinkage) -> str:
+    """Why a share is not stated although an effect is sure, and what would measure it."""
+    p_value = min(effect.significance for effect in effects)
+    signal_nT = max(effect.visible_nT for effect in effects)
+    chance = "less than 1e-12" if p_value < 1e-12 else f"{p_value:.0e}"
+    return (
+        f"chance alone would give it with a probability of {chance}, but its {signal_nT:.1f} nT rms are too small a part of "
+        f"the {gap.before_nT:.1f} nT rms of the held-out samples for the share that it closes to be measured: more data of "
+        "the same kind would allow it"
+    )
+
+
+def structure(left: Left, where: Place) -> str:
+    """The structure of a residual; of frame and condition the same as `where`."""
+    if left.kind != "block" or (left.condition, left.frame) == (where.condition, where.frame):
+        return left.words
+    follows = f"follows {where.condition.replace('_', ' ')}" if where.condition else "follows no condition"
+    return f"structure that {follows}" + (f", coherent in the {where.frame} frame" if where.frame else "")
+
+
+def attitude_error(noise: NoiseModel, declared_rad: float) -> str:
+    """An error of the reference attitude that is larger than declared."""
+    memory = "white" if noise.tau_s <= 0.0 else f"with a time constant of {float(f'{noise.tau_s:.2g}'):g} s"
+    return (
+        f"the error of the reported attitude is {np.degrees(noise.theta_rad):.2g} deg per axis, {memory}, where "
+        f"{np.degrees(declared_rad):.2g} deg was declared"
+    )
+
+
+def outliers(time: TimeArray, cut: BoolArray) -> str:
+    """How many readings (N, 3) were set aside, when, and whether in runs."""
+    rows = np.flatnonzero(cut.any(axis=1))
+    runs = 1 + int((np.diff(rows) > 1).sum())
+    first, last = (epoch.iso(time[row]) for row in (rows[0], rows[-1]))
+    if rows.size == 1:
+        return f"1 row has an outlier of more than six sigma, at {first}, and is set aside"
+    together = f" in {runs} runs" if rows.size > 1.5 * runs else ""
+    return f"{rows.size} rows have outliers{together} of more than six sigma, from {first} to {last}, and are set aside"
+
+
+def assumed(values: Mapping[str, Mapping[str, Any]]) -> str:
+    """What was not declared, what was taken in its place, and the flags that would settle it; empty where all was
+    declared. The time constant of the attitude error is always left to the data."""
+    missing = [name for name, one in values.items() if one["source"] == "found" and name != "attitude_tau_s"]
+    if not missing:
+        return ""
+    parts = []
+    if "noise_nT" in missing:
+        parts.append(f"noise {values['noise_nT']['value']:.3g} nT")
+    if "lsb_nT" in missing:
+        step = values["lsb_nT"]["value"]
+        parts.append("no rounding" if not step else f"a step of {step:.3g} nT")
+    if "attitude_sigma_deg" in missing:
+        size, tau = values["attitude_sigma_deg"]["value"], values["attitude_tau_s"]["value"]
+        memory = f" over {float(f'{tau:.2g}'):g} s" if tau else ", white"
+        parts.append(f"an attitude error of {size:.2g} deg{memory if size else ''}")
+    listed = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+    return f"Not declared, so found in these data: {listed} ({', '.join(values[name]['flag'] for name in missing)})."
+
+
+def repeated_rounding(every: int) -> str:
+    """Of rows left out because they hold the same rounding error."""
+    return (
+        f"one row in {every} is used: from row to row most readings stay within a step of the sensor, and their rounding "
+        "is the same error again"
+    )
+
+
+def thinned(every: int, most_rows: int) -> str:
+    """Of rows left out because there are too many."""
+    return (
+        f"one row in {every} is used for what is slow; fast lines, bit errors and noise are looked for at the full rate, "
+        f"in up to {most_rows:,} rows"
+    )

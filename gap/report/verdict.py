@@ -18,8 +18,9 @@ from fluxtwin.gap.detectors.stochastic import expected
 from fluxtwin.gap.held_out.held_out import Prediction
 from fluxtwin.gap.posterior.explanations import Answer
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.records.diagnosis import Closure, Diagnosis, EffectParameter, FoundEffect, Place
+from fluxtwin.gap.records.diagnosis import Closure, Diagnosis, EffectParameter, FoundEffect, Place, Shrinkage
 from fluxtwin.gap.report import advice, level, words
+from fluxtwin.gap.report.level import Excess
 from fluxtwin.gap.selection.named import found_effect
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
@@ -51,6 +52,27 @@ class Work:
     """Size of an attitude error, 1 sigma per axis, that makes all the structure of the residual; None where none does."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Conclusion:
+    """What is named, and whether it is the whole gap."""
+
+    verdict: str
+    named: Sequence[FoundEffect]
+    """Of the search."""
+    shapes: Sequence[FoundEffect]
+    """Known by their own shape."""
+    effects: Sequence[FoundEffect]
+    """Those two and what the balance of the momentum names, best supported first."""
+    already: bool
+    """Whether noise was found that the scenario has."""
+    excess: Excess | None
+    """Of the residual over the budget."""
+    outliers: Excess | None
+    beyond: Excess | None
+    """Which of them makes the verdict unknown."""
+    incomplete: bool
+
+
 def assemble(
     work: Work,
     provenance: Mapping[str, Any],
@@ -62,56 +84,21 @@ def assemble(
     """The diagnosis of a finished investigation. assumed: as from `level.assumed`."""
     problem, answer, momentum = work.problem, work.answer, work.momentum
     result = answer.result
-
-    # What is named: effects of the search, of the balance of the momentum, and causes known by their own shape.
-    already = [one for one in work.flexible if expected(one, problem.frozen)]
-    shapes = [_of_shape(one, problem.setting) for one in work.flexible if one not in already]
-    candidates = [] if result.resembles else list(result.named)
-    named = candidates if answer.known >= 0.5 and not work.prediction.refuted else []
-    signals = sorted([*named, *momentum.standing], key=lambda one: one.significance) if momentum.standing else named
-    effects = [*signals, *shapes]
-
-    # Whether that is all.
-    unknown = answer.known < 0.5 and work.attitude_would_do_rad is None
-    unexplained = bool(result.resembles) or (not named and (unknown or bool(candidates))) or momentum.unexplained
-    excess = None
-    if not unexplained and not work.flexible:  # a named noise, walk or line stays in the residual
-        excess = level.beyond_budget(problem, answer)
-    if not unexplained and excess is None and work.loud is not None:
-        excess = level.Excess("sensor", work.loud)
-    bits = any(one.effect == "bit_errors" for one in work.flexible)
-    outliers = None if bits else level.outliers(problem, answer.robust)
-    beyond = None if unexplained or effects else excess or outliers
-    verdict = "unknown" if unexplained or beyond is not None else "effect" if effects else "no_gap"
-    incomplete = (bool(named) and answer.left.structured) or momentum.incomplete
-    incomplete = incomplete or (verdict == "effect" and excess is not None)
-
-    # Where, and how far.
-    where = _where(work, effects) if beyond is None else _at(work, beyond.stage)
-    in_readings = bool(effects) and bool(result.named or work.flexible)
-    prediction = work.prediction.without_known_noise(bool(effects)) if already else work.prediction
-    gap = prediction.shrinkage(in_readings, shape_incomplete=incomplete, left_nT=level.residual_rms_nT(problem, answer))
-
-    # What these data could show, and what they could not.
-    shown = {one.name for one in effects}
+    found = _conclude(work)
+    where = _where(work, found.effects) if found.beyond is None else _at(work, found.beyond.stage)
+    in_readings = bool(found.effects) and bool(result.named or work.flexible)
+    prediction = work.prediction.without_known_noise(bool(found.effects)) if found.already else work.prediction
+    gap = prediction.shrinkage(
+        in_readings, shape_incomplete=found.incomplete, left_nT=level.residual_rms_nT(problem, answer)
+    )
+    resembles = _resembles(work) if found.verdict == "unknown" else []
+    sentence = _sentence(work, found, where, gap, resembles)
     missing = {**result.untestable, **momentum.untestable}
-    untestable = {name: reason for name, reason in missing.items() if name not in shown}
+    untestable = {name: why for name, why in missing.items() if name not in {one.name for one in found.effects}}
     detectable = {**result.minimum_detectable, **momentum.minimum_detectable}
-
-    # In words.
-    resembles = _resembles(work) if verdict == "unknown" else []
-    if verdict == "no_gap":
-        sentence = words.no_gap(gap, work.attitude_would_do_rad)
-    elif verdict == "unknown":
-        sentence = words.unexplained(_what(work, where) if beyond is None else beyond.words, where, resembles)
-    else:
-        remains = words.SHAPE_INCOMPLETE if excess is None else excess.words
-        sentence = words.named(effects, gap, momentum.gap, remains, None if outliers is None else outliers.words)
-    why = f"its shape is incomplete: {words.SHAPE_INCOMPLETE}" if incomplete else None
-
     return Diagnosis(
-        verdict=verdict,
-        effects=effects,
+        verdict=found.verdict,
+        effects=found.effects,
         resembles=resembles,
         where=where,
         gap=gap,
@@ -133,17 +120,60 @@ def assemble(
         # Each was tested in its own channel.
         ranking=sorted([*result.ranking, *momentum.ranking], key=lambda line: (line.p_value, -line.drop)),
         momentum=momentum.gap,
-        closure=Closure(
-            problem=problem,
-            whitener=answer.whitener,
-            modelled=result.modelled if named else result.modelled_alone,
-            chosen=result.chosen if named else (),
-            alternatives=tuple(_alternatives(work, one) for one in named),
-            stochastic=(*shapes, *momentum.standing),
-            variance=result.variance,
-            tested=result.tested,
-            incomplete=words.UNEXPLAINED if verdict == "unknown" else why,
-        ),
+        closure=_closure(work, found),
+    )
+
+
+def _conclude(work: Work) -> _Conclusion:
+    problem, answer, momentum = work.problem, work.answer, work.momentum
+    already = [one for one in work.flexible if expected(one, problem.frozen)]
+    shapes = [_of_shape(one, problem.setting) for one in work.flexible if one not in already]
+    candidates = [] if answer.result.resembles else list(answer.result.named)
+    named = candidates if answer.known >= 0.5 and not work.prediction.refuted else []
+    signals = sorted([*named, *momentum.standing], key=lambda one: one.significance) if momentum.standing else named
+    effects = [*signals, *shapes]
+
+    unknown = answer.known < 0.5 and work.attitude_would_do_rad is None
+    unexplained = bool(answer.result.resembles) or (not named and (unknown or bool(candidates))) or momentum.unexplained
+    excess = None
+    if not unexplained and not work.flexible:  # a named noise, walk or line stays in the residual
+        excess = level.beyond_budget(problem, answer)
+    if not unexplained and excess is None and work.loud is not None:
+        excess = Excess("sensor", work.loud)
+    bits = any(one.effect == "bit_errors" for one in work.flexible)
+    outliers = None if bits else level.outliers(problem, answer.robust)
+    beyond = None if unexplained or effects else excess or outliers
+    verdict = "unknown" if unexplained or beyond is not None else "effect" if effects else "no_gap"
+    incomplete = (bool(named) and answer.left.structured) or momentum.incomplete
+    incomplete = incomplete or (verdict == "effect" and excess is not None)
+    return _Conclusion(verdict, named, shapes, effects, bool(already), excess, outliers, beyond, incomplete)
+
+
+def _sentence(work: Work, found: _Conclusion, where: Place, gap: Shrinkage, resembles: Sequence[str]) -> str:
+    if found.verdict == "no_gap":
+        return words.no_gap(gap, work.attitude_would_do_rad)
+    if found.verdict == "unknown":
+        what = _what(work, where) if found.beyond is None else found.beyond.words
+        return words.unexplained(what, where, resembles)
+    remains = words.SHAPE_INCOMPLETE if found.excess is None else found.excess.words
+    outlying = None if found.outliers is None else found.outliers.words
+    return words.named(found.effects, gap, work.momentum.gap, remains, outlying)
+
+
+def _closure(work: Work, found: _Conclusion) -> Closure:
+    """What is named, what was re-estimated together with it, and what might be in its place."""
+    result = work.answer.result
+    incomplete = f"its shape is incomplete: {words.SHAPE_INCOMPLETE}" if found.incomplete else None
+    return Closure(
+        problem=work.problem,
+        whitener=work.answer.whitener,
+        modelled=result.modelled if found.named else result.modelled_alone,
+        chosen=result.chosen if found.named else (),
+        alternatives=tuple(_alternatives(work, one) for one in found.named),
+        stochastic=(*found.shapes, *work.momentum.standing),
+        variance=result.variance,
+        tested=result.tested,
+        incomplete=words.UNEXPLAINED if found.verdict == "unknown" else incomplete,
     )
 
 

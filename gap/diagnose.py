@@ -44,8 +44,11 @@ _REPEATED = 0.5
 """Share of readings that may be the same code as in the row before: rounding errors are noise, new in every row, only where
 the reading moves by about a step from row to row (Widrow & Kollar 2008, Quantization Noise, chapter 20)."""
 _FEWEST_ROWS = 200
+"""Rows that thinning leaves at the least: several for each of some fifteen parameters of a usual problem."""
 _LEAST_FREE = 30
+"""Measurements beyond the parameters: a variance is then known to a quarter, sqrt(2 / 30)."""
 _BOUNDLESS_RAD = 1.0
+"""An attitude error beside which any other in a reading is nothing."""
 
 
 def diagnose(

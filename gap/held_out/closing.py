@@ -23,13 +23,14 @@ from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 
 _CALIBRATION = ("bias", "scale_misalignment", "torquer_coupling")
 _ROUNDS = 2
+"""A change of S by 1 % moves an effect by 1 %, so the second fit is good to 1e-4 of it."""
 _RATIOS = (1.5, 1.25, 1.12, 1.25)
 """Steps of a search; the last is also how far to either side a setting is taken to be unsure."""
 
 
 @dataclass(frozen=True, eq=False)
 class Closed:
-    """What the closed scenario says: eq. 1's S, b, T, and the effects beside them."""
+    """What the closed scenario says: eq. 1's S, b, T, and the effects in addition to them."""
 
     instrument: Magnetometer
     modelled: tuple[Active, ...]
@@ -40,7 +41,7 @@ class Closed:
 
 @dataclass(frozen=True)
 class Declared:
-    """What the command was told of noise and field; None where it was found in the data, or is the default."""
+    """What was declared to the command of noise and field; None where it was found in the data, or is the default."""
 
     noise_nT: float | None = None
     lsb_nT: float | None = None
@@ -72,7 +73,7 @@ def refined(closure: Closure) -> Closure:
 
 
 def settle(closure: Closure) -> Closed:
-    """S, b and T with what was re-estimated, and the effects refitted beside the magnetometer that these make.
+    """S, b and T with what was re-estimated, and the effects refitted with the magnetometer that these make.
 
     The effects of a sensor act through its matrix, so a change of S changes them a little: hence the second fit.
     """
@@ -112,7 +113,7 @@ def closed_scenario(
     """The scenario with the named effects, their parameters and covariance in it, and where they hold.
 
     Without a scenario one is made that replays the telemetry, with the noise that was declared, else found.
-    S, b and T take what was re-estimated beside the effects.
+    S, b and T take what was re-estimated together with the effects.
     Raises NoAnswer when nothing was named, BadInput when the scenario has the same effect with other settings.
     """
     if closure.empty:
@@ -147,7 +148,7 @@ def _corrected(old: Magnetometer, modelled: Sequence[Active]) -> Magnetometer:
 
 
 def _rest(effect: Effect, theta: FloatArray) -> FloatArray:
-    """What is left of a modelled effect once eq. 1 has taken it."""
+    """The part of a modelled effect that eq. 1 does not hold."""
     return np.zeros_like(theta) if effect.name in _CALIBRATION else theta
 
 
@@ -159,13 +160,13 @@ def _pinned(chain: Chain, effect: SignalEffect, active: Sequence[Active]) -> Sig
 
 
 def _with_frozen(frozen: Mapping[str, Active], effect: Effect, theta: FloatArray) -> FloatArray:
-    """What the scenario had already and what was found beside it, together."""
+    """What the scenario had already and what was found in addition to it, together."""
     if effect.name not in frozen:
         return theta
     had, amount = frozen[effect.name]
     if had != effect:
         raise BadInput(
-            f"the scenario has [effects.{effect.name}] with other settings than what was found beside it",
+            f"the scenario has [effects.{effect.name}] with other settings than what was found in addition to it",
             where="--close",
             wanted="a scenario without that effect",
         )

@@ -31,9 +31,14 @@ TUMBLE_DEG_S = (0.12, 0.08, 0.2)
 SPIN_RPM = 1.9
 """Near 2 rpm, and no whole number of turns between samples of the usual spacings."""
 _INERTIA_KG_M2 = np.array([10.0, 12.0, 15.0])
+"""Of a body without symmetry: only ratios matter to a torque-free tumble."""
 _NADIR_WITHIN_RAD = np.radians(30.0)
-_LIBRATION_RAD = np.radians(2.0)
-_FOLLOWS = 0.5  # share of a column's variance that sunlight explains, to be called driven by it
+"""Median angle to a mean attitude in the orbital frame; of a tumble it is above 90 degrees."""
+_LIBRATION_RAD, _LIBRATION_S = np.radians(2.0), (600.0, 6000.0)
+"""Size and range of periods of the pointing error of a nadir pointer: up to that of an orbit."""
+_NUTATION_RAD = np.radians(5.0)
+_FOLLOWS = 0.5
+"""Share of a column's variance that sunlight explains, to be called driven by it: most of it."""
 _FEWEST = 30
 
 
@@ -160,10 +165,10 @@ def _regime(name: str, start: np.datetime64) -> Callable[[TimeArray, FloatArray,
         turns = SPIN_RPM * 2.0 * np.pi / 60.0
         return lambda time, r, v: (
             attitude.spin(
-                time, _INERTIA_KG_M2, np.array([1.0, 0.0, 0.0]), turns, nutation_rad=float(np.radians(5.0)), epoch=start
+                time, _INERTIA_KG_M2, np.array([1.0, 0.0, 0.0]), turns, nutation_rad=float(_NUTATION_RAD), epoch=start
             ).R_BN
         )
-    librations = draw_libration((_LIBRATION_RAD,) * 3, 600.0, 6000.0, np.random.default_rng(0))
+    librations = draw_libration((_LIBRATION_RAD,) * 3, *_LIBRATION_S, np.random.default_rng(0))
     return lambda time, r, v: attitude.librating(time, r, v, librations).R_BN
 
 

@@ -9,16 +9,13 @@ import numpy as np
 from scipy.stats import norm, poisson
 
 from fluxtwin.gap.held_out.held_out import floor_rms_nT
-from fluxtwin.gap.noise.budget import DECLARED, complete_budget
+from fluxtwin.gap.noise.budget import DECLARED, complete_budget, prior_of
 from fluxtwin.gap.noise.choice import NoiseModel, RobustRows
 from fluxtwin.gap.noise.robust_rows import CUT_SIGMA
 from fluxtwin.gap.posterior.explanations import Answer
 from fluxtwin.gap.problem.problem import Budget, Problem
 from fluxtwin.gap.report import words
 
-_NOISE_TRUST, _ATTITUDE_TRUST = 1.2, 1.5
-"""Factors to which the budget is believed: two standard deviations of the prior of declared noise, one of the attitude
-error's (`gap.noise.budget`)."""
 _LEAST_SPREAD = 0.05
 """Standard deviation of the logarithm of the rms, however many rows: structure that nobody looks for is in any record."""
 _RARE = 1e-3
@@ -46,7 +43,8 @@ def residual_rms_nT(problem: Problem, answer: Answer) -> float:
 
 
 def beyond_budget(problem: Problem, answer: Answer) -> Excess | None:
-    """A residual larger than the declared noise and attitude error give, as far as they are trusted, or None.
+    """A residual larger than the declared noise and attitude error give, or None: by three standard deviations beyond
+    what they are at the most, two standard deviations of the prior of the noise, one of the attitude error's.
 
     Held-out figures are no measure of this: right answers may be at 1.6 of what is expected there.
     """
@@ -60,9 +58,11 @@ def beyond_budget(problem: Problem, answer: Answer) -> Excess | None:
         theta_rad = attitude_trust * (declared.attitude_sigma_rad or 0.0)
         return floor_rms_nT(field_nT, noise_trust * noise.sigma_prior_nT, theta_rad, measured)
 
+    prior = prior_of(complete_budget(problem))
+    most_nT = expected_nT(float(np.exp(2.0 * prior.sigma_log_sd)), float(np.exp(prior.theta_log_sd)))
     found_nT = residual_rms_nT(problem, answer)
     spread = np.hypot(_LEAST_SPREAD, noise.theta_log_sd if np.isfinite(noise.theta_log_sd) else 0.0)
-    if found_nT <= expected_nT(_NOISE_TRUST, _ATTITUDE_TRUST) * np.exp(3.0 * spread):
+    if found_nT <= most_nT * np.exp(3.0 * spread):
         return None
     said = f"the residual of the fit is {found_nT:.1f} nT rms where {expected_nT(1.0, 1.0):.1f} nT were expected"
     if noise.theta_rad <= declared.attitude_sigma_rad:

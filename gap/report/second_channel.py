@@ -17,6 +17,7 @@ from scipy import stats
 from fluxtwin.gap.channels.sun_nadir import FALSE_ALARM, Channel, Hypothesis, SunNadir, open_channel
 from fluxtwin.gap.records.diagnosis import Diagnosis, EffectParameter, FoundEffect
 from fluxtwin.gap.report.verdict import place_of
+from fluxtwin.gap.selection.named import axis_of
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -29,7 +30,6 @@ _NAMED_P = 0.001
 _FEWEST_PASSES = 4
 _MOST = 0.98
 """Probability that a fault which the angle shows is present, at most: a judgement; other faults may look alike."""
-_OWN_AXIS = 0.8
 
 
 def with_second_channel(investigated: Callable[..., Diagnosis], channel: Channel | None) -> Diagnosis:
@@ -115,9 +115,7 @@ def _entry(weighed: SunNadir, named: Hypothesis) -> FoundEffect:
         name: EffectParameter(value, sigma if name in named.seen else None, "deg")
         for name, (value, sigma) in named.parameters.items()
     }
-    energy = {name[-1]: value**2 for name, (value, _) in named.parameters.items()} if named.head is not None else {}
-    axis = max(energy, key=lambda name: energy[name], default="all")
-    alone = bool(energy) and energy[axis] >= _OWN_AXIS * sum(energy.values())
+    turn = np.array([value for value, _ in named.parameters.values()])
     return FoundEffect(
         name=named.name,
         group=tuple(dict.fromkeys([named.name, *(other.name for other in weighed.rivals)])),
@@ -126,7 +124,7 @@ def _entry(weighed: SunNadir, named: Hypothesis) -> FoundEffect:
         parameters=parameters,
         settings={} if named.head is None else {"head": named.head},
         stage="attitude",
-        axis=axis if alone else "all",
+        axis="all" if named.head is None else axis_of(turn**2),
         frame="body" if named.head is not None else "orbital",
         condition="head" if named.head is not None else "latitude",
         significance=named.p_value,

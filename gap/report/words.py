@@ -70,23 +70,22 @@ def _size(name: str, one: EffectParameter) -> str:
 
 
 def _closed(effects: Sequence[FoundEffect], gap: Shrinkage, momentum: MomentumGap | None) -> str:
+    it, s = ("it", "s") if len(effects) == 1 else ("together they", "")
     if momentum is not None and all(effect.stage == "dynamics" for effect in effects):
-        share = "" if momentum.closed is None else f" and closes {100 * momentum.closed:.0f} % of the gap"
+        share = "" if momentum.closed is None else f" and close{s} {100 * momentum.closed:.0f} % of the gap"
         return (
-            "it leaves the readings as they are, and takes the attitude against the balance of the momentum from "
+            f"{it} leave{s} the readings as they are, and take{s} the attitude against the balance of the momentum from "
             f"{momentum.before_deg:.2g} to {momentum.after_deg:.2g} deg{share}"
         )
     if gap.closed is None:
         if all(effect.name == "bit_errors" for effect in effects):
             return "the wrong readings are set aside, and count neither before nor after"
         return _not_measured(effects, gap)
-    share = f"closes {100 * gap.closed:.0f} % of the gap"
+    share = f"close{s} {100 * gap.closed:.0f} % of the gap"
     if gap.after_nT == gap.before_nT:
-        expected_nT = gap.floor_with_effects_nT
-        return (
-            f"with it, {expected_nT:.1f} nT rms of noise are expected where there are {gap.before_nT:.1f}: it {share}"
-        )
-    return f"it takes the residual from {gap.before_nT:.1f} to {gap.after_nT:.1f} nT rms and {share}"
+        noise_nT = gap.floor_with_effects_nT
+        return f"{noise_nT:.1f} nT rms of noise are then expected where there are {gap.before_nT:.1f}: {it} {share}"
+    return f"{it} take{s} the residual from {gap.before_nT:.1f} to {gap.after_nT:.1f} nT rms and {share}"
 
 
 def _not_measured(effects: Sequence[FoundEffect], gap: Shrinkage) -> str:

@@ -15,7 +15,7 @@ from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.signal import Setting
 
 OWN_AXIS = 0.8
-"""Share of the energy from which on an effect is of one axis."""
+"""Share of the energy from which on an effect is of one axis: a judgement, for words alone."""
 
 
 def parameters_of(effect: Effect, theta: FloatArray, sigma: FloatArray) -> dict[str, EffectParameter]:

@@ -241,28 +241,12 @@ def signals_of(shapes: Sequence[FlexibleFinding]) -> list[Active]:
 
 
 def left_of(under_way: Search[Readings], fit: Fit, dictionary: Sequence[Block]) -> Left:
-    """What is left beside the named effects at their refit and, of a large one, beside its image at nothing too.
-
-    The two images of one effect differ by what its size changes and by errors of the attitude in both: structure along
-    that difference is the same cause once more.
-    """
-    numbers = [
-        number for number, c in enumerate(under_way.found) if any(c.effect == effect for effect, _ in fit.chosen)
-    ]
-    at_nothing = under_way.white[:, :, np.isin(under_way.first.owner, numbers)]
-    rest = leftover_of(under_way, fit, at_nothing)
+    """The structure that a fit leaves."""
+    whitener, flat = under_way.channel.whitener, fit.residual.reshape(-1)
+    basis = orthonormal(fit.jacobian)
+    rest = Leftover(whitener, flat - basis @ (basis.T @ flat), basis, max(whitener.measured - basis.shape[1], 1))
     own = fit.jacobian[:, :, fit.jacobian.shape[2] - sum(len(theta) for _, theta in fit.chosen) :]
     return judge(under_way.channel.problem, rest, fit_all(dictionary, rest), own, 1.0)
-
-
-def leftover_of(under_way: Search[Readings], fit: Fit, further: FloatArray) -> Leftover:
-    """The whitened residual of a fit, with its columns and further ones (N, 3, p), whitened, out of it."""
-    flat = fit.residual.reshape(-1)
-    basis = orthonormal(np.concatenate([fit.jacobian, further], axis=2).reshape(flat.size, -1))
-    rest = flat - basis @ (basis.T @ flat)
-    return Leftover(
-        under_way.channel.whitener, rest, basis, max(under_way.channel.whitener.measured - basis.shape[1], 1)
-    )
 
 
 def _beside(problem: Problem, signals: Sequence[Active]) -> Problem:

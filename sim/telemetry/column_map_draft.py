@@ -28,40 +28,38 @@ _QUATERNIONS = (
 )
 """Order that the endings of four names suggest, and whether that is a guess."""
 _UNIT_NAMES = {
-    "nt": "nT",
-    "ut": "uT",
-    "mg": "mG",
-    "g": "G",
-    "gauss": "G",
-    "t": "T",
-    "km": "km",
-    "m": "m",
-    "kms": "km/s",
-    "ms": "m/s",
-    "degs": "deg/s",
-    "dps": "deg/s",
-    "rads": "rad/s",
-    "degc": "degC",
-    "c": "degC",
-    "k": "K",
-    "rpm": "rpm",
-    "am2": "Am2",
+    word: unit
+    for unit, words in {
+        "nT": "nt",
+        "uT": "ut",
+        "mG": "mg",
+        "G": "g gauss",
+        "T": "t",
+        "km": "km",
+        "m": "m",
+        "km/s": "kms",
+        "m/s": "ms",
+        "deg/s": "degs dps",
+        "rad/s": "rads",
+        "degC": "degc c",
+        "K": "k",
+        "rpm": "rpm",
+        "Am2": "am2",
+    }.items()
+    for word in words.split()
 }
-_FRAME_WORDS = (
-    ("ecef", "ITRS"),
-    ("itrf", "ITRS"),
-    ("itrs", "ITRS"),
-    ("gcrs", "GCRS"),
-    ("gcrf", "GCRS"),
-    ("j2000", "J2000"),
-    ("teme", "TEME"),
-    ("tod", "TOD"),
-    ("gei", "GEI"),
-    ("eci", "ECI"),
-    ("nec", "NEC"),
-    ("lvlh", "orbital"),
-    ("orb", "orbital"),
-)
+_FRAME_WORDS = {
+    "ecef itrf itrs": "ITRS",
+    "gcrs gcrf": "GCRS",
+    "j2000": "J2000",
+    "teme": "TEME",
+    "tod": "TOD",
+    "gei": "GEI",
+    "eci": "ECI",
+    "nec": "NEC",
+    "lvlh orb": "orbital",
+}
+"""Frame by the words that a name may have; the first that fits counts."""
 _KINDS = (
     ("mag", re.compile(r"mag|(^|_)b(_|$)|fgm|tam|field|^b$|bfield")),
     ("velocity", re.compile(r"vel|^v(_|$)|(_|^)v$")),
@@ -293,7 +291,7 @@ def _stated_unit(header: _Header, quantity: str, columns: list[str]) -> str | No
 
 
 def _frame(stem: str) -> str | None:
-    return next((frame for word, frame in _FRAME_WORDS if word in stem), None)
+    return next((frame for words, frame in _FRAME_WORDS.items() if any(w in stem for w in words.split())), None)
 
 
 def _stem(columns: list[str]) -> str:

@@ -23,57 +23,11 @@ from fluxtwin.sim.telemetry.record import Telemetry, plain_text
 FLAG = re.compile(r"flag_([A-Za-z0-9_]{1,60})")
 WHEEL = re.compile(r"wheel_([1-9][0-9]?)_speed_rpm")
 _WHEEL_NO_UNIT = re.compile(r"wheel_[1-9][0-9]?_speed(_rad_s|_rps|_Hz)?", re.IGNORECASE)
-_UNIT_LIKE = {
-    "nt",
-    "mg",
-    "ut",
-    "t",
-    "g",
-    "gauss",
-    "mgauss",
-    "tesla",
-    "nanotesla",
-    "microtesla",
-    "mt",
-    "pt",
-    "count",
-    "counts",
-    "raw",
-    "lsb",
-    "adu",
-    "km",
-    "m",
-    "metre",
-    "metres",
-    "meter",
-    "meters",
-    "km_s",
-    "m_s",
-    "kms",
-    "ms",
-    "a",
-    "ma",
-    "ua",
-    "k",
-    "c",
-    "f",
-    "degc",
-    "celsius",
-    "kelvin",
-    "deg",
-    "rad",
-    "degree",
-    "degrees",
-    "radian",
-    "radians",
-    "deg_s",
-    "rad_s",
-    "dps",
-    "am2",
-    "a_m2",
-    "mam2",
-    "polecm",
-}
+_UNIT_LIKE = re.compile(
+    "nt|mg|ut|t|g|mt|pt|m?gauss|(nano|micro)?tesla|counts?|raw|lsb|adu|km|m|met(re|er)s?|km_s|m_s|kms|ms|[mu]?a"
+    "|k|c|f|degc|celsius|kelvin|deg|rad|(degree|radian)s?|deg_s|rad_s|dps|am2|a_m2|mam2|polecm"
+)
+"""What may be meant for a unit at the end of a name."""
 
 TEXTS = {"spacecraft": "spacecraft", "mag_corrected_by": "calibration"}
 """Columns of a CSV that hold one text in every row, and what the provenance calls it. NetCDF has attributes for them.
@@ -218,7 +172,7 @@ def _refuse_missing_unit(quantity: Quantity, known: set[str], where: str) -> Non
     for stem in quantity.stems:
         for name in sorted(known):
             bare = name == stem
-            foreign = name.startswith(f"{stem}_") and name[len(stem) + 1 :].lower() in _UNIT_LIKE
+            foreign = name.startswith(f"{stem}_") and _UNIT_LIKE.fullmatch(name[len(stem) + 1 :].lower())
             if bare or foreign:
                 what = "has no unit in its name" if bare else "has a unit that is not accepted"
                 accepted = " or ".join(f"{stem}_{unit}" for unit in quantity.units)

@@ -35,21 +35,17 @@ _MAX_BYTES_PER_SAMPLE = 128
 _MAX_COLUMNS = 5_000
 _CHUNK = 65_536
 _UNIT_NS = {
-    "nanosecond": 1,
-    "ns": 1,
-    "microsecond": 10**3,
-    "us": 10**3,
-    "millisecond": 10**6,
-    "ms": 10**6,
-    "second": 10**9,
-    "sec": 10**9,
-    "s": 10**9,
-    "minute": 60 * 10**9,
-    "min": 60 * 10**9,
-    "hour": 3600 * 10**9,
-    "h": 3600 * 10**9,
-    "day": 86400 * 10**9,
-    "d": 86400 * 10**9,
+    word: nanoseconds
+    for words, nanoseconds in (
+        ("nanosecond ns", 1),
+        ("microsecond us", 10**3),
+        ("millisecond ms", 10**6),
+        ("second sec s", 10**9),
+        ("minute min", 60 * 10**9),
+        ("hour h", 3600 * 10**9),
+        ("day d", 86400 * 10**9),
+    )
+    for word in words.split()
 }
 _SINCE = re.compile(r"\s*([A-Za-z]+)\s+since\s+(\S.*?)\s*")
 _NOT_SIGNED = {_SHA, "_NCProperties"}

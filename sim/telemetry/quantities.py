@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -82,6 +82,17 @@ def _xyz(stem: str) -> tuple[str, ...]:
     return tuple(f"{stem}_{axis}" for axis in "xyz")
 
 
+def _number(stem: str, unit: str, long_name: str, cf_units: str | None = None, **more: Any) -> Quantity:
+    """A quantity of one number a row, which a map calls by its stem."""
+    name = f"{stem}_{unit}" if unit else stem
+    return Quantity(name, (stem,), {unit: 1.0}, long_name, cf_units or unit or "1", mapped=stem, **more)
+
+
+def _direction(stem: str, long_name: str, part: Part) -> Quantity:
+    """A measured unit vector."""
+    return Quantity(f"{stem}_B", _xyz(stem), {"": 1.0}, f"{long_name}, body axes", "1", part=part, mapped=stem)
+
+
 POSITION = Quantity("r_N_km", _xyz("r"), {"km": 1.0}, "position, GCRS", "km", mapped="position", more_units={"m": 1e-3})
 POSITION_E = Quantity("r_E_km", _xyz("ecef"), {"km": 1.0}, "position, Earth-fixed (ITRS)", "km")
 VELOCITY = Quantity(
@@ -121,15 +132,35 @@ ANGLES = Quantity(
     "3-1-2 attitude angles from the orbital frame to the body",
     "degree",
 )
-WHEELS = Quantity(
-    "wheel_speed_rpm",
-    ("wheel_speed",),
-    {"rpm": 1.0},
-    "wheel speeds; columns wheel_1_speed_rpm, wheel_2_speed_rpm, ...",
+DIPOLE = Quantity(
+    "dipole_B_Am2",
+    _xyz("dipole"),
+    {"Am2": 1.0},
+    "torquer dipole, body axes",
+    "A m2",
+    part="torquers",
+    mapped="dipole",
+    more_units={"mAm2": 1e-3},
+    held=True,
+)
+RATE = Quantity(
+    "rate_B_rad_s",
+    _xyz("rate"),
+    {"deg_s": _DEG, "rad_s": 1.0},
+    "body rate",
+    "degree s-1",
+    part="gyro",
+    mapped="rate",
+)
+_HOUSE: dict[str, Any] = {"part": "housekeeping"}
+_STATE: dict[str, Any] = {"binary": True, "held": True}
+_CURRENT: dict[str, Any] = {**_HOUSE, "more_units": {"mA": 1e-3}, "condition": "current"}
+WHEELS = _number(
+    "wheel_speed",
     "rpm",
-    part="housekeeping",
-    mapped="wheel_speed",
+    "wheel speeds; columns wheel_1_speed_rpm, wheel_2_speed_rpm, ...",
     more_units={"rad/s": 60.0 / (2.0 * np.pi)},
+    **_HOUSE,
 )
 QUANTITIES: tuple[Quantity, ...] = (
     POSITION,
@@ -139,100 +170,16 @@ QUANTITIES: tuple[Quantity, ...] = (
     MAG2,
     QUATERNION,
     ANGLES,
-    Quantity(
-        "dipole_B_Am2",
-        _xyz("dipole"),
-        {"Am2": 1.0},
-        "torquer dipole, body axes",
-        "A m2",
-        part="torquers",
-        mapped="dipole",
-        more_units={"mAm2": 1e-3},
-        held=True,
-    ),
-    Quantity(
-        "sunlit", ("sunlit",), {"": 1.0}, "1 in sunlight, 0 in shadow", "1", mapped="sunlit", binary=True, held=True
-    ),
-    Quantity(
-        "heater_on",
-        ("heater_on",),
-        {"": 1.0},
-        "1 while the heater is on",
-        "1",
-        part="housekeeping",
-        mapped="heater_on",
-        binary=True,
-        held=True,
-    ),
-    Quantity(
-        "array_current_A",
-        ("array_current",),
-        {"A": 1.0},
-        "solar array current",
-        "A",
-        part="housekeeping",
-        mapped="array_current",
-        more_units={"mA": 1e-3},
-        condition="current",
-    ),
-    Quantity(
-        "battery_current_A",
-        ("battery_current",),
-        {"A": 1.0},
-        "battery current, positive charging",
-        "A",
-        part="housekeeping",
-        mapped="battery_current",
-        more_units={"mA": 1e-3},
-        condition="current",
-    ),
-    Quantity(
-        "temperature_degC",
-        ("temperature",),
-        {"degC": 1.0},
-        "magnetometer temperature",
-        "degree_Celsius",
-        part="housekeeping",
-        mapped="temperature",
-        more_units={"K": 1.0},
-    ),
-    Quantity(
-        "sun_sensor_head",
-        ("sun_sensor_head",),
-        {"": 1.0},
-        "sun sensor head in use, 0 none",
-        "1",
-        part="sun_sensor",
-        mapped="sun_sensor_head",
-        held=True,
-    ),
-    Quantity(
-        "sun_B",
-        _xyz("sun"),
-        {"": 1.0},
-        "measured unit vector to the sun, body axes",
-        "1",
-        part="sun_sensor",
-        mapped="sun",
-    ),
-    Quantity(
-        "nadir_B",
-        _xyz("nadir"),
-        {"": 1.0},
-        "measured unit vector to nadir, body axes",
-        "1",
-        part="horizon_scanner",
-        mapped="nadir",
-    ),
-    Quantity(
-        "rate_B_rad_s",
-        _xyz("rate"),
-        {"deg_s": _DEG, "rad_s": 1.0},
-        "body rate",
-        "degree s-1",
-        part="gyro",
-        mapped="rate",
-    ),
+    DIPOLE,
+    _number("sunlit", "", "1 in sunlight, 0 in shadow", **_STATE),
+    _number("heater_on", "", "1 while the heater is on", **_HOUSE, **_STATE),
+    _number("array_current", "A", "solar array current", **_CURRENT),
+    _number("battery_current", "A", "battery current, positive charging", **_CURRENT),
+    _number("temperature", "degC", "magnetometer temperature", "degree_Celsius", more_units={"K": 1.0}, **_HOUSE),
+    _number("sun_sensor_head", "", "sun sensor head in use, 0 none", part="sun_sensor", held=True),
+    _direction("sun", "measured unit vector to the sun", "sun_sensor"),
+    _direction("nadir", "measured unit vector to nadir", "horizon_scanner"),
+    RATE,
 )
 """In the order in which files have them."""
 

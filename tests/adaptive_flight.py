@@ -19,7 +19,7 @@ from fluxtwin.sim.spacecraft.dynamics import layout
 from fluxtwin.sim.spacecraft.dynamics.environment import Environment
 from fluxtwin.sim.spacecraft.dynamics.flight import Flight, Start
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle, part_names
-from fluxtwin.sim.spacecraft.torques.torquers import drive
+from fluxtwin.sim.spacecraft.torques.magnetic import drive
 
 
 class _Problem:
@@ -156,7 +156,7 @@ def torques_B_Nm(
     surroundings (N, 14): columns as in `Environment.nodes`, for instance `Environment.at`. dipole_B_Am2 (N, 3): what
     the torquers did. Raises BadInput for numbers of rows that differ.
     """
-    from fluxtwin.sim.spacecraft.dynamics.kernels import add_torques
+    from fluxtwin.sim.spacecraft.dynamics.kernels import torque_chain
 
     rows = len(motion)
     dipole = np.zeros((rows, 3)) if dipole_B_Am2 is None else np.asarray(dipole_B_Am2, dtype=np.float64)
@@ -173,5 +173,6 @@ def torques_B_Nm(
     stages[:, layout.FIELD : layout.DIPOLE] = motion.R_BN.apply(surroundings[:, 6:9])
     stages[:, layout.DIPOLE : layout.TORQUE] = dipole
     packed, slots = vehicle.packed()
-    add_torques(packed, slots, stages)
+    for stage in stages:
+        torque_chain(slots, packed, stage)
     return stages[:, layout.TORQUE : layout.TORQUE + 3].copy()

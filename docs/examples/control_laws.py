@@ -32,8 +32,7 @@ from fluxtwin.sim.spacecraft.dynamics.environment import environment_along
 from fluxtwin.sim.spacecraft.dynamics.flight import Flight, Start, fly
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Target, Vehicle, Wheel
 from fluxtwin.sim.spacecraft.torques.gravity_gradient import GravityGradient
-from fluxtwin.sim.spacecraft.torques.residual_dipole import ResidualDipole
-from fluxtwin.sim.spacecraft.torques.torquers import Torquers
+from fluxtwin.sim.spacecraft.torques.magnetic import ResidualDipole, Torquers
 
 EPOCH = np.datetime64("1978-11-29T00:00:00", "ns")
 ORBIT = Orbit(epoch_utc=EPOCH, altitude_km=620.0, inclination_rad=np.radians(97.6), raan_rad=0.5)

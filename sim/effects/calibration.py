@@ -8,8 +8,15 @@ import numpy as np
 
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
-from fluxtwin.sim.effects.base import MATRIX, DistributionEffect, Parameter, SignalEffect, vector_parameters
-from fluxtwin.sim.effects.instrument import in_reading, mapped
+from fluxtwin.sim.effects.base import (
+    MATRIX,
+    DistributionEffect,
+    Parameter,
+    SignalEffect,
+    in_reading,
+    mapped,
+    vector_parameters,
+)
 from fluxtwin.sim.effects.signal import Setting, Signal
 
 _GRID = 31

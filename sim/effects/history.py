@@ -5,11 +5,17 @@ All run along the rows once, in kernels that are compiled when first used.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from fluxtwin.sim.attitude.smoothed_track import RowArray
 from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.effects.signal import Signal
 
 _GAP = 5.0
+_TURN_RAD = 0.3  # between two moments: cubics through values and slopes follow it to 2e-5 of the field
+_MOST_PARTS = 64
 
 
 def restarts(seconds: FloatArray) -> BoolArray:
@@ -76,3 +82,90 @@ def play(signal: FloatArray, half_width: float, neutral: FloatArray) -> FloatArr
 
     moved: FloatArray = played(np.ascontiguousarray(signal), half_width, np.asarray(neutral, dtype=np.float64))
     return moved
+
+
+@dataclass(frozen=True, eq=False)
+class FieldHistory:
+    """The ambient field as the body has seen it, at M moments: the N stamps and, where it turns far in a step, between them.
+
+    Along the smoothed track of the attitude, not the recorded one: the errors of the rows before are no motion.
+    """
+
+    time_s: FloatArray
+    """(M,) since the first stamp."""
+    along_B_nT: FloatArray
+    """(M, 3) the field in the body axes of the track."""
+    slope_B_nT_s: FloatArray
+    """(M, 3) its rate of change there."""
+    restart: BoolArray
+    """(M,) True where nothing is known of what came before."""
+    stamps: RowArray
+    """(N,) which of the moments are stamps."""
+    turning_B_rad_s: FloatArray
+    """(N, 3) body rate at the stamps."""
+    changing_B_nT_s: FloatArray
+    """(N, 3) rate of change at the stamps by the way along the orbit alone."""
+
+    def steady_B_nT(self, lag_s: float) -> FloatArray:
+        """(M, 3) at the stamps: what a low-pass shows if the body has turned at this rate since long ago.
+
+        tau y' + y = x with y' = -w cross y + c has y = (1 - tau [w x])^-1 (x - tau c): late where tau w is small,
+        small where it is large.
+        """
+        turn = lag_s * self.turning_B_rad_s
+        goal = self.along_B_nT[self.stamps] - lag_s * self.changing_B_nT_s
+        along = np.einsum("nc,nc->n", turn, goal)[:, None] * turn
+        square = np.einsum("nc,nc->n", turn, turn)[:, None]
+        found = np.zeros_like(self.along_B_nT)
+        found[self.stamps] = (goal + np.cross(turn, goal) + along) / (1.0 + square)
+        return found
+
+
+def field_history(signal: Signal) -> FieldHistory:
+    """What the body has seen, from the field stage on."""
+    setting, track = signal.setting, signal.R_track_BN
+    again = restarts(setting.seconds)
+    step = np.where(again, 0.0, np.diff(setting.seconds, prepend=setting.seconds[0]))
+    rate, along = setting.rates(signal.sample_offset_s)
+    field = track.apply(signal.ambient_N_nT)
+    changing = track.apply(along)
+    slope = changing - np.cross(rate, field)
+    parts = _parts(np.linalg.norm(rate, axis=1), step)
+    if parts == 1:
+        stamps = np.arange(signal.rows, dtype=np.intp)
+        return FieldHistory(setting.seconds, field, slope, again, stamps, rate, changing)
+    turned = track * setting.track(signal.sample_offset_s).inv()  # by effects on the attitude of the row
+    moments = []
+    for number, (moment_s, there, turning) in enumerate(setting.within_steps(signal.sample_offset_s, step, parts), 1):
+        field_N, slope_N = _cubic(signal.ambient_N_nT, along, step, number / parts)
+        between = (turned * there).apply(field_N)
+        slope_B = (turned * there).apply(slope_N) - np.cross(turning, between)
+        moments.append((setting.seconds + moment_s - signal.sample_offset_s, between, slope_B))
+    seconds = np.stack([*(one[0] for one in moments), setting.seconds], axis=1)
+    known = np.ones(seconds.shape, dtype=np.bool_)
+    known[again, :-1] = False
+    return FieldHistory(
+        seconds[known],
+        np.stack([*(one[1] for one in moments), field], axis=1)[known],
+        np.stack([*(one[2] for one in moments), slope], axis=1)[known],
+        np.stack([*(np.zeros_like(again) for _ in moments), again], axis=1)[known],
+        np.cumsum(known.sum(axis=1)) - 1,
+        rate,
+        changing,
+    )
+
+
+def _parts(rate_rad_s: FloatArray, step_s: FloatArray) -> int:
+    """Into how many parts each step is cut: by the turn that all but one in a hundred steps stay below."""
+    turns = rate_rad_s * step_s
+    return int(np.clip(np.ceil(np.quantile(turns, 0.99) / _TURN_RAD), 1, _MOST_PARTS))
+
+
+def _cubic(value: FloatArray, slope: FloatArray, step_s: FloatArray, share: float) -> tuple[FloatArray, FloatArray]:
+    """The cubic with these values and slopes (N, 3) at both ends of the step before each row, and its slope."""
+    h = step_s[:, None]
+    left, left_slope = np.concatenate([value[:1], value[:-1]]), np.concatenate([slope[:1], slope[:-1]])
+    rise = (value - left) / np.where(h > 0.0, h, 1.0)
+    bend, twist = 3.0 * rise - 2.0 * left_slope - slope, left_slope + slope - 2.0 * rise
+    found = left + h * share * (left_slope + share * (bend + share * twist))
+    return found, left_slope + share * (2.0 * bend + 3.0 * share * twist)

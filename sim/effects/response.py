@@ -11,10 +11,8 @@ import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.effects.base import Parameter, SignalEffect, vector_parameters
-from fluxtwin.sim.effects.field_history import field_history
-from fluxtwin.sim.effects.history import low_pass, play, restarts
-from fluxtwin.sim.effects.instrument import in_reading, mapped
+from fluxtwin.sim.effects.base import Parameter, SignalEffect, in_reading, mapped, vector_parameters
+from fluxtwin.sim.effects.history import field_history, low_pass, play, restarts
 from fluxtwin.sim.effects.signal import Setting, Signal
 
 STANDARD_FIELD_NT = 50_000.0

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.effects.base import MATRIX, SignalEffect, held, known_column, vector_parameters
+from fluxtwin.sim.effects.base import MATRIX, SignalEffect, held, known_column, mapped, vector_parameters
 from fluxtwin.sim.effects.drivers import PanelKind, array_current_A, battery_current_A, sun_in_body, varies
-from fluxtwin.sim.effects.instrument import mapped
 from fluxtwin.sim.effects.signal import Setting, Signal
 
 

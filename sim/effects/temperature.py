@@ -9,9 +9,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.effects.base import SignalEffect, known_column, vector_parameters
+from fluxtwin.sim.effects.base import SignalEffect, in_reading, known_column, mapped, vector_parameters
 from fluxtwin.sim.effects.drivers import STANDARD_SWING_K, TIME_CONSTANTS_S, temperature_K, varies
-from fluxtwin.sim.effects.instrument import in_reading, mapped
 from fluxtwin.sim.effects.signal import Setting, Signal
 
 

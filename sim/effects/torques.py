@@ -13,12 +13,9 @@ from fluxtwin.sim.effects.base import DynamicsEffect, Effect, vector_parameters
 from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 from fluxtwin.sim.spacecraft.torques.base import Torque
-from fluxtwin.sim.spacecraft.torques.drag_moment import DragMoment
-from fluxtwin.sim.spacecraft.torques.eddy_currents import EddyCurrents
 from fluxtwin.sim.spacecraft.torques.gravity_gradient import GravityGradient
-from fluxtwin.sim.spacecraft.torques.residual_dipole import ResidualDipole
-from fluxtwin.sim.spacecraft.torques.sunlight_moment import SunlightMoment
-from fluxtwin.sim.spacecraft.torques.torquers import Torquers
+from fluxtwin.sim.spacecraft.torques.magnetic import EddyCurrents, ResidualDipole, Torquers
+from fluxtwin.sim.spacecraft.torques.surface import DragMoment, SunlightMoment
 
 _Kind = TypeVar("_Kind", bound=Torque)
 

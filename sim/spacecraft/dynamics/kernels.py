@@ -42,14 +42,14 @@ from fluxtwin.sim.spacecraft.dynamics.layout import (
     TORQUE,
     VELOCITY,
 )
-from fluxtwin.sim.spacecraft.torques import plates, torquers
+from fluxtwin.sim.spacecraft.torques import magnetic
 from fluxtwin.sim.spacecraft.torques.catalogue import TORQUES
 
 _FAST = {"contract"}  # fused multiply-add: one rounding instead of two, nothing is reordered
 
 
 OPTIONS: dict[str, Any] = {"fastmath": _FAST, "error_model": "numpy", "forceinline": True}
-PARTS = [layout, constants, plates, *(sys.modules[one.__module__] for one in (*TORQUES, *CONTROLS))]
+PARTS = [layout, constants, *(sys.modules[one.__module__] for one in (*TORQUES, *CONTROLS))]
 """What is compiled into the kernels besides this file."""
 _LAWS = len(TORQUES)
 _CURIOUS = tuple(t.needs_field or t.needs_sun or t.needs_air for t in TORQUES)
@@ -73,7 +73,7 @@ def _chain(functions: Sequence[Any], slot: int) -> Any:
 
 torque_chain = _chain([torque.add for torque in TORQUES], 0)
 _decide = _chain([control.decide for control in CONTROLS], _LAWS)
-_drive = part(**OPTIONS)(torquers.drive)
+_drive = part(**OPTIONS)(magnetic.drive)
 
 
 @kernel(uses=PARTS, nogil=True, **OPTIONS)
@@ -169,13 +169,6 @@ def fly(
 def _clear(numbers: FloatArray) -> None:
     for k in range(numbers.shape[0]):  # a slice would be shorter, and two seconds of the compiler's time
         numbers[k] = 0.0
-
-
-@kernel(uses=PARTS, nogil=True, **OPTIONS)
-def add_torques(packed: FloatArray, slots: Any, stages: FloatArray) -> None:
-    """Add the torques to each of the stages (N, STAGE_SIZE), in place."""
-    for i in range(stages.shape[0]):
-        torque_chain(slots, packed, stages[i])
 
 
 @part(**OPTIONS)

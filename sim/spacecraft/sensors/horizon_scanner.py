@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
 from fluxtwin.sim.attitude.gauss_markov import gauss_markov
-from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.section_types import NonNegative
-from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import horizon
 from fluxtwin.sim.spacecraft.sensors.base import SensorSection, Surroundings
 from fluxtwin.sim.spacecraft.sensors.horizon_crossings import ConicalScanner
@@ -35,43 +33,6 @@ def nadir_from(roll_rad: FloatArray, pitch_rad: FloatArray) -> FloatArray:
     return nadir
 
 
-@dataclass(frozen=True)
-class HorizonScanner:
-    """Roll and pitch, each with bias, correlated error, white noise and rounding, added in that order."""
-
-    noise_rad: float = 0.0
-    """White noise of a single reading, 1 sigma per angle."""
-    lsb_rad: float = 0.0
-    bias_rad: tuple[float, float] = (0.0, 0.0)
-    """Constant error of roll and of pitch."""
-    wander_rad: float = 0.0
-    """Standard deviation of the correlated error per angle (Gauss-Markov)."""
-    wander_tau_s: float = 0.0
-    field_of_view_rad: float = float(np.pi)
-    """Largest angle between body z and nadir at which the scanner still finds the Earth."""
-
-    def __post_init__(self) -> None:
-        if min(self.noise_rad, self.lsb_rad, self.wander_rad, self.wander_tau_s) < 0:
-            raise BadInput(f"{self}", where="horizon scanner", wanted="noise, LSB, wander and tau >= 0")
-
-    def measure(
-        self, time: TimeArray, nadir_B: FloatArray, rng: np.random.Generator
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Measured roll (N,), pitch (N,) [rad] and the nadir direction that they make, (N, 3).
-
-        nadir_B (N, 3) true unit vectors in body axes. NaN where nadir is outside the field of view.
-        """
-        nadir = np.atleast_2d(np.asarray(nadir_B, dtype=np.float64))
-        angles = np.stack(roll_pitch(nadir), axis=1)
-        wander = gauss_markov(time, self.wander_rad, self.wander_tau_s, rng, columns=2)
-        angles = angles + self.bias_rad + wander + self.noise_rad * rng.standard_normal(angles.shape)
-        if self.lsb_rad > 0:
-            angles = self.lsb_rad * np.rint(angles / self.lsb_rad)
-        off_axis = np.arctan2(np.hypot(nadir[:, 0], nadir[:, 1]), nadir[:, 2])
-        angles[off_axis > self.field_of_view_rad] = np.nan
-        return angles[:, 0], angles[:, 1], nadir_from(angles[:, 0], angles[:, 1])
-
-
 class HorizonScannerSection(SensorSection):
     """Measures roll and pitch against the Earth's horizon; noise is correlated over `tau_s`."""
 
@@ -89,17 +50,18 @@ class HorizonScannerSection(SensorSection):
     pitch_bias_deg: float = 0.0
 
     def measure(self, around: Surroundings, rng: np.random.Generator) -> dict[str, FloatArray]:
-        """nadir_B (N, 3) unit vectors in body axes."""
+        """nadir_B (N, 3) unit vectors in body axes; to roll and pitch are added bias, noise and rounding, in that order."""
         correlated = self.tau_s > 0
-        scanner = HorizonScanner(
-            noise_rad=0.0 if correlated else float(np.radians(self.noise_deg)),
-            lsb_rad=float(np.radians(self.lsb_deg)),
-            bias_rad=(float(np.radians(self.roll_bias_deg)), float(np.radians(self.pitch_bias_deg))),
-            wander_rad=float(np.radians(self.noise_deg)) if correlated else 0.0,
-            wander_tau_s=self.tau_s,
-        )
-        *_, nadir_B = scanner.measure(around.time, self._seen_nadir_B(around), rng)
-        return {"nadir_B": nadir_B}
+        wander_rad = float(np.radians(self.noise_deg)) if correlated else 0.0
+        white_rad = 0.0 if correlated else float(np.radians(self.noise_deg))
+        angles = np.stack(roll_pitch(self._seen_nadir_B(around)), axis=1)
+        bias_rad = (float(np.radians(self.roll_bias_deg)), float(np.radians(self.pitch_bias_deg)))
+        wander = gauss_markov(around.time, wander_rad, self.tau_s, rng, columns=2)
+        angles = angles + bias_rad + wander + white_rad * rng.standard_normal(angles.shape)
+        lsb_rad = float(np.radians(self.lsb_deg))
+        if lsb_rad > 0:
+            angles = lsb_rad * np.rint(angles / lsb_rad)
+        return {"nadir_B": nadir_from(angles[:, 0], angles[:, 1])}
 
     @property
     def conical(self) -> ConicalScanner:

@@ -27,8 +27,6 @@ class SlitSunSensor:
     """Of the slit's half plane, from body x towards y."""
     noise_rad: float = 0.0
     """White, 1 sigma, across the slit and along it."""
-    half_fov_rad: float = 0.5 * np.pi
-    """Largest elevation, either way."""
 
     def crossings(
         self, seconds: FloatArray, sun_B: Callable[[FloatArray], FloatArray], rng: np.random.Generator
@@ -57,8 +55,7 @@ class SlitSunSensor:
         elevation = np.arcsin(np.clip(sun_B(t)[:, 2], -1.0, 1.0))
         across, along = self.noise_rad * rng.standard_normal((2, t.size))
         t = t + across / (np.cos(elevation) * rate)
-        seen = np.abs(elevation) < self.half_fov_rad
-        return t[seen], self.direction(elevation + along)[seen]
+        return t, self.direction(elevation + along)
 
     def direction(self, elevation_rad: FloatArray) -> FloatArray:
         """(M, 3) unit vectors of the slit at elevations (M,)."""

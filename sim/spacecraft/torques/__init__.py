@@ -1,1 +1,1 @@
-"""The torques on a spacecraft, each in a file of its own; `catalogue` lists them."""
+"""The torques on a spacecraft, each a class; `catalogue` lists them."""

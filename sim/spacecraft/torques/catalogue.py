@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from fluxtwin.sim.spacecraft.torques.aerodynamic import Aerodynamic
 from fluxtwin.sim.spacecraft.torques.base import Torque
-from fluxtwin.sim.spacecraft.torques.drag_moment import DragMoment
-from fluxtwin.sim.spacecraft.torques.eddy_currents import EddyCurrents
 from fluxtwin.sim.spacecraft.torques.gravity_gradient import GravityGradient
-from fluxtwin.sim.spacecraft.torques.residual_dipole import ResidualDipole
-from fluxtwin.sim.spacecraft.torques.solar_pressure import SolarPressure
-from fluxtwin.sim.spacecraft.torques.sunlight_moment import SunlightMoment
-from fluxtwin.sim.spacecraft.torques.torquers import Torquers
+from fluxtwin.sim.spacecraft.torques.magnetic import EddyCurrents, ResidualDipole, Torquers
+from fluxtwin.sim.spacecraft.torques.surface import Aerodynamic, DragMoment, SolarPressure, SunlightMoment
 
 TORQUES: tuple[type[Torque], ...] = (
     GravityGradient,

@@ -21,7 +21,7 @@ from fluxtwin.sim.scenario.dynamics_sections import ControlSection, DynamicsSect
 from fluxtwin.sim.scenario.scenario import Scenario, load_scenario, parse_scenario
 from fluxtwin.sim.spacecraft.control.catalogue import CONTROLS
 from fluxtwin.sim.spacecraft.torques.catalogue import TORQUES
-from fluxtwin.sim.spacecraft.torques.plates import Plate
+from fluxtwin.sim.spacecraft.torques.surface import Plate
 
 pytestmark = pytest.mark.property
 

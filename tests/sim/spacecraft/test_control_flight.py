@@ -18,17 +18,11 @@ from fluxtwin.sim.spacecraft.control.three_axis import ThreeAxis
 from fluxtwin.sim.spacecraft.dynamics.environment import environment_along
 from fluxtwin.sim.spacecraft.dynamics.flight import Start, fly
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Compass, Target, Vehicle, Wheel
-from fluxtwin.sim.spacecraft.torques.aerodynamic import Aerodynamic
 from fluxtwin.sim.spacecraft.torques.base import Torque
 from fluxtwin.sim.spacecraft.torques.catalogue import TORQUES
-from fluxtwin.sim.spacecraft.torques.drag_moment import DragMoment
-from fluxtwin.sim.spacecraft.torques.eddy_currents import EddyCurrents
 from fluxtwin.sim.spacecraft.torques.gravity_gradient import GravityGradient
-from fluxtwin.sim.spacecraft.torques.plates import Plate
-from fluxtwin.sim.spacecraft.torques.residual_dipole import ResidualDipole
-from fluxtwin.sim.spacecraft.torques.solar_pressure import SolarPressure
-from fluxtwin.sim.spacecraft.torques.sunlight_moment import SunlightMoment
-from fluxtwin.sim.spacecraft.torques.torquers import Torquers
+from fluxtwin.sim.spacecraft.torques.magnetic import EddyCurrents, ResidualDipole, Torquers
+from fluxtwin.sim.spacecraft.torques.surface import Aerodynamic, DragMoment, Plate, SolarPressure, SunlightMoment
 
 pytestmark = pytest.mark.reference
 

@@ -24,8 +24,7 @@ from fluxtwin.sim.spacecraft.dynamics.environment import Environment, environmen
 from fluxtwin.sim.spacecraft.dynamics.flight import Flight, Start, fly
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Target, Vehicle, Wheel
 from fluxtwin.sim.spacecraft.torques.gravity_gradient import GravityGradient
-from fluxtwin.sim.spacecraft.torques.residual_dipole import ResidualDipole
-from fluxtwin.sim.spacecraft.torques.torquers import Torquers
+from fluxtwin.sim.spacecraft.torques.magnetic import ResidualDipole, Torquers
 
 pytestmark = pytest.mark.closure
 

@@ -16,17 +16,18 @@ from fluxtwin.sim.spacecraft.dynamics import layout
 from fluxtwin.sim.spacecraft.dynamics.environment import Environment, environment_along
 from fluxtwin.sim.spacecraft.dynamics.flight import Start, fly
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
-from fluxtwin.sim.spacecraft.torques import torquers
-from fluxtwin.sim.spacecraft.torques.aerodynamic import Aerodynamic
+from fluxtwin.sim.spacecraft.torques import magnetic
 from fluxtwin.sim.spacecraft.torques.base import Torque
-from fluxtwin.sim.spacecraft.torques.drag_moment import DragMoment
-from fluxtwin.sim.spacecraft.torques.eddy_currents import EddyCurrents
 from fluxtwin.sim.spacecraft.torques.gravity_gradient import GravityGradient
-from fluxtwin.sim.spacecraft.torques.plates import Plate
-from fluxtwin.sim.spacecraft.torques.residual_dipole import ResidualDipole
-from fluxtwin.sim.spacecraft.torques.solar_pressure import PRESSURE_N_M2, SolarPressure
-from fluxtwin.sim.spacecraft.torques.sunlight_moment import SunlightMoment
-from fluxtwin.sim.spacecraft.torques.torquers import Torquers
+from fluxtwin.sim.spacecraft.torques.magnetic import EddyCurrents, ResidualDipole, Torquers
+from fluxtwin.sim.spacecraft.torques.surface import (
+    PRESSURE_N_M2,
+    Aerodynamic,
+    DragMoment,
+    Plate,
+    SolarPressure,
+    SunlightMoment,
+)
 
 pytestmark = pytest.mark.reference
 
@@ -142,7 +143,7 @@ DRIVES = {
 def test_what_torquers_make_of_a_command(kind: str) -> None:
     command, expected = np.array(DRIVES[kind][0]), DRIVES[kind][1]
     section = Torquers(dipole_Am2=10.0, drive=kind, threshold_Am2=0.5)
-    torquers.drive(np.array([0.0, *section.packed(np.eye(3))]), 1, command)
+    magnetic.drive(np.array([0.0, *section.packed(np.eye(3))]), 1, command)
     assert command.tolist() == expected
 
 

@@ -43,7 +43,7 @@ from fluxtwin.sim.spacecraft.dynamics.environment import environment_along
 from fluxtwin.sim.spacecraft.dynamics.flight import Flight, Start, fly
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
-from fluxtwin.sim.spacecraft.torques.gravity_gradient import GravityGradient
+from fluxtwin.sim.spacecraft.torques import GravityGradient
 
 DEGREE, STEP_S, LOG_EVERY, STEPS = 13, 1.0, 10, 24_159
 START = np.datetime64("2022-01-01T00:00:00", "ns")

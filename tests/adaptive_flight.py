@@ -19,7 +19,7 @@ from fluxtwin.sim.spacecraft.dynamics import layout
 from fluxtwin.sim.spacecraft.dynamics.environment import Environment
 from fluxtwin.sim.spacecraft.dynamics.flight import Flight, Start
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle, part_names
-from fluxtwin.sim.spacecraft.torques.magnetic import drive
+from fluxtwin.sim.spacecraft.torques import drive
 
 
 class _Problem:

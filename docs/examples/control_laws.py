@@ -23,16 +23,11 @@ from fluxtwin.sim.attitude.record import ephemeris_rate_O_rad_s
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.earth.orbit import Orbit
-from fluxtwin.sim.spacecraft.control.b_dot import BDot
-from fluxtwin.sim.spacecraft.control.base import Control
-from fluxtwin.sim.spacecraft.control.momentum_bias import MomentumBias
-from fluxtwin.sim.spacecraft.control.spin import Spin
-from fluxtwin.sim.spacecraft.control.three_axis import ThreeAxis
+from fluxtwin.sim.spacecraft.control import BDot, Control, MomentumBias, Spin, ThreeAxis
 from fluxtwin.sim.spacecraft.dynamics.environment import environment_along
 from fluxtwin.sim.spacecraft.dynamics.flight import Flight, Start, fly
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Target, Vehicle, Wheel
-from fluxtwin.sim.spacecraft.torques.gravity_gradient import GravityGradient
-from fluxtwin.sim.spacecraft.torques.magnetic import ResidualDipole, Torquers
+from fluxtwin.sim.spacecraft.torques import GravityGradient, ResidualDipole, Torquers
 
 EPOCH = np.datetime64("1978-11-29T00:00:00", "ns")
 ORBIT = Orbit(epoch_utc=EPOCH, altitude_km=620.0, inclination_rad=np.radians(97.6), raan_rad=0.5)

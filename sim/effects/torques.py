@@ -12,10 +12,15 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import DynamicsEffect, Effect, vector_parameters
 from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
-from fluxtwin.sim.spacecraft.torques.base import Torque
-from fluxtwin.sim.spacecraft.torques.gravity_gradient import GravityGradient
-from fluxtwin.sim.spacecraft.torques.magnetic import EddyCurrents, ResidualDipole, Torquers
-from fluxtwin.sim.spacecraft.torques.surface import DragMoment, SunlightMoment
+from fluxtwin.sim.spacecraft.torques import (
+    DragMoment,
+    EddyCurrents,
+    GravityGradient,
+    ResidualDipole,
+    SunlightMoment,
+    Torque,
+    Torquers,
+)
 
 _Kind = TypeVar("_Kind", bound=Torque)
 

@@ -26,8 +26,7 @@ from fluxtwin.sim.scenario.sections import SegmentSection
 from fluxtwin.sim.spacecraft.dynamics.environment import Environment, environment_along
 from fluxtwin.sim.spacecraft.dynamics.flight import Flight, Start, fly
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Compass, Target, Vehicle, Wheel
-from fluxtwin.sim.spacecraft.torques.base import Torque
-from fluxtwin.sim.spacecraft.torques.magnetic import Torquers
+from fluxtwin.sim.spacecraft.torques import Torque, Torquers
 from fluxtwin.sim.spacecraft.wheels import RPM_PER_RAD_S
 
 _MOST_SPACING_S = 120.0

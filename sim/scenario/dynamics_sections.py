@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING, Literal, Self
 from pydantic import create_model, model_validator
 
 from fluxtwin.sim.base.section_types import ZERO3, Direction, NonNegative, Positive, Quaternion, Section, Vector3
-from fluxtwin.sim.spacecraft.control.base import Control
-from fluxtwin.sim.spacecraft.control.catalogue import CONTROLS
-from fluxtwin.sim.spacecraft.torques.base import Torque
-from fluxtwin.sim.spacecraft.torques.catalogue import TORQUES
+from fluxtwin.sim.spacecraft.control import CONTROLS, Control
+from fluxtwin.sim.spacecraft.torques import TORQUES, Torque
 
 _LEVEL: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
 

@@ -7,7 +7,6 @@ source the value is missing. Magnetometers are never interpolated: a second one 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +51,9 @@ def merged_table(
             elif name != "velocity" or "position" not in source.values:
                 _put(columns, name, _resampled(source, name, time, source is master))
         if {"position", "velocity"} <= source.values.keys():
-            _put(columns, "velocity", _velocity(source, time, source is master))
+            rows = _known(source.values["position"], source.values["velocity"])
+            moved = source.values["velocity"] if source is master else _along_orbit(source, rows, time, 1)
+            _put(columns, "velocity", moved)
     r, v = _orbit(columns, time, tle, notices)
     if attitude is not None:
         q = _absolute(attitude, time, r, v, master.where, notices)
@@ -85,8 +86,10 @@ def _resampled(source: Source, name: str, time: TimeArray, same: bool) -> FloatA
     value = source.values[name]
     if same:
         return value
+    rows = _known(value)
+    if name == "position":
+        return _along_orbit(source, rows, time, 0)
     out = np.full((time.size, value.shape[1]), np.nan)
-    rows = np.flatnonzero(np.isfinite(value).all(axis=1))
     if rows.size == 0:
         return out
     origin = time[0]
@@ -98,9 +101,6 @@ def _resampled(source: Source, name: str, time: TimeArray, same: bool) -> FloatA
         out[fresh] = value[rows][place[fresh]]
         return out
     place, inside = _brackets(have, want, gap)
-    if name == "position":
-        out[inside] = _position(source, rows, have, gap, 0)(want[inside])
-        return out
     for axis in range(value.shape[1]):
         out[inside, axis] = np.interp(want[inside], have, value[rows, axis])
     if name in ("sun", "nadir"):
@@ -108,62 +108,38 @@ def _resampled(source: Source, name: str, time: TimeArray, same: bool) -> FloatA
     return out
 
 
-def _position(source: Source, rows: np.ndarray, have: FloatArray, gap: float, order: int) -> _Curve:
-    return _Curve(have, source.values["position"][rows], _rows_of(source, "velocity", rows), gap, order)
+def _known(*values: FloatArray) -> np.ndarray:
+    """Numbers of the rows in which all of these (N, k) are finite."""
+    return np.flatnonzero(np.isfinite(np.hstack(values)).all(axis=1))
 
 
-def _rows_of(source: Source, name: str, rows: np.ndarray) -> FloatArray | None:
-    value = source.values.get(name)
-    if value is None or not np.isfinite(value[rows]).all():
-        return None
-    chosen: FloatArray = value[rows]
-    return chosen
-
-
-@dataclass(frozen=True)
-class _Curve:
-    """Positions between samples, piece by piece between gaps; order 1 gives the velocity."""
-
-    have: FloatArray
-    r: FloatArray
-    v: FloatArray | None
-    gap: float
-    order: int
-
-    def __call__(self, want: FloatArray) -> FloatArray:
-        out = np.full((want.size, 3), np.nan)
-        for piece in np.split(np.arange(self.have.size), np.flatnonzero(np.diff(self.have) > self.gap) + 1):
-            inside = (want >= self.have[piece[0]]) & (want <= self.have[piece[-1]])
-            if piece.size >= (2 if self.v is not None else 4) and inside.any():
-                curve = (
-                    CubicSpline(self.have[piece], self.r[piece])
-                    if self.v is None
-                    else CubicHermiteSpline(self.have[piece], self.r[piece], self.v[piece])
-                )
-                out[inside] = curve(want[inside], self.order)
-            elif piece.size and inside.any() and self.order == 0:
-                exact = np.searchsorted(self.have[piece], want[inside])
-                hit = self.have[piece][np.minimum(exact, piece.size - 1)] == want[inside]
-                out[np.flatnonzero(inside)[hit]] = self.r[piece][exact[hit]]
-        return out
-
-
-def _velocity(source: Source, time: TimeArray, same: bool) -> FloatArray:
-    if same:
-        return source.values["velocity"]
-    rows = np.flatnonzero(np.isfinite(np.hstack([source.values["position"], source.values["velocity"]])).all(axis=1))
+def _along_orbit(source: Source, rows: np.ndarray, time: TimeArray, order: int) -> FloatArray:
+    """(N, 3) positions (order 0) or velocities (1) between the samples in these rows, piece by piece between gaps."""
     out = np.full((time.size, 3), np.nan)
-    if rows.size:
-        have, want = _seconds(source.time[rows], time[0]), _seconds(time, time[0])
-        _, inside = _brackets(have, want, source.entry.max_gap_s)
-        out[inside] = _position(source, rows, have, source.entry.max_gap_s, 1)(want[inside])
+    if rows.size == 0:
+        return out
+    gap, origin = source.entry.max_gap_s, time[0]
+    have, want = _seconds(source.time[rows], origin), _seconds(time, origin)
+    r, v = source.values["position"][rows], source.values.get("velocity")
+    v = None if v is None or not np.isfinite(v[rows]).all() else v[rows]
+    near = _brackets(have, want, gap)[1]
+    for piece in np.split(np.arange(have.size), np.flatnonzero(np.diff(have) > gap) + 1):
+        at = have[piece]
+        inside = near & (want >= at[0]) & (want <= at[-1])
+        if piece.size >= (2 if v is not None else 4) and inside.any():
+            curve = CubicSpline(at, r[piece]) if v is None else CubicHermiteSpline(at, r[piece], v[piece])
+            out[inside] = curve(want[inside], order)
+        elif inside.any() and order == 0:
+            exact = np.searchsorted(at, want[inside])
+            hit = at[np.minimum(exact, piece.size - 1)] == want[inside]
+            out[np.flatnonzero(inside)[hit]] = r[piece][exact[hit]]
     return out
 
 
 def _slerped(source: Source, time: TimeArray, notices: list[str]) -> tuple[Rotation, BoolArray]:
     """The attitude at the wanted stamps as scipy rotations of the stored quaternion, and where it is known."""
     q = source.values["attitude"]
-    rows = np.flatnonzero(np.isfinite(q).all(axis=1))
+    rows = _known(q)
     out = Rotation.from_quat(np.tile([0.0, 0.0, 0.0, 1.0], (time.size, 1)))
     known: BoolArray = np.zeros(time.size, dtype=bool)
     if rows.size == 0:
@@ -178,8 +154,7 @@ def _slerped(source: Source, time: TimeArray, notices: list[str]) -> tuple[Rotat
         known &= ~wild
         if wild.any():
             notices.append(f"attitude turns more than 90 deg between samples; {int(wild.sum())} rows have none")
-        inside = Slerp(have, have_R)(np.clip(want, have[0], have[-1]))
-        out = inside
+        out = Slerp(have, have_R)(np.clip(want, have[0], have[-1]))
     elif known.any():
         out = Rotation.from_quat(np.tile(q[rows[0]], (time.size, 1)))
     lost = int((~known).sum())
@@ -202,11 +177,11 @@ def _orbit(
         notices.extend(elements.notices(time))
     elif tle is not None:
         notices.append(f"the files have positions, so the elements in {Path(tle).name} were not used")
-    groups = [
+    position, velocity = (
         np.stack([columns[c] for c in quantity.plain], axis=1) if quantity.plain[0] in columns else None
         for quantity in (POSITION, VELOCITY)
-    ]
-    return groups[0], groups[1]
+    )
+    return position, velocity
 
 
 def _absolute(

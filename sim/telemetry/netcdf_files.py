@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -65,10 +66,8 @@ class NetcdfFile:
         import h5py
 
         self.sha256 = _file_digest(self.path, self.where)
-        try:
+        with self._reading("is not a NetCDF-4 file, or is damaged"):
             self._file = h5py.File(self.path, "r")
-        except Exception as error:  # damaged files raise OSError, RuntimeError, KeyError, ValueError alike
-            raise self._damaged("is not a NetCDF-4 file, or is damaged", error) from None
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -81,7 +80,7 @@ class NetcdfFile:
         import h5py
 
         names = []
-        try:
+        with self._reading("its list of variables cannot be read"):
             for name in self._root:
                 link = self._root.get(name, getlink=True)
                 if not isinstance(link, h5py.HardLink):
@@ -94,26 +93,18 @@ class NetcdfFile:
                     names.append(str(name))
                 if len(names) > _MAX_COLUMNS:
                     raise BadInput(f"has more than {_MAX_COLUMNS} variables", where=self.where)
-        except BadInput:
-            raise
-        except Exception as error:
-            raise self._damaged("its list of variables cannot be read", error) from None
         return names
 
     def shape(self, name: str) -> tuple[int, ...]:
         """Shape of a variable, without reading it."""
-        try:
+        with self._reading(f"{clip(name)} cannot be read"):
             return tuple(int(n) for n in self._root[name].shape or ())
-        except Exception as error:
-            raise self._damaged(f"{clip(name)} cannot be read", error) from None
 
     def attributes(self, name: str | None = None) -> dict[str, Any]:
         """Attributes of a variable, or of the file: text as str, arrays of one number as that number."""
-        try:
+        with self._reading("an attribute cannot be read"):
             node = self._root if name is None else self._root[name]
             return {str(key): _plain(node.attrs[key]) for key in node.attrs if key not in _DIMENSION_ATTRIBUTES}
-        except Exception as error:
-            raise self._damaged("an attribute cannot be read", error) from None
 
     def described(self, name: str) -> str:
         """Name, shape and unit for a message: `B_raw (32536, 3) [count]`."""
@@ -123,15 +114,11 @@ class NetcdfFile:
 
     def raw(self, name: str) -> np.ndarray:
         """The stored array of a variable, after its storage, type and size are found harmless."""
-        try:
+        with self._reading(f"{clip(name)} cannot be read"):
             data = self._root[name]
             self._look(name, data)
             values: np.ndarray = data[()]
-        except BadInput:
-            raise
-        except Exception as error:
-            raise self._damaged(f"{clip(name)} cannot be read", error) from None
-        return values
+            return values
 
     def numbers(self, name: str) -> FloatArray:
         """A variable as float64: CF fill values are NaN, scale_factor and add_offset are applied."""
@@ -207,9 +194,16 @@ class NetcdfFile:
         ):
             raise BadInput(f"{clip(name)} claims the shape {data.shape}", where=self.where, wanted="a smaller array")
 
-    def _damaged(self, what: str, error: Exception) -> BadInput:
-        reason = clip(str(error).split("\n")[0], 100) or type(error).__name__
-        return BadInput(f"{what} ({reason})", where=self.where)
+    @contextlib.contextmanager
+    def _reading(self, what: str) -> Iterator[None]:
+        """Say what cannot be read: damaged files raise OSError, RuntimeError, KeyError and ValueError alike."""
+        try:
+            yield
+        except BadInput:
+            raise
+        except Exception as error:
+            reason = clip(str(error).split("\n")[0], 100) or type(error).__name__
+            raise BadInput(f"{what} ({reason})", where=self.where) from None
 
 
 def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> FileTable:

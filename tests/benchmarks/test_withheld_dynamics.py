@@ -19,8 +19,7 @@ from fluxtwin.sim.spacecraft.dynamics.environment import environment_along
 from fluxtwin.sim.spacecraft.dynamics.flight import Start
 from fluxtwin.sim.spacecraft.dynamics.flight import fly as compiled
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
-from fluxtwin.sim.spacecraft.torques.gravity_gradient import GravityGradient
-from fluxtwin.sim.spacecraft.torques.magnetic import ResidualDipole
+from fluxtwin.sim.spacecraft.torques import GravityGradient, ResidualDipole
 
 pytestmark = pytest.mark.property
 

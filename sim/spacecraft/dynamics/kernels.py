@@ -7,13 +7,12 @@ as a rotation vector (Munthe-Kaas 1999, doi 10.1016/S0168-9274(98)00030-0), whos
 body is w + f x w / 2 + f x (f x w) / 12 + ..., so a steady spin has no error at all and the attitude needs no care
 to stay one; with the terms kept the order is four.
 
-Torques and control laws are plain functions elsewhere, listed in two catalogues; here they are compiled, and each
+Torques and control laws are plain functions elsewhere, listed there; here they are compiled, and each
 is called where its parameters are present (packed[slot] is where they begin, 0 for absent).
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from math import cos, sin, sqrt
 from typing import Any
@@ -23,7 +22,8 @@ import numpy as np
 from fluxtwin.sim.base.kernel_cache import kernel, part
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import constants
-from fluxtwin.sim.spacecraft.control.catalogue import CONTROLS
+from fluxtwin.sim.spacecraft import control, torques
+from fluxtwin.sim.spacecraft.control import CONTROLS
 from fluxtwin.sim.spacecraft.dynamics import layout
 from fluxtwin.sim.spacecraft.dynamics.layout import (
     COMMAND_DIPOLE,
@@ -42,14 +42,13 @@ from fluxtwin.sim.spacecraft.dynamics.layout import (
     TORQUE,
     VELOCITY,
 )
-from fluxtwin.sim.spacecraft.torques import magnetic
-from fluxtwin.sim.spacecraft.torques.catalogue import TORQUES
+from fluxtwin.sim.spacecraft.torques import TORQUES
 
 _FAST = {"contract"}  # fused multiply-add: one rounding instead of two, nothing is reordered
 
 
 OPTIONS: dict[str, Any] = {"fastmath": _FAST, "error_model": "numpy", "forceinline": True}
-PARTS = [layout, constants, *(sys.modules[one.__module__] for one in (*TORQUES, *CONTROLS))]
+PARTS = [layout, constants, torques, control]
 """What is compiled into the kernels besides this file."""
 _LAWS = len(TORQUES)
 _CURIOUS = tuple(t.needs_field or t.needs_sun or t.needs_air for t in TORQUES)
@@ -72,8 +71,8 @@ def _chain(functions: Sequence[Any], slot: int) -> Any:
 
 
 torque_chain = _chain([torque.add for torque in TORQUES], 0)
-_decide = _chain([control.decide for control in CONTROLS], _LAWS)
-_drive = part(**OPTIONS)(magnetic.drive)
+_decide = _chain([law.decide for law in CONTROLS], _LAWS)
+_drive = part(**OPTIONS)(torques.drive)
 
 
 @kernel(uses=PARTS, nogil=True, **OPTIONS)

@@ -11,11 +11,9 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.sim.attitude.rigid_body import principal_axes
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.spacecraft.control.base import Control
-from fluxtwin.sim.spacecraft.control.catalogue import CONTROLS
+from fluxtwin.sim.spacecraft.control import CONTROLS, Control
 from fluxtwin.sim.spacecraft.dynamics import layout
-from fluxtwin.sim.spacecraft.torques.base import Torque
-from fluxtwin.sim.spacecraft.torques.catalogue import TORQUES
+from fluxtwin.sim.spacecraft.torques import TORQUES, Torque
 
 
 @dataclass(frozen=True)

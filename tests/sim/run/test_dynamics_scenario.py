@@ -19,9 +19,8 @@ from fluxtwin.sim.run.true_attitude import true_attitude
 from fluxtwin.sim.run.world import build_world
 from fluxtwin.sim.scenario.dynamics_sections import ControlSection, DynamicsSection
 from fluxtwin.sim.scenario.scenario import Scenario, load_scenario, parse_scenario
-from fluxtwin.sim.spacecraft.control.catalogue import CONTROLS
-from fluxtwin.sim.spacecraft.torques.catalogue import TORQUES
-from fluxtwin.sim.spacecraft.torques.surface import Plate
+from fluxtwin.sim.spacecraft.control import CONTROLS
+from fluxtwin.sim.spacecraft.torques import TORQUES, Plate
 
 pytestmark = pytest.mark.property
 

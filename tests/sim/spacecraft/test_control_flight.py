@@ -9,20 +9,23 @@ from adaptive_flight import fly_adaptive, torques_B_Nm
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.earth.orbit import Orbit
-from fluxtwin.sim.spacecraft.control.b_dot import BDot
-from fluxtwin.sim.spacecraft.control.base import Control
-from fluxtwin.sim.spacecraft.control.catalogue import CONTROLS
-from fluxtwin.sim.spacecraft.control.momentum_bias import MomentumBias
-from fluxtwin.sim.spacecraft.control.spin import Spin
-from fluxtwin.sim.spacecraft.control.three_axis import ThreeAxis
+from fluxtwin.sim.spacecraft.control import CONTROLS, BDot, Control, MomentumBias, Spin, ThreeAxis
 from fluxtwin.sim.spacecraft.dynamics.environment import environment_along
 from fluxtwin.sim.spacecraft.dynamics.flight import Start, fly
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Compass, Target, Vehicle, Wheel
-from fluxtwin.sim.spacecraft.torques.base import Torque
-from fluxtwin.sim.spacecraft.torques.catalogue import TORQUES
-from fluxtwin.sim.spacecraft.torques.gravity_gradient import GravityGradient
-from fluxtwin.sim.spacecraft.torques.magnetic import EddyCurrents, ResidualDipole, Torquers
-from fluxtwin.sim.spacecraft.torques.surface import Aerodynamic, DragMoment, Plate, SolarPressure, SunlightMoment
+from fluxtwin.sim.spacecraft.torques import (
+    TORQUES,
+    Aerodynamic,
+    DragMoment,
+    EddyCurrents,
+    GravityGradient,
+    Plate,
+    ResidualDipole,
+    SolarPressure,
+    SunlightMoment,
+    Torque,
+    Torquers,
+)
 
 pytestmark = pytest.mark.reference
 

@@ -14,17 +14,12 @@ from fluxtwin.sim.attitude.record import ephemeris_rate_O_rad_s
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.earth.orbit import Orbit
-from fluxtwin.sim.spacecraft.control.b_dot import BDot
-from fluxtwin.sim.spacecraft.control.base import Control
-from fluxtwin.sim.spacecraft.control.momentum_bias import MomentumBias
-from fluxtwin.sim.spacecraft.control.spin import Spin
-from fluxtwin.sim.spacecraft.control.three_axis import ThreeAxis
+from fluxtwin.sim.spacecraft.control import BDot, Control, MomentumBias, Spin, ThreeAxis
 from fluxtwin.sim.spacecraft.dynamics import layout
 from fluxtwin.sim.spacecraft.dynamics.environment import Environment, environment_along
 from fluxtwin.sim.spacecraft.dynamics.flight import Flight, Start, fly
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Target, Vehicle, Wheel
-from fluxtwin.sim.spacecraft.torques.gravity_gradient import GravityGradient
-from fluxtwin.sim.spacecraft.torques.magnetic import ResidualDipole, Torquers
+from fluxtwin.sim.spacecraft.torques import GravityGradient, ResidualDipole, Torquers
 
 pytestmark = pytest.mark.closure
 

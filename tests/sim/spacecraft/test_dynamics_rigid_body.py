@@ -10,12 +10,11 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.sim.attitude.rigid_body import torque_free
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import frames
-from fluxtwin.sim.spacecraft.control.three_axis import ThreeAxis
+from fluxtwin.sim.spacecraft.control import ThreeAxis
 from fluxtwin.sim.spacecraft.dynamics.environment import Environment
 from fluxtwin.sim.spacecraft.dynamics.flight import Flight, Start, fly
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Target, Vehicle, Wheel
-from fluxtwin.sim.spacecraft.torques.gravity_gradient import GravityGradient
-from fluxtwin.sim.spacecraft.torques.magnetic import ResidualDipole
+from fluxtwin.sim.spacecraft.torques import GravityGradient, ResidualDipole
 
 pytestmark = pytest.mark.reference
 

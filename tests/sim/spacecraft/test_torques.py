@@ -16,17 +16,19 @@ from fluxtwin.sim.spacecraft.dynamics import layout
 from fluxtwin.sim.spacecraft.dynamics.environment import Environment, environment_along
 from fluxtwin.sim.spacecraft.dynamics.flight import Start, fly
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
-from fluxtwin.sim.spacecraft.torques import magnetic
-from fluxtwin.sim.spacecraft.torques.base import Torque
-from fluxtwin.sim.spacecraft.torques.gravity_gradient import GravityGradient
-from fluxtwin.sim.spacecraft.torques.magnetic import EddyCurrents, ResidualDipole, Torquers
-from fluxtwin.sim.spacecraft.torques.surface import (
+from fluxtwin.sim.spacecraft.torques import (
     PRESSURE_N_M2,
     Aerodynamic,
     DragMoment,
+    EddyCurrents,
+    GravityGradient,
     Plate,
+    ResidualDipole,
     SolarPressure,
     SunlightMoment,
+    Torque,
+    Torquers,
+    drive,
 )
 
 pytestmark = pytest.mark.reference
@@ -143,7 +145,7 @@ DRIVES = {
 def test_what_torquers_make_of_a_command(kind: str) -> None:
     command, expected = np.array(DRIVES[kind][0]), DRIVES[kind][1]
     section = Torquers(dipole_Am2=10.0, drive=kind, threshold_Am2=0.5)
-    magnetic.drive(np.array([0.0, *section.packed(np.eye(3))]), 1, command)
+    drive(np.array([0.0, *section.packed(np.eye(3))]), 1, command)
     assert command.tolist() == expected
 
 

@@ -1,24 +1,199 @@
-"""Torques of what presses on the outer surface: air and sunlight, on flat plates or on a surface that is not known."""
+"""The torques on a spacecraft: sections of a scenario with their parameters, and functions that a kernel can run."""
 
 from __future__ import annotations
 
 from itertools import chain
 from math import sqrt
-from typing import Annotated, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from fluxtwin.sim.base.section_types import Positive, Section, Vector3, as_tuple
+from fluxtwin.sim.base.section_types import ZERO33, Matrix3, NonNegative, Positive, Section, Vector3, as_tuple
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.earth.constants import EARTH_RATE_RAD_S, SOLAR_CONSTANT_W_M2, SPEED_OF_LIGHT_M_S
-from fluxtwin.sim.spacecraft.dynamics.layout import DENSITY, POSITION, ROTATION, SUN, SUNLIGHT, TORQUE, VELOCITY
-from fluxtwin.sim.spacecraft.torques.base import Torque
+from fluxtwin.sim.earth.constants import EARTH_RATE_RAD_S, GM_EARTH_KM3_S2, SOLAR_CONSTANT_W_M2, SPEED_OF_LIGHT_M_S
+from fluxtwin.sim.spacecraft.dynamics.layout import (
+    DENSITY,
+    DIPOLE,
+    FIELD,
+    POSITION,
+    RATE,
+    ROTATION,
+    SUN,
+    SUNLIGHT,
+    TORQUE,
+    VELOCITY,
+)
 
+GM_M3_S2 = GM_EARTH_KM3_S2 * 1e9
+_DRIVES = ("linear", "saturated", "on_off")
 PLATE_SIZE = 7
 Share = Annotated[float, Field(ge=0, le=1)]
 PRESSURE_N_M2 = SOLAR_CONSTANT_W_M2 / SPEED_OF_LIGHT_M_S
 """On a black surface that faces the sun at 1 au."""
+
+
+class Torque(Section):
+    """Base of all torques: a frozen record, checked as a section [torques.NAME] of a scenario."""
+
+    name: ClassVar[str]
+    # Without one of these the middle of a step has a new position, attitude and rate, and nothing else.
+    needs_field: ClassVar[bool] = False
+    needs_sun: ClassVar[bool] = False
+    needs_air: ClassVar[bool] = False
+
+    @staticmethod
+    def add(packed: FloatArray, at: int, stage: FloatArray) -> None:
+        """Add the torque to stage[TORQUE ...], with the parameters at packed[at ...].
+
+        It is compiled, so it uses numbers, `math` and the indices of `dynamics.layout` alone. Uncompiled it runs as
+        well: that is what the reference path and the tests do.
+        """
+        raise NotImplementedError
+
+    def packed(self, inertia_kg_m2: FloatArray) -> list[float]:
+        """The numbers that `add` finds at packed[at ...]; inertia_kg_m2 is that of the whole body, (3, 3) in B."""
+        raise NotImplementedError
+
+
+class GravityGradient(Torque):
+    """Gravity gradient of a point-mass Earth on the body's inertia tensor, J2 (0.3 % of it) left out."""
+
+    name = "gravity_gradient"
+
+    inertia_error_kg_m2: Matrix3 = ZERO33
+    """Added to the inertia tensor in this torque alone: what a wrong tensor would do. Symmetric."""
+
+    @model_validator(mode="after")
+    def _symmetric(self) -> Self:
+        error = np.asarray(self.inertia_error_kg_m2)
+        if np.abs(error - error.T).max() > 1e-9 * np.abs(error).max():
+            raise ValueError("inertia_error_kg_m2 is not symmetric, as the change of a tensor is")
+        return self
+
+    @staticmethod
+    def add(packed: FloatArray, at: int, stage: FloatArray) -> None:
+        """3 GM / r^3 (r^ x J r^), for a point mass (Wertz 1978, section 17.2.1)."""
+        x, y, z = stage[POSITION], stage[POSITION + 1], stage[POSITION + 2]
+        squared = x * x + y * y + z * z
+        size = 3.0 * GM_M3_S2 / (squared * squared * sqrt(squared))
+        a = stage[ROTATION] * x + stage[ROTATION + 1] * y + stage[ROTATION + 2] * z
+        b = stage[ROTATION + 3] * x + stage[ROTATION + 4] * y + stage[ROTATION + 5] * z
+        c = stage[ROTATION + 6] * x + stage[ROTATION + 7] * y + stage[ROTATION + 8] * z
+        ja = packed[at] * a + packed[at + 3] * b + packed[at + 4] * c
+        jb = packed[at + 3] * a + packed[at + 1] * b + packed[at + 5] * c
+        jc = packed[at + 4] * a + packed[at + 5] * b + packed[at + 2] * c
+        stage[TORQUE] += size * (b * jc - c * jb)
+        stage[TORQUE + 1] += size * (c * ja - a * jc)
+        stage[TORQUE + 2] += size * (a * jb - b * ja)
+
+    def packed(self, inertia_kg_m2: FloatArray) -> list[float]:
+        """xx, yy, zz, xy, xz, yz of the tensor [kg m2]."""
+        J = np.asarray(inertia_kg_m2) + np.asarray(self.inertia_error_kg_m2)
+        return [J[0, 0], J[1, 1], J[2, 2], J[0, 1], J[0, 2], J[1, 2]]
+
+
+class ResidualDipole(Torque):
+    """A dipole fixed in the body."""
+
+    name = "residual_dipole"
+    needs_field = True
+
+    dipole_Am2: Vector3
+
+    @staticmethod
+    def add(packed: FloatArray, at: int, stage: FloatArray) -> None:
+        """m x B (Wertz, Spacecraft Attitude Determination and Control, 1978, section 17.2.4)."""
+        mx, my, mz = packed[at], packed[at + 1], packed[at + 2]
+        bx, by, bz = stage[FIELD], stage[FIELD + 1], stage[FIELD + 2]
+        stage[TORQUE] += my * bz - mz * by
+        stage[TORQUE + 1] += mz * bx - mx * bz
+        stage[TORQUE + 2] += mx * by - my * bx
+
+    def packed(self, inertia_kg_m2: FloatArray) -> list[float]:
+        """The dipole [A m2]."""
+        return list(self.dipole_Am2)
+
+
+def drive(packed: FloatArray, at: int, command: FloatArray) -> None:
+    """Turn the command (3,) [A m2] into the dipole that the torquers make of it, in place."""
+    kind, limit, threshold = packed[at], packed[at + 1], packed[at + 2]
+    for axis in range(3):
+        wanted = command[axis]
+        if kind == 1.0:
+            wanted = min(max(wanted, -limit), limit)
+        elif kind == 2.0:
+            wanted = 0.0 if abs(wanted) <= threshold else (limit if wanted > 0.0 else -limit)
+        command[axis] = wanted
+
+
+class Torquers(Torque):
+    """Three torquers along x, y, z. The dipole is held from tick to tick."""
+
+    name = "torquers"
+    needs_field = True
+
+    dipole_Am2: Positive
+    """What one torquer can do; a linear one is not limited by it."""
+    drive: Literal["linear", "saturated", "on_off"] = "saturated"
+    threshold_Am2: NonNegative = 0.0
+    """on_off: off while the command is no larger than this."""
+    gain: Vector3 = (1.0, 1.0, 1.0)
+    """True dipole over the one that telemetry says, each axis."""
+
+    @staticmethod
+    def add(packed: FloatArray, at: int, stage: FloatArray) -> None:
+        """m x B of the dipole that is on, each component times its gain (Wertz 1978, section 17.2.4)."""
+        mx, my, mz = stage[DIPOLE], stage[DIPOLE + 1], stage[DIPOLE + 2]
+        mx, my, mz = mx * packed[at + 3], my * packed[at + 4], mz * packed[at + 5]
+        bx, by, bz = stage[FIELD], stage[FIELD + 1], stage[FIELD + 2]
+        stage[TORQUE] += my * bz - mz * by
+        stage[TORQUE + 1] += mz * bx - mx * bz
+        stage[TORQUE + 2] += mx * by - my * bx
+
+    def packed(self, inertia_kg_m2: FloatArray) -> list[float]:
+        """Kind of drive, limit, threshold [A m2], gains."""
+        return [float(_DRIVES.index(self.drive)), self.dipole_Am2, self.threshold_Am2, *self.gain]
+
+
+class EddyCurrents(Torque):
+    """Eddy currents in the shell of a spinner."""
+
+    name = "eddy_currents"
+    needs_field = True
+
+    K_Am2_s_per_T: Matrix3
+    """Symmetric, no negative eigenvalue; a thin spherical shell of radius r, thickness d, conductivity s has
+    (2 pi / 3) r^4 s d times identity."""
+
+    @model_validator(mode="after")
+    def _brakes(self) -> Self:
+        K: Any = np.array(self.K_Am2_s_per_T)
+        if np.abs(K - K.T).max() > 1e-9 * np.abs(K).max() or np.linalg.eigvalsh(K).min() < -1e-9 * np.abs(K).max():
+            raise ValueError("K is not symmetric, or would speed the body up: it wants eigenvalues of 0 or more")
+        return self
+
+    @staticmethod
+    def add(packed: FloatArray, at: int, stage: FloatArray) -> None:
+        """(K (w x B)) x B: the induced dipole -K dB/dt, of the field's change by the rotation, in the field itself.
+
+        For K = k times identity this is k (w x B) x B (Wertz 1978, section 17.2.4). The orbit's own change
+        of the field is left out: in low orbit two hundredths of it at 1 rpm.
+        """
+        wx, wy, wz = stage[RATE], stage[RATE + 1], stage[RATE + 2]
+        bx, by, bz = stage[FIELD], stage[FIELD + 1], stage[FIELD + 2]
+        ex, ey, ez = wy * bz - wz * by, wz * bx - wx * bz, wx * by - wy * bx
+        mx = packed[at] * ex + packed[at + 3] * ey + packed[at + 4] * ez
+        my = packed[at + 3] * ex + packed[at + 1] * ey + packed[at + 5] * ez
+        mz = packed[at + 4] * ex + packed[at + 5] * ey + packed[at + 2] * ez
+        stage[TORQUE] += my * bz - mz * by
+        stage[TORQUE + 1] += mz * bx - mx * bz
+        stage[TORQUE + 2] += mx * by - my * bx
+
+    def packed(self, inertia_kg_m2: FloatArray) -> list[float]:
+        """xx, yy, zz, xy, xz, yz."""
+        K = self.K_Am2_s_per_T
+        return [K[0][0], K[1][1], K[2][2], K[0][1], K[0][2], K[1][2]]
 
 
 class Plate(Section):
@@ -157,7 +332,7 @@ class SolarPressure(Torque):
 
 
 class DragMoment(Torque):
-    """Drag at a centre of pressure, in air of the table of `atmosphere`."""
+    """Drag on a surface that is not known: at a centre of pressure, in air of the table of `atmosphere`."""
 
     name = "drag_moment"
     needs_air = True
@@ -190,7 +365,7 @@ class DragMoment(Torque):
 
 
 class SunlightMoment(Torque):
-    """Sunlight at a centre of pressure."""
+    """Sunlight on a surface that is not known: at a centre of pressure."""
 
     name = "sunlight_moment"
     needs_sun = True
@@ -217,3 +392,16 @@ class SunlightMoment(Torque):
     def packed(self, inertia_kg_m2: FloatArray) -> list[float]:
         """The moment [m3]."""
         return list(self.moment_m3)
+
+
+TORQUES: tuple[type[Torque], ...] = (
+    GravityGradient,
+    ResidualDipole,
+    Torquers,
+    Aerodynamic,
+    SolarPressure,
+    EddyCurrents,
+    DragMoment,
+    SunlightMoment,
+)
+"""Their order is that of the packed parameters."""

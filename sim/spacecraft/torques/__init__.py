@@ -1,1 +1,0 @@
-"""The torques on a spacecraft, each a class; `catalogue` lists them."""

@@ -139,7 +139,7 @@ MUTANTS: dict[str, Mutant] = {
         "tests/sim/earth/test_field_peers.py",
     ),
     "coupling of torquers transposed": Mutant(
-        "sim/spacecraft/sensors/torquers.py",
+        "sim/spacecraft/torquers.py",
         "dipole_field_nT(axes, positions).T",
         "dipole_field_nT(axes, positions)",
         "tests/sim/spacecraft/test_magnetometer.py",

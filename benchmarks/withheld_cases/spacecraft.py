@@ -15,7 +15,7 @@ import numpy as np
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.orbit import Orbit
-from fluxtwin.sim.spacecraft.torquer_schedule import RandomDuty, draw_random_duty
+from fluxtwin.sim.spacecraft.torquers import RandomDuty, draw_random_duty
 
 if TYPE_CHECKING:
     from withheld_cases.worlds import World

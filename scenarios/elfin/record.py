@@ -11,7 +11,7 @@ from fluxtwin.scenarios.recorded_files import Settings
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import epoch, sun
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
-from fluxtwin.sim.earth.frames_of_date import rotation_from_N
+from fluxtwin.sim.earth.frames import rotation_from_N
 from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry

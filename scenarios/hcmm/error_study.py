@@ -18,7 +18,7 @@ from fluxtwin.sim.earth.constants import NT_PER_MG
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
 from fluxtwin.sim.run.world import World, build_world
 from fluxtwin.sim.scenario.scenario import Scenario
-from fluxtwin.sim.spacecraft.sensors.torquers import coupling_nT_per_Am2
+from fluxtwin.sim.spacecraft.torquers import coupling_nT_per_Am2
 
 RUNS = 12
 NEAR_EQUATOR_DEG, NEAR_POLES_DEG = 5.0, 75.0

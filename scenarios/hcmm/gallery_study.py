@@ -32,7 +32,7 @@ from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.run.world import build_world
 from fluxtwin.sim.scenario.scenario import Scenario
-from fluxtwin.sim.spacecraft.sensors.torquers import coupling_nT_per_Am2
+from fluxtwin.sim.spacecraft.torquers import coupling_nT_per_Am2
 from fluxtwin.sim.telemetry.record import Telemetry
 
 GROUND = "igrf14"

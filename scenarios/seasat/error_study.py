@@ -13,7 +13,7 @@ from fluxtwin.sim.earth.constants import NT_PER_MG
 from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.run.world import World, build_world
 from fluxtwin.sim.scenario.scenario import Scenario
-from fluxtwin.sim.spacecraft.sensors.torquers import coupling_nT_per_Am2
+from fluxtwin.sim.spacecraft.torquers import coupling_nT_per_Am2
 
 KNOWN = ("lsb", "attitude", "torquer", "field")
 RUNS = 20

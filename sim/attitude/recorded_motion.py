@@ -1,6 +1,6 @@
 """Orbit and attitude as functions of time along a record.
 
-A scenario gives the same things exactly (`scenario_motion`), so an effect that samples late or remembers need not
+A scenario gives the same things exactly (`run.true_attitude`), so an effect that samples late or remembers need not
 know which it has.
 """
 

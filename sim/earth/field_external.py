@@ -33,6 +33,7 @@ from fluxtwin.sim.base.errors import BadInput, OutOfRange
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.constants import FIELD_RADIUS_KM
+from fluxtwin.sim.earth.field_models import stamps_mjd2000
 from fluxtwin.sim.earth.sun import sun_direction_N
 
 RESPONSE_PER_DAY = np.array([1 / 365.25, 2 / 365.25, 1 / 30, 1 / 27, 1.0, 2.0, 3.0])
@@ -99,7 +100,9 @@ def read_magnetosphere(path: Path | str) -> MagnetosphericModel:
                 (parameters, "igrf_dipole"),
             )
         )
-        edges = tuple(_stamps(np.ravel(external[key])) for key in ("t_break_q10", "t_break_qs11"))
+        edges = tuple(
+            stamps_mjd2000(np.ravel(external[key]).astype(np.float64)) for key in ("t_break_q10", "t_break_qs11")
+        )
         offsets = (np.ravel(external["q10"]).astype(np.float64), np.asarray(external["qs11"], dtype=np.float64))
     except (ValueError, KeyError, TypeError, IndexError, OSError, EOFError, NotImplementedError) as error:
         raise BadInput(f"cannot be read ({error})", where=where, wanted="a CHAOS .mat file") from None
@@ -151,12 +154,6 @@ def solar_frames_E(time: TimeArray, dipole_nT: FloatArray) -> tuple[FloatArray, 
     R_SM = np.stack([np.cross(y, pole), y, pole], axis=1)
     R_GSM = np.stack([sun, y, np.cross(sun, y)], axis=1)
     return R_SM, R_GSM
-
-
-def _stamps(days_mjd2000: FloatArray) -> TimeArray:
-    nanoseconds = np.rint(days_mjd2000.astype(np.float64) * 86400e9).astype("int64")
-    stamps: TimeArray = epoch.MJD2000 + nanoseconds.astype("timedelta64[ns]")
-    return stamps
 
 
 def _vector(degree1: FloatArray) -> FloatArray:

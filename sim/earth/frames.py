@@ -66,6 +66,22 @@ def rotation_TN(time: TimeArray | np.datetime64) -> Rotation:
     return Rotation.from_matrix(on_grid(_days_tt(time), _equator_of_date, _GRID_DAYS).reshape(-1, 3, 3))
 
 
+def rotation_from_N(name: str, time: TimeArray) -> Rotation:
+    """GCRS to other inertial or Earth-fixed axes that foreign files use, by name, at each stamp. Batch of N.
+
+    J2000: mean equator and equinox of J2000.0, 0.023 arcsec from GCRS (ERFA bp06, frame bias). mean_of_date and
+    true_of_date: mean or true equator and equinox at the stamp (ERFA pmat06, pnm06a). ITRS: as `rotation_EN`.
+    """
+    if name == "GCRS":
+        return Rotation.identity(len(time))
+    if name == "J2000":
+        bias = erfa.bp06(_J2000, 0.0)[0]
+        return Rotation.from_matrix(np.tile(bias, (len(time), 1, 1)))  # older scipy refuses what is read-only
+    if name == "mean_of_date":
+        return Rotation.from_matrix(erfa.pmat06(*epoch.jd_tt(time)))
+    return {"true_of_date": rotation_TN, "ITRS": rotation_EN}[name](time)
+
+
 def rotation_ON(r_N_km: FloatArray, v_N_km_s: FloatArray) -> Rotation:
     """N to the papers' orbital frame from position and velocity, shapes (N, 3). Batch of N.
 

@@ -9,20 +9,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.sim.attitude.smoothed_track import RowArray
+from fluxtwin.sim.attitude.smoothed_track import RowArray, stretches
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.signal import Signal
 
-_GAP = 5.0
 _TURN_RAD = 0.3  # between two moments: cubics through values and slopes follow it to 2e-5 of the field
 _MOST_PARTS = 64
 
 
 def restarts(seconds: FloatArray) -> BoolArray:
     """(N,) True in the first row and after each gap (more than five times the usual spacing)."""
-    steps = np.diff(seconds)
-    usual = float(np.median(steps)) if steps.size else 1.0
-    return np.concatenate([[True], steps > _GAP * usual])
+    return np.diff(stretches(seconds), prepend=-1) > 0
 
 
 def relax(seconds: FloatArray, goal: FloatArray, time_constant_s: float, *, start: float) -> FloatArray:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.run import chain, replay
 from fluxtwin.sim.run.housekeeping import run_housekeeping
-from fluxtwin.sim.run.scenario_motion import ScenarioMotion
 from fluxtwin.sim.run.slit_pulses import with_pulses
-from fluxtwin.sim.run.true_attitude import true_attitude
+from fluxtwin.sim.run.true_attitude import ScenarioMotion, true_attitude
 from fluxtwin.sim.run.truth import Truth
 from fluxtwin.sim.run.world import World, build_world
 from fluxtwin.sim.scenario.sampling import interleaved, sampled_rows

@@ -9,8 +9,7 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.scenario.sections import MagnetometerSection, SecondMagnetometerSection
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
-from fluxtwin.sim.spacecraft.sensors.torquers import coupling_nT_per_Am2
-from fluxtwin.sim.spacecraft.torquer_schedule import ConstantDipole, TorquerSchedule, draw_random_duty
+from fluxtwin.sim.spacecraft.torquers import ConstantDipole, TorquerSchedule, coupling_nT_per_Am2, draw_random_duty
 
 
 def magnetometer(scenario: Scenario, name: str = "magnetometer") -> Magnetometer:

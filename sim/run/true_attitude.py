@@ -1,8 +1,11 @@
-"""From a scenario's [attitude] section to the true motion of the body."""
+"""From a scenario to the true motion of the body, at any stamps: worked out anew, not interpolated."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.attitude import record as attitude
 from fluxtwin.sim.attitude.libration import Libration, draw_libration
@@ -12,7 +15,7 @@ from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.run.flights import flights
-from fluxtwin.sim.run.world import World, ephemeris
+from fluxtwin.sim.run.world import World, ephemeris, world_along
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.scenario.sections import AttitudeSection
 
@@ -107,3 +110,24 @@ def _spin(section: AttitudeSection, inertia: FloatArray, time: TimeArray, start:
         phase_rad=float(np.radians(section.phase_deg)),
         epoch=start,
     )
+
+
+@dataclass(frozen=True)
+class ScenarioMotion:
+    """Motion along a scenario's orbit with its prescribed attitude."""
+
+    scenario: Scenario
+    world: World
+    """The world at the stamps."""
+    attitude: Attitude
+    """The true attitude at the stamps."""
+
+    def at(self, offset_s: float | FloatArray) -> tuple[FloatArray, FloatArray, Rotation]:
+        """Position [km] and velocity [km/s] (N, 3), GCRS, and R_BN, `offset_s` (or (N,)) after each stamp."""
+        if not np.any(offset_s):
+            return self.world.r_N_km, self.world.v_N_km_s, self.attitude.R_BN
+        start = self.world.time[0]
+        time = epoch.add_seconds(start, epoch.seconds_since(self.world.time, start) + offset_s)
+        r, v = ephemeris(self.scenario, time)
+        later = world_along(self.scenario, time, self.world.segment, r, v, with_field=False)
+        return r, v, true_attitude(self.scenario, later).R_BN

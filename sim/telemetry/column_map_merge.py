@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import frames
-from fluxtwin.sim.earth.frames_of_date import rotation_from_N
+from fluxtwin.sim.earth.frames import rotation_from_N
 from fluxtwin.sim.telemetry.build import velocity_from_positions
 from fluxtwin.sim.telemetry.column_map import ColumnMap, ColumnSpec
 from fluxtwin.sim.telemetry.column_map_read import Source, read_source, require_increasing

@@ -12,7 +12,7 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.constants import EARTH_RATE_RAD_S
-from fluxtwin.sim.earth.frames_of_date import rotation_from_N
+from fluxtwin.sim.earth.frames import rotation_from_N
 from fluxtwin.sim.telemetry import time_stamps as telemetry_time
 from fluxtwin.sim.telemetry.column_map import ColumnSpec, FileEntry, TimeRecipe, matches
 from fluxtwin.sim.telemetry.columns import clip

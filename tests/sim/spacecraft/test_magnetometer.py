@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth.constants import AM2_PER_POLE_CM, NT_PER_MG
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
-from fluxtwin.sim.spacecraft.sensors.torquers import coupling_nT_per_Am2, dipole_field_nT
+from fluxtwin.sim.spacecraft.torquers import coupling_nT_per_Am2, dipole_field_nT
 
 pytestmark = pytest.mark.reference
 

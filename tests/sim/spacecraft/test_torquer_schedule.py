@@ -7,7 +7,7 @@ import pytest
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.random_streams import stream
-from fluxtwin.sim.spacecraft.torquer_schedule import ConstantDipole, draw_random_duty
+from fluxtwin.sim.spacecraft.torquers import ConstantDipole, draw_random_duty
 
 pytestmark = pytest.mark.property
 

@@ -20,7 +20,7 @@ from fluxtwin.calib.checks.values import check_sunlit
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import frames, sun
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT, load_field
-from fluxtwin.sim.earth.frames_of_date import rotation_from_N
+from fluxtwin.sim.earth.frames import rotation_from_N
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
 

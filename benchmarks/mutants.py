@@ -140,8 +140,8 @@ MUTANTS: dict[str, Mutant] = {
     ),
     "coupling of torquers transposed": Mutant(
         "sim/spacecraft/torquers.py",
-        "dipole_field_nT(axes, positions).T",
-        "dipole_field_nT(axes, positions)",
+        "dipole_field_nT(np.eye(3), positions_B_m).T",
+        "dipole_field_nT(np.eye(3), positions_B_m)",
         "tests/sim/spacecraft/test_magnetometer.py",
     ),
     "yaw: sign of the solution": Mutant(

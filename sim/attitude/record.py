@@ -9,7 +9,7 @@ Frames and angles are those of `frames`: yaw, roll and pitch are the 3-1-2 set f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,9 +21,7 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch as clock
 from fluxtwin.sim.earth import frames
-
-Ephemeris = Callable[[TimeArray], tuple[FloatArray, FloatArray]]
-"""time -> (r_N_km, v_N_km_s), as `orbit.Orbit.propagate` and `tle.Tle.propagate`."""
+from fluxtwin.sim.earth.orbit import Ephemeris
 
 
 @dataclass(frozen=True)

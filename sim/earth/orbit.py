@@ -12,6 +12,7 @@ the mean plane, because the plane itself is turning.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,6 +23,8 @@ from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM, GM_EARTH_KM3_S2, J2_EARTH
 
+Ephemeris = Callable[[TimeArray], tuple[FloatArray, FloatArray]]
+"""Position [km] and velocity [km/s], GCRS, each (N, 3), at N stamps: `Orbit.propagate`, `tle.Tle.propagate`."""
 _NEWTON_STEPS = 50
 _LOWEST_KM = 80.0  # below this nothing stays in orbit
 
@@ -105,11 +108,6 @@ class Orbit:
     def rates(self) -> OrbitalRates:
         """Secular rates [rad/s]."""
         return orbital_rates(self.semi_major_axis_km, self.eccentricity, self.inclination_rad)
-
-    @property
-    def raan_rate_rad_s(self) -> float:
-        """Rate of the ascending node [rad/s]."""
-        return self.rates.raan_rad_s
 
     @property
     def nodal_period_s(self) -> float:

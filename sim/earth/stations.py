@@ -12,11 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.orbit import Ephemeris
 
-Ephemeris = Callable[[TimeArray], tuple[FloatArray, FloatArray]]
-"""Position [km] and velocity [km/s], GCRS, each (N, 3), at N stamps."""
 _STEP_S, _FINE_S = 20.0, 2.0
 """Sampling of the span, and about each culmination."""
 _BISECTIONS = 24

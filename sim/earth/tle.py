@@ -54,11 +54,6 @@ class Tle:
             raise BadInput(f"SGP4 refuses these elements: {SGP4_ERRORS[satellite.error]}", where=self.where)
 
     @property
-    def satellite_number(self) -> str:
-        """Catalogue number, as in the lines."""
-        return self.line1[2:7].strip()
-
-    @property
     def epoch_utc(self) -> np.datetime64:
         """Epoch of the elements; two-digit years 57-99 are 1957-1999. Exact: a line counts in 864 us."""
         year = int(self.line1[18:20])

@@ -5,68 +5,57 @@ from __future__ import annotations
 import difflib
 
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.effects.ambient_field import FieldEpoch, FieldTruncation, RingCurrent
+from fluxtwin.sim.effects import (
+    ambient_field,
+    calibration,
+    clock_and_orbit,
+    digits,
+    reference_attitude,
+    response,
+    spacecraft_field,
+    switched_field,
+    temperature,
+    torques,
+)
 from fluxtwin.sim.effects.base import Effect
-from fluxtwin.sim.effects.calibration import Bias, BiasRandomWalk, BiasStep, ScaleMisalignment
-from fluxtwin.sim.effects.clock_and_orbit import AlongTrackError, TimeTagOffset
-from fluxtwin.sim.effects.digits import BitErrors, CoarseQuantization, ExcessNoise
-from fluxtwin.sim.effects.reference_attitude import HorizonScannerBias, SunSensorHeadMisalignment, YawDrift
-from fluxtwin.sim.effects.response import CubicNonlinearity, Hysteresis, QuadraticNonlinearity, Saturation, SensorLag
-from fluxtwin.sim.effects.spacecraft_field import (
-    BatteryCurrent,
-    EddyCurrent,
-    SolarArrayCurrent,
-    TorquerCoupling,
-    WheelField,
-)
-from fluxtwin.sim.effects.switched_field import HeaterSwitching, SwitchedField
-from fluxtwin.sim.effects.temperature import BoomBending, ThermalBiasDrift, ThermalScaleDrift
-from fluxtwin.sim.effects.torques import (
-    AerodynamicTorque,
-    EddyTorque,
-    GravityGradientInertiaError,
-    ResidualDipoleTorque,
-    SolarPressureTorque,
-    TorquerGainError,
-)
 
 CATALOGUE: tuple[Effect, ...] = (
-    ResidualDipoleTorque(),
-    AerodynamicTorque(),
-    SolarPressureTorque(),
-    EddyTorque(),
-    GravityGradientInertiaError(),
-    TorquerGainError(),
-    TimeTagOffset(),
-    AlongTrackError(),
-    FieldEpoch(),
-    FieldTruncation(),
-    RingCurrent(),
-    SunSensorHeadMisalignment(),
-    HorizonScannerBias(),
-    YawDrift(),
-    TorquerCoupling(),
-    SolarArrayCurrent(),
-    BatteryCurrent(),
-    HeaterSwitching(),
-    WheelField(),
-    EddyCurrent(),
-    SwitchedField(),
-    BoomBending(),
-    Bias(),
-    ScaleMisalignment(),
-    ThermalBiasDrift(),
-    ThermalScaleDrift(),
-    BiasStep(),
-    BiasRandomWalk(),
-    Hysteresis(),
-    QuadraticNonlinearity(),
-    CubicNonlinearity(),
-    SensorLag(),
-    ExcessNoise(),
-    Saturation(),
-    CoarseQuantization(),
-    BitErrors(),
+    torques.ResidualDipoleTorque(),
+    torques.AerodynamicTorque(),
+    torques.SolarPressureTorque(),
+    torques.EddyTorque(),
+    torques.GravityGradientInertiaError(),
+    torques.TorquerGainError(),
+    clock_and_orbit.TimeTagOffset(),
+    clock_and_orbit.AlongTrackError(),
+    ambient_field.FieldEpoch(),
+    ambient_field.FieldTruncation(),
+    ambient_field.RingCurrent(),
+    reference_attitude.SunSensorHeadMisalignment(),
+    reference_attitude.HorizonScannerBias(),
+    reference_attitude.YawDrift(),
+    spacecraft_field.TorquerCoupling(),
+    spacecraft_field.SolarArrayCurrent(),
+    spacecraft_field.BatteryCurrent(),
+    switched_field.HeaterSwitching(),
+    spacecraft_field.WheelField(),
+    spacecraft_field.EddyCurrent(),
+    switched_field.SwitchedField(),
+    temperature.BoomBending(),
+    calibration.Bias(),
+    calibration.ScaleMisalignment(),
+    temperature.ThermalBiasDrift(),
+    temperature.ThermalScaleDrift(),
+    calibration.BiasStep(),
+    calibration.BiasRandomWalk(),
+    response.Hysteresis(),
+    response.QuadraticNonlinearity(),
+    response.CubicNonlinearity(),
+    response.SensorLag(),
+    digits.ExcessNoise(),
+    response.Saturation(),
+    digits.CoarseQuantization(),
+    digits.BitErrors(),
 )
 """Every effect with its default settings, in stage order."""
 

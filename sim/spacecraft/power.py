@@ -68,21 +68,11 @@ class Battery:
     """Share of the charge put in that can be taken out again (coulombic)."""
     taper_above: float = 0.9
     """State of charge from which the charging limit falls linearly, to zero at full charge."""
-    charge_limit_A: float | None = None
-    """Largest charging current below the taper; default half the capacity per hour."""
-
-    def __post_init__(self) -> None:
-        if not (self.capacity_Ah > 0 and 0 < self.efficiency <= 1 and 0 < self.taper_above < 1):
-            raise BadInput(
-                f"{self}", where="battery", wanted="capacity > 0, efficiency in (0, 1], taper_above in (0, 1)"
-            )
-        if self.charge_limit_A is not None and not self.charge_limit_A > 0:
-            raise BadInput(f"charge limit {self.charge_limit_A} A", where="battery", wanted="more than 0 A")
 
     @property
     def limit_A(self) -> float:
-        """Largest charging current below the taper."""
-        return 0.5 * self.capacity_Ah if self.charge_limit_A is None else self.charge_limit_A
+        """Largest charging current below the taper: half the capacity per hour."""
+        return 0.5 * self.capacity_Ah
 
     def accepted_A(self, state_of_charge: float, surplus_A: float) -> float:
         """Battery current for a surplus (array less load), positive when charging; the rest is shunted.
@@ -118,23 +108,17 @@ def battery_history(
     battery: Battery,
     *,
     initial_state_of_charge: float = 1.0,
-    segment: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Battery current [A], positive when charging, and state of charge [0, 1], each (N,).
 
-    Array current and load are held from each stamp to the next. `segment` (N,) numbers separate stretches of
-    the record: each starts anew from the initial state of charge, because nothing is known between them.
+    Array current and load are held from each stamp to the next.
     """
-    if not 0.0 <= initial_state_of_charge <= 1.0:
-        raise BadInput(f"{initial_state_of_charge}", where="initial state of charge", wanted="0 to 1")
     stamps = clock.as_times(time)
     surplus = (np.broadcast_to(array_current_A, stamps.shape) - load_A).tolist()
     steps = np.diff(clock.seconds_since(stamps, stamps[0])).tolist()
-    starts = set() if segment is None else set((np.flatnonzero(np.diff(segment)) + 1).tolist())
     charge = [initial_state_of_charge]
-    for row, step in enumerate(steps, start=1):
-        state = battery.after(charge[-1], surplus[row - 1], step)
-        charge.append(initial_state_of_charge if row in starts else state)
+    for held, step in zip(surplus, steps, strict=False):
+        charge.append(battery.after(charge[-1], held, step))
     current = [battery.accepted_A(*pair) for pair in zip(charge, surplus, strict=True)]
     return np.array(current), np.array(charge)
 

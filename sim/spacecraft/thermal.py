@@ -47,35 +47,23 @@ def temperature_history(
     *,
     thermostat: Thermostat | None = None,
     initial_degC: float | None = None,
-    segment: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Temperature [degC] and heater state [0 or 1], each (N,).
 
     The equilibrium (N,) is held from each stamp to the next, and within a step everything is exact: the lag
-    is an exponential, and the heater switches at the instant the threshold is crossed, as often as it is. The
-    start (default: the mean equilibrium, heater off unless that is below its threshold) is taken anew in
-    each `segment` (N,) of the record. Raises BadInput for a time constant that
-    is not positive or an equilibrium that is not a number.
+    is an exponential, and the heater switches at the instant the threshold is crossed, as often as it is. It starts at
+    the mean equilibrium unless told otherwise, heater off unless that is below its threshold.
     """
-    if not time_constant_s > 0:
-        raise BadInput(f"{time_constant_s:g} s", where="thermal time constant", wanted="more than 0 s")
     stamps = clock.as_times(time)
     goal = np.broadcast_to(np.asarray(equilibrium_degC, dtype=np.float64), stamps.shape)
-    if not np.isfinite(goal).all():
-        row = int(np.flatnonzero(~np.isfinite(goal))[0])
-        raise BadInput(f"{goal[row]} in row {row + 1}", where="equilibrium temperature", wanted="finite numbers")
     start = float(goal.mean()) if initial_degC is None else initial_degC
     start_on = thermostat is not None and start <= thermostat.on_below_degC
     steps = np.diff(clock.seconds_since(stamps, stamps[0])).tolist()
-    starts = set() if segment is None else set((np.flatnonzero(np.diff(segment)) + 1).tolist())
-    goals = goal.tolist()
     temperature, heater = [start], [start_on]
-    for row, step in enumerate(steps, start=1):
-        state = (start, start_on)
-        if row not in starts:
-            state = _advance(temperature[-1], heater[-1], goals[row - 1], step, time_constant_s, thermostat)
-        temperature.append(state[0])
-        heater.append(state[1])
+    for held, step in zip(goal.tolist(), steps, strict=False):
+        degC, on = _advance(temperature[-1], heater[-1], held, step, time_constant_s, thermostat)
+        temperature.append(degC)
+        heater.append(on)
     return np.array(temperature), np.array(heater, dtype=np.float64)
 
 

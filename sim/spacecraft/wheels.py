@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 
 RPM_PER_RAD_S = 60.0 / (2.0 * np.pi)
@@ -19,33 +18,19 @@ def wheel_speed_rpm(
     """Speeds (N, W) of W wheels with spin axes axes_B (W, 3) and the moment inertia_kg_m2 each.
 
     momentum_B_Nms (N, 3) is held besides the bias speeds' own momentum, shared with the least sum of squared
-    speeds (pseudo-inverse). Components that the axes do not span are left to other actuators. Raises BadInput
-    for a zero axis or an inertia that is not positive.
+    speeds (pseudo-inverse). Components that the axes do not span are left to other actuators.
     """
     axes = np.atleast_2d(np.asarray(axes_B, dtype=np.float64))
-    size = np.linalg.norm(axes, axis=1)
-    if axes.shape[1] != 3 or not (size > 0).all() or not inertia_kg_m2 > 0:
-        raise BadInput(
-            f"axes {axes.tolist()}, inertia {inertia_kg_m2:g} kg m2",
-            where="wheels",
-            wanted="axes of three numbers, none zero, and an inertia > 0",
-        )
-    share = np.linalg.pinv((axes / size[:, None]).T)
+    share = np.linalg.pinv((axes / np.linalg.norm(axes, axis=1)[:, None]).T)
     spin_rad_s = np.atleast_2d(momentum_B_Nms) @ share.T / inertia_kg_m2
     speed: FloatArray = spin_rad_s * RPM_PER_RAD_S + np.asarray(bias_rpm, dtype=np.float64)
     return speed
 
 
-def periodic_momentum_B_Nms(
-    phase_rad: FloatArray,
-    amplitude_B_Nms: tuple[float, float, float],
-    offset_rad: tuple[float, float, float] = (0, 0, 0),
-) -> FloatArray:
+def periodic_momentum_B_Nms(phase_rad: FloatArray, amplitude_B_Nms: tuple[float, float, float]) -> FloatArray:
     """Momentum (N, 3) that swings with an angle such as the argument of latitude, one amplitude an axis.
 
     Cyclic torques (gravity gradient, aerodynamic) are absorbed and given back once or twice an orbit; pass
     twice the argument of latitude for the latter.
     """
-    angle = np.asarray(phase_rad, dtype=np.float64)[:, None] + np.asarray(offset_rad)
-    momentum: FloatArray = np.asarray(amplitude_B_Nms, dtype=np.float64) * np.sin(angle)
-    return momentum
+    return np.asarray(amplitude_B_Nms, dtype=np.float64) * np.sin(np.asarray(phase_rad))[:, None]

@@ -180,7 +180,7 @@ def read_series(folder: Path, number: int, name: str, rows: np.ndarray) -> np.nd
         return np.asarray(opened.raw(name)[:, rows]) if name in opened.names() else None
 
 
-def read_times(folder: Path, number: int = 0) -> TimeArray:
+def read_times(folder: Path) -> TimeArray:
     """(R,) the samples."""
-    with NetcdfFile(chunk_path(folder, number), max_samples=_MOST) as opened:
+    with NetcdfFile(chunk_path(folder, 0), max_samples=_MOST) as opened:
         return opened.times()

@@ -7,8 +7,7 @@ envelope, a block of times of all vehicles: never the series of the whole ensemb
 from __future__ import annotations
 
 import csv
-import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ import numpy as np
 
 from fluxtwin.sim.base import files
 from fluxtwin.sim.base.errors import NoAnswer
-from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.processes import stop_if_asked
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth.epoch import iso
 from fluxtwin.sim.run.ensemble import chunk
@@ -43,32 +42,29 @@ class Envelope:
 
 def write_index(plan: Plan, folder: Path, figures: Mapping[str, FloatArray] | None = None) -> Path:
     """The table of vehicles: number, seed, what was drawn and, once they have flown, their figures."""
-
-    def fill(path: Path) -> None:
-        with open(path, "w", encoding="utf-8", newline="") as opened:
-            opened.writelines(_index_lines(plan, figures or {}))
-
-    return files.write_with(folder / VEHICLES, fill)
+    return _write_table(folder / VEHICLES, _index_rows(plan, figures or {}))
 
 
-def _index_lines(plan: Plan, figures: Mapping[str, FloatArray]) -> Iterator[str]:
+def _write_table(path: Path, rows: Iterable[Iterable[Any]]) -> Path:
+    def fill(temporary: Path) -> None:
+        with open(temporary, "w", encoding="utf-8", newline="") as opened:
+            csv.writer(opened, lineterminator="\n").writerows(rows)
+
+    return files.write_with(path, fill)
+
+
+def _index_rows(plan: Plan, figures: Mapping[str, FloatArray]) -> Iterator[Iterable[Any]]:
     for vehicle in range(plan.vehicles):
         drawn = flattened(plan.drawn(vehicle))
         row = {"vehicle": vehicle, "seed": vehicle_seed(plan.seed, vehicle), **drawn}
         row |= {name: _cell(float(values[vehicle])) for name, values in figures.items()}
         if vehicle == 0:
-            yield _line(list(row))
-        yield _line([_cell(value) for value in row.values()])
+            yield row
+        yield [_cell(value) for value in row.values()]
 
 
 def _cell(value: Any) -> Any:
     return "" if isinstance(value, float) and not np.isfinite(value) else value
-
-
-def _line(cells: list[Any]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerow(cells)
-    return text.getvalue()
 
 
 def gather(plan: Plan, folder: Path) -> tuple[dict[str, FloatArray], dict[int, str]]:
@@ -85,14 +81,14 @@ def gather(plan: Plan, folder: Path) -> tuple[dict[str, FloatArray], dict[int, s
     return figures, lost
 
 
-def envelope(plan: Plan, folder: Path, progress: Progress = silent) -> Envelope | None:
+def envelope(plan: Plan, folder: Path) -> Envelope | None:
     """Percentiles of the pointing over the vehicles, at up to 480 samples; None where there is no pointing."""
     time = chunk.read_times(folder)
     rows = np.unique(np.linspace(0, time.size - 1, min(time.size, _ENVELOPE_ROWS)).round().astype(np.int64))
     block = max(1, _BLOCK_VALUES // plan.vehicles)
     parts = []
     for first in range(0, rows.size, block):
-        progress("envelope", first / rows.size)
+        stop_if_asked()
         picked = rows[first : first + block]
         pieces = [chunk.read_series(folder, number, "pointing_deg", picked) for number in range(plan.chunks)]
         there = [piece for piece in pieces if piece is not None]
@@ -107,10 +103,9 @@ def envelope(plan: Plan, folder: Path, progress: Progress = silent) -> Envelope 
 
 def write_envelope(found: Envelope, folder: Path) -> Path:
     """The envelope as a table."""
-    lines = [_line(["time", "pointing_p5_deg", "pointing_median_deg", "pointing_p95_deg", "pointing_max_deg"])]
-    columns = (found.p5_deg.tolist(), found.median_deg.tolist(), found.p95_deg.tolist(), found.max_deg.tolist())
-    lines += [_line([iso(stamp), *row]) for stamp, row in zip(found.time, zip(*columns, strict=True), strict=True)]
-    return files.write_text(folder / ENVELOPE, "".join(lines))
+    header = ["time", "pointing_p5_deg", "pointing_median_deg", "pointing_p95_deg", "pointing_max_deg"]
+    columns = [column.tolist() for column in (found.p5_deg, found.median_deg, found.p95_deg, found.max_deg)]
+    return _write_table(folder / ENVELOPE, [header, *zip(map(iso, found.time), *columns, strict=True)])
 
 
 def summarise(plan: Plan, folder: Path) -> dict[str, Any]:

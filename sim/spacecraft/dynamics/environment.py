@@ -14,13 +14,13 @@ from itertools import pairwise
 import erfa
 import numpy as np
 
-from fluxtwin.sim.attitude.record import Ephemeris
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames, sun
 from fluxtwin.sim.earth.atmosphere import density_along
 from fluxtwin.sim.earth.constants import AU_KM
 from fluxtwin.sim.earth.field import FieldModel, field_E_nT
+from fluxtwin.sim.earth.orbit import Ephemeris
 
 _BLOCK = 8192
 _STRETCH_S = 21600.0

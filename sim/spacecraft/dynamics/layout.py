@@ -58,13 +58,8 @@ COMMAND_SIZE = 6
 MEMORY_SIZE = 12
 """Numbers a control law may keep from tick to tick; zero at the start."""
 
-# A wheel.
-WHEEL_AXIS = 0
+# A wheel: axis (3), inertia, largest speed, largest torque, viscous and Coulomb friction.
 WHEEL_INERTIA = 3
-WHEEL_MAX_SPEED = 4
-WHEEL_MAX_TORQUE = 5
-WHEEL_VISCOUS = 6
-WHEEL_COULOMB = 7
 WHEEL_SIZE = 8
 COULOMB_SPEED_RAD_S = 1.0
 """Coulomb friction passes smoothly through zero within this speed, so that the integrator meets no jump."""

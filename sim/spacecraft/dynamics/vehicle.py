@@ -30,14 +30,6 @@ class Wheel:
     coulomb_Nm: float = 0.0
     """Friction against the sense of turning."""
 
-    def __post_init__(self) -> None:
-        if not np.linalg.norm(self.axis_B) > 0.0 or not self.inertia_kg_m2 > 0.0:
-            raise BadInput(
-                f"axis {self.axis_B}, inertia {self.inertia_kg_m2:g} kg m2",
-                where="wheels",
-                wanted="an axis of three numbers, not all zero, and an inertia > 0",
-            )
-
     @property
     def row(self) -> list[float]:
         """As the kernel has it."""

@@ -38,22 +38,6 @@ class SunSensorHead:
     misalignment_B_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """The head is turned from its nominal mounting by this rotation vector (right-handed, body axes)."""
 
-    def __post_init__(self) -> None:
-        if self.number < 1 or not 0 < self.half_fov_rad < 0.5 * np.pi:
-            raise BadInput(
-                f"number {self.number}, half field of view {np.degrees(self.half_fov_rad):g} deg",
-                where="sun-sensor head",
-                wanted="a number from 1 and a half field of view between 0 and 90 deg",
-            )
-        if not (self.lsb_rad >= 0 and self.noise_rad >= 0):
-            raise BadInput("negative LSB or noise", where=f"sun-sensor head {self.number}", wanted=">= 0")
-        if not np.linalg.norm(np.cross(self.boresight_B, self.x_axis_B)) > 1e-9:
-            raise BadInput(
-                f"x axis {self.x_axis_B} lies along the boresight {self.boresight_B}",
-                where=f"sun-sensor head {self.number}",
-                wanted="a direction across the boresight, neither of length zero",
-            )
-
     @property
     def R_HB(self) -> Rotation:
         """Body to nominal head axes."""

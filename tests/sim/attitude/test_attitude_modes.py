@@ -236,8 +236,6 @@ def test_impossible_motion_is_refused() -> None:
         attitude.slews(time, early)
     with pytest.raises(BadInput, match="no waypoint"):
         attitude.slews(time, [])
-    with pytest.raises(BadInput, match="shortest"):
-        draw_libration((1.0, 1.0, 1.0), 600.0, 60.0, stream(1, "a"))
     with pytest.raises(BadInput, match="nutation"):
         attitude.spin(time, np.ones(3), np.array([0, 0, 1.0]), 0.1, nutation_rad=2.0)
     with pytest.raises(BadInput, match="one each"):

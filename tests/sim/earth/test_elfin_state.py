@@ -127,7 +127,7 @@ def test_a_day_of_flight_is_a_mean_orbit_with_j2(state, times, close):
     plane = T.apply(np.cross(r, v))
     node = np.unwrap(np.arctan2(plane[:, 0], -plane[:, 1]))
     rate = np.degrees(np.polyfit((t - t[0]).astype(float) * 1e-9, node, 1)[0]) * 86400
-    ours = np.degrees(flown.raan_rate_rad_s) * 86400
+    ours = np.degrees(flown.rates.raan_rad_s) * 86400
     bound = {"atol": 0.02, "unit": "deg/day", "because": "sun, moon and J2^2; short-period terms average out"}
     close(ours, rate, **bound)
     with pytest.raises(AssertionError):

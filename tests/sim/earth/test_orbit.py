@@ -89,7 +89,7 @@ def test_velocity_is_the_derivative_of_the_position(close, e):
     v = flying.propagate(times)[1]
     bound = {"atol": 1e-9, "unit": "km/s", "because": "five points, 1 s apart: a n^5/30 and the rounding of r"}
     close(v, numerical, **bound)
-    node_only = v - flying.raan_rate_rad_s * np.cross([0.0, 0.0, 1.0], flying.propagate(times)[0])
+    node_only = v - flying.rates.raan_rad_s * np.cross([0.0, 0.0, 1.0], flying.propagate(times)[0])
     for mutant in (node_only, 1.01 * v, -v):  # without the turning of the plane it is off by metres a second
         with pytest.raises(AssertionError):
             close(mutant, numerical, **bound)
@@ -103,7 +103,7 @@ def test_elements_come_back_on_the_axes_of_date(close):
 
     def elements(r, v):
         # The mean plane: take the turning of the node out of the velocity before the normal is formed.
-        v = v - flying.raan_rate_rad_s * np.cross([0.0, 0.0, 1.0], r)
+        v = v - flying.rates.raan_rad_s * np.cross([0.0, 0.0, 1.0], r)
         h = np.cross(r, v)[0]
         return np.array([np.arccos(h[2] / np.linalg.norm(h)), np.arctan2(h[0], -h[1])])
 
@@ -131,7 +131,7 @@ def test_node_to_node_takes_the_nodal_period(close):
     close(r_T[:, 2], 0.0, atol=1e-5, unit="km", because="stamps are cut to 1 ns, 7e-9 km, and rounding of a day")
     node = np.unwrap(np.arctan2(r_T[:, 1], r_T[:, 0]))
     drift = (node[-1] - node[0]) / (14 * flying.nodal_period_s)
-    close(drift * DEG_PER_DAY, flying.raan_rate_rad_s * DEG_PER_DAY, atol=1e-6, unit="deg/day", because="rounding")
+    close(drift * DEG_PER_DAY, flying.rates.raan_rad_s * DEG_PER_DAY, atol=1e-6, unit="deg/day", because="rounding")
 
 
 def test_argument_of_latitude(close):
@@ -213,7 +213,7 @@ def test_mean_orbit_against_numerical_integration(close, a, e, i_deg):
         close(reverse.propagate(times)[0], truth_km, atol=15.0, unit="km", because=because)
     node_truth = node_rate(solved, seconds)
     close(
-        matched.raan_rate_rad_s * DEG_PER_DAY,
+        matched.rates.raan_rad_s * DEG_PER_DAY,
         node_truth * DEG_PER_DAY,
         atol=0.02,
         unit="deg/day",

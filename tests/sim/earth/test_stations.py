@@ -65,7 +65,7 @@ def test_length_of_an_overhead_pass_is_that_of_the_textbook(close):
     a mask e it is 2 (acos(R cos e / a) - e) (Wertz & Larson, SMAD, section 5.2), run through at the rate of the orbit less
     that of the Earth."""
     orbit = low_orbit(0.0)
-    rate = 2 * np.pi / orbit.nodal_period_s + orbit.raan_rate_rad_s - 7.292115e-5
+    rate = 2 * np.pi / orbit.nodal_period_s + orbit.rates.raan_rad_s - 7.292115e-5
     for mask_deg in (0.0, 10.0, 30.0):
         mask = np.radians(mask_deg)
         arc = 2 * (np.arccos(EARTH_RADIUS_KM * np.cos(mask) / orbit.semi_major_axis_km) - mask)

@@ -146,7 +146,7 @@ def test_files_with_and_without_a_name(tmp_path):
         path = tmp_path / "one.tle"
         path.write_bytes(text.encode("utf-8"))
         read = tle.read_tle(path)
-        assert (read.name, read.satellite_number, read.line2) == (name, "64559", LINE2)
+        assert (read.name, read.line1[2:7], read.line2) == (name, "64559", LINE2)
 
 
 @pytest.mark.parametrize(

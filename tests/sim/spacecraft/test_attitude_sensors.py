@@ -302,10 +302,6 @@ def test_rows_without_sun_have_no_attitude() -> None:
 
 
 def test_impossible_sensors_are_refused() -> None:
-    with pytest.raises(BadInput, match="along the boresight"):
-        SunSensorHead(1, (0.0, 0.0, 1.0), (0.0, 0.0, 2.0), HALF)
-    with pytest.raises(BadInput, match="half field of view"):
-        SunSensorHead(1, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), 2.0)
     head = SunSensorHead(1, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), HALF)
     with pytest.raises(BadInput, match="number of its own"):
         measure_sun([head, head], np.eye(3), 1.0, np.random.default_rng(0))

@@ -70,14 +70,14 @@ def kepler_rate_O_rad_s(r_N_km: FloatArray, v_N_km_s: FloatArray) -> FloatArray:
     return rate
 
 
-def ephemeris_rate_O_rad_s(ephemeris: Ephemeris, time: TimeArray, *, step_s: float = 1.0) -> FloatArray:
+def ephemeris_rate_O_rad_s(ephemeris: Ephemeris, time: TimeArray) -> FloatArray:
     """Rate of the orbital frame relative to N, components in O, (N, 3), of the motion as it is propagated.
 
-    Half the turn between `step_s` before and after each stamp. Error under 1e-9 rad/s for orbits to
+    Half the turn between one second before and after each stamp. Error under 1e-9 rad/s for orbits to
     eccentricity 0.5 (truncation step^2/6 times the second derivative of the rate, plus rounding).
     """
     stamps = clock.as_times(time)
-    step = np.timedelta64(round(step_s * 1e9), "ns")
+    step = np.timedelta64(1, "s")
     before, after = stamps - step, stamps + step
     turn = frames.rotation_ON(*ephemeris(after)) * frames.rotation_ON(*ephemeris(before)).inv()
     # Counted in SI seconds, so that a leap second between the two does not look like a faster orbit.
@@ -210,17 +210,15 @@ def spin(
     *,
     nutation_rad: float = 0.0,
     phase_rad: float = 0.0,
-    nutation_phase_rad: float = 0.0,
     epoch: np.datetime64 | None = None,
 ) -> Attitude:
     """Spin about body z with nutation, free of torque.
 
     inertia_kg_m2: the moments about x, y, z. momentum_axis_N (3,): the direction of the
     angular momentum. spin_rate_rad_s: the rate about body z at `epoch` (default: first stamp); nutation_rad:
-    the angle from body z to the momentum then, constant for a body with equal x and y moments.
-    nutation_phase_rad: where in the body's x-y plane the momentum lies, from x towards y. phase_rad: a
-    right-handed turn of the whole body about the momentum. Raises BadInput for a zero rate, a zero axis or a
-    nutation angle outside [0, 90) degrees.
+    the angle from body z to the momentum then, towards body x, constant for a body with equal x and y moments.
+    phase_rad: a right-handed turn of the whole body about the momentum. Raises BadInput for a zero rate, a zero axis
+    or a nutation angle outside [0, 90) degrees.
     """
     inertia = np.asarray(inertia_kg_m2, dtype=np.float64)
     axis = np.asarray(momentum_axis_N, dtype=np.float64)
@@ -231,8 +229,7 @@ def spin(
     if spin_rate_rad_s == 0.0 or not np.linalg.norm(axis) > 0.0:
         raise BadInput("the rate or the axis is zero", where="spin", wanted="both different from zero")
     sense = np.sign(spin_rate_rad_s)
-    transverse = np.array([np.cos(nutation_phase_rad), np.sin(nutation_phase_rad), 0.0])
-    direction_B = np.sin(nutation_rad) * transverse + np.array([0.0, 0.0, sense * np.cos(nutation_rad)])
+    direction_B = np.array([np.sin(nutation_rad), 0.0, sense * np.cos(nutation_rad)])
     momentum = inertia[2] * abs(spin_rate_rad_s) / np.cos(nutation_rad)
     rate0 = momentum * direction_B / inertia
     # Smallest turn that carries the momentum from its direction in N to its direction in B, then the phase.

@@ -140,7 +140,7 @@ def _boundaries(made: Sequence[Flight], segments: Sequence[SegmentSection]) -> T
 
 def vehicle_of(scenario: Scenario) -> Vehicle:
     """The body, wheels, torques and law of a scenario, with what its effects do to them."""
-    torques: list[Torque] = list(_acting(scenario))
+    torques: list[Torque] = [] if scenario.torques is None else [*scenario.torques.acting]
     section = scenario.torquers
     if section is not None:
         torques.append(Torquers(dipole_Am2=section.Am2, drive=section.drive, threshold_Am2=section.threshold_Am2))
@@ -286,10 +286,6 @@ def _dynamics(scenario: Scenario) -> DynamicsSection:
 
 def _control(scenario: Scenario) -> ControlSection:
     return scenario.control or ControlSection()
-
-
-def _acting(scenario: Scenario) -> tuple[Torque, ...]:
-    return () if scenario.torques is None else scenario.torques.acting
 
 
 def _whole(long_s: float, step_s: float, key: str) -> int:

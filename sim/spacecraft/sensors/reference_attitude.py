@@ -6,9 +6,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.attitude.gauss_markov import gauss_markov
-from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import frames
+
+_LEAST_SEPARATION_RAD = np.radians(3.0)
 
 
 def attitude_with_error(
@@ -25,41 +26,29 @@ def attitude_with_error(
 
 
 def attitude_from_sun_and_nadir(
-    sun_B: FloatArray,
-    nadir_B: FloatArray,
-    sun_N: FloatArray,
-    nadir_N: FloatArray,
-    *,
-    least_separation_rad: float = np.radians(3.0),
+    sun_B: FloatArray, nadir_B: FloatArray, sun_N: FloatArray, nadir_N: FloatArray
 ) -> FloatArray:
     """Attitude as q_NB (N, 4), textbook quaternion, scalar last, by the algebraic method (TRIAD).
 
     Nadir is matched exactly; the sun gives the turn about it (Wertz 1978, section 12.2.2). All arguments
     (N, 3); lengths do not matter. Rows are NaN where a vector is NaN, or where sun and nadir, or their
-    opposites, are less than `least_separation_rad` apart in either frame: there the turn is not known.
+    opposites, are less than three degrees apart in either frame: there the turn is not known.
     """
-    B, known_B = _triad(nadir_B, sun_B, least_separation_rad)
-    N, known_N = _triad(nadir_N, sun_N, least_separation_rad)
-    if B.shape != N.shape:
-        raise BadInput(f"{B.shape[0]} rows in B, {N.shape[0]} in N", where="sun and nadir", wanted="the same rows")
-    return q_where(Rotation.from_matrix(np.swapaxes(B, 1, 2) @ N), known_B & known_N)
-
-
-def q_where(R_BN: Rotation, known: BoolArray) -> FloatArray:
-    """q_NB (N, 4) of R_BN, NaN in the rows that are not `known` (N,): no head sees the sun, say."""
-    q = frames.q_from_rotation(R_BN)
-    q[~np.asarray(known, dtype=bool)] = np.nan
+    B, known_B = _triad(nadir_B, sun_B)
+    N, known_N = _triad(nadir_N, sun_N)
+    q = frames.q_from_rotation(Rotation.from_matrix(np.swapaxes(B, 1, 2) @ N))
+    q[~(known_B & known_N)] = np.nan
     return q
 
 
-def _triad(first: FloatArray, second: FloatArray, least_rad: float) -> tuple[FloatArray, BoolArray]:
+def _triad(first: FloatArray, second: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Matrices (N, 3, 3) whose rows are the triad of two vectors; identity where they do not make one."""
     a = np.atleast_2d(np.asarray(first, dtype=np.float64))
     b = np.atleast_2d(np.asarray(second, dtype=np.float64))
     across = np.cross(a, b)
     size_a, size_b, size = (np.linalg.norm(v, axis=1) for v in (a, b, across))
     with np.errstate(invalid="ignore"):
-        known: BoolArray = size > np.sin(least_rad) * size_a * size_b
+        known: BoolArray = size > np.sin(_LEAST_SEPARATION_RAD) * size_a * size_b
     x = np.where(known[:, None], a / np.where(known, size_a, 1.0)[:, None], [1.0, 0.0, 0.0])
     y = np.where(known[:, None], across / np.where(known, size, 1.0)[:, None], [0.0, 1.0, 0.0])
     return np.stack([x, y, np.cross(x, y)], axis=1), known

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fluxtwin.gap.channels.momentum_arcs import Craft
-from fluxtwin.gap.detectors.stochastic import with_frozen_noise
+from fluxtwin.gap.detectors.noise_level import with_frozen_noise
 from fluxtwin.gap.diagnose import diagnose as investigate_record
 from fluxtwin.gap.held_out import closing, transfer
 from fluxtwin.gap.held_out.closing import Declared as Declared

@@ -9,11 +9,12 @@ import numpy as np
 
 from fluxtwin.gap.channels.momentum import balanced
 from fluxtwin.gap.channels.momentum_arcs import Craft
-from fluxtwin.gap.detectors.flexible import FlexibleFinding
+from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.full_rate import MOST_ROWS as MOST_ROWS_FAST
 from fluxtwin.gap.detectors.full_rate import full_rate
+from fluxtwin.gap.detectors.noise_level import floor_noise, stochastic_nT
+from fluxtwin.gap.detectors.proposals import coarse, in_the_readings
 from fluxtwin.gap.detectors.residual_structure import what_is_left
-from fluxtwin.gap.detectors.stochastic import coarse, flexible_findings, floor_noise, stochastic_nT
 from fluxtwin.gap.held_out.held_out import Fitted, Prediction, floor_rms_nT, one_step, predict_blocks
 from fluxtwin.gap.hypotheses.blocks import Block, blocks
 from fluxtwin.gap.hypotheses.candidates import candidates
@@ -21,7 +22,7 @@ from fluxtwin.gap.hypotheses.evidence import Dictionary
 from fluxtwin.gap.hypotheses.perturbed_design import Shaken
 from fluxtwin.gap.noise.choice import choose_noise, complete_budget, whitener_of
 from fluxtwin.gap.posterior.explanations import Answer, noise_and_answer
-from fluxtwin.gap.posterior.structured import Shapes
+from fluxtwin.gap.posterior.structured import Structured
 from fluxtwin.gap.posterior.where import where
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget, Problem, pose, realigned
 from fluxtwin.gap.problem.start import start_without_attitude
@@ -117,7 +118,7 @@ def investigate(
     """Noise, search, residual structure, where, how far. whole: the record that the problem's rows are thinned from."""
     progress("every effect on this design", 0.05)
     coarser, declared_lsb_nT = coarse(problem), problem.budget.lsb_nT
-    if coarser is not None and coarser.confirmed:
+    if coarser is not None:
         wider = replace(problem.budget, lsb_nT=coarser.parameters["lsb"][0])
         problem = replace(problem, budget=wider)
     problem = _about_the_whitened_fit(problem)
@@ -134,8 +135,8 @@ def investigate(
         first_noise, answer = noise_and_answer(problem, dictionary, known)
     progress("residual structure, and where", 0.75)
     fast = None if whole is None else full_rate(whole, problem, answer.result.modelled, answer.result.chosen)
-    shapes = Shapes(problem, dictionary, known, lambda own: choose_noise(problem, own))
-    answer = shapes.with_line(shapes.among(answer), fast)
+    waveforms = Structured(problem, dictionary, known, lambda own: choose_noise(problem, own))
+    answer = waveforms.with_line(waveforms.among(answer), fast)
     result = answer.result
     every = [answer.whitener, whitener_of(problem, first_noise, answer.robust.weights)]
     smallest = under_all(result.minimum_detectable, result.smallest_images_nT, answer.alone_nT, every)
@@ -143,7 +144,8 @@ def investigate(
     rows = (problem, answer.whitener, answer.noise, answer.robust, result.residual_nT, answer.fitted_nT)
     if fast is not None:
         rows = (fast.problem, fast.whitener, fast.noise, fast.robust, fast.residual_nT, fast.fitted_nT)
-    findings = flexible_findings(*rows, answer.left.structured, coarser, answer.shapes)
+    found = (*answer.shapes, *(() if coarser is None else (coarser,)))
+    findings = in_the_readings(*rows, answer.left.structured, found)
     flexible = tuple(one for one in findings if one.confirmed)
     attitude_would_do_rad = _attitude_would_do(problem, answer, dictionary)
     place = _place(problem, answer, dictionary)
@@ -239,7 +241,7 @@ def _place(problem: Problem, answer: Answer, dictionary: Sequence[Block]) -> Pla
 
 
 def _prediction(
-    problem: Problem, answer: Answer, flexible: Sequence[FlexibleFinding], declared_lsb_nT: float | None
+    problem: Problem, answer: Answer, flexible: Sequence[Finding], declared_lsb_nT: float | None
 ) -> Prediction:
     """Held-out residuals; a walk is predicted one row ahead."""
     result, noise, axes, seconds = answer.result, answer.noise, problem.axes, problem.setting.seconds

@@ -59,7 +59,7 @@ RULES: dict[str, dict[str, Any]] = {
         f"{GAP}.detectors.residual_structure._PARTS": (),
     },
     "variance of the shape": {f"{GAP}.posterior.explanations.SHAPE": 0.0},
-    "a random walk": {f"{GAP}.posterior.structured.Shapes._walking": lambda *_: None},
+    "a random walk": {f"{GAP}.posterior.structured.Structured._walking": lambda *_: None},
 }
 
 

@@ -1,7 +1,7 @@
 """What only the full rate shows: fast lines, single wrong readings, and the noise from one reading to the next.
 
 A long record is diagnosed on evenly spaced rows: what is slow is all there. One contiguous stretch at the full rate
-then shows the rest, beside the fit that was found. Its noise is chosen anew, with only that fit as design: slow
+then shows the rest, given the fit that was found. Its noise is chosen anew, with only that fit as design: slow
 structure counts as noise there.
 """
 
@@ -12,48 +12,42 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fluxtwin.gap.detectors.flexible import FlexibleFinding, wheel_line
-from fluxtwin.gap.detectors.tones import Tone, strongest_tone
+from fluxtwin.gap.detectors.lines import Line, strongest_line
 from fluxtwin.gap.hypotheses.candidates import derivatives
 from fluxtwin.gap.linear.leftover import Leftover, leftover
 from fluxtwin.gap.noise.budget import prior_of
 from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, Whitener, complete_budget, select_noise, whitener_of
 from fluxtwin.gap.problem.problem import Problem, pose, realigned
+from fluxtwin.gap.selection.criterion import THRESHOLD
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.telemetry.record import Telemetry
 
 MOST_ROWS = 60_000
 """Of the stretch: its Jacobians, their whitened and orthonormal copies take about a third of a gigabyte."""
-_SURE = 5e-4
 
 
 @dataclass(frozen=True, eq=False)
 class FullRate:
-    """The stretch beside the fit; n rows."""
+    """The stretch, given the fit; n rows."""
 
     problem: Problem
     noise: NoiseModel
     robust: RobustRows
     whitener: Whitener
     residual_nT: FloatArray
-    """(n, 3) beside everything that was fitted on the evenly spaced rows."""
+    """(n, 3) less everything that was fitted on the evenly spaced rows."""
     fitted_nT: FloatArray
     """(n, 3, q) its Jacobian."""
     left: Leftover
-    tone: Tone
+    line: Line
     slow_Hz: float
     """Highest frequency that the evenly spaced rows show as it is."""
 
     @property
     def has_line(self) -> bool:
         """A line too fast for the evenly spaced rows."""
-        return self.tone.frequency_Hz > self.slow_Hz and self.tone.log10_p < np.log10(_SURE)
-
-    def line(self) -> FlexibleFinding | None:
-        """The line, if it is that of a wheel."""
-        found = wheel_line(self.problem.setting, self.left, self.tone) if self.has_line else None
-        return found if found is not None and found.confirmed else None
+        return self.line.frequency_Hz > self.slow_Hz and self.line.worth > THRESHOLD
 
 
 def full_rate(
@@ -80,9 +74,9 @@ def full_rate(
     )
     whitener = whitener_of(near, noise, robust.weights)
     left = leftover(whitener, residual, fitted)
-    tone = strongest_tone(near.setting.seconds, left)
+    line = strongest_line(near.setting.seconds, left)
     slow_Hz = 0.5 / float(np.median(np.diff(setting.seconds)))
-    return FullRate(near, noise, robust, whitener, residual, fitted, left, tone, slow_Hz)
+    return FullRate(near, noise, robust, whitener, residual, fitted, left, line, slow_Hz)
 
 
 def _stretch(whole: Telemetry, problem: Problem, modelled: Sequence[Active], chosen: Sequence[Active]) -> Problem:

@@ -1,6 +1,6 @@
 """What is left once calibration and the named effects are out: is there structure, and what does it look like?
 
-Five ways to look, all judged by one criterion: blocks of columns, one line of any frequency (three-axis periodogram), one
+Five ways to look, all weighed by one criterion: blocks of columns, one line of any frequency (three-axis periodogram), one
 step (cumulated sums), drift (energy of block means at growing lengths), and parameters of their own for each part of the
 record (Chow 1960, Econometrica 28, 591).
 """
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from fluxtwin.gap.detectors.tones import TONE_DEGREES, strongest_tone
+from fluxtwin.gap.detectors.lines import independent_frequencies, strongest_line
 from fluxtwin.gap.hypotheses.blocks import Block, blocks, step_block
 from fluxtwin.gap.hypotheses.evidence import BlockFit, fit, fit_all
 from fluxtwin.gap.linear.leftover import Leftover, Whitens, leftover, log10_sf_f
@@ -103,11 +103,10 @@ def judge(
         (gain, rank), block = one.explained(), one.block
         frame = f", coherent in the {block.frame} frame" if block.frame else ""
         clues.append(clue("block", gain, rank, tried, f"structure that follows {block.label}{frame}", block))
-    tone = strongest_tone(seconds, left)
-    if tone.frequency_Hz > 0:
-        cycles = max(float(seconds[-1] - seconds[0]) / (2.0 * float(np.median(np.diff(seconds)))), 1.0)
-        words = f"a line at a period of {1 / tone.frequency_Hz:.0f} s"
-        clues.append(clue("tone", tone.explained, TONE_DEGREES, float(np.log(cycles)), words))
+    line = strongest_line(seconds, left)
+    if line.frequency_Hz > 0:
+        words = f"a line at a period of {1 / line.frequency_Hz:.0f} s"
+        clues.append(clue("tone", line.explained, 6, float(np.log(independent_frequencies(seconds))), words))
     _, step_s = step(seconds, left)
     jump = step_block(problem, step_s)
     gain, rank = fit(jump, left).explained()

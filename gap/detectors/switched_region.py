@@ -2,8 +2,7 @@
 
 Boxes of latitude and longitude are tried by night and in shadow over all places that the record passes, and the best is
 refined edge by edge. Any patch of wrong field looks a little like that, so the name is given only if the same box by
-day has nothing of it (a field of the Earth's own is there by day too), if the field is one in body axes, and if no
-block of columns does as well.
+day has nothing of it (a field of the Earth's own is there by day too), and if no block of columns does as well.
 """
 
 from __future__ import annotations
@@ -13,12 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fluxtwin.gap.detectors.flexible import FlexibleFinding
-from fluxtwin.gap.detectors.waveform_checks import gains, halves, varies
+from fluxtwin.gap.detectors.finding import Finding
+from fluxtwin.gap.detectors.waveforms import does_as_well, fitted, in_body, stands_out
 from fluxtwin.gap.hypotheses.candidates import derivatives
 from fluxtwin.gap.hypotheses.evidence import BlockFit
-from fluxtwin.gap.linear.leftover import Leftover, log10_sf_f, orthonormal
+from fluxtwin.gap.linear.leftover import Leftover
 from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.gap.selection.criterion import THRESHOLD
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.effects.signal import Setting
@@ -29,13 +29,7 @@ _HALF_SIZES_DEG = (12.0, 20.0)
 _MOVES_DEG = (1.0, 3.0, 9.0)
 _ROUNDS = 6
 _FEWEST_ROWS = 20
-_FEWEST_TIMES = 2
-"""Separate passes through the box on which the field must have been on."""
-_PASS_S = 1800.0
-_LOG_CERTAIN = 10.0
-_SEEN = 1e-3
-"""Of the best seen direction of the field: what is seen less has no value of its own."""
-_DAY_P = 0.01
+_EDGES = 4  # of a box, estimated beside the field
 _MOST_OF_DARK = 0.5
 """Share of the dark rows that a region may have: beyond it, it is not the place that matters."""
 
@@ -68,7 +62,7 @@ class _Trial:
         return SwitchedField(self.condition, region_deg=self.box)
 
 
-def switched_region(problem: Problem, left: Leftover, rivals: Sequence[BlockFit]) -> FlexibleFinding | None:
+def switched_region(problem: Problem, left: Leftover, rivals: Sequence[BlockFit]) -> Finding | None:
     """Look for a field switched on in the dark over a region; None where nothing like it is there.
 
     left: whitened residual with what was fitted out; rivals: fits of the design's blocks to it.
@@ -78,26 +72,19 @@ def switched_region(problem: Problem, left: Leftover, rivals: Sequence[BlockFit]
     best = search.best()
     if best is None:
         return None
-    on = search.rows_on(best)
     images = derivatives(problem, [(best.effect, np.zeros(3))])
-    field, sigma, gain, variance = _field(left, images)
-    # Four edges are estimated beside the field, and every box that was tried counts.
-    worth = 0.5 * gain / variance - 3.5 * np.log(left.degrees) - np.log(search.tried)
-    if worth < _LOG_CERTAIN:
+    found = fitted(left, images, _EDGES)
+    value = found.worth(float(np.log(search.tried)), _EDGES)
+    if value <= THRESHOLD:
         return None
-    faults = _rivals(gain, variance, left, rivals)
-    if _times(problem.setting.seconds, on) < _FEWEST_TIMES:
-        faults.append("it was there on one pass only")
-    faults += _by_day(left, images, place.inside(best.box) & ~on)
-    faults += varies(left, images, halves(problem.setting))
-    spare = max(left.degrees - 7, 1)
-    log10_p = log10_sf_f(gain / 7.0 / variance, 7, spare) + np.log10(search.tried)
-    words = f"a field by {best.condition}, {best.effect.region_words}" + (
-        f"; but {', '.join(faults)}" if faults else ""
-    )
-    parameters = {f"f_{a}": (float(v), float(s), "nT") for a, v, s in zip("xyz", field, sigma, strict=True)}
-    p_value = float(min(1.0, 10.0 ** max(log10_p, -300.0)))
-    return FlexibleFinding("switched_field", parameters, p_value, not faults, words, best.effect)
+    faults = does_as_well(value, found, rivals)
+    day = place.inside(best.box) & ~search.rows_on(best)
+    if day.sum() < _FEWEST_ROWS:
+        faults.append("the record has no pass over it by day, so a field of the Earth's own would look the same")
+    elif stands_out(left, images, in_body(day.astype(float))):
+        faults.append("it is there by day as well")
+    what = f"a field by {best.condition}, {best.effect.region_words}"
+    return Finding("switched_field", found.parameters(["f_x", "f_y", "f_z"]), value, what, tuple(faults), best.effect)
 
 
 class _Search:
@@ -134,8 +121,7 @@ class _Search:
         key = on.tobytes()
         if key not in self._known:
             self.tried += 1
-            columns, _ = self.left.project(on.astype(float)[:, None, None] * np.eye(3))
-            self._known[key] = float(np.sum((orthonormal(columns).T @ self.left.residual) ** 2))
+            self._known[key] = fitted(self.left, in_body(on.astype(float))).drop
         return replace(trial, gain=self._known[key])
 
 
@@ -188,43 +174,3 @@ def _snug(place: _Place, box: Box, on: BoolArray) -> Box:
     edges = (np.floor(latitude.min()), np.ceil(latitude.max()), west - shift, east - shift)
     south, north, west, east = (float(edge) for edge in edges)
     return (south, north, west, east)
-
-
-def _field(left: Leftover, images: FloatArray) -> tuple[FloatArray, FloatArray, float, float]:
-    """The field (3,), its sigma (NaN of a component that is not seen), energy explained and variance of the rest."""
-    free, _ = left.project(images)
-    values, vectors = np.linalg.eigh(free.T @ free)
-    good = values > _SEEN * values[-1]
-    inverse = (vectors[:, good] / values[good]) @ vectors[:, good].T
-    moment = free.T @ left.residual
-    field = inverse @ moment
-    gain = float(moment @ inverse @ moment)
-    variance = (left.energy - gain) / max(left.degrees - 7, 1)
-    sigma = np.sqrt(variance * np.diag(inverse))
-    seen = np.sum(vectors[:, good] ** 2, axis=1) > 0.99
-    return field, np.where(seen, sigma, np.nan), gain, variance
-
-
-def _rivals(gain: float, variance: float, left: Leftover, rivals: Sequence[BlockFit]) -> list[str]:
-    """A block that explains as much, each parameter at the price of BIC."""
-    price = np.log(left.degrees)
-    for one in rivals:
-        theirs, rank = one.explained()
-        if theirs / variance - rank * price > gain / variance - 7.0 * price:
-            return [f"{one.block.label} does as well"]
-    return []
-
-
-def _times(seconds: FloatArray, on: BoolArray) -> int:
-    """Separate passes through the box."""
-    at = seconds[on]
-    return 1 + int(np.sum(np.diff(at) > _PASS_S)) if at.size else 0
-
-
-def _by_day(left: Leftover, images: FloatArray, day: BoolArray) -> list[str]:
-    """What speaks against darkness: no rows by day, or a field there by day too."""
-    if day.sum() < _FEWEST_ROWS:
-        return ["the record has no pass over it by day, so a field of the Earth's own would look the same"]
-    columns = day.astype(float)[:, None, None] * np.eye(3)
-    p, share = gains(left, images, np.concatenate([images, columns], axis=2))
-    return ["it is there by day as well"] if p < _DAY_P and share > 0.1 else []

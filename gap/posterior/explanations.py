@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import softmax
 
-from fluxtwin.gap.detectors.flexible import FlexibleFinding
+from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.residual_structure import Left, judge
 from fluxtwin.gap.hypotheses.blocks import Block
 from fluxtwin.gap.hypotheses.candidates import Candidate, derivatives
@@ -75,7 +75,7 @@ class Answer:
     """Of the explanation that weighs most, in its best reading."""
     handicap: float = 0.0
     """Twice the log likelihood that another noise model gives to an explanation without names."""
-    shapes: tuple[FlexibleFinding, ...] = ()
+    shapes: tuple[Finding, ...] = ()
     """Causes that are known by their own shape: a line, a sequence, a region in the dark, a walk."""
 
     @property
@@ -90,7 +90,7 @@ def answered_with(
     whitener: Whitener,
     dictionary: Sequence[Block],
     known: Known,
-    shapes: tuple[FlexibleFinding, ...] = (),
+    shapes: tuple[Finding, ...] = (),
 ) -> Answer:
     """The search under one whitening, beside shapes: those that are signals are fitted in every test."""
     searched = _searched(_beside(problem, signals_of(shapes)), whitener, known)
@@ -108,7 +108,7 @@ def _concluded(
     robust: RobustRows,
     searched: _Searched,
     dictionary: Sequence[Block],
-    shapes: tuple[FlexibleFinding, ...],
+    shapes: tuple[Finding, ...],
     others: Sequence[NoiseModel],
 ) -> Answer:
     under_way, untestable, path = searched
@@ -230,7 +230,7 @@ def noise_and_answer(problem: Problem, dictionary: Sequence[Block], known: Known
     return first.noise, _concluded(problem, choice.robust, searched, dictionary, (), others)
 
 
-def signals_of(shapes: Sequence[FlexibleFinding]) -> list[Active]:
+def signals_of(shapes: Sequence[Finding]) -> list[Active]:
     """Those that a fit can have, with the parameters they were found with."""
     found: list[Active] = []
     for one in shapes:

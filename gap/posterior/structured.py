@@ -1,7 +1,7 @@
-"""Causes that are known by their own shape (a line, a sequence, a region in the dark, a walk) among the named effects.
+"""Causes with a waveform of their own (a line, a sequence, a region in the dark, a walk) among the named effects.
 
-What has such a shape is not in the catalogue's images, so the search explains it by several effects that each mop up
-a little. Where a shape is found, effects are therefore sought afresh beside it: a line or a sequence is fitted in every
+Such a waveform is not among the catalogue's images, so the search explains it by several effects that each take a
+little of it. Where one is found, effects are therefore sought afresh given it: a line or a sequence is fitted in every
 test, a walk belongs to the noise. Whether a walk is there is a matter of the likelihood: "a walk and these effects"
 against "those effects", by the one criterion.
 """
@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fluxtwin.gap.detectors.flexible import FlexibleFinding, wheel_line
+from fluxtwin.gap.detectors import proposals
+from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.full_rate import FullRate
+from fluxtwin.gap.detectors.lines import line_near, wheel_line
 from fluxtwin.gap.detectors.random_walk import random_walk
 from fluxtwin.gap.detectors.residual_structure import Left, what_is_left
-from fluxtwin.gap.detectors.stochastic import shape_of
-from fluxtwin.gap.detectors.tones import TONE_DEGREES, tone_near
 from fluxtwin.gap.hypotheses.blocks import Block
 from fluxtwin.gap.hypotheses.candidates import derivatives
 from fluxtwin.gap.linear.leftover import Leftover, leftover
@@ -36,8 +36,8 @@ _MEMORIES_S = (30.0, 100.0, 300.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Shapes:
-    """Looks for shapes on one design."""
+class Structured:
+    """Looks for such causes on one design."""
 
     problem: Problem
     dictionary: Sequence[Block]
@@ -46,7 +46,7 @@ class Shapes:
     """The noise with these columns (N, 3, P) in the signal: a line was noise to the first choice."""
 
     def among(self, answer: Answer) -> Answer:
-        """The answer with the shapes that are in the data, effects sought afresh beside them."""
+        """The answer with the waveforms that are in the data, effects sought afresh given them."""
         for _ in range(_MOST):
             more = self._one_more(answer)
             if more is None:
@@ -60,19 +60,19 @@ class Shapes:
             for bare in (True, False) if answer.result.named and not answer.carries else (False,):
                 finding = self._signal(answer, bare=bare)
                 if finding is not None:
-                    return self.beside(answer, finding)
+                    return self.given(answer, finding)
         if not walks and (answer.left.structured or len(answer.result.named) > 1):
             return self._walking(answer)
         return None
 
-    def _signal(self, answer: Answer, *, bare: bool) -> FlexibleFinding | None:
+    def _signal(self, answer: Answer, *, bare: bool) -> Finding | None:
         result, whitener = answer.result, answer.whitener
         residual, fitted, left = result.residual_nT, answer.fitted_nT, answer.left
         if bare:
             residual, fitted = result.residual_alone_nT, self._alone(answer)
             left = what_is_left(self.problem, whitener, residual, fitted, found=self.dictionary)
         chosen = [] if bare else [effect for effect, _ in result.chosen]
-        return shape_of(self.problem, whitener, residual, fitted, left, self.dictionary, chosen)
+        return proposals.structured(self.problem, whitener, residual, fitted, left, self.dictionary, chosen)
 
     def _alone(self, answer: Answer) -> FloatArray:
         """(N, 3, c) Jacobian of what is re-estimated and of the shapes that are signals."""
@@ -80,8 +80,8 @@ class Shapes:
         own = [derivatives(self.problem, signals)] if signals else []
         return np.concatenate([answer.alone_nT, *own], axis=2)
 
-    def beside(self, answer: Answer, finding: FlexibleFinding) -> Answer:
-        """Effects sought afresh beside one more signal."""
+    def given(self, answer: Answer, finding: Finding) -> Answer:
+        """Effects sought afresh given one more signal."""
         shapes = (*answer.shapes, finding)
         noise, robust = self.choose(derivatives(self.problem, signals_of(shapes)))
         whitener = whitener_of(self.problem, noise, robust.weights)
@@ -97,7 +97,7 @@ class Shapes:
         bare_nT, alone = answer.result.residual_alone_nT, self._alone(answer)
         if wander.rate(leftover(answer.whitener, bare_nT, alone)) is None:
             return None
-        # Beside a walk the error of the attitude is another: without one it had to stand for it.
+        # Given a walk, the error of the attitude is another: without one it took its place.
         noise, _ = self.choose(wander.columns)
         trials = [noise, answer.noise, *_declared(self.problem, noise)]
         gained = [(self._gain(answer, one, bare_nT, alone), one) for one in trials]
@@ -105,7 +105,7 @@ class Shapes:
         whole, rate, walking = self._walks(answer, likeliest, first, bare_nT, alone)
         if walking is None or whole < max(answer.worth, THRESHOLD):
             return None
-        finding = random_walk(seconds, self._left(walking), self.dictionary, walking.noise.sigma_nT)
+        finding = random_walk(seconds, self._left(walking), walking.noise.sigma_nT)
         if finding is None or not finding.confirmed:
             return None
         scaled = rate * float(np.sqrt(walking.result.variance))
@@ -131,7 +131,7 @@ class Shapes:
     def _walks(
         self, answer: Answer, noise: NoiseModel, rate: float | None, bare_nT: FloatArray, alone: FloatArray
     ) -> tuple[float, float, Answer | None]:
-        """Worth of a walk and of the effects beside it, its likeliest rate (first guess given), and those effects."""
+        """Worth of a walk and of the effects given it, its likeliest rate (first guess given), and those effects."""
         whitener = whitener_of(self.problem, noise, answer.robust.weights)
         wander, walking = Wander(whitener, self.problem.setting.seconds), answer
         for _ in range(_ROUNDS):
@@ -151,25 +151,23 @@ class Shapes:
         return worth(gain, 1, samples, tried) + max(walking.worth, 0.0), rate, walking
 
     def _left(self, answer: Answer) -> Leftover:
-        """Beside what was fitted, with no walk in the noise."""
+        """The residual with what was fitted out of it and no walk in the noise."""
         return leftover(without_walk(answer.whitener), answer.result.residual_nT, answer.fitted_nT)
 
     def with_line(self, answer: Answer, fast: FullRate | None) -> Answer:
         """A line that only the full rate shows, with its name or as structure that has none."""
         if fast is None or not fast.has_line:
             return answer
-        line = fast.line()
-        if line is not None:
+        wheel = wheel_line(fast.problem.setting, fast.left, fast.line)
+        if wheel is not None and wheel.confirmed:
             # The thinned rows hold the phase over the whole record.
-            tone = tone_near(self.problem.setting.seconds, self._left(answer), fast.tone.frequency_Hz)
-            longer = wheel_line(self.problem.setting, self._left(answer), tone)
-            return self.beside(answer, longer if longer is not None and longer.confirmed else line)
+            setting, left = self.problem.setting, self._left(answer)
+            longer = wheel_line(setting, left, line_near(setting.seconds, left, fast.line.frequency_Hz))
+            return self.given(answer, longer if longer is not None and longer.confirmed else wheel)
         if answer.left.structured:
             return answer
-        words = f"a line at a period of {1 / fast.tone.frequency_Hz:.3g} s, in the full rate"
-        drop = fast.tone.explained
-        value = worth(drop, TONE_DEGREES, fast.left.degrees / 3.0, 0.0) - 2.0 * float(np.log(fast.problem.rows))
-        found = Left(value, drop, "tone", words, label="tone")
+        words = f"a line at a period of {1 / fast.line.frequency_Hz:.3g} s, in the full rate"
+        found = Left(fast.line.worth, fast.line.explained, "tone", words, label="tone")
         return replace(answer, left=found, known=0.0)
 
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from fluxtwin.gap.channels.momentum import Momentum
-from fluxtwin.gap.detectors.flexible import FlexibleFinding
-from fluxtwin.gap.detectors.stochastic import expected
+from fluxtwin.gap.detectors.finding import Finding
+from fluxtwin.gap.detectors.proposals import expected
 from fluxtwin.gap.held_out.held_out import Prediction
 from fluxtwin.gap.posterior.explanations import Answer
 from fluxtwin.gap.problem.problem import Problem
@@ -40,7 +40,7 @@ class Work:
 
     problem: Problem
     answer: Answer
-    flexible: tuple[FlexibleFinding, ...]
+    flexible: tuple[Finding, ...]
     """Those that are confirmed."""
     loud: str | None
     """Words for white noise above its budget that is not like noise."""
@@ -177,7 +177,7 @@ def _closure(work: Work, found: _Conclusion) -> Closure:
     )
 
 
-def _of_shape(one: FlexibleFinding, setting: Setting) -> FoundEffect:
+def _of_shape(one: Finding, setting: Setting) -> FoundEffect:
     """A cause that is known by its own shape."""
     effect = one.instance if one.instance is not None else find_effect(one.effect)
     axis = getattr(effect, "axis", None)

@@ -10,8 +10,9 @@ import pytest
 from scipy.stats import chi2
 from worlds import scenario_text
 
-from fluxtwin.gap.detectors.flexible import FlexibleFinding
-from fluxtwin.gap.detectors.stochastic import expected, floor_noise, with_frozen_noise
+from fluxtwin.gap.detectors.finding import Finding
+from fluxtwin.gap.detectors.noise_level import floor_noise, with_frozen_noise
+from fluxtwin.gap.detectors.proposals import expected
 from fluxtwin.gap.held_out.closing import Declared, closed_scenario, settle
 from fluxtwin.gap.held_out.held_out import Prediction
 from fluxtwin.gap.held_out.targets import DAYS, targets
@@ -232,10 +233,10 @@ def test_noise_of_the_scenario_is_expected_and_no_other() -> None:
     assert with_frozen_noise(frozen, 100.0, 100.0) == (pytest.approx(np.hypot(100.0, 150.0)), 400.0)
     assert with_frozen_noise(frozen, None, None) == (None, 400.0)
     assert with_frozen_noise([], 100.0, None) == (100.0, None)
-    alike = FlexibleFinding("excess_noise", {"rms": (165.0, 10.0, "nT")})
+    alike = Finding("excess_noise", {"rms": (165.0, 10.0, "nT")})
     assert expected(alike, frozen) and not expected(alike, [])
-    assert not expected(FlexibleFinding("excess_noise", {"rms": (300.0, 10.0, "nT")}), frozen)
-    assert not expected(FlexibleFinding("bit_errors", {"rate": (0.01, 0.001, "1")}), frozen)
+    assert not expected(Finding("excess_noise", {"rms": (300.0, 10.0, "nT")}), frozen)
+    assert not expected(Finding("bit_errors", {"rate": (0.01, 0.001, "1")}), frozen)
 
 
 def test_the_floor_is_that_of_the_declared_noise() -> None:
@@ -247,5 +248,5 @@ def test_the_floor_is_that_of_the_declared_noise() -> None:
     white, theta = floor_noise([], noise, budget)
     assert white == pytest.approx(104.0) and np.degrees(theta) == pytest.approx(0.1)
     assert floor_noise([], noise, Budget()) == (pytest.approx(900.0), noise.theta_rad)
-    stuck = FlexibleFinding("bit_errors", {"rate": (1.0, 0.0, "1")}, 0.0, True, "", BitErrors(4, "stuck_1", 100.0))
+    stuck = Finding("bit_errors", {"rate": (1.0, 0.0, "1")}, instance=BitErrors(4, "stuck_1", 100.0))
     assert floor_noise([stuck], noise, budget)[0] == pytest.approx(np.hypot(104.0, 800.0))

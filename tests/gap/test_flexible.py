@@ -1,4 +1,4 @@
-"""Flexible effects are named when they are true, and not when something else is."""
+"""Causes with a waveform or a distribution of their own are named when they are true, and not when something else is."""
 
 from __future__ import annotations
 
@@ -9,18 +9,12 @@ import numpy as np
 import pytest
 from worlds import scenario_text
 
-from fluxtwin.gap.detectors.flexible import (
-    FlexibleFinding,
-    coarse_steps,
-    companion,
-    flipped_bits,
-    noise_level,
-    stuck_bit,
-    wheel_line,
-)
+from fluxtwin.gap.detectors.codes import coarse_steps, flipped_bits, stuck_bit
+from fluxtwin.gap.detectors.finding import Finding
+from fluxtwin.gap.detectors.lines import companion, strongest_line, wheel_line
+from fluxtwin.gap.detectors.noise_level import noise_level
 from fluxtwin.gap.detectors.random_walk import random_walk
 from fluxtwin.gap.detectors.residual_structure import drift, judge
-from fluxtwin.gap.detectors.tones import strongest_tone
 from fluxtwin.gap.detectors.two_state import heater_sequence
 from fluxtwin.gap.hypotheses.blocks import Block, blocks
 from fluxtwin.gap.hypotheses.evidence import fit_all
@@ -69,12 +63,12 @@ class Bench:
         setting = self.problem.setting
         left = leftover(self.whitener, residual, self.calibration)
         fits = fit_all(self.found, left)
-        verdict, tone = judge(self.problem, left, fits), strongest_tone(setting.seconds, left)
-        findings: list[FlexibleFinding | None] = [
-            noise_level(setting, left, SIGMA_NT, SIGMA_NT, verdict.structured),
-            wheel_line(setting, left, tone),
-            heater_sequence(setting, self.whitener, residual, self.calibration, fits, tone),
-            random_walk(setting.seconds, left, self.found, SIGMA_NT),
+        verdict, line = judge(self.problem, left, fits), strongest_line(setting.seconds, left)
+        findings: list[Finding | None] = [
+            noise_level(left, SIGMA_NT, SIGMA_NT, verdict.structured),
+            wheel_line(setting, left, line),
+            heater_sequence(setting, left, residual, fits, line),
+            random_walk(setting.seconds, left, SIGMA_NT),
         ]
         return {one.effect for one in findings if one is not None and one.confirmed}
 
@@ -186,14 +180,14 @@ def test_size_of_a_walk_and_of_a_wheel(bench: Bench) -> None:
     rng = np.random.default_rng(31)
     noise = SIGMA_NT * rng.standard_normal((t.size, 3))
     left = leftover(bench.whitener, noise + walk(t, 2.0, 5), bench.calibration)
-    found = random_walk(t, left, bench.found, SIGMA_NT)
+    found = random_walk(t, left, SIGMA_NT)
     assert found is not None
     value, sigma, unit = found.parameters["rate"]
     assert unit == "nT/sqrt(s)"
     assert abs(value - 2.0) < 4 * sigma < 2.0
     line = np.outer(np.cos(0.05173 * t), [60.0, 0.0, 30.0]) + np.outer(np.sin(0.05173 * t), [0.0, 50.0, -20.0])
     left = leftover(bench.whitener, noise + line, bench.calibration)
-    wheel = wheel_line(setting, left, strongest_tone(t, left))
+    wheel = wheel_line(setting, left, strongest_line(t, left))
     assert wheel is not None
     truth = [60.0, 0.0, 30.0, 0.0, 50.0, -20.0]
     # The found frequency is on a fine grid: its phase error over the record turns cosine into sine a little.
@@ -280,4 +274,4 @@ def test_a_multiple_of_a_wheel_is_no_second_wheel(bench: Bench) -> None:
         phase = 2 * np.pi * frequency * t
         line = np.outer(np.cos(phase), [60.0, 0.0, 30.0]) + np.outer(np.sin(phase), [0.0, 50.0, -20.0])
         left = leftover(bench.whitener, noise + line, bench.calibration)
-        assert companion(setting, left, strongest_tone(t, left), named) is expected
+        assert companion(setting, left, strongest_line(t, left), named) is expected

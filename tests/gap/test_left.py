@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from fluxtwin.gap.detectors.lines import line_columns, strongest_line
 from fluxtwin.gap.detectors.residual_structure import drift, step
-from fluxtwin.gap.detectors.tones import strongest_tone, tone_columns
 from fluxtwin.gap.linear.leftover import Leftover, log10_sf_f, orthonormal, share_mimicked
+from fluxtwin.gap.selection.criterion import THRESHOLD
 
 pytestmark = pytest.mark.property
 
@@ -40,15 +41,15 @@ def test_the_searches_keep_their_false_alarm_rates() -> None:
     rng = np.random.default_rng(1)
     seconds = np.arange(500) * 10.0
     columns = np.einsum("ik,n->nik", np.eye(3), np.ones(500))
-    runs, low = 300, {"tone": 0, "step": 0, "drift": 0}
+    runs, low = 300, {"line": 0, "step": 0, "drift": 0}
     for _ in range(runs):
         left = make_left(rng.standard_normal((500, 3)), columns)
-        low["tone"] += strongest_tone(seconds, left).log10_p < np.log10(0.05)
+        low["line"] += strongest_line(seconds, left).worth > THRESHOLD
         low["step"] += step(seconds, left)[0] < 0.05
         low["drift"] += drift(left)[0] < np.log10(0.05)
     assert max(low.values()) <= 27, low
-    # The searches are not empty either: with bounds this tight some runs are below.
-    assert low["tone"] >= 2
+    assert low["line"] <= 2
+    # The search is not empty either: with a bound this tight some runs are below.
     assert low["step"] >= 2
 
 
@@ -58,10 +59,10 @@ def test_a_line_is_found_at_its_frequency(even: bool) -> None:
     seconds = np.arange(800) * 10.0 if even else np.sort(rng.uniform(0, 8000.0, 800))
     frequency = 0.01234
     series = rng.standard_normal((800, 3))
-    series += tone_columns(seconds, frequency) @ np.array([0.4, 0.0, 0.1, 0.0, 0.4, 0.2])
-    tone = strongest_tone(seconds, make_left(series))
-    assert tone.log10_p < -6
-    assert tone.frequency_Hz == pytest.approx(frequency, abs=0.5 / 8000.0)
+    series += line_columns(seconds, frequency) @ np.array([0.4, 0.0, 0.1, 0.0, 0.4, 0.2])
+    line = strongest_line(seconds, make_left(series))
+    assert line.worth > 30.0
+    assert line.frequency_Hz == pytest.approx(frequency, abs=0.5 / 8000.0)
 
 
 def test_a_step_and_a_drift_are_found() -> None:

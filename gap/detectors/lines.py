@@ -1,0 +1,155 @@
+"""One line of any frequency in a three-axis series, evenly sampled or not; and whether it is that of a wheel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from fluxtwin.gap.detectors.finding import Finding
+from fluxtwin.gap.detectors.waveforms import Fitted, drivers, fitted, in_body, stands_out, varies
+from fluxtwin.gap.linear.leftover import Leftover
+from fluxtwin.gap.selection.criterion import THRESHOLD
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.effects.base import Effect
+from fluxtwin.sim.effects.signal import Setting
+from fluxtwin.sim.effects.spacecraft_field import WheelField
+
+_FINE = 8  # grid cells a sample spacing for uneven stamps: the phase error at the highest line is 0.2 rad at most
+_LONGEST = 1 << 23  # grid cells: half a gigabyte
+_FIRST_WIDTH = 0.35  # over the span
+_RATIOS = (2.0, 3.0, 4.0, 5.0, 6.0, 0.5, 1.0 / 3.0)
+_LINEAR_P = 0.05  # of the cross product of the two vectors of an ellipse
+
+
+@dataclass(frozen=True)
+class Line:
+    """The strongest line."""
+
+    frequency_Hz: float
+    worth: float
+    """By the criterion, with as many frequencies tried as the record has independent ones."""
+    explained: float
+    """Energy that it carries, in noise units."""
+
+
+def strongest_line(seconds: FloatArray, left: Leftover) -> Line:
+    """Search the whitened residual for a line: the top of the sum of the three axes' periodograms.
+
+    The winner is fitted as columns, calibration projected out.
+    """
+    frequency = _peak(seconds, left.residual.reshape(-1, 3))
+    return Line(0.0, 0.0, 0.0) if frequency is None else line_near(seconds, left, frequency)
+
+
+def line_near(seconds: FloatArray, left: Leftover, frequency: float) -> Line:
+    """The strongest line within a third of a cycle over the record of a frequency in Hz."""
+    width = _FIRST_WIDTH / float(seconds[-1] - seconds[0])
+    for steps in (3, 1, 1):
+        tried = frequency + width * np.arange(-steps, steps + 1) / steps
+        energies = [_explained(fitted(left, line_columns(seconds, f))) for f in tried]
+        frequency, width = _top(tried, energies, int(np.argmax(energies))), 0.3 * width
+    found = fitted(left, line_columns(seconds, frequency))
+    return Line(frequency, found.worth(float(np.log(independent_frequencies(seconds)))), _explained(found))
+
+
+def independent_frequencies(seconds: FloatArray) -> float:
+    """How many independent frequencies a record has."""
+    return max(float(seconds[-1] - seconds[0]) / (2.0 * float(np.median(np.diff(seconds)))), 1.0)
+
+
+def _explained(found: Fitted) -> float:
+    return found.drop * found.variance
+
+
+def line_columns(seconds: FloatArray, frequency_Hz: float) -> FloatArray:
+    """(N, 3, 6) cosine and sine in each axis: columns x cos, y cos, z cos, x sin, y sin, z sin."""
+    return _waves(2 * np.pi * frequency_Hz * seconds)
+
+
+def _waves(phase_rad: FloatArray) -> FloatArray:
+    return in_body(np.stack([np.cos(phase_rad), np.sin(phase_rad)], axis=1))
+
+
+def _peak(seconds: FloatArray, series: FloatArray) -> float | None:
+    steps = np.diff(seconds)
+    span = float(seconds[-1] - seconds[0])
+    if steps.size < 20 or span <= 0:
+        return None
+    spacing = float(np.median(steps))
+    even = bool(np.all(np.abs(steps / spacing - np.rint(steps / spacing)) < 0.02))
+    cell = spacing if even else spacing / _FINE
+    cells = int(np.ceil(span / cell)) + 1
+    length = 1 << int(np.ceil(np.log2(2 * cells)))
+    if length > _LONGEST:
+        return None
+    grid = np.zeros((length, 3))
+    np.add.at(grid, np.rint((seconds - seconds[0]) / cell).astype(int), series)
+    power = np.sum(np.abs(np.fft.rfft(grid, axis=0)) ** 2, axis=1)
+    frequencies = np.fft.rfftfreq(length, cell)
+    allowed = (frequencies > 1.5 / span) & (frequencies <= 0.5 / spacing)
+    if not allowed.any():
+        return None
+    return float(frequencies[allowed][np.argmax(power[allowed])])
+
+
+def _top(frequencies: FloatArray, energies: list[float], place: int) -> float:
+    """The top of the parabola through the best of some frequencies and its neighbours."""
+    if not 0 < place < len(energies) - 1:
+        return float(frequencies[place])
+    low, middle, high = energies[place - 1 : place + 2]
+    bend = low + high - 2.0 * middle
+    move = 0.5 * (low - high) / bend if bend < 0 else 0.0
+    return float(frequencies[place] + move * (frequencies[1] - frequencies[0]))
+
+
+def wheel_line(setting: Setting, left: Leftover, line: Line) -> Finding | None:
+    """Is a line that of a rotating dipole: one frequency, steady, elliptical?
+
+    Its ellipse must be one in body axes: where it changes with the orbit phase, the field or its slope, the line is a
+    piece of something that acts on time, place or attitude.
+    """
+    if line.worth <= THRESHOLD:
+        return None
+    columns = line_columns(setting.seconds, line.frequency_Hz)
+    found = fitted(left, columns)
+    third = np.array_split(np.arange(setting.seconds.size), 3)
+    parts = [np.where(np.isin(np.arange(setting.seconds.size), one)[:, None, None], columns, 0.0) for one in third[1:]]
+    faults = []
+    if stands_out(left, columns, np.concatenate(parts, axis=2)):
+        faults.append("amplitude or phase changes along the record")
+    if _linear(found):
+        faults.append("it is linearly polarised")
+    faults += varies(left, columns, drivers(setting))
+    what = f"a line at {line.frequency_Hz:.6g} Hz" + ("" if faults else ", steady, elliptical")
+    parameters = found.parameters([f"{part}_{axis}" for part in ("cos", "sin") for axis in "xyz"])
+    instance = WheelField(frequency_Hz=float(line.frequency_Hz))
+    return Finding("wheel_field", parameters, line.worth, what, tuple(faults), instance)
+
+
+def _linear(found: Fitted) -> bool:
+    """Whether the vectors of cosine and sine are parallel: their cross product is zero within its error."""
+    a, b = found.size[:3], found.size[3:]
+    across = np.cross(a, b)
+    derivative = np.concatenate([-_skew(b), _skew(a)], axis=1)
+    scatter = derivative @ found.covariance @ derivative.T
+    distance = float(across @ np.linalg.pinv(scatter, rcond=1e-6) @ across)
+    return bool(stats.chi2.sf(distance, 2) > _LINEAR_P)
+
+
+def _skew(v: FloatArray) -> FloatArray:
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+
+def companion(setting: Setting, left: Leftover, line: Line, effect: Effect) -> bool:
+    """Whether a line is a multiple, or a half or a third, of the turning of a wheel that has been named.
+
+    The rotor of a wheel has more poles than two, and its motor and bearings turn in fixed ratios to it: such a line is
+    no second wheel. It is one if the wheel's phase, multiplied, leaves nothing of it.
+    """
+    phase = effect.phase_rad(setting) if isinstance(effect, WheelField) else None
+    if phase is None or line.worth <= THRESHOLD:
+        return False
+    columns = line_columns(setting.seconds, line.frequency_Hz)
+    return not all(stands_out(left, _waves(ratio * phase), columns) for ratio in _RATIOS)

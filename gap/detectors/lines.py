@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
 from fluxtwin.gap.detectors.finding import Finding
-from fluxtwin.gap.detectors.waveforms import Fitted, drivers, fitted, in_body, stands_out, varies
+from fluxtwin.gap.detectors.waveforms import Fitted, does_as_well, drivers, fitted, in_body, stands_out, varies
+from fluxtwin.gap.hypotheses.evidence import BlockFit
 from fluxtwin.gap.linear.leftover import Leftover
 from fluxtwin.gap.selection.criterion import THRESHOLD
 from fluxtwin.sim.base.types import FloatArray
@@ -104,11 +106,11 @@ def _top(frequencies: FloatArray, energies: list[float], place: int) -> float:
     return float(frequencies[place] + move * (frequencies[1] - frequencies[0]))
 
 
-def wheel_line(setting: Setting, left: Leftover, line: Line) -> Finding | None:
+def wheel_line(setting: Setting, left: Leftover, line: Line, rivals: Sequence[BlockFit] = ()) -> Finding | None:
     """Is a line that of a rotating dipole: one frequency, steady, elliptical?
 
     Its ellipse must be one in body axes: where it changes with the orbit phase, the field or its slope, the line is a
-    piece of something that acts on time, place or attitude.
+    piece of something that acts on time, place or attitude. rivals: fits of the design's blocks.
     """
     if line.worth <= THRESHOLD:
         return None
@@ -116,7 +118,7 @@ def wheel_line(setting: Setting, left: Leftover, line: Line) -> Finding | None:
     found = fitted(left, columns)
     third = np.array_split(np.arange(setting.seconds.size), 3)
     parts = [np.where(np.isin(np.arange(setting.seconds.size), one)[:, None, None], columns, 0.0) for one in third[1:]]
-    faults = []
+    faults = does_as_well(line.worth, found, rivals)
     if stands_out(left, columns, np.concatenate(parts, axis=2)):
         faults.append("amplitude or phase changes along the record")
     if _linear(found):

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
 
 from fluxtwin.gap.detectors.finding import Finding
+from fluxtwin.gap.detectors.waveforms import gaussian
 from fluxtwin.gap.linear.leftover import Leftover
 from fluxtwin.gap.noise.choice import NoiseModel
 from fluxtwin.gap.problem.problem import Budget
@@ -17,7 +17,6 @@ from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.digits import BitErrors, CoarseQuantization, ExcessNoise
 
 _LEVEL_LOG_SD = 0.1  # to which declared noise is trusted
-_TAILS = 0.3  # excess kurtosis that is passed over: declared noise is not quite Gaussian either
 
 
 def noise_level(
@@ -50,7 +49,7 @@ def noise_level(
     sigma = float(np.hypot(_LEVEL_LOG_SD * declared_nT**2, level_nT**2 * np.sqrt(0.5 / degrees)) / rms)
     values = (series / np.sqrt(np.where(share > 0, axis_energy, 1.0)))[there & np.any(series != 0, axis=1)[:, None]]
     faults = ["structure is left"] if structured else []
-    if abs(float(stats.kurtosis(values))) > max(4.0 * np.sqrt(24.0 / values.size), _TAILS):
+    if not gaussian(values):
         faults.append("it is not Gaussian")
     axis = ("x", "y", "z")[int(np.argmax(noisy))]
     what = (

@@ -46,8 +46,7 @@ def structured(
 
     def proposed() -> Iterator[Finding | None]:
         if left.kind == "tone" and not any(companion(setting, rest, line, one) for one in chosen):
-            yield wheel_line(setting, rest, line)
-        fits = fit_all(dictionary, rest)
+            yield wheel_line(setting, rest, line, fits)
         yield switched_region(problem, rest, fits)
         if setting.column("heater_on") is None:
             white = whitener.apply(np.ascontiguousarray(fitted_nT)).reshape(rest.residual.size, -1)
@@ -56,7 +55,7 @@ def structured(
 
     setting = problem.setting
     rest = leftover(whitener, residual_nT, fitted_nT)
-    line = strongest_line(setting.seconds, rest)
+    line, fits = strongest_line(setting.seconds, rest), fit_all(dictionary, rest)
     return next((one for one in proposed() if one is not None and one.confirmed), None)
 
 

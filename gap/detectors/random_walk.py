@@ -8,28 +8,23 @@ with other variances. A step, and levels that are switched between, have increme
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
 
 from fluxtwin.gap.detectors.finding import Finding
-from fluxtwin.gap.linear.leftover import Leftover
+from fluxtwin.gap.detectors.waveforms import gaussian
+from fluxtwin.gap.linear.leftover import SHARE_LEFT, Leftover
 from fluxtwin.gap.noise.walk import LOG_RMS, modes_of_a_walk, three_axes
-from fluxtwin.gap.selection.criterion import THRESHOLD
+from fluxtwin.gap.selection.criterion import THRESHOLD, worth
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.calibration import BiasRandomWalk
 
-_FEWEST_ROWS = 96
 _KNOTS = 48
 """Increments of the walk that are looked at."""
 _COME_BACK = (8.0, 16.0)  # half periods over the record
-_RARE_P = 0.005  # of an increment as large as the largest
-_SETTLED = 10  # rows until the filter has forgotten where it began
-_LEAST_TAIL = 0.5  # excess kurtosis that is passed over
-_LIVE = 1e-7
 
 
 def random_walk(seconds: FloatArray, left: Leftover, sigma_nT: float) -> Finding | None:
     """A walk in a whitened residual; None where there is nothing slow at all. sigma_nT: the noise unit."""
-    if seconds.size < _FEWEST_ROWS:
+    if seconds.size < 2 * _KNOTS:
         return None
     shapes = modes_of_a_walk(seconds)
     columns, _ = left.project(three_axes(shapes))
@@ -59,7 +54,7 @@ def random_walk(seconds: FloatArray, left: Leftover, sigma_nT: float) -> Finding
 
 def _modes(gram: FloatArray, moment: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     value, vector = np.linalg.eigh(gram)
-    live = value > _LIVE * value[-1]
+    live = value > SHARE_LEFT * value[-1]
     return value[live], (vector[:, live].T @ moment) / np.sqrt(value[live]), vector[:, live]
 
 
@@ -91,7 +86,7 @@ def _one_stands_out(gram: FloatArray, moment: FloatArray, size: float, between: 
     increments = paths @ (shrink * q)
     spread = np.sqrt(np.einsum("ij,j->i", paths**2, shrink**2 * (1 + size**2 * value)))
     largest = float(np.max(np.abs(increments) / np.maximum(spread, 1e-12)))
-    return bool(2 * stats.norm.sf(largest) * increments.size < _RARE_P)
+    return worth(largest**2, 1, increments.size, float(np.log(increments.size))) > THRESHOLD
 
 
 def jumps(seconds: FloatArray, left: Leftover, rate: float, variance: float) -> bool:
@@ -108,7 +103,4 @@ def jumps(seconds: FloatArray, left: Leftover, rate: float, variance: float) -> 
         gain = spread / (spread + variance)
         level = level + gain * (value - level)
         spread *= 1.0 - gain
-    z = np.array(found)[_SETTLED:]
-    z = z[np.any(series[_SETTLED:] != 0, axis=1)]
-    kurtosis = float(np.mean(z**4) / np.mean(z**2) ** 2 - 3.0)
-    return bool(kurtosis > max(4.0 * float(np.sqrt(24.0 / z.size)), _LEAST_TAIL))
+    return not gaussian(np.array(found)[np.any(series != 0, axis=1)])

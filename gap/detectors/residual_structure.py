@@ -17,7 +17,7 @@ from scipy import stats
 from fluxtwin.gap.detectors.lines import independent_frequencies, strongest_line
 from fluxtwin.gap.hypotheses.blocks import Block, blocks, step_block
 from fluxtwin.gap.hypotheses.evidence import BlockFit, fit, fit_all
-from fluxtwin.gap.linear.leftover import Leftover, Whitens, leftover, log10_sf_f
+from fluxtwin.gap.linear.leftover import SHARE_LEFT, Leftover, Whitens, leftover, log10_sf_f
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import THRESHOLD, worth
 from fluxtwin.sim.base.types import FloatArray
@@ -26,7 +26,6 @@ NOISE_TOLERANCE = 1.15**2
 """How much larger the noise energy at long scales may be than at short ones before it is called drift: the slow
 part of the attitude error, which the whitening cannot know better than to 15 % rms."""
 _PARTS = (2, 5)
-_LEAST_LEFT = 1e-6  # of its energy that a direction must have beside what is fitted
 
 
 @dataclass(frozen=True)
@@ -136,7 +135,7 @@ def _parts(left: Leftover, own: FloatArray) -> list[tuple[float, int]]:
         for _ in range(2):  # the second pass removes the rounding of the first
             cut = cut - left.basis @ (left.basis.T @ cut)
         values, vectors = np.linalg.eigh(cut.T @ cut)
-        live = values > _LEAST_LEFT
+        live = values > SHARE_LEFT
         gain = float(np.sum((vectors[:, live].T @ (cut.T @ left.residual)) ** 2 / values[live]))
         found.append((gain, int(live.sum())))
     return found

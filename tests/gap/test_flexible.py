@@ -66,7 +66,7 @@ class Bench:
         verdict, line = judge(self.problem, left, fits), strongest_line(setting.seconds, left)
         findings: list[Finding | None] = [
             noise_level(left, SIGMA_NT, SIGMA_NT, verdict.structured),
-            wheel_line(setting, left, line),
+            wheel_line(setting, left, line, fits),
             heater_sequence(setting, left, residual, fits, line),
             random_walk(setting.seconds, left, SIGMA_NT),
         ]

@@ -51,11 +51,9 @@ def noise_level(
     faults = ["structure is left"] if structured else []
     if not gaussian(values):
         faults.append("it is not Gaussian")
-    axis = ("x", "y", "z")[int(np.argmax(noisy))]
-    what = (
-        f"white noise is {level_nT:.4g} nT{f' on axis {axis}' if alone else ''}, the budget says {declared_nT:.4g} nT"
-    )
-    instance = ExcessNoise(axis) if alone else ExcessNoise()
+    instance = ExcessNoise(("x", "y", "z")[int(np.argmax(noisy))]) if alone else ExcessNoise()
+    where = f" on axis {instance.axis}" if alone else ""
+    what = f"white noise is {level_nT:.4g} nT{where}, the budget says {declared_nT:.4g} nT"
     return Finding("excess_noise", {"rms": (rms, sigma, "nT")}, value, what, tuple(faults), instance)
 
 

@@ -29,7 +29,7 @@ _HALF_SIZES_DEG = (12.0, 20.0)
 _MOVES_DEG = (1.0, 3.0, 9.0)
 _ROUNDS = 6
 _FEWEST_ROWS = 20
-_EDGES = 4  # of a box, estimated beside the field
+_EDGES = 4  # of a box, estimated with the field
 _MOST_OF_DARK = 0.5
 """Share of the dark rows that a region may have: beyond it, it is not the place that matters."""
 

@@ -2,7 +2,7 @@
 
 Two levels and a penalty for each switch (Viterbi's algorithm), in turn with the field vector (least squares in
 whitened units). Any slow signal can be cut into two levels, so the sequence is only called a heater's if it switches more
-regularly than a random telegraph, if no block of columns does as well, and if no line is left beside it.
+regularly than a random telegraph, if no block of columns does as well, and if no line is left given it.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def heater_sequence(
     """Look for a two-state sequence; None where there is none.
 
     residual_nT (N, 3): what was fitted is out of it, as of `left`, which is whitened. rivals: fits of the design's
-    blocks. line: the strongest one, of which nothing may be left beside the sequence.
+    blocks. line: the strongest one, of which nothing may be left given the sequence.
     """
     if len(residual_nT) > _MOST_ROWS:
         return None
@@ -131,7 +131,7 @@ def _polished(left: Leftover, on: BoolArray) -> BoolArray:
 
 
 def _changes(on: BoolArray) -> list[slice]:
-    """Rows to turn round: each run in one state, and the rows beside each edge."""
+    """Rows to turn round: each run in one state, and the rows next to each edge."""
     edges = _switches(on).tolist()
     runs = [slice(a, b) for a, b in pairwise([0, *edges, on.size])]
     return [*runs, *(slice(max(edge + low, 0), edge + high) for edge in edges for low, high in _MOVES)]

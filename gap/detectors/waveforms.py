@@ -41,7 +41,7 @@ class Fitted:
     """Readings in time: a third of the degrees of freedom."""
 
     def worth(self, log_tried: float, further: int = 0) -> float:
-        """By the criterion. further: parameters that were searched for beside the coefficients."""
+        """By the criterion. further: parameters that were searched for besides the coefficients."""
         return worth(self.drop, self.rank + further, self.samples, log_tried)
 
     def parameters(self, names: Sequence[str]) -> dict[str, tuple[float, float, str]]:
@@ -51,7 +51,7 @@ class Fitted:
 
 
 def fitted(left: Leftover, columns: FloatArray, further: int = 0) -> Fitted:
-    """Fit columns (N, 3, k). further: parameters that were searched for beside the coefficients."""
+    """Fit columns (N, 3, k). further: parameters that were searched for besides the coefficients."""
     free, energy = left.project(columns)
     values, vectors = np.linalg.eigh(free.T @ free)
     live = values > SHARE_LEFT * energy.max()
@@ -71,7 +71,7 @@ def in_body(course: FloatArray) -> FloatArray:
 
 
 def stands_out(left: Leftover, columns: FloatArray, others: FloatArray, log_tried: float = 0.0) -> bool:
-    """Whether others (N, 3, m) explain more beside the columns (N, 3, k) than noise and the error of their shape."""
+    """Whether others (N, 3, m) explain more, given the columns (N, 3, k), than noise and the error of their shape."""
     few, many = fitted(left, columns), fitted(left, np.concatenate([columns, others], axis=2))
     rank = many.rank - few.rank
     if rank <= 0:

@@ -116,7 +116,7 @@ class Structured:
     def _gain(
         self, answer: Answer, noise: NoiseModel, bare_nT: FloatArray, alone: FloatArray, rate: float | None = None
     ) -> tuple[float, float | None]:
-        """Twice the log likelihood that a walk beside this noise wins against the best noise without one, and its rate
+        """Twice the log likelihood that a walk in this noise wins against the best noise without one, and its rate
         (default: the likeliest)."""
         whitener = whitener_of(self.problem, noise, answer.robust.weights)
         wander, bare = Wander(whitener, self.problem.setting.seconds), leftover(whitener, bare_nT, alone)

@@ -18,6 +18,7 @@ import typer
 
 import fluxtwin
 from fluxtwin import console
+from fluxtwin.calib import methods
 from fluxtwin.commands import (
     apply,
     attitude,
@@ -33,7 +34,7 @@ from fluxtwin.commands import (
     yaw,
 )
 from fluxtwin.commands import map as map_
-from fluxtwin.commands.options import QuietOption, VerboseOption, with_manners
+from fluxtwin.commands.options import QuietOption, VerboseOption, as_command
 from fluxtwin.console import clean, manners
 from fluxtwin.sim.base import processes
 from fluxtwin.sim.base.errors import FluxtwinError
@@ -82,7 +83,7 @@ for _module in (
     passes,
     field,
 ):
-    app.command(_module.NAME, short_help=_module.BRIEF)(with_manners(_module.command))
+    app.command(_module.NAME, short_help=_module.BRIEF)(as_command(_module.command, methods.offered()))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -15,15 +15,18 @@ import sys
 import textwrap
 import threading
 import unicodedata
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fluxtwin.sim.base.processes import stop_if_asked
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from fluxtwin.outputs import Kind
 
 _QUIET_SECONDS = 1.0  # shorter work shows no progress at all
 GIVEN: list[str] = []
@@ -94,10 +97,18 @@ def without_nan(value: Any) -> Any:
 class Output:
     """Where one command speaks. With `--json -` only JSON goes to standard output, and no table anywhere."""
 
-    def __init__(self, json_target: str | None = None) -> None:
+    def __init__(self, json_target: str | None = None, *, force: bool = False) -> None:
         self.json_target = json_target
+        self.force = force
+        """The user's word against a refusal that names `--force`."""
         self._noted: set[str] = set()
         self.talks = json_target not in ("-", "/dev/stdout")
+
+    def claim(self, targets: Mapping[str, tuple[Path | str | None, Kind]], inputs: Iterable[Path | str | None]) -> None:
+        """As `outputs.claim`, with the JSON among the outputs."""
+        from fluxtwin import outputs
+
+        outputs.claim({**targets, "--json": (self.json_target, outputs.JSON)}, inputs, force=self.force)
 
     def say(self, text: str = "") -> None:
         """One line of result."""
@@ -166,27 +177,19 @@ class Output:
     def progress(self, words: str) -> Iterator[Callable[[str, float], None]]:
         """Show on a terminal that work is going on, nothing in a log; yields `progress(words, fraction)`, where it can be
         stopped."""
-        shows = _LiveProgress(words) if sys.stderr.isatty() and not manners.quiet else _NoProgress()
+        shows = _LiveProgress(words) if sys.stderr.isatty() and not manners.quiet else None
 
         def update(words: str, fraction: float) -> None:
             stop_if_asked()
-            shows.update(words, fraction)
+            if shows is not None:
+                shows.update(words, fraction)
 
         try:
             stop_if_asked()
             yield update
         finally:
-            shows.stop()
-
-
-class _NoProgress:
-    """In a log, and with --quiet."""
-
-    def update(self, words: str, fraction: float) -> None:
-        pass
-
-    def stop(self) -> None:
-        pass
+            if shows is not None:
+                shows.stop()
 
 
 class _LiveProgress:

@@ -40,14 +40,7 @@ def draw_scatter(
         theirs = printed[:, number]
         axes.vlines(places, low, high, color=style.BLUE, linewidth=4, alpha=0.6, label="95 % of the simulated runs")
         axes.plot(places, middle, "_", color=style.BLUE, markersize=10, label="their median")
-        axes.plot(
-            places[signed],
-            theirs[signed],
-            "x",
-            color=style.PAPER,
-            markersize=6,
-            label="printed, with its sign",
-        )
+        axes.plot(places[signed], theirs[signed], "x", color=style.PAPER, markersize=6, label="printed, with its sign")
         axes.plot(
             np.tile(places[either], 2),
             np.concatenate([theirs[either], -theirs[either]]),
@@ -65,8 +58,7 @@ def draw_scatter(
         if number % 3 == 0:
             axes.set_ylabel("value [1]")
     figure.suptitle(title)
-    handles, labels = all_axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8)
+    style.legend_below(figure, all_axes[0])
     return figure
 
 
@@ -110,12 +102,7 @@ def draw_node_misfit(
     figure, ((axes,),) = style.figure(7.2, 3.4)
     axes.plot(raan_deg, 100 * misfit, color=style.BLUE)
     axes.axvline(chosen_deg, color=style.VERMILION, label=f"chosen: {chosen_deg:.0f} deg")
-    axes.axvline(
-        witness_deg,
-        color="black",
-        linestyle="--",
-        label=f"from the launch: {witness_deg:.1f} deg",
-    )
+    axes.axvline(witness_deg, color="black", linestyle="--", label=f"from the launch: {witness_deg:.1f} deg")
     axes.set(
         title=title,
         xlabel="right ascension of the node, 0 h UTC of day 205 of 1978 [deg]",

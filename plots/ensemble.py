@@ -31,5 +31,5 @@ def pointing_envelope(
     style.label(
         axes, x="time since the first sample [h]", y="pointing error [deg]", title=f"{title}: {vehicles} vehicles"
     )
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=style.NOTE_PT)
+    style.legend_below(figure, axes)
     return figure

@@ -82,10 +82,7 @@ def draw_night_map(
         edgecolors=style.GREY,
         linewidths=0.2,
     )
-    for box, colour, line, label in (
-        (found_deg, style.SKY, "-", "found"),
-        (put_in_deg, style.BLACK, ":", "put in"),
-    ):
+    for box, colour, line, label in ((found_deg, style.SKY, "-", "found"), (put_in_deg, style.BLACK, ":", "put in")):
         if box is not None:
             south, north, west, east = box
             axes.add_patch(

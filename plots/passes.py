@@ -41,12 +41,7 @@ def draw_ranges(
             label="predicted ends" if end == 0 else None,
         )
         axes.plot(
-            printed_deg[:, end],
-            rows,
-            "|",
-            color=style.BLACK,
-            markersize=9,
-            label="printed ends" if end == 0 else None,
+            printed_deg[:, end], rows, "|", color=style.BLACK, markersize=9, label="printed ends" if end == 0 else None
         )
     wrong = np.argwhere(misread)
     axes.plot(
@@ -90,10 +85,7 @@ def draw_evidence(
 ) -> Figure:
     """Printed residual against predicted model error, and the rank correlation as the map is turned."""
     figure, ((left, right),) = style.figure(7.2, 3.8, cols=2)
-    for chosen, marker, label, colour in (
-        (night, "o", "night", style.BLACK),
-        (~night, "s", "sunlit", style.ORANGE),
-    ):
+    for chosen, marker, label, colour in ((night, "o", "night", style.BLACK), (~night, "s", "sunlit", style.ORANGE)):
         left.plot(predicted_mG[chosen], printed_mG[chosen], marker, color=colour, markersize=4, label=label)
     for rank, k in enumerate(np.argsort(-printed_mG)[:4]):
         left.annotate(
@@ -141,7 +133,7 @@ def draw_moved(
     right.axhline(correlation_without, color="grey", linestyle="--", linewidth=1.0)
     left.set(ylabel="residual by night over that by day", title="the factor")
     right.set(ylabel="rank correlation of the night passes", title="the ranking")
-    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=style.NOTE_PT)
+    style.legend_below(figure, left)
     figure.suptitle(title)
     return figure
 
@@ -184,6 +176,5 @@ def draw_ideas(
     axes.plot(by_chance, rows, "|", color=style.BLACK, markersize=16, label="by chance, as scanned")
     axes.set_yticks(rows, names, fontsize=8)
     axes.set(title=title, xlabel=f"ends explained within 1.5 deg, of {total}", xlim=(0, total))
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8)
+    style.legend_below(figure, axes)
     return figure

@@ -35,21 +35,14 @@ CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 """Colours of series without a meaning of their own, in order."""
 AXIS_COLOURS = (BLUE, VERMILION, GREEN)
 """Colours of the three components of a vector, in order."""
-AXIS_LINES = ("-", "--", "-.")
-"""Line styles of the three components: they stay apart in a grey print."""
-MODEL = BLUE
-MEASURED = BLACK
 PAPER = VERMILION
 """The published number or curve beside ours."""
 
 SIGNED_MAP = "PuOr"
 """Diverging colour map for residuals, centred on zero; orange and purple differ for every kind of eye."""
-POSITIVE_MAP = "viridis"
-"""Sequential colour map, even in lightness."""
 
 FULL_WIDTH_IN = 7.2
-COLUMN_WIDTH_IN = 3.5
-"""Widths of a page and of a column [inch]."""
+"""Width of a page [inch]."""
 
 TITLE_PT, LABEL_PT, TICK_PT, NOTE_PT = 10.0, 9.0, 8.0, 8.0
 
@@ -121,6 +114,11 @@ def legend(axes: Axes, location: str = "best", *, columns: int = 1) -> Legend:
     for text in made.get_texts():
         _plain(text)
     return made
+
+
+def legend_below(made: Figure, axes: Axes, *, columns: int = 3) -> None:
+    """One legend under all panels, of the series of one of them."""
+    made.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=columns, fontsize=NOTE_PT)
 
 
 def note(axes: Axes, text: str, x: float = 0.02, y: float = 0.96) -> None:

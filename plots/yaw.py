@@ -139,8 +139,7 @@ def draw_full(record: YawComparison, *, title: str, panels: int = 3) -> Figure:
         style.mark_beyond(axes, record.mean_minutes[means], record.mean_deg[means], colour=style.VERMILION, size=8.0)
         _zero(axes)
     figure.suptitle(title)
-    handles, labels = all_axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8)
+    style.legend_below(figure, all_axes[0])
     all_axes[-1].set_xlabel("time from the start of the orbit [min]; triangles at an edge: beyond the panel")
     return figure
 
@@ -162,8 +161,7 @@ def draw_pass(record: YawComparison, error_bar_deg: float, *, title: str) -> Fig
     )
     axes.set(title=title, xlabel="time from rise [min]", ylabel="yaw [deg]")
     _zero(axes)
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8)
+    style.legend_below(figure, axes)
     return figure
 
 
@@ -230,10 +228,7 @@ def _broken(axes: Axes, record: YawComparison, inside: BoolArray) -> None:
         linewidth=0.9,
         label="magnetometer, each sample",
     )
-    for flags, letter, colour in (
-        (record.change_x, "X", style.GREEN),
-        (record.change_y, "Y", style.VERMILION),
-    ):
+    for flags, letter, colour in ((record.change_x, "X", style.GREEN), (record.change_y, "Y", style.VERMILION)):
         rows = np.flatnonzero(inside & flags)
         axes.scatter(
             record.minutes[rows],

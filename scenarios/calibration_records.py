@@ -8,8 +8,7 @@ import numpy as np
 
 from fluxtwin.calib.common.design import assemble
 from fluxtwin.calib.common.records import Calibration, parameter_names
-from fluxtwin.calib.linear.calibrate import calibrate_linear
-from fluxtwin.calib.linear.fit import LinearFit
+from fluxtwin.calib.linear.calibrate import LinearFit, calibrate_linear
 from fluxtwin.scenarios.flights import Flight
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.constants import NT_PER_MG

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from fluxtwin.commands.options import ForceOption, JsonOption, MapOption, MaxSamplesOption, OutOption, TleOption
-from fluxtwin.commands.reading import TelemetryArgument, read
+from fluxtwin.commands import options as of
+from fluxtwin.commands.reading import TelemetryArgument, known_calibration, read
 from fluxtwin.console import Output
 
 NAME = "apply"
@@ -16,35 +16,27 @@ BRIEF = "Correct telemetry with a calibration file."
 
 
 def command(
+    output: Output,
     telemetry: TelemetryArgument,
     calibration: Annotated[Path, typer.Option("--calibration", metavar="FILE.toml", help="Calibration file.")],
-    out: OutOption,
-    column_map: MapOption = None,
-    tle: TleOption = None,
-    max_samples: MaxSamplesOption = None,
-    force: ForceOption = False,
-    json: JsonOption = None,
+    out: of.OutOption,
+    reading: of.Reading = of.READING,
 ) -> None:
     """Write telemetry with the readings corrected by (I+S) B + b + T D [nT]; other columns as they are.
 
     Refused, unless --force, are readings that are corrected already and a calibration of another spacecraft or time.
     """
-    output = Output(json)
     with output.progress(f"correcting {telemetry}"):
         import numpy as np
 
         from fluxtwin import outputs, verbs
-        from fluxtwin.calib.common.apply import outside_span, waived
-        from fluxtwin.calib.common.records import Calibration
+        from fluxtwin.calib.common.apply import outside_span
         from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
 
-        targets = {"--out": (out, outputs.TELEMETRY), "--json": (json, outputs.JSON)}
-        outputs.claim(targets, [telemetry, calibration, column_map, tle], force=force)
-        record = read(telemetry, output, column_map=column_map, tle=tle, max_samples=max_samples)
-        known = Calibration.from_toml(calibration)
-        if force and (refusal := waived(record, known)) is not None:
-            output.note(f"note: applied all the same, by --force: {refusal}")
-        corrected = verbs.apply(record, known, force=force)
+        output.claim({"--out": (out, outputs.TELEMETRY)}, [telemetry, calibration, *reading.files])
+        record = read(telemetry, output, reading)
+        known = known_calibration(calibration, record, output)
+        corrected = verbs.apply(record, known, force=output.force)
         change = corrected.mag_B_nT - record.mag_B_nT
         moved = change[np.isfinite(change).all(axis=1)]
         write_telemetry(corrected, out)

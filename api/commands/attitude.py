@@ -7,19 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fluxtwin.commands.options import (
-    AttitudeSigmaOption,
-    AttitudeTauOption,
-    CalibrationOption,
-    DegreeOption,
-    FieldOption,
-    ForceOption,
-    JsonOption,
-    MapOption,
-    MaxSamplesOption,
-    TleOption,
-)
-from fluxtwin.commands.reading import TelemetryArgument, read
+from fluxtwin.commands import options as of
+from fluxtwin.commands.reading import TelemetryArgument, known_calibration, read, write_table
 from fluxtwin.console import Output
 
 if TYPE_CHECKING:
@@ -32,8 +21,9 @@ BRIEF = "Three-axis attitude from magnetometer, horizon scanner and sun, through
 
 
 def command(
+    output: Output,
     telemetry: TelemetryArgument,
-    calibration: CalibrationOption = None,
+    calibration: of.CalibrationOption = None,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE.csv", help="Write attitude and sigma row by row.")
     ] = None,
@@ -45,39 +35,28 @@ def command(
             help="White noise of the reading, rounding included, 1 sigma per axis [nT]; else found.",
         ),
     ] = None,
-    attitude_sigma_deg: AttitudeSigmaOption = None,
-    attitude_tau_s: AttitudeTauOption = None,
+    attitude_sigma_deg: of.AttitudeSigmaOption = None,
+    attitude_tau_s: of.AttitudeTauOption = None,
     sun_sigma_deg: Annotated[
         float | None,
         typer.Option(
             "--sun-sigma-deg", metavar="DEG", help="White noise of the sun vector, 1 sigma [deg]; else found."
         ),
     ] = None,
-    field: FieldOption = "igrf14",
-    degree: DegreeOption = None,
-    column_map: MapOption = None,
-    tle: TleOption = None,
-    max_samples: MaxSamplesOption = None,
-    force: ForceOption = False,
-    json: JsonOption = None,
+    field: of.FieldOption = "igrf14",
+    degree: of.DegreeOption = None,
+    reading: of.Reading = of.READING,
 ) -> None:
     """Attitude by a Kalman filter on calibrated field, nadir, sun where seen, and dynamics without a gyro; its sigma [deg].
 
     Where the innovations are not what was predicted, the exit status is 1; the table is written all the same.
     """
-    output = Output(json)
     with output.progress(f"reading {telemetry}") as progress:
         from fluxtwin import outputs, verbs
-        from fluxtwin.calib.common.apply import waived
-        from fluxtwin.calib.common.records import Calibration
-        from fluxtwin.sim.base.files import write_text
 
-        targets = {"--out": (out, outputs.TABLE), "--json": (json, outputs.JSON)}
-        outputs.claim(targets, [telemetry, calibration, field, column_map, tle], force=force)
-        record = read(telemetry, output, column_map=column_map, tle=tle, max_samples=max_samples)
-        given = None if calibration is None else Calibration.from_toml(calibration)
-        if force and given is not None and (refusal := waived(record, given)) is not None:
-            output.note(f"note: applied all the same, by --force: {refusal}")
+        output.claim({"--out": (out, outputs.TABLE)}, [telemetry, calibration, field, *reading.files])
+        record = read(telemetry, output, reading)
+        given = None if calibration is None else known_calibration(calibration, record, output)
         found = verbs.attitude(
             record,
             given,
@@ -87,14 +66,12 @@ def command(
             attitude_sigma_deg=attitude_sigma_deg,
             attitude_tau_s=attitude_tau_s,
             sun_sigma_deg=sun_sigma_deg,
-            force=force,
+            force=output.force,
             progress=progress,
         )
         columns = found.to_dict()
         if out is not None:
-            cells = zip(*(columns[name] for name in COLUMNS), strict=True)
-            lines = [",".join("" if cell != cell else str(cell) for cell in row) for row in cells]
-            write_text(out, "\n".join([",".join(COLUMNS), *lines, ""]))
+            write_table(columns, COLUMNS, out)
     _print(output, found, telemetry, calibration, out)
     output.result({**columns, "written": [] if out is None else [str(out)]})
     if not found.holds:

@@ -8,17 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fluxtwin.calib import methods
-from fluxtwin.commands.options import (
-    DegreeOption,
-    FieldOption,
-    ForceOption,
-    HtmlOption,
-    JsonOption,
-    MapOption,
-    MaxSamplesOption,
-    TleOption,
-    with_options,
-)
+from fluxtwin.commands import options as of
 from fluxtwin.commands.reading import read
 from fluxtwin.console import Output, manners
 
@@ -33,8 +23,8 @@ NAME = "calibrate"
 BRIEF = "Bias, matrix and torquer coupling from telemetry, with attitude or without."
 
 
-@with_options(methods.offered())
 def command(
+    output: Output,
     telemetry: Annotated[
         list[Path],
         typer.Argument(metavar="TELEMETRY", help="One file or several; they are calibrated together."),
@@ -47,49 +37,42 @@ def command(
     figures: Annotated[
         Path | None, typer.Option("--figures", metavar="DIR", help="Write the figures of the residuals here.")
     ] = None,
-    html: HtmlOption = None,
-    field: FieldOption = "igrf14",
-    degree: DegreeOption = None,
-    column_map: MapOption = None,
-    tle: TleOption = None,
-    max_samples: MaxSamplesOption = None,
-    force: ForceOption = False,
-    json: JsonOption = None,
+    html: of.HtmlOption = None,
+    field: of.FieldOption = "igrf14",
+    degree: of.DegreeOption = None,
+    reading: of.Reading = of.READING,
     **options: Any,
 ) -> None:
     """Estimate S, b [nT] and T [nT/(A m2)] of A B0 = (I+S) B + b + T D, and say whether it is good.
 
     A fit that no magnetometer can have ends with exit status 1 and leaves no calibration file, unless --force.
     """
-    output = Output(json)
     with output.progress(f"reading {telemetry[0]}") as progress:
         from fluxtwin import outputs, verbs
 
         methods.require(options["method"], options)
         targets = {
             "--out": (out, outputs.CALIBRATION),
-            "--json": (json, outputs.JSON),
             "--html": (html, outputs.PAGE),
             "--figures": (figures, outputs.RESIDUALS),
         }
-        outputs.claim(targets, [*telemetry, *(unseen or ()), field, column_map, tle], force=force)
-        manner: dict[str, Any] = {"column_map": column_map, "tle": tle, "max_samples": max_samples}
+        output.claim(targets, [*telemetry, *(unseen or ()), field, *reading.files])
         many = len(telemetry) + len(unseen or ()) > 1
-        records = [read(path, output, **manner, one_of_many=many) for path in telemetry]
+        records = [read(path, output, reading, one_of_many=many) for path in telemetry]
         progress("calibrating", 0.5)
         fit = verbs.calibrate(records, field=field, degree=degree, **options)
         predicted = {}
         for path in unseen or []:
-            record = read(path, output, **manner, one_of_many=many)
+            record = read(path, output, reading, one_of_many=many)
             predicted[str(path)] = _predict(fit, record, fit.calibration, verbs.as_model(field, degree))
         impossible = fit.verdict is not None and fit.verdict.impossible
-        refused = impossible and not force
+        refused = impossible and not output.force
         written = [] if out is None or refused else [fit.calibration.to_toml(out)]
         if figures is not None or html is not None:
             progress("drawing", 0.9)
         if figures is not None:
             written += _draw(fit, figures)
-        next_step = _next_step(fit, telemetry, out, column_map, tle)
+        next_step = _next_step(fit, telemetry, out, reading)
         if html is not None:
             written.append(_page(fit, html, telemetry, next_step, refused=refused))
     _print(output, fit, next_step)
@@ -115,7 +98,7 @@ def _predict(fit: Fit, record: Telemetry, known: Calibration, model: FieldModel)
     return (predict if against_attitude else predict_scalar)(record, known, model)
 
 
-def _next_step(fit: Fit, telemetry: list[Path], out: Path | None, column_map: Path | None, tle: Path | None) -> str:
+def _next_step(fit: Fit, telemetry: list[Path], out: Path | None, reading: of.Reading) -> str:
     """The verdict's next step with the names of the files in it; what it writes goes into the current folder."""
     import shlex
 
@@ -126,7 +109,7 @@ def _next_step(fit: Fit, telemetry: list[Path], out: Path | None, column_map: Pa
         words = "fluxtwin calibrate TELEMETRY --out CALIBRATION.toml"
     several = words.startswith("fluxtwin calibrate")
     named = " ".join(shlex.quote(str(path)) for path in (telemetry if several else telemetry[:1]))
-    for option, path in (("--map", column_map), ("--tle", tle)):
+    for option, path in zip(("--map", "--tle"), reading.files, strict=True):
         named += "" if path is None else f" {option} {shlex.quote(str(path))}"
     stem = telemetry[0].name.removesuffix(".gz").rsplit(".", 1)[0]
     corrected = shlex.quote(f"{stem}-corrected.nc")

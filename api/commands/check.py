@@ -3,19 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fluxtwin.commands.options import (
-    DegreeOption,
-    FieldOption,
-    ForceOption,
-    JsonOption,
-    MapOption,
-    MaxSamplesOption,
-    TleOption,
-)
+from fluxtwin.commands import options as of
 from fluxtwin.commands.reading import TelemetryArgument
 from fluxtwin.console import Output, manners
 
@@ -27,47 +19,43 @@ BRIEF = "Is this file what it says? Names the classic traps."
 
 
 def command(
+    output: Output,
     telemetry: TelemetryArgument,
     repair: Annotated[
         Path | None,
         typer.Option("--repair", metavar="OUT", help="Write the rows sorted by time, exact duplicates dropped."),
     ] = None,
-    field: FieldOption = "igrf14",
-    degree: DegreeOption = None,
-    column_map: MapOption = None,
-    tle: TleOption = None,
-    max_samples: MaxSamplesOption = None,
-    force: ForceOption = False,
-    json: JsonOption = None,
+    field: of.FieldOption = "igrf14",
+    degree: of.DegreeOption = None,
+    reading: of.Reading = of.READING,
 ) -> None:
     """Name the traps: counts or mG sold as nT, wrong frames, transposed quaternions, time out of order.
 
     A foreign file wants --map, unless it has to the letter a layout that is packaged; then that map is named.
     Exit status 0 clean, 1 a trap was named, 2 unreadable.
     """
-    output = Output(json)
     with output.progress(f"checking {telemetry}") as progress:
         from fluxtwin import outputs, verbs
         from fluxtwin.calib.checks import check
         from fluxtwin.sim.base.errors import BadInput
         from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
 
-        if repair is not None and column_map is not None:
+        if repair is not None and reading.column_map is not None:
             raise BadInput(
                 "a file read through a column map cannot be repaired",
                 where="--repair",
                 wanted="--repair without --map, on a file that has the columns of the contract",
             )
-        targets = {"--repair": (repair, outputs.TELEMETRY), "--json": (json, outputs.JSON)}
-        outputs.claim(targets, [telemetry, field, column_map, tle], force=force)
+        output.claim({"--repair": (repair, outputs.TELEMETRY)}, [telemetry, field, *reading.files])
         model = verbs.as_model(field, degree)
-        rows = max_samples or MAX_SAMPLES
-        found = check.check_file(telemetry, model, column_map=column_map, tle=tle, max_samples=rows)
+        most = reading.max_samples or MAX_SAMPLES
+        how: dict[str, Any] = {**reading._asdict(), "max_samples": most}
+        found = check.check_file(telemetry, model, **how)
         mended = after = None
         if repair is not None:
             progress("repairing", 0.5)
-            mended = check.repair(telemetry, repair, max_samples=rows)
-            after = check.check_file(repair, model, tle=tle, max_samples=rows)
+            mended = check.repair(telemetry, repair, max_samples=most)
+            after = check.check_file(repair, model, **how)
     _print(output, f"{telemetry}: {found.samples} rows", found)
     record = found.to_dict()
     if mended is not None and after is not None:

@@ -7,19 +7,7 @@ from typing import Annotated
 
 import typer
 
-from fluxtwin.commands.options import (
-    AttitudeSigmaOption,
-    AttitudeTauOption,
-    DegreeOption,
-    ForceOption,
-    HtmlOption,
-    JsonOption,
-    LsbOption,
-    MapOption,
-    NoiseOption,
-    ScenarioFieldOption,
-    TleOption,
-)
+from fluxtwin.commands import options as of
 from fluxtwin.commands.reading import TelemetryArgument, read
 from fluxtwin.console import Output
 
@@ -28,6 +16,7 @@ BRIEF = "Where the gap to the simulation lies, which effect causes it, how far i
 
 
 def command(
+    output: Output,
     telemetry: TelemetryArgument,
     scenario: Annotated[
         Path | None,
@@ -39,42 +28,32 @@ def command(
         str,
         typer.Option("--modelled", metavar="NAMES", help="Effects re-estimated in every test, by commas; or none."),
     ] = "bias,scale_misalignment",
-    noise_nt: NoiseOption = None,
-    lsb_nt: LsbOption = None,
-    attitude_sigma_deg: AttitudeSigmaOption = None,
-    attitude_tau_s: AttitudeTauOption = None,
-    field: ScenarioFieldOption = None,
-    degree: DegreeOption = None,
-    html: HtmlOption = None,
+    noise_nt: of.NoiseOption = None,
+    lsb_nt: of.LsbOption = None,
+    attitude_sigma_deg: of.AttitudeSigmaOption = None,
+    attitude_tau_s: of.AttitudeTauOption = None,
+    field: of.ScenarioFieldOption = None,
+    degree: of.DegreeOption = None,
+    html: of.HtmlOption = None,
     close: Annotated[
         Path | None, typer.Option("--close", metavar="OUT.toml", help="Write a scenario with the named effects in it.")
     ] = None,
-    column_map: MapOption = None,
-    tle: TleOption = None,
-    force: ForceOption = False,
-    json: JsonOption = None,
+    column_map: of.MapOption = None,
+    tle: of.TleOption = None,
 ) -> None:
     """Say where the gap between telemetry and simulation lies, which effect causes it and how far it shrinks.
 
     Errors that are not declared are the scenario's, where it has them, else found in the data.
     """
-    output = Output(json)
     with output.progress(f"reading {telemetry}") as progress:
         from fluxtwin import diagnosing, diagnosis_page, outputs
         from fluxtwin.report import render_report
         from fluxtwin.sim.base.files import write_text
         from fluxtwin.sim.scenario.scenario import save_scenario
 
-        outputs.claim(
-            {
-                "--html": (html, outputs.PAGE),
-                "--close": (close, outputs.SCENARIO),
-                "--json": (json, outputs.JSON),
-            },
-            [telemetry, scenario, field, column_map, tle],
-            force=force,
-        )
-        record = read(telemetry, output, column_map=column_map, tle=tle)
+        targets = {"--html": (html, outputs.PAGE), "--close": (close, outputs.SCENARIO)}
+        output.claim(targets, [telemetry, scenario, field, column_map, tle])
+        record = read(telemetry, output, of.Reading(column_map, tle))
         names = [] if modelled.strip() == "none" else [name.strip() for name in modelled.split(",") if name.strip()]
         diagnosis = diagnosing.diagnose(
             record,

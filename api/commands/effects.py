@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fluxtwin.commands.options import ForceOption, JsonOption
 from fluxtwin.console import Output, wrapped
 
 if TYPE_CHECKING:
@@ -18,21 +17,18 @@ BRIEF = "The catalogue of effects, with units and typical sizes."
 
 
 def command(
+    output: Output,
     effect: Annotated[
         str | None, typer.Argument(metavar="[NAME]", help="One effect in full, with a section for a scenario.")
     ] = None,
-    force: ForceOption = False,
-    json: JsonOption = None,
 ) -> None:
     """List what reality may do that the baseline lacks, a line each. With NAME, that effect in full.
 
     The keys are those of [effects.NAME] in a scenario; zero is absent.
     """
-    from fluxtwin import outputs
     from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 
-    output = Output(json)
-    outputs.claim({"--json": (json, outputs.JSON)}, [], force=force)
+    output.claim({}, [])
     if effect is None:
         chosen: tuple[Effect, ...] = CATALOGUE
         _overview(output, chosen)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fluxtwin.commands.options import ForceOption, JsonOption
 from fluxtwin.console import Output
 
 if TYPE_CHECKING:
@@ -22,6 +21,7 @@ _SHOWN = ("mean", "std", "p5", "p50", "p95", "p99", "max", "vehicle_of_max")
 
 
 def command(
+    output: Output,
     scenario: Annotated[
         Path, typer.Argument(metavar="SCENARIO.toml", help="A scenario; its [draws] say what differs.")
     ],
@@ -45,23 +45,20 @@ def command(
         int | None,
         typer.Option("--extract", metavar="K", help="Fly nothing: write the scenario of vehicle K (from 0)."),
     ] = None,
-    force: ForceOption = False,
-    json: JsonOption = None,
 ) -> None:
     """Fly N vehicles of a scenario, each with its own drawn parameters, and sum up their pointing, rates and torquers.
 
     Results do not depend on the number of processes or on interruptions. Memory holds one chunk a process.
     """
-    output = Output(json)
     if extract is not None:
-        _extract(output, scenario, out, seed, extract, force)
+        _extract(output, scenario, out, seed, extract)
         return
     from fluxtwin import outputs
     from fluxtwin.sim.base.errors import BadInput
 
     if vehicles is None:
         raise BadInput("how many vehicles?", where="--vehicles", wanted="a number, as --vehicles 1000")
-    outputs.claim({"--out": (out, outputs.ENSEMBLE), "--json": (json, outputs.JSON)}, [scenario], force=force)
+    output.claim({"--out": (out, outputs.ENSEMBLE)}, [scenario])
     try:
         with output.progress(f"reading {scenario}") as progress:
             from fluxtwin.scenarios.packaged import load_scenario
@@ -88,7 +85,7 @@ def _say_how_to_go_on(output: Output, out: Path, words: list[Any], seed: int | N
     output.note(f"{whole_chunks(out)} whole chunks are kept in {out}; go on with: {again}")
 
 
-def _extract(output: Output, scenario: Path, out: Path, seed: int | None, vehicle: int, force: bool) -> None:
+def _extract(output: Output, scenario: Path, out: Path, seed: int | None, vehicle: int) -> None:
     from fluxtwin import outputs
     from fluxtwin.scenarios.packaged import load_scenario
     from fluxtwin.sim.base.errors import BadInput
@@ -97,8 +94,7 @@ def _extract(output: Output, scenario: Path, out: Path, seed: int | None, vehicl
 
     if vehicle < 0:
         raise BadInput(f"{vehicle}", where="--extract", wanted="the number of a vehicle, from 0")
-    targets = {"--out": (out, outputs.SCENARIO), "--json": (output.json_target, outputs.JSON)}
-    outputs.claim(targets, [scenario], force=force)
+    output.claim({"--out": (out, outputs.SCENARIO)}, [scenario])
     plan = load_scenario(scenario)
     drawn = vehicle_scenario(plan, plan.seed if seed is None else seed, vehicle)
     if plan.orbit is not None and plan.orbit.tle is not None:  # as seen from where the copy is going to lie

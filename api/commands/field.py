@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from fluxtwin.commands.options import DegreeOption, FieldOption, ForceOption, JsonOption
+from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 
 NAME = "field"
@@ -14,26 +14,24 @@ BRIEF = "The geomagnetic field at one place and time."
 
 
 def command(
+    output: Output,
     date: Annotated[
         str, typer.Option("--date", metavar="UTC", help="ISO 8601, as 1978-07-24 or 1978-07-24T06:00:00Z.")
     ],
     lat: Annotated[float, typer.Option("--lat", metavar="DEG", help="Geodetic latitude (WGS 84) [deg].")],
     lon: Annotated[float, typer.Option("--lon", metavar="DEG", help="East longitude [deg].")],
     alt_km: Annotated[float, typer.Option("--alt-km", metavar="KM", help="Height above the ellipsoid [km].")] = 0.0,
-    field: FieldOption = "igrf14",
-    degree: DegreeOption = None,
-    force: ForceOption = False,
-    json: JsonOption = None,
+    field: of.FieldOption = "igrf14",
+    degree: of.DegreeOption = None,
 ) -> None:
     """The field at a geodetic point (WGS 84).
 
     Geodetic north, east, down and total field [nT], declination and inclination [deg].
     """
-    output = Output(json)
     with output.progress("evaluating the field"):
-        from fluxtwin import outputs, verbs
+        from fluxtwin import verbs
 
-        outputs.claim({"--json": (json, outputs.JSON)}, [field], force=force)
+        output.claim({}, [field])
         record = verbs.field(date, lat, lon, alt_km, field=field, degree=degree)
     names = ("north_nT", "east_nT", "down_nT", "horizontal_nT", "F_nT")
     output.say(f"{record['field_model']}, degree {record['degree']}")

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from fluxtwin.commands.options import ForceOption, JsonOption
 from fluxtwin.console import Output
 
 NAME = "map"
@@ -15,23 +14,21 @@ BRIEF = "Write a first column map from the header of foreign files."
 
 
 def command(
+    output: Output,
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Foreign .csv, .csv.gz or .nc files.")],
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE.toml", help="Where to write the map; else it is printed.")
     ] = None,
-    force: ForceOption = False,
-    json: JsonOption = None,
 ) -> None:
     """Guess what the columns are from their names and sizes; whatever was guessed is marked "to be confirmed".
 
     Confirm or mend each mark, then `fluxtwin check FILE --map MAP`: it tells whether the guesses were right.
     """
-    output = Output(json)
     from fluxtwin import outputs
     from fluxtwin.sim.base import files as storage
     from fluxtwin.sim.telemetry import column_map_draft
 
-    outputs.claim({"--out": (out, outputs.COLUMN_MAP), "--json": (json, outputs.JSON)}, files, force=force)
+    output.claim({"--out": (out, outputs.COLUMN_MAP)}, files)
     text = column_map_draft.draft(files)
     guesses = text.count(column_map_draft.CONFIRM)
     if out is None:

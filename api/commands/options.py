@@ -5,18 +5,17 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias, get_type_hints
 
 import typer
 
 from fluxtwin.calib.common import options as declared
-from fluxtwin.console import manners
+from fluxtwin.console import Output, manners
 
 if TYPE_CHECKING:
     from fluxtwin.calib.methods import Offered
 
 _KEYWORD = inspect.Parameter.KEYWORD_ONLY
-C = TypeVar("C", bound=Callable[..., None])
 
 
 def declared_option(name: str, option: declared.Option) -> Any:
@@ -50,12 +49,6 @@ MapOption: TypeAlias = Annotated[
 TleOption: TypeAlias = Annotated[
     Path | None,
     typer.Option("--tle", metavar="FILE", help="Two-line elements that give the position where the file has none."),
-]
-MaxSamplesOption: TypeAlias = Annotated[
-    int | None,
-    typer.Option(
-        "--max-samples", metavar="N", min=1, help="Most rows that are read of a file; 5,000,000 where not given."
-    ),
 ]
 FieldOption: TypeAlias = Annotated[
     str, typer.Option("--field", metavar="MODEL", help="Field model: igrf14, igrf1975 or chaos:FILE.")
@@ -91,43 +84,73 @@ VerboseOption: TypeAlias = Annotated[
 ]
 
 
-def with_options(offered: Iterable[Offered]) -> Callable[[C], C]:
-    """The command, whose `**options` are those of the calibration methods, after its argument."""
+class Reading(NamedTuple):
+    """How telemetry is read; a command with a parameter of this type takes an option for each field."""
 
-    def decorate(command: C) -> C:
-        hints = get_type_hints(command, include_extras=True)
-        own = [one.replace(annotation=hints[one.name]) for one in inspect.signature(command).parameters.values()]
-        added = []
-        for one in offered:
-            if one.option.kind is not None:
-                kind: Any = one.option.kind if one.default is not None else one.option.kind | None
-                note: Any = Annotated[kind, declared_option(one.name, one.option)]
-                added.append(inspect.Parameter(one.name, _KEYWORD, default=one.default, annotation=note))
-        whole = [own[0], *added, *(one.replace(kind=_KEYWORD) for one in own[1:-1])]
-        command.__annotations__ = {one.name: one.annotation for one in whole}
-        command.__signature__ = inspect.Signature(whole)  # type: ignore[attr-defined]
-        return command
+    column_map: MapOption = None
+    tle: TleOption = None
+    max_samples: Annotated[
+        int | None,
+        typer.Option(
+            "--max-samples", metavar="N", min=1, help="Most rows that are read of a file; 5,000,000 where not given."
+        ),
+    ] = None
 
-    return decorate
+    @property
+    def files(self) -> tuple[Path | None, Path | None]:
+        """What is read besides the telemetry."""
+        return self.column_map, self.tle
 
 
-def with_manners(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with --quiet and --verbose, which every command takes, before its name or after it."""
+READING = Reading()
 
-    def polite(*, quiet: bool, verbose: bool, **options: Any) -> None:
-        manners.quiet |= quiet
-        manners.verbose |= verbose
-        command(**options)
 
+class _Common(NamedTuple):
+    """What every command takes; --quiet and --verbose before its name or after it."""
+
+    force: ForceOption = False
+    json: JsonOption = None
+    quiet: QuietOption = False
+    verbose: VerboseOption = False
+
+
+def as_command(command: Callable[..., None], offered: Iterable[Offered] = ()) -> Callable[..., None]:
+    """The command as typer takes it: its `output` made of the options of every command, its `reading` taken apart, and
+    `offered`, the options of the calibration methods, after its argument in place of its `**options`."""
     hints = get_type_hints(command, include_extras=True)
-    given = inspect.signature(command).parameters.values()
+    given: list[inspect.Parameter] = []
+    for one in list(inspect.signature(command).parameters.values())[1:]:
+        if one.kind is one.VAR_KEYWORD:
+            given[1:1] = [_offered(option) for option in offered if option.option.kind is not None]
+        elif hints[one.name] is Reading:
+            given += _fields(Reading)
+        else:
+            given.append(one.replace(annotation=hints[one.name], kind=_KEYWORD))
+    whole = [*given, *_fields(_Common)]
+
+    def polite(**options: Any) -> None:
+        common = _Common(**{name: options.pop(name) for name in _Common._fields})
+        manners.quiet |= common.quiet
+        manners.verbose |= common.verbose
+        if "reading" in hints:
+            options["reading"] = Reading(**{name: options.pop(name) for name in Reading._fields})
+        command(Output(common.json, force=common.force), **options)
+
     polite.__doc__ = command.__doc__
-    polite.__annotations__ = {**hints, "quiet": QuietOption, "verbose": VerboseOption}
-    polite.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-        [
-            *(one.replace(annotation=hints[one.name], kind=_KEYWORD) for one in given),
-            inspect.Parameter("quiet", _KEYWORD, default=False, annotation=QuietOption),
-            inspect.Parameter("verbose", _KEYWORD, default=False, annotation=VerboseOption),
-        ]
-    )
+    polite.__annotations__ = {one.name: one.annotation for one in whole}
+    polite.__signature__ = inspect.Signature(whole)  # type: ignore[attr-defined]
     return polite
+
+
+def _fields(group: type[Reading | _Common]) -> list[inspect.Parameter]:
+    hints = get_type_hints(group, include_extras=True)
+    return [
+        inspect.Parameter(name, _KEYWORD, default=group._field_defaults[name], annotation=hints[name])
+        for name in group._fields
+    ]
+
+
+def _offered(one: Offered) -> inspect.Parameter:
+    kind: Any = one.option.kind if one.default is not None else one.option.kind | None
+    note: Any = Annotated[kind, declared_option(one.name, one.option)]
+    return inspect.Parameter(one.name, _KEYWORD, default=one.default, annotation=note)

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from fluxtwin.commands.options import ForceOption, JsonOption
 from fluxtwin.console import Output
 from fluxtwin.scenarios.packaged import NAMES
 
@@ -16,6 +15,7 @@ BRIEF = "When the stations of a scenario see the spacecraft."
 
 
 def command(
+    output: Output,
     scenario: Annotated[
         Path,
         typer.Argument(
@@ -27,20 +27,16 @@ def command(
         Path | None,
         typer.Option("--stations", metavar="FILE.toml", help="[station.NAME] sections, instead of the scenario's."),
     ] = None,
-    force: ForceOption = False,
-    json: JsonOption = None,
 ) -> None:
     """List every pass over every [station.NAME] from the first to the last sample of the schedule.
 
     Elevation counts from each station's mask_deg, in straight lines. A pass that the span cuts is marked.
     """
-    output = Output(json)
     with output.progress(f"reading {scenario}"):
-        from fluxtwin import outputs
         from fluxtwin.sim.run.scenario_passes import list_passes
         from fluxtwin.verbs import with_stations
 
-        outputs.claim({"--json": (json, outputs.JSON)}, [scenario, stations], force=force)
+        output.claim({}, [scenario, stations])
         plan = with_stations(scenario, stations)
         found = list_passes(plan)
     columns = ("station", "rise [UTC]", "set [UTC]", "minutes", "highest [deg]", "sunlit", "cut")

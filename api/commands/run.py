@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from fluxtwin.commands.options import ForceOption, JsonOption
 from fluxtwin.console import Output
 
 NAME = "run"
@@ -15,6 +14,7 @@ BRIEF = "A whole study: tables, figures, report.html, summary.json."
 
 
 def command(
+    output: Output,
     name: Annotated[
         str, typer.Argument(metavar="NAME", help="The study: seasat, hcmm, st5, elfin, flight-field or flight-gaps.")
     ],
@@ -32,17 +32,13 @@ def command(
             "--attitude", metavar="HOW", help="seasat, hcmm: moved by torques (dynamics, default) or as prescribed."
         ),
     ] = None,
-    force: ForceOption = False,
-    json: JsonOption = None,
 ) -> None:
     """Run a whole study: tables here; figures, report.html, summary.json and the scenario in a folder."""
-    output = Output(json)
     with output.progress(f"starting {name}") as progress:
         from fluxtwin import outputs
         from fluxtwin.studies import run_study
 
-        targets = {"--out": (out or f"{name}-results", outputs.STUDY), "--json": (json, outputs.JSON)}
-        outputs.claim(targets, [data], force=force)
+        output.claim({"--out": (out or f"{name}-results", outputs.STUDY)}, [data])
         result, written = run_study(name, out, data, progress, attitude=attitude)
     for table in result.tables:
         output.table(table.title, table.columns, table.rows, table.note)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fluxtwin.commands.options import DegreeOption, ForceOption, JsonOption, OutOption, ScenarioFieldOption
+from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 from fluxtwin.scenarios.packaged import NAMES, load_scenario
 
@@ -20,21 +20,19 @@ BRIEF = "A scenario becomes telemetry."
 
 
 def command(
+    output: Output,
     scenario: Annotated[
         Path, typer.Argument(metavar="SCENARIO.toml", help=f"What is simulated: a TOML file, or by name {NAMES}.")
     ],
-    out: OutOption,
+    out: of.OutOption,
     truth: Annotated[
         Path | None,
         typer.Option("--truth", metavar="FILE", help="Write the truth here; telemetry never carries it."),
     ] = None,
-    field: ScenarioFieldOption = None,
-    degree: DegreeOption = None,
-    force: ForceOption = False,
-    json: JsonOption = None,
+    field: of.ScenarioFieldOption = None,
+    degree: of.DegreeOption = None,
 ) -> None:
     """Simulate a scenario and write its telemetry (.nc, .csv or .csv.gz), the scenario beside it."""
-    output = Output(json)
     with output.progress(f"reading {scenario}") as progress:
         from fluxtwin import outputs
         from fluxtwin.sim.base.files import is_stream
@@ -49,16 +47,12 @@ def command(
         beside = None if is_stream(out) else out.with_name(f"{_stem(out)}.scenario.toml")
         if beside is not None and beside.exists() and scenario.exists() and beside.samefile(scenario):
             beside = None  # the scenario lies there already, as its author wrote it
-        outputs.claim(
-            {
-                "--out": (out, outputs.TELEMETRY),
-                "--truth": (truth, outputs.TRUTH),
-                "--json": (json, outputs.JSON),
-                "the scenario beside --out:": (beside, outputs.SCENARIO),
-            },
-            [scenario, field],
-            force=force,
-        )
+        targets = {
+            "--out": (out, outputs.TELEMETRY),
+            "--truth": (truth, outputs.TRUTH),
+            "the scenario beside --out:": (beside, outputs.SCENARIO),
+        }
+        output.claim(targets, [scenario, field])
         saved = _seen_from(plan, out.parent)
         record, real = simulate(plan, progress=progress)
         written = [write_telemetry(record, out)]

@@ -7,17 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fluxtwin.commands.options import (
-    CalibrationOption,
-    DegreeOption,
-    FieldOption,
-    ForceOption,
-    JsonOption,
-    MapOption,
-    MaxSamplesOption,
-    TleOption,
-)
-from fluxtwin.commands.reading import TelemetryArgument, read
+from fluxtwin.commands import options as of
+from fluxtwin.commands.reading import TelemetryArgument, known_calibration, read, write_table
 from fluxtwin.console import Output
 
 if TYPE_CHECKING:
@@ -29,8 +20,9 @@ BRIEF = "Yaw from the magnetometer, roll and pitch, with its sigma."
 
 
 def command(
+    output: Output,
     telemetry: TelemetryArgument,
-    calibration: CalibrationOption = None,
+    calibration: of.CalibrationOption = None,
     out: Annotated[Path | None, typer.Option("--out", metavar="FILE.csv", help="Write yaw row by row.")] = None,
     sigma_nt: Annotated[
         float | None,
@@ -42,27 +34,17 @@ def command(
         float, typer.Option("--attitude-sigma-deg", metavar="DEG", help="Error of roll and of pitch, 1 sigma [deg].")
     ] = 0.1,
     average_s: Annotated[float, typer.Option("--average-s", metavar="S", help="Interval of the averages [s].")] = 120.0,
-    field: FieldOption = "igrf14",
-    degree: DegreeOption = None,
-    column_map: MapOption = None,
-    tle: TleOption = None,
-    max_samples: MaxSamplesOption = None,
-    force: ForceOption = False,
-    json: JsonOption = None,
+    field: of.FieldOption = "igrf14",
+    degree: of.DegreeOption = None,
+    reading: of.Reading = of.READING,
 ) -> None:
     """Yaw [deg] from the calibrated field, roll and pitch, with its sigma; the reference only for comparison."""
-    output = Output(json)
     with output.progress(f"reading {telemetry}") as progress:
         from fluxtwin import outputs, verbs
-        from fluxtwin.calib.common.apply import waived
-        from fluxtwin.calib.common.records import Calibration
 
-        targets = {"--out": (out, outputs.TABLE), "--json": (json, outputs.JSON)}
-        outputs.claim(targets, [telemetry, calibration, field, column_map, tle], force=force)
-        record = read(telemetry, output, column_map=column_map, tle=tle, max_samples=max_samples)
-        given = None if calibration is None else Calibration.from_toml(calibration)
-        if force and given is not None and (refusal := waived(record, given)) is not None:
-            output.note(f"note: applied all the same, by --force: {refusal}")
+        output.claim({"--out": (out, outputs.TABLE)}, [telemetry, calibration, field, *reading.files])
+        record = read(telemetry, output, reading)
+        given = None if calibration is None else known_calibration(calibration, record, output)
         progress("yaw", 0.5)
         solution = verbs.yaw(
             record,
@@ -72,10 +54,10 @@ def command(
             sigma_B_nT=sigma_nt,
             attitude_sigma_deg=attitude_sigma_deg,
             average_s=average_s,
-            force=force,
+            force=output.force,
         )
         if out is not None:
-            _write(solution, out)
+            write_table(solution.to_dict(), COLUMNS, out)
     summary = _summary(solution)
     _print(output, summary)
     if out is not None:
@@ -113,12 +95,3 @@ def _print(output: Output, summary: dict[str, Any]) -> None:
     if rms["full"] is not None:
         columns = ["full solution [deg]", "first order [deg]", "yaw = 0 [deg]"]
         output.table("rms against the reference attitude", columns, [[*rms.values()]])
-
-
-def _write(solution: YawSolution, path: Path) -> None:
-    from fluxtwin.sim.base.files import write_text
-
-    columns = solution.to_dict()
-    rows = zip(*(columns[name] for name in COLUMNS), strict=True)
-    lines = [",".join("" if cell is None else str(cell) for cell in row) for row in rows]
-    write_text(path, "\n".join([",".join(COLUMNS), *lines, ""]))

@@ -20,8 +20,8 @@ from scipy.optimize import least_squares
 
 from fluxtwin.calib.common.covariance import segments, small_sample
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
-from fluxtwin.sim.base.types import BoolArray, FloatArray
-from fluxtwin.sim.earth import sun
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames, sun
 from fluxtwin.sim.telemetry.record import Telemetry
 
 _FEWEST = 10
@@ -55,8 +55,8 @@ class ScannerCalibration:
         """The record with its measured nadir corrected; attitude made from the old one is left as it is."""
         if telemetry.nadir_B is None:
             raise BadInput("there is no measured nadir", where="nadir_x nadir_y nadir_z", wanted="the three columns")
-        angles = _angles(np.array(telemetry.nadir_B)) - self.bias_rad
-        return telemetry.replace(nadir_B=_nadir(angles))
+        angles = frames.roll_pitch(np.array(telemetry.nadir_B)) - self.bias_rad
+        return telemetry.replace(nadir_B=frames.nadir_of(angles))
 
 
 def calibrate_scanner(
@@ -68,7 +68,7 @@ def calibrate_scanner(
     with a common error; gaps in time divide them where not given. Raises BadInput for absent columns, NoAnswer when
     fewer than ten rows have both directions or the sun stays so that a bias cannot be seen.
     """
-    rows = np.flatnonzero(_usable(telemetry, heads))
+    rows = _usable(telemetry, heads)
     if rows.size < _FEWEST:
         raise NoAnswer(
             f"{rows.size} rows have both a sun and a nadir measurement of trusted heads; {_FEWEST} are needed",
@@ -76,12 +76,12 @@ def calibrate_scanner(
         )
     assert telemetry.sun_B is not None and telemetry.nadir_B is not None and telemetry.r_N_km is not None
     r_N_km = np.array(telemetry.r_N_km)[rows]
-    computed = _angle(-r_N_km, sun.sun_direction_N(telemetry.time[rows], r_N_km))
+    computed = frames.angle_between(-r_N_km, sun.sun_direction_N(telemetry.time[rows], r_N_km))
     sun_B = np.array(telemetry.sun_B)[rows]
-    measured = _angles(np.array(telemetry.nadir_B)[rows])
+    measured = frames.roll_pitch(np.array(telemetry.nadir_B)[rows])
 
     def residual_of(bias: FloatArray) -> FloatArray:
-        return _angle(sun_B, _nadir(measured - bias)) - computed
+        return frames.angle_between(sun_B, frames.nadir_of(measured - bias)) - computed
 
     first = residual_of(np.zeros(2))
     found = least_squares(residual_of, np.zeros(2), jac="3-point", xtol=1e-14, ftol=1e-14, gtol=1e-14)
@@ -100,21 +100,25 @@ def calibrate_scanner(
     )
 
 
-def _usable(telemetry: Telemetry, heads: Sequence[int] | None) -> BoolArray:
+def _usable(telemetry: Telemetry, heads: Sequence[int] | None) -> np.ndarray:
+    rows = sun_and_nadir(telemetry)
+    if heads is None:
+        return rows
+    if telemetry.sun_sensor_head is None:
+        raise BadInput("heads are chosen, and the record does not say which saw the sun", where="sun_sensor_head")
+    return rows[np.isin(telemetry.sun_sensor_head[rows], heads)]
+
+
+def sun_and_nadir(telemetry: Telemetry) -> np.ndarray:
+    """Rows with measured sun and nadir, well apart, and a position. Raises BadInput where a column is absent."""
     for name, columns in (("sun_B", "sun_x sun_y sun_z"), ("nadir_B", "nadir_x nadir_y nadir_z")):
         if getattr(telemetry, name) is None:
             raise BadInput("the record has no such columns", where=columns, wanted="measured unit vectors, body axes")
     assert telemetry.sun_B is not None and telemetry.nadir_B is not None
     good = np.isfinite(telemetry.sun_B).all(axis=1) & np.isfinite(telemetry.nadir_B).all(axis=1)
-    good = good & telemetry.has_position
-    if heads is not None:
-        if telemetry.sun_sensor_head is None:
-            raise BadInput("heads are chosen, and the record does not say which saw the sun", where="sun_sensor_head")
-        good = good & np.isin(telemetry.sun_sensor_head, heads)
-    known = np.flatnonzero(good)
-    apart = _angle(np.array(telemetry.sun_B)[known], np.array(telemetry.nadir_B)[known])
-    good[known] = (apart > _NEAR_LINE) & (apart < np.pi - _NEAR_LINE)
-    return np.asarray(good)
+    rows = np.flatnonzero(good & telemetry.has_position)
+    apart = frames.angle_between(np.array(telemetry.sun_B)[rows], np.array(telemetry.nadir_B)[rows])
+    return rows[(apart > _NEAR_LINE) & (apart < np.pi - _NEAR_LINE)]
 
 
 def _require_both(J: FloatArray, residual_rad: float) -> None:
@@ -140,19 +144,3 @@ def _by_pass(J: FloatArray, residual: FloatArray, label: np.ndarray) -> tuple[Fl
     np.add.at(pull, of_row, J * residual[:, None])
     widened = small_sample(count) ** 2 * count / (count - 2)
     return np.asarray(widened * inverse @ (pull.T @ pull) @ inverse), count
-
-
-def _angles(nadir_B: FloatArray) -> FloatArray:
-    """(N, 2) roll and pitch from nadir in body axes."""
-    x, y, z = nadir_B.T
-    return np.stack([np.arctan2(y, np.hypot(x, z)), np.arctan2(-x, z)], axis=1)
-
-
-def _nadir(angles: FloatArray) -> FloatArray:
-    roll, pitch = angles.T
-    return np.stack([-np.sin(pitch) * np.cos(roll), np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
-
-
-def _angle(a: FloatArray, b: FloatArray) -> FloatArray:
-    angle: FloatArray = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("ij,ij->i", a, b))
-    return angle

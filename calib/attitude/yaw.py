@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.calib.common.design import joined
+from fluxtwin.calib.common.design import joined, rows_with
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.types import FloatArray, TimeArray
@@ -162,22 +162,13 @@ def yaw_from_field(
     known = telemetry.has_position & np.isfinite(velocity).all(axis=1)
     roll, pitch, reference = _known_angles(telemetry, velocity, known)
     corrected = calibration.apply(telemetry.mag_B_nT, telemetry.dipole_B_Am2)
-    left_out: dict[str, int] = {}
-    usable = np.ones(len(telemetry), dtype=bool)
-    for reason, present in (
-        ("no reading", np.isfinite(corrected).all(axis=1)),
-        ("no position", known),
-        ("no roll and pitch", np.isfinite(roll)),
-    ):
-        if (usable & ~present).any():
-            left_out[reason] = int((usable & ~present).sum())
-        usable &= present
-    if not usable.any():
+    complete = np.asarray(np.isfinite(corrected).all(axis=1))
+    rows, left_out = rows_with({"no reading": complete, "no position": known, "no roll and pitch": np.isfinite(roll)})
+    if not rows.size:
         raise NoAnswer(
             "no row has a reading, a position, and roll and pitch (a reference attitude or a measured nadir)",
             evidence={"left_out": left_out},
         )
-    rows = np.flatnonzero(usable)
     assert telemetry.r_N_km is not None
     r, time = telemetry.r_N_km[rows], telemetry.time[rows]
     field_O = frames.rotation_ON(r, velocity[rows]).apply(field_N_nT(model, time, r))
@@ -204,9 +195,7 @@ def _known_angles(
     roll, pitch, yaw = (np.full(len(telemetry), np.nan) for _ in range(3))
     if telemetry.nadir_B is not None:
         seen = known & np.isfinite(telemetry.nadir_B).all(axis=1)
-        n1, n2, n3 = (telemetry.nadir_B[seen] / np.linalg.norm(telemetry.nadir_B[seen], axis=1)[:, None]).T
-        roll[seen] = np.arcsin(np.clip(n2, -1.0, 1.0))  # nadir is the third column of R_BO
-        pitch[seen] = np.arctan2(-n1, n3)
+        roll[seen], pitch[seen] = frames.roll_pitch(telemetry.nadir_B[seen]).T
     attitude = np.flatnonzero(known & telemetry.has_attitude)
     if attitude.size and telemetry.q_NB is not None and telemetry.r_N_km is not None:
         R_ON = frames.rotation_ON(telemetry.r_N_km[attitude], velocity[attitude])

@@ -101,22 +101,26 @@ def reference_field_B_nT(telemetry: Telemetry, model: FieldModel) -> FloatArray:
     return reference
 
 
-def complete_rows(needs: Mapping[str, BoolArray], wanted: str) -> tuple[np.ndarray, dict[str, int]]:
+def rows_with(needs: Mapping[str, BoolArray]) -> tuple[np.ndarray, dict[str, int]]:
     """Indices of the rows that have everything, and how many lack what (a row counts for its first missing thing).
 
-    needs: (N,) by reason, where the row has it. Raises NoAnswer, with the words of `wanted`, when no row is left.
+    needs: (N,) by reason, where the row has it.
     """
     usable = np.ones(len(next(iter(needs.values()))), dtype=bool)
     left_out = {}
     for reason, present in needs.items():
-        lost = usable & ~present
-        if lost.any():
-            left_out[reason] = int(lost.sum())
+        left_out[reason] = int((usable & ~present).sum())
         usable &= present
-    if not usable.any():
+    return np.flatnonzero(usable), {reason: count for reason, count in left_out.items() if count}
+
+
+def complete_rows(needs: Mapping[str, BoolArray], wanted: str) -> tuple[np.ndarray, dict[str, int]]:
+    """As `rows_with`. Raises NoAnswer, with the words of `wanted`, when no row is left."""
+    rows, left_out = rows_with(needs)
+    if not rows.size:
         reasons = ", ".join(f"{count} rows have {reason}" for reason, count in left_out.items())
         raise NoAnswer(
             f"no row is complete: {reasons}. A calibration {wanted}",
             evidence={"left_out": left_out},
         )
-    return np.flatnonzero(usable), left_out
+    return rows, left_out

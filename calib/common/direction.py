@@ -17,6 +17,7 @@ import numpy as np
 
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth.frames import angle_between
 
 CONFIDENCE = 0.95
 _ROWS = 500  # of a longer record, evenly spread
@@ -62,12 +63,12 @@ def direction_knowledge(
     of_noise = (turned * noise_nT2) @ turned.transpose(0, 2, 1)
     even = _even_directions() * float(np.sqrt((size**2).mean()))
     return DirectionKnowledge(
-        before_deg=float(np.degrees(np.quantile(_angles(reading_nT, true_nT), CONFIDENCE))),
+        before_deg=float(np.degrees(np.quantile(angle_between(reading_nT, true_nT), CONFIDENCE))),
         after_deg=_quantile_deg(of_noise + of_calibration),
         calibration_deg=_quantile_deg(of_calibration),
         calibration_anywhere_deg=_quantile_deg(_of_calibration(calibration, even, None, even)),
         noise_deg=_quantile_deg(of_noise),
-        against_reference_deg=float(np.degrees(np.quantile(_angles(field_nT, true_nT), CONFIDENCE))),
+        against_reference_deg=float(np.degrees(np.quantile(angle_between(field_nT, true_nT), CONFIDENCE))),
     )
 
 
@@ -101,11 +102,6 @@ def _jacobian(calibration: Calibration, B: FloatArray, D: FloatArray | None) -> 
         if calibration.T_nT_per_Am2 is not None and D is not None:
             J[:, i, 12 + 3 * i : 15 + 3 * i] = np.nan_to_num(D)
     return J
-
-
-def _angles(one: FloatArray, other: FloatArray) -> FloatArray:
-    """(N,) angles between vectors [rad], exact for small ones too."""
-    return np.asarray(np.arctan2(np.linalg.norm(np.cross(one, other), axis=1), (one * other).sum(axis=1)))
 
 
 def _quantile_deg(covariance: FloatArray) -> float:

@@ -1,8 +1,5 @@
 """The compiled recursions of `error_model` and `slow_errors`.
 
-`log_posterior` is that of (theta/sqrt(tau), tau, white theta, slow/sqrt(slow tau), slow tau), logarithms, all but tau
-over the factor of the white noise; `sample` walks on it.
-
 The filter whitens all columns at once. State: error of the attitude (3) and slow error of the field (3), each in units
 of its own standard deviation, at the end of a cell. What is seen of a cell is the mean over its length, U theta + h +
 white noise; over a length L = x tau a Gauss-Markov process goes by f = exp(-x), its mean by a = (1 - f)/x, with noise of
@@ -12,54 +9,10 @@ Analysis by State Space Methods, 4.3.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from fluxtwin.sim.base.kernel_cache import kernel, part
 from fluxtwin.sim.base.types import FloatArray
-
-BURN = 160
-"""Steps in which the chain finds the width of its proposals."""
-LOCAL, NUDGED = 0.55, 0.25
-"""Shares of the proposals; the rest draw one coordinate anew."""
-NUDGE = 0.7
-ACCEPTED = 0.35
-"""Aimed at (Gelman, Roberts & Gilks 1996: 0.35 in two dimensions)."""
-
-
-class Cells(NamedTuple):
-    """K cells, as `whitened_gram` takes them, and what is known of the sizes beforehand."""
-
-    columns: FloatArray
-    image: FloatArray
-    noise: FloatArray
-    turned: FloatArray
-    gap_s: FloatArray
-    length_s: FloatArray
-    low: FloatArray
-    """(5,) least logarithms of (theta, tau, white theta, slow, slow tau)."""
-    high: FloatArray
-    """(5,) greatest."""
-    declared: FloatArray
-    """(4,) logarithm of the attitude's sigma and how far it is trusted, the same of tau; NaN where left to the data."""
-    white: bool
-    """The error of the attitude is declared as white."""
-
-
-class Draws(NamedTuple):
-    """Random numbers of n steps of the chain."""
-
-    kind: FloatArray
-    """(n,) uniform."""
-    step: FloatArray
-    """(n, 3) normal."""
-    coordinate: np.ndarray
-    """(n,) which one is drawn anew."""
-    place: FloatArray
-    """(n,) where between its bounds, uniform."""
-    accept: FloatArray
-    """(n,) uniform."""
 
 
 @part(error_model="numpy")
@@ -101,7 +54,7 @@ def _add(v: FloatArray, gram: FloatArray) -> None:
             gram[c, d] += v[0, c] * v[0, d] + v[1, c] * v[1, d] + v[2, c] * v[2, d]
 
 
-@part(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+@kernel(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
 def whitened_gram(
     columns: FloatArray,
     image: FloatArray,
@@ -178,127 +131,6 @@ def whitened_gram(
         for d in range(c):
             gram[d, c] = gram[c, d]
     return 2.0 * logs
-
-
-@part(error_model="numpy")
-def _shift(p: FloatArray, sign: float, out: FloatArray) -> None:
-    """out (5,): with sign 1 the logarithms of (theta, tau, white theta, slow, slow tau); with -1 back from there."""
-    for i in range(5):
-        out[i] = p[i]
-    out[0] += sign * 0.5 * p[1]
-    out[3] += sign * 0.5 * p[4]
-
-
-@part(error_model="numpy")
-def log_posterior(p: FloatArray, cells: Cells, gram: FloatArray) -> tuple[float, float]:
-    """Its value at p (5,), and the factor of the white noise. gram (q, q): room to work in."""
-    size, low, high, declared = np.empty(5), cells.low, cells.high, cells.declared
-    _shift(p, 1.0, size)
-    for i in (1, 4):  # the others depend on the factor
-        if not low[i] <= size[i] <= high[i]:
-            return -np.inf, 1.0
-    logs = whitened_gram(
-        cells.columns,
-        cells.image,
-        cells.noise,
-        cells.turned,
-        cells.gap_s,
-        cells.length_s,
-        (0.0 if cells.white else np.exp(size[0]), np.exp(size[1]), np.exp(size[2]), np.exp(size[3]), np.exp(size[4])),
-        gram,
-    )
-    q = gram.shape[0]
-    width, value = (q - 1) // 3, -0.5 * logs
-    for i in range(q):  # Cholesky in place: the last entry is the root of the weighted sum of squares left
-        for j in range(i):
-            total = gram[i, j]
-            for n in range(j):
-                total -= gram[i, n] * gram[j, n]
-            gram[i, j] = total / gram[j, j]
-        total = gram[i, i]
-        for n in range(i):
-            total -= gram[i, n] ** 2
-        if not total > 0.0:
-            return -np.inf, 1.0
-        gram[i, i] = np.sqrt(total)
-        if i < q - 1:
-            value -= np.log(gram[i, i])
-    freedom = 3 * (cells.columns.shape[0] - width)
-    factor = gram[q - 1, q - 1] / np.sqrt(freedom)
-    value -= freedom * np.log(factor)
-    for i in (0, 2, 3):
-        size[i] += np.log(factor)
-        if not low[i] <= size[i] <= high[i]:
-            return -np.inf, factor
-    if declared[0] == declared[0]:
-        both = size[2] if cells.white else 0.5 * np.log(np.exp(2.0 * size[0]) + np.exp(2.0 * size[2]))
-        value -= 0.5 * ((both - declared[0]) / declared[1]) ** 2
-    if declared[2] == declared[2]:
-        value -= 0.5 * ((p[1] - declared[2]) / declared[3]) ** 2
-    return value, factor
-
-
-@part(error_model="numpy")
-def _root(points: FloatArray, first: int, last: int) -> tuple[float, float, float]:
-    """Lower Cholesky factor of the covariance of the first two coordinates of some points, kept from vanishing."""
-    n, x, y, xx, xy, yy = last - first, 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(first, last):
-        x += points[k, 0] / n
-        y += points[k, 1] / n
-    for k in range(first, last):
-        xx += (points[k, 0] - x) ** 2 / (n - 1)
-        xy += (points[k, 0] - x) * (points[k, 1] - y) / (n - 1)
-        yy += (points[k, 1] - y) ** 2 / (n - 1)
-    xx, yy = xx + 1e-4, yy + 1e-4
-    one = np.sqrt(xx)
-    return one, xy / one, np.sqrt(yy - xy * xy / xx)
-
-
-@kernel(error_model="numpy")
-def sample(p: FloatArray, cells: Cells, draws: Draws) -> tuple[float, FloatArray, FloatArray]:
-    """Log posterior at p (5,), and the adaptive Metropolis chain from there on, n steps: (n+1, 5) points, (n+1,) factors.
-
-    The one entry, with no steps for a single value: each entry is compiled by itself, and that takes seconds.
-    """
-    steps, q = draws.kind.size, cells.columns.shape[2]
-    gram, points, factors = np.zeros((q, q)), np.empty((steps + 1, 5)), np.empty(steps + 1)
-    begin, factor = log_posterior(p, cells, gram)
-    value = begin
-    for i in range(5):
-        points[0, i] = p[i]
-    factors[0] = factor
-    tried, there = np.empty(5), np.empty(5)
-    scale, root = 1.0, (0.2, 0.0, 0.2)
-    for k in range(steps):
-        kind, step, local = draws.kind[k], draws.step, draws.kind[k] < LOCAL
-        for i in range(5):
-            tried[i] = points[k, i]
-        if local:
-            tried[0] += scale * root[0] * step[k, 0]
-            tried[1] += scale * (root[1] * step[k, 0] + root[2] * step[k, 1])
-        elif kind < LOCAL + NUDGED:
-            for i in range(3):
-                tried[2 + i] += step[k, i] * NUDGE
-        else:  # one size or time constant anew, the others as they are
-            at = draws.coordinate[k]
-            _shift(points[k], 1.0, there)
-            there[at] = cells.low[at] + draws.place[k] * (cells.high[at] - cells.low[at])
-            if at != 1 and at != 4:
-                there[at] -= np.log(factor)
-            _shift(there, -1.0, tried)
-        then, new = log_posterior(tried, cells, gram)
-        taken = np.log(draws.accept[k]) < then - value
-        for i in range(5):
-            points[k + 1, i] = tried[i] if taken else points[k, i]
-        if taken:
-            value, factor = then, new
-        factors[k + 1] = factor
-        if k < BURN:
-            if local:
-                scale *= np.exp(((1.0 if taken else 0.0) - ACCEPTED) / np.sqrt(1.0 + k / 10.0))
-            if k % 40 == 39:
-                root = _root(points, (k + 2) // 2, k + 2)
-    return begin, points, factors
 
 
 @kernel(error_model="numpy")

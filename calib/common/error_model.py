@@ -29,7 +29,14 @@ _LOG_SD = 0.4  # a declared attitude error is trusted to a factor 1.5
 _TAU_LOG_SD = 0.5
 _SPARE = 8  # degrees of freedom that must remain
 _SEARCH = 6  # rounds of the coordinate search
-_KEPT = 360
+_BURN, _KEPT = 160, 360  # steps in which the chain finds the width of its proposals, and those that count
+_LOCAL, _NUDGED, _NUDGE = (
+    0.55,
+    0.25,
+    0.7,
+)  # shares of the proposals, the rest draw one coordinate anew; width of a nudge
+_ACCEPTED = 0.35  # aimed at (Gelman, Roberts & Gilks 1996: 0.35 in two dimensions)
+_SIZES, _TAUS = [0, 2, 3], [1, 4]  # places in the five
 _NODES = 14  # time constants of the table
 
 
@@ -131,12 +138,11 @@ class Posterior(NamedTuple):
 
 
 class _Likelihood:
-    """Log posterior of `error_kernels`. What a process does in a short time, sigma^2/tau, is well known where sigma and
-    tau are not."""
+    """Log posterior of (theta/sqrt(tau), tau, white theta, slow/sqrt(slow tau), slow tau): their logarithms p (5,), all but
+    the taus over the factor of the white noise. What a process does in a short time, sigma^2/tau, is well known where
+    sigma and tau are not."""
 
     def __init__(self, of: LikelihoodCells, sigma_deg: float | None, tau_s: float | None) -> None:
-        from fluxtwin.calib.common.error_kernels import Cells
-
         self.of = of
         design = of.design
         K, width = design.shape
@@ -154,48 +160,80 @@ class _Likelihood:
         sizes = np.log(_SIZES_RAD)
         self.low = np.array([sizes[0], taus[0], sizes[0], sizes[0] + np.log(self.field), np.log(shortest)])
         self.high = np.array([sizes[1], taus[1], sizes[1], sizes[1] + np.log(self.field), np.log(longest)])
-        sigma = np.nan if sigma_deg is None else np.log(np.radians(sigma_deg))
-        declared = np.array([sigma, _LOG_SD, np.log(tau_s) if tau_s else np.nan, _TAU_LOG_SD])
-        self.cells = Cells(
+        self.log_sigma = None if sigma_deg is None else np.log(np.radians(sigma_deg))
+        self.log_tau = np.log(tau_s) if tau_s else None
+        self.white = tau_s == 0.0
+        self.cells = (
             columns,
             np.ascontiguousarray(of.image_nT),
             of.white[None] / of.effective[:, None, None],
             np.einsum("kij,klj->kil", of.image_nT, of.image_nT) / of.effective[:, None, None],
             gap,
             np.ascontiguousarray(of.length_s),
-            self.low,
-            self.high,
-            declared,
-            tau_s == 0.0,
         )
-        self.gram = np.zeros((3 * width + 1, 3 * width + 1))
+        self.freedom = 3 * (K - width)
 
-    def __call__(self, p: FloatArray) -> float:
-        """At p (5,)."""
-        return self._walk(p, 0)[0]
+    def __call__(self, p: FloatArray) -> tuple[float, float]:
+        """Its value at p, and the factor of the white noise."""
+        from fluxtwin.calib.common.error_kernels import whitened_gram
+
+        size = _sizes(p)
+        if not ((self.low <= size) & (size <= self.high))[_TAUS].all():  # the others depend on the factor
+            return -np.inf, 1.0
+        theta, *others = np.exp(size).tolist()
+        gram = np.empty((self.cells[0].shape[2],) * 2)
+        value = -0.5 * whitened_gram(*self.cells, (0.0 if self.white else theta, *others), gram)
+        try:
+            root = np.diag(np.linalg.cholesky(gram))  # the last: of the weighted sum of squares left
+        except np.linalg.LinAlgError:
+            return -np.inf, 1.0
+        factor = float(root[-1] / np.sqrt(self.freedom))
+        value -= float(np.log(root[:-1]).sum()) + self.freedom * np.log(factor)
+        size[_SIZES] += np.log(factor)
+        if not ((self.low <= size) & (size <= self.high)).all():
+            return -np.inf, factor
+        if self.log_sigma is not None:
+            both = size[2] if self.white else 0.5 * np.logaddexp(2.0 * size[0], 2.0 * size[2])
+            value -= 0.5 * ((both - self.log_sigma) / _LOG_SD) ** 2
+        if self.log_tau is not None:
+            value -= 0.5 * ((p[1] - self.log_tau) / _TAU_LOG_SD) ** 2
+        return value, factor
 
     def chain(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n, 5) samples and (n,) factors of the white noise, from p on.
+        """(n, 5) samples and (n,) factors of the white noise, from p on, by an adaptive Metropolis chain.
 
-        The attitude's sigma and tau are moved together, the others apart.
+        The attitude's sigma and tau are moved together, the others apart, or one size or time constant is drawn anew.
         """
-        from fluxtwin.calib.common.error_kernels import BURN
-
-        _, points, factors = self._walk(p, BURN + _KEPT)
-        return points[BURN + 1 :], factors[BURN + 1 :]
-
-    def _walk(self, p: FloatArray, n: int) -> tuple[float, FloatArray, FloatArray]:
-        from fluxtwin.calib.common.error_kernels import Draws, sample
-
+        n = _BURN + _KEPT
         rng = np.random.default_rng(0)  # the same record, the same answer
-        draws = Draws(
-            rng.uniform(size=n),
-            rng.normal(size=(n, 3)),
-            rng.integers(5, size=n),
-            rng.uniform(size=n),
-            rng.uniform(size=n),
-        )
-        return sample(p, self.cells, draws)
+        kind, step, coordinate = rng.uniform(size=n), rng.normal(size=(n, 3)), rng.integers(5, size=n)
+        place, accept = rng.uniform(size=n), rng.uniform(size=n)
+        points, factors = np.empty((n + 1, 5)), np.empty(n + 1)
+        value, factor = self(p)
+        points[0], factors[0] = p, factor
+        scale, root = 1.0, 0.2 * np.eye(2)
+        for k in range(n):
+            tried, local = points[k].copy(), kind[k] < _LOCAL
+            if local:
+                tried[:2] += scale * root @ step[k, :2]
+            elif kind[k] < _LOCAL + _NUDGED:
+                tried[2:] += _NUDGE * step[k]
+            else:
+                size, at = _sizes(points[k]), coordinate[k]
+                size[at] = self.low[at] + place[k] * (self.high[at] - self.low[at])
+                size[at] -= 0.0 if at in _TAUS else np.log(factor)
+                tried = _sizes(size, back=True)
+            then, new = self(tried)
+            taken = bool(np.log(accept[k]) < then - value)
+            if taken:
+                value, factor = then, new
+            points[k + 1], factors[k + 1] = tried if taken else points[k], factor
+            if k < _BURN and local:
+                scale *= np.exp((taken - _ACCEPTED) / np.sqrt(1.0 + k / 10.0))
+            if k < _BURN and k % 40 == 39:
+                spread = np.asarray(np.cov(points[(k + 2) // 2 : k + 2, :2].T), dtype=np.float64)
+                root = np.linalg.cholesky(spread + 1e-4 * np.eye(2))
+        return points[_BURN + 1 :], factors[_BURN + 1 :]
 
     def starts(self) -> list[FloatArray]:
         """An error of the attitude, slow or white; a slow error of the field; none of them."""
@@ -212,11 +250,11 @@ class _Likelihood:
         return [np.array(point) - 0.5 * np.array([tau, 0.0, 0.0, slow_tau, 0.0]) for point in points]
 
 
-def _sizes(p: FloatArray) -> FloatArray:
-    """Logarithms of (theta, tau, white theta, slow, slow tau); (..., 5)."""
-    out = np.array(p)
-    out[..., 0] += 0.5 * p[..., 1]
-    out[..., 3] += 0.5 * p[..., 4]
+def _sizes(p: FloatArray, *, back: bool = False) -> FloatArray:
+    """Logarithms of (theta, tau, white theta, slow, slow tau) from p (..., 5), or back from there."""
+    out, half = np.array(p), -0.5 if back else 0.5
+    out[..., 0] += half * p[..., 1]
+    out[..., 3] += half * p[..., 4]
     return out
 
 
@@ -242,7 +280,7 @@ def _climb(likelihood: _Likelihood) -> tuple[float, FloatArray]:
     """A point near the maximum: the best of several starts, one coordinate after the other."""
     found = []
     for p in likelihood.starts():
-        value = likelihood(p)
+        value = likelihood(p)[0]
         if np.isfinite(value):
             found.append((value, p))
     if not found:
@@ -254,7 +292,7 @@ def _climb(likelihood: _Likelihood) -> tuple[float, FloatArray]:
             for sign in (1.0, -1.0):
                 tried = p.copy()
                 tried[k] += sign * reach[k]
-                then = likelihood(tried)
+                then = likelihood(tried)[0]
                 if then > value:
                     value, p = then, tried
                     reach[k] *= 1.5

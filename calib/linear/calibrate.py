@@ -11,7 +11,7 @@ the reading is noisier than the reference.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from fluxtwin.calib.common import observability
 from fluxtwin.calib.common.conventions import Forward, correction_from_forward
 from fluxtwin.calib.common.design import Design, assemble, joined
 from fluxtwin.calib.common.digits import plain
+from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.fit_warnings import with_warnings
 from fluxtwin.calib.common.noise import reading_noise
 from fluxtwin.calib.common.records import Calibration
@@ -28,7 +29,6 @@ from fluxtwin.calib.common.regression import Regression, regress, residuals
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import robust_weights
 from fluxtwin.calib.linear.covariance_report import report_covariance
-from fluxtwin.calib.linear.fit import LinearFit
 from fluxtwin.calib.linear.method import LinearOptions
 from fluxtwin.calib.linear.problem import LinearProblem, Solution
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
@@ -37,6 +37,27 @@ from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.telemetry.record import Telemetry
 
 _SAMPLES = {"b": 3, "b,S": 12, "b,S,T": 21}
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearFit(Fit):
+    """What the regression adds to the record of every method."""
+
+    eiv_shift: FloatArray
+    """(3, 3) change of S by the errors-in-variables correction; zero when off."""
+
+    @property
+    def direction(self) -> str:
+        """`linear` or `forward`."""
+        return self.method
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and text for JSON; no NaN."""
+        return {
+            **super().to_dict(),
+            "direction": self.direction,
+            "errors_in_variables_shift": self.eiv_shift.tolist(),
+        }
 
 
 def calibrate_linear(

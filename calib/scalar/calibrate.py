@@ -107,7 +107,6 @@ def fit_rows(
     )
     problem = problem.with_noise(noise)
     how = geometry(problem.data, problem.scale_nT)
-    a = None if robust is None else robust.weights
     first = solved
     try:
         solved, notes = _estimate(problem, first, robust)
@@ -116,8 +115,8 @@ def fit_rows(
             require_observed(add_up(p, problem.data, noise=True), problem.names, how, over_noise=10.0)
         refuse_thin(add_up(start, problem.data), problem.names, how)
         raise
-    weight = float(len(rows) if a is None else a.sum())
-    inflation = solved.sums.cost / max(weight - problem.data.size, 1.0)
+    a = robust.weights
+    inflation = solved.sums.cost / max(float(a.sum()) - problem.data.size, 1.0)
     scores = _scores(problem, solved, robust)
     if options.method == "center":
         require_observed(_center_sums(problem, solved), problem.names, how, max(inflation, 1.0))
@@ -131,7 +130,7 @@ def fit_rows(
             solved = solved if better is polished else better
             scores = _scores(problem, solved, robust)
             notes.append(sentence)
-        settled = robust is not None and solved.converged
+        settled = options.robust != "none" and solved.converged
         require_meaning(solved, problem.data, problem.names, how, problem.scale_nT, robust=settled)
     return _report(problem, solved, scores, noise, robust, how, inflation, notes, model_name, passes)
 
@@ -152,27 +151,24 @@ def make_problem(rows: ScalarRows, options: ScalarOptions) -> ScalarProblem:
     return ScalarProblem(rows, options, data, scale, columns, rms, dead)
 
 
-def _first(problem: ScalarProblem, start: FloatArray) -> tuple[Solved, RobustWeights | None]:
-    """A solution before the noise is known, and robust weights where they are asked for."""
-    data = problem.data
-    solved = solve(start, data, adjusted=False)
-    if problem.options.robust == "none":
-        return solved, None
-    state = {"p": start}
+def _first(problem: ScalarProblem, start: FloatArray) -> tuple[Solved, RobustWeights]:
+    """A solution before the noise is known, and the robust weights."""
+    data, p = problem.data, start
 
     def refit(weights: FloatArray) -> FloatArray:
-        state["p"] = solve(state["p"], data, weights, adjusted=False).p
-        return residual(state["p"], data)[:, None]
+        nonlocal p
+        p = solve(p, data, weights, adjusted=False).p
+        return residual(p, data)[:, None]
 
     size = np.sqrt((data.B**2).sum(axis=1))
     robust = robust_weights((size - data.H)[:, None], refit, problem.options.robust)
-    return solve(state["p"], data, robust.weights, adjusted=False), robust
+    return solve(p, data, robust.weights, adjusted=False), robust
 
 
-def _estimate(problem: ScalarProblem, first: Solved, robust: RobustWeights | None) -> tuple[Solved, list[str]]:
+def _estimate(problem: ScalarProblem, first: Solved, robust: RobustWeights) -> tuple[Solved, list[str]]:
     """The method's own answer, with what is to be said about the way to it."""
     data, method = problem.data, problem.options.method
-    a, sharpness = (None, 1.0) if robust is None else (robust.weights, robust.sharpness)
+    a, sharpness = robust.weights, robust.sharpness
     if method == "center":
         p = center(data, a)
         return Solved(p, add_up(p, data, a), True, 1), []
@@ -194,13 +190,12 @@ def _estimate(problem: ScalarProblem, first: Solved, robust: RobustWeights | Non
     return min(settled, key=lambda one: one.sums.cost), notes
 
 
-def _scores(problem: ScalarProblem, solved: Solved, robust: RobustWeights | None) -> Scores:
-    a, sharpness = (None, 1.0) if robust is None else (robust.weights, robust.sharpness)
+def _scores(problem: ScalarProblem, solved: Solved, robust: RobustWeights) -> Scores:
+    a, sharpness = robust.weights, robust.sharpness
     if problem.options.method == "center":
         rows, slope, half = center_terms(solved.p, problem.data, a)
-        w = np.ones(len(rows)) if a is None else a
-        far = -2.0 * half * (w * problem.data.H)[:, None]
-        return Scores(rows, sharpness * slope, far, np.sqrt(sharpness * w)[:, None] * half)
+        far = -2.0 * half * (a * problem.data.H)[:, None]
+        return Scores(rows, sharpness * slope, far, np.sqrt(sharpness * a)[:, None] * half)
     return scores_of(solved, problem.data, a, sharpness)
 
 
@@ -217,7 +212,7 @@ def _report(
     solved: Solved,
     scores: Scores,
     noise: ReadingNoise,
-    robust: RobustWeights | None,
+    robust: RobustWeights,
     how: Geometry,
     inflation: float,
     notes: list[str],
@@ -239,12 +234,12 @@ def _report(
         messages.append(words.field_error(options.field_error_nT, rows.radian_s))
     if not data.with_D:
         messages += words.missing_S(solved, data, inflation)
-    if robust is not None and robust.rejected:
+    if robust.rejected:
         messages.append(f"robust weights ({options.robust}): {robust.rejected} rows set aside")
     units = np.array([problem.rms_of[name] for name in problem.columns])
     S, b_nT, T, whole, biases = file_parameters(solved.p, covariance, data, problem.columns, problem.scale_nT, units)
     with_T = "T" in options.parameters
-    kept = np.ones(len(r), dtype=bool) if robust is None else robust.weights >= 0.01
+    kept = robust.kept
     residuals_nT = (r * problem.scale_nT)[:, None]
     sigma_nT = float(np.sqrt((residuals_nT[kept] ** 2).sum() / max(int(kept.sum()) - data.size, 1)))
     unobservable = [
@@ -266,16 +261,15 @@ def _report(
         unobservable=tuple(unobservable),
         telemetry_bias=biases,
     )
-    a = np.ones(len(r)) if robust is None else robust.weights
     return ScalarFit(
         calibration=calibration,
         method=options.method,
         time=rows.time,
         residuals_nT=residuals_nT,
-        weights=a / a.sum(),
+        weights=robust.weights / robust.weights.sum(),
         rows=rows.rows,
         left_out=dict(rows.left_out),
-        rejected=int((~kept).sum()),
+        rejected=robust.rejected,
         variation=observability.field_variation(rows.B_nT),
         noise=noise,
         statistics=residual_statistics(rows.time[kept], residuals_nT[kept]),

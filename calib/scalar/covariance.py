@@ -38,14 +38,14 @@ class Scores(NamedTuple):
     """(N, p) h whose products h h' add up to the slope."""
 
 
-def scores_of(solved: Solved, data: ScalarData, a: FloatArray | None, sharpness: float) -> Scores:
+def scores_of(solved: Solved, data: ScalarData, a: FloatArray, sharpness: float) -> Scores:
     """Of the maximum-likelihood estimate; near enough for TWOSTEP, whose rows weigh the same."""
     rows = np.empty((len(data.H), data.size))
     slopes = np.empty((len(data.H), data.size))
     half = np.empty((len(data.H), data.size))
     for at, part in blocks(data):
         of = terms(solved.p, part)
-        w = (1.0 if a is None else a[at]) / of.q
+        w = a[at] / of.q
         rows[at] = w[:, None] * (of.g * of.r[:, None] - sharpness * of.shared)
         slopes[at] = w[:, None] * of.g
         half[at] = np.sqrt(sharpness * w)[:, None] * of.g

@@ -20,14 +20,15 @@ def outlying_readings(rows: SpinRows) -> np.ndarray:
     H = np.linalg.norm(rows.H_N_nT, axis=1)
     scale = float(np.sqrt((H**2).mean()))
     data = ScalarData(rows.B_nT / scale, H / scale, np.zeros((len(H), 0)), _LOOSE**2 * np.eye(3), True)
-    state = {"p": np.zeros(data.size)}
+    p = np.zeros(data.size)
 
     def refit(weights: FloatArray) -> FloatArray:
-        state["p"] = solve(state["p"], data, weights, adjusted=False).p
-        return residual(state["p"], data)[:, None]
+        nonlocal p
+        p = solve(p, data, weights, adjusted=False).p
+        return residual(p, data)[:, None]
 
-    robust_weights(residual(state["p"], data)[:, None], refit, "tukey")
-    return find_outliers(residual(state["p"], data)[:, None])
+    robust_weights(residual(p, data)[:, None], refit, "tukey")
+    return find_outliers(residual(p, data)[:, None])
 
 
 def beyond(residuals_nT: FloatArray) -> np.ndarray:

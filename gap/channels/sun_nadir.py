@@ -19,10 +19,12 @@ from typing import Any
 import numpy as np
 from scipy.stats import f as fisher
 
+from fluxtwin.calib.attitude.horizon_scanner import sun_and_nadir
 from fluxtwin.calib.common.covariance import make_blocks
-from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames, sun
+from fluxtwin.sim.earth.frames import angle_between
 from fluxtwin.sim.telemetry.build import velocity_from_positions
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -36,7 +38,6 @@ _RIVAL = 0.9
 _MEMORY_S = 150.0
 _MOST_ROWS = 100_000
 _STEP_RAD = 1e-5
-_NEAR_LINE = float(np.radians(3.0))
 _SEEN_RAD = float(np.radians(0.1))
 """Directions of a hypothesis that would come out worse than this (1 sigma, white errors) are not estimated."""
 _WHOLLY = 0.99
@@ -222,7 +223,7 @@ def open_channel(telemetry: Telemetry, *, passes: np.ndarray | None = None, fewe
     with few gaps stretches of ten minutes are taken. Of a long record rows spread over all of it are used. Raises
     BadInput where sun, nadir or position are absent, NoAnswer for fewer than `fewest` passes with both.
     """
-    rows = _rows(telemetry)
+    rows = sun_and_nadir(telemetry)
     if rows.size > _MOST_ROWS:
         rows = rows[np.linspace(0, rows.size - 1, _MOST_ROWS).astype(int)]
     of_row = np.zeros(0, dtype=int)
@@ -240,33 +241,21 @@ def open_channel(telemetry: Telemetry, *, passes: np.ndarray | None = None, fewe
     r_N_km = np.array(telemetry.r_N_km)[rows]
     sun_B, nadir_B = np.array(telemetry.sun_B)[rows], np.array(telemetry.nadir_B)[rows]
     sun_N = sun.sun_direction_N(telemetry.time[rows], r_N_km)
-    residual = _angle(sun_B, nadir_B) - _angle(sun_N, -r_N_km)
+    residual = angle_between(sun_B, nadir_B) - angle_between(sun_N, -r_N_km)
     designs = _designs(telemetry, rows, sun_B, nadir_B, r_N_km)
     return Channel(rows, residual, np.asarray(of_row), designs, _along_track(telemetry, rows, sun_N, r_N_km))
-
-
-def _rows(telemetry: Telemetry) -> np.ndarray:
-    for name, columns in (("sun_B", "sun_x sun_y sun_z"), ("nadir_B", "nadir_x nadir_y nadir_z")):
-        if getattr(telemetry, name) is None:
-            raise BadInput("the record has no such columns", where=columns, wanted="measured unit vectors, body axes")
-    assert telemetry.sun_B is not None and telemetry.nadir_B is not None
-    good = np.isfinite(telemetry.sun_B).all(axis=1) & np.isfinite(telemetry.nadir_B).all(axis=1)
-    rows = np.flatnonzero(good & telemetry.has_position)
-    apart = _angle(np.array(telemetry.sun_B)[rows], np.array(telemetry.nadir_B)[rows])
-    return rows[(apart > _NEAR_LINE) & (apart < np.pi - _NEAR_LINE)]
 
 
 def _designs(
     telemetry: Telemetry, rows: np.ndarray, sun_B: FloatArray, nadir_B: FloatArray, r_N_km: FloatArray
 ) -> Designs:
     """Change of the angle per radian of each parameter of each hypothesis."""
-    x, y, z = nadir_B.T
-    angles = np.stack([np.arctan2(y, np.hypot(x, z)), np.arctan2(-x, z)], axis=1)
+    angles = frames.roll_pitch(nadir_B)
     by_roll, by_pitch = (
-        (_angle(sun_B, _nadir(angles + _STEP_RAD * e)) - _angle(sun_B, _nadir(angles - _STEP_RAD * e)))
-        / (2 * _STEP_RAD)
-        for e in np.eye(2)
+        angle_between(sun_B, frames.nadir_of(angles + step)) - angle_between(sun_B, frames.nadir_of(angles - step))
+        for step in _STEP_RAD * np.eye(2)
     )
+    by_roll, by_pitch = by_roll / (2 * _STEP_RAD), by_pitch / (2 * _STEP_RAD)
     r_E_km = frames.rotation_EN(epoch.as_times(telemetry.time[rows])).apply(r_N_km)
     latitude = frames.geocentric(r_E_km)[0]
     shapes = {"": np.ones_like(latitude), "_sin": np.sin(latitude), "_cos2": np.cos(2.0 * latitude)}
@@ -291,13 +280,15 @@ def _along_track(telemetry: Telemetry, rows: np.ndarray, sun_N: FloatArray, r_N_
     size = np.linalg.norm(r_N_km, axis=1)[:, None]
     ahead = v_N_km_s - r_N_km * np.sum(v_N_km_s * r_N_km, axis=1)[:, None] / size**2
     ahead = ahead * size / np.maximum(np.linalg.norm(ahead, axis=1)[:, None], 1e-300) * _STEP_RAD
-    column = (_angle(sun_N, ahead - r_N_km) - _angle(sun_N, -ahead - r_N_km)) / (2 * _STEP_RAD * size[:, 0])
+    column = (angle_between(sun_N, ahead - r_N_km) - angle_between(sun_N, -ahead - r_N_km)) / (
+        2 * _STEP_RAD * size[:, 0]
+    )
     return np.where(np.isfinite(column), column, 0.0)
 
 
 def _by_turn(sun_B: FloatArray, nadir_B: FloatArray, axis: FloatArray) -> FloatArray:
     step = _STEP_RAD * np.cross(axis, sun_B)
-    return np.asarray((_angle(sun_B + step, nadir_B) - _angle(sun_B - step, nadir_B)) / (2 * _STEP_RAD))
+    return np.asarray((angle_between(sun_B + step, nadir_B) - angle_between(sun_B - step, nadir_B)) / (2 * _STEP_RAD))
 
 
 def _weigh(
@@ -360,13 +351,3 @@ def _jackknife(
         away.append(np.linalg.lstsq(left, b - part.T @ residual[of_row == number], rcond=1e-10)[0] - theta)
     shift = np.array(away)
     return np.asarray((len(passes) - 1) / len(passes) * shift.T @ shift)
-
-
-def _nadir(angles: FloatArray) -> FloatArray:
-    roll, pitch = angles.T
-    return np.stack([-np.sin(pitch) * np.cos(roll), np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
-
-
-def _angle(a: FloatArray, b: FloatArray) -> FloatArray:
-    angle: FloatArray = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("ij,ij->i", a, b))
-    return angle

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.calib.linear.fit import LinearFit
+from fluxtwin.calib.linear.calibrate import LinearFit
 from fluxtwin.scenarios.calibration_records import (
     NAMES,
     bias_alone,

@@ -136,6 +136,23 @@ def yaw_roll_pitch(R_BO: Rotation) -> tuple[FloatArray, FloatArray, FloatArray]:
     return angles[:, 0], angles[:, 1], angles[:, 2]
 
 
+def roll_pitch(nadir_B: FloatArray) -> FloatArray:
+    """(N, 2) roll and pitch of the 3-1-2 set [rad] from nadir (N, 3) in body axes, of any length; whatever the yaw."""
+    x, y, z = np.asarray(nadir_B).T
+    return np.stack([np.arctan2(y, np.hypot(x, z)), np.arctan2(-x, z)], axis=1)
+
+
+def nadir_of(roll_pitch_rad: FloatArray) -> FloatArray:
+    """(N, 3) unit vectors. Inverse of `roll_pitch`."""
+    roll, pitch = roll_pitch_rad.T
+    return np.stack([-np.sin(pitch) * np.cos(roll), np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
+
+
+def angle_between(a: FloatArray, b: FloatArray) -> FloatArray:
+    """(N,) angles between vectors (N, 3) of any length [rad], exact for small ones too."""
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("ij,ij->i", a, b)))
+
+
 def rotation_NEC_E(r_E_km: FloatArray) -> Rotation:
     """E to local geocentric north, east, centre at each position, shape (N, 3).
 

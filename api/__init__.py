@@ -63,33 +63,20 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-_HOMES = {
-    "read": "fluxtwin.sim.telemetry.telemetry_files:read_telemetry",
-    "write": "fluxtwin.sim.telemetry.telemetry_files:write_telemetry",
-    "check": "fluxtwin.verbs:check",
-    "calibrate": "fluxtwin.verbs:calibrate",
-    "apply": "fluxtwin.verbs:apply",
-    "attitude": "fluxtwin.verbs:attitude",
-    "yaw": "fluxtwin.verbs:yaw",
-    "diagnose": "fluxtwin.diagnosing:diagnose",
-    "close": "fluxtwin.diagnosing:close",
-    "repair": "fluxtwin.calib.checks.check:repair",
-    "effects": "fluxtwin.verbs:effects",
-    "passes": "fluxtwin.verbs:passes",
-    "draft_map": "fluxtwin.verbs:draft_map",
-    "field": "fluxtwin.verbs:field",
-    "load_field": "fluxtwin.sim.earth.field_models:load_field",
-    "load_scenario": "fluxtwin.scenarios.packaged:load_scenario",
-    "simulate": "fluxtwin.flying:simulate",
-    "ensemble": "fluxtwin.flying:ensemble",
-    "run_study": "fluxtwin.studies:run_study",
-    "Telemetry": "fluxtwin.sim.telemetry.record:Telemetry",
-    "Calibration": "fluxtwin.calib.common.records:Calibration",
-    "FluxtwinError": "fluxtwin.sim.base.errors:FluxtwinError",
-    "BadInput": "fluxtwin.sim.base.errors:BadInput",
-    "NoAnswer": "fluxtwin.sim.base.errors:NoAnswer",
-    "OutOfRange": "fluxtwin.sim.base.errors:OutOfRange",
+_NAMES = {
+    "fluxtwin.sim.telemetry.telemetry_files": ("read_telemetry", "write_telemetry"),
+    "fluxtwin.verbs": ["check", "calibrate", "apply", "attitude", "yaw", "effects", "passes", "draft_map", "field"],
+    "fluxtwin.diagnosing": ("diagnose", "close"),
+    "fluxtwin.calib.checks.check": ("repair",),
+    "fluxtwin.sim.earth.field_models": ("load_field",),
+    "fluxtwin.scenarios.packaged": ("load_scenario",),
+    "fluxtwin.flying": ("simulate", "ensemble"),
+    "fluxtwin.studies": ("run_study",),
+    "fluxtwin.sim.telemetry.record": ("Telemetry",),
+    "fluxtwin.calib.common.records": ("Calibration",),
+    "fluxtwin.sim.base.errors": ("FluxtwinError", "BadInput", "NoAnswer", "OutOfRange"),
 }
+_HOMES = {name.removesuffix("_telemetry"): (module, name) for module, names in _NAMES.items() for name in names}
 
 __all__ = ["__version__", *_HOMES]
 
@@ -98,8 +85,7 @@ def __getattr__(name: str) -> Any:
     home = _HOMES.get(name)
     if home is None:
         raise AttributeError(f"fluxtwin has no {name!r}; it has {', '.join(_HOMES)}")
-    module, _, attribute = home.partition(":")
-    value = getattr(importlib.import_module(module), attribute)
+    value = getattr(importlib.import_module(home[0]), home[1])
     globals()[name] = value
     return value
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,6 +34,9 @@ from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.verbs import as_record
 
+_ERRORS = ("noise_nT", "lsb_nT", "attitude_sigma_deg", "attitude_tau_s")
+"""What may be declared of the errors."""
+
 
 def diagnose(
     telemetry: Telemetry | Path | str,
@@ -53,7 +57,8 @@ def diagnose(
     given here overrides the scenario's; what neither gives is found in the data.
     Raises BadInput and NoAnswer with one message each.
     """
-    _check_numbers(noise_nT, lsb_nT, attitude_sigma_deg, attitude_tau_s)
+    declared = Declared(noise_nT, lsb_nT, attitude_sigma_deg, attitude_tau_s)
+    _check_numbers(declared)
     modelled = tuple(dict.fromkeys(modelled))
     for name in modelled:
         find_effect(name, where="--modelled")
@@ -64,7 +69,8 @@ def diagnose(
     _require_something(record)
     model_name = field or (config.field.model if config is not None else "igrf14")
     model = load_field(model_name, degree or (config.field.degree if config is not None and field is None else None))
-    budget = _budget(config, noise_nT, lsb_nT, attitude_sigma_deg, attitude_tau_s)
+    frozen = () if config is None else _frozen(config)
+    budget = _budget(config, frozen, declared)
     investigated = partial(
         investigate_record,
         record,
@@ -72,12 +78,11 @@ def diagnose(
         modelled=modelled,
         budget=budget,
         instrument=None if config is None or record.corrected_by else spacecraft.magnetometer(config),
-        frozen=() if config is None else _frozen(config),
+        frozen=frozen,
         craft=_craft(config),
         provenance={"source": record.provenance.get("source", "")},
         progress=progress,
     )
-    frozen = () if config is None else _frozen(config)
     found = second_channel.with_second_channel(investigated, second_channel.channel_of(record, frozen))
     stuck = input_warnings.stuck_attitude(record, budget.attitude_sigma_rad)
     notes = [
@@ -121,11 +126,11 @@ def close(
     return replace(diagnosis, transfers=transfers), made
 
 
-def _check_numbers(*values: float | None) -> None:
+def _check_numbers(declared: Declared) -> None:
     flags = ("--noise-nT", "--lsb-nT", "--attitude-sigma-deg", "--attitude-tau-s")
-    for name, value in zip(flags, values, strict=True):
+    for flag, value in zip(flags, (getattr(declared, name) for name in _ERRORS), strict=True):
         if value is not None and not 0 <= value < np.inf:
-            raise BadInput(f"{value:g}", where=name, wanted="zero or a positive number")
+            raise BadInput(f"{value:g}", where=flag, wanted="zero or a positive number")
 
 
 def _require_something(record: Telemetry) -> None:
@@ -150,30 +155,19 @@ def _corrected(record: Telemetry) -> str | None:
     )
 
 
-def _budget(
-    config: Scenario | None,
-    noise_nT: float | None,
-    lsb_nT: float | None,
-    attitude_sigma_deg: float | None,
-    attitude_tau_s: float | None,
-) -> Budget:
-    given = {
-        "noise_nT": noise_nT,
-        "lsb_nT": lsb_nT,
-        "attitude_sigma_deg": attitude_sigma_deg,
-        "attitude_tau_s": attitude_tau_s,
-    }
-    sources = {} if config is None else {name: "scenario" for name, value in given.items() if value is None}
+def _budget(config: Scenario | None, frozen: tuple[Active, ...], declared: Declared) -> Budget:
+    """What is declared, the rest from the scenario."""
+    known = declared
     if config is not None:
         reference = config.attitude.reference
-        noise_nT = config.magnetometer.white_nT if noise_nT is None else noise_nT
-        lsb_nT = config.magnetometer.step_nT if lsb_nT is None else lsb_nT
-        if attitude_sigma_deg is None and reference.source == "error_model":
-            attitude_sigma_deg = reference.sigma_deg
-            attitude_tau_s = reference.tau_s if attitude_tau_s is None else attitude_tau_s
-    sigma_rad = None if attitude_sigma_deg is None else float(np.radians(attitude_sigma_deg))
-    frozen = () if config is None else _frozen(config)
-    return Budget(*with_frozen_noise(frozen, noise_nT, lsb_nT), sigma_rad, attitude_tau_s, sources)
+        stated: dict[str, Any] = {"noise_nT": config.magnetometer.white_nT, "lsb_nT": config.magnetometer.step_nT}
+        if declared.attitude_sigma_deg is None and reference.source == "error_model":
+            stated |= {"attitude_sigma_deg": reference.sigma_deg, "attitude_tau_s": reference.tau_s}
+        known = replace(declared, **{name: value for name, value in stated.items() if getattr(declared, name) is None})
+    sources = {} if config is None else {name: "scenario" for name in _ERRORS if getattr(declared, name) is None}
+    sigma_rad = None if known.attitude_sigma_deg is None else float(np.radians(known.attitude_sigma_deg))
+    white = with_frozen_noise(frozen, known.noise_nT, known.lsb_nT)
+    return Budget(*white, sigma_rad, known.attitude_tau_s, sources)
 
 
 def _frozen(config: Scenario) -> tuple[Active, ...]:

@@ -40,6 +40,11 @@ def as_record(telemetry: Telemetry | Path | str) -> Telemetry:
     return telemetry if isinstance(telemetry, Telemetry) else read_telemetry(telemetry)
 
 
+def as_calibration(calibration: Calibration | Path | str) -> Calibration:
+    """A calibration, read first where a file is named."""
+    return calibration if isinstance(calibration, Calibration) else Calibration.from_toml(calibration)
+
+
 def check(
     telemetry: Telemetry | Path | str, *, field: str | FieldModel = "igrf14", degree: int | None = None
 ) -> CheckReport:
@@ -81,9 +86,7 @@ def apply(
     Raises BadInput for a record that is corrected already, and for a calibration of another spacecraft or another time;
     force corrects it all the same.
     """
-    record = as_record(telemetry)
-    known = calibration if isinstance(calibration, Calibration) else Calibration.from_toml(calibration)
-    return apply_calibration(record, known, force=force)
+    return apply_calibration(as_record(telemetry), as_calibration(calibration), force=force)
 
 
 def attitude(
@@ -108,11 +111,7 @@ def attitude(
     from fluxtwin.calib.attitude.three_axis import estimate_attitude
 
     record = as_record(telemetry)
-    given = (
-        calibration
-        if calibration is None or isinstance(calibration, Calibration)
-        else Calibration.from_toml(calibration)
-    )
+    given = None if calibration is None else as_calibration(calibration)
     return estimate_attitude(
         record,
         calibration_of(record, given, force=force),
@@ -196,7 +195,7 @@ def yaw(
         if value is not None and not 0 <= value < np.inf:
             raise BadInput(f"{value:g}", where=name, wanted="zero or a positive number")
     record = as_record(telemetry)
-    given = Calibration.from_toml(calibration) if isinstance(calibration, Path | str) else calibration
+    given = None if calibration is None else as_calibration(calibration)
     known = calibration_of(record, given, force=force)
     if given is None and sigma_B_nT is None and known.sigma_nT == 0:
         raise BadInput("the error of a field component is not known", where="--sigma-nT", wanted="nT, 1 sigma")

@@ -20,6 +20,8 @@ S_SIGMA, BIAS_SIGMA_nT = 0.05, 30_000.0
 """Widths of the prior: preflight matrices err by a few per cent, uncompensated satellites fly with up to 50,000 nT."""
 _SLOW, _TURNS = (0.0, 2.0), (0.0, 3.0, 20.0, 100.0)
 """Sizes of slow errors and of turns of the attitude, in parts of the white error of one row."""
+_SLOW_SIZES = (1.0, 6.0, 25.0)
+"""Of slow errors where no attitude is known."""
 _MEMORIES_S = (100.0, 600.0, 3000.0)
 _SCALES_nT = np.exp(np.linspace(np.log(0.5), np.log(50_000.0), 70))
 MODEL_nT = 5.0
@@ -100,19 +102,16 @@ def _covariances(seconds: FloatArray, lever: FloatArray | None, n: int, d: int) 
     """Shapes of the covariance of the errors, the white one first."""
     white = np.eye(n * d)
     shapes = [white]
-    turns = np.zeros((n, d, n, d))
-    if lever is not None:
-        b = lever / np.sqrt(np.mean(np.sum(lever**2, axis=1)))
-        turns = np.einsum("ij,kl->ikjl", b @ b.T, np.eye(3)) - np.einsum("jk,il->ikjl", b, b)
     for memory in _MEMORIES_S:
         ou = np.exp(-np.abs(seconds[:, None] - seconds) / memory)
         slow = np.kron(ou, np.eye(d))
-        turn = (turns * ou[:, None, :, None]).reshape(n * d, n * d)
-        sizes = [(a, c) for a in _SLOW for c in (_TURNS if lever is not None else (0.0, 5.0, 25.0)) if a or c]
         if lever is None:
-            shapes += [white + max(a, c) ** 2 * slow for a, c in ((1.0, 0.0), (6.0, 0.0), (0.0, 25.0))]
-        else:
-            shapes += [white + a**2 * slow + c**2 * turn for a, c in sizes]
+            shapes += [white + size**2 * slow for size in _SLOW_SIZES]
+            continue
+        b = lever / np.sqrt(np.mean(np.sum(lever**2, axis=1)))
+        turns = np.einsum("ij,kl->ikjl", b @ b.T, np.eye(3)) - np.einsum("jk,il->ikjl", b, b)
+        turn = (turns * ou[:, None, :, None]).reshape(n * d, n * d)
+        shapes += [white + a**2 * slow + c**2 * turn for a in _SLOW for c in _TURNS if a or c]
     return shapes
 
 

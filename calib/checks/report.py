@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -27,13 +27,7 @@ class Finding:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "code": self.code,
-            "severity": self.severity,
-            "text": self.text,
-            "rows": list(self.rows),
-            "row_count": self.row_count,
-        }
+        return {**asdict(self), "rows": list(self.rows)}
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -73,16 +73,9 @@ class Sample:
 
     def take(self, rows: np.ndarray) -> Sample:
         """The sample cut to `rows` (indices or a mask)."""
+        names = ("rows", "time", "r_N_km", "mag_nT", "field_N_nT", "v_N_km_s")
         q = None if self.q_NB is None else self.q_NB[rows]
-        part = Sample(
-            self.rows[rows],
-            self.time[rows],
-            self.r_N_km[rows],
-            self.mag_nT[rows],
-            self.field_N_nT[rows],
-            q,
-            self.v_N_km_s[rows],
-        )
+        part = replace(self, q_NB=q, **{name: getattr(self, name)[rows] for name in names})
         part.__dict__.update({name: self.__dict__[name][rows] for name in ("R_BN", "R_EN") if name in self.__dict__})
         return part
 

@@ -157,19 +157,15 @@ def autocorrelation(residual_nT: FloatArray, segment: np.ndarray, lags: Sequence
     """(K,) correlation of residuals `lags` samples apart within segments, mean over the axes."""
     r = residual_nT - residual_nT.mean(axis=0)
     variance = (r**2).mean(axis=0)
-    if not (variance > 0).all():
-        return np.array([1.0 if lag == 0 else 0.0 for lag in lags])
-    return np.array([_one_lag(r, segment, lag, variance) for lag in lags])
 
+    def at(lag: int) -> float:
+        same = segment[lag:] == segment[: len(segment) - lag]
+        if lag == 0 or not same.any() or not (variance > 0).all():
+            return float(lag == 0)
+        products = np.einsum("ij,ij,i->j", r[lag:], r[:-lag], same.astype(np.float64)) / same.sum()
+        return float((products / variance).mean())
 
-def _one_lag(r: FloatArray, segment: np.ndarray, lag: int, variance: FloatArray) -> float:
-    if lag == 0:
-        return 1.0
-    same = segment[lag:] == segment[:-lag]
-    if not same.any():
-        return 0.0
-    products = np.einsum("ij,ij,i->j", r[lag:], r[:-lag], same.astype(np.float64)) / same.sum()
-    return float((products / variance).mean())
+    return np.array([at(lag) for lag in lags])
 
 
 def correlation_time_s(

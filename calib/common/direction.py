@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
 
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.sim.base.types import FloatArray
@@ -22,7 +23,6 @@ from fluxtwin.sim.earth.frames import angle_between
 CONFIDENCE = 0.95
 _ROWS = 500  # of a longer record, evenly spread
 _ANGLES = 64  # of the quadrature over the ellipse: exact to four digits for axes as different as 1 to 30
-_HALVINGS = 60
 
 
 @dataclass(frozen=True)
@@ -115,9 +115,9 @@ def _quantile_deg(covariance: FloatArray) -> float:
     a = values[:, :1] * np.cos(phi) ** 2 + values[:, 1:] * np.sin(phi) ** 2
     if not a.max() > 0:
         return 0.0
-    low, high = 0.0, 10.0 * float(np.sqrt(a.max()))
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        outside = float(np.exp(-(middle**2) / (2.0 * np.maximum(a, 1e-300))).mean())
-        low, high = (middle, high) if outside > 1.0 - CONFIDENCE else (low, middle)
-    return float(np.degrees(high))
+
+    def too_far(angle_rad: float) -> float:
+        return float(np.exp(-(angle_rad**2) / (2.0 * np.maximum(a, 1e-300))).mean()) - (1.0 - CONFIDENCE)
+
+    largest = 10.0 * float(np.sqrt(a.max()))
+    return float(np.degrees(brentq(too_far, 0.0, largest, xtol=1e-12 * largest)))

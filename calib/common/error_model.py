@@ -211,7 +211,8 @@ class _Likelihood:
         points, factors = np.empty((n + 1, 5)), np.empty(n + 1)
         value, factor = self(p)
         points[0], factors[0] = p, factor
-        scale, root = 1.0, 0.2 * np.eye(2)
+        scale = 1.0
+        root: FloatArray = 0.2 * np.eye(2)
         for k in range(n):
             tried, local = points[k].copy(), kind[k] < _LOCAL
             if local:
@@ -231,8 +232,8 @@ class _Likelihood:
             if k < _BURN and local:
                 scale *= np.exp((taken - _ACCEPTED) / np.sqrt(1.0 + k / 10.0))
             if k < _BURN and k % 40 == 39:
-                spread = np.asarray(np.cov(points[(k + 2) // 2 : k + 2, :2].T), dtype=np.float64)
-                root = np.linalg.cholesky(spread + 1e-4 * np.eye(2))
+                spread = np.cov(points[(k + 2) // 2 : k + 2, :2].T) + 1e-4 * np.eye(2)
+                root = np.asarray(np.linalg.cholesky(spread), dtype=np.float64)
         return points[_BURN + 1 :], factors[_BURN + 1 :]
 
     def starts(self) -> list[FloatArray]:

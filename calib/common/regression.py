@@ -56,3 +56,11 @@ def regress(y: FloatArray, x_parts: Sequence[FloatArray], weights: FloatArray | 
 def residuals(y: FloatArray, x_parts: Sequence[FloatArray], M: FloatArray, c: FloatArray) -> FloatArray:
     """(N, 3) y - M x - c."""
     return np.concatenate([y[at] - x @ M.T - c for at, x in blocks(x_parts, len(y))])
+
+
+def solve_scaled(matrix: FloatArray, vector: FloatArray, damping: float = 0.0, rcond: float = 1e-13) -> FloatArray:
+    """matrix^-1 vector of a symmetric matrix in scaled columns, with Marquardt's damping; directions that are not there are
+    left out."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    scaled = matrix / np.outer(scale, scale) + damping * np.eye(len(scale))
+    return np.asarray(np.linalg.lstsq(scaled, vector / scale, rcond=rcond)[0] / scale)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fluxtwin.calib.common.regression import solve_scaled
 from fluxtwin.calib.scalar.model import ScalarData, blocks, own_noise, residual, terms, unpack
 from fluxtwin.sim.base.types import FloatArray
 
@@ -79,7 +80,7 @@ def solve(
     damping = 1e-3
     while rounds < _ROUNDS and damping < 1e10 and not converged:
         rounds += 1
-        step = -_inverse_times(now.information, now.score, damping)
+        step = -solve_scaled(now.information, now.score, damping)
         # The variances stay as they are for the comparison: a larger q must not pay for a larger r.
         if _cost(p + step, data, _variances(p, data, a)) <= now.cost:
             p, damping = p + step, max(damping * 0.1, 1e-12)
@@ -89,7 +90,7 @@ def solve(
             converged = _settled(step, now, data) and damping < 1.0
             damping *= 10.0
     for _ in range(_ADJUSTMENTS if adjusted and converged else 0):
-        step = -_inverse_times(now.information, now.score - sharpness * now.shared, 0.0)
+        step = -solve_scaled(now.information, now.score - sharpness * now.shared)
         p = p + step
         now = add_up(p, data, a)
         rounds += 1
@@ -123,13 +124,3 @@ def _cost(p: FloatArray, data: ScalarData, weight: FloatArray) -> float:
 def _proper(p: FloatArray, data: ScalarData) -> bool:
     """Finite, and I + D positive: the same |y| has a twin for every axis turned over."""
     return bool(np.isfinite(p).all()) and float(np.linalg.eigvalsh(np.eye(3) + unpack(p, data)[0])[0]) > 0.0
-
-
-def _inverse_times(information: FloatArray, vector: FloatArray, damping: float) -> FloatArray:
-    """information^-1 vector with Marquardt's damping, in scaled columns; weak directions are left out."""
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    scaled = information / np.outer(scale, scale) + damping * np.eye(len(scale))
-    return np.asarray(np.linalg.lstsq(scaled, vector / scale, rcond=1e-13)[0] / scale)
-
-
-__all__ = ["Solved", "Sums", "add_up", "residual", "solve"]

@@ -61,13 +61,17 @@ class Terms(NamedTuple):
 
 def unpack(p: FloatArray, data: ScalarData) -> tuple[FloatArray, FloatArray, FloatArray]:
     """D (3, 3), b (3,), s (J, 3)."""
-    D = np.zeros((3, 3))
-    at = 0
-    if data.with_D:
-        for value, (i, j) in zip(p[:6], PAIRS, strict=True):
-            D[i, j] = D[j, i] = value
-        at = 6
+    at = 6 if data.with_D else 0
+    D = symmetric(p[:6]) if data.with_D else np.zeros((3, 3))
     return D, p[at : at + 3], p[at + 3 :].reshape(-1, 3)
+
+
+def symmetric(values: FloatArray) -> FloatArray:
+    """(3, 3) of its six numbers."""
+    out = np.zeros((3, 3))
+    for value, (i, j) in zip(values, PAIRS, strict=True):
+        out[i, j] = out[j, i] = value
+    return out
 
 
 def pack(D: FloatArray, b: FloatArray, data: ScalarData) -> FloatArray:

@@ -26,8 +26,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fluxtwin.calib.common.regression import solve_scaled
 from fluxtwin.calib.scalar.center import center
-from fluxtwin.calib.scalar.model import PAIRS, ScalarData
+from fluxtwin.calib.scalar.model import PAIRS, ScalarData, symmetric
 from fluxtwin.sim.base.types import FloatArray
 
 TRIVIAL = 0.5
@@ -131,8 +132,8 @@ def _from_noise(data: ScalarData, weight: FloatArray) -> tuple[FloatArray, Float
 
 def solve_moments(moments: Moments, with_D: bool, bias: FloatArray) -> Twostep:
     """Both steps. bias: (3,) CENTER's, where step 1 is of no use."""
-    centred = _least(moments.signal, moments.Lz - moments.noise_Lz)
-    first = float(1.0 + np.linalg.eigvalsh(_E(centred))[0]) if with_D else 1.0
+    centred = solve_scaled(moments.signal, moments.Lz - moments.noise_Lz)
+    first = float(1.0 + np.linalg.eigvalsh(symmetric(centred[3:]))[0]) if with_D else 1.0
     start = np.concatenate([bias, np.zeros(6)]) if first < TRIVIAL else centred
     theta, converged = _second_step(moments, centred, start, with_D)
     if not converged:
@@ -143,27 +144,14 @@ def solve_moments(moments: Moments, with_D: bool, bias: FloatArray) -> Twostep:
 
 def back(theta: FloatArray) -> tuple[FloatArray, FloatArray]:
     """D and b from theta: E = U e U', D = U (sqrt(1+e) - 1) U', b = (I+D)^-1 c. I + E must be positive."""
-    value, vector = np.linalg.eigh(_E(theta))
+    value, vector = np.linalg.eigh(symmetric(theta[3:]))
     root = np.sqrt(np.maximum(1.0 + value, 1e-300))
     D = (vector * (root - 1.0)) @ vector.T
     return D, (vector / root) @ vector.T @ theta[:3]
 
 
-def _E(theta: FloatArray) -> FloatArray:
-    E = np.zeros((3, 3))
-    for value, (i, j) in zip(theta[3:], PAIRS, strict=True):
-        E[i, j] = E[j, i] = value
-    return E
-
-
 def _twice(i: int, j: int) -> float:
     return 1.0 if i == j else 2.0
-
-
-def _least(matrix: FloatArray, vector: FloatArray) -> FloatArray:
-    """matrix^-1 vector in scaled columns; directions that are not there are left out."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    return np.asarray(np.linalg.lstsq(matrix / np.outer(scale, scale), vector / scale, rcond=1e-13)[0] / scale)
 
 
 def _second_step(moments: Moments, centred: FloatArray, start: FloatArray, with_D: bool) -> tuple[FloatArray, bool]:
@@ -175,9 +163,9 @@ def _second_step(moments: Moments, centred: FloatArray, start: FloatArray, with_
         left = moments.mean_z - float(moments.mean_L @ theta) + size
         gradient = moments.signal @ (theta - centred) - centre * left * moments.total
         whole = moments.signal + moments.total * np.outer(centre, centre)
-        step = -_least(whole, gradient)
+        step = -solve_scaled(whole, gradient)
         theta = theta + step
-        if with_D and np.linalg.eigvalsh(np.eye(3) + _E(theta))[0] <= 0:
+        if with_D and np.linalg.eigvalsh(np.eye(3) + symmetric(theta[3:]))[0] <= 0:
             return theta, False
         if abs(float(step @ whole @ step)) < _SETTLED:
             return theta, _positive(whole)
@@ -194,6 +182,6 @@ def _b_squared(theta: FloatArray, with_D: bool) -> tuple[float, FloatArray]:
     """|b|^2 and its derivative with respect to theta."""
     if not with_D:
         return float(theta @ theta), 2.0 * theta
-    u = np.linalg.solve(np.eye(3) + _E(theta), theta[:3])
+    u = np.linalg.solve(np.eye(3) + symmetric(theta[3:]), theta[:3])
     of_E = [-_twice(i, j) * u[i] * u[j] for i, j in PAIRS]
     return float(theta[:3] @ u), np.concatenate([2.0 * u, of_E])

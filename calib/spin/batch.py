@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fluxtwin.calib.common.regression import solve_scaled
 from fluxtwin.calib.spin.motion import SpinMotion
 from fluxtwin.calib.spin.rows import SpinRows
 from fluxtwin.sim.base.types import FloatArray
@@ -118,7 +119,7 @@ def solve_batch(
     now, damping, converged, done = normal_equations(state, rows, noise, prior), 0.0, False, 0
     while done < rounds and damping < 1e8 and not converged:
         done += 1
-        step = _step(now, damping)
+        step = solve_scaled(now.matrix, now.vector, damping, rcond=1e-15)
         tried = _moved(state, step)
         then = normal_equations(tried, rows, noise, prior)
         small = float(step @ now.matrix @ step) < _SETTLED * max(1.0, now.field_chi2)
@@ -131,12 +132,6 @@ def solve_batch(
             converged = small and damping < 1e-3
             damping = max(100.0 * damping, 1e-10)
     return Batch(state, covariance_of_normal(now), now, converged, done)
-
-
-def _step(now: Normal, damping: float) -> FloatArray:
-    scale = np.sqrt(np.diag(now.matrix))
-    matrix = now.matrix / np.outer(scale, scale) + damping * np.eye(SIZE)
-    return np.asarray(np.linalg.lstsq(matrix, now.vector / scale, rcond=1e-15)[0] / scale)
 
 
 def _moved(state: State, step: FloatArray) -> State:

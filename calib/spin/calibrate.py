@@ -29,8 +29,7 @@ from fluxtwin.calib.common.records import LARGE_S, Calibration
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.linear.calibrate import fit_design
 from fluxtwin.calib.linear.method import LinearOptions
-from fluxtwin.calib.scalar.maximum_likelihood import residual
-from fluxtwin.calib.scalar.model import ScalarData, pack
+from fluxtwin.calib.scalar.model import ScalarData, pack, residual
 from fluxtwin.calib.scalar.twostep import twostep
 from fluxtwin.calib.scalar.words import errors
 from fluxtwin.calib.spin.batch import (

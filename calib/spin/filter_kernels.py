@@ -7,23 +7,9 @@ import math
 import numpy as np
 
 from fluxtwin.calib.common import kalman_kernels
-from fluxtwin.calib.common.kalman_kernels import passive, product, times, update
+from fluxtwin.calib.common.kalman_kernels import passive, product, skew, times, update
 from fluxtwin.sim.base.kernel_cache import kernel, part
 from fluxtwin.sim.base.types import FloatArray
-
-
-@part()
-def _between(one: FloatArray, two: FloatArray) -> FloatArray:
-    """one two one'; two is symmetric, and so is this to the last bit."""
-    half = product(one, two)
-    out = np.empty((one.shape[0], one.shape[0]))
-    for i in range(one.shape[0]):
-        for j in range(i + 1):
-            total = 0.0
-            for k in range(one.shape[1]):
-                total += half[i, k] * one[j, k]
-            out[i, j], out[j, i] = total, total
-    return out
 
 
 @kernel(uses=(kalman_kernels,), fastmath=False)
@@ -32,46 +18,33 @@ def step(A: FloatArray, L: FloatArray, ratio: float, h: float) -> tuple[FloatArr
 
     A(t+h) = Rz(lam h) A exp(-[L x] h), lam = L_B3 (Jt/Js - 1), L in units of Jt (Markley & Sedlak 2008, in closed form).
     """
-    x, y, z = L[0], L[1], L[2]
-    size = math.sqrt(x * x + y * y + z * z)
+    size = math.sqrt(L[0] ** 2 + L[1] ** 2 + L[2] ** 2)
     g = h * (1.0 / ratio - 1.0)
     L_B = times(A, L)
     Rz = passive(np.array([0.0, 0.0, L_B[2] * g]))
     turned = product(Rz, A)
-    new = product(turned, passive(np.array([x * h, y * h, z * h])))
+    new = product(turned, passive(L * h))
     a = size * h
     Jl = np.eye(3)
     if a > 1e-9:  # of -L h / Jt: 1 + (1 - cos a) / a [n x] + (1 - sin a / a) [n x]^2
-        n = (-x / size, -y / size, -z / size)
-        one, two = (1.0 - math.cos(a)) / a, 1.0 - math.sin(a) / a
-        for i in range(3):
-            for k in range(3):
-                Jl[i, k] += two * (n[i] * n[k] - (1.0 if i == k else 0.0))
-            Jl[i, (i + 1) % 3] -= one * n[(i + 2) % 3]
-            Jl[i, (i + 2) % 3] += one * n[(i + 1) % 3]
+        turning = skew(-L / size)
+        Jl += (1.0 - math.cos(a)) / a * turning + (1.0 - math.sin(a) / a) * product(turning, turning)
     side = product(turned, Jl)
     Phi = np.eye(6)
-    for i in range(3):
-        for k in range(3):
-            Phi[i, k] = Rz[i, k]
-            Phi[i, 3 + k] = h * side[i, k]
+    Phi[:3, :3], Phi[:3, 3:] = Rz, h * side
     Phi[2, 0] -= g * L_B[1]
     Phi[2, 1] += g * L_B[0]
-    for k in range(3):
-        Phi[2, 3 + k] += g * A[2, k]
+    Phi[2, 3:] += g * A[2]
     return new, Phi
 
 
 @part()
-def _moved(L: FloatArray, x: float, y: float, z: float) -> FloatArray:
+def _moved(L: FloatArray, error: FloatArray) -> FloatArray:
     """L after an error: what lies across L turns it and leaves its size, or the phase would slip far off."""
     size = math.sqrt(L[0] ** 2 + L[1] ** 2 + L[2] ** 2)
-    a, b, c = L[0] / size, L[1] / size, L[2] / size
-    along = 1.0 + (a * x + b * y + c * z) / size
-    out = times(passive(np.array([c * y - b * z, a * z - c * x, b * x - a * y]) / size), L)
-    for i in range(3):
-        out[i] *= along
-    return out
+    n = L / size
+    longer: float = 1.0 + (n * error).sum() / size
+    return longer * times(passive(times(skew(error), n) / size), L)
 
 
 @kernel(uses=(kalman_kernels,), fastmath=False)
@@ -102,16 +75,15 @@ def run_filter(
         now = t_s[k]
         if h > 0.0:
             A, Phi = step(A, L, ratio, h)
-            P = _between(Phi, P)
+            P = Phi @ P @ Phi.T
+            P = 0.5 * (P + P.T)
             x = times(Phi, x)
             for i in range(3):
                 P[3 + i, 3 + i] += noise[2] * h
         y = times(A, ref_N[k])
         if kind[k] == 0.0:
-            H, R, r = np.zeros((3, 6)), noise[0] ** 2 * np.eye(3), np.empty(3)
-            for m in range(3):
-                H[m, (m + 1) % 3], H[m, (m + 2) % 3] = -y[(m + 2) % 3], y[(m + 1) % 3]
-                r[m] = seen[k, m] - y[m]
+            H, R, r = np.zeros((3, 6)), noise[0] ** 2 * np.eye(3), seen[k] - y
+            H[:, :3] = skew(y)
         else:
             across = math.sqrt(y[0] ** 2 + y[1] ** 2)
             H = np.zeros((2, 6))
@@ -124,10 +96,7 @@ def run_filter(
             R[0, 0], R[1, 1] = (noise[1] / across) ** 2, noise[1] ** 2
         nis[k] = r.size * update(x, P, H, r, R, np.empty(3), np.inf)[0]
         if extended:
-            A, L = product(passive(x[:3]), A), _moved(L, x[3], x[4], x[5])
+            A, L = product(passive(x[:3]), A), _moved(L, x[3:])
             x = np.zeros(6)
-        best = product(passive(x[:3]), A)
-        for i in range(3):
-            for j in range(3):
-                history[k, i, j] = best[i, j]
-    return product(passive(x[:3]), A), _moved(L, x[3], x[4], x[5]), P
+        history[k] = product(passive(x[:3]), A)
+    return product(passive(x[:3]), A), _moved(L, x[3:]), P

@@ -11,10 +11,16 @@ from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 
 _CONFUSED = 0.8  # shares below this are in the JSON
 _RANKED = 6
+_ALL_TESTED = "Every effect of the catalogue could be tested."
 
 
 def diagnosis_page(diagnosis: Diagnosis, title: str) -> Page:
     """The page of one diagnosis."""
+    tested_elsewhere = [transfer_table(diagnosis)] if diagnosis.transfers else []
+    elsewhere = [PageSection("Where the closed scenario holds", [], tested_elsewhere)] if tested_elsewhere else []
+    open_ = [untestable_table(diagnosis)] if diagnosis.untestable else []
+    confused = confused_table(diagnosis)
+    could = [detectable_table(diagnosis), confused] if confused.rows else [detectable_table(diagnosis)]
     return Page(
         title=title,
         verdict=diagnosis.sentence,
@@ -22,9 +28,9 @@ def diagnosis_page(diagnosis: Diagnosis, title: str) -> Page:
             _where(diagnosis),
             _which(diagnosis),
             _far(diagnosis),
-            *_elsewhere(diagnosis),
-            _open(diagnosis),
-            _could(diagnosis),
+            *elsewhere,
+            PageSection("What could not be tested", [] if open_ else [_ALL_TESTED], open_),
+            PageSection("What these data could show", [], could),
         ],
         provenance=_provenance(diagnosis),
     )
@@ -129,25 +135,6 @@ def _far(diagnosis: Diagnosis) -> PageSection:
     return PageSection("How far it shrinks", [], [far_table(diagnosis), *momentum_tables(diagnosis)], figures)
 
 
-def _elsewhere(diagnosis: Diagnosis) -> list[PageSection]:
-    """Where the closed scenario holds; nothing when closing was not asked for."""
-    return (
-        [PageSection("Where the closed scenario holds", [], [transfer_table(diagnosis)])] if diagnosis.transfers else []
-    )
-
-
-def _open(diagnosis: Diagnosis) -> PageSection:
-    if not diagnosis.untestable:
-        return PageSection("What could not be tested", ["Every effect of the catalogue could be tested."])
-    return PageSection("What could not be tested", [], [untestable_table(diagnosis)])
-
-
-def _could(diagnosis: Diagnosis) -> PageSection:
-    shown = [detectable_table(diagnosis)]
-    confused = confused_table(diagnosis)
-    return PageSection("What these data could show", [], [*shown, confused] if confused.rows else shown)
-
-
 def effects_table(diagnosis: Diagnosis) -> Table:
     """Named effects with parameters."""
     rows = []
@@ -183,10 +170,7 @@ def momentum_tables(diagnosis: Diagnosis) -> list[Table]:
         return []
     dynamic = any(effect.stage == "dynamics" for effect in diagnosis.effects)
     closed = "not measurable" if dynamic else "nothing is named here"
-    if m.closed is not None:
-        closed = f"{100 * m.closed:.0f} %"
-        if m.interval is not None:
-            closed += f" ({100 * m.interval[0]:.0f} to {100 * m.interval[1]:.0f} %)"
+    closed = _closed(m.closed, m.interval) or closed
     errors = [
         f"{axis} {value:.3f}" + ("" if sigma is None else f" ± {sigma:.3f}")
         for axis, (value, sigma) in m.standing_error_deg.items()
@@ -202,6 +186,13 @@ def momentum_tables(diagnosis: Diagnosis) -> list[Table]:
     ]
 
 
+def _closed(share: float | None, interval: tuple[float, float] | None) -> str:
+    if share is None:
+        return ""
+    bounds = "" if interval is None else f" ({100 * interval[0]:.0f} to {100 * interval[1]:.0f} %)"
+    return f"{100 * share:.0f} %{bounds}"
+
+
 def far_table(diagnosis: Diagnosis) -> Table:
     """Before, after and floor."""
     g = diagnosis.gap
@@ -210,10 +201,7 @@ def far_table(diagnosis: Diagnosis) -> Table:
         closed = "nothing is named"
     if {effect.name for effect in diagnosis.effects} == {"bit_errors"}:
         closed = "cut from both"
-    if g.closed is not None:
-        closed = f"{100 * g.closed:.0f} %"
-        if g.interval is not None:
-            closed += f" ({100 * g.interval[0]:.0f} to {100 * g.interval[1]:.0f} %)"
+    closed = _closed(g.closed, g.interval) or closed
     floors = [f"{g.floor_nT:.1f}", f"{g.floor_with_effects_nT:.1f}"]
     rows = [["all", f"{g.before_nT:.1f}", f"{g.after_nT:.1f}", *floors, closed]]
     rows += [

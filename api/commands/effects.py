@@ -70,6 +70,8 @@ def _in_full(output: Output, effect: Effect) -> None:
 
 
 def _record(effect: Effect) -> dict[str, Any]:
+    import dataclasses
+
     from fluxtwin.sim.effects.base import SignalEffect
     from fluxtwin.sim.scenario.effect_sections import keys_of
 
@@ -79,7 +81,7 @@ def _record(effect: Effect) -> dict[str, Any]:
         "equivalent_stages": list(effect.equivalent_stages),
         "kind": "signal" if isinstance(effect, SignalEffect) else "distribution",
         "about": effect.about,
-        "settings": _settings(effect),
+        "settings": {item.name: getattr(effect, item.name) for item in dataclasses.fields(effect)},
         "parameters": [
             {
                 "name": p.name,
@@ -92,13 +94,6 @@ def _record(effect: Effect) -> dict[str, Any]:
             for p in key.parameters
         ],
     }
-
-
-def _settings(effect: Effect) -> dict[str, Any]:
-    """Name and default of each discrete setting."""
-    import dataclasses
-
-    return {item.name: getattr(effect, item.name) for item in dataclasses.fields(effect)}
 
 
 def _brief(effect: Effect) -> str:

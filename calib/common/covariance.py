@@ -19,8 +19,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.special import ndtr, stdtrit
 
-from fluxtwin.calib.common.moments import blocks
-from fluxtwin.calib.common.regression import Regression
+from fluxtwin.calib.common.regression import Regression, blocks
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 
 FEWEST_BLOCKS = 8
@@ -28,6 +27,7 @@ BLOCKS = (192, 128, 96, 64, 48, 32, 24, 16, 12, 8)
 """How many blocks a record is cut into, in turn; with the first, sigma is known to 5 %."""
 _MOST_BLOCKS, _MOST_ASKED = 200, 1000
 _FEWEST_BATCHES = 20
+_STRETCHES = 10
 
 
 def plain_covariance(
@@ -151,6 +151,15 @@ def segments(time: TimeArray, least_gap_s: float = 0.0) -> np.ndarray:
     if step.size == 0:
         return np.zeros(len(time), dtype=int)
     return np.concatenate([[0], np.cumsum(step > max(5.0 * float(np.median(step)), least_gap_s * 1e9))])
+
+
+def stretches(rows: int, most: int) -> np.ndarray:
+    """Indices of at most `most` rows in ten stretches of consecutive rows, spread over the record."""
+    if rows <= most:
+        return np.arange(rows)
+    length = most // _STRETCHES
+    starts = np.linspace(0, rows - length, _STRETCHES).astype(int)
+    return np.unique((starts[:, None] + np.arange(length)).ravel())
 
 
 def autocorrelation(residual_nT: FloatArray, segment: np.ndarray, lags: Sequence[int]) -> FloatArray:

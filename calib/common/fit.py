@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -13,8 +13,12 @@ from fluxtwin.calib.common.noise import ReadingNoise
 from fluxtwin.calib.common.observability import FieldVariation
 from fluxtwin.calib.common.records import Calibration, parameter_unit
 from fluxtwin.calib.common.residuals import ResidualStatistics
+from fluxtwin.calib.common.robust import find_outliers
 from fluxtwin.calib.common.verdict import Verdict
 from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.telemetry.record import Telemetry
+
+F = TypeVar("F", bound="Fit")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,3 +102,15 @@ class Fit:
             "messages": list(self.messages),
             "verdict": None if self.verdict is None else self.verdict.to_dict(),
         }
+
+
+def with_warnings(fit: F, telemetry: Telemetry, *, robust: bool) -> F:
+    """The fit of a record with its warnings among the messages; none for a fit that looks sound."""
+    found = []
+    dipole = telemetry.dipole_B_Am2
+    if fit.calibration.T_nT_per_Am2 is None and dipole is not None and bool((np.nanstd(dipole, axis=0) > 0).any()):
+        found.append("the torquers fired in these data and T was not asked for: compare with parameters b,S,T")
+    outliers = 0 if robust else int(find_outliers(fit.residuals_nT).sum())
+    if outliers:
+        found.append(f"{outliers} rows are outliers (bit errors?): compare with robust weights (tukey)")
+    return replace(fit, messages=(*fit.messages, *found))

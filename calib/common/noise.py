@@ -21,9 +21,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import nnls
 
+from fluxtwin.calib.common.covariance import stretches
 from fluxtwin.calib.common.design import Design
 from fluxtwin.calib.common.digits import measured, plain
-from fluxtwin.calib.common.moments import stretches
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 

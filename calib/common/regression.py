@@ -8,14 +8,15 @@ are never formed: the centred rows are reduced to a triangle by Householder QR, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from fluxtwin.calib.common.moments import blocks
 from fluxtwin.sim.base.types import FloatArray
+
+_BLOCK_ROWS = 16384
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,13 @@ class Regression:
     """(m, m) weighted covariance <x|x> (journal eq. 7)."""
     rr: FloatArray
     """(3, 3) sum of a_k r_k r_k'."""
+
+
+def blocks(parts: Sequence[FloatArray], rows: int) -> Iterator[tuple[slice, FloatArray]]:
+    """Slices of rows and the columns of all `parts` (each (N, k)) there, side by side; (n, 0) where there are none."""
+    for start in range(0, rows, _BLOCK_ROWS):
+        at = slice(start, min(start + _BLOCK_ROWS, rows))
+        yield at, np.hstack([np.zeros((at.stop - start, 0)), *(part[at] for part in parts)])
 
 
 def regress(y: FloatArray, x_parts: Sequence[FloatArray], weights: FloatArray | None = None) -> Regression:

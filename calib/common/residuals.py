@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.calib.common.covariance import autocorrelation, correlation_time_s, segments
+from fluxtwin.calib.common.covariance import autocorrelation, correlation_time_s, segments, stretches
 from fluxtwin.calib.common.design import joined, reference_field_B_nT
-from fluxtwin.calib.common.moments import stretches
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray, TimeArray

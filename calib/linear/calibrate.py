@@ -21,8 +21,7 @@ from fluxtwin.calib.common import observability
 from fluxtwin.calib.common.conventions import Forward, correction_from_forward
 from fluxtwin.calib.common.design import Design, assemble, joined
 from fluxtwin.calib.common.digits import plain
-from fluxtwin.calib.common.fit import Fit
-from fluxtwin.calib.common.fit_warnings import with_warnings
+from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import reading_noise
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.regression import Regression, regress, residuals

@@ -2,7 +2,7 @@
 
 | method | what it is |
 |---|---|
-| `center` | b from differences of |B|^2 - |H|^2 (`center`) |
+| `center` | b from differences of |B|^2 - |H|^2 (`twostep.center`) |
 | `twostep` | Alonso & Shuster's b, or b and symmetric D, with the noise term corrected (`twostep`) |
 | `scalar` | maximum likelihood of |B| (`maximum_likelihood`), from TWOSTEP; takes torquers and columns of telemetry |
 
@@ -18,13 +18,12 @@ import numpy as np
 
 from fluxtwin.calib.common import observability
 from fluxtwin.calib.common.design import joined
-from fluxtwin.calib.common.fit_warnings import with_warnings
+from fluxtwin.calib.common.fit import with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, scalar_noise
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import RobustWeights, robust_weights
 from fluxtwin.calib.scalar import words
-from fluxtwin.calib.scalar.center import center, center_terms
 from fluxtwin.calib.scalar.covariance import Scores, field_error_covariance, scalar_covariance, scores_of
 from fluxtwin.calib.scalar.fit import NO_ROTATION, ScalarFit, file_parameters
 from fluxtwin.calib.scalar.maximum_likelihood import Solved, Sums, add_up, solve
@@ -41,7 +40,7 @@ from fluxtwin.calib.scalar.observability import (
     require_observed,
 )
 from fluxtwin.calib.scalar.rows import ScalarRows, assemble_scalar
-from fluxtwin.calib.scalar.twostep import twostep
+from fluxtwin.calib.scalar.twostep import center, center_terms, twostep
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.field import FieldModel

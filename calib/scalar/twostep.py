@@ -16,6 +16,12 @@ then. With G = dL/dB a row adds G Sigma G' to LL and 2 G Sigma B to Lz that are 
 noise, shifts z by -16 w'Sigma(I+E)Sigma w / s^2, w = (I+D) y. On an arc in which the field hardly turns the first of
 these is most of LL's weakest direction: b was wrong there by ten sigma. `corrected` takes all three off.
 
+CENTER is the first of these alone, for the bias: differences of |B|^2 - |H|^2 (Gambhir 1975 in RESIDG),
+
+    b = [sum 4 Bt Bt']^-1 sum 2 Bt zt,     Bt = B - <B>, zt = z - <z>
+
+It needs no start, and throws away what the means know.
+
 Where |H| hardly varies, step 1 of `complete` tends to the exact and useless solution E = -I, c = 0. Step 2 then starts
 from the bias alone with E = 0. Numbers here are free of units.
 """
@@ -27,7 +33,6 @@ from typing import NamedTuple
 import numpy as np
 
 from fluxtwin.calib.common.regression import solve_scaled
-from fluxtwin.calib.scalar.center import center
 from fluxtwin.calib.scalar.model import PAIRS, ScalarData, symmetric
 from fluxtwin.sim.base.types import FloatArray
 
@@ -36,6 +41,30 @@ TRIVIAL = 0.5
 _WEIGHTINGS = 3
 _ROUNDS = 50
 _SETTLED = 1e-10
+
+
+def center(data: ScalarData, a: FloatArray | None = None) -> FloatArray:
+    """(3,) b, of least size where the readings do not span space; a: (N,) weights."""
+    w = np.full(len(data.H), 1.0 / len(data.H)) if a is None else a / a.sum()
+    z = (data.B**2).sum(axis=1) - data.H**2
+    B = data.B - w @ data.B
+    gram = 4.0 * ((B * w[:, None]).T @ B)
+    right = 2.0 * ((B * w[:, None]).T @ (z - w @ z))
+    return np.asarray(np.linalg.lstsq(gram, right, rcond=1e-10)[0])
+
+
+def center_terms(
+    b: FloatArray, data: ScalarData, a: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Scores (N, 3), their slope (3, 3) and its factors (N, 3): the error of b is slope^-1 times the sum of the scores.
+
+    a: (N,) weights, one each where not given.
+    """
+    w = np.ones(len(data.H)) if a is None else a
+    z = (data.B**2).sum(axis=1) - data.H**2
+    rows = 2.0 * (data.B - w @ data.B / w.sum())
+    left = z - w @ z / w.sum() - rows @ b
+    return rows * (w * left)[:, None], np.asarray((rows * w[:, None]).T @ rows), rows
 
 
 class Twostep(NamedTuple):

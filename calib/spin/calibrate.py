@@ -21,8 +21,7 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.calib.common.conventions import Forward, correction_from_forward, forward_jacobian
 from fluxtwin.calib.common.covariance import batch_widening, segments
 from fluxtwin.calib.common.design import Design, joined
-from fluxtwin.calib.common.fit import Fit
-from fluxtwin.calib.common.fit_warnings import with_warnings
+from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, scalar_noise
 from fluxtwin.calib.common.observability import field_variation
 from fluxtwin.calib.common.records import LARGE_S, Calibration

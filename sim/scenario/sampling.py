@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import TYPE_CHECKING, Self, get_args
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import create_model, model_validator
 
 from fluxtwin.sim.base.section_types import NonNegative, Positive, Section
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.scenario.sections import ScheduleSection
-from fluxtwin.sim.telemetry.quantities import columns_of
+from fluxtwin.sim.telemetry.quantities import Part, columns_of
 from fluxtwin.sim.telemetry.record import Telemetry
 
 
@@ -28,17 +28,8 @@ class RateSection(Section):
         return self
 
 
-class SamplingSection(Section):
+class SamplingBase(Section):
     """Who is read when; without a section in every row."""
-
-    magnetometer: RateSection | None = None
-    magnetometer_2: RateSection | None = None
-    attitude: RateSection | None = None
-    sun_sensor: RateSection | None = None
-    horizon_scanner: RateSection | None = None
-    gyro: RateSection | None = None
-    torquers: RateSection | None = None
-    housekeeping: RateSection | None = None
 
     @property
     def rates(self) -> dict[str, RateSection]:
@@ -56,6 +47,15 @@ class SamplingSection(Section):
                         f"[sampling.{name}]: every_s = {rate.every_s:g} and offset_s = {rate.offset_s:g} are to be whole "
                         f"multiples of the rows' step_s, {step_s:g}"
                     )
+
+
+if TYPE_CHECKING:
+    SamplingSection = SamplingBase
+else:
+    SamplingSection = create_model(
+        "SamplingSection", __base__=SamplingBase, **dict.fromkeys(get_args(Part), (RateSection | None, None))
+    )
+    """[sampling] with [sampling.NAME] for each part that writes columns of telemetry."""
 
 
 def sampled_rows(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from fluxtwin.gap.held_out import closing, transfer
 from fluxtwin.gap.held_out.closing import Declared as Declared
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget
 from fluxtwin.gap.records.diagnosis import Diagnosis
-from fluxtwin.gap.report import input_warnings, second_channel
+from fluxtwin.gap.report import input_warnings
 from fluxtwin.scenarios.packaged import as_scenario
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.progress import Progress, silent
@@ -71,8 +70,7 @@ def diagnose(
     model = load_field(model_name, degree or (config.field.degree if config is not None and field is None else None))
     frozen = () if config is None else _frozen(config)
     budget = _budget(config, frozen, declared)
-    investigated = partial(
-        investigate_record,
+    found = investigate_record(
         record,
         model,
         modelled=modelled,
@@ -83,7 +81,6 @@ def diagnose(
         provenance={"source": record.provenance.get("source", "")},
         progress=progress,
     )
-    found = second_channel.with_second_channel(investigated, second_channel.channel_of(record, frozen))
     stuck = input_warnings.stuck_attitude(record, budget.attitude_sigma_rad)
     notes = [
         _corrected(record),

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from fluxtwin.gap.channels.momentum import balanced
 from fluxtwin.gap.channels.momentum_arcs import Craft
+from fluxtwin.gap.channels.sun_nadir import Channel
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.full_rate import MOST_ROWS as MOST_ROWS_FAST
 from fluxtwin.gap.detectors.full_rate import full_rate
@@ -23,11 +23,12 @@ from fluxtwin.gap.hypotheses.perturbed_design import Shaken
 from fluxtwin.gap.noise.choice import choose_noise, complete_budget, whitener_of
 from fluxtwin.gap.posterior.explanations import Answer, noise_and_answer
 from fluxtwin.gap.posterior.structured import Structured
+from fluxtwin.gap.posterior.torques import balanced
 from fluxtwin.gap.posterior.where import where
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget, Problem, pose, realigned
 from fluxtwin.gap.problem.start import start_without_attitude
 from fluxtwin.gap.records.diagnosis import Diagnosis, Place
-from fluxtwin.gap.report import level, verdict, words
+from fluxtwin.gap.report import level, second_channel, verdict, words
 from fluxtwin.gap.report.verdict import Work
 from fluxtwin.gap.selection.detectable import under_all
 from fluxtwin.gap.selection.refit import Readings, refit, settled
@@ -60,7 +61,6 @@ def diagnose(
     budget: Budget | None = None,
     instrument: Magnetometer | None = None,
     frozen: Sequence[Active] = (),
-    ruled_out: Sequence[str] = (),
     craft: Craft | None = None,
     provenance: Mapping[str, object] | None = None,
     progress: Progress = silent,
@@ -68,8 +68,8 @@ def diagnose(
     """Diagnose a record against a field model.
 
     modelled: effects re-estimated as nuisance in every test. budget: the declared noise; what is missing is found in
-    the data. instrument: starting S, b, T. frozen: effects applied as they are. ruled_out: effects that another measurement
-    has ruled out. craft: the vehicle as modelled, for the balance of its momentum.
+    the data. instrument: starting S, b, T. frozen: effects applied as they are. craft: the vehicle as modelled, for the
+    balance of its momentum.
     Raises BadInput for unknown names and absent columns, NoAnswer when there are too few rows for the question.
     """
     progress("baseline", 0.0)
@@ -79,14 +79,16 @@ def diagnose(
     if instrument is None and modelled and not record.has_attitude.any():
         instrument = start_without_attitude(record, model)
     problem = pose(record, model, modelled=modelled, budget=budget, instrument=instrument, frozen=frozen)
-    out = dict.fromkeys(ruled_out, "the angle between sun and nadir has nothing of it")
-    problem = replace(problem, ruled_out=out)
     _require_rows(problem)
     faster = None if every == 1 else whole
+    channel = second_channel.channel_of(telemetry, frozen)
     work = investigate(settled(problem), progress, faster, craft)
-    if work.momentum.ruled_out:
-        problem = replace(problem, ruled_out={**out, **work.momentum.ruled_out})
+    while out := {**work.momentum.ruled_out, **_without_the_angle(work, channel)}:
+        problem = replace(problem, ruled_out={**problem.ruled_out, **out})
         work = investigate(settled(problem), progress, faster, craft)
+    if channel is not None:
+        gone = [name for name, why in problem.ruled_out.items() if why == second_channel.NOT_THERE]
+        work = replace(work, angle=second_channel.weighed(work.standing, channel, gone))
     answer, problem = work.answer, work.problem
     facts: dict[str, object] = dict(provenance or {})
     facts |= {"field_model": model.title, "noise": answer.noise.words}
@@ -102,6 +104,9 @@ def diagnose(
         notes.append(words.outliers(problem.time, answer.robust.cut))
     notes += [] if new == 1 else [words.repeated_rounding(new)]
     notes += [] if every == 1 else [words.thinned(every, MOST_ROWS_FAST)]
+    if work.angle is not None:
+        facts["sun_nadir"] = work.angle.to_dict()
+        notes += work.angle.notes
     progress("done", 1.0)
     return verdict.assemble(
         work,
@@ -110,6 +115,11 @@ def diagnose(
         without_attitude=int((telemetry.has_reading & ~telemetry.has_attitude).sum()),
         notes=notes,
     )
+
+
+def _without_the_angle(work: Work, channel: Channel | None) -> dict[str, str]:
+    """{name: why} of named effects that the angle between sun and nadir has nothing of."""
+    return {} if channel is None else second_channel.ruled_out(work.standing, channel)
 
 
 def investigate(

@@ -1,196 +1,193 @@
-"""Another channel of a diagnosis: the balance of the momentum, beside the magnetometer.
+"""The balance of the momentum as a channel, beside the readings of the magnetometer.
 
 Attitude, wheels and torquers say how the body's momentum went on; the torques of the vehicle as modelled say how it
-should have. Windows of the record (`momentum_windows`) are compared attitude by attitude; what is left is searched for
-effects on the dynamics with the scores of the magnetometer's channel.
+should have. Errors of the two channels are independent, so their rows stand in one channel, each whitened by its own
+noise. An effect on the dynamics leaves the readings as they are and has no image there; one on the recorded attitude or on
+the reported orbit has an image in both.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
 from typing import cast
 
 import numpy as np
 
-from fluxtwin.gap.channels import momentum_causes as causes
-from fluxtwin.gap.channels.momentum_arcs import Craft, arcs
-from fluxtwin.gap.channels.momentum_held_out import how_far
+from fluxtwin.gap.channels import momentum_images as images
+from fluxtwin.gap.channels.momentum_arcs import Windows
 from fluxtwin.gap.channels.momentum_noise import MomentumWhitener, choose_noise
-from fluxtwin.gap.channels.momentum_orbit import ahead_km, estimate, ruled_out
-from fluxtwin.gap.channels.momentum_search import Balance, Beside, Refit, named, refitted, significant_left, sought
-from fluxtwin.gap.channels.momentum_windows import MOST_NODES, WINDOW_S, Windows, windows
 from fluxtwin.gap.hypotheses.candidates import Candidate
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.records.diagnosis import Detectable, FoundEffect, MomentumGap, Ranked
-from fluxtwin.gap.selection.detectable import noncentrality
-from fluxtwin.gap.selection.groups import isolability, shares_by_name
 from fluxtwin.gap.selection.named import SearchResult
-from fluxtwin.gap.selection.score import Board
+from fluxtwin.gap.selection.refit import Fit
+from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.effects.base import SignalEffect
+from fluxtwin.sim.effects.base import DynamicsEffect, Effect, Parameter, SignalEffect
+from fluxtwin.sim.effects.chain import Active
+from fluxtwin.sim.effects.clock_and_orbit import AlongTrackError, TimeTagOffset
+from fluxtwin.sim.effects.response import SensorLag
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 
-_LEFT_P = 0.001
-_AGAIN = 2
-CARRIED = 0.9
-"""Share of the structured energy that the named effects must carry where structure is left."""
-_NO_SCENARIO = 'no scenario with attitude mode "dynamics" says what the body is and which torques turn it'
+_AHEAD = AlongTrackError.name
+_LATE = (TimeTagOffset.name, SensorLag.name)
+"""What moves the readings as an error along the orbit does, and no torque."""
+_AGAINST, _FOR = 3.89, 2.58
+"""Sigma: beyond the first (1e-4) a value is not there, within the second (0.01) it may be."""
+
+
+@dataclass(frozen=True)
+class Always(Effect):
+    """Columns that are fitted in every test, as an effect with so many parameters without limits."""
+
+    count: int
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter("", "1", 1.0),) * self.count
 
 
 @dataclass(frozen=True, eq=False)
-class Momentum:
-    """What the balance of the momentum says; `gap` is None where there is no balance."""
+class MomentumChannel:
+    """N readings at their refit and the M nodes of the balance; columns have the unit nT above and rad below."""
 
-    named: tuple[FoundEffect, ...] = ()
-    untestable: Mapping[str, str] = field(default_factory=dict)
-    ranking: tuple[Ranked, ...] = ()
-    isolability: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    minimum_detectable: Mapping[str, Detectable] = field(default_factory=dict)
-    structured: bool = False
-    """Whether torques are left that no effect makes."""
-    explained_share: float | None = None
-    left_condition: str | None = None
-    left_frame: str | None = None
-    words: str = ""
-    gap: MomentumGap | None = None
-    ahead_km: tuple[float, float] | None = None
-    """How far the reported position is ahead along the orbit, and sigma; None where torques do not show it."""
-    ruled_out: Mapping[str, str] = field(default_factory=dict)
-    """Names that the readings would accept and the torques do not: why."""
+    windows: Windows
+    readings: Whitener
+    balance: MomentumWhitener
+    bare: FloatArray
+    """(N + M, 3) residual of the readings with all that is named there, and of the balance as modelled."""
+    fitted: FloatArray
+    """(N + M, 3, c) what is always fitted: what the readings have; in the balance what wheels and torquers did between the
+    rows; an attitude error that stands still (the last three)."""
+    causes: Sequence[Candidate]
+
+    share_left = 1e-3
+    """The rest of fainter images is mostly what is left out in making them."""
 
     @property
-    def standing(self) -> tuple[FoundEffect, ...]:
-        """Named effects that stand: one of few that would do, and either nothing is left or little beside them."""
-        carried = self.explained_share is not None and self.explained_share >= CARRIED
-        few = not any(one.too_many_alike for one in self.named)
-        return self.named if few and (not self.structured or carried) else ()
+    def measured(self) -> int:
+        return self.readings.measured + self.balance.measured
 
-    @property
-    def unexplained(self) -> bool:
-        """Whether something is there that no effect explains."""
-        return (bool(self.named) or self.structured) and not self.standing
+    @cached_property
+    def modelled(self) -> Sequence[Active]:
+        count = self.fitted.shape[2]
+        return [(Always(count), np.zeros(count))]
 
-    @property
-    def incomplete(self) -> bool:
-        """Whether the named effects stand and something smaller is left."""
-        return bool(self.standing) and self.structured
+    def apply(self, columns: FloatArray) -> FloatArray:
+        """Columns (N + M, 3) or (N + M, 3, P), whitened."""
+        above, below = np.split(columns, [len(columns) - self.windows.rows.size])
+        return np.concatenate([self.readings.apply(above), self.balance.apply(below)])
+
+    def below(self, columns: FloatArray) -> FloatArray:
+        """The rows of the balance."""
+        return columns[len(columns) - self.windows.rows.size :]
+
+    def raw(self, active: Sequence[Active]) -> FloatArray:
+        """(N + M, 3) residual with these effects on; a body that cannot be has its effect in proportion."""
+        vehicle, rest = self.windows.arcs.craft.vehicle, np.array(self.bare)
+        for effect, theta in active:
+            moved = None
+            if isinstance(effect, DynamicsEffect):
+                with suppress(BadInput):
+                    moved = effect.on(vehicle, theta)
+            if moved is None:
+                rest -= self.columns(effect) @ theta
+            else:
+                vehicle = moved
+        if vehicle is not self.windows.arcs.craft.vehicle:
+            self.below(rest)[:] -= self.windows.image(vehicle)
+        return rest
+
+    def residual(self, active: Sequence[Active]) -> FloatArray:
+        """(N + M, 3) whitened, with these effects on."""
+        return self.apply(self.raw(active))
+
+    def jacobian(self, active: Sequence[Active]) -> FloatArray:
+        """(N + M, 3, p) whitened images, about a vehicle without any effect: a motion that is far from the vehicle's own is
+        made anew (see `Arcs.along`)."""
+        for effect, _ in active:
+            if effect not in self._white:
+                self._white[effect] = self.apply(self.columns(effect))
+        return np.concatenate([self._white[effect] for effect, _ in active], axis=2)
+
+    def candidate(self, effect: SignalEffect, modelled: Sequence[Active]) -> Candidate:
+        """One of the causes."""
+        return next(cause for cause in self.causes if cause.effect == effect)
+
+    def proposed(self, base: Fit) -> Sequence[SignalEffect]:
+        """None."""
+        return ()
+
+    @cached_property
+    def _white(self) -> dict[Effect, FloatArray]:
+        return {}
+
+    def columns(self, effect: Effect) -> FloatArray:
+        """(N + M, 3, p) image of a cause, or what is always fitted, as it is."""
+        if isinstance(effect, Always):
+            return self.fitted
+        return next(cause.jacobian for cause in self.causes if cause.effect == effect)
+
+    def estimate(self, fit: Fit, *further: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """By the balance alone: best values and sigma of what is always fitted, of the named effects and of further
+        columns (N + M, 3, p), all at once; infinite sigma where there is nothing."""
+        columns = self.balance.apply(self.below(np.concatenate([self.every(fit.chosen), *further], axis=2)))
+        return solved(columns, self.balance.apply(self.below(self.raw(fit.chosen))))
+
+    def every(self, chosen: Sequence[Active]) -> FloatArray:
+        """(N + M, 3, c + p) all that is fitted with these effects named, as it is."""
+        return np.concatenate([self.fitted, *(self.columns(effect) for effect, _ in chosen)], axis=2)
+
+    def signal(self, effect: Effect, theta: FloatArray) -> FloatArray:
+        """(M, 3) [rad] of an effect in the balance, beside the free starts."""
+        return self.balance.by_attitude.left(self.below(self.columns(effect)) @ theta)
 
 
-def absent(reason: str) -> Momentum:
-    """No balance: why the effects on the dynamics cannot be tested."""
-    return Momentum(untestable={effect.name: reason for effect in causes.DYNAMICS})
+def momentum_channel(
+    problem: Problem, windows: Windows, readings: Whitener, result: SearchResult, fitted_nT: FloatArray
+) -> tuple[MomentumChannel, dict[str, str], dict[tuple[str | None, str], FloatArray]]:
+    """The channel about a motion; why effects on the dynamics cannot be tested; torques that no effect makes, by condition
+    and frame, (N + M, 3, p).
 
-
-def balanced(
-    problem: Problem, craft: Craft | None, whitener: Whitener, result: SearchResult, fitted_nT: FloatArray
-) -> Momentum:
-    """The balance beside the finished search of the magnetometer's channel.
-
-    fitted_nT: (N, 3, c) Jacobian of what that channel fits: what is modelled, its named effects, and others after them.
+    result, fitted_nT: the finished search of the readings, and the Jacobian (N, 3, c) of all that it fits.
     """
-    if craft is None:
-        return absent(_NO_SCENARIO)
-    orbit = causes.orbit_of(problem, [*problem.frozen, *result.modelled, *result.chosen])
-    flown = arcs(problem, craft, WINDOW_S / MOST_NODES, orbit)
-    if isinstance(flown, str):
-        return absent(flown)
-    cut = windows(flown)
-    if isinstance(cut, str):
-        return absent(cut)
-    found = _about_the_motion(problem, cut, whitener, result, fitted_nT)
-    if found.structured or found.ahead_km is None:
-        return found  # where something else turns the body it is no witness
-    return replace(found, ruled_out=ruled_out(result, whitener, found.ahead_km))
-
-
-def _about_the_motion(
-    problem: Problem, cut: Windows, whitener: Whitener, result: SearchResult, fitted_nT: FloatArray
-) -> Momentum:
-    """The search about the motion that the balance makes, and where something is found about a better one.
-
-    A large effect turns the body far from the balance as modelled. Then a slow torque brings the motion near enough to
-    name it, and the last word has the motion of the vehicle that has it: a fitted torque has the errors of the attitude
-    in it.
-    """
-    found, vehicle = _searched(problem, cut.followed().followed(), whitener, result, fitted_nT)
-    if vehicle is None and not found.structured:
-        return found
-    found, vehicle = _searched(problem, cut.followed(slow=True).followed(slow=True), whitener, result, fitted_nT)
-    for _ in range(_AGAIN):
-        if vehicle is None:
-            break
-        before = [one.name for one in found.named]
-        moved = Windows(cut.arcs.of(vehicle), cut.windows).followed().followed()
-        momentum_N = moved.arcs.momentum_of(cut.arcs.craft.vehicle)
-        again = Windows(cut.arcs.along(moved.arcs.track, momentum_N), cut.windows)
-        found, vehicle = _searched(problem, again, whitener, result, fitted_nT)
-        if [one.name for one in found.named] == before:
-            break
-    return found
-
-
-def _searched(
-    problem: Problem, cut: Windows, whitener: Whitener, result: SearchResult, fitted_nT: FloatArray
-) -> tuple[Momentum, Vehicle | None]:
-    """What the balance about this motion says, and the vehicle with the named effects, if there are any."""
-    dynamic, untestable = causes.dynamics_causes(cut)
     there = [*problem.frozen, *result.modelled, *result.chosen]
-    on = causes.on_attitude(there)
-    turning = causes.shared_candidates(cut, _others(result), there)
-    residual = cut.residual(problem.chain.signal(on).R_BN if on else None)
-    nuisance = _nuisance(cut, problem, result, fitted_nT)
-    blocks = causes.plain_torques(cut)
-    everything = [nuisance, *(c.jacobian for c in (*dynamic, *turning)), *blocks.values()]
-    noise = choose_noise(cut, residual, np.concatenate(everything, axis=2), problem.budget)
-    images = [np.zeros(0)] * len(dynamic) + [_reading_image(result, whitener, c) for c in turning]
-    beside = Beside(
-        whitener.apply(result.residual_nT), whitener.apply(fitted_nT), images, whitener.measured, result.tested
+    dynamic, untestable = images.dynamics_causes(windows)
+    turning = images.shared_candidates(windows, _others(result), there)
+    blocks = images.plain_torques(windows)
+    on = images.on_attitude(there)
+    residual = windows.residual(problem.chain.signal(on).R_BN if on else None)
+    further = np.zeros((windows.rows.size, 3, fitted_nT.shape[2]))
+    shared = [
+        images.image_of(windows, cast(SignalEffect, effect), there, theta)
+        for effect, theta in (*result.modelled, *result.chosen)
+    ]
+    if shared:
+        columns = np.concatenate(shared, axis=2)
+        further[:, :, : columns.shape[2]] = columns
+    own = np.concatenate([images.unresolved(windows), images.standing(windows)], axis=2)
+    everything = [further, own, *(c.jacobian for c in (*dynamic, *turning)), *blocks.values()]
+    noise = choose_noise(windows, residual, np.concatenate(everything, axis=2), problem.budget)
+
+    def alone(columns: FloatArray) -> FloatArray:
+        return np.concatenate([np.zeros((len(fitted_nT), *columns.shape[1:])), columns])
+
+    causes = [Candidate(c.effect, alone(c.jacobian), c.live) for c in dynamic]
+    for c in turning:
+        seen = next(one.jacobian for one in result.candidates if one.effect is c.effect)
+        causes.append(Candidate(c.effect, np.concatenate([np.where(c.live, seen, 0.0), c.jacobian]), c.live))
+    channel = MomentumChannel(
+        windows,
+        readings,
+        MomentumWhitener(windows, noise),
+        np.concatenate([result.residual_nT, residual]),
+        np.concatenate([np.concatenate([fitted_nT, further]), alone(own)], axis=2),
+        causes,
     )
-    balance = Balance(cut, MomentumWhitener(cut, noise), residual, nuisance, [*dynamic, *turning], beside)
-    return _told(balance, blocks, untestable, result)
-
-
-def _told(
-    balance: Balance,
-    blocks: Mapping[tuple[str, str], FloatArray],
-    untestable: Mapping[str, str],
-    result: SearchResult,
-) -> tuple[Momentum, Vehicle | None]:
-    first = balance.board(balance.residual)
-    chosen, tested = sought(balance, first)
-    fit = refitted(balance, first, chosen) if chosen else None
-    left = significant_left(balance, fit, blocks)
-    (condition, frame), p_value = min(left.items(), key=lambda pair: pair[1])
-    structured = p_value < _LEFT_P
-    detected, hidden = _detectable(first)
-    momentum = Momentum(
-        named=named(balance, first, chosen, fit, tested) if fit is not None else (),
-        untestable={**untestable, **hidden},
-        ranking=_ranking(first, tested),
-        isolability=isolability(shares_by_name(first)),
-        minimum_detectable=detected,
-        structured=structured,
-        explained_share=_share(first, chosen),
-        left_condition=None if condition == "none" else condition,
-        left_frame=frame,
-        words=f"torques that follow {condition.replace('_', ' ')} in {frame} axes (p {p_value:.1g})"
-        if structured
-        else "",
-        gap=how_far(balance, fit, balance.whitener.noise.words, _standing(balance, fit)),
-        ahead_km=ahead_km(balance, fit, chosen, result),
-    )
-    return momentum, None if fit is None else fit.vehicle
-
-
-def _nuisance(cut: Windows, problem: Problem, result: SearchResult, fitted_nT: FloatArray) -> FloatArray:
-    """(M, 3, c + p) what is always fitted: what the magnetometer's channel has, wheels and torquers between the rows, an
-    attitude error that stands still."""
-    further = np.zeros((cut.rows.size, 3, fitted_nT.shape[2]))
-    shared = _shared(cut, problem, result)
-    further[:, :, : shared.shape[2]] = shared
-    return np.concatenate([further, causes.unresolved(cut), causes.standing(cut)], axis=2)
+    return channel, untestable, {key: alone(block) for key, block in blocks.items()}
 
 
 def _others(result: SearchResult) -> list[Candidate]:
@@ -201,67 +198,79 @@ def _others(result: SearchResult) -> list[Candidate]:
     return [c for c in result.candidates if c.name not in taken and (c.effect.stage != "orbit" or c.name in alike)]
 
 
-def _shared(cut: Windows, problem: Problem, result: SearchResult) -> FloatArray:
-    """(M, 3, c + p) image of what the magnetometer's channel fits, in its order; zero where attitude and orbit stay."""
-    there = [*problem.frozen, *result.modelled, *result.chosen]
-    parts = [
-        causes.image_of(cut, cast(SignalEffect, effect), there, theta)
-        for effect, theta in (*result.modelled, *result.chosen)
-    ]
-    return np.concatenate(parts, axis=2) if parts else np.zeros((cut.rows.size, 3, 0))
+def vehicle_of(channel: MomentumChannel, fit: Fit) -> Vehicle:
+    """The vehicle with the effects on the dynamics of a fit."""
+    vehicle = channel.windows.arcs.craft.vehicle
+    for effect, theta in fit.chosen:
+        if isinstance(effect, DynamicsEffect):
+            with suppress(BadInput):
+                vehicle = effect.on(vehicle, theta)
+    return vehicle
 
 
-def _reading_image(result: SearchResult, whitener: Whitener, candidate: Candidate) -> FloatArray:
-    raw = next(c for c in result.candidates if c.effect is candidate.effect)
-    return whitener.apply(raw.jacobian[:, :, candidate.live])
+def solved(columns: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Best values (p,) and sigma of whitened columns (M, 3, p) in a residual (M, 3); infinite sigma for dead columns."""
+    flat = columns.reshape(-1, columns.shape[2])
+    length = np.linalg.norm(flat, axis=0)
+    live = length > 0
+    unit = flat[:, live] / length[live]
+    gram = np.linalg.pinv(unit.T @ unit, rcond=1e-12)
+    value, sigma = np.zeros(length.size), np.full(length.size, np.inf)
+    value[live] = gram @ (unit.T @ target.reshape(-1)) / length[live]
+    sigma[live] = np.sqrt(np.maximum(np.diag(gram), 0.0)) / length[live]
+    return value, sigma
 
 
-def _share(first: Board, chosen: Sequence[int]) -> float | None:
-    """Of the energy that all candidates and plain torques explain: the part of the chosen ones."""
-    whole, rank = first.saturated
-    inside = np.isin(first.block, chosen)
-    if not inside.any():
+def ahead_km(channel: MomentumChannel, fit: Fit, result: SearchResult) -> tuple[float, float] | None:
+    """How far the reported position is ahead of the true one, by the balance alone, and sigma [km].
+
+    A magnetometer that is sampled late leaves the torques where they are. A body that is behind its reported place has the
+    field, the nadir and the light of that other place to work against. None where no error along the orbit can be seen.
+    """
+    at, applied, width = None, 0.0, 0
+    for effect, theta in (*result.modelled, *result.chosen):
+        if effect.name == _AHEAD:
+            at, applied = width, float(theta[0])
+        width += len(theta)
+    width = channel.fitted.shape[2]
+    for effect, theta in fit.chosen:
+        if effect.name == _AHEAD:
+            at, applied = width, float(theta[0])
+        width += len(theta)
+    further = [] if at is not None else [one.jacobian for one in channel.causes if one.name == _AHEAD]
+    if at is None and not further:
         return None
-    values, vectors = np.linalg.eigh(first.unit_gram[np.ix_(inside, inside)])
-    good = values > 1e-6
-    own = float(np.sum((vectors[:, good].T @ first.score[inside]) ** 2 / values[good]))
-    structured = whole - first.variance * rank
-    return None if structured <= 0 else (own - first.variance * int(good.sum())) / structured
+    at = width if at is None else at
+    value, sigma = channel.estimate(fit, *further)
+    return (applied + float(value[at]), float(sigma[at])) if np.isfinite(sigma[at]) else None
 
 
-def _ranking(first: Board, tested: int) -> tuple[Ranked, ...]:
-    best: dict[str, Ranked] = {}
-    for number, candidate in enumerate(first.candidates):
-        if first.rank[number] == 0 or candidate.effect.stage != "dynamics":
+def ruled_out(result: SearchResult, whitener: Whitener, ahead: tuple[float, float]) -> dict[str, str]:
+    """{name: why} of causes that the readings would accept and the torques do not. ahead: as `ahead_km` has it."""
+    for place, one in enumerate(result.named):
+        alike = {one.name, *one.group, *(name for name, _ in one.rivals)}
+        if _AHEAD not in alike or not alike & set(_LATE):
             continue
-        p_value = min(1.0, tested * float(first.p_values[number]))
-        line = Ranked(candidate.name, float(first.statistic[number]), int(first.rank[number]), p_value)
-        if candidate.name not in best or p_value < best[candidate.name].p_value:
-            best[candidate.name] = line
-    return tuple(best.values())
+        wanted, unsure = _by_readings_km(result, whitener, place)
+        value, sigma = ahead
+        none, whole = abs(value) / sigma, abs(value - wanted) / float(np.hypot(sigma, unsure))
+        found = f"by the balance of the momentum the position is {value:.1f} ± {sigma:.1f} km ahead"
+        if none > _AGAINST and whole < _FOR:
+            return {name: f"{found}, which a clock does not do" for name in _LATE if name in alike}
+        if whole > _AGAINST and none < _FOR:
+            return {_AHEAD: f"{found}, and not {wanted:.1f} km as it would take"}
+    return {}
 
 
-def _detectable(first: Board) -> tuple[dict[str, Detectable], dict[str, str]]:
-    """The smallest size of each effect on the dynamics that this design shows; and names that it cannot show."""
-    tested = max(int((first.rank > 0).sum()), 1)
-    best: dict[str, tuple[float, Detectable]] = {}
-    names = {c.name for c in first.candidates if c.effect.stage == "dynamics"}
-    for column in np.flatnonzero(first.left > first.share_left):
-        owner = int(first.owner[column])
-        candidate = first.candidates[owner]
-        if candidate.name not in names or first.rank[owner] == 0:
-            continue
-        curvature = first.left[column] * first.lengths[column] ** 2
-        value = float(np.sqrt(noncentrality(int(first.rank[owner]), tested) / curvature))
-        parameter = candidate.effect.parameters[int(first.place[column])]
-        if candidate.name not in best or value / parameter.scale < best[candidate.name][0]:
-            best[candidate.name] = (value / parameter.scale, Detectable(parameter.name, value, parameter.unit, 0.0))
-    hidden = dict.fromkeys(sorted(names - set(best)), "the free starts of the windows can imitate it wholly")
-    return {name: found for name, (_, found) in best.items()}, hidden
-
-
-def _standing(balance: Balance, fit: Refit | None) -> tuple[FloatArray, FloatArray]:
-    """Attitude error that stands still in the body (3,) and its sigma (3,) [rad], beside what is named."""
-    value, sigma = estimate(balance, fit)
-    at = slice(balance.nuisance.shape[2] - 3, balance.nuisance.shape[2])
-    return value[at], sigma[at]
+def _by_readings_km(result: SearchResult, whitener: Whitener, place: int) -> tuple[float, float]:
+    """The error along the orbit that would do in place of a named effect, and its sigma [km]."""
+    effect, theta = result.chosen[place]
+    if effect.name == _AHEAD:
+        return float(theta[0]), float(result.named[place].sigma[0])
+    image = next(c.jacobian for c in result.candidates if c.name == _AHEAD)
+    first = sum(len(each) for _, each in (*result.modelled, *result.chosen[:place]))
+    own = slice(first, first + len(theta))
+    target = result.residual_white + result.jacobian_white[:, :, own] @ theta
+    rest = np.delete(result.jacobian_white, np.r_[own], axis=2)
+    value, sigma = solved(np.concatenate([rest, whitener.apply(image)], axis=2), target)
+    return float(value[-1]), float(sigma[-1])

@@ -1,15 +1,19 @@
-"""Short arcs of free flight between recorded attitudes: where the balance of the momentum leads from each to the next.
+"""The motion that the balance of the momentum makes: short arcs of free flight, and windows of them.
 
 All arcs fly at once, from the smoothed attitude track and the momentum that it and the wheels have; their end against
-the next point of the track, and how that end moves with the start, are what windows are made of (`momentum_windows`).
-Momentum in N changes by outside torque alone; the body turns with the rate that the momentum leaves it beside the
-recorded wheels.
+the next point of the track, and how that end moves with the start, are what windows are made of. Momentum in N changes by
+outside torque alone; the body turns with the rate that the momentum leaves it beside the recorded wheels. In each window
+start and momentum are free, so a balance holds from window to window in every case; what is compared is how the attitude
+goes on within it. That is the weak form of dh/dt = torque (integrated twice), in which no recorded attitude is ever
+differentiated.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +31,11 @@ from fluxtwin.sim.spacecraft.dynamics import layout
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 from fluxtwin.sim.spacecraft.wheels import RPM_PER_RAD_S
 
-MOST_NODES = 2400
+WINDOW_S = 2000.0
+"""A third of an orbit: what turns with the orbit or with the field shows within it."""
+_MOST_NODES, _MOST_IN_A_WINDOW, _FEWEST_IN_A_WINDOW = 2400, 120, 8
+_SLOW = 9
+"""Columns of the slow torque that a motion is followed with: a parabola along three axes."""
 _STEP_RAD = 0.15
 """A Runge-Kutta step turns by less: its error is then a millionth of a radian an arc, or less."""
 _NUTATION_RAD = 0.3
@@ -106,7 +114,7 @@ class Arcs:
         problem, first = self.problem, self.rows[:, :-1].ravel()
         t = problem.setting.seconds
         step = t[self.rows[:, 1:].ravel()] - t[first]
-        share = np.linspace(0.0, 1.0, 2 * self.parts + 1)
+        share = self._shares.ravel()
         r, v = self.orbit
         after = (step[:, None] * share).ravel()
         start = np.repeat(first, share.size)
@@ -127,10 +135,29 @@ class Arcs:
     def driven(self) -> tuple[FloatArray, FloatArray]:
         """(m, 2 parts + 1, A, 3) momentum of the wheels and dipole of the torquers at the starts, middles and ends of all
         steps."""
-        shares = np.arange(2 * self.parts + 1) / (2.0 * self.parts)
-        wheels = [[self._wheels(here, there, share) for share in shares] for here, there in self._steps]
-        dipole = [[self._dipole(here, there, share) for share in shares] for here, there in self._steps]
-        return np.array(wheels), np.array(dipole)
+        wheels, dipole = self._straight(self.wheels_B), self._straight(self.dipole_B_Am2)
+        here, there = self._ends
+        if not self.resolved:  # the cubic that has the slopes of the neighbours
+            t, share = self.problem.setting.seconds, self._shares
+            step, change = (t[there] - t[here])[:, None, :, None], (self.wheels_B[there] - self.wheels_B[here])[:, None]
+            first, last = (step * self.wheel_slope[end][:, None] - change for end in (here, there))
+            wheels = wheels + share * (1.0 - share) * ((1.0 - share) * first - share * last)
+        return wheels, np.where(self.held, self.dipole_B_Am2[here][:, None], dipole)
+
+    @property
+    def _ends(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """(m, A) rows where the steps of the arcs begin and end."""
+        return self.rows[:, :-1].T, self.rows[:, 1:].T
+
+    @property
+    def _shares(self) -> FloatArray:
+        """(2 parts + 1, 1, 1) of a step, at the starts, middles and ends of its parts."""
+        return np.linspace(0.0, 1.0, 2 * self.parts + 1)[:, None, None]
+
+    def _straight(self, values: FloatArray) -> FloatArray:
+        """(m, 2 parts + 1, A, 3) values (N, 3) drawn straight from row to row."""
+        here, there = self._ends
+        return np.asarray((1.0 - self._shares) * values[here][:, None] + self._shares * values[there][:, None])
 
     def flown(
         self,
@@ -154,20 +181,12 @@ class Arcs:
         state = np.hstack([np.asarray(first.as_matrix()).reshape(-1, 9), begun])
         wheels, dipole = self.driven
         if wheels_B is not None:
-            shares = np.linspace(0.0, 1.0, 2 * self.parts + 1)
-            wheels = wheels + np.array(
-                [[_between(wheels_B, here, there, share) for share in shares] for here, there in self._steps]
-            )
+            wheels = wheels + self._straight(wheels_B)
         inverse = np.linalg.inv(np.asarray(vehicle.inertia_kg_m2, dtype=np.float64))
         step_s = np.diff(self.problem.setting.seconds[self.rows], axis=1) / self.parts
         fly_arcs(state, inverse, *vehicle.packed(), self.around, wheels, dipole, step_s)
         R = Rotation.from_matrix(state[:, :9].reshape(-1, 3, 3))
         return np.hstack([(R * self.track[end].inv()).as_rotvec(), state[:, 9:] - momentum_N[end]])
-
-    @property
-    def _steps(self) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-        """(A,) rows where each of the m steps of the arcs begins and ends."""
-        return [(self.rows[:, step], self.rows[:, step + 1]) for step in range(self.rows.shape[1] - 1)]
 
     def holding(self, axis: int) -> Arcs:
         """The same arcs with the dipole about one axis held from row to row."""
@@ -184,20 +203,6 @@ class Arcs:
     def _rate_B(self) -> FloatArray:
         inverse = np.linalg.inv(self.craft.vehicle.inertia_kg_m2)
         return np.asarray((self.track.apply(self.momentum_N) - self.wheels_B) @ inverse)
-
-    def _dipole(self, here: NDArray[np.intp], there: NDArray[np.intp], share: float) -> FloatArray:
-        return np.where(self.held, self.dipole_B_Am2[here], _between(self.dipole_B_Am2, here, there, share))
-
-    def _wheels(self, here: NDArray[np.intp], there: NDArray[np.intp], share: float) -> FloatArray:
-        """Straight, or by the cubic that has the slopes of the neighbours."""
-        straight = _between(self.wheels_B, here, there, share)
-        if self.resolved:
-            return straight
-        t = self.problem.setting.seconds
-        step, change = (t[there] - t[here])[:, None], self.wheels_B[there] - self.wheels_B[here]
-        first, last = step * self.wheel_slope[here] - change, step * self.wheel_slope[there] - change
-        bend: FloatArray = share * (1.0 - share) * ((1.0 - share) * first - share * last)
-        return straight + bend
 
     @cached_property
     def wheel_slope(self) -> FloatArray:
@@ -224,15 +229,9 @@ class Arcs:
         return np.concatenate([turn, impulse_N], axis=1)
 
 
-def _between(values: FloatArray, here: NDArray[np.intp], there: NDArray[np.intp], share: float) -> FloatArray:
-    return np.asarray((1.0 - share) * values[here] + share * values[there])
-
-
-def arcs(
-    problem: Problem, craft: Craft, node_s: float, orbit: tuple[FloatArray, FloatArray] | None = None
-) -> Arcs | str:
-    """Arcs of at least node_s seconds along the problem's rows; or why there are none, in words. orbit: as `Arcs` has it,
-    by default as reported."""
+def arcs(problem: Problem, craft: Craft, orbit: tuple[FloatArray, FloatArray] | None = None) -> Arcs | str:
+    """Arcs along the problem's rows, long enough for a window to hold; or why there are none, in words. orbit: as `Arcs`
+    has it, by default as reported."""
     missing = lacking(problem, craft.vehicle)
     if missing is not None:
         return missing
@@ -255,7 +254,7 @@ def arcs(
     if numbers.size < 30:
         return "too few rows have attitude, wheel speeds and dipole"
     usual = float(np.median(np.diff(t[numbers])))
-    every = max(int(np.ceil(node_s / usual - 1e-6)), int(np.ceil(numbers.size / MOST_NODES)), 1)
+    every = max(int(np.ceil(WINDOW_S / _MOST_IN_A_WINDOW / usual - 1e-6)), int(np.ceil(numbers.size / _MOST_NODES)), 1)
     rows_of_arcs = _rows_of_arcs(numbers, attitude_track.stretches(t[numbers]), every)
     if not rows_of_arcs.size:
         return "the record has no stretch without gaps that is long enough"
@@ -279,18 +278,11 @@ def arcs(
 def _filled(t: FloatArray, values: FloatArray, *, straight: bool) -> FloatArray:
     """(N, k) with the blanks of sensors that sample at their own rate filled: straight between two values, or the value
     before. Before the first value and after the last one nothing is known."""
-    filled = np.array(values, dtype=np.float64)
-    for column in filled.T:
-        known = np.flatnonzero(np.isfinite(column))
-        if not known.size or known.size == column.size:
-            continue
-        inside = slice(known[0], known[-1] + 1)
-        if straight:
-            column[inside] = np.interp(t[inside], t[known], column[known])
-        else:
-            latest = known[np.searchsorted(known, np.arange(column.size)[inside], side="right") - 1]
-            column[inside] = column[latest]
-    return filled
+    import pandas as pd
+
+    found = pd.DataFrame(np.array(values, dtype=np.float64), index=t)
+    filled = found.interpolate("index", limit_area="inside") if straight else found.ffill(limit_area="inside")
+    return np.asarray(filled.to_numpy())
 
 
 def _spacing_s(t: FloatArray, values: FloatArray) -> float:
@@ -326,3 +318,148 @@ def _rows_of_arcs(numbers: NDArray[np.intp], stretch: NDArray[np.intp], every: i
         if count:
             found.append(rows[np.arange(count)[:, None] * every + np.arange(every + 1)])
     return np.concatenate(found) if found else np.zeros((0, every + 1), dtype=np.intp)
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Consecutive nodes; n nodes, n - 1 arcs."""
+
+    first: int
+    """Number of the first arc."""
+    rows: NDArray[np.intp]
+    """(n,) rows of the problem."""
+    seconds: FloatArray
+    """(n,)."""
+    place: slice
+    """Where its nodes stand among those of all windows."""
+
+    @property
+    def size(self) -> int:
+        return int(self.rows.size)
+
+    @property
+    def arcs(self) -> slice:
+        """The numbers of its arcs."""
+        return slice(self.first, self.first + self.size - 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """All windows of a record; M nodes together."""
+
+    arcs: Arcs
+    windows: Sequence[Window]
+
+    @cached_property
+    def rows(self) -> NDArray[np.intp]:
+        """(M,) rows of the problem."""
+        return np.concatenate([window.rows for window in self.windows])
+
+    @cached_property
+    def led(self) -> FloatArray:
+        """(M, 3) where the balance leads from each window's first point of the track, against the track [rad]."""
+        return np.asarray(self.chained(self.arcs.base[:, :, None])[:, :, 0])
+
+    def residual(self, R_BN: Rotation | None = None) -> FloatArray:
+        """(M, 3) attitude less where the balance leads [rad]; R_BN: of all rows, default as recorded."""
+        given = self.arcs.problem.setting.given[2] if R_BN is None else R_BN
+        turned = (given[self.rows] * self.arcs.track[self.rows].inv()).as_rotvec()
+        return np.asarray(turned - self.led)
+
+    def chained(self, forcing: FloatArray) -> FloatArray:
+        """(M, 3, p) turns of the nodes by what happens in the arcs, forcing (A, 6, p)."""
+        out = np.zeros((self.rows.size, 3, forcing.shape[2]))
+        for window in self.windows:
+            states = self._course(window, np.zeros((6, forcing.shape[2])), forcing[window.arcs])
+            out[window.place] = states[:, :3]
+        return out
+
+    def _course(self, window: Window, start: FloatArray, forcing: FloatArray) -> FloatArray:
+        """(n, 6, p) turn and momentum at the nodes of a window against the track, from a start (6, p); forcing
+        (n - 1, 6, p)."""
+        states = [start]
+        for transition, push in zip(self.arcs.transition[window.arcs], forcing, strict=True):
+            states.append(transition @ states[-1] + push)
+        return np.stack(states)
+
+    def followed(self, slow: bool = False) -> Windows:
+        """The same windows about the motion that the balance makes of each, from its best start.
+
+        The rate of a smoothed track has errors that are in the recorded attitudes too; along it an image would repeat
+        them, and noise look like a cause. The balance's own motion has errors in its start alone, which is free in every
+        test. slow: with a torque beside, a parabola in N, which brings it to where the body was even where an effect
+        turns it far from the balance.
+        """
+        columns = _SLOW if slow else 0
+        turn, momentum = np.zeros((self.arcs.problem.rows, 3)), np.array(self.arcs.momentum_N)
+        residual = self.residual()
+        for window in self.windows:
+            forcing = np.zeros((window.size - 1, 6, 6 + columns))
+            if slow:
+                forcing[:, :, 6:] = self._slow_torques(window.arcs)
+            start = np.hstack([np.eye(6), np.zeros((6, columns))])
+            courses = self._course(window, start, forcing)
+            flat = courses[:, :3].reshape(3 * window.size, -1)
+            size = np.linalg.norm(flat, axis=0)
+            best = np.linalg.lstsq(flat / size, residual[window.place].ravel(), rcond=1e-9)[0] / size
+            led = self._course(window, np.zeros((6, 1)), self.arcs.base[window.arcs, :, None])[:, :, 0]
+            states = led + courses @ best
+            turn[window.rows] = states[:, :3]
+            momentum[window.rows] += states[:, 3:]
+        track = Rotation.from_rotvec(turn) * self.arcs.track
+        return Windows(self.arcs.along(track, momentum), self.windows)
+
+    def _slow_torques(self, arc: slice) -> FloatArray:
+        """(n, 6, 9) what torques in N that stand, grow and bend over a window do in each of its arcs."""
+        seconds = self.arcs.seconds[arc]
+        place = np.linspace(-1.0, 1.0, seconds.size)
+        courses = [seconds * place**power for power in range(3)]
+        impulse = np.concatenate([np.eye(3) * course[:, None, None] for course in courses], axis=2)
+        return self.arcs.pushed(arc, impulse)
+
+    def image(self, vehicle: Vehicle) -> FloatArray:
+        """(M, 3) turns of the nodes with another vehicle, less those with the one that is modelled."""
+        return np.asarray(self.chained((self.arcs.flown(vehicle) - self.arcs.base)[:, :, None])[:, :, 0])
+
+    @cached_property
+    def starts(self) -> list[FloatArray]:
+        """Of each window (n, 3, 6) turns by its start: turn and momentum, each in its own scale."""
+        return [self._course(each, np.eye(6), np.zeros((each.size - 1, 6, 6)))[:, :3] for each in self.windows]
+
+    @cached_property
+    def wander(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Of each window, covariance (3n, 3n) by white torque and by white rate in all arcs, mean diagonal 1."""
+        made = [self._wander(window) for window in self.windows]
+        scales = [np.mean(np.concatenate([np.diag(pair[kind]) for pair in made])) for kind in range(2)]
+        return [(pair[0] / scales[0], pair[1] / scales[1]) for pair in made]
+
+    def _wander(self, window: Window) -> tuple[FloatArray, FloatArray]:
+        count = window.size - 1
+        forcing = np.zeros((count, 6, count, 6))
+        every = np.arange(count)
+        forcing[every, :, every] = np.eye(6) * np.sqrt(self.arcs.seconds[window.arcs])[:, None, None]
+        states = self._course(window, np.zeros((6, 6 * count)), forcing.reshape(count, 6, 6 * count))
+        by = states[:, :3].reshape(3 * window.size, count, 6)
+        torque, rate = by[:, :, 3:].reshape(len(by), -1), by[:, :, :3].reshape(len(by), -1)
+        return torque @ torque.T, rate @ rate.T
+
+
+def windows(arcs: Arcs) -> Windows | str:
+    """The record in windows of about WINDOW_S; or why there are none, in words."""
+    ends, starts = arcs.rows[:-1, -1], arcs.rows[1:, 0]
+    edges = [0, *(np.flatnonzero(ends != starts) + 1).tolist(), len(arcs.rows)]
+    seconds, found, at = arcs.problem.setting.seconds, [], 0
+    for begin, end in pairwise(edges):
+        nodes = np.concatenate([arcs.rows[begin:end, 0], arcs.rows[end - 1 : end, -1]])
+        span = float(seconds[nodes[-1]] - seconds[nodes[0]])
+        least = 2 if len(edges) == 2 else 1  # one window alone has nothing to be held against
+        count = max(round(span / WINDOW_S), int(np.ceil(nodes.size / _MOST_IN_A_WINDOW)), least)
+        for part in np.array_split(np.arange(nodes.size), count):
+            if part.size >= _FEWEST_IN_A_WINDOW:
+                rows = nodes[part]
+                place = slice(at, at + part.size)
+                found.append(Window(begin + int(part[0]), rows, np.asarray(seconds[rows]), place))
+                at += part.size
+    if len(found) < 2:
+        return "the record is too short: two windows of eight attitudes each are needed"
+    return Windows(arcs, tuple(found))

@@ -7,22 +7,21 @@ every possible cause in the design, so that no cause can pass for noise (Patters
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cholesky, qr, qr_multiply, solve_triangular
 
-from fluxtwin.gap.channels.momentum_windows import Windows
+from fluxtwin.gap.channels.momentum_arcs import Windows
+from fluxtwin.gap.noise.budget import NoisePrior, prior_of
 from fluxtwin.gap.problem.problem import Budget
 from fluxtwin.sim.base.types import FloatArray
 
 _TAUS_S = (0.0, 15.0, 30.0, 60.0, 120.0, 250.0, 500.0, 1000.0, 2000.0)
 _RATIOS = (0.0, *np.geomspace(1e-4, 1e4, 17))
 """Variance at the nodes by a white torque, or rate, over that of the attitude's error."""
-_TRUST_SIGMA, _TRUST_TAU = 0.2, 0.5
-"""Sigma is trusted to a factor of 1.5, two standard deviations: slow errors hide in the free starts, so the data alone
-would call them smaller and quicker than they are."""
 _PLAIN = 0.5
 """Of log likelihood a decade: where the data do not say, little moves the body unrecorded."""
 _FINEST_RAD = float(np.radians(0.002))
@@ -69,7 +68,7 @@ class MomentumWhitener:
             Q, R, _ = qr(white / np.linalg.norm(white, axis=0), mode="economic", pivoting=True)
             size = np.abs(np.diag(R))
             self.log_determinant += 2.0 * float(np.log(np.diag(root)).sum())
-            self.log_determinant += 2.0 * float(np.log(np.maximum(size, 1e-12) * 1.0).sum())
+            self.log_determinant += 2.0 * float(np.log(np.maximum(size, 1e-12)).sum())
             self.log_determinant += 2.0 * float(np.log(np.linalg.norm(white, axis=0)).sum())
             self.roots.append(root)
             self.starts.append(Q[:, size > 1e-9])
@@ -99,7 +98,7 @@ class MomentumWhitener:
             out[window.place] = (root @ part.reshape(3 * window.size, -1)).reshape(part.shape)
         return np.asarray(out.reshape(columns.shape))
 
-    @property
+    @cached_property
     def by_attitude(self) -> MomentumWhitener:
         """Weights of the attitude's error alone: for figures, in which a wandering torque must not be taken for granted."""
         return MomentumWhitener(self.windows, replace(self.noise, torque=0.0, rate=0.0))
@@ -127,38 +126,38 @@ class MomentumWhitener:
 
 def choose_noise(windows: Windows, residual: FloatArray, saturated: FloatArray, budget: Budget) -> MomentumNoise:
     """The noise of the largest restricted likelihood; residual (M, 3), saturated (M, 3, P): every possible cause."""
-    declared = budget.attitude_sigma_rad or None
-    tau = budget.attitude_tau_s
-    taus = sorted({*_TAUS_S, *(() if tau is None else (tau,))})
+    prior, tau = prior_of(budget), budget.attitude_tau_s
+    taus = sorted({*(_TAUS_S[1:] if tau else _TAUS_S), *(() if tau is None else (tau,))})
     starts = [min(taus, key=lambda value: abs(value - near)) for near in ((60.0, 1000.0) if tau is None else (tau,))]
     seen: dict[MomentumNoise, tuple[float, float]] = {}
 
-    def judged(noise: MomentumNoise) -> float:
+    def likelihood(noise: MomentumNoise) -> float:
         if noise not in seen:
-            seen[noise] = _likelihood(windows, residual, saturated, noise, declared, tau)
+            seen[noise] = _likelihood(windows, residual, saturated, noise, prior)
         return seen[noise][0]
 
     def climbed(best: MomentumNoise) -> MomentumNoise:
         for _ in range(_ROUNDS):
             before = best
             for name, grid in (("torque", _RATIOS), ("rate", _RATIOS), ("tau_s", taus)):
-                best = _climbed(best, name, grid, judged)
+                best = _climbed(best, name, grid, likelihood)
             if best == before:
                 break
         return best
 
-    best = max((climbed(MomentumNoise(1.0, start)) for start in starts), key=judged)
+    best = max((climbed(MomentumNoise(1.0, start)) for start in starts), key=likelihood)
     sigma = max(seen[best][1], _FINEST_RAD)
     share = (seen[best][1] / sigma) ** 2
     return replace(best, sigma_rad=sigma, torque=share * best.torque, rate=share * best.rate)
 
 
-def _climbed(noise: MomentumNoise, name: str, grid: Sequence[float], judged: object) -> MomentumNoise:
+def _climbed(
+    noise: MomentumNoise, name: str, grid: Sequence[float], likelihood: Callable[[MomentumNoise], float]
+) -> MomentumNoise:
     """The best along one axis of the grid: coarse first, then beside the best."""
-    assert callable(judged)
     places = sorted({*range(0, len(grid), _NEAR), grid.index(getattr(noise, name)), len(grid) - 1})
     while True:
-        best = max(places, key=lambda place: judged(replace(noise, **{name: grid[place]})))
+        best = max(places, key=lambda place: likelihood(replace(noise, **{name: grid[place]})))
         beside = [place for place in (best - 1, best + 1) if 0 <= place < len(grid) and place not in places]
         if not beside:
             return replace(noise, **{name: grid[best]})
@@ -166,12 +165,7 @@ def _climbed(noise: MomentumNoise, name: str, grid: Sequence[float], judged: obj
 
 
 def _likelihood(
-    windows: Windows,
-    residual: FloatArray,
-    saturated: FloatArray,
-    noise: MomentumNoise,
-    declared: float | None,
-    tau: float | None,
+    windows: Windows, residual: FloatArray, saturated: FloatArray, noise: MomentumNoise, prior: NoisePrior
 ) -> tuple[float, float]:
     """Restricted log likelihood with the best size of all noise, and that size [rad]."""
     whitener = MomentumWhitener(windows, noise)
@@ -187,9 +181,6 @@ def _likelihood(
     chi2 = max(whole - float(along[kept] @ along[kept]), 1e-14 * whole, 1e-300)  # not less than rounding
     sigma = float(np.sqrt(chi2 / free))
     value = -0.5 * (whitener.log_determinant + 2.0 * float(np.log(size[kept]).sum()) + free * np.log(chi2 / free))
-    if declared is not None:
-        value -= 0.5 * (np.log(sigma / declared) / _TRUST_SIGMA) ** 2
+    value += prior.log_density(prior.sigma_nT, sigma, noise.tau_s)
     value -= _PLAIN * sum(np.log10(ratio / _RATIOS[1]) for ratio in (noise.torque, noise.rate) if ratio)
-    if tau:
-        value -= 0.5 * (np.log(max(noise.tau_s, 0.1 * tau) / tau) / _TRUST_TAU) ** 2
     return float(value), sigma

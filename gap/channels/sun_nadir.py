@@ -1,4 +1,4 @@
-"""A second channel: the measured angle between sun and nadir, which neither attitude nor magnetometer enters.
+"""The measured angle between sun and nadir as a channel, which neither attitude nor magnetometer enters.
 
 A calibration against a reference attitude cannot tell a turned magnetometer from a turned reference: both are a rotation
 in S. The angle between measured sun and measured nadir depends on the attitude sensors alone. If it departs from the
@@ -17,10 +17,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.special import expit
+from scipy.stats import chi2
 from scipy.stats import f as fisher
+from scipy.stats import t as student
 
 from fluxtwin.calib.attitude.horizon_scanner import sun_and_nadir
 from fluxtwin.calib.common.covariance import make_blocks
+from fluxtwin.gap.selection.criterion import MOST_SURE, THRESHOLD, worth
+from fluxtwin.gap.selection.refit import WHOLLY
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames, sun
@@ -29,8 +34,9 @@ from fluxtwin.sim.telemetry.build import velocity_from_positions
 from fluxtwin.sim.telemetry.record import Telemetry
 
 FEWEST_PASSES = 8
+_FEWEST_TO_CONTRADICT = 4
 FALSE_ALARM = 0.01
-"""Of the whole channel; it is shared among the hypotheses."""
+"""Of ruling out what another channel names."""
 LEAST_EXPLAINED = 0.02
 """What explains less is not named: the rounding of a digital head repeats from pass to pass and looks like a fault."""
 _RIVAL = 0.9
@@ -40,7 +46,6 @@ _MOST_ROWS = 100_000
 _STEP_RAD = 1e-5
 _SEEN_RAD = float(np.radians(0.1))
 """Directions of a hypothesis that would come out worse than this (1 sigma, white errors) are not estimated."""
-_WHOLLY = 0.99
 
 
 Key = tuple[str, int | None]
@@ -61,6 +66,8 @@ class Hypothesis:
     less true). Only what the angle can see: along directions that it cannot see the value is zero."""
     p_value: float
     """That nothing of the kind is there, corrected for the number of hypotheses tried."""
+    worth: float
+    """By the criterion of all explanations, over the passes: errors within one are taken as one."""
     explained: float
     """Share of the mean square of the angles that it takes away."""
     rms_left_deg: float
@@ -69,6 +76,11 @@ class Hypothesis:
     amount_deg: tuple[float, float] = (0.0, 0.0)
     """Length of the vector of parameters, and its sigma along itself, with an allowance for errors that the passes
     share: a digital head rounds alike in all of them."""
+
+    @property
+    def probability(self) -> float:
+        """That it is there."""
+        return min(MOST_SURE, float(expit(0.5 * self.worth)))
 
     @property
     def words(self) -> str:
@@ -104,7 +116,7 @@ class SunNadir:
     def named(self) -> Hypothesis | None:
         """The best hypothesis if it is real, else None: the attitude sensors agree with each other."""
         best = self.hypotheses[0]
-        return best if best.p_value < FALSE_ALARM and best.explained >= LEAST_EXPLAINED else None
+        return best if best.worth > THRESHOLD and best.explained >= LEAST_EXPLAINED else None
 
     @property
     def rivals(self) -> tuple[Hypothesis, ...]:
@@ -112,15 +124,14 @@ class SunNadir:
         if self.named is None:
             return ()
         least = _RIVAL * self.named.explained
-        return tuple(h for h in self.hypotheses[1:] if h.p_value < FALSE_ALARM and h.explained >= least)
+        return tuple(h for h in self.hypotheses[1:] if h.worth > THRESHOLD and h.explained >= least)
 
     @property
     def words(self) -> str:
         """One sentence."""
         if self.named is None:
             return (
-                f"sun and nadir agree to {self.rms_deg:.2f} deg in {self.passes} passes: no fault of one attitude "
-                "sensor "
+                f"sun and nadir agree to {self.rms_deg:.2f} deg in {self.passes} passes: no fault of one attitude sensor "
                 "against the other is seen, so a rotation in S is the magnetometer's or common to both sensors"
             )
         others = "".join(f", or {other.words}, which cannot be told from it" for other in self.rivals)
@@ -172,7 +183,7 @@ class Channel:
             rows=int(self.residual_rad.size),
             passes=self.passes,
             rms_deg=float(np.degrees(np.sqrt(np.mean(self.residual_rad**2)))),
-            hypotheses=tuple(sorted(found, key=lambda item: -item.explained if item.p_value < FALSE_ALARM else 1.0)),
+            hypotheses=tuple(sorted(found, key=lambda item: -item.explained if item.worth > THRESHOLD else 1.0)),
         )
 
     def predicted_rad(self, name: str, head: int | None, parameters_deg: Mapping[str, float]) -> FloatArray | None:
@@ -198,6 +209,15 @@ class Channel:
         unit = column / np.linalg.norm(column)
         designs = {key: (names, J - np.outer(unit, unit @ J)) for key, (names, J) in self.designs.items()}
         return replace(self, residual_rad=self.residual_rad - unit * (unit @ self.residual_rad), designs=designs)
+
+    def contradicts(self, predicted_rad: FloatArray) -> bool:
+        """Whether a predicted change (N,) is not there: t tests of none and of all of it, over the passes that would show
+        it."""
+        share, sigma, passes = self.share_of(predicted_rad)
+        if passes < _FEWEST_TO_CONTRADICT or not np.isfinite(sigma):
+            return False
+        none, whole = (2.0 * float(student.sf(abs(share - there) / sigma, passes - 1)) for there in (0.0, 1.0))
+        return none > FALSE_ALARM and whole < FALSE_ALARM and share < 1.0
 
     def share_of(self, predicted_rad: FloatArray) -> tuple[float, float, int]:
         """How much of a predicted change (N,) is there (1: all of it), its sigma, and the passes that tell."""
@@ -300,7 +320,7 @@ def _weigh(
     white = float(np.sqrt(np.mean(residual**2)))
     seen = vectors[:, values > (white / _SEEN_RAD) ** 2]
     if not seen.size:
-        return Hypothesis(key[0], key[1], dict.fromkeys(names, (0.0, 0.0)), 1.0, 0.0, float(np.degrees(white)))
+        return Hypothesis(*key, dict.fromkeys(names, (0.0, 0.0)), 1.0, 0.0, 0.0, float(np.degrees(white)))
     A = J @ seen
     inverse = np.linalg.inv(A.T @ A)
     theta = inverse @ (A.T @ residual)
@@ -319,7 +339,7 @@ def _weigh(
     along = estimate / max(length, 1e-300)
     inside = np.isin(of_row, touched) & (A != 0).any(axis=1)
     shared = float(np.mean(left[inside] ** 2)) / max(n, 1)
-    whole = tuple(name for name, share in zip(names, np.sum(seen**2, axis=1), strict=True) if share > _WHOLLY)
+    whole = tuple(name for name, share in zip(names, np.sum(seen**2, axis=1), strict=True) if share > WHOLLY)
     return Hypothesis(
         name=key[0],
         head=key[1],
@@ -328,6 +348,7 @@ def _weigh(
             for name, v, s in zip(names, estimate, sigma, strict=True)
         },
         p_value=min(1.0, p_value * tried),
+        worth=worth(float(chi2.isf(max(p_value, 1e-300), k)), k, max(n, 2), float(np.log(tried))),
         explained=float(1.0 - np.mean(left**2) / np.mean(residual**2)),
         rms_left_deg=float(np.degrees(np.sqrt(np.mean(left**2)))),
         seen=whole,

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.special import softmax
@@ -113,8 +114,10 @@ def _concluded(
 ) -> Answer:
     under_way, untestable, path = searched
     whitener, signals = under_way.channel.whitener, signals_of(shapes)
-    explanations, handicap = _weighed(under_way, path, dictionary, others, robust)
-    best, share, total = _best(explanations)
+    lefts = [left_of(under_way, fit, dictionary) for fit, _ in path]
+    gained = _gained(under_way, [fit for fit, _ in path], others, robust)
+    explanations = weighed(under_way, path, lefts, gained)
+    best, share, total = likeliest(explanations)
     chosen = explanations[best]
     result = result_of(under_way, untestable, chosen.fit, chosen.beside, share)
     result = _stripped(problem, result, signals)
@@ -122,10 +125,10 @@ def _concluded(
     fitted = derivatives(problem, [*result.modelled, *result.chosen]) if result.chosen else alone
     if signals:
         fitted = np.concatenate([fitted, derivatives(problem, signals)], axis=2)
-    return Answer(whitener.noise, robust, whitener, result, alone, fitted, chosen.left, share, total, handicap, shapes)
+    return Answer(whitener.noise, robust, whitener, result, alone, fitted, chosen.left, share, total, gained[0], shapes)
 
 
-def _best(explanations: Sequence[Explanation]) -> tuple[int, float, float]:
+def likeliest(explanations: Sequence[Explanation]) -> tuple[int, float, float]:
     """The explanation that weighs most, the probability that nothing unknown is there, and the most worth."""
     logs = np.array([[one.worth, one.unknown] for one in explanations])
     for place, (one, more) in enumerate(pairwise(explanations)):
@@ -145,19 +148,13 @@ def _added(one: Fit, more: Fit) -> int:
     return len({effect for effect, _ in more.chosen} - {effect for effect, _ in one.chosen})
 
 
-def _weighed(
-    under_way: Search[Readings],
-    path: Sequence[tuple[Fit, Board]],
-    dictionary: Sequence[Block],
-    others: Sequence[NoiseModel],
-    robust: RobustRows,
-) -> tuple[list[Explanation], float]:
-    """Each step of the path with its worth and what is left, at the noise that suits it best."""
-    gained = _gained(under_way, [fit for fit, _ in path], others, robust)
+def weighed(
+    under_way: Search[Any], path: Sequence[tuple[Fit, Board]], lefts: Sequence[Left], gained: Sequence[float]
+) -> list[Explanation]:
+    """Each step of a path with its worth, what is left beside it, and what it gains by the noise that suits it best."""
     tried, samples = float(np.log(under_way.tested)), under_way.samples
     explained = [max(path[0][0].chi2 - fit.chi2, 0.0) for fit, _ in path]
     ranks = [fit.rank_chosen for fit, _ in path]
-    lefts = [left_of(under_way, fit, dictionary) for fit, _ in path]
     beyond = [left.drop if left.structured else 0.0 for left in lefts]
     for place in reversed(range(len(path) - 1)):
         # What one more name explains is better known by its refit than by the finding that led to it.
@@ -180,7 +177,7 @@ def _weighed(
         if left.structured and left.beyond(wider, samples) > LOG_FURTHER:
             unknown = shaped + left.beyond(wider, samples) - LOG_FURTHER - gained[0]
         found.append(Explanation(fit, beside, left, worth, unknown))
-    return found, gained[0]
+    return found
 
 
 def _gained(

@@ -7,20 +7,21 @@ record after it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from fluxtwin.gap.channels.momentum import Momentum
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.proposals import expected
 from fluxtwin.gap.held_out.held_out import Prediction
 from fluxtwin.gap.posterior.explanations import Answer
+from fluxtwin.gap.posterior.torques import Momentum
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.records.diagnosis import Closure, Diagnosis, EffectParameter, FoundEffect, Place, Shrinkage
 from fluxtwin.gap.report import advice, level, words
 from fluxtwin.gap.report.level import Excess
+from fluxtwin.gap.report.second_channel import Angle
 from fluxtwin.gap.selection.named import found_effect
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
@@ -50,6 +51,21 @@ class Work:
     """The balance of the momentum."""
     attitude_would_do_rad: float | None
     """Size of an attitude error, 1 sigma per axis, that makes all the structure of the residual; None where none does."""
+    angle: Angle | None = None
+    """The angle between sun and nadir; None where it is not measured."""
+
+    @property
+    def in_readings(self) -> list[FoundEffect]:
+        """Effects in the readings that stand: few would do in their places, nothing unknown is likelier, and held-out
+        samples are not predicted worse with them."""
+        result = self.answer.result
+        refuted = bool(result.resembles) or self.answer.known < 0.5 or self.prediction.refuted
+        return [] if refuted else list(result.named)
+
+    @property
+    def standing(self) -> list[FoundEffect]:
+        """These, and what the balance of the momentum names."""
+        return [*self.in_readings, *self.momentum.standing]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +79,8 @@ class _Conclusion:
     """Known by their own shape."""
     effects: Sequence[FoundEffect]
     """Those two and what the balance of the momentum names, best supported first."""
+    fault: FoundEffect | None
+    """Of an attitude sensor, that only the angle between sun and nadir shows."""
     already: bool
     """Whether noise was found that the scenario has."""
     excess: Excess | None
@@ -85,7 +103,9 @@ def assemble(
     problem, answer, momentum = work.problem, work.answer, work.momentum
     result = answer.result
     found = _conclude(work)
-    where = _where(work, found.effects) if found.beyond is None else _at(work, found.beyond.stage)
+    faults = [] if found.fault is None else [found.fault]
+    alone = faults if found.verdict == "effect" else []
+    where = _where(work, found.effects or alone) if found.beyond is None else _at(work, found.beyond.stage)
     in_readings = bool(found.effects) and bool(result.named or work.flexible)
     prediction = work.prediction.without_known_noise(bool(found.effects)) if found.already else work.prediction
     gap = prediction.shrinkage(
@@ -94,11 +114,13 @@ def assemble(
     resembles = _resembles(work) if found.verdict == "unknown" else []
     sentence = _sentence(work, found, where, gap, resembles)
     missing = {**result.untestable, **momentum.untestable}
-    untestable = {name: why for name, why in missing.items() if name not in {one.name for one in found.effects}}
+    untestable = {
+        name: why for name, why in missing.items() if name not in {one.name for one in (*found.effects, *faults)}
+    }
     detectable = {**result.minimum_detectable, **momentum.minimum_detectable}
     return Diagnosis(
         verdict=found.verdict,
-        effects=found.effects,
+        effects=[*found.effects, *faults],
         resembles=resembles,
         where=where,
         gap=gap,
@@ -128,13 +150,14 @@ def _conclude(work: Work) -> _Conclusion:
     problem, answer, momentum = work.problem, work.answer, work.momentum
     already = [one for one in work.flexible if expected(one, problem.frozen)]
     shapes = [_of_shape(one, problem.setting) for one in work.flexible if one not in already]
-    candidates = [] if answer.result.resembles else list(answer.result.named)
-    named = candidates if answer.known >= 0.5 and not work.prediction.refuted else []
+    named = work.in_readings
     signals = sorted([*named, *momentum.standing], key=lambda one: one.significance) if momentum.standing else named
-    effects = [*signals, *shapes]
+    effects, fault = [*signals, *shapes], None
+    if work.angle is not None:
+        effects, fault = work.angle.beside(effects)
 
     unknown = answer.known < 0.5 and work.attitude_would_do_rad is None
-    unexplained = bool(answer.result.resembles) or (not named and (unknown or bool(candidates))) or momentum.unexplained
+    unexplained = (not named and (unknown or bool(answer.result.named))) or momentum.unexplained
     excess = None
     if not unexplained and not work.flexible:  # a named noise, walk or line stays in the residual
         excess = level.beyond_budget(problem, answer)
@@ -143,13 +166,18 @@ def _conclude(work: Work) -> _Conclusion:
     bits = any(one.effect == "bit_errors" for one in work.flexible)
     outliers = None if bits else level.outliers(problem, answer.robust)
     beyond = None if unexplained or effects else excess or outliers
-    verdict = "unknown" if unexplained or beyond is not None else "effect" if effects else "no_gap"
+    verdict = "unknown" if unexplained or beyond is not None else "effect" if effects or fault is not None else "no_gap"
     incomplete = (bool(named) and answer.left.structured) or momentum.incomplete
     incomplete = incomplete or (verdict == "effect" and excess is not None)
-    return _Conclusion(verdict, named, shapes, effects, bool(already), excess, outliers, beyond, incomplete)
+    return _Conclusion(verdict, named, shapes, effects, fault, bool(already), excess, outliers, beyond, incomplete)
 
 
 def _sentence(work: Work, found: _Conclusion, where: Place, gap: Shrinkage, resembles: Sequence[str]) -> str:
+    if work.angle is not None and found.fault is not None:
+        others = None
+        if found.effects or found.verdict == "unknown":
+            others = _sentence(work, replace(found, fault=None), where, gap, resembles)
+        return work.angle.said(others, gap.before_nT)
     if found.verdict == "no_gap":
         return words.no_gap(gap, work.attitude_would_do_rad)
     if found.verdict == "unknown":
@@ -207,8 +235,8 @@ def _what(work: Work, where: Place) -> str:
     """What an answer without a name says of the data."""
     left, momentum = work.answer.left, work.momentum
     if not left.structured and not work.answer.result.resembles:
-        return momentum.words or words.WORSE
-    return "; ".join(filter(None, (words.structure(left, where), momentum.words)))
+        return momentum.left.words or words.WORSE
+    return "; ".join(filter(None, (words.structure(left, where), momentum.left.words)))
 
 
 def _asked_for(untestable: Mapping[str, str], momentum: Momentum) -> dict[str, str]:
@@ -230,7 +258,7 @@ def _where(work: Work, effects: Sequence[FoundEffect]) -> Place:
     if momentum.unexplained and not effects:
         stages = {"dynamics": 1.0, "none": 0.0}
         shares = {**place.probabilities, "stage": stages}
-        return Place("dynamics", None, momentum.left_frame, momentum.left_condition, [], shares)
+        return Place("dynamics", None, momentum.left.frame, momentum.left.condition, [], shares)
     if not effects:
         return place
     first = effects[0]

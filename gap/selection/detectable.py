@@ -42,14 +42,8 @@ def detectable(
     white: (M, 3, P) whitened columns of the board. raw_nuisance, white_nuisance: (M, 3, c) what is re-estimated, as
     it is and whitened. Returns ({name: Detectable}, (M, 3, k) image of each, nT per unit, {name: why it is untestable}).
     """
-    best = _best_columns(board)
+    seen, reasons = smallest(board)
     found: dict[str, Detectable] = {}
-    reasons: dict[str, str] = {}
-    for name in dict.fromkeys(candidate.name for candidate in board.candidates):
-        reason = _reason(board, best.get(name))
-        if reason is not None:
-            reasons[name] = reason
-    seen = {name: choice for name, choice in best.items() if name not in reasons}
     columns = [column for _, _, column in seen.values()]
     raw = [board.candidates[n].jacobian[:, :, int(board.place[column])] for _, n, column in seen.values()]
     images = np.stack(raw, axis=-1) if raw else np.zeros((*white.shape[:2], 0))
@@ -60,6 +54,15 @@ def detectable(
         rms = float(np.sqrt(np.mean(visible[:, :, number] ** 2)))
         found[name] = Detectable(parameter.name, value, parameter.unit, value * rms)
     return found, images, reasons
+
+
+def smallest(board: Board) -> tuple[dict[str, tuple[float, int, int]], dict[str, str]]:
+    """For each effect that shows: smallest size over the typical one, number of the candidate, number of the column; and
+    why others do not show."""
+    best = _best_columns(board)
+    every = dict.fromkeys(candidate.name for candidate in board.candidates)
+    reasons = {name: why for name in every if (why := _reason(board, best.get(name))) is not None}
+    return {name: choice for name, choice in best.items() if name not in reasons}, reasons
 
 
 def under_all(

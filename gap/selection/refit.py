@@ -23,7 +23,7 @@ from fluxtwin.sim.effects.chain import Active
 
 _STEPS = 12
 _HALVINGS = 6
-_WHOLLY = 0.99  # of a parameter's direction
+WHOLLY = 0.99  # of a parameter's direction
 _AS_PROMISED = 0.9
 _CONVERGED = 0.01  # of chi-square: far below anything a decision turns on
 
@@ -129,8 +129,8 @@ def refit(
             jacobian = channel.jacobian(_unpacked(active, vector))
     active = _unpacked(active, vector)
     size = sum(len(theta) for _, theta in active[:count])
-    covariance, seen, rank = _covariance(jacobian, _free(jacobian, residual, vector, low, high))
-    rank_modelled = _covariance(jacobian[:, :, :size], np.any(jacobian[:, :, :size] != 0.0, axis=(0, 1)))[2]
+    covariance, seen, rank = covariance_of(jacobian, _free(jacobian, residual, vector, low, high))
+    rank_modelled = covariance_of(jacobian[:, :, :size], np.any(jacobian[:, :, :size] != 0.0, axis=(0, 1)))[2]
     return Fit(
         tuple(active[:count]), tuple(active[count:]), chi2, residual, jacobian, covariance, seen, rank, rank_modelled
     )
@@ -247,7 +247,7 @@ def _rcond() -> float:
     return 0.1 * float(np.sqrt(SHARE_LEFT))
 
 
-def _covariance(jacobian: FloatArray, free: BoolArray) -> tuple[FloatArray, BoolArray, int]:
+def covariance_of(jacobian: FloatArray, free: BoolArray) -> tuple[FloatArray, BoolArray, int]:
     """(p, p) covariance for unit variance, NaN where a parameter is not estimated; (p,) wholly seen; the rank."""
     covariance, seen = np.full((free.size, free.size), np.nan), np.zeros(free.size, dtype=np.bool_)
     if not free.any():
@@ -258,7 +258,7 @@ def _covariance(jacobian: FloatArray, free: BoolArray) -> tuple[FloatArray, Bool
     good = values > _rcond() * values[0]
     turned = vectors[good].T / values[good]
     covariance[np.ix_(free, free)] = (turned @ turned.T) / np.outer(length, length)
-    seen[free] = np.sum(vectors[good] ** 2, axis=0) > _WHOLLY
+    seen[free] = np.sum(vectors[good] ** 2, axis=0) > WHOLLY
     return covariance, seen, int(good.sum())
 
 

@@ -24,7 +24,7 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
 
-__all__ = ["GATE", "SearchResult", "result_of"]
+__all__ = ["GATE", "SearchResult", "ranking", "result_of"]
 
 
 def result_of(
@@ -47,7 +47,7 @@ def result_of(
     residual, alone = (problem.residual_of([*problem.frozen, *each.active]) for each in (fit, base))
     return SearchResult(
         named=tuple(named[number] for number in order),
-        ranking=_ranking(under_way),
+        ranking=ranking(under_way),
         untestable={**untestable, **hidden},
         isolability=groups.isolability(table),
         minimum_detectable=smallest,
@@ -149,7 +149,7 @@ def _chain_reading(problem: Problem, active: list[Active]) -> FloatArray:
     return problem.chain.reading_nT([*problem.frozen, *active])
 
 
-def _ranking(under_way: Search[Any]) -> tuple[Ranked, ...]:
+def ranking(under_way: Search[Any]) -> tuple[Ranked, ...]:
     """Every effect alone, by its best alternative."""
     first: Board = under_way.first
     best: dict[str, Ranked] = {}

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,6 @@ from fluxtwin.gap.channels.sun_nadir import Channel, open_channel
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.problem.problem import Budget, Problem, pose, realigned
 from fluxtwin.gap.records.diagnosis import Diagnosis
-from fluxtwin.gap.report.second_channel import channel_of, with_second_channel
 from fluxtwin.gap.selection.refit import Readings, refit, settled
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.motion import prescribed
@@ -115,8 +113,7 @@ def diagnosed(
     telemetry: Telemetry, ground: FieldModel, config: Scenario, modelled: Sequence[str], progress: Progress = silent
 ) -> Diagnosis:
     """Diagnose a record; the step of the readings is all that is declared."""
-    investigated = partial(
-        diagnose,
+    return diagnose(
         telemetry,
         ground,
         modelled=modelled,
@@ -124,7 +121,6 @@ def diagnosed(
         progress=progress,
         provenance={"source": "simulation"},
     )
-    return with_second_channel(investigated, channel_of(telemetry))
 
 
 def _answer(

@@ -16,9 +16,8 @@ from scipy.spatial.transform import Rotation
 from worlds import scenario_text
 
 from fluxtwin import diagnosing, diagnosis_page
-from fluxtwin.gap.channels.momentum import Momentum, balanced
-from fluxtwin.gap.channels.momentum_arcs import Craft, arcs
-from fluxtwin.gap.channels.momentum_windows import MOST_NODES, WINDOW_S, windows
+from fluxtwin.gap.channels.momentum_arcs import Craft, arcs, windows
+from fluxtwin.gap.posterior.torques import Momentum, balanced
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.records.schema import diagnosis_schema
@@ -176,7 +175,7 @@ def test_a_perfect_record_balances(close) -> None:
     )
     problem = posed(simulate(scenario)[0], scenario)
     vehicle = vehicle_of(scenario)
-    made = arcs(problem, Craft(vehicle), WINDOW_S / MOST_NODES)
+    made = arcs(problem, Craft(vehicle))
     assert not isinstance(made, str)
     cut = windows(made)
     assert not isinstance(cut, str)
@@ -204,7 +203,7 @@ def test_a_perfect_simulation_is_silent(name: str) -> None:
     found = alone(telemetry, scenario)
     assert found.gap is not None
     assert found.named == ()
-    assert not found.structured
+    assert not found.left.structured
     assert not found.unexplained
     assert found.gap.after_deg == found.gap.before_deg
     assert found.gap.closed is None

@@ -6,12 +6,13 @@ turns the attitudes that the balance is compared with; one on the reported orbit
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import cast
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
-from fluxtwin.gap.channels.momentum_windows import Windows
+from fluxtwin.gap.channels.momentum_arcs import Windows
 from fluxtwin.gap.hypotheses.candidates import Candidate
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.sim.base.types import FloatArray
@@ -67,14 +68,12 @@ def attitude_image(windows: Windows, effect: SignalEffect, on: Sequence[Active],
     on: other effects on the attitude.
     """
     chain = windows.arcs.problem.design
-    columns = []
-    for number, parameter in enumerate(effect.parameters):
-        up, down = np.array(theta, dtype=np.float64), np.array(theta, dtype=np.float64)
-        up[number] = min(up[number] + parameter.scale, parameter.high)
-        down[number] = max(down[number] - parameter.scale, parameter.low)
+
+    def between(up: FloatArray, down: FloatArray) -> FloatArray:
         high, low = (chain.signal([*on, (effect, value)]).R_BN[windows.rows] for value in (up, down))
-        columns.append(-(high * low.inv()).as_rotvec() / (up[number] - down[number]))
-    return np.stack(columns, axis=2)
+        return np.asarray(-(high * low.inv()).as_rotvec())
+
+    return _derivative(effect, theta, between)
 
 
 def orbit_image(windows: Windows, effect: SignalEffect, on: Sequence[Active], theta: FloatArray) -> FloatArray:
@@ -82,20 +81,28 @@ def orbit_image(windows: Windows, effect: SignalEffect, on: Sequence[Active], th
 
     on: other effects on it. Gravity gradient, field and light are those of where the body really was.
     """
-    arcs, columns = windows.arcs, []
+    arcs = windows.arcs
+
+    def between(up: FloatArray, down: FloatArray) -> FloatArray:
+        there = (arcs.elsewhere(orbit_of(arcs.problem, [*on, (effect, value)])) for value in (up, down))
+        high, low = (one.flown(arcs.craft.vehicle) for one in there)
+        return high - low
+
+    return windows.chained(_derivative(effect, theta, between))
+
+
+def _derivative(
+    effect: SignalEffect, theta: FloatArray, between: Callable[[FloatArray, FloatArray], FloatArray]
+) -> FloatArray:
+    """(M, k, p) central differences by the parameters, one-sided at the end of a range; between: what two sets of them
+    differ by, (M, k)."""
+    columns = []
     for number, parameter in enumerate(effect.parameters):
-        ends = []
-        values = (
-            min(theta[number] + parameter.scale, parameter.high),
-            max(theta[number] - parameter.scale, parameter.low),
-        )
-        for value in values:
-            moved = np.array(theta, dtype=np.float64)
-            moved[number] = value
-            there = arcs.elsewhere(orbit_of(arcs.problem, [*on, (effect, moved)]))
-            ends.append(there.flown(arcs.craft.vehicle))
-        columns.append((ends[0] - ends[1]) / (values[0] - values[1]))
-    return windows.chained(np.stack(columns, axis=2))
+        up, down = np.array(theta, dtype=np.float64), np.array(theta, dtype=np.float64)
+        up[number] = min(up[number] + parameter.scale, parameter.high)
+        down[number] = max(down[number] - parameter.scale, parameter.low)
+        columns.append(between(up, down) / (up[number] - down[number]))
+    return np.stack(columns, axis=2)
 
 
 def orbit_of(problem: Problem, active: Sequence[Active]) -> tuple[FloatArray, FloatArray]:
@@ -154,13 +161,10 @@ def unresolved(windows: Windows) -> FloatArray:
 def _quick(values: FloatArray, span: int) -> FloatArray:
     """(N, 3) less the mean of `span` rows; missing values count as zero."""
     known = np.nan_to_num(values)
-    kernel = np.ones(span) / span
-    padded = np.pad(known, ((span // 2, span // 2), (0, 0)), mode="edge")
-    mean = np.stack([np.convolve(column, kernel, mode="valid") for column in padded.T], axis=1)
-    return np.asarray(known - mean)
+    return np.asarray(known - uniform_filter1d(known, span, axis=0, mode="nearest"))
 
 
-def plain_torques(windows: Windows) -> dict[tuple[str, str], FloatArray]:
+def plain_torques(windows: Windows) -> dict[tuple[str | None, str], FloatArray]:
     """{(condition, frame): (M, 3, p)} turns by torques that no effect makes: with sunlight, orbit and time."""
     arcs = windows.arcs
     problem, rows = arcs.problem, arcs.rows[:, 0]
@@ -169,8 +173,8 @@ def plain_torques(windows: Windows) -> dict[tuple[str, str], FloatArray]:
     t = problem.setting.seconds[rows]
     t = (t - t.mean()) / max(float(np.ptp(t)), 1.0)
     light = (problem.setting.illumination[rows] > 0.5).astype(np.float64)
-    courses = {
-        "none": [np.ones(rows.size)],
+    courses: dict[str | None, list[FloatArray]] = {
+        None: [np.ones(rows.size)],
         "orbit_phase": [f(k * u) for k in (1, 2) for f in (np.cos, np.sin)],
         "time": [t, t**2],
         "sunlit": [light - light.mean()],
@@ -180,7 +184,7 @@ def plain_torques(windows: Windows) -> dict[tuple[str, str], FloatArray]:
         "orbital": problem.setting.R_ON[rows].inv().as_matrix(),
         "inertial": np.tile(np.eye(3), (rows.size, 1, 1)),
     }
-    made = {}
+    made: dict[tuple[str | None, str], FloatArray] = {}
     for condition, values in courses.items():
         for frame, axes in frames.items():
             impulse = np.concatenate([axes * (value * arcs.seconds)[:, None, None] for value in values], axis=2)

@@ -1,0 +1,255 @@
+"""Which effects turn the body, beside what the readings have found: the search on the balance of the momentum."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+
+from fluxtwin.gap.channels.momentum import (
+    MomentumChannel,
+    ahead_km,
+    momentum_channel,
+    ruled_out,
+    vehicle_of,
+)
+from fluxtwin.gap.channels.momentum_arcs import Craft, Windows, arcs, windows
+from fluxtwin.gap.channels.momentum_images import DYNAMICS, orbit_of
+from fluxtwin.gap.detectors.residual_structure import Left
+from fluxtwin.gap.held_out.held_out import BLOCKS, Prediction
+from fluxtwin.gap.hypotheses.blocks import Block
+from fluxtwin.gap.hypotheses.evidence import fit
+from fluxtwin.gap.linear.leftover import leftover
+from fluxtwin.gap.noise.whitening import Whitener
+from fluxtwin.gap.posterior.explanations import likeliest, weighed
+from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.gap.records.diagnosis import Detectable, FoundEffect, MomentumGap, Ranked
+from fluxtwin.gap.selection.criterion import THRESHOLD, worth
+from fluxtwin.gap.selection.detectable import smallest
+from fluxtwin.gap.selection.forward import Search, begin, run
+from fluxtwin.gap.selection.groups import alike, isolability, shares_by_name
+from fluxtwin.gap.selection.named import SearchResult, axis_of, found_effect, parameters_of
+from fluxtwin.gap.selection.refit import Fit, covariance_of
+from fluxtwin.gap.selection.search import ranking
+from fluxtwin.gap.selection.support import support
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.effects.chain import Active
+from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
+
+_AGAIN = 2
+_SURE_RAD = np.radians(5.0)
+"""A standing error of the attitude that is known no better is not stated."""
+_NO_SCENARIO = 'no scenario with attitude mode "dynamics" says what the body is and which torques turn it'
+_NAMES = {effect.name for effect in DYNAMICS}
+_NOTHING = Left(0.0, 0.0, "none", "")
+
+
+@dataclass(frozen=True, eq=False)
+class Momentum:
+    """What the balance of the momentum says; `gap` is None where there is no balance."""
+
+    named: tuple[FoundEffect, ...] = ()
+    known: float = 1.0
+    """Probability that nothing, or what is named, is all that turns the body."""
+    left: Left = _NOTHING
+    """Torques that no effect makes."""
+    untestable: Mapping[str, str] = field(default_factory=dict)
+    ranking: tuple[Ranked, ...] = ()
+    isolability: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    minimum_detectable: Mapping[str, Detectable] = field(default_factory=dict)
+    gap: MomentumGap | None = None
+    worse: bool = False
+    """Whether held-out windows are predicted worse with the named effects than without."""
+    ahead_km: tuple[float, float] | None = None
+    """How far the reported position is ahead along the orbit, and sigma; None where torques do not show it."""
+    ruled_out: Mapping[str, str] = field(default_factory=dict)
+    """Names that the readings would accept and the torques do not: why."""
+
+    @property
+    def standing(self) -> tuple[FoundEffect, ...]:
+        """Named effects that stand: one of few that would do, and nothing unknown is likelier."""
+        refuted = self.known < 0.5 or self.worse or any(one.too_many_alike for one in self.named)
+        return () if refuted else self.named
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether something is there that no effect explains."""
+        return (bool(self.named) or self.left.structured) and not self.standing
+
+    @property
+    def incomplete(self) -> bool:
+        """Whether the named effects stand and something smaller is left."""
+        return bool(self.standing) and self.left.structured
+
+
+def absent(reason: str) -> Momentum:
+    """No balance: why the effects on the dynamics cannot be tested."""
+    return Momentum(untestable=dict.fromkeys((effect.name for effect in DYNAMICS), reason))
+
+
+def balanced(
+    problem: Problem, craft: Craft | None, whitener: Whitener, result: SearchResult, fitted_nT: FloatArray
+) -> Momentum:
+    """The balance beside the finished search of the magnetometer's channel.
+
+    fitted_nT: (N, 3, c) Jacobian of what that channel fits: what is modelled, its named effects, and others after them.
+    """
+    if craft is None:
+        return absent(_NO_SCENARIO)
+    flown = arcs(problem, craft, orbit_of(problem, [*problem.frozen, *result.modelled, *result.chosen]))
+    cut = flown if isinstance(flown, str) else windows(flown)
+    if isinstance(cut, str):
+        return absent(cut)
+    found = _about_the_motion(problem, cut, whitener, result, fitted_nT)
+    if found.left.structured or found.ahead_km is None:
+        return found  # where something else turns the body it is no witness
+    return replace(found, ruled_out=ruled_out(result, whitener, found.ahead_km))
+
+
+def _about_the_motion(
+    problem: Problem, cut: Windows, whitener: Whitener, result: SearchResult, fitted_nT: FloatArray
+) -> Momentum:
+    """The search about the motion that the balance makes, and where something is found about a better one.
+
+    A large effect turns the body far from the balance as modelled. Then a slow torque brings the motion near enough to
+    name it, and the last word has the motion of the vehicle that has it: a fitted torque has the errors of the attitude
+    in it.
+    """
+    found, vehicle = _searched(problem, cut.followed().followed(), whitener, result, fitted_nT)
+    if not found.named and not found.left.structured:
+        return found
+    found, vehicle = _searched(problem, cut.followed(slow=True).followed(slow=True), whitener, result, fitted_nT)
+    for _ in range(_AGAIN):
+        if not found.named:
+            break
+        before = [one.name for one in found.named]
+        moved = Windows(cut.arcs.of(vehicle), cut.windows).followed().followed()
+        momentum_N = moved.arcs.momentum_of(cut.arcs.craft.vehicle)
+        again = Windows(cut.arcs.along(moved.arcs.track, momentum_N), cut.windows)
+        found, vehicle = _searched(problem, again, whitener, result, fitted_nT)
+        if [one.name for one in found.named] == before:
+            break
+    return found
+
+
+def _searched(
+    problem: Problem, cut: Windows, whitener: Whitener, result: SearchResult, fitted_nT: FloatArray
+) -> tuple[Momentum, Vehicle]:
+    """What the balance about this motion says, and the vehicle with the named effects."""
+    channel, untestable, torques = momentum_channel(problem, cut, whitener, result, fitted_nT)
+    search = begin(channel, list(channel.causes), tested_before=result.tested)
+    path = run(search)
+    lefts = [_left(search, fitted, torques) for fitted, _ in path]
+    explanations = weighed(search, path, lefts, [0.0] * len(path))
+    best, known, _ = likeliest(explanations)
+    chosen = explanations[best]
+    seen, hidden = smallest(search.first)
+    gap, worse = _how_far(channel, chosen.fit)
+    momentum = Momentum(
+        named=_named(search, chosen.fit, chosen.beside.variance, known),
+        known=known,
+        left=chosen.left,
+        untestable={**untestable, **{name: why for name, why in hidden.items() if name in _NAMES}},
+        ranking=tuple(line for line in ranking(search) if line.name in _NAMES),
+        isolability=isolability(shares_by_name(search.first)),
+        minimum_detectable={name: _detectable(search, *where) for name, where in seen.items() if name in _NAMES},
+        gap=gap,
+        worse=worse,
+        ahead_km=ahead_km(channel, chosen.fit, result),
+    )
+    return momentum, vehicle_of(channel, chosen.fit)
+
+
+def _left(search: Search[MomentumChannel], fitted: Fit, torques: Mapping[tuple[str | None, str], FloatArray]) -> Left:
+    """The plain torque of most worth beside the effects of a fit."""
+    channel = search.channel
+    rest = leftover(channel, channel.raw(fitted.chosen), channel.every(fitted.chosen))
+    tried, clues = float(np.log(len(torques))), []
+    for (condition, frame), columns in torques.items():
+        own = partial(np.asarray, columns)
+        block = Block({"dynamics": 1.0}, condition, frame, condition or "", " " * columns.shape[2], own)
+        drop, rank = fit(block, rest).explained()
+        what = "steady torques" if condition is None else f"torques that follow {condition.replace('_', ' ')}"
+        words, value = f"{what} in {frame} axes", worth(drop, rank, search.samples, tried)
+        clues.append(Left(value, drop, "block", words, condition, frame, rank=rank, log_tried=tried))
+    best = max(clues, key=lambda clue: clue.worth)
+    return best if best.worth > THRESHOLD else _NOTHING
+
+
+def _detectable(search: Search[MomentumChannel], relative: float, number: int, column: int) -> Detectable:
+    parameter = search.found[number].effect.parameters[int(search.first.place[column])]
+    return Detectable(parameter.name, relative * parameter.scale, parameter.unit, 0.0)
+
+
+def _named(search: Search[MomentumChannel], fitted: Fit, variance: float, known: float) -> tuple[FoundEffect, ...]:
+    """The chosen effects with their support, most significant first."""
+    same, found = alike(shares_by_name(search.first)), []
+    # A value at its limit has its sigma too: the balance hardly sees some of them.
+    covariance, seen, _ = covariance_of(fitted.jacobian, np.any(fitted.jacobian != 0.0, axis=(0, 1)))
+    for number, (part, (effect, theta)) in enumerate(zip(fitted.slices(), fitted.chosen, strict=True)):
+        backing = support(search, fitted, number, variance, same, known)
+        energy = np.mean(search.channel.signal(effect, theta) ** 2, axis=0)
+        whole = seen[part, None] & seen[None, part]
+        own = np.where(whole, covariance[part, part] * max(variance, 1.0), np.nan)
+        found.append(
+            found_effect(
+                effect,
+                parameters_of(effect, theta, np.sqrt(np.diag(own))),
+                search.channel.windows.arcs.problem.setting,
+                p_value=backing.p_value,
+                probability=backing.probability,
+                group=backing.group,
+                rivals=backing.rivals,
+                axis=axis_of(energy),
+                covariance=own,
+            )
+        )
+    return tuple(sorted(found, key=lambda one: one.significance))
+
+
+def _how_far(channel: MomentumChannel, fit: Fit) -> tuple[MomentumGap, bool]:
+    """How far the balance closes on windows that the parameters have not seen, and whether it is predicted worse with the
+    named effects than without. The start of each window comes from itself."""
+    windows, plain = channel.windows, channel.balance.by_attitude
+    before, after = (plain.left(_held_out(channel, chosen)) for chosen in ((), fit.chosen))
+    floor = plain.floor_rad(channel.balance.noise)
+    # In rad where other channels have nT: the share that is closed has no unit.
+    prediction = Prediction(before, after, np.ones(len(before), dtype=bool), floor, floor)
+    far = prediction.shrinkage(bool(fit.chosen))
+    value, sigma = channel.estimate(fit)
+    at = slice(channel.fitted.shape[2] - 3, channel.fitted.shape[2])
+    errors = {
+        axis: (float(np.degrees(value)), float(np.degrees(sigma)))
+        for axis, value, sigma in zip("xyz", value[at], sigma[at], strict=True)
+        if sigma < _SURE_RAD
+    }
+    before_deg, after_deg, floor_deg = (float(np.degrees(one)) for one in (far.before_nT, far.after_nT, floor))
+    longest = max(float(w.seconds[-1] - w.seconds[0]) for w in windows.windows)
+    gap = MomentumGap(
+        before_deg,
+        after_deg,
+        floor_deg,
+        far.closed,
+        far.interval,
+        len(windows.windows),
+        longest,
+        channel.balance.noise.words,
+        errors,
+    )
+    return gap, bool(fit.chosen) and prediction.refuted
+
+
+def _held_out(channel: MomentumChannel, chosen: Sequence[Active]) -> FloatArray:
+    """(M, 3) [rad] what is left of each window with the parameters that four fifths of the others give."""
+    windows, raw, residual = channel.windows, channel.below(channel.every(chosen)), channel.below(channel.raw(chosen))
+    white, target, out = channel.balance.apply(raw), channel.balance.apply(residual), np.array(residual)
+    for part in np.array_split(np.arange(len(windows.windows)), min(BLOCKS, len(windows.windows))):
+        held = np.concatenate([np.arange(windows.rows.size)[windows.windows[n].place] for n in part])
+        train = np.setdiff1d(np.arange(windows.rows.size), held)
+        design = white[train].reshape(3 * train.size, -1)
+        length = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+        theta = np.linalg.lstsq(design / length, target[train].reshape(-1), rcond=1e-6)[0] / length
+        out[held] = residual[held] - raw[held] @ np.where(np.any(white != 0.0, axis=(0, 1)), theta, 0.0)
+    return out

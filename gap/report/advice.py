@@ -58,4 +58,4 @@ def hours_of(time: TimeArray) -> float:
     """Hours of data that rows at these times (N,) cover, gaps left out."""
     if time.size < 2:
         return 0.0
-    return float(np.median(np.diff(time)) / np.timedelta64(1, "h")) * time.size
+    return float(np.median(np.diff(time)) / np.timedelta64(1, "s")) * time.size / 3600.0

@@ -124,7 +124,7 @@ def outliers(time: TimeArray, cut: BoolArray) -> str:
     first, last = (epoch.iso(time[row]) for row in (rows[0], rows[-1]))
     if rows.size == 1:
         return f"1 row has an outlier of more than six sigma, at {first}, and is set aside"
-    together = f" in {runs} runs" if rows.size > 1.5 * runs else ""
+    together = f" in {runs} run{'s' if runs > 1 else ''}" if rows.size > 1.5 * runs else ""
     return f"{rows.size} rows have outliers{together} of more than six sigma, from {first} to {last}, and are set aside"
 
 

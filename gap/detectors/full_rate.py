@@ -70,7 +70,7 @@ def full_rate(
         near.setting.seconds,
         near.segment,
         prior_of(complete_budget(near)),
-        None if near.axes is None else near.measured,
+        near.axes,
     )
     whitener = whitener_of(near, noise, robust.weights)
     left = leftover(whitener, residual, fitted)

@@ -8,6 +8,7 @@ import numpy as np
 
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.waveforms import gaussian
+from fluxtwin.gap.noise.budget import NOISE_LOG_SD
 from fluxtwin.gap.linear.leftover import Leftover
 from fluxtwin.gap.noise.choice import NoiseModel
 from fluxtwin.gap.problem.problem import Budget
@@ -16,7 +17,6 @@ from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.digits import BitErrors, CoarseQuantization, ExcessNoise
 
-_LEVEL_LOG_SD = 0.1  # to which declared noise is trusted
 
 
 def noise_level(
@@ -37,16 +37,16 @@ def noise_level(
     share = there.mean(axis=0) / there.mean()
     axis_energy = np.sum(series**2, axis=0) / left.degrees * 3.0 / np.where(share > 0, share, 1.0)
     level = np.maximum(np.asarray(fitted_nT) * np.sqrt(axis_energy), 1e-12)
-    noisy = np.log(level / declared_nT) > 2 * _LEVEL_LOG_SD
+    noisy = np.log(level / declared_nT) > 2 * NOISE_LOG_SD
     alone = measured is None and int(noisy.sum()) == 1
     level_nT = float(level[noisy][0]) if alone else float(np.sqrt(np.sum(share * level**2) / 3.0))
     degrees = left.degrees / 3 if alone else left.degrees
-    beyond = float(np.log(level_nT / declared_nT) / np.hypot(_LEVEL_LOG_SD, np.sqrt(0.5 / degrees)))
+    beyond = float(np.log(level_nT / declared_nT) / np.hypot(NOISE_LOG_SD, np.sqrt(0.5 / degrees)))
     value = worth(max(beyond, 0.0) ** 2, 1, left.degrees / 3.0, float(np.log(3.0)) if alone else 0.0)
     if value <= THRESHOLD:
         return None
     rms = float(np.sqrt(level_nT**2 - declared_nT**2))
-    sigma = float(np.hypot(_LEVEL_LOG_SD * declared_nT**2, level_nT**2 * np.sqrt(0.5 / degrees)) / rms)
+    sigma = float(np.hypot(NOISE_LOG_SD * declared_nT**2, level_nT**2 * np.sqrt(0.5 / degrees)) / rms)
     values = (series / np.sqrt(np.where(share > 0, axis_energy, 1.0)))[there & np.any(series != 0, axis=1)[:, None]]
     faults = ["structure is left"] if structured else []
     if not gaussian(values):

@@ -12,11 +12,15 @@ import numpy as np
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.waveforms import gaussian
 from fluxtwin.gap.linear.leftover import SHARE_LEFT, Leftover
-from fluxtwin.gap.noise.walk import LOG_RMS, modes_of_a_walk, three_axes
+from fluxtwin.gap.noise.walk import RMS
 from fluxtwin.gap.selection.criterion import THRESHOLD, worth
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.calibration import BiasRandomWalk
 
+_MODES_A_ROOT = 4.0  # times the root of the rows: beyond, a walk of three times the noise is below it
+_FEWEST, _MOST = 24, 160
+_SIZES = np.exp(np.linspace(*np.log(RMS), 60))
+"""Spreads of the walk at the end of the record over the noise of a reading."""
 _KNOTS = 48
 """Increments of the walk that are looked at."""
 _COME_BACK = (8.0, 16.0)  # half periods over the record
@@ -33,7 +37,7 @@ def random_walk(seconds: FloatArray, left: Leftover, sigma_nT: float) -> Finding
     # The noise level is that of what no walk explains: a level that was declared wrong is no walk.
     variance = (left.energy - float(q @ q)) / max(left.degrees - q.size, 1)
     gram, moment = gram / variance, moment / variance
-    sizes = np.exp(LOG_RMS) * sigma_nT / np.sqrt(float(seconds[-1] - seconds[0]))
+    sizes = _SIZES * sigma_nT / np.sqrt(float(seconds[-1] - seconds[0]))
     rate, value = _evidence(gram, moment, sizes)
     if value <= THRESHOLD:
         return None
@@ -104,3 +108,22 @@ def jumps(seconds: FloatArray, left: Leftover, rate: float, variance: float) -> 
         level = level + gain * (value - level)
         spread *= 1.0 - gain
     return not gaussian(np.array(found)[np.any(series != 0, axis=1)])
+
+
+def modes_of_a_walk(seconds: FloatArray) -> FloatArray:
+    """(N, k) Karhunen-Loeve modes of a walk of 1 nT/sqrt(s) that begins with the record, times their spread [sqrt(s)].
+
+    Sines of k - 1/2 half periods over the record, of variance falling with the square of that number (Loeve 1978,
+    Probability theory II, section 37.5).
+    """
+    begin = float(seconds[0])
+    span = float(seconds[-1]) - begin
+    count = int(np.clip(_MODES_A_ROOT * np.sqrt(seconds.size), _FEWEST, min(_MOST, max(seconds.size // 2, _FEWEST))))
+    waves = np.pi * (np.arange(count) + 0.5)
+    return np.asarray(np.sqrt(2.0 * span) * np.sin(waves * (seconds - begin)[:, None] / span) / waves)
+
+
+def three_axes(shapes: FloatArray) -> FloatArray:
+    """(N, 3, 3k): each shape in each axis, axes fastest."""
+    spread = np.eye(3)[None, :, None, :] * shapes[:, None, :, None]
+    return np.asarray(spread.reshape(shapes.shape[0], 3, -1))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm
 
 from fluxtwin.gap.problem.problem import Budget, Problem
 from fluxtwin.sim.base.types import FloatArray
@@ -14,12 +15,20 @@ FROM_SPACING = "estimated from the spacing of the readings"
 FROM_DIFFERENCES = "estimated from short differences"
 NOT_KNOWN = "not known"
 
-_NOISE_LOG_SD = 0.1  # the declared noise is trusted to 10 %
-_ATTITUDE_LOG_SD = 0.4  # the declared attitude error to a factor 1.5
-_TAU_LOG_SD = 0.5
-_USUAL_TAU_S, _USUAL_TAU_LOG_SD = 100.0, 1.5  # undeclared: white to ten minutes, weakly
-_WIDE_LOG_SD = 0.7  # a factor two either way
-_LEAST_NOISE_nT = 1e-3  # what a noise-free, unrounded simulation is held to have
+NOISE_LOG_SD = 0.1
+"""The declared noise is trusted to 10 %: data sheets give two digits."""
+ATTITUDE_LOG_SD = 0.4
+"""The declared attitude error is trusted to a factor 1.5: requirements are round numbers, and met with margin."""
+TAU_LOG_SD = 0.5
+"""A declared time constant is one number for a spectrum."""
+USUAL_TAU_S, _USUAL_TAU_LOG_SD = 100.0, 1.5
+"""Undeclared: from a sensor's own noise, some seconds, to ten minutes of an attitude filter, at 1.3 standard deviations."""
+_WIDE_LOG_SD = 0.7
+"""Noise that was estimated from differences: a factor two either way, as it takes all fast errors for noise."""
+_LEAST_NOISE_nT = 1e-3
+"""What a noise-free, unrounded simulation is held to have: the last decimal of a written reading."""
+MAD = float(1.0 / norm.ppf(0.75))
+"""Standard deviation of a normal distribution over its median absolute deviation."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +39,10 @@ class NoisePrior:
     """White noise of a reading with rounding, 1 sigma per axis."""
     sigma_log_sd: float
     theta_rad: float | None = None
-    theta_log_sd: float = _ATTITUDE_LOG_SD
+    theta_log_sd: float = ATTITUDE_LOG_SD
     tau_s: float | None = None
     """Declared time constant; None leaves it to the data, white included."""
-    tau_log_sd: float = _TAU_LOG_SD
+    tau_log_sd: float = TAU_LOG_SD
 
     def log_density(self, sigma_nT: float, theta_rad: float, tau_s: float) -> float:
         """Log of the prior at a point, without its constant; a theta or tau of zero has the peak's."""
@@ -41,7 +50,7 @@ class NoisePrior:
         if self.theta_rad and theta_rad > 0:
             total += (np.log(theta_rad / self.theta_rad) / self.theta_log_sd) ** 2
         if tau_s > 0 and self.tau_s is None:
-            total += (np.log(tau_s / _USUAL_TAU_S) / _USUAL_TAU_LOG_SD) ** 2
+            total += (np.log(tau_s / USUAL_TAU_S) / _USUAL_TAU_LOG_SD) ** 2
         elif tau_s > 0 and self.tau_s:
             total += (np.log(tau_s / self.tau_s) / self.tau_log_sd) ** 2
         return -0.5 * float(total)
@@ -80,7 +89,7 @@ def prior_of(budget: Budget) -> NoisePrior:
     guessed = budget.noise_nT is None or sources.get("noise_nT") == FROM_DIFFERENCES
     return NoisePrior(
         sigma_nT=max(white, _LEAST_NOISE_nT),
-        sigma_log_sd=_WIDE_LOG_SD if guessed else _NOISE_LOG_SD,
+        sigma_log_sd=_WIDE_LOG_SD if guessed else NOISE_LOG_SD,
         theta_rad=budget.attitude_sigma_rad,
         tau_s=budget.attitude_tau_s,
     )
@@ -126,7 +135,7 @@ def short_difference_sigma(residual_nT: FloatArray, field_B_nT: FloatArray, segm
         return float(np.std(residual_nT)) if residual_nT.size else _LEAST_NOISE_nT
     same = (segment[2:] == segment[:-2]) & np.isfinite(along[2:] + along[:-2])
     second = (along[2:] - 2.0 * along[1:-1] + along[:-2])[same if same.any() else slice(None)] / np.sqrt(6.0)
-    middle = 1.4826 * float(np.median(np.abs(second)))
+    middle = MAD * float(np.median(np.abs(second)))
     if middle > 0:
         return middle
     return float(np.sqrt(np.mean(np.square(second)))) or _LEAST_NOISE_nT

@@ -7,22 +7,21 @@ moves is never taken for spikes and its evidence thrown away.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from fluxtwin.gap.noise.whitening import NoiseModel, full_weights
+from fluxtwin.gap.noise.budget import MAD
+from fluxtwin.gap.noise.whitening import Whitener, full_weights, kernels
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 
-CUT_SIGMA = 6.0
+CUT_SIGMA = 6.0  # two of a thousand million good components are cut
 _DOUBT_SIGMA = 4.5  # from here to the cut a component loses weight; seven of a million good ones do
 _LARGEST_SHARE = 0.10  # of the rows: more are no spikes but something that the diagnosis must see
-_NEAR_ROWS = 7  # for the level around a component
+_NEAR_ROWS = 7  # for the level around a component: three wrong ones of seven leave it
 _AROUND_ROWS = 25  # for the scatter around it
-_MAD = 1.4826  # of a normal distribution: sigma over median absolute deviation
+_ROUNDS = 15  # of the fit of least absolute residuals, if it does not settle before
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +32,6 @@ class RobustRows:
     """(N, 3): 1 good, 0 cut, between for doubtful ones. Give it to `make_whitener`."""
     difference_nT: FloatArray | None = None
     """(N, 3) each component less what the saturated fit and all other readings predict for it."""
-    words: str = ""
     measured: BoolArray | None = None
     """(N, 3) components that there are; None: all."""
 
@@ -70,13 +68,13 @@ def standing_out(difference: FloatArray, least: float = 0.0, measured: BoolArray
         return np.zeros_like(difference)
     level = median_filter(difference, size=(min(_NEAR_ROWS, rows), 1), mode="reflect")
     alone = np.minimum(np.abs(difference), np.abs(difference - level))
-    spread = _MAD * median_filter(np.abs(difference - level), size=(min(_AROUND_ROWS, rows), 1), mode="reflect")
+    spread = MAD * median_filter(np.abs(difference - level), size=(min(_AROUND_ROWS, rows), 1), mode="reflect")
     return np.asarray(alone / np.maximum(np.maximum(spread, least), _scatter(difference - level)))
 
 
 def _scatter(difference: FloatArray) -> FloatArray:
     """(k,) robust sigma of each component over all rows, never zero."""
-    scatter = _MAD * np.median(np.abs(difference), axis=0)
+    scatter = MAD * np.median(np.abs(difference), axis=0)
     return np.asarray(np.maximum(scatter, 1e-9 + 1e-12 * np.max(np.abs(difference), axis=0)))
 
 
@@ -92,68 +90,46 @@ def weights_of(distance: FloatArray, measured: BoolArray | None = None) -> Float
     return np.where(distance > bar if measured is None else (distance > bar) | ~measured, 0.0, weights)
 
 
-def spike_weights(
-    left_nT: FloatArray,
-    image_nT: FloatArray,
-    seconds: FloatArray,
-    segment: FloatArray,
-    noise: NoiseModel,
-    weights: FloatArray,
-    measured: BoolArray | None = None,
-) -> tuple[FloatArray, FloatArray]:
+def spike_weights(left_nT: FloatArray, whitener: Whitener, there: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Weights (N, 3) under a noise model, and each component less what all others predict for it [nT].
 
-    left_nT (N, 3): residual after the saturated fit; weights (N, 3) as they are now. Components that are cut now
-    are judged like all others and may come back.
+    left_nT (N, 3): residual after the fit; whitener: with the weights as they are now, and the state's covariance;
+    there (N, 3): components that are measured. Those that are cut now are judged like all others and may come back.
     """
-    from fluxtwin.gap.noise.kernels import predict_each
-
-    now = full_weights(weights, left_nT.shape[0]) / np.square(noise.axis_factor)
+    noise = whitener.noise
     own = full_weights(None, left_nT.shape[0]) / np.square(noise.axis_factor)
-    image, when, part = (np.ascontiguousarray(a, dtype=np.float64) for a in (image_nT, seconds, segment))
     scaled = np.ascontiguousarray(left_nT / noise.sigma_nT)
     standard, plain = np.empty_like(scaled), np.empty_like(scaled)
-    predict_each(image, when, part, now, own, noise.theta_rad / noise.sigma_nT, noise.tau_s, scaled, standard, plain)
-    return weights_of(standing_out(standard, 1.0, measured), measured), plain * noise.sigma_nT
+    kernels().predict_each(
+        whitener.load,
+        whitener.decay,
+        whitener.gains,
+        whitener.covariance,
+        whitener.weights,
+        own,
+        scaled,
+        standard,
+        plain,
+    )
+    return weights_of(standing_out(standard, 1.0, there), there), plain * noise.sigma_nT
 
 
-def first_weights(
-    residual_nT: FloatArray,
-    designs: Sequence[FloatArray],
-    rows: NDArray[np.intp],
-    measured: BoolArray | None = None,
-) -> FloatArray:
+def first_weights(residual_nT: FloatArray, design: FloatArray, there: BoolArray) -> FloatArray:
     """Weights (N, 3) before anything is known of the noise: gross spikes only.
 
     Least squares first; if anything stands out of it, the fit of least absolute residuals, which a tenth of wild
-    readings does not move. designs: (N, 3, P) each; rows: indices the fit is made on; measured (N, 3): what there is.
+    readings does not move. design: (N, 3, P); there (N, 3): components that are measured.
     """
-    there = np.ones(residual_nT.shape, dtype=np.bool_) if measured is None else measured
-    for rounds in (1, 15):
-        coefficients = _fit(residual_nT, designs, rows, there, rounds=rounds)
-        distance = standing_out(residual_nT - combine(designs, coefficients), measured=measured)
-        weights = np.where(weights_of(distance, measured) > 0, 1.0, 0.0)
+    for rounds in (1, _ROUNDS):
+        left = residual_nT - design @ _fit(residual_nT[there], design[there], rounds)
+        weights = np.where(weights_of(standing_out(left, measured=there), there) > 0, 1.0, 0.0)
         if (weights[there] > 0).all():
             break
     return weights
 
 
-def combine(designs: Sequence[FloatArray], coefficients: FloatArray) -> FloatArray:
-    """(N, 3) sum of the designs' columns times coefficients (P,), P over all designs."""
-    total, first = np.zeros(designs[0].shape[:2]), 0
-    for design in designs:
-        last = first + design.shape[2]
-        total += design @ coefficients[first:last]
-        first = last
-    return total
-
-
-def _fit(
-    residual_nT: FloatArray, designs: Sequence[FloatArray], rows: NDArray[np.intp], there: BoolArray, *, rounds: int
-) -> FloatArray:
+def _fit(y: FloatArray, A: FloatArray, rounds: int) -> FloatArray:
     """Coefficients (P,) by iterated reweighting towards least absolute residuals; one round is least squares."""
-    A = np.concatenate([d[rows] for d in designs], axis=2)[there[rows]]
-    y = residual_nT[rows][there[rows]]
     size = np.linalg.norm(A, axis=0)
     A = A / np.where(size > 0, size, 1.0)
     weight: FloatArray = np.ones(y.size)

@@ -11,19 +11,15 @@ W V W' = I.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fluxtwin.gap.problem.row_axes import RowAxes
 from fluxtwin.sim.base.processes import stop_if_asked
 from fluxtwin.sim.base.types import FloatArray
-
-Precise = NDArray[Any]
-"""Single or double precision."""
 
 
 @dataclass(frozen=True)
@@ -56,15 +52,19 @@ class NoiseModel:
 class Whitener:
     """The linear map that whitens; N rows. Made by `make_whitener`."""
 
-    image_nT: FloatArray
-    """(N, 3, 3) what a turn of a radian about each body axis does to a reading."""
-    gains: FloatArray
-    """(N, 16), see `noise_kernels.GAIN_COLUMNS`."""
     noise: NoiseModel
     weights: FloatArray
     """(N, 3) weight of each component; 0: not measured, its row of the result is zero and it moves no state."""
     log_det: float
     """log determinant of the covariance of the measured components [nT**2]."""
+    load: FloatArray
+    """(N, 3, n) what the state adds to each component, in units of sigma; see `kernels`."""
+    decay: FloatArray
+    """(N,) share of the attitude error that is left since the row before."""
+    gains: FloatArray
+    """(N, 3, n + 1), see `kernels.fill_gains`."""
+    covariance: FloatArray
+    """(N, n, n) of the state before each row; of no rows unless it was asked for."""
     axes: RowAxes | None = None
     """Turns columns in body axes into the axes in which the rows are judged; None: those are the body axes."""
 
@@ -73,52 +73,26 @@ class Whitener:
         """Number of scalar measurements; degrees of freedom before any fit."""
         return int((self.weights > 0).sum())
 
-    def apply(self, columns: FloatArray, *, out: FloatArray | None = None) -> FloatArray:
-        """Whiten (N, 3) or (N, 3, P), in nT (per unit): unit variance, same shape, axes near the body axes.
+    @cached_property
+    def turns(self) -> FloatArray:
+        """(N, 3, 3) that make each row's axes those nearest the body axes."""
+        turns = np.empty((self.weights.shape[0], 3, 3))
+        kernels().fill_turns(self.load, self.gains, turns)
+        return turns
 
-        out: where to put it; it may be `columns` itself, which then costs no memory.
-        """
-        columns = np.asarray(columns, dtype=np.float64)
-        wide = np.ascontiguousarray(columns if columns.ndim == 3 else columns[:, :, None])
-        direct = out is not None and out.flags.c_contiguous and out.dtype == np.float64
-        result = out.reshape(wide.shape) if out is not None and direct else np.empty_like(wide)
-        self._whiten(0, np.zeros((3, wide.shape[2])), wide, result)
-        if out is None:
-            return result.reshape(columns.shape)
-        if not direct:
-            out[...] = result.reshape(out.shape)
-        return out
-
-    def apply_as_it_is(self, columns: Precise) -> Precise:
-        """Whiten a contiguous (N, 3, P) that is in the rows' own axes already; single precision stays single."""
-        out = np.empty_like(columns)
-        self._whiten(0, np.zeros((3, columns.shape[2])), columns, out)
-        return out
-
-    def stream(self, chunks: Iterable[FloatArray]) -> Iterator[FloatArray]:
-        """Whiten consecutive chunks of rows, each (n, 3, P), the filter carried from one to the next.
-
-        With chunks made one at a time a million rows of sixty columns need the memory of one chunk.
-        """
-        row, state = 0, np.zeros((3, 0))
-        for chunk in chunks:
-            columns = np.ascontiguousarray(chunk, dtype=np.float64)
-            if row == 0:
-                state = np.zeros((3, columns.shape[2]))
-            done = np.empty_like(columns)
-            self._whiten(row, state, columns, done)
-            row += columns.shape[0]
-            yield done
-
-    def _whiten(self, row: int, state: FloatArray, columns: Precise, out: Precise) -> None:
-        from fluxtwin.gap.noise.kernels import whiten
-
+    def apply(self, columns: FloatArray) -> FloatArray:
+        """Whiten (N, 3) or (N, 3, P), in nT (per unit): unit variance, same shape, axes near the body axes."""
         stop_if_asked()  # whatever takes long in a diagnosis whitens, or flies the chain of effects
-        rows = slice(row, row + columns.shape[0])
-        if self.axes is not None:
-            columns = self.axes.judged(columns, row)
-        ratio = self.noise.theta_rad / self.noise.sigma_nT
-        whiten(self.image_nT[rows], self.gains[rows], self.noise.sigma_nT, ratio, state, columns, out)
+        columns = np.asarray(columns, dtype=np.float64)
+        return self.apply_judged(columns if self.axes is None else self.axes.judged(columns))
+
+    def apply_judged(self, columns: FloatArray, *, turned: bool = True) -> FloatArray:
+        """As `apply`, for what is in the rows' own axes already; not turned: the components of a row are innovations of one
+        after the other, which is all the same where only sums of squares and products are wanted."""
+        wide = np.ascontiguousarray(columns if columns.ndim == 3 else columns[:, :, None])
+        out, turns = np.empty_like(wide), self.turns if turned else np.empty((0, 3, 3))
+        kernels().whiten(self.load, self.decay, self.gains, turns, 1.0 / self.noise.sigma_nT, wide, out)
+        return out.reshape(columns.shape)
 
 
 def make_whitener(
@@ -128,26 +102,53 @@ def make_whitener(
     noise: NoiseModel,
     weights: FloatArray | None = None,
     axes: RowAxes | None = None,
+    *,
+    walk: float = 0.0,
+    covariance: bool = False,
 ) -> Whitener:
     """The whitening of one noise model on one design.
 
     image_nT (N, 3, 3) of a turn, as from `turn_images`; seconds (N,) increasing; segment (N,): where it
     changes, nothing is known of the attitude error any more; weights (N,) or (N, 3): the white variance of a
     component is sigma**2 / weight, 0 for one that is to be passed over. axes: where rows have no attitude, the axes
-    of images and weights; what is whitened is given in body axes all the same.
+    of images and weights; what is whitened is given in body axes all the same. walk: see `with_walk`; covariance:
+    whether that of the state is kept.
     """
-    from fluxtwin.gap.noise.kernels import GAIN_COLUMNS, fill_gains
-
-    image = np.ascontiguousarray(image_nT, dtype=np.float64)
-    full = full_weights(weights, image.shape[0]) / np.square(noise.axis_factor)
+    rows = image_nT.shape[0]
+    full = full_weights(weights, rows) / np.square(noise.axis_factor)
     if axes is not None:
-        full = np.ascontiguousarray(np.where(axes.measured, full, 0.0))
-    gains = np.empty((image.shape[0], GAIN_COLUMNS))
-    ratio = noise.theta_rad / noise.sigma_nT
-    seconds, segment = (np.ascontiguousarray(v, dtype=np.float64) for v in (seconds, segment))
-    log_det = fill_gains(image, seconds, segment, full, ratio, float(noise.tau_s), gains)
-    log_det += 2.0 * float(np.log(noise.sigma_nT)) * int((full > 0).sum())
-    return Whitener(image, gains, noise, full, float(log_det), axes)
+        full = np.where(axes.measured, full, 0.0)
+    load = np.asarray(image_nT, dtype=np.float64) * (noise.theta_rad / noise.sigma_nT)
+    decay = np.zeros(rows)
+    if noise.tau_s > 0:
+        same = np.diff(segment, prepend=np.nan) == 0
+        decay[same] = np.exp(-np.diff(seconds, prepend=np.nan)[same] / noise.tau_s)
+    plain = Whitener(noise, full, 0.0, load, decay, np.empty(0), np.empty(0), axes)
+    return with_walk(plain, seconds, walk, covariance=covariance)
+
+
+def with_walk(whitener: Whitener, seconds: FloatArray, rate: float, *, covariance: bool = False) -> Whitener:
+    """The same whitening, but for a bias that begins with the record and walks at a rate in each body axis [nT/sqrt(s)]."""
+    noise, weights, axes = whitener.noise, whitener.weights, whitener.axes
+    load, rows = whitener.load[:, :, :3], len(weights)
+    if rate > 0:
+        bias = np.broadcast_to(np.eye(3), load.shape) if axes is None else axes.turn
+        load = np.concatenate([load, bias], axis=2)
+    step = np.diff(seconds, prepend=seconds[:1]) * (rate / noise.sigma_nT) ** 2
+    states = load.shape[2]
+    gains = np.empty((rows, 3, states + 1))
+    kept = np.empty((rows if covariance else 0, states, states))
+    load, weights = np.ascontiguousarray(load), np.ascontiguousarray(weights)
+    log_det = kernels().fill_gains(load, whitener.decay, step, weights, gains, kept)
+    log_det += 2.0 * float(np.log(noise.sigma_nT)) * whitener.measured
+    return Whitener(noise, weights, float(log_det), load, whitener.decay, gains, kept, axes)
+
+
+def kernels() -> Any:
+    """The compiled recursions; numba is loaded when they are first needed."""
+    from fluxtwin.gap.noise import kernels
+
+    return kernels
 
 
 def full_weights(weights: FloatArray | None, rows: int) -> FloatArray:

@@ -22,7 +22,7 @@ from fluxtwin.gap.hypotheses.candidates import Candidate, derivatives
 from fluxtwin.gap.hypotheses.evidence import fit_all
 from fluxtwin.gap.linear.leftover import Leftover, leftover, orthonormal
 from fluxtwin.gap.noise.budget import prior_of
-from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, Whitener, complete_budget, noise_choice, whitener_of
+from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, Whitener, choose_noise, complete_budget, whitener_of
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import LOG_FURTHER, SHAPE, THRESHOLD, penalty
 from fluxtwin.gap.selection.forward import Search, begin, run
@@ -212,14 +212,14 @@ def noise_and_answer(problem: Problem, dictionary: Sequence[Block], known: Known
     The noise is that of the model as it stands, never beside everything that might be there: some hundred columns can
     make up any slow error of the attitude, and what they leave would be taken for all there is.
     """
-    first = choice = noise_choice(problem)
+    first = choice = choose_noise(problem)
     searched = _searched(problem, whitener_of(problem, choice.noise, choice.robust.weights), known)
     for _ in range(_ROUNDS):
         fit = searched[2][-1][0]
         if not fit.chosen:
             break
         residual = problem.residual_of([*problem.frozen, *fit.active])
-        choice = noise_choice(problem, derivatives(problem, fit.active), residual_nT=residual)
+        choice = choose_noise(problem, derivatives(problem, fit.active), residual_nT=residual)
         searched = _searched(problem, whitener_of(problem, choice.noise, choice.robust.weights), known)
         if {effect for effect, _ in searched[2][-1][0].chosen} == {effect for effect, _ in fit.chosen}:
             break

@@ -22,8 +22,8 @@ from fluxtwin.gap.detectors.residual_structure import Left, what_is_left
 from fluxtwin.gap.hypotheses.blocks import Block
 from fluxtwin.gap.hypotheses.candidates import derivatives
 from fluxtwin.gap.linear.leftover import Leftover, leftover
-from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, whitener_of
-from fluxtwin.gap.noise.walk import Wander, without_walk
+from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, choose_noise, whitener_of
+from fluxtwin.gap.noise.walk import Wander
 from fluxtwin.gap.posterior.explanations import Answer, Known, answered_with, log_likelihood, signals_of
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import THRESHOLD, worth
@@ -95,10 +95,11 @@ class Structured:
         seconds = self.problem.setting.seconds
         wander = Wander(answer.whitener, seconds)
         bare_nT, alone = answer.result.residual_alone_nT, self._alone(answer)
-        if wander.rate(leftover(answer.whitener, bare_nT, alone)) is None:
+        likely = wander.rate(bare_nT, alone)
+        if likely is None:
             return None
         # Given a walk, the error of the attitude is another: without one it took its place.
-        noise, _ = self.choose(wander.columns)
+        noise = choose_noise(self.problem, walk=likely / answer.noise.sigma_nT).noise
         trials = [noise, answer.noise, *_declared(self.problem, noise)]
         gained = [(self._gain(answer, one, bare_nT, alone), one) for one in trials]
         (_, first), likeliest = max(gained, key=lambda found: found[0][0])
@@ -119,14 +120,14 @@ class Structured:
         """Twice the log likelihood that a walk in this noise wins against the best noise without one, and its rate
         (default: the likeliest)."""
         whitener = whitener_of(self.problem, noise, answer.robust.weights)
-        wander, bare = Wander(whitener, self.problem.setting.seconds), leftover(whitener, bare_nT, alone)
-        rate = wander.rate(bare) if rate is None else rate
+        wander = Wander(whitener, self.problem.setting.seconds)
+        rate = wander.rate(bare_nT, alone) if rate is None else rate
         if rate is None:
             return -np.inf, None
         before, now = (
             log_likelihood(self.problem, one, answer.robust, bare_nT, alone) for one in (answer.noise, noise)
         )
-        return wander.gain(bare, rate) + now - before - answer.handicap, rate
+        return wander.gain(bare_nT, alone, rate) + now - before - answer.handicap, rate
 
     def _walks(
         self, answer: Answer, noise: NoiseModel, rate: float | None, bare_nT: FloatArray, alone: FloatArray
@@ -141,7 +142,7 @@ class Structured:
             walking = answered_with(
                 self.problem, answer.robust, wander.whitening(rate), self.dictionary, self.known, answer.shapes
             )
-            rate = wander.rate(self._left(walking))
+            rate = wander.rate(walking.result.residual_nT, walking.fitted_nT)
             if rate is not None and abs(np.log(rate / before)) < _SETTLED:
                 break
         if rate is None:
@@ -152,7 +153,8 @@ class Structured:
 
     def _left(self, answer: Answer) -> Leftover:
         """The residual with what was fitted out of it and no walk in the noise."""
-        return leftover(without_walk(answer.whitener), answer.result.residual_nT, answer.fitted_nT)
+        whitener = whitener_of(self.problem, answer.noise, answer.robust.weights)
+        return leftover(whitener, answer.result.residual_nT, answer.fitted_nT)
 
     def with_line(self, answer: Answer, fast: FullRate | None) -> Answer:
         """A line that only the full rate shows, with its name or as structure that has none."""

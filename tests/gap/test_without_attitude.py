@@ -290,7 +290,7 @@ def test_a_spike_stands_out_among_rows_of_which_half_are_not_measured():
     residual = np.where(measured, 10.0 * rng.standard_normal((rows, 3)), 0.0)
     residual[101, 1] = 400.0
     assert standing_out(residual, measured=measured)[101, 1] > 6.0
-    weights = first_weights(residual, [np.zeros((rows, 3, 0))], np.arange(rows), measured)
+    weights = first_weights(residual, np.zeros((rows, 3, 0)), measured)
     assert weights[101, 1] == 0.0 and np.all(weights[~measured] == 0.0)
     assert int(((weights <= 0) & measured).sum()) == 1
 

@@ -31,7 +31,7 @@ class RobustRows:
     weights: FloatArray
     """(N, 3): 1 good, 0 cut, between for doubtful ones. Give it to `make_whitener`."""
     difference_nT: FloatArray | None = None
-    """(N, 3) each component less what the saturated fit and all other readings predict for it."""
+    """(N, 3) each component less what the fit and all other readings predict for it."""
     measured: BoolArray | None = None
     """(N, 3) components that there are; None: all."""
 

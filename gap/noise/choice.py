@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 _ROUNDS = 4  # of noise and spikes in turn; two settle all but records with many bit errors
-_UNEVEN = 1.25  # axes whose white noise differs by more get a factor each: less costs under 2 % of efficiency
+_UNEVEN = 1.25  # axes whose white noise differs by more get a factor each: less costs at most 5 % (Kantorovich's bound)
 
 
 class NoiseChoice(NamedTuple):

@@ -15,8 +15,8 @@ from fluxtwin.sim.base.kernel_cache import kernel, part
 from fluxtwin.sim.base.types import FloatArray
 
 _NEWTON = 12
-"""Steps of Newton's iteration for the polar factor: it doubles the digits with each once it is near, and nine are the most
-that any matrix needs (Higham 1986, SIAM J. Sci. Stat. Comput. 7, 1160)."""
+"""Steps of Newton's iteration for the polar factor, at most. Scaled, it doubles the digits with each once it is near; nine
+are enough with the best scaling (Higham 1986, SIAM J. Sci. Stat. Comput. 7, 1160), that by the determinant is cheaper."""
 
 
 @part(error_model="numpy", inline="always")

@@ -21,7 +21,7 @@ from fluxtwin.sim.base.types import FloatArray
 RMS = (0.003, 100.0)
 """Of the walk at the end of the record, over the noise of a reading: its prior is even in the logarithm between these."""
 _LEAST_EVIDENCE = 6.0
-"""In log likelihood: what a rate chosen among many wins by chance in one record of 400."""
+"""In log likelihood: a factor of 400, as the rate is chosen among many."""
 _CLOSE = 0.02
 """In the logarithm of the rate: a fifth of its standard deviation where 50 modes of the walk show."""
 

@@ -8,15 +8,14 @@ import numpy as np
 
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.waveforms import gaussian
-from fluxtwin.gap.noise.budget import NOISE_LOG_SD
 from fluxtwin.gap.linear.leftover import Leftover
+from fluxtwin.gap.noise.budget import NOISE_LOG_SD
 from fluxtwin.gap.noise.choice import NoiseModel
 from fluxtwin.gap.problem.problem import Budget
 from fluxtwin.gap.selection.criterion import THRESHOLD, worth
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.digits import BitErrors, CoarseQuantization, ExcessNoise
-
 
 
 def noise_level(

@@ -94,7 +94,7 @@ def select_noise(
         left = likelihood.left_nT(choice)
         again, difference = spike_weights(left, likelihood.whitener(choice.noise, weights, covariance=True), there)
         whitener = likelihood.whitener(choice.noise, again)
-        uneven = _axis_factor(whitener, left, factor, there.all(axis=1))
+        uneven = _axis_factor(whitener, left, factor, np.asarray(there.all(axis=1), dtype=np.bool_))
         settled = np.array_equal(again <= 0, weights <= 0) and uneven == factor
         weights, factor = again, uneven
         if settled:

@@ -8,12 +8,13 @@ with other variances. A step, and levels that are switched between, have increme
 from __future__ import annotations
 
 import numpy as np
+from scipy import stats
 
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.waveforms import gaussian
 from fluxtwin.gap.linear.leftover import SHARE_LEFT, Leftover
 from fluxtwin.gap.noise.walk import RMS
-from fluxtwin.gap.selection.criterion import THRESHOLD, worth
+from fluxtwin.gap.selection.criterion import THRESHOLD
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.calibration import BiasRandomWalk
 
@@ -24,6 +25,7 @@ _SIZES = np.exp(np.linspace(*np.log(RMS), 60))
 _KNOTS = 48
 """Increments of the walk that are looked at."""
 _COME_BACK = (8.0, 16.0)  # half periods over the record
+_RARE_P = 0.005  # of an increment as large as the largest: so often is a true walk refused, at most
 
 
 def random_walk(seconds: FloatArray, left: Leftover, sigma_nT: float) -> Finding | None:
@@ -90,7 +92,7 @@ def _one_stands_out(gram: FloatArray, moment: FloatArray, size: float, between: 
     increments = paths @ (shrink * q)
     spread = np.sqrt(np.einsum("ij,j->i", paths**2, shrink**2 * (1 + size**2 * value)))
     largest = float(np.max(np.abs(increments) / np.maximum(spread, 1e-12)))
-    return worth(largest**2, 1, increments.size, float(np.log(increments.size))) > THRESHOLD
+    return bool(2 * stats.norm.sf(largest) * increments.size < _RARE_P)
 
 
 def jumps(seconds: FloatArray, left: Leftover, rate: float, variance: float) -> bool:

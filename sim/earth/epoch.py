@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from functools import cache
 
 import erfa
 import numpy as np
@@ -60,8 +61,8 @@ def jd_utc(time: TimeArray | np.datetime64) -> tuple[FloatArray, FloatArray]:
     ns = stamps.astype("int64")
     days = ns // _NS_PER_DAY
     nanoseconds = ns - days * _NS_PER_DAY
-    unique, inverse = np.unique(days, return_inverse=True)
-    length = _seconds_in_day(unique)[inverse]
+    midnight: TimeArray = days.astype("datetime64[D]")
+    length = 86400.0 + _leap_seconds(midnight + np.timedelta64(1, "D")) - _leap_seconds(midnight)
     return _JD_UNIX + days.astype(np.float64), nanoseconds * 1e-9 / length
 
 
@@ -129,25 +130,15 @@ def iso(time: np.datetime64, unit: str = "s") -> str:
 
 
 def _leap_seconds(stamps: TimeArray) -> FloatArray:
-    """TAI - UTC [s] at each stamp (ERFA dat); constant 10 s before 1972 so that elapsed time stays smooth."""
-    days = stamps.astype("datetime64[D]")
-    unique, inverse = np.unique(days, return_inverse=True)
-    return _tai_minus_utc(unique)[inverse]
+    """TAI - UTC [s] at each stamp; constant 10 s before 1972 so that elapsed time stays smooth."""
+    at, seconds = _steps()
+    return seconds[np.searchsorted(at, stamps, side="right")]
 
 
-def _tai_minus_utc(days: TimeArray) -> FloatArray:
-    text = np.datetime_as_string(days, unit="D")
-    year, month, day = (np.array(part, dtype=int) for part in zip(*(t.split("-") for t in text), strict=True))
-    modern = year >= 1972
-    offset = np.full(days.shape, 10.0)
-    if modern.any():
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", erfa.ErfaWarning)
-            offset[modern] = erfa.dat(year[modern], month[modern], day[modern], 0.0)
-    return offset
-
-
-def _seconds_in_day(unix_days: np.ndarray) -> FloatArray:
-    """86400, or 86401 on a day that ends with a leap second."""
-    days: TimeArray = unix_days.astype("datetime64[D]")
-    return 86400.0 + _tai_minus_utc(days + np.timedelta64(1, "D")) - _tai_minus_utc(days)
+@cache
+def _steps() -> tuple[TimeArray, FloatArray]:
+    """When TAI - UTC changed since 1972, M stamps, and its M + 1 values before, between and after [s]; ERFA's table."""
+    table = erfa.leap_seconds.get()
+    table = table[table["year"] >= 1972]
+    at = np.array([f"{year:04d}-{month:02d}-01" for year, month in table[["year", "month"]]], dtype="datetime64[ns]")
+    return at, np.concatenate([[10.0], table["tai_utc"]])

@@ -320,6 +320,7 @@ def run(rows: FilterRows, begun: Sequence[FilterStart], noises: Noises, p: Float
         P[:3, :3], P[3:6, 3:6] = wide * one.attitude_covariance, wide * one.rate_covariance
         P[6:9, 6:9], P[9:12, 9:12] = noises.slow_nT**2 * np.eye(3), noises.drift_rad**2 * np.eye(3)
         P[12:, 12:] = C
+        M0 = np.eye(3) + p[:9].reshape(3, 3)
         at = slice(one.begin, one.end)
         total, p, P = run_filter(
             rows.t_s[at],
@@ -336,6 +337,8 @@ def run(rows: FilterRows, begun: Sequence[FilterStart], noises: Noises, p: Float
             p,
             P,
             np.array(noises),
+            noises.field_nT**2 * (M0 @ M0.T),
+            np.asarray(np.linalg.inv(M0), dtype=np.float64),
             *(part[at] for part in out),
         )
         C, cost = P[12:, 12:].copy(), cost + total

@@ -31,7 +31,14 @@ GATE = 5.0
 def _turned(A: FloatArray, v: FloatArray) -> FloatArray:
     """exp(-[v x]) A, and a rotation again where rounding has made it none."""
     out = product(passive(v), A)
-    return 1.5 * out - 0.5 * product(out, product(out.T, out))
+    far = np.zeros((3, 3))  # of its columns from orthonormal ones
+    for i in range(3):
+        for k in range(3):
+            for j in range(3):
+                far[i, k] += out[j, i] * out[j, k]
+            far[i, k] *= -0.5
+        far[i, i] += 1.5
+    return product(out, far)
 
 
 @part()
@@ -43,21 +50,25 @@ def _propagate(A: FloatArray, w: FloatArray, x: FloatArray, P: FloatArray, h: fl
     if angle > 1e-4:
         first, second = (1.0 - math.cos(angle)) / angle**2, (angle - math.sin(angle)) / angle**3
     W = skew(v)
-    turn = _turned(np.eye(3), v)
-    side = h * (np.eye(3) - first * W + second * product(W, W))  # of the turn by an error of the rate
-    for side_of_P in range(2):  # rows, then columns
+    turn, side = _turned(np.eye(3), v), product(W, W)
+    for i in range(3):  # side: of the turn by an error of the rate
+        for j in range(3):
+            side[i, j] = h * ((1.0 if i == j else 0.0) - first * W[i, j] + second * side[i, j])
+    old = np.empty(3)
+    for rows in (True, False):
         for k in range(x.size):
-            old = np.empty(6)
-            for i in range(6):
-                old[i] = P[i, k] if side_of_P == 0 else P[k, i]
             for i in range(3):
-                value = 0.0
+                old[i] = 0.0
                 for j in range(3):
-                    value += turn[i, j] * old[j] + side[i, j] * old[3 + j]
-                if side_of_P == 0:
-                    P[i, k] = value
+                    if rows:
+                        old[i] += turn[i, j] * P[j, k] + side[i, j] * P[3 + j, k]
+                    else:
+                        old[i] += turn[i, j] * P[k, j] + side[i, j] * P[k, 3 + j]
+            for i in range(3):
+                if rows:
+                    P[i, k] = old[i]
                 else:
-                    P[k, i] = value
+                    P[k, i] = old[i]
     for i in range(3):
         q = noise[WALK + i] ** 2 * h
         P[i, i] += q * h * h / 3.0
@@ -68,8 +79,9 @@ def _propagate(A: FloatArray, w: FloatArray, x: FloatArray, P: FloatArray, h: fl
         sigma, tau = (noise[SLOW], noise[SLOW_S]) if i < 9 else (noise[DRIFT], noise[DRIFT_S])
         keep = math.exp(-h / tau)
         x[i] *= keep
-        P[i, :] *= keep
-        P[:, i] *= keep
+        for k in range(x.size):
+            P[i, k] *= keep
+            P[k, i] *= keep
         P[i, i] += sigma**2 * (1.0 - keep * keep)
     return product(turn, A)
 
@@ -77,17 +89,23 @@ def _propagate(A: FloatArray, w: FloatArray, x: FloatArray, P: FloatArray, h: fl
 @part()
 def _direction(y: FloatArray, seen: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
     """Two components of a measured unit vector across the predicted one y, and their derivative by dtheta (2, n)."""
-    axis = np.zeros(3)
-    axis[np.argmin(np.abs(y))] = 1.0
-    basis = np.zeros((2, 3))
-    basis[0] = times(skew(y), axis)
-    basis[0] /= math.sqrt((basis[0] ** 2).sum())
-    basis[1] = times(skew(y), basis[0])
+    least = 0
+    for i in range(1, 3):
+        if abs(y[i]) < abs(y[least]):
+            least = i
+    W = skew(y)
+    first = np.array([W[0, least], W[1, least], W[2, least]])
+    size = math.sqrt(first[0] ** 2 + first[1] ** 2 + first[2] ** 2)
+    for i in range(3):
+        first[i] /= size
+    second = times(W, first)
     H, r = np.zeros((2, n)), np.zeros(2)
-    H[:, :3] = product(basis, skew(y))
-    for i in range(2):
-        for j in range(3):
-            r[i] += basis[i, j] * (seen[j] - y[j])
+    for j in range(3):
+        r[0] += first[j] * (seen[j] - y[j])
+        r[1] += second[j] * (seen[j] - y[j])
+        for k in range(3):
+            H[0, k] += first[j] * W[j, k]
+            H[1, k] += second[j] * W[j, k]
     return H, r
 
 
@@ -107,6 +125,8 @@ def run_filter(
     p: FloatArray,
     P: FloatArray,
     noise: FloatArray,
+    field_R: FloatArray,
+    inverse_M0: FloatArray,
     history: FloatArray,
     spread: FloatArray,
     rates: FloatArray,
@@ -117,65 +137,73 @@ def run_filter(
     """Through the rows of one stretch in order of time; a measurement that is NaN is not there.
 
     field_B: (N, 3) readings [nT]; coupling_B: (N, 3) T D; field_N, nadir_N, sun_N: (N, 3) models; nadir_B, sun_B: (N, 3);
-    A_seen: (N, 3, 3) reference attitude; A, w, p (12,), P (n, n) at the first row. Fills history (N, 3, 3), spread
+    A_seen: (N, 3, 3) reference attitude; A, w, p (12,), P (n, n) at the first row; field_R: (3, 3) covariance of the white
+    noise of the calibrated field; inverse_M0: (3, 3) of 1 + S of the start. Fills history (N, 3, 3), spread
     (N, 3, 3) [rad^2], rates (N, 3), nis and outlying (N, 3 sensors), innovation (N, 3) of the field over its sigma.
     Returns minus twice the log likelihood, p and P at the end. The reading that multiplies an error of S is the predicted
     one, by p of the start: so its noise does not attenuate S, and no early error of the estimate freezes in.
     """
     n = P.shape[0]
     with_p = n > 12
-    start = p.copy()
-    M0 = np.eye(3) + start[:9].copy().reshape(3, 3)
-    inverse_M0 = np.linalg.inv(M0)
-    field_R, white_R = noise[FIELD] ** 2 * (M0 @ M0.T), noise[WHITE] ** 2 * np.eye(3)
+    start, p, w = p, p.copy(), w.copy()
+    white_R, sun_R = noise[WHITE] ** 2 * np.eye(3), noise[SUN] ** 2 * np.eye(3)
     x, sigma, total, cost = np.zeros(n), np.zeros(3), 0.0, 0.0
     for k in range(t_s.size):
         if k > 0:
             A = _propagate(A, w, x, P, t_s[k] - t_s[k - 1], noise)
         if not math.isnan(A_seen[k, 0, 0]):
-            D = product(A_seen[k], A.T)
-            H = np.zeros((3, n))
+            H, r = np.zeros((3, n)), np.zeros(3)
             for i in range(3):
                 H[i, i] = H[i, 9 + i] = 1.0
-            r = 0.5 * np.array([D[1, 2] - D[2, 1], D[2, 0] - D[0, 2], D[0, 1] - D[1, 0]])
+                one, two = (i + 1) % 3, (i + 2) % 3
+                for j in range(3):
+                    r[i] += 0.5 * (A_seen[k, one, j] * A[two, j] - A_seen[k, two, j] * A[one, j])
             nis[k, 1], cost, outlying[k, 1] = update(x, P, H, r, white_R, sigma, GATE)
             total += cost
         if not math.isnan(nadir_B[k, 0]):
             H, r = _direction(times(A, nadir_N[k]), nadir_B[k], n)
-            H[:, 9:12] = H[:, :3]
-            nis[k, 1], cost, outlying[k, 1] = update(x, P, H, r, white_R[:2, :2], sigma, GATE)
+            for i in range(2):
+                for j in range(3):
+                    H[i, 9 + j] = H[i, j]
+            nis[k, 1], cost, outlying[k, 1] = update(x, P, H, r, white_R, sigma, GATE)
             total += cost
         if not math.isnan(sun_B[k, 0]):
             H, r = _direction(times(A, sun_N[k]), sun_B[k], n)
-            nis[k, 2], cost, outlying[k, 2] = update(x, P, H, r, noise[SUN] ** 2 * np.eye(2), sigma, GATE)
+            nis[k, 2], cost, outlying[k, 2] = update(x, P, H, r, sun_R, sigma, GATE)
             total += cost
         if not math.isnan(field_B[k, 0]) and not math.isnan(coupling_B[k, 0]):
             y = times(A, field_N[k])
-            r = field_B[k] + p[9:] + coupling_B[k] - y
-            predicted = y - start[9:] - coupling_B[k]
-            H = np.zeros((3, n))
-            H[:, :3] = skew(y)
+            W = skew(y)
+            H, r = np.zeros((3, n)), np.empty(3)
             for i in range(3):
+                r[i] = field_B[k, i] + p[9 + i] + coupling_B[k, i] - y[i]
                 H[i, 6 + i] = 1.0
                 for j in range(3):
+                    H[i, j] = W[i, j]
                     r[i] += p[3 * i + j] * field_B[k, j]
                     if with_p:
                         for m in range(3):
-                            H[i, 12 + 3 * i + j] -= inverse_M0[j, m] * predicted[m]
+                            H[i, 12 + 3 * i + j] -= inverse_M0[j, m] * (y[m] - start[9 + m] - coupling_B[k, m])
                 if with_p:
                     H[i, 21 + i] = -1.0
-            innovation[k] = r
-            for i in range(n):
-                for j in range(3):
+            for j in range(3):
+                innovation[k, j] = r[j]
+                for i in range(n):
                     innovation[k, j] -= H[j, i] * x[i]
             nis[k, 0], cost, outlying[k, 0] = update(x, P, H, r, field_R, sigma, GATE)
-            innovation[k] /= sigma
+            for j in range(3):
+                innovation[k, j] /= sigma[j]
             total += cost
-        A = _turned(A, x[:3])
-        w = w + x[3:6]
-        x[:6] = 0.0
+        A = _turned(A, x)
+        for i in range(3):
+            w[i] += x[3 + i]
+            rates[k, i] = w[i]
+            for j in range(3):
+                history[k, i, j], spread[k, i, j] = A[i, j], P[i, j]
+        for i in range(6):
+            x[i] = 0.0
         if with_p:
-            p = p + x[12:]
-            x[12:] = 0.0
-        history[k], spread[k], rates[k] = A, P[:3, :3], w
+            for i in range(12):
+                p[i] += x[12 + i]
+                x[12 + i] = 0.0
     return total, p, P

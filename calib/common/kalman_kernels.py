@@ -83,67 +83,74 @@ def update(
 ) -> tuple[float, float, bool]:
     """Measurement r = H x + noise of covariance R (m, m); x and P in place, sigma (m,) of the innovation, predicted.
 
-    Returns the squared innovation over its covariance, a component, minus twice the log likelihood, whether R was inflated.
+    R may be larger than (m, m): its first rows and columns count. P is symmetric, and leaves so to the last bit. Returns
+    the squared innovation over its covariance, a component, minus twice the log likelihood, whether R was inflated.
     """
     n, m = x.size, r.size
-    PH, V, L, left = np.zeros((n, m)), R.copy(), np.zeros((m, m)), r.copy()
+    HP, V, L, left = np.zeros((m, n)), np.empty((m, m)), np.empty((m, m)), np.empty(m)
     for j in range(m):
+        left[j] = r[j]
         for i in range(n):
             if H[j, i] != 0.0:
                 left[j] -= H[j, i] * x[i]
                 for k in range(n):
-                    PH[k, j] += P[k, i] * H[j, i]
+                    HP[j, k] += P[i, k] * H[j, i]
     for j in range(m):
+        for k in range(m):
+            V[j, k] = R[j, k]
         for i in range(n):
             if H[j, i] != 0.0:
                 for k in range(m):
-                    V[j, k] += H[j, i] * PH[i, k]
+                    V[j, k] += H[j, i] * HP[k, i]
         sigma[j] = math.sqrt(V[j, j])
     squared, log_det = whitened(V, left, L)
     nis = squared / m
     outlying = nis > gate**2
     cost = log_det + squared
+    larger = 1.0
     if outlying:
         # A tail by a power law: were it the likelihood of the inflated noise, too small a noise would be likely.
         cost = log_det + m * (gate**2 + TAIL * math.log(nis / gate**2))
-        more = (nis / gate**2) ** 2  # the further out, the less it counts: a redescending weight
-        V += R * (more - 1.0)
-        R = R * more
-        squared, log_det = whitened(V, left, L)
-    K = PH.copy()
-    for i in range(n):  # K V = PH by L and then by L'
+        larger = (nis / gate**2) ** 2  # the further out, the less it counts: a redescending weight
         for j in range(m):
-            for k in range(j):
-                K[i, j] -= K[i, k] * L[j, k]
-            K[i, j] /= L[j, j]
-        for j in range(m - 1, -1, -1):
-            for k in range(j + 1, m):
-                K[i, j] -= K[i, k] * L[k, j]
-            K[i, j] /= L[j, j]
+            for k in range(m):
+                V[j, k] += R[j, k] * (larger - 1.0)
+        whitened(V, left, L)
+    K = HP.copy()  # the gain, transposed
+    for j in range(m):  # V K = H P by L and then by L'
+        for k in range(j):
+            for i in range(n):
+                K[j, i] -= K[k, i] * L[j, k]
+        for i in range(n):
+            K[j, i] /= L[j, j]
+    for j in range(m - 1, -1, -1):
+        for k in range(j + 1, m):
+            for i in range(n):
+                K[j, i] -= K[k, i] * L[k, j]
+        for i in range(n):
+            K[j, i] /= L[j, j]
+    for j in range(m):
+        for i in range(n):
+            x[i] += K[j, i] * left[j]
+    # Joseph's form, (1 - K' H) P (1 - K' H)' + K' R K: P stays positive where it was wide and the measurement is sharp.
     for i in range(n):
         for j in range(m):
-            x[i] += K[i, j] * left[j]
-    # Joseph's form, (1 - K H) P (1 - K H)' + K R K': P stays positive where it was wide and the measurement is sharp.
-    for i in range(n):
-        for k in range(n):
-            for j in range(m):
-                P[i, k] -= K[i, j] * PH[k, j]
-    rest = np.zeros((n, m))
+            for k in range(n):
+                P[i, k] -= K[j, i] * HP[j, k]
+    rest = np.zeros((m, n))
     for j in range(m):
         for k in range(n):
             if H[j, k] != 0.0:
                 for i in range(n):
-                    rest[i, j] -= P[i, k] * H[j, k]
+                    rest[j, i] -= P[k, i] * H[j, k]
+        for k in range(m):
+            for i in range(n):
+                rest[j, i] += K[k, i] * (R[k, j] * larger)
     for i in range(n):
         for j in range(m):
-            for k in range(m):
-                rest[i, j] += K[i, k] * R[k, j]
+            for k in range(n):
+                P[i, k] += rest[j, i] * K[j, k]
     for i in range(n):
-        for k in range(i + 1):
-            one, other = P[i, k], P[k, i]
-            for j in range(m):
-                one += rest[i, j] * K[k, j]
-                other += rest[k, j] * K[i, j]
-            P[i, k] = 0.5 * (one + other)
-            P[k, i] = P[i, k]
+        for k in range(i):
+            P[i, k] = P[k, i] = 0.5 * (P[i, k] + P[k, i])
     return nis, cost, outlying

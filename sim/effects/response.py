@@ -126,7 +126,7 @@ class Hysteresis(SignalEffect):
             raise BadInput(f"{self.start!r}", where=f"{self.name} start", wanted="three letters of o, r and n")
         if not self.width_nT > 0:
             raise BadInput(f"{self.width_nT:g} nT", where=f"{self.name} width_nT", wanted="more than 0 nT")
-        field = signal.R_track_BN.apply(signal.ambient_N_nT)
+        field = signal.seen_along_track(signal.ambient_N_nT)
         field = field if signal.stray_B_nT is None else field + signal.stray_B_nT
         half = 0.5 * self.width_nT
         onward = np.sign(field[min(1, len(field) - 1)] - field[0])

@@ -8,13 +8,12 @@ from pathlib import Path
 
 
 def test_all_modules_import_and_their_examples_hold(sources: dict[str, Path]) -> None:
-    failed, examples = {}, 0
+    finder, runner = doctest.DocTestFinder(), doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE)
     for name in sources:
         if name.endswith("__main__"):
             continue
-        outcome = doctest.testmod(importlib.import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE)
-        examples += outcome.attempted
-        if outcome.failed:
-            failed[name] = outcome.failed
-    assert failed == {}
-    assert examples > 0, "no example was found: the front door has some"
+        for test in finder.find(importlib.import_module(name), name):
+            if test.examples:  # for each that is run, with examples or without, the runner looks at all files again
+                runner.run(test)
+    assert runner.failures == 0
+    assert runner.tries > 0, "no example was found: the front door has some"

@@ -28,8 +28,8 @@ import numpy as np
 from fluxtwin.calib.attitude.three_axis import estimate_attitude
 from fluxtwin.calib.attitude.yaw import yaw_from_field
 from fluxtwin.calib.linear.calibrate import calibrate_linear
+from fluxtwin.scenarios.flights import prescribed
 from fluxtwin.scenarios.hcmm import mission
-from fluxtwin.scenarios.motion import prescribed
 from fluxtwin.sim.base import files
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import load_field

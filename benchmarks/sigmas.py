@@ -159,7 +159,7 @@ class Flown:
         if case.method == "batch":
             segment = {"start_utc": "2006-04-15T00:00:00Z", "samples": 7200, "step_s": 0.125}
             self.spinner = mission.scenario().updated({"schedule.segments": [segment]})
-            self.world = mission.world_of(self.spinner)
+            self.world = build_world(self.spinner)
 
     def __call__(self, seed: int) -> Answer:
         """Simulate, calibrate, compare."""

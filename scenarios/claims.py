@@ -3,13 +3,13 @@
 `reproduced`: an outcome that could have come out otherwise, and came out as printed. `put in`: an input of the scenario
 read back. `definition`: a formula or a frame, true of any data. `differs`: with its computed reason.
 `not testable`: with what would test it. The kind of a claim, where it is no outcome, stands in the study's `claims.toml`;
-whether it holds is for its judge.
+whether it holds is said with its words.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,7 +28,7 @@ STATUSES = REPRODUCED, PUT_IN, DEFINITION, DIFFERS, NOT_TESTABLE = (
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim judged."""
+    """One claim with its status."""
 
     id: int
     where: str
@@ -45,36 +45,27 @@ class Claim:
         return plain | ({"why": self.why} if self.why else {})
 
 
-def judged(entries: Iterable[Mapping[str, Any]], judge: Callable[[int], Mapping[str, Any]]) -> list[Claim]:
-    """Every entry (id, where, paper, and kind where it is no outcome) judged, in order.
+def claim_of(entry: Mapping[str, Any], found: Mapping[str, Any]) -> Claim:
+    """A claim of a paper (id, where, paper, and kind where it is no outcome) with its status.
 
-    judge: of a claim's number what was found: `here` (text with the number and its unit), `value`, `unit`, `holds` (None: it
-    cannot be tested), `otherwise` (why not; what would test it), `remark` (to be said in any case). Raises KeyError for a
-    claim without a judge, ValueError for a verdict without a number or without its reason.
+    found: `here` (text with the number and its unit), `value`, `unit`, `holds` (None: it cannot be tested), `otherwise` (why
+    not; what would test it), `remark` (to be said in any case). Raises ValueError without a number or without a reason.
     """
-    claims = []
-    for entry in entries:
-        found, kind = judge(entry["id"]), entry.get("kind", REPRODUCED)
-        if kind not in (REPRODUCED, PUT_IN, DEFINITION):
-            raise ValueError(f"claim {entry['id']}: there is no kind {kind!r}")
-        if not np.isfinite(found["value"]):
-            raise ValueError(f"claim {entry['id']}: no finite number was computed")
-        status = NOT_TESTABLE if found["holds"] is None else kind if found["holds"] else DIFFERS
-        if not found["holds"] and not found["otherwise"]:
-            raise ValueError(f"claim {entry['id']}: {status} without a reason")
-        claims.append(
-            Claim(
-                id=entry["id"],
-                where=entry["where"],
-                paper=entry["paper"],
-                here=found["here"],
-                value=float(found["value"]),
-                unit=found["unit"],
-                status=status,
-                why="; ".join(filter(None, (found["remark"], "" if found["holds"] else found["otherwise"]))),
-            )
-        )
-    return claims
+    kind = entry.get("kind", REPRODUCED)
+    if kind not in (REPRODUCED, PUT_IN, DEFINITION):
+        raise ValueError(f"claim {entry['id']}: there is no kind {kind!r}")
+    if not np.isfinite(found["value"]):
+        raise ValueError(f"claim {entry['id']}: no finite number was computed")
+    status = NOT_TESTABLE if found["holds"] is None else kind if found["holds"] else DIFFERS
+    if not found["holds"] and not found["otherwise"]:
+        raise ValueError(f"claim {entry['id']}: {status} without a reason")
+    return Claim(
+        **{key: entry[key] for key in ("id", "where", "paper")},
+        **{key: found[key] for key in ("here", "unit")},
+        value=float(found["value"]),
+        status=status,
+        why="; ".join(filter(None, (found["remark"], "" if found["holds"] else found["otherwise"]))),
+    )
 
 
 def counted(claims: Sequence[Claim]) -> str:
@@ -87,16 +78,13 @@ def counted(claims: Sequence[Claim]) -> str:
     )
 
 
-def claims_table(claims: Sequence[Claim], *, with_why: bool = False) -> Table:
-    """All claims, one line each."""
-    rows: list[list[Cell]] = []
-    for claim in claims:
-        status = f"{claim.status}: {claim.why}" if with_why and claim.why else claim.status
-        rows.append([claim.id, claim.where, claim.paper, claim.here, status])
-    return Table("The papers' claims", ["claim", "where", "printed", "here", "status"], rows)
-
-
-def whys_table(claims: Sequence[Claim]) -> Table:
-    """Why some claims are not reproduced."""
-    rows: list[list[Cell]] = [[claim.id, claim.status, claim.why] for claim in claims if claim.why]
-    return Table("Why not", ["claim", "status", "why"], rows)
+def claims_tables(claims: Sequence[Claim]) -> dict[str, Table]:
+    """`claims`: one line each, with its reason; `statuses`: the same without; `whys`: the reasons alone."""
+    heading, columns = "The papers' claims", ["claim", "where", "printed", "here", "status"]
+    bare: list[list[Cell]] = [[c.id, c.where, c.paper, c.here, c.status] for c in claims]
+    full = [[*row[:4], f"{c.status}: {c.why}" if c.why else c.status] for row, c in zip(bare, claims, strict=True)]
+    return {
+        "claims": Table(heading, columns, full),
+        "statuses": Table(heading, columns, bare),
+        "whys": Table("Why not", ["claim", "status", "why"], [[c.id, c.status, c.why] for c in claims if c.why]),
+    }

@@ -1,20 +1,52 @@
-"""One flight of a study's scenario, and the scenario as a study flies it: by torques or as prescribed, with sources off."""
+"""A study's mission: its scenario as it is flown, what is printed of it, the papers' regression, and a flight's files."""
 
 from __future__ import annotations
 
+import csv
+import platform
+import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from importlib import metadata, resources
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from fluxtwin.scenarios.motion import ATTITUDES, with_attitude
-from fluxtwin.scenarios.printed import Printed
+from fluxtwin.calib.attitude.yaw import AVERAGE_S, YawSolution, average_yaw
+from fluxtwin.calib.common.calibration_file import write_calibration
+from fluxtwin.calib.common.design import assemble
+from fluxtwin.calib.common.records import Calibration, parameter_names
+from fluxtwin.calib.linear.calibrate import LinearFit, calibrate_linear
+from fluxtwin.plots.yaw import YawComparison
+from fluxtwin.scenarios.registry import ATTITUDES
+from fluxtwin.sim.base import files
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.constants import NT_PER_MG
+from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.run.truth import Truth
 from fluxtwin.sim.run.world import World, build_world
 from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
 from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
+
+NAMES = parameter_names(with_T=False)
+NEAR_NODE_DEG = 10.0
+
+
+class Numbers(SimpleNamespace):
+    """What a part of a study has found, by name; what each number is stands where it is made. Scalars become Python's."""
+
+    def __init__(self, **found: Any) -> None:
+        super().__init__(**{name: v.item() if isinstance(v, np.generic) else v for name, v in found.items()})
+
+    def model_copy(self, update: Mapping[str, Any]) -> Numbers:
+        """The same with some of them replaced."""
+        return Numbers(**{**vars(self), **update})
 
 
 @dataclass(frozen=True)
@@ -26,6 +58,11 @@ class Flight:
     telemetry: Telemetry
     truth: Truth
 
+    @property
+    def latitude_deg(self) -> FloatArray:
+        """(N,) geocentric."""
+        return latitude_deg(self.world)
+
 
 def fly(config: Scenario, world: World | None = None) -> Flight:
     """Run a scenario; `world` if it is known already."""
@@ -33,25 +70,48 @@ def fly(config: Scenario, world: World | None = None) -> Flight:
     return Flight(config, world, *simulate(config, world=world))
 
 
-def day(number: int, hour: float = 0.0) -> np.datetime64:
-    """UTC stamp of a day of the year 1978 (1 is 1 January)."""
-    return np.datetime64("1978-01-01", "ns") + np.timedelta64(number - 1, "D") + np.timedelta64(round(hour * 3600), "s")
-
-
 @dataclass(frozen=True)
-class Mission(Printed):
-    """The packaged scenario NAME.toml of a study beside what the papers print."""
+class Mission:
+    """The packaged files of a study: the scenario NAME.toml, and what papers print, which is never written into code."""
 
-    off: Mapping[str, Mapping[str, Any]]
+    package: str
+    off: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """What switches each source of error off."""
+
+    def text(self, name: str) -> str:
+        """A file of the package, as it is."""
+        return resources.files(self.package).joinpath(name).read_text(encoding="utf-8")
+
+    def table(self, name: str) -> list[dict[str, str]]:
+        """A table of the papers, one mapping a row."""
+        return list(csv.DictReader(self.text(f"data/{name}.csv").splitlines()))
+
+    def claims(self) -> list[dict[str, Any]]:
+        """The numbered claims: id, where, paper."""
+        claims: list[dict[str, Any]] = tomllib.loads(self.text("data/claims.toml"))["claim"]
+        return claims
+
+    def value(self, table: str, key: str, **match: str) -> float:
+        """The one number of column `key` in the row of a table that matches; LookupError unless there is just one."""
+        rows = [row for row in self.table(table) if all(row[k] == v for k, v in match.items())]
+        if len(rows) != 1:
+            raise LookupError(f"{len(rows)} rows of {table} match {match}")
+        return float(rows[0][key])
 
     def quantity(self, name: str) -> float:
         """A single printed number, by its name in `quantities.csv`; LookupError for another name."""
         return self.value("quantities", "value", quantity=name)
 
+    def size(self, source: str) -> str:
+        """What the papers print of a source of error, as they print it."""
+        return next(row["magnitude"] for row in self.table("errors") if row["source"] == source)
+
     def scenario(self, attitude: str = ATTITUDES[0]) -> Scenario:
-        """The packaged scenario: its vehicle moved by torques, or as `prescribed`."""
-        return with_attitude(parse_scenario(self.text(self._file), where=self._file), attitude)
+        """The packaged scenario: its vehicle moved by torques, or as `prescribed`; BadInput for another word."""
+        if attitude not in ATTITUDES:
+            raise BadInput(f"{attitude!r}", where="--attitude", wanted=" or ".join(ATTITUDES))
+        config = parse_scenario(self.text(self._file), where=self._file)
+        return config if attitude == ATTITUDES[0] else prescribed(config)
 
     def scenario_text(self, attitude: str = ATTITUDES[0]) -> str:
         """As it is written, with the source of each number, or every key of the prescribed one."""
@@ -67,3 +127,205 @@ class Mission(Printed):
     @property
     def _file(self) -> str:
         return f"{self.package.rsplit('.', 1)[1]}.toml"
+
+
+def prescribed(config: Scenario) -> Scenario:
+    """The same spacecraft with the libration of its [attitude] section, torquers that act at random, and no wheels."""
+    gone = dict.fromkeys(
+        ("dynamics", "torques", "control", "wheels", "torquers.drive", "torquers.threshold_Am2", "attitude.mode")
+    )
+    return config.updated({**gone, "torquers.activity": "random"})
+
+
+def is_dynamic(config: Scenario) -> bool:
+    """Whether torques move the body."""
+    return config.attitude.mode == "dynamics"
+
+
+def motion_of(flight: Flight) -> Numbers:
+    """How the vehicle moved in one flight, and what its actuators did."""
+    truth, speed = flight.truth, flight.telemetry.wheel_speed_rpm
+    angles = {name: np.degrees(getattr(truth, f"{name}_rad")) for name in ("yaw", "roll", "pitch")}
+    dipole = np.abs(truth.dipole_B_Am2)
+    return Numbers(
+        attitude=ATTITUDES[0] if is_dynamic(flight.scenario) else ATTITUDES[1],
+        # Of the true yaw, roll and pitch.
+        rms_deg={name: rms(angle) for name, angle in angles.items()},
+        largest_deg={name: float(np.abs(angle).max()) for name, angle in angles.items()},
+        # (3,) share of the samples in which the torquer along x, y, z does more than a hundredth of the most that any did,
+        # and the mean size of what it does.
+        torquers_on_share=(dipole > 0.01 * dipole.max()).mean(axis=0),
+        torquers_mean_Am2=dipole.mean(axis=0),
+        # (W, 2) slowest and fastest.
+        wheel_speed_rpm=None if speed is None else np.stack([speed.min(axis=0), speed.max(axis=0)], axis=1),
+    )
+
+
+def day(number: int, hour: float = 0.0) -> np.datetime64:
+    """UTC stamp of a day of the year 1978 (1 is 1 January)."""
+    return np.datetime64("1978-01-01", "ns") + np.timedelta64(number - 1, "D") + np.timedelta64(round(hour * 3600), "s")
+
+
+def rms(values: FloatArray, axis: int | None = None) -> Any:
+    """Root mean square, over an axis or of all; NaN is left out, and what comes of nothing else."""
+    if axis is not None:
+        return np.sqrt(np.nanmean(np.square(values), axis=axis))
+    known = values[~np.isnan(values)]
+    return float(np.sqrt(np.mean(np.square(known)))) if known.size else float("nan")
+
+
+def wrapped_deg(angle_rad: FloatArray) -> FloatArray:
+    """Angles within half a turn [deg]."""
+    return np.asarray(np.degrees(np.arctan2(np.sin(angle_rad), np.cos(angle_rad))))
+
+
+def angle_between(a: FloatArray, b: FloatArray) -> FloatArray:
+    """(N,) angle [rad] between vectors (N, 3) of any length, good near 0 and pi too."""
+    angle: FloatArray = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("ij,ij->i", a, b))
+    return angle
+
+
+def latitude_deg(world: World) -> FloatArray:
+    """(N,) geocentric latitude along the orbit."""
+    return np.asarray(np.degrees(frames.geocentric(frames.rotation_EN(world.time).apply(world.r_N_km))[0]))
+
+
+def dipole_axis_E(model: FieldModel, time: np.datetime64) -> FloatArray:
+    """(3,) unit vector to the northern pole of the dipole part of a field, Earth-fixed."""
+    g10, g11, h11 = model.coefficients_nT(epoch.as_times(time))[0, :3]
+    axis = -np.array([g11, h11, g10])
+    return np.asarray(axis / np.linalg.norm(axis))
+
+
+def papers_regression(telemetry: Telemetry, ground: FieldModel, **options: Any) -> LinearFit:
+    """Lerner and Shuster's equations 8 and 9 as they have them: every sample an error of its own, none in the regressor."""
+    plain = {"errors_in_variables": False, "robust": "none", "covariance": "white"}
+    return calibrate_linear(telemetry, ground, **{**plain, **options})
+
+
+def bias_alone(telemetry: Telemetry, ground: FieldModel) -> Calibration:
+    """The mean bias, with S = T = 0, as the flight software of 1978 had it."""
+    return calibrate_linear(telemetry, ground, parameters="b", robust="none", covariance="white").calibration
+
+
+def error_square_mG2(flight: Flight, telemetry: Telemetry, ground: FieldModel) -> float:
+    """Mean square of equation 1's error at the true S, b, T = 0, as the ground sees it in rows of the flight."""
+    design = assemble(telemetry, ground, with_dipole=False)
+    corrected = design.B_nT @ (np.eye(3) + flight.truth.S).T + flight.truth.b_nT
+    return float(np.mean((design.H_nT - corrected) ** 2) / NT_PER_MG**2)
+
+
+def vector(fit: LinearFit) -> FloatArray:
+    """(12,) S row by row and b in mG."""
+    return np.concatenate([fit.calibration.S.ravel(), fit.calibration.b_nT / NT_PER_MG])
+
+
+def vector_sigma(fit: LinearFit) -> FloatArray:
+    """(12,) 1 sigma in the same order and units."""
+    return fit.calibration.sigmas[:12] / np.repeat([1.0, NT_PER_MG], [9, 3])
+
+
+def truth_vector(config: Scenario) -> FloatArray:
+    """(12,) S row by row and b in mG as the scenario has them. For comparison only; no estimator sees it."""
+    return np.concatenate([np.array(config.magnetometer.S).ravel(), np.array(config.magnetometer.bias_nT) / NT_PER_MG])
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """What many flights gave: R flights, each with D data sets of K parameters."""
+
+    sets: tuple[str, ...]
+    values: FloatArray
+    """(R, D, K) NaN where a data set was refused."""
+    truth: FloatArray
+    """(K,)."""
+
+    def of(self, name: str) -> FloatArray:
+        """(R, K) of one data set."""
+        return np.asarray(self.values[:, self.sets.index(name)])
+
+    def scatter(self, name: str) -> FloatArray:
+        """(K,) standard deviation over the flights."""
+        return np.asarray(np.nanstd(self.of(name), axis=0, ddof=1))
+
+    def mean_error(self, name: str) -> FloatArray:
+        """(K,) mean of estimate less truth."""
+        return np.asarray(np.nanmean(self.of(name), axis=0) - self.truth)
+
+    def rms_error(self, name: str) -> FloatArray:
+        """(K,) root mean square of estimate less truth: an error that all flights share is in it."""
+        return np.asarray(rms(self.of(name) - self.truth, axis=0))
+
+    def refused(self, name: str) -> int:
+        """Flights in which the data set did not determine S and the regression said so."""
+        return int(np.isnan(self.of(name)[:, 0]).sum())
+
+
+def budget(squares: Mapping[str, list[float]]) -> dict[str, dict[str, float]]:
+    """By source of error, of mean squares [mG^2] of many flights: their root mean, and the standard deviation of roots."""
+    return {
+        "simulated": {source: float(np.sqrt(np.mean(values))) for source, values in squares.items()},
+        "simulated_spread": {source: float(np.std(np.sqrt(values))) for source, values in squares.items()},
+    }
+
+
+def rms_mG(fit: LinearFit) -> float:
+    """Residual, rms per component over all three axes [mG]."""
+    return rms(fit.residuals_nT) / NT_PER_MG
+
+
+def calibration_summary(found: Calibration) -> dict[str, object]:
+    """S, b_mG and sigmas as they stand in `summary.json`."""
+    sigma = found.sigmas
+    return {
+        "S": found.S.tolist(),
+        "b_mG": (found.b_nT / NT_PER_MG).tolist(),
+        "sigma_S": sigma[:9].reshape(3, 3).tolist(),
+        "sigma_b_mG": (sigma[9:12] / NT_PER_MG).tolist(),
+        **{name: getattr(found, name) for name in ("samples", "method", "covariance_kind", "field_model")},
+    }
+
+
+def compare_yaw(telemetry: Telemetry, solution: YawSolution) -> YawComparison:
+    """Yaw by the magnetometer beside yaw by the sun sensor, as the papers' figures 1 to 3 show it.
+
+    `solution` of the N rows of `telemetry`, which has an orbit; M windows of AVERAGE_S, NaN in `mean_sun_deg` where a sample
+    of the window has no reference attitude.
+    """
+    assert telemetry.r_N_km is not None
+    change = np.diff(telemetry.mag_B_nT[solution.rows], axis=0, prepend=telemetry.mag_B_nT[solution.rows[:1]]) != 0
+    r_E_km = frames.rotation_EN(solution.time).apply(np.array(telemetry.r_N_km)[solution.rows])
+    latitude_rad = average_yaw(solution.time, frames.geocentric(r_E_km)[0], AVERAGE_S).yaw_rad
+    return YawComparison(
+        minutes=epoch.seconds_since(solution.time, solution.time[0]) / 60.0,
+        sun_deg=np.degrees(solution.yaw_reference_rad),
+        magnetometer_deg=np.degrees(solution.yaw_first_order_rad),
+        change_x=change[:, 0],
+        change_y=change[:, 1],
+        mean_minutes=epoch.seconds_since(solution.averages.time, solution.time[0]) / 60.0,
+        mean_deg=np.degrees(solution.averages.yaw_rad),
+        mean_sun_deg=np.degrees(average_yaw(solution.time, solution.yaw_reference_rad, AVERAGE_S).yaw_rad),
+        near_node=np.abs(latitude_rad) < np.radians(NEAR_NODE_DEG),
+        window_s=AVERAGE_S,
+    )
+
+
+def write_flight(out: Path, scenario_text: str, telemetry: Telemetry, calibration: Calibration) -> list[Path]:
+    """`scenario.toml`, `telemetry.nc` and `calibration.toml` in the folder; their paths."""
+    return [
+        files.write_text(out / "scenario.toml", scenario_text),
+        write_telemetry(telemetry, out / "telemetry.nc"),
+        write_calibration(calibration, out / "calibration.toml"),
+    ]
+
+
+def provenance(config: Scenario) -> dict[str, str]:
+    """Seed, fields and versions."""
+    return {
+        "seed": str(config.seed),
+        "truth field": config.field.truth,
+        "ground field": config.field.model,
+        "fluxtwin": metadata.version("fluxtwin"),
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }

@@ -13,10 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, cast
 
-from fluxtwin.scenarios.motion import ATTITUDES
 from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.progress import Progress
+
+ATTITUDES = ("dynamics", "prescribed")
+"""What `fluxtwin run NAME --attitude` may be; the first is the default."""
 
 
 @dataclass(frozen=True)

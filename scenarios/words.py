@@ -1,41 +1,250 @@
-"""The words of a study: sections of a Markdown file beside it, with the study's numbers put in."""
+"""What a study says: sections of Markdown files beside it, in which jinja puts the study's numbers.
+
+`## name` begins a section. A table is a title, a block and a note; the block is a Markdown table, whose cells are text, or
+`for ROW in ROWS` and a line `heading = expression` for each column, whose cells stay numbers. A page is `# title` and
+`### section`s of paragraphs, `[table NAME]` or `[table NAME WORD]` (the word is its `argument`), and `[figure NAME]` with
+its caption below; `### Errata` is a list. A claim sets `value`, `unit` and `holds`, says what is found here, and, where it
+needs to, `otherwise:` and `remark:`. What stands before the first section of a file (as `{% set e = r.errors %}`) holds
+for each.
+"""
 
 from __future__ import annotations
 
 import re
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from jinja2 import Environment, StrictUndefined, Template
+import numpy as np
+from jinja2 import Environment, StrictUndefined, Template, Undefined, UndefinedError
+
+from fluxtwin.scenarios.claims import Claim, claim_of, claims_tables, counted
+from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, StudyResult, Table
+from fluxtwin.sim.earth.constants import NT_PER_MG
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _SECTION = re.compile(r"^## (\w+)\n", re.MULTILINE)
+_LINE_END = re.compile(r"[ \t]*\n[ \t]*")
+_BLOCK = re.compile(r"\n[ \t]*\n+")
+_BUILTINS = (abs, any, all, enumerate, float, int, len, list, max, min, round, sorted, sum, vars, zip)
 
 
 class Words:
-    """The sections of `words.md` in a package: `## name`, then text with `{{ expressions }}` of jinja."""
+    """The sections of a study's Markdown file, as text, tables, claims and pages.
 
-    def __init__(self, package: str, file: str = "words.md") -> None:
-        """Read the file once. package: `fluxtwin.scenarios.seasat`."""
-        text = resources.files(package).joinpath(file).read_text(encoding="utf-8")
-        first, *parts = _SECTION.split(text)
-        self._package = package
-        environment = self._environment()
-        self._sections: dict[str, Template] = {
-            name: environment.from_string(self._source(first, body))
-            for name, body in zip(parts[::2], parts[1::2], strict=True)
-        }
+    All raise KeyError for a section that is not there, UndefinedError for a value that is not.
+    """
+
+    def __init__(self, package: str, *files: str, filters: Mapping[str, Any] | None = None, **names: Any) -> None:
+        """package: as `fluxtwin.scenarios.seasat`; files: `words.md` where there is no other; filters: further ones of
+        jinja's; names: what every section may use, besides `say`, which gives another section."""
+        self._package, self._jinja = package, _environment()
+        self._jinja.globals |= {"say": self.say, **names}
+        self._jinja.filters |= filters or {}
+        self._sections: dict[str, Template] = {}
+        for file in files or ("words.md",):
+            first, *parts = _SECTION.split(self._text(file))
+            for name, body in zip(parts[::2], parts[1::2], strict=True):
+                self._sections[name] = self._jinja.from_string(f"{first}{body.strip()}\n")
 
     def say(self, name: str, /, **values: Any) -> str:
-        """One section with `values` put in. Raises KeyError without such a section, UndefinedError without a value."""
-        return self._sections[name].render(**values)
+        """One section as running text: line ends become spaces."""
+        return _one_line(self._sections[name].render(**values))
 
-    def names(self) -> list[str]:
-        """The sections, in the order of the file."""
-        return list(self._sections)
+    def table(self, name: str, /, **values: Any) -> Table:
+        """One section as a table; a word after its name is the `argument` of its expressions."""
+        section, _, argument = name.partition(" ")
+        values = {**values, "argument": argument}
+        title, block, *rest = self._blocks(section, values)
+        lines, note = block.splitlines(), _one_line(" ".join(rest))
+        if lines[0].startswith("|"):
+            return Table(_one_line(title), _cells(lines[0]), [_cells(row) for row in lines[2:] if row.strip()], note)
+        variable, _, over = lines[0].removeprefix("for ").partition(" in ")
+        columns = [line.strip().split(" = ", 1) for line in lines[1:]]
+        rows = [
+            [self._value(cell, {**values, variable: one}) for _, cell in columns]
+            for one in self._value(over, values) or ()
+        ]
+        return Table(_one_line(title), [heading for heading, _ in columns], rows, note)
 
-    def _environment(self) -> Environment:
-        return Environment(undefined=StrictUndefined, autoescape=False, keep_trailing_newline=False)
+    def page(
+        self,
+        verdict: str,
+        figures: Mapping[str, Callable[[], Figure]],
+        provenance: Mapping[str, str],
+        links: Mapping[str, str] | None = None,
+        made: Mapping[str, Table] | None = None,
+        /,
+        *,
+        name: str = "page",
+        **values: Any,
+    ) -> Page:
+        """A section as a page; a table or figure is made where it is named. made: tables that are no sections."""
+        title, *blocks = self._blocks(name, values)
+        sections: list[tuple[str, list[str], list[Table], list[FigureBlock]]] = []
+        errata: list[str] = []
+        for block in blocks:
+            words = _one_line(block)
+            if words.startswith("### "):
+                sections.append((words[4:], [], [], []))
+                continue
+            heading, paragraphs, shown, drawn = sections[-1]
+            if found := re.fullmatch(r"\[table ([\w ]+)\]", words):
+                shown.append((made or {}).get(found[1]) or self.table(found[1], **values))
+            elif found := re.fullmatch(r"\[figure (\w+)\] (.+)", words):
+                drawn.append(FigureBlock(found[1], found[2], figures[found[1]]()))
+            elif heading == "Errata":
+                errata += [_one_line(item) for item in re.split(r"(?m)^- ", block) if item.strip()]
+            elif words:
+                paragraphs.append(words)
+        return Page(
+            title=_one_line(title).removeprefix("# "),
+            verdict=verdict,
+            sections=[PageSection(*one) for one in sections if one[0] != "Errata"],
+            errata=errata,
+            provenance=provenance,
+            links=links or {},
+        )
 
-    def _source(self, first: str, body: str) -> str:
-        """The template of a section; first: what stands in the file before all sections."""
-        return body.strip()
+    def judge(self, entries: Sequence[Mapping[str, Any]], /, **values: Any) -> list[Claim]:
+        """The claims of a paper, each judged by the section with its number."""
+        return [claim_of(entry, self._verdict(str(entry["id"]), values)) for entry in entries]
+
+    def summary(self, **values: Any) -> dict[str, Any]:
+        """The content of `summary.json` from `summary.toml`, which says of each entry what it is, as an expression of jinja.
+
+        `let` names parts. In a table `with` is a mapping whose entries it has as well; with `each` the table is made of
+        every entry of a mapping (`key`, `one`) or of a list (`place`, `one`).
+        """
+        tree = tomllib.loads(self._text("summary.toml"))
+        names = dict(values)
+        for name, expression in tree.pop("let", {}).items():
+            names[name] = self._value(expression, names)
+        made: dict[str, Any] = _plain(self._entry(tree, names))
+        return made
+
+    def result(
+        self,
+        name: str,
+        tables: Sequence[str],
+        figures: Mapping[str, Callable[[], Figure]],
+        provenance: Mapping[str, str],
+        /,
+        *,
+        claims: Sequence[Claim] = (),
+        made: Mapping[str, Table] | None = None,
+        links: Mapping[str, str] | None = None,
+        more_pages: Mapping[str, Page] | None = None,
+        **values: Any,
+    ) -> StudyResult:
+        """All that the study `name` hands back but the files that it writes. tables: those of the terminal, in order.
+
+        claims: with their statuses, of which there are the tables `claims`, `statuses` and `whys`; made: further tables that
+        are no sections of the words.
+        """
+        line = self.say("status", counted=counted(claims), **values)
+        found = {**(made or {}), **claims_tables(claims)}
+        return StudyResult(
+            name=name,
+            status_line=line,
+            summary=self.summary(**values) | ({"claims": [claim.to_dict() for claim in claims]} if claims else {}),
+            tables=[found.get(one) or self.table(one, **values) for one in tables],
+            page=self.page(line, figures, provenance, links, found, **values),
+            more_pages=more_pages or {},
+        )
+
+    def _text(self, file: str) -> str:
+        return resources.files(self._package).joinpath(file).read_text(encoding="utf-8")
+
+    def _blocks(self, name: str, values: Mapping[str, Any]) -> list[str]:
+        return _BLOCK.split(self._sections[name].render(**values).strip())
+
+    def _entry(self, node: Any, names: Mapping[str, Any]) -> Any:
+        if isinstance(node, str):
+            return self._value(node, names)
+        table = {key: part for key, part in node.items() if key != "each"}
+        if "each" in node:
+            items = self._value(node["each"], names)
+            if isinstance(items, Mapping):
+                return {key: self._entry(table, {**names, "key": key, "one": one}) for key, one in items.items()}
+            return [self._entry(table, {**names, "place": place, "one": one}) for place, one in enumerate(items)]
+        more = self._value(table.pop("with"), names) if "with" in table else {}
+        return {**more, **{key: self._entry(part, names) for key, part in table.items()}}
+
+    def _value(self, expression: str, names: Mapping[str, Any]) -> Any:
+        found = self._jinja.compile_expression(expression, undefined_to_none=False)(**names)
+        if isinstance(found, Undefined):
+            raise UndefinedError(f"{self._package}: {expression}")
+        return found
+
+    def _verdict(self, name: str, values: Mapping[str, Any]) -> dict[str, Any]:
+        module = self._sections[name].make_module(dict(values))
+        said = {"here": "", "otherwise": "", "remark": ""}
+        for block in _BLOCK.split(str(module).strip()):
+            found = re.match(r"(otherwise|remark):\s*", block)
+            said[found[1] if found else "here"] = _one_line(block[found.end() if found else 0 :])
+        return {**said, "value": module.value, "unit": module.unit, "holds": module.holds}  # type: ignore[attr-defined]
+
+
+def motion_table(motion: Any, note: str) -> Table:
+    """How the vehicle of a study moved, from `flights.motion_of`, after a note on it."""
+    return Words("fluxtwin.scenarios", "motion.md").table("motion", m=motion, note=note)
+
+
+def _environment() -> Environment:
+    """Jinja with what every study's words may use."""
+    made = Environment(
+        undefined=StrictUndefined, autoescape=False, trim_blocks=True, lstrip_blocks=True, extensions=["jinja2.ext.do"]
+    )
+    made.globals |= {one.__name__: one for one in _BUILTINS}
+    made.globals |= {"np": np, "nT_per_mG": NT_PER_MG, "matrix": _matrix, "plus_minus": _plus_minus}
+    made.filters |= {
+        "f": _fixed,
+        "listed": lambda values, digits=2, between=", ": between.join(_fixed(value, digits) for value in values),
+        "fmt": format,
+        "cell": _cell,
+        "cells": lambda values: " | ".join(map(_cell, values)),
+        "g": lambda value: f"{value:g}",
+        "column": lambda values, place: values[:, place],  # jinja knows no slice inside an index
+    }
+    return made
+
+
+def _plain(value: Any) -> Any:
+    """Numbers and lists of Python at any depth, as JSON knows them."""
+    if isinstance(value, Mapping):
+        return {key: _plain(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+
+
+def _fixed(value: float, digits: int = 2) -> str:
+    return f"{value:.{digits}f}"
+
+
+def _cell(value: float) -> str:
+    """A number as tables show it where its digits are not chosen."""
+    return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.1f}"
+
+
+def _one_line(text: str) -> str:
+    return _LINE_END.sub(" ", text.strip("\n \t"))
+
+
+def _cells(line: str) -> list[str]:
+    """Of a row of a Markdown table; a bar without a space on both sides belongs to its cell."""
+    return [cell.strip(" ") for cell in f"{line.strip(' ')} ".removeprefix("| ").removesuffix(" | ").split(" | ")]
+
+
+def _matrix(values: np.ndarray) -> str:
+    """Of a 3 x 3 matrix, as `0.066, 0.008, -0.003; ...`."""
+    return "; ".join(", ".join(f"{value:.3f}" for value in row) for row in values)
+
+
+def _plus_minus(values: Sequence[float], spreads: Sequence[float]) -> str:
+    """As `1.2 ± 0.1, ...`."""
+    return ", ".join(f"{value:.1f} ± {spread:.1f}" for value, spread in zip(values, spreads, strict=True))

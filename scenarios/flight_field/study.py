@@ -2,31 +2,59 @@
 
 from __future__ import annotations
 
+import csv
+import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import tomli_w
-from matplotlib.figure import Figure as Drawing
+from matplotlib.figure import Figure
 
 from fluxtwin.plots.field_residuals import ResidualTrack, residual_map, residual_series
-from fluxtwin.scenarios.flight_field.causes import PITCH, RING_CURRENT, TIME_OFFSET
-from fluxtwin.scenarios.flight_field.compute import Outcome, compute, found_figures
-from fluxtwin.scenarios.flight_field.figures import Figure, compare, read_figures
-from fluxtwin.scenarios.flight_field.residuals import COMPONENTS, Residual, low_latitude, rms, statistics
-from fluxtwin.scenarios.page import Cell, Page, StudyResult
+from fluxtwin.scenarios.flight_field import residuals
+from fluxtwin.scenarios.flight_field.residuals import (
+    COMPONENTS,
+    PITCH,
+    RING_CURRENT,
+    TIME_OFFSET,
+    Residual,
+    against_field,
+    against_model,
+    low_latitude,
+    statistics,
+)
+from fluxtwin.scenarios.flight_field.tracks import (
+    RingCurrentIndex,
+    Track,
+    read_kp,
+    read_magsat,
+    read_ring_current,
+    read_swarm,
+)
+from fluxtwin.scenarios.flights import Numbers, rms
+from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.scenarios.recorded_files import Settings, check_folder, read_settings
-from fluxtwin.scenarios.worded_page import PageWords
+from fluxtwin.scenarios.words import Words
 from fluxtwin.sim.base.files import write_text
 from fluxtwin.sim.base.progress import Progress, part_of, silent
 from fluxtwin.sim.base.types import BoolArray
-from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.field import FieldModel, field_NEC_nT, load_field
+from fluxtwin.sim.earth.field_external import magnetospheric_field_E_nT, read_magnetosphere
 
-_WORDS = PageWords("fluxtwin.scenarios.flight_field")
 SETTINGS = Path(__file__).parent / "flight_field.toml"
 """What the study runs with; a copy lies beside its results."""
+FIGURES = Path(__file__).parent / "data" / "figures.csv"
+"""The independent figures, in the form of data/README.md."""
+_CHAOS = "chaos7 with external field"
+
+Key: TypeAlias = tuple[str, str, str, str, str]
+"""(track, model, selection, quantity, component) of a figure."""
 
 
 def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResult:
@@ -36,59 +64,186 @@ def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResul
     """
     settings = read_settings(SETTINGS)
     outcome = compute(check_folder(data, settings.files), settings, part_of(progress, 0.0, 0.8))
-    figures = compare(read_figures(), found_figures(outcome, settings), explanations(outcome))
     progress("drawing the residuals", 0.85)
-    values = _values(outcome, figures, settings)
-    tracks = (outcome.magsat.track, outcome.swarm[0].track)
-    page = Page(
-        title="The field models against magnetometers in orbit",
-        verdict=_WORDS.sentence("verdict", **values),
-        sections=_WORDS.sections(values, _drawn(outcome, settings.low_latitude_deg)),
-        provenance={
-            **{track.name: track.source for track in tracks},
-            **{f"{track.name}, span": " to ".join(map(epoch.iso, track.time[[0, -1]])) for track in tracks},
-            "field models": f"IGRF-14; {settings.swarm.chaos_file} to degree {settings.swarm.crust_degree}",
-            "settings": "flight_field.toml beside this page",
-        },
+    written = [write_text(out / "flight_field.toml", tomli_w.dumps(settings.tree))]
+    return replace(present(outcome, settings), written=written)
+
+
+@dataclass(frozen=True)
+class Independent:
+    """One figure of the independent look, and ours."""
+
+    id: str
+    key: Key
+    value: float
+    unit: str
+    last_digit: float
+    printed: str
+    here: float | None = None
+    status: str = "not testable"
+    """`reproduced`, `differs` or `not testable`."""
+    why: str = ""
+    """Why it differs or cannot be tested; empty where it is reproduced."""
+
+    @property
+    def shown(self) -> float | None:
+        """Ours with one digit more than the printed figure."""
+        return None if self.here is None else round(self.here, 1 - math.floor(math.log10(self.last_digit)))
+
+
+def read_figures() -> list[Independent]:
+    """The packaged figures."""
+    with FIGURES.open(encoding="utf-8", newline="") as lines:
+        return [
+            Independent(name, (track, model, rows, quantity, part), float(value), unit, float(digit), printed)
+            for name, track, model, rows, quantity, part, value, unit, digit, printed in list(csv.reader(lines))[1:]
+        ]
+
+
+def beside(figures: Sequence[Independent], here: Mapping[Key, float], why: Mapping[str, str]) -> list[Independent]:
+    """Ours beside each figure: reproduced within one unit of its last printed digit.
+
+    here: what was computed, by key; a key that is missing makes the figure not testable. why: the explanation
+    for a figure that differs or is not testable, by id.
+    """
+    compared = []
+    for figure in figures:
+        ours, status = here.get(figure.key), "not testable"
+        if ours is not None:
+            # a thousandth of a digit for the decimals that binary numbers cannot hold
+            agrees = abs(ours - figure.value) <= 1.001 * figure.last_digit
+            status = "reproduced" if agrees else "differs"
+        reason = "" if status == "reproduced" else why.get(figure.id, "no explanation found")
+        compared.append(replace(figure, here=ours, status=status, why=reason))
+    return compared
+
+
+def compute(folder: Path, settings: Settings, progress: Progress) -> Numbers:
+    """Read the files of the folder and compute everything. Raises BadInput for a file that cannot be used."""
+    progress("reading the recorded files", 0.02)
+    magsat, swarm = read_magsat(folder / settings.magsat.file), read_swarm(folder / settings.swarm.file)
+    kp = read_kp(folder / settings.magsat.kp_file, magsat.time[0])
+    rc = read_ring_current(folder / settings.swarm.rc_file)
+    progress("IGRF-14 along the orbit of MAGSAT", 0.1)
+    model = load_field(settings.magsat.model)
+    one_epoch = epoch.parse_time(settings.magsat.epoch_utc, where="magsat.epoch_utc")
+    fixed = against_model(magsat, model, f"IGRF-14 at {epoch.decimal_year(one_epoch)[0]:.1f}", one_epoch)
+    at_stamps = against_model(magsat, model, "IGRF-14 at each stamp")
+    progress("what the MAGSAT residual consists of", 0.3)
+    fits, explained = _magsat_fits(at_stamps, model, settings)
+    progress("CHAOS-7 along the orbit of Swarm A", 0.5)
+    storm = _swarm_residuals(swarm, folder, settings, rc)
+    ring = residuals.ring_current_NEC(load_field(settings.swarm.model), storm[0], settings.ring_current_induced_share)
+    one_pass = ("one pass", low_latitude(swarm, settings.low_latitude_deg))
+    fits += [
+        residuals.fit(storm[0], one_pass, {RING_CURRENT: ring}, [RING_CURRENT], on) for on in ("vector", "magnitude")
+    ]
+    along = np.add(*rc.at(swarm.time))
+    return Numbers(
+        # To IGRF-14 at one epoch, at each stamp, and with the causes fitted at low latitude.
+        magsat=fixed,
+        magsat_at_stamps=at_stamps,
+        magsat_explained=explained,
+        # To IGRF-14, to the internal field of CHAOS, to the whole of CHAOS.
+        swarm=storm,
+        # Eight values of the day of MAGSAT.
+        kp=kp,
+        rc=rc,
+        # Lowest and highest RC along the track of Swarm.
+        rc_range_nT=(float(along.min()), float(along.max())),
+        fits=tuple(fits),
     )
-    return StudyResult(
-        name="flight-field",
-        status_line=page.verdict,
-        summary=_summary(outcome, figures, settings),
-        tables=[_WORDS.table(name, values) for name in ("figures", "selections", "causes")],
-        page=page,
-        written=[write_text(out / "flight_field.toml", tomli_w.dumps(settings.tree))],
-    )
 
 
-def explanations(outcome: Outcome) -> Mapping[str, str]:
-    """Why a figure differs, by its id: computed evidence, not an excuse."""
-    later = outcome.rc.nearest(outcome.swarm[0].track.time[-1] + np.timedelta64(60, "m"))
-    return {"swarm-rc": _WORDS.sentence("why_swarm_rc", o=outcome, later=later)}
-
-
-def _summary(outcome: Outcome, figures: Sequence[Figure], settings: Settings) -> dict[str, Any]:
-    sides = ("id", "printed", "here", "unit", "status")
-    fitted = ("track", "rows", "on", "size", "rms_before_nT", "rms_after_nT")
-    return {
-        "study": settings.name,
-        "figures": [
-            {key: getattr(figure, key) for key in sides} | {"independent": figure.value, "why": figure.why or None}
-            for figure in figures
-        ],
-        "residuals": [
-            {"track": r.track.name, "model": r.model, "selection": words, "samples": int(rows.sum())}
-            | {f"{quantity}_{part}_nT": value for (quantity, part), value in statistics(r, rows).items()}
-            for r, words, rows in _selections(outcome, settings)
-        ],
-        "causes": [{key: getattr(fit, key) for key in fitted} for fit in outcome.fits],
-        "kp": [float(value) for value in outcome.kp],
-        "settings": settings.tree,
-        "sources": {r.track.name: r.track.source for r in (outcome.magsat, outcome.swarm[0])},
+def found_figures(outcome: Numbers, settings: Settings) -> Mapping[Key, float]:
+    """Every figure that can be set beside an independent one."""
+    found: dict[Key, float] = {}
+    plain, _, whole = outcome.swarm
+    for track, model, residual in (
+        ("magsat", "igrf14 at 1980.0", outcome.magsat),
+        ("swarm", "igrf14", plain),
+        ("swarm", _CHAOS, whole),
+    ):
+        low = low_latitude(residual.track, settings.low_latitude_deg)
+        for selection, rows in (("all", np.ones_like(low)), ("low", low)):
+            for (quantity, component), value in statistics(residual, rows).items():
+                found[track, model, selection, quantity, component] = value
+    remaining = found["swarm", _CHAOS, "low", "mean", "N"] / found["swarm", "igrf14", "low", "mean", "N"]
+    stamps = plain.track.time
+    return found | {
+        ("swarm", _CHAOS, "low", "share", "N"): 1.0 - remaining,
+        ("magsat", "index", "track", "kp", "first"): float(outcome.kp[0]),
+        ("magsat", "index", "day", "kp", "largest"): float(outcome.kp.max()),
+        ("swarm", "index", "track", "rc", "nearest hour"): outcome.rc.nearest(
+            stamps[0] + (stamps[-1] - stamps[0]) // 2
+        ),
     }
 
 
-def _values(outcome: Outcome, figures: Sequence[Figure], settings: Settings) -> dict[str, Any]:
+def _swarm_residuals(
+    swarm: Track, folder: Path, settings: Settings, rc: RingCurrentIndex
+) -> tuple[Residual, Residual, Residual]:
+    path = folder / settings.swarm.chaos_file
+    internal = load_field(f"chaos:{path}", settings.swarm.crust_degree)
+    inside = field_NEC_nT(internal, swarm.time, swarm.r_E_km)
+    outside_E = magnetospheric_field_E_nT(read_magnetosphere(path), swarm.time, swarm.r_E_km, *rc.at(swarm.time))
+    outside = frames.rotation_NEC_E(swarm.r_E_km).apply(outside_E)
+    return (
+        against_model(swarm, load_field(settings.swarm.model), "IGRF-14"),
+        against_field(swarm, inside, "CHAOS-7, internal only"),
+        against_field(swarm, inside + outside, "CHAOS-7 with external field and RC"),
+    )
+
+
+def _magsat_fits(residual: Residual, model: FieldModel, settings: Settings) -> tuple[list[Numbers], Residual]:
+    """The causes at low latitude, both passes and each, and the residual that remains along the whole track."""
+    track = residual.track
+    columns = {
+        RING_CURRENT: residuals.ring_current_NEC(model, residual, settings.ring_current_induced_share),
+        TIME_OFFSET: residuals.time_offset_NEC(model, residual),
+        PITCH: residuals.pitch_NEC(residual),
+    }
+    ring, ring_time, every = [RING_CURRENT], [RING_CURRENT, TIME_OFFSET], list(columns)
+    low = low_latitude(track, settings.low_latitude_deg)
+    both = ("both passes", low)
+    fits = [residuals.fit(residual, both, columns, names) for names in (ring, ring_time, [RING_CURRENT, PITCH], every)]
+    explained = residual.model_NEC_nT + fits[-1].fitted_NEC_nT
+    fits.append(residuals.fit(residual, both, columns, ring_time, "magnitude"))
+    northbound = np.gradient(track.latitude_deg) > 0.0
+    for one in (("northbound pass", low & northbound), ("southbound pass", low & ~northbound)):
+        fits.append(residuals.fit(residual, one, columns, every))
+        fits.append(residuals.fit(residual, one, columns, ring_time, "magnitude"))
+    return fits, against_field(track, explained, "IGRF-14 with ring current, time offset and pitch fitted")
+
+
+def present(outcome: Numbers, settings: Settings) -> StudyResult:
+    """What the study says of its outcome."""
+    figures = beside(read_figures(), found_figures(outcome, settings), explanations(outcome))
+    tracks = (outcome.magsat.track, outcome.swarm[0].track)
+    provenance = {
+        **{track.name: track.source for track in tracks},
+        **{f"{track.name}, span": " to ".join(map(epoch.iso, track.time[[0, -1]])) for track in tracks},
+        "field models": f"IGRF-14; {settings.swarm.chaos_file} to degree {settings.swarm.crust_degree}",
+        "settings": "flight_field.toml beside this page",
+    }
+    drawn = _drawn(outcome, settings.low_latitude_deg)
+    values = _values(outcome, figures, settings)
+    return words().result("flight-field", ("figures", "selections", "causes"), drawn, provenance, **values)
+
+
+@cache
+def words() -> Words:
+    """The sections of `words.md`."""
+    return Words("fluxtwin.scenarios.flight_field", ring=RING_CURRENT, time=TIME_OFFSET, pitch=PITCH)
+
+
+def explanations(outcome: Numbers) -> dict[str, str]:
+    """Why a figure differs, by its id, with the numbers of this run: an explanation is a finding, not an excuse."""
+    later = outcome.rc.nearest(outcome.swarm[0].track.time[-1] + np.timedelta64(60, "m"))
+    return {"swarm-rc": words().say("why_swarm_rc", o=outcome, later=later)}
+
+
+def _values(outcome: Numbers, figures: Sequence[Independent], settings: Settings) -> dict[str, Any]:
     """What the words and tables of the page take; hours: local time of Swarm's sample nearest to the equator."""
     count = Counter({"reproduced": 0} | Counter(figure.status for figure in figures))
     high = ~low_latitude(outcome.magsat.track, settings.low_latitude_deg)
@@ -96,13 +251,9 @@ def _values(outcome: Outcome, figures: Sequence[Figure], settings: Settings) -> 
     low = low_latitude(swarm, settings.low_latitude_deg)
     row = int(np.argmin(np.abs(swarm.latitude_deg)))
     of_day = (swarm.time[row] - swarm.time[row].astype("datetime64[D]")).astype("int64") / 3600e9
-    pairs = [(quantity, part) for quantity in ("rms", "mean") for part in COMPONENTS]
-    selections: list[list[Cell]] = []
-    for residual, words, chosen in _selections(outcome, settings):
-        numbers = [round(statistics(residual, chosen)[pair], 2) for pair in pairs]
-        selections.append([residual.track.name, residual.model, words, int(chosen.sum()), *numbers])
     return {
         "o": outcome,
+        "settings": settings.tree,
         "limit": settings.low_latitude_deg,
         "figures": figures,
         "names": {"share": "share of the mean explained", "kp": "Kp", "rc": "RC"},
@@ -110,33 +261,34 @@ def _values(outcome: Outcome, figures: Sequence[Figure], settings: Settings) -> 
         "others": ", ".join(f"{count[status]} {status}" for status in ("differs", "not testable") if count[status]),
         "beyond": tuple(rms(r.NEC_nT[high]) for r in (outcome.magsat, outcome.magsat_explained)),
         **dict(zip(("alone", "with_time", "with_pitch", "whole", "scalar"), outcome.fits, strict=False)),
-        "ring": RING_CURRENT,
-        "time": TIME_OFFSET,
-        "pitch": PITCH,
         "mean": [statistics(residual, low)["mean", "N"] for residual in outcome.swarm],
         "storm": outcome.fits[-2],
         "hours": float((of_day + swarm.longitude_deg[row] / 15.0) % 24.0),
-        "pairs": pairs,
-        "rows": {"selections": selections},
+        "pairs": [(quantity, part) for quantity in ("rms", "mean") for part in COMPONENTS],
+        "selections": [
+            {"track": r.track.name, "model": r.model, "selection": words, "samples": int(rows.sum())}
+            | {f"{quantity}_{part}_nT": value for (quantity, part), value in statistics(r, rows).items()}
+            for r, words, rows in _selections(outcome, settings)
+        ],
     }
 
 
-def _drawn(outcome: Outcome, limit: float) -> dict[str, Drawing]:
+def _drawn(outcome: Numbers, limit: float) -> dict[str, Callable[[], Figure]]:
     magsat, storm = outcome.magsat, outcome.swarm
     low = low_latitude(storm[0].track, limit)
     then, now = "1 January 1980", "1 January 2016"
     title = f"Swarm A minus model, {now}"
     along = [_track(magsat), _track(outcome.magsat_explained)]
     return {
-        "magsat_map": residual_map(_track(magsat), f"MAGSAT minus {magsat.model}, {then}", limit),
-        "magsat_series": residual_series(along, f"MAGSAT minus model, {then}", limit),
-        "swarm_low": residual_series([_track(r, low) for r in storm], f"{title}, below {limit:g} deg", limit),
-        "swarm_series": residual_series([_track(r) for r in storm], title, limit),
-        "swarm_map": residual_map(_track(storm[0]), f"Swarm A minus {storm[0].model}, {now}", limit),
+        "magsat_map": partial(residual_map, _track(magsat), f"MAGSAT minus {magsat.model}, {then}", limit),
+        "magsat_series": partial(residual_series, along, f"MAGSAT minus model, {then}", limit),
+        "swarm_low": partial(residual_series, [_track(r, low) for r in storm], f"{title}, below {limit:g} deg", limit),
+        "swarm_series": partial(residual_series, [_track(r) for r in storm], title, limit),
+        "swarm_map": partial(residual_map, _track(storm[0]), f"Swarm A minus {storm[0].model}, {now}", limit),
     }
 
 
-def _selections(outcome: Outcome, settings: Settings) -> Iterator[tuple[Residual, str, BoolArray]]:
+def _selections(outcome: Numbers, settings: Settings) -> Iterator[tuple[Residual, str, BoolArray]]:
     words = f"|latitude| < {settings.low_latitude_deg:g} deg"
     for residual in (outcome.magsat, outcome.magsat_at_stamps, outcome.magsat_explained, *outcome.swarm):
         low, good = low_latitude(residual.track, settings.low_latitude_deg), residual.track.attitude_good

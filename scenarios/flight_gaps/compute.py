@@ -1,4 +1,4 @@
-"""The computing half of the study: files in, diagnoses and least-squares tables out. Nothing is drawn or written here."""
+"""The computing half of the study: cases, their diagnoses, and least-squares tables. Nothing is drawn or written here."""
 
 from __future__ import annotations
 
@@ -12,15 +12,14 @@ import numpy as np
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED
 from fluxtwin.gap.records.diagnosis import Diagnosis
-from fluxtwin.scenarios.flight_field.residuals import rms
-from fluxtwin.scenarios.flight_field.tracks import read_kp, read_swarm
+from fluxtwin.scenarios.flight_field.tracks import read_kp, read_magsat, read_swarm
 from fluxtwin.scenarios.flight_gaps import records
-from fluxtwin.scenarios.flight_gaps.alone import LeastSquares, Shares, alone, visible_nT
-from fluxtwin.scenarios.flight_gaps.cases import Case, magsat_record, names_of, read_cases, storm_record
-from fluxtwin.scenarios.flight_gaps.models import field_model
-from fluxtwin.scenarios.flight_gaps.tolles_lawson import Coefficients, coefficients
+from fluxtwin.scenarios.flight_gaps.least_squares import LeastSquares, Shares, alone, coefficients, visible_nT
+from fluxtwin.scenarios.flight_gaps.records import field_model
+from fluxtwin.scenarios.flights import Numbers, rms
 from fluxtwin.scenarios.recorded_files import Settings
 from fluxtwin.sim.base.progress import Progress, part_of
+from fluxtwin.sim.base.toml_input import Strict, read_model
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field_models import FieldModel
@@ -29,11 +28,97 @@ from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.telemetry.record import Telemetry
 
+PACKAGED = Path(__file__).parent / "cases.toml"
 BANDS_DEG = (0.0, 30.0, 50.0, 60.0, 75.0, 90.0)
 STORM_NT = 50.0
 """The ring current whose visibility is counted."""
 _MISSING_NT = 1e5
 _ORBIT_S = 5640
+
+
+class Wanted(Strict):
+    """What an answer must hold; what is empty is not asked for."""
+
+    verdict: str = ""
+    stage: str = ""
+    named: list[str] = []
+    unnamed: list[str] = []
+    only: str = ""
+    untestable: str = ""
+    not_first: str = ""
+
+    def met(self, found: Diagnosis) -> bool:
+        """Whether the diagnosis holds all of it."""
+        names, first = names_of(found), found.effects[0].group if found.effects else ()
+        return (
+            self.verdict in ("", found.verdict)
+            and self.stage in ("", found.where.stage)
+            and names.issuperset(self.named)
+            and names.isdisjoint(self.unnamed)
+            and (not self.only or {effect.name for effect in found.effects} == {self.only})
+            and (not self.untestable or self.untestable in found.untestable)
+            and (not self.not_first or tuple(first) != (self.not_first,))
+        )
+
+
+class Case(Strict):
+    """One question to the diagnosis: a record, a field model, what is modelled; and what is known and withheld."""
+
+    name: str
+    part: str
+    title: str
+    model: str = "igrf14"
+    file: int = 0
+    """Which of the files of a part that has several."""
+    modelled: list[str] = list(DEFAULT_MODELLED)
+    known: str
+    """The cause, in words."""
+    expected: str = ""
+    """What an answer should say, in words."""
+    right: list[str] = []
+    wanted: Wanted | None = None
+
+    def load(self, folder: Path, settings: Settings) -> tuple[Telemetry, FieldModel]:
+        """The record and the field model. Raises BadInput for a file that cannot be used."""
+        model = field_model(self.model)
+        if self.part == "storm":
+            return storm_record(folder, settings), model
+        if self.part == "magsat":
+            return magsat_record(folder, settings), model
+        if self.part == "swarm":
+            day = records.of_residual_day(folder / settings.swarm.files[self.file], model)
+            return day.select(slice(None, None, settings.swarm.every)), model
+        if self.part == "dmsp":
+            dmsp = settings.dmsp
+            return records.of_body_residuals(folder / dmsp.files[self.file], model, dmsp.hours, dmsp.every), model
+        given = records.read_compensation(folder / settings.aircraft.file)
+        return records.of_aircraft(given, settings.aircraft.rate_Hz), model
+
+
+class _Cases(Strict):
+    case: list[Case]
+
+
+def read_cases() -> list[Case]:
+    """All cases, in the order of the report."""
+    return read_model(PACKAGED, _Cases).case
+
+
+def names_of(found: Diagnosis) -> set[str]:
+    """Every name that the answer gives, groups included."""
+    return {name for effect in found.effects for name in (effect.name, *effect.group)}
+
+
+def storm_record(folder: Path, settings: Settings) -> Telemetry:
+    """The arc of Swarm A at low latitude."""
+    track = read_swarm(folder / settings.storm.file)
+    return records.of_track(track).select(abs(track.latitude_deg) < settings.low_latitude_deg)
+
+
+def magsat_record(folder: Path, settings: Settings, axes: str = "orbit") -> Telemetry:
+    """MAGSAT's rows at the chosen spacing."""
+    track = read_magsat(folder / settings.magsat.file)
+    return records.of_track(track, axes).select(slice(None, None, settings.magsat.every))
 
 
 @dataclass(frozen=True)
@@ -70,51 +155,23 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Left:
-    """A residual after a plain fit, N rows."""
-
-    latitude_deg: FloatArray
-    """(N,) geocentric."""
-    residual_nT: FloatArray
-    """(N, 3)."""
-
-    def bands(self) -> list[tuple[float, float, int, float]]:
-        """Latitudes from and to, rows, rms per component [nT], either hemisphere."""
-        size = np.abs(self.latitude_deg)
-        bands = [(low, high, (size >= low) & (size < high)) for low, high in itertools.pairwise(BANDS_DEG)]
-        return [(low, high, int(rows.sum()), rms(self.residual_nT[rows])) for low, high, rows in bands if rows.any()]
-
-
-@dataclass(frozen=True)
-class Visible:
-    """How much of a ring current of 50 nT some data show."""
-
-    rows: str
-    """Which rows, in words."""
-    samples: int
-    whole_nT: float
-    """rms of it along the rows."""
-    beside_b_and_S_nT: float
-    """rms after projecting out b and S."""
-
-
-@dataclass(frozen=True)
 class Outcome:
     """All that the study found."""
 
     answers: tuple[Answer, ...]
     storm: Shares
     """Swarm A in the storm, nothing modelled."""
-    storm_visible: tuple[Visible, ...]
+    storm_visible: tuple[Numbers, ...]
+    """How much of a ring current of 50 nT some data show."""
     magsat: Mapping[str, Shares]
     """MAGSAT by model and axes, b and S free."""
-    magsat_left: Left
+    magsat_left: Numbers
     """What IGRF-14 with b and S free leaves along MAGSAT's orbit."""
-    degree_left: tuple[Left, Left]
+    degree_left: tuple[Numbers, Numbers]
     """The same for IGRF-14 cut at degree 8, without and with field_truncation."""
     kp: FloatArray
     """Eight values of the day of MAGSAT."""
-    coefficients: Coefficients
+    coefficients: Numbers
     """Of the aircraft, from the published values."""
 
     def answer(self, name: str) -> Answer:
@@ -165,7 +222,7 @@ def _effects(*names: str) -> tuple[SignalEffect, ...]:
     return tuple(effect for effect in map(find_effect, names) if isinstance(effect, SignalEffect))
 
 
-def _storm_tables(folder: Path, settings: Settings) -> tuple[Shares, tuple[Visible, ...]]:
+def _storm_tables(folder: Path, settings: Settings) -> tuple[Shares, tuple[Numbers, ...]]:
     arc, model = storm_record(folder, settings), field_model("igrf14")
     names = ("ring_current", "bias", "scale_misalignment", "along_track_error", "time_tag_offset", "field_epoch")
     table = alone(arc, model, (), [_effects(name) for name in names])
@@ -178,10 +235,12 @@ def _storm_tables(folder: Path, settings: Settings) -> tuple[Shares, tuple[Visib
         "one orbit of Swarm A": day.select(slice(0, orbit)),
         "one day of Swarm A": day.select(slice(None, None, settings.swarm.every)),
     }
-    return table, tuple(
-        Visible(words, len(rows), *visible_nT(rows, model, DEFAULT_MODELLED, ring, STORM_NT))
-        for words, rows in kinds.items()
-    )
+    visible = []
+    for words, rows in kinds.items():
+        # rms along the rows, and after projecting out b and S
+        whole, beside = visible_nT(rows, model, DEFAULT_MODELLED, ring, STORM_NT)
+        visible.append(Numbers(rows=words, samples=len(rows), whole_nT=whole, beside_b_and_S_nT=beside))
+    return table, tuple(visible)
 
 
 def _magsat_tables(folder: Path, settings: Settings) -> Mapping[str, Shares]:
@@ -200,10 +259,22 @@ def _magsat_tables(folder: Path, settings: Settings) -> Mapping[str, Shares]:
     }
 
 
-def _left(telemetry: Telemetry, model: FieldModel, *effects: SignalEffect) -> Left:
+def _left(telemetry: Telemetry, model: FieldModel, *effects: SignalEffect) -> Numbers:
     """What a model with b, S and the effects fitted leaves."""
     remaining_nT, _ = LeastSquares(telemetry, model, DEFAULT_MODELLED).remaining_nT(*effects)
-    return Left(_latitude_deg(telemetry), remaining_nT.reshape(-1, 3))
+    latitude_deg, residual_nT = _latitude_deg(telemetry), remaining_nT.reshape(-1, 3)
+    bands = [(low, high, _between(latitude_deg, low, high)) for low, high in itertools.pairwise(BANDS_DEG)]
+    return Numbers(
+        # (N,) geocentric, and (N, 3).
+        latitude_deg=latitude_deg,
+        residual_nT=residual_nT,
+        # Latitudes from and to, rows, rms per component [nT], either hemisphere.
+        bands=[(low, high, int(rows.sum()), rms(residual_nT[rows])) for low, high, rows in bands if rows.any()],
+    )
+
+
+def _between(latitude_deg: FloatArray, low: float, high: float) -> BoolArray:
+    return np.asarray((np.abs(latitude_deg) >= low) & (np.abs(latitude_deg) < high))
 
 
 def _latitude_deg(telemetry: Telemetry) -> FloatArray:

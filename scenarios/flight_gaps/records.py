@@ -1,4 +1,4 @@
-"""Telemetry from recorded files that have a layout of their own, read strictly.
+"""Telemetry from recorded files that have a layout of their own, read strictly, and field models with a known error.
 
 Body axes are those of the orbit (x forward, y against the orbit normal, z to nadir) wherever a file gives the field in
 geocentric axes: that is how these satellites fly, and the attitude is then exact by construction. To a file that has
@@ -8,7 +8,7 @@ MAGSAT and Swarm are read by `flight_field.tracks`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,17 +16,57 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.scenarios.flight_field.tracks import Track
-from fluxtwin.scenarios.flight_gaps.models import dipole_radius_km
 from fluxtwin.scenarios.recorded_files import ORBIT_KM, increasing, none_wrong, numbers, opened
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.constants import FIELD_RADIUS_KM
 from fluxtwin.sim.earth.field import field_N_nT, field_NEC_nT
-from fluxtwin.sim.earth.field_models import FieldModel
+from fluxtwin.sim.earth.field_models import FieldModel, linear_model, load_field
 from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.time_stamps import parse_iso
+
+_DIPOLE_NT = 30_000.0
+
+
+def field_model(name: str) -> FieldModel:
+    """The model of a case: `igrf14`, `igrf14, degree 8`, `igrf1975, held back`, `igrf1975, carried on` or `dipole`."""
+    base, _, change = name.partition(", ")
+    if base == "dipole":
+        # a centred dipole along the Earth's axis that does not change: the field of an aircraft at an unknown place
+        knots = np.array(["2000-01-01", "2100-01-01"], dtype="datetime64[ns]")
+        return linear_model("dipole", "a centred dipole, fixed", knots, np.array([[-_DIPOLE_NT, 0.0, 0.0]] * 2))
+    if change.startswith("degree"):
+        return load_field(base, int(change.removeprefix("degree ")))
+    model = load_field(base)
+    return held_back(model) if change == "held back" else carried_on(model) if change == "carried on" else model
+
+
+def held_back(model: FieldModel) -> FieldModel:
+    """The model as it was one whole validity earlier, with its secular variation: IGRF 1975 of 1975.0 in 1980.0."""
+    return replace(model, title=f"{model.title}, used as if it were five years ago", knots=_later(model))
+
+
+def carried_on(model: FieldModel) -> FieldModel:
+    """The model with its straight secular variation carried on for one whole validity more."""
+    polynomial = model.polynomial_nT.copy()
+    polynomial[-1, 1:] *= 2.0
+    knots = np.append(model.knots[:-1], _later(model)[-1])
+    title = f"{model.title}, its secular variation carried on"
+    return replace(model, title=title, knots=knots, polynomial_nT=polynomial)
+
+
+def dipole_radius_km(size_nT: FloatArray, latitude_rad: float, radius_km: float) -> FloatArray:
+    """(N,) distance from the centre at which the dipole has that size [nT], at a latitude."""
+    at_reference = _DIPOLE_NT * float(np.sqrt(1.0 + 3.0 * np.sin(latitude_rad) ** 2))
+    distance: FloatArray = radius_km * np.cbrt(at_reference / size_nT)
+    return distance
+
+
+def _later(model: FieldModel) -> np.ndarray:
+    return np.asarray(model.knots + (model.knots[-1] - model.knots[0]))
+
 
 _DMSP = Rotation.from_matrix([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Spacecraft axes of DMSP from those of the orbit: x down, y forward, z along -orbit normal."""

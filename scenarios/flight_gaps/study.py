@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -10,23 +12,21 @@ import numpy as np
 import tomli_w
 from matplotlib.figure import Figure
 
-from fluxtwin.gap.records.diagnosis import Diagnosis, EffectParameter, FoundEffect, Ranked
+from fluxtwin.gap.records.diagnosis import Diagnosis, FoundEffect, Ranked
 from fluxtwin.gap.report import advice
 from fluxtwin.plots import gap_cases
-from fluxtwin.scenarios.flight_gaps.alone import Share, Shares
-from fluxtwin.scenarios.flight_gaps.cases import names_of
-from fluxtwin.scenarios.flight_gaps.compute import STORM_NT, Answer, Outcome, compute
-from fluxtwin.scenarios.page import Cell, Page, StudyResult
+from fluxtwin.scenarios.flight_gaps.compute import STORM_NT, Answer, Outcome, compute, names_of
+from fluxtwin.scenarios.flight_gaps.least_squares import Share
+from fluxtwin.scenarios.page import Cell, StudyResult
 from fluxtwin.scenarios.page_markdown import as_markdown
 from fluxtwin.scenarios.recorded_files import Settings, check_folder, read_settings
-from fluxtwin.scenarios.worded_page import PageWords
+from fluxtwin.scenarios.words import Words
 from fluxtwin.sim.base.files import write_text
 from fluxtwin.sim.base.progress import Progress, part_of, silent
 from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 
 SUSPICIOUS = 100.0
 """Times its typical size: a parameter as large as that is no effect of its name."""
-_WORDS = PageWords("fluxtwin.scenarios.flight_gaps")
 SETTINGS = Path(__file__).parent / "flight_gaps.toml"
 """What the study runs with; a copy lies beside its results."""
 _AURORA_DEG = 60.0
@@ -42,73 +42,47 @@ def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResul
     settings = read_settings(SETTINGS)
     outcome = compute(check_folder(data, settings.files), settings, part_of(progress, 0.0, 0.95))
     progress("drawing", 0.95)
-    values, whole = page_values(outcome), page(outcome, settings)
-    return StudyResult(
-        name="flight-gaps",
-        status_line=whole.verdict,
-        summary=summary(outcome, settings),
-        tables=[_WORDS.table(name, values) for name in ("short", "storm")],
-        page=whole,
-        written=[
-            write_text(out / "flight_gaps.toml", tomli_w.dumps(settings.tree)),
-            write_text(out / "report.md", as_markdown(whole)),
-        ],
-    )
+    result = present(outcome, settings)
+    assert result.page is not None
+    written = [
+        write_text(out / "flight_gaps.toml", tomli_w.dumps(settings.tree)),
+        write_text(out / "report.md", as_markdown(result.page)),
+    ]
+    return replace(result, written=written)
 
 
-def summary(outcome: Outcome, settings: Settings) -> dict[str, Any]:
-    """The content of summary.json: every answer whole, and the least-squares tables."""
-    return {
-        "study": settings.name,
-        "cases": [
-            {key: getattr(answer.case, key) for key in ("name", "title", "known")}
-            | {"expected": answer.case.expected or None, "agrees": answer.agrees, "wrong": answer.wrong}
-            | {"doubts": doubts(answer), "diagnosis": answer.found.to_dict()}
-            for answer in outcome.answers
-        ],
-        "alone": {name: _plain(table) for name, table in {"storm": outcome.storm, **outcome.magsat}.items()},
-        "ring_current_visible": [vars(one) | {"size_nT": STORM_NT} for one in outcome.storm_visible],
-        "magsat_by_latitude": [
-            dict(zip(("from_deg", "to_deg", "samples", "rms_nT"), band, strict=True))
-            for band in outcome.magsat_left.bands()
-        ],
-        "kp": [float(value) for value in outcome.kp],
-        "aircraft": {
-            "permanent_nT": outcome.coefficients.permanent_nT.tolist(),
-            "induced": outcome.coefficients.induced.tolist(),
-            "eddy_s": outcome.coefficients.eddy_s.tolist(),
-            "worst_nT": outcome.coefficients.worst_nT,
-            "rms_nT": list(outcome.coefficients.parts_nT),
-        },
-        "settings": settings.tree,
+def present(outcome: Outcome, settings: Settings) -> StudyResult:
+    """What the study says of its outcome."""
+    provenance = {
+        "settings": "flight_gaps.toml beside this page",
+        "files": ", ".join(settings.files),
+        "effects in the catalogue": str(len(CATALOGUE)),
     }
+    values = page_values(outcome) | {"settings": settings.tree}
+    return words().result("flight-gaps", ("short", "storm"), _figures(outcome), provenance, **values)
 
 
-def _plain(table: Shares) -> dict[str, Any]:
-    kept = {key: value for key, value in vars(table).items() if key != "shares"}
-    return kept | {"effects": [vars(share) for share in table.shares]}
-
-
-def page(outcome: Outcome, settings: Settings) -> Page:
-    """The whole report."""
-    return Page(
-        title="Gaps that really flew",
-        verdict=verdict(outcome),
-        sections=_WORDS.sections(page_values(outcome), _figures(outcome)),
-        provenance={
-            "settings": "flight_gaps.toml beside this page",
-            "files": ", ".join(settings.files),
-            "effects in the catalogue": str(len(CATALOGUE)),
-        },
+@cache
+def words() -> Words:
+    """The sections of `words.md`, with what speaks of an answer."""
+    return Words(
+        "fluxtwin.scenarios.flight_gaps",
+        names=_names,
+        unnamed=_unnamed,
+        names_of=names_of,
+        doubts=doubts,
+        said=_said,
+        as_expected=as_expected,
+        ranked=_ranked,
+        storm_nT=STORM_NT,
     )
 
 
-def verdict(outcome: Outcome) -> str:
-    """The status line of the study."""
+def counts(outcome: Outcome) -> dict[str, int]:
+    """Answers from which something was expected, those that meet it, and those of these that add a wrong name."""
     asked = [answer for answer in outcome.answers if answer.agrees is not None]
     met = [answer for answer in asked if answer.agrees]
-    spoilt = sum(bool(answer.wrong) for answer in met)
-    return _WORDS.sentence("verdict", met=len(met), spoilt=spoilt, total=len(asked))
+    return {"met": len(met), "erring": sum(bool(answer.wrong) for answer in met), "total": len(asked)}
 
 
 def as_expected(answer: Answer) -> str:
@@ -120,26 +94,24 @@ def as_expected(answer: Answer) -> str:
 
 def oversized(effect: FoundEffect) -> str | None:
     """The parameter of a named effect that is most above its typical size, if it is absurdly so."""
-    ratios: dict[float, tuple[str, EffectParameter]] = {}
-    for name, value in effect.parameters.items():
-        typical = advice.typical_size(effect.name, name)
-        if typical:
-            ratios.setdefault(abs(value.value / typical), (name, value))
-    ratio = max(ratios, default=0.0)
-    if ratio < SUSPICIOUS:
+    sizes = {name: advice.typical_size(effect.name, name) for name in effect.parameters}
+    ratios = {name: abs(effect.parameters[name].value / size) for name, size in sizes.items() if size}
+    name = max(ratios, key=lambda one: ratios[one], default="")
+    if not name or ratios[name] < SUSPICIOUS:
         return None
-    name, value = ratios[ratio]
+    value = effect.parameters[name]
     unit = "" if value.unit == "1" else f" {value.unit}"
-    values = {"effect": effect.name, "parameter": name, "value": value.value, "unit": unit, "ratio": ratio}
-    return _WORDS.sentence("oversized", **values)
+    return words().say(
+        "oversized", effect=effect.name, parameter=name, value=value.value, unit=unit, ratio=ratios[name]
+    )
 
 
 def doubts(answer: Answer) -> list[str]:
     """What a reader should hold against an answer: absurd sizes, and names that predict worse than none."""
     found = answer.found
-    said = [words for effect in found.effects if (words := oversized(effect)) is not None]
+    said = [large for effect in found.effects if (large := oversized(effect)) is not None]
     if found.effects and found.gap.after_nT > found.gap.before_nT:
-        said.append(_WORDS.sentence("worse", gap=found.gap))
+        said.append(words().say("worse", gap=found.gap))
     return said
 
 
@@ -178,19 +150,13 @@ def page_values(outcome: Outcome) -> dict[str, Any]:
     steps = np.sqrt(np.nanmean(np.square(change), axis=0)) if np.isfinite(change).any() else []
     answers = outcome.part("swarm")
     return {
+        **counts(outcome),
         "o": outcome,
-        "names": _names,
-        "unnamed": _unnamed,
-        "names_of": names_of,
-        "doubts": doubts,
-        "said": _said,
-        "as_expected": as_expected,
-        "ranked": _ranked,
+        "least_squares": {"storm": table, **outcome.magsat},
         "bare": bare,
         "full": outcome.answer("storm-default").found,
         "ring": bare.ranking[0],
         "bias": next(line for line in bare.ranking if line.name == "bias"),
-        "storm_nT": STORM_NT,
         "manoeuvre": find_effect("ring_current").settled_by,
         "shares": [Share(("nothing",), 0, table.raw_nT, ()), *sorted(table.shares, key=lambda one: one.left_nT)],
         "arc": arc,
@@ -199,7 +165,7 @@ def page_values(outcome: Outcome) -> dict[str, Any]:
         "nec": nec,
         "orbit": orbit,
         "both": nec.share("along_track_error", "field_epoch"),
-        "bands": outcome.magsat_left.bands(),
+        "bands": outcome.magsat_left.bands,
         "answers": answers,
         "alike": len({(a.found.verdict, a.found.where.stage) for a in answers}) == 1,
         "same_resemblance": len({tuple(a.found.resembles) for a in answers}) == 1,
@@ -209,7 +175,8 @@ def page_values(outcome: Outcome) -> dict[str, Any]:
         "steps": ", ".join(f"{value:.0f}" for value in steps) or "nothing that is known",
         "c": outcome.coefficients,
         "eddy_us": _eddy_us(outcome),
-        "rows": {"magsat": _magsat_rows(outcome), "swarm": _swarm_rows([answer.found for answer in answers])},
+        "magsat": _magsat_rows(outcome),
+        "swarm": _swarm_rows([answer.found for answer in answers]),
     }
 
 
@@ -250,11 +217,7 @@ def _eddy_us(outcome: Outcome) -> dict[str, dict[str, float]]:
     }
 
 
-def _figures(outcome: Outcome) -> dict[str, Figure]:
-    return {**_magsat_figures(outcome), **_storm_and_aircraft_figures(outcome), **_swarm_figures(outcome)}
-
-
-def _storm_and_aircraft_figures(outcome: Outcome) -> dict[str, Figure]:
+def _figures(outcome: Outcome) -> dict[str, Callable[[], Figure]]:
     bars = []
     for share in sorted(outcome.storm.shares, key=lambda one: one.left_nT):
         count = f"{share.parameters} parameter{'s' if share.parameters > 1 else ''}"
@@ -262,12 +225,16 @@ def _storm_and_aircraft_figures(outcome: Outcome) -> dict[str, Figure]:
     title = "Swarm A in the storm of 1 January 2016, |latitude| < 50 deg: each effect alone, nothing modelled"
     eddy = {name: [values[term] for term in _EDDY] for name, values in _eddy_us(outcome).items() if values}
     return {
-        "storm_alone": gap_cases.left_alone(bars, outcome.storm.raw_nT, title),
-        "aircraft_eddy": gap_cases.groups(list(_EDDY), eddy, "coefficient [us]", "An aircraft's eddy currents"),
+        "storm_alone": partial(gap_cases.left_alone, bars, outcome.storm.raw_nT, title),
+        "aircraft_eddy": partial(
+            gap_cases.groups, list(_EDDY), eddy, "coefficient [us]", "An aircraft's eddy currents"
+        ),
+        **_magsat_figures(outcome),
+        **_swarm_figures(outcome),
     }
 
 
-def _magsat_figures(outcome: Outcome) -> dict[str, Figure]:
+def _magsat_figures(outcome: Outcome) -> dict[str, Callable[[], Figure]]:
     left, (without, with_it) = outcome.magsat_left, outcome.degree_left
     fitted = {"b and S": without, "b, S and field_truncation": with_it}
     cut = [(name, one.latitude_deg, one.residual_nT) for name, one in fitted.items()]
@@ -283,13 +250,13 @@ def _magsat_figures(outcome: Outcome) -> dict[str, Figure]:
     axes, title = ["north, east, centre", "axes of the orbit"], "MAGSAT and IGRF-14: what stands in for what"
     minus = "MAGSAT minus IGRF-14"
     return {
-        "magsat_degree_8": gap_cases.by_latitude(cut, f"{minus} to degree 8", _AURORA_DEG),
-        "magsat_latitude": gap_cases.by_latitude([track], f"{minus}, b and S free", _AURORA_DEG),
-        "magsat_epoch": gap_cases.groups(axes, series, "rms left per component [nT]", title),
+        "magsat_degree_8": partial(gap_cases.by_latitude, cut, f"{minus} to degree 8", _AURORA_DEG),
+        "magsat_latitude": partial(gap_cases.by_latitude, [track], f"{minus}, b and S free", _AURORA_DEG),
+        "magsat_epoch": partial(gap_cases.groups, axes, series, "rms left per component [nT]", title),
     }
 
 
-def _swarm_figures(outcome: Outcome) -> dict[str, Figure]:
+def _swarm_figures(outcome: Outcome) -> dict[str, Callable[[], Figure]]:
     answers = {answer.case.title.partition(",")[0]: answer for answer in outcome.part("swarm")}
     tracks = [(label, a.latitude_deg, a.left_nT) for label, a in answers.items()]
     drops = {label: {line.name: line.drop for line in a.found.ranking} for label, a in answers.items()}
@@ -297,6 +264,6 @@ def _swarm_figures(outcome: Outcome) -> dict[str, Figure]:
     series = {label: [drop.get(name, 0.0) for name in first] for label, drop in drops.items()}
     title = "Swarm minus CHAOS, 8 September 2014, b and S free"
     return {
-        "swarm_latitude": gap_cases.by_latitude(tracks, title, _AURORA_DEG),
-        "swarm_ranking": gap_cases.groups(first, series, "drop of chi-square", "Each effect alone"),
+        "swarm_latitude": partial(gap_cases.by_latitude, tracks, title, _AURORA_DEG),
+        "swarm_ranking": partial(gap_cases.groups, first, series, "drop of chi-square", "Each effect alone"),
     }

@@ -11,30 +11,38 @@ A few numbers of the scan are wrong, so large residuals count less (soft L1). Th
 of the passes' own pulls (the "sandwich"), not from the assumed sigmas. One error is common to many passes: the least
 sun-nadir angle of a night pass is nearly the same in all of them, so all are rounded alike. What a shift of these ends by
 the rms of rounding does to the elements is added.
+
+The first guess is from acquisition times alone, by trying the whole sky: no starting value is needed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
-from fluxtwin.scenarios.hcmm_orbit.coarse import first_guess
 from fluxtwin.scenarios.hcmm_orbit.geometry import (
+    EPOCH,
     INCLINATION_DEG,
     Grid,
+    PassWindows,
     Sky,
+    fix_windows,
     look,
     make_grid,
     orbit_of,
+    ranges_of_windows,
     rise_and_set_min,
+    turning_ends,
 )
-from fluxtwin.scenarios.hcmm_orbit.record import Pass, Range, read_passes
-from fluxtwin.scenarios.hcmm_orbit.windows import PassWindows, fix_windows, ranges_of_windows, turning_ends
+from fluxtwin.scenarios.hcmm_orbit.record import Pass, Range, read_passes, read_stations
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.earth import frames, sun
-from fluxtwin.sim.earth.orbit import Orbit
+from fluxtwin.sim.earth import epoch, frames, sun
+from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM
+from fluxtwin.sim.earth.orbit import Orbit, orbital_rates
 
 ELEMENTS = ("semi_major_axis_km", "raan_deg", "argument_of_latitude_deg")
 _RISE_MIN, _START_MIN, _VISIBLE_MIN = 1.0, 0.4, 0.3
@@ -48,6 +56,12 @@ _MOST_ROUNDS = 6
 """Of windows set anew; two or three are enough."""
 _ROWS = 6
 """Residuals of a pass: rise, start, two visibility limits, two ends of the range."""
+_ANGLES_DEG = np.arange(0.0, 360.0, 4.0)
+_AXES_KM = np.arange(6930.0, 7070.1, 4.0)
+"""Periods of 95.8 to 98.7 min: launch reports give 96.7."""
+_MOST_DEG = 12.0
+"""A pass further from its horizon than this counts no more: a wrong time must not decide."""
+_LATER_S = 180.0
 
 
 @dataclass(frozen=True)
@@ -112,7 +126,7 @@ def fit_orbit(passes: tuple[Pass, ...] | None = None, *, free_inclination: bool 
 class _Problem:
     """Residuals of x = (K elements, mean start, P starts, P ends) and their Jacobian."""
 
-    def __init__(self, grid: Grid, ranges: list[Range], free: int, start: FloatArray) -> None:
+    def __init__(self, grid: Grid, ranges: Sequence[Range], free: int, start: FloatArray) -> None:
         self.grid, self.free, self.fixed = grid, free, start
         self.low, self.high = np.array(ranges).T
         self.count = len(ranges)
@@ -254,3 +268,47 @@ def _interpolate(minutes: FloatArray, table: FloatArray, at: FloatArray) -> Floa
     k = place.astype(int)
     rows = np.arange(len(at))
     return np.asarray(table[rows, k] + (place - k) * (table[rows, k + 1] - table[rows, k]))
+
+
+def first_guess(passes: tuple[Pass, ...]) -> tuple[float, float, float]:
+    """(a [km], RAAN [deg], argument of latitude [deg]) at EPOCH.
+
+    A satellite that rises stands at the horizon: the angle at the Earth's centre between it and the station is
+    acos(R/a), and shrinks. The score is the mean distance from that, of trial orbits on a grid of all three elements.
+    """
+    time = np.array([item.aos for item in passes])
+    seconds = epoch.seconds_since(time, EPOCH)
+    stations = read_stations()
+    fixed = np.array([stations[item.station].r_E_km for item in passes])
+    # The equator of date at the epoch serves for three days.
+    up = (frames.rotation_TN(EPOCH) * frames.rotation_EN(time).inv()).apply(fixed)
+    up = up / np.linalg.norm(up, axis=1)[:, None]
+    later = Rotation.from_euler("z", 2.0 * np.pi * _LATER_S / 86164.2).apply(up)  # the Earth turns
+    best = (np.inf, (0.0, 0.0, 0.0))
+    for axis_km in _AXES_KM:
+        score = _scores(float(axis_km), seconds, up, later)
+        at = np.unravel_index(int(np.argmin(score)), score.shape)
+        best = min(best, (float(score[at]), (float(axis_km), float(_ANGLES_DEG[at[0]]), float(_ANGLES_DEG[at[1]]))))
+    return best[1]
+
+
+def _scores(axis_km: float, seconds: FloatArray, up: FloatArray, later: FloatArray) -> FloatArray:
+    """(nodes, latitudes) mean distance from the horizon in deg, passes that set instead of rising counted as lost."""
+    horizon = float(np.degrees(np.arccos(EARTH_RADIUS_KM / axis_km)))
+    now = _from_horizon(axis_km, seconds, up)
+    then = _from_horizon(axis_km, seconds + _LATER_S, later)
+    distance = np.minimum(np.abs(now - horizon), _MOST_DEG)
+    return np.asarray(np.where(then < now, distance, _MOST_DEG).mean(axis=-1))
+
+
+def _from_horizon(axis_km: float, seconds: FloatArray, up: FloatArray) -> FloatArray:
+    """(nodes, latitudes, P) angle at the Earth's centre between satellite and station [deg]."""
+    inclination = np.radians(INCLINATION_DEG)
+    rates = orbital_rates(axis_km, 0.0, float(inclination))
+    node = np.radians(_ANGLES_DEG)[:, None] + rates.raan_rad_s * seconds[None, :]
+    u = np.radians(_ANGLES_DEG)[:, None] + (rates.argument_of_perigee_rad_s + rates.mean_anomaly_rad_s) * seconds
+    cn, sn, ci, si = np.cos(node), np.sin(node), np.cos(inclination), np.sin(inclination)
+    along = up[:, 0] * cn + up[:, 1] * sn
+    across = ci * (-up[:, 0] * sn + up[:, 1] * cn) + si * up[:, 2]
+    cosine = along[:, None, :] * np.cos(u)[None, :, :] + across[:, None, :] * np.sin(u)[None, :, :]
+    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))

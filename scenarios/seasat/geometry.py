@@ -19,8 +19,7 @@ from itertools import product
 
 import numpy as np
 
-from fluxtwin.scenarios.flights import day
-from fluxtwin.scenarios.numbers import Numbers
+from fluxtwin.scenarios.flights import Numbers, day
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import frames, sun
 from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM

@@ -25,7 +25,7 @@ PRINTED = Mission(
     },
 )
 scenario, scenario_text, only = PRINTED.scenario, PRINTED.scenario_text, PRINTED.only
-read_table, printed_value, quantity = PRINTED.table, PRINTED.value, PRINTED.quantity
+printed_value, quantity = PRINTED.value, PRINTED.quantity
 
 DATA_SETS: Mapping[str, tuple[int, ...]] = {
     "205": (0,),

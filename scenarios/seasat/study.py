@@ -3,27 +3,45 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
+from functools import cache, partial
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from fluxtwin.calib.common.records import Calibration
-from fluxtwin.scenarios.calibration_records import rms_mG
-from fluxtwin.scenarios.claims import Claim, claims_table, counted, whys_table
-from fluxtwin.scenarios.motion import ATTITUDES, motion_of
-from fluxtwin.scenarios.numbers import Numbers
-from fluxtwin.scenarios.page import Page, StudyResult, Table
+from fluxtwin.plots import calibration as calibration_plots
+from fluxtwin.plots import yaw as yaw_plots
+from fluxtwin.scenarios.claims import Claim
+from fluxtwin.scenarios.flights import (
+    NAMES,
+    NEAR_NODE_DEG,
+    Numbers,
+    calibration_summary,
+    day,
+    motion_of,
+    provenance,
+    rms_mG,
+    vector,
+    write_flight,
+)
+from fluxtwin.scenarios.page import StudyResult
+from fluxtwin.scenarios.registry import ATTITUDES
 from fluxtwin.scenarios.seasat import geometry, mission
-from fluxtwin.scenarios.seasat.accuracy_study import run_accuracy
-from fluxtwin.scenarios.seasat.calibration_study import run_calibrations
-from fluxtwin.scenarios.seasat.error_study import run_errors
-from fluxtwin.scenarios.seasat.identities import check_identities
-from fluxtwin.scenarios.seasat.report import figures, judge_claims, summary, words
-from fluxtwin.scenarios.seasat.yaw_study import run_yaw
-from fluxtwin.scenarios.study_files import provenance, write_flight
+from fluxtwin.scenarios.seasat.calibration import check_identities, run_calibrations, run_errors
+from fluxtwin.scenarios.seasat.mission import DATA_SETS, PAPER_COLUMN, printed_value
+from fluxtwin.scenarios.seasat.yaw import SEEDS, STEP_S, run_accuracy, run_yaw
+from fluxtwin.scenarios.words import Words, motion_table
 from fluxtwin.sim.base.progress import Progress, part_of, silent
-from fluxtwin.sim.earth.constants import NT_PER_MG
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM, GM_EARTH_KM3_S2, NT_PER_MG
 from fluxtwin.sim.earth.field import load_field
+from fluxtwin.sim.scenario.scenario import Scenario
+
+TABLES = ("calibration", "scatter", "attenuation", "errors", "yaw", "motion", "statuses", "whys")
+"""Those of the terminal, in order."""
 
 
 def run(
@@ -31,27 +49,34 @@ def run(
 ) -> StudyResult:
     """Run the study; `out` receives the scenario, telemetry and calibration. `data` is not used.
 
-    attitude: how the vehicle moves, one of `motion.ATTITUDES`.
+    attitude: how the vehicle moves, one of ATTITUDES.
     """
     results = compute(progress, attitude=attitude)
-    claims = judge_claims(results)
-    telemetry = mission.fly(results.scenario).telemetry
-    line = words().say("status", r=results, counted=counted(claims))
-    return StudyResult(
-        name="seasat",
-        status_line=line,
-        summary=summary(results, claims),
-        tables=[*tables(results).values(), claims_table(claims), whys_table(claims)],
-        page=page(results, claims, line),
-        written=write_flight(out, mission.scenario_text(attitude), telemetry, _with_monte_carlo(results)),
+    written = write_flight(
+        out, mission.scenario_text(attitude), results.flight.telemetry, _with_monte_carlo(results.calibration)
+    )
+    return dataclasses.replace(present(results), written=written)
+
+
+def present(results: Numbers) -> StudyResult:
+    """What the study says of its numbers."""
+    said = words()
+    return said.result(
+        "seasat",
+        TABLES,
+        figures(results),
+        provenance(results.scenario),
+        claims=judge_claims(results),
+        made={"motion": motion_table(results.motion, said.say("pointing", r=results))},
+        r=results,
     )
 
 
-def _with_monte_carlo(results: Numbers) -> Calibration:
+def _with_monte_carlo(study: Numbers) -> Calibration:
     """The calibration of all days with the covariance of the Monte Carlo, which holds errors that last an orbit."""
-    found: Calibration = results.calibration.fits["all"].calibration
+    found: Calibration = study.fits["all"].calibration
     scale = np.repeat([1.0, NT_PER_MG], [9, 3])
-    estimates = results.calibration.estimates[:, results.calibration.index("all")]
+    estimates = study.many.of("all")
     covariance = np.cov(estimates[np.isfinite(estimates).all(axis=1)].T) * np.outer(scale, scale)
     method = f"{found.method}; covariance from a Monte Carlo of {len(estimates)} runs"
     return dataclasses.replace(found, covariance=covariance, covariance_kind="blocks", method=method)
@@ -70,30 +95,104 @@ def compute(progress: Progress = silent, *, runs: int | None = None, attitude: s
     fit = calibration.fits["all"]
     return Numbers(
         scenario=config,
-        motion=motion_of(config, flight.telemetry, flight.truth),
+        flight=flight,
+        motion=motion_of(flight),
         calibration=calibration,
         errors=run_errors(config, ground, part_of(progress, 0.62, 0.80)),
         yaw=run_yaw(config, fit.calibration, ground, part_of(progress, 0.80, 0.93)),
         accuracy=run_accuracy(config, ground, rms_mG(fit), part_of(progress, 0.93, 0.99)),
-        identities=check_identities(flight, ground),
+        identities=check_identities(flight, fit, ground),
         nodes=nodes,
         heads=geometry.scan_heads(nodes.chosen_deg),
     )
 
 
-def tables(results: Numbers) -> dict[str, Table]:
-    """All but the claims, in the order of the terminal."""
-    made = words().tables(("calibration", "scatter", "attenuation", "errors", "yaw"), r=results)
-    return {**made, "motion": results.motion.table(words().say("pointing", r=results))}
+def pulls(r: Numbers) -> FloatArray:
+    """(12,) (estimate - truth) / sigma of the base of 325 samples; sigma is the scatter of the Monte Carlo."""
+    c = r.calibration
+    return np.asarray((vector(c.fits["all"]) - c.truth) / c.many.scatter("all"))
 
 
-def page(results: Numbers, claims: list[Claim], verdict: str) -> Page:
-    """The report."""
-    return words().page(
-        "page",
-        verdict,
-        {**tables(results), "claims": claims_table(claims, with_why=True)},
-        figures(results),
-        provenance(results.scenario),
-        r=results,
+def judge_claims(r: Numbers) -> list[Claim]:
+    """Every claim of the packaged list, in order. Raises KeyError for a claim without words."""
+    return words().judge(mission.PRINTED.claims(), r=r)
+
+
+@cache
+def words() -> Words:
+    """The sections of `words.md`."""
+    return Words(
+        mission.PRINTED.package,
+        calibration_summary=calibration_summary,
+        data_sets=list(DATA_SETS),
+        distance_from=lambda value, low, high: np.maximum(np.maximum(low - value, value - high), 0.0),
+        geometry=geometry,
+        names=NAMES,
+        near_node_deg=NEAR_NODE_DEG,
+        period_min=_period_min,
+        print_of=_print_of,
+        printed=printed_value,
+        pulls=pulls,
+        quantity=mission.quantity,
+        rms_mG=rms_mG,
+        samples_by_day=lambda study: tuple(len(study.fits[day].time) for day in ("205", "219", "225", "227")),
+        seeds=SEEDS,
+        size=mission.PRINTED.size,
+        some=lambda parts, *names: {name: parts[name] for name in names},
+        step_s=STEP_S,
+        sums_of=lambda days: {sum(chosen) for count in range(1, 5) for chosen in combinations(days, count)},
+        triple=lambda *quantities: np.array([printed_value("yaw", "value", quantity=name) for name in quantities]),
+        vector=vector,
     )
+
+
+def _period_min(config: Scenario) -> float:
+    """Of a circular orbit about a point mass."""
+    assert config.orbit is not None and config.orbit.altitude_km is not None
+    radius_km = config.orbit.altitude_km + EARTH_RADIUS_KM
+    return float(2 * np.pi * np.sqrt(radius_km**3 / GM_EARTH_KM3_S2) / 60.0)
+
+
+def _print_of(parameter: str, data_set: str) -> float:
+    """Table 1; only its last column has signs for S."""
+    return printed_value("calibration", "value", parameter=parameter, data_set=PAPER_COLUMN[data_set])
+
+
+def figures(r: Numbers) -> dict[str, Callable[[], Figure]]:
+    """All of them, by the names in `words.md`."""
+    many, e, y = r.calibration.many, r.errors, r.yaw
+    date = np.datetime_as_string(day(geometry.DATA_DAYS[0]), unit="D") + " (day 205)"
+    observed = printed_value("errors", "rms_mG", source="observed rms")
+    return {
+        "table_1_scatter": partial(
+            calibration_plots.draw_scatter,
+            names=NAMES[:9],
+            data_sets=many.sets,
+            estimates=many.values[:, :, :9],
+            truth=many.truth[:9],
+            printed=np.array([[_print_of(name, data_set) for name in NAMES[:9]] for data_set in many.sets]),
+            signed=np.array([name == "all" for name in many.sets]),
+            title="S by data set: simulated, and as printed",
+        ),
+        "table_2_errors": partial(
+            calibration_plots.draw_budget,
+            sources=[source.replace("lsb", "LSB") for source in e.paper_rule],
+            simulated_mG=np.array([e.simulated[source] for source in e.paper_rule]),
+            paper_rule_mG=np.array(list(e.paper_rule.values())),
+            title="Sources of the residual",
+        ),
+        "node_scan": partial(
+            calibration_plots.draw_node_misfit,
+            raan_deg=r.nodes.raan_deg,
+            misfit=r.nodes.misfit,
+            chosen_deg=r.nodes.chosen_deg,
+            witness_deg=r.nodes.launch_deg,
+            title="Which node fits the sun-sensor record",
+        ),
+        "figure_1": partial(
+            yaw_plots.draw_mean_bias, y.figure_1, title=f"Figure 1, simulated: {date}, mean bias for the orbit"
+        ),
+        "figure_2": partial(yaw_plots.draw_full, y.figure_2, title=f"Figure 2, simulated: {date}, full calibration"),
+        "yaw_sigma": partial(yaw_plots.draw_sigma, r.accuracy.figure, title=f"Expected yaw error at {observed:.1f} mG"),
+        "yaw_sweep": partial(yaw_plots.draw_sweep, y.sweep, title="When is yaw = 0 the better estimate?"),
+    }

@@ -1,37 +1,32 @@
-"""One hour of ST5: the scenario, the magnetometer's telemetry without attitude, and the sun pulses between its rows."""
+"""One hour of ST5: the scenario, the magnetometer's telemetry without attitude and the sun pulses between its rows, and the
+abstract's own terms: raw = R A H + b, R = exp(-[v x]) the passive turn of the misalignment v."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from fluxtwin.calib.common.conventions import Correction, forward_from_correction, polar_split
+from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.spin.batch import Noise
+from fluxtwin.calib.spin.motion import turn_vector
 from fluxtwin.scenarios import flights
-from fluxtwin.scenarios.flights import Flight
-from fluxtwin.scenarios.printed import Printed
+from fluxtwin.scenarios.flights import Flight, Mission
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.constants import NT_PER_MG
-from fluxtwin.sim.run.world import World, build_world
-from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
+from fluxtwin.sim.run.world import World
+from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 
-PRINTED = Printed("fluxtwin.scenarios.st5")
+PRINTED = Mission("fluxtwin.scenarios.st5")
 """The abstract's numbers and claims, as packaged."""
-
-
-def scenario() -> Scenario:
-    """The packaged scenario."""
-    return parse_scenario(scenario_text(), where="st5.toml")
-
-
-def scenario_text() -> str:
-    """The packaged scenario as it is written, with the source of each number."""
-    return PRINTED.text("st5.toml")
+scenario, scenario_text = PRINTED.scenario, PRINTED.scenario_text
+_STEP = 1e-6
 
 
 def published() -> Mapping[str, Any]:
@@ -63,16 +58,44 @@ def fly(config: Scenario, world: World | None = None) -> Flight:
     flight = flights.fly(config, world)
     whole = flight.telemetry
     assert whole.sun_B is not None
-    told = Telemetry(
-        whole.time,
-        whole.mag_B_nT,
-        r_N_km=whole.r_N_km,
-        v_N_km_s=whole.v_N_km_s,
-        sun_B=whole.sun_B,
-        provenance=dict(whole.provenance),
-    )
-    return replace(flight, telemetry=told)
+    kept = {name: getattr(whole, name) for name in ("time", "mag_B_nT", "r_N_km", "v_N_km_s", "sun_B")}
+    return replace(flight, telemetry=Telemetry(**kept, provenance=dict(whole.provenance)))
 
 
-world_of = build_world
-"""Orbit, sun and field; the same for any seed and attitude."""
+class Terms(NamedTuple):
+    """b and v with their covariance (6, 6), mG and deg."""
+
+    b_mG: FloatArray
+    misalignment_deg: FloatArray
+    covariance: FloatArray
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(6,) 1 sigma of b [mG] and v [deg]."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def values(self) -> FloatArray:
+        """(6,) b [mG] and v [deg]."""
+        return np.concatenate([self.b_mG, self.misalignment_deg])
+
+
+def terms_of(calibration: Calibration) -> Terms:
+    """From S, b of equation 1. R is the rotation in (I+S)^-1; scale and non-orthogonality stay out of it."""
+    x = calibration.values[:12]
+    scale = np.where(np.arange(12) < 9, _STEP, _STEP * 1e5)
+    slope = np.stack([(_terms(x + h) - _terms(x - h)) / (2.0 * h.max()) for h in np.diag(scale)], axis=1)
+    values = _terms(x)
+    return Terms(values[:3], values[3:], slope @ calibration.covariance[:12, :12] @ slope.T)
+
+
+def _terms(x: FloatArray) -> FloatArray:
+    forward = forward_from_correction(Correction(x[:9].reshape(3, 3), x[9:]))
+    R, _ = polar_split(forward.G)
+    return np.concatenate([forward.o_nT / NT_PER_MG, np.degrees(-turn_vector(R))])
+
+
+def truth_terms() -> FloatArray:
+    """(6,) b [mG] and misalignment [deg] of the abstract."""
+    printed = published()
+    return np.array([*printed["b_mG"], *printed["misalignment_deg"]])

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.scenarios.elfin import bending, record, study, unseen
-from fluxtwin.scenarios.elfin.compute import refusal
+from fluxtwin.scenarios.elfin import record, sensor, study
+from fluxtwin.scenarios.elfin.study import refusal
 from fluxtwin.scenarios.elfin.zone_fit import fit_zone, local_noise_nT, spin_rate
 from fluxtwin.scenarios.recorded_files import Settings, check_folder, read_settings
 from fluxtwin.sim.base.errors import BadInput
@@ -69,10 +69,10 @@ def a_flight(turned: bool) -> record.Flight:
     return record.Flight(zones, a_day(), 0.004)
 
 
-def without_states(sensor: bending.Sensor) -> bending.Sensor:
+def without_states(one: sensor.Sensor) -> sensor.Sensor:
     """The same sensor that follows nothing."""
-    none = np.zeros_like(sensor.turn_rad)
-    return replace(sensor, turn_rad=none, scale=none, bias_knT=none)
+    none = np.zeros_like(one.turn_rad)
+    return replace(one, turn_rad=none, scale=none, bias_knT=none)
 
 
 def test_a_static_sensor_is_found_with_its_phase(close: Close) -> None:
@@ -94,28 +94,28 @@ def test_a_bending_boom_is_found_and_predicts_an_unseen_zone(close: Close) -> No
     """Five zones with a boom and scale that follow the light: from four of them the fifth is predicted to the noise."""
     flight = a_flight(turned=True)
     own = [fit_zone(zone, "static", SETTINGS) for zone in flight.zones]
-    rows = bending.rows_of(flight, own, LAGS_S, 15)
-    joint = bending.fit_joint(rows, bending.start(own, 2, 2), ("turn", "scale"))
+    rows = sensor.rows_of(flight, own, LAGS_S, 15)
+    joint = sensor.fit_joint(rows, sensor.start(own, 2, 2), ("turn", "scale"))
     close(joint.whole_nT, NOISE_NT * np.sqrt(3.0), atol=1.0, unit="nT", because="nothing but noise is left")
     begin = (joint.sensor, joint.phases[1:])
-    rest = bending.fit_joint(rows[1:], begin, ("turn", "scale"))
-    seen = bending.seen_by(rest.sensor, rows[0], joint.phases[0])
-    static = bending.fit_joint(rows[1:], (without_states(joint.sensor), joint.phases[1:]), ())
-    blind = bending.seen_by(static.sensor, rows[0], joint.phases[0])
+    rest = sensor.fit_joint(rows[1:], begin, ("turn", "scale"))
+    seen = sensor.seen_by(rest.sensor, rows[0], joint.phases[0])
+    static = sensor.fit_joint(rows[1:], (without_states(joint.sensor), joint.phases[1:]), ())
+    blind = sensor.seen_by(static.sensor, rows[0], joint.phases[0])
     assert seen.rms_nT[0] < 0.1 * blind.rms_nT[0]
     # The wrong lags, and a boom alone, do not do.
-    other = bending.rows_of(flight, own, ((60.0,),), 15)
-    wrong = bending.fit_joint(other, bending.start(own, 1, 2), ("turn", "scale"))
-    alone = bending.fit_joint(rows, bending.start(own, 2, 2), ("turn",))
+    other = sensor.rows_of(flight, own, ((60.0,),), 15)
+    wrong = sensor.fit_joint(other, sensor.start(own, 1, 2), ("turn", "scale"))
+    alone = sensor.fit_joint(rows, sensor.start(own, 2, 2), ("turn",))
     assert min(wrong.whole_nT, alone.whole_nT) > 5.0 * joint.whole_nT
 
 
 def test_a_still_sensor_gains_nothing_from_sun_and_shadow(close: Close) -> None:
     flight = a_flight(turned=False)
     own = [fit_zone(zone, "static", SETTINGS) for zone in flight.zones]
-    rows = bending.rows_of(flight, own, LAGS_S, 15)
-    static = bending.fit_joint(rows, bending.start(own, 2, 2), ())
-    joint = bending.fit_joint(rows, bending.start(own, 2, 2), ("turn", "scale"))
+    rows = sensor.rows_of(flight, own, LAGS_S, 15)
+    static = sensor.fit_joint(rows, sensor.start(own, 2, 2), ())
+    joint = sensor.fit_joint(rows, sensor.start(own, 2, 2), ("turn", "scale"))
     close(static.whole_nT, joint.whole_nT, atol=0.1, unit="nT", because="12 parameters more among 3,600 numbers")
     close(static.whole_nT, NOISE_NT * np.sqrt(3.0), atol=0.3, unit="nT", because="the noise put in")
 
@@ -124,12 +124,12 @@ def test_the_turn_is_that_of_the_effect() -> None:
     """`boom_bending` turns the sensor by +, so the field in it by -, right-handed; so does this model."""
     zone = a_zone(0, 6000.0, turned=False)
     fit = fit_zone(zone, "static", SETTINGS)
-    (one,) = bending.rows_of(record.Flight((zone,), a_day(), 0.004), [fit], ((200.0,),), 50)
-    sensor = bending.Sensor(np.eye(3), np.zeros(3), np.array([[0.0, 0.0, 0.2]]), np.zeros((1, 3)), np.zeros((1, 3)))
-    straight = without_states(sensor).in_body_nT(one, np.zeros(3))
+    (one,) = sensor.rows_of(record.Flight((zone,), a_day(), 0.004), [fit], ((200.0,),), 50)
+    bent = sensor.Sensor(np.eye(3), np.zeros(3), np.array([[0.0, 0.0, 0.2]]), np.zeros((1, 3)), np.zeros((1, 3)))
+    straight = without_states(bent).in_body_nT(one, np.zeros(3))
     a = 0.2 * one.states[:, 0]
     x = straight[:, 0] * np.cos(a) + straight[:, 1] * np.sin(a)
-    np.testing.assert_allclose(sensor.in_body_nT(one, np.zeros(3))[:, 0], x, atol=1e-6)
+    np.testing.assert_allclose(bent.in_body_nT(one, np.zeros(3))[:, 0], x, atol=1e-6)
 
 
 def test_slips_are_named_by_the_stamps() -> None:
@@ -186,7 +186,7 @@ def test_what_follows_sun_and_shadow_predicts_unseen_zones(flight: record.Flight
     the zones in shadow. The spin phase is the only thing that an unseen zone gives."""
     own = [fit_zone(zone, "static", SETTINGS) for zone in flight.zones]
     coarse = Settings(SETTINGS.tree | {"every": 23, "settle_s": [300.0], "pairs_s": [[300.0, 500.0]]})
-    static, _, boom, scaled = unseen.compare(flight, own, coarse)
+    static, _, boom, scaled = sensor.compare(flight, own, coarse)
     assert scaled.unseen_whole_nT < 0.5 * static.unseen_whole_nT
     dark = slice(0, 7)
     assert np.median(np.array(boom.unseen_nT[dark]) / np.array(static.unseen_nT[dark])) < 0.5

@@ -14,9 +14,11 @@ import numpy as np
 import pytest
 
 from fluxtwin.report import png_bytes, render_report
-from fluxtwin.scenarios.flight_field import causes, compute, study, tracks
-from fluxtwin.scenarios.flight_field.figures import Figure, compare, read_figures
+from fluxtwin.scenarios.flight_field import residuals as causes
+from fluxtwin.scenarios.flight_field import study, tracks
 from fluxtwin.scenarios.flight_field.residuals import against_field, against_model, low_latitude, statistics
+from fluxtwin.scenarios.flight_field.study import Independent, beside, read_figures
+from fluxtwin.scenarios.flights import Numbers
 from fluxtwin.scenarios.recorded_files import check_folder, read_settings
 from fluxtwin.sim.base.errors import BadInput, OutOfRange
 from fluxtwin.sim.base.files import to_json
@@ -42,13 +44,13 @@ def flight(shared: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def outcome(flight: Path) -> compute.Outcome:
-    return compute.compute(flight, SETTINGS, silent)
+def outcome(flight: Path) -> Numbers:
+    return study.compute(flight, SETTINGS, silent)
 
 
 @pytest.fixture(scope="module")
-def here(outcome: compute.Outcome) -> dict[tuple[str, str, str, str, str], float]:
-    return dict(compute.found_figures(outcome, SETTINGS))
+def here(outcome: Numbers) -> dict[tuple[str, str, str, str, str], float]:
+    return dict(study.found_figures(outcome, SETTINGS))
 
 
 @pytest.mark.parametrize("name", sorted(set(FIGURES) - DIFFERS))
@@ -65,7 +67,7 @@ def test_an_independent_figure_is_found_again(
     )
 
 
-def test_the_ring_current_index_differs_and_says_why(flight: Path, outcome: compute.Outcome) -> None:
+def test_the_ring_current_index_differs_and_says_why(flight: Path, outcome: Numbers) -> None:
     result = findings_of(outcome)["swarm-rc"]
     assert result.status == "differs"
     assert result.here == pytest.approx(-128.961, abs=1e-9), "RC at 0:30 in the file"
@@ -73,7 +75,7 @@ def test_the_ring_current_index_differs_and_says_why(flight: Path, outcome: comp
     assert "-118" in result.why
 
 
-def test_the_residual_is_that_of_ppigrf(outcome: compute.Outcome, close: Callable[..., None]) -> None:
+def test_the_residual_is_that_of_ppigrf(outcome: Numbers, close: Callable[..., None]) -> None:
     """Not only its rms: every sample, against a library we did not write."""
     import ppigrf
 
@@ -116,7 +118,7 @@ def mutated(track: tracks.Track, name: str) -> tuple[tracks.Track, np.datetime64
         "1 % scale",
     ],
 )
-def test_a_mistake_is_not_reproduced(outcome: compute.Outcome, name: str) -> None:
+def test_a_mistake_is_not_reproduced(outcome: Numbers, name: str) -> None:
     """Each mistake moves every figure of a component at least (there are three of each), one by over 5 nT."""
     track, when = mutated(outcome.magsat.track, name)
     residual = against_model(track, load_field("igrf14"), name, when)
@@ -127,26 +129,26 @@ def test_a_mistake_is_not_reproduced(outcome: compute.Outcome, name: str) -> Non
         for figure in FIGURES.values()
         if figure.key[:2] == ("magsat", "igrf14 at 1980.0")
     }
-    results = compare([figure for figure in FIGURES.values() if figure.key in ours], ours, {})
+    results = beside([figure for figure in FIGURES.values() if figure.key in ours], ours, {})
     assert len(results) == 10
     assert sum(result.status == "differs" for result in results) >= 3
     assert max(abs(float(result.here or 0.0) - result.value) for result in results) > 5.0
 
 
-def findings_of(outcome: compute.Outcome) -> dict[str, Figure]:
-    found = compare(read_figures(), compute.found_figures(outcome, SETTINGS), study.explanations(outcome))
+def findings_of(outcome: Numbers) -> dict[str, Independent]:
+    found = beside(read_figures(), study.found_figures(outcome, SETTINGS), study.explanations(outcome))
     return {figure.id: figure for figure in found}
 
 
 def test_what_was_not_computed_is_not_testable() -> None:
-    figure = Figure("x", ("a", "b", "c", "rms", "N"), 10.0, "nT", 0.1, "10.0")
-    assert compare([figure], {}, {"x": "no file"})[0].status == "not testable"
-    assert compare([figure], {figure.key: 10.1}, {})[0].status == "reproduced"
-    outside = compare([figure], {figure.key: 10.11}, {})[0]
+    figure = Independent("x", ("a", "b", "c", "rms", "N"), 10.0, "nT", 0.1, "10.0")
+    assert beside([figure], {}, {"x": "no file"})[0].status == "not testable"
+    assert beside([figure], {figure.key: 10.1}, {})[0].status == "reproduced"
+    outside = beside([figure], {figure.key: 10.11}, {})[0]
     assert (outside.status, outside.why) == ("differs", "no explanation found")
 
 
-def test_the_causes_are_recovered_where_they_were_put_in(outcome: compute.Outcome, close: Callable[..., None]) -> None:
+def test_the_causes_are_recovered_where_they_were_put_in(outcome: Numbers, close: Callable[..., None]) -> None:
     """A made-up measurement at the orbit of MAGSAT: 0.8 s late, turned by 0.1 deg, in a ring current of -40 nT."""
     model = load_field("igrf14")
     track = outcome.magsat.track
@@ -178,7 +180,7 @@ def test_the_causes_are_recovered_where_they_were_put_in(outcome: compute.Outcom
     close(scalar[causes.TIME_OFFSET], 0.8, atol=0.01, unit="s", because="the magnitude feels no turn; second order")
 
 
-def test_a_ring_current_of_one_nT(outcome: compute.Outcome, close: Callable[..., None]) -> None:
+def test_a_ring_current_of_one_nT(outcome: Numbers, close: Callable[..., None]) -> None:
     """By definition 1 nT northward at the dipole equator on the ground, whatever the induced share."""
     model = load_field("igrf14")
     g10, g11, h11 = model.coefficients_nT(outcome.magsat_at_stamps.track.time[:1])[0, :3]
@@ -193,7 +195,7 @@ def test_a_ring_current_of_one_nT(outcome: compute.Outcome, close: Callable[...,
         close(along, 1.0, atol=1e-12, unit="nT", because="the definition, exact")
 
 
-def test_the_residual_of_magsat_is_an_offset_in_time(outcome: compute.Outcome) -> None:
+def test_the_residual_of_magsat_is_an_offset_in_time(outcome: Numbers) -> None:
     """Vector and magnitude, both passes: about a second; three causes leave under a fifth of the rms."""
     fits = {(f.track, f.rows, f.on, len(f.size)): f for f in outcome.fits}
     whole = fits["MAGSAT", "both passes", "vector", 3]

@@ -15,12 +15,10 @@ from matplotlib.figure import Figure
 
 from fluxtwin.report import png_bytes
 from fluxtwin.scenarios.flight_field.tracks import read_magsat
-from fluxtwin.scenarios.flight_gaps import cases, compute, models, records, study
-from fluxtwin.scenarios.flight_gaps.alone import alone, visible_nT
-from fluxtwin.scenarios.flight_gaps.tolles_lawson import coefficients
+from fluxtwin.scenarios.flight_gaps import compute, records, study
+from fluxtwin.scenarios.flight_gaps.least_squares import alone, coefficients, visible_nT
 from fluxtwin.scenarios.page_markdown import as_markdown
 from fluxtwin.scenarios.recorded_files import Settings, check_folder, numbers, opened, read_settings
-from fluxtwin.scenarios.worded_page import PageWords
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import to_json
 from fluxtwin.sim.base.progress import silent
@@ -54,7 +52,7 @@ def flight(shared: Path, settings: Settings) -> Path:
 def quick(flight: Path, settings: Settings) -> compute.Outcome:
     """The study with the cases that take a second or two; every file is read."""
     wanted = {"storm-none", "storm-default", "aircraft-eddy_current"}
-    asked = [case for case in cases.read_cases() if case.name in wanted]
+    asked = [case for case in compute.read_cases() if case.name in wanted]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compute, "read_cases", lambda: asked)
         return compute.compute(flight, settings, silent)
@@ -75,7 +73,7 @@ def test_the_storm_takes_as_an_independent_look_found(quick: compute.Outcome, cl
 
 def test_a_mistake_in_the_record_is_seen(flight: Path, settings: Settings) -> None:
     """East and centre swapped, down taken as up, a hundredth of scale: each moves the table by over 5 nT."""
-    arc = cases.storm_record(flight, settings)
+    arc = compute.storm_record(flight, settings)
     for wrong in (arc.mag_B_nT[:, [1, 0, 2]], arc.mag_B_nT * [1.0, 1.0, -1.0], 1.01 * arc.mag_B_nT):
         table = alone(arc.replace(mag_B_nT=wrong), load_field("igrf14"), (), [(RingCurrent(),)])
         assert abs(table.left_nT("ring_current") - 35.0) > 5.0
@@ -83,7 +81,7 @@ def test_a_mistake_in_the_record_is_seen(flight: Path, settings: Settings) -> No
 
 def test_b_and_S_hide_a_ring_current_on_one_arc(flight: Path, settings: Settings) -> None:
     """The independent look: 0.04 of 48 nT left, a thousandth; a whole orbit leaves a quarter."""
-    arc = cases.storm_record(flight, settings)
+    arc = compute.storm_record(flight, settings)
     assert len(arc) == 78
     whole, left = visible_nT(arc, load_field("igrf14"), MODELLED, RingCurrent(), 50.0)
     assert left < 1e-3 * whole
@@ -93,7 +91,7 @@ def test_b_and_S_hide_a_ring_current_on_one_arc(flight: Path, settings: Settings
 def test_the_storm_is_untestable_with_b_and_S_free(quick: compute.Outcome) -> None:
     found = quick.answer("storm-default").found
     assert "ring_current" in found.untestable
-    assert "ring_current" not in cases.names_of(found)
+    assert "ring_current" not in compute.names_of(found)
     assert quick.answer("storm-default").agrees is True
 
 
@@ -125,10 +123,10 @@ def test_the_years_stand_in_for_an_error_along_the_track(quick: compute.Outcome)
 
 
 def test_what_remains_of_magsat_grows_towards_the_poles(quick: compute.Outcome) -> None:
-    rms = [band[3] for band in quick.magsat_left.bands()]
+    rms = [band[3] for band in quick.magsat_left.bands]
     assert rms == sorted(rms)
     assert rms[-1] > 2.0 * rms[0]
-    assert sum(band[2] for band in quick.magsat_left.bands()) == quick.magsat_left.latitude_deg.size
+    assert sum(band[2] for band in quick.magsat_left.bands) == quick.magsat_left.latitude_deg.size
 
 
 def test_the_compensation_is_repeated_to_its_last_digit(flight: Path, settings: Settings) -> None:
@@ -145,7 +143,7 @@ def test_the_gap_of_the_aircraft_is_its_compensation(flight: Path, settings: Set
     given = records.read_compensation(flight / settings.aircraft.file)
     record = records.of_aircraft(given, settings.aircraft.rate_Hz)
     assert record.q_NB is None
-    field = field_N_nT(models.field_model("dipole"), record.time, np.array(record.r_N_km))
+    field = field_N_nT(records.field_model("dipole"), record.time, np.array(record.r_N_km))
     gap = np.linalg.norm(record.mag_B_nT, axis=1) - np.linalg.norm(field, axis=1)
     assert gap == pytest.approx(given.taken_nT, abs=1e-6)
 
@@ -168,14 +166,15 @@ def test_a_wrong_name_next_to_the_right_one_is_reported(quick: compute.Outcome) 
     (effect,) = eddy.found.effects
     two = dataclasses.replace(eddy.found, effects=(effect, dataclasses.replace(effect, name="hysteresis", group=())))
 
-    def wanting(wanted: cases.Wanted | None) -> cases.Case:
+    def wanting(wanted: compute.Wanted | None) -> compute.Case:
         return eddy.case.model_copy(update={"wanted": wanted})
 
-    spoilt = dataclasses.replace(eddy, found=two, case=wanting(cases.Wanted(named=["eddy_current"])))
+    spoilt = dataclasses.replace(eddy, found=two, case=wanting(compute.Wanted(named=["eddy_current"])))
     assert study.as_expected(spoilt) == "yes; wrong: hysteresis"
     open_question = dataclasses.replace(eddy, case=wanting(None))
-    wrong = dataclasses.replace(eddy, case=wanting(cases.Wanted(verdict="unknown")))
-    said = study.verdict(dataclasses.replace(quick, answers=(eddy, spoilt, wrong, open_question)))
+    wrong = dataclasses.replace(eddy, case=wanting(compute.Wanted(verdict="unknown")))
+    answers = (eddy, spoilt, wrong, open_question)
+    said = study.words().say("status", **study.counts(dataclasses.replace(quick, answers=answers)))
     assert said == ("1 of 3 answers on flown records are as expected, 1 more are too but add a wrong name, 1 are not.")
 
 
@@ -193,14 +192,14 @@ def test_what_an_answer_must_hold(quick: compute.Outcome) -> None:
         (eddy, {"not_first": "bias"}, {"not_first": "eddy_current"}),
         (none, {"not_first": "eddy_current"}, {"only": "eddy_current"}),
     ):
-        assert cases.Wanted.model_validate(met).met(found)
-        assert not cases.Wanted.model_validate(unmet).met(found)
+        assert compute.Wanted.model_validate(met).met(found)
+        assert not compute.Wanted.model_validate(unmet).met(found)
 
 
 def test_models_that_are_wrong_in_a_known_way(close: Callable[..., None]) -> None:
     igrf1975 = load_field("igrf1975")
     start, end = np.datetime64("1975-01-01", "ns"), np.datetime64("1980-01-01", "ns")
-    held, carried = models.held_back(igrf1975), models.carried_on(igrf1975)
+    held, carried = records.held_back(igrf1975), records.carried_on(igrf1975)
     then, now = (igrf1975.coefficients_nT(np.array([when]))[0] for when in (start, end))
     exact = "the same numbers"
     close(held.coefficients_nT(np.array([end]))[0], then, atol=1e-9, unit="nT", because=exact)
@@ -245,7 +244,7 @@ def completed(quick: compute.Outcome, other: compute.Answer) -> compute.Outcome:
     """The quick outcome with that answer in the cases that were not run; DMSP's have two fill values."""
     known = {answer.case.name: answer for answer in quick.answers}
     answers = []
-    for case in cases.read_cases():
+    for case in compute.read_cases():
         answer = known.get(case.name, dataclasses.replace(other, case=case))
         two = np.arange(answer.filled.size) < (2 if case.part == "dmsp" else 0)
         answers.append(dataclasses.replace(answer, filled=two))
@@ -254,7 +253,10 @@ def completed(quick: compute.Outcome, other: compute.Answer) -> compute.Outcome:
 
 def test_the_page_holds_what_was_found(quick: compute.Outcome, settings: Settings) -> None:
     """The parts whose cases were run; the summary is plain JSON."""
-    page = study.page(completed(quick, quick.answer("storm-default")), settings)
+    whole = completed(quick, quick.answer("storm-default"))
+    result = study.present(whole, settings)
+    page = result.page
+    assert page is not None
     parts = {section.title: section for section in page.sections}
     storm = parts["Swarm A in the storm of 1 January 2016"]
     assert storm.paragraphs[0].startswith("Nothing modelled: the residual to IGRF-14 is 96 nT.")
@@ -262,8 +264,8 @@ def test_the_page_holds_what_was_found(quick: compute.Outcome, settings: Setting
     remains = parts["MAGSAT and IGRF-14: what remains, and where"]
     assert "+0.1" in " ".join(remains.paragraphs)
     assert len(remains.tables[0].rows) > 20
-    found = json.loads(to_json(study.summary(quick, settings)))
-    assert [case["name"] for case in found["cases"]] == ["storm-none", "storm-default", "aircraft-eddy_current"]
+    found = json.loads(to_json(result.summary))
+    assert [case["name"] for case in found["cases"]] == [case.name for case in compute.read_cases()]
     aircraft = parts["An aircraft's compensation"]
     for block in (*remains.figures, *storm.figures, *aircraft.figures):
         assert isinstance(block.figure, Figure)
@@ -274,9 +276,9 @@ def test_the_whole_page_can_be_written_for_any_answers(quick: compute.Outcome, s
     """Other cases with an answer that was quick to have: what is tested is the page, not the finding."""
     for name in ("storm-default", "aircraft-eddy_current"):
         whole = completed(quick, quick.answer(name))
-        short = PageWords("fluxtwin.scenarios.flight_gaps").table("short", study.page_values(whole))
-        assert len(short.rows) == 15
-        page = study.page(whole, settings)
+        result = study.present(whole, settings)
+        page = result.page
+        assert page is not None and len(result.tables[0].rows) == 15
         assert len(page.sections) == 7
         text = as_markdown(page)
         assert "The three agree: Swarm A: " in text

@@ -17,8 +17,7 @@ import pytest
 
 from fluxtwin.scenarios.hcmm.mission import read_table
 from fluxtwin.scenarios.hcmm_orbit.fit import fit_orbit
-from fluxtwin.scenarios.hcmm_orbit.flight_test import run_flight_test, windows_of
-from fluxtwin.scenarios.hcmm_orbit.nadir_field import DIPOLE, MAIN_FIELD, weigh_ideas
+from fluxtwin.scenarios.hcmm_orbit.predictions import DIPOLE, MAIN_FIELD, run_flight_test, weigh_ideas, windows_of
 from fluxtwin.scenarios.hcmm_orbit.record import read_passes, read_stations
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import load_field
@@ -46,8 +45,8 @@ def test_sun_field_angles_of_24_real_passes_are_predicted(flight):
     assert flight.median_as_scanned_deg <= 0.65
     assert flight.median_deg <= 0.60
     # The prototype: 40 of 48 ends within 1 deg, 37 with the digits of the scan.
-    assert flight.ends_within(1.0) >= 40
-    assert flight.ends_within(1.0, as_scanned=True) >= 37
+    assert flight.within_1_deg >= 40
+    assert flight.within_1_deg_as_scanned >= 37
 
 
 def test_the_same_test_fails_when_one_thing_is_wrong(flight):
@@ -201,7 +200,8 @@ def test_the_minutes_of_table_6_agree_with_winkfield():
 
 def test_a_tenth_of_a_degree_at_the_stations_does_not_matter(monkeypatch, fit, flight):
     """Winkfield's was found in whole minutes of arc only; 0.1 deg is 11 km, two seconds of a rise."""
-    from fluxtwin.scenarios.hcmm_orbit import coarse, geometry
+    from fluxtwin.scenarios.hcmm_orbit import fit as fitting
+    from fluxtwin.scenarios.hcmm_orbit import geometry
 
     rng = np.random.default_rng(3)
     moved = {
@@ -212,7 +212,7 @@ def test_a_tenth_of_a_degree_at_the_stations_does_not_matter(monkeypatch, fit, f
         )
         for name, station in read_stations().items()
     }
-    for module in (geometry, coarse):
+    for module in (geometry, fitting):
         monkeypatch.setattr(module, "read_stations", lambda: moved)
     other = fit_orbit()
     assert (np.abs(other.values - fit.values) < 1.5 * fit.sigmas).all()
@@ -226,7 +226,7 @@ def test_the_nadir_field_column_is_an_open_question_with_these_facts(fit, close)
     ideas = {idea.name: idea for idea in found.ideas}
     main, dipole = ideas[MAIN_FIELD], ideas[DIPOLE]
     # The independent program: 4.2 deg for the main field, 2.05 deg for a dipole, over the sunlit ends.
-    close(found.median_abs(main, poleward=True, sunlit=True), 4.2, atol=0.6, unit="deg", because="one of two groups")
+    close(main.groups["poleward, sunlit"].median_deg, 4.2, atol=0.6, unit="deg", because="one of two groups")
     assert dipole.explained > 1.5 * main.explained
     # Dealt out at random the ranges fit the main field nearly as well, the dipole far less (sd about 2.5 ends).
     assert dipole.explained - dipole.by_chance[0] > 4 * dipole.by_chance[1]

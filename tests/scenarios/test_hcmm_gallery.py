@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fluxtwin.scenarios.hcmm import mission
-from fluxtwin.scenarios.hcmm.gallery_study import REGION_DEG, run_gallery
+from fluxtwin.scenarios.hcmm.gallery import REGION_DEG, run_gallery
 from fluxtwin.scenarios.hcmm.report import gallery_summary
 from fluxtwin.scenarios.hcmm.study import gallery_page
 from fluxtwin.sim.base import files

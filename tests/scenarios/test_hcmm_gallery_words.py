@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fluxtwin.scenarios.hcmm.gallery_study import Compared
+from fluxtwin.scenarios.flights import Numbers
 from fluxtwin.scenarios.hcmm.report import words
 
 pytestmark = pytest.mark.property
@@ -24,7 +24,7 @@ def answer(*compared, drive=0.1):
 
 
 def element(name, put_in, found, sigma):
-    return Compared(name, put_in, found, sigma, "nT/(A m2)")
+    return Numbers(name=name, put_in=put_in, found=found, sigma=sigma, unit="nT/(A m2)")
 
 
 LAW = answer(
@@ -34,14 +34,14 @@ LAW = answer(
 
 def test_an_element_within_its_noise_is_not_given_as_found():
     """The column of x has the size that was put in, of noise alone, and its own element the wrong sign."""
-    said = words("gallery.md").say("drive", answer=answer(drive=10.0), law=LAW)
+    said = words().say("drive", answer=answer(drive=10.0), law=LAW)
     assert "but 1 of its 3 elements is above 3 sigma: C_yy -95 ± 17 (put in -100)" in said
     assert "C_xx" not in said
     assert "up to 71 nT/(A m2)" in said
 
 
 def test_the_number_furthest_from_what_was_put_in_is_named():
-    furthest = partial(words("gallery.md").say, "furthest")
+    furthest = partial(words().say, "furthest")
     assert furthest(answer=LAW).startswith("Furthest from what was put in: C_xx, by 2.1 of its sigma")
     wrong = answer(element("S_zz", -0.007, -0.0075, 0.0001))
     assert furthest(answer=wrong).endswith("that sigma is too small.")

@@ -11,15 +11,15 @@ import json
 import numpy as np
 import pytest
 
-from fluxtwin.scenarios.calibration_records import NAMES, vector, vector_sigma
 from fluxtwin.scenarios.claims import STATUSES, counted
+from fluxtwin.scenarios.flights import NAMES, vector, vector_sigma
 from fluxtwin.scenarios.hcmm import mission, study
-from fluxtwin.scenarios.hcmm.calibration_study import SETS, choose_rows
-from fluxtwin.scenarios.hcmm.dawn_study import run_dawn
-from fluxtwin.scenarios.hcmm.horizon_study import SCANS, WORST, with_horizon
-from fluxtwin.scenarios.hcmm.missing_study import NUMBERS
+from fluxtwin.scenarios.hcmm.calibration import SETS, choose_rows, sigma_ratio
+from fluxtwin.scenarios.hcmm.passes import ANOMALOUS, column_of, rms_of, run_dawn
 from fluxtwin.scenarios.hcmm.report import judge_claims, pulls, words
-from fluxtwin.scenarios.hcmm.yaw_study import equation_11
+from fluxtwin.scenarios.hcmm.scanner import SCANS, WORST, with_horizon
+from fluxtwin.scenarios.hcmm.strength import NUMBERS
+from fluxtwin.scenarios.hcmm.yaw import equation_11
 from fluxtwin.sim.base import files
 
 pytestmark = pytest.mark.closure
@@ -100,7 +100,7 @@ WORLDS = {
     34: ("accuracy.yaw_known", {"raw": 0.0, "b": 0.8, "b, S": 0.8}),
     35: ("calibration.fits", lambda fits: {name: _noisier(fit, name) for name, fit in fits.items()}),
     36: ("calibration.fits", lambda fits: {name: _noisier(fit, name) for name, fit in fits.items()}),
-    37: ("calibration.estimates", lambda v: v + _S31(v)),
+    37: ("calibration.many.values", lambda v: v + _S31(v)),
     38: ("errors.simulated.all", 2.2),
     39: ("windows.end_min", lambda v: np.minimum(v, 12.0)),
     40: ("accuracy.lsb_scalar_mG", lambda v: 2.0 * v),
@@ -136,9 +136,9 @@ def test_with_the_printed_rows_the_claims_on_them_hold(results, claims, changed,
             dataclasses.replace(
                 row,
                 eps_M_mG=p.eps_M_mG,
-                delta_sun_field=p.delta_sun_field_deg,
-                delta_nadir_field=p.delta_nadir_field_deg,
-                delta_sun_nadir=p.delta_sun_nadir_deg,
+                delta_sun_field_deg=p.delta_sun_field_deg,
+                delta_nadir_field_deg=p.delta_nadir_field_deg,
+                delta_sun_nadir_deg=p.delta_sun_nadir_deg,
             )
             for row, p in zip(rows, results.passes.passes, strict=True)
         )
@@ -153,7 +153,7 @@ def test_with_the_printed_rows_the_claims_on_them_hold(results, claims, changed,
             world,
             "passes.rows",
             lambda rows: tuple(
-                dataclasses.replace(row, delta_nadir_field=0.93 * row.delta_nadir_field) for row in rows
+                dataclasses.replace(row, delta_nadir_field_deg=0.93 * row.delta_nadir_field_deg) for row in rows
             ),
         )
         assert next(c for c in judge_claims(nearer) if c.id == 47).status == "reproduced"
@@ -193,7 +193,7 @@ def test_the_horizon_can_make_the_factor_of_two_and_so_can_its_nulls(results, cl
 
 def test_of_what_may_be_missing_only_noise_is_not_excluded_by_the_calibrations(results, claims):
     m = results.missing
-    excluded = {one.name.split(",")[0]: one.excluded_by(m.printed) for one in m.hypotheses}
+    excluded = {one.name.split(",")[0]: one.excluded for one in m.hypotheses}
     calibration = NUMBERS[-1]
     assert calibration not in excluded["white noise"]
     for name in ("nothing more", "drifting bias", "field model"):
@@ -204,7 +204,7 @@ def test_of_what_may_be_missing_only_noise_is_not_excluded_by_the_calibrations(r
 
 
 def test_summary_is_json_with_the_promised_keys(results, claims):
-    found = json.loads(files.to_json(study.summary(results, list(claims.values()))))
+    found = json.loads(files.to_json(study.present(results).summary))
     assert {"claims", "passes", "theta_sm", "calibration", "orbit", "errors_mG"} <= set(found)
     assert len(found["passes"]) == 43
     assert set(found["theta_sm"]["nulls"]) == {"dipole", "degree2", "degree4", "field_10deg", "node_15min"}
@@ -229,13 +229,13 @@ def test_set_sizes_are_the_printed_ones_on_the_printed_days():
 def test_the_truth_comes_back_and_white_sigmas_do_not_hold_it(results):
     assert (np.abs(pulls(results)) < 4.0).all()
     study_ = results.calibration
-    assert study_.sigma_ratio("AB", "white") > 1.7  # stated sigmas of a white error are about two times too small
+    assert sigma_ratio(study_, "AB", "white") > 1.7  # stated sigmas of a white error are about two times too small
     assert (
-        study_.sigma_ratio("AB", "white")
-        > study_.sigma_ratio("AB", "pass")
-        > study_.sigma_ratio("AB", "pass and field")
+        sigma_ratio(study_, "AB", "white")
+        > sigma_ratio(study_, "AB", "pass")
+        > sigma_ratio(study_, "AB", "pass and field")
     )
-    assert 0.5 < study_.sigma_ratio("AB", "pass and field") < 1.5
+    assert 0.5 < sigma_ratio(study_, "AB", "pass and field") < 1.5
 
 
 def test_the_bias_of_single_passes_wanders_by_ten_mG_because_of_S11(results, close):
@@ -276,7 +276,7 @@ def test_table_6_needs_a_tenth_of_the_printed_angle():
 
 
 def test_dawn_passes_show_head_1_and_no_other_pass_does(results):
-    found = results.passes.column("delta_sun_nadir")
+    found = column_of(results.passes.rows, "delta_sun_nadir_deg")
     dawn, others = found[results.passes.dawn], found[results.passes.sunlit & ~results.passes.dawn]
     assert np.nanmin(dawn) > 1.4 * np.nanmax(others)
 
@@ -304,8 +304,7 @@ def _plain(words: object) -> str:
 
 
 def test_table_5_is_there_in_full_beside_the_paper_s(results):
-    tables = study.tables(results)
-    strength, angles = tables["strength"], tables["angles"]
+    strength, angles = (words().table(name, r=results) for name in ("strength", "angles"))
     for table in (strength, angles):
         assert len(table.rows) == 43 + 4
         for row, item in zip(table.rows, results.passes.passes, strict=False):
@@ -322,10 +321,9 @@ def test_table_5_is_there_in_full_beside_the_paper_s(results):
 
 
 def test_table_3_and_table_4_hold_every_set_and_both_ways(results, close):
-    tables = study.tables(results)
-    table = tables["calibration"]
+    table = words().table("calibration", r=results)
     assert list(table.columns) == ["parameter", "set A", "printed", "set B", "printed", "A and B", "printed"]
-    assert len(tables["sigmas"].rows) == 13
+    assert len(words().table("sigmas", r=results).rows) == 13
     assert [row[0] for row in table.rows[:12]] == [f"{name} [mG]" if name[0] == "b" else name for name in NAMES]
     samples = next(row for row in table.rows if row[0] == "samples")
     assert samples[1:] == ["135", "135", "308", "308", "443", "443"]
@@ -333,7 +331,7 @@ def test_table_3_and_table_4_hold_every_set_and_both_ways(results, close):
     assert set(results.errors.simulated) == set(rule) == {*mission.SOURCES, "all"}
     # The independent program: 2.04 to 2.53 with the LSB rounded up to 1.4.
     close(rule["all"], (2.04, 2.53), atol=0.03, unit="mG", because="1.36 against 1.4 for the LSB")
-    assert len(tables["errors"].rows) == 6
+    assert len(words().table("errors", r=results).rows) == 6
 
 
 def test_figure_3_and_its_error_bar(results, close):
@@ -347,7 +345,7 @@ def test_figure_3_and_its_error_bar(results, close):
         yaw.error_bar_deg, 0.5 * (yaw.delta_nadir_field_deg + 0.802), atol=0.001, unit="deg", because="the papers' rule"
     )
     assert 0.8 * yaw.error_bar_deg < yaw.magnetometer_yaw_rms_deg < 2.0 * yaw.error_bar_deg
-    rows = {row[0]: row[1:] for row in study.tables(results)["figure_3"].rows}
+    rows = {row[0]: row[1:] for row in words().table("figure_3", r=results).rows}
     assert rows["error bar [deg]"] == [f"{yaw.error_bar_deg:.2f}", "0.58"]
 
 
@@ -355,7 +353,7 @@ def test_criteria_are_said_where_a_claim_could_be_judged_kindly(results, claims)
     for number in (37, 42, 43, 46, 53, 61):
         assert "criterion" in claims[number].here
     assert claims[42].value == pytest.approx(
-        np.sqrt(results.passes.rms("eps_M_mG", results.passes.quiet) ** 2 - 1.36**2), abs=0.01
+        np.sqrt(rms_of(results.passes.rows, "eps_M_mG", results.passes.quiet) ** 2 - 1.36**2), abs=0.01
     )
     # A dipole of 230 mG at the equator is not the field: 256 and 427 mG along the orbit, so neither printed end is met.
     assert claims[43].status == "differs"
@@ -383,9 +381,7 @@ def test_the_four_night_passes_are_among_those_of_the_largest_field_model_error(
 
     By chance once in 1,760 times. Which come first differs from flight to flight: several passes are nearly equal.
     """
-    from fluxtwin.scenarios.hcmm.pass_study import ANOMALOUS
-
-    eps = results.passes.column("eps_M_mG")
+    eps = column_of(results.passes.rows, "eps_M_mG")
     order = (np.argsort(-eps) + 1).tolist()
     assert set(ANOMALOUS) <= set(order[:8]) and len(set(ANOMALOUS) & set(order[:4])) >= 2
     e = results.evidence
@@ -430,7 +426,7 @@ def test_an_S_of_zero_would_be_missed(results, changed):
 
 
 def test_figures_and_page_are_drawn(results, claims, tmp_path):
-    made = study.page(results, list(claims.values()), "verdict")
+    made = study.present(results).page
     blocks = [block for section in made.sections for block in section.figures]
     wanted = {
         "flight_test",

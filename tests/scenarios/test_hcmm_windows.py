@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fluxtwin.scenarios.hcmm_orbit.geometry import Grid, Sky
-from fluxtwin.scenarios.hcmm_orbit.windows import fix_windows, turning_ends
+from fluxtwin.scenarios.hcmm_orbit.geometry import Grid, Sky, fix_windows, turning_ends
 
 pytestmark = pytest.mark.property
 

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import pytest
 from jinja2 import UndefinedError
 
-from fluxtwin.scenarios.printed import Printed
-from fluxtwin.scenarios.report import Report
+from fluxtwin.scenarios.words import Words
 
 pytestmark = pytest.mark.property
 
 WORDS = """{% set size = 2.5 %}
 
 ## sizes
-Sizes of {{ name }}
+Sizes of {{ name_of }}
 
 | name | |value| [nT] | left |
 |---|
 {% for one in values %}
-| {{ name }} | |{{ one|f(1) }}| |  |
+| {{ name_of }} | |{{ one|f(1) }}| |  |
 {% endfor %}
 
 Said
@@ -69,30 +69,29 @@ square = "one**2"
 
 
 @pytest.fixture
-def report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Report:
+def report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Words:
     folder = tmp_path / "toy_study"
-    (folder / "data").mkdir(parents=True)
+    folder.mkdir()
     for name, text in {
         "__init__.py": "",
         "words.md": WORDS,
         "summary.toml": SUMMARY,
-        "data/claims.toml": CLAIMS,
     }.items():
         (folder / name).write_text(text, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
-    return Report("toy_study", limit=3.0)
+    return Words("toy_study", limit=3.0)
 
 
-def test_cells_keep_their_bars_and_their_place(report: Report) -> None:
-    table = report.table("sizes", name="x", values=[1.0, -2.25])
+def test_cells_keep_their_bars_and_their_place(report: Words) -> None:
+    table = report.table("sizes", name_of="x", values=[1.0, -2.25])
     assert (table.title, table.note) == ("Sizes of x", "Said twice.")
     assert list(table.columns) == ["name", "|value| [nT]", "left"]
     assert list(table.rows) == [["x", "|1.0|", ""], ["x", "|-2.2|", ""]]
 
 
-def test_a_page_has_its_parts(report: Report) -> None:
-    tables = report.tables(["sizes"], name="x", values=[])
-    page = report.page("page", "The verdict.", tables, {"drawn": lambda: b"PNG"}, {"seed": "1"})  # type: ignore[dict-item, return-value]
+def test_a_page_has_its_parts(report: Words) -> None:
+    figures = {"drawn": lambda: b"PNG"}
+    page = report.page("The verdict.", figures, {"seed": "1"}, name_of="x", values=[])  # type: ignore[arg-type]
     (section,) = page.sections
     assert (page.title, section.title, list(section.paragraphs)) == (
         "A title",
@@ -107,12 +106,12 @@ def test_a_page_has_its_parts(report: Report) -> None:
 @pytest.mark.parametrize(
     ("limit", "status", "why"), [(3.0, "reproduced", "as printed"), (1.0, "differs", "as printed; too large")]
 )
-def test_a_claim_is_judged_by_its_section(report: Report, limit: float, status: str, why: str) -> None:
-    (claim,) = report.judge(Printed("toy_study"), limit=limit)
+def test_a_claim_is_judged_by_its_section(report: Words, limit: float, status: str, why: str) -> None:
+    (claim,) = report.judge(tomllib.loads(CLAIMS)["claim"], limit=limit)
     assert (claim.here, claim.value, claim.unit, claim.status, claim.why) == ("2.5 nT", 2.5, "nT", status, why)
 
 
-def test_the_summary_is_what_its_expressions_say(report: Report) -> None:
+def test_the_summary_is_what_its_expressions_say(report: Words) -> None:
     found = report.summary(values=[1.0, 2.0])
     each = {"a": {"key": "a", "square": 1}, "b": {"key": "b", "square": 4}}
     assert found == {"study": "toy", "found": {"more": 2.0, "mean": 1.5, "squares": each}}

@@ -13,10 +13,10 @@ import json
 import numpy as np
 import pytest
 
-from fluxtwin.scenarios.calibration_records import vector
 from fluxtwin.scenarios.claims import STATUSES, counted
+from fluxtwin.scenarios.flights import vector
 from fluxtwin.scenarios.seasat import geometry, mission, study
-from fluxtwin.scenarios.seasat.report import judge_claims
+from fluxtwin.scenarios.seasat.study import judge_claims
 from fluxtwin.sim.base import files
 
 pytestmark = pytest.mark.closure
@@ -84,7 +84,7 @@ def test_the_recovered_S_and_b(results, close):
     ground's field model alone causes is taken off; and the numbers themselves, frozen."""
     found = vector(results.calibration.fits["all"])
     off = found - results.calibration.truth - results.errors.field_shift
-    assert np.abs(off / results.calibration.scatter("all")).max() < 3.0
+    assert np.abs(off / results.calibration.many.scatter("all")).max() < 3.0
     unit = "1, mG for b"
     close(found, RECOVERED, atol=np.repeat([1e-4, 0.02], [9, 3]), unit=unit, because="the same seed on any machine")
 
@@ -110,7 +110,7 @@ WORLDS = {
     13: ("calibration.truth", lambda v: np.concatenate([v[:9], 2.0 * v[9:]])),
     15: ("accuracy.equator_field_mG", lambda v: 1.3 * v),
     16: ("errors.simulated.all", 3.7),
-    17: ("calibration.estimates", lambda v: v[:, :, :1] * 0.0 + v * np.array([1.0] * 7 + [3.0] + [1.0] * 4)),
+    17: ("calibration.many.values", lambda v: v[:, :, :1] * 0.0 + v * np.array([1.0] * 7 + [3.0] + [1.0] * 4)),
     18: ("calibration.fits", lambda fits: _with_S(fits, PRINTED_S)),
     19: ("errors.simulated.known", 2.6),
     20: ("errors.torquer_bounds", lambda v: tuple(2.0 * one for one in v)),
@@ -161,14 +161,14 @@ def test_an_S_of_zero_reproduces_nothing(results, changed):
 
 def test_all_of_S_told_from_zero_would_be_said(results, claims, changed):
     truth = results.calibration.truth
-    sharp = changed(results, "calibration.estimates", lambda v: truth + 0.03 * (v - np.nanmean(v, axis=0)))
+    sharp = changed(results, "calibration.many.values", lambda v: truth + 0.03 * (v - np.nanmean(v, axis=0)))
     exact = changed(sharp, "calibration.fits", lambda fits: _with_S(fits, PRINTED_S))
     (found,) = [claim for claim in judge_claims(exact) if claim.id == 14]
     assert found.status == "reproduced", found.here
 
 
 def test_summary_is_json_with_the_promised_keys(results, claims):
-    found = json.loads(files.to_json(study.summary(results, list(claims.values()))))
+    found = json.loads(files.to_json(study.present(results).summary))
     assert {"calibration", "truth", "yaw", "errors_mG", "claims"} <= set(found)
     assert set(found["calibration"]["days"]) == {"205", "219", "225", "227"}
     assert set(found["calibration"]["combined"]) == {"193"}
@@ -226,7 +226,7 @@ def test_mean_bias_scatters_about_the_printed_one(results):
 
 
 def test_only_the_second_column_of_S_scatters(results):
-    one, four = results.calibration.scatter("205"), results.calibration.scatter("all")
+    one, four = results.calibration.many.scatter("205"), results.calibration.many.scatter("all")
     weak, rest = [1, 4, 7], [0, 2, 3, 5, 6, 8]
     assert one[weak].min() > 3 * one[rest].max()
     assert four[weak].mean() < 0.5 * one[weak].mean()
@@ -274,7 +274,7 @@ def test_the_sizes_of_the_curves_of_the_figures(results, close_sizes):
 
 
 def test_figures_and_page_are_drawn(results, claims, tmp_path):
-    page = study.page(results, list(claims.values()), "verdict")
+    page = study.present(results).page
     names = [block.name for section in page.sections for block in section.figures]
     assert {"figure_1", "figure_2", "table_1_scatter", "table_2_errors", "node_scan"} <= set(names)
     for section in page.sections:

@@ -18,14 +18,12 @@ from fluxtwin.calib.spin.rows import assemble_spin
 from fluxtwin.calib.spin.start import blind_start
 from fluxtwin.plots.spin_attitude import AttitudeError, draw_attitude_error
 from fluxtwin.scenarios.claims import Claim, counted
-from fluxtwin.scenarios.numbers import Numbers
+from fluxtwin.scenarios.flights import Numbers
 from fluxtwin.scenarios.registry import STUDIES
 from fluxtwin.scenarios.st5 import mission, study
-from fluxtwin.scenarios.st5.calibration_study import options
-from fluxtwin.scenarios.st5.monte_carlo import truth_terms
-from fluxtwin.scenarios.st5.open_settings import filtered, settings
-from fluxtwin.scenarios.st5.report import judge_claims
-from fluxtwin.scenarios.st5.terms import terms_of
+from fluxtwin.scenarios.st5.calibration import filtered, options, settings
+from fluxtwin.scenarios.st5.mission import terms_of, truth_terms
+from fluxtwin.scenarios.st5.study import judge_claims
 from fluxtwin.sim.earth.field import load_field
 
 pytestmark = pytest.mark.closure
@@ -45,9 +43,8 @@ def claims(results: Numbers) -> dict[int, Claim]:
 
 
 @pytest.fixture(scope="module")
-def summary(results: Numbers, claims: dict[int, Claim]) -> dict[str, Any]:
-    made = study.summary(results, list(claims.values()))
-    return json.loads(json.dumps(made, allow_nan=False))
+def summary(results: Numbers) -> dict[str, Any]:
+    return json.loads(json.dumps(study.present(results).summary, allow_nan=False))
 
 
 def test_the_scenario_holds_the_abstracts_truth() -> None:
@@ -241,7 +238,8 @@ CURVES = {
 
 
 def test_the_page_and_the_sizes_of_its_curves(results: Numbers, close: Callable[..., None]) -> None:
-    made = study.page(results, judge_claims(results.hour), "verdict")
+    made = study.present(results).page
+    assert made is not None
     blocks = {block.name: block for section in made.sections for block in section.figures}
     assert list(blocks) == ["figure_1", "figure_2", "batch", "settings"]
     for name, sizes in CURVES.items():

@@ -9,14 +9,16 @@ from jinja2 import UndefinedError
 from matplotlib.figure import Figure
 
 from fluxtwin.scenarios import words
-from fluxtwin.scenarios.worded_page import PageWords
+from fluxtwin.scenarios.words import Words
 
 pytestmark = pytest.mark.property
 
-TEXT = """# Heading that nobody reads
+TEXT = """{# About the file, which nobody reads. #}
 
-## section_first
-A title
+## page
+# The whole
+
+### A title
 
 Words over
 two lines with {{ '%.1f' % x }} nT.
@@ -26,13 +28,18 @@ two lines with {{ '%.1f' % x }} nT.
 [table drawn north]
 
 [figure one]
+Caption of {{ x }}.
 
-## table_plain
+## plain
 Plain
 
-a | b {%- for n in (1, 2) %} | c{{ n }}{% endfor %}
+for row in plain
+a = row[0]
+{% for n in (1, 2) %}
+c{{ n }} = row[{{ n }}]
+{% endfor %}
 
-## table_drawn
+## drawn
 By expression
 
 for item in items
@@ -42,28 +49,25 @@ missing = none
 
 A note
 in two lines.
-
-## figure_one
-Caption of {{ x }}.
 """
 
 
 @pytest.fixture
-def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> PageWords:
+def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Words:
     (tmp_path / "words.md").write_text(TEXT, encoding="utf-8")
     monkeypatch.setattr(words.resources, "files", lambda _: tmp_path)
-    return PageWords("anything")
+    return Words("anything")
 
 
-def test_a_page_is_built_in_the_order_of_the_file(page: PageWords) -> None:
+def test_a_page_is_built_in_the_order_of_the_file(page: Words) -> None:
     items = [{"name": "A", "size": 3.0}, {"name": "B", "size": 0.25}]
-    values = {"x": 1.25, "items": items, "rows": {"plain": [[1, 2, 3, 4]]}}
     figure = Figure()
-    (section,) = page.sections(values, {"one": figure})
+    made = page.page("verdict", {"one": lambda: figure}, {}, x=1.25, items=items, plain=[[1, 2, 3]])
+    (section,) = made.sections
     assert section.title == "A title"
     assert section.paragraphs == ["Words over two lines with 1.2 nT."]
     plain, drawn = section.tables
-    assert (plain.columns, plain.rows, plain.note) == (["a", "b", "c1", "c2"], [[1, 2, 3, 4]], "")
+    assert (plain.columns, plain.rows, plain.note) == (["a", "c1", "c2"], [[1, 2, 3]], "")
     assert drawn.columns == ["name", "half [nT]", "missing"]
     assert drawn.rows == [["Anorth", 1.5, None], ["Bnorth", 0.12, None]]
     assert drawn.note == "A note in two lines."
@@ -71,10 +75,10 @@ def test_a_page_is_built_in_the_order_of_the_file(page: PageWords) -> None:
     assert (block.name, block.caption, block.figure) == ("one", "Caption of 1.25.", figure)
 
 
-def test_a_value_that_is_missing_is_an_error(page: PageWords) -> None:
+def test_a_value_that_is_missing_is_an_error(page: Words) -> None:
     with pytest.raises(UndefinedError, match="size"):
-        page.table("drawn", {"items": [{"name": "A"}]})
+        page.table("drawn", items=[{"name": "A"}])
     with pytest.raises(UndefinedError, match="'x' is undefined"):
-        page.sections({"items": []}, {})
+        page.page("verdict", {}, {}, items=[])
     with pytest.raises(KeyError):
-        page.table("absent", {})
+        page.table("absent")

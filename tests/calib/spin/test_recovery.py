@@ -23,14 +23,12 @@ from fluxtwin.calib.spin.rows import SpinRows, assemble_spin
 from fluxtwin.calib.spin.sedlak import iterate
 from fluxtwin.calib.spin.start import blind_start
 from fluxtwin.scenarios.st5 import mission
-from fluxtwin.scenarios.st5.mission import attitude_error_deg
-from fluxtwin.scenarios.st5.monte_carlo import truth_terms
-from fluxtwin.scenarios.st5.terms import terms_of
+from fluxtwin.scenarios.st5.mission import attitude_error_deg, terms_of, truth_terms
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import FieldModel, load_field
 from fluxtwin.sim.earth.sun import sun_direction_N
-from fluxtwin.sim.run.world import World
+from fluxtwin.sim.run.world import World, build_world
 from fluxtwin.sim.scenario.scenario import Scenario
 
 pytestmark = pytest.mark.closure
@@ -52,7 +50,7 @@ def config() -> Scenario:
 
 @pytest.fixture(scope="module")
 def world(config: Scenario) -> World:
-    return mission.world_of(config)
+    return build_world(config)
 
 
 @pytest.fixture(scope="module")

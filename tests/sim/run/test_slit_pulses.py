@@ -9,6 +9,7 @@ from fluxtwin.scenarios.st5 import mission
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.run.world import build_world
 from fluxtwin.sim.scenario.scenario import parse_scenario
 
 pytestmark = pytest.mark.property
@@ -39,7 +40,7 @@ def test_a_saved_scenario_makes_the_pulses(close) -> None:
     before = np.searchsorted(bare.time, telemetry.time[pulse]) - 1
     turn = (telemetry.time[pulse] - bare.time[before]).astype(float) * 1e-9
     R_BN = frames.rotation_from_q(truth.q_NB[before])
-    world = mission.world_of(scenario)
+    world = build_world(scenario)
     sun_B = R_BN.apply(world.sun_N[before])
     late = np.arctan2(sun_B[:, 1], sun_B[:, 0]) - np.linalg.norm(truth.rate_B_rad_s[before], axis=1) * turn
     off = np.degrees(np.angle(np.exp(1j * late)))

@@ -1,7 +1,7 @@
-"""What each effect explains alone by plain least squares: nothing is whitened, penalised or searched.
+"""Plain least squares: what each effect explains alone, and the coefficients behind a published compensation.
 
-It is the look that a person takes first, and the table next to which the diagnosis must be read: many names explain
-much of one and the same residual.
+Nothing is whitened, penalised or searched. It is the look that a person takes first, and the table next to which the
+diagnosis must be read: many names explain much of one and the same residual.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.gap.problem.problem import pose
-from fluxtwin.scenarios.flight_field.residuals import rms
+from fluxtwin.scenarios.flight_gaps.records import Compensation
+from fluxtwin.scenarios.flights import Numbers, rms
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.field_models import FieldModel
 from fluxtwin.sim.effects.base import SignalEffect
@@ -106,9 +107,40 @@ def visible_nT(
 
 def _fit(design: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
     """What columns (M, P) of any units explain of the residual (M,), and their coefficients."""
-    if not design.shape[1]:
-        return np.zeros_like(residual), np.zeros(0)
     length = np.linalg.norm(design, axis=0)
     length = np.where(length > 0, length, 1.0)
     found = np.linalg.lstsq(design / length, residual, rcond=_RCOND)[0]
     return np.asarray(design / length @ found), np.asarray(found / length)
+
+
+def coefficients(given: Compensation, rate_Hz: float) -> Numbers:
+    """The 18 coefficients of a published Tolles-Lawson compensation, recovered exactly.
+
+    With the fluxgate's reading f and its direction u the compensation is u . (p + S f + K df/dt): permanent, induced (S
+    symmetric) and eddy-current terms (Tolles & Lawson 1950; Leliak 1961, doi 10.1109/TANE3.1961.4201799). df/dt is the
+    central difference that the source took, so the 18 coefficients repeat the published values to their last digit.
+    """
+    flux = given.fluxgate_B_nT
+    u = flux / np.linalg.norm(flux, axis=1)[:, None]
+    rows, columns = np.triu_indices(3)
+    induced = u[:, rows] * flux[:, columns]
+    eddy = np.einsum("ni,nj->nij", u, np.gradient(flux, 1.0 / rate_Hz, axis=0)).reshape(-1, 9)
+    design = np.concatenate([u, induced, eddy], axis=1)
+    length = np.linalg.norm(design, axis=0)
+    found = np.linalg.lstsq(design / length, given.taken_nT, rcond=1e-13)[0] / length
+    S = np.zeros((3, 3))
+    S[rows, columns] = 0.5 * found[3:9]
+    K = found[9:].reshape(3, 3)
+    symmetric = 0.5 * (K + K.T)
+    return Numbers(
+        # (3,), (3, 3) symmetric, and (3, 3), of which the last also without its antisymmetric part and its trace.
+        permanent_nT=found[:3],
+        induced=S + S.T,
+        eddy_s=K,
+        symmetric_eddy_s=symmetric - np.eye(3) * np.trace(symmetric) / 3.0,
+        # Largest difference between the published compensation and the one of these coefficients.
+        worst_nT=np.abs(design @ found - given.taken_nT).max(),
+        # rms along the field of the three parts, and of the eddy terms that are antisymmetric.
+        parts_nT=(rms(u @ found[:3]), rms(induced @ found[3:9]), rms(eddy @ found[9:])),
+        antisymmetric_nT=rms(eddy @ (K - symmetric).reshape(-1)),
+    )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,9 +19,8 @@ from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.problem.problem import Budget, Problem, pose, realigned
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.selection.refit import Readings, refit, settled
+from fluxtwin.scenarios.flights import Numbers, prescribed, rms
 from fluxtwin.scenarios.hcmm import mission
-from fluxtwin.scenarios.motion import prescribed
-from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.sim.base.progress import Progress, part_of, silent
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
@@ -74,17 +74,6 @@ def cases(config: Scenario) -> tuple[Case, ...]:
     )
 
 
-@dataclass(frozen=True)
-class Compared:
-    """One number that was put in, and what was found."""
-
-    name: str
-    put_in: float
-    found: float
-    sigma: float | None
-    unit: str
-
-
 def run_gallery(
     config: Scenario,
     progress: Progress = silent,
@@ -96,14 +85,14 @@ def run_gallery(
     # The coils at random and at full dipole, which is not what the law commands: under it the coupling is still named,
     # but with sigmas of tens of nT/(A m2) along x and z, and later passes hardly gain by it.
     config = config if by_law else prescribed(config)
-    plain = config.updated({"sun_sensor.1.misalignment_deg": None, "schedule.segments": _segments(config)})
+    segments, end = _flown_and_kept(config)
+    plain = config.updated({"sun_sensor.1.misalignment_deg": None, "schedule.segments": segments})
     world, ground = build_world(plain), load_field(GROUND)
     chosen = [case for case in cases(config) if case.key in only]
     answers = []
     for number, case in enumerate(chosen):
-        part = part_of(_named(progress, case), number / len(chosen), (number + 1) / len(chosen))
+        part = part_of(partial(_titled, progress, case.key), number / len(chosen), (number + 1) / len(chosen))
         telemetry = mission.fly(plain.updated(dict(case.changes)), world).telemetry
-        end = _end_of_record(config)
         used, later = telemetry.select(telemetry.time < end), telemetry.select(telemetry.time >= end)
         answers.append(_answer(config, case, used, later, ground, part))
     return tuple(answers)
@@ -149,24 +138,21 @@ def _answer(
     )
 
 
-def _segments(config: Scenario) -> list[dict[str, Any]]:
-    assert config.schedule is not None
-    first = config.schedule.segments[0]
-    after = {"start_utc": f"{epoch.iso(_end_of_record(config))}", "duration_min": _LATER_MIN, "step_s": first.step_s}
-    return [{"start_utc": first.start_utc, "duration_min": first.duration_min, "step_s": first.step_s}, after]
-
-
-def _end_of_record(config: Scenario) -> np.datetime64:
-    """One step after the last stamp of the study's record."""
+def _flown_and_kept(config: Scenario) -> tuple[list[dict[str, Any]], np.datetime64]:
+    """The study's record and the days after it as segments of a schedule, and where the first ends: one step after its last
+    stamp."""
     assert config.schedule is not None
     first = config.schedule.segments[0]
     assert first.duration_min is not None
-    seconds = 60.0 * first.duration_min + first.step_s
-    return epoch.parse_time(first.start_utc) + np.timedelta64(round(1e9 * seconds), "ns")
+    end = epoch.add_seconds(epoch.parse_time(first.start_utc), 60.0 * first.duration_min + first.step_s)[0]
+    return [
+        {"start_utc": start, "duration_min": minutes, "step_s": first.step_s}
+        for start, minutes in ((first.start_utc, first.duration_min), (epoch.iso(end), _LATER_MIN))
+    ], end
 
 
-def _named(progress: Progress, case: Case) -> Progress:
-    return lambda words, share: progress(f"gallery, {case.key}: {words}", share)
+def _titled(progress: Progress, key: str, words: str, share: float) -> None:
+    progress(f"gallery, {key}: {words}", share)
 
 
 def _budget(config: Scenario) -> Budget:
@@ -205,7 +191,7 @@ def _judged_angle(
     after = channel.without(name, head, parameters_deg)
     acts = channel.residual_rad != after.residual_rad
     before_deg, after_deg = (np.degrees(one.residual_rad)[:, None] for one in (channel, after))
-    return _by_pass(time[channel.rows], before_deg, after_deg, acts, "deg", _rms(before_deg[~acts]))
+    return _by_pass(time[channel.rows], before_deg, after_deg, acts, "deg", rms(before_deg[~acts]))
 
 
 def _by_pass(
@@ -218,11 +204,11 @@ def _by_pass(
         labels=[epoch.iso(time[rows[0]])[:16].replace("T", " ") for rows in passes],
         unit=unit,
         # (P,) rms: what is modelled taken from the passes used, without the named cause and with it.
-        before=np.array([_rms(before[rows]) for rows in passes]),
-        after=np.array([_rms(after[rows]) for rows in passes]),
+        before=np.array([rms(before[rows]) for rows in passes]),
+        after=np.array([rms(after[rows]) for rows in passes]),
         # (P,) passes in which the cause acts; both rms over the samples in which it does; the same where nothing is wrong.
         concerned=np.array([bool(acts[rows].any()) for rows in passes]),
-        rms=(_rms(before[acts]), _rms(after[acts])),
+        rms=(rms(before[acts]), rms(after[acts])),
         floor=floor,
     )
 
@@ -247,17 +233,16 @@ def _located(found: Diagnosis) -> str:
     return "axis " + ", ".join(f"{a} {value:.0f} %" for a, value in sorted(share.items(), key=lambda item: -item[1]))
 
 
-def _compared(config: Scenario, case: Case, found: Diagnosis) -> tuple[Compared, ...]:
+def _compared(config: Scenario, case: Case, found: Diagnosis) -> tuple[Numbers, ...]:
     """What was put in beside what was found, for the cause that flew; nothing if another was named."""
     if not found.effects:
         return ()
-    first = found.effects[0]
     if case.key == "a":
         return _compared_turn(config, found)
     put_in = _put_in(config, case.key)
     return tuple(
-        Compared(name, put_in[name], parameter.value, parameter.sigma, parameter.unit)
-        for name, parameter in first.parameters.items()
+        Numbers(name=name, put_in=put_in[name], found=one.value, sigma=one.sigma, unit=one.unit)
+        for name, one in found.effects[0].parameters.items()
         if name in put_in
     )
 
@@ -273,7 +258,7 @@ def _put_in(config: Scenario, key: str) -> dict[str, float]:
     return {f"{prefix}_{a}{b}": float(matrix[i, j]) for i, a in enumerate("xyz") for j, b in enumerate("xyz")}
 
 
-def _compared_turn(config: Scenario, found: Diagnosis) -> tuple[Compared, ...]:
+def _compared_turn(config: Scenario, found: Diagnosis) -> tuple[Numbers, ...]:
     """The turn along what the angle sees: a head turned by theta reports the sun turned by minus theta."""
     named = found.provenance["sun_nadir"]["named"]
     if named is None or named["head"] is None:
@@ -281,9 +266,5 @@ def _compared_turn(config: Scenario, found: Diagnosis) -> tuple[Compared, ...]:
     vector = np.array([named["parameters"][f"turn_{a}"]["value"] for a in "xyz"])
     size = float(np.linalg.norm(vector))
     put_in = -float(np.array(config.sun_sensor["1"].misalignment_deg) @ vector) / size
-    return (Compared("turn of the measured sun, as far as seen", put_in, size, named["amount_deg"]["sigma"], "deg"),)
-
-
-def _rms(values: FloatArray) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
+    words, sigma = "turn of the measured sun, as far as seen", named["amount_deg"]["sigma"]
+    return (Numbers(name=words, put_in=put_in, found=size, sigma=sigma, unit="deg"),)

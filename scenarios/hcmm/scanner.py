@@ -1,4 +1,9 @@
-"""Is the night's larger residual of the nadir-field angle the scanner's? One flight, seen by scanners of many kinds.
+"""The horizon scanner. The closed chain: sun sensor calibrates scanner, both give the reference attitude, that calibrates
+the magnetometer. And is the night's larger residual of the nadir-field angle the scanner's?
+
+A scanner with biases is flown. Its own calibration uses sun-nadir angles alone. What the biases do to the magnetometer's
+S, before and after, shows why a second channel is needed: a constant error of the reference attitude and a misaligned
+magnetometer are one and the same thing to a calibration that takes the attitude as right.
 
 The papers do not say on which side the scanner looked, nor whether the Earth's flattening was taken out. So every kind is
 tried: its horizon goes into the roll and pitch of the same telemetry, it is calibrated against the trusted sun-sensor heads
@@ -14,22 +19,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.calib.attitude.horizon_scanner import calibrate_scanner
-from fluxtwin.scenarios.hcmm.calibration_study import choose_rows, fit_rows, pass_labels
-from fluxtwin.scenarios.hcmm.field_evidence import rank_correlation
+from fluxtwin.calib.attitude.horizon_scanner import ScannerCalibration, calibrate_scanner
+from fluxtwin.gap.channels.sun_nadir import weigh_sun_nadir
+from fluxtwin.scenarios.flights import Numbers, angle_between, papers_regression
+from fluxtwin.scenarios.hcmm import mission
+from fluxtwin.scenarios.hcmm.calibration import choose_rows, fit_rows, pass_labels
 from fluxtwin.scenarios.hcmm.mission import Flight
-from fluxtwin.scenarios.hcmm.pass_study import Row, rows_of_passes
-from fluxtwin.scenarios.hcmm.scanner_study import TRUSTED_HEADS, with_new_attitude
+from fluxtwin.scenarios.hcmm.passes import Row, column_of, rms_of, rows_of_passes, sun_nadir_deg
+from fluxtwin.scenarios.hcmm.strength import rank_correlation
+from fluxtwin.scenarios.hcmm_orbit.geometry import PassWindows
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, read_passes
-from fluxtwin.scenarios.hcmm_orbit.windows import PassWindows
-from fluxtwin.scenarios.numbers import Numbers
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames, horizon
 from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.spacecraft.sensors.horizon_crossings import ConicalScanner
 from fluxtwin.sim.spacecraft.sensors.horizon_scanner import nadir_from, roll_pitch
+from fluxtwin.sim.spacecraft.sensors.reference_attitude import attitude_from_sun_and_nadir
+from fluxtwin.sim.telemetry.record import Telemetry
 
+BIAS_DEG = (0.40, -0.30)
+"""Roll and pitch bias put into the scanner; assumed, of the size of its requirement."""
+TRUSTED_HEADS = (2, 3)
+"""Heads that define the attitude reference (C, text)."""
 SCANS: Mapping[str, tuple[int, ...]] = {
     "two scanners": (1, -1),
     "one, away from the sun": (1,),
@@ -66,6 +78,70 @@ EARTHS = (
 PUBLISHED = (FLAT.words, CORRECTED.words, WORST.words)
 
 
+def run_scanner(days: Flight, last: Flight, ground: FieldModel, progress: Progress) -> Numbers:
+    """Fly with biases too on the days of Table 3 (`days`), and the three days of Table 5 (`last`) for head 1."""
+    progress("horizon scanner", 0.0)
+    biases = {"horizon_scanner.roll_bias_deg": BIAS_DEG[0], "horizon_scanner.pitch_bias_deg": BIAS_DEG[1]}
+    flight = mission.fly(days.scenario.updated(biases), days.world)
+    found, repaired = calibrated(flight, pass_labels(flight))
+    rows = choose_rows(flight, "AB")
+    records = (flight.telemetry, repaired.telemetry, days.telemetry)
+    tilts = [_tilt_deg(record.select(rows), ground, flight.truth.S) for record in records]
+    progress("head 1 at dawn", 0.7)
+    offset, truth = _head_1(mission.fly(last.scenario.updated(biases), last.world), found)
+    right = mission.fly(last.scenario.updated({"sun_sensor.1.misalignment_deg": None}), last.world)
+    return Numbers(
+        # Roll and pitch put in.
+        bias_deg=BIAS_DEG,
+        found=found,
+        # Sun-nadir residual before and after, heads 2 and 3.
+        rms_before_deg=np.degrees(found.rms_before_rad),
+        rms_after_deg=np.degrees(found.rms_after_rad),
+        # Rotation in S that is none of the magnetometer's: from the reference attitude as it comes, after the scanner is
+        # calibrated, and of a flight whose scanner has no bias, which is what field model and noise leave.
+        tilt_biased_deg=tilts[0],
+        tilt_corrected_deg=tilts[1],
+        tilt_unbiased_deg=tilts[2],
+        # Misalignment of head 1 towards nadir, found at dawn with the scanner calibrated by heads 2 and 3.
+        head_1_deg=offset,
+        head_1_truth_deg=truth,
+        # The sun-nadir channel of the three days, the scanner without bias: head 1 turned; and head 1 right, with the
+        # magnetometer's S as it is.
+        channel=weigh_sun_nadir(last.telemetry),
+        turned_magnetometer=weigh_sun_nadir(right.telemetry),
+    )
+
+
+def calibrated(flight: Flight, labels: np.ndarray) -> tuple[ScannerCalibration, Flight]:
+    """The scanner calibrated by the trusted heads, and the flight with its reference attitude made anew."""
+    found = calibrate_scanner(flight.telemetry, heads=TRUSTED_HEADS, passes=labels)
+    record, world = found.apply(flight.telemetry), flight.world
+    assert record.sun_B is not None and record.nadir_B is not None
+    q_NB = attitude_from_sun_and_nadir(record.sun_B, record.nadir_B, world.sun_N, -world.r_N_km)
+    return found, replace(flight, telemetry=record.replace(q_NB=q_NB))
+
+
+def _tilt_deg(telemetry: Telemetry, ground: FieldModel, truth_S: FloatArray) -> float:
+    """Size of the rotation by which the found I+S differs from the true one."""
+    S = papers_regression(telemetry, ground).calibration.S
+    between = (np.eye(3) + S) @ np.linalg.inv(np.eye(3) + truth_S)
+    turn = 0.5 * (between - between.T)
+    return float(np.degrees(np.linalg.norm([turn[2, 1], turn[0, 2], turn[1, 0]])))
+
+
+def _head_1(flight: Flight, found: ScannerCalibration) -> tuple[float, float]:
+    """Mean residual at dawn after the scanner's correction, and what the misalignment should give [deg]."""
+    corrected = found.apply(flight.telemetry)
+    assert corrected.nadir_B is not None and corrected.sun_sensor_head is not None
+    rows = np.flatnonzero((corrected.sun_sensor_head == 1) & np.isfinite(corrected.nadir_B).all(axis=1))
+    # A head turned by theta reports the sun turned by minus theta: what that does to the angle from nadir.
+    theta = np.radians(flight.scenario.sun_sensor["1"].misalignment_deg)
+    B, sun_N, nadir_N = (v[rows] for v in (flight.truth.q_NB, flight.world.sun_N, -flight.world.r_N_km))
+    sun_B, nadir_B = (frames.rotation_from_q(B).apply(v) for v in (sun_N, nadir_N))
+    expected = angle_between(sun_B - np.cross(theta, sun_B), nadir_B) - angle_between(sun_N, nadir_N)
+    return float(sun_nadir_deg(corrected)[rows].mean()), float(np.degrees(expected.mean()))
+
+
 @dataclass(frozen=True)
 class HorizonStudy:
     """Scanner by scanner."""
@@ -91,10 +167,9 @@ class HorizonStudy:
         elsewhere = np.flatnonzero(SHIFTS_DEG % 180.0)
         return [seen[at] for seen in self.shifted.values() for at in elsewhere]
 
-    @property
-    def moved_ratios(self) -> dict[str, list[float]]:
-        """Night over day of the moved errors, by scans."""
-        return {scans: [one.ratio for one in seen] for scans, seen in self.shifted.items()}
+    def moved(self, name: str) -> dict[str, FloatArray]:
+        """`ratio` or `correlation` of the moved errors, by scans."""
+        return {scans: np.array([getattr(one, name) for one in seen]) for scans, seen in self.shifted.items()}
 
 
 def run_horizon(
@@ -104,8 +179,7 @@ def run_horizon(
     rows, labels = choose_rows(days, "AB"), pass_labels(days)
 
     def left_by(one: Flight, other: Flight) -> Numbers:
-        found = calibrate_scanner(one.telemetry, heads=TRUSTED_HEADS, passes=labels)
-        repaired = replace(one, telemetry=with_new_attitude(one, found.apply(one.telemetry)))
+        found, repaired = calibrated(one, labels)
         calibration = fit_rows(repaired, rows, ground, "white").calibration
         return _seen(rows_of_passes(found.apply(other.telemetry), calibration, ground, windows))
 
@@ -148,28 +222,15 @@ def _seen(rows: Sequence[Row] | Sequence[Pass]) -> Numbers:
     """From rows of the study, or from those of print."""
     passes = read_passes()
     night, dawn = (np.array(v) for v in ([not p.sunlit for p in passes], [p.dawn for p in passes]))
-    nadir_field, sun_nadir = (
-        np.array([np.nan if v is None else v for v in (_residual(row, name) for row in rows)])
-        for name in ("delta_nadir_field", "delta_sun_nadir")
-    )
-    printed = np.array([p.delta_nadir_field_deg for p in passes])
-
-    def rms(values: FloatArray) -> float:
-        return float(np.sqrt(np.nanmean(values**2)))
-
-    night_deg, day_deg = rms(nadir_field[night]), rms(nadir_field[~night])
+    night_deg, day_deg = (rms_of(rows, "delta_nadir_field_deg", chosen) for chosen in (night, ~night))
+    printed, ours = (column_of(one, "delta_nadir_field_deg")[night] for one in (passes, rows))
     return Numbers(
         # [deg, rms] Nadir-field residual of the passes without and with sun, and the one over the other.
         night=night_deg,
         day=day_deg,
         ratio=night_deg / day_deg,
         # Sunlit passes, without those at dawn.
-        sun_nadir=rms(sun_nadir[~night & ~dawn]),
+        sun_nadir=rms_of(rows, "delta_sun_nadir_deg", ~night & ~dawn),
         # Rank correlation of the night passes' nadir-field residuals with those printed.
-        correlation=rank_correlation(printed[night], nadir_field[night]),
+        correlation=rank_correlation(printed, ours),
     )
-
-
-def _residual(row: Row | Pass, name: str) -> float | None:
-    value: float | None = getattr(row, name if isinstance(row, Row) else f"{name}_deg")
-    return value

@@ -166,12 +166,15 @@ def day(number: int, hour: float = 0.0) -> np.datetime64:
     return np.datetime64("1978-01-01", "ns") + np.timedelta64(number - 1, "D") + np.timedelta64(round(hour * 3600), "s")
 
 
-def rms(values: FloatArray, axis: int | None = None) -> Any:
-    """Root mean square, over an axis or of all; NaN is left out, and what comes of nothing else."""
-    if axis is not None:
-        return np.sqrt(np.nanmean(np.square(values), axis=axis))
+def rms(values: FloatArray) -> float:
+    """Root mean square; NaN is left out, and what comes of nothing else."""
     known = values[~np.isnan(values)]
     return float(np.sqrt(np.mean(np.square(known)))) if known.size else float("nan")
+
+
+def rms_along(values: FloatArray, axis: int) -> FloatArray:
+    """Root mean square over an axis; NaN is left out."""
+    return np.asarray(np.sqrt(np.nanmean(np.square(values), axis=axis)))
 
 
 def wrapped_deg(angle_rad: FloatArray) -> FloatArray:
@@ -222,7 +225,7 @@ def vector(fit: LinearFit) -> FloatArray:
 
 def vector_sigma(fit: LinearFit) -> FloatArray:
     """(12,) 1 sigma in the same order and units."""
-    return fit.calibration.sigmas[:12] / np.repeat([1.0, NT_PER_MG], [9, 3])
+    return np.asarray(fit.calibration.sigmas[:12] / np.repeat([1.0, NT_PER_MG], [9, 3]))
 
 
 def truth_vector(config: Scenario) -> FloatArray:
@@ -254,7 +257,7 @@ class Estimates:
 
     def rms_error(self, name: str) -> FloatArray:
         """(K,) root mean square of estimate less truth: an error that all flights share is in it."""
-        return np.asarray(rms(self.of(name) - self.truth, axis=0))
+        return rms_along(self.of(name) - self.truth, axis=0)
 
     def refused(self, name: str) -> int:
         """Flights in which the data set did not determine S and the regression said so."""

@@ -136,7 +136,8 @@ def refusal(zone: Zone, model: FieldModel) -> str:
 def _seen(one: Numbers, slip: Slip) -> Numbers:
     """A slip named by its stamps, and what the spin phase of the readings says of it: the phase by which the readings differ
     from their neighbours, over the rate."""
-    fit, zone = one.fits["harmonic"], one.zone
+    fit: ZoneFit = one.fits["harmonic"]
+    zone: Zone = one.zone
 
     def late_s(rows: np.ndarray) -> float:
         slope, residual = fit.slope_nT[rows], fit.residual_nT[rows]

@@ -19,6 +19,7 @@ from fluxtwin.scenarios.flights import (
     papers_regression,
     prescribed,
     rms,
+    rms_along,
     rms_mG,
     truth_vector,
     vector,
@@ -89,7 +90,7 @@ def run_calibrations(flight: Flight, ground: FieldModel, progress: Progress, run
 
 def sigma_ratio(study: Numbers, name: str, kind: str) -> float:
     """Error over stated sigma, root mean square over runs and parameters; 1 is honest."""
-    stated = rms(study.sigmas[kind][:, SETS.index(name)], axis=0)
+    stated = rms_along(study.sigmas[kind][:, SETS.index(name)], axis=0)
     return float(rms(study.many.rms_error(name) / stated))
 
 

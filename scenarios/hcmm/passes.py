@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.calib.common.records import Calibration
-from fluxtwin.scenarios.flights import Numbers, angle_between, prescribed, rms
+from fluxtwin.scenarios.flights import Numbers, angle_between, prescribed, rms, rms_along
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.mission import Flight, quantity
 from fluxtwin.scenarios.hcmm_orbit.geometry import PassWindows
@@ -179,7 +179,7 @@ class DawnStudy:
     @property
     def together_deg(self) -> tuple[float, float]:
         """rms over the passes of one flight: mean and standard deviation over the flights."""
-        each = rms(self.seen, axis=1)
+        each = rms_along(self.seen, axis=1)
         return float(each.mean()), float(each.std(ddof=1))
 
 

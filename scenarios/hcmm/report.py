@@ -16,7 +16,7 @@ from fluxtwin.plots import gallery as gallery_plots
 from fluxtwin.plots import passes as pass_plots
 from fluxtwin.plots import yaw as yaw_plots
 from fluxtwin.scenarios.claims import Claim
-from fluxtwin.scenarios.flights import NAMES, Numbers, calibration_summary, rms, rms_mG, vector, vector_sigma
+from fluxtwin.scenarios.flights import NAMES, Numbers, calibration_summary, rms_along, rms_mG, vector, vector_sigma
 from fluxtwin.scenarios.hcmm import calibration, mission, scanner, strength, yaw
 from fluxtwin.scenarios.hcmm.gallery import REGION_DEG
 from fluxtwin.scenarios.hcmm.passes import ANOMALOUS, column_of, rms_of
@@ -191,7 +191,7 @@ _FILTERS: Mapping[str, Any] = {
     "marked": lambda item: _unbroken(item.label + ("*" if item.dawn else "**" if item.number in ANOMALOUS else "")),
     "p": _p,
     "p_is": p_is,
-    "rms": lambda values: rms(values, axis=0),
+    "rms": lambda values: rms_along(values, axis=0),
     "span": _span,
     "unbroken": _unbroken,
     "unitless": lambda name: name.split(" [")[0],

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.stats import rankdata
 from scipy.stats import t as student_t
 
-from fluxtwin.scenarios.flights import Flight, Numbers, prescribed, rms, rms_mG
+from fluxtwin.scenarios.flights import Flight, Numbers, prescribed, rms, rms_along, rms_mG
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.calibration import SETS, choose_rows, fit_rows
 from fluxtwin.scenarios.hcmm.gallery import GROUND, diagnosed
@@ -113,7 +113,7 @@ def weigh_field_error(fit: OrbitFit, windows: PassWindows, seed: int) -> Numbers
     def error_mG(turn_deg: float) -> FloatArray:
         r_E_km = frames.from_geocentric(latitude, longitude - np.radians(turn_deg), radius)
         a, b = (np.linalg.norm(field_E_nT(model, passes[20].aos, r_E_km), axis=1) for model in (truth, flown))
-        return np.asarray(rms((a - b).reshape(len(passes), -1), axis=1) / NT_PER_MG)
+        return np.asarray(rms_along((a - b).reshape(len(passes), -1), axis=1) / NT_PER_MG)
 
     predicted = error_mG(0.0)
     found = rank_correlation(printed, predicted)

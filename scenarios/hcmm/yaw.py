@@ -207,9 +207,13 @@ def _dip_pole(truth: FieldModel, when: np.datetime64, start: FloatArray) -> Floa
         up = r_E[0] / FIELD_RADIUS_KM
         return float(np.linalg.norm(field - (field @ up) * up))
 
-    options = {"xatol": 1e-5, "fatol": 1e-3, "maxiter": 600}
     latitude, longitude, _ = frames.geocentric(start)
-    best = minimize(horizontal, np.array([latitude[0], longitude[0]]), method="Nelder-Mead", options=options).x
+    best = minimize(
+        horizontal,
+        np.array([latitude[0], longitude[0]]),
+        method="Nelder-Mead",
+        options={"xatol": 1e-5, "fatol": 1e-3, "maxiter": 600},
+    ).x
     return np.asarray(frames.from_geocentric(best[:1], best[1:], np.ones(1))[0])
 
 

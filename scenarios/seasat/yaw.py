@@ -20,6 +20,7 @@ from fluxtwin.scenarios.flights import (
     latitude_deg,
     prescribed,
     rms,
+    rms_along,
     wrapped_deg,
 )
 from fluxtwin.scenarios.seasat import mission
@@ -143,7 +144,13 @@ def run_check_day(config: Scenario, ground: FieldModel) -> Numbers:
         error = reference_error_rad(flight)[chosen]
         field = flight.truth.field_B_nT[chosen] / NT_PER_MG
         residual = residuals_of(flight.telemetry.select(chosen), full, ground) / NT_PER_MG
-        rows.append([rms(residual, axis=0), rms(np.degrees(error), axis=0), rms(np.cross(error, field), axis=0)])
+        rows.append(
+            [
+                rms_along(residual, axis=0),
+                rms_along(np.degrees(error), axis=0),
+                rms_along(np.cross(error, field), axis=0),
+            ]
+        )
     rms_mG, attitude_deg, attitude_mG = np.moveaxis(np.array(rows), 1, 0)
     angle = np.degrees(angle_between(-world.r_N_km, world.sun_N))[chosen]
     return Numbers(
@@ -153,7 +160,7 @@ def run_check_day(config: Scenario, ground: FieldModel) -> Numbers:
         attitude_deg=attitude_deg,
         attitude_mG=attitude_mG,
         # (3,) true field per body axis.
-        field_mG=rms(field, axis=0),
+        field_mG=rms_along(field, axis=0),
         # Least and greatest angle between sun and nadir.
         sun_nadir_deg=(float(angle.min()), float(angle.max())),
         samples=chosen.sum(),

@@ -23,7 +23,7 @@ from fluxtwin.calib.spin.motion import SpinMotion
 from fluxtwin.calib.spin.rows import SpinRows, assemble_spin
 from fluxtwin.calib.spin.sedlak import at, iterate
 from fluxtwin.calib.spin.start import blind_start
-from fluxtwin.scenarios.flights import Flight, Numbers, rms
+from fluxtwin.scenarios.flights import Flight, Numbers, rms, rms_along
 from fluxtwin.scenarios.st5 import mission
 from fluxtwin.scenarios.st5.mission import Terms, attitude_error_deg, terms_of, truth_terms
 from fluxtwin.sim.base.errors import NoAnswer
@@ -104,7 +104,7 @@ class Solved:
     @property
     def rms_deg(self) -> FloatArray:
         """(3,) over the hour."""
-        return np.asarray(rms(self.error_deg, axis=0))
+        return rms_along(self.error_deg, axis=0)
 
     @property
     def rss_deg(self) -> float:
@@ -205,8 +205,12 @@ def search(
     def nearest(misfit: Callable[[Setting], FloatArray]) -> Setting:
         best = min(grid, key=lambda setting: float(np.sum(misfit(setting) ** 2)))
         begin = 1.0 + (np.log([best.walk_rad_s, best.sun_factor]) - low) / (high - low)
+
+        def off(place: FloatArray) -> FloatArray:
+            return misfit(at(place))
+
         found = least_squares(
-            lambda place: misfit(at(place)),
+            off,
             np.clip(begin, 1.0, 2.0),
             bounds=(1.0, 2.0),
             diff_step=[_STEP, _STEP],

@@ -47,7 +47,7 @@ class Angle:
         return [*([self.weighed.words] if speaks else []), *(f"{name} {why}" for name in self.ruled_out)]
 
     def beside(self, effects: Sequence[FoundEffect]) -> tuple[list[FoundEffect], FoundEffect | None]:
-        """The effects with what the angle shows: one of them confirmed, or one more at the end, which is given too."""
+        """The effects with what the angle shows: one of them confirmed; or one more, apart."""
         named = self.weighed.named
         if named is None:
             return list(effects), None
@@ -56,8 +56,7 @@ class Angle:
                 if one.name == fault.name and (one.settings.get("head") or None) == fault.head:
                     confirmed = _confirmed(one, _entry(self.weighed, fault))
                     return [*effects[:place], confirmed, *effects[place + 1 :]], None
-        entry = _entry(self.weighed, named)
-        return [*effects, entry], entry
+        return list(effects), _entry(self.weighed, named)
 
     def said(self, others: str | None, left_nT: float) -> str:
         """What it names, in words, after those on other causes; left_nT: what the readings have where there are none."""

@@ -238,9 +238,17 @@ def signals_of(shapes: Sequence[Finding]) -> list[Active]:
 
 
 def left_of(under_way: Search[Readings], fit: Fit, dictionary: Sequence[Block]) -> Left:
-    """The structure that a fit leaves."""
+    """The structure that a fit leaves, beyond the image at nothing of its effects.
+
+    The image of a large effect at its size and that at nothing differ by what its size changes and by errors of the
+    attitude in both: structure along that difference is the same cause once more.
+    """
+    numbers = [
+        number for number, c in enumerate(under_way.found) if any(c.effect == effect for effect, _ in fit.chosen)
+    ]
+    at_nothing = under_way.white[:, :, np.isin(under_way.first.owner, numbers)]
     whitener, flat = under_way.channel.whitener, fit.residual.reshape(-1)
-    basis = orthonormal(fit.jacobian)
+    basis = orthonormal(np.concatenate([fit.jacobian, at_nothing], axis=2))
     rest = Leftover(whitener, flat - basis @ (basis.T @ flat), basis, max(whitener.measured - basis.shape[1], 1))
     own = fit.jacobian[:, :, fit.jacobian.shape[2] - sum(len(theta) for _, theta in fit.chosen) :]
     return judge(under_way.channel.problem, rest, fit_all(dictionary, rest), own, 1.0)

@@ -16,6 +16,7 @@ import numpy as np
 from fluxtwin.gap.hypotheses.candidates import Candidate
 from fluxtwin.gap.selection.criterion import penalty
 from fluxtwin.gap.selection.detectable import GATE
+from fluxtwin.gap.selection.groups import alike, shares_by_name
 from fluxtwin.gap.selection.refit import Channel, Fit, refit
 from fluxtwin.gap.selection.score import Board, board, whitened
 from fluxtwin.sim.base.types import BoolArray, FloatArray
@@ -46,8 +47,15 @@ class Search(Generic[OfChannel]):
     white: FloatArray
     gate: float = GATE
     fits: dict[frozenset[str], Fit] = field(default_factory=dict)
+    same: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    """Names that imitate each other on this design, from `groups.alike`: one cause under two names."""
     tested_before: int = 0
     """Alternatives tested in other channels."""
+
+    def same_cause(self, numbers: Sequence[int]) -> bool:
+        """Whether two of these candidates are one cause under two names."""
+        names = [self.found[number].name for number in numbers]
+        return any(b in self.same.get(a, ()) for k, a in enumerate(names) for b in names[k + 1 :])
 
     @property
     def tested(self) -> int:
@@ -113,7 +121,8 @@ def begin(channel: OfChannel, found: list[Candidate], gate: float = GATE, tested
     base = refit(channel)
     white = whitened(found, channel, base.residual.shape[0])
     first = _first(channel, found, white, base)
-    return Search(channel, found, base, first, white, gate, tested_before=tested_before)
+    same = alike(shares_by_name(first))
+    return Search(channel, found, base, first, white, gate, same=same, tested_before=tested_before)
 
 
 def _first(channel: Channel, found: Sequence[Candidate], white: FloatArray, base: Fit) -> Board:
@@ -172,8 +181,10 @@ def _grown(search: Search[Any], fit: Fit, rest: Board, others: Sequence[Candidat
     if not others or search.tested * float(rest.p_values.min()) > search.gate:
         return None
     present = search.numbers(fit)
-    places = _shortlist(search, rest)[:3]
+    places = _shortlist(search, rest)
     partners = [search.found.index(others[place]) for place in places]
+    free = [(a, b) for a, b in zip(places, partners, strict=True) if not search.same_cause([*present, b])][:3]
+    places, partners = [place for place, _ in free], [partner for _, partner in free]
     thetas = [theta for _, theta in fit.chosen]
     trials = [
         search.fit([*present, partner], [*thetas, rest.estimate([place])[0]])
@@ -181,6 +192,8 @@ def _grown(search: Search[Any], fit: Fit, rest: Board, others: Sequence[Candidat
     ]
     afresh = _afresh(search, len(present) + 1, present, partners)
     trials += [search.fit(numbers, search.first.estimate(numbers)) for numbers in afresh]
+    if not trials:
+        return None
     best = min(trials, key=lambda trial: search.cost(trial, rest.variance))
     gain, rank = fit.chi2 - best.chi2, max(best.rank_chosen - fit.rank_chosen, 1)
     significant = search.tested * rest.p_value(gain, rank) < search.gate
@@ -207,7 +220,7 @@ def _afresh(search: Search[Any], size: int, present: Sequence[int], partners: Se
     ranked.sort(key=lambda pair: pair[0])
     distinct: list[list[int]] = []
     for _, numbers in ranked:
-        if numbers not in distinct:
+        if numbers not in distinct and not search.same_cause(numbers):
             distinct.append(numbers)
     return distinct[:2]
 

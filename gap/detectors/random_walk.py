@@ -20,7 +20,7 @@ from fluxtwin.sim.effects.calibration import BiasRandomWalk
 
 _MODES_A_ROOT = 4.0  # times the root of the rows: beyond, a walk of three times the noise is below it
 _FEWEST, _MOST = 24, 160
-_SIZES = np.exp(np.linspace(*np.log(RMS), 60))
+_SIZES = np.geomspace(RMS[0], RMS[1], 60)
 """Spreads of the walk at the end of the record over the noise of a reading."""
 _KNOTS = 48
 """Increments of the walk that are looked at."""

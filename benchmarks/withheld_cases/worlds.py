@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -250,8 +250,10 @@ def _nadir(rng: np.random.Generator, time: TimeArray) -> Motion:
         float(rng.uniform(300.0, 1500.0)),
         float(rng.uniform(3000.0, 6000.0)),
         rng,
-        epoch=np.datetime64(time[0], "ns"),
     )
+    # The phases that were drawn are those of the record's begin.
+    since = epoch.seconds_since(time[:1], epoch.MJD2000)
+    libration = replace(libration, phase_rad=libration.phase_rad - libration.frequency_rad_s * since)
     return lambda t, r, v: attitude.librating(t, r, v, libration)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fluxtwin.gap.detectors.residual_structure import Left
-from fluxtwin.gap.posterior.explanations import _best
+from fluxtwin.gap.posterior.explanations import likeliest
 from fluxtwin.gap.selection.criterion import LOG_FURTHER, THRESHOLD, penalty, worth
 
 pytestmark = pytest.mark.property
@@ -54,7 +54,7 @@ def test_the_explanation_that_weighs_most_is_taken(
         SimpleNamespace(worth=w, unknown=u, fit=SimpleNamespace(chosen=[(object(), None)] * n))
         for n, (w, u) in enumerate(zip(worths, unknowns, strict=True))
     ]
-    place, share, most = _best(explanations)
+    place, share, most = likeliest(explanations)
     assert place == best and share == pytest.approx(known, abs=1e-9)
     assert most == max(*worths, *unknowns)
 

@@ -18,6 +18,7 @@ from fluxtwin.calib.common.design import Design
 from fluxtwin.calib.common.slow_errors import PairedCells, kernel_moments
 from fluxtwin.calib.linear.calibrate import calibrate_linear, fit_design
 from fluxtwin.calib.linear.method import LinearOptions
+from fluxtwin.calib.methods import offered
 from fluxtwin.sim.base.errors import NoAnswer
 
 pytestmark = pytest.mark.closure
@@ -219,6 +220,7 @@ def test_errors_of_the_attitude_have_a_direction(seasat: Any) -> None:
 
 def test_the_command_line_allows_for_correlation_by_default() -> None:
     from fluxtwin.commands.calibrate import command
+    from fluxtwin.commands.options import as_command
 
-    assert inspect.signature(command).parameters["covariance"].default == "blocks"
+    assert inspect.signature(as_command(command, offered())).parameters["covariance"].default == "blocks"
     assert LinearOptions().covariance == "blocks"

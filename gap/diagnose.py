@@ -14,12 +14,12 @@ from fluxtwin.gap.detectors.full_rate import MOST_ROWS as MOST_ROWS_FAST
 from fluxtwin.gap.detectors.full_rate import full_rate
 from fluxtwin.gap.detectors.noise_level import floor_noise, stochastic_nT
 from fluxtwin.gap.detectors.proposals import coarse, in_the_readings
-from fluxtwin.gap.detectors.residual_structure import what_is_left
+from fluxtwin.gap.detectors.residual_structure import residual_structure
 from fluxtwin.gap.held_out.held_out import Fitted, Prediction, floor_rms_nT, one_step, predict_blocks
 from fluxtwin.gap.hypotheses.blocks import Block, blocks
 from fluxtwin.gap.hypotheses.candidates import candidates
 from fluxtwin.gap.hypotheses.evidence import Dictionary
-from fluxtwin.gap.hypotheses.perturbed_design import Shaken
+from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign
 from fluxtwin.gap.noise.choice import choose_noise, complete_budget, whitener_of
 from fluxtwin.gap.posterior.explanations import Answer, noise_and_answer
 from fluxtwin.gap.posterior.structured import Structured
@@ -132,9 +132,9 @@ def investigate(
         wider = replace(problem.budget, lsb_nT=coarser.parameters["lsb"][0])
         problem = replace(problem, budget=wider)
     problem = _about_the_whitened_fit(problem)
-    shaken = Shaken(problem)
-    known = candidates(problem, shaken=shaken)
-    dictionary = Dictionary(blocks(problem, shaken=shaken), problem.rows)
+    perturbed = PerturbedDesign(problem)
+    known = candidates(problem, perturbed=perturbed)
+    dictionary = Dictionary(blocks(problem, perturbed=perturbed), problem.rows)
     progress("noise, and which effects", 0.25)
     first_noise, answer = noise_and_answer(problem, dictionary, known)
     if problem.axes is not None and answer.result.chosen:
@@ -201,7 +201,7 @@ def _attitude_would_do(problem: Problem, answer: Answer, dictionary: Dictionary)
         return None
     boundless = replace(answer.noise, theta_rad=_BOUNDLESS_RAD, tau_s=0.0)
     whitener = whitener_of(problem, boundless, answer.robust.weights)
-    if what_is_left(problem, whitener, answer.result.residual_nT, answer.fitted_nT, found=dictionary).structured:
+    if residual_structure(problem, whitener, answer.result.residual_nT, answer.fitted_nT, found=dictionary).structured:
         return None
     rest = problem.judged(answer.result.residual_nT)[~answer.robust.cut.any(axis=1)]
     reach = floor_rms_nT(problem.noise_field_nT, 0.0, 1.0, problem.measured)

@@ -17,7 +17,7 @@ from scipy.special import gammaln
 
 from fluxtwin.gap.hypotheses.blocks import blocks
 from fluxtwin.gap.hypotheses.candidates import Candidate, candidates
-from fluxtwin.gap.linear.leftover import SHARE_LEFT, least_share, orthonormal
+from fluxtwin.gap.linear.projection import SHARE_LEFT, least_share, orthonormal
 from fluxtwin.gap.noise.choice import choose_noise, whitener_of
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget, Problem, pose
 from fluxtwin.gap.selection.groups import ALIKE

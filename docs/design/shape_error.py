@@ -35,7 +35,7 @@ import fluxtwin
 from fluxtwin.gap.hypotheses.blocks import blocks
 from fluxtwin.gap.hypotheses.candidates import candidates
 from fluxtwin.gap.hypotheses.evidence import fit_all
-from fluxtwin.gap.linear.leftover import Leftover, orthonormal
+from fluxtwin.gap.linear.projection import ProjectedResidual, orthonormal
 from fluxtwin.gap.noise.choice import choose_noise, whitener_of
 from fluxtwin.gap.problem.problem import Budget, pose
 from fluxtwin.gap.selection.forward import begin
@@ -71,7 +71,9 @@ def shares(store: Store, name: str) -> tuple[str, float, float, float] | None:
         return None
     flat = fit.residual.reshape(-1)
     basis = orthonormal(fit.jacobian)
-    left = Leftover(search.channel.whitener, flat - basis @ (basis.T @ flat), basis, flat.size - basis.shape[1])
+    left = ProjectedResidual(
+        search.channel.whitener, flat - basis @ (basis.T @ flat), basis, flat.size - basis.shape[1]
+    )
     each = [one.explained() for one in fit_all(blocks(problem), left)]
     chance = 2.0 * float(np.log(len(each)))
     beyond = [(max(gain - rank - chance, 0.0) / drop, rank) for gain, rank in each if rank]

@@ -14,7 +14,7 @@ import numpy as np
 
 from fluxtwin.gap.detectors.lines import Line, strongest_line
 from fluxtwin.gap.hypotheses.candidates import derivatives
-from fluxtwin.gap.linear.leftover import Leftover, leftover
+from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.budget import prior_of
 from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, Whitener, complete_budget, select_noise, whitener_of
 from fluxtwin.gap.problem.problem import Problem, pose, realigned
@@ -39,7 +39,7 @@ class FullRate:
     """(n, 3) less everything that was fitted on the evenly spaced rows."""
     fitted_nT: FloatArray
     """(n, 3, q) its Jacobian."""
-    left: Leftover
+    left: ProjectedResidual
     line: Line
     slow_Hz: float
     """Highest frequency that the evenly spaced rows show as it is."""
@@ -73,7 +73,7 @@ def full_rate(
         near.axes,
     )
     whitener = whitener_of(near, noise, robust.weights)
-    left = leftover(whitener, residual, fitted)
+    left = projected(whitener, residual, fitted)
     line = strongest_line(near.setting.seconds, left)
     slow_Hz = 0.5 / float(np.median(np.diff(setting.seconds)))
     return FullRate(near, noise, robust, whitener, residual, fitted, left, line, slow_Hz)

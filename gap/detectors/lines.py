@@ -11,7 +11,7 @@ from scipy import stats
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.waveforms import Fitted, does_as_well, drivers, fitted, in_body, stands_out, varies
 from fluxtwin.gap.hypotheses.evidence import BlockFit
-from fluxtwin.gap.linear.leftover import Leftover
+from fluxtwin.gap.linear.projection import ProjectedResidual
 from fluxtwin.gap.selection.criterion import THRESHOLD
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect
@@ -36,7 +36,7 @@ class Line:
     """Energy that it carries, in noise units."""
 
 
-def strongest_line(seconds: FloatArray, left: Leftover) -> Line:
+def strongest_line(seconds: FloatArray, left: ProjectedResidual) -> Line:
     """Search the whitened residual for a line: the top of the sum of the three axes' periodograms.
 
     The winner is fitted as columns, calibration projected out.
@@ -45,7 +45,7 @@ def strongest_line(seconds: FloatArray, left: Leftover) -> Line:
     return Line(0.0, 0.0, 0.0) if frequency is None else line_near(seconds, left, frequency)
 
 
-def line_near(seconds: FloatArray, left: Leftover, frequency: float) -> Line:
+def line_near(seconds: FloatArray, left: ProjectedResidual, frequency: float) -> Line:
     """The strongest line within a third of a cycle over the record of a frequency in Hz."""
     width = _FIRST_WIDTH / float(seconds[-1] - seconds[0])
     for steps in (3, 1, 1):
@@ -106,7 +106,9 @@ def _top(frequencies: FloatArray, energies: list[float], place: int) -> float:
     return float(frequencies[place] + move * (frequencies[1] - frequencies[0]))
 
 
-def wheel_line(setting: Setting, left: Leftover, line: Line, rivals: Sequence[BlockFit] = ()) -> Finding | None:
+def wheel_line(
+    setting: Setting, left: ProjectedResidual, line: Line, rivals: Sequence[BlockFit] = ()
+) -> Finding | None:
     """Is a line that of a rotating dipole: one frequency, steady, elliptical?
 
     Its ellipse must be one in body axes: where it changes with the orbit phase, the field or its slope, the line is a
@@ -144,7 +146,7 @@ def _skew(v: FloatArray) -> FloatArray:
     return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
 
-def companion(setting: Setting, left: Leftover, line: Line, effect: Effect) -> bool:
+def companion(setting: Setting, left: ProjectedResidual, line: Line, effect: Effect) -> bool:
     """Whether a line is a multiple, or a half or a third, of the turning of a wheel that has been named.
 
     The rotor of a wheel has more poles than two, and its motor and bearings turn in fixed ratios to it: such a line is

@@ -8,7 +8,7 @@ import numpy as np
 
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.waveforms import gaussian
-from fluxtwin.gap.linear.leftover import Leftover
+from fluxtwin.gap.linear.projection import ProjectedResidual
 from fluxtwin.gap.noise.budget import NOISE_LOG_SD
 from fluxtwin.gap.noise.choice import NoiseModel
 from fluxtwin.gap.problem.problem import Budget
@@ -19,7 +19,7 @@ from fluxtwin.sim.effects.digits import BitErrors, CoarseQuantization, ExcessNoi
 
 
 def noise_level(
-    left: Leftover,
+    left: ProjectedResidual,
     fitted_nT: FloatArray | float,
     declared_nT: float,
     structured: bool,

@@ -10,12 +10,12 @@ from fluxtwin.gap.detectors.codes import coarse_steps, flipped_bits, stuck_bit
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.lines import companion, strongest_line, wheel_line
 from fluxtwin.gap.detectors.noise_level import noise_level
-from fluxtwin.gap.detectors.residual_structure import Left
+from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.detectors.switched_region import switched_region
 from fluxtwin.gap.detectors.two_state import heater_sequence
 from fluxtwin.gap.hypotheses.blocks import Block
 from fluxtwin.gap.hypotheses.evidence import fit_all
-from fluxtwin.gap.linear.leftover import leftover
+from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, Whitener, complete_budget
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.sim.base.types import FloatArray
@@ -35,7 +35,7 @@ def structured(
     whitener: Whitener,
     residual_nT: FloatArray,
     fitted_nT: FloatArray,
-    left: Left,
+    left: Structure,
     dictionary: Sequence[Block],
     chosen: Sequence[Effect] = (),
 ) -> Finding | None:
@@ -54,7 +54,7 @@ def structured(
             yield heater_sequence(setting, rest, residual_nT - fitted_nT @ size, fits, line)
 
     setting = problem.setting
-    rest = leftover(whitener, residual_nT, fitted_nT)
+    rest = projected(whitener, residual_nT, fitted_nT)
     line, fits = strongest_line(setting.seconds, rest), fit_all(dictionary, rest)
     return next((one for one in proposed() if one is not None and one.confirmed), None)
 
@@ -87,7 +87,7 @@ def in_the_readings(
             findings.append(flipped_bits(reading[whole], difference[whole], robust.cut[whole], lsb))
     signals = any(one.effect != "coarse_quantization" for one in found)
     if noise.sigma_prior_nT > 0 and not signals and not (stuck is not None and stuck.confirmed):
-        rest = leftover(whitener, residual_nT, fitted_nT)
+        rest = projected(whitener, residual_nT, fitted_nT)
         measured = None if problem.axes is None else problem.measured
         findings.append(noise_level(rest, noise.white_nT, noise.sigma_prior_nT, is_structured, measured))
     return tuple(finding for finding in findings if finding is not None)

@@ -12,7 +12,7 @@ from scipy import stats
 
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.waveforms import gaussian
-from fluxtwin.gap.linear.leftover import SHARE_LEFT, Leftover
+from fluxtwin.gap.linear.projection import SHARE_LEFT, ProjectedResidual
 from fluxtwin.gap.noise.walk import RMS
 from fluxtwin.gap.selection.criterion import THRESHOLD
 from fluxtwin.sim.base.types import FloatArray
@@ -28,7 +28,7 @@ _COME_BACK = (8.0, 16.0)  # half periods over the record
 _RARE_P = 0.005  # of an increment as large as the largest: so often is a true walk refused, at most
 
 
-def random_walk(seconds: FloatArray, left: Leftover, sigma_nT: float) -> Finding | None:
+def random_walk(seconds: FloatArray, left: ProjectedResidual, sigma_nT: float) -> Finding | None:
     """A walk in a whitened residual; None where there is nothing slow at all. sigma_nT: the noise unit."""
     if seconds.size < 2 * _KNOTS:
         return None
@@ -95,7 +95,7 @@ def _one_stands_out(gram: FloatArray, moment: FloatArray, size: float, between: 
     return bool(2 * stats.norm.sf(largest) * increments.size < _RARE_P)
 
 
-def jumps(seconds: FloatArray, left: Leftover, rate: float, variance: float) -> bool:
+def jumps(seconds: FloatArray, left: ProjectedResidual, rate: float, variance: float) -> bool:
     """Whether single rows move further than a walk of that rate (noise units per root second) does.
 
     A walk seen through white noise has Gaussian innovations at every row (Harvey 1989, Forecasting, structural time

@@ -17,7 +17,7 @@ from scipy import stats
 from fluxtwin.gap.detectors.lines import independent_frequencies, strongest_line
 from fluxtwin.gap.hypotheses.blocks import Block, blocks, step_block
 from fluxtwin.gap.hypotheses.evidence import BlockFit, fit, fit_all
-from fluxtwin.gap.linear.leftover import SHARE_LEFT, Leftover, Whitens, leftover, log10_sf_f
+from fluxtwin.gap.linear.projection import SHARE_LEFT, ProjectedResidual, Whitens, log10_sf_f, projected
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import THRESHOLD, worth
 from fluxtwin.sim.base.types import FloatArray
@@ -29,7 +29,7 @@ _PARTS = (2, 5)
 
 
 @dataclass(frozen=True)
-class Left:
+class Structure:
     """The finding of most worth in a residual."""
 
     worth: float
@@ -57,31 +57,31 @@ class Left:
         return worth(self.drop / wider, self.rank, samples, self.log_tried) if self.rank else self.worth / wider
 
 
-def what_is_left(
+def residual_structure(
     problem: Problem,
     whitener: Whitens,
     residual_nT: FloatArray,
     fitted: FloatArray,
     *,
     found: Sequence[Block] | None = None,
-) -> Left:
+) -> Structure:
     """Search a residual for structure.
 
     residual_nT (N, 3): reading less the best prediction; fitted (N, 3, q): Jacobian of everything that was fitted,
     calibration included. Both in nT; they are whitened here. found: blocks made before for this design.
     """
-    left = leftover(whitener, residual_nT, fitted)
+    left = projected(whitener, residual_nT, fitted)
     return judge(problem, left, fit_all(blocks(problem) if found is None else found, left))
 
 
 def judge(
     problem: Problem,
-    left: Leftover,
+    left: ProjectedResidual,
     fits: Sequence[BlockFit],
     own: FloatArray | None = None,
     variance: float | None = None,
-) -> Left:
-    """As `what_is_left`, from fits of blocks that are at hand.
+) -> Structure:
+    """As `residual_structure`, from fits of blocks that are at hand.
 
     own (N, 3, p): whitened columns of the named effects, which keep their parameters or not. variance: of whitened rows,
     default that of the residual.
@@ -90,14 +90,16 @@ def judge(
     seconds, samples = problem.setting.seconds, left.degrees / 3.0
     tried = float(np.log(max(len(fits), 1)))
 
-    def clue(kind: str, gain: float, rank: int, log_tried: float, words: str, block: Block | None = None) -> Left:
+    def clue(kind: str, gain: float, rank: int, log_tried: float, words: str, block: Block | None = None) -> Structure:
         drop = gain / unit
         value = worth(drop, rank, samples, log_tried)
         if block is None:
-            return Left(value, drop, kind, words, rank=rank, log_tried=log_tried)
-        return Left(value, drop, kind, words, block.condition, block.frame, block.label, rank=rank, log_tried=log_tried)
+            return Structure(value, drop, kind, words, rank=rank, log_tried=log_tried)
+        return Structure(
+            value, drop, kind, words, block.condition, block.frame, block.label, rank=rank, log_tried=log_tried
+        )
 
-    clues: list[Left] = []
+    clues: list[Structure] = []
     for one in fits:
         (gain, rank), block = one.explained(), one.block
         frame = f", coherent in the {block.frame} frame" if block.frame else ""
@@ -113,18 +115,18 @@ def judge(
     clues.append(replace(clue("step", gain, rank, float(np.log(seconds.size)), words), condition="after_time"))
     log10_p, excess = drift(left)
     words = "slow wandering that follows no condition"
-    clues.append(Left(-2.0 * log10_p * float(np.log(10.0)), excess, "drift", words, "time"))
+    clues.append(Structure(-2.0 * log10_p * float(np.log(10.0)), excess, "drift", words, "time"))
     if own is not None and own.shape[2]:
         for count, (gain, rank) in zip(_PARTS, _parts(left, own), strict=True):
             words = f"the parameters differ between the {count} parts of the record"
             clues.append(replace(clue("parts", gain, rank, float(np.log(len(_PARTS))), words), condition="time"))
     best = max(clues, key=lambda clue: clue.worth)
     if best.worth <= THRESHOLD:
-        best = Left(best.worth, 0.0, "none", "nothing structured is left")
+        best = Structure(best.worth, 0.0, "none", "nothing structured is left")
     return replace(best, step_s=step_s)
 
 
-def _parts(left: Leftover, own: FloatArray) -> list[tuple[float, int]]:
+def _parts(left: ProjectedResidual, own: FloatArray) -> list[tuple[float, int]]:
     """What parameters of their own for each of two, or five, parts explain, and their number."""
     found = []
     for count in _PARTS:
@@ -148,7 +150,7 @@ def _only(columns: FloatArray, rows: NDArray[np.intp]) -> FloatArray:
     return part.reshape(-1, columns.shape[2])
 
 
-def step(seconds: FloatArray, left: Leftover) -> tuple[float, float]:
+def step(seconds: FloatArray, left: ProjectedResidual) -> tuple[float, float]:
     """p-value of a step and its likeliest moment.
 
     Cumulated sums of the whitened residual, one an axis, against the largest excursion of a Brownian bridge
@@ -166,7 +168,7 @@ def step(seconds: FloatArray, left: Leftover) -> tuple[float, float]:
     return min(p, 1.0), float(seconds[row])
 
 
-def drift(left: Leftover) -> tuple[float, float]:
+def drift(left: ProjectedResidual) -> tuple[float, float]:
     """log10 p-value of too much energy at long scales, and the excess.
 
     Means over blocks of 4, 16, 64, ... samples (an Allan-like scale) hold a known share of the energy of white
@@ -192,7 +194,7 @@ def drift(left: Leftover) -> tuple[float, float]:
     return min(float(log10_p + np.log10(max(len(lengths), 1))), 0.0), excess
 
 
-def _block_degrees(left: Leftover, most: int, length: int) -> float:
+def _block_degrees(left: ProjectedResidual, most: int, length: int) -> float:
     """Degrees of freedom of the block means of white noise; less than `most` where components are not measured."""
     weights = getattr(left.whitener, "weights", None)
     if weights is None:

@@ -16,7 +16,7 @@ from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.waveforms import does_as_well, fitted, in_body, stands_out
 from fluxtwin.gap.hypotheses.candidates import derivatives
 from fluxtwin.gap.hypotheses.evidence import BlockFit
-from fluxtwin.gap.linear.leftover import Leftover
+from fluxtwin.gap.linear.projection import ProjectedResidual
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import THRESHOLD
 from fluxtwin.sim.base.types import BoolArray, FloatArray
@@ -62,7 +62,7 @@ class _Trial:
         return SwitchedField(self.condition, region_deg=self.box)
 
 
-def switched_region(problem: Problem, left: Leftover, rivals: Sequence[BlockFit]) -> Finding | None:
+def switched_region(problem: Problem, left: ProjectedResidual, rivals: Sequence[BlockFit]) -> Finding | None:
     """Look for a field switched on in the dark over a region; None where nothing like it is there.
 
     left: whitened residual with what was fitted out; rivals: fits of the design's blocks to it.
@@ -90,7 +90,7 @@ def switched_region(problem: Problem, left: Leftover, rivals: Sequence[BlockFit]
 class _Search:
     """The boxes that were tried, and what each explains."""
 
-    def __init__(self, left: Leftover, place: _Place) -> None:
+    def __init__(self, left: ProjectedResidual, place: _Place) -> None:
         self.left, self.place, self.tried = left, place, 0
         self._known: dict[bytes, float] = {}
 

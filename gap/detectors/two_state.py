@@ -19,7 +19,7 @@ from fluxtwin.gap.detectors.lines import Line, line_columns
 from fluxtwin.gap.detectors.waveforms import Fitted, does_as_well, fitted, in_body, stands_out
 from fluxtwin.gap.hypotheses.conditions import lit
 from fluxtwin.gap.hypotheses.evidence import BlockFit
-from fluxtwin.gap.linear.leftover import Leftover
+from fluxtwin.gap.linear.projection import ProjectedResidual
 from fluxtwin.gap.selection.criterion import THRESHOLD
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.signal import Setting
@@ -35,7 +35,7 @@ _MOVES = ((-1, 0), (0, 1), (-3, 0), (0, 3))  # rows about an edge
 
 
 def heater_sequence(
-    setting: Setting, left: Leftover, residual_nT: FloatArray, rivals: Sequence[BlockFit], line: Line
+    setting: Setting, left: ProjectedResidual, residual_nT: FloatArray, rivals: Sequence[BlockFit], line: Line
 ) -> Finding | None:
     """Look for a two-state sequence; None where there is none.
 
@@ -68,7 +68,7 @@ def _switches(on: BoolArray) -> NDArray[np.intp]:
     return np.flatnonzero(on[1:] != on[:-1]) + 1
 
 
-def _fitted(left: Leftover, on: BoolArray) -> Fitted:
+def _fitted(left: ProjectedResidual, on: BoolArray) -> Fitted:
     return fitted(left, in_body(on.astype(float)), _switches(on).size)
 
 
@@ -78,7 +78,7 @@ def _worth(found: Fitted, on: BoolArray) -> float:
     return found.worth(float(gammaln(rows + 1) - gammaln(count + 1) - gammaln(rows - count + 1)))
 
 
-def _sequence(seconds: FloatArray, left: Leftover, rest_nT: FloatArray, line: Line) -> BoolArray:
+def _sequence(seconds: FloatArray, left: ProjectedResidual, rest_nT: FloatArray, line: Line) -> BoolArray:
     """(N,) the likeliest two-state sequence."""
     lagged = sum(rest_nT[lag:].T @ rest_nT[: len(rest_nT) - lag] for lag in (1, 2, 3))
     directions = list(np.linalg.eigh(np.asarray(lagged + np.transpose(lagged)))[1].T)
@@ -92,7 +92,7 @@ def _sequence(seconds: FloatArray, left: Leftover, rest_nT: FloatArray, line: Li
     return max(climbed, key=lambda on: _worth(_fitted(left, on), on))
 
 
-def _climbed(left: Leftover, rest_nT: FloatArray, on: BoolArray) -> BoolArray:
+def _climbed(left: ProjectedResidual, rest_nT: FloatArray, on: BoolArray) -> BoolArray:
     """(N,) the sequence that a first one leads to, in turn with the field."""
     for _ in range(_ROUNDS):
         if not on.any() or on.all():
@@ -106,7 +106,7 @@ def _climbed(left: Leftover, rest_nT: FloatArray, on: BoolArray) -> BoolArray:
     return on
 
 
-def _polished(left: Leftover, on: BoolArray) -> BoolArray:
+def _polished(left: ProjectedResidual, on: BoolArray) -> BoolArray:
     """The sequence with runs taken out and edges moved while it gets likelier.
 
     The search for it works row by row, where the slow error of the attitude looks like levels; this has the whitened

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.gap.hypotheses.evidence import BlockFit
-from fluxtwin.gap.linear.leftover import SHARE_LEFT, Leftover
+from fluxtwin.gap.linear.projection import SHARE_LEFT, ProjectedResidual
 from fluxtwin.gap.selection.criterion import SHAPE, THRESHOLD, worth
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.field import field_N_nT
@@ -50,7 +50,7 @@ class Fitted:
         return {name: (float(v), float(s), "nT") for name, v, s in zip(names, self.size, sigma, strict=True)}
 
 
-def fitted(left: Leftover, columns: FloatArray, further: int = 0) -> Fitted:
+def fitted(left: ProjectedResidual, columns: FloatArray, further: int = 0) -> Fitted:
     """Fit columns (N, 3, k). further: parameters that were searched for besides the coefficients."""
     free, energy = left.project(columns)
     values, vectors = np.linalg.eigh(free.T @ free)
@@ -70,7 +70,7 @@ def in_body(course: FloatArray) -> FloatArray:
     return np.asarray(spread.reshape(course.shape[0], 3, -1))
 
 
-def stands_out(left: Leftover, columns: FloatArray, others: FloatArray, log_tried: float = 0.0) -> bool:
+def stands_out(left: ProjectedResidual, columns: FloatArray, others: FloatArray, log_tried: float = 0.0) -> bool:
     """Whether others (N, 3, m) explain more, given the columns (N, 3, k), than noise and the error of their shape."""
     few, many = fitted(left, columns), fitted(left, np.concatenate([columns, others], axis=2))
     rank = many.rank - few.rank
@@ -81,7 +81,7 @@ def stands_out(left: Leftover, columns: FloatArray, others: FloatArray, log_trie
     return worth(more, rank, many.samples, log_tried) > THRESHOLD
 
 
-def varies(left: Leftover, columns: FloatArray, drivers: Mapping[str, FloatArray]) -> list[str]:
+def varies(left: ProjectedResidual, columns: FloatArray, drivers: Mapping[str, FloatArray]) -> list[str]:
     """Which drivers, (N, m) by name, the size or direction of columns (N, 3, k) changes with."""
     found = []
     for name, driver in drivers.items():

@@ -18,7 +18,7 @@ from scipy.stats import chi2, ncx2
 from fluxtwin.gap.held_out.held_out import floor_rms_nT
 from fluxtwin.gap.held_out.targets import Target, targets
 from fluxtwin.gap.hypotheses.candidates import settings_of
-from fluxtwin.gap.linear.leftover import orthonormal
+from fluxtwin.gap.linear.projection import orthonormal
 from fluxtwin.gap.noise.whitening import Whitener, make_whitener
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.diagnosis import Closure, FoundEffect, Transfer

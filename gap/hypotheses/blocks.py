@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from fluxtwin.gap.hypotheses.conditions import Condition, after, always, conditions, regions
-from fluxtwin.gap.hypotheses.perturbed_design import Shaken, steady
+from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign, steady
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
@@ -120,12 +120,14 @@ class Carrier:
         return _spread(np.broadcast_to(np.eye(3), (self.rows, 3, 3)), self.delayed_nT_s)
 
 
-def blocks(problem: Problem, *, step_s: float | None = None, shaken: Shaken | None = None) -> tuple[Block, ...]:
+def blocks(
+    problem: Problem, *, step_s: float | None = None, perturbed: PerturbedDesign | None = None
+) -> tuple[Block, ...]:
     """All blocks of this design. step_s: a moment (from the first stamp) after which something may have changed;
-    shaken: the design with one more attitude error, if at hand."""
+    perturbed: the design with one more attitude error, if at hand."""
     carrier = Carrier(problem)
     setting = problem.design.setting
-    found = steady(shaken or Shaken(problem), conditions(setting))
+    found = steady(perturbed or PerturbedDesign(problem), conditions(setting))
     patches = list(regions(setting))
     if step_s is not None:
         found.append(after(setting, step_s))

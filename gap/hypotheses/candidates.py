@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fluxtwin.gap.hypotheses.perturbed_design import FRAIL, Shaken
+from fluxtwin.gap.hypotheses.perturbed_design import MOST_CHANGED, PerturbedDesign
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import Effect, SignalEffect
@@ -58,18 +58,18 @@ def candidates(
     *,
     modelled: Sequence[Active] | None = None,
     active: Sequence[Active] = (),
-    shaken: Shaken | None = None,
+    perturbed: PerturbedDesign | None = None,
 ) -> tuple[list[Candidate], dict[str, str]]:
     """All alternatives of all signal effects that are neither modelled nor active, and why others cannot be tested.
 
-    modelled, active: where to linearise (default: the problem's own). shaken: the design with one more attitude error,
+    modelled, active: where to linearise (default: the problem's own). perturbed: the design with one more attitude error,
     if at hand. Returns (candidates, {name: reason}).
     """
     if modelled is None:
         modelled = problem.modelled_active
     taken = {effect.name for effect in problem.modelled} | {effect.name for effect, _ in active}
     on = [*problem.frozen, *modelled, *active]
-    shaken = shaken or Shaken(problem)
+    perturbed = perturbed or PerturbedDesign(problem)
     found: list[Candidate] = []
     untestable: dict[str, str] = {}
     for effect in CATALOGUE:
@@ -83,12 +83,13 @@ def candidates(
         if reason is not None or not isinstance(effect, SignalEffect):
             continue
         made = [
-            _candidate(problem.design, alternative, on, shaken) for alternative in _signal_alternatives(effect, problem)
+            _candidate(problem.design, alternative, on, perturbed)
+            for alternative in _signal_alternatives(effect, problem)
         ]
         testable = [candidate for candidate in made if candidate.live.any()]
         if not testable:
             untestable[effect.name] = "nothing in these data excites it: a typical size would not move any reading"
-        firm = [candidate for candidate in testable if candidate.change <= FRAIL]
+        firm = [candidate for candidate in testable if candidate.change <= MOST_CHANGED]
         if testable and not firm:
             untestable[effect.name] = (
                 "beside what is re-estimated its image is mostly the error of the reference attitude: "
@@ -140,7 +141,7 @@ def _signal_alternatives(effect: SignalEffect, problem: Problem) -> list[SignalE
     return [one for one in effect.alternatives(problem.setting) if isinstance(one, SignalEffect)]
 
 
-def _candidate(chain: Chain, effect: SignalEffect, on: Sequence[Active], shaken: Shaken) -> Candidate:
+def _candidate(chain: Chain, effect: SignalEffect, on: Sequence[Active], perturbed: PerturbedDesign) -> Candidate:
     image = jacobian(chain, effect, on)
     live = _live(effect, image)
-    return Candidate(effect, image, live, shaken.change(effect, image, on) if live.any() else 0.0)
+    return Candidate(effect, image, live, perturbed.change(effect, image, on) if live.any() else 0.0)

@@ -15,7 +15,7 @@ from typing import overload
 import numpy as np
 
 from fluxtwin.gap.hypotheses.blocks import Block
-from fluxtwin.gap.linear.leftover import Leftover, Whitens
+from fluxtwin.gap.linear.projection import ProjectedResidual, Whitens
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 _MOST_BYTES = 400e6  # that all columns of a design may take at once
@@ -54,13 +54,13 @@ class BlockFit:
         return float(np.sum(along**2 / value[seen])), int(seen.sum()) + self.searched
 
 
-def fit(block: Block, left: Leftover) -> BlockFit:
+def fit(block: Block, left: ProjectedResidual) -> BlockFit:
     """Make a block, whiten it, project it, and keep what counts."""
     free, size = left.project(block.make())
     return BlockFit(block, free.T @ free, free.T @ left.residual, size, left.least_share)
 
 
-def fit_all(found: Sequence[Block], left: Leftover) -> list[BlockFit]:
+def fit_all(found: Sequence[Block], left: ProjectedResidual) -> list[BlockFit]:
     """`fit` for each."""
     return found.fits(left) if isinstance(found, Dictionary) else [fit(block, left) for block in found]
 
@@ -68,7 +68,7 @@ def fit_all(found: Sequence[Block], left: Leftover) -> list[BlockFit]:
 class Dictionary(Sequence[Block]):
     """The blocks of a design side by side, whitened once for each noise model.
 
-    Blocks are only compared through their own small Gram matrices, so what a leftover's basis takes from all of them
+    Blocks are only compared through their own small Gram matrices, so what a residual's basis takes from all of them
     is one product of matrices. Where the rows are too many for that, blocks are made and whitened in turn.
     """
 
@@ -106,7 +106,7 @@ class Dictionary(Sequence[Block]):
             self._latest = (whitener, flat, [flat[:, part].T @ flat[:, part] for part in self.slices])
         return self._latest[1], self._latest[2]
 
-    def products(self, left: Leftover, other: FloatArray) -> Iterator[FloatArray]:
+    def products(self, left: ProjectedResidual, other: FloatArray) -> Iterator[FloatArray]:
         """For each block (k, m): products of its whitened columns with others (3N, m)."""
         if self.small:
             whole = self.white(left.whitener)[0].T @ other
@@ -116,7 +116,7 @@ class Dictionary(Sequence[Block]):
             white = left.whitener.apply(np.ascontiguousarray(block.make()))
             yield white.reshape(other.shape[0], -1).T @ other
 
-    def fits(self, left: Leftover) -> list[BlockFit]:
+    def fits(self, left: ProjectedResidual) -> list[BlockFit]:
         """`fit` for each block."""
         if not self.small or not self.found:
             return [fit(block, left) for block in self.found]
@@ -125,7 +125,7 @@ class Dictionary(Sequence[Block]):
         return [_fit_of(*each, left) for each in zip(self.found, grams, along, strict=True)]
 
 
-def _fit_of(block: Block, gram: FloatArray, along: FloatArray, left: Leftover) -> BlockFit:
+def _fit_of(block: Block, gram: FloatArray, along: FloatArray, left: ProjectedResidual) -> BlockFit:
     """A fit from a block's whitened Gram matrix (k, k) and its products (k, q + 1) with basis and residual."""
     free = gram - along[:, :-1] @ along[:, :-1].T
     return BlockFit(block, free, along[:, -1], np.diag(gram), left.least_share)

@@ -26,17 +26,17 @@ from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active, Chain
 from fluxtwin.sim.effects.signal import Setting
 
-FRAIL = 0.3
+MOST_CHANGED = 0.3
 """Share of an image's energy that may change with the attitude's error."""
 _SLOW_S = 300.0
 _SEED = 12
 
 
-def steady(shaken: Shaken, found: Iterable[Condition]) -> list[Condition]:
+def steady(perturbed: PerturbedDesign, found: Iterable[Condition]) -> list[Condition]:
     """Conditions of a design that do not follow the attitude's error."""
-    if shaken.setting is None:
+    if perturbed.setting is None:
         return list(found)
-    again = {(c.name, c.label): c.columns for c in conditions(shaken.setting)}
+    again = {(c.name, c.label): c.columns for c in conditions(perturbed.setting)}
     return [c for c in found if _alike(c.columns, again.get((c.name, c.label)))]
 
 
@@ -44,10 +44,10 @@ def _alike(columns: FloatArray, again: FloatArray | None) -> bool:
     if again is None or again.shape != columns.shape:
         return False
     level, other = columns - columns.mean(axis=0), again - again.mean(axis=0)
-    return bool(np.sum((level - other) ** 2) <= FRAIL * np.sum(level**2))
+    return bool(np.sum((level - other) ** 2) <= MOST_CHANGED * np.sum(level**2))
 
 
-class Shaken:
+class PerturbedDesign:
     """The design of a problem with one more attitude error in it."""
 
     def __init__(self, problem: Problem) -> None:
@@ -62,12 +62,12 @@ class Shaken:
         turn = gauss_markov(time, sigma, 0.0, rng, columns=3) + gauss_markov(time, sigma, _SLOW_S, rng, columns=3)
         if motion.attitude_known is not None:
             turn[~motion.attitude_known] = 0.0
-        shaken = replace(motion, R_BN=Rotation.from_rotvec(turn) * motion.R_BN)
-        self.chain = Chain(replace(problem.setting, motion=shaken.along_track()))
+        perturbed = replace(motion, R_BN=Rotation.from_rotvec(turn) * motion.R_BN)
+        self.chain = Chain(replace(problem.setting, motion=perturbed.along_track()))
 
     @property
     def setting(self) -> Setting | None:
-        """The design that is shaken; None where the attitude has no error."""
+        """The design that is perturbed; None where the attitude has no error."""
         return None if self.chain is None else self.chain.setting
 
     def change(self, effect: SignalEffect, jacobian: FloatArray, on: Sequence[Active]) -> float:

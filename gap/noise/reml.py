@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import wrightomega
 
-from fluxtwin.gap.linear.leftover import share_of_errors
+from fluxtwin.gap.linear.projection import share_of_errors
 from fluxtwin.gap.linear.span import SHARE_LEFT, span_of
 from fluxtwin.gap.noise.budget import USUAL_TAU_S, NoisePrior
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener

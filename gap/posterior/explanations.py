@@ -16,11 +16,11 @@ import numpy as np
 from scipy.special import softmax
 
 from fluxtwin.gap.detectors.finding import Finding
-from fluxtwin.gap.detectors.residual_structure import Left, judge
+from fluxtwin.gap.detectors.residual_structure import Structure, judge
 from fluxtwin.gap.hypotheses.blocks import Block
 from fluxtwin.gap.hypotheses.candidates import Candidate, derivatives
 from fluxtwin.gap.hypotheses.evidence import fit_all
-from fluxtwin.gap.linear.leftover import Leftover, leftover, orthonormal
+from fluxtwin.gap.linear.projection import ProjectedResidual, orthonormal, projected
 from fluxtwin.gap.noise.budget import prior_of
 from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, Whitener, choose_noise, complete_budget, whitener_of
 from fluxtwin.gap.problem.problem import Problem
@@ -48,7 +48,7 @@ class Explanation:
     fit: Fit
     beside: Board
     """Scores of all others."""
-    left: Left
+    left: Structure
     worth: float
     """Of its names, against none."""
     unknown: float
@@ -69,7 +69,7 @@ class Answer:
     """(N, 3, C) Jacobian of what is modelled."""
     fitted_nT: FloatArray
     """(N, 3, C + P) and of the named effects."""
-    left: Left
+    left: Structure
     known: float
     """Probability that nothing, or what is named, is all there is."""
     worth: float
@@ -114,7 +114,7 @@ def _concluded(
 ) -> Answer:
     under_way, untestable, path = searched
     whitener, signals = under_way.channel.whitener, signals_of(shapes)
-    lefts = [left_of(under_way, fit, dictionary) for fit, _ in path]
+    lefts = [structure_left(under_way, fit, dictionary) for fit, _ in path]
     gained = _gained(under_way, [fit for fit, _ in path], others, robust)
     explanations = weighed(under_way, path, lefts, gained)
     best, share, total = likeliest(explanations)
@@ -149,7 +149,7 @@ def _added(one: Fit, more: Fit) -> int:
 
 
 def weighed(
-    under_way: Search[Any], path: Sequence[tuple[Fit, Board]], lefts: Sequence[Left], gained: Sequence[float]
+    under_way: Search[Any], path: Sequence[tuple[Fit, Board]], lefts: Sequence[Structure], gained: Sequence[float]
 ) -> list[Explanation]:
     """Each step of a path with its worth, what is left beside it, and what it gains by the noise that suits it best."""
     tried, samples = float(np.log(under_way.tested)), under_way.samples
@@ -202,7 +202,7 @@ def log_likelihood(
     """Twice the log likelihood of a residual (N, 3) with columns (N, 3, c) fitted, and of the noise by its budget."""
     whitener = whitener_of(problem, noise, robust.weights)
     density = prior_of(complete_budget(problem)).log_density(noise.sigma_nT, noise.theta_rad, noise.tau_s)
-    return 2.0 * density - whitener.log_det - leftover(whitener, residual_nT, columns).energy
+    return 2.0 * density - whitener.log_det - projected(whitener, residual_nT, columns).energy
 
 
 def noise_and_answer(problem: Problem, dictionary: Sequence[Block], known: Known) -> tuple[NoiseModel, Answer]:
@@ -237,7 +237,7 @@ def signals_of(shapes: Sequence[Finding]) -> list[Active]:
     return found
 
 
-def left_of(under_way: Search[Readings], fit: Fit, dictionary: Sequence[Block]) -> Left:
+def structure_left(under_way: Search[Readings], fit: Fit, dictionary: Sequence[Block]) -> Structure:
     """The structure that a fit leaves, beyond the image at nothing of its effects.
 
     The image of a large effect at its size and that at nothing differ by what its size changes and by errors of the
@@ -249,7 +249,9 @@ def left_of(under_way: Search[Readings], fit: Fit, dictionary: Sequence[Block]) 
     at_nothing = under_way.white[:, :, np.isin(under_way.first.owner, numbers)]
     whitener, flat = under_way.channel.whitener, fit.residual.reshape(-1)
     basis = orthonormal(np.concatenate([fit.jacobian, at_nothing], axis=2))
-    rest = Leftover(whitener, flat - basis @ (basis.T @ flat), basis, max(whitener.measured - basis.shape[1], 1))
+    rest = ProjectedResidual(
+        whitener, flat - basis @ (basis.T @ flat), basis, max(whitener.measured - basis.shape[1], 1)
+    )
     own = fit.jacobian[:, :, fit.jacobian.shape[2] - sum(len(theta) for _, theta in fit.chosen) :]
     return judge(under_way.channel.problem, rest, fit_all(dictionary, rest), own, 1.0)
 

@@ -18,10 +18,10 @@ from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.full_rate import FullRate
 from fluxtwin.gap.detectors.lines import line_near, wheel_line
 from fluxtwin.gap.detectors.random_walk import random_walk
-from fluxtwin.gap.detectors.residual_structure import Left, what_is_left
+from fluxtwin.gap.detectors.residual_structure import Structure, residual_structure
 from fluxtwin.gap.hypotheses.blocks import Block
 from fluxtwin.gap.hypotheses.candidates import derivatives
-from fluxtwin.gap.linear.leftover import Leftover, leftover
+from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, choose_noise, whitener_of
 from fluxtwin.gap.noise.walk import Wander
 from fluxtwin.gap.posterior.explanations import Answer, Known, answered_with, log_likelihood, signals_of
@@ -70,7 +70,7 @@ class Structured:
         residual, fitted, left = result.residual_nT, answer.fitted_nT, answer.left
         if bare:
             residual, fitted = result.residual_alone_nT, self._alone(answer)
-            left = what_is_left(self.problem, whitener, residual, fitted, found=self.dictionary)
+            left = residual_structure(self.problem, whitener, residual, fitted, found=self.dictionary)
         chosen = [] if bare else [effect for effect, _ in result.chosen]
         return proposals.structured(self.problem, whitener, residual, fitted, left, self.dictionary, chosen)
 
@@ -151,10 +151,10 @@ class Structured:
         samples, tried = max(whitener.measured / 3.0, 2.0), float(np.log(answer.result.tested))
         return worth(gain, 1, samples, tried) + max(walking.worth, 0.0), rate, walking
 
-    def _left(self, answer: Answer) -> Leftover:
+    def _left(self, answer: Answer) -> ProjectedResidual:
         """The residual with what was fitted out of it and no walk in the noise."""
         whitener = whitener_of(self.problem, answer.noise, answer.robust.weights)
-        return leftover(whitener, answer.result.residual_nT, answer.fitted_nT)
+        return projected(whitener, answer.result.residual_nT, answer.fitted_nT)
 
     def with_line(self, answer: Answer, fast: FullRate | None) -> Answer:
         """A line that only the full rate shows, with its name or as structure that has none."""
@@ -169,7 +169,7 @@ class Structured:
         if answer.left.structured:
             return answer
         words = f"a line at a period of {1 / fast.line.frequency_Hz:.3g} s, in the full rate"
-        found = Left(fast.line.worth, fast.line.explained, "tone", words, label="tone")
+        found = Structure(fast.line.worth, fast.line.explained, "tone", words, label="tone")
         return replace(answer, left=found, known=0.0)
 
 

@@ -17,11 +17,11 @@ from fluxtwin.gap.channels.momentum import (
 )
 from fluxtwin.gap.channels.momentum_arcs import Craft, Windows, arcs, windows
 from fluxtwin.gap.channels.momentum_images import DYNAMICS, orbit_of
-from fluxtwin.gap.detectors.residual_structure import Left
+from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.held_out.held_out import BLOCKS, Prediction
 from fluxtwin.gap.hypotheses.blocks import Block
 from fluxtwin.gap.hypotheses.evidence import fit
-from fluxtwin.gap.linear.leftover import leftover
+from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.posterior.explanations import likeliest, weighed
 from fluxtwin.gap.problem.problem import Problem
@@ -43,7 +43,7 @@ _SURE_RAD = np.radians(5.0)
 """A standing error of the attitude that is known no better is not stated."""
 _NO_SCENARIO = 'no scenario with attitude mode "dynamics" says what the body is and which torques turn it'
 _NAMES = {effect.name for effect in DYNAMICS}
-_NOTHING = Left(0.0, 0.0, "none", "")
+_NOTHING = Structure(0.0, 0.0, "none", "")
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class Momentum:
     named: tuple[FoundEffect, ...] = ()
     known: float = 1.0
     """Probability that nothing, or what is named, is all that turns the body."""
-    left: Left = _NOTHING
+    left: Structure = _NOTHING
     """Torques that no effect makes."""
     untestable: Mapping[str, str] = field(default_factory=dict)
     ranking: tuple[Ranked, ...] = ()
@@ -162,10 +162,12 @@ def _searched(
     return momentum, vehicle_of(channel, chosen.fit)
 
 
-def _left(search: Search[MomentumChannel], fitted: Fit, torques: Mapping[tuple[str | None, str], FloatArray]) -> Left:
+def _left(
+    search: Search[MomentumChannel], fitted: Fit, torques: Mapping[tuple[str | None, str], FloatArray]
+) -> Structure:
     """The plain torque of most worth beside the effects of a fit."""
     channel = search.channel
-    rest = leftover(channel, channel.raw(fitted.chosen), channel.every(fitted.chosen))
+    rest = projected(channel, channel.raw(fitted.chosen), channel.every(fitted.chosen))
     tried, clues = float(np.log(len(torques))), []
     for (condition, frame), columns in torques.items():
         own = partial(np.asarray, columns)
@@ -173,7 +175,7 @@ def _left(search: Search[MomentumChannel], fitted: Fit, torques: Mapping[tuple[s
         drop, rank = fit(block, rest).explained()
         what = "steady torques" if condition is None else f"torques that follow {condition.replace('_', ' ')}"
         words, value = f"{what} in {frame} axes", worth(drop, rank, search.samples, tried)
-        clues.append(Left(value, drop, "block", words, condition, frame, rank=rank, log_tried=tried))
+        clues.append(Structure(value, drop, "block", words, condition, frame, rank=rank, log_tried=tried))
     best = max(clues, key=lambda clue: clue.worth)
     return best if best.worth > THRESHOLD else _NOTHING
 

@@ -21,7 +21,7 @@ from scipy.special import expit, softmax
 from fluxtwin.gap.detectors.residual_structure import step
 from fluxtwin.gap.hypotheses.blocks import STAGES, Block, blocks, step_block
 from fluxtwin.gap.hypotheses.evidence import BlockFit, fit, fit_all
-from fluxtwin.gap.linear.leftover import Leftover, Whitens, leftover, share_mimicked
+from fluxtwin.gap.linear.projection import ProjectedResidual, Whitens, projected, share_mimicked
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.records.diagnosis import Place
 from fluxtwin.gap.selection.criterion import SHAPE_ERROR, THRESHOLD, penalty
@@ -92,21 +92,21 @@ def where(
 ) -> Where:
     """Find the place of the largest part of a residual.
 
-    residual_nT (N, 3), fitted (N, 3, q): as for `what_is_left`, with only the calibration fitted if the place of
+    residual_nT (N, 3), fitted (N, 3, q): as for `residual_structure`, with only the calibration fitted if the place of
     the whole gap is asked for. found: blocks made before. candidates: catalogue effects, which join as hypotheses.
     """
-    left = leftover(whitener, residual_nT, fitted)
+    left = projected(whitener, residual_nT, fitted)
     fits = fit_all(blocks(problem) if found is None else found, left)
     return locate(left, [*fits, *fit_all(catalogue_blocks(problem, candidates), left), *step_fits(problem, left)])
 
 
-def step_fits(problem: Problem, left: Leftover) -> list[BlockFit]:
+def step_fits(problem: Problem, left: ProjectedResidual) -> list[BlockFit]:
     """The block of a step at its likeliest moment, a parameter too."""
     _, moment_s = step(problem.setting.seconds, left)
     return [replace(fit(step_block(problem, moment_s), left), searched=1)]
 
 
-def locate(left: Leftover, fits: Sequence[BlockFit]) -> Where:
+def locate(left: ProjectedResidual, fits: Sequence[BlockFit]) -> Where:
     """As `where`, from fits that are at hand."""
     hypotheses = _hypotheses(left, fits)
     if not hypotheses:
@@ -162,7 +162,7 @@ def _axis_of(name: str) -> str:
     return name[-1] if len(name) > 1 and name[-2] == "_" and name[-1] in "xyz" else " "
 
 
-def _hypotheses(left: Leftover, fits: Sequence[BlockFit]) -> list[_Hypothesis]:
+def _hypotheses(left: ProjectedResidual, fits: Sequence[BlockFit]) -> list[_Hypothesis]:
     """Each fit at each of its stages; priors sum to 1."""
     seen = [(one, *one.explained()) for one in fits]
     seen = [(one, gain, rank) for one, gain, rank in seen if 0 < rank < left.degrees - 5]
@@ -214,7 +214,7 @@ def _share(keys: Sequence[str | None], weight: FloatArray) -> dict[str, float]:
     return {key: value / total for key, value in sorted(shares.items(), key=lambda item: -item[1])}
 
 
-def _equivalent(left: Leftover, stage: str, best: BlockFit, fits: Sequence[BlockFit]) -> tuple[str, ...]:
+def _equivalent(left: ProjectedResidual, stage: str, best: BlockFit, fits: Sequence[BlockFit]) -> tuple[str, ...]:
     """Other stages that can make the image of the stage's best block on this design."""
     same = {other for other in best.block.stages if other != stage}
     image, _ = left.project(best.block.make())

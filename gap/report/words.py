@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.gap.detectors.residual_structure import Left
+from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.noise.choice import NoiseModel
 from fluxtwin.gap.records.diagnosis import EffectParameter, FoundEffect, MomentumGap, Place, Shrinkage
 from fluxtwin.sim.base.types import BoolArray, TimeArray
@@ -100,7 +100,7 @@ def _not_measured(effects: Sequence[FoundEffect], gap: Shrinkage) -> str:
     )
 
 
-def structure(left: Left, where: Place) -> str:
+def structure(left: Structure, where: Place) -> str:
     """The structure of a residual; of frame and condition the same as `where`."""
     if left.kind != "block" or (left.condition, left.frame) == (where.condition, where.frame):
         return left.words

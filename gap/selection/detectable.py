@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import chi2, ncx2
 
-from fluxtwin.gap.linear.leftover import Whitens, orthonormal
+from fluxtwin.gap.linear.projection import Whitens, orthonormal
 from fluxtwin.gap.records.diagnosis import Detectable
 from fluxtwin.gap.selection.score import Board
 from fluxtwin.sim.base.types import FloatArray

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fluxtwin.gap.linear.leftover import Whitens, orthonormal
+from fluxtwin.gap.linear.projection import Whitens, orthonormal
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from fluxtwin.gap.hypotheses.candidates import Candidate, candidate_of, derivatives
-from fluxtwin.gap.linear.leftover import SHARE_LEFT, Whitens, least_share
+from fluxtwin.gap.linear.projection import SHARE_LEFT, Whitens, least_share
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem, realigned
 from fluxtwin.gap.selection.interval import likeliest_interval

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 
 from fluxtwin.gap.hypotheses.candidates import Candidate
-from fluxtwin.gap.linear.leftover import SHARE_LEFT, Whitens, orthonormal
+from fluxtwin.gap.linear.projection import SHARE_LEFT, Whitens, orthonormal
 from fluxtwin.sim.base.types import FloatArray
 
 _QUIETEST = 0.25

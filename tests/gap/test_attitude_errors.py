@@ -15,7 +15,7 @@ from worlds import scenario_text
 
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.hypotheses.conditions import conditions
-from fluxtwin.gap.hypotheses.perturbed_design import Shaken, steady
+from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign, steady
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.run.simulate import simulate
@@ -133,7 +133,7 @@ def test_the_direction_of_the_sun_is_a_condition_only_where_the_body_turns() -> 
     names = {}
     for motion in (STILL, TUMBLE):
         posed = problem(motion)
-        names[motion] = {c.label for c in steady(Shaken(posed), conditions(posed.design.setting))}
+        names[motion] = {c.label for c in steady(PerturbedDesign(posed), conditions(posed.design.setting))}
     assert "sun direction" in names[TUMBLE]
     assert "sun direction" not in names[STILL]
     assert "orbit phase" in names[STILL]

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fluxtwin.gap.detectors.residual_structure import Left
+from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.posterior.explanations import likeliest
 from fluxtwin.gap.selection.criterion import LOG_FURTHER, THRESHOLD, penalty, worth
 
@@ -29,7 +29,7 @@ def test_noise_alone_is_seldom_worth_the_threshold() -> None:
 
 def test_what_the_shape_error_may_make_is_worth_nothing() -> None:
     """A finding of 30 standard deviations, beside a cause whose shape error may have 40 times the noise's variance."""
-    left = Left(worth=860.0, drop=900.0, kind="block", words="", rank=3, log_tried=5.0)
+    left = Structure(worth=860.0, drop=900.0, kind="block", words="", rank=3, log_tried=5.0)
     assert left.beyond(1.0, 700.0) == worth(900.0, 3, 700.0, 5.0) > THRESHOLD
     assert left.beyond(41.0, 700.0) < THRESHOLD
     assert worth(900.0 / 41.0, 3, 700.0, 5.0) == left.beyond(41.0, 700.0)

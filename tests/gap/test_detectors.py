@@ -18,7 +18,7 @@ from fluxtwin.gap.detectors.residual_structure import drift, judge
 from fluxtwin.gap.detectors.two_state import heater_sequence
 from fluxtwin.gap.hypotheses.blocks import Block, blocks
 from fluxtwin.gap.hypotheses.evidence import fit_all
-from fluxtwin.gap.linear.leftover import leftover
+from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.walk import Wander
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
 from fluxtwin.gap.problem.problem import Problem, pose
@@ -61,7 +61,7 @@ class Bench:
         rng = np.random.default_rng(seed)
         residual = signal + sigma * rng.standard_normal((self.problem.rows, 3))
         setting = self.problem.setting
-        left = leftover(self.whitener, residual, self.calibration)
+        left = projected(self.whitener, residual, self.calibration)
         fits = fit_all(self.found, left)
         verdict, line = judge(self.problem, left, fits), strongest_line(setting.seconds, left)
         findings: list[Finding | None] = [
@@ -179,14 +179,14 @@ def test_size_of_a_walk_and_of_a_wheel(bench: Bench) -> None:
     t, setting = bench.problem.setting.seconds, bench.problem.setting
     rng = np.random.default_rng(31)
     noise = SIGMA_NT * rng.standard_normal((t.size, 3))
-    left = leftover(bench.whitener, noise + walk(t, 2.0, 5), bench.calibration)
+    left = projected(bench.whitener, noise + walk(t, 2.0, 5), bench.calibration)
     found = random_walk(t, left, SIGMA_NT)
     assert found is not None
     value, sigma, unit = found.parameters["rate"]
     assert unit == "nT/sqrt(s)"
     assert abs(value - 2.0) < 4 * sigma < 2.0
     line = np.outer(np.cos(0.05173 * t), [60.0, 0.0, 30.0]) + np.outer(np.sin(0.05173 * t), [0.0, 50.0, -20.0])
-    left = leftover(bench.whitener, noise + line, bench.calibration)
+    left = projected(bench.whitener, noise + line, bench.calibration)
     wheel = wheel_line(setting, left, strongest_line(t, left))
     assert wheel is not None
     truth = [60.0, 0.0, 30.0, 0.0, 50.0, -20.0]
@@ -252,12 +252,12 @@ def test_a_walk_is_white_after_its_own_whitening(bench: Bench, close: Callable[.
     t = bench.problem.setting.seconds
     noise = SIGMA_NT * np.random.default_rng(21).standard_normal((t.size, 3))
     wander = Wander(bench.whitener, t)
-    left = leftover(bench.whitener, noise + walk(t, 2.0, 22), bench.calibration)
+    left = projected(bench.whitener, noise + walk(t, 2.0, 22), bench.calibration)
     rate = wander.rate(noise + walk(t, 2.0, 22), bench.calibration)
     assert rate is not None
     # The spread of the rate over 40 seeds of this bench is 10 %.
     close(rate, 2.0, atol=0.6, unit="nT/sqrt(s)", because="three spreads of the estimate")
-    white = leftover(wander.whitening(rate), noise + walk(t, 2.0, 22), bench.calibration)
+    white = projected(wander.whitening(rate), noise + walk(t, 2.0, 22), bench.calibration)
     variance = white.energy / white.degrees
     close(variance, 1.0, atol=4 * np.sqrt(2 / white.degrees), unit="1", because="four sigma of a mean square")
     assert left.energy / left.degrees > 1.0 + 4 * np.sqrt(2 / left.degrees)
@@ -273,5 +273,5 @@ def test_a_multiple_of_a_wheel_is_no_second_wheel(bench: Bench) -> None:
     for frequency, expected in ((0.008, True), (0.012, True), (0.0093, False)):
         phase = 2 * np.pi * frequency * t
         line = np.outer(np.cos(phase), [60.0, 0.0, 30.0]) + np.outer(np.sin(phase), [0.0, 50.0, -20.0])
-        left = leftover(bench.whitener, noise + line, bench.calibration)
+        left = projected(bench.whitener, noise + line, bench.calibration)
         assert companion(setting, left, strongest_line(t, left), named) is expected

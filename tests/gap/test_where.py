@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from worlds import scenario_text
 
-from fluxtwin.gap.detectors.residual_structure import Left, judge
+from fluxtwin.gap.detectors.residual_structure import Structure, judge
 from fluxtwin.gap.hypotheses.blocks import Block, blocks
 from fluxtwin.gap.hypotheses.evidence import Dictionary, fit_all
-from fluxtwin.gap.linear.leftover import leftover
+from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
 from fluxtwin.gap.posterior.where import Where, locate, step_fits
 from fluxtwin.gap.problem.problem import Problem, pose
@@ -64,8 +64,8 @@ class Design:
         noise = self.noise_nT(np.random.default_rng(0))
         return signal * (visible * np.sqrt(np.mean(noise**2) / np.mean(rest**2)))
 
-    def answer(self, residual_nT: np.ndarray) -> tuple[Left, Where]:
-        left = leftover(self.whitener, residual_nT, self.calibration)
+    def answer(self, residual_nT: np.ndarray) -> tuple[Structure, Where]:
+        left = projected(self.whitener, residual_nT, self.calibration)
         fits = fit_all(self.found, left)
         return judge(self.problem, left, fits), locate(left, [*fits, *step_fits(self.problem, left)])
 
@@ -279,7 +279,7 @@ def test_noise_alone_has_no_structure_and_no_place(design: Design) -> None:
     ready = Dictionary(design.found, design.problem.rows)
     runs, alarms, claims = 100, 0, 0
     for run in range(runs):
-        left = leftover(design.whitener, design.noise_nT(rng), design.calibration)
+        left = projected(design.whitener, design.noise_nT(rng), design.calibration)
         fits = ready.fits(left)
         alarms += judge(design.problem, left, fits).structured
         if run % 10 == 0:

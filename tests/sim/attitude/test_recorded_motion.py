@@ -93,9 +93,9 @@ def test_what_looks_back_does_not_see_the_errors_of_the_rows_before(name: str, t
     The change by errors theta of all rows, along theta x B: 1.0 is the baseline's own. A low-pass over recorded
     attitudes gives -0.6 at a lag of one spacing, a loop of hysteresis over them -0.05.
     """
-    bare, shaken = (flown(SPIN, seed=5, samples=700, step_s=1.5, tau_s=0.0, sigma_deg=s) for s in (0.0, 0.12))
+    bare, perturbed = (flown(SPIN, seed=5, samples=700, step_s=1.5, tau_s=0.0, sigma_deg=s) for s in (0.0, 0.12))
     predicted = []
-    for telemetry in (bare, shaken):
+    for telemetry in (bare, perturbed):
         problem = pose(telemetry, load_field("igrf14"))
         active = [(find_effect(name), np.array(theta))]
         predicted.append((problem.chain.baseline_nT, problem.chain.reading_nT(active)))

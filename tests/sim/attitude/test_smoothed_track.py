@@ -51,7 +51,7 @@ def uneven(step_s: float, rows: int = 500, seed: int = 1) -> FloatArray:
     return np.round(np.cumsum(np.random.default_rng(seed).uniform(0.9, 1.1, rows)) * step_s, 9)
 
 
-def shaken(law: Law, t: FloatArray, sigma_deg: float, seed: int = 2) -> tuple[Rotation, Rotation]:
+def perturbed(law: Law, t: FloatArray, sigma_deg: float, seed: int = 2) -> tuple[Rotation, Rotation]:
     """(error, attitude with that error): white, per axis, body axes."""
     theta = np.radians(sigma_deg) * np.random.default_rng(seed).standard_normal((t.size, 3))
     return Rotation.from_rotvec(theta), Rotation.from_rotvec(theta) * law(t)
@@ -108,7 +108,7 @@ def test_noise_is_averaged_and_the_own_error_stays(name: str, step_s: float) -> 
     under 0.18 sigma; a straight line through nine rows is a degree off here for the libration.
     """
     law, t, sigma = LAWS[name], uneven(step_s), 0.1
-    error, R_BN = shaken(law, t, sigma)
+    error, R_BN = perturbed(law, t, sigma)
     record = recorded(t, R_BN)
     inside = slice(20, -20)
     added = record.at(0.5 * step_s)[2] * R_BN.inv() * error * (law(t + 0.5 * step_s) * law(t).inv() * error).inv()
@@ -124,7 +124,7 @@ def test_the_noise_of_a_row_hardly_moves_the_track_beside_it() -> None:
     A track that goes through the attitudes themselves would give 1, 0, 0.
     """
     law, t = LAWS["spin"], uneven(1.3)
-    _, R_BN = shaken(law, t, 0.1)
+    _, R_BN = perturbed(law, t, 0.1)
     before = smoothed(t, R_BN)
     jolt = np.zeros((t.size, 3))
     jolt[250] = [1e-4, 0.0, 0.0]
@@ -139,8 +139,8 @@ def test_the_noise_of_a_row_hardly_moves_the_track_beside_it() -> None:
 def test_the_window_follows_the_motion() -> None:
     """Quiet motion is smoothed over many rows, quick motion over few, noise-free motion over hardly any."""
     t = uneven(30.0)
-    wide = smoothed(t, shaken(coning(2e-4), t, 0.1)[1])
-    narrow = smoothed(t, shaken(librating, t, 0.1)[1])
+    wide = smoothed(t, perturbed(coning(2e-4), t, 0.1)[1])
+    narrow = smoothed(t, perturbed(librating, t, 0.1)[1])
     bare = smoothed(t, librating(t))
     assert wide.half > narrow.half >= bare.half
     assert narrow.half * 30.0 < 300.0  # half a period
@@ -179,7 +179,7 @@ def test_a_gyro_tells_a_spin_that_the_attitudes_are_too_far_apart_for() -> None:
     rng = np.random.default_rng(5)
     gyro = np.array([0.0, 0.0, rate + np.radians(0.01)]) + np.radians(0.002) * rng.standard_normal((t.size, 3))
     gyro[::7] = np.nan
-    _, R_BN = shaken(law, t, 0.1)
+    _, R_BN = perturbed(law, t, 0.1)
     blind, told = recorded(t, R_BN), recorded(t, R_BN, gyro)
     inside = slice(5, -5)
     assert moved(blind, law, t, 9.0, inside) > 10.0
@@ -189,7 +189,7 @@ def test_a_gyro_tells_a_spin_that_the_attitudes_are_too_far_apart_for() -> None:
 def test_a_poor_gyro_is_not_believed() -> None:
     law = LAWS["tumble"]
     t = uneven(20.0)
-    _, R_BN = shaken(law, t, 0.1)
+    _, R_BN = perturbed(law, t, 0.1)
     gyro = np.radians(0.25) + np.radians(0.5) * np.random.default_rng(5).standard_normal((t.size, 3))
     inside = slice(20, -20)
     assert moved(recorded(t, R_BN, gyro), law, t, 5.0, inside) < 0.03

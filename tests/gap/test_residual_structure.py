@@ -8,7 +8,7 @@ from scipy import stats
 
 from fluxtwin.gap.detectors.lines import line_columns, strongest_line
 from fluxtwin.gap.detectors.residual_structure import drift, step
-from fluxtwin.gap.linear.leftover import Leftover, log10_sf_f, orthonormal, share_mimicked
+from fluxtwin.gap.linear.projection import ProjectedResidual, log10_sf_f, orthonormal, share_mimicked
 from fluxtwin.gap.selection.criterion import THRESHOLD
 
 pytestmark = pytest.mark.property
@@ -21,11 +21,11 @@ class Identity:
         return columns
 
 
-def make_left(series: np.ndarray, columns: np.ndarray | None = None) -> Leftover:
+def make_left(series: np.ndarray, columns: np.ndarray | None = None) -> ProjectedResidual:
     rows = series.shape[0]
     basis = orthonormal(np.zeros((3 * rows, 0)) if columns is None else columns.reshape(3 * rows, -1))
     flat = series.reshape(-1)
-    return Leftover(Identity(), flat - basis @ (basis.T @ flat), basis, flat.size - basis.shape[1])
+    return ProjectedResidual(Identity(), flat - basis @ (basis.T @ flat), basis, flat.size - basis.shape[1])
 
 
 def test_f_tail_continues_where_doubles_end() -> None:

@@ -29,7 +29,7 @@ class Whitens(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Leftover:
+class ProjectedResidual:
     """A whitened residual with the fitted columns out of it, and what is needed to treat columns alike."""
 
     whitener: Whitens
@@ -57,14 +57,14 @@ class Leftover:
         return white - self.basis @ (self.basis.T @ white), size
 
 
-def leftover(whitener: Whitens, residual_nT: FloatArray, fitted: FloatArray) -> Leftover:
+def projected(whitener: Whitens, residual_nT: FloatArray, fitted: FloatArray) -> ProjectedResidual:
     """Whiten a residual (N, 3) and project the fitted columns (N, 3, q), in nT, out of it."""
     white = whitener.apply(residual_nT).reshape(-1)
     columns = whitener.apply(np.ascontiguousarray(fitted)).reshape(white.size, -1)
     basis = orthonormal(columns)
     rest = white - basis @ (basis.T @ white)
     measured = int(getattr(whitener, "measured", white.size))
-    return Leftover(whitener, rest, basis, max(measured - basis.shape[1], 1))
+    return ProjectedResidual(whitener, rest, basis, max(measured - basis.shape[1], 1))
 
 
 def orthonormal(columns: FloatArray) -> FloatArray:

@@ -164,8 +164,8 @@ MUTANTS: dict[str, Mutant] = {
     ),
     "correlated covariance x 0.6": Mutant(
         "calib/linear/covariance_report.py",
-        "np.eye(1) if solution.fit is None else bread_of(solution.fit, problem.noise_xx)) / sharpness\n",
-        "np.eye(1) if solution.fit is None else bread_of(solution.fit, problem.noise_xx)) / sharpness * 0.6\n",
+        "bread_of(solution.fit, problem.noise_xx)) / sharpness\n",
+        "bread_of(solution.fit, problem.noise_xx)) / sharpness * 0.6\n",
         SIGMAS,
     ),
     "scalar covariance halved": Mutant(

@@ -186,7 +186,7 @@ def test_epochs_outside_are_an_error_that_names_the_range(name: str, first: str,
         with pytest.raises(OutOfRange, match=first):
             field.field_NEC_nT(model, wrong, r)
     with pytest.raises(OutOfRange, match="missing"):
-        field.field_E_nT(model, np.datetime64("NaT"), r)
+        field.field_E_nT(model, np.datetime64("NaT", "ns"), r)
 
 
 def test_a_lasting_model_goes_on_along_its_ends(shared_model: field.FieldModel, close: Callable[..., None]) -> None:

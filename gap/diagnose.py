@@ -83,7 +83,7 @@ def diagnose(
     faster = None if every == 1 else whole
     channel = second_channel.channel_of(telemetry, frozen)
     work = investigate(settled(problem), progress, faster, craft)
-    while out := {**work.momentum.ruled_out, **_without_the_angle(work, channel)}:
+    while out := _ruled_out(work, channel):
         problem = replace(problem, ruled_out={**problem.ruled_out, **out})
         work = investigate(settled(problem), progress, faster, craft)
     if channel is not None:
@@ -117,9 +117,11 @@ def diagnose(
     )
 
 
-def _without_the_angle(work: Work, channel: Channel | None) -> dict[str, str]:
-    """{name: why} of named effects that the angle between sun and nadir has nothing of."""
-    return {} if channel is None else second_channel.ruled_out(work.standing, channel)
+def _ruled_out(work: Work, channel: Channel | None) -> dict[str, str]:
+    """{name: why} of effects that the momentum, or the angle between sun and nadir, newly rules out."""
+    by_angle = {} if channel is None else second_channel.ruled_out(work.standing, channel)
+    found = {**work.momentum.ruled_out, **by_angle}
+    return {name: why for name, why in found.items() if name not in work.problem.ruled_out}
 
 
 def investigate(

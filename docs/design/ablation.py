@@ -49,6 +49,7 @@ GAP = "fluxtwin.gap"
 RULES: dict[str, dict[str, Any]] = {
     "all on": {},
     "pairs and triples ranked afresh": {f"{GAP}.selection.forward._afresh": lambda *_: []},
+    "settings moved between the tried values": {f"{GAP}.selection.forward._sharpened": lambda _, __, fit: fit},
     "backward elimination": {f"{GAP}.selection.forward._eliminated": lambda _, fit, __: fit},
     "rivals refitted": {f"{GAP}.selection.support._REFITS": 0},
     "noise of the other explanations": {

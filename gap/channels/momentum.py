@@ -76,6 +76,10 @@ class MomentumChannel:
         count = self.fitted.shape[2]
         return [(Always(count), np.zeros(count))]
 
+    @property
+    def setting(self) -> None:
+        """Torques have no settings that are tried at a few values only."""
+
     def apply(self, columns: FloatArray) -> FloatArray:
         """Columns (N + M, 3) or (N + M, 3, P), whitened."""
         above, below = np.split(columns, [len(columns) - self.windows.rows.size])

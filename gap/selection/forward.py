@@ -2,7 +2,8 @@
 
 One effect is sought first; others are sought given its refit (a large lag is not linear, and tested at zero it would call
 for partners). When one more is significant, pairs (and triples) are ranked afresh, so that a wrong first pick can be
-undone. Sets are compared by the one criterion, with prior 1/K for each effect among K alternatives tested.
+undone; before that, a setting of which only a few values were tried is moved where the data want it. Sets are compared by
+the one criterion, with prior 1/K for each effect among K alternatives tested.
 """
 
 from __future__ import annotations
@@ -14,14 +15,16 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from fluxtwin.gap.hypotheses.candidates import Candidate
+from fluxtwin.gap.linear.projection import orthonormal
 from fluxtwin.gap.selection.criterion import penalty
 from fluxtwin.gap.selection.detectable import GATE
 from fluxtwin.gap.selection.groups import alike, shares_by_name
 from fluxtwin.gap.selection.refit import Channel, Fit, refit
 from fluxtwin.gap.selection.score import Board, board, whitened
 from fluxtwin.sim.base.types import BoolArray, FloatArray
-from fluxtwin.sim.effects.base import SignalEffect
+from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.chain import Active
+from fluxtwin.sim.effects.signal import Setting
 
 LARGEST = 3
 WITHIN = 8.0
@@ -30,6 +33,7 @@ NONLINEAR = 0.2
 lost by taking a large effect as linear (8 % of a clock 10 s late, whose linear image is made of an attitude with errors of
 its own). Generous, because what it costs is at most four refits."""
 _REFITS = 4
+_STEPS = (1.5, 1 / 1.5, 1.25, 1 / 1.25, 1.12, 1 / 1.12)
 
 
 OfChannel = TypeVar("OfChannel", bound=Channel)
@@ -101,13 +105,15 @@ class Search(Generic[OfChannel]):
         measured, share_left = self.channel.measured, self.channel.share_left
         return board(others, self.white[:, :, kept], fit.residual, fit.jacobian, measured, share_left), others
 
-    def add(self, effects: Sequence[SignalEffect]) -> None:
-        """Further candidates."""
+    def add(self, effects: Sequence[SignalEffect], fit: Fit | None = None) -> None:
+        """Further candidates, and the fit that has them if there is one."""
         more = [self.channel.candidate(effect, self.base.modelled) for effect in effects]
         own = whitened(more, self.channel, self.base.residual.shape[0])
         self.found = [*self.found, *more]
         self.white = np.concatenate([self.white, own], axis=2)
         self.first = _first(self.channel, self.found, self.white, self.base)
+        if fit is not None:
+            self.fits[frozenset(self.found[number].label for number in self.numbers(fit))] = fit
 
     def numbers(self, fit: Fit) -> list[int]:
         return [
@@ -141,19 +147,62 @@ def run(search: Search[Any]) -> list[tuple[Fit, Board]]:
         search.add(proposed)
     fit = _best(search, [[number] for number in _shortlist(search, search.first)], search.first)
     rest, others = search.beside(fit)
+    fit, rest, others = _sharper(search, fit, rest, others)
     path.append((fit, rest))
     while len(fit.chosen) < LARGEST:
         larger = _grown(search, fit, rest, others)
         if larger is None:
             break
         fit = larger
-        rest, others = search.beside(fit)
+        fit, rest, others = _sharper(search, fit, *search.beside(fit))
         path.append((fit, rest))
     last = _eliminated(search, fit, rest)
     if last is not fit:
         kept = [pair for pair in path if len(pair[0].chosen) < len(last.chosen)]
         path = [*kept, (last, search.beside(last)[0])]
     return path
+
+
+def _sharper(search: Search[Any], fit: Fit, rest: Board, others: list[Candidate]) -> tuple[Fit, Board, list[Candidate]]:
+    """Where a further cause would be looked for: the fit with its settings moved, and what is beside it then."""
+    if search.channel.setting is None or search.tested * float(rest.p_values.min()) > search.gate:
+        return fit, rest, others
+    moved = _sharpened(search, search.channel.setting, fit)
+    return (fit, rest, others) if moved is fit else (moved, *search.beside(moved))
+
+
+def _sharpened(search: Search[Any], setting: Setting, fit: Fit) -> Fit:
+    """The fit with settings between the values that were tried, as further candidates.
+
+    What a setting that is a little off leaves would be taken for one more cause.
+    """
+    start = fit
+    for number in range(len(start.chosen)):
+        for step in _STEPS:
+            fit = _with_setting(search, fit, number, fit.chosen[number][0].between(setting, step))
+        for place in range(len(fit.chosen[number][0].variants(setting))):
+            fit = _with_setting(search, fit, number, fit.chosen[number][0].variants(setting)[place])
+    pairs = zip(fit.chosen, start.chosen, strict=True)
+    new = [mine for (mine, _), (old, _) in pairs if isinstance(mine, SignalEffect) and mine != old]
+    if new:
+        search.add(new, fit)
+    return fit
+
+
+def _with_setting(search: Search[Any], fit: Fit, number: int, moved: Effect | None) -> Fit:
+    """The fit with another setting of one effect, if it is better.
+
+    Looked at first along the images at hand, so that only what will be taken is fitted in the nonlinear chain.
+    """
+    if not isinstance(moved, SignalEffect):
+        return fit
+    chosen = [(moved, theta) if place == number else (one, theta) for place, (one, theta) in enumerate(fit.chosen)]
+    basis = orthonormal(fit.jacobian)
+    rest = search.channel.residual([*fit.modelled, *chosen]).reshape(-1)
+    if float(np.sum((rest - basis @ (basis.T @ rest)) ** 2)) >= fit.chi2 - 1.0:
+        return fit
+    trial = refit(search.channel, chosen, modelled=fit.modelled, guess=fit.jacobian)
+    return trial if trial.chi2 < fit.chi2 - 1.0 else fit
 
 
 def _shortlist(search: Search[Any], scored: Board) -> list[int]:

@@ -20,6 +20,7 @@ from fluxtwin.gap.selection.interval import likeliest_interval
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
+from fluxtwin.sim.effects.signal import Setting
 
 _STEPS = 12
 _HALVINGS = 6
@@ -38,6 +39,10 @@ class Channel(Whitens, Protocol):
     @property
     def share_left(self) -> float:
         """Of its energy that an image must have beside others."""
+
+    @property
+    def setting(self) -> Setting | None:
+        """In which settings of effects between those tried are looked for; None: they are not."""
 
     def residual(self, active: Sequence[Active]) -> FloatArray:
         """(M, 3) whitened, with these effects on."""
@@ -181,6 +186,10 @@ class Readings:
     @property
     def share_left(self) -> float:
         return least_share(self.whitener, SHARE_LEFT)
+
+    @property
+    def setting(self) -> Setting:
+        return self.problem.setting
 
     def apply(self, columns: FloatArray) -> FloatArray:
         """Columns (M, 3) or (M, 3, P) in nT, whitened."""

@@ -92,6 +92,10 @@ class Effect(ABC):
         """The effect with a setting moved by a ratio that `alternatives` tries at a few values only; None: it has none."""
         return None
 
+    def variants(self, setting: Setting) -> tuple[Effect, ...]:
+        """The effect with one more setting of which `alternatives` tries one value only."""
+        return ()
+
     @property
     def bound(self) -> str | None:
         """Why its parameters say nothing of another record, in words; None when they do."""

@@ -121,6 +121,10 @@ class Hysteresis(SignalEffect):
     def between(self, setting: Setting, ratio: float) -> Hysteresis | None:
         return replace(self, width_nT=ratio * self.width_nT)
 
+    def variants(self, setting: Setting) -> tuple[Hysteresis, ...]:
+        moved = [(axis, way) for axis in range(3) for way in _WAYS if way != self.start[axis]]
+        return tuple(replace(self, start=self.start[:axis] + way + self.start[axis + 1 :]) for axis, way in moved)
+
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         if len(self.start) != 3 or not set(self.start) <= set(_WAYS):
             raise BadInput(f"{self.start!r}", where=f"{self.name} start", wanted="three letters of o, r and n")

@@ -20,10 +20,12 @@ from numpy.typing import ArrayLike
 from fluxtwin.sim.base.types import FloatArray
 
 SHAPE_ERROR = 0.15
-"""Of its amplitude, rms: how far the image of a hypothesis is from what nature does where the hypothesis is right."""
+"""Of its amplitude, rms: how far the image of a hypothesis is from what nature does where the hypothesis is right. Of 34
+truths of other shapes (docs/design/shape_error.py, 60 records) it is below 0.10 in three quarters, 0.17 in nine tenths."""
 SHAPE = SHAPE_ERROR**2 / 15.0
 """Share of the energy of named causes that their shape error has in one direction, spread over fifteen directions (columns
-of some three to five blocks)."""
+of some three to five blocks). Of the same truths the worst direction has less than 0.0020 in three quarters, 0.0053 in nine
+tenths."""
 LOG_FURTHER = 6.0
 """Minus twice the log of the prior odds of one more cause beside a named one, and of one outside the catalogue: one in
 twenty."""

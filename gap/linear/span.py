@@ -69,19 +69,3 @@ def span_of(columns: FloatArray, first: int = 0, share_left: float = SHARE_LEFT)
     picked = pivots[:rank] - 1
     lower = np.tril(factor[:rank, :rank]) / weight[picked][:, None]
     return Span(live[picked], size[live[picked]], np.asfortranarray(lower))
-
-
-def sketch(columns: FloatArray, rows: int, seed: int = 0) -> FloatArray:
-    """About `rows` random combinations of the rows of columns (M, P): what depends on each other still does.
-
-    Each row goes into one combination, with a random sign (Clarkson & Woodruff 2013, doi 10.1145/2488608.2488620;
-    neighbours share one, so that a single pass is enough). Generic columns keep their independence if there are
-    half as many combinations again as columns.
-    """
-    each = columns.shape[0] // max(rows, 1)
-    if each < 2:
-        return columns
-    signs = np.random.default_rng(seed).choice([-1.0, 1.0], columns.shape[0])
-    whole = columns.shape[0] - columns.shape[0] % each
-    signed = signs[:whole].reshape(-1, 1, each) @ columns[:whole].reshape(whole // each, each, columns.shape[1])
-    return np.concatenate([signed[:, 0], columns[whole:] * signs[whole:, None]])

@@ -96,10 +96,6 @@ class SearchResult:
     """(M, 3) whitened."""
     jacobian_white: FloatArray
     """(M, 3, c + p) whitened, what is modelled, then the named effects in the order of `chosen`."""
-    residual_alone_white: FloatArray
-    """(M, 3)."""
-    nuisance_alone_white: FloatArray
-    """(M, 3, c)."""
     chi2: Mapping[str, tuple[float, int]]
     """`nuisance`, `named`: chi-square and number of parameters seen."""
     variance: float

@@ -60,8 +60,6 @@ def result_of(
         residual_alone_nT=alone,
         residual_white=fit.residual,
         jacobian_white=fit.jacobian[:, :, _columns(fit, order)],
-        residual_alone_white=base.residual,
-        nuisance_alone_white=base.jacobian,
         chi2={"nuisance": (base.chi2, base.rank), "named": (fit.chi2, fit.rank)},
         variance=rest.variance,
         tested=under_way.tested,

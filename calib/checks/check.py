@@ -7,6 +7,7 @@ stand beside their reasons in the modules `check_*`.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -204,4 +205,4 @@ def _ordered(table: FileTable) -> tuple[FileTable, list[Finding]]:
         findings.append(trap("conflicting_rows", text, np.sort(rivals)))
     keep = rows[is_first]
     columns = {name: value[keep] for name, value in table.columns.items()}
-    return FileTable(table.where, table.time[keep], columns, list(table.notices), dict(table.provenance)), findings
+    return replace(table, time=table.time[keep], columns=columns), findings

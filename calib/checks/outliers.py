@@ -161,13 +161,17 @@ def _scale(deviation: FloatArray, median: float, least_step_nT: float) -> FloatA
 
 
 def _driven(telemetry: Telemetry, rows: np.ndarray) -> BoolArray:
-    """Rows beside a torquer's pulse or a switched flag, where a jump has a reason."""
+    """Rows beside a torquer's pulse, a switched flag or a driver's step, where a jump has a reason."""
     acts = np.zeros(len(telemetry), dtype=bool)
     if telemetry.dipole_B_Am2 is not None:
         acts |= np.nan_to_num(telemetry.dipole_B_Am2).any(axis=1)
     for flag in (telemetry.heater_on, *telemetry.flags.values()):
         if flag is not None:
             acts[1:] |= np.diff(np.nan_to_num(flag)) != 0
+    for driver in telemetry.drivers.values():
+        known = np.flatnonzero(np.isfinite(driver))
+        step = np.abs(np.diff(driver[known], prepend=driver[known[:1]]))
+        acts[known[step > 0.5 * (np.nanmax(driver, initial=-np.inf) - np.nanmin(driver, initial=np.inf))]] = True
     near = acts.copy()
     near[1:] |= acts[:-1]
     near[:-1] |= acts[1:]

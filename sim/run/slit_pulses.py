@@ -12,7 +12,7 @@ from fluxtwin.sim.run.truth import Truth
 from fluxtwin.sim.run.world import World, ephemeris
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.spacecraft.sensors.slit_sun_sensor import SlitSunSensor
-from fluxtwin.sim.telemetry.record import Telemetry, concatenate
+from fluxtwin.sim.telemetry.record import Telemetry, concatenate, named_columns
 
 _FINE_S, _PART_OF_TURN = 0.25, 0.125
 
@@ -67,5 +67,5 @@ def _merged(magnetometer: Telemetry, sun_rows: Telemetry) -> Telemetry:
         name: value[order] for name, value in vars(joined).items() if isinstance(value, np.ndarray)
     }
     changes["time"] = time[order]
-    changes["flags"] = {name: value[order] for name, value in joined.flags.items()}
+    changes |= named_columns(joined, lambda value: value[order])
     return joined.replace(**changes, provenance=dict(magnetometer.provenance))

@@ -11,7 +11,7 @@ from fluxtwin.sim.base.section_types import NonNegative, Positive, Section
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.scenario.sections import ScheduleSection
-from fluxtwin.sim.telemetry.quantities import Part, columns_of
+from fluxtwin.sim.telemetry.quantities import DRIVERS, Part, columns_of
 from fluxtwin.sim.telemetry.record import Telemetry
 
 
@@ -88,4 +88,6 @@ def interleaved(telemetry: Telemetry, rows: dict[str, BoolArray], *, attitude_fr
             value = getattr(telemetry, column)
             if value is not None:
                 changes[column] = np.where(read if value.ndim == 1 else read[:, None], value, np.nan)
+        if name == DRIVERS.part:
+            changes[DRIVERS.field] = {one: np.where(read, value, np.nan) for one, value in telemetry.drivers.items()}
     return telemetry.replace(**changes) if changes else telemetry

@@ -13,7 +13,7 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.telemetry.columns import FileTable, Resolution, resolve
-from fluxtwin.sim.telemetry.quantities import ANGLES, BY_NAME
+from fluxtwin.sim.telemetry.quantities import ANGLES, BY_NAME, DRIVERS, FAMILIES
 from fluxtwin.sim.telemetry.record import Telemetry
 
 METRES_ABOVE = 1.0e5
@@ -43,15 +43,13 @@ def record(table: FileTable, *, tle: Path | str | None = None) -> Telemetry:
         fields["q_NB"] = _from_angles(fields, time, notices, table.where)
     _check_quaternions(fields.get("q_NB"), table.where)
     _check_binary(fields, table.where)
-    notices.extend(_missing_rows(fields))
+    named = {column: table.columns[column] for columns in found.named.values() for column in columns.values()}
+    notices.extend(_missing_rows({**fields, **named}))
     provenance = dict(table.provenance)
     if notices:
         provenance["notices"] = "; ".join(notice.replace("; ", ", ") for notice in notices)
-    flags = {name: table.columns[column] for name, column in found.flags.items()}
-    for name, value in flags.items():
-        _binary(f"flag_{name}", value, table.where)
     try:
-        return Telemetry(time=time, flags=flags, provenance=provenance, **fields)
+        return Telemetry(time=time, provenance=provenance, **_named(table, found), **fields)  # type: ignore[arg-type]
     except BadInput as error:
         raise BadInput(str(error), where=table.where) from None
 
@@ -92,6 +90,19 @@ def _fields(table: FileTable, found: Resolution) -> dict[str, FloatArray]:
         fields[name] = value if factor == 1.0 else value * factor
     if found.wheels:
         fields["wheel_speed_rpm"] = np.stack([table.columns[c] for c in found.wheels], axis=1)
+    return fields
+
+
+def _named(table: FileTable, found: Resolution) -> dict[str, dict[str, FloatArray] | dict[str, str]]:
+    """The fields of the record for columns that the user has named, and the units of drivers."""
+    fields: dict[str, dict[str, FloatArray] | dict[str, str]] = {}
+    for family in FAMILIES:
+        columns = found.named[family.field]
+        for column in columns.values() if family.binary else ():
+            _binary(column, table.columns[column], table.where)
+        fields[family.field] = {name: table.columns[column] for name, column in columns.items()}
+    drivers = found.named[DRIVERS.field].items()
+    fields["driver_units"] = {name: table.units[column] for name, column in drivers if column in table.units}
     return fields
 
 

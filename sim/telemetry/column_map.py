@@ -23,7 +23,6 @@ Nothing is guessed: a quantity with a dimension must state its unit.
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -34,12 +33,14 @@ from fluxtwin.sim.base.toml_input import Strict, read_model
 from fluxtwin.sim.telemetry import column_map_words as words
 from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
-from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME
+from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, DRIVERS, FAMILIES, family_of
 from fluxtwin.sim.telemetry.record import Telemetry
 
-KNOWN = [*sorted(BY_MAP_NAME, key=lambda name: not BY_MAP_NAME[name].map_units), "flag_NAME"]
+KNOWN = [
+    *sorted(BY_MAP_NAME, key=lambda name: not BY_MAP_NAME[name].map_units),
+    *(family.prefix + "NAME" for family in FAMILIES),
+]
 """What a map may name; those that take a unit first."""
-_FLAG = re.compile(r"flag_[A-Za-z0-9_]{1,60}")
 
 
 class TimeRecipe(Strict):
@@ -93,6 +94,8 @@ class ColumnSpec(Strict):
     """textbook: the attitude matrix of the quaternion maps reference components to body components."""
     angles: Literal["yaw_roll_pitch_deg", "yaw_roll_pitch_rad"] | None = None
     """The three columns are the 3-1-2 angles instead of a quaternion."""
+    between: Literal["linear", "hold"] | None = None
+    """Of a driver of another source, between its samples: a straight line (default), or the last value holds."""
 
     @property
     def names(self) -> list[str]:
@@ -277,14 +280,18 @@ def _beside(name: str, folders: list[Path]) -> Path:
 
 
 def _check_quantity(name: str, spec: ColumnSpec) -> None:
-    quantity = BY_MAP_NAME.get(name)
-    if quantity is None and not _FLAG.fullmatch(name):
+    quantity, family = BY_MAP_NAME.get(name), family_of(name)
+    if quantity is None and family is None:
         raise ValueError(f"unknown quantity {name}; known: {', '.join(KNOWN)}")
+    if family is not None and len(spec.names) != 1:
+        raise ValueError(f"{name} takes one column")
+    if family is not DRIVERS and spec.between is not None:
+        raise ValueError(f"{name} takes no `between`: only a {DRIVERS.prefix}NAME does")
     accepted = quantity.map_units if quantity is not None else {}
     if accepted and spec.unit not in accepted:
         what = "has no unit" if spec.unit is None else f"has the unit {spec.unit!r}"
         raise ValueError(f"{name} {what}; accepted: {', '.join(accepted)}")
-    if not accepted and spec.unit is not None:
+    if not accepted and family is not DRIVERS and spec.unit is not None:
         raise ValueError(f"{name} takes no unit")
     if name in ("position", "velocity") and spec.frame is None:
         raise ValueError(f"{name} wants frame: {', '.join(words.FRAMES)}")

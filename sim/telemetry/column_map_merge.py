@@ -1,8 +1,9 @@
 """Sources at their own rates, brought onto the magnetometer's stamps.
 
 Attitude: slerp. Position: cubic Hermite where the source has velocity, else a cubic spline. Rates, currents,
-temperature, wheel speeds: linear. Flags, dipole, sensor head: the last value holds. Beyond `max_gap_s` of the
-source the value is missing. Magnetometers are never interpolated: a second one counts where the stamps agree.
+temperature, wheel speeds: linear. Flags, dipole, sensor head: the last value holds. Drivers: as the map says. Beyond
+`max_gap_s` of the source the value is missing. Magnetometers are never interpolated: a second one counts where the
+stamps agree.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from fluxtwin.sim.telemetry.build import velocity_from_positions
 from fluxtwin.sim.telemetry.column_map import ColumnMap, ColumnSpec
 from fluxtwin.sim.telemetry.column_map_read import Source, read_source, require_increasing
 from fluxtwin.sim.telemetry.columns import FileTable
-from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, MAG2, POSITION, VELOCITY
+from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, DRIVERS, MAG2, POSITION, VELOCITY, family_of
 
 _LARGEST_TURN_RAD = np.pi / 2.0
 """A turn beyond this between two attitude samples is not interpolated: the way it went is not known."""
@@ -59,14 +60,21 @@ def merged_table(
         q = _absolute(attitude, time, r, v, master.where, notices)
         columns.update(zip(("q_x", "q_y", "q_z", "q_w"), q.T, strict=True))
     digests = "+".join(digest for source in sources for digest in source.digests)
-    return FileTable(str(path), time, columns, notices, {"source": path.name, "sha256": digests})
+    units: dict[str, str] = {}
+    for source in sources:
+        drivers = {name: spec for name, spec in source.entry.columns.items() if family_of(name) is DRIVERS}
+        units |= {name: spec.unit for name, spec in drivers.items() if spec.unit}
+        guessed = [name for name, spec in drivers.items() if spec.between is None and source is not master]
+        if guessed:
+            notices.append(f'linear between its samples: {", ".join(guessed)} (between = "hold" holds the last value)')
+    return FileTable(str(path), time, columns, notices, {"source": path.name, "sha256": digests}, units)
 
 
 def _put(columns: dict[str, FloatArray], name: str, value: FloatArray) -> None:
     if name == "wheel_speed":
         names = tuple(f"wheel_{k}_speed_rpm" for k in range(1, value.shape[1] + 1))
     else:
-        names = (name,) if name.startswith("flag_") else BY_MAP_NAME[name].plain
+        names = BY_MAP_NAME[name].plain if name in BY_MAP_NAME else (name,)
     columns.update(zip(names, value.T, strict=True))
 
 
@@ -95,7 +103,7 @@ def _resampled(source: Source, name: str, time: TimeArray, same: bool) -> FloatA
     origin = time[0]
     have, want = _seconds(source.time[rows], origin), _seconds(time, origin)
     gap = 0.0 if name == MAG2.mapped else source.entry.max_gap_s
-    if name.startswith("flag_") or BY_MAP_NAME[name].held:
+    if _held(source, name):
         place = np.searchsorted(have, want, side="right") - 1
         fresh = (place >= 0) & (want - have[np.maximum(place, 0)] <= gap)
         out[fresh] = value[rows][place[fresh]]
@@ -106,6 +114,14 @@ def _resampled(source: Source, name: str, time: TimeArray, same: bool) -> FloatA
     if name in ("sun", "nadir"):
         out /= np.linalg.norm(out, axis=1, keepdims=True)
     return out
+
+
+def _held(source: Source, name: str) -> bool:
+    """Whether the last value of a quantity holds until the next one."""
+    family = family_of(name)
+    if family is None:
+        return BY_MAP_NAME[name].held
+    return family.binary or source.entry.columns[name].between == "hold"
 
 
 def _known(*values: FloatArray) -> np.ndarray:

@@ -18,7 +18,7 @@ from fluxtwin.sim.telemetry.column_map import ColumnSpec, FileEntry, TimeRecipe,
 from fluxtwin.sim.telemetry.columns import clip
 from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
 from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
-from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME
+from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, family_of
 
 
 @dataclass
@@ -155,11 +155,13 @@ def _quantity(reader: _Reader, name: str, spec: ColumnSpec) -> FloatArray:
     for column, wanted in spec.valid.items():
         missing |= reader.numbers([column])[:, 0] != wanted
     quantity = BY_MAP_NAME.get(name)
-    if quantity is not None and quantity.components == 3 and raw.shape[1] != 3:
-        raise BadInput(f"{name} has {raw.shape[1]} components", where=reader.where, wanted="three")
+    wanted = 1 if family_of(name) is not None else quantity.components if quantity is not None else -1
+    if wanted in (1, 3) and raw.shape[1] != wanted:
+        words = {1: "one", 3: "three"}[wanted]
+        raise BadInput(f"{name} has {raw.shape[1]} components", where=reader.where, wanted=words)
     factor = spec.scale * (quantity.map_units.get(spec.unit or "", 1.0) if quantity is not None else 1.0)
     value = raw if factor == 1.0 else raw * factor
-    if spec.unit == "K":
+    if spec.unit == "K" and quantity is not None:
         value = value - 273.15
     if name in ("sun", "nadir"):
         size = np.linalg.norm(value, axis=1, keepdims=True)

@@ -11,16 +11,25 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Iterable, Mapping, MutableMapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray, TimeArray
-from fluxtwin.sim.telemetry.quantities import ANGLES, MAG, POSITION, POSITION_E, QUANTITIES, QUATERNION, Quantity
+from fluxtwin.sim.telemetry.quantities import (
+    ANGLES,
+    FAMILIES,
+    MAG,
+    POSITION,
+    POSITION_E,
+    QUANTITIES,
+    QUATERNION,
+    Quantity,
+    family_of,
+)
 from fluxtwin.sim.telemetry.record import Telemetry, plain_text
 
-FLAG = re.compile(r"flag_([A-Za-z0-9_]{1,60})")
 WHEEL = re.compile(r"wheel_([1-9][0-9]?)_speed_rpm")
 _WHEEL_NO_UNIT = re.compile(r"wheel_[1-9][0-9]?_speed(_rad_s|_rps|_Hz)?", re.IGNORECASE)
 _UNIT_LIKE = re.compile(
@@ -49,6 +58,8 @@ class FileTable:
     """Contract columns by file name, each (N,), in the file's own units."""
     notices: list[str] = field(default_factory=list)
     provenance: dict[str, str] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
+    """Units of columns whose names do not say them, by file name."""
 
 
 @dataclass(frozen=True)
@@ -57,16 +68,16 @@ class Resolution:
 
     found: dict[str, tuple[tuple[str, ...], str]]
     """Quantity name: (file columns, unit suffix)."""
-    flags: dict[str, str]
-    """NAME: `flag_NAME`."""
+    named: dict[str, dict[str, str]]
+    """By field of the record, the columns that the user has named: {"flags": {NAME: "flag_NAME"}, ...}."""
     wheels: tuple[str, ...]
     unknown: tuple[str, ...]
 
     @property
     def used(self) -> tuple[str, ...]:
         """All file columns the record takes."""
-        named = [column for columns, _ in self.found.values() for column in columns]
-        return (*named, *self.flags.values(), *self.wheels)
+        plain = [column for columns, _ in self.found.values() for column in columns]
+        return (*plain, *(column for columns in self.named.values() for column in columns.values()), *self.wheels)
 
     @property
     def notices(self) -> list[str]:
@@ -94,13 +105,13 @@ def resolve(names: Iterable[str], where: str, described: Mapping[str, str] | Non
         if unit is not None:
             found[quantity.name] = (quantity.columns(unit), unit)
     _no_rivals(found, where)
-    flags = {match[1]: name for name in present if (match := FLAG.fullmatch(name))}
+    named = {family.field: {n: name for name in present if (n := family.name_in(name))} for family in FAMILIES}
     wheels = tuple(sorted((n for n in present if WHEEL.fullmatch(n)), key=_wheel_number))
     _wheels_without_unit(known, where)
-    taken = {c for columns, _ in found.values() for c in columns} | set(flags.values()) | set(wheels)
     if MAG.name not in found:
         raise _missing_magnetometer(present, where, described or {})
-    return Resolution(found, flags, wheels, tuple(name for name in present if name not in taken))
+    taken = Resolution(found, named, wheels, ())
+    return replace(taken, unknown=tuple(name for name in present if name not in set(taken.used)))
 
 
 def file_columns(telemetry: Telemetry) -> dict[str, FloatArray]:
@@ -114,8 +125,9 @@ def file_columns(telemetry: Telemetry) -> dict[str, FloatArray]:
         parts = np.asarray(value).reshape(len(telemetry), -1).T
         for name, part in zip(quantity.written, parts, strict=True):
             columns[name] = np.ascontiguousarray(part if factor == 1.0 else part / factor)
-    for name in sorted(telemetry.flags):
-        columns[f"flag_{name}"] = np.asarray(telemetry.flags[name])
+    for family in FAMILIES:
+        named = getattr(telemetry, family.field)
+        columns |= {family.prefix + name: np.asarray(named[name]) for name in sorted(named)}
     if telemetry.wheel_speed_rpm is not None:
         for number, speed in enumerate(telemetry.wheel_speed_rpm.T, start=1):
             columns[f"wheel_{number}_speed_rpm"] = np.ascontiguousarray(speed)
@@ -130,8 +142,9 @@ def file_texts(telemetry: Telemetry) -> dict[str, str]:
 
 def describe(column: str) -> tuple[str, str]:
     """(long_name, CF units) of a written column."""
-    if FLAG.fullmatch(column):
-        return f"flag {column[5:]}, 0 or 1", "1"
+    family = family_of(column)
+    if family is not None:
+        return f"{family.name_in(column)}: {family.about}", "1"
     if WHEEL.fullmatch(column):
         return f"speed of wheel {_wheel_number(column)}", "rpm"
     for quantity in QUANTITIES:

@@ -23,7 +23,7 @@ from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth.epoch import parse_time
 from fluxtwin.sim.telemetry.columns import FileTable, clip, describe, file_columns, resolve
 from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
-from fluxtwin.sim.telemetry.quantities import MAG
+from fluxtwin.sim.telemetry.quantities import DRIVERS, MAG
 from fluxtwin.sim.telemetry.record import Telemetry
 
 if TYPE_CHECKING:
@@ -227,10 +227,12 @@ def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> FileTable
                     f"{name} has the shape {value.shape}, time has {time.shape}", where=opened.where, wanted="(time,)"
                 )
         attributes = opened.attributes()
+        stated = {name: opened.attributes(name).get("units") for name in found.named[DRIVERS.field].values()}
+        units = {name: unit for name, unit in stated.items() if isinstance(unit, str) and unit != "1"}
         notices = list(found.notices)
         if not sealed:
             notices.append("the file carries no digest, so damage would not be noticed")
-        return FileTable(opened.where, time, columns, notices, _provenance(opened, attributes))
+        return FileTable(opened.where, time, columns, notices, _provenance(opened, attributes), units)
 
 
 def write(telemetry: Telemetry, path: Path | str) -> Path:
@@ -242,6 +244,7 @@ def write(telemetry: Telemetry, path: Path | str) -> Path:
     variables = {"time": Variable(("time",), stamps, _time_attributes(), storage=storage)}
     for name, value in columns.items():
         long_name, units = describe(name)
+        units = telemetry.driver_units.get(DRIVERS.name_in(name) or "", units)
         if telemetry.corrected_by and name in MAG.written:
             long_name = f"magnetic field, nominal body axes, corrected by {telemetry.corrected_by}, {name[4]} component"
         variables[name] = Variable(("time",), value, {"long_name": long_name, "units": units}, True, storage)

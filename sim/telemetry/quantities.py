@@ -1,11 +1,13 @@
 """The columns of telemetry, in one table: names, units, what a file may call them, and who writes them.
 
 A new column is a row of `QUANTITIES`, a field of the record (`Telemetry`) and the part of the simulator that writes it.
-Files, column maps, rates of sampling, the record and the diagnosis read the table.
+Files, column maps, rates of sampling, the record and the diagnosis read the table. Columns whose names are the user's
+(`flag_NAME`, `driver_NAME`) are `FAMILIES`: as many as there are.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -187,6 +189,39 @@ BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}
 RECORDED = tuple(q for q in (*QUANTITIES, WHEELS) if q not in (POSITION_E, ANGLES))
 """The arrays of a record beside time and flags."""
 BY_MAP_NAME = {q.mapped: q for q in RECORDED if q.mapped is not None}
+
+
+@dataclass(frozen=True)
+class Family:
+    """Columns that a user names, `prefix` and NAME; a field of the record holds them by NAME, (N,) each."""
+
+    field: str
+    prefix: str
+    about: str
+    """What one of them is, for a file."""
+    part: Part | None = None
+    binary: bool = False
+    """Values are 0 or 1, and the last one holds until the next."""
+
+    @property
+    def pattern(self) -> str:
+        """Of a whole column name; the group is NAME."""
+        return self.prefix + "([A-Za-z0-9_]{1,60})"
+
+    def name_in(self, column: str) -> str | None:
+        """NAME, where the column is of this family."""
+        match = re.fullmatch(self.pattern, column)
+        return None if match is None else match[1]
+
+
+FLAGS = Family("flags", "flag_", "flag, 0 or 1", binary=True)
+DRIVERS = Family("drivers", "driver_", "what may drive a field of the spacecraft", part="housekeeping")
+FAMILIES = (FLAGS, DRIVERS)
+
+
+def family_of(column: str) -> Family | None:
+    """The family of a column; None where its name is not the user's."""
+    return next((family for family in FAMILIES if family.name_in(column) is not None), None)
 
 
 def columns_of(part: str) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
-from fluxtwin.sim.telemetry.quantities import RECORDED
+from fluxtwin.sim.telemetry.quantities import DRIVERS, FAMILIES, RECORDED
 
 _SHAPES = {quantity.name: quantity.components for quantity in RECORDED}
 
@@ -48,6 +48,10 @@ class Telemetry:
     """(N,) 0 or 1."""
     flags: Mapping[str, FloatArray] = field(default_factory=dict)
     """`flag_NAME` columns by NAME, each (N,) of 0 or 1."""
+    drivers: Mapping[str, FloatArray] = field(default_factory=dict)
+    """`driver_NAME` columns by NAME, each (N,): a current, a duty, on or off, whatever a field may follow."""
+    driver_units: Mapping[str, str] = field(default_factory=dict)
+    """Units of drivers by NAME, as the user spells them; of those that have one."""
     array_current_A: FloatArray | None = None
     battery_current_A: FloatArray | None = None
     """(N,) positive when charging."""
@@ -80,8 +84,12 @@ class Telemetry:
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, _frozen_array(name, value, rows, width))
-        flags = {name: _frozen_array(f"flag_{name}", value, rows, 0) for name, value in self.flags.items()}
-        object.__setattr__(self, "flags", MappingProxyType(flags))
+        for family in FAMILIES:
+            named = getattr(self, family.field).items()
+            arrays = {name: _frozen_array(family.prefix + name, value, rows, 0) for name, value in named}
+            object.__setattr__(self, family.field, MappingProxyType(arrays))
+        units = {name: unit for name, unit in self.driver_units.items() if name in self.drivers and unit}
+        object.__setattr__(self, "driver_units", MappingProxyType(units))
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
 
     def __len__(self) -> int:
@@ -122,7 +130,7 @@ class Telemetry:
         for name in _SHAPES:
             value = getattr(self, name)
             changes[name] = None if value is None else value[rows]
-        changes["flags"] = {name: value[rows] for name, value in self.flags.items()}
+        changes |= named_columns(self, lambda value: value[rows])
         return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
 
     def replace(self, **changes: object) -> Telemetry:
@@ -130,11 +138,21 @@ class Telemetry:
         return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
 
 
+def named_columns(telemetry: Telemetry, change: Callable[[FloatArray], FloatArray]) -> dict[str, object]:
+    """The fields of the record whose columns have names of the user's, each array (N,) changed."""
+    return {
+        family.field: {name: change(value) for name, value in getattr(telemetry, family.field).items()}
+        for family in FAMILIES
+    }
+
+
 def recorded_columns(telemetry: Telemetry) -> dict[str, FloatArray]:
-    """Everything recorded beside time, orbit, attitude and readings, by name; flags as `flag_NAME`."""
+    """Everything recorded beside time, orbit, attitude and readings, by name; as `flag_NAME`, `driver_NAME` too."""
     names = [name for name in _SHAPES if name not in ("r_N_km", "v_N_km_s", "mag_B_nT", "mag2_B_nT", "q_NB")]
     columns = {name: np.array(value) for name in names if (value := getattr(telemetry, name)) is not None}
-    return columns | {f"flag_{name}": np.array(value) for name, value in telemetry.flags.items()}
+    for family in FAMILIES:
+        columns |= {family.prefix + name: np.array(value) for name, value in getattr(telemetry, family.field).items()}
+    return columns
 
 
 def plain_text(text: str) -> str:
@@ -170,8 +188,11 @@ def concatenate(records: list[Telemetry]) -> Telemetry:
                 np.full((len(r), *shape), np.nan) if p is None else p for p, r in zip(parts, ordered, strict=True)
             ]
             columns[name] = np.concatenate(filled)
-    names = sorted({name for r in ordered for name in r.flags})
-    columns["flags"] = {n: np.concatenate([r.flags.get(n, np.full(len(r), np.nan)) for r in ordered]) for n in names}
+    for family in FAMILIES:
+        named = [(getattr(r, family.field), np.full(len(r), np.nan)) for r in ordered]
+        names = sorted({name for values, _ in named for name in values})
+        columns[family.field] = {n: np.concatenate([of.get(n, absent) for of, absent in named]) for n in names}
+    columns["driver_units"] = _same_units(ordered)
     sources = "; ".join(dict.fromkeys(r.provenance.get("source", "") for r in ordered))
     columns["provenance"] = {**ordered[0].provenance, **_same_origin(ordered), "source": sources}
     return Telemetry(**columns)  # type: ignore[arg-type]
@@ -182,6 +203,20 @@ def _same_origin(records: list[Telemetry]) -> dict[str, str]:
     spacecraft = next((r.spacecraft for r in records if r.spacecraft), "")
     corrected = "; ".join(dict.fromkeys(r.corrected_by for r in records if r.corrected_by))
     return {key: text for key, text in (("spacecraft", spacecraft), ("calibration", corrected)) if text}
+
+
+def _same_units(records: list[Telemetry]) -> dict[str, str]:
+    """Units of the drivers of all records. Raises BadInput where two differ."""
+    units: dict[str, str] = {}
+    for record in records:
+        for name, unit in record.driver_units.items():
+            if units.setdefault(name, unit) != unit:
+                raise BadInput(
+                    f"is in {units[name]} in one record, in {unit} in another",
+                    where=DRIVERS.prefix + name,
+                    wanted="one unit",
+                )
+    return units
 
 
 def _check_one_origin(records: list[Telemetry]) -> None:

@@ -110,6 +110,26 @@ def test_a_second_magnetometer_counts_where_the_stamps_agree_and_is_never_interp
     assert read.has_reading.all()
 
 
+def test_any_column_of_another_source_is_a_driver_drawn_or_held_between_its_samples(tmp_path: Path) -> None:
+    csv(tmp_path / "a.csv", "t,bx,by,bz", [[1583020800 + k, 1.0, 2.0, 3.0] for k in range(8)])
+    csv(tmp_path / "b.csv", "t,mA,tx", [[1583020800 + t, 1000.0 * t, t % 4 / 2] for t in (0, 2, 4, 7)])
+    time, second = (
+        '{ recipe = "unix_s", columns = "t" }',
+        (
+            'driver_payload = { from = "mA", unit = "A", scale = 0.001 }\n'
+            'driver_transmitter = { from = "tx", between = "hold" }'
+        ),
+    )
+    toml = one_file(time).replace("]]", ']]\npath = "a.csv"')
+    toml += one_file(time, second).replace("]]", ']]\npath = "b.csv"\nmax_gap_s = 2.5')
+    read = mapped(tmp_path, toml)
+    payload, transmitter = read.drivers["payload"], read.drivers["transmitter"]
+    assert np.allclose(payload, [0, 1, 2, 3, 4, np.nan, np.nan, 7], rtol=1e-15, equal_nan=True), "in A; 3 s are no line"
+    assert np.array_equal(transmitter, [0, 0, 1, 1, 0, 0, 0, 1.5], equal_nan=True), "held for 2.5 s at most"
+    assert read.driver_units == {"payload": "A"}
+    assert "linear between its samples: driver_payload (between" in read.provenance["notices"]
+
+
 def test_invalid_values_and_validity_columns_are_missing(tmp_path: Path) -> None:
     rows = [
         [1583020800 + k, 1.0, 2.0, 3.0, int(k != 1), *p] for k, p in enumerate([[0, 0, 0], [7e6, 0, 0], [0, 7e6, 0]])
@@ -248,6 +268,9 @@ GOOD = one_file('{ recipe = "unix_s", columns = "t" }')
         (GOOD + 'position = { from = ["bx", "by", "bz"], unit = "km" }\n', "position wants frame"),
         (GOOD + 'attitude = { from = ["bx", "by", "bz"], order = "xyz" }\n', "attitude wants relative_to"),
         (GOOD + 'attitude = { from = ["bx", "by", "bz"], order = "xyz", relative_to = "GCRS" }\n', "has norm"),
+        (GOOD + 'flag_on = { from = "bx", between = "hold" }\n', "flag_on takes no `between`"),
+        (GOOD + 'driver_on = { from = ["bx", "by"] }\n', "driver_on takes one column"),
+        (GOOD + 'driver_on = { from = "bx", between = "cubic" }\n', "file.0.columns.driver_on.between"),
         (GOOD.replace("[[file]]", '[[file]]\npath = "../a.csv"'), "leaves the folder"),
         (GOOD.replace("[[file]]", '[[file]]\npath = "*.dat"'), "no file matches '*.dat'"),
         ("[[file]\n", "is not valid TOML"),

@@ -21,7 +21,7 @@ from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.orbit import Orbit
 from fluxtwin.sim.telemetry import csv_files as telemetry_csv
 from fluxtwin.sim.telemetry import netcdf_files as telemetry_netcdf
-from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.record import Telemetry, concatenate
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
 
 pytestmark = pytest.mark.property
@@ -53,6 +53,8 @@ def full_record(rows: int = 40) -> Telemetry:
         sunlit=bits[:, 0],
         heater_on=bits[:, 1],
         flags={"transmitter": bits[:, 2]},
+        drivers={"payload": np.where(bits[:, 0] > 0, rng.normal(size=rows), np.nan), "2": bits[:, 1]},
+        driver_units={"payload": "A"},
         array_current_A=rng.normal(size=rows),
         battery_current_A=rng.normal(size=rows),
         temperature_degC=rng.normal(size=rows),
@@ -87,9 +89,9 @@ def save(folder: Path, lines: list[str], name: str = "t.csv", encoding: str = "u
 def assert_same(one: Telemetry, other: Telemetry) -> None:
     for item in dataclasses.fields(Telemetry):
         a, b = getattr(one, item.name), getattr(other, item.name)
-        if item.name == "provenance" or (a is None and b is None):
+        if item.name in ("provenance", "driver_units") or (a is None and b is None):
             continue
-        if item.name == "flags":
+        if item.name in ("flags", "drivers"):
             assert {k: v.tobytes() for k, v in a.items()} == {k: v.tobytes() for k, v in b.items()}
         elif item.name == "rate_B_rad_s":  # kept in deg/s in files
             assert np.allclose(a, b, rtol=4e-16, atol=0)
@@ -107,6 +109,8 @@ def test_a_record_with_every_column_reads_back_bit_equal(tmp_path: Path, name: s
     assert back.provenance["source"] == name
     assert len(back.provenance["sha256"]) == 64
     assert "mag_B_nT is missing in 1 of 40 rows" in back.provenance["notices"]
+    assert f"driver_payload is missing in {np.isnan(record.drivers['payload']).sum()} of" in back.provenance["notices"]
+    assert back.driver_units == ({"payload": "A"} if name == "a.nc" else {})  # a CSV has no place for a unit
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -481,3 +485,17 @@ def test_two_line_elements_give_the_position_a_file_lacks(tmp_path: Path) -> Non
     assert read.r_N_km is not None
     assert np.all(np.abs(np.linalg.norm(read.r_N_km, axis=1) - 6730.0) < 30.0)
     assert "elements in iss.tle" in read.provenance["notices"]
+
+
+def test_records_with_other_drivers_join_unless_their_units_differ() -> None:
+    record = full_record()
+    first, second = record.select(slice(0, 15)), record.select(slice(15, None))
+    assert_same(concatenate([first, second]), record)
+    bare = second.replace(drivers={"heater": second.drivers["2"]})
+    joined = concatenate([bare, first])
+    assert sorted(joined.drivers) == ["2", "heater", "payload"]
+    assert np.isnan(joined.drivers["heater"][:15]).all()
+    assert np.isfinite(joined.drivers["heater"][15:]).all()
+    assert joined.driver_units == {"payload": "A"}
+    with pytest.raises(BadInput, match=r"driver_payload: is in A in one record, in mA in another"):
+        concatenate([first, second.replace(driver_units={"payload": "mA"})])

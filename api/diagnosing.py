@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -31,12 +31,14 @@ from fluxtwin.sim.run.world import ephemeris, schedule_times
 from fluxtwin.sim.scenario.effect_sections import active_effects
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.telemetry.record import Telemetry
-from fluxtwin.verbs import as_record
+from fluxtwin.sim.telemetry.telemetry_files import Reading
+from fluxtwin.verbs import as_record, with_reading
 
 _ERRORS = ("noise_nT", "lsb_nT", "attitude_sigma_deg", "attitude_tau_s")
 """What may be declared of the errors."""
 
 
+@with_reading
 def diagnose(
     telemetry: Telemetry | Path | str,
     *,
@@ -49,6 +51,7 @@ def diagnose(
     field: str | None = None,
     degree: int | None = None,
     progress: Progress = silent,
+    **reading: Unpack[Reading],
 ) -> Diagnosis:
     """Where the gap between a record and its simulation lies, which effect causes it, how far it shrinks.
 
@@ -61,7 +64,7 @@ def diagnose(
     modelled = tuple(dict.fromkeys(modelled))
     for name in modelled:
         find_effect(name, where="--modelled")
-    record = as_record(telemetry)
+    record = as_record(telemetry, **reading)
     config = None if scenario is None else as_scenario(scenario)
     if config is not None:
         record = _with_scenario(record, config)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import inspect
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar, Unpack
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import field_E_nT
 from fluxtwin.sim.earth.field_models import FieldModel, load_field
 from fluxtwin.sim.telemetry.record import Telemetry
-from fluxtwin.sim.telemetry.telemetry_files import as_path, read_telemetry
+from fluxtwin.sim.telemetry.telemetry_files import Reading, as_path, read_telemetry
 
 if TYPE_CHECKING:
     from fluxtwin.calib.attitude.three_axis import AttitudeSolution
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from fluxtwin.sim.effects.base import Effect
     from fluxtwin.sim.scenario.scenario import Scenario
 
+F = TypeVar("F", bound=Callable[..., Any])
+
 
 def as_model(field: str | FieldModel, degree: int | None = None) -> FieldModel:
     """A field model from its name (igrf14, igrf1975, chaos:FILE), or the model itself, cut to `degree`."""
@@ -35,9 +38,27 @@ def as_model(field: str | FieldModel, degree: int | None = None) -> FieldModel:
     return field if degree is None else field.truncated(degree)
 
 
-def as_record(telemetry: Telemetry | Path | str) -> Telemetry:
-    """A record, read first where a file is named."""
-    return telemetry if isinstance(telemetry, Telemetry) else read_telemetry(telemetry)
+def as_record(telemetry: Telemetry | Path | str, **reading: Unpack[Reading]) -> Telemetry:
+    """A record, read first where a file is named; of a record that is there, `reading` may choose rows."""
+    if not isinstance(telemetry, Telemetry):
+        return read_telemetry(telemetry, **reading)
+    for_files = [name for name in ("column_map", "tle", "max_samples") if reading.pop(name, None) is not None]  # type: ignore[misc]
+    if for_files:
+        raise BadInput("a record is read already", where=for_files[0], wanted="the path of a file, or the record alone")
+    from fluxtwin.sim.telemetry.selection import selected
+
+    return selected(telemetry, **reading)  # type: ignore[misc]
+
+
+def with_reading(verb: F) -> F:
+    """The verb, whose `**` keywords are (also) those of `read_telemetry`: its signature and its docstring name them."""
+    own, reading = inspect.signature(verb), inspect.signature(read_telemetry)
+    kept = [one for one in own.parameters.values() if one.kind is not one.VAR_KEYWORD]
+    added = [one for one in reading.parameters.values() if one.kind is one.KEYWORD_ONLY]
+    verb.__signature__ = own.replace(parameters=[*kept, *added])  # type: ignore[attr-defined]
+    names = ", ".join(one.name for one in added)
+    verb.__doc__ = f"{inspect.cleandoc(verb.__doc__ or '')}\n\n{names}: as in `fluxtwin.read`.\n"
+    return verb
 
 
 def as_calibration(calibration: Calibration | Path | str) -> Calibration:
@@ -45,19 +66,25 @@ def as_calibration(calibration: Calibration | Path | str) -> Calibration:
     return calibration if isinstance(calibration, Calibration) else Calibration.from_toml(calibration)
 
 
+@with_reading
 def check(
-    telemetry: Telemetry | Path | str, *, field: str | FieldModel = "igrf14", degree: int | None = None
+    telemetry: Telemetry | Path | str,
+    *,
+    field: str | FieldModel = "igrf14",
+    degree: int | None = None,
+    **reading: Unpack[Reading],
 ) -> CheckReport:
     """Is this record what it says? Counts, milligauss or microtesla sold as nT, wrong frames, and so on."""
     from fluxtwin.calib.checks.check import check_file, check_telemetry
 
     model = as_model(field, degree)
     if isinstance(telemetry, Telemetry):
-        return check_telemetry(telemetry, model)
-    return check_file(as_path(telemetry), model)
+        return check_telemetry(as_record(telemetry, **reading), model)
+    return check_file(as_path(telemetry), model, **reading)
 
 
 @with_options
+@with_reading
 def calibrate(
     telemetry: Telemetry | Path | str | Sequence[Telemetry | Path | str],
     *,
@@ -75,20 +102,27 @@ def calibrate(
         if isinstance(telemetry, Sequence | Iterator) and not isinstance(telemetry, str)
         else [telemetry]
     )
-    return calibrate_by([as_record(one) for one in given], as_model(field, degree), **options)
+    reading: Any = {name: options.pop(name) for name in Reading.__annotations__ if name in options}
+    return calibrate_by([as_record(one, **reading) for one in given], as_model(field, degree), **options)
 
 
+@with_reading
 def apply(
-    telemetry: Telemetry | Path | str, calibration: Calibration | Path | str, *, force: bool = False
+    telemetry: Telemetry | Path | str,
+    calibration: Calibration | Path | str,
+    *,
+    force: bool = False,
+    **reading: Unpack[Reading],
 ) -> Telemetry:
     """The record with (I + S) B + b + T D in place of its readings B. Missing rows stay missing.
 
     Raises BadInput for a record that is corrected already, and for a calibration of another spacecraft or another time;
     force corrects it all the same.
     """
-    return apply_calibration(as_record(telemetry), as_calibration(calibration), force=force)
+    return apply_calibration(as_record(telemetry, **reading), as_calibration(calibration), force=force)
 
 
+@with_reading
 def attitude(
     telemetry: Telemetry | Path | str,
     calibration: Calibration | Path | str | None = None,
@@ -101,6 +135,7 @@ def attitude(
     sun_sigma_deg: float | None = None,
     force: bool = False,
     progress: Progress = silent,
+    **reading: Unpack[Reading],
 ) -> AttitudeSolution:
     """Three-axis attitude from field, horizon scanner and sun (or reference attitude), by night from field and scanner.
 
@@ -110,7 +145,7 @@ def attitude(
     """
     from fluxtwin.calib.attitude.three_axis import estimate_attitude
 
-    record = as_record(telemetry)
+    record = as_record(telemetry, **reading)
     given = None if calibration is None else as_calibration(calibration)
     return estimate_attitude(
         record,
@@ -173,6 +208,7 @@ def field(
     }
 
 
+@with_reading
 def yaw(
     telemetry: Telemetry | Path | str,
     calibration: Calibration | Path | str | None = None,
@@ -183,6 +219,7 @@ def yaw(
     attitude_sigma_deg: float = 0.1,
     average_s: float = 120.0,
     force: bool = False,
+    **reading: Unpack[Reading],
 ) -> YawSolution:
     """Yaw from the calibrated field, with roll and pitch from elsewhere, and its sigma.
 
@@ -194,7 +231,7 @@ def yaw(
     for name, value in (("--sigma-nT", sigma_B_nT), ("--attitude-sigma-deg", attitude_sigma_deg)):
         if value is not None and not 0 <= value < np.inf:
             raise BadInput(f"{value:g}", where=name, wanted="zero or a positive number")
-    record = as_record(telemetry)
+    record = as_record(telemetry, **reading)
     given = None if calibration is None else as_calibration(calibration)
     known = calibration_of(record, given, force=force)
     if given is None and sigma_B_nT is None and known.sigma_nT == 0:

@@ -109,8 +109,8 @@ def _next_step(fit: Fit, telemetry: list[Path], out: Path | None, reading: of.Re
         words = "fluxtwin calibrate TELEMETRY --out CALIBRATION.toml"
     several = words.startswith("fluxtwin calibrate")
     named = " ".join(shlex.quote(str(path)) for path in (telemetry if several else telemetry[:1]))
-    for option, path in zip(("--map", "--tle"), reading.files, strict=True):
-        named += "" if path is None else f" {option} {shlex.quote(str(path))}"
+    how = reading._replace(start=None, end=None, where=None) if words.startswith("fluxtwin apply") else reading
+    named += f" {how.words}" if how.words else ""
     stem = telemetry[0].name.removesuffix(".gz").rsplit(".", 1)[0]
     corrected = shlex.quote(f"{stem}-corrected.nc")
     known = shlex.quote(str(out or f"{stem}-calibration.toml"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -38,7 +38,6 @@ def command(
         from fluxtwin import outputs, verbs
         from fluxtwin.calib.checks import check
         from fluxtwin.sim.base.errors import BadInput
-        from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
 
         if repair is not None and reading.column_map is not None:
             raise BadInput(
@@ -46,16 +45,16 @@ def command(
                 where="--repair",
                 wanted="--repair without --map, on a file that has the columns of the contract",
             )
+        if repair is not None and not reading.whole:
+            raise BadInput("mends whole files", where="--repair", wanted="no --from, --to or --where beside it")
         output.claim({"--repair": (repair, outputs.TELEMETRY)}, [telemetry, field, *reading.files])
         model = verbs.as_model(field, degree)
-        most = reading.max_samples or MAX_SAMPLES
-        how: dict[str, Any] = {**reading._asdict(), "max_samples": most}
-        found = check.check_file(telemetry, model, **how)
+        found = check.check_file(telemetry, model, **reading._asdict())
         mended = after = None
         if repair is not None:
             progress("repairing", 0.5)
-            mended = check.repair(telemetry, repair, max_samples=most)
-            after = check.check_file(repair, model, **how)
+            mended = check.repair(telemetry, repair, max_samples=reading.max_samples)
+            after = check.check_file(repair, model, **reading._asdict())
     _print(output, f"{telemetry}: {found.samples} rows", found)
     record = found.to_dict()
     if mended is not None and after is not None:

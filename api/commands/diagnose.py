@@ -38,8 +38,7 @@ def command(
     close: Annotated[
         Path | None, typer.Option("--close", metavar="OUT.toml", help="Write a scenario with the named effects in it.")
     ] = None,
-    column_map: of.MapOption = None,
-    tle: of.TleOption = None,
+    reading: of.Reading = of.READING,
 ) -> None:
     """Say where the gap between telemetry and simulation lies, which effect causes it and how far it shrinks.
 
@@ -48,12 +47,16 @@ def command(
     with output.progress(f"reading {telemetry}") as progress:
         from fluxtwin import diagnosing, diagnosis_page, outputs
         from fluxtwin.report import render_report
+        from fluxtwin.sim.base.errors import BadInput
         from fluxtwin.sim.base.files import write_text
         from fluxtwin.sim.scenario.scenario import save_scenario
 
         targets = {"--html": (html, outputs.PAGE), "--close": (close, outputs.SCENARIO)}
-        output.claim(targets, [telemetry, scenario, field, column_map, tle])
-        record = read(telemetry, output, of.Reading(column_map, tle))
+        output.claim(targets, [telemetry, scenario, field, *reading.files])
+        if close is not None and scenario is None and not reading.whole:
+            wanted = "a file of these rows alone (fluxtwin convert), or --scenario"
+            raise BadInput("the scenario would replay the whole file", where="--close", wanted=wanted)
+        record = read(telemetry, output, reading)
         names = [] if modelled.strip() == "none" else [name.strip() for name in modelled.split(",") if name.strip()]
         diagnosis = diagnosing.diagnose(
             record,
@@ -71,7 +74,7 @@ def command(
         if close is not None:
             declared = diagnosing.Declared(noise_nt, lsb_nt, attitude_sigma_deg, attitude_tau_s, field, degree)
             diagnosis, scene = diagnosing.close(
-                diagnosis, scenario=scenario, telemetry=telemetry, column_map=column_map, declared=declared
+                diagnosis, scenario=scenario, telemetry=telemetry, column_map=reading.column_map, declared=declared
             )
         title = f"The gap: {telemetry.name}"
         page = None if html is None else render_report(diagnosis_page.diagnosis_page(diagnosis, title))

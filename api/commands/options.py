@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import shlex
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias, get_type_hints
@@ -95,11 +96,33 @@ class Reading(NamedTuple):
             "--max-samples", metavar="N", min=1, help="Most rows that are read of a file; 5,000,000 where not given."
         ),
     ] = None
+    start: Annotated[
+        str | None, typer.Option("--from", metavar="TIME", help="Only rows from this instant on (ISO 8601 UTC).")
+    ] = None
+    end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="Only rows before this instant.")] = None
+    where: Annotated[
+        str | None,
+        typer.Option(
+            "--where", metavar="CONDITION", help="Only rows in which it holds, as 'sunlit == 1 and speed < 5'."
+        ),
+    ] = None
 
     @property
     def files(self) -> tuple[Path | None, Path | None]:
         """What is read besides the telemetry."""
         return self.column_map, self.tle
+
+    @property
+    def whole(self) -> bool:
+        """No rows are chosen."""
+        return self.start is None and self.end is None and self.where is None
+
+    @property
+    def words(self) -> str:
+        """The options that are given, as a shell takes them."""
+        flags = ("--map", "--tle", "--max-samples", "--from", "--to", "--where")
+        given = ((flag, value) for flag, value in zip(flags, self, strict=True) if value is not None)
+        return shlex.join(str(word) for pair in given for word in pair)
 
 
 READING = Reading()

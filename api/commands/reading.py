@@ -24,12 +24,10 @@ TelemetryArgument: TypeAlias = Annotated[
 
 def read(path: Path, output: Output, reading: Reading, *, one_of_many: bool = False) -> Telemetry:
     """The record in `path`; the reader's notices go to standard error, one a line, with the file's name among many."""
-    from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
     from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
 
     stop_if_asked()  # importing took its time
-    how = reading._replace(max_samples=reading.max_samples or MAX_SAMPLES)
-    record = read_telemetry(path, **how._asdict())
+    record = read_telemetry(path, **reading._asdict())
     stop_if_asked()
     for notice in filter(None, record.provenance.get("notices", "").split("; ")):
         output.note(f"note: {path.name}: {notice}" if one_of_many else f"note: {notice}")

@@ -29,6 +29,7 @@ from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
 from fluxtwin.sim.telemetry.layouts import recognised
 from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.selection import Selection, selection
 from fluxtwin.sim.telemetry.telemetry_files import read_table, write_telemetry
 
 RECOGNISED = "recognised_layout"
@@ -60,13 +61,19 @@ def check_file(
     *,
     column_map: Path | str | None = None,
     tle: Path | str | None = None,
-    max_samples: int = MAX_SAMPLES,
+    max_samples: int | None = None,
+    start: np.datetime64 | str | None = None,
+    end: np.datetime64 | str | None = None,
+    where: str | None = None,
 ) -> CheckReport:
     """As `check_telemetry`, from a file; rows out of order or doubled are a trap here, not an error.
 
+    How it is read: as `read_telemetry`.
+
     Raises BadInput for a file that cannot be read at all.
     """
-    table, how = _read(path, column_map, tle, max_samples)
+    chosen = selection(start, end, where)
+    table, how = _read(path, column_map, tle, max_samples or MAX_SAMPLES, chosen)
     mapped = column_map is not None or bool(how)
     order = _order(table, "`sort = true` in the [[file]] of a column map" if mapped else "`--repair OUT`")
     ordered = _ordered(table)[0]
@@ -85,19 +92,21 @@ def check_file(
 
 
 def _read(
-    path: Path | str, column_map: Path | str | None, tle: Path | str | None, max_samples: int
+    path: Path | str, column_map: Path | str | None, tle: Path | str | None, max_samples: int, chosen: Selection
 ) -> tuple[FileTable, list[Finding]]:
     """The columns of `path`, and a note where a packaged map was needed and fits to the letter."""
     if column_map is not None:
-        return mapped_table(path, column_map, tle=tle, max_samples=max_samples, any_order=True), []
+        return chosen.cut(mapped_table(path, column_map, tle=tle, max_samples=max_samples, any_order=True)), []
     try:
-        return read_table(path, max_samples=max_samples), []
+        table = read_table(path, max_samples=max_samples, others=chosen.columns)
     except BadInput:
         found = recognised(path)
         if found is None:
             raise
+    else:
+        return chosen.cut(table), []
     name, packaged = found
-    table = mapped_table(path, packaged, tle=tle, max_samples=max_samples, any_order=True)
+    table = chosen.cut(mapped_table(path, packaged, tle=tle, max_samples=max_samples, any_order=True))
     layout = packaged.layout
     text = f"recognised layout: {layout.name if layout else name}; read with the packaged map {name}"
     text += f", which takes {layout.taken_as}" if layout else ""
@@ -130,7 +139,7 @@ def _without_magnetometer(telemetry: Telemetry) -> list[Finding]:
     return [*check_motion(telemetry), note("no_magnetometer", text)]
 
 
-def repair(path: Path | str, out: Path | str, *, max_samples: int = MAX_SAMPLES) -> CheckReport:
+def repair(path: Path | str, out: Path | str, *, max_samples: int | None = None) -> CheckReport:
     """Write `out` with the rows of `path` sorted by time and exact duplicates dropped; the rest is reported.
 
     Rows without a time, and rows that give an instant a second, different content, cannot stand in a record;
@@ -139,7 +148,7 @@ def repair(path: Path | str, out: Path | str, *, max_samples: int = MAX_SAMPLES)
     if Path(out).resolve() == Path(path).resolve():
         raise BadInput("would overwrite the input", where=str(out), wanted="another name for the repaired file")
     try:
-        table = read_table(path, max_samples=max_samples)
+        table = read_table(path, max_samples=max_samples or MAX_SAMPLES)
     except BadInput:
         if recognised(path) is None:
             raise

@@ -34,7 +34,6 @@ from fluxtwin.sim.telemetry import column_map_words as words
 from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, DRIVERS, FAMILIES, family_of
-from fluxtwin.sim.telemetry.record import Telemetry
 
 KNOWN = [
     *sorted(BY_MAP_NAME, key=lambda name: not BY_MAP_NAME[name].map_units),
@@ -208,19 +207,6 @@ def load_column_map(path: Path | str) -> ColumnMap:
     return read_model(path, ColumnMap)
 
 
-def read_mapped(
-    path: Path | str,
-    column_map: Path | str | ColumnMap,
-    *,
-    tle: Path | str | None = None,
-    max_samples: int = MAX_SAMPLES,
-) -> Telemetry:
-    """The record of the foreign file or folder `path` under `column_map`. See `telemetry_files.read_telemetry`."""
-    from fluxtwin.sim.telemetry.build import record
-
-    return record(mapped_table(path, column_map, tle=tle, max_samples=max_samples))
-
-
 def mapped_table(
     path: Path | str,
     column_map: Path | str | ColumnMap,
@@ -229,7 +215,7 @@ def mapped_table(
     max_samples: int = MAX_SAMPLES,
     any_order: bool = False,
 ) -> FileTable:
-    """The columns of `read_mapped` before they are a record.
+    """The columns of the foreign file or folder `path` under `column_map`, before they are a record.
 
     any_order: rows of a single source without attitude are let through as they come, for `check` to judge.
     """

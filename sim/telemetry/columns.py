@@ -60,6 +60,8 @@ class FileTable:
     provenance: dict[str, str] = field(default_factory=dict)
     units: dict[str, str] = field(default_factory=dict)
     """Units of columns whose names do not say them, by file name."""
+    others: MutableMapping[str, FloatArray] = field(default_factory=dict)
+    """Columns that no record has, each (N,), where a condition on rows asks for them."""
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ import hashlib
 import io
 import re
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -132,8 +133,8 @@ class CsvFile:
         )
 
 
-def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> FileTable:
-    """The contract columns of a CSV file. Raises BadInput naming the file and what is wrong with it."""
+def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES, others: Sequence[str] = ()) -> FileTable:
+    """The contract columns of a CSV file, and `others` where it has them. Raises BadInput naming the file and the fault."""
     opened = open_csv(path, max_samples=max_samples)
     if "time" not in opened.names:
         listed = ", ".join(clip(name) for name in opened.names[:12])
@@ -144,6 +145,7 @@ def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> FileTable
         )
     found = resolve([name for name in opened.names if name not in TEXTS], opened.where)
     used = set(found.used)
+    beside = [name for name in others if name in opened.names and name not in used]
     columns = opened.numbers([name for name in opened.names if name in used])
     stamps = opened.text("time")
     return FileTable(
@@ -152,6 +154,7 @@ def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> FileTable
         columns=columns,
         notices=[*opened.notices, *found.notices, *zone_assumed(stamps, "time")],
         provenance={**_texts(opened), "source": Path(path).name, "sha256": opened.sha256},
+        others=opened.numbers(beside),
     )
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -206,8 +206,8 @@ class NetcdfFile:
             raise BadInput(f"{what} ({reason})", where=self.where) from None
 
 
-def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> FileTable:
-    """The contract columns of a NetCDF file. Raises BadInput naming the file and what is wrong with it."""
+def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES, others: Sequence[str] = ()) -> FileTable:
+    """The contract columns of a NetCDF file, and `others` where it has them. Raises BadInput naming the file and the fault."""
     with NetcdfFile(path, max_samples=max_samples) as opened:
         names = opened.names()
         if "time" not in names:
@@ -220,8 +220,9 @@ def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> FileTable
         found = resolve(names, opened.where, {name: opened.described(name) for name in names})
         sealed = opened.verify(names)
         columns = {name: opened.numbers(name) for name in found.used}
+        beside = {name: opened.numbers(name) for name in others if name in names and name not in columns}
         time = opened.times()
-        for name, value in [("time", time), *columns.items()]:
+        for name, value in [("time", time), *columns.items(), *beside.items()]:
             if value.shape != (len(time),) or time.ndim != 1:
                 raise BadInput(
                     f"{name} has the shape {value.shape}, time has {time.shape}", where=opened.where, wanted="(time,)"
@@ -232,7 +233,7 @@ def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> FileTable
         notices = list(found.notices)
         if not sealed:
             notices.append("the file carries no digest, so damage would not be noticed")
-        return FileTable(opened.where, time, columns, notices, _provenance(opened, attributes), units)
+        return FileTable(opened.where, time, columns, notices, _provenance(opened, attributes), units, beside)
 
 
 def write(telemetry: Telemetry, path: Path | str) -> Path:

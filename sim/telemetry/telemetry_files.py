@@ -3,14 +3,29 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
+
+import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import is_stream
 from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
 from fluxtwin.sim.telemetry.record import Telemetry
+
+
+class Reading(TypedDict, total=False):
+    """How telemetry is read: the keywords of `read_telemetry`, which every verb takes."""
+
+    column_map: Path | str | None
+    tle: Path | str | None
+    max_samples: int | None
+    start: np.datetime64 | str | None
+    end: np.datetime64 | str | None
+    where: str | None
+
 
 _SUFFIXES = ".nc, .csv or .csv.gz"
 
@@ -20,22 +35,29 @@ def read_telemetry(
     *,
     column_map: Path | str | None = None,
     tle: Path | str | None = None,
-    max_samples: int = MAX_SAMPLES,
+    max_samples: int | None = None,
+    start: np.datetime64 | str | None = None,
+    end: np.datetime64 | str | None = None,
+    where: str | None = None,
 ) -> Telemetry:
     """The record in `path`: a .nc, .csv or .csv.gz of the contract, or a foreign file or folder with `column_map`.
 
     column_map: TOML that says which columns hold what, in which units and frames. tle: two-line elements that
-    give the position where the file has none. What was left out or converted stands in
+    give the position where the file has none. max_samples: most rows that are read; None for 5,000,000.
+    start, end, where: rows from `start` to before `end` in which the condition holds, as `sunlit == 1`. What was left out or converted stands in
     `provenance["notices"]`. Raises BadInput naming the file and the row or column at fault.
     """
     from fluxtwin.sim.telemetry.build import record
+    from fluxtwin.sim.telemetry.selection import selection
 
     path = as_path(path)
+    chosen = selection(start, end, where)
     if column_map is not None:
-        from fluxtwin.sim.telemetry.column_map import read_mapped
+        from fluxtwin.sim.telemetry.column_map import mapped_table
 
-        return read_mapped(path, column_map, tle=tle, max_samples=max_samples)
-    return record(read_table(path, max_samples=max_samples), tle=tle)
+        return record(chosen.cut(mapped_table(path, column_map, tle=tle, max_samples=max_samples or MAX_SAMPLES)))
+    table = read_table(path, max_samples=max_samples or MAX_SAMPLES, others=chosen.columns)
+    return record(chosen.cut(table), tle=tle)
 
 
 def as_path(given: Any) -> Path:
@@ -55,15 +77,15 @@ def as_path(given: Any) -> Path:
     )
 
 
-def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> FileTable:
-    """The columns of a contract file before they are a record; rows may still be in any order."""
+def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES, others: Sequence[str] = ()) -> FileTable:
+    """The columns of a contract file before they are a record, and `others`; rows may still be in any order."""
     if _kind(path) == "nc":
         from fluxtwin.sim.telemetry import netcdf_files
 
-        return netcdf_files.read_table(path, max_samples=max_samples)
+        return netcdf_files.read_table(path, max_samples=max_samples, others=others)
     from fluxtwin.sim.telemetry import csv_files
 
-    return csv_files.read_table(path, max_samples=max_samples)
+    return csv_files.read_table(path, max_samples=max_samples, others=others)
 
 
 def write_telemetry(telemetry: Telemetry, path: Path | str) -> Path:

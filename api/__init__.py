@@ -3,6 +3,7 @@
 The verbs, each imported when it is first used:
 
     telemetry = fluxtwin.read("pass.nc")             # NetCDF or CSV, or a foreign file with a column map
+    fluxtwin.info("pass.nc")                         # what is in it, and what each verb lacks
     found = fluxtwin.diagnose(telemetry)             # where the gap to the simulation lies, which effect causes it
     found, scenario = fluxtwin.close(found, scenario=None, telemetry="pass.nc")   # a scenario that has the effect
     report = fluxtwin.check(telemetry)               # the classic traps, named; fluxtwin.repair mends a file
@@ -35,6 +36,7 @@ if __name__ == "api":
 if TYPE_CHECKING:
     from fluxtwin.calib.checks.check import repair as repair
     from fluxtwin.calib.common.records import Calibration as Calibration
+    from fluxtwin.describing import info as info
     from fluxtwin.diagnosing import close as close
     from fluxtwin.diagnosing import diagnose as diagnose
     from fluxtwin.flying import ensemble as ensemble
@@ -52,6 +54,7 @@ if TYPE_CHECKING:
     from fluxtwin.verbs import attitude as attitude
     from fluxtwin.verbs import calibrate as calibrate
     from fluxtwin.verbs import check as check
+    from fluxtwin.verbs import convert as convert
     from fluxtwin.verbs import draft_map as draft_map
     from fluxtwin.verbs import effects as effects
     from fluxtwin.verbs import field as field
@@ -65,8 +68,20 @@ __version__ = "0.1.0"
 
 _NAMES = {
     "fluxtwin.sim.telemetry.telemetry_files": ("read_telemetry", "write_telemetry"),
-    "fluxtwin.verbs": ["check", "calibrate", "apply", "attitude", "yaw", "effects", "passes", "draft_map", "field"],
+    "fluxtwin.verbs": [
+        "convert",
+        "check",
+        "calibrate",
+        "apply",
+        "attitude",
+        "yaw",
+        "effects",
+        "passes",
+        "draft_map",
+        "field",
+    ],
     "fluxtwin.diagnosing": ("diagnose", "close"),
+    "fluxtwin.describing": ("info",),
     "fluxtwin.calib.checks.check": ("repair",),
     "fluxtwin.sim.earth.field_models": ("load_field",),
     "fluxtwin.scenarios.packaged": ("load_scenario",),

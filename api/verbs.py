@@ -18,7 +18,7 @@ from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import field_E_nT
 from fluxtwin.sim.earth.field_models import FieldModel, load_field
 from fluxtwin.sim.telemetry.record import Telemetry
-from fluxtwin.sim.telemetry.telemetry_files import Reading, as_path, read_telemetry
+from fluxtwin.sim.telemetry.telemetry_files import Reading, as_path, read_telemetry, write_telemetry
 
 if TYPE_CHECKING:
     from fluxtwin.calib.attitude.three_axis import AttitudeSolution
@@ -64,6 +64,13 @@ def with_reading(verb: F) -> F:
 def as_calibration(calibration: Calibration | Path | str) -> Calibration:
     """A calibration, read first where a file is named."""
     return calibration if isinstance(calibration, Calibration) else Calibration.from_toml(calibration)
+
+
+@with_reading
+def convert(telemetry: Telemetry | Path | str, out: Path | str, **reading: Unpack[Reading]) -> Path:
+    """Write telemetry in the format that the name `out` ends in, whatever it is read from. As `fluxtwin.write` it replaces a
+    file that is there. Returns the path."""
+    return write_telemetry(as_record(telemetry, **reading), out)
 
 
 @with_reading

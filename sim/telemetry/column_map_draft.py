@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import MutableMapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -79,18 +79,19 @@ _SAMPLE = 2000
 
 
 @dataclass
-class _Header:
+class Header:
     """Names of the columns of one file, and numbers of a few rows."""
 
     path: Path
     names: list[str]
-    values: dict[str, FloatArray] = field(default_factory=dict)
+    values: MutableMapping[str, FloatArray] = field(default_factory=dict)
     """Columns (n,) or variables (n, k) that are numbers."""
     iso: list[str] = field(default_factory=list)
     """Columns of ISO 8601 stamps."""
     cf: list[str] = field(default_factory=list)
     """NetCDF variables with units "... since"."""
     units: dict[str, str] = field(default_factory=dict)
+    rows: int = 0
 
 
 def draft(paths: Sequence[Path | str]) -> str:
@@ -98,7 +99,7 @@ def draft(paths: Sequence[Path | str]) -> str:
 
     Raises BadInput for a file that cannot be read, or where no magnetometer or no time is found.
     """
-    headers = [_header(Path(path)) for path in paths]
+    headers = [header_of(Path(path)) for path in paths]
     parts = [
         "# A first column map. Whatever was guessed says so: look at it, mend it, delete the comment.",
         f"# Then: fluxtwin check {_shown(headers)} --map THIS.toml",
@@ -119,11 +120,11 @@ def draft(paths: Sequence[Path | str]) -> str:
     return "\n".join(parts) + "\n"
 
 
-def _shown(headers: list[_Header]) -> str:
+def _shown(headers: list[Header]) -> str:
     return str(headers[0].path if len(headers) == 1 else headers[0].path.parent)
 
 
-def _file(header: _Header, *, named: bool, seen: set[str]) -> list[str]:
+def _file(header: Header, *, named: bool, seen: set[str]) -> list[str]:
     lines = ["[[file]]"]
     if named:
         lines.append(f"path = {json.dumps(header.path.name)}")
@@ -149,7 +150,7 @@ def _file(header: _Header, *, named: bool, seen: set[str]) -> list[str]:
     return lines
 
 
-def _time(header: _Header) -> tuple[str, set[str], str]:
+def _time(header: Header) -> tuple[str, set[str], str]:
     """The recipe, the columns it takes, and what is doubtful in it."""
     if header.cf:
         return f'{{ recipe = "cf", columns = {json.dumps(header.cf[0])} }}', {header.cf[0]}, ""
@@ -185,7 +186,7 @@ def _time(header: _Header) -> tuple[str, set[str], str]:
 _Found = tuple[str, list[str], dict[str, object], list[str]]
 
 
-def _quantities(header: _Header, free: list[str]) -> list[_Found]:
+def _quantities(header: Header, free: list[str]) -> list[_Found]:
     """Quantity, columns, keys of the map, doubts."""
     out: list[_Found] = []
     quaternion = _quaternion(header, free)
@@ -214,7 +215,7 @@ def _quantities(header: _Header, free: list[str]) -> list[_Found]:
     return sorted(out, key=lambda one: one[0] != "mag")
 
 
-def _triples(header: _Header, free: list[str]) -> list[list[str]]:
+def _triples(header: Header, free: list[str]) -> list[list[str]]:
     """Three columns whose names differ in one place by x y z, 1 2 3 or 0 1 2; or one variable of three components."""
     out = [[name] for name in free if name in header.values and header.values[name].shape[1:] == (3,)]
     known, taken = {name.lower(): name for name in free}, set[str]()
@@ -228,7 +229,7 @@ def _triples(header: _Header, free: list[str]) -> list[list[str]]:
     return out
 
 
-def _quaternion(header: _Header, free: list[str]) -> _Found | None:
+def _quaternion(header: Header, free: list[str]) -> _Found | None:
     known = {name.lower(): name for name in free}
     for name, (order, ends, guess) in itertools.product(free, _QUATERNIONS):
         for place in [m.start() for m in re.finditer(re.escape(ends[0]), name.lower())]:
@@ -252,14 +253,14 @@ def _attitude(columns: list[str], order: str, guess: bool) -> _Found:
     return "attitude", columns, {"order": order, "relative_to": frame or "GCRS"}, [text]
 
 
-def _is_unit(header: _Header, columns: list[str]) -> bool:
+def _is_unit(header: Header, columns: list[str]) -> bool:
     if not all(column in header.values for column in columns):
         return False
     size = np.linalg.norm(_stacked(header, columns), axis=1)
     return bool(np.nanmedian(np.abs(size - 1.0)) < 0.02)
 
 
-def _vector(header: _Header, quantity: str, columns: list[str]) -> _Found:
+def _vector(header: Header, quantity: str, columns: list[str]) -> _Found:
     doubts, keys = [], {}
     size = float(np.nanmedian(np.linalg.norm(_stacked(header, columns), axis=1)))
     if quantity not in ("sun", "nadir"):
@@ -280,7 +281,7 @@ def _vector(header: _Header, quantity: str, columns: list[str]) -> _Found:
     return quantity, columns, dict(keys), doubts
 
 
-def _stated_unit(header: _Header, quantity: str, columns: list[str]) -> str | None:
+def _stated_unit(header: Header, quantity: str, columns: list[str]) -> str | None:
     said = header.units.get(columns[0], "")
     words = [said, *re.split(r"[_\[\]() ]+", columns[0])[1:], "".join(re.split(r"[_/\[\]() ]+", columns[0])[-2:])]
     for word in words:
@@ -303,23 +304,24 @@ def _stem(columns: list[str]) -> str:
     return re.sub(r"[^a-z0-9]+", "_", re.sub(r"([a-z])([A-Z])", r"\1_\2", first).lower()).strip("_")
 
 
-def _stacked(header: _Header, columns: list[str]) -> FloatArray:
+def _stacked(header: Header, columns: list[str]) -> FloatArray:
     parts = [header.values[column] for column in columns]
     return parts[0] if len(parts) == 1 and parts[0].ndim == 2 else np.stack(parts, axis=1)
 
 
-def _header(path: Path) -> _Header:
+def header_of(path: Path) -> Header:
+    """The header of a file and numbers of its first rows. Raises BadInput for a file that cannot be read."""
     if path.name.lower().endswith((".nc", ".nc4", ".h5")):
         with NetcdfFile(path) as opened:
             return _netcdf_header(path, opened)
     csv = open_csv(path)
-    header = _Header(path, list(csv.names))
+    found = Header(path, list(csv.names), rows=csv.rows)
     for name in csv.names:
-        _look(csv, name, header)
-    return header
+        _look(csv, name, found)
+    return found
 
 
-def _look(csv: CsvFile, name: str, header: _Header) -> None:
+def _look(csv: CsvFile, name: str, header: Header) -> None:
     """Whether a column holds numbers or stamps."""
     text = csv.text(name)[:_SAMPLE]
     if any(re.match(rb"\s*\d{4}-\d\d-\d\d[T ]\d\d:", bytes(cell)) for cell in text[:20]):
@@ -331,8 +333,8 @@ def _look(csv: CsvFile, name: str, header: _Header) -> None:
         return
 
 
-def _netcdf_header(path: Path, opened: NetcdfFile) -> _Header:
-    header = _Header(path, list(opened.names()))
+def _netcdf_header(path: Path, opened: NetcdfFile) -> Header:
+    header = Header(path, list(opened.names()))
     for name in header.names:
         units = str(opened.attributes(name).get("units", ""))
         header.units[name] = units
@@ -345,4 +347,5 @@ def _netcdf_header(path: Path, opened: NetcdfFile) -> _Header:
             continue
         if value.ndim in (1, 2) and len(value):
             header.values[name] = value[:_SAMPLE]
+            header.rows = max(header.rows, len(value))
     return header

@@ -134,7 +134,7 @@ class CsvFile:
 
 
 def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES, others: Sequence[str] = ()) -> FileTable:
-    """The contract columns of a CSV file, and `others` where it has them. Raises BadInput naming the file and the fault."""
+    """The contract columns of a CSV file, and `others` where it has them. BadInput names the file and the fault."""
     opened = open_csv(path, max_samples=max_samples)
     if "time" not in opened.names:
         listed = ", ".join(clip(name) for name in opened.names[:12])

@@ -207,7 +207,7 @@ class NetcdfFile:
 
 
 def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES, others: Sequence[str] = ()) -> FileTable:
-    """The contract columns of a NetCDF file, and `others` where it has them. Raises BadInput naming the file and the fault."""
+    """The contract columns of a NetCDF file, and `others` where it has them. BadInput names the file and the fault."""
     with NetcdfFile(path, max_samples=max_samples) as opened:
         names = opened.names()
         if "time" not in names:

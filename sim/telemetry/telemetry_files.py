@@ -44,7 +44,8 @@ def read_telemetry(
 
     column_map: TOML that says which columns hold what, in which units and frames. tle: two-line elements that
     give the position where the file has none. max_samples: most rows that are read; None for 5,000,000.
-    start, end, where: rows from `start` to before `end` in which the condition holds, as `sunlit == 1`. What was left out or converted stands in
+    start, end, where: rows from `start` to before `end` in which the condition holds, as `sunlit == 1`.
+    What was left out or converted stands in
     `provenance["notices"]`. Raises BadInput naming the file and the row or column at fault.
     """
     from fluxtwin.sim.telemetry.build import record

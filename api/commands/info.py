@@ -1,0 +1,86 @@
+"""`fluxtwin info`: what is in these files?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fluxtwin.commands import options as of
+from fluxtwin.console import Output
+
+if TYPE_CHECKING:
+    from fluxtwin.describing import Inventory
+
+NAME = "info"
+BRIEF = "What is in these files: columns, units, span, gaps, and what each verb lacks."
+_MOST_PASSES = 20
+
+
+def command(
+    output: Output,
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Telemetry, or foreign files.")],
+    reading: of.Reading = of.READING,
+) -> None:
+    """List columns with units, rates and values, span, gaps, passes, provenance, and what is missing for which verb.
+
+    Of a foreign file without --map the header is listed.
+    """
+    with output.progress(f"reading {files[0]}"):
+        from fluxtwin.describing import info
+
+        output.claim({}, [*files, *reading.files])
+        found = [info(path, **reading._asdict()) for path in files]
+    for one in found:
+        _print(output, one)
+    output.result({"files": [one.to_dict() for one in found]})
+
+
+def _print(output: Output, one: Inventory) -> None:
+    if one.unread:
+        output.prose(f"{one.source}: {one.rows} rows; no telemetry as it stands: {one.unread}")
+        output.table("", ("column", "unit"), [(column.name, column.unit) for column in one.columns])
+        output.say(f"Next: fluxtwin map {one.source} --out map.toml")
+        output.say()
+        return
+    output.say(f"{one.source}: {one.rows} rows, {one.start} to {one.end}{_span(one)}")
+    rows = [
+        (
+            column.name,
+            column.unit,
+            f"{100.0 * (column.known or 0) / one.rows:.4g} %",
+            column.step_s,
+            column.low,
+            column.median,
+            column.high,
+        )
+        for column in one.columns
+    ]
+    output.table("", ("column", "unit", "known", "every [s]", "lowest", "median", "highest"), rows)
+    _passes(output, one)
+    ready = [verb for verb, missing in one.lacks.items() if not missing]
+    if ready:
+        output.prose(f"enough for: {', '.join(ready)}", indent="  ")
+    for verb, missing in one.lacks.items():
+        if missing:
+            output.say(f"{verb} lacks {', '.join(missing)}")
+    for key, text in one.provenance.items():
+        for line in text.split("; ") if key == "notices" else [text]:
+            output.prose(f"{key}: {line}", indent="  ")
+    output.say()
+
+
+def _span(one: Inventory) -> str:
+    if one.span_s is None or one.step_s is None:
+        return ""
+    return f" ({one.span_s / 3600.0:.4g} h), every {one.step_s:.4g} s"
+
+
+def _passes(output: Output, one: Inventory) -> None:
+    output.say(f"{one.gaps or 'no'} gap{'' if one.gaps == 1 else 's'} of more than three median steps")
+    if len(one.passes) < 2:
+        return
+    rows = [(piece.start, piece.end, piece.rows, piece.gap_before_s) for piece in one.passes[:_MOST_PASSES]]
+    note = f"The first {_MOST_PASSES} are listed." if len(one.passes) > _MOST_PASSES else ""
+    output.table(f"{len(one.passes)} passes", ("from [UTC]", "to [UTC]", "rows", "gap before [s]"), rows, note)

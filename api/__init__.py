@@ -10,6 +10,7 @@ The verbs, each imported when it is first used:
     fit = fluxtwin.calibrate(telemetry)              # S, b, T with covariance and observability
     better = fluxtwin.apply(telemetry, fit.calibration)
     fluxtwin.write(better, "pass_corrected.nc")
+    fluxtwin.export(fit.calibration, "px4", "mag.params")   # for flight software; fluxtwin.import_calibration reads it
     axes = fluxtwin.attitude(better)                 # three axes, through the night, with sigmas; fluxtwin.yaw one
 
     scenario = fluxtwin.load_scenario("mine.toml")        # or "cubesat", and the other packaged ones
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
     from fluxtwin.describing import info as info
     from fluxtwin.diagnosing import close as close
     from fluxtwin.diagnosing import diagnose as diagnose
+    from fluxtwin.flight_software import export as export
+    from fluxtwin.flight_software import import_calibration as import_calibration
     from fluxtwin.flying import ensemble as ensemble
     from fluxtwin.flying import simulate as simulate
     from fluxtwin.scenarios.packaged import load_scenario as load_scenario
@@ -80,6 +83,7 @@ _NAMES = {
         "draft_map",
         "field",
     ],
+    "fluxtwin.flight_software": ("export", "import_calibration"),
     "fluxtwin.diagnosing": ("diagnose", "close"),
     "fluxtwin.describing": ("info",),
     "fluxtwin.calib.checks.check": ("repair",),

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.files import followed, is_own_toml, is_stream, writable_file
+from fluxtwin.sim.base.files import COMMENTS, followed, is_own_toml, is_stream, writable_file
 
 JSON_MARK = "fluxtwin"
 """First key of every JSON result; its value is the version."""
@@ -94,7 +94,7 @@ def written_by_fluxtwin(path: Path | str) -> bool:
             from fluxtwin.sim.telemetry.netcdf_files import is_own
 
             return is_own(path)
-        if head.startswith(b"# Written by fluxtwin"):
+        if head.startswith(tuple(f"{comment} Written by fluxtwin".encode() for comment in COMMENTS)):
             return is_own_toml(head + opened.read())
     return (
         not head

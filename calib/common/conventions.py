@@ -4,10 +4,11 @@
 |---|---|---|
 | correction | A H = (I+S) B + b + T D | Lerner & Shuster (journal eq. 1); scenarios and calibration files |
 | forward | B = G A H + o + C D, G = I + K | simulators, "scale matrix and offset", "soft and hard iron" |
+| offset first | A H = M (B - o) + T D | flight software: the offset comes off the reading, then the matrix acts |
 
 A H is the true field in body axes, B the reading, both nT; the dipole of the torquers in A m2.
 
-    I + S = G^-1        o = -(I+S)^-1 b        C = -(I+S)^-1 T
+    I + S = G^-1 = M        o = -(I+S)^-1 b (the same in both)        C = -(I+S)^-1 T
 
 The sign trap: Alonso & Shuster (TWOSTEP) write (I+D) B = O' A H + b_A with D symmetric and O orthogonal; their b_A and b
 have opposite signs, b = -O b_A.
@@ -52,6 +53,26 @@ class Forward:
         return self.G - np.eye(3)
 
 
+@dataclass(frozen=True)
+class OffsetFirst:
+    """A H = M (B - o) + T D: reading to true field, as flight software holds it."""
+
+    M: FloatArray
+    """(3, 3)."""
+    o_nT: FloatArray
+    """(3,) what the sensor reads where there is no field."""
+    T_nT_per_Am2: FloatArray | None = None
+    """(3, 3) or absent, as in `Correction`."""
+
+    def apply(self, reading_nT: FloatArray) -> FloatArray:
+        """(..., 3) M (B - o), without the torquers."""
+        return np.asarray((reading_nT - self.o_nT) @ self.M.T)
+
+    def undo(self, corrected_nT: FloatArray) -> FloatArray:
+        """(..., 3) the reading that `apply` made this of. Raises BadInput for a singular M."""
+        return np.asarray(corrected_nT @ _inverse(self.M, "M").T + self.o_nT)
+
+
 def polar_split(M: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(O, P) with M = O P, O orthogonal, P symmetric positive definite, through the SVD; each (3, 3).
 
@@ -77,6 +98,18 @@ def correction_from_forward(forward: Forward) -> Correction:
     inverse = _inverse(_matrix(forward.G, "G"), "G")
     C = forward.C_nT_per_Am2
     return Correction(inverse - np.eye(3), -inverse @ forward.o_nT, None if C is None else -inverse @ C)
+
+
+def offset_first_from_correction(correction: Correction) -> OffsetFirst:
+    """M = I + S, o = -M^-1 b. Raises BadInput when I + S is singular."""
+    M = np.eye(3) + _matrix(correction.S, "S")
+    return OffsetFirst(M, -_inverse(M, "I + S") @ correction.b_nT, correction.T_nT_per_Am2)
+
+
+def correction_from_offset_first(held: OffsetFirst) -> Correction:
+    """Inverse of `offset_first_from_correction`."""
+    M = _matrix(held.M, "M")
+    return Correction(M - np.eye(3), -M @ held.o_nT, held.T_nT_per_Am2)
 
 
 def forward_jacobian(correction: Correction) -> FloatArray:

@@ -61,7 +61,7 @@ def direction_knowledge(
     size = np.linalg.norm(field_nT[some], axis=1)
     turned = _across(field_nT[some]) @ (np.eye(3) + calibration.S)
     of_noise = (turned * noise_nT2) @ turned.transpose(0, 2, 1)
-    even = _even_directions() * float(np.sqrt((size**2).mean()))
+    even = even_directions(_ROWS) * float(np.sqrt((size**2).mean()))
     return DirectionKnowledge(
         before_deg=float(np.degrees(np.quantile(angle_between(reading_nT, true_nT), CONFIDENCE))),
         after_deg=_quantile_deg(of_noise + of_calibration),
@@ -85,10 +85,10 @@ def _of_calibration(calibration: Calibration, B: FloatArray, D: FloatArray | Non
     return np.asarray(through @ calibration.covariance @ through.transpose(0, 2, 1))
 
 
-def _even_directions() -> FloatArray:
-    """(_ROWS, 3) unit vectors spread evenly over the sphere (Fibonacci's spiral)."""
-    z = 1.0 - 2.0 * (np.arange(_ROWS) + 0.5) / _ROWS
-    turn = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(_ROWS)
+def even_directions(count: int) -> FloatArray:
+    """(count, 3) unit vectors spread evenly over the sphere (Fibonacci's spiral)."""
+    z = 1.0 - 2.0 * (np.arange(count) + 0.5) / count
+    turn = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(count)
     across = np.sqrt(1.0 - z**2)
     return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
 

@@ -12,7 +12,16 @@ ESTIMATORS_SEE = {"sim.base", "sim.earth", "sim.attitude", "sim.telemetry"}
 """The folders of sim that an estimator may see, and through which it can see no other: nothing here knows the truth."""
 
 SIM = ESTIMATORS_SEE | {"sim", "sim.spacecraft", "sim.effects", "sim.scenario"}
-CALIB = {"calib", "calib.common", "calib.linear", "calib.scalar", "calib.spin", "calib.attitude", "calib.checks"}
+CALIB = {
+    "calib",
+    "calib.common",
+    "calib.linear",
+    "calib.onboard",
+    "calib.scalar",
+    "calib.spin",
+    "calib.attitude",
+    "calib.checks",
+}
 GAP = (
     *("gap.linear", "gap.problem", "gap.hypotheses", "gap.noise", "gap.records", "gap.selection", "gap.detectors"),
     *("gap.held_out", "gap.channels", "gap.posterior", "gap.report", "gap"),

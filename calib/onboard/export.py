@@ -1,0 +1,193 @@
+"""From a calibration to the file of a target and back, with the error that the way adds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fluxtwin.calib.common.conventions import (
+    OffsetFirst,
+    correction_from_offset_first,
+    offset_first_from_correction,
+    polar_split,
+)
+from fluxtwin.calib.common.direction import even_directions
+from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.onboard.target import Number, Target
+from fluxtwin.calib.onboard.targets import TARGETS, find_target
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.earth.frames import angle_between
+
+FIELDS_NT = (20e3, 60e3)
+"""Field sizes in low orbit, over which the added error is given."""
+WORST_FORM_DEG = 1.0
+"""A target that turns the field by more, because M is symmetric there, is refused."""
+_DIRECTIONS = 500
+_MAX_BYTES = 1_000_000
+
+
+@dataclass(frozen=True)
+class AddedError:
+    """The largest error over fields of `FIELDS_NT` in any direction."""
+
+    largest_nT: float
+    largest_deg: float
+
+
+@dataclass(frozen=True)
+class Export:
+    """A calibration in the form of one target."""
+
+    to: str
+    formula: str
+    source: str
+    numbers: tuple[Number, ...]
+    """As they stand in the file."""
+    form: AddedError
+    """What the target's form cannot hold: a matrix that is not symmetric."""
+    rounding: AddedError
+    """What its number type adds."""
+    passed_over: AddedError
+    """What the software adds by passing over numbers that seem small to it."""
+    notes: tuple[str, ...]
+    """What was left out or waived, and what the person who loads it should know."""
+    text: str
+    """The file."""
+    comment: str
+    """What begins a comment in it; empty for none."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and text for JSON."""
+        numbers = [number._asdict() for number in self.numbers]
+        added = {name: asdict(getattr(self, name)) for name in ("form", "rounding", "passed_over")}
+        return {
+            **{name: getattr(self, name) for name in ("to", "formula", "source")},
+            "numbers": numbers,
+            "added_error": {**added, "fields_nT": list(FIELDS_NT)},
+            "notes": list(self.notes),
+        }
+
+    def write(self, path: Path | str) -> Path:
+        """The file, whole or not at all."""
+        from fluxtwin.sim.base import files
+
+        if not self.comment:
+            return files.write_text(path, self.text)
+        return files.write_toml(path, self.text, comment=self.comment)
+
+
+def export_calibration(calibration: Calibration, to: str, *, instance: int = 1, force: bool = False) -> Export:
+    """The calibration for a target of `TARGETS`; instance: which of its magnetometers, from 1.
+
+    Raises BadInput for an unknown target, and, unless force, for what the target has no place for or would refuse.
+    """
+    target = find_target(to)
+    require_instance(target, instance)
+    wholly = offset_first_from_correction(calibration.correction)
+    formed = _formed(wholly, target)
+    refused = [*_left_out(calibration, target), *target.beyond(formed)]
+    form = added_error(wholly, formed)
+    if form.largest_deg > WORST_FORM_DEG:
+        refused.append(
+            f"M is held symmetric: a rotation of up to {form.largest_deg:.2g} deg would be lost; put it into the mounting "
+            "of the sensor"
+        )
+    if refused and not force:
+        raise BadInput("; ".join(refused), where=f"--to {to}", wanted="another target; --force writes it all the same")
+    numbers = target.numbers(formed, instance)
+    text = target.lay_out(numbers, _heading(calibration, target.says(formed)), instance)
+    held = target.read(text, instance, to)
+    return Export(
+        to=to,
+        formula=target.says(formed),
+        source=target.source,
+        numbers=numbers,
+        form=form,
+        rounding=added_error(formed, held),
+        passed_over=added_error(held, target.in_use(held)),
+        notes=(*refused, *target.notes(held)),
+        text=text,
+        comment=target.comment,
+    )
+
+
+def import_calibration(path: Path | str, *, instance: int = 1) -> Calibration:
+    """The calibration in a file of any target, or in a calibration file.
+
+    It has no covariance and no span. Raises BadInput for a file that no target knows, or that lacks a number.
+    """
+    path = Path(path)
+    text = _text(path)
+    target = next((one for one in TARGETS.values() if one.is_of(text)), None)
+    if target is None:
+        if path.suffix.lower() == ".toml":
+            return Calibration.from_toml(path)
+        raise BadInput("holds no calibration that is known", where=str(path), wanted=f"a file of {', '.join(TARGETS)}")
+    require_instance(target, instance)
+    correction = correction_from_offset_first(target.read(text, instance, str(path)))
+    method = f"read from {target.what}"
+    return Calibration(correction.S, correction.b_nT, correction.T_nT_per_Am2, method=method)
+
+
+def added_error(exact: OffsetFirst, held: OffsetFirst) -> AddedError:
+    """The largest difference of corrected readings, over `FIELDS_NT` and all directions."""
+    worst_nT, worst_rad = 0.0, 0.0
+    for size in FIELDS_NT:
+        field_nT = size * even_directions(_DIRECTIONS)
+        theirs = held.apply(exact.undo(field_nT))
+        worst_nT = max(worst_nT, float(np.linalg.norm(theirs - field_nT, axis=1).max()))
+        worst_rad = max(worst_rad, float(angle_between(theirs, field_nT).max()))
+    return AddedError(worst_nT, float(np.degrees(worst_rad)))
+
+
+def require_instance(target: Target, instance: int) -> None:
+    """Raises BadInput for a magnetometer that the target does not know."""
+    if not 1 <= instance <= target.instances:
+        wanted = "1" if target.instances == 1 else f"1 to {target.instances}"
+        raise BadInput(f"{instance}", where="--instance", wanted=f"{wanted} for {target.name}")
+
+
+def _formed(held: OffsetFirst, target: Target) -> OffsetFirst:
+    """M = O P without its rotation O where only a symmetric P fits: the size of the field stays exact."""
+    M: FloatArray = polar_split(held.M)[1] if target.symmetric else held.M
+    return OffsetFirst(M, held.o_nT, held.T_nT_per_Am2 if target.has_torquers else None)
+
+
+def _left_out(calibration: Calibration, target: Target) -> list[str]:
+    T = calibration.T_nT_per_Am2
+    found = []
+    if T is not None and T.any() and not target.has_torquers:
+        found.append(f"{target.what} have no place for the torquers' T")
+    if calibration.telemetry_bias:
+        found.append(f"no place for the fields that follow {', '.join(calibration.telemetry_bias)}")
+    if calibration.residual_to:
+        found.append(f"it acts on readings that {calibration.residual_to} had corrected, not on those of the sensor")
+    return found
+
+
+def _heading(calibration: Calibration, formula: str) -> Sequence[str]:
+    whose = calibration.spacecraft or "a magnetometer"
+    span = "" if calibration.span is None else f", {epoch.iso(calibration.span[0])} to {epoch.iso(calibration.span[1])}"
+    return (
+        f"Calibration {calibration.digest[:12]} of {' '.join(whose.split())}{span}; reading m, field B in body axes",
+        formula,
+    )
+
+
+def _text(path: Path) -> str:
+    try:
+        if path.is_dir():
+            raise BadInput("is a folder", where=str(path), wanted="a file")
+        if path.stat().st_size > _MAX_BYTES:
+            raise BadInput(f"is larger than {_MAX_BYTES} bytes", where=str(path), wanted="a calibration")
+        return path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        raise BadInput("there is no such file", where=str(path), wanted="a calibration") from None
+    except UnicodeDecodeError:
+        raise BadInput("is not text", where=str(path), wanted="a calibration") from None

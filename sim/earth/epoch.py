@@ -24,6 +24,9 @@ _JD_UNIX = 2440587.5
 _STAMP = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}([T ][0-9]{2}(:[0-9]{2}(:[0-9]{2}(\.[0-9]+)?)?)?)?")
 _FIRST_YEAR, _LAST_YEAR = 1678, 2261  # what datetime64[ns] holds in full
 _NS_PER_DAY = 86400 * 1_000_000_000
+_AHEAD_OF_TAI_S = {"TAI": 0.0, "GPS": -19.0, "TT": 32.184}
+"""GPS time stays 19 s behind TAI (IS-GPS-200), TT 32.184 s ahead of it (IAU 1991)."""
+SCALES = ("UTC", *_AHEAD_OF_TAI_S)
 MJD2000 = np.datetime64("2000-01-01T00:00:00", "ns")
 """Origin of the modified Julian day used by field models (1 January 2000, 0 h UTC)."""
 
@@ -96,16 +99,36 @@ def seconds_since(time: TimeArray | np.datetime64, epoch: np.datetime64) -> Floa
 def add_seconds(epoch: np.datetime64, seconds: FloatArray | float) -> TimeArray:
     """UTC stamps `seconds` SI seconds after `epoch`. Shape (N,). Inverse of `seconds_since`.
 
-    An instant inside a leap second has no stamp of its own; it gets the stamp one second later.
+    An instant inside a leap second has no stamp of its own; it gets that of the midnight after it.
     """
-    start = as_times(epoch)
     elapsed = np.rint(np.atleast_1d(np.asarray(seconds, dtype=np.float64)) * 1e9).astype("int64")
-    stamps: TimeArray = start + elapsed.astype("timedelta64[ns]")
-    base = _leap_seconds(start)[0]
-    for _ in range(2):  # the step lies at the corrected stamp, so look twice
-        extra = np.rint((_leap_seconds(stamps) - base) * 1e9).astype("int64")
-        stamps = start + (elapsed - extra).astype("timedelta64[ns]")
-    return stamps
+    return utc_of(stamp_in(as_times(epoch), "TAI") + elapsed.astype("timedelta64[ns]"), "TAI")
+
+
+def stamp_in(time: TimeArray | np.datetime64, scale: str) -> TimeArray:
+    """The calendar stamps that UTC stamps (N,) have in `scale`: UTC, GPS, TAI or TT. NaT stays. Exact to 1 ns."""
+    stamps = np.atleast_1d(np.asarray(time, dtype="datetime64[ns]"))
+    if scale == "UTC":
+        return stamps
+    ahead = np.rint((_leap_seconds(stamps) + _AHEAD_OF_TAI_S[scale]) * 1e9).astype("int64")
+    ahead_of_utc: TimeArray = stamps + ahead.astype("timedelta64[ns]")
+    return ahead_of_utc
+
+
+def utc_of(stamps: TimeArray, scale: str) -> TimeArray:
+    """UTC of calendar stamps (N,) in `scale`: UTC, GPS, TAI or TT. NaT stays. Inverse of `stamp_in`, exact to 1 ns.
+
+    An instant inside a leap second has no stamp of its own; it gets that of the midnight after it.
+    """
+    if scale == "UTC":
+        return stamps
+    tai = stamps - np.timedelta64(round(_AHEAD_OF_TAI_S[scale] * 1e9), "ns")
+    at, seconds = _steps()
+    ahead = np.rint(seconds * 1e9).astype("int64").astype("timedelta64[ns]")
+    past = np.searchsorted(at + ahead[1:], tai, side="right")  # leap seconds that are over
+    limit = np.append(at, np.datetime64(f"{_LAST_YEAR}-12-31", "ns"))
+    utc: TimeArray = np.minimum(tai - ahead[past], limit[past])
+    return utc
 
 
 def decimal_year(time: TimeArray | np.datetime64) -> FloatArray:

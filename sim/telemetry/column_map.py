@@ -31,6 +31,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.toml_input import Strict, read_model
 from fluxtwin.sim.telemetry import column_map_words as words
+from fluxtwin.sim.telemetry import time_recipes
 from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, DRIVERS, FAMILIES, family_of
@@ -45,11 +46,15 @@ KNOWN = [
 class TimeRecipe(Strict):
     """How the stamps of a source are made."""
 
-    recipe: Literal["iso", "unix_s", "unix_ms", "unix_us", "seconds_ns", "gps_week_tow", "seconds_since", "cf"]
+    recipe: Annotated[str, BeforeValidator(words.recipe)]
     example: ClassVar[str] = '{ recipe = "unix_ms", columns = "NAME" }'
     columns: str | list[str] = "time"
     epoch: str | None = None
-    """UTC origin of `seconds_since` (SI seconds)."""
+    """Origin of `seconds_since` (SI seconds), in the time scale."""
+    scale: Literal["UTC", "TAI", "GPS", "TT"] | None = None
+    """Time scale of the stamps; None: that of the recipe, which is UTC where `time_recipes` does not say another."""
+    format: str | None = None
+    """Of the recipe `text`, as strptime has it: `%d/%m/%Y %H:%M:%S.%f`."""
     offset_s: float = 0.0
     """Added to every stamp."""
     invalid: list[float] = []
@@ -62,11 +67,15 @@ class TimeRecipe(Strict):
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
-        wanted = 2 if self.recipe in ("seconds_ns", "gps_week_tow") else 1
-        if len(self.names) != wanted:
+        counted = time_recipes.COUNTED.get(self.recipe)
+        wanted = len(counted.units_s) if counted is not None else 1
+        if len(self.names) != wanted and not (self.recipe in ("iso", "text") and self.names):
             raise ValueError(f"recipe {self.recipe} takes {wanted} column{'s' if wanted > 1 else ''}")
-        if (self.recipe == "seconds_since") != (self.epoch is not None):
-            raise ValueError("epoch belongs to the recipe seconds_since, and is needed there")
+        if counted is not None and counted.scale == "GPS" and self.scale not in (None, "GPS"):
+            raise ValueError(f"recipe {self.recipe} counts GPS time")
+        for key, owner, given in (("epoch", "seconds_since", self.epoch), ("format", "text", self.format)):
+            if (self.recipe == owner) != (given is not None):
+                raise ValueError(f"{key} belongs to the recipe {owner}, and is needed there")
         return self
 
 

@@ -13,7 +13,7 @@ from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.constants import EARTH_RATE_RAD_S
 from fluxtwin.sim.earth.frames import rotation_from_N
-from fluxtwin.sim.telemetry import time_stamps as telemetry_time
+from fluxtwin.sim.telemetry import time_recipes, time_stamps
 from fluxtwin.sim.telemetry.column_map import ColumnSpec, FileEntry, TimeRecipe, matches
 from fluxtwin.sim.telemetry.columns import clip
 from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
@@ -82,9 +82,7 @@ class _Reader:
     def numbers(self, names: list[str]) -> FloatArray:
         """(N, k) of the named columns; one NetCDF variable may bring several components."""
         for name in names:
-            if name not in self.known:
-                listed = ", ".join(clip(n) for n in self.known[:12])
-                raise BadInput(f"column {clip(name)} is missing; the columns are: {listed}", where=self.where)
+            self._require(name)
         if isinstance(self.file, CsvFile):
             found = self.file.numbers(list(dict.fromkeys(names)))
             return np.stack([found[name] for name in names], axis=1)
@@ -95,40 +93,33 @@ class _Reader:
             )
         return np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
 
+    def _require(self, name: str) -> None:
+        if name not in self.known:
+            listed = ", ".join(clip(n) for n in self.known[:12])
+            raise BadInput(f"column {clip(name)} is missing; the columns are: {listed}", where=self.where)
+
+    def _written(self, recipe: TimeRecipe, notices: list[str]) -> TimeArray:
+        """Stamps that the file has as such, in the recipe's time scale."""
+        if recipe.recipe == "cf" and isinstance(self.file, NetcdfFile):
+            return self.file.times(recipe.names[0])
+        if recipe.recipe == "cf" or not isinstance(self.file, CsvFile):
+            raise BadInput(f"time recipe {recipe.recipe} does not fit this kind of file", where=self.where)
+        text = time_recipes.joined(self.file.text, recipe.names)
+        if recipe.recipe == "text":
+            return time_stamps.parse_text(text, str(recipe.format), self.where)
+        if recipe.scale is None:
+            notices += time_stamps.zone_assumed(text, " and ".join(recipe.names))
+        return time_stamps.parse_iso(text, self.where)
+
     def times(self, recipe: TimeRecipe, notices: list[str]) -> TimeArray:
         """UTC stamps by `recipe`; what was assumed of them goes to `notices`."""
-        first = recipe.names[0]
-        if recipe.recipe in ("iso", "cf"):
-            if first not in self.known:
-                self.numbers([first])
-            if recipe.recipe == "iso" and isinstance(self.file, CsvFile):
-                text = self.file.text(first)
-                notices += telemetry_time.zone_assumed(text, first)
-                return telemetry_time.parse_iso(text, self.where)
-            if recipe.recipe == "cf" and isinstance(self.file, NetcdfFile):
-                return self.file.times(first)
-            raise BadInput(f"time recipe {recipe.recipe} does not fit this kind of file", where=self.where)
+        for name in recipe.names:
+            self._require(name)
+        if recipe.recipe in time_recipes.TEXT:
+            return epoch.utc_of(self._written(recipe, notices), recipe.scale or "UTC")
         raw = self.numbers(recipe.names)
         raw[np.isin(raw[:, 0], recipe.invalid), 0] = np.nan
-        return _counted(raw, recipe)
-
-
-def _counted(raw: FloatArray, recipe: TimeRecipe) -> TimeArray:
-    count = raw[:, 0]
-    if recipe.recipe == "seconds_ns":
-        return telemetry_time.from_unix(count, raw[:, 1])
-    if recipe.recipe == "gps_week_tow":
-        return telemetry_time.from_gps(count, raw[:, 1])
-    if recipe.recipe == "seconds_since":
-        good = np.isfinite(count)
-        stamps = np.full(count.shape, np.datetime64("NaT", "ns"))
-        if good.any():
-            origin = epoch.parse_time(str(recipe.epoch), where="column map: epoch")
-            stamps[good] = epoch.add_seconds(origin, count[good])
-        return stamps
-    per_second = {"unix_s": 1.0, "unix_ms": 1e3, "unix_us": 1e6}[recipe.recipe]
-    whole = np.floor(count / per_second)
-    return telemetry_time.from_unix(whole, (count - whole * per_second) * (1e9 / per_second))
+        return time_recipes.stamps(raw, recipe)
 
 
 def _source(reader: _Reader, entry: FileEntry, notices: list[str], digest: str) -> Source:

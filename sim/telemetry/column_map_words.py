@@ -5,6 +5,8 @@ from __future__ import annotations
 import difflib
 from typing import Any
 
+from fluxtwin.sim.telemetry.time_recipes import NAMES
+
 FRAMES = ("GCRS", "J2000", "mean_of_date", "true_of_date", "ITRS")
 REFERENCES = (*FRAMES, "NEC", "orbital")
 ORDERS = ("xyzw", "wxyz", "xyz")
@@ -40,6 +42,11 @@ def reference(value: Any) -> Any:
     return _spelled(value, REFERENCES, _OTHER_REFERENCES)
 
 
+def recipe(value: Any) -> Any:
+    """A recipe for time, likewise."""
+    return _spelled(value, NAMES, {})
+
+
 def order(value: Any) -> Any:
     """The order of a quaternion's components; other words for it are replaced."""
     found = _spelled(value, ORDERS, _OTHER_ORDERS)
@@ -68,4 +75,6 @@ def _spelled(value: Any, known: tuple[str, ...], others: dict[str, str]) -> Any:
     near = difflib.get_close_matches(value.lower(), words, n=1, cutoff=0.5)
     hint = f"did you mean {words[near[0]]}? " if near else ""
     also = ", ".join(f"{word} (= {meant})" for word, meant in others.items())
-    raise ValueError(f"{value[:40]!r} is not known; {hint}known: {', '.join(known)}; also {also}")
+    raise ValueError(
+        f"{value[:40]!r} is not known; {hint}known: {', '.join(known)}" + (f"; also {also}" if also else "")
+    )

@@ -15,7 +15,6 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.earth.orbit import Orbit
-from fluxtwin.sim.telemetry import time_stamps as telemetry_time
 from fluxtwin.sim.telemetry.column_map import load_column_map
 from fluxtwin.sim.telemetry.layouts import packaged
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -79,12 +78,14 @@ def test_time_recipes(
     assert list(read.time) == wanted
 
 
-def test_gps_time_against_the_leap_second_list() -> None:
+def test_gps_time_against_the_leap_second_list(tmp_path: Path) -> None:
     # GPS - UTC: 0 s at its epoch, 13 s in 1999-2005, 17 s from 2015-07, 18 s from 2017 (IERS Bulletin C)
     for stamp, offset in (("1980-01-06", 0), ("2000-01-02", 13), ("2016-01-03", 17), ("2020-03-01", 18)):
         days = (np.datetime64(stamp) - np.datetime64("1980-01-06")).astype(int)
         week, second = divmod(int(days) * 86400 + offset, 604800)
-        assert telemetry_time.from_gps(np.array([week]), np.array([second]))[0] == np.datetime64(stamp)
+        csv(tmp_path / "a.csv", "w,t,bx,by,bz", [[week, second, 1.0, 2.0, 3.0]])
+        read = mapped(tmp_path, one_file('{ recipe = "gps_week_tow", columns = ["w", "t"] }'), "a.csv")
+        assert read.time[0] == np.datetime64(stamp)
 
 
 @pytest.mark.parametrize(

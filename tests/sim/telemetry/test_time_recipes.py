@@ -1,0 +1,134 @@
+"""Every recipe for time against astropy, around leap seconds and away from them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.time import Time
+
+import fluxtwin
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.telemetry import time_recipes
+
+pytestmark = pytest.mark.reference
+STAMPS = np.array(
+    [
+        "1999-12-31T23:59:59.250", "2000-01-01T12:00:00", "2008-12-31T23:59:59.9", "2009-01-01T00:00:00.1",
+        "2016-12-31T23:59:59", "2017-01-01T00:00:00", "2026-03-01T01:02:03.456789",
+    ],
+    dtype="datetime64[ns]",
+)  # fmt: skip
+"""UTC, two of the leap seconds among them."""
+WITNESS = Time(np.datetime_as_string(STAMPS).tolist(), scale="utc")
+MICROSECOND, NANOSECOND = np.timedelta64(1, "us"), np.timedelta64(1, "ns")
+
+
+def seconds_from(origin: Time) -> list[float]:
+    """SI seconds from an instant, which astropy counts through TAI."""
+    return [float(x) for x in (WITNESS - origin).to_value("s")]
+
+
+def in_scale(scale: str) -> list[str]:
+    return [str(x) for x in getattr(WITNESS, scale).isot]
+
+
+def read(folder: Path, recipe: str, *columns: list[object]) -> np.ndarray:
+    rows = ["c0,c1,x,y,z"] + [",".join([str(a), str(b), "1,2,3"]) for a, b in zip(*columns, strict=True)]
+    (folder / "t.csv").write_text("\n".join([*rows, ""]), encoding="utf-8")
+    names = '["c0", "c1"]' if "BOTH" in recipe else '"c0"'
+    mag = 'mag = { from = ["x", "y", "z"], unit = "nT" }'
+    inner = recipe.replace(" BOTH", "")
+    (folder / "m.toml").write_text(f"[[file]]\ntime = {{ columns = {names}, {inner} }}\n[file.columns]\n{mag}\n")
+    return fluxtwin.read(folder / "t.csv", column_map=folder / "m.toml").time
+
+
+WITNESSED = {
+    "gps_s": ('recipe = "gps_s"', lambda: [repr(float(x)) for x in WITNESS.gps]),
+    "tai_s": ('recipe = "tai_s"', lambda: seconds_from(Time("1958-01-01", scale="tai"))),
+    "unix seconds of TAI": ('recipe = "unix_s", scale = "TAI"', lambda: list(WITNESS.unix_tai)),
+    "j2000_s": ('recipe = "j2000_s"', lambda: seconds_from(Time("2000-01-01T12:00:00", scale="tt"))),
+    "TT since 1998": (
+        'recipe = "seconds_since", epoch = "1998-01-01", scale = "TT"',
+        lambda: list(WITNESS.cxcsec),
+    ),
+    "SI since a UTC instant": (
+        'recipe = "seconds_since", epoch = "1998-01-01"',
+        lambda: seconds_from(Time("1998-01-01", scale="utc")),
+    ),
+    "TAI text": ('recipe = "iso", scale = "TAI"', lambda: in_scale("tai")),
+    "TT text": ('recipe = "iso", scale = "TT"', lambda: in_scale("tt")),
+    "mjd of TT": ('recipe = "mjd", scale = "TT"', lambda: [f"{x:.11f}" for x in WITNESS.tt.mjd]),
+}
+
+
+@pytest.mark.parametrize("name", WITNESSED)
+def test_a_time_scale_against_astropy(tmp_path: Path, name: str) -> None:
+    recipe, values = WITNESSED[name]
+    found = read(tmp_path, recipe, values(), [0] * STAMPS.size)
+    worst = np.abs(found - STAMPS).max()
+    limit = MICROSECOND * (1000 if "text" in name else 2)  # text to a ms; doubles near 2e9 s and 6e4 d: 0.5 and 0.6 us
+    assert worst <= limit, f"{worst} off"
+
+
+UNIX = (STAMPS - np.datetime64("1970-01-01")).astype("int64")
+PLAIN = {
+    "unix_s": ('recipe = "unix_s"', [f"{n // 10**9}.{n % 10**9:09d}" for n in UNIX], 1000),
+    "unix_ms": ('recipe = "unix_ms"', [f"{n // 10**6}.{n % 10**6:06d}" for n in UNIX], 1000),
+    "unix_us": ('recipe = "unix_us"', [str(n // 10**3) for n in UNIX], 1000),
+    "unix_ns": ('recipe = "unix_ns"', [str(n) for n in UNIX], 1000),
+    "seconds_ns": ('recipe = "seconds_ns" BOTH', [str(n // 10**9) for n in UNIX], 0),
+    "mjd": ('recipe = "mjd"', [f"{40587 + n / 86400e9:.12f}" for n in UNIX], 1000),
+    "mjd2000": ('recipe = "mjd2000"', [f"{(n - 946684800 * 10**9) / 86400e9:.13f}" for n in UNIX], 1000),
+    "jd": ('recipe = "jd"', [f"{2440587.5 + n / 86400e9:.9f}" for n in UNIX], 60_000),
+}
+"""What calendar arithmetic without leap seconds says, with the limit [ns] that the digits of a double allow."""
+
+
+@pytest.mark.parametrize("name", PLAIN)
+def test_unix_time_and_days_count_no_leap_seconds(tmp_path: Path, name: str) -> None:
+    recipe, values, limit = PLAIN[name]
+    found = read(tmp_path, recipe, values, [str(n % 10**9) for n in UNIX])
+    assert np.abs(found - STAMPS).max() <= NANOSECOND * limit
+
+
+TEXTS = {
+    "zones": ('recipe = "iso"', ["2026-03-01T02:00:00+02:00", "2026-02-28T19:00:01.5-0500", "2026-03-01 00:00:02 Z"], None),
+    "two columns": ('recipe = "iso" BOTH', ["2026-03-01"] * 3, ["00:00:00Z", "00:00:01.5Z", "00:00:02Z"]),
+    "a format": ('recipe = "text", format = "%d/%m/%y %H:%M:%S.%f"',
+                 ["01/03/26 00:00:00.0", "01/03/26 00:00:01.5", "01/03/26 00:00:02.0"], None),
+    "day of year": ('recipe = "text", format = "%Y-%j %H:%M:%S.%f" BOTH', ["2026-060"] * 3,
+                    ["00:00:00.0", "00:00:01.5", "00:00:02.0"]),
+    "a format with a zone": ('recipe = "text", format = "%Y%m%d %H%M%S.%f %z"',
+                             ["20260301 010000.0 +0100", "20260301 010001.5 +0100", "20260228 235002.0 -0010"], None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_stamps_as_text(tmp_path: Path, name: str) -> None:
+    recipe, first, second = TEXTS[name]
+    found = read(tmp_path, recipe, first, second or ["0"] * 3)
+    expected = np.datetime64("2026-03-01T00:00:00", "ns") + np.array([0, 1500, 2000], dtype="timedelta64[ms]")
+    assert np.array_equal(found, expected)
+
+
+@pytest.mark.parametrize(
+    ("recipe", "said"),
+    [
+        ('recipe = "unix_hours"', "known: iso"),
+        ('recipe = "gps_s", scale = "TAI"', "counts GPS time"),
+        ('recipe = "text"', "format belongs to the recipe text"),
+        ('recipe = "unix_s", format = "%Y"', "format belongs to the recipe text"),
+        ('recipe = "text", format = "%d.%m.%Y"', "row 1"),
+        ('recipe = "seconds_ns"', "takes 2 columns"),
+    ],
+)
+def test_a_wrong_recipe_is_answered_in_words(tmp_path: Path, recipe: str, said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        read(tmp_path, recipe, ["2026-03-01T00:00:00Z"], ["0"])
+
+
+def test_every_recipe_is_described(root: Path) -> None:
+    text = (root / "docs" / "telemetry.md").read_text(encoding="utf-8")
+    assert [name for name in time_recipes.NAMES if f"`{name}`" not in text] == []

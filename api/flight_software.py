@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fluxtwin.verbs import as_calibration
 
 if TYPE_CHECKING:
-    from fluxtwin.calib.common.records import Calibration
+    from fluxtwin.calib.common.fit import Fit
+    from fluxtwin.calib.common.records import Calibration, Onboard
     from fluxtwin.calib.onboard.export import Export
+    from fluxtwin.sim.earth.field_models import FieldModel
+    from fluxtwin.sim.telemetry.record import Telemetry
 
 
 def export(
@@ -46,3 +51,36 @@ def import_calibration(path: Path | str, *, instance: int = 1) -> Calibration:
     from fluxtwin.calib.onboard.export import import_calibration as imported
 
     return imported(path, instance=instance)
+
+
+def as_onboard(onboard: Calibration | Path | str) -> Onboard:
+    """What was applied on board, read first where a file is named."""
+    from fluxtwin.calib.common.onboard import onboard_of
+    from fluxtwin.calib.onboard.export import import_calibration as imported
+
+    if isinstance(onboard, Path | str):
+        return onboard_of(imported(onboard), Path(onboard).name)
+    return onboard_of(onboard, onboard.method or "calibration")
+
+
+def calibrate_undone(
+    records: Sequence[Telemetry], onboard: Calibration | Path | str, model: FieldModel, **options: Any
+) -> Fit:
+    """`fluxtwin.calibrate` of the sensor's own readings: what was applied on board is undone, and named in the answer."""
+    from fluxtwin.calib.checks.calibrated import check_calibrated
+    from fluxtwin.calib.common.digits import plain
+    from fluxtwin.calib.common.onboard import composed, undone
+    from fluxtwin.calib.methods import calibrate_by
+
+    before = as_onboard(onboard)
+    fit = calibrate_by([undone(record, before) for record in records], model, **options)
+    left = composed(fit.calibration, before)
+    b = ", ".join(plain(float(x)) for x in left.b_nT)
+    said = (
+        f"the calibration on board ({before.name}) was undone: S, b and T act on the sensor's own readings, as fluxtwin "
+        f"export writes them. Of the readings as they came down it had left b = ({b}) nT and elements of S up to "
+        f"{plain(float(abs(left.S).max()), 2)}"
+    )
+    seen = [found.text for one in records for found in check_calibrated(one, model, one.has_reading, before)]
+    known = replace(fit.calibration, onboard=before)
+    return replace(fit, calibration=known, messages=(said, *dict.fromkeys(seen), *fit.messages))

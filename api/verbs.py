@@ -79,15 +79,21 @@ def check(
     *,
     field: str | FieldModel = "igrf14",
     degree: int | None = None,
+    onboard: Calibration | Path | str | None = None,
     **reading: Unpack[Reading],
 ) -> CheckReport:
-    """Is this record what it says? Counts, milligauss or microtesla sold as nT, wrong frames, and so on."""
+    """Is this record what it says? Counts, milligauss or microtesla sold as nT, wrong frames, and so on.
+
+    onboard: a calibration on board, or its file: was it applied to these readings?
+    """
     from fluxtwin.calib.checks.check import check_file, check_telemetry
+    from fluxtwin.flight_software import as_onboard
 
     model = as_model(field, degree)
+    before = None if onboard is None else as_onboard(onboard)
     if isinstance(telemetry, Telemetry):
-        return check_telemetry(as_record(telemetry, **reading), model)
-    return check_file(as_path(telemetry), model, **reading)
+        return check_telemetry(as_record(telemetry, **reading), model, onboard=before)
+    return check_file(as_path(telemetry), model, **reading, onboard=before)
 
 
 @with_options
@@ -97,12 +103,14 @@ def calibrate(
     *,
     field: str | FieldModel = "igrf14",
     degree: int | None = None,
+    onboard: Calibration | Path | str | None = None,
     **options: Any,
 ) -> Fit:
     """S, b (and T) from one record or several; `.calibration` of the answer is what `apply` takes.
 
-    Raises BadInput for an option that the method does not take, NoAnswer, naming the parameters, where the data do not
-    determine them.
+    onboard: what was applied to the readings on board, a calibration or a file that `import_calibration` reads; it is
+    undone, so that the answer acts on the sensor's own readings. Raises BadInput for an option that the method does not
+    take, NoAnswer, naming the parameters, where the data do not determine them.
     """
     given = (
         list(telemetry)
@@ -110,7 +118,12 @@ def calibrate(
         else [telemetry]
     )
     reading: Any = {name: options.pop(name) for name in Reading.__annotations__ if name in options}
-    return calibrate_by([as_record(one, **reading) for one in given], as_model(field, degree), **options)
+    records = [as_record(one, **reading) for one in given]
+    if onboard is not None:
+        from fluxtwin.flight_software import calibrate_undone
+
+        return calibrate_undone(records, onboard, as_model(field, degree), **options)
+    return calibrate_by(records, as_model(field, degree), **options)
 
 
 @with_reading

@@ -34,6 +34,12 @@ def command(
         list[Path] | None,
         typer.Option("--unseen", metavar="FILE", help="Also predict this telemetry, which is not fitted; repeatable."),
     ] = None,
+    onboard: Annotated[
+        Path | None,
+        typer.Option(
+            "--onboard", metavar="FILE", help="What was applied on board (see export): undone before the fit."
+        ),
+    ] = None,
     figures: Annotated[
         Path | None, typer.Option("--figures", metavar="DIR", help="Write the figures of the residuals here.")
     ] = None,
@@ -49,6 +55,7 @@ def command(
     """
     with output.progress(f"reading {telemetry[0]}") as progress:
         from fluxtwin import outputs, verbs
+        from fluxtwin.calib.common.onboard import for_record
 
         methods.require(options["method"], options)
         targets = {
@@ -56,15 +63,17 @@ def command(
             "--html": (html, outputs.PAGE),
             "--figures": (figures, outputs.RESIDUALS),
         }
-        output.claim(targets, [*telemetry, *(unseen or ()), field, *reading.files])
+        output.claim(targets, [*telemetry, *(unseen or ()), onboard, field, *reading.files])
         many = len(telemetry) + len(unseen or ()) > 1
         records = [read(path, output, reading, one_of_many=many) for path in telemetry]
         progress("calibrating", 0.5)
-        fit = verbs.calibrate(records, field=field, degree=degree, **options)
+        fit = verbs.calibrate(records, field=field, degree=degree, onboard=onboard, **options)
         predicted = {}
         for path in unseen or []:
             record = read(path, output, reading, one_of_many=many)
-            predicted[str(path)] = _predict(fit, record, fit.calibration, verbs.as_model(field, degree))
+            predicted[str(path)] = _predict(
+                fit, record, for_record(fit.calibration, record), verbs.as_model(field, degree)
+            )
         impossible = fit.verdict is not None and fit.verdict.impossible
         refused = impossible and not output.force
         written = [] if out is None or refused else [fit.calibration.to_toml(out)]

@@ -25,6 +25,10 @@ def command(
         Path | None,
         typer.Option("--repair", metavar="OUT", help="Write the rows sorted by time, exact duplicates dropped."),
     ] = None,
+    onboard: Annotated[
+        Path | None,
+        typer.Option("--onboard", metavar="FILE", help="A calibration on board: was it applied to these readings?"),
+    ] = None,
     field: of.FieldOption = "igrf14",
     degree: of.DegreeOption = None,
     reading: of.Reading = of.READING,
@@ -35,7 +39,7 @@ def command(
     Exit status 0 clean, 1 a trap was named, 2 unreadable.
     """
     with output.progress(f"checking {telemetry}") as progress:
-        from fluxtwin import outputs, verbs
+        from fluxtwin import flight_software, outputs, verbs
         from fluxtwin.calib.checks import check
         from fluxtwin.sim.base.errors import BadInput
 
@@ -47,9 +51,10 @@ def command(
             )
         if repair is not None and not reading.whole:
             raise BadInput("mends whole files", where="--repair", wanted="no --from, --to or --where beside it")
-        output.claim({"--repair": (repair, outputs.TELEMETRY)}, [telemetry, field, *reading.files])
+        output.claim({"--repair": (repair, outputs.TELEMETRY)}, [telemetry, onboard, field, *reading.files])
         model = verbs.as_model(field, degree)
-        found = check.check_file(telemetry, model, **reading._asdict())
+        before = None if onboard is None else flight_software.as_onboard(onboard)
+        found = check.check_file(telemetry, model, **reading._asdict(), onboard=before)
         mended = after = None
         if repair is not None:
             progress("repairing", 0.5)

@@ -13,12 +13,14 @@ from typing import Literal
 
 import numpy as np
 
+from fluxtwin.calib.checks.calibrated import check_calibrated
 from fluxtwin.calib.checks.columns import check_columns
 from fluxtwin.calib.checks.field import check_field
 from fluxtwin.calib.checks.report import CheckReport, Finding, note, report, trap
 from fluxtwin.calib.checks.sample import Origin
 from fluxtwin.calib.checks.stuck import check_stuck
 from fluxtwin.calib.checks.values import check_motion, check_readings
+from fluxtwin.calib.common.records import Onboard
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import FieldModel
@@ -39,10 +41,13 @@ POSITION_TRAPS = {"position_frame", "position_inside_earth"}
 __all__ = ["RECOGNISED", "CheckReport", "Finding", "check_file", "check_telemetry", "repair"]
 
 
-def check_telemetry(telemetry: Telemetry, model: FieldModel, origin: Origin | None = None) -> CheckReport:
+def check_telemetry(
+    telemetry: Telemetry, model: FieldModel, origin: Origin | None = None, *, onboard: Onboard | None = None
+) -> CheckReport:
     """Every check that the record's columns allow. Traps first in the report.
 
-    origin: what positions and attitude were made from; None: both were recorded relative to GCRS.
+    origin: what positions and attitude were made from; None: both were recorded relative to GCRS. onboard: what is said to
+    have been applied to the readings on board.
     """
     stuck, faulty = check_stuck(telemetry)
     motion = check_motion(telemetry)
@@ -51,6 +56,8 @@ def check_telemetry(telemetry: Telemetry, model: FieldModel, origin: Origin | No
         against_field = check_field(telemetry, model, origin or Origin(), ~faulty)
         if any(finding.code == "clock" and finding.severity == "trap" for finding in against_field):
             findings = [finding for finding in findings if finding.code != "sunlit_flag"]  # the sun is elsewhere, then
+        if not any(finding.severity == "trap" for finding in against_field):
+            against_field += check_calibrated(telemetry, model, ~faulty, onboard)
         findings = [*against_field, *findings]
     return report(telemetry.provenance.get("source", "telemetry"), len(telemetry), findings)
 
@@ -65,6 +72,7 @@ def check_file(
     start: np.datetime64 | str | None = None,
     end: np.datetime64 | str | None = None,
     where: str | None = None,
+    onboard: Onboard | None = None,
 ) -> CheckReport:
     """As `check_telemetry`, from a file; rows out of order or doubled are a trap here, not an error.
 
@@ -85,7 +93,11 @@ def check_file(
         ordered.columns.update({f"mag_{axis}_nT": np.full(ordered.time.size, np.nan) for axis in "xyz"})
     telemetry = record(ordered, tle=None if mapped else tle)
     origin = _origin(path, ordered, column_map, tle)
-    inner = _without_magnetometer(telemetry) if blind else check_telemetry(telemetry, model, origin).findings
+    inner = (
+        _without_magnetometer(telemetry)
+        if blind
+        else check_telemetry(telemetry, model, origin, onboard=onboard).findings
+    )
     notices = telemetry.provenance.get("notices", "").split("; ")
     said = [note("on_reading", text) for text in notices if text and not (blind and text.startswith("mag_"))]
     return report(str(path), len(telemetry), [*how, *order, *inner, *said])

@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 
+from fluxtwin.calib.common.onboard import for_record
 from fluxtwin.calib.common.records import CONVENTION, Calibration
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import epoch
@@ -23,7 +24,8 @@ def apply_calibration(telemetry: Telemetry, calibration: Calibration, *, force: 
     """
     if not force:
         require_applicable(telemetry, calibration)
-    corrected = calibration.apply(telemetry.mag_B_nT, telemetry.dipole_B_Am2, recorded_columns(telemetry))
+    here = for_record(calibration, telemetry)
+    corrected = here.apply(telemetry.mag_B_nT, telemetry.dipole_B_Am2, recorded_columns(telemetry))
     span = "" if calibration.span is None else f", {epoch.iso(calibration.span[0])} to {epoch.iso(calibration.span[1])}"
     note = (
         f"{CONVENTION!r} by {calibration.method or 'hand'}, of {calibration.spacecraft or 'unnamed spacecraft'}{span}"
@@ -86,7 +88,7 @@ def calibration_of(telemetry: Telemetry, calibration: Calibration | None, *, for
     if calibration is not None:
         if not force:
             require_applicable(telemetry, calibration)
-        return calibration
+        return for_record(calibration, telemetry)
     if not telemetry.corrected_by:
         raise BadInput(
             "the readings are not corrected, and no calibration is given",

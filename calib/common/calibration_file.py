@@ -21,6 +21,7 @@ from pydantic import NonNegativeFloat, NonNegativeInt
 from fluxtwin.calib.common.records import (
     CONVENTION,
     Calibration,
+    Onboard,
     TelemetryBias,
     array_of,
     parameter_names,
@@ -47,6 +48,12 @@ class _Bias(Strict):
     sigma: list[NonNegativeFloat]
 
 
+class _Onboard(Strict):
+    name: str = ""
+    M: list[list[float]]
+    o_nT: list[float]
+
+
 class _Covariance(Strict):
     kind: Literal["white", "blocks", "none"] = "none"
     order: list[str] = []
@@ -71,6 +78,7 @@ class _Tables(Strict):
     parameters: dict[str, _Entry]
     source: _Source = _Source()
     telemetry_bias: dict[str, _Bias] = {}
+    onboard: _Onboard | None = None
     covariance: _Covariance | None = None
 
 
@@ -85,6 +93,7 @@ class _Flat(_Source):
     covariance: list[list[float]] = []
     covariance_kind: Literal["white", "blocks", "none"] = "none"
     telemetry_bias: dict[str, _Bias] = {}
+    onboard: _Onboard | None = None
 
 
 def calibration_to_dict(calibration: Calibration) -> dict[str, Any]:
@@ -104,6 +113,9 @@ def calibration_to_dict(calibration: Calibration) -> dict[str, Any]:
             name: {"nT_per_unit": bias.value_nT.tolist(), "sigma": bias.sigma_nT.tolist()}
             for name, bias in calibration.telemetry_bias.items()
         }
+    if calibration.onboard is not None:
+        before = calibration.onboard
+        content["onboard"] = {"name": before.name, "M": before.M.tolist(), "o_nT": before.o_nT.tolist()}
     return content
 
 
@@ -115,8 +127,7 @@ def file_content(calibration: Calibration) -> dict[str, Any]:
         known = {"sigma": float(f"{sigma:.3g}")} if sigma > 0 else {}
         parameters[name] = {"value": float(value), **known, "unit": parameter_unit(name)}
     content = {"convention": CONVENTION, "parameters": parameters, "source": _source(calibration)}
-    if "telemetry_bias" in flat:
-        content["telemetry_bias"] = flat["telemetry_bias"]
+    content |= {key: flat[key] for key in ("telemetry_bias", "onboard") if key in flat}
     if calibration.covariance.any():
         order = list(calibration.names)
         content["covariance"] = {"kind": calibration.covariance_kind, "order": order, "matrix": flat["covariance"]}
@@ -170,6 +181,14 @@ def _to_text(calibration: Calibration) -> str:
     if "telemetry_bias" in content:
         lines += ["# Fields in the reading that follow a column: taken out before S, b and T act. nT for a unit of it."]
         lines += [tomli_w.dumps({"telemetry_bias": content["telemetry_bias"]})]
+    if "onboard" in content:
+        lines += [
+            "# The telemetry had been corrected on board, m' = M (m - o_nT). That was undone: the parameters above act"
+        ]
+        lines += [
+            "# on m, what the sensor reads; fluxtwin apply and yaw compose the two for telemetry as it comes down."
+        ]
+        lines += ["[onboard]", *(f"{key} = {json.dumps(value)}" for key, value in content["onboard"].items()), ""]
     if "covariance" in content:
         covariance = content["covariance"]
         lines += ["# Units: those of the parameters, in this order.", "[covariance]"]
@@ -227,6 +246,7 @@ def _from_tree(content: dict[str, Any], where: str) -> Calibration:
         covariance=held.matrix,
         covariance_kind=held.kind,
         telemetry_bias=tables.telemetry_bias,
+        onboard=tables.onboard,
         **tables.source.model_dump(),
     )
     calibration = _from_flat(flat, where)
@@ -247,7 +267,8 @@ def _from_flat(flat: _Flat, where: str) -> Calibration:
             where=f"{where}: convention",
             wanted=f"{CONVENTION!r} (S, b and T map the reading to the true field)",
         )
-    alike = flat.model_dump(exclude={"convention", "S", "b_nT", "T_nT_per_Am2", "covariance", "span", "telemetry_bias"})
+    arrays = {"convention", "S", "b_nT", "T_nT_per_Am2", "covariance", "span", "telemetry_bias", "onboard"}
+    alike = flat.model_dump(exclude=arrays)
     try:
         calibration = Calibration(
             S=array_of(flat.S, (3, 3), "S"),
@@ -259,6 +280,7 @@ def _from_flat(flat: _Flat, where: str) -> Calibration:
                 name: TelemetryBias(array_of(bias.nT_per_unit, (3,), name), array_of(bias.sigma, (3,), name))
                 for name, bias in flat.telemetry_bias.items()
             },
+            onboard=None if flat.onboard is None else Onboard(**flat.onboard.model_dump()),
             **alike,
         )
         _require_covariance(calibration.covariance, "covariance")

@@ -46,6 +46,22 @@ class TelemetryBias:
 
 
 @dataclass(frozen=True)
+class Onboard:
+    """What was applied to the readings on board, m' = M (m - o). Arrays are read-only."""
+
+    name: str
+    """Of the file that it was read from."""
+    M: FloatArray
+    """(3, 3)."""
+    o_nT: FloatArray
+    """(3,)."""
+
+    def __post_init__(self) -> None:
+        for name, shape in (("M", (3, 3)), ("o_nT", (3,))):
+            object.__setattr__(self, name, array_of(getattr(self, name), shape, f"onboard: {name}"))
+
+
+@dataclass(frozen=True)
 class Calibration:
     """S, b and T of A B0 = (I+S) B + b + T D, with their covariance. Arrays are read-only.
 
@@ -78,6 +94,9 @@ class Calibration:
     """Whose magnetometer it is; empty where the telemetry did not say."""
     residual_to: str = ""
     """The calibration that had corrected the readings before; empty for a calibration of raw readings."""
+    onboard: Onboard | None = None
+    """What had been applied on board to the readings that were calibrated, and was undone: S, b and T act on the sensor's
+    own. `calib.common.onboard` composes the two."""
     version: str = ""
     """Of fluxtwin, that made it."""
 

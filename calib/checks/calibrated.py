@@ -1,0 +1,66 @@
+"""Are these readings raw, or calibrated already? Judged by |B|, which needs no attitude."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fluxtwin.calib.checks.report import Finding, note
+from fluxtwin.calib.checks.sample import FEWEST, comparable
+from fluxtwin.calib.common.conventions import OffsetFirst
+from fluxtwin.calib.common.records import Onboard
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth.field import FieldModel
+from fluxtwin.sim.telemetry.record import Telemetry
+
+CALIBRATED_NT, RAW_NT = 300.0, 1000.0
+"""Misfit of |B| up to which readings look calibrated (a field model is off by 150 nT, 1 sigma, and noise comes on top), and
+from which they do not (magnetometers fly with biases of thousands). Between them nothing is said."""
+CLEAR = 1.5
+"""One way of taking an on-board calibration must fit so many times better than the others."""
+
+
+def check_calibrated(
+    telemetry: Telemetry, model: FieldModel, usable: BoolArray, onboard: Onboard | None
+) -> list[Finding]:
+    """The note `calibrated_or_raw`; none where positions are missing, the record says it itself, or it cannot be told.
+
+    usable: (N,) rows. onboard: what is said to have been applied on board: then it is also undone, and applied once more.
+    """
+    sample = comparable(telemetry, model, usable, with_attitude=False)
+    if sample is None or len(sample) < FEWEST or telemetry.corrected_by:
+        return []
+    size_nT = np.linalg.norm(sample.field_N_nT, axis=1)
+    as_is = _misfit_nT(sample.mag_nT, size_nT)
+    if onboard is not None:
+        return [note("calibrated_or_raw", _against(onboard, sample.mag_nT, size_nT, as_is))]
+    missed = f"|B| misses the field model by {as_is:.0f} nT"
+    if as_is <= CALIBRATED_NT:
+        text = (
+            f"the readings look calibrated already: {missed}. If that was done on board, give calibrate --onboard FILE"
+        )
+    elif as_is >= RAW_NT:
+        text = f"the readings look raw: {missed}, a calibrated magnetometer does so by some 100 nT"
+    else:
+        return []
+    return [note("calibrated_or_raw", text)]
+
+
+def _against(onboard: Onboard, mag_nT: FloatArray, size_nT: FloatArray, as_is: float) -> str:
+    held = OffsetFirst(onboard.M, onboard.o_nT)
+    undone, applied = (_misfit_nT(change(mag_nT), size_nT) for change in (held.undo, held.apply))
+    found = (
+        f"|B| misses the field model by {as_is:.0f} nT as it stands, {undone:.0f} nT with {onboard.name} undone, "
+        f"{applied:.0f} nT with it applied"
+    )
+    if CLEAR * applied < min(as_is, undone):
+        return f"{found}: the readings are raw, it was not applied; calibrate without --onboard"
+    if CLEAR * as_is < min(applied, undone):
+        return f"{found}: the readings are corrected by it already; calibrate --onboard undoes that"
+    if CLEAR * undone < min(applied, as_is):
+        return f"{found}: it was applied and spoils the readings, or it belongs to another sensor"
+    return f"{found}: these data do not tell whether it was applied"
+
+
+def _misfit_nT(mag_nT: FloatArray, size_nT: FloatArray) -> float:
+    """Of |B|, as an rms that single outliers do not move."""
+    return float(1.4826 * np.median(np.abs(np.linalg.norm(mag_nT, axis=1) - size_nT)))

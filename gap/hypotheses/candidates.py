@@ -72,7 +72,7 @@ def candidates(
     perturbed = perturbed or PerturbedDesign(problem)
     found: list[Candidate] = []
     untestable: dict[str, str] = {}
-    for effect in CATALOGUE:
+    for effect in (one for kind in CATALOGUE for one in kind.instances(problem.setting)):
         if effect.name in taken:
             continue
         reason = _not_reported(effect, problem)

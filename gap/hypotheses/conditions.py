@@ -1,7 +1,8 @@
 """The conditions that a discrepancy may depend on, as columns of numbers along the record.
 
 The names are those of a diagnosis (`sunlit eclipse torquer latitude orbit_phase temperature current
-field_strength time after_time head rate region flag:NAME`); `label` tells variants of one name apart.
+field_strength time after_time head rate region flag:NAME`; a named driver adds its `driver:NAME`); `label` tells
+variants of one name apart.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ VERDICTS = ("no_gap", "effect", "unknown")
 CONDITIONS = "|".join(
     [
         *("sunlit", "eclipse", "torquer", "latitude", "orbit_phase", "temperature", "current", "field_strength"),
-        *("time", "after_time", "head", "rate", "region", "flag:.+"),
+        *("time", "after_time", "head", "rate", "region", "flag:.+", "driver:.+"),
     ]
 )
 """Patterns of what an effect may follow."""

@@ -62,6 +62,8 @@ def _cause(effect: FoundEffect) -> str:
     if "region_deg" in effect.settings:
         where = SwitchedField(str(effect.settings["condition"]), region_deg=tuple(effect.settings["region_deg"]))
         over = f" by {where.condition} over {where.region_words}"
+    over += f" {effect.settings['delay_s']:.3g} s late" if effect.settings.get("delay_s") else ""
+    over += f" behind a lag of {effect.settings['lag_s']:.3g} s" if effect.settings.get("lag_s") else ""
     return f"{' or '.join(effect.group)}{over} ({sizes})"
 
 

@@ -55,6 +55,8 @@ class Effect(ABC):
     one and for six orbits, inertial hold, a tumble of 0.25 deg/s, a spin of 2 rpm; the tumble gains three to ten times on
     what nadir geometry hides in bias and matrix."""
     equivalent_stages: ClassVar[tuple[str, ...]] = ()
+    keyed_by: ClassVar[str | None] = None
+    """The setting (a text) that tells effects of this class apart and is part of their names, as in `driver.payload`."""
 
     def __init_subclass__(cls) -> None:
         """Raise TypeError for an effect that does not say all of the above."""
@@ -64,10 +66,25 @@ class Effect(ABC):
         if hasattr(cls, "name") and missing:
             raise TypeError(f"the effect {cls.name} does not say its {', '.join(missing)}")
 
+    def __post_init__(self) -> None:
+        """One of several of its kind has a name of its own."""
+        key = "" if self.keyed_by is None else getattr(self, self.keyed_by)
+        if key:
+            object.__setattr__(self, "name", f"{self.family}.{key}")
+
+    @property
+    def family(self) -> str:
+        """The name that all effects of this class share, and the catalogue has."""
+        return type(self).name
+
     @property
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
         """Its parameters, in the order of `theta`."""
+
+    def instances(self, setting: Setting) -> tuple[Effect, ...]:
+        """The effects of this kind that a design may have, each with a name of its own; just itself for most."""
+        return (self,)
 
     def alternatives(self, setting: Setting) -> tuple[Effect, ...]:
         """The discrete settings worth trying on this design; just itself for most."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from dataclasses import replace
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.effects import (
@@ -37,6 +38,7 @@ CATALOGUE: tuple[Effect, ...] = (
     spacecraft_field.TorquerCoupling(),
     spacecraft_field.SolarArrayCurrent(),
     spacecraft_field.BatteryCurrent(),
+    spacecraft_field.Driver(),
     switched_field.HeaterSwitching(),
     spacecraft_field.WheelField(),
     spacecraft_field.EddyCurrent(),
@@ -61,10 +63,13 @@ CATALOGUE: tuple[Effect, ...] = (
 
 
 def find_effect(name: str, *, where: str = "effects") -> Effect:
-    """The effect called `name`; raises BadInput that names the nearest one."""
+    """The effect called `name`, as `bias` or `driver.payload`; raises BadInput that names the nearest one."""
+    kind, _, key = name.partition(".")
     for effect in CATALOGUE:
-        if effect.name == name:
+        if effect.name == kind and not key:
             return effect
+        if effect.name == kind and effect.keyed_by is not None:
+            return replace(effect, **{effect.keyed_by: key})
     names = [effect.name for effect in CATALOGUE]
     near = difflib.get_close_matches(name.lower(), names, n=1, cutoff=0.6)
     hint = f"; did you mean {near[0]}?" if near else ""

@@ -159,7 +159,7 @@ def jacobians(chain: Chain, wanted: Sequence[Active], at: Sequence[Active] = ())
 
 def in_order(active: Sequence[Active]) -> list[Active]:
     """Active effects in the order in which nature applies them: that of the catalogue."""
-    return sorted(active, key=lambda pair: _PLACE.get(pair[0].name, len(_PLACE)))
+    return sorted(active, key=lambda pair: _PLACE.get(pair[0].family, len(_PLACE)))
 
 
 def _on(theta: FloatArray) -> bool:

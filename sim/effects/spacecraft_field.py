@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.effects.base import MATRIX, SignalEffect, held, known_column, mapped, vector_parameters
-from fluxtwin.sim.effects.drivers import PanelKind, array_current_A, battery_current_A, sun_in_body, varies
+from fluxtwin.sim.effects.base import MATRIX, Parameter, SignalEffect, held, known_column, mapped, vector_parameters
+from fluxtwin.sim.effects.drivers import PanelKind, array_current_A, battery_current_A, followed, sun_in_body, varies
 from fluxtwin.sim.effects.signal import Setting, Signal
+
+_PREFIX = "driver_"
+_TYPICAL_NT = 100.0
+_TRIED_S = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
+"""Delays and lags of a driver that a diagnosis tries; it moves them by up to a factor of two to either side."""
+_LONGEST = 0.1
+"""Of the record: a delay or lag must pass several times."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +120,84 @@ class BatteryCurrent(SignalEffect):
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         return signal.with_stray(battery_current_A(signal.setting)[:, None] * theta)
+
+
+@dataclass(frozen=True)
+class Driver(SignalEffect):
+    """Field in proportion to a recorded column.
+
+    Field in body axes in proportion to the column `driver_NAME`, of whatever unit: k times its value `delay_s` before,
+    behind a first-order lag `lag_s`.
+    """
+
+    name = "driver"
+    stage = "spacecraft"
+    frame = "body"
+    follows = "driver"
+    keyed_by = "column"
+    settled_by = "switching what it records on and off, in several attitudes"
+    about = (
+        "field in proportion to a housekeeping column, late or smoothed, + along the axis (current loops: RAX, "
+        "Springmann & Cutler 2012, doi 10.2514/1.56726; Swarm-Echo, Broadfoot et al. 2022, doi 10.5194/gi-11-323-2022)"
+    )
+    column: str = ""
+    """NAME of the column `driver_NAME`."""
+    delay_s: float = 0.0
+    lag_s: float = 0.0
+    typical_nT_per_unit: float = field(default=20.0, compare=False)
+    """What is taken for a usual size of k: no column says what its unit is worth."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return vector_parameters("k", "nT/unit", self.typical_nT_per_unit)
+
+    def instances(self, setting: Setting) -> tuple[Driver, ...]:
+        """One for each column, of which `_TYPICAL_NT` is a usual field."""
+        if self.column:
+            return (self,)
+        names = sorted(name.removeprefix(_PREFIX) for name in setting.columns if name.startswith(_PREFIX))
+        found = []
+        for name in names:
+            one = replace(self, column=name)
+            values = one.values(setting)
+            swing = 0.0 if values is None else float(np.ptp(values))
+            found.append(replace(one, typical_nT_per_unit=_TYPICAL_NT / swing) if swing > 0.0 else one)
+        return tuple(found) or (self,)
+
+    def values(self, setting: Setting, later_s: float = 0.0) -> FloatArray | None:
+        """(N,) what the field follows, `later_s` after the stamps; None when nothing tells."""
+        return followed(setting, _PREFIX + self.column, self.delay_s - later_s, self.lag_s)
+
+    def alternatives(self, setting: Setting) -> tuple[Driver, ...]:
+        if self.delay_s or self.lag_s:
+            return (self,)
+        step_s, whole_s = float(np.median(np.diff(setting.seconds, prepend=0.0))), float(setting.seconds[-1])
+        tried = [s for s in _TRIED_S if 0.5 * step_s < s < _LONGEST * whole_s]
+        return (self, *(replace(self, delay_s=s) for s in tried), *(replace(self, lag_s=s) for s in tried))
+
+    def between(self, setting: Setting, ratio: float) -> Driver | None:
+        if not (self.delay_s or self.lag_s):
+            return None
+        return replace(self, delay_s=ratio * self.delay_s, lag_s=ratio * self.lag_s)
+
+    def variants(self, setting: Setting) -> tuple[Driver, ...]:
+        if bool(self.delay_s) == bool(self.lag_s):
+            return ()
+        return tuple(replace(self, delay_s=self.delay_s or s, lag_s=self.lag_s or s) for s in _TRIED_S)
+
+    def condition_on(self, setting: Setting) -> str | None:
+        return f"{self.follows}:{self.column}"
+
+    def untestable(self, setting: Setting) -> str | None:
+        values = self.values(setting)
+        if values is None:
+            return f"the telemetry has no {_PREFIX}{self.column or 'NAME'}"
+        swing, size = float(np.ptp(values)), float(np.abs(values).max())
+        return None if swing > 1e-6 * size else f"{_PREFIX}{self.column} never changes: its field is a bias"
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        values = self.values(signal.setting, signal.sample_offset_s)
+        return signal if values is None else signal.with_stray(values[:, None] * theta)
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from fluxtwin.sim.spacecraft.sensors.reference_attitude import (
     attitude_from_sun_and_nadir,
     attitude_with_error,
 )
+from fluxtwin.sim.telemetry.quantities import DRIVERS
 from fluxtwin.sim.telemetry.record import Telemetry
 
 
@@ -149,6 +150,7 @@ def to_telemetry(scenario: Scenario, signal: Signal, columns: Mapping[str, Float
     for name, turn in signal.measured_turns.items():
         if name in telemetered:
             telemetered[name] = turn.apply(telemetered[name])
+    drivers = {name: telemetered.pop(DRIVERS.prefix + name) for name in scenario.drivers}
     return Telemetry(
         time=signal.setting.time,
         mag_B_nT=signal.reading,
@@ -156,6 +158,8 @@ def to_telemetry(scenario: Scenario, signal: Signal, columns: Mapping[str, Float
         r_N_km=signal.r_reported_N_km,
         v_N_km_s=signal.v_reported_N_km_s,
         q_NB=_reported_q_NB(signal, q_NB),
+        drivers=drivers,
+        driver_units={name: section.unit for name, section in scenario.drivers.items()},
         provenance={"source": "simulation", "spacecraft": scenario.spacecraft.name},
         **telemetered,  # type: ignore[arg-type]
     )

@@ -12,6 +12,7 @@ import numpy as np
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, orbit
 from fluxtwin.sim.earth.constants import GM_EARTH_KM3_S2
+from fluxtwin.sim.run.drivers import run_drivers
 from fluxtwin.sim.run.flights import flights
 from fluxtwin.sim.run.true_attitude import true_attitude
 from fluxtwin.sim.run.world import World, ephemeris, world_along
@@ -23,8 +24,8 @@ _WARM_UP_ORBITS = 3
 
 
 def run_housekeeping(scenario: Scenario, world: World) -> dict[str, FloatArray]:
-    """Columns of the telemetry at the world's stamps, by name, for the parts that the scenario has; nothing is random."""
-    columns = {"sunlit": (world.illumination > 0.5).astype(np.float64)}
+    """Columns of the telemetry at the world's stamps, by name, for the parts that the scenario has."""
+    columns = {"sunlit": (world.illumination > 0.5).astype(np.float64), **run_drivers(scenario, world)}
     speeds = _wheel_speeds(scenario, world)
     if speeds is not None:
         columns["wheel_speed_rpm"] = speeds

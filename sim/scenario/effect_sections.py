@@ -2,7 +2,7 @@
 
 The keys are made from the effect itself: each parameter with its unit as suffix (`offset_s`), three parameters that
 end in _x, _y, _z as one list of three (`b_nT`), nine that end in _xx ... _zz as a 3x3 list, and each discrete setting
-under its own name (`head`).
+under its own name (`head`). Of an effect that there may be several of each has a section of its own, [effects.driver.NAME].
 """
 
 from __future__ import annotations
@@ -82,15 +82,20 @@ def active_effects(scenario: Scenario) -> tuple[tuple[Effect, FloatArray], ...]:
     """The scenario's effects with their parameters, in the order of the catalogue."""
     active = []
     for default in CATALOGUE:
-        section = getattr(scenario.effects, default.name)
-        if section is None:
-            continue
-        effect = dataclasses.replace(default, **{name: getattr(section, name) for name in _settings(default)})
-        values = [getattr(section, key.name) for key in keys_of(default)]
-        whole = [
-            np.zeros(key.count) if v is None else np.ravel(v) for key, v in zip(keys_of(default), values, strict=True)
-        ]
-        active.append((effect, np.concatenate(whole).astype(np.float64)))
+        given = getattr(scenario.effects, default.name)
+        if default.keyed_by is None:
+            named = {} if given is None else {default.name: given}
+        else:
+            named = {f"{default.name}.{key}": section for key, section in given.items()}
+        for name, section in named.items():
+            settings = {setting: getattr(section, setting) for setting in _settings(default)}
+            effect = dataclasses.replace(find_effect(name), **settings)
+            values = [getattr(section, key.name) for key in keys_of(default)]
+            whole = [
+                np.zeros(key.count) if v is None else np.ravel(v)
+                for key, v in zip(keys_of(default), values, strict=True)
+            ]
+            active.append((effect, np.concatenate(whole).astype(np.float64)))
     return tuple(active)
 
 
@@ -112,7 +117,10 @@ def effect_section(effect: Effect, theta: FloatArray, covariance: FloatArray | N
 
 def effect_toml(effect: Effect, theta: FloatArray | Sequence[float]) -> str:
     """The same as TOML text."""
-    return tomli_w.dumps({"effects": {effect.name: effect_section(effect, np.asarray(theta, dtype=np.float64))}})
+    section = effect_section(effect, np.asarray(theta, dtype=np.float64))
+    if effect.keyed_by is not None:
+        section = {getattr(effect, effect.keyed_by) or "NAME": section}
+    return tomli_w.dumps({"effects": {effect.family: section}})
 
 
 def effects_record(scenario: Scenario) -> dict[str, Mapping[str, Any]]:
@@ -148,9 +156,9 @@ class EffectSection(Section):
 
 
 def _settings(effect: Effect) -> dict[str, Any]:
-    """Name and type of each discrete setting."""
+    """Name and type of each discrete setting that stands in the section."""
     hints = get_type_hints(type(effect))
-    return {item.name: hints[item.name] for item in dataclasses.fields(effect)}
+    return {item.name: hints[item.name] for item in dataclasses.fields(effect) if item.name != effect.keyed_by}
 
 
 def _number(parameter: Parameter) -> Any:
@@ -183,6 +191,11 @@ else:
     EffectsSection = create_model(
         "EffectsSection",
         __base__=Section,
-        **{effect.name: (_section_type(effect) | None, None) for effect in CATALOGUE},
+        **{
+            effect.name: (_section_type(effect) | None, None)
+            if effect.keyed_by is None
+            else (dict[str, _section_type(effect)], {})
+            for effect in CATALOGUE
+        },
     )
-    """[effects]: one optional section for each effect of the catalogue."""
+    """[effects]: one optional section for each effect of the catalogue, or one by name for each of its kind."""

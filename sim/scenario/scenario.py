@@ -18,6 +18,7 @@ from fluxtwin.sim.scenario.dynamics_sections import ControlSection, DynamicsSect
 from fluxtwin.sim.scenario.effect_sections import EffectsSection
 from fluxtwin.sim.scenario.sampling import SamplingSection
 from fluxtwin.sim.spacecraft.sensors.catalogue import SensorSections
+from fluxtwin.sim.telemetry.quantities import DRIVERS
 
 
 class Scenario(SensorSections):
@@ -41,6 +42,7 @@ class Scenario(SensorSections):
     power: sections.PowerSection | None = None
     thermal: sections.ThermalSection | None = None
     wheels: sections.WheelsSection | None = None
+    drivers: dict[str, sections.DriverSection] = {}
     dynamics: DynamicsSection | None = None
     torques: TorquesSection | None = None
     control: ControlSection | None = None
@@ -61,6 +63,9 @@ class Scenario(SensorSections):
         for number in self.sun_sensor:
             if not number.isdigit() or int(number) < 1:
                 raise ValueError(f"[sun_sensor.{number}]: heads are numbered 1, 2, 3, ...")
+        for name in self.drivers:
+            if DRIVERS.name_in(DRIVERS.prefix + name) is None:
+                raise ValueError(f"[drivers.{name}]: a name has letters, digits and _ only, 60 at most")
         reference = self.attitude.reference
         if (reference.needs_sun or reference.source == "sensors") and not self.sun_sensor:
             raise ValueError("the reference attitude wants sun sensors: add [sun_sensor.1], ...")
@@ -120,7 +125,7 @@ class Scenario(SensorSections):
             "horizon_scanner": self.horizon_scanner,
             "gyro": self.gyro,
             "torquers": self.torquers,
-            "housekeeping": self.power or self.thermal or self.wheels,
+            "housekeeping": self.power or self.thermal or self.wheels or self.drivers,
         }
         for name in self.sampling.rates:
             if not there.get(name, True):

@@ -316,6 +316,44 @@ class WheelsSection(Section):
         return self
 
 
+_NEEDED = {
+    "constant": ("high",),
+    "square": ("high", "period_s", "duty"),
+    "ramp": ("high", "period_s"),
+    "random": ("high", "duty", "dwell_s"),
+    "sunlit": ("high",),
+    "file": ("file", "column"),
+}
+_ALSO = {"square": ("low", "offset_s"), "ramp": ("low", "offset_s"), "random": ("low",), "sunlit": ("low",)}
+
+
+class DriverSection(Section):
+    """A column `driver_NAME` of the telemetry: what something on board does, which a field may follow."""
+
+    pattern: Literal["constant", "square", "ramp", "random", "sunlit", "file"]
+    high: float | None = None
+    low: float | None = None
+    """Absent: 0."""
+    period_s: Positive | None = None
+    offset_s: float | None = None
+    """From the first sample to the start of a period; absent: 0."""
+    duty: Annotated[float, Field(ge=0, le=1)] | None = None
+    dwell_s: Positive | None = None
+    file: str | None = None
+    """CSV with a column `time`, relative to the scenario's folder."""
+    column: str | None = None
+    unit: str = ""
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        needed, also = _NEEDED[self.pattern], _ALSO.get(self.pattern, ())
+        given = {name for name in type(self).model_fields if getattr(self, name) is not None} - {"pattern", "unit"}
+        if not set(needed) <= given <= {*needed, *also}:
+            wanted = ", ".join(needed) + (f" (and {', '.join(also)})" if also else "")
+            raise ValueError(f'pattern = "{self.pattern}" wants {wanted}; found {", ".join(sorted(given)) or "none"}')
+        return self
+
+
 class SegmentSection(Section):
     """A run of samples `step_s` apart: so many `samples`, or a `duration_min`."""
 

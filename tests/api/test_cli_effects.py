@@ -43,10 +43,11 @@ def test_one_effect_in_full_gives_a_section_that_works(cli: Cli, name: str) -> N
 
     shown = cli("effects", name)
     assert shown.status == 0
-    section = shown.out[shown.out.index(f"[effects.{name}]") :]
+    section = shown.out[shown.out.index(f"[effects.{name}") :]
     assert set(tomllib.loads(section)) == {"effects"}
     ((effect, theta),) = active_effects(parse_scenario(SCENARIO + section))
-    assert effect.name == name
+    assert effect.family == name
+    assert effect.name == (name if effect.keyed_by is None else f"{name}.NAME")
     assert theta.tolist() == [parameter.scale for parameter in effect.parameters]
 
 

@@ -13,7 +13,7 @@ LONGEST_FUNCTION = 70
 
 UNIT = re.compile(
     r"_(nT|uT|mG|T|km|m|km_s|m_s|s|h|min|d|yr|days|rad|deg|rad_s|deg_s|deg_h|rpm|A|V|W|Wh|Ah|Am2|A_m2|Nm|N_m|Nms|kg"
-    r"|kg_m2|degC|K|Hz|nT_per_Am2|nT_per_A|nT_per_K|nT_per_yr|km3_s2|W_m2|J_K|W_K|J|per_K|N_m_s|m2|mG2|nT2)$"
+    r"|kg_m2|degC|K|Hz|nT_per_Am2|nT_per_A|nT_per_K|nT_per_unit|nT_per_yr|km3_s2|W_m2|J_K|W_K|J|per_K|N_m_s|m2|mG2|nT2)$"
 )
 NO_UNIT = (
     # ratios, matrices of ratios, rotations, states of 0 and 1, counts and probabilities

@@ -61,6 +61,11 @@ heater_rise_degC = 60.0
 axes_B = [[0.0, 1.0, 0.0]]
 inertia_kg_m2 = 0.01
 bias_rpm = [2000.0]
+[drivers.payload]
+pattern = "ramp"
+low = -1.0
+high = 3.0
+period_s = 2900.0
 """
 DESIGN = scenario_text(SECTIONS, seed=5, raan_deg=100.0, segment="duration_min = 200.0, step_s = 10.0")
 """Everything that any effect acts on, and no noise at all."""
@@ -94,6 +99,7 @@ STAGE_OF = {
     "ring_current": "field",
     "solar_array_current": "spacecraft",
     "battery_current": "spacecraft",
+    "driver": "spacecraft",
     "heater_switching": "spacecraft",
     "wheel_field": "spacecraft",
     "eddy_current": "spacecraft",
@@ -165,15 +171,21 @@ def chain(scenario, run) -> Chain:
     return predicting(scenario, run[0])
 
 
-@pytest.fixture(
-    params=[effect for effect in CATALOGUE if not isinstance(effect, DynamicsEffect)], ids=lambda effect: effect.name
-)
+EFFECTS = [
+    effect if effect.keyed_by is None else dataclasses.replace(effect, **{effect.keyed_by: "payload"})
+    for effect in CATALOGUE
+    if not isinstance(effect, DynamicsEffect)
+]
+"""Those of which there may be several as that of the design's one driver."""
+
+
+@pytest.fixture(params=EFFECTS, ids=lambda effect: effect.name)
 def effect(request):
     """Those on the dynamics move the spacecraft itself, and have tests of their own."""
     return request.param
 
 
-@pytest.fixture(params=[effect for effect in CATALOGUE if isinstance(effect, SignalEffect)], ids=lambda e: e.name)
+@pytest.fixture(params=[effect for effect in EFFECTS if isinstance(effect, SignalEffect)], ids=lambda e: e.name)
 def signal_effect(request):
     return request.param
 
@@ -270,7 +282,7 @@ def test_switched_on_the_telemetry_changes_and_carries_no_name_of_it(effect, sce
     theta = scale_of(effect)
     flown = switched_on(scenario, effect, theta)
     telemetry, truth = simulate(flown)
-    columns = [item.name for item in dataclasses.fields(telemetry) if item.name not in ("flags", "provenance")]
+    columns = {item.name for item in dataclasses.fields(telemetry)} - {"flags", "drivers", "driver_units", "provenance"}
     same = [
         getattr(telemetry, name) is None
         or np.array_equal(getattr(telemetry, name), getattr(run[0], name), equal_nan=True)
@@ -500,7 +512,7 @@ def test_a_bent_boom_takes_no_other_field_from_the_second_magnetometer(beside, c
 def test_what_a_chain_remembers_changes_no_answer(scenario, run):
     """Whatever was asked before, a chain that has been used answers as a fresh one does, to the last bit."""
     used, rng = predicting(scenario, run[0]), np.random.default_rng(7)
-    signals = [effect for effect in CATALOGUE if isinstance(effect, SignalEffect)]
+    signals = [effect for effect in EFFECTS if isinstance(effect, SignalEffect)]
     on = []
     for _ in range(40):
         place = int(rng.integers(len(signals)))

@@ -132,15 +132,18 @@ def _origin(path: Path | str, table: FileTable, column_map: Path | str | None, t
         specs = {name: spec for entry in loaded.file for name, spec in entry.columns.items()}
         position, attitude = specs.get("position"), specs.get("attitude")
         fixed = position is not None and position.axes == "ITRS"
-        relative = None if attitude is None else attitude.reference
+        relative, first = (None, False) if attitude is None else (attitude.reference, attitude.order == "wxyz")
         tle = elements_path(path, loaded, Path(column_map).parent, tle) if position is None else None
     else:
-        fixed, relative = "ecef_x_km" in table.columns, "orbital" if "yaw_deg" in table.columns else None
+        fixed, first = "ecef_x_km" in table.columns, False
+        relative = "orbital" if "yaw_deg" in table.columns else None
         tle = tle if not fixed and "r_x_km" not in table.columns else None
-    references: dict[str, Literal["ITRS", "NEC", "orbital"]] = {"ITRS": "ITRS", "NEC": "NEC", "orbital": "orbital"}
+    references: dict[str, Literal["ITRS", "NEC", "orbital"]] = {"ITRS": "ITRS", "NEC": "NEC", "NED": "NEC"}
+    references |= {"orbital": "orbital", "sun_nadir": "orbital", "nadir_sun": "orbital"}
     return Origin(
         "ITRS" if fixed else "GCRS",
         references.get(relative or "", "GCRS"),
+        first,
         None if tle is None else read_tle(tle),
     )
 

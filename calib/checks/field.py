@@ -83,7 +83,7 @@ def check_field(telemetry: Telemetry, model: FieldModel, origin: Origin, usable:
 def _by_vectors(sample: Sample, telemetry: Telemetry, model: FieldModel, origin: Origin) -> list[Finding]:
     """The best name for what is wrong, from readings with attitude; notes where nothing is."""
     small = sample.thinned(BLOCKS)
-    tried = [*orientations(small), *_positions(small, model), *_stamps(small, model, origin)]
+    tried = [*orientations(small, origin), *_positions(small, model), *_stamps(small, model, origin)]
     misfit = _after_bias_fit(small, tried)
     far_better = np.flatnonzero(misfit <= FAR_BETTER * misfit[0])
     found, left = None, np.inf

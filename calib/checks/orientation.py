@@ -16,9 +16,10 @@ from functools import cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.calib.checks.sample import Sample
+from fluxtwin.calib.checks.sample import Origin, Sample
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.references import rotation_XN
 
 FAR_BETTER = 0.5
 """An alternative is named when it leaves at most half of the misfit."""
@@ -62,9 +63,9 @@ class _Mounting:
     cost: float
 
 
-def orientations(sample: Sample) -> list[Hypothesis]:
+def orientations(sample: Sample, origin: Origin) -> list[Hypothesis]:
     """The record as it stands first; then every single thing wrong, and the pairs that leave the least misfit."""
-    conventions, mountings = _conventions(sample), _mountings()
+    conventions, mountings = _conventions(sample, origin), _mountings()
     matrices = np.stack([mounting.matrix for mounting in mountings])
     m = sample.mag_nT - sample.mag_nT.mean(axis=0)
     fields, misfits = [], np.empty((len(conventions), len(mountings)))
@@ -169,30 +170,33 @@ def _turn_words(matrix: FloatArray) -> str:
     return f"{np.degrees(angle):.0f} deg about ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f})"
 
 
-def _conventions(sample: Sample) -> list[_Convention]:
-    """Every way to read the quaternion; the first is as the contract says."""
+_REFERENCES = {
+    "GCRS": "inertial axes (GCRS)",
+    "ITRS": "Earth-fixed axes (ITRS)",
+    "NEC": "north, east, centre (NEC)",
+    "orbital": "the orbital frame",
+}
+
+
+def _conventions(sample: Sample, origin: Origin) -> list[_Convention]:
+    """Every way to read the quaternion that was recorded; the first is as the contract, or the map, says."""
     assert sample.q_NB is not None
-    q = sample.q_NB
-    orders = (("", q), ("the quaternion is scalar first", q[:, [1, 2, 3, 0]]))
-    R_EN = sample.R_EN
-    references: list[tuple[str, Rotation | None]] = [
-        ("", None),
-        ("the attitude is relative to Earth-fixed axes (ITRS)", R_EN),
-        (
-            "the attitude is relative to north, east, centre (NEC)",
-            frames.rotation_NEC_E(R_EN.apply(sample.r_N_km)) * R_EN,
-        ),
-    ]
-    if np.isfinite(sample.v_N_km_s).all():
-        orbital = frames.rotation_ON(sample.r_N_km, sample.v_N_km_s)
-        references.append(("the attitude is relative to the orbital frame", orbital))
+    names = [name for name in _REFERENCES if name != "orbital" or bool(np.isfinite(sample.v_N_km_s).all())]
+    stated = origin.attitude if origin.attitude in names else "GCRS"
+    axes = {name: rotation_XN(name, sample.time, sample.r_N_km, sample.v_N_km_s) for name in names}
+    q = sample.q_NB if stated == "GCRS" else frames.q_from_rotation(sample.R_BN * axes[stated].inv())
+    orders = [("", q), ("the quaternion is scalar first", q[:, [1, 2, 3, 0]])]
+    if origin.scalar_first:
+        orders[1] = ("the quaternion is scalar last", q[:, [3, 0, 1, 2]])
+    others = sorted(names, key=lambda name: name != stated)
+    worded = [("" if name == stated else f"the attitude is relative to {_REFERENCES[name]}", name) for name in others]
     out = []
     for (order, quaternion), conjugate in itertools.product(orders, (False, True)):
         R = frames.rotation_from_q(quaternion)
         R = R.inv() if conjugate else R
-        for reference, R_XN in references:
+        for reference, name in worded:
             words = [w for w in (order, "it is conjugated (transposed)" if conjugate else "", reference) if w]
             if words and words[0].startswith("it is"):
                 words[0] = words[0].replace("it is", "the quaternion is")
-            out.append(_Convention(len(words), " and ".join(words), R if R_XN is None else R * R_XN))
+            out.append(_Convention(len(words), " and ".join(words), R * axes[name]))
     return out

@@ -30,8 +30,8 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.toml_input import Strict, read_model
+from fluxtwin.sim.telemetry import column_map_attitude, time_recipes
 from fluxtwin.sim.telemetry import column_map_words as words
-from fluxtwin.sim.telemetry import time_recipes
 from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, DRIVERS, FAMILIES, family_of
@@ -101,7 +101,13 @@ class ColumnSpec(Strict):
     sense: Literal["textbook", "conjugate"] = "textbook"
     """textbook: the attitude matrix of the quaternion maps reference components to body components."""
     angles: Literal["yaw_roll_pitch_deg", "yaw_roll_pitch_rad"] | None = None
-    """The three columns are the 3-1-2 angles instead of a quaternion."""
+    """The three columns are the 3-1-2 angles instead of a quaternion: `euler = "ZXY"` with the unit in it."""
+    euler: str | None = None
+    """Axes of the three angles, as scipy has them: "ZYX" turns about the body's axes, "zyx" about those of the reference;
+    the rotation takes the reference's axes to the body's."""
+    vectors: str | None = None
+    """Six columns: "x z" are the directions of these body axes in the reference; "sun nadir" those of sun and nadir as
+    measured in the body. The first is followed exactly."""
     between: Literal["linear", "hold"] | None = None
     """Of a driver of another source, between its samples: a straight line (default), or the last value holds."""
 
@@ -117,7 +123,9 @@ class ColumnSpec(Strict):
 
     @property
     def reference(self) -> str | None:
-        """`relative_to` by its own name."""
+        """`relative_to` by its own name; of measured vectors what they are."""
+        if self.vectors in column_map_attitude.MEASURED:
+            return self.vectors.replace(" ", "_")
         return None if self.relative_to is None else words.canonical(self.relative_to)
 
     def assumptions(self, quantity: str) -> list[str]:
@@ -286,7 +294,7 @@ def _check_quantity(name: str, spec: ColumnSpec) -> None:
     if accepted and spec.unit not in accepted:
         what = "has no unit" if spec.unit is None else f"has the unit {spec.unit!r}"
         raise ValueError(f"{name} {what}; accepted: {', '.join(accepted)}")
-    if not accepted and family is not DRIVERS and spec.unit is not None:
+    if not accepted and family is not DRIVERS and name != "attitude" and spec.unit is not None:
         raise ValueError(f"{name} takes no unit")
     if name in ("position", "velocity") and spec.frame is None:
         raise ValueError(f"{name} wants frame: {', '.join(words.FRAMES)}")
@@ -294,14 +302,4 @@ def _check_quantity(name: str, spec: ColumnSpec) -> None:
     if vector and isinstance(spec.source, list) and len(spec.source) != 3:
         raise ValueError(f"{name} takes three columns")
     if name == "attitude":
-        _check_attitude(spec)
-
-
-def _check_attitude(spec: ColumnSpec) -> None:
-    if spec.relative_to is None:
-        raise ValueError(f"attitude wants relative_to: {', '.join(words.REFERENCES)}")
-    if (spec.order is None) == (spec.angles is None):
-        raise ValueError("attitude wants either order (xyzw, wxyz, xyz) or angles (yaw_roll_pitch_deg, ..._rad)")
-    wanted = 3 if spec.order in (None, "xyz") else 4
-    if isinstance(spec.source, list) and len(spec.source) != wanted:
-        raise ValueError(f"attitude takes {wanted} columns here")
+        column_map_attitude.check(spec)

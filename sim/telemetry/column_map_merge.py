@@ -16,8 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
-from fluxtwin.sim.earth import frames
-from fluxtwin.sim.earth.frames import rotation_from_N
+from fluxtwin.sim.earth import frames, references
 from fluxtwin.sim.telemetry.build import velocity_from_positions
 from fluxtwin.sim.telemetry.column_map import ColumnMap, ColumnSpec
 from fluxtwin.sim.telemetry.column_map_read import Source, read_source, require_increasing
@@ -211,9 +210,9 @@ def _absolute(
     """Quaternions q_NB (N, 4) from the attitude relative to the map's reference; NaN where unknown."""
     spec, stored, known = attitude
     q = np.full((time.size, 4), np.nan)
-    if spec.reference in ("orbital", "NEC"):
+    if spec.reference in references.OF_POSITION:
         if r is None:
-            what = "the orbital frame" if spec.reference == "orbital" else "north, east, centre"
+            what = {"orbital": "the orbital frame", "NEC": "north, east, centre"}.get(spec.reference, spec.reference)
             raise BadInput(f"an attitude relative to {what} needs positions", where=where, wanted="a TLE")
         known = known & np.isfinite(r).all(axis=1)
     if spec.reference == "orbital" and r is not None:
@@ -225,12 +224,7 @@ def _absolute(
     if rows.size == 0:
         return q
     R_BX = stored[rows].inv()
-    if spec.reference == "orbital" and r is not None and v is not None:
-        R_XN = frames.rotation_ON(r[rows], v[rows])
-    elif spec.reference == "NEC" and r is not None:
-        R_EN = frames.rotation_EN(time[rows])
-        R_XN = frames.rotation_NEC_E(R_EN.apply(r[rows])) * R_EN
-    else:
-        R_XN = rotation_from_N(str(spec.reference), time[rows])
+    at = (None if one is None else one[rows] for one in (r, v))
+    R_XN = references.rotation_XN(str(spec.reference), time[rows], *at)
     q[rows] = frames.q_from_rotation(R_BX * R_XN)
     return q

@@ -10,10 +10,10 @@ import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray, TimeArray
-from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.constants import EARTH_RATE_RAD_S
 from fluxtwin.sim.earth.frames import rotation_from_N
-from fluxtwin.sim.telemetry import time_recipes, time_stamps
+from fluxtwin.sim.telemetry import column_map_attitude, time_recipes, time_stamps
 from fluxtwin.sim.telemetry.column_map import ColumnSpec, FileEntry, TimeRecipe, matches
 from fluxtwin.sim.telemetry.columns import clip
 from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
@@ -158,35 +158,10 @@ def _quantity(reader: _Reader, name: str, spec: ColumnSpec) -> FloatArray:
         size = np.linalg.norm(value, axis=1, keepdims=True)
         value = np.divide(value, size, out=np.full_like(value, np.nan), where=size > 0)
     if name == "attitude":
-        value = _quaternion(value, spec, reader.where)
+        value = column_map_attitude.quaternion(value, spec, reader.where)
     value = np.array(value, dtype=np.float64)
     value[missing] = np.nan
     return value
-
-
-def _quaternion(value: FloatArray, spec: ColumnSpec, where: str) -> FloatArray:
-    """Textbook quaternion of the body relative to `relative_to`, scalar last, (N, 4)."""
-    if spec.angles is not None:
-        angles = np.radians(value) if spec.angles.endswith("deg") else value
-        q = np.full((len(value), 4), np.nan)
-        rows = np.isfinite(angles).all(axis=1)
-        if rows.any():
-            q[rows] = frames.q_from_rotation(frames.rotation_BO(*angles[rows].T))
-        return q
-    if spec.order == "xyz":
-        value = np.column_stack([value, np.sqrt(np.maximum(1.0 - np.sum(value**2, axis=1), 0.0))])
-    elif spec.order == "wxyz":
-        value = value[:, [1, 2, 3, 0]]
-    size = np.linalg.norm(value, axis=1)
-    wrong = np.flatnonzero(np.abs(size - 1.0) > 0.02)
-    if wrong.size:
-        raise BadInput(
-            f"the quaternion in row {wrong[0] + 1} has norm {size[wrong[0]]:.4g}",
-            where=where,
-            wanted="norm 1 within 0.02; `invalid` for the rows without attitude",
-        )
-    value = value / size[:, None]
-    return value * [-1.0, -1.0, -1.0, 1.0] if spec.sense == "conjugate" else value
 
 
 def _to_N(name: str, spec: ColumnSpec, time: TimeArray, value: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from typing import Any
 from fluxtwin.sim.telemetry.time_recipes import NAMES
 
 FRAMES = ("GCRS", "J2000", "mean_of_date", "true_of_date", "ITRS")
-REFERENCES = (*FRAMES, "NEC", "orbital")
+REFERENCES = (*FRAMES, "NEC", "NED", "orbital")
 ORDERS = ("xyzw", "wxyz", "xyz")
 _OTHER_FRAMES = {
     "ECI": "GCRS",

@@ -36,7 +36,7 @@ def calibration_page(fit: Fit, title: str, *, next_step: str, command: str, refu
                 [*lines[1:-1], *(["No calibration file was written."] if refused else []), f"Next: {next_step}"],
                 [] if verdict is None or verdict.impossible else [_angles(fit)],
             ),
-            PageSection("Parameters", [], [parameter_table(fit), *_bias_tables(fit)]),
+            PageSection("Parameters", [], [*comparison_tables(fit), parameter_table(fit), *_bias_tables(fit)]),
             PageSection("Residuals", [], [_residuals(fit)], [FigureBlock("residuals", caption, residual_figure(fit))]),
             PageSection("What these data do not determine", unseen, correlation_tables(fit)),
             PageSection("How it was made", [f"{message}." for message in fit.messages]),
@@ -48,7 +48,19 @@ def calibration_page(fit: Fit, title: str, *, next_step: str, command: str, refu
 
 def tables(fit: Fit) -> list[Table]:
     """The tables for the terminal, in order."""
-    return [parameter_table(fit), *_bias_tables(fit), *correlation_tables(fit)]
+    return [*comparison_tables(fit), parameter_table(fit), *_bias_tables(fit), *correlation_tables(fit)]
+
+
+def comparison_tables(fit: Fit) -> list[Table]:
+    """The methods side by side, where they were compared."""
+    compared = fit.comparison
+    if compared is None:
+        return []
+    note = (
+        "rms over rows that were not fitted (every other twelfth of the record), the error of the reference attitude "
+        f"included; angle: 95 % of them. {compared.why}."
+    )
+    return [Table("methods compared", compared.columns, compared.rows, note)]
 
 
 def parameter_table(fit: Fit) -> Table:

@@ -30,6 +30,10 @@ ESTIMATORS: dict[str, Estimator] = {
 }
 
 
+ALL = "all"
+"""In place of a method's name: all of them, compared."""
+
+
 class Offered(NamedTuple):
     """One option as the command line and the signature of `fluxtwin.calibrate` offer it."""
 
@@ -83,8 +87,10 @@ def require(method: str | None, given: Mapping[str, Any]) -> None:
 
     Where no method is named the options are held against those of `linear`, which takes the most values.
     """
-    if method is not None and method not in ESTIMATORS:
-        raise BadInput(f"{method!r} is no method", where="--method", wanted=" or ".join(ESTIMATORS))
+    if method is not None and method not in (*ESTIMATORS, ALL):
+        raise BadInput(f"{method!r} is no method", where="--method", wanted=" or ".join((*ESTIMATORS, ALL)))
+    if method == ALL:
+        return  # each method judges its own
     estimator = ESTIMATORS[method or "linear"]
     if method is None:
         given = {name: value for name, value in given.items() if name in estimator.takes}
@@ -105,6 +111,8 @@ def calibrate_by(
 ) -> Fit:
     """Calibrate by the method of that name, None for `default_method`, with the verdict on the answer.
 
+    `all` compares the methods by their errors on rows that they have not seen, and takes one (`comparing`).
+
     given: options of the method, by the fields of its options; one that is None is as if not given.
     Raises BadInput for an unknown method, and for an option that the method does not take.
     """
@@ -113,6 +121,13 @@ def calibrate_by(
 
     require(method, given)
     telemetry = joined(records)
+    if method == ALL:
+        from fluxtwin.calib.comparing import compare
+
+        wanted = {name: value for name, value in given.items() if value is not None}
+        compared = compare(telemetry, model, ESTIMATORS, wanted)
+        taken = {name: value for name, value in wanted.items() if name in ESTIMATORS[compared.chosen].takes}
+        return replace(calibrate_by(telemetry, model, compared.chosen, **taken), comparison=compared)
     estimator = ESTIMATORS[default_method(telemetry) if method is None else method]
     fit = _named(estimator.fit(telemetry, model, _taken(estimator, given)), telemetry)
     sigma_deg, reference = given.get("attitude_sigma_deg"), "attitude" in estimator.needs

@@ -81,7 +81,7 @@ def command(
             progress("drawing", 0.9)
         if figures is not None:
             written += _draw(fit, figures)
-        next_step = _next_step(fit, telemetry, out, reading)
+        next_step = _next_step(fit, telemetry, out, reading, onboard)
         if html is not None:
             written.append(_page(fit, html, telemetry, next_step, refused=refused))
     _print(output, fit, next_step)
@@ -107,15 +107,17 @@ def _predict(fit: Fit, record: Telemetry, known: Calibration, model: FieldModel)
     return (predict if against_attitude else predict_scalar)(record, known, model)
 
 
-def _next_step(fit: Fit, telemetry: list[Path], out: Path | None, reading: of.Reading) -> str:
+def _next_step(fit: Fit, telemetry: list[Path], out: Path | None, reading: of.Reading, onboard: Path | None) -> str:
     """The verdict's next step with the names of the files in it; what it writes goes into the current folder."""
     import shlex
 
     if fit.verdict is None:
         return ""
+    again = "" if fit.comparison is None else f" --method {fit.method}"
+    again += "" if onboard is None else f" --onboard {shlex.quote(str(onboard))}"
     words = fit.verdict.next_step
     if out is None and "CALIBRATION.toml" in words:
-        words = "fluxtwin calibrate TELEMETRY --out CALIBRATION.toml"
+        words = f"fluxtwin calibrate TELEMETRY{again} --out CALIBRATION.toml"
     several = words.startswith("fluxtwin calibrate")
     named = " ".join(shlex.quote(str(path)) for path in (telemetry if several else telemetry[:1]))
     how = reading._replace(start=None, end=None, where=None) if words.startswith("fluxtwin apply") else reading

@@ -1,0 +1,157 @@
+"""`--method all`: every method that the record allows, judged by what it errs on rows that it has not seen.
+
+The record is cut into twelve stretches. Each method is fitted to every other stretch and predicts those between, and the
+other way round. Where there is attitude the error is that of the field vector, and then of |B|, else that of |B|. A method
+is taken for worse than the best where the mean square over the stretches is, by two standard errors of the paired
+difference; among those that are not, the first of `_PREFERRED` is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fluxtwin.calib.common.comparison import Comparison, MethodResult
+from fluxtwin.calib.common.design import reference_field_B_nT
+from fluxtwin.calib.common.direction import CONFIDENCE
+from fluxtwin.calib.common.options import Estimator
+from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.common.robust import find_outliers
+from fluxtwin.sim.base.errors import FluxtwinError, NoAnswer
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth.field import FieldModel, field_N_nT
+from fluxtwin.sim.earth.frames import angle_between
+from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
+
+if TYPE_CHECKING:
+    from fluxtwin.calib.common.fit import Fit
+
+_STRETCHES = 12
+_WORSE = 2.0  # standard errors
+_PREFERRED = ("linear", "scalar", "forward", "twostep", "recursive", "batch", "iterative", "center")
+"""What is known best and needs least, first: sigmas that were tested, no motion to be estimated, no tuning."""
+_WHY_NOT = 160  # characters of a refusal
+
+
+def compare(
+    telemetry: Telemetry, model: FieldModel, estimators: Mapping[str, Estimator], given: Mapping[str, Any]
+) -> Comparison:
+    """Every method on a record. given: options, each handed to the methods that take it.
+
+    Raises NoAnswer where no method gives an answer.
+    """
+    found: dict[str, MethodResult] = {}
+    errors: dict[str, FloatArray] = {}
+    stretch = np.arange(len(telemetry)) * _STRETCHES // len(telemetry)
+    for name, estimator in estimators.items():
+        taken = {key: value for key, value in given.items() if key in estimator.takes}
+        try:
+            errors[name] = _held_out(telemetry, model, stretch, partial(estimator.fit, model=model, given=taken))
+        except FluxtwinError as error:
+            text = str(error).split(". Wanted:")[0]
+            found[name] = MethodResult(
+                name, why_not=text if len(text) <= _WHY_NOT else f"{text[:_WHY_NOT].rstrip()} ..."
+            )
+    if not errors:
+        reasons = "; ".join(f"{one.method}: {one.why_not}" for one in found.values())
+        raise NoAnswer(f"no method gives an answer. {reasons}", evidence={})
+    kept = _kept(errors)
+    for name, error_nT in errors.items():
+        found[name] = _result(name, telemetry, model, error_nT, kept)
+    order = sorted(errors, key=lambda name: _mean_square(errors[name][kept]))
+    alike = _alike(order, errors, stretch, kept)
+    if errors[order[0]].shape[1] == 3:  # an error of the attitude hides much, but not in |B|
+        reference_nT = reference_field_B_nT(telemetry, model)
+        size_nT = np.linalg.norm(reference_nT, axis=1)
+        along = {name: (np.linalg.norm(reference_nT + errors[name], axis=1) - size_nT)[:, None] for name in alike}
+        alike = _alike(sorted(alike, key=lambda name: _mean_square(along[name][kept])), along, stretch, kept)
+    chosen = min(alike, key=lambda name: [*_PREFERRED, name].index(name))
+    listed = [*order, *(name for name in found if name not in errors)]
+    return Comparison(tuple(found[name] for name in listed), chosen, _why(chosen, order, alike))
+
+
+def _held_out(
+    telemetry: Telemetry, model: FieldModel, stretch: np.ndarray, fit: Callable[[Telemetry], Fit]
+) -> FloatArray:
+    """(N, 3) error of the field, or (N, 1) of |B| where no row has attitude, by fits that have not seen the row."""
+    halves = [(stretch % 2 == side) for side in (0, 1)]
+    parts = []
+    for seen, unseen in (halves, halves[::-1]):
+        known = fit(telemetry.select(np.flatnonzero(seen))).calibration
+        parts.append((np.flatnonzero(unseen), _error_nT(telemetry.select(np.flatnonzero(unseen)), known, model)))
+    error_nT = np.full((len(telemetry), parts[0][1].shape[1]), np.nan)
+    for rows, values in parts:
+        error_nT[rows] = values
+    return error_nT
+
+
+def _error_nT(telemetry: Telemetry, known: Calibration, model: FieldModel) -> FloatArray:
+    found = known.apply(telemetry.mag_B_nT, telemetry.dipole_B_Am2, recorded_columns(telemetry))
+    if telemetry.has_attitude.any():
+        return np.asarray(found - reference_field_B_nT(telemetry, model))
+    return np.asarray((np.linalg.norm(found, axis=1) - _size_nT(telemetry, model))[:, None])
+
+
+def _size_nT(telemetry: Telemetry, model: FieldModel) -> FloatArray:
+    size = np.full(len(telemetry), np.nan)
+    placed = np.flatnonzero(telemetry.has_position)
+    assert telemetry.r_N_km is not None
+    size[placed] = np.linalg.norm(field_N_nT(model, telemetry.time[placed], telemetry.r_N_km[placed]), axis=1)
+    return size
+
+
+def _kept(errors: Mapping[str, FloatArray]) -> BoolArray:
+    """(N,) rows that every method can be judged on, but those that are outliers for all of them."""
+    finite = np.all([np.isfinite(one).all(axis=1) for one in errors.values()], axis=0)
+    kept: BoolArray = np.array(finite)
+    far = [find_outliers(one[finite]) for one in errors.values()]
+    kept[finite] = ~np.all(far, axis=0)
+    return kept
+
+
+def _result(name: str, telemetry: Telemetry, model: FieldModel, error_nT: FloatArray, kept: BoolArray) -> MethodResult:
+    error = error_nT[kept]
+    each = tuple(float(x) for x in np.sqrt((error**2).mean(axis=0)))
+    if error.shape[1] == 1:
+        return MethodResult(name, each, each[0])
+    true_nT = reference_field_B_nT(telemetry.select(np.flatnonzero(kept)), model)
+    found_nT = true_nT + error
+    along = np.linalg.norm(found_nT, axis=1) - np.linalg.norm(true_nT, axis=1)
+    angle = float(np.degrees(np.quantile(angle_between(found_nT, true_nT), CONFIDENCE)))
+    return MethodResult(name, each, float(np.sqrt((along**2).mean())), angle)
+
+
+def _mean_square(error_nT: FloatArray) -> float:
+    return float((error_nT**2).sum(axis=1).mean())
+
+
+def _alike(order: list[str], errors: Mapping[str, FloatArray], stretch: np.ndarray, kept: BoolArray) -> list[str]:
+    """The first of `order`, and those that are not worse by more than chance gives."""
+    return [name for name in order if not _is_worse(errors[name], errors[order[0]], stretch, kept)]
+
+
+def _is_worse(one: FloatArray, best: FloatArray, stretch: np.ndarray, kept: BoolArray) -> bool:
+    """Whether the mean square over stretches is larger by more than chance gives."""
+    if one is best:
+        return False
+    difference = np.array(
+        [
+            _mean_square(one[rows]) - _mean_square(best[rows])
+            for rows in (np.flatnonzero(kept & (stretch == k)) for k in range(_STRETCHES))
+            if rows.size
+        ]
+    )
+    error = float(difference.std(ddof=1) / np.sqrt(difference.size)) if difference.size > 1 else 0.0
+    return float(difference.mean()) > _WORSE * error
+
+
+def _why(chosen: str, order: list[str], alike: list[str]) -> str:
+    others = [name for name in alike if name != chosen]
+    worse = [name for name in order if name not in alike]
+    said = f"Take {chosen}: no method errs less than it by more than chance could make it"
+    if others:
+        said += f", and it needs less than {' and '.join(others)}, which may be as good"
+    return said + (f". Worse by more than chance, in the vector or in |B|: {', '.join(worse)}" if worse else "")

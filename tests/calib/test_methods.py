@@ -12,13 +12,16 @@ import fluxtwin
 from fluxtwin.calib import methods
 from fluxtwin.calib.common import options as of
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.verbs import Reading
 
 
 def test_the_signature_has_every_option_of_every_method() -> None:
     parameters = inspect.signature(fluxtwin.calibrate).parameters
     assert all(one.kind is not one.VAR_KEYWORD for one in parameters.values())
     wanted = {name for estimator in methods.ESTIMATORS.values() for name in estimator.takes}
-    assert wanted | {"method"} == set(parameters) - {"telemetry", "field", "degree"}
+    assert wanted | {"method"} == set(parameters) - {"telemetry", "field", "degree", "onboard"} - set(
+        Reading.__annotations__
+    )
     assert parameters["robust"].default == "tukey"  # all methods share it
     assert parameters["sun_alignment_deg"].default is None  # that of one method is its own
     with pytest.raises(TypeError, match="sun_sigma'"):

@@ -19,6 +19,8 @@ from fluxtwin.calib.spin import method as spin
 from fluxtwin.sim.base.errors import BadInput
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from fluxtwin.calib.common.fit import Fit
     from fluxtwin.sim.earth.field import FieldModel
     from fluxtwin.sim.telemetry.record import Telemetry
@@ -153,7 +155,12 @@ def _taken(estimator: Estimator, given: Mapping[str, Any]) -> dict[str, Any]:
 
 def _named(fit: Fit, telemetry: Telemetry) -> Fit:
     """The fit with whose magnetometer it is, and by what its readings had been corrected."""
-    calibration = replace(fit.calibration, spacecraft=telemetry.spacecraft, residual_to=telemetry.corrected_by)
+    calibration = replace(
+        fit.calibration,
+        spacecraft=telemetry.spacecraft,
+        residual_to=telemetry.corrected_by,
+        temperature_degC=_temperature(telemetry, fit.rows),
+    )
     if not telemetry.corrected_by:
         return replace(fit, calibration=calibration)
     residual = (
@@ -161,3 +168,14 @@ def _named(fit: Fit, telemetry: Telemetry) -> Fit:
         "and act on readings that it has corrected"
     )
     return replace(fit, calibration=calibration, messages=(residual, *fit.messages))
+
+
+def _temperature(telemetry: Telemetry, rows: np.ndarray) -> tuple[float, float] | None:
+    """Lowest and highest in the rows that were used, to a hundredth; None where it is not known."""
+    import numpy as np
+
+    if telemetry.temperature_degC is None:
+        return None
+    seen = telemetry.temperature_degC[rows]
+    seen = seen[np.isfinite(seen)]
+    return (round(float(seen.min()), 2), round(float(seen.max()), 2)) if seen.size else None

@@ -45,8 +45,6 @@ def command(
     if rms is not None:
         output.say("rms change x, y, z: " + ", ".join(f"{x:.1f}" for x in rms) + " nT")
     beyond = outside_span(record, known)
-    if beyond:
-        output.note(f"note: {beyond} of {len(record)} rows are outside the time from which the calibration was made")
     output.say(f"the file says that its readings are corrected, by {corrected.corrected_by}")
     output.say(f"  {out}")
     output.result(

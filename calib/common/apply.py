@@ -13,6 +13,7 @@ from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.telemetry.record import Telemetry, plain_text, recorded_columns
 
 _DIGEST_SHOWN = 12  # hexadecimal digits: of a million calibrations two agree by chance with a probability of 0.2 %
+_NEAR_DEGC = 1.0  # no magnetometer that is worth calibrating changes within a degree
 _STAMP = re.compile(r"calibration ([0-9a-f]{12}(?: then [0-9a-f]{12})*) \(residual ([0-9.eE+-]+) nT\)")
 
 
@@ -26,7 +27,7 @@ def apply_calibration(telemetry: Telemetry, calibration: Calibration, *, force: 
         require_applicable(telemetry, calibration)
     here = for_record(calibration, telemetry)
     corrected = here.apply(telemetry.mag_B_nT, telemetry.dipole_B_Am2, recorded_columns(telemetry))
-    span = "" if calibration.span is None else f", {epoch.iso(calibration.span[0])} to {epoch.iso(calibration.span[1])}"
+    span = "" if calibration.span is None else f", {_span_words(calibration)}"
     note = (
         f"{CONVENTION!r} by {calibration.method or 'hand'}, of {calibration.spacecraft or 'unnamed spacecraft'}{span}"
     )
@@ -77,6 +78,33 @@ def waived(telemetry: Telemetry, calibration: Calibration) -> str | None:
 def outside_span(telemetry: Telemetry, calibration: Calibration) -> int:
     """Rows before or after the data from which the calibration was made."""
     return 0 if calibration.span is None else _rows_outside(telemetry, calibration.span)
+
+
+def outside_words(telemetry: Telemetry, calibration: Calibration) -> list[str]:
+    """Where a record leaves the time or the temperatures from which the calibration was made, in sentences."""
+    said = []
+    beyond = outside_span(telemetry, calibration)
+    if beyond:
+        said.append(
+            f"{beyond} of {len(telemetry)} rows are outside the time from which the calibration was made "
+            f"({_span_words(calibration)})"
+        )
+    seen, known = telemetry.temperature_degC, calibration.temperature_degC
+    if seen is None or known is None:
+        return said
+    off = np.maximum(known[0] - seen, seen - known[1])
+    hot_or_cold = int(np.nansum(off > _NEAR_DEGC))
+    if hot_or_cold:
+        said.append(
+            f"{hot_or_cold} of {len(telemetry)} rows have the magnetometer at temperatures that the calibration has not "
+            f"seen ({known[0]:.1f} to {known[1]:.1f} degC), by up to {np.nanmax(off):.1f} degC"
+        )
+    return said
+
+
+def _span_words(calibration: Calibration) -> str:
+    assert calibration.span is not None
+    return f"{epoch.iso(calibration.span[0])} to {epoch.iso(calibration.span[1])}"
 
 
 def calibration_of(telemetry: Telemetry, calibration: Calibration | None, *, force: bool = False) -> Calibration:

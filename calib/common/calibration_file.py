@@ -63,6 +63,7 @@ class _Covariance(Strict):
 class _Source(Strict):
     spacecraft: str = ""
     span: list[str] = []
+    temperature_degC: list[float] = []
     samples: NonNegativeInt = 0
     sigma_nT: NonNegativeFloat = 0.0
     field_model: str = ""
@@ -139,6 +140,7 @@ def _source(calibration: Calibration) -> dict[str, Any]:
     stated = {
         "spacecraft": calibration.spacecraft,
         "span": span,
+        "temperature_degC": None if calibration.temperature_degC is None else list(calibration.temperature_degC),
         "samples": int(calibration.samples),
         "sigma_nT": float(calibration.sigma_nT),
         "field_model": calibration.field_model,
@@ -147,7 +149,7 @@ def _source(calibration: Calibration) -> dict[str, Any]:
         "unobservable": list(calibration.unobservable),
         "version": calibration.version or _version(),
     }
-    optional = ("spacecraft", "span", "residual_to")
+    optional = ("spacecraft", "span", "temperature_degC", "residual_to")
     return {key: value for key, value in stated.items() if value or key not in optional}
 
 
@@ -267,7 +269,17 @@ def _from_flat(flat: _Flat, where: str) -> Calibration:
             where=f"{where}: convention",
             wanted=f"{CONVENTION!r} (S, b and T map the reading to the true field)",
         )
-    arrays = {"convention", "S", "b_nT", "T_nT_per_Am2", "covariance", "span", "telemetry_bias", "onboard"}
+    arrays = {
+        "convention",
+        "S",
+        "b_nT",
+        "T_nT_per_Am2",
+        "covariance",
+        "span",
+        "temperature_degC",
+        "telemetry_bias",
+        "onboard",
+    }
     alike = flat.model_dump(exclude=arrays)
     try:
         calibration = Calibration(
@@ -276,6 +288,7 @@ def _from_flat(flat: _Flat, where: str) -> Calibration:
             T_nT_per_Am2=None if flat.T_nT_per_Am2 is None else array_of(flat.T_nT_per_Am2, (3, 3), "T_nT_per_Am2"),
             covariance=np.array(flat.covariance, dtype=np.float64) if flat.covariance else np.zeros((0, 0)),
             span=_span(flat.span),
+            temperature_degC=_temperature(flat.temperature_degC),
             telemetry_bias={
                 name: TelemetryBias(array_of(bias.nT_per_unit, (3,), name), array_of(bias.sigma, (3,), name))
                 for name, bias in flat.telemetry_bias.items()
@@ -327,6 +340,14 @@ def _span(stamps: list[str]) -> tuple[np.datetime64, np.datetime64] | None:
     if last < first:
         raise BadInput(f"ends before it begins ({stamps[0]}, {stamps[1]})", where="span", wanted="first, last")
     return first, last
+
+
+def _temperature(pair: list[float]) -> tuple[float, float] | None:
+    if not pair:
+        return None
+    if len(pair) != 2 or pair[1] < pair[0]:
+        raise BadInput(f"{pair}", where="temperature_degC", wanted="two numbers, lowest and highest")
+    return pair[0], pair[1]
 
 
 def _iso(stamp: np.datetime64) -> str:

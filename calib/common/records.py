@@ -84,6 +84,8 @@ class Calibration:
     """Vector samples used."""
     span: tuple[np.datetime64, np.datetime64] | None = None
     """First and last sample used, UTC."""
+    temperature_degC: tuple[float, float] | None = None
+    """Lowest and highest temperature of the magnetometer among these samples; None where it is not known."""
     field_model: str = ""
     method: str = ""
     unobservable: tuple[str, ...] = ()

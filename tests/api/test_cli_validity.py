@@ -1,0 +1,50 @@
+"""A calibration says for what time and temperatures it was made; apply and yaw say where a record leaves them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import Cli
+from worlds import THERMAL, scenario_text
+
+import fluxtwin
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.scenario.scenario import parse_scenario
+
+MAGNETOMETER = "\n[magnetometer]\nb_nT = [1000.0, -500.0, 300.0]\nnoise_nT = 20.0\n"
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("validity")
+    text = scenario_text(MAGNETOMETER + THERMAL, segment="samples = 300, step_s = 30.0")
+    record, _ = fluxtwin.simulate(parse_scenario(text, where="test"))
+    assert record.temperature_degC is not None
+    fluxtwin.write(record, folder / "t.nc")
+    fluxtwin.calibrate(record.select(slice(0, 200))).calibration.to_toml(folder / "c.toml")
+    fluxtwin.write(record.replace(temperature_degC=record.temperature_degC + 15.0), folder / "hot.nc")
+    return folder
+
+
+def test_the_file_has_the_range_of_the_rows_that_were_used(files: Path, tmp_path: Path) -> None:
+    known = fluxtwin.Calibration.from_toml(files / "c.toml")
+    seen = fluxtwin.read(files / "t.nc").temperature_degC
+    assert seen is not None and known.temperature_degC is not None
+    assert np.allclose(known.temperature_degC, (seen[:200].min(), seen[:200].max()), atol=0.01)
+    text = (files / "c.toml").read_text(encoding="utf-8").replace(f"{known.temperature_degC[0]!r},", "999.0,", 1)
+    mended = "\n".join(line for line in text.splitlines() if not line.startswith("sha256"))
+    (tmp_path / "c.toml").write_text(mended, encoding="utf-8")
+    with pytest.raises(BadInput, match="temperature_degC"):
+        fluxtwin.Calibration.from_toml(tmp_path / "c.toml")
+
+
+@pytest.mark.parametrize("verb", ["apply", "yaw"])
+def test_rows_outside_are_counted(files: Path, tmp_path: Path, cli: Cli, verb: str) -> None:
+    more = ("--out", tmp_path / "o.nc") if verb == "apply" else ()
+    same = cli(verb, files / "t.nc", "--calibration", files / "c.toml", *more)
+    assert same.status == 0 and "100 of 300 rows are outside the time" in same.err
+    hot = cli(verb, files / "hot.nc", "--calibration", files / "c.toml", *more)
+    assert "temperatures that the calibration has not seen" in hot.err and "degC), by up to 1" in hot.err
+    assert "temperatures" not in same.err

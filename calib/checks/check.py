@@ -24,7 +24,7 @@ from fluxtwin.calib.common.records import Onboard
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import FieldModel
-from fluxtwin.sim.earth.tle import read_tle
+from fluxtwin.sim.earth.tle import read_elements
 from fluxtwin.sim.telemetry.build import record
 from fluxtwin.sim.telemetry.column_map import ColumnMap, elements_path, load_column_map, mapped_table
 from fluxtwin.sim.telemetry.columns import FileTable
@@ -144,7 +144,7 @@ def _origin(path: Path | str, table: FileTable, column_map: Path | str | None, t
         "ITRS" if fixed else "GCRS",
         references.get(relative or "", "GCRS"),
         first,
-        None if tle is None else read_tle(tle),
+        None if tle is None else read_elements(tle),
     )
 
 

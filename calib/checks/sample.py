@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
-from fluxtwin.sim.earth.tle import Tle
+from fluxtwin.sim.earth.tle import TleSeries
 from fluxtwin.sim.telemetry.build import velocity_from_positions
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -34,7 +34,7 @@ class Origin:
     """What it was recorded relative to; for the stamps NED is as good as NEC, sun and nadir as the orbital frame."""
     scalar_first: bool = False
     """The map took the quaternion's first component for the scalar."""
-    elements: Tle | None = None
+    elements: TleSeries | None = None
 
 
 @dataclass(frozen=True)

@@ -108,6 +108,56 @@ class Tle:
         return Satrec.twoline2rv(self.line1, self.line2)
 
 
+@dataclass(frozen=True)
+class TleSeries:
+    """Element sets of one satellite in the order of their epochs; at each instant the nearest in time counts."""
+
+    sets: tuple[Tle, ...]
+
+    def propagate(self, time: TimeArray | np.datetime64) -> tuple[FloatArray, FloatArray]:
+        """As `Tle.propagate`, by the nearest set."""
+        stamps = epoch.as_times(time)
+        nearest = self._nearest(stamps)
+        r_km, v_km_s = np.empty((stamps.size, 3)), np.empty((stamps.size, 3))
+        for number in np.unique(nearest):
+            rows = nearest == number
+            r_km[rows], v_km_s[rows] = self.sets[number].propagate(stamps[rows])
+        return r_km, v_km_s
+
+    def age_days(self, time: TimeArray | np.datetime64) -> FloatArray:
+        """(N,) days from the epoch of the set that counts, absolute."""
+        stamps = epoch.as_times(time)
+        epochs = np.array([one.epoch_utc for one in self.sets])[self._nearest(stamps)]
+        age: FloatArray = np.abs((stamps - epochs).astype("int64")) / 86_400e9
+        return age
+
+    def notices(self, time: TimeArray | np.datetime64) -> tuple[str, ...]:
+        """As those of a single set: what a user should know about the age of the elements, one sentence or two."""
+        stamps = epoch.as_times(time)
+        age = self.age_days(stamps)
+        low, high = (along_track_sigma_km(float(days)) for days in (age.min(), age.max()))
+        span = f"{age.min():.1f} to {age.max():.1f}" if age.max() - age.min() >= 0.05 else f"{age.max():.1f}"
+        error = f"{low:.0f} to {high:.0f}" if round(low) != round(high) else f"{high:.0f}"
+        said = [
+            f"the elements are {span} days from their epochs: expect them {error} km off along the track (1 sigma, in low"
+            " orbit), some 10 nT for each km; the effect along_track_error of the diagnosis is this"
+        ]
+        nearest = self._nearest(stamps)
+        for number in np.unique(nearest):
+            said += self.sets[number].notices(stamps[nearest == number])
+        return tuple(said)
+
+    def _nearest(self, stamps: TimeArray) -> np.ndarray:
+        epochs = np.array([one.epoch_utc for one in self.sets]).astype("int64")
+        halfway = epochs[:-1] + np.diff(epochs) // 2
+        return np.searchsorted(halfway, stamps.astype("int64"))
+
+
+def along_track_sigma_km(age_days: float) -> float:
+    """Error along the track [km] of elements of low orbits at that age: 2 km, and 2 km a day (Vallado 2006: 1-3 km each)."""
+    return 2.0 + 2.0 * abs(age_days)
+
+
 def rotation_N_TEME(time: TimeArray | np.datetime64) -> Rotation:
     """TEME to GCRS at each stamp. Batch of N. TEME turns at 8e-12 rad/s, so velocities turn alike."""
     sidereal: FloatArray = erfa.gmst82(*epoch.jd_ut1(time))
@@ -120,7 +170,11 @@ def read_tle(path: Path | str) -> Tle:
 
     Raises BadInput that names what is wrong: file, line, length, checksum, or several satellites.
     """
-    path = Path(path)
+    return parse_tle(_text(Path(path)), where=str(path))
+
+
+def _text(path: Path) -> str:
+    """The file as text. Raises BadInput where it is none."""
     try:
         if not path.is_file():
             raise BadInput("there is no such file", where=str(path), wanted=_FORMAT)
@@ -134,10 +188,25 @@ def read_tle(path: Path | str) -> Tle:
     except OSError as error:
         raise BadInput(f"cannot be read ({error.strerror or error})", where=str(path)) from None
     try:
-        text = content.decode("utf-8-sig")
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise BadInput("is not a text file", where=str(path), wanted=_FORMAT) from None
-    return parse_tle(text, where=str(path))
+
+
+def read_elements(path: Path | str) -> TleSeries:
+    """Read a file with one element set of one satellite or many, names between them allowed. Errors as `read_tle`."""
+    text = _text(Path(path))
+    lines = [line.rstrip() for line in text.splitlines() if line.strip()]
+    starts = [place for place, line in enumerate(lines) if line.startswith("1 ") and len(line) > 60]
+    if len(starts) < 2:
+        return TleSeries((parse_tle(text, where=str(path)),))
+    sets = [Tle(lines[place], (lines[place + 1 : place + 2] or [""])[0], where=str(path)) for place in starts]
+    satellites = list(dict.fromkeys(one.line1[2:7].strip() for one in sets))
+    if len(satellites) > 1:
+        numbers = ", ".join(satellites[:5]) + (", ..." if len(satellites) > 5 else "")
+        wanted = "element sets of one satellite"
+        raise BadInput(f"holds elements of {len(satellites)} satellites ({numbers})", where=str(path), wanted=wanted)
+    return TleSeries(tuple(sorted(sets, key=lambda one: one.epoch_utc)))
 
 
 def parse_tle(text: str, *, where: str = "TLE") -> Tle:

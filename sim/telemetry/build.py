@@ -144,9 +144,9 @@ def _positions_from_tle(
     if "r_N_km" in fields:
         notices.append(f"the file has positions, so the elements in {Path(tle).name} were not used")
         return
-    from fluxtwin.sim.earth.tle import read_tle
+    from fluxtwin.sim.earth.tle import read_elements
 
-    elements = read_tle(tle)
+    elements = read_elements(tle)
     fields["r_N_km"], fields["v_N_km_s"] = elements.propagate(time)
     notices.extend(elements.notices(time))
     notices.append(f"positions and velocities were computed from the elements in {Path(tle).name}")

@@ -30,7 +30,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.toml_input import Strict, read_model
-from fluxtwin.sim.telemetry import column_map_attitude, time_recipes
+from fluxtwin.sim.telemetry import column_map_attitude, column_map_values, time_recipes
 from fluxtwin.sim.telemetry import column_map_words as words
 from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
@@ -86,10 +86,16 @@ class ColumnSpec(Strict):
     source: str | list[str] = Field(alias="from")
     """Column names, one a component; or one variable of several components (NetCDF)."""
     unit: str | None = None
-    scale: Annotated[float, Field(gt=0)] = 1.0
-    """Unit per stored number, as 0.01 nT a count."""
+    scale: float | list[float] = 1.0
+    """Unit per stored number, as 0.01 nT a count; a list has one for each component, negative where an axis points back."""
+    offset: float | list[float] = 0.0
+    """In the unit, added after the scale."""
+    matrix: list[list[float]] | None = None
+    """Turns a vector as it is stored, in the axes of its sensor, into the nominal axes of the body."""
+    fill: list[float] = []
+    """Stored values that mean "missing", in any component."""
     invalid: list[float] = []
-    """Stored values that mean "missing"; a vector is missing when all its components are such values."""
+    """Stored values that mean "missing" where all components of a vector are such values, as zeros."""
     valid: dict[str, float] = {}
     """Columns that must have these values for the row to count."""
     frame: Annotated[str | None, BeforeValidator(words.frame)] = None
@@ -118,7 +124,9 @@ class ColumnSpec(Strict):
 
     @property
     def axes(self) -> str | None:
-        """`frame` by its own name, as GCRS for ECI."""
+        """`frame` by its own name, as GCRS for ECI; places by latitude and longitude are in ITRS."""
+        if self.frame in column_map_values.PLACES:
+            return "ITRS"
         return None if self.frame is None else words.canonical(self.frame)
 
     @property
@@ -160,6 +168,8 @@ class FileEntry(Strict):
     columns: Annotated[dict[str, ColumnSpec], BeforeValidator(_specs)]
     max_gap_s: Annotated[float, Field(gt=0)] = 60.0
     """Longest distance between two samples across which this source is interpolated or held."""
+    fill: list[float] = []
+    """Stored values that mean "missing" in every column, as -9999."""
     sort: bool = False
     """Sort by time and drop rows that repeat another one exactly."""
 
@@ -297,9 +307,10 @@ def _check_quantity(name: str, spec: ColumnSpec) -> None:
     if not accepted and family is not DRIVERS and name != "attitude" and spec.unit is not None:
         raise ValueError(f"{name} takes no unit")
     if name in ("position", "velocity") and spec.frame is None:
-        raise ValueError(f"{name} wants frame: {', '.join(words.FRAMES)}")
+        raise ValueError(f"{name} wants frame: {', '.join(words.POSITIONS)}")
     vector = quantity is not None and quantity.components == 3
-    if vector and isinstance(spec.source, list) and len(spec.source) != 3:
+    if vector and isinstance(spec.source, list) and len(spec.source) not in (1, 3):
         raise ValueError(f"{name} takes three columns")
+    column_map_values.check(name, spec, quantity)
     if name == "attitude":
         column_map_attitude.check(spec)

@@ -13,6 +13,7 @@ import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.telemetry.column_map_values import from_lists
 from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
 from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME
@@ -199,6 +200,8 @@ def _quantities(header: Header, free: list[str]) -> list[_Found]:
             if pattern.search(stem):
                 out.append(_vector(header, quantity, columns))
                 break
+    if not any(one[0] == "position" for one in out):
+        out += _place(header, free)
     taken = {name for _, columns, _, _ in out for name in columns}
     for name in free:
         low = name.lower()
@@ -213,6 +216,21 @@ def _quantities(header: Header, free: list[str]) -> list[_Found]:
         elif low in ("sunlit", "sunlit_flag", "in_sun"):
             out.append(("sunlit", [name], {}, []))
     return sorted(out, key=lambda one: one[0] != "mag")
+
+
+def _place(header: Header, free: list[str]) -> list[_Found]:
+    """A position by latitude, longitude and height, if names say so."""
+    found: list[str] = []
+    for pattern in (r"lat", r"lon", r"alt|height|radius"):
+        likely = [n for n in free if re.search(pattern, n.lower()) and header.values.get(n, np.empty((0, 2))).ndim == 1]
+        if not likely:
+            return []
+        found.append(likely[0])
+    size = float(np.nanmedian(np.abs(header.values[found[2]])))
+    frame = "geocentric" if "radius" in found[2].lower() else "geodetic"
+    unit = "m" if size > 1e5 else "km"
+    doubts = [f"position: {frame} (geodetic: latitude and altitude above WGS 84; geocentric: radius) in {unit}"]
+    return [("position", found, {"unit": unit, "frame": frame}, doubts)]
 
 
 def _triples(header: Header, free: list[str]) -> list[list[str]]:
@@ -329,8 +347,15 @@ def _look(csv: CsvFile, name: str, header: Header) -> None:
         return
     try:
         header.values[name] = np.array([float(cell) if cell.strip() else np.nan for cell in text.tolist()])
-    except ValueError:
         return
+    except ValueError:
+        pass
+    try:
+        listed = from_lists(csv.text(name, width=400)[:_SAMPLE], name, csv.where)
+    except BadInput:
+        return
+    if listed.shape[1] in (3, 4):
+        header.values[name] = listed
 
 
 def _netcdf_header(path: Path, opened: NetcdfFile) -> Header:

@@ -182,9 +182,9 @@ def _orbit(
     columns: dict[str, FloatArray], time: TimeArray, tle: Path | str | None, notices: list[str]
 ) -> tuple[FloatArray | None, FloatArray | None]:
     if "r_x_km" not in columns and tle is not None:
-        from fluxtwin.sim.earth.tle import read_tle
+        from fluxtwin.sim.earth.tle import read_elements
 
-        elements = read_tle(tle)
+        elements = read_elements(tle)
         r, v = elements.propagate(time)
         _put(columns, "position", r)
         _put(columns, "velocity", v)

@@ -13,12 +13,15 @@ from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.constants import EARTH_RATE_RAD_S
 from fluxtwin.sim.earth.frames import rotation_from_N
-from fluxtwin.sim.telemetry import column_map_attitude, time_recipes, time_stamps
+from fluxtwin.sim.telemetry import column_map_attitude, column_map_values, time_recipes, time_stamps
 from fluxtwin.sim.telemetry.column_map import ColumnSpec, FileEntry, TimeRecipe, matches
 from fluxtwin.sim.telemetry.columns import clip
 from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
 from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, family_of
+
+_LIST_BYTES = 400
+"""Width of a cell that holds a list of numbers, at most."""
 
 
 @dataclass
@@ -93,6 +96,13 @@ class _Reader:
             )
         return np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
 
+    def lists(self, name: str) -> FloatArray:
+        """(N, k) of one column: a variable of several components, or cells that hold a list."""
+        self._require(name)
+        if isinstance(self.file, CsvFile):
+            return column_map_values.from_lists(self.file.text(name, width=_LIST_BYTES), name, self.where)
+        return self.numbers([name])
+
     def _require(self, name: str) -> None:
         if name not in self.known:
             listed = ", ".join(clip(n) for n in self.known[:12])
@@ -128,7 +138,7 @@ def _source(reader: _Reader, entry: FileEntry, notices: list[str], digest: str) 
         time = time + np.timedelta64(round(entry.time.offset_s * 1e9), "ns")
     values = {}
     for name, spec in entry.columns.items():
-        value = _quantity(reader, name, spec)
+        value = _quantity(reader, name, spec, entry.fill)
         if len(value) != len(time):
             raise BadInput(f"{name} has {len(value)} rows, time has {len(time)}", where=reader.where)
         values[name] = _to_N(name, spec, time, value)
@@ -138,30 +148,27 @@ def _source(reader: _Reader, entry: FileEntry, notices: list[str], digest: str) 
     return Source(entry, reader.where, time, values, notices, [digest])
 
 
-def _quantity(reader: _Reader, name: str, spec: ColumnSpec) -> FloatArray:
-    raw = reader.numbers(spec.names)
-    missing = np.isnan(raw).any(axis=1)
-    if spec.invalid:
-        missing |= np.isin(raw, spec.invalid).all(axis=1)
-    for column, wanted in spec.valid.items():
-        missing |= reader.numbers([column])[:, 0] != wanted
+def _quantity(reader: _Reader, name: str, spec: ColumnSpec, fill: list[float]) -> FloatArray:
     quantity = BY_MAP_NAME.get(name)
     wanted = 1 if family_of(name) is not None else quantity.components if quantity is not None else -1
+    raw = reader.lists(spec.names[0]) if len(spec.names) == 1 and wanted not in (0, 1) else reader.numbers(spec.names)
+    missing = column_map_values.missing(raw, spec, fill)
+    for column, good in spec.valid.items():
+        missing |= reader.numbers([column])[:, 0] != good
     if wanted in (1, 3) and raw.shape[1] != wanted:
         words = {1: "one", 3: "three"}[wanted]
         raise BadInput(f"{name} has {raw.shape[1]} components", where=reader.where, wanted=words)
-    factor = spec.scale * (quantity.map_units.get(spec.unit or "", 1.0) if quantity is not None else 1.0)
-    value = raw if factor == 1.0 else raw * factor
-    if spec.unit == "K" and quantity is not None:
-        value = value - 273.15
+    raw = np.array(raw)
+    raw[missing] = np.nan
+    value = column_map_values.in_units(raw, spec, quantity, reader.where)
+    if spec.frame in column_map_values.PLACES:
+        value = column_map_values.from_places(np.column_stack([raw[:, :2], value[:, 2]]), str(spec.frame))
     if name in ("sun", "nadir"):
         size = np.linalg.norm(value, axis=1, keepdims=True)
         value = np.divide(value, size, out=np.full_like(value, np.nan), where=size > 0)
     if name == "attitude":
         value = column_map_attitude.quaternion(value, spec, reader.where)
-    value = np.array(value, dtype=np.float64)
-    value[missing] = np.nan
-    return value
+    return np.array(value, dtype=np.float64)
 
 
 def _to_N(name: str, spec: ColumnSpec, time: TimeArray, value: FloatArray) -> FloatArray:

@@ -8,6 +8,7 @@ from typing import Any
 from fluxtwin.sim.telemetry.time_recipes import NAMES
 
 FRAMES = ("GCRS", "J2000", "mean_of_date", "true_of_date", "ITRS")
+POSITIONS = (*FRAMES, "geodetic", "geocentric")
 REFERENCES = (*FRAMES, "NEC", "NED", "orbital")
 ORDERS = ("xyzw", "wxyz", "xyz")
 _OTHER_FRAMES = {
@@ -34,7 +35,7 @@ _LOOSE = {
 
 def frame(value: Any) -> Any:
     """A frame of positions, in the spelling of the list. Raises ValueError with the nearest word."""
-    return _spelled(value, FRAMES, _OTHER_FRAMES)
+    return _spelled(value, POSITIONS, _OTHER_FRAMES)
 
 
 def reference(value: Any) -> Any:

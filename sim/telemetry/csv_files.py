@@ -37,7 +37,6 @@ _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*")
 _STAMP = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.(\d{3}){1,3})?Z")
 """A stamp as `format_iso` writes it."""
 _ROWS_AT_ONCE = 50_000
-_TEXT = f"S{TEXT_BYTES}"
 
 
 @dataclass(frozen=True)
@@ -54,12 +53,12 @@ class CsvFile:
     sha256: str
     notices: tuple[str, ...] = field(default=())
 
-    def text(self, name: str) -> np.ndarray:
-        """One column as bytes (N,), cut at 80."""
+    def text(self, name: str, width: int = TEXT_BYTES) -> np.ndarray:
+        """One column as bytes (N,), cut at `width`."""
         if self.cells is not None:
             place = self.names.index(name)
             return np.array([row[place].encode("utf-8") for row in self.cells], dtype=np.bytes_)
-        return np.asarray(self._parse([name], _TEXT)[name].to_numpy(), dtype=_TEXT)
+        return np.asarray(self._parse([name], f"S{width}")[name].to_numpy(), dtype=f"S{width}")
 
     def numbers(self, names: list[str]) -> dict[str, FloatArray]:
         """Columns as float64, blank and NaN missing. Raises BadInput naming the first cell that is no number."""
@@ -89,8 +88,8 @@ class CsvFile:
             index_col=False,
             engine="c",
             keep_default_na=False,
-            na_values=[] if kind == _TEXT else _MISSING,
-            na_filter=kind != _TEXT,
+            na_values=[] if kind.startswith("S") else _MISSING,
+            na_filter=not kind.startswith("S"),
             skip_blank_lines=False,
             quoting=csv.QUOTE_NONE,
             low_memory=False,

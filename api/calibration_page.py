@@ -38,6 +38,7 @@ def calibration_page(fit: Fit, title: str, *, next_step: str, command: str, refu
             ),
             PageSection("Parameters", [], [*comparison_tables(fit), parameter_table(fit), *_bias_tables(fit)]),
             PageSection("Residuals", [], [_residuals(fit)], [FigureBlock("residuals", caption, residual_figure(fit))]),
+            *_coverage(fit),
             PageSection("What these data do not determine", unseen, correlation_tables(fit)),
             PageSection("How it was made", [f"{message}." for message in fit.messages]),
             PageSection("Repeat it", [command]),
@@ -86,6 +87,41 @@ def residual_figure(fit: Fit) -> Figure:
     aside = ~kept_rows(fit.weights)
     record = CalibrationResiduals(fit.time, fit.residuals_nT, aside)
     return draw_calibration_residuals(record, title="Residuals of the calibration")
+
+
+def _coverage(fit: Fit) -> list[PageSection]:
+    """The sky of the body, and what to fly."""
+    from fluxtwin.plots.field_coverage import FieldCoverage, draw_field_coverage
+
+    seen = fit.coverage
+    if seen is None:
+        return []
+    rows = [
+        [p.words, "" if p.rows is None else str(p.rows), "" if p.records is None else plain(p.records, 2)]
+        for p in seen.plans
+    ]
+    table = Table(
+        f"to halve the sigma of {seen.worst}",
+        ["more data", "rows", "of this record"],
+        rows,
+        "Predicted from the Jacobian of this fit, with errors as they are in this record; blank: more than a hundred "
+        "records.",
+    )
+    caption = (
+        "Directions of the field in body axes, an equal-area map: longitude from body x to y, latitude towards z. Each dot "
+        "is one of 80 equal areas, coloured by its rows; open where there was none."
+    )
+    figure = draw_field_coverage(
+        FieldCoverage(seen.directions_B, seen.counts), title="Directions of the field in the body"
+    )
+    return [
+        PageSection(
+            "Directions and what to fly",
+            list(seen.lines),
+            [table] if rows else [],
+            [FigureBlock("coverage", caption, figure)],
+        )
+    ]
 
 
 def _bias_tables(fit: Fit) -> list[Table]:

@@ -118,6 +118,7 @@ def calibrate_by(
     given: options of the method, by the fields of its options; one that is None is as if not given.
     Raises BadInput for an unknown method, and for an option that the method does not take.
     """
+    from fluxtwin.calib.common.coverage import coverage_of
     from fluxtwin.calib.common.design import joined
     from fluxtwin.calib.common.verdict import assess
 
@@ -133,7 +134,8 @@ def calibrate_by(
     estimator = ESTIMATORS[default_method(telemetry) if method is None else method]
     fit = _named(estimator.fit(telemetry, model, _taken(estimator, given)), telemetry)
     sigma_deg, reference = given.get("attitude_sigma_deg"), "attitude" in estimator.needs
-    return replace(fit, verdict=assess(fit, telemetry, attitude_sigma_deg=sigma_deg, against_attitude=reference))
+    verdict = assess(fit, telemetry, attitude_sigma_deg=sigma_deg, against_attitude=reference)
+    return replace(fit, verdict=verdict, coverage=coverage_of(fit, telemetry))
 
 
 def _taken(estimator: Estimator, given: Mapping[str, Any]) -> dict[str, Any]:

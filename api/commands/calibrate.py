@@ -147,6 +147,8 @@ def _print(output: Output, fit: Fit, next_step: str) -> None:
         output.table(table.title, table.columns, table.rows, table.note)
     output.say(f"residual {known.sigma_nT:.1f} nT {_of(fit)}, 1 sigma; covariance: {known.covariance_kind}")
     impossible = fit.verdict is not None and fit.verdict.impossible
+    for line in () if fit.coverage is None or impossible else fit.coverage.lines:
+        output.prose(line)
     for message in () if manners.quiet or impossible else fit.messages:  # how a fit that is none was made helps nobody
         output.prose(f"- {message}", indent="  ")
     if len(fit.observability) > 1:  # a single one stands in the verdict

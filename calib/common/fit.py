@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from fluxtwin.calib.common.comparison import Comparison
+from fluxtwin.calib.common.coverage import Coverage
 from fluxtwin.calib.common.error_model import ErrorModel
 from fluxtwin.calib.common.noise import ReadingNoise
 from fluxtwin.calib.common.observability import FieldVariation
@@ -53,6 +54,8 @@ class Fit:
     """What the method itself found to contradict its answer, in sentences: with one, a fit is not good."""
     error_model: ErrorModel | None = None
     """What the residuals were taken to be made of; None where only white errors were."""
+    coverage: Coverage | None = None
+    """Directions of the field in the body; given as the verdict is."""
     comparison: Comparison | None = None
     """Of all methods, where that was asked for."""
     verdict: Verdict | None = None
@@ -103,6 +106,7 @@ class Fit:
             "noise": {"variance_nT2": self.noise.variance_nT2.tolist(), "source": self.noise.source},
             "error_model": None if self.error_model is None else self.error_model.to_dict(),
             "messages": list(self.messages),
+            "coverage": None if self.coverage is None else self.coverage.to_dict(),
             "comparison": None if self.comparison is None else self.comparison.to_dict(),
             "verdict": None if self.verdict is None else self.verdict.to_dict(),
         }

@@ -12,3 +12,6 @@ TimeArray: TypeAlias = NDArray[np.datetime64]
 """datetime64[ns] array, UTC."""
 
 BoolArray: TypeAlias = NDArray[np.bool_]
+
+IntArray: TypeAlias = NDArray[np.int64]
+"""int64 array: counts, indices."""

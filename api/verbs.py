@@ -47,7 +47,8 @@ def as_record(telemetry: Telemetry | Path | str, **reading: Unpack[Reading]) -> 
         raise BadInput("a record is read already", where=for_files[0], wanted="the path of a file, or the record alone")
     from fluxtwin.sim.telemetry.selection import selected
 
-    return selected(telemetry, **reading)  # type: ignore[misc]
+    number = reading.pop("magnetometer", telemetry.magnetometer)
+    return selected(telemetry, **reading).with_magnetometer(number)  # type: ignore[misc]
 
 
 def with_reading(verb: F) -> F:

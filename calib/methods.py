@@ -160,6 +160,7 @@ def _named(fit: Fit, telemetry: Telemetry) -> Fit:
     calibration = replace(
         fit.calibration,
         spacecraft=telemetry.spacecraft,
+        magnetometer=telemetry.magnetometer,
         residual_to=telemetry.corrected_by,
         temperature_degC=_temperature(telemetry, fit.rows),
     )

@@ -14,6 +14,7 @@ from fluxtwin.console import Output, manners
 
 if TYPE_CHECKING:
     from fluxtwin.calib.common.fit import Fit
+    from fluxtwin.calib.common.pair import Pair
     from fluxtwin.calib.common.records import Calibration
     from fluxtwin.calib.common.residuals import ResidualStatistics
     from fluxtwin.sim.earth.field import FieldModel
@@ -40,6 +41,10 @@ def command(
             "--onboard", metavar="FILE", help="What was applied on board (see export): undone before the fit."
         ),
     ] = None,
+    both: Annotated[
+        bool,
+        typer.Option("--both", help="Calibrate the second magnetometer too, and say what the residuals share."),
+    ] = False,
     figures: Annotated[
         Path | None, typer.Option("--figures", metavar="DIR", help="Write the figures of the residuals here.")
     ] = None,
@@ -58,8 +63,10 @@ def command(
         from fluxtwin.calib.common.onboard import for_record
 
         methods.require(options["method"], options)
+        also = _beside(out) if both else None
         targets = {
             "--out": (out, outputs.CALIBRATION),
+            "--both": (also, outputs.CALIBRATION),
             "--html": (html, outputs.PAGE),
             "--figures": (figures, outputs.RESIDUALS),
         }
@@ -68,6 +75,7 @@ def command(
         records = [read(path, output, reading, one_of_many=many) for path in telemetry]
         progress("calibrating", 0.5)
         fit = verbs.calibrate(records, field=field, degree=degree, onboard=onboard, **options)
+        second = _second(records, fit, onboard, {"field": field, "degree": degree, **options}) if both else None
         predicted = {}
         for path in unseen or []:
             record = read(path, output, reading, one_of_many=many)
@@ -77,6 +85,8 @@ def command(
         impossible = fit.verdict is not None and fit.verdict.impossible
         refused = impossible and not output.force
         written = [] if out is None or refused else [fit.calibration.to_toml(out)]
+        if second is not None and also is not None and not (second[0].verdict and second[0].verdict.impossible):
+            written.append(second[0].calibration.to_toml(also))
         if figures is not None or html is not None:
             progress("drawing", 0.9)
         if figures is not None:
@@ -85,6 +95,11 @@ def command(
         if html is not None:
             written.append(_page(fit, html, telemetry, next_step, refused=refused))
     _print(output, fit, next_step)
+    if second is not None:
+        number = second[0].calibration.magnetometer
+        _print_second(
+            output, *second, _next_step(second[0], telemetry, also, reading._replace(magnetometer=number), None)
+        )
     for name, statistics in predicted.items():
         rms = statistics.component_rms_nT
         what = "per component" if statistics.rms_nT.size == 3 else "in |B|"
@@ -94,9 +109,40 @@ def command(
     for path in written:
         output.say(f"  {path}")
     record_of_unseen = {name: statistics.to_dict() for name, statistics in predicted.items()}
-    output.result({**_as_json(fit), "unseen": record_of_unseen, "written": [str(path) for path in written]})
+    beside = {} if second is None else {"second": _as_json(second[0]), "pair": second[1].to_dict()}
+    output.result({**_as_json(fit), **beside, "unseen": record_of_unseen, "written": [str(path) for path in written]})
     if impossible:
         raise typer.Exit(1)
+
+
+def _beside(out: Path | None) -> Path | None:
+    """Where the calibration of the second magnetometer goes: `mine-2.toml` beside `mine.toml`."""
+    return None if out is None else out.with_name(f"{out.stem}-2{out.suffix}")
+
+
+def _second(records: list[Telemetry], first: Fit, onboard: Path | None, how: dict[str, Any]) -> tuple[Fit, Pair]:
+    """The fit of the second magnetometer, done as the first, and what the two share."""
+    from fluxtwin import verbs
+    from fluxtwin.calib.common.pair import compare
+    from fluxtwin.sim.base.errors import BadInput
+
+    if onboard is not None:
+        raise BadInput(
+            "was applied to one magnetometer", where="--onboard", wanted="--magnetometer 2 in place of --both"
+        )
+    fit = verbs.calibrate([record.with_magnetometer(3 - record.magnetometer) for record in records], **how)
+    return fit, compare(first, fit)
+
+
+def _print_second(output: Output, fit: Fit, pair: Pair, next_step: str) -> None:
+    output.say()
+    output.say(f"Magnetometer {fit.calibration.magnetometer}")
+    _print(output, fit, next_step)
+    output.say()
+    output.prose(
+        f"Both at {pair.samples} common instants: {pair.shared_nT:.1f} nT per component are shared (field model, reference "
+        f"attitude), {pair.own_nT[0]:.1f} and {pair.own_nT[1]:.1f} nT are each one's own (noise, interference)"
+    )
 
 
 def _predict(fit: Fit, record: Telemetry, known: Calibration, model: FieldModel) -> ResidualStatistics:

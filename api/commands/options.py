@@ -106,6 +106,9 @@ class Reading(NamedTuple):
             "--where", metavar="CONDITION", help="Only rows in which it holds, as 'sunlit == 1 and speed < 5'."
         ),
     ] = None
+    magnetometer: Annotated[
+        int, typer.Option("--magnetometer", metavar="N", min=1, max=2, help="1, or 2 for the readings mag2.")
+    ] = 1
 
     @property
     def files(self) -> tuple[Path | None, Path | None]:
@@ -120,8 +123,9 @@ class Reading(NamedTuple):
     @property
     def words(self) -> str:
         """The options that are given, as a shell takes them."""
-        flags = ("--map", "--tle", "--max-samples", "--from", "--to", "--where")
-        given = ((flag, value) for flag, value in zip(flags, self, strict=True) if value is not None)
+        flags = ("--map", "--tle", "--max-samples", "--from", "--to", "--where", "--magnetometer")
+        usual = zip(flags, self, READING, strict=True)
+        given = ((flag, value) for flag, value, default in usual if value != default)
         return shlex.join(str(word) for pair in given for word in pair)
 
 

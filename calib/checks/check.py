@@ -72,6 +72,7 @@ def check_file(
     start: np.datetime64 | str | None = None,
     end: np.datetime64 | str | None = None,
     where: str | None = None,
+    magnetometer: int = 1,
     onboard: Onboard | None = None,
 ) -> CheckReport:
     """As `check_telemetry`, from a file; rows out of order or doubled are a trap here, not an error.
@@ -91,7 +92,7 @@ def check_file(
     blind = bool(how) and "mag_x_nT" not in table.columns
     if blind:
         ordered.columns.update({f"mag_{axis}_nT": np.full(ordered.time.size, np.nan) for axis in "xyz"})
-    telemetry = record(ordered, tle=None if mapped else tle)
+    telemetry = record(ordered, tle=None if mapped else tle).with_magnetometer(magnetometer)
     origin = _origin(path, ordered, column_map, tle)
     inner = (
         _without_magnetometer(telemetry)
@@ -99,6 +100,10 @@ def check_file(
         else check_telemetry(telemetry, model, origin, onboard=onboard).findings
     )
     notices = telemetry.provenance.get("notices", "").split("; ")
+    other = f"`--magnetometer {3 - magnetometer}`"
+    how += [note("two_magnetometers", f"readings of two magnetometers; {other} checks the other one")] * (
+        telemetry.mag2_B_nT is not None
+    )
     said = [note("on_reading", text) for text in notices if text and not (blind and text.startswith("mag_"))]
     return report(str(path), len(telemetry), [*how, *order, *inner, *said])
 

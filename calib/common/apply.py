@@ -62,6 +62,12 @@ def require_applicable(telemetry: Telemetry, calibration: Calibration) -> None:
             where=where,
             wanted="telemetry and calibration of one spacecraft; --force applies it all the same",
         )
+    if calibration.magnetometer != telemetry.magnetometer:
+        raise BadInput(
+            f"the readings are of magnetometer {telemetry.magnetometer}, the calibration is of {calibration.magnetometer}",
+            where=where,
+            wanted=f"--magnetometer {calibration.magnetometer}, or the other calibration; --force applies it all the same",
+        )
     if calibration.span is not None:
         _require_time(telemetry, calibration.span, where)
 

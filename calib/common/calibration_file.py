@@ -62,6 +62,7 @@ class _Covariance(Strict):
 
 class _Source(Strict):
     spacecraft: str = ""
+    magnetometer: int = 1
     span: list[str] = []
     temperature_degC: list[float] = []
     samples: NonNegativeInt = 0
@@ -139,6 +140,7 @@ def _source(calibration: Calibration) -> dict[str, Any]:
     span = None if calibration.span is None else [_iso(stamp) for stamp in calibration.span]
     stated = {
         "spacecraft": calibration.spacecraft,
+        "magnetometer": None if calibration.magnetometer == 1 else calibration.magnetometer,
         "span": span,
         "temperature_degC": None if calibration.temperature_degC is None else list(calibration.temperature_degC),
         "samples": int(calibration.samples),
@@ -149,7 +151,7 @@ def _source(calibration: Calibration) -> dict[str, Any]:
         "unobservable": list(calibration.unobservable),
         "version": calibration.version or _version(),
     }
-    optional = ("spacecraft", "span", "temperature_degC", "residual_to")
+    optional = ("spacecraft", "magnetometer", "span", "temperature_degC", "residual_to")
     return {key: value for key, value in stated.items() if value or key not in optional}
 
 
@@ -203,6 +205,7 @@ def _to_text(calibration: Calibration) -> str:
 def _heading(calibration: Calibration) -> list[str]:
     """Comments for the person who opens the file; they do not count in the digest."""
     whose = json.dumps(calibration.spacecraft, ensure_ascii=False) if calibration.spacecraft else "a magnetometer"
+    whose = f"magnetometer {calibration.magnetometer} of {whose}" if calibration.magnetometer != 1 else whose
     when = "" if calibration.span is None else f", {_iso(calibration.span[0])} to {_iso(calibration.span[1])}"
     return [
         f"# Calibration of {whose}{when}.",

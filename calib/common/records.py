@@ -94,6 +94,8 @@ class Calibration:
     """By column of telemetry: field s I in the reading that is taken out before S, b and T act. Not in `covariance`."""
     spacecraft: str = ""
     """Whose magnetometer it is; empty where the telemetry did not say."""
+    magnetometer: int = 1
+    """Number of the magnetometer on that spacecraft."""
     residual_to: str = ""
     """The calibration that had corrected the readings before; empty for a calibration of raw readings."""
     onboard: Onboard | None = None

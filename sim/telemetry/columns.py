@@ -38,7 +38,7 @@ _UNIT_LIKE = re.compile(
 )
 """What may be meant for a unit at the end of a name."""
 
-TEXTS = {"spacecraft": "spacecraft", "mag_corrected_by": "calibration"}
+TEXTS = {"spacecraft": "spacecraft", "mag_corrected_by": "calibration", "mag2_corrected_by": "calibration_2"}
 """Columns of a CSV that hold one text in every row, and what the provenance calls it. NetCDF has attributes for them.
 
 A column, not a comment line: it stays in the file when another program sorts, cuts or joins it, and every reader of CSV

@@ -26,6 +26,12 @@ TEXT_BYTES = 80
 _LARGEST = 1e15  # of any unit in the columns: beyond it a cell is corrupt, and squares overflow
 
 
+_OTHER = {"calibration": "calibration_2", "calibration_note": "calibration_note_2"}
+_OTHER |= {other: key for key, other in _OTHER.items()}
+_OF_MAGNETOMETER = tuple(_OTHER)
+"""What the provenance says of the readings of one magnetometer."""
+
+
 @dataclass(frozen=True)
 class Telemetry:
     """One record; N rows. Arrays are read-only float64, `time` is datetime64[ns] UTC, strictly increasing."""
@@ -67,11 +73,12 @@ class Telemetry:
     rate_B_rad_s: FloatArray | None = None
     """(N, 3) body rate relative to N from the gyro."""
     mag2_B_nT: FloatArray | None = None
-    """(N, 3) reading of a second magnetometer, in nominal body axes; no calibration corrects it."""
+    """(N, 3) reading of a second magnetometer, in nominal body axes; see `with_magnetometer`."""
     provenance: Mapping[str, str] = field(default_factory=dict)
     """Where the record comes from: source file and SHA-256, or the generator; column notes. No truth.
 
-    `spacecraft` is its name; `calibration` is there once a calibration has corrected the readings, and says which.
+    `spacecraft` is its name; `calibration` is there once a calibration has corrected the readings, and says which;
+    `calibration_2` likewise of the second magnetometer; `magnetometer` is 2 where that one is in the first one's place.
     """
 
     def __post_init__(self) -> None:
@@ -104,6 +111,31 @@ class Telemetry:
     def corrected_by(self) -> str:
         """The calibration that has corrected the readings, in words; empty for readings as the sensor gave them."""
         return self.provenance.get("calibration", "")
+
+    @property
+    def magnetometer(self) -> int:
+        """Number of the magnetometer whose readings `mag_B_nT` are: 1, or 2 after `with_magnetometer(2)`."""
+        return int(self.provenance.get("magnetometer", "1"))
+
+    def with_magnetometer(self, number: int) -> Telemetry:
+        """The record with the readings of magnetometer 1 or 2 as `mag_B_nT`, and those of the other as `mag2_B_nT`.
+
+        Raises BadInput where there is no such magnetometer.
+        """
+        if number == self.magnetometer:
+            return self
+        if number not in (1, 2) or self.mag2_B_nT is None:
+            there = "one magnetometer" if self.mag2_B_nT is None else "two magnetometers"
+            wanted = (
+                "mag2_x_nT mag2_y_nT mag2_z_nT, or mag2 in a column map" if number == 2 else "--magnetometer 1 or 2"
+            )
+            where = self.provenance.get("source", "telemetry")
+            raise BadInput(f"has {there}, number {number} was asked for", where=where, wanted=wanted)
+        swapped = {key: self.provenance.get(key, "") for key in _OF_MAGNETOMETER}
+        swapped = {_OTHER[key]: text for key, text in swapped.items()} | {"magnetometer": "2" if number == 2 else ""}
+        kept = {key: text for key, text in self.provenance.items() if key not in swapped}
+        provenance = kept | {key: text for key, text in swapped.items() if text}
+        return self.replace(mag_B_nT=self.mag2_B_nT, mag2_B_nT=self.mag_B_nT, provenance=provenance)
 
     @property
     def has_attitude(self) -> BoolArray:

@@ -25,6 +25,7 @@ class Reading(TypedDict, total=False):
     start: np.datetime64 | str | None
     end: np.datetime64 | str | None
     where: str | None
+    magnetometer: int
 
 
 _SUFFIXES = ".nc, .csv or .csv.gz"
@@ -39,12 +40,14 @@ def read_telemetry(
     start: np.datetime64 | str | None = None,
     end: np.datetime64 | str | None = None,
     where: str | None = None,
+    magnetometer: int = 1,
 ) -> Telemetry:
     """The record in `path`: a .nc, .csv or .csv.gz of the contract, or a foreign file or folder with `column_map`.
 
     column_map: TOML that says which columns hold what, in which units and frames. tle: two-line elements that
     give the position where the file has none. max_samples: most rows that are read; None for 5,000,000.
     start, end, where: rows from `start` to before `end` in which the condition holds, as `sunlit == 1`.
+    magnetometer: 2 puts the readings of the second one in the first one's place.
     What was left out or converted stands in
     `provenance["notices"]`. Raises BadInput naming the file and the row or column at fault.
     """
@@ -56,9 +59,10 @@ def read_telemetry(
     if column_map is not None:
         from fluxtwin.sim.telemetry.column_map import mapped_table
 
-        return record(chosen.cut(mapped_table(path, column_map, tle=tle, max_samples=max_samples or MAX_SAMPLES)))
+        table = mapped_table(path, column_map, tle=tle, max_samples=max_samples or MAX_SAMPLES)
+        return record(chosen.cut(table)).with_magnetometer(magnetometer)
     table = read_table(path, max_samples=max_samples or MAX_SAMPLES, others=chosen.columns)
-    return record(chosen.cut(table), tle=tle)
+    return record(chosen.cut(table), tle=tle).with_magnetometer(magnetometer)
 
 
 def as_path(given: Any) -> Path:
@@ -90,7 +94,11 @@ def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES, others: Sequ
 
 
 def write_telemetry(telemetry: Telemetry, path: Path | str) -> Path:
-    """Write the record to `path` (.nc, .csv or .csv.gz), atomically; CSV to a device or pipe. Returns the path."""
+    """Write the record to `path` (.nc, .csv or .csv.gz), atomically; CSV to a device or pipe. Returns the path.
+
+    Each magnetometer's readings go into its own columns.
+    """
+    telemetry = telemetry.with_magnetometer(1)
     if not is_stream(path) and _kind(path) == "nc":
         from fluxtwin.sim.telemetry import netcdf_files
 

@@ -1,0 +1,82 @@
+"""The second magnetometer through the commands: its own calibration, never the other one's, into its own columns."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import Cli, status_of
+from worlds import scenario_text
+
+import fluxtwin
+from fluxtwin.sim.base.errors import BadInput
+
+pytestmark = pytest.mark.closure
+SENSORS = """
+[attitude]
+mode = "earth_pointing"
+yaw_rms_deg = 20.0
+roll_rms_deg = 10.0
+pitch_rms_deg = 10.0
+[attitude.reference]
+sigma_deg = 0.1
+tau_s = 0.0
+[magnetometer]
+b_nT = [1500.0, -800.0, 300.0]
+noise_nT = 20.0
+[magnetometer_2]
+b_nT = [-700.0, 400.0, 900.0]
+noise_nT = 60.0
+"""
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("two")
+    (folder / "s.toml").write_text(
+        scenario_text(SENSORS, seed=2, segment="samples = 1500, step_s = 10.0"), encoding="utf-8"
+    )
+    assert status_of("simulate", folder / "s.toml", "--out", folder / "t.nc", "-q") == 0
+    return folder / "t.nc"
+
+
+def test_each_is_calibrated_and_the_shared_part_is_the_attitudes(cli: Cli, flown: Path, tmp_path: Path) -> None:
+    done = cli("calibrate", flown, "--both", "--out", tmp_path / "c.toml", "--json", tmp_path / "c.json")
+    assert done.status == 0, done.err
+    found = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))
+    for fit, truth in ((found, [1500.0, -800.0, 300.0]), (found["second"], [-700.0, 400.0, 900.0])):
+        for one in fit["parameters"][9:12]:
+            assert abs(one["value"] - truth[int(one["name"][1]) - 1]) < 4.0 * one["sigma"]
+    field = np.linalg.norm(fluxtwin.read(flown).mag_B_nT, axis=1)
+    attitude_nT = float(np.sqrt(np.mean(field**2) * 2.0 / 3.0)) * np.radians(0.1)  # two of three components turn
+    assert found["pair"]["shared_nT"] == pytest.approx(attitude_nT, rel=0.1)
+    assert found["pair"]["own_nT"] == [pytest.approx(20.0, rel=0.1), pytest.approx(60.0, rel=0.1)]
+    second = fluxtwin.Calibration.from_toml(tmp_path / "c-2.toml")
+    assert second.magnetometer == 2 and fluxtwin.Calibration.from_toml(tmp_path / "c.toml").magnetometer == 1
+    alone = fluxtwin.calibrate(flown, magnetometer=2).calibration
+    assert np.array_equal(alone.b_nT, second.b_nT)
+
+
+def test_a_calibration_corrects_its_own_magnetometer_only(cli: Cli, flown: Path, tmp_path: Path) -> None:
+    fluxtwin.calibrate(flown, magnetometer=2).calibration.to_toml(tmp_path / "c2.toml")
+    refused = cli("apply", flown, "--calibration", tmp_path / "c2.toml", "--out", tmp_path / "x.nc")
+    assert refused.status == 2 and "--magnetometer 2" in refused.err
+    for name in ("x.nc", "x.csv"):
+        out = tmp_path / name
+        assert cli("apply", flown, "--magnetometer", 2, "--calibration", tmp_path / "c2.toml", "--out", out).status == 0
+        before, after = fluxtwin.read(flown), fluxtwin.read(out)
+        assert np.array_equal(after.mag_B_nT, before.mag_B_nT) and not after.corrected_by
+        assert after.mag2_B_nT is not None and before.mag2_B_nT is not None
+        moved = np.mean(after.mag2_B_nT - before.mag2_B_nT, axis=0)
+        assert np.allclose(moved, [-700.0, 400.0, 900.0], atol=150.0)  # S adds up to 0.003 of the mean field
+        assert after.with_magnetometer(2).corrected_by and after.with_magnetometer(2).with_magnetometer(1) is not after
+        with pytest.raises(BadInput, match="corrected already"):
+            fluxtwin.apply(out, tmp_path / "c2.toml", magnetometer=2)
+
+
+def test_there_is_no_second_magnetometer(cli: Cli, tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("time,mag_x_nT,mag_y_nT,mag_z_nT\n2026-03-01T00:00:00Z,1,2,3\n", encoding="utf-8")
+    done = cli("check", tmp_path / "t.csv", "--magnetometer", 2)
+    assert done.status == 2 and "one magnetometer" in done.err and "mag2_x_nT" in done.err

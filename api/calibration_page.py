@@ -97,7 +97,7 @@ def _coverage(fit: Fit) -> list[PageSection]:
     if seen is None:
         return []
     rows = [
-        [p.words, "" if p.rows is None else str(p.rows), "" if p.records is None else plain(p.records, 2)]
+        [p.words, "" if p.rows is None else str(p.rows), "" if p.ratio is None else plain(p.ratio, 2)]
         for p in seen.plans
     ]
     table = Table(

@@ -8,8 +8,8 @@ field where only |B| is compared:
 
     C(t) = (C^-1 + t N <J' J> / k)^-1
 
-with C the covariance of the fit, N its rows, t the length of the manoeuvre in records like this one, and k chosen so that
-the record itself, put in for the manoeuvre, has the information C^-1 on average: errors are taken to be as they are here.
+with C the covariance of the fit, N its rows, t the length of the manoeuvre in records like this one, and k the ratio of the
+worst variance in C to that of N <J' J>: errors are taken to be as they are here.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Plan:
     """One way of getting more data."""
 
     words: str
-    records: float | None
+    ratio: float | None
     """How many records of this length halve the worst sigma; None: more than a hundred."""
     rows: int | None
     """The same in rows."""
@@ -59,7 +59,7 @@ class Coverage:
     """(80, 3) their middles, unit vectors in body axes."""
     worst: str
     """Name of the parameter that is known worst, S counted in parts of the field; empty where there are no sigmas."""
-    worst_sigma: float
+    sigma: float
     """In its own unit."""
     plans: tuple[Plan, ...]
     """The same attitudes again, slews about each axis, a tumble; best first."""
@@ -77,8 +77,8 @@ class Coverage:
         verdict = "." if self.share >= GOOD else f"; {100 * GOOD:.0f} % and more is good."
         if not self.worst:
             return (said + verdict,)
-        best = [plan for plan in self.plans if plan.records is not None]
-        sigma = f"{self.worst_sigma:.2g} {parameter_unit(self.worst)}".removesuffix(" 1")
+        best = [plan for plan in self.plans if plan.ratio is not None]
+        sigma = f"{self.sigma:.2g} {parameter_unit(self.worst)}".removesuffix(" 1")
         if not best:
             return (
                 said + verdict,
@@ -96,8 +96,8 @@ class Coverage:
             "share": self.share,
             "counts": self.counts.tolist(),
             "directions_B": self.directions_B.tolist(),
-            "worst": {"name": self.worst, "sigma": self.worst_sigma} if self.worst else None,
-            "to_halve_it": [{"plan": p.words, "records": p.records, "rows": p.rows} for p in self.plans],
+            "worst": {"name": self.worst, "sigma": self.sigma} if self.worst else None,
+            "to_halve_it": [{"plan": p.words, "records": p.ratio, "rows": p.rows} for p in self.plans],
             "lines": list(self.lines),
         }
 
@@ -145,7 +145,8 @@ def _plans(
     def information(B: FloatArray, true: FloatArray) -> FloatArray:
         return np.asarray(U.T @ _information(B, true, scale, size_only=size_only) @ U * len(field_nT))
 
-    k = float(np.trace(inside @ information(B, true))) / len(inside)
+    alone = np.linalg.solve(information(B, true), U[worst])
+    k = float(C[worst, worst] / (U[worst] @ alone))
     flown = {_AGAIN: inverse}
     for axis, name in zip(np.eye(3), "xyz", strict=True):
         turn = Rotation.from_rotvec(np.outer(2.0 * np.pi * np.arange(_TURNS) / _TURNS, axis))
@@ -158,7 +159,7 @@ def _plans(
         records = _to_halve(inverse, more, U[worst])
         rows = None if records is None else max(_TURNS, round(records * len(field_nT)))
         found.append(Plan(words, records, rows))
-    return tuple(sorted(found, key=lambda plan: np.inf if plan.records is None else plan.records))
+    return tuple(sorted(found, key=lambda plan: np.inf if plan.ratio is None else plan.ratio))
 
 
 def _information(B: FloatArray, true: FloatArray, scale: FloatArray, *, size_only: bool) -> FloatArray:

@@ -26,6 +26,8 @@ NO_UNIT = (
     | {"log", "cost", "distance"}
     # directions, and a table whose columns have a unit each
     | {"axis", "axis_B", "nodes"}
+    # of a parameter, in the parameter's own unit; of two lengths
+    | {"sigma", "ratio"}
     # a parameter of an effect names its unit in a field of its own
     | {"scale", "low", "high"}
     # a regression knows no units: its columns are nT and A m2 side by side

@@ -40,7 +40,7 @@ from fluxtwin.sim.earth.field import field_N_nT, load_field
 from fluxtwin.sim.effects.base import DynamicsEffect, Effect, SignalEffect
 from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 from fluxtwin.sim.run.simulate import simulate
-from fluxtwin.sim.scenario.effect_sections import effect_section
+from fluxtwin.sim.scenario.effect_sections import effect_tree
 from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
 
 DESIGNS = ("nadir", "tumble", "slews", "spin")
@@ -103,6 +103,7 @@ def world(rng: np.random.Generator, design: str) -> Tree:
         },
         "torquers": {"dipole_Am2": 20.0, "positions_m": [[0.0, 0.0, 2.0], [0.0, 2.0, 0.0], [1.5, 0.0, 0.0]]},
         "power": {"full_sun_current_A": 8.0, "load_A": 3.0},
+        "drivers": {"payload": {"pattern": "random", "high": 1.0, "duty": 0.4, "dwell_s": 300.0}},
         "thermal": {
             "sunlit_degC": 25.0,
             "eclipse_degC": -20.0,
@@ -237,14 +238,14 @@ def single(case: Single, seed: int = 11) -> Tree:
     visible = float("nan")
     if isinstance(effect, SignalEffect) and case.visible is not None:
         for _ in range(3):  # not every effect is linear in its size
-            section = {effect.name: effect_section(effect, theta)}
+            section = effect_tree(effect, theta)
             visible = visible_nT(tree, section, case.modelled) / noise
             if not visible > 1e-6:
                 return {"effect": case.label or effect.name, "design": case.design, "named": "unseen"}
             if abs(np.log(visible / case.visible)) < 0.1:
                 break
             theta *= case.visible / visible
-    section = {effect.name: effect_section(effect, theta)}
+    section = effect_tree(effect, theta)
     visible = visible_nT(tree, section, case.modelled) / noise
     found, spent = answer(as_scenario(tree | {"effects": section}), case.modelled)
     first = next((e for e in found.effects if effect.name in {e.name, *e.group}), None)
@@ -316,6 +317,7 @@ def cases() -> list[Single]:
         _of("solar_array_current", vector),
         _of("solar_array_current", vector, without=("power",), label="solar_array_current, no column"),
         _of("battery_current", vector),
+        _of("driver.payload", vector, settings={"delay_s": 45.0}),
         _of("heater_switching", vector),
         _of(
             "heater_switching",
@@ -440,7 +442,7 @@ def main() -> int:
 
 
 _MISSING = {effect.name for effect in CATALOGUE if not isinstance(effect, DynamicsEffect)} - {
-    case.effect.name for case in cases()
+    case.effect.family for case in cases()
 }
 assert not _MISSING, f"no single for {_MISSING}"
 

@@ -46,7 +46,7 @@ import fluxtwin
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.effects.base import Effect
 from fluxtwin.sim.effects.catalogue import CATALOGUE
-from fluxtwin.sim.scenario.effect_sections import effect_section
+from fluxtwin.sim.scenario.effect_sections import effect_tree
 
 ROOT = Path(__file__).resolve().parent.parent
 KEPT = Path(__file__).with_suffix(".json")
@@ -76,6 +76,7 @@ REACHED: Tree = {
     "torquers": TORQUERS,
     "sun_sensor": HEADS,
     "horizon_scanner": {"noise_deg": 0.2},
+    "drivers": {"NAME": {"pattern": "square", "high": 1.0, "period_s": 1700.0, "duty": 0.4}},
 }
 """What an effect may follow."""
 FREE: Tree = {"spacecraft": {"name": "free", **BODY}, "attitude": {"mode": "dynamics"}}
@@ -214,7 +215,7 @@ def flights() -> dict[str, Tree]:
 
 def typical(effect: Effect) -> Tree:
     """An effect at its typical size."""
-    return {"effects": {effect.name: effect_section(effect, np.array([one.scale for one in effect.parameters]))}}
+    return {"effects": effect_tree(effect, [one.scale for one in effect.parameters])}
 
 
 def flown(name: str, folder: Path) -> Path:

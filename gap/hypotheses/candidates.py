@@ -129,7 +129,7 @@ def derivatives(problem: Problem, wanted: Sequence[Active]) -> FloatArray:
 
 def settings_of(effect: Effect) -> dict[str, object]:
     """Discrete settings of an effect that can be written in a word: numbers, words, flags, the edges of a region."""
-    fields = {item.name: getattr(effect, item.name) for item in dataclasses.fields(effect)}
+    fields = {item.name: getattr(effect, item.name) for item in dataclasses.fields(effect) if item.compare}
     return {
         key: list(value) if isinstance(value, tuple) else value
         for key, value in fields.items()

@@ -228,6 +228,10 @@ def pose(
     motion = RecordedMotion(used.time, r, v, frames.rotation_from_q(q), used.rate_B_rad_s)
     plain = Magnetometer(np.zeros((3, 3)), np.zeros(3)) if instrument is None else instrument
     setting = Setting(used.time, motion, "predict", model, plain, recorded_columns(used))
+    for effect in effects:
+        why = None if effect.keyed_by is None else effect.untestable(setting)
+        if why is not None:
+            raise BadInput(f"{effect.name}: {why}", where="--modelled", wanted="the name of a column that changes")
     budget = budget or Budget()
     axes = None
     if not known.all():

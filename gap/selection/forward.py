@@ -33,6 +33,7 @@ NONLINEAR = 0.2
 lost by taking a large effect as linear (8 % of a clock 10 s late, whose linear image is made of an attitude with errors of
 its own). Generous, because what it costs is at most four refits."""
 _REFITS = 4
+_ROUNDS = 3
 _STEPS = (1.5, 1 / 1.5, 1.25, 1 / 1.25, 1.12, 1 / 1.12)
 
 
@@ -164,8 +165,8 @@ def run(search: Search[Any]) -> list[tuple[Fit, Board]]:
 
 
 def _sharper(search: Search[Any], fit: Fit, rest: Board, others: list[Candidate]) -> tuple[Fit, Board, list[Candidate]]:
-    """Where a further cause would be looked for: the fit with its settings moved, and what is beside it then."""
-    if search.channel.setting is None or search.tested * float(rest.p_values.min()) > search.gate:
+    """The fit with its settings moved, and what is beside it then."""
+    if search.channel.setting is None:
         return fit, rest, others
     moved = _sharpened(search, search.channel.setting, fit)
     return (fit, rest, others) if moved is fit else (moved, *search.beside(moved))
@@ -178,14 +179,24 @@ def _sharpened(search: Search[Any], setting: Setting, fit: Fit) -> Fit:
     """
     start = fit
     for number in range(len(start.chosen)):
-        for step in _STEPS:
-            fit = _with_setting(search, fit, number, fit.chosen[number][0].between(setting, step))
-        for place in range(len(fit.chosen[number][0].variants(setting))):
-            fit = _with_setting(search, fit, number, fit.chosen[number][0].variants(setting)[place])
+        for _ in range(_ROUNDS):
+            moved = _neighbour(search, setting, fit, number)
+            if moved is fit:
+                break
+            fit = moved
     pairs = zip(fit.chosen, start.chosen, strict=True)
     new = [mine for (mine, _), (old, _) in pairs if isinstance(mine, SignalEffect) and mine != old]
     if new:
         search.add(new, fit)
+    return fit
+
+
+def _neighbour(search: Search[Any], setting: Setting, fit: Fit, number: int) -> Fit:
+    """The best fit with the settings of one effect a little beside those it has; itself where none is better."""
+    for step in _STEPS:
+        fit = _with_setting(search, fit, number, fit.chosen[number][0].between(setting, step))
+    for place in range(len(fit.chosen[number][0].variants(setting))):
+        fit = _with_setting(search, fit, number, fit.chosen[number][0].variants(setting)[place])
     return fit
 
 

@@ -15,6 +15,8 @@ _PREFIX = "driver_"
 _TYPICAL_NT = 100.0
 _TRIED_S = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 """Delays and lags of a driver that a diagnosis tries; it moves them by up to a factor of two to either side."""
+_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
+_MOVED = 1.25
 _LONGEST = 0.1
 """Of the record: a delay or lag must pass several times."""
 
@@ -181,9 +183,11 @@ class Driver(SignalEffect):
         return replace(self, delay_s=ratio * self.delay_s, lag_s=ratio * self.lag_s)
 
     def variants(self, setting: Setting) -> tuple[Driver, ...]:
-        if bool(self.delay_s) == bool(self.lag_s):
-            return ()
-        return tuple(replace(self, delay_s=self.delay_s or s, lag_s=self.lag_s or s) for s in _TRIED_S)
+        """As late in all, with other shares of delay and lag."""
+        whole_s = self.delay_s + self.lag_s
+        parts = [(share, whole_s * size) for share in _SHARES for size in (1.0, _MOVED, 1.0 / _MOVED)]
+        moved = tuple(replace(self, delay_s=share * late_s, lag_s=(1.0 - share) * late_s) for share, late_s in parts)
+        return moved if whole_s else ()
 
     def condition_on(self, setting: Setting) -> str | None:
         return f"{self.follows}:{self.column}"

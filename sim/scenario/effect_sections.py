@@ -115,12 +115,17 @@ def effect_section(effect: Effect, theta: FloatArray, covariance: FloatArray | N
     return section
 
 
-def effect_toml(effect: Effect, theta: FloatArray | Sequence[float]) -> str:
-    """The same as TOML text."""
+def effect_tree(effect: Effect, theta: FloatArray | Sequence[float]) -> dict[str, Any]:
+    """The same as [effects] with nothing else in it; an effect that wants a name of its own and has none is called NAME."""
     section = effect_section(effect, np.asarray(theta, dtype=np.float64))
     if effect.keyed_by is not None:
         section = {getattr(effect, effect.keyed_by) or "NAME": section}
-    return tomli_w.dumps({"effects": {effect.family: section}})
+    return {effect.family: section}
+
+
+def effect_toml(effect: Effect, theta: FloatArray | Sequence[float]) -> str:
+    """The same as TOML text."""
+    return tomli_w.dumps({"effects": effect_tree(effect, theta)})
 
 
 def effects_record(scenario: Scenario) -> dict[str, Mapping[str, Any]]:

@@ -11,6 +11,7 @@ The verbs, each imported when it is first used:
     better = fluxtwin.apply(telemetry, fit.calibration)
     fluxtwin.write(better, "pass_corrected.nc")
     fluxtwin.export(fit.calibration, "px4", "mag.params")   # for flight software; fluxtwin.import_calibration reads it
+    fluxtwin.trend(["june.toml", "july.toml"])             # does last month's calibration still hold?
     axes = fluxtwin.attitude(better)                 # three axes, through the night, with sigmas; fluxtwin.yaw one
 
     scenario = fluxtwin.load_scenario("mine.toml")        # or "cubesat", and the other packaged ones
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
     from fluxtwin.sim.telemetry.record import Telemetry as Telemetry
     from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
     from fluxtwin.studies import run_study as run_study
+    from fluxtwin.trending import trend as trend
     from fluxtwin.verbs import apply as apply
     from fluxtwin.verbs import attitude as attitude
     from fluxtwin.verbs import calibrate as calibrate
@@ -89,6 +91,7 @@ _NAMES = {
     "fluxtwin.calib.checks.check": ("repair",),
     "fluxtwin.sim.earth.field_models": ("load_field",),
     "fluxtwin.scenarios.packaged": ("load_scenario",),
+    "fluxtwin.trending": ("trend",),
     "fluxtwin.flying": ("simulate", "ensemble"),
     "fluxtwin.studies": ("run_study",),
     "fluxtwin.sim.telemetry.record": ("Telemetry",),

@@ -34,6 +34,7 @@ from fluxtwin.commands import (
     passes,
     run,
     simulate,
+    trend,
     yaw,
 )
 from fluxtwin.commands import map as map_
@@ -82,6 +83,7 @@ for _module in (
     calibrate,
     apply,
     export,
+    trend,
     yaw,
     attitude,
     diagnose,

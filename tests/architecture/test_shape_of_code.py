@@ -26,8 +26,9 @@ NO_UNIT = (
     | {"log", "cost", "distance"}
     # directions, and a table whose columns have a unit each
     | {"axis", "axis_B", "nodes"}
-    # of a parameter, in the parameter's own unit; of two lengths
-    | {"sigma", "ratio"}
+    # of a parameter, in the parameter's own unit; of two lengths; statistics and probabilities
+    | {"sigma", "sigmas", "values", "mean", "mean_sigma", "size", "size_sigma", "ratio"}
+    | {"q", "last_q", "last_probability", "explained"}
     # a parameter of an effect names its unit in a field of its own
     | {"scale", "low", "high"}
     # a regression knows no units: its columns are nT and A m2 side by side

@@ -1,0 +1,61 @@
+"""`fluxtwin trend`: does last month's calibration still hold?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from fluxtwin.calib import methods
+from fluxtwin.commands import options as of
+from fluxtwin.console import Output, command_line
+
+NAME = "trend"
+BRIEF = "Does last month's calibration still hold? Compare calibrations, or telemetry of several days."
+
+
+def command(
+    output: Output,
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="Calibration files, or telemetry that is calibrated here.")
+    ],
+    every: Annotated[
+        float | None,
+        typer.Option(
+            "--every",
+            metavar="HOURS",
+            help="Cut telemetry into stretches; a single file is cut by days where not given.",
+        ),
+    ] = None,
+    html: of.HtmlOption = None,
+    field: of.FieldOption = "igrf14",
+    degree: of.DegreeOption = None,
+    **options: Any,
+) -> None:
+    """Test whether calibrations agree within their sigmas, say which parameter changed when or drifts, and what it matters.
+
+    Exit status 0 they hold, 1 they do not.
+    """
+    with output.progress(f"reading {files[0]}") as progress:
+        from fluxtwin import outputs, trending
+        from fluxtwin.report import render_report
+        from fluxtwin.sim.base.files import write_text
+
+        methods.require(options["method"], options)
+        output.claim({"--html": (html, outputs.PAGE)}, [*files, field])
+        found = trending.trend(files, every_h=every, field=field, degree=degree, progress=progress, **options)
+        written = []
+        if html is not None:
+            progress("drawing", 0.9)
+            written.append(write_text(html, render_report(trending.trend_page(found, command=command_line()))))
+    for line in found.lines:
+        output.prose(line)
+    output.say()
+    table = trending.trend_table(found)
+    output.table(table.title, table.columns, table.rows, table.note)
+    for path in written:
+        output.say(f"  {path}")
+    output.result({**found.to_dict(), "written": [str(path) for path in written]})
+    if not found.holds:
+        raise typer.Exit(1)

@@ -1,0 +1,144 @@
+"""The verb `trend`, and its page: calibrations of several days side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fluxtwin.calib.common.digits import measured
+from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.methods import with_options
+from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.earth.field_models import FieldModel
+from fluxtwin.sim.telemetry.record import Telemetry
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from fluxtwin.calib.trend import Trend
+
+DAY_H = 24.0
+
+
+@with_options
+def trend(
+    files: Sequence[Calibration | Telemetry | Path | str],
+    *,
+    every_h: float | None = None,
+    field: str | FieldModel = "igrf14",
+    degree: int | None = None,
+    progress: Progress = silent,
+    **options: Any,
+) -> Trend:
+    """Does last month's calibration still hold? From calibrations, or from telemetry that is calibrated here.
+
+    every_h: telemetry is cut into stretches of so many hours, from midnight of its first day; None: a single record is cut
+    by days, of several each is one. Raises BadInput for fewer than two, or for those that cannot be compared; NoAnswer where
+    a stretch cannot be calibrated.
+    """
+    from fluxtwin.calib.trend import trend as found
+    from fluxtwin.verbs import as_record, calibrate
+
+    known: list[Calibration] = []
+    records: list[Telemetry] = []
+    for one in files:
+        if isinstance(one, Calibration):
+            known.append(one)
+        elif isinstance(one, Path | str) and Path(one).suffix.lower() == ".toml":
+            known.append(Calibration.from_toml(one))
+        else:
+            records.append(as_record(one))
+    hours = every_h if every_h is not None else DAY_H if len(records) == 1 and not known else None
+    parts = records if hours is None else [part for record in records for part in _cut(record, hours)]
+    for place, part in enumerate(parts):
+        progress(f"calibrating {place + 1} of {len(parts)}", place / len(parts))
+        known.append(calibrate(part, field=field, degree=degree, **options).calibration)
+    return found(known)
+
+
+def _cut(record: Telemetry, hours: float) -> list[Telemetry]:
+    """The record in stretches of so many hours from midnight of its first day; the short ends are joined to a neighbour."""
+    if not hours > 0:
+        raise BadInput(f"{hours:g}", where="--every", wanted="hours, positive")
+    start = record.time[0].astype("datetime64[D]").astype("datetime64[ns]")
+    number = ((record.time - start).astype(np.float64) / (hours * 3.6e12)).astype(np.int64)
+    parts = [np.flatnonzero(number == one) for one in np.unique(number)]
+    typical = float(np.median([len(rows) for rows in parts]))
+    joined: list[np.ndarray] = []
+    for rows in parts:
+        if joined and (len(rows) < 0.5 * typical or len(joined[-1]) < 0.5 * typical):
+            joined[-1] = np.concatenate([joined[-1], rows])
+        else:
+            joined.append(rows)
+    return [record.select(rows) for rows in joined]
+
+
+def trend_table(found: Trend) -> Table:
+    """A row a parameter: mean, whether it held, and what it did."""
+    rows = []
+    for one in found.histories:
+        what = {"constant": "", "drift": "a day", "temperature": "a degC", "step": f"after {one.after} of them"}[
+            one.kind
+        ]
+        size = "" if one.kind == "constant" else f"{measured(one.size, one.size_sigma)} {what}"
+        rows.append(
+            [
+                one.name,
+                measured(one.mean, one.mean_sigma),
+                one.unit,
+                f"{one.q:.1f}",
+                f"{one.probability:.2g}",
+                one.kind,
+                size,
+            ]
+        )
+    note = (
+        f"Q: Cochran's, {len(found.time) - 1} degrees of freedom; probability of so large a Q if nothing changed. A history "
+        "other than constant is corrected for all that were tried, at 1 % for all parameters together."
+    )
+    return Table(
+        "parameters over the calibrations",
+        ["parameter", "mean", "unit", "Q", "probability", "history", "size"],
+        rows,
+        note,
+    )
+
+
+def trend_figure(found: Trend) -> Figure:
+    """Every parameter over time."""
+    from fluxtwin.plots.calibration_trend import ParameterSeries, draw_calibration_trend
+
+    days = (found.time - found.time[0]).astype("timedelta64[ns]").astype(np.float64) / 8.64e13
+    series = []
+    for one in found.histories:
+        x = np.zeros(len(days))
+        if one.kind == "step":
+            x = (np.arange(len(days)) >= one.after).astype(np.float64)
+        elif one.kind == "drift":
+            x = days
+        elif one.kind == "temperature" and found.temperature_degC is not None:
+            x = found.temperature_degC
+        w = one.sigmas**-2.0
+        fitted = one.mean + one.size * (x - (w * x).sum() / w.sum())
+        series.append(ParameterSeries(one.name, one.unit, one.values, one.sigmas, fitted, one.kind != "constant"))
+    return draw_calibration_trend(found.time, series, title="Parameters over the calibrations; bars are 1 sigma")
+
+
+def trend_page(found: Trend, *, command: str) -> Page:
+    """The page of one trend."""
+    caption = "Values with 1 sigma; the line is what each parameter is taken to have done, in colour where it changed."
+    return Page(
+        title=f"{len(found.time)} calibrations compared",
+        verdict=found.lines[0],
+        sections=[
+            PageSection("What it means", list(found.lines[1:])),
+            PageSection("Parameters", [], [trend_table(found)], [FigureBlock("trend", caption, trend_figure(found))]),
+            PageSection("Repeat it", [command]),
+        ],
+        provenance={},
+    )

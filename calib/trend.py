@@ -1,0 +1,300 @@
+"""Do calibrations of one magnetometer agree, and where not, when did it change or how does it drift?
+
+For K calibrations with parameters p_k and covariances C_k the weighted mean p and Cochran's statistic
+
+    Q = sum (p_k - p)' C_k^-1 (p_k - p)
+
+(Cochran 1954; for one parameter with C_k its variance, for all of them with the whole covariances) is chi-square with
+(K - 1) times as many degrees of freedom as there are parameters, if nothing changed and the sigmas are right. A parameter
+that changed is given the history that explains it best: a step between two calibrations, a line in time, a line in
+temperature. Each is one parameter more, tested by the drop of Q; a step pays for the K - 1 places that were tried, the
+histories for each other, and the parameters for being many (Holm 1979).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from fluxtwin.calib.common.conventions import offset_first_from_correction
+from fluxtwin.calib.common.digits import measured, plain
+from fluxtwin.calib.common.records import Calibration, parameter_unit
+from fluxtwin.calib.onboard.export import FIELDS_NT, AddedError, added_error
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.telemetry.record import plain_text
+
+LEVEL = 0.01
+"""False alarms that are accepted, over all parameters together."""
+EXPIRED_SIGMAS = 3.0
+"""A drift that has moved a parameter by so many of its sigmas has made the last calibration expire."""
+_LEAST_DEGC = 1.0  # between calibrations: less tells nothing about temperature
+_MIRRORED = ("S21", "S31", "S32")
+
+
+@dataclass(frozen=True)
+class History:
+    """What one parameter did over the calibrations."""
+
+    name: str
+    values: FloatArray
+    """(K,) in the parameter's unit."""
+    sigmas: FloatArray
+    """(K,) 1 sigma."""
+    mean: float
+    mean_sigma: float
+    q: float
+    """Cochran's Q, K - 1 degrees of freedom."""
+    probability: float
+    """Of a Q so large, if nothing changed."""
+    kind: str
+    """`constant`, `step`, `drift` or `temperature`."""
+    size: float
+    """Of the step, in the parameter's unit; of the drift, a day; with temperature, a degC. 0 for constant."""
+    size_sigma: float
+    after: int
+    """Number of calibrations before the step; 0 for none."""
+    explained: float
+    """Corrected probability of so large a drop of Q by chance; 1 for constant."""
+
+    @property
+    def unit(self) -> str:
+        """Of values and sigmas."""
+        return parameter_unit(self.name)
+
+
+@dataclass(frozen=True)
+class Trend:
+    """The answer to: does last month's calibration still hold?"""
+
+    time: TimeArray
+    """(K,) middles of the spans, UTC."""
+    temperature_degC: FloatArray | None
+    """(K,) middles of the ranges; None where one is not known."""
+    histories: tuple[History, ...]
+    q: float
+    """Cochran's Q over all parameters."""
+    degrees_of_freedom: int
+    probability: float
+    last_q: float
+    """Of the last calibration against the mean of those before, all parameters."""
+    last_probability: float
+    moved: AddedError
+    """What the first instead of the last calibration would err by, over `FIELDS_NT` in any direction."""
+    expires: np.datetime64 | None
+    """When a drift has moved a parameter by `EXPIRED_SIGMAS` of its sigma in the last calibration; None without a drift."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether nothing is seen to have changed."""
+        return self.probability >= LEVEL and all(one.kind == "constant" for one in self.histories)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The answer in sentences."""
+        count, low, high = len(self.time), FIELDS_NT[0] / 1e3, FIELDS_NT[1] / 1e3
+        q = f"Q = {plain(self.q)} with {self.degrees_of_freedom} degrees of freedom, probability {_chance(self.probability)}"
+        apart = (
+            f"The first instead of the last would err by up to {plain(self.moved.largest_nT, 2)} nT and "
+            f"{plain(self.moved.largest_deg, 2)} deg over fields of {low:.0f} to {high:.0f} uT."
+        )
+        if self.holds:
+            return (f"Holds: {count} calibrations agree within their sigmas ({q}).", apart)
+        changed = [one for one in self.histories if one.kind != "constant"]
+        said = [f"Does not hold: the calibrations differ by more than their sigmas ({q}).", *map(self._words, changed)]
+        if not changed:
+            said.append("No single parameter is seen to have changed: many did a little, or the sigmas are too small.")
+        agrees = self.last_probability >= LEVEL
+        verdict = "agrees with" if agrees else "differs from"
+        said.append(
+            f"The last calibration {verdict} the mean of those before it (probability {_chance(self.last_probability)}). "
+            f"{apart}"
+        )
+        if self.expires is not None:
+            said.append(
+                f"With these drifts the last calibration is off by {EXPIRED_SIGMAS:.0f} of its sigmas on "
+                f"{epoch.iso(self.expires, 's')[:10]}."
+            )
+        return tuple(said)
+
+    def _words(self, one: History) -> str:
+        unit = "" if one.unit == "1" else f" {one.unit}"
+        size = measured(one.size, one.size_sigma)
+        if one.kind == "step":
+            at = (epoch.iso(self.time[k], "s") for k in (one.after - 1, one.after))
+            return f"{one.name} changed by {size}{unit} between {' and '.join(at)}."
+        per = "a day" if one.kind == "drift" else "a degC of the magnetometer's temperature"
+        return f"{one.name} {'drifts' if one.kind == 'drift' else 'follows temperature,'} by {size}{unit} {per}."
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and text for JSON."""
+        return {
+            "holds": self.holds,
+            "lines": list(self.lines),
+            "time": [epoch.iso(one, "s") for one in self.time],
+            "temperature_degC": None if self.temperature_degC is None else self.temperature_degC.tolist(),
+            "q": self.q,
+            "degrees_of_freedom": self.degrees_of_freedom,
+            "probability": self.probability,
+            "last": {"q": self.last_q, "probability": self.last_probability},
+            "first_instead_of_last": {"nT": self.moved.largest_nT, "deg": self.moved.largest_deg},
+            "expires": None if self.expires is None else epoch.iso(self.expires, "s"),
+            "parameters": [
+                {
+                    **{key: getattr(one, key) for key in ("name", "unit", "mean", "mean_sigma", "q", "probability")},
+                    **{key: getattr(one, key) for key in ("kind", "size", "size_sigma", "after", "explained")},
+                    "values": one.values.tolist(),
+                    "sigmas": one.sigmas.tolist(),
+                }
+                for one in self.histories
+            ],
+        }
+
+
+def _chance(probability: float) -> str:
+    return f"{probability:.2g}" if probability >= 1e-9 else "below 1e-9"
+
+
+def trend(calibrations: Sequence[Calibration]) -> Trend:
+    """Two calibrations or more of one magnetometer, in any order.
+
+    Raises BadInput for fewer, for one without span or sigmas, and for those that cannot be compared: of another spacecraft,
+    of readings corrected before, or with attitude beside those without.
+    """
+    known = _comparable(calibrations)
+    time = np.array([_middle(one) for one in known])
+    warm = [one.temperature_degC for one in known]
+    temperature = None if None in warm else np.array([np.mean(pair) for pair in warm if pair is not None])
+    names = _names(known)
+    at = [known[0].names.index(name) for name in names]
+    values = np.array([one.values[at] for one in known])
+    covariances = np.array([one.covariance[np.ix_(at, at)] for one in known])
+    days = (time - time[0]).astype("timedelta64[ns]").astype(np.float64) / 8.64e13
+    q = _pooled(values, covariances)[2]
+    before, before_covariance, _ = _pooled(values[:-1], covariances[:-1])
+    apart = values[-1] - before
+    last_q = float(apart @ np.linalg.solve(covariances[-1] + before_covariance, apart))
+    histories = _histories(names, values, np.sqrt(np.einsum("kii->ki", covariances)), days, temperature)
+    first, last = (offset_first_from_correction(one.correction) for one in (known[0], known[-1]))
+    dof = (len(known) - 1) * len(names)
+    return Trend(
+        time=time,
+        temperature_degC=temperature,
+        histories=histories,
+        q=q,
+        degrees_of_freedom=dof,
+        probability=float(chi2.sf(q, dof)),
+        last_q=last_q,
+        last_probability=float(chi2.sf(last_q, len(names))),
+        moved=added_error(last, first),
+        expires=_expires(histories, known[-1]),
+    )
+
+
+def _comparable(calibrations: Sequence[Calibration]) -> list[Calibration]:
+    if len(calibrations) < 2:
+        raise BadInput(
+            f"{len(calibrations)} calibration", where="trend", wanted="two or more, or telemetry of several days"
+        )
+    for one in calibrations:
+        if one.span is None or not one.sigmas.any():
+            raise BadInput(
+                "a calibration has no span or no sigmas", where="trend", wanted="calibrations made from telemetry"
+            )
+    whose = {plain_text(one.spacecraft) for one in calibrations} - {""}
+    if len(whose) > 1:
+        raise BadInput(f"they are of {' and '.join(sorted(whose))}", where="trend", wanted="one spacecraft")
+    if len({one.residual_to for one in calibrations}) > 1:
+        raise BadInput(
+            "some are of readings that had been corrected", where="trend", wanted="calibrations of the sensor"
+        )
+    if len({np.array_equal(one.S, one.S.T) for one in calibrations}) > 1:
+        raise BadInput(
+            "some were made without attitude: their S is symmetric and is not that of the others",
+            where="trend",
+            wanted="all of them with attitude, or all without",
+        )
+    return sorted(calibrations, key=_middle)
+
+
+def _middle(one: Calibration) -> np.datetime64:
+    assert one.span is not None
+    middle: np.datetime64 = one.span[0] + (one.span[1] - one.span[0]) // 2
+    return middle
+
+
+def _names(known: Sequence[Calibration]) -> tuple[str, ...]:
+    """Parameters that all of them have; of a symmetric S one half."""
+    symmetric = np.array_equal(known[0].S, known[0].S.T)
+    shared = [name for name in known[0].names if all((one.sigma.get(name) or 0.0) > 0 for one in known)]
+    kept = tuple(name for name in shared if not (symmetric and name in _MIRRORED))
+    if not kept:
+        raise BadInput("no parameter is in all of them", where="trend", wanted="calibrations of the same parameters")
+    return kept
+
+
+def _pooled(values: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Weighted mean, its covariance, and Cochran's Q of (K, P) values with (K, P, P) covariances."""
+    weights = np.linalg.inv(covariances)
+    covariance = np.linalg.inv(weights.sum(axis=0))
+    mean = covariance @ np.einsum("kij,kj->i", weights, values)
+    off = values - mean
+    return mean, covariance, float(np.einsum("ki,kij,kj->", off, weights, off))
+
+
+def _histories(
+    names: Sequence[str], values: FloatArray, sigmas: FloatArray, days: FloatArray, temperature: FloatArray | None
+) -> tuple[History, ...]:
+    count = len(values)
+    steps = [(np.arange(count) >= k).astype(np.float64) for k in range(1, count)]
+    tried: list[tuple[str, FloatArray, int, int]] = [("step", step, k + 1, len(steps)) for k, step in enumerate(steps)]
+    if count > 2:  # of two, a line and a step are one and the same
+        tried.append(("drift", days - days.mean(), 0, 1))
+        if temperature is not None and np.ptp(temperature) > _LEAST_DEGC:
+            tried.append(("temperature", temperature - temperature.mean(), 0, 1))
+    kinds = len({kind for kind, *_ in tried})
+    found = []
+    for name, p, sigma in zip(names, values.T, sigmas.T, strict=True):
+        w = sigma**-2.0
+        mean = float((w * p).sum() / w.sum())
+        q = float((w * (p - mean) ** 2).sum())
+        best = ("constant", 0.0, 0.0, 0, 1.0)
+        for kind, x, after, places in tried:
+            size, error = _slope(p, w, x)
+            chance = min(1.0, float(chi2.sf((size / error) ** 2, 1)) * places * kinds)
+            if chance < best[4]:
+                best = (kind, size, error, after, chance)
+        found.append(History(name, p, sigma, mean, float(w.sum() ** -0.5), q, float(chi2.sf(q, count - 1)), *best))
+    return _holm(found)
+
+
+def _slope(p: FloatArray, w: FloatArray, x: FloatArray) -> tuple[float, float]:
+    """Weighted slope of p over x beside a constant, and its sigma."""
+    x = x - (w * x).sum() / w.sum()
+    information = float((w * x**2).sum())
+    return float((w * x * p).sum()) / information, information**-0.5
+
+
+def _holm(found: list[History]) -> tuple[History, ...]:
+    """Those that are not significant beside the others are constant."""
+    kept: set[str] = set()
+    for place, one in enumerate(sorted(found, key=lambda one: one.explained)):
+        if one.explained * (len(found) - place) >= LEVEL:
+            break
+        kept.add(one.name)
+    nothing: dict[str, Any] = {"kind": "constant", "size": 0.0, "size_sigma": 0.0, "after": 0, "explained": 1.0}
+    return tuple(one if one.name in kept else replace(one, **nothing) for one in found)
+
+
+def _expires(histories: Sequence[History], last: Calibration) -> np.datetime64 | None:
+    days = [
+        EXPIRED_SIGMAS * float(one.sigmas[-1]) / abs(one.size) for one in histories if one.kind == "drift" and one.size
+    ]
+    if not days or min(days) > 36_525:
+        return None
+    return np.datetime64(_middle(last) + np.timedelta64(round(min(days) * 86_400), "s"))

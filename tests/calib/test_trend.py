@@ -1,0 +1,115 @@
+"""Calibrations over time: no alarm where nothing changed, and what changed is named, dated and sized."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import Cli
+from scipy.stats import binom
+
+import fluxtwin
+from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.trend import Trend, trend
+from fluxtwin.sim.base.errors import BadInput
+
+pytestmark = pytest.mark.closure
+
+TRUE = np.array([0.01, 0.002, 0.0, 0.001, -0.01, 0.0, 0.0, 0.0, 0.02, 1500.0, -800.0, 300.0])
+SIGMA = np.array([2e-4] * 9 + [10.0, 12.0, 8.0])
+START = np.datetime64("2026-03-01T00:00:00", "ns")
+
+
+def covariance_of(rng: np.random.Generator) -> np.ndarray:
+    """With correlations of up to 0.9, as calibrations have them."""
+    root = rng.normal(size=(12, 12)) + 2.0 * rng.normal(size=(12, 1)) * rng.normal(size=12)
+    C = root @ root.T
+    scale = SIGMA * rng.uniform(0.7, 1.4, size=12) / np.sqrt(np.diag(C))
+    return np.asarray(C * np.outer(scale, scale))
+
+
+def made(seed: int, moved: np.ndarray, temperature_degC: np.ndarray | None = None) -> list[Calibration]:
+    """A calibration a week, drawn with its covariance about the truth and what is added to it, (K, 12) in sigmas."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for week, more in enumerate(moved):
+        C = covariance_of(rng)
+        p = rng.multivariate_normal(TRUE + more * SIGMA, C)
+        first = START + np.timedelta64(7 * week, "D")
+        warm = None if temperature_degC is None else (temperature_degC[week] - 2.0, temperature_degC[week] + 2.0)
+        span = (first, first + np.timedelta64(5, "h"))
+        found.append(
+            Calibration(p[:9].reshape(3, 3), p[9:], covariance=C, span=span, temperature_degC=warm, sigma_nT=20.0)
+        )
+    return found
+
+
+def one(found: Trend, name: str) -> object:
+    return next(history for history in found.histories if history.name == name)
+
+
+def test_no_alarm_where_nothing_changed() -> None:
+    """Two tests at 1 %, of all parameters together and of their histories: at most 2 % of 400 draws."""
+    alarms = sum(not trend(made(seed, np.zeros((5, 12)))).holds for seed in range(400))
+    assert alarms <= binom.ppf(0.999, 400, 0.02)
+    assert alarms >= 1  # a test that never rejects is none
+
+
+def test_the_statistic_is_that_of_whitened_least_squares() -> None:
+    """Against the residual of a mean fitted by `lstsq` to whitened values; one parameter against the textbook's form."""
+    known = made(3, np.zeros((4, 12)))
+    found = trend(known)
+    whiten = [np.linalg.inv(np.linalg.cholesky(c.covariance)) for c in known]
+    rows, right = np.vstack(whiten), np.concatenate([w @ c.values for w, c in zip(whiten, known, strict=True)])
+    mean = np.linalg.lstsq(rows, right, rcond=None)[0]
+    assert found.q == pytest.approx(float(((right - rows @ mean) ** 2).sum()), rel=1e-6)
+    assert found.degrees_of_freedom == 36
+    w, b1 = np.array([c.sigma["b1"] for c in known], dtype=float) ** -2, np.array([c.b_nT[0] for c in known])
+    assert one(found, "b1").q == pytest.approx((w * b1**2).sum() - (w * b1).sum() ** 2 / w.sum(), rel=1e-6)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(("kind", "name"), [("step", "b2"), ("drift", "S33"), ("temperature", "b1")])
+def test_what_changed_is_named_and_sized(kind: str, name: str) -> None:
+    warm = np.array([10.0, 25.0, 12.0, 30.0, 8.0, 22.0])
+    at = Calibration(np.zeros((3, 3)), np.zeros(3)).names.index(name)
+    shape = {"step": np.arange(6) >= 4, "drift": 7.0 * np.arange(6), "temperature": warm}[kind].astype(float)
+    size = {"step": 12.0, "drift": 0.5, "temperature": 0.8}[kind]  # sigmas, of a whole, a day, a degC
+    hits = 0
+    for seed in range(20):
+        moved = np.zeros((6, 12))
+        moved[:, at] = size * shape
+        found = trend(made(seed, moved, warm))
+        assert not found.holds and found.lines[0].startswith("Does not hold")
+        history = one(found, name)
+        wrong = [h.name for h in found.histories if h.kind != "constant" and h.name != name]
+        hits += history.kind == kind and not wrong  # type: ignore[attr-defined]
+        if history.kind == kind:  # type: ignore[attr-defined]
+            assert abs(history.size - size * SIGMA[at]) < 4 * history.size_sigma  # type: ignore[attr-defined]
+            assert kind != "step" or history.after == 4  # type: ignore[attr-defined]
+            assert (found.expires is not None) == (kind == "drift")
+    assert hits >= 18
+
+
+def test_calibrations_that_cannot_be_compared_are_refused() -> None:
+    two = made(1, np.zeros((2, 12)))
+    bare = Calibration(two[0].S, two[0].b_nT)
+    for bad in ([two[0]], [two[0], bare]):
+        with pytest.raises(BadInput, match="calibration"):
+            trend(bad)
+    symmetric = Calibration(np.diag([0.01, 0.0, 0.0]), two[0].b_nT, covariance=two[0].covariance, span=two[0].span)
+    with pytest.raises(BadInput, match="without attitude"):
+        trend([symmetric, two[1]])
+
+
+def test_the_command_says_whether_it_holds(tmp_path: Path, cli: Cli) -> None:
+    step = np.zeros((3, 12))
+    step[2, 9] = 30.0
+    for name, moved in (("same", np.zeros((3, 12))), ("new", step)):
+        files = [c.to_toml(tmp_path / f"{name}{k}.toml") for k, c in enumerate(made(2, moved))]
+        done = cli("trend", *files, "--html", tmp_path / f"{name}.html")
+        assert done.status == (name == "new"), done.err
+        assert done.out.startswith("Holds" if name == "same" else "Does not hold")
+        assert ("b1 changed by" in done.out) == (name == "new")
+        assert "<img" in (tmp_path / f"{name}.html").read_text(encoding="utf-8")
+    assert fluxtwin.trend(list(tmp_path.glob("same*.toml"))).holds

@@ -17,7 +17,7 @@ from fluxtwin.sim.telemetry.column_map_draft import header_of
 from fluxtwin.sim.telemetry.columns import describe, file_columns
 from fluxtwin.sim.telemetry.layouts import recognised
 from fluxtwin.sim.telemetry.record import Telemetry
-from fluxtwin.sim.telemetry.telemetry_files import Reading, as_path
+from fluxtwin.sim.telemetry.telemetry_files import Readable, Reading, as_path, is_path
 from fluxtwin.verbs import as_record, with_reading
 
 _GAP_STEPS = 3.0
@@ -80,19 +80,19 @@ class Inventory:
 
 
 @with_reading
-def info(telemetry: Telemetry | Path | str, **reading: Unpack[Reading]) -> Inventory:
+def info(telemetry: Readable, **reading: Unpack[Reading]) -> Inventory:
     """What the file or record holds: columns, span, rates, gaps, passes, provenance, and what each verb lacks.
 
     A foreign file that is named without a map is listed by its header alone, with the reason in `unread`; one with a
     packaged layout is read by that. Raises BadInput for a file that cannot be read at all.
     """
-    if isinstance(telemetry, Telemetry):
+    if isinstance(telemetry, Telemetry) or not is_path(telemetry):
         return of_record(as_record(telemetry, **reading))
     path = as_path(telemetry)
     try:
         return of_record(as_record(path, **reading), str(path))
     except BadInput as error:
-        if reading.get("column_map") is not None or path.is_dir() or any(reading.values()):
+        if path.is_dir() or any(value not in (None, 1) for value in reading.values()):
             raise
         return _of_header(path, str(error))
 

@@ -31,7 +31,7 @@ from fluxtwin.sim.run.world import ephemeris, schedule_times
 from fluxtwin.sim.scenario.effect_sections import active_effects
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.telemetry.record import Telemetry
-from fluxtwin.sim.telemetry.telemetry_files import Reading
+from fluxtwin.sim.telemetry.telemetry_files import Readable, Reading
 from fluxtwin.verbs import as_record, with_reading
 
 _ERRORS = ("noise_nT", "lsb_nT", "attitude_sigma_deg", "attitude_tau_s")
@@ -40,7 +40,7 @@ _ERRORS = ("noise_nT", "lsb_nT", "attitude_sigma_deg", "attitude_tau_s")
 
 @with_reading
 def diagnose(
-    telemetry: Telemetry | Path | str,
+    telemetry: Readable,
     *,
     scenario: Scenario | Path | str | None = None,
     modelled: Sequence[str] = DEFAULT_MODELLED,

@@ -17,6 +17,7 @@ from typing import Any, TypeAlias
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import COMMENTS, followed, is_own_toml, is_stream, writable_file
+from fluxtwin.sim.telemetry.formats.catalogue import WRITTEN
 
 JSON_MARK = "fluxtwin"
 """First key of every JSON result; its value is the version."""
@@ -37,7 +38,7 @@ class Kind:
 
 
 _NETCDF = (".nc", ".nc4", ".h5")
-TELEMETRY = Kind("telemetry", (".csv", ".csv.gz", *_NETCDF))
+TELEMETRY = Kind("telemetry", (".csv", ".csv.gz", *_NETCDF, *WRITTEN))
 TRUTH = Kind("the truth of a simulation", _NETCDF)
 CALIBRATION = Kind("a calibration", (".toml",))
 SCENARIO = Kind("a scenario", (".toml",))

@@ -18,7 +18,7 @@ from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import field_E_nT
 from fluxtwin.sim.earth.field_models import FieldModel, load_field
 from fluxtwin.sim.telemetry.record import Telemetry
-from fluxtwin.sim.telemetry.telemetry_files import Reading, as_path, read_telemetry, write_telemetry
+from fluxtwin.sim.telemetry.telemetry_files import Readable, Reading, as_path, is_path, read_telemetry, write_telemetry
 
 if TYPE_CHECKING:
     from fluxtwin.calib.attitude.three_axis import AttitudeSolution
@@ -38,17 +38,17 @@ def as_model(field: str | FieldModel, degree: int | None = None) -> FieldModel:
     return field if degree is None else field.truncated(degree)
 
 
-def as_record(telemetry: Telemetry | Path | str, **reading: Unpack[Reading]) -> Telemetry:
-    """A record, read first where a file is named; of a record that is there, `reading` may choose rows."""
+def as_record(telemetry: Readable, **reading: Unpack[Reading]) -> Telemetry:
+    """A record, read first where it is none yet; of one that is there, `reading` may choose rows and magnetometer."""
     if not isinstance(telemetry, Telemetry):
         return read_telemetry(telemetry, **reading)
-    for_files = [name for name in ("column_map", "tle", "max_samples") if reading.pop(name, None) is not None]  # type: ignore[misc]
-    if for_files:
-        raise BadInput("a record is read already", where=for_files[0], wanted="the path of a file, or the record alone")
+    for name, value in reading.items():
+        if name in ("column_map", "tle", "attitude", "max_samples") and value is not None:
+            raise BadInput("a record is read already", where=name, wanted="the path of a file, or the record alone")
     from fluxtwin.sim.telemetry.selection import selected
 
-    number = reading.pop("magnetometer", telemetry.magnetometer)
-    return selected(telemetry, **reading).with_magnetometer(number)  # type: ignore[misc]
+    part = selected(telemetry, reading.get("start"), reading.get("end"), reading.get("where"))
+    return part.with_magnetometer(reading.get("magnetometer", telemetry.magnetometer))
 
 
 def with_reading(verb: F) -> F:
@@ -68,7 +68,7 @@ def as_calibration(calibration: Calibration | Path | str) -> Calibration:
 
 
 @with_reading
-def convert(telemetry: Telemetry | Path | str, out: Path | str, **reading: Unpack[Reading]) -> Path:
+def convert(telemetry: Readable, out: Path | str, **reading: Unpack[Reading]) -> Path:
     """Write telemetry in the format that the name `out` ends in, whatever it is read from. As `fluxtwin.write` it replaces a
     file that is there. Returns the path."""
     return write_telemetry(as_record(telemetry, **reading), out)
@@ -76,7 +76,7 @@ def convert(telemetry: Telemetry | Path | str, out: Path | str, **reading: Unpac
 
 @with_reading
 def check(
-    telemetry: Telemetry | Path | str,
+    telemetry: Readable,
     *,
     field: str | FieldModel = "igrf14",
     degree: int | None = None,
@@ -92,7 +92,7 @@ def check(
 
     model = as_model(field, degree)
     before = None if onboard is None else as_onboard(onboard)
-    if isinstance(telemetry, Telemetry):
+    if isinstance(telemetry, Telemetry) or not is_path(telemetry):
         return check_telemetry(as_record(telemetry, **reading), model, onboard=before)
     return check_file(as_path(telemetry), model, **reading, onboard=before)
 
@@ -100,7 +100,7 @@ def check(
 @with_options
 @with_reading
 def calibrate(
-    telemetry: Telemetry | Path | str | Sequence[Telemetry | Path | str],
+    telemetry: Readable | Sequence[Readable],
     *,
     field: str | FieldModel = "igrf14",
     degree: int | None = None,
@@ -129,7 +129,7 @@ def calibrate(
 
 @with_reading
 def apply(
-    telemetry: Telemetry | Path | str,
+    telemetry: Readable,
     calibration: Calibration | Path | str,
     *,
     force: bool = False,
@@ -145,7 +145,7 @@ def apply(
 
 @with_reading
 def attitude(
-    telemetry: Telemetry | Path | str,
+    telemetry: Readable,
     calibration: Calibration | Path | str | None = None,
     *,
     field: str | FieldModel = "igrf14",
@@ -231,7 +231,7 @@ def field(
 
 @with_reading
 def yaw(
-    telemetry: Telemetry | Path | str,
+    telemetry: Readable,
     calibration: Calibration | Path | str | None = None,
     *,
     field: str | FieldModel = "igrf14",

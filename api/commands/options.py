@@ -49,7 +49,15 @@ MapOption: TypeAlias = Annotated[
 ]
 TleOption: TypeAlias = Annotated[
     Path | None,
-    typer.Option("--tle", metavar="FILE", help="Two-line elements that give the position where the file has none."),
+    typer.Option(
+        "--tle",
+        metavar="FILE",
+        help="Two-line elements, or a CCSDS OEM, that give the position where the file has none.",
+    ),
+]
+AttitudeOption: TypeAlias = Annotated[
+    Path | None,
+    typer.Option("--attitude", metavar="FILE.aem", help="CCSDS AEM that gives the attitude where the file has none."),
 ]
 FieldOption: TypeAlias = Annotated[
     str, typer.Option("--field", metavar="MODEL", help="Field model: igrf14, igrf1975 or chaos:FILE.")
@@ -90,6 +98,7 @@ class Reading(NamedTuple):
 
     column_map: MapOption = None
     tle: TleOption = None
+    attitude: AttitudeOption = None
     max_samples: Annotated[
         int | None,
         typer.Option(
@@ -111,9 +120,9 @@ class Reading(NamedTuple):
     ] = 1
 
     @property
-    def files(self) -> tuple[Path | None, Path | None]:
+    def files(self) -> tuple[Path | None, ...]:
         """What is read besides the telemetry."""
-        return self.column_map, self.tle
+        return self.column_map, self.tle, self.attitude
 
     @property
     def whole(self) -> bool:
@@ -123,7 +132,7 @@ class Reading(NamedTuple):
     @property
     def words(self) -> str:
         """The options that are given, as a shell takes them."""
-        flags = ("--map", "--tle", "--max-samples", "--from", "--to", "--where", "--magnetometer")
+        flags = ("--map", "--tle", "--attitude", "--max-samples", "--from", "--to", "--where", "--magnetometer")
         usual = zip(flags, self, READING, strict=True)
         given = ((flag, value) for flag, value, default in usual if value != default)
         return shlex.join(str(word) for pair in given for word in pair)

@@ -29,6 +29,7 @@ from fluxtwin.sim.telemetry.build import record
 from fluxtwin.sim.telemetry.column_map import ColumnMap, elements_path, load_column_map, mapped_table
 from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
+from fluxtwin.sim.telemetry.formats.ccsds import is_message
 from fluxtwin.sim.telemetry.layouts import recognised
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.selection import Selection, selection
@@ -68,6 +69,7 @@ def check_file(
     *,
     column_map: Path | str | None = None,
     tle: Path | str | None = None,
+    attitude: Path | str | None = None,
     max_samples: int | None = None,
     start: np.datetime64 | str | None = None,
     end: np.datetime64 | str | None = None,
@@ -92,7 +94,7 @@ def check_file(
     blind = bool(how) and "mag_x_nT" not in table.columns
     if blind:
         ordered.columns.update({f"mag_{axis}_nT": np.full(ordered.time.size, np.nan) for axis in "xyz"})
-    telemetry = record(ordered, tle=None if mapped else tle).with_magnetometer(magnetometer)
+    telemetry = record(ordered, tle=None if mapped else tle, attitude=attitude).with_magnetometer(magnetometer)
     origin = _origin(path, ordered, column_map, tle)
     inner = (
         _without_magnetometer(telemetry)
@@ -149,7 +151,7 @@ def _origin(path: Path | str, table: FileTable, column_map: Path | str | None, t
         "ITRS" if fixed else "GCRS",
         references.get(relative or "", "GCRS"),
         first,
-        None if tle is None else read_elements(tle),
+        None if tle is None or is_message(Path(tle), "OEM") else read_elements(tle),
     )
 
 

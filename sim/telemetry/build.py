@@ -24,8 +24,10 @@ NORM_TOLERANCE = 1.0e-3
 """Largest |q| - 1: files print quaternions to four digits or more, which keeps the norm within 2e-4."""
 
 
-def record(table: FileTable, *, tle: Path | str | None = None) -> Telemetry:
-    """The record of a table. With `tle`, a file of two-line elements gives the position where the table has none.
+def record(table: FileTable, *, tle: Path | str | None = None, attitude: Path | str | None = None) -> Telemetry:
+    """The record of a table. `tle`: two-line elements or a CCSDS OEM that give the position where the table has none.
+
+    attitude: a CCSDS AEM that gives the attitude where the table has none.
 
     Raises BadInput naming the file and the row or column at fault.
     """
@@ -41,6 +43,7 @@ def record(table: FileTable, *, tle: Path | str | None = None) -> Telemetry:
     _positions_from_tle(fields, time, tle, notices)
     if ANGLES.name in fields:
         fields["q_NB"] = _from_angles(fields, time, notices, table.where)
+    _attitude_from_file(fields, time, attitude, notices)
     _check_quaternions(fields.get("q_NB"), table.where)
     _check_binary(fields, table.where)
     named = {column: table.columns[column] for columns in found.named.values() for column in columns.values()}
@@ -144,12 +147,24 @@ def _positions_from_tle(
     if "r_N_km" in fields:
         notices.append(f"the file has positions, so the elements in {Path(tle).name} were not used")
         return
-    from fluxtwin.sim.earth.tle import read_elements
+    from fluxtwin.sim.telemetry.companions import positions
 
-    elements = read_elements(tle)
-    fields["r_N_km"], fields["v_N_km_s"] = elements.propagate(time)
-    notices.extend(elements.notices(time))
-    notices.append(f"positions and velocities were computed from the elements in {Path(tle).name}")
+    fields["r_N_km"], fields["v_N_km_s"], said = positions(tle, time)
+    notices.extend(said)
+
+
+def _attitude_from_file(
+    fields: dict[str, FloatArray], time: TimeArray, path: Path | str | None, notices: list[str]
+) -> None:
+    if path is None:
+        return
+    if "q_NB" in fields:
+        notices.append(f"the file has an attitude, so that in {Path(path).name} was not used")
+        return
+    from fluxtwin.sim.telemetry.companions import attitude
+
+    fields["q_NB"], said = attitude(path, time, fields.get("r_N_km"), fields.get("v_N_km_s"))
+    notices.extend(said)
 
 
 def _from_angles(fields: dict[str, FloatArray], time: TimeArray, notices: list[str], where: str) -> FloatArray:

@@ -34,6 +34,8 @@ from fluxtwin.sim.telemetry import column_map_attitude, column_map_values, time_
 from fluxtwin.sim.telemetry import column_map_words as words
 from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
+from fluxtwin.sim.telemetry.formats.catalogue import format_of
+from fluxtwin.sim.telemetry.formats.table import Table
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, DRIVERS, FAMILIES, family_of
 
 KNOWN = [
@@ -235,7 +237,7 @@ def load_column_map(path: Path | str) -> ColumnMap:
 
 
 def mapped_table(
-    path: Path | str,
+    path: Path | str | Table,
     column_map: Path | str | ColumnMap,
     *,
     tle: Path | str | None = None,
@@ -252,8 +254,10 @@ def mapped_table(
         loaded, folder, name = column_map, Path("."), "column map"
     else:
         loaded, folder, name = load_column_map(column_map), Path(column_map).parent, Path(column_map).name
-    tle = elements_path(path, loaded, folder, tle)
-    table = merged_table(Path(path), loaded, tle=tle, max_samples=max_samples, any_order=any_order)
+    tle = elements_path(folder if isinstance(path, Table) else path, loaded, folder, tle)
+    table = merged_table(
+        path if isinstance(path, Table) else Path(path), loaded, tle=tle, max_samples=max_samples, any_order=any_order
+    )
     table.provenance["column_map"] = name
     return table
 
@@ -266,9 +270,9 @@ def elements_path(path: Path | str, column_map: ColumnMap, folder: Path, tle: Pa
 
 
 def matches(path: Path, entry: FileEntry) -> list[Path]:
-    """The files an entry names. Raises BadInput when there is none."""
+    """The files an entry names; a run of 42 is one. Raises BadInput when there is none."""
     if entry.path is None:
-        if path.is_dir():
+        if path.is_dir() and format_of(path) is None:
             raise BadInput("is a folder", where=str(path), wanted="`path` in every [[file]] of the column map")
         return [path]
     folder = _folder(path)

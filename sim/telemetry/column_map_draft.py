@@ -14,7 +14,9 @@ import numpy as np
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.telemetry.column_map_values import from_lists
-from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
+from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES, CsvFile, open_csv
+from fluxtwin.sim.telemetry.formats.catalogue import table_of
+from fluxtwin.sim.telemetry.formats.table import Table
 from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME
 
@@ -332,6 +334,8 @@ def header_of(path: Path) -> Header:
     if path.name.lower().endswith((".nc", ".nc4", ".h5")):
         with NetcdfFile(path) as opened:
             return _netcdf_header(path, opened)
+    if (table := table_of(path, MAX_SAMPLES)) is not None:
+        return _table_header(path, table)
     csv = open_csv(path)
     found = Header(path, list(csv.names), rows=csv.rows)
     for name in csv.names:
@@ -356,6 +360,21 @@ def _look(csv: CsvFile, name: str, header: Header) -> None:
         return
     if listed.shape[1] in (3, 4):
         header.values[name] = listed
+
+
+def _table_header(path: Path, table: Table) -> Header:
+    found = Header(path, table.names(), units=dict(table.units))
+    for name, value in table.columns.items():
+        found.rows = max(found.rows, len(value))
+        if value.dtype.kind == "M":
+            found.cf.append(name)
+        elif value.dtype.kind == "S":
+            found.iso += (
+                [name] if any(re.match(rb"\s*\d{4}-\d\d-\d\d[T ]\d\d:", cell) for cell in value[:20].tolist()) else []
+            )
+        elif value.ndim <= 2:
+            found.values[name] = np.asarray(value[:_SAMPLE], dtype=np.float64)
+    return found
 
 
 def _netcdf_header(path: Path, opened: NetcdfFile) -> Header:

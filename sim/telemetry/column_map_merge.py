@@ -8,6 +8,7 @@ stamps agree.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +19,10 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import frames, references
 from fluxtwin.sim.telemetry.build import velocity_from_positions
-from fluxtwin.sim.telemetry.column_map import ColumnMap, ColumnSpec
+from fluxtwin.sim.telemetry.column_map import ColumnMap, ColumnSpec, FileEntry
 from fluxtwin.sim.telemetry.column_map_read import Source, read_source, require_increasing
 from fluxtwin.sim.telemetry.columns import FileTable
+from fluxtwin.sim.telemetry.formats.table import Table
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, DRIVERS, MAG2, POSITION, VELOCITY, family_of
 
 _LARGEST_TURN_RAD = np.pi / 2.0
@@ -28,7 +30,7 @@ _LARGEST_TURN_RAD = np.pi / 2.0
 
 
 def merged_table(
-    path: Path, column_map: ColumnMap, *, tle: Path | str | None, max_samples: int, any_order: bool = False
+    path: Path | Table, column_map: ColumnMap, *, tle: Path | str | None, max_samples: int, any_order: bool = False
 ) -> FileTable:
     """All sources of the map as one table of contract columns on the magnetometer's stamps.
 
@@ -66,7 +68,35 @@ def merged_table(
         guessed = [name for name, spec in drivers.items() if spec.between is None and source is not master]
         if guessed:
             notices.append(f'linear between its samples: {", ".join(guessed)} (between = "hold" holds the last value)')
-    return FileTable(str(path), time, columns, notices, {"source": path.name, "sha256": digests}, units)
+    where = path.where if isinstance(path, Table) else str(path)
+    return FileTable(where, time, columns, notices, {"source": Path(where).name, "sha256": digests}, units)
+
+
+def attitude_at(
+    path: Path,
+    entry: Mapping[str, object],
+    time: TimeArray,
+    r_N_km: FloatArray | None,
+    v_N_km_s: FloatArray | None,
+    notices: list[str],
+    max_samples: int,
+) -> FloatArray:
+    """Quaternions q_NB (N, 4) at the stamps from a file of its own, read as `entry`, a [[file]] with `attitude`, says."""
+    source = read_source(path, FileEntry.model_validate(entry), max_samples)
+    require_increasing(source)
+    stored, known = _slerped(source, time, notices)
+    notices.extend(source.notices)
+    return _absolute((source.entry.columns["attitude"], stored, known), time, r_N_km, v_N_km_s, str(path), notices)
+
+
+def orbit_at(
+    path: Path, entry: Mapping[str, object], time: TimeArray, max_samples: int
+) -> tuple[FloatArray, FloatArray, list[str]]:
+    """Positions and velocities, GCRS, each (N, 3), at the stamps from a file of its own; likewise."""
+    source = read_source(path, FileEntry.model_validate(entry), max_samples)
+    require_increasing(source)
+    rows = _known(source.values["position"], source.values["velocity"])
+    return _along_orbit(source, rows, time, 0), _along_orbit(source, rows, time, 1), source.notices
 
 
 def _put(columns: dict[str, FloatArray], name: str, value: FloatArray) -> None:
@@ -182,14 +212,12 @@ def _orbit(
     columns: dict[str, FloatArray], time: TimeArray, tle: Path | str | None, notices: list[str]
 ) -> tuple[FloatArray | None, FloatArray | None]:
     if "r_x_km" not in columns and tle is not None:
-        from fluxtwin.sim.earth.tle import read_elements
+        from fluxtwin.sim.telemetry.companions import positions
 
-        elements = read_elements(tle)
-        r, v = elements.propagate(time)
+        r, v, said = positions(tle, time)
         _put(columns, "position", r)
         _put(columns, "velocity", v)
-        notices.append(f"positions and velocities were computed from the elements in {Path(tle).name}")
-        notices.extend(elements.notices(time))
+        notices.extend(said)
     elif tle is not None:
         notices.append(f"the files have positions, so the elements in {Path(tle).name} were not used")
     position, velocity = (

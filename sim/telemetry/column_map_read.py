@@ -17,6 +17,8 @@ from fluxtwin.sim.telemetry import column_map_attitude, column_map_values, time_
 from fluxtwin.sim.telemetry.column_map import ColumnSpec, FileEntry, TimeRecipe, matches
 from fluxtwin.sim.telemetry.columns import clip
 from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
+from fluxtwin.sim.telemetry.formats.catalogue import table_of
+from fluxtwin.sim.telemetry.formats.table import Table
 from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, family_of
 
@@ -37,11 +39,12 @@ class Source:
     digests: list[str] = field(default_factory=list)
 
 
-def read_source(path: Path, entry: FileEntry, max_samples: int) -> Source:
-    """Read the file or files of one entry; rows without a stamp are left out and counted."""
-    parts = [_read_one(one, entry, max_samples) for one in matches(path, entry)]
+def read_source(path: Path | Table, entry: FileEntry, max_samples: int) -> Source:
+    """Read the file or files of one entry, or a table; rows without a stamp are left out and counted."""
+    found = [path] if isinstance(path, Table) else matches(path, entry)
+    parts = [_read_one(one, entry, max_samples) for one in found]
     for part in parts:
-        if Path(part.where) != path:  # one file of several: which?
+        if not isinstance(path, Table) and Path(part.where) != path:  # one file of several: which?
             part.notices[:] = [f"{Path(part.where).name}: {text}" for text in part.notices]
     source = parts[0]
     if len(parts) > 1:
@@ -64,7 +67,11 @@ def read_source(path: Path, entry: FileEntry, max_samples: int) -> Source:
     return source
 
 
-def _read_one(path: Path, entry: FileEntry, max_samples: int) -> Source:
+def _read_one(path: Path | Table, entry: FileEntry, max_samples: int) -> Source:
+    table = path if isinstance(path, Table) else table_of(path, max_samples)
+    if table is not None:
+        return _source(_Reader(table.where, table.names(), table), entry, list(table.notices), table.sha256)
+    assert not isinstance(path, Table)
     if path.name.lower().endswith((".nc", ".nc4", ".h5")):
         with NetcdfFile(path, max_samples=max_samples) as opened:
             known = opened.names()
@@ -80,7 +87,7 @@ class _Reader:
 
     where: str
     known: list[str]
-    file: CsvFile | NetcdfFile
+    file: CsvFile | NetcdfFile | Table
 
     def numbers(self, names: list[str]) -> FloatArray:
         """(N, k) of the named columns; one NetCDF variable may bring several components."""
@@ -99,7 +106,9 @@ class _Reader:
     def lists(self, name: str) -> FloatArray:
         """(N, k) of one column: a variable of several components, or cells that hold a list."""
         self._require(name)
-        if isinstance(self.file, CsvFile):
+        if isinstance(self.file, CsvFile) or (
+            isinstance(self.file, Table) and self.file.columns[name].dtype.kind == "S"
+        ):
             return column_map_values.from_lists(self.file.text(name, width=_LIST_BYTES), name, self.where)
         return self.numbers([name])
 
@@ -110,9 +119,9 @@ class _Reader:
 
     def _written(self, recipe: TimeRecipe, notices: list[str]) -> TimeArray:
         """Stamps that the file has as such, in the recipe's time scale."""
-        if recipe.recipe == "cf" and isinstance(self.file, NetcdfFile):
+        if recipe.recipe == "cf" and not isinstance(self.file, CsvFile):
             return self.file.times(recipe.names[0])
-        if recipe.recipe == "cf" or not isinstance(self.file, CsvFile):
+        if recipe.recipe == "cf" or isinstance(self.file, NetcdfFile):
             raise BadInput(f"time recipe {recipe.recipe} does not fit this kind of file", where=self.where)
         text = time_recipes.joined(self.file.text, recipe.names)
         if recipe.recipe == "text":

@@ -12,6 +12,7 @@ import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -155,6 +156,44 @@ class Telemetry:
         if self.r_N_km is None:
             return np.zeros(len(self), dtype=bool)
         return np.asarray(np.isfinite(self.r_N_km).all(axis=1), dtype=np.bool_)
+
+    @classmethod
+    def from_pandas(cls, frame: Any) -> Telemetry:
+        """The record of a DataFrame with the columns of a file, units in their names or attributes. Raises BadInput."""
+        from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
+
+        return read_telemetry(frame)
+
+    @classmethod
+    def from_xarray(cls, dataset: Any) -> Telemetry:
+        """The record of a Dataset, likewise; vectors may be variables of three components."""
+        from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
+
+        return read_telemetry(dataset)
+
+    def to_pandas(self) -> Any:
+        """A DataFrame with the columns that a file would have, units in their names, time as index."""
+        from fluxtwin.sim.telemetry.formats.frame import to_pandas
+
+        return to_pandas(self)
+
+    def to_xarray(self) -> Any:
+        """A Dataset with the record's own arrays, not copied and read-only, with units and long names."""
+        from fluxtwin.sim.telemetry.formats.frame import to_xarray
+
+        return to_xarray(self)
+
+    def between(self, start: np.datetime64 | str | None = None, end: np.datetime64 | str | None = None) -> Telemetry:
+        """The rows from `start` (included) to `end` (not included), UTC. Raises BadInput where none is left."""
+        from fluxtwin.sim.telemetry.selection import selected
+
+        return selected(self, start, end)
+
+    def where(self, condition: str) -> Telemetry:
+        """The rows in which the condition on columns holds, as `sunlit == 1`. Raises BadInput where none is left."""
+        from fluxtwin.sim.telemetry.selection import selected
+
+        return selected(self, where=condition)
 
     def select(self, rows: BoolArray | slice | np.ndarray) -> Telemetry:
         """The record cut to `rows` (a mask, a slice or increasing indices)."""

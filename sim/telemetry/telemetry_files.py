@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypedDict
 
 import numpy as np
 
@@ -13,7 +13,23 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import is_stream
 from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
+from fluxtwin.sim.telemetry.formats.catalogue import READ, format_of, table_of
+from fluxtwin.sim.telemetry.formats.table import Table, contract
 from fluxtwin.sim.telemetry.record import Telemetry
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+
+class Dataset(Protocol):
+    """What is needed of an xarray Dataset, which need not be installed."""
+
+    variables: Any
+    attrs: Any
+
+
+Readable: TypeAlias = "Telemetry | Path | str | DataFrame | Dataset"
+"""What a verb takes for telemetry."""
 
 
 class Reading(TypedDict, total=False):
@@ -21,6 +37,7 @@ class Reading(TypedDict, total=False):
 
     column_map: Path | str | None
     tle: Path | str | None
+    attitude: Path | str | None
     max_samples: int | None
     start: np.datetime64 | str | None
     end: np.datetime64 | str | None
@@ -28,25 +45,28 @@ class Reading(TypedDict, total=False):
     magnetometer: int
 
 
-_SUFFIXES = ".nc, .csv or .csv.gz"
+_SUFFIXES = f".nc, .csv, .csv.gz, {', '.join(READ)}"
 
 
 def read_telemetry(
-    path: Path | str,
+    path: Path | str | DataFrame | Dataset,
     *,
     column_map: Path | str | None = None,
     tle: Path | str | None = None,
+    attitude: Path | str | None = None,
     max_samples: int | None = None,
     start: np.datetime64 | str | None = None,
     end: np.datetime64 | str | None = None,
     where: str | None = None,
     magnetometer: int = 1,
 ) -> Telemetry:
-    """The record in `path`: a .nc, .csv or .csv.gz of the contract, or a foreign file or folder with `column_map`.
+    """The record in `path`: a file with the columns of the contract, or a foreign file or folder with `column_map`.
 
-    column_map: TOML that says which columns hold what, in which units and frames. tle: two-line elements that
-    give the position where the file has none. max_samples: most rows that are read; None for 5,000,000.
-    start, end, where: rows from `start` to before `end` in which the condition holds, as `sunlit == 1`.
+    A DataFrame or a Dataset is taken as it is, with units in the names or attributes of its columns.
+
+    column_map: TOML that says which columns hold what, in which units and frames. tle: two-line elements or a CCSDS OEM,
+    attitude: a CCSDS AEM, that give position and attitude where the file has none. max_samples: most rows that are read;
+    None for 5,000,000. start, end, where: rows from `start` to before `end` in which the condition holds, as `sunlit == 1`.
     magnetometer: 2 puts the readings of the second one in the first one's place.
     What was left out or converted stands in
     `provenance["notices"]`. Raises BadInput naming the file and the row or column at fault.
@@ -54,15 +74,33 @@ def read_telemetry(
     from fluxtwin.sim.telemetry.build import record
     from fluxtwin.sim.telemetry.selection import selection
 
-    path = as_path(path)
+    given = as_path(path) if is_path(path) else _table(path)
     chosen = selection(start, end, where)
     if column_map is not None:
         from fluxtwin.sim.telemetry.column_map import mapped_table
 
-        table = mapped_table(path, column_map, tle=tle, max_samples=max_samples or MAX_SAMPLES)
-        return record(chosen.cut(table)).with_magnetometer(magnetometer)
-    table = read_table(path, max_samples=max_samples or MAX_SAMPLES, others=chosen.columns)
-    return record(chosen.cut(table), tle=tle).with_magnetometer(magnetometer)
+        table = mapped_table(given, column_map, tle=tle, max_samples=max_samples or MAX_SAMPLES)
+        return record(chosen.cut(table), attitude=attitude).with_magnetometer(magnetometer)
+    table = read_table(given, max_samples=max_samples or MAX_SAMPLES, others=chosen.columns)
+    return record(chosen.cut(table), tle=tle, attitude=attitude).with_magnetometer(magnetometer)
+
+
+def is_path(given: object) -> bool:
+    """Whether `given` names a file."""
+    return isinstance(given, str | os.PathLike)
+
+
+def _table(given: Any) -> Table:
+    """A table of pandas or xarray as ours; raises BadInput for anything else."""
+    from fluxtwin.sim.telemetry.formats import frame
+
+    kind = f"{type(given).__module__.partition('.')[0]} {type(given).__name__}"
+    if kind == "pandas DataFrame":
+        return frame.of_pandas(given)
+    if kind == "xarray Dataset":
+        return frame.of_xarray(given)
+    as_path(given)
+    raise AssertionError
 
 
 def as_path(given: Any) -> Path:
@@ -70,20 +108,19 @@ def as_path(given: Any) -> Path:
     if isinstance(given, str | os.PathLike):
         return Path(given)
     kind = f"{type(given).__module__.partition('.')[0]} {type(given).__name__}"
-    ways = {
-        "pandas DataFrame": "write it with `.to_csv('t.csv', index=False)` and give 't.csv'; the columns have their units",
-        "xarray Dataset": "write it with `.to_netcdf('t.nc')` and give 't.nc'; the variables have their units",
-    }
-    way = f"; {ways[kind]} in their names (docs/telemetry.md)" if kind in ways else ""
     raise BadInput(
         f"a {kind.removeprefix('builtins ')} was given",
         where="telemetry",
-        wanted=f"the path of a file or a fluxtwin.Telemetry{way}",
+        wanted="the path of a file, a fluxtwin.Telemetry, a pandas DataFrame or an xarray Dataset (docs/telemetry.md)",
     )
 
 
-def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES, others: Sequence[str] = ()) -> FileTable:
+def read_table(path: Path | str | Table, *, max_samples: int = MAX_SAMPLES, others: Sequence[str] = ()) -> FileTable:
     """The columns of a contract file before they are a record, and `others`; rows may still be in any order."""
+    table = table_of(Path(path), max_samples) if not isinstance(path, Table) else path
+    if table is not None:
+        return contract(table, others)
+    assert not isinstance(path, Table)
     if _kind(path) == "nc":
         from fluxtwin.sim.telemetry import netcdf_files
 
@@ -94,11 +131,14 @@ def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES, others: Sequ
 
 
 def write_telemetry(telemetry: Telemetry, path: Path | str) -> Path:
-    """Write the record to `path` (.nc, .csv or .csv.gz), atomically; CSV to a device or pipe. Returns the path.
+    """Write the record to `path`, in the format that its name ends in, atomically; CSV to a device or pipe. The path.
 
     Each magnetometer's readings go into its own columns.
     """
     telemetry = telemetry.with_magnetometer(1)
+    found = None if is_stream(path) else format_of(path)
+    if found is not None:
+        return found.write(telemetry, path)
     if not is_stream(path) and _kind(path) == "nc":
         from fluxtwin.sim.telemetry import netcdf_files
 

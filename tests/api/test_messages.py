@@ -135,9 +135,9 @@ FRAME = pd.DataFrame({"time": ["2012-03-01T00:00:00Z"], "mag_x_nT": [1.0]})
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (FRAME, ["pandas DataFrame was given", "fluxtwin.Telemetry", "to_csv"]),
-        (xr.Dataset({"mag_x_nT": ("time", np.zeros(3))}), ["xarray Dataset was given", "to_netcdf"]),
-        (3, ["int was given", "path of a file"]),
+        (FRAME, ["DataFrame: column mag_y_nT is missing"]),
+        (xr.Dataset({"mag_x_nT": ("time", np.zeros(3))}), ["no variable holds stamps"]),
+        (3, ["int was given", "path of a file", "fluxtwin.Telemetry", "pandas DataFrame"]),
     ],
 )
 def test_a_verb_says_what_it_was_given_and_what_it_wants(

@@ -161,7 +161,7 @@ def test_two_outputs_never_share_a_file(cli: Cli, here: Path, words: str) -> Non
     [
         ("calibrate t.nc --out x.json", "ends in .toml"),
         ("calibrate t.nc --out x", "ends in .toml"),
-        ("apply t.nc --calibration c.toml --out x.parquet", "ends in .csv"),
+        ("apply t.nc --calibration c.toml --out x.feather", "ends in .csv"),
         ("simulate s.toml --out a.nc --truth x.csv", "ends in .nc"),
         ("diagnose t.csv --html x.json", "ends in .html"),
         ("diagnose t.csv --close x.nc", "ends in .toml"),

@@ -1,0 +1,72 @@
+"""Orbit and attitude from files of their own: two-line elements, CCSDS orbit and attitude ephemerides.
+
+They are brought to the record's stamps as the sources of a column map are: positions by a cubic with the velocities,
+attitude by slerp, nothing across more than `ORBIT_GAP_S` and `ATTITUDE_GAP_S`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
+from fluxtwin.sim.telemetry.formats import ccsds
+
+ORBIT_GAP_S = 300.0
+"""In low orbit a cubic through positions and velocities 300 s apart is 0.02 km off."""
+ATTITUDE_GAP_S = 60.0
+
+
+def positions(path: Path | str, time: TimeArray) -> tuple[FloatArray, FloatArray, list[str]]:
+    """Position [km] and velocity [km/s], GCRS, each (N, 3), at the stamps, and what is to be said of them.
+
+    path: two-line elements, one set or many, or a CCSDS OEM. Rows out of an OEM's reach are NaN. Raises BadInput.
+    """
+    file = Path(path)
+    if ccsds.is_message(file, "OEM"):
+        return _from_oem(file, time)
+    from fluxtwin.sim.earth.tle import read_elements
+
+    elements = read_elements(path)
+    said = f"positions and velocities were computed from the elements in {file.name}"
+    return *elements.propagate(time), [said, *elements.notices(time)]
+
+
+def attitude(
+    path: Path | str, time: TimeArray, r_N_km: FloatArray | None, v_N_km_s: FloatArray | None
+) -> tuple[FloatArray, list[str]]:
+    """Quaternions q_NB (N, 4) at the stamps from a CCSDS AEM, NaN out of its reach, and what is to be said of them."""
+    from fluxtwin.sim.telemetry.column_map_merge import attitude_at
+
+    notices = [f"the attitude is that of {Path(path).name}"]
+    q = attitude_at(Path(path), _entry(Path(path)), time, r_N_km, v_N_km_s, notices, MAX_SAMPLES)
+    return q, notices
+
+
+def _from_oem(path: Path, time: TimeArray) -> tuple[FloatArray, FloatArray, list[str]]:
+    from fluxtwin.sim.telemetry.column_map_merge import orbit_at
+
+    r, v, notices = orbit_at(path, _entry(path), time, MAX_SAMPLES)
+    lost = int((~np.isfinite(r).all(axis=1)).sum())
+    said = [f"positions and velocities are those of {path.name}", *notices]
+    if lost:
+        said.append(f"{lost} of {time.size} rows have no position in it, or none within {ORBIT_GAP_S:g} s")
+    return r, v, said
+
+
+def _entry(path: Path) -> dict[str, object]:
+    """What a column map would say of the file."""
+    from fluxtwin.sim.telemetry.formats import aem, oem
+
+    if ccsds.is_message(path, "OEM"):
+        frame = oem.read(path).attributes["frame"]
+        columns: dict[str, object] = {
+            "position": {"from": ["x", "y", "z"], "unit": "km", "frame": frame},
+            "velocity": {"from": ["vx", "vy", "vz"], "unit": "km/s", "frame": frame},
+        }
+        return {"time": {"recipe": "cf"}, "columns": columns, "max_gap_s": ORBIT_GAP_S}
+    frame = aem.read(path).attributes["frame"]
+    columns = {"attitude": {"from": ["q_x", "q_y", "q_z", "q_w"], "order": "xyzw", "relative_to": frame}}
+    return {"time": {"recipe": "cf"}, "columns": columns, "max_gap_s": ATTITUDE_GAP_S}

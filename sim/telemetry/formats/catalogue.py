@@ -1,0 +1,77 @@
+"""The formats, a line each: their endings, what reads them and, where we write them, what writes them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fluxtwin.sim.base.errors import BadInput
+
+if TYPE_CHECKING:
+    from fluxtwin.sim.telemetry.formats.table import Table
+    from fluxtwin.sim.telemetry.record import Telemetry
+
+_HERE = "fluxtwin.sim.telemetry.formats"
+
+
+@dataclass(frozen=True)
+class Format:
+    """One format. `module` has `read(path) -> Table`, and `write(telemetry, path) -> Path` where `writes`."""
+
+    name: str
+    endings: tuple[str, ...]
+    module: str
+    """Its module in this folder, imported when it is used."""
+    writes: bool = False
+    rows: bool = True
+    """It has rows of telemetry; otherwise attitude or orbit alone."""
+
+    def read(self, path: Path) -> Table:
+        """The file as a table. Raises BadInput."""
+        found: Table = self._function("read")(path)
+        return found
+
+    def write(self, telemetry: Telemetry, path: Path | str) -> Path:
+        """The record as a file, atomically. Raises BadInput where the format cannot hold it."""
+        written: Path = self._function("write")(telemetry, path)
+        return written
+
+    def _function(self, name: str) -> Callable[..., Any]:
+        found: Callable[..., Any] = getattr(import_module(f"{_HERE}.{self.module}"), name)
+        return found
+
+
+FORMATS = (
+    Format("CCSDS attitude ephemeris (AEM, KVN)", (".aem",), "aem", writes=True, rows=False),
+    Format("CCSDS orbit ephemeris (OEM, KVN)", (".oem",), "oem", writes=True, rows=False),
+    Format("CDF", (".cdf",), "cdf"),
+    Format("Excel workbook", (".xlsx",), "xlsx", writes=True),
+    Format("Parquet", (".parquet",), "parquet", writes=True),
+)
+READ = tuple(ending for one in FORMATS for ending in one.endings)
+WRITTEN = tuple(ending for one in FORMATS if one.writes for ending in one.endings)
+
+
+def format_of(path: Path | str) -> Format | None:
+    """The format of that name, None for CSV, NetCDF and what is not known. A folder of 42's files is one too."""
+    name = Path(path).name.lower()
+    found = next((one for one in FORMATS if name.endswith(one.endings)), None)
+    if found is None and Path(path).is_dir() and any(Path(path).glob("*.42")):
+        return Format("a run of 42", (), "forty_two")
+    return found
+
+
+def table_of(path: Path, max_samples: int) -> Table | None:
+    """The table of a file in one of these formats; None for another. Raises BadInput, also for more rows than wanted."""
+    found = format_of(path)
+    if found is None:
+        return None
+    table = found.read(path)
+    rows = max((len(value) for value in table.columns.values()), default=0)
+    if rows > max_samples:
+        wanted = f"at most {max_samples} (--max-samples N reads more)"
+        raise BadInput(f"has {rows} rows", where=str(path), wanted=wanted)
+    return table

@@ -1,0 +1,180 @@
+"""What CCSDS attitude and orbit ephemerides in KVN share: header, segments, time systems, frames.
+
+Sources: CCSDS 504.0-B-1 and B-2 (attitude data messages), 502.0-B-2 and B-3 (orbit data messages).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.files import write_text
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.telemetry.columns import clip
+from fluxtwin.sim.telemetry.formats.table import content_of
+from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.time_stamps import format_iso
+
+_ITRF = re.compile(r"ITR[FS][-_]?\d*")
+_SCALES = {"UTC": "UTC", "TAI": "TAI", "GPS": "GPS", "TT": "TT", "TDB": "TT", "TDT": "TT"}
+"""Time systems, TDB as TT, which it follows within 2 ms."""
+_DAY_OF_YEAR = re.compile(r"\d{4}-\d{3}(T.*)?")
+_GAP_STEPS = 10.0
+
+Row: TypeAlias = list[float]
+"""Numbers behind an epoch, in the units of the message."""
+
+
+@dataclass
+class Segment:
+    """Metadata and rows between META_START and the next one."""
+
+    meta: dict[str, str] = field(default_factory=dict)
+    epochs: list[str] = field(default_factory=list)
+    rows: list[Row] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Message:
+    """One file."""
+
+    version: str
+    sha256: str
+    segments: list[Segment]
+
+
+def read_message(path: Path, kind: str, width: int) -> Message:
+    """The segments of the file, whose rows have at least `width` numbers. kind: AEM or OEM. BadInput names the line."""
+    content, digest = content_of(path)
+    lines = content.decode("utf-8-sig", "replace").splitlines()
+    version = ""
+    segments: list[Segment] = []
+    inside, skipped = False, False
+    for number, raw in enumerate(lines, 1):
+        line = raw.strip()
+        if not line or line.startswith("COMMENT") or line in ("DATA_START", "DATA_STOP"):
+            continue
+        if line == "META_START":
+            segments.append(Segment())
+        if line in ("META_START", "META_STOP"):
+            inside = line == "META_START"
+        elif line in ("COVARIANCE_START", "COVARIANCE_STOP"):
+            skipped = line == "COVARIANCE_START"
+        elif skipped:
+            continue
+        elif "=" in line:
+            key, _, value = (part.strip() for part in line.partition("="))
+            version = value if key == f"CCSDS_{kind}_VERS" else version
+            if inside:
+                segments[-1].meta[key] = value
+        else:
+            _add_row(segments, inside, line, f"{path}, line {number}", width)
+    if not version:
+        raise BadInput(
+            f"does not begin with CCSDS_{kind}_VERS", where=str(path), wanted=f"a CCSDS {kind} as KVN (not XML)"
+        )
+    segments = [one for one in segments if one.rows]
+    if not segments:
+        raise BadInput("holds no rows", where=str(path), wanted="at least one segment with data")
+    return Message(version, digest, segments)
+
+
+def is_message(path: Path, kind: str) -> bool:
+    """Whether a file begins as such a message."""
+    try:
+        with open(path, "rb") as opened:
+            head = opened.read(4096)
+    except OSError:
+        return False
+    return f"CCSDS_{kind}_VERS".encode() in head
+
+
+def times(segment: Segment, where: str) -> TimeArray:
+    """UTC stamps (N,) of the rows. Raises BadInput for a time system or an epoch that is not known."""
+    system = segment.meta.get("TIME_SYSTEM", "").upper()
+    if system not in _SCALES:
+        raise BadInput(f"TIME_SYSTEM is {clip(system) or 'missing'}", where=where, wanted=", ".join(_SCALES))
+    stamps = np.array([_stamp(text, where) for text in segment.epochs], dtype="datetime64[ns]")
+    return epoch.utc_of(stamps, _SCALES[system])
+
+
+def frame_of(segment: Segment, key: str, where: str) -> str:
+    """The frame in the spelling of column maps. Raises BadInput for one that they do not know."""
+    from fluxtwin.sim.telemetry import column_map_words as words
+
+    said = segment.meta.get(key, "")
+    try:
+        spelled = words.frame("ITRS" if _ITRF.fullmatch(said.upper()) else {"GCRF": "GCRS"}.get(said.upper(), said))
+    except ValueError as error:
+        raise BadInput(f"{key}: {error}", where=where) from None
+    return str(spelled)
+
+
+def write_message(
+    telemetry: Telemetry,
+    path: Path | str,
+    kind: str,
+    meta: Sequence[tuple[str, str]],
+    values: FloatArray,
+    after: Sequence[tuple[str, str]] = (),
+) -> Path:
+    """Write the rows (N, k) that are known, version 2.0, UTC, a segment a stretch without gaps; atomically.
+
+    meta, after: what stands before and behind the times in the metadata. Raises BadInput where no row is known.
+    """
+    rows = np.flatnonzero(np.isfinite(values).all(axis=1))
+    if rows.size == 0:
+        what = {"AEM": "attitude", "OEM": "position and velocity"}[kind]
+        raise BadInput(
+            f"no row has {what}", where=telemetry.provenance.get("source", "telemetry"), wanted=f"some for an {kind}"
+        )
+    made = format_iso(telemetry.time[-1:])[0].removesuffix("Z")
+    lines = [f"CCSDS_{kind}_VERS = 2.0", f"CREATION_DATE = {made[:19]}", "ORIGINATOR = FLUXTWIN"]
+    name = telemetry.spacecraft or "UNKNOWN"
+    comment = ["COMMENT CREATION_DATE is the last epoch of the record, so that the same record gives the same file"]
+    for piece in _pieces(telemetry.time, rows):
+        stamps = [stamp.removesuffix("Z") for stamp in format_iso(telemetry.time[piece])]
+        head = [("OBJECT_NAME", name), ("OBJECT_ID", name), ("CENTER_NAME", "EARTH"), *meta]
+        head += [("TIME_SYSTEM", "UTC"), ("START_TIME", stamps[0]), ("STOP_TIME", stamps[-1]), *after]
+        lines += ["", "META_START", *comment, *(f"{key} = {value}" for key, value in head), "META_STOP", ""]
+        lines += ["DATA_START"] * (kind == "AEM")
+        numbers = (" ".join(f"{x:.15g}" for x in row) for row in values[piece].tolist())
+        lines += [f"{stamp} {text}" for stamp, text in zip(stamps, numbers, strict=True)]
+        lines += ["DATA_STOP"] * (kind == "AEM")
+        comment = []
+    return write_text(path, "\n".join([*lines, ""]))
+
+
+def _pieces(time: TimeArray, rows: np.ndarray) -> Iterable[np.ndarray]:
+    steps = np.diff(time[rows].astype("int64"))
+    if steps.size == 0:
+        return [rows]
+    return np.split(rows, np.flatnonzero(steps > _GAP_STEPS * np.median(steps)) + 1)
+
+
+def _add_row(segments: list[Segment], inside: bool, line: str, where: str, width: int) -> None:
+    words = line.split()
+    if not segments or inside:
+        raise BadInput(f"{clip(line)!r} is neither a keyword nor inside the data", where=where)
+    try:
+        numbers = [float(word) for word in words[1:]]
+    except ValueError:
+        raise BadInput(f"{clip(line)!r} is no row of numbers", where=where) from None
+    if len(numbers) < width:
+        raise BadInput(f"has {len(numbers)} numbers", where=where, wanted=f"an epoch and at least {width}")
+    segments[-1].epochs.append(words[0])
+    segments[-1].rows.append(numbers)
+
+
+def _stamp(text: str, where: str) -> np.datetime64:
+    if _DAY_OF_YEAR.fullmatch(text):
+        day = np.datetime64(f"{text[:4]}-01-01", "ns") + np.timedelta64(int(text[5:8]) - 1, "D")
+        text = f"{str(day)[:10]}{text[8:]}"
+    return epoch.parse_time(text, where=where)

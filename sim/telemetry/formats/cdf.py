@@ -1,0 +1,72 @@
+"""NASA's Common Data Format, through cdflib (optional: fluxtwin[cdf]): Swarm's MAGx_LR, ELFIN and their like.
+
+CDF_EPOCH and CDF_EPOCH16 are calendar time (no leap seconds), CDF_TIME_TT2000 counts them; FILLVAL is missing.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.telemetry.formats.table import Table, content_of, extra
+
+_EPOCHS = ("CDF_EPOCH", "CDF_EPOCH16", "CDF_TIME_TT2000")
+
+
+def read(path: Path) -> Table:
+    """All variables with one row a record. The first of CDF's own time types is also `time`."""
+    cdflib = extra("cdflib", "cdf", path)
+    _, digest = content_of(path)
+    try:
+        opened = cdflib.CDF(str(path))
+        info = opened.cdf_info()
+        names = [*info.rVariables, *info.zVariables]
+        table = Table(str(path), {}, sha256=digest)
+        for name in names:
+            _take(opened, cdflib, name, table)
+    except BadInput:
+        raise
+    except Exception as error:  # a damaged CDF raises whatever the parser meets
+        raise BadInput(
+            f"cannot be read as CDF ({type(error).__name__}: {error})", where=str(path), wanted=".cdf"
+        ) from None
+    stamps = [name for name, value in table.columns.items() if value.dtype.kind == "M"]
+    if stamps and "time" not in table.columns:
+        table.columns = {"time": table.columns[stamps[0]], **table.columns}
+    return table
+
+
+def _take(opened: Any, cdflib: Any, name: str, table: Table) -> None:
+    about = opened.varinq(name)
+    if not about.Rec_Vary or about.Last_Rec < 0 or "CHAR" in about.Data_Type_Description:
+        return
+    raw = np.asarray(opened.varget(name))
+    attributes = opened.varattsget(name)
+    if about.Data_Type_Description in _EPOCHS:
+        table.columns[name] = _stamps(cdflib, raw, attributes)
+        return
+    if raw.ndim not in (1, 2) or raw.dtype.kind not in "iuf":
+        return
+    value = raw.astype(np.float64)
+    fill = attributes.get("FILLVAL")
+    if isinstance(fill, int | float | np.number) and fill == fill:
+        value[raw == np.asarray(fill).astype(raw.dtype)] = np.nan
+    table.columns[name] = value
+    unit = attributes.get("UNITS", attributes.get("units"))
+    if isinstance(unit, str) and unit.strip():
+        table.units[name] = unit.strip()
+
+
+def _stamps(cdflib: Any, raw: np.ndarray, attributes: Any) -> np.ndarray:
+    known = np.ones(len(raw), dtype=bool)
+    if raw.ndim == 1 and raw.dtype.kind == "f":
+        known = np.isfinite(raw) & (raw > 0)
+    elif raw.ndim == 1:
+        known = raw > np.iinfo(np.int64).min + 1
+    out = np.full(len(raw), np.datetime64("NaT", "ns"))
+    if known.any():
+        out[known] = np.asarray(cdflib.cdfepoch.to_datetime(raw[known])).astype("datetime64[ns]")
+    return out

@@ -1,0 +1,117 @@
+"""Tables of pandas and xarray as they are, and records as theirs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.telemetry.columns import describe, file_columns
+from fluxtwin.sim.telemetry.formats.table import Table, extra
+from fluxtwin.sim.telemetry.quantities import RECORDED
+
+if TYPE_CHECKING:
+    from fluxtwin.sim.telemetry.record import Telemetry
+
+_CF_UNITS = {"degree s-1": "deg_s", "km s-1": "km_s", "degree": "deg", "A m2": "Am2", "degree_Celsius": "degC"}
+
+
+def of_pandas(frame: Any, where: str = "DataFrame") -> Table:
+    """The columns of a DataFrame; a DatetimeIndex is `time`, units stand in `frame.attrs["units"]` or a column's attrs.
+
+    Stamps with a zone are taken to UTC. Raises BadInput for columns of other things than numbers, stamps and text.
+    """
+    import pandas as pd
+
+    columns: dict[str, np.ndarray] = {}
+    units = dict(frame.attrs.get("units", {}))
+    if isinstance(frame.index, pd.DatetimeIndex) and "time" not in frame.columns:
+        columns["time"] = _stamps(frame.index.to_series())
+    for name in frame.columns:
+        series = frame[name]
+        if isinstance(series.attrs.get("units"), str):  # a frame's own attributes are also those of its columns
+            units[name] = series.attrs["units"]
+        columns[str(name)] = _column(series, str(name), where)
+    attributes = {str(key): str(value) for key, value in frame.attrs.items() if isinstance(value, str)}
+    return Table(where, columns, {str(k): str(v) for k, v in units.items()}, attributes)
+
+
+def of_xarray(dataset: Any, where: str = "Dataset") -> Table:
+    """The variables of a Dataset along its dimension of time, which may be called Timestamp, with their units.
+
+    Raises BadInput for a Dataset without stamps.
+    """
+    coordinates = {str(name): dataset[name] for name in dataset.variables}
+    stamps = [name for name, one in coordinates.items() if one.dtype.kind == "M" and one.ndim == 1]
+    if not stamps:
+        raise BadInput("no variable holds stamps", where=where, wanted="a Dataset with time along a dimension")
+    name = "time" if "time" in stamps else stamps[0]
+    along = coordinates[name].dims[0]
+    columns: dict[str, np.ndarray] = {}
+    units: dict[str, str] = {}
+    for key, one in coordinates.items():
+        if one.dims[:1] != (along,) or one.ndim > 2 or one.dtype.kind not in "iufbM":
+            continue
+        value = np.asarray(one.values)
+        columns["time" if key == name else key] = value.astype("datetime64[ns]") if value.dtype.kind == "M" else value
+        unit = str(one.attrs.get("units", ""))
+        if unit:
+            units[key] = _CF_UNITS.get(unit, unit)
+    attributes = {
+        str(key).removeprefix("provenance_"): str(v) for key, v in dataset.attrs.items() if isinstance(v, str)
+    }
+    return Table(where, columns, units, attributes)
+
+
+def to_pandas(telemetry: Telemetry) -> Any:
+    """A DataFrame with the record's columns, units in their names, time as its index; provenance in `attrs`."""
+    import pandas as pd
+
+    columns = dict(file_columns(telemetry))
+    frame = pd.DataFrame(columns, index=pd.DatetimeIndex(telemetry.time, name="time"), copy=False)
+    frame.attrs.update(telemetry.provenance)
+    return frame
+
+
+def to_xarray(telemetry: Telemetry) -> Any:
+    """A Dataset with the record's own arrays (no copies), units and long names; provenance in its attributes."""
+    xr = extra("xarray", "xarray", "a Dataset")
+    variables: dict[str, Any] = {}
+    for quantity in RECORDED:
+        value = getattr(telemetry, quantity.name)
+        if value is None:
+            continue
+        dims = ("time",) if value.ndim == 1 else ("time", f"{quantity.name.split('_')[0]}_axis")
+        unit = next(unit for unit, factor in quantity.units.items() if factor == 1.0)
+        attributes = {"long_name": quantity.long_name, "units": unit.replace("_", "/") or "1"}
+        variables[quantity.name] = (dims, value, attributes)
+    for column, value in file_columns(telemetry).items():
+        if column.startswith(("flag_", "driver_")):
+            long_name, unit = describe(column)
+            unit = telemetry.driver_units.get(column.removeprefix("driver_"), unit)
+            variables[column] = ("time", value, {"long_name": long_name, "units": unit})
+    return xr.Dataset(variables, coords={"time": telemetry.time}, attrs=dict(telemetry.provenance))
+
+
+def _column(series: Any, name: str, where: str) -> np.ndarray:
+    import pandas as pd
+
+    if pd.api.types.is_datetime64_any_dtype(series.dtype):
+        return _stamps(series)
+    if pd.api.types.is_numeric_dtype(series.dtype) or pd.api.types.is_bool_dtype(series.dtype):
+        return np.asarray(series.to_numpy(dtype=np.float64, na_value=np.nan))
+    values = series.to_numpy()
+    if len(values) and all(isinstance(cell, list | tuple | np.ndarray) for cell in values):
+        try:
+            return np.array([np.asarray(cell, dtype=np.float64) for cell in values])
+        except ValueError:
+            raise BadInput(f"{name} holds lists of different lengths", where=where, wanted="one vector a row") from None
+    return np.array(["" if pd.isna(cell) else str(cell) for cell in values], dtype=object).astype(np.bytes_)
+
+
+def _stamps(series: Any) -> np.ndarray:
+    import pandas as pd
+
+    stamps = pd.to_datetime(series, utc=True).dt.tz_localize(None)
+    return np.asarray(stamps.to_numpy().astype("datetime64[ns]"))

@@ -1,0 +1,47 @@
+"""Excel workbooks: the first sheet, its header in the first row; by pandas and openpyxl (optional: fluxtwin[xlsx])."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.files import write_bytes
+from fluxtwin.sim.telemetry.columns import file_texts
+from fluxtwin.sim.telemetry.formats.frame import of_pandas, to_pandas
+from fluxtwin.sim.telemetry.formats.table import Table, content_of, extra
+from fluxtwin.sim.telemetry.record import Telemetry
+
+_MOST_ROWS = 1_048_575  # of a sheet, beside the header
+
+
+def read(path: Path) -> Table:
+    """The first sheet. Stamps may be cells of dates (to a millisecond) or text."""
+    extra("openpyxl", "xlsx", path)
+    import pandas as pd
+
+    content, digest = content_of(path)
+    try:
+        frame = pd.read_excel(io.BytesIO(content), sheet_name=0, engine="openpyxl")
+    except Exception as error:  # a zip of anything: openpyxl raises what it meets
+        raise BadInput(
+            f"cannot be read as a workbook ({type(error).__name__})", where=str(path), wanted=".xlsx"
+        ) from None
+    table = of_pandas(frame, str(path))
+    table.sha256 = digest
+    return table
+
+
+def write(telemetry: Telemetry, path: Path | str) -> Path:
+    """The record on one sheet, stamps as ISO 8601 text. Raises BadInput for more rows than a sheet has."""
+    from fluxtwin.sim.telemetry.time_stamps import format_iso
+
+    extra("openpyxl", "xlsx", path)
+    if len(telemetry) > _MOST_ROWS:
+        raise BadInput(f"has {len(telemetry)} rows", where=str(path), wanted=f"at most {_MOST_ROWS} in a sheet")
+    frame = to_pandas(telemetry)
+    frame.index = format_iso(telemetry.time)
+    frame.index.name = "time"
+    made = io.BytesIO()
+    frame.reset_index().assign(**file_texts(telemetry)).to_excel(made, index=False, engine="openpyxl")
+    return write_bytes(path, made.getbuffer())

@@ -15,7 +15,13 @@ BRIEF = "Write a first column map from the header of foreign files."
 
 def command(
     output: Output,
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Foreign .csv, .csv.gz or .nc files.")],
+    files: Annotated[
+        list[Path] | None, typer.Argument(metavar="FILE...", help="Foreign files, of any kind that can be read.")
+    ] = None,
+    preset: Annotated[
+        str | None,
+        typer.Option("--preset", metavar="NAME", help="The packaged map of that name, to be mended; or `list`."),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE.toml", help="Where to write the map; else it is printed.")
     ] = None,
@@ -26,10 +32,16 @@ def command(
     """
     from fluxtwin import outputs
     from fluxtwin.sim.base import files as storage
+    from fluxtwin.sim.base.errors import BadInput
     from fluxtwin.sim.telemetry import column_map_draft
 
-    output.claim({"--out": (out, outputs.COLUMN_MAP)}, files)
-    text = column_map_draft.draft(files)
+    output.claim({"--out": (out, outputs.COLUMN_MAP)}, files or [])
+    if preset == "list":
+        _list(output)
+        return
+    if preset is None and not files:
+        raise BadInput("no file was named", where="FILE", wanted="foreign files, or --preset NAME")
+    text = column_map_draft.draft(files or []) if preset is None else _preset(preset)
     guesses = text.count(column_map_draft.CONFIRM)
     if out is None:
         output.say(text.rstrip("\n"))
@@ -37,3 +49,20 @@ def command(
         storage.write_toml(out, text)
         output.say(f"{out}: {guesses} guess{'es' if guesses != 1 else ''} to be confirmed, marked in the file")
     output.result({"map": text, "guesses": guesses, "written": [] if out is None else [str(out)]})
+
+
+def _preset(name: str) -> str:
+    from fluxtwin.sim.telemetry import column_map
+
+    found = column_map.preset(column_map.PRESET + name)
+    assert found is not None
+    return found.read_text(encoding="utf-8")
+
+
+def _list(output: Output) -> None:
+    """The packaged maps, each with the first line of what it says of itself."""
+    from fluxtwin.sim.telemetry import column_map
+
+    rows = [(f"--map preset:{name}", _preset(name).splitlines()[0].removeprefix("# ")) for name in column_map.presets()]
+    output.table("", ("map", "of"), rows)
+    output.result({"presets": column_map.presets()})

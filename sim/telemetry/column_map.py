@@ -38,6 +38,8 @@ from fluxtwin.sim.telemetry.formats.catalogue import format_of
 from fluxtwin.sim.telemetry.formats.table import Table
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, DRIVERS, FAMILIES, family_of
 
+PRESETS = Path(__file__).parent / "data" / "presets"
+PRESET = "preset:"
 KNOWN = [
     *sorted(BY_MAP_NAME, key=lambda name: not BY_MAP_NAME[name].map_units),
     *(family.prefix + "NAME" for family in FAMILIES),
@@ -166,6 +168,8 @@ class FileEntry(Strict):
 
     path: str | None = None
     """File name or pattern inside the folder; several matches are joined in the order of their names."""
+    optional: bool = False
+    """Left out where no file matches."""
     time: Annotated[TimeRecipe, BeforeValidator(_recipe)]
     columns: Annotated[dict[str, ColumnSpec], BeforeValidator(_specs)]
     max_gap_s: Annotated[float, Field(gt=0)] = 60.0
@@ -232,8 +236,25 @@ class ColumnMap(Strict):
 
 
 def load_column_map(path: Path | str) -> ColumnMap:
-    """Read and check a column map. Raises BadInput listing every fault."""
-    return read_model(path, ColumnMap)
+    """Read and check a column map, or the packaged `preset:NAME`. Raises BadInput listing every fault."""
+    return read_model(preset(path) or path, ColumnMap)
+
+
+def preset(path: Path | str) -> Path | None:
+    """The packaged map that `preset:NAME` means; None for a file. Raises BadInput for a name that is not there."""
+    _, found, name = Path(path).name.partition(PRESET)
+    if not found or _:
+        return None
+    if name not in presets():
+        raise BadInput(
+            f"there is no preset {name[:40]!r}", where="--map", wanted=", ".join(PRESET + one for one in presets())
+        )
+    return PRESETS / f"{name}.toml"
+
+
+def presets() -> list[str]:
+    """The names of the packaged maps for the exports of common missions and units."""
+    return sorted(path.stem for path in PRESETS.glob("*.toml"))
 
 
 def mapped_table(
@@ -283,7 +304,7 @@ def matches(path: Path, entry: FileEntry) -> list[Path]:
             f"path {entry.path!r} leaves the folder", where="column map", wanted="a name or pattern inside it"
         )
     found = sorted(p for p in folder.glob(entry.path) if p.is_file())
-    if not found:
+    if not found and not entry.optional:
         raise BadInput(f"no file matches {entry.path!r}", where=str(folder), wanted="the files the column map names")
     return found
 

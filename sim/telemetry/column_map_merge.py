@@ -19,7 +19,7 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import frames, references
 from fluxtwin.sim.telemetry.build import velocity_from_positions
-from fluxtwin.sim.telemetry.column_map import ColumnMap, ColumnSpec, FileEntry
+from fluxtwin.sim.telemetry.column_map import ColumnMap, ColumnSpec, FileEntry, matches
 from fluxtwin.sim.telemetry.column_map_read import Source, read_source, require_increasing
 from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.formats.table import Table
@@ -36,7 +36,8 @@ def merged_table(
 
     Without a magnetometer the first source gives the stamps. any_order: see `column_map.mapped_table`.
     """
-    sources = [read_source(path, entry, max_samples) for entry in column_map.file]
+    there = [one for one in column_map.file if isinstance(path, Table) or not one.optional or matches(path, one)]
+    sources = [read_source(path, entry, max_samples) for entry in there]
     master = next((source for source in sources if "mag" in source.values), sources[0])
     if not any_order or len(sources) > 1 or "attitude" in master.values:
         require_increasing(master)

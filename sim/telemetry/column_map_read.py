@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import MutableMapping
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
@@ -91,8 +92,7 @@ class _Reader:
 
     def numbers(self, names: list[str]) -> FloatArray:
         """(N, k) of the named columns; one NetCDF variable may bring several components."""
-        for name in names:
-            self._require(name)
+        names = [self._named(name) for name in names]
         if isinstance(self.file, CsvFile):
             found = self.file.numbers(list(dict.fromkeys(names)))
             return np.stack([found[name] for name in names], axis=1)
@@ -105,35 +105,40 @@ class _Reader:
 
     def lists(self, name: str) -> FloatArray:
         """(N, k) of one column: a variable of several components, or cells that hold a list."""
-        self._require(name)
+        name = self._named(name)
         if isinstance(self.file, CsvFile) or (
             isinstance(self.file, Table) and self.file.columns[name].dtype.kind == "S"
         ):
             return column_map_values.from_lists(self.file.text(name, width=_LIST_BYTES), name, self.where)
         return self.numbers([name])
 
-    def _require(self, name: str) -> None:
-        if name not in self.known:
-            listed = ", ".join(clip(n) for n in self.known[:12])
-            raise BadInput(f"column {clip(name)} is missing; the columns are: {listed}", where=self.where)
+    def _named(self, name: str) -> str:
+        """The column of that name, or the only one that the pattern `name` fits, whatever its case."""
+        if name in self.known:
+            return name
+        fitting = [one for one in self.known if "*" in name and fnmatchcase(one.lower(), name.lower())]
+        if len(fitting) == 1:
+            return fitting[0]
+        listed = ", ".join(clip(n) for n in (fitting or self.known)[:12])
+        what = f"{clip(name)} fits {len(fitting)} columns: {listed}" if fitting else f"column {clip(name)} is missing"
+        raise BadInput(what if fitting else f"{what}; the columns are: {listed}", where=self.where)
 
     def _written(self, recipe: TimeRecipe, notices: list[str]) -> TimeArray:
         """Stamps that the file has as such, in the recipe's time scale."""
+        names = [self._named(name) for name in recipe.names]
         if recipe.recipe == "cf" and not isinstance(self.file, CsvFile):
-            return self.file.times(recipe.names[0])
+            return self.file.times(names[0])
         if recipe.recipe == "cf" or isinstance(self.file, NetcdfFile):
             raise BadInput(f"time recipe {recipe.recipe} does not fit this kind of file", where=self.where)
-        text = time_recipes.joined(self.file.text, recipe.names)
+        text = time_recipes.joined(self.file.text, names)
         if recipe.recipe == "text":
             return time_stamps.parse_text(text, str(recipe.format), self.where)
         if recipe.scale is None:
-            notices += time_stamps.zone_assumed(text, " and ".join(recipe.names))
+            notices += time_stamps.zone_assumed(text, " and ".join(names))
         return time_stamps.parse_iso(text, self.where)
 
     def times(self, recipe: TimeRecipe, notices: list[str]) -> TimeArray:
         """UTC stamps by `recipe`; what was assumed of them goes to `notices`."""
-        for name in recipe.names:
-            self._require(name)
         if recipe.recipe in time_recipes.TEXT:
             return epoch.utc_of(self._written(recipe, notices), recipe.scale or "UTC")
         raw = self.numbers(recipe.names)

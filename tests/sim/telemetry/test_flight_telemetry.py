@@ -69,8 +69,8 @@ def test_the_padre_folder_becomes_a_record_by_one_map(
     assert "67.7 days before the epoch" in read.provenance["notices"]
 
 
-def test_the_map_beside_the_docs_reads_every_packet_of_padre(shared: Path, close: Callable[..., None]) -> None:
-    read = read_telemetry(shared / "flight" / "padre", column_map=DOCS.parent / "maps" / "padre.toml")
+def test_the_preset_reads_every_packet_of_padre(shared: Path, close: Callable[..., None]) -> None:
+    read = read_telemetry(shared / "flight" / "padre", column_map="preset:padre")
     assert read.rate_B_rad_s is not None
     assert read.wheel_speed_rpm is not None
     assert read.temperature_degC is not None

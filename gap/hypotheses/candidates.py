@@ -76,16 +76,15 @@ def candidates(
         if effect.name in taken:
             continue
         reason = _not_reported(effect, problem)
-        if reason is None and isinstance(effect, SignalEffect):
-            reason = effect.untestable(problem.setting)
+        possible = _signal_alternatives(effect, problem) if reason is None and isinstance(effect, SignalEffect) else []
+        if possible:
+            reasons = [one.untestable(problem.setting) for one in possible]
+            reason = None if None in reasons else reasons[0]
         if reason is not None:
             untestable[effect.name] = reason
-        if reason is not None or not isinstance(effect, SignalEffect):
+        if reason is not None or not possible:
             continue
-        made = [
-            _candidate(problem.design, alternative, on, perturbed)
-            for alternative in _signal_alternatives(effect, problem)
-        ]
+        made = [_candidate(problem.design, alternative, on, perturbed) for alternative in possible]
         testable = [candidate for candidate in made if candidate.live.any()]
         if not testable:
             untestable[effect.name] = "nothing in these data excites it: a typical size would not move any reading"

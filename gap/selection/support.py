@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.gap.selection.criterion import MOST_SURE, penalty
+from fluxtwin.gap.selection.criterion import MOST_SURE, SHAPE, penalty
 from fluxtwin.gap.selection.forward import NONLINEAR, WITHIN, Search, without
 from fluxtwin.gap.selection.refit import Fit
 from fluxtwin.gap.selection.score import board
@@ -35,7 +35,8 @@ def support(
 ) -> Support:
     """Weigh effect `number` of a fit against everything that might stand in its place, and against nothing.
 
-    Among effects: weights exp(-cost / 2), the cost being that of `Search.cost`; alternatives of one effect are
+    Among effects: weights exp(-cost / 2), the cost being that of `Search.cost` with the shape error of what is explained
+    beside the noise: of two likenesses of nature the nearer one need not be the true one. Alternatives of one effect are
     added up. there: the probability that any of them is there.
     """
     effect = fit.chosen[number][0]
@@ -61,7 +62,6 @@ def support(
 
 def _weights(search: Search[Any], fit: Fit, number: int, bare: Fit, variance: float) -> dict[str, float]:
     """{name: weight} of each effect in the place of effect `number`, whose own weight is near 1."""
-    own = search.cost(fit, variance)
     others = [pair for place, pair in enumerate(fit.chosen) if place != number]
     taken = {effect.name for effect, _ in others}
     mine = fit.slices()[number]
@@ -72,23 +72,22 @@ def _weights(search: Search[Any], fit: Fit, number: int, bare: Fit, variance: fl
     scored = board(search.found, search.white, put_back, beside, search.channel.measured, search.channel.share_left)
     # A large effect is not linear: what the others make up for at their own refit says how much it is worth.
     drop_own = max(scored.chi2, bare.chi2) - fit.chi2
-    rank_own = fit.rank_chosen - bare.rank_chosen
+    price_own = float(penalty(fit.rank_chosen - bare.rank_chosen, drop_own / variance, search.samples))
+    wider = 1.0 + SHAPE * drop_own / variance
     weights: dict[str, float] = {fit.chosen[number][0].name: 1.0}
     trials = []
     for place, candidate in enumerate(search.found):
         if scored.rank[place] == 0 or candidate.name in taken or candidate.effect is fit.chosen[number][0]:
             continue
-        worse = (drop_own - scored.statistic[place]) / variance
-        theirs = penalty(scored.rank[place], scored.statistic[place] / variance, search.samples)
-        worse += float(theirs - penalty(rank_own, drop_own / variance, search.samples))
-        trials.append((worse, place))
-    for count, (worse, place) in enumerate(sorted(trials)):
-        if count < _REFITS and worse < WITHIN + NONLINEAR * drop_own / variance:
+        price = float(penalty(scored.rank[place], scored.statistic[place] / variance, search.samples)) - price_own
+        trials.append(((drop_own - scored.statistic[place]) / variance / wider + price, place, price))
+    for count, (worse, place, price) in enumerate(sorted(trials)):
+        if count < _REFITS and worse < WITHIN + NONLINEAR * drop_own / variance / wider:
             present = search.numbers(fit)
             present[number] = place
             start = [theta for _, theta in fit.chosen]
             start[number] = scored.estimate([place])[0]
-            worse = search.cost(search.fit(present, start), variance) - own
+            worse = (search.fit(present, start).chi2 - fit.chi2) / variance / wider + price
         name = search.found[place].name
         weights[name] = weights.get(name, 0.0) + float(np.exp(-0.5 * np.clip(worse, -100.0, 1400.0)))
     return weights

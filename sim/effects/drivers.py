@@ -16,8 +16,8 @@ from fluxtwin.sim.effects.history import low_pass, relax, restarts
 from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.spacecraft.power import FixedPanel, TrackingArray, incidence_cosine
 
-PanelKind = Literal["zenith", "tracking", "constant"]
-"""A panel on the -z face, an array that turns about y, or a current that only shadow cuts."""
+PanelKind = Literal["zenith", "tracking", "constant", "balance"]
+"""A panel on the -z face, an array that turns about y, a current that only shadow cuts, or what the battery's current says."""
 
 TIME_CONSTANTS_S = (300.0, 900.0, 2700.0)
 """Thermal time constants tried where no temperature was recorded: a boom's sensor to one inside the body."""
@@ -40,6 +40,9 @@ def array_current_A(setting: Setting, panel: PanelKind) -> FloatArray:
         return column
     if panel == "constant":
         return lit(setting)
+    if panel == "balance":  # array = battery + load, and the load of a bus hardly changes
+        battery = known_column(setting, "battery_current_A")
+        return lit(setting) if battery is None else battery
     sun_B, known = sun_in_body(setting)
     shape = FixedPanel((0.0, 0.0, -1.0), 1.0) if panel == "zenith" else TrackingArray((0.0, 1.0, 0.0), 1.0)
     cosine = incidence_cosine(sun_B, shape)
@@ -63,9 +66,13 @@ def sun_in_body(setting: Setting) -> tuple[FloatArray, BoolArray]:
 
 
 def battery_current_A(setting: Setting) -> FloatArray:
-    """(N,) recorded current of the battery, positive when charging; else +1 A in sunlight, -1 A in shadow."""
-    column = known_column(setting, "battery_current_A")
-    return 2.0 * lit(setting) - 1.0 if column is None else column
+    """(N,) recorded current of the battery, positive when charging; else that of the array, but for a constant load; else
+    +1 A in sunlight, -1 A in shadow."""
+    for name in ("battery_current_A", "array_current_A"):
+        column = known_column(setting, name)
+        if column is not None:
+            return column
+    return 2.0 * lit(setting) - 1.0
 
 
 def temperature_K(setting: Setting, time_constant_s: float) -> FloatArray:

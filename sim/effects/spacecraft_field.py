@@ -55,7 +55,8 @@ class SolarArrayCurrent(SignalEffect):
 
     Without the column `array_current_A` the current is that of an array of 1 A in full sun, so the parameter
     is the field in full sun: `panel` says whether it sits on the -z face (zenith), tracks about the y axis, or
-    gives a constant current in sunlight.
+    gives a constant current in sunlight. Where the battery's current was recorded, the array's may be that and a
+    constant load (balance).
     """
 
     name = "solar_array_current"
@@ -77,11 +78,14 @@ class SolarArrayCurrent(SignalEffect):
         kinds: tuple[PanelKind, ...] = ("zenith", "tracking", "constant")
         if not sun_in_body(setting)[1].any():
             kinds = ("constant",)  # no incidence is known
+        if known_column(setting, "battery_current_A") is not None:
+            kinds += ("balance",)
         choices = tuple(SolarArrayCurrent(kind) for kind in kinds)
         return tuple(choice for choice in choices if choice.untestable(setting) is None) or (self,)
 
     def condition_on(self, setting: Setting) -> str | None:
-        return "sunlit" if setting.column("array_current_A") is None else self.follows
+        recorded = self.panel == "balance" or setting.column("array_current_A") is not None
+        return self.follows if recorded else "sunlit"
 
     def untestable(self, setting: Setting) -> str | None:
         if varies(array_current_A(setting, self.panel)):
@@ -98,7 +102,8 @@ class SolarArrayCurrent(SignalEffect):
 class BatteryCurrent(SignalEffect):
     """Field in proportion to the battery's current.
 
-    Without the column `battery_current_A` the current is +1 A in sunlight and -1 A in shadow.
+    Without the column `battery_current_A` the current is that of the array less a constant load, or, where that is not
+    recorded either, +1 A in sunlight and -1 A in shadow.
     """
 
     name = "battery_current"
@@ -113,7 +118,8 @@ class BatteryCurrent(SignalEffect):
     parameters = vector_parameters("s", "nT/A", 20.0)
 
     def condition_on(self, setting: Setting) -> str | None:
-        return "sunlit" if setting.column("battery_current_A") is None else self.follows
+        recorded = any(setting.column(name) is not None for name in ("battery_current_A", "array_current_A"))
+        return self.follows if recorded else "sunlit"
 
     def untestable(self, setting: Setting) -> str | None:
         if varies(battery_current_A(setting)):

@@ -8,10 +8,11 @@ against "those effects", by the one criterion.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import expit
 
 from fluxtwin.gap.detectors import proposals
 from fluxtwin.gap.detectors.finding import Finding
@@ -27,12 +28,15 @@ from fluxtwin.gap.noise.walk import Wander
 from fluxtwin.gap.posterior.explanations import Answer, Known, answered_with, log_likelihood, signals_of
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import THRESHOLD, worth
+from fluxtwin.gap.selection.support import IN_GROUP
 from fluxtwin.sim.base.types import FloatArray
 
 _MOST = 3
 _ROUNDS = 3
 _SETTLED = 0.2  # in the logarithm of the rate
 _MEMORIES_S = (30.0, 100.0, 300.0)
+_WALK, _STEP = "bias_random_walk", "bias_step"
+"""A walk's largest excursion looks like a step, and one step is what a name can be before it is a walk."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +59,15 @@ class Structured:
         return answer
 
     def _one_more(self, answer: Answer) -> Answer | None:
-        walks = any(one.effect == "bias_random_walk" for one in answer.shapes)
+        named = answer.result.named
+        walks = any(one.effect == _WALK for one in answer.shapes) or any(_WALK in one.group for one in named)
         if answer.left.structured:
-            for bare in (True, False) if answer.result.named and not answer.carries else (False,):
+            for bare in (True, False) if named and not answer.carries else (False,):
                 finding = self._signal(answer, bare=bare)
                 if finding is not None:
                     return self.given(answer, finding)
-        if not walks and (answer.left.structured or len(answer.result.named) > 1):
+        stepped = any(one.name == _STEP for one in named)
+        if not walks and (answer.left.structured or len(named) > 1 or stepped):
             return self._walking(answer)
         return None
 
@@ -86,33 +92,52 @@ class Structured:
         noise, robust = self.choose(derivatives(self.problem, signals_of(shapes)))
         whitener = whitener_of(self.problem, noise, robust.weights)
         for one in shapes:
-            if one.effect == "bias_random_walk":
+            if one.effect == _WALK:
                 whitener = Wander(whitener, self.problem.setting.seconds).whitening(one.parameters["rate"][0])
         return answered_with(self.problem, robust, whitener, self.dictionary, self.known, shapes)
 
     def _walking(self, answer: Answer) -> Answer | None:
-        """The answer with a walk in the noise, where that explains more."""
-        seconds = self.problem.setting.seconds
-        wander = Wander(answer.whitener, seconds)
+        """The answer with a walk in the noise, where that explains more; where it explains nearly as much, the answer with
+        the walk beside the name in whose place it would be; else None."""
         bare_nT, alone = answer.result.residual_alone_nT, self._alone(answer)
-        likely = wander.rate(bare_nT, alone)
-        if likely is None:
+        best: tuple[float, float, Answer | None] = (-np.inf, 0.0, None)
+        for residual_nT, columns in self._without_a_step(answer, bare_nT, alone):
+            likely = Wander(answer.whitener, self.problem.setting.seconds).rate(residual_nT, columns)
+            if likely is None:
+                continue
+            # Given a walk, the error of the attitude is another: without one it took its place.
+            named = columns[:, :, alone.shape[2] :]
+            noise = choose_noise(
+                self.problem, named, residual_nT=residual_nT, walk=likely / answer.noise.sigma_nT
+            ).noise
+            trials = [noise, answer.noise, *_declared(self.problem, noise)]
+            gained = [(self._gain(answer, one, residual_nT, columns), one) for one in trials]
+            (_, first), likeliest = max(gained, key=lambda found: found[0][0])
+            best = max(best, self._walks(answer, likeliest, first, bare_nT, alone), key=lambda found: found[0])
+        whole, rate, walking = best
+        if walking is None or whole < THRESHOLD:
             return None
-        # Given a walk, the error of the attitude is another: without one it took its place.
-        noise = choose_noise(self.problem, walk=likely / answer.noise.sigma_nT).noise
-        trials = [noise, answer.noise, *_declared(self.problem, noise)]
-        gained = [(self._gain(answer, one, bare_nT, alone), one) for one in trials]
-        (_, first), likeliest = max(gained, key=lambda found: found[0][0])
-        whole, rate, walking = self._walks(answer, likeliest, first, bare_nT, alone)
-        if walking is None or whole < max(answer.worth, THRESHOLD):
-            return None
-        finding = random_walk(seconds, self._left(walking), walking.noise.sigma_nT)
+        finding = random_walk(self.problem.setting.seconds, self._left(walking), walking.noise.sigma_nT)
         if finding is None or not finding.confirmed:
             return None
+        if whole < answer.worth:
+            return _with_rival(answer, walking, finding.effect, whole)
         scaled = rate * float(np.sqrt(walking.result.variance))
         _, sigma, unit = finding.parameters["rate"]
         finding = replace(finding, parameters={"rate": (scaled, sigma, unit)})
         return replace(walking, shapes=(*answer.shapes, finding))
+
+    def _without_a_step(
+        self, answer: Answer, bare_nT: FloatArray, alone: FloatArray
+    ) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """Residuals (N, 3) and fitted columns that a walk is looked for in: no name fitted, and all but a step."""
+        yield bare_nT, alone
+        result = answer.result
+        others = [one for one in result.chosen if one[0].name != _STEP]
+        if others and len(others) < len(result.chosen):
+            active = [*result.modelled, *signals_of(answer.shapes), *others]
+            columns = np.concatenate([alone, derivatives(self.problem, others)], axis=2)
+            yield self.problem.residual_of([*self.problem.frozen, *active]), columns
 
     def _gain(
         self, answer: Answer, noise: NoiseModel, bare_nT: FloatArray, alone: FloatArray, rate: float | None = None
@@ -180,3 +205,16 @@ def _declared(problem: Problem, noise: NoiseModel) -> list[NoiseModel]:
     if not theta_rad or sigma_nT <= 0.0:
         return []
     return [replace(noise, sigma_nT=sigma_nT, theta_rad=theta_rad, tau_s=tau_s) for tau_s in _MEMORIES_S]
+
+
+def _with_rival(answer: Answer, walking: Answer, name: str, whole: float) -> Answer | None:
+    """The answer with one more name beside the only one of its names that another answer, of nearly its worth, does
+    without; None where that is not so."""
+    kept = {one.name for one in walking.result.named}
+    replaced = [one for one in answer.result.named if one.name not in kept]
+    share = float(expit(0.5 * (whole - answer.worth)))
+    if len(replaced) != 1 or share < IN_GROUP or name in replaced[0].group:
+        return None
+    wider = replace(replaced[0], group=(*replaced[0].group, name))
+    named = tuple(wider if one is replaced[0] else one for one in answer.result.named)
+    return replace(answer, result=replace(answer.result, named=named))

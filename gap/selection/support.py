@@ -14,7 +14,7 @@ from fluxtwin.gap.selection.refit import Fit
 from fluxtwin.gap.selection.score import board
 
 _REFITS = 4
-_IN_GROUP = 0.05
+IN_GROUP = 0.05
 _WORTH_SAYING = 0.001
 
 
@@ -46,7 +46,7 @@ def support(
     total = present + sum(weights.values())
     posterior = {name: weight / total for name, weight in weights.items()}
     alike = [name for name in groups.get(effect.name, (effect.name,)) if name != effect.name]
-    likely = [n for n, p in sorted(posterior.items(), key=lambda pair: -pair[1]) if p >= _IN_GROUP and n not in alike]
+    likely = [n for n, p in sorted(posterior.items(), key=lambda pair: -pair[1]) if p >= IN_GROUP and n not in alike]
     group = (effect.name, *alike, *likely)
     drop, rank = bare.chi2 - fit.chi2, max(fit.rank_chosen - bare.rank_chosen, 1)
     p_value = min(1.0, search.tested * search.first.p_value(drop, rank))

@@ -20,7 +20,8 @@ from fluxtwin.gap.hypotheses.blocks import Block, blocks
 from fluxtwin.gap.hypotheses.candidates import candidates
 from fluxtwin.gap.hypotheses.evidence import Dictionary
 from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign
-from fluxtwin.gap.noise.choice import choose_noise, complete_budget, whitener_of
+from fluxtwin.gap.noise.budget import prior_of
+from fluxtwin.gap.noise.choice import NoiseModel, choose_noise, complete_budget, whitener_of
 from fluxtwin.gap.posterior.explanations import Answer, noise_and_answer
 from fluxtwin.gap.posterior.structured import Structured
 from fluxtwin.gap.posterior.torques import balanced
@@ -281,7 +282,21 @@ def _prediction(
         of, rate = "one_step", walk.parameters["rate"][0]
         after, unsure_nT = one_step(fits[1].residual_nT, seconds, kept, rate, with_effects_nT, axes)
         with_effects_nT = float(np.hypot(with_effects_nT, unsure_nT))
-    return Prediction(before, after, counted, floor_nT, with_effects_nT, of, axes)
+    log_sd = _floor_log_sd(problem, noise, min((white_nT / with_effects_nT) ** 2, 1.0))
+    return Prediction(before, after, counted, floor_nT, with_effects_nT, of, axes, log_sd)
+
+
+def _floor_log_sd(problem: Problem, noise: NoiseModel, white: float) -> float:
+    """Standard deviation of the logarithm of what the budget makes expect; white: share of the white noise in its square.
+
+    What is declared is trusted as far as its prior says, what was found as far as the data say.
+    """
+    budget, prior = problem.budget, prior_of(complete_budget(problem))
+    of_noise = noise.sigma_log_sd if budget.noise_nT is None else prior.sigma_log_sd
+    of_attitude = noise.theta_log_sd if budget.attitude_sigma_rad is None else prior.theta_log_sd
+    if not np.isfinite(of_attitude):
+        of_attitude = prior.theta_log_sd
+    return float(np.hypot(white * of_noise, (1.0 - white) * of_attitude))
 
 
 __all__ = ["MOST_ROWS", "Work", "diagnose", "investigate"]

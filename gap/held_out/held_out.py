@@ -12,9 +12,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import logsumexp
+from scipy.stats import halfnorm, norm
 
 from fluxtwin.gap.problem.row_axes import RowAxes
 from fluxtwin.gap.records.diagnosis import GapSeries, Shrinkage
+from fluxtwin.gap.selection.criterion import SHAPE_ERROR
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 
 BLOCKS = 5
@@ -23,6 +26,8 @@ GUARD_S, GUARD_SHARE = 300.0, 0.02
 """Rows this near to the held-out block are used for neither: errors of the attitude last minutes."""
 STRETCHES, DRAWS = 40, 400
 """Of the bootstrap: its 5 % points are good to a tenth of the spread."""
+_QUANTILES = 200
+"""Of a prior, in place of an integral over it."""
 _DIFFUSE = 1e6
 """Variance of a level of which nothing is known yet, over that of a reading."""
 
@@ -57,13 +62,26 @@ class Prediction:
     """`blocks` held out, `one_step` ahead, or the `fit` itself."""
     axes: RowAxes | None = None
     """Where rows have no attitude: what is seen along the field counts for each body axis by its share in it."""
+    floor_log_sd: float = 0.0
+    """Standard deviation of the logarithm of what is expected."""
 
     @property
-    def refuted(self) -> bool:
-        """Whether held-out samples are predicted worse with the named effects than without, by three sigma."""
-        before2, after2 = self._draws(self.after_nT)
-        worse = after2 - before2
-        return self.of == "blocks" and bool(worse.mean() > 3.0 * worse.std())
+    def log_ratio(self) -> float:
+        """Log of the Bayes factor of what is left of held-out samples: the named effects with their shape error, against
+        something else in their likeness.
+
+        Of the energy of the gap the first leave eps^2, eps half-normal of scale `SHAPE_ERROR`; the second leave any share.
+        """
+        _, after2 = self._draws(self.after_nT)
+        rms2 = [float(np.sum(part[self.counted] ** 2) / self._count.sum()) for part in (self.before_nT, self.after_nT)]
+        signal = max(rms2[0] - self.floor_nT**2, 0.0)
+        left = min(rms2[1] - self.floor_with_effects_nT**2, signal)
+        floor_sd = 2.0 * self.floor_log_sd * self.floor_with_effects_nT**2
+        sd = max(float(np.hypot(after2.std(), floor_sd)), signal / _QUANTILES, 1e-300)
+        middle = (np.arange(_QUANTILES) + 0.5) / _QUANTILES
+        shares = (halfnorm.ppf(middle, scale=SHAPE_ERROR) ** 2, middle)
+        named, other = (logsumexp(norm.logpdf(left, signal * share, sd)) for share in shares)
+        return float(named - other)
 
     def without_known_noise(self, named: bool) -> Prediction:
         """Where the scenario has the noise already it belongs to the floor; if nothing else is named there is no before."""

@@ -119,7 +119,7 @@ def _concluded(
     explanations = weighed(under_way, path, lefts, gained)
     best, share, total = likeliest(explanations)
     chosen = explanations[best]
-    result = result_of(under_way, untestable, chosen.fit, chosen.beside, share)
+    result = result_of(under_way, untestable, chosen.fit, chosen.beside)
     result = _stripped(problem, result, signals)
     alone = derivatives(problem, result.modelled_alone)
     fitted = derivatives(problem, [*result.modelled, *result.chosen]) if result.chosen else alone

@@ -26,7 +26,7 @@ from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.posterior.explanations import likeliest, weighed
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.records.diagnosis import Detectable, FoundEffect, MomentumGap, Ranked
-from fluxtwin.gap.selection.criterion import THRESHOLD, worth
+from fluxtwin.gap.selection.criterion import THRESHOLD, still_known, worth
 from fluxtwin.gap.selection.detectable import smallest
 from fluxtwin.gap.selection.forward import Search, begin, run
 from fluxtwin.gap.selection.groups import alike, isolability, shares_by_name
@@ -60,8 +60,6 @@ class Momentum:
     isolability: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     minimum_detectable: Mapping[str, Detectable] = field(default_factory=dict)
     gap: MomentumGap | None = None
-    worse: bool = False
-    """Whether held-out windows are predicted worse with the named effects than without."""
     ahead_km: tuple[float, float] | None = None
     """How far the reported position is ahead along the orbit, and sigma; None where torques do not show it."""
     ruled_out: Mapping[str, str] = field(default_factory=dict)
@@ -70,7 +68,7 @@ class Momentum:
     @property
     def standing(self) -> tuple[FoundEffect, ...]:
         """Named effects that stand: one of few that would do, and nothing unknown is likelier."""
-        refuted = self.known < 0.5 or self.worse or any(one.too_many_alike for one in self.named)
+        refuted = self.known < 0.5 or any(one.too_many_alike for one in self.named)
         return () if refuted else self.named
 
     @property
@@ -146,7 +144,8 @@ def _searched(
     best, known, _ = likeliest(explanations)
     chosen = explanations[best]
     seen, hidden = smallest(search.first)
-    gap, worse = _how_far(channel, chosen.fit)
+    gap, log_ratio = _how_far(channel, chosen.fit)
+    known = still_known(known, log_ratio) if chosen.fit.chosen else known
     momentum = Momentum(
         named=_named(search, chosen.fit, chosen.beside.variance, known),
         known=known,
@@ -156,7 +155,6 @@ def _searched(
         isolability=isolability(shares_by_name(search.first)),
         minimum_detectable={name: _detectable(search, *where) for name, where in seen.items() if name in _NAMES},
         gap=gap,
-        worse=worse,
         ahead_km=ahead_km(channel, chosen.fit, result),
     )
     return momentum, vehicle_of(channel, chosen.fit)
@@ -191,7 +189,7 @@ def _named(search: Search[MomentumChannel], fitted: Fit, variance: float, known:
     # A value at its limit has its sigma too: the balance hardly sees some of them.
     covariance, seen, _ = covariance_of(fitted.jacobian, np.any(fitted.jacobian != 0.0, axis=(0, 1)))
     for number, (part, (effect, theta)) in enumerate(zip(fitted.slices(), fitted.chosen, strict=True)):
-        backing = support(search, fitted, number, variance, same, known)
+        backing = support(search, fitted, number, variance, same)
         energy = np.mean(search.channel.signal(effect, theta) ** 2, axis=0)
         whole = seen[part, None] & seen[None, part]
         own = np.where(whole, covariance[part, part] * max(variance, 1.0), np.nan)
@@ -201,7 +199,7 @@ def _named(search: Search[MomentumChannel], fitted: Fit, variance: float, known:
                 parameters_of(effect, theta, np.sqrt(np.diag(own))),
                 search.channel.windows.arcs.problem.setting,
                 p_value=backing.p_value,
-                probability=backing.probability,
+                probability=backing.probability * known,
                 group=backing.group,
                 rivals=backing.rivals,
                 axis=axis_of(energy),
@@ -211,9 +209,9 @@ def _named(search: Search[MomentumChannel], fitted: Fit, variance: float, known:
     return tuple(sorted(found, key=lambda one: one.significance))
 
 
-def _how_far(channel: MomentumChannel, fit: Fit) -> tuple[MomentumGap, bool]:
-    """How far the balance closes on windows that the parameters have not seen, and whether it is predicted worse with the
-    named effects than without. The start of each window comes from itself."""
+def _how_far(channel: MomentumChannel, fit: Fit) -> tuple[MomentumGap, float]:
+    """How far the balance closes on windows that the parameters have not seen, and the log of the Bayes factor that
+    what is left there gives the named effects. The start of each window comes from itself."""
     windows, plain = channel.windows, channel.balance.by_attitude
     before, after = (plain.left(_held_out(channel, chosen)) for chosen in ((), fit.chosen))
     floor = plain.floor_rad(channel.balance.noise)
@@ -240,7 +238,7 @@ def _how_far(channel: MomentumChannel, fit: Fit) -> tuple[MomentumGap, bool]:
         channel.balance.noise.words,
         errors,
     )
-    return gap, bool(fit.chosen) and prediction.refuted
+    return gap, prediction.log_ratio
 
 
 def _held_out(channel: MomentumChannel, chosen: Sequence[Active]) -> FloatArray:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from fluxtwin.gap.records.diagnosis import Closure, Diagnosis, EffectParameter, 
 from fluxtwin.gap.report import advice, level, words
 from fluxtwin.gap.report.level import Excess
 from fluxtwin.gap.report.second_channel import Angle
+from fluxtwin.gap.selection.criterion import still_known
 from fluxtwin.gap.selection.named import found_effect
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
@@ -54,13 +56,20 @@ class Work:
     angle: Angle | None = None
     """The angle between sun and nadir; None where it is not measured."""
 
+    @cached_property
+    def known(self) -> float:
+        """Probability that nothing, or what is named, is all there is: by what is left in the fit, and of held-out
+        samples."""
+        if not self.answer.result.named and not any(_is_signal(one) for one in self.flexible):
+            return self.answer.known
+        return still_known(self.answer.known, self.prediction.log_ratio)
+
     @property
     def in_readings(self) -> list[FoundEffect]:
-        """Effects in the readings that stand: few would do in their places, nothing unknown is likelier, and held-out
-        samples are not predicted worse with them."""
+        """Effects in the readings that stand: few would do in their places, and nothing unknown is likelier."""
         result = self.answer.result
-        refuted = bool(result.resembles) or self.answer.known < 0.5 or self.prediction.refuted
-        return [] if refuted else list(result.named)
+        refuted = bool(result.resembles) or self.known < 0.5
+        return [] if refuted else [replace(one, probability=one.probability * self.known) for one in result.named]
 
     @property
     def standing(self) -> list[FoundEffect]:
@@ -149,14 +158,15 @@ def assemble(
 def _conclude(work: Work) -> _Conclusion:
     problem, answer, momentum = work.problem, work.answer, work.momentum
     already = [one for one in work.flexible if expected(one, problem.frozen)]
-    shapes = [_of_shape(one, problem.setting) for one in work.flexible if one not in already]
+    new = [one for one in work.flexible if one not in already and (work.known >= 0.5 or not _is_signal(one))]
+    shapes = [_of_shape(one, problem.setting, work.known) for one in new]
     named = work.in_readings
     signals = sorted([*named, *momentum.standing], key=lambda one: one.significance) if momentum.standing else named
     effects, fault = [*signals, *shapes], None
     if work.angle is not None:
         effects, fault = work.angle.beside(effects)
 
-    unknown = answer.known < 0.5 and work.attitude_would_do_rad is None
+    unknown = work.known < 0.5 and work.attitude_would_do_rad is None
     unexplained = (not named and (unknown or bool(answer.result.named))) or momentum.unexplained
     excess = None
     if not unexplained and not work.flexible:  # a named noise, walk or line stays in the residual
@@ -205,8 +215,12 @@ def _closure(work: Work, found: _Conclusion) -> Closure:
     )
 
 
-def _of_shape(one: Finding, setting: Setting) -> FoundEffect:
-    """A cause that is known by its own shape."""
+def _is_signal(one: Finding) -> bool:
+    return isinstance(one.instance, SignalEffect)
+
+
+def _of_shape(one: Finding, setting: Setting, known: float) -> FoundEffect:
+    """A cause that is known by its own shape; known: the probability that a signal is of the catalogue."""
     effect = one.instance if one.instance is not None else find_effect(one.effect)
     axis = getattr(effect, "axis", None)
     return found_effect(
@@ -217,7 +231,7 @@ def _of_shape(one: Finding, setting: Setting) -> FoundEffect:
         },
         setting,
         p_value=one.p_value,
-        probability=one.probability,
+        probability=one.probability * (known if _is_signal(one) else 1.0),
         axis=axis if axis in ("x", "y", "z") else "all",
     )
 
@@ -235,7 +249,7 @@ def _what(work: Work, where: Place) -> str:
     """What an answer without a name says of the data."""
     left, momentum = work.answer.left, work.momentum
     if not left.structured and not work.answer.result.resembles:
-        return momentum.left.words or words.WORSE
+        return momentum.left.words or words.left_over(work.prediction.shrinkage(True))
     return "; ".join(filter(None, (words.structure(left, where), momentum.left.words)))
 
 

@@ -16,7 +16,6 @@ from fluxtwin.sim.effects.switched_field import SwitchedField
 
 SHAPE_INCOMPLETE = "a smaller structure remains"
 UNEXPLAINED = "the catalogue does not explain all of the gap"
-WORSE = "the best fit predicts held-out samples worse than no effect does"
 
 
 def no_gap(gap: Shrinkage, attitude_would_do_rad: float | None) -> str:
@@ -39,6 +38,14 @@ def unexplained(what: str, where: Place, resembles: Sequence[str]) -> str:
     at = f"at the stage {' or '.join(stages)}" if stages else "at a stage that remains open"
     like = f" It resembles {', '.join(resembles)}." if resembles else ""
     return f"Something that the catalogue does not explain, {at}: {what}.{like}"
+
+
+def left_over(gap: Shrinkage) -> str:
+    """Where the best fit explains too little of what it has not seen."""
+    return (
+        f"the best fit of the catalogue takes held-out samples from {gap.before_nT:.1f} to {gap.after_nT:.1f} nT rms, where "
+        f"{gap.floor_with_effects_nT:.1f} nT are expected"
+    )
 
 
 def named(

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import expit, logit
 
 from fluxtwin.sim.base.types import FloatArray
 
@@ -47,3 +48,10 @@ def penalty(rank: ArrayLike, drop: ArrayLike, samples: float) -> FloatArray:
 def worth(drop: float, rank: int, samples: float, log_tried: float) -> float:
     """Twice the log of the Bayes factor against nothing. log_tried: of the number of settings searched."""
     return float(drop - penalty(rank, drop, samples)) - 2.0 * log_tried
+
+
+def still_known(known: float, log_ratio: float) -> float:
+    """The probability that named effects are all there is, after held-out samples. known: before, by what is left in the
+    fit; log_ratio: of the Bayes factor that held-out samples give. What looks like an effect of the catalogue may be none
+    of it even where the fit leaves nothing."""
+    return float(expit(min(logit(known), 0.5 * LOG_FURTHER) + log_ratio))

@@ -32,17 +32,14 @@ def result_of(
     untestable: dict[str, str],
     fit: Fit,
     rest: Board,
-    present: float,
 ) -> SearchResult:
-    """All that later steps need of a search that ended with a fit. rest: scores beside it; present: the probability that
-    its effects, or what may stand in their places, are there at all."""
+    """All that later steps need of a search that ended with a fit. rest: scores beside it. The probability of a name is
+    that of its group given that named effects are all there is."""
     first, base, problem = under_way.first, under_way.base, under_way.channel.problem
     raw_nuisance = derivatives(problem, base.modelled)
     table = groups.shares_by_name(first)
     smallest, images, hidden = detectable(first, under_way.white, raw_nuisance, base.jacobian)
-    named = [
-        _named(under_way, fit, number, rest.variance, table, raw_nuisance, present) for number in range(len(fit.chosen))
-    ]
+    named = [_named(under_way, fit, number, rest.variance, table, raw_nuisance) for number in range(len(fit.chosen))]
     order = sorted(range(len(named)), key=lambda number: -_gain(under_way, fit, number))
     residual, alone = (problem.residual_of([*problem.frozen, *each.active]) for each in (fit, base))
     return SearchResult(
@@ -73,11 +70,10 @@ def _named(
     variance: float,
     table: dict[str, dict[str, float]],
     raw_nuisance: FloatArray,
-    present: float,
 ) -> FoundEffect:
     effect, theta = fit.chosen[number]
     assert isinstance(effect, SignalEffect)
-    backing = support(under_way, fit, number, variance, groups.alike(table), present)
+    backing = support(under_way, fit, number, variance, groups.alike(table))
     part = fit.slices()[number]
     signal = _visible(under_way, fit, number, raw_nuisance)
     problem = under_way.channel.problem

@@ -25,19 +25,19 @@ class Support:
     p_value: float
     """Corrected for the number of tests."""
     probability: float
-    """That it, or a member of its group, is present."""
+    """That it, or a member of its group, is present, given that one of the catalogue is."""
     group: tuple[str, ...]
     rivals: tuple[tuple[str, float], ...]
 
 
 def support(
-    search: Search[Any], fit: Fit, number: int, variance: float, groups: Mapping[str, tuple[str, ...]], there: float
+    search: Search[Any], fit: Fit, number: int, variance: float, groups: Mapping[str, tuple[str, ...]]
 ) -> Support:
     """Weigh effect `number` of a fit against everything that might stand in its place, and against nothing.
 
     Among effects: weights exp(-cost / 2), the cost being that of `Search.cost` with the shape error of what is explained
     beside the noise: of two likenesses of nature the nearer one need not be the true one. Alternatives of one effect are
-    added up. there: the probability that any of them is there.
+    added up.
     """
     effect = fit.chosen[number][0]
     bare = without(search, fit, number)
@@ -54,7 +54,7 @@ def support(
     rivals = [(n, p) for n, p in sorted(posterior.items(), key=lambda pair: -pair[1]) if n not in group]
     return Support(
         p_value=p_value,
-        probability=min(MOST_SURE, inside / total * there),
+        probability=min(MOST_SURE, inside / total),
         group=group,
         rivals=tuple((name, float(p)) for name, p in rivals if p >= _WORTH_SAYING),
     )

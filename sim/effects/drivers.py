@@ -17,7 +17,7 @@ from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.spacecraft.power import FixedPanel, TrackingArray, incidence_cosine
 
 PanelKind = Literal["zenith", "tracking", "constant", "balance"]
-"""A panel on the -z face, an array that turns about y, a current that only shadow cuts, or what the battery's current says."""
+"""A panel on the -z face, an array that turns about y, a current that only shadow cuts, or what the battery says."""
 
 TIME_CONSTANTS_S = (300.0, 900.0, 2700.0)
 """Thermal time constants tried where no temperature was recorded: a boom's sensor to one inside the body."""

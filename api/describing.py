@@ -10,6 +10,7 @@ import numpy as np
 
 from fluxtwin.calib.methods import ESTIMATORS
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.telemetry.column_map import mapped_table
@@ -54,7 +55,7 @@ class Pass:
 
 
 @dataclass(frozen=True)
-class Inventory:
+class Inventory(Shown):
     """What one file holds."""
 
     source: str

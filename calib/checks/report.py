@@ -7,6 +7,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from fluxtwin.sim.base.shown import Shown
+
 _SHOWN_ROWS = 20
 
 
@@ -31,7 +33,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class CheckReport:
+class CheckReport(Shown):
     """All findings about one file, traps first."""
 
     source: str

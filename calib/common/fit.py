@@ -17,6 +17,7 @@ from fluxtwin.calib.common.records import Calibration, parameter_unit
 from fluxtwin.calib.common.residuals import ResidualStatistics
 from fluxtwin.calib.common.robust import find_outliers
 from fluxtwin.calib.common.verdict import Verdict
+from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -24,7 +25,7 @@ F = TypeVar("F", bound="Fit")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fit:
+class Fit(Shown):
     """A calibration and the evidence for it. N rows used."""
 
     calibration: Calibration

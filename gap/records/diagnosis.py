@@ -15,6 +15,7 @@ from pydantic import ConfigDict, Field, GetPydanticSchema, PlainSerializer, Type
 
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.effects.base import STAGES, Effect, SignalEffect
 from fluxtwin.sim.effects.chain import Active
@@ -321,7 +322,7 @@ def _rules(schema: dict[str, Any]) -> None:
 
 
 @dataclass(frozen=True)
-class Diagnosis(Record):
+class Diagnosis(Record, Shown):
     """What `fluxtwin diagnose --json` writes: where the gap lies, which effect causes it, how far it shrinks."""
 
     __pydantic_config__ = Record.__pydantic_config__ | ConfigDict(json_schema_extra=_rules)

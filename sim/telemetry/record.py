@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.telemetry.quantities import DRIVERS, FAMILIES, RECORDED
 
@@ -34,7 +35,7 @@ _OF_MAGNETOMETER = tuple(_OTHER)
 
 
 @dataclass(frozen=True)
-class Telemetry:
+class Telemetry(Shown):
     """One record; N rows. Arrays are read-only float64, `time` is datetime64[ns] UTC, strictly increasing."""
 
     time: TimeArray

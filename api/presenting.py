@@ -1,0 +1,156 @@
+"""How results look: as text, as HTML for a notebook, as one picture. `Shown` in `sim.base` calls this by its name."""
+
+from __future__ import annotations
+
+import html as html_
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fluxtwin import calibration_page, describing, diagnosis_page
+from fluxtwin.calib.checks.report import CheckReport
+from fluxtwin.calib.common.fit import Fit
+from fluxtwin.console import shown
+from fluxtwin.gap.records.diagnosis import Diagnosis
+from fluxtwin.scenarios.page import Table
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.telemetry.record import Telemetry
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_ASIDE = 1e-6
+"""Share of the mean weight below which a row was set aside."""
+
+
+@dataclass(frozen=True)
+class Presented:
+    """A result in words: sentences, then tables."""
+
+    sentences: Sequence[str]
+    tables: Sequence[Table]
+
+
+def report(result: object) -> str:
+    """The result as text, a line a sentence, tables in columns."""
+    seen = presented(result)
+    return "\n".join([*seen.sentences, *("\n" + _text(table) for table in seen.tables)]) + "\n"
+
+
+def html(result: object) -> str:
+    """The result as HTML without scripts; every text is escaped."""
+    seen = presented(result)
+    sentences = "".join(f"<p>{html_.escape(text)}</p>" for text in seen.sentences)
+    return f'<div class="fluxtwin">{sentences}{"".join(map(_html, seen.tables))}</div>'
+
+
+def plot(result: object, axes: Axes | None = None) -> Axes:
+    """One picture of the result in `axes` or new ones. Raises BadInput where there is nothing to draw."""
+    from fluxtwin.plots import on_axes
+
+    drawn = _of(result, _PICTURES)(result)
+    if drawn is None:
+        raise BadInput(f"there is nothing to draw in this {type(result).__name__}", where="plot")
+    return drawn(on_axes.new_axes() if axes is None else axes)  # type: ignore[no-any-return]
+
+
+def presented(result: object) -> Presented:
+    """What a result says of itself."""
+    found: Presented = _of(result, _WORDS)(result)
+    return found
+
+
+def _of(result: object, by_type: dict[type, Callable[[Any], Any]]) -> Callable[[Any], Any]:
+    return next(make for kind, make in by_type.items() if isinstance(result, kind))
+
+
+def _fit(fit: Fit) -> Presented:
+    verdict = [] if fit.verdict is None else list(fit.verdict.lines)
+    return Presented([*verdict, *fit.messages], calibration_page.tables(fit))
+
+
+def _diagnosis(found: Diagnosis) -> Presented:
+    sentences = [found.sentence, *diagnosis_page.where_lines(found), *found.notes]
+    return Presented(sentences, diagnosis_page.tables(found))
+
+
+def _check(found: CheckReport) -> Presented:
+    rows = [(one.severity, one.code, one.text, one.row_count or "") for one in found.findings]
+    verdict = (
+        "no trap found" if not found.traps else f"{len(found.traps)} found: {', '.join(t.code for t in found.traps)}"
+    )
+    table = Table("Findings", ("", "code", "what", "rows"), rows)
+    return Presented([f"{found.source}: {found.samples} rows; {verdict}"], [table] if rows else [])
+
+
+def _inventory(found: describing.Inventory) -> Presented:
+    span = "" if found.start is None else f", {found.start} to {found.end}"
+    columns = ("column", "unit", "known", "every [s]", "lowest", "median", "highest")
+    rows = [(c.name, c.unit, c.known, c.step_s, c.low, c.median, c.high) for c in found.columns]
+    lacking = [f"{verb} lacks {', '.join(missing)}" for verb, missing in found.lacks.items() if missing]
+    unread = [found.unread] if found.unread else []
+    return Presented([f"{found.source}: {found.rows} rows{span}", *unread, *lacking], [Table("Columns", columns, rows)])
+
+
+def _draw_fit(fit: Fit) -> Callable[[Axes], Axes]:
+    from fluxtwin.plots import on_axes
+
+    aside = fit.weights < _ASIDE * float(np.mean(fit.weights))
+    title = f"Residuals of {fit.method}: {fit.statistics.component_rms_nT:.3g} nT rms"
+    return lambda axes: on_axes.components(
+        axes, fit.time, fit.residuals_nT, y="residual [nT]", title=title, aside=aside
+    )
+
+
+def _draw_diagnosis(found: Diagnosis) -> Callable[[Axes], Axes]:
+    from fluxtwin.plots import on_axes
+
+    stages = found.where.to_dict()["probabilities"]["stage"]
+    named = sorted(stages.items(), key=lambda one: -one[1])[:7]
+    return lambda axes: on_axes.shares(axes, named, title=f"Where the gap lies: {found.verdict}")
+
+
+def _draw_record(record: Telemetry) -> Callable[[Axes], Axes] | None:
+    from fluxtwin.plots import on_axes
+
+    if not record.has_reading.any():
+        return None
+    title = f"Readings{f' of {record.spacecraft}' if record.spacecraft else ''}"
+    return lambda axes: on_axes.components(
+        axes, record.time, np.array(record.mag_B_nT), y="magnetometer, body axes [nT]", title=title
+    )
+
+
+_WORDS: dict[type, Callable[[Any], Presented]] = {
+    Fit: _fit,
+    Diagnosis: _diagnosis,
+    CheckReport: _check,
+    Telemetry: lambda record: _inventory(describing.of_record(record)),
+    describing.Inventory: _inventory,
+}
+_PICTURES: dict[type, Callable[[Any], Any]] = {
+    Fit: _draw_fit,
+    Diagnosis: _draw_diagnosis,
+    Telemetry: _draw_record,
+    object: lambda _: None,
+}
+
+
+def _text(table: Table) -> str:
+    cells = [[*map(str, table.columns)], *([shown(cell) for cell in row] for row in table.rows)]
+    widths = [max(len(row[k]) for row in cells) for k in range(len(table.columns))]
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in cells]
+    return "\n".join([table.title, *lines, *([table.note] if table.note else [])])
+
+
+def _html(table: Table) -> str:
+    head = "".join(f"<th>{html_.escape(str(name))}</th>" for name in table.columns)
+    rows = "".join(
+        "<tr>" + "".join(f"<td>{html_.escape(shown(cell))}</td>" for cell in row) + "</tr>" for row in table.rows
+    )
+    note = f"<p>{html_.escape(table.note)}</p>" if table.note else ""
+    return (
+        f"<h4>{html_.escape(table.title)}</h4><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{note}"
+    )

@@ -1,0 +1,48 @@
+"""One picture a result, drawn into axes of the caller's: for notebooks, where figures are arranged by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from fluxtwin.plots import style
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+
+_MOST = 20_000  # points of a series that can be told apart
+
+
+def new_axes() -> Axes:
+    """One pair of axes of a new figure."""
+    _, grid = style.figure(style.FULL_WIDTH_IN, 3.0)
+    return grid[0][0]
+
+
+def components(
+    axes: Axes, time: TimeArray, value: FloatArray, *, y: str, title: str, aside: np.ndarray | None = None
+) -> Axes:
+    """Components (N, 3), or one (N, 1), against hours since the first stamp; rows `aside` as grey crosses."""
+    every = max(1, len(time) // _MOST)
+    hours = (time - time[0]).astype("int64")[::every] / 3.6e12
+    chosen = value[::every]
+    set_aside = np.zeros(len(chosen), dtype=bool) if aside is None else aside[::every]
+    names = "xyz" if value.shape[1] == 3 else ("|B|",)
+    for k, name in enumerate(names):
+        colour = style.AXIS_COLOURS[k]
+        axes.plot(hours[~set_aside], chosen[~set_aside, k], ".", markersize=3, color=colour, label=name)
+        axes.plot(hours[set_aside], chosen[set_aside, k], "x", markersize=3, color=style.GREY)
+    style.label(axes, x=f"hours since {str(time[0])[:19]} UTC", y=y, title=title)
+    style.legend(axes)
+    return axes
+
+
+def shares(axes: Axes, named: Sequence[tuple[str, float]], *, title: str) -> Axes:
+    """Bars of shares in %, the first on top."""
+    places = np.arange(len(named))
+    axes.barh(places, [100.0 * share for _, share in named], height=0.7, color=style.BLUE)
+    axes.set_yticks(places, [name for name, _ in named])
+    axes.set_xlim(0, 100)
+    axes.invert_yaxis()
+    style.label(axes, x="probability [%]", title=title)
+    return axes

@@ -19,7 +19,7 @@ class Shown:
         return str(self._presented("report"))
 
     def plot(self, axes: Any = None) -> Any:
-        """Draw the result into matplotlib's `axes`, or into new ones, and return them. BadInput where nothing can be drawn."""
+        """Draw the result into matplotlib's `axes`, or new ones, and return them. BadInput where nothing can be drawn."""
         return self._presented("plot", axes)
 
     def _repr_html_(self) -> str:

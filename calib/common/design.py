@@ -7,7 +7,7 @@ without attitude, reading, position or (when T is wanted) dipole are left out an
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -37,6 +37,8 @@ class Design:
     """Rows not used, by reason."""
     radian_s: float = 1000.0
     """Time in which the spacecraft moves one radian along its orbit; where unknown, that of a low orbit."""
+    columns: Mapping[str, FloatArray] = field(default_factory=dict)
+    """(N,) by name, columns of telemetry that a field follows."""
 
     def __len__(self) -> int:
         return int(self.time.size)
@@ -47,9 +49,16 @@ def joined(records: Telemetry | Sequence[Telemetry]) -> Telemetry:
     return records if isinstance(records, Telemetry) else concatenate(list(records))
 
 
-def assemble(records: Telemetry | Sequence[Telemetry], model: FieldModel, *, with_dipole: bool) -> Design:
+def assemble(
+    records: Telemetry | Sequence[Telemetry],
+    model: FieldModel,
+    *,
+    with_dipole: bool,
+    columns: Mapping[str, FloatArray] | None = None,
+) -> Design:
     """The rows of journal eq. 2.
 
+    columns: (N,) of the joined telemetry, by name, that a row needs as well.
     Raises BadInput when a whole column that is needed is absent, NoAnswer when no row is complete.
     """
     telemetry = joined(records)
@@ -60,6 +69,8 @@ def assemble(records: Telemetry | Sequence[Telemetry], model: FieldModel, *, wit
     }
     if with_dipole:
         needs["no torquer dipole"] = np.asarray(np.isfinite(dipole_for_T(telemetry)).all(axis=1))
+    columns = columns or {}
+    needs |= {f"no {name}": np.isfinite(values) for name, values in columns.items()}
     rows, left_out = complete_rows(needs, "by attitude needs reading, attitude and position")
     used = telemetry.select(rows)
     return Design(
@@ -70,6 +81,7 @@ def assemble(records: Telemetry | Sequence[Telemetry], model: FieldModel, *, wit
         rows=rows,
         left_out=left_out,
         radian_s=radian_s(used),
+        columns={name: values[rows] for name, values in columns.items()},
     )
 
 

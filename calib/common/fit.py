@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -55,6 +55,8 @@ class Fit(Shown):
     """What the method itself found to contradict its answer, in sentences: with one, a fit is not good."""
     error_model: ErrorModel | None = None
     """What the residuals were taken to be made of; None where only white errors were."""
+    driver_covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    """(3J, 3J) of the fields that follow columns, x, y, z of each in the order of `calibration.telemetry_bias`."""
     coverage: Coverage | None = None
     """Directions of the field in the body; given as the verdict is."""
     comparison: Comparison | None = None

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from fluxtwin.calib.common.conventions import OffsetFirst, offset_first_from_correction
-from fluxtwin.calib.common.records import Calibration, Onboard
+from fluxtwin.calib.common.records import Calibration, Onboard, TelemetryBias
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -61,10 +61,15 @@ def composed(calibration: Calibration, onboard: Onboard) -> Calibration:
     J = np.eye(len(calibration.names))
     J[:9, :9] = np.kron(np.eye(3), A.T)
     J[9:12, :9] = np.kron(np.eye(3), onboard.o_nT[None, :])
+    biases = {
+        name: TelemetryBias(onboard.M @ bias.value_nT, np.sqrt(onboard.M**2 @ bias.sigma_nT**2))
+        for name, bias in calibration.telemetry_bias.items()
+    }
     return replace(
         calibration,
         S=M @ A - np.eye(3),
         b_nT=calibration.b_nT + M @ onboard.o_nT,
         covariance=J @ calibration.covariance @ J.T,
+        telemetry_bias=biases,
         onboard=None,
     )

@@ -49,6 +49,12 @@ METHOD = Option(
     "method",
 )
 PARAMETERS = Option("What is estimated: b, b,S or b,S,T; b,S where not given.", str, "LIST", "choice of parameters")
+DRIVER = Option(
+    "Also the field that follows this column: NAME of driver_NAME, or another column by its name (array_current_A, ...). "
+    "all: each driver_NAME, kept where its field is seen beyond chance. Repeatable.",
+    list[str],
+    "NAME",
+)
 ROBUST = Option("tukey, huber or none: weights that outliers do not move.", str, "WEIGHTS", "kind of weights")
 COVARIANCE = Option(
     "blocks: allows for errors that are correlated in time; or white.", str, "KIND", "kind of covariance"

@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from fluxtwin.calib.common import observability
-from fluxtwin.calib.common.conventions import Forward, correction_from_forward
+from fluxtwin.calib.common import drivers, observability
+from fluxtwin.calib.common.conventions import Correction, Forward, correction_from_forward
 from fluxtwin.calib.common.design import Design, assemble, joined
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import reading_noise
-from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.common.records import Calibration, TelemetryBias
 from fluxtwin.calib.common.regression import Regression, regress, residuals
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import robust_weights
@@ -56,6 +56,7 @@ class LinearFit(Fit):
             **super().to_dict(),
             "direction": self.direction,
             "errors_in_variables_shift": self.eiv_shift.tolist(),
+            "telemetry_bias": self.calibration.to_dict().get("telemetry_bias", {}),
         }
 
 
@@ -69,9 +70,17 @@ def calibrate_linear(
     """
     options = LinearOptions(**given) if options is None else options
     telemetry = joined(records)
-    design = assemble(telemetry, model, with_dipole="T" in options.parameters)
+    asked = drivers.asked_for(telemetry, options.driver)
+    design = assemble(telemetry, model, with_dipole="T" in options.parameters, columns=asked.columns)
     weights, passes = (_of_rows(getattr(options, name), design, name) for name in ("weights", "passes"))
-    fit = fit_design(design, options, model_name=model.name, weights=weights, passes=passes)
+
+    def by(names: Sequence[str]) -> LinearFit:
+        used = replace(design, columns={name: design.columns[name] for name in names})
+        return fit_design(used, options, model_name=model.name, weights=weights, passes=passes)
+
+    others = [design.H_nT] if options.parameters != "b" else []
+    others += [] if design.D_Am2 is None else [design.D_Am2]
+    fit = drivers.fitted(asked, design.columns, np.hstack([np.zeros((len(design), 0)), *others]), by)
     return with_warnings(fit, telemetry, robust=options.robust != "none")
 
 
@@ -85,13 +94,14 @@ def fit_design(
 ) -> LinearFit:
     """The regression on rows that are already assembled; arguments and errors as `calibrate_linear`."""
     fired = np.zeros(0, dtype=int) if design.D_Am2 is None else observability.fired_axes(design.D_Am2)
-    observability.require_samples(len(design), _SAMPLES[options.parameters])
+    observability.require_samples(len(design), _SAMPLES[options.parameters] + 3 * len(design.columns))
     dipole = [design.D_Am2[:, fired]] if design.D_Am2 is not None and fired.size else []
     a = _check_weights(weights, len(design))
     only_b = options.parameters == "b"
     for field_nT in () if only_b else (design.H_nT, design.B_nT):
         observability.require_excitation(field_nT, dipole, fired, a)
     y, x = (design.B_nT - design.H_nT, []) if only_b else (design.B_nT, [design.H_nT, *dipole])
+    x += [np.stack(list(design.columns.values()), axis=1)] if design.columns else []
 
     def refit(more: FloatArray) -> FloatArray:
         """Residuals (N, 3) of B = G A B0 + o + C D (or of B = A B0 + o) for given further weights."""
@@ -122,16 +132,18 @@ def _regressed(problem: LinearProblem, longer_nT: FloatArray) -> Solution:
     else:
         fit = regress(y + longer_nT, x, problem.weights)
     M, c, shift = fit.M, fit.c, np.zeros((3, 3))
-    if x:
+    if problem.fits_S:
         # The reference on the right side carries none of the noise of the reading.
         sigma_nT, variance = float(np.sqrt(np.trace(fit.rr) / 3.0)), problem.noise.variance_nT2 * problem.linear
-        observability.require_excitation(x[0], x[1:], problem.fired, problem.weights, variance, sigma_nT)
+        observability.require_excitation(x[0], problem.dipole, problem.fired, problem.weights, variance, sigma_nT)
     if problem.noise_xx.any():
         step = _corrected(fit, problem.noise_xx)
         M, c, shift = fit.M + step, fit.c - step @ fit.mean_x, step[:, :3]
     own = residuals(y, x, M, c)
     calibration = _calibration(problem, M, c)
-    true_side = design.H_nT - calibration.apply(design.B_nT, design.D_Am2) if problem.forward else own
+    true_side = own
+    if problem.forward:
+        true_side = design.H_nT - calibration.apply(design.B_nT, design.D_Am2, design.columns)
     return Solution(fit, M, c, calibration, true_side, own, shift)
 
 
@@ -172,16 +184,22 @@ def _shortening(problem: LinearProblem, residual_nT: FloatArray) -> FloatArray |
 
 
 def _calibration(problem: LinearProblem, M: FloatArray, c: FloatArray) -> Calibration:
-    """S, b, T from slopes in the fitted direction."""
-    if problem.options.parameters == "b":
-        return Calibration(np.zeros((3, 3)), c)
+    """S, b, T and the fields of drivers from slopes in the fitted direction."""
+    columns = list(problem.design.columns)
+    of_fields, of_drivers = np.hsplit(M, [M.shape[1] - len(columns)])
     T = np.zeros((3, 3))
-    T[:, problem.fired] = M[:, 3:]
     with_T = "T" in problem.options.parameters
-    if problem.linear:
-        return Calibration(M[:, :3] - np.eye(3), c, T if with_T else None)
-    back = correction_from_forward(Forward(M[:, :3], c, T))
-    return Calibration(back.S, back.b_nT, back.T_nT_per_Am2 if with_T else None)
+    if problem.fits_S:
+        T[:, problem.fired] = of_fields[:, 3:]
+    if problem.forward:
+        back = correction_from_forward(Forward(of_fields[:, :3], c, T))
+        values = of_drivers / problem.driver_rms
+    else:
+        S = of_fields[:, :3] - np.eye(3) if problem.fits_S else np.zeros((3, 3))
+        back = Correction(S, c, T)
+        values = -np.linalg.inv(np.eye(3) + S) @ of_drivers / problem.driver_rms
+    biases = {name: TelemetryBias(values[:, k], np.zeros(3)) for k, name in enumerate(columns)}
+    return Calibration(back.S, back.b_nT, back.T_nT_per_Am2 if with_T else None, telemetry_bias=biases)
 
 
 def _report(problem: LinearProblem, solution: Solution, model_name: str, passes: np.ndarray | None) -> LinearFit:
@@ -201,15 +219,20 @@ def _report(problem: LinearProblem, solution: Solution, model_name: str, passes:
         words += observability.weak_direction_words(variation, covariance, sigma_nT)
         words += observability.pair_words(covariance, "T" in options.parameters, field_rms, sigma_nT)
     words += report.unobservable
+    sigmas = np.sqrt(np.diag(report.driver_covariance)).reshape(-1, 3)
+    biases = solution.calibration.telemetry_bias.items()
     calibration = replace(
         solution.calibration,
+        telemetry_bias={
+            name: replace(bias, sigma_nT=sigma) for (name, bias), sigma in zip(biases, sigmas, strict=True)
+        },
         covariance=covariance,
         covariance_kind=options.covariance,
         sigma_nT=sigma_nT,
         samples=len(design) - rejected,
         span=(design.time[0], design.time[-1]),
         field_model=model_name,
-        method=_method_words(options),
+        method=_method_words(options, list(design.columns)),
         unobservable=tuple(words),
     )
     return LinearFit(
@@ -227,6 +250,7 @@ def _report(problem: LinearProblem, solution: Solution, model_name: str, passes:
         statistics=residual_statistics(design.time[kept], solution.residual_nT[kept]),
         messages=(*_messages(problem, solution, variation), *report.messages),
         error_model=report.errors,
+        driver_covariance=report.driver_covariance,
     )
 
 
@@ -245,8 +269,10 @@ def _messages(problem: LinearProblem, solution: Solution, variation: observabili
     return tuple(out)
 
 
-def _method_words(options: LinearOptions) -> str:
+def _method_words(options: LinearOptions, columns: Sequence[str]) -> str:
     parts = [f"{options.method} regression for {options.parameters}"]
+    if columns:
+        parts.append(f"field of {' and '.join(columns)} estimated")
     if options.corrects:
         parts.append("corrected for errors in variables")
     if options.robust != "none":

@@ -48,6 +48,8 @@ class CovarianceReport:
 
     covariance: FloatArray
     """(P, P) in the order of the calibration file."""
+    driver_covariance: FloatArray
+    """(3J, 3J) of the fields that follow columns, x, y, z of each."""
     messages: tuple[str, ...]
     """How it was found."""
     unobservable: tuple[str, ...]
@@ -80,7 +82,9 @@ def report_covariance(problem: LinearProblem, solution: Solution, passes: np.nda
             f"field model taken as wrong by {problem.options.field_error_nT:.4g} nT rms an axis with a memory of "
             f"{problem.design.radian_s:.0f} s, a radian of the orbit"
         )
-    return CovarianceReport(_in_file_order(problem, solution, stacked), tuple(messages), tuple(unobservable), errors)
+    whole = _in_file_order(problem, solution, stacked)
+    size = 21 if "T" in problem.options.parameters else 12
+    return CovarianceReport(whole[:size, :size], whole[21:, 21:], tuple(messages), tuple(unobservable), errors)
 
 
 class _Found(NamedTuple):
@@ -115,7 +119,8 @@ def _correlated(problem: LinearProblem, solution: Solution, passes: np.ndarray |
     whole = np.kron(np.eye(3), bread_of(solution.fit, problem.noise_xx)) / sharpness
     stacked = uncentred(whole @ checked.total @ whole.T, solution.fit.mean_x)
     covered_s = observed_s(problem.design.time, segments(problem.design.time))
-    stacked = stacked + _from_turning(solution, posterior.constant_rad2(covered_s))
+    if problem.fits_S:
+        stacked = stacked + _from_turning(solution, posterior.constant_rad2(covered_s))
     errors = _error_model(problem, solution, posterior, checked.misfit)
     return _Found(stacked, f"{_error_words(errors)}; {checked.words}", memory_s, errors)
 
@@ -133,18 +138,21 @@ def _checked(
     first = spread.sums.first
     asked = problem.options.block_s
     up = half_of(spread.total)
+    fewest = max(
+        FEWEST_BLOCKS, len(problem.noise_xx) + 1
+    )  # one a parameter of an axis: fewer are hardly free of the fit
 
     def scatter() -> Iterator[tuple[FloatArray, str]]:
         covered_s = observed_s(problem.design.time, segments(problem.design.time))
         for of_row, words in groupings(problem.design.time, label, passes, asked):
             block, count = of_row[first], int(of_row.max()) + 1
             cut = passes is None and asked is None and not np.array_equal(of_row, label)
-            if count >= FEWEST_BLOCKS and not (cut and covered_s / count < 2.0 * memory_s):
+            if count >= fewest and not (cut and covered_s / count < 2.0 * memory_s):
                 yield in_units_of(up, *of_blocks(spread, block, count)), f"{count} blocks ({words})"
 
     found = grown(scatter())
     if found is None:
-        return _Checked(spread.total, 1.0, f"fewer than {FEWEST_BLOCKS} blocks of twice their memory to check it by")
+        return _Checked(spread.total, 1.0, f"fewer than {fewest} blocks of twice their memory to check it by")
     W, misfit, words = found
     if 0.8 < misfit < 1.25:
         words += " scatter as it says"
@@ -241,8 +249,6 @@ def _from_turning(solution: Solution, power_rad2: float) -> FloatArray:
     (w_i w_j - d_ij |w|^2)/2 for normal w of that power an axis.
     """
     one, m = np.eye(3), solution.M.shape[1]
-    if not m:
-        return np.zeros((3, 3))
     # E of the products of four normals; the traces of w w' add 2 and 2 to 3
     both = np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one)
     square = 0.25 * power_rad2**2 * (both + 6.0 * np.einsum("ij,kl->ijkl", one, one))
@@ -278,16 +284,26 @@ def _white(problem: LinearProblem, solution: Solution) -> FloatArray:
 
 
 def _in_file_order(problem: LinearProblem, solution: Solution, stacked: FloatArray) -> FloatArray:
-    x = problem.sides[1]
-    per_axis = [
-        [*range(3 * i, 3 * i + 3), *(12 + 3 * i + int(j) for j in problem.fired), 9 + i] if x else [9 + i]
+    """(21 + 3J, 21 + 3J): S, b and T as in the file, then the field in the reading that follows each column."""
+    columns = len(problem.design.columns)
+    of_field = [
+        [*range(3 * i, 3 * i + 3), *(12 + 3 * i + int(j) for j in problem.fired)] if problem.fits_S else []
         for i in range(3)
     ]
-    place = np.concatenate(per_axis)
-    full = np.zeros((21, 21))
+    of_drivers = 21 + 3 * np.arange(columns)
+    place = np.concatenate([[*of_field[i], *(of_drivers + i), 9 + i] for i in range(3)]).astype(int)
+    full = np.zeros((21 + 3 * columns,) * 2)
     full[np.ix_(place, place)] = stacked
+    jacobian = np.eye(len(full))
+    known = solution.calibration
     if problem.forward:
-        jacobian = forward_jacobian(solution.calibration.correction)
-        full = jacobian @ full @ jacobian.T
-    size = 21 if "T" in problem.options.parameters else 12
-    return np.asarray(full[:size, :size])
+        jacobian[:21, :21] = forward_jacobian(known.correction)
+    else:
+        # the field in the reading is s = -(I+S)^-1 k: ds = -(I+S)^-1 (dk + dS s)
+        inverse = np.linalg.inv(np.eye(3) + known.S)
+        for at, bias, rms in zip(of_drivers, known.telemetry_bias.values(), problem.driver_rms, strict=True):
+            jacobian[at : at + 3, at : at + 3] = -inverse
+            jacobian[at : at + 3, :9] = -np.kron(inverse, bias.value_nT * rms)
+    per = np.concatenate([np.ones(21), np.repeat(1.0 / problem.driver_rms, 3)])
+    jacobian = per[:, None] * jacobian
+    return np.asarray(jacobian @ full @ jacobian.T)

@@ -78,11 +78,11 @@ def evidence(problem: LinearProblem, solution: Solution, kept: np.ndarray) -> Li
     step_s = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 1.0
     one = np.ones((len(seconds), 1))
     design = mean(one)
-    x = problem.sides[1]
-    if x:
+    others = [mean(part[rows]) for part in problem.sides[1][int(problem.fits_S) :]]
+    if problem.fits_S:
         H = mean(problem.design.H_nT[rows]) - _smooth(mean(solution.residual_nT[rows]), segment[starts])
-        others = [mean(part[rows]) for part in x[1:]]
-        design = np.hstack([H - H.mean(axis=0), *others, design])
+        others = [H - H.mean(axis=0), *others]
+    design = np.hstack([*others, design])
     edges = np.flatnonzero(np.diff(segment)) + 1
     first, last = np.concatenate([[0], edges]), np.concatenate([edges, [len(seconds)]]) - 1
     return LikelihoodCells(

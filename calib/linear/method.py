@@ -22,6 +22,7 @@ class LinearOptions(of.Options):
 
     method: str = field(default="linear", metadata=of.METHOD("linear", "forward"))
     parameters: str = field(default="b,S", metadata=of.PARAMETERS("b", "b,S", "b,S,T"))
+    driver: Sequence[str] = field(default=(), metadata=of.DRIVER())
     errors_in_variables: bool | None = field(default=None, metadata=_EIV())
     """None: on for `linear`. It also takes out the shortening by errors of the attitude."""
     robust: str = field(default="tukey", metadata=of.ROBUST("none", "huber", "tukey"))

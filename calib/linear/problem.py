@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -44,31 +45,46 @@ class LinearProblem:
         D = self.design.D_Am2
         return [] if D is None or not self.fired.size else [D[:, self.fired]]
 
+    @cached_property
+    def driver_rms(self) -> FloatArray:
+        """(J,) rms of each column that a field follows."""
+        return np.array([float(np.sqrt((values**2).mean())) for values in self.design.columns.values()])
+
+    @cached_property
+    def drivers(self) -> list[FloatArray]:
+        """These columns, each over its rms, in a list of one, or of none."""
+        values = list(self.design.columns.values())
+        return [np.stack(values, axis=1) / self.driver_rms] if values else []
+
+    @property
+    def fits_S(self) -> bool:
+        """Whether the field is a regressor."""
+        return self.options.parameters != "b"
+
     @property
     def linear(self) -> bool:
         """The reading stands on the right side, beside a slope that is fitted."""
-        return self.options.method == "linear" and self.options.parameters != "b"
+        return self.options.method == "linear" and self.fits_S
 
     @property
     def forward(self) -> bool:
         """The reference field does."""
-        return self.options.method == "forward" and self.options.parameters != "b"
+        return self.options.method == "forward" and self.fits_S
 
     @property
     def sides(self) -> tuple[FloatArray, list[FloatArray]]:
-        """(N, 3) what is fitted, and the m regressors: none for b alone."""
+        """(N, 3) what is fitted, and the m regressors: none for b alone, without drivers."""
         B, H = self.design.B_nT, self.design.H_nT
-        if self.options.parameters == "b":
-            return H - B, []
-        return (H, [B, *self.dipole]) if self.linear else (B, [H, *self.dipole])
+        if not self.fits_S:
+            return H - B, self.drivers
+        return (H, [B, *self.dipole, *self.drivers]) if self.linear else (B, [H, *self.dipole, *self.drivers])
 
     @property
     def noise_xx(self) -> FloatArray:
-        """(m, m) Sigma_x of the regressors [B; D]; zero where it is not corrected for."""
-        if self.options.parameters == "b":
-            return np.zeros((0, 0))
-        corrects = float(self.options.corrects)
-        return np.diag(np.concatenate([corrects * self.noise.variance_nT2, np.zeros(self.fired.size)]))
+        """(m, m) Sigma_x of the regressors [B; D; drivers]; zero where it is not corrected for."""
+        field = float(self.options.corrects) * self.noise.variance_nT2 if self.fits_S else np.zeros(0)
+        others = self.fired.size * self.fits_S + len(self.design.columns)
+        return np.diag(np.concatenate([field, np.zeros(others)]))
 
 
 @dataclass(frozen=True)

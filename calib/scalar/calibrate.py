@@ -12,11 +12,12 @@ A rotation of the magnetometer leaves |B| as it is: S is found up to one and giv
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from fluxtwin.calib.common import observability
+from fluxtwin.calib.common import drivers, observability
 from fluxtwin.calib.common.design import joined
 from fluxtwin.calib.common.fit import with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, scalar_noise
@@ -25,7 +26,7 @@ from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import RobustWeights, robust_weights
 from fluxtwin.calib.scalar import words
 from fluxtwin.calib.scalar.covariance import Scores, field_error_covariance, scalar_covariance, scores_of
-from fluxtwin.calib.scalar.fit import NO_ROTATION, ScalarFit, file_parameters
+from fluxtwin.calib.scalar.fit import NO_ROTATION, ScalarFit, driver_covariance, file_parameters
 from fluxtwin.calib.scalar.maximum_likelihood import Solved, Sums, add_up, solve
 from fluxtwin.calib.scalar.method import ScalarOptions
 from fluxtwin.calib.scalar.model import ScalarData, pack, residual
@@ -86,9 +87,17 @@ def calibrate_scalar(
     """
     options = ScalarOptions(**given) if options is None else options
     telemetry = joined(records)
-    rows = assemble_scalar(telemetry, model, with_dipole="T" in options.parameters, names=options.telemetry_bias)
+    asked = drivers.asked_for(telemetry, [*options.driver, *options.telemetry_bias])
+    rows = assemble_scalar(telemetry, model, with_dipole="T" in options.parameters, drivers=asked.columns)
     labels = None if options.passes is None else np.asarray(options.passes)[rows.rows]
-    fit = fit_rows(rows, options, model_name=model.name, passes=labels)
+    own = {name: values for name, values in rows.columns.items() if name not in asked.columns}
+
+    def by(names: Sequence[str]) -> ScalarFit:
+        used = replace(rows, columns={**own, **{name: rows.columns[name] for name in names}})
+        return fit_rows(used, options, model_name=model.name, passes=labels)
+
+    field = rows.B_nT if options.parameters != "b" else np.zeros((len(rows), 0))
+    fit = drivers.fitted(asked, rows.columns, np.column_stack([field, *own.values()]), by)
     return with_warnings(fit, telemetry, robust=options.robust != "none")
 
 
@@ -274,6 +283,7 @@ def _report(
         statistics=residual_statistics(rows.time[kept], residuals_nT[kept]),
         messages=tuple(messages),
         error_model=words.errors(noise, options.noise_nT is not None),
+        driver_covariance=driver_covariance(covariance, data, problem.columns, problem.scale_nT, units),
         quality={"chi2_per_sample": inflation, "field_size_variation": how.constant_share, "rounds": solved.rounds},
     )
 

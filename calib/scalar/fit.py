@@ -72,3 +72,14 @@ def file_parameters(
                 unit[m, n] = unit[n, m] = 1.0
                 jacobian[rows, k] = -per * unit @ s[j]
     return D, -b * scale_nT, T, jacobian @ covariance @ jacobian.T, biases
+
+
+def driver_covariance(
+    covariance: FloatArray, data: ScalarData, columns: tuple[str, ...], scale_nT: float, units: FloatArray
+) -> FloatArray:
+    """(3J, 3J) of the fields that follow columns other than the dipole; arguments as `file_parameters`."""
+    own = [j for j, name in enumerate(columns) if name not in _DIPOLES]
+    start = (6 if data.with_D else 0) + 3
+    place = np.array([start + 3 * j + axis for j in own for axis in range(3)], dtype=int)
+    per = np.repeat(scale_nT / units[own], 3)
+    return np.asarray(np.outer(per, per) * covariance[np.ix_(place, place)])

@@ -12,9 +12,7 @@ from fluxtwin.sim.base.errors import BadInput
 if TYPE_CHECKING:
     from fluxtwin.sim.base.types import FloatArray
 
-_TELEMETRY_BIAS = of.Option(
-    "Also the field that follows this column (array_current_A, ...); method scalar; repeatable.", list[str], "COLUMN"
-)
+_TELEMETRY_BIAS = of.Option("An older name of --driver; method scalar.", list[str], "COLUMN")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,8 +22,9 @@ class ScalarOptions(of.Options):
     method: str = field(default="scalar", metadata=of.METHOD("scalar", "twostep", "center"))
     parameters: str = field(default="", metadata=of.PARAMETERS("", "b", "b,S", "b,S,T"))
     """Empty: `b` for center, `b,S` for the others."""
-    telemetry_bias: Sequence[str] = field(default=(), metadata=_TELEMETRY_BIAS())
+    driver: Sequence[str] = field(default=(), metadata=of.DRIVER())
     """Columns of telemetry whose field is estimated too (Springmann & Cutler 2012)."""
+    telemetry_bias: Sequence[str] = field(default=(), metadata=_TELEMETRY_BIAS())
     robust: str = field(default="tukey", metadata=of.ROBUST("none", "huber", "tukey"))
     covariance: str = field(default="blocks", metadata=of.COVARIANCE("white", "blocks"))
     block_s: float | None = field(default=None, metadata=of.BLOCK_S())
@@ -46,7 +45,7 @@ class ScalarOptions(of.Options):
 
 _HOME = "fluxtwin.calib.scalar.calibrate:calibrate_scalar"
 ESTIMATORS = (
-    of.Estimator("center", (), ScalarOptions, _HOME, without=("telemetry_bias",)),
-    of.Estimator("twostep", (), ScalarOptions, _HOME, without=("telemetry_bias",)),
+    of.Estimator("center", (), ScalarOptions, _HOME, without=("driver", "telemetry_bias")),
+    of.Estimator("twostep", (), ScalarOptions, _HOME, without=("driver", "telemetry_bias")),
     of.Estimator("scalar", (), ScalarOptions, _HOME),
 )

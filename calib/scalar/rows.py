@@ -5,7 +5,6 @@ Columns of telemetry (torquer dipole, currents, temperature) may be added, for f
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -14,12 +13,9 @@ import numpy as np
 from fluxtwin.calib.common.design import complete_rows, dipole_for_T, joined, radian_s
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.residuals import ResidualStatistics, residual_statistics
-from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
 from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
-
-_NO_SCALARS = ("sun_B", "nadir_B", "rate_B_rad_s", "dipole_B_Am2", "wheel_speed_rpm")
 
 
 @dataclass(frozen=True)
@@ -50,14 +46,15 @@ def assemble_scalar(
     model: FieldModel,
     *,
     with_dipole: bool = False,
-    names: Sequence[str] = (),
+    drivers: Mapping[str, FloatArray] | None = None,
 ) -> ScalarRows:
-    """Rows with reading, position and the named columns.
+    """Rows with reading, position and these columns.
 
-    names: columns of the telemetry. Raises BadInput for a column that is absent, NoAnswer when no row is complete.
+    drivers: (N,) columns of the joined telemetry that a field follows, by name. Raises BadInput where the dipole is asked
+    for and absent, NoAnswer when no row is complete.
     """
     telemetry = joined(records)
-    columns = _columns(telemetry, with_dipole, names)
+    columns = _columns(telemetry, with_dipole, drivers or {})
     needs = {"no reading": telemetry.has_reading, "no position": telemetry.has_position}
     for name, values in columns.items():
         needs[f"no {name}"] = np.isfinite(values)
@@ -75,18 +72,9 @@ def assemble_scalar(
     )
 
 
-def _columns(telemetry: Telemetry, with_dipole: bool, names: Sequence[str]) -> dict[str, FloatArray]:
-    known = {name: v for name, v in recorded_columns(telemetry).items() if name not in _NO_SCALARS and v.ndim == 1}
-    out: dict[str, FloatArray] = {}
-    if with_dipole:
-        out |= {f"dipole_{axis}_Am2": dipole_for_T(telemetry)[:, i] for i, axis in enumerate("xyz")}
-    for name in names:
-        if name not in known:
-            near = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
-            hint = f"{near[0]!r} is near" if near else ", ".join(known) or "this telemetry has no such column"
-            raise BadInput(f"the telemetry has no column {name!r}", where="telemetry_bias", wanted=hint)
-        out[name] = known[name]
-    return out
+def _columns(telemetry: Telemetry, with_dipole: bool, drivers: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    dipole = dipole_for_T(telemetry) if with_dipole else np.zeros((0, 0))
+    return {f"dipole_{axis}_Am2": dipole[:, i] for i, axis in enumerate("xyz") if with_dipole} | dict(drivers)
 
 
 def predict_scalar(

@@ -54,9 +54,7 @@ def messages(
         )
     others = [name for name in columns if not name.startswith("dipole_")]
     if others:
-        out.append(
-            f"b is for {' and '.join(others)} at zero; the calibration file does not hold the field that follows it"
-        )
+        out.append(f"b is for {' and '.join(others)} at zero")
     return out
 
 

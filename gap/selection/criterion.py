@@ -1,24 +1,15 @@
-"""The one criterion by which explanations of a gap are compared, whatever kind they are.
+"""The one criterion by which explanations of a gap are compared, whatever kind they are: `calib.common.criterion`.
 
-With unit noise after whitening, D the drop of chi-square that p parameters give at their refit, n samples in time and
-n_h settings that were tried,
-
-    2 log(Bayes factor against nothing) = D - p min(log n, 1 + log max(D / p, 1)) - 2 log n_h.
-
-The first penalty of a parameter is Schwarz's (1978, Annals of Statistics 6, 461), that of parameters which are seen well;
-the second integrates p alike parameters over their unknown common size at its likeliest value (empirical Bayes: George &
-Foster 2000, Biometrika 87, 731). Nature's form is not the catalogue's: what named causes that
-explain a drop D leave has, beside the noise, a variance of `SHAPE` D in each direction that anything else could explain.
-A further cause, or an unknown one, must stand out of that too.
+Nature's form is not the catalogue's. What named causes that explain a drop D of chi-square leave has, beside the noise, a
+variance of `SHAPE` D in each direction that anything else could explain. A further cause, or an unknown one, must stand out
+of that too.
 """
 
-from __future__ import annotations
-
-import numpy as np
-from numpy.typing import ArrayLike
 from scipy.special import expit, logit
 
-from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.calib.common.criterion import THRESHOLD, penalty, worth
+
+__all__ = ["LOG_FURTHER", "MOST_SURE", "SHAPE", "SHAPE_ERROR", "THRESHOLD", "penalty", "still_known", "worth"]
 
 SHAPE_ERROR = 0.15
 """Of its amplitude, rms: how far the image of a hypothesis is from what nature does where the hypothesis is right. Of 34
@@ -30,24 +21,10 @@ tenths."""
 LOG_FURTHER = 6.0
 """Minus twice the log of the prior odds of one more cause beside a named one, and of one outside the catalogue: one in
 twenty."""
-THRESHOLD = 6.0
-"""The least worth of a finding. On noise alone the largest worth of a whole search exceeds it in about 0.2 % of records."""
 MOST_SURE = 0.98
 """Most that is ever stated of a name: of some 160 names on tuning seeds (2001, 2002, 2003, 2010 of
 benchmarks/withheld.py) of which the posterior was all but sure, two or three were wrong; by Laplace's rule
 (1 + 160) / (2 + 163) = 0.976."""
-
-
-def penalty(rank: ArrayLike, drop: ArrayLike, samples: float) -> FloatArray:
-    """Of `rank` parameters that lower chi-square (unit variance) by `drop` together."""
-    ranks = np.maximum(np.asarray(rank, dtype=np.float64), 0.0)
-    each = np.asarray(drop, dtype=np.float64) / np.maximum(ranks, 1.0)
-    return np.asarray(ranks * np.minimum(np.log(samples), 1.0 + np.log(np.maximum(each, 1.0))))
-
-
-def worth(drop: float, rank: int, samples: float, log_tried: float) -> float:
-    """Twice the log of the Bayes factor against nothing. log_tried: of the number of settings searched."""
-    return float(drop - penalty(rank, drop, samples)) - 2.0 * log_tried
 
 
 def still_known(known: float, log_ratio: float) -> float:

@@ -18,7 +18,16 @@ UNIT = re.compile(
 NO_UNIT = (
     # ratios, matrices of ratios, rotations, states of 0 and 1, counts and probabilities
     {"S", "q_NB", "sunlit", "heater_on", "sun_sensor_head", "sun_B", "sun_N", "nadir_B", "nadir_N"}
-    | {"illumination", "weights", "eccentricity", "condition", "covariance", "correlation", "singular_values"}
+    | {
+        "illumination",
+        "weights",
+        "eccentricity",
+        "condition",
+        "covariance",
+        "driver_covariance",
+        "correlation",
+        "singular_values",
+    }
     | {"state_of_charge", "probability", "significance", "efficiency", "duty", "R_BN", "segment", "eiv_shift"}
     | {"relative_uncertainty", "directions_B", "lag_correlation", "sharpness", "taper_above_fraction", "G", "M"}
     | {"D", "O", "taper_above", "rc_weights", "gram", "inertia_ratio", "misfit", "flattening"}

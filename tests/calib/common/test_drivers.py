@@ -1,0 +1,245 @@
+"""Fields that follow columns, estimated beside S and b where the columns go with the attitude.
+
+The payload is on while the body leans forward, the array's current follows the sun's direction in the body. Regressed on
+such a column alone, an axis of the reading gives coefficients that are mostly the Earth's field turning with the attitude:
+off by hundreds of their own sigmas. Beside the reference field they come back within their sigmas, and S and b with them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binom, chi2, norm
+from worlds import scenario_text
+
+from fluxtwin.calib.common.apply import apply_calibration
+from fluxtwin.calib.common.drivers import told_apart
+from fluxtwin.calib.common.fit import Fit
+from fluxtwin.calib.common.onboard import composed
+from fluxtwin.calib.common.records import Calibration, Onboard, TelemetryBias
+from fluxtwin.calib.methods import calibrate_by
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames, sun
+from fluxtwin.sim.earth.field import load_field
+from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.scenario.scenario import parse_scenario
+from fluxtwin.sim.telemetry.record import Telemetry
+
+pytestmark = pytest.mark.closure
+
+SECTIONS = """
+[attitude]
+yaw_rms_deg = 25.0
+roll_rms_deg = 15.0
+pitch_rms_deg = 15.0
+[attitude.reference]
+sigma_deg = 0.05
+tau_s = 300.0
+[magnetometer]
+S = [[0.02, 0.004, -0.003], [-0.009, 0.014, 0.008], [0.014, -0.004, -0.007]]
+b_nT = [300.0, -200.0, 100.0]
+noise_nT = 10.0
+[torquers]
+dipole_Am2 = 20.0
+positions_m = [[0.0, 0.0, 2.0], [0.0, 2.0, 0.0], [1.5, 0.0, 0.0]]
+"""
+ROWS, STEP_S, RUNS = 1000, 15.0, 16
+S = np.array([[0.02, 0.004, -0.003], [-0.009, 0.014, 0.008], [0.014, -0.004, -0.007]])
+B_NT = np.array([300.0, -200.0, 100.0])
+K = {"driver_array": np.array([-0.03, 0.02, 0.045]), "driver_payload": np.array([60.0, -40.0, 25.0])}
+"""In the reading: nT/mA and nT while on."""
+ALARM = 1e-4
+
+
+@cache
+def flown(seed: int, *, noise: bool = True, torquers: bool = False, wrong_S: bool = True) -> Telemetry:
+    """A record with two columns that go with the attitude, and their fields in the reading."""
+    scenario = parse_scenario(scenario_text(SECTIONS, seed=seed, segment=f"samples = {ROWS}, step_s = {STEP_S}"))
+    changes: dict[str, Any] = {} if torquers else {"torquers.activity": "off"}
+    changes |= {} if noise else {"magnetometer.noise_nT": None, "attitude.reference": None}
+    changes |= {} if wrong_S else {"magnetometer.S": None}
+    record, truth = simulate(scenario.updated(changes))
+    R_BN = frames.rotation_from_q(truth.q_NB)
+    sun_B = R_BN.apply(sun.sun_direction_N(truth.time, truth.r_N_km))
+    down_B = R_BN.apply(-truth.r_N_km / np.linalg.norm(truth.r_N_km, axis=1)[:, None])
+    array_mA = 3000.0 * np.maximum(-sun_B[:, 2], 0.0) * np.array(record.sunlit)
+    columns = {"driver_array": array_mA, "driver_payload": (down_B[:, 0] > 0.05).astype(float)}
+    field = sum(np.outer(column, K[name]) for name, column in columns.items())
+    drivers = {name.removeprefix("driver_"): column for name, column in columns.items()}
+    return record.replace(mag_B_nT=record.mag_B_nT + field, drivers=drivers)
+
+
+def fit_of(record: Telemetry, **options: Any) -> Fit:
+    return calibrate_by(record, load_field(), **options)
+
+
+def error_of_drivers(fit: Fit) -> FloatArray:
+    found = fit.calibration.telemetry_bias
+    return np.concatenate([found[name].value_nT - K[name] for name in found])
+
+
+@cache
+def runs() -> tuple[tuple[FloatArray, FloatArray, FloatArray, FloatArray], ...]:
+    """For each seed: errors of S and b with their covariance, and those of the drivers."""
+    made = []
+    for seed in range(RUNS):
+        fit = fit_of(flown(seed), method=("linear", "forward")[seed % 2], driver=["array", "payload"])
+        error = fit.calibration.values - np.concatenate([S.ravel(), B_NT])
+        made.append((error, fit.calibration.covariance, error_of_drivers(fit), fit.driver_covariance))
+    return tuple(made)
+
+
+def test_everything_comes_back_within_its_covariance() -> None:
+    """e' C^-1 e is chi-square; each sum over the runs lies between its quantiles, both ways, with 1 - 1e-4."""
+    for first, size in ((0, 12), (2, 6)):
+        total = sum(float(run[first] @ np.linalg.solve(run[first + 1], run[first])) for run in runs())
+        low, high = chi2.ppf([ALARM / 2.0, 1.0 - ALARM / 2.0], size * RUNS)
+        assert low < total < high, (size, total / size / RUNS)
+
+
+def test_every_coefficient_is_within_its_sigma() -> None:
+    """Of the runs, one by one, as many within 1.96 sigma as the binomial law allows: 1e-4 over the 18 parameters."""
+    least, farthest = binom.ppf(ALARM / 18.0, RUNS, 0.95), norm.isf(ALARM / 36.0)
+    for first in (0, 2):
+        pulls = np.array([run[first] / np.sqrt(np.diag(run[first + 1])) for run in runs()])
+        assert ((np.abs(pulls) < 1.96).sum(axis=0) >= least).all()
+        assert np.abs(pulls.mean(axis=0)).max() * np.sqrt(RUNS) < farthest, "nor is the mean off"
+
+
+def test_an_axis_against_a_current_alone_takes_the_attitude_for_a_field() -> None:
+    """The negative control: the same columns and readings, without the reference."""
+    record = flown(0)
+    for name, k in K.items():
+        column = record.drivers[name.removeprefix("driver_")]
+        x = np.column_stack([np.ones(ROWS), column])
+        found = np.linalg.lstsq(x, record.mag_B_nT, rcond=None)[0]
+        assert np.abs(found[1] - k).max() > 50.0 * np.abs(k).max()
+
+
+@pytest.mark.parametrize("method", ["linear", "forward", "scalar"])
+def test_of_all_columns_those_that_drive_are_kept_and_the_others_named(method: str) -> None:
+    record, rng = flown(3), stream(3, "test.junk")
+    junk: dict[str, FloatArray] = {f"noise_{k}": rng.normal(size=ROWS) for k in range(4)}
+    junk |= {f"walk_{k}": np.cumsum(rng.normal(size=ROWS)) for k in range(4)}
+    junk |= {f"switch_{k}": (np.arange(ROWS) % (40 + 37 * k) < 20.0).astype(float) for k in range(4)}
+    junk |= {"bus": np.full(ROWS, 28.0), "copy": 2.0 - 3.0 * record.drivers["payload"]}
+    junk["rare"] = np.where(np.arange(ROWS) % 3 == 0, record.drivers["array"], np.nan)
+    fit = fit_of(record.replace(drivers={**record.drivers, **junk}), method=method, driver=["all"])
+    assert set(fit.calibration.telemetry_bias) == {"driver_array", "driver_payload"}
+    assert len(fit.time) == ROWS, "a column that is mostly blank costs no rows"
+    said = " ".join(fit.messages)
+    for name in set(junk) - {"bus", "copy", "rare"}:
+        assert f"driver_{name} (" in said.split("Dropped")[1]
+    assert "driver_bus was not tried: it never changes" in said
+    assert "driver_copy was not tried: it goes together with driver_payload" in said
+    assert "driver_rare was not tried: it is known in 33 % of the rows" in said
+
+
+def test_where_none_drives_none_is_kept() -> None:
+    record, rng = flown(4), stream(4, "test.junk")
+    quiet = record.replace(
+        mag_B_nT=record.mag_B_nT - sum(np.outer(record.drivers[n.removeprefix("driver_")], k) for n, k in K.items()),
+        drivers={**record.drivers, **{f"walk_{k}": np.cumsum(rng.normal(size=ROWS)) for k in range(8)}},
+    )
+    fit = fit_of(quiet, driver=["all"])
+    assert not fit.calibration.telemetry_bias
+    assert any(message.startswith("kept of 10 columns: none") for message in fit.messages)
+    asked = fit_of(quiet, driver=["payload"])
+    assert any("no field of driver_payload is seen beyond chance" in message for message in asked.messages)
+    plain = fit_of(quiet)
+    assert np.array_equal(fit.calibration.values, plain.calibration.values)
+
+
+@pytest.mark.parametrize("parameters", ["b", "b,S", "b,S,T"])
+@pytest.mark.parametrize("method", ["linear", "forward", "scalar"])
+def test_without_noise_everything_is_exact(method: str, parameters: str) -> None:
+    """Whatever stands beside them; without attitude S is symmetric, which that of the truth is not.
+
+    The searches for |B| end where a step is 1e-8 of the field: 3e-4 nT, ten times that in b.
+    """
+    record = flown(5, noise=False, torquers="T" in parameters, wrong_S="S" in parameters and method != "scalar")
+    fit = fit_of(record, method=method, parameters=parameters, driver=["array", "payload"], robust="none")
+    assert np.abs(fit.calibration.S - (S if "S" in parameters and method != "scalar" else 0.0)).max() < 1e-7
+    assert np.abs(fit.calibration.b_nT - B_NT).max() < 3e-3
+    assert np.abs(error_of_drivers(fit) / np.abs(np.concatenate(list(K.values())))).max() < 1e-4
+
+
+def test_a_written_file_takes_the_fields_out_again(tmp_path: Path) -> None:
+    record = flown(7)
+    fit = fit_of(record, driver=["array", "payload"])
+    known = Calibration.from_toml(fit.calibration.to_toml(tmp_path / "known.toml"))
+    assert list(known.telemetry_bias) == ["driver_array", "driver_payload"]
+    corrected = apply_calibration(record, known)
+    without = apply_calibration(record, dataclasses.replace(known, telemetry_bias={}), force=True)
+    moved = without.mag_B_nT - corrected.mag_B_nT
+    wanted = (np.eye(3) + known.S) @ known.telemetry_bias["driver_payload"].value_nT
+    on = (record.drivers["payload"] > 0.0) & (record.drivers["array"] == 0.0)
+    assert np.abs(moved[on] - wanted).max() < 1e-9
+    with pytest.raises(BadInput, match=r"driver_array.* the column is not there"):
+        apply_calibration(record.replace(drivers={}), known)
+
+
+def test_what_was_done_on_board_is_composed_with_a_column() -> None:
+    """m' = M (m - o) is what comes down: the field of the column is in it as M s."""
+    rng = stream(1, "test.onboard")
+    bias = {"driver_x": TelemetryBias(np.array([5.0, -3.0, 2.0]), np.array([0.1, 0.2, 0.3]))}
+    M, o = np.eye(3) + 0.05 * rng.normal(size=(3, 3)), np.array([100.0, -50.0, 20.0])
+    known = Calibration(S, B_NT, telemetry_bias=bias, onboard=Onboard("table", M, o))
+    reading, columns = rng.normal(size=(9, 3)) * 3e4, {"driver_x": rng.normal(size=9)}
+    assert known.onboard is not None
+    down = (reading - o) @ M.T
+    there = composed(known, known.onboard).apply(down, columns=columns)
+    assert np.abs(there - known.apply(reading, columns=columns)).max() < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("method", "names", "said"),
+    [
+        ("linear", ["paylod"], "'payload' is near"),
+        ("scalar", ["flag_x"], "the telemetry has no column 'flag_x'"),
+        ("twostep", ["payload"], "method linear or forward or scalar"),
+        ("recursive", ["payload"], "method linear or forward or scalar"),
+    ],
+)
+def test_a_column_or_a_method_that_is_not_there_is_refused(method: str, names: list[str], said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        fit_of(flown(0), method=method, driver=names)
+
+
+@pytest.mark.parametrize(
+    ("column", "said"),
+    [
+        (lambda r: np.full(ROWS, 3.3), "driver_x cannot be estimated: it never changes"),
+        (lambda r: 1.0 - 2.0 * r.drivers["payload"], "goes together with driver_payload"),
+    ],
+)
+def test_a_column_that_cannot_be_told_apart_is_refused(column: Any, said: str) -> None:
+    record = flown(0)
+    spoilt = record.replace(drivers={**record.drivers, "x": column(record)})
+    for method in ("linear", "scalar"):
+        with pytest.raises(NoAnswer, match=said):
+            fit_of(spoilt, method=method, driver=["payload", "x"])
+
+
+def test_what_can_be_told_apart_beside_the_field() -> None:
+    rng = stream(2, "test.apart")
+    field, free = 3e4 * rng.normal(size=(500, 3)), rng.normal(size=500)
+    columns = {
+        "free": free,
+        "along": 2.0 * field[:, 0] - field[:, 2] + 7.0,
+        "mixed": field[:, 1] * 1e-4 + free,
+        "weak": field[:, 0] * 1e-4 + 0.01 * rng.normal(size=500),
+        "zero": np.zeros(500),
+    }
+    kept, why = told_apart(columns, field)
+    assert kept == ("free", "weak")
+    assert why["along"].startswith("it follows the field")
+    assert why["mixed"].startswith("it is a combination of the field")
+    assert why["zero"].startswith("it never changes")

@@ -13,6 +13,7 @@ import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.telemetry.column_map_draft_time import text_format
 from fluxtwin.sim.telemetry.column_map_values import from_lists
 from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES, CsvFile, open_csv
 from fluxtwin.sim.telemetry.formats.catalogue import table_of
@@ -79,6 +80,8 @@ _SIZES = {
 }
 """Typical sizes of a vector by unit: a guess where the name says none."""
 _SAMPLE = 2000
+_FILLS = (-9999.0, -99999.0, -999.0, 9999.0, 99999.0, 65535.0, 32767.0, -32768.0, 1e31, -1e31)
+"""What programs write where there is nothing."""
 
 
 @dataclass
@@ -95,6 +98,8 @@ class Header:
     """NetCDF variables with units "... since"."""
     units: dict[str, str] = field(default_factory=dict)
     rows: int = 0
+    texts: dict[str, list[str]] = field(default_factory=dict)
+    """Some cells of the columns of a CSV as they stand."""
 
 
 def draft(paths: Sequence[Path | str]) -> str:
@@ -157,9 +162,13 @@ def _time(header: Header) -> tuple[str, set[str], str]:
     """The recipe, the columns it takes, and what is doubtful in it."""
     if header.cf:
         return f'{{ recipe = "cf", columns = {json.dumps(header.cf[0])} }}', {header.cf[0]}, ""
-    likely = re.compile(r"time|date|utc|stamp|epoch|^t$|^ts|sec|week|tow", re.IGNORECASE)
+    likely = re.compile(r"time|date|utc|stamp|epoch|unix|^t$|^ts|sec|week|tow", re.IGNORECASE)
     for name in sorted(header.iso, key=lambda one: not likely.search(one)):
         return f'{{ recipe = "iso", columns = {json.dumps(name)} }}', {name}, ""
+    written = text_format(header.texts)
+    if written is not None:
+        names, form, doubt = written
+        return f'{{ recipe = "text", columns = {json.dumps(names)}, format = {json.dumps(form)} }}', set(names), doubt
     week = [n for n in header.values if re.search(r"week", n, re.IGNORECASE)]
     tow = [n for n in header.values if re.search(r"tow|week.*sec|sec.*week|seconds_of", n, re.IGNORECASE)]
     if week and tow and week[0] != tow[-1]:
@@ -167,6 +176,9 @@ def _time(header: Header) -> tuple[str, set[str], str]:
         return text, {week[0], tow[-1]}, "the week counts from 1980 (no roll-over), seconds of week are GPS time"
     for name, value in sorted(header.values.items(), key=lambda one: not likely.search(one[0])):
         size = float(np.nanmedian(value)) if value.ndim == 1 and likely.search(name) else 0.0
+        if re.search("gps", name, re.IGNORECASE) and 6.0e8 < size < 4.0e9:
+            doubt = f"{name} looks like seconds of GPS time since 1980"
+            return f'{{ recipe = "gps_s", columns = {json.dumps(name)} }}', {name}, doubt
         for recipe, unit in (("unix_us", 1e6), ("unix_ms", 1e3), ("unix_s", 1.0)):
             if 2.0e8 * unit < size < 4.0e9 * unit:
                 nano = [n for n in header.values if n != name and re.search(r"ns$|nano", n, re.IGNORECASE)]
@@ -281,7 +293,8 @@ def _is_unit(header: Header, columns: list[str]) -> bool:
 
 
 def _vector(header: Header, quantity: str, columns: list[str]) -> _Found:
-    doubts, keys = [], {}
+    doubts: list[str] = []
+    keys: dict[str, object] = {}
     size = float(np.nanmedian(np.linalg.norm(_stacked(header, columns), axis=1)))
     if quantity not in ("sun", "nadir"):
         stated = _stated_unit(header, quantity, columns)
@@ -293,6 +306,10 @@ def _vector(header: Header, quantity: str, columns: list[str]) -> _Found:
                 "" if likely else ", which fits no unit: counts? then add scale = nT per count"
             )
             doubts.append(f"{quantity}: the unit ({why})")
+    fill = [value for value in _FILLS if (_stacked(header, columns) == value).any()]
+    if fill:
+        keys["fill"] = fill
+        doubts.append(f"{quantity}: that {', '.join(map(repr, fill))} means missing")
     if quantity in ("position", "velocity"):
         frame = _frame(_stem(columns))
         keys["frame"] = frame or "GCRS"
@@ -346,6 +363,7 @@ def header_of(path: Path) -> Header:
 def _look(csv: CsvFile, name: str, header: Header) -> None:
     """Whether a column holds numbers or stamps."""
     text = csv.text(name)[:_SAMPLE]
+    header.texts[name] = [cell.decode("utf-8", "replace").strip() for cell in text[:20].tolist() if cell.strip()]
     if any(re.match(rb"\s*\d{4}-\d\d-\d\d[T ]\d\d:", bytes(cell)) for cell in text[:20]):
         header.iso.append(name)
         return

@@ -16,7 +16,7 @@ from fluxtwin.sim.telemetry.quantities import Quantity
 if TYPE_CHECKING:
     from fluxtwin.sim.telemetry.column_map import ColumnSpec
 
-_BETWEEN = re.compile(rb"[\s,;|/\\\[\](){}]+")
+_BETWEEN = re.compile(rb"[\s,;|\\\[\](){}]+")
 _FILL_TOLERANCE = 1e-6
 """A fill value as 1e31 was often stored in single precision."""
 

@@ -168,3 +168,32 @@ def test_a_bare_time_column_is_answered_with_an_example(tmp_path: Path, time: st
     with pytest.raises(BadInput) as caught:
         load_column_map(tmp_path / "map.toml")
     assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("head", "cells", "said"),
+    [
+        ("Date,Clock", ["2026/03/01,00:00:00.5", "2026/03/01,00:00:01.5"], 'format = "%Y/%m/%d %H:%M:%S.%f"'),
+        ("stamp,n", ["13.03.2026 01:02:03,1", "13.03.2026 01:02:04,2"], 'format = "%d.%m.%Y %H:%M:%S"'),
+        ("stamp,n", ["01/02/2026 01:02:03,1", "01/02/2026 01:02:04,2"], "could be %m/%d/%Y"),
+        ("day,utc", ["2026-060,01:02:03", "2026-060,01:02:04"], 'format = "%Y-%j %H:%M:%S"'),
+        ("gps_time,n", ["1456358418.5,1", "1456358419.5,2"], 'recipe = "gps_s"'),
+    ],
+)
+def test_stamps_of_other_forms_are_guessed_and_read(tmp_path: Path, head: str, cells: list[str], said: str) -> None:
+    rows = [f"{head},mag_x_nT,mag_y_nT,mag_z_nT", *(f"{cell},20000,1,-30000" for cell in cells)]
+    (tmp_path / "a.csv").write_text("\n".join([*rows, ""]), encoding="utf-8")
+    text = draft([tmp_path / "a.csv"])
+    assert said in text and "# to be confirmed" in text
+    (tmp_path / "m.toml").write_text(text, encoding="utf-8")
+    found = read_telemetry(tmp_path / "a.csv", column_map=tmp_path / "m.toml")
+    assert (found.time[1] - found.time[0]) == np.timedelta64(1, "s") and str(found.time[0])[:4] == "2026"
+
+
+def test_fill_values_are_guessed(tmp_path: Path) -> None:
+    rows = ["t,bx_nT,by_nT,bz_nT", *(f"2026-03-01T00:00:0{k}Z,20000,{-9999 if k == 3 else 1},-30000" for k in range(9))]
+    (tmp_path / "a.csv").write_text("\n".join([*rows, ""]), encoding="utf-8")
+    text = draft([tmp_path / "a.csv"])
+    assert "fill = [-9999.0]" in text and "that -9999.0 means missing" in text
+    (tmp_path / "m.toml").write_text(text, encoding="utf-8")
+    assert list(np.flatnonzero(~read_telemetry(tmp_path / "a.csv", column_map=tmp_path / "m.toml").has_reading)) == [3]

@@ -33,7 +33,6 @@ FLUXGATE = "elfin_a_20220112.nc"
 STATE = "elfin_a_20220112_state.nc"
 NO_POSITION = "elfin_a_20190721_raw_no_position.nc"
 Findings = Callable[[Path], dict[str, dict[str, Any]]]
-DOCS_MAPS = Path(__file__).resolve().parents[3] / "docs" / "maps"
 MAPS = {
     FLUXGATE: "elfin_fluxgate_as_labelled",
     STATE: "elfin_state",
@@ -105,7 +104,7 @@ def test_the_state_file_is_judged_though_it_has_no_magnetometer(shared: Path, fo
 
 
 def test_an_own_map_still_decides(shared: Path, cli: Cli) -> None:
-    outcome = cli("check", shared / "flight" / FLUXGATE, "--map", DOCS_MAPS / "elfin.toml")
+    outcome = cli("check", shared / "flight" / FLUXGATE, "--map", "preset:elfin")
     assert outcome.status == 0, "with 0.01 nT a count nothing is wrong"
     assert "recognised layout" not in outcome.out
 

@@ -16,6 +16,7 @@ from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.telemetry.column_map import mapped_table
 from fluxtwin.sim.telemetry.column_map_draft import header_of
 from fluxtwin.sim.telemetry.columns import describe, file_columns
+from fluxtwin.sim.telemetry.formats.catalogue import format_of
 from fluxtwin.sim.telemetry.layouts import recognised
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import Readable, Reading, as_path, is_path
@@ -177,5 +178,8 @@ def _of_header(path: Path, why: str) -> Inventory:
         read = record(mapped_table(path, found[1]))
         return of_record(read.replace(provenance={**read.provenance, "column_map": found[0]}), str(path))
     listed = header_of(path)
+    kind = format_of(path)
+    if kind is not None and kind.option:
+        why = f"a {kind.name}: give it as {kind.option} {path} beside the readings"
     columns = [Column(name, listed.units.get(name, "")) for name in listed.names]
     return Inventory(str(path), listed.rows, None, None, None, None, columns, unread=why)

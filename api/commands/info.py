@@ -41,7 +41,8 @@ def _print(output: Output, one: Inventory) -> None:
     if one.unread:
         output.prose(f"{one.source}: {one.rows} rows; no telemetry as it stands: {one.unread}")
         output.table("", ("column", "unit"), [(column.name, column.unit) for column in one.columns])
-        output.say(f"Next: fluxtwin map {one.source} --out map.toml")
+        if " beside the readings" not in one.unread:
+            output.say(f"Next: fluxtwin map {one.source} --out map.toml")
         output.say()
         return
     output.say(f"{one.source}: {one.rows} rows, {one.start} to {one.end}{_span(one)}")

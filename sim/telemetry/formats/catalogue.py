@@ -26,8 +26,8 @@ class Format:
     module: str
     """Its module in this folder, imported when it is used."""
     writes: bool = False
-    rows: bool = True
-    """It has rows of telemetry; otherwise attitude or orbit alone."""
+    option: str = ""
+    """Of a file that has attitude or orbit alone: the option that takes it beside the readings."""
 
     def read(self, path: Path) -> Table:
         """The file as a table. Raises BadInput."""
@@ -45,8 +45,8 @@ class Format:
 
 
 FORMATS = (
-    Format("CCSDS attitude ephemeris (AEM, KVN)", (".aem",), "aem", writes=True, rows=False),
-    Format("CCSDS orbit ephemeris (OEM, KVN)", (".oem",), "oem", writes=True, rows=False),
+    Format("CCSDS attitude ephemeris (AEM, KVN)", (".aem",), "aem", writes=True, option="--attitude"),
+    Format("CCSDS orbit ephemeris (OEM, KVN)", (".oem",), "oem", writes=True, option="--tle"),
     Format("CDF", (".cdf",), "cdf"),
     Format("Excel workbook", (".xlsx",), "xlsx", writes=True),
     Format("Parquet", (".parquet",), "parquet", writes=True),

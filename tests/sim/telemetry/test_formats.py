@@ -306,3 +306,9 @@ def test_the_textbook_quaternion_is_the_one_of_the_messages() -> None:
     q = np.array([[0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]])
     assert np.allclose(frames.rotation_from_q(q).apply([1.0, 0.0, 0.0]), [[0.0, -1.0, 0.0]])
     assert isinstance(frames.rotation_from_q(q), Rotation)
+
+
+def test_info_says_where_an_attitude_goes(tmp_path: Path) -> None:
+    (tmp_path / "a.aem").write_text(AEM, encoding="utf-8")
+    found = fluxtwin.info(tmp_path / "a.aem")
+    assert "--attitude" in found.unread and [column.name for column in found.columns][-1] == "q_w"

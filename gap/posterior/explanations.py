@@ -138,7 +138,7 @@ def likeliest(explanations: Sequence[Explanation]) -> tuple[int, float, float]:
         return 0, 1.0, float(np.max(logs))
     named = logs.copy()
     named[0, 0] = -np.inf  # something is there
-    known = float(softmax(0.5 * named)[:, 0].sum())
+    known = min(1.0, float(softmax(0.5 * named)[:, 0].sum()))  # rounding may leave a digit above one
     column = 0 if known >= 0.5 else 1
     return int(np.argmax(named[:, column])), known, float(np.max(logs))
 

@@ -9,7 +9,7 @@ import pytest
 
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.posterior.explanations import likeliest
-from fluxtwin.gap.selection.criterion import LOG_FURTHER, THRESHOLD, penalty, worth
+from fluxtwin.gap.selection.criterion import LOG_FURTHER, THRESHOLD, penalty, still_known, worth
 
 pytestmark = pytest.mark.property
 
@@ -57,6 +57,19 @@ def test_the_explanation_that_weighs_most_is_taken(
     place, share, most = likeliest(explanations)
     assert place == best and share == pytest.approx(known, abs=1e-9)
     assert most == max(*worths, *unknowns)
+
+
+def test_a_probability_is_never_above_one() -> None:
+    """Nor, by rounding, what is made of it after held-out samples."""
+    rng = np.random.default_rng(6)
+    for _ in range(300):
+        explanations = [
+            SimpleNamespace(worth=w, unknown=-np.inf, fit=SimpleNamespace(chosen=[(object(), None)] * n))
+            for n, w in enumerate([0.0, *rng.uniform(50.0, 60.0, 5)])
+        ]
+        _, known, _ = likeliest(explanations)
+        assert 0.0 <= known <= 1.0
+        assert 0.9 < still_known(known, 0.0) < 0.97  # one in twenty looks like an effect and is none
 
 
 def test_the_prior_of_a_further_cause_is_one_in_twenty() -> None:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 _STRETCHES = 12
 _WORSE = 2.0  # standard errors
-_PREFERRED = ("linear", "scalar", "forward", "twostep", "recursive", "batch", "iterative", "center")
+_PREFERRED = ("linear", "scalar", "forward", "twostep", "recursive", "batch", "iterative", "gyro", "center")
 """What is known best and needs least, first: sigmas that were tested, no motion to be estimated, no tuning."""
 _WHY_NOT = 160  # characters of a refusal
 

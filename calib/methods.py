@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 from fluxtwin.calib.attitude import method as attitude
 from fluxtwin.calib.common.options import METHOD, Estimator, Option
+from fluxtwin.calib.gyro import method as gyro
 from fluxtwin.calib.linear import method as linear
 from fluxtwin.calib.scalar import method as scalar
 from fluxtwin.calib.spin import method as spin
@@ -28,7 +29,8 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 
 ESTIMATORS: dict[str, Estimator] = {
-    one.name: one for one in (*linear.ESTIMATORS, *scalar.ESTIMATORS, *spin.ESTIMATORS, *attitude.ESTIMATORS)
+    one.name: one
+    for one in (*linear.ESTIMATORS, *scalar.ESTIMATORS, *spin.ESTIMATORS, *attitude.ESTIMATORS, *gyro.ESTIMATORS)
 }
 
 

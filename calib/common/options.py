@@ -42,8 +42,9 @@ class Option:
 METHOD = Option(
     "With attitude: linear (reading to field, the papers') or forward. Without: scalar (maximum likelihood of |B|), twostep "
     "or center (b alone). A spinner with sun pulses: batch or iterative. A filter that estimates the attitude too, by "
-    "scanner and sun or the reference: recursive. all: a table of what each errs on rows that it has not seen, and the one "
-    "to take. Where not given: linear where there is attitude, scalar where there is none.",
+    "scanner and sun or the reference: recursive. A tumbler, from gyro and magnetometer alone: gyro. all: a table of what "
+    "each errs on rows that it has not seen, and the one to take. Where not given: linear where there is attitude, scalar "
+    "where there is none.",
     str,
     "NAME",
     "method",

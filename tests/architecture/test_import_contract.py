@@ -15,6 +15,7 @@ SIM = ESTIMATORS_SEE | {"sim", "sim.spacecraft", "sim.effects", "sim.scenario"}
 CALIB = {
     "calib",
     "calib.common",
+    "calib.gyro",
     "calib.linear",
     "calib.onboard",
     "calib.scalar",

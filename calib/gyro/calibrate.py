@@ -1,0 +1,242 @@
+"""Calibration of a tumbler after launch, from its gyro and magnetometer: `calibrate_gyro`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from fluxtwin.calib.common import observability
+from fluxtwin.calib.common.design import complete_rows, joined
+from fluxtwin.calib.common.digits import measured, plain
+from fluxtwin.calib.common.fit import Fit, with_warnings
+from fluxtwin.calib.common.noise import ReadingNoise, per_axis
+from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.common.residuals import residual_statistics
+from fluxtwin.calib.common.robust import robust_weights
+from fluxtwin.calib.gyro.method import GyroOptions
+from fluxtwin.calib.gyro.motion import LARGEST_TURN_RAD, cut
+from fluxtwin.calib.gyro.solve import Solved, fields_without_errors, solve
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth.field import FieldModel
+from fluxtwin.sim.telemetry.record import Telemetry
+
+_LENGTHS_S = (600.0, 300.0, 150.0, 75.0, 40.0, 20.0, 10.0, 5.0, 2.0)
+_FEWEST = 3
+"""Stretches that are needed."""
+_MOST_ROWS = 120
+_WORST = 0.3  # of the field: a b less certain than that is none
+_WORST_S = 0.02
+"""Sigma of an element of S: magnetometers are made to a few percent, and a weaker combination is moved by noise as much."""
+_COLLAPSED = 0.3
+"""Share of the reading that must be left: a body that does not turn reads a field like a bias, and b = -B fits it."""
+_SLOW = 30.0
+"""Rates in noises of a rate: below, answers were seen that are wrong by many of their sigmas."""
+_SHAKEN = 2.0  # noises of the gyro, in the trial with a magnetometer without errors
+_REPEATED = float(chi2.ppf(0.999, 3))
+_SECONDS_PER_H = 3600.0
+
+
+def calibrate_gyro(
+    records: Telemetry | Sequence[Telemetry], model: FieldModel, options: GyroOptions | None = None, **given: Any
+) -> Fit:
+    """S (of trace zero) and b from readings and body rates; the field model, positions and attitude are not looked at.
+
+    Raises BadInput where the telemetry has no rates, NoAnswer where too few rows follow each other closely enough, or the
+    body turned so little that b is not determined, with the direction.
+    """
+    options = GyroOptions(**given) if options is None else options
+    telemetry = joined(records)
+    rates = telemetry.rate_B_rad_s
+    if rates is None:
+        raise BadInput(
+            "the telemetry has no body rates",
+            where="rate_x_rad_s rate_y_rad_s rate_z_rad_s",
+            wanted="the gyro's columns",
+        )
+    needs = {"no reading": telemetry.has_reading, "no rate": np.asarray(np.isfinite(rates).all(axis=1))}
+    rows, left_out = complete_rows(needs, "by gyro needs readings and body rates in the same rows")
+    used = telemetry.select(rows)
+    solved, weights, length_s = _best(used, rates[rows], options)
+    variation = observability.field_variation(used.mag_B_nT)
+    _require_turns(solved, used, options)
+    order = np.argsort(solved.rows, kind="stable")
+    kept_rows, residual_nT = solved.rows[order], solved.residual_nT[order]
+    w = weights[kept_rows]
+    kept = w >= 0.01
+    noise = _noise(options, solved.variance_nT2)
+    calibration = Calibration(
+        S=solved.S,
+        b_nT=solved.b_nT,
+        covariance=solved.covariance,
+        covariance_kind="blocks",
+        sigma_nT=float(np.sqrt((residual_nT[kept] ** 2).mean())),
+        samples=int(kept.sum()),
+        span=(used.time[kept_rows[0]], used.time[kept_rows[-1]]),
+        field_model="none",
+        method=f"gyro and magnetometer alone, for {options.parameters}",
+        unobservable=_unobservable(options),
+    )
+    outside = len(used) - len(kept_rows)
+    fit = Fit(
+        calibration=calibration,
+        method="gyro",
+        time=used.time[kept_rows],
+        residuals_nT=residual_nT,
+        weights=w / w.sum(),
+        rows=rows[kept_rows],
+        left_out={**left_out, **({"no unbroken stretch around it": outside} if outside else {})},
+        rejected=int((~kept).sum()),
+        variation=variation,
+        noise=noise,
+        statistics=residual_statistics(used.time[kept_rows][kept], residual_nT[kept]),
+        messages=_messages(solved, length_s, noise, options),
+    )
+    return with_warnings(fit, telemetry, robust=options.robust != "none")
+
+
+def _best(used: Telemetry, rates: FloatArray, options: GyroOptions) -> tuple[Solved, FloatArray, float]:
+    """The answer, the weights (N,) and the length of a stretch: the longest of which there are three, as more of a turn is
+    seen in it; but of no more rows than a covariance is cheap for."""
+    usual_s = float(np.median(np.diff(used.time).astype(np.float64))) * 1e-9 if len(used) > 1 else 1.0
+    lengths = (
+        [one for one in _LENGTHS_S if one <= _MOST_ROWS * usual_s] if options.stretch_s is None else [options.stretch_s]
+    )
+    for length in lengths:
+        cuts = cut(used.time, rates, length)
+        if len(cuts) >= _FEWEST:
+            solved, weights = _robust(used, rates, cuts, length, options)
+            _require_no_false_turns(used, rates, cuts, length, options, solved, weights)
+            return solved, weights, length
+    fast = np.degrees(np.median(np.linalg.norm(rates, axis=1)))
+    raise NoAnswer(
+        f"fewer than {_FEWEST} stretches of rows follow each other closely enough to integrate the gyro: the body turns "
+        f"by {fast:.3g} deg/s (median), and between rows by no more than {np.degrees(LARGEST_TURN_RAD):.0f} deg can be "
+        "followed. Faster telemetry or a longer record is needed",
+        evidence={"rows": len(used)},
+    )
+
+
+def _robust(
+    used: Telemetry, rates: FloatArray, cuts: list[np.ndarray], length_s: float, options: GyroOptions
+) -> tuple[Solved, FloatArray]:
+    """The answer with weights that outliers do not move, and the weights (N,)."""
+    rows, whole = np.concatenate(cuts), np.ones(len(used))
+
+    def fit(start: Solved | None, *, corrected: bool) -> Solved:
+        with_S = options.parameters != "b"
+        more = {"with_S": with_S, "weights": whole, "start": start, "corrected": corrected}
+        return solve(used.time, used.mag_B_nT, rates, cuts, length_s, **more)  # type: ignore[arg-type]
+
+    if options.robust == "none":
+        return fit(None, corrected=True), whole
+    found = fit(None, corrected=False)
+
+    def refit(weights: FloatArray) -> FloatArray:
+        nonlocal found
+        whole[rows] = weights
+        found = fit(found, corrected=False)
+        return found.residual_nT
+
+    whole[rows] = robust_weights(found.residual_nT, refit, options.robust).weights
+    return fit(None, corrected=True), whole
+
+
+def _require_no_false_turns(
+    used: Telemetry,
+    rates: FloatArray,
+    cuts: list[np.ndarray],
+    length_s: float,
+    options: GyroOptions,
+    solved: Solved,
+    weights: FloatArray,
+) -> None:
+    """Raises NoAnswer where a magnetometer without errors, with the noises that were found, would not be found to have none.
+
+    Noise of the gyro is false turns: where they are as large as the true ones a field passes for a bias, and no sigma knows
+    of it.
+    """
+    speed, noise = float(np.median(np.linalg.norm(rates, axis=1))), solved.gyro_noise_rad_s
+    if speed < _SLOW * noise:
+        raise NoAnswer(
+            f"b is not determined: the body turns by {plain(float(np.degrees(speed)), 2)} deg/s, and the gyro's noise of "
+            f"{plain(float(np.degrees(noise)), 2)} deg/s a rate passes for turns. A body {_SLOW:.0f} times as fast as the "
+            "noise is wanted",
+            evidence={"rate_rad_s": speed, "noise_rad_s": noise},
+        )
+    rng = stream(0, "calib.gyro.repeat")
+    again = np.array(used.mag_B_nT)
+    field = fields_without_errors(used.time, again, rates, cuts, length_s, weights)
+    again[solved.rows] = field + np.sqrt(solved.variance_nT2) * rng.standard_normal(field.shape)
+    shaken = rates + _SHAKEN * solved.gyro_noise_rad_s * rng.standard_normal(rates.shape)
+    with_S, kept = options.parameters != "b", (weights > 0.01).astype(np.float64)
+    found = solve(used.time, again, shaken, cuts, length_s, with_S=with_S, weights=kept)
+    if float(found.b_nT @ np.linalg.solve(found.covariance[9:, 9:], found.b_nT)) > _REPEATED:
+        size = plain(float(np.linalg.norm(found.b_nT)), 2)
+        raise NoAnswer(
+            f"b is not determined: a magnetometer without errors, read in these turns by such a gyro, would be given a b of "
+            f"{size} nT. The gyro's noise passes for turns of the body, which turns too slowly for it",
+            evidence={"b_nT": solved.b_nT.tolist(), "without_errors_nT": found.b_nT.tolist()},
+        )
+
+
+def _require_turns(solved: Solved, used: Telemetry, options: GyroOptions) -> None:
+    """Raises NoAnswer where b, or S, is not determined."""
+    strength = float(np.sqrt((used.mag_B_nT**2).sum(axis=1).mean()))
+    left = float(np.sqrt(((used.mag_B_nT @ (np.eye(3) + solved.S).T + solved.b_nT) ** 2).sum(axis=1).mean()))
+    if left < _COLLAPSED * strength:
+        raise NoAnswer(
+            f"b is not determined: with it only {plain(left, 2)} of {plain(strength, 2)} nT of the field would be left, as "
+            "where the body turns by no more than the gyro's noise. A faster turn is needed",
+            evidence={"field_nT": left, "b_nT": solved.b_nT.tolist()},
+        )
+    values, vectors = np.linalg.eigh(solved.covariance[9:, 9:])
+    sigma = float(np.sqrt(values[-1]))
+    S_sigma = float(np.sqrt(np.diag(solved.covariance)[:9].max()))
+    if options.parameters != "b" and not S_sigma < _WORST_S:
+        raise NoAnswer(
+            f"S is not determined (sigma {plain(S_sigma, 2)}): the body turned too little, or about too few axes. Use "
+            "--parameters b, or a longer record",
+            evidence={"sigma": S_sigma},
+        )
+    if not sigma < _WORST * strength:
+        raise NoAnswer(
+            f"b along {observability.direction_words(vectors[:, -1])} is not determined (sigma {plain(sigma, 2)} nT): the "
+            "body turned about that direction alone, or hardly. A turn about another axis is needed",
+            evidence={"sigma_nT": sigma, "direction": vectors[:, -1].tolist()},
+        )
+
+
+def _noise(options: GyroOptions, variance: float) -> ReadingNoise:
+    if options.noise_nT is not None:
+        declared = per_axis(options.noise_nT, "noise_nT")
+        return ReadingNoise(declared**2, f"{plain(float(declared.mean()))} nT as declared")
+    return ReadingNoise(np.full(3, variance), f"{plain(float(np.sqrt(variance)))} nT an axis, found in the data")
+
+
+def _unobservable(options: GyroOptions) -> tuple[str, ...]:
+    if options.parameters == "b":
+        return ("S, which was not estimated: b can be wrong by S times the field",)
+    return (
+        "the scale common to all axes: without a field to compare with it cannot be seen, and the trace of S is zero. S and "
+        "b are in the axes of the gyro",
+    )
+
+
+def _messages(solved: Solved, length_s: float, noise: ReadingNoise, options: GyroOptions) -> tuple[str, ...]:
+    per_h = np.degrees(1.0) * _SECONDS_PER_H
+    bias = ", ".join(
+        f"{measured(float(x) * per_h, float(s) * per_h)}"
+        for x, s in zip(solved.bias_rad_s, solved.bias_sigma_rad_s, strict=True)
+    )
+    chosen = "as asked" if options.stretch_s is not None else "the longest of which there are three"
+    return (
+        f"gyro integrated over {solved.stretches} stretches of about {length_s:.4g} s, {chosen}",
+        f"noise of the gyro: {plain(float(np.degrees(solved.gyro_noise_rad_s)), 2)} deg/s a rate, found in the data",
+        f"bias of the gyro about x, y, z: {bias} deg/h",
+        f"noise of the reading: {noise.source}",
+    )

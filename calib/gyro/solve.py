@@ -1,0 +1,280 @@
+"""The least squares behind `calibrate_gyro`: S, b and the gyro's bias, with the field of every stretch eliminated.
+
+In a stretch the field, in the axes of its first row, is a polynomial P(t) a of time, whatever it is; R_k turns it into body
+axes. A reading m, with M = I + S and c = -b, then fulfils
+
+    M m_k - c - R_k P_k a = noise
+
+which is linear in S, c and a; a bias of the gyro turns R_k by Psi_k bias. For a field that does not change it is the
+integral of dB/dt + w x (B - b) = 0 (Troni and Whitcomb, Field sensor bias calibration with angular-rate sensors, IEEE/ASME
+Transactions on Mechatronics 24, 2019), without the noise of a derivative. S and the gyro's bias beside b are found as in
+Rodriguez-Martinez and Troni (full magnetometer and gyroscope bias estimation using angular rates, IEEE Journal of Oceanic
+Engineering, 2025). The common factor of M, c and a cannot be seen: the trace of S is zero.
+
+Errors are correlated within a stretch, because the gyro's noise adds up there, and start anew in the next: a white error of
+each rate turns the field in all rows after it. Its size is found by restricted likelihood beside that of the reading's. The
+covariance is that of these two, widened where the stretches scatter by more (`shrinkage`), with their leverage allowed for
+(CR2: Bell and McCaffrey 2002, Survey Methodology 28, 169).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.optimize import minimize_scalar
+
+from fluxtwin.calib.common.shrinkage import widening
+from fluxtwin.calib.gyro.motion import Stretch, degree_for, follow
+from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+
+_ROUNDS = 6  # of Gauss-Newton: the gyro's noise is found in the middle of them
+_LEAST_WEIGHT = 1e-6
+_RATIOS = np.geomspace(1e-4, 1e4, 9)  # variance of the turn in a step over that of a reading, in parts of the field
+_MOST_SHARE = 0.9  # of the information, that one stretch may have
+_FEWEST_BLOCKS = 12
+_SURE = 3.0  # standard errors
+
+
+def _basis_of_S() -> FloatArray:
+    """(9, 8) from trace-free parameters to S row by row."""
+    basis = np.zeros((9, 8))
+    for k, at in enumerate((1, 2, 3, 5, 6, 7)):
+        basis[at, k] = 1.0
+    basis[[0, 4], 6] = np.array([1.0, -1.0]) / np.sqrt(2.0)
+    basis[[0, 4, 8], 7] = np.array([1.0, 1.0, -2.0]) / np.sqrt(6.0)
+    return basis
+
+
+BASIS_S = _basis_of_S()
+
+
+class Solved(NamedTuple):
+    """The answer for one cut into stretches."""
+
+    S: FloatArray
+    """(3, 3), of trace zero."""
+    b_nT: FloatArray
+    """(3,)."""
+    bias_rad_s: FloatArray
+    """(3,) of the gyro."""
+    covariance: FloatArray
+    """(12, 12) of S row by row and b."""
+    bias_sigma_rad_s: FloatArray
+    """(3,)."""
+    rows: np.ndarray
+    """(n,) rows that stand in a stretch."""
+    residual_nT: FloatArray
+    """(n, 3) field minus calibrated reading, body axes."""
+    variance_nT2: float
+    """Of the reading, white."""
+    gyro_noise_rad_s: float
+    """Of one rate, white from row to row."""
+    stretches: int
+
+
+class Cleared(NamedTuple):
+    """One stretch, whitened and cleared of its own field."""
+
+    G: FloatArray
+    """(3 n, p) derivatives by S, c and the gyro's bias."""
+    y: FloatArray
+    """(3 n,) readings."""
+    weight: FloatArray
+    """(3, 3) what white noise of the readings has in the scores of S: see `_least_squares`."""
+    log_determinant: float
+    """Of the whitening and of the field's columns, for the likelihood."""
+
+
+def solve(
+    time: TimeArray,
+    reading_nT: FloatArray,
+    rate_B_rad_s: FloatArray,
+    cuts: Sequence[np.ndarray],
+    length_s: float,
+    *,
+    with_S: bool,
+    weights: FloatArray,
+    start: Solved | None = None,
+    corrected: bool = True,
+) -> Solved:
+    """Gauss-Newton over the gyro's bias; all else is linear. The gyro's noise is found by restricted likelihood.
+
+    weights: (N,) of the rows, 1 at the most. start: a solution with other weights, of which one step is made. corrected:
+    for noise in the regressors; not before outliers have lost their weight. Raises NoAnswer where a combination of the
+    parameters is moved by noise alone.
+    """
+    scale = float(np.sqrt((reading_nT**2).sum(axis=1).mean()))
+    degree, m = degree_for(length_s), reading_nT / scale
+    bias, S, c = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
+    variance = 0.0 if start is None else start.variance_nT2 / scale**2
+    ratio = 0.0 if start is None else start.gyro_noise_rad_s**2 * scale**2 / start.variance_nT2
+    if start is not None:
+        bias, S, c = start.bias_rad_s, start.S, -start.b_nT / scale
+    rows = np.concatenate(cuts)
+    size = 14 if with_S else 6
+    freedom = max(1.0, 3.0 * float(weights[rows].sum()) - 3.0 * (degree + 1) * len(cuts) - size)
+    for turn in range(_ROUNDS if start is None else 1):
+        stretches = [follow(time, rate_B_rad_s - bias, one, degree) for one in cuts]
+        true = m + m @ S.T - c
+        if start is None and turn == _ROUNDS // 2:
+            ratio = _ratio(stretches, m, true, weights, freedom, with_S=with_S)
+        parts = [_cleared(one, m, true, weights, ratio, with_S=with_S) for one in stretches]
+        theta, normal = _least_squares(parts, variance if corrected else 0.0)
+        variance = sum(float(((one.y - one.G @ theta) ** 2).sum()) for one in parts) / freedom
+        S = (BASIS_S @ theta[:-6]).reshape(3, 3) if with_S else S
+        c, bias = theta[-6:-3], bias + theta[-3:]
+    covariance = _covariance(parts, theta, normal, variance)
+    back = np.zeros((12, size))
+    if with_S:
+        back[:9, :8] = BASIS_S
+    back[9:, -6:-3] = -scale * np.eye(3)
+    return Solved(
+        S=S,
+        b_nT=-c * scale,
+        bias_rad_s=bias,
+        covariance=back @ covariance @ back.T,
+        bias_sigma_rad_s=np.sqrt(np.diag(covariance)[-3:]),
+        rows=rows,
+        residual_nT=np.vstack([_residual(one, reading_nT, S, c * scale, weights) for one in stretches]),
+        variance_nT2=variance * scale**2,
+        gyro_noise_rad_s=float(np.sqrt(ratio * variance)),
+        stretches=len(stretches),
+    )
+
+
+def _least_squares(parts: Sequence[Cleared], variance: float) -> tuple[FloatArray, FloatArray]:
+    """The parameters and the normal matrix, corrected for noise in the regressors.
+
+    The reading stands on both sides. With D the sum over rows of the diagonal blocks of the cleared weight matrix, noise of
+    `variance` adds variance D (x) 1 to the information about S, and -variance D to its score: taken off.
+    """
+    normal = np.sum([one.G.T @ one.G for one in parts], axis=0)
+    right = np.sum([one.G.T @ one.y for one in parts], axis=0)
+    if len(right) > 6:
+        D = variance * np.sum([one.weight for one in parts], axis=0)
+        normal[:8, :8] -= BASIS_S.T @ np.kron(D, np.eye(3)) @ BASIS_S
+        right[:8] += BASIS_S.T @ D.reshape(9)
+    return np.linalg.lstsq(normal, right, rcond=1e-14)[0], np.asarray(normal)
+
+
+def _ratio(
+    stretches: Sequence[Stretch], m: FloatArray, true: FloatArray, weights: FloatArray, freedom: float, *, with_S: bool
+) -> float:
+    """Variance of a rate [rad^2/s^2] over that of a reading in parts of the field, of the greatest restricted likelihood."""
+
+    def minus_log(log_ratio: float) -> float:
+        parts = [_cleared(one, m, true, weights, float(np.exp(log_ratio)), with_S=with_S) for one in stretches]
+        theta, normal = _least_squares(parts, 0.0)
+        left = sum(float(((one.y - one.G @ theta) ** 2).sum()) for one in parts)
+        logs = sum(one.log_determinant for one in parts)
+        return 0.5 * (logs + float(np.linalg.slogdet(normal)[1]) + freedom * float(np.log(left)))
+
+    step_s = float(np.median(np.concatenate([one.step_s for one in stretches])))
+    grid = np.log(_RATIOS / step_s**2)
+    values = [minus_log(x) for x in grid]
+    at = int(np.argmin(values))
+    if at in (0, len(grid) - 1):
+        return float(np.exp(grid[at]))
+    found = minimize_scalar(minus_log, bracket=tuple(grid[at - 1 : at + 2]), tol=0.02)
+    return float(np.exp(found.x))
+
+
+def _cleared(
+    one: Stretch, m: FloatArray, true: FloatArray, weights: FloatArray, ratio: float, *, with_S: bool
+) -> Cleared:
+    """The stretch's rows for S, c and a change of the gyro's bias, and the reading, cleared of its own field."""
+    n, here, B = len(one.rows), m[one.rows], true[one.rows]
+    columns = []
+    if with_S:
+        of_S = np.einsum("ij,nk->nijk", np.eye(3), here).reshape(n * 3, 9)
+        columns.append(-of_S @ BASIS_S)
+    columns.append(np.tile(np.eye(3), (n, 1)))
+    # R turns by (I + [Psi d]x) for a bias larger by d: the field by (Psi d) x B = -[B]x Psi d
+    cross = np.zeros((n, 3, 3))
+    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -B[:, 2], B[:, 1], -B[:, 0]
+    cross -= cross.transpose(0, 2, 1)
+    columns.append(-(cross @ one.turned).reshape(n * 3, 3))
+    field = np.einsum("nij,np->nipj", one.R, one.basis).reshape(n * 3, -1)
+    whole = np.hstack([field, *columns, here.reshape(-1, 1)])
+    V = np.diag(np.repeat(1.0 / np.maximum(weights[one.rows], _LEAST_WEIGHT), 3))
+    if ratio > 0:
+        of_noise = _of_gyro_noise(one, cross)
+        V += ratio * (of_noise @ of_noise.T)
+    half = np.linalg.cholesky(V)
+    white = solve_triangular(half, whole, lower=True)
+    q = field.shape[1]
+    Q, triangle = np.linalg.qr(white[:, :q])
+    rest = white[:, q:] - Q @ (Q.T @ white[:, q:])
+    down = solve_triangular(half, np.eye(3 * n), lower=True)
+    seen = (down - Q @ (Q.T @ down)).reshape(3 * n, n, 3)
+    log = 2.0 * float(np.log(np.diag(half)).sum() + np.log(np.abs(np.diag(triangle))).sum())
+    return Cleared(rest[:, :-1], rest[:, -1], np.einsum("aki,akj->ij", seen, seen), log)
+
+
+def _of_gyro_noise(one: Stretch, cross: FloatArray) -> FloatArray:
+    """(3 n, 3 n) of unit errors of each rate: half in the step before it and half in the one after, they turn the field in
+    all later rows."""
+    n = len(one.rows)
+    later = np.tril(np.ones((n, n)), -1)[:, :-1]
+    R = np.einsum("kij,lmj->klim", one.R, one.R[1:])  # from body axes after a step to those at k
+    steps = np.einsum("kij,kljm,kl,l->kilm", cross, R, later, 0.5 * one.step_s, optimize=True)
+    rates = np.zeros((n, 3, n, 3))
+    rates[:, :, :-1] += steps
+    rates[:, :, 1:] += steps
+    return np.asarray(rates.reshape(3 * n, 3 * n))
+
+
+def fields_without_errors(
+    time: TimeArray,
+    reading_nT: FloatArray,
+    rate_B_rad_s: FloatArray,
+    cuts: Sequence[np.ndarray],
+    length_s: float,
+    weights: FloatArray,
+) -> FloatArray:
+    """(n, 3) field in body axes at the rows of the stretches, if S and b were zero."""
+    degree, none = degree_for(length_s), np.zeros((3, 3))
+    stretches = [follow(time, rate_B_rad_s, one, degree) for one in cuts]
+    found = [reading_nT[one.rows] + _residual(one, reading_nT, none, none[0], weights) for one in stretches]
+    return np.vstack(found)
+
+
+def _residual(one: Stretch, reading_nT: FloatArray, S: FloatArray, c: FloatArray, weights: FloatArray) -> FloatArray:
+    """(n, 3) R P a - (M m - c)."""
+    here = reading_nT[one.rows]
+    calibrated = (here + here @ S.T - c).reshape(-1)
+    root = np.repeat(np.sqrt(np.maximum(weights[one.rows], 1e-12)), 3)
+    columns = np.einsum("nij,np->nipj", one.R, one.basis).reshape(len(one.rows) * 3, -1)
+    Q = np.linalg.qr(columns * root[:, None])[0]
+    return np.asarray((Q @ (Q.T @ (calibrated * root)) / root - calibrated).reshape(-1, 3))
+
+
+def _covariance(parts: Sequence[Cleared], theta: FloatArray, normal: FloatArray, variance: float) -> FloatArray:
+    """That of the two noises; wider where stretches, or pairs of them, scatter by more than chance."""
+    value = float(np.linalg.eigvalsh(normal)[0])
+    if not value > 0:
+        raise NoAnswer(
+            "S is not determined: the body turned too little, or about too few axes, and nothing but noise moves a "
+            "combination of S, b and the gyro's bias. Use --parameters b, or a longer record",
+            evidence={},
+        )
+    down = np.linalg.inv(np.linalg.cholesky(normal))
+    moved = np.empty((len(parts), len(theta)))
+    for k, one in enumerate(parts):
+        half = one.G @ down.T
+        share, vector = np.linalg.eigh(half.T @ half)
+        freed = vector / np.sqrt(1.0 - np.clip(share, 0.0, _MOST_SHARE))
+        moved[k] = freed @ (vector.T @ (down @ (one.G.T @ (one.y - one.G @ theta))))
+    # in units in which the covariance of the two noises is one
+    by_ones = (moved - moved.mean(axis=0)) * np.sqrt(len(moved) / variance)
+    by_pairs = by_ones[: len(moved) // 2 * 2].reshape(-1, 2, len(theta)).sum(axis=1) / np.sqrt(2.0)
+    W = np.eye(len(theta))
+    for h in (by_ones, by_pairs):
+        if len(h) >= _FEWEST_BLOCKS and float((h**2).mean()) > 1.0 + _SURE * np.sqrt(2.0 / h.size):
+            wider = widening(h)
+            W = wider if np.trace(wider) > np.trace(W) else W
+    return np.asarray(variance * down.T @ W @ down)

@@ -1,0 +1,119 @@
+"""From gyro and magnetometer alone: S, b and the gyro's bias come back within their sigmas; what is not seen is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from worlds import scenario_text
+
+import fluxtwin
+from fluxtwin.calib.common.fit import Fit
+from fluxtwin.calib.gyro.motion import degree_for, follow
+from fluxtwin.calib.gyro.solve import BASIS_S
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.scenario.scenario import parse_scenario
+from fluxtwin.sim.telemetry.record import Telemetry
+
+pytestmark = pytest.mark.closure
+
+S = np.array([[0.01, 0.004, 0.0], [-0.002, -0.01, 0.0], [0.003, 0.0, 0.02]])
+B_NT = np.array([1500.0, -800.0, 300.0])
+WORLD = """
+[attitude]
+mode = "tumble"
+rate_deg_s = {rate}
+[magnetometer]
+S = {S}
+b_nT = [1500.0, -800.0, 300.0]
+noise_nT = 50.0
+[gyro]
+bias_deg_h = [30.0, -20.0, 10.0]
+noise_deg_s = {gyro}
+"""
+INERTIA = [[0.02, 0.0, 0.0], [0.0, 0.025, 0.0], [0.0, 0.0, 0.03]]
+
+
+def flown(
+    seed: int, rate: str = "[1.5, 0.8, -1.1]", S: np.ndarray = S, gyro: float = 0.02, rows: int = 500
+) -> Telemetry:
+    segment = f"samples = {rows}, step_s = 4.0"
+    world = WORLD.format(rate=rate, S=S.tolist(), gyro=gyro)
+    text = scenario_text(world, segment=segment, seed=seed, inertia_kg_m2=INERTIA)
+    record = fluxtwin.simulate(parse_scenario(text, where="test"))[0]
+    return record.replace(q_NB=None, r_N_km=None, v_N_km_s=None)  # nothing but gyro and magnetometer
+
+
+def misfit(fit: Fit, S: np.ndarray = S) -> float:
+    """e' C^-1 e of b and the part of S that can be seen: the truth in the scale in which the trace of S is zero."""
+    scale = np.trace(np.eye(3) + S) / 3.0
+    e = fit.calibration.values - np.concatenate([((np.eye(3) + S) / scale - np.eye(3)).ravel(), B_NT / scale])
+    seen = np.zeros((12, 11))
+    seen[:9, :8], seen[9:, 8:] = BASIS_S, np.eye(3)
+    down = np.linalg.pinv(seen) if fit.sigma["S12"] is not None else np.hstack([np.zeros((3, 9)), np.eye(3)])
+    return float(down @ e @ np.linalg.solve(down @ fit.calibration.covariance @ down.T, down @ e))
+
+
+def test_errors_are_as_large_as_the_sigmas_say() -> None:
+    """The sum over seeds is chi-square; half the sigmas, or a b of the wrong sign, are far outside."""
+    found = [misfit(fluxtwin.calibrate(flown(7000 + seed), method="gyro", stretch_s=170.0)) for seed in range(3)]
+    low, high = chi2.ppf([0.0005, 0.9995], 11 * len(found))
+    assert low < sum(found) < high
+    assert 4.0 * sum(found) > high
+
+
+def test_a_part_of_a_turn_in_each_stretch_is_enough_for_b_and_a_slow_body_is_refused() -> None:
+    """1.1 deg/s: a quarter of a turn in 80 s; S is none and said to be none. What hardly turns the moving field hides."""
+    none = np.zeros((3, 3))
+    found = []
+    for seed in range(3):
+        record = flown(7100 + seed, "[0.8, 0.5, -0.6]", none)
+        fit = fluxtwin.calibrate(record, method="gyro", parameters="b", stretch_s=80.0)
+        assert fit.calibration.sigmas[9:].max() < 1500.0
+        found.append(misfit(fit, none))
+    low, high = chi2.ppf([0.0005, 0.9995], 3 * len(found))
+    assert low < sum(found) < high
+    with pytest.raises(NoAnswer, match="not determined"):
+        fluxtwin.calibrate(flown(7150, "[0.01, 0.02, -0.01]", none), method="gyro", parameters="b", stretch_s=80.0)
+
+
+def test_bit_errors_do_not_move_the_answer() -> None:
+    record = flown(7200)
+    readings = np.array(record.mag_B_nT)
+    readings[np.random.default_rng(1).choice(len(readings), 8, replace=False), 1] += 8192.0
+    spoilt = record.replace(mag_B_nT=readings)
+    fit = fluxtwin.calibrate(spoilt, method="gyro", stretch_s=170.0)
+    assert 8 <= fit.rejected < 30 and misfit(fit) < chi2.ppf(0.9999, 11)
+    plain = fluxtwin.calibrate(spoilt, method="gyro", parameters="b", stretch_s=170.0, robust="none")
+    assert plain.calibration.sigma_nT > 5.0 * fit.calibration.sigma_nT
+
+
+def test_what_the_motion_does_not_show_is_refused() -> None:
+    with pytest.raises(BadInput, match="no body rates"):
+        fluxtwin.calibrate(flown(1).replace(rate_B_rad_s=None), method="gyro")
+    spin = flown(2, "[0.0, 0.0, 1.5]", np.zeros((3, 3)))
+    with pytest.raises(NoAnswer, match="S is not determined"):
+        fluxtwin.calibrate(spin, method="gyro", stretch_s=100.0)
+    with pytest.raises(NoAnswer, match="fewer than 3 stretches"):
+        fluxtwin.calibrate(flown(3, rows=8), method="gyro")
+
+
+@pytest.mark.reference
+def test_the_gyro_is_integrated_to_fourth_order() -> None:
+    """Against the attitude that was flown, without noise: the error falls by 16 or so when the step is halved."""
+    text = scenario_text(
+        WORLD.format(rate="[3.0, 2.0, -4.0]", S=S.tolist(), gyro=0.0).replace("[30.0, -20.0, 10.0]", "[0.0, 0.0, 0.0]"),
+        segment="samples = 161, step_s = 1.0",
+        inertia_kg_m2=INERTIA,
+    )
+    record = fluxtwin.simulate(parse_scenario(text, where="test"))[0]
+    assert record.rate_B_rad_s is not None and record.q_NB is not None
+    R_BN = frames.rotation_from_q(record.q_NB)
+    errors = []
+    for step in (4, 2):
+        rows = np.arange(0, 161, step)
+        one = follow(record.time, record.rate_B_rad_s, rows, degree_for(150.0))
+        true = (R_BN[int(rows[-1])] * R_BN[0].inv()).as_matrix()
+        errors.append(float(np.abs(one.R[-1] - true).max()))
+    assert errors[1] < 1e-4 and 8.0 < errors[0] / errors[1] < 32.0

@@ -16,7 +16,7 @@ from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
 
-MAP = Path(__file__).parent / "map.toml"
+MAP = "preset:elfin"
 """The column map of the record."""
 _IRREGULAR_S = 1e-3
 _STEP_S = 0.1

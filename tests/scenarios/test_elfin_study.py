@@ -144,14 +144,6 @@ def test_slips_are_named_by_the_stamps() -> None:
     assert record.clock_slips(np.arange(400) * 0.1, 25) == ()
 
 
-def test_the_map_is_the_documents() -> None:
-    docs = Path(__file__).resolve().parents[2] / "docs" / "maps" / "elfin.toml"
-    ours, theirs = (
-        [line for line in p.read_text().splitlines() if not line.startswith("#")] for p in (record.MAP, docs)
-    )
-    assert ours == theirs
-
-
 def test_a_folder_without_the_files_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match=r"missing there: elfin_a_20220112\.nc, elfin_a_20220112_state\.nc"):
         check_folder(tmp_path, SETTINGS.files)

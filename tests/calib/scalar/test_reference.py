@@ -180,8 +180,7 @@ def test_one_zone_of_elfin_is_refused(shared: Path, parameters: str) -> None:
     file = shared / "flight" / "elfin_a_20220112.nc"
     if not file.is_file():
         pytest.skip("ELFIN-A's file is absent")
-    maps = Path(__file__).resolve().parents[3] / "docs" / "maps"
-    whole = read_telemetry(file, column_map=maps / "elfin.toml")
+    whole = read_telemetry(file, column_map="preset:elfin")
     edges = np.flatnonzero(np.diff(whole.time) > np.timedelta64(60, "s")) + 1
     zones = np.split(np.arange(len(whole)), edges)
     assert len(zones) == 9

@@ -35,6 +35,8 @@ from fluxtwin.sim.telemetry.telemetry_files import Readable, Reading
 from fluxtwin.verbs import as_record, with_reading
 
 _ERRORS = ("noise_nT", "lsb_nT", "attitude_sigma_deg", "attitude_tau_s")
+_MOST_DECLARED = {"--noise-nT": 1e6, "--lsb-nT": 1e6, "--attitude-sigma-deg": 180.0, "--attitude-tau-s": 1e9}
+"""Ten times the Earth's field, half a turn, thirty years: beyond, nothing is said of the errors."""
 """What may be declared of the errors."""
 
 
@@ -70,7 +72,7 @@ def diagnose(
         record = _with_scenario(record, config)
     _require_something(record)
     model_name = field or (config.field.model if config is not None else "igrf14")
-    model = load_field(model_name, degree or (config.field.degree if config is not None and field is None else None))
+    model = load_field(model_name, _degree(degree, None if field is not None else config))
     frozen = () if config is None else _frozen(config)
     budget = _budget(config, frozen, declared)
     found = investigate_record(
@@ -127,10 +129,15 @@ def close(
 
 
 def _check_numbers(declared: Declared) -> None:
-    flags = ("--noise-nT", "--lsb-nT", "--attitude-sigma-deg", "--attitude-tau-s")
-    for flag, value in zip(flags, (getattr(declared, name) for name in _ERRORS), strict=True):
-        if value is not None and not 0 <= value < np.inf:
-            raise BadInput(f"{value:g}", where=flag, wanted="zero or a positive number")
+    for name, (flag, most) in zip(_ERRORS, _MOST_DECLARED.items(), strict=True):
+        value = getattr(declared, name)
+        if value is not None and not 0 <= value <= most:
+            raise BadInput(f"{value:g}", where=flag, wanted=f"a number from 0 to {most:g}")
+
+
+def _degree(degree: int | None, config: Scenario | None) -> int | None:
+    """As given, else the scenario's."""
+    return degree if degree is not None or config is None else config.field.degree
 
 
 def _require_something(record: Telemetry) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import stat
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any, TypeAlias
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import COMMENTS, followed, is_own_toml, is_stream, writable_file
+from fluxtwin.sim.base.toml_input import parse_tree
 from fluxtwin.sim.telemetry.formats.catalogue import WRITTEN
 
 JSON_MARK = "fluxtwin"
@@ -206,8 +206,8 @@ def _tree(path: Path) -> Any:
         found = path.stat()
         if not stat.S_ISREG(found.st_mode) or found.st_size > _MOST_TOML_BYTES:
             return None
-        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
-    except (OSError, ValueError, RecursionError):
+        return parse_tree(path.read_bytes().decode("utf-8-sig"), where=str(path))
+    except (OSError, ValueError, BadInput):
         return None
 
 

@@ -43,6 +43,8 @@ _WANTED = {
 }
 """What a key should have been, in the words of a scenario, by pydantic's kind of error."""
 
+_DEEP_KEY = re.compile(r"(?<![\w.\"'-])(?:[\w\"'-]++[ \t]*+\.[ \t]*+){30}")
+
 _Model = TypeVar("_Model", bound=Strict)
 
 
@@ -89,8 +91,11 @@ def read_tree(path: Path | str) -> dict[str, Any]:
 
 
 def parse_tree(text: str, *, where: str) -> dict[str, Any]:
-    """TOML text as plain tables and values; BadInput when it is none."""
+    """TOML text as plain tables and values; BadInput when it is none, or has a key of more than thirty parts (the parser
+    takes minutes for ten thousand)."""
     try:
+        if _DEEP_KEY.search(text):
+            raise ValueError("a key of more than thirty parts")
         return tomllib.loads(text)
     except (RecursionError, ValueError) as error:  # a number of 5,000 digits is a ValueError, not a TOML error
         raise BadInput(f"is not valid TOML ({str(error)[:120]})", where=where) from None

@@ -313,6 +313,20 @@ def test_a_trap_in_the_file_is_named_before_the_answer(late: Case, cli: Cli, tmp
     assert "fluxtwin check" in said
 
 
+@pytest.mark.parametrize(
+    ("flag", "value", "wanted"),
+    [
+        ("--attitude-sigma-deg", "1e300", "a number from 0 to 180"),
+        ("--noise-nT", "-1", "a number from 0 to"),
+        ("--degree", "0", "1 to 13"),
+    ],
+)
+def test_a_number_that_means_nothing_is_refused(late: Case, cli: Cli, flag: str, value: str, wanted: str) -> None:
+    result = cli("diagnose", late.folder / "late.csv", flag, value)
+    assert result.status == 2
+    assert wanted in " ".join(result.err.split())
+
+
 def test_a_budget_far_too_large_is_said(late: Case, cli: Cli) -> None:
     result = cli("diagnose", late.folder / "late.csv", "--noise-nT", 5000, "--lsb-nT", 10, "--attitude-sigma-deg", 0.05)
     assert "the budget is too large" in " ".join((result.out + result.err).split())

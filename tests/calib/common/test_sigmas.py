@@ -7,7 +7,6 @@ sqrt(2/R) (fully correlated parameters); bands are three of those about 1 unless
 
 from __future__ import annotations
 
-import inspect
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from fluxtwin.calib.common.design import Design
 from fluxtwin.calib.common.slow_errors import PairedCells, kernel_moments
 from fluxtwin.calib.linear.calibrate import calibrate_linear, fit_design
 from fluxtwin.calib.linear.method import LinearOptions
-from fluxtwin.calib.methods import offered
+from fluxtwin.calib.methods import ESTIMATORS, offered
 from fluxtwin.sim.base.errors import NoAnswer
 
 pytestmark = pytest.mark.closure
@@ -218,9 +217,9 @@ def test_errors_of_the_attitude_have_a_direction(seasat: Any) -> None:
     assert variance.max() < 1.5, variance
 
 
-def test_the_command_line_allows_for_correlation_by_default() -> None:
-    from fluxtwin.commands.calibrate import command
-    from fluxtwin.commands.options import as_command
-
-    assert inspect.signature(as_command(command, offered())).parameters["covariance"].default == "blocks"
-    assert LinearOptions().covariance == "blocks"
+def test_every_method_allows_for_correlation_by_default() -> None:
+    """And the command line leaves it to them."""
+    defaults = {name: one.takes["covariance"].default for name, one in ESTIMATORS.items() if "covariance" in one.takes}
+    assert {"linear", "forward", "scalar", "twostep", "recursive", "batch"} <= set(defaults)
+    assert set(defaults.values()) == {"blocks"}
+    assert next(one for one in offered() if one.name == "covariance").default in ("blocks", None)

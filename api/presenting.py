@@ -12,6 +12,7 @@ import numpy as np
 from fluxtwin import calibration_page, describing, diagnosis_page
 from fluxtwin.calib.checks.report import CheckReport
 from fluxtwin.calib.common.fit import Fit
+from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.console import shown
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.scenarios.page import Table
@@ -20,9 +21,6 @@ from fluxtwin.sim.telemetry.record import Telemetry
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-_ASIDE = 1e-6
-"""Share of the mean weight below which a row was set aside."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +95,7 @@ def _inventory(found: describing.Inventory) -> Presented:
 def _draw_fit(fit: Fit) -> Callable[[Axes], Axes]:
     from fluxtwin.plots import on_axes
 
-    aside = fit.weights < _ASIDE * float(np.mean(fit.weights))
+    aside = ~kept_rows(fit.weights)
     title = f"Residuals of {fit.method}: {fit.statistics.component_rms_nT:.3g} nT rms"
     return lambda axes: on_axes.components(
         axes, fit.time, fit.residuals_nT, y="residual [nT]", title=title, aside=aside

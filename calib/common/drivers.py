@@ -29,7 +29,6 @@ from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
 F = TypeVar("F", bound=Fit)
 
 EVERY = "all"
-_NO_SCALARS = ("sun_B", "nadir_B", "rate_B_rad_s", "dipole_B_Am2", "wheel_speed_rpm")
 _LEAST_LEFT = 1e-8
 """Of its variance, that a column must have beside others: a ten-thousandth of its swing."""
 _LEAST_KNOWN = 0.5
@@ -53,7 +52,7 @@ class Asked:
 
 def asked_for(telemetry: Telemetry, names: Sequence[str]) -> Asked:
     """Columns by NAME of `driver_NAME`, or by their own names; `all`: each `driver_NAME`. BadInput for an absent one."""
-    known = {name: v for name, v in recorded_columns(telemetry).items() if name not in _NO_SCALARS and v.ndim == 1}
+    known = {name: v for name, v in recorded_columns(telemetry).items() if v.ndim == 1}
     found: dict[str, FloatArray] = {}
     left_out: dict[str, str] = {}
     if EVERY in names:

@@ -34,7 +34,7 @@ class Stretch(NamedTuple):
 
 
 def cut(time: TimeArray, rate_B_rad_s: FloatArray, length_s: float) -> list[np.ndarray]:
-    """Rows of each stretch of about `length_s`, without gaps and without turns that cannot be followed; even in number."""
+    """Rows of each stretch of about `length_s`, without gaps and without turns that cannot be followed."""
     seconds = (time - time[0]).astype(np.float64) * 1e-9
     step = np.diff(seconds)
     usual = float(np.median(step)) if step.size else 1.0

@@ -126,15 +126,16 @@ def lacks(record: Telemetry) -> dict[str, list[str]]:
     place = [] if record.r_N_km is not None and record.has_position.any() else ["positions (columns, or --tle)"]
     attitude = [] if record.has_attitude.any() else ["attitude"]
     nadir, sun = record.nadir_B is not None, record.sun_B is not None
-    there = {
-        "attitude": not attitude,
-        "attitude, or nadir and sun": not attitude or (nadir and sun),
-        "sun pulses": sun,
+    missing = {
+        "positions": place,
+        "attitude": attitude,
+        "attitude, or nadir and sun": [] if not attitude or (nadir and sun) else ["attitude, or nadir and sun"],
+        "sun pulses": [] if sun else ["sun pulses"],
+        "body rates": [] if record.rate_B_rad_s is not None else ["body rates"],
     }
     out = {"check": reading, "apply": reading}
     for name, estimator in ESTIMATORS.items():
-        needed = [need for need in estimator.needs if not there.get(need, True)]
-        out[f"calibrate --method {name}"] = [*reading, *place, *needed]
+        out[f"calibrate --method {name}"] = [*reading, *(word for need in estimator.needs for word in missing[need])]
     out["yaw"] = [*reading, *place, *attitude]
     out["attitude"] = [*reading, *place, *([] if not attitude or nadir else ["attitude, or nadir"])]
     out["diagnose"] = [*reading, *place]

@@ -33,4 +33,4 @@ class RecursiveOptions(of.Options):
 
 
 _HOME = "fluxtwin.calib.attitude.recursive:calibrate_recursive"
-ESTIMATORS = (of.Estimator("recursive", ("attitude, or nadir and sun",), RecursiveOptions, _HOME),)
+ESTIMATORS = (of.Estimator("recursive", ("positions", "attitude, or nadir and sun"), RecursiveOptions, _HOME),)

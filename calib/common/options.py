@@ -126,7 +126,7 @@ class Estimator:
 
     name: str
     needs: tuple[str, ...]
-    """What the telemetry must have besides readings and positions: attitude, sun pulses."""
+    """What the telemetry must have besides readings: positions, attitude, sun pulses, body rates."""
     options: type[Options]
     home: str
     """`module:function`, imported when it is used: `function(telemetry, model, options)` gives the `Fit`."""

@@ -30,4 +30,4 @@ class GyroOptions(of.Options):
     noise_nT: float | FloatArray | None = field(default=None, metadata=of.NOISE_NT())
 
 
-ESTIMATORS = (of.Estimator("gyro", ("gyro",), GyroOptions, "fluxtwin.calib.gyro.calibrate:calibrate_gyro"),)
+ESTIMATORS = (of.Estimator("gyro", ("body rates",), GyroOptions, "fluxtwin.calib.gyro.calibrate:calibrate_gyro"),)

@@ -53,4 +53,6 @@ class LinearOptions(of.Options):
 
 
 _HOME = "fluxtwin.calib.linear.calibrate:calibrate_linear"
-ESTIMATORS = tuple(of.Estimator(name, ("attitude",), LinearOptions, _HOME) for name in ("linear", "forward"))
+ESTIMATORS = tuple(
+    of.Estimator(name, ("positions", "attitude"), LinearOptions, _HOME) for name in ("linear", "forward")
+)

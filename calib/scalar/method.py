@@ -45,7 +45,7 @@ class ScalarOptions(of.Options):
 
 _HOME = "fluxtwin.calib.scalar.calibrate:calibrate_scalar"
 ESTIMATORS = (
-    of.Estimator("center", (), ScalarOptions, _HOME, without=("driver", "telemetry_bias")),
-    of.Estimator("twostep", (), ScalarOptions, _HOME, without=("driver", "telemetry_bias")),
-    of.Estimator("scalar", (), ScalarOptions, _HOME),
+    of.Estimator("center", ("positions",), ScalarOptions, _HOME, without=("driver", "telemetry_bias")),
+    of.Estimator("twostep", ("positions",), ScalarOptions, _HOME, without=("driver", "telemetry_bias")),
+    of.Estimator("scalar", ("positions",), ScalarOptions, _HOME),
 )

@@ -49,4 +49,6 @@ class SpinOptions(of.Options):
 
 
 _HOME = "fluxtwin.calib.spin.calibrate:calibrate_spin"
-ESTIMATORS = tuple(of.Estimator(name, ("sun pulses",), SpinOptions, _HOME) for name in ("batch", "iterative"))
+ESTIMATORS = tuple(
+    of.Estimator(name, ("positions", "sun pulses"), SpinOptions, _HOME) for name in ("batch", "iterative")
+)

@@ -39,6 +39,7 @@ def test_info_tells_what_is_there_and_what_is_not(cli: Cli, file: Path) -> None:
     }  # fmt: skip
     assert (columns["temperature_degC"]["known"], columns["temperature_degC"]["step_s"]) == (11, 20.0)
     assert found["lacks"]["diagnose"] == [] and found["lacks"]["calibrate --method linear"] == ["attitude"]
+    assert found["lacks"]["calibrate --method gyro"] == ["body rates"]
     assert found["provenance"]["spacecraft"] == "Widget"
     text = cli("info", file).out
     assert "yaw lacks attitude" in text and "2 passes" in text and "910" in text

@@ -124,10 +124,10 @@ def import_calibration(path: Path | str, *, instance: int = 1) -> Calibration:
     """
     path = Path(path)
     text = _text(path)
+    if path.suffix.lower() == ".toml":
+        return Calibration.from_toml(path)
     target = next((one for one in TARGETS.values() if one.is_of(text)), None)
     if target is None:
-        if path.suffix.lower() == ".toml":
-            return Calibration.from_toml(path)
         raise BadInput("holds no calibration that is known", where=str(path), wanted=f"a file of {', '.join(TARGETS)}")
     require_instance(target, instance)
     correction = correction_from_offset_first(target.read(text, instance, str(path)))

@@ -83,6 +83,7 @@ def test_the_fit_is_that_of_the_raw_readings(raw: Telemetry, came_down: Telemetr
     assert "was undone" in fit.messages[0] and "corrected by it already" in " ".join(fit.messages)
     back = Calibration.from_toml(known.to_toml(tmp_path / "c.toml"))
     assert back.onboard is not None and back.digest == known.digest
+    assert fluxtwin.import_calibration(tmp_path / "c.toml").digest == known.digest
     assert np.array_equal(back.onboard.M, BEFORE.M) and np.allclose(back.onboard.o_nT, BEFORE.o_nT, atol=1e-9)
     better = fluxtwin.apply(came_down, back)
     assert np.allclose(better.mag_B_nT, of_raw.apply(raw.mag_B_nT), rtol=0, atol=1.0)  # nT; the sigmas are tens

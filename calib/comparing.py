@@ -20,7 +20,7 @@ from fluxtwin.calib.common.direction import CONFIDENCE
 from fluxtwin.calib.common.options import Estimator
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.robust import find_outliers
-from fluxtwin.sim.base.errors import FluxtwinError, NoAnswer
+from fluxtwin.sim.base.errors import BadInput, FluxtwinError, NoAnswer
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
 from fluxtwin.sim.earth.frames import angle_between
@@ -41,8 +41,14 @@ def compare(
 ) -> Comparison:
     """Every method on a record. given: options, each handed to the methods that take it.
 
-    Raises NoAnswer where no method gives an answer.
+    Raises BadInput without positions, NoAnswer where no method gives an answer.
     """
+    if not telemetry.has_position.any():
+        raise BadInput(
+            "without positions there is no field to predict",
+            where="--method all",
+            wanted="positions (columns, or --tle), or --method gyro",
+        )
     found: dict[str, MethodResult] = {}
     errors: dict[str, FloatArray] = {}
     stretch = np.arange(len(telemetry)) * _STRETCHES // len(telemetry)

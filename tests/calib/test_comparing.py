@@ -13,7 +13,7 @@ import fluxtwin
 from fluxtwin.calib.common.residuals import predict
 from fluxtwin.calib.comparing import compare
 from fluxtwin.calib.methods import ESTIMATORS
-from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.earth.field import FieldModel, load_field
 from fluxtwin.sim.scenario.scenario import parse_scenario
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -82,3 +82,5 @@ def test_without_attitude_the_size_is_judged_and_the_rest_says_why_not(
     assert fluxtwin.Calibration.from_toml(tmp_path / "c.toml").method.startswith("scalar")
     with pytest.raises(NoAnswer, match="batch: "):
         compare(record.replace(q_NB=None), model, {"batch": ESTIMATORS["batch"]}, {})
+    with pytest.raises(BadInput, match="without positions"):
+        compare(record.replace(r_N_km=None, v_N_km_s=None), model, SOME, {})

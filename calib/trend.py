@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 from fluxtwin.calib.common.conventions import offset_first_from_correction
 from fluxtwin.calib.common.digits import measured, plain
@@ -34,7 +34,7 @@ LEVEL = 0.01
 EXPIRED_SIGMAS = 3.0
 """A drift that has moved a parameter by so many of its sigmas has made the last calibration expire."""
 _LEAST_DEGC = 1.0  # between calibrations: less tells nothing about temperature
-_MIRRORED = ("S21", "S31", "S32")
+_RANK = 1e-10  # least eigenvalue of a correlation: below, a parameter follows from others
 
 
 @dataclass(frozen=True)
@@ -209,6 +209,10 @@ def _comparable(calibrations: Sequence[Calibration]) -> list[Calibration]:
     whose = {plain_text(one.spacecraft) for one in calibrations} - {""}
     if len(whose) > 1:
         raise BadInput(f"they are of {' and '.join(sorted(whose))}", where="trend", wanted="one spacecraft")
+    if len({one.magnetometer for one in calibrations}) > 1:
+        raise BadInput("they are of several magnetometers", where="trend", wanted="one magnetometer")
+    if len({one.digest for one in calibrations}) < len(calibrations):
+        raise BadInput("a calibration is given twice", where="trend", wanted="each of them once")
     if len({one.residual_to for one in calibrations}) > 1:
         raise BadInput(
             "some are of readings that had been corrected", where="trend", wanted="calibrations of the sensor"
@@ -218,6 +222,12 @@ def _comparable(calibrations: Sequence[Calibration]) -> list[Calibration]:
             "some were made without attitude: their S is symmetric and is not that of the others",
             where="trend",
             wanted="all of them with attitude, or all without",
+        )
+    if len({one.field_model == "none" for one in calibrations}) > 1:
+        raise BadInput(
+            "some were made without a field model: their scale is not that of the others",
+            where="trend",
+            wanted="all of them by the method gyro, or none",
         )
     return sorted(calibrations, key=_middle)
 
@@ -229,13 +239,23 @@ def _middle(one: Calibration) -> np.datetime64:
 
 
 def _names(known: Sequence[Calibration]) -> tuple[str, ...]:
-    """Parameters that all of them have; of a symmetric S one half."""
-    symmetric = np.array_equal(known[0].S, known[0].S.T)
-    shared = [name for name in known[0].names if all((one.sigma.get(name) or 0.0) > 0 for one in known)]
-    kept = tuple(name for name in shared if not (symmetric and name in _MIRRORED))
+    """Parameters that all of them have, without those that follow from others: one half of a symmetric S, S33 of a
+    trace of zero."""
+    kept: list[str] = []
+    for name in known[0].names:
+        if any(not one.sigma.get(name) for one in known):
+            continue
+        at = [known[0].names.index(other) for other in (*kept, name)]
+        if all(np.linalg.eigvalsh(_correlation(one.covariance[np.ix_(at, at)]))[0] > _RANK for one in known):
+            kept.append(name)
     if not kept:
         raise BadInput("no parameter is in all of them", where="trend", wanted="calibrations of the same parameters")
-    return kept
+    return tuple(kept)
+
+
+def _correlation(covariance: FloatArray) -> FloatArray:
+    sigma = np.sqrt(np.diag(covariance))
+    return np.asarray(covariance / np.outer(sigma, sigma))
 
 
 def _pooled(values: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray, float]:
@@ -254,7 +274,8 @@ def _histories(
     steps = [(np.arange(count) >= k).astype(np.float64) for k in range(1, count)]
     tried: list[tuple[str, FloatArray, int, int]] = [("step", step, k + 1, len(steps)) for k, step in enumerate(steps)]
     if count > 2:  # of two, a line and a step are one and the same
-        tried.append(("drift", days - days.mean(), 0, 1))
+        if np.ptp(days) > 0:
+            tried.append(("drift", days - days.mean(), 0, 1))
         if temperature is not None and np.ptp(temperature) > _LEAST_DEGC:
             tried.append(("temperature", temperature - temperature.mean(), 0, 1))
     kinds = len({kind for kind, *_ in tried})
@@ -263,13 +284,15 @@ def _histories(
         w = sigma**-2.0
         mean = float((w * p).sum() / w.sum())
         q = float((w * (p - mean) ** 2).sum())
-        best = ("constant", 0.0, 0.0, 0, 1.0)
+        best, least = ("constant", 0.0, 0.0, 0), 0.0
         for kind, x, after, places in tried:
             size, error = _slope(p, w, x)
-            chance = min(1.0, float(chi2.sf((size / error) ** 2, 1)) * places * kinds)
-            if chance < best[4]:
-                best = (kind, size, error, after, chance)
-        found.append(History(name, p, sigma, mean, float(w.sum() ** -0.5), q, float(chi2.sf(q, count - 1)), *best))
+            # its logarithm, as beyond 38 sigma the probability itself is 0 for all of them
+            chance = float(np.log(2.0 * places * kinds) + norm.logsf(abs(size / error)))
+            if chance < least:
+                best, least = (kind, size, error, after), chance
+        probability, explained = float(chi2.sf(q, count - 1)), float(np.exp(least))
+        found.append(History(name, p, sigma, mean, float(w.sum() ** -0.5), q, probability, *best, explained))
     return _holm(found)
 
 

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import Cli
 from scipy.stats import binom
+from worlds import scenario_text
 
 import fluxtwin
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.trend import Trend, trend
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.scenario.scenario import parse_scenario
 
 pytestmark = pytest.mark.closure
 
@@ -91,12 +95,69 @@ def test_what_changed_is_named_and_sized(kind: str, name: str) -> None:
     assert hits >= 18
 
 
+def test_a_large_drift_is_no_step() -> None:
+    """Far beyond 38 sigma, where probabilities are no longer numbers."""
+    moved = np.zeros((6, 12))
+    moved[:, 9] = 200.0 * np.arange(6)
+    history = one(trend(made(4, moved)), "b1")
+    assert history.kind == "drift" and history.size == pytest.approx(200.0 * SIGMA[9] / 7.0, rel=0.02)  # type: ignore[attr-defined]
+
+
+def test_parameters_that_follow_from_others_are_counted_once() -> None:
+    """A trace of zero, of calibrations from a gyro: 11 that are free. They do not go with those of a field model."""
+    bind = np.eye(12)
+    bind[np.ix_([0, 4, 8], [0, 4, 8])] -= 1.0 / 3.0
+    full = made(5, np.zeros((4, 12)))
+    gyro = [
+        replace(
+            c,
+            S=(bind @ c.values)[:9].reshape(3, 3),
+            covariance=bind @ c.covariance @ bind.T,
+            field_model="none",
+        )
+        for c in full
+    ]
+    found = trend(gyro)
+    assert found.degrees_of_freedom == 33 and found.holds
+    kept = [name for name in full[0].names if name != "S33"]
+    assert [history.name for history in found.histories] == kept
+    with pytest.raises(BadInput, match="without a field model"):
+        trend([gyro[0], full[1]])
+
+
+def test_at_one_time_there_is_no_drift() -> None:
+    known = made(6, np.zeros((3, 12)))
+    assert trend([replace(c, span=known[0].span) for c in known]).holds
+
+
+def test_telemetry_is_cut_by_days(tmp_path: Path, cli: Cli) -> None:
+    """Two days and an hour, with a bias that steps at midnight of the second."""
+    text = scenario_text(
+        "\n[magnetometer]\nnoise_nT = 20.0\n",
+        segment="samples = 588, step_s = 300.0",
+        start_utc="2026-03-01T00:00:00Z",
+    )
+    record = fluxtwin.simulate(parse_scenario(text, where="test"))[0]
+    second = (record.time >= np.datetime64("2026-03-02T00:00:00"))[:, None]
+    fluxtwin.write(record.replace(mag_B_nT=record.mag_B_nT + second * [-500.0, 0.0, 0.0]), tmp_path / "t.nc")
+    done = cli("trend", tmp_path / "t.nc", "--parameters", "b")
+    assert done.status == 1, done.err
+    assert re.search(r"b1 changed by (49|50)\d\.\d ± ", done.out) and done.out.count("changed by") == 1
+    found = fluxtwin.trend([record], parameters="b")
+    assert found.holds and len(found.time) == 2  # the hour is of the second day
+    assert cli("trend", tmp_path / "t.nc", "--every", "-1").status == 2
+
+
 def test_calibrations_that_cannot_be_compared_are_refused() -> None:
     two = made(1, np.zeros((2, 12)))
     bare = Calibration(two[0].S, two[0].b_nT)
     for bad in ([two[0]], [two[0], bare]):
         with pytest.raises(BadInput, match="calibration"):
             trend(bad)
+    with pytest.raises(BadInput, match="given twice"):
+        trend([two[0], two[0]])
+    with pytest.raises(BadInput, match="several magnetometers"):
+        trend([two[0], replace(two[1], magnetometer=2)])
     symmetric = Calibration(np.diag([0.01, 0.0, 0.0]), two[0].b_nT, covariance=two[0].covariance, span=two[0].span)
     with pytest.raises(BadInput, match="without attitude"):
         trend([symmetric, two[1]])

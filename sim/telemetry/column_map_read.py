@@ -176,7 +176,7 @@ def _quantity(reader: _Reader, name: str, spec: ColumnSpec, fill: list[float]) -
     raw[missing] = np.nan
     value = column_map_values.in_units(raw, spec, quantity, reader.where)
     if spec.frame in column_map_values.PLACES:
-        value = column_map_values.from_places(np.column_stack([raw[:, :2], value[:, 2]]), str(spec.frame))
+        value = column_map_values.from_places(value, str(spec.frame), reader.where)
     if name in ("sun", "nadir"):
         size = np.linalg.norm(value, axis=1, keepdims=True)
         value = np.divide(value, size, out=np.full_like(value, np.nan), where=size > 0)

@@ -64,7 +64,9 @@ def in_units(raw: FloatArray, spec: ColumnSpec, quantity: Quantity | None, where
                 where=where,
                 wanted="one for each, or one",
             )
-    factor = quantity.map_units.get(spec.unit or "", 1.0) if quantity is not None else 1.0
+    factor = np.asarray(quantity.map_units.get(spec.unit or "", 1.0) if quantity is not None else 1.0)
+    if spec.frame in PLACES:  # the unit is that of the height
+        factor = np.array([1.0, 1.0, factor])
     scale, offset = np.asarray(spec.scale) * factor, np.asarray(spec.offset) * factor
     value = raw if not np.any(scale != 1.0) and not np.any(offset) else raw * scale + offset
     if spec.unit == "K" and quantity is not None:
@@ -72,11 +74,19 @@ def in_units(raw: FloatArray, spec: ColumnSpec, quantity: Quantity | None, where
     return value if spec.matrix is None else value @ np.array(spec.matrix).T
 
 
-def from_places(value: FloatArray, frame: str) -> FloatArray:
+def from_places(value: FloatArray, frame: str, where: str) -> FloatArray:
     """Earth-fixed positions (N, 3) in km of latitude and longitude [deg] and a height [km].
 
     geodetic: WGS 84 latitude and altitude. geocentric: latitude above the equator as seen from the centre, and radius.
+    Raises BadInput for a latitude beyond 90 deg.
     """
+    wrong = np.flatnonzero(np.abs(value[:, 0]) > 90.0)
+    if wrong.size:
+        raise BadInput(
+            f"the latitude in row {wrong[0] + 1} is {value[wrong[0], 0]:g} deg",
+            where=where,
+            wanted="latitude, longitude [deg] and height, in this order; `fill` for values that mean missing",
+        )
     latitude, longitude = np.radians(value[:, 0]), np.radians(value[:, 1])
     out = np.full_like(value, np.nan)
     rows = np.isfinite(value).all(axis=1)
@@ -99,8 +109,11 @@ def check(name: str, spec: ColumnSpec, quantity: Quantity | None) -> None:
             raise ValueError(
                 f"{name}: matrix wants three rows of three numbers that turn or mirror, as [[0,1,0],[-1,0,0],[0,0,1]]"
             )
-    if spec.frame in PLACES and name != "position":
-        raise ValueError(f"{name} cannot be {spec.frame}; only position can")
+    if spec.frame in PLACES:
+        if name != "position":
+            raise ValueError(f"{name} cannot be {spec.frame}; only position can")
+        if any(not isinstance(one, list) and one != plain for one, plain in ((spec.scale, 1.0), (spec.offset, 0.0))):
+            raise ValueError(f"{name}: scale and offset of latitude, longitude and height want a list of three")
 
 
 PLACES = ("geodetic", "geocentric")

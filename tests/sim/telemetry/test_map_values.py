@@ -108,6 +108,13 @@ def test_latitude_longitude_and_altitude_against_astropy(tmp_path: Path, unit: s
     radial = read(tmp_path, table, columns.replace("geodetic", "geocentric"))
     assert radial.r_N_km is not None
     assert np.allclose(np.linalg.norm(radial.r_N_km, axis=1), [c for *_, c in places])  # the height is the radius
+    counts = rows(*(f"1,2,3,{a * 1e7!r},{b * 1e7!r},{c * factor!r}" for a, b, c in places), head="t,x,y,z,lat,lon,alt")
+    scaled = read(tmp_path, counts, columns.replace('"geodetic"', '"geodetic", scale = [1e-7, 1e-7, 1]'))
+    assert np.allclose(scaled.r_N_km, found.r_N_km, atol=1e-6)
+    with pytest.raises(BadInput, match="latitude in row 1"):
+        read(tmp_path, counts, columns)
+    with pytest.raises(BadInput, match="list of three"):
+        read(tmp_path, counts, columns.replace('"geodetic"', '"geodetic", scale = 1e-7'))
 
 
 def stamped(line: str, day: float) -> str:

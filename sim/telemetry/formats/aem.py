@@ -16,6 +16,8 @@ from fluxtwin.sim.telemetry.record import Telemetry
 _BODY = ("SC_BODY", "SC_FRAME", "BODY")
 """How the names of a spacecraft's own axes begin."""
 _TYPES = ("QUATERNION", "QUATERNION/DERIVATIVE", "QUATERNION/RATE", "QUATERNION/ANGVEL")
+_CHOICES = (("QUATERNION_TYPE", ("LAST", "FIRST")), ("ATTITUDE_DIR", ("A2B", "B2A")))
+"""Of version 1; the first is what version 2 means."""
 
 
 def read(path: Path) -> Table:
@@ -52,14 +54,22 @@ def _segment(segment: ccsds.Segment, where: str) -> tuple[str, FloatArray]:
     if kind not in _TYPES:
         raise BadInput(f"ATTITUDE_TYPE is {clip(kind) or 'missing'}", where=where, wanted=" or ".join(_TYPES))
     value = np.array([row[:4] for row in segment.rows])
-    if meta.get("QUATERNION_TYPE", "LAST").upper() == "FIRST":
+    scalar, direction = (_one_of(meta, key, words, where) for key, words in _CHOICES)
+    if scalar == "FIRST":
         value = value[:, [1, 2, 3, 0]]
     a, b = (meta.get(key, "").upper() for key in ("REF_FRAME_A", "REF_FRAME_B"))
     if a.startswith(_BODY) == b.startswith(_BODY):
         wanted = "one of them the spacecraft's (SC_BODY_1)"
         raise BadInput(f"the frames are {clip(a) or 'none'} and {clip(b) or 'none'}", where=where, wanted=wanted)
     body_is_b = b.startswith(_BODY)
-    a_to_b = meta.get("ATTITUDE_DIR", "A2B").upper() == "A2B"
-    if body_is_b != a_to_b:
+    if body_is_b != (direction == "A2B"):
         value = value * [-1.0, -1.0, -1.0, 1.0]
     return ccsds.frame_of(segment, "REF_FRAME_A" if body_is_b else "REF_FRAME_B", where), value
+
+
+def _one_of(meta: dict[str, str], key: str, words: tuple[str, ...], where: str) -> str:
+    """What the metadata say, the first word where they do not. Raises BadInput for any other word."""
+    said = meta.get(key, words[0]).upper()
+    if said not in words:
+        raise BadInput(f"{key} is {clip(said)}", where=where, wanted=" or ".join(words))
+    return said

@@ -175,6 +175,8 @@ def _add_row(segments: list[Segment], inside: bool, line: str, where: str, width
 
 def _stamp(text: str, where: str) -> np.datetime64:
     if _DAY_OF_YEAR.fullmatch(text):
-        day = np.datetime64(f"{text[:4]}-01-01", "ns") + np.timedelta64(int(text[5:8]) - 1, "D")
-        text = f"{str(day)[:10]}{text[8:]}"
+        day = np.datetime64(f"{text[:4]}-01-01", "D") + np.timedelta64(int(text[5:8]) - 1, "D")
+        if str(day)[:4] != text[:4]:
+            raise BadInput(f"{text!r} is no day of that year", where=where, wanted="days 001 to 365 or 366")
+        text = f"{day}{text[8:]}"
     return epoch.parse_time(text, where=where)

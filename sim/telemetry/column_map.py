@@ -242,9 +242,10 @@ def load_column_map(path: Path | str) -> ColumnMap:
 
 def preset(path: Path | str) -> Path | None:
     """The packaged map that `preset:NAME` means; None for a file. Raises BadInput for a name that is not there."""
-    _, found, name = Path(path).name.partition(PRESET)
-    if not found or _:
+    name = Path(path).name
+    if not name.startswith(PRESET):
         return None
+    name = name.removeprefix(PRESET)
     if name not in presets():
         raise BadInput(
             f"there is no preset {name[:40]!r}", where="--map", wanted=", ".join(PRESET + one for one in presets())
@@ -303,7 +304,10 @@ def matches(path: Path, entry: FileEntry) -> list[Path]:
         raise BadInput(
             f"path {entry.path!r} leaves the folder", where="column map", wanted="a name or pattern inside it"
         )
-    found = sorted(p for p in folder.glob(entry.path) if p.is_file())
+    try:
+        found = sorted(p for p in folder.glob(entry.path) if p.is_file())
+    except ValueError as error:
+        raise BadInput(f"path {entry.path!r}: {error}", where="column map", wanted="a name or pattern") from None
     if not found and not entry.optional:
         raise BadInput(f"no file matches {entry.path!r}", where=str(folder), wanted="the files the column map names")
     return found

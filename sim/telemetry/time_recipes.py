@@ -70,7 +70,7 @@ NAMES = (*TEXT, *COUNTED)
 def stamps(raw: FloatArray, recipe: TimeRecipe) -> TimeArray:
     """UTC stamps (N,) of the counts (N, k), the columns of `recipe`; NaN and what is far beyond any mission become NaT."""
     how = COUNTED[recipe.recipe]
-    parts = raw - [_JD_OF_ORIGIN, *[0.0] * (raw.shape[1] - 1)] if recipe.recipe == "jd" else raw
+    parts = raw - _JD_OF_ORIGIN if recipe.recipe == "jd" else raw
     scale = recipe.scale or how.scale
     if how.origin is not None:
         return epoch.utc_of(_added(how.origin, parts, how.units_s), scale)

@@ -117,7 +117,7 @@ class Telemetry(Shown):
     @property
     def magnetometer(self) -> int:
         """Number of the magnetometer whose readings `mag_B_nT` are: 1, or 2 after `with_magnetometer(2)`."""
-        return int(self.provenance.get("magnetometer", "1"))
+        return 2 if self.provenance.get("magnetometer") == "2" else 1
 
     def with_magnetometer(self, number: int) -> Telemetry:
         """The record with the readings of magnetometer 1 or 2 as `mag_B_nT`, and those of the other as `mag2_B_nT`.

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.telemetry.columns import describe, file_columns
-from fluxtwin.sim.telemetry.formats.table import Table, extra
+from fluxtwin.sim.telemetry.columns import clip, describe, file_columns
+from fluxtwin.sim.telemetry.formats.table import Table, extra, in_ns
 from fluxtwin.sim.telemetry.quantities import RECORDED
 
 if TYPE_CHECKING:
@@ -26,8 +26,11 @@ def of_pandas(frame: Any, where: str = "DataFrame") -> Table:
 
     columns: dict[str, np.ndarray] = {}
     units = dict(frame.attrs.get("units", {}))
+    if not frame.columns.is_unique:
+        twice = frame.columns[frame.columns.duplicated()][0]
+        raise BadInput(f"column {clip(twice)} is there twice", where=where, wanted="every name once")
     if isinstance(frame.index, pd.DatetimeIndex) and "time" not in frame.columns:
-        columns["time"] = _stamps(frame.index.to_series())
+        columns["time"] = _stamps(frame.index.to_series(), "time", where)
     for name in frame.columns:
         series = frame[name]
         if isinstance(series.attrs.get("units"), str):  # a frame's own attributes are also those of its columns
@@ -54,7 +57,7 @@ def of_xarray(dataset: Any, where: str = "Dataset") -> Table:
         if one.dims[:1] != (along,) or one.ndim > 2 or one.dtype.kind not in "iufbM":
             continue
         value = np.asarray(one.values)
-        columns["time" if key == name else key] = value.astype("datetime64[ns]") if value.dtype.kind == "M" else value
+        columns["time" if key == name else key] = in_ns(value, key, where) if value.dtype.kind == "M" else value
         unit = str(one.attrs.get("units", ""))
         if unit:
             units[key] = _CF_UNITS.get(unit, unit)
@@ -98,7 +101,7 @@ def _column(series: Any, name: str, where: str) -> np.ndarray:
     import pandas as pd
 
     if pd.api.types.is_datetime64_any_dtype(series.dtype):
-        return _stamps(series)
+        return _stamps(series, name, where)
     if pd.api.types.is_numeric_dtype(series.dtype) or pd.api.types.is_bool_dtype(series.dtype):
         return np.asarray(series.to_numpy(dtype=np.float64, na_value=np.nan))
     values = series.to_numpy()
@@ -107,11 +110,10 @@ def _column(series: Any, name: str, where: str) -> np.ndarray:
             return np.array([np.asarray(cell, dtype=np.float64) for cell in values])
         except ValueError:
             raise BadInput(f"{name} holds lists of different lengths", where=where, wanted="one vector a row") from None
-    return np.array(["" if pd.isna(cell) else str(cell) for cell in values], dtype=object).astype(np.bytes_)
+    return np.array([b"" if pd.isna(cell) else str(cell).encode("utf-8", "replace") for cell in values], dtype=np.bytes_)
 
 
-def _stamps(series: Any) -> np.ndarray:
+def _stamps(series: Any, name: str, where: str) -> np.ndarray:
     import pandas as pd
 
-    stamps = pd.to_datetime(series, utc=True).dt.tz_localize(None)
-    return np.asarray(stamps.to_numpy().astype("datetime64[ns]"))
+    return in_ns(pd.to_datetime(series, utc=True).dt.tz_localize(None).to_numpy(), name, where)

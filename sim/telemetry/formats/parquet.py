@@ -9,18 +9,22 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import write_bytes
 from fluxtwin.sim.telemetry.columns import file_texts
 from fluxtwin.sim.telemetry.formats.frame import of_pandas, to_pandas
-from fluxtwin.sim.telemetry.formats.table import Table, content_of, extra
+from fluxtwin.sim.telemetry.formats.table import Table, content_of, extra, require_size
 from fluxtwin.sim.telemetry.record import Telemetry
 
 
 def read(path: Path) -> Table:
     """The columns of a Parquet file."""
-    extra("pyarrow", "parquet", path)
+    pyarrow = extra("pyarrow.parquet", "parquet", path)
     import pandas as pd
 
     content, digest = content_of(path)
     try:
+        about = pyarrow.read_metadata(io.BytesIO(content))
+        require_size(8 * about.num_rows * about.num_columns, str(path))
         frame = pd.read_parquet(io.BytesIO(content), engine="pyarrow")
+    except BadInput:
+        raise
     except Exception as error:  # pyarrow has many of its own
         raise BadInput(
             f"cannot be read as Parquet ({type(error).__name__})", where=str(path), wanted=".parquet"

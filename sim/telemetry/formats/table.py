@@ -157,6 +157,23 @@ def _one(table: Table, name: str, component: int | None) -> FloatArray:
     return value if component is None else np.ascontiguousarray(value[:, component])
 
 
+def in_ns(stamps: np.ndarray, name: str, where: str) -> TimeArray:
+    """Stamps (N,) of any unit as datetime64[ns]. Raises BadInput for one beyond its years, which numpy would wrap."""
+    out: TimeArray = stamps.astype("datetime64[ns]")
+    wrong = np.flatnonzero(out.astype("datetime64[Y]") != stamps.astype("datetime64[Y]"))
+    wrong = wrong[~np.isnat(stamps[wrong])]
+    if wrong.size:
+        stamp = np.datetime_as_string(stamps[wrong[0]], unit="D")
+        raise BadInput(f"{clip(name)} in row {wrong[0] + 1} is {stamp}", where=where, wanted="years 1678 to 2261")
+    return out
+
+
+def require_size(size: int, where: str) -> None:
+    """Raises BadInput for a file that unpacks to more bytes than are read: what is small on disk may not be."""
+    if size > _LARGEST:
+        raise BadInput(f"unpacks to {size} bytes", where=where, wanted=f"at most {_LARGEST}")
+
+
 def content_of(path: Path) -> tuple[bytes, str]:
     """The bytes of a file and their SHA-256. Raises BadInput where it cannot be read."""
     try:

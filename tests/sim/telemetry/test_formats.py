@@ -16,7 +16,6 @@ import fluxtwin
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.telemetry.formats import aem, cdf, oem
-from fluxtwin.sim.telemetry.formats.catalogue import WRITTEN, format_of
 
 pytestmark = pytest.mark.reference
 
@@ -102,13 +101,32 @@ def test_a_record_comes_back_whole(record: fluxtwin.Telemetry, tmp_path: Path, e
     same(record, found, relative=1e-14 if ending == ".xlsx" else 0.0)  # a workbook has decimals, of 15 or 16 digits
 
 
-def test_every_format_that_is_written_is_read(record: fluxtwin.Telemetry, tmp_path: Path) -> None:
-    for ending in WRITTEN:
-        found = format_of(f"x{ending}")
-        assert found is not None and found.writes
-    (tmp_path / "t.xlsx").write_bytes(b"PK\x03\x04 no workbook")
-    with pytest.raises(BadInput, match=r"cannot be read as a workbook|openpyxl"):
-        fluxtwin.read(tmp_path / "t.xlsx")
+@pytest.mark.parametrize("ending", [".xlsx", ".parquet"])
+def test_a_damaged_file_is_named(tmp_path: Path, ending: str) -> None:
+    pytest.importorskip({".xlsx": "openpyxl", ".parquet": "pyarrow"}[ending])
+    (tmp_path / f"t{ending}").write_bytes(b"PK\x03\x04 nothing")
+    with pytest.raises(BadInput, match="cannot be read as"):
+        fluxtwin.read(tmp_path / f"t{ending}")
+
+
+@pytest.mark.parametrize(
+    ("frame", "said"),
+    [
+        (pd.DataFrame([[1, 2]], columns=["mag_x_nT"] * 2), "mag_x_nT is there twice"),
+        (pd.DataFrame({"time": np.array(["2026", "2500"], dtype="datetime64[s]")}), "time in row 2 is 2500-01-01"),
+    ],
+)
+def test_a_frame_that_cannot_be_meant_is_refused(frame: pd.DataFrame, said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        fluxtwin.read(frame)
+
+
+def test_foreign_texts_stand_in_no_ones_way(record: fluxtwin.Telemetry) -> None:
+    frame = record.to_pandas().assign(note="5 °C, naïve")
+    frame.attrs["magnetometer"] = "fluxgate"
+    found = fluxtwin.read(frame)
+    same(record, found)
+    assert found.magnetometer == 1
 
 
 def test_the_blue_books_attitude(tmp_path: Path) -> None:
@@ -196,6 +214,9 @@ def test_what_we_write_is_what_brahe_reads(record: fluxtwin.Telemetry, tmp_path:
         (AEM.replace("= QUATERNION\n", "= SPIN\n"), "ATTITUDE_TYPE is SPIN"),
         (AEM.replace("EME2000", "LVLH_ROTATING"), "REF_FRAME_A"),
         (AEM.replace("SC_BODY_1", "EME2000"), "one of them the spacecraft"),
+        (AEM.replace("A2B", "FORWARD"), "ATTITUDE_DIR is FORWARD"),
+        (AEM.replace("= LAST", "= THIRD"), "QUATERNION_TYPE is THIRD"),
+        (AEM.replace("1996-11-28T22:08:03.5555", "1996-367T22:08:03"), "no day of that year"),
         (AEM.replace("0.45689 0.68427", "0.45689"), "line 21.*at least 4"),
         (AEM.replace("0.56748", "abc"), "no row of numbers"),
         (AEM.replace("1996-11-28T22:08:03.5555", "yesterday"), "'yesterday' is no time"),

@@ -110,7 +110,9 @@ def _column(series: Any, name: str, where: str) -> np.ndarray:
             return np.array([np.asarray(cell, dtype=np.float64) for cell in values])
         except ValueError:
             raise BadInput(f"{name} holds lists of different lengths", where=where, wanted="one vector a row") from None
-    return np.array([b"" if pd.isna(cell) else str(cell).encode("utf-8", "replace") for cell in values], dtype=np.bytes_)
+    return np.array(
+        [b"" if pd.isna(cell) else str(cell).encode("utf-8", "replace") for cell in values], dtype=np.bytes_
+    )
 
 
 def _stamps(series: Any, name: str, where: str) -> np.ndarray:

@@ -82,10 +82,12 @@ def command(
             predicted[str(path)] = _predict(
                 fit, record, for_record(fit.calibration, record), verbs.as_model(field, degree)
             )
-        impossible = fit.verdict is not None and fit.verdict.impossible
+        impossible = _is_impossible(fit)
         refused = impossible and not output.force
+        second_impossible = second is not None and _is_impossible(second[0])
+        second_refused = second_impossible and not output.force
         written = [] if out is None or refused else [fit.calibration.to_toml(out)]
-        if second is not None and also is not None and not (second[0].verdict and second[0].verdict.impossible):
+        if second is not None and also is not None and not second_refused:
             written.append(second[0].calibration.to_toml(also))
         if figures is not None or html is not None:
             progress("drawing", 0.9)
@@ -104,15 +106,20 @@ def command(
         rms = statistics.component_rms_nT
         what = "per component" if statistics.rms_nT.size == 3 else "in |B|"
         output.say(f"unseen {name}: {statistics.samples} samples, residual {rms:.1f} nT {what}")
-    if refused and out is not None:
-        output.say(f"{out} is not written: this is no calibration of a magnetometer (--force writes it)")
+    for file, without in ((out, refused), (also, second_refused)):
+        if without and file is not None:
+            output.say(f"{file} is not written: this is no calibration of a magnetometer (--force writes it)")
     for path in written:
         output.say(f"  {path}")
     record_of_unseen = {name: statistics.to_dict() for name, statistics in predicted.items()}
     beside = {} if second is None else {"second": _as_json(second[0]), "pair": second[1].to_dict()}
     output.result({**_as_json(fit), **beside, "unseen": record_of_unseen, "written": [str(path) for path in written]})
-    if impossible:
+    if impossible or second_impossible:
         raise typer.Exit(1)
+
+
+def _is_impossible(fit: Fit) -> bool:
+    return fit.verdict is not None and fit.verdict.impossible
 
 
 def _beside(out: Path | None) -> Path | None:
@@ -192,7 +199,7 @@ def _print(output: Output, fit: Fit, next_step: str) -> None:
     for table in calibration_page.tables(fit):
         output.table(table.title, table.columns, table.rows, table.note)
     output.say(f"residual {known.sigma_nT:.1f} nT {_of(fit)}, 1 sigma; covariance: {known.covariance_kind}")
-    impossible = fit.verdict is not None and fit.verdict.impossible
+    impossible = _is_impossible(fit)
     for line in () if fit.coverage is None or impossible else fit.coverage.lines:
         output.prose(line)
     for message in () if manners.quiet or impossible else fit.messages:  # how a fit that is none was made helps nobody

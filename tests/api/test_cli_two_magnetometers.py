@@ -59,6 +59,17 @@ def test_each_is_calibrated_and_the_shared_part_is_the_attitudes(cli: Cli, flown
     assert np.array_equal(alone.b_nT, second.b_nT)
 
 
+def test_a_second_magnetometer_that_is_none_leaves_no_file(cli: Cli, flown: Path, tmp_path: Path) -> None:
+    record = fluxtwin.read(flown)
+    assert record.mag2_B_nT is not None
+    fluxtwin.write(record.replace(mag2_B_nT=1.5 * record.mag2_B_nT), tmp_path / "t.nc")
+    done = cli("calibrate", tmp_path / "t.nc", "--both", "--out", tmp_path / "c.toml")
+    assert done.status == 1 and "c-2.toml is not written" in done.out and (tmp_path / "c.toml").exists()
+    assert not (tmp_path / "c-2.toml").exists()
+    cli("calibrate", tmp_path / "t.nc", "--both", "--out", tmp_path / "c.toml", "--force")
+    assert (tmp_path / "c-2.toml").exists()
+
+
 def test_a_calibration_corrects_its_own_magnetometer_only(cli: Cli, flown: Path, tmp_path: Path) -> None:
     fluxtwin.calibrate(flown, magnetometer=2).calibration.to_toml(tmp_path / "c2.toml")
     refused = cli("apply", flown, "--calibration", tmp_path / "c2.toml", "--out", tmp_path / "x.nc")

@@ -22,7 +22,16 @@ UNDONE = "onboard_undone"
 
 
 def onboard_of(calibration: Calibration, name: str) -> Onboard:
-    """What a calibration did on board, under a name. Raises BadInput for one with torquers or fields of a column."""
+    """What a calibration did on board, under a name.
+
+    Raises BadInput for one with torquers or fields of a column, and for one of readings that another had corrected.
+    """
+    if calibration.residual_to:
+        raise BadInput(
+            f"it acts on readings that {calibration.residual_to} had corrected",
+            where=name,
+            wanted="a calibration of the sensor",
+        )
     T = calibration.T_nT_per_Am2
     if (T is not None and T.any()) or calibration.telemetry_bias:
         raise BadInput(

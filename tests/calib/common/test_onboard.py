@@ -58,6 +58,8 @@ def test_undoing_gives_the_reading_of_the_sensor(raw: Telemetry, came_down: Tele
     )
     with pytest.raises(BadInput, match="torquers or a column"):
         onboard_of(Calibration(np.zeros((3, 3)), np.zeros(3), np.eye(3)), "y")
+    with pytest.raises(BadInput, match="another one had corrected"):
+        onboard_of(Calibration(np.zeros((3, 3)), np.zeros(3), residual_to="another one"), "y")
 
 
 def test_the_composed_calibration_acts_on_what_came_down() -> None:

@@ -27,7 +27,7 @@ DAY_H = 24.0
 
 @with_options
 def trend(
-    files: Sequence[Calibration | Telemetry | Path | str],
+    files: Calibration | Telemetry | Path | str | Sequence[Calibration | Telemetry | Path | str],
     *,
     every_h: float | None = None,
     field: str | FieldModel = "igrf14",
@@ -46,7 +46,7 @@ def trend(
 
     known: list[Calibration] = []
     records: list[Telemetry] = []
-    for one in files:
+    for one in [files] if isinstance(files, Calibration | Telemetry | Path | str) else files:
         if isinstance(one, Calibration):
             known.append(one)
         elif isinstance(one, Path | str) and Path(one).suffix.lower() == ".toml":

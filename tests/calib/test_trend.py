@@ -143,7 +143,7 @@ def test_telemetry_is_cut_by_days(tmp_path: Path, cli: Cli) -> None:
     done = cli("trend", tmp_path / "t.nc", "--parameters", "b")
     assert done.status == 1, done.err
     assert re.search(r"b1 changed by (49|50)\d\.\d ± ", done.out) and done.out.count("changed by") == 1
-    found = fluxtwin.trend([record], parameters="b")
+    found = fluxtwin.trend(record, parameters="b")
     assert found.holds and len(found.time) == 2  # the hour is of the second day
     assert cli("trend", tmp_path / "t.nc", "--every", "-1").status == 2
 

@@ -157,7 +157,7 @@ def _is_worse(one: FloatArray, best: FloatArray, stretch: np.ndarray, kept: Bool
 def _why(chosen: str, order: list[str], alike: list[str]) -> str:
     others = [name for name in alike if name != chosen]
     worse = [name for name in order if name not in alike]
-    said = f"Take {chosen}: no method errs less than it by more than chance could make it"
+    said = f"Take {chosen}: no method errs less beyond chance"
     if others:
         said += f", and it needs less than {' and '.join(others)}, which may be as good"
     return said + (f". Worse by more than chance, in the vector or in |B|: {', '.join(worse)}" if worse else "")

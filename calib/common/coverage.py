@@ -84,7 +84,7 @@ class Coverage:
                 said + verdict,
                 f"The worst sigma is that of {self.worst}, {sigma}; no manoeuvre that was tried halves it.",
             )
-        options = ", or ".join(f"{plan.words} of {plan.rows} rows" for plan in best[:2])
+        options = ", or ".join(f"{plan.rows} rows of {plan.words}" for plan in best[:2])
         again = next((plan for plan in best[2:] if plan.words == _AGAIN), None)
         more = "" if again is None else f" ({_AGAIN} would take {again.rows} rows)"
         return (said + verdict, f"The worst sigma is that of {self.worst}, {sigma}. To halve it: {options}{more}.")

@@ -80,6 +80,8 @@ def _cut(record: Telemetry, hours: float) -> list[Telemetry]:
 
 def trend_table(found: Trend) -> Table:
     """A row a parameter: mean, whether it held, and what it did."""
+    from fluxtwin.calib.trend import chance_words
+
     rows = []
     for one in found.histories:
         what = {"constant": "", "drift": "a day", "temperature": "a degC", "step": f"after {one.after} of them"}[
@@ -92,7 +94,7 @@ def trend_table(found: Trend) -> Table:
                 measured(one.mean, one.mean_sigma),
                 one.unit,
                 f"{one.q:.1f}",
-                f"{one.probability:.2g}",
+                chance_words(one.probability),
                 one.kind,
                 size,
             ]

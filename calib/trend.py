@@ -98,7 +98,7 @@ class Trend:
     def lines(self) -> tuple[str, ...]:
         """The answer in sentences."""
         count, low, high = len(self.time), FIELDS_NT[0] / 1e3, FIELDS_NT[1] / 1e3
-        q = f"Q = {plain(self.q)} with {self.degrees_of_freedom} degrees of freedom, probability {_chance(self.probability)}"
+        q = f"Q = {plain(self.q)} with {self.degrees_of_freedom} degrees of freedom, probability {chance_words(self.probability)}"
         apart = (
             f"The first instead of the last would err by up to {plain(self.moved.largest_nT, 2)} nT and "
             f"{plain(self.moved.largest_deg, 2)} deg over fields of {low:.0f} to {high:.0f} uT."
@@ -112,7 +112,7 @@ class Trend:
         agrees = self.last_probability >= LEVEL
         verdict = "agrees with" if agrees else "differs from"
         said.append(
-            f"The last calibration {verdict} the mean of those before it (probability {_chance(self.last_probability)}). "
+            f"The last calibration {verdict} the mean of those before it (probability {chance_words(self.last_probability)}). "
             f"{apart}"
         )
         if self.expires is not None:
@@ -156,7 +156,8 @@ class Trend:
         }
 
 
-def _chance(probability: float) -> str:
+def chance_words(probability: float) -> str:
+    """A probability to two digits, but for those too small to mean more than never."""
     return f"{probability:.2g}" if probability >= 1e-9 else "below 1e-9"
 
 

@@ -80,7 +80,7 @@ def _cut(record: Telemetry, hours: float) -> list[Telemetry]:
 
 def trend_table(found: Trend) -> Table:
     """A row a parameter: mean, whether it held, and what it did."""
-    from fluxtwin.calib.trend import chance_words
+    from fluxtwin.calib.trend import chance
 
     rows = []
     for one in found.histories:
@@ -94,7 +94,7 @@ def trend_table(found: Trend) -> Table:
                 measured(one.mean, one.mean_sigma),
                 one.unit,
                 f"{one.q:.1f}",
-                chance_words(one.probability),
+                chance(one.probability),
                 one.kind,
                 size,
             ]

@@ -98,7 +98,7 @@ class Trend:
     def lines(self) -> tuple[str, ...]:
         """The answer in sentences."""
         count, low, high = len(self.time), FIELDS_NT[0] / 1e3, FIELDS_NT[1] / 1e3
-        q = f"Q = {plain(self.q)} with {self.degrees_of_freedom} degrees of freedom, probability {chance_words(self.probability)}"
+        q = f"Q = {plain(self.q)} with {self.degrees_of_freedom} degrees of freedom, probability {chance(self.probability)}"
         apart = (
             f"The first instead of the last would err by up to {plain(self.moved.largest_nT, 2)} nT and "
             f"{plain(self.moved.largest_deg, 2)} deg over fields of {low:.0f} to {high:.0f} uT."
@@ -112,7 +112,7 @@ class Trend:
         agrees = self.last_probability >= LEVEL
         verdict = "agrees with" if agrees else "differs from"
         said.append(
-            f"The last calibration {verdict} the mean of those before it (probability {chance_words(self.last_probability)}). "
+            f"The last calibration {verdict} the mean of those before it (probability {chance(self.last_probability)}). "
             f"{apart}"
         )
         if self.expires is not None:
@@ -156,7 +156,7 @@ class Trend:
         }
 
 
-def chance_words(probability: float) -> str:
+def chance(probability: float) -> str:
     """A probability to two digits, but for those too small to mean more than never."""
     return f"{probability:.2g}" if probability >= 1e-9 else "below 1e-9"
 
@@ -289,9 +289,9 @@ def _histories(
         for kind, x, after, places in tried:
             size, error = _slope(p, w, x)
             # its logarithm, as beyond 38 sigma the probability itself is 0 for all of them
-            chance = float(np.log(2.0 * places * kinds) + norm.logsf(abs(size / error)))
-            if chance < least:
-                best, least = (kind, size, error, after), chance
+            log_chance = float(np.log(2.0 * places * kinds) + norm.logsf(abs(size / error)))
+            if log_chance < least:
+                best, least = (kind, size, error, after), log_chance
         probability, explained = float(chi2.sf(q, count - 1)), float(np.exp(least))
         found.append(History(name, p, sigma, mean, float(w.sum() ** -0.5), q, probability, *best, explained))
     return _holm(found)

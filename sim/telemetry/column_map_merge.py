@@ -74,27 +74,24 @@ def merged_table(
 
 
 def attitude_at(
-    path: Path,
+    table: Table,
     entry: Mapping[str, object],
     time: TimeArray,
     r_N_km: FloatArray | None,
     v_N_km_s: FloatArray | None,
     notices: list[str],
-    max_samples: int,
 ) -> FloatArray:
-    """Quaternions q_NB (N, 4) at the stamps from a file of its own, read as `entry`, a [[file]] with `attitude`, says."""
-    source = read_source(path, FileEntry.model_validate(entry), max_samples)
+    """Quaternions q_NB (N, 4) at the stamps from a table of its own, read as `entry`, a [[file]] with `attitude`, says."""
+    source = read_source(table, FileEntry.model_validate(entry), len(table.columns["time"]))
     require_increasing(source)
     stored, known = _slerped(source, time, notices)
     notices.extend(source.notices)
-    return _absolute((source.entry.columns["attitude"], stored, known), time, r_N_km, v_N_km_s, str(path), notices)
+    return _absolute((source.entry.columns["attitude"], stored, known), time, r_N_km, v_N_km_s, table.where, notices)
 
 
-def orbit_at(
-    path: Path, entry: Mapping[str, object], time: TimeArray, max_samples: int
-) -> tuple[FloatArray, FloatArray, list[str]]:
-    """Positions and velocities, GCRS, each (N, 3), at the stamps from a file of its own; likewise."""
-    source = read_source(path, FileEntry.model_validate(entry), max_samples)
+def orbit_at(table: Table, entry: Mapping[str, object], time: TimeArray) -> tuple[FloatArray, FloatArray, list[str]]:
+    """Positions and velocities, GCRS, each (N, 3), at the stamps from a table of its own; likewise."""
+    source = read_source(table, FileEntry.model_validate(entry), len(table.columns["time"]))
     require_increasing(source)
     rows = _known(source.values["position"], source.values["velocity"])
     return _along_orbit(source, rows, time, 0), _along_orbit(source, rows, time, 1), source.notices

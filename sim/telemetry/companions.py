@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from fluxtwin.sim.base.types import FloatArray, TimeArray
-from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
 from fluxtwin.sim.telemetry.formats import ccsds
 
 ORBIT_GAP_S = 300.0
@@ -39,34 +38,34 @@ def attitude(
 ) -> tuple[FloatArray, list[str]]:
     """Quaternions q_NB (N, 4) at the stamps from a CCSDS AEM, NaN out of its reach, and what is to be said of them."""
     from fluxtwin.sim.telemetry.column_map_merge import attitude_at
+    from fluxtwin.sim.telemetry.formats import aem
 
+    table = aem.read(Path(path))
+    columns = {
+        "attitude": {
+            "from": ["q_x", "q_y", "q_z", "q_w"],
+            "order": "xyzw",
+            "relative_to": table.attributes["frame"],
+        }
+    }
+    entry = {"time": {"recipe": "cf"}, "columns": columns, "max_gap_s": ATTITUDE_GAP_S}
     notices = [f"the attitude is that of {Path(path).name}"]
-    q = attitude_at(Path(path), _entry(Path(path)), time, r_N_km, v_N_km_s, notices, MAX_SAMPLES)
-    return q, notices
+    return attitude_at(table, entry, time, r_N_km, v_N_km_s, notices), notices
 
 
 def _from_oem(path: Path, time: TimeArray) -> tuple[FloatArray, FloatArray, list[str]]:
     from fluxtwin.sim.telemetry.column_map_merge import orbit_at
+    from fluxtwin.sim.telemetry.formats import oem
 
-    r, v, notices = orbit_at(path, _entry(path), time, MAX_SAMPLES)
+    table = oem.read(path)
+    frame = table.attributes["frame"]
+    columns = {
+        "position": {"from": ["x", "y", "z"], "unit": "km", "frame": frame},
+        "velocity": {"from": ["vx", "vy", "vz"], "unit": "km/s", "frame": frame},
+    }
+    r, v, notices = orbit_at(table, {"time": {"recipe": "cf"}, "columns": columns, "max_gap_s": ORBIT_GAP_S}, time)
     lost = int((~np.isfinite(r).all(axis=1)).sum())
     said = [f"positions and velocities are those of {path.name}", *notices]
     if lost:
         said.append(f"{lost} of {time.size} rows have no position in it, or none within {ORBIT_GAP_S:g} s")
     return r, v, said
-
-
-def _entry(path: Path) -> dict[str, object]:
-    """What a column map would say of the file."""
-    from fluxtwin.sim.telemetry.formats import aem, oem
-
-    if ccsds.is_message(path, "OEM"):
-        frame = oem.read(path).attributes["frame"]
-        columns: dict[str, object] = {
-            "position": {"from": ["x", "y", "z"], "unit": "km", "frame": frame},
-            "velocity": {"from": ["vx", "vy", "vz"], "unit": "km/s", "frame": frame},
-        }
-        return {"time": {"recipe": "cf"}, "columns": columns, "max_gap_s": ORBIT_GAP_S}
-    frame = aem.read(path).attributes["frame"]
-    columns = {"attitude": {"from": ["q_x", "q_y", "q_z", "q_w"], "order": "xyzw", "relative_to": frame}}
-    return {"time": {"recipe": "cf"}, "columns": columns, "max_gap_s": ATTITUDE_GAP_S}

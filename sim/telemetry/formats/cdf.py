@@ -5,13 +5,14 @@ CDF_EPOCH and CDF_EPOCH16 are calendar time (no leap seconds), CDF_TIME_TT2000 c
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.telemetry.formats.table import Table, content_of, extra
+from fluxtwin.sim.telemetry.formats.table import Table, content_of, extra, require_size
 
 _EPOCHS = ("CDF_EPOCH", "CDF_EPOCH16", "CDF_TIME_TT2000")
 
@@ -43,10 +44,11 @@ def _take(opened: Any, cdflib: Any, name: str, table: Table) -> None:
     about = opened.varinq(name)
     if not about.Rec_Vary or about.Last_Rec < 0 or "CHAR" in about.Data_Type_Description:
         return
+    require_size(8 * (about.Last_Rec + 1) * math.prod(about.Dim_Sizes), table.where)
     raw = np.asarray(opened.varget(name))
     attributes = opened.varattsget(name)
     if about.Data_Type_Description in _EPOCHS:
-        table.columns[name] = _stamps(cdflib, raw, attributes)
+        table.columns[name] = _stamps(cdflib, raw)
         return
     if raw.ndim not in (1, 2) or raw.dtype.kind not in "iuf":
         return
@@ -60,7 +62,7 @@ def _take(opened: Any, cdflib: Any, name: str, table: Table) -> None:
         table.units[name] = unit.strip()
 
 
-def _stamps(cdflib: Any, raw: np.ndarray, attributes: Any) -> np.ndarray:
+def _stamps(cdflib: Any, raw: np.ndarray) -> np.ndarray:
     known = np.ones(len(raw), dtype=bool)
     if raw.ndim == 1 and raw.dtype.kind == "f":
         known = np.isfinite(raw) & (raw > 0)

@@ -186,7 +186,11 @@ def test_orbit_and_attitude_go_out_and_come_back(record: fluxtwin.Telemetry, tmp
     known = record.has_attitude
     assert np.allclose(np.array(found.q_NB)[known], np.array(record.q_NB)[known], atol=1e-12)
     assert found.has_attitude[7], "the one that was missing is interpolated"
-    late = fluxtwin.read(tmp_path / "t.nc", tle=tmp_path / "o.oem", start=str(record.time[30]))
+    (tmp_path / "a.aem").rename(tmp_path / "attitude.txt")
+    (tmp_path / "o.oem").rename(tmp_path / "orbit.txt")
+    other = fluxtwin.read(tmp_path / "t.nc", tle=tmp_path / "orbit.txt", attitude=tmp_path / "attitude.txt")
+    same(other, found)  # whatever their names end in
+    late = fluxtwin.read(tmp_path / "t.nc", tle=tmp_path / "orbit.txt", start=str(record.time[30]))
     assert late.has_position.all()
     with pytest.raises(BadInput, match="no row has attitude"):
         fluxtwin.write(bare, tmp_path / "none.aem")

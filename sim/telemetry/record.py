@@ -237,7 +237,7 @@ def concatenate(records: list[Telemetry]) -> Telemetry:
     """Several records, one after the other in time, as one.
 
     A column is kept if any record has it; the others get NaN there. Raises BadInput for an empty list, records that
-    overlap in time, records of two spacecraft, and corrected readings beside uncorrected ones.
+    overlap in time, records of two spacecraft or two magnetometers, and corrected readings beside uncorrected ones.
     """
     if not records:
         raise BadInput("there is no record to join", where="telemetry")
@@ -296,6 +296,10 @@ def _check_one_origin(records: list[Telemetry]) -> None:
     if len(names) > 1:
         raise BadInput(
             f"the records are of different spacecraft: {', '.join(names)}", where="telemetry", wanted="one spacecraft"
+        )
+    if len({r.magnetometer for r in records}) > 1:
+        raise BadInput(
+            "the readings are of magnetometer 1 in one record, of 2 in another", where="telemetry", wanted="one of them"
         )
     corrected = [r for r in records if r.corrected_by]
     if corrected and len(corrected) < len(records):

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import fluxtwin
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.telemetry.record import concatenate
 from fluxtwin.sim.telemetry.selection import condition, selected, selection
 
 pytestmark = pytest.mark.property
@@ -83,3 +84,13 @@ def test_rows_of_a_file_by_time_and_by_any_of_its_columns(tmp_path: Path) -> Non
     with pytest.raises(BadInput, match="not after --from"):
         selection("2026-03-02", "2026-03-01")
     assert "2 of 4 rows were taken" in fluxtwin.read(path, where="mode == 4").provenance["notices"]
+
+
+def test_readings_of_two_magnetometers_are_not_joined(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text(CSV, encoding="utf-8")
+    record = fluxtwin.read(tmp_path / "t.csv")
+    both = record.replace(mag2_B_nT=2.0 * record.mag_B_nT)
+    one, other = both.select(slice(0, 2)), both.select(slice(2, 4))
+    assert len(concatenate([one, other])) == 4
+    with pytest.raises(BadInput, match="magnetometer 1 in one record"):
+        concatenate([one, other.with_magnetometer(2)])

@@ -17,6 +17,7 @@ from fluxtwin.gap.held_out.closing import Declared as Declared
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.report import input_warnings
+from fluxtwin.one_thread import on_one_blas_thread
 from fluxtwin.scenarios.packaged import as_scenario
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.progress import Progress, silent
@@ -40,6 +41,7 @@ _MOST_DECLARED = {"--noise-nT": 1e6, "--lsb-nT": 1e6, "--attitude-sigma-deg": 18
 """What may be declared of the errors."""
 
 
+@on_one_blas_thread
 @with_reading
 def diagnose(
     telemetry: Readable,

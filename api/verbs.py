@@ -12,6 +12,7 @@ import numpy as np
 from fluxtwin.calib.common.apply import apply_calibration, calibration_of
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.methods import calibrate_by, with_options
+from fluxtwin.one_thread import on_one_blas_thread
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.earth import epoch, frames
@@ -97,6 +98,7 @@ def check(
     return check_file(as_path(telemetry), model, **reading, onboard=before)
 
 
+@on_one_blas_thread
 @with_options
 @with_reading
 def calibrate(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import inspect
+import json
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 from worlds import scenario_text
 
 import fluxtwin
@@ -30,6 +33,18 @@ def test_yaw_of_a_file(flown: str) -> None:
     assert error is not None and 0.0 < np.degrees(error) < 2.0
     with pytest.raises(fluxtwin.BadInput):
         fluxtwin.yaw(flown)  # neither corrected nor a calibration
+
+
+def test_the_number_of_threads_changes_no_bit(flown: str) -> None:
+    """BLAS adds up in another order with another number of threads; inside the verbs it has one, and after them as many as
+    before."""
+    said = []
+    for threads in (1, 2):
+        with threadpool_limits(threads, user_api="blas"):
+            said.append(json.dumps(fluxtwin.diagnose(flown).to_dict()) + repr(fluxtwin.calibrate(flown).calibration))
+            assert {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"} == {threads}
+    assert said[0] == said[1]
+    assert "noise_nT" in inspect.signature(fluxtwin.diagnose).parameters
 
 
 def test_effects_by_name() -> None:

@@ -64,6 +64,7 @@ RECORD_MODULES = {
 NOWHERE = {"click", "xarray", "pickle", "yaml", "marshal", "shelve", "astropy", "ppigrf", "chaosmagpy", "pytest"}
 SHORT_NAMES = {"sim", "calib", "gap", "plots", "scenarios", "api"}
 ONLY_IN = {
+    "threadpoolctl": {"api"},
     "typer": {"api"},
     "rich": {"api"},
     "jinja2": {"scenarios", "api"},

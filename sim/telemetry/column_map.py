@@ -77,6 +77,8 @@ class TimeRecipe(Strict):
             raise ValueError(f"recipe {self.recipe} takes {wanted} column{'s' if wanted > 1 else ''}")
         if counted is not None and counted.scale == "GPS" and self.scale not in (None, "GPS"):
             raise ValueError(f"recipe {self.recipe} counts GPS time")
+        if self.invalid and counted is None:
+            raise ValueError(f"recipe {self.recipe} takes no invalid: only numbers do")
         for key, owner, given in (("epoch", "seconds_since", self.epoch), ("format", "text", self.format)):
             if (self.recipe == owner) != (given is not None):
                 raise ValueError(f"{key} belongs to the recipe {owner}, and is needed there")

@@ -118,6 +118,7 @@ def test_stamps_as_text(tmp_path: Path, name: str) -> None:
     [
         ('recipe = "unix_hours"', "known: iso"),
         ('recipe = "gps_s", scale = "TAI"', "counts GPS time"),
+        ('recipe = "iso", invalid = [0]', "takes no invalid"),
         ('recipe = "text"', "format belongs to the recipe text"),
         ('recipe = "unix_s", format = "%Y"', "format belongs to the recipe text"),
         ('recipe = "text", format = "%d.%m.%Y"', "row 1"),

@@ -102,9 +102,8 @@ def _not_measured(effects: Sequence[FoundEffect], gap: Shrinkage) -> str:
     p_value = min(effect.significance for effect in effects)
     signal_nT = max(effect.visible_nT for effect in effects)
     chance = "less than 1e-12" if p_value < 1e-12 else f"{p_value:.0e}"
-    small = (
-        f"its {signal_nT:.1f} nT rms are" if signal_nT > 0.0 else "it is"
-    )  # of a line there is no size beside the fit
+    # What is known by its own shape, as a line is, has no size beside the fit.
+    small = f"its {signal_nT:.1f} nT rms are" if signal_nT > 0.0 else "it is"
     return (
         f"chance alone would give it with a probability of {chance}, but {small} too small a part of "
         f"the {gap.before_nT:.1f} nT rms of the held-out samples for the share that it closes to be measured: more data of "

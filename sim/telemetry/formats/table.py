@@ -158,14 +158,13 @@ def _one(table: Table, name: str, component: int | None) -> FloatArray:
 
 
 def in_ns(stamps: np.ndarray, name: str, where: str) -> TimeArray:
-    """Stamps (N,) of any unit as datetime64[ns]. Raises BadInput for one beyond its years, which numpy would wrap."""
-    out: TimeArray = stamps.astype("datetime64[ns]")
-    wrong = np.flatnonzero(out.astype("datetime64[Y]") != stamps.astype("datetime64[Y]"))
-    wrong = wrong[~np.isnat(stamps[wrong])]
+    """Stamps (N,) of any unit as datetime64[ns]. Raises BadInput for one beyond its years, which numpy may wrap."""
+    years = stamps.astype("datetime64[Y]").astype(np.int64) + 1970
+    wrong = np.flatnonzero(~np.isnat(stamps) & ((years < 1678) | (years > 2261)))
     if wrong.size:
         stamp = np.datetime_as_string(stamps[wrong[0]], unit="D")
         raise BadInput(f"{clip(name)} in row {wrong[0] + 1} is {stamp}", where=where, wanted="years 1678 to 2261")
-    return out
+    return stamps.astype("datetime64[ns]")
 
 
 def require_size(size: int, where: str) -> None:

@@ -73,9 +73,8 @@ class Prediction:
         Of the energy of the gap the first leave eps^2, eps half-normal of scale `SHAPE_ERROR`; the second leave any share.
         """
         _, after2 = self._draws(self.after_nT)
-        rms2 = [float(np.sum(part[self.counted] ** 2) / self._count.sum()) for part in (self.before_nT, self.after_nT)]
-        signal = max(rms2[0] - self.floor_nT**2, 0.0)
-        left = min(rms2[1] - self.floor_with_effects_nT**2, signal)
+        signal = max(self._mean_square(self.before_nT) - self.floor_nT**2, 0.0)
+        left = min(self._mean_square(self.after_nT) - self.floor_with_effects_nT**2, signal)
         floor_sd = 2.0 * self.floor_log_sd * self.floor_with_effects_nT**2
         sd = max(float(np.hypot(after2.std(), floor_sd)), signal / _QUANTILES, 1e-300)
         middle = (np.arange(_QUANTILES) + 0.5) / _QUANTILES
@@ -102,8 +101,7 @@ class Prediction:
         after_nT = self.after_nT if named else self.before_nT
         floor_with_nT = self.floor_with_effects_nT if named else self.floor_nT
         before2, after2 = self._draws(after_nT)
-        count = self._count.sum()
-        rms = [float(np.sqrt(np.sum(part[self.counted] ** 2) / count)) for part in (self.before_nT, after_nT)]
+        rms = [float(np.sqrt(self._mean_square(part))) for part in (self.before_nT, after_nT)]
         closed: float | None = None
         interval: tuple[float, float] | None = None
         if named and rms[0] ** 2 - self.floor_nT**2 > 2.0 * float(before2.std()):
@@ -128,6 +126,10 @@ class Prediction:
         return (
             np.full(int(self.counted.sum()), 3) if self.axes is None else self.axes.measured[self.counted].sum(axis=1)
         )
+
+    def _mean_square(self, residual_nT: FloatArray) -> float:
+        """Of the counted rows of residuals (N, 3), per component [nT^2]."""
+        return float(np.sum(residual_nT[self.counted] ** 2) / self._count.sum())
 
     def _draws(self, after_nT: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean squares before and after, (draws,) each, as other noise would have made them: a bootstrap of stretches.

@@ -2,19 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.telemetry.columns import clip, describe, file_columns
-from fluxtwin.sim.telemetry.formats.table import Table, extra, in_ns
+from fluxtwin.sim.telemetry.formats.table import Table, content_of, extra, in_ns
 from fluxtwin.sim.telemetry.quantities import RECORDED
 
 if TYPE_CHECKING:
     from fluxtwin.sim.telemetry.record import Telemetry
 
 _CF_UNITS = {"degree s-1": "deg_s", "km s-1": "km_s", "degree": "deg", "A m2": "Am2", "degree_Celsius": "degC"}
+
+
+def of_file(path: Path, what: str, ending: str, unpack: Callable[[bytes], Any]) -> Table:
+    """The columns of a file whose bytes `unpack` makes a DataFrame of. Raises BadInput where it cannot, as it says or in
+    general words: the packages for such files raise whatever they meet."""
+    content, digest = content_of(path)
+    try:
+        frame = unpack(content)
+    except BadInput:
+        raise
+    except Exception as error:
+        raise BadInput(f"cannot be read as {what} ({type(error).__name__})", where=str(path), wanted=ending) from None
+    table = of_pandas(frame, str(path))
+    table.sha256 = digest
+    return table
 
 
 def of_pandas(frame: Any, where: str = "DataFrame") -> Table:

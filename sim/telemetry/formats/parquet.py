@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from typing import Any
 
-from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import write_bytes
 from fluxtwin.sim.telemetry.columns import file_texts
-from fluxtwin.sim.telemetry.formats.frame import of_pandas, to_pandas
-from fluxtwin.sim.telemetry.formats.table import Table, content_of, extra, require_size
+from fluxtwin.sim.telemetry.formats.frame import of_file, to_pandas
+from fluxtwin.sim.telemetry.formats.table import Table, extra, require_size
 from fluxtwin.sim.telemetry.record import Telemetry
 
 
@@ -18,20 +18,12 @@ def read(path: Path) -> Table:
     pyarrow = extra("pyarrow.parquet", "parquet", path)
     import pandas as pd
 
-    content, digest = content_of(path)
-    try:
+    def unpack(content: bytes) -> Any:
         about = pyarrow.read_metadata(io.BytesIO(content))
         require_size(8 * about.num_rows * about.num_columns, str(path))
-        frame = pd.read_parquet(io.BytesIO(content), engine="pyarrow")
-    except BadInput:
-        raise
-    except Exception as error:  # pyarrow has many of its own
-        raise BadInput(
-            f"cannot be read as Parquet ({type(error).__name__})", where=str(path), wanted=".parquet"
-        ) from None
-    table = of_pandas(frame, str(path))
-    table.sha256 = digest
-    return table
+        return pd.read_parquet(io.BytesIO(content), engine="pyarrow")
+
+    return of_file(path, "Parquet", ".parquet", unpack)
 
 
 def write(telemetry: Telemetry, path: Path | str) -> Path:

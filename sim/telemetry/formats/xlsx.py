@@ -5,12 +5,13 @@ from __future__ import annotations
 import io
 import zipfile
 from pathlib import Path
+from typing import Any
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import write_bytes
 from fluxtwin.sim.telemetry.columns import file_texts
-from fluxtwin.sim.telemetry.formats.frame import of_pandas, to_pandas
-from fluxtwin.sim.telemetry.formats.table import Table, content_of, extra, require_size
+from fluxtwin.sim.telemetry.formats.frame import of_file, to_pandas
+from fluxtwin.sim.telemetry.formats.table import Table, extra, require_size
 from fluxtwin.sim.telemetry.record import Telemetry
 
 _MOST_ROWS = 1_048_575  # of a sheet, beside the header
@@ -21,19 +22,11 @@ def read(path: Path) -> Table:
     extra("openpyxl", "xlsx", path)
     import pandas as pd
 
-    content, digest = content_of(path)
-    try:
+    def unpack(content: bytes) -> Any:
         require_size(sum(one.file_size for one in zipfile.ZipFile(io.BytesIO(content)).infolist()), str(path))
-        frame = pd.read_excel(io.BytesIO(content), sheet_name=0, engine="openpyxl")
-    except BadInput:
-        raise
-    except Exception as error:  # a zip of anything: openpyxl raises what it meets
-        raise BadInput(
-            f"cannot be read as a workbook ({type(error).__name__})", where=str(path), wanted=".xlsx"
-        ) from None
-    table = of_pandas(frame, str(path))
-    table.sha256 = digest
-    return table
+        return pd.read_excel(io.BytesIO(content), sheet_name=0, engine="openpyxl")
+
+    return of_file(path, "a workbook", ".xlsx", unpack)
 
 
 def write(telemetry: Telemetry, path: Path | str) -> Path:

@@ -1,4 +1,4 @@
-"""`--method all`: every method that the record allows, judged by what it errs on rows that it has not seen.
+"""`--method all`: every method that the record allows, judged by its error on rows that were not fitted.
 
 The record is cut into twelve stretches. Each method is fitted to every other stretch and predicts those between, and the
 other way round. Where there is attitude the error is that of the field vector, and then of |B|, else that of |B|. A method

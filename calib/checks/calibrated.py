@@ -22,7 +22,7 @@ CLEAR = 1.5
 def check_calibrated(
     telemetry: Telemetry, model: FieldModel, usable: BoolArray, onboard: Onboard | None
 ) -> list[Finding]:
-    """The note `calibrated_or_raw`; none where positions are missing, the record says it itself, or it cannot be told.
+    """The note `calibrated_or_raw`; none where positions are missing, the record says it itself, or the data do not show it.
 
     usable: (N,) rows. onboard: what is said to have been applied on board: then it is also undone, and applied once more.
     """

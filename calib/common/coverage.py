@@ -34,7 +34,7 @@ GOOD = 0.3
 """Share of the bins from which MAGFit calls the coverage good."""
 _ROWS = 500  # of a longer record, evenly spread
 _TURNS = 24  # of a slew about an axis, and the fewest rows that one needs
-_LONGEST, _SHORTEST = 100.0, 1e-3  # records: beyond, a manoeuvre does not help; below, it need not be told
+_LONGEST, _SHORTEST = 100.0, 1e-3  # records: beyond, a manoeuvre does not help; below, it is not worth saying
 _RANK = 1e-10  # of the largest eigenvalue of a scaled covariance: a parameter that was not estimated, or a symmetric S
 
 

@@ -1,8 +1,8 @@
 """Columns of telemetry that a field follows: B = ... + s d, estimated beside S, b and T.
 
 A column that goes with the attitude (the array's current with the sun's direction) is no harm where the reference field
-is known in body axes: both are regressed together. What cannot be told apart is: a column that never changes from b, one
-in proportion to a component of the field from S, two that go together from each other.
+is known in body axes: both are regressed together. What the data cannot distinguish is: a column that never changes from b,
+one in proportion to a component of the field from S, two that go together from each other.
 
 Of all columns (`all`) those are kept whose field is worth its three parameters and the number of columns tried, by
 `criterion`. The drop of chi-square is s' C^-1 s, with C the covariance that the method states, so that errors which last
@@ -79,7 +79,7 @@ def fitted(asked: Asked, rows: Mapping[str, FloatArray], others: FloatArray, fit
     """The fit with the columns that are asked for, or, of all, with those that are worth it; what was dropped is said.
 
     rows: (n,) the columns in the rows that are fitted; others: (n, k) what else is fitted there. fit: by names of columns.
-    Raises NoAnswer where a column that is asked for by name cannot be told apart.
+    Raises NoAnswer where a column that is asked for by name cannot be distinguished.
     """
     if not asked.columns and not asked.every:
         return fit(())

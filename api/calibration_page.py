@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from fluxtwin.calib.common.digits import plain, with_sigma
@@ -45,6 +46,20 @@ def calibration_page(fit: Fit, title: str, *, next_step: str, command: str, refu
         ],
         provenance={key: value for key, value in _provenance(fit).items() if not (refused and "SHA-256" in key)},
     )
+
+
+def pair_page(first: Page, second: Page, shared: str) -> Page:
+    """The pages of two magnetometers as one; shared: what their residuals have in common, a sentence."""
+    of_second = [
+        replace(
+            section,
+            title=f"The other magnetometer: {section.title[0].lower()}{section.title[1:]}",
+            figures=[replace(one, name=f"{one.name}_2") for one in section.figures],
+        )
+        for section in second.sections[:-1]
+    ]
+    opening = PageSection("The other magnetometer", [second.verdict, shared])
+    return replace(first, sections=[*first.sections[:-1], opening, *of_second, first.sections[-1]])
 
 
 def tables(fit: Fit) -> list[Table]:

@@ -53,13 +53,13 @@ def import_calibration(path: Path | str, *, instance: int = 1) -> Calibration:
     return imported(path, instance=instance)
 
 
-def as_onboard(onboard: Calibration | Path | str) -> Onboard:
-    """What was applied on board, read first where a file is named."""
+def as_onboard(onboard: Calibration | Path | str, magnetometer: int = 1) -> Onboard:
+    """What was applied on board to the readings of a magnetometer, read first where a file is named."""
     from fluxtwin.calib.common.onboard import onboard_of
     from fluxtwin.calib.onboard.export import import_calibration as imported
 
     if isinstance(onboard, Path | str):
-        return onboard_of(imported(onboard), Path(onboard).name)
+        return onboard_of(imported(onboard, magnetometer=magnetometer), Path(onboard).name)
     return onboard_of(onboard, onboard.method or "calibration")
 
 
@@ -72,7 +72,7 @@ def calibrate_undone(
     from fluxtwin.calib.common.onboard import composed, undone
     from fluxtwin.calib.methods import calibrate_by
 
-    before = as_onboard(onboard)
+    before = as_onboard(onboard, records[0].magnetometer)
     fit = calibrate_by([undone(record, before) for record in records], model, **options)
     left = composed(fit.calibration, before)
     b = ", ".join(plain(float(x)) for x in left.b_nT)

@@ -16,6 +16,8 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.earth.field_models import FieldModel
 from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.telemetry_files import Reading
+from fluxtwin.verbs import as_record, calibrate, with_reading
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,6 +28,7 @@ DAY_H = 24.0
 
 
 @with_options
+@with_reading
 def trend(
     files: Calibration | Telemetry | Path | str | Sequence[Calibration | Telemetry | Path | str],
     *,
@@ -42,8 +45,8 @@ def trend(
     a stretch cannot be calibrated.
     """
     from fluxtwin.calib.trend import trend as found
-    from fluxtwin.verbs import as_record, calibrate
 
+    reading: Any = {name: options.pop(name) for name in Reading.__annotations__ if name in options}
     known: list[Calibration] = []
     records: list[Telemetry] = []
     for one in [files] if isinstance(files, Calibration | Telemetry | Path | str) else files:
@@ -52,7 +55,7 @@ def trend(
         elif isinstance(one, Path | str) and Path(one).suffix.lower() == ".toml":
             known.append(Calibration.from_toml(one))
         else:
-            records.append(as_record(one))
+            records.append(as_record(one, **reading))
     hours = every_h if every_h is not None else DAY_H if len(records) == 1 and not known else None
     parts = records if hours is None else [part for record in records for part in _cut(record, hours)]
     for place, part in enumerate(parts):

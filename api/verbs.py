@@ -92,7 +92,8 @@ def check(
     from fluxtwin.flight_software import as_onboard
 
     model = as_model(field, degree)
-    before = None if onboard is None else as_onboard(onboard)
+    number = reading.get("magnetometer", telemetry.magnetometer if isinstance(telemetry, Telemetry) else 1)
+    before = None if onboard is None else as_onboard(onboard, number)
     if isinstance(telemetry, Telemetry) or not is_path(telemetry):
         return check_telemetry(as_record(telemetry, **reading), model, onboard=before)
     return check_file(as_path(telemetry), model, **reading, onboard=before)

@@ -13,6 +13,7 @@ histories for each other, and the parameters for being many (Holm 1979).
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -34,6 +35,7 @@ LEVEL = 0.01
 EXPIRED_SIGMAS = 3.0
 """A drift that has moved a parameter by so many of its sigmas has made the last calibration expire."""
 _LEAST_DEGC = 1.0  # between calibrations: less tells nothing about temperature
+_LEAST_OVERLAP = 0.01  # less moves no probability
 _RANK = 1e-10  # least eigenvalue of a correlation: below, a parameter follows from others
 
 
@@ -86,6 +88,8 @@ class Trend:
     last_probability: float
     moved: AddedError
     """What the first instead of the last calibration would err by, over `FIELDS_NT` in any direction."""
+    overlap_ratio: float
+    """Largest share of its time that one calibration has in common with the next: its errors are then not its own."""
     expires: np.datetime64 | None
     """When a drift has moved a parameter by `EXPIRED_SIGMAS` of its sigma in the last calibration; None without a drift."""
 
@@ -103,8 +107,14 @@ class Trend:
             f"The first instead of the last would err by up to {plain(self.moved.largest_nT, 2)} nT and "
             f"{plain(self.moved.largest_deg, 2)} deg over fields of {low:.0f} to {high:.0f} uT."
         )
+        common = []
+        if self.overlap_ratio > _LEAST_OVERLAP:
+            common = [
+                f"Neighbours share up to {100 * self.overlap_ratio:.0f} % of their time, so their errors are not "
+                "independent: a change shows less than these numbers say. Give stretches that do not overlap."
+            ]
         if self.holds:
-            return (f"Holds: {count} calibrations agree within their sigmas ({q}).", apart)
+            return (f"Holds: {count} calibrations agree within their sigmas ({q}).", apart, *common)
         changed = [one for one in self.histories if one.kind != "constant"]
         said = [f"Does not hold: the calibrations differ by more than their sigmas ({q}).", *map(self._words, changed)]
         if not changed:
@@ -120,7 +130,7 @@ class Trend:
                 f"With these drifts the last calibration is off by {EXPIRED_SIGMAS:.0f} of its sigmas on "
                 f"{epoch.iso(self.expires, 's')[:10]}."
             )
-        return tuple(said)
+        return (*said, *common)
 
     def _words(self, one: History) -> str:
         unit = "" if one.unit == "1" else f" {one.unit}"
@@ -143,6 +153,7 @@ class Trend:
             "probability": self.probability,
             "last": {"q": self.last_q, "probability": self.last_probability},
             "first_instead_of_last": {"nT": self.moved.largest_nT, "deg": self.moved.largest_deg},
+            "overlap_ratio": self.overlap_ratio,
             "expires": None if self.expires is None else epoch.iso(self.expires, "s"),
             "parameters": [
                 {
@@ -193,6 +204,7 @@ def trend(calibrations: Sequence[Calibration]) -> Trend:
         last_q=last_q,
         last_probability=float(chi2.sf(last_q, len(names))),
         moved=added_error(last, first),
+        overlap_ratio=max(itertools.starmap(_overlap_ratio, itertools.pairwise(known))),
         expires=_expires(histories, known[-1]),
     )
 
@@ -218,6 +230,12 @@ def _comparable(calibrations: Sequence[Calibration]) -> list[Calibration]:
         raise BadInput(
             "some are of readings that had been corrected", where="trend", wanted="calibrations of the sensor"
         )
+    if len({bool(one.sigmas[:9].any()) for one in calibrations}) > 1:
+        raise BadInput(
+            "S was estimated in some and not in others: b does not mean the same in them",
+            where="trend",
+            wanted="calibrations of the same parameters",
+        )
     if len({np.array_equal(one.S, one.S.T) for one in calibrations}) > 1:
         raise BadInput(
             "some were made without attitude: their S is symmetric and is not that of the others",
@@ -237,6 +255,14 @@ def _middle(one: Calibration) -> np.datetime64:
     assert one.span is not None
     middle: np.datetime64 = one.span[0] + (one.span[1] - one.span[0]) // 2
     return middle
+
+
+def _overlap_ratio(one: Calibration, later: Calibration) -> float:
+    """Share of the shorter of two spans that lies in the other, as far as spans tell: a record may have gaps."""
+    assert one.span is not None and later.span is not None
+    (a, b), (c, d) = one.span, later.span
+    shorter = min(b - a, d - c)
+    return max(float((min(b, d) - max(a, c)) / shorter), 0.0) if shorter > np.timedelta64(0) else 0.0
 
 
 def _names(known: Sequence[Calibration]) -> tuple[str, ...]:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from fluxtwin.calib.common.pair import Pair
     from fluxtwin.calib.common.records import Calibration
     from fluxtwin.calib.common.residuals import ResidualStatistics
+    from fluxtwin.outputs import Kind
+    from fluxtwin.scenarios.page import Page
     from fluxtwin.sim.earth.field import FieldModel
     from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -69,6 +71,7 @@ def command(
             "--both": (also, outputs.CALIBRATION),
             "--html": (html, outputs.PAGE),
             "--figures": (figures, outputs.RESIDUALS),
+            "--figures with --both": (figures if both else None, outputs.SECOND_RESIDUALS),
         }
         output.claim(targets, [*telemetry, *(unseen or ()), onboard, field, *reading.files])
         many = len(telemetry) + len(unseen or ()) > 1
@@ -91,17 +94,20 @@ def command(
             written.append(second[0].calibration.to_toml(also))
         if figures is not None or html is not None:
             progress("drawing", 0.9)
-        if figures is not None:
-            written += _draw(fit, figures)
         next_step = _next_step(fit, telemetry, out, reading, onboard)
+        second_step = "" if second is None else _next_step(second[0], telemetry, also, _of_other(reading), None)
+        if figures is not None:
+            written += _draw(fit, figures, outputs.RESIDUALS)
+            written += [] if second is None else _draw(second[0], figures, outputs.SECOND_RESIDUALS)
         if html is not None:
-            written.append(_page(fit, html, telemetry, next_step, refused=refused))
+            page = _page(fit, telemetry, next_step, refused=refused)
+            if second is not None:
+                other = _page(second[0], telemetry, second_step, refused=second_refused)
+                page = _of_pair(page, other, second[1])
+            written.append(_write(page, html))
     _print(output, fit, next_step)
     if second is not None:
-        number = second[0].calibration.magnetometer
-        _print_second(
-            output, *second, _next_step(second[0], telemetry, also, reading._replace(magnetometer=number), None)
-        )
+        _print_second(output, *second, second_step)
     for name, statistics in predicted.items():
         rms = statistics.component_rms_nT
         what = "per component" if statistics.rms_nT.size == 3 else "in |B|"
@@ -146,10 +152,19 @@ def _print_second(output: Output, fit: Fit, pair: Pair, next_step: str) -> None:
     output.say(f"Magnetometer {fit.calibration.magnetometer}")
     _print(output, fit, next_step)
     output.say()
-    output.prose(
+    output.prose(_shared(pair))
+
+
+def _shared(pair: Pair) -> str:
+    return (
         f"Both at {pair.samples} common instants: {pair.shared_nT:.1f} nT per component are shared (field model, reference "
-        f"attitude), {pair.own_nT[0]:.1f} and {pair.own_nT[1]:.1f} nT are each one's own (noise, interference)"
+        f"attitude), {pair.own_nT[0]:.1f} and {pair.own_nT[1]:.1f} nT are each one's own (noise, interference)."
     )
+
+
+def _of_other(reading: of.Reading) -> of.Reading:
+    """The same rows, of the other magnetometer."""
+    return reading._replace(magnetometer=3 - reading.magnetometer)
 
 
 def _predict(fit: Fit, record: Telemetry, known: Calibration, model: FieldModel) -> ResidualStatistics:
@@ -217,23 +232,31 @@ def _as_json(fit: Fit) -> dict[str, Any]:
     return {**calibration, "rows": content.pop("samples"), **content}
 
 
-def _draw(fit: Fit, folder: Path) -> list[Path]:
+def _draw(fit: Fit, folder: Path, kind: Kind) -> list[Path]:
     from fluxtwin.calibration_page import residual_figure
-    from fluxtwin.outputs import RESIDUALS
     from fluxtwin.report import png_bytes
     from fluxtwin.sim.base.files import writable_folder, write_bytes
 
     picture = png_bytes(residual_figure(fit))
-    return [write_bytes(writable_folder(folder) / RESIDUALS.inside, picture)]
+    return [write_bytes(writable_folder(folder) / kind.inside, picture)]
 
 
-def _page(fit: Fit, path: Path, telemetry: list[Path], next_step: str, *, refused: bool) -> Path:
+def _page(fit: Fit, telemetry: list[Path], next_step: str, *, refused: bool) -> Page:
     from fluxtwin.calibration_page import calibration_page
     from fluxtwin.console import command_line
+
+    title = f"Calibration: {', '.join(path.name for path in telemetry)}"
+    return calibration_page(fit, title, next_step=next_step, command=command_line(), refused=refused)
+
+
+def _of_pair(first: Page, second: Page, pair: Pair) -> Page:
+    from fluxtwin.calibration_page import pair_page
+
+    return pair_page(first, second, _shared(pair))
+
+
+def _write(page: Page, path: Path) -> Path:
     from fluxtwin.report import render_report
     from fluxtwin.sim.base.files import write_text
 
-    names = ", ".join(path.name for path in telemetry)
-    title = f"Calibration: {names}"
-    page = calibration_page(fit, title, next_step=next_step, command=command_line(), refused=refused)
     return write_text(path, render_report(page))

@@ -53,7 +53,7 @@ def command(
             raise BadInput("mends whole files", where="--repair", wanted="no --from, --to or --where beside it")
         output.claim({"--repair": (repair, outputs.TELEMETRY)}, [telemetry, onboard, field, *reading.files])
         model = verbs.as_model(field, degree)
-        before = None if onboard is None else flight_software.as_onboard(onboard)
+        before = None if onboard is None else flight_software.as_onboard(onboard, reading.magnetometer)
         found = check.check_file(telemetry, model, **reading._asdict(), onboard=before)
         mended = after = None
         if repair is not None:

@@ -35,15 +35,13 @@ def read(path: Path, output: Output, reading: Reading, *, one_of_many: bool = Fa
 
 
 def known_calibration(path: Path, record: Telemetry, output: Output) -> Calibration:
-    """The calibration in a file, with notes of what --force waives for this record, and where it leaves what was seen."""
-    from fluxtwin.calib.common.apply import outside_words, waived
+    """The calibration in a file, with a note of what --force waives for this record."""
+    from fluxtwin.calib.common.apply import waived
     from fluxtwin.calib.common.records import Calibration
 
     known = Calibration.from_toml(path)
     if output.force and (refusal := waived(record, known)) is not None:
         output.note(f"note: applied all the same, by --force: {refusal}")
-    for words in outside_words(record, known):
-        output.note(f"note: {words}")
     return known
 
 

@@ -9,6 +9,7 @@ import typer
 
 from fluxtwin.calib import methods
 from fluxtwin.commands import options as of
+from fluxtwin.commands.reading import read
 from fluxtwin.console import Output, command_line
 
 NAME = "trend"
@@ -31,6 +32,7 @@ def command(
     html: of.HtmlOption = None,
     field: of.FieldOption = "igrf14",
     degree: of.DegreeOption = None,
+    reading: of.Reading = of.READING,
     **options: Any,
 ) -> None:
     """Test whether calibrations agree within their sigmas, say which parameter changed when or drifts, and what it matters.
@@ -43,8 +45,11 @@ def command(
         from fluxtwin.sim.base.files import write_text
 
         methods.require(options["method"], options)
-        output.claim({"--html": (html, outputs.PAGE)}, [*files, field])
-        found = trending.trend(files, every_h=every, field=field, degree=degree, progress=progress, **options)
+        output.claim({"--html": (html, outputs.PAGE)}, [*files, field, *reading.files])
+        given = [
+            path if path.suffix.lower() == ".toml" else read(path, output, reading, one_of_many=True) for path in files
+        ]
+        found = trending.trend(given, every_h=every, field=field, degree=degree, progress=progress, **options)
         written = []
         if html is not None:
             progress("drawing", 0.9)

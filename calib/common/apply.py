@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 
 import numpy as np
 
@@ -21,10 +22,12 @@ def apply_calibration(telemetry: Telemetry, calibration: Calibration, *, force: 
     """The same telemetry with `mag_B_nT` replaced by (I+S) B + b + T D (journal eq. 1); its provenance says so.
 
     Raises BadInput when the calibration does not fit the record (`require_applicable`; force lets it pass), has a T and
-    the telemetry no dipole, or a column that it needs is missing.
+    the telemetry no dipole, or a column that it needs is missing. Warns where the record leaves the time or the temperatures
+    that the calibration has seen.
     """
     if not force:
         require_applicable(telemetry, calibration)
+    _warn_outside(telemetry, calibration)
     here = for_record(calibration, telemetry)
     corrected = here.apply(telemetry.mag_B_nT, telemetry.dipole_B_Am2, recorded_columns(telemetry))
     span = "" if calibration.span is None else f", {_span_words(calibration)}"
@@ -86,7 +89,12 @@ def outside_span(telemetry: Telemetry, calibration: Calibration) -> int:
     return 0 if calibration.span is None else _rows_outside(telemetry, calibration.span)
 
 
-def outside_words(telemetry: Telemetry, calibration: Calibration) -> list[str]:
+def _warn_outside(telemetry: Telemetry, calibration: Calibration) -> None:
+    for words in _outside_words(telemetry, calibration):
+        warnings.warn(words, stacklevel=4)
+
+
+def _outside_words(telemetry: Telemetry, calibration: Calibration) -> list[str]:
     """Where a record leaves the time or the temperatures from which the calibration was made, in sentences."""
     said = []
     beyond = outside_span(telemetry, calibration)
@@ -122,6 +130,7 @@ def calibration_of(telemetry: Telemetry, calibration: Calibration | None, *, for
     if calibration is not None:
         if not force:
             require_applicable(telemetry, calibration)
+        _warn_outside(telemetry, calibration)
         return for_record(calibration, telemetry)
     if not telemetry.corrected_by:
         raise BadInput(

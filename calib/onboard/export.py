@@ -117,10 +117,11 @@ def export_calibration(calibration: Calibration, to: str, *, instance: int = 1, 
     )
 
 
-def import_calibration(path: Path | str, *, instance: int = 1) -> Calibration:
+def import_calibration(path: Path | str, *, instance: int = 1, magnetometer: int | None = None) -> Calibration:
     """The calibration in a file of any target, or in a calibration file.
 
-    It has no covariance and no span. Raises BadInput for a file that no target knows, or that lacks a number.
+    magnetometer: of a record; in place of an instance, for software that may hold only one. The calibration has no
+    covariance and no span. Raises BadInput for a file that no target knows, or that lacks a number.
     """
     path = Path(path)
     text = _text(path)
@@ -129,6 +130,8 @@ def import_calibration(path: Path | str, *, instance: int = 1) -> Calibration:
     target = next((one for one in TARGETS.values() if one.is_of(text)), None)
     if target is None:
         raise BadInput("holds no calibration that is known", where=str(path), wanted=f"a file of {', '.join(TARGETS)}")
+    if magnetometer is not None:
+        instance = min(magnetometer, target.instances)
     require_instance(target, instance)
     correction = correction_from_offset_first(target.read(text, instance, str(path)))
     method = f"read from {target.what}"

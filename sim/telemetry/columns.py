@@ -38,6 +38,8 @@ _UNIT_LIKE = re.compile(
 )
 """What may be meant for a unit at the end of a name."""
 
+PROVENANCE = "provenance_"
+"""How the attributes begin that hold a record's provenance."""
 TEXTS = {"spacecraft": "spacecraft", "mag_corrected_by": "calibration", "mag2_corrected_by": "calibration_2"}
 """Columns of a CSV that hold one text in every row, and what the provenance calls it. NetCDF has attributes for them.
 

@@ -21,7 +21,7 @@ from fluxtwin.sim.base.files import escaped
 from fluxtwin.sim.base.netcdf_out import TRUTH_TITLE, Variable, write_netcdf
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth.epoch import parse_time
-from fluxtwin.sim.telemetry.columns import FileTable, clip, describe, file_columns, resolve
+from fluxtwin.sim.telemetry.columns import PROVENANCE, FileTable, clip, describe, file_columns, resolve
 from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
 from fluxtwin.sim.telemetry.quantities import DRIVERS, MAG
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 TIME_UNITS = "nanoseconds since 1970-01-01"
 _SHA = "fluxtwin_sha256"
-_PROVENANCE = "provenance_"
 _MAX_BYTES_PER_SAMPLE = 128
 _MAX_COLUMNS = 5_000
 _CHUNK = 65_536
@@ -279,13 +278,13 @@ def _time_attributes() -> dict[str, Any]:
 def _file_attributes(telemetry: Telemetry) -> dict[str, Any]:
     attributes = {"Conventions": "CF-1.11", "title": "spacecraft magnetometer and attitude telemetry"}
     for key, value in sorted(telemetry.provenance.items()):
-        attributes[f"{_PROVENANCE}{key}"] = escaped(str(value))
+        attributes[f"{PROVENANCE}{key}"] = escaped(str(value))
     return attributes
 
 
 def _provenance(opened: NetcdfFile, attributes: dict[str, Any]) -> dict[str, str]:
     """What the file says of its origin, then which file this was; the file's own source becomes `origin`."""
-    stated = {k[len(_PROVENANCE) :]: str(v) for k, v in attributes.items() if k.startswith(_PROVENANCE)}
+    stated = {k[len(PROVENANCE) :]: str(v) for k, v in attributes.items() if k.startswith(PROVENANCE)}
     stated.pop("notices", None)
     stated.pop("sha256", None)
     origin = stated.pop("source", None)

@@ -31,6 +31,7 @@ _LARGEST = 1e15  # of any unit in the columns: beyond it a cell is corrupt, and 
 _OTHER = {"calibration": "calibration_2", "calibration_note": "calibration_note_2"}
 _OTHER |= {other: key for key, other in _OTHER.items()}
 _OF_MAGNETOMETER = tuple(_OTHER)
+_CORRECTED = ("calibration", "calibration_2")
 """What the provenance says of the readings of one magnetometer."""
 
 
@@ -273,8 +274,10 @@ def concatenate(records: list[Telemetry]) -> Telemetry:
 def _same_origin(records: list[Telemetry]) -> dict[str, str]:
     """Spacecraft and calibration of all records, where any record states them."""
     spacecraft = next((r.spacecraft for r in records if r.spacecraft), "")
-    corrected = "; ".join(dict.fromkeys(r.corrected_by for r in records if r.corrected_by))
-    return {key: text for key, text in (("spacecraft", spacecraft), ("calibration", corrected)) if text}
+    stated = {"spacecraft": spacecraft}
+    for key in _CORRECTED:
+        stated[key] = "; ".join(dict.fromkeys(filter(None, (r.provenance.get(key, "") for r in records))))
+    return {key: text for key, text in stated.items() if text}
 
 
 def _same_units(records: list[Telemetry]) -> dict[str, str]:
@@ -301,13 +304,14 @@ def _check_one_origin(records: list[Telemetry]) -> None:
         raise BadInput(
             "the readings are of magnetometer 1 in one record, of 2 in another", where="telemetry", wanted="one of them"
         )
-    corrected = [r for r in records if r.corrected_by]
-    if corrected and len(corrected) < len(records):
-        raise BadInput(
-            f"the readings of one record are corrected ({corrected[0].corrected_by}), those of another are not",
-            where=corrected[0].provenance.get("source", "telemetry"),
-            wanted="all of them corrected, or none",
-        )
+    for key in _CORRECTED:
+        corrected = [r for r in records if r.provenance.get(key)]
+        if corrected and len(corrected) < len(records):
+            raise BadInput(
+                f"the readings of one record are corrected ({corrected[0].provenance[key]}), those of another are not",
+                where=corrected[0].provenance.get("source", "telemetry"),
+                wanted="all of them corrected, or none",
+            )
 
 
 def _check_time(time: TimeArray) -> None:

@@ -11,7 +11,8 @@ from fluxtwin.sim.base.types import TimeArray
 
 _FIRST_YEAR, _LAST_YEAR = 1900, 2200
 _NAT = np.datetime64("NaT", "ns")
-_STAMP = re.compile(r"(\d{4}-\d\d-\d\d[Tt ]\d\d:\d\d:\d\d(?:\.\d{1,9})?) ?([Zz]|[+-]\d\d(?::?\d\d)?)?", re.ASCII)
+_ZONE = r"[Zz]|[+-](?:0\d|1[0-4])(?::?[0-5]\d)?"  # from -12:00 to +14:00 are in use
+_STAMP = re.compile(rf"(\d{{4}}-\d\d-\d\d[Tt ]\d\d:\d\d:\d\d(?:\.\d{{1,9}})?) ?({_ZONE})?", re.ASCII)
 
 
 def parse_iso(text: np.ndarray, where: str) -> TimeArray:

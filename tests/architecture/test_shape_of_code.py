@@ -30,7 +30,7 @@ NO_UNIT = (
     }
     | {"state_of_charge", "probability", "significance", "efficiency", "duty", "R_BN", "segment", "eiv_shift"}
     | {"relative_uncertainty", "directions_B", "lag_correlation", "sharpness", "taper_above_fraction", "G", "M"}
-    | {"D", "O", "taper_above", "rc_weights", "gram", "inertia_ratio", "misfit", "flattening"}
+    | {"D", "O", "taper_above", "rc_weights", "gram", "inertia_ratio", "overlap_ratio", "misfit", "flattening"}
     # logarithms of likelihoods and odds; a distance in standard deviations
     | {"log", "cost", "distance"}
     # directions, and a table whose columns have a unit each

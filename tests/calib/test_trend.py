@@ -125,6 +125,16 @@ def test_parameters_that_follow_from_others_are_counted_once() -> None:
         trend([gyro[0], full[1]])
 
 
+def test_calibrations_that_share_data_say_so() -> None:
+    known = made(5, np.zeros((4, 12)))
+    assert not any("share" in line for line in trend(known).lines)
+    assert known[1].span is not None
+    first, last = known[1].span
+    long = replace(known[1], span=(first - np.timedelta64(7, "D") + np.timedelta64(1, "h"), last))
+    found = trend([known[0], long, *known[2:]])
+    assert found.overlap_ratio == pytest.approx(0.8) and "share up to 80 % of their time" in " ".join(found.lines)
+
+
 def test_at_one_time_there_is_no_drift() -> None:
     known = made(6, np.zeros((3, 12)))
     assert trend([replace(c, span=known[0].span) for c in known]).holds
@@ -156,6 +166,9 @@ def test_calibrations_that_cannot_be_compared_are_refused() -> None:
             trend(bad)
     with pytest.raises(BadInput, match="given twice"):
         trend([two[0], two[0]])
+    b_only = replace(two[1], S=np.zeros((3, 3)), covariance=np.diag([0.0] * 9 + [9.0] * 3))
+    with pytest.raises(BadInput, match="S was estimated in some"):
+        trend([two[0], b_only])
     with pytest.raises(BadInput, match="several magnetometers"):
         trend([two[0], replace(two[1], magnetometer=2)])
     symmetric = Calibration(np.diag([0.01, 0.0, 0.0]), two[0].b_nT, covariance=two[0].covariance, span=two[0].span)

@@ -83,6 +83,12 @@ def read_message(path: Path, kind: str, width: int) -> Message:
     segments = [one for one in segments if one.rows]
     if not segments:
         raise BadInput("holds no rows", where=str(path), wanted="at least one segment with data")
+    objects = sorted({one.meta.get("OBJECT_ID", one.meta.get("OBJECT_NAME", "")) for one in segments})
+    if len(objects) > 1:
+        named = " and ".join(clip(name) or "none" for name in objects[:2])
+        raise BadInput(
+            f"its segments are of different objects: {named}", where=str(path), wanted="one object in a file"
+        )
     return Message(version, digest, segments)
 
 

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.telemetry.columns import clip, describe, file_columns
+from fluxtwin.sim.telemetry.columns import PROVENANCE, clip, describe, file_columns
 from fluxtwin.sim.telemetry.formats.table import Table, content_of, extra, in_ns
 from fluxtwin.sim.telemetry.quantities import RECORDED
 
 if TYPE_CHECKING:
     from fluxtwin.sim.telemetry.record import Telemetry
 
+_NO_ZONE = "column {} has no zone: taken as UTC"
 _CF_UNITS = {"degree s-1": "deg_s", "km s-1": "km_s", "degree": "deg", "A m2": "Am2", "degree_Celsius": "degC"}
 
 
@@ -53,8 +54,8 @@ def of_pandas(frame: Any, where: str = "DataFrame") -> Table:
         if isinstance(series.attrs.get("units"), str):  # a frame's own attributes are also those of its columns
             units[name] = series.attrs["units"]
         columns[str(name)] = _column(series, str(name), where)
-    attributes = {str(key): str(value) for key, value in frame.attrs.items() if isinstance(value, str)}
-    return Table(where, columns, {str(k): str(v) for k, v in units.items()}, attributes)
+    notices = [_NO_ZONE.format(name) for name, one in _stamped(frame).items() if one.dt.tz is None]
+    return Table(where, columns, {str(k): str(v) for k, v in units.items()}, _stated(frame.attrs), notices)
 
 
 def of_xarray(dataset: Any, where: str = "Dataset") -> Table:
@@ -78,19 +79,16 @@ def of_xarray(dataset: Any, where: str = "Dataset") -> Table:
         unit = str(one.attrs.get("units", ""))
         if unit:
             units[key] = _CF_UNITS.get(unit, unit)
-    attributes = {
-        str(key).removeprefix("provenance_"): str(v) for key, v in dataset.attrs.items() if isinstance(v, str)
-    }
-    return Table(where, columns, units, attributes)
+    return Table(where, columns, units, _stated(dataset.attrs))
 
 
 def to_pandas(telemetry: Telemetry) -> Any:
-    """A DataFrame with the record's columns, units in their names, time as its index; provenance in `attrs`."""
+    """A DataFrame with the record's columns, units in their names, time [UTC] as its index; provenance in `attrs`."""
     import pandas as pd
 
-    columns = dict(file_columns(telemetry))
-    frame = pd.DataFrame(columns, index=pd.DatetimeIndex(telemetry.time, name="time"), copy=False)
-    frame.attrs.update(telemetry.provenance)
+    index = pd.DatetimeIndex(telemetry.time, name="time").tz_localize("UTC")
+    frame = pd.DataFrame(dict(file_columns(telemetry)), index=index, copy=False)
+    frame.attrs.update(_attributes(telemetry))
     return frame
 
 
@@ -111,7 +109,30 @@ def to_xarray(telemetry: Telemetry) -> Any:
             long_name, unit = describe(column)
             unit = telemetry.driver_units.get(column.removeprefix("driver_"), unit)
             variables[column] = ("time", value, {"long_name": long_name, "units": unit})
-    return xr.Dataset(variables, coords={"time": telemetry.time}, attrs=dict(telemetry.provenance))
+    return xr.Dataset(variables, coords={"time": telemetry.time}, attrs=_attributes(telemetry))
+
+
+def _attributes(telemetry: Telemetry) -> dict[str, str]:
+    return {f"{PROVENANCE}{key}": text for key, text in telemetry.provenance.items()}
+
+
+def _stated(attributes: Mapping[Any, Any]) -> dict[str, str]:
+    """Provenance of a table: what fluxtwin wrote, and the name of the spacecraft. In the attributes of others `calibration`
+    may mean anything, and is no proof that the readings are corrected."""
+    texts = {str(key): value for key, value in attributes.items() if isinstance(value, str)}
+    ours = {key.removeprefix(PROVENANCE): value for key, value in texts.items() if key.startswith(PROVENANCE)}
+    return ({"spacecraft": texts["spacecraft"]} if "spacecraft" in texts else {}) | ours
+
+
+def _stamped(frame: Any) -> dict[str, Any]:
+    """The columns of stamps that are taken as `time`, by name."""
+    import pandas as pd
+
+    index = frame.index
+    found = {"time": index.to_series()} if isinstance(index, pd.DatetimeIndex) and "time" not in frame.columns else {}
+    if "time" in frame.columns and pd.api.types.is_datetime64_any_dtype(frame["time"].dtype):
+        found["time"] = frame["time"]
+    return found
 
 
 def _column(series: Any, name: str, where: str) -> np.ndarray:

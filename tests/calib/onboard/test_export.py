@@ -22,6 +22,7 @@ from fluxtwin.calib.common.conventions import OffsetFirst, correction_from_offse
 from fluxtwin.calib.common.records import Calibration, TelemetryBias
 from fluxtwin.calib.onboard.export import FIELDS_NT, export_calibration
 from fluxtwin.calib.onboard.targets import TARGETS
+from fluxtwin.flight_software import as_onboard
 from fluxtwin.sim.base.errors import BadInput
 
 pytestmark = pytest.mark.property
@@ -152,6 +153,9 @@ def test_a_file_of_several_magnetometers_and_a_damaged_one(tmp_path: Path) -> No
     path = tmp_path / "all.param"
     path.write_text(both, encoding="utf-8")
     assert fluxtwin.import_calibration(path, instance=2).S[0, 0] == pytest.approx(0.02, rel=1e-5)
+    assert as_onboard(path, magnetometer=2).M[0, 0] == pytest.approx(1.02, rel=1e-5)
+    alone = export_calibration(one, "matlab").write(tmp_path / "one.m")
+    assert as_onboard(alone, magnetometer=2).M[0, 0] == pytest.approx(1.01, rel=1e-5)  # it holds only one
     path.write_text(both.replace("COMPASS_DIA_Z", "COMPASS_D_Z"), encoding="utf-8")
     with pytest.raises(BadInput, match="COMPASS_DIA_Z not in the file"):
         fluxtwin.import_calibration(path)

@@ -298,6 +298,32 @@ def test_frames_of_pandas_and_xarray_as_they_are(record: fluxtwin.Telemetry) -> 
     assert record.driver_units == fluxtwin.read(dataset).driver_units
 
 
+def test_only_what_fluxtwin_wrote_says_that_readings_are_corrected(record: fluxtwin.Telemetry) -> None:
+    corrected = record.replace(
+        provenance={**record.provenance, "calibration": "calibration 0123456789ab (residual 5 nT)"}
+    )
+    frame, dataset = record.to_pandas(), record.to_xarray()
+    frame.attrs["calibration"] = dataset.attrs["calibration"] = "ground v3"
+    assert fluxtwin.read(frame).corrected_by == fluxtwin.read(dataset).corrected_by == ""
+    assert fluxtwin.read(corrected.to_pandas()).corrected_by == corrected.corrected_by
+    assert fluxtwin.read(corrected.to_xarray()).corrected_by == corrected.corrected_by
+
+
+def test_stamps_without_a_zone_are_noticed(record: fluxtwin.Telemetry) -> None:
+    frame = record.to_pandas()
+    assert "no zone" not in fluxtwin.read(frame).provenance.get("notices", "")
+    bare = fluxtwin.read(frame.tz_localize(None))
+    assert "column time has no zone: taken as UTC" in bare.provenance["notices"]
+    same(bare, record)
+
+
+def test_segments_of_two_objects_are_refused(tmp_path: Path) -> None:
+    more = OEM[OEM.index("META_START") :].replace("1996", "1997").replace("OBJECT_ID = ", "OBJECT_ID = X")
+    (tmp_path / "o.oem").write_text(OEM + "\n" + more, encoding="utf-8")
+    with pytest.raises(BadInput, match="different objects"):
+        oem.read(tmp_path / "o.oem")
+
+
 def test_units_in_attributes_and_lists_in_cells() -> None:
     stamps = pd.date_range("2026-03-01", periods=3, freq="10s", tz="Europe/Berlin")
     frame = pd.DataFrame({"mag_x": [1.0, 2.0, np.nan], "mag_y": [1, 2, 3], "mag_z": [0.1, 0.2, 0.3]}, index=stamps)

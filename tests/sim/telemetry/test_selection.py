@@ -94,3 +94,8 @@ def test_readings_of_two_magnetometers_are_not_joined(tmp_path: Path) -> None:
     assert len(concatenate([one, other])) == 4
     with pytest.raises(BadInput, match="magnetometer 1 in one record"):
         concatenate([one, other.with_magnetometer(2)])
+    stamped = other.replace(
+        provenance={**other.provenance, "calibration_2": "calibration 0123456789ab (residual 5 nT)"}
+    )
+    with pytest.raises(BadInput, match="those of another are not"):
+        concatenate([one, stamped])

@@ -248,6 +248,7 @@ FAULTS: dict[str, tuple[Callable[[list[str]], list[str]], str]] = {
     "bad time": (lambda x: [s.replace("06:02:00Z", "noon") for s in x], "time in row 3 is '1978-07-24Tnoon'"),
     "leap second": (lambda x: [s.replace("06:02:00Z", "06:02:60Z") for s in x], "leap second"),
     "other zone": (lambda x: [s.replace("06:02:00Z", "06:02:00 CET") for s in x], "time in row 3"),
+    "no such zone": (lambda x: [s.replace("06:02:00Z", "06:02:00+99:99") for s in x], "time in row 3"),
     "no such day": (lambda x: [s.replace("07-24T06:02", "02-29T06:02") for s in x], "time in row 3"),
     "blank time": (lambda x: [s.replace("1978-07-24T06:02:00Z", "") for s in x], "time is missing in row 3"),
     "no rows": (lambda x: x[:1], "there are no rows"),

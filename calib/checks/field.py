@@ -24,8 +24,8 @@ from fluxtwin.calib.checks.clock import (
     shift_words,
     shifts_s,
 )
-from fluxtwin.calib.checks.evidence import Evidence, scalar_evidence, vector_evidence
-from fluxtwin.calib.checks.orientation import FAR_BETTER, SINGLE_COST, Hypothesis, orientations
+from fluxtwin.calib.checks.evidence import Evidence, MODEL_nT, scalar_evidence, vector_evidence
+from fluxtwin.calib.checks.orientation import FAR_BETTER, ORIENTATION, SINGLE_COST, Hypothesis, orientations
 from fluxtwin.calib.checks.outliers import check_outliers, without_gross_outliers
 from fluxtwin.calib.checks.report import Finding, note, trap
 from fluxtwin.calib.checks.sample import FEWEST, Origin, Sample, comparable, rms
@@ -144,7 +144,7 @@ def _best(tried: list[Hypothesis], evidence: Evidence, misfit_nT: FloatArray) ->
     """The hypothesis that stands out, as a trap, and the misfit it leaves; None where none is far better."""
     odds = evidence.log - evidence.log[0] - np.array([one.cost for one in tried])
     odds[1:][misfit_nT[1:] > FAR_BETTER * misfit_nT[0]] = -np.inf
-    best = int(np.argmax(odds))
+    best = _likeliest(tried, odds, evidence.misfit_nT)
     if best == 0 or odds[best] < CLEAR:
         return None, np.inf
     one, as_is, mended = tried[best], float(misfit_nT[0]), float(misfit_nT[best])
@@ -164,6 +164,24 @@ def _best(tried: list[Hypothesis], evidence: Evidence, misfit_nT: FloatArray) ->
         f"{one.words}: {one.advice}{doubt}"
     )
     return trap(one.code, text), mended
+
+
+def _likeliest(tried: list[Hypothesis], odds: FloatArray, misfit_nT: FloatArray) -> int:
+    """The likeliest hypothesis, or an orientation with less wrong that would be likelier if both fitted alike, as they may.
+
+    Where the attitude is held, the errors of the recorded attitude are all that moves, and another convention is to the
+    record what another draw of these errors is: the rms of n rows is known to 1 / sqrt(2 n), those of two draws differ by
+    sqrt(2) times that. So three sigma of it tell nothing, and what they add to the evidence of 3 n values is taken off.
+    """
+    best, rows = int(np.argmax(odds)), len(tried[0].predicted_nT)
+    if tried[best].code not in ORIENTATION:
+        return best
+    misfit_nT = np.maximum(misfit_nT, MODEL_nT)
+    worse = np.log(misfit_nT / misfit_nT[best])
+    simpler = np.array([one.code in ORIENTATION and one.cost < tried[best].cost for one in tried])
+    simpler &= worse <= np.log1p(3.0 / rows**0.5)
+    simpler[best] = True
+    return int(np.argmax(np.where(simpler, odds + 3.0 * rows * worse, -np.inf)))
 
 
 def _positions(sample: Sample, model: FieldModel) -> list[Hypothesis]:

@@ -27,6 +27,8 @@ SINGLE_COST, EXTRA_COST = 4.0, 4.0
 """Log prior odds against one thing wrong (order, sense, reference or mounting), and against each further one."""
 ODD_MOUNTING_COST, ANY_MOUNTING_COST = 1.0, 6.0
 """More against turns of 45 deg, and against a turn by any other angle."""
+ORIENTATION = ("attitude_convention", "magnetometer_axes")
+"""Codes of the traps of this module."""
 _SHORT_LIST = 40
 _SAME_TURN_RAD = np.radians(12.0)
 """A turn that fits best is the listed one that lies so near: misalignments and attitude errors are smaller."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from fluxtwin.calib.common.digits import measured
-from fluxtwin.gap.records.diagnosis import Diagnosis
+from fluxtwin.gap.records.diagnosis import Diagnosis, Law
 from fluxtwin.gap.report.advice import typical_size
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 
@@ -27,6 +27,7 @@ def diagnosis_page(diagnosis: Diagnosis, title: str) -> Page:
         sections=[
             _where(diagnosis),
             _which(diagnosis),
+            *_law(diagnosis),
             _far(diagnosis),
             *elsewhere,
             PageSection("What could not be tested", [] if open_ else [_ALL_TESTED], open_),
@@ -41,6 +42,8 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
     shown = [effects_table(diagnosis)] if diagnosis.effects else []
     if diagnosis.verdict == "unknown" and diagnosis.ranking:
         shown.append(ranking_table(diagnosis))
+    if diagnosis.law is not None and diagnosis.law.terms:
+        shown.append(law_table(diagnosis.law))
     shown.append(far_table(diagnosis))
     shown += momentum_tables(diagnosis)
     if diagnosis.transfers:
@@ -110,6 +113,53 @@ def _which(diagnosis: Diagnosis) -> PageSection:
         figures = [FigureBlock("gap_which", caption, draw_which(diagnosis))]
     return PageSection(
         "Which effect causes it", words or ([] if diagnosis.effects else ["None is named."]), shown, figures
+    )
+
+
+def _law(diagnosis: Diagnosis) -> list[PageSection]:
+    law = diagnosis.law
+    if law is None:
+        return []
+    title = "The law of what the catalogue does not explain"
+    if not law.terms:
+        return [PageSection(title, [law.sentence], [looked_at_table(law)] if law.looked_at else [])]
+    from fluxtwin.plots.gap import draw_law
+
+    caption = (
+        "Dots: the residual without this term, along its direction, against what the term follows. "
+        "Circles: means of equal counts, with their standard error. Line: the term."
+    )
+    figures = [FigureBlock("gap_law", caption, draw_law(law.fitted))] if law.fitted else []
+    return [PageSection(title, [law.sentence], [law_table(law)], figures)]
+
+
+def law_table(law: Law) -> Table:
+    """The terms of a law with their coefficients."""
+    rows = []
+    for term in law.terms:
+        left = ["law." + term.name, " x ".join(term.of), term.axes, f"{term.delay_s:.3g}", f"{term.lag_s:.3g}"]
+        for axis, (value, sigma) in term.coefficients.items():
+            rows.append([*left, f"k_{axis} [{term.unit}]", measured(value, sigma)])
+            left = [""] * len(left)
+    closed = _closed(law.closed, law.interval)
+    return Table(
+        "The law",
+        ["term", "of", "axes", "delay [s]", "lag [s]", "coefficient", "value, 1 sigma"],
+        rows,
+        f"On held-out samples from {law.before_nT:.1f} to {law.after_nT:.1f} nT rms, where {law.floor_nT:.1f} are expected: it "
+        f"closes {closed}. {law.tried:,} terms were tried, which it has paid for. The first factor is late.",
+    )
+
+
+def looked_at_table(law: Law) -> Table:
+    """What a law was looked for in, and the smallest size that would have shown."""
+    rows = [[one.quantity, f"{one.value:.3g}", one.unit, f"{one.visible_nT:.2g}"] for one in law.looked_at]
+    return Table(
+        "What was looked at, and how large it would have had to be",
+        ["quantity", "smallest that shows", "unit", "rms [nT]"],
+        rows,
+        "Each as it stands, in body axes, on all axes alike; found nine times in ten. Delays, lags, powers, other frames "
+        "and products were tried too.",
     )
 
 

@@ -20,6 +20,7 @@ from fluxtwin.gap.hypotheses.blocks import Block, blocks
 from fluxtwin.gap.hypotheses.candidates import candidates
 from fluxtwin.gap.hypotheses.evidence import Dictionary
 from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign
+from fluxtwin.gap.law.found import closed_by, law_of
 from fluxtwin.gap.noise.budget import prior_of
 from fluxtwin.gap.noise.choice import NoiseModel, choose_noise, complete_budget, whitener_of
 from fluxtwin.gap.posterior.explanations import Answer, noise_and_answer
@@ -108,14 +109,29 @@ def diagnose(
     if work.angle is not None:
         facts["sun_nadir"] = work.angle.to_dict()
         notes += work.angle.notes
-    progress("done", 1.0)
-    return verdict.assemble(
+    found = verdict.assemble(
         work,
         facts,
         level.assumed(budget or Budget(), problem, answer.noise),
         without_attitude=int((telemetry.has_reading & ~telemetry.has_attitude).sum()),
         notes=notes,
     )
+    found = _with_law(work, found, progress)
+    progress("done", 1.0)
+    return found
+
+
+def _with_law(work: Work, found: Diagnosis, progress: Progress) -> Diagnosis:
+    """The diagnosis with the law of what its names leave; where they leave nothing, as it is."""
+    open_ = found.verdict == "unknown" or found.gap.shape_incomplete
+    in_torques = work.momentum.unexplained and work.known >= 0.5
+    if not open_ or in_torques or found.closure is None:
+        return found
+    law = law_of(work.problem, work.answer, work.in_readings if found.verdict == "effect" else [], progress)
+    assumed = words.assumed(found.assumed)
+    parts = (found.sentence.removesuffix(assumed).rstrip(), law.record.sentence, assumed)
+    sentence = " ".join(filter(None, parts))
+    return replace(found, law=law.record, sentence=sentence, closure=closed_by(law, found.closure))
 
 
 def _ruled_out(work: Work, channel: Channel | None) -> dict[str, str]:
@@ -265,12 +281,7 @@ def _prediction(
     own = answer.fitted_nT[:, :, answer.alone_nT.shape[2] :]
     columns = (answer.alone_nT, np.concatenate([answer.alone_nT, own], axis=2))
     fits = [
-        Fitted(
-            problem.judged(residual),
-            problem.judged(part),
-            answer.whitener.apply(residual),
-            answer.whitener.apply(part) if part.size else part,
-        )
+        Fitted.of(problem, answer.whitener, residual, part)
         for residual, part in zip((result.residual_alone_nT, result.residual_nT), columns, strict=True)
     ]
     before, after, counted = predict_blocks(seconds, kept, with_effects_nT, *fits)

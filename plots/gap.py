@@ -8,8 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
+from numpy.typing import NDArray
 
-from fluxtwin.gap.records.diagnosis import Diagnosis, GapSeries
+from fluxtwin.gap.records.diagnosis import Diagnosis, GapSeries, LawSeries
 from fluxtwin.plots import style
 from fluxtwin.sim.base.types import FloatArray
 
@@ -18,6 +19,7 @@ _STRETCHES = 150
 _BANDS = 60
 _LEAST = 0.01  # probability of a place that is worth a bar
 _BARS = 7
+_GROUPS = 12
 
 
 def draw_where(diagnosis: Diagnosis) -> Figure:
@@ -114,6 +116,34 @@ def draw_spectra(series: GapSeries) -> Figure:
     style.legend(axes)
     style.label(axes, x="frequency [mHz]", y="amplitude [nT]", title="Spectrum of the residual")
     return figure
+
+
+def draw_law(terms: Sequence[LawSeries]) -> Figure:
+    """The law: for each term the residual without it, along its direction, against what it follows, and the term."""
+    figure, grid = style.figure(7.2, 0.4 + 2.6 * len(terms), rows=len(terms), cols=1)
+    for (axes,), term in zip(grid, terms, strict=True):
+        x, y = term.follows, term.partial_nT
+        spread = np.random.default_rng(0).uniform(-1.0, 1.0, x.size) * 0.02 * float(np.ptp(x))
+        states = np.unique(x).size < _GROUPS  # dots of a switch beside each other, so that they are seen
+        axes.plot(x + spread if states else x, y, ".", color=style.SKY, markersize=2.0, alpha=0.45, label="samples")
+        middle = [(x[part].mean(), y[part].mean()) for part in _alike_in(x)]
+        axes.plot(*np.transpose(middle), "o", color=style.BLACK, markersize=4.5, label="their means")
+        ends = np.array([x.min(), x.max()])
+        axes.plot(ends, term.slope * ends, color=style.VERMILION, linewidth=1.4, label="the term")
+        limit = np.percentile(y, [0.5, 99.5])
+        axes.set_ylim(limit[0] - 0.15 * np.ptp(limit), limit[1] + 0.15 * np.ptp(limit))
+        style.label(axes, x=term.label, y="partial residual [nT]")
+    style.legend(grid[0][0], "best", columns=3)
+    style.heading(figure, "The residual without the law, and the law")
+    return figure
+
+
+def _alike_in(values: FloatArray) -> list[NDArray[np.intp]]:
+    """Rows by their values: of each value where they are few, else in groups of equal count."""
+    states = np.unique(values)
+    if states.size < _GROUPS:
+        return [np.flatnonzero(values == state) for state in states]
+    return [part for part in np.array_split(np.argsort(values, kind="stable"), _GROUPS) if part.size]
 
 
 def _both(series: GapSeries) -> list[tuple[FloatArray, str, str, str, str]]:

@@ -25,7 +25,7 @@ from fluxtwin.sim.base.types import FloatArray
 NOISE_TOLERANCE = 1.15**2
 """How much larger the noise energy at long scales may be than at short ones before it is called drift: the slow
 part of the attitude error, which the whitening cannot know better than to 15 % rms."""
-_PARTS = (2, 5)
+PARTS = (2, 5)
 
 
 @dataclass(frozen=True)
@@ -117,19 +117,19 @@ def judge(
     words = "slow wandering that follows no condition"
     clues.append(Structure(-2.0 * log10_p * float(np.log(10.0)), excess, "drift", words, "time"))
     if own is not None and own.shape[2]:
-        for count, (gain, rank) in zip(_PARTS, _parts(left, own), strict=True):
+        for count, (gain, rank) in zip(PARTS, parts(left, own), strict=True):
             words = f"the parameters differ between the {count} parts of the record"
-            clues.append(replace(clue("parts", gain, rank, float(np.log(len(_PARTS))), words), condition="time"))
+            clues.append(replace(clue("parts", gain, rank, float(np.log(len(PARTS))), words), condition="time"))
     best = max(clues, key=lambda clue: clue.worth)
     if best.worth <= THRESHOLD:
         best = Structure(best.worth, 0.0, "none", "nothing structured is left")
     return replace(best, step_s=step_s)
 
 
-def _parts(left: ProjectedResidual, own: FloatArray) -> list[tuple[float, int]]:
+def parts(left: ProjectedResidual, own: FloatArray) -> list[tuple[float, int]]:
     """What parameters of their own for each of two, or five, parts explain, and their number."""
     found = []
-    for count in _PARTS:
+    for count in PARTS:
         rows = np.array_split(np.arange(len(own)), count)[:-1]
         cut = np.concatenate([_only(own, part) for part in rows], axis=1)
         size = np.linalg.norm(cut, axis=0)

@@ -15,6 +15,8 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import halfnorm, norm
 
+from fluxtwin.gap.linear.projection import Whitens
+from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.problem.row_axes import RowAxes
 from fluxtwin.gap.records.diagnosis import GapSeries, Shrinkage
 from fluxtwin.gap.selection.criterion import SHAPE_ERROR
@@ -42,6 +44,16 @@ class Fitted:
     """(N, 3, P) Jacobian of what is fitted."""
     residual: FloatArray
     columns: FloatArray
+
+    @classmethod
+    def of(cls, problem: Problem, whitener: Whitens, residual_nT: FloatArray, columns_nT: FloatArray) -> Fitted:
+        """From a residual (N, 3) and what is fitted (N, 3, P), both in body axes."""
+        return cls(
+            problem.judged(residual_nT),
+            problem.judged(columns_nT),
+            whitener.apply(residual_nT),
+            whitener.apply(columns_nT) if columns_nT.size else columns_nT,
+        )
 
 
 @dataclass(frozen=True, eq=False)

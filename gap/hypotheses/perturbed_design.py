@@ -37,10 +37,11 @@ def steady(perturbed: PerturbedDesign, found: Iterable[Condition]) -> list[Condi
     if perturbed.setting is None:
         return list(found)
     again = {(c.name, c.label): c.columns for c in conditions(perturbed.setting)}
-    return [c for c in found if _alike(c.columns, again.get((c.name, c.label)))]
+    return [c for c in found if alike(c.columns, again.get((c.name, c.label)))]
 
 
-def _alike(columns: FloatArray, again: FloatArray | None) -> bool:
+def alike(columns: FloatArray, again: FloatArray | None) -> bool:
+    """Whether columns (N, k) are the same in a design with one more attitude error, but for a small share of their energy."""
     if again is None or again.shape != columns.shape:
         return False
     level, other = columns - columns.mean(axis=0), again - again.mean(axis=0)

@@ -272,6 +272,71 @@ class Transfer(Record):
     """Words, where it does not transfer or something must be known."""
 
 
+@dataclass(frozen=True)
+class LawTerm(Record):
+    """One term: a field of `coefficients` times the product of the factors, along axes of a frame."""
+
+    name: Name
+    """NAME of the section [effects.law.NAME] that --close writes."""
+    of: Annotated[Names, Field(min_length=1)]
+    """Factors: recorded columns and geometry, with what is done to each; the first one is late."""
+    axes: Annotated[str, _enum("body", "orbital", "inertial", "earth")]
+    delay_s: Size
+    lag_s: Size
+    unit: str
+    """Of the coefficients."""
+    coefficients: Annotated[Mapping[str, Estimate], _BY_AXIS]
+    """By axis: value and sigma."""
+
+
+@dataclass(frozen=True)
+class LawLimit(Record):
+    """What a quantity was looked at for, and how large its field would have had to be (as `Detectable`)."""
+
+    quantity: Name
+    value: Size
+    unit: str
+    visible_nT: Size
+
+
+@dataclass(frozen=True, eq=False)
+class LawSeries:
+    """A term for a figure: what it follows (n,), and the residual without it along its direction (n,) [nT]."""
+
+    label: str
+    follows: FloatArray
+    partial_nT: FloatArray
+    slope: float
+    """nT per unit of what it follows."""
+
+
+@dataclass(frozen=True)
+class Law(Record):
+    """What was found to make the part of the gap that the catalogue does not explain; no terms: nothing was."""
+
+    terms: Sequence[LawTerm]
+    instead_of: Names
+    """Names of the catalogue that the law does without and explains more; beside all others it stands."""
+    before_nT: Size
+    """rms per component on held-out samples without the law; a name that it stands beside is fitted."""
+    after_nT: Size
+    floor_nT: Size
+    closed: Share | None
+    """Of what is left, by the law, on held-out samples; None where that is not measurable, or nothing was found."""
+    interval: Interval | None
+    """90 %."""
+    tried: Annotated[int, Field(ge=1)]
+    """Terms that were truly tried, which the criterion pays for."""
+    could_be: Sequence[Names]
+    """Factors of other terms that these data do not tell from the first."""
+    why_none: str
+    """Why nothing is said, in words; empty where a law is."""
+    looked_at: Sequence[LawLimit]
+    """Where nothing was found: what was looked at, and the smallest size that would have shown."""
+    sentence: str
+    fitted: Annotated[Sequence[LawSeries], Kept, Inner] = field(default=(), compare=False)
+
+
 @dataclass(frozen=True, eq=False)
 class Closure:
     """The named effects and the design that they were learnt on; not part of the JSON."""
@@ -311,8 +376,8 @@ _NONE, _SOME, _NULL = {"maxItems": 0}, {"minItems": 1}, {"type": "null"}
 
 
 def _rules(schema: dict[str, Any]) -> None:
-    """What the verdict says of other keys; and `momentum` is there only where it was balanced."""
-    schema["required"].remove("momentum")
+    """What the verdict says of other keys; `momentum` and `law` are there only where there is something to say."""
+    schema["required"] = [name for name in schema["required"] if name not in ("momentum", "law")]
     schema["properties"]["fluxtwin"] = {"description": "Version of the program that wrote the file.", "type": "string"}
     unmeasured = {"properties": {"closed": _NULL, "interval": _NULL}}
     schema["allOf"] = [
@@ -367,6 +432,8 @@ class Diagnosis(Record, Shown):
     """The noise that the answer rests on: declared, from the scenario, or found in the data; and the flag that sets it."""
     momentum: MomentumGap | None = None
     """The balance of the momentum; None, and not in the JSON, where there is none."""
+    law: Law | None = None
+    """Of what the catalogue does not explain; None, and not in the JSON, where it explains all."""
     notes: Annotated[Sequence[str], Inner] = ()
     """What the reader must know of the record: rows that are not in it, inputs that look wrong. In the JSON a part of the
     provenance."""
@@ -374,7 +441,9 @@ class Diagnosis(Record, Shown):
     closure: Annotated[Closure | None, Kept, Inner] = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON; every key always present, but `momentum` only where it was balanced."""
+        """Plain values for JSON; every key always present, but `momentum` only where it was balanced, and `law` only where
+        the catalogue does not explain all."""
         plain = super().to_dict()
         plain["provenance"]["notes"] = list(self.notes)
-        return plain if self.momentum is not None else {key: v for key, v in plain.items() if key != "momentum"}
+        absent = {name for name in ("momentum", "law") if getattr(self, name) is None}
+        return {key: value for key, value in plain.items() if key not in absent}

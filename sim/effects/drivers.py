@@ -119,8 +119,13 @@ def followed(setting: Setting, name: str, delay_s: float, lag_s: float) -> Float
     the first row, or in a gap of the rows, is what it was after; the lag starts in balance there.
     """
     column = setting.column(name)
-    if column is None or not np.isfinite(column).any():
-        return None
+    return None if column is None or not np.isfinite(column).any() else late(setting, column, delay_s, lag_s)
+
+
+def late(setting: Setting, column: FloatArray, delay_s: float, lag_s: float) -> FloatArray:
+    """(N,) the same of a column (N,) that has a value somewhere."""
+    if not delay_s and not lag_s and np.isfinite(column).all():
+        return column
     known, stretch = np.isfinite(column), stretches(setting.seconds)
     begun = setting.seconds[np.searchsorted(stretch, stretch)]
     moments, samples = np.maximum(setting.seconds - delay_s, begun), setting.seconds[known]

@@ -100,6 +100,7 @@ STAGE_OF = {
     "solar_array_current": "spacecraft",
     "battery_current": "spacecraft",
     "driver": "spacecraft",
+    "law": "spacecraft",
     "heater_switching": "spacecraft",
     "wheel_field": "spacecraft",
     "eddy_current": "spacecraft",
@@ -171,8 +172,11 @@ def chain(scenario, run) -> Chain:
     return predicting(scenario, run[0])
 
 
+LAW = {"law": {"of": ("driver_payload", "not sunlit"), "axes": "orbital", "lag_s": 100.0}}
 EFFECTS = [
-    effect if effect.keyed_by is None else dataclasses.replace(effect, **{effect.keyed_by: "payload"})
+    effect
+    if effect.keyed_by is None
+    else dataclasses.replace(effect, **{effect.keyed_by: "payload"}, **LAW.get(effect.name, {}))
     for effect in CATALOGUE
     if not isinstance(effect, DynamicsEffect)
 ]

@@ -1,0 +1,265 @@
+"""The law of what the catalogue does not explain: searched, refitted in the nonlinear chain, and held against what it has
+not seen.
+
+It is kept where its coefficients are those of every part of the record (Chow 1960), and where it closes most of what is
+left on held-out samples: of one that leaves more, nobody can say that it is what nature does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fluxtwin.gap.detectors.residual_structure import PARTS, parts, residual_structure
+from fluxtwin.gap.held_out.held_out import Fitted, Prediction, floor_rms_nT, predict_blocks
+from fluxtwin.gap.hypotheses.candidates import derivatives
+from fluxtwin.gap.law import words
+from fluxtwin.gap.law.grammar import Grammar
+from fluxtwin.gap.law.search import Regression
+from fluxtwin.gap.linear.projection import projected
+from fluxtwin.gap.noise.choice import NoiseChoice, choose_noise, whitener_of
+from fluxtwin.gap.noise.whitening import Whitener
+from fluxtwin.gap.posterior.explanations import Answer, signals_of
+from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.gap.records.diagnosis import Closure, FoundEffect, Law, LawLimit, LawSeries, LawTerm, Shrinkage
+from fluxtwin.gap.selection.criterion import LOG_FURTHER, SHAPE, THRESHOLD, worth
+from fluxtwin.gap.selection.detectable import noncentrality
+from fluxtwin.gap.selection.refit import Fit, Readings, refit
+from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.effects.chain import Active
+from fluxtwin.sim.effects.law import Law as LawEffect
+
+LEAST_CLOSED = 0.5
+"""Of what is left, on held-out samples: a law that leaves more than it explains is none."""
+_SHOWN = 4000
+
+
+@dataclass(frozen=True, eq=False)
+class Lawful:
+    """A law with what closing needs of it."""
+
+    record: Law
+    named: tuple[Active, ...] = ()
+    """The names that it stands beside, and then its terms, as refitted together."""
+    terms: tuple[Active, ...] = ()
+    modelled: tuple[Active, ...] = ()
+    alternatives: tuple[tuple[LawEffect, ...], ...] = ()
+    """For each of its terms."""
+    whitener: Whitener | None = None
+    complete: bool = False
+    """Whether nothing structured is left beside it."""
+    worth: float = -np.inf
+    """Of names and terms together, against none of them."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Base:
+    """What a law stands beside."""
+
+    named: tuple[Active, ...]
+    signals: tuple[Active, ...]
+    """Causes of their own shape, which are fitted and not handed on."""
+    modelled: tuple[Active, ...]
+    residual_nT: FloatArray
+    fitted_nT: FloatArray
+    """(N, 3, q) Jacobian of all that is fitted."""
+
+
+def law_of(problem: Problem, answer: Answer, named: Sequence[FoundEffect], progress: Progress = silent) -> Lawful:
+    """The law of what named effects (none: of the whole gap) leave, beside them or in their place."""
+    progress("the law of what is left", 0.92)
+    regression = Regression(problem, Grammar(problem))
+    result, signals = answer.result, tuple(signals_of(answer.shapes))
+    own = [derivatives(problem, signals)] if signals else []
+    alone_nT = np.concatenate([answer.alone_nT, *own], axis=2)
+    alone = _Base((), signals, result.modelled_alone, result.residual_alone_nT, alone_nT)
+    if not named:
+        return _Search(regression, answer, alone, alone).found()
+    beside = _Base(result.chosen, signals, result.modelled, result.residual_nT, answer.fitted_nT)
+    found = _Search(regression, answer, beside, alone).found()
+    if found.terms:
+        progress("the law of the whole gap", 0.95)
+        instead = _Search(regression, answer, alone, alone).found()
+        if instead.worth - LOG_FURTHER > found.worth:
+            names = tuple(one.name for one in named)
+            return replace(instead, record=words.instead(replace(instead.record, instead_of=names)))
+    return found
+
+
+def closed_by(law: Lawful, closure: Closure) -> Closure:
+    """A closure with the terms of a law among what is named; itself where none was found."""
+    if not law.terms or law.whitener is None:
+        return closure
+    return replace(
+        closure,
+        whitener=law.whitener,
+        modelled=law.modelled,
+        chosen=(*law.named, *law.terms),
+        alternatives=(*closure.alternatives[: len(law.named)], *law.alternatives),
+        incomplete=None if law.complete else "the law is not all of it: structure remains beside it",
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """One search and what is said of it."""
+
+    regression: Regression
+    answer: Answer
+    base: _Base
+    alone: _Base
+    """Without any name: against which all are worth something."""
+
+    @property
+    def problem(self) -> Problem:
+        return self.regression.problem
+
+    def found(self) -> Lawful:
+        """The law, or why there is none."""
+        answer, base = self.answer, self.base
+        choice = NoiseChoice(answer.noise, answer.robust)
+        whitener = answer.whitener
+        laws, _, alike = self.regression.run(whitener, base.residual_nT, base.fitted_nT)
+        if not laws:
+            return Lawful(self._none(whitener, "no term is worth its parameters and the number tried"))
+        for _ in range(2):
+            fit = self._refit(whitener, laws)
+            again = self._noise_beside(fit)
+            if _alike(again, choice):
+                break
+            choice, whitener = again, whitener_of(self.problem, again.noise, again.robust.weights)
+            laws, _, alike = self.regression.run(whitener, base.residual_nT, base.fitted_nT)
+            if not laws:
+                return Lawful(self._none(whitener, "no term is worth its parameters and the number tried"))
+        return self._judged(self._refit(whitener, laws), choice, whitener, alike)
+
+    def _refit(self, whitener: Whitener, laws: Sequence[LawEffect]) -> Fit:
+        """Names and terms in the nonlinear chain, from nothing for the terms: in them it is linear."""
+        terms = [(law, np.zeros(3)) for law in words.with_names(self.regression.grammar.usual(law) for law in laws)]
+        chosen = [*self.base.named, *self.base.signals, *terms]
+        return refit(Readings(self.problem, whitener), chosen, modelled=self.base.modelled)
+
+    def _noise_beside(self, fit: Fit) -> NoiseChoice:
+        residual = self.problem.residual_of([*self.problem.frozen, *fit.active])
+        return choose_noise(self.problem, derivatives(self.problem, fit.active), residual_nT=residual)
+
+    def _judged(self, fit: Fit, choice: NoiseChoice, whitener: Whitener, alike: Sequence[LawEffect]) -> Lawful:
+        problem, count = self.problem, len(self.base.named) + len(self.base.signals)
+        terms = fit.chosen[count:]
+        residual_nT = problem.residual_of([*problem.frozen, *fit.active])
+        columns_nT = derivatives(problem, fit.active)
+        left = projected(whitener, residual_nT, columns_nT)
+        bare = projected(whitener, self.alone.residual_nT, self.alone.fitted_nT)
+        explained, samples = max(bare.energy - left.energy, 0.0), left.degrees / 3.0
+        wider = 1.0 + SHAPE * explained
+        rank = left.basis.shape[1] - bare.basis.shape[1]
+        tried = len(terms) * self.regression.log_tried + len(self.base.named) * float(np.log(self.answer.result.tested))
+        value = worth(explained / wider, rank, samples, tried) - LOG_FURTHER * (len(terms) + len(self.base.named) - 1)
+        own = fit.jacobian[:, :, fit.jacobian.shape[2] - 3 * len(terms) :]
+        gap = self._held_out(whitener, choice, residual_nT, columns_nT)
+        record = self._record(fit, terms, gap, alike)
+        for gain, more in parts(left, own):
+            if worth(gain / wider, more, samples, float(np.log(len(PARTS)))) > THRESHOLD + LOG_FURTHER:
+                why = "the coefficients of the best one found differ from one part of the record to the next"
+                return Lawful(self._none(whitener, f"{why}: {words.formula(record.terms)}"))
+        if gap.closed is None or gap.closed < LEAST_CLOSED:
+            share = "a share too small to be measured" if gap.closed is None else f"{100 * gap.closed:.0f} %"
+            why = f"the best one found closes {share} of what is left on held-out samples"
+            return Lawful(self._none(whitener, f"{why}: {words.formula(record.terms)}"))
+        rest = residual_structure(problem, whitener, residual_nT, columns_nT)
+        return Lawful(
+            replace(record, fitted=self._series(terms, residual_nT)),
+            fit.chosen[: len(self.base.named)],
+            terms,
+            fit.modelled,
+            tuple(tuple(words.with_names(alike)) if number == 0 else () for number in range(len(terms))),
+            whitener,
+            not (rest.structured and rest.beyond(wider, samples) > LOG_FURTHER),
+            value,
+        )
+
+    def _held_out(
+        self, whitener: Whitener, choice: NoiseChoice, residual_nT: FloatArray, columns_nT: FloatArray
+    ) -> Shrinkage:
+        """As for the names: each block of the record predicted from the others, without the law and with it."""
+        problem = self.problem
+        kept = ~np.any(choice.robust.cut, axis=1)
+        white_nT = float(np.sqrt(np.mean(choice.noise.white_nT**2)))
+        floor_nT = floor_rms_nT(problem.noise_field_nT[kept], white_nT, choice.noise.theta_rad, problem.measured[kept])
+        before = Fitted.of(problem, whitener, self.base.residual_nT, self.base.fitted_nT)
+        after = Fitted.of(problem, whitener, residual_nT, columns_nT)
+        seconds = problem.setting.seconds
+        before_nT, after_nT, counted = predict_blocks(seconds, kept, floor_nT, before, after)
+        return Prediction(before_nT, after_nT, counted, floor_nT, floor_nT, axes=problem.axes).shrinkage(True)
+
+    def _record(self, fit: Fit, terms: Sequence[Active], gap: Shrinkage, alike: Sequence[LawEffect]) -> Law:
+        slices = fit.slices()[len(fit.chosen) - len(terms) :]
+        variance = max(self.answer.result.variance, 1.0) if self.base.named else 1.0
+        found = []
+        for (law, theta), part in zip(terms, slices, strict=True):
+            assert isinstance(law, LawEffect)
+            sigma = np.sqrt(np.diag(fit.covariance)[part] * variance)
+            values = {
+                axis: (float(k), float(s) if np.isfinite(s) else None)
+                for axis, k, s in zip("xyz", theta, sigma, strict=True)
+            }
+            found.append(LawTerm(law.term, law.of, law.axes, law.delay_s, law.lag_s, words.unit(law), values))
+        said = Law(
+            terms=found,
+            instead_of=(),
+            before_nT=gap.before_nT,
+            after_nT=gap.after_nT,
+            floor_nT=gap.floor_nT,
+            closed=gap.closed,
+            interval=gap.interval,
+            tried=len(self.regression.tried),
+            could_be=[one.of for one in alike],
+            why_none="",
+            looked_at=(),
+            sentence="",
+        )
+        return replace(said, sentence=words.sentence(said, bool(self.base.named)))
+
+    def _none(self, whitener: Whitener, why: str) -> Law:
+        """What was looked at, and how large each would have had to be."""
+        base, regression = self.base, self.regression
+        left = projected(whitener, base.residual_nT, base.fitted_nT)
+        bar = noncentrality(3, max(len(regression.tried), 1))
+        limits = []
+        for law in regression.plain():
+            trial = regression.trial(law, left)
+            if trial is None:
+                continue
+            curvature = float(np.trace(trial.fit.gram)) / 3.0
+            value = float(np.sqrt(bar / (3.0 * curvature)))
+            values = np.asarray(regression.grammar.values(law), dtype=np.float64)
+            rms = float(np.sqrt(np.mean(np.square(values))))
+            limits.append(LawLimit(law.of[0], value, words.unit(law), value * rms))
+        share = float(np.sqrt(np.mean(self.problem.judged(base.residual_nT) ** 2)))
+        said = Law((), (), share, share, 0.0, None, None, max(len(regression.tried), 1), (), why, limits, "")
+        return replace(said, sentence=words.nothing(said))
+
+    def _series(self, terms: Sequence[Active], residual_nT: FloatArray) -> tuple[LawSeries, ...]:
+        """Each term against the residual without it, along its own direction."""
+        found, every = [], max(1, self.problem.rows // _SHOWN)
+        for law, theta in terms:
+            assert isinstance(law, LawEffect)
+            size = float(np.linalg.norm(theta))
+            values = self.regression.grammar.values(law)
+            if size == 0.0 or values is None:
+                continue
+            turned = np.einsum("nij,j->ni", self.regression.carrier.turns[law.axes], theta / size)
+            partial = np.einsum("ni,ni->n", residual_nT, turned) + size * values
+            label = words.axis_label(law)
+            found.append(LawSeries(label, values[::every], partial[::every], size))
+        return tuple(found)
+
+
+def _alike(one: NoiseChoice, other: NoiseChoice) -> bool:
+    """Whether two noise models are the same to a tenth, and cut the same rows."""
+    pairs = ((one.noise.sigma_nT, other.noise.sigma_nT), (one.noise.theta_rad, other.noise.theta_rad))
+    same = all(abs(a - b) <= 0.1 * max(a, b) for a, b in pairs)
+    return same and bool(np.array_equal(one.robust.cut, other.robust.cut))

@@ -1,0 +1,140 @@
+"""What is said of a law: its terms, its units, and the sentence."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+from fluxtwin.calib.common.digits import measured
+from fluxtwin.gap.records.diagnosis import Law, LawTerm
+from fluxtwin.sim.effects.law import Law as LawEffect
+
+_UNITS = {
+    "array_current_A": "A",
+    "battery_current_A": "A",
+    "temperature_degC": "K",
+    "dipole": "A m2",
+    "wheel": "rpm",
+    "rate": "deg/s",
+    "field": "uT",
+    "driver": "unit",
+}
+_SWITCHES = ("not", "cos", "sin", "cos2", "sin2")
+_NAMES = {
+    "array_current_A": "array current",
+    "battery_current_A": "battery current",
+    "temperature_degC": "temperature",
+    "sunlit": "sunlight",
+    "sun_height": "sine of the sun's height",
+    "orbit_phase": "the argument of latitude",
+    "local_time": "local time",
+}
+_SHORT = {"^2": "_squared", "^3": "_cubed", ">": "_above_", ".": "_", "-": "minus_", "+": ""}
+_NOT_SHOWN = 2.0  # sigma: coefficients below are left out of the sentence where others are above
+
+
+def unit(law: LawEffect) -> str:
+    """Of a term's coefficients."""
+    parts = [part for part in map(_unit, law.of) if part]
+    return "nT" if not parts else f"nT/{parts[0]}" if len(parts) == 1 else f"nT/({' '.join(parts)})"
+
+
+def _unit(factor: str) -> str:
+    name, power = factor.rpartition("^")[0] or factor, factor.rpartition("^")[2] if "^" in factor else ""
+    if (factor.startswith(_SWITCHES) and " " in factor) or ">" in factor:
+        return ""
+    stem = name if name in _UNITS else name.partition("_")[0]
+    return _UNITS.get(stem, "") + power if stem in _UNITS else ""
+
+
+def with_names(laws: Iterable[LawEffect]) -> list[LawEffect]:
+    """The terms with names of their own, made of their factors."""
+    found: list[LawEffect] = []
+    for law in laws:
+        name = "_".join(factor.removeprefix("driver_").replace(" ", "_") for factor in law.of)
+        for sign, word in _SHORT.items():
+            name = name.replace(sign, word)
+        name = re.sub(r"[^A-Za-z0-9_]", "", name)[:50]
+        taken = {one.term for one in found}
+        number = next(n for n in range(1, 10) if (name if n == 1 else f"{name}_{n}") not in taken)
+        found.append(replace(law, term=name if number == 1 else f"{name}_{number}"))
+    return found
+
+
+def factor(text: str) -> str:
+    """One factor, to read."""
+    done, _, name = text.rpartition(" ")
+    name, power = (name[:-2], name[-2:]) if name[-2:] in ("^2", "^3") else (name, "")
+    name, above, level = name.partition(">")
+    read = _NAMES.get(name, name.replace("_", " ") if name.startswith(("sun_", "rate_", "field_")) else name)
+    if done == "not":
+        return f"1 - {read}"
+    wave = {"cos2": "cos 2", "sin2": "sin 2"}.get(done, done)
+    return f"{wave} {read}{power}".strip() + (f" above {level}" if above else "")
+
+
+def gate(text: str) -> str | None:
+    """A second factor that switches, to read; None where it is another one."""
+    plain = text.removeprefix("not ")
+    if plain == "sunlit":
+        return "in sunlight only" if text == plain else "in shadow only"
+    if plain.startswith("flag_") or plain == "heater_on":
+        return f"while {plain} is {'1' if text == plain else '0'}"
+    if ">" in text:
+        return f"while {factor(text)}"
+    return None
+
+
+def term(one: LawTerm) -> str:
+    """One term in words."""
+    told = {
+        axis: pair for axis, pair in one.coefficients.items() if pair[1] is None or abs(pair[0]) > _NOT_SHOWN * pair[1]
+    }
+    sizes = [
+        f"{measured(value, sigma)} {one.unit} on {axis}" for axis, (value, sigma) in (told or one.coefficients).items()
+    ]
+    size = " and ".join(sizes) if len(sizes) < 3 else f"{', '.join(sizes[:-1])} and {sizes[-1]}"
+    frame = "" if one.axes == "body" else f" of {'the orbital frame' if one.axes == 'orbital' else _FRAMES[one.axes]}"
+    gates = [found for found in map(gate, one.of[1:]) if found]
+    plain = [factor(text) for number, text in enumerate(one.of) if number == 0 or gate(text) is None]
+    late = [f"{one.delay_s:.3g} s late"] if one.delay_s else []
+    late += [f"behind a lag of {one.lag_s:.3g} s"] if one.lag_s else []
+    return ", ".join([f"{size}{frame}", " times ".join(plain), *late, *gates])
+
+
+_FRAMES = {"inertial": "inertial axes", "earth": "Earth-fixed axes"}
+
+
+def formula(terms: Sequence[LawTerm]) -> str:
+    """All terms in words."""
+    return "; and ".join(term(one) for one in terms)
+
+
+def sentence(law: Law, named: bool) -> str:
+    """A law in one sentence. named: whether it stands beside names."""
+    share = "" if law.closed is None else f"; closes {100 * law.closed:.0f} % of what is left on held-out samples"
+    other = ""
+    if law.could_be:
+        listed = [" times ".join(factor(text) for text in one) for one in law.could_be[:3]]
+        other = f" These data do not tell it from a law of {' or '.join(listed)}."
+    what = "what they leave" if named else "it"
+    return f"A law of recorded columns and geometry explains {what}: {formula(law.terms)}{share}.{other}"
+
+
+def instead(law: Law) -> Law:
+    """The law with the names that it does without in its sentence."""
+    names = " and ".join(law.instead_of)
+    return replace(law, sentence=f"{law.sentence} It explains more than {names}, and stands in the place of it.")
+
+
+def nothing(law: Law) -> str:
+    """Where no law was found."""
+    return f"No law of recorded columns and geometry was found for it in {law.tried:,} terms: {law.why_none}."
+
+
+def axis_label(law: LawEffect) -> str:
+    """Of a figure."""
+    late = f", {law.delay_s:.3g} s late" if law.delay_s else ""
+    late += f", behind {law.lag_s:.3g} s" if law.lag_s else ""
+    return " times ".join(factor(text) for text in law.of) + late

@@ -1,0 +1,186 @@
+"""A law that data gave: a field in proportion to recorded columns and geometry, for a cause that nobody has listed.
+
+A factor is a quantity with what is done to it: `driver_payload`, `driver_payload^2`, `not sunlit`, `temperature_degC>21.5`,
+`cos orbit_phase`, `sin2 local_time`. Quantities are recorded columns by their telemetry names (components: `dipole_x`,
+`wheel_1`) and those of `GEOMETRY`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.orbit import argument_of_latitude
+from fluxtwin.sim.effects.base import Parameter, SignalEffect, vector_parameters
+from fluxtwin.sim.effects.drivers import late, lit, sun_in_body
+from fluxtwin.sim.effects.signal import Setting, Signal
+
+Axes = Literal["body", "orbital", "inertial", "earth"]
+_FACTOR = re.compile(r"(?:(not|cos|sin|cos2|sin2) )?([A-Za-z]\w*)(?:\^([23])|>(-?[\d.]+(?:e[+-]?\d+)?))?")
+_VECTORS = {"dipole": ("dipole_B_Am2", "xyz"), "wheel": ("wheel_speed_rpm", "123456789")}
+
+
+def _sun(setting: Setting, axis: int) -> FloatArray:
+    sun_B, known = sun_in_body(setting)
+    return np.where(known, sun_B[:, axis], 0.0)
+
+
+def _local_time_rad(setting: Setting) -> FloatArray:
+    (x, y, _), (a, b, _) = setting.given[0].T, setting.sun_N.T
+    return np.asarray(np.arctan2(y, x) - np.arctan2(b, a))
+
+
+def _sun_height(setting: Setting) -> FloatArray:
+    r_N_km = setting.given[0]
+    return np.asarray(np.einsum("ij,ij->i", setting.sun_N, r_N_km) / np.linalg.norm(r_N_km, axis=1))
+
+
+def _longitude_rad(setting: Setting) -> FloatArray:
+    return np.asarray(frames.geocentric(setting.R_EN.apply(setting.given[0]))[1])
+
+
+def _rate(setting: Setting, axis: int) -> FloatArray:
+    return np.asarray(np.degrees(setting.rate_B_rad_s[:, axis]))
+
+
+GEOMETRY: Mapping[str, Callable[[Setting], FloatArray]] = {
+    "sunlit": lit,
+    **{f"sun_{axis}": partial(_sun, axis=number) for number, axis in enumerate("xyz")},
+    "sun_height": _sun_height,
+    **{f"rate_{axis}": partial(_rate, axis=number) for number, axis in enumerate("xyz")},
+    "orbit_phase": lambda setting: argument_of_latitude(setting.time, *setting.given[:2]),
+    "local_time": _local_time_rad,
+    "latitude": lambda setting: setting.latitude_rad,
+    "longitude": _longitude_rad,
+}
+"""sunlit; the sun's direction in body axes and the sine of its height; body rate [deg/s]; angles [rad]."""
+FIELD = tuple(f"field_{part}" for part in ("x", "y", "z", "size"))
+"""Of the ambient field in body axes [uT]."""
+ANGLES = ("orbit_phase", "local_time", "latitude", "longitude")
+_DONE: Mapping[str | None, Callable[[FloatArray], FloatArray]] = {
+    None: lambda x: x,
+    "not": lambda x: 1.0 - x,
+    "cos": np.cos,
+    "sin": np.sin,
+    "cos2": lambda x: np.cos(2.0 * x),
+    "sin2": lambda x: np.sin(2.0 * x),
+}
+
+
+def quantity(setting: Setting, field_B_nT: FloatArray, name: str) -> FloatArray | None:
+    """(N,) a quantity at the stamps, a column with its gaps; None where it was not recorded. field_B_nT (N, 3): ambient."""
+    if name in GEOMETRY:
+        return GEOMETRY[name](setting)
+    if name in FIELD:
+        part = name.removeprefix("field_")
+        return 1e-3 * (np.linalg.norm(field_B_nT, axis=1) if part == "size" else field_B_nT[:, "xyz".index(part)])
+    stem, _, part = name.rpartition("_")
+    column = setting.column(name)
+    if stem in _VECTORS and part in _VECTORS[stem][1]:
+        whole, number = setting.column(_VECTORS[stem][0]), _VECTORS[stem][1].index(part)
+        wide = None if whole is None else whole.reshape(whole.shape[0], -1)
+        column = wide[:, number] if wide is not None and number < wide.shape[1] else None
+    if column is None or column.ndim != 1 or not np.isfinite(column).any():
+        return None
+    return np.radians(column) if name.endswith("_deg") else column
+
+
+@dataclass(frozen=True)
+class Law(SignalEffect):
+    """Field by a law that data gave.
+
+    k times the product of the factors in `of`, along fixed axes of the body, the orbit, inertial space or the Earth.
+    The quantity of the first factor is taken `delay_s` before and behind a first-order lag `lag_s`.
+    """
+
+    name = "law"
+    stage = "spacecraft"
+    frame = "body"
+    follows = None
+    keyed_by = "term"
+    settled_by = "switching what it records on and off, in several attitudes, in sunlight and in shadow"
+    about = (
+        "term of a law found by sparse regression of what no other effect explains, + along the axis (Brunton, Proctor & "
+        "Kutz 2016, doi 10.1073/pnas.1517384113); diagnose never takes it for a cause of the catalogue"
+    )
+    term: str = ""
+    """NAME of the term."""
+    of: tuple[str, ...] = ()
+    axes: Axes = "body"
+    delay_s: float = 0.0
+    lag_s: float = 0.0
+    typical_nT_per_unit: float = field(default=20.0, compare=False)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return vector_parameters("k", "nT/unit", self.typical_nT_per_unit)
+
+    def instances(self, setting: Setting) -> tuple[Law, ...]:
+        """None: the search for causes has the catalogue alone."""
+        return ()
+
+    def quantities(self) -> tuple[str, ...]:
+        """What the factors are made of. Raises BadInput for one that cannot be read."""
+        return tuple(_parsed(factor)[1] for factor in self.of)
+
+    def values(self, setting: Setting, field_B_nT: FloatArray, later_s: float = 0.0) -> FloatArray | None:
+        """(N,) the product, `later_s` after the stamps as far as it is late; None where a column is missing.
+
+        field_B_nT (N, 3): ambient, body axes.
+        """
+        product = np.ones(setting.time.size)
+        for number, factor in enumerate(self.of):
+            done, name, power, level = _parsed(factor)
+            column = quantity(setting, field_B_nT, name)
+            if column is None:
+                return None
+            first = number == 0
+            column = late(setting, column, (self.delay_s if first else 0.0) - later_s, self.lag_s if first else 0.0)
+            column = (column > float(level)).astype(np.float64) if level else column ** int(power or 1)
+            product = product * _DONE[done](column)
+        return product
+
+    def condition_on(self, setting: Setting) -> str | None:
+        named = [name.removeprefix("driver_") for name in self.quantities() if name.startswith("driver_")]
+        return f"driver:{named[0]}" if named else None
+
+    def untestable(self, setting: Setting) -> str | None:
+        if not self.of:
+            return "it has no factors"
+        missing = [n for n in self.quantities() if quantity(setting, np.ones((setting.time.size, 3)), n) is None]
+        return f"the telemetry has no {missing[0]}" if missing else None
+
+    def turn(self, setting: Setting, R_BN: Rotation) -> Rotation | None:
+        """From its axes to those of the body, N turns; None where they are the same."""
+        if self.axes == "body":
+            return None
+        return (
+            R_BN * {"orbital": setting.R_ON, "earth": setting.R_EN}[self.axes].inv()
+            if self.axes != "inertial"
+            else R_BN
+        )
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        values = self.values(signal.setting, signal.field_B_nT, signal.sample_offset_s)
+        if values is None:
+            return signal
+        vector, turn = values[:, None] * theta, self.turn(signal.setting, signal.R_BN)
+        return signal.with_stray(vector if turn is None else turn.apply(vector))
+
+
+def _parsed(factor: str) -> tuple[str | None, str, str | None, str | None]:
+    found = _FACTOR.fullmatch(factor)
+    if found is None:
+        wanted = "a quantity as driver_payload, driver_payload^2, not sunlit, temperature_degC>21.5 or cos orbit_phase"
+        raise BadInput(f"factor {factor!r}", where="law of", wanted=wanted)
+    done, name, power, level = found.groups()
+    return done, str(name), power, level

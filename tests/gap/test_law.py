@@ -1,0 +1,154 @@
+"""The law of what no effect of the catalogue explains: found, flown, frozen; and not found where there is none.
+
+The truths are put into the record as plain arrays: nothing of the grammar that finds them makes them.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from jsonschema import Draft202012Validator
+from scipy.spatial.transform import Rotation
+from worlds import scenario_text
+
+from fluxtwin import diagnosing
+from fluxtwin.gap.diagnose import diagnose
+from fluxtwin.gap.problem.problem import Budget
+from fluxtwin.gap.records.diagnosis import Diagnosis
+from fluxtwin.gap.records.schema import diagnosis_schema
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth.field import load_field
+from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
+from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
+
+pytestmark = pytest.mark.closure
+
+STEP_S = 20.0
+SECTIONS = """
+[attitude]
+yaw_rms_deg = 8.0
+roll_rms_deg = 8.0
+pitch_rms_deg = 8.0
+[attitude.reference]
+sigma_deg = 0.05
+tau_s = 300.0
+[magnetometer]
+noise_nT = 10.0
+[drivers.payload]
+pattern = "square"
+high = 1.2
+period_s = 1700.0
+duty = 0.4
+[drivers.transmitter]
+pattern = "random"
+high = 30.0
+duty = 0.3
+dwell_s = 300.0
+[drivers.heat]
+pattern = "ramp"
+high = 3.0
+low = 1.0
+period_s = 2900.0
+"""
+BUDGET = Budget(10.0, 0.0, float(np.radians(0.05)), None)
+K_NT = np.array([40.0, -20.0, 10.0])
+
+
+def scenario(seed: int = 5) -> Scenario:
+    return parse_scenario(scenario_text(SECTIONS, seed=seed, segment=f"samples = 700, step_s = {STEP_S}"))
+
+
+@cache
+def flown(seed: int = 5) -> Telemetry:
+    return simulate(scenario(seed))[0]
+
+
+def added(record: Telemetry, field_B_nT: FloatArray) -> Telemetry:
+    return record.replace(mag_B_nT=record.mag_B_nT + field_B_nT)
+
+
+def before(values: FloatArray, seconds: float) -> FloatArray:
+    """A column so many seconds before, in whole rows."""
+    rows = round(seconds / STEP_S)
+    return np.concatenate([np.full(rows, values[0]), values[: values.size - rows]])
+
+
+@cache
+def gated() -> tuple[Telemetry, Diagnosis]:
+    """The payload's field, 40 s late, in sunlight only."""
+    record = flown()
+    product = before(record.drivers["payload"], 40.0) * np.asarray(record.sunlit)
+    record = added(record, np.outer(product, K_NT))
+    return record, diagnose(record, load_field(), budget=BUDGET)
+
+
+def test_a_product_that_is_late_is_found_with_its_coefficients() -> None:
+    _, found = gated()
+    assert found.verdict == "unknown" and not found.effects
+    assert found.law is not None
+    (term,) = found.law.terms
+    assert (set(term.of), term.axes, term.lag_s) == ({"driver_payload", "sunlit"}, "body", 0.0)
+    # Of two values, between rows of 20 s the last one holds: 20 to 40 s late are the same rows.
+    assert STEP_S < term.delay_s <= 40.0
+    for axis, k in zip("xyz", K_NT, strict=True):
+        value, sigma = term.coefficients[axis]
+        assert sigma is not None and abs(value - k) < 4.0 * sigma < 12.0, axis
+    assert found.law.closed is not None and found.law.closed > 0.6
+    assert "driver_payload" in found.sentence and "in sunlight only" in found.sentence
+
+
+def test_the_json_keeps_the_schema_and_says_nothing_where_there_is_no_gap() -> None:
+    told = gated()[1].to_dict()
+    Draft202012Validator(diagnosis_schema()).validate(told)
+    assert told["law"]["tried"] > 500 and told["law"]["terms"][0]["unit"] == "nT/unit"
+    quiet = diagnose(flown(), load_field(), budget=BUDGET)
+    assert quiet.verdict == "no_gap" and "law" not in quiet.to_dict()
+
+
+def test_the_closed_scenario_flies_the_law_and_frozen_it_leaves_no_gap(tmp_path: Path) -> None:
+    record, found = gated()
+    path = write_telemetry(record, tmp_path / "flight.nc")
+    told, closed = diagnosing.close(
+        found, scenario=None, telemetry=str(path), declared=diagnosing.Declared(10.0, 0.0, 0.05)
+    )
+    assert closed is not None and list(closed.effects.law) == ["payload_sunlit"]
+    assert told.transfers is not None and {one.effect for one in told.transfers} == {"law.payload_sunlit"}
+    again = diagnosing.diagnose(path, scenario=parse_scenario(closed.to_toml()))
+    assert again.verdict == "no_gap"
+    bare = closed.updated({"effects": None})
+    assert diagnosing.diagnose(path, scenario=parse_scenario(bare.to_toml())).verdict == "unknown"
+    quiet = closed.updated({"magnetometer.noise_nT": 0.0, "attitude.reference": None})
+    law = simulate(quiet)[0].mag_B_nT - simulate(quiet.updated({"effects": None}))[0].mag_B_nT
+    truth = np.outer(before(flown().drivers["payload"], 40.0) * np.asarray(flown().sunlit), K_NT)
+    # Sigmas of 1.8, 2.7 and 1.1 nT of 46 nT are 7.5 %; three of them.
+    assert np.sqrt(np.mean((law - truth) ** 2)) < 0.22 * np.sqrt(np.mean(truth**2))
+
+
+def test_a_square_in_the_orbits_frame_is_told_from_one_in_the_bodys() -> None:
+    record = flown()
+    R_BN = Rotation.from_quat(np.asarray(record.q_NB))  # v_N = R v_B
+    up_N = np.asarray(record.r_N_km) / np.linalg.norm(np.asarray(record.r_N_km), axis=1)[:, None]
+    field_N = 30.0 * (record.drivers["heat"] ** 2)[:, None] * up_N
+    found = diagnose(added(record, R_BN.inv().apply(field_N)), load_field(), budget=BUDGET)
+    assert found.law is not None and found.law.terms
+    assert {term.axes for term in found.law.terms} == {"orbital"}
+    assert {name for term in found.law.terms for name in term.of} <= {"driver_heat", "driver_heat^2", "driver_heat^3"}
+
+
+def test_where_no_column_does_it_none_is_named() -> None:
+    """Steps to random levels at random times, which nothing has recorded."""
+    record, rng = flown(), np.random.default_rng(8)
+    ends = np.sort(rng.choice(np.arange(20, 680), 9, replace=False))
+    levels = 60.0 * rng.standard_normal((10, 3))
+    field = levels[np.searchsorted(ends, np.arange(700), side="right")]
+    found = diagnose(added(record, field), load_field(), budget=BUDGET)
+    assert found.verdict == "unknown" and found.law is not None
+    assert not found.law.terms and found.law.why_none
+    assert {"driver_payload", "driver_heat", "sun_x"} <= {one.quantity for one in found.law.looked_at}
+    assert all(one.visible_nT > 0.0 for one in found.law.looked_at)
+    assert "No law" in found.sentence

@@ -146,8 +146,8 @@ def law_table(law: Law) -> Table:
         "The law",
         ["term", "of", "axes", "delay [s]", "lag [s]", "coefficient", "value, 1 sigma"],
         rows,
-        f"On held-out samples from {law.before_nT:.1f} to {law.after_nT:.1f} nT rms, where {law.floor_nT:.1f} are expected: it "
-        f"closes {closed}. {law.tried:,} terms were tried, which it has paid for. The first factor is late.",
+        f"On held-out samples from {law.before_nT:.1f} to {law.after_nT:.1f} nT, where {law.floor_nT:.1f} are expected: "
+        f"it closes {closed}. {law.tried:,} terms were tried, which it has paid for. The first factor is late.",
     )
 
 

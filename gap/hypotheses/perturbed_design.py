@@ -41,7 +41,7 @@ def steady(perturbed: PerturbedDesign, found: Iterable[Condition]) -> list[Condi
 
 
 def alike(columns: FloatArray, again: FloatArray | None) -> bool:
-    """Whether columns (N, k) are the same in a design with one more attitude error, but for a small share of their energy."""
+    """Whether columns (N, k) are alike in a design with one more attitude error, but for a small share of their energy."""
     if again is None or again.shape != columns.shape:
         return False
     level, other = columns - columns.mean(axis=0), again - again.mean(axis=0)

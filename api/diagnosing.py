@@ -36,9 +36,9 @@ from fluxtwin.sim.telemetry.telemetry_files import Readable, Reading
 from fluxtwin.verbs import as_record, with_reading
 
 _ERRORS = ("noise_nT", "lsb_nT", "attitude_sigma_deg", "attitude_tau_s")
+"""What may be declared of the errors."""
 _MOST_DECLARED = {"--noise-nT": 1e6, "--lsb-nT": 1e6, "--attitude-sigma-deg": 180.0, "--attitude-tau-s": 1e9}
 """Ten times the Earth's field, half a turn, thirty years: beyond, nothing is said of the errors."""
-"""What may be declared of the errors."""
 
 
 @on_one_blas_thread
@@ -59,9 +59,15 @@ def diagnose(
 ) -> Diagnosis:
     """Where the gap between a record and its simulation lies, which effect causes it, how far it shrinks.
 
-    scenario: gives field model, starting S, b, T, the noise budget and effects that are applied as they are. A number
-    given here overrides the scenario's; what neither gives is found in the data.
-    Raises BadInput and NoAnswer with one message each.
+    scenario: gives field model, starting S, b, T, the noise budget and effects that are applied as they are.
+    modelled: names of the effects that are estimated anew in every test.
+    noise_nT, lsb_nT: noise of a reading per axis, 1 sigma, and its step [nT].
+    attitude_sigma_deg: error of the reference attitude per axis, 1 sigma [deg].
+    attitude_tau_s: its time constant [s]; 0 for white.
+    field, degree: the field model (igrf14, igrf1975, chaos:FILE), and the highest degree of it that is used.
+
+    A number given here overrides the scenario's; what neither gives is found in the data. Raises BadInput and NoAnswer
+    with one message each.
     """
     declared = Declared(noise_nT, lsb_nT, attitude_sigma_deg, attitude_tau_s)
     _check_numbers(declared)

@@ -27,8 +27,10 @@ def export(
 ) -> Export:
     """The calibration as flight software holds it: its numbers, the error that their type adds, the text of the file.
 
-    to: ardupilot, px4, gomspace, c-header, json or matlab. out: where it is written, if anywhere; instance: which of the
-    software's magnetometers, from 1. Raises BadInput, unless force, for what the software cannot hold or would refuse.
+    to: ardupilot, px4, gomspace, c-header, json or matlab.
+    out: where it is written, if anywhere.
+    instance: which of the software's magnetometers, from 1.
+    force: write also what the software cannot hold or would refuse, for which BadInput is raised otherwise.
     """
     from fluxtwin.calib.onboard.export import export_calibration
     from fluxtwin.calib.onboard.targets import find_target

@@ -41,8 +41,9 @@ def trend(
     """Does last month's calibration still hold? From calibrations, or from telemetry that is calibrated here.
 
     every_h: telemetry is cut into stretches of so many hours, from midnight of its first day; None: a single record is cut
-    by days, of several each is one. Raises BadInput for fewer than two, or for those that cannot be compared; NoAnswer where
-    a stretch cannot be calibrated.
+    by days, of several each is one.
+
+    Raises BadInput for fewer than two, or for those that cannot be compared; NoAnswer where a stretch cannot be calibrated.
     """
     from fluxtwin.calib.trend import trend as found
 

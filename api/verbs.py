@@ -113,8 +113,10 @@ def calibrate(
     """S, b (and T) from one record or several; `.calibration` of the answer is what `apply` takes.
 
     onboard: what was applied to the readings on board, a calibration or a file that `import_calibration` reads; it is
-    undone, so that the answer acts on the sensor's own readings. Raises BadInput for an option that the method does not
-    take, NoAnswer, naming the parameters, where the data do not determine them.
+    undone, so that the answer acts on the sensor's own readings.
+
+    Raises BadInput for an option that the method does not take, NoAnswer, naming the parameters, where the data do not
+    determine them.
     """
     given = (
         list(telemetry)
@@ -163,9 +165,11 @@ def attitude(
 ) -> AttitudeSolution:
     """Three-axis attitude from field, horizon scanner and sun (or reference attitude), by night from field and scanner.
 
-    calibration: None for a record that `apply` has corrected. The errors that are None are found in the data; see
-    `fluxtwin.calib.attitude.estimate_attitude`. `.holds` of the answer says whether its innovations are consistent. Raises
-    BadInput as `apply` does, and NoAnswer where the attitude cannot be started.
+    calibration: None for a record that `apply` has corrected.
+
+    The errors that are None are found in the data; see `fluxtwin.calib.attitude.estimate_attitude`. `.holds` of the answer
+    says whether its innovations are consistent. Raises BadInput as `apply` does, and NoAnswer where the attitude cannot be
+    started.
     """
     from fluxtwin.calib.attitude.three_axis import estimate_attitude
 
@@ -247,8 +251,12 @@ def yaw(
 ) -> YawSolution:
     """Yaw from the calibrated field, with roll and pitch from elsewhere, and its sigma.
 
-    calibration: None for a record that `apply` has corrected. sigma_B_nT: the error of a field component, 1 sigma; None
-    takes the calibration's. attitude_sigma_deg: the error of roll and of pitch. Raises BadInput as `apply` does.
+    calibration: None for a record that `apply` has corrected.
+    sigma_B_nT: the error of a field component, 1 sigma [nT]; None takes the calibration's.
+    attitude_sigma_deg: the error of roll and of pitch, 1 sigma [deg].
+    average_s: how long yaw is averaged [s].
+
+    Raises BadInput as `apply` does.
     """
     from fluxtwin.calib.attitude.yaw import yaw_from_field
 

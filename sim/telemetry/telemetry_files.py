@@ -64,12 +64,15 @@ def read_telemetry(
 
     A DataFrame or a Dataset is taken as it is, with units in the names or attributes of its columns.
 
-    column_map: TOML that says which columns hold what, in which units and frames. tle: two-line elements or a CCSDS OEM,
-    attitude: a CCSDS AEM, that give position and attitude where the file has none. max_samples: most rows that are read;
-    None for 5,000,000. start, end, where: rows from `start` to before `end` in which the condition holds, as `sunlit == 1`.
-    magnetometer: 2 puts the readings of the second one in the first one's place.
-    What was left out or converted stands in
-    `provenance["notices"]`. Raises BadInput naming the file and the row or column at fault.
+    column_map: TOML that says which columns hold what, in which units and frames; or "preset:NAME".
+    tle: two-line elements or a CCSDS OEM: positions where the file has none.
+    attitude: a CCSDS AEM: attitudes where the file has none.
+    max_samples: most rows that are read; None for 5,000,000.
+    start, end, where: rows from `start` to before `end` in which the condition holds, as `sunlit == 1`.
+    magnetometer: 2 puts the readings of the second one in the place of the first one's.
+
+    What was left out or converted is listed in `provenance["notices"]`. Raises BadInput naming the file and the row or
+    column at fault.
     """
     from fluxtwin.sim.telemetry.build import record
     from fluxtwin.sim.telemetry.selection import selection

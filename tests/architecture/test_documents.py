@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import runpy
 from pathlib import Path
 from typing import Any, get_args
 
@@ -63,6 +64,27 @@ def test_every_effect_and_its_keys_are_described():
 
 
 def test_links_in_the_documents_lead_somewhere():
-    for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))):
-        for target in re.findall(r"\]\((?!http)([^)#]+)", page.read_text(encoding="utf-8")):
+    for page in (*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")):
+        for target in re.findall(r"\]\((?!http)([^)#\s]+)", page.read_text(encoding="utf-8")):
             assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_a_page_that_fetches_something_is_seen(tmp_path: Path):
+    site = runpy.run_path(str(ROOT / ".ci" / "site.py"))
+    page = tmp_path / "page.html"
+    for harmless in (
+        '<a href="https://example.org">',
+        '<script src="_static/a.js">',
+        '<link rel="stylesheet" href="a.css">',
+    ):
+        page.write_text(harmless, encoding="utf-8")
+        assert site["remote"](tmp_path) == [], harmless
+    for fetched in (
+        '<script async src="https://cdn.example.org/a.js">',
+        '<link href="//fonts.example.org/a.css" rel="stylesheet">',
+        '<link rel="stylesheet" href="https://fonts.example.org/a.css">',
+        '<img src="http://example.org/a.png">',
+        "<style>@import url(https://example.org/a.css);</style>",
+    ):
+        page.write_text(fetched, encoding="utf-8")
+        assert len(site["remote"](tmp_path)) == 1, fetched

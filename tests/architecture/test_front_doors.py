@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import re
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,12 @@ def test_a_verb_shows_its_options() -> None:
             kinds = {parameter.kind for parameter in inspect.signature(verb).parameters.values()}
             assert inspect.Parameter.VAR_KEYWORD not in kinds, f"fluxtwin.{name}(<TAB>) shows no options"
             assert verb.__doc__
+
+
+def test_every_name_is_on_the_page_of_the_api(root: Path) -> None:
+    page = (root / "docs" / "api.md").read_text(encoding="utf-8")
+    shown = re.findall(r"^\.\. auto\w+:: fluxtwin\.(\w+)$", page, re.MULTILINE)
+    assert sorted(shown) == sorted(set(fluxtwin.__all__) - {"__version__"})
 
 
 def test_help_names_the_diagnosis_first() -> None:

@@ -1,0 +1,69 @@
+"""How the pages become a site: `pip install '.[docs]' && python .ci/site.py FOLDER`. They read as plain Markdown, too."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from typing import Any
+
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.application import Sphinx
+
+import fluxtwin
+
+project = "fluxtwin"
+version = release = fluxtwin.__version__
+extensions = ["myst_parser", "sphinx.ext.autodoc"]
+nitpicky = True
+html_theme = "furo"  # its styles and scripts travel with the pages, which fetch nothing
+html_title = f"fluxtwin {version}"
+html_show_copyright = html_show_sphinx = html_copy_source = False
+highlight_language = "none"  # what a fence does not name is not guessed
+
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 4  # the anchors that forges make, so that a link leads to the same place there and here
+
+default_role = "code"  # `name` in a docstring
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+add_module_names = False
+
+PARAMETERS = re.compile(r"([a-z_]\w*(?:, [a-z_]\w*)*): (.*)")
+
+
+def parameters_as_list(_app: Any, _what: str, _name: str, thing: Any, _options: Any, lines: list[str]) -> None:
+    """A line of a docstring that begins with parameters and a colon is an item of a list, to the next one or a blank line;
+    bars (|B|) are bars."""
+    try:
+        known = {name.lstrip("*") for name in inspect.signature(thing).parameters}
+    except (TypeError, ValueError):
+        known = set()
+    made: list[str] = []
+    inside = False
+    for line in lines:
+        entry = PARAMETERS.fullmatch(line)
+        text = re.sub(r"\|(?=[^`]*(?:`[^`]*`[^`]*)*$)", r"\|", line)
+        if entry and known.issuperset(entry[1].split(", ")):
+            if made and made[-1] and not inside:
+                made.append("")
+            inside = True
+            made.append(f"* ``{entry[1].replace(', ', '``, ``')}``: {text[len(entry[1]) + 2 :]}")
+        else:
+            inside = inside and bool(line)
+            made.append(f"  {text}" if inside else text)
+    lines[:] = made
+
+
+def mathml(self: Any, node: nodes.Element) -> None:
+    """A formula as MathML, which browsers draw by themselves: no script, nothing to fetch."""
+    inline = isinstance(node, nodes.math)
+    markup = tex2mathml(node.astext(), as_block=not inline)
+    self.body.append(markup if inline else f'<div class="math">{markup}</div>\n')
+    raise nodes.SkipNode
+
+
+def setup(app: Sphinx) -> None:
+    """Called by Sphinx."""
+    app.connect("autodoc-process-docstring", parameters_as_list)
+    app.add_html_math_renderer("mathml", (mathml, None), (mathml, None))

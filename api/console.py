@@ -163,8 +163,9 @@ class Output:
         import fluxtwin
         from fluxtwin.outputs import JSON_MARK
         from fluxtwin.sim.base.files import to_json, write_text
+        from fluxtwin.sim.base.seals import sealed_json
 
-        text = to_json({JSON_MARK: fluxtwin.__version__, **without_nan(record)})
+        text = to_json(sealed_json({JSON_MARK: fluxtwin.__version__, **without_nan(record)}))
         if self.json_target == "-":
             print(end="", flush=True)
             raw = getattr(sys.stdout, "buffer", None)  # JSON is UTF-8, whatever the terminal speaks

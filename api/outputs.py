@@ -15,14 +15,15 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.files import COMMENTS, followed, is_own_toml, is_stream, writable_file
+from fluxtwin.sim.base.files import followed, is_stream, writable_file
+from fluxtwin.sim.base.limits import TEXT_BYTES
+from fluxtwin.sim.base.seals import is_sealed
 from fluxtwin.sim.base.toml_input import parse_tree
 from fluxtwin.sim.telemetry.formats.catalogue import WRITTEN
 
 JSON_MARK = "fluxtwin"
 """First key of every JSON result; its value is the version."""
 _HEAD_BYTES = 65_536  # every mark but that of NetCDF stands at the beginning
-_MOST_TOML_BYTES = 1_000_000  # what the readers of scenarios and column maps accept
 _LONGEST_NAME = 4096  # bytes of a path, as Linux has it
 
 
@@ -96,8 +97,8 @@ def written_by_fluxtwin(path: Path | str) -> bool:
             from fluxtwin.sim.telemetry.netcdf_files import is_own
 
             return is_own(path)
-        if head.startswith(tuple(f"{comment} Written by fluxtwin".encode() for comment in COMMENTS)):
-            return is_own_toml(head + opened.read())
+        if b" Written by fluxtwin, " in head:
+            return is_sealed((head + opened.read()).decode("utf-8", "replace")) is True
     return (
         not head
         or (head.startswith(b"\x89PNG") and b"fluxtwin" in head)
@@ -205,7 +206,7 @@ def _tree(path: Path) -> Any:
     """The file as parsed TOML; nothing where it is none. A pipe is not looked into: that would empty it."""
     try:
         found = path.stat()
-        if not stat.S_ISREG(found.st_mode) or found.st_size > _MOST_TOML_BYTES:
+        if not stat.S_ISREG(found.st_mode) or found.st_size > TEXT_BYTES:
             return None
         return parse_tree(path.read_bytes().decode("utf-8-sig"), where=str(path))
     except (OSError, ValueError, BadInput):

@@ -12,6 +12,7 @@ from fluxtwin.scenarios.registry import STUDIES, find_study
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import writable_folder, write_bytes, write_json, write_text
 from fluxtwin.sim.base.progress import Progress, part_of, silent
+from fluxtwin.sim.base.seals import sealed_json
 
 
 def run_study(
@@ -69,7 +70,7 @@ def _options(name: str, attitude: str | None) -> dict[str, str]:
 
 def _write(result: StudyResult, folder: Path) -> list[Path]:
     pages = {} if result.page is None else {"report": result.page}
-    written = [write_json(folder / "summary.json", {JSON_MARK: fluxtwin.__version__, **result.summary})]
+    written = [write_json(folder / "summary.json", sealed_json({JSON_MARK: fluxtwin.__version__, **result.summary}))]
     for stem, page in {**pages, **result.more_pages}.items():
         prefix = "" if stem == "report" else f"{stem}_"
         blocks = [block for section in page.sections for block in section.figures]

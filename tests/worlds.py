@@ -190,3 +190,14 @@ def close_sizes(close: Callable[..., None]) -> Callable[..., None]:
         close(found, expected, atol=1e-3 * expected + 1e-4, unit="as drawn", because=f"the same seed; found {said}")
 
     return compare
+
+
+def small_record(rows: int) -> Telemetry:
+    """Time, reading, position, velocity and attitude on a circular orbit: what every format can hold."""
+    time = np.datetime64("2020-03-01T00:00:00", "ns") + np.arange(rows) * np.timedelta64(10, "s")
+    turn = 0.0011 * np.arange(rows) * 10.0
+    r_N_km = 7000.0 * np.stack([np.cos(turn), np.sin(turn), 0.1 * np.sin(turn)], axis=1)
+    v_N_km_s = 7.7 * np.stack([-np.sin(turn), np.cos(turn), 0.1 * np.cos(turn)], axis=1)
+    q_NB = np.stack([0.6 * np.sin(turn), 0.8 * np.sin(turn), 0.0 * turn, np.cos(turn)], axis=1)
+    mag_B_nT = np.random.default_rng(3).normal(0.0, 2e4, (rows, 3)).round(1)
+    return Telemetry(time, mag_B_nT, r_N_km=r_N_km, v_N_km_s=v_N_km_s, q_NB=q_NB)

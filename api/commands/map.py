@@ -46,7 +46,7 @@ def command(
     if out is None:
         output.say(text.rstrip("\n"))
     else:
-        storage.write_toml(out, text)
+        storage.write_toml(out, text, draft=True)
         output.say(f"{out}: {guesses} guess{'es' if guesses != 1 else ''} to be confirmed, marked in the file")
     output.result({"map": text, "guesses": guesses, "written": [] if out is None else [str(out)]})
 

@@ -22,13 +22,13 @@ from fluxtwin.calib.checks.stuck import check_stuck
 from fluxtwin.calib.checks.values import check_motion, check_readings
 from fluxtwin.calib.common.records import Onboard
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.limits import MAX_SAMPLES
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.earth.tle import read_elements
 from fluxtwin.sim.telemetry.build import record
 from fluxtwin.sim.telemetry.column_map import ColumnMap, elements_path, load_column_map, mapped_table
 from fluxtwin.sim.telemetry.columns import FileTable
-from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
 from fluxtwin.sim.telemetry.formats.ccsds import is_message
 from fluxtwin.sim.telemetry.layouts import recognised
 from fluxtwin.sim.telemetry.record import Telemetry

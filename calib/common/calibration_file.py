@@ -7,7 +7,6 @@ do not count. A file in the flat layout of older versions (`S`, `b_nT`, ... as a
 
 from __future__ import annotations
 
-import hashlib
 import importlib.metadata
 import json
 from functools import cache
@@ -29,6 +28,7 @@ from fluxtwin.calib.common.records import (
 )
 from fluxtwin.sim.base import files
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.seals import FORMAT, digest_of, require_format
 from fluxtwin.sim.base.toml_input import Strict, parse_tree, read_tree, validate
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
@@ -76,6 +76,7 @@ class _Source(Strict):
 
 class _Tables(Strict):
     file_kind = "a calibration file"
+    format: int = FORMAT
     convention: str
     parameters: dict[str, _Entry]
     source: _Source = _Source()
@@ -128,7 +129,7 @@ def file_content(calibration: Calibration) -> dict[str, Any]:
     for name, value, sigma in zip(calibration.names, calibration.values, calibration.sigmas, strict=True):
         known = {"sigma": float(f"{sigma:.3g}")} if sigma > 0 else {}
         parameters[name] = {"value": float(value), **known, "unit": parameter_unit(name)}
-    content = {"convention": CONVENTION, "parameters": parameters, "source": _source(calibration)}
+    content = {"format": FORMAT, "convention": CONVENTION, "parameters": parameters, "source": _source(calibration)}
     content |= {key: flat[key] for key in ("telemetry_bias", "onboard") if key in flat}
     if calibration.covariance.any():
         order = list(calibration.names)
@@ -160,12 +161,6 @@ def _version() -> str:
     return importlib.metadata.version("fluxtwin")
 
 
-def digest_of(content: dict[str, Any]) -> str:
-    """SHA-256 over the content as JSON with sorted keys; numbers count by their shortest exact decimals."""
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"), default=str)
-    return hashlib.sha256(text.encode("utf-8")).hexdigest()
-
-
 def write_calibration(calibration: Calibration, path: Path | str) -> Path:
     """Write atomically, and read back before the file takes its name. Raises BadInput when it cannot."""
     _require_covariance(calibration.covariance, f"{path}: covariance")
@@ -177,7 +172,7 @@ def write_calibration(calibration: Calibration, path: Path | str) -> Path:
 def _to_text(calibration: Calibration) -> str:
     content = file_content(calibration)
     digest = digest_of(content)
-    lines = [*_heading(calibration), f'convention = "{CONVENTION}"', "", "[parameters]"]
+    lines = [*_heading(calibration), f"format = {FORMAT}", f'convention = "{CONVENTION}"', "", "[parameters]"]
     for name, entry in content["parameters"].items():
         inside = ", ".join(tomli_w.dumps({key: value}).strip() for key, value in entry.items())
         lines.append(f"{name} = {{ {inside} }}" + ("" if "sigma" in entry else "  # not estimated"))
@@ -222,12 +217,13 @@ def read_calibration(path: Path | str) -> Calibration:
     Raises BadInput for a missing, unreadable or damaged file, an unknown or missing key (the nearest key is named), a
     wrong shape, a number that is not finite, a covariance that is not symmetric and positive.
     """
-    return _from_tree(read_tree(path), str(path))
+    return _from_tree(read_tree(path, sealed=False), str(path))  # it has a digest of the content alone
 
 
 def _from_tree(content: dict[str, Any], where: str) -> Calibration:
     if "parameters" not in content and "source" not in content:
         return _from_flat(validate(content, _Flat, where=where), where)
+    require_format(content.get("format", FORMAT), where)
     source = content.get("source")
     digest = source.pop(_SHA, None) if isinstance(source, dict) else None
     if digest is not None and digest != digest_of(content):

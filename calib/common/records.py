@@ -188,7 +188,8 @@ class Calibration:
     @property
     def digest(self) -> str:
         """SHA-256 of the content, as the calibration file states it."""
-        from fluxtwin.calib.common.calibration_file import digest_of, file_content
+        from fluxtwin.calib.common.calibration_file import file_content
+        from fluxtwin.sim.base.seals import digest_of
 
         return digest_of(file_content(self))
 

@@ -20,6 +20,8 @@ from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.onboard.target import Number, Target
 from fluxtwin.calib.onboard.targets import TARGETS, find_target
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.limits import text_of
+from fluxtwin.sim.base.seals import require_sealed
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.frames import angle_between
@@ -29,7 +31,6 @@ FIELDS_NT = (20e3, 60e3)
 WORST_FORM_DEG = 1.0
 """A target that turns the field by more, because M is symmetric there, is refused."""
 _DIRECTIONS = 500
-_MAX_BYTES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -184,13 +185,6 @@ def _heading(calibration: Calibration, formula: str) -> Sequence[str]:
 
 
 def _text(path: Path) -> str:
-    try:
-        if path.is_dir():
-            raise BadInput("is a folder", where=str(path), wanted="a file")
-        if path.stat().st_size > _MAX_BYTES:
-            raise BadInput(f"is larger than {_MAX_BYTES} bytes", where=str(path), wanted="a calibration")
-        return path.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError:
-        raise BadInput("there is no such file", where=str(path), wanted="a calibration") from None
-    except UnicodeDecodeError:
-        raise BadInput("is not text", where=str(path), wanted="a calibration") from None
+    text = text_of(path, wanted="a calibration")
+    require_sealed(text, where=str(path))
+    return text

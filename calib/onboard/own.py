@@ -16,6 +16,7 @@ import numpy as np
 from fluxtwin.calib.common.conventions import OffsetFirst
 from fluxtwin.calib.onboard.target import Number, Target, as_float32, float32
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.seals import sealed_json, unsealed_json
 from fluxtwin.sim.base.types import FloatArray
 
 _FORMULA = "B = M (m - o); m, B, o in nT"
@@ -95,16 +96,19 @@ class Json(_Own):
             **arrays,
             "units": units,
         }
-        return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        return json.dumps(sealed_json(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
     def is_of(self, text: str) -> bool:
         return text.lstrip().startswith("{") and '"formula"' in text and '"M"' in text
 
     def read(self, text: str, instance: int, where: str) -> OffsetFirst:
         try:
-            content = json.loads(text)
-            found = {name: np.array(content[name], dtype=np.float64) for name in ("M", "o", "T") if name in content}
-        except (ValueError, TypeError, RecursionError):
+            content = unsealed_json(json.loads(text), where=where)
+            names: list[str] = [name for name in ("M", "o", "T") if name in content]
+            found = {name: np.array(content[name], dtype=np.float64) for name in names}
+        except BadInput:
+            raise
+        except (ValueError, TypeError, AttributeError, RecursionError):
             raise BadInput("is not the JSON of fluxtwin export", where=where, wanted="M, o and T as numbers") from None
         return _held(found, where)
 

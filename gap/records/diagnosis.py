@@ -15,6 +15,7 @@ from pydantic import ConfigDict, Field, GetPydanticSchema, PlainSerializer, Type
 
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.sim.base.seals import FORMAT
 from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.effects.base import STAGES, Effect, SignalEffect
@@ -378,7 +379,11 @@ _NONE, _SOME, _NULL = {"maxItems": 0}, {"minItems": 1}, {"type": "null"}
 def _rules(schema: dict[str, Any]) -> None:
     """What the verdict says of other keys; `momentum` and `law` are there only where there is something to say."""
     schema["required"] = [name for name in schema["required"] if name not in ("momentum", "law")]
-    schema["properties"]["fluxtwin"] = {"description": "Version of the program that wrote the file.", "type": "string"}
+    schema["properties"] |= {
+        "fluxtwin": {"description": "Version of the program that wrote the file.", "type": "string"},
+        "format": {"description": "What the keys of the file mean; raised when that changes.", "const": FORMAT},
+        "sha256": {"description": "Of all other keys, as JSON with sorted keys and no blanks.", "type": "string"},
+    }
     unmeasured = {"properties": {"closed": _NULL, "interval": _NULL}}
     schema["allOf"] = [
         _if_verdict("no_gap", {"effects": _NONE, "resembles": _NONE, "gap": unmeasured}),

@@ -8,7 +8,6 @@ decided in `outputs.py`.
 
 from __future__ import annotations
 
-import hashlib
 import importlib.util
 import json
 import os
@@ -24,12 +23,11 @@ from typing import Any
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.processes import unfinished
+from fluxtwin.sim.base.seals import FORMAT, sealed
 
 _PREFIX = ".fluxtwin-unfinished-"
 _LEFTOVER = re.compile(re.escape(_PREFIX) + r"[a-z0-9_]{8}(\..*)?")  # as `mkstemp` makes them
 _HAS_LOCKS = importlib.util.find_spec("fcntl") is not None  # not on Windows: a leftover then stays, and does no harm
-COMMENTS = ("#", "//", "%")
-"""What begins a comment: in TOML and parameter files, in C, in MATLAB."""
 _STREAM = re.compile(r"/dev/(?P<name>stdout|stderr)|/(dev|proc/self)/fd/(?P<number>[0-9]+)")
 
 
@@ -68,29 +66,18 @@ def write_text(path: Path | str, text: str) -> Path:
     return write_bytes(path, escaped(text).encode("utf-8"))
 
 
-def write_toml(path: Path | str, text: str, *, comment: str = "#") -> Path:
-    """Write TOML under a first line that says who wrote it, with a digest of the rest: see `is_own_toml`.
+def write_toml(path: Path | str, text: str, *, comment: str = "#", draft: bool = False) -> Path:
+    """Write text under a first line that says who wrote it, with a digest of the rest: see `sealed`.
 
-    comment: what begins a comment, where the text is not TOML; one of `COMMENTS`.
+    draft: the text is meant to be edited, and no reader holds a change against it.
     """
     try:
-        content = text.encode("utf-8")
+        content = sealed(text, comment, "to be edited" if draft else f"format {FORMAT}").encode("utf-8")
     except UnicodeEncodeError:
         raise BadInput(
             "a name in it is not UTF-8, and TOML knows nothing else", where=str(path), wanted="files with UTF-8 names"
         ) from None
-    return write_bytes(path, _toml_mark(content, comment.encode()) + content)
-
-
-def is_own_toml(content: bytes) -> bool:
-    """Whether `content` is as `write_toml` left it; a file edited since is its editor's."""
-    mark, _, rest = content.partition(b"\n")
-    return mark + b"\n" in [_toml_mark(rest, comment.encode()) for comment in COMMENTS]
-
-
-def _toml_mark(content: bytes, comment: bytes) -> bytes:
-    digest = hashlib.sha256(content).hexdigest().encode()
-    return comment + b" Written by fluxtwin; SHA-256 of the lines below: " + digest + b"\n"
+    return write_bytes(path, content)
 
 
 def to_json(value: Any) -> str:

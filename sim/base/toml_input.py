@@ -12,8 +12,8 @@ from typing import Any, ClassVar, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from fluxtwin.sim.base.errors import BadInput
-
-MAX_BYTES = 1_000_000
+from fluxtwin.sim.base.limits import TEXT_BYTES, TOML_DEPTH, TOML_ITEMS, text_of
+from fluxtwin.sim.base.seals import require_sealed
 
 
 class Strict(BaseModel):
@@ -43,7 +43,8 @@ _WANTED = {
 }
 """What a key should have been, in the words of a scenario, by pydantic's kind of error."""
 
-_DEEP_KEY = re.compile(r"(?<![\w.\"'-])(?:[\w\"'-]++[ \t]*+\.[ \t]*+){30}")
+_PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+"""
+_DEEP_KEY = re.compile(rf"""(?<![\w.\\"'-])(?:{_PART}\.[ \t]*+){{{TOML_DEPTH}}}""")
 
 _Model = TypeVar("_Model", bound=Strict)
 
@@ -71,31 +72,25 @@ def require_kind(tree: Mapping[str, Any], wanted: str, *, where: str) -> None:
         raise BadInput(f"this is {found}", where=where, wanted=wanted)
 
 
-def read_tree(path: Path | str) -> dict[str, Any]:
-    """The file as plain tables and values. Raises BadInput: missing, too large, not UTF-8, not TOML."""
-    path = Path(path)
-    where = str(path)
-    try:
-        if path.is_dir():
-            raise BadInput("is a folder", where=where, wanted="a TOML file")
-        if path.stat().st_size > MAX_BYTES:
-            raise BadInput(f"is larger than {MAX_BYTES} bytes", where=where, wanted="a TOML file")
-        text = path.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError:
-        raise BadInput("there is no such file", where=where, wanted="a TOML file") from None
-    except UnicodeDecodeError:
-        raise BadInput("is not UTF-8 text", where=where, wanted="a TOML file in UTF-8") from None
-    except OSError as error:
-        raise BadInput(f"cannot be read ({error.strerror or error})", where=where) from None
-    return parse_tree(text, where=where)
+def read_tree(path: Path | str, *, sealed: bool = True) -> dict[str, Any]:
+    """The file as plain tables and values. Raises BadInput: missing, too large, not UTF-8, not TOML, and, if sealed, not as
+    fluxtwin wrote it."""
+    text = text_of(path, wanted="a TOML file")
+    if sealed:
+        require_sealed(text, where=str(path))
+    return parse_tree(text, where=str(path))
 
 
 def parse_tree(text: str, *, where: str) -> dict[str, Any]:
-    """TOML text as plain tables and values; BadInput when it is none, or has a key of more than thirty parts (the parser
-    takes minutes for ten thousand)."""
+    """TOML text as plain tables and values; BadInput when it is none, and for more than the parser takes in a moment (it
+    takes minutes for a key of ten thousand parts)."""
     try:
+        if len(text) > TEXT_BYTES:
+            raise ValueError(f"more than {TEXT_BYTES} characters")
+        if sum(map(text.count, "=,[{")) > TOML_ITEMS:
+            raise ValueError(f"more than {TOML_ITEMS} values")
         if _DEEP_KEY.search(text):
-            raise ValueError("a key of more than thirty parts")
+            raise ValueError(f"a key of more than {TOML_DEPTH} parts")
         return tomllib.loads(text)
     except (RecursionError, ValueError) as error:  # a number of 5,000 digits is a ValueError, not a TOML error
         raise BadInput(f"is not valid TOML ({str(error)[:120]})", where=where) from None

@@ -33,7 +33,7 @@ from fluxtwin.sim.base.errors import BadInput, OutOfRange
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.constants import FIELD_RADIUS_KM
-from fluxtwin.sim.earth.field_models import stamps_mjd2000
+from fluxtwin.sim.earth.field_models import mat_variables, stamps_mjd2000
 from fluxtwin.sim.earth.sun import sun_direction_N
 
 RESPONSE_PER_DAY = np.array([1 / 365.25, 2 / 365.25, 1 / 30, 1 / 27, 1.0, 2.0, 3.0])
@@ -43,6 +43,8 @@ RESPONSE_RADIUS_KM = np.array(
 """c(f) of the layered conductivity of Grayver et al. 2017 (doi 10.1002/2017GL074120) with an ocean layer of 7000 S,
 for degree 1; degree 2 differs by 1 % at a year and 0.03 % at a day. Computed by ChaosMagPy 0.16 (`q_response`)."""
 
+_COEFFICIENTS = ("model_ext.m_sm", "model_ext.m_gsm", "model_ext.m_Dst", "params.igrf_dipole")
+_OFFSETS, _BREAKS = ("model_ext.q10", "model_ext.qs11"), ("model_ext.t_break_q10", "model_ext.t_break_qs11")
 _WINDOW_HOURS = 8766  # 365.25 days: the daily turn and the seasons both close
 _HALF = np.sqrt(3.0) / 2.0
 
@@ -83,28 +85,17 @@ class MagnetosphericModel:
 
 def read_magnetosphere(path: Path | str) -> MagnetosphericModel:
     """The external part of a CHAOS .mat file. Raises BadInput for a file without one."""
-    import scipy.io
-
     where = str(path)
     if not Path(path).is_file():
         raise BadInput("no such file", where=where, wanted="a CHAOS file, .mat")
     try:
-        content = scipy.io.loadmat(path, variable_names=("model_ext", "params"))
-        external, parameters = content["model_ext"][0, 0], content["params"][0, 0]
-        sm, gsm, dst, dipole = (
-            np.ravel(record[key]).astype(np.float64)
-            for record, key in (
-                (external, "m_sm"),
-                (external, "m_gsm"),
-                (external, "m_Dst"),
-                (parameters, "igrf_dipole"),
-            )
-        )
-        edges = tuple(
-            stamps_mjd2000(np.ravel(external[key]).astype(np.float64)) for key in ("t_break_q10", "t_break_qs11")
-        )
-        offsets = (np.ravel(external["q10"]).astype(np.float64), np.asarray(external["qs11"], dtype=np.float64))
-    except (ValueError, KeyError, TypeError, IndexError, OSError, EOFError, NotImplementedError) as error:
+        found = mat_variables(path, [*_COEFFICIENTS, *_OFFSETS, *_BREAKS])
+        sm, gsm, dst, dipole = (np.ravel(found[name]) for name in _COEFFICIENTS)
+        edges = tuple(stamps_mjd2000(np.ravel(found[name])) for name in _BREAKS)
+        offsets = (np.ravel(found["model_ext.q10"]), found["model_ext.qs11"])
+    except BadInput:
+        raise
+    except (ValueError, IndexError) as error:
         raise BadInput(f"cannot be read ({error})", where=where, wanted="a CHAOS .mat file") from None
     sizes = (sm.size, gsm.size, dst.size, dipole.size)
     bins_fit = all(e.size == o.shape[0] + 1 for e, o in zip(edges, offsets, strict=True))

@@ -11,20 +11,25 @@ file brings its own knots and splines. Epochs outside the knots are an error: no
 
 from __future__ import annotations
 
+import io
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput, OutOfRange
+from fluxtwin.sim.base.limits import MODEL_BYTES
 from fluxtwin.sim.base.types import FloatArray, TimeArray
-from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.earth import epoch, mat_reader
 from fluxtwin.sim.earth.constants import FIELD_RADIUS_KM
 
 _NS_PER_DAY = 86400 * 1_000_000_000
-_LARGEST_BYTES = 200_000_000
+_CHAOS = "a CHAOS file, .mat or .shc"
 _NO_TIME = np.timedelta64(0, "ns")
 _DATA = Path(__file__).parent / "data"
 _TITLES = {
@@ -181,12 +186,12 @@ def read_chaos(path: Path) -> FieldModel:
     part), Euler angles, calibration parameters.
     """
     if not path.is_file():
-        raise BadInput("no such file", where=str(path), wanted="a CHAOS file, .mat or .shc")
-    if path.stat().st_size > _LARGEST_BYTES:
-        raise BadInput(f"{path.stat().st_size} bytes", where=str(path), wanted="a CHAOS file, a few MB")
+        raise BadInput("no such file", where=str(path), wanted=_CHAOS)
+    if path.stat().st_size > MODEL_BYTES:
+        raise BadInput(f"is larger than {MODEL_BYTES} bytes", where=str(path), wanted="a CHAOS file, a few MB")
     readers = {".mat": _read_mat, ".shc": _read_shc}
     if path.suffix.lower() not in readers:
-        raise BadInput(f"suffix {path.suffix!r}", where=str(path), wanted="a CHAOS file, .mat or .shc")
+        raise BadInput(f"suffix {path.suffix!r}", where=str(path), wanted=_CHAOS)
     try:
         knots, polynomial, static = readers[path.suffix.lower()](path)
     except BadInput:
@@ -211,16 +216,13 @@ def _check(path: Path, knots: TimeArray, polynomial: FloatArray, static: FloatAr
 
 def _read_mat(path: Path) -> tuple[TimeArray, FloatArray, FloatArray]:
     """MATLAB's piecewise polynomial `pp` (highest power first, days since 2000) and the static `g`."""
-    pp, static = _mat_variables(path)
-    order, pieces, dim = (int(np.ravel(pp[key])[0]) for key in ("order", "pieces", "dim"))
-    breaks = np.ravel(np.asarray(pp["breaks"], dtype=np.float64))
-    coefficients = np.asarray(pp["coefs"], dtype=np.float64).reshape(pieces, dim, order)
+    found = mat_variables(path, [f"pp.{key}" for key in ("order", "pieces", "dim", "breaks", "coefs")], ["g"])
+    order, pieces, dim = (int(found[f"pp.{key}"].flat[0]) for key in ("order", "pieces", "dim"))
+    breaks = np.ravel(found["pp.breaks"])
+    coefficients = found["pp.coefs"].reshape(pieces, dim, order)
     days = np.diff(breaks)[:, None, None]
     polynomial = coefficients[:, :, ::-1].transpose(0, 2, 1) * days ** np.arange(order)[:, None]
-    crust = np.zeros(dim)
-    if static is not None:
-        crust = np.ravel(np.asarray(static, dtype=np.float64))
-    return stamps_mjd2000(breaks), np.ascontiguousarray(polynomial), crust
+    return stamps_mjd2000(breaks), np.ascontiguousarray(polynomial), np.ravel(found.get("g", np.zeros(dim)))
 
 
 def stamps_mjd2000(days_mjd2000: FloatArray) -> TimeArray:
@@ -228,25 +230,27 @@ def stamps_mjd2000(days_mjd2000: FloatArray) -> TimeArray:
     return epoch.MJD2000 + np.rint(days_mjd2000 * _NS_PER_DAY).astype("int64").astype("timedelta64[ns]")
 
 
-def _mat_variables(path: Path) -> tuple[dict[str, Any], Any]:
-    with open(path, "rb") as opened:
-        head = opened.read(128)
-    if b"MATLAB 7.3" in head or head.startswith(b"\x89HDF"):
-        import h5py
+def mat_variables(path: Path | str, needed: Sequence[str], optional: Sequence[str] = ()) -> dict[str, FloatArray]:
+    """Variables of a MATLAB file as float64, by name, a field of a structure as `pp.breaks`; optional: those that may lack.
 
-        with h5py.File(path, "r") as file:  # v7.3 is HDF5, with the axes reversed
-            if "pp" not in file:
-                raise BadInput("has no variable 'pp'", where=str(path), wanted="a CHAOS field model")
-            return {key: file["pp"][key][()].T for key in ("order", "pieces", "dim", "breaks", "coefs")}, (
-                file["g"][()] if "g" in file else None
-            )
-    import scipy.io
-
-    content = scipy.io.loadmat(path, variable_names=("pp", "g"))
-    if "pp" not in content:
-        raise BadInput("has no variable 'pp'", where=str(path), wanted="a CHAOS field model")
-    pp = content["pp"][0, 0]
-    return {key: pp[key] for key in ("order", "pieces", "dim", "breaks", "coefs")}, content.get("g")
+    Raises BadInput for a file that is none, is damaged or has none of that name.
+    """
+    where = str(path)
+    command = [sys.executable, "-P", mat_reader.__file__, os.path.abspath(path), *needed, *optional]
+    alone = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=2 * mat_reader.SECONDS, env=alone, check=False)
+    except subprocess.TimeoutExpired:
+        raise BadInput(f"is not read in {2 * mat_reader.SECONDS} s", where=where, wanted=_CHAOS) from None
+    if done.returncode:
+        said = done.stderr.decode("utf-8", "replace").strip() if done.returncode == 1 else "its reader broke down"
+        raise BadInput(f"cannot be read: damaged, or no model ({said})", where=where, wanted=_CHAOS)
+    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as held:
+        found = {name: np.asarray(held[name], dtype=np.float64) for name in held.files}
+    lacking = next((name for name in needed if name not in found), None)
+    if lacking is not None:
+        raise BadInput(f"has no variable '{lacking.partition('.')[0]}'", where=where, wanted=_CHAOS)
+    return found
 
 
 def _read_shc(path: Path) -> tuple[TimeArray, FloatArray, FloatArray]:

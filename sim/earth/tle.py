@@ -18,10 +18,10 @@ from scipy.spatial.transform import Rotation
 from sgp4.api import SGP4_ERRORS, Satrec
 
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.limits import text_of
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 
-_LARGEST_BYTES = 1_000_000
 _OLD_DAYS = 30.0
 _FORMAT = "a two-line element set of one satellite: an optional name line, then lines 1 and 2 of 69 characters"
 _NS_PER_UNIT = 864_000  # the epoch of a line counts in 1e-8 day
@@ -170,32 +170,12 @@ def read_tle(path: Path | str) -> Tle:
 
     Raises BadInput that names what is wrong: file, line, length, checksum, or several satellites.
     """
-    return parse_tle(_text(Path(path)), where=str(path))
-
-
-def _text(path: Path) -> str:
-    """The file as text. Raises BadInput where it is none."""
-    try:
-        if not path.is_file():
-            raise BadInput("there is no such file", where=str(path), wanted=_FORMAT)
-        if path.stat().st_size > _LARGEST_BYTES:
-            raise BadInput(
-                f"has {path.stat().st_size} bytes, too many for one satellite",
-                where=str(path),
-                wanted=_FORMAT,
-            )
-        content = path.read_bytes()
-    except OSError as error:
-        raise BadInput(f"cannot be read ({error.strerror or error})", where=str(path)) from None
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise BadInput("is not a text file", where=str(path), wanted=_FORMAT) from None
+    return parse_tle(text_of(path, wanted=_FORMAT), where=str(path))
 
 
 def read_elements(path: Path | str) -> TleSeries:
     """Read a file with one element set of one satellite or many, names between them allowed. Errors as `read_tle`."""
-    text = _text(Path(path))
+    text = text_of(path, wanted=_FORMAT)
     lines = [line.rstrip() for line in text.splitlines() if line.strip()]
     starts = [place for place, line in enumerate(lines) if line.startswith("1 ") and len(line) > 60]
     if len(starts) < 2:

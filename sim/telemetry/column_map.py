@@ -29,11 +29,11 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.limits import MAX_SAMPLES
 from fluxtwin.sim.base.toml_input import Strict, read_model
 from fluxtwin.sim.telemetry import column_map_attitude, column_map_values, time_recipes
 from fluxtwin.sim.telemetry import column_map_words as words
 from fluxtwin.sim.telemetry.columns import FileTable
-from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
 from fluxtwin.sim.telemetry.formats.catalogue import format_of
 from fluxtwin.sim.telemetry.formats.table import Table
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, DRIVERS, FAMILIES, family_of

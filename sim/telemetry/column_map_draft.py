@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.limits import MAX_SAMPLES
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.telemetry.column_map_draft_time import text_format
 from fluxtwin.sim.telemetry.column_map_values import from_lists
-from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES, CsvFile, open_csv
+from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
 from fluxtwin.sim.telemetry.formats.catalogue import table_of
 from fluxtwin.sim.telemetry.formats.table import Table
 from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile

@@ -13,7 +13,7 @@ import hashlib
 import io
 import re
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,16 +22,28 @@ import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import write_with
+from fluxtwin.sim.base.limits import (
+    MAX_COLUMNS,
+    MAX_SAMPLES,
+    TABLE_BYTES,
+    Lines,
+    content_of,
+    require_expansion,
+    require_rows,
+)
+from fluxtwin.sim.base.seals import FORMAT, require_format
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.telemetry.columns import TEXTS, FileTable, clip, file_columns, file_texts, resolve
 from fluxtwin.sim.telemetry.record import TEXT_BYTES, Telemetry
 from fluxtwin.sim.telemetry.time_stamps import format_iso, parse_iso, zone_assumed
 
-MAX_SAMPLES = 5_000_000
-"""Default limit of rows: five times the largest record the project is built for."""
-_MAX_BYTES = 4 * 1024**3
-_MAX_COLUMNS = 5_000
-_GZIP_RATIO = 200
+CHECK = f"row_crc32_v{FORMAT}"
+"""The last column of what fluxtwin writes: CRC-32 of the header and the row, without this column and its comma.
+
+A column and not a comment, so that every reader takes the file, and rows may be sorted, cut or joined.
+"""
+_CHECKS = re.compile(r"row_crc32_v(\d{1,4})")
+_CRC_BYTES = len(",01234567")
 _MISSING = ["", "NaN", "nan", "NAN"]
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*")
 _STAMP = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.(\d{3}){1,3})?Z")
@@ -196,52 +208,50 @@ def write(telemetry: Telemetry, path: Path | str) -> Path:
 def open_csv(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> CsvFile:
     """Read the bytes and pass them through the front. Raises BadInput; never a parser's own error."""
     where = str(path)
-    content = _content(Path(path), where)
+    look = Lines(max_samples, where)
+    content = content_of(path, most=TABLE_BYTES, wanted="a telemetry file (.csv, .csv.gz or .nc)", look=_plain(look))
+    if not content:
+        raise BadInput("the file is empty", where=where, wanted="a header and at least one row of data")
     digest = hashlib.sha256(content).hexdigest()
-    data = _decoded(_unpacked(content, where), where)
+    data = _decoded(_unpacked(content, look, where), where)
     notices: list[str] = []
     head, newline, body = data.partition(b"\n")
     if not newline:
         raise BadInput("there are no rows", where=where, wanted="a header and at least one row of data")
     names = _names(head, where)
     body = _whole_rows(body, notices, where)
+    if any(map(_CHECKS.fullmatch, names)):
+        names, body = _without_checks(head, names, body, where)
     if b'"' in body:
         cells = _quoted(body, len(names), where)
-        return CsvFile(where, names, b"", cells, _limited(len(cells), max_samples, where), digest, tuple(notices))
+        return CsvFile(where, names, b"", cells, require_rows(len(cells), max_samples, where), digest, tuple(notices))
     rows = _checked_rows(body, len(names), max_samples, where)
     return CsvFile(where, names, body, None, rows, digest, tuple(notices))
 
 
-def _content(path: Path, where: str) -> bytes:
-    try:
-        if path.is_dir():
-            raise BadInput("is a folder", where=where, wanted="a telemetry file (.csv, .csv.gz or .nc)")
-        if path.stat().st_size > _MAX_BYTES:
-            raise BadInput(f"is larger than {_MAX_BYTES} bytes", where=where, wanted="a smaller file, or NetCDF")
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise BadInput("there is no such file", where=where) from None
-    except OSError as error:
-        raise BadInput(f"cannot be read ({error.strerror or error})", where=where) from None
-    if not content:
-        raise BadInput("the file is empty", where=where, wanted="a header and at least one row of data")
-    return content
+def _plain(look: Lines) -> Callable[[bytes], None]:
+    """`look` for the pieces of a file that may be packed; what is packed is looked at when it is unpacked."""
+    packed: list[bool] = []
+
+    def shown(piece: bytes) -> None:
+        packed.append(piece[:2] == b"\x1f\x8b") if not packed else None
+        if not packed[0]:
+            look(piece)
+
+    return shown
 
 
-def _unpacked(content: bytes, where: str) -> bytes:
+def _unpacked(content: bytes, look: Lines, where: str) -> bytes:
     """gzip undone in pieces, so that a bomb is refused before it is large."""
     if content[:2] != b"\x1f\x8b":
         return content
-    most = max(1 << 20, _GZIP_RATIO * len(content))
     pieces, size = [], 0
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(content)) as packed:
             while piece := packed.read(1 << 20):
                 size += len(piece)
-                if size > min(most, _MAX_BYTES):
-                    raise BadInput(
-                        f"unpacks to more than {_GZIP_RATIO} times its size", where=where, wanted="plain telemetry"
-                    )
+                require_expansion(size, len(content), where)
+                look(piece)
                 pieces.append(piece)
     except (OSError, EOFError, zlib.error) as error:
         raise BadInput(f"the gzip data are damaged ({error})", where=where) from None
@@ -281,8 +291,8 @@ def _names(head: bytes, where: str) -> tuple[str, ...]:
                 raise BadInput(f"its columns are separated by {word}", where=where, wanted="commas")
     if text.lower().startswith("sep="):
         raise BadInput("the first line is a spreadsheet's sep= line", where=where, wanted="the header first")
-    if text.count(",") >= _MAX_COLUMNS:
-        raise BadInput(f"has more than {_MAX_COLUMNS} columns", where=where)
+    if text.count(",") >= MAX_COLUMNS:
+        raise BadInput(f"has more than {MAX_COLUMNS} columns", where=where)
     try:
         names = tuple(name.strip() for name in next(csv.reader([text], strict=True), []))
     except csv.Error as error:
@@ -304,10 +314,29 @@ def _whole_rows(body: bytes, notices: list[str], where: str) -> bytes:
     return body
 
 
+def _without_checks(head: bytes, names: tuple[str, ...], body: bytes, where: str) -> tuple[tuple[str, ...], bytes]:
+    """Names and rows without the checks of the rows, which fit. Raises BadInput, for the first that does not."""
+    found = next(filter(None, map(_CHECKS.fullmatch, names)))
+    require_format(int(found[1]), where)
+    rows = body.split(b"\n")
+    rows.pop()
+    cut = [row[:-_CRC_BYTES] for row in rows]
+    start = zlib.crc32(head.rpartition(b",")[0])
+    wrong = (k for k, row in enumerate(cut) if b",%08x" % zlib.crc32(row, start) != rows[k][-_CRC_BYTES:])
+    first = 0 if names[-1] != CHECK else next(wrong, None)
+    if first is not None:
+        raise BadInput(
+            f"row {first + 1} is not as fluxtwin wrote it: it does not agree with its column {found[0]}",
+            where=where,
+            wanted=f"the file as it was written; or, where the change was meant, the file without the column {found[0]}",
+        )
+    return names[:-1], b"\n".join([*cut, b""])
+
+
 def _checked_rows(body: bytes, width: int, max_samples: int, where: str) -> int:
     raw = np.frombuffer(body, dtype=np.uint8)
     ends = np.flatnonzero(raw == 10)
-    _limited(ends.size, max_samples, where)
+    require_rows(ends.size, max_samples, where)
     commas = np.flatnonzero(raw == 44)
     fields = np.diff(np.searchsorted(commas, ends), prepend=0) + 1
     wrong = np.flatnonzero(fields != width)
@@ -334,12 +363,6 @@ def _width(row: int, found: int, width: int, blank: bool, where: str) -> BadInpu
     return BadInput(f"row {row + 1} {what}", where=where, wanted="as many fields in every row as in the header")
 
 
-def _limited(rows: int, max_samples: int, where: str) -> int:
-    if rows > max_samples:
-        raise BadInput(f"has {rows} rows", where=where, wanted=f"at most {max_samples} (--max-samples N reads more)")
-    return rows
-
-
 def _exact(version: str) -> dict[str, str]:
     """Keywords that make pandas convert decimals exactly; from 3.1 on it always does, and deprecates the keyword."""
     major, minor = (int(part) for part in version.split(".")[:2])
@@ -352,12 +375,15 @@ def _is_number(text: str) -> bool:
 
 def _write_rows(out: Any, telemetry: Telemetry, columns: dict[str, FloatArray]) -> None:
     texts = file_texts(telemetry)
-    out.write((",".join(["time", *columns, *texts]) + "\n").encode("utf-8"))
+    head = ",".join(["time", *columns, *texts]).encode("utf-8")
+    out.write(head + f",{CHECK}\n".encode())
+    start = zlib.crc32(head)
     stamps = format_iso(telemetry.time)
-    for start in range(0, len(telemetry), _ROWS_AT_ONCE):
-        part = slice(start, start + _ROWS_AT_ONCE)
+    for first in range(0, len(telemetry), _ROWS_AT_ONCE):
+        part = slice(first, first + _ROWS_AT_ONCE)
         cells = [stamps[part]] + [
             ["" if x != x else repr(x) for x in value[part].tolist()] for value in columns.values()
         ]
         cells += [[text] * len(cells[0]) for text in texts.values()]
-        out.write(("\n".join(map(",".join, zip(*cells, strict=True))) + "\n").encode("utf-8"))
+        rows = [row.encode("utf-8") for row in map(",".join, zip(*cells, strict=True))]
+        out.write(b"".join(b"%b,%08x\n" % (row, zlib.crc32(row, start)) for row in rows))

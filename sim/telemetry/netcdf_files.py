@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import math
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -18,11 +19,12 @@ import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import escaped
+from fluxtwin.sim.base.limits import MAX_COLUMNS, MAX_SAMPLES, require_expansion, require_kind, require_rows
 from fluxtwin.sim.base.netcdf_out import TRUTH_TITLE, Variable, write_netcdf
+from fluxtwin.sim.base.seals import FORMAT, require_format
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth.epoch import parse_time
 from fluxtwin.sim.telemetry.columns import PROVENANCE, FileTable, clip, describe, file_columns, resolve
-from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
 from fluxtwin.sim.telemetry.quantities import DRIVERS, MAG
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -31,8 +33,7 @@ if TYPE_CHECKING:
 
 TIME_UNITS = "nanoseconds since 1970-01-01"
 _SHA = "fluxtwin_sha256"
-_MAX_BYTES_PER_SAMPLE = 128
-_MAX_COLUMNS = 5_000
+_FORMAT = "fluxtwin_format"
 _CHUNK = 65_536
 _UNIT_NS = {
     word: nanoseconds
@@ -60,11 +61,12 @@ class NetcdfFile:
         self.path = Path(path)
         self.max_samples = max_samples
         self._file: h5py.File | None = None
+        self._claimed: dict[str, int] = {}
 
     def __enter__(self) -> NetcdfFile:
         import h5py
 
-        self.sha256 = _file_digest(self.path, self.where)
+        self.sha256, self.bytes = _file_digest(self.path, self.where)
         with self._reading("is not a NetCDF-4 file, or is damaged"):
             self._file = h5py.File(self.path, "r")
         return self
@@ -90,8 +92,8 @@ class NetcdfFile:
                     )
                 if self._root.get(name, getclass=True) is h5py.Dataset:
                     names.append(str(name))
-                if len(names) > _MAX_COLUMNS:
-                    raise BadInput(f"has more than {_MAX_COLUMNS} variables", where=self.where)
+                if len(names) > MAX_COLUMNS:
+                    raise BadInput(f"has more than {MAX_COLUMNS} variables", where=self.where)
         return names
 
     def shape(self, name: str) -> tuple[int, ...]:
@@ -159,6 +161,7 @@ class NetcdfFile:
         stated = attributes.get(_SHA)
         if not isinstance(stated, str):
             return False
+        require_format(attributes.get(_FORMAT, FORMAT), self.where)
         arrays = {name: (self.raw(name), self.attributes(name)) for name in names}
         if stated != _digest(arrays, attributes):
             raise BadInput(
@@ -180,18 +183,10 @@ class NetcdfFile:
             raise BadInput(f"{clip(name)} is stored in another file", where=self.where, wanted=wanted)
         if data.dtype.kind not in "iuf" or data.dtype.itemsize > 8:
             raise BadInput(f"{clip(name)} has the type {data.dtype}", where=self.where, wanted=wanted)
-        rows = int(data.shape[0]) if data.shape else 0
-        if rows > self.max_samples:
-            raise BadInput(
-                f"{clip(name)} claims {rows} rows",
-                where=self.where,
-                wanted=f"at most {self.max_samples} (--max-samples N reads more)",
-            )
-        chunk = int(np.prod(data.chunks, dtype=float)) if data.chunks else 0
-        if max(int(np.prod(data.shape, dtype=float)), chunk) * data.dtype.itemsize > (
-            _MAX_BYTES_PER_SAMPLE * self.max_samples
-        ):
-            raise BadInput(f"{clip(name)} claims the shape {data.shape}", where=self.where, wanted="a smaller array")
+        require_rows(int(data.shape[0]) if data.shape else 0, self.max_samples, self.where, f"{clip(name)} claims")
+        chunk = math.prod(data.chunks) if data.chunks else 0
+        self._claimed[name] = max(math.prod(data.shape), chunk) * 8  # read as float64
+        require_expansion(sum(self._claimed.values()), self.bytes, self.where)
 
     @contextlib.contextmanager
     def _reading(self, what: str) -> Iterator[None]:
@@ -276,7 +271,8 @@ def _time_attributes() -> dict[str, Any]:
 
 
 def _file_attributes(telemetry: Telemetry) -> dict[str, Any]:
-    attributes = {"Conventions": "CF-1.11", "title": "spacecraft magnetometer and attitude telemetry"}
+    attributes: dict[str, Any] = {"Conventions": "CF-1.11", "title": "spacecraft magnetometer and attitude telemetry"}
+    attributes[_FORMAT] = FORMAT
     for key, value in sorted(telemetry.provenance.items()):
         attributes[f"{PROVENANCE}{key}"] = escaped(str(value))
     return attributes
@@ -340,14 +336,14 @@ def _origin(text: str) -> str:
     return re.sub(r"\s*(UTC|Z|\+?00:?00)$", "", text.strip()) if not text.strip().endswith(":00") else text.strip()
 
 
-def _file_digest(path: Path, where: str) -> str:
+def _file_digest(path: Path, where: str) -> tuple[str, int]:
     try:
-        if path.is_dir():
-            raise BadInput("is a folder", where=where, wanted="a telemetry file (.csv, .csv.gz or .nc)")
-        if path.stat().st_size == 0:
+        found = path.stat()
+        require_kind(found, where, "a telemetry file (.csv, .csv.gz or .nc)", pipe=False)
+        if found.st_size == 0:
             raise BadInput("the file is empty", where=where, wanted="a NetCDF-4 file")
         with open(path, "rb") as opened:
-            return hashlib.file_digest(opened, "sha256").hexdigest()
+            return hashlib.file_digest(opened, "sha256").hexdigest(), found.st_size
     except FileNotFoundError:
         raise BadInput("there is no such file", where=where) from None
     except OSError as error:

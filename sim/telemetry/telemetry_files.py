@@ -11,8 +11,8 @@ import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import is_stream
+from fluxtwin.sim.base.limits import MAX_SAMPLES
 from fluxtwin.sim.telemetry.columns import FileTable
-from fluxtwin.sim.telemetry.csv_files import MAX_SAMPLES
 from fluxtwin.sim.telemetry.formats.catalogue import READ, format_of, table_of
 from fluxtwin.sim.telemetry.formats.table import Table, contract
 from fluxtwin.sim.telemetry.record import Telemetry

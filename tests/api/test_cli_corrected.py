@@ -162,7 +162,7 @@ def test_diagnose_says_that_the_readings_are_corrected(cli: Cli, flight: Path) -
 
 def test_corrected_rows_are_not_mixed_with_others(cli: Cli, flight: Path, tmp_path: Path) -> None:
     half = flight / "corrected.csv"
-    lines = half.read_text("utf-8").splitlines()
+    lines = [line.rpartition(",")[0] for line in half.read_text("utf-8").splitlines()]  # without its checks
     lines[50] = lines[50].rsplit(",", 1)[0] + ","
     (tmp_path / "mixed.csv").write_text("\n".join([*lines, ""]), encoding="utf-8")
     refused(cli("check", tmp_path / "mixed.csv"), "mag_corrected_by", "different rows")

@@ -170,7 +170,8 @@ def test_the_closed_scenario_says_for_which_designs_it_is_good_enough(late: Case
 
 
 def test_a_key_of_the_closure_table_that_does_not_exist_is_named(late: Case, tmp_path: Path, cli: Cli) -> None:
-    text = (late.folder / "closed.toml").read_text(encoding="utf-8").replace("[closure]\n", "[closure]\nrow = 3\n")
+    _, _, closed = (late.folder / "closed.toml").read_text(encoding="utf-8").partition("\n")  # without its digest
+    text = closed.replace("[closure]\n", "[closure]\nrow = 3\n")
     (tmp_path / "wrong.toml").write_text(text, encoding="utf-8")
     outcome = cli("simulate", tmp_path / "wrong.toml", "--out", tmp_path / "x.csv")
     assert outcome.status == 2
@@ -333,7 +334,7 @@ def test_a_budget_far_too_large_is_said(late: Case, cli: Cli) -> None:
 
 
 def test_a_value_that_no_instrument_gives_is_named(late: Case, cli: Cli, tmp_path: Path) -> None:
-    text = (late.folder / "late.csv").read_text().splitlines()
+    text = [line.rpartition(",")[0] for line in (late.folder / "late.csv").read_text().splitlines()]  # without checks
     row = text[5].split(",")
     row[text[0].split(",").index("mag_x_nT")] = "1e300"
     (tmp_path / "spoilt.csv").write_text("\n".join([*text[:5], ",".join(row), *text[6:]]) + "\n")

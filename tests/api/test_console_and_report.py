@@ -16,6 +16,7 @@ import fluxtwin
 from fluxtwin.console import Manners, Output, clean, shown
 from fluxtwin.report import png_bytes, render_report
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, StudyResult, Table
+from fluxtwin.sim.base.seals import digest_of
 
 HOSTILE = [
     "<script>alert(1)</script>",
@@ -200,7 +201,9 @@ def test_json_alone_goes_to_standard_output(capsys: pytest.CaptureFixture[str]) 
     output.say("words")
     output.table("t", ["a"], [[1]])
     output.result({"F_nT": 1.0})
-    assert capsys.readouterr().out == f'{{\n  "fluxtwin": "{fluxtwin.__version__}",\n  "F_nT": 1.0\n}}\n'
+    digest = digest_of({"fluxtwin": fluxtwin.__version__, "format": 1, "F_nT": 1.0})
+    head = f'{{\n  "fluxtwin": "{fluxtwin.__version__}",\n  "format": 1,\n  "F_nT": 1.0,\n'
+    assert capsys.readouterr().out == f'{head}  "sha256": "{digest}"\n}}\n'
 
 
 def test_a_study_is_written_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

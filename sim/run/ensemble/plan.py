@@ -15,6 +15,7 @@ from typing import Any
 from fluxtwin.sim.base import files
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.seals import sealed_json, unsealed_json
 from fluxtwin.sim.run.ensemble.draws import drawn_values, nominal_values, vehicle_scenario
 from fluxtwin.sim.run.world import build_world
 from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
@@ -131,7 +132,7 @@ def require_same(plan: Plan, folder: Path) -> None:
     """BadInput unless the ensemble that lies in the folder is this one; says what differs. More vehicles are welcome."""
     path = folder / RECORD
     try:
-        then = json.loads(path.read_text(encoding="utf-8"))
+        then = unsealed_json(json.loads(path.read_text(encoding="utf-8")), where=str(path))
         given, now = dict(then["plan"]), plan.record()
     except (OSError, ValueError, KeyError, TypeError):
         raise BadInput("cannot be read as the record of an ensemble", where=str(path), wanted="another --out") from None
@@ -171,7 +172,7 @@ def recorded_chunk(folder: Path) -> int | None:
 
 def write_record(plan: Plan, folder: Path) -> Path:
     """Write the plan beside the results."""
-    return files.write_json(folder / RECORD, {"fingerprint": plan.fingerprint, "plan": plan.record()})
+    return files.write_json(folder / RECORD, sealed_json({"fingerprint": plan.fingerprint, "plan": plan.record()}))
 
 
 def _versions() -> dict[str, str]:

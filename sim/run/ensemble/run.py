@@ -22,6 +22,7 @@ from fluxtwin.sim.base import files
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.processes import starting_others, stop_if_asked, work_for_another
 from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.seals import sealed_json
 from fluxtwin.sim.run.ensemble import chunk, summary
 from fluxtwin.sim.run.ensemble.plan import (
     RECORD,
@@ -86,7 +87,7 @@ def fly_ensemble(
     around = summary.envelope(plan, folder)
     if around is not None:
         summary.write_envelope(around, folder)
-    files.write_json(folder / summary.SUMMARY, found)
+    files.write_json(folder / summary.SUMMARY, sealed_json(found))
     return Ensemble(folder, plan, found, around)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.limits import MAX_SAMPLES
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.telemetry.columns import clip
 from fluxtwin.sim.telemetry.formats import ccsds
@@ -20,13 +21,13 @@ _CHOICES = (("QUATERNION_TYPE", ("LAST", "FIRST")), ("ATTITUDE_DIR", ("A2B", "B2
 """Of version 1; the first is what version 2 means."""
 
 
-def read(path: Path) -> Table:
+def read(path: Path, max_samples: int = MAX_SAMPLES) -> Table:
     """Columns `time`, `q_x q_y q_z q_w`: the textbook quaternion of the body relative to the attribute `frame`.
 
     Version 1 states the direction and whether the scalar is first; version 2 is from A to B, scalar last. Raises BadInput
     for other attitude types, and for frames that differ between segments or are not known.
     """
-    message = ccsds.read_message(path, "AEM", 4)
+    message = ccsds.read_message(path, "AEM", 4, max_samples)
     where = str(path)
     parts = [_segment(one, where) for one in message.segments]
     frames = {frame for frame, _ in parts}

@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.limits import require_rows
 
 if TYPE_CHECKING:
     from fluxtwin.sim.telemetry.formats.table import Table
@@ -19,7 +19,7 @@ _HERE = "fluxtwin.sim.telemetry.formats"
 
 @dataclass(frozen=True)
 class Format:
-    """One format. `module` has `read(path) -> Table`, and `write(telemetry, path) -> Path` where `writes`."""
+    """One format. `module` has `read(path, max_samples) -> Table`, and `write(telemetry, path) -> Path` where `writes`."""
 
     name: str
     endings: tuple[str, ...]
@@ -29,9 +29,9 @@ class Format:
     option: str = ""
     """Of a file that has attitude or orbit alone: the option that takes it beside the readings."""
 
-    def read(self, path: Path) -> Table:
-        """The file as a table. Raises BadInput."""
-        found: Table = self._function("read")(path)
+    def read(self, path: Path, max_samples: int) -> Table:
+        """The file as a table. Raises BadInput, for more rows than wanted before they are read."""
+        found: Table = self._function("read")(path, max_samples)
         return found
 
     def write(self, telemetry: Telemetry, path: Path | str) -> Path:
@@ -69,9 +69,6 @@ def table_of(path: Path, max_samples: int) -> Table | None:
     found = format_of(path)
     if found is None:
         return None
-    table = found.read(path)
-    rows = max((len(value) for value in table.columns.values()), default=0)
-    if rows > max_samples:
-        wanted = f"at most {max_samples} (--max-samples N reads more)"
-        raise BadInput(f"has {rows} rows", where=str(path), wanted=wanted)
+    table = found.read(path, max_samples)
+    require_rows(max((len(value) for value in table.columns.values()), default=0), max_samples, str(path))
     return table

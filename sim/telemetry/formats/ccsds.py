@@ -15,6 +15,8 @@ import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import write_text
+from fluxtwin.sim.base.limits import Lines, require_rows
+from fluxtwin.sim.base.seals import require_sealed, sealed
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.telemetry.columns import clip
@@ -50,13 +52,15 @@ class Message:
     segments: list[Segment]
 
 
-def read_message(path: Path, kind: str, width: int) -> Message:
+def read_message(path: Path, kind: str, width: int, max_samples: int) -> Message:
     """The segments of the file, whose rows have at least `width` numbers. kind: AEM or OEM. BadInput names the line."""
-    content, digest = content_of(path)
-    lines = content.decode("utf-8-sig", "replace").splitlines()
+    content, digest = content_of(path, Lines(max_samples, str(path), beside=max_samples + 10_000))
+    text = content.decode("utf-8-sig", "replace")
+    require_sealed(text, where=str(path))
+    lines = text.splitlines()
     version = ""
     segments: list[Segment] = []
-    inside, skipped = False, False
+    inside, skipped, rows = False, False, 0
     for number, raw in enumerate(lines, 1):
         line = raw.strip()
         if not line or line.startswith("COMMENT") or line in ("DATA_START", "DATA_STOP"):
@@ -76,6 +80,7 @@ def read_message(path: Path, kind: str, width: int) -> Message:
                 segments[-1].meta[key] = value
         else:
             _add_row(segments, inside, line, f"{path}, line {number}", width)
+            rows = require_rows(rows + 1, max_samples, str(path), "has at least")
     if not version:
         raise BadInput(
             f"does not begin with CCSDS_{kind}_VERS", where=str(path), wanted=f"a CCSDS {kind} as KVN (not XML)"
@@ -155,7 +160,7 @@ def write_message(
         lines += [f"{stamp} {text}" for stamp, text in zip(stamps, numbers, strict=True)]
         lines += ["DATA_STOP"] * (kind == "AEM")
         comment = []
-    return write_text(path, "\n".join([*lines, ""]))
+    return write_text(path, sealed("\n".join([*lines, ""]), "COMMENT", after=1))
 
 
 def _pieces(time: TimeArray, rows: np.ndarray) -> Iterable[np.ndarray]:

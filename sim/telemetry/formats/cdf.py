@@ -12,22 +12,29 @@ from typing import Any
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.telemetry.formats.table import Table, content_of, extra, require_size
+from fluxtwin.sim.base.limits import MAX_SAMPLES, require_expansion, require_rows
+from fluxtwin.sim.telemetry.formats.table import Table, content_of, extra
 
 _EPOCHS = ("CDF_EPOCH", "CDF_EPOCH16", "CDF_TIME_TT2000")
 
 
-def read(path: Path) -> Table:
+def read(path: Path, max_samples: int = MAX_SAMPLES) -> Table:
     """All variables with one row a record. The first of CDF's own time types is also `time`."""
     cdflib = extra("cdflib", "cdf", path)
-    _, digest = content_of(path)
+    content, digest = content_of(path)
     try:
         opened = cdflib.CDF(str(path))
         info = opened.cdf_info()
         names = [*info.rVariables, *info.zVariables]
         table = Table(str(path), {}, sha256=digest)
+        claimed = 0
         for name in names:
-            _take(opened, cdflib, name, table)
+            about = opened.varinq(name)
+            if about.Rec_Vary and about.Last_Rec >= 0 and "CHAR" not in about.Data_Type_Description:
+                rows = require_rows(about.Last_Rec + 1, max_samples, str(path))
+                claimed += 8 * rows * math.prod(about.Dim_Sizes)
+                require_expansion(claimed, len(content), str(path))
+                _take(opened, cdflib, name, table)
     except BadInput:
         raise
     except Exception as error:  # a damaged CDF raises whatever the parser meets
@@ -41,13 +48,10 @@ def read(path: Path) -> Table:
 
 
 def _take(opened: Any, cdflib: Any, name: str, table: Table) -> None:
-    about = opened.varinq(name)
-    if not about.Rec_Vary or about.Last_Rec < 0 or "CHAR" in about.Data_Type_Description:
-        return
-    require_size(8 * (about.Last_Rec + 1) * math.prod(about.Dim_Sizes), table.where)
+    kind = opened.varinq(name).Data_Type_Description
     raw = np.asarray(opened.varget(name))
     attributes = opened.varattsget(name)
-    if about.Data_Type_Description in _EPOCHS:
+    if kind in _EPOCHS:
         table.columns[name] = _stamps(cdflib, raw)
         return
     if raw.ndim not in (1, 2) or raw.dtype.kind not in "iuf":

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.limits import MAX_SAMPLES, Lines
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.telemetry.formats.table import Table, content_of
 from fluxtwin.sim.telemetry.time_recipes import J2000
@@ -29,9 +30,9 @@ _SIGNALS = {
 """By file: the columns and their factor. Of more numbers a row the last ones count."""
 
 
-def read(path: Path) -> Table:
+def read(path: Path, max_samples: int = MAX_SAMPLES) -> Table:
     """The signals that are there, as columns of a record. BadInput for a run without DynTime.42 or with other rows."""
-    seconds = _numbers(path / "DynTime.42")[:, 0]
+    seconds = _numbers(path / "DynTime.42", max_samples)[:, 0]
     whole = np.floor(seconds)
     count = (whole.astype("int64") * 10**9 + np.rint((seconds - whole) * 1e9).astype("int64")).astype("timedelta64[ns]")
     table = Table(str(path), {"time": epoch.utc_of(J2000 + count, "TT")})
@@ -39,7 +40,7 @@ def read(path: Path) -> Table:
         file = path / f"{name}.42"
         if not file.is_file():
             continue
-        value = _numbers(file)
+        value = _numbers(file, max_samples)
         if value.shape[1] < len(columns):
             table.notices.append(f"{file.name} has {value.shape[1]} columns, {len(columns)} are needed: left out")
             continue
@@ -56,8 +57,8 @@ def read(path: Path) -> Table:
     return table
 
 
-def _numbers(file: Path) -> np.ndarray:
-    content, _ = content_of(file)
+def _numbers(file: Path, max_samples: int) -> np.ndarray:
+    content, _ = content_of(file, Lines(max_samples, str(file)))
     lines = content.decode("ascii", "replace").splitlines()
     try:
         rows = np.array([[float(word) for word in line.split()] for line in lines if line.strip()], dtype=np.float64)

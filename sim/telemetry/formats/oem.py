@@ -7,14 +7,15 @@ from pathlib import Path
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.limits import MAX_SAMPLES
 from fluxtwin.sim.telemetry.formats import ccsds
 from fluxtwin.sim.telemetry.formats.table import Table
 from fluxtwin.sim.telemetry.record import Telemetry
 
 
-def read(path: Path) -> Table:
+def read(path: Path, max_samples: int = MAX_SAMPLES) -> Table:
     """Columns `time`, `x`, `y`, `z` [km], `vx`, `vy`, `vz` [km/s]; attribute `frame`, the same in all segments."""
-    message = ccsds.read_message(path, "OEM", 6)
+    message = ccsds.read_message(path, "OEM", 6, max_samples)
     where = str(path)
     frames = {ccsds.frame_of(one, "REF_FRAME", where) for one in message.segments}
     centres = {one.meta.get("CENTER_NAME", "EARTH").upper() for one in message.segments}

@@ -7,21 +7,23 @@ from pathlib import Path
 from typing import Any
 
 from fluxtwin.sim.base.files import write_bytes
+from fluxtwin.sim.base.limits import MAX_SAMPLES, require_expansion, require_rows
 from fluxtwin.sim.telemetry.columns import file_texts
 from fluxtwin.sim.telemetry.formats.frame import of_file, to_pandas
-from fluxtwin.sim.telemetry.formats.table import Table, extra, require_size
+from fluxtwin.sim.telemetry.formats.table import Table, extra
 from fluxtwin.sim.telemetry.record import Telemetry
 
 
-def read(path: Path) -> Table:
+def read(path: Path, max_samples: int = MAX_SAMPLES) -> Table:
     """The columns of a Parquet file."""
     pyarrow = extra("pyarrow.parquet", "parquet", path)
     import pandas as pd
 
     def unpack(content: bytes) -> Any:
         about = pyarrow.read_metadata(io.BytesIO(content))
-        require_size(8 * about.num_rows * about.num_columns, str(path))
-        return pd.read_parquet(io.BytesIO(content), engine="pyarrow")
+        require_rows(about.num_rows, max_samples, str(path))
+        require_expansion(8 * about.num_rows * about.num_columns, len(content), str(path))
+        return pd.read_parquet(io.BytesIO(content), engine="pyarrow", page_checksum_verification=True)
 
     return of_file(path, "Parquet", ".parquet", unpack)
 
@@ -31,4 +33,4 @@ def write(telemetry: Telemetry, path: Path | str) -> Path:
     extra("pyarrow", "parquet", path)
     frame = to_pandas(telemetry)
     frame = frame.reset_index().assign(**file_texts(telemetry))
-    return write_bytes(path, frame.to_parquet(None, engine="pyarrow", index=False))
+    return write_bytes(path, frame.to_parquet(None, engine="pyarrow", index=False, write_page_checksum=True))

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fluxtwin.sim.base import limits
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.telemetry.columns import TEXTS, FileTable, clip, resolve
 from fluxtwin.sim.telemetry.quantities import DRIVERS, QUANTITIES
 from fluxtwin.sim.telemetry.time_stamps import parse_iso, zone_assumed
 
-_LARGEST = 2 * 1024**3
 _XYZ = ("x", "y", "z", "w")
 
 
@@ -167,24 +167,9 @@ def in_ns(stamps: np.ndarray, name: str, where: str) -> TimeArray:
     return stamps.astype("datetime64[ns]")
 
 
-def require_size(size: int, where: str) -> None:
-    """Raises BadInput for a file that unpacks to more bytes than are read: what is small on disk may not be."""
-    if size > _LARGEST:
-        raise BadInput(f"unpacks to {size} bytes", where=where, wanted=f"at most {_LARGEST}")
-
-
-def content_of(path: Path) -> tuple[bytes, str]:
-    """The bytes of a file and their SHA-256. Raises BadInput where it cannot be read."""
-    try:
-        if path.is_dir():
-            raise BadInput("is a folder", where=str(path), wanted="a file")
-        if path.stat().st_size > _LARGEST:
-            raise BadInput(f"is larger than {_LARGEST} bytes", where=str(path), wanted="a smaller file")
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise BadInput("there is no such file", where=str(path)) from None
-    except OSError as error:
-        raise BadInput(f"cannot be read ({error.strerror or error})", where=str(path)) from None
+def content_of(path: Path, look: Callable[[bytes], None] | None = None) -> tuple[bytes, str]:
+    """The bytes of a file and their SHA-256. look: as of `limits.content_of`. Raises BadInput where it cannot be read."""
+    content = limits.content_of(path, most=limits.TABLE_BYTES, wanted="a file of telemetry", look=look)
     if not content:
         raise BadInput("the file is empty", where=str(path), wanted="telemetry")
     return content, hashlib.sha256(content).hexdigest()

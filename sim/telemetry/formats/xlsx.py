@@ -3,30 +3,49 @@
 from __future__ import annotations
 
 import io
+import re
 import zipfile
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import write_bytes
+from fluxtwin.sim.base.limits import MAX_COLUMNS, MAX_SAMPLES, require_expansion, require_rows
 from fluxtwin.sim.telemetry.columns import file_texts
 from fluxtwin.sim.telemetry.formats.frame import of_file, to_pandas
-from fluxtwin.sim.telemetry.formats.table import Table, extra, require_size
+from fluxtwin.sim.telemetry.formats.table import Table, extra
 from fluxtwin.sim.telemetry.record import Telemetry
 
+_PLACE = re.compile(rb"""\sr=["']([A-Z]{0,4})([0-9]{1,9})["']""")  # of a cell, or of a row
+_CELL_BYTES = 8  # of an empty one
 _MOST_ROWS = 1_048_575  # of a sheet, beside the header
 
 
-def read(path: Path) -> Table:
+def read(path: Path, max_samples: int = MAX_SAMPLES) -> Table:
     """The first sheet. Stamps may be cells of dates (to a millisecond) or text."""
     extra("openpyxl", "xlsx", path)
     import pandas as pd
 
     def unpack(content: bytes) -> Any:
-        require_size(sum(one.file_size for one in zipfile.ZipFile(io.BytesIO(content)).infolist()), str(path))
+        _require_sane(content, max_samples, str(path))
         return pd.read_excel(io.BytesIO(content), sheet_name=0, engine="openpyxl")
 
     return of_file(path, "a workbook", ".xlsx", unpack)
+
+
+def _require_sane(content: bytes, max_samples: int, where: str) -> None:
+    """Raises BadInput for more cells than are read: pandas makes all between the first and the farthest that has a value."""
+    rows = columns = 0
+    with zipfile.ZipFile(io.BytesIO(content)) as book:
+        require_expansion(sum(one.file_size for one in book.infolist()), len(content), where)
+        for name in (one for one in book.namelist() if "sharedStrings" not in one):
+            for column, row in _PLACE.findall(book.read(name)):
+                rows, columns = max(rows, int(row)), max(columns, reduce(lambda n, c: 26 * n + c - 64, column, 0))
+    require_rows(rows - 1, max_samples, where)
+    if columns > MAX_COLUMNS:
+        raise BadInput(f"has {columns} columns", where=where, wanted=f"at most {MAX_COLUMNS}")
+    require_expansion(_CELL_BYTES * rows * columns, len(content), where)
 
 
 def write(telemetry: Telemetry, path: Path | str) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -260,6 +261,28 @@ def test_chaos_file_of_matlab_7_3(tmp_path: Path, close: Callable[..., None]) ->
     expected = np.stack([4.0 + 2.0 * np.array([0, 5, 10, 25, 30]), [0, 5, 10, 25, 30], -np.ones(5)], axis=1)
     close(model.coefficients_nT(time)[:, :3], expected, atol=1e-12, unit="nT", because="a straight line")
     assert model.degree == 2
+
+
+def test_a_damaged_file_of_matlab_costs_its_reader_and_nobody_else(tmp_path: Path) -> None:
+    """Three of these end the process that reads them (signals 7 and 11 in the library)."""
+    import io
+
+    import scipy.io
+
+    rng = np.random.default_rng(0)
+    pp = {"order": 3, "pieces": 3, "dim": 8, "breaks": np.linspace(0, 1000, 4), "coefs": rng.normal(0, 1, (24, 3))}
+    content = io.BytesIO()
+    scipy.io.savemat(content, {"pp": pp, "g": rng.normal(0, 1, (24, 1))})
+    (tmp_path / "good.mat").write_bytes(content.getvalue())
+    assert field.load_field(f"chaos:{tmp_path / 'good.mat'}").degree == 4
+    for seed in (54, 90, 116, 1):
+        damaged = bytearray(content.getvalue())
+        mutant = np.random.default_rng(seed)
+        for place in mutant.integers(128, len(damaged), mutant.integers(1, 4)):
+            damaged[place] = int(mutant.integers(0, 256))
+        (tmp_path / "bad.mat").write_bytes(bytes(damaged))
+        with contextlib.suppress(BadInput):
+            field.load_field(f"chaos:{tmp_path / 'bad.mat'}")
 
 
 @pytest.fixture

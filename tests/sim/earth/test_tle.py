@@ -177,7 +177,7 @@ def test_bad_files_are_named(tmp_path, text, message):
 def test_what_is_no_text_file_is_refused(tmp_path):
     with pytest.raises(BadInput, match="no such file"):
         tle.read_tle(tmp_path / "absent.tle")
-    with pytest.raises(BadInput, match="no such file"):
+    with pytest.raises(BadInput, match="is a folder"):
         tle.read_tle(tmp_path)
     binary = tmp_path / "binary.tle"
     binary.write_bytes(bytes(range(256)))

@@ -276,7 +276,9 @@ GOOD = one_file('{ recipe = "unix_s", columns = "t" }')
         (GOOD.replace("[[file]]", '[[file]]\npath = "*.dat"'), "no file matches '*.dat'"),
         ("[[file]\n", "is not valid TOML"),
         ("x = " + "[" * 5000, "is not valid TOML"),
-        ("a." * 20_000 + "b = 1", "a key of more than thirty parts"),  # minutes of parsing otherwise
+        ('["a b"' + ".'c'" * 20_000 + "]", "a key of more than 16 parts"),
+        (f"x = [{'1,' * 60_000}]", "more than 50000 values"),
+        ("a." * 20_000 + "b = 1", "a key of more than 16 parts"),  # minutes of parsing otherwise
         ("tle = 5\n" + GOOD, "tle"),
         ('tle = "none.tle"\n' + GOOD, "none.tle"),
     ],

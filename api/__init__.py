@@ -6,6 +6,7 @@ The verbs, each imported when it is first used:
     fluxtwin.info("pass.nc")                         # what is in it, and what each verb lacks
     found = fluxtwin.diagnose(telemetry)             # where the gap to the simulation lies, which effect causes it
     found, scenario = fluxtwin.close(found, scenario=None, telemetry="pass.nc")   # a scenario that has the effect
+    fluxtwin.plan(found)                             # what to fly next, so that what is left open can be told
     report = fluxtwin.check(telemetry)               # the classic traps, named; fluxtwin.repair mends a file
     fit = fluxtwin.calibrate(telemetry)              # S, b, T with covariance and observability
     better = fluxtwin.apply(telemetry, fit.calibration)
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from fluxtwin.flight_software import import_calibration as import_calibration
     from fluxtwin.flying import ensemble as ensemble
     from fluxtwin.flying import simulate as simulate
+    from fluxtwin.planning import plan as plan
     from fluxtwin.scenarios.packaged import load_scenario as load_scenario
     from fluxtwin.sim.base.errors import BadInput as BadInput
     from fluxtwin.sim.base.errors import FluxtwinError as FluxtwinError
@@ -87,6 +89,7 @@ _NAMES = {
     ],
     "fluxtwin.flight_software": ("export", "import_calibration"),
     "fluxtwin.diagnosing": ("diagnose", "close"),
+    "fluxtwin.planning": ("plan",),
     "fluxtwin.describing": ("info",),
     "fluxtwin.calib.checks.check": ("repair",),
     "fluxtwin.sim.earth.field_models": ("load_field",),

@@ -14,6 +14,7 @@ from fluxtwin.gap.detectors.noise_level import with_frozen_noise
 from fluxtwin.gap.diagnose import diagnose as investigate_record
 from fluxtwin.gap.held_out import closing, transfer
 from fluxtwin.gap.held_out.closing import Declared as Declared
+from fluxtwin.gap.planning.base import base_tree
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.report import input_warnings
@@ -81,15 +82,15 @@ def diagnose(
     _require_something(record)
     model_name = field or (config.field.model if config is not None else "igrf14")
     model = load_field(model_name, _degree(degree, None if field is not None else config))
-    frozen = () if config is None else _frozen(config)
-    budget = _budget(config, frozen, declared)
+    known = () if config is None else frozen(config)
+    budget = _budget(config, known, declared)
     found = investigate_record(
         record,
         model,
         modelled=modelled,
         budget=budget,
         instrument=None if config is None or record.corrected_by else spacecraft.magnetometer(config),
-        frozen=frozen,
+        frozen=known,
         craft=_craft(config),
         provenance={"source": record.provenance.get("source", "")},
         progress=progress,
@@ -102,7 +103,10 @@ def diagnose(
         stuck if stuck is not None else input_warnings.stuck_and_misfit(record, found.gap.before_nT),
         input_warnings.far_below_budget(found.gap.before_nT, found.gap.floor_nT),
     ]
-    return replace(found, notes=[note for note in notes if note])
+    facts = dict(found.provenance)
+    if found.closure is not None:
+        facts["design"] = base_tree(found.closure, budget.lsb_nT, model_name)
+    return replace(found, notes=[note for note in notes if note], provenance=facts)
 
 
 def close(
@@ -185,7 +189,7 @@ def _budget(config: Scenario | None, frozen: tuple[Active, ...], declared: Decla
     return Budget(*white, sigma_rad, known.attitude_tau_s, sources)
 
 
-def _frozen(config: Scenario) -> tuple[Active, ...]:
+def frozen(config: Scenario) -> tuple[Active, ...]:
     """The scenario's effects, a clip counted from the scenario's own full scale as in the simulation."""
     full_scale_nT = config.magnetometer.full_scale_nT
     return tuple(

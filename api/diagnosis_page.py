@@ -378,7 +378,8 @@ def _p_value(value: float) -> str:
 
 
 def _provenance(diagnosis: Diagnosis) -> dict[str, str]:
-    lines = {key: str(value) for key, value in diagnosis.provenance.items()} | {"notes": "; ".join(diagnosis.notes)}
+    facts = {key: str(value) for key, value in diagnosis.provenance.items() if key != "design"}
+    lines = facts | {"notes": "; ".join(diagnosis.notes)}
     lines["modelled, re-estimated in every test"] = ", ".join(diagnosis.modelled) or "none"
     names = {"used": "used", "cut": "cut as spikes", "without_attitude": "without attitude"}
     lines["samples"] = ", ".join(f"{diagnosis.samples[key]} {words}" for key, words in names.items())

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fluxtwin import calibration_page, describing, diagnosis_page
+from fluxtwin import calibration_page, describing, diagnosis_page, plan_page
 from fluxtwin.calib.checks.report import CheckReport
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.console import shown
 from fluxtwin.gap.records.diagnosis import Diagnosis
+from fluxtwin.gap.records.plan import Plan
 from fluxtwin.scenarios.page import Table
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -110,6 +111,12 @@ def _draw_diagnosis(found: Diagnosis) -> Callable[[Axes], Axes]:
     return lambda axes: on_axes.shares(axes, named, title=f"Where the gap lies: {found.verdict}")
 
 
+def _draw_plan(found: Plan) -> Callable[[Axes], Axes]:
+    from fluxtwin.plots.plan import power_on
+
+    return lambda axes: power_on(axes, found.questions[0])
+
+
 def _draw_record(record: Telemetry) -> Callable[[Axes], Axes] | None:
     from fluxtwin.plots import on_axes
 
@@ -124,6 +131,7 @@ def _draw_record(record: Telemetry) -> Callable[[Axes], Axes] | None:
 _WORDS: dict[type, Callable[[Any], Presented]] = {
     Fit: _fit,
     Diagnosis: _diagnosis,
+    Plan: lambda found: Presented([found.sentence, *found.notes], [plan_page.plan_table(found)]),
     CheckReport: _check,
     Telemetry: lambda record: _inventory(describing.of_record(record)),
     describing.Inventory: _inventory,
@@ -131,6 +139,7 @@ _WORDS: dict[type, Callable[[Any], Presented]] = {
 _PICTURES: dict[type, Callable[[Any], Any]] = {
     Fit: _draw_fit,
     Diagnosis: _draw_diagnosis,
+    Plan: _draw_plan,
     Telemetry: _draw_record,
     object: lambda _: None,
 }

@@ -83,7 +83,7 @@ def settle(closure: Closure) -> Closed:
         problem = dataclasses.replace(
             problem,
             chain=Chain(
-                dataclasses.replace(problem.setting, instrument=_corrected(problem.setting.instrument, modelled))
+                dataclasses.replace(problem.setting, instrument=corrected(problem.setting.instrument, modelled))
             ),
             modelled_theta=tuple(_rest(effect, theta) for effect, theta in modelled),
         )
@@ -134,7 +134,7 @@ def closed_scenario(
     return base.updated(changes)
 
 
-def _corrected(old: Magnetometer, modelled: Sequence[Active]) -> Magnetometer:
+def corrected(old: Magnetometer, modelled: Sequence[Active]) -> Magnetometer:
     """S, b, T with the re-estimated corrections: bias and scale add to b and S exactly, a coupling C is -T."""
     found = {effect.name: theta for effect, theta in modelled}
     S, b, T = np.array(old.S), np.array(old.b_nT), old.T_nT_per_Am2

@@ -73,7 +73,9 @@ def _power(scenario: Scenario, world: World) -> dict[str, FloatArray]:
     sun_B = true_attitude(scenario, world).R_BN.apply(world.sun_N)
     array = power.array_current_A(sun_B, world.illumination, [panel])
     battery = power.Battery(section.battery_capacity_Ah, section.charge_efficiency, section.taper_above)
-    current, _ = power.battery_history(world.time, array, section.load_A, battery)
+    slot = np.floor(epoch.seconds_since(world.time, epoch.MJD2000) / section.switched_every_s)
+    load = section.load_A + section.switched_load_A * (slot % 2.0)
+    current, _ = power.battery_history(world.time, array, load, battery)
     return {"array_current_A": array, "battery_current_A": current}
 
 

@@ -271,6 +271,9 @@ class PowerSection(Section):
     normal_B: Vector3 = (0.0, 0.0, -1.0)
     axis_B: Vector3 | None = None
     load_A: NonNegative = 0.0
+    switched_load_A: NonNegative = 0.0
+    """More load, on and off in turn, `switched_every_s` each."""
+    switched_every_s: Positive = 600.0
     battery_capacity_Ah: Positive = 20.0
     charge_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.9
     taper_above: Annotated[float, Field(gt=0, lt=1)] = 0.9

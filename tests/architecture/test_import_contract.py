@@ -25,7 +25,7 @@ CALIB = {
 }
 GAP = (
     *("gap.linear", "gap.problem", "gap.hypotheses", "gap.noise", "gap.records", "gap.selection", "gap.detectors"),
-    *("gap.held_out", "gap.channels", "gap.posterior", "gap.law", "gap.report", "gap"),
+    *("gap.held_out", "gap.planning", "gap.channels", "gap.posterior", "gap.law", "gap.report", "gap"),
 )
 """In the order in which they may import: each those before it."""
 ALL = SIM | CALIB | {"sim.run", *GAP, "plots", "scenarios"}
@@ -58,6 +58,7 @@ RECORD_MODULES = {
     "fluxtwin.calib.checks.check",
     "fluxtwin.calib.common.records",
     "fluxtwin.gap.records.diagnosis",
+    "fluxtwin.gap.records.plan",
 }
 """What a figure may be drawn from."""
 

@@ -1,0 +1,68 @@
+"""A plan as a table for the terminal and as a page."""
+
+from __future__ import annotations
+
+from fluxtwin.gap.records.plan import Course, Plan, Question
+from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
+
+
+def plan_page(plan: Plan, title: str) -> Page:
+    """The page of a plan: a figure for every question that has names to tell apart, and for the first."""
+    first = [question for question in plan.questions if question.kind != "show"] or plan.questions[:1]
+    return Page(
+        title=title,
+        verdict=plan.sentence,
+        sections=[
+            *(_section(question) for question in first if question.courses),
+            PageSection("What to fly", [], [plan_table(plan)]),
+        ],
+        provenance={key: str(value) for key, value in plan.limits.items()} | {"notes": "; ".join(plan.notes)},
+    )
+
+
+def plan_table(plan: Plan) -> Table:
+    """A line a question: what settles it soonest."""
+    rows = []
+    for question in plan.questions:
+        best = question.best
+        name = " or ".join(question.names)
+        if best is None:
+            rows.append(
+                [name, "none of these manoeuvres" + (f"; {question.instead}" if question.instead else ""), "", ""]
+            )
+        else:
+            rows.append([name, _words(best), f"{best.hours:.2g}", f"{100 * best.power:.0f}"])
+    return Table(
+        "What to fly",
+        ["open question", "manoeuvre", "hours [h]", "power [%]"],
+        rows,
+        "Several names: which of them it is. One name: whether it is there at its typical size. Power: probability that a "
+        "diagnosis of what is flown, with the noise of this record, gives the right answer, the least likely one if there "
+        "are several.",
+    )
+
+
+def answers_table(question: Question) -> Table:
+    """What each way in which it may come out would mean."""
+    rows = [
+        [course.words, answer.cause, f"{100 * answer.power:.0f}", answer.means]
+        for course in question.courses
+        for answer in course.answers
+    ]
+    return Table(
+        f"What the answers would mean: {question.words}", ["manoeuvre", "if it is", "power [%]", "answer"], rows
+    )
+
+
+def _section(question: Question) -> PageSection:
+    from fluxtwin.plots.plan import draw_power
+
+    caption = "Probability of the right answer by the hours flown; dotted: from where on a question counts as settled."
+    block = FigureBlock(f"power_{'_'.join(question.names)}", caption, draw_power(question))
+    heading = question.words[0].upper() + question.words[1:]
+    return PageSection(heading, [], [answers_table(question)], [block])
+
+
+def _words(course: Course) -> str:
+    later = f", {course.wait_days:g} days later"
+    return course.words if not course.wait_days or later in course.words else course.words + later

@@ -1,0 +1,245 @@
+"""The verb `plan`: from a diagnosis to what to fly next; the command and `fluxtwin.plan` both call it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Unpack
+
+import numpy as np
+
+from fluxtwin import diagnosing
+from fluxtwin.gap.noise.whitening import NoiseModel
+from fluxtwin.gap.planning import questions
+from fluxtwin.gap.planning.choose import choose
+from fluxtwin.gap.planning.designs import LimitsFile, LimitsSection, designs
+from fluxtwin.gap.planning.power import Flown
+from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget, pose
+from fluxtwin.gap.records.diagnosis import Diagnosis
+from fluxtwin.gap.records.plan import Plan, Question
+from fluxtwin.one_thread import on_one_blas_thread
+from fluxtwin.scenarios.packaged import as_scenario
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.toml_input import read_model, validate
+from fluxtwin.sim.base.types import BoolArray
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.earth.constants import GM_EARTH_KM3_S2
+from fluxtwin.sim.earth.field_models import load_field
+from fluxtwin.sim.effects.signal import Setting
+from fluxtwin.sim.run import spacecraft
+from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.run.world import ephemeris
+from fluxtwin.sim.scenario.scenario import Scenario
+from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.telemetry_files import Readable, Reading
+from fluxtwin.verbs import as_record, with_reading
+
+_MOST_ROWS = 1_200
+"""Of a design: two orbits at ten seconds."""
+_ORBITS = 2.0
+_DAY_S = 86400.0
+
+
+@on_one_blas_thread
+@with_reading
+def plan(
+    telemetry: Readable | Diagnosis,
+    *,
+    limits: LimitsSection | Mapping[str, Any] | Path | str | None = None,
+    scenario: Scenario | Path | str | None = None,
+    names: Sequence[str] = (),
+    modelled: Sequence[str] = DEFAULT_MODELLED,
+    noise_nT: float | None = None,
+    lsb_nT: float | None = None,
+    attitude_sigma_deg: float | None = None,
+    attitude_tau_s: float | None = None,
+    field: str | None = None,
+    degree: int | None = None,
+    progress: Progress = silent,
+    **reading: Unpack[Reading],
+) -> Plan:
+    """What to fly next so that a diagnosis can tell what this one leaves open, with the power of each manoeuvre.
+
+    telemetry: a record or its file, which is diagnosed first with the options of `fluxtwin.diagnose`; or a diagnosis, or
+    the JSON of one. limits: what may be flown, as `[limits]` in a file. scenario: the spacecraft as it is flown; without
+    one its orbit, noise and housekeeping are taken from the record. names: ask about these effects alone: one is to be
+    shown at its typical size, several are to be told apart.
+    Raises BadInput for limits that leave nothing to fly, NoAnswer where nothing is left open.
+    """
+    allowed = _limits(limits)
+    config = None if scenario is None else as_scenario(scenario)
+    diagnosis: Diagnosis | None
+    if isinstance(telemetry, Diagnosis):
+        diagnosis, plain = telemetry, telemetry.to_dict()
+    elif isinstance(telemetry, Path | str) and str(telemetry).lower().endswith(".json"):
+        diagnosis, plain = None, _read(Path(telemetry))
+    else:
+        diagnosis = diagnosing.diagnose(
+            as_record(telemetry, **reading),
+            scenario=config,
+            modelled=modelled,
+            noise_nT=noise_nT,
+            lsb_nT=lsb_nT,
+            attitude_sigma_deg=attitude_sigma_deg,
+            attitude_tau_s=attitude_tau_s,
+            field=field,
+            degree=degree,
+            progress=lambda words, share: progress(words, 0.3 * share),
+        )
+        plain = diagnosis.to_dict()
+    base = config if config is not None and config.orbit is not None else _base(plain)
+    model_name = field or base.field.model
+    where = _Where(base, plain["modelled"], model_name, degree if degree is not None else base.field.degree)
+    start, hours, step_s = _when(base, allowed)
+    progress("flying what may be flown", 0.35)
+    every = designs(base, allowed, hours, step_s, start)
+    flown, refused = [], {}
+    for place, design in enumerate(every):
+        progress(design.words, 0.35 + 0.4 * place / len(every))
+        record, _ = simulate(design.scenario)
+        view = where.flown(record, design.scenario)
+        bad = _towards_sun(view.problem.setting, allowed)
+        if bad.any():
+            refused[design.words] = f"its axis is too near the sun for {100 * bad.mean():.0f} % of the time"
+        else:
+            flown.append((design, view))
+    if not flown:
+        raise BadInput("no manoeuvre is allowed", where="[limits]", wanted="attitudes that keep the axis from the sun")
+    closure = None if diagnosis is None else diagnosis.closure
+    here = flown[0][1] if closure is None else Flown(closure.problem, closure.whitener.noise)
+    open_ = _about(names, plain, here) if names else questions.asked(plain, here)
+    if not open_:
+        raise NoAnswer("nothing is left open: every name is told from the others and shown at its typical size")
+    found = []
+    for place, question in enumerate(open_):
+        progress(question.words, 0.75 + 0.25 * place / len(open_))
+        found.append(choose(question, flown))
+        best = found[-1].best
+        if len(question.causes) > 2 and (best is None or not best.settles):
+            parts = [choose(part, flown) for part in questions.by_pairs(question)]
+            found[-1:] = [*parts, found[-1]]
+    progress("done", 1.0)
+    return Plan(
+        sentence=sentence(found[0]),
+        questions=found,
+        limits=allowed.model_dump(exclude_none=True) | {"hours": hours, "step_s": step_s},
+        refused=refused,
+        notes=_notes(config),
+    )
+
+
+def sentence(question: Question) -> str:
+    """What to do, in one line."""
+    best = question.best
+    if best is None:
+        also = f" The catalogue says: {question.instead}." if question.instead else ""
+        return f"No manoeuvre within the limits settles {question.words}.{also}"
+    wait = f", {best.wait_days:g} days from now" if best.wait_days else ""
+    sure = f"the answer is then right with {100 * best.power:.0f} %"
+    return f"To settle {question.words}, fly {best.words} for {best.hours:.2g} h{wait}; {sure}."
+
+
+def view_of(record: Telemetry, scenario: Scenario, modelled: Sequence[str] = DEFAULT_MODELLED) -> Flown:
+    """What a diagnosis of a record would see, given the scenario that it was flown by."""
+    return _Where(scenario, modelled, scenario.field.model, scenario.field.degree).flown(record, scenario)
+
+
+class _Where:
+    """How a later diagnosis will look at what is flown."""
+
+    def __init__(self, base: Scenario, modelled: Sequence[str], field: str, degree: int | None) -> None:
+        self.modelled, self.model = modelled, load_field(field, degree)
+        section, reference = base.magnetometer, base.attitude.reference
+        sigma_rad = float(np.radians(reference.sigma_deg))
+        self.budget = Budget(section.white_nT, section.step_nT, sigma_rad, reference.tau_s)
+        white = float(np.hypot(section.white_nT, section.step_nT / np.sqrt(12.0)))
+        self.noise = NoiseModel(max(white, 1e-3), sigma_rad, reference.tau_s)
+
+    def flown(self, record: Telemetry, scenario: Scenario) -> Flown:
+        problem = pose(
+            record,
+            self.model,
+            modelled=self.modelled,
+            budget=self.budget,
+            instrument=spacecraft.magnetometer(scenario),
+            frozen=diagnosing.frozen(scenario),
+        )
+        return Flown(problem, self.noise)
+
+
+def _about(names: Sequence[str], plain: Mapping[str, Any], here: Flown) -> list[questions.Open]:
+    for name in names:
+        questions.signal(name)
+    if len(names) == 1:
+        return [questions.to_show(names[0])]
+    known = [one for one in plain["effects"] if one["name"] in names]
+    first = questions.cause_of(known[0]) if known else questions.typical(names[0])
+    found = questions.told_apart([first.name, *names], here, first)
+    if not found:
+        raise NoAnswer(f"none of {', '.join(names)} can look like {first.name} in these data: they are told apart")
+    return found
+
+
+def _limits(given: LimitsSection | Mapping[str, Any] | Path | str | None) -> LimitsSection:
+    if isinstance(given, LimitsSection):
+        return given
+    if given is None:
+        return LimitsSection()
+    if isinstance(given, Mapping):
+        return validate({"limits": given}, LimitsFile, where="limits").limits
+    return read_model(given, LimitsFile).limits
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise BadInput(
+            f"cannot be read: {error}", where=str(path), wanted="what fluxtwin diagnose --json wrote"
+        ) from None
+    if not isinstance(found, dict) or not {"verdict", "effects", "minimum_detectable"} <= set(found):
+        raise BadInput("this is no diagnosis", where=str(path), wanted="what fluxtwin diagnose --json wrote")
+    return found
+
+
+def _base(plain: Mapping[str, Any]) -> Scenario:
+    tree = plain["provenance"].get("design")
+    if tree is None:
+        raise BadInput(
+            "the diagnosis does not say which orbit was flown", where="plan", wanted="--scenario FILE with [orbit]"
+        )
+    return validate(tree, Scenario, where="the design of the diagnosis")
+
+
+def _when(base: Scenario, limits: LimitsSection) -> tuple[np.datetime64, float, float]:
+    """A day after the record ends; hours; seconds between rows."""
+    assert base.schedule is not None
+    last = base.schedule.segments[-1]
+    end = epoch.add_seconds(epoch.parse_time(last.start_utc), last.step_s * (last.count - 1))[0]
+    start = epoch.add_seconds(end, _DAY_S)[0].astype("datetime64[m]").astype("datetime64[ns]")
+    r, v = ephemeris(base, np.array([start]))
+    energy = 2.0 / np.linalg.norm(r[0]) - float(v[0] @ v[0]) / GM_EARTH_KM3_S2
+    orbit_h = float(2.0 * np.pi * np.sqrt(1.0 / energy**3 / GM_EARTH_KM3_S2)) / 3600.0
+    hours = limits.hours or _ORBITS * orbit_h
+    step_s = limits.step_s or max(last.step_s, float(np.ceil(3600.0 * hours / _MOST_ROWS)))
+    return start, hours, step_s
+
+
+def _towards_sun(setting: Setting, limits: LimitsSection) -> BoolArray:
+    """(N,) rows in which the axis that must not is too near the sun."""
+    if limits.keep_from_sun_B is None:
+        return np.zeros(setting.time.size, dtype=np.bool_)
+    axis = np.array(limits.keep_from_sun_B) / np.linalg.norm(limits.keep_from_sun_B)
+    cosine = setting.given[2].apply(setting.sun_N) @ axis
+    return np.asarray((cosine > np.cos(np.radians(limits.keep_from_sun_deg))) & (setting.illumination > 0.5))
+
+
+def _notes(config: Scenario | None) -> list[str]:
+    if config is not None:
+        return []
+    return [
+        "orbit, noise, calibration, torquers and housekeeping of the manoeuvres are taken from the record; "
+        "--scenario FILE says them better"
+    ]

@@ -1,0 +1,215 @@
+"""With what probability a diagnosis of a design would give the right answer.
+
+A cause that makes the signal u is told from another when |(I - P[N, X_b]) u|^2 is large, N what is re-estimated and X_b the
+image of the other: optimal discrimination (Atkinson & Fedorov 1975, Biometrika 62, 57). What that is worth is up to the
+criterion of the diagnosis, which weighs all candidates at once: so noise is drawn in the span of all of them, where it is
+white, and its own rules are applied to each draw.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.stats import chi2, ncx2
+
+from fluxtwin.gap.hypotheses.candidates import Candidate, candidate_of, candidates
+from fluxtwin.gap.linear.projection import SHARE_LEFT, least_share, projected
+from fluxtwin.gap.noise.choice import NoiseModel, whitener_of
+from fluxtwin.gap.noise.whitening import Whitener
+from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.gap.selection.criterion import SHAPE, THRESHOLD, penalty
+from fluxtwin.gap.selection.detectable import GATE, noncentrality, smallest
+from fluxtwin.gap.selection.groups import alike, shares_by_name
+from fluxtwin.gap.selection.refit import Readings, refit
+from fluxtwin.gap.selection.score import Board, board, whitened
+from fluxtwin.gap.selection.support import IN_GROUP
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.effects.base import SignalEffect
+
+_DRAWS = 400
+"""A power of 0.9 is then good to 0.015."""
+_SEED = 18
+_REFITTED = 5
+_FAR = 40.0
+"""Candidates that are refitted: so many, and not where the cause does better by so much; noise makes up for half of it once
+in a thousand draws, sd 2 sqrt(40)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """What may be behind a gap: an effect with its settings and size."""
+
+    effect: SignalEffect
+    theta: FloatArray
+
+    @property
+    def name(self) -> str:
+        return self.effect.name
+
+
+class Flown:
+    """A design as a diagnosis of it would see it: all candidates, whitened."""
+
+    def __init__(self, problem: Problem, noise: NoiseModel) -> None:
+        self.problem = problem
+        self.whitener: Whitener = whitener_of(problem, noise, None)
+        self.found, self.untestable = candidates(problem)
+        self._white = whitened(self.found, self.whitener, problem.rows)
+        self._nuisance = self.whitener.apply(problem.nuisance) if problem.modelled else problem.nuisance
+        self._shown: dict[int, dict[str, float]] = {}
+        self._signals: dict[Cause, tuple[list[Candidate], FloatArray, FloatArray]] = {}
+
+    @cached_property
+    def same(self) -> dict[str, tuple[str, ...]]:
+        """Names that imitate each other here, {name: names, its own first}."""
+        return alike(shares_by_name(self.board(self.found, self._white, self.problem.rows)))
+
+    def board(self, found: Sequence[Candidate], white: FloatArray, rows: int) -> Board:
+        """The tests on the first rows alone; whitening looks back only, so it is that of the longer record."""
+        measured = int((self.whitener.weights[:rows] > 0).sum())
+        share = least_share(self.whitener, SHARE_LEFT)
+        nothing = np.zeros((rows, 3))
+        return board(found, np.ascontiguousarray(white[:rows]), nothing, self._nuisance[:rows], measured, share)
+
+    def shown(self, rows: int) -> dict[str, float]:
+        """{name: probability that its typical size is seen}; what is not there cannot be tested."""
+        if rows not in self._shown:
+            scored, power = self.board(self.found, self._white, rows), {}
+            tested = max(int((scored.rank > 0).sum()), 1)
+            for name, (relative, owner, _) in smallest(scored)[0].items():
+                rank = int(scored.rank[owner])
+                size = noncentrality(rank, tested) / relative**2
+                power[name] = float(ncx2.sf(chi2.isf(GATE / tested, rank), rank, size))
+            self._shown[rows] = power
+        return self._shown[rows]
+
+    def told(self, cause: Cause, names: Sequence[str], rows: int) -> float:
+        """Probability that a diagnosis of the first rows names `cause`, which is there, and none of the others with it."""
+        others = {*names} - {cause.name}
+        if cause.name in self.untestable or others & {*self.same.get(cause.name, ())}:
+            return 0.0
+        found, white, signal = self._bent(cause)
+        return probability_of(cause.name, others, self.board(found, white, rows), signal[:rows].reshape(-1))
+
+    def imitating(self, cause: Cause, name: str) -> Cause | None:
+        """Another effect with the setting and size that look most like a cause here; None where it cannot be tested."""
+        fits = [
+            (refit(Readings(self._with(cause), self.whitener), [(c.effect, np.zeros(c.live.size))]), c)
+            for c in self.found
+            if c.name == name
+        ]
+        if not fits:
+            return None
+        best, candidate = min(fits, key=lambda pair: pair[0].chi2)
+        return self.plausible(Cause(candidate.effect, best.chosen[0][1]))
+
+    def plausible(self, cause: Cause) -> Cause:
+        """The cause without what these data do not say of its parameters: they are taken as alike in their typical sizes,
+        with the common size that is likeliest (empirical Bayes), so that what is not seen here is not made much of on
+        another manoeuvre."""
+        scale = np.array([parameter.scale for parameter in cause.effect.parameters])
+        if scale.size == 1:
+            return cause
+        image = candidate_of(self.problem, cause.effect, modelled=self.problem.modelled_active).jacobian * scale
+        left = projected(self.whitener, image[:, :, 0], self.problem.nuisance).project(image)[0]
+        values, vectors = np.linalg.eigh(left.T @ left)
+        values = np.maximum(values, 0.0)
+        along = vectors.T @ (cause.theta / scale)
+        sizes = np.geomspace(1e-3, 1e3, 121)[:, None]
+        spread = 1.0 + sizes**2 * values
+        likely = -0.5 * np.sum(np.log(spread) + values * along**2 / spread, axis=1)
+        shrunk = along * (1.0 - 1.0 / spread[int(np.argmax(likely))])
+        low, high = (np.array([getattr(p, end) for p in cause.effect.parameters]) for end in ("low", "high"))
+        return Cause(cause.effect, np.clip(vectors @ shrunk * scale, low, high))
+
+    def _with(self, cause: Cause) -> Problem:
+        """The problem with noise-free readings in which the cause is."""
+        on = [*self.problem.frozen, *self.problem.modelled_active, (cause.effect, cause.theta)]
+        readings = self.problem.telemetry.replace(mag_B_nT=self.problem.chain.reading_nT(on))
+        return dataclasses.replace(self.problem, telemetry=readings)
+
+    def _bent(self, cause: Cause) -> tuple[list[Candidate], FloatArray, FloatArray]:
+        """Candidates, their whitened columns (M, 3, P) and the whitened signal (M, 3) of a cause.
+
+        Large effects are not linear, and some have one sign only: the images of the cause and of what looks most like it
+        are secants to the size that they take on when they are refitted, as the diagnosis would refit them.
+        """
+        if cause in self._signals:
+            return self._signals[cause]
+        readings = Readings(self._with(cause), self.whitener)
+        signal = self.whitener.apply(readings.problem.residual_nT)
+        found, white = list(self.found), self._white
+        if all(c.effect != cause.effect for c in found):
+            found.append(candidate_of(self.problem, cause.effect, modelled=self.problem.modelled_active))
+            own = self.whitener.apply(found[-1].jacobian[:, :, found[-1].live])
+            white = np.concatenate([white, own], axis=2)
+        scored = self.board(found, white, self.problem.rows)
+        drop = _drops(scored, _score(scored, signal.reshape(-1))[:, None])[:, 0]
+        worse = (drop.max() - drop) / (1.0 + SHAPE * drop.max())
+        near = [int(n) for n in np.argsort(worse) if worse[n] < _FAR and scored.rank[n] > 0][:_REFITTED]
+        first = next(n for n, c in enumerate(found) if c.effect == cause.effect)
+        white = np.array(white)
+        for number in dict.fromkeys([first, *near]):
+            if number == first:
+                theta, made, columns = cause.theta, signal, readings.jacobian([(cause.effect, cause.theta)])
+            else:
+                fit = refit(readings, [(found[number].effect, scored.estimate([number])[0])])
+                theta, made, columns = fit.chosen[0][1], signal - fit.residual, fit.jacobian[:, :, fit.slices()[0]]
+            white[:, :, scored.owner == number] = _secant(columns, theta, made)[:, :, found[number].live]
+        self._signals[cause] = found, white, signal
+        return self._signals[cause]
+
+
+def _secant(columns: FloatArray, theta: FloatArray, made: FloatArray) -> FloatArray:
+    """Columns (M, 3, p) at theta (p,), with one in place of which they add up to what theta has made (M, 3); none where
+    theta is at the edge of its range, at nothing."""
+    size = np.linalg.norm(columns.reshape(-1, theta.size), axis=0) * np.abs(theta)
+    if not size.any():
+        return np.zeros_like(columns)
+    most, bent = int(np.argmax(size)), np.array(columns)
+    bent[:, :, most] = made / theta[most]
+    return bent
+
+
+def _score(scored: Board, signal: FloatArray) -> FloatArray:
+    """(R,) a whitened signal (3M,) along each orthonormal direction of the candidates."""
+    left = signal - scored.nuisance_basis @ (scored.nuisance_basis.T @ signal)
+    return np.asarray(scored.turn.T @ (scored.columns.T @ left))
+
+
+def _drops(scored: Board, score: FloatArray) -> FloatArray:
+    """(K, D) drop of chi-square by each candidate, of scores (R, D)."""
+    drop = np.zeros((len(scored.candidates), score.shape[1]))
+    np.add.at(drop, scored.block.astype(int), score**2)
+    return drop
+
+
+def probability_of(name: str, others: Collection[str], scored: Board, signal: FloatArray) -> float:
+    """That the rules of the search name it, with none of the others in its group, where the whitened signal (3M,) is its."""
+    names = [candidate.name for candidate in scored.candidates]
+    if not any(scored.rank[n] for n, one in enumerate(names) if one == name):
+        return 0.0
+    values, vectors = np.linalg.eigh(scored.unit_gram)
+    noise = np.random.default_rng(_SEED).standard_normal((values.size, _DRAWS))
+    score = _score(scored, signal)[:, None] + (vectors * np.sqrt(np.maximum(values, 0.0))) @ noise
+    rank = scored.rank[:, None].astype(float)
+    drop = _drops(scored, score)
+    samples, tested = max(scored.measured / 3.0, 2.0), max(int((scored.rank > 0).sum()), 1)
+    price = penalty(rank, drop, samples)
+    cost = np.where(rank > 0, price - drop, np.inf)
+    best, draw = np.argmin(cost, axis=0), np.arange(_DRAWS)
+    own, least = drop[best, draw], cost[best, draw]
+    p_value = tested * chi2.sf(drop, np.maximum(rank, 1.0)).min(axis=0, where=rank > 0, initial=1.0)
+    seen = (p_value <= GATE) & (-least - 2.0 * np.log(tested) > THRESHOLD)
+    worse = (own - drop) / (1.0 + SHAPE * own) + price - price[best, draw]
+    weight = np.where(rank > 0, np.exp(-0.5 * np.clip(worse, -100.0, 1400.0)), 0.0)
+    mine = np.array([one == name for one in names])
+    total = weight.sum(axis=0)
+    beside = np.zeros(_DRAWS)
+    for other in others:
+        beside = np.maximum(beside, weight[[one == other for one in names]].sum(axis=0))
+    return float(np.mean(seen & mine[best] & (beside < IN_GROUP * total)))

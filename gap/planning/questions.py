@@ -1,0 +1,106 @@
+"""What a diagnosis leaves open, as questions to be settled by flying: read from the diagnosis or from its JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fluxtwin.gap.planning.power import Cause, Flown
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.effects.base import Effect, SignalEffect
+from fluxtwin.sim.effects.catalogue import find_effect
+
+_MOST_ALIKE = 4
+"""Names of one question: six pairs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Open:
+    """One question. Causes with their sizes are to be told apart; a name alone is to be shown at its typical size."""
+
+    names: tuple[str, ...]
+    causes: tuple[Cause, ...]
+    words: str
+
+    @property
+    def kind(self) -> str:
+        return "tell_apart" if self.causes else "show"
+
+
+def asked(found: Mapping[str, Any], flown: Flown) -> list[Open]:
+    """Of a diagnosis as plain values: names that it does not tell apart, what an unknown cause resembles, what is
+    untestable, what would not have shown at its typical size. flown: where the names looked alike."""
+    questions = []
+    for effect in found["effects"]:
+        if len(effect["group"]) > 1:
+            questions += told_apart(effect["group"], flown, cause_of(effect))
+    if found["verdict"] == "unknown" and len(found["resembles"]) > 1:
+        questions += told_apart(found["resembles"], flown, typical(found["resembles"][0]))
+    named = {effect["name"] for effect in found["effects"]}
+    small = [name for name in found["minimum_detectable"] if name in found["would_settle"] and name not in named]
+    for name in [*small, *(name for name in found["untestable"] if name not in small)]:
+        if isinstance(find_effect(name), SignalEffect):
+            questions.append(to_show(name))
+    return questions
+
+
+def told_apart(names: Sequence[str], flown: Flown, first: Cause) -> list[Open]:
+    """The question which of these it is; the first as it was found, the others as they look most like it."""
+    causes = [flown.plausible(first)]
+    for name in [name for name in names if name != first.name][: _MOST_ALIKE - 1]:
+        other = flown.imitating(first, name)
+        if other is not None and other.theta.any():  # else its sign is the wrong one
+            causes.append(other)
+    return [apart(causes)] if len(causes) > 1 else []
+
+
+def apart(causes: Sequence[Cause]) -> Open:
+    """The question which of these causes it is."""
+    names = tuple(cause.name for cause in causes)
+    return Open(names, tuple(causes), f"whether it is {' or '.join(names)}")
+
+
+def by_pairs(question: Open) -> list[Open]:
+    """The first cause against each of the others: what can be settled of a question that no one manoeuvre settles."""
+    first, *others = question.causes
+    return [apart([first, other]) for other in others]
+
+
+def to_show(name: str) -> Open:
+    """The question whether an effect of its typical size is there."""
+    return Open((name,), (), f"whether {name} of a typical size is there")
+
+
+def typical(name: str) -> Cause:
+    """An effect at its typical size: one parameter, or all of a vector."""
+    effect = signal(name)
+    return Cause(effect, np.array([parameter.scale for parameter in effect.parameters]))
+
+
+def signal(name: str) -> SignalEffect:
+    """The effect of that name; BadInput for one that no image in the readings can be made of."""
+    effect = find_effect(name, where="--for")
+    if not isinstance(effect, SignalEffect):
+        raise BadInput(
+            f"{name} is known by its distribution, not by its course", where="--for", wanted="another effect"
+        )
+    return effect
+
+
+def cause_of(effect: Mapping[str, Any]) -> Cause:
+    """An effect of a diagnosis, as it was found."""
+    kind = _with_settings(signal(effect["name"]), effect["settings"])
+    values = {name: one["value"] for name, one in effect["parameters"].items()}
+    return Cause(kind, np.array([float(values.get(parameter.name, 0.0)) for parameter in kind.parameters]))
+
+
+def _with_settings(effect: SignalEffect, settings: Mapping[str, Any]) -> SignalEffect:
+    known = {one.name for one in dataclasses.fields(effect) if one.init}
+    given = {key: tuple(v) if isinstance(v, list) else v for key, v in settings.items() if key in known}
+    made: Effect = dataclasses.replace(effect, **given)
+    assert isinstance(made, SignalEffect)
+    return made

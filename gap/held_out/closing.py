@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from fluxtwin.gap.noise.budget import reading_spacing
 from fluxtwin.gap.records.diagnosis import Closure, Transfer
 from fluxtwin.gap.selection.refit import Readings, refit
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
@@ -194,7 +195,9 @@ def _files(base: Scenario) -> dict[str, Any]:
 
 def _noise(closure: Closure, declared: Declared) -> dict[str, Any]:
     """Noise, reference attitude and field of a scenario that had none of them."""
-    noise, lsb_nT = closure.whitener.noise, declared.lsb_nT or 0.0
+    noise, lsb_nT = closure.whitener.noise, declared.lsb_nT
+    if lsb_nT is None:  # not zero: a step that a scenario does not have would be a gap
+        lsb_nT = reading_spacing(np.asarray(closure.problem.telemetry.mag_B_nT)) or 0.0
     white_nT = declared.noise_nT
     if white_nT is None:
         extra = sum(float(one.theta[0]) ** 2 for one in closure.stochastic if one.name == "excess_noise")

@@ -111,6 +111,19 @@ def test_the_scenario_takes_S_b_and_T_and_survives_the_file(
     assert again.closure.rows == problem.rows and again.closure.telemetry == "flight.csv"
 
 
+def test_the_scenario_of_a_record_has_the_step_of_its_readings(problem: Problem, tmp_path: Path, close) -> None:
+    """Without it the next record's own step would be a gap, `coarse_quantization`; what was declared comes first."""
+    record = problem.telemetry
+    stepped = record.replace(mag_B_nT=np.rint(record.mag_B_nT / 40.0) * 40.0)
+    closure = closure_of(dataclasses.replace(problem, telemetry=stepped))
+    closed = dataclasses.replace(settle(closure), named=((find_effect("time_tag_offset"), np.ones(1), np.eye(1)),))
+    steps = [
+        closed_scenario(closure, closed, [], None, tmp_path / "x.csv", None, declared).magnetometer.lsb_nT
+        for declared in (Declared(), Declared(lsb_nT=25.0))
+    ]
+    close(steps, [40.0, 25.0], atol=1e-6, unit="nT", because="the readings are multiples of it")
+
+
 def test_an_effect_that_the_scenario_has_is_added_to_or_refused(problem: Problem, scenario: Scenario) -> None:
     lag, late = find_effect("sensor_lag"), find_effect("time_tag_offset")
     had = dataclasses.replace(problem, frozen=((late, np.array([2.0])), (SwitchedField("night"), np.ones(3))))

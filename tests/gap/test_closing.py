@@ -115,8 +115,10 @@ def test_the_scenario_of_a_record_has_the_step_of_its_readings(problem: Problem,
     """Without it the next record's own step would be a gap, `coarse_quantization`; what was declared comes first."""
     record = problem.telemetry
     stepped = record.replace(mag_B_nT=np.rint(record.mag_B_nT / 40.0) * 40.0)
+    late = find_effect("time_tag_offset")
     closure = closure_of(dataclasses.replace(problem, telemetry=stepped))
-    closed = dataclasses.replace(settle(closure), named=((find_effect("time_tag_offset"), np.ones(1), np.eye(1)),))
+    closed = dataclasses.replace(settle(closure), named=((late, np.ones(1), np.eye(1)),))
+    closure = dataclasses.replace(closure, chosen=((late, np.ones(1)),))
     steps = [
         closed_scenario(closure, closed, [], None, tmp_path / "x.csv", None, declared).magnetometer.lsb_nT
         for declared in (Declared(), Declared(lsb_nT=25.0))

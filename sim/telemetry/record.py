@@ -229,8 +229,10 @@ def recorded_columns(telemetry: Telemetry) -> dict[str, FloatArray]:
 
 
 def plain_text(text: str) -> str:
-    """`text` as it stands in a CSV cell: no comma, quote or control character, at most 80 bytes of UTF-8."""
+    """`text` as it stands in a CSV cell: no comma, quote or control character, no formula of a spreadsheet, at most 80 bytes
+    of UTF-8."""
     kept = "".join({",": ";", '"': "'"}.get(c, c if c.isprintable() else " ") for c in text).strip()
+    kept = f"'{kept}" if kept.startswith(("=", "+", "-", "@")) else kept
     return kept.encode("utf-8")[:TEXT_BYTES].decode("utf-8", "ignore").strip()
 
 

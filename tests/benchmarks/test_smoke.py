@@ -5,6 +5,9 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -94,6 +97,20 @@ def test_fields_are_the_same(quick: Run) -> None:
         assert name in shown
         assert row["largest_difference_nT"] < 1e-6, name  # the same field, or the ratio means nothing
     assert all(reason and reason in shown for reason in record["skipped"].values())
+
+
+@pytest.mark.skipif(os.name != "posix", reason="fork and signals of POSIX")
+def test_files_can_be_trusted(tmp_path: Path) -> None:
+    """In a process of its own, which forks: a little of the parts that take seconds."""
+    target = tmp_path / "trust.json"
+    parts = [f"--only={part}" for part in ("hostile", "commands", "bits", "bombs", "disk")]
+    command = [sys.executable, "-m", "benchmarks.trust", "--quick", "--disk=24", *parts, "--json", str(target)]
+    done = subprocess.run(command, cwd=FOLDER.parent, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = {row["name"]: row for row in json.loads(target.read_text(encoding="utf-8"))["rows"]}
+    assert all(row["trials"] or "no right" in row["note"] for row in rows.values())
+    assert rows["one bit flipped in a file of ours"]["trials"] >= 120
+    assert len(rows) == 22 + 1 + 1 + 1 + 6
 
 
 @pytest.mark.parametrize(

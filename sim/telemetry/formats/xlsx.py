@@ -18,6 +18,7 @@ from fluxtwin.sim.telemetry.formats.table import Table, extra
 from fluxtwin.sim.telemetry.record import Telemetry
 
 _PLACE = re.compile(rb"""\sr=["']([A-Z]{0,4})([0-9]{1,9})["']""")  # of a cell, or of a row
+_DATE = re.compile(rb"(<dcterms:(?:created|modified) [^>]*>)[^<]*")
 _CELL_BYTES = 8  # of an empty one
 _MOST_ROWS = 1_048_575  # of a sheet, beside the header
 
@@ -60,4 +61,15 @@ def write(telemetry: Telemetry, path: Path | str) -> Path:
     frame.index.name = "time"
     made = io.BytesIO()
     frame.reset_index().assign(**file_texts(telemetry)).to_excel(made, index=False, engine="openpyxl")
-    return write_bytes(path, made.getbuffer())
+    return write_bytes(path, _undated(made))
+
+
+def _undated(made: io.BytesIO) -> bytes:
+    """The workbook without the hour it was made at: the same record gives the same bytes."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(made) as book, zipfile.ZipFile(out, "w") as plain:
+        for one in book.namelist():
+            plain.writestr(
+                zipfile.ZipInfo(one), _DATE.sub(rb"\g<1>1980-01-01T00:00:00Z", book.read(one)), zipfile.ZIP_DEFLATED
+            )
+    return out.getvalue()

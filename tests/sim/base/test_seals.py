@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -150,3 +152,20 @@ def test_a_file_of_a_later_format_asks_for_a_newer_program(tmp_path: Path, name:
     write_text(tmp_path / name, text)
     with pytest.raises(BadInput, match=r"its format is 2; this fluxtwin knows format 1\. Wanted: a newer fluxtwin"):
         read(tmp_path / name)
+
+
+def test_a_name_that_is_a_formula_is_none_in_a_table(tmp_path: Path) -> None:
+    for text in ("=1+1", "+cmd", "-2", "@SUM(A1)", " =1"):
+        record = small_record(12).replace(provenance={"spacecraft": text})
+        path = write_telemetry(record, tmp_path / "t.csv")
+        assert path.read_text(encoding="utf-8").splitlines()[1].split(",")[-2] == f"'{text.strip()}"
+        assert write_telemetry(read_telemetry(path), tmp_path / "again.csv").read_bytes() == path.read_bytes()
+
+
+def test_a_workbook_has_no_date_inside(tmp_path: Path) -> None:
+    """The hour at which it was made would give the same record other bytes."""
+    with zipfile.ZipFile(write_telemetry(small_record(12), tmp_path / "a.xlsx")) as book:
+        assert {one.date_time for one in book.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+        dates = re.findall(rb"<dcterms:[^>]*>([^<]*)", book.read("docProps/core.xml"))
+    assert dates == [b"1980-01-01T00:00:00Z"] * 2
+    assert len(read_telemetry(tmp_path / "a.xlsx")) == 12

@@ -1,0 +1,1 @@
+"""Hostile input, faults of the disk, flipped bits, reports, repeatability, places: see `__main__`."""

@@ -1,0 +1,108 @@
+"""What a user may trust in, measured: one table.
+
+python -m benchmarks.trust                 all of it: about half an hour; the table also goes to docs/trust.md
+python -m benchmarks.trust --quick         a little of each: does it still hold?
+python -m benchmarks.trust --mutants 200000 --only hostile
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from . import disk, hostile, repeat
+from .harness import Row
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "trust.md"
+ABOUT = """# What you may trust in, measured
+
+`python -m benchmarks.trust` makes this table: it damages files, fills disks, stops processes and moves the program about,
+and counts what should not have happened. Each trial is a process of its own, or one of many in a process whose end by a
+signal is counted. What is refused, and the limits, stand in [SECURITY.md](../SECURITY.md).
+
+| trial | how many | faults | wanted | found |
+|---|---|---|---|---|
+"""
+
+
+def sections(options: argparse.Namespace) -> dict[str, Callable[[Path], list[Row]]]:
+    """The parts by name."""
+    quick = options.quick
+    return {
+        "hostile": lambda place: hostile.readers(place, options.mutants, options.slow),
+        "commands": lambda place: [hostile.commands(place, options.commands)],
+        "bits": lambda place: [hostile.bits(place, options.bits)],
+        "bombs": lambda place: [hostile.bombs(place, 20_000_000 if quick else 200_000_000)],
+        "disk": lambda place: disk.rows(place, options.disk),
+        "texts": lambda place: [repeat.texts(place, quick=quick)],
+        "same bits": lambda place: repeat.same_bits(place, quick=quick),
+        "places": lambda place: [repeat.places(place, quick=quick)],
+    }
+
+
+def measured(options: argparse.Namespace) -> Iterator[Row]:
+    """The rows, one after the other."""
+    for name, part in sections(options).items():
+        if options.only and name not in options.only:
+            continue
+        with TemporaryDirectory(prefix="fluxtwin-trust-") as folder:
+            yield from part(Path(folder))
+
+
+def as_line(row: Row) -> str:
+    """One line of the table in Markdown."""
+    return f"| {row.name} | {row.trials} | {len(row.faults)} | {row.reach} | {row.note} |"
+
+
+def main() -> int:
+    """Measure, print and write; exit status 1 where a fault was found."""
+    if sys.platform == "win32":
+        sys.exit("this needs fork and signals of POSIX")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="a little of each; docs/trust.md stays")
+    parser.add_argument("--mutants", type=int, help="damaged files through the fast readers, together")
+    parser.add_argument("--slow", type=int, help="damaged files through each slow reader")
+    parser.add_argument("--commands", type=int, help="damaged files through the commands")
+    parser.add_argument("--bits", type=int, help="flipped bits")
+    parser.add_argument("--disk", type=int, help="faults while a file is written")
+    parser.add_argument("--only", action="append", help="this part alone; repeatable")
+    parser.add_argument("--json", type=Path, help="write the rows here")
+    options = parser.parse_args()
+    sizes = {
+        "mutants": (50_000, 380),
+        "slow": (2_000, 4),
+        "commands": (400, 34),
+        "bits": (1_500, 120),
+        "disk": (300, 12),
+    }
+    for name, (full, quick) in sizes.items():
+        if getattr(options, name) is None:
+            setattr(options, name, quick if options.quick else full)
+        if getattr(options, name) < 1:
+            parser.error(f"--{name} is 1 or more")
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    rows = []
+    for row in measured(options):
+        rows.append(row)
+        print(
+            f"{row.name}: {row.trials} trials, {len(row.faults)} faults ({row.seconds:.0f} s). {row.note}", flush=True
+        )
+        for fault in row.faults[:10]:
+            print(f"    {fault}", flush=True)
+    if not options.quick and not options.only:
+        PAGE.write_text(ABOUT + "\n".join(map(as_line, rows)) + "\n", encoding="utf-8")
+    record: dict[str, Any] = {"rows": [vars(row) for row in rows], "faults": sum(len(row.faults) for row in rows)}
+    if options.json is not None:
+        options.json.write_text(json.dumps(record, indent=1), encoding="utf-8")
+    print(f"{sum(row.trials for row in rows)} trials, {record['faults']} faults")
+    return 1 if record["faults"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

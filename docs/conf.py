@@ -17,6 +17,8 @@ version = release = fluxtwin.__version__
 extensions = ["myst_parser", "sphinx.ext.autodoc"]
 nitpicky = True
 html_theme = "furo"  # its styles and scripts travel with the pages, which fetch nothing
+html_static_path = ["_static"]
+html_css_files = ["wide.css"]
 html_title = f"fluxtwin {version}"
 html_show_copyright = html_show_sphinx = html_copy_source = False
 highlight_language = "none"  # what a fence does not name is not guessed

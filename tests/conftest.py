@@ -19,7 +19,7 @@ matplotlib.use("Agg")
 
 ROOT = Path(__file__).resolve().parent.parent
 
-pytest_plugins = ["worlds", "command_line"]
+pytest_plugins = ["worlds", "command_line", "witnessed"]
 
 # The same examples on every run; a fixture that only names a folder may serve all of them.
 settings.register_profile(
@@ -63,6 +63,8 @@ def close() -> Callable[..., None]:
 
 def assert_close(actual: Any, expected: Any, *, atol: Any, unit: str, because: str) -> None:
     """Fail with the largest difference, the tolerance, its unit and the reason for it."""
+    from witnessed import note  # a plugin, which pytest imports first
+
     a, e = np.broadcast_arrays(np.asarray(actual, dtype=float), np.asarray(expected, dtype=float))
     assert a.size, "nothing was compared"
     gap = np.abs(a - e)
@@ -71,3 +73,4 @@ def assert_close(actual: Any, expected: Any, *, atol: Any, unit: str, because: s
         f"differs by {gap[worst]:.6g} {unit} at {worst}: found {a[worst]:.9g}, expected {e[worst]:.9g}, "
         f"tolerance {np.broadcast_to(atol, gap.shape)[worst]:g} {unit} ({because})"
     )
+    note(a, e, atol, unit)

@@ -68,6 +68,8 @@ class Case(NamedTuple):
     """Of the scenario in README.md."""
     method: str = "linear"
     options: dict[str, Any] = {}
+    drawn_tau_s: tuple[float, float] | None = None
+    """Each seed draws the time constant of the attitude error, evenly in its logarithm, as the priors have it."""
     outliers: float = 0.0
     """Share of rows with an outlier of 0.5 to 5 uT."""
 
@@ -123,9 +125,15 @@ CASES: dict[str, Case] = {
     "lsb500": Case("step 500 nT, no noise", sensor(0.0, 500.0)),
     "outliers": Case("1 % outliers of 0.5 to 5 uT", as_it_is, outliers=0.01),
     "short": Case("30 min", lasting(30.0)),
+    "short-drawn": Case(
+        "30 min, time constant drawn between 10 s and 30 min", lasting(30.0), drawn_tau_s=(10.0, 1800.0)
+    ),
     "orbit": Case("one orbit, 97 min", lasting(97.0)),
     "slow": Case("attitude 0.3 deg over 1500 s", attitude(0.3, 1500.0)),
     "slower": Case("attitude 0.5 deg over 6000 s", attitude(0.5, 6000.0)),
+    "drawn": Case(
+        "attitude 0.5 deg, time constant drawn between 10 s and 5 h", attitude(0.5, 300.0), drawn_tau_s=(10.0, 18_000.0)
+    ),
     "slower-declared": Case(
         "the same, declared", attitude(0.5, 6000.0), options={"attitude_sigma_deg": 0.5, "attitude_tau_s": 6000.0}
     ),
@@ -170,6 +178,9 @@ class Flown:
         sensor = tree["magnetometer"]
         within = np.random.default_rng([11, seed]).uniform(-0.5, 0.5, 3) * sensor["lsb_nT"]
         sensor["b_nT"] = (np.asarray(sensor["b_nT"]) + within).tolist()
+        if self.case.drawn_tau_s is not None:
+            low, high = np.log(self.case.drawn_tau_s)
+            tree["attitude"]["reference"]["tau_s"] = float(np.exp(np.random.default_rng([13, seed]).uniform(low, high)))
         scenario = validate(tree, Scenario, where=self.case.words)
         self.world = build_world(scenario) if self.world is None else self.world
         telemetry, truth = simulate(scenario, world=self.world)

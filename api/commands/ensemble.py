@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 
 if TYPE_CHECKING:
@@ -33,10 +34,8 @@ def command(
         int | None,
         typer.Option("--seed", metavar="S", help="Seed of all that is random; the scenario's where not given."),
     ] = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option("--jobs", metavar="J", help="Processes; all cores where not given."),
-    ] = None,
+    jobs: of.JobsOption = None,
+    scheduler: of.SchedulerOption = None,
     chunk: Annotated[
         int | None, typer.Option("--chunk", metavar="V", help="Vehicles held in memory and written at a time.")
     ] = None,
@@ -66,11 +65,21 @@ def command(
 
             plan = load_scenario(scenario)
             flown = fly_ensemble(
-                plan, vehicles, out, seed=seed, jobs=jobs, in_chunk=chunk, resume=resume, progress=progress
+                plan,
+                vehicles,
+                out,
+                seed=seed,
+                jobs=jobs,
+                scheduler=scheduler,
+                in_chunk=chunk,
+                resume=resume,
+                progress=progress,
             )
             drawing = _draw(flown)
     except KeyboardInterrupt:
-        _say_how_to_go_on(output, out, ["ensemble", scenario, "--vehicles", vehicles, "--out", out], seed)
+        words = ["ensemble", scenario, "--vehicles", vehicles, "--out", out]
+        words += [] if scheduler is None else ["--scheduler", scheduler]
+        _say_how_to_go_on(output, out, words, seed)
         raise
     _show(output, flown, drawing)
 

@@ -77,6 +77,17 @@ ScenarioFieldOption: TypeAlias = Annotated[
 HtmlOption: TypeAlias = Annotated[
     Path | None, typer.Option("--html", metavar="FILE", help="Write the report as one page.")
 ]
+JobsOption: TypeAlias = Annotated[
+    int | None, typer.Option("--jobs", metavar="J", help="Processes; all cores where not given.")
+]
+SchedulerOption: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="A Dask scheduler whose workers do it, as tcp://host:8786; only on a network you trust.",
+    ),
+]
 OutOption: TypeAlias = Annotated[Path, typer.Option("--out", metavar="FILE", help="File to write.")]
 ForceOption: TypeAlias = Annotated[
     bool,

@@ -94,23 +94,24 @@ def chunk_path(folder: Path, number: int) -> Path:
     return folder / f"chunk-{number:05d}.nc"
 
 
-def fly_chunk(record: Mapping[str, Any], folder: str, number: int) -> dict[str, Any]:
-    """Fly and write one chunk of a recorded plan: for a process anywhere that sees the folder. Returns what to tell."""
+def fly_chunk(record: Mapping[str, Any], folder: str | None, number: int) -> dict[str, Any]:
+    """Fly one chunk of a recorded plan, for a process anywhere; it is written where that process sees the folder.
+
+    Returns its number, vehicles, notices, why some were lost, and without a folder the chunk itself.
+    """
     flyer = _flyer(json.dumps(record))
     made = flyer.chunk(number)
+    event = {"done": number, "flown": len(made.members), "notices": made.notices, "lost": list(made.lost.values())}
+    if folder is None:
+        return {**event, "chunk": made}
     write_chunk(flyer.plan, made, Path(folder), number)
-    return told(made, number)
+    return event
 
 
 @lru_cache(maxsize=1)
 def _flyer(record: str) -> Flyer:
     """A process flies many chunks of one plan, mostly around one Earth."""
     return Flyer(Plan.from_record(json.loads(record)))
-
-
-def told(made: Chunk, number: int) -> dict[str, Any]:
-    """What is told of a chunk that is written: its number, vehicles, notices, and why some were lost."""
-    return {"done": number, "flown": len(made.members), "notices": made.notices, "lost": list(made.lost.values())}
 
 
 def write_chunk(plan: Plan, chunk: Chunk, folder: Path, number: int) -> Path:

@@ -7,22 +7,18 @@ number: not on how many fly beside it, on how many cores, or on an interruption.
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from concurrent.futures import Executor
 from dataclasses import dataclass
-from multiprocessing import active_children, get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from fluxtwin.sim.base import files
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
-from fluxtwin.sim.base.processes import starting_others, stop_if_asked, work_for_another
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.seals import sealed_json
+from fluxtwin.sim.base.workers import answers, require_workers
 from fluxtwin.sim.run.ensemble import chunk, summary
 from fluxtwin.sim.run.ensemble.plan import (
     RECORD,
@@ -35,10 +31,16 @@ from fluxtwin.sim.run.ensemble.plan import (
 from fluxtwin.sim.run.ensemble.summary import Envelope
 from fluxtwin.sim.scenario.scenario import Scenario, load_scenario
 
-_LOOK_S = 0.2
-"""Between two looks whether the user asked for an end."""
 Event = dict[str, Any]
 """What `chunk.told` says of a chunk that is written."""
+
+
+class Workers(NamedTuple):
+    """Who flies the chunks, see `answers`."""
+
+    jobs: int | None
+    scheduler: str | None
+    executor: Executor | None
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,7 @@ def fly_ensemble(
     jobs: int | None = None,
     in_chunk: int | None = None,
     resume: bool = False,
+    scheduler: str | None = None,
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> Ensemble:
@@ -67,21 +70,20 @@ def fly_ensemble(
 
     seed: of the draws and of all that is random; the scenario's own where not given. jobs: processes, all cores where not
     given. in_chunk: vehicles that are held in memory and written at a time, and the step of the progress. resume: go on
-    with what is in the folder, if it is the same ensemble. executor: flies the chunks instead of processes here, any of
-    `concurrent.futures`' kind (as dask's `client.get_executor()`), whose workers see the folder.
+    with what is in the folder, if it is the same ensemble. scheduler: the address of a Dask scheduler whose workers fly the
+    chunks. executor: any of `concurrent.futures`' kind that does so; chunks come back and are written here.
     Raises BadInput for a scenario or a vehicle that cannot be, for a folder with another ensemble, and NoAnswer where
     every vehicle was lost.
     """
     plan_of = load_scenario(scenario) if isinstance(scenario, Path | str) else scenario
-    if jobs is not None and jobs < 1:
-        raise BadInput(f"{jobs} processes", where="--jobs", wanted="1 or more")
+    require_workers(jobs, scheduler)
     folder = Path(out)
     if resume and in_chunk is None:
         in_chunk = recorded_chunk(folder)
     plan = make_plan(plan_of, vehicles, seed, in_chunk, progress)
     _begin(plan, folder, resume)
     todo = [number for number in range(plan.chunks) if not (resume and chunk.is_whole(plan, folder, number))]
-    _fly(plan, folder, todo, jobs or os.cpu_count() or 1, executor, progress)
+    _fly(plan, folder, todo, Workers(jobs, scheduler, executor), progress)
     progress("tables", 0.98)
     found = summary.summarise(plan, folder)
     around = summary.envelope(plan, folder)
@@ -111,11 +113,11 @@ def _begin(plan: Plan, folder: Path, resume: bool) -> None:
     summary.write_index(plan, folder)
 
 
-def _fly(plan: Plan, folder: Path, todo: list[int], jobs: int, executor: Executor | None, progress: Progress) -> None:
+def _fly(plan: Plan, folder: Path, todo: list[int], how: Workers, progress: Progress) -> None:
     """Fly the chunks that are missing, and tell how far it has come."""
     done = plan.vehicles - sum(len(plan.members(number)) for number in todo)
     said: set[str] = set()
-    for event in _events(plan, folder, todo, jobs, executor):
+    for event in _events(plan, folder, todo, how):
         done += int(event.get("flown", 0))
         progress(f"vehicle {done} of {plan.vehicles}", 0.98 * done / plan.vehicles)
         for notice in event.get("notices", ()):
@@ -126,58 +128,14 @@ def _fly(plan: Plan, folder: Path, todo: list[int], jobs: int, executor: Executo
             _stop_if_hopeless(plan, todo[0], event["lost"])
 
 
-def _events(plan: Plan, folder: Path, todo: list[int], jobs: int, executor: Executor | None) -> Iterator[Event]:
-    if executor is not None:
-        yield from _by_executor(plan, folder, todo, executor)
-    elif jobs > 1 and len(todo) > 1:
-        with _processes(min(jobs, len(todo))) as own:
-            yield from _by_executor(plan, folder, todo, own)
-    else:
-        flyer = chunk.Flyer(plan)
-        for number in todo:
-            made = flyer.chunk(number)
-            chunk.write_chunk(plan, made, folder, number)
-            yield chunk.told(made, number)
-
-
-def _by_executor(plan: Plan, folder: Path, todo: list[int], executor: Executor) -> Iterator[Event]:
-    record, place = plan.record(), str(folder.resolve())
-    waiting = {executor.submit(chunk.fly_chunk, record, place, number) for number in todo}
-    try:
-        while waiting:
-            stop_if_asked()
-            done, waiting = wait(waiting, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
-            for future in done:
-                yield future.result()
-    except BrokenProcessPool:
-        stop_if_asked()
-        raise BadInput(
-            "a process ended before its chunk was flown (what it said stands above)",
-            where="ensemble",
-            wanted="fewer --jobs where memory is short; --resume goes on with what is there",
-        ) from None
-    finally:
-        for future in waiting:
-            future.cancel()
-
-
-@contextmanager
-def _processes(count: int) -> Iterator[Executor]:
-    """Processes that fly chunks, ended at once when the work here ends early."""
-    others = set(active_children())
-    pool = ProcessPoolExecutor(count, get_context("spawn"), initializer=work_for_another)
-    with starting_others():
-        for _ in range(count):
-            pool.submit(os.getpid)  # each starts a process
-        own = set(active_children()) - others
-    try:
-        yield pool
-    except BaseException:
-        for process in own:
-            process.terminate()
-        raise
-    finally:
-        pool.shutdown(cancel_futures=True)
+def _events(plan: Plan, folder: Path, todo: list[int], how: Workers) -> Iterator[Event]:
+    """What is told of each chunk; those that were flown elsewhere are written here."""
+    place = None if how.executor or how.scheduler else str(folder.resolve())
+    calls = [(plan.record(), place, number) for number in todo]
+    for event in answers(chunk.fly_chunk, calls, jobs=how.jobs, scheduler=how.scheduler, executor=how.executor):
+        if (made := event.pop("chunk", None)) is not None:
+            chunk.write_chunk(plan, made, folder, event["done"])
+        yield event
 
 
 def _stop_if_hopeless(plan: Plan, number: int, lost: Sequence[str]) -> None:

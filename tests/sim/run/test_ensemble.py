@@ -17,8 +17,10 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from dask_cluster import cluster
 from worlds import scenario_text
 
+from fluxtwin.sim.base import workers
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.run.ensemble import chunk, run
 from fluxtwin.sim.run.ensemble.plan import Plan, chunk_size, make_plan
@@ -100,6 +102,26 @@ def test_another_executor_changes_no_bit(scenario: Scenario, straight: Path, tmp
     with ThreadPoolExecutor(1) as pool:
         fly_ensemble(scenario, VEHICLES, tmp_path / "pool", in_chunk=IN_CHUNK, executor=pool)
     assert content(tmp_path / "pool") == content(straight)
+
+
+@pytest.mark.filterwarnings("default")  # of dask's own
+def test_a_cluster_changes_no_bit_and_loses_nothing_with_a_worker(
+    scenario: Scenario, straight: Path, tmp_path: Path
+) -> None:
+    with cluster(tmp_path, 2) as far:
+
+        def kill_one(text: str, share: float) -> None:
+            if 0.0 < share < 0.9 and far.workers[0].poll() is None:
+                far.workers[0].send_signal(signal.SIGKILL)
+
+        options = {"in_chunk": IN_CHUNK, "scheduler": far.address}
+        fly_ensemble(scenario, VEHICLES, tmp_path / "far", progress=kill_one, **options)
+        assert far.workers[0].poll() is not None and far.workers[1].poll() is None
+        with pytest.raises(BadInput, match="alone"):
+            fly_ensemble(scenario, VEHICLES, tmp_path / "both", jobs=2, **options)
+    assert content(tmp_path / "far") == content(straight)
+    with pytest.raises(BadInput, match="nobody answers there"):
+        fly_ensemble(scenario, 4, tmp_path / "none", in_chunk=1, scheduler="tcp://127.0.0.1:9")
 
 
 def test_a_vehicle_flown_alone_is_that_of_the_ensemble(scenario: Scenario, straight: Path) -> None:
@@ -288,14 +310,12 @@ def test_a_vehicle_that_cannot_be_stops_the_ensemble_before_it_begins(scenario: 
 
 
 def test_an_error_in_a_process_reads_as_it_would_here(scenario: Scenario, tmp_path: Path) -> None:
-    from fluxtwin.sim.run.ensemble.run import _by_executor, _processes
-
     plan = Plan(scenario.updated({"field.truth": "chaos:gone.mat", "draws": None}), 1, 2, 1)
     with (
         pytest.raises(BadInput, match=r"^gone\.mat: no such file\. Wanted: a CHAOS file, \.mat or \.shc$"),
-        _processes(1) as own,
+        workers.processes(1) as own,
     ):
-        list(_by_executor(plan, tmp_path, [0, 1], own))
+        list(workers.by_executor(own, chunk.fly_chunk, [(plan.record(), str(tmp_path), n) for n in (0, 1)]))
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends an interrupt as a terminal does")

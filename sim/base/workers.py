@@ -1,0 +1,151 @@
+"""Work in parts, on all cores of this machine or on a Dask cluster: who does it changes no result.
+
+A part is a call of a function that can be imported, with plain arguments; its answer comes back over the wire, so
+workers need no folder in common. Dask's protocol runs what it is sent: its address is for networks that one trusts.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import active_children, get_context
+from typing import Any
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.processes import starting_others, stop_if_asked, work_for_another
+
+_LOOK_S = 0.2
+"""Between two looks whether the user asked for an end."""
+_CONNECT_S = 5
+"""A scheduler that does not answer in this time is not there."""
+
+
+def require_workers(jobs: int | None, scheduler: str | None) -> None:
+    """Raises BadInput for a number of processes that is none, and for both."""
+    if jobs is not None and jobs < 1:
+        raise BadInput(f"{jobs} processes", where="--jobs", wanted="1 or more")
+    if jobs is not None and scheduler is not None:
+        raise BadInput("the cluster has workers of its own", where="--jobs", wanted="--scheduler alone")
+
+
+def answers(
+    function: Callable[..., Any],
+    calls: Sequence[tuple[Any, ...]],
+    *,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    executor: Executor | None = None,
+) -> Iterator[Any]:
+    """The answers of `function(*call)`, as they come.
+
+    jobs: processes here, all cores where not given. scheduler: the address of a Dask scheduler, whose workers do it.
+    executor: any of `concurrent.futures`' kind instead. Raises BadInput where workers are lost or cannot be reached.
+    """
+    count = min(jobs or os.cpu_count() or 1, len(calls))
+    if executor is not None:
+        yield from by_executor(executor, function, calls)
+    elif scheduler is not None:
+        with cluster(scheduler) as far:
+            yield from by_executor(far, function, calls)
+    elif count > 1:
+        with processes(count) as own:
+            yield from by_executor(own, function, calls)
+    else:
+        for call in calls:
+            stop_if_asked()
+            yield function(*call)
+
+
+def by_executor(executor: Executor, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
+    """As `answers`; what has not begun when the work here ends early is called off."""
+    waiting = {executor.submit(function, *call) for call in calls}
+    try:
+        while waiting:
+            stop_if_asked()
+            done, waiting = wait(waiting, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield future.result()
+    except BrokenProcessPool:
+        stop_if_asked()
+        raise BadInput(
+            "a process ended before its part was done (what it said stands above)",
+            where="--jobs",
+            wanted="fewer --jobs where memory is short; --resume goes on with what is there",
+        ) from None
+    finally:
+        for future in waiting:
+            future.cancel()
+
+
+@contextmanager
+def processes(count: int) -> Iterator[Executor]:
+    """Processes here, ended at once when the work ends early."""
+    others = set(active_children())
+    pool = ProcessPoolExecutor(count, get_context("spawn"), initializer=work_for_another)
+    with starting_others():
+        for _ in range(count):
+            pool.submit(os.getpid)  # each starts a process
+        own = set(active_children()) - others
+    try:
+        yield pool
+    except BaseException:
+        for process in own:
+            process.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[Executor]:
+    """The workers of a Dask scheduler, as `tcp://host:8786`; a worker that is lost has its parts done by others.
+
+    Raises BadInput where Dask is not installed, nobody answers, there is no worker, or one has another fluxtwin.
+    """
+    try:
+        from distributed import Client
+        from distributed.scheduler import KilledWorker
+    except ImportError:
+        raise BadInput("needs dask", where="--scheduler", wanted="pip install 'fluxtwin[cluster]'") from None
+    try:
+        client = Client(address, timeout=_CONNECT_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        said = f"nobody answers there ({type(error).__name__})"
+        raise BadInput(said, where=f"--scheduler {address}", wanted="the address of a Dask scheduler") from None
+    with client:
+        _require_same(client, address)
+        try:
+            yield client.get_executor(pure=False)
+        except KilledWorker as error:
+            raise BadInput(
+                f"a part was given up: each worker that took it was lost ({error})",
+                where=f"--scheduler {address}",
+                wanted="workers with more memory; --resume goes on with what is there",
+            ) from None
+
+
+def _require_same(client: Any, address: str) -> None:
+    where = f"--scheduler {address}"
+    if not client.scheduler_info(n_workers=-1)["workers"]:
+        raise BadInput("the scheduler has no workers", where=where, wanted="dask worker ADDRESS, on each machine")
+    try:
+        versions = set(client.run(version).values())
+    except ModuleNotFoundError:
+        raise BadInput("a worker has no fluxtwin", where=where, wanted="the same fluxtwin on each machine") from None
+    if versions != {version()}:
+        listed = " and ".join(sorted(versions))
+        raise BadInput(f"the workers have fluxtwin {listed}", where=where, wanted=f"{version()}, which is here")
+
+
+def version() -> str:
+    """Of the fluxtwin that is installed."""
+    from importlib.metadata import PackageNotFoundError
+    from importlib.metadata import version as installed
+
+    try:
+        return installed("fluxtwin")
+    except PackageNotFoundError:  # run from its source
+        return "of the source tree"

@@ -39,6 +39,7 @@ if __name__ == "api":
 if TYPE_CHECKING:
     from fluxtwin.calib.checks.check import repair as repair
     from fluxtwin.calib.common.records import Calibration as Calibration
+    from fluxtwin.campaigning import campaign as campaign
     from fluxtwin.describing import info as info
     from fluxtwin.diagnosing import close as close
     from fluxtwin.diagnosing import diagnose as diagnose
@@ -96,6 +97,7 @@ _NAMES = {
     "fluxtwin.scenarios.packaged": ("load_scenario",),
     "fluxtwin.trending": ("trend",),
     "fluxtwin.flying": ("simulate", "ensemble"),
+    "fluxtwin.campaigning": ("campaign",),
     "fluxtwin.studies": ("run_study",),
     "fluxtwin.sim.telemetry.record": ("Telemetry",),
     "fluxtwin.calib.common.records": ("Calibration",),

@@ -51,6 +51,7 @@ TABLE = Kind("a table", (".csv",))
 JSON = Kind("JSON", (".json",), others=True)
 STUDY = Kind("the results of a study", ())
 ENSEMBLE = Kind("the results of an ensemble", ())
+CAMPAIGN = Kind("the results of a campaign", ())
 _ALL_ENDINGS = (*TELEMETRY.endings, ".toml", *PAGE.endings, ".png", ".gz")
 
 _Identity: TypeAlias = tuple[int, int] | Path
@@ -153,6 +154,10 @@ def _own_folder(path: Path, kind: Kind) -> bool:
         from fluxtwin.sim.run.ensemble.plan import RECORD
 
         return (path / RECORD).is_file()
+    if kind is CAMPAIGN:
+        from fluxtwin.campaigning import RECORD as CAMPAIGN_RECORD
+
+        return (path / CAMPAIGN_RECORD).is_file()
     summary = path / "summary.json"
     return summary.is_file() and _readable_as_own(summary)
 

@@ -128,14 +128,16 @@ def make_plan(
     return plan
 
 
-def require_same(plan: Plan, folder: Path) -> None:
-    """BadInput unless the ensemble that lies in the folder is this one; says what differs. More vehicles are welcome."""
-    path = folder / RECORD
+def require_same(plan: Plan, folder: Path, record: str = RECORD) -> None:
+    """BadInput unless what was begun in the folder is this plan; says what differs. More vehicles are welcome."""
+    path = folder / record
     try:
         then = unsealed_json(json.loads(path.read_text(encoding="utf-8")), where=str(path))
         given, now = dict(then["plan"]), plan.record()
     except (OSError, ValueError, KeyError, TypeError):
-        raise BadInput("cannot be read as the record of an ensemble", where=str(path), wanted="another --out") from None
+        raise BadInput(
+            "cannot be read as the record of what was flown", where=str(path), wanted="another --out"
+        ) from None
     words = {
         "scenario": "the scenario",
         "files": "a file that the scenario names",
@@ -149,7 +151,7 @@ def require_same(plan: Plan, folder: Path) -> None:
             f"{key} {given.get(key)} then, {now[key]} now" for key in ("seed", "versions") if words[key] in other
         ]
         raise BadInput(
-            f"cannot go on: {' and '.join(other)} changed since this ensemble was begun"
+            f"cannot go on: {' and '.join(other)} changed since this was begun"
             + (f" ({'; '.join(numbers)})" if numbers else ""),
             where=str(folder),
             wanted="what it was begun with, or another folder",
@@ -170,9 +172,9 @@ def recorded_chunk(folder: Path) -> int | None:
         return None
 
 
-def write_record(plan: Plan, folder: Path) -> Path:
+def write_record(plan: Plan, folder: Path, record: str = RECORD) -> Path:
     """Write the plan beside the results."""
-    return files.write_json(folder / RECORD, sealed_json({"fingerprint": plan.fingerprint, "plan": plan.record()}))
+    return files.write_json(folder / record, sealed_json({"fingerprint": plan.fingerprint, "plan": plan.record()}))
 
 
 def _versions() -> dict[str, str]:

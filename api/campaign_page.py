@@ -1,0 +1,120 @@
+"""A campaign as a page and as tables to read."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fluxtwin.calib.common.digits import plain
+from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from fluxtwin.campaigning import Campaign
+
+
+def sentences(summary: dict[str, Any]) -> list[str]:
+    """What came out, the most important first."""
+    said = []
+    for name, one in summary["effects"].items():
+        low, high = one["interval"]
+        text = (
+            f"{name} was named in {one['named']} of {one['runs']} runs ({100 * low:.0f} to {100 * high:.0f} %), in "
+            f"{one['nothing_else']} of them with nothing false beside it"
+        )
+        at = one["size_at_90_percent"]
+        said.append(
+            f"{text}; at {plain(at, 2)} {one['unit']} it is named in nine of ten." if at is not None else f"{text}."
+        )
+    bare = summary["without_effects"]
+    if bare["runs"]:
+        said.append(f"Of {bare['runs']} runs without an effect {bare['no_gap']} were answered with no gap.")
+    false = sum(summary["false_names"].values())
+    if summary["diagnosed"]:
+        said.append(
+            f"{false} names were given of effects that were not there, over {summary['diagnosed']} diagnosed runs."
+        )
+    nees = summary["sigmas"]["nees"]
+    if nees is not None:
+        said.append(
+            f"Errors of the calibration are {'as' if 0.85 <= nees <= 1.2 else 'not as'} its sigmas say: their squares, "
+            f"weighted with the whole covariance, are {plain(nees, 2)} times what is stated (1 is right)."
+        )
+    for what, key in (("lost", "lost"), ("not calibrated", "not_calibrated"), ("not diagnosed", "not_diagnosed")):
+        for reason, count in list(summary[key].items())[:3]:
+            said.append(f"{count} runs were {what}: {reason}")
+    return said
+
+
+def tables(summary: dict[str, Any]) -> list[Table]:
+    """Effects by size, sigmas, false names."""
+    found = []
+    rows: list[list[str]] = []
+    for name, one in summary["effects"].items():
+        for part in one["bins"]:
+            low, high = part["interval"]
+            rows.append(
+                [
+                    name,
+                    f"{plain(part['from'], 2)} to {plain(part['to'], 2)} {one['unit']}",
+                    str(part["named"]),
+                    str(part["runs"]),
+                    f"{100 * low:.0f} to {100 * high:.0f} %",
+                ]
+            )
+    if rows:
+        note = "Size: the largest parameter of the effect. The interval is Wilson's, 95 %."
+        found.append(Table("how often an effect is named", ["effect", "size", "named", "of", "interval"], rows, note))
+    rows = []
+    for name, one in summary["sigmas"]["parameters"].items():
+        low, high = one["interval"]
+        share = f"{one['inside']} of {one['runs']} ({100 * low:.0f} to {100 * high:.0f} %)"
+        rows.append([name, plain(one["pull_rms"], 2), share])
+    if rows:
+        note = "Over the runs that were calibrated. An effect in a run is not in its calibration, and may make errors larger."
+        columns = ["parameter", "rms of error / sigma", "within 1.96 sigma (95 % wanted)"]
+        found.append(Table("do the stated sigmas hold", columns, rows, note))
+    if summary["false_names"]:
+        rows = [[name, str(count)] for name, count in summary["false_names"].items()]
+        found.append(Table("names of effects that were not there", ["name", "times"], rows))
+    return found
+
+
+def power_figure(flown: Campaign) -> Figure | None:
+    """Named or not over the size of each effect; None where no run has one."""
+    from fluxtwin.campaign_scores import is_named
+    from fluxtwin.plots.campaign import PowerSeries, draw_power
+
+    series = []
+    for name, one in flown.summary["effects"].items():
+        asked = [run for run in flown.runs if name in run["effects"] and not run.get("diagnosis", {"why": "-"})["why"]]
+        size = np.array([run["effects"][name]["size"] for run in asked])
+        named = np.array([is_named(run, name) for run in asked])
+        bins = [(b["from"], b["to"], b["named"] / b["runs"], *b["interval"]) for b in one["bins"]]
+        series.append(PowerSeries(name, one["unit"], size, named, bins, one["logistic"]))
+    return draw_power(series, title="How often an effect is named") if series else None
+
+
+def campaign_page(flown: Campaign, *, command: str) -> Page:
+    """The page of one campaign."""
+    summary = flown.summary
+    said = sentences(summary)
+    figure = power_figure(flown)
+    caption = (
+        "Ticks: runs, above those in which the effect was named. Points: shares with 95 % intervals. Curve: log odds linear "
+        "in the logarithm of the size. Pale line: 90 %."
+    )
+    return Page(
+        title=f"{summary['runs']} runs of {summary['name'] or 'a scenario'}",
+        verdict=said[0] if said else "Nothing was diagnosed.",
+        sections=[
+            PageSection("What came out", said[1:]),
+            PageSection(
+                "Tables", [], tables(summary), [] if figure is None else [FigureBlock("power", caption, figure)]
+            ),
+            PageSection("Repeat it", [command]),
+        ],
+        provenance={"seed": str(summary["seed"]), "fingerprint of the plan": flown.plan.fingerprint},
+    )

@@ -1,0 +1,69 @@
+"""`fluxtwin campaign`: what would we see of our own spacecraft?"""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fluxtwin.commands import options as of
+from fluxtwin.console import Output, command_line
+
+NAME = "campaign"
+BRIEF = "Draw, simulate, calibrate, diagnose, many times: would you see it on your spacecraft?"
+
+
+def command(
+    output: Output,
+    scenario: Annotated[
+        Path, typer.Argument(metavar="SCENARIO.toml", help="A scenario; its [draws] and [effects] say what is tried.")
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Folder of the results.")],
+    runs: Annotated[int, typer.Option("--runs", metavar="N", help="How many runs.")],
+    seed: Annotated[
+        int | None,
+        typer.Option("--seed", metavar="S", help="Seed of all that is random; the scenario's where not given."),
+    ] = None,
+    jobs: of.JobsOption = None,
+    scheduler: of.SchedulerOption = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with what lies in the folder.")] = False,
+) -> None:
+    """Fly N runs with drawn parameters, calibrate and diagnose each as the ground would, and compare with the truth.
+
+    Says how often each effect is named by its size, whether stated sigmas hold, and what is named that is not there.
+    """
+    from fluxtwin import outputs
+
+    output.claim({"--out": (out, outputs.CAMPAIGN)}, [scenario])
+    try:
+        with output.progress(f"reading {scenario}") as progress:
+            from fluxtwin import campaign_page, campaigning
+            from fluxtwin.report import png_bytes, render_report
+            from fluxtwin.sim.base.files import write_bytes, write_text
+
+            flown = campaigning.campaign(
+                scenario, runs, out, seed=seed, jobs=jobs, scheduler=scheduler, resume=resume, progress=progress
+            )
+            progress("drawing", 0.99)
+            page = campaign_page.campaign_page(flown, command=command_line())
+            write_text(out / "report.html", render_report(page))
+            figure = campaign_page.power_figure(flown)
+            if figure is not None:
+                write_bytes(out / "power.png", png_bytes(figure))
+    except KeyboardInterrupt:
+        from fluxtwin.campaigning import whole_parts
+
+        if whole_parts(out):
+            words = ["fluxtwin", "campaign", str(scenario), "--runs", str(runs), "--out", str(out)]
+            words += [] if seed is None else ["--seed", str(seed)]
+            output.note(f"{whole_parts(out)} parts are kept in {out}; go on with: {shlex.join([*words, '--resume'])}")
+        raise
+    for line in campaign_page.sentences(flown.summary):
+        output.prose(line)
+    for table in campaign_page.tables(flown.summary):
+        output.say()
+        output.table(table.title, table.columns, table.rows, table.note)
+    output.say(f"  {out}: report.html, runs.csv, summary.json, part-*.json ({flown.plan.chunks})")
+    output.result(flown.summary)

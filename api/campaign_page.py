@@ -73,7 +73,7 @@ def tables(summary: dict[str, Any]) -> list[Table]:
         share = f"{one['inside']} of {one['runs']} ({100 * low:.0f} to {100 * high:.0f} %)"
         rows.append([name, plain(one["pull_rms"], 2), share])
     if rows:
-        note = "Over the runs that were calibrated. An effect in a run is not in its calibration, and may make errors larger."
+        note = "Over the runs that were calibrated. Effects of a run are not in its calibration, and add to its errors."
         columns = ["parameter", "rms of error / sigma", "within 1.96 sigma (95 % wanted)"]
         found.append(Table("do the stated sigmas hold", columns, rows, note))
     if summary["false_names"]:

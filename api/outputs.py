@@ -52,6 +52,8 @@ JSON = Kind("JSON", (".json",), others=True)
 STUDY = Kind("the results of a study", ())
 ENSEMBLE = Kind("the results of an ensemble", ())
 CAMPAIGN = Kind("the results of a campaign", ())
+_FOLDERS = {STUDY: "summary.json", ENSEMBLE: "ensemble.json", CAMPAIGN: "campaign.json"}
+"""Kinds that are folders, and the file by which each is known."""
 _ALL_ENDINGS = (*TELEMETRY.endings, ".toml", *PAGE.endings, ".png", ".gz")
 
 _Identity: TypeAlias = tuple[int, int] | Path
@@ -120,7 +122,7 @@ def _fitting_name(path: Path, kind: Kind, where: str) -> None:
 
 def _free(path: Path, kind: Kind, where: str, force: bool) -> None:
     """BadInput unless something may be written there, and what lies there may go."""
-    if kind in (STUDY, ENSEMBLE):
+    if kind in _FOLDERS:
         if path.is_dir() and not force and any(path.iterdir()) and not _own_folder(path, kind):
             raise BadInput(
                 f"holds files, but not {kind.words}",
@@ -150,16 +152,8 @@ def _readable_as_own(path: Path) -> bool:
 
 
 def _own_folder(path: Path, kind: Kind) -> bool:
-    if kind is ENSEMBLE:
-        from fluxtwin.sim.run.ensemble.plan import RECORD
-
-        return (path / RECORD).is_file()
-    if kind is CAMPAIGN:
-        from fluxtwin.campaigning import RECORD as CAMPAIGN_RECORD
-
-        return (path / CAMPAIGN_RECORD).is_file()
-    summary = path / "summary.json"
-    return summary.is_file() and _readable_as_own(summary)
+    record = path / _FOLDERS[kind]
+    return record.is_file() and (kind is not STUDY or _readable_as_own(record))  # others have a summary.json too
 
 
 def _identity(path: Path | str) -> _Identity:

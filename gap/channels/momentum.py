@@ -121,6 +121,10 @@ class MomentumChannel:
         """One of the causes."""
         return next(cause for cause in self.causes if cause.effect == effect)
 
+    def blur(self, active: Active, modelled: Sequence[Active]) -> FloatArray | None:
+        """None: the noise of the balance has the attitude's error in it."""
+        return None
+
     def proposed(self, base: Fit) -> Sequence[SignalEffect]:
         """None."""
         return ()

@@ -143,4 +143,5 @@ def _signal_alternatives(effect: SignalEffect, problem: Problem) -> list[SignalE
 def _candidate(chain: Chain, effect: SignalEffect, on: Sequence[Active], perturbed: PerturbedDesign) -> Candidate:
     image = jacobian(chain, effect, on)
     live = _live(effect, image)
-    return Candidate(effect, image, live, perturbed.change(effect, image, on) if live.any() else 0.0)
+    change = perturbed.change(effect, image, on) if live.any() else 0.0
+    return Candidate(effect, image, live, change)

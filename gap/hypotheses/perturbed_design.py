@@ -23,7 +23,7 @@ from fluxtwin.sim.attitude.gauss_markov import gauss_markov
 from fluxtwin.sim.attitude.recorded_motion import RecordedMotion
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
-from fluxtwin.sim.effects.chain import Active, Chain
+from fluxtwin.sim.effects.chain import Active, Chain, jacobian
 from fluxtwin.sim.effects.signal import Setting
 
 MOST_CHANGED = 0.3
@@ -51,16 +51,18 @@ def alike(columns: FloatArray, again: FloatArray | None) -> bool:
 class PerturbedDesign:
     """The design of a problem with one more attitude error in it."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, errors: Sequence[tuple[float, float]] | None = None) -> None:
+        """errors: sigma [rad] and time constant [s] of the parts of the error; None: white and slow, each of the size of
+        `attitude_error_rad`."""
         self.problem = problem
         motion = problem.setting.motion
         sigma = attitude_error_rad(problem)
+        parts = [(sigma, 0.0), (sigma, _SLOW_S)] if errors is None else list(errors)
         self.chain: Chain | None = None
-        if sigma <= 0 or not isinstance(motion, RecordedMotion):
+        if not any(size > 0 for size, _ in parts) or not isinstance(motion, RecordedMotion):
             return
         rng = np.random.default_rng(_SEED)
-        time = problem.time
-        turn = gauss_markov(time, sigma, 0.0, rng, columns=3) + gauss_markov(time, sigma, _SLOW_S, rng, columns=3)
+        turn = sum(gauss_markov(problem.time, size, tau_s, rng, columns=3) for size, tau_s in parts)
         if motion.attitude_known is not None:
             turn[~motion.attitude_known] = 0.0
         perturbed = replace(motion, R_BN=Rotation.from_rotvec(turn) * motion.R_BN)
@@ -71,10 +73,15 @@ class PerturbedDesign:
         """The design that is perturbed; None where the attitude has no error."""
         return None if self.chain is None else self.chain.setting
 
-    def change(self, effect: SignalEffect, jacobian: FloatArray, on: Sequence[Active]) -> float:
+    def image(self, effect: SignalEffect, on: Sequence[Active]) -> FloatArray:
+        """(N, 3, p) the image of an effect on the perturbed design, with `on` on."""
+        assert self.chain is not None
+        return jacobian(self.chain, effect, on)
+
+    def change(self, effect: SignalEffect, image: FloatArray, on: Sequence[Active]) -> float:
         """Share of the energy of an effect's image that changes, beside what is modelled.
 
-        jacobian (N, 3, p) of the effect at nothing, with `on` on, in body axes; all its parameters move together, each by
+        image (N, 3, p) of the effect at nothing, with `on` on, in body axes; all its parameters move together, each by
         its typical size, with signs that are drawn once.
         """
         if self.chain is None:
@@ -84,7 +91,7 @@ class PerturbedDesign:
         low, high = (np.array([getattr(p, end) for p in effect.parameters]) for end in ("low", "high"))
         up, down = np.clip(step, low, high), np.clip(-step, low, high)
         readings = [self.chain.reading_nT([*on, (effect, end)]) for end in (up, down)]
-        first, again = (self._beside(image) for image in (jacobian @ (up - down), readings[0] - readings[1]))
+        first, again = (self._beside(one) for one in (image @ (up - down), readings[0] - readings[1]))
         whole = float(np.sum(first**2))
         return float(np.sum((again - first) ** 2)) / whole if whole > 0 else 0.0
 

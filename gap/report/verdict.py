@@ -276,14 +276,19 @@ def _where(work: Work, effects: Sequence[FoundEffect]) -> Place:
     if not effects:
         return place
     first = effects[0]
-    equivalent = sorted({*find_effect(first.name).equivalent_stages, *place.equivalent} - {first.stage})
+    alike = [find_effect(name) for name in first.group]
+    equivalent = sorted({*alike[0].equivalent_stages, *(one.stage for one in alike), *place.equivalent} - {first.stage})
     return place_of(first, place.probabilities, equivalent)
 
 
 def place_of(effect: FoundEffect, shares: Mapping[str, Mapping[str, float]], equivalent: Sequence[str] = ()) -> Place:
-    """The place of an effect, with its probability in those of other places."""
+    """The place of an effect, with its probability in those of other places; stages are those of all names of its group."""
     own = {"stage": effect.stage, "axis": effect.axis, "frame": effect.frame, "condition": effect.condition}
     probabilities = {name: blended(shares[name], value or "none", effect.probability) for name, value in own.items()}
+    stages = {name: (1.0 - effect.probability) * share for name, share in shares["stage"].items()}
+    for name in effect.group:
+        stages[find_effect(name).stage] += effect.probability / len(effect.group)
+    probabilities["stage"] = stages
     return Place(effect.stage, effect.axis, effect.frame, effect.condition, equivalent, probabilities)
 
 

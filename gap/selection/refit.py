@@ -8,11 +8,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
 from fluxtwin.gap.hypotheses.candidates import Candidate, candidate_of, derivatives
+from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign
 from fluxtwin.gap.linear.projection import SHARE_LEFT, Whitens, least_share
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem, realigned
@@ -52,6 +54,10 @@ class Channel(Whitens, Protocol):
 
     def candidate(self, effect: SignalEffect, modelled: Sequence[Active]) -> Candidate:
         """One more alternative, linearised beside what is modelled."""
+
+    def blur(self, active: Active, modelled: Sequence[Active]) -> FloatArray | None:
+        """(M, 3) whitened, what one more error of the attitude, as large as it is taken to be, adds to the image of an
+        effect of this size; None where its image is not made of attitudes."""
 
     def proposed(self, base: Fit) -> Sequence[SignalEffect]:
         """Alternatives that the residual of a fit without any effect suggests."""
@@ -206,6 +212,22 @@ class Readings:
 
     def candidate(self, effect: SignalEffect, modelled: Sequence[Active]) -> Candidate:
         return candidate_of(self.problem, effect, modelled=modelled)
+
+    def blur(self, active: Active, modelled: Sequence[Active]) -> FloatArray | None:
+        """By the noise model of the whitener."""
+        if self._perturbed.chain is None:
+            return None
+        on = [*self.problem.frozen, *modelled]
+        first, again = (
+            chain.reading_nT([*on, active]) - chain.reading_nT(on)
+            for chain in (self.problem.design, self._perturbed.chain)
+        )
+        return self.whitener.apply(again - first)
+
+    @cached_property
+    def _perturbed(self) -> PerturbedDesign:
+        noise = self.whitener.noise
+        return PerturbedDesign(self.problem, [(noise.theta_rad, noise.tau_s)])
 
     def proposed(self, base: Fit) -> list[SignalEffect]:
         """A field that was on for one stretch of the record."""

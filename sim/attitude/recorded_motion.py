@@ -137,12 +137,22 @@ class RecordedMotion:
 
     def _turned_on(self, offset_s: float | FloatArray) -> Rotation:
         """From the attitude at each stamp to that `offset_s` after it; by the gyro alone where no attitude is known."""
-        turn = self.track(offset_s) * self._from_track
+        turn = self._by_own_fits(offset_s)
         if self.attitude_known is None or self.gyro_B_rad_s is None:
             return turn
         instead = ~self.attitude_known & np.isfinite(self.gyro_B_rad_s).all(axis=1)
         by_gyro = -np.broadcast_to(offset_s, instead.shape)[:, None] * self.gyro_B_rad_s
         return Rotation.from_rotvec(np.where(instead[:, None], by_gyro, turn.as_rotvec()))
+
+    def _by_own_fits(self, offset_s: float | FloatArray) -> Rotation:
+        """As `_turned_on`; rows without attitude by the track."""
+        known = self.attitude_known
+        if known is None or known.all():
+            return self.smoothed.onward(offset_s)
+        turns = (self.track(offset_s) * self._from_track).as_quat()
+        if known.any():
+            turns[known] = self.smoothed.onward(np.broadcast_to(offset_s, known.shape)[known]).as_quat()
+        return Rotation.from_quat(turns)
 
 
 def carried(r_N_km: FloatArray, v_N_km_s: FloatArray, after_s: FloatArray) -> tuple[FloatArray, FloatArray]:

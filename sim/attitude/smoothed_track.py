@@ -151,6 +151,27 @@ class AttitudeTrack:
         second = self._about(place.other, place.other_after_s, place.row)
         return Rotation.from_quat(blended(first, second, place.weights))
 
+    def onward(self, offset_s: float | FloatArray) -> Rotation:
+        """The turn from each stamp to `offset_s` (or (N,)) after it, by the fit about that stamp alone.
+
+        Errors of the attitudes are in all fits, and differ from one to the next: a step from one fit to another would add
+        what differs. From half a spacing to a whole one the fit goes over into the track, which follows the motion better
+        there.
+        """
+        from fluxtwin.sim.attitude.track_kernels import blended
+
+        rows = np.arange(self.time_s.size, dtype=np.intp)
+        after = np.broadcast_to(np.asarray(offset_s, dtype=np.float64), self.time_s.shape)
+        to = np.clip(rows + np.sign(after).astype(np.intp), 0, rows.size - 1)
+        to = np.where(self.stretch[to] == self.stretch[rows], to, rows)
+        here = Rotation.from_quat(self._about(rows, np.zeros(rows.size), rows)).inv()
+        own = Rotation.from_quat(self._about(rows, after, to)) * here
+        beyond = np.clip(2.0 * np.abs(after) / np.where(self._reach_s > 0, self._reach_s, np.inf) - 1.0, 0.0, 1.0)
+        if not beyond.any():
+            return own
+        along = self.at(self.time_s + after) * here
+        return Rotation.from_quat(blended(own.as_quat(), along.as_quat(), beyond * beyond * (3.0 - 2.0 * beyond)))
+
     def reaches(self, moments_s: FloatArray) -> BoolArray:
         """(M,) whether moments lie between two stamps of a stretch, or at most half a spacing beyond its end."""
         place = places(self.time_s, self.stretch, moments_s)

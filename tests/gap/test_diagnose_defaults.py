@@ -57,6 +57,20 @@ def test_the_readme_scenario_has_no_gap_without_any_flag(record: Telemetry) -> N
 
 
 @pytest.mark.parametrize("seed", [1, 2])
+def test_a_clock_that_is_a_little_late_is_not_called_the_orbit_alone(seed: int) -> None:
+    """Pointing to the Earth, 3 s late are 23 km along the track and a turn of 0.2 deg that the calibration takes: the two
+    images have a correlation of 0.99. That of the clock is made of an attitude with errors, and must not lose by them."""
+    late = readme_scenario(seed).updated({"effects.time_tag_offset": {"offset_s": 3.0}})
+    found = asked(simulate(late)[0])
+    assert found.verdict == "effect" and set(found.effects[0].group) == {"along_track_error", "time_tag_offset"}
+    stages = found.where.probabilities["stage"]
+    assert min(stages["time"], stages["orbit"]) > 0.3 and {found.where.stage, *found.where.equivalent} >= {
+        "time",
+        "orbit",
+    }
+
+
+@pytest.mark.parametrize("seed", [1, 2])
 def test_rounding_that_lasts_over_rows_is_no_gap(seed: int) -> None:
     """Rows a second apart, a step of 117 nT: a reading stays in a step for four rows of five, and so does its error."""
     segment = {"start_utc": "2026-03-01T00:00:00Z", "duration_min": 60.0, "step_s": 1.0}

@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from fluxtwin.sim.attitude.gauss_markov import gauss_markov
 from fluxtwin.sim.attitude.recorded_motion import RecordedMotion, carried
 from fluxtwin.sim.attitude.smoothed_track import smoothed
 from fluxtwin.sim.base.types import FloatArray
@@ -116,6 +117,25 @@ def test_noise_is_averaged_and_the_own_error_stays(name: str, step_s: float) -> 
     far = record.at(6.0 * step_s)[2]
     assert rms_deg(far[inside], (law(t + 6.0 * step_s) * law(t).inv() * R_BN)[inside]) < 1.0 * sigma
     assert record.at(0.0)[2] is R_BN
+
+
+@pytest.mark.parametrize(("name", "step_s"), [("libration", 2.0), ("libration", 10.0), ("tumble", 30.0)])
+def test_a_part_of_a_step_is_that_of_one_fit(name: str, step_s: float) -> None:
+    """Where errors are slow a window is short, and its fits differ from row to row. From row to row the error must hardly
+    move more than that of the attitudes themselves (0.1 deg over 300 s): 3 % by the fit of each row, 8 % by the track."""
+    law, t, on = LAWS[name], uneven(step_s), 0.3 * step_s
+    stamps = START + (t * 1e9).astype("timedelta64[ns]")
+    error = gauss_markov(stamps, np.radians(0.1), 300.0, np.random.default_rng(3), columns=3)
+    record = recorded(t, Rotation.from_rotvec(error) * law(t))
+    there = law(t + on).inv()
+    own = record.at(on)[2] * there
+    along = record.track(on) * record.track(0.0).inv() * record.R_BN * there
+
+    def jitter(of: FloatArray) -> float:
+        return float(np.sqrt(np.mean(np.diff(of[20:-20], axis=0) ** 2)))
+
+    assert jitter(own.as_rotvec()) < 1.04 * jitter(error)
+    assert jitter(along.as_rotvec()) > 1.07 * jitter(error)
 
 
 def test_the_noise_of_a_row_hardly_moves_the_track_beside_it() -> None:

@@ -17,10 +17,13 @@ from typing import Any
 
 import numpy as np
 
+import fluxtwin
+from fluxtwin.outputs import JSON_MARK
 from fluxtwin.scenarios.packaged import as_scenario
 from fluxtwin.sim.base import files
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.seals import sealed_json, unsealed_json
 from fluxtwin.sim.base.workers import answers, require_workers
 from fluxtwin.sim.run.ensemble.draws import flattened
 from fluxtwin.sim.run.ensemble.plan import Plan, make_plan, require_same, write_record
@@ -76,7 +79,7 @@ def campaign(
     before = done
     for number, rows in answers(run_part, calls, jobs=jobs, scheduler=scheduler, executor=executor):
         content = {"fingerprint": plan.fingerprint, "runs": rows}
-        files.write_json(folder / _part(number), content)
+        files.write_json(folder / _part(number), sealed_json(content))
         known[number] = json.loads(files.to_json(content))["runs"]  # as a resumed campaign reads it
         done += len(rows)
         left_s = (time.monotonic() - begin) / (done - before) * (runs - done)
@@ -88,7 +91,7 @@ def campaign(
 
     summary = summarise(plan.scenario.name, plan.seed, found)
     _write_table(found, folder / RUNS)
-    files.write_json(folder / SUMMARY, summary)
+    files.write_json(folder / SUMMARY, sealed_json({JSON_MARK: fluxtwin.__version__, **summary}))
     return Campaign(folder, plan, found, summary)
 
 
@@ -187,9 +190,9 @@ def _part(number: int) -> str:
 def _kept(plan: Plan, folder: Path, number: int) -> list[Run] | None:
     """The runs of a part that is there, whole and of this plan."""
     try:
-        content = json.loads((folder / _part(number)).read_text(encoding="utf-8"))
+        content = unsealed_json(json.loads((folder / _part(number)).read_text(encoding="utf-8")), where=_part(number))
         rows: list[Run] = content["runs"]
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, BadInput):
         return None
     same = content.get("fingerprint") == plan.fingerprint
     return rows if same and [row.get("run") for row in rows] == list(plan.members(number)) else None

@@ -48,9 +48,9 @@ def write_with(path: Path | str, write: Callable[[Path], None]) -> Path:
         try:
             with unfinished(temporary):
                 write(temporary)
-            os.fsync(handle)
-            _take_after(target, temporary)
-            os.replace(temporary, target)
+                os.fsync(handle)
+                _take_after(target, temporary)
+                os.replace(temporary, target)
         except OSError as error:
             raise _unwritable(path, error) from None
     return path

@@ -6,6 +6,7 @@ workers need no folder in common. Dask's protocol runs what it is sent: its addr
 
 from __future__ import annotations
 
+import importlib
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, ProcessPoolExecutor, wait
@@ -106,12 +107,11 @@ def cluster(address: str) -> Iterator[Executor]:
     Raises BadInput where Dask is not installed, nobody answers, there is no worker, or one has another fluxtwin.
     """
     try:
-        from distributed import Client
-        from distributed.scheduler import KilledWorker
+        dask = importlib.import_module("distributed")
     except ImportError:
         raise BadInput("needs dask", where="--scheduler", wanted="pip install 'fluxtwin[cluster]'") from None
     try:
-        client = Client(address, timeout=_CONNECT_S, set_as_default=False)
+        client = dask.Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         said = f"nobody answers there ({type(error).__name__})"
         raise BadInput(said, where=f"--scheduler {address}", wanted="the address of a Dask scheduler") from None
@@ -119,7 +119,7 @@ def cluster(address: str) -> Iterator[Executor]:
         _require_same(client, address)
         try:
             yield client.get_executor(pure=False)
-        except KilledWorker as error:
+        except dask.KilledWorker as error:
             raise BadInput(
                 f"a part was given up: each worker that took it was lost ({error})",
                 where=f"--scheduler {address}",

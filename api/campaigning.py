@@ -150,15 +150,15 @@ def _calibrated(telemetry: Any, truth: Any) -> dict[str, Any]:
         return {"why": "", "verdict": verdict, "method": fit.method, "parameters": {}, "nees": None}
     parts = [truth.S.ravel(), truth.b_nT, truth.T_nT_per_Am2.ravel()]
     at = np.flatnonzero(known.sigmas > 0)
-    error = (known.values - np.concatenate(parts)[: known.values.size])[at]
+    off = (known.values - np.concatenate(parts)[: known.values.size])[at]
     sigma = known.sigmas[at]
     scaled = known.covariance[np.ix_(at, at)] / np.outer(sigma, sigma)
-    pull = error / sigma
+    pull = off / sigma
     return {
         "why": "",
         "verdict": verdict,
         "method": fit.method,
-        "parameters": {known.names[k]: [float(e), float(s)] for k, e, s in zip(at, error, sigma, strict=True)},
+        "parameters": {known.names[k]: [float(e), float(s)] for k, e, s in zip(at, off, sigma, strict=True)},
         "nees": float(pull @ np.linalg.solve(scaled, pull)) / at.size if at.size else None,
     }
 

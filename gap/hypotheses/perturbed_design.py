@@ -62,7 +62,9 @@ class PerturbedDesign:
         if not any(size > 0 for size, _ in parts) or not isinstance(motion, RecordedMotion):
             return
         rng = np.random.default_rng(_SEED)
-        turn = sum(gauss_markov(problem.time, size, tau_s, rng, columns=3) for size, tau_s in parts)
+        turn = np.zeros((problem.rows, 3))
+        for size, tau_s in parts:
+            turn += gauss_markov(problem.time, size, tau_s, rng, columns=3)
         if motion.attitude_known is not None:
             turn[~motion.attitude_known] = 0.0
         perturbed = replace(motion, R_BN=Rotation.from_rotvec(turn) * motion.R_BN)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Unpack
@@ -18,10 +17,13 @@ from fluxtwin.gap.planning.power import Flown
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget, pose
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.records.plan import Plan, Question
+from fluxtwin.gap.records.schema import diagnosis_schema
 from fluxtwin.one_thread import on_one_blas_thread
 from fluxtwin.scenarios.packaged import as_scenario
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.limits import text_of
 from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.seals import unsealed_json
 from fluxtwin.sim.base.toml_input import read_model, validate
 from fluxtwin.sim.base.types import BoolArray
 from fluxtwin.sim.earth import epoch
@@ -193,14 +195,10 @@ def _limits(given: LimitsSection | Mapping[str, Any] | Path | str | None) -> Lim
 
 
 def _read(path: Path) -> dict[str, Any]:
-    try:
-        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise BadInput(
-            f"cannot be read: {error}", where=str(path), wanted="what fluxtwin diagnose --json wrote"
-        ) from None
-    if not isinstance(found, dict) or not {"verdict", "effects", "minimum_detectable"} <= set(found):
-        raise BadInput("this is no diagnosis", where=str(path), wanted="what fluxtwin diagnose --json wrote")
+    wanted = "what fluxtwin diagnose --json wrote"
+    found = unsealed_json(text_of(path, wanted=wanted), where=str(path), wanted=wanted)
+    if not set(diagnosis_schema()["required"]) <= set(found):
+        raise BadInput("this is no diagnosis", where=str(path), wanted=wanted)
     return found
 
 

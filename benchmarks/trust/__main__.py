@@ -60,6 +60,14 @@ def as_line(row: Row) -> str:
     return f"| {row.name} | {row.trials} | {len(row.faults)} | {row.reach} | {row.note} |"
 
 
+def page(rows: list[Row], in_part: bool) -> str:
+    """The page with these rows. in_part: with the other rows that it has already, too."""
+    old = PAGE.read_text(encoding="utf-8").splitlines() if in_part and PAGE.exists() else []
+    lines = {line.split("|")[1].strip(): line for line in old if line.startswith("| ") and "| how many |" not in line}
+    lines |= {row.name: as_line(row) for row in rows}
+    return ABOUT + "\n".join([*lines.values(), ""])
+
+
 def main() -> int:
     """Measure, print and write; exit status 1 where a fault was found."""
     if sys.platform == "win32":
@@ -95,8 +103,8 @@ def main() -> int:
         )
         for fault in row.faults[:10]:
             print(f"    {fault}", flush=True)
-    if not options.quick and not options.only:
-        PAGE.write_text(ABOUT + "\n".join(map(as_line, rows)) + "\n", encoding="utf-8")
+    if not options.quick:
+        PAGE.write_text(page(rows, bool(options.only)), encoding="utf-8")
     record: dict[str, Any] = {"rows": [vars(row) for row in rows], "faults": sum(len(row.faults) for row in rows)}
     if options.json is not None:
         options.json.write_text(json.dumps(record, indent=1), encoding="utf-8")

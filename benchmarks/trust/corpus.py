@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,8 @@ import scipy.io
 import fluxtwin
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.onboard.export import export_calibration, import_calibration
-from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import write_json, write_toml
+from fluxtwin.sim.base.limits import text_of
 from fluxtwin.sim.base.seals import sealed_json, unsealed_json
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.earth.tle import checksum, read_elements
@@ -135,12 +134,7 @@ def _mapped(path: Path) -> Any:
 
 
 def _json(path: Path) -> Any:
-    try:
-        read = unsealed_json(dict(json.loads(path.read_bytes().decode("utf-8"))), where=str(path))
-    except BadInput:
-        raise
-    except (ValueError, TypeError, AttributeError, RecursionError):
-        raise BadInput("is no JSON", where=str(path)) from None
+    read = unsealed_json(text_of(path, wanted="JSON"), where=str(path), wanted="JSON")
     return read.get("x"), read.get("words")
 
 

@@ -103,12 +103,12 @@ class Json(_Own):
 
     def read(self, text: str, instance: int, where: str) -> OffsetFirst:
         try:
-            content = unsealed_json(json.loads(text), where=where)
+            content = unsealed_json(text, where=where, wanted="the JSON of fluxtwin export")
             names: list[str] = [name for name in ("M", "o", "T") if name in content]
             found = {name: np.array(content[name], dtype=np.float64) for name in names}
         except BadInput:
             raise
-        except (ValueError, TypeError, AttributeError, RecursionError):
+        except (ValueError, TypeError):
             raise BadInput("is not the JSON of fluxtwin export", where=where, wanted="M, o and T as numbers") from None
         return _held(found, where)
 

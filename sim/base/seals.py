@@ -89,8 +89,18 @@ def sealed_json(content: Mapping[str, Any]) -> dict[str, Any]:
     return {**whole, _SHA: digest_of(json.loads(json.dumps(whole)))}  # as it is read: keys are text there
 
 
-def unsealed_json(content: dict[str, Any], *, where: str) -> dict[str, Any]:
-    """The content without `format` and `sha256`. Raises BadInput where the digest does not fit, or for a later format."""
+def unsealed_json(text: str, *, where: str, wanted: str) -> dict[str, Any]:
+    """What JSON text says, without its `format` and `sha256`.
+
+    wanted: what the file should be, for the message. Raises BadInput where it is no JSON with keys, the digest does not fit,
+    or the format is a later one.
+    """
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise BadInput(f"is not valid JSON ({str(error)[:80]})", where=where, wanted=wanted) from None
+    if not isinstance(content, dict):
+        raise BadInput("is JSON without keys", where=where, wanted=wanted)
     rest = {key: value for key, value in content.items() if key != _SHA}
     require_format(rest.pop("format", FORMAT), where)
     if _SHA in content and content[_SHA] != digest_of({key: content[key] for key in content if key != _SHA}):

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from packaging.requirements import Requirement
 
 import fluxtwin
 
@@ -103,3 +104,17 @@ def test_the_short_import_name_is_refused(folder: str, root: Path) -> None:
     )
     assert done.returncode != 0
     assert "ImportError: import fluxtwin" in done.stderr
+
+
+def test_the_locked_versions_fit_what_is_declared(project: dict[str, Any], root: Path) -> None:
+    """Each dependency, also of the extras that CI installs, with a version that is allowed and the SHA-256 of its files."""
+    text = (root / ".ci" / "locked.txt").read_text(encoding="utf-8")
+    locked = dict(re.findall(r"^([a-z0-9.-]+)==(\S+)", text, re.MULTILINE))
+    assert all("--hash=sha256:" in entry for entry in re.split(r"^(?=[a-z0-9])", text, flags=re.MULTILINE)[1:])
+    assert "http" not in text
+    extras = project["project"]["optional-dependencies"]
+    for one in [*project["project"]["dependencies"], *extras["test"], *extras["dev"], *extras["parquet"]]:
+        wanted = Requirement(one)
+        if wanted.name != "fluxtwin":
+            name = wanted.name.lower().replace("_", "-")
+            assert wanted.specifier.contains(locked[name]), one

@@ -70,9 +70,9 @@ def _scenario(path: Path) -> Any:
 
 
 def _answer(path: Path) -> Any:
-    answer = json.loads(path.read_text(encoding="utf-8"))
-    Draft202012Validator(diagnosis_schema()).validate(answer)
-    return seals.unsealed_json(answer, where=str(path))
+    text = path.read_text(encoding="utf-8")
+    Draft202012Validator(diagnosis_schema()).validate(json.loads(text))
+    return seals.unsealed_json(text, where=str(path), wanted="a diagnosis")
 
 
 READERS: dict[str, Read] = {

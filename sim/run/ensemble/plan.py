@@ -132,7 +132,7 @@ def require_same(plan: Plan, folder: Path, record: str = RECORD) -> None:
     """BadInput unless what was begun in the folder is this plan; says what differs. More vehicles are welcome."""
     path = folder / record
     try:
-        then = unsealed_json(json.loads(path.read_text(encoding="utf-8")), where=str(path))
+        then = unsealed_json(path.read_text(encoding="utf-8"), where=str(path), wanted="another --out")
         given, now = dict(then["plan"]), plan.record()
     except (OSError, ValueError, KeyError, TypeError):
         raise BadInput(

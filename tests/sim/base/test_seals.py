@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import zipfile
 from collections.abc import Callable
@@ -18,6 +17,7 @@ from fluxtwin.calib.onboard.export import export_calibration, import_calibration
 from fluxtwin.sim.base import seals
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import write_json, write_text, write_toml
+from fluxtwin.sim.base.limits import text_of
 from fluxtwin.sim.scenario.scenario import load_scenario, parse_scenario, save_scenario
 from fluxtwin.sim.telemetry.formats.catalogue import format_of
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
@@ -39,10 +39,7 @@ def _table(path: Path) -> Any:
 
 
 def _json(path: Path) -> Any:
-    try:
-        content = seals.unsealed_json(json.loads(path.read_text(encoding="utf-8")), where=str(path))
-    except (json.JSONDecodeError, UnicodeDecodeError):
-        raise BadInput("is no JSON", where=str(path)) from None
+    content = seals.unsealed_json(text_of(path, wanted="JSON"), where=str(path), wanted="JSON")
     return content.get("x"), content.get("fluxtwin")  # another key is nobody's
 
 

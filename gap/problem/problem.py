@@ -305,6 +305,10 @@ def _usable(telemetry: Telemetry) -> tuple[Telemetry, dict[str, int]]:
         usable &= present
     if not usable.any():
         raise NoAnswer("no row has reading and position", evidence={"left_out": left_out})
+    if not telemetry.mag_B_nT[usable].any():
+        raise NoAnswer(
+            "the magnetometer reads zero throughout: nothing can be diagnosed", evidence={"left_out": left_out}
+        )
     return telemetry.select(usable), left_out
 
 

@@ -289,6 +289,20 @@ def test_rows_with_nan_are_left_out_and_counted(cli: Cli, flight: Path, tmp_path
     assert sum(record["rows"]["left_out"].values()) == 10
 
 
+@pytest.mark.parametrize("command", ["check", "calibrate", "diagnose"])
+def test_a_magnetometer_that_reads_nothing_but_zero_is_said_to(
+    cli: Cli, flight: Path, tmp_path: Path, command: str
+) -> None:
+    def dead(heading: list[str], rows: list[list[str]]) -> None:
+        for row in rows:
+            for name in ("mag_x_nT", "mag_y_nT", "mag_z_nT"):
+                row[heading.index(name)] = "0.0"
+
+    outcome = cli(command, rewritten(flight / "floor.csv", tmp_path / "dead.csv", dead))
+    assert outcome.status in (1, 2)
+    assert "zero" in outcome.out + outcome.err or "stuck" in outcome.out + outcome.err
+
+
 @pytest.mark.parametrize("content", [b"", b"\n\n", b"\x00" * 64, b"\xff\xfet\x00i\x00", b"time\n"])
 @pytest.mark.parametrize("suffix", ["csv", "nc", "csv.gz"])
 def test_a_file_of_rubbish(cli: Cli, tmp_path: Path, content: bytes, suffix: str) -> None:

@@ -190,7 +190,9 @@ def _part(number: int) -> str:
 def _kept(plan: Plan, folder: Path, number: int) -> list[Run] | None:
     """The runs of a part that is there, whole and of this plan."""
     try:
-        content = unsealed_json(json.loads((folder / _part(number)).read_text(encoding="utf-8")), where=_part(number))
+        content = unsealed_json(
+            (folder / _part(number)).read_text(encoding="utf-8"), where=_part(number), wanted="part of a campaign"
+        )
         rows: list[Run] = content["runs"]
     except (OSError, ValueError, KeyError, TypeError, BadInput):
         return None

@@ -11,6 +11,7 @@ from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 
 _CONFUSED = 0.8  # shares below this are in the JSON
 _RANKED = 6
+PLAN = "`fluxtwin plan` says what to fly to find out."
 _ALL_TESTED = "Every effect of the catalogue could be tested."
 
 
@@ -70,6 +71,8 @@ def where_lines(diagnosis: Diagnosis) -> list[str]:
     lines = [f"Where: {', '.join(parts) or 'nowhere in particular'}."]
     if place["equivalent"]:
         lines.append(f"On this orbit and attitude it could as well be placed at: {', '.join(place['equivalent'])}.")
+    if any(len(effect.group) > 1 for effect in diagnosis.effects) or diagnosis.verdict == "unknown":
+        lines.append(PLAN)
     return lines
 
 
@@ -99,7 +102,7 @@ def _which(diagnosis: Diagnosis) -> PageSection:
     if diagnosis.resembles:
         words.append(f"It resembles {', '.join(diagnosis.resembles)}.")
     groups = [effect.group for effect in diagnosis.effects if len(effect.group) > 1]
-    words += [f"{' and '.join(group)} cannot be told apart in these data." for group in groups]
+    words += [f"{' and '.join(group)} cannot be told apart in these data. {PLAN}" for group in groups]
     shown = [effects_table(diagnosis)] if diagnosis.effects else []
     if any(effect.rivals for effect in diagnosis.effects):
         shown.append(rivals_table(diagnosis))
@@ -322,7 +325,7 @@ def small_table(diagnosis: Diagnosis) -> Table:
     named = {effect.name for effect in diagnosis.effects}
     words = diagnosis.would_settle
     rows = [[name, words[name]] for name in diagnosis.minimum_detectable if name in words and name not in named]
-    return Table("Not seen down to its typical size", ["effect", "what would show it"], rows)
+    return Table("Not seen down to its typical size", ["effect", "what would show it"], rows, PLAN)
 
 
 def untestable_table(diagnosis: Diagnosis) -> Table:

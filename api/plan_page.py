@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from fluxtwin.gap.records.plan import Course, Plan, Question
+from fluxtwin.gap.records.plan import CalibrationPlan, Course, Plan, Question, SigmaCourse
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 
 
-def plan_page(plan: Plan, title: str) -> Page:
+def plan_page(plan: Plan | CalibrationPlan, title: str) -> Page:
     """The page of a plan: a figure for every question that has names to tell apart, and for the first."""
+    facts = {key: str(value) for key, value in plan.limits.items()}
+    facts |= {"notes": "; ".join(plan.notes), **{f"not flown: {words}": why for words, why in plan.refused.items()}}
+    if isinstance(plan, CalibrationPlan):
+        from fluxtwin.plots.plan import draw_sigma
+
+        caption = "By the hours flown, once record and manoeuvre are calibrated together; dotted: half of today's."
+        block = FigureBlock("sigma", caption, draw_sigma(plan))
+        sections = [PageSection("What to fly", [], [plan_table(plan)], [block])]
+        return Page(title=title, verdict=plan.sentence, sections=sections, provenance=facts)
     first = [question for question in plan.questions if question.kind != "show"] or plan.questions[:1]
     return Page(
         title=title,
@@ -16,12 +25,21 @@ def plan_page(plan: Plan, title: str) -> Page:
             *(_section(question) for question in first if question.courses),
             PageSection("What to fly", [], [plan_table(plan)]),
         ],
-        provenance={key: str(value) for key, value in plan.limits.items()} | {"notes": "; ".join(plan.notes)},
+        provenance=facts,
     )
 
 
-def plan_table(plan: Plan) -> Table:
-    """A line a question: what settles it soonest."""
+def plan_table(plan: Plan | CalibrationPlan) -> Table:
+    """A line a question: what settles it soonest; of a calibration a line a manoeuvre."""
+    if isinstance(plan, CalibrationPlan):
+        unit = "" if plan.unit == "1" else f" [{plan.unit}]"
+        lines = [
+            [_words(one), f"{one.hours:.2g}", f"{one.sigma:.2g}", f"{one.sigma / plan.sigma:.2f}"]
+            for one in plan.courses
+        ]
+        columns = ["manoeuvre", "hours [h]", f"sigma of {plan.worst}{unit}", "of today's"]
+        note = "Predicted for record and manoeuvre calibrated together, errors as they are found in this record."
+        return Table("What to fly", columns, lines, note)
     rows = []
     for question in plan.questions:
         best = question.best
@@ -63,6 +81,6 @@ def _section(question: Question) -> PageSection:
     return PageSection(heading, [], [answers_table(question)], [block])
 
 
-def _words(course: Course) -> str:
+def _words(course: Course | SigmaCourse) -> str:
     later = f", {course.wait_days:g} days later"
     return course.words if not course.wait_days or later in course.words else course.words + later

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -12,11 +13,11 @@ from fluxtwin import diagnosing
 from fluxtwin.gap.noise.whitening import NoiseModel
 from fluxtwin.gap.planning import questions
 from fluxtwin.gap.planning.choose import choose
-from fluxtwin.gap.planning.designs import LimitsFile, LimitsSection, designs
+from fluxtwin.gap.planning.designs import Design, LimitsFile, LimitsSection, designs
 from fluxtwin.gap.planning.power import Flown
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget, pose
 from fluxtwin.gap.records.diagnosis import Diagnosis
-from fluxtwin.gap.records.plan import Plan, Question
+from fluxtwin.gap.records.plan import CalibrationPlan, Plan, Question
 from fluxtwin.gap.records.schema import diagnosis_schema
 from fluxtwin.one_thread import on_one_blas_thread
 from fluxtwin.scenarios.packaged import as_scenario
@@ -25,13 +26,12 @@ from fluxtwin.sim.base.limits import text_of
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.seals import unsealed_json
 from fluxtwin.sim.base.toml_input import read_model, validate
-from fluxtwin.sim.base.types import BoolArray
-from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.earth import epoch, frames, sun
 from fluxtwin.sim.earth.constants import GM_EARTH_KM3_S2
 from fluxtwin.sim.earth.field_models import load_field
-from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.run import spacecraft
 from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.run.truth import Truth
 from fluxtwin.sim.run.world import ephemeris
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -42,6 +42,13 @@ _MOST_ROWS = 1_200
 """Of a design: two orbits at ten seconds."""
 _ORBITS = 2.0
 _DAY_S = 86400.0
+_KEYS = {
+    "noise_nT": "magnetometer.noise_nT",
+    "lsb_nT": "magnetometer.lsb_nT",
+    "attitude_sigma_deg": "attitude.reference.sigma_deg",
+    "attitude_tau_s": "attitude.reference.tau_s",
+}
+"""Where a scenario has what may be declared of the errors."""
 
 
 @on_one_blas_thread
@@ -61,17 +68,30 @@ def plan(
     degree: int | None = None,
     progress: Progress = silent,
     **reading: Unpack[Reading],
-) -> Plan:
+) -> Plan | CalibrationPlan:
     """What to fly next so that a diagnosis can tell what this one leaves open, with the power of each manoeuvre.
 
     telemetry: a record or its file, which is diagnosed first with the options of `fluxtwin.diagnose`; or a diagnosis, or
     the JSON of one. limits: what may be flown, as `[limits]` in a file. scenario: the spacecraft as it is flown; without
     one its orbit, noise and housekeeping are taken from the record. names: ask about these effects alone: one is to be
-    shown at its typical size, several are to be told apart.
+    shown at its typical size, several are to be told apart; `["calibration"]` asks what halves the sigma of S or b that is
+    known worst, by the method that `fluxtwin.calibrate` chooses.
     Raises BadInput for limits that leave nothing to fly, NoAnswer where nothing is left open.
     """
-    allowed = _limits(limits)
+    allowed = limits_of(limits)
     config = None if scenario is None else as_scenario(scenario)
+    if tuple(names) == ("calibration",):
+        from fluxtwin.planning_calibration import plan_calibration
+
+        record = _record_of(telemetry, reading)
+        declared: dict[str, Any] = {"noise_nT": noise_nT, "lsb_nT": lsb_nT, "attitude_tau_s": attitude_tau_s}
+        declared["attitude_sigma_deg"] = attitude_sigma_deg
+        base = config if config is not None and config.orbit is not None else None
+        if base is None:
+            base = base_of(diagnosing.diagnose(record, field=field, degree=degree, **declared).to_dict())
+            base = base.updated({_KEYS[name]: value for name, value in declared.items() if value is not None})
+        model = load_field(field or base.field.model, degree)
+        return plan_calibration(record, base, allowed, model, declared, notes_of(config), progress)
     diagnosis: Diagnosis | None
     if isinstance(telemetry, Diagnosis):
         diagnosis, plain = telemetry, telemetry.to_dict()
@@ -91,27 +111,16 @@ def plan(
             progress=lambda words, share: progress(words, 0.3 * share),
         )
         plain = diagnosis.to_dict()
-    base = config if config is not None and config.orbit is not None else _base(plain)
+    base = config if config is not None and config.orbit is not None else base_of(plain)
     model_name = field or base.field.model
     where = _Where(base, plain["modelled"], model_name, degree if degree is not None else base.field.degree)
-    start, hours, step_s = _when(base, allowed)
-    progress("flying what may be flown", 0.35)
-    every = designs(base, allowed, hours, step_s, start)
-    flown, refused = [], {}
-    for place, design in enumerate(every):
-        progress(design.words, 0.35 + 0.4 * place / len(every))
-        record, _ = simulate(design.scenario)
-        view = where.flown(record, design.scenario)
-        bad = _towards_sun(view.problem.setting, allowed)
-        if bad.any():
-            refused[design.words] = f"its axis is too near the sun for {100 * bad.mean():.0f} % of the time"
-        else:
-            flown.append((design, view))
-    if not flown:
-        raise BadInput("no manoeuvre is allowed", where="[limits]", wanted="attitudes that keep the axis from the sun")
+    made = fly(base, allowed, lambda words, share: progress(words, 0.35 + 0.4 * share))
+    flown = [(design, where.flown(record, design.scenario)) for design, record in made.flown]
     closure = None if diagnosis is None else diagnosis.closure
     here = flown[0][1] if closure is None else Flown(closure.problem, closure.whitener.noise)
-    open_ = _about(names, plain, here) if names else questions.asked(plain, here)
+    open_ = (
+        _about(names, plain, here, closure is not None) if names else questions.asked(plain, here, closure is not None)
+    )
     if not open_:
         raise NoAnswer("nothing is left open: every name is told from the others and shown at its typical size")
     found = []
@@ -126,9 +135,9 @@ def plan(
     return Plan(
         sentence=sentence(found[0]),
         questions=found,
-        limits=allowed.model_dump(exclude_none=True) | {"hours": hours, "step_s": step_s},
-        refused=refused,
-        notes=_notes(config),
+        limits=made.limits,
+        refused=made.refused,
+        notes=notes_of(config),
     )
 
 
@@ -141,6 +150,12 @@ def sentence(question: Question) -> str:
     wait = f", {best.wait_days:g} days from now" if best.wait_days else ""
     sure = f"the answer is then right with {100 * best.power:.0f} %"
     return f"To settle {question.words}, fly {best.words} for {best.hours:.2g} h{wait}; {sure}."
+
+
+def _record_of(telemetry: Readable | Diagnosis, reading: Reading) -> Telemetry:
+    if isinstance(telemetry, Diagnosis) or (isinstance(telemetry, Path | str) and str(telemetry).endswith(".json")):
+        raise BadInput("a diagnosis has no readings to calibrate", where="plan", wanted="telemetry")
+    return as_record(telemetry, **reading)
 
 
 def view_of(record: Telemetry, scenario: Scenario, modelled: Sequence[str] = DEFAULT_MODELLED) -> Flown:
@@ -171,20 +186,22 @@ class _Where:
         return Flown(problem, self.noise)
 
 
-def _about(names: Sequence[str], plain: Mapping[str, Any], here: Flown) -> list[questions.Open]:
+def _about(names: Sequence[str], plain: Mapping[str, Any], here: Flown, recorded: bool) -> list[questions.Open]:
     for name in names:
         questions.signal(name)
     if len(names) == 1:
         return [questions.to_show(names[0])]
     known = [one for one in plain["effects"] if one["name"] in names]
-    first = questions.cause_of(known[0]) if known else questions.typical(names[0])
+    likely = here.likeliest(names) if recorded else None
+    first = here.plausible(questions.cause_of(known[0])) if known else likely or questions.typical(names[0])
     found = questions.told_apart([first.name, *names], here, first)
     if not found:
         raise NoAnswer(f"none of {', '.join(names)} can look like {first.name} in these data: they are told apart")
     return found
 
 
-def _limits(given: LimitsSection | Mapping[str, Any] | Path | str | None) -> LimitsSection:
+def limits_of(given: LimitsSection | Mapping[str, Any] | Path | str | None) -> LimitsSection:
+    """What may be flown, read and checked."""
     if isinstance(given, LimitsSection):
         return given
     if given is None:
@@ -202,7 +219,8 @@ def _read(path: Path) -> dict[str, Any]:
     return found
 
 
-def _base(plain: Mapping[str, Any]) -> Scenario:
+def base_of(plain: Mapping[str, Any]) -> Scenario:
+    """The spacecraft of a diagnosis, as its record shows it."""
     tree = plain["provenance"].get("design")
     if tree is None:
         raise BadInput(
@@ -225,16 +243,45 @@ def _when(base: Scenario, limits: LimitsSection) -> tuple[np.datetime64, float, 
     return start, hours, step_s
 
 
-def _towards_sun(setting: Setting, limits: LimitsSection) -> BoolArray:
-    """(N,) rows in which the axis that must not is too near the sun."""
+@dataclass(frozen=True)
+class Made:
+    """What may be flown, flown."""
+
+    flown: list[tuple[Design, Telemetry]]
+    refused: dict[str, str]
+    limits: dict[str, Any]
+
+
+def fly(base: Scenario, limits: LimitsSection, progress: Progress) -> Made:
+    """Every manoeuvre within the limits. Raises BadInput where none is left."""
+    start, hours, step_s = _when(base, limits)
+    every = designs(base, limits, hours, step_s, start)
+    flown, refused = [], {}
+    for place, design in enumerate(every):
+        progress(design.words, place / len(every))
+        record, truth = simulate(design.scenario)
+        share = _towards_sun(truth, limits)
+        if share:
+            refused[design.words] = f"the axis is too near the sun for {100 * share:.0f} % of the time"
+        else:
+            flown.append((design, record))
+    if not flown:
+        raise BadInput("no manoeuvre is allowed", where="[limits]", wanted="attitudes that keep the axis from the sun")
+    return Made(flown, refused, limits.model_dump(exclude_none=True) | {"hours": hours, "step_s": step_s})
+
+
+def _towards_sun(truth: Truth, limits: LimitsSection) -> float:
+    """Share of the rows in which the axis that must not is too near the sun."""
     if limits.keep_from_sun_B is None:
-        return np.zeros(setting.time.size, dtype=np.bool_)
+        return 0.0
     axis = np.array(limits.keep_from_sun_B) / np.linalg.norm(limits.keep_from_sun_B)
-    cosine = setting.given[2].apply(setting.sun_N) @ axis
-    return np.asarray((cosine > np.cos(np.radians(limits.keep_from_sun_deg))) & (setting.illumination > 0.5))
+    cosine = frames.rotation_from_q(truth.q_NB).apply(sun.sun_direction_N(truth.time, truth.r_N_km)) @ axis
+    near = cosine > np.cos(np.radians(limits.keep_from_sun_deg))
+    return float(np.mean(near & (truth.illumination > 0.5)))
 
 
-def _notes(config: Scenario | None) -> list[str]:
+def notes_of(config: Scenario | None) -> list[str]:
+    """What was assumed of the spacecraft."""
     if config is not None:
         return []
     return [

@@ -15,7 +15,7 @@ from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.console import shown
 from fluxtwin.gap.records.diagnosis import Diagnosis
-from fluxtwin.gap.records.plan import Plan
+from fluxtwin.gap.records.plan import CalibrationPlan, Plan
 from fluxtwin.scenarios.page import Table
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -75,6 +75,10 @@ def _diagnosis(found: Diagnosis) -> Presented:
     return Presented(sentences, diagnosis_page.tables(found))
 
 
+def _plan(found: Plan | CalibrationPlan) -> Presented:
+    return Presented([found.sentence, *found.notes], [plan_page.plan_table(found)])
+
+
 def _check(found: CheckReport) -> Presented:
     rows = [(one.severity, one.code, one.text, one.row_count or "") for one in found.findings]
     verdict = (
@@ -111,9 +115,11 @@ def _draw_diagnosis(found: Diagnosis) -> Callable[[Axes], Axes]:
     return lambda axes: on_axes.shares(axes, named, title=f"Where the gap lies: {found.verdict}")
 
 
-def _draw_plan(found: Plan) -> Callable[[Axes], Axes]:
-    from fluxtwin.plots.plan import power_on
+def _draw_plan(found: Plan | CalibrationPlan) -> Callable[[Axes], Axes]:
+    from fluxtwin.plots.plan import power_on, sigma_on
 
+    if isinstance(found, CalibrationPlan):
+        return lambda axes: sigma_on(axes, found)
     return lambda axes: power_on(axes, found.questions[0])
 
 
@@ -131,7 +137,8 @@ def _draw_record(record: Telemetry) -> Callable[[Axes], Axes] | None:
 _WORDS: dict[type, Callable[[Any], Presented]] = {
     Fit: _fit,
     Diagnosis: _diagnosis,
-    Plan: lambda found: Presented([found.sentence, *found.notes], [plan_page.plan_table(found)]),
+    Plan: _plan,
+    CalibrationPlan: _plan,
     CheckReport: _check,
     Telemetry: lambda record: _inventory(describing.of_record(record)),
     describing.Inventory: _inventory,
@@ -140,6 +147,7 @@ _PICTURES: dict[type, Callable[[Any], Any]] = {
     Fit: _draw_fit,
     Diagnosis: _draw_diagnosis,
     Plan: _draw_plan,
+    CalibrationPlan: _draw_plan,
     Telemetry: _draw_record,
     object: lambda _: None,
 }

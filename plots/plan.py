@@ -8,10 +8,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fluxtwin.gap.records.plan import ENOUGH, Course, Question
+from fluxtwin.gap.records.plan import ENOUGH, CalibrationPlan, Course, Question
 from fluxtwin.plots import style
 
-_COLOURS = (style.BLUE, style.VERMILION, style.GREEN)
+_COLOURS = (style.BLUE, style.ORANGE, style.VERMILION)
+_WIDTHS = (4.5, 2.8, 1.4)
+"""The later ones on top and thinner: curves that coincide are all seen."""
 
 
 def draw_power(question: Question) -> Figure:
@@ -24,12 +26,11 @@ def draw_power(question: Question) -> Figure:
 
 def power_on(axes: Axes, question: Question) -> Axes:
     """The same into given axes, without a legend."""
-    for course, colour in zip(question.courses, _COLOURS, strict=False):
-        later = f", {course.wait_days:g} days later" if course.wait_days and "later" not in course.words else ""
-        _line(axes, course, f"{course.words}{later}", colour, "-")
+    for course, colour, width in zip(question.courses, _COLOURS, _WIDTHS, strict=False):
+        _line(axes, course, course.words, colour, "-", width)
     before = question.as_before
     if before is not None and before.words not in [course.words for course in question.courses]:
-        _line(axes, before, f"{before.words} (more of the same)", style.GREY, "--")
+        _line(axes, before, f"{before.words} (more of the same)", style.GREY, "--", 1.6)
     axes.axhline(100.0 * ENOUGH, color=style.BLACK, lw=0.8, ls=":")
     axes.set_ylim(-2.0, 103.0)
     axes.set_xlim(left=0.0)
@@ -37,9 +38,32 @@ def power_on(axes: Axes, question: Question) -> Axes:
     return axes
 
 
-def _line(axes: Axes, course: Course, label: str, colour: str, dashes: str) -> None:
+def draw_sigma(plan: CalibrationPlan) -> Figure:
+    """Sigma of the worst parameter against hours, of the first manoeuvres."""
+    figure, ((axes,),) = style.figure(7.2, 3.9)
+    sigma_on(axes, plan)
+    style.legend_below(figure, axes, columns=2)
+    return figure
+
+
+def sigma_on(axes: Axes, plan: CalibrationPlan) -> Axes:
+    """The same into given axes, without a legend."""
+    for course, colour in zip(plan.courses, style.CYCLE, strict=False):
+        hours, sigma = np.array([(0.0, plan.sigma), *course.curve]).T
+        axes.plot(hours, sigma, color=colour, marker="o", ms=4.0, label=course.words)
+    axes.axhline(0.5 * plan.sigma, color=style.BLACK, lw=0.8, ls=":")
+    axes.set_yscale("log")
+    axes.set_xlim(left=0.0)
+    unit = "1" if plan.unit == "1" else plan.unit
+    style.label(
+        axes, x="hours flown [h]", y=f"sigma of {plan.worst} [{unit}]", title=f"What halves the sigma of {plan.worst}?"
+    )
+    return axes
+
+
+def _line(axes: Axes, course: Course, label: str, colour: str, dashes: str, width: float) -> None:
     hours, power = np.array([(0.0, 0.0), *course.curve]).T
-    axes.plot(hours, 100.0 * power, dashes, color=colour, marker="o", ms=4.0, label=label)
+    axes.plot(hours, 100.0 * power, dashes, color=colour, marker="o", ms=2.6 * width, lw=width, label=label)
 
 
 def _title(question: Question) -> str:

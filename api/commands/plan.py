@@ -29,7 +29,11 @@ def command(
     ] = None,
     about: Annotated[
         str,
-        typer.Option("--for", metavar="NAMES", help="One effect to be shown, or several, by commas, to be told apart."),
+        typer.Option(
+            "--for",
+            metavar="NAMES",
+            help="One effect to be shown; several, by commas, to be told apart; or calibration.",
+        ),
     ] = "",
     scenario: Annotated[
         Path | None,
@@ -57,6 +61,7 @@ def command(
     with output.progress(f"reading {telemetry}") as progress:
         from fluxtwin import outputs, plan_page, planning
         from fluxtwin.commands.reading import read
+        from fluxtwin.gap.records.plan import Plan
         from fluxtwin.report import render_report
         from fluxtwin.sim.base.files import write_text
         from fluxtwin.sim.scenario.scenario import save_scenario
@@ -92,7 +97,7 @@ def command(
     output.prose(found.sentence)
     output.say()
     tables = [plan_page.plan_table(found)]
-    if found.questions[0].courses:
+    if isinstance(found, Plan) and found.questions[0].courses:
         tables.insert(0, plan_page.answers_table(found.questions[0]))
     for table in tables:
         output.table(table.title, table.columns, table.rows, table.note)

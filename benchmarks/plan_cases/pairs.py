@@ -19,31 +19,37 @@ PAIRS: dict[tuple[str, str], dict[str, Any]] = {
     ("sensor_lag", "along_track_error"): QUIET,
     ("solar_array_current", "battery_current"): {},
     ("quadratic_nonlinearity", "thermal_scale_drift"): {},
+    ("quadratic_nonlinearity", "thermal_bias_drift"): {},
     ("quadratic_nonlinearity", "horizon_scanner_bias"): {},
-    ("quadratic_nonlinearity", "bias_step"): {},
+    ("quadratic_nonlinearity", "solar_array_current"): {},
     ("cubic_nonlinearity", "quadratic_nonlinearity"): {},
     ("cubic_nonlinearity", "hysteresis"): {},
-    ("cubic_nonlinearity", "bias_step"): {},
     ("thermal_bias_drift", "thermal_scale_drift"): {},
     ("boom_bending", "horizon_scanner_bias"): {},
 }
 """By pair: what the spacecraft does in its record beside what is drawn."""
 ENERGY = (35.0, 70.0)
 """Squared size of the cause in the record over the noise, beside what is re-estimated: seen, and no more."""
+_EACH = 1.5
+"""More of it for each parameter: so much more is asked of those with many."""
+_MANY = 6
 
 
 def cause(name: str, rng: np.random.Generator, flown: Flown) -> Cause | None:
-    """An effect in a drawn direction, of a drawn energy in a record; None where the record cannot have it."""
+    """An effect in a drawn direction (of many parameters, one alone), of a drawn energy in a record; None where the record
+    cannot have it."""
     effect = find_effect(name)
     assert isinstance(effect, SignalEffect)
     if name in flown.untestable:
         return None
     drawn = rng.standard_normal(len(effect.parameters))
+    if drawn.size > _MANY:
+        drawn *= np.arange(drawn.size) == rng.integers(drawn.size)
     drawn /= np.linalg.norm(drawn) / np.sqrt(drawn.size)
     theta = np.array([p.scale * value for p, value in zip(effect.parameters, drawn, strict=True)])
     low, high = (np.array([getattr(p, end) for p in effect.parameters]) for end in ("low", "high"))
     theta = np.where((theta < low) | (theta > high), np.abs(theta), theta)
-    wanted = rng.uniform(*ENERGY)
+    wanted = rng.uniform(*ENERGY) + _EACH * drawn.size
     for _ in range(4):
         has = _energy(flown, (effect, theta))
         if not has > 1e-6:

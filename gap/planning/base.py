@@ -21,6 +21,8 @@ _FAR_M = ((0.0, 0.0, 2.0), (0.0, 2.0, 0.0), (2.0, 0.0, 0.0))
 """Places of torquers of which only the coupling matters, which is given."""
 _ROUND = 0.01
 """Eccentricity below which an orbit is taken as a circle; the Earth's oblateness alone makes a tenth of that of one."""
+_ARC_RAD = 1.0
+"""From so much of an orbit on its mean motion is that of the record; of less that of its energy, good to half a percent."""
 _TIME_CONSTANT_MIN = 20.0
 _LEAST_SWING_K = 1.0
 
@@ -81,7 +83,7 @@ def _orbit(time: TimeArray, r_N_km: FloatArray, v_N_km_s: FloatArray) -> dict[st
         latitude = perigee + E - e * np.sin(E)
         found |= {"eccentricity": e, "argument_of_perigee_deg": float(np.degrees(perigee))}
     latitude = np.unwrap(latitude)
-    if np.ptp(latitude) > np.pi and np.diff(latitude).max() < np.pi / 2:
+    if np.ptp(latitude) > _ARC_RAD and np.diff(latitude).max() < np.pi / 2:
         seconds = epoch.seconds_since(time, time[0])
         for _ in range(3):  # the rates change little with the axis: a digit or two more each time
             rates = orbital_rates(axis_km, e, tilt)

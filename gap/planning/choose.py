@@ -3,58 +3,77 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from fluxtwin.gap.planning.designs import Design
 from fluxtwin.gap.planning.power import Cause, Flown
 from fluxtwin.gap.planning.questions import Open
 from fluxtwin.gap.records.plan import ENOUGH, Answer, Course, Question
+from fluxtwin.gap.selection.detectable import GATE
 from fluxtwin.sim.effects.catalogue import find_effect
+from fluxtwin.sim.scenario.scenario import Scenario
 
+_EARLY = (0.03, 0.08, 0.15)
 _SHARES = (0.25, 0.35, 0.5, 0.7, 0.85)
-"""Of the longest flight, at which the power is computed too."""
+"""Of the longest flight, at which the power is computed too; after less than a quarter nothing is proposed: what noise there
+is must be found from the same rows."""
 _KEPT = 3
 _WORTH_SAYING = 0.02
 
 
 def choose(question: Open, flown: Sequence[tuple[Design, Flown]]) -> Question:
     """The best three manoeuvres for a question: those that are enough by their hours, then the others by their power."""
-    whole = [(design, view, _answers(question, view, view.problem.rows)) for design, view in flown]
-    whole = [one for one in whole if _least(one[2]) >= _WORTH_SAYING]
-    # Of two that do as well the one without a wait, without tests, and first in the list.
-    order = sorted(whole, key=lambda one: (-round(min(_least(one[2]), ENOUGH), 2), one[0].wait_days > 0, one[0].tests))
-    good = [one for one in order if _least(one[2]) >= ENOUGH] or order[:_KEPT]
-    courses = sorted((_course(question, *one) for one in good), key=_rank)
+    tried = [_shortest(question, design, view) for design, view in flown]
+    tried = [one for one in tried if _least(one.answers) >= _WORTH_SAYING]
+    courses = [_course(question, one) for one in sorted(tried, key=_rank)[:_KEPT]]
     instead = "" if question.causes else find_effect(question.names[0]).settled_by
     same = next((one for one in flown if one[0].kind == "nadir" and not one[0].tests and not one[0].wait_days), None)
-    before = None if same is None else _course(question, *same, _answers(question, same[1], same[1].problem.rows))
-    return Question(question.kind, question.names, question.words, courses[:_KEPT], before, instead)
+    before = None if same is None else _course(question, _shortest(question, *same))
+    return Question(question.kind, question.names, question.words, courses, before, instead)
 
 
-def _rank(course: Course) -> tuple[bool, bool, float, float]:
-    enough = course.power >= ENOUGH
-    return (not enough, course.wait_days > 0, course.hours if enough else 0.0, 0.0 if enough else -course.power)
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """A manoeuvre, as long as it takes, or as long as it may last."""
+
+    design: Design
+    view: Flown
+    rows: int
+    answers: Sequence[Answer]
 
 
-def _course(question: Open, design: Design, view: Flown, answers: Sequence[Answer]) -> Course:
-    """With its curve, cut where it is enough."""
+def _shortest(question: Open, design: Design, view: Flown) -> _Tried:
     rows = view.problem.rows
-    hours = view.problem.setting.seconds / 3600.0
-    curve, settled = [], None
-    for share in _SHARES:
-        part = max(int(rows * share), 2)
-        so_far = _answers(question, view, part)
-        curve.append((float(hours[part - 1]), _least(so_far)))
-        if settled is None and _least(so_far) >= ENOUGH:
-            settled = (float(hours[part - 1]), so_far)
-        elif _least(so_far) < ENOUGH:
-            settled = None
-    curve.append((float(hours[-1]), _least(answers)))
-    flies, said = (float(hours[-1]), answers) if settled is None else settled
-    segment = design.scenario.schedule.segments[0] if design.scenario.schedule else None
-    assert segment is not None
-    cut = segment.model_dump(exclude_none=True) | {"duration_min": 60.0 * flies}
-    scenario = design.scenario.updated({"schedule.segments": [cut], "name": "plan"})
-    return Course(design.words, flies, design.wait_days, _least(said), said, curve, scenario)
+    found = _Tried(design, view, rows, _answers(question, view, rows))
+    for share in _SHARES if _least(found.answers) >= ENOUGH else ():
+        part = _Tried(design, view, int(rows * share), _answers(question, view, int(rows * share)))
+        if _least(part.answers) >= ENOUGH:
+            return part
+    return found
+
+
+def _rank(one: _Tried) -> tuple[bool, bool, float, bool, float]:
+    """Of two that do as well the one without a wait, without tests, and first in the list."""
+    power, design = _least(one.answers), one.design
+    enough = power >= ENOUGH
+    hours = round(one.rows * design.step_h, 2) if enough else 0.0
+    return (not enough, design.wait_days > 0, hours, enough and design.tests, 0.0 if enough else -power)
+
+
+def _course(question: Open, one: _Tried) -> Course:
+    rows, hours = one.view.problem.rows, one.view.problem.setting.seconds / 3600.0
+    at = sorted({*(max(int(rows * share), 2) for share in (*_EARLY, *_SHARES)), one.rows, rows})
+    curve = [(float(hours[part - 1]), _least(_answers(question, one.view, part))) for part in at]
+    flies, design = float(hours[one.rows - 1]), one.design
+    scenario = shortened(design.scenario, flies)
+    return Course(design.words, flies, design.wait_days, _least(one.answers), one.answers, curve, scenario)
+
+
+def shortened(scenario: Scenario, hours: float) -> Scenario:
+    """A manoeuvre, flown for so long only; named a plan."""
+    assert scenario.schedule is not None
+    segment = scenario.schedule.segments[0].model_dump(exclude_none=True) | {"duration_min": 60.0 * hours}
+    return scenario.updated({"schedule.segments": [segment], "name": "plan"})
 
 
 def _answers(question: Open, view: Flown, rows: int) -> list[Answer]:
@@ -66,6 +85,9 @@ def _answers(question: Open, view: Flown, rows: int) -> list[Answer]:
         ]
     found = []
     for cause in question.causes:
+        if cause.effect.bound is not None:
+            found.append(Answer(cause.name, 1.0 - GATE, f"nothing is named: it was {cause.name}, which is past"))
+            continue
         power = view.told(cause, question.names, rows)
         others = " and ".join(_others(question, cause))
         found.append(Answer(cause.name, power, f"{cause.name} is named and {others} not: it is {cause.name}"))

@@ -76,6 +76,12 @@ class Design:
     tests: bool
     """Whether torquers or loads are worked for it."""
 
+    @property
+    def step_h(self) -> float:
+        """Hours between two rows."""
+        assert self.scenario.schedule is not None
+        return self.scenario.schedule.segments[0].step_s / 3600.0
+
 
 def designs(base: Scenario, limits: LimitsSection, hours: float, step_s: float, start: np.datetime64) -> list[Design]:
     """All manoeuvres within the limits, `hours` long, rows `step_s` apart, from `start`; the simplest first."""

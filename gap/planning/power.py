@@ -97,20 +97,30 @@ class Flown:
 
     def imitating(self, cause: Cause, name: str) -> Cause | None:
         """Another effect with the setting and size that look most like a cause here; None where it cannot be tested."""
-        fits = [
-            (refit(Readings(self._with(cause), self.whitener), [(c.effect, np.zeros(c.live.size))]), c)
-            for c in self.found
-            if c.name == name
-        ]
-        if not fits:
-            return None
-        best, candidate = min(fits, key=lambda pair: pair[0].chi2)
-        return self.plausible(Cause(candidate.effect, best.chosen[0][1]))
+        return self._best(Readings(self._with(cause), self.whitener), [name])
+
+    def likeliest(self, names: Sequence[str]) -> Cause | None:
+        """The one of these effects that the record itself suggests most; None where none can be tested."""
+        return self._best(Readings(self.problem, self.whitener), names)
+
+    def _best(self, readings: Readings, names: Sequence[str]) -> Cause | None:
+        """By the criterion, at its refit."""
+        best, least = None, np.inf
+        base, samples = refit(readings).chi2, max(readings.measured / 3.0, 2.0)
+        for candidate in self.found:
+            if candidate.name in names:
+                fit = refit(readings, [(candidate.effect, np.zeros(candidate.live.size))])
+                cost = fit.chi2 + float(penalty(fit.rank_chosen, base - fit.chi2, samples))
+                if cost < least:
+                    best, least = Cause(candidate.effect, fit.chosen[0][1]), cost
+        return None if best is None else self.plausible(best)
 
     def plausible(self, cause: Cause) -> Cause:
-        """The cause without what these data do not say of its parameters: they are taken as alike in their typical sizes,
-        with the common size that is likeliest (empirical Bayes), so that what is not seen here is not made much of on
-        another manoeuvre."""
+        """The cause as it may well be, given what these data say of its parameters.
+
+        They are taken as alike in their typical sizes, with the common size that is likeliest (empirical Bayes), and drawn
+        from what is then known of them: what is badly seen here would else be nothing, or far too much, elsewhere.
+        """
         scale = np.array([parameter.scale for parameter in cause.effect.parameters])
         if scale.size == 1:
             return cause
@@ -122,9 +132,11 @@ class Flown:
         sizes = np.geomspace(1e-3, 1e3, 121)[:, None]
         spread = 1.0 + sizes**2 * values
         likely = -0.5 * np.sum(np.log(spread) + values * along**2 / spread, axis=1)
-        shrunk = along * (1.0 - 1.0 / spread[int(np.argmax(likely))])
+        number = int(np.argmax(likely))
+        normal = np.random.default_rng(_SEED).standard_normal(scale.size)
+        drawn = along * (1.0 - 1.0 / spread[number]) + sizes[number] / np.sqrt(spread[number]) * normal
         low, high = (np.array([getattr(p, end) for p in cause.effect.parameters]) for end in ("low", "high"))
-        return Cause(cause.effect, np.clip(vectors @ shrunk * scale, low, high))
+        return Cause(cause.effect, np.clip(vectors @ drawn * scale, low, high))
 
     def _with(self, cause: Cause) -> Problem:
         """The problem with noise-free readings in which the cause is."""

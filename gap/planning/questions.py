@@ -31,15 +31,19 @@ class Open:
         return "tell_apart" if self.causes else "show"
 
 
-def asked(found: Mapping[str, Any], flown: Flown) -> list[Open]:
+def asked(found: Mapping[str, Any], flown: Flown, recorded: bool) -> list[Open]:
     """Of a diagnosis as plain values: names that it does not tell apart, what an unknown cause resembles, what is
-    untestable, what would not have shown at its typical size. flown: where the names looked alike."""
+    untestable, what would not have shown at its typical size. flown: where the names looked alike; recorded: whether its
+    readings are those of the record."""
     questions = []
     for effect in found["effects"]:
         if len(effect["group"]) > 1:
-            questions += told_apart(effect["group"], flown, cause_of(effect))
-    if found["verdict"] == "unknown" and len(found["resembles"]) > 1:
-        questions += told_apart(found["resembles"], flown, typical(found["resembles"][0]))
+            questions += told_apart(effect["group"], flown, flown.plausible(cause_of(effect)))
+    if found["verdict"] == "unknown" and found["resembles"]:
+        alike = [name for name in found["resembles"] if isinstance(find_effect(name), SignalEffect)]
+        first = flown.likeliest(alike) if recorded else None
+        if alike:
+            questions += told_apart(alike, flown, first or typical(alike[0]))
     named = {effect["name"] for effect in found["effects"]}
     small = [name for name in found["minimum_detectable"] if name in found["would_settle"] and name not in named]
     for name in [*small, *(name for name in found["untestable"] if name not in small)]:
@@ -50,7 +54,7 @@ def asked(found: Mapping[str, Any], flown: Flown) -> list[Open]:
 
 def told_apart(names: Sequence[str], flown: Flown, first: Cause) -> list[Open]:
     """The question which of these it is; the first as it was found, the others as they look most like it."""
-    causes = [flown.plausible(first)]
+    causes = [first]
     for name in [name for name in names if name != first.name][: _MOST_ALIKE - 1]:
         other = flown.imitating(first, name)
         if other is not None and other.theta.any():  # else its sign is the wrong one

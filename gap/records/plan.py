@@ -82,3 +82,38 @@ class Plan(Record, Shown):
     def scenario(self) -> Scenario | None:
         """The first question's best manoeuvre; None where there is none."""
         return next((q.best.scenario for q in self.questions if q.best is not None), None)
+
+
+@dataclass(frozen=True)
+class SigmaCourse(Record):
+    """One manoeuvre for a calibration."""
+
+    words: Name
+    hours: Size
+    wait_days: Size
+    sigma: Size
+    """Of the parameter that was known worst, once record and manoeuvre are calibrated together."""
+    curve: Sequence[tuple[float, float]]
+    """Hours flown and its sigma then."""
+    scenario: Annotated[Scenario | None, Kept, Inner] = None
+
+
+@dataclass(frozen=True)
+class CalibrationPlan(Record, Shown):
+    """What `fluxtwin plan --for calibration --json` writes."""
+
+    sentence: Name
+    worst: Name
+    sigma: Size
+    """Of the record alone."""
+    unit: str
+    courses: Sequence[SigmaCourse]
+    """Those that halve it soonest first, then the others by what they leave."""
+    limits: Mapping[str, Any]
+    refused: Mapping[str, str]
+    notes: Sequence[str]
+
+    @property
+    def scenario(self) -> Scenario | None:
+        """The first manoeuvre."""
+        return self.courses[0].scenario if self.courses else None

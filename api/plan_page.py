@@ -63,9 +63,9 @@ def plan_table(plan: Plan | CalibrationPlan) -> Table:
 def answers_table(question: Question) -> Table:
     """What each way in which it may come out would mean."""
     rows = [
-        [course.words, answer.cause, f"{100 * answer.power:.0f}", answer.means]
+        [course.words if number == 0 else "", answer.cause, f"{100 * answer.power:.0f}", answer.means]
         for course in question.courses
-        for answer in course.answers
+        for number, answer in enumerate(course.answers)
     ]
     return Table(
         f"What the answers would mean: {question.words}", ["manoeuvre", "if it is", "power [%]", "answer"], rows

@@ -12,7 +12,7 @@ from fluxtwin.gap.records.plan import ENOUGH, CalibrationPlan, Course, Question
 from fluxtwin.plots import style
 
 _COLOURS = (style.BLUE, style.ORANGE, style.VERMILION)
-_WIDTHS = (4.5, 2.8, 1.4)
+_WIDTHS = (3.6, 2.4, 1.3)
 """The later ones on top and thinner: curves that coincide are all seen."""
 
 
@@ -63,7 +63,7 @@ def sigma_on(axes: Axes, plan: CalibrationPlan) -> Axes:
 
 def _line(axes: Axes, course: Course, label: str, colour: str, dashes: str, width: float) -> None:
     hours, power = np.array([(0.0, 0.0), *course.curve]).T
-    axes.plot(hours, 100.0 * power, dashes, color=colour, marker="o", ms=2.6 * width, lw=width, label=label)
+    axes.plot(hours, 100.0 * power, dashes, color=colour, marker="o", ms=2.0 * width + 1.0, lw=width, label=label)
 
 
 def _title(question: Question) -> str:

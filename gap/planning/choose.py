@@ -26,7 +26,7 @@ def choose(question: Open, flown: Sequence[tuple[Design, Flown]]) -> Question:
     tried = [_shortest(question, design, view) for design, view in flown]
     tried = [one for one in tried if _least(one.answers) >= _WORTH_SAYING]
     courses = [_course(question, one) for one in sorted(tried, key=_rank)[:_KEPT]]
-    instead = "" if question.causes else find_effect(question.names[0]).settled_by
+    instead = find_effect(question.names[0]).settled_by if question.kind == "show" else ""
     same = next((one for one in flown if one[0].kind == "nadir" and not one[0].tests and not one[0].wait_days), None)
     before = None if same is None else _course(question, _shortest(question, *same))
     return Question(question.kind, question.names, question.words, courses, before, instead)
@@ -77,6 +77,9 @@ def shortened(scenario: Scenario, hours: float) -> Scenario:
 
 
 def _answers(question: Open, view: Flown, rows: int) -> list[Answer]:
+    if question.placed is not None:
+        said = "the diagnosis places it in these axes: look for what is fixed in them"
+        return [Answer(frame, view.placed(question.placed, frame, rows), said) for frame in question.names]
     if not question.causes:
         name = question.names[0]
         power = view.shown(rows).get(name, 0.0)
@@ -90,7 +93,7 @@ def _answers(question: Open, view: Flown, rows: int) -> list[Answer]:
             continue
         power = view.told(cause, question.names, rows)
         others = " and ".join(_others(question, cause))
-        found.append(Answer(cause.name, power, f"{cause.name} is named and {others} not: it is {cause.name}"))
+        found.append(Answer(cause.name, power, f"it is named, and {others} not"))
     return found
 
 

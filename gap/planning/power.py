@@ -14,10 +14,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import chi2, ncx2
+from scipy.stats import chi2, ncx2, norm
 
+from fluxtwin.gap.hypotheses.blocks import Carrier
 from fluxtwin.gap.hypotheses.candidates import Candidate, candidate_of, candidates
-from fluxtwin.gap.linear.projection import SHARE_LEFT, least_share, projected
+from fluxtwin.gap.hypotheses.conditions import always, conditions
+from fluxtwin.gap.linear.projection import SHARE_LEFT, least_share, orthonormal, projected
 from fluxtwin.gap.noise.choice import NoiseModel, whitener_of
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem
@@ -33,6 +35,11 @@ from fluxtwin.sim.effects.base import SignalEffect
 _DRAWS = 400
 """A power of 0.9 is then good to 0.015."""
 _SEED = 18
+FRAMES = ("body", "orbital", "inertial", "earth")
+_APART = 2.0 * float(np.log(20.0))
+"""By how much one place must do better than another: twenty to one."""
+_SEEN = 0.01
+"""Share of its energy that a column of something unknown must have beside what is re-estimated, to be a part of it."""
 _REFITTED = 5
 _FAR = 40.0
 """Candidates that are refitted: so many, and not where the cause does better by so much; noise makes up for half of it once
@@ -51,6 +58,16 @@ class Cause:
         return self.effect.name
 
 
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Structure that nothing in the catalogue explains: what it follows, in which axes it may be steady, and how large."""
+
+    condition: str | None
+    frames: tuple[str, ...]
+    sizes: dict[str, FloatArray]
+    """By frame (k,): of each column of it, by itself, nT."""
+
+
 class Flown:
     """A design as a diagnosis of it would see it: all candidates, whitened."""
 
@@ -60,6 +77,7 @@ class Flown:
         self.found, self.untestable = candidates(problem)
         self._white = whitened(self.found, self.whitener, problem.rows)
         self._nuisance = self.whitener.apply(problem.nuisance) if problem.modelled else problem.nuisance
+        self._in_frames: dict[str | None, dict[str, FloatArray]] = {}
         self._shown: dict[int, dict[str, float]] = {}
         self._signals: dict[Cause, tuple[list[Candidate], FloatArray, FloatArray]] = {}
 
@@ -137,6 +155,56 @@ class Flown:
         drawn = along * (1.0 - 1.0 / spread[number]) + sizes[number] / np.sqrt(spread[number]) * normal
         low, high = (np.array([getattr(p, end) for p in cause.effect.parameters]) for end in ("low", "high"))
         return Cause(cause.effect, np.clip(vectors @ drawn * scale, low, high))
+
+    def placed(self, place: Placed, frame: str, rows: int) -> float:
+        """Probability that structure in the axes of a frame is told from the same in the other frames, on the first rows.
+
+        Each of its columns alone has the size that place says; the two that are compared have as many parameters, so what
+        counts is how much less the other explains.
+        """
+        images = self._images(place.condition)
+        if frame not in images:
+            return 0.0
+        nuisance = self._nuisance[:rows]
+        power = []
+        for number in np.flatnonzero(place.sizes[frame]):  # what is re-estimated makes up the others
+            size = place.sizes[frame][number]
+            column = images[frame][:rows, :, number : number + 1] * size
+            left = []
+            for other in place.frames:
+                if other != frame:
+                    beside = orthonormal(np.concatenate([nuisance, images[other][:rows]], axis=2))
+                    flat = column.reshape(-1)
+                    left.append(float(np.sum((flat - beside @ (beside.T @ flat)) ** 2)))
+            # The drops differ by what the other leaves, with twice its root as standard deviation.
+            worse = min(left)
+            power.append(float(norm.sf((_APART - worse) / (2.0 * np.sqrt(max(worse, 1e-12))))))
+        return float(np.mean(power)) if power else 0.0
+
+    def place(self, condition: str | None, frames: Sequence[str], energy: float) -> Placed | None:
+        """Structure that has so much energy over the noise in this record, in any of these axes; None where it has not the
+        condition."""
+        images = self._images(condition)
+        if not images:
+            return None
+        basis, sizes = orthonormal(self._nuisance), {}
+        for frame in frames:
+            flat = images[frame].reshape(-1, images[frame].shape[2])
+            seen = np.sum((flat - basis @ (basis.T @ flat)) ** 2, axis=0)
+            live = seen > _SEEN * np.sum(flat**2, axis=0)
+            sizes[frame] = np.where(live, np.sqrt(energy / np.where(live, seen, 1.0)), 0.0)
+        return Placed(condition, tuple(frames), sizes)
+
+    def _images(self, condition: str | None) -> dict[str, FloatArray]:
+        """{frame: (M, 3, k) whitened} of a field that follows a condition; none where this design has it not."""
+        if condition not in self._in_frames:
+            setting = self.problem.design.setting
+            known = [always(setting)] if condition is None else [c for c in conditions(setting) if c.name == condition]
+            carrier = Carrier(self.problem) if known else None
+            self._in_frames[condition] = {
+                frame: self.whitener.apply(carrier.additive(known[0], frame)) for frame in FRAMES if carrier is not None
+            }
+        return self._in_frames[condition]
 
     def _with(self, cause: Cause) -> Problem:
         """The problem with noise-free readings in which the cause is."""

@@ -9,13 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.gap.planning.power import Cause, Flown
+from fluxtwin.gap.planning.power import FRAMES, Cause, Flown, Placed
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
 
 _MOST_ALIKE = 4
 """Names of one question: six pairs."""
+_POSSIBLE = 0.01
+"""Probability from which axes are asked about: that from which the page shows them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +27,12 @@ class Open:
     names: tuple[str, ...]
     causes: tuple[Cause, ...]
     words: str
+    placed: Placed | None = None
+    """In place of causes: structure without a name, to be placed in one of the frames that `names` lists."""
 
     @property
     def kind(self) -> str:
-        return "tell_apart" if self.causes else "show"
+        return "place" if self.placed is not None else "tell_apart" if self.causes else "show"
 
 
 def asked(found: Mapping[str, Any], flown: Flown, recorded: bool) -> list[Open]:
@@ -44,6 +48,8 @@ def asked(found: Mapping[str, Any], flown: Flown, recorded: bool) -> list[Open]:
         first = flown.likeliest(alike) if recorded else None
         if alike:
             questions += told_apart(alike, flown, first or typical(alike[0]))
+    if found["verdict"] == "unknown":
+        questions += to_place(found, flown)
     named = {effect["name"] for effect in found["effects"]}
     small = [name for name in found["minimum_detectable"] if name in found["would_settle"] and name not in named]
     for name in [*small, *(name for name in found["untestable"] if name not in small)]:
@@ -72,6 +78,21 @@ def by_pairs(question: Open) -> list[Open]:
     """The first cause against each of the others: what can be settled of a question that no one manoeuvre settles."""
     first, *others = question.causes
     return [apart([first, other]) for other in others]
+
+
+def to_place(found: Mapping[str, Any], flown: Flown) -> list[Open]:
+    """The question in which axes an unknown field is steady: those that the diagnosis leaves, or any."""
+    shares = found["where"]["probabilities"]["frame"]
+    frames = [frame for frame in FRAMES if shares.get(frame, 0.0) >= _POSSIBLE]
+    frames = frames if len(frames) > 1 else list(FRAMES)
+    gap, condition = found["gap"], found["where"]["condition"]
+    excess = max(gap["before_nT"] ** 2 - gap["floor_nT"] ** 2, 0.0) / max(gap["floor_nT"], 1e-3) ** 2
+    placed = flown.place(condition, frames, 3.0 * flown.problem.rows * excess)
+    if placed is None or not excess:
+        return []
+    follows = "" if condition is None else f" that follows {condition}"
+    words = f"whether what is unknown{follows} is steady in {', '.join(frames[:-1])} or {frames[-1]} axes"
+    return [Open(tuple(frames), (), words, placed)]
 
 
 def to_show(name: str) -> Open:

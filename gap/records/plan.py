@@ -51,7 +51,7 @@ class Question(Record):
     """What these data leave open, and what would settle it."""
 
     kind: str
-    """tell_apart: two names or more; show: one name at its typical size; calibrate: the parameter that is known worst."""
+    """tell_apart: two names or more; place: something unknown in one of several axes; show: a name at its typical size."""
     names: Sequence[Name]
     words: Name
     courses: Sequence[Course]

@@ -125,6 +125,16 @@ def test_power_grows_with_size_and_time(flown: dict[str, tuple[Design, Flown]]) 
     assert rows[0] < rows[1]
 
 
+def test_a_tumble_tells_the_axes_of_something_unknown(flown: dict[str, tuple[Design, Flown]]) -> None:
+    """A field that follows the orbit and is steady in the body, or about the orbit: at nadir the two are the same axes."""
+    nadir, tumble = (next(v for w, (_, v) in flown.items() if w.startswith(word)) for word in ("nadir", "tumble"))
+    place = nadir.place("orbit_phase", ["body", "orbital"], 200.0)
+    assert place is not None and nadir.place("head", ["body", "orbital"], 200.0) is None
+    for frame in place.frames:
+        assert nadir.placed(place, frame, nadir.problem.rows) < 0.1
+        assert tumble.placed(place, frame, tumble.problem.rows) > 0.9
+
+
 @pytest.mark.parametrize("eccentricity", [0.0, 0.02, 0.2])
 def test_the_orbit_of_a_record_is_found(base: Scenario, eccentricity: float) -> None:
     """A day later within 150 km: two hundredths of a radian, which no manoeuvre's power notices."""

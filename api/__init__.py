@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from fluxtwin.describing import info as info
     from fluxtwin.diagnosing import close as close
     from fluxtwin.diagnosing import diagnose as diagnose
+    from fluxtwin.fleets import fleet as fleet
     from fluxtwin.flight_software import export as export
     from fluxtwin.flight_software import import_calibration as import_calibration
     from fluxtwin.flying import ensemble as ensemble
@@ -98,6 +99,7 @@ _NAMES = {
     "fluxtwin.trending": ("trend",),
     "fluxtwin.flying": ("simulate", "ensemble"),
     "fluxtwin.campaigning": ("campaign",),
+    "fluxtwin.fleets": ("fleet",),
     "fluxtwin.studies": ("run_study",),
     "fluxtwin.sim.telemetry.record": ("Telemetry",),
     "fluxtwin.calib.common.records": ("Calibration",),

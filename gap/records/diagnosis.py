@@ -15,6 +15,7 @@ from pydantic import ConfigDict, Field, GetPydanticSchema, PlainSerializer, Type
 
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.gap.records.score import Score
 from fluxtwin.sim.base.seals import FORMAT
 from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import FloatArray, TimeArray
@@ -444,6 +445,8 @@ class Diagnosis(Record, Shown):
     provenance."""
     series: Annotated[GapSeries | None, Kept, Inner] = None
     closure: Annotated[Closure | None, Kept, Inner] = None
+    scores: Annotated[Sequence[Score], Kept, Inner] = ()
+    """What the readings say of every effect of the catalogue, for fleets."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON; every key always present, but `momentum` only where it was balanced, and `law` only where

@@ -152,6 +152,7 @@ def assemble(
         ranking=sorted([*result.ranking, *momentum.ranking], key=lambda line: (line.p_value, -line.drop)),
         momentum=momentum.gap,
         closure=_closure(work, found),
+        scores=result.scores,
     )
 
 

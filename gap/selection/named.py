@@ -9,6 +9,7 @@ import numpy as np
 
 from fluxtwin.gap.hypotheses.candidates import Candidate, settings_of
 from fluxtwin.gap.records.diagnosis import Detectable, EffectParameter, FoundEffect, Ranked
+from fluxtwin.gap.records.score import Score
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect
 from fluxtwin.sim.effects.chain import Active
@@ -100,6 +101,8 @@ class SearchResult:
     """`nuisance`, `named`: chi-square and number of parameters seen."""
     variance: float
     """Of whitened rows about the saturated fit: 1 when the noise model is right."""
+    scores: tuple[Score, ...]
+    """What the record says of every candidate: beside the named effects, and of these beside nothing."""
     tested: int
     """Alternatives tested, for which every p-value is corrected."""
 

@@ -16,6 +16,7 @@ from scipy.stats import f as f_distribution
 
 from fluxtwin.gap.hypotheses.candidates import Candidate
 from fluxtwin.gap.linear.projection import SHARE_LEFT, Whitens, orthonormal
+from fluxtwin.gap.records.score import Score
 from fluxtwin.sim.base.types import FloatArray
 
 _QUIETEST = 0.25
@@ -140,6 +141,20 @@ class Board:
         rank = np.maximum(self.rank, 1)
         p = f_distribution.sf(self.statistic / rank / self.variance, rank, self.freedom)
         return np.asarray(np.where(self.rank > 0, p, 1.0))
+
+    def scores(self) -> list[Score]:
+        """Score and information of every candidate, in the units of its parameters."""
+        pull = (self.columns.T @ self.residual) * self.lengths
+        found = []
+        for number, candidate in enumerate(self.candidates):
+            mine = np.flatnonzero(self.owner == number)
+            at, size = self.place[mine].astype(int), len(candidate.effect.parameters)
+            score, information = np.zeros(size), np.zeros((size, size))
+            score[at] = pull[mine] / self.variance
+            scaled = self.gram[np.ix_(mine, mine)] * np.outer(self.lengths[mine], self.lengths[mine])
+            information[np.ix_(at, at)] = scaled / self.variance
+            found.append(Score(candidate.label, candidate.effect, score, information))
+        return found
 
     def given(self, numbers: Sequence[int]) -> tuple[FloatArray, NDArray[np.intp]]:
         """(K,) further drop of chi-square by each candidate once those of `numbers` are in, and its rank then."""

@@ -1,0 +1,85 @@
+"""The verb `fleet`, and its tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fluxtwin.calib.common.digits import measured, plain
+from fluxtwin.scenarios.page import Table
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.workers import answers, require_workers
+from fluxtwin.sim.telemetry.telemetry_files import Readable
+
+if TYPE_CHECKING:
+    from fluxtwin.gap.fleet import Fleet
+    from fluxtwin.gap.records.diagnosis import Diagnosis
+
+
+def fleet(
+    vehicles: Mapping[str, Readable],
+    *,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    executor: Executor | None = None,
+    progress: Progress = silent,
+    **options: Any,
+) -> Fleet:
+    """Which effect is common to vehicles of one design, and which belongs to one.
+
+    vehicles: a record, or its file, by the name of the vehicle, three or more. options: as for `diagnose`, the same for all.
+    jobs, scheduler, executor: who does the diagnoses, as for `ensemble`. Raises BadInput and NoAnswer as `diagnose` does.
+    """
+    from fluxtwin.gap.fleet import fleet as together
+
+    require_workers(jobs, scheduler)
+    if len(vehicles) < 3:
+        wanted = "three or more: of two, neither is the odd one"
+        raise BadInput(f"{len(vehicles)} vehicles", where="fleet", wanted=wanted)
+    names = list(vehicles)
+    calls = [(number, vehicles[name], options) for number, name in enumerate(names)]
+    found: dict[int, Diagnosis] = {}
+    for number, diagnosis in answers(one, calls, jobs=jobs, scheduler=scheduler, executor=executor):
+        found[number] = diagnosis
+        progress(f"diagnosed {len(found)} of {len(names)}", 0.98 * len(found) / len(names))
+    return together(names, [found[number] for number in range(len(names))])
+
+
+def one(number: int, record: Readable, options: Mapping[str, Any]) -> tuple[int, Diagnosis]:
+    """The diagnosis of one vehicle, for a process anywhere; without the parts that only its own report needs."""
+    from dataclasses import replace
+
+    from fluxtwin.diagnosing import diagnose
+
+    return number, replace(diagnose(record, **options), series=None, closure=None)
+
+
+def tables(found: Fleet) -> list[Table]:
+    """The common effect by vehicle, and the ranking."""
+    out = []
+    common = found.common
+    if common is not None:
+        shown = [p for p in range(len(common.parameters)) if np.isfinite(common.mean[p])]
+        shown = sorted(shown, key=lambda p: -abs(common.mean[p] / common.mean_sigma[p]))[:3]
+        columns = ["vehicle", *(f"{common.parameters[p]} [{common.units[p]}]" for p in shown), "its own diagnosis"]
+        rows = [
+            [
+                Path(name).name,
+                *(measured(common.each[v, p], common.each_sigma[v, p]) for p in shown),
+                ", ".join(one.name for one in found.diagnoses[v].effects) or found.diagnoses[v].verdict,
+            ]
+            for v, name in enumerate(found.vehicles)
+        ]
+        rows.append(["all", *(measured(common.mean[p], common.mean_sigma[p]) for p in shown), ""])
+        note = "Each vehicle's size is drawn towards the mean, the more the less it knows by itself; 1 sigma."
+        out.append(Table(common.name, columns, rows, note))
+    ranking = [[name, plain(value, 3), str(rank)] for name, value, rank in found.ranking[:8]]
+    if ranking:
+        note = "Twice the log of the Bayes factor of having it in common, against nothing; above 6 it is said."
+        out.append(Table("what the vehicles could have in common", ["effect", "worth", "directions"], ranking, note))
+    return out

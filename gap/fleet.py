@@ -1,0 +1,276 @@
+"""Many vehicles of one design together: which effect is common to them, and which belongs to one.
+
+Each record is diagnosed by itself; what it says of an effect is a score U and an information I, beside what is re-estimated
+there and what is named there. An effect that all have in common with parameters theta explains
+
+    D = U' M^+ U,     U = sum of U_v, M = sum of I_v
+
+of chi-square, weighed by the one criterion with all samples; what the vehicles have of it beside that, theirs each, is
+Cochran's Q = sum of D_v - D. Sizes that differ from vehicle to vehicle have a spread of their own (DerSimonian & Laird 1986,
+Controlled Clinical Trials 7, 177); what each vehicle says is drawn towards their mean (Efron & Morris 1975, JASA 70, 311).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.special import expit, softmax
+from scipy.stats import chi2
+
+from fluxtwin.gap.linear.projection import SHARE_LEFT
+from fluxtwin.gap.records.diagnosis import Diagnosis
+from fluxtwin.gap.records.score import Score
+from fluxtwin.gap.selection.criterion import MOST_SURE, THRESHOLD, worth
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.effects.base import Effect
+
+FALSE_ALARM = 0.01
+"""Of a whole fleet: for the spread of a size, and for the odd one out."""
+_GROUP = 2.0 * np.log(20.0)
+"""Names whose exchange costs less are not told apart."""
+
+
+@dataclass(frozen=True)
+class CommonEffect:
+    """An effect that the vehicles share."""
+
+    name: str
+    group: tuple[str, ...]
+    """Names, its own first, that would explain nearly as much in all of them."""
+    probability: float
+    """That it, or one of its group, is common to the vehicles."""
+    parameters: tuple[str, ...]
+    units: tuple[str, ...]
+    mean: FloatArray
+    """(p,) over the vehicles, in the units; NaN where no vehicle sees it."""
+    mean_sigma: FloatArray
+    spread: FloatArray
+    """(p,) standard deviation from vehicle to vehicle beyond what each is unsure by; 0: none is seen."""
+    each: FloatArray
+    """(V, p) what is believed of each vehicle: its own estimate, drawn towards the mean."""
+    each_sigma: FloatArray
+    best_single_sigma: FloatArray
+    """(p,) of the vehicle that knows best by itself."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """An effect that one vehicle has and the others have not."""
+
+    vehicle: int
+    name: str
+    probability: float
+    odd: bool
+    """It shows only beside the others, whose size of this effect it does not share; else its own diagnosis names it."""
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """What V vehicles say together."""
+
+    vehicles: tuple[str, ...]
+    diagnoses: tuple[Diagnosis, ...]
+    common: CommonEffect | None
+    faults: tuple[Fault, ...]
+    ranking: tuple[tuple[str, float, int], ...]
+    """Effects that all could have: twice the log of the Bayes factor of having it in common, and directions."""
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The answer in sentences."""
+        count = len(self.vehicles)
+        if self.common is None:
+            said = [f"No effect is seen to be common to the {count} vehicles."]
+        else:
+            one = self.common
+            names = " or ".join(one.group)
+            said = [f"Common to the {count} vehicles, and so of the design: {names} ({100 * one.probability:.0f} %)."]
+            said += [
+                f"{name} {value:.4g} ± {sigma:.2g} {unit}"
+                + (f", from vehicle to vehicle ± {spread:.2g}" if spread > 0 else ", the same in all of them")
+                + f"; the best vehicle alone knows it to {single:.2g}."
+                for name, unit, value, sigma, spread, single in zip(
+                    one.parameters, one.units, one.mean, one.mean_sigma, one.spread, one.best_single_sigma, strict=True
+                )
+                if np.isfinite(value) and abs(value) > 2.0 * sigma
+            ]
+        for fault in self.faults:
+            how = "differs in it from all others" if fault.odd else "has it alone"
+            said.append(f"{self.vehicles[fault.vehicle]}: {fault.name} ({100 * fault.probability:.0f} %), {how}.")
+        if not self.faults:
+            said.append("No vehicle stands out from the others.")
+        return tuple(said)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        common = None
+        if self.common is not None:
+            plain = {key: getattr(self.common, key) for key in ("name", "group", "probability", "parameters", "units")}
+            arrays = ("mean", "mean_sigma", "spread", "each", "each_sigma", "best_single_sigma")
+            common = plain | {key: _plain(getattr(self.common, key)) for key in arrays}
+        return {
+            "vehicles": list(self.vehicles),
+            "lines": list(self.lines),
+            "common": common,
+            "faults": [
+                {"vehicle": self.vehicles[f.vehicle], "name": f.name, "probability": f.probability, "odd": f.odd}
+                for f in self.faults
+            ],
+            "ranking": [{"name": name, "worth": value, "directions": rank} for name, value, rank in self.ranking],
+            "verdicts": [one.verdict for one in self.diagnoses],
+            "named": [[found.name for found in one.effects] for one in self.diagnoses],
+        }
+
+
+def fleet(vehicles: Sequence[str], diagnoses: Sequence[Diagnosis]) -> Fleet:
+    """What the diagnoses of V vehicles of one design say together. Raises BadInput for fewer than three."""
+    if len(diagnoses) < 3:
+        raise BadInput(
+            f"{len(diagnoses)} vehicles", where="fleet", wanted="three or more: of two, neither is the odd one"
+        )
+    tables = [{score.label: score for score in one.scores} for one in diagnoses]
+    shared = [label for label in tables[0] if all(label in table for table in tables)]
+    samples = float(sum(one.samples["used"] for one in diagnoses))
+    found = [(label, *_in_common([table[label] for table in tables])) for label in shared]
+    seen = [one for one in found if one[2]]
+    tried = float(np.log(max(len(seen), 1)))
+    values = np.array([worth(drop, rank, samples, tried) for _, drop, rank in seen])
+    best: dict[str, tuple[float, str, int]] = {}
+    for (label, _, rank), value in zip(seen, values, strict=True):
+        name = tables[0][label].effect.name
+        if name not in best or best[name][0] < value:
+            best[name] = (float(value), label, rank)
+    ranked = sorted(best.items(), key=lambda pair: -pair[1][0])
+    common = None
+    if ranked and ranked[0][1][0] > THRESHOLD:
+        top = ranked[0][1][0]
+        group = [name for name, (value, _, _) in ranked if top - value < _GROUP]
+        weights = softmax([0.5 * value for _, (value, _, _) in ranked])
+        inside = float(sum(weights[: len(group)])) * float(expit(0.5 * (top - THRESHOLD)))
+        common = _sizes([table[ranked[0][1][1]] for table in tables], tuple(group), min(MOST_SURE, inside))
+    faults = _faults(diagnoses, tables, shared, common)
+    ranking = tuple((name, value, rank) for name, (value, _, rank) in ranked)
+    return Fleet(tuple(vehicles), tuple(diagnoses), common, faults, ranking)
+
+
+def _plain(values: FloatArray) -> Any:
+    """Lists for JSON, None for what is not known."""
+    return (
+        [_plain(one) for one in values] if values.ndim > 1 else [x if np.isfinite(x) else None for x in values.tolist()]
+    )
+
+
+def _in_common(scores: Sequence[Score]) -> tuple[float, int]:
+    """Drop of chi-square by one size for all vehicles, and its rank."""
+    return _explained(sum(one.score for one in scores), sum(one.information for one in scores))  # type: ignore[arg-type]
+
+
+def _explained(score: FloatArray, information: FloatArray) -> tuple[float, int]:
+    scale = np.sqrt(np.maximum(np.diag(information), 0.0))
+    scale = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    good = values > SHARE_LEFT
+    along = vectors[:, good].T @ (score / scale)
+    return float(np.sum(along**2 / values[good])), int(good.sum())
+
+
+def _estimates(scores: Sequence[Score]) -> tuple[FloatArray, FloatArray]:
+    """(V, p) estimate and sigma of each vehicle by itself; NaN where it does not see a parameter."""
+    values, sigmas = [], []
+    for one in scores:
+        scale = np.sqrt(np.maximum(np.diag(one.information), 0.0))
+        seen = scale > 0
+        safe = np.where(seen, scale, 1.0)
+        inverse = np.linalg.pinv(one.information / np.outer(safe, safe), rcond=SHARE_LEFT, hermitian=True)
+        inverse = inverse / np.outer(safe, safe)
+        values.append(np.where(seen, inverse @ one.score, np.nan))
+        sigmas.append(np.where(seen, np.sqrt(np.maximum(np.diag(inverse), 0.0)), np.nan))
+    return np.array(values), np.array(sigmas)
+
+
+def _sizes(scores: Sequence[Score], group: tuple[str, ...], probability: float) -> CommonEffect:
+    """Mean, spread and each vehicle's share, parameter by parameter."""
+    values, sigmas = _estimates(scores)
+    effect = scores[0].effect
+    count = len(effect.parameters)
+    mean, mean_sigma, spread, single = (np.full(count, np.nan) for _ in range(4))
+    each, each_sigma = np.full(values.shape, np.nan), np.full(values.shape, np.nan)
+    for p in range(count):
+        seen = np.isfinite(values[:, p]) & (sigmas[:, p] > 0)
+        if seen.sum() < 2:
+            continue
+        v, s2 = values[seen, p], sigmas[seen, p] ** 2
+        between = _between(v, s2)
+        weight = 1.0 / (s2 + between)
+        mean[p], mean_sigma[p] = float(weight @ v / weight.sum()), float(weight.sum() ** -0.5)
+        kept = between / (between + s2)
+        each[seen, p] = mean[p] + kept * (v - mean[p])
+        each_sigma[seen, p] = np.sqrt(kept * s2 + (1.0 - kept) ** 2 * mean_sigma[p] ** 2)
+        spread[p], single[p] = between**0.5, float(np.sqrt(s2.min()))
+    names = tuple(one.name for one in effect.parameters)
+    units = tuple(one.unit for one in effect.parameters)
+    return CommonEffect(
+        effect.name, group, probability, names, units, mean, mean_sigma, spread, each, each_sigma, single
+    )
+
+
+def _between(values: FloatArray, variances: FloatArray) -> float:
+    """Variance from vehicle to vehicle; 0 unless Cochran's Q says that there is one."""
+    w = 1.0 / variances
+    mean = float(w @ values / w.sum())
+    q, free = float(w @ (values - mean) ** 2), values.size - 1
+    if chi2.sf(q, free) > FALSE_ALARM:
+        return 0.0
+    return max((q - free) / float(w.sum() - (w**2).sum() / w.sum()), 0.0)
+
+
+def _faults(
+    diagnoses: Sequence[Diagnosis],
+    tables: Sequence[Mapping[str, Score]],
+    shared: Sequence[str],
+    common: CommonEffect | None,
+) -> tuple[Fault, ...]:
+    """What single vehicles are told to have and most others have not; and sizes that differ from those of all others."""
+    count = len(diagnoses)
+    known = set() if common is None else set(common.group)
+    named = [{name for found in one.effects for name in found.group} for one in diagnoses]
+    faults = []
+    for vehicle, one in enumerate(diagnoses):
+        for found in one.effects:
+            others = sum(bool({found.name} & names) for place, names in enumerate(named) if place != vehicle)
+            if not known & set(found.group) and 2 * others < count - 1:
+                faults.append(Fault(vehicle, found.name, found.probability, odd=False))
+    taken = {(fault.vehicle, name) for fault in faults for name in [fault.name]}
+    # Beside a common effect only its own size is compared: the scores of others hold what it leaves in them.
+    compared = [label for label in shared if common is None or tables[0][label].effect.name == common.name]
+    limit = FALSE_ALARM / max(count * len(compared), 1)
+    odd: dict[int, tuple[float, str]] = {}
+    for label in compared:
+        scores = [table[label] for table in tables]
+        effect: Effect = scores[0].effect
+        for vehicle in range(count):
+            apart, rank = _explained_apart(scores[vehicle], [*scores[:vehicle], *scores[vehicle + 1 :]])
+            p = float(chi2.sf(apart, rank)) if rank else 1.0
+            if p < limit and (vehicle, effect.name) not in taken and p < odd.get(vehicle, (1.0, ""))[0]:
+                odd[vehicle] = (p, effect.name)
+    spoken = {fault.vehicle for fault in faults}
+    faults += [
+        Fault(vehicle, name, min(MOST_SURE, 1.0 - p / limit * FALSE_ALARM), odd=True)
+        for vehicle, (p, name) in odd.items()
+        if vehicle not in spoken
+    ]
+    return tuple(sorted(faults, key=lambda fault: (fault.vehicle, -fault.probability)))
+
+
+def _explained_apart(one: Score, others: Sequence[Score]) -> tuple[float, int]:
+    """Chi-square by which one vehicle's size differs from that of the others together, and its rank."""
+    rest_score = sum((other.score for other in others), np.zeros_like(one.score))
+    rest = sum((other.information for other in others), np.zeros_like(one.information))
+    alone, rank = _explained(one.score, one.information)
+    theirs, _ = _explained(rest_score, rest)
+    together, _ = _explained(one.score + rest_score, one.information + rest)
+    return max(alone + theirs - together, 0.0), rank

@@ -1,0 +1,114 @@
+"""Many vehicles together: what adds up, what differs, and what is nothing, from scores that are drawn by their law."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from worlds import scenario_text
+
+from fluxtwin.gap.diagnose import diagnose
+from fluxtwin.gap.fleet import Fleet, fleet
+from fluxtwin.gap.records.diagnosis import Diagnosis
+from fluxtwin.gap.records.score import Score
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.earth.field import load_field
+from fluxtwin.sim.effects.catalogue import find_effect
+from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.scenario.scenario import parse_scenario
+
+pytestmark = pytest.mark.closure
+
+SECTIONS = """
+[attitude]
+mode = "tumble"
+rate_deg_s = [0.12, 0.08, 0.2]
+[attitude.reference]
+sigma_deg = 0.05
+tau_s = 0.0
+[magnetometer]
+b_nT = [900.0, -300.0, 200.0]
+noise_nT = 20.0
+"""
+LATE, AHEAD = find_effect("time_tag_offset"), find_effect("along_track_error")
+SIGMA_S = 0.1
+
+
+def asked(sections: str) -> Diagnosis:
+    inertia = np.diag([0.05, 0.06, 0.04]).tolist()
+    plan = parse_scenario(scenario_text(sections, segment="samples = 300, step_s = 10.0", inertia_kg_m2=inertia))
+    return diagnose(simulate(plan)[0], load_field("igrf14"))
+
+
+@pytest.fixture(scope="module")
+def perfect() -> Diagnosis:
+    text = scenario_text(
+        SECTIONS, segment="samples = 300, step_s = 10.0", inertia_kg_m2=np.diag([0.05, 0.06, 0.04]).tolist()
+    )
+    return diagnose(simulate(parse_scenario(text))[0], load_field("igrf14"))
+
+
+def vehicle(perfect: Diagnosis, rng: np.random.Generator, late_s: float) -> Diagnosis:
+    """A record of which only the scores of two effects are kept: a late clock known to 0.1 s, and an orbit whose image is
+    nothing like it."""
+    information = np.array([[SIGMA_S**-2]])
+    drawn = information @ np.array([late_s]) + rng.normal(size=1) / SIGMA_S
+    other = Score("along_track_error", AHEAD, rng.normal(size=1), np.array([[1.0]]))
+    return replace(perfect, scores=(Score("time_tag_offset", LATE, drawn, information), other))
+
+
+def together(perfect: Diagnosis, seed: int, sizes: np.ndarray) -> Fleet:
+    rng = np.random.default_rng(seed)
+    return fleet([f"v{k}" for k in range(len(sizes))], [vehicle(perfect, rng, size) for size in sizes])
+
+
+def test_what_no_vehicle_shows_is_plain_in_all(perfect: Diagnosis) -> None:
+    """Two sigma in each of twenty: 80 of chi-square together."""
+    found = together(perfect, 1, np.full(20, 0.2))
+    common = found.common
+    assert common is not None and common.group == ("time_tag_offset",) and common.probability > 0.95
+    assert common.mean_sigma[0] == pytest.approx(SIGMA_S / np.sqrt(20.0)) and common.spread[0] == 0.0
+    assert abs(common.mean[0] - 0.2) < 4.0 * common.mean_sigma[0]
+    assert found.faults == () and "of the design: time_tag_offset" in found.lines[0]
+    json.dumps(found.to_dict(), allow_nan=False)
+
+
+def test_nothing_is_said_of_nothing(perfect: Diagnosis) -> None:
+    """A common effect is wanted to be six above the penalty, odd ones at 1 % of a fleet: of 300 fleets at most seven."""
+    said = [together(perfect, seed, np.zeros(12)) for seed in range(300)]
+    assert sum(one.common is not None for one in said) <= 7
+    assert sum(bool(one.faults) for one in said) <= 9  # 1 % of 300, and three sigma
+    assert any(one.faults for one in (together(perfect, seed, np.zeros(12)) for seed in range(300, 1300)))
+
+
+def test_the_odd_one_is_found_and_the_spread_measured(perfect: Diagnosis) -> None:
+    sizes = np.full(12, 0.3)
+    sizes[4] = 1.5
+    found = together(perfect, 3, sizes)
+    assert [(fault.vehicle, fault.name, fault.odd) for fault in found.faults] == [(4, "time_tag_offset", True)]
+    spread = np.random.default_rng(4).normal(1.0, 0.5, 40)
+    common = together(perfect, 5, spread).common
+    assert (
+        common is not None and abs(np.log(common.spread[0] / 0.5)) < 0.4
+    )  # of 40: 0.11 in the logarithm, and the error's
+    shrunk = np.sqrt(np.mean((common.each[:, 0] - spread) ** 2))
+    assert shrunk < SIGMA_S * 1.2 and common.each_sigma[:, 0].mean() == pytest.approx(SIGMA_S, rel=0.1)
+
+
+def test_scores_are_those_of_least_squares(perfect: Diagnosis) -> None:
+    """Of a record with a late clock: the estimate of its score alone is that of the diagnosis, within what is not linear."""
+    found = asked(SECTIONS + "[effects.time_tag_offset]\noffset_s = 0.4\n")
+    assert [one.name for one in found.effects] == ["time_tag_offset"]
+    score = next(one for one in found.scores if one.label == "time_tag_offset")
+    value = found.effects[0].parameters["offset"]
+    assert value.sigma is not None
+    assert abs(score.score[0] / score.information[0, 0] - value.value) < 0.5 * value.sigma
+    assert score.information[0, 0] ** -0.5 == pytest.approx(value.sigma, rel=0.1)
+    assert {one.label for one in perfect.scores} >= {"time_tag_offset", "along_track_error"}
+
+
+def test_two_vehicles_are_no_fleet(perfect: Diagnosis) -> None:
+    with pytest.raises(BadInput, match="2 vehicles"):
+        fleet(["a", "b"], [perfect, perfect])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fluxtwin.calib.common.digits import measured, plain
+from fluxtwin.gap.problem.problem import DEFAULT_MODELLED
 from fluxtwin.scenarios.page import Table
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.progress import Progress, silent
@@ -19,21 +20,30 @@ from fluxtwin.sim.telemetry.telemetry_files import Readable
 if TYPE_CHECKING:
     from fluxtwin.gap.fleet import Fleet
     from fluxtwin.gap.records.diagnosis import Diagnosis
+    from fluxtwin.sim.scenario.scenario import Scenario
 
 
 def fleet(
     vehicles: Mapping[str, Readable],
     *,
+    scenario: Scenario | Path | str | None = None,
+    modelled: Sequence[str] = DEFAULT_MODELLED,
+    noise_nT: float | None = None,
+    lsb_nT: float | None = None,
+    attitude_sigma_deg: float | None = None,
+    attitude_tau_s: float | None = None,
+    field: str | None = None,
+    degree: int | None = None,
     jobs: int | None = None,
     scheduler: str | None = None,
     executor: Executor | None = None,
     progress: Progress = silent,
-    **options: Any,
 ) -> Fleet:
     """Which effect is common to vehicles of one design, and which belongs to one.
 
-    vehicles: a record, or its file, by the name of the vehicle, three or more. options: as for `diagnose`, the same for all.
-    jobs, scheduler, executor: who does the diagnoses, as for `ensemble`. Raises BadInput and NoAnswer as `diagnose` does.
+    vehicles: a record, or its file, by the name of the vehicle, three or more. scenario to degree: as for `diagnose`, the same
+    for all. jobs, scheduler, executor: who does the diagnoses, as for `ensemble`. Raises BadInput and NoAnswer as `diagnose`
+    does.
     """
     from fluxtwin.gap.fleet import fleet as together
 
@@ -41,6 +51,16 @@ def fleet(
     if len(vehicles) < 3:
         wanted = "three or more: of two, neither is the odd one"
         raise BadInput(f"{len(vehicles)} vehicles", where="fleet", wanted=wanted)
+    options = {
+        "scenario": scenario,
+        "modelled": tuple(modelled),
+        "noise_nT": noise_nT,
+        "lsb_nT": lsb_nT,
+        "attitude_sigma_deg": attitude_sigma_deg,
+        "attitude_tau_s": attitude_tau_s,
+        "field": field,
+        "degree": degree,
+    }
     names = list(vehicles)
     calls = [(number, vehicles[name], options) for number, name in enumerate(names)]
     found: dict[int, Diagnosis] = {}

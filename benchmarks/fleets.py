@@ -5,7 +5,7 @@
 Each fleet flies one design on V orbits of its own with calibrations of their own, five hours each. All have one effect in
 common, one of four, at half of the smallest size that the first vehicle's diagnosis says it would have shown; or none.
 Printed: fleets whose common effect is named, and by how many vehicles by themselves; the sigma of the size over that of the
-best vehicle; fleets without an effect of which one is said; vehicles that are wrongly singled out. Forward models are those of
+best vehicle; fleets without an effect of which one is said; vehicles wrongly singled out. Forward models are those of
 the simulator: what is measured is the sum over vehicles, not the catalogue.
 """
 

@@ -41,9 +41,9 @@ def fleet(
 ) -> Fleet:
     """Which effect is common to vehicles of one design, and which belongs to one.
 
-    vehicles: a record, or its file, by the name of the vehicle, three or more. scenario to degree: as for `diagnose`, the same
-    for all. jobs, scheduler, executor: who does the diagnoses, as for `ensemble`. Raises BadInput and NoAnswer as `diagnose`
-    does.
+    vehicles: a record, or its file, by the name of the vehicle, three or more. scenario to degree: as for `diagnose`, the
+    same for all. jobs, scheduler, executor: who does the diagnoses, as for `ensemble`. Raises BadInput and NoAnswer as
+    `diagnose` does.
     """
     from fluxtwin.gap.fleet import fleet as together
 
@@ -91,7 +91,7 @@ def tables(found: Fleet) -> list[Table]:
             [
                 Path(name).name,
                 *(measured(common.each[v, p], common.each_sigma[v, p]) for p in shown),
-                ", ".join(one.name for one in found.diagnoses[v].effects) or found.diagnoses[v].verdict,
+                ", ".join(" / ".join(one.group) for one in found.diagnoses[v].effects) or found.diagnoses[v].verdict,
             ]
             for v, name in enumerate(found.vehicles)
         ]

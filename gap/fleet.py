@@ -1,7 +1,7 @@
 """Many vehicles of one design together: which effect is common to them, and which belongs to one.
 
 Each record is diagnosed by itself; what it says of an effect is a score U and an information I, beside what is re-estimated
-there and what is named there. An effect that all have in common with parameters theta explains
+there and what it alone is named to have. An effect that all have in common with parameters theta explains
 
     D = U' M^+ U,     U = sum of U_v, M = sum of I_v
 
@@ -132,7 +132,13 @@ def fleet(vehicles: Sequence[str], diagnoses: Sequence[Diagnosis]) -> Fleet:
         raise BadInput(
             f"{len(diagnoses)} vehicles", where="fleet", wanted="three or more: of two, neither is the odd one"
         )
-    tables = [{score.label: score for score in one.scores} for one in diagnoses]
+    named = [{name for found in one.effects for name in found.group} for one in diagnoses]
+    widely = {name for names in named for name in names if 2 * sum(name in other for other in named) >= len(named)}
+    # What one vehicle alone is named to have is taken out of its scores; what most have is what they have in common.
+    tables = [
+        {score.label: score for score in one.scores[bool(names - widely)]}
+        for one, names in zip(diagnoses, named, strict=True)
+    ]
     shared = [label for label in tables[0] if all(label in table for table in tables)]
     samples = float(sum(one.samples["used"] for one in diagnoses))
     found = [(label, *_in_common([table[label] for table in tables])) for label in shared]
@@ -149,10 +155,14 @@ def fleet(vehicles: Sequence[str], diagnoses: Sequence[Diagnosis]) -> Fleet:
     if ranked and ranked[0][1][0] > THRESHOLD:
         top = ranked[0][1][0]
         group = [name for name, (value, _, _) in ranked if top - value < _GROUP]
-        weights = softmax([0.5 * value for _, (value, _, _) in ranked])
-        inside = float(sum(weights[: len(group)])) * float(expit(0.5 * (top - THRESHOLD)))
+        alike = [{*found.group} for one in diagnoses for found in one.effects if {*found.group} & {*group}]
+        group += sorted(
+            {n for g in alike for n in g if 2 * sum(n in other for other in alike) >= len(alike)} - {*group}
+        )
+        weights = dict(zip([name for name, _ in ranked], softmax([0.5 * v for _, (v, _, _) in ranked]), strict=True))
+        inside = float(sum(weights.get(name, 0.0) for name in group)) * float(expit(0.5 * (top - THRESHOLD)))
         common = _sizes([table[ranked[0][1][1]] for table in tables], tuple(group), min(MOST_SURE, inside))
-    faults = _faults(diagnoses, tables, shared, common)
+    faults = _faults(diagnoses, named, tables, shared, common)
     ranking = tuple((name, value, rank) for name, (value, _, rank) in ranked)
     return Fleet(tuple(vehicles), tuple(diagnoses), common, faults, ranking)
 
@@ -230,6 +240,7 @@ def _between(values: FloatArray, variances: FloatArray) -> float:
 
 def _faults(
     diagnoses: Sequence[Diagnosis],
+    named: Sequence[set[str]],
     tables: Sequence[Mapping[str, Score]],
     shared: Sequence[str],
     common: CommonEffect | None,
@@ -237,7 +248,6 @@ def _faults(
     """What single vehicles are told to have and most others have not; and sizes that differ from those of all others."""
     count = len(diagnoses)
     known = set() if common is None else set(common.group)
-    named = [{name for found in one.effects for name in found.group} for one in diagnoses]
     faults = []
     for vehicle, one in enumerate(diagnoses):
         for found in one.effects:

@@ -445,8 +445,8 @@ class Diagnosis(Record, Shown):
     provenance."""
     series: Annotated[GapSeries | None, Kept, Inner] = None
     closure: Annotated[Closure | None, Kept, Inner] = None
-    scores: Annotated[Sequence[Score], Kept, Inner] = ()
-    """What the readings say of every effect of the catalogue, for fleets."""
+    scores: Annotated[tuple[Sequence[Score], Sequence[Score]], Kept, Inner] = ((), ())
+    """What the readings say of every effect of the catalogue, and of the others beside the named ones; for fleets."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON; every key always present, but `momentum` only where it was balanced, and `law` only where

@@ -101,8 +101,8 @@ class SearchResult:
     """`nuisance`, `named`: chi-square and number of parameters seen."""
     variance: float
     """Of whitened rows about the saturated fit: 1 when the noise model is right."""
-    scores: tuple[Score, ...]
-    """What the record says of every candidate: beside the named effects, and of these beside nothing."""
+    scores: tuple[tuple[Score, ...], tuple[Score, ...]]
+    """What the record says of every candidate, and what it says of the others beside the named effects."""
     tested: int
     """Alternatives tested, for which every p-value is corrected."""
 

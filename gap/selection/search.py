@@ -13,7 +13,6 @@ import numpy as np
 from fluxtwin.gap.hypotheses.candidates import derivatives
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.records.diagnosis import FoundEffect, Ranked
-from fluxtwin.gap.records.score import Score
 from fluxtwin.gap.selection import groups
 from fluxtwin.gap.selection.detectable import GATE, detectable, visible_part
 from fluxtwin.gap.selection.forward import Search
@@ -60,15 +59,9 @@ def result_of(
         jacobian_white=fit.jacobian[:, :, _columns(fit, order)],
         chi2={"nuisance": (base.chi2, base.rank), "named": (fit.chi2, fit.rank)},
         variance=rest.variance,
-        scores=_scores(first, rest if fit.chosen else first),
+        scores=(tuple(first.scores()), tuple(rest.scores())),
         tested=under_way.tested,
     )
-
-
-def _scores(first: Board, rest: Board) -> tuple[Score, ...]:
-    beside = rest.scores()
-    there = {one.label for one in beside}
-    return (*beside, *(one for one in first.scores() if one.label not in there))
 
 
 def _named(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Any
 
@@ -104,6 +104,11 @@ class Telemetry(Shown):
 
     def __len__(self) -> int:
         return int(self.time.size)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For a process elsewhere: mappings that cannot be changed cannot be sent either."""
+        values = {item.name: getattr(self, item.name) for item in fields(self)}
+        return _of_fields, ({key: dict(v) if isinstance(v, Mapping) else v for key, v in values.items()},)
 
     @property
     def spacecraft(self) -> str:
@@ -271,6 +276,10 @@ def concatenate(records: list[Telemetry]) -> Telemetry:
     sources = "; ".join(dict.fromkeys(r.provenance.get("source", "") for r in ordered))
     columns["provenance"] = {**ordered[0].provenance, **_same_origin(ordered), "source": sources}
     return Telemetry(**columns)  # type: ignore[arg-type]
+
+
+def _of_fields(values: dict[str, Any]) -> Telemetry:
+    return Telemetry(**values)
 
 
 def _same_origin(records: list[Telemetry]) -> dict[str, str]:

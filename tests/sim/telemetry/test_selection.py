@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -99,3 +100,11 @@ def test_readings_of_two_magnetometers_are_not_joined(tmp_path: Path) -> None:
     )
     with pytest.raises(BadInput, match="those of another are not"):
         concatenate([one, stamped])
+
+
+def test_a_record_can_be_sent_to_another_process(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text(CSV, encoding="utf-8")
+    record = fluxtwin.read(tmp_path / "t.csv")
+    back = pickle.loads(pickle.dumps(record))
+    assert back.provenance == record.provenance and back.flags.keys() == record.flags.keys()
+    assert np.array_equal(back.mag_B_nT, record.mag_B_nT) and not back.mag_B_nT.flags.writeable

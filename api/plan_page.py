@@ -49,7 +49,7 @@ def plan_table(plan: Plan | CalibrationPlan) -> Table:
                 [name, "none of these manoeuvres" + (f"; {question.instead}" if question.instead else ""), "", ""]
             )
         else:
-            rows.append([name, _words(best), f"{best.hours:.2g}", f"{100 * best.power:.0f}"])
+            rows.append([name, *_flown(best), f"{100 * best.power:.0f}"])
     return Table(
         "What to fly",
         ["open question", "manoeuvre", "hours [h]", "power [%]"],
@@ -63,12 +63,14 @@ def plan_table(plan: Plan | CalibrationPlan) -> Table:
 def answers_table(question: Question) -> Table:
     """What each way in which it may come out would mean."""
     rows = [
-        [course.words if number == 0 else "", answer.cause, f"{100 * answer.power:.0f}", answer.means]
+        [*(_flown(course) if number == 0 else ("", "")), answer.cause, f"{100 * answer.power:.0f}", answer.means]
         for course in question.courses
         for number, answer in enumerate(course.answers)
     ]
     return Table(
-        f"What the answers would mean: {question.words}", ["manoeuvre", "if it is", "power [%]", "answer"], rows
+        f"What the answers would mean: {question.words}",
+        ["manoeuvre", "hours [h]", "if it is", "power [%]", "answer"],
+        rows,
     )
 
 
@@ -79,6 +81,10 @@ def _section(question: Question) -> PageSection:
     block = FigureBlock(f"power_{'_'.join(question.names)}", caption, draw_power(question))
     heading = question.words[0].upper() + question.words[1:]
     return PageSection(heading, [], [answers_table(question)], [block])
+
+
+def _flown(course: Course) -> tuple[str, str]:
+    return _words(course), f"{course.hours:.2g}"
 
 
 def _words(course: Course | SigmaCourse) -> str:

@@ -50,7 +50,7 @@ def asked(found: Mapping[str, Any], flown: Flown, recorded: bool) -> list[Open]:
             questions += told_apart(alike, flown, first or typical(alike[0]))
     if found["verdict"] == "unknown":
         questions += to_place(found, flown)
-    named = {effect["name"] for effect in found["effects"]}
+    named = {name for effect in found["effects"] for name in (effect["name"], *effect["group"])}
     small = [name for name in found["minimum_detectable"] if name in found["would_settle"] and name not in named]
     for name in [*small, *(name for name in found["untestable"] if name not in small)]:
         if isinstance(find_effect(name), SignalEffect):

@@ -150,7 +150,7 @@ def law_table(law: Law) -> Table:
         ["term", "of", "axes", "delay [s]", "lag [s]", "coefficient", "value, 1 sigma"],
         rows,
         f"On held-out samples from {law.before_nT:.1f} to {law.after_nT:.1f} nT, where {law.floor_nT:.1f} are expected: "
-        f"it closes {closed}. {law.tried:,} terms were tried, which it has paid for. The first factor is late.",
+        f"it closes {closed}. {law.tried:,} terms were tried; the criterion counts them. The first factor is late.",
     )
 
 

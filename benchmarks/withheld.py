@@ -36,9 +36,9 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from withheld_cases import limits, null_regimes, page, printed, score, store
+from withheld_cases import laws, laws_judged, laws_rival, limits, null_regimes, page, printed, score, store
 from withheld_cases.ask import ask, ask_rival
-from withheld_cases.cases import KINDS, PLAIN, POPULATIONS, SENSED, identity
+from withheld_cases.cases import KINDS, LAWS, PLAIN, POPULATIONS, SENSED, identity
 from withheld_cases.control import wrong
 from withheld_cases.joining import JOINING, NAMES
 from withheld_cases.loop import again
@@ -72,11 +72,14 @@ FROZEN = {
     "coarse": 100,
     "limits": 100 * len(limits.SIZED),
     "undetermined": 40,
+    "laws": 8 * len(laws.FORMS),
+    "laws_nulls": 100,
+    "laws_catalogue": 60,
 }
 """Cases of a frozen run."""
 SMALL = 0
 """`--count small`: as many cases as a population has kinds."""
-RIVAL = {"nulls": 200, "singles": 40, "pairs": 15, "triples": 6}
+RIVAL = {"nulls": 200, "singles": 40, "pairs": 15, "triples": 6, "laws": 22, "laws_nulls": 11}
 """How many of them the rival is asked, the first ones."""
 LOOPS = {"singles": len(PLAIN)}
 """How many of them are put to the test on another day."""
@@ -103,6 +106,9 @@ SECONDS = {
     "coarse": 5.0,
     "limits": 13.0,
     "undetermined": 3.0,
+    "laws": 12.0,
+    "laws_nulls": 5.0,
+    "laws_catalogue": 8.0,
 }
 """Mean CPU time of one answer on a busy core of 2026 (tuning rounds), to tell how long a run will take."""
 DOCS = ROOT / "docs"
@@ -166,7 +172,11 @@ def _answered(here: store.Store, seed: int, plan: Plan, given: argparse.Namespac
     _all("asked", ask, [(root, name) for name in waiting], given.jobs)
     sizes = [name for name, (population, _) in zip(names, plan, strict=True) if population == "limits"]
     _all("printed sizes flown", printed.again, [(root, name) for name in sizes], given.jobs)
+    flown = [name for name, (population, _) in zip(names, plan, strict=True) if population == "laws"]
+    _all("laws flown on another day", laws_judged.judge, [(root, name) for name in flown], given.jobs)
     if given.rival:
+        if any(population in LAWS for population, _ in plan) and not laws_rival.installed():
+            print(laws_rival.MISSING, file=sys.stderr, flush=True)
         some = [name for name in _first(seed, plan, RIVAL) if here.has("asked", name)]
         _all("rival asked", ask_rival, [(root, name) for name in some], given.jobs)
     if given.closing:

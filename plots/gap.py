@@ -139,11 +139,11 @@ def draw_law(terms: Sequence[LawSeries]) -> Figure:
 
 
 def _alike_in(values: FloatArray) -> list[NDArray[np.intp]]:
-    """Rows by their values: of each value where they are few, else in groups of equal count."""
+    """Rows by their values: of each value where they are few, else in groups of about equal count."""
     states = np.unique(values)
-    if states.size < _GROUPS:
-        return [np.flatnonzero(values == state) for state in states]
-    return [part for part in np.array_split(np.argsort(values, kind="stable"), _GROUPS) if part.size]
+    edges = states if states.size < _GROUPS else np.unique(np.quantile(values, np.linspace(0.0, 1.0, _GROUPS + 1)[:-1]))
+    number = np.searchsorted(edges, values, side="right")
+    return [np.flatnonzero(number == one) for one in np.unique(number)]
 
 
 def _both(series: GapSeries) -> list[tuple[FloatArray, str, str, str, str]]:

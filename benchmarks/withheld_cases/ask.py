@@ -34,11 +34,14 @@ def ask_rival(root: str, identity: str) -> str:
     store = Store(Path(root))
     if store.has("rival", identity):
         return identity
-    rival = importlib.import_module("withheld_cases.rival")
+    asked = store.read("asked", identity)
+    rival = importlib.import_module(f"withheld_cases.{asked.get('rival', 'rival')}")
+    if not rival.installed():
+        return identity
     began = time.process_time()
     said: dict[str, Any]
     try:
-        said = dict(rival.answer(store.path("telemetry", identity), **arguments(store.read("asked", identity))))
+        said = dict(rival.answer(store.path("telemetry", identity), **arguments(asked)))
     except Exception as error:
         said = {"BIC": [], "EBIC": [], "error": f"{type(error).__name__}: {error}"}
     said["seconds"] = time.process_time() - began

@@ -71,6 +71,8 @@ CONFUSED = (
     {"wheel_field", "coarse_quantization"},
 )
 """Names that are one group by nature, beside what the numbers show."""
+LAWS = ("laws", "laws_nulls", "laws_catalogue")
+"""See `laws`."""
 POPULATIONS = (
     "nulls",
     "nulls_off",
@@ -88,6 +90,7 @@ POPULATIONS = (
     *null_regimes.UNDECLARED,
     "limits",
     "undetermined",
+    *LAWS,
 )
 NULLS = ("nulls", "nulls_off", "nulls_undeclared")
 KINDS: dict[str, dict[str, Maker]] = {

@@ -8,8 +8,8 @@ import numpy as np
 
 from fluxtwin.sim.earth.field_models import FieldModel, load_field
 from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
-from withheld_cases import limits, null_regimes, of_dynamics, undetermined
-from withheld_cases.cases import Case, answer, case_seed, identity, make_case, question, sealed_world, undeclared
+from withheld_cases import laws, limits, null_regimes, of_dynamics, undetermined
+from withheld_cases.cases import LAWS, Case, answer, case_seed, identity, make_case, question, sealed_world, undeclared
 from withheld_cases.chain import fly, noise_free, twin
 from withheld_cases.draft import recording
 from withheld_cases.plainly import shares
@@ -26,6 +26,8 @@ def make(root: str, seed: int, population: str, number: int, chaos: str | None) 
     """Write the files of one case; the sealed answer last, so that a case with an answer is whole."""
     if population in of_dynamics.POPULATIONS:
         return of_dynamics.make(root, seed, population, number)
+    if population in LAWS:
+        return laws.make(root, seed, population, number)
     if population == "limits":
         return limits.make(root, seed, number)
     store, name = Store(Path(root)), identity(seed, population, number)

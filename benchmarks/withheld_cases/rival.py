@@ -33,6 +33,11 @@ _MOST_STEPS = 40
 _LARGEST, _IN_GROUP = 3, 0.05
 
 
+def installed() -> bool:
+    """It needs nothing beyond the product."""
+    return True
+
+
 @dataclass(frozen=True, eq=False)
 class Regression:
     """Whitened regression beside the calibration, P directions of K candidates."""

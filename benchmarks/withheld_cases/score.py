@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from withheld_cases import beside, defaults, promises
+from withheld_cases import beside, defaults, laws_judged, promises
 from withheld_cases.judged import Judged, names_of
 from withheld_cases.rows import Test, distributional, expressible, number_row, of, share_row
 from withheld_cases.statistics import brier, calibration_error, median, reliability
@@ -44,6 +44,7 @@ def rows_of(cases: Sequence[Judged]) -> list[dict[str, Any]]:
         *_probabilities(cases),
         *_closing(cases),
         *_rival(cases),
+        *laws_judged.rows(cases),
     ]
 
 

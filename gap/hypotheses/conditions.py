@@ -25,7 +25,8 @@ THERMAL_LAGS_S = (600.0, 1500.0, 3600.0)
 _HARMONICS = 3
 _REGIONS = 48
 _REGION_RADIUS_RAD = 0.35  # of a Gaussian patch, about 20 degrees: neighbours on the sphere overlap at half height
-_LEAST_SHARE = 0.02  # an indicator that holds for less, or for all but less, says nothing
+LEAST_SHARE = 0.02
+"""Of the rows: an indicator that holds for less, or for all but less, says nothing."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +153,7 @@ def _housekeeping(setting: Setting) -> Iterator[Condition]:
 
 def _live(found: list[Condition]) -> Iterator[Condition]:
     for condition in found:
-        if condition.indicator and not _LEAST_SHARE < condition.columns.mean() < 1 - _LEAST_SHARE:
+        if condition.indicator and not LEAST_SHARE < condition.columns.mean() < 1 - LEAST_SHARE:
             continue
         if condition.columns.size and condition.columns.std(axis=0).max() > 1e-9:
             yield condition

@@ -37,6 +37,20 @@ LEAST_CLOSED = 0.5
 _SHOWN = 4000
 
 
+@dataclass(frozen=True)
+class Weighed:
+    """What names and terms explain together, in the noise of the answer."""
+
+    explained: float
+    rank: int
+    log_tried: float
+    causes: int
+
+    def worth(self, wider: float, samples: float) -> float:
+        """By the criterion, against nothing."""
+        return worth(self.explained / wider, self.rank, samples, self.log_tried) - LOG_FURTHER * (self.causes - 1)
+
+
 @dataclass(frozen=True, eq=False)
 class Lawful:
     """A law with what closing needs of it."""
@@ -51,8 +65,7 @@ class Lawful:
     whitener: Whitener | None = None
     complete: bool = False
     """Whether nothing structured is left beside it."""
-    worth: float = -np.inf
-    """Of names and terms together, against none of them."""
+    weighed: Weighed | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +92,15 @@ def law_of(problem: Problem, answer: Answer, named: Sequence[FoundEffect], progr
     if not named:
         return _Search(regression, answer, alone, alone).found()
     beside = _Base(result.chosen, signals, result.modelled, result.residual_nT, answer.fitted_nT)
-    found = _Search(regression, answer, beside, alone).found()
-    if found.terms:
-        progress("the law of the whole gap", 0.95)
-        instead = _Search(regression, answer, alone, alone).found()
-        if instead.worth - LOG_FURTHER > found.worth:
+    search = _Search(regression, answer, beside, alone)
+    found = search.found()
+    progress("the law of the whole gap", 0.95)
+    instead = _Search(regression, answer, alone, alone).found()
+    now = found.weighed or search.weighed(beside.residual_nT, beside.fitted_nT, 0)
+    if instead.weighed is not None:
+        wider = 1.0 + SHAPE * max(now.explained, instead.weighed.explained)
+        samples = problem.measured.sum() / 3.0
+        if instead.weighed.worth(wider, samples) - LOG_FURTHER > now.worth(wider, samples):
             names = tuple(one.name for one in named)
             return replace(instead, record=words.instead(replace(instead.record, instead_of=names)))
     return found
@@ -122,7 +139,7 @@ class _Search:
         answer, base = self.answer, self.base
         choice = NoiseChoice(answer.noise, answer.robust)
         whitener = answer.whitener
-        laws, _, alike = self.regression.run(whitener, base.residual_nT, base.fitted_nT)
+        laws, alike = self.regression.run(whitener, base.residual_nT, base.fitted_nT)
         if not laws:
             return Lawful(self._none(whitener, "no term is worth its parameters and the number tried"))
         for _ in range(2):
@@ -131,7 +148,7 @@ class _Search:
             if _alike(again, choice):
                 break
             choice, whitener = again, whitener_of(self.problem, again.noise, again.robust.weights)
-            laws, _, alike = self.regression.run(whitener, base.residual_nT, base.fitted_nT)
+            laws, alike = self.regression.run(whitener, base.residual_nT, base.fitted_nT)
             if not laws:
                 return Lawful(self._none(whitener, "no term is worth its parameters and the number tried"))
         return self._judged(self._refit(whitener, laws), choice, whitener, alike)
@@ -151,13 +168,9 @@ class _Search:
         terms = fit.chosen[count:]
         residual_nT = problem.residual_of([*problem.frozen, *fit.active])
         columns_nT = derivatives(problem, fit.active)
+        weighed = self.weighed(residual_nT, columns_nT, len(terms))
         left = projected(whitener, residual_nT, columns_nT)
-        bare = projected(whitener, self.alone.residual_nT, self.alone.fitted_nT)
-        explained, samples = max(bare.energy - left.energy, 0.0), left.degrees / 3.0
-        wider = 1.0 + SHAPE * explained
-        rank = left.basis.shape[1] - bare.basis.shape[1]
-        tried = len(terms) * self.regression.log_tried + len(self.base.named) * float(np.log(self.answer.result.tested))
-        value = worth(explained / wider, rank, samples, tried) - LOG_FURTHER * (len(terms) + len(self.base.named) - 1)
+        wider, samples = 1.0 + SHAPE * weighed.explained, left.degrees / 3.0
         own = fit.jacobian[:, :, fit.jacobian.shape[2] - 3 * len(terms) :]
         gap = self._held_out(whitener, choice, residual_nT, columns_nT)
         record = self._record(fit, terms, gap, alike)
@@ -178,8 +191,17 @@ class _Search:
             tuple(tuple(words.with_names(alike)) if number == 0 else () for number in range(len(terms))),
             whitener,
             not (rest.structured and rest.beyond(wider, samples) > LOG_FURTHER),
-            value,
+            weighed,
         )
+
+    def weighed(self, residual_nT: FloatArray, columns_nT: FloatArray, terms: int) -> Weighed:
+        """What names and so many terms explain, with what is left beside them and all that is fitted."""
+        whitener, count = self.answer.whitener, len(self.base.named)
+        left = projected(whitener, residual_nT, columns_nT)
+        bare = projected(whitener, self.alone.residual_nT, self.alone.fitted_nT)
+        tried = terms * self.regression.log_tried + count * float(np.log(self.answer.result.tested))
+        rank = left.basis.shape[1] - bare.basis.shape[1]
+        return Weighed(max(bare.energy - left.energy, 0.0), rank, tried, terms + count)
 
     def _held_out(
         self, whitener: Whitener, choice: NoiseChoice, residual_nT: FloatArray, columns_nT: FloatArray
@@ -230,14 +252,13 @@ class _Search:
         bar = noncentrality(3, max(len(regression.tried), 1))
         limits = []
         for law in regression.plain():
-            trial = regression.trial(law, left)
+            trial = regression.trial((law,), left)
             if trial is None:
                 continue
-            curvature = float(np.trace(trial.fit.gram)) / 3.0
-            value = float(np.sqrt(bar / (3.0 * curvature)))
+            visible_nT = float(np.sqrt(bar / np.trace(trial.fit.gram)))  # columns of unit rms, all axes alike
             values = np.asarray(regression.grammar.values(law), dtype=np.float64)
             rms = float(np.sqrt(np.mean(np.square(values))))
-            limits.append(LawLimit(law.of[0], value, words.unit(law), value * rms))
+            limits.append(LawLimit(law.of[0], visible_nT / rms, words.unit(law), visible_nT))
         share = float(np.sqrt(np.mean(self.problem.judged(base.residual_nT) ** 2)))
         said = Law((), (), share, share, 0.0, None, None, max(len(regression.tried), 1), (), why, limits, "")
         return replace(said, sentence=words.nothing(said))

@@ -12,23 +12,22 @@ from typing import get_args
 
 import numpy as np
 
+from fluxtwin.gap.hypotheses.conditions import LEAST_SHARE
 from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign, alike
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.drivers import varies
 from fluxtwin.sim.effects.law import ANGLES, FIELD, GEOMETRY, Axes, Law
 from fluxtwin.sim.effects.signal import Setting
-from fluxtwin.sim.effects.spacecraft_field import Driver
+from fluxtwin.sim.effects.spacecraft_field import TYPICAL_NT, Driver
 from fluxtwin.sim.telemetry.quantities import DIPOLE, WHEELS
 
 AXES: tuple[Axes, ...] = get_args(Axes)
 _SCALARS = ("heater_on", "array_current_A", "battery_current_A", "temperature_degC")
 _LEVELS = np.arange(1, 10) / 10.0
 """Quantiles of a column beyond which something may be on."""
-_LEAST_SHARE = 0.02
-"""Of the rows that a switch must be on, and off."""
-_TYPICAL_NT = 100.0
-_WAVES = ("cos", "sin", "cos2", "sin2")
+_QUARTER = {"cos": "sin", "sin": "cos", "cos2": "sin2", "sin2": "cos2"}
+_WAVES = tuple(_QUARTER)
 
 
 class Grammar:
@@ -39,6 +38,7 @@ class Grammar:
         self.field_B_nT = problem.design.signal([*problem.frozen, *problem.modelled_active]).field_B_nT
         self._perturbed = PerturbedDesign(problem)
         self._known: dict[str, bool] = {}
+        self._values: dict[Law, FloatArray | None] = {}
         driver = Driver(column="any").alternatives(self.setting)
         self.late = [(one.delay_s, one.lag_s) for one in driver if one.delay_s or one.lag_s]
         self.recorded = [name for name in _names(self.setting) if self.values(Law(of=(name,))) is not None]
@@ -46,17 +46,44 @@ class Grammar:
 
     def values(self, law: Law) -> FloatArray | None:
         """(N,) of a term; None where it is missing, does not change, or follows the attitude's error."""
+        if law not in self._values:
+            self._values[law] = self._changing(law)
+        return self._values[law]
+
+    def _changing(self, law: Law) -> FloatArray | None:
         found = law.values(self.setting, self.field_B_nT)
         if found is None or not (varies(found) or (law.axes != "body" and found.any())):
             return None
         on = float(np.mean(found != 0.0))
-        return found if on > _LEAST_SHARE else None
+        return found if on > LEAST_SHARE else None
 
     def usual(self, law: Law) -> Law:
         """With a usual size of its coefficient on this design."""
         values = self.values(law)
         swing = 0.0 if values is None else max(float(np.ptp(values)), float(np.abs(values).max()))
-        return replace(law, typical_nT_per_unit=_TYPICAL_NT / swing) if swing > 0.0 else law
+        return replace(law, typical_nT_per_unit=TYPICAL_NT / swing) if swing > 0.0 else law
+
+    def with_lower(self, law: Law) -> tuple[Law, ...]:
+        """A term and those of lower order that go with it, as the zero of a recorded column is its maker's choice.
+
+        A product with such a column comes with the other factor alone, a power with the lower powers (the principle of
+        marginality: Nelder 1977, J. R. Statist. Soc. A 140, 48).
+        """
+        found = [law]
+        for number, factor in enumerate(law.of):
+            wave, _, phase = factor.rpartition(" ")
+            if wave in _QUARTER:  # where a phase begins is a choice as well
+                found.append(replace(law, of=(*law.of[:number], f"{_QUARTER[wave]} {phase}", *law.of[number + 1 :])))
+            if factor not in self.recorded or factor in self.switches:
+                name, _, power = factor.rpartition("^")
+                lower = [f"{name}^2", name] if power == "3" else [name] if name else []
+                found += [replace(law, of=(*law.of[:number], one, *law.of[number + 1 :])) for one in lower]
+                continue
+            rest = (*law.of[:number], *law.of[number + 1 :])
+            plain = law if number else replace(law, delay_s=0.0, lag_s=0.0)
+            if rest or law.axes != "body":
+                found.append(replace(plain, of=rest or ("one",)))
+        return tuple(one for one in dict.fromkeys(found) if self.values(one) is not None)
 
     def singles(self) -> list[Law]:
         """One quantity each, in every frame; a recorded one also late, in powers, and as a switch."""
@@ -64,7 +91,7 @@ class Grammar:
         for factor in (*self.recorded, *self.turning(), *self.geometry()):
             found += [Law(of=(factor,), axes=axes) for axes in AXES]
         for name in self.recorded:
-            found += [Law(of=(name,), axes=axes, delay_s=d, lag_s=s) for d, s in self.late for axes in AXES]
+            found += [Law(of=(name,), delay_s=d, lag_s=s) for d, s in self.late]
             found += [Law(of=(f"{name}{end}",)) for end in self._shapes(name)]
         return found
 
@@ -118,7 +145,7 @@ class Grammar:
             return ()
         values = np.asarray(self.values(Law(of=(name,))))
         levels = np.unique(np.quantile(values, _LEVELS))
-        return ("^2", "^3", *(f">{level:.6g}" for level in levels if _LEAST_SHARE < np.mean(values > level) < 1.0))
+        return ("^2", "^3", *(f">{level:.6g}" for level in levels if LEAST_SHARE < np.mean(values > level) < 1.0))
 
     def _binary(self, name: str) -> bool:
         return np.unique(np.asarray(self.values(Law(of=(name,))))).size <= 2

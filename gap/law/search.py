@@ -6,11 +6,12 @@ terms before it once more, given it. What a term leaves for its own shape is no 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fluxtwin.gap.held_out.closing import RATIOS
 from fluxtwin.gap.hypotheses.blocks import Block, Carrier
 from fluxtwin.gap.hypotheses.conditions import Condition
 from fluxtwin.gap.hypotheses.evidence import BlockFit, Dictionary, fit
@@ -23,21 +24,29 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.law import Law
 
 MOST_TERMS = 3
+"""Not counting those of lower order that go with one."""
 _BEAM = 8
 """Of the pool, whose delays and frames are looked at: the right pair undelayed is seldom the best, but among the first."""
-_MOVES = (1.5, 1.25, 1.12)
-"""Ratios by which a delay or lag is moved between those that were tried."""
+
+
+Terms = tuple[Law, ...]
+"""A term, and the terms of lower order that go with it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A term beside what is fitted."""
+    """A term, with those of lower order or alone, beside what is fitted."""
 
-    law: Law
+    terms: Terms
     fit: BlockFit
     drop: float
     """Of chi-square."""
     rank: int
+
+    @property
+    def law(self) -> Law:
+        """The term itself."""
+        return self.terms[0]
 
 
 class Regression:
@@ -45,63 +54,80 @@ class Regression:
 
     def __init__(self, problem: Problem, grammar: Grammar) -> None:
         self.problem, self.grammar, self.carrier = problem, grammar, Carrier(problem)
-        self.tried: dict[Law, int] = {}
+        self.tried: dict[Terms, int] = {}
         """Terms that were tried, and how much there is to each."""
-        self._by_settings = [0] * 16
-        laws = [law for law in (*grammar.singles(), *grammar.products()) if grammar.values(law) is not None]
-        self.laws = list(dict.fromkeys(laws))
-        self.pool = Dictionary([self.block(law) for law in self.laws], problem.rows)
+        self._by_settings = [0] * 24
+        laws = dict.fromkeys((*grammar.singles(), *grammar.products()))
+        self.terms = [grammar.with_lower(law) for law in laws if grammar.values(law) is not None]
+        self.pool = Dictionary([self.block(terms) for terms in self.terms], problem.rows)
 
     def plain(self) -> list[Law]:
         """One quantity each, as it stands, in body axes."""
-        return [law for law in self.laws if _settings(law) == 1]
+        return [terms[0] for terms in self.terms if _settings(terms) == 1]
 
     @property
     def log_tried(self) -> float:
         """Of the number of terms that were truly tried."""
         return float(np.log(max(len(self.tried), 1)))
 
-    def block(self, law: Law) -> Block:
-        """A term's columns along the axes of its frame."""
-        values = self.grammar.values(law)
-        assert values is not None
-        condition = Condition(None, "law", values[:, None])
-        return Block(
-            {"spacecraft": 1.0}, None, law.axes, "law", "xyz", lambda: self.carrier.additive(condition, law.axes)
-        )
+    def block(self, terms: Terms) -> Block:
+        """The columns of a term and those of lower order along the axes of their frame.
 
-    def trial(self, law: Law, left: ProjectedResidual) -> Trial | None:
-        """One term; None where it is missing, or dead."""
-        if self.grammar.values(law) is None:
+        Of unit rms, and the term without what is like those of lower order: the same span, but a housekeeping column whose
+        mean is far from zero would otherwise hide in them.
+        """
+
+        def made() -> FloatArray:
+            values = np.stack([np.asarray(self.grammar.values(law)) for law in reversed(terms)], axis=1)
+            apart = np.linalg.qr(values / np.sqrt(np.mean(values**2, axis=0)))[0] * np.sqrt(len(values))
+            return self.carrier.additive(Condition(None, "law", apart[:, ::-1]), terms[0].axes)
+
+        return Block({"spacecraft": 1.0}, None, None, "law", "xyz" * len(terms), made)
+
+    def columns(self, terms: Sequence[Law]) -> FloatArray:
+        """(N, 3, 3 terms) of fields along the axes of each, nT per unit."""
+        made = [np.zeros((self.problem.rows, 3, 0))]
+        for law in terms:
+            values = np.asarray(self.grammar.values(law), dtype=np.float64)
+            made.append(self.carrier.additive(Condition(None, "law", values[:, None]), law.axes))
+        return np.concatenate(made, axis=2)
+
+    def trial(self, terms: Terms, left: ProjectedResidual) -> Trial | None:
+        """Terms; None where one is missing, or all are dead."""
+        if any(self.grammar.values(law) is None for law in terms):
             return None
-        self._count([law])
-        found = fit(self.block(law), left)
+        self._count([terms])
+        found = fit(self.block(terms), left)
         drop, rank = found.explained()
-        return Trial(law, found, drop, rank) if rank else None
+        return Trial(terms, found, drop, rank) if rank else None
 
     def best(self, left: ProjectedResidual, beside: Sequence[Law] = ()) -> list[Trial]:
         """The best few of the pool with their settings moved, best first."""
-        self._count(self.laws)
+        self._count(self.terms)
         fits = self.pool.fits(left)
-        scored = [(one.explained(), law, one) for law, one in zip(self.laws, fits, strict=True) if law not in beside]
-        scored.sort(key=lambda each: -each[0][0])
-        few = [Trial(law, one, drop, rank) for (drop, rank), law, one in scored[: 4 * _BEAM] if rank]
+        found = [
+            Trial(terms, one, *one.explained())
+            for terms, one in zip(self.terms, fits, strict=True)
+            if terms[0] not in beside
+        ]
+        few = sorted((one for one in found if one.rank), key=lambda one: -self.order(one, left))[: 4 * _BEAM]
         kept: list[Trial] = []
         for one in few:  # several settings of the same factors are one place in the beam
             if len(kept) < _BEAM and all(set(one.law.quantities()) != set(k.law.quantities()) for k in kept):
                 kept.append(one)
-        moved = [self.moved(one, left) for one in kept]
-        return sorted([*moved, *few], key=lambda one: -self.order(one, left))
+        every = [*(self.moved(one, left) for one in kept), *few]
+        wider = 1.0 + SHAPE * max((one.drop for one in every), default=0.0)
+        return sorted(every, key=lambda one: -self.order(one, left, wider))
 
     def moved(self, start: Trial, left: ProjectedResidual) -> Trial:
         """A term with its settings where the data want them: those of the grammar twice in turn, then between them."""
-        best = start
+        best = self._better(start, [start.law], left)
         for _ in range(2):
             again = self._better(best, self.grammar.variants(best.law), left)
             if again is best:
                 break
             best = again
-        for ratio in _MOVES:
+        for ratio in RATIOS[:-1]:
             for step in (ratio, 1.0 / ratio):
                 law = best.law
                 moved = [replace(law, delay_s=law.delay_s * step), replace(law, lag_s=law.lag_s * step)]
@@ -109,7 +135,9 @@ class Regression:
         return best
 
     def _better(self, best: Trial, laws: Sequence[Law], left: ProjectedResidual) -> Trial:
-        trials = [found for law in laws if (found := self.trial(law, left)) is not None]
+        """The best of a trial and these terms, each alone and with those of lower order."""
+        every = dict.fromkeys(terms for law in laws for terms in ((law,), self.grammar.with_lower(law)) if terms)
+        trials = [found for terms in every if (found := self.trial(terms, left)) is not None]
         return max([best, *trials], key=lambda one: self.order(one, left))
 
     def worth(self, one: Trial, left: ProjectedResidual, wider: float = 1.0) -> float:
@@ -118,58 +146,61 @@ class Regression:
 
     def order(self, one: Trial, left: ProjectedResidual, wider: float = 1.0) -> float:
         """The same for a choice between terms: a plain one was one of the plain ones that were tried, which are fewer."""
-        as_plain = sum(self._by_settings[: _settings(one.law) + 1])
+        as_plain = sum(self._by_settings[: _settings(one.terms) + 1])
         return worth(one.drop / wider, one.rank, left.degrees / 3.0, float(np.log(max(as_plain, 1))))
 
-    def _count(self, laws: Sequence[Law]) -> None:
-        for law in laws:
-            if law not in self.tried:
-                self.tried[law] = _settings(law)
-                self._by_settings[self.tried[law]] += 1
+    def _count(self, tried: Sequence[Terms]) -> None:
+        for terms in tried:
+            if terms not in self.tried:
+                self.tried[terms] = _settings(terms)
+                self._by_settings[self.tried[terms]] += 1
 
     def left(
         self, whitener: Whitener, residual_nT: FloatArray, fitted_nT: FloatArray, laws: Sequence[Law]
     ) -> ProjectedResidual:
         """The residual with what is fitted and these terms out of it."""
-        own = [self.block(law).make() for law in laws]
-        return projected(whitener, residual_nT, np.concatenate([fitted_nT, *own], axis=2))
+        return projected(whitener, residual_nT, np.concatenate([fitted_nT, self.columns(laws)], axis=2))
 
-    def run(
-        self, whitener: Whitener, residual_nT: FloatArray, fitted_nT: FloatArray
-    ) -> tuple[list[Law], float, list[Law]]:
-        """Terms, their worth together, and terms that do as well in the place of the first.
+    def run(self, whitener: Whitener, residual_nT: FloatArray, fitted_nT: FloatArray) -> tuple[list[Law], list[Law]]:
+        """Terms, and terms that do as well in the place of the first.
 
         residual_nT (N, 3), fitted_nT (N, 3, q): as for `projected`.
         """
-        chosen: list[Law] = []
-        whole, alike = 0.0, list[Law]()
+        chosen: list[Terms] = []
+        alike: list[Law] = []
         bare = self.left(whitener, residual_nT, fitted_nT, ())
+
+        def beside(others: Sequence[Terms]) -> ProjectedResidual:
+            return self.left(whitener, residual_nT, fitted_nT, _members(others)) if others else bare
+
         for _ in range(MOST_TERMS):
-            left = self.left(whitener, residual_nT, fitted_nT, chosen) if chosen else bare
+            left = beside(chosen)
             wider = 1.0 + SHAPE * max(bare.energy - left.energy, 0.0)
-            ranked = self.best(left, chosen)
-            if not ranked:
-                break
-            value = self.worth(ranked[0], left, wider) - (LOG_FURTHER if chosen else 0.0)
+            ranked = self.best(left, _members(chosen))
+            value = self.worth(ranked[0], left, wider) - (LOG_FURTHER if chosen else 0.0) if ranked else -np.inf
             if value <= THRESHOLD:
                 break
             if not chosen:
                 alike = self._alike(ranked, left)
-            chosen, whole = [*chosen, ranked[0].law], whole + value
-            if len(chosen) > 1:
-                chosen = self._again(chosen, whitener, residual_nT, fitted_nT)
-        return chosen, whole, alike
+            chosen.append(ranked[0].terms)
+            for number in range(len(chosen) - 1):  # the first was chosen with the others in the residual
+                others = [*chosen[:number], *chosen[number + 1 :]]
+                again = self.best(beside(others), _members(others))
+                chosen[number] = again[0].terms if again else chosen[number]
+        return self._needed(_members(chosen), bare, beside), alike
 
-    def _again(
-        self, chosen: list[Law], whitener: Whitener, residual_nT: FloatArray, fitted_nT: FloatArray
+    def _needed(
+        self, laws: list[Law], bare: ProjectedResidual, beside: Callable[[Sequence[Terms]], ProjectedResidual]
     ) -> list[Law]:
-        """Each term sought once more given the others: the first was chosen with the others in the residual."""
-        for number in range(len(chosen)):
-            others = [law for place, law in enumerate(chosen) if place != number]
-            left = self.left(whitener, residual_nT, fitted_nT, others)
-            ranked = self.best(left, others)
-            chosen[number] = ranked[0].law if ranked else chosen[number]
-        return chosen
+        """Terms without those, of lower order or overtaken by later ones, that are not worth their own parameters."""
+        whole = beside([tuple(laws)])
+        wider = 1.0 + SHAPE * max(bare.energy - whole.energy, 0.0)
+        for law in reversed(laws):
+            others = [one for one in laws if one != law]
+            one = self.trial((law,), beside([tuple(others)])) if others else None
+            if one is not None and worth(one.drop / wider, one.rank, whole.degrees / 3.0, 0.0) <= THRESHOLD:
+                laws = others
+        return laws
 
     def _alike(self, ranked: Sequence[Trial], left: ProjectedResidual) -> list[Law]:
         """Terms of other quantities that noise and shape error do not tell from the first."""
@@ -184,7 +215,12 @@ class Regression:
         return found
 
 
-def _settings(law: Law) -> int:
-    """How much there is to a term: factors, what is done to them, delay, lag, and a frame that is not the body's."""
+def _members(chosen: Sequence[Terms]) -> list[Law]:
+    return list(dict.fromkeys(law for terms in chosen for law in terms))
+
+
+def _settings(terms: Terms) -> int:
+    """How much there is to terms: factors, what is done to them, delay, lag, a frame not the body's, lower orders."""
+    law = terms[0]
     done = sum(factor != name for factor, name in zip(law.of, law.quantities(), strict=True))
-    return len(law.of) + done + bool(law.delay_s) + bool(law.lag_s) + (law.axes != "body")
+    return len(law.of) + done + bool(law.delay_s) + bool(law.lag_s) + (law.axes != "body") + len(terms) - 1

@@ -36,7 +36,8 @@ _NOT_SHOWN = 2.0  # sigma: coefficients below are left out of the sentence where
 
 def unit(law: LawEffect) -> str:
     """Of a term's coefficients."""
-    parts = [part for part in map(_unit, law.of) if part]
+    plain = [part for part in map(_unit, law.of) if part]
+    parts = [one if plain.count(one) == 1 else f"{one}^{plain.count(one)}" for one in dict.fromkeys(plain)]
     return "nT" if not parts else f"nT/{parts[0]}" if len(parts) == 1 else f"nT/({' '.join(parts)})"
 
 

@@ -53,6 +53,7 @@ def _rate(setting: Setting, axis: int) -> FloatArray:
 
 
 GEOMETRY: Mapping[str, Callable[[Setting], FloatArray]] = {
+    "one": lambda setting: np.ones(setting.time.size),
     "sunlit": lit,
     **{f"sun_{axis}": partial(_sun, axis=number) for number, axis in enumerate("xyz")},
     "sun_height": _sun_height,
@@ -62,7 +63,8 @@ GEOMETRY: Mapping[str, Callable[[Setting], FloatArray]] = {
     "latitude": lambda setting: setting.latitude_rad,
     "longitude": _longitude_rad,
 }
-"""sunlit; the sun's direction in body axes and the sine of its height; body rate [deg/s]; angles [rad]."""
+"""1 (a constant along axes that are not the body's), the sun's direction in body axes, the sine of its height, the body's
+rate [deg/s], angles [rad]."""
 FIELD = tuple(f"field_{part}" for part in ("x", "y", "z", "size"))
 """Of the ambient field in body axes [uT]."""
 ANGLES = ("orbit_phase", "local_time", "latitude", "longitude")
@@ -163,11 +165,9 @@ class Law(SignalEffect):
         """From its axes to those of the body, N turns; None where they are the same."""
         if self.axes == "body":
             return None
-        return (
-            R_BN * {"orbital": setting.R_ON, "earth": setting.R_EN}[self.axes].inv()
-            if self.axes != "inertial"
-            else R_BN
-        )
+        if self.axes == "inertial":
+            return R_BN
+        return R_BN * (setting.R_ON if self.axes == "orbital" else setting.R_EN).inv()
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         values = self.values(signal.setting, signal.field_B_nT, signal.sample_offset_s)

@@ -12,7 +12,8 @@ from fluxtwin.sim.effects.drivers import PanelKind, array_current_A, battery_cur
 from fluxtwin.sim.effects.signal import Setting, Signal
 
 _PREFIX = "driver_"
-_TYPICAL_NT = 100.0
+TYPICAL_NT = 100.0
+"""A usual field of whatever a column records."""
 _TRIED_S = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 """Delays and lags of a driver that a diagnosis tries; it moves them by up to a factor of two to either side."""
 _SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -160,7 +161,7 @@ class Driver(SignalEffect):
         return vector_parameters("k", "nT/unit", self.typical_nT_per_unit)
 
     def instances(self, setting: Setting) -> tuple[Driver, ...]:
-        """One for each column, of which `_TYPICAL_NT` is a usual field."""
+        """One for each column, of which `TYPICAL_NT` is a usual field."""
         if self.column:
             return (self,)
         names = sorted(name.removeprefix(_PREFIX) for name in setting.columns if name.startswith(_PREFIX))
@@ -169,7 +170,7 @@ class Driver(SignalEffect):
             one = replace(self, column=name)
             values = one.values(setting)
             swing = 0.0 if values is None else float(np.ptp(values))
-            found.append(replace(one, typical_nT_per_unit=_TYPICAL_NT / swing) if swing > 0.0 else one)
+            found.append(replace(one, typical_nT_per_unit=TYPICAL_NT / swing) if swing > 0.0 else one)
         return tuple(found) or (self,)
 
     def values(self, setting: Setting, later_s: float = 0.0) -> FloatArray | None:

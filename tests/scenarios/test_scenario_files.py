@@ -28,7 +28,7 @@ def first_minutes(scenario: Scenario) -> Scenario:
 
 
 def test_the_names() -> None:
-    assert sorted(SCENARIOS) == ["cubesat", "hcmm", "late_clock", "momentum_bias", "seasat", "st5"]
+    assert sorted(SCENARIOS) == ["cubesat", "hcmm", "hidden_law", "late_clock", "momentum_bias", "seasat", "st5"]
     assert fluxtwin.load_scenario("momentum_bias").attitude.mode == "dynamics"
     assert "offset_s = 10.0" in fluxtwin.load_scenario("late_clock").to_toml()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
+from pathlib import Path
 from typing import Any
 
 from docutils import nodes
@@ -12,6 +13,7 @@ from sphinx.application import Sphinx
 
 import fluxtwin
 
+HERE = Path(__file__).resolve().parent
 project = "fluxtwin"
 version = release = fluxtwin.__version__
 extensions = ["myst_parser", "sphinx.ext.autodoc"]
@@ -57,6 +59,16 @@ def parameters_as_list(_app: Any, _what: str, _name: str, thing: Any, _options: 
     lines[:] = made
 
 
+def outside_as_files(_app: Any, name: str, source: list[str]) -> None:
+    """A link to a page outside this folder (../CONTRIBUTING.md) leads to the file itself, which the site then holds."""
+
+    def changed(link: re.Match[str]) -> str:
+        inside = (HERE / name).parent.joinpath(link[2]).resolve().is_relative_to(HERE)
+        return link[0] if inside else f"{{download}}`{link[1]} <{link[2]}>`"
+
+    source[0] = re.sub(r"\[([^\]]+)\]\((\.\./[\w./-]+\.md)\)", changed, source[0])
+
+
 def mathml(self: Any, node: nodes.Element) -> None:
     """A formula as MathML, which browsers draw by themselves: no script, nothing to fetch."""
     inline = isinstance(node, nodes.math)
@@ -67,5 +79,6 @@ def mathml(self: Any, node: nodes.Element) -> None:
 
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
+    app.connect("source-read", outside_as_files)
     app.connect("autodoc-process-docstring", parameters_as_list)
     app.add_html_math_renderer("mathml", (mathml, None), (mathml, None))

@@ -224,8 +224,11 @@ def _comparable(calibrations: Sequence[Calibration]) -> list[Calibration]:
         raise BadInput(f"they are of {' and '.join(sorted(whose))}", where="trend", wanted="one spacecraft")
     if len({one.magnetometer for one in calibrations}) > 1:
         raise BadInput("they are of several magnetometers", where="trend", wanted="one magnetometer")
-    if len({one.digest for one in calibrations}) < len(calibrations):
-        raise BadInput("a calibration is given twice", where="trend", wanted="each of them once")
+    digests = [one.digest for one in calibrations]
+    twice = next((one for one in calibrations if one.span is not None and digests.count(one.digest) > 1), None)
+    if twice is not None and twice.span is not None:
+        said = f"the calibration of {epoch.iso(twice.span[0])} to {epoch.iso(twice.span[1])} is given twice"
+        raise BadInput(said, where="trend", wanted="each of them once")
     if len({one.residual_to for one in calibrations}) > 1:
         raise BadInput(
             "some are of readings that had been corrected", where="trend", wanted="calibrations of the sensor"

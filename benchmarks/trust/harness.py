@@ -100,11 +100,15 @@ def reading(read: Callable[[Path], object], path: Path, content: bytes) -> Calla
         try:
             read(path)
         except FluxtwinError as error:
-            named = path.name in str(error) or "foreign.csv: " in str(error)  # a map may be wrong of the file it is for
-            return "refused" if named else f"does not name the file: {error}"
+            return "refused" if _names(str(error), path.name) else f"does not name the file: {error}"
         return "read"
 
     return work
+
+
+def _names(text: str, name: str) -> bool:
+    """Whether a message names a file; or the one that a map is for, where the two do not fit."""
+    return name in text or ("foreign.csv: " in text and name.endswith("toml")) or "is given twice" in text
 
 
 def command(arguments: Sequence[str], folder: Path, named: str | None = None) -> Callable[[], str]:
@@ -120,11 +124,37 @@ def command(arguments: Sequence[str], folder: Path, named: str | None = None) ->
         text = said.getvalue()
         if status not in (0, 1, 2) or status == _INTERNAL or "Traceback" in text:
             return f"{' '.join(arguments)}: status {status}: {text[-200:]}"
-        if status == 2 and named is not None and named not in text:
+        if status == 2 and named is not None and not _names(text, named):
             return f"{' '.join(arguments)}: does not name {named}: {text[-200:]}"
         return f"status {status}"
 
     return work
+
+
+def spoken(arguments: Sequence[str], folder: Path, seconds: float = 120.0) -> tuple[int, str]:
+    """The command line in that folder, in a forked process: its status (minus the signal that ended it), and all it said."""
+    with open(folder / ".said", "w+b") as said:
+        child = os.fork()
+        if child == 0:
+            status = _INTERNAL
+            try:
+                os.chdir(folder)
+                os.dup2(said.fileno(), 1)
+                os.dup2(said.fileno(), 2)
+                sys.stdout = sys.stderr = open(1, "w", encoding="utf-8", errors="replace", closefd=False)  # noqa: SIM115
+                signal.signal(signal.SIGALRM, signal.SIG_DFL)
+                signal.setitimer(signal.ITIMER_REAL, seconds)
+                from fluxtwin.cli import main
+
+                status = main(list(arguments))
+                sys.stdout.flush()
+            finally:
+                os._exit(status)
+        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        said.seek(0)
+        text = said.read().decode("utf-8", "replace")
+    (folder / ".said").unlink()
+    return status, text
 
 
 def peak_bytes() -> int:

@@ -29,7 +29,7 @@ COMMANDS: dict[str, str] = {
     "calibrate t.nc --onboard {} --method linear": "e.json e.parm e.h e.m flat.toml",
     "apply t.nc --calibration {} --out o.nc": "flat.toml c.toml",
     "export {} --to px4 --out o.params": "flat.toml c.toml",
-    "trend {} {}": "flat.toml",
+    "trend c.toml {}": "flat.toml",
     "yaw t.nc --calibration {}": "flat.toml",
     "attitude t.nc --calibration {}": "flat.toml",
     "simulate {} --out o.nc": "hand.toml saved.toml",

@@ -274,7 +274,7 @@ def _file_attributes(telemetry: Telemetry) -> dict[str, Any]:
     attributes: dict[str, Any] = {"Conventions": "CF-1.11", "title": "spacecraft magnetometer and attitude telemetry"}
     attributes[_FORMAT] = FORMAT
     for key, value in sorted(telemetry.provenance.items()):
-        attributes[f"{PROVENANCE}{key}"] = escaped(str(value))
+        attributes[f"{PROVENANCE}{key}"] = escaped(str(value)).replace("\0", "\\x00")  # HDF5 has no such character
     return attributes
 
 

@@ -14,14 +14,14 @@ from typing import TypeAlias
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.files import write_text
+from fluxtwin.sim.base.files import escaped, write_text
 from fluxtwin.sim.base.limits import Lines, require_rows
 from fluxtwin.sim.base.seals import require_sealed, sealed
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.telemetry.columns import clip
 from fluxtwin.sim.telemetry.formats.table import content_of
-from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.record import Telemetry, plain_text
 from fluxtwin.sim.telemetry.time_stamps import format_iso
 
 _ITRF = re.compile(r"ITR[FS][-_]?\d*")
@@ -148,7 +148,7 @@ def write_message(
         )
     made = format_iso(telemetry.time[-1:])[0].removesuffix("Z")
     lines = [f"CCSDS_{kind}_VERS = 2.0", f"CREATION_DATE = {made[:19]}", "ORIGINATOR = FLUXTWIN"]
-    name = telemetry.spacecraft or "UNKNOWN"
+    name = escaped(plain_text(telemetry.spacecraft)) or "UNKNOWN"
     comment = ["COMMENT CREATION_DATE is the last epoch of the record, so that the same record gives the same file"]
     for piece in _pieces(telemetry.time, rows):
         stamps = [stamp.removesuffix("Z") for stamp in format_iso(telemetry.time[piece])]

@@ -17,7 +17,9 @@ from fluxtwin.sim.telemetry.formats.frame import of_file, to_pandas
 from fluxtwin.sim.telemetry.formats.table import Table, extra
 from fluxtwin.sim.telemetry.record import Telemetry
 
-_PLACE = re.compile(rb"""\sr=["']([A-Z]{0,4})([0-9]{1,9})["']""")  # of a cell, or of a row
+_PLACE = re.compile(
+    rb"""<(?:\w+:)?(?:c|row)\s(?:[^<>]*\s)?r=["']([A-Z]{0,4})([0-9]{1,9})["']"""
+)  # of a cell, or of a row
 _DATE = re.compile(rb"(<dcterms:(?:created|modified) [^>]*>)[^<]*")
 _CELL_BYTES = 8  # of an empty one
 _MOST_ROWS = 1_048_575  # of a sheet, beside the header

@@ -113,5 +113,6 @@ def test_the_limit_of_rows_is_named_by_every_format(tmp_path: Path, name: str) -
 
     path = write_telemetry(small_record(40), tmp_path / name)
     found = format_of(path)
+    assert len(read_telemetry(path, max_samples=40)) == 40 if found is None else found.read(path, 40)
     with pytest.raises(BadInput, match=r"rows.*at most 30 .--max-samples N reads more"):
         read_telemetry(path, max_samples=30) if found is None else found.read(path, 30)

@@ -159,6 +159,17 @@ def test_a_name_that_is_a_formula_is_none_in_a_table(tmp_path: Path) -> None:
         assert write_telemetry(read_telemetry(path), tmp_path / "again.csv").read_bytes() == path.read_bytes()
 
 
+@pytest.mark.parametrize("name", ["t.nc", "t.csv", "t.xlsx", "t.aem"])
+def test_any_name_of_a_spacecraft_can_be_written(tmp_path: Path, name: str) -> None:
+    for text in ("a\0b", "\x1b[31m", "\udcff", "a\nMETA_STOP", "x" * 5000, "</a>"):
+        record = small_record(12).replace(provenance={"spacecraft": text})
+        read = format_of(write_telemetry(record, tmp_path / name))
+        assert (
+            len(read_telemetry(tmp_path / name) if read is None else read.read(tmp_path / name, 99).columns["time"])
+            == 12
+        )
+
+
 def test_a_workbook_has_no_date_inside(tmp_path: Path) -> None:
     """The hour at which it was made would give the same record other bytes."""
     with zipfile.ZipFile(write_telemetry(small_record(12), tmp_path / "a.xlsx")) as book:

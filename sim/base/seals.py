@@ -36,7 +36,7 @@ def sealed(text: str, comment: str, what: str = f"format {FORMAT}", *, after: in
     return "\n".join(lines)
 
 
-def is_sealed(text: str) -> bool | None:
+def is_sealed(text: str, where: str | None = None) -> bool | None:
     """Whether a text is as `sealed` left it; None where no line among its first says that fluxtwin wrote it.
 
     The ends of lines do not count: editors and mail change them. Raises BadInput for a format of a later fluxtwin.
@@ -48,14 +48,14 @@ def is_sealed(text: str) -> bool | None:
     mark = _MARK.fullmatch(lines.pop(place))
     if mark is None or mark["digest"] != _digest("\n".join(lines)):
         return False
-    require_format(int(mark["format"] or FORMAT))
+    require_format(int(mark["format"] or FORMAT), where)
     return True
 
 
 def require_sealed(text: str, *, where: str) -> None:
     """Raises BadInput for a text that fluxtwin wrote and that was damaged or edited since."""
     lines = text[:_MARK_BYTES].splitlines()[:_MARKED_LINES]
-    if is_sealed(text) is False and not any(_DRAFT in line for line in lines):
+    if is_sealed(text, where) is False and not any(_DRAFT in line for line in lines):
         place = next(k for k, line in enumerate(lines, 1) if _MARKED.match(line))
         raise BadInput(
             "is not as fluxtwin wrote it: damaged, or changed by hand",

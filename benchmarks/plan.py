@@ -43,7 +43,7 @@ from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.scenario.effect_sections import effect_section
 from fluxtwin.sim.scenario.scenario import Scenario
 
-JUDGING = 2026
+JUDGING = 2027
 """Seed of the run in the documents; anything else is for tuning."""
 _TRIES = 40
 _KINDS = ("yaw_slews", "slews", "tumble", "spin", "inertial_hold")
@@ -159,8 +159,8 @@ def show(cases: Sequence[Case], counted: int) -> None:
         print(f"{' / '.join(pair):<48} {len(own):>6} {shares} {hours:>5.1f}")
     n = len(cases)
     for words, key, said in (
-        ("plan flown", "alone", "predicted"),
-        ("random manoeuvre", "random_alone", "random_predicted"),
+        ("plan flown", "told", "predicted"),
+        ("random manoeuvre", "random_told", "random_predicted"),
     ):
         right = sum(getattr(one, key) for one in cases)
         power = 100 * float(np.mean([getattr(one, said) for one in cases]))

@@ -40,6 +40,9 @@ _APART = 2.0 * float(np.log(20.0))
 """By how much one place must do better than another: twenty to one."""
 _SEEN = 0.01
 """Share of its energy that a column of something unknown must have beside what is re-estimated, to be a part of it."""
+_PLAUSIBLE = 4
+"""Sizes of a cause with several parameters over which its power is averaged: by one draw a manoeuvre may look better than it
+is, and the one that does is chosen."""
 _REFITTED = 5
 _FAR = 40.0
 """Candidates that are refitted: so many, and not where the cause does better by so much; noise makes up for half of it once
@@ -52,10 +55,17 @@ class Cause:
 
     effect: SignalEffect
     theta: FloatArray
+    also: tuple[FloatArray, ...] = ()
+    """What its parameters may as well be."""
 
     @property
     def name(self) -> str:
         return self.effect.name
+
+    @cached_property
+    def each(self) -> tuple[Cause, ...]:
+        """The cause with each of these."""
+        return tuple(Cause(self.effect, theta) for theta in (self.theta, *self.also))
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +120,12 @@ class Flown:
         others = {*names} - {cause.name}
         if cause.name in self.untestable or others & {*self.same.get(cause.name, ())}:
             return 0.0
-        found, white, signal = self._bent(cause)
-        return probability_of(cause.name, others, self.board(found, white, rows), signal[:rows].reshape(-1))
+        power = []
+        for one in cause.each:
+            found, white, signal = self._bent(one)
+            scored = self.board(found, white, rows)
+            power.append(probability_of(cause.name, others, scored, signal[:rows].reshape(-1)))
+        return float(np.mean(power))
 
     def imitating(self, cause: Cause, name: str) -> Cause | None:
         """Another effect with the setting and size that look most like a cause here; None where it cannot be tested."""
@@ -137,7 +151,7 @@ class Flown:
         """The cause as it may well be, given what these data say of its parameters.
 
         They are taken as alike in their typical sizes, with the common size that is likeliest (empirical Bayes), and drawn
-        from what is then known of them: what is badly seen here would else be nothing, or far too much, elsewhere.
+        from what is then known of them, a few times: what is badly seen here would else be nothing elsewhere, or too much.
         """
         scale = np.array([parameter.scale for parameter in cause.effect.parameters])
         if scale.size == 1:
@@ -151,10 +165,11 @@ class Flown:
         spread = 1.0 + sizes**2 * values
         likely = -0.5 * np.sum(np.log(spread) + values * along**2 / spread, axis=1)
         number = int(np.argmax(likely))
-        normal = np.random.default_rng(_SEED).standard_normal(scale.size)
+        normal = np.random.default_rng(_SEED).standard_normal((_PLAUSIBLE, scale.size))
         drawn = along * (1.0 - 1.0 / spread[number]) + sizes[number] / np.sqrt(spread[number]) * normal
         low, high = (np.array([getattr(p, end) for p in cause.effect.parameters]) for end in ("low", "high"))
-        return Cause(cause.effect, np.clip(vectors @ drawn * scale, low, high))
+        first, *also = np.clip(drawn @ vectors.T * scale, low, high)
+        return Cause(cause.effect, first, tuple(also))
 
     def placed(self, place: Placed, frame: str, rows: int) -> float:
         """Probability that structure in the axes of a frame is told from the same in the other frames, on the first rows.

@@ -13,6 +13,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import is_dataclass
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
@@ -197,7 +198,12 @@ def motion_table(motion: Any, note: str) -> Table:
 def _environment() -> Environment:
     """Jinja with what every study's words may use."""
     made = Environment(
-        undefined=StrictUndefined, autoescape=False, trim_blocks=True, lstrip_blocks=True, extensions=["jinja2.ext.do"]
+        undefined=StrictUndefined,
+        autoescape=False,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        extensions=["jinja2.ext.do"],
+        finalize=_said,
     )
     made.globals |= {one.__name__: one for one in _BUILTINS}
     made.globals |= {"np": np, "nT_per_mG": NT_PER_MG, "matrix": _matrix, "plus_minus": _plus_minus}
@@ -211,6 +217,13 @@ def _environment() -> Environment:
         "column": lambda values, place: values[:, place],  # jinja knows no slice inside an index
     }
     return made
+
+
+def _said(value: Any) -> Any:
+    """A value that is printed in words. Raises TypeError for a record or an array, which would be printed as code."""
+    if is_dataclass(value) or isinstance(value, np.ndarray):
+        raise TypeError(f"{type(value).__name__}: words want a number or a text")
+    return value
 
 
 def _plain(value: Any) -> Any:

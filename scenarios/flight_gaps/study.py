@@ -170,7 +170,7 @@ def page_values(outcome: Outcome) -> dict[str, Any]:
         "alike": len({(a.found.verdict, a.found.where.stage) for a in answers}) == 1,
         "same_resemblance": len({tuple(a.found.resembles) for a in answers}) == 1,
         "beyond": sum(int((a.cut & (np.abs(a.latitude_deg) > _AURORA_DEG)).sum()) for a in answers),
-        "cut": sum(int(a.cut.sum()) for a in answers),
+        "spikes": sum(int(a.cut.sum()) for a in answers),
         "spurious": [a.case.title for a in answers if "bit_errors" in names_of(a.found)],
         "steps": ", ".join(f"{value:.0f}" for value in steps) or "nothing that is known",
         "c": outcome.coefficients,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from jinja2 import UndefinedError
 from matplotlib.figure import Figure
@@ -82,3 +83,11 @@ def test_a_value_that_is_missing_is_an_error(page: Words) -> None:
         page.page("verdict", {}, {}, items=[])
     with pytest.raises(KeyError):
         page.table("absent")
+
+
+def test_a_record_in_a_sentence_is_an_error() -> None:
+    """A page once printed a whole answer where the number of cut rows was meant."""
+    sentence = words._environment().from_string("{{ x }} rows")
+    assert sentence.render(x=np.int64(58)) == "58 rows"
+    with pytest.raises(TypeError, match="ndarray: words want a number or a text"):
+        sentence.render(x=np.zeros(3))

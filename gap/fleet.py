@@ -24,6 +24,7 @@ from fluxtwin.gap.linear.projection import SHARE_LEFT
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.records.score import Score
 from fluxtwin.gap.selection.criterion import MOST_SURE, THRESHOLD, worth
+from fluxtwin.gap.selection.groups import ALIKE
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect
@@ -155,6 +156,7 @@ def fleet(vehicles: Sequence[str], diagnoses: Sequence[Diagnosis]) -> Fleet:
     if ranked and ranked[0][1][0] > THRESHOLD:
         top = ranked[0][1][0]
         group = [name for name, (value, _, _) in ranked if top - value < _GROUP]
+        group += [name for name, _ in ranked if name not in group and _imitate(diagnoses, group[0], name)]
         alike = [{*found.group} for one in diagnoses for found in one.effects if {*found.group} & {*group}]
         group += sorted(
             {n for g in alike for n in g if 2 * sum(n in other for other in alike) >= len(alike)} - {*group}
@@ -175,8 +177,20 @@ def _plain(values: FloatArray) -> Any:
 
 
 def _in_common(scores: Sequence[Score]) -> tuple[float, int]:
-    """Drop of chi-square by one size for all vehicles, and its rank."""
-    return _explained(sum(one.score for one in scores), sum(one.information for one in scores))  # type: ignore[arg-type]
+    """Drop of chi-square by one size for all vehicles, and its rank; what errors in an image cost is given back."""
+    score = np.sum([one.score for one in scores], axis=0)
+    whole = np.sum([one.information for one in scores], axis=0)
+    errors = (
+        min(sum(one.of_errors for one in scores) / float(whole.max()), 0.5) if score.size == 1 and whole.any() else 0.0
+    )
+    return _explained(score, whole * (1.0 - errors))
+
+
+def _imitate(diagnoses: Sequence[Diagnosis], one: str, other: str) -> bool:
+    """Whether the designs of all vehicles hardly tell two effects apart."""
+    return all(
+        min(d.isolability.get(a, {}).get(b, 0.0) for a, b in ((one, other), (other, one))) > ALIKE for d in diagnoses
+    )
 
 
 def _explained(score: FloatArray, information: FloatArray) -> tuple[float, int]:

@@ -19,3 +19,5 @@ class Score:
     """(p,) derivative of the log likelihood by each parameter, at none of the effect."""
     information: FloatArray
     """(p, p) beside the nuisance; zero for parameters that move nothing."""
+    of_errors: float = 0.0
+    """What of the information of a single parameter is none, as its image is made of an attitude with errors."""

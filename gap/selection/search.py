@@ -6,6 +6,7 @@ search of `growth`, and for every named effect its support against rivals.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,16 +14,20 @@ import numpy as np
 from fluxtwin.gap.hypotheses.candidates import derivatives
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.records.diagnosis import FoundEffect, Ranked
+from fluxtwin.gap.records.score import Score
 from fluxtwin.gap.selection import groups
 from fluxtwin.gap.selection.detectable import GATE, detectable, visible_part
 from fluxtwin.gap.selection.forward import Search
 from fluxtwin.gap.selection.named import SearchResult, axis_of, found_effect, parameters_of
 from fluxtwin.gap.selection.refit import Fit, Readings
 from fluxtwin.gap.selection.score import Board
-from fluxtwin.gap.selection.support import support
+from fluxtwin.gap.selection.support import chi_square_lost, support
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
+
+_OF_ERRORS = 1e-3
+"""Of the energy of an image: less would cost a cause that explains a drop of a thousand one unit of it."""
 
 __all__ = ["GATE", "SearchResult", "ranking", "result_of"]
 
@@ -59,9 +64,21 @@ def result_of(
         jacobian_white=fit.jacobian[:, :, _columns(fit, order)],
         chi2={"nuisance": (base.chi2, base.rank), "named": (fit.chi2, fit.rank)},
         variance=rest.variance,
-        scores=(tuple(first.scores()), tuple(rest.scores())),
+        scores=(_scores(under_way, first), _scores(under_way, rest)),
         tested=under_way.tested,
     )
+
+
+def _scores(under_way: Search[Readings], board: Board) -> tuple[Score, ...]:
+    """What the record says of each candidate; where an image is made of attitudes, also how much of it is their errors."""
+    found = []
+    for score, candidate in zip(board.scores(), board.candidates, strict=True):
+        lost = 0.0
+        if len(candidate.scale) == 1 and candidate.change > _OF_ERRORS:
+            size = candidate.scale
+            lost = chi_square_lost(under_way, (candidate.effect, size), under_way.base.jacobian) / float(size[0]) ** 2
+        found.append(replace(score, of_errors=lost / board.variance))
+    return tuple(found)
 
 
 def _named(

@@ -75,7 +75,7 @@ def _weights(search: Search[Any], fit: Fit, number: int, bare: Fit, variance: fl
     scored = board(search.found, search.white, put_back, beside, search.channel.measured, search.channel.share_left)
     # A large effect is not linear: what the others make up for at their own refit says how much it is worth.
     drop_own = max(scored.chi2, bare.chi2) - fit.chi2
-    lost_own = _lost(search, fit.chosen[number], beside)
+    lost_own = chi_square_lost(search, fit.chosen[number], beside)
     price_own = float(penalty(fit.rank_chosen - bare.rank_chosen, drop_own / variance, search.samples))
     wider = 1.0 + SHAPE * drop_own / variance
     weights: dict[str, float] = {fit.chosen[number][0].name: 1.0}
@@ -92,14 +92,14 @@ def _weights(search: Search[Any], fit: Fit, number: int, bare: Fit, variance: fl
             start = [theta for _, theta in fit.chosen]
             start[number] = scored.estimate([place])[0]
             there = search.fit(present, start)
-            lost = _lost(search, there.chosen[number], beside)
+            lost = chi_square_lost(search, there.chosen[number], beside)
             worse = (there.chi2 - lost - fit.chi2 + lost_own) / variance / wider + price
         name = search.found[place].name
         weights[name] = weights.get(name, 0.0) + float(np.exp(-0.5 * np.clip(worse, -100.0, 1400.0)))
     return weights
 
 
-def _lost(search: Search[Any], active: Active, beside: FloatArray) -> float:
+def chi_square_lost(search: Search[Any], active: Active, beside: FloatArray) -> float:
     """Chi-square that a cause is expected to lose even where it is the true one, because its image is made of an attitude
     with errors (Fuller 1987, Measurement Error Models, section 1.2). beside (M, 3, c): what is refitted with it."""
     blur = search.channel.blur(active, search.base.modelled)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -94,8 +95,9 @@ def command(
             written.append(second[0].calibration.to_toml(also))
         if figures is not None or html is not None:
             progress("drawing", 0.9)
-        next_step = _next_step(fit, telemetry, out, reading, onboard)
-        second_step = "" if second is None else _next_step(second[0], telemetry, also, _of_other(reading), None)
+        asked = {**options, "field": field, "degree": degree}
+        next_step = _next_step(fit, telemetry, out, reading, {**asked, "onboard": onboard})
+        second_step = "" if second is None else _next_step(second[0], telemetry, also, _of_other(reading), asked)
         if figures is not None:
             written += _draw(fit, figures, outputs.RESIDUALS)
             written += [] if second is None else _draw(second[0], figures, outputs.SECOND_RESIDUALS)
@@ -175,14 +177,33 @@ def _predict(fit: Fit, record: Telemetry, known: Calibration, model: FieldModel)
     return (predict if against_attitude else predict_scalar)(record, known, model)
 
 
-def _next_step(fit: Fit, telemetry: list[Path], out: Path | None, reading: of.Reading, onboard: Path | None) -> str:
+def _again(asked: Mapping[str, Any]) -> str:
+    """The options of this call, as a command line has them; those that were left out are left out again."""
+    import shlex
+
+    from fluxtwin.calib.methods import offered
+
+    usual = {one.name: one.default for one in offered()} | {"field": "igrf14"}
+    words = []
+    for name, value in asked.items():
+        flag = name.replace("_", "-")
+        if value is None or value == usual.get(name):
+            continue
+        if isinstance(value, bool):
+            words.append(f"--{flag}" if value else f"--no-{flag}")
+        else:
+            for one in value if isinstance(value, list | tuple) else [value]:
+                words += [f"--{flag}", str(one)]
+    return f" {shlex.join(words)}" if words else ""
+
+
+def _next_step(fit: Fit, telemetry: list[Path], out: Path | None, reading: of.Reading, asked: Mapping[str, Any]) -> str:
     """The verdict's next step with the names of the files in it; what it writes goes into the current folder."""
     import shlex
 
     if fit.verdict is None:
         return ""
-    again = "" if fit.comparison is None else f" --method {fit.method}"
-    again += "" if onboard is None else f" --onboard {shlex.quote(str(onboard))}"
+    again = _again({**asked, "method": fit.method} if fit.comparison is not None else asked)
     words = fit.verdict.next_step
     if out is None and "CALIBRATION.toml" in words:
         words = f"fluxtwin calibrate TELEMETRY{again} --out CALIBRATION.toml"

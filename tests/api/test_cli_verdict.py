@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 
@@ -66,6 +67,17 @@ def test_the_first_lines_are_the_verdict(cli: Cli, flight: Path, tmp_path: Path)
     verdict = json.loads((tmp_path / "c.json").read_text("utf-8"))["verdict"]
     assert verdict["lines"][0] == lines[0]
     assert verdict["level"] == "good"
+
+
+def test_the_next_step_makes_the_same_fit(cli: Cli, flight: Path) -> None:
+    """Not another one: a record with torquers that is calibrated without the T of before has no calibration."""
+    asked = ("--attitude-sigma-deg", "0.1", "--robust", "huber", "--no-errors-in-variables")
+    lines = cli("calibrate", flight / "my.nc", *asked, "--degree", "12").out.splitlines()  # type: ignore[attr-defined]
+    (line,) = (line for line in lines if line.startswith("Next: "))
+    words = shlex.split(line.removeprefix("Next: fluxtwin "))
+    assert words[:2] == ["calibrate", str(flight / "my.nc")] and words[-2] == "--out"
+    again = cli(*words[:-2]).out.splitlines()  # type: ignore[attr-defined]
+    assert again == lines
 
 
 def test_numbers_have_the_digits_that_are_known(cli: Cli, flight: Path) -> None:

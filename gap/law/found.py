@@ -179,7 +179,11 @@ class _Search:
                 why = "the coefficients of the best one found differ from one part of the record to the next"
                 return Lawful(self._none(whitener, f"{why}: {words.formula(record.terms)}"))
         if gap.closed is None or gap.closed < LEAST_CLOSED:
-            share = "a share too small to be measured" if gap.closed is None else f"{100 * gap.closed:.0f} %"
+            share = (
+                "a share that is too small, or not to be measured"
+                if gap.closed is None
+                else f"{100 * gap.closed:.0f} %"
+            )
             why = f"the best one found closes {share} of what is left on held-out samples"
             return Lawful(self._none(whitener, f"{why}: {words.formula(record.terms)}"))
         rest = residual_structure(problem, whitener, residual_nT, columns_nT)
@@ -215,6 +219,9 @@ class _Search:
         after = Fitted.of(problem, whitener, residual_nT, columns_nT)
         seconds = problem.setting.seconds
         before_nT, after_nT, counted = predict_blocks(seconds, kept, floor_nT, before, after)
+        if 2 * counted.sum() < kept.sum():  # one part of the record does not determine another: nothing is held out
+            fitted = Prediction(before.residual_nT, after.residual_nT, kept, floor_nT, floor_nT, "fit", problem.axes)
+            return replace(fitted.shrinkage(True), closed=None, interval=None)
         return Prediction(before_nT, after_nT, counted, floor_nT, floor_nT, axes=problem.axes).shrinkage(True)
 
     def _record(self, fit: Fit, terms: Sequence[Active], gap: Shrinkage, alike: Sequence[LawEffect]) -> Law:

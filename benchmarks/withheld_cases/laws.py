@@ -291,7 +291,7 @@ FORMS: Mapping[str, Form] = {
 
 
 def truth_of(drawn: Drawn, size_nT: float) -> Truth:
-    """The field, with each course at unit rms of what it is in the record that it is drawn in."""
+    """The field: each part as large as its course and its coefficients make it."""
 
     def stray(w: World, time: TimeArray, field: Ambient) -> FloatArray:
         total = np.zeros((time.size, 3))

@@ -30,6 +30,7 @@ from fluxtwin.gap.selection.refit import Fit, Readings, refit
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.chain import Active
+from fluxtwin.sim.effects.drivers import orbital_period_s
 from fluxtwin.sim.effects.law import Law as LawEffect
 
 LEAST_CLOSED = 0.5
@@ -177,7 +178,7 @@ class _Search:
         for gain, more in parts(left, own):
             if worth(gain / wider, more, samples, float(np.log(len(PARTS)))) > THRESHOLD + LOG_FURTHER:
                 why = "the coefficients of the best one found differ from one part of the record to the next"
-                return Lawful(self._none(whitener, f"{why}: {words.formula(record.terms)}"))
+                return Lawful(self._none(whitener, f"{why}: {words.made_of(record.terms)}"))
         if gap.closed is None or gap.closed < LEAST_CLOSED:
             share = (
                 "a share that is too small, or not to be measured"
@@ -185,7 +186,7 @@ class _Search:
                 else f"{100 * gap.closed:.0f} %"
             )
             why = f"the best one found closes {share} of what is left on held-out samples"
-            return Lawful(self._none(whitener, f"{why}: {words.formula(record.terms)}"))
+            return Lawful(self._none(whitener, f"{why}: {words.made_of(record.terms)}"))
         rest = residual_structure(problem, whitener, residual_nT, columns_nT)
         return Lawful(
             replace(record, fitted=self._series(terms, residual_nT)),
@@ -250,7 +251,10 @@ class _Search:
             looked_at=(),
             sentence="",
         )
-        return replace(said, sentence=words.sentence(said, bool(self.base.named)))
+        seconds = float(self.problem.setting.seconds[-1])
+        return replace(
+            said, sentence=words.sentence(said, bool(self.base.named), seconds / orbital_period_s(self.problem.setting))
+        )
 
     def _none(self, whitener: Whitener, why: str) -> Law:
         """What was looked at, and how large each would have had to be."""

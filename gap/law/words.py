@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from fluxtwin.calib.common.digits import measured
 from fluxtwin.gap.records.diagnosis import Law, LawTerm
+from fluxtwin.sim.effects.law import FIELD, GEOMETRY
 from fluxtwin.sim.effects.law import Law as LawEffect
 
 _UNITS = {
@@ -31,6 +32,7 @@ _NAMES = {
     "local_time": "local time",
 }
 _SHORT = {"^2": "_squared", "^3": "_cubed", ">": "_above_", ".": "_", "-": "minus_", "+": ""}
+_MOST_LISTED = 4
 _NOT_SHOWN = 2.0  # sigma: coefficients below are left out of the sentence where others are above
 
 
@@ -75,6 +77,12 @@ def factor(text: str) -> str:
     return f"{wave} {read}{power}".strip() + (f" above {level}" if above else "")
 
 
+def recorded(text: str) -> bool:
+    """Whether a factor is of a recorded column."""
+    name = re.split(r"[>^]", text.rpartition(" ")[2])[0]
+    return name not in GEOMETRY and name not in FIELD
+
+
 def gate(text: str) -> str | None:
     """A second factor that switches, to read; None where it is another one."""
     plain = text.removeprefix("not ")
@@ -112,13 +120,25 @@ def formula(terms: Sequence[LawTerm]) -> str:
     return "; and ".join(term(one) for one in terms)
 
 
-def sentence(law: Law, named: bool) -> str:
-    """A law in one sentence. named: whether it stands beside names."""
+def made_of(terms: Sequence[LawTerm]) -> str:
+    """What a law that is not kept follows, in short."""
+    factors = list(dict.fromkeys(factor(text) for one in terms for text in one.of))
+    more = f" and {len(factors) - _MOST_LISTED} more" if len(factors) > _MOST_LISTED else ""
+    return f"{', '.join(factors[:_MOST_LISTED])}{more}"
+
+
+def sentence(law: Law, named: bool, orbits: float) -> str:
+    """A law in one sentence. named: whether it stands beside names; orbits: that the record lasts.
+
+    A law of geometry alone is a function of the time in a record of an orbit or two, whatever makes the gap.
+    """
     share = "" if law.closed is None else f"; closes {100 * law.closed:.0f} % of what is left on held-out samples"
     other = ""
     if law.could_be:
-        listed = [" times ".join(factor(text) for text in one) for one in law.could_be[:3]]
+        listed = [" times ".join(factor(text) for text in one) for one in law.could_be[:_MOST_LISTED]]
         other = f" These data do not tell it from a law of {' or '.join(listed)}."
+    if not any(recorded(text) for one in law.terms for text in one.of):
+        other += f" No recorded column is in it: over {orbits:.1f} orbits it describes the gap rather than explains it."
     what = "what they leave" if named else "it"
     return f"A law of recorded columns and geometry explains {what}: {formula(law.terms)}{share}.{other}"
 

@@ -133,5 +133,8 @@ def test_a_false_column_is_one_that_the_cause_has_nothing_to_do_with() -> None:
             {"population": "laws_catalogue", "truths": [{"name": "switched_field", "stage": "spacecraft"}]}
         )
         case.sealed["truths"][0].update({"visible": 1.0, "signal": True})
-    (row,) = [row for row in laws_judged.rows(cases) if row["figure"].endswith("false column")][1:]
-    assert (row["right"], row["of"]) == (1, 3)
+    nulls = [answered([term("driver_B")]), answered([])]
+    for case in nulls:
+        case.sealed.update({"population": "laws_nulls", "truths": []})
+    rows = [row for row in laws_judged.rows([*cases, *nulls]) if row["figure"].endswith("false column")]
+    assert [(row["right"], row["of"]) for row in rows] == [(1, 2), (1, 3)]

@@ -5,6 +5,7 @@ The truths are put into the record as plain arrays: nothing of the grammar that 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -16,8 +17,9 @@ from worlds import scenario_text
 
 from fluxtwin import diagnosing
 from fluxtwin.gap.diagnose import diagnose
+from fluxtwin.gap.law import words
 from fluxtwin.gap.problem.problem import Budget
-from fluxtwin.gap.records.diagnosis import Diagnosis
+from fluxtwin.gap.records.diagnosis import Diagnosis, Law, LawTerm
 from fluxtwin.gap.records.schema import diagnosis_schema
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.field import load_field
@@ -152,3 +154,15 @@ def test_where_no_column_does_it_none_is_named() -> None:
     assert {"driver_payload", "driver_heat", "sun_x"} <= {one.quantity for one in found.law.looked_at}
     assert all(one.visible_nT > 0.0 for one in found.law.looked_at)
     assert "No law" in found.sentence
+
+
+def test_a_law_without_a_recorded_column_says_that_it_describes() -> None:
+    term = LawTerm(
+        "by_height", ("sun_height",), "earth", 0.0, 0.0, "nT", {"x": (40.0, 1.0), "y": (0.5, 1.0), "z": (0.2, 1.0)}
+    )
+    law = Law((term,), (), 9.0, 3.0, 2.0, 0.9, (0.8, 1.0), 500, (), "", (), "")
+    assert "over 1.5 orbits it describes the gap" in words.sentence(law, False, 1.5)
+    assert "40.0 ± 1.0 nT on x of Earth-fixed axes" in words.sentence(law, False, 1.5)
+    driven = replace(law, terms=(replace(term, of=("sun_height", "flag_pump")),))
+    assert "describes" not in words.sentence(driven, False, 1.5)
+    assert "while flag_pump is 1" in words.sentence(driven, False, 1.5)

@@ -23,6 +23,7 @@ from fluxtwin.calib.checks.values import check_motion, check_readings
 from fluxtwin.calib.common.records import Onboard
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.limits import MAX_SAMPLES
+from fluxtwin.sim.base.types import BoolArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.earth.tle import read_elements
@@ -39,6 +40,8 @@ RECOGNISED = "recognised_layout"
 """Code of the note that a packaged column map was used."""
 POSITION_TRAPS = {"position_frame", "position_inside_earth"}
 """With these nothing else can be judged by the field model."""
+_QUIET_ROWS = 100
+"""As many as the comparison with the field takes at once: with fewer it says little."""
 __all__ = ["RECOGNISED", "CheckReport", "Finding", "check_file", "check_telemetry", "repair"]
 
 
@@ -54,13 +57,39 @@ def check_telemetry(
     motion = check_motion(telemetry)
     findings = [*stuck, *motion, *check_readings(telemetry)]
     if not any(finding.severity == "trap" and finding.code in POSITION_TRAPS for finding in motion):
-        against_field = check_field(telemetry, model, origin or Origin(), ~faulty)
+        usable, against_field = _against_field(telemetry, model, origin or Origin(), ~faulty)
         if any(finding.code == "clock" and finding.severity == "trap" for finding in against_field):
             findings = [finding for finding in findings if finding.code != "sunlit_flag"]  # the sun is elsewhere, then
         if not any(finding.severity == "trap" for finding in against_field):
-            against_field += check_calibrated(telemetry, model, ~faulty, onboard)
+            against_field += check_calibrated(telemetry, model, usable, onboard)
         findings = [*against_field, *findings]
     return report(telemetry.provenance.get("source", "telemetry"), len(telemetry), findings)
+
+
+def _against_field(
+    telemetry: Telemetry, model: FieldModel, origin: Origin, usable: BoolArray
+) -> tuple[BoolArray, list[Finding]]:
+    """The findings of `check_field`, and the rows (N,) that they are of.
+
+    Where a trap is named and torquers were on, it is looked for again in the rows in which they were off: what couples from
+    them may be as large as the field.
+    """
+    found = check_field(telemetry, model, origin, usable)
+    dipole = telemetry.dipole_B_Am2
+    if dipole is None or not any(finding.severity == "trap" for finding in found):
+        return usable, found
+    on = np.any(np.abs(np.nan_to_num(dipole)) > 0.0, axis=1)
+    quiet = usable & ~on
+    if not on.any() or int(quiet.sum()) < _QUIET_ROWS:
+        return usable, found
+    again = check_field(telemetry, model, origin, quiet)
+    if any(finding.severity == "trap" for finding in again):
+        return usable, found
+    text = (
+        f"with the torquers on ({int(on.sum())} of {len(telemetry)} rows) the readings do not fit the field, with them off "
+        "they do: what couples from them is large. Ask for it when calibrating: --parameters b,S,T"
+    )
+    return quiet, [*again, note("torquers_on", text)]
 
 
 def check_file(

@@ -48,6 +48,9 @@ class Pair(NamedTuple):
     correlation: float
 
 
+_WITH_TORQUERS = "fluxtwin calibrate TELEMETRY --parameters b,S,T"
+
+
 class Along(NamedTuple):
     """The residual along the field [nT], rms."""
 
@@ -147,9 +150,10 @@ def assess(
     if not (with_attitude and against_attitude):
         direction = replace(direction, against_reference_deg=None)
     limits = [] if impossible else _limits(fit, declared, along, direction, strength_nT)
+    coupling = _coupling(fit, D) if impossible or _too_much_along(along) else ""
     return Verdict(
         level="bad" if impossible else "usable" if limits else "good",
-        reasons=tuple(impossible or limits),
+        reasons=(*([coupling] if coupling else []), *(impossible or limits)),
         residual=_residual_words(fit, along, residual_nT, impossible=bool(impossible)) + _aside_words(fit),
         residual_nT=residual_nT,
         along_field_nT=along.found_nT,
@@ -158,7 +162,7 @@ def assess(
         set_aside=fit.rejected,
         correlated=worst_pairs(fit),
         not_observable=fit.observability,
-        next_step=_next_step(fit, bool(impossible), along, direction),
+        next_step=_WITH_TORQUERS if coupling else _next_step(fit, bool(impossible), along, direction),
     )
 
 
@@ -321,10 +325,24 @@ def _many_outliers(fit: Fit) -> bool:
     return fit.rejected > _MANY_OUTLIERS * _rows(fit)
 
 
+def _too_much_along(along: Along) -> bool:
+    return along.found_nT > float(np.sqrt(2.0)) * along.allowed * along.noise_nT
+
+
+def _coupling(fit: Fit, dipole_B_Am2: FloatArray | None) -> str:
+    """A sentence where torquers were on and nobody asked what couples from them; else empty."""
+    if dipole_B_Am2 is None or fit.calibration.T_nT_per_Am2 is not None:
+        return ""
+    on = np.nanmean(np.nanmax(np.abs(dipole_B_Am2), axis=1) > 0.0) if np.isfinite(dipole_B_Am2).any() else 0.0
+    if not on:
+        return ""
+    return f"The torquers were on in {100 * on:.0f} % of the rows, and what couples from them was not asked for (T)."
+
+
 def _next_step(fit: Fit, impossible: bool, along: Along, direction: DirectionKnowledge) -> str:
     if impossible or _beyond_model(along) or _many_outliers(fit):
         return "fluxtwin check TELEMETRY"
-    if along.found_nT > np.sqrt(2.0) * along.allowed * along.noise_nT:
+    if _too_much_along(along):
         if not fit.calibration.sigmas[:9].any():
             return "fluxtwin calibrate TELEMETRY --parameters b,S"
         return "fluxtwin diagnose TELEMETRY --html diagnosis.html"

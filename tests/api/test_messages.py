@@ -150,7 +150,7 @@ def test_a_verb_says_what_it_was_given_and_what_it_wants(
 
 
 def test_the_shell_completes_commands() -> None:
-    asked = {"_FLUXTWIN_COMPLETE": "complete_bash", "COMP_WORDS": "fluxtwin ca", "COMP_CWORD": "1"}
+    asked = {"_FLUXTWIN_COMPLETE": "complete_bash", "COMP_WORDS": "fluxtwin cal", "COMP_CWORD": "1"}
     command = [sys.executable, "-c", "from fluxtwin.cli import main; main()"]
     done = subprocess.run(command, env={**os.environ, **asked}, capture_output=True, text=True, check=False)
     assert done.stdout.split() == ["calibrate"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,7 @@ _LINES = (
 )
 
 Read = Callable[[Path], object]
+HAS_PARQUET = find_spec("pyarrow") is not None
 
 
 def scenario(rows: int) -> str:
@@ -74,7 +76,7 @@ def scenario(rows: int) -> str:
 def make(folder: Path, rows: int = 60) -> dict[str, Read]:
     """The files by name, each with its reader."""
     record, _ = simulate(parse_scenario(scenario(rows)))
-    for name in ("t.csv", "t.csv.gz", "t.nc", "t.aem", "t.oem", "t.xlsx", "t.parquet"):
+    for name in ("t.csv", "t.csv.gz", "t.nc", "t.aem", "t.oem", "t.xlsx", *(["t.parquet"] if HAS_PARQUET else [])):
         write_telemetry(record, folder / name)
     rows_only = [line.rpartition(",")[0] for line in (folder / "t.csv").read_text(encoding="utf-8").splitlines()]
     (folder / "foreign.csv").write_text("\n".join([*rows_only, ""]), encoding="utf-8")

@@ -23,7 +23,7 @@ from .harness import Row, timed
 
 WRITERS = {
     "simulate hand.toml --out OUT": "o.nc o.csv o.csv.gz",
-    "convert t.nc --out OUT": "o.aem o.oem o.xlsx o.parquet",
+    "convert t.nc --out OUT": "o.aem o.oem o.xlsx" + " o.parquet" * corpus.HAS_PARQUET,
     "calibrate t.nc --method linear --out OUT": "o.toml",
     "apply t.nc --calibration c.toml --out OUT": "p.nc",
     "calibrate t.nc --method linear --html OUT": "o.html",

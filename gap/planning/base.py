@@ -88,7 +88,10 @@ def _orbit(time: TimeArray, r_N_km: FloatArray, v_N_km_s: FloatArray) -> dict[st
         for _ in range(3):  # the rates change little with the axis: a digit or two more each time
             rates = orbital_rates(axis_km, e, tilt)
             known = rates.mean_anomaly_rad_s + rates.argument_of_perigee_rad_s
-            axis_km *= float((known / np.polyfit(seconds, latitude, 1)[0]) ** (2.0 / 3.0))
+            seen = float(np.polyfit(seconds, latitude, 1)[0])
+            if not 0.5 < seen / known < 2.0:  # arcs far apart, between which nobody counted the orbits
+                break
+            axis_km *= (known / seen) ** (2.0 / 3.0)
     u = float(latitude[-1])
     angles = {"raan_deg": float(np.degrees(node)) % 360.0, "argument_of_latitude_deg": float(np.degrees(u)) % 360.0}
     return found | angles | {"altitude_km": axis_km - EARTH_RADIUS_KM}

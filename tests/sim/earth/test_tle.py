@@ -181,7 +181,7 @@ def test_what_is_no_text_file_is_refused(tmp_path):
         tle.read_tle(tmp_path)
     binary = tmp_path / "binary.tle"
     binary.write_bytes(bytes(range(256)))
-    with pytest.raises(BadInput, match="not a text file"):
+    with pytest.raises(BadInput, match="is not UTF-8 text"):
         tle.read_tle(binary)
     large = tmp_path / "large.tle"
     large.write_bytes(b"x" * 1_000_001)

@@ -185,5 +185,5 @@ def test_what_is_no_text_file_is_refused(tmp_path):
         tle.read_tle(binary)
     large = tmp_path / "large.tle"
     large.write_bytes(b"x" * 1_000_001)
-    with pytest.raises(BadInput, match="too many"):
+    with pytest.raises(BadInput, match="larger than 1000000 bytes"):
         tle.read_tle(large)

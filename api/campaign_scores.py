@@ -80,11 +80,7 @@ def _power(effect: str, runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
     present = [run for run in runs if effect in run["effects"]]
     size = np.array([run["effects"][effect]["size"] for run in present])
     named = np.array([is_named(run, effect) for run in present])
-    exact = [
-        is_named(run, effect)
-        and all(any(_is(one, name) for name in run["effects"]) for one in run["diagnosis"]["names"])
-        for run in present
-    ]
+    exact = [is_named(run, effect) and not _false_of(run) for run in present]
     order = np.argsort(size, kind="stable")
     bins = []
     for rows in np.array_split(order, min(_BINS, len(order))) if np.ptp(size) > 0 else [order]:

@@ -268,7 +268,6 @@ def _faults(
             others = sum(bool({found.name} & names) for place, names in enumerate(named) if place != vehicle)
             if not known & set(found.group) and 2 * others < count - 1:
                 faults.append(Fault(vehicle, found.name, found.probability, odd=False))
-    taken = {(fault.vehicle, name) for fault in faults for name in [fault.name]}
     # Beside a common effect only its own size is compared: the scores of others hold what it leaves in them.
     compared = [label for label in shared if common is None or tables[0][label].effect.name == common.name]
     limit = FALSE_ALARM / max(count * len(compared), 1)
@@ -279,7 +278,7 @@ def _faults(
         for vehicle in range(count):
             apart, rank = _explained_apart(scores[vehicle], [*scores[:vehicle], *scores[vehicle + 1 :]])
             p = float(chi2.sf(apart, rank)) if rank else 1.0
-            if p < limit and (vehicle, effect.name) not in taken and p < odd.get(vehicle, (1.0, ""))[0]:
+            if p < limit and p < odd.get(vehicle, (1.0, ""))[0]:
                 odd[vehicle] = (p, effect.name)
     spoken = {fault.vehicle for fault in faults}
     faults += [

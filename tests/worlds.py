@@ -201,3 +201,23 @@ def small_record(rows: int) -> Telemetry:
     q_NB = np.stack([0.6 * np.sin(turn), 0.8 * np.sin(turn), 0.0 * turn, np.cos(turn)], axis=1)
     mag_B_nT = np.random.default_rng(3).normal(0.0, 2e4, (rows, 3)).round(1)
     return Telemetry(time, mag_B_nT, r_N_km=r_N_km, v_N_km_s=v_N_km_s, q_NB=q_NB)
+
+
+TUMBLING = """
+[attitude]
+mode = "tumble"
+rate_deg_s = [0.12, 0.08, 0.2]
+[attitude.reference]
+sigma_deg = 0.05
+tau_s = 0.0
+[magnetometer]
+b_nT = [900.0, -300.0, 200.0]
+noise_nT = 20.0
+"""
+"""A slow tumble, in which most effects show, and a magnetometer: sections for `tumbling`."""
+
+
+def tumbling(sections: str = TUMBLING, seed: int = 1) -> str:
+    """Fifty minutes of it, as a scenario."""
+    inertia = [[0.05, 0.0, 0.0], [0.0, 0.06, 0.0], [0.0, 0.0, 0.04]]
+    return scenario_text(sections, seed=seed, segment="samples = 300, step_s = 10.0", inertia_kg_m2=inertia)

@@ -23,7 +23,7 @@ from fluxtwin.sim.attitude.gauss_markov import gauss_markov
 from fluxtwin.sim.attitude.recorded_motion import RecordedMotion
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
-from fluxtwin.sim.effects.chain import Active, Chain, jacobian
+from fluxtwin.sim.effects.chain import Active, Chain
 from fluxtwin.sim.effects.signal import Setting
 
 MOST_CHANGED = 0.3
@@ -74,11 +74,6 @@ class PerturbedDesign:
     def setting(self) -> Setting | None:
         """The design that is perturbed; None where the attitude has no error."""
         return None if self.chain is None else self.chain.setting
-
-    def image(self, effect: SignalEffect, on: Sequence[Active]) -> FloatArray:
-        """(N, 3, p) the image of an effect on the perturbed design, with `on` on."""
-        assert self.chain is not None
-        return jacobian(self.chain, effect, on)
 
     def change(self, effect: SignalEffect, image: FloatArray, on: Sequence[Active]) -> float:
         """Share of the energy of an effect's image that changes, beside what is modelled.

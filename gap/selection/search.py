@@ -64,21 +64,28 @@ def result_of(
         jacobian_white=fit.jacobian[:, :, _columns(fit, order)],
         chi2={"nuisance": (base.chi2, base.rank), "named": (fit.chi2, fit.rank)},
         variance=rest.variance,
-        scores=(_scores(under_way, first), _scores(under_way, rest)),
+        scores=_scores(under_way, first, rest if fit.chosen else None),
         tested=under_way.tested,
     )
 
 
-def _scores(under_way: Search[Readings], board: Board) -> tuple[Score, ...]:
-    """What the record says of each candidate; where an image is made of attitudes, also how much of it is their errors."""
-    found = []
-    for score, candidate in zip(board.scores(), board.candidates, strict=True):
-        lost = 0.0
+def _scores(
+    under_way: Search[Readings], first: Board, rest: Board | None
+) -> tuple[tuple[Score, ...], tuple[Score, ...]]:
+    """What the record says of each candidate, and beside the named effects if there are any; where an image is made of
+    attitudes, also how much of it is their errors."""
+    lost: dict[str, float] = {}
+    for candidate in first.candidates:
         if len(candidate.scale) == 1 and candidate.change > _OF_ERRORS:
             size = candidate.scale
-            lost = chi_square_lost(under_way, (candidate.effect, size), under_way.base.jacobian) / float(size[0]) ** 2
-        found.append(replace(score, of_errors=lost / board.variance))
-    return tuple(found)
+            drop = chi_square_lost(under_way, (candidate.effect, size), under_way.base.jacobian)
+            lost[candidate.label] = drop / float(size[0]) ** 2
+
+    def of(board: Board) -> tuple[Score, ...]:
+        return tuple(replace(one, of_errors=lost.get(one.label, 0.0) / board.variance) for one in board.scores())
+
+    alone = of(first)
+    return alone, alone if rest is None else of(rest)
 
 
 def _named(

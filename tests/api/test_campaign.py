@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from command_line import Cli
 from scipy.special import expit
-from worlds import scenario_text
+from worlds import TUMBLING, tumbling
 
 import fluxtwin
 from fluxtwin.campaign_scores import summarise, wilson
@@ -21,23 +21,12 @@ from fluxtwin.sim.scenario.scenario import parse_scenario
 pytestmark = pytest.mark.property
 
 SECTIONS = """
-[attitude]
-mode = "tumble"
-rate_deg_s = [0.12, 0.08, 0.2]
-[attitude.reference]
-sigma_deg = 0.05
-tau_s = 0.0
-[magnetometer]
-b_nT = [900.0, -300.0, 200.0]
-noise_nT = 20.0
 [effects.time_tag_offset]
 offset_s = 1.0
 [draws]
 "effects.time_tag_offset.offset_s" = { log_uniform = [0.001, 5.0] }
 """
-TEXT = 'name = "late"\n' + scenario_text(
-    SECTIONS, seed=4, segment="samples = 300, step_s = 10.0", inertia_kg_m2=np.diag([0.05, 0.06, 0.04]).tolist()
-)
+TEXT = 'name = "late"\n' + tumbling(TUMBLING + SECTIONS, seed=4)
 
 
 def test_a_campaign_and_its_page(cli: Cli, tmp_path: Path) -> None:

@@ -7,22 +7,12 @@ from pathlib import Path
 
 import pytest
 from command_line import Cli, status_of
-from worlds import scenario_text
+from worlds import TUMBLING, tumbling
 
-SECTIONS = """
-[attitude]
-mode = "tumble"
-rate_deg_s = [0.12, 0.08, 0.2]
-[attitude.reference]
-sigma_deg = 0.05
-tau_s = 0.0
-[magnetometer]
-b_nT = [900.0, -300.0, 200.0]
-noise_nT = 20.0
+LATE = """
 [effects.time_tag_offset]
 offset_s = 0.3
 """
-INERTIA = [[0.05, 0.0, 0.0], [0.0, 0.06, 0.0], [0.0, 0.0, 0.04]]
 
 
 @pytest.mark.closure
@@ -30,8 +20,7 @@ def test_a_late_clock_of_the_design(cli: Cli, tmp_path: Path) -> None:
     files = []
     for seed in (1, 2, 3):
         plan = tmp_path / f"{seed}.toml"
-        text = scenario_text(SECTIONS, seed=seed, segment="samples = 300, step_s = 10.0", inertia_kg_m2=INERTIA)
-        plan.write_text(text, encoding="utf-8")
+        plan.write_text(tumbling(TUMBLING + LATE, seed=seed), encoding="utf-8")
         files.append(tmp_path / f"{seed}.nc")
         assert status_of("simulate", plan, "--out", files[-1], "-q") == 0
     done = cli("fleet", *files, "--noise-nT", 20, "--jobs", 2, "--json", tmp_path / "f.json")

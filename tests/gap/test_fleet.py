@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from worlds import scenario_text
+from worlds import TUMBLING, tumbling
 
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.fleet import Fleet, fleet
@@ -21,33 +21,17 @@ from fluxtwin.sim.scenario.scenario import parse_scenario
 
 pytestmark = pytest.mark.closure
 
-SECTIONS = """
-[attitude]
-mode = "tumble"
-rate_deg_s = [0.12, 0.08, 0.2]
-[attitude.reference]
-sigma_deg = 0.05
-tau_s = 0.0
-[magnetometer]
-b_nT = [900.0, -300.0, 200.0]
-noise_nT = 20.0
-"""
 LATE, AHEAD = find_effect("time_tag_offset"), find_effect("along_track_error")
 SIGMA_S = 0.1
 
 
 def asked(sections: str) -> Diagnosis:
-    inertia = np.diag([0.05, 0.06, 0.04]).tolist()
-    plan = parse_scenario(scenario_text(sections, segment="samples = 300, step_s = 10.0", inertia_kg_m2=inertia))
-    return diagnose(simulate(plan)[0], load_field("igrf14"))
+    return diagnose(simulate(parse_scenario(tumbling(sections)))[0], load_field("igrf14"))
 
 
 @pytest.fixture(scope="module")
 def perfect() -> Diagnosis:
-    text = scenario_text(
-        SECTIONS, segment="samples = 300, step_s = 10.0", inertia_kg_m2=np.diag([0.05, 0.06, 0.04]).tolist()
-    )
-    return diagnose(simulate(parse_scenario(text))[0], load_field("igrf14"))
+    return asked(TUMBLING)
 
 
 def vehicle(perfect: Diagnosis, rng: np.random.Generator, late_s: float) -> Diagnosis:
@@ -100,7 +84,7 @@ def test_the_odd_one_is_found_and_the_spread_measured(perfect: Diagnosis) -> Non
 
 def test_scores_are_those_of_least_squares(perfect: Diagnosis) -> None:
     """Of a record with a late clock: the estimate of its score alone is that of the diagnosis, within what is not linear."""
-    found = asked(SECTIONS + "[effects.time_tag_offset]\noffset_s = 0.4\n")
+    found = asked(TUMBLING + "[effects.time_tag_offset]\noffset_s = 0.4\n")
     assert [one.name for one in found.effects] == ["time_tag_offset"]
     score = next(one for one in found.scores[0] if one.label == "time_tag_offset")
     value = found.effects[0].parameters["offset"]

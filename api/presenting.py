@@ -10,15 +10,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fluxtwin import calibration_page, describing, diagnosis_page, plan_page
+from fluxtwin.calib.attitude.three_axis import AttitudeSolution
+from fluxtwin.calib.attitude.yaw import YawSolution
 from fluxtwin.calib.checks.report import CheckReport
+from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.verdict import kept_rows
+from fluxtwin.calib.trend import Trend
 from fluxtwin.console import shown
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.records.plan import CalibrationPlan, Plan
 from fluxtwin.scenarios.page import Table
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.trending import trend_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -97,6 +102,68 @@ def _inventory(found: describing.Inventory) -> Presented:
     return Presented([f"{found.source}: {found.rows} rows{span}", *unread, *lacking], [Table("Columns", columns, rows)])
 
 
+def _yaw(found: YawSolution) -> Presented:
+    summary = found.summary
+    left_out = [f"- {count} rows left out: {reason}" for reason, count in found.left_out.items()]
+    columns = ("smallest [deg]", "median [deg]", "largest [deg]")
+    tables = [Table("sigma of yaw", columns, [[*summary["sigma_deg"].values()]])]
+    rms = summary["rms_against_reference_deg"]
+    if rms["full"] is not None:
+        columns = ("full solution [deg]", "first order [deg]", "yaw = 0 [deg]")
+        tables.append(Table("rms against the reference attitude", columns, [[*rms.values()]]))
+    return Presented([f"{summary['samples']} samples", *left_out], tables)
+
+
+def _attitude(found: AttitudeSolution) -> Presented:
+    def degrees(aided: bool) -> str:
+        sizes = found.expected_deg(aided)
+        return "no row" if sizes is None else ", ".join(plain(size, 2) for size in sizes) + " deg"
+
+    head = {
+        "good": "Good: nothing contradicts the attitude",
+        "usable": f"Usable: the innovations are as predicted, but {'; '.join(found.limits)}",
+        "bad": "Bad: the attitude does not hold",
+    }[found.level]
+    aside = f"; {found.set_aside} set aside" if found.set_aside else ""
+    nis = ", ".join(f"{sensor} {plain(value)}" for sensor, value in found.nis.items())
+    sentences = [
+        f"{head}. 1 sigma about body x, y, z: {degrees(True)} with the {found.aid}, {degrees(False)} without.",
+        f"Followed: {found.source} and the calibrated field{aside}.",
+        *found.reasons,
+        f"Squared innovations over what was predicted (1 is right): {nis}; correlation of the field's from row to row "
+        f"{found.lag_correlation:.2f}.",
+        f"Errors, 1 sigma, declared or found: {_sizes(found)}.",
+    ]
+    return Presented(sentences, [])
+
+
+def _sizes(found: AttitudeSolution) -> str:
+    """The errors that matter; one far below its neighbour is not determined by the data."""
+    n, parts = found.noises, []
+    for name, white, slow, slow_s, unit in (
+        ("field", n.field_nT, n.slow_nT, n.slow_s, "nT"),
+        (
+            "reference" if "reference" in found.source else "nadir",
+            np.degrees(n.white_rad),
+            np.degrees(n.drift_rad),
+            n.drift_s,
+            "deg",
+        ),
+    ):
+        if name == "field" or "attitude" in found.nis:
+            size = [f"{plain(white, 2)} {unit} white"] if white > 0.1 * slow else []
+            size += [f"{plain(slow, 2)} {unit} over {plain(slow_s, 2)} s"] if slow > 0.1 * white else []
+            parts.append(f"{name} {' and '.join(size)}")
+    if "sun" in found.nis:
+        parts.append(f"sun {plain(np.degrees(n.sun_rad), 2)} deg white")
+    walks = ", ".join(f"{walk:.2g}" for walk in (n.walk_x_rad_s, n.walk_y_rad_s, n.walk_z_rad_s))
+    return "; ".join([*parts, f"random walk of the rate about x, y, z {walks} rad/s in a second"])
+
+
+def _trend(found: Trend) -> Presented:
+    return Presented(found.lines, [trend_table(found)])
+
+
 def _draw_fit(fit: Fit) -> Callable[[Axes], Axes]:
     from fluxtwin.plots import on_axes
 
@@ -113,6 +180,20 @@ def _draw_diagnosis(found: Diagnosis) -> Callable[[Axes], Axes]:
     stages = found.where.to_dict()["probabilities"]["stage"]
     named = sorted(stages.items(), key=lambda one: -one[1])[:7]
     return lambda axes: on_axes.shares(axes, named, title=f"Where the gap lies: {found.verdict}")
+
+
+def _draw_yaw(found: YawSolution) -> Callable[[Axes], Axes]:
+    from fluxtwin.plots import on_axes
+
+    yaw_deg = np.degrees(found.yaw_rad)[:, None]
+    return lambda axes: on_axes.components(axes, found.time, yaw_deg, y="yaw [deg]", title="Yaw", names=("yaw",))
+
+
+def _draw_attitude(found: AttitudeSolution) -> Callable[[Axes], Axes]:
+    from fluxtwin.plots import on_axes
+
+    sigma_deg, title = np.degrees(found.sigma_rad), "Error of the attitude about body x, y, z"
+    return lambda axes: on_axes.components(axes, found.time, sigma_deg, y="1 sigma [deg]", title=title)
 
 
 def _draw_plan(found: Plan | CalibrationPlan) -> Callable[[Axes], Axes]:
@@ -140,6 +221,9 @@ _WORDS: dict[type, Callable[[Any], Presented]] = {
     Plan: _plan,
     CalibrationPlan: _plan,
     CheckReport: _check,
+    YawSolution: _yaw,
+    AttitudeSolution: _attitude,
+    Trend: _trend,
     Telemetry: lambda record: _inventory(describing.of_record(record)),
     describing.Inventory: _inventory,
 }
@@ -148,6 +232,8 @@ _PICTURES: dict[type, Callable[[Any], Any]] = {
     Diagnosis: _draw_diagnosis,
     Plan: _draw_plan,
     CalibrationPlan: _draw_plan,
+    YawSolution: _draw_yaw,
+    AttitudeSolution: _draw_attitude,
     Telemetry: _draw_record,
     object: lambda _: None,
 }

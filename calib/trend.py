@@ -26,6 +26,7 @@ from fluxtwin.calib.common.digits import measured, plain
 from fluxtwin.calib.common.records import Calibration, parameter_unit
 from fluxtwin.calib.onboard.export import FIELDS_NT, AddedError, added_error
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.telemetry.record import plain_text
@@ -71,7 +72,7 @@ class History:
 
 
 @dataclass(frozen=True)
-class Trend:
+class Trend(Shown):
     """The answer to: does last month's calibration still hold?"""
 
     time: TimeArray

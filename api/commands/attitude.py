@@ -81,65 +81,18 @@ def command(
 def _print(
     output: Output, found: AttitudeSolution, telemetry: Path, calibration: Path | None, out: Path | None
 ) -> None:
+    from fluxtwin.presenting import presented
 
-    from fluxtwin.calib.common.digits import plain
-
-    def degrees(aided: bool) -> str:
-        sizes = found.expected_deg(aided)
-        return "no row" if sizes is None else ", ".join(plain(size, 2) for size in sizes) + " deg"
-
-    head = {
-        "good": "Good: nothing contradicts the attitude",
-        "usable": f"Usable: the innovations are as predicted, but {'; '.join(found.limits)}",
-        "bad": "Bad: the attitude does not hold",
-    }[found.level]
-    aid = "reference attitude" if "reference" in found.source else "sun"
-    output.prose(f"{head}. 1 sigma about body x, y, z: {degrees(True)} with the {aid}, {degrees(False)} without.")
-    aside = f"; {found.set_aside} set aside" if found.set_aside else ""
-    output.prose(f"Followed: {found.source} and the calibrated field{aside}.")
-    for reason in found.reasons:
-        output.prose(reason)
-    nis = ", ".join(f"{sensor} {plain(value)}" for sensor, value in found.nis.items())
-    output.prose(
-        f"Squared innovations over what was predicted (1 is right): {nis}; correlation of the field's from row to row "
-        f"{found.lag_correlation:.2f}."
-    )
-    output.prose(f"Errors, 1 sigma, declared or found: {_sizes(found)}.")
+    for line in presented(found).sentences:
+        output.prose(line)
     output.say(f"Next: {_next_step(found, telemetry, calibration, out)}")
     output.say(
-        f"{len(found.time)} rows, {int((~found.aided).sum())} without {aid}; {int(found.inflated.sum())} stood out"
+        f"{len(found.time)} rows, {int((~found.aided).sum())} without {found.aid}; {int(found.inflated.sum())} stood out"
     )
     for reason, count in found.left_out.items():
         output.say(f"- {count} rows left out: {reason}")
     if out is not None:
         output.say(f"  {out}")
-
-
-def _sizes(found: AttitudeSolution) -> str:
-    """The errors that matter; one far below its neighbour is not determined by the data."""
-    import math
-
-    from fluxtwin.calib.common.digits import plain
-
-    n, parts = found.noises, []
-    for name, white, slow, slow_s, unit in (
-        ("field", n.field_nT, n.slow_nT, n.slow_s, "nT"),
-        (
-            "reference" if "reference" in found.source else "nadir",
-            math.degrees(n.white_rad),
-            math.degrees(n.drift_rad),
-            n.drift_s,
-            "deg",
-        ),
-    ):
-        if name == "field" or "attitude" in found.nis:
-            size = [f"{plain(white, 2)} {unit} white"] if white > 0.1 * slow else []
-            size += [f"{plain(slow, 2)} {unit} over {plain(slow_s, 2)} s"] if slow > 0.1 * white else []
-            parts.append(f"{name} {' and '.join(size)}")
-    if "sun" in found.nis:
-        parts.append(f"sun {plain(math.degrees(n.sun_rad), 2)} deg white")
-    walks = ", ".join(f"{walk:.2g}" for walk in (n.walk_x_rad_s, n.walk_y_rad_s, n.walk_z_rad_s))
-    return "; ".join([*parts, f"random walk of the rate about x, y, z {walks} rad/s in a second"])
 
 
 def _next_step(found: AttitudeSolution, telemetry: Path, calibration: Path | None, out: Path | None) -> str:

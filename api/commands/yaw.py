@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
 from fluxtwin.commands import options as of
 from fluxtwin.commands.reading import TelemetryArgument, known_calibration, read, write_table
 from fluxtwin.console import Output
-
-if TYPE_CHECKING:
-    from fluxtwin.calib.attitude.yaw import YawSolution
 
 NAME = "yaw"
 COLUMNS = ("time", "yaw_deg", "yaw_first_order_deg", "sigma_deg", "yaw_reference_deg")
@@ -41,6 +38,7 @@ def command(
     """Yaw [deg] from the calibrated field, roll and pitch, with its sigma; the reference only for comparison."""
     with output.progress(f"reading {telemetry}") as progress:
         from fluxtwin import outputs, verbs
+        from fluxtwin.presenting import presented
 
         output.claim({"--out": (out, outputs.TABLE)}, [telemetry, calibration, field, *reading.files])
         record = read(telemetry, output, reading)
@@ -58,40 +56,11 @@ def command(
         )
         if out is not None:
             write_table(solution.to_dict(), COLUMNS, out)
-    summary = _summary(solution)
-    _print(output, summary)
+    seen = presented(solution)
+    for line in seen.sentences:
+        output.say(line)
+    for table in seen.tables:
+        output.table(table.title, table.columns, table.rows)
     if out is not None:
         output.say(f"  {out}")
-    output.result({"summary": summary, **solution.to_dict()})
-
-
-def _summary(solution: YawSolution) -> dict[str, Any]:
-    import numpy as np
-
-    def degrees(value_rad: float | None) -> float | None:
-        return None if value_rad is None or not np.isfinite(value_rad) else float(np.degrees(value_rad))
-
-    low, middle, high = np.quantile(solution.sigma_rad, [0.0, 0.5, 1.0], method="nearest")
-    return {
-        "samples": len(solution.time),
-        "left_out": dict(solution.left_out),
-        "sigma_deg": {"smallest": degrees(low), "median": degrees(middle), "largest": degrees(high)},
-        "rms_against_reference_deg": {
-            "full": degrees(solution.rms_error_rad()),
-            "first_order": degrees(solution.rms_error_rad(solution.yaw_first_order_rad)),
-            "zero_yaw": degrees(solution.rms_error_rad(np.zeros_like(solution.yaw_rad))),
-        },
-    }
-
-
-def _print(output: Output, summary: dict[str, Any]) -> None:
-    output.say(f"{summary['samples']} samples")
-    for reason, count in summary["left_out"].items():
-        output.say(f"- {count} rows left out: {reason}")
-    output.table(
-        "sigma of yaw", ["smallest [deg]", "median [deg]", "largest [deg]"], [[*summary["sigma_deg"].values()]]
-    )
-    rms = summary["rms_against_reference_deg"]
-    if rms["full"] is not None:
-        columns = ["full solution [deg]", "first order [deg]", "yaw = 0 [deg]"]
-        output.table("rms against the reference attitude", columns, [[*rms.values()]])
+    output.result({"summary": solution.summary, **solution.to_dict()})

@@ -32,6 +32,7 @@ from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import FieldModel
@@ -48,7 +49,7 @@ _LASTING_S = (
 
 
 @dataclass(frozen=True)
-class AttitudeSolution:
+class AttitudeSolution(Shown):
     """N rows that have a position, a measurement, and a first fix before them."""
 
     time: TimeArray
@@ -95,6 +96,11 @@ class AttitudeSolution:
     def level(self) -> str:
         """`good`; `usable`, with limits; `bad`: the innovations contradict it."""
         return "bad" if self.reasons else "usable" if self.limits else "good"
+
+    @property
+    def aid(self) -> str:
+        """What `aided` rows have."""
+        return "reference attitude" if "reference" in self.source else "sun"
 
     def expected_deg(self, aided: bool) -> list[float] | None:
         """rms of the sigmas about body x, y, z by day (aided) or by night [deg]; None where there is no such row."""

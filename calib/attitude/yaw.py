@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.calib.common.design import joined, rows_with
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
@@ -44,7 +45,7 @@ class YawAverages:
 
 
 @dataclass(frozen=True)
-class YawSolution:
+class YawSolution(Shown):
     """N rows that have a reading, a position, roll and pitch."""
 
     time: TimeArray
@@ -79,6 +80,19 @@ class YawSolution:
             return None
         estimate = self.yaw_rad if estimate_rad is None else estimate_rad
         return float(np.sqrt((_wrapped(estimate - self.yaw_reference_rad)[known] ** 2).mean()))
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Samples, sigmas and rms against the reference in degrees, for JSON; None where a number is not known."""
+        low, middle, high = _degrees(np.quantile(self.sigma_rad, [0.0, 0.5, 1.0], method="nearest"))
+        estimates = (self.yaw_rad, self.yaw_first_order_rad, np.zeros_like(self.yaw_rad))
+        rms = _degrees(np.array([self.rms_error_rad(one) for one in estimates], dtype=np.float64))
+        return {
+            "samples": len(self.time),
+            "left_out": dict(self.left_out),
+            "sigma_deg": {"smallest": low, "median": middle, "largest": high},
+            "rms_against_reference_deg": dict(zip(("full", "first_order", "zero_yaw"), rms, strict=True)),
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """Degrees and UTC text for JSON; None where a number is not known (no reference, a vertical field)."""

@@ -222,7 +222,7 @@ def _figures(outcome: Outcome) -> dict[str, Callable[[], Figure]]:
     for share in sorted(outcome.storm.shares, key=lambda one: one.left_nT):
         count = f"{share.parameters} parameter{'s' if share.parameters > 1 else ''}"
         bars.append((share.effects[0], share.left_nT, f"{share.left_nT:.1f} nT, {count}"))
-    title = "Swarm A in the storm of 1 January 2016, |latitude| < 50 deg: each effect alone, nothing modelled"
+    title = "Swarm A in the storm of 1 January 2016: each effect alone"
     eddy = {name: [values[term] for term in _EDDY] for name, values in _eddy_us(outcome).items() if values}
     return {
         "storm_alone": partial(gap_cases.left_alone, bars, outcome.storm.raw_nT, title),

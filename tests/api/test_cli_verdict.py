@@ -69,6 +69,28 @@ def test_the_first_lines_are_the_verdict(cli: Cli, flight: Path, tmp_path: Path)
     assert verdict["level"] == "good"
 
 
+def test_the_next_step_of_a_folder_has_the_folders_name(
+    cli: Cli, flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of both sensors, each into a file of its own; `.` has no name."""
+    folder = tmp_path / "day.1"
+    folder.mkdir()
+    record = fluxtwin.read(flight / "my.nc")
+    fluxtwin.write(record.replace(mag2_B_nT=record.mag_B_nT), folder / "a.csv")
+    columns = "".join(
+        f'{m} = {{ from = ["{m}_x_nT", "{m}_y_nT", "{m}_z_nT"], unit = "nT" }}\n' for m in ("mag", "mag2")
+    )
+    columns += 'position = { from = ["r_x_km", "r_y_km", "r_z_km"], unit = "km", frame = "GCRS" }\n'
+    columns += 'attitude = { from = ["q_x", "q_y", "q_z", "q_w"], order = "xyzw", relative_to = "GCRS" }\n'
+    head = '[[file]]\npath = "a.csv"\ntime = { recipe = "iso", columns = "time" }\n[file.columns]\n'
+    (tmp_path / "map.toml").write_text(head + columns, encoding="utf-8")
+    monkeypatch.chdir(folder)
+    out = cli("calibrate", ".", "--map", "../map.toml", "--both", "--out", "c.toml").out  # type: ignore[attr-defined]
+    steps = [line for line in out.splitlines() if line.startswith("Next: ")]
+    assert [step.rsplit("--out ")[1] for step in steps] == ["day.1-corrected.nc", "day.1-corrected-2.nc"]
+    assert cli(*shlex.split(steps[0].removeprefix("Next: fluxtwin "))).status == 0  # type: ignore[attr-defined]
+
+
 def test_the_next_step_makes_the_same_fit(cli: Cli, flight: Path) -> None:
     """Not another one: a record with torquers that is calibrated without the T of before has no calibration."""
     asked = ("--attitude-sigma-deg", "0.1", "--robust", "huber", "--no-errors-in-variables")

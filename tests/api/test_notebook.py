@@ -63,3 +63,17 @@ def test_foreign_text_cannot_become_markup(flown: fluxtwin.Telemetry) -> None:
     named = flown.replace(provenance={"source": "<script>alert(1)</script>.csv", "spacecraft": "<b>x"})
     page = named._repr_html_()
     assert "<script" not in page and "&lt;script&gt;" in page
+
+
+def test_yaw_attitude_and_trend_show_themselves(flown: fluxtwin.Telemetry) -> None:
+    fit = fluxtwin.calibrate(flown)
+    yaw, attitude = fluxtwin.yaw(flown, fit.calibration), fluxtwin.attitude(flown, fit.calibration)
+    days = fluxtwin.trend(flown, every_h=1.0)
+    for found, said in ((yaw, "sigma of yaw"), (attitude, "1 sigma about body x, y, z"), (days, days.lines[0])):
+        assert said in found.report() and said in words(found._repr_html_())
+        assert "array(" not in found._repr_html_()
+    assert f"{yaw.summary['rms_against_reference_deg']['full']:.4g}" in yaw.report()
+    drawn = np.asarray(yaw.plot().get_lines()[0].get_ydata())
+    assert np.array_equal(drawn, np.degrees(yaw.yaw_rad))
+    assert attitude.plot().get_ylabel() == "1 sigma [deg]"
+    plt.close("all")

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from fluxtwin.report import png_bytes
 from fluxtwin.scenarios.flight_field.tracks import read_magsat
@@ -270,6 +271,10 @@ def test_the_page_holds_what_was_found(quick: compute.Outcome, settings: Setting
     for block in (*remains.figures, *storm.figures, *aircraft.figures):
         assert isinstance(block.figure, Figure)
         assert len(png_bytes(block.figure)) > 10_000
+        drawn = block.figure.findobj(Text)
+        for axes in block.figure.axes:
+            (title,) = (text for text in drawn if text.get_text() == axes.get_title(loc="left") != "")
+            assert title.get_window_extent().x1 <= block.figure.bbox.x1, f"{title.get_text()!r} is cut"
 
 
 def test_the_whole_page_can_be_written_for_any_answers(quick: compute.Outcome, settings: Settings) -> None:

@@ -116,6 +116,26 @@ def test_cubeadcs_frames_in_a_folder_with_both_magnetometers(tmp_path: Path) -> 
     assert np.allclose(found.mag2_B_nT[6], -FIELD[6]) and found.rate_B_rad_s is None  # frames 210 and 172 are not there
 
 
+def test_a_gomspace_log_with_both_magnetometers(tmp_path: Path) -> None:
+    """Mirrors test_mo_data.csv of github.com/FaBa-GS/leop_tools: stamps in whole seconds, nan for what a beacon had not."""
+    seconds = (TIME - np.datetime64("1970-01-01")).astype("int64") // 10**9
+    rate = np.array([1.1, 0.4, -0.3]) / 20.0
+    table = {"ts": seconds, "gyro_temp": np.full(TIME.size, 32.7), "status_str": np.full(TIME.size, np.nan)}
+    for name, value in (("mag", FIELD * 1e-2), ("extmag", -FIELD * 1e-2), ("extgyro", np.tile(rate, (TIME.size, 1)))):
+        table |= {f"{name}_{k}": column for k, column in enumerate(value.T)}
+    table["extmag_1"][5] = np.nan
+    pd.DataFrame(table).sort_values("ts", ascending=False).to_csv(tmp_path / "adcs.csv", index=False, na_rep="nan")
+    orbit = fluxtwin.Telemetry(time=TIME, mag_B_nT=FIELD, r_N_km=R_N, v_N_km_s=V_N)
+    reading = {"column_map": "preset:gomspace", "tle": fluxtwin.write(orbit, tmp_path / "o.oem")}
+    found = fluxtwin.read(tmp_path / "adcs.csv", **reading)
+    as_flown(found, attitude=False)
+    assert found.mag2_B_nT is not None and np.allclose(found.mag2_B_nT[6], -FIELD[6])
+    assert np.isnan(found.mag2_B_nT[5]).any() and found.rate_B_rad_s is not None
+    both = [fluxtwin.calibrate(tmp_path / "adcs.csv", magnetometer=n, **reading) for n in (1, 2)]
+    assert [np.sign(fit.calibration.b_nT[0]) for fit in both] == [-1.0, 1.0]
+    assert np.allclose(found.rate_B_rad_s, np.radians(rate))
+
+
 def test_a_log_of_the_sense_hat(tmp_path: Path) -> None:
     table = {"ROW_ID": np.arange(TIME.size), "yaw": np.zeros(TIME.size)}
     table |= {f"mag_{a}": FIELD[:, k] * 1e-3 for k, a in enumerate("xyz")} | {

@@ -6,6 +6,7 @@ The verbs, each imported when it is first used:
     fluxtwin.info("pass.nc")                         # what is in it, and what each verb lacks
     found = fluxtwin.diagnose(telemetry)             # where the gap to the simulation lies, which effect causes it
     found, scenario = fluxtwin.close(found, scenario=None, telemetry="pass.nc")   # a scenario that has the effect
+    fluxtwin.follow("growing.csv", calibration="june.toml")   # rows as they come, an alarm, then the diagnosis
     fluxtwin.plan(found)                             # what to fly next, so that what is left open can be told
     report = fluxtwin.check(telemetry)               # the classic traps, named; fluxtwin.repair mends a file
     fit = fluxtwin.calibrate(telemetry)              # S, b, T with covariance and observability
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
     from fluxtwin.flight_software import import_calibration as import_calibration
     from fluxtwin.flying import ensemble as ensemble
     from fluxtwin.flying import simulate as simulate
+    from fluxtwin.following import follow as follow
     from fluxtwin.planning import plan as plan
     from fluxtwin.scenarios.packaged import load_scenario as load_scenario
     from fluxtwin.sim.base.errors import BadInput as BadInput
@@ -91,6 +93,7 @@ _NAMES = {
     ],
     "fluxtwin.flight_software": ("export", "import_calibration"),
     "fluxtwin.diagnosing": ("diagnose", "close"),
+    "fluxtwin.following": ("follow",),
     "fluxtwin.planning": ("plan",),
     "fluxtwin.describing": ("info",),
     "fluxtwin.calib.checks.check": ("repair",),

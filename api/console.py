@@ -115,6 +115,11 @@ class Output:
         if self.talks:
             print(clean(text))
 
+    def line(self, text: str) -> None:
+        """One line of a result that goes on: shown at once, also in a file or a pipe."""
+        self.say(text)
+        sys.stdout.flush()
+
     def prose(self, text: str, *, indent: str = "") -> None:
         """Sentences of a result: on a terminal they are broken between words, later lines behind `indent`."""
         if self.talks and sys.stdout.isatty():

@@ -71,7 +71,7 @@ def diagnose(
     with one message each.
     """
     declared = Declared(noise_nT, lsb_nT, attitude_sigma_deg, attitude_tau_s)
-    _check_numbers(declared)
+    check_numbers(declared)
     modelled = tuple(dict.fromkeys(modelled))
     for name in modelled:
         find_effect(name, where="--modelled")
@@ -83,7 +83,7 @@ def diagnose(
     model_name = field or (config.field.model if config is not None else "igrf14")
     model = load_field(model_name, _degree(degree, None if field is not None else config))
     known = () if config is None else frozen(config)
-    budget = _budget(config, known, declared)
+    budget = budget_of(config, known, declared)
     found = investigate_record(
         record,
         model,
@@ -140,7 +140,8 @@ def close(
     return replace(diagnosis, transfers=transfers), made
 
 
-def _check_numbers(declared: Declared) -> None:
+def check_numbers(declared: Declared) -> None:
+    """Raises BadInput for a declared error that cannot be."""
     for name, (flag, most) in zip(_ERRORS, _MOST_DECLARED.items(), strict=True):
         value = getattr(declared, name)
         if value is not None and not 0 <= value <= most:
@@ -174,7 +175,7 @@ def _corrected(record: Telemetry) -> str | None:
     )
 
 
-def _budget(config: Scenario | None, frozen: tuple[Active, ...], declared: Declared) -> Budget:
+def budget_of(config: Scenario | None, frozen: tuple[Active, ...], declared: Declared) -> Budget:
     """What is declared, the rest from the scenario."""
     known = declared
     if config is not None:

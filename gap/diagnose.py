@@ -75,7 +75,7 @@ def diagnose(
     Raises BadInput for unknown names and absent columns, NoAnswer when there are too few rows for the question.
     """
     progress("baseline", 0.0)
-    whole, new = _new_rounding(telemetry)
+    whole, new = new_rounding(telemetry)
     every = max(1, int(np.ceil(len(whole) / MOST_ROWS)))
     record = _each(whole, every)
     if instrument is None and modelled and not record.has_attitude.any():
@@ -228,7 +228,7 @@ def _attitude_would_do(problem: Problem, answer: Answer, dictionary: Dictionary)
     return float(np.sqrt(excess)) / max(reach, 1e-9)
 
 
-def _new_rounding(telemetry: Telemetry) -> tuple[Telemetry, int]:
+def new_rounding(telemetry: Telemetry) -> tuple[Telemetry, int]:
     """The record with every n-th row, and n: as few as it takes for the rounding to be new from row to row."""
     every = 1
     while _repeated(telemetry.mag_B_nT[::every]) > _REPEATED and len(telemetry) >= 2 * every * _FEWEST_ROWS:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -38,12 +38,24 @@ def command(
     close: Annotated[
         Path | None, typer.Option("--close", metavar="OUT.toml", help="Write a scenario with the named effects in it.")
     ] = None,
+    follow: Annotated[
+        bool,
+        typer.Option(
+            "--follow", help="Rows as they come, of a CSV that grows or of '-': an alarm where something changes."
+        ),
+    ] = False,
+    calibration: Annotated[
+        Path | None,
+        typer.Option("--calibration", metavar="FILE.toml", help="With --follow: does this calibration still hold?"),
+    ] = None,
     reading: of.Reading = of.READING,
 ) -> None:
     """Say where the gap between telemetry and simulation lies, which effect causes it and how far it shrinks.
 
-    Errors that are not declared are the scenario's, where it has them, else found in the data.
+    Errors that are not declared are the scenario's, where it has them, else found in the data. Exit status 1 where
+    --follow has ended with an alarm.
     """
+    followed = None
     with output.progress(f"reading {telemetry}") as progress:
         from fluxtwin import diagnosing, diagnosis_page, outputs
         from fluxtwin.report import render_report
@@ -52,27 +64,37 @@ def command(
         from fluxtwin.sim.scenario.scenario import save_scenario
 
         targets = {"--html": (html, outputs.PAGE), "--close": (close, outputs.SCENARIO)}
-        output.claim(targets, [telemetry, scenario, field, *reading.files])
+        output.claim(
+            targets, [telemetry if str(telemetry) != "-" else None, scenario, calibration, field, *reading.files]
+        )
+        if follow and (scenario is not None or close is not None):
+            wanted = "no --scenario or --close beside it: --calibration, and the errors by their flags"
+            raise BadInput("knows S and b, and no other effects", where="--follow", wanted=wanted)
+        if calibration is not None and not follow:
+            raise BadInput("is for --follow", where="--calibration", wanted="fluxtwin apply first, or --follow")
         if close is not None and scenario is None and not reading.whole:
             wanted = "a file of these rows alone (fluxtwin convert), or --scenario"
             raise BadInput("the scenario would replay the whole file", where="--close", wanted=wanted)
-        record = read(telemetry, output, reading)
         names = [] if modelled.strip() == "none" else [name.strip() for name in modelled.split(",") if name.strip()]
-        diagnosis = diagnosing.diagnose(
-            record,
-            scenario=scenario,
-            modelled=names,
-            noise_nT=noise_nt,
-            lsb_nT=lsb_nt,
-            attitude_sigma_deg=attitude_sigma_deg,
-            attitude_tau_s=attitude_tau_s,
-            field=field,
-            degree=degree,
-            progress=progress,
-        )
+        errors = {
+            "noise_nT": noise_nt,
+            "lsb_nT": lsb_nt,
+            "attitude_sigma_deg": attitude_sigma_deg,
+            "attitude_tau_s": attitude_tau_s,
+        }
+        asked: dict[str, Any] = {**errors, "modelled": names, "field": field, "degree": degree, "progress": progress}
+        if follow:
+            from fluxtwin.following import follow as watch
+
+            known = {"calibration": calibration, "said": output.line, **reading._asdict()}
+            followed = watch(str(telemetry), **asked, **known)
+            diagnosis = followed.diagnosis
+        else:
+            record = read(telemetry, output, reading)
+            diagnosis = diagnosing.diagnose(record, scenario=scenario, **asked)
         scene = None
         if close is not None:
-            declared = diagnosing.Declared(noise_nt, lsb_nt, attitude_sigma_deg, attitude_tau_s, field, degree)
+            declared = diagnosing.Declared(**errors, field=field, degree=degree)
             diagnosis, scene = diagnosing.close(
                 diagnosis, scenario=scenario, telemetry=telemetry, column_map=reading.column_map, declared=declared
             )
@@ -97,4 +119,6 @@ def command(
         output.say(f"written: {html}")
     if scene is not None:
         output.say(f"written: {close}")
-    output.result(diagnosis.to_dict())
+    output.result(diagnosis.to_dict() if followed is None else followed.to_dict())
+    if followed is not None and followed.changed is not None:
+        raise typer.Exit(1)

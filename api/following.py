@@ -1,0 +1,288 @@
+"""The verb `follow`: rows as they come, an alarm that is valid at any time, then the diagnosis of what was seen."""
+
+from __future__ import annotations
+
+import os
+import select
+import stat
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Unpack
+
+import numpy as np
+
+from fluxtwin.calib.common.apply import apply_calibration
+from fluxtwin.calib.common.records import Calibration
+from fluxtwin.diagnosing import Declared, budget_of, check_numbers, diagnose
+from fluxtwin.gap.diagnose import new_rounding
+from fluxtwin.gap.problem.problem import DEFAULT_MODELLED
+from fluxtwin.gap.watch import FIRST_ROWS, FIRST_S, RUN, Changed, Watch, begin, enough
+from fluxtwin.one_thread import on_one_blas_thread
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.processes import stop_if_asked
+from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.earth.field_models import load_field
+from fluxtwin.sim.telemetry.record import Telemetry, concatenate
+from fluxtwin.sim.telemetry.telemetry_files import Reading, is_path, read_telemetry
+from fluxtwin.verbs import as_calibration, with_reading
+
+if TYPE_CHECKING:
+    from fluxtwin.gap.records.diagnosis import Diagnosis
+
+_LOOK_S = 0.2
+"""Between two looks at a file; rows that come faster are taken together."""
+_PIECE = 1 << 22
+"""Bytes that are read at once: some 20,000 rows."""
+_AT_ONCE = 250
+"""Rows that the watch takes at once."""
+_KEPT_ROWS = 1_000_000
+"""For the diagnosis; of a longer stream the last ones."""
+
+
+@dataclass(frozen=True)
+class Followed:
+    """What a stream of rows has shown."""
+
+    changed: Changed | None
+    """What rang the alarm; None where the stream ended first."""
+    rows: int
+    """That were watched."""
+    last: np.datetime64
+    """Time of the last of them, UTC."""
+    calibration: str
+    """Name of the calibration that was watched; empty for one that the first rows gave."""
+    diagnosis: Diagnosis
+    """Of all that was seen."""
+    line: str
+    """The answer of the watch in a sentence."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        changed = None
+        if self.changed is not None:
+            times = {"time": epoch.iso(self.changed.time), "since": epoch.iso(self.changed.since)}
+            changed = times | {"rows": self.changed.rows, "what": self.changed.what}
+        watched = {"rows": self.rows, "last": epoch.iso(self.last), "calibration": self.calibration, "line": self.line}
+        return {"alarm": changed, **watched, "mean_run_rows": RUN, "diagnosis": self.diagnosis.to_dict()}
+
+
+@on_one_blas_thread
+@with_reading
+def follow(
+    telemetry: Path | str | Iterable[Telemetry],
+    *,
+    calibration: Calibration | Path | str | None = None,
+    modelled: Sequence[str] = DEFAULT_MODELLED,
+    noise_nT: float | None = None,
+    lsb_nT: float | None = None,
+    attitude_sigma_deg: float | None = None,
+    attitude_tau_s: float | None = None,
+    field: str | None = None,
+    degree: int | None = None,
+    said: Callable[[str], None] = lambda line: None,
+    progress: Progress = silent,
+    **reading: Unpack[Reading],
+) -> Followed:
+    """Watch rows as they come until something changes or the stream ends, and diagnose what was seen.
+
+    telemetry: a CSV that grows (followed until the alarm), "-" for standard input, or records one after the other.
+    calibration: one to be held against the readings from the first row on; without it the first orbit gives S and b.
+    noise_nT to degree, modelled: as for `diagnose`. said: takes a line for each hour of telemetry.
+
+    The first 600 rows or more, and an orbit, give the noise. Raises BadInput and NoAnswer as `diagnose` does.
+    """
+    declared = Declared(noise_nT, lsb_nT, attitude_sigma_deg, attitude_tau_s)
+    check_numbers(declared)
+    if reading.get("start") or reading.get("end") or reading.get("where"):
+        raise BadInput("takes all rows as they come", where="--follow", wanted="no --from, --to or --where beside it")
+    known = None if calibration is None else as_calibration(calibration)
+    name = "" if known is None else str(calibration) if is_path(calibration) else known.digest[:12]
+    blocks = iter(telemetry) if not isinstance(telemetry, str | Path) else _records(str(telemetry), reading)
+    rows = _Rows(_later(blocks))
+    first, every = rows.to_begin_with()
+    watch = begin(first, load_field(field or "igrf14", degree), budget_of(None, (), declared), known)
+    said(f"watching: {watch.noise.words}; {_manner(watch)}")
+    hours = _Hours(watch, said)
+    changed = None if known is None else hours.take(first)
+    while changed is None and (block := rows.one_more(every)) is not None:
+        changed = hours.take(block)
+    whole = rows.all()
+    line = _line(changed, name, watch.rows, whole)
+    said(line)
+    progress("diagnosing what was seen", 0.0)
+    if known is not None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that it is of another time is what is asked
+            whole = apply_calibration(whole, known, force=True)
+    numbers: Any = asdict(declared) | {"field": field, "degree": degree}
+    found = diagnose(whole, modelled=modelled, progress=progress, **numbers)
+    return Followed(changed, watch.rows, whole.time[-1], name, found, line)
+
+
+def _line(changed: Changed | None, name: str, rows: int, whole: Telemetry) -> str:
+    named = f"the calibration {name}" if name else "what the first rows had shown"
+    if changed is None:
+        return f"No alarm in {rows} rows, to {epoch.iso(whole.time[-1])}: {named} still holds."
+    after = int((whole.time >= changed.since).sum())
+    return (
+        f"ALARM {epoch.iso(changed.time)}: since about {epoch.iso(changed.since)} {named} no longer holds; most like "
+        f"this: {changed.what}. "
+        f"Where nothing changes an alarm comes once in {RUN:,.0f} rows or less often. The diagnosis has the {after} rows "
+        "since then; once there are more, diagnose without --follow says more."
+    )
+
+
+class _Rows:
+    """What has come, for the diagnosis, and what comes next."""
+
+    def __init__(self, blocks: Iterator[Telemetry]) -> None:
+        self._blocks, self._seen, self._count = blocks, list[Telemetry](), 0
+
+    def all(self) -> Telemetry:
+        return concatenate(list(self._seen))
+
+    def to_begin_with(self) -> tuple[Telemetry, int]:
+        """The first rows, thinned until their rounding is new from row to row, and by how much."""
+        while self._next() is not None:
+            if enough(whole := self.all()):
+                return new_rounding(whole)
+        raise NoAnswer(
+            f"the stream ended after {self._count} rows: {FIRST_ROWS} with reading and position, over "
+            f"{FIRST_S / 60:.0f} minutes at least, give the noise before one can watch; diagnose without --follow "
+            "takes what there is",
+            evidence={"rows": self._count, "needed": FIRST_ROWS},
+        )
+
+    def one_more(self, every: int) -> Telemetry | None:
+        """The next rows, each n-th of the whole stream; None where it has ended."""
+        while True:
+            before = self._count
+            block = self._next()
+            if block is None:
+                return None
+            if (taken := np.arange(before, self._count) % every == 0).any():
+                return block.select(taken)
+
+    def _next(self) -> Telemetry | None:
+        stop_if_asked()
+        block = next(self._blocks, None)
+        if block is None:
+            return None
+        self._count += len(block)
+        self._seen.append(block)
+        while len(self._seen) > 1 and len(self._seen[-2]) <= len(self._seen[-1]):  # each row is copied seldom
+            self._seen[-2:] = [concatenate(self._seen[-2:])]
+        if len(self._seen[0]) > 2 * _KEPT_ROWS:
+            self._seen[0] = self._seen[0].select(slice(-_KEPT_ROWS, None))
+        return block
+
+
+def _later(blocks: Iterator[Telemetry]) -> Iterator[Telemetry]:
+    """Only rows that are later than all before, few at a time, so that no more are taken to begin with than it needs."""
+    last = None
+    for block in blocks:
+        for start in range(0, len(block), _AT_ONCE):
+            part = block.select(slice(start, start + _AT_ONCE))
+            if last is None or part.time[-1] > last:
+                yield part if last is None else part.select(part.time > last)
+                last = part.time[-1]
+
+
+def _manner(watch: Watch) -> str:
+    if not watch.by_size:
+        return "reading and field are compared in all three components"
+    if watch.noise.theta_rad > 0:
+        return "by the size of the field: nothing finer than this attitude error bounds its direction (--attitude-sigma-deg)"
+    return "by the size of the field"
+
+
+class _Hours:
+    """Rows by the hour, with a line for each that has passed."""
+
+    def __init__(self, watch: Watch, said: Callable[[str], None]) -> None:
+        self._watch, self._said = watch, said
+        self._hour: np.datetime64 | None = None
+        self._rows, self._parts, self._squares = 0, 0, 0.0
+
+    def take(self, block: Telemetry) -> Changed | None:
+        hours = block.time.astype("datetime64[h]")
+        for hour in np.unique(hours):
+            if self._hour is not None and hour != self._hour and self._rows:
+                size = np.sqrt(self._squares / max(self._parts, 1))
+                self._said(
+                    f"{epoch.iso(self._hour, 'h')}: {self._rows} rows, residual {size:.2f} of what noise gives, "
+                    f"evidence of a change {self._watch.level:.2g} of {RUN:.0e}"
+                )
+                self._rows, self._parts, self._squares = 0, 0, 0.0
+            self._hour = hour
+            before = self._watch.rows
+            changed = self._watch.take(block if hours[0] == hours[-1] else block.select(hours == hour))
+            z = self._watch.innovations
+            self._rows += self._watch.rows - before
+            self._parts, self._squares = self._parts + int((z != 0).sum()), self._squares + float(np.sum(z**2))
+            if changed is not None:
+                return changed
+        return None
+
+
+def _records(path: str, reading: Reading) -> Iterator[Telemetry]:
+    """Records of the whole rows that have come, by the reader that also reads files; the first line is the header."""
+    name = "stdin.csv" if path == "-" else Path(path).name
+    if name.lower().endswith((".nc", ".nc4", ".h5", ".gz", ".parquet", ".xlsx", ".cdf")):
+        raise BadInput(
+            "cannot be read before it is whole", where=path, wanted="a file of text that grows by rows, or -"
+        )
+    with tempfile.TemporaryDirectory() as folder:
+        part, head, rows = Path(folder) / name, b"", 0
+        for lines in _whole_lines(path):
+            if not head:
+                head, _, lines = lines.partition(b"\n")
+            if not lines.strip():
+                continue
+            part.write_bytes(head + b"\n" + lines)
+            try:
+                yield read_telemetry(part, **reading)
+            except BadInput as error:
+                words = str(error).replace(str(part), path)
+                raise BadInput(f"{words} (row 1 of this part is row {rows + 1} of all)") from None
+            rows += lines.count(b"\n")
+
+
+def _whole_lines(path: str) -> Iterator[bytes]:
+    """The bytes of a stream up to the last line end, as they come; a file is followed as long as it grows or may grow."""
+    try:
+        handle = os.dup(sys.stdin.fileno()) if path == "-" else os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0))
+    except OSError as error:
+        raise BadInput(
+            error.strerror or str(error), where=path, wanted="a file of text, or - for standard input"
+        ) from None
+    try:
+        grows, rest, taken = path != "-" and stat.S_ISREG(os.fstat(handle).st_mode), b"", 0
+        while True:
+            stop_if_asked()
+            if not grows and not select.select([handle], [], [], _LOOK_S)[0]:
+                continue
+            piece = os.read(handle, _PIECE)
+            if not piece and not grows:
+                break
+            if not piece:
+                if os.fstat(handle).st_size < taken:
+                    raise BadInput(
+                        "has become shorter while it was followed", where=path, wanted="a file that only grows"
+                    )
+                time.sleep(_LOOK_S)
+                continue
+            taken += len(piece)
+            whole, end, rest = (rest + piece).rpartition(b"\n")
+            if end:
+                yield whole + end
+    finally:
+        os.close(handle)
+    if rest.strip():
+        yield rest + b"\n"

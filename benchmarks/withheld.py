@@ -38,7 +38,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from withheld_cases import laws, laws_judged, laws_rival, limits, null_regimes, page, printed, score, store
 from withheld_cases.ask import ask, ask_rival
-from withheld_cases.cases import KINDS, LAWS, PLAIN, POPULATIONS, SENSED, identity
+from withheld_cases.cases import KINDS, LAWS, PLAIN, POPULATIONS, SENSED, TWO, identity
 from withheld_cases.control import wrong
 from withheld_cases.joining import JOINING, NAMES
 from withheld_cases.loop import again
@@ -75,6 +75,8 @@ FROZEN = {
     "laws": 8 * len(laws.FORMS),
     "laws_nulls": 100,
     "laws_catalogue": 60,
+    "outside_two": 2 * len(OUTSIDE),
+    "singles_two": 2 * len(PLAIN),
 }
 """Cases of a frozen run."""
 SMALL = 0
@@ -109,6 +111,8 @@ SECONDS = {
     "laws": 12.0,
     "laws_nulls": 5.0,
     "laws_catalogue": 8.0,
+    "outside_two": 7.0,
+    "singles_two": 3.0,
 }
 """Mean CPU time of one answer on a busy core of 2026 (tuning rounds), to tell how long a run will take."""
 DOCS = ROOT / "docs"
@@ -245,7 +249,7 @@ def _tell() -> int:
 def _plan(populations: Sequence[str], count: int | None) -> Plan:
     def many(name: str) -> int:
         if count == SMALL:
-            return len(null_regimes.declared() if name == "nulls" else KINDS.get(name, REGIMES))
+            return len(null_regimes.REGIMES if name == "nulls" else KINDS.get(TWO.get(name, name), REGIMES))
         return FROZEN[name] if count is None else count
 
     return [(name, number) for name in populations for number in range(many(name))]

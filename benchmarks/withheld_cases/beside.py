@@ -1,10 +1,12 @@
-"""Rows beside the main ones: what turns the body, sun and nadir in the record, and a field richer than the ground's."""
+"""Rows beside the main ones: what turns the body, sun and nadir or a second magnetometer in the record, and a field richer
+than the ground's."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
 
+from withheld_cases.cases import TWO
 from withheld_cases.judged import Judged, names_of
 from withheld_cases.rows import Test, distributional, expressible, number_row, of, share_row
 from withheld_cases.statistics import median
@@ -67,19 +69,54 @@ def second_channel(cases: Sequence[Judged]) -> list[dict[str, Any]]:
 
 
 def _both(
-    cases: Sequence[Judged], title: str, reach: str, test: Test, least: float = 0.0, most: float = 1.0
+    cases: Sequence[Judged],
+    title: str,
+    reach: str,
+    test: Test,
+    least: float = 0.0,
+    most: float = 1.0,
+    *,
+    has: Test = has_channel,
+    words: tuple[str, str] = ("sun and nadir measured: ", "sun and nadir not there: "),
 ) -> list[dict[str, Any]]:
-    """The row with sun and nadir, held to its reach, and beside it the one without, for comparison."""
-    there = [case for case in cases if has_channel(case)]
-    absent = [case for case in cases if not has_channel(case)]
+    """The row with what more is measured, held to its reach, and beside it the one without, for comparison."""
+    there = [case for case in cases if has(case)]
+    absent = [case for case in cases if not has(case)]
     return [
-        share_row(f"sun and nadir measured: {title}", reach, there, test, least, most),
-        share_row(f"sun and nadir not there: {title}", TOLD, absent, test, 0.0),
+        share_row(f"{words[0]}{title}", reach, there, test, least, most),
+        share_row(f"{words[1]}{title}", TOLD, absent, test, 0.0),
     ]
 
 
 def _blamed(case: Judged) -> bool:
     return any(entry["name"] in SENSORS for entry in case.effects)
+
+
+def two_magnetometers(cases: Sequence[Judged]) -> list[dict[str, Any]]:
+    """Flights with a second magnetometer, and the same ones without where these were asked too."""
+
+    def both(mine: Sequence[Judged], title: str, reach: str, test: Test, *limits: float) -> list[dict[str, Any]]:
+        numbers = {c.sealed["number"] for c in mine if _has_two(c)}
+        same = [c for c in mine if c.sealed["number"] in numbers]
+        words = ("two magnetometers, ", "the same flights with one, ")
+        return _both(same, title, reach, test, *limits, has=_has_two, words=words)
+
+    beyond = of(cases, "outside_two", "outside", least=0.95)
+    singles = of(cases, "singles_two", "singles", least=0.2, names=_plain)
+    return [
+        *both(
+            beyond, "outside the catalogue, visible >= 1: unknown", ">= 97 %", lambda c: c.verdict == "unknown", 0.97
+        ),
+        *both(beyond, "outside the catalogue: wrongly confirmed", "<= 3 %", lambda c: bool(c.effects), 0.0, 0.03),
+        *both(beyond, "outside the catalogue: stage right", ">= 90 %", lambda c: c.stage_right, 0.90),
+        *both(singles, "single, visible >= 0.2: first name", ">= 98 %", lambda c: c.first_right, 0.98),
+        *both(singles, "single, visible >= 0.2: list exactly right", ">= 95 %", lambda c: c.list_right, 0.95),
+        *both(singles, "single, visible >= 0.2: stage right", ">= 95 %", lambda c: c.stage_right, 0.95),
+    ]
+
+
+def _has_two(case: Judged) -> bool:
+    return case.population in TWO
 
 
 def is_richer(case: Judged) -> bool:

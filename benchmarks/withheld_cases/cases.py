@@ -19,7 +19,7 @@ from withheld_cases.attitude_sensors import draw_sensors
 from withheld_cases.chain import Truth
 from withheld_cases.draft import Draft, Maker
 from withheld_cases.visible import noise_rms_nT, scaled, signature_nT, visible
-from withheld_cases.worlds import REGIMES, World, between, draw_world
+from withheld_cases.worlds import REGIMES, SecondSensor, World, between, draw_second, draw_world
 
 PLAIN: dict[str, Maker] = {
     maker.__name__: maker
@@ -73,6 +73,8 @@ CONFUSED = (
 """Names that are one group by nature, beside what the numbers show."""
 LAWS = ("laws", "laws_nulls", "laws_catalogue")
 """See `laws`."""
+TWO = {"outside_two": "outside", "singles_two": "singles"}
+"""Flights of another population once more, the same but for a second magnetometer in the record."""
 POPULATIONS = (
     "nulls",
     "nulls_off",
@@ -91,6 +93,7 @@ POPULATIONS = (
     "limits",
     "undetermined",
     *LAWS,
+    *TWO,
 )
 NULLS = ("nulls", "nulls_off", "nulls_undeclared")
 KINDS: dict[str, dict[str, Maker]] = {
@@ -154,9 +157,9 @@ def case_seed(seed: int, population: str, *number: int) -> np.random.Generator:
 
 def make_case(seed: int, population: str, number: int, rich: FieldModel | None = None) -> Case:
     """The case. Raises RuntimeError if no world in many shows the truths at the wanted size."""
-    own = number // 2 if population == "sensed" else number
-    rng = case_seed(seed, population, own)
-    makers, regimes, label = _chosen(population, own, case_seed(seed, population))
+    own, base = number // 2 if population == "sensed" else number, TWO.get(population, population)
+    rng = case_seed(seed, base, own)
+    makers, regimes, label = _chosen(base, own, case_seed(seed, base))
     regime = regimes[own % len(regimes)]
     if population == "sensed":
         label += ", sun and nadir " + ("left out" if number % 2 else "measured")
@@ -169,12 +172,14 @@ def make_case(seed: int, population: str, number: int, rich: FieldModel | None =
         if population == "nulls_off":
             world = dataclasses.replace(world, declared_sigma_factor=1.5 if number % 8 < 4 else 1.0 / 1.5)
         return Case(identity(seed, population, number), population, number, world, (), (), (), (), 1)
-    low, high = STRENGTH[population]
+    low, high = STRENGTH[base]
     targets = tuple(between(rng, low, high) for _ in makers)
     for attempt in range(1, _TRIES + 1):
         world = draw_world(rng, regime, rich=rich)
         if population == "sensed":
             world = dataclasses.replace(world, sensors=draw_sensors(world.key) if number % 2 == 0 else None)
+        if population in TWO:
+            world = dataclasses.replace(world, second=draw_second(world.key))
         found = _fitted(world, makers, targets, rng)
         if found is not None:
             world, truths, sizes, achieved = found
@@ -365,7 +370,13 @@ def sealed_world(world: World) -> dict[str, Any]:
             name.replace("_rad", ""): value if name.endswith("_s") else float(np.degrees(value))
             for name, value in dataclasses.asdict(world.sensors).items()
         },
-    }
+    } | ({} if world.second is None else {"second_magnetometer": _sealed_second(world.second)})
+
+
+def _sealed_second(sensor: SecondSensor) -> dict[str, float]:
+    """What is sealed of a second magnetometer."""
+    budget = sensor.budget
+    return {"spacecraft_factor": sensor.spacecraft_factor, "noise_nT": budget.noise_nT, "lsb_nT": budget.lsb_nT}
 
 
 def richer_nT(world: World) -> float:

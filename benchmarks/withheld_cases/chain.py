@@ -23,7 +23,7 @@ from fluxtwin.sim.earth.field import field_N_nT
 from fluxtwin.sim.spacecraft.sensors.reference_attitude import attitude_with_error
 from fluxtwin.sim.telemetry.record import Telemetry
 from withheld_cases import attitude_sensors, spacecraft
-from withheld_cases.worlds import SECOND_READING, World, shift
+from withheld_cases.worlds import World, shift
 
 Ambient = Callable[[TimeArray], FloatArray]
 """Stamps to the geomagnetic field in true body axes, (N, 3) nT, before anything of the spacecraft's own."""
@@ -50,6 +50,8 @@ class Truth:
     """Reported R_BN from the one so far."""
     stray: Callable[[World, TimeArray, Ambient], FloatArray] | None = None
     """(N, 3) nT in B added at the sensor."""
+    turns_sensor: bool = False
+    """Whether `stray` is what a turn of the first sensor makes of its field: at the second there is nothing of it."""
     correction: Callable[[World, TimeArray], tuple[FloatArray, FloatArray]] | None = None
     """What is added to equation 1: (N, 3, 3) to S and (N, 3) nT to b."""
     sun: Callable[[World, TimeArray, FloatArray], FloatArray] | None = None
@@ -66,6 +68,8 @@ class Truth:
     """Step of the readings in place of the declared one."""
     codes: Callable[[World, np.random.Generator, FloatArray, float], FloatArray] | None = None
     """Telemetered reading from the rounded one; the last argument is the LSB."""
+    packets: bool = False
+    """Whether `codes` moves whole packets, which hold both sensors' readings; if not, it spoils words of the first."""
     signal: bool = True
     """Seen without noise: False for what is known by its distribution only."""
     notes: tuple[str, ...] = ()
@@ -89,11 +93,7 @@ class Clean:
 def noise_free(world: World, truths: Sequence[Truth]) -> Clean:
     """What would be telemetered by a perfect instrument and a perfect reference."""
     time = world.time
-    later = np.zeros(time.size)
-    for truth in truths:
-        if truth.clock is not None:
-            later = later + truth.clock(world, time)
-    reading = _reading(world, truths, shift(time, later) if later.any() else time)
+    reading = _reading(world, truths, sampled(world, truths))
     r_N_km, v_N_km_s = world.where(time)
     R_BN = world.attitude(time).R_BN
     for truth in truths:
@@ -103,6 +103,15 @@ def noise_free(world: World, truths: Sequence[Truth]) -> Clean:
             R_BN = truth.report(world, time, R_BN)
     predicted = R_BN.apply(field_N_nT(world.ground_model, time, r_N_km))
     return Clean(reading, r_N_km, v_N_km_s, R_BN, predicted)
+
+
+def sampled(world: World, truths: Sequence[Truth]) -> TimeArray:
+    """(N,) when the magnetometers are really read, by one computer with one clock."""
+    later = np.zeros(world.time.size)
+    for truth in truths:
+        if truth.clock is not None:
+            later = later + truth.clock(world, world.time)
+    return shift(world.time, later) if later.any() else world.time
 
 
 def ambient(world: World, truths: Sequence[Truth], time: TimeArray) -> FloatArray:
@@ -116,12 +125,12 @@ def ambient(world: World, truths: Sequence[Truth], time: TimeArray) -> FloatArra
     return turned
 
 
-def _at_sensor(world: World, truths: Sequence[Truth], time: TimeArray) -> FloatArray:
-    """The field with the spacecraft's own, (N, 3) nT."""
+def _at_sensor(world: World, truths: Sequence[Truth], time: TimeArray, factor: float = 1.0) -> FloatArray:
+    """The field with the spacecraft's own, or a factor of that, (N, 3) nT."""
     total = ambient(world, truths, time)
     for truth in truths:
         if truth.stray is not None:
-            total = total + truth.stray(world, time, lambda at: ambient(world, truths, at))
+            total = total + factor * truth.stray(world, time, lambda at: ambient(world, truths, at))
     return total
 
 
@@ -191,7 +200,7 @@ def fly(world: World, truths: Sequence[Truth], clean: Clean | None = None) -> Te
     )
     told = record(world, reading, clean, reference)
     if world.second is not None:
-        told = told.replace(**{SECOND_READING: second_reading_nT(world, truths)})
+        told = told.replace(mag2_B_nT=second_reading_nT(world, truths))
     if world.sensors is None:
         return told
     sun_B, nadir_B = attitude_sensors.vectors(world, truths)
@@ -210,12 +219,25 @@ def outliers_nT(world: World) -> FloatArray:
 
 
 def second_reading_nT(world: World, truths: Sequence[Truth]) -> FloatArray:
-    """(N, 3) what the second magnetometer says of the field alone: nothing of the spacecraft's own is in it."""
+    """(N, 3) what the second magnetometer says. Which truths reach it, by their stage:
+
+    - time: all; one computer reads both sensors and stamps them together;
+    - orbit and attitude: none; they change what is reported, no reading;
+    - field: all, whole; the geomagnetic field is the same a few metres away;
+    - spacecraft: a factor of each stray field, as it lies nearer or farther; not a turn of the first sensor's boom;
+    - sensor: none; it has electronics, mounting, noise and steps of its own;
+    - telemetry: packets that are repeated or out of order, which hold both readings; no words of the first sensor.
+    """
     assert world.second is not None
     S, b, budget = world.second.S, world.second.b_nT, world.second.budget
-    perfect = np.linalg.solve(np.eye(3) + S, (ambient(world, truths, world.time) - b).T).T
+    reaching = [truth for truth in truths if not truth.turns_sensor]
+    field = _at_sensor(world, reaching, sampled(world, truths), world.second.spacecraft_factor)
+    perfect = np.linalg.solve(np.eye(3) + S, (field - b).T).T
     noise = budget.noise_nT * stream(world.key, "second magnetometer").standard_normal(perfect.shape)
     read: FloatArray = budget.lsb_nT * np.rint((perfect + noise) / budget.lsb_nT)
+    for number, truth in enumerate(truths):
+        if truth.codes is not None and truth.packets:
+            read = truth.codes(world, stream(world.key, f"codes {number}"), read, budget.lsb_nT)
     return read
 
 

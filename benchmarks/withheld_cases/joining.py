@@ -206,7 +206,7 @@ def mounting_step(world: World, rng: np.random.Generator) -> Draft:
             return np.where((time >= instant)[:, None], turned - straight, 0.0)
 
         parameters = {"at": str(instant), "rotation_deg": listed(size * axis)}
-        return Truth(NAMES["mounting_step"], "sensor", parameters, stray=stray)
+        return Truth(NAMES["mounting_step"], "sensor", parameters, stray=stray, turns_sensor=True)
 
     return Draft(world, at, 0.005, 20.0, 0.2)
 

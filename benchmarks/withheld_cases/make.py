@@ -9,7 +9,18 @@ import numpy as np
 from fluxtwin.sim.earth.field_models import FieldModel, load_field
 from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
 from withheld_cases import laws, limits, null_regimes, of_dynamics, undetermined
-from withheld_cases.cases import LAWS, Case, answer, case_seed, identity, make_case, question, sealed_world, undeclared
+from withheld_cases.cases import (
+    LAWS,
+    TWO,
+    Case,
+    answer,
+    case_seed,
+    identity,
+    make_case,
+    question,
+    sealed_world,
+    undeclared,
+)
 from withheld_cases.chain import fly, noise_free, twin
 from withheld_cases.draft import recording
 from withheld_cases.plainly import shares
@@ -44,12 +55,11 @@ def make(root: str, seed: int, population: str, number: int, chaos: str | None) 
     write_telemetry(fly(case.world, case.truths, clean), store.path("telemetry", name))
     store.write("asked", name, question(case))
     sealed = answer(case)
-    if case.truths and population != "outside":
+    if case.truths and TWO.get(population, population) != "outside":
         if case.world.time.size <= _LONGEST_TWIN:
             whole = recording(case.world, "v_N_km_s")  # without it nothing can be replayed
             write_telemetry(twin(whole, case.truths, clean), store.path("twin", name))
         sealed["second"] = _second_day(store, case, seed) if population == "singles" else None
-    if case.truths and population != "outside":
         sealed["plain_share"] = min(shares(case.world, case.truths, case.sizes, plain=population != "shapes"))
     store.write("sealed", name, sealed)
     return name

@@ -16,7 +16,7 @@ from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, sun
 from withheld_cases import worlds
 from withheld_cases.draft import direction, sign
-from withheld_cases.worlds import Budget, World, between, draw_budget, draw_motion, draw_S, draw_world
+from withheld_cases.worlds import Budget, World, between, draw_motion, draw_second, draw_world
 
 ARC_S = 600.0
 """Length of a pass over a station."""
@@ -119,8 +119,8 @@ def outliers(rng: np.random.Generator, regime: str) -> World:
 
 def two_sensors(rng: np.random.Generator, regime: str) -> World:
     """A second magnetometer with errors and noise of its own."""
-    second = worlds.SecondSensor(draw_S(rng), 1000.0 * rng.standard_normal(3), draw_budget(rng))
-    return dataclasses.replace(draw_world(rng, regime), second=second)
+    world = draw_world(rng, regime)
+    return dataclasses.replace(world, second=draw_second(world.key))
 
 
 def usual(rng: np.random.Generator, regime: str) -> World:
@@ -150,14 +150,9 @@ WORDS = {
 }
 
 
-def declared() -> list[str]:
-    """The regimes of `nulls`, in turn."""
-    return [name for name in REGIMES if name != "two_sensors" or worlds.SECOND_READING]
-
-
 def chosen(population: str, number: int) -> tuple[str, str]:
     """The regime of a case and how its body turns; each motion comes equally often."""
-    names = declared()
+    names = list(REGIMES)
     name, turn = (names[number % len(names)], number // len(names)) if population == "nulls" else (population, number)
     motions = MOTIONS.get(name, worlds.REGIMES)
     return name, motions[turn % len(motions)]

@@ -222,7 +222,7 @@ def boom_bending(world: World, rng: np.random.Generator) -> Draft | None:
             return (np.cos(angle) - 1.0) * (straight - along) - np.sin(angle) * np.cross(n, straight)
 
         parameters = {"turn_deg_per_K": listed(size * axis), "tau_s": world.craft.temperature_tau_s}
-        return Truth("boom_bending", "spacecraft", parameters, stray=stray)
+        return Truth("boom_bending", "spacecraft", parameters, stray=stray, turns_sensor=True)
 
     return Draft(world, at, 2e-5, 1.0, 5e-3)
 

@@ -254,7 +254,7 @@ def _rearranged(name: str, world: World, rng: np.random.Generator, places: Place
         def codes(w: World, rng: np.random.Generator, reading: FloatArray, lsb_nT: float) -> FloatArray:
             return reading[order(w, size)]
 
-        return Truth(name, "telemetry", {"share": size, "rows": length}, codes=codes, signal=False)
+        return Truth(name, "telemetry", {"share": size, "rows": length}, codes=codes, packets=True, signal=False)
 
     def measure(w: World, truth: Truth) -> float:
         from withheld_cases.visible import left, rms

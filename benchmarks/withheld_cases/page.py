@@ -95,6 +95,9 @@ _BESIDE = {
     "apart, with a sensor noise of 2 to 6 nT, an attitude error of 0.18 to 0.27 deg that wanders over 200 to 4000 s, and S "
     "of 1.5 to 4 %; outliers are 10 to 100 times the noise. `passes_only`, `short` and `coarse` are asked without a flag.",
     "new_singles": "`new_singles` has effects that join the table with its next edition.",
+    "outside_two": "`outside_two` and `singles_two` are the first flights of `outside` and `singles` once more, with a "
+    "second magnetometer of its own S, b, noise and steps: 0 to 70 % of the spacecraft's fields reach it, no fault of the "
+    "first sensor does.",
     "limits": "`limits` takes the smallest detectable size that the answer on a perfect flight prints for an effect, and "
     "flies it in the same world, in the parameter that is printed, with a random sign and other noise.",
     "undetermined": "`undetermined` are spins of 20 to 100 deg/s without attitude, with a body field of 1 to 2 gauss; where "

@@ -26,7 +26,7 @@ def rows(cases: Sequence[Judged]) -> list[dict[str, Any]]:
 
 def _regimes(cases: Sequence[Judged]) -> list[dict[str, Any]]:
     nulls = of(cases, "nulls")
-    there = [name for name in null_regimes.declared() if any(c.sealed["label"] == name for c in nulls)]
+    there = [name for name in null_regimes.REGIMES if any(c.sealed["label"] == name for c in nulls)]
     return [
         share_row(
             f"false alarms on perfect flights: {null_regimes.WORDS[name]}",

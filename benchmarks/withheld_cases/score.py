@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from withheld_cases import beside, defaults, laws_judged, promises
+from withheld_cases.cases import TWO
 from withheld_cases.judged import Judged, names_of
 from withheld_cases.rows import Test, distributional, expressible, number_row, of, share_row
 from withheld_cases.statistics import brier, calibration_error, median, reliability
@@ -38,6 +39,7 @@ def rows_of(cases: Sequence[Judged]) -> list[dict[str, Any]]:
         *_elsewhere(cases),
         *beside.torques(cases),
         *beside.second_channel(cases),
+        *beside.two_magnetometers(cases),
         *beside.richer_field(cases),
         *defaults.rows(cases),
         *promises.rows(cases),
@@ -221,7 +223,7 @@ def right(case: Judged) -> bool:
         return case.limit is None or case.limit["said"] is None or defaults.detected(case)
     if not case.truths:
         return case.verdict == "no_gap"
-    if case.population == "outside":
+    if TWO.get(case.population, case.population) == "outside":
         return case.verdict == "unknown" and not case.effects
     if case.population == "shapes":
         return case.verdict == "effect" and case.first_right

@@ -40,9 +40,6 @@ OPTIONAL = (
 )
 """Columns that a record may lack, each drawn for itself."""
 
-SECOND_READING = ""
-"""Field of the record that has a second magnetometer's reading: "mag2_B_nT" switches the regime `two_sensors` on."""
-
 Motion = Callable[[TimeArray, FloatArray, FloatArray], attitude.Attitude]
 MARGIN_S = 8000.0
 """How long before the first sample the motion is known: memories are filled there."""
@@ -74,6 +71,8 @@ class SecondSensor:
     S: FloatArray
     b_nT: FloatArray
     budget: Budget
+    spacecraft_factor: float
+    """Of a field of the spacecraft's own at the first sensor: what is left of it here, as at the end of a boom."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,6 +299,12 @@ def draw_S(rng: np.random.Generator) -> FloatArray:
     cross = np.array([[0.0, -turn[2], turn[1]], [turn[2], 0.0, -turn[0]], [-turn[1], turn[0], 0.0]])
     S: FloatArray = np.diag(0.005 * rng.standard_normal(3)) + symmetric + cross
     return S
+
+
+def draw_second(key: int) -> SecondSensor:
+    """Another magnetometer, from a stream of its own, so that no other draw of the world is moved."""
+    rng = stream(key, "second sensor")
+    return SecondSensor(draw_S(rng), 1000.0 * rng.standard_normal(3), draw_budget(rng), float(rng.uniform(0.0, 0.7)))
 
 
 def draw_budget(rng: np.random.Generator) -> Budget:

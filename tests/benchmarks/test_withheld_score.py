@@ -136,6 +136,29 @@ def test_rows_with_sun_and_nadir_stand_beside_those_without() -> None:
     assert rows[10]["met"] is False
 
 
+def test_flights_with_two_magnetometers_stand_beside_the_same_with_one() -> None:
+    flex, ring, faint_one = (
+        [truth("yaw_flex", 1.5, "attitude")],
+        [truth("ring_current", 0.9)],
+        [truth("bias_step", 0.1)],
+    )
+    cases = [
+        case(flex, [], "unknown", "outside_two", stage="attitude"),
+        case(flex, [entry("yaw_drift")], population="outside", stage="sensor"),
+        sealed(case(flex, [entry("yaw_drift")], population="outside_two", stage=None), number=1),
+        sealed(case(flex, [], "unknown", "outside"), number=7),
+        case(ring, [entry("ring_current")], population="singles_two"),
+        case(ring, [entry("ring_current"), entry("bias_step")], stage="time"),
+        sealed(case(faint_one, [], "no_gap", "singles_two"), number=1),
+    ]
+    rows = beside.two_magnetometers(cases)
+    assert [row["figure"].startswith("two magnetometers, ") for row in rows] == 6 * [True, False]
+    assert [row["value"] for row in rows] == [0.5, 0.0, 0.5, 1.0, 0.5, 0.0, 1.0, 1.0, 1.0, 0.0, 1.0, 0.0]
+    assert [row["of"] for row in rows] == [2, 1, 2, 1, 2, 1] + 6 * [1], "number 7 was not flown with two"
+    assert [row["met"] for row in rows[::2]] == [False, False, False, True, True, True]
+    assert [score.right(one) for one in cases[:3]] == [True, False, False]
+
+
 def test_a_richer_field_has_rows_of_its_own() -> None:
     right = case([truth("ring_current")], [entry("ring_current")])
     wrong = case([truth("ring_current")], [entry("ring_current"), entry("field_truncation")])
@@ -223,7 +246,7 @@ def test_a_small_run_has_each_kind_once_and_a_frozen_run_enough_of_all() -> None
         return len(withheld._plan([name], of))
 
     small = {name: count(name, withheld._count("small")) for name in POPULATIONS}
-    assert small | {"outside": 30, "shapes": 25, "new_singles": 14, "nulls": 9, "pairs": 4} == small
+    assert small | {"outside": 30, "shapes": 25, "new_singles": 14, "nulls": 10, "pairs": 4, "outside_two": 30} == small
     least = {"nulls": 2000, "singles": 150, "pairs": 60, "triples": 30, "shapes": 60, "outside": 100}
     assert all(count(name, None) >= wanted for name, wanted in least.items())
     for wrong in ("0", "-3", "few"):

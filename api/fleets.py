@@ -47,7 +47,6 @@ def fleet(
     """
     from fluxtwin.gap.fleet import fleet as together
 
-    require_workers(jobs, scheduler)
     if len(vehicles) < 3:
         wanted = "three or more: of two, neither is the odd one"
         raise BadInput(f"{len(vehicles)} vehicles", where="fleet", wanted=wanted)
@@ -61,13 +60,28 @@ def fleet(
         "field": field,
         "degree": degree,
     }
-    names = list(vehicles)
-    calls = [(number, vehicles[name], options) for number, name in enumerate(names)]
+    found = diagnoses(vehicles, options, jobs=jobs, scheduler=scheduler, executor=executor, progress=progress)
+    return together(list(found), list(found.values()))
+
+
+def diagnoses(
+    records: Mapping[str, Readable],
+    options: Mapping[str, Any],
+    *,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    executor: Executor | None = None,
+    progress: Progress = silent,
+) -> dict[str, Diagnosis]:
+    """The diagnosis of each record by itself, in their order; options: of `diagnose`."""
+    require_workers(jobs, scheduler)
+    names = list(records)
+    calls = [(number, records[name], options) for number, name in enumerate(names)]
     found: dict[int, Diagnosis] = {}
     for number, diagnosis in answers(one, calls, jobs=jobs, scheduler=scheduler, executor=executor):
         found[number] = diagnosis
         progress(f"diagnosed {len(found)} of {len(names)}", 0.98 * len(found) / len(names))
-    return together(names, [found[number] for number in range(len(names))])
+    return {name: found[number] for number, name in enumerate(names)}
 
 
 def one(number: int, record: Readable, options: Mapping[str, Any]) -> tuple[int, Diagnosis]:

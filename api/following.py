@@ -115,7 +115,7 @@ def follow(
     whole = rows.all()
     line = _line(changed, name, watch.rows, whole)
     said(line)
-    progress("diagnosing what was seen", 0.0)
+    said(f"diagnosing {len(whole)} rows")
     if known is not None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that it is of another time is what is asked

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -54,6 +55,7 @@ def command(
     html: of.HtmlOption = None,
     field: of.FieldOption = "igrf14",
     degree: of.DegreeOption = None,
+    scheduler: of.SchedulerOption = None,
     reading: of.Reading = of.READING,
     **options: Any,
 ) -> None:
@@ -64,6 +66,7 @@ def command(
     with output.progress(f"reading {telemetry[0]}") as progress:
         from fluxtwin import outputs, verbs
         from fluxtwin.calib.common.onboard import for_record
+        from fluxtwin.sim.base.workers import answers
 
         methods.require(options["method"], options)
         also = _beside(out) if both else None
@@ -78,8 +81,9 @@ def command(
         many = len(telemetry) + len(unseen or ()) > 1
         records = [read(path, output, reading, one_of_many=many) for path in telemetry]
         progress("calibrating", 0.5)
-        fit = verbs.calibrate(records, field=field, degree=degree, onboard=onboard, **options)
-        second = _second(records, fit, onboard, {"field": field, "degree": degree, **options}) if both else None
+        asked = {**options, "field": field, "degree": degree}
+        [fit] = answers(partial(verbs.calibrate, onboard=onboard, **asked), [(records,)], jobs=1, scheduler=scheduler)
+        second = _second(records, fit, onboard, asked) if both else None
         predicted = {}
         for path in unseen or []:
             record = read(path, output, reading, one_of_many=many)
@@ -95,7 +99,6 @@ def command(
             written.append(second[0].calibration.to_toml(also))
         if figures is not None or html is not None:
             progress("drawing", 0.9)
-        asked = {**options, "field": field, "degree": degree}
         next_step = _next_step(fit, telemetry, out, reading, {**asked, "onboard": onboard})
         second_step = "" if second is None else _next_step(second[0], telemetry, also, _of_other(reading), asked)
         if figures is not None:

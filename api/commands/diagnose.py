@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fluxtwin.commands import options as of
-from fluxtwin.commands.reading import TelemetryArgument, read
+from fluxtwin.commands.reading import read
 from fluxtwin.console import Output
+
+if TYPE_CHECKING:
+    from fluxtwin.gap.records.diagnosis import Diagnosis
 
 NAME = "diagnose"
 BRIEF = "Where the gap to the simulation lies, which effect causes it, how far it shrinks."
@@ -17,7 +20,13 @@ BRIEF = "Where the gap to the simulation lies, which effect causes it, how far i
 
 def command(
     output: Output,
-    telemetry: TelemetryArgument,
+    telemetry: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="TELEMETRY...",
+            help="A .nc, .csv or .csv.gz file, or a foreign one with --map; of several each is diagnosed by itself.",
+        ),
+    ],
     scenario: Annotated[
         Path | None,
         typer.Option(
@@ -48,6 +57,8 @@ def command(
         Path | None,
         typer.Option("--calibration", metavar="FILE.toml", help="With --follow: does this calibration still hold?"),
     ] = None,
+    jobs: of.JobsOption = None,
+    scheduler: of.SchedulerOption = None,
     reading: of.Reading = of.READING,
 ) -> None:
     """Say where the gap between telemetry and simulation lies, which effect causes it and how far it shrinks.
@@ -55,58 +66,119 @@ def command(
     Errors that are not declared are the scenario's, where it has them, else found in the data. Exit status 1 where
     --follow has ended with an alarm.
     """
-    followed = None
-    with output.progress(f"reading {telemetry}") as progress:
-        from fluxtwin import diagnosing, diagnosis_page, outputs
-        from fluxtwin.report import render_report
-        from fluxtwin.sim.base.errors import BadInput
-        from fluxtwin.sim.base.files import write_text
+    from fluxtwin import outputs
+    from fluxtwin.sim.base.errors import BadInput
+
+    names = [] if modelled.strip() == "none" else [name.strip() for name in modelled.split(",") if name.strip()]
+    errors: dict[str, Any] = {
+        "noise_nT": noise_nt,
+        "lsb_nT": lsb_nt,
+        "attitude_sigma_deg": attitude_sigma_deg,
+        "attitude_tau_s": attitude_tau_s,
+    }
+    asked = {**errors, "modelled": names, "field": field, "degree": degree}
+    given = [path for path in telemetry if not follow or str(path) != "-"]
+    targets = {"--html": (html, outputs.PAGE), "--close": (close, outputs.SCENARIO)}
+    output.claim(targets, [*given, scenario, calibration, field, *reading.files])
+    _require_together(telemetry, follow, scenario, html, close, calibration, jobs, scheduler)
+    if follow:
+        _follow(output, telemetry[0], html, {**asked, "calibration": calibration}, reading)
+        return
+    if len(telemetry) > 1:
+        _several(output, telemetry, {**asked, "scenario": scenario}, {"jobs": jobs, "scheduler": scheduler}, reading)
+        return
+    with output.progress(f"reading {telemetry[0]}") as progress:
+        from fluxtwin import diagnosing
         from fluxtwin.sim.scenario.scenario import save_scenario
 
-        targets = {"--html": (html, outputs.PAGE), "--close": (close, outputs.SCENARIO)}
-        output.claim(
-            targets, [telemetry if str(telemetry) != "-" else None, scenario, calibration, field, *reading.files]
-        )
-        if follow and (scenario is not None or close is not None):
-            wanted = "no --scenario or --close beside it: --calibration, and the errors by their flags"
-            raise BadInput("knows S and b, and no other effects", where="--follow", wanted=wanted)
-        if calibration is not None and not follow:
-            raise BadInput("is for --follow", where="--calibration", wanted="fluxtwin apply first, or --follow")
         if close is not None and scenario is None and not reading.whole:
             wanted = "a file of these rows alone (fluxtwin convert), or --scenario"
             raise BadInput("the scenario would replay the whole file", where="--close", wanted=wanted)
-        names = [] if modelled.strip() == "none" else [name.strip() for name in modelled.split(",") if name.strip()]
-        errors = {
-            "noise_nT": noise_nt,
-            "lsb_nT": lsb_nt,
-            "attitude_sigma_deg": attitude_sigma_deg,
-            "attitude_tau_s": attitude_tau_s,
-        }
-        asked: dict[str, Any] = {**errors, "modelled": names, "field": field, "degree": degree, "progress": progress}
-        if follow:
-            from fluxtwin.following import follow as watch
-
-            known = {"calibration": calibration, "said": output.line, **reading._asdict()}
-            followed = watch(str(telemetry), **asked, **known)
-            diagnosis = followed.diagnosis
-        else:
-            record = read(telemetry, output, reading)
-            diagnosis = diagnosing.diagnose(record, scenario=scenario, **asked)
+        record = read(telemetry[0], output, reading)
+        diagnosis = diagnosing.diagnose(record, scenario=scenario, progress=progress, **asked)
         scene = None
         if close is not None:
             declared = diagnosing.Declared(**errors, field=field, degree=degree)
             diagnosis, scene = diagnosing.close(
-                diagnosis, scenario=scenario, telemetry=telemetry, column_map=reading.column_map, declared=declared
+                diagnosis, scenario=scenario, telemetry=telemetry[0], column_map=reading.column_map, declared=declared
             )
-        title = f"The gap: {telemetry.name}"
-        page = None if html is None else render_report(diagnosis_page.diagnosis_page(diagnosis, title))
-        if html is not None and page is not None:
-            write_text(html, page)
+        _page(diagnosis, telemetry[0], html)
         if close is not None and scene is not None:
             save_scenario(scene, close)
+    _say(output, diagnosis, html, close, closed=scene is not None)
+    output.result(diagnosis.to_dict())
+
+
+def _require_together(
+    telemetry: list[Path],
+    follow: bool,
+    scenario: Path | None,
+    html: Path | None,
+    close: Path | None,
+    calibration: Path | None,
+    jobs: int | None,
+    scheduler: str | None,
+) -> None:
+    """Raises BadInput for options that do not go together."""
+    from fluxtwin.sim.base.errors import BadInput
+
+    if follow and (scenario is not None or close is not None):
+        wanted = "no --scenario or --close beside it: --calibration, and the errors by their flags"
+        raise BadInput("knows S and b, and no other effects", where="--follow", wanted=wanted)
+    if calibration is not None and not follow:
+        raise BadInput("is for --follow", where="--calibration", wanted="fluxtwin apply first, or --follow")
+    if len(telemetry) > 1 and (follow or html is not None or close is not None):
+        wanted = "one file for --follow, --html and --close"
+        raise BadInput(f"{len(telemetry)} files", where="TELEMETRY", wanted=wanted)
+    if len(telemetry) == 1 and (jobs is not None or scheduler is not None):
+        raise BadInput("one file is no work to share", where="--jobs, --scheduler", wanted="several files")
+
+
+def _follow(output: Output, telemetry: Path, html: Path | None, asked: dict[str, Any], reading: of.Reading) -> None:
+    """Rows as they come; without a bar, which would redraw itself over the lines."""
+    from fluxtwin.following import follow
+
+    found = follow(str(telemetry), said=output.line, **asked, **reading._asdict())
+    _page(found.diagnosis, telemetry, html)
+    _say(output, found.diagnosis, html, None, closed=False)
+    output.result(found.to_dict())
+    if found.changed is not None:
+        raise typer.Exit(1)
+
+
+def _several(
+    output: Output, telemetry: list[Path], asked: dict[str, Any], how: dict[str, Any], reading: of.Reading
+) -> None:
+    """Each file by itself, in processes here or on a cluster; a sentence each, all of them as JSON."""
+    with output.progress(f"reading {telemetry[0]}") as progress:
+        from fluxtwin import diagnosis_page, fleets
+
+        records = {str(path): read(path, output, reading, one_of_many=True) for path in telemetry}
+        found = fleets.diagnoses(records, asked, progress=progress, **how)
+    for name, diagnosis in found.items():
+        for note in diagnosis.notes:
+            output.note(f"note: {name}: {note}")
+        output.prose(f"{name}: {diagnosis.sentence}", indent="  ")
+        for line in diagnosis_page.where_lines(diagnosis):
+            output.prose(f"  {line}", indent="  ")
+    output.result({"records": {name: diagnosis.to_dict() for name, diagnosis in found.items()}})
+
+
+def _page(diagnosis: Diagnosis, telemetry: Path, html: Path | None) -> None:
+    from fluxtwin import diagnosis_page
+    from fluxtwin.report import render_report
+    from fluxtwin.sim.base.files import write_text
+
+    if html is not None:
+        write_text(html, render_report(diagnosis_page.diagnosis_page(diagnosis, f"The gap: {telemetry.name}")))
+
+
+def _say(output: Output, diagnosis: Diagnosis, html: Path | None, close: Path | None, *, closed: bool) -> None:
+    from fluxtwin import diagnosis_page
+
     for note in diagnosis.notes:
         output.note(f"note: {note}")
-    if close is not None and scene is None:
+    if close is not None and not closed:
         why = "what is named is not in the readings" if diagnosis.effects else "no effect is named"
         output.note(f"note: {why}, so there is nothing to close: {close} is not written")
     output.prose(diagnosis.sentence)
@@ -115,10 +187,7 @@ def command(
     output.say()
     for table in diagnosis_page.tables(diagnosis):
         output.table(table.title, table.columns, table.rows, table.note)
-    if page is not None:
+    if html is not None:
         output.say(f"written: {html}")
-    if scene is not None:
+    if closed:
         output.say(f"written: {close}")
-    output.result(diagnosis.to_dict() if followed is None else followed.to_dict())
-    if followed is not None and followed.changed is not None:
-        raise typer.Exit(1)

@@ -1,0 +1,65 @@
+"""Several files diagnosed and calibrated on a real Dask scheduler with two workers, one of which is killed."""
+
+from __future__ import annotations
+
+import signal
+import tomllib
+from pathlib import Path
+
+import pytest
+from command_line import Cli
+from dask_cluster import cluster
+from worlds import scenario_text
+
+import fluxtwin
+from fluxtwin.fleets import diagnoses
+
+pytestmark = [
+    pytest.mark.property,
+    pytest.mark.filterwarnings("default"),  # of dask's own
+]
+
+MAGNETOMETER = "[magnetometer]\nb_nT = [1000.0, -500.0, 300.0]\nnoise_nT = 20.0\n"
+
+
+def test_the_bits_are_those_of_this_machine_and_a_lost_worker_costs_nothing(tmp_path: Path, cli: Cli) -> None:
+    pytest.importorskip("distributed")
+    files = []
+    for number in range(4):
+        (tmp_path / "s.toml").write_text(
+            scenario_text(
+                MAGNETOMETER,
+                seed=number,
+                start_utc=f"2020-03-0{number + 1}T00:00:00Z",
+                segment="samples = 300, step_s = 20.0",
+            ),
+            encoding="utf-8",
+        )
+        files.append(fluxtwin.write(fluxtwin.simulate(str(tmp_path / "s.toml"))[0], tmp_path / f"{number}.nc"))
+    records = {str(path): fluxtwin.read(path) for path in files}
+    with cluster(tmp_path, 2) as far:
+        on_both = ("--scheduler", far.address, "--out", tmp_path / "far.toml")
+        assert cli("calibrate", *files, *on_both).status == 0
+        said = cli("diagnose", *files[:2], "--scheduler", far.address, "--json", tmp_path / "far.json")
+
+        def kill_one(words: str, share: float) -> None:
+            if far.workers[0].poll() is None:
+                far.workers[0].send_signal(signal.SIGKILL)
+
+        found = diagnoses(records, {}, scheduler=far.address, progress=kill_one)
+        assert far.workers[0].wait() != 0 and far.workers[1].poll() is None
+    assert cli("calibrate", *files, "--out", tmp_path / "here.toml").status == 0
+    here, there = ((tmp_path / name).read_text(encoding="utf-8") for name in ("here.toml", "far.toml"))
+    assert tomllib.loads(here) == tomllib.loads(there)
+    assert [one.to_dict() for one in found.values()] == [fluxtwin.diagnose(path).to_dict() for path in files]
+    assert said.status == 0 and said.out == cli("diagnose", *files[:2], "--jobs", 1).out
+    assert said.out.count(".nc: ") == 2
+
+
+def test_what_does_not_go_together_is_said(tmp_path: Path, cli: Cli) -> None:
+    for words, why in (
+        (["a.nc", "--jobs", "2"], "one file is no work to share"),
+        (["a.nc", "b.nc", "--html", "p.html"], "one file for --follow, --html and --close"),
+    ):
+        done = cli("diagnose", *words)
+        assert done.status == 2 and why in done.err

@@ -141,12 +141,15 @@ def _coverage(fit: Fit) -> list[PageSection]:
 
 def _bias_tables(fit: Fit) -> list[Table]:
     """Fields that follow a column."""
-    rows = []
+    rows, late = [], []
     for name, one in fit.to_dict().get("telemetry_bias", {}).items():
+        how = [f"{plain(one['delay_s'])} s later"] if "delay_s" in one else []
+        how += [f"behind a lag of {plain(one['lag_s'])} s"] if "lag_s" in one else []
+        late += [f"The field follows {name} {' and '.join(how)}."] if how else []
         for axis, value, sigma in zip("xyz", one["nT_per_unit"], one["sigma"], strict=True):
             rows.append([f"{name} {axis}", *with_sigma(value, sigma)])
     title = "field in the reading for a unit of the column [nT]"
-    return [Table(title, ["column", "value", "sigma"], rows)] if rows else []
+    return [Table(title, ["column", "value", "sigma"], rows, note=" ".join(late))] if rows else []
 
 
 def _angles(fit: Fit) -> Table:

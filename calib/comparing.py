@@ -24,7 +24,7 @@ from fluxtwin.sim.base.errors import BadInput, FluxtwinError, NoAnswer
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
 from fluxtwin.sim.earth.frames import angle_between
-from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
+from fluxtwin.sim.telemetry.record import Telemetry
 
 if TYPE_CHECKING:
     from fluxtwin.calib.common.fit import Fit
@@ -95,7 +95,7 @@ def _held_out(
 
 
 def _error_nT(telemetry: Telemetry, known: Calibration, model: FieldModel) -> FloatArray:
-    found = known.apply(telemetry.mag_B_nT, telemetry.dipole_B_Am2, recorded_columns(telemetry))
+    found = known.apply(telemetry.mag_B_nT, telemetry.dipole_B_Am2, known.columns_of(telemetry))
     if telemetry.has_attitude.any():
         return np.asarray(found - reference_field_B_nT(telemetry, model))
     return np.asarray((np.linalg.norm(found, axis=1) - _size_nT(telemetry, model))[:, None])

@@ -24,7 +24,7 @@ from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames, sun
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
-from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
+from fluxtwin.sim.telemetry.record import Telemetry
 
 SENSORS = ("field", "attitude", "sun")
 """Columns of `nis` and `inflated`; "attitude" is the scanner, or the reference attitude where there is no scanner."""
@@ -194,7 +194,7 @@ def assemble_rows(
         A[attitude[rows]] = frames.rotation_from_q(used.q_NB[attitude[rows]]).as_matrix()
     reading, coupling = np.array(used.mag_B_nT), np.zeros((len(used), 3))
     if calibration is not None:
-        whole = calibration.apply(reading, used.dipole_B_Am2, recorded_columns(used))
+        whole = calibration.apply(reading, used.dipole_B_Am2, calibration.columns_of(telemetry, rows))
         coupling = whole - calibration.b_nT - reading @ (np.eye(3) + calibration.S).T
     return FilterRows(
         time=used.time,

@@ -26,7 +26,7 @@ from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
-from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
+from fluxtwin.sim.telemetry.record import Telemetry
 
 AVERAGE_S = 120.0
 """The averaging interval of the papers' figures 1 and 2."""
@@ -175,7 +175,7 @@ def yaw_from_field(
     velocity = velocity_of(telemetry)
     known = telemetry.has_position & np.isfinite(velocity).all(axis=1)
     roll, pitch, reference = _known_angles(telemetry, velocity, known)
-    corrected = calibration.apply(telemetry.mag_B_nT, telemetry.dipole_B_Am2, recorded_columns(telemetry))
+    corrected = calibration.apply(telemetry.mag_B_nT, telemetry.dipole_B_Am2, calibration.columns_of(telemetry))
     complete = np.asarray(np.isfinite(corrected).all(axis=1))
     rows, left_out = rows_with({"no reading": complete, "no position": known, "no roll and pitch": np.isfinite(roll)})
     if not rows.size:

@@ -11,7 +11,7 @@ from fluxtwin.calib.common.onboard import for_record
 from fluxtwin.calib.common.records import CONVENTION, Calibration
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import epoch
-from fluxtwin.sim.telemetry.record import Telemetry, plain_text, recorded_columns
+from fluxtwin.sim.telemetry.record import Telemetry, plain_text
 
 _DIGEST_SHOWN = 12  # hexadecimal digits: of a million calibrations two agree by chance with a probability of 0.2 %
 _NEAR_DEGC = 1.0  # no magnetometer that is worth calibrating changes within a degree
@@ -29,7 +29,7 @@ def apply_calibration(telemetry: Telemetry, calibration: Calibration, *, force: 
         require_applicable(telemetry, calibration)
     _warn_outside(telemetry, calibration)
     here = for_record(calibration, telemetry)
-    corrected = here.apply(telemetry.mag_B_nT, telemetry.dipole_B_Am2, recorded_columns(telemetry))
+    corrected = here.apply(telemetry.mag_B_nT, telemetry.dipole_B_Am2, here.columns_of(telemetry))
     span = "" if calibration.span is None else f", {_span_words(calibration)}"
     note = (
         f"{CONVENTION!r} by {calibration.method or 'hand'}, of {calibration.spacecraft or 'unnamed spacecraft'}{span}"

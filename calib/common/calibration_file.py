@@ -46,6 +46,8 @@ class _Entry(Strict):
 class _Bias(Strict):
     nT_per_unit: list[float]
     sigma: list[NonNegativeFloat]
+    delay_s: NonNegativeFloat = 0.0
+    lag_s: NonNegativeFloat = 0.0
 
 
 class _Onboard(Strict):
@@ -114,6 +116,7 @@ def calibration_to_dict(calibration: Calibration) -> dict[str, Any]:
     if calibration.telemetry_bias:
         content["telemetry_bias"] = {
             name: {"nT_per_unit": bias.value_nT.tolist(), "sigma": bias.sigma_nT.tolist()}
+            | {key: late for key, late in (("delay_s", bias.delay_s), ("lag_s", bias.lag_s)) if late}
             for name, bias in calibration.telemetry_bias.items()
         }
     if calibration.onboard is not None:
@@ -289,7 +292,9 @@ def _from_flat(flat: _Flat, where: str) -> Calibration:
             span=_span(flat.span),
             temperature_degC=_temperature(flat.temperature_degC),
             telemetry_bias={
-                name: TelemetryBias(array_of(bias.nT_per_unit, (3,), name), array_of(bias.sigma, (3,), name))
+                name: TelemetryBias(
+                    array_of(bias.nT_per_unit, (3,), name), array_of(bias.sigma, (3,), name), bias.delay_s, bias.lag_s
+                )
                 for name, bias in flat.telemetry_bias.items()
             },
             onboard=None if flat.onboard is None else Onboard(**flat.onboard.model_dump()),

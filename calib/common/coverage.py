@@ -24,7 +24,7 @@ from fluxtwin.calib.common.direction import even_directions
 from fluxtwin.calib.common.records import Calibration, parameter_unit
 from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.sim.base.types import FloatArray, IntArray
-from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
+from fluxtwin.sim.telemetry.record import Telemetry
 
 if TYPE_CHECKING:
     from fluxtwin.calib.common.fit import Fit
@@ -109,7 +109,7 @@ def coverage_of(fit: Fit, telemetry: Telemetry) -> Coverage:
     """Of the rows with weight of a fit of a record (joined, as it was fitted)."""
     rows = fit.rows[kept_rows(fit.weights)]
     used = telemetry.select(rows)
-    field_nT = fit.calibration.apply(used.mag_B_nT, used.dipole_B_Am2, recorded_columns(used))
+    field_nT = fit.calibration.apply(used.mag_B_nT, used.dipole_B_Am2, fit.calibration.columns_of(telemetry, rows))
     return coverage(fit.calibration, used.mag_B_nT, field_nT, size_only=fit.residuals_nT.shape[1] == 1)
 
 

@@ -4,6 +4,9 @@ A column that goes with the attitude (the array's current with the sun's directi
 is known in body axes: both are regressed together. What the data cannot distinguish is: a column that never changes from b,
 one in proportion to a component of the field from S, two that go together from each other.
 
+A field may come late: each column is tried at delays and lags, and the likeliest is taken where it beats none by more than
+the number that was tried would by chance.
+
 Of all columns (`all`) those are kept whose field is worth its three parameters and the number of columns tried, by
 `criterion`. The drop of chi-square is s' C^-1 s, with C the covariance that the method states, so that errors which last
 are allowed for; without a column the others are what they are on condition that its s is zero.
@@ -14,19 +17,26 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from fluxtwin.calib.common.criterion import THRESHOLD, worth
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.fit import Fit
+from fluxtwin.calib.common.records import seconds_of
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.late import late, lateness_near, lateness_tried
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.telemetry.quantities import DRIVERS
 from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
 
 F = TypeVar("F", bound=Fit)
+Columns = Mapping[str, FloatArray]
+"""(n,) by name, in the rows that are fitted."""
+Drops = Callable[[F, Columns, str, FloatArray], FloatArray]
+"""From a fit, its columns, the name of one and (n, c) what may stand in its place: by how much each lowers chi-square, (c,),
+beside everything else that is fitted."""
 
 EVERY = "all"
 _LEAST_LEFT = 1e-8
@@ -34,6 +44,9 @@ _LEAST_LEFT = 1e-8
 _LEAST_KNOWN = 0.5
 """Share of the rows with a reading in which one of all columns must be known: the others would be left out."""
 _SAME = 0.9
+_PASSES = 2
+_FAR = 5.0
+_MOVES = (1.25, 1.25, 1.12, 1.06)  # of a delay or lag, round by round
 _CONSTANT = 1e-9
 """Of its largest value, that a column must move by."""
 
@@ -48,6 +61,18 @@ class Asked:
     """Whether they are all there are, to be chosen from."""
     left_out: Mapping[str, str]
     """Why a column was not tried, by name."""
+    time_s: FloatArray
+    """(N,) of the telemetry, since its first row."""
+
+
+class _Late(NamedTuple):
+    delay_s: float
+    lag_s: float
+    factor: float
+    """By which both may be off, 1 sigma."""
+
+
+_NOT = _Late(0.0, 0.0, 1.0)
 
 
 def asked_for(telemetry: Telemetry, names: Sequence[str]) -> Asked:
@@ -72,30 +97,45 @@ def asked_for(telemetry: Telemetry, names: Sequence[str]) -> Asked:
             near = difflib.get_close_matches(name, [*known, *telemetry.drivers], n=1, cutoff=0.4)
             hint = f"{near[0]!r} is near" if near else ", ".join(known) or "this telemetry has no such column"
             raise BadInput(f"the telemetry has no column {name!r}", where="--driver", wanted=hint)
-    return Asked(found, EVERY in names, left_out)
+    return Asked(found, EVERY in names, left_out, seconds_of(telemetry.time))
 
 
-def fitted(asked: Asked, rows: Mapping[str, FloatArray], others: FloatArray, fit: Callable[[Sequence[str]], F]) -> F:
+def fitted(asked: Asked, rows: np.ndarray, others: FloatArray, fit: Callable[[Columns], F], drops: Drops[F]) -> F:
     """The fit with the columns that are asked for, or, of all, with those that are worth it; what was dropped is said.
 
-    rows: (n,) the columns in the rows that are fitted; others: (n, k) what else is fitted there. fit: by names of columns.
+    rows: (n,) of the telemetry that are fitted; others: (n, k) what else is fitted there. fit: by its columns.
     Raises NoAnswer where a column that is asked for by name cannot be distinguished.
     """
     if not asked.columns and not asked.every:
-        return fit(())
-    apart, same = told_apart({name: rows[name] for name in asked.columns}, others)
+        return fit({})
+    columns = {name: values[rows] for name, values in asked.columns.items()}
+    apart, same = told_apart(columns, others)
     if same and not asked.every:
         name, why = next(iter(same.items()))
         raise NoAnswer(
             f"the field of {name} cannot be estimated: {why}. Leave --driver {name} out", evidence={"drivers": same}
         )
-    whole = fit(apart)
-    kept, worths = chosen(whole)
+    whole, found = fit({name: columns[name] for name in apart}), dict[str, _Late]()
+    for _ in range(_PASSES):  # once more with the others as late, and rows that only looked far back in their place
+        before, found = found, _lateness(asked, rows, whole, {name: columns[name] for name in apart}, drops)
+        if {name: one[:2] for name, one in found.items()} == {name: one[:2] for name, one in before.items()}:
+            break
+        columns = {name: late(asked.time_s, asked.columns[name], *found.get(name, _NOT)[:2])[rows] for name in columns}
+        apart, together = told_apart({name: columns[name] for name in apart}, others)
+        same |= together
+        whole = fit({name: columns[name] for name in apart})
+    kept, worths = chosen(whole, len(apart) * len(lateness_tried(asked.time_s)))
+    final = whole if len(kept) == len(apart) or not asked.every else fit({name: columns[name] for name in kept})
+    used = {name: columns[name] for name in final.calibration.telemetry_bias}
+
+    def again(name: str, other: _Late) -> F:
+        return fit({**used, name: late(asked.time_s, asked.columns[name], *other[:2])[rows]})
+
+    final = _with_lateness(final, found, again) if found else final
     if not asked.every:
         unseen = [name for name in apart if name not in kept]
         said = f"no field of {' or '.join(unseen)} is seen beyond chance: compare without"
-        return replace(whole, messages=(*whole.messages, said)) if unseen else whole
-    final = whole if len(kept) == len(apart) else fit(kept)
+        return replace(final, messages=(*final.messages, said)) if unseen else final
     dropped = [f"{name} ({plain(value)})" for name, value in worths.items() if name not in kept]
     said = f"kept of {len(apart)} columns: {', '.join(kept) or 'none'}"
     if dropped:
@@ -106,6 +146,83 @@ def fitted(asked: Asked, rows: Mapping[str, FloatArray], others: FloatArray, fit
     reasons = {**asked.left_out, **same}
     more = [f"{name} was not tried: {why}" for name, why in reasons.items()]
     return replace(final, messages=(*final.messages, said, *more))
+
+
+def _lateness(asked: Asked, rows: np.ndarray, whole: F, columns: Columns, drops: Drops[F]) -> dict[str, _Late]:
+    """Of the columns whose field comes late, how late: the likeliest of what is tried, where it beats none."""
+    found: dict[str, _Late] = {}
+    known = dict(columns)
+    for name in columns:
+        raw, tried = asked.columns[name], lateness_tried(asked.time_s)
+        values = drops(whole, known, name, _moved(asked, raw, tried)[rows])
+        best = int(np.argmax(values))
+        if values[best] - values[0] <= 2.0 * np.log(len(tried)):
+            continue
+        at, top = tried[best], float(values[best])
+        for moved in _MOVES:
+            near = lateness_near(*at, moved)
+            values = drops(whole, known, name, _moved(asked, raw, near)[rows])
+            if values.max() > top:
+                at, top = near[int(np.argmax(values))], float(values.max())
+        around = [(at[0] * moved, at[1] * moved) for moved in (1.0 / _MOVES[0], _MOVES[0])]
+        before, after = drops(whole, known, name, _moved(asked, raw, around)[rows])
+        bend = (2.0 * top - before - after) / 2.0  # chi-square goes as the square of the logarithm over its sigma
+        found[name] = _Late(*at, min(_MOVES[0] ** (1.0 / np.sqrt(max(bend, 1.0))), _MOVES[0]))
+        known[name] = late(asked.time_s, raw, *at)[rows]
+    return found
+
+
+def _moved(asked: Asked, column: FloatArray, tried: Sequence[tuple[float, float]]) -> FloatArray:
+    """(N, c) the column at each delay and lag."""
+    return np.stack([late(asked.time_s, column, *one) for one in tried], axis=1)
+
+
+def _with_lateness(fit: F, found: Mapping[str, _Late], again: Callable[[str, _Late], F]) -> F:
+    """The fit whose fields follow their columns so late, with what an error of that does to it in its covariances.
+
+    again: the fit with the column of a name at another delay and lag.
+    """
+    biases, covariance, of_drivers = {}, fit.calibration.covariance, fit.driver_covariance
+    for name, bias in fit.calibration.telemetry_bias.items():
+        biases[name] = bias
+        if name in found:
+            one = found[name]
+            other = again(name, one._replace(delay_s=one.delay_s * one.factor, lag_s=one.lag_s * one.factor))
+            moved = other.calibration.values - fit.calibration.values
+            fields = np.concatenate(
+                [
+                    other.calibration.telemetry_bias[key].value_nT - held.value_nT
+                    for key, held in fit.calibration.telemetry_bias.items()
+                ]
+            )
+            covariance, of_drivers = covariance + np.outer(moved, moved), of_drivers + np.outer(fields, fields)
+            biases[name] = replace(bias, delay_s=one.delay_s, lag_s=one.lag_s)
+    sigma_nT = np.sqrt(np.diag(of_drivers)).reshape(-1, 3)
+    biases = {name: replace(bias, sigma_nT=sigma_nT[k]) for k, (name, bias) in enumerate(biases.items())}
+    calibration = replace(fit.calibration, telemetry_bias=biases, covariance=covariance)
+    return replace(fit, calibration=calibration, driver_covariance=of_drivers)
+
+
+def drawn_in(residual: FloatArray, kept: np.ndarray) -> FloatArray:
+    """(N, k) what the residual is beyond five times its usual size, by the rows that are kept; zero elsewhere.
+
+    A row that a late column leaves far off is not set aside when lateness is looked for, nor may an outlier rule it.
+    """
+    limit = _FAR * 1.4826 * np.median(np.abs(residual[kept]), axis=0)
+    return np.asarray(residual - np.clip(residual, -limit, limit))
+
+
+def drops_of(gram: FloatArray, fixed: int, each: int) -> FloatArray:
+    """By how much blocks of columns lower chi-square beside others. gram: whitened products of the `fixed` others, of the
+    blocks of `each` columns, and, last, of what is fitted."""
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    G = gram / np.outer(scale, scale)
+    left = G[fixed:, fixed:] - G[fixed:, :fixed] @ np.linalg.pinv(G[:fixed, :fixed], hermitian=True) @ G[:fixed, fixed:]
+    found = []
+    for at in range(0, len(left) - 1, each):
+        own = slice(at, at + each)
+        found.append(left[own, -1] @ np.linalg.pinv(left[own, own], rcond=_LEAST_LEFT, hermitian=True) @ left[own, -1])
+    return np.asarray(np.array(found) * scale[-1] ** 2)
 
 
 def told_apart(columns: Mapping[str, FloatArray], others: FloatArray) -> tuple[tuple[str, ...], dict[str, str]]:
@@ -147,15 +264,17 @@ def _with(basis: FloatArray, column: FloatArray) -> FloatArray:
     return basis if length**2 < _LEAST_LEFT else np.hstack([basis, (left / length)[:, None]])
 
 
-def chosen(fit: Fit) -> tuple[tuple[str, ...], dict[str, float]]:
+def chosen(fit: Fit, settings: int) -> tuple[tuple[str, ...], dict[str, float]]:
     """Names of the columns whose field is worth its parameters, and the worth of each: when dropped, or in the end.
+
+    settings: number of columns, delays and lags that were tried.
 
     The least of them is dropped as long as it is below the threshold.
     """
     found = fit.calibration.telemetry_bias
     names = list(found)
     values = np.concatenate([np.zeros(0), *(found[name].value_nT for name in names)])
-    covariance, tried = fit.driver_covariance, float(np.log(max(len(names), 1)))
+    covariance, tried = fit.driver_covariance, float(np.log(max(settings, 1)))
     worths: dict[str, float] = {}
     while names:
         now = {}

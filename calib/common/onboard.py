@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from fluxtwin.calib.common.conventions import OffsetFirst, offset_first_from_correction
-from fluxtwin.calib.common.records import Calibration, Onboard, TelemetryBias
+from fluxtwin.calib.common.records import Calibration, Onboard
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -71,7 +71,7 @@ def composed(calibration: Calibration, onboard: Onboard) -> Calibration:
     J[:9, :9] = np.kron(np.eye(3), A.T)
     J[9:12, :9] = np.kron(np.eye(3), onboard.o_nT[None, :])
     biases = {
-        name: TelemetryBias(onboard.M @ bias.value_nT, np.sqrt(onboard.M**2 @ bias.sigma_nT**2))
+        name: replace(bias, value_nT=onboard.M @ bias.value_nT, sigma_nT=np.sqrt(onboard.M**2 @ bias.sigma_nT**2))
         for name, bias in calibration.telemetry_bias.items()
     }
     return replace(

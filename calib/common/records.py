@@ -11,7 +11,9 @@ import numpy as np
 
 from fluxtwin.calib.common.conventions import Correction, Forward, forward_from_correction
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.base.late import late
+from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
 
 CONVENTION = "A B0 = (I+S) B + b + T D"
 """Journal eq. 1 of Lerner & Shuster (1981): measured to true."""
@@ -43,6 +45,10 @@ class TelemetryBias:
     """(3,) s: nT for a unit of the column."""
     sigma_nT: FloatArray
     """(3,) 1 sigma."""
+    delay_s: float = 0.0
+    """The field follows the column this long after,"""
+    lag_s: float = 0.0
+    """and then behind a first-order lag."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +161,7 @@ class Calibration:
     ) -> FloatArray:
         """(N, 3) estimate of the true field in body axes: (I+S) B + b + T D (journal eq. 1).
 
-        mag_B_nT, dipole_B_Am2: (N, 3), body. columns: (N,) of telemetry, by name, for `telemetry_bias`. Rows with
+        mag_B_nT, dipole_B_Am2: (N, 3), body. columns: (N,) of telemetry, by name, as by `columns_of`. Rows with
         missing numbers come out missing. Raises BadInput when T is known but no dipole is given, or a column that
         the reading follows is missing.
         """
@@ -185,6 +191,15 @@ class Calibration:
             reading_nT = reading_nT - np.asarray(columns[name], dtype=np.float64)[..., None] * bias.value_nT
         return reading_nT
 
+    def columns_of(self, telemetry: Telemetry, rows: np.ndarray | slice = slice(None)) -> dict[str, FloatArray]:
+        """Columns of the telemetry by name, in these rows, those of `telemetry_bias` as late as the field that follows
+        them."""
+        columns = recorded_columns(telemetry)
+        for name, bias in self.telemetry_bias.items():
+            if (bias.delay_s or bias.lag_s) and name in columns and np.isfinite(columns[name]).any():
+                columns[name] = late(seconds_of(telemetry.time), columns[name], bias.delay_s, bias.lag_s)
+        return {name: values[rows] for name, values in columns.items()}
+
     @property
     def digest(self) -> str:
         """SHA-256 of the content, as the calibration file states it."""
@@ -211,6 +226,11 @@ class Calibration:
         from fluxtwin.calib.common.calibration_file import read_calibration
 
         return read_calibration(path)
+
+
+def seconds_of(time: TimeArray) -> FloatArray:
+    """(N,) seconds since the first stamp."""
+    return np.asarray((time - time[0]).astype("int64") * 1e-9)
 
 
 def array_of(value: Any, shape: tuple[int, ...], name: str) -> FloatArray:

@@ -15,7 +15,7 @@ from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth.constants import NT_PER_MG
 from fluxtwin.sim.earth.field import FieldModel
-from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
+from fluxtwin.sim.telemetry.record import Telemetry
 
 _LAGS_SHOWN = 10
 _ROWS = 50_000  # of a longer record, stretches that add up to this give the correlations
@@ -79,7 +79,7 @@ def residual_statistics(time: TimeArray, residual_nT: FloatArray) -> ResidualSta
 def residuals_of(records: Telemetry | Sequence[Telemetry], calibration: Calibration, model: FieldModel) -> FloatArray:
     """(N, 3) A B0 - [(I+S) B + b + T D] of telemetry under a calibration made elsewhere; NaN where unknown."""
     telemetry = joined(records)
-    found = calibration.apply(telemetry.mag_B_nT, telemetry.dipole_B_Am2, recorded_columns(telemetry))
+    found = calibration.apply(telemetry.mag_B_nT, telemetry.dipole_B_Am2, calibration.columns_of(telemetry))
     return reference_field_B_nT(telemetry, model) - found
 
 

@@ -18,7 +18,7 @@ from fluxtwin.calib.common.digits import measured, plain
 from fluxtwin.calib.common.direction import CONFIDENCE, DirectionKnowledge, direction_knowledge
 from fluxtwin.calib.common.observability import correlated_pairs, direction_words
 from fluxtwin.sim.base.types import BoolArray, FloatArray
-from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
+from fluxtwin.sim.telemetry.record import Telemetry
 
 if TYPE_CHECKING:
     from fluxtwin.calib.common.fit import Fit
@@ -135,8 +135,7 @@ def assess(
     known, kept = fit.calibration, kept_rows(fit.weights)
     B = telemetry.mag_B_nT[fit.rows]
     D = None if telemetry.dipole_B_Am2 is None else telemetry.dipole_B_Am2[fit.rows]
-    columns = {name: values[fit.rows] for name, values in recorded_columns(telemetry).items()}
-    field_nT = known.apply(B, D, columns)
+    field_nT = known.apply(B, D, known.columns_of(telemetry, fit.rows))
     with_attitude = fit.residuals_nT.shape[1] == 3
     true_nT = field_nT + fit.residuals_nT if with_attitude else field_nT
     direction = direction_knowledge(

@@ -28,6 +28,8 @@ from fluxtwin.calib.common.regression import Regression, regress, residuals
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import robust_weights
 from fluxtwin.calib.linear.covariance_report import report_covariance
+from fluxtwin.calib.linear.driver_fields import drops as weighted_drops
+from fluxtwin.calib.linear.driver_fields import weighted_fields
 from fluxtwin.calib.linear.method import LinearOptions
 from fluxtwin.calib.linear.problem import LinearProblem, Solution
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
@@ -74,13 +76,23 @@ def calibrate_linear(
     design = assemble(telemetry, model, with_dipole="T" in options.parameters, columns=asked.columns)
     weights, passes = (_of_rows(getattr(options, name), design, name) for name in ("weights", "passes"))
 
-    def by(names: Sequence[str]) -> LinearFit:
-        used = replace(design, columns={name: design.columns[name] for name in names})
-        return fit_design(used, options, model_name=model.name, weights=weights, passes=passes)
+    def by(columns: drivers.Columns) -> LinearFit:
+        used = replace(design, columns=columns)
+        fit = fit_design(used, options, model_name=model.name, weights=weights, passes=passes)
+        if not columns or fit.error_model is None:
+            return fit
+        return _beside(
+            used, options, *weighted_fields(fit, used), model_name=model.name, weights=weights, passes=passes
+        )
+
+    def drops(fit: LinearFit, columns: drivers.Columns, name: str, tried: FloatArray) -> FloatArray:
+        if fit.error_model is None:
+            return np.zeros(tried.shape[1])
+        return weighted_drops(fit, design, columns, name, tried)
 
     others = [design.H_nT] if options.parameters != "b" else []
     others += [] if design.D_Am2 is None else [design.D_Am2]
-    fit = drivers.fitted(asked, design.columns, np.hstack([np.zeros((len(design), 0)), *others]), by)
+    fit = drivers.fitted(asked, design.rows, np.hstack([np.zeros((len(design), 0)), *others]), by, drops)
     return with_warnings(fit, telemetry, robust=options.robust != "none")
 
 
@@ -113,6 +125,36 @@ def fit_design(
     a = a * robust.weights
     problem = LinearProblem(design, options, fired, a / a.sum(), robust, noise)
     return _report(problem, _solve(problem), model_name, passes)
+
+
+def _beside(
+    design: Design, options: LinearOptions, value_nT: FloatArray, covariance: FloatArray, **given: Any
+) -> LinearFit:
+    """The regression of the reading without the fields (J, 3) of the design's columns; its covariance has their errors."""
+    names = list(design.columns)
+
+    def without(fields_nT: FloatArray) -> Design:
+        stray = np.stack(list(design.columns.values()), axis=1) @ fields_nT
+        return replace(design, B_nT=design.B_nT - stray, columns={})
+
+    fit = fit_design(without(value_nT), options, **given)
+    alike = replace(options, covariance="white", robust="none")
+
+    def values(fields_nT: FloatArray) -> FloatArray:
+        return fit_design(without(fields_nT), alike, weights=fit.weights).calibration.values
+
+    sigma_nT = np.sqrt(np.diag(covariance)).reshape(value_nT.shape)
+    steps = np.diag(sigma_nT.ravel()).reshape(-1, *value_nT.shape)
+    here = values(value_nT)
+    J = np.array([values(value_nT + step) - here for step in steps]) / sigma_nT.reshape(-1, 1)
+    biases = {name: TelemetryBias(value_nT[k], sigma_nT[k]) for k, name in enumerate(names)}
+    calibration = replace(
+        fit.calibration,
+        telemetry_bias=biases,
+        covariance=fit.calibration.covariance + J.T @ covariance @ J,
+        method=_method_words(options, names),
+    )
+    return replace(fit, calibration=calibration, driver_covariance=covariance)
 
 
 def _solve(problem: LinearProblem) -> Solution:

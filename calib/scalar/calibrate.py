@@ -24,6 +24,7 @@ from fluxtwin.calib.common.noise import ReadingNoise, scalar_noise
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import RobustWeights, robust_weights
+from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.calib.scalar import words
 from fluxtwin.calib.scalar.covariance import Scores, field_error_covariance, scalar_covariance, scores_of
 from fluxtwin.calib.scalar.fit import NO_ROTATION, ScalarFit, driver_covariance, file_parameters
@@ -92,13 +93,37 @@ def calibrate_scalar(
     labels = None if options.passes is None else np.asarray(options.passes)[rows.rows]
     own = {name: values for name, values in rows.columns.items() if name not in asked.columns}
 
-    def by(names: Sequence[str]) -> ScalarFit:
-        used = replace(rows, columns={**own, **{name: rows.columns[name] for name in names}})
-        return fit_rows(used, options, model_name=model.name, passes=labels)
+    def by(columns: drivers.Columns) -> ScalarFit:
+        return fit_rows(replace(rows, columns={**own, **columns}), options, model_name=model.name, passes=labels)
+
+    def drops(fit: ScalarFit, columns: drivers.Columns, name: str, tried: FloatArray) -> FloatArray:
+        return _drops(fit, replace(rows, columns={**own, **columns}), name, tried)
 
     field = rows.B_nT if options.parameters != "b" else np.zeros((len(rows), 0))
-    fit = drivers.fitted(asked, rows.columns, np.column_stack([field, *own.values()]), by)
+    fit = drivers.fitted(asked, rows.rows, np.column_stack([field, *own.values()]), by, drops)
     return with_warnings(fit, telemetry, robust=options.robust != "none")
+
+
+def _drops(fit: ScalarFit, rows: ScalarRows, name: str, tried: FloatArray) -> FloatArray:
+    """(c,) by how much each of `tried` (n, c) lowers chi-square in the place of the column `name`; see `drivers.Drops`.
+
+    |B| is taken as a linear function of the parameters about the fit: a turn of the field by a column does not show. Errors
+    of the field model, which last, count as fewer rows.
+    """
+    known, kept = fit.calibration, kept_rows(fit.weights)
+    true = known.apply(rows.B_nT, np.zeros_like(rows.B_nT), rows.columns)
+    along = (true / np.linalg.norm(true, axis=1)[:, None]) @ (np.eye(3) + known.S)
+    y = (fit.residuals_nT - drivers.drawn_in(fit.residuals_nT, kept))[:, 0]
+    y += rows.columns[name] * (along @ known.telemetry_bias[name].value_nT)
+    others = [np.ones(len(rows)), *(values for one, values in rows.columns.items() if one != name)]
+    if known.S.any():
+        others += list(rows.B_nT.T)
+    parts = [along * part[:, None] for part in [*others, *tried.T]]
+    seen = np.column_stack([*parts, y])
+    step_s = float(np.median(np.diff(fit.time).astype("int64"))) * 1e-9
+    memory = max(2.0 * fit.statistics.correlation_time_s / step_s, 1.0)
+    left = float((fit.residuals_nT[kept] ** 2).mean())
+    return drivers.drops_of(seen.T @ seen / (left * memory), 3 * len(others), 3)
 
 
 def fit_rows(

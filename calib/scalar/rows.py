@@ -15,7 +15,7 @@ from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.residuals import ResidualStatistics, residual_statistics
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
-from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
+from fluxtwin.sim.telemetry.record import Telemetry
 
 
 @dataclass(frozen=True)
@@ -84,6 +84,6 @@ def predict_scalar(
     telemetry = joined(records)
     rows = assemble_scalar(telemetry, model)
     dipole = telemetry.dipole_B_Am2
-    columns = {name: values[rows.rows] for name, values in recorded_columns(telemetry).items()}
+    columns = {name: values[rows.rows] for name, values in calibration.columns_of(telemetry).items()}
     true = calibration.apply(rows.B_nT, None if dipole is None else dipole[rows.rows], columns)
     return residual_statistics(rows.time, (np.linalg.norm(true, axis=1) - rows.H_nT)[:, None])

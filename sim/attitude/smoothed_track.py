@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from fluxtwin.sim.base.late import stretches as stretches
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 RowArray = NDArray[np.intp]
 """Numbers of rows."""
 
-_GAP = 5.0  # usual spacings without a row: nothing is fitted across
 _HALVES = (1, 2, 3, 4, 6, 9, 13, 20, 30, 45, 70, 100, 150)  # rows to either side
 _DEGREES = ((1, 1), (3, 2), (5, 4))  # a polynomial of this degree needs so many rows to either side
 _LARGEST_TURN = 2.0  # rad: what is left of the turn to a neighbour, beyond which the short way is ambiguous
@@ -44,13 +44,6 @@ class Places:
     """(M,) time since `other`."""
     weights: FloatArray
     """(M,) of `other`, from 0 to 1 with a level start and end."""
-
-
-def stretches(time_s: FloatArray) -> RowArray:
-    """(N,) number of the stretch without gaps that a stamp belongs to."""
-    steps = np.diff(time_s)
-    usual = float(np.median(steps)) if steps.size else 1.0
-    return np.concatenate([[0], np.cumsum(steps > _GAP * usual)]).astype(np.intp)
 
 
 def places(time_s: FloatArray, stretch: RowArray, moments_s: FloatArray) -> Places:

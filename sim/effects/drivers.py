@@ -8,11 +8,11 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from fluxtwin.sim.attitude.smoothed_track import stretches
+from fluxtwin.sim.base.late import late
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth.constants import GM_EARTH_KM3_S2
 from fluxtwin.sim.effects.base import known_column
-from fluxtwin.sim.effects.history import low_pass, relax, restarts
+from fluxtwin.sim.effects.history import relax
 from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.spacecraft.power import FixedPanel, TrackingArray, incidence_cosine
 
@@ -24,7 +24,6 @@ TIME_CONSTANTS_S = (300.0, 900.0, 2700.0)
 STANDARD_SWING_K = 20.0
 """Swing of the equilibrium temperature between shadow and sun where no temperature was recorded."""
 _REMEMBERED = 8
-_ROUNDING_S = 1e-6
 
 
 def lit(setting: Setting) -> FloatArray:
@@ -113,28 +112,10 @@ def orbital_period_s(setting: Setting) -> float:
 
 
 def followed(setting: Setting, name: str, delay_s: float, lag_s: float) -> FloatArray | None:
-    """(N,) a recorded column `delay_s` before, then behind a first-order lag; None when it is absent or wholly missing.
-
-    Between its samples a column of two values holds the last one, any other is a straight line. What it was before
-    the first row, or in a gap of the rows, is what it was after; the lag starts in balance there.
-    """
+    """(N,) a recorded column `delay_s` before, then behind a first-order lag, as by `late`; None when it is absent or
+    wholly missing."""
     column = setting.column(name)
-    return None if column is None or not np.isfinite(column).any() else late(setting, column, delay_s, lag_s)
-
-
-def late(setting: Setting, column: FloatArray, delay_s: float, lag_s: float) -> FloatArray:
-    """(N,) the same of a column (N,) that has a value somewhere."""
-    if not delay_s and not lag_s and np.isfinite(column).all():
-        return column
-    known, stretch = np.isfinite(column), stretches(setting.seconds)
-    begun = setting.seconds[np.searchsorted(stretch, stretch)]
-    moments, samples = np.maximum(setting.seconds - delay_s, begun), setting.seconds[known]
-    values = column[known]
-    if np.unique(values).size <= 2:
-        values = values[np.maximum(np.searchsorted(samples, moments + _ROUNDING_S, side="right") - 1, 0)]
-    else:
-        values = np.interp(moments, samples, values)
-    return low_pass(setting.seconds, values[:, None], lag_s, restarts(setting.seconds))[:, 0]
+    return None if column is None or not np.isfinite(column).any() else late(setting.seconds, column, delay_s, lag_s)
 
 
 def varies(column: FloatArray, least: float = 1e-6) -> bool:

@@ -17,11 +17,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.late import late
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.orbit import argument_of_latitude
 from fluxtwin.sim.effects.base import Parameter, SignalEffect, vector_parameters
-from fluxtwin.sim.effects.drivers import late, lit, sun_in_body
+from fluxtwin.sim.effects.drivers import lit, sun_in_body
 from fluxtwin.sim.effects.signal import Setting, Signal
 
 Axes = Literal["body", "orbital", "inertial", "earth"]
@@ -146,7 +147,9 @@ class Law(SignalEffect):
             if column is None:
                 return None
             first = number == 0
-            column = late(setting, column, (self.delay_s if first else 0.0) - later_s, self.lag_s if first else 0.0)
+            column = late(
+                setting.seconds, column, (self.delay_s if first else 0.0) - later_s, self.lag_s if first else 0.0
+            )
             column = (column > float(level)).astype(np.float64) if level else column ** int(power or 1)
             product = product * _DONE[done](column)
         return product

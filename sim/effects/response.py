@@ -10,9 +10,10 @@ from typing import ClassVar
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.late import low_pass, restarts
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Parameter, SignalEffect, in_reading, mapped, vector_parameters
-from fluxtwin.sim.effects.history import field_history, low_pass, play, restarts
+from fluxtwin.sim.effects.history import field_history, play
 from fluxtwin.sim.effects.signal import Setting, Signal
 
 STANDARD_FIELD_NT = 50_000.0

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from fluxtwin.sim.base.late import lateness_near, lateness_tried
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import MATRIX, Parameter, SignalEffect, held, known_column, mapped, vector_parameters
 from fluxtwin.sim.effects.drivers import PanelKind, array_current_A, battery_current_A, followed, sun_in_body, varies
@@ -14,12 +15,6 @@ from fluxtwin.sim.effects.signal import Setting, Signal
 _PREFIX = "driver_"
 TYPICAL_NT = 100.0
 """A usual field of whatever a column records."""
-_TRIED_S = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
-"""Delays and lags of a driver that a diagnosis tries; it moves them by up to a factor of two to either side."""
-_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
-_MOVED = 1.25
-_LONGEST = 0.1
-"""Of the record: a delay or lag must pass several times."""
 
 
 @dataclass(frozen=True)
@@ -180,9 +175,7 @@ class Driver(SignalEffect):
     def alternatives(self, setting: Setting) -> tuple[Driver, ...]:
         if self.delay_s or self.lag_s:
             return (self,)
-        step_s, whole_s = float(np.median(np.diff(setting.seconds, prepend=0.0))), float(setting.seconds[-1])
-        tried = [s for s in _TRIED_S if 0.5 * step_s < s < _LONGEST * whole_s]
-        return (self, *(replace(self, delay_s=s) for s in tried), *(replace(self, lag_s=s) for s in tried))
+        return tuple(replace(self, delay_s=delay, lag_s=lag) for delay, lag in lateness_tried(setting.seconds))
 
     def between(self, setting: Setting, ratio: float) -> Driver | None:
         if not (self.delay_s or self.lag_s):
@@ -191,10 +184,7 @@ class Driver(SignalEffect):
 
     def variants(self, setting: Setting) -> tuple[Driver, ...]:
         """As late in all, with other shares of delay and lag."""
-        whole_s = self.delay_s + self.lag_s
-        parts = [(share, whole_s * size) for share in _SHARES for size in (1.0, _MOVED, 1.0 / _MOVED)]
-        moved = tuple(replace(self, delay_s=share * late_s, lag_s=(1.0 - share) * late_s) for share, late_s in parts)
-        return moved if whole_s else ()
+        return tuple(replace(self, delay_s=delay, lag_s=lag) for delay, lag in lateness_near(self.delay_s, self.lag_s))
 
     def condition_on(self, setting: Setting) -> str | None:
         return f"{self.follows}:{self.column}"

@@ -21,9 +21,10 @@ from fluxtwin.calib.common.apply import apply_calibration
 from fluxtwin.calib.common.drivers import told_apart
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.onboard import composed
-from fluxtwin.calib.common.records import Calibration, Onboard, TelemetryBias
+from fluxtwin.calib.common.records import Calibration, Onboard, TelemetryBias, seconds_of
 from fluxtwin.calib.methods import calibrate_by
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.late import late
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames, sun
@@ -76,6 +77,21 @@ def flown(seed: int, *, noise: bool = True, torquers: bool = False, wrong_S: boo
     return record.replace(mag_B_nT=record.mag_B_nT + field, drivers=drivers)
 
 
+LATE = {"driver_array": (0.0, 120.0), "driver_payload": (45.0, 0.0)}
+"""Delay and lag of their fields [s]."""
+
+
+@cache
+def late_flown(seed: int) -> Telemetry:
+    """The same record with fields that come late."""
+    record = flown(seed)
+    seconds, B = seconds_of(record.time), np.array(record.mag_B_nT)
+    for name, k in K.items():
+        column = record.drivers[name.removeprefix("driver_")]
+        B += np.outer(late(seconds, column, *LATE[name]) - column, k)
+    return record.replace(mag_B_nT=B)
+
+
 def fit_of(record: Telemetry, **options: Any) -> Fit:
     return calibrate_by(record, load_field(), **options)
 
@@ -113,6 +129,49 @@ def test_every_coefficient_is_within_its_sigma() -> None:
         assert np.abs(pulls.mean(axis=0)).max() * np.sqrt(RUNS) < farthest, "nor is the mean off"
 
 
+@cache
+def late_runs() -> tuple[Fit, ...]:
+    methods = ("linear", "forward", "scalar")
+    return tuple(fit_of(late_flown(seed), method=methods[seed % 3], driver=["all"]) for seed in range(50, 50 + RUNS))
+
+
+def test_a_late_field_is_found_late_and_its_size_within_its_covariance() -> None:
+    """e' C^-1 e of six coefficients over the runs, both ways, with 1 - 1e-4; a switch shows to the spacing of rows."""
+    total = 0.0
+    for fit in late_runs():
+        found = fit.calibration.telemetry_bias
+        assert list(found) == list(K)
+        payload, array = found["driver_payload"], found["driver_array"]
+        assert 30.0 < payload.delay_s <= 45.0 and payload.lag_s < 5.0
+        assert abs(array.delay_s + array.lag_s - 120.0) < 60.0
+        error = error_of_drivers(fit)
+        total += float(error @ np.linalg.solve(fit.driver_covariance, error))
+    low, high = chi2.ppf([ALARM / 2.0, 1.0 - ALARM / 2.0], 6 * RUNS)
+    assert low < total < high, total / 6 / RUNS
+
+
+def test_a_field_that_is_not_late_is_not_called_late() -> None:
+    """At most one of these 16 columns: by chance one in a hundred is."""
+    found = [fit_of(flown(seed), driver=["all"]).calibration.telemetry_bias for seed in range(8)]
+    assert sum(bool(one.delay_s or one.lag_s) for biases in found for one in biases.values()) <= 1
+
+
+def test_columns_are_heard_through_errors_of_the_attitude() -> None:
+    """Weighted by what the errors are: half the sigmas of least squares at least, which the white covariance leaves."""
+    scenario = parse_scenario(scenario_text(SECTIONS, seed=9, segment=f"samples = {ROWS}, step_s = {STEP_S}"))
+    record, _ = simulate(scenario.updated({"torquers.activity": "off", "attitude.reference.sigma_deg": 0.3}))
+    switch = (np.arange(ROWS) % 113 < 45).astype(float)
+    k = np.array([60.0, -40.0, 25.0])
+    record = record.replace(mag_B_nT=record.mag_B_nT + np.outer(switch, k), drivers={"switch": switch})
+    errors = [
+        np.abs(
+            fit_of(record, driver=["switch"], covariance=kind).calibration.telemetry_bias["driver_switch"].value_nT - k
+        )
+        for kind in ("blocks", "white")
+    ]
+    assert errors[0].max() < 0.5 * errors[1].max()
+
+
 def test_an_axis_against_a_current_alone_takes_the_attitude_for_a_field() -> None:
     """The negative control: the same columns and readings, without the reference."""
     record = flown(0)
@@ -121,6 +180,21 @@ def test_an_axis_against_a_current_alone_takes_the_attitude_for_a_field() -> Non
         x = np.column_stack([np.ones(ROWS), column])
         found = np.linalg.lstsq(x, record.mag_B_nT, rcond=None)[0]
         assert np.abs(found[1] - k).max() > 50.0 * np.abs(k).max()
+
+
+def test_what_is_late_is_applied_late_also_from_its_file(tmp_path: Path) -> None:
+    record = late_flown(50)
+    known = Calibration(S, B_NT, telemetry_bias={name: TelemetryBias(K[name], np.zeros(3), *LATE[name]) for name in K})
+    held = Calibration.from_toml(known.to_toml(tmp_path / "c.toml"))
+    at_once = dataclasses.replace(
+        known,
+        telemetry_bias={
+            name: dataclasses.replace(one, delay_s=0.0, lag_s=0.0) for name, one in known.telemetry_bias.items()
+        },
+    )
+    wanted = apply_calibration(flown(50), at_once).mag_B_nT
+    assert np.abs(apply_calibration(record, held).mag_B_nT - wanted).max() < 1e-9
+    assert np.abs(apply_calibration(record, at_once).mag_B_nT - wanted).max() > 50.0
 
 
 @pytest.mark.parametrize("method", ["linear", "forward", "scalar"])

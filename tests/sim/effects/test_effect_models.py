@@ -11,6 +11,7 @@ import pytest
 from scipy.integrate import trapezoid
 from scipy.spatial.transform import Rotation
 
+from fluxtwin.sim.base.late import low_pass, restarts
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field_models import load_field
@@ -19,7 +20,7 @@ from fluxtwin.sim.effects.calibration import ScaleMisalignment
 from fluxtwin.sim.effects.chain import Chain
 from fluxtwin.sim.effects.digits import BitErrors, CoarseQuantization
 from fluxtwin.sim.effects.drivers import STANDARD_SWING_K, orbital_period_s, temperature_K
-from fluxtwin.sim.effects.history import low_pass, play, restarts
+from fluxtwin.sim.effects.history import play
 from fluxtwin.sim.effects.response import CubicNonlinearity, Hysteresis, QuadraticNonlinearity, SensorLag
 from fluxtwin.sim.effects.signal import Setting, Signal
 from fluxtwin.sim.effects.spacecraft_field import EddyCurrent, SolarArrayCurrent, TorquerCoupling, WheelField

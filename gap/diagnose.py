@@ -4,23 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from fluxtwin.gap.channels.momentum_arcs import Craft
 from fluxtwin.gap.channels.sun_nadir import Channel
+from fluxtwin.gap.channels.two_magnetometers import Apart, Cause, apart
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.full_rate import MOST_ROWS as MOST_ROWS_FAST
 from fluxtwin.gap.detectors.full_rate import full_rate
 from fluxtwin.gap.detectors.noise_level import floor_noise, stochastic_nT
 from fluxtwin.gap.detectors.proposals import coarse, in_the_readings
-from fluxtwin.gap.detectors.residual_structure import residual_structure
+from fluxtwin.gap.detectors.residual_structure import judge, residual_structure
 from fluxtwin.gap.held_out.held_out import Fitted, Prediction, floor_rms_nT, one_step, predict_blocks
 from fluxtwin.gap.hypotheses.blocks import Block, blocks
-from fluxtwin.gap.hypotheses.candidates import candidates
-from fluxtwin.gap.hypotheses.evidence import Dictionary
+from fluxtwin.gap.hypotheses.candidates import candidates, derivatives
+from fluxtwin.gap.hypotheses.evidence import Dictionary, fit_all
 from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign
 from fluxtwin.gap.law.found import closed_by, law_of
+from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.budget import prior_of
 from fluxtwin.gap.noise.choice import NoiseModel, choose_noise, complete_budget, whitener_of
 from fluxtwin.gap.posterior.explanations import Answer, noise_and_answer
@@ -38,6 +41,7 @@ from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth.field_models import FieldModel
+from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -104,6 +108,10 @@ def diagnose(
     if answer.robust.components_cut:
         facts["outliers"] = words.outliers(problem.time, answer.robust.cut)
         notes.append(words.outliers(problem.time, answer.robust.cut))
+    if work.apart is not None:
+        gone = [name for name, why in problem.ruled_out.items() if why in (words.DENIED_SENSOR, words.DENIED_SHARED)]
+        facts["two_magnetometers"] = {"apart_nT": work.apart.rms_nT, "noise_nT": work.apart.noise_nT, "ruled_out": gone}
+        notes += [f"{name} would explain the readings, but {problem.ruled_out[name]}: ruled out" for name in gone]
     notes += [] if new == 1 else [words.repeated_rounding(new)]
     notes += [] if every == 1 else [words.thinned(every, MOST_ROWS_FAST)]
     if work.angle is not None:
@@ -135,10 +143,34 @@ def _with_law(work: Work, found: Diagnosis, progress: Progress) -> Diagnosis:
 
 
 def _ruled_out(work: Work, channel: Channel | None) -> dict[str, str]:
-    """{name: why} of effects that the momentum, or the angle between sun and nadir, newly rules out."""
+    """{name: why} of effects that the momentum, the sun-nadir angle or a second magnetometer newly rules out."""
     by_angle = {} if channel is None else second_channel.ruled_out(work.standing, channel)
-    found = {**work.momentum.ruled_out, **by_angle}
+    found = {**work.momentum.ruled_out, **by_angle, **_denied(work)}
     return {name: why for name, why in found.items() if name not in work.problem.ruled_out}
+
+
+def _denied(work: Work) -> dict[str, str]:
+    """{name: why} of named effects, and of what might be in their places, that two magnetometers deny."""
+    if work.apart is None or not work.in_readings:
+        return {}
+    problem, result = work.problem, work.answer.result
+    every = [*problem.frozen, *result.modelled, *result.chosen]
+    whole = problem.residual_of(every)
+    readings = projected(work.answer.whitener, whole, work.answer.alone_nT)
+    columns = {own[0].name: derivatives(problem, [own]) for own in result.chosen}
+    gone: dict[str, str] = {}
+    for place, (effect, _) in enumerate(result.chosen):
+        missing = len(every) - len(result.chosen) + place
+        image_nT = problem.residual_of([*every[:missing], *every[missing + 1 :]]) - whole
+        others = [one for name, one in columns.items() if name != effect.name]
+        named = next(one for one in work.in_readings if one.name == effect.name)
+        for name in {effect.name, *named.group, *(rival for rival, _ in named.rivals)}:
+            stage = find_effect(name).stage
+            likely = [one.jacobian for one in result.candidates if one.name == name and one.live.any()]
+            trials = [columns[name]] if name == effect.name else likely
+            if trials and all(work.apart.denies(readings, Cause(stage, one, image_nT), others) for one in trials):
+                gone[name] = words.DENIED_SENSOR if stage == "sensor" else words.DENIED_SHARED
+    return gone
 
 
 def investigate(
@@ -177,7 +209,9 @@ def investigate(
     findings = in_the_readings(*rows, answer.left.structured, found)
     flexible = tuple(one for one in findings if one.confirmed)
     attitude_would_do_rad = _attitude_would_do(problem, answer, dictionary)
-    place = _place(problem, answer, dictionary)
+    between = apart(problem)
+    differ = None if between is None else judge(problem, between.left, fit_all(dictionary, between.left))
+    place = _place(problem, answer, dictionary, between)
     progress("how far", 0.9)
     return Work(
         problem=problem,
@@ -188,6 +222,8 @@ def investigate(
         prediction=_prediction(problem, answer, flexible, declared_lsb_nT),
         momentum=balanced(problem, craft, answer.whitener, result, answer.fitted_nT),
         attitude_would_do_rad=attitude_would_do_rad,
+        apart=between,
+        differ=differ,
     )
 
 
@@ -258,15 +294,15 @@ def _require_rows(problem: Problem) -> None:
         )
 
 
-def _place(problem: Problem, answer: Answer, dictionary: Sequence[Block]) -> Place:
+def _place(problem: Problem, answer: Answer, dictionary: Sequence[Block], between: Apart | None) -> Place:
     """Of the whole gap where it is explained, of the rest where structure remains that is not."""
     result, whitener = answer.result, answer.whitener
+    open_ = bool(result.named) or answer.left.structured
+    other = None if between is None or not open_ else between.left
+    look = partial(where, problem, whitener, found=dictionary, apart=other)
     if result.named and answer.known < 0.5:
-        return where(problem, whitener, result.residual_nT, answer.fitted_nT, found=dictionary).place
-    found = where(
-        problem, whitener, result.residual_alone_nT, answer.alone_nT, found=dictionary, candidates=result.candidates
-    )
-    return found.place
+        return look(result.residual_nT, answer.fitted_nT).place
+    return look(result.residual_alone_nT, answer.alone_nT, candidates=result.candidates).place
 
 
 def _prediction(

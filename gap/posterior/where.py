@@ -12,12 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Protocol
 
 import numpy as np
 from scipy.special import expit, softmax
 
+from fluxtwin.gap.channels.two_magnetometers import OWN_STAGES
 from fluxtwin.gap.detectors.residual_structure import step
 from fluxtwin.gap.hypotheses.blocks import STAGES, Block, blocks, step_block
 from fluxtwin.gap.hypotheses.evidence import BlockFit, fit, fit_all
@@ -26,7 +27,7 @@ from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.records.diagnosis import Place
 from fluxtwin.gap.selection.criterion import THRESHOLD, penalty
 from fluxtwin.gap.selection.groups import ALIKE
-from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import STAGES as ALL_STAGES
 from fluxtwin.sim.effects.base import Effect
 
@@ -79,10 +80,23 @@ class Where:
 class _Hypothesis:
     fit: BlockFit
     stage: str
-    drop: float
-    """Of chi-square, for a residual of unit variance."""
-    rank: int
+    seen: tuple[BlockFit, ...]
+    """In each channel, for residuals of unit variance."""
     prior: float
+
+    @cached_property
+    def drop(self) -> float:
+        """Of chi-square."""
+        return self.explained()[0]
+
+    @cached_property
+    def rank(self) -> int:
+        return self.explained()[1]
+
+    def explained(self, columns: BoolArray | None = None) -> tuple[float, int]:
+        """In all channels together."""
+        every = [one.explained(columns) for one in self.seen]
+        return sum(drop for drop, _ in every), sum(rank for _, rank in every)
 
 
 def where(
@@ -93,15 +107,27 @@ def where(
     *,
     found: Sequence[Block] | None = None,
     candidates: Iterable[HasJacobian] = (),
+    apart: ProjectedResidual | None = None,
 ) -> Where:
     """Find the place of the largest part of a residual.
 
     residual_nT (N, 3), fitted (N, 3, q): as for `residual_structure`, with only the calibration fitted if the place of
-    the whole gap is asked for. found: blocks made before. candidates: catalogue effects, which join as hypotheses.
+    the whole gap is asked for. found: blocks made before. candidates: catalogue effects, which join as hypotheses. apart:
+    the difference of two magnetometers, if there are two.
     """
     left = projected(whitener, residual_nT, fitted)
-    fits = fit_all(blocks(problem) if found is None else found, left)
-    return locate(left, [*fits, *fit_all(catalogue_blocks(problem, candidates), left), *step_fits(problem, left)])
+    own = catalogue_blocks(problem, candidates)
+    found = blocks(problem) if found is None else found
+    steps = step_fits(problem, left)
+    fits = [*fit_all(found, left), *fit_all(own, left), *steps]
+    if apart is None:
+        return locate(left, fits)
+    others = [
+        *fit_all(found, apart),
+        *fit_all(own, apart),
+        *(replace(fit(one.block, apart), searched=1) for one in steps),
+    ]
+    return locate(left, fits, (apart, others))
 
 
 def step_fits(problem: Problem, left: ProjectedResidual) -> list[BlockFit]:
@@ -110,9 +136,13 @@ def step_fits(problem: Problem, left: ProjectedResidual) -> list[BlockFit]:
     return [replace(fit(step_block(problem, moment_s), left), searched=1)]
 
 
-def locate(left: ProjectedResidual, fits: Sequence[BlockFit]) -> Where:
-    """As `where`, from fits that are at hand."""
-    hypotheses = _hypotheses(left, fits)
+def locate(
+    left: ProjectedResidual,
+    fits: Sequence[BlockFit],
+    apart: tuple[ProjectedResidual, Sequence[BlockFit]] | None = None,
+) -> Where:
+    """As `where`, from fits that are at hand; apart: the difference of two magnetometers, and fits of the same blocks."""
+    hypotheses = _hypotheses(left, fits, apart)
     if not hypotheses:
         return Where(None, None, None, None, (), {name: {_NOTHING: 1.0} for name in _QUESTIONS}, 0.0, "no claim")
     drops, ranks = (np.array([getattr(h, name) for h in hypotheses], dtype=np.float64) for name in ("drop", "rank"))
@@ -133,6 +163,8 @@ def locate(left: ProjectedResidual, fits: Sequence[BlockFit]) -> Where:
     axis, frame, condition = (_likeliest(within[name]) for name in ("axis", "frame", "condition"))
     own = hypotheses[int(np.argmax(np.where(there, weight, -1.0)))].fit
     same = _equivalent(left, at, own, fits)
+    if apart is not None:
+        same = tuple(name for name in same if (name in OWN_STAGES) == (at in OWN_STAGES))
     return Where(at, axis, frame, condition, same, probabilities, claim, own.block.label)
 
 
@@ -175,23 +207,48 @@ def _axis_of(name: str) -> str:
     return name[-1] if len(name) > 1 and name[-2] == "_" and name[-1] in "xyz" else " "
 
 
-def _hypotheses(left: ProjectedResidual, fits: Sequence[BlockFit]) -> list[_Hypothesis]:
+def _hypotheses(
+    left: ProjectedResidual,
+    fits: Sequence[BlockFit],
+    apart: tuple[ProjectedResidual, Sequence[BlockFit]] | None = None,
+) -> list[_Hypothesis]:
     """Each fit at each of its stages; priors sum to 1."""
-    seen = [(one, *one.explained()) for one in fits]
-    seen = [(one, gain, rank) for one, gain, rank in seen if 0 < rank < left.degrees - 5]
+    there = [0 < one.explained()[1] < left.degrees - 5 for one in fits]
+    seen = [one for one, kept in zip(fits, there, strict=True) if kept]
     if not seen:
         return []
-    _, most, rank = max(seen, key=lambda each: each[1])
-    variance = max((left.energy - most) / (left.degrees - rank), 1e-300)
+    scaled = _of_unit_variance(left, seen)
+    others: Sequence[BlockFit | None] = [None] * len(seen)
+    if apart is not None:
+        others = _of_unit_variance(apart[0], [one for one, kept in zip(apart[1], there, strict=True) if kept])
     total: dict[str, float] = {}
-    for one, _, _ in seen:
+    for one in seen:
         for stage, part in one.block.stages.items():
             total[stage] = total.get(stage, 0.0) + one.block.prior * part
     return [
-        _Hypothesis(one, stage, gain / variance, rank, one.block.prior * part / total[stage] / len(total))
-        for one, gain, rank in seen
+        _Hypothesis(one, stage, _seen(stage, unit, other), one.block.prior * part / total[stage] / len(total))
+        for one, unit, other in zip(seen, scaled, others, strict=True)
         for stage, part in one.block.stages.items()
     ]
+
+
+def _of_unit_variance(left: ProjectedResidual, fits: Sequence[BlockFit]) -> list[BlockFit]:
+    """Fits to a residual whose variance is what the best of them leaves."""
+    most, rank = max((one.explained() for one in fits), key=lambda each: each[0])
+    variance = max((left.energy - most) / max(left.degrees - rank, 1), 1e-300)
+    return [
+        replace(one, gram=one.gram / variance, moment=one.moment / variance, size=one.size / variance) for one in fits
+    ]
+
+
+def _seen(stage: str, one: BlockFit, other: BlockFit | None) -> tuple[BlockFit, ...]:
+    """A block at a stage, in readings and in the difference of two magnetometers: what both share is in the first alone,
+    what the sensor does in both alike, what the spacecraft does in the second by another amount."""
+    if other is None or stage not in OWN_STAGES:
+        return (one,)
+    if stage == "spacecraft":
+        return (one, replace(other, searched=0))
+    return (replace(one, gram=one.gram + other.gram, moment=one.moment + other.moment, size=one.size + other.size),)
 
 
 def _axes(hypotheses: Sequence[_Hypothesis], weight: FloatArray, wider: float, samples: float) -> dict[str, float]:
@@ -205,10 +262,7 @@ def _axes(hypotheses: Sequence[_Hypothesis], weight: FloatArray, wider: float, s
             if len(present) == 1:
                 axes = {present[0]: axes["all"]}
             else:
-                variance = one.fit.explained()[0] / one.drop
-                for letter in present:
-                    gain, rank = one.fit.explained(letters == letter)
-                    axes[letter] = (gain / variance, rank)
+                axes |= {letter: one.explained(letters == letter) for letter in present}
         drops, ranks = np.array(list(axes.values())).T
         drops = drops / wider
         keys += axes

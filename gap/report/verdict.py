@@ -13,8 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from fluxtwin.gap.channels.two_magnetometers import OWN_STAGES, Apart
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.proposals import expected
+from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.held_out.held_out import Prediction
 from fluxtwin.gap.posterior.explanations import Answer
 from fluxtwin.gap.posterior.torques import Momentum
@@ -55,6 +57,10 @@ class Work:
     """Size of an attitude error, 1 sigma per axis, that makes all the structure of the residual; None where none does."""
     angle: Angle | None = None
     """The angle between sun and nadir; None where it is not measured."""
+    apart: Apart | None = None
+    """The difference of two magnetometers; None where there is one."""
+    differ: Structure | None = None
+    """Of that difference."""
 
     @cached_property
     def known(self) -> float:
@@ -190,7 +196,10 @@ def _sentence(work: Work, found: _Conclusion, where: Place, gap: Shrinkage, rese
             others = _sentence(work, replace(found, fault=None), where, gap, resembles)
         return work.angle.said(others, gap.before_nT)
     if found.verdict == "no_gap":
-        return words.no_gap(gap, work.attitude_would_do_rad)
+        said = words.no_gap(gap, work.attitude_would_do_rad)
+        if work.apart is None or work.differ is None or not work.differ.structured:
+            return said
+        return f"{said} {words.differ(work.differ, work.apart.rms_nT, work.apart.noise_nT)}"
     if found.verdict == "unknown":
         what = _what(work, where) if found.beyond is None else found.beyond.words
         return words.unexplained(what, where, resembles)
@@ -279,6 +288,8 @@ def _where(work: Work, effects: Sequence[FoundEffect]) -> Place:
     first = effects[0]
     alike = [find_effect(name) for name in first.group]
     equivalent = sorted({*alike[0].equivalent_stages, *(one.stage for one in alike), *place.equivalent} - {first.stage})
+    if work.apart is not None:  # it separates what both magnetometers share from what they do not
+        equivalent = [name for name in equivalent if (name in OWN_STAGES) == (first.stage in OWN_STAGES)]
     return place_of(first, place.probabilities, equivalent)
 
 

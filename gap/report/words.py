@@ -15,6 +15,8 @@ from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.switched_field import SwitchedField
 
 SHAPE_INCOMPLETE = "a smaller structure remains"
+DENIED_SENSOR = "the two magnetometers do not differ by it"
+DENIED_SHARED = "the two magnetometers differ, which nothing that both share can make"
 UNEXPLAINED = "the catalogue does not explain all of the gap"
 
 
@@ -29,6 +31,14 @@ def no_gap(gap: Shrinkage, attitude_would_do_rad: float | None) -> str:
         "No gap that these data can distinguish from an error of the reference attitude of "
         f"{np.degrees(attitude_would_do_rad):.2g} deg, which was not declared: the structure of the residual lies across "
         "the field, as that of such an error does, and none lies along it."
+    )
+
+
+def differ(between: Structure, rms_nT: float, noise_nT: float) -> str:
+    """Where one magnetometer has no gap, and the other reads something else."""
+    return (
+        f"The two magnetometers differ, however, by {rms_nT:.1f} nT rms per component beside a calibration of each, where "
+        f"their noise gives {noise_nT:.1f} nT: {between.words}. Ask the second with --magnetometer 2."
     )
 
 

@@ -206,6 +206,26 @@ def test_a_gyro_tells_a_spin_that_the_attitudes_are_too_far_apart_for() -> None:
     assert moved(told, law, t, 9.0, inside) < 0.15
 
 
+def test_a_gyro_shows_a_wobble_that_the_attitudes_are_too_far_apart_for() -> None:
+    """130 deg a step: a course through the attitudes alone meets them all, and is another one between them."""
+    law = coning(0.19, 0.7, 1.46)
+    t = 12.0 * np.arange(400.0)
+    stamps = START + (t * 1e9).astype("timedelta64[ns]")
+    error = Rotation.from_rotvec(gauss_markov(stamps, np.radians(0.05), 270.0, np.random.default_rng(3), columns=3))
+    gyro = -(law(t + 1e-3) * law(t - 1e-3).inv()).as_rotvec() / 2e-3
+    inside = slice(20, -20)
+    for offset_s in (-1.2, 3.0):
+        blind, seeing = (moved(recorded(t, error * law(t), rate), law, t, offset_s, inside) for rate in (None, gyro))
+        assert seeing < 0.02
+        assert blind > 2.0 * seeing
+
+
+def test_a_gyro_in_wrong_units_is_not_believed() -> None:
+    law, t = LAWS["tumble"], uneven(20.0)
+    gyro = -(law(t + 1e-3) * law(t - 1e-3).inv()).as_rotvec() / 2e-3
+    assert moved(recorded(t, law(t), np.degrees(gyro)), law, t, 5.0, slice(20, -20)) < 1e-4
+
+
 def test_a_poor_gyro_is_not_believed() -> None:
     law = LAWS["tumble"]
     t = uneven(20.0)

@@ -1,0 +1,138 @@
+"""What two magnetometers read apart, beside a calibration of each.
+
+Field, orbit, attitude and clock are the same for both: an error of theirs is not in the difference of the readings. What
+one sensor does is in it as it stands, what the spacecraft does by as much as the two places differ. No error of the
+attitude reaches the difference, so it sees what a reading alone hides, and it separates stages that a reading cannot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fluxtwin.gap.hypotheses.candidates import derivatives
+from fluxtwin.gap.linear.projection import SHARE_LEFT, ProjectedResidual, orthonormal, projected
+from fluxtwin.gap.noise.robust_rows import CUT_SIGMA, standing_out
+from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.gap.selection.criterion import SHAPE, THRESHOLD
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+
+_CALIBRATION = ("bias", "scale_misalignment")
+OWN_STAGES = ("spacecraft", "sensor")
+"""Stages that are not the same for both."""
+_FEWEST_ROWS = 50
+"""Of which both have a reading: four for each of the twelve parameters of a relative calibration."""
+
+
+@dataclass(frozen=True)
+class _White:
+    """White noise of each axis, over the rows that both sensors have."""
+
+    sigma_nT: FloatArray
+    kept: BoolArray
+    """(N, 3)"""
+
+    @property
+    def measured(self) -> int:
+        return int(self.kept.sum())
+
+    def apply(self, columns: FloatArray) -> FloatArray:
+        scale = np.where(self.kept, 1.0 / self.sigma_nT, 0.0)
+        return columns * (scale if columns.ndim == 2 else scale[:, :, None])
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """An effect that would explain the first magnetometer's readings."""
+
+    stage: str
+    columns_nT: FloatArray
+    """(N, 3, p) derivative by its parameters."""
+    image_nT: FloatArray
+    """(N, 3) what is to be explained."""
+
+
+@dataclass(frozen=True, eq=False)
+class Apart:
+    """The first magnetometer's readings less the second's."""
+
+    left: ProjectedResidual
+    """Whitened, beside the relative calibration."""
+    rms_nT: float
+    """Of what that calibration leaves, per component."""
+    noise_nT: float
+    """What the noise of both gives, per component."""
+
+    def denies(self, readings: ProjectedResidual, cause: Cause, others_nT: Sequence[FloatArray]) -> bool:
+        """Whether the difference denies a cause: one of the sensor must be in it as it is in the first one's readings, one
+        that both share must not; of the spacecraft it may be there or not.
+
+        readings: what the cause was found in, beside what is re-estimated; others_nT: columns (N, 3, p) of other causes.
+        A size that readings alone give is as unsure as their attitude: so the cause is fitted to both at once, and weighed
+        by the criterion.
+        """
+        gram, moment = _products(readings, cause.columns_nT, others_nT, cause.image_nT)
+        its_gram, its_moment = _products(self.left, cause.columns_nT, others_nT, None)
+        shared, own = _explained(gram, moment), _explained(gram + its_gram, moment + its_moment)
+        for_own = (own - shared) / (1.0 + SHAPE * max(shared, own))
+        return cause.stage != "spacecraft" and (-for_own if cause.stage == "sensor" else for_own) > THRESHOLD
+
+
+def _products(
+    left: ProjectedResidual, columns_nT: FloatArray, others_nT: Sequence[FloatArray], image_nT: FloatArray | None
+) -> tuple[FloatArray, FloatArray]:
+    """Gram matrix of a cause's columns beside the others', and their products with an image, or with what is left."""
+    columns, _ = left.project(columns_nT)
+    target = left.residual if image_nT is None else left.project(image_nT[:, :, None])[0][:, 0]
+    if others_nT:
+        basis = orthonormal(left.project(np.concatenate(others_nT, axis=2))[0])
+        columns = columns - basis @ (basis.T @ columns)
+    return columns.T @ columns, columns.T @ target
+
+
+def _explained(gram: FloatArray, moment: FloatArray) -> float:
+    """Drop of chi-square."""
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    value, vector = np.linalg.eigh(gram / size / size[:, None])
+    seen = value > SHARE_LEFT
+    along = vector[:, seen].T @ (moment / size)
+    return float(np.sum(along**2 / value[seen]))
+
+
+def apart(problem: Problem) -> Apart | None:
+    """The difference of the two magnetometers; None where there are too few rows that have both."""
+    first, second = np.asarray(problem.telemetry.mag_B_nT), problem.telemetry.mag2_B_nT
+    if second is None:
+        return None
+    both: BoolArray = np.asarray(np.isfinite(second).all(axis=1))
+    if both.sum() < _FEWEST_ROWS:
+        return None
+    difference = np.where(both[:, None], first - second, 0.0)
+    relative = _relative(problem.design.signal([*problem.frozen, *problem.modelled_active]).field_B_nT)
+    # That field has the errors of the attitude in it, by which the two readings differ as far as their S do.
+    size, *_ = np.linalg.lstsq(relative[both].reshape(-1, 12), difference[both].reshape(-1), rcond=None)
+    difference[both] -= problem.residual_nT[both] @ size[:9].reshape(3, 3).T
+    beside = [one for one in problem.modelled_active if one[0].name not in _CALIBRATION]
+    beside += [one for one in problem.frozen if one[0].stage in OWN_STAGES]
+    fitted = np.concatenate([relative, derivatives(problem, beside)], axis=2)
+    kept = np.repeat(both[:, None], 3, axis=1)
+    for _ in range(2):  # with the outliers, and without
+        rest = projected(_White(np.ones(3), kept), difference, fitted).residual.reshape(-1, 3)
+        kept = kept & (standing_out(rest, measured=kept) <= CUT_SIGMA)
+    sigma_nT = np.array([_of_steps(rest[there, axis]) for axis, there in enumerate(kept.T)])
+    left = projected(_White(sigma_nT, kept), difference, fitted)
+    rms_nT = float(np.sqrt(np.sum(rest[kept] ** 2) / left.degrees))
+    return Apart(left, rms_nT, float(np.sqrt(np.mean(sigma_nT**2))))
+
+
+def _relative(field_B_nT: FloatArray) -> FloatArray:
+    """(N, 3, 12) what S and b of one magnetometer against the other make of a field (N, 3): by S row by row, and b."""
+    turned = np.einsum("ac,nb->nacb", np.eye(3), field_B_nT).reshape(len(field_B_nT), 3, 9)
+    return np.concatenate([turned, np.broadcast_to(np.eye(3), (len(field_B_nT), 3, 3))], axis=2)
+
+
+def _of_steps(values: FloatArray) -> float:
+    """1 sigma of the noise of a series, from its steps from row to row: what is slow has no part in them."""
+    return max(float(np.std(np.diff(values)) / np.sqrt(2.0)), 1e-6)

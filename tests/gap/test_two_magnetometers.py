@@ -1,0 +1,96 @@
+"""A second magnetometer separates what both share (clock, orbit, field, attitude) from what one of them has.
+
+The witness is the simulator: effects of the sensor reach the first alone, those of clock and orbit both. The names are
+ones that a nadir-pointing record confuses: a lag of the sensor and a position ahead of the true one.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fluxtwin
+from fluxtwin.gap.channels.two_magnetometers import apart
+from fluxtwin.gap.problem.problem import pose
+from fluxtwin.sim.earth.field_models import load_field
+from fluxtwin.sim.telemetry.record import Telemetry
+
+pytestmark = pytest.mark.closure
+NOISE_NT, LSB_NT = 20.0, 10.0
+SECOND = {"b_nT": [-4000.0, 2500.0, 900.0], "noise_nT": NOISE_NT, "lsb_nT": LSB_NT, "spacecraft_field_factor": 0.3}
+WANDERING = {"kind": "gauss_markov", "rms_nT": 60.0, "tau_s": 900.0}
+FIRST = {"b_nT": [1500.0, -800.0, 300.0], "noise_nT": NOISE_NT, "lsb_nT": LSB_NT}
+SEGMENT = {"start_utc": "2026-03-01T00:00:00Z", "duration_min": 300.0, "step_s": 20.0}
+SHARED, OWN = {"time", "orbit", "field", "attitude"}, {"sensor", "spacecraft"}
+
+
+def flown(**changes: Any) -> Telemetry:
+    scenario = fluxtwin.load_scenario("cubesat")
+    everything: dict[str, Any] = {"seed": 5, "torquers": None, "magnetometer": FIRST, "magnetometer_2": SECOND}
+    everything["schedule.segments"] = [SEGMENT]
+    return fluxtwin.simulate(scenario.updated(everything | changes))[0]
+
+
+@pytest.fixture(scope="module")
+def ahead() -> Telemetry:
+    return flown(effects={"along_track_error": {"ahead_km": 40.0}})
+
+
+def test_what_both_share_is_no_fault_of_the_sensor(ahead: Telemetry) -> None:
+    alone, both = fluxtwin.diagnose(ahead.replace(mag2_B_nT=None)), fluxtwin.diagnose(ahead)
+    assert "sensor_lag" in alone.effects[0].group
+    assert "along_track_error" in both.effects[0].group
+    assert "sensor_lag" not in both.effects[0].group
+    assert both.untestable["sensor_lag"].endswith("the two magnetometers do not differ by it")
+    assert sum(both.where.probabilities["stage"][name] for name in OWN) < 0.05
+    assert set(both.where.equivalent) <= SHARED
+
+
+def test_a_fault_of_the_sensor_is_nothing_that_both_share() -> None:
+    late = flown(effects={"sensor_lag": {"lag_s": 2.0}})
+    alone, both = fluxtwin.diagnose(late.replace(mag2_B_nT=None)), fluxtwin.diagnose(late)
+    assert {"along_track_error", "time_tag_offset"} <= set(alone.effects[0].group)
+    assert both.effects[0].group == ("sensor_lag",)
+    assert both.where.stage == "sensor"
+    assert sum(both.where.probabilities["stage"][name] for name in SHARED) < 0.05
+    assert any("time_tag_offset" in note and "ruled out" in note for note in both.notes)
+
+
+def test_a_response_of_many_parameters_is_not_denied_for_what_readings_cannot_fit() -> None:
+    bent = flown(effects={"cubic_nonlinearity": {"c_z_xxz_nT": 400.0}})
+    found = fluxtwin.diagnose(bent)
+    assert [one.name for one in found.effects] == ["cubic_nonlinearity"]
+
+
+def test_what_nothing_explains_lies_where_one_magnetometer_alone_has_it() -> None:
+    found = fluxtwin.diagnose(flown(magnetometer=FIRST | {"unknown": WANDERING | {"tau_s": 200.0}}))
+    assert found.verdict == "unknown"
+    assert found.where.stage in OWN
+    assert set(found.where.equivalent) <= OWN
+
+
+def test_the_second_s_own_disturbance_is_said_and_is_no_gap_of_the_first() -> None:
+    found = fluxtwin.diagnose(flown(magnetometer_2=SECOND | {"unknown": WANDERING}))
+    assert found.verdict == "no_gap"
+    assert "The two magnetometers differ" in found.sentence
+    assert "--magnetometer 2" in found.sentence
+
+
+def test_two_good_magnetometers_differ_by_the_noise_of_both() -> None:
+    good = flown()
+    found = fluxtwin.diagnose(good)
+    assert found.verdict == "no_gap"
+    assert "differ" not in found.sentence
+    expected_nT = np.sqrt(2.0 * (NOISE_NT**2 + LSB_NT**2 / 12.0))
+    spread_nT = expected_nT / np.sqrt(2.0 * 3.0 * len(good))  # 1 sigma of a standard deviation
+    assert abs(found.provenance["two_magnetometers"]["apart_nT"] - expected_nT) < 4.0 * spread_nT
+
+
+def test_a_second_magnetometer_that_hardly_reads_says_nothing(ahead: Telemetry) -> None:
+    second = np.array(ahead.mag2_B_nT)
+    second[40:] = np.nan
+    assert apart(pose(ahead.replace(mag2_B_nT=second), load_field("igrf14"))) is None
+    assert apart(pose(ahead.replace(mag2_B_nT=None), load_field("igrf14"))) is None
+    assert apart(pose(ahead, load_field("igrf14"))) is not None

@@ -5,47 +5,91 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from fluxtwin.calib.common.calibration_file import calibration_text
 from fluxtwin.calib.common.digits import plain, with_sigma
 from fluxtwin.calib.common.direction import CONFIDENCE
 from fluxtwin.calib.common.fit import Fit
+from fluxtwin.calib.common.onboard import for_record
 from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
+from fluxtwin.sim.base.seals import FORMAT, sealed
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from fluxtwin.plots.time_series import TimeSeries
 
 
-def calibration_page(fit: Fit, title: str, *, next_step: str, command: str, refused: bool = False) -> Page:
+def calibration_page(
+    fit: Fit, title: str, *, next_step: str, command: str, record: Telemetry | None = None, refused: bool = False
+) -> Page:
     """The page of one calibration.
 
-    next_step: with the names of the files; command: what repeats it; refused: no calibration file was made of it.
+    next_step: with the names of the files; command: what repeats it; record: the readings that were fitted, all their rows,
+    None where only the residual can be shown; refused: no calibration file was made of it.
     """
     verdict = fit.verdict
     lines = () if verdict is None else verdict.lines
     unseen = list(fit.observability) or ["Everything that was asked for is determined by these data."]
-    caption = (
-        f"Residuals of {len(fit.time)} rows. Crosses: rows set aside as outliers; arrows at the edge: beyond it. "
-        "Right: the distribution of the others, and the normal law of the same rms."
-    )
+    written = {} if refused else {"calibration.toml": calibration_text(fit.calibration)}
     return Page(
         title=title,
         verdict=lines[0] if lines else fit.calibration.method,
+        next_step=next_step,
         sections=[
             PageSection(
                 "What it means",
-                [*lines[1:-1], *(["No calibration file was written."] if refused else []), f"Next: {next_step}"],
+                [*lines[1:-1], *(["No calibration file was written."] if refused else [])],
                 [] if verdict is None or verdict.impossible else [_angles(fit)],
             ),
-            PageSection("Parameters", [], [*comparison_tables(fit), parameter_table(fit), *_bias_tables(fit)]),
-            PageSection("Residuals", [], [_residuals(fit)], [FigureBlock("residuals", caption, residual_figure(fit))]),
+            *_seen(fit, record),
             *_coverage(fit),
+            PageSection("Parameters", [], [*comparison_tables(fit), parameter_table(fit), *_bias_tables(fit)]),
+            *_followed(fit, record),
             PageSection("What these data do not determine", unseen, correlation_tables(fit)),
             PageSection("How it was made", [f"{message}." for message in fit.messages]),
-            PageSection("Repeat it", [command]),
         ],
         provenance={key: value for key, value in _provenance(fit).items() if not (refused and "SHA-256" in key)},
+        command=command,
+        downloads={name: sealed(text, "#", f"format {FORMAT}") for name, text in written.items()},
     )
+
+
+def _seen(fit: Fit, record: Telemetry | None) -> list[PageSection]:
+    """The field as it was measured and predicted, and the residual."""
+    from fluxtwin.evidence import field_block
+
+    if record is None:
+        return [PageSection("Residuals", [], [_residuals(fit)], [_residual_block(fit, None)])]
+    rows = record.select(fit.rows)
+    here = for_record(fit.calibration, rows)
+    corrected = here.apply(rows.mag_B_nT, rows.dipole_B_Am2, recorded_columns(rows))
+    if fit.residuals_nT.shape[1] == 3:
+        predicted = corrected + fit.residuals_nT
+        before = predicted - rows.mag_B_nT
+    else:
+        size = [np.linalg.norm(field, axis=1, keepdims=True) for field in (corrected, rows.mag_B_nT)]
+        predicted = size[0] - fit.residuals_nT
+        before = size[1] - predicted
+    words = (
+        "Measured: readings as they came down. Predicted: the model field, turned by the attitude where there is one."
+    )
+    return [
+        PageSection("Measured and predicted", [], [], [field_block(rows, rows.mag_B_nT, predicted, words)]),
+        PageSection("Residuals", [], [_residuals(fit)], [_residual_block(fit, before)]),
+    ]
+
+
+def _followed(fit: Fit, record: Telemetry | None) -> list[PageSection]:
+    """The residual against what it may follow."""
+    from fluxtwin.evidence import driver_blocks
+
+    left = np.where(kept_rows(fit.weights)[:, None], fit.residuals_nT, np.nan)
+    blocks = [] if record is None else driver_blocks(record.select(fit.rows), {"residual": left})
+    return [PageSection("What the residual follows", [], [], blocks)] if blocks else []
 
 
 def pair_page(first: Page, second: Page, shared: str) -> Page:
@@ -56,10 +100,11 @@ def pair_page(first: Page, second: Page, shared: str) -> Page:
             title=f"The other magnetometer: {section.title[0].lower()}{section.title[1:]}",
             figures=[replace(one, name=f"{one.name}_2") for one in section.figures],
         )
-        for section in second.sections[:-1]
+        for section in second.sections
     ]
-    opening = PageSection("The other magnetometer", [second.verdict, shared])
-    return replace(first, sections=[*first.sections[:-1], opening, *of_second, first.sections[-1]])
+    opening = PageSection("The other magnetometer", [second.verdict, f"Next: {second.next_step}", shared])
+    downloads = {**first.downloads, **{f"2-{name}": text for name, text in second.downloads.items()}}
+    return replace(first, sections=[*first.sections, opening, *of_second], downloads=downloads)
 
 
 def tables(fit: Fit) -> list[Table]:
@@ -95,13 +140,27 @@ def correlation_tables(fit: Fit) -> list[Table]:
     return [Table("most correlated parameters, the worst five", ["pair", "correlation"], rows)] if rows else []
 
 
-def residual_figure(fit: Fit) -> Figure:
-    """The residuals along the record, with the rows set aside marked."""
-    from fluxtwin.plots.calibration_residuals import CalibrationResiduals, draw_calibration_residuals
+def residual_series(fit: Fit, before_nT: FloatArray | None = None) -> TimeSeries:
+    """The residuals along the record, with the rows set aside marked; before_nT: (N, K) those without the calibration."""
+    from fluxtwin.plots.time_series import TimeSeries, residual_panels
 
     aside = ~kept_rows(fit.weights)
-    record = CalibrationResiduals(fit.time, fit.residuals_nT, aside)
-    return draw_calibration_residuals(record, title="Residuals of the calibration")
+    names = "xyz" if fit.residuals_nT.shape[1] == 3 else ("|B|",)
+    title = "Residuals of the calibration" + (f"; {int(aside.sum())} rows set aside" if aside.any() else "")
+    return TimeSeries(title, fit.time, residual_panels(fit.residuals_nT, names, aside, before_nT=before_nT))
+
+
+def _residual_block(fit: Fit, before_nT: FloatArray | None) -> FigureBlock:
+    of = (
+        "model minus calibrated reading"
+        if fit.residuals_nT.shape[1] == 3
+        else "calibrated reading minus model, in size"
+    )
+    caption = (
+        f"Residuals of {len(fit.time)} rows, {of}. Crosses: rows set aside as outliers; arrows at "
+        "the edge: beyond it." + ("" if before_nT is None else " Above: of the readings as they are.")
+    )
+    return FigureBlock("residuals", caption, residual_series(fit, before_nT))
 
 
 def _coverage(fit: Fit) -> list[PageSection]:

@@ -104,7 +104,7 @@ def campaign_page(flown: Campaign, *, command: str) -> Page:
     figure = power_figure(flown)
     caption = (
         "Ticks: runs, above those in which the effect was named. Points: shares with 95 % intervals. Curve: log odds linear "
-        "in the logarithm of the size. Pale line: 90 %."
+        "in the logarithm of the size."
     )
     return Page(
         title=f"{summary['runs']} runs of {summary['name'] or 'a scenario'}",
@@ -114,7 +114,8 @@ def campaign_page(flown: Campaign, *, command: str) -> Page:
             PageSection(
                 "Tables", [], tables(summary), [] if figure is None else [FigureBlock("power", caption, figure)]
             ),
-            PageSection("Repeat it", [command]),
         ],
+        next_step="what is missed at a size that matters needs longer records or other manoeuvres: try them here.",
+        command=command,
         provenance={"seed": str(summary["seed"]), "fingerprint of the plan": flown.plan.fingerprint},
     )

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from fluxtwin.calib.common.digits import measured
 from fluxtwin.gap.records.diagnosis import Diagnosis, Law
 from fluxtwin.gap.report.advice import typical_size
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
+from fluxtwin.sim.base.files import to_json
+from fluxtwin.sim.telemetry.record import Telemetry
 
 _CONFUSED = 0.8  # shares below this are in the JSON
 _RANKED = 6
+_LEAST = 0.01  # probability of a place that is worth a word
 PLAN = "`fluxtwin plan` says what to fly to find out."
 _ALL_TESTED = "Every effect of the catalogue could be tested."
 
 
-def diagnosis_page(diagnosis: Diagnosis, title: str) -> Page:
-    """The page of one diagnosis."""
+def diagnosis_page(diagnosis: Diagnosis, title: str, *, record: Telemetry | None = None, command: str = "") -> Page:
+    """The page of one diagnosis; record: the telemetry that was diagnosed; command: what repeats it."""
     tested_elsewhere = [transfer_table(diagnosis)] if diagnosis.transfers else []
     elsewhere = [PageSection("Where the closed scenario holds", [], tested_elsewhere)] if tested_elsewhere else []
     open_ = [untestable_table(diagnosis)] if diagnosis.untestable else []
@@ -25,17 +30,30 @@ def diagnosis_page(diagnosis: Diagnosis, title: str) -> Page:
     return Page(
         title=title,
         verdict=diagnosis.sentence,
+        next_step=_next_step(diagnosis),
         sections=[
+            _far(diagnosis, record),
             _where(diagnosis),
             _which(diagnosis),
             *_law(diagnosis),
-            _far(diagnosis),
             *elsewhere,
             PageSection("What could not be tested", [] if open_ else [_ALL_TESTED], open_),
             PageSection("What these data could show", [], could),
         ],
         provenance=_provenance(diagnosis),
+        command=command,
+        downloads={"diagnosis.json": to_json(diagnosis.to_dict())},
     )
+
+
+def _next_step(diagnosis: Diagnosis) -> str:
+    if diagnosis.verdict == "no_gap":
+        return "nothing to mend. The tables below say what these data could not have shown."
+    if diagnosis.verdict == "unknown" or any(len(effect.group) > 1 for effect in diagnosis.effects):
+        return "fluxtwin plan, with the same file, says what to fly to find out."
+    if diagnosis.transfers is not None:
+        return "diagnose the telemetry of another day with --scenario and the closed scenario."
+    return "diagnose again with --close CLOSED.toml, and test that scenario on the telemetry of another day."
 
 
 def tables(diagnosis: Diagnosis) -> list[Table]:
@@ -86,11 +104,17 @@ def percent(share: float) -> str:
 def _where(diagnosis: Diagnosis) -> PageSection:
     if diagnosis.verdict == "no_gap":
         return PageSection("Where the gap lies", ["There is none, so no place is shown."])
-    from fluxtwin.plots.gap import draw_where
+    return PageSection("Where the gap lies", where_lines(diagnosis), [places_table(diagnosis)])
 
-    caption = "Probability of each place; those below 1 % are left out, and each set sums to one with none (grey)."
-    block = FigureBlock("gap_where", caption, draw_where(diagnosis))
-    return PageSection("Where the gap lies", where_lines(diagnosis), [], [block])
+
+def places_table(diagnosis: Diagnosis) -> Table:
+    """The likeliest places of each kind; those below 1 % are left out."""
+    rows = []
+    for kind, shares in diagnosis.where.to_dict()["probabilities"].items():
+        likely = sorted(((share, name) for name, share in shares.items() if share >= _LEAST), reverse=True)
+        words = [f"{name} {percent(share)}" for share, name in likely]
+        rows.append([kind, words[0] if words else "", ", ".join(words[1:]) or "nothing else"])
+    return Table("Places by probability", ["", "likeliest", "else"], rows)
 
 
 def _which(diagnosis: Diagnosis) -> PageSection:
@@ -108,15 +132,7 @@ def _which(diagnosis: Diagnosis) -> PageSection:
         shown.append(rivals_table(diagnosis))
     if diagnosis.ranking:
         shown.append(ranking_table(diagnosis))
-    figures = []
-    if len(diagnosis.effects) > 1 or any(effect.rivals for effect in diagnosis.effects):
-        from fluxtwin.plots.gap import draw_which
-
-        caption = "Blue: named effects and how sure each is. Orange, hatched: rivals, less likely."
-        figures = [FigureBlock("gap_which", caption, draw_which(diagnosis))]
-    return PageSection(
-        "Which effect causes it", words or ([] if diagnosis.effects else ["None is named."]), shown, figures
-    )
+    return PageSection("Which effect causes it", words or ([] if diagnosis.effects else ["None is named."]), shown)
 
 
 def _law(diagnosis: Diagnosis) -> list[PageSection]:
@@ -166,25 +182,27 @@ def looked_at_table(law: Law) -> Table:
     )
 
 
-def _far(diagnosis: Diagnosis) -> PageSection:
+def _far(diagnosis: Diagnosis, record: Telemetry | None) -> PageSection:
     figures = []
-    named = bool(diagnosis.effects)
-    if diagnosis.series is not None:
-        from fluxtwin.plots.gap import draw_series, draw_spectra
+    series = diagnosis.series
+    if series is not None:
+        from fluxtwin.evidence import driver_blocks, field_block
+        from fluxtwin.plots.gap import draw_spectra, gap_series
 
-        dots = (
-            "Dots: samples, predicted by an estimate that has not seen them. Lines: their mean in 150 equal stretches."
+        dots = "Dots: samples, predicted by an estimate that has not seen them. Lines: their means in equal stretches."
+        spectra = (
+            "Amplitude of the residual by frequency, rms over the axes and over neighbouring frequencies. "
+            + ("Where the two curves part is what the named effects explain. " if diagnosis.effects else "")
+            + "The level on the right is noise."
         )
-        figures = [
-            FigureBlock("gap_series", dots, draw_series(diagnosis.series)),
-            FigureBlock(
-                "gap_spectra",
-                "Amplitude of the residual by frequency, rms over the axes and over neighbouring frequencies. "
-                + ("Where the two curves part is what the named effects explain. " if named else "")
-                + "The level on the right is noise.",
-                draw_spectra(diagnosis.series),
-            ),
-        ]
+        figures = [FigureBlock("gap_series", dots, gap_series(series))]
+        if record is not None:
+            rows = record.select(np.isin(record.time, series.time))
+            words = "Predicted: the model with what is modelled, re-estimated, before any effect is named."
+            parts = {"before": series.before_nT} | ({"after": series.after_nT} if diagnosis.effects else {})
+            figures = [field_block(rows, rows.mag_B_nT, rows.mag_B_nT - series.before_nT, words), *figures]
+            figures += driver_blocks(rows, parts)
+        figures.append(FigureBlock("gap_spectra", spectra, draw_spectra(series)))
     return PageSection("How far it shrinks", [], [far_table(diagnosis), *momentum_tables(diagnosis)], figures)
 
 

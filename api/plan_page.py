@@ -6,7 +6,7 @@ from fluxtwin.gap.records.plan import CalibrationPlan, Course, Plan, Question, S
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 
 
-def plan_page(plan: Plan | CalibrationPlan, title: str) -> Page:
+def plan_page(plan: Plan | CalibrationPlan, title: str, *, command: str = "") -> Page:
     """The page of a plan: a figure for every question that has names to tell apart, and for the first."""
     facts = {key: str(value) for key, value in plan.limits.items()}
     facts |= {"notes": "; ".join(plan.notes), **{f"not flown: {words}": why for words, why in plan.refused.items()}}
@@ -16,7 +16,7 @@ def plan_page(plan: Plan | CalibrationPlan, title: str) -> Page:
         caption = "By the hours flown, once record and manoeuvre are calibrated together; dotted: half of today's."
         block = FigureBlock("sigma", caption, draw_sigma(plan))
         sections = [PageSection("What to fly", [], [plan_table(plan)], [block])]
-        return Page(title=title, verdict=plan.sentence, sections=sections, provenance=facts)
+        return Page(title=title, verdict=plan.sentence, sections=sections, provenance=facts, command=command)
     first = [question for question in plan.questions if question.kind != "show"] or plan.questions[:1]
     return Page(
         title=title,
@@ -26,6 +26,7 @@ def plan_page(plan: Plan | CalibrationPlan, title: str) -> Page:
             PageSection("What to fly", [], [plan_table(plan)]),
         ],
         provenance=facts,
+        command=command,
     )
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fluxtwin import calibration_page, describing, diagnosis_page, plan_page
+from fluxtwin import calibration_page, check_page, describing, diagnosis_page, plan_page
 from fluxtwin.calib.attitude.three_axis import AttitudeSolution
 from fluxtwin.calib.attitude.yaw import YawSolution
 from fluxtwin.calib.checks.report import CheckReport
@@ -85,12 +85,8 @@ def _plan(found: Plan | CalibrationPlan) -> Presented:
 
 
 def _check(found: CheckReport) -> Presented:
-    rows = [(one.severity, one.code, one.text, one.row_count or "") for one in found.findings]
-    verdict = (
-        "no trap found" if not found.traps else f"{len(found.traps)} found: {', '.join(t.code for t in found.traps)}"
-    )
-    table = Table("Findings", ("", "code", "what", "rows"), rows)
-    return Presented([f"{found.source}: {found.samples} rows; {verdict}"], [table] if rows else [])
+    table = check_page.findings_table(found)
+    return Presented([check_page.verdict(found)], [table] if table.rows else [])
 
 
 def _inventory(found: describing.Inventory) -> Presented:

@@ -1,12 +1,15 @@
-"""One self-contained page from a `Page` record: no script, nothing fetched, figures inside.
+"""One self-contained page from a `Page` record: nothing fetched, figures inside.
 
-Every text goes through jinja2's autoescape, so foreign names stay text.
+Every text goes through jinja2's autoescape, so foreign names stay text. Where a page has series it has one script, ours,
+which the content policy allows by its digest alone; without it the figures stand as they are.
 """
 
 from __future__ import annotations
 
 import base64
+import hashlib
 import io
+import json
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -16,39 +19,84 @@ if TYPE_CHECKING:
     from jinja2 import Template
     from matplotlib.figure import Figure
 
-    from fluxtwin.scenarios.page import Page
+    from fluxtwin.plots.time_series import TimeSeries
+    from fluxtwin.scenarios.page import FigureBlock, Page
 
 FIGURE_DPI = 140
+_READABLE_PX = 9.1  # of the smallest text of a figure, on whatever screen; its frame takes a little
 
 
 def render_report(page: Page) -> str:
     """The page as HTML, one file: style, tables and figures inside.
 
-    Raises ValueError for a figure that is neither a matplotlib Figure nor the bytes of a PNG.
+    Raises ValueError for a figure that is neither a matplotlib Figure, nor the bytes of a PNG, nor a `TimeSeries`.
     """
     import fluxtwin
 
-    html: str = _template().render(page=page, version=fluxtwin.__version__)
+    template, style, script = _parts()
+    digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
+    html: str = template.render(page=page, version=fluxtwin.__version__, style=style, script=script, digest=digest)
     return html
 
 
-def png_bytes(figure: Figure | bytes) -> bytes:
+def png_bytes(figure: Figure | bytes | TimeSeries) -> bytes:
     """The figure as a PNG without a date inside; bytes of a PNG come back as they are."""
     if isinstance(figure, bytes):
         if not figure.startswith(b"\x89PNG\r\n\x1a\n"):
             raise ValueError("a figure given as bytes must be a PNG")
         return figure
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=FIGURE_DPI, metadata={"Software": "fluxtwin"})
+    _drawn(figure).savefig(buffer, format="png", dpi=FIGURE_DPI, metadata={"Software": "fluxtwin"})
     return buffer.getvalue()
 
 
-def _data_uri(figure: Figure | bytes) -> str:
-    return "data:image/png;base64," + base64.b64encode(png_bytes(figure)).decode("ascii")
+def _drawn(figure: Figure | TimeSeries) -> Figure:
+    from fluxtwin.plots.time_series import TimeSeries, draw_time_series
+
+    return draw_time_series(figure) if isinstance(figure, TimeSeries) else figure
+
+
+def _shown(block: FigureBlock) -> dict[str, Any]:
+    """A figure as the template takes it: the picture, the width [px] below which it is scrolled instead of shrunk, and the
+    data of its series."""
+    from fluxtwin.plots.time_series import TimeSeries
+
+    series = block.figure.to_dict() if isinstance(block.figure, TimeSeries) else None
+    figure = block.figure if isinstance(block.figure, bytes) else _drawn(block.figure)
+    uri = "data:image/png;base64," + base64.b64encode(_small(png_bytes(figure))).decode("ascii")
+    width = 0 if isinstance(figure, bytes) else round(_READABLE_PX * 72.0 * figure.get_figwidth() / _smallest(figure))
+    data = "" if series is None else json.dumps(series, separators=(",", ":")).replace("<", "\\u003c")
+    return {"uri": uri, "width": width, "data": data}
+
+
+def _small(png: bytes) -> bytes:
+    """The same picture in 256 colours, a third of the size."""
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.open(io.BytesIO(png)).convert("RGB").quantize(256, dither=Image.Dither.NONE).save(
+        buffer, "png", optimize=True
+    )
+    return min(png, buffer.getvalue(), key=len)
+
+
+def _smallest(figure: Figure) -> float:
+    """Size of the smallest text of a figure [pt]."""
+    from matplotlib.text import Text
+
+    seen = [text for text in figure.findobj(Text) if isinstance(text, Text) and text.get_text() and text.get_visible()]
+    return min((float(text.get_fontsize()) for text in seen), default=8.0)
+
+
+def _download(text: str) -> str:
+    return "data:application/octet-stream;base64," + base64.b64encode(text.encode("utf-8")).decode("ascii")
 
 
 @cache
-def _template() -> Template:
+def _parts() -> tuple[Template, str, str]:
+    """The template, the style and the script of every page."""
+    from importlib.resources import files
+
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -58,7 +106,8 @@ def _template() -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    filters: dict[str, Any] = {"shown": shown, "clean": clean, "data_uri": _data_uri}
+    filters: dict[str, Any] = {"shown": shown, "clean": clean, "drawn": _shown, "download": _download}
     environment.filters.update(filters)
     environment.tests["numeric"] = is_number
-    return environment.get_template("report.html")
+    style, script = ((files("fluxtwin") / "templates" / f"report.{end}").read_text("utf-8") for end in ("css", "js"))
+    return environment.get_template("report.html"), style, script

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import fluxtwin
@@ -39,7 +41,9 @@ def run_study(
         folder = writable_folder(target)
         result = run(folder, None if data is None else Path(data), part_of(progress, 0.0, 0.97), **options)
         progress("writing the report", 0.97)
-        return result, [*result.written, *_write(result, folder)]
+        again = ["fluxtwin", "run", name, *(["--data", str(data)] if data is not None else [])]
+        again += [] if attitude is None else ["--attitude", attitude]
+        return result, [*result.written, *_write(result, folder, shlex.join(again))]
     except BaseException:  # an interrupt too
         if not found and target.is_dir() and not any(target.iterdir()):
             target.rmdir()
@@ -68,12 +72,12 @@ def _options(name: str, attitude: str | None) -> dict[str, str]:
     return {"attitude": attitude}
 
 
-def _write(result: StudyResult, folder: Path) -> list[Path]:
+def _write(result: StudyResult, folder: Path, command: str) -> list[Path]:
     pages = {} if result.page is None else {"report": result.page}
     written = [write_json(folder / "summary.json", sealed_json({JSON_MARK: fluxtwin.__version__, **result.summary}))]
     for stem, page in {**pages, **result.more_pages}.items():
         prefix = "" if stem == "report" else f"{stem}_"
         blocks = [block for section in page.sections for block in section.figures]
         written += [write_bytes(folder / f"{prefix}{block.name}.png", png_bytes(block.figure)) for block in blocks]
-        written.append(write_text(folder / f"{stem}.html", render_report(page)))
+        written.append(write_text(folder / f"{stem}.html", render_report(replace(page, command=command))))
     return written

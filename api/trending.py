@@ -141,10 +141,12 @@ def trend_page(found: Trend, *, command: str) -> Page:
     return Page(
         title=f"{len(found.time)} calibrations compared",
         verdict=found.lines[0],
+        next_step="keep the calibration in use."
+        if found.holds
+        else "calibrate anew with the telemetry after the change.",
         sections=[
             PageSection("What it means", list(found.lines[1:])),
             PageSection("Parameters", [], [trend_table(found)], [FigureBlock("trend", caption, trend_figure(found))]),
-            PageSection("Repeat it", [command]),
         ],
-        provenance={},
+        command=command,
     )

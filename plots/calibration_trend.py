@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from fluxtwin.plots import style
@@ -32,15 +31,15 @@ def draw_calibration_trend(time: TimeArray, series: Sequence[ParameterSeries], *
     rows = -(-len(series) // 3)
     figure, grid = style.figure(7.6, 0.8 + 1.5 * rows, rows=rows, cols=3, share_x=True)
     style.heading(figure, title)
-    days = (time - time[0]).astype("timedelta64[ns]").astype(np.float64) / 8.64e13
     panels = [axes for row in grid for axes in row]
     for axes, one in zip(panels, series, strict=False):
-        axes.plot(days, one.fitted, "-", color=style.VERMILION if one.changed else style.GREY, linewidth=1.2)
-        axes.errorbar(days, one.values, one.sigmas, fmt="o", markersize=3, color=style.BLUE, elinewidth=1.0, capsize=2)
+        colour, words = (style.VERMILION, "changed") if one.changed else (style.GREY, "constant")
+        axes.plot(time, one.fitted, "-", linewidth=1.2, color=colour, label=words)
+        axes.errorbar(time, one.values, one.sigmas, fmt="o", markersize=3, color=style.BLUE, elinewidth=1.0, capsize=2)
         style.label(axes, y=f"{one.name} [{one.unit}]")
         axes.ticklabel_format(axis="y", useOffset=False)
     for axes in panels[len(series) :]:
         axes.set_visible(False)
     for axes in grid[-1]:
-        style.label(axes, x=f"days since {np.datetime_as_string(time[0], unit='D')} [d]")
+        style.utc(axes, time, most=5)
     return figure

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -42,23 +43,32 @@ def draw_power(effects: Sequence[PowerSeries], *, title: str) -> Figure:
             axes.set_visible(False)
             continue
         one = effects[place]
-        axes.plot(one.size[one.named], np.full(one.named.sum(), 104.0), "|", color=style.BLUE, markersize=6)
-        axes.plot(one.size[~one.named], np.full((~one.named).sum(), -4.0), "|", color=style.VERMILION, markersize=6)
-        for low, high, share, least, most in one.bins:
-            middle = np.sqrt(low * high)
-            axes.plot([middle, middle], [100 * least, 100 * most], color=style.GREY, linewidth=1.2)
-            axes.plot([middle], [100 * share], "o", color=style.BLACK, markersize=4)
+        ticks: dict[str, Any] = {"linestyle": "", "marker": "|", "markersize": 6}
+        axes.plot(one.size[one.named], np.full(one.named.sum(), 104.0), color=style.BLUE, label="runs, named", **ticks)
+        missed = one.size[~one.named]
+        axes.plot(missed, np.full(missed.size, -4.0), color=style.VERMILION, label="runs, not named", **ticks)
+        low, high, share, least, most = np.reshape(one.bins, (-1, 5)).T
+        reach = 100.0 * np.maximum([share - least, most - share], 0.0)  # of none or all an end is rounded off
+        look: dict[str, Any] = {
+            "fmt": "o",
+            "markersize": 4,
+            "color": style.BLACK,
+            "ecolor": style.GREY,
+            "elinewidth": 1.2,
+        }
+        axes.errorbar(np.sqrt(low * high), 100.0 * share, reach, label="share named, 95 % interval", **look)
         if one.line is not None:
             x = np.geomspace(one.size.min(), one.size.max(), 200)
             z = one.line[0] + one.line[1] * np.log(x)
-            axes.plot(x, 100.0 / (1.0 + np.exp(-np.clip(z, -50, 50))), color=style.BLUE, linewidth=1.4)
+            curve = 100.0 / (1.0 + np.exp(-np.clip(z, -50, 50)))
+            axes.plot(x, curve, color=style.BLUE, linewidth=1.4, label="fitted to the runs")
         if np.ptp(one.size) > 0 and one.size.max() > 3.0 * one.size.min():
             axes.set_xscale("log")
-            axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-            axes.xaxis.set_minor_formatter("")
+            style.log_ruler(axes.xaxis)
         axes.set_ylim(-9.0, 109.0)
-        axes.axhline(90.0, color=style.PALE, linewidth=0.8, zorder=0)
+        axes.axhline(90.0, color=style.GREY, linewidth=0.8, linestyle=":", zorder=0, label="90 %")
         first = place % columns == 0
         style.label(axes, x=f"size [{one.unit}]", y="named [%]" if first else "", title=one.name)
+    style.legend_below(figure, grid[0][0])
     style.heading(figure, title)
     return figure

@@ -6,11 +6,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fluxtwin.plots import style
-from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray, TimeArray
 
 
 def pointing_envelope(
-    hours_h: FloatArray,
+    time: TimeArray,
     p5_deg: FloatArray,
     median_deg: FloatArray,
     p95_deg: FloatArray,
@@ -21,15 +21,13 @@ def pointing_envelope(
 ) -> Figure:
     """Percentiles over the vehicles at each time, shapes (T,), and the worst vehicle of that time; in logarithms."""
     figure, ((axes,),) = style.figure(style.FULL_WIDTH_IN, 3.6)
-    axes.fill_between(hours_h, p5_deg, p95_deg, color=style.SKY, alpha=0.45, linewidth=0, label="5 to 95 %")
-    axes.plot(hours_h, median_deg, color=style.BLUE, linewidth=1.4, label="median")
-    axes.plot(hours_h, max_deg, color=style.VERMILION, linewidth=0.9, linestyle="--", label="worst of that moment")
+    axes.fill_between(time, p5_deg, p95_deg, color=style.SKY, alpha=0.45, linewidth=0, label="5 to 95 %")
+    axes.plot(time, median_deg, color=style.BLUE, linewidth=1.4, label="median")
+    axes.plot(time, max_deg, color=style.VERMILION, linewidth=0.9, linestyle="--", label="worst of that moment")
     if min(float(np.min(part)) for part in (p5_deg, median_deg)) > 0.0:
         axes.set_yscale("log")
-        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    axes.set_xlim(float(hours_h[0]), float(hours_h[-1]))
-    style.label(
-        axes, x="time since the first sample [h]", y="pointing error [deg]", title=f"{title}: {vehicles} vehicles"
-    )
+        style.log_ruler(axes.yaxis)
+    style.utc(axes, time)
+    style.label(axes, y="pointing error [deg]", title=f"{title}: {vehicles} vehicles")
     style.legend_below(figure, axes)
     return figure

@@ -13,12 +13,9 @@ from matplotlib.ticker import MaxNLocator
 
 from fluxtwin.plots import style
 from fluxtwin.sim.base.types import FloatArray, TimeArray
-from fluxtwin.sim.earth import epoch
 
 PANELS = ("north", "east", "centre", "magnitude")
 """Components of a residual in the order in which they are drawn: geocentric, centre is down."""
-
-_GAP = 8.0  # a pause of that many median steps breaks the line
 
 
 @dataclass(frozen=True)
@@ -77,21 +74,18 @@ def residual_series(tracks: Sequence[ResidualTrack], title: str, low_latitude_de
     """
     figure, grid = style.figure(style.FULL_WIDTH_IN, 7.6, 4, 2, share_x=True, share_y=True)
     style.heading(figure, title)
-    start = tracks[0].time[0]
     for number, name in enumerate(PANELS):
         left, right = grid[number]
         for place, track in enumerate(tracks):
-            minutes = epoch.seconds_since(track.time, start) / 60.0
             look = _look(place, len(tracks))
-            across_time = _broken(minutes, minutes, track.panel(number))
-            across_latitude = _broken(minutes, track.latitude_deg, track.panel(number))
-            left.plot(*across_time, label=track.label, **look)
-            right.plot(*across_latitude, **look)
+            stamps, values = style.broken(track.time, track.panel(number))
+            left.plot(stamps, values, label=track.label, **look)
+            right.plot(style.broken(track.time, track.latitude_deg)[1], values, **look)
         style.label(left, y=f"{name} [nT]")
         right.axvspan(-low_latitude_deg, low_latitude_deg, color=style.PALE, alpha=0.45, linewidth=0.0, zorder=0.2)
         for axes in (left, right):
             style.zero_line(axes)
-    style.label(grid[3][0], x=f"time from {epoch.iso(start)} [min]")
+    style.utc(grid[3][0], tracks[0].time)
     style.label(grid[3][1], x="geodetic latitude [deg]")
     reach = np.concatenate([track.latitude_deg for track in tracks])
     grid[3][1].set_xlim(max(float(reach.min()) - 4.0, -90.0), min(float(reach.max()) + 4.0, 90.0))
@@ -118,13 +112,6 @@ def _world(axes: Axes) -> None:
     axes.set_ylim(-90, 90)
     axes.set_xticks([-180, -90, 0, 90, 180])
     axes.set_yticks([-90, -45, 0, 45, 90])
-
-
-def _broken(minutes: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """x and y with a NaN put in where the record pauses, so that no line crosses the pause."""
-    step = np.diff(minutes)
-    pauses = np.flatnonzero(step > _GAP * np.median(step)) + 1 if step.size else np.empty(0, dtype=int)
-    return np.insert(x, pauses, np.nan), np.insert(y, pauses, np.nan)
 
 
 def _round_up(value: float) -> float:

@@ -1,105 +1,35 @@
-"""Figures of a diagnosis: the map of where, the ranking of which, before and after of how far."""
+"""Figures of a diagnosis: before and after, their spectra, the law."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
-from fluxtwin.gap.records.diagnosis import Diagnosis, GapSeries, LawSeries
+from fluxtwin.gap.records.diagnosis import GapSeries, LawSeries
 from fluxtwin.plots import style
-from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.plots.time_series import Line, Panel, TimeSeries
+from fluxtwin.sim.base.types import FloatArray, TimeArray
 
-_SHOWN = 4000  # points of a series that a page can show apart
 _STRETCHES = 150
 _BANDS = 60
-_LEAST = 0.01  # probability of a place that is worth a bar
-_BARS = 7
 _GROUPS = 12
 
 
-def draw_where(diagnosis: Diagnosis) -> Figure:
-    """Where: a bar for each candidate stage, axis, frame and condition, with its probability."""
-    sets = diagnosis.where.to_dict()["probabilities"]
-    chosen = {}
-    for name, shares in sets.items():
-        ordered = sorted(shares.items(), key=lambda item: -item[1])
-        chosen[name] = [pair for pair in ordered if pair[1] >= _LEAST][:_BARS]
-    rows = [max(len(chosen[a]), len(chosen[b]), 1) for a, b in (("stage", "axis"), ("frame", "condition"))]
-    figure, grid = style.figure(7.2, 1.8 + 0.27 * sum(rows), rows=2, cols=2, height_ratios=[row + 1.2 for row in rows])
-    for place, name in enumerate(("stage", "axis", "frame", "condition")):
-        axes = grid[place // 2][place % 2]
-        _bars(axes, chosen[name], rows[place // 2])
-        style.label(axes, x="probability [%]" if place > 1 else None, title=name)
-    return figure
-
-
-def _bars(axes: Axes, shares: Sequence[tuple[str, float]], rows: int) -> None:
-    places = np.arange(len(shares))
-    values = 100 * np.array([share for _, share in shares])
-    colours = [style.GREY if label == "none" else style.BLUE for label, _ in shares]
-    axes.barh(places, values, height=0.7, color=colours)
-    axes.set_yticks(places, [label for label, _ in shares])
-    for spot, value in zip(places, values, strict=True):
-        inside = value > 80
-        axes.text(
-            value - 2 if inside else value + 2,
-            float(spot),
-            "> 99 %" if value > 99 else f"{value:.0f} %",
-            va="center",
-            ha="right" if inside else "left",
-            fontsize=style.NOTE_PT,
-            color="white" if inside else style.BLACK,
-        )
-    axes.set_xlim(0, 100)
-    axes.set_ylim(rows - 0.4, -0.6)  # the likeliest on top, bars alike in both panels of a row
-    axes.grid(False, axis="y")
-    for text in axes.get_yticklabels():
-        text.set_parse_math(False)
-
-
-def draw_which(diagnosis: Diagnosis) -> Figure:
-    """Which: the named effects and their rivals with probabilities."""
-    rows: list[tuple[str, float, bool]] = []
-    for effect in diagnosis.effects:
-        rows.append((" /\n".join(effect.group) or effect.name, effect.probability, True))
-        rows += [(f"rival: {name}", probability, False) for name, probability in effect.rivals]
-    lines = sum(label.count("\n") + 1 for label, *_ in rows)
-    figure, ((axes,),) = style.figure(7.2, 0.9 + 0.3 * max(lines, 1))
-    if not rows:
-        style.note(axes, "no effect is named")
-        axes.set_axis_off()
-        return figure
-    _bars(axes, [(label, share) for label, share, _ in rows], len(rows))
-    for bar, (*_, named) in zip(axes.patches, rows, strict=True):
-        if not named:
-            bar.set(facecolor=style.ORANGE, hatch="///", edgecolor="white")
-    style.label(axes, x="probability [%]")
-    return figure
-
-
-def draw_series(series: GapSeries) -> Figure:
+def gap_series(series: GapSeries) -> TimeSeries:
     """How far: the residual of each axis before and after the named effects, samples and means of stretches."""
-    figure, grid = style.figure(7.2, 6.0, rows=3, cols=1, share_x=True)
-    hours = (series.time - series.time[0]) / np.timedelta64(1, "h")
-    step = max(1, hours.size // _SHOWN)
-    finite = np.abs(series.before_nT[np.isfinite(series.before_nT)])
-    limit = 1.15 * float(np.percentile(finite, 99.5)) if finite.size else 1.0
-    for axis, (axes,) in enumerate(grid):
-        for values, name, pale, strong, line in _both(series):
-            axes.plot(hours[::step], values[::step, axis], ".", color=pale, markersize=2.0, alpha=0.45)
-            axes.plot(*_means(hours, values[:, axis]), color=strong, linewidth=1.3, linestyle=line, label=name)
-        style.zero_line(axes)
-        axes.set_ylim(-limit, limit)
-        style.label(axes, y=f"{'xyz'[axis]} residual [nT]")
-    style.legend(grid[0][0], "upper right", columns=2)
-    style.label(grid[2][0], x="time from the first sample [h]")
-    style.heading(figure, "Residual before and after the named effects" if len(_both(series)) > 1 else "Residual")
-    return figure
+    panels = []
+    for axis, name in enumerate("xyz"):
+        lines = []
+        for values, words, pale, _, _ in _both(series):
+            lines.append(Line(words, values[:, axis], pale))
+        for values, words, _, strong, _ in _both(series):
+            lines.append(Line(f"{words}, mean", _means(series.time, values[:, axis]), strong, "line"))
+        panels.append(Panel(f"{name} [nT]", lines))
+    title = "Residual before and after the named effects" if len(_both(series)) > 1 else "Residual"
+    return TimeSeries(title, series.time, panels)
 
 
 def draw_spectra(series: GapSeries) -> Figure:
@@ -109,10 +39,8 @@ def draw_spectra(series: GapSeries) -> Figure:
     for values, name, _, colour, line in _both(series):
         frequency, amplitude = _bands(*_spectrum(seconds, values))
         axes.loglog(1e3 * frequency, amplitude, color=colour, linestyle=line, linewidth=1.3, label=name)
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    for ruler in (axes.xaxis, axes.yaxis):
-        ruler.set_major_formatter(FormatStrFormatter("%g"))
-        ruler.set_minor_formatter(NullFormatter())
+    style.log_ruler(axes.xaxis)
+    style.log_ruler(axes.yaxis)
     style.legend(axes)
     style.label(axes, x="frequency [mHz]", y="amplitude [nT]", title="Spectrum of the residual")
     return figure
@@ -126,7 +54,7 @@ def draw_law(terms: Sequence[LawSeries]) -> Figure:
         spread = np.random.default_rng(0).uniform(-1.0, 1.0, x.size) * 0.02 * float(np.ptp(x))
         states = np.unique(x).size < _GROUPS  # dots of a switch beside each other, so that they are seen
         axes.plot(x + spread if states else x, y, ".", color=style.SKY, markersize=2.0, alpha=0.45, label="samples")
-        middle = [(x[part].mean(), y[part].mean()) for part in _alike_in(x)]
+        middle = [(x[part].mean(), y[part].mean()) for part in alike_in(x)]
         axes.plot(*np.transpose(middle), "o", color=style.BLACK, markersize=4.5, label="their means")
         ends = np.array([x.min(), x.max()])
         axes.plot(ends, term.slope * ends, color=style.VERMILION, linewidth=1.4, label="the term")
@@ -138,7 +66,7 @@ def draw_law(terms: Sequence[LawSeries]) -> Figure:
     return figure
 
 
-def _alike_in(values: FloatArray) -> list[NDArray[np.intp]]:
+def alike_in(values: FloatArray) -> list[NDArray[np.intp]]:
     """Rows by their values: of each value where they are few, else in groups of about equal count."""
     states = np.unique(values)
     edges = states if states.size < _GROUPS else np.unique(np.quantile(values, np.linspace(0.0, 1.0, _GROUPS + 1)[:-1]))
@@ -154,16 +82,16 @@ def _both(series: GapSeries) -> list[tuple[FloatArray, str, str, str, str]]:
     return [(*after[:1], "residual", *after[2:4], "-")] if same else [before, after]
 
 
-def _means(hours: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean in equal stretches of time, NaN where a stretch has no sample, so that the line breaks there."""
-    known = np.isfinite(values)
-    count = max(2, min(_STRETCHES, hours.size // 4))
-    edges = np.linspace(hours[0], hours[-1], count + 1)
-    number = np.clip(np.searchsorted(edges, hours[known], side="right") - 1, 0, count - 1)
-    samples = np.bincount(number, minlength=count)
-    total = np.bincount(number, weights=values[known], minlength=count)
-    mean = np.where(samples > 0, total / np.maximum(samples, 1), np.nan)
-    return (edges[1:] + edges[:-1]) / 2, mean
+def _means(time: TimeArray, values: FloatArray) -> FloatArray:
+    """(N,) the mean of each of equal stretches of time in the row at its middle, NaN elsewhere."""
+    known = np.flatnonzero(np.isfinite(values))
+    made = np.full(values.size, np.nan)
+    if known.size:
+        count = max(2, min(_STRETCHES, time.size // 4))
+        share = (time[known] - time[0]) / (time[-1] - time[0] + np.timedelta64(1, "ns"))
+        for part in np.split(known, np.flatnonzero(np.diff((share * count).astype(np.int64))) + 1):
+            made[part[part.size // 2]] = values[part].mean()
+    return made
 
 
 def _bands(frequency: FloatArray, amplitude: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -53,6 +53,7 @@ def sigma_on(axes: Axes, plan: CalibrationPlan) -> Axes:
         axes.plot(hours, sigma, color=colour, marker="o", ms=4.0, label=course.words)
     axes.axhline(0.5 * plan.sigma, color=style.BLACK, lw=0.8, ls=":")
     axes.set_yscale("log")
+    style.log_ruler(axes.yaxis)
     axes.set_xlim(left=0.0)
     unit = "1" if plan.unit == "1" else plan.unit
     style.label(

@@ -12,11 +12,14 @@ from typing import Any, TypeAlias, cast
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.text import Text
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
-from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.base.types import FloatArray, TimeArray
 
 AxesGrid: TypeAlias = list[list[Axes]]
 """Axes of a figure, row by row: `grid[row][column]`."""
@@ -43,6 +46,8 @@ SIGNED_MAP = "PuOr"
 
 FULL_WIDTH_IN = 7.2
 """Width of a page [inch]."""
+
+_PAUSE = 8.0  # usual steps: a pause of that length breaks a line
 
 TITLE_PT, LABEL_PT, TICK_PT, NOTE_PT = 10.0, 9.0, 8.0, 8.0
 
@@ -121,6 +126,14 @@ def legend_below(made: Figure, axes: Axes, *, columns: int = 3) -> None:
     made.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=columns, fontsize=NOTE_PT)
 
 
+def legend_beside(axes: Axes) -> None:
+    """A legend to the right of the panel, outside of it, drawn as it is."""
+    look: dict[str, Any] = {"frameon": False, "handlelength": 1.2, "borderaxespad": 0.2, "markerscale": 2.0}
+    made = axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.05), fontsize=NOTE_PT, **look)
+    for text in made.get_texts():
+        _plain(text)
+
+
 def note(axes: Axes, text: str, x: float = 0.02, y: float = 0.96) -> None:
     """A remark inside the panel at (x, y) in axes fractions, top left by default, drawn as it is."""
     written = axes.text(
@@ -136,7 +149,7 @@ def note(axes: Axes, text: str, x: float = 0.02, y: float = 0.96) -> None:
     _plain(written)
 
 
-def mark_beyond(axes: Axes, x: FloatArray, y: FloatArray, *, colour: str, size: float = 5.0) -> None:
+def mark_beyond(axes: Axes, x: FloatArray | TimeArray, y: FloatArray, *, colour: str, size: float = 5.0) -> None:
     """A triangle at the edge of the panel, pointing out, for each point (x, y) above or below it; limits are left alone.
 
     x, y: (N,) in data coordinates; NaN is no point.
@@ -155,6 +168,42 @@ def mark_beyond(axes: Axes, x: FloatArray, y: FloatArray, *, colour: str, size: 
                 scalex=False,
                 clip_on=False,
             )
+
+
+def utc(axes: Axes, time: TimeArray, *, most: int = 9) -> None:
+    """A time axis in UTC, with the date at its end and `most` ticks. time: (N,) stamps, to which it reaches."""
+    axes.xaxis.axis_date()
+    locator = AutoDateLocator(minticks=2, maxticks=most)  # type: ignore[no-untyped-call]
+    axes.xaxis.set_major_locator(locator)
+    days = ["", "%Y", "%Y-%m", *["%Y-%m-%d"] * 3]
+    axes.xaxis.set_major_formatter(ConciseDateFormatter(locator, offset_formats=days))  # type: ignore[no-untyped-call]
+    margin = (time[-1] - time[0]) // 50 + np.timedelta64(1, "s")
+    axes.set_xlim(cast(Any, time[0] - margin), cast(Any, time[-1] + margin))
+    axes.xaxis.get_offset_text().set_fontsize(TICK_PT)
+    label(axes, x="UTC")
+
+
+def log_ruler(ruler: Axis) -> None:
+    """Ticks of a logarithmic axis that can be read: 1, 2, 5 times powers of ten, as plain numbers."""
+    ruler.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ruler.set_major_formatter(FormatStrFormatter("%g"))
+    ruler.set_minor_formatter(NullFormatter())
+
+
+def broken(time: TimeArray, values: FloatArray) -> tuple[TimeArray, FloatArray]:
+    """The same with a NaN put in where the record pauses for `_PAUSE` usual steps, so that no line crosses the pause."""
+    step = np.diff(time).astype(np.int64)
+    pauses = np.flatnonzero(step > _PAUSE * np.median(step)) + 1 if step.size else np.empty(0, dtype=np.int64)
+    return np.insert(time, pauses, time[pauses]), np.insert(values, pauses, np.nan)
+
+
+def limit(axes: Axes, values: FloatArray, spread: float = 1.0) -> None:
+    """Limits around all values that are numbers, wider by `spread`."""
+    known = values[np.isfinite(values)]
+    if known.size:
+        low, high = float(known.min()), float(known.max())
+        room = 0.5 * spread * max(high - low, 1e-9 * max(abs(low), abs(high), 1.0))
+        axes.set_ylim(0.5 * (low + high) - room, 0.5 * (low + high) + room)
 
 
 def zero_line(axes: Axes) -> None:

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from fluxtwin.plots.time_series import TimeSeries
+
 Cell: TypeAlias = str | float | int | bool | None
 """One cell of a table: text stays as it is, a float is shown with four significant digits, None is blank."""
 
@@ -44,8 +46,8 @@ class FigureBlock:
     name: str
     """File name without suffix, as `figure_2`."""
     caption: str
-    figure: Figure | bytes
-    """A matplotlib Figure, or the bytes of a PNG file."""
+    figure: Figure | bytes | TimeSeries
+    """A matplotlib Figure, the bytes of a PNG file, or series, which the page's script can zoom."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,12 @@ class Page:
     """Slips found in the published source, one sentence each."""
     provenance: Mapping[str, str] = field(default_factory=dict)
     """Versions, seed, field model, input files with their SHA-256."""
+    next_step: str = ""
+    """What to do now: a sentence or a command."""
+    command: str = ""
+    """What repeats it, as a shell takes it."""
+    downloads: Mapping[str, str] = field(default_factory=dict)
+    """Text files that the page carries, by name: parameters, the answer for machines."""
     links: Mapping[str, str] = field(default_factory=dict)
     """Other pages of the same folder: what the link says, and the file."""
 

@@ -105,9 +105,9 @@ def command(
             written += _draw(fit, figures, outputs.RESIDUALS)
             written += [] if second is None else _draw(second[0], figures, outputs.SECOND_RESIDUALS)
         if html is not None:
-            page = _page(fit, telemetry, next_step, refused=refused)
+            page = _page(fit, telemetry, next_step, records, refused=refused)
             if second is not None:
-                other = _page(second[0], telemetry, second_step, refused=second_refused)
+                other = _page(second[0], telemetry, second_step, records, refused=second_refused)
                 page = _of_pair(page, other, second[1])
             written.append(_write(page, html))
     _print(output, fit, next_step)
@@ -258,20 +258,22 @@ def _as_json(fit: Fit) -> dict[str, Any]:
 
 
 def _draw(fit: Fit, folder: Path, kind: Kind) -> list[Path]:
-    from fluxtwin.calibration_page import residual_figure
+    from fluxtwin.calibration_page import residual_series
     from fluxtwin.report import png_bytes
     from fluxtwin.sim.base.files import writable_folder, write_bytes
 
-    picture = png_bytes(residual_figure(fit))
+    picture = png_bytes(residual_series(fit))
     return [write_bytes(writable_folder(folder) / kind.inside, picture)]
 
 
-def _page(fit: Fit, telemetry: list[Path], next_step: str, *, refused: bool) -> Page:
+def _page(fit: Fit, telemetry: list[Path], next_step: str, records: list[Telemetry], *, refused: bool) -> Page:
+    from fluxtwin.calib.common.design import joined
     from fluxtwin.calibration_page import calibration_page
     from fluxtwin.console import command_line
 
     title = f"Calibration: {', '.join(path.name for path in telemetry)}"
-    return calibration_page(fit, title, next_step=next_step, command=command_line(), refused=refused)
+    record = joined(records).with_magnetometer(fit.calibration.magnetometer)
+    return calibration_page(fit, title, next_step=next_step, command=command_line(), record=record, refused=refused)
 
 
 def _of_pair(first: Page, second: Page, pair: Pair) -> Page:

@@ -9,10 +9,12 @@ import typer
 
 from fluxtwin.commands import options as of
 from fluxtwin.commands.reading import TelemetryArgument
-from fluxtwin.console import Output, manners
+from fluxtwin.console import Output, command_line, manners
 
 if TYPE_CHECKING:
     from fluxtwin.calib.checks.check import CheckReport
+    from fluxtwin.sim.earth.field_models import FieldModel
+    from fluxtwin.sim.telemetry.record import Telemetry
 
 NAME = "check"
 BRIEF = "Is this file what it says? Names the classic traps."
@@ -29,6 +31,7 @@ def command(
         Path | None,
         typer.Option("--onboard", metavar="FILE", help="A calibration on board: was it applied to these readings?"),
     ] = None,
+    html: of.HtmlOption = None,
     field: of.FieldOption = "igrf14",
     degree: of.DegreeOption = None,
     reading: of.Reading = of.READING,
@@ -51,7 +54,10 @@ def command(
             )
         if repair is not None and not reading.whole:
             raise BadInput("mends whole files", where="--repair", wanted="no --from, --to or --where beside it")
-        output.claim({"--repair": (repair, outputs.TELEMETRY)}, [telemetry, onboard, field, *reading.files])
+        output.claim(
+            {"--repair": (repair, outputs.TELEMETRY), "--html": (html, outputs.PAGE)},
+            [telemetry, onboard, field, *reading.files],
+        )
         model = verbs.as_model(field, degree)
         before = None if onboard is None else flight_software.as_onboard(onboard, reading.magnetometer)
         found = check.check_file(telemetry, model, **reading._asdict(), onboard=before)
@@ -60,13 +66,33 @@ def command(
             progress("repairing", 0.5)
             mended = check.repair(telemetry, repair, max_samples=reading.max_samples)
             after = check.check_file(repair, model, **reading._asdict())
+        if html is not None:
+            progress("drawing", 0.9)
+            _draw(found, telemetry, html, model, reading)
     _print(output, f"{telemetry}: {found.samples} rows", found)
     record = found.to_dict()
     if mended is not None and after is not None:
         _print(output, f"{repair}: {after.samples} rows, repaired", after)
         record |= {"repair": mended.to_dict(), "repaired": after.to_dict(), "written": [str(repair)]}
+    if html is not None:
+        output.say(f"  {html}")
     output.result(record)
     raise typer.Exit(found.exit_status)
+
+
+def _draw(found: CheckReport, telemetry: Path, html: Path, model: FieldModel, reading: of.Reading) -> None:
+    from fluxtwin.check_page import check_page
+    from fluxtwin.report import render_report
+    from fluxtwin.sim.base.errors import FluxtwinError
+    from fluxtwin.sim.base.files import write_text
+    from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
+
+    try:
+        record: Telemetry | str = read_telemetry(telemetry, **reading._asdict())
+    except FluxtwinError as refusal:
+        record = str(refusal)
+    page = check_page(found, telemetry, record, model, reading=reading.words, command=command_line())
+    write_text(html, render_report(page))
 
 
 def _print(output: Output, title: str, report: CheckReport) -> None:

@@ -9,10 +9,11 @@ import typer
 
 from fluxtwin.commands import options as of
 from fluxtwin.commands.reading import read
-from fluxtwin.console import Output
+from fluxtwin.console import Output, command_line
 
 if TYPE_CHECKING:
     from fluxtwin.gap.records.diagnosis import Diagnosis
+    from fluxtwin.sim.telemetry.record import Telemetry
 
 NAME = "diagnose"
 BRIEF = "Where the gap to the simulation lies, which effect causes it, how far it shrinks."
@@ -102,7 +103,7 @@ def command(
             diagnosis, scene = diagnosing.close(
                 diagnosis, scenario=scenario, telemetry=telemetry[0], column_map=reading.column_map, declared=declared
             )
-        _page(diagnosis, telemetry[0], html)
+        _page(diagnosis, telemetry[0], html, record)
         if close is not None and scene is not None:
             save_scenario(scene, close)
     _say(output, diagnosis, html, close, closed=scene is not None)
@@ -164,13 +165,15 @@ def _several(
     output.result({"records": {name: diagnosis.to_dict() for name, diagnosis in found.items()}})
 
 
-def _page(diagnosis: Diagnosis, telemetry: Path, html: Path | None) -> None:
+def _page(diagnosis: Diagnosis, telemetry: Path, html: Path | None, record: Telemetry | None = None) -> None:
     from fluxtwin import diagnosis_page
     from fluxtwin.report import render_report
     from fluxtwin.sim.base.files import write_text
 
     if html is not None:
-        write_text(html, render_report(diagnosis_page.diagnosis_page(diagnosis, f"The gap: {telemetry.name}")))
+        title = f"The gap: {telemetry.name}"
+        page = diagnosis_page.diagnosis_page(diagnosis, title, record=record, command=command_line())
+        write_text(html, render_report(page))
 
 
 def _say(output: Output, diagnosis: Diagnosis, html: Path | None, close: Path | None, *, closed: bool) -> None:

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fluxtwin.commands import options as of
-from fluxtwin.console import Output
+from fluxtwin.console import Output, command_line
 
 if TYPE_CHECKING:
+    from fluxtwin.scenarios.page import Table
     from fluxtwin.sim.run.ensemble.run import Ensemble
 
 NAME = "ensemble"
@@ -75,13 +76,13 @@ def command(
                 resume=resume,
                 progress=progress,
             )
-            drawing = _draw(flown)
+            drawn = _draw(flown)
     except KeyboardInterrupt:
         words = ["ensemble", scenario, "--vehicles", vehicles, "--out", out]
         words += [] if scheduler is None else ["--scheduler", scheduler]
         _say_how_to_go_on(output, out, words, seed)
         raise
-    _show(output, flown, drawing)
+    _show(output, flown, drawn)
 
 
 def _say_how_to_go_on(output: Output, out: Path, words: list[Any], seed: int | None) -> None:
@@ -114,32 +115,47 @@ def _extract(output: Output, scenario: Path, out: Path, seed: int | None, vehicl
     output.result({"name": plan.name, "vehicle": vehicle, "seed": drawn.seed, "written": [str(out)]})
 
 
-def _draw(flown: Ensemble) -> Path | None:
-    """The picture of the envelope, where there is a pointing."""
-    around = flown.envelope
-    if around is None or around.time.size < 2:
-        return None
-    from fluxtwin.plots.ensemble import pointing_envelope
+def _draw(flown: Ensemble) -> list[Path]:
+    """The page, and the picture of the envelope, where there is a pointing."""
+    from fluxtwin.report import png_bytes, render_report
+    from fluxtwin.scenarios.page import FigureBlock, Page, PageSection
     from fluxtwin.sim.base import files
-    from fluxtwin.sim.earth import epoch
 
-    figure = pointing_envelope(
-        epoch.seconds_since(around.time, around.time[0]) / 3600.0,
-        around.p5_deg,
-        around.median_deg,
-        around.p95_deg,
-        around.max_deg,
-        title=flown.plan.scenario.name,
-        vehicles=flown.plan.vehicles - flown.summary["lost"],
+    found, around, blocks, written = flown.summary, flown.envelope, [], []
+    if around is not None and around.time.size > 1:
+        from fluxtwin.plots.ensemble import pointing_envelope
+
+        flew = flown.plan.vehicles - found["lost"]
+        parts = (around.p5_deg, around.median_deg, around.p95_deg, around.max_deg)
+        drawn = pointing_envelope(around.time, *parts, title=flown.plan.scenario.name, vehicles=flew)
+        written.append(files.write_bytes(flown.folder / "envelope.png", png_bytes(drawn)))
+        caption = "Pointing error at each time over the vehicles; the worst of each moment need not be one vehicle."
+        blocks = [FigureBlock("envelope", caption, drawn)]
+    lost = [f"lost: vehicle {one['vehicle']}: {one['reason']}" for one in found["why_lost"][:3]]
+    page = Page(
+        title=f"{found['vehicles']} vehicles of {found['name'] or 'a scenario'}",
+        verdict=f"{found['vehicles'] - found['lost']} of {found['vehicles']} vehicles flew to the end.",
+        next_step="fluxtwin ensemble with --extract K writes the scenario of vehicle K, to fly the worst one alone.",
+        sections=[PageSection("What came out", lost, [_table(flown)], blocks)],
+        provenance={"seed": str(found["seed"]), "span": " to ".join(found["span"]), "samples": str(found["samples"])},
+        command=command_line(),
     )
-    return files.write_with(flown.folder / "envelope.png", lambda path: figure.savefig(path, dpi=150))
+    return [*written, files.write_text(flown.folder / "report.html", render_report(page))]
 
 
-def _show(output: Output, flown: Ensemble, drawing: Path | None) -> None:
+def _table(flown: Ensemble) -> Table:
+    from fluxtwin.scenarios.page import Table
+
     found = flown.summary
     rows = [[name, *(spread[key] for key in _SHOWN)] for name, spread in found["figures"].items()]
     columns = ("figure of a vehicle", "mean", "std", "5 %", "50 %", "95 %", "99 %", "max", "of vehicle")
-    output.table(f"{found['vehicles']} vehicles of {found['name']}, seed {found['seed']}", columns, rows)
+    return Table(f"{found['vehicles']} vehicles of {found['name']}, seed {found['seed']}", columns, rows)
+
+
+def _show(output: Output, flown: Ensemble, drawn: list[Path]) -> None:
+    found = flown.summary
+    table = _table(flown)
+    output.table(table.title, table.columns, table.rows)
     for one in found["why_lost"][:3]:
         output.say(f"lost: vehicle {one['vehicle']}: {one['reason']}")
     if found["lost"]:
@@ -147,6 +163,7 @@ def _show(output: Output, flown: Ensemble, drawing: Path | None) -> None:
     output.say(f"{found['samples']} samples a vehicle, {found['span'][0]} to {found['span'][1]}")
     names = ["summary.json", "vehicles.csv", f"chunk-*.nc ({found['chunks']})"]
     if flown.envelope is not None:
-        names += ["envelope.csv"] + ([] if drawing is None else [drawing.name])
+        names.append("envelope.csv")
+    names += [path.name for path in drawn]
     output.say(f"  {flown.folder}: {', '.join(names)}")
     output.result(found)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from fluxtwin.commands import options as of
-from fluxtwin.console import Output
+from fluxtwin.console import Output, command_line
 
 NAME = "plan"
 BRIEF = "What to fly next to settle what a diagnosis leaves open, and with what power."
@@ -89,9 +89,8 @@ def command(
         if out is not None and found.scenario is not None:
             written.append(save_scenario(found.scenario, out))
         if html is not None:
-            written.append(
-                write_text(html, render_report(plan_page.plan_page(found, f"What to fly: {telemetry.name}")))
-            )
+            page = plan_page.plan_page(found, f"What to fly: {telemetry.name}", command=command_line())
+            written.append(write_text(html, render_report(page)))
     for note in found.notes:
         output.note(f"note: {note}")
     output.prose(found.sentence)

@@ -167,12 +167,13 @@ def _version() -> str:
 def write_calibration(calibration: Calibration, path: Path | str) -> Path:
     """Write atomically, and read back before the file takes its name. Raises BadInput when it cannot."""
     _require_covariance(calibration.covariance, f"{path}: covariance")
-    text = _to_text(calibration)
+    text = calibration_text(calibration)
     _from_tree(parse_tree(text, where=str(path)), str(path))
     return files.write_toml(path, text)
 
 
-def _to_text(calibration: Calibration) -> str:
+def calibration_text(calibration: Calibration) -> str:
+    """The content of a calibration file."""
     content = file_content(calibration)
     digest = digest_of(content)
     lines = [*_heading(calibration), f"format = {FORMAT}", f'convention = "{CONVENTION}"', "", "[parameters]"]

@@ -36,7 +36,7 @@ def test_an_ensemble_and_one_vehicle_of_it(cli: Cli, scenario: Path, tmp_path: P
     assert "3 vehicles of few, seed 2" in outcome.out and "pointing_p95_deg" in outcome.out
     names = {path.name for path in out.iterdir()}
     tables = {"ensemble.json", "vehicles.csv", "summary.json", "envelope.csv", "envelope.png"}
-    assert names == {*tables, "chunk-00000.nc"}
+    assert names == {*tables, "report.html", "chunk-00000.nc"}
     assert (out / "vehicles.csv").read_text(encoding="utf-8").startswith("vehicle,seed,magnetometer.b_nT[0],")
     again = cli("ensemble", scenario, "--vehicles", 3, "--out", out, "--resume", "--json", "-")
     shown = json.loads(again.out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import shlex
@@ -141,12 +142,17 @@ def test_the_page_has_it_all(cli: Cli, flight: Path, tmp_path: Path) -> None:
         text.index(word)
         for word in (
             'class="verdict">Good.',
+            f'class="next">Next: fluxtwin calibrate {flight / "my.nc"} --out',
             "absolute knowledge error",
-            "<h2>Parameters",
-            "<h2>Residuals",
+            "<h2>Measured and predicted",
             "data:image/png",
+            "<h2>Residuals",
+            "<h2>Directions and what to fly",
+            "<h2>Parameters",
+            "<h2>What the residual follows",
             "<h2>What these data do not determine",
             f"fluxtwin calibrate {flight / 'my.nc'} --robust tukey --html {page}",
+            'download="calibration.toml"',
             "SHA-256 of the calibration",
         )
     ]
@@ -162,19 +168,72 @@ def test_pairs_are_a_table_of_five_at_most(cli: Cli, flight: Path, tmp_path: Pat
     assert out.count("not separable in this data") <= 2  # in the verdict or the list below, once each
 
 
+def test_the_page_carries_the_calibration_itself(cli: Cli, flight: Path, tmp_path: Path) -> None:
+    page, out = tmp_path / "my.html", tmp_path / "my.toml"
+    assert cli("calibrate", flight / "my.nc", "--html", page, "--out", out).status == 0  # type: ignore[attr-defined]
+    (carried,) = re.findall(r'href="data:application/octet-stream;base64,([^"]+)" download', page.read_text("utf-8"))
+    assert base64.b64decode(carried) == out.read_bytes()
+
+
+@pytest.mark.parametrize("method", ["linear", "scalar"])
+def test_predicted_minus_calibrated_is_the_residual(flight: Path, method: str) -> None:
+    """The figures of the page agree with the fit: what is predicted is the model's field, whatever was fitted."""
+    from fluxtwin.calib.common.design import reference_field_B_nT
+    from fluxtwin.calibration_page import calibration_page
+    from fluxtwin.plots.time_series import TimeSeries
+
+    record = fluxtwin.read(flight / "my.nc")
+    fit = fluxtwin.calibrate(record, method=method)
+    page = calibration_page(fit, "t", next_step="", command="", record=record)
+    series = {b.name: b.figure for s in page.sections for b in s.figures if isinstance(b.figure, TimeSeries)}
+    field = reference_field_B_nT(record.select(fit.rows), fluxtwin.load_field("igrf14"))
+    measured = np.array(record.mag_B_nT)[fit.rows]
+    for panel in series["field"].panels:
+        lines = {line.name: line.values for line in panel.lines}
+        k = "xyz".find(panel.label[0])
+        assert np.array_equal(lines["measured"], np.linalg.norm(measured, axis=1) if k < 0 else measured[:, k])
+        if method == "linear" or k < 0:
+            wanted = np.linalg.norm(field, axis=1) if k < 0 else field[:, k]
+            atol = (
+                1e-3 if method == "linear" else 0.03
+            )  # nT: noise lengthens a reading by 20^2 / |B|, which the fit takes off
+            np.testing.assert_allclose(lines["predicted"], wanted, rtol=0.0, atol=atol)
+    kept = np.concatenate([n.values for p in series["residuals"].panels[1:] for n in p.lines if n.look != "cross"])
+    crosses = [n.values for p in series["residuals"].panels[1:] for n in p.lines if n.look == "cross"]
+    both = np.where(np.isnan(kept), np.concatenate(crosses), kept) if crosses else kept
+    assert np.array_equal(both, fit.residuals_nT.T.ravel()), "each row is drawn once, kept or set aside"
+
+
 def test_outliers_are_marked_and_do_not_scale_the_axes() -> None:
-    from fluxtwin.plots.calibration_residuals import CalibrationResiduals, draw_calibration_residuals
+    from fluxtwin.plots.time_series import TimeSeries, draw_time_series, residual_panels
 
     rng = np.random.default_rng(1)
     time = np.datetime64("2026-03-01", "ns") + np.arange(300) * np.timedelta64(10, "s")
     r, aside = 20.0 * rng.normal(size=(300, 3)), np.zeros(300, dtype=bool)
     r[[50, 150]] += 40_000.0
     aside[[50, 150]] = True
-    marked = draw_calibration_residuals(CalibrationResiduals(time, r, aside), title="t")
-    bare = draw_calibration_residuals(CalibrationResiduals(time, r), title="t")
+    marked = draw_time_series(TimeSeries("t", time, residual_panels(r, "xyz", aside)))
+    bare = draw_time_series(TimeSeries("t", time, residual_panels(r, "xyz", np.zeros_like(aside))))
     for row in range(3):
-        left, right = marked.axes[2 * row : 2 * row + 2]
-        assert left.get_ylim()[1] < 100.0
-        assert right.get_xlim()[1] < 200.0
-        assert bare.axes[2 * row].get_ylim()[1] > 40_000.0
-    assert "2 rows set aside" in marked.get_suptitle()
+        assert marked.axes[row].get_ylim()[1] < 100.0
+        assert bare.axes[row].get_ylim()[1] > 40_000.0
+        assert "set aside" in [text.get_text() for text in marked.axes[row].get_legend().get_texts()]
+    assert marked.axes[-1].get_xlabel() == "UTC"
+
+
+def test_a_long_record_keeps_every_outlier_on_the_page() -> None:
+    from fluxtwin.plots.time_series import Line, Panel, TimeSeries
+
+    time = np.datetime64("2026-03-01", "ns") + np.arange(1_000_000) * np.timedelta64(100, "ms")
+    values = np.random.default_rng(2).normal(size=(4, time.size))
+    spikes = [[3, 999_999], [500_001], [77_777], [640_000]]
+    for part, rows in zip(values, spikes, strict=True):
+        part[rows] = 1000.0
+    series = TimeSeries("t", time, [Panel("x [nT]", [Line("after", part, "#000000")]) for part in values])
+    shown = series.thinned()
+    assert shown.time.size < 30_000
+    for panel, rows in zip(shown.panels, spikes, strict=True):
+        assert list(shown.time[panel.lines[0].values > 100.0]) == list(time[rows])
+    sent = series.to_dict()
+    assert np.array_equal(np.cumsum(sent["steps_ms"]), shown.time.astype("datetime64[ms]").astype(int))
+    assert len(json.dumps(sent)) < 800_000

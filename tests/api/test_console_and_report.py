@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import html.parser
 import io
+import json
 import re
 import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 import fluxtwin
 from fluxtwin.console import Manners, Output, clean, shown
+from fluxtwin.plots.time_series import Line, Panel, TimeSeries
 from fluxtwin.report import png_bytes, render_report
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, StudyResult, Table
 from fluxtwin.sim.base.seals import digest_of
@@ -74,7 +79,7 @@ def test_foreign_text_stays_text_on_the_page(text: str) -> None:
     assert "\x1b" not in page
 
 
-def test_the_page_fetches_nothing_and_runs_nothing() -> None:
+def test_a_page_without_series_fetches_nothing_and_runs_nothing() -> None:
     reader = Reader()
     reader.feed(render_report(page_with("x")))
     assert "script" not in {tag for tag, _ in reader.tags}
@@ -221,3 +226,26 @@ def test_a_study_is_written_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert {p.name for p in written} == {"scenario.toml", "one.png", "report.html", "summary.json"}
     assert all(p.stat().st_size for p in written)
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"one.png", "report.html", "summary.json"}
+
+
+def test_series_bring_one_script_which_the_policy_names_by_its_digest() -> None:
+    time = np.datetime64("2026-03-01", "ns") + np.arange(9) * np.timedelta64(10, "s")
+    lines = [Line("</script><script>alert(1)</script>", np.arange(9.0), "#000000")]
+    series = TimeSeries("t", time, [Panel("<b>x</b> [nT]", lines)])
+    page = render_report(Page("t", "v", sections=[PageSection("s", figures=[FigureBlock("one", "c", series)])]))
+    (policy,) = re.findall("script-src '(sha256-[^']+)';", page)
+    scripts = re.findall("<script([^>]*)>(.*?)</script>", page, flags=re.DOTALL)
+    assert [kind for kind, _ in scripts] == [' type="application/json"', ""], "foreign text made no script"
+    assert policy == "sha256-" + base64.b64encode(hashlib.sha256(scripts[1][1].encode()).digest()).decode()
+    assert json.loads(scripts[0][1])["panels"][0]["lines"][0]["name"] == lines[0].name
+    assert "unsafe-inline" not in page.partition("style-src")[0] and "http://" not in scripts[1][1] + scripts[0][1]
+    assert page.count("data:image/png;base64,") == 1, "without scripts the figure stands"
+
+
+@pytest.mark.parametrize("size_pt", [6.0, 12.0])
+def test_a_figure_is_never_so_narrow_that_its_text_is_below_nine_pixels(size_pt: float) -> None:
+    figure = Figure(figsize=(5, 2))
+    figure.text(0.5, 0.5, "words", fontsize=size_pt)
+    page = render_report(Page("t", "v", sections=[PageSection("s", figures=[FigureBlock("one", "c", figure)])]))
+    (width,) = re.findall(r'style="min-width:(\d+)px"', page)
+    assert 9.0 < size_pt * (int(width) - 2) / (5 * 72) < 9.3  # px: points of the figure at that width, less its frame

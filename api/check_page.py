@@ -1,0 +1,67 @@
+"""What a check found as a page and as a table: the traps, then the readings beside the model."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import numpy as np
+
+from fluxtwin.calib.checks.report import CheckReport
+from fluxtwin.calib.common.design import reference_field_B_nT
+from fluxtwin.evidence import field_block
+from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
+from fluxtwin.sim.base.errors import FluxtwinError
+from fluxtwin.sim.earth.field import field_N_nT
+from fluxtwin.sim.earth.field_models import FieldModel
+from fluxtwin.sim.telemetry.record import Telemetry
+
+
+def check_page(
+    found: CheckReport, path: Path, record: Telemetry | str, model: FieldModel, *, reading: str = "", command: str = ""
+) -> Page:
+    """The page of one check; record: what was read, or why it cannot be; reading: the options that read it; command: what
+    repeats it."""
+    again = "mend what is named, in a column map where it is a convention, and check again."
+    return Page(
+        title=f"Is it what it says? {path.name}",
+        verdict=verdict(found),
+        next_step=again if found.traps else f"fluxtwin calibrate {shlex.quote(str(path))} {reading}",
+        sections=[
+            PageSection("What was found", [], [findings_table(found)]),
+            PageSection("The readings beside the model", *_readings(record, model)),
+        ],
+        provenance={"source": found.source, "rows": str(found.samples), "field model": model.name},
+        command=command,
+    )
+
+
+def verdict(found: CheckReport) -> str:
+    """In a sentence."""
+    said = "no trap found" if not found.traps else f"{len(found.traps)} found: {', '.join(t.code for t in found.traps)}"
+    return f"{found.source}: {found.samples} rows; {said}"
+
+
+def findings_table(found: CheckReport) -> Table:
+    """Traps and notes."""
+    rows = [(one.severity, one.code, one.text, one.row_count or "") for one in found.findings]
+    return Table("Findings", ("", "code", "what", "rows"), rows)
+
+
+def _readings(record: Telemetry | str, model: FieldModel) -> tuple[list[str], list[Table], list[FigureBlock]]:
+    if isinstance(record, str):
+        return [f"They cannot be drawn: {record}"], [], []
+    rows = record.select(record.has_reading)
+    if not len(rows):
+        return ["There is none."], [], []
+    predicted, words = None, "Measured alone: without a position the model has nothing to say."
+    try:
+        if rows.has_attitude.any() and rows.has_position.any():
+            predicted = reference_field_B_nT(rows, model)
+            words = "Measured, and the model field where the file says that the spacecraft was, in its attitude."
+        elif rows.r_N_km is not None and rows.has_position.all():
+            predicted = np.linalg.norm(field_N_nT(model, rows.time, rows.r_N_km), axis=1, keepdims=True)
+            words = "Measured, and the size of the model field where the file says that the spacecraft was."
+    except FluxtwinError as refusal:
+        words = f"Measured alone. {refusal}"
+    return [], [], [field_block(rows, rows.mag_B_nT, predicted, f"{words} Neither is calibrated.")]

@@ -1,0 +1,46 @@
+"""Figures of a record that the pages of calibration, check and diagnosis share."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fluxtwin.plots.drivers import draw_drivers
+from fluxtwin.plots.time_series import TimeSeries, field_panels
+from fluxtwin.scenarios.page import FigureBlock
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.telemetry.quantities import BY_NAME, FAMILIES, WHEELS
+from fluxtwin.sim.telemetry.record import Telemetry
+
+_NO_DRIVERS = ("r_N_km", "v_N_km_s", "mag_B_nT", "mag2_B_nT", "q_NB", "sun_B", "nadir_B")
+
+
+def field_block(record: Telemetry, measured_nT: FloatArray, predicted_nT: FloatArray | None, words: str) -> FigureBlock:
+    """|B| and components, (N, 3) or (N, 1), of a record of N rows; words: what predicts them, a sentence."""
+    series = TimeSeries("The field, measured and predicted", record.time, field_panels(measured_nT, predicted_nT))
+    return FigureBlock("field", words, series)
+
+
+def driver_blocks(record: Telemetry, residuals: dict[str, FloatArray]) -> list[FigureBlock]:
+    """Residuals (N, K) [nT], by what they are called, against what the record of N rows has beside the field."""
+    figure = draw_drivers(_columns(record), residuals, title="The residual against what it may follow")
+    caption = (
+        "Dots: samples. Points: means of groups of like values with their 1 sigma. A slope or a step is an effect that is "
+        "not modelled. The quantity that explains most of the residual stands first."
+    )
+    return [] if figure is None else [FigureBlock("drivers", caption, figure)]
+
+
+def _columns(record: Telemetry) -> dict[str, FloatArray]:
+    """What may drive a field, (N,) by name with unit; |B| too."""
+    found = {"|B| [nT]": np.linalg.norm(record.mag_B_nT, axis=1)}
+    for quantity in (*BY_NAME.values(), WHEELS):
+        values = None if quantity.name in _NO_DRIVERS else getattr(record, quantity.name, None)
+        if values is None:
+            continue
+        parts = np.reshape(values, (len(record), -1)).T
+        unit = next(unit for unit, factor in quantity.units.items() if factor == 1.0)
+        stems = quantity.stems if len(parts) == len(quantity.stems) else [f"wheel_{k + 1}" for k in range(len(parts))]
+        found |= {f"{stem} [{unit.replace('_', '/') or 1}]": part for stem, part in zip(stems, parts, strict=True)}
+    for family in FAMILIES:
+        found |= {family.prefix + name: values for name, values in getattr(record, family.field).items()}
+    return {name: np.asarray(values, dtype=np.float64) for name, values in found.items()}

@@ -1,0 +1,67 @@
+"""What a residual follows: against every recorded quantity that varies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from fluxtwin.plots import style
+from fluxtwin.plots.gap import alike_in
+from fluxtwin.plots.time_series import extremes
+from fluxtwin.sim.base.types import FloatArray
+
+_MOST = 6  # panels rows: those that the residual follows most
+_DOTS = 2000  # of a panel
+
+
+def draw_drivers(
+    columns: Mapping[str, FloatArray], residuals: Mapping[str, FloatArray], *, title: str
+) -> Figure | None:
+    """A row of panels a quantity, a panel an axis: samples, and means of groups of like values with their 1 sigma.
+
+    columns: (N,) by name with unit; residuals: (N, K) [nT] by what they are called, at most two. The quantities stand in the
+    order of the share of the first residual's variance that the groups explain. None where nothing varies.
+    """
+    first = next(iter(residuals.values()))
+    shares = {name: _share(column, first) for name, column in columns.items()}
+    names = sorted((name for name, share in shares.items() if share >= 0), key=lambda name: -shares[name])[:_MOST]
+    if not names:
+        return None
+    axes_count = first.shape[1]
+    figure, grid = style.figure(7.2, 0.8 + 1.7 * len(names), rows=len(names), cols=axes_count)
+    for panels, name in zip(grid, names, strict=True):
+        for number, axes in enumerate(panels):
+            for (words, residual), (pale, strong) in zip(residuals.items(), _looks(len(residuals)), strict=True):
+                known = np.isfinite(columns[name]) & np.isfinite(residual[:, number])
+                x, y = columns[name][known], residual[known, number]
+                few = extremes(np.column_stack([x, y]), _DOTS)
+                axes.plot(x[few], y[few], ".", color=pale, markersize=1.5, alpha=0.4, zorder=1)
+                groups = alike_in(x)
+                middle = [(x[part].mean(), y[part].mean(), y[part].std() / part.size**0.5) for part in groups]
+                look: dict[str, Any] = {"fmt": "o", "markersize": 3.5, "capsize": 2, "elinewidth": 1.0, "color": strong}
+                axes.errorbar(*np.transpose(middle), label=f"{words}, means", **look)
+            style.zero_line(axes)
+            style.label(axes, x=name, y="residual [nT]" if number == 0 else None)
+            if panels is grid[0]:
+                style.label(axes, title="xyz"[number] if axes_count == 3 else "|B|")
+    style.legend_below(figure, grid[0][0])
+    style.heading(figure, title)
+    return figure
+
+
+def _looks(count: int) -> Sequence[tuple[str, str]]:
+    """Colour of dots and of means."""
+    return [(style.ORANGE, style.VERMILION), (style.SKY, style.BLUE)][-count:]
+
+
+def _share(column: FloatArray, residual: FloatArray) -> float:
+    """Of the residual's variance that the groups explain; -1 for a column that does not vary."""
+    known = np.isfinite(column) & np.isfinite(residual).all(axis=1)
+    x, y = column[known], residual[known]
+    if x.size < 2 or not np.ptp(x) > 0.0:
+        return -1.0
+    explained = sum(part.size * ((y[part].mean(axis=0) - y.mean(axis=0)) ** 2).sum() for part in alike_in(x))
+    return float(explained / max(((y - y.mean(axis=0)) ** 2).sum(), 1e-300))

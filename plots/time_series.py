@@ -1,0 +1,149 @@
+"""Series along one record, panels above each other: drawn as a figure, and handed to the page's script as data.
+
+The figure stands by itself, in print and without scripts. Of long records the rows with the lowest and the highest value of
+each series in every stretch are kept, so that no outlier is lost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from fluxtwin.plots import style
+from fluxtwin.sim.base.types import BoolArray, FloatArray, IntArray, TimeArray
+
+_MOST_VALUES = 60_000  # of a figure: half a megabyte as text
+_DIGITS = 6  # significant ones in the data of the script
+_SPREAD = 1.12  # of the largest value: where the axes end
+
+
+@dataclass(frozen=True)
+class Line:
+    """One series of a panel."""
+
+    name: str
+    values: FloatArray
+    """(N,); NaN is no point."""
+    colour: str
+    look: str = "dots"
+    """dots, line, or cross: rows set aside, which have no say in the axes."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One pair of axes."""
+
+    label: str
+    """With the unit, as `x [nT]`."""
+    lines: Sequence[Line]
+
+
+@dataclass(frozen=True)
+class TimeSeries:
+    """Panels over one time axis."""
+
+    title: str
+    time: TimeArray
+    """(N,) UTC, ascending."""
+    panels: Sequence[Panel]
+
+    def thinned(self) -> TimeSeries:
+        """With as many rows as a page can carry, the extremes of every series among them."""
+        lines = [line for panel in self.panels for line in panel.lines]
+        rows = extremes(np.transpose([line.values for line in lines]), _MOST_VALUES // max(len(lines), 1))
+        if rows.size == self.time.size:
+            return self
+        panels = [
+            Panel(one.label, [Line(n.name, n.values[rows], n.colour, n.look) for n in one.lines]) for one in self.panels
+        ]
+        return TimeSeries(self.title, self.time[rows], panels)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For the script: stamps [ms since 1970, UTC] as steps from one to the next, and values."""
+        shown = self.thinned()
+        stamps = shown.time.astype("datetime64[ms]").astype(np.int64)
+        panels = [{"label": one.label, "lines": [_line(line) for line in one.lines]} for one in shown.panels]
+        return {"title": self.title, "steps_ms": np.diff(stamps, prepend=0).tolist(), "panels": panels}
+
+
+def extremes(values: FloatArray, most: int) -> IntArray:
+    """Rows (M,) of values (N, K), M up to about `most`: the lowest and the highest of each column in stretches of equal
+    count."""
+    n, k = values.shape
+    if n <= most:
+        return np.arange(n)
+    size = -(-n * 2 * k // most)
+    whole = n // size
+    cut = values[: whole * size].reshape(whole, size, k)
+    starts = np.arange(whole)[:, None] * size
+    low = starts + np.where(np.isnan(cut), np.inf, cut).argmin(axis=1)
+    high = starts + np.where(np.isnan(cut), -np.inf, cut).argmax(axis=1)
+    return np.unique(np.concatenate([low.ravel(), high.ravel(), np.arange(whole * size, n)]))
+
+
+def draw_time_series(series: TimeSeries) -> Figure:
+    """A panel below the other; rows set aside are crosses, arrows at the edge where they lie beyond it."""
+    shown = series.thinned()
+    figure, grid = style.figure(7.2, 0.9 + 1.5 * len(shown.panels), rows=len(shown.panels), share_x=True)
+    style.heading(figure, series.title)
+    for panel, (axes,) in zip(shown.panels, grid, strict=True):
+        kept = [line.values for line in panel.lines if line.look != "cross"]
+        style.limit(axes, np.concatenate(kept), _SPREAD)
+        for line in panel.lines:
+            if line.look == "line":
+                known = np.isfinite(line.values)
+                points = style.broken(shown.time[known], line.values[known])
+                axes.plot(*points, color=line.colour, linewidth=1.1, label=line.name)
+            elif np.isfinite(line.values).any():
+                mark, size = ("x", 5.0) if line.look == "cross" else (".", 3.0)
+                axes.plot(shown.time, line.values, mark, markersize=size, color=line.colour, label=line.name)
+                style.mark_beyond(axes, shown.time, line.values, colour=line.colour)
+        style.label(axes, y=panel.label)
+        style.legend_beside(axes)
+    style.utc(grid[-1][0], shown.time)
+    return figure
+
+
+def residual_panels(
+    residual_nT: FloatArray, names: Sequence[str], aside: BoolArray, *, before_nT: FloatArray | None = None
+) -> list[Panel]:
+    """Residuals (N, K), a panel a component, rows `aside` (N,) as crosses; above them all of `before_nT` (N, K) in one."""
+    panels = []
+    colours = style.AXIS_COLOURS
+    if before_nT is not None:
+        lines = [Line(name, part, colour) for name, part, colour in zip(names, before_nT.T, colours, strict=False)]
+        panels.append(Panel("before [nT]", lines))
+    for name, part, colour in zip(names, residual_nT.T, colours, strict=False):
+        lines = [Line("after" if before_nT is not None else "residual", np.where(aside, np.nan, part), colour)]
+        if aside.any():
+            lines.append(Line("set aside", np.where(aside, part, np.nan), style.BLACK, "cross"))
+        panels.append(Panel(f"{name} [nT]", lines))
+    return panels
+
+
+def field_panels(measured_nT: FloatArray, predicted_nT: FloatArray | None) -> list[Panel]:
+    """|B| and, of vectors, the components, (N, 3) or (N, 1), measured and predicted; body axes."""
+    panels = []
+    for name in ("|B|", *"xyz")[: 4 if measured_nT.shape[1] == 3 else 1]:
+        lines = []
+        for words, field, colour, look in (
+            ("measured", measured_nT, style.BLUE, "dots"),
+            ("predicted", predicted_nT, style.VERMILION, "line"),
+        ):
+            if field is not None and (name == "|B|" or field.shape[1] == 3):
+                part = np.linalg.norm(field, axis=1) if name == "|B|" else field[:, "xyz".index(name)]
+                lines.append(Line(words, part, colour, look))
+        panels.append(Panel(f"{name} [nT]", lines))
+    return panels
+
+
+def _line(line: Line) -> dict[str, Any]:
+    """Values that are there, with their rows where some are not."""
+    known = np.isfinite(line.values)
+    sparse = {} if known.all() else {"rows": np.flatnonzero(known).tolist()}
+    values = [float(f"{value:.{_DIGITS}g}") for value in line.values[known].tolist()]
+    return {"name": line.name, "look": line.look, "colour": line.colour, "values": values, **sparse}

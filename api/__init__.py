@@ -7,7 +7,7 @@ The verbs, each imported when it is first used:
     found = fluxtwin.diagnose(telemetry)             # where the gap to the simulation lies, which effect causes it
     found, scenario = fluxtwin.close(found, scenario=None, telemetry="pass.nc")   # a scenario that has the effect
     fluxtwin.follow("growing.csv", calibration="june.toml")   # rows as they come, an alarm, then the diagnosis
-    fluxtwin.plan(found)                             # what to fly next, so that what is left open can be told
+    fluxtwin.plan(found)                             # what to fly next, to settle what is left open
     report = fluxtwin.check(telemetry)               # the classic traps, named; fluxtwin.repair mends a file
     fit = fluxtwin.calibrate(telemetry)              # S, b, T with covariance and observability
     better = fluxtwin.apply(telemetry, fit.calibration)

@@ -126,7 +126,7 @@ def _which(diagnosis: Diagnosis) -> PageSection:
     if diagnosis.resembles:
         words.append(f"It resembles {', '.join(diagnosis.resembles)}.")
     groups = [effect.group for effect in diagnosis.effects if len(effect.group) > 1]
-    words += [f"{' and '.join(group)} cannot be told apart in these data. {PLAN}" for group in groups]
+    words += [f"{' and '.join(group)} cannot be distinguished in these data. {PLAN}" for group in groups]
     shown = [effects_table(diagnosis)] if diagnosis.effects else []
     if any(effect.rivals for effect in diagnosis.effects):
         shown.append(rivals_table(diagnosis))

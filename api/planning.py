@@ -74,7 +74,7 @@ def plan(
     telemetry: a record or its file, which is diagnosed first with the options of `fluxtwin.diagnose`; or a diagnosis, or
     the JSON of one. limits: what may be flown, as `[limits]` in a file. scenario: the spacecraft as it is flown; without
     one its orbit, noise and housekeeping are taken from the record. names: ask about these effects alone: one is to be
-    shown at its typical size, several are to be told apart; `["calibration"]` asks what halves the sigma of S or b that is
+    shown at its typical size, several are to be distinguished; `["calibration"]` asks what halves the sigma of the S or b
     known worst, by the method that `fluxtwin.calibrate` chooses.
     Raises BadInput for limits that leave nothing to fly, NoAnswer where nothing is left open.
     """
@@ -122,7 +122,9 @@ def plan(
         _about(names, plain, here, closure is not None) if names else questions.asked(plain, here, closure is not None)
     )
     if not open_:
-        raise NoAnswer("nothing is left open: every name is told from the others and shown at its typical size")
+        raise NoAnswer(
+            "nothing is left open: every name is distinguished from the others and shown at its typical size"
+        )
     found = []
     for place, question in enumerate(open_):
         progress(question.words, 0.75 + 0.25 * place / len(open_))
@@ -194,9 +196,9 @@ def _about(names: Sequence[str], plain: Mapping[str, Any], here: Flown, recorded
     known = [one for one in plain["effects"] if one["name"] in names]
     likely = here.likeliest(names) if recorded else None
     first = here.plausible(questions.cause_of(known[0])) if known else likely or questions.typical(names[0])
-    found = questions.told_apart([first.name, *names], here, first)
+    found = questions.ambiguous([first.name, *names], here, first)
     if not found:
-        raise NoAnswer(f"none of {', '.join(names)} can look like {first.name} in these data: they are told apart")
+        raise NoAnswer(f"none of {', '.join(names)} can look like {first.name} in these data: they are distinguished")
     return found
 
 

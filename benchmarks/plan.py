@@ -152,14 +152,14 @@ def show(cases: Sequence[Case], counted: int) -> None:
             continue
         mean = [
             100 * float(np.mean([getattr(one, key) for one in own]))
-            for key in ("told", "predicted", "random_told", "random_predicted")
+            for key in ("compared", "predicted", "random_told", "random_predicted")
         ]
         hours = float(np.mean([one.hours for one in own]))
         shares = f"{mean[0]:>4.0f}% {mean[1]:>8.0f}% {mean[2]:>5.0f}% {mean[3]:>8.0f}%"
         print(f"{' / '.join(pair):<48} {len(own):>6} {shares} {hours:>5.1f}")
     n = len(cases)
     for words, key, said in (
-        ("plan flown", "told", "predicted"),
+        ("plan flown", "compared", "predicted"),
         ("random manoeuvre", "random_told", "random_predicted"),
     ):
         right = sum(getattr(one, key) for one in cases)

@@ -1,4 +1,4 @@
-"""How often the diagnosis is right about effects that it has not been told.
+"""How often the diagnosis is right about effects that it does not know of.
 
     python benchmarks/withheld.py [--population NAME ...] [--count N|small] [--jobs N] [--out DIR] [--chaos FILE]
     python benchmarks/withheld.py --tune SEED ...     any other seed (or --seed), on any tree; nothing is logged

@@ -32,7 +32,7 @@ from fluxtwin.sim.effects.base import Effect
 FALSE_ALARM = 0.01
 """Of a whole fleet: for the spread of a size, and for the odd one out."""
 _GROUP = 2.0 * np.log(20.0)
-"""Names whose exchange costs less are not told apart."""
+"""Names whose exchange costs less are not distinguished."""
 
 
 @dataclass(frozen=True)
@@ -259,7 +259,7 @@ def _faults(
     shared: Sequence[str],
     common: CommonEffect | None,
 ) -> tuple[Fault, ...]:
-    """What single vehicles are told to have and most others have not; and sizes that differ from those of all others."""
+    """What single vehicles are said to have and most others have not; and sizes that differ from those of all others."""
     count = len(diagnoses)
     known = set() if common is None else set(common.group)
     faults = []

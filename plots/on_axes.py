@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from fluxtwin.plots import style
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 
-_MOST = 20_000  # points of a series that can be told apart
+_MOST = 20_000  # points of a series that can be distinguished
 
 
 def new_axes() -> Axes:

@@ -59,7 +59,7 @@ STUDIES: dict[str, Study] = {
     ),
     "flight-gaps": Study(
         "fluxtwin.scenarios.flight_gaps.study",
-        "the diagnosis on records that flew, whose cause it is not told (MAGSAT, Swarm, DMSP, an aircraft)",
+        "the diagnosis on records that flew, whose cause it is not given (MAGSAT, Swarm, DMSP, an aircraft)",
         needs_data=True,
     ),
 }

@@ -77,7 +77,7 @@ class _Problem:
         self.motor = self.limited(-self.vehicle.share @ command[3:6], period_s, state[7:])
 
     def reading(self, number: int, period_s: float, stage: FloatArray, state: FloatArray) -> FloatArray:
-        """What the law is told, without errors."""
+        """What the law is given, without errors."""
         reading = np.zeros(layout.READING_SIZE)
         A, target = stage[:9].reshape(3, 3), self.vehicle.target
         r, v = stage[layout.POSITION : layout.VELOCITY], stage[layout.VELOCITY : layout.FIELD_N]

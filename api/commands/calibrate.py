@@ -244,7 +244,7 @@ def _print(output: Output, fit: Fit, next_step: str) -> None:
         output.prose(line)
     for message in () if manners.quiet or impossible else fit.messages:  # how a fit that is none was made helps nobody
         output.prose(f"- {message}", indent="  ")
-    if len(fit.observability) > 1:  # a single one stands in the verdict
+    if len(fit.observability) > 1:  # a single one is in the verdict
         output.say("what these data do not determine:")
         for words in fit.observability:
             output.prose(f"- {words}", indent="  ")

@@ -32,7 +32,7 @@ def command(
         typer.Option(
             "--for",
             metavar="NAMES",
-            help="One effect to be shown; several, by commas, to be told apart; or calibration.",
+            help="One effect to be shown; several, by commas, to be distinguished; or calibration.",
         ),
     ] = "",
     scenario: Annotated[

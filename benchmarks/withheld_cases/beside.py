@@ -13,7 +13,7 @@ from withheld_cases.statistics import median
 
 SENSORS = ("sun_sensor_head_misalignment", "horizon_scanner_bias")
 """Effects that are faults of the sensors of sun and nadir."""
-TOLD = "told"
+TOLD = "compared"
 """Reach of a row that is there to be compared with another."""
 
 

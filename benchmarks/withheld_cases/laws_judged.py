@@ -25,7 +25,7 @@ from withheld_cases.statistics import median
 from withheld_cases.store import Store
 from withheld_cases.twins import left, residual
 
-TOLD = "told"
+TOLD = "compared"
 RIVALS = {"lasso": "lasso (scikit-learn)", "sindy": "STLSQ (pysindy)"}
 _DONE = ("not", "cos", "sin", "cos2", "sin2", "e")
 

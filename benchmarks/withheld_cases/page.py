@@ -41,7 +41,7 @@ def page(cases: Sequence[Judged], void: int, run: dict[str, Any]) -> str:
     parts = [
         _HEAD,
         f"This run: {made}. {len(cases)} records: {told}.{missing} A row is met when the point estimate reaches it; "
-        f"the interval is Wilson's, 95 %; a row that is `told` is there to be compared. {_contents(cases)}",
+        f"the interval is Wilson's, 95 %; a row that is `compared` has no reach. {_contents(cases)}",
         score.table(score.rows_of(cases)),
         "## What was said of each effect",
         f"![Confusion matrix](images/{FIGURE})",

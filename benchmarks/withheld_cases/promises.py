@@ -16,7 +16,7 @@ from withheld_cases.rows import counted_row, distributional, number_row, of, sha
 FAINT = (0.1, 0.2)
 SHOWN_AS_98 = (0.975, 0.985)
 """What is printed as 98 %."""
-TOLD = "told"
+TOLD = "compared"
 
 
 def rows(cases: Sequence[Judged]) -> list[dict[str, Any]]:

@@ -15,7 +15,7 @@ Test = Callable[[Judged], bool]
 def share_row(
     title: str, reach: str, cases: Sequence[Judged], test: Test, least: float, most: float = 1.0
 ) -> dict[str, Any]:
-    """A share: met where the point estimate lies from least to most; a row that is `told` has nothing to meet."""
+    """A share: met where the point estimate lies from least to most; a row that is `compared` has nothing to meet."""
     return counted_row(title, reach, sum(test(case) for case in cases), len(cases), least, most)
 
 
@@ -23,7 +23,7 @@ def counted_row(title: str, reach: str, right: int, of: int, least: float, most:
     """The same of what is no case."""
     low, high = wilson(right, of)
     value = right / of if of else None
-    met = None if value is None or reach == "told" else bool(least <= value <= most)
+    met = None if value is None or reach == "compared" else bool(least <= value <= most)
     return {
         "figure": title,
         "reach": reach,

@@ -110,14 +110,14 @@ def _elsewhere(cases: Sequence[Judged]) -> list[dict[str, Any]]:
         ),
         share_row(
             "another shape that the plain entry carries less than 90 % of: named, or unknown that resembles it",
-            "told",
+            "compared",
             strange,
             lambda c: c.first_right or _resembled(c),
             0.0,
         ),
         share_row(
-            "single whose driving column is missing, of which what stands in carries less than 90 %: the same",
-            "told",
+            "single whose driving column is missing, of which its replacement carries less than 90 %: the same",
+            "compared",
             without,
             lambda c: c.first_right or _resembled(c),
             0.0,

@@ -161,7 +161,7 @@ def check_clock(sample: Sample, model: FieldModel, origin: Origin) -> list[Findi
         close = [shift for one, shift in likely if one > odds[best] - CLEAR and abs(shift - tried[best]) > near]
         unknown = [shift for shift in close if shift and shift not in shifts]  # neighbours: one stands for all
         close = [shift for shift in close if shift not in unknown[1:]]
-        return [trap("clock", named + _not_told_apart(close))]
+        return [trap("clock", named + _ambiguous(close))]
     # What a shift costs this record is what taking it back would gain one whose stamps are off by as much.
     gain = np.maximum(evidence.log[0] - evidence.log, 0.0)
     shows = gain - np.sqrt(2.0 * gain) > costs + CLEAR
@@ -178,7 +178,7 @@ def named_shift(shift_s: float, words: str, as_is_nT: float, mended_nT: float) -
     )
 
 
-def _not_told_apart(close: list[float]) -> str:
+def _ambiguous(close: list[float]) -> str:
     if not close:
         return ""
     listed = " or ".join(shift_words(shift) if shift else "none" for shift in close[:4])

@@ -48,7 +48,7 @@ SCALAR_MENDED = 0.04
 POSITION_COST = 10.0
 """Log prior odds against swapped or reversed axes of the position."""
 AMBIGUOUS = 2.0
-"""Log odds below which two names are not told apart."""
+"""Log odds below which two names are not distinguished."""
 
 
 def check_field(telemetry: Telemetry, model: FieldModel, origin: Origin, usable: BoolArray) -> list[Finding]:

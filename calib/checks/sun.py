@@ -18,7 +18,7 @@ SUN_MISFIT_DEG = 20.0
 def check_of_date(telemetry: Telemetry) -> list[Finding]:
     """Attitude relative to axes of date under the name GCRS, judged by the measured sun."""
     if telemetry.sun_B is None or telemetry.q_NB is None:
-        return [note("of_date_not_tested", "no measured sun vector: J2000 and axes of date cannot be told apart")]
+        return [note("of_date_not_tested", "no measured sun vector: J2000 and axes of date cannot be distinguished")]
     rows = np.flatnonzero(telemetry.has_attitude & np.isfinite(telemetry.sun_B).all(axis=1))
     rows = rows[np.linspace(0, rows.size - 1, min(rows.size, MAX_ROWS)).astype(int)] if rows.size else rows
     if rows.size < FEWEST:
@@ -39,7 +39,7 @@ def check_of_date(telemetry: Telemetry) -> list[Finding]:
 
 
 def _share_of_date(residual: FloatArray, shift: FloatArray, towards_B: FloatArray) -> list[Finding]:
-    """How much of the shift from GCRS to axes of date the sun residuals contain: 0 or 1, or it cannot be told.
+    """How much of the shift from GCRS to axes of date the sun residuals contain: 0 or 1, or it cannot be said.
 
     A constant small turn of the sensor is free. The uncertainty is that of ten blocks in time, left out in turn
     (jackknife), so that attitude errors which last for minutes count.

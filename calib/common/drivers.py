@@ -109,7 +109,7 @@ def fitted(asked: Asked, rows: np.ndarray, others: FloatArray, fit: Callable[[Co
     if not asked.columns and not asked.every:
         return fit({})
     columns = {name: values[rows] for name, values in asked.columns.items()}
-    apart, same = told_apart(columns, others)
+    apart, same = distinguishable(columns, others)
     if same and not asked.every:
         name, why = next(iter(same.items()))
         raise NoAnswer(
@@ -121,7 +121,7 @@ def fitted(asked: Asked, rows: np.ndarray, others: FloatArray, fit: Callable[[Co
         if {name: one[:2] for name, one in found.items()} == {name: one[:2] for name, one in before.items()}:
             break
         columns = {name: late(asked.time_s, asked.columns[name], *found.get(name, _NOT)[:2])[rows] for name in columns}
-        apart, together = told_apart({name: columns[name] for name in apart}, others)
+        apart, together = distinguishable({name: columns[name] for name in apart}, others)
         same |= together
         whole = fit({name: columns[name] for name in apart})
     kept, worths = chosen(whole, len(apart) * len(lateness_tried(asked.time_s)))
@@ -225,7 +225,7 @@ def drops_of(gram: FloatArray, fixed: int, each: int) -> FloatArray:
     return np.asarray(np.array(found) * scale[-1] ** 2)
 
 
-def told_apart(columns: Mapping[str, FloatArray], others: FloatArray) -> tuple[tuple[str, ...], dict[str, str]]:
+def distinguishable(columns: Mapping[str, FloatArray], others: FloatArray) -> tuple[tuple[str, ...], dict[str, str]]:
     """Names of columns (n,) that are no combination of a constant, of others (n, k) and of those before, and why not."""
     basis, kept = np.zeros((len(others), 0)), list[str]()
     for column in others.T:

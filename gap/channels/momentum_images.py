@@ -26,7 +26,7 @@ _DEAD_RAD = 1e-9
 """A parameter of its typical size that turns no node by more is not there."""
 
 _SPANS = (3, 9)
-"""Rows over which the quick part of wheels is told from the slow one."""
+"""Rows over which the quick part of wheels is separated from the slow one."""
 
 DYNAMICS: tuple[DynamicsEffect, ...] = tuple(e for e in CATALOGUE if isinstance(e, DynamicsEffect))
 

@@ -40,7 +40,7 @@ FALSE_ALARM = 0.01
 LEAST_EXPLAINED = 0.02
 """What explains less is not named: the rounding of a digital head repeats from pass to pass and looks like a fault."""
 _RIVAL = 0.9
-"""A hypothesis that explains this share of what the best does cannot be told from it."""
+"""A hypothesis that explains this share of what the best does cannot be distinguished from it."""
 _MEMORY_S = 150.0
 _MOST_ROWS = 100_000
 _STEP_RAD = 1e-5
@@ -134,7 +134,7 @@ class SunNadir:
                 f"sun and nadir agree to {self.rms_deg:.2f} deg in {self.passes} passes: no fault of one attitude sensor "
                 "against the other is seen, so a rotation in S is the magnetometer's or common to both sensors"
             )
-        others = "".join(f", or {other.words}, which cannot be told from it" for other in self.rivals)
+        others = "".join(f", or {other.words}, which cannot be distinguished from it" for other in self.rivals)
         return (
             f"sun and nadir disagree by {self.rms_deg:.2f} deg; {self.named.words} explains "
             f"{100 * self.named.explained:.0f} % of its square (p = {self.named.p_value:.1g}){others}: an "

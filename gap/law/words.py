@@ -97,11 +97,11 @@ def gate(text: str) -> str | None:
 
 def term(one: LawTerm) -> str:
     """One term in words."""
-    told = {
+    seen = {
         axis: pair for axis, pair in one.coefficients.items() if pair[1] is None or abs(pair[0]) > _NOT_SHOWN * pair[1]
     }
     sizes = [
-        f"{measured(value, sigma)} {one.unit} on {axis}" for axis, (value, sigma) in (told or one.coefficients).items()
+        f"{measured(value, sigma)} {one.unit} on {axis}" for axis, (value, sigma) in (seen or one.coefficients).items()
     ]
     size = " and ".join(sizes) if len(sizes) < 3 else f"{', '.join(sizes[:-1])} and {sizes[-1]}"
     frame = "" if one.axes == "body" else f" of {'the orbital frame' if one.axes == 'orbital' else _FRAMES[one.axes]}"
@@ -146,7 +146,7 @@ def sentence(law: Law, named: bool, orbits: float) -> str:
 def instead(law: Law) -> Law:
     """The law with the names that it does without in its sentence."""
     names = " and ".join(law.instead_of)
-    return replace(law, sentence=f"{law.sentence} It explains more than {names}, and stands in the place of it.")
+    return replace(law, sentence=f"{law.sentence} It explains more than {names}, and replaces it.")
 
 
 def nothing(law: Law) -> str:

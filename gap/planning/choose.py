@@ -91,7 +91,7 @@ def _answers(question: Open, view: Flown, rows: int) -> list[Answer]:
         if cause.effect.bound is not None:
             found.append(Answer(cause.name, 1.0 - GATE, f"nothing is named: it was {cause.name}, which is past"))
             continue
-        power = view.told(cause, question.names, rows)
+        power = view.distinguishing(cause, question.names, rows)
         others = " and ".join(_others(question, cause))
         found.append(Answer(cause.name, power, f"it is named, and {others} not"))
     return found

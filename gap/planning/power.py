@@ -1,9 +1,9 @@
 """With what probability a diagnosis of a design would give the right answer.
 
-A cause that makes the signal u is told from another when |(I - P[N, X_b]) u|^2 is large, N what is re-estimated and X_b the
-image of the other: optimal discrimination (Atkinson & Fedorov 1975, Biometrika 62, 57). What that is worth is up to the
-criterion of the diagnosis, which weighs all candidates at once: so noise is drawn in the span of all of them, where it is
-white, and its own rules are applied to each draw.
+A cause that makes the signal u is distinguished from another when |(I - P[N, X_b]) u|^2 is large, N what is re-estimated
+and X_b the image of the other: optimal discrimination (Atkinson & Fedorov 1975, Biometrika 62, 57). What that is worth is
+up to the criterion of the diagnosis, which weighs all candidates at once: so noise is drawn in the span of all of them,
+where it is white, and its own rules are applied to each draw.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class Flown:
             self._shown[rows] = power
         return self._shown[rows]
 
-    def told(self, cause: Cause, names: Sequence[str], rows: int) -> float:
+    def distinguishing(self, cause: Cause, names: Sequence[str], rows: int) -> float:
         """Probability that a diagnosis of the first rows names `cause`, which is there, and none of the others with it."""
         others = {*names} - {cause.name}
         if cause.name in self.untestable or others & {*self.same.get(cause.name, ())}:
@@ -172,7 +172,7 @@ class Flown:
         return Cause(cause.effect, first, tuple(also))
 
     def placed(self, place: Placed, frame: str, rows: int) -> float:
-        """Probability that structure in the axes of a frame is told from the same in the other frames, on the first rows.
+        """Probability that structure in the axes of a frame is distinguished from that in others, on the first rows.
 
         Each of its columns alone has the size that place says; the two that are compared have as many parameters, so what
         counts is how much less the other explains.

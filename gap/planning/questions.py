@@ -22,7 +22,7 @@ _POSSIBLE = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Open:
-    """One question. Causes with their sizes are to be told apart; a name alone is to be shown at its typical size."""
+    """One question. Causes with their sizes are to be distinguished; a name alone is to be shown at its typical size."""
 
     names: tuple[str, ...]
     causes: tuple[Cause, ...]
@@ -42,12 +42,12 @@ def asked(found: Mapping[str, Any], flown: Flown, recorded: bool) -> list[Open]:
     questions = []
     for effect in found["effects"]:
         if len(effect["group"]) > 1:
-            questions += told_apart(effect["group"], flown, flown.plausible(cause_of(effect)))
+            questions += ambiguous(effect["group"], flown, flown.plausible(cause_of(effect)))
     if found["verdict"] == "unknown" and found["resembles"]:
         alike = [name for name in found["resembles"] if isinstance(find_effect(name), SignalEffect)]
         first = flown.likeliest(alike) if recorded else None
         if alike:
-            questions += told_apart(alike, flown, first or typical(alike[0]))
+            questions += ambiguous(alike, flown, first or typical(alike[0]))
     if found["verdict"] == "unknown":
         questions += to_place(found, flown)
     named = {name for effect in found["effects"] for name in (effect["name"], *effect["group"])}
@@ -58,7 +58,7 @@ def asked(found: Mapping[str, Any], flown: Flown, recorded: bool) -> list[Open]:
     return questions
 
 
-def told_apart(names: Sequence[str], flown: Flown, first: Cause) -> list[Open]:
+def ambiguous(names: Sequence[str], flown: Flown, first: Cause) -> list[Open]:
     """The question which of these it is; the first as it was found, the others as they look most like it."""
     causes = [first]
     for name in [name for name in names if name != first.name][: _MOST_ALIKE - 1]:

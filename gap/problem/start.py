@@ -22,7 +22,7 @@ def start_without_attitude(telemetry: Telemetry, model: FieldModel) -> Magnetome
     """The magnetometer as the record itself calibrates it; None where the readings are near the field as they are.
 
     Everything in a diagnosis is linear about its start, and a raw magnetometer may be off by more than the field. Raises
-    NoAnswer, naming what is open, where such a record does not determine b and S: nothing could be told from them then.
+    NoAnswer, naming what is open, where such a record does not determine b and S: nothing could be concluded from them then.
     """
     usable = telemetry.select(telemetry.has_reading & telemetry.has_position)
     if not len(usable):
@@ -42,7 +42,7 @@ def start_without_attitude(telemetry: Telemetry, model: FieldModel) -> Magnetome
         words = [f"{name} by {sigmas[name]:.2g}{' nT' if name.startswith('b') else ''}" for name in worst[:3]]
         raise NoAnswer(
             f"no row has a reference attitude, and |B| alone leaves {' and '.join(words)} open (1 sigma): no effect can be "
-            "told from the calibration. A record in which the body turns about a second axis, or the attitude, would do",
+            "distinguished from the calibration. A record with the attitude, or of turns about a second axis, would do",
             evidence={"sigma": {name: float(sigmas[name]) for name in worst}},
         )
     return Magnetometer(known.S, known.b_nT)

@@ -72,7 +72,7 @@ class Plan(Record, Shown):
 
     sentence: Name
     questions: Sequence[Question]
-    """Most urgent first: what is named but not told apart, what is unknown, what would not have shown."""
+    """Most urgent first: what is named but not distinguished, what is unknown, what would not have shown."""
     limits: Mapping[str, Any]
     refused: Mapping[str, str]
     """Manoeuvres that the limits do not allow, and why."""

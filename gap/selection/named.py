@@ -113,5 +113,5 @@ class SearchResult:
 
     @property
     def resembles(self) -> tuple[str, ...]:
-        """Names that would do, where more than three cannot be told apart; else none."""
+        """Names that would do, where more than three cannot be distinguished; else none."""
         return tuple(dict.fromkeys(name for one in self.named if one.too_many_alike for name in one.group))

@@ -277,7 +277,7 @@ def record_of(flight: Flight, own: Sequence[ZoneFit], lags_s: Sequence[float], s
     """What the gap diagnosis is given: all zones, thinned, in body axes, readings through the static sensor that fits them
     best, attitude from spin axis and phase.
 
-    The file has no temperature. The column holds what stands in for it: the day's sunlight behind `lags_s` in series,
+    The file has no temperature. The column holds what replaces it: the day's sunlight behind `lags_s` in series,
     a swing of 20, the same that the thermal effects use where nothing was recorded; those start again in each record
     and do not know the sunlight between two zones.
     """

@@ -247,7 +247,7 @@ def _magsat_figures(outcome: Outcome) -> dict[str, Callable[[], Figure]]:
         "with along_track_error": [table.left_nT(along) for table in pair],
         "with both": [table.left_nT(along, epoch) for table in pair],
     }
-    axes, title = ["north, east, centre", "axes of the orbit"], "MAGSAT and IGRF-14: what stands in for what"
+    axes, title = ["north, east, centre", "axes of the orbit"], "MAGSAT and IGRF-14: what can replace what"
     minus = "MAGSAT minus IGRF-14"
     return {
         "magsat_degree_8": partial(gap_cases.by_latitude, cut, f"{minus} to degree 8", _AURORA_DEG),

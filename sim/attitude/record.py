@@ -97,7 +97,7 @@ def librating(
     """Earth-pointing attitude with the given libration.
 
     time (N,), r_N_km and v_N_km_s (N, 3). orbital_rate_O_rad_s (N, 3) is the rate of the orbital frame, from
-    `ephemeris_rate_O_rad_s`; without it `kepler_rate_O_rad_s` stands in, with the error stated there.
+    `ephemeris_rate_O_rad_s`; without it `kepler_rate_O_rad_s` is used, with the error stated there.
     """
     angles = libration.angles(time)
     R_BO = frames.rotation_BO(*angles.T)

@@ -20,7 +20,7 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 
 _EQUAL = 1e-12
-"""Moments closer than this (relative) are one moment: they cannot be told apart after 1e12 radians."""
+"""Moments closer than this (relative) are one moment: they cannot be distinguished after 1e12 radians."""
 _SEPARATRIX = 1e-9
 """Below this complementary parameter scipy's Jacobi functions are approximations; integrate instead."""
 

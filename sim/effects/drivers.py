@@ -1,4 +1,4 @@
-"""What drives the effects of the spacecraft: recorded columns, and what stands in where they are absent."""
+"""What drives the effects of the spacecraft: recorded columns, and what replaces them where they are absent."""
 
 from __future__ import annotations
 

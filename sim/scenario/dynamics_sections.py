@@ -38,7 +38,7 @@ class DynamicsSection(Section):
 
 
 class ControlBase(Section):
-    """What the law steers to, and what it is told. One law at most has its section below [control]."""
+    """What the law steers to, and what it knows. One law at most has its section below [control]."""
 
     period_s: Positive = 1.0
     """From tick to tick: the command is held in between."""
@@ -52,7 +52,7 @@ class ControlBase(Section):
     axis: Direction = (0.0, -1.0, 0.0)
     """The wanted direction of the momentum, in O or N; the default is the orbit normal."""
     attitude_sigma_deg: NonNegative = 0.0
-    """Error of the attitude that the law is told, per axis, first-order Gauss-Markov."""
+    """Error of the attitude that the law is given, per axis, first-order Gauss-Markov."""
     attitude_tau_s: NonNegative = 0.0
 
     magnetometer: Literal["perfect", "instrument"] = "perfect"

@@ -161,7 +161,7 @@ class EffectSection(Section):
 
 
 def _settings(effect: Effect) -> dict[str, Any]:
-    """Name and type of each discrete setting that stands in the section."""
+    """Name and type of each discrete setting that the section has."""
     hints = get_type_hints(type(effect))
     return {item.name: hints[item.name] for item in dataclasses.fields(effect) if item.name != effect.keyed_by}
 

@@ -52,7 +52,7 @@ def temperature_history(
 
     The equilibrium (N,) is held from each stamp to the next, and within a step everything is exact: the lag
     is an exponential, and the heater switches at the instant the threshold is crossed, as often as it is. It starts at
-    the mean equilibrium unless told otherwise, heater off unless that is below its threshold.
+    the mean equilibrium unless stated otherwise, heater off unless that is below its threshold.
     """
     stamps = clock.as_times(time)
     goal = np.broadcast_to(np.asarray(equilibrium_degC, dtype=np.float64), stamps.shape)

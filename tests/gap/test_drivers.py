@@ -132,7 +132,7 @@ def test_every_column_and_setting_is_counted() -> None:
     assert "driver" in candidates(without)[1] and "driver" not in candidates(with_three)[1]
 
 
-def test_columns_that_cannot_be_told_apart_are_one_group() -> None:
+def test_columns_that_cannot_be_distinguished_are_one_group() -> None:
     record, _ = driven()
     payload, noise = record.drivers["payload"], stream(3, "test.twin").normal(size=len(record))
     both = {"payload": payload, "twin": 5.0 - 2.0 * payload + 1e-3 * noise, "bus": record.drivers["bus"]}

@@ -119,9 +119,14 @@ def test_a_body_rate_tells_a_clock_from_an_orbit(flown: dict[str, tuple[Design, 
 def test_power_grows_with_size_and_time(flown: dict[str, tuple[Design, Flown]]) -> None:
     view = next(view for words, (_, view) in flown.items() if words.startswith("tumble"))
     names = ("time_tag_offset", "along_track_error")
-    power = [view.told(Cause(TimeTagOffset(), np.array([size])), names, view.problem.rows) for size in (0.02, 0.6, 3.0)]
+    power = [
+        view.distinguishing(Cause(TimeTagOffset(), np.array([size])), names, view.problem.rows)
+        for size in (0.02, 0.6, 3.0)
+    ]
     assert power[0] < 0.05 and power[-1] > 0.99 and power == sorted(power)
-    rows = [view.told(Cause(TimeTagOffset(), np.array([0.8])), names, rows) for rows in (20, view.problem.rows)]
+    rows = [
+        view.distinguishing(Cause(TimeTagOffset(), np.array([0.8])), names, rows) for rows in (20, view.problem.rows)
+    ]
     assert rows[0] < rows[1]
 
 

@@ -2,7 +2,7 @@
 
 No more than a chunk is ever held in memory. Series are kept as float32 (a quaternion within 1e-5 deg); figures as
 float64. A vehicle whose flight fails (it spins up beyond what the step can follow) is lost, not an error: its series
-are NaN and the reason stands in the file.
+are NaN and the file gives the reason.
 """
 
 from __future__ import annotations

@@ -129,7 +129,7 @@ def _fly(plan: Plan, folder: Path, todo: list[int], how: Workers, progress: Prog
 
 
 def _events(plan: Plan, folder: Path, todo: list[int], how: Workers) -> Iterator[Event]:
-    """What is told of each chunk; those that were flown elsewhere are written here."""
+    """What is reported of each chunk; those that were flown elsewhere are written here."""
     place = None if how.executor or how.scheduler else str(folder.resolve())
     calls = [(plan.record(), place, number) for number in todo]
     for event in answers(chunk.fly_chunk, calls, jobs=how.jobs, scheduler=how.scheduler, executor=how.executor):

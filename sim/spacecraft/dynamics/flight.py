@@ -145,7 +145,7 @@ def fly(
     environments: one for all, or one each, of equal spacing; the spacing is a whole number of steps. control_every:
     steps between two ticks of the control; log_every: steps between two rows of the answer. dipoles_B_Am2 (ticks, 3):
     what the torquers do besides the law. knowledge (ticks, 6): errors of the attitude [rad] and of the field [T] that
-    the law is told. The answer does not depend on `threads`. Raises BadInput for what does not fit together.
+    the law is given. The answer does not depend on `threads`. Raises BadInput for what does not fit together.
     """
     from fluxtwin.sim.spacecraft.dynamics.kernels import fly as compiled
 

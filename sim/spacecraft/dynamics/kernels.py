@@ -99,7 +99,7 @@ def fly(
     the inertia tensor less that of the wheels about their axes. packed (V, P), slots (torques + laws,): parameters
     and where they begin. nodes (1 or V, K, columns): the surroundings, so many `substeps` apart. dipoles (ticks or 0,
     3): what the torquers do besides the law [A m2]. knowledge (ticks or 0, 6): errors of the attitude [rad] and the
-    field [T] that the law is told. targets (V, 13), see `_seen_attitude`. compasses (V, 12): field to reading, and what
+    field [T] that the law is given. targets (V, 13), see `_seen_attitude`. compasses (V, 12): field to reading, and what
     is added [T]. share (V, W, 3): wheel torques for a torque on the body. every: steps from tick to tick and from row
     to row. out (V, rows, 13 + W): q_NB, rate in B, dipole, field in B [T], wheel speeds relative to the body.
     """

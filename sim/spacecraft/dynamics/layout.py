@@ -24,7 +24,7 @@ DENSITY = 25
 FIELD = 26
 """Magnetic field in B [T]."""
 DIPOLE = 29
-"""What the torquers are told to do, in B [A m2]."""
+"""What the torquers are commanded to do, in B [A m2]."""
 TORQUE = 32
 """The sum of the torques, in B [N m]: each torque adds its own."""
 STAGE_SIZE = 35

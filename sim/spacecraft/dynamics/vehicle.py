@@ -1,4 +1,4 @@
-"""The body that flies: inertia, wheels, torques, control and what it is told to point at."""
+"""The body that flies: inertia, wheels, torques, control and what it is to point at."""
 
 from __future__ import annotations
 

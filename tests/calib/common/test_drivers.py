@@ -18,7 +18,7 @@ from scipy.stats import binom, chi2, norm
 from worlds import scenario_text
 
 from fluxtwin.calib.common.apply import apply_calibration
-from fluxtwin.calib.common.drivers import told_apart
+from fluxtwin.calib.common.drivers import distinguishable
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.onboard import composed
 from fluxtwin.calib.common.records import Calibration, Onboard, TelemetryBias, seconds_of
@@ -294,7 +294,7 @@ def test_a_column_or_a_method_that_is_not_there_is_refused(method: str, names: l
         (lambda r: 1.0 - 2.0 * r.drivers["payload"], "goes together with driver_payload"),
     ],
 )
-def test_a_column_that_cannot_be_told_apart_is_refused(column: Any, said: str) -> None:
+def test_a_column_that_cannot_be_distinguished_is_refused(column: Any, said: str) -> None:
     record = flown(0)
     spoilt = record.replace(drivers={**record.drivers, "x": column(record)})
     for method in ("linear", "scalar"):
@@ -302,7 +302,7 @@ def test_a_column_that_cannot_be_told_apart_is_refused(column: Any, said: str) -
             fit_of(spoilt, method=method, driver=["payload", "x"])
 
 
-def test_what_can_be_told_apart_beside_the_field() -> None:
+def test_what_can_be_distinguished_beside_the_field() -> None:
     rng = stream(2, "test.apart")
     field, free = 3e4 * rng.normal(size=(500, 3)), rng.normal(size=500)
     columns = {
@@ -312,7 +312,7 @@ def test_what_can_be_told_apart_beside_the_field() -> None:
         "weak": field[:, 0] * 1e-4 + 0.01 * rng.normal(size=500),
         "zero": np.zeros(500),
     }
-    kept, why = told_apart(columns, field)
+    kept, why = distinguishable(columns, field)
     assert kept == ("free", "weak")
     assert why["along"].startswith("it follows the field")
     assert why["mixed"].startswith("it is a combination of the field")

@@ -38,7 +38,7 @@ CROOKED = Magnetometer(
 
 @dataclass(frozen=True)
 class Spinner:
-    """A body held over one spot of the turning Earth that spins at a constant rate, about z unless told otherwise."""
+    """A body held over one spot of the turning Earth that spins at a constant rate, about z unless stated otherwise."""
 
     time: TimeArray
     rate_rad_s: float

@@ -87,7 +87,7 @@ def test_telemetry_carries_what_the_dynamics_did(scenario: Scenario, close) -> N
     assert telemetry.wheel_speed_rpm.shape == (telemetry.time.size, 3) and np.ptp(telemetry.wheel_speed_rpm) > 100.0
     close(telemetry.rate_B_rad_s, truth.rate_B_rad_s, atol=1e-15, unit="rad/s", because="a gyro without errors")
     pointing = np.degrees(np.sqrt(np.mean([truth.yaw_rad**2, truth.roll_rad**2, truth.pitch_rad**2])))
-    assert 0.005 < pointing < 0.2, "held to about what the law is told, 0.05 deg"
+    assert 0.005 < pointing < 0.2, "held to about what the law is given, 0.05 deg"
     # The rate is the derivative of the attitude, and the field in the body that of the world seen through it.
     field_B_nT = frames.rotation_from_q(truth.q_NB).apply(truth.field_N_nT)
     close(field_B_nT, truth.field_B_nT, atol=1e-9, unit="nT", because="rounding")

@@ -9,7 +9,7 @@ covariance, all that the parameters and their white covariance need. `residuals`
 is `calib.linear.fit_design`: the tests of excitation, the correction for noise in the reading, the sandwich
 covariance, statistics and words as well; `whole, blocks` with the covariance that allows for correlated errors.
 `numpy qr` is plain Householder QR of the full design. Each
-repeat runs every contestant once, in turn; medians count. The answers are compared with numpy's QR.
+repeat runs every contestant once, in turn; medians of processor time count. The answers are compared with numpy's QR.
 """
 
 # ruff: noqa: E402  (the thread counts must be set before numpy is loaded)
@@ -81,10 +81,10 @@ def measure(samples: int, repeats: int) -> dict[str, Any]:
     seconds: dict[str, list[float]] = {name: [] for name in runs}
     for repeat in range(repeats + 1):  # the first round warms caches and is not counted
         for name, run in runs.items():
-            start = time.perf_counter()
+            start = time.process_time()
             run()
             if repeat:
-                seconds[name].append(time.perf_counter() - start)
+                seconds[name].append(time.process_time() - start)
     median = {name: statistics.median(values) for name, values in seconds.items()}
     ours, witness = regress(design.H_nT, [design.B_nT]), numpy_qr(design)
     disagreement = max(

@@ -99,6 +99,24 @@ def test_fields_are_the_same(quick: Run) -> None:
     assert all(reason and reason in shown for reason in record["skipped"].values())
 
 
+def test_one_command_gives_one_table(tmp_path: Path) -> None:
+    """Two of its parts: a rival that is not named leaves its line open, and the page has a row for each line."""
+    command = [sys.executable, "-m", "benchmarks", "--quick", "--only", "calibration", "--only", "size"]
+    command += ["--page", str(tmp_path / "page.md"), "--json", "-"]
+    done = subprocess.run(command, cwd=FOLDER.parent, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    lines = json.loads(done.stdout)
+    assert [line["work"].split(",")[0] for line in lines] == [
+        "linear calibration",
+        "the same with all its statistics",
+        "installed",
+    ]
+    assert all(line["bound"] for line in lines) and lines[0]["wanted"] == "15 x"
+    assert "numba" in lines[2]["bound"] and float(lines[2]["measured"].split()[-2]) > 100.0
+    page = (tmp_path / "page.md").read_text(encoding="utf-8")
+    assert page.count("\n| ") == 1 + len(lines) and lines[0]["measured"] in page
+
+
 @pytest.mark.skipif(os.name != "posix", reason="fork and signals of POSIX")
 def test_files_can_be_trusted(tmp_path: Path) -> None:
     """In a process of its own, which forks: a little of the parts that take seconds."""

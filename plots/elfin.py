@@ -48,6 +48,7 @@ def zones_figure(series_nT: Mapping[str, Sequence[float]], numbers: Sequence[int
         look: dict[str, Any] = {"marker": "osD^vP*"[number % 7], "color": style.CYCLE[number % len(style.CYCLE)]}
         axes.plot(numbers, rms_nT, label=label, linestyle=":", linewidth=0.8, markersize=5.0, **look)
     axes.set_yscale("log")
+    style.log_ruler(axes.yaxis)
     axes.set_xticks(list(numbers))
     every = [value for rms_nT in series_nT.values() for value in rms_nT]
     axes.set_ylim(0.6 * min(every), 12.0 * max(every))

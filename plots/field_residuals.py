@@ -62,6 +62,7 @@ def residual_map(track: ResidualTrack, title: str, low_latitude_deg: float) -> F
         for edge in (-low_latitude_deg, low_latitude_deg):
             axes.axhline(edge, color=style.GREY, linewidth=0.8, linestyle="--", zorder=0.9)
         _world(axes)
+        style.coast(axes)
         x, y = "longitude [deg]" if number >= 2 else None, None if number % 2 else "latitude [deg]"
         style.label(axes, x=x, y=y, title=f"{name} residual")
     return figure

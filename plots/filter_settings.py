@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 
 from fluxtwin.plots import style
 from fluxtwin.sim.base.types import FloatArray
@@ -70,9 +69,7 @@ def _panel(
         )
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    style.log_ruler(axes.yaxis)
     style.label(
         axes,
         x="random walk of L/Jt in 1 s [rad/s]",

@@ -97,6 +97,7 @@ def draw_night_map(
                     label=label,
                 )
             )
+    style.coast(axes)
     figure.colorbar(shown, ax=axes, label="|B| less model [nT]")
     axes.set(title=title, xlabel="longitude [deg]", ylabel="latitude [deg]", xlim=(-180, 180), ylim=(-75, 85))
     axes.legend(loc="lower left", frameon=True)

@@ -8,6 +8,8 @@ Colours: the palette of Okabe and Ito (jfly.uni-koeln.de/color, 2008); series di
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
+from importlib.resources import files
 from typing import Any, TypeAlias, cast
 
 import numpy as np
@@ -204,6 +206,18 @@ def limit(axes: Axes, values: FloatArray, spread: float = 1.0) -> None:
         low, high = float(known.min()), float(known.max())
         room = 0.5 * spread * max(high - low, 1e-9 * max(abs(low), abs(high), 1.0))
         axes.set_ylim(0.5 * (low + high) - room, 0.5 * (low + high) + room)
+
+
+def coast(axes: Axes) -> None:
+    """The coastline of the world behind the data of a map in longitude and latitude [deg]."""
+    axes.plot(*coastline_deg().T, color=GREY, linewidth=0.5, zorder=0.6, scalex=False, scaley=False)
+
+
+@cache
+def coastline_deg() -> FloatArray:
+    """(N, 2) longitude and latitude; NaN between lines. Source: data/README.md."""
+    with (files("fluxtwin.plots") / "data" / "coastline.csv").open(encoding="utf-8") as opened:
+        return np.genfromtxt(opened, delimiter=",", skip_header=1)
 
 
 def zero_line(axes: Axes) -> None:

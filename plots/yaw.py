@@ -212,6 +212,8 @@ def draw_sigma(record: YawSigma, *, title: str) -> Figure:
         worst.plot(ordered, 100 * np.arange(1, ordered.size + 1) / ordered.size, color=colour, label=label)
     worst.axvline(record.printed_deg, color="black", linestyle="--", linewidth=0.8, label="printed")
     worst.set(xscale="log", xlabel="largest sigma of yaw [deg]", ylabel="share of cases [%]", title="worst value")
+    style.log_ruler(along.yaxis)
+    style.log_ruler(worst.xaxis)
     worst.legend()
     figure.suptitle(title)
     return figure

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from fluxtwin.plots import style
 from fluxtwin.sim.attitude import record
 from fluxtwin.sim.attitude.rigid_body import principal_axes
 from fluxtwin.sim.earth import atmosphere, epoch, field_models, frames, horizon, references
@@ -129,3 +130,13 @@ def test_density_at_500_km_is_that_of_the_book(close: Close) -> None:
     r_N = frames.rotation_EN(TIME[:1]).inv().apply(r_E)
     found = atmosphere.density_along(TIME[:1], r_N)
     close(1e13 * found, 6.967, atol=1e-3, unit="1e-13 kg/m3", because="printed to four digits")
+
+
+def test_the_coast_of_the_maps_passes_the_capes() -> None:
+    """Good Hope, Froward (Cape Horn's island is left out), North Cape, York and Comorin, as atlases have them."""
+    coast = style.coastline_deg()
+    known = coast[np.isfinite(coast).all(axis=1)]
+    for cape in ((18.47, -34.36), (-71.30, -53.90), (25.78, 71.17), (142.53, -10.69), (77.55, 8.08)):
+        east, north = (known - cape).T
+        assert np.hypot(east * np.cos(np.radians(cape[1])), north).min() < 0.7, cape  # deg: thinned to 0.4
+    assert np.nanmax(np.abs(np.diff(coast[:, 0]))) < 30.0, "no line crosses the map"

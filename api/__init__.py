@@ -75,7 +75,7 @@ if TYPE_CHECKING:
     read = read_telemetry
     write = write_telemetry
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _NAMES = {
     "fluxtwin.sim.telemetry.telemetry_files": ("read_telemetry", "write_telemetry"),

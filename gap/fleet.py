@@ -187,7 +187,7 @@ def _in_common(scores: Sequence[Score]) -> tuple[float, int]:
 
 
 def _imitate(diagnoses: Sequence[Diagnosis], one: str, other: str) -> bool:
-    """Whether the designs of all vehicles hardly tell two effects apart."""
+    """Whether the designs of all vehicles hardly separate two effects."""
     return all(
         min(d.isolability.get(a, {}).get(b, 0.0) for a, b in ((one, other), (other, one))) > ALIKE for d in diagnoses
     )

@@ -222,6 +222,6 @@ def _take(
     evidence[place] = (1.0 + evidence[place]) * np.exp(min(said, limit))
     if excursion[place] <= 0.0:
         excursion[place], since[place] = 0.0, stamp
-    excursion[place] += min(said, 4.0 * limit)  # only names the change, so it may tell more of large ones apart
+    excursion[place] += min(said, 4.0 * limit)  # only names the change, so it may separate more of the large ones
     share: float = prior[place] * evidence[place]
     return share

@@ -60,7 +60,7 @@ def found_effect(
 
 
 def axis_of(energy: FloatArray) -> str | None:
-    """The axis that has most of an energy (3,), "all" where none has; None where the data do not tell the axes apart."""
+    """The axis that has most of an energy (3,), "all" where none has; None where the data do not separate the axes."""
     if not np.isfinite(energy).all():
         return None
     axis = int(np.argmax(energy))

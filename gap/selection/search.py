@@ -122,7 +122,7 @@ def _named(
 
 
 def _axis_energy(under_way: Search[Readings], fit: Fit, number: int, signal: FloatArray) -> FloatArray:
-    """(3,) energy on each body axis of what an effect leaves, signal (M, 3); NaN where the data do not tell them apart.
+    """(3,) energy on each body axis of what an effect leaves, signal (M, 3); NaN where the data do not separate them.
 
     Rows without attitude see one direction at a time, so there the effect's own vector says which axis, and what the
     others may have within their sigma counts for them.

@@ -49,6 +49,7 @@ SIGNED_MAP = "PuOr"
 FULL_WIDTH_IN = 7.2
 """Width of a page [inch]."""
 
+NO_TIME = np.timedelta64(0, "ns")
 _PAUSE = 8.0  # usual steps: a pause of that length breaks a line
 
 TITLE_PT, LABEL_PT, TICK_PT, NOTE_PT = 10.0, 9.0, 8.0, 8.0
@@ -192,10 +193,13 @@ def log_ruler(ruler: Axis) -> None:
     ruler.set_minor_formatter(NullFormatter())
 
 
-def broken(time: TimeArray, values: FloatArray) -> tuple[TimeArray, FloatArray]:
-    """The same with a NaN put in where the record pauses for `_PAUSE` usual steps, so that no line crosses the pause."""
-    step = np.diff(time).astype(np.int64)
-    pauses = np.flatnonzero(step > _PAUSE * np.median(step)) + 1 if step.size else np.empty(0, dtype=np.int64)
+def broken(time: TimeArray, values: FloatArray, least: np.timedelta64 = NO_TIME) -> tuple[TimeArray, FloatArray]:
+    """The same with a NaN put in where the record pauses for `_PAUSE` usual steps and `least`, so that no line crosses the
+    pause."""
+    step = np.diff(time)
+    pauses = (
+        np.flatnonzero(step > max(_PAUSE * np.median(step), least)) + 1 if step.size else np.empty(0, dtype=np.int64)
+    )
     return np.insert(time, pauses, time[pauses]), np.insert(values, pauses, np.nan)
 
 

@@ -50,6 +50,8 @@ class TimeSeries:
     time: TimeArray
     """(N,) UTC, ascending."""
     panels: Sequence[Panel]
+    pause: np.timedelta64 = style.NO_TIME
+    """A longer step, and one of eight usual ones, breaks a line."""
 
     def thinned(self) -> TimeSeries:
         """With as many rows as a page can carry, the extremes of every series among them."""
@@ -57,17 +59,24 @@ class TimeSeries:
         rows = extremes(np.transpose([line.values for line in lines]), _MOST_VALUES // max(len(lines), 1))
         if rows.size == self.time.size:
             return self
+        pause = 4 * np.max(np.diff(rows)) * np.median(np.diff(self.time))  # stretches beside each other stay joined
         panels = [
             Panel(one.label, [Line(n.name, n.values[rows], n.colour, n.look) for n in one.lines]) for one in self.panels
         ]
-        return TimeSeries(self.title, self.time[rows], panels)
+        return TimeSeries(self.title, self.time[rows], panels, pause)
 
     def to_dict(self) -> dict[str, Any]:
         """For the script: stamps [ms since 1970, UTC] as steps from one to the next, and values."""
         shown = self.thinned()
         stamps = shown.time.astype("datetime64[ms]").astype(np.int64)
         panels = [{"label": one.label, "lines": [_line(line) for line in one.lines]} for one in shown.panels]
-        return {"title": self.title, "steps_ms": np.diff(stamps, prepend=0).tolist(), "panels": panels}
+        pause_ms = shown.pause / np.timedelta64(1, "ms")
+        return {
+            "rows": self.time.size,
+            "steps_ms": np.diff(stamps, prepend=0).tolist(),
+            "pause_ms": pause_ms,
+            "panels": panels,
+        }
 
 
 def extremes(values: FloatArray, most: int) -> IntArray:
@@ -77,12 +86,12 @@ def extremes(values: FloatArray, most: int) -> IntArray:
     if n <= most:
         return np.arange(n)
     size = -(-n * 2 * k // most)
-    whole = n // size
-    cut = values[: whole * size].reshape(whole, size, k)
-    starts = np.arange(whole)[:, None] * size
+    count = -(-n // size)
+    cut = np.concatenate([values, np.full((count * size - n, k), np.nan)]).reshape(count, size, k)
+    starts = np.arange(count)[:, None] * size
     low = starts + np.where(np.isnan(cut), np.inf, cut).argmin(axis=1)
     high = starts + np.where(np.isnan(cut), -np.inf, cut).argmax(axis=1)
-    return np.unique(np.concatenate([low.ravel(), high.ravel(), np.arange(whole * size, n)]))
+    return np.unique([low, high])
 
 
 def draw_time_series(series: TimeSeries) -> Figure:
@@ -96,7 +105,7 @@ def draw_time_series(series: TimeSeries) -> Figure:
         for line in panel.lines:
             if line.look == "line":
                 known = np.isfinite(line.values)
-                points = style.broken(shown.time[known], line.values[known])
+                points = style.broken(shown.time[known], line.values[known], shown.pause)
                 axes.plot(*points, color=line.colour, linewidth=1.1, label=line.name)
             elif np.isfinite(line.values).any():
                 mark, size = ("x", 5.0) if line.look == "cross" else (".", 3.0)

@@ -17,7 +17,7 @@
     for (const panel of data.panels) for (const line of panel.lines) {
       line.t = line.rows ? line.rows.map((row) => t[row]) : t;
       const steps = line.t.slice(1).map((ms, k) => ms - line.t[k]).sort((a, b) => a - b);
-      line.usual = steps[steps.length >> 1] || 1;
+      line.pause = Math.max(PAUSE * (steps[steps.length >> 1] || 1), data.pause_ms);
     }
     const canvas = make("canvas", element), readout = make("div", element, "readout"), tools = make("div", element, "tools");
     canvas.setAttribute("role", "img");
@@ -29,7 +29,7 @@
     element.insertBefore(canvas, element.firstChild);
     canvas.after(readout, tools);
     element.classList.add("live");
-    const one = { element, canvas, readout, words, t, panels: data.panels };
+    const one = { element, canvas, readout, words, t, rows: data.rows, panels: data.panels };
     canvas.addEventListener("pointerdown", (e) => { grabbed = at(one, e); canvas.setPointerCapture(e.pointerId); });
     canvas.addEventListener("pointermove", (e) => { cursor = at(one, e); later(); });
     canvas.addEventListener("pointerleave", () => { cursor = null; later(); });
@@ -69,7 +69,7 @@
 
   function iso(ms) { return new Date(ms).toISOString(); }
 
-  function number(value) { return String(Number(value.toPrecision(6))); }
+  function number(value) { return Math.abs(value) < 1e3 ? String(Number(value.toPrecision(4))) : value.toFixed(1); }
 
   function first(t, ms) { // index of the first stamp that is not before ms
     let low = 0, high = t.length;
@@ -177,7 +177,7 @@
     for (let k = from; k < to; k++) {
       const v = line.values[k], px = x(line.t[k]);
       if (line.look === "line") {
-        if (k === from || line.t[k] - line.t[k - 1] > PAUSE * line.usual) c.moveTo(px, y(v)); else c.lineTo(px, y(v));
+        if (k === from || line.t[k] - line.t[k - 1] > line.pause) c.moveTo(px, y(v)); else c.lineTo(px, y(v));
       } else if (v > high || v < low) { // beyond the axes: an arrow at the edge
         const edge = v > high ? top : bottom, inward = v > high ? 7 : -7;
         c.fillStyle = line.colour;
@@ -189,7 +189,11 @@
   }
 
   function read(one) { // what lies under the cursor, as text
-    if (cursor === null) { one.readout.textContent = "Drag to zoom, double click for the whole record; all figures of the page follow."; return; }
+    if (cursor === null) {
+      const some = one.rows > one.t.length ? ` Drawn: ${one.t.length} of ${one.rows} rows, the lowest and the highest among them.` : "";
+      one.readout.textContent = `Drag to zoom, double click for the whole record; all figures of the page follow.${some}`;
+      return;
+    }
     const after = first(one.t, cursor), before = Math.max(after - 1, 0);
     const row = after === one.t.length || cursor - one.t[before] < one.t[after] - cursor ? before : after, ms = one.t[row];
     const said = one.panels.map((panel) => {

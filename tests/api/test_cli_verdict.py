@@ -236,4 +236,14 @@ def test_a_long_record_keeps_every_outlier_on_the_page() -> None:
         assert list(shown.time[panel.lines[0].values > 100.0]) == list(time[rows])
     sent = series.to_dict()
     assert np.array_equal(np.cumsum(sent["steps_ms"]), shown.time.astype("datetime64[ms]").astype(int))
-    assert len(json.dumps(sent)) < 800_000
+    assert len(json.dumps(sent)) < 800_000 and sent["rows"] == 1_000_000
+    assert np.diff(shown.time).max() <= shown.pause, "no line breaks where no row is missing"
+
+
+def test_a_line_breaks_where_the_record_pauses() -> None:
+    from fluxtwin.plots import style
+
+    time = np.datetime64("2026-03-01", "ns") + np.r_[np.arange(50), np.arange(500, 550)] * np.timedelta64(10, "s")
+    stamps, values = style.broken(time, np.ones(100))
+    assert list(np.flatnonzero(np.isnan(values))) == [50] and stamps.size == 101
+    assert not np.isnan(style.broken(time, np.ones(100), np.timedelta64(2, "h"))[1]).any()

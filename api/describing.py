@@ -14,7 +14,7 @@ from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.telemetry.column_map import mapped_table
-from fluxtwin.sim.telemetry.column_map_draft import header_of
+from fluxtwin.sim.telemetry.column_map_draft import headers_of
 from fluxtwin.sim.telemetry.columns import describe, file_columns
 from fluxtwin.sim.telemetry.formats.catalogue import format_of
 from fluxtwin.sim.telemetry.layouts import recognised
@@ -178,9 +178,13 @@ def _of_header(path: Path, why: str) -> Inventory:
 
         read = record(mapped_table(path, found[1]))
         return of_record(read.replace(provenance={**read.provenance, "column_map": found[0]}), str(path))
-    listed = header_of(path)
+    listed = headers_of(path)
     kind = format_of(path)
     if kind is not None and kind.option:
         why = f"a {kind.name}: give it as {kind.option} {path} beside the readings"
-    columns = [Column(name, listed.units.get(name, "")) for name in listed.names]
-    return Inventory(str(path), listed.rows, None, None, None, None, columns, unread=why)
+    columns = [
+        Column(f"{one.sheet}: {name}" if one.sheet else name, one.units.get(name, ""))
+        for one in listed
+        for name in one.names
+    ]
+    return Inventory(str(path), max(one.rows for one in listed), None, None, None, None, columns, unread=why)

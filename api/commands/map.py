@@ -16,7 +16,8 @@ BRIEF = "Write a first column map from the header of foreign files."
 def command(
     output: Output,
     files: Annotated[
-        list[Path] | None, typer.Argument(metavar="FILE...", help="Foreign files, of any kind that can be read.")
+        list[Path] | None,
+        typer.Argument(metavar="FILE...", help="Foreign files, of any kind that can be read, or a folder of them."),
     ] = None,
     preset: Annotated[
         str | None,

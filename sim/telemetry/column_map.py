@@ -170,6 +170,8 @@ class FileEntry(Strict):
 
     path: str | None = None
     """File name or pattern inside the folder; several matches are joined in the order of their names."""
+    sheet: str | None = None
+    """Of a workbook; the first where none is named."""
     optional: bool = False
     """Left out where no file matches."""
     time: Annotated[TimeRecipe, BeforeValidator(_recipe)]

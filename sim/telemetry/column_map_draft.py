@@ -6,7 +6,8 @@ import itertools
 import json
 import re
 from collections.abc import MutableMapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.telemetry.column_map_draft_time import text_format
 from fluxtwin.sim.telemetry.column_map_values import from_lists
 from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
-from fluxtwin.sim.telemetry.formats.catalogue import table_of
+from fluxtwin.sim.telemetry.formats.catalogue import READ, format_of, table_of
 from fluxtwin.sim.telemetry.formats.table import Table
 from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME
@@ -66,9 +67,9 @@ _FRAME_WORDS = {
 }
 """Frame by the words that a name may have; the first that fits counts."""
 _KINDS = (
-    ("mag", re.compile(r"mag|(^|_)b(_|$)|fgm|tam|field|^b$|bfield")),
+    ("mag", re.compile(r"mag|(^|_)b(_|$)|fgm|tam|field|^b$|bfield|fluxgate|compass|mtm|hmc|rm3100|lis3mdl|bmm|mmc5")),
     ("velocity", re.compile(r"vel|^v(_|$)|(_|^)v$")),
-    ("position", re.compile(r"pos|ecef|eci|^r(_|$)|(_|^)r$|orbit|gps|gnss")),
+    ("position", re.compile(r"pos|ecef|eci|^r(_|$)|(_|^)r$|orb|gps|gnss")),
     ("rate", re.compile(r"rate|gyr|omega|angvel|^w(_|$)")),
     ("dipole", re.compile(r"dipole|mtq|torquer")),
     ("sun", re.compile(r"sun")),
@@ -80,6 +81,10 @@ _SIZES = {
     "velocity": (("m/s", 300.0, 12e3), ("km/s", 0.3, 12.0)),
 }
 """Typical sizes of a vector by unit: a guess where the name says none."""
+_CURRENT = re.compile(r"curr|amp(s|ere)?(_|$)|^i_?(sa|bat|load|bus)|(^|_)i_|_i(_|$)|_m?a$|duty|pwm|heater|load")
+_MOST_A = 30.0
+"""More than a small spacecraft has in one wire: then it is in mA."""
+_TABLES = (".csv", ".csv.gz", ".nc", ".nc4", ".h5", *READ)
 _SAMPLE = 2000
 _FILLS = (-9999.0, -99999.0, -999.0, 9999.0, 99999.0, 65535.0, 32767.0, -32768.0, 1e31, -1e31)
 """What programs write where there is nothing."""
@@ -101,6 +106,9 @@ class Header:
     rows: int = 0
     texts: dict[str, list[str]] = field(default_factory=dict)
     """Some cells of the columns of a CSV as they stand."""
+    sheet: str | None = None
+    pattern: str = ""
+    """Of the names of several files with this header."""
 
 
 def draft(paths: Sequence[Path | str]) -> str:
@@ -108,19 +116,27 @@ def draft(paths: Sequence[Path | str]) -> str:
 
     Raises BadInput for a file that cannot be read, or where no magnetometer or no time is found.
     """
-    headers = [header_of(Path(path)) for path in paths]
+    tables = [one for path in paths for one in _inside(Path(path))]
+    headers = _alike([header for path in tables for header in headers_of(path)])
     parts = [
         "# A first column map. Whatever was guessed says so: look at it, mend it, delete the comment.",
         f"# Then: fluxtwin check {_shown(headers)} --map THIS.toml",
     ]
     seen: set[str] = set()
     for header in headers:
-        lines = _file(header, named=len(headers) > 1, seen=seen)
+        try:
+            lines = _file(header, named=len(tables) > 1, seen=seen)
+        except BadInput as error:
+            if len(headers) == 1:
+                raise
+            what = header.sheet or header.path.name
+            lines = [f"# {what}: left out, {str(error).partition(': ')[2].partition(';')[0]}"]
         parts += ["", *lines]
     if "mag" not in seen:
         listed = ", ".join(header.path.name for header in headers)
+        aside = [part.strip("# ") for part in parts if ": left out, no " in part]
         raise BadInput(
-            "no three columns look like a magnetometer",
+            "; ".join(["no three columns look like a magnetometer", *aside]),
             where=listed,
             wanted='names such as mag_x mag_y mag_z; or write `mag = { from = ["a", "b", "c"], unit = "nT" }` yourself',
         )
@@ -129,41 +145,96 @@ def draft(paths: Sequence[Path | str]) -> str:
     return "\n".join(parts) + "\n"
 
 
+def _alike(headers: list[Header]) -> list[Header]:
+    """One header for files with the same columns, where a pattern names these and no others."""
+    found: list[Header] = []
+    for header in headers:
+        same = [one for one in headers if one.names == header.names and one.sheet == header.sheet]
+        names = [one.path.name for one in same]
+        pattern = f"{_common(names)}*{_common([name[::-1] for name in names])[::-1]}"
+        others = [one.path.name for one in headers if one not in same]
+        if len(same) == 1 or pattern.startswith("*") or any(fnmatchcase(name, pattern) for name in others):
+            found.append(header)
+        elif header is same[0]:
+            found.append(replace(header, pattern=pattern))
+    return found
+
+
+def _common(names: Sequence[str]) -> str:
+    """What all begin with."""
+    return "".join(one[0] for one in itertools.takewhile(lambda one: len(set(one)) == 1, zip(*names, strict=False)))
+
+
+def _inside(path: Path) -> list[Path]:
+    """The tables in a folder, or the file itself."""
+    if not path.is_dir() or format_of(path) is not None:
+        return [path]
+    found = sorted(one for one in path.iterdir() if one.name.lower().endswith(_TABLES))
+    if not found:
+        raise BadInput("has no tables", where=str(path), wanted=", ".join(_TABLES))
+    return found
+
+
 def _shown(headers: list[Header]) -> str:
-    return str(headers[0].path if len(headers) == 1 else headers[0].path.parent)
+    return str(headers[0].path if len({header.path for header in headers}) == 1 else headers[0].path.parent)
 
 
 def _file(header: Header, *, named: bool, seen: set[str]) -> list[str]:
     lines = ["[[file]]"]
     if named:
-        lines.append(f"path = {json.dumps(header.path.name)}")
+        lines.append(f"path = {json.dumps(header.pattern or header.path.name)}")
+    if header.sheet is not None:
+        lines.append(f"sheet = {json.dumps(header.sheet)}")
+    if header.pattern:
+        lines += [
+            f"{CONFIRM} that the pieces may overlap, so that rows are sorted and repeated ones dropped",
+            "sort = true",
+        ]
     recipe, used, doubt = _time(header)
     lines += [f"{CONFIRM} {doubt}"] * bool(doubt) + [f"time = {recipe}", "[file.columns]"]
-    free = [name for name in header.names if name not in used]
+    free, here = [name for name in header.names if name not in used], dict[str, list[str]]()
+    head, apart = list(lines), list[str]()
     for quantity, columns, keys, doubts in _quantities(header, free):
         source = columns[0] if len(columns) == 1 else columns
         inner = ", ".join(
             [f"from = {json.dumps(source)}", *(f"{key} = {json.dumps(value)}" for key, value in keys.items())]
         )
+        if quantity == "mag" and "mag" in seen and "mag2" not in seen and "mag" not in here:
+            quantity, doubts = "mag2", ["mag2: that it is of another sensor", *doubts]
         if quantity in seen:
             another = f"; if of another sensor: mag2 = {{ {inner} }}" if quantity == "mag" else ""
             lines.append(f"# left out, a second {quantity}: {', '.join(columns)}{another}")
             continue
         seen.add(quantity)
-        lines += [f"{CONFIRM} {text}" for text in doubts]
-        lines.append(f"{quantity} = {{ {inner} }}")
+        here[quantity] = columns
+        said = [*(f"{CONFIRM} {text}" for text in doubts), f"{quantity} = {{ {inner} }}"]
+        if quantity == "attitude" and "mag" in here and _elsewhere(header, columns, here["mag"]):
+            apart = [
+                "",
+                "# The attitude stands in other rows than the readings: it is interpolated onto theirs.",
+                *head,
+                *said,
+            ]
+        else:
+            lines += said
         used |= set(columns)
     rest = [name for name in header.names if name not in used]
     if rest:
         lines.append(f"# not used: {', '.join(rest[:30])}{' ...' if len(rest) > 30 else ''}")
-    return lines
+    return lines + apart
+
+
+def _elsewhere(header: Header, columns: list[str], others: list[str]) -> bool:
+    """Whether a tenth or more of the rows that have the others lack these."""
+    has, too = (np.isfinite(_stacked(header, one)).all(axis=1) for one in (others, columns))
+    return bool((has & too).sum() < 0.9 * has.sum())
 
 
 def _time(header: Header) -> tuple[str, set[str], str]:
     """The recipe, the columns it takes, and what is doubtful in it."""
     if header.cf:
         return f'{{ recipe = "cf", columns = {json.dumps(header.cf[0])} }}', {header.cf[0]}, ""
-    likely = re.compile(r"time|date|utc|stamp|epoch|unix|^t$|^ts|sec|week|tow", re.IGNORECASE)
+    likely = re.compile(r"time|date|utc|tai|stamp|epoch|unix|^t($|_)|^ts|sec|week|tow", re.IGNORECASE)
     for name in sorted(header.iso, key=lambda one: not likely.search(one)):
         return f'{{ recipe = "iso", columns = {json.dumps(name)} }}', {name}, ""
     written = text_format(header.texts)
@@ -175,22 +246,29 @@ def _time(header: Header) -> tuple[str, set[str], str]:
     if week and tow and week[0] != tow[-1]:
         text = f'{{ recipe = "gps_week_tow", columns = {json.dumps([week[0], tow[-1]])} }}'
         return text, {week[0], tow[-1]}, "the week counts from 1980 (no roll-over), seconds of week are GPS time"
+    for name, value in header.values.items():
+        for recipe, first, last in (("mjd", 3.0e4, 7.0e4), ("jd", 2.43e6, 2.47e6)):
+            if recipe in name.lower() and value.ndim == 1 and first < float(np.nanmedian(value)) < last:
+                return f'{{ recipe = "{recipe}", columns = {json.dumps(name)} }}', {name}, "that these days are UTC"
     for name, value in sorted(header.values.items(), key=lambda one: not likely.search(one[0])):
         size = float(np.nanmedian(value)) if value.ndim == 1 and likely.search(name) else 0.0
         if re.search("gps", name, re.IGNORECASE) and 6.0e8 < size < 4.0e9:
             doubt = f"{name} looks like seconds of GPS time since 1980"
             return f'{{ recipe = "gps_s", columns = {json.dumps(name)} }}', {name}, doubt
         for recipe, unit in (("unix_us", 1e6), ("unix_ms", 1e3), ("unix_s", 1.0)):
-            if 2.0e8 * unit < size < 4.0e9 * unit:
+            if 2.0e8 * unit < size < 4.0e9 * unit and not re.search("tai|2000", name, re.IGNORECASE):
                 nano = [n for n in header.values if n != name and re.search(r"ns$|nano", n, re.IGNORECASE)]
                 doubt = f"{name} looks like Unix time; that it is UTC, and the spacecraft's own stamp, is a guess"
                 if recipe == "unix_s" and nano and re.search("time|stamp|ns", nano[0], re.IGNORECASE):
                     text = f'{{ recipe = "seconds_ns", columns = {json.dumps([name, nano[0]])} }}'
                     return text, {name, nano[0]}, doubt
                 return f'{{ recipe = "{recipe}", columns = {json.dumps(name)} }}', {name}, doubt
-    counted = [n for n, value in header.values.items() if likely.search(n) and value.ndim == 1]
+    counted = [n for n, v in header.values.items() if likely.search(n) and v.ndim == 1 and np.all(np.diff(v) >= 0.0)]
     if counted:
-        text = f'{{ recipe = "seconds_since", columns = {json.dumps(counted[0])}, epoch = "2000-01-01T12:00:00Z" }}'
+        scale = next((one for one in ("TAI", "GPS", "TT") if re.search(rf"(?i)(^|_| ){one}", counted[0])), None)
+        more = f', scale = "{scale}"' if scale else ""
+        epoch = '"2000-01-01T12:00:00Z"'
+        text = f'{{ recipe = "seconds_since", columns = {json.dumps(counted[0])}, epoch = {epoch}{more} }}'
         return text, {counted[0]}, f"the epoch from which {counted[0]} counts seconds is not known"
     raise BadInput(
         f"no column looks like time; the columns are: {', '.join(header.names[:12])}",
@@ -206,31 +284,55 @@ def _quantities(header: Header, free: list[str]) -> list[_Found]:
     """Quantity, columns, keys of the map, doubts."""
     out: list[_Found] = []
     quaternion = _quaternion(header, free)
-    if quaternion is not None:
-        out.append(quaternion)
-        free = [name for name in free if name not in quaternion[1]]
-    for columns in _triples(header, free):
-        stem = _stem(columns)
-        for quantity, pattern in _KINDS:
-            if pattern.search(stem):
-                out.append(_vector(header, quantity, columns))
-                break
+    attitude = quaternion or _angles(header, free) or _matrix(header, free)
+    if attitude is not None:
+        out.append(attitude)
+        stem = attitude[1][0][:-2] if "vectors" in attitude[2] else None  # the middle column of a matrix goes with it
+        free = [n for n in free if n not in attitude[1] and not (stem is not None and n[:-2] == stem)]
+    triples = _triples(header, free)
+    kinds = [_kind(_stem(columns)) for columns in triples]
+    by_file = _kind((header.sheet or header.path.stem).lower())
+    for columns, kind in zip(triples, kinds, strict=True):
+        if kind is not None:
+            out.append(_vector(header, kind, columns))
+        elif by_file is not None and by_file not in [*kinds, *(one[0] for one in out)]:
+            quantity, _, keys, doubts = _vector(header, by_file, columns)
+            out.append((quantity, columns, keys, [f"{quantity}: that it is one (by the name of the file)", *doubts]))
     if not any(one[0] == "position" for one in out):
         out += _place(header, free)
     taken = {name for _, columns, _, _ in out for name in columns}
     for name in free:
-        low = name.lower()
+        low = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
         if name in taken or name not in header.values or header.values[name].ndim != 1:
             continue
-        if re.search(r"temp", low) and "temperature" not in [one[0] for one in out]:
+        if re.search(r"temp|^t_|_t$|deg_?c$", low) and "temperature" not in [one[0] for one in out]:
             hot = float(np.nanmedian(header.values[name])) > 150.0
             unit = "K" if hot else "degC"
             out.append(
                 ("temperature", [name], {"unit": unit}, [f"the unit of {name}, and that it is the magnetometer's"])
             )
+        elif _CURRENT.search(low):
+            out.append(_current(header, name))
         elif low in ("sunlit", "sunlit_flag", "in_sun"):
             out.append(("sunlit", [name], {}, []))
     return sorted(out, key=lambda one: one[0] != "mag")
+
+
+def _kind(stem: str) -> str | None:
+    return next((quantity for quantity, pattern in _KINDS if pattern.search(stem)), None)
+
+
+def _current(header: Header, name: str) -> _Found:
+    """Of the array, of the battery, or of anything else that a field may follow."""
+    low = name.lower()
+    milli = float(np.nanmax(np.abs(header.values[name]))) > _MOST_A
+    keys: dict[str, object] = {"unit": "mA" if milli or re.search(r"(^|_)ma(_|$)", low) else "A"}
+    if re.search(r"bat", low):
+        doubt = f"{name}: the unit, and that it is positive when charging (else scale = -1)"
+        return "battery_current", [name], keys, [doubt]
+    if re.search(r"solar|array|panel|(^|_)i?sa(_|$)", low):
+        return "array_current", [name], keys, [f"{name}: the unit, and that it is the solar array's"]
+    return f"driver_{re.sub(r'[^a-z0-9]+', '_', low).strip('_')}", [name], {}, []
 
 
 def _place(header: Header, free: list[str]) -> list[_Found]:
@@ -276,6 +378,41 @@ def _quaternion(header: Header, free: list[str]) -> _Found | None:
     return None
 
 
+def _angles(header: Header, free: list[str]) -> _Found | None:
+    """Yaw, pitch and roll, as aircraft have them."""
+    columns = [
+        next((n for n in free if word in n.lower() and n in header.values), "") for word in ("yaw", "pitch", "roll")
+    ]
+    if not all(columns):
+        return None
+    small = max(float(np.nanmax(np.abs(header.values[column]))) for column in columns) < 2.0 * np.pi
+    unit = "rad" if small and not any("deg" in column.lower() for column in columns) else "deg"
+    keys: dict[str, object] = {"euler": "ZYX", "unit": unit, "relative_to": "orbital"}
+    doubt = "attitude: the sequence (ZYX: yaw first, about the turning axes); the unit; relative_to; sense"
+    return "attitude", columns, keys, [doubt]
+
+
+def _matrix(header: Header, free: list[str]) -> _Found | None:
+    """A rotation matrix in nine columns that end in 11 ... 33 or 00 ... 22."""
+    known = {name.lower(): name for name in free if name in header.values}
+    for name, first in itertools.product(known, (0, 1)):
+        stem = name.removesuffix(f"{first}{first}")
+        ends = [f"{stem}{i + first}{j + first}" for j in (0, 2) for i in range(3)]
+        columns = [known.get(end, "") for end in ends]
+        if stem != name and all(columns) and _is_unit(header, columns[:3]) and _is_unit(header, columns[3:]):
+            keys: dict[str, object] = {"vectors": "x z", "relative_to": _frame(stem) or "GCRS"}
+            doubt = (
+                "attitude: that the matrix takes body components to those of the reference (else sense = 'conjugate')"
+            )
+            return (
+                "attitude",
+                columns,
+                keys,
+                [doubt, "attitude: relative_to: GCRS J2000 true_of_date ITRS NEC or orbital"],
+            )
+    return None
+
+
 def _attitude(columns: list[str], order: str, guess: bool) -> _Found:
     frame = _frame(_stem(columns))
     doubts = [f"order (is the scalar {'last' if order == 'xyzw' else 'first'}?)"] if guess else []
@@ -307,16 +444,28 @@ def _vector(header: Header, quantity: str, columns: list[str]) -> _Found:
                 "" if likely else ", which fits no unit: counts? then add scale = nT per count"
             )
             doubts.append(f"{quantity}: the unit ({why})")
-    fill = [value for value in _FILLS if (_stacked(header, columns) == value).any()]
+    stacked = _stacked(header, columns)
+    fill = [value for value in _FILLS if _stands_out(stacked, value)]
+    alike, count = np.unique(stacked[np.ptp(stacked, axis=1) == 0.0, 0], return_counts=True)
+    if quantity == "mag" and count.max(initial=0) > 2 and alike[np.argmax(count)] not in fill:
+        fill.append(float(alike[np.argmax(count)]))
     if fill:
         keys["fill"] = fill
         doubts.append(f"{quantity}: that {', '.join(map(repr, fill))} means missing")
     if quantity in ("position", "velocity"):
         frame = _frame(_stem(columns))
-        keys["frame"] = frame or "GCRS"
+        by_receiver = re.search(r"gps|gnss", " ".join([header.sheet or header.path.stem, *columns]).lower())
+        keys["frame"] = frame or ("ITRS" if by_receiver else "GCRS")
         if frame is None:
             doubts.append(f"{quantity}: the frame (GCRS J2000 true_of_date ITRS)")
     return quantity, columns, dict(keys), doubts
+
+
+def _stands_out(stacked: FloatArray, value: float) -> bool:
+    """Whether all components (n, k) of a row have that value, or one has it beyond all else in its column."""
+    at = stacked == value
+    beyond = abs(value) > np.nanmax(np.abs(np.where(at, 0.0, stacked)), axis=0, initial=0.0)
+    return bool(at.all(axis=1).any() or (at.any(axis=0) & beyond).any())
 
 
 def _stated_unit(header: Header, quantity: str, columns: list[str]) -> str | None:
@@ -347,13 +496,21 @@ def _stacked(header: Header, columns: list[str]) -> FloatArray:
     return parts[0] if len(parts) == 1 and parts[0].ndim == 2 else np.stack(parts, axis=1)
 
 
-def header_of(path: Path) -> Header:
-    """The header of a file and numbers of its first rows. Raises BadInput for a file that cannot be read."""
+def headers_of(path: Path) -> list[Header]:
+    """The headers of the sheets of a workbook that has several, or of the file. Raises BadInput as `header_of`."""
+    known = format_of(path)
+    sheets = known.sheets_of(path) if known is not None else []
+    return [header_of(path, sheet) for sheet in sheets] if len(sheets) > 1 else [header_of(path)]
+
+
+def header_of(path: Path, sheet: str | None = None) -> Header:
+    """The header of a file, or of a sheet of it, and numbers of its first rows. Raises BadInput for a file that cannot be
+    read."""
     if path.name.lower().endswith((".nc", ".nc4", ".h5")):
         with NetcdfFile(path) as opened:
             return _netcdf_header(path, opened)
-    if (table := table_of(path, MAX_SAMPLES)) is not None:
-        return _table_header(path, table)
+    if (table := table_of(path, MAX_SAMPLES, sheet)) is not None:
+        return _table_header(path, table, sheet)
     csv = open_csv(path)
     found = Header(path, list(csv.names), rows=csv.rows)
     for name in csv.names:
@@ -381,8 +538,8 @@ def _look(csv: CsvFile, name: str, header: Header) -> None:
         header.values[name] = listed
 
 
-def _table_header(path: Path, table: Table) -> Header:
-    found = Header(path, table.names(), units=dict(table.units))
+def _table_header(path: Path, table: Table, sheet: str | None) -> Header:
+    found = Header(path, table.names(), units=dict(table.units), sheet=sheet)
     for name, value in table.columns.items():
         found.rows = max(found.rows, len(value))
         if value.dtype.kind == "M":

@@ -20,7 +20,7 @@ _DATES = (
 )
 _TIMES = ("%H:%M:%S.%f", "%H:%M:%S")
 _ENDS = ("", "Z", " %z", "%z")
-_BETWEEN = (" ", "T")
+_BETWEEN = (" ", "T", "-", "_")
 
 
 def text_format(texts: Mapping[str, Sequence[str]]) -> tuple[list[str], str, str] | None:

@@ -69,7 +69,7 @@ def read_source(path: Path | Table, entry: FileEntry, max_samples: int) -> Sourc
 
 
 def _read_one(path: Path | Table, entry: FileEntry, max_samples: int) -> Source:
-    table = path if isinstance(path, Table) else table_of(path, max_samples)
+    table = path if isinstance(path, Table) else table_of(path, max_samples, entry.sheet)
     if table is not None:
         return _source(_Reader(table.where, table.names(), table), entry, list(table.notices), table.sha256)
     assert not isinstance(path, Table)

@@ -49,6 +49,9 @@ _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*")
 _STAMP = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.(\d{3}){1,3})?Z")
 """A stamp as `format_iso` writes it."""
 _ROWS_AT_ONCE = 50_000
+_MARKS = {b";": "semicolons", b"\t": "tabs", b"|": "bars"}
+_NO_DECIMAL_COMMA = re.compile(rb"\.\d{0,20},|,\d{0,20}[.,]|[^\d;\t|\n+ -],|,[^\d;\t|\neE ]")
+"""Where a comma is no decimal comma: 1.234,5, 1,234,567, text."""
 
 
 @dataclass(frozen=True)
@@ -215,6 +218,7 @@ def open_csv(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> CsvFile:
     digest = hashlib.sha256(content).hexdigest()
     data = _decoded(_unpacked(content, look, where), where)
     notices: list[str] = []
+    data = _with_commas(data, notices, where)
     head, newline, body = data.partition(b"\n")
     if not newline:
         raise BadInput("there are no rows", where=where, wanted="a header and at least one row of data")
@@ -283,14 +287,32 @@ def _decoded(data: bytes, where: str) -> bytes:
     return data
 
 
+def _with_commas(data: bytes, notices: list[str], where: str) -> bytes:
+    """A table whose header is separated by semicolons or tabs, with commas and decimal points, and a notice of that."""
+    head, newline, rest = data.partition(b"\n")
+    if head.lower().startswith(b"sep="):  # a spreadsheet's own first line
+        data, (head, newline, rest) = rest, rest.partition(b"\n")
+    mark, word = next(((mark, word) for mark, word in _MARKS.items() if mark in head), (b"", ""))
+    if not mark or b"," in head:
+        return data
+    if b'"' in data:
+        raise BadInput(f"its columns are separated by {word}, and it has quotes", where=where, wanted="commas")
+    said = f"its columns are separated by {word}"
+    if b"," in rest:
+        odd = _NO_DECIMAL_COMMA.search(rest)
+        if odd is not None:
+            line = rest.count(b"\n", 0, odd.start()) + 2
+            cell = re.split(rb"[;\t|\n]", rest[max(odd.start() - 30, 0) : odd.end()])[-1].decode("utf-8", "replace")
+            raise BadInput(
+                f"{said}, and line {line} has {clip(cell, 30)!r}", where=where, wanted="decimals as 1.5 or 1,5"
+            )
+        rest, said = rest.replace(b",", b"."), f"{said}, decimals by commas"
+    notices.append(said)
+    return head.replace(mark, b",") + newline + rest.replace(mark, b",")
+
+
 def _names(head: bytes, where: str) -> tuple[str, ...]:
     text = head.decode("utf-8")
-    if "," not in text:
-        for mark, word in ((";", "semicolons"), ("\t", "tabs"), ("|", "bars")):
-            if mark in text:
-                raise BadInput(f"its columns are separated by {word}", where=where, wanted="commas")
-    if text.lower().startswith("sep="):
-        raise BadInput("the first line is a spreadsheet's sep= line", where=where, wanted="the header first")
     if text.count(",") >= MAX_COLUMNS:
         raise BadInput(f"has more than {MAX_COLUMNS} columns", where=where)
     try:

@@ -8,6 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.limits import require_rows
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ class Format:
     module: str
     """Its module in this folder, imported when it is used."""
     writes: bool = False
+    sheets: bool = False
     option: str = ""
     """Of a file that has attitude or orbit alone: the option that takes it beside the readings."""
 
@@ -33,6 +35,15 @@ class Format:
         """The file as a table. Raises BadInput, for more rows than wanted before they are read."""
         found: Table = self._function("read")(path, max_samples)
         return found
+
+    def read_sheet(self, path: Path, max_samples: int, sheet: str) -> Table:
+        """One sheet of a file that has several."""
+        found: Table = self._function("read")(path, max_samples, sheet)
+        return found
+
+    def sheets_of(self, path: Path) -> list[str]:
+        """Names of the sheets where the format has such; raises nothing for a damaged file."""
+        return self._function("sheets")(path) if self.sheets else []
 
     def write(self, telemetry: Telemetry, path: Path | str) -> Path:
         """The record as a file, atomically. Raises BadInput where the format cannot hold it."""
@@ -48,7 +59,7 @@ FORMATS = (
     Format("CCSDS attitude ephemeris (AEM, KVN)", (".aem",), "aem", writes=True, option="--attitude"),
     Format("CCSDS orbit ephemeris (OEM, KVN)", (".oem",), "oem", writes=True, option="--tle"),
     Format("CDF", (".cdf",), "cdf"),
-    Format("Excel workbook", (".xlsx",), "xlsx", writes=True),
+    Format("Excel workbook", (".xlsx",), "xlsx", writes=True, sheets=True),
     Format("Parquet", (".parquet",), "parquet", writes=True),
 )
 READ = tuple(ending for one in FORMATS for ending in one.endings)
@@ -64,11 +75,14 @@ def format_of(path: Path | str) -> Format | None:
     return found
 
 
-def table_of(path: Path, max_samples: int) -> Table | None:
-    """The table of a file in one of these formats; None for another. Raises BadInput, also for more rows than wanted."""
+def table_of(path: Path, max_samples: int, sheet: str | None = None) -> Table | None:
+    """The table of a file, or of one sheet of it, in one of these formats; None for another. Raises BadInput, also for more
+    rows than wanted."""
     found = format_of(path)
+    if sheet is not None and (found is None or not found.sheets):
+        raise BadInput(f"has no sheets, and the map names {sheet!r}", where=str(path), wanted="a workbook")
     if found is None:
         return None
-    table = found.read(path, max_samples)
+    table = found.read(path, max_samples) if sheet is None else found.read_sheet(path, max_samples, sheet)
     require_rows(max((len(value) for value in table.columns.values()), default=0), max_samples, str(path))
     return table

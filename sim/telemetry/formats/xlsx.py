@@ -1,4 +1,5 @@
-"""Excel workbooks: the first sheet, its header in the first row; by pandas and openpyxl (optional: fluxtwin[xlsx])."""
+"""Excel workbooks: one sheet, the first unless it is named, its header in the first row; by pandas and openpyxl (optional:
+fluxtwin[xlsx])."""
 
 from __future__ import annotations
 
@@ -25,16 +26,39 @@ _CELL_BYTES = 8  # of an empty one
 _MOST_ROWS = 1_048_575  # of a sheet, beside the header
 
 
-def read(path: Path, max_samples: int = MAX_SAMPLES) -> Table:
-    """The first sheet. Stamps may be cells of dates (to a millisecond) or text."""
+def read(path: Path, max_samples: int = MAX_SAMPLES, sheet: str | None = None) -> Table:
+    """One sheet, the first where none is named. Stamps may be cells of dates (to a millisecond) or text."""
     extra("openpyxl", "xlsx", path)
     import pandas as pd
 
+    there: list[str] = []
+
     def unpack(content: bytes) -> Any:
         _require_sane(content, max_samples, str(path))
-        return pd.read_excel(io.BytesIO(content), sheet_name=0, engine="openpyxl")
+        with pd.ExcelFile(io.BytesIO(content), engine="openpyxl") as book:
+            there.extend(map(str, book.sheet_names))
+            if sheet not in (None, *there):
+                raise BadInput(f"has no sheet {sheet!r}", where=str(path), wanted=", ".join(there))
+            return pd.read_excel(book, sheet_name=0 if sheet is None else sheet)
 
-    return of_file(path, "a workbook", ".xlsx", unpack)
+    table = of_file(path, "a workbook", ".xlsx", unpack)
+    if sheet is None and len(there) > 1:
+        table.notices.append(
+            f"the first of {len(there)} sheets was read: {', '.join(there)}; a column map reads others"
+        )
+    return table
+
+
+def sheets(path: Path) -> list[str]:
+    """Their names; none of a file that is damaged: whatever is wrong with it, `read` says so."""
+    extra("openpyxl", "xlsx", path)
+    import pandas as pd
+
+    try:
+        with pd.ExcelFile(path, engine="openpyxl") as book:
+            return [str(name) for name in book.sheet_names]
+    except Exception:
+        return []
 
 
 def _require_sane(content: bytes, max_samples: int, where: str) -> None:

@@ -7,14 +7,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+import fluxtwin
 from fluxtwin.cli import main
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import field_N_nT, load_field
 from fluxtwin.sim.earth.orbit import Orbit
+from fluxtwin.sim.earth.references import rotation_XN
 from fluxtwin.sim.telemetry.column_map import load_column_map
 from fluxtwin.sim.telemetry.column_map_draft import CONFIRM, draft
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
@@ -197,3 +200,74 @@ def test_fill_values_are_guessed(tmp_path: Path) -> None:
     assert "fill = [-9999.0]" in text and "that -9999.0 means missing" in text
     (tmp_path / "m.toml").write_text(text, encoding="utf-8")
     assert list(np.flatnonzero(~read_telemetry(tmp_path / "a.csv", column_map=tmp_path / "m.toml").has_reading)) == [3]
+
+
+def test_a_number_that_only_looks_like_a_fill_value_is_none(tmp_path: Path) -> None:
+    counts = np.round(MAG / 10.0)
+    counts[5, 0] = -999.0
+    assert "fill" not in draft([table(tmp_path / "a.csv", {"unix_s": UNIX, **triple("mag_x mag_y mag_z", counts)})])
+    counts[7:11] = -4096.0
+    text = draft([table(tmp_path / "a.csv", {"unix_s": UNIX, **triple("mag_x mag_y mag_z", counts)})])
+    assert "fill = [-4096.0]" in text, "all three, more than twice"
+
+
+def test_a_folder_with_a_packet_a_file(tmp_path: Path) -> None:
+    """Names that say little: the file's own helps; pieces of one table are joined; currents come in; text is no table."""
+    half = len(UNIX) // 2
+    for k, part in enumerate((slice(0, half), slice(half, None))):
+        table(tmp_path / f"MAG_{k}.csv", {"t_ms": UNIX[part] * 1e3, **triple("X Y Z", MAG[part] * 1e-3)})
+    R_NB = R_BN.as_matrix().transpose(0, 2, 1).reshape(-1, 9)
+    table(tmp_path / "att.csv", {"t_ms": UNIX * 1e3, **triple("R11 R12 R13 R21 R22 R23 R31 R32 R33", R_NB)})
+    r_E = frames.rotation_EN(TIME).apply(R) * 1e3
+    table(tmp_path / "GPS.csv", {"MJD": UNIX / 86400.0 + 40587.0, **triple("X_m Y_m Z_m", r_E)})
+    power = {"I_SA": UNIX * 0.0 + 900.0, "I_BAT": UNIX * 0.0 - 0.2, "I_TX": UNIX % 7.0, "T_MAG": UNIX * 0.0 + 20.0}
+    table(tmp_path / "eps.csv", {"t_ms": UNIX * 1e3, **power})
+    (tmp_path / "README.txt").write_text("Hello.\n\n")
+    assert main(["map", str(tmp_path), "--out", str(tmp_path / "map.toml")]) == 0
+    record = read_telemetry(tmp_path, column_map=tmp_path / "map.toml")
+    assert np.allclose(record.mag_B_nT, MAG, atol=1e-6) and len(record) == len(TIME)
+    assert record.r_N_km is not None and np.abs(record.r_N_km - R)[record.has_position].max() < 0.01
+    assert (frames.rotation_from_q(np.array(record.q_NB)) * R_BN.inv()).magnitude().max() < 1e-6
+    assert np.allclose(record.array_current_A, 0.9) and np.allclose(record.battery_current_A, -0.2)
+    assert np.allclose(record.drivers["i_tx"], power["I_TX"]) and np.allclose(record.temperature_degC, 20.0)
+
+
+def test_a_workbook_with_a_sheet_a_packet(tmp_path: Path) -> None:
+    pytest.importorskip("openpyxl")
+    tai = {"TAI2000 [s]": UNIX - 946684800.0 + 37.0 - 43200.0}
+    orbital = R_BN * rotation_XN("orbital", TIME, R, V).inv()
+    angles = triple("yaw_deg pitch_deg roll_deg", orbital.inv().as_euler("ZYX", degrees=True))
+    sheets = {
+        "INFO": {"Sheet": np.array(["ATT", "ORB"]), "Rows": np.array([200, 200])},
+        "ATT": tai | angles,
+        "ORB": tai | triple("X[km] Y[km] Z[km]", R) | triple("VX[km/s] VY[km/s] VZ[km/s]", V),
+        "MAGM": tai | triple("Bx[uT] By[uT] Bz[uT]", MAG * 1e-3),
+        "MAGI": tai | triple("H1[mG] H2[mG] H3[mG]", MAG * 2e-2),
+    }
+    with pd.ExcelWriter(tmp_path / "all.xlsx") as book:
+        for name, columns in sheets.items():
+            pd.DataFrame(columns).to_excel(book, sheet_name=name, index=False)
+    assert [one.name for one in fluxtwin.info(tmp_path / "all.xlsx").columns][2] == "ATT: TAI2000 [s]"
+    text = draft([tmp_path / "all.xlsx"])
+    assert "# INFO: left out" in text and 'sheet = "MAGI"' in text
+    (tmp_path / "m.toml").write_text(text)
+    record = read_telemetry(tmp_path / "all.xlsx", column_map=tmp_path / "m.toml")
+    assert np.abs(record.time - TIME).max() < np.timedelta64(1, "us")
+    assert np.allclose(record.mag_B_nT, MAG, atol=1e-6) and np.allclose(record.mag2_B_nT, 2.0 * MAG, atol=1e-6)
+    assert (frames.rotation_from_q(np.array(record.q_NB)) * R_BN.inv()).magnitude().max() < 1e-6
+    (tmp_path / "m.toml").write_text(text.replace('"MAGI"', '"MAGX"'))
+    with pytest.raises(BadInput, match=r"no sheet 'MAGX'\. Wanted: INFO, ATT, ORB, MAGM, MAGI"):
+        read_telemetry(tmp_path / "all.xlsx", column_map=tmp_path / "m.toml")
+
+
+def test_an_attitude_in_rows_of_its_own_is_brought_onto_the_readings(tmp_path: Path) -> None:
+    even = np.arange(len(UNIX)) % 2 == 0
+    mag, q = np.where(even[:, None], MAG, np.nan), np.where(even[:, None], np.nan, Q)
+    columns = {"unix_s": UNIX, **triple("mag_x_nT mag_y_nT mag_z_nT", mag), **triple("q_x q_y q_z q_w", q)}
+    data = table(tmp_path / "a.csv", columns)
+    (tmp_path / "m.toml").write_text(draft([data]))
+    record = read_telemetry(data, column_map=tmp_path / "m.toml")
+    both = record.has_reading & record.has_attitude
+    assert both.sum() > 90  # of 100, all but the ends
+    off = frames.rotation_from_q(np.array(record.q_NB)[both]) * R_BN[np.searchsorted(TIME, record.time[both])].inv()
+    assert off.magnitude().max() < 1e-6

@@ -259,8 +259,18 @@ FAULTS: dict[str, tuple[Callable[[list[str]], list[str]], str]] = {
     "text for a number": (lambda x: [s.replace(",2,1e4", ",2,#REF!") for s in x], "mag_x_nT in row 3 is '#REF!'"),
     "hexadecimal": (lambda x: [s.replace(",2,1e4", ",2,0x10") for s in x], "is '0x10', which is no number"),
     "infinite": (lambda x: [s.replace(",2,1e4", ",2,1e400") for s in x], "mag_x_nT in row 3 is infinite"),
-    "semicolons": (lambda x: [s.replace(",", ";") for s in x], "separated by semicolons"),
-    "sep line": (lambda x: ["sep=,", *x], "sep= line"),
+    "semicolons and thousands": (
+        lambda x: [s.replace(",", ";").replace("7168.1", "7.168,1") for s in x],
+        "line 2 has '7.168,'",
+    ),
+    "semicolons and words": (
+        lambda x: [s.replace(",", ";").replace("7168.1", "near, 7168.1") for s in x],
+        "line 2 has ",
+    ),
+    "semicolons and quotes": (
+        lambda x: [s.replace(",", ";").replace("7168.1", '"7168.1"') for s in x],
+        "it has quotes",
+    ),
     "metres": (lambda x: [s.replace("7168.1", "7168100.0") for s in x], "positions look like metres"),
     "zero quaternion": (
         lambda x: [s.replace(",2,1e4,-2e4,3.5e4,0,0,0,1", ",2,1,1,1,0,0,0,0") for s in x],
@@ -282,6 +292,19 @@ def test_bad_csv_gets_one_message_that_names_file_and_place(tmp_path: Path, faul
     assert said in str(caught.value)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("mark", [";", "\t", "|"])
+def test_other_marks_between_columns_and_decimal_commas_are_read_and_said(tmp_path: Path, mark: str) -> None:
+    """As spreadsheets of half the world write them, their own first line included."""
+    plain = read_telemetry(save(tmp_path, plain_lines()))
+    other = [line.replace(",", mark).replace(".", ",") for line in plain_lines()]
+    for lines in (other, [f"sep={mark}", *other]):
+        found = read_telemetry(save(tmp_path, lines))
+        assert np.array_equal(found.mag_B_nT, plain.mag_B_nT) and np.array_equal(found.r_N_km, plain.r_N_km)
+        assert "decimals by commas" in found.provenance["notices"]
+    points = read_telemetry(save(tmp_path, [line.replace(",", mark) for line in plain_lines()]))
+    assert np.array_equal(points.mag_B_nT, plain.mag_B_nT) and "decimals" not in points.provenance["notices"]
 
 
 def test_bad_bytes_get_one_message(tmp_path: Path) -> None:

@@ -29,16 +29,17 @@ def components(
     aside: np.ndarray | None = None,
     names: Sequence[str] = ("|B|",),
 ) -> Axes:
-    """Components (N, 3), or one (N, 1) of a name, against hours since the first stamp; rows `aside` as grey crosses."""
+    """Components (N, 3), or one (N, 1) of a name, against time in UTC; rows `aside` as grey crosses."""
     every = max(1, len(time) // _MOST)
-    hours = (time - time[0]).astype("int64")[::every] / 3.6e12
+    stamps = time[::every]
     chosen = value[::every]
     set_aside = np.zeros(len(chosen), dtype=bool) if aside is None else aside[::every]
     for k, name in enumerate("xyz" if value.shape[1] == 3 else names):
         colour = style.AXIS_COLOURS[k]
-        axes.plot(hours[~set_aside], chosen[~set_aside, k], ".", markersize=3, color=colour, label=name)
-        axes.plot(hours[set_aside], chosen[set_aside, k], "x", markersize=3, color=style.GREY)
-    style.label(axes, x=f"hours since {str(time[0])[:19]} UTC", y=y, title=title)
+        axes.plot(stamps[~set_aside], chosen[~set_aside, k], ".", markersize=3, color=colour, label=name)
+        axes.plot(stamps[set_aside], chosen[set_aside, k], "x", markersize=3, color=style.GREY)
+    style.utc(axes, time)
+    style.label(axes, y=y, title=title)
     style.legend(axes)
     return axes
 

@@ -19,7 +19,7 @@ from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.text import Text
-from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 
@@ -184,6 +184,28 @@ def utc(axes: Axes, time: TimeArray, *, most: int = 9) -> None:
     axes.set_xlim(cast(Any, time[0] - margin), cast(Any, time[-1] + margin))
     axes.xaxis.get_offset_text().set_fontsize(TICK_PT)
     label(axes, x="UTC")
+
+
+def squeezed_s(time: TimeArray) -> FloatArray:
+    """(N,) seconds along an axis on which no pause is longer than a fiftieth of what the record covers: for passes."""
+    step = np.diff(time) / np.timedelta64(1, "s")
+    usual = _PAUSE * float(np.median(step)) if step.size else 0.0
+    most = max(usual, 0.02 * float(step[step <= usual].sum()))
+    return np.concatenate([[0.0], np.cumsum(np.minimum(step, most))])
+
+
+def utc_squeezed(axes: Axes, time: TimeArray, along_s: FloatArray) -> None:
+    """As `utc`, of an axis on which pauses are shortened: along_s (N,) by `squeezed_s`."""
+    stamps = time.astype("datetime64[s]").astype(np.float64)
+
+    def words(place: float, _: object) -> str:
+        at = np.datetime64(round(float(np.interp(place, along_s, stamps))), "s")
+        return str(at)[5:16].replace("T", "\n")
+
+    axes.xaxis.set_major_locator(MaxNLocator(8))
+    axes.xaxis.set_major_formatter(words)
+    axes.set_xlim(float(along_s[0]), float(along_s[-1]))
+    label(axes, x=f"UTC, {str(time[0])[:4]}; pauses are shortened")
 
 
 def log_ruler(ruler: Axis) -> None:

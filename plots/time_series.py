@@ -18,6 +18,7 @@ from fluxtwin.sim.base.types import BoolArray, FloatArray, IntArray, TimeArray
 
 _MOST_VALUES = 60_000  # of a figure: half a megabyte as text
 _DIGITS = 6  # significant ones in the data of the script
+_COVERED = 0.5  # of the span: with less, pauses are shortened
 _SPREAD = 1.12  # of the largest value: where the axes end
 
 
@@ -53,6 +54,13 @@ class TimeSeries:
     pause: np.timedelta64 = style.NO_TIME
     """A longer step, and one of eight usual ones, breaks a line."""
 
+    @property
+    def squeezed_s(self) -> FloatArray | None:
+        """(N,) seconds along an axis on which pauses are shortened; None where they are less than half of the span."""
+        along_s = style.squeezed_s(self.time)
+        span_s = (self.time[-1] - self.time[0]) / np.timedelta64(1, "s")
+        return along_s if along_s[-1] < _COVERED * span_s else None
+
     def thinned(self) -> TimeSeries:
         """With as many rows as a page can carry, the extremes of every series among them."""
         lines = [line for panel in self.panels for line in panel.lines]
@@ -75,8 +83,21 @@ class TimeSeries:
             "rows": self.time.size,
             "steps_ms": np.diff(stamps, prepend=0).tolist(),
             "pause_ms": pause_ms,
+            "knots": self._knots(),
             "panels": panels,
         }
+
+    def _knots(self) -> list[list[float]]:
+        """Stamps [ms since 1970] and where they stand on the axis [ms], from one end of a pause to the next."""
+        stamps = self.time.astype("datetime64[ms]").astype(np.float64)
+        along = self.squeezed_s
+        if along is None:
+            rows, along_ms = np.array([0, -1]), stamps
+        else:
+            along_ms = 1e3 * along
+            pauses = np.flatnonzero(np.diff(stamps) - np.diff(along_ms) > 1.0)
+            rows = np.unique([0, *pauses, *(pauses + 1), stamps.size - 1])
+        return [[float(stamps[row]), float(along_ms[row])] for row in rows]
 
 
 def extremes(values: FloatArray, most: int) -> IntArray:
@@ -99,21 +120,32 @@ def draw_time_series(series: TimeSeries) -> Figure:
     shown = series.thinned()
     figure, grid = style.figure(7.2, 0.9 + 1.5 * len(shown.panels), rows=len(shown.panels), share_x=True)
     style.heading(figure, series.title)
+    squeezed = series.squeezed_s
+
+    def place(stamps: TimeArray) -> Any:
+        if squeezed is None:
+            return stamps
+        return np.interp(stamps.astype(np.int64), series.time.astype(np.int64), squeezed)
+
+    along = place(shown.time)
     for panel, (axes,) in zip(shown.panels, grid, strict=True):
         kept = [line.values for line in panel.lines if line.look != "cross"]
         style.limit(axes, np.concatenate(kept), _SPREAD)
         for line in panel.lines:
             if line.look == "line":
                 known = np.isfinite(line.values)
-                points = style.broken(shown.time[known], line.values[known], shown.pause)
-                axes.plot(*points, color=line.colour, linewidth=1.1, label=line.name)
+                stamps, values = style.broken(shown.time[known], line.values[known], shown.pause)
+                axes.plot(place(stamps), values, color=line.colour, linewidth=1.1, label=line.name)
             elif np.isfinite(line.values).any():
                 mark, size = ("x", 5.0) if line.look == "cross" else (".", 3.0)
-                axes.plot(shown.time, line.values, mark, markersize=size, color=line.colour, label=line.name)
-                style.mark_beyond(axes, shown.time, line.values, colour=line.colour)
+                axes.plot(along, line.values, mark, markersize=size, color=line.colour, label=line.name)
+                style.mark_beyond(axes, along, line.values, colour=line.colour)
         style.label(axes, y=panel.label)
         style.legend_beside(axes)
-    style.utc(grid[-1][0], shown.time)
+    if squeezed is not None:
+        style.utc_squeezed(grid[-1][0], series.time, squeezed)
+    else:
+        style.utc(grid[-1][0], shown.time)
     return figure
 
 

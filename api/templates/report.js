@@ -29,7 +29,7 @@
     element.insertBefore(canvas, element.firstChild);
     canvas.after(readout, tools);
     element.classList.add("live");
-    const one = { element, canvas, readout, words, t, rows: data.rows, panels: data.panels };
+    const one = { element, canvas, readout, words, t, rows: data.rows, knots: data.knots, panels: data.panels };
     canvas.addEventListener("pointerdown", (e) => { grabbed = at(one, e); canvas.setPointerCapture(e.pointerId); });
     canvas.addEventListener("pointermove", (e) => { cursor = at(one, e); later(); });
     canvas.addEventListener("pointerleave", () => { cursor = null; later(); });
@@ -49,9 +49,17 @@
     return parent.appendChild(made);
   }
 
+  function between(knots, from, to, value) { // knots: stamp and place on the axis, where pauses may be shortened
+    let k = 1;
+    while (k < knots.length - 1 && knots[k][from] < value) k++;
+    const [a, b] = [knots[k - 1], knots[k]];
+    return a[to] + ((value - a[from]) * (b[to] - a[to])) / (b[from] - a[from] || 1);
+  }
+
   function at(one, event) { // the time under the pointer
     const box = one.canvas.getBoundingClientRect(), share = (event.clientX - box.left - LEFT) / (box.width - LEFT - RIGHT);
-    return shown[0] + Math.min(Math.max(share, 0), 1) * (shown[1] - shown[0]);
+    const [a, b] = shown.map((ms) => between(one.knots, 0, 1, ms));
+    return between(one.knots, 1, 0, a + Math.min(Math.max(share, 0), 1) * (b - a));
   }
 
   function zoom(window) { shown = window; later(); }
@@ -101,12 +109,13 @@
     one.canvas.width = width * ratio;
     one.canvas.height = height * ratio;
     const c = one.canvas.getContext("2d"), span = shown[1] - shown[0] || 1, across = width - LEFT - RIGHT;
-    const x = (ms) => LEFT + (across * (ms - shown[0])) / span;
+    const [start, end] = shown.map((ms) => between(one.knots, 0, 1, ms));
+    const x = (ms) => LEFT + (across * (between(one.knots, 0, 1, ms) - start)) / (end - start || 1);
     c.scale(ratio, ratio);
     c.fillStyle = "#fff";
     c.fillRect(0, 0, width, height);
     c.font = "12px system-ui, sans-serif";
-    const step = STEPS.find((s) => s >= span / Math.max(2, across / 90)) || STEPS[STEPS.length - 1];
+    const step = STEPS.find((s) => s >= (end - start) / Math.max(2, across / 90)) || STEPS[STEPS.length - 1];
     one.panels.forEach((panel, index) => {
       const top = TOP + index * (tall + GAP), [low, high] = extent(panel), y = (v) => top + (tall * (high - v)) / (high - low);
       c.textBaseline = "middle";
@@ -117,14 +126,17 @@
       c.textAlign = "right";
       for (const v of marks) { rule(LEFT, y(v), width - RIGHT, y(v)); c.fillText(v.toFixed(digits), LEFT - 6, y(v)); }
       c.textAlign = "center";
-      let day = "";
+      let day = "", last = -1e9, dated = -1e9;
       for (let ms = Math.ceil(shown[0] / step) * step; ms <= shown[1]; ms += step) {
+        if (x(ms) < last + 45) continue;
+        last = x(ms);
         rule(x(ms), top, x(ms), top + tall);
         if (index < one.panels.length - 1) continue;
         const text = iso(ms), date = text.slice(0, 10), clock = text.slice(11, step < 1e3 ? 23 : step < 6e4 ? 19 : 16);
         if (step < DAY) c.fillText(clock, x(ms), top + tall + 10);
-        if (date !== day) c.fillText(date, Math.min(Math.max(x(ms), 40), width - 40), top + tall + 25);
-        day = date;
+        if (date === day || last < dated + 75) continue;
+        c.fillText(date, Math.min(Math.max(last, 40), width - 40), top + tall + 25);
+        [day, dated] = [date, last];
       }
       legend(c, panel, top - 15);
       c.save();

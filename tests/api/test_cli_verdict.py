@@ -240,6 +240,26 @@ def test_a_long_record_keeps_every_outlier_on_the_page() -> None:
     assert np.diff(shown.time).max() <= shown.pause, "no line breaks where no row is missing"
 
 
+def test_passes_days_apart_stand_side_by_side() -> None:
+    from fluxtwin.plots.time_series import Line, Panel, TimeSeries, draw_time_series
+
+    at_s = np.r_[np.arange(0, 600, 10), 90_000 + np.arange(0, 600, 10), 400_000 + np.arange(0, 600, 10)]
+    time = np.datetime64("2026-03-01", "ns") + at_s * np.timedelta64(1, "s")
+    series = TimeSeries("t", time, [Panel("x [nT]", [Line("after", np.sin(at_s / 100.0), "#000000")])])
+    along = series.squeezed_s
+    assert along is not None
+    steps, own = np.diff(along), np.diff(at_s)
+    assert np.allclose(steps[own == 10], 10.0), "within a pass nothing changes"
+    assert len(steps[own > 10]) == 2 and (steps[own > 10] < 0.05 * along[-1]).all() and (steps > 0).all()
+    knots = np.array(series.to_dict()["knots"])
+    assert np.allclose(np.interp(time.astype("datetime64[ms]").astype(float), *knots.T), 1e3 * along), "as the figure"
+    made = draw_time_series(series)
+    made.canvas.draw()
+    said = [text.get_text() for text in made.axes[0].get_xticklabels()]
+    assert any(words.startswith("03-05") for words in said), said
+    assert TimeSeries("t", time[:60], series.panels).squeezed_s is None
+
+
 def test_a_line_breaks_where_the_record_pauses() -> None:
     from fluxtwin.plots import style
 

@@ -16,6 +16,7 @@ from fluxtwin.gap.detectors.full_rate import MOST_ROWS as MOST_ROWS_FAST
 from fluxtwin.gap.detectors.full_rate import full_rate
 from fluxtwin.gap.detectors.noise_level import floor_noise, stochastic_nT
 from fluxtwin.gap.detectors.proposals import coarse, in_the_readings
+from fluxtwin.gap.detectors.random_walk import worth_of_a_walk
 from fluxtwin.gap.detectors.residual_structure import judge, residual_structure
 from fluxtwin.gap.held_out.held_out import Fitted, Prediction, floor_rms_nT, one_step, predict_blocks
 from fluxtwin.gap.hypotheses.blocks import Block, blocks
@@ -35,6 +36,7 @@ from fluxtwin.gap.problem.start import start_without_attitude
 from fluxtwin.gap.records.diagnosis import Diagnosis, Place
 from fluxtwin.gap.report import level, second_channel, verdict, words
 from fluxtwin.gap.report.verdict import Work
+from fluxtwin.gap.selection.criterion import THRESHOLD
 from fluxtwin.gap.selection.detectable import under_all
 from fluxtwin.gap.selection.refit import Readings, refit, settled
 from fluxtwin.sim.base.errors import NoAnswer
@@ -151,14 +153,23 @@ def _ruled_out(work: Work, channel: Channel | None) -> dict[str, str]:
 
 def _denied(work: Work) -> dict[str, str]:
     """{name: why} of named effects, and of what might be in their places, that two magnetometers deny."""
-    if work.apart is None or not work.in_readings:
+    if work.apart is None:
         return {}
     problem, result = work.problem, work.answer.result
+    gone: dict[str, str] = {}
+    for one in work.flexible:
+        rate = one.parameters.get("rate", (0.0,))[0]
+        if (
+            one.effect == "bias_random_walk"
+            and -worth_of_a_walk(problem.setting.seconds, work.apart.left, rate) > THRESHOLD
+        ):
+            gone[one.effect] = words.DENIED_SENSOR
+    if not work.in_readings:
+        return gone
     every = [*problem.frozen, *result.modelled, *result.chosen]
     whole = problem.residual_of(every)
     readings = projected(work.answer.whitener, whole, work.answer.alone_nT)
     columns = {own[0].name: derivatives(problem, [own]) for own in result.chosen}
-    gone: dict[str, str] = {}
     for place, (effect, _) in enumerate(result.chosen):
         missing = len(every) - len(result.chosen) + place
         image_nT = problem.residual_of([*every[:missing], *every[missing + 1 :]]) - whole

@@ -58,6 +58,13 @@ def random_walk(seconds: FloatArray, left: ProjectedResidual, sigma_nT: float) -
     return Finding("bias_random_walk", parameters, value, what, tuple(faults), BiasRandomWalk())
 
 
+def worth_of_a_walk(seconds: FloatArray, left: ProjectedResidual, rate: float) -> float:
+    """Twice the log of the Bayes factor of a walk of that rate [nT/sqrt(s)] in a whitened residual, against none."""
+    columns, _ = left.project(three_axes(modes_of_a_walk(seconds)))
+    variance = left.energy / left.degrees
+    return _evidence(columns.T @ columns / variance, columns.T @ left.residual / variance, np.array([rate]))[1]
+
+
 def _modes(gram: FloatArray, moment: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     value, vector = np.linalg.eigh(gram)
     live = value > SHARE_LEFT * value[-1]

@@ -61,6 +61,7 @@ class Structured:
     def _one_more(self, answer: Answer) -> Answer | None:
         named = answer.result.named
         walks = any(one.effect == _WALK for one in answer.shapes) or any(_WALK in one.group for one in named)
+        walks = walks or _WALK in self.problem.ruled_out
         if answer.left.structured:
             for bare in (True, False) if named and not answer.carries else (False,):
                 finding = self._signal(answer, bare=bare)

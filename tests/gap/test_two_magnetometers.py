@@ -13,6 +13,7 @@ import pytest
 
 import fluxtwin
 from fluxtwin.gap.channels.two_magnetometers import apart
+from fluxtwin.gap.detectors.random_walk import worth_of_a_walk
 from fluxtwin.gap.problem.problem import pose
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -94,3 +95,16 @@ def test_a_second_magnetometer_that_hardly_reads_says_nothing(ahead: Telemetry) 
     assert apart(pose(ahead.replace(mag2_B_nT=second), load_field("igrf14"))) is None
     assert apart(pose(ahead.replace(mag2_B_nT=None), load_field("igrf14"))) is None
     assert apart(pose(ahead, load_field("igrf14"))) is not None
+
+
+def test_a_walk_is_in_the_difference_or_is_none() -> None:
+    rate = 3.0  # nT a root second: 400 nT after five hours
+
+    def worth(record: Telemetry) -> float:
+        problem = pose(record, load_field("igrf14"))
+        difference = apart(problem)
+        assert difference is not None
+        return worth_of_a_walk(problem.setting.seconds, difference.left, rate)
+
+    assert worth(flown(effects={"bias_random_walk": {"rate_nT_per_sqrt_s": rate}})) > 100.0
+    assert worth(flown()) < -100.0

@@ -227,9 +227,10 @@ def _binary(name: str, value: FloatArray, where: str) -> None:
 
 
 def _missing_rows(fields: dict[str, FloatArray]) -> list[str]:
-    notices = []
-    for name, value in fields.items():
-        rows = int(np.isnan(value).reshape(len(value), -1).any(axis=1).sum())
-        if rows:
-            notices.append(f"{name} is missing in {rows} of {len(value)} rows")
-    return notices
+    total = max((len(value) for value in fields.values()), default=0)
+    rows = {name: int(np.isnan(value).reshape(total, -1).any(axis=1).sum()) for name, value in fields.items()}
+    missing = {name: count for name, count in rows.items() if count}
+    if len(missing) == 1:
+        return [f"{name} is missing in {count} of {total} rows" for name, count in missing.items()]
+    listed = ", ".join(f"{name} in {count}" for name, count in missing.items())
+    return [f"missing of {total} rows: {listed}"] if missing else []

@@ -15,7 +15,7 @@ from fluxtwin.sim.base.files import write_bytes
 from fluxtwin.sim.base.limits import MAX_COLUMNS, MAX_SAMPLES, require_expansion, require_rows
 from fluxtwin.sim.telemetry.columns import file_texts
 from fluxtwin.sim.telemetry.formats.frame import of_file, to_pandas
-from fluxtwin.sim.telemetry.formats.table import Table, extra
+from fluxtwin.sim.telemetry.formats.table import Table, content_of, extra
 from fluxtwin.sim.telemetry.record import Telemetry
 
 _PLACE = re.compile(
@@ -55,7 +55,9 @@ def sheets(path: Path) -> list[str]:
     import pandas as pd
 
     try:
-        with pd.ExcelFile(path, engine="openpyxl") as book:
+        content = content_of(path)[0]
+        _require_sane(content, MAX_SAMPLES, str(path))
+        with pd.ExcelFile(io.BytesIO(content), engine="openpyxl") as book:
             return [str(name) for name in book.sheet_names]
     except Exception:
         return []

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import unicodedata
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from pathlib import Path
 
 import fluxtwin
@@ -194,18 +195,32 @@ class _Page(html.parser.HTMLParser):
         super().__init__()
         self.wrong: list[str] = []
         self.policy = ""
+        self._script: str | None = None
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         """Elements that run or fetch, and handlers."""
         given = dict(attrs)
         if tag == "meta" and given.get("http-equiv", "").lower() == "content-security-policy":  # type: ignore[union-attr]
             self.policy = given.get("content") or ""
-        if tag in ("script", "iframe", "object", "embed", "base", "link", "form"):
+        if tag == "script" and given.get("type") != "application/json":
+            self._script = ""
+        if tag in ("iframe", "object", "embed", "base", "link", "form"):
             self.wrong.append(f"<{tag}>")
         for name, value in given.items():
             fetched = name in ("src", "href", "xlink:href", "action") and not (value or "").startswith(("data:", "#"))
             if name.startswith("on") or fetched:
                 self.wrong.append(f"{name}={value!r:.60}")
+
+    def handle_data(self, data: str) -> None:
+        """The text of a script."""
+        self._script = None if self._script is None else self._script + data
+
+    def handle_endtag(self, tag: str) -> None:
+        """A script that is not the page's own, to the letter."""
+        own = (files("fluxtwin") / "templates" / "report.js").read_text(encoding="utf-8")
+        if tag == "script" and self._script not in (None, own):
+            self.wrong.append("<script>")
+        self._script = None
 
 
 def texts(folder: Path, *, quick: bool) -> Row:

@@ -132,10 +132,9 @@ def _figure(confusion: dict[str, dict[str, int]], target: Path) -> None:
     axes.set_yticks(range(len(truths)), [f"{_plain(t)} ({sum(confusion[t].values())})" for t in truths], fontsize=8)
     for row, column in zip(*np.nonzero(share), strict=True):
         value = 100 * share[row, column]
-        axes.text(
-            column, row, f"{value:.0f}", ha="center", va="center", fontsize=7, color="white" if value > 55 else "black"
-        )
-    axes.set_xlabel("came first in the answer")
+        count, colour = confusion[truths[row]][names[column]], "white" if value > 55 else "black"
+        axes.text(column, row, str(count), ha="center", va="center", fontsize=7, color=colour)
+    axes.set_xlabel("came first in the answer (number of records)")
     axes.set_ylabel("truth (records)")
     axes.set_xticks(np.arange(-0.5, len(names)), minor=True)
     axes.set_yticks(np.arange(-0.5, len(truths)), minor=True)

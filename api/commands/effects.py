@@ -52,14 +52,14 @@ def _overview(output: Output, effects: tuple[Effect, ...]) -> None:
 
 
 def _in_full(output: Output, effect: Effect) -> None:
-    from fluxtwin.sim.scenario.effect_sections import effect_toml, keys_of
+    from fluxtwin.sim.scenario.effect_sections import effect_toml, every_key
 
     output.say(f"{effect.name}: stage {_stage(effect)}")
     output.say(_brief(effect))
     output.say(wrapped(f"{effect.about}.", 100))
     rows = [
         (p.name, _unit(p.unit), p.scale, _bound(p.low), _bound(p.high), key.name)
-        for key in keys_of(effect)
+        for key in every_key(effect)
         for p in key.parameters
     ]
     output.say()
@@ -73,7 +73,7 @@ def _record(effect: Effect) -> dict[str, Any]:
     import dataclasses
 
     from fluxtwin.sim.effects.base import SignalEffect
-    from fluxtwin.sim.scenario.effect_sections import keys_of
+    from fluxtwin.sim.scenario.effect_sections import every_key
 
     return {
         "name": effect.name,
@@ -90,7 +90,7 @@ def _record(effect: Effect) -> dict[str, Any]:
                 "key": key.name,
                 "range": [_bound(p.low), _bound(p.high)],
             }
-            for key in keys_of(effect)
+            for key in every_key(effect)
             for p in key.parameters
         ],
     }

@@ -19,7 +19,7 @@ from typing import Any
 
 import fluxtwin
 from fluxtwin.sim.effects.base import Effect
-from fluxtwin.sim.scenario.effect_sections import Key, keys_of
+from fluxtwin.sim.scenario.effect_sections import Key, every_key
 
 DOCS = Path(__file__).resolve().parents[1]
 LIKENESS = DOCS / "examples" / "catalogue.json"
@@ -89,7 +89,7 @@ def _section(effect: Effect, alike: dict[str, dict[str, dict[str, int]]]) -> lis
         "",
         "| key | typical | lowest | highest |",
         "|---|--:|--:|--:|",
-        *_rows(keys_of(effect)),
+        *_rows(every_key(effect)),
         "",
         f"- {'; '.join(facts).capitalize()}.",
         f"- Settled by {effect.settled_by}.",

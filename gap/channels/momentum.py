@@ -121,9 +121,13 @@ class MomentumChannel:
         """One of the causes."""
         return next(cause for cause in self.causes if cause.effect == effect)
 
-    def blur(self, active: Active, modelled: Sequence[Active]) -> FloatArray | None:
+    def blur(self, active: Active, modelled: Sequence[Active]) -> None:
         """None: the noise of the balance has the attitude's error in it."""
         return None
+
+    def jumps(self, base: Fit) -> Sequence[str]:
+        """None."""
+        return ()
 
     def proposed(self, base: Fit) -> Sequence[SignalEffect]:
         """None."""

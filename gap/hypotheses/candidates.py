@@ -84,7 +84,8 @@ def candidates(
             untestable[effect.name] = reason
         if reason is not None or not possible:
             continue
-        made = [_candidate(problem.design, alternative, on, perturbed) for alternative in possible]
+        seen: dict[Effect, FloatArray] = {}
+        made = [_candidate(problem.design, alternative, on, perturbed, seen) for alternative in possible]
         testable = [candidate for candidate in made if candidate.live.any()]
         if not testable:
             untestable[effect.name] = "nothing in these data excites it: a typical size would not move any reading"
@@ -140,8 +141,19 @@ def _signal_alternatives(effect: SignalEffect, problem: Problem) -> list[SignalE
     return [one for one in effect.alternatives(problem.setting) if isinstance(one, SignalEffect)]
 
 
-def _candidate(chain: Chain, effect: SignalEffect, on: Sequence[Active], perturbed: PerturbedDesign) -> Candidate:
-    image = jacobian(chain, effect, on)
+def _candidate(
+    chain: Chain,
+    effect: SignalEffect,
+    on: Sequence[Active],
+    perturbed: PerturbedDesign,
+    seen: dict[Effect, FloatArray],
+) -> Candidate:
+    """seen: images of effects that others modulate, made so far; more are added."""
+    whole, share = effect.modulates(chain.setting) or (effect, np.ones((1, 1)))
+    if whole not in seen:
+        assert isinstance(whole, SignalEffect)
+        seen[whole] = jacobian(chain, whole, on)
+    image = seen[whole] * share[:, None, :]
     live = _live(effect, image)
     change = perturbed.change(effect, image, on) if live.any() else 0.0
     return Candidate(effect, image, live, change)

@@ -22,7 +22,7 @@ from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.sim.attitude.gauss_markov import gauss_markov
 from fluxtwin.sim.attitude.recorded_motion import RecordedMotion
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.effects.base import SignalEffect
+from fluxtwin.sim.effects.base import Effect
 from fluxtwin.sim.effects.chain import Active, Chain
 from fluxtwin.sim.effects.signal import Setting
 
@@ -59,6 +59,7 @@ class PerturbedDesign:
         sigma = attitude_error_rad(problem)
         parts = [(sigma, 0.0), (sigma, _SLOW_S)] if errors is None else list(errors)
         self.chain: Chain | None = None
+        self._latest: tuple[Effect, Sequence[Active], FloatArray] | None = None
         if not any(size > 0 for size, _ in parts) or not isinstance(motion, RecordedMotion):
             return
         rng = np.random.default_rng(_SEED)
@@ -75,7 +76,7 @@ class PerturbedDesign:
         """The design that is perturbed; None where the attitude has no error."""
         return None if self.chain is None else self.chain.setting
 
-    def change(self, effect: SignalEffect, image: FloatArray, on: Sequence[Active]) -> float:
+    def change(self, effect: Effect, image: FloatArray, on: Sequence[Active]) -> float:
         """Share of the energy of an effect's image that changes, beside what is modelled.
 
         image (N, 3, p) of the effect at nothing, with `on` on, in body axes; all its parameters move together, each by
@@ -83,14 +84,28 @@ class PerturbedDesign:
         """
         if self.chain is None:
             return 0.0
-        signs = np.random.default_rng(_SEED).choice([-1.0, 1.0], len(effect.parameters))
-        step = np.array([parameter.scale for parameter in effect.parameters]) * signs
-        low, high = (np.array([getattr(p, end) for p in effect.parameters]) for end in ("low", "high"))
-        up, down = np.clip(step, low, high), np.clip(-step, low, high)
-        readings = [self.chain.reading_nT([*on, (effect, end)]) for end in (up, down)]
-        first, again = (self._beside(one) for one in (image @ (up - down), readings[0] - readings[1]))
+        step = _step(effect)
+        modulated = effect.modulates(self.chain.setting)
+        if modulated is None:
+            moved = self._moved(effect, step, on)
+        else:
+            whole, share = modulated
+            inner = _step(whole)
+            moved = self._moved(whole, inner, on) * (share if share.shape[1] == 1 else (share @ step / inner)[:, None])
+        first, again = self._beside(image @ step), self._beside(moved)
         whole = float(np.sum(first**2))
         return float(np.sum((again - first) ** 2)) / whole if whole > 0 else 0.0
+
+    def _moved(self, effect: Effect, step: FloatArray, on: Sequence[Active]) -> FloatArray:
+        """(N, 3) by how much an effect from nothing, or from minus the step, to the step moves the readings, for a step."""
+        if self._latest is None or self._latest[0] != effect or self._latest[1] is not on:
+            low, high = (np.array([getattr(p, end) for p in effect.parameters]) for end in ("low", "high"))
+            up, down = np.clip(step, low, high), np.clip(-step, low, high)
+            assert self.chain is not None
+            readings = [self.chain.reading_nT([*on, (effect, end)]) for end in (up, down)]
+            share = float(np.max(np.abs(up - down) / np.abs(step)))
+            self._latest = effect, on, (readings[0] - readings[1]) / share
+        return self._latest[2]
 
     def _beside(self, image: FloatArray) -> FloatArray:
         flat = self.problem.judged(image).reshape(-1)
@@ -101,6 +116,12 @@ class PerturbedDesign:
         judged = self.problem.judged(self.problem.nuisance)
         flat = judged.reshape(3 * self.problem.rows, judged.shape[2])  # none where nothing is modelled
         return span_of(flat).basis(flat)
+
+
+def _step(effect: Effect) -> FloatArray:
+    """(p,) all parameters by their typical size, with signs that are drawn once."""
+    signs = np.random.default_rng(_SEED).choice([-1.0, 1.0], len(effect.parameters))
+    return np.array([parameter.scale for parameter in effect.parameters]) * signs
 
 
 def attitude_error_rad(problem: Problem) -> float:

@@ -35,8 +35,8 @@ _MOST = 3
 _ROUNDS = 3
 _SETTLED = 0.2  # in the logarithm of the rate
 _MEMORIES_S = (30.0, 100.0, 300.0)
-_WALK, _STEP = "bias_random_walk", "bias_step"
-"""A walk's largest excursion looks like a step, and one step is what a name can be before it is a walk."""
+_WALK, _LIKE_A_WALK = "bias_random_walk", ("bias_step", "linear_drift")
+"""A walk's largest excursion looks like a step, its whole way like a drift: what a name can be before it is a walk."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class Structured:
                 finding = self._signal(answer, bare=bare)
                 if finding is not None:
                     return self.given(answer, finding)
-        stepped = any(one.name == _STEP for one in named)
+        stepped = any(one.name in _LIKE_A_WALK for one in named)
         if not walks and (answer.left.structured or len(named) > 1 or stepped):
             return self._walking(answer)
         return None
@@ -134,7 +134,7 @@ class Structured:
         """Residuals (N, 3) and fitted columns that a walk is looked for in: no name fitted, and all but a step."""
         yield bare_nT, alone
         result = answer.result
-        others = [one for one in result.chosen if one[0].name != _STEP]
+        others = [one for one in result.chosen if one[0].name not in _LIKE_A_WALK]
         if others and len(others) < len(result.chosen):
             active = [*result.modelled, *signals_of(answer.shapes), *others]
             columns = np.concatenate([alone, derivatives(self.problem, others)], axis=2)

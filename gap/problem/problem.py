@@ -119,7 +119,7 @@ class Problem:
         """(N, 3) reading less prediction with these effects on; without attitude, what no turn of the body explains."""
         signal = self.chain.signal(active)
         residual = np.asarray(self.telemetry.mag_B_nT - signal.reading)
-        if signal.sample_offset_s and isinstance(self.setting.motion, RecordedMotion):
+        if np.any(signal.sample_offset_s) and isinstance(self.setting.motion, RecordedMotion):
             # A row sampled where nobody knows the attitude has no say.
             residual = np.where(self.setting.motion.reaches(signal.sample_offset_s)[:, None], residual, 0.0)
         residual = self._unshortened(residual, signal.field_B_nT)

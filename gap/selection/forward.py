@@ -9,7 +9,7 @@ the one criterion, with prior 1/K for each effect among K alternatives tested.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -23,6 +23,7 @@ from fluxtwin.gap.selection.refit import Channel, Fit, refit
 from fluxtwin.gap.selection.score import Board, board, whitened
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import Effect, SignalEffect
+from fluxtwin.sim.effects.calibration import TurningStep
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.signal import Setting
 
@@ -124,12 +125,19 @@ class Search(Generic[OfChannel]):
 
 
 def begin(channel: OfChannel, found: list[Candidate], gate: float = GATE, tested_before: int = 0) -> Search[OfChannel]:
-    """Fit what is modelled, and score every candidate beside it."""
+    """Fit what is modelled, and score every candidate beside it, with those that its residual points to."""
     base = refit(channel)
+    jumps = [replace(c.effect, at=at) for c in _turning(found) for at in channel.jumps(base)]
+    found = [*found, *(channel.candidate(effect, base.modelled) for effect in jumps)]
     white = whitened(found, channel, base.residual.shape[0])
     first = _first(channel, found, white, base)
     same = alike(shares_by_name(first))
     return Search(channel, found, base, first, white, gate, same=same, tested_before=tested_before)
+
+
+def _turning(found: Sequence[Candidate]) -> list[Candidate]:
+    """One candidate of each effect that turns something at a moment."""
+    return list({c.name: c for c in found if isinstance(c.effect, TurningStep)}.values())
 
 
 def _first(channel: Channel, found: Sequence[Candidate], white: FloatArray, base: Fit) -> Board:

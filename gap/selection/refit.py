@@ -18,10 +18,10 @@ from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign
 from fluxtwin.gap.linear.projection import SHARE_LEFT, Whitens, least_share
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem, realigned
-from fluxtwin.gap.selection.interval import likeliest_interval
+from fluxtwin.gap.selection.interval import likeliest_interval, likeliest_jump
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
-from fluxtwin.sim.effects.chain import Active
+from fluxtwin.sim.effects.chain import Active, jacobian
 from fluxtwin.sim.effects.signal import Setting
 
 _STEPS = 12
@@ -55,9 +55,12 @@ class Channel(Whitens, Protocol):
     def candidate(self, effect: SignalEffect, modelled: Sequence[Active]) -> Candidate:
         """One more alternative, linearised beside what is modelled."""
 
-    def blur(self, active: Active, modelled: Sequence[Active]) -> FloatArray | None:
+    def blur(self, active: Active, modelled: Sequence[Active]) -> tuple[FloatArray, FloatArray] | None:
         """(M, 3) whitened, what one more error of the attitude, as large as it is taken to be, adds to the image of an
-        effect of this size; None where its image is not made of attitudes."""
+        effect of this size, and that image (M, 3, p); None where its image is not made of attitudes."""
+
+    def jumps(self, base: Fit) -> Sequence[str]:
+        """Moments (ISO 8601 UTC) at which the residual of a fit without any effect jumps."""
 
     def proposed(self, base: Fit) -> Sequence[SignalEffect]:
         """Alternatives that the residual of a fit without any effect suggests."""
@@ -213,7 +216,7 @@ class Readings:
     def candidate(self, effect: SignalEffect, modelled: Sequence[Active]) -> Candidate:
         return candidate_of(self.problem, effect, modelled=modelled)
 
-    def blur(self, active: Active, modelled: Sequence[Active]) -> FloatArray | None:
+    def blur(self, active: Active, modelled: Sequence[Active]) -> tuple[FloatArray, FloatArray] | None:
         """By the noise model of the whitener."""
         if self._perturbed.chain is None:
             return None
@@ -222,12 +225,19 @@ class Readings:
             chain.reading_nT([*on, active]) - chain.reading_nT(on)
             for chain in (self.problem.design, self._perturbed.chain)
         )
-        return self.whitener.apply(again - first)
+        effect, theta = active
+        assert isinstance(effect, SignalEffect)
+        image = jacobian(self.problem.design, effect, on, theta)
+        return self.whitener.apply(again - first), self.whitener.apply(image)
 
     @cached_property
     def _perturbed(self) -> PerturbedDesign:
         noise = self.whitener.noise
         return PerturbedDesign(self.problem, [(noise.theta_rad, noise.tau_s)])
+
+    def jumps(self, base: Fit) -> list[str]:
+        """The likeliest, if there is one."""
+        return likeliest_jump(self.problem.time, base.residual, self.whitener.weights)
 
     def proposed(self, base: Fit) -> list[SignalEffect]:
         """A field that was on for one stretch of the record."""

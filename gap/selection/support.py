@@ -102,10 +102,10 @@ def _weights(search: Search[Any], fit: Fit, number: int, bare: Fit, variance: fl
 def chi_square_lost(search: Search[Any], active: Active, beside: FloatArray) -> float:
     """Chi-square that a cause is expected to lose even where it is the true one, because its image is made of an attitude
     with errors (Fuller 1987, Measurement Error Models, section 1.2). beside (M, 3, c): what is refitted with it."""
-    blur = search.channel.blur(active, search.base.modelled)
-    if blur is None:
+    blurred = search.channel.blur(active, search.base.modelled)
+    if blurred is None:
         return 0.0
-    image = search.channel.jacobian([*search.base.modelled, active])[:, :, -len(active[1]) :]
+    blur, image = blurred
     basis = orthonormal(np.concatenate([beside, image], axis=2))
     flat = blur.reshape(-1)
     left = flat - basis @ (basis.T @ flat)

@@ -31,13 +31,13 @@ def lateness_near(delay_s: float, lag_s: float, moved: float = _MOVED) -> list[t
     return [(share * late_s, (1.0 - share) * late_s) for share, late_s in parts] if whole_s else []
 
 
-def late(seconds: FloatArray, column: FloatArray, delay_s: float, lag_s: float) -> FloatArray:
-    """(N,) a column (N,) that has a value somewhere, `delay_s` before, then behind a first-order lag.
+def late(seconds: FloatArray, column: FloatArray, delay_s: float | FloatArray, lag_s: float) -> FloatArray:
+    """(N,) a column (N,) that has a value somewhere, `delay_s` (or (N,)) before, then behind a first-order lag.
 
     Between its samples a column of two values holds the last one, any other is a straight line. What it was before
     the first row, or in a gap of the rows, is what it was after; the lag starts in balance there.
     """
-    if not delay_s and not lag_s and np.isfinite(column).all():
+    if not np.any(delay_s) and not lag_s and np.isfinite(column).all():
         return column
     known, stretch = np.isfinite(column), stretches(seconds)
     begun = seconds[np.searchsorted(stretch, stretch)]

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.signal import Setting, Signal
 
 if TYPE_CHECKING:
@@ -88,6 +89,16 @@ class Effect(ABC):
 
     def alternatives(self, setting: Setting) -> tuple[Effect, ...]:
         """The discrete settings worth trying on this design; just itself for most."""
+        return (self,)
+
+    def modulates(self, setting: Setting) -> tuple[Effect, FloatArray] | None:
+        """An effect with as many parameters, or with one, and numbers (N, 1), or (N, p): its image times these, row by row,
+        is that of this one, but for what remembers earlier rows. None: this one's image is its own."""
+        return None
+
+    @property
+    def forms(self) -> tuple[Effect, ...]:
+        """One for each set of parameters that a setting gives it; just itself for most."""
         return (self,)
 
     def condition_on(self, setting: Setting) -> str | None:
@@ -176,6 +187,12 @@ def vector_parameters(
 ) -> tuple[Parameter, ...]:
     """One parameter an axis, or a place of a matrix, alike but for the name: prefix_x, prefix_y, prefix_z."""
     return tuple(Parameter(f"{prefix}_{axis}", unit, scale, low, high) for axis in axes)
+
+
+def elapsed_s(setting: Setting, since: str | None) -> FloatArray:
+    """(N,) seconds since a moment (ISO 8601 UTC), or since the first row."""
+    start = setting.time[0] if since is None else epoch.parse_time(since, where="since")
+    return epoch.seconds_since(setting.time, start)
 
 
 def known_column(setting: Setting, name: str) -> FloatArray | None:

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar, Literal, Self
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.base import (
     MATRIX,
     DistributionEffect,
+    Effect,
     Parameter,
     SignalEffect,
     in_reading,
+    elapsed_s,
     mapped,
     vector_parameters,
 )
 from fluxtwin.sim.effects.signal import Setting, Signal
 
-_GRID = 31
+_MOVES = (1 / 2, -1 / 2, 1 / 4, -1 / 4, 1 / 8, -1 / 8, 1 / 16, -1 / 16)
 
 
 @dataclass(frozen=True)
@@ -68,7 +72,43 @@ class ScaleMisalignment(SignalEffect):
 
 
 @dataclass(frozen=True)
-class BiasStep(SignalEffect):
+class Step(SignalEffect):
+    """Base of what happens at a moment and stays: nothing before `at`, all of it from then on."""
+
+    frame = "body"
+    follows = "after_time"
+    grid: ClassVar[int]
+    """Moments that are tried, spread evenly over the rows."""
+    at: str | None = None
+    """ISO 8601 UTC; None: the middle row."""
+
+    def alternatives(self, setting: Setting) -> tuple[Self, ...]:
+        """Moments spread evenly over the rows, at a row each; the given one alone where there is one."""
+        rows = setting.time.size
+        if self.at is not None or rows < 3:
+            return (self,)
+        number = np.unique(np.linspace(0, rows, self.grid + 2)[1:-1].round().astype(int))
+        return tuple(replace(self, at=epoch.iso(setting.time[row], "ms")) for row in number if 0 < row < rows)
+
+    def after(self, setting: Setting) -> FloatArray:
+        """(N,) 0 before the moment, 1 from it on."""
+        moment = setting.time[setting.time.size // 2] if self.at is None else epoch.parse_time(self.at, where=self.name)
+        return (setting.time >= moment).astype(np.float64)
+
+    def modulates(self, setting: Setting) -> tuple[Effect, FloatArray]:
+        return replace(self, at=epoch.iso(setting.time[0], "ms")), self.after(setting)[:, None]
+
+    def untestable(self, setting: Setting) -> str | None:
+        after = self.after(setting)
+        return None if 0.0 < after.mean() < 1.0 else "the moment lies outside the record"
+
+    def pinned(self, setting: Setting, reading_B_nT: FloatArray) -> Self:
+        middle = epoch.iso(setting.time[setting.time.size // 2], "ms")
+        return self if self.at is not None else replace(self, at=middle)
+
+
+@dataclass(frozen=True)
+class BiasStep(Step):
     """The bias jumps at a moment and stays there.
 
     b of equation 1 is larger from `at` on.
@@ -76,39 +116,15 @@ class BiasStep(SignalEffect):
 
     name = "bias_step"
     stage = "sensor"
-    frame = "body"
-    follows = "after_time"
     settled_by = "data from well before and well after the jump"
     equivalent_stages = ("spacecraft",)
     about = (
         "b of eq. 1 jumps at a moment and stays; + lowers the reading from then on "
         "(additive jump: Willsky & Jones 1976, doi 10.1109/TAC.1976.1101146)"
     )
-    at: str | None = None
-    """ISO 8601 UTC; None: the middle row."""
+    grid = 31
 
     parameters = vector_parameters("b", "nT", 100.0)
-
-    def alternatives(self, setting: Setting) -> tuple[BiasStep, ...]:
-        """Moments spread evenly over the rows, at a row each; the given one alone where there is one."""
-        rows = setting.time.size
-        if self.at is not None or rows < 3:
-            return (self,)
-        number = np.unique(np.linspace(0, rows, _GRID + 2)[1:-1].round().astype(int))
-        return tuple(replace(self, at=epoch.iso(setting.time[row], "ms")) for row in number if 0 < row < rows)
-
-    def after(self, setting: Setting) -> FloatArray:
-        """(N,) 0 before the jump, 1 from it on."""
-        moment = setting.time[setting.time.size // 2] if self.at is None else epoch.parse_time(self.at, where=self.name)
-        return (setting.time >= moment).astype(np.float64)
-
-    def untestable(self, setting: Setting) -> str | None:
-        after = self.after(setting)
-        return None if 0.0 < after.mean() < 1.0 else "the moment lies outside the record"
-
-    def pinned(self, setting: Setting, reading_B_nT: FloatArray) -> BiasStep:
-        middle = epoch.iso(setting.time[setting.time.size // 2], "ms")
-        return self if self.at is not None else replace(self, at=middle)
 
     @property
     def bound(self) -> str:
@@ -118,6 +134,110 @@ class BiasStep(SignalEffect):
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         shift = in_reading(signal.setting, theta)
         return signal.with_reading(signal.reading - self.after(signal.setting)[:, None] * shift)
+
+
+class TurningStep(Step):
+    """Base of the steps that turn something. Few moments are tried; the likeliest is then moved to where the data want it."""
+
+    grid = 7
+    # Mounting errors before alignment in flight: Wertz 1978, section 7.1.
+    parameters = vector_parameters("turn", "deg", 0.5, -180.0, 180.0)
+
+    def variants(self, setting: Setting) -> tuple[Self, ...]:
+        """The moment moved by parts of the distance between those that are tried."""
+        if self.at is None:
+            return ()
+        rows = setting.time.size
+        row = int(np.searchsorted(setting.time, epoch.parse_time(self.at, where=self.name)))
+        moved = {row + round(move * rows / (self.grid + 1)): None for move in _MOVES}
+        return tuple(replace(self, at=epoch.iso(setting.time[to], "ms")) for to in moved if 0 < to < rows and to != row)
+
+    @property
+    def bound(self) -> str:
+        moment = "once" if self.at is None else f"once, at {self.at}"
+        return f"it happened {moment}: later it is a constant turn, and whether it happens again is not known"
+
+    def turns_rad(self, setting: Setting, theta: FloatArray) -> FloatArray:
+        """(N, 3) rotation vectors, body axes."""
+        return np.asarray(np.outer(self.after(setting), np.radians(theta)))
+
+
+@dataclass(frozen=True)
+class MountingStep(TurningStep):
+    """The sensor is turned on its mount at a moment and stays so.
+
+    + turns the sensor's axes right-handed about the body axis, so the field in them turns the other way: the ambient one and
+    the spacecraft's. To a magnetometer alone it is `attitude_step`, but for the spacecraft's field.
+    """
+
+    name = "mounting_step"
+    stage = "sensor"
+    settled_by = "another attitude sensor, or a second magnetometer: whether they were turned as well"
+    equivalent_stages = ("attitude", "spacecraft")
+    about = (
+        "the sensor's axes are turned from a moment on by this rotation vector, body axes (a hinge that slips, a boom "
+        "that latches; mounting errors before alignment in flight are tenths of a degree: Wertz 1978, section 7.1)"
+    )
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        at_sensor = signal.field_B_nT if signal.stray_B_nT is None else signal.field_B_nT + signal.stray_B_nT
+        turned = Rotation.from_rotvec(-self.turns_rad(signal.setting, theta)).apply(at_sensor)
+        return signal.with_reading(signal.reading + in_reading(signal.setting, turned - at_sensor))
+
+
+@dataclass(frozen=True)
+class LinearDrift(SignalEffect):
+    """Bias or scale factors drift in proportion to time.
+
+    From zero at `since`: of the bias b of equation 1, or of the diagonal of its S.
+    """
+
+    name = "linear_drift"
+    stage = "sensor"
+    frame = "body"
+    follows = "time"
+    settled_by = "a longer record, in a slow tumble of 0.25 deg/s"
+    equivalent_stages = ("spacecraft",)
+    about = (
+        "b of eq. 1 (of = bias), or the diagonal of its S (of = scale), grows in proportion to time; + lowers the reading "
+        "(ageing: THEMIS's fluxgates were to keep within 0.2 nT in 12 h, Auster et al. 2008, "
+        "doi 10.1007/s11214-008-9365-9; the typical size is that of a sensor a hundred times worse)"
+    )
+    of: Literal["bias", "scale"] = "bias"
+    since: str | None = None
+    """ISO 8601 UTC of no drift; None: the first row."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        if self.of == "bias":
+            return vector_parameters("b", "nT/day", 40.0)
+        return vector_parameters("S", "1/day", 1e-3, -0.5, 0.5, axes=("xx", "yy", "zz"))
+
+    @property
+    def forms(self) -> tuple[LinearDrift, ...]:
+        return (replace(self, of="bias"), replace(self, of="scale"))
+
+    def alternatives(self, setting: Setting) -> tuple[LinearDrift, ...]:
+        return self.forms if self == LinearDrift() else (self,)
+
+    def untestable(self, setting: Setting) -> str | None:
+        return "one row alone shows no drift" if setting.time.size < 2 else None
+
+    def pinned(self, setting: Setting, reading_B_nT: FloatArray) -> LinearDrift:
+        return self if self.since is not None else replace(self, since=epoch.iso(setting.time[0], "ms"))
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        days = elapsed_s(signal.setting, self.since) / 86400.0
+        if self.of == "bias":
+            return signal.with_reading(signal.reading - np.outer(days, in_reading(signal.setting, theta)))
+        return signal.with_reading(rescaled(signal, np.outer(days, theta)))
+
+
+def rescaled(signal: Signal, change: FloatArray) -> FloatArray:
+    """(N, 3) the reading with the diagonal of S larger by `change` (N, 3): (I + S + diag)^-1 (I + S) times it."""
+    nominal = np.eye(3) + signal.setting.instrument.S
+    changed = nominal + change[:, :, None] * np.eye(3)
+    return np.asarray(np.linalg.solve(changed, mapped(nominal, signal.reading)[:, :, None])[:, :, 0])
 
 
 @dataclass(frozen=True)

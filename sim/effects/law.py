@@ -135,7 +135,7 @@ class Law(SignalEffect):
         """What the factors are made of. Raises BadInput for one that cannot be read."""
         return tuple(_parsed(factor)[1] for factor in self.of)
 
-    def values(self, setting: Setting, field_B_nT: FloatArray, later_s: float = 0.0) -> FloatArray | None:
+    def values(self, setting: Setting, field_B_nT: FloatArray, later_s: float | FloatArray = 0.0) -> FloatArray | None:
         """(N,) the product, `later_s` after the stamps as far as it is late; None where a column is missing.
 
         field_B_nT (N, 3): ambient, body axes.

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import sun
 from fluxtwin.sim.effects.base import Effect, Parameter, SignalEffect, vector_parameters
+from fluxtwin.sim.effects.calibration import TurningStep
 from fluxtwin.sim.effects.drivers import lit
 from fluxtwin.sim.effects.signal import Setting, Signal
 
@@ -162,6 +163,27 @@ class YawDrift(SignalEffect):
             return _nadir_B(signal.R_reported_BN, signal.setting.given[0])
         # A turn about nadir leaves nadir alone, so the reported attitude says where it is in the true body too.
         return _nadir_B(signal.R_BN, signal.r_N_km)
+
+
+@dataclass(frozen=True)
+class AttitudeStep(TurningStep):
+    """The reported attitude is turned from a moment on.
+
+    By a constant rotation, as if the frame of its sensors had been moved.
+    """
+
+    name = "attitude_step"
+    stage = "attitude"
+    settled_by = "a second attitude sensor, or a second magnetometer, through the moment"
+    equivalent_stages = ("sensor", "spacecraft")
+    about = (
+        "from a moment on the reported attitude is turned by this rotation vector, body axes: a field v is predicted as "
+        "v + turn x v (another sensor in use, or another table of alignments; mounting errors are tenths of a degree "
+        "before alignment in flight: Wertz 1978, section 7.1)"
+    )
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        return signal.attitude_reported_turned(self.turns_rad(signal.setting, theta))
 
 
 def _nadir_B(R_BN: Rotation, r_N_km: FloatArray) -> FloatArray:

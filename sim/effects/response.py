@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import combinations_with_replacement
-from typing import ClassVar
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.late import low_pass, restarts
 from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.earth.field import field_N_nT
 from fluxtwin.sim.effects.base import Parameter, SignalEffect, in_reading, mapped, vector_parameters
 from fluxtwin.sim.effects.history import field_history, play
 from fluxtwin.sim.effects.signal import Setting, Signal
@@ -145,7 +147,7 @@ class Hysteresis(SignalEffect):
 class SensorLag(SignalEffect):
     """The reading is smoothed and late.
 
-    First-order low-pass of the reading with the time constant `lag`.
+    First-order low-pass of the reading, or of one axis of it, with the time constant `lag`.
 
     Between stamps the ambient field's part is followed by its value and its rate of change, at moments between two
     stamps too where the body turns far in a step, so a lag far below the sampling interval comes out right; the rest
@@ -160,10 +162,17 @@ class SensorLag(SignalEffect):
     settled_by = "a spin of 2 rpm, or torquer edges sampled fast"
     equivalent_stages = ("time",)
     about = (
-        "first-order low-pass, lag dy/dt + y = x: the reading is late by the lag and smoothed "
+        "first-order low-pass, lag dy/dt + y = x: the reading, or that of one axis, is late by the lag and smoothed "
         "(RC low-pass: Oppenheim & Willsky, Signals and Systems, section 3.10)"
     )
+    axis: Literal["all", "x", "y", "z"] = "all"
+    """Whose filter it is."""
+
     parameters = (Parameter("lag", "s", 0.5, 0.0, 600.0),)
+
+    def alternatives(self, setting: Setting) -> tuple[SensorLag, ...]:
+        """All axes, and each alone."""
+        return (self, *map(SensorLag, get_args(Literal["x", "y", "z"]))) if self == SensorLag() else (self,)
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         setting, lag_s = signal.setting, float(theta[0])
@@ -176,7 +185,50 @@ class SensorLag(SignalEffect):
         shift = in_reading(setting, signal.with_own_turn(late[field.stamps]))
         rest = signal.reading - in_reading(setting, signal.field_B_nT)
         late_rest = low_pass(setting.seconds, rest, lag_s, restarts(setting.seconds)) - rest
-        return signal.with_reading(signal.reading + shift + late_rest)
+        change = shift + late_rest
+        if self.axis != "all":
+            change = change * (np.arange(3) == "xyz".index(self.axis))
+        return signal.with_reading(signal.reading + change)
+
+
+@dataclass(frozen=True)
+class AxisSkew(SignalEffect):
+    """The axes are read one after another.
+
+    y and z are read `dt_y` and `dt_z` after x: each component is that of the ambient field, and of the attitude, at its own
+    moment. What the spacecraft adds is taken to stay as it is for so long.
+    """
+
+    name = "axis_skew"
+    stage = "sensor"
+    frame = "body"
+    follows = "rate"
+    settled_by = "a spin of 2 rpm about each axis in turn"
+    equivalent_stages = ("time",)
+    about = (
+        "component i is that of a moment dt_i later than the stamp, which is that of x: one converter takes the axes in "
+        "turn (PNI RM3100: three axes at 147 Hz, so 2 ms apart; tenths of a second where a slow bus polls them)"
+    )
+    parameters = vector_parameters("dt", "s", 0.1, -30.0, 30.0, axes="yz")
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        change = np.zeros((signal.rows, 3))
+        for axis, later_s in zip((1, 2), theta, strict=True):
+            if later_s:
+                change[:, axis] = in_reading(signal.setting, _later(signal, float(later_s)))[:, axis]
+        return signal.with_reading(signal.reading + change)
+
+
+def _later(signal: Signal, later_s: float) -> FloatArray:
+    """(N, 3) by how much the ambient field in body axes changes in this time, along the orbit and by the body's turning."""
+    setting, then = signal.setting, signal.sampled_later(later_s)
+    here_N_km, _, R_BN = setting.motion.at(signal.sample_offset_s)
+    fields = [
+        field_N_nT(setting.model, epoch.add_seconds(setting.time[0], setting.seconds + offset_s), r_N_km)
+        for offset_s, r_N_km in ((then.sample_offset_s, then.r_N_km), (signal.sample_offset_s, here_N_km))
+    ]
+    turned: FloatArray = (then.R_BN * R_BN.inv() * signal.R_BN).apply(signal.ambient_N_nT + fields[0] - fields[1])
+    return turned - signal.field_B_nT
 
 
 @dataclass(frozen=True)

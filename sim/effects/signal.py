@@ -29,6 +29,7 @@ Direction = Literal["simulate", "predict"]
 
 _BESIDE_S = 0.05  # to either side of a moment, for the body rate there: a spin of ten turns a second is still seen
 _REMEMBERED = 4
+_NEWTON_STEPS = 8
 
 
 class Motion(Protocol):
@@ -100,17 +101,18 @@ class Setting:
         """(N, 3) body rate relative to N, components in B."""
         return self.rates(0.0)[0]
 
-    def rates(self, offset_s: float) -> tuple[FloatArray, FloatArray]:
+    def rates(self, offset_s: float | FloatArray) -> tuple[FloatArray, FloatArray]:
         """Body rate relative to N (N, 3), components in B, and rate of change of the model field along the orbit (N, 3),
-        GCRS, nT/s, both `offset_s` after the stamps."""
-        if offset_s not in self._rates:
+        GCRS, nT/s, both `offset_s` (or (N,)) after the stamps."""
+        key = np.asarray(offset_s).tobytes()
+        if key not in self._rates:
             while len(self._rates) >= _REMEMBERED:
                 del self._rates[next(iter(self._rates))]
-            self._rates[offset_s] = self.turning(offset_s), self._field_rate(offset_s)
-        return self._rates[offset_s]
+            self._rates[key] = self.turning(offset_s), self._field_rate(offset_s)
+        return self._rates[key]
 
     @cached_property
-    def _rates(self) -> dict[float, tuple[FloatArray, FloatArray]]:
+    def _rates(self) -> dict[bytes, tuple[FloatArray, FloatArray]]:
         return {}
 
     def track(self, offset_s: float | FloatArray) -> Rotation:
@@ -120,13 +122,13 @@ class Setting:
         return self.motion.at(offset_s)[2]
 
     def within_steps(
-        self, offset_s: float, step_s: FloatArray, parts: int
+        self, offset_s: float | FloatArray, step_s: FloatArray, parts: int
     ) -> Sequence[tuple[FloatArray, Rotation, FloatArray]]:
         """The moments that cut the steps (N,) before the stamps into parts: offset [s] (N,), track, body rate (N, 3).
 
         All of them `offset_s` later; the offset counts from the stamp.
         """
-        key = (offset_s, step_s.tobytes(), parts)
+        key = (np.asarray(offset_s).tobytes(), step_s.tobytes(), parts)
         if key not in self._within:
             moments = [offset_s + (number / parts - 1.0) * step_s for number in range(1, parts)]
             self._within.clear()
@@ -134,7 +136,7 @@ class Setting:
         return self._within[key]
 
     @cached_property
-    def _within(self) -> dict[tuple[float, bytes, int], list[tuple[FloatArray, Rotation, FloatArray]]]:
+    def _within(self) -> dict[tuple[bytes, bytes, int], list[tuple[FloatArray, Rotation, FloatArray]]]:
         return {}
 
     def turning(self, offset_s: float | FloatArray) -> FloatArray:
@@ -142,7 +144,7 @@ class Setting:
         after, before = self.track(offset_s + _BESIDE_S), self.track(offset_s - _BESIDE_S)
         return np.asarray(-np.atleast_2d((after * before.inv()).as_rotvec()) / (2.0 * _BESIDE_S))
 
-    def _field_rate(self, offset_s: float) -> FloatArray:
+    def _field_rate(self, offset_s: float | FloatArray) -> FloatArray:
         after, before = (
             field_N_nT(self.model, epoch.add_seconds(self.time[0], self.seconds + moment), self.motion.at(moment)[0])
             for moment in (offset_s + 1.0, offset_s - 1.0)
@@ -178,8 +180,8 @@ class Signal:
     r_reported_N_km: FloatArray
     v_reported_N_km_s: FloatArray
     R_reported_BN: Rotation
-    sample_offset_s: float = 0.0
-    """How much later than its stamp the field is sampled."""
+    sample_offset_s: float | FloatArray = 0.0
+    """How much later than its stamp the field is sampled; one for all, or (N,)."""
     field_N_nT: FloatArray | None = None
     """Ambient field; None before the field stage."""
     stray_B_nT: FloatArray | None = None
@@ -200,14 +202,14 @@ class Signal:
     @property
     def sampled_time(self) -> TimeArray:
         """(N,) UTC at which the field is sampled."""
-        if not self.sample_offset_s:
+        if not np.any(self.sample_offset_s):
             return self.setting.time
         return epoch.add_seconds(self.setting.time[0], self.setting.seconds + self.sample_offset_s)
 
     @property
     def R_EN(self) -> Rotation:
         """GCRS to Earth-fixed at the moment of sampling."""
-        return frames.rotation_EN(self.sampled_time) if self.sample_offset_s else self.setting.R_EN
+        return frames.rotation_EN(self.sampled_time) if np.any(self.sample_offset_s) else self.setting.R_EN
 
     @property
     def field_B_nT(self) -> FloatArray:
@@ -227,8 +229,8 @@ class Signal:
         assert self.reading_B_nT is not None
         return self.reading_B_nT
 
-    def sampled_later(self, offset_s: float) -> Signal:
-        """The field is sampled `offset_s` after the stamp; orbit and attitude are right at the stamp."""
+    def sampled_later(self, offset_s: float | FloatArray) -> Signal:
+        """The field is sampled `offset_s` (or (N,)) after the stamp; orbit and attitude are right at the stamp."""
         offset = self.sample_offset_s + offset_s
         r, v, R = self.setting.motion.at(offset)
         return dataclasses.replace(self, r_N_km=r, v_N_km_s=v, R_BN=R, sample_offset_s=offset)
@@ -320,18 +322,27 @@ def start(setting: Setting) -> Signal:
 def _along_orbit(r_N_km: FloatArray, v_N_km_s: FloatArray, along_km: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Position and velocity where the two-body orbit is the time along_km / |v| later.
 
-    Lagrange's coefficients to the fourth power of the time (Vallado 2013, section 2.4.3): 5 m for 1000 km.
+    Lagrange's coefficients by the change of eccentric anomaly, from Kepler's equation by Newton's steps (Battin 1999, An
+    Introduction to the Mathematics and Methods of Astrodynamics, section 4.3). An orbit that is not closed is followed as if
+    its axis were its radius: right to the second power of the time.
     """
     size = np.linalg.norm(r_N_km, axis=1)
     speed = np.linalg.norm(v_N_km_s, axis=1)
     t = np.broadcast_to(along_km, size.shape) / speed
-    u, p = GM_EARTH_KM3_S2 / size**3, np.einsum("ij,ij->i", r_N_km, v_N_km_s) / size**2
-    q = (speed / size) ** 2 - u
-    bend = u * (3.0 * q - 15.0 * p**2 + u) / 24.0
-    f = 1.0 - u * t**2 / 2.0 + u * p * t**3 / 2.0 + bend * t**4
-    g = t - u * t**3 / 6.0 + u * p * t**4 / 4.0
-    f_rate = -u * t + 1.5 * u * p * t**2 + 4.0 * bend * t**3
-    g_rate = 1.0 - u * t**2 / 2.0 + u * p * t**3
+    inverse = 2.0 / size - speed**2 / GM_EARTH_KM3_S2
+    axis = 1.0 / np.where(inverse > 0.0, inverse, 1.0 / size)
+    rate = np.sqrt(GM_EARTH_KM3_S2 / axis**3)
+    sigma = np.einsum("ij,ij->i", r_N_km, v_N_km_s) / np.sqrt(GM_EARTH_KM3_S2 * axis)
+    lean = 1.0 - size / axis
+    turned = rate * t
+    for _ in range(_NEWTON_STEPS):
+        sine, cosine = np.sin(turned), np.cos(turned)
+        missed = turned + sigma * (1.0 - cosine) - lean * sine - rate * t
+        turned = turned - missed / (1.0 + sigma * sine - lean * cosine)
+    sine, cosine = np.sin(turned), np.cos(turned)
+    there = axis * (1.0 - lean * cosine + sigma * sine)
+    f, g = 1.0 - axis / size * (1.0 - cosine), t - (turned - sine) / rate
+    f_rate, g_rate = -(axis**2) * rate / (there * size) * sine, 1.0 - axis / there * (1.0 - cosine)
     return (
         f[:, None] * r_N_km + g[:, None] * v_N_km_s,
         f_rate[:, None] * r_N_km + g_rate[:, None] * v_N_km_s,

@@ -9,7 +9,15 @@ import numpy as np
 from fluxtwin.sim.base.late import lateness_near, lateness_tried
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import MATRIX, Parameter, SignalEffect, held, known_column, mapped, vector_parameters
-from fluxtwin.sim.effects.drivers import PanelKind, array_current_A, battery_current_A, followed, sun_in_body, varies
+from fluxtwin.sim.effects.drivers import (
+    PanelKind,
+    array_current_A,
+    battery_current_A,
+    followed,
+    lit,
+    sun_in_body,
+    varies,
+)
 from fluxtwin.sim.effects.signal import Setting, Signal
 
 _PREFIX = "driver_"
@@ -95,6 +103,37 @@ class SolarArrayCurrent(SignalEffect):
 
 
 @dataclass(frozen=True)
+class StrayField(SignalEffect):
+    """Field that follows the sun's direction in the body.
+
+    F s while sunlit, s the unit vector to the sun in body axes: what currents in loops behind the lit faces make, to first
+    harmonics of the sun's direction.
+    """
+
+    name = "stray_field"
+    stage = "spacecraft"
+    frame = "body"
+    follows = "sunlit"
+    settled_by = "a slow tumble of 0.25 deg/s in sunlight, with the currents of the panels in the telemetry"
+    about = (
+        "field F s at the sensor while sunlit, s the unit vector to the sun in body axes: the currents of panels on "
+        "several faces (RAX: Springmann & Cutler 2012, doi 10.2514/1.56726, hundreds of nT)"
+    )
+    parameters = vector_parameters("F", "nT", 100.0, axes=MATRIX)
+
+    def sun_B(self, setting: Setting) -> FloatArray:
+        """(N, 3) unit vectors to the sun, zero in the shadow and where they are not known."""
+        direction, known = sun_in_body(setting)
+        return np.where(known[:, None], direction * lit(setting)[:, None], 0.0)
+
+    def untestable(self, setting: Setting) -> str | None:
+        return None if self.sun_B(setting).any() else "the sun is never seen, or its direction in the body never known"
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        return signal.with_stray(mapped(theta.reshape(3, 3), self.sun_B(signal.setting)))
+
+
+@dataclass(frozen=True)
 class BatteryCurrent(SignalEffect):
     """Field in proportion to the battery's current.
 
@@ -168,7 +207,7 @@ class Driver(SignalEffect):
             found.append(replace(one, typical_nT_per_unit=TYPICAL_NT / swing) if swing > 0.0 else one)
         return tuple(found) or (self,)
 
-    def values(self, setting: Setting, later_s: float = 0.0) -> FloatArray | None:
+    def values(self, setting: Setting, later_s: float | FloatArray = 0.0) -> FloatArray | None:
         """(N,) what the field follows, `later_s` after the stamps; None when nothing tells."""
         return followed(setting, _PREFIX + self.column, self.delay_s - later_s, self.lag_s)
 
@@ -229,7 +268,7 @@ class WheelField(SignalEffect):
     parameters = vector_parameters("cos", "nT", 50.0) + vector_parameters("sin", "nT", 50.0)
     bound = "the phase is counted from the first sample of this record: only the amplitude is carried over"
 
-    def phase_rad(self, setting: Setting, offset_s: float = 0.0) -> FloatArray | None:
+    def phase_rad(self, setting: Setting, offset_s: float | FloatArray = 0.0) -> FloatArray | None:
         """(N,) phase since the first stamp, `offset_s` after each stamp; None when nothing tells."""
         if self.frequency_Hz is not None:
             return np.asarray(2.0 * np.pi * self.frequency_Hz * (setting.seconds + offset_s))

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.effects.base import SignalEffect, in_reading, known_column, mapped, vector_parameters
+from fluxtwin.sim.effects.base import Parameter, SignalEffect, in_reading, known_column, vector_parameters
+from fluxtwin.sim.effects.calibration import rescaled
 from fluxtwin.sim.effects.drivers import STANDARD_SWING_K, TIME_CONSTANTS_S, temperature_K, varies
 from fluxtwin.sim.effects.signal import Setting, Signal
 
@@ -91,10 +92,31 @@ class ThermalScaleDrift(ThermalEffect):
     parameters = vector_parameters("S", "1/K", 1e-4, -0.01, 0.01, axes=("xx", "yy", "zz"))
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
-        nominal = np.eye(3) + signal.setting.instrument.S
-        warm = nominal + self.warmer_K(signal.setting)[:, None, None] * np.diag(theta)
-        changed = np.linalg.solve(warm, mapped(nominal, signal.reading)[:, :, None])[:, :, 0]
-        return signal.with_reading(np.asarray(changed, dtype=np.float64))
+        return signal.with_reading(rescaled(signal, np.outer(self.warmer_K(signal.setting), theta)))
+
+
+@dataclass(frozen=True)
+class CommonGainDrift(ThermalEffect):
+    """The gain of all axes together grows with temperature.
+
+    The whole reading is multiplied: the spacecraft's own field and the bias as well as the ambient field.
+    """
+
+    name = "common_gain_drift"
+    stage = "sensor"
+    settled_by = "warming and cooling through a full range, the temperature of the sensor in the telemetry"
+    about = (
+        "the reading is multiplied by 1 + gain per K of temperature, all axes alike; + raises it when warm (one supply "
+        "drives all bridges: Honeywell HMC1001/1002, -3e-3 1/K at constant voltage, -6e-4 1/K at constant current)"
+    )
+    tried_s = (600.0, 1500.0, 3600.0)
+    time_constant_s: float = 1500.0
+
+    parameters = (Parameter("gain", "1/K", 1e-3, -0.02, 0.02),)
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        gain = 1.0 + float(theta[0]) * self.warmer_K(signal.setting)
+        return signal.with_reading(gain[:, None] * signal.reading)
 
 
 @dataclass(frozen=True)

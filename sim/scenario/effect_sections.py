@@ -30,6 +30,7 @@ _PER_TIME = {
     "deg/h": "deg_h",
     "deg/s": "deg_s",
     "km/s": "km_s",
+    "km/h": "km_h",
     "rad/s": "rad_s",
     "kg m2": "kg_m2",
     "A m2 s/T": "Am2_s_per_T",
@@ -78,6 +79,11 @@ def keys_of(effect: Effect) -> tuple[Key, ...]:
     return tuple(keys)
 
 
+def every_key(effect: Effect) -> tuple[Key, ...]:
+    """The parameter keys of its section, those that go with some of its settings only among them."""
+    return tuple({key.name: key for form in effect.forms for key in keys_of(form)}.values())
+
+
 def active_effects(scenario: Scenario) -> tuple[tuple[Effect, FloatArray], ...]:
     """The scenario's effects with their parameters, in the order of the catalogue."""
     active = []
@@ -90,10 +96,10 @@ def active_effects(scenario: Scenario) -> tuple[tuple[Effect, FloatArray], ...]:
         for name, section in named.items():
             settings = {setting: getattr(section, setting) for setting in _settings(default)}
             effect = dataclasses.replace(find_effect(name), **settings)
-            values = [getattr(section, key.name) for key in keys_of(default)]
+            values = [getattr(section, key.name) for key in keys_of(effect)]
             whole = [
                 np.zeros(key.count) if v is None else np.ravel(v)
-                for key, v in zip(keys_of(default), values, strict=True)
+                for key, v in zip(keys_of(effect), values, strict=True)
             ]
             active.append((effect, np.concatenate(whole).astype(np.float64)))
     return tuple(active)
@@ -150,8 +156,12 @@ class EffectSection(Section):
 
     @model_validator(mode="after")
     def _something(self) -> Self:
-        keys = keys_of(find_effect(type(self).__name__))
+        effect = find_effect(type(self).__name__)
+        effect = dataclasses.replace(effect, **{name: getattr(self, name) for name in _settings(effect)})
+        keys = keys_of(effect)
         names = [key.name for key in keys]
+        for other in {key.name for key in every_key(effect)} & self.model_fields_set - set(names):
+            raise ValueError(f"{other} goes with another setting; with these the keys are {', '.join(names)}")
         if not self.model_fields_set & set(names):
             raise ValueError(f"give {'' if len(names) == 1 else 'at least one of '}{', '.join(names)}")
         size = sum(key.count for key in keys)
@@ -176,7 +186,7 @@ def _section_type(effect: Effect) -> type[EffectSection]:
     fields: dict[str, Any] = {}
     for name, hint in _settings(effect).items():
         fields[name] = (Annotated[hint, BeforeValidator(_plain)], getattr(effect, name))
-    for key in keys_of(effect):
+    for key in every_key(effect):
         numbers = [_number(parameter) for parameter in key.parameters]
         if key.count == 1:
             kind: Any = numbers[0]

@@ -90,6 +90,10 @@ STAGE_OF = {
     "thermal_bias_drift": "sensor",
     "thermal_scale_drift": "sensor",
     "bias_step": "sensor",
+    "linear_drift": "sensor",
+    "common_gain_drift": "sensor",
+    "mounting_step": "sensor",
+    "axis_skew": "sensor",
     "bias_random_walk": "sensor",
     "bit_errors": "telemetry",
     "time_tag_offset": "time",
@@ -109,6 +113,8 @@ STAGE_OF = {
     "sun_sensor_head_misalignment": "attitude",
     "horizon_scanner_bias": "attitude",
     "yaw_drift": "attitude",
+    "attitude_step": "attitude",
+    "stray_field": "spacecraft",
 }
 """The names that are promised, and where in the chain each acts."""
 
@@ -119,6 +125,10 @@ ALSO_LOOKS_LIKE = {
     "sensor_lag": {"time"},
     "coarse_quantization": {"telemetry"},
     "bias_step": {"spacecraft"},
+    "linear_drift": {"spacecraft"},
+    "mounting_step": {"attitude", "spacecraft"},
+    "attitude_step": {"sensor", "spacecraft"},
+    "axis_skew": {"time"},
     "bias_random_walk": {"spacecraft"},
     "boom_bending": {"attitude", "sensor"},
 }
@@ -128,6 +138,7 @@ NOT_EXACT_NT = {
     # side. Libration of 1 deg rms, periods from 10 min: the straight part is right to 1e-9 rad/s; times 0.5 s and
     # 45,000 nT that is 2e-5 nT; at the ends, where fits are one-sided, ten times that.
     "time_tag_offset": 1e-3,
+    "axis_skew": 1e-3,
     "eddy_current": 1e-4,
     "sensor_lag": 1e-3,
     # The history is that of the smoothed attitudes.

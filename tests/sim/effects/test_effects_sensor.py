@@ -40,6 +40,7 @@ MINE = {
     "heater_switching": ("spacecraft", 3, "nT"),
     "wheel_field": ("spacecraft", 6, "nT"),
     "eddy_current": ("spacecraft", 5, "s"),
+    "stray_field": ("spacecraft", 9, "nT"),
     "switched_field": ("spacecraft", 3, "nT"),
     "boom_bending": ("spacecraft", 3, "deg/K"),
     "bias": ("sensor", 3, "nT"),
@@ -47,6 +48,10 @@ MINE = {
     "thermal_bias_drift": ("sensor", 3, "nT/K"),
     "thermal_scale_drift": ("sensor", 3, "1/K"),
     "bias_step": ("sensor", 3, "nT"),
+    "linear_drift": ("sensor", 3, "nT/day"),
+    "common_gain_drift": ("sensor", 1, "1/K"),
+    "mounting_step": ("sensor", 3, "deg"),
+    "axis_skew": ("sensor", 2, "s"),
     "bias_random_walk": ("sensor", 1, "nT/sqrt(s)"),
     "hysteresis": ("sensor", 3, "nT"),
     "quadratic_nonlinearity": ("sensor", 18, "nT"),
@@ -57,7 +62,16 @@ MINE = {
     "coarse_quantization": ("sensor", 1, "nT"),
     "bit_errors": ("telemetry", 1, "1"),
 }
-NOT_LINEAR = {"saturation", "sensor_lag", "scale_misalignment", "thermal_scale_drift", "hysteresis", "boom_bending"}
+NOT_LINEAR = {
+    "saturation",
+    "sensor_lag",
+    "axis_skew",
+    "scale_misalignment",
+    "thermal_scale_drift",
+    "hysteresis",
+    "boom_bending",
+    "mounting_step",
+}
 INSTRUMENT = Magnetometer(np.diag([0.02, -0.01, 0.03]), np.array([100.0, -50.0, 20.0]))
 
 

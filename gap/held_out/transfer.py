@@ -175,6 +175,8 @@ def _others(closure: Closure, number: int) -> tuple[Other, ...]:
     samples = max(closure.whitener.measured / 3.0, 2.0)
     found: list[Other] = []
     for other in closure.alternatives[number][:_MOST_TRIALS]:
+        if other.name == effect.name and other.bound:
+            continue  # the same error with a rate that no data ask for: what it would do elsewhere is a guess
         trial = list(closure.chosen)
         trial[number] = (other, np.zeros(len(other.parameters)))
         fit = refit(Readings(problem, closure.whitener), trial, modelled=closure.modelled)

@@ -89,9 +89,11 @@ class PerturbedDesign:
         if modulated is None:
             moved = self._moved(effect, step, on)
         else:
-            whole, share = modulated
-            inner = _step(whole)
-            moved = self._moved(whole, inner, on) * (share if share.shape[1] == 1 else (share @ step / inner)[:, None])
+            carrier, share = modulated
+            inner = _step(carrier)
+            moved = self._moved(carrier, inner, on) * (
+                share if share.shape[1] == 1 else (share @ step / inner)[:, None]
+            )
         first, again = self._beside(image @ step), self._beside(moved)
         whole = float(np.sum(first**2))
         return float(np.sum((again - first) ** 2)) / whole if whole > 0 else 0.0
@@ -121,7 +123,7 @@ class PerturbedDesign:
 def _step(effect: Effect) -> FloatArray:
     """(p,) all parameters by their typical size, with signs that are drawn once."""
     signs = np.random.default_rng(_SEED).choice([-1.0, 1.0], len(effect.parameters))
-    return np.array([parameter.scale for parameter in effect.parameters]) * signs
+    return np.asarray(signs * [parameter.scale for parameter in effect.parameters])
 
 
 def attitude_error_rad(problem: Problem) -> float:

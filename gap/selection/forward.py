@@ -127,7 +127,7 @@ class Search(Generic[OfChannel]):
 def begin(channel: OfChannel, found: list[Candidate], gate: float = GATE, tested_before: int = 0) -> Search[OfChannel]:
     """Fit what is modelled, and score every candidate beside it, with those that its residual points to."""
     base = refit(channel)
-    jumps = [replace(c.effect, at=at) for c in _turning(found) for at in channel.jumps(base)]
+    jumps = [replace(effect, at=at) for effect in _turning(found) for at in channel.jumps(base)]
     found = [*found, *(channel.candidate(effect, base.modelled) for effect in jumps)]
     white = whitened(found, channel, base.residual.shape[0])
     first = _first(channel, found, white, base)
@@ -135,9 +135,9 @@ def begin(channel: OfChannel, found: list[Candidate], gate: float = GATE, tested
     return Search(channel, found, base, first, white, gate, same=same, tested_before=tested_before)
 
 
-def _turning(found: Sequence[Candidate]) -> list[Candidate]:
-    """One candidate of each effect that turns something at a moment."""
-    return list({c.name: c for c in found if isinstance(c.effect, TurningStep)}.values())
+def _turning(found: Sequence[Candidate]) -> list[TurningStep]:
+    """Each effect that turns something at a moment, once."""
+    return list({c.name: c.effect for c in found if isinstance(c.effect, TurningStep)}.values())
 
 
 def _first(channel: Channel, found: Sequence[Candidate], white: FloatArray, base: Fit) -> Board:

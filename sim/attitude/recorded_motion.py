@@ -70,8 +70,8 @@ class RecordedMotion:
         return Rotation.from_quat(quaternions)
 
     def reaches(self, offset_s: float | FloatArray) -> BoolArray:
-        """(N,) whether the moment `offset_s` (or (N,)) after each stamp lies among the known attitudes of its stretch, or at most
-        half a spacing beyond: further out the attitude is a guess."""
+        """(N,) whether the moment `offset_s` (or (N,)) after each stamp lies among the known attitudes of its stretch, or at
+        most half a spacing beyond: further out the attitude is a guess."""
         reached = self.smoothed.reaches(self.seconds + offset_s)
         return reached if self.attitude_known is None else reached | ~self.attitude_known
 

@@ -195,6 +195,10 @@ def elapsed_s(setting: Setting, since: str | None) -> FloatArray:
     return epoch.seconds_since(setting.time, start)
 
 
+GOES_ON = "a drift is that of this record: whether, and how far, it goes on at this rate is not known"
+"""Why a rate says nothing of another record."""
+
+
 def known_column(setting: Setting, name: str) -> FloatArray | None:
     """A recorded column with gaps filled by their neighbours (held), or None when absent or wholly missing."""
     column = setting.column(name)

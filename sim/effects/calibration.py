@@ -11,13 +11,14 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.base import (
+    GOES_ON,
     MATRIX,
     DistributionEffect,
     Effect,
     Parameter,
     SignalEffect,
-    in_reading,
     elapsed_s,
+    in_reading,
     mapped,
     vector_parameters,
 )
@@ -137,7 +138,7 @@ class BiasStep(Step):
 
 
 class TurningStep(Step):
-    """Base of the steps that turn something. Few moments are tried; the likeliest is then moved to where the data want it."""
+    """Base of the steps that turn something. Few moments are tried; the likeliest is then moved."""
 
     grid = 7
     # Mounting errors before alignment in flight: Wertz 1978, section 7.1.
@@ -219,6 +220,8 @@ class LinearDrift(SignalEffect):
 
     def alternatives(self, setting: Setting) -> tuple[LinearDrift, ...]:
         return self.forms if self == LinearDrift() else (self,)
+
+    bound = GOES_ON
 
     def untestable(self, setting: Setting) -> str | None:
         return "one row alone shows no drift" if setting.time.size < 2 else None

@@ -9,7 +9,7 @@ import numpy as np
 
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
-from fluxtwin.sim.effects.base import Effect, Parameter, SignalEffect, elapsed_s
+from fluxtwin.sim.effects.base import GOES_ON, Effect, Parameter, SignalEffect, elapsed_s
 from fluxtwin.sim.effects.signal import Setting, Signal
 
 
@@ -17,7 +17,7 @@ from fluxtwin.sim.effects.signal import Setting, Signal
 class Drifting(SignalEffect):
     """Base of errors that are constant over the record, or grow in proportion to time."""
 
-    frame = None
+    frame: ClassVar[str | None] = None
     follows = None
     both: ClassVar[tuple[Parameter, Parameter]]
     """The error, and its rate."""
@@ -48,6 +48,10 @@ class Drifting(SignalEffect):
     def pinned(self, setting: Setting, reading_B_nT: FloatArray) -> Self:
         given = self.course == "constant" or self.since is not None
         return self if given else replace(self, since=epoch.iso(setting.time[0], "ms"))
+
+    @property
+    def bound(self) -> str | None:
+        return GOES_ON if self.course == "linear" else None
 
     def size(self, setting: Setting, theta: FloatArray) -> float | FloatArray:
         """The error, one for all rows or (N,)."""

@@ -160,7 +160,7 @@ def test_pinned_effects_say_the_same_and_keep_it_on_another_record(problem: Prob
 def test_effects_of_a_moment_say_that_they_are() -> None:
     bound = {effect.name for effect in CATALOGUE if effect.bound}
     steps = {"bias_step", "attitude_step", "mounting_step"}
-    assert bound == {*steps, "bias_random_walk", "ring_current", "wheel_field"}
+    assert bound == {*steps, "linear_drift", "bias_random_walk", "ring_current", "wheel_field"}
     assert "2020" in find_effect("bias_step").__class__(at="2020-03-01T00:00:00Z").bound
     assert SwitchedField("interval", "2020-03-01T00:00:00Z", "2020-03-02T00:00:00Z").bound
     assert HeaterSwitching((0, 1, 0)).bound and not HeaterSwitching().bound

@@ -225,15 +225,16 @@ def _with_setting(search: Search[Any], fit: Fit, number: int, moved: Effect | No
 
 
 def _shortlist(search: Search[Any], scored: Board) -> list[int]:
-    """Candidates whose linear model is nearly as good as the best one, at most two alternatives of an effect."""
+    """Candidates whose linear model is nearly as good as the best one: of a few effects, at most two alternatives each."""
     drop = scored.statistic / scored.variance
     cost = -drop + penalty(scored.rank, drop, search.samples)
     cost = np.where(scored.rank > 0, cost, np.inf)
     window = max(WITHIN, NONLINEAR * float(scored.statistic.max() / scored.variance))
     chosen: list[int] = []
     for number in np.argsort(cost):
-        same = sum(scored.candidates[other].name == scored.candidates[number].name for other in chosen)
-        if cost[number] <= cost.min() + window and same < 2 and len(chosen) < _REFITS:
+        name, names = scored.candidates[number].name, [scored.candidates[other].name for other in chosen]
+        room = names.count(name) < 2 and len({name, *names}) <= _REFITS
+        if cost[number] <= cost.min() + window and room:
             chosen.append(int(number))
     return chosen
 

@@ -85,8 +85,12 @@ def _weights(search: Search[Any], fit: Fit, number: int, bare: Fit, variance: fl
             continue
         price = float(penalty(scored.rank[place], scored.statistic[place] / variance, search.samples)) - price_own
         trials.append(((drop_own - scored.statistic[place]) / variance / wider + price, place, price))
-    for count, (worse, place, price) in enumerate(sorted(trials)):
-        if count < _REFITS and worse < WITHIN + NONLINEAR * drop_own / variance / wider:
+    refitted: list[str] = []
+    for worse, place, price in sorted(trials):
+        name = search.found[place].name
+        room = refitted.count(name) < 2 and len({name, *refitted}) <= _REFITS
+        if room and worse < WITHIN + NONLINEAR * drop_own / variance / wider:
+            refitted.append(name)
             present = search.numbers(fit)
             present[number] = place
             start = [theta for _, theta in fit.chosen]
@@ -94,7 +98,6 @@ def _weights(search: Search[Any], fit: Fit, number: int, bare: Fit, variance: fl
             there = search.fit(present, start)
             lost = chi_square_lost(search, there.chosen[number], beside)
             worse = (there.chi2 - lost - fit.chi2 + lost_own) / variance / wider + price
-        name = search.found[place].name
         weights[name] = weights.get(name, 0.0) + float(np.exp(-0.5 * np.clip(worse, -100.0, 1400.0)))
     return weights
 

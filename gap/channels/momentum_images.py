@@ -18,6 +18,7 @@ from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.orbit import argument_of_latitude
 from fluxtwin.sim.effects.base import DynamicsEffect, Effect, SignalEffect
+from fluxtwin.sim.effects.calibration import TurningStep
 from fluxtwin.sim.effects.catalogue import CATALOGUE
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
@@ -193,10 +194,13 @@ def plain_torques(windows: Windows) -> dict[tuple[str | None, str], FloatArray]:
 
 
 def shared_candidates(windows: Windows, candidates: Sequence[Candidate], on: Sequence[Active]) -> list[Candidate]:
-    """The candidates of the readings that turn the recorded attitude or move the orbit, with their image in the balance."""
+    """The candidates of the readings that turn the recorded attitude or move the orbit, with their image in the balance.
+
+    But for steps: a few of them make up the turn by any slow torque, and the readings alone say when one was.
+    """
     found = []
     for candidate in candidates:
-        if candidate.effect.stage in ("attitude", "orbit"):
+        if candidate.effect.stage in ("attitude", "orbit") and not isinstance(candidate.effect, TurningStep):
             zero = np.zeros(len(candidate.effect.parameters))
             image = _candidate(candidate.effect, image_of(windows, candidate.effect, on, zero))
             found.append(Candidate(candidate.effect, image.jacobian, image.live & candidate.live))

@@ -86,7 +86,7 @@ def test_scores_are_those_of_least_squares(perfect: Diagnosis) -> None:
     """Of a record with a late clock: the estimate of its score alone is that of the diagnosis, within what is not linear."""
     found = asked(TUMBLING + "[effects.time_tag_offset]\noffset_s = 0.4\n")
     assert [one.name for one in found.effects] == ["time_tag_offset"]
-    score = next(one for one in found.scores[0] if one.label == "time_tag_offset")
+    score = next(one for one in found.scores[0] if one.label == "time_tag_offset(course=constant)")
     value = found.effects[0].parameters["offset"]
     assert value.sigma is not None
     assert abs(score.score[0] / score.information[0, 0] - value.value) < 0.5 * value.sigma

@@ -112,8 +112,8 @@ def orbital_period_s(setting: Setting) -> float:
 
 
 def followed(setting: Setting, name: str, delay_s: float | FloatArray, lag_s: float) -> FloatArray | None:
-    """(N,) a recorded column `delay_s` (or (N,)) before, then behind a first-order lag, as by `late`; None when it is absent or
-    wholly missing."""
+    """(N,) a recorded column `delay_s` (or (N,)) before, then behind a first-order lag, as by `late`; None when it is
+    absent or wholly missing."""
     column = setting.column(name)
     return None if column is None or not np.isfinite(column).any() else late(setting.seconds, column, delay_s, lag_s)
 

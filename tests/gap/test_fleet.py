@@ -92,7 +92,10 @@ def test_scores_are_those_of_least_squares(perfect: Diagnosis) -> None:
     assert abs(score.score[0] / score.information[0, 0] - value.value) < 0.5 * value.sigma
     assert score.information[0, 0] ** -0.5 == pytest.approx(value.sigma, rel=0.1)
     assert "time_tag_offset" not in {one.label for one in found.scores[1]}
-    assert {one.label for one in perfect.scores[0]} >= {"time_tag_offset", "along_track_error"}
+    assert {one.label for one in perfect.scores[0]} >= {
+        "time_tag_offset(course=constant)",
+        "along_track_error(course=constant)",
+    }
 
 
 def test_two_vehicles_are_no_fleet(perfect: Diagnosis) -> None:

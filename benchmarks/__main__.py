@@ -162,7 +162,7 @@ def reading(asked: Asked) -> Iterator[Line]:
                     file[name][()]
 
         ratio = _ratio(lambda: fluxtwin.read(path, max_samples=rows), raw, 3 if asked.quick else 5)
-    why = "the digest of the file is checked (SHA-256), and every value for being finite"
+    why = "two SHA-256, of the file and of its content, copies into the record, every value looked at"
     yield Line(f"reading {rows:,} rows of NetCDF against h5py", f"{ratio:.1f} x as long", "3 x", ratio <= 3.0, why)
 
 
@@ -215,7 +215,7 @@ def study(asked: Asked) -> Iterator[Line]:
         return
     with tempfile.TemporaryDirectory() as folder:
         used = _processor_s(["-m", "fluxtwin", "run", "seasat", "--out", str(Path(folder) / "r")])
-    why = "diagnoses of ten seeds of flights by torques, and figures"
+    why = "655 flights and 2,900 regressions of 325 rows; no function takes more than 6 %"
     yield Line("fluxtwin run seasat, processor time", f"{used:.0f} s", "60 s", used <= 60.0, why)
 
 
@@ -230,7 +230,7 @@ def follow(asked: Asked) -> Iterator[Line]:
 def size(asked: Asked) -> Iterator[Line]:
     """What `pip install .` brings."""
     del asked
-    wanted, seen, total = ["fluxtwin"], set[str](), 0
+    wanted, seen, sizes = ["fluxtwin"], set[str](), dict[str, int]()
     while wanted:
         name = wanted.pop().lower().replace("_", "-")
         if name in seen:
@@ -242,11 +242,12 @@ def size(asked: Asked) -> Iterator[Line]:
             seen.discard(name)  # only for another Python or machine
             continue
         if name != "fluxtwin":
-            total += sum(Path(str(file.locate())).stat().st_size for file in one.files or () if file.locate().exists())
+            sizes[name] = sum(Path(str(f.locate())).stat().st_size for f in one.files or () if f.locate().exists())
         wanted += [re.split(r"[ ;<>=!~\[(]", need)[0] for need in one.requires or () if "extra ==" not in need]
     direct = [need for need in importlib.metadata.requires("fluxtwin") or () if "extra ==" not in need]
-    words = f"{len(direct)} required packages, {len(seen) - 1} with theirs, {total / 1e6:.0f} MB"
-    yield Line("installed", words, "", None, "numba with LLVM, scipy, pandas and matplotlib are nearly all of it")
+    words = f"{len(direct)} required packages, {len(seen) - 1} with theirs, {sum(sizes.values()) / 1e6:.0f} MB"
+    most = sorted(sizes, key=lambda name: -sizes[name])[:5]
+    yield Line("installed", words, "", None, ", ".join(f"{name} {sizes[name] / 1e6:.0f} MB" for name in most))
 
 
 WORKS: dict[str, Callable[[Asked], Iterator[Line]]] = {
@@ -286,7 +287,7 @@ def page(lines: Sequence[Line]) -> str:
     head = [
         "# Speed",
         "",
-        "Made by `python -m benchmarks --page docs/benchmarks.md`, in one run on",
+        "Made by `python -m benchmarks --page docs/benchmarks.md` on",
         f"{cpu}, {os.cpu_count()} cores, Python {platform.python_version()}, beside other work. Ratios are of runs in turn",
         "on the same machine; seconds are of the processor.",
         "",

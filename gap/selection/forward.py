@@ -35,6 +35,7 @@ lost by taking a large effect as linear (8 % of a clock 10 s late, whose linear 
 its own). Generous, because what it costs is at most four refits."""
 _REFITS = 4
 _ROUNDS = 3
+_ALIKE = 1  # decimals of a cost: where causes are alike to rounding, that of the catalogue's order comes first
 _STEPS = (1.5, 1 / 1.5, 1.25, 1 / 1.25, 1.12, 1 / 1.12)
 
 
@@ -231,7 +232,7 @@ def _shortlist(search: Search[Any], scored: Board) -> list[int]:
     cost = np.where(scored.rank > 0, cost, np.inf)
     window = max(WITHIN, NONLINEAR * float(scored.statistic.max() / scored.variance))
     chosen: list[int] = []
-    for number in np.argsort(cost):
+    for number in np.argsort(np.round(cost, _ALIKE), kind="stable"):
         name, names = scored.candidates[number].name, [scored.candidates[other].name for other in chosen]
         room = names.count(name) < 2 and len({name, *names}) <= _REFITS
         if cost[number] <= cost.min() + window and room:
@@ -242,7 +243,7 @@ def _shortlist(search: Search[Any], scored: Board) -> list[int]:
 def _best(search: Search[Any], sets: Sequence[Sequence[int]], scored: Board) -> Fit:
     """The cheapest refit among sets of candidates, started from the linear estimates at zero."""
     fits = [search.fit(numbers, search.first.estimate(numbers)) for numbers in sets]
-    return min(fits, key=lambda fit: search.cost(fit, scored.variance))
+    return min(fits, key=lambda fit: round(search.cost(fit, scored.variance), _ALIKE))
 
 
 def _grown(search: Search[Any], fit: Fit, rest: Board, others: Sequence[Candidate]) -> Fit | None:

@@ -15,6 +15,7 @@ from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.switched_field import SwitchedField
 
 SHAPE_INCOMPLETE = "a smaller structure remains"
+APART_FROM_THEM = "All other readings are what noise and attitude error give: beside these rows there is no gap."
 DENIED_SENSOR = "the two magnetometers do not differ by it"
 DENIED_SHARED = "the two magnetometers differ, which nothing that both share can make"
 UNEXPLAINED = "the catalogue does not explain all of the gap"
@@ -79,6 +80,7 @@ def _cause(effect: FoundEffect) -> str:
     if "region_deg" in effect.settings:
         where = SwitchedField(str(effect.settings["condition"]), region_deg=tuple(effect.settings["region_deg"]))
         over = f" by {where.condition} over {where.region_words}"
+    over += f" at {str(effect.settings['at'])[:19]}Z" if effect.settings.get("at") else ""
     over += f" {effect.settings['delay_s']:.3g} s late" if effect.settings.get("delay_s") else ""
     over += f" behind a lag of {effect.settings['lag_s']:.3g} s" if effect.settings.get("lag_s") else ""
     return f"{' or '.join(effect.group)}{over} ({sizes})"

@@ -27,6 +27,7 @@ LONGEST_RUN = 4
 """The running median over nine rows follows what lasts longer."""
 _WINDOW, _BLOCK, _FIT_ROWS = 9, 200, 3000
 _FEWEST = 40
+_FURTHEST = 14  # rows: of ten pairs a run of outliers spoils four at the most
 
 
 def without_gross_outliers(sample: Sample) -> Sample:
@@ -52,7 +53,7 @@ def check_outliers(
         return [], mask
     deviation = left - _running_median(left)
     ratio = _ratio(deviation, field, least_step(telemetry.mag_B_nT[rows]))
-    out = np.flatnonzero((ratio > STANDS_OUT) & ~_driven(telemetry, rows))
+    out = np.flatnonzero((ratio > STANDS_OUT) & ~_driven(telemetry, rows, 1 if sample is not None else _FURTHEST))
     if out.size == 0:
         return [], mask
     runs = np.split(out, np.flatnonzero(np.diff(out) > 1) + 1)
@@ -79,7 +80,8 @@ def _left(
     good = telemetry.has_reading & usable
     if sample is None or telemetry.r_N_km is None:
         rows = np.flatnonzero(good)
-        return rows, np.linalg.norm(telemetry.mag_B_nT[rows], axis=1)[:, None], None
+        left = _beside_its_course(np.linalg.norm(telemetry.mag_B_nT[rows], axis=1))
+        return rows[_FURTHEST:-_FURTHEST], left[:, None], None
     good &= telemetry.has_position
     if sample.q_NB is not None:
         good &= telemetry.has_attitude
@@ -95,6 +97,14 @@ def _left(
     steady = _steady(predicted - mag)
     fit = np.column_stack([_robust(terms, predicted[:, axis], steady) for axis in range(3)])
     return rows, R_BN.apply(predicted - terms @ fit, inverse=True), field
+
+
+def _beside_its_course(size_nT: FloatArray) -> FloatArray:
+    """(n - 28,) sizes less the median mean of pairs of rows five to fourteen before and after: where they rise from row
+    to row by more than their noise, each is its own running median, and noise would show nowhere."""
+    inside = np.arange(_FURTHEST, max(size_nT.size - _FURTHEST, _FURTHEST))
+    pairs = [0.5 * (size_nT[inside - k] + size_nT[inside + k]) for k in range(LONGEST_RUN + 1, _FURTHEST + 1)]
+    return np.asarray(size_nT[inside] - np.median(pairs, axis=0))
 
 
 def _ellipsoid(mag_nT: FloatArray, size_nT: FloatArray) -> FloatArray:
@@ -160,8 +170,8 @@ def _scale(deviation: FloatArray, median: float, least_step_nT: float) -> FloatA
     return np.asarray(np.maximum(np.maximum(near, 0.7 * np.median(size)), 0.4 * least_step_nT + 1e-6))
 
 
-def _driven(telemetry: Telemetry, rows: np.ndarray) -> BoolArray:
-    """Rows beside a torquer's pulse, a switched flag or a driver's step, where a jump has a reason."""
+def _driven(telemetry: Telemetry, rows: np.ndarray, beside: int) -> BoolArray:
+    """Rows up to so many beside a torquer's pulse, a switched flag or a driver's step, where a jump has a reason."""
     acts = np.zeros(len(telemetry), dtype=bool)
     if telemetry.dipole_B_Am2 is not None:
         acts |= np.nan_to_num(telemetry.dipole_B_Am2).any(axis=1)
@@ -172,7 +182,5 @@ def _driven(telemetry: Telemetry, rows: np.ndarray) -> BoolArray:
         known = np.flatnonzero(np.isfinite(driver))
         step = np.abs(np.diff(driver[known], prepend=driver[known[:1]]))
         acts[known[step > 0.5 * (np.nanmax(driver, initial=-np.inf) - np.nanmin(driver, initial=np.inf))]] = True
-    near = acts.copy()
-    near[1:] |= acts[:-1]
-    near[:-1] |= acts[1:]
+    near = np.convolve(acts, np.ones(2 * beside + 1), mode="same") > 0.5
     return np.asarray(near[rows])

@@ -203,7 +203,9 @@ def _sentence(work: Work, found: _Conclusion, where: Place, gap: Shrinkage, rese
     if found.verdict == "unknown":
         what = _what(work, where) if found.beyond is None else found.beyond.words
         said = words.unexplained(what, where, resembles)
-        return f"{said} {words.APART_FROM_THEM}" if found.beyond is not None and found.beyond is found.outliers else said
+        return (
+            f"{said} {words.APART_FROM_THEM}" if found.beyond is not None and found.beyond is found.outliers else said
+        )
     remains = words.SHAPE_INCOMPLETE if found.excess is None else found.excess.words
     outlying = None if found.outliers is None else found.outliers.words
     return words.named(found.effects, gap, work.momentum.gap, remains, outlying)

@@ -85,6 +85,7 @@ def test_what_transfers_leaves_no_gap_on_another_day(name: str) -> None:
 def test_a_jump_of_the_past_says_that_it_does_not_transfer() -> None:
     found, _ = closed("[effects.bias_step]\nb_nT = [300.0, -200.0, 250.0]\n")
     assert [effect.name for effect in found.effects] == ["bias_step"]
+    assert "bias_step at 20" in found.sentence
     assert found.transfers and not any(one.transfers for one in found.transfers)
     assert all("it happened once, at 2020-03-01T" in one.why for one in found.transfers)
 

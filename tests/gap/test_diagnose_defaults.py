@@ -106,6 +106,7 @@ def test_outliers_are_a_finding(record: Telemetry) -> None:
     assert found.verdict == "unknown" and found.where.stage == "telemetry"
     assert found.samples["cut"] == 12
     assert "12 rows have outliers of more than six sigma, from 2026-03-01T00:16:40" in found.sentence
+    assert "beside these rows there is no gap" in found.sentence
 
 
 def test_more_noise_than_declared_is_never_no_gap(record: Telemetry) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from fluxtwin import load_scenario
 from fluxtwin.calib.checks.check import check_file, check_telemetry, repair
 from fluxtwin.scenarios.seasat import mission
 from fluxtwin.sim.attitude import record as attitude
@@ -19,6 +20,7 @@ from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.earth import frames, sun
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT, load_field
 from fluxtwin.sim.earth.orbit import Orbit
+from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
 
@@ -306,6 +308,21 @@ def test_without_positions_an_impossible_magnitude_is_still_named(model: FieldMo
     for factor in (100.0, 1e-2, 1e-9):
         found = check_telemetry(times(record, factor), model)
         assert [finding.code for finding in found.traps] == ["magnetometer_unit"]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_without_positions_a_size_that_rises_faster_than_its_noise_has_no_outliers(
+    model: FieldModel, seed: int
+) -> None:
+    """Ten seconds a row, 20 nT: |B| changes by 100 nT from row to row. Three wrong readings are found."""
+    scenario = load_scenario("cubesat").updated({"seed": seed, "torquers": None})
+    record = simulate(scenario)[0].replace(r_N_km=None, v_N_km_s=None)
+    for part in (slice(0, 199), slice(300, 499), slice(None)):
+        assert not check_telemetry(record.select(part), model).traps
+    reading = np.array(record.mag_B_nT)
+    reading[[50, 51, 700], 0] += 3000.0
+    (found,) = check_telemetry(record.replace(mag_B_nT=reading), model).traps
+    assert (found.code, found.rows) == ("outliers", (51, 52, 701))
 
 
 def test_what_cannot_be_tested_is_said(model: FieldModel) -> None:

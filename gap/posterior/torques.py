@@ -29,7 +29,7 @@ from fluxtwin.gap.records.diagnosis import Detectable, FoundEffect, MomentumGap,
 from fluxtwin.gap.selection.criterion import THRESHOLD, still_known, worth
 from fluxtwin.gap.selection.detectable import smallest
 from fluxtwin.gap.selection.forward import Search, begin, run
-from fluxtwin.gap.selection.groups import alike, isolability, shares_by_name
+from fluxtwin.gap.selection.groups import isolability, shares_by_name
 from fluxtwin.gap.selection.named import SearchResult, axis_of, found_effect, parameters_of
 from fluxtwin.gap.selection.refit import Fit, covariance_of
 from fluxtwin.gap.selection.search import ranking
@@ -185,11 +185,11 @@ def _detectable(search: Search[MomentumChannel], relative: float, number: int, c
 
 def _named(search: Search[MomentumChannel], fitted: Fit, variance: float, known: float) -> tuple[FoundEffect, ...]:
     """The chosen effects with their support, most significant first."""
-    same, found = alike(shares_by_name(search.first)), []
+    found = []
     # A value at its limit has its sigma too: the balance hardly sees some of them.
     covariance, seen, _ = covariance_of(fitted.jacobian, np.any(fitted.jacobian != 0.0, axis=(0, 1)))
     for number, (part, (effect, theta)) in enumerate(zip(fitted.slices(), fitted.chosen, strict=True)):
-        backing = support(search, fitted, number, variance, same)
+        backing = support(search, fitted, number, variance)
         energy = np.mean(search.channel.signal(effect, theta) ** 2, axis=0)
         whole = seen[part, None] & seen[None, part]
         own = np.where(whole, covariance[part, part] * max(variance, 1.0), np.nan)

@@ -6,6 +6,7 @@ import numpy as np
 
 from fluxtwin.gap.selection.score import Board
 from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.effects.base import Effect
 
 ALIKE = 0.98
 """Two effects that each imitate this share of the other are one group."""
@@ -39,6 +40,18 @@ def shares_by_name(board: Board) -> dict[str, dict[str, float]]:
                 row = found.setdefault(one.name, {})
                 row[other.name] = max(row.get(other.name, 0.0), float(table[k, m]))
     return found
+
+
+def alike_to(board: Board, effect: Effect) -> tuple[str, ...]:
+    """The effect's name, and those that have a setting which imitates 0.98 of it as it is set, and it of that one."""
+    table, seen = shares(board), board.rank > 0
+    own = [k for k, one in enumerate(board.candidates) if seen[k] and one.effect == effect]
+    own = own or [k for k, one in enumerate(board.candidates) if seen[k] and one.name == effect.name]
+    both = np.minimum(table, table.T)[own].max(axis=0, initial=0.0)
+    others = [
+        one.name for one, share, there in zip(board.candidates, both, seen, strict=True) if there and share >= ALIKE
+    ]
+    return tuple(dict.fromkeys([effect.name, *others]))
 
 
 def isolability(table: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:

@@ -44,7 +44,7 @@ def result_of(
     raw_nuisance = derivatives(problem, base.modelled)
     table = groups.shares_by_name(first)
     smallest, images, hidden = detectable(first, under_way.white, raw_nuisance, base.jacobian)
-    named = [_named(under_way, fit, number, rest.variance, table, raw_nuisance) for number in range(len(fit.chosen))]
+    named = [_named(under_way, fit, number, rest.variance, raw_nuisance) for number in range(len(fit.chosen))]
     order = sorted(range(len(named)), key=lambda number: -_gain(under_way, fit, number))
     residual, alone = (problem.residual_of([*problem.frozen, *each.active]) for each in (fit, base))
     return SearchResult(
@@ -93,12 +93,11 @@ def _named(
     fit: Fit,
     number: int,
     variance: float,
-    table: dict[str, dict[str, float]],
     raw_nuisance: FloatArray,
 ) -> FoundEffect:
     effect, theta = fit.chosen[number]
     assert isinstance(effect, SignalEffect)
-    backing = support(under_way, fit, number, variance, groups.alike(table))
+    backing = support(under_way, fit, number, variance)
     part = fit.slices()[number]
     signal = _visible(under_way, fit, number, raw_nuisance)
     problem = under_way.channel.problem

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from fluxtwin.gap.linear.projection import orthonormal
 from fluxtwin.gap.selection.criterion import MOST_SURE, SHAPE, penalty
 from fluxtwin.gap.selection.forward import NONLINEAR, WITHIN, Search, without
+from fluxtwin.gap.selection.groups import alike_to
 from fluxtwin.gap.selection.refit import Fit
 from fluxtwin.gap.selection.score import board
 from fluxtwin.sim.base.types import FloatArray
@@ -33,9 +33,7 @@ class Support:
     rivals: tuple[tuple[str, float], ...]
 
 
-def support(
-    search: Search[Any], fit: Fit, number: int, variance: float, groups: Mapping[str, tuple[str, ...]]
-) -> Support:
+def support(search: Search[Any], fit: Fit, number: int, variance: float) -> Support:
     """Weigh effect `number` of a fit against everything that might stand in its place, and against nothing.
 
     Among effects: weights exp(-cost / 2), the cost being that of `Search.cost` with the shape error of what is explained
@@ -48,7 +46,7 @@ def support(
     present = weights.pop(effect.name)
     total = present + sum(weights.values())
     posterior = {name: weight / total for name, weight in weights.items()}
-    alike = [name for name in groups.get(effect.name, (effect.name,)) if name != effect.name]
+    alike = [name for name in alike_to(search.first, effect) if name != effect.name]
     likely = [n for n, p in sorted(posterior.items(), key=lambda pair: -pair[1]) if p >= IN_GROUP and n not in alike]
     group = (effect.name, *alike, *likely)
     drop, rank = bare.chi2 - fit.chi2, max(fit.rank_chosen - bare.rank_chosen, 1)

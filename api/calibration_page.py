@@ -17,7 +17,7 @@ from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 from fluxtwin.sim.base.seals import FORMAT, sealed
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
-from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
+from fluxtwin.sim.telemetry.record import Telemetry
 
 if TYPE_CHECKING:
     from fluxtwin.plots.time_series import TimeSeries
@@ -66,7 +66,7 @@ def _seen(fit: Fit, record: Telemetry | None) -> list[PageSection]:
         return [PageSection("Residuals", [], [_residuals(fit)], [_residual_block(fit, None)])]
     rows = record.select(fit.rows)
     here = for_record(fit.calibration, rows)
-    corrected = here.apply(rows.mag_B_nT, rows.dipole_B_Am2, recorded_columns(rows))
+    corrected = here.apply(rows.mag_B_nT, rows.dipole_B_Am2, here.columns_of(record, fit.rows))
     if fit.residuals_nT.shape[1] == 3:
         predicted = corrected + fit.residuals_nT
         before = predicted - rows.mag_B_nT

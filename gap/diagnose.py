@@ -114,6 +114,8 @@ def diagnose(
         gone = [name for name, why in problem.ruled_out.items() if why in (words.DENIED_SENSOR, words.DENIED_SHARED)]
         facts["two_magnetometers"] = {"apart_nT": work.apart.rms_nT, "noise_nT": work.apart.noise_nT, "ruled_out": gone}
         notes += [f"{name} would explain the readings, but {problem.ruled_out[name]}: ruled out" for name in gone]
+    elif problem.telemetry.mag2_B_nT is not None:
+        notes.append(words.SECOND_UNUSED)
     notes += [] if new == 1 else [words.repeated_rounding(new)]
     notes += [] if every == 1 else [words.thinned(every, MOST_ROWS_FAST)]
     if work.angle is not None:
@@ -179,7 +181,7 @@ def _denied(work: Work) -> dict[str, str]:
             stage = find_effect(name).stage
             likely = [one.jacobian for one in result.candidates if one.name == name and one.live.any()]
             trials = [columns[name]] if name == effect.name else likely
-            if trials and all(work.apart.denies(readings, Cause(stage, one, image_nT), others) for one in trials):
+            if work.apart.denies(readings, [Cause(stage, one, image_nT) for one in trials], others):
                 gone[name] = words.DENIED_SENSOR if stage == "sensor" else words.DENIED_SHARED
     return gone
 

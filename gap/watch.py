@@ -30,7 +30,7 @@ from fluxtwin.gap.problem.problem import Budget, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.problem.start import start_without_attitude
 from fluxtwin.gap.selection.refit import settled
-from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.types import BoolArray, FloatArray, IntArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import field_N_nT
@@ -240,6 +240,13 @@ def begin(
         )
     corrected = first
     if calibration is not None:
+        late = [name for name, bias in calibration.telemetry_bias.items() if bias.delay_s or bias.lag_s]
+        if late:
+            raise BadInput(
+                f"its field that follows {', '.join(late)} comes late, and rows are taken one by one, without those before",
+                where="--calibration",
+                wanted="a calibration without late fields, or a diagnosis without --follow",
+            )
         # How long ago it was made is no matter: whether it still holds is the question.
         calibration = for_record(replace(calibration, span=None), first)
         require_applicable(first, calibration)

@@ -186,7 +186,7 @@ class Calibration:
                 raise BadInput(
                     f"this calibration takes out a field that follows {name!r}, and the column is not there",
                     where=name,
-                    wanted="telemetry with that column, or a calibration made without --telemetry-bias",
+                    wanted="telemetry with that column, or a calibration made without its --driver",
                 )
             reading_nT = reading_nT - np.asarray(columns[name], dtype=np.float64)[..., None] * bias.value_nT
         return reading_nT

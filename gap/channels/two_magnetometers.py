@@ -24,6 +24,11 @@ OWN_STAGES = ("spacecraft", "sensor")
 """Stages that are not the same for both."""
 _FEWEST_ROWS = 50
 """Of which both have a reading: four for each of the twelve parameters of a relative calibration."""
+_FURTHEST = 2.0
+"""Times the first one's, or a part of it: what the second may make of a field in any direction. One that makes nothing of it
+is dead, or in another unit."""
+_SAME_NT = 0.01
+"""Of noise between them: less is the rounding of single precision (4 pT at 50 uT), and the second a copy of the first."""
 
 
 @dataclass(frozen=True)
@@ -65,19 +70,27 @@ class Apart:
     noise_nT: float
     """What the noise of both gives, per component."""
 
-    def denies(self, readings: ProjectedResidual, cause: Cause, others_nT: Sequence[FloatArray]) -> bool:
-        """Whether the difference denies a cause: one of the sensor must be in it as it is in the first one's readings, one
-        that both share must not; of the spacecraft it may be there or not.
+    def denies(self, readings: ProjectedResidual, causes: Sequence[Cause], others_nT: Sequence[FloatArray]) -> bool:
+        """Whether the difference denies a cause in all its alternatives: one of the sensor must be in it as it is in the
+        first one's readings, one that both share must not; of the spacecraft it may be there or not.
 
         readings: what the cause was found in, beside what is re-estimated; others_nT: columns (N, 3, p) of other causes.
         A size that readings alone give is as unsure as their attitude: so the cause is fitted to both at once, and weighed
-        by the criterion.
+        by the criterion. An alternative that explains nothing of the readings, while another does, cannot be the cause.
         """
-        gram, moment = _products(readings, cause.columns_nT, others_nT, cause.image_nT)
-        its_gram, its_moment = _products(self.left, cause.columns_nT, others_nT, None)
-        shared, own = _explained(gram, moment), _explained(gram + its_gram, moment + its_moment)
-        for_own = (own - shared) / (1.0 + SHAPE * max(shared, own))
-        return cause.stage != "spacecraft" and (-for_own if cause.stage == "sensor" else for_own) > THRESHOLD
+        drops = []
+        for cause in causes:
+            gram, moment = _products(readings, cause.columns_nT, others_nT, cause.image_nT)
+            its_gram, its_moment = _products(self.left, cause.columns_nT, others_nT, None)
+            drops.append((cause.stage, _explained(gram, moment), _explained(gram + its_gram, moment + its_moment)))
+        least = min(THRESHOLD, max((shared for _, shared, _ in drops), default=0.0))
+        return bool(drops) and all(_denied(*one) for one in drops if one[1] >= least)
+
+
+def _denied(stage: str, shared: float, own: float) -> bool:
+    """By the drops of chi-square of a cause that is in the first one's readings alone, and in the difference as well."""
+    for_own = (own - shared) / (1.0 + SHAPE * max(shared, own))
+    return stage != "spacecraft" and (-for_own if stage == "sensor" else for_own) > THRESHOLD
 
 
 def _products(
@@ -102,7 +115,8 @@ def _explained(gram: FloatArray, moment: FloatArray) -> float:
 
 
 def apart(problem: Problem) -> Apart | None:
-    """The difference of the two magnetometers; None where there are too few rows that have both."""
+    """The difference of the two magnetometers, the second's brought into the first's axes and scale; None where too few rows
+    have both, or the second does not follow the field, or is a copy of the first."""
     first, second = np.asarray(problem.telemetry.mag_B_nT), problem.telemetry.mag2_B_nT
     if second is None:
         return None
@@ -112,8 +126,15 @@ def apart(problem: Problem) -> Apart | None:
     difference = np.where(both[:, None], first - second, 0.0)
     relative = _relative(problem.design.signal([*problem.frozen, *problem.modelled_active]).field_B_nT)
     # That field has the errors of the attitude in it, by which the two readings differ as far as their S do.
-    size, *_ = np.linalg.lstsq(relative[both].reshape(-1, 12), difference[both].reshape(-1), rcond=None)
-    difference[both] -= problem.residual_nT[both] @ size[:9].reshape(3, 3).T
+    columns, both_nT = relative[both].reshape(-1, 12), np.stack([difference[both], first[both]], axis=-1).reshape(-1, 2)
+    size, *_ = np.linalg.lstsq(columns, both_nT, rcond=None)
+    relative_S = size[:9, 0].reshape(3, 3)
+    second_of_first = np.eye(3) - relative_S
+    gain = np.linalg.svd(second_of_first, compute_uv=False)
+    if gain.max() > _FURTHEST or gain.min() < 1.0 / _FURTHEST:
+        return None
+    difference[both] -= (both_nT[:, 1] - columns @ size[:, 1]).reshape(-1, 3) @ relative_S.T
+    difference = np.linalg.solve(second_of_first, difference.T).T
     beside = [one for one in problem.modelled_active if one[0].name not in _CALIBRATION]
     beside += [one for one in problem.frozen if one[0].stage in OWN_STAGES]
     fitted = np.concatenate([relative, derivatives(problem, beside)], axis=2)
@@ -122,6 +143,8 @@ def apart(problem: Problem) -> Apart | None:
         rest = projected(_White(np.ones(3), kept), difference, fitted).residual.reshape(-1, 3)
         kept = kept & (standing_out(rest, measured=kept) <= CUT_SIGMA)
     sigma_nT = np.array([_of_steps(rest[there, axis]) for axis, there in enumerate(kept.T)])
+    if not np.min(sigma_nT) > _SAME_NT:
+        return None
     left = projected(_White(sigma_nT, kept), difference, fitted)
     rms_nT = float(np.sqrt(np.sum(rest[kept] ** 2) / left.degrees))
     return Apart(left, rms_nT, float(np.sqrt(np.mean(sigma_nT**2))))
@@ -135,4 +158,4 @@ def _relative(field_B_nT: FloatArray) -> FloatArray:
 
 def _of_steps(values: FloatArray) -> float:
     """1 sigma of the noise of a series, from its steps from row to row: what is slow has no part in them."""
-    return max(float(np.std(np.diff(values)) / np.sqrt(2.0)), 1e-6)
+    return float(np.std(np.diff(values)) / np.sqrt(2.0)) if values.size > 1 else 0.0

@@ -290,10 +290,13 @@ def _where(work: Work, effects: Sequence[FoundEffect]) -> Place:
         return place
     first = effects[0]
     alike = [find_effect(name) for name in first.group]
-    equivalent = sorted({*alike[0].equivalent_stages, *(one.stage for one in alike), *place.equivalent} - {first.stage})
-    if work.apart is not None:  # it separates what both magnetometers share from what they do not
-        equivalent = [name for name in equivalent if (name in OWN_STAGES) == (first.stage in OWN_STAGES)]
-    return place_of(first, place.probabilities, equivalent)
+    equivalent = {*alike[0].equivalent_stages, *place.equivalent}
+    if (
+        work.apart is not None
+    ):  # it separates what both magnetometers share from what they do not, but for the names left
+        equivalent = {name for name in equivalent if (name in OWN_STAGES) == (first.stage in OWN_STAGES)}
+    equivalent = (equivalent | {one.stage for one in alike}) - {first.stage}
+    return place_of(first, place.probabilities, sorted(equivalent))
 
 
 def place_of(effect: FoundEffect, shares: Mapping[str, Mapping[str, float]], equivalent: Sequence[str] = ()) -> Place:

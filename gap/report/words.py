@@ -18,6 +18,10 @@ SHAPE_INCOMPLETE = "a smaller structure remains"
 APART_FROM_THEM = "All other readings are what noise and attitude error give: beside these rows there is no gap."
 DENIED_SENSOR = "the two magnetometers do not differ by it"
 DENIED_SHARED = "the two magnetometers differ, which nothing that both share can make"
+SECOND_UNUSED = (
+    "the second magnetometer is left out: too few rows have both readings, or it does not follow the field as the first "
+    "does (dead, or in another unit), or it is a copy of the first"
+)
 UNEXPLAINED = "the catalogue does not explain all of the gap"
 
 
@@ -37,9 +41,10 @@ def no_gap(gap: Shrinkage, attitude_would_do_rad: float | None) -> str:
 
 def differ(between: Structure, rms_nT: float, noise_nT: float) -> str:
     """Where one magnetometer has no gap, and the other reads something else."""
+    noise = f"where their noise gives {noise_nT:.1f} nT" if rms_nT > noise_nT else "though not as noise does"
     return (
-        f"The two magnetometers differ, however, by {rms_nT:.1f} nT rms per component beside a calibration of each, where "
-        f"their noise gives {noise_nT:.1f} nT: {between.words}. Ask the second with --magnetometer 2."
+        f"The two magnetometers differ, however, by {rms_nT:.1f} nT rms per component beside a calibration of each, {noise}:"
+        f" {between.words}. Ask the second with --magnetometer 2."
     )
 
 

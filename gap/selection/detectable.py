@@ -1,9 +1,9 @@
 """The smallest size of each effect that a design would show: nine times in ten, at the gate that a name has to pass.
 
 An effect is seen when its score, chi-square with r degrees of freedom and non-centrality d, exceeds the level that
-noise alone passes with probability GATE / K, K being the number of alternatives tested (the price of the search). The
-size is the d at which that happens nine times in ten (noncentral chi-square, exact). A name has to pass under every noise
-model that the data do not rule out, so d is that of the noise model that hides the effect best.
+noise alone passes with probability GATE / K, K being the number of alternatives tested. The size is the d at which
+that happens nine times in ten (noncentral chi-square, exact). A name has to pass under every noise model that the data do
+not rule out, so d is that of the noise model that hides the effect best.
 """
 
 from __future__ import annotations

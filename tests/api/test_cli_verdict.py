@@ -204,6 +204,29 @@ def test_predicted_minus_calibrated_is_the_residual(flight: Path, method: str) -
     assert np.array_equal(both, fit.residuals_nT.T.ravel()), "each row is drawn once, kept or set aside"
 
 
+def test_the_page_takes_a_late_field_out_as_late_as_it_is(flight: Path) -> None:
+    from dataclasses import replace
+
+    from fluxtwin.calib.common.records import TelemetryBias
+    from fluxtwin.calibration_page import calibration_page
+    from fluxtwin.plots.time_series import TimeSeries
+
+    record = fluxtwin.read(flight / "my.nc")
+    column = np.cumsum(np.random.default_rng(1).normal(size=len(record)))
+    record = record.replace(drivers={"load": column})
+    fit = fluxtwin.calibrate(record)
+    bias = TelemetryBias(np.array([10.0, -5.0, 2.0]), np.ones(3), delay_s=30.0, lag_s=20.0)
+    fit = replace(fit, calibration=replace(fit.calibration, telemetry_bias={"driver_load": bias}))
+    page = calibration_page(fit, "t", next_step="", command="", record=record)
+    series = {b.name: b.figure for s in page.sections for b in s.figures if isinstance(b.figure, TimeSeries)}
+    corrected = np.array(fluxtwin.apply(record, fit.calibration).mag_B_nT)[fit.rows]
+    for panel in series["field"].panels:
+        k = "xyz".find(panel.label[0])
+        if k >= 0:
+            predicted = {line.name: line.values for line in panel.lines}["predicted"]
+            np.testing.assert_allclose(predicted, (corrected + fit.residuals_nT)[:, k], rtol=0.0, atol=1e-6)
+
+
 def test_outliers_are_marked_and_do_not_scale_the_axes() -> None:
     from fluxtwin.plots.time_series import TimeSeries, draw_time_series, residual_panels
 

@@ -16,6 +16,7 @@ from fluxtwin.gap.channels.two_magnetometers import apart
 from fluxtwin.gap.detectors.random_walk import worth_of_a_walk
 from fluxtwin.gap.problem.problem import pose
 from fluxtwin.sim.earth.field_models import load_field
+from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.telemetry.record import Telemetry
 
 pytestmark = pytest.mark.closure
@@ -49,8 +50,12 @@ def test_what_both_share_is_no_fault_of_the_sensor(ahead: Telemetry) -> None:
     assert set(both.where.equivalent) <= SHARED
 
 
-def test_a_fault_of_the_sensor_is_nothing_that_both_share() -> None:
-    late = flown(effects={"sensor_lag": {"lag_s": 2.0}})
+@pytest.fixture(scope="module")
+def late() -> Telemetry:
+    return flown(effects={"sensor_lag": {"lag_s": 2.0}})
+
+
+def test_a_fault_of_the_sensor_is_nothing_that_both_share(late: Telemetry) -> None:
     alone, both = fluxtwin.diagnose(late.replace(mag2_B_nT=None)), fluxtwin.diagnose(late)
     assert {"along_track_error", "time_tag_offset"} <= set(alone.effects[0].group)
     assert both.effects[0].group == ("sensor_lag",)
@@ -95,6 +100,50 @@ def test_a_second_magnetometer_that_hardly_reads_says_nothing(ahead: Telemetry) 
     assert apart(pose(ahead.replace(mag2_B_nT=second), load_field("igrf14"))) is None
     assert apart(pose(ahead.replace(mag2_B_nT=None), load_field("igrf14"))) is None
     assert apart(pose(ahead, load_field("igrf14"))) is not None
+
+
+@pytest.mark.parametrize("case", ["dead", "one axis dead", "copy", "copy in single precision, off by a constant"])
+def test_a_second_magnetometer_that_is_none_is_left_out_and_said(late: Telemetry, case: str) -> None:
+    first, second = np.array(late.mag_B_nT), np.array(late.mag2_B_nT)
+    found = fluxtwin.diagnose(
+        late.replace(
+            mag2_B_nT={
+                "dead": np.full_like(second, 123.0),
+                "one axis dead": second * [1.0, 1.0, 0.0],
+                "copy": first,
+                "copy in single precision, off by a constant": (first / 7.0).astype(np.float32) * 7.0 + 100.0,
+            }[case]
+        )
+    )
+    alone = fluxtwin.diagnose(late.replace(mag2_B_nT=None))
+    assert found.sentence == alone.sentence
+    assert found.where == alone.where
+    assert any("second magnetometer is left out" in note for note in found.notes)
+    assert not any("second magnetometer" in note for note in alone.notes)
+
+
+def test_stages_of_the_names_that_are_left_are_equivalent(late: Telemetry) -> None:
+    found = fluxtwin.diagnose(late.replace(q_NB=None))
+    stages = {find_effect(name).stage for name in found.effects[0].group}
+    assert len(stages) > 1 and stages <= {found.where.stage, *found.where.equivalent}
+
+
+def test_the_second_s_axes_may_be_turned(late: Telemetry) -> None:
+    """The difference is in the first one's axes: what is its own is in it as it stands."""
+    third_of_a_turn = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+    straight, turned = (
+        apart(pose(late.replace(mag2_B_nT=second), load_field("igrf14")))
+        for second in (np.array(late.mag2_B_nT), np.array(late.mag2_B_nT) @ third_of_a_turn)
+    )
+    assert straight is not None and turned is not None
+    np.testing.assert_allclose(turned.left.residual, straight.left.residual, rtol=0.0, atol=0.1)  # of unit variance
+
+
+def test_a_difference_that_is_no_slower_than_noise_is_not_compared_with_it() -> None:
+    good = flown()
+    every_third = np.repeat(np.array(good.mag2_B_nT)[::3], 3, axis=0)[: len(good)]
+    said = fluxtwin.diagnose(good.replace(mag2_B_nT=every_third)).sentence
+    assert "The two magnetometers differ" in said and "though not as noise does" in said
 
 
 def test_a_walk_is_in_the_difference_or_is_none() -> None:

@@ -10,12 +10,12 @@ import pytest
 from scipy.stats import multivariate_normal
 from worlds import scenario_text
 
-from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.common.records import Calibration, TelemetryBias
 from fluxtwin.gap import watch as module
 from fluxtwin.gap.problem.problem import Budget
 from fluxtwin.gap.watch import Watch, begin
 from fluxtwin.gap.watch_kernels import run_rows
-from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import parse_scenario
@@ -174,3 +174,16 @@ def test_last_months_calibration(record: Telemetry) -> None:
 def test_too_few_rows_are_said(record: Telemetry) -> None:
     with pytest.raises(NoAnswer, match="600 with reading and position over 6000 s"):
         begin(record.select(slice(0, 300)), MODEL)
+
+
+def test_a_field_that_comes_late_is_not_taken_without_the_rows_before(record: Telemetry) -> None:
+    plain = Calibration(np.zeros((3, 3)), np.zeros(3))
+    heater = record.replace(drivers={"heater": np.arange(len(record)) % 7.0})
+    for delay_s, refused in ((30.0, True), (0.0, False)):
+        bias = TelemetryBias(np.array([10.0, 0.0, 0.0]), np.ones(3), delay_s=delay_s)
+        known = replace(plain, telemetry_bias={"driver_heater": bias})
+        if refused:
+            with pytest.raises(BadInput, match="driver_heater comes late"):
+                begin(heater.select(slice(0, FIRST)), MODEL, None, known)
+        else:
+            begin(heater.select(slice(0, FIRST)), MODEL, None, known)

@@ -206,15 +206,17 @@ def smoothed(time_s: FloatArray, R_BN: Rotation, gyro_B_rad_s: FloatArray | None
     """
     stretch = stretches(time_s)
     plain = _Course(time_s, _steady_rate(time_s, R_BN, stretch))
-    courses = [plain]
+    courses, missed_rad = [plain], 0.0
     if gyro_B_rad_s is not None:
         known = np.asarray(np.isfinite(gyro_B_rad_s).all(axis=1))
         if known.mean() > 0.5:
             filled = [np.interp(time_s, time_s[known], axis) for axis in gyro_B_rad_s[known].T]
-            courses.append(_by_gyro(time_s, np.stack(filled, axis=1), stretch))
+            by_gyro = _by_gyro(time_s, np.stack(filled, axis=1), stretch)
+            missed_rad = _missed_rad(R_BN, stretch, by_gyro)
+            courses += [by_gyro] if missed_rad < _FURTHEST else []  # else of wrong sign, unit or axes
     found = [(*_window(R_BN, stretch, course), course) for course in courses]
     best = min(found, key=lambda one: one[0])
-    if len(found) > 1 and time_s.size > 1 and found[-1][0] < _ASTRAY**2:
+    if len(found) > 1 and time_s.size > 1 and missed_rad < _ASTRAY and found[-1][0] < _ASTRAY**2:
         step_rad = np.linalg.norm(found[-1][-1].rate_B_rad_s[:-1], axis=1) * np.diff(time_s)
         if np.median(step_rad) > _FURTHEST:
             best = found[-1]  # attitudes so far apart are met as well by motions that are not there between them
@@ -261,6 +263,15 @@ def _by_gyro(time_s: FloatArray, rate_B_rad_s: FloatArray, stretch: RowArray) ->
         whole = Rotation.concatenate([whole[:shift], whole[shift:] * whole[:-shift]])
         shift *= 2
     return _Course(time_s, rate_B_rad_s, whole, between)
+
+
+def _missed_rad(R_BN: Rotation, stretch: RowArray, course: _Course) -> float:
+    """By how much a course by gyro misses the turn from one attitude to the next: median."""
+    joined = np.flatnonzero(np.diff(stretch) == 0)
+    if course.integrated is None or not joined.size:
+        return 0.0
+    said = course.integrated[joined + 1] * course.integrated[joined].inv()
+    return float(np.median((R_BN[joined + 1] * R_BN[joined].inv() * said.inv()).magnitude()))
 
 
 def _turned(rates: Callable[[FloatArray], FloatArray], from_s: FloatArray, after_s: FloatArray) -> Rotation:

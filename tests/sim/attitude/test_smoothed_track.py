@@ -235,6 +235,21 @@ def test_a_poor_gyro_is_not_believed() -> None:
     assert moved(recorded(t, R_BN, gyro), law, t, 5.0, inside) < 0.03
 
 
+@pytest.mark.parametrize("factor", [-1.0, 2.0, np.degrees(1.0)], ids=["sign", "twice", "deg/s as rad/s"])
+@pytest.mark.parametrize("turn_rad", [1.2, 1.9])
+def test_a_gyro_that_turns_another_way_is_not_believed(turn_rad: float, factor: float) -> None:
+    """A steady spin is predicted at the stamps by any rate that is constant; between them it is not."""
+    t = np.arange(200.0)
+    spin = np.outer(turn_rad * t, [0.0, 0.0, 1.0])
+    R_BN = Rotation.from_rotvec(1e-3 * np.random.default_rng(0).normal(size=(200, 3))) * Rotation.from_rotvec(-spin)
+    middle = t[5:-5] + 0.5
+    true = Rotation.from_rotvec(-np.outer(turn_rad * middle, [0.0, 0.0, 1.0]))
+    for size, believed in ((1.0, True), (factor, False)):
+        track = smoothed(t, R_BN, np.tile([0.0, 0.0, size * turn_rad], (200, 1)))
+        assert (track.course.integrated is not None) == believed
+        assert np.degrees((track.at(middle) * true.inv()).magnitude().max()) < 0.3
+
+
 def test_rows_of_unknown_attitude_say_nothing() -> None:
     """Attitudes that only fit a reading: the others are followed as if these were not there."""
     law = LAWS["tumble"]

@@ -52,6 +52,8 @@ _ROWS_AT_ONCE = 50_000
 _MARKS = {b";": "semicolons", b"\t": "tabs", b"|": "bars"}
 _NO_DECIMAL_COMMA = re.compile(rb"\.\d{0,20},|,\d{0,20}[.,]|[^\d;\t|\n+ -],|,[^\d;\t|\neE ]")
 """Where a comma is no decimal comma: 1.234,5, 1,234,567, text."""
+_DECIMAL_POINT = re.compile(rb"(?:^|[;\t|\n]) *[+-]?\d+\.\d+(?:[eE][+-]?\d+)? *(?=[;\t|\r\n]|$)")
+"""A number with a point in a cell of its own: beside it 1,234 is as likely a thousand."""
 
 
 @dataclass(frozen=True)
@@ -299,12 +301,14 @@ def _with_commas(data: bytes, notices: list[str], where: str) -> bytes:
         raise BadInput(f"its columns are separated by {word}, and it has quotes", where=where, wanted="commas")
     said = f"its columns are separated by {word}"
     if b"," in rest:
-        odd = _NO_DECIMAL_COMMA.search(rest)
+        odd = _NO_DECIMAL_COMMA.search(rest) or _DECIMAL_POINT.search(rest)
         if odd is not None:
-            line = rest.count(b"\n", 0, odd.start()) + 2
+            line = rest.count(b"\n", 0, odd.end()) + 2
             cell = re.split(rb"[;\t|\n]", rest[max(odd.start() - 30, 0) : odd.end()])[-1].decode("utf-8", "replace")
             raise BadInput(
-                f"{said}, and line {line} has {clip(cell, 30)!r}", where=where, wanted="decimals as 1.5 or 1,5"
+                f"{said}, there are commas in cells, and line {line} has {clip(cell, 30)!r}",
+                where=where,
+                wanted="all decimals as 1.5, or all as 1,5, and no marks between thousands",
             )
         rest, said = rest.replace(b",", b"."), f"{said}, decimals by commas"
     notices.append(said)

@@ -307,6 +307,21 @@ def test_other_marks_between_columns_and_decimal_commas_are_read_and_said(tmp_pa
     assert np.array_equal(points.mag_B_nT, plain.mag_B_nT) and "decimals" not in points.provenance["notices"]
 
 
+def test_commas_beside_decimal_points_are_not_guessed(tmp_path: Path) -> None:
+    """1,234 in a table that has 0.5 as well: a thousand and more, or one and a bit."""
+    head, *rows = plain_lines()
+    column = head.split(",").index("mag_x_nT")
+    lines = [head.replace(",", ";")]
+    for row in rows:
+        cells = row.split(",")
+        cells[column] = "18,123"
+        lines.append(";".join(cells))
+    with pytest.raises(
+        BadInput, match=r"separated by semicolons, there are commas in cells, and line 2 has '-?\d+\.\d+'"
+    ):
+        read_telemetry(save(tmp_path, lines))
+
+
 def test_bad_bytes_get_one_message(tmp_path: Path) -> None:
     text = "\n".join([*plain_lines(), ""])
     cases = {

@@ -196,10 +196,7 @@ def _sentence(work: Work, found: _Conclusion, where: Place, gap: Shrinkage, rese
             others = _sentence(work, replace(found, fault=None), where, gap, resembles)
         return work.angle.said(others, gap.before_nT)
     if found.verdict == "no_gap":
-        said = words.no_gap(gap, work.attitude_would_do_rad)
-        if work.apart is None or work.differ is None or not work.differ.structured:
-            return said
-        return f"{said} {words.differ(work.differ, work.apart.rms_nT, work.apart.noise_nT)}"
+        return words.no_gap(gap, work.attitude_would_do_rad) + _differ(work)
     if found.verdict == "unknown":
         what = _what(work, where) if found.beyond is None else found.beyond.words
         said = words.unexplained(what, where, resembles)
@@ -208,7 +205,15 @@ def _sentence(work: Work, found: _Conclusion, where: Place, gap: Shrinkage, rese
         )
     remains = words.SHAPE_INCOMPLETE if found.excess is None else found.excess.words
     outlying = None if found.outliers is None else found.outliers.words
-    return words.named(found.effects, gap, work.momentum.gap, remains, outlying)
+    own = any(find_effect(name).stage in OWN_STAGES for one in found.effects for name in one.group)
+    return words.named(found.effects, gap, work.momentum.gap, remains, outlying) + ("" if own else _differ(work))
+
+
+def _differ(work: Work) -> str:
+    """What two magnetometers have apart, where nothing that was said explains it."""
+    if work.apart is None or work.differ is None or not work.differ.structured:
+        return ""
+    return f" {words.differ(work.differ, work.apart.rms_nT, work.apart.noise_nT)}"
 
 
 def _closure(work: Work, found: _Conclusion) -> Closure:

@@ -40,7 +40,7 @@ def no_gap(gap: Shrinkage, attitude_would_do_rad: float | None) -> str:
 
 
 def differ(between: Structure, rms_nT: float, noise_nT: float) -> str:
-    """Where one magnetometer has no gap, and the other reads something else."""
+    """Where the one magnetometer's gap, if it has one, does not say why the other reads something else."""
     noise = f"where their noise gives {noise_nT:.1f} nT" if rms_nT > noise_nT else "though not as noise does"
     return (
         f"The two magnetometers differ, however, by {rms_nT:.1f} nT rms per component beside a calibration of each, {noise}:"

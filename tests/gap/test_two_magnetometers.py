@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from worlds import scenario_text
 
 import fluxtwin
 from fluxtwin.gap.channels.two_magnetometers import apart
@@ -17,6 +18,7 @@ from fluxtwin.gap.detectors.random_walk import worth_of_a_walk
 from fluxtwin.gap.problem.problem import pose
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.effects.catalogue import find_effect
+from fluxtwin.sim.scenario.scenario import parse_scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 
 pytestmark = pytest.mark.closure
@@ -82,6 +84,20 @@ def test_the_second_s_own_disturbance_is_said_and_is_no_gap_of_the_first() -> No
     assert found.verdict == "no_gap"
     assert "The two magnetometers differ" in found.sentence
     assert "--magnetometer 2" in found.sentence
+
+
+def test_a_difference_is_said_beside_a_cause_that_both_share() -> None:
+    """A spinner without attitude: a lag hardly changes the size of the field, and 2 km along the orbit do as much."""
+    text = scenario_text(
+        "[attitude]\nmode = 'tumble'\nrate_deg_s = [0.5, 0.3, 12.0]\n[magnetometer]\nnoise_nT = 20.0\nlsb_nT = 10.0\n"
+        "[magnetometer_2]\nnoise_nT = 20.0\nlsb_nT = 10.0\n[effects.sensor_lag]\nlag_s = 0.3\n",
+        seed=4,
+        inertia_kg_m2=[[0.08, 0.0, 0.0], [0.0, 0.08, 0.0], [0.0, 0.0, 0.09]],
+        segment="duration_min = 150.0, step_s = 10.0",
+    )
+    found = fluxtwin.diagnose(fluxtwin.simulate(parse_scenario(text))[0].replace(q_NB=None))
+    assert found.effects and not {find_effect(name).stage for name in found.effects[0].group} & OWN
+    assert "The two magnetometers differ" in found.sentence
 
 
 def test_two_good_magnetometers_differ_by_the_noise_of_both() -> None:

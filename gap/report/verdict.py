@@ -149,7 +149,7 @@ def assemble(
             "without_attitude": without_attitude,
         },
         provenance=provenance,
-        would_settle=advice.would_settle(detectable, _asked_for(untestable, momentum), advice.hours_of(problem.time)),
+        would_settle=advice.would_settle(detectable, _asked_for(untestable, work), advice.hours_of(problem.time)),
         sentence=" ".join(filter(None, (sentence, words.assumed(assumed)))),
         assumed=assumed,
         notes=notes,
@@ -271,10 +271,11 @@ def _what(work: Work, where: Place) -> str:
     return "; ".join(filter(None, (words.structure(left, where), momentum.left.words)))
 
 
-def _asked_for(untestable: Mapping[str, str], momentum: Momentum) -> dict[str, str]:
-    """Effects that cannot be tested; those on the dynamics only where the momentum was balanced."""
-    balanced = momentum.gap is not None
-    return {name: why for name, why in untestable.items() if balanced or find_effect(name).stage != "dynamics"}
+def _asked_for(untestable: Mapping[str, str], work: Work) -> dict[str, str]:
+    """Effects that cannot be tested and are not ruled out; those on the dynamics only where the momentum was balanced."""
+    balanced = work.momentum.gap is not None
+    found = {name: why for name, why in untestable.items() if name not in work.problem.ruled_out}
+    return {name: why for name, why in found.items() if balanced or find_effect(name).stage != "dynamics"}
 
 
 def _resembles(work: Work) -> list[str]:

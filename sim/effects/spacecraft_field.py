@@ -299,7 +299,7 @@ class WheelField(SignalEffect):
     def untestable(self, setting: Setting) -> str | None:
         phase = self.phase_rad(setting)
         if phase is None:
-            return "the telemetry has no wheel speed; only a line found in the residual can stand in"
+            return "the telemetry has no wheel speed; only a line in the residual can show it"
         return None if varies(phase) else "the wheel never turns"
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:

@@ -60,7 +60,7 @@ class HeaterSwitching(SignalEffect):
     def untestable(self, setting: Setting) -> str | None:
         on = self.on(setting)
         if on is None:
-            return "the telemetry has no heater_on; only a two-state sequence found in the residual can stand in"
+            return "the telemetry has no heater_on; only a two-state sequence in the residual can show it"
         return None if varies(on) else "the heater never switches"
 
     def pinned(self, setting: Setting, reading_B_nT: FloatArray) -> HeaterSwitching:

@@ -48,6 +48,7 @@ def test_what_both_share_is_no_fault_of_the_sensor(ahead: Telemetry) -> None:
     assert "along_track_error" in both.effects[0].group
     assert "sensor_lag" not in both.effects[0].group
     assert both.untestable["sensor_lag"].endswith("the two magnetometers do not differ by it")
+    assert "sensor_lag" not in both.would_settle
     assert sum(both.where.probabilities["stage"][name] for name in OWN) < 0.05
     assert set(both.where.equivalent) <= SHARED
 

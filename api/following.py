@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import stat
@@ -9,7 +10,7 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
@@ -103,15 +104,20 @@ def follow(
         raise BadInput("takes all rows as they come", where="--follow", wanted="no --from, --to or --where beside it")
     known = None if calibration is None else as_calibration(calibration)
     name = "" if known is None else str(calibration) if is_path(calibration) else known.digest[:12]
-    blocks = iter(telemetry) if not isinstance(telemetry, str | Path) else _records(str(telemetry), reading)
-    rows = _Rows(_later(blocks))
-    first, every = rows.to_begin_with()
-    watch = begin(first, load_field(field or "igrf14", degree), budget_of(None, (), declared), known)
-    said(f"watching: {watch.noise.words}; {_manner(watch)}")
-    hours = _Hours(watch, said)
-    changed = None if known is None else hours.take(first)
-    while changed is None and (block := rows.one_more(every)) is not None:
-        changed = hours.take(block)
+    with contextlib.ExitStack() as opened:
+        blocks: Iterator[Telemetry]
+        if isinstance(telemetry, str | Path):
+            blocks = opened.enter_context(contextlib.closing(_records(str(telemetry), reading)))
+        else:
+            blocks = iter(telemetry)
+        rows = _Rows(_later(blocks))
+        first, every = rows.to_begin_with()
+        watch = begin(first, load_field(field or "igrf14", degree), budget_of(None, (), declared), known)
+        said(f"watching: {watch.noise.words}; {_manner(watch)}")
+        hours = _Hours(watch, said)
+        changed = None if known is None else hours.take(first)
+        while changed is None and (block := rows.one_more(every)) is not None:
+            changed = hours.take(block)
     whole = rows.all()
     line = _line(changed, name, watch.rows, whole)
     said(line)
@@ -231,7 +237,7 @@ class _Hours:
         return None
 
 
-def _records(path: str, reading: Reading) -> Iterator[Telemetry]:
+def _records(path: str, reading: Reading) -> Generator[Telemetry, None, None]:
     """Records of the whole rows that have come, by the reader that also reads files; the first line is the header."""
     name = "stdin.csv" if path == "-" else Path(path).name
     if name.lower().endswith((".nc", ".nc4", ".h5", ".gz", ".parquet", ".xlsx", ".cdf")):

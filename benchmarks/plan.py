@@ -97,7 +97,7 @@ def case(pair: tuple[str, str], number: int, seed: int) -> Case | None:
         plain = world(rng).updated(PAIRS[pair])
         view = view_of(fluxtwin.simulate(plain)[0], plain)
         real = cause(truth, rng, view)
-        if real is None or view.told(real, pair, view.problem.rows) > 0.5:
+        if real is None or view.distinguishing(real, pair, view.problem.rows) > 0.5:
             continue
         record, _ = fluxtwin.simulate(with_cause(plain, real, plain.seed))
         before = fluxtwin.diagnose(record, scenario=plain)
@@ -125,7 +125,7 @@ def case(pair: tuple[str, str], number: int, seed: int) -> Case | None:
         drawn = designs(plain, limits, best.hours, segment.step_s, epoch.parse_time(segment.start_utc))[0]
         wandering, _ = fluxtwin.simulate(with_cause(drawn.scenario, real, plain.seed + 2))
         there = view_of(wandering, drawn.scenario)
-        chance = there.told(real, pair, there.problem.rows)
+        chance = there.distinguishing(real, pair, there.problem.rows)
         by_chance = fluxtwin.diagnose(wandering, scenario=plain)
         return Case(
             pair, truth, str(group), best.words, best.hours, predicted, told(after, truth, other),

@@ -266,7 +266,7 @@ def _overlap_ratio(one: Calibration, later: Calibration) -> float:
     assert one.span is not None and later.span is not None
     (a, b), (c, d) = one.span, later.span
     shorter = min(b - a, d - c)
-    return max(float((min(b, d) - max(a, c)) / shorter), 0.0) if shorter > np.timedelta64(0) else 0.0
+    return max(float((min(b, d) - max(a, c)) / shorter), 0.0) if shorter > np.timedelta64(0, "ns") else 0.0
 
 
 def _names(known: Sequence[Calibration]) -> tuple[str, ...]:

@@ -52,7 +52,10 @@ def asked(found: Mapping[str, Any], flown: Flown, recorded: bool) -> list[Open]:
         questions += to_place(found, flown)
     named = {name for effect in found["effects"] for name in (effect["name"], *effect["group"])}
     small = [name for name in found["minimum_detectable"] if name in found["would_settle"] and name not in named]
-    for name in [*small, *(name for name in found["untestable"] if name not in small and name in found["would_settle"])]:
+    for name in [
+        *small,
+        *(name for name in found["untestable"] if name not in small and name in found["would_settle"]),
+    ]:
         if isinstance(find_effect(name), SignalEffect):
             questions.append(to_show(name))
     return questions

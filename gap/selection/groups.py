@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fluxtwin.gap.hypotheses.candidates import settings_of
 from fluxtwin.gap.selection.score import Board
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect
@@ -43,10 +44,14 @@ def shares_by_name(board: Board) -> dict[str, dict[str, float]]:
 
 
 def alike_to(board: Board, effect: Effect) -> tuple[str, ...]:
-    """The effect's name, and those that have a setting which imitates 0.98 of it as it is set, and it of that one."""
+    """The effect's name, and those that have a setting which imitates 0.98 of it, and it of that one: of it in the form
+    that it has here (an axis, a course), whatever the numbers among its settings."""
+
+    def form(one: Effect) -> tuple[str, dict[str, object]]:
+        return one.name, {key: value for key, value in settings_of(one).items() if isinstance(value, str)}
+
     table, seen = shares(board), board.rank > 0
-    own = [k for k, one in enumerate(board.candidates) if seen[k] and one.effect == effect]
-    own = own or [k for k, one in enumerate(board.candidates) if seen[k] and one.name == effect.name]
+    own = [k for k, one in enumerate(board.candidates) if seen[k] and form(one.effect) == form(effect)]
     both = np.minimum(table, table.T)[own].max(axis=0, initial=0.0)
     others = [
         one.name for one, share, there in zip(board.candidates, both, seen, strict=True) if there and share >= ALIKE

@@ -20,6 +20,8 @@ from fluxtwin.gap.records.score import Score
 from fluxtwin.sim.base.types import FloatArray
 
 _QUIETEST = 0.25
+_TRUSTED = 50
+"""Degrees of freedom that the noise model is worth by itself: its size is trusted to 10 %, and 1 / (2 * 0.1**2) = 50."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +127,7 @@ class Board:
 
         Never below a quarter: data much quieter than their noise model must not turn rounding into causes.
         """
-        if self.freedom < 50:
+        if self.freedom < _TRUSTED:
             return 1.0
         return max(_QUIETEST, (self.chi2 - self.saturated[0]) / self.freedom)
 
@@ -133,13 +135,13 @@ class Board:
         """Of a drop of chi-square by `rank` directions, before any price."""
         if rank == 0:
             return 1.0
-        return float(f_distribution.sf(max(drop, 0.0) / rank / self.variance, rank, self.freedom))
+        return float(f_distribution.sf(max(drop, 0.0) / rank / self.variance, rank, max(self.freedom, _TRUSTED)))
 
     @cached_property
     def p_values(self) -> FloatArray:
         """(K,) of each candidate alone, before any price."""
         rank = np.maximum(self.rank, 1)
-        p = f_distribution.sf(self.statistic / rank / self.variance, rank, self.freedom)
+        p = f_distribution.sf(self.statistic / rank / self.variance, rank, max(self.freedom, _TRUSTED))
         return np.asarray(np.where(self.rank > 0, p, 1.0))
 
     def scores(self) -> list[Score]:

@@ -165,7 +165,7 @@ class TurningStep(Step):
 
 @dataclass(frozen=True)
 class MountingStep(TurningStep):
-    """The sensor is turned on its mount at a moment and stays so.
+    """The sensor is turned on its mount at a moment.
 
     + turns the sensor's axes right-handed about the body axis, so the field in them turns the other way: the ambient one and
     the spacecraft's. To a magnetometer alone it is `attitude_step`, but for the spacecraft's field.
@@ -188,7 +188,7 @@ class MountingStep(TurningStep):
 
 @dataclass(frozen=True)
 class LinearDrift(SignalEffect):
-    """Bias or scale factors drift in proportion to time.
+    """The bias or the scale drifts with time.
 
     From zero at `since`: of the bias b of equation 1, or of the diagonal of its S.
     """

@@ -167,7 +167,7 @@ class YawDrift(SignalEffect):
 
 @dataclass(frozen=True)
 class AttitudeStep(TurningStep):
-    """The reported attitude is turned from a moment on.
+    """The reported attitude is off from a moment on.
 
     By a constant rotation, as if the frame of its sensors had been moved.
     """

@@ -104,7 +104,7 @@ class SolarArrayCurrent(SignalEffect):
 
 @dataclass(frozen=True)
 class StrayField(SignalEffect):
-    """Field that follows the sun's direction in the body.
+    """Field that follows the direction of the sun.
 
     F s while sunlit, s the unit vector to the sun in body axes: what currents in loops behind the lit faces make, to first
     harmonics of the sun's direction.

@@ -97,7 +97,7 @@ class ThermalScaleDrift(ThermalEffect):
 
 @dataclass(frozen=True)
 class CommonGainDrift(ThermalEffect):
-    """The gain of all axes together grows with temperature.
+    """The gain common to all axes is thermal.
 
     The whole reading is multiplied: the spacecraft's own field and the bias as well as the ambient field.
     """

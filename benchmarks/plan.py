@@ -1,11 +1,11 @@
-"""Does what `fluxtwin plan` says come true? Twelve pairs of names that a record confuses, told apart by flying the plan.
+"""Does what `fluxtwin plan` says come true? Twelve pairs of names that a record confuses, distinguished by flying the plan.
 
     python benchmarks/plan.py [--count N] [--seed SEED] [--quick] [--calibration] [--json FILE]
 
 For each pair, worlds are drawn until a record of an Earth-pointing spacecraft leaves open which of the two it is. The plan
 is made of that record; it is flown by the spacecraft with the cause in it, and what comes out is diagnosed. So is a
-manoeuvre that is drawn at random, of the same length. Printed: how often the right name is told from the other, with the
-interval of 90 % (Clopper & Pearson), the power that was predicted, and the processor seconds that a plan took.
+manoeuvre that is drawn at random, of the same length. Printed: how often the right name is distinguished from the other,
+with the interval of 90 % (Clopper & Pearson), the power that was predicted, and the processor seconds that a plan took.
 """
 
 # ruff: noqa: E402  (the thread counts must be set before numpy is loaded)
@@ -60,12 +60,12 @@ class Case:
     plan: str
     hours: float
     predicted: float
-    told: bool
+    right: bool
     alone: bool
     answer: str
     random: str
     random_predicted: float
-    random_told: bool
+    random_right: bool
     random_alone: bool
     seconds: float
     tries: int
@@ -83,7 +83,7 @@ def named(found: Diagnosis) -> tuple[str, tuple[str, ...]]:
     return found.effects[0].name, tuple(found.effects[0].group)
 
 
-def told(found: Diagnosis, truth: str, other: str) -> bool:
+def right(found: Diagnosis, truth: str, other: str) -> bool:
     """Whether the right name comes first and the other is not in its group."""
     name, group = named(found)
     return name == truth and other not in group
@@ -103,7 +103,7 @@ def case(pair: tuple[str, str], number: int, seed: int) -> Case | None:
         before = fluxtwin.diagnose(record, scenario=plain)
         first, group = named(before)
         if not {*group} & {*pair} or (first == truth and other not in group):
-            continue  # nothing seen, something else, or told apart already
+            continue  # nothing seen, something else, or distinguished already
         began = time.process_time()
         try:
             found = fluxtwin.plan(before, scenario=plain, names=pair)
@@ -128,9 +128,9 @@ def case(pair: tuple[str, str], number: int, seed: int) -> Case | None:
         chance = there.distinguishing(real, pair, there.problem.rows)
         by_chance = fluxtwin.diagnose(wandering, scenario=plain)
         return Case(
-            pair, truth, str(group), best.words, best.hours, predicted, told(after, truth, other),
+            pair, truth, str(group), best.words, best.hours, predicted, right(after, truth, other),
             named(after)[1] == (truth,), f"{after.verdict} {named(after)}", drawn.words, chance,
-            told(by_chance, truth, other), named(by_chance)[1] == (truth,), seconds, attempt + 1,
+            right(by_chance, truth, other), named(by_chance)[1] == (truth,), seconds, attempt + 1,
         )  # fmt: skip
     return None
 
@@ -152,15 +152,15 @@ def show(cases: Sequence[Case], counted: int) -> None:
             continue
         mean = [
             100 * float(np.mean([getattr(one, key) for one in own]))
-            for key in ("compared", "predicted", "random_told", "random_predicted")
+            for key in ("right", "predicted", "random_right", "random_predicted")
         ]
         hours = float(np.mean([one.hours for one in own]))
         shares = f"{mean[0]:>4.0f}% {mean[1]:>8.0f}% {mean[2]:>5.0f}% {mean[3]:>8.0f}%"
         print(f"{' / '.join(pair):<48} {len(own):>6} {shares} {hours:>5.1f}")
     n = len(cases)
     for words, key, said in (
-        ("plan flown", "compared", "predicted"),
-        ("random manoeuvre", "random_told", "random_predicted"),
+        ("plan flown", "right", "predicted"),
+        ("random manoeuvre", "random_right", "random_predicted"),
     ):
         right = sum(getattr(one, key) for one in cases)
         power = 100 * float(np.mean([getattr(one, said) for one in cases]))
@@ -240,7 +240,7 @@ def main() -> int:
                 cases.append(found)
                 print(
                     f"{found.truth:<24} {found.record:<50} -> {found.plan} {found.hours:.2f} h: {found.answer} "
-                    f"predicted {found.predicted:.2f}; random {found.random}: {found.random_told} "
+                    f"predicted {found.predicted:.2f}; random {found.random}: {found.random_right} "
                     f"{found.random_predicted:.2f}; {found.seconds:.1f} s, try {found.tries}",
                     file=sys.stderr,
                     flush=True,

@@ -42,11 +42,11 @@ def page(cases: Sequence[Judged], void: int, run: dict[str, Any]) -> str:
         _HEAD,
         f"This run: {made}. {len(cases)} records: {told}.{missing} A row is met when the point estimate reaches it; "
         f"the interval is Wilson's, 95 %; a row that is `compared` has no reach. {_contents(cases)}",
-        score.table(score.rows_of(cases)),
+        score.table([row for row in score.rows_of(cases) if row["of"]]),
         "## What was said of each effect",
         f"![Confusion matrix](images/{FIGURE})",
-        "Singles, new ones, other shapes and torques. Each row is a truth, each column what came first in the answer, in "
-        "percent of the row; a name whose group holds the truth counts as the truth.",
+        "Singles, new ones, other shapes and torques. Each row is a truth, each column what came first in the answer, as a "
+        "number of records; a name whose group holds the truth counts as the truth.",
         "## Stated probabilities",
         _reliability(cases),
         "## By regime",

@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
 
 def calibration_page(
-    fit: Fit, title: str, *, next_step: str, command: str, record: Telemetry | None = None, refused: bool = False
+    fit: Fit, title: str, *, next_step: str, record: Telemetry | None = None, refused: bool = False
 ) -> Page:
     """The page of one calibration.
 
-    next_step: with the names of the files; command: what repeats it; record: the readings that were fitted, all their rows,
-    None where only the residual can be shown; refused: no calibration file was made of it.
+    next_step: with the names of the files; record: the readings that were fitted, all their rows, None where only the
+    residual can be shown; refused: no calibration file was made of it.
     """
     verdict = fit.verdict
     lines = () if verdict is None else verdict.lines
@@ -53,7 +53,6 @@ def calibration_page(
             PageSection("How it was made", [f"{message}." for message in fit.messages]),
         ],
         provenance={key: value for key, value in _provenance(fit).items() if not (refused and "SHA-256" in key)},
-        command=command,
         downloads={name: sealed(text, "#", f"format {FORMAT}") for name, text in written.items()},
     )
 

@@ -97,7 +97,7 @@ def power_figure(flown: Campaign) -> Figure | None:
     return draw_power(series, title="How often an effect is named") if series else None
 
 
-def campaign_page(flown: Campaign, *, command: str) -> Page:
+def campaign_page(flown: Campaign) -> Page:
     """The page of one campaign."""
     summary = flown.summary
     said = sentences(summary)
@@ -116,6 +116,5 @@ def campaign_page(flown: Campaign, *, command: str) -> Page:
             ),
         ],
         next_step="what is missed at a size that matters needs longer records or other manoeuvres: try them here.",
-        command=command,
         provenance={"seed": str(summary["seed"]), "fingerprint of the plan": flown.plan.fingerprint},
     )

@@ -18,10 +18,9 @@ from fluxtwin.sim.telemetry.record import Telemetry
 
 
 def check_page(
-    found: CheckReport, path: Path, record: Telemetry | str, model: FieldModel, *, reading: str = "", command: str = ""
+    found: CheckReport, path: Path, record: Telemetry | str, model: FieldModel, *, reading: str = ""
 ) -> Page:
-    """The page of one check; record: what was read, or why it cannot be; reading: the options that read it; command: what
-    repeats it."""
+    """The page of one check; record: what was read, or why it cannot be; reading: the options that read it."""
     again = "mend what is named, in a column map where it is a convention, and check again."
     return Page(
         title=f"Is it what it says? {path.name}",
@@ -32,7 +31,6 @@ def check_page(
             PageSection("The readings beside the model", *_readings(record, model)),
         ],
         provenance={"source": found.source, "rows": str(found.samples), "field model": model.name},
-        command=command,
     )
 
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from fluxtwin.outputs import Kind
+    from fluxtwin.scenarios.page import Table
 
 _QUIET_SECONDS = 1.0  # shorter work shows no progress at all
 GIVEN: list[str] = []
@@ -160,6 +161,16 @@ class Output:
         if note:
             console.print(Text(clean(note) if whole else wrapped(clean(note), 120)), soft_wrap=not whole)
         console.print()
+
+    def tables(self, tables: Iterable[Table]) -> None:
+        """Each table of a page's kind."""
+        for one in tables:
+            self.table(one.title, one.columns, one.rows, one.note)
+
+    def files(self, written: Iterable[Path | str], lead: str = "  ") -> None:
+        """A line for each file that was written."""
+        for path in written:
+            self.say(f"{lead}{path}")
 
     def result(self, record: Mapping[str, Any]) -> None:
         """The machine-readable result, where `--json` asked for it; a number that is none becomes null."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
@@ -34,44 +34,72 @@ from fluxtwin.sim.scenario.effect_sections import active_effects
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import Readable, Reading
-from fluxtwin.verbs import as_record, with_reading
+from fluxtwin.verbs import F, as_record, reading_of, with_keywords, with_reading
 
-_ERRORS = ("noise_nT", "lsb_nT", "attitude_sigma_deg", "attitude_tau_s")
-"""What may be declared of the errors."""
-_MOST_DECLARED = {"--noise-nT": 1e6, "--lsb-nT": 1e6, "--attitude-sigma-deg": 180.0, "--attitude-tau-s": 1e9}
-"""Ten times the Earth's field, half a turn, thirty years: beyond, nothing is said of the errors."""
+_MOST = {"noise_nT": 1e6, "lsb_nT": 1e6, "attitude_sigma_deg": 180.0, "attitude_tau_s": 1e9}
+"""What may be declared of the errors: up to ten times the Earth's field, half a turn, thirty years; beyond, nothing is said
+of them."""
+
+
+class Assumed(TypedDict, total=False):
+    """What is known of errors and field: the keywords that every verb takes which diagnoses."""
+
+    noise_nT: float | None
+    lsb_nT: float | None
+    attitude_sigma_deg: float | None
+    attitude_tau_s: float | None
+    field: str | None
+    degree: int | None
+
+
+class AssumedAndReading(Assumed, Reading, total=False):
+    """The same, and how telemetry is read."""
+
+
+_ASSUMED = """\
+noise_nT, lsb_nT: noise of a reading per axis, 1 sigma, and its step [nT].
+attitude_sigma_deg: error of the reference attitude per axis, 1 sigma [deg].
+attitude_tau_s: its time constant [s]; 0 for white.
+field, degree: the field model (igrf14, igrf1975, chaos:FILE), and the highest degree of it that is used."""
+
+
+def with_assumed(verb: F) -> F:
+    """The verb with the keywords of `Assumed`."""
+    return with_keywords(verb, Declared, _ASSUMED)
+
+
+def declared_in(options: Mapping[str, Any]) -> Declared:
+    """What is declared among the options. Raises BadInput for an error that cannot be, TypeError for another option."""
+    declared = Declared(**options)
+    for name, most in _MOST.items():
+        value = getattr(declared, name)
+        if value is not None and not 0 <= value <= most:
+            where = f"--{name.replace('_', '-')}"
+            raise BadInput(f"{value:g}", where=where, wanted=f"a number from 0 to {most:g}")
+    return declared
 
 
 @on_one_blas_thread
 @with_reading
+@with_assumed
 def diagnose(
     telemetry: Readable,
     *,
     scenario: Scenario | Path | str | None = None,
     modelled: Sequence[str] = DEFAULT_MODELLED,
-    noise_nT: float | None = None,
-    lsb_nT: float | None = None,
-    attitude_sigma_deg: float | None = None,
-    attitude_tau_s: float | None = None,
-    field: str | None = None,
-    degree: int | None = None,
     progress: Progress = silent,
-    **reading: Unpack[Reading],
+    **options: Unpack[AssumedAndReading],
 ) -> Diagnosis:
     """Where the gap between a record and its simulation lies, which effect causes it, how far it shrinks.
 
     scenario: gives field model, starting S, b, T, the noise budget and effects that are applied as they are.
     modelled: names of the effects that are estimated anew in every test.
-    noise_nT, lsb_nT: noise of a reading per axis, 1 sigma, and its step [nT].
-    attitude_sigma_deg: error of the reference attitude per axis, 1 sigma [deg].
-    attitude_tau_s: its time constant [s]; 0 for white.
-    field, degree: the field model (igrf14, igrf1975, chaos:FILE), and the highest degree of it that is used.
 
-    A number given here overrides the scenario's; what neither gives is found in the data. Raises BadInput and NoAnswer
+    A number given below overrides the scenario's; what neither gives is found in the data. Raises BadInput and NoAnswer
     with one message each.
     """
-    declared = Declared(noise_nT, lsb_nT, attitude_sigma_deg, attitude_tau_s)
-    check_numbers(declared)
+    given = dict(options)
+    reading, declared = reading_of(given), declared_in(given)
     modelled = tuple(dict.fromkeys(modelled))
     for name in modelled:
         find_effect(name, where="--modelled")
@@ -80,8 +108,10 @@ def diagnose(
     if config is not None:
         record = _with_scenario(record, config)
     _require_something(record)
-    model_name = field or (config.field.model if config is not None else "igrf14")
-    model = load_field(model_name, _degree(degree, None if field is not None else config))
+    model_name, degree = declared.field or "igrf14", declared.degree
+    if config is not None and declared.field is None:
+        model_name, degree = config.field.model, config.field.degree if degree is None else degree
+    model = load_field(model_name, degree)
     known = () if config is None else frozen(config)
     budget = budget_of(config, known, declared)
     found = investigate_record(
@@ -140,19 +170,6 @@ def close(
     return replace(diagnosis, transfers=transfers), made
 
 
-def check_numbers(declared: Declared) -> None:
-    """Raises BadInput for a declared error that cannot be."""
-    for name, (flag, most) in zip(_ERRORS, _MOST_DECLARED.items(), strict=True):
-        value = getattr(declared, name)
-        if value is not None and not 0 <= value <= most:
-            raise BadInput(f"{value:g}", where=flag, wanted=f"a number from 0 to {most:g}")
-
-
-def _degree(degree: int | None, config: Scenario | None) -> int | None:
-    """As given, else the scenario's."""
-    return degree if degree is not None or config is None else config.field.degree
-
-
 def _require_something(record: Telemetry) -> None:
     """Raises NoAnswer for a record without readings, BadInput for one without position."""
     if not record.has_reading.any():
@@ -184,7 +201,7 @@ def budget_of(config: Scenario | None, frozen: tuple[Active, ...], declared: Dec
         if declared.attitude_sigma_deg is None and reference.source == "error_model":
             stated |= {"attitude_sigma_deg": reference.sigma_deg, "attitude_tau_s": reference.tau_s}
         known = replace(declared, **{name: value for name, value in stated.items() if getattr(declared, name) is None})
-    sources = {} if config is None else {name: "scenario" for name in _ERRORS if getattr(declared, name) is None}
+    sources = {} if config is None else {name: "scenario" for name in _MOST if getattr(declared, name) is None}
     sigma_rad = None if known.attitude_sigma_deg is None else float(np.radians(known.attitude_sigma_deg))
     white = with_frozen_noise(frozen, known.noise_nT, known.lsb_nT)
     return Budget(*white, sigma_rad, known.attitude_tau_s, sources)

@@ -20,8 +20,8 @@ PLAN = "`fluxtwin plan` says what to fly to find out."
 _ALL_TESTED = "Every effect of the catalogue could be tested."
 
 
-def diagnosis_page(diagnosis: Diagnosis, title: str, *, record: Telemetry | None = None, command: str = "") -> Page:
-    """The page of one diagnosis; record: the telemetry that was diagnosed; command: what repeats it."""
+def diagnosis_page(diagnosis: Diagnosis, title: str, *, record: Telemetry | None = None) -> Page:
+    """The page of one diagnosis; record: the telemetry that was diagnosed."""
     tested_elsewhere = [transfer_table(diagnosis)] if diagnosis.transfers else []
     elsewhere = [PageSection("Where the closed scenario holds", [], tested_elsewhere)] if tested_elsewhere else []
     open_ = [untestable_table(diagnosis)] if diagnosis.untestable else []
@@ -41,7 +41,6 @@ def diagnosis_page(diagnosis: Diagnosis, title: str, *, record: Telemetry | None
             PageSection("What these data could show", [], could),
         ],
         provenance=_provenance(diagnosis),
-        command=command,
         downloads={"diagnosis.json": to_json(diagnosis.to_dict())},
     )
 

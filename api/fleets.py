@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
 from fluxtwin.calib.common.digits import measured, plain
+from fluxtwin.diagnosing import Assumed, diagnose, with_assumed
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED
 from fluxtwin.scenarios.page import Table
 from fluxtwin.sim.base.errors import BadInput
@@ -23,25 +24,21 @@ if TYPE_CHECKING:
     from fluxtwin.sim.scenario.scenario import Scenario
 
 
+@with_assumed
 def fleet(
     vehicles: Mapping[str, Readable],
     *,
     scenario: Scenario | Path | str | None = None,
     modelled: Sequence[str] = DEFAULT_MODELLED,
-    noise_nT: float | None = None,
-    lsb_nT: float | None = None,
-    attitude_sigma_deg: float | None = None,
-    attitude_tau_s: float | None = None,
-    field: str | None = None,
-    degree: int | None = None,
     jobs: int | None = None,
     scheduler: str | None = None,
     executor: Executor | None = None,
     progress: Progress = silent,
+    **assumed: Unpack[Assumed],
 ) -> Fleet:
     """Which effect is common to vehicles of one design, and which belongs to one.
 
-    vehicles: a record, or its file, by the name of the vehicle, three or more. scenario to degree: as for `diagnose`, the
+    vehicles: a record, or its file, by the name of the vehicle, three or more. scenario, modelled: as for `diagnose`, the
     same for all. jobs, scheduler, executor: who does the diagnoses, as for `ensemble`. Raises BadInput and NoAnswer as
     `diagnose` does.
     """
@@ -50,16 +47,7 @@ def fleet(
     if len(vehicles) < 3:
         wanted = "three or more: of two, neither is the odd one"
         raise BadInput(f"{len(vehicles)} vehicles", where="fleet", wanted=wanted)
-    options = {
-        "scenario": scenario,
-        "modelled": tuple(modelled),
-        "noise_nT": noise_nT,
-        "lsb_nT": lsb_nT,
-        "attitude_sigma_deg": attitude_sigma_deg,
-        "attitude_tau_s": attitude_tau_s,
-        "field": field,
-        "degree": degree,
-    }
+    options = {"scenario": scenario, "modelled": tuple(modelled), **assumed}
     found = diagnoses(vehicles, options, jobs=jobs, scheduler=scheduler, executor=executor, progress=progress)
     return together(list(found), list(found.values()))
 
@@ -87,8 +75,6 @@ def diagnoses(
 def one(number: int, record: Readable, options: Mapping[str, Any]) -> tuple[int, Diagnosis]:
     """The diagnosis of one vehicle, for a process anywhere; without the parts that only its own report needs."""
     from dataclasses import replace
-
-    from fluxtwin.diagnosing import diagnose
 
     return number, replace(diagnose(record, **options), series=None, closure=None)
 

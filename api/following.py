@@ -19,7 +19,7 @@ import numpy as np
 
 from fluxtwin.calib.common.apply import apply_calibration
 from fluxtwin.calib.common.records import Calibration
-from fluxtwin.diagnosing import Declared, budget_of, check_numbers, diagnose
+from fluxtwin.diagnosing import AssumedAndReading, budget_of, declared_in, diagnose, with_assumed
 from fluxtwin.gap.diagnose import new_rounding
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED
 from fluxtwin.gap.watch import FIRST_ROWS, FIRST_S, RUN, Changed, Watch, begin, enough
@@ -31,7 +31,7 @@ from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.telemetry.record import Telemetry, concatenate
 from fluxtwin.sim.telemetry.telemetry_files import Reading, is_path, read_telemetry
-from fluxtwin.verbs import as_calibration, with_reading
+from fluxtwin.verbs import as_calibration, reading_of, with_reading
 
 if TYPE_CHECKING:
     from fluxtwin.gap.records.diagnosis import Diagnosis
@@ -75,31 +75,26 @@ class Followed:
 
 @on_one_blas_thread
 @with_reading
+@with_assumed
 def follow(
     telemetry: Path | str | Iterable[Telemetry],
     *,
     calibration: Calibration | Path | str | None = None,
     modelled: Sequence[str] = DEFAULT_MODELLED,
-    noise_nT: float | None = None,
-    lsb_nT: float | None = None,
-    attitude_sigma_deg: float | None = None,
-    attitude_tau_s: float | None = None,
-    field: str | None = None,
-    degree: int | None = None,
     said: Callable[[str], None] = lambda line: None,
     progress: Progress = silent,
-    **reading: Unpack[Reading],
+    **options: Unpack[AssumedAndReading],
 ) -> Followed:
     """Watch rows as they come until something changes or the stream ends, and diagnose what was seen.
 
     telemetry: a CSV that grows (followed until the alarm), "-" for standard input, or records one after the other.
     calibration: one to be held against the readings from the first row on; without it the first orbit gives S and b.
-    noise_nT to degree, modelled: as for `diagnose`. said: takes a line for each hour of telemetry.
+    modelled: as for `diagnose`. said: takes a line for each hour of telemetry.
 
     The first 600 rows or more, and an orbit, give the noise. Raises BadInput and NoAnswer as `diagnose` does.
     """
-    declared = Declared(noise_nT, lsb_nT, attitude_sigma_deg, attitude_tau_s)
-    check_numbers(declared)
+    assumed = dict(options)
+    reading, declared = reading_of(assumed), declared_in(assumed)
     if reading.get("start") or reading.get("end") or reading.get("where"):
         raise BadInput("takes all rows as they come", where="--follow", wanted="no --from, --to or --where beside it")
     known = None if calibration is None else as_calibration(calibration)
@@ -112,7 +107,9 @@ def follow(
             blocks = iter(telemetry)
         rows = _Rows(_later(blocks))
         first, every = rows.to_begin_with()
-        watch = begin(first, load_field(field or "igrf14", degree), budget_of(None, (), declared), known)
+        watch = begin(
+            first, load_field(declared.field or "igrf14", declared.degree), budget_of(None, (), declared), known
+        )
         said(f"watching: {watch.noise.words}; {_manner(watch)}")
         hours = _Hours(watch, said)
         changed = None if known is None else hours.take(first)
@@ -126,8 +123,7 @@ def follow(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that it is of another time is what is asked
             whole = apply_calibration(whole, known, force=True)
-    numbers: Any = asdict(declared) | {"field": field, "degree": degree}
-    found = diagnose(whole, modelled=modelled, progress=progress, **numbers)
+    found = diagnose(whole, modelled=modelled, progress=progress, **asdict(declared))
     return Followed(changed, watch.rows, whole.time[-1], name, found, line)
 
 

@@ -2,42 +2,34 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from fluxtwin.gap.records.plan import CalibrationPlan, Course, Plan, Question, SigmaCourse
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 
 
-def plan_page(plan: Plan | CalibrationPlan, title: str, *, command: str = "") -> Page:
+def plan_page(plan: Plan | CalibrationPlan, title: str) -> Page:
     """The page of a plan: a figure for every question that has names to tell apart, and for the first."""
+    flown = PageSection("What to fly", [], [plan_table(plan)])
+    if isinstance(plan, CalibrationPlan):
+        from fluxtwin.plots.plan import draw_sigma
+
+        caption = "By the hours flown, once record and manoeuvre are calibrated together; dotted: half of today's."
+        sections = [replace(flown, figures=[FigureBlock("sigma", caption, draw_sigma(plan))])]
+    else:
+        first = [question for question in plan.questions if question.kind != "show"] or plan.questions[:1]
+        sections = [*(_section(question) for question in first if question.courses), flown]
     facts = {key: str(value) for key, value in plan.limits.items()}
     facts |= {"notes": "; ".join(plan.notes), **{f"not flown: {words}": why for words, why in plan.refused.items()}}
     next_step = (
         "--out PLAN.toml writes the first manoeuvre as a scenario. Fly it, and diagnose or calibrate what comes down."
     )
-    if isinstance(plan, CalibrationPlan):
-        from fluxtwin.plots.plan import draw_sigma
-
-        caption = "By the hours flown, once record and manoeuvre are calibrated together; dotted: half of today's."
-        block = FigureBlock("sigma", caption, draw_sigma(plan))
-        sections = [PageSection("What to fly", [], [plan_table(plan)], [block])]
-        return Page(
-            title=title,
-            verdict=plan.sentence,
-            sections=sections,
-            provenance=facts,
-            next_step=next_step if plan.scenario is not None else "",
-            command=command,
-        )
-    first = [question for question in plan.questions if question.kind != "show"] or plan.questions[:1]
     return Page(
         title=title,
         verdict=plan.sentence,
-        sections=[
-            *(_section(question) for question in first if question.courses),
-            PageSection("What to fly", [], [plan_table(plan)]),
-        ],
+        sections=sections,
         provenance=facts,
         next_step=next_step if plan.scenario is not None else "",
-        command=command,
     )
 
 

@@ -10,6 +10,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from fluxtwin import diagnosing
+from fluxtwin.diagnosing import AssumedAndReading, with_assumed
 from fluxtwin.gap.noise.whitening import NoiseModel
 from fluxtwin.gap.planning import questions
 from fluxtwin.gap.planning.choose import choose
@@ -36,7 +37,7 @@ from fluxtwin.sim.run.world import ephemeris
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import Readable, Reading
-from fluxtwin.verbs import as_record, with_reading
+from fluxtwin.verbs import as_record, reading_of, with_reading
 
 _MOST_ROWS = 1_200
 """Of a design: two orbits at ten seconds."""
@@ -53,6 +54,7 @@ _KEYS = {
 
 @on_one_blas_thread
 @with_reading
+@with_assumed
 def plan(
     telemetry: Readable | Diagnosis,
     *,
@@ -60,14 +62,8 @@ def plan(
     scenario: Scenario | Path | str | None = None,
     names: Sequence[str] = (),
     modelled: Sequence[str] = DEFAULT_MODELLED,
-    noise_nT: float | None = None,
-    lsb_nT: float | None = None,
-    attitude_sigma_deg: float | None = None,
-    attitude_tau_s: float | None = None,
-    field: str | None = None,
-    degree: int | None = None,
     progress: Progress = silent,
-    **reading: Unpack[Reading],
+    **options: Unpack[AssumedAndReading],
 ) -> Plan | CalibrationPlan:
     """What to fly next so that a diagnosis can tell what this one leaves open, with the power of each manoeuvre.
 
@@ -78,18 +74,20 @@ def plan(
     known worst, by the method that `fluxtwin.calibrate` chooses.
     Raises BadInput for limits that leave nothing to fly, NoAnswer where nothing is left open.
     """
+    assumed: Any = dict(options)
+    reading = reading_of(assumed)
+    field, degree = assumed.get("field"), assumed.get("degree")
     allowed = limits_of(limits)
     config = None if scenario is None else as_scenario(scenario)
     if tuple(names) == ("calibration",):
         from fluxtwin.planning_calibration import plan_calibration
 
         record = _record_of(telemetry, reading)
-        declared: dict[str, Any] = {"noise_nT": noise_nT, "lsb_nT": lsb_nT, "attitude_tau_s": attitude_tau_s}
-        declared["attitude_sigma_deg"] = attitude_sigma_deg
+        declared = {name: value for name in _KEYS if (value := assumed.get(name)) is not None}
         base = config if config is not None and config.orbit is not None else None
         if base is None:
-            base = base_of(diagnosing.diagnose(record, field=field, degree=degree, **declared).to_dict())
-            base = base.updated({_KEYS[name]: value for name, value in declared.items() if value is not None})
+            base = base_of(diagnosing.diagnose(record, **assumed).to_dict())
+            base = base.updated({_KEYS[name]: value for name, value in declared.items()})
         model = load_field(field or base.field.model, degree)
         return plan_calibration(record, base, allowed, model, declared, notes_of(config), progress)
     diagnosis: Diagnosis | None
@@ -102,13 +100,8 @@ def plan(
             as_record(telemetry, **reading),
             scenario=config,
             modelled=modelled,
-            noise_nT=noise_nT,
-            lsb_nT=lsb_nT,
-            attitude_sigma_deg=attitude_sigma_deg,
-            attitude_tau_s=attitude_tau_s,
-            field=field,
-            degree=degree,
             progress=lambda words, share: progress(words, 0.3 * share),
+            **assumed,
         )
         plain = diagnosis.to_dict()
     base = config if config is not None and config.orbit is not None else base_of(plain)
@@ -118,9 +111,8 @@ def plan(
     flown = [(design, where.flown(record, design.scenario)) for design, record in made.flown]
     closure = None if diagnosis is None else diagnosis.closure
     here = flown[0][1] if closure is None else Flown(closure.problem, closure.whitener.noise)
-    open_ = (
-        _about(names, plain, here, closure is not None) if names else questions.asked(plain, here, closure is not None)
-    )
+    recorded = closure is not None
+    open_ = _about(names, plain, here, recorded) if names else questions.asked(plain, here, recorded)
     if not open_:
         raise NoAnswer(
             "nothing is left open: every name is distinguished from the others and shown at its typical size"
@@ -134,13 +126,7 @@ def plan(
             parts = [choose(part, flown) for part in questions.by_pairs(question)]
             found[-1:] = [*parts, found[-1]]
     progress("done", 1.0)
-    return Plan(
-        sentence=sentence(found[0]),
-        questions=found,
-        limits=made.limits,
-        refused=made.refused,
-        notes=notes_of(config),
-    )
+    return Plan(sentence(found[0]), found, limits=made.limits, refused=made.refused, notes=notes_of(config))
 
 
 def sentence(question: Question) -> str:

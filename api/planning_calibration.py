@@ -37,7 +37,7 @@ def plan_calibration(
     base: Scenario,
     limits: LimitsSection,
     model: FieldModel,
-    declared: Mapping[str, float | None],
+    declared: Mapping[str, Any],
     notes: Sequence[str],
     progress: Progress,
 ) -> CalibrationPlan:
@@ -47,10 +47,9 @@ def plan_calibration(
     method of `calibrate` and with the errors that are declared, or that it finds. Raises NoAnswer as `calibrate` does,
     and where its method gives no sigmas.
     """
-    known_errors: dict[str, Any] = {name: value for name, value in declared.items() if value is not None}
 
     def fitted(*records: Telemetry) -> Fit:
-        return calibrate_by(list(records), model, **known_errors)
+        return calibrate_by(list(records), model, **declared)
 
     fit = fitted(record)
     worst = "" if fit.coverage is None else fit.coverage.worst

@@ -10,10 +10,13 @@ import base64
 import hashlib
 import io
 import json
+from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fluxtwin.console import clean, is_number, shown
+from fluxtwin.console import clean, command_line, is_number, shown
+from fluxtwin.sim.base.files import write_text
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -37,6 +40,11 @@ def render_report(page: Page) -> str:
     digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
     html: str = template.render(page=page, version=fluxtwin.__version__, style=style, script=script, digest=digest)
     return html
+
+
+def write_page(page: Page, path: Path, command: str | None = None) -> Path:
+    """Write the page as HTML, with what repeats it: `command`, else this call of the command line. Returns the path."""
+    return write_text(path, render_report(replace(page, command=command_line() if command is None else command)))
 
 
 def png_bytes(figure: Figure | bytes | TimeSeries) -> bytes:

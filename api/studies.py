@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import replace
 from pathlib import Path
 
 import fluxtwin
 from fluxtwin.outputs import JSON_MARK
-from fluxtwin.report import png_bytes, render_report
+from fluxtwin.report import png_bytes, write_page
 from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.scenarios.registry import STUDIES, find_study
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.files import writable_folder, write_bytes, write_json, write_text
+from fluxtwin.sim.base.files import writable_folder, write_bytes, write_json
 from fluxtwin.sim.base.progress import Progress, part_of, silent
 from fluxtwin.sim.base.seals import sealed_json
 
@@ -79,5 +78,5 @@ def _write(result: StudyResult, folder: Path, command: str) -> list[Path]:
         prefix = "" if stem == "report" else f"{stem}_"
         blocks = [block for section in page.sections for block in section.figures]
         written += [write_bytes(folder / f"{prefix}{block.name}.png", png_bytes(block.figure)) for block in blocks]
-        written.append(write_text(folder / f"{stem}.html", render_report(replace(page, command=command))))
+        written.append(write_page(page, folder / f"{stem}.html", command))
     return written

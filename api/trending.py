@@ -16,8 +16,7 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.earth.field_models import FieldModel
 from fluxtwin.sim.telemetry.record import Telemetry
-from fluxtwin.sim.telemetry.telemetry_files import Reading
-from fluxtwin.verbs import as_record, calibrate, with_reading
+from fluxtwin.verbs import as_record, calibrate, reading_of, with_reading
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,7 +46,7 @@ def trend(
     """
     from fluxtwin.calib.trend import trend as found
 
-    reading: Any = {name: options.pop(name) for name in Reading.__annotations__ if name in options}
+    reading = reading_of(options)
     known: list[Calibration] = []
     records: list[Telemetry] = []
     for one in [files] if isinstance(files, Calibration | Telemetry | Path | str) else files:
@@ -92,27 +91,14 @@ def trend_table(found: Trend) -> Table:
             one.kind
         ]
         size = "" if one.kind == "constant" else f"{measured(one.size, one.size_sigma)} {what}"
-        rows.append(
-            [
-                one.name,
-                measured(one.mean, one.mean_sigma),
-                one.unit,
-                f"{one.q:.1f}",
-                chance(one.probability),
-                one.kind,
-                size,
-            ]
-        )
+        mean, probability = measured(one.mean, one.mean_sigma), chance(one.probability)
+        rows.append([one.name, mean, one.unit, f"{one.q:.1f}", probability, one.kind, size])
     note = (
         f"Q: Cochran's, {len(found.time) - 1} degrees of freedom; probability of so large a Q if nothing changed. A history "
         "other than constant is corrected for all that were tried, at 1 % for all parameters together."
     )
-    return Table(
-        "parameters over the calibrations",
-        ["parameter", "mean", "unit", "Q", "probability", "history", "size"],
-        rows,
-        note,
-    )
+    columns = ["parameter", "mean", "unit", "Q", "probability", "history", "size"]
+    return Table("parameters over the calibrations", columns, rows, note)
 
 
 def trend_figure(found: Trend) -> Figure:
@@ -135,7 +121,7 @@ def trend_figure(found: Trend) -> Figure:
     return draw_calibration_trend(found.time, series, title="Parameters over the calibrations; bars are 1 sigma")
 
 
-def trend_page(found: Trend, *, command: str) -> Page:
+def trend_page(found: Trend) -> Page:
     """The page of one trend."""
     caption = "Values with 1 sigma; the line is what each parameter is taken to have done, in colour where it changed."
     return Page(
@@ -148,5 +134,4 @@ def trend_page(found: Trend, *, command: str) -> Page:
             PageSection("What it means", list(found.lines[1:])),
             PageSection("Parameters", [], [trend_table(found)], [FigureBlock("trend", caption, trend_figure(found))]),
         ],
-        command=command,
     )

@@ -52,15 +52,30 @@ def as_record(telemetry: Readable, **reading: Unpack[Reading]) -> Telemetry:
     return part.with_magnetometer(reading.get("magnetometer", telemetry.magnetometer))
 
 
-def with_reading(verb: F) -> F:
-    """The verb, whose `**` keywords are (also) those of `read_telemetry`: its signature and its docstring name them."""
-    own, reading = inspect.signature(verb), inspect.signature(read_telemetry)
+def with_keywords(verb: F, of: Callable[..., Any], said: str) -> F:
+    """The verb, whose `**` keywords are (also) the keywords `of` another: its signature and its docstring name them.
+
+    said: the words for the docstring, in which {names} stands for the names.
+    """
+    own = inspect.signature(verb)
     kept = [one for one in own.parameters.values() if one.kind is not one.VAR_KEYWORD]
-    added = [one for one in reading.parameters.values() if one.kind is one.KEYWORD_ONLY]
+    taken = [one for one in inspect.signature(of).parameters.values() if one.default is not one.empty]
+    added = [one.replace(kind=one.KEYWORD_ONLY) for one in taken]
     verb.__signature__ = own.replace(parameters=[*kept, *added])  # type: ignore[attr-defined]
     names = ", ".join(one.name for one in added)
-    verb.__doc__ = f"{inspect.cleandoc(verb.__doc__ or '')}\n\n{names}: as in `fluxtwin.read`.\n"
+    verb.__doc__ = f"{inspect.cleandoc(verb.__doc__ or '')}\n\n{said.format(names=names)}\n"
     return verb
+
+
+def with_reading(verb: F) -> F:
+    """The verb with the keywords of `read_telemetry`."""
+    return with_keywords(verb, read_telemetry, "{names}: as in `fluxtwin.read`.")
+
+
+def reading_of(options: dict[str, Any]) -> Reading:
+    """Those of the options that say how telemetry is read, taken out of them."""
+    reading: Any = {name: options.pop(name) for name in Reading.__annotations__ if name in options}
+    return reading  # type: ignore[no-any-return]
 
 
 def as_calibration(calibration: Calibration | Path | str) -> Calibration:
@@ -123,7 +138,7 @@ def calibrate(
         if isinstance(telemetry, Sequence | Iterator) and not isinstance(telemetry, str)
         else [telemetry]
     )
-    reading: Any = {name: options.pop(name) for name in Reading.__annotations__ if name in options}
+    reading = reading_of(options)
     records = [as_record(one, **reading) for one in given]
     if onboard is not None:
         from fluxtwin.flight_software import calibrate_undone

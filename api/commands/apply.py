@@ -18,7 +18,7 @@ BRIEF = "Correct telemetry with a calibration file."
 def command(
     output: Output,
     telemetry: TelemetryArgument,
-    calibration: Annotated[Path, typer.Option("--calibration", metavar="FILE.toml", help="Calibration file.")],
+    calibration: Annotated[Path, typer.Option(metavar="FILE.toml", help="Calibration file.")],
     out: of.OutOption,
     reading: of.Reading = of.READING,
 ) -> None:

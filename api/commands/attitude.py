@@ -24,9 +24,7 @@ def command(
     output: Output,
     telemetry: TelemetryArgument,
     calibration: of.CalibrationOption = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE.csv", help="Write attitude and sigma row by row.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Write attitude and sigma row by row.")] = None,
     noise_nt: Annotated[
         float | None,
         typer.Option(
@@ -38,10 +36,7 @@ def command(
     attitude_sigma_deg: of.AttitudeSigmaOption = None,
     attitude_tau_s: of.AttitudeTauOption = None,
     sun_sigma_deg: Annotated[
-        float | None,
-        typer.Option(
-            "--sun-sigma-deg", metavar="DEG", help="White noise of the sun vector, 1 sigma [deg]; else found."
-        ),
+        float | None, typer.Option(metavar="DEG", help="White noise of the sun vector, 1 sigma [deg]; else found.")
     ] = None,
     field: of.FieldOption = "igrf14",
     degree: of.DegreeOption = None,
@@ -91,8 +86,7 @@ def _print(
     )
     for reason, count in found.left_out.items():
         output.say(f"- {count} rows left out: {reason}")
-    if out is not None:
-        output.say(f"  {out}")
+    output.files([] if out is None else [out])
 
 
 def _next_step(found: AttitudeSolution, telemetry: Path, calibration: Path | None, out: Path | None) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -28,29 +28,38 @@ NAME = "calibrate"
 BRIEF = "Bias, matrix and torquer coupling from telemetry, with attitude or without."
 
 
+class _Made(NamedTuple):
+    """The fit of one magnetometer, and what becomes of it."""
+
+    fit: Fit
+    out: Path | None
+    figure: Kind
+    next_step: str
+    refused: bool
+    """It is no calibration of a magnetometer, and --force is not given."""
+
+
 def command(
     output: Output,
     telemetry: Annotated[
         list[Path],
         typer.Argument(metavar="TELEMETRY", help="One file or several; they are calibrated together."),
     ],
-    out: Annotated[Path | None, typer.Option("--out", metavar="FILE.toml", help="Write the calibration file.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE.toml", help="Write the calibration file.")] = None,
     unseen: Annotated[
         list[Path] | None,
-        typer.Option("--unseen", metavar="FILE", help="Also predict this telemetry, which is not fitted; repeatable."),
+        typer.Option(metavar="FILE", help="Also predict this telemetry, which is not fitted; repeatable."),
     ] = None,
     onboard: Annotated[
         Path | None,
-        typer.Option(
-            "--onboard", metavar="FILE", help="What was applied on board (see export): undone before the fit."
-        ),
+        typer.Option(metavar="FILE", help="What was applied on board (see export): undone before the fit."),
     ] = None,
     both: Annotated[
         bool,
         typer.Option("--both", help="Calibrate the second magnetometer too, and say what the residuals share."),
     ] = False,
     figures: Annotated[
-        Path | None, typer.Option("--figures", metavar="DIR", help="Write the figures of the residuals here.")
+        Path | None, typer.Option(metavar="DIR", help="Write the figures of the residuals here.")
     ] = None,
     html: of.HtmlOption = None,
     field: of.FieldOption = "igrf14",
@@ -66,10 +75,15 @@ def command(
     with output.progress(f"reading {telemetry[0]}") as progress:
         from fluxtwin import outputs, verbs
         from fluxtwin.calib.common.onboard import for_record
+        from fluxtwin.calib.common.pair import compare
+        from fluxtwin.sim.base.errors import BadInput
         from fluxtwin.sim.base.workers import answers
 
         methods.require(options["method"], options)
-        also = _beside(out) if both else None
+        if both and onboard is not None:
+            wanted = "--magnetometer 2 in place of --both"
+            raise BadInput("was applied to one magnetometer", where="--onboard", wanted=wanted)
+        also = out.with_name(f"{out.stem}-2{out.suffix}") if both and out is not None else None
         targets = {
             "--out": (out, outputs.CALIBRATION),
             "--both": (also, outputs.CALIBRATION),
@@ -82,50 +96,48 @@ def command(
         records = [read(path, output, reading, one_of_many=many) for path in telemetry]
         progress("calibrating", 0.5)
         asked = {**options, "field": field, "degree": degree}
-        [fit] = answers(partial(verbs.calibrate, onboard=onboard, **asked), [(records,)], jobs=1, scheduler=scheduler)
-        second = _second(records, fit, onboard, asked) if both else None
+        fits = list(
+            answers(partial(verbs.calibrate, onboard=onboard, **asked), [(records,)], jobs=1, scheduler=scheduler)
+        )
+        if both:
+            fits.append(verbs.calibrate([one.with_magnetometer(3 - one.magnetometer) for one in records], **asked))
+        pair = compare(*fits) if both else None
         predicted = {}
         for path in unseen or []:
             record = read(path, output, reading, one_of_many=many)
-            predicted[str(path)] = _predict(
-                fit, record, for_record(fit.calibration, record), verbs.as_model(field, degree)
-            )
-        impossible = _is_impossible(fit)
-        refused = impossible and not output.force
-        second_impossible = second is not None and _is_impossible(second[0])
-        second_refused = second_impossible and not output.force
-        written = [] if out is None or refused else [fit.calibration.to_toml(out)]
-        if second is not None and also is not None and not second_refused:
-            written.append(second[0].calibration.to_toml(also))
+            known = for_record(fits[0].calibration, record)
+            predicted[str(path)] = _predict(fits[0], record, known, verbs.as_model(field, degree))
+        again, made = {**asked, "onboard": onboard}, []
+        for fit, to, figure in zip(fits, (out, also), (outputs.RESIDUALS, outputs.SECOND_RESIDUALS), strict=False):
+            how = reading._replace(magnetometer=fit.calibration.magnetometer)
+            step = _next_step(fit, telemetry, to, how, again)
+            made.append(_Made(fit, to, figure, step, _is_impossible(fit) and not output.force))
+        written = [one.fit.calibration.to_toml(one.out) for one in made if one.out is not None and not one.refused]
         if figures is not None or html is not None:
             progress("drawing", 0.9)
-        next_step = _next_step(fit, telemetry, out, reading, {**asked, "onboard": onboard})
-        second_step = "" if second is None else _next_step(second[0], telemetry, also, _of_other(reading), asked)
         if figures is not None:
-            written += _draw(fit, figures, outputs.RESIDUALS)
-            written += [] if second is None else _draw(second[0], figures, outputs.SECOND_RESIDUALS)
+            written += [_draw(one, figures) for one in made]
         if html is not None:
-            page = _page(fit, telemetry, next_step, records, refused=refused)
-            if second is not None:
-                other = _page(second[0], telemetry, second_step, records, refused=second_refused)
-                page = _of_pair(page, other, second[1])
-            written.append(_write(page, html))
-    _print(output, fit, next_step)
-    if second is not None:
-        _print_second(output, *second, second_step)
+            written.append(_write_page([_page(one, telemetry, records) for one in made], pair, html))
+    for one in made:
+        _print(output, one, first=one is made[0])
+    if pair is not None:
+        output.say()
+        output.prose(_shared(pair))
     for name, statistics in predicted.items():
         rms = statistics.component_rms_nT
         what = "per component" if statistics.rms_nT.size == 3 else "in |B|"
         output.say(f"unseen {name}: {statistics.samples} samples, residual {rms:.1f} nT {what}")
-    for file, without in ((out, refused), (also, second_refused)):
-        if without and file is not None:
-            output.say(f"{file} is not written: this is no calibration of a magnetometer (--force writes it)")
-    for path in written:
-        output.say(f"  {path}")
+    for one in made:
+        if one.refused and one.out is not None:
+            output.say(f"{one.out} is not written: this is no calibration of a magnetometer (--force writes it)")
+    output.files(written)
     record_of_unseen = {name: statistics.to_dict() for name, statistics in predicted.items()}
-    beside = {} if second is None else {"second": _as_json(second[0]), "pair": second[1].to_dict()}
-    output.result({**_as_json(fit), **beside, "unseen": record_of_unseen, "written": [str(path) for path in written]})
-    if impossible or second_impossible:
+    beside = {} if pair is None else {"second": _as_json(fits[1]), "pair": pair.to_dict()}
+    output.result(
+        {**_as_json(fits[0]), **beside, "unseen": record_of_unseen, "written": [str(path) for path in written]}
+    )
+    if any(map(_is_impossible, fits)):
         raise typer.Exit(1)
 
 
@@ -133,43 +145,11 @@ def _is_impossible(fit: Fit) -> bool:
     return fit.verdict is not None and fit.verdict.impossible
 
 
-def _beside(out: Path | None) -> Path | None:
-    """Where the calibration of the second magnetometer goes: `mine-2.toml` beside `mine.toml`."""
-    return None if out is None else out.with_name(f"{out.stem}-2{out.suffix}")
-
-
-def _second(records: list[Telemetry], first: Fit, onboard: Path | None, how: dict[str, Any]) -> tuple[Fit, Pair]:
-    """The fit of the second magnetometer, done as the first, and what the two share."""
-    from fluxtwin import verbs
-    from fluxtwin.calib.common.pair import compare
-    from fluxtwin.sim.base.errors import BadInput
-
-    if onboard is not None:
-        raise BadInput(
-            "was applied to one magnetometer", where="--onboard", wanted="--magnetometer 2 in place of --both"
-        )
-    fit = verbs.calibrate([record.with_magnetometer(3 - record.magnetometer) for record in records], **how)
-    return fit, compare(first, fit)
-
-
-def _print_second(output: Output, fit: Fit, pair: Pair, next_step: str) -> None:
-    output.say()
-    output.say(f"Magnetometer {fit.calibration.magnetometer}")
-    _print(output, fit, next_step)
-    output.say()
-    output.prose(_shared(pair))
-
-
 def _shared(pair: Pair) -> str:
     return (
         f"Both at {pair.samples} common instants: {pair.shared_nT:.1f} nT per component are shared (field model, reference "
         f"attitude), {pair.own_nT[0]:.1f} and {pair.own_nT[1]:.1f} nT are each one's own (noise, interference)."
     )
-
-
-def _of_other(reading: of.Reading) -> of.Reading:
-    """The same rows, of the other magnetometer."""
-    return reading._replace(magnetometer=3 - reading.magnetometer)
 
 
 def _predict(fit: Fit, record: Telemetry, known: Calibration, model: FieldModel) -> ResidualStatistics:
@@ -221,24 +201,20 @@ def _next_step(fit: Fit, telemetry: list[Path], out: Path | None, reading: of.Re
     return words.replace("TELEMETRY", named).replace("CALIBRATION.toml", known).replace("CORRECTED", corrected)
 
 
-def _of(fit: Fit) -> str:
-    """What a residual is of."""
-    return "per component" if fit.residuals_nT.shape[1] == 3 else "in |B|"
-
-
-def _print(output: Output, fit: Fit, next_step: str) -> None:
+def _print(output: Output, made: _Made, *, first: bool) -> None:
     from fluxtwin import calibration_page
 
-    known = fit.calibration
+    fit, known = made.fit, made.fit.calibration
+    if not first:
+        output.say(f"\nMagnetometer {known.magnetometer}")
     if fit.verdict is not None:
         for line in fit.verdict.lines[:-1]:
             output.prose(line)
-        output.say(f"Next: {next_step}")
-        output.say()
+        output.say(f"Next: {made.next_step}\n")
     output.say(f"{known.method}; field {known.field_model}; {known.samples} samples")
-    for table in calibration_page.tables(fit):
-        output.table(table.title, table.columns, table.rows, table.note)
-    output.say(f"residual {known.sigma_nT:.1f} nT {_of(fit)}, 1 sigma; covariance: {known.covariance_kind}")
+    output.tables(calibration_page.tables(fit))
+    what = "per component" if fit.residuals_nT.shape[1] == 3 else "in |B|"
+    output.say(f"residual {known.sigma_nT:.1f} nT {what}, 1 sigma; covariance: {known.covariance_kind}")
     impossible = _is_impossible(fit)
     for line in () if fit.coverage is None or impossible else fit.coverage.lines:
         output.prose(line)
@@ -257,33 +233,26 @@ def _as_json(fit: Fit) -> dict[str, Any]:
     return {**calibration, "rows": content.pop("samples"), **content}
 
 
-def _draw(fit: Fit, folder: Path, kind: Kind) -> list[Path]:
+def _draw(made: _Made, folder: Path) -> Path:
     from fluxtwin.calibration_page import residual_series
     from fluxtwin.report import png_bytes
     from fluxtwin.sim.base.files import writable_folder, write_bytes
 
-    picture = png_bytes(residual_series(fit))
-    return [write_bytes(writable_folder(folder) / kind.inside, picture)]
+    picture = png_bytes(residual_series(made.fit))
+    return write_bytes(writable_folder(folder) / made.figure.inside, picture)
 
 
-def _page(fit: Fit, telemetry: list[Path], next_step: str, records: list[Telemetry], *, refused: bool) -> Page:
+def _page(made: _Made, telemetry: list[Path], records: list[Telemetry]) -> Page:
     from fluxtwin.calib.common.design import joined
     from fluxtwin.calibration_page import calibration_page
-    from fluxtwin.console import command_line
 
     title = f"Calibration: {', '.join(path.name for path in telemetry)}"
-    record = joined(records).with_magnetometer(fit.calibration.magnetometer)
-    return calibration_page(fit, title, next_step=next_step, command=command_line(), record=record, refused=refused)
+    record = joined(records).with_magnetometer(made.fit.calibration.magnetometer)
+    return calibration_page(made.fit, title, next_step=made.next_step, record=record, refused=made.refused)
 
 
-def _of_pair(first: Page, second: Page, pair: Pair) -> Page:
+def _write_page(pages: list[Page], pair: Pair | None, path: Path) -> Path:
     from fluxtwin.calibration_page import pair_page
+    from fluxtwin.report import write_page
 
-    return pair_page(first, second, _shared(pair))
-
-
-def _write(page: Page, path: Path) -> Path:
-    from fluxtwin.report import render_report
-    from fluxtwin.sim.base.files import write_text
-
-    return write_text(path, render_report(page))
+    return write_page(pages[0] if pair is None else pair_page(pages[0], pages[1], _shared(pair)), path)

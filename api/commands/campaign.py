@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from fluxtwin.commands import options as of
-from fluxtwin.console import Output, command_line
+from fluxtwin.console import Output
 
 NAME = "campaign"
 BRIEF = "Draw, simulate, calibrate, diagnose, many times: would you see it on your spacecraft?"
@@ -20,15 +20,11 @@ def command(
     scenario: Annotated[
         Path, typer.Argument(metavar="SCENARIO.toml", help="A scenario; its [draws] and [effects] say what is tried.")
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Folder of the results.")],
-    runs: Annotated[int, typer.Option("--runs", metavar="N", help="How many runs.")],
-    seed: Annotated[
-        int | None,
-        typer.Option("--seed", metavar="S", help="Seed of all that is random; the scenario's where not given."),
-    ] = None,
-    jobs: of.JobsOption = None,
-    scheduler: of.SchedulerOption = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with what lies in the folder.")] = False,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the results.")],
+    runs: Annotated[int, typer.Option(metavar="N", help="How many runs.")],
+    seed: of.SeedOption = None,
+    workers: of.Workers = of.WORKERS,
+    resume: of.ResumeOption = False,
 ) -> None:
     """Fly N runs with drawn parameters, calibrate and diagnose each as the ground would, and compare with the truth.
 
@@ -40,15 +36,13 @@ def command(
     try:
         with output.progress(f"reading {scenario}") as progress:
             from fluxtwin import campaign_page, campaigning
-            from fluxtwin.report import png_bytes, render_report
-            from fluxtwin.sim.base.files import write_bytes, write_text
+            from fluxtwin.report import png_bytes, write_page
+            from fluxtwin.sim.base.files import write_bytes
 
-            flown = campaigning.campaign(
-                scenario, runs, out, seed=seed, jobs=jobs, scheduler=scheduler, resume=resume, progress=progress
-            )
+            how = {**workers._asdict(), "resume": resume}
+            flown = campaigning.campaign(scenario, runs, out, seed=seed, progress=progress, **how)
             progress("drawing", 0.99)
-            page = campaign_page.campaign_page(flown, command=command_line())
-            write_text(out / "report.html", render_report(page))
+            write_page(campaign_page.campaign_page(flown), out / "report.html")
             figure = campaign_page.power_figure(flown)
             if figure is not None:
                 write_bytes(out / "power.png", png_bytes(figure))

@@ -9,7 +9,7 @@ import typer
 
 from fluxtwin.commands import options as of
 from fluxtwin.commands.reading import TelemetryArgument
-from fluxtwin.console import Output, command_line, manners
+from fluxtwin.console import Output, manners
 
 if TYPE_CHECKING:
     from fluxtwin.calib.checks.check import CheckReport
@@ -24,12 +24,10 @@ def command(
     output: Output,
     telemetry: TelemetryArgument,
     repair: Annotated[
-        Path | None,
-        typer.Option("--repair", metavar="OUT", help="Write the rows sorted by time, exact duplicates dropped."),
+        Path | None, typer.Option(metavar="OUT", help="Write the rows sorted by time, exact duplicates dropped.")
     ] = None,
     onboard: Annotated[
-        Path | None,
-        typer.Option("--onboard", metavar="FILE", help="A calibration on board: was it applied to these readings?"),
+        Path | None, typer.Option(metavar="FILE", help="A calibration on board: was it applied to these readings?")
     ] = None,
     html: of.HtmlOption = None,
     field: of.FieldOption = "igrf14",
@@ -74,25 +72,22 @@ def command(
     if mended is not None and after is not None:
         _print(output, f"{repair}: {after.samples} rows, repaired", after)
         record |= {"repair": mended.to_dict(), "repaired": after.to_dict(), "written": [str(repair)]}
-    if html is not None:
-        output.say(f"  {html}")
+    output.files([] if html is None else [html])
     output.result(record)
     raise typer.Exit(found.exit_status)
 
 
 def _draw(found: CheckReport, telemetry: Path, html: Path, model: FieldModel, reading: of.Reading) -> None:
     from fluxtwin.check_page import check_page
-    from fluxtwin.report import render_report
+    from fluxtwin.report import write_page
     from fluxtwin.sim.base.errors import FluxtwinError
-    from fluxtwin.sim.base.files import write_text
     from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
 
     try:
         record: Telemetry | str = read_telemetry(telemetry, **reading._asdict())
     except FluxtwinError as refusal:
         record = str(refusal)
-    page = check_page(found, telemetry, record, model, reading=reading.words, command=command_line())
-    write_text(html, render_report(page))
+    write_page(check_page(found, telemetry, record, model, reading=reading.words), html)
 
 
 def _print(output: Output, title: str, report: CheckReport) -> None:

@@ -9,7 +9,7 @@ import typer
 
 from fluxtwin.commands import options as of
 from fluxtwin.commands.reading import read
-from fluxtwin.console import Output, command_line
+from fluxtwin.console import Output
 
 if TYPE_CHECKING:
     from fluxtwin.gap.records.diagnosis import Diagnosis
@@ -30,23 +30,13 @@ def command(
     ],
     scenario: Annotated[
         Path | None,
-        typer.Option(
-            "--scenario", metavar="FILE.toml", help="Field, starting calibration, noise budget, frozen effects."
-        ),
+        typer.Option(metavar="FILE.toml", help="Field, starting calibration, noise budget, frozen effects."),
     ] = None,
-    modelled: Annotated[
-        str,
-        typer.Option("--modelled", metavar="NAMES", help="Effects re-estimated in every test, by commas; or none."),
-    ] = "bias,scale_misalignment",
-    noise_nt: of.NoiseOption = None,
-    lsb_nt: of.LsbOption = None,
-    attitude_sigma_deg: of.AttitudeSigmaOption = None,
-    attitude_tau_s: of.AttitudeTauOption = None,
-    field: of.ScenarioFieldOption = None,
-    degree: of.DegreeOption = None,
+    modelled: of.ModelledOption = of.MODELLED,
+    assumed: of.Assumed = of.ASSUMED,
     html: of.HtmlOption = None,
     close: Annotated[
-        Path | None, typer.Option("--close", metavar="OUT.toml", help="Write a scenario with the named effects in it.")
+        Path | None, typer.Option(metavar="OUT.toml", help="Write a scenario with the named effects in it.")
     ] = None,
     follow: Annotated[
         bool,
@@ -55,11 +45,9 @@ def command(
         ),
     ] = False,
     calibration: Annotated[
-        Path | None,
-        typer.Option("--calibration", metavar="FILE.toml", help="With --follow: does this calibration still hold?"),
+        Path | None, typer.Option(metavar="FILE.toml", help="With --follow: does this calibration still hold?")
     ] = None,
-    jobs: of.JobsOption = None,
-    scheduler: of.SchedulerOption = None,
+    workers: of.Workers = of.WORKERS,
     reading: of.Reading = of.READING,
 ) -> None:
     """Say where the gap between telemetry and simulation lies, which effect causes it and how far it shrinks.
@@ -70,23 +58,16 @@ def command(
     from fluxtwin import outputs
     from fluxtwin.sim.base.errors import BadInput
 
-    names = [] if modelled.strip() == "none" else [name.strip() for name in modelled.split(",") if name.strip()]
-    errors: dict[str, Any] = {
-        "noise_nT": noise_nt,
-        "lsb_nT": lsb_nt,
-        "attitude_sigma_deg": attitude_sigma_deg,
-        "attitude_tau_s": attitude_tau_s,
-    }
-    asked = {**errors, "modelled": names, "field": field, "degree": degree}
+    asked: dict[str, Any] = {**assumed._asdict(), "modelled": of.names_in(modelled)}
     given = [path for path in telemetry if not follow or str(path) != "-"]
     targets = {"--html": (html, outputs.PAGE), "--close": (close, outputs.SCENARIO)}
-    output.claim(targets, [*given, scenario, calibration, field, *reading.files])
-    _require_together(telemetry, follow, scenario, html, close, calibration, jobs, scheduler)
+    output.claim(targets, [*given, scenario, calibration, assumed.field, *reading.files])
+    _require_together(telemetry, follow, scenario, html, close, calibration, workers)
     if follow:
         _follow(output, telemetry[0], html, {**asked, "calibration": calibration}, reading)
         return
     if len(telemetry) > 1:
-        _several(output, telemetry, {**asked, "scenario": scenario}, {"jobs": jobs, "scheduler": scheduler}, reading)
+        _several(output, telemetry, {**asked, "scenario": scenario}, workers, reading)
         return
     with output.progress(f"reading {telemetry[0]}") as progress:
         from fluxtwin import diagnosing
@@ -99,7 +80,7 @@ def command(
         diagnosis = diagnosing.diagnose(record, scenario=scenario, progress=progress, **asked)
         scene = None
         if close is not None:
-            declared = diagnosing.Declared(**errors, field=field, degree=degree)
+            declared = diagnosing.Declared(*assumed)
             diagnosis, scene = diagnosing.close(
                 diagnosis, scenario=scenario, telemetry=telemetry[0], column_map=reading.column_map, declared=declared
             )
@@ -117,8 +98,7 @@ def _require_together(
     html: Path | None,
     close: Path | None,
     calibration: Path | None,
-    jobs: int | None,
-    scheduler: str | None,
+    workers: of.Workers,
 ) -> None:
     """Raises BadInput for options that do not go together."""
     from fluxtwin.sim.base.errors import BadInput
@@ -131,7 +111,7 @@ def _require_together(
     if len(telemetry) > 1 and (follow or html is not None or close is not None):
         wanted = "one file for --follow, --html and --close"
         raise BadInput(f"{len(telemetry)} files", where="TELEMETRY", wanted=wanted)
-    if len(telemetry) == 1 and (jobs is not None or scheduler is not None):
+    if len(telemetry) == 1 and workers != of.WORKERS:
         raise BadInput("one file is no work to share", where="--jobs, --scheduler", wanted="several files")
 
 
@@ -148,14 +128,14 @@ def _follow(output: Output, telemetry: Path, html: Path | None, asked: dict[str,
 
 
 def _several(
-    output: Output, telemetry: list[Path], asked: dict[str, Any], how: dict[str, Any], reading: of.Reading
+    output: Output, telemetry: list[Path], asked: dict[str, Any], workers: of.Workers, reading: of.Reading
 ) -> None:
     """Each file by itself, in processes here or on a cluster; a sentence each, all of them as JSON."""
     with output.progress(f"reading {telemetry[0]}") as progress:
         from fluxtwin import diagnosis_page, fleets
 
         records = {str(path): read(path, output, reading, one_of_many=True) for path in telemetry}
-        found = fleets.diagnoses(records, asked, progress=progress, **how)
+        found = fleets.diagnoses(records, asked, progress=progress, **workers._asdict())
     for name, diagnosis in found.items():
         for note in diagnosis.notes:
             output.note(f"note: {name}: {note}")
@@ -166,14 +146,11 @@ def _several(
 
 
 def _page(diagnosis: Diagnosis, telemetry: Path, html: Path | None, record: Telemetry | None = None) -> None:
-    from fluxtwin import diagnosis_page
-    from fluxtwin.report import render_report
-    from fluxtwin.sim.base.files import write_text
+    from fluxtwin.diagnosis_page import diagnosis_page
+    from fluxtwin.report import write_page
 
     if html is not None:
-        title = f"The gap: {telemetry.name}"
-        page = diagnosis_page.diagnosis_page(diagnosis, title, record=record, command=command_line())
-        write_text(html, render_report(page))
+        write_page(diagnosis_page(diagnosis, f"The gap: {telemetry.name}", record=record), html)
 
 
 def _say(output: Output, diagnosis: Diagnosis, html: Path | None, close: Path | None, *, closed: bool) -> None:
@@ -188,9 +165,5 @@ def _say(output: Output, diagnosis: Diagnosis, html: Path | None, close: Path | 
     for line in diagnosis_page.where_lines(diagnosis):
         output.prose(line)
     output.say()
-    for table in diagnosis_page.tables(diagnosis):
-        output.table(table.title, table.columns, table.rows, table.note)
-    if html is not None:
-        output.say(f"written: {html}")
-    if closed:
-        output.say(f"written: {close}")
+    output.tables(diagnosis_page.tables(diagnosis))
+    output.files([path for path in (html, close if closed else None) if path is not None], "written: ")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fluxtwin.commands import options as of
-from fluxtwin.console import Output, command_line
+from fluxtwin.console import Output
 
 if TYPE_CHECKING:
     from fluxtwin.scenarios.page import Table
@@ -28,22 +28,17 @@ def command(
         Path, typer.Argument(metavar="SCENARIO.toml", help="A scenario; its [draws] say what differs.")
     ],
     out: Annotated[
-        Path, typer.Option("--out", metavar="FOLDER", help="Folder of the results; with --extract, the FILE to write.")
+        Path, typer.Option(metavar="FOLDER", help="Folder of the results; with --extract, the FILE to write.")
     ],
-    vehicles: Annotated[int | None, typer.Option("--vehicles", metavar="N", help="How many vehicles.")] = None,
-    seed: Annotated[
-        int | None,
-        typer.Option("--seed", metavar="S", help="Seed of all that is random; the scenario's where not given."),
-    ] = None,
-    jobs: of.JobsOption = None,
-    scheduler: of.SchedulerOption = None,
+    vehicles: Annotated[int | None, typer.Option(metavar="N", help="How many vehicles.")] = None,
+    seed: of.SeedOption = None,
+    workers: of.Workers = of.WORKERS,
     chunk: Annotated[
-        int | None, typer.Option("--chunk", metavar="V", help="Vehicles held in memory and written at a time.")
+        int | None, typer.Option(metavar="V", help="Vehicles held in memory and written at a time.")
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with what lies in the folder.")] = False,
+    resume: of.ResumeOption = False,
     extract: Annotated[
-        int | None,
-        typer.Option("--extract", metavar="K", help="Fly nothing: write the scenario of vehicle K (from 0)."),
+        int | None, typer.Option(metavar="K", help="Fly nothing: write the scenario of vehicle K (from 0).")
     ] = None,
 ) -> None:
     """Fly N vehicles of a scenario, each with its own drawn parameters, and sum up their pointing, rates and torquers.
@@ -64,22 +59,12 @@ def command(
             from fluxtwin.scenarios.packaged import load_scenario
             from fluxtwin.sim.run.ensemble.run import fly_ensemble
 
-            plan = load_scenario(scenario)
-            flown = fly_ensemble(
-                plan,
-                vehicles,
-                out,
-                seed=seed,
-                jobs=jobs,
-                scheduler=scheduler,
-                in_chunk=chunk,
-                resume=resume,
-                progress=progress,
-            )
+            how = {**workers._asdict(), "in_chunk": chunk, "resume": resume, "progress": progress}
+            flown = fly_ensemble(load_scenario(scenario), vehicles, out, seed=seed, **how)
             drawn = _draw(flown)
     except KeyboardInterrupt:
         words = ["ensemble", scenario, "--vehicles", vehicles, "--out", out]
-        words += [] if scheduler is None else ["--scheduler", scheduler]
+        words += [] if workers.scheduler is None else ["--scheduler", workers.scheduler]
         _say_how_to_go_on(output, out, words, seed)
         raise
     _show(output, flown, drawn)
@@ -117,7 +102,7 @@ def _extract(output: Output, scenario: Path, out: Path, seed: int | None, vehicl
 
 def _draw(flown: Ensemble) -> list[Path]:
     """The page, and the picture of the envelope, where there is a pointing."""
-    from fluxtwin.report import png_bytes, render_report
+    from fluxtwin.report import png_bytes, write_page
     from fluxtwin.scenarios.page import FigureBlock, Page, PageSection
     from fluxtwin.sim.base import files
 
@@ -138,9 +123,8 @@ def _draw(flown: Ensemble) -> list[Path]:
         next_step="fluxtwin ensemble with --extract K writes the scenario of vehicle K, to fly the worst one alone.",
         sections=[PageSection("What came out", lost, [_table(flown)], blocks)],
         provenance={"seed": str(found["seed"]), "span": " to ".join(found["span"]), "samples": str(found["samples"])},
-        command=command_line(),
     )
-    return [*written, files.write_text(flown.folder / "report.html", render_report(page))]
+    return [*written, write_page(page, flown.folder / "report.html")]
 
 
 def _table(flown: Ensemble) -> Table:
@@ -154,8 +138,7 @@ def _table(flown: Ensemble) -> Table:
 
 def _show(output: Output, flown: Ensemble, drawn: list[Path]) -> None:
     found = flown.summary
-    table = _table(flown)
-    output.table(table.title, table.columns, table.rows)
+    output.tables([_table(flown)])
     for one in found["why_lost"][:3]:
         output.say(f"lost: vehicle {one['vehicle']}: {one['reason']}")
     if found["lost"]:

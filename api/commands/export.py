@@ -19,12 +19,10 @@ _SEEN_NT = 1e-6  # less is the arithmetic of this computer
 def command(
     output: Output,
     calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="Calibration file.")],
-    to: Annotated[
-        str, typer.Option("--to", metavar="TARGET", help="ardupilot, px4, gomspace, c-header, json or matlab.")
-    ],
+    to: Annotated[str, typer.Option(metavar="TARGET", help="ardupilot, px4, gomspace, c-header, json or matlab.")],
     out: of.OutOption,
     instance: Annotated[
-        int, typer.Option("--instance", metavar="N", min=1, help="Which of the software's magnetometers, from 1.")
+        int, typer.Option(metavar="N", min=1, help="Which of the software's magnetometers, from 1.")
     ] = 1,
 ) -> None:
     """Print the formula of the target with units, its numbers and the error that they add; write its file.

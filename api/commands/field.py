@@ -15,12 +15,10 @@ BRIEF = "The geomagnetic field at one place and time."
 
 def command(
     output: Output,
-    date: Annotated[
-        str, typer.Option("--date", metavar="UTC", help="ISO 8601, as 1978-07-24 or 1978-07-24T06:00:00Z.")
-    ],
-    lat: Annotated[float, typer.Option("--lat", metavar="DEG", help="Geodetic latitude (WGS 84) [deg].")],
-    lon: Annotated[float, typer.Option("--lon", metavar="DEG", help="East longitude [deg].")],
-    alt_km: Annotated[float, typer.Option("--alt-km", metavar="KM", help="Height above the ellipsoid [km].")] = 0.0,
+    date: Annotated[str, typer.Option(metavar="UTC", help="ISO 8601, as 1978-07-24 or 1978-07-24T06:00:00Z.")],
+    lat: Annotated[float, typer.Option(metavar="DEG", help="Geodetic latitude (WGS 84) [deg].")],
+    lon: Annotated[float, typer.Option(metavar="DEG", help="East longitude [deg].")],
+    alt_km: Annotated[float, typer.Option(metavar="KM", help="Height above the ellipsoid [km].")] = 0.0,
     field: of.FieldOption = "igrf14",
     degree: of.DegreeOption = None,
 ) -> None:

@@ -20,11 +20,10 @@ def command(
         typer.Argument(metavar="FILE...", help="Foreign files, of any kind that can be read, or a folder of them."),
     ] = None,
     preset: Annotated[
-        str | None,
-        typer.Option("--preset", metavar="NAME", help="The packaged map of that name, to be mended; or `list`."),
+        str | None, typer.Option(metavar="NAME", help="The packaged map of that name, to be mended; or `list`.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE.toml", help="Where to write the map; else it is printed.")
+        Path | None, typer.Option(metavar="FILE.toml", help="Where to write the map; else it is printed.")
     ] = None,
 ) -> None:
     """Guess what the columns are from their names and sizes; whatever was guessed is marked "to be confirmed".

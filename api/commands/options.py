@@ -27,75 +27,38 @@ def declared_option(name: str, option: declared.Option) -> Any:
     )
 
 
-NoiseOption: TypeAlias = Annotated[float | None, declared_option("noise_nT", declared.NOISE_NT)]
-LsbOption: TypeAlias = Annotated[float | None, declared_option("lsb_nT", declared.LSB_NT)]
 AttitudeSigmaOption: TypeAlias = Annotated[
     float | None, declared_option("attitude_sigma_deg", declared.ATTITUDE_SIGMA_DEG)
 ]
 AttitudeTauOption: TypeAlias = Annotated[float | None, declared_option("attitude_tau_s", declared.ATTITUDE_TAU_S)]
 CalibrationOption: TypeAlias = Annotated[
     Path | None,
-    typer.Option(
-        "--calibration", metavar="FILE.toml", help="Calibration file; not for telemetry that apply has corrected."
-    ),
-]
-JsonOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option("--json", metavar="FILE", help="Write the result as JSON; '-' is standard output."),
-]
-MapOption: TypeAlias = Annotated[
-    Path | None,
-    typer.Option("--map", metavar="FILE.toml", help="Column map: how a foreign file's columns are to be read."),
-]
-TleOption: TypeAlias = Annotated[
-    Path | None,
-    typer.Option(
-        "--tle",
-        metavar="FILE",
-        help="Two-line elements, or a CCSDS OEM, that give the position where the file has none.",
-    ),
-]
-AttitudeOption: TypeAlias = Annotated[
-    Path | None,
-    typer.Option("--attitude", metavar="FILE.aem", help="CCSDS AEM that gives the attitude where the file has none."),
+    typer.Option(metavar="FILE.toml", help="Calibration file; not for telemetry that apply has corrected."),
 ]
 FieldOption: TypeAlias = Annotated[
-    str, typer.Option("--field", metavar="MODEL", help="Field model: igrf14, igrf1975 or chaos:FILE.")
+    str, typer.Option(metavar="MODEL", help="Field model: igrf14, igrf1975 or chaos:FILE.")
 ]
 DegreeOption: TypeAlias = Annotated[
-    int | None,
-    typer.Option("--degree", metavar="N", help="Highest degree used; the model's own where not given."),
+    int | None, typer.Option(metavar="N", help="Highest degree used; the model's own where not given.")
 ]
 ScenarioFieldOption: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        "--field",
-        metavar="MODEL",
-        help="The field that acts, in place of the scenario's: igrf14, igrf1975 or chaos:FILE.",
+        metavar="MODEL", help="The field that acts, in place of the scenario's: igrf14, igrf1975 or chaos:FILE."
     ),
 ]
-HtmlOption: TypeAlias = Annotated[
-    Path | None, typer.Option("--html", metavar="FILE", help="Write the report as one page.")
-]
-JobsOption: TypeAlias = Annotated[
-    int | None, typer.Option("--jobs", metavar="J", help="Processes; all cores where not given.")
-]
+HtmlOption: TypeAlias = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the report as one page.")]
 SchedulerOption: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="A Dask scheduler whose workers do it, as tcp://host:8786; only on a network you trust.",
+        metavar="ADDRESS", help="A Dask scheduler whose workers do it, as tcp://host:8786; only on a network you trust."
     ),
 ]
-OutOption: TypeAlias = Annotated[Path, typer.Option("--out", metavar="FILE", help="File to write.")]
-ForceOption: TypeAlias = Annotated[
-    bool,
-    typer.Option(
-        "--force",
-        help="Write against a refusal that names --force, as of a file that fluxtwin did not write; never onto an input.",
-    ),
+OutOption: TypeAlias = Annotated[Path, typer.Option(metavar="FILE", help="File to write.")]
+SeedOption: TypeAlias = Annotated[
+    int | None, typer.Option(metavar="S", help="Seed of all that is random; the scenario's where not given.")
 ]
+ResumeOption: TypeAlias = Annotated[bool, typer.Option("--resume", help="Go on with what lies in the folder.")]
 QuietOption: TypeAlias = Annotated[
     bool, typer.Option("--quiet", "-q", help="Only the result and errors: no progress, no notes.")
 ]
@@ -104,17 +67,33 @@ VerboseOption: TypeAlias = Annotated[
 ]
 
 
+ModelledOption: TypeAlias = Annotated[
+    str,
+    typer.Option("--modelled", metavar="NAMES", help="Effects re-estimated in every test, by commas; or none."),
+]
+MODELLED = "bias,scale_misalignment"
+
+
 class Reading(NamedTuple):
     """How telemetry is read; a command with a parameter of this type takes an option for each field."""
 
-    column_map: MapOption = None
-    tle: TleOption = None
-    attitude: AttitudeOption = None
+    column_map: Annotated[
+        Path | None,
+        typer.Option("--map", metavar="FILE.toml", help="Column map: how a foreign file's columns are to be read."),
+    ] = None
+    tle: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Two-line elements, or a CCSDS OEM, that give the position where the file has none."
+        ),
+    ] = None
+    attitude: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.aem", help="CCSDS AEM that gives the attitude where the file has none."),
+    ] = None
     max_samples: Annotated[
         int | None,
-        typer.Option(
-            "--max-samples", metavar="N", min=1, help="Most rows that are read of a file; 5,000,000 where not given."
-        ),
+        typer.Option(metavar="N", min=1, help="Most rows that are read of a file; 5,000,000 where not given."),
     ] = None
     start: Annotated[
         str | None, typer.Option("--from", metavar="TIME", help="Only rows from this instant on (ISO 8601 UTC).")
@@ -122,13 +101,9 @@ class Reading(NamedTuple):
     end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="Only rows before this instant.")] = None
     where: Annotated[
         str | None,
-        typer.Option(
-            "--where", metavar="CONDITION", help="Only rows in which it holds, as 'sunlit == 1 and speed < 5'."
-        ),
+        typer.Option(metavar="CONDITION", help="Only rows in which it holds, as 'sunlit == 1 and speed < 5'."),
     ] = None
-    magnetometer: Annotated[
-        int, typer.Option("--magnetometer", metavar="N", min=1, max=2, help="1, or 2 for the readings mag2.")
-    ] = 1
+    magnetometer: Annotated[int, typer.Option(metavar="N", min=1, max=2, help="1, or 2 for the readings mag2.")] = 1
 
     @property
     def files(self) -> tuple[Path | None, ...]:
@@ -152,25 +127,64 @@ class Reading(NamedTuple):
 READING = Reading()
 
 
+class Assumed(NamedTuple):
+    """What a diagnosis is told of the errors and the field; likewise an option for each."""
+
+    noise_nT: Annotated[float | None, declared_option("noise_nT", declared.NOISE_NT)] = None
+    lsb_nT: Annotated[float | None, declared_option("lsb_nT", declared.LSB_NT)] = None
+    attitude_sigma_deg: AttitudeSigmaOption = None
+    attitude_tau_s: AttitudeTauOption = None
+    field: ScenarioFieldOption = None
+    degree: DegreeOption = None
+
+
+ASSUMED = Assumed()
+
+
+class Workers(NamedTuple):
+    """Who does the work; likewise."""
+
+    jobs: Annotated[int | None, typer.Option(metavar="J", help="Processes; all cores where not given.")] = None
+    scheduler: SchedulerOption = None
+
+
+WORKERS = Workers()
+
+
 class _Common(NamedTuple):
     """What every command takes; --quiet and --verbose before its name or after it."""
 
-    force: ForceOption = False
-    json: JsonOption = None
+    force: Annotated[
+        bool,
+        typer.Option(
+            "--force",
+            help="Write against a refusal that names --force, as of a file that fluxtwin did not write; never onto an "
+            "input.",
+        ),
+    ] = False
+    json: Annotated[
+        str | None, typer.Option(metavar="FILE", help="Write the result as JSON; '-' is standard output.")
+    ] = None
     quiet: QuietOption = False
     verbose: VerboseOption = False
 
 
+def names_in(given: str) -> list[str]:
+    """The names in a list with commas; `none` is an empty list."""
+    return [] if given.strip() == "none" else [name.strip() for name in given.split(",") if name.strip()]
+
+
 def as_command(command: Callable[..., None], offered: Iterable[Offered] = ()) -> Callable[..., None]:
-    """The command as typer takes it: its `output` made of the options of every command, its `reading` taken apart, and
+    """The command as typer takes it: its `output` made of the options of every command, records of options taken apart, and
     `offered`, the options of the calibration methods, after its argument in place of its `**options`."""
     hints = get_type_hints(command, include_extras=True)
+    groups = {name: hint for name, hint in hints.items() if hint in (Reading, Assumed, Workers)}
     given: list[inspect.Parameter] = []
     for one in list(inspect.signature(command).parameters.values())[1:]:
         if one.kind is one.VAR_KEYWORD:
             given[1:1] = [_offered(option) for option in offered if option.option.kind is not None]
-        elif hints[one.name] is Reading:
-            given += _fields(Reading)
+        elif one.name in groups:
+            given += _fields(groups[one.name])
         else:
             given.append(one.replace(annotation=hints[one.name], kind=_KEYWORD))
     whole = [*given, *_fields(_Common)]
@@ -179,8 +193,8 @@ def as_command(command: Callable[..., None], offered: Iterable[Offered] = ()) ->
         common = _Common(**{name: options.pop(name) for name in _Common._fields})
         manners.quiet |= common.quiet
         manners.verbose |= common.verbose
-        if "reading" in hints:
-            options["reading"] = Reading(**{name: options.pop(name) for name in Reading._fields})
+        for name, group in groups.items():
+            options[name] = group(**{field: options.pop(field) for field in group._fields})
         command(Output(common.json, force=common.force), **options)
 
     polite.__doc__ = command.__doc__
@@ -189,7 +203,7 @@ def as_command(command: Callable[..., None], offered: Iterable[Offered] = ()) ->
     return polite
 
 
-def _fields(group: type[Reading | _Common]) -> list[inspect.Parameter]:
+def _fields(group: Any) -> list[inspect.Parameter]:
     hints = get_type_hints(group, include_extras=True)
     return [
         inspect.Parameter(name, _KEYWORD, default=group._field_defaults[name], annotation=hints[name])

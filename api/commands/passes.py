@@ -18,14 +18,10 @@ def command(
     output: Output,
     scenario: Annotated[
         Path,
-        typer.Argument(
-            metavar="SCENARIO.toml",
-            help=f"Orbit, schedule and stations: a TOML file, or by name {NAMES}.",
-        ),
+        typer.Argument(metavar="SCENARIO.toml", help=f"Orbit, schedule and stations: a TOML file, or by name {NAMES}."),
     ],
     stations: Annotated[
-        Path | None,
-        typer.Option("--stations", metavar="FILE.toml", help="[station.NAME] sections, instead of the scenario's."),
+        Path | None, typer.Option(metavar="FILE.toml", help="[station.NAME] sections, instead of the scenario's.")
     ] = None,
 ) -> None:
     """List every pass over every [station.NAME] from the first to the last sample of the schedule.

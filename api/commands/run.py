@@ -19,18 +19,14 @@ def command(
         str, typer.Argument(metavar="NAME", help="The study: seasat, hcmm, st5, elfin, flight-field or flight-gaps.")
     ],
     data: Annotated[
-        Path | None,
-        typer.Option("--data", metavar="DIR", help="Folder of recorded data, for flight studies."),
+        Path | None, typer.Option(metavar="DIR", help="Folder of recorded data, for flight studies.")
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="DIR", help="Folder for the results; default ./NAME-results."),
+        Path | None, typer.Option(metavar="DIR", help="Folder for the results; default ./NAME-results.")
     ] = None,
     attitude: Annotated[
         str | None,
-        typer.Option(
-            "--attitude", metavar="HOW", help="seasat, hcmm: moved by torques (dynamics, default) or as prescribed."
-        ),
+        typer.Option(metavar="HOW", help="seasat, hcmm: moved by torques (dynamics, default) or as prescribed."),
     ] = None,
 ) -> None:
     """Run a whole study: tables here; figures, report.html, summary.json and the scenario in a folder."""
@@ -40,11 +36,9 @@ def command(
 
         output.claim({"--out": (out or f"{name}-results", outputs.STUDY)}, [data])
         result, written = run_study(name, out, data, progress, attitude=attitude)
-    for table in result.tables:
-        output.table(table.title, table.columns, table.rows, table.note)
+    output.tables(result.tables)
     if written:
         output.say("written:")
-        for path in dict.fromkeys(written):
-            output.say(f"  {path}")
+        output.files(dict.fromkeys(written))
     output.say(result.status_line)
     output.result(result.summary)

@@ -26,8 +26,7 @@ def command(
     ],
     out: of.OutOption,
     truth: Annotated[
-        Path | None,
-        typer.Option("--truth", metavar="FILE", help="Write the truth here; telemetry never carries it."),
+        Path | None, typer.Option(metavar="FILE", help="Write the truth here; telemetry never carries it.")
     ] = None,
     field: of.ScenarioFieldOption = None,
     degree: of.DegreeOption = None,
@@ -63,17 +62,9 @@ def command(
             written.append(truth)
     span = [iso(record.time[0]), iso(record.time[-1])]
     output.say(f"{plan.name}: {len(record)} samples, {span[0]} to {span[1]}, seed {plan.seed}")
-    for path in written:
-        output.say(f"  {path}")
-    output.result(
-        {
-            "name": plan.name,
-            "seed": plan.seed,
-            "samples": len(record),
-            "span": span,
-            "written": [str(path) for path in written],
-        }
-    )
+    output.files(written)
+    about = {"name": plan.name, "seed": plan.seed, "samples": len(record), "span": span}
+    output.result({**about, "written": [str(path) for path in written]})
 
 
 def _seen_from(plan: Scenario, folder: Path) -> Scenario:

@@ -10,7 +10,7 @@ import typer
 from fluxtwin.calib import methods
 from fluxtwin.commands import options as of
 from fluxtwin.commands.reading import read
-from fluxtwin.console import Output, command_line
+from fluxtwin.console import Output
 
 NAME = "trend"
 BRIEF = "Does last month's calibration still hold? Compare calibrations, or telemetry of several days."
@@ -24,9 +24,7 @@ def command(
     every: Annotated[
         float | None,
         typer.Option(
-            "--every",
-            metavar="HOURS",
-            help="Cut telemetry into stretches; a single file is cut by days where not given.",
+            metavar="HOURS", help="Cut telemetry into stretches; a single file is cut by days where not given."
         ),
     ] = None,
     html: of.HtmlOption = None,
@@ -41,8 +39,7 @@ def command(
     """
     with output.progress(f"reading {files[0]}") as progress:
         from fluxtwin import outputs, trending
-        from fluxtwin.report import render_report
-        from fluxtwin.sim.base.files import write_text
+        from fluxtwin.report import write_page
 
         methods.require(options["method"], options)
         output.claim({"--html": (html, outputs.PAGE)}, [*files, field, *reading.files])
@@ -53,14 +50,12 @@ def command(
         written = []
         if html is not None:
             progress("drawing", 0.9)
-            written.append(write_text(html, render_report(trending.trend_page(found, command=command_line()))))
+            written.append(write_page(trending.trend_page(found), html))
     for line in found.lines:
         output.prose(line)
     output.say()
-    table = trending.trend_table(found)
-    output.table(table.title, table.columns, table.rows, table.note)
-    for path in written:
-        output.say(f"  {path}")
+    output.tables([trending.trend_table(found)])
+    output.files(written)
     output.result({**found.to_dict(), "written": [str(path) for path in written]})
     if not found.holds:
         raise typer.Exit(1)

@@ -20,7 +20,7 @@ def command(
     output: Output,
     telemetry: TelemetryArgument,
     calibration: of.CalibrationOption = None,
-    out: Annotated[Path | None, typer.Option("--out", metavar="FILE.csv", help="Write yaw row by row.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Write yaw row by row.")] = None,
     sigma_nt: Annotated[
         float | None,
         typer.Option(
@@ -28,9 +28,9 @@ def command(
         ),
     ] = None,
     attitude_sigma_deg: Annotated[
-        float, typer.Option("--attitude-sigma-deg", metavar="DEG", help="Error of roll and of pitch, 1 sigma [deg].")
+        float, typer.Option(metavar="DEG", help="Error of roll and of pitch, 1 sigma [deg].")
     ] = 0.1,
-    average_s: Annotated[float, typer.Option("--average-s", metavar="S", help="Interval of the averages [s].")] = 120.0,
+    average_s: Annotated[float, typer.Option(metavar="S", help="Interval of the averages [s].")] = 120.0,
     field: of.FieldOption = "igrf14",
     degree: of.DegreeOption = None,
     reading: of.Reading = of.READING,
@@ -59,8 +59,6 @@ def command(
     seen = presented(solution)
     for line in seen.sentences:
         output.say(line)
-    for table in seen.tables:
-        output.table(table.title, table.columns, table.rows)
-    if out is not None:
-        output.say(f"  {out}")
+    output.tables(seen.tables)
+    output.files([] if out is None else [out])
     output.result({"summary": solution.summary, **solution.to_dict()})

@@ -184,7 +184,7 @@ def test_predicted_minus_calibrated_is_the_residual(flight: Path, method: str) -
 
     record = fluxtwin.read(flight / "my.nc")
     fit = fluxtwin.calibrate(record, method=method)
-    page = calibration_page(fit, "t", next_step="", command="", record=record)
+    page = calibration_page(fit, "t", next_step="", record=record)
     series = {b.name: b.figure for s in page.sections for b in s.figures if isinstance(b.figure, TimeSeries)}
     field = reference_field_B_nT(record.select(fit.rows), fluxtwin.load_field("igrf14"))
     measured = np.array(record.mag_B_nT)[fit.rows]
@@ -217,7 +217,7 @@ def test_the_page_takes_a_late_field_out_as_late_as_it_is(flight: Path) -> None:
     fit = fluxtwin.calibrate(record)
     bias = TelemetryBias(np.array([10.0, -5.0, 2.0]), np.ones(3), delay_s=30.0, lag_s=20.0)
     fit = replace(fit, calibration=replace(fit.calibration, telemetry_bias={"driver_load": bias}))
-    page = calibration_page(fit, "t", next_step="", command="", record=record)
+    page = calibration_page(fit, "t", next_step="", record=record)
     series = {b.name: b.figure for s in page.sections for b in s.figures if isinstance(b.figure, TimeSeries)}
     corrected = np.array(fluxtwin.apply(record, fit.calibration).mag_B_nT)[fit.rows]
     for panel in series["field"].panels:

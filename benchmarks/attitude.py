@@ -92,9 +92,9 @@ def ours(steps: int, orbit: Circle = ORBIT, node_s: float = STEP_S) -> tuple[Fli
     marks.append(time.process_time())
     vehicle = Vehicle(INERTIA_KG_M2, torques=(GravityGradient(),))
     start = Start(q_from_mrp(MRP_BN), RATE_B_RAD_S, np.zeros(0))
-    flight = fly([vehicle], [environment], [start], duration_s=steps * STEP_S, step_s=STEP_S, log_every=LOG_EVERY)
+    flight = fly(vehicle, environment, start, duration_s=steps * STEP_S, step_s=STEP_S, log_every=LOG_EVERY)
     marks.append(time.process_time())
-    reading = SENSOR.ideal_reading(flight.field_B_nT[0])
+    reading = SENSOR.ideal_reading(flight.field_B_nT)
     marks.append(time.process_time())
     parts = dict(zip(("orbit and field", "dynamics", "magnetometer"), np.diff(marks).tolist(), strict=True))
     return flight, reading, parts
@@ -209,7 +209,7 @@ def race(arguments: argparse.Namespace) -> dict[str, Any]:
 def compare(steps: int, answer: dict[str, Any]) -> dict[str, float]:
     """How far the two sides are apart in the last row."""
     flight, _, _ = ours(steps)
-    here, there = flight.q_NB[0, -1:], q_from_mrp(np.array(answer["mrp_BN"]))[None]
+    here, there = flight.q_NB[-1:], q_from_mrp(np.array(answer["mrp_BN"]))[None]
     apart = (frames.rotation_from_q(here) * frames.rotation_from_q(there).inv()).magnitude()[0]
     last_s = float(flight.seconds_s[-1])
     r_km, _ = ORBIT(epoch.add_seconds(START, np.array([last_s])))
@@ -218,7 +218,7 @@ def compare(steps: int, answer: dict[str, Any]) -> dict[str, float]:
     assert last_s == answer["last_s"], "the two logs end at different times"
     return {
         "attitude_difference_deg": float(np.degrees(apart)),
-        "rate_difference_deg_s": float(np.degrees(np.abs(flight.rate_B_rad_s[0, -1] - answer["rate_B_rad_s"]).max())),
+        "rate_difference_deg_s": float(np.degrees(np.abs(flight.rate_B_rad_s[-1] - answer["rate_B_rad_s"]).max())),
         "position_difference_m": float(np.linalg.norm(1e3 * r_km[0] - answer["r_N_m"])),
         "field_difference_nT": float(abs(np.linalg.norm(unturned_nT) - np.linalg.norm(answer["field_B_nT"]))),
     }

@@ -137,15 +137,8 @@ def fly_adaptive(
         state = solve_ivp(problem.slope, span, state, method="DOP853", rtol=rtol, atol=small).y[:, -1]
         state = np.concatenate([state[:4] / np.linalg.norm(state[:4]), state[4:]])
     history = np.array(rows)
-    return Flight(
-        environment.start,
-        period_s,
-        history[None, :, :4],
-        history[None, :, 4:7],
-        np.array(dipoles)[None],
-        history[None, :, 7:],
-        np.array(fields)[None],
-    )
+    parts = history[:, :4], history[:, 4:7], np.array(dipoles), history[:, 7:], np.array(fields)
+    return Flight(environment.start, period_s, *parts)
 
 
 def torques_B_Nm(

@@ -48,7 +48,7 @@ def start_from(
 def angles_deg(flight: Flight) -> np.ndarray:
     """(rows, 3) yaw, roll, pitch."""
     R_ON = frames.rotation_ON(*ORBIT.propagate(epoch.add_seconds(EPOCH, flight.seconds_s)))
-    yaw_roll_pitch = frames.yaw_roll_pitch(frames.rotation_from_q(flight.q_NB[0]) * R_ON.inv())
+    yaw_roll_pitch = frames.yaw_roll_pitch(frames.rotation_from_q(flight.q_NB) * R_ON.inv())
     return np.degrees(np.stack(yaw_roll_pitch, axis=1))
 
 
@@ -64,7 +64,7 @@ MOST_AM2 = {
 
 def duty_shares(flight: Flight) -> tuple[np.ndarray, np.ndarray]:
     """(3,) share of the second half in which each torquer does something, and the mean size of its dipole."""
-    dipole = np.abs(flight.dipole_B_Am2[0, flight.seconds_s.size // 2 :])
+    dipole = np.abs(flight.dipole_B_Am2[flight.seconds_s.size // 2 :])
     return (dipole > 0.01 * dipole.max()).mean(axis=0), dipole.mean(axis=0)
 
 
@@ -86,7 +86,7 @@ def nutation_deg(flight: Flight) -> np.ndarray:
 
     Nutation moves that rate within a minute; what is slower is the orbit and the precession.
     """
-    rate = flight.rate_B_rad_s[0, :, 2]
+    rate = flight.rate_B_rad_s[:, 2]
     wobble = rate - running_mean(rate, 31)
     size = np.sqrt(2.0 * running_mean(wobble**2, 61)) * 22.0 / BIAS_NMS
     size[:50] = size[-50:] = np.nan
@@ -95,7 +95,7 @@ def nutation_deg(flight: Flight) -> np.ndarray:
 
 def excess_Nms(flight: Flight) -> np.ndarray:
     """Momentum of the bias wheel beyond what it is to keep."""
-    return BIAS_NMS * (np.abs(flight.wheel_speed_rad_s[0, :, 0]) / RPM / BIAS_RPM - 1.0)
+    return BIAS_NMS * (np.abs(flight.wheel_speed_rad_s[:, 0]) / RPM / BIAS_RPM - 1.0)
 
 
 def momentum_bias(
@@ -147,7 +147,7 @@ def flown(
     torques = (GravityGradient(), ResidualDipole(dipole_Am2=(dipole_Am2,) * 3), torquers)
     vehicle = Vehicle(inertia, wheels, torques, law, target or Target())
     ticks, rows = round(1.0 / step_s), round(10.0 / step_s)
-    return fly([vehicle], [AROUND], [start], duration_s=duration_s, step_s=step_s, control_every=ticks, log_every=rows)
+    return fly(vehicle, AROUND, start, duration_s=duration_s, step_s=step_s, control_every=ticks, log_every=rows)
 
 
 def three_axis() -> tuple[Flight, str]:
@@ -158,7 +158,7 @@ def three_axis() -> tuple[Flight, str]:
     magnets = Torquers(dipole_Am2=100.0, drive="on_off", threshold_Am2=20.0)
     flight = flown(law, np.diag([25e3, 24e3, 3e3]), wheels, magnets, start_from(1, 1, 1, [0, 0, 0]), 1.0, target)
     rms = np.sqrt(np.mean(np.square(angles_deg(flight)[-4320:] - [0.0, 0.0, 0.5]), axis=0))
-    most = 0.1 * np.abs(flight.wheel_speed_rad_s[0, -2000:]).max()
+    most = 0.1 * np.abs(flight.wheel_speed_rad_s[-2000:]).max()
     return flight, (f"yaw {rms[0]:.4f}, roll {rms[1]:.4f}, pitch {rms[2]:.4f} deg rms; wheels within {most:.1f} N m s")
 
 
@@ -170,7 +170,7 @@ def spinner() -> tuple[Flight, str]:
     start = Start(q, np.array([0.1, 0.0, 8.0 * RPM]), np.zeros(0))
     flight = flown(law, np.diag([1.0, 1.05, 1.4]), (), Torquers(dipole_Am2=2.0), start, 0.02, None, 28_800.0, 0.1)
     axis, nutation = spin_errors_deg(flight)
-    spin_rpm = flight.rate_B_rad_s[0, -200:, 2] / RPM
+    spin_rpm = flight.rate_B_rad_s[-200:, 2] / RPM
     return flight, (
         f"axis within {axis[-200:].max():.1f} deg, rate {spin_rpm.mean():.3f} rpm, nutation {nutation[-200:].max():.2f} deg"
     )
@@ -178,8 +178,8 @@ def spinner() -> tuple[Flight, str]:
 
 def spin_errors_deg(flight: Flight) -> tuple[np.ndarray, np.ndarray]:
     """Momentum from the orbit normal, and body z from the momentum."""
-    momentum_B = flight.rate_B_rad_s[0] * [1.0, 1.05, 1.4]
-    momentum_N = frames.rotation_from_q(flight.q_NB[0]).inv().apply(momentum_B)
+    momentum_B = flight.rate_B_rad_s * [1.0, 1.05, 1.4]
+    momentum_N = frames.rotation_from_q(flight.q_NB).inv().apply(momentum_B)
     normal_N = np.cross(*ORBIT.propagate(epoch.add_seconds(EPOCH, flight.seconds_s)))
     size = np.linalg.norm(momentum_N, axis=1)
     axis = np.sum(momentum_N * normal_N, axis=1) / size / np.linalg.norm(normal_N, axis=1)
@@ -192,7 +192,7 @@ def tumbler() -> tuple[Flight, str]:
     flight = flown(
         BDot(gain_Am2_s_per_T=1e6), np.diag([5.0, 6.0, 4.0]), (), Torquers(dipole_Am2=3.0), start, 0.02, None, 28_800.0
     )
-    rate = np.degrees(np.linalg.norm(flight.rate_B_rad_s[0], axis=1))
+    rate = np.degrees(np.linalg.norm(flight.rate_B_rad_s, axis=1))
     down_h = flight.seconds_s[np.flatnonzero(rate > 0.3)[-1]] / 3600.0
     return flight, f"under 0.3 deg/s after {down_h:.1f} h, {rate[-200:].mean():.3f} deg/s at the end (orbit 0.062)"
 
@@ -215,7 +215,7 @@ def draw(flights: dict[str, Flight], path: Path) -> None:
     axes[0, 1].set(title="momentum bias: nutation", ylabel="nutation [deg]")
     flight = flights["three axes"]
     for column, label in enumerate("xyz"):
-        momentum_Nms = 0.1 * flight.wheel_speed_rad_s[0, :, column]
+        momentum_Nms = 0.1 * flight.wheel_speed_rad_s[:, column]
         axes[1, 0].plot(
             flight.seconds_s[SETTLED:] / 3600, momentum_Nms[SETTLED:], ":", lw=1.0, label=f"three axes, {label}"
         )
@@ -226,7 +226,7 @@ def draw(flights: dict[str, Flight], path: Path) -> None:
     axes[1, 1].plot(flight.seconds_s / 3600, nutation, lw=0.8, label="nutation")
     axes[1, 1].set(title="spin", ylabel="angle [deg]")
     flight = flights["B-dot"]
-    rate_deg_s = np.degrees(np.linalg.norm(flight.rate_B_rad_s[0], axis=1))
+    rate_deg_s = np.degrees(np.linalg.norm(flight.rate_B_rad_s, axis=1))
     axes[2, 0].semilogy(flight.seconds_s / 3600, rate_deg_s, lw=0.8, label="size of the rate")
     axes[2, 0].set(title="B-dot", ylabel="rate [deg/s]", yticks=[0.1, 0.3, 1.0, 3.0])
     axes[2, 0].yaxis.set_major_formatter("{x:g}")

@@ -82,8 +82,7 @@ def ephemeris_rate_O_rad_s(ephemeris: Ephemeris, time: TimeArray) -> FloatArray:
     turn = frames.rotation_ON(*ephemeris(after)) * frames.rotation_ON(*ephemeris(before)).inv()
     # Counted in SI seconds, so that a leap second between the two does not look like a faster orbit.
     elapsed = clock.seconds_since(after, stamps[0]) - clock.seconds_since(before, stamps[0])
-    rate: FloatArray = -np.atleast_2d(turn.as_rotvec()) / elapsed[:, None]
-    return rate
+    return np.asarray(-np.atleast_2d(turn.as_rotvec()) / elapsed[:, None])
 
 
 def librating(

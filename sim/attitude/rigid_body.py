@@ -172,8 +172,7 @@ def _third_kind(
     c2, d2 = cn**2, dn**2
     partial = s * elliprf(c2, d2, 1.0) + n / 3.0 * s**3 * elliprj(c2, d2, 1.0, 1.0 - n * s**2)
     complete = elliprf(0.0, complement, 1.0) + n / 3.0 * elliprj(0.0, complement, 1.0, 1.0 - n)
-    whole: FloatArray = partial + 2.0 * half_turns * complete
-    return whole
+    return np.asarray(partial + 2.0 * half_turns * complete)
 
 
 def _integrated(t: FloatArray, moments: FloatArray, rate0: FloatArray) -> tuple[Rotation, FloatArray]:

@@ -93,5 +93,4 @@ def low_pass(
     driven[1:] = right - keep[1:, None] * left
     if start is None:
         start = signal if slope is None else signal - tau_s * slope
-    answer: FloatArray = recursion(keep, driven, start, restart)
-    return answer
+    return np.asarray(recursion(keep, driven, start, restart))

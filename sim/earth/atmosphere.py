@@ -53,8 +53,7 @@ def density_kg_m3(altitude_km: FloatArray) -> FloatArray:
     if (altitude < 0.0).any():
         raise OutOfRange(f"{altitude.min():g} km altitude", where="air density", wanted="0 km or more")
     layer = np.searchsorted(base, altitude, side="right") - 1
-    result: FloatArray = density[layer] * np.exp(-(altitude - base[layer]) / scale_height[layer])
-    return result
+    return np.asarray(density[layer] * np.exp(-(altitude - base[layer]) / scale_height[layer]))
 
 
 def density_along(time: TimeArray, r_N_km: FloatArray) -> FloatArray:

@@ -92,8 +92,7 @@ def seconds_since(time: TimeArray | np.datetime64, epoch: np.datetime64) -> Floa
     """Elapsed SI seconds from `epoch` to each stamp, leap seconds counted. Shape (N,)."""
     stamps = as_times(time)
     plain: FloatArray = (stamps - as_times(epoch)[0]).astype("int64") * 1e-9
-    elapsed: FloatArray = plain + _leap_seconds(stamps) - _leap_seconds(as_times(epoch))[0]
-    return elapsed
+    return np.asarray(plain + _leap_seconds(stamps) - _leap_seconds(as_times(epoch))[0])
 
 
 def add_seconds(epoch: np.datetime64, seconds: FloatArray | float) -> TimeArray:
@@ -111,8 +110,7 @@ def stamp_in(time: TimeArray | np.datetime64, scale: str) -> TimeArray:
     if scale == "UTC":
         return stamps
     ahead = np.rint((_leap_seconds(stamps) + _AHEAD_OF_TAI_S[scale]) * 1e9).astype("int64")
-    ahead_of_utc: TimeArray = stamps + ahead.astype("timedelta64[ns]")
-    return ahead_of_utc
+    return np.asarray(stamps + ahead.astype("timedelta64[ns]"))
 
 
 def utc_of(stamps: TimeArray, scale: str) -> TimeArray:
@@ -127,8 +125,7 @@ def utc_of(stamps: TimeArray, scale: str) -> TimeArray:
     ahead = np.rint(seconds * 1e9).astype("int64").astype("timedelta64[ns]")
     past = np.searchsorted(at + ahead[1:], tai, side="right")  # leap seconds that are over
     limit = np.append(at, np.datetime64(f"{_LAST_YEAR}-12-31", "ns"))
-    utc: TimeArray = np.minimum(tai - ahead[past], limit[past])
-    return utc
+    return np.asarray(np.minimum(tai - ahead[past], limit[past]))
 
 
 def decimal_year(time: TimeArray | np.datetime64) -> FloatArray:
@@ -138,8 +135,7 @@ def decimal_year(time: TimeArray | np.datetime64) -> FloatArray:
     start = years.astype("datetime64[ns]")
     length = (years + np.timedelta64(1, "Y")).astype("datetime64[ns]") - start
     fraction = (stamps - start).astype("int64") / length.astype("int64")
-    year: FloatArray = years.astype("int64") + 1970.0 + fraction
-    return year
+    return np.asarray(years.astype("int64") + 1970.0 + fraction)
 
 
 def days_mjd2000(time: TimeArray | np.datetime64) -> FloatArray:

@@ -61,8 +61,7 @@ def field_N_nT(
     turns = 1 if turn.single else len(turn)
     if turns not in (1, r.shape[0]):
         raise BadInput(f"{turns} rotations for {r.shape[0]} positions", where="R_EN", wanted="one, or one each")
-    b_N_nT: FloatArray = turn.inv().apply(field_E_nT(model, stamps, turn.apply(r)))
-    return b_N_nT
+    return np.asarray(turn.inv().apply(field_E_nT(model, stamps, turn.apply(r))))
 
 
 def field_NEC_nT(model: FieldModel, time: TimeArray | np.datetime64, r_E_km: FloatArray) -> FloatArray:
@@ -71,8 +70,7 @@ def field_NEC_nT(model: FieldModel, time: TimeArray | np.datetime64, r_E_km: Flo
     At a pole there is no north: the components are those at longitude 0, so that east is the y axis of E.
     """
     b_E_nT = field_E_nT(model, time, r_E_km)
-    b_NEC_nT: FloatArray = frames.rotation_NEC_E(r_E_km).apply(b_E_nT)
-    return b_NEC_nT
+    return np.asarray(frames.rotation_NEC_E(r_E_km).apply(b_E_nT))
 
 
 def field_gradient_E_nT_km(model: FieldModel, time: TimeArray | np.datetime64, r_E_km: FloatArray) -> FloatArray:

@@ -149,8 +149,7 @@ def solar_frames_E(time: TimeArray, dipole_nT: FloatArray) -> tuple[FloatArray, 
 
 def _vector(degree1: FloatArray) -> FloatArray:
     """(..., 3) x, y, z of q.u from q10, q11, s11."""
-    vector: FloatArray = degree1[..., [1, 2, 0]]
-    return vector
+    return np.asarray(degree1[..., [1, 2, 0]])
 
 
 def _matrix(q20: float, q21: float, s21: float, q22: float, s22: float) -> FloatArray:
@@ -199,8 +198,7 @@ def _answer(series: FloatArray, response: np.ndarray, at_hours: FloatArray) -> F
     filtered = np.fft.irfft(np.fft.rfft(series, axis=0) * response[:, None], n=series.shape[0], axis=0)
     first = max(int(at_hours.min()) - 6, 0)
     last = min(int(at_hours.max()) + 8, series.shape[0])
-    answer: FloatArray = CubicSpline(np.arange(first, last), filtered[first:last], axis=0)(at_hours)
-    return answer
+    return np.asarray(CubicSpline(np.arange(first, last), filtered[first:last], axis=0)(at_hours))
 
 
 def _response(per_day: FloatArray, degree: int) -> np.ndarray:
@@ -219,5 +217,4 @@ def _internal_field(q: FloatArray, Q: FloatArray, u: FloatArray) -> FloatArray:
     dipole = 3.0 * np.sum(q * e, axis=1)[:, None] * e - q
     Qe = np.einsum("nij,nj->ni", Q, e)
     quadrupole = 5.0 * np.sum(e * Qe, axis=1)[:, None] * e - 2.0 * Qe
-    field_nT: FloatArray = dipole / size**3 + quadrupole / size**4
-    return field_nT
+    return np.asarray(dipole / size**3 + quadrupole / size**4)

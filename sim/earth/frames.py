@@ -119,8 +119,7 @@ def rotation_from_q(q_NB: FloatArray) -> Rotation:
 
 def q_from_rotation(R_BN: Rotation) -> FloatArray:
     """Textbook quaternions q_NB, scalar last, scalar >= 0, shape (N, 4). Inverse of `rotation_from_q`."""
-    q: FloatArray = np.atleast_2d(R_BN.inv().as_quat(canonical=True))
-    return q
+    return np.asarray(np.atleast_2d(R_BN.inv().as_quat(canonical=True)))
 
 
 def rotation_BO(yaw_rad: FloatArray, roll_rad: FloatArray, pitch_rad: FloatArray) -> Rotation:
@@ -185,8 +184,7 @@ def from_geocentric(latitude_rad: FloatArray, longitude_rad: FloatArray, radius_
     """Earth-fixed positions (N, 3) in km from geocentric latitude, longitude and radius."""
     cl = np.cos(latitude_rad)
     unit = np.stack([cl * np.cos(longitude_rad), cl * np.sin(longitude_rad), np.sin(latitude_rad)], axis=-1)
-    position: FloatArray = np.asarray(radius_km, dtype=np.float64)[..., None] * unit
-    return position
+    return np.asarray(np.asarray(radius_km, dtype=np.float64)[..., None] * unit)
 
 
 def from_geodetic(latitude_rad: FloatArray, longitude_rad: FloatArray, altitude_km: FloatArray) -> FloatArray:
@@ -210,20 +208,17 @@ def rotation_NEC_geodetic(latitude_rad: FloatArray, longitude_rad: FloatArray) -
 
 
 def _era(time: TimeArray | np.datetime64) -> FloatArray:
-    angle: FloatArray = erfa.era00(*epoch.jd_ut1(time))
-    return angle
+    return np.asarray(erfa.era00(*epoch.jd_ut1(time)))
 
 
 def _celestial_to_intermediate(time: TimeArray | np.datetime64) -> FloatArray:
     x, y, s = on_grid(_days_tt(time), _intermediate_pole, _GRID_DAYS).T
-    matrix: FloatArray = erfa.c2ixys(x, y, s)
-    return matrix
+    return np.asarray(erfa.c2ixys(x, y, s))
 
 
 def _days_tt(time: TimeArray | np.datetime64) -> FloatArray:
     tt1, tt2 = epoch.jd_tt(time)
-    days: FloatArray = (tt1 - _J2000) + tt2
-    return days
+    return np.asarray((tt1 - _J2000) + tt2)
 
 
 def _intermediate_pole(days_tt: FloatArray) -> FloatArray:
@@ -231,5 +226,4 @@ def _intermediate_pole(days_tt: FloatArray) -> FloatArray:
 
 
 def _equator_of_date(days_tt: FloatArray) -> FloatArray:
-    matrix: FloatArray = erfa.pnm06a(_J2000, days_tt).reshape(-1, 9)
-    return matrix
+    return np.asarray(erfa.pnm06a(_J2000, days_tt).reshape(-1, 9))

@@ -68,8 +68,7 @@ def surface(name: str, time: TimeArray, radiance: float = 1.0) -> Surface:
 
 def north_N(time: TimeArray) -> FloatArray:
     """(N, 3) unit vectors along the Earth's axis, N axes."""
-    north: FloatArray = frames.rotation_EN(time).apply([0.0, 0.0, 1.0], inverse=True)
-    return north
+    return np.asarray(frames.rotation_EN(time).apply([0.0, 0.0, 1.0], inverse=True))
 
 
 def tangent_cone(seen: Surface, r_km: FloatArray, pole: FloatArray) -> FloatArray:
@@ -94,5 +93,4 @@ def nadir_angle(cone: FloatArray, nadir: FloatArray, towards: FloatArray) -> Flo
         np.einsum("ni,nij,nj->n", one, cone, other)
         for one, other in ((towards, towards), (nadir, towards), (nadir, nadir))
     )
-    angle: FloatArray = np.arctan2(b + np.sqrt(b**2 - a * c), -a)
-    return angle
+    return np.asarray(np.arctan2(b + np.sqrt(b**2 - a * c), -a))

@@ -182,8 +182,7 @@ def argument_of_latitude(time: TimeArray | np.datetime64, r_N_km: FloatArray, v_
     node[flat] = [1.0, 0.0, 0.0]
     across = np.cross(normal, node) / np.linalg.norm(normal, axis=1)[:, None]
     angle = np.arctan2(np.einsum("ij,ij->i", r, across), np.einsum("ij,ij->i", r, node))
-    positive: FloatArray = angle % (2.0 * np.pi)
-    return positive
+    return np.asarray(angle % (2.0 * np.pi))
 
 
 def _turn(position: FloatArray, velocity: FloatArray, angle: FloatArray, rate: float) -> tuple[FloatArray, FloatArray]:

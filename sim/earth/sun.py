@@ -42,8 +42,7 @@ def sun_direction_N(time: TimeArray | np.datetime64, r_N_km: FloatArray | None =
     towards = sun_N_km(time)
     if r_N_km is not None:
         towards = towards - np.asarray(r_N_km, dtype=np.float64)
-    unit: FloatArray = towards / np.linalg.norm(towards, axis=1)[:, None]
-    return unit
+    return np.asarray(towards / np.linalg.norm(towards, axis=1)[:, None])
 
 
 def illumination(r_N_km: FloatArray, sun_N_km: FloatArray) -> FloatArray:
@@ -84,8 +83,7 @@ def _overlap(a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
     y = np.sqrt(np.maximum(a**2 - x**2, 0.0))
     in_a = a**2 * np.arccos(np.clip(x / a, -1.0, 1.0))
     in_b = b**2 * np.arccos(np.clip((c - x) / b, -1.0, 1.0))
-    area: FloatArray = in_a + in_b - c * y
-    return area
+    return np.asarray(in_a + in_b - c * y)
 
 
 def _apparent_sun_N_km(days_tt: FloatArray) -> FloatArray:
@@ -95,5 +93,4 @@ def _apparent_sun_N_km(days_tt: FloatArray) -> FloatArray:
     velocity_c = barycentric["v"] * _AU_PER_DAY_IN_C
     contraction = np.sqrt(1.0 - np.einsum("ij,ij->i", velocity_c, velocity_c))
     apparent = erfa.ab(to_sun / distance[:, None], velocity_c, distance, contraction)
-    position: FloatArray = AU_KM * distance[:, None] * apparent
-    return position
+    return np.asarray(AU_KM * distance[:, None] * apparent)

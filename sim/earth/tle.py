@@ -128,8 +128,7 @@ class TleSeries:
         """(N,) days from the epoch of the set that counts, absolute."""
         stamps = epoch.as_times(time)
         epochs = np.array([one.epoch_utc for one in self.sets])[self._nearest(stamps)]
-        age: FloatArray = np.abs((stamps - epochs).astype("int64")) / 86_400e9
-        return age
+        return np.asarray(np.abs((stamps - epochs).astype("int64")) / 86_400e9)
 
     def notices(self, time: TimeArray | np.datetime64) -> tuple[str, ...]:
         """As those of a single set: what a user should know about the age of the elements, one sentence or two."""

@@ -188,5 +188,4 @@ def unit_storm_E(axis_E: FloatArray, r_E_km: FloatArray) -> FloatArray:
     radius = np.linalg.norm(r_E_km, axis=1)[:, None]
     up = r_E_km / radius
     dipole = axis_E - 3.0 * (up @ axis_E)[:, None] * up
-    field: FloatArray = axis_E + INDUCED_SHARE * (FIELD_RADIUS_KM / radius) ** 3 * dipole
-    return field
+    return np.asarray(axis_E + INDUCED_SHARE * (FIELD_RADIUS_KM / radius) ** 3 * dipole)

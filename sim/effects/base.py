@@ -212,8 +212,7 @@ def held(column: FloatArray) -> FloatArray | None:
         return None
     latest = np.maximum.accumulate(np.where(finite, np.arange(finite.size), 0))
     latest[: int(np.argmax(finite))] = int(np.argmax(finite))
-    filled: FloatArray = column[latest]
-    return filled
+    return np.asarray(column[latest])
 
 
 def in_reading(setting: Setting, field_B_nT: FloatArray) -> FloatArray:
@@ -227,5 +226,4 @@ def in_reading(setting: Setting, field_B_nT: FloatArray) -> FloatArray:
 
 def mapped(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
     """(N, m) matrix (m, k) times each row of vectors (N, k), on one core: a threaded product of such a shape is slow."""
-    product: FloatArray = np.einsum("nk,mk->nm", vectors, matrix)
-    return product
+    return np.asarray(np.einsum("nk,mk->nm", vectors, matrix))

@@ -119,5 +119,4 @@ class BitErrors(DistributionEffect):
 def _sign_extended(code: np.ndarray, word: int) -> np.ndarray:
     """Codes as a two's complement word of that many bits says them."""
     low = code & ((1 << word) - 1)
-    extended: np.ndarray = np.where(low >> (word - 1) & 1 == 1, low - (1 << word), low)
-    return extended
+    return np.asarray(np.where(low >> (word - 1) & 1 == 1, low - (1 << word), low))

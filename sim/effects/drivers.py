@@ -48,8 +48,7 @@ def array_current_A(setting: Setting, panel: PanelKind) -> FloatArray:
     if not known.all():
         seen = known & (lit(setting) > 0.5)
         cosine = np.where(known, cosine, float(cosine[seen].mean()) if seen.any() else 1.0)
-    current: FloatArray = lit(setting) * cosine
-    return current
+    return np.asarray(lit(setting) * cosine)
 
 
 def sun_in_body(setting: Setting) -> tuple[FloatArray, BoolArray]:

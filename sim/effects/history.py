@@ -38,8 +38,7 @@ def play(signal: FloatArray, half_width: float, neutral: FloatArray) -> FloatArr
     """
     from fluxtwin.sim.base.recursion_kernels import played
 
-    moved: FloatArray = played(np.ascontiguousarray(signal), half_width, np.asarray(neutral, dtype=np.float64))
-    return moved
+    return np.asarray(played(np.ascontiguousarray(signal), half_width, np.asarray(neutral, dtype=np.float64)))
 
 
 @dataclass(frozen=True, eq=False)

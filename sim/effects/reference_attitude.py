@@ -188,8 +188,7 @@ class AttitudeStep(TurningStep):
 
 def _nadir_B(R_BN: Rotation, r_N_km: FloatArray) -> FloatArray:
     """(N, 3) unit vectors to the Earth's centre, body axes."""
-    nadir_B: FloatArray = R_BN.apply(-r_N_km / np.linalg.norm(r_N_km, axis=1)[:, None])
-    return nadir_B
+    return np.asarray(R_BN.apply(-r_N_km / np.linalg.norm(r_N_km, axis=1)[:, None]))
 
 
 def _leans(setting: Setting) -> bool:

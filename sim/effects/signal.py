@@ -214,8 +214,7 @@ class Signal:
     @property
     def field_B_nT(self) -> FloatArray:
         """(N, 3) ambient field in true body axes."""
-        turned: FloatArray = self.R_BN.apply(self.ambient_N_nT)
-        return turned
+        return np.asarray(self.R_BN.apply(self.ambient_N_nT))
 
     @property
     def ambient_N_nT(self) -> FloatArray:
@@ -275,16 +274,14 @@ class Signal:
     def seen_along_track(self, vector_N: FloatArray) -> FloatArray:
         """(N, 3) GCRS vectors in the axes of `R_track_BN`, without the product of rotations: it takes ten times as long."""
         own = self.setting.own_turn_N
-        seen: FloatArray = self.R_BN.apply(vector_N if own is None else own.inv().apply(vector_N))
-        return seen
+        return np.asarray(self.R_BN.apply(vector_N if own is None else own.inv().apply(vector_N)))
 
     def with_own_turn(self, vector_B: FloatArray) -> FloatArray:
         """(N, 3) vectors in the track's body axes, turned into those of each row's own attitude."""
         own = self.setting.own_turn_N
         if own is None:
             return vector_B
-        turned: FloatArray = self.R_BN.apply(own.apply(self.R_BN.inv().apply(vector_B)))
-        return turned
+        return np.asarray(self.R_BN.apply(own.apply(self.R_BN.inv().apply(vector_B))))
 
     def with_ambient(self, extra_N_nT: FloatArray) -> Signal:
         """More ambient field, GCRS components."""

@@ -69,7 +69,7 @@ class Flights:
 
     def wheel_speed_rpm(self, time: TimeArray) -> FloatArray:
         """(N, W) wheel speeds at each stamp."""
-        return RPM_PER_RAD_S * self._each(time, "wheel_speed", self.flights[0].wheel_speed_rad_s.shape[2])
+        return RPM_PER_RAD_S * self._each(time, "wheel_speed", self.flights[0].wheel_speed_rad_s.shape[1])
 
     def _each(self, time: TimeArray, what: str, columns: int) -> FloatArray:
         stamps = epoch.as_times(time)
@@ -224,9 +224,9 @@ def _flight(scenario: Scenario, number: int, segment: SegmentSection) -> Flight:
     vehicle = vehicle_of(scenario)
     ticks = epoch.add_seconds(begin, period_s * np.arange(np.floor(length_s / period_s) + 1.0))
     flight = fly(
-        [vehicle],
-        [environment],
-        [_start(scenario, begin)],
+        vehicle,
+        environment,
+        _start(scenario, begin),
         duration_s=length_s,
         step_s=step_s,
         control_every=every,
@@ -264,7 +264,7 @@ def _surroundings(scenario: Scenario, begin: np.datetime64, length_s: float, spa
 
 def _check_step(flight: Flight, step_s: float) -> None:
     """BadInput where the body turns so fast that the step cannot follow, or the motion between rows is unknown."""
-    fastest = float(np.max(np.linalg.norm(flight.rate_B_rad_s[0], axis=1)))
+    fastest = float(np.max(np.linalg.norm(flight.rate_B_rad_s, axis=1)))
     if not np.isfinite(fastest):
         raise BadInput(
             "the motion ran away: a rate is no longer a number",

@@ -42,8 +42,7 @@ def incidence_cosine(sun_B: FloatArray, panel: Panel) -> FloatArray:
     sun = np.atleast_2d(np.asarray(sun_B, dtype=np.float64))
     if isinstance(panel, TrackingArray):
         across = np.cross(sun, _unit(panel.axis_B, "array axis"))
-        sine: FloatArray = np.linalg.norm(across, axis=1)
-        return sine
+        return np.asarray(np.linalg.norm(across, axis=1))
     return np.clip(sun @ _unit(panel.normal_B, "panel normal"), 0.0, None)
 
 
@@ -128,5 +127,4 @@ def _unit(vector: Direction, name: str) -> FloatArray:
     size = float(np.linalg.norm(array))
     if array.shape != (3,) or not size > 0:
         raise BadInput(f"{vector}", where=name, wanted="three numbers, not all zero")
-    unit: FloatArray = array / size
-    return unit
+    return np.asarray(array / size)

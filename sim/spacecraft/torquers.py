@@ -117,8 +117,7 @@ def dipole_field_nT(m_B_Am2: FloatArray, r_B_m: FloatArray) -> FloatArray:
         raise BadInput("a torquer sits in the magnetometer", where="torquer position", wanted="a distance > 0 m")
     u = r / distance
     along = np.sum(m * u, axis=1)[:, None]
-    field: FloatArray = MU0_OVER_4PI_NT_M3_PER_AM2 * (3.0 * along * u - m) / distance**3
-    return field
+    return np.asarray(MU0_OVER_4PI_NT_M3_PER_AM2 * (3.0 * along * u - m) / distance**3)
 
 
 def coupling_nT_per_Am2(positions_B_m: FloatArray) -> FloatArray:

@@ -23,8 +23,7 @@ def wheel_speed_rpm(
     axes = np.atleast_2d(np.asarray(axes_B, dtype=np.float64))
     share = np.linalg.pinv((axes / np.linalg.norm(axes, axis=1)[:, None]).T)
     spin_rad_s = np.atleast_2d(momentum_B_Nms) @ share.T / inertia_kg_m2
-    speed: FloatArray = spin_rad_s * RPM_PER_RAD_S + np.asarray(bias_rpm, dtype=np.float64)
-    return speed
+    return np.asarray(spin_rad_s * RPM_PER_RAD_S + np.asarray(bias_rpm, dtype=np.float64))
 
 
 def periodic_momentum_B_Nms(phase_rad: FloatArray, amplitude_B_Nms: tuple[float, float, float]) -> FloatArray:

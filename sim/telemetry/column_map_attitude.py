@@ -89,8 +89,7 @@ def _of_rows(value: FloatArray, spec: ColumnSpec, where: str, rows: np.ndarray) 
         turned = Rotation.from_euler(spec.euler or "ZXY", value, degrees=unit == "deg")
     else:
         return _ordered(value, spec.order, where, rows)
-    q: FloatArray = np.atleast_2d(turned.as_quat(canonical=True))
-    return q
+    return np.asarray(np.atleast_2d(turned.as_quat(canonical=True)))
 
 
 def _from_vectors(value: FloatArray, vectors: str) -> Rotation:
@@ -115,5 +114,4 @@ def _ordered(value: FloatArray, order: str, where: str, rows: np.ndarray) -> Flo
             where=where,
             wanted="norm 1 within 0.02; `invalid` for the rows without attitude",
         )
-    unit: FloatArray = value / size[:, None]
-    return unit
+    return np.asarray(value / size[:, None])

@@ -121,8 +121,7 @@ class NetcdfFile:
         with self._reading(f"{clip(name)} cannot be read"):
             data = self._root[name]
             self._look(name, data)
-            values: np.ndarray = data[()]
-            return values
+            return np.asarray(data[()])
 
     def numbers(self, name: str) -> FloatArray:
         """A variable as float64: CF fill values are NaN, scale_factor and add_offset are applied."""

@@ -1,15 +1,12 @@
 """Which rows of telemetry are taken: from, to, and a condition on columns, as `sunlit == 1 and temperature_degC < 10`.
 
-A condition is read by a grammar of its own and never evaluated as Python:
-
-    condition   = all-of { "or" all-of }
-    all-of      = comparison { "and" comparison }
-    comparison  = "(" condition ")" | side sign side          one side is a column, the other a number
-    sign        = "==" | "!=" | "<" | "<=" | ">" | ">="
+A condition is comparisons of a column with a number, joined by `and`, `or` and brackets. Python's parser reads it; nothing
+of it is ever evaluated as Python, and whatever else that parser knows is refused.
 """
 
 from __future__ import annotations
 
+import ast
 import operator
 import re
 from collections.abc import Callable, Mapping
@@ -24,19 +21,16 @@ from fluxtwin.sim.telemetry.columns import FileTable, clip, file_columns
 from fluxtwin.sim.telemetry.record import Telemetry
 
 _LONGEST, _DEEPEST = 500, 20
-_SIGNS: dict[str, Callable[[FloatArray, float], BoolArray]] = {
-    "==": operator.eq,
-    "!=": operator.ne,
-    "<=": operator.le,
-    ">=": operator.ge,
-    "<": operator.lt,
-    ">": operator.gt,
+_SIGNS: dict[type[ast.cmpop], Callable[[FloatArray, float], BoolArray]] = {
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+    ast.LtE: operator.le,
+    ast.GtE: operator.ge,
+    ast.Lt: operator.lt,
+    ast.Gt: operator.gt,
 }
-_MIRRORED = {"<": ">", ">": "<", "<=": ">=", ">=": "<="}
-_TOKEN = re.compile(
-    r"\s*(?:(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?![\w.])|(?P<sign>==|!=|<=|>=|<|>)"
-    r"|(?P<mark>[()])|(?P<name>[A-Za-z_][\w.]*)|\"(?P<quoted>[^\"]+)\")"
-)
+_MIRRORED: dict[type[ast.cmpop], type[ast.cmpop]] = {ast.Lt: ast.Gt, ast.Gt: ast.Lt, ast.LtE: ast.GtE, ast.GtE: ast.LtE}
+_NUMBER = re.compile(r"[+-]?\s*(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _EXAMPLE = "comparisons of a column with a number, joined by `and` or `or`, as 'sunlit == 1 and temperature_degC < 10'"
 
 Rows = Callable[[Mapping[str, FloatArray]], BoolArray]
@@ -132,93 +126,55 @@ def selected(
 
 
 def condition(text: str) -> Condition:
-    """The condition that `text` states. Raises BadInput that says where the text stops to be one."""
+    """The condition that `text` states. Raises BadInput that says which part of it is none."""
     if len(text) > _LONGEST:
         raise BadInput(f"has {len(text)} characters", where="--where", wanted=f"at most {_LONGEST}")
-    reader = _Reader(text)
-    rows = reader.any_of(0)
-    if reader.place < len(reader.tokens):
-        raise reader.stopped("`and` or `or`")
-    return Condition(" ".join(text.split()), tuple(dict.fromkeys(reader.columns)), rows)
+    if text.count("(") > _DEEPEST:
+        raise BadInput("has too many brackets", where="--where", wanted=_EXAMPLE)
+    text = " ".join(text.split())
+    try:
+        tree = ast.parse(text, mode="eval").body
+    except (SyntaxError, ValueError) as error:
+        said = getattr(error, "msg", str(error))
+        raise BadInput(f"cannot be read ({said})", where=f"--where {clip(text)!r}", wanted=_EXAMPLE) from None
+    columns: list[str] = []
+    rows = _rows(tree, text, columns)
+    return Condition(text, tuple(dict.fromkeys(columns)), rows)
+
+
+def _rows(part: ast.expr, text: str, columns: list[str]) -> Rows:
+    """The rows in which a part of the condition holds; its columns go to `columns`. Raises BadInput for another part."""
+    if isinstance(part, ast.BoolOp):
+        join = np.logical_and if isinstance(part.op, ast.And) else np.logical_or
+        parts = [_rows(one, text, columns) for one in part.values]
+        return lambda values: join.reduce([one(values) for one in parts])
+    if isinstance(part, ast.Compare) and len(part.ops) == 1:
+        sign, sides = type(part.ops[0]), [part.left, part.comparators[0]]
+        names, numbers = ([ask(text, side) for side in sides] for ask in (_name, _number))
+        if names[0] is None:  # the number stands first
+            sign, names, numbers = _MIRRORED.get(sign, sign), names[::-1], numbers[::-1]
+        name, number = names[0], numbers[1]
+        if name is not None and number is not None and sign in _SIGNS:
+            columns.append(name)
+            return lambda values: _SIGNS[sign](values[name], number) & ~np.isnan(values[name])
+    said = clip(str(ast.get_source_segment(text, part)), 40)
+    raise BadInput(f"{said!r} compares no column with a number", where=f"--where {clip(text)!r}", wanted=_EXAMPLE)
+
+
+def _name(text: str, side: ast.expr) -> str | None:
+    """The column that a side names: plainly, with dots, or in quotes."""
+    if isinstance(side, ast.Constant):
+        return side.value if isinstance(side.value, str) else None
+    said = ast.get_source_segment(text, side) or ""
+    return said if isinstance(side, ast.Name | ast.Attribute) and re.fullmatch(r"[\w.]+", said) else None
+
+
+def _number(text: str, side: ast.expr) -> float | None:
+    said = ast.get_source_segment(text, side) or ""
+    return float(said.replace(" ", "")) if _NUMBER.fullmatch(said) else None
 
 
 def _instant(given: np.datetime64 | str | None, where: str) -> np.datetime64 | None:
     if isinstance(given, str):
         return epoch.parse_time(given, where=where)
     return None if given is None else given.astype("datetime64[ns]")
-
-
-class _Reader:
-    """The words of one condition, read from left to right."""
-
-    def __init__(self, text: str) -> None:
-        self.text, self.place = text, 0
-        self.columns: list[str] = []
-        self.tokens: list[tuple[str, str]] = []
-        at, end = 0, len(text.rstrip())
-        while at < end:
-            match = _TOKEN.match(text, at)
-            if match is None:
-                raise BadInput(f"cannot read {clip(text[at:].strip(), 20)!r}", where="--where", wanted=_EXAMPLE)
-            kind = str(match.lastgroup)
-            self.tokens.append((kind, match[kind]))
-            at = match.end()
-
-    def any_of(self, depth: int) -> Rows:
-        parts = self._joined("or", lambda: self._all_of(depth))
-        return lambda columns: np.logical_or.reduce([part(columns) for part in parts])
-
-    def _all_of(self, depth: int) -> Rows:
-        parts = self._joined("and", lambda: self._comparison(depth))
-        return lambda columns: np.logical_and.reduce([part(columns) for part in parts])
-
-    def _joined(self, word: str, part: Callable[[], Rows]) -> list[Rows]:
-        parts = [part()]
-        while self._peek() == ("name", word):
-            self.place += 1
-            parts.append(part())
-        return parts
-
-    def _comparison(self, depth: int) -> Rows:
-        if depth > _DEEPEST:
-            raise BadInput("has too many brackets", where="--where", wanted=_EXAMPLE)
-        if self._peek() == ("mark", "("):
-            self.place += 1
-            inner = self.any_of(depth + 1)
-            self._take("mark", "a closing bracket", ")")
-            return inner
-        kind = self._peek()[0]
-        if kind == "number":
-            number = float(self._take("number", "a number"))
-            sign = self._take("sign", "== != < <= > >=")
-            name = self._column()
-            sign = _MIRRORED.get(sign, sign)
-        else:
-            name = self._column()
-            sign = self._take("sign", "== != < <= > >=")
-            number = float(self._take("number", "a number"))
-        compare = _SIGNS[sign]
-        return lambda columns: compare(columns[name], number) & ~np.isnan(columns[name])
-
-    def _column(self) -> str:
-        kind, word = self._peek()
-        if kind not in ("name", "quoted") or (kind == "name" and word in ("and", "or")):
-            raise self.stopped("the name of a column")
-        self.place += 1
-        self.columns.append(word)
-        return word
-
-    def _take(self, kind: str, wanted: str, word: str | None = None) -> str:
-        found = self._peek()
-        if found[0] != kind or (word is not None and found[1] != word):
-            raise self.stopped(wanted)
-        self.place += 1
-        return found[1]
-
-    def _peek(self) -> tuple[str, str]:
-        return self.tokens[self.place] if self.place < len(self.tokens) else ("end", "")
-
-    def stopped(self, wanted: str) -> BadInput:
-        kind, word = self._peek()
-        found = "it ends" if kind == "end" else f"stands {clip(word, 20)!r}"
-        return BadInput(f"where {wanted} should stand, {found}", where=f"--where {clip(self.text)!r}", wanted=_EXAMPLE)

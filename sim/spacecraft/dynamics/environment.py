@@ -93,8 +93,7 @@ def _stamps(start: np.datetime64, spacing_s: float, count: int) -> TimeArray:
     """`count` stamps from one spacing before the start on; without a leap second among them they are plain sums."""
     ends = epoch.add_seconds(start, spacing_s * np.array([-1.0, count - 2.0]))
     if float((ends[1] - ends[0]).astype("int64")) == np.rint((count - 1.0) * spacing_s * 1e9):
-        stamps: TimeArray = ends[0] + np.rint(spacing_s * 1e9 * np.arange(count)).astype("timedelta64[ns]")
-        return stamps
+        return np.asarray(ends[0] + np.rint(spacing_s * 1e9 * np.arange(count)).astype("timedelta64[ns]"))
     return epoch.add_seconds(start, spacing_s * np.arange(-1.0, count - 1.0))
 
 

@@ -86,88 +86,76 @@ def fly(
     substeps: int,
     dipoles: FloatArray,
     knowledge: FloatArray,
-    targets: FloatArray,
-    compasses: FloatArray,
+    target: FloatArray,
+    compass: FloatArray,
     share: FloatArray,
     step_s: float,
     every: Any,
     out: FloatArray,
 ) -> None:
-    """Fly V vehicles, one after the other; each row of the answer depends on its own vehicle alone.
+    """Fly a vehicle.
 
-    start (V, 7 + W): q_NB, momentum in N, momenta of the W wheels. wheels (V, W, WHEEL_SIZE). inverse (V, 3, 3): of
-    the inertia tensor less that of the wheels about their axes. packed (V, P), slots (torques + laws,): parameters
-    and where they begin. nodes (1 or V, K, columns): the surroundings, so many `substeps` apart. dipoles (ticks or 0,
-    3): what the torquers do besides the law [A m2]. knowledge (ticks or 0, 6): errors of the attitude [rad] and the
-    field [T] that the law is given. targets (V, 13), see `_seen_attitude`. compasses (V, 12): field to reading, and what
-    is added [T]. share (V, W, 3): wheel torques for a torque on the body. every: steps from tick to tick and from row
-    to row. out (V, rows, 13 + W): q_NB, rate in B, dipole, field in B [T], wheel speeds relative to the body.
+    start (7 + W,): q_NB, momentum in N, momenta of the W wheels. wheels (W, WHEEL_SIZE). inverse (3, 3): of the inertia
+    tensor less that of the wheels about their axes. packed (P,), slots (torques + laws,): parameters and where they begin.
+    nodes (K, columns): the surroundings, so many `substeps` apart. dipoles (ticks or 0, 3): what the torquers do besides
+    the law [A m2]. knowledge (ticks or 0, 6): errors of the attitude [rad] and the field [T] that the law is given.
+    target (13,), see `_seen_attitude`. compass (12,): field to reading, and what is added [T]. share (W, 3): wheel torques
+    for a torque on the body. every: steps from tick to tick and from row to row. out (rows, 13 + W): q_NB, rate in B,
+    dipole, field in B [T], wheel speeds relative to the body.
     """
-    count = wheels.shape[1]
-    state, stage = np.empty(7 + count), np.empty(STAGE_SIZE)
+    count = wheels.shape[0]
+    state, stage = start.copy(), np.zeros(STAGE_SIZE)
     slope, total = np.empty(6 + count), np.empty(6 + count)
-    motor, memory, reading = np.empty(count), np.empty(MEMORY_SIZE), np.empty(READING_SIZE)
-    carry, command, trial = np.empty(4), np.empty(COMMAND_SIZE), np.empty(7 + count)
+    motor, memory, reading = np.zeros(count), np.zeros(MEMORY_SIZE), np.empty(READING_SIZE)
+    carry, command, trial = np.zeros(4), np.empty(COMMAND_SIZE), np.empty(7 + count)
     inner, steered, acted = 3, False, slots[_TORQUERS] > 0 or count > 0
     for slot in range(slots.shape[0]):
         if slots[slot] > 0:
             steered = steered or slot >= _LAWS
             if slot < _LAWS and _CURIOUS[slot]:
-                inner = nodes.shape[2]  # what the torques want of the surroundings
-    for v in range(start.shape[0]):
-        around = nodes[min(v, nodes.shape[0] - 1)]
-        for k in range(7 + count):
-            state[k] = start[v, k]
-        _clear(carry)
-        _clear(memory)
-        _clear(motor)
-        _clear(stage)
-        _between(around, 1, 0.0, around.shape[1], stage)
-        steps = (out.shape[1] - 1) * every[1]
-        node, sub, tick, row = 1, 0, 0, 0
-        for i in range(steps + 1):
-            _begin(state, wheels[v], inverse[v], stage)
-            _feel(stage)
-            if acted and i == tick * every[0]:
-                reading[layout.TICK], reading[layout.PERIOD] = tick, every[0] * step_s
-                tick += 1
-                _clear(command)
-                if steered:
-                    _see(knowledge, targets[v], compasses[v], wheels[v], state, stage, reading)
-                    _decide(slots, packed[v], reading, memory, command)
-                _act(packed[v], slots, dipoles, share[v], wheels[v], state, reading, command, stage, motor)
-            if i == row * every[1]:
-                _log(state, wheels[v], stage, out[v, row])
-                row += 1
-            if i < steps:
-                _step(
-                    around,
-                    node,
-                    (sub + 0.5) / substeps,
-                    (sub + 1.0) / substeps,
-                    inner,
-                    wheels[v],
-                    inverse[v],
-                    packed[v],
-                    slots,
-                    motor,
-                    step_s,
-                    state,
-                    carry,
-                    trial,
-                    stage,
-                    slope,
-                    total,
-                )
-                sub += 1
-                if sub == substeps:
-                    node, sub = node + 1, 0
-
-
-@part(**OPTIONS)
-def _clear(numbers: FloatArray) -> None:
-    for k in range(numbers.shape[0]):  # a slice would be shorter, and two seconds of the compiler's time
-        numbers[k] = 0.0
+                inner = nodes.shape[1]  # what the torques want of the surroundings
+    _between(nodes, 1, 0.0, nodes.shape[1], stage)
+    steps = (out.shape[0] - 1) * every[1]
+    node, sub, tick, row = 1, 0, 0, 0
+    for i in range(steps + 1):
+        _begin(state, wheels, inverse, stage)
+        _feel(stage)
+        if acted and i == tick * every[0]:
+            reading[layout.TICK], reading[layout.PERIOD] = tick, every[0] * step_s
+            tick += 1
+            for k in range(COMMAND_SIZE):  # a slice would be shorter, and two seconds of the compiler's time
+                command[k] = 0.0
+            if steered:
+                _see(knowledge, target, compass, wheels, state, stage, reading)
+                _decide(slots, packed, reading, memory, command)
+            _act(packed, slots, dipoles, share, wheels, state, reading, command, stage, motor)
+        if i == row * every[1]:
+            _log(state, wheels, stage, out[row])
+            row += 1
+        if i < steps:
+            half, end = (sub + 0.5) / substeps, (sub + 1.0) / substeps
+            _step(
+                nodes,
+                node,
+                half,
+                end,
+                inner,
+                wheels,
+                inverse,
+                packed,
+                slots,
+                motor,
+                step_s,
+                state,
+                carry,
+                trial,
+                stage,
+                slope,
+                total,
+            )
+            sub += 1
+            if sub == substeps:
+                node, sub = node + 1, 0
 
 
 @part(**OPTIONS)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -136,20 +135,3 @@ class Vehicle:
 def part_names() -> list[str]:
     """All torques and laws in the order of the slots."""
     return [torque.name for torque in TORQUES] + [law.name for law in CONTROLS]
-
-
-def stacked(vehicles: Sequence[Vehicle]) -> dict[str, np.ndarray]:
-    """What the kernel wants of a batch of vehicles; BadInput unless all have the same parts."""
-    rows, slots = zip(*(vehicle.packed() for vehicle in vehicles), strict=True)
-    alike = {(tuple(s), r.size, len(v.wheels)) for s, r, v in zip(slots, rows, vehicles, strict=True)}
-    if len(alike) > 1:
-        raise BadInput("the vehicles of a batch differ in torques, plates, law or wheels", where="vehicles")
-    return {
-        "wheels": np.stack([vehicle.wheel_rows for vehicle in vehicles]),
-        "inverse": np.stack([np.linalg.inv(vehicle.bare_inertia_kg_m2) for vehicle in vehicles]),
-        "packed": np.stack(rows),
-        "slots": slots[0],
-        "targets": np.array([vehicle.target.row for vehicle in vehicles]),
-        "compasses": np.array([vehicle.compass.row for vehicle in vehicles]),
-        "share": np.stack([vehicle.share for vehicle in vehicles]),
-    }

@@ -31,8 +31,7 @@ class Surroundings:
     @property
     def nadir_N(self) -> FloatArray:
         """(N, 3) unit vectors to the centre of the Earth."""
-        nadir: FloatArray = -self.r_N_km / np.linalg.norm(self.r_N_km, axis=1)[:, None]
-        return nadir
+        return np.asarray(-self.r_N_km / np.linalg.norm(self.r_N_km, axis=1)[:, None])
 
 
 class SensorSection(Section):

@@ -50,8 +50,7 @@ class StarTrackerSection(SensorSection):
 
     @property
     def _unit_B(self) -> FloatArray:
-        unit: FloatArray = np.asarray(self.boresight_B) / np.linalg.norm(self.boresight_B)
-        return unit
+        return np.asarray(np.asarray(self.boresight_B) / np.linalg.norm(self.boresight_B))
 
     def sees(self, around: Surroundings) -> BoolArray:
         """(N,) True where it sees stars."""
@@ -70,5 +69,4 @@ class StarTrackerSection(SensorSection):
 
 def _angle(one: FloatArray, other: FloatArray) -> FloatArray:
     """(N,) rad between unit vectors (N, 3)."""
-    angle: FloatArray = np.arctan2(np.linalg.norm(np.cross(one, other), axis=1), np.einsum("ij,ij->i", one, other))
-    return angle
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(one, other), axis=1), np.einsum("ij,ij->i", one, other)))

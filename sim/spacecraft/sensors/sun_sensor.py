@@ -59,8 +59,7 @@ class SunSensorHead:
         sun_B (N, 3) true unit vectors in body axes.
         """
         inside = (np.abs(self.angles(sun_B)) <= self.half_fov_rad).all(axis=1)
-        seen: BoolArray = inside & (np.broadcast_to(illumination, inside.shape) > _SUNLIT)
-        return seen
+        return np.asarray(inside & (np.broadcast_to(illumination, inside.shape) > _SUNLIT))
 
     def measure(self, sun_B: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Measured unit vectors (N, 3) in nominal body axes: noise on the two angles, rounding to the LSB.
@@ -74,8 +73,7 @@ class SunSensorHead:
             angles = self.lsb_rad * np.rint(angles / self.lsb_rad)
         x, y = np.tan(angles).T
         sun_H = np.stack([x, y, np.ones_like(x)], axis=1)
-        unit: FloatArray = np.atleast_2d(self.R_HB.inv().apply(sun_H / np.linalg.norm(sun_H, axis=1)[:, None]))
-        return unit
+        return np.asarray(np.atleast_2d(self.R_HB.inv().apply(sun_H / np.linalg.norm(sun_H, axis=1)[:, None])))
 
 
 def measure_sun(

@@ -87,15 +87,15 @@ def test_the_kernel_flies_as_the_reference_does(name: str, close) -> None:
     q = frames.q_from_rotation(TURN * frames.rotation_ON(*ORBIT.propagate(EPOCH)))[0]
     start = Start(q, np.radians([0.5, -0.3, 0.8]), np.array([-50.0, 10.0, 20.0]))
     exact = fly_adaptive(vehicle, around, start, duration_s=120.0, period_s=5.0, rtol=1e-11)
-    flight = fly([vehicle], [around], [start], duration_s=120.0, step_s=0.25, control_every=20, log_every=20)
-    apart = frames.rotation_from_q(flight.q_NB[0]) * frames.rotation_from_q(exact.q_NB[0]).inv()
+    flight = fly(vehicle, around, start, duration_s=120.0, step_s=0.25, control_every=20, log_every=20)
+    apart = frames.rotation_from_q(flight.q_NB) * frames.rotation_from_q(exact.q_NB).inv()
     why = "fourth order in 0.25 s, a wheel's friction passing through zero"
     close(np.degrees(apart.magnitude()), 0.0, atol=1e-6, unit="deg", because=why)
     close(flight.wheel_speed_rad_s, exact.wheel_speed_rad_s, atol=1e-6, unit="rad/s", because=why)
     close(flight.dipole_B_Am2, exact.dipole_B_Am2, atol=1e-4, unit="A m2", because="1e-8 rad in the field, by the gain")
     close(flight.field_B_nT, exact.field_B_nT, atol=1e-2, unit="nT", because="the attitude, and a spline for a cubic")
     if name != "none":
-        idle = fly([Vehicle(J, wheels, ALL_TORQUES)], [around], [start], duration_s=120.0, step_s=0.25, log_every=20)
+        idle = fly(Vehicle(J, wheels, ALL_TORQUES), around, start, duration_s=120.0, step_s=0.25, log_every=20)
         with pytest.raises(AssertionError):
             close(idle.q_NB, flight.q_NB, atol=1e-6, unit="1", because="without the law it is another flight")
 
@@ -112,8 +112,8 @@ def test_each_torque_is_felt_in_that_flight(left_out: Torque) -> None:
     ends = []
     for torques in (ALL_TORQUES, fewer):
         vehicle = Vehicle(np.diag([100.0, 120.0, 80.0]), (), torques, law)
-        flight = fly([vehicle], [around], [start], duration_s=120.0, step_s=0.25, control_every=20, log_every=480)
-        ends.append(frames.rotation_from_q(flight.q_NB[0, -1:]))
+        flight = fly(vehicle, around, start, duration_s=120.0, step_s=0.25, control_every=20, log_every=480)
+        ends.append(frames.rotation_from_q(flight.q_NB[-1:]))
     assert np.degrees((ends[0] * ends[1].inv()).magnitude()[0]) > 1e-5
 
 
@@ -133,22 +133,22 @@ def test_the_momentum_balances_the_torques_along_the_flight(close) -> None:
         ORBIT.propagate, EPOCH, 1200.0, spacing_s=5.0, field=load_field(), with_sun=True, with_air=True
     )
     start = Start(np.array([0.1, 0.2, 0.3, 0.9]), np.radians([0.5, -0.3, 0.8]), np.array([-50.0]))
-    flight = fly([vehicle], [around], [start], duration_s=1200.0, step_s=0.5, control_every=20)
+    flight = fly(vehicle, around, start, duration_s=1200.0, step_s=0.5, control_every=20)
     motion = flight.attitude(flight.seconds_s)
-    torque_B = torques_B_Nm(vehicle, motion, around.at(flight.seconds_s), flight.dipole_B_Am2[0])
+    torque_B = torques_B_Nm(vehicle, motion, around.at(flight.seconds_s), flight.dipole_B_Am2)
     R_NB = motion.R_BN.inv()
-    own = wheel.inertia_kg_m2 * flight.wheel_speed_rad_s[0]
+    own = wheel.inertia_kg_m2 * flight.wheel_speed_rad_s
     momentum_N = R_NB.apply(motion.rate_B_rad_s @ J + own * [0.0, 1.0, 0.0])
     torque_N = R_NB.apply(torque_B)
     # Simpson over each tick of 20 steps, in which the dipole is held: at its end the new one is already on.
-    held = np.repeat(flight.dipole_B_Am2[0, :-1:20], 21, axis=0)
+    held = np.repeat(flight.dipole_B_Am2[:-1:20], 21, axis=0)
     rows = (np.arange(0, 2400, 20)[:, None] + np.arange(21)).ravel()
-    change_B = np.cross(held - flight.dipole_B_Am2[0, rows], 1e-9 * flight.field_B_nT[0, rows])
+    change_B = np.cross(held - flight.dipole_B_Am2[rows], 1e-9 * flight.field_B_nT[rows])
     torque_N = torque_N[rows] + R_NB[rows].apply(change_B)
     weights = np.array([1.0, *[4.0, 2.0] * 9, 4.0, 1.0]) * 0.5 / 3.0
     gained = np.cumsum(np.einsum("k,ikj->ij", weights, torque_N.reshape(-1, 21, 3)), axis=0)
     size = float(np.abs(gained).max())
     close(momentum_N[20::20] - momentum_N[0], gained, atol=1e-5 * size, unit="N m s", because="Simpson in 0.5 s")
     without = Vehicle(J, (wheel,), torques[:3], LAWS["b_dot"])
-    poor = torques_B_Nm(without, motion, around.at(flight.seconds_s), flight.dipole_B_Am2[0])
+    poor = torques_B_Nm(without, motion, around.at(flight.seconds_s), flight.dipole_B_Am2)
     assert np.abs(poor - torque_B).max() > 1e-6, "the air and the light matter"

@@ -48,7 +48,7 @@ def rms_deg(flight: Flight, since: float) -> np.ndarray:
     """Yaw, roll, pitch rms over the last share of the flight."""
     rows = slice(int(since * flight.seconds_s.size), None)
     r, v = ORBIT.propagate(epoch.add_seconds(EPOCH, flight.seconds_s[rows]))
-    angles = frames.yaw_roll_pitch(frames.rotation_from_q(flight.q_NB[0, rows]) * frames.rotation_ON(r, v).inv())
+    angles = frames.yaw_roll_pitch(frames.rotation_from_q(flight.q_NB[rows]) * frames.rotation_ON(r, v).inv())
     return np.degrees(np.sqrt(np.mean(np.square(angles), axis=1)))
 
 
@@ -83,11 +83,11 @@ def test_a_momentum_bias_is_held_within_published_pointing(
     torques = (*DISTURBED, Torquers(dipole_Am2=10.0, drive=drive, threshold_Am2=threshold))
     vehicle = Vehicle(np.diag([25.0, 20.0, 22.0]), (WHEEL,), torques, law)
     start = near_level(*off_deg, [-WHEEL_RPM - 100.0])
-    flight = fly([vehicle], [day], [start], duration_s=DAY_S, step_s=1.0, log_every=20)
+    flight = fly(vehicle, day, start, duration_s=DAY_S, step_s=1.0, log_every=20)
     good = bool((rms_deg(flight, 0.8) < [2.0, 0.7, 0.5]).all())
     assert good == (law is not None)
     if law is not None:
-        speed_rpm = flight.wheel_speed_rad_s[0, -500:, 0] / RPM
+        speed_rpm = flight.wheel_speed_rad_s[-500:, 0] / RPM
         # The momentum loop holds the wheel: full, or to where the threshold leaves it (5 A m2 / 100 per T is 0.05 N m s).
         assert np.abs(speed_rpm + WHEEL_RPM).max() < 1.2 * WHEEL_RPM * (threshold / 100.0) / MOMENTUM_NMS + 20.0
 
@@ -97,9 +97,9 @@ def test_signs_and_full_dipoles_hold_small_errors(off_deg: tuple[float, float, f
     """The bang-bang law, from 1 deg: what it wants is within twice its dead zone (8 A m2 / 700 per rad, 0.65 deg)."""
     torquers = Torquers(dipole_Am2=10.0, drive="on_off", threshold_Am2=8.0)
     vehicle = Vehicle(np.diag([25.0, 20.0, 22.0]), (WHEEL,), (*DISTURBED, torquers), bias(700.0, 3e8, "sign"))
-    flight = fly([vehicle], [day], [near_level(*off_deg, [-WHEEL_RPM])], duration_s=DAY_S, step_s=1.0, log_every=20)
+    flight = fly(vehicle, day, near_level(*off_deg, [-WHEEL_RPM]), duration_s=DAY_S, step_s=1.0, log_every=20)
     assert (rms_deg(flight, 0.2) < [1.3, 0.7, 0.5]).all()
-    dipole = np.abs(flight.dipole_B_Am2[0])
+    dipole = np.abs(flight.dipole_B_Am2)
     assert set(np.unique(dipole)) <= {0.0, 10.0} and 0.0 < (dipole > 0.0).mean() < 0.1
 
 
@@ -127,8 +127,8 @@ def test_b_dot_takes_the_rate_down_to_that_of_the_field(day: Environment) -> Non
     rates = {}
     for name, law in {"b_dot": BDot(gain_Am2_s_per_T=1e6), "none": None}.items():
         vehicle = Vehicle(inertia, (), (*DISTURBED[:1], Torquers(dipole_Am2=3.0)), law)
-        flight = fly([vehicle], [day], [start], duration_s=6 * 5820.0, step_s=0.5, control_every=2, log_every=20)
-        rates[name] = np.linalg.norm(flight.rate_B_rad_s[0, -100:], axis=1)
+        flight = fly(vehicle, day, start, duration_s=6 * 5820.0, step_s=0.5, control_every=2, log_every=20)
+        rates[name] = np.linalg.norm(flight.rate_B_rad_s[-100:], axis=1)
         assert (np.abs(flight.dipole_B_Am2) <= 3.0).all()
     assert (rates["b_dot"] < 4.0 * ORBITAL_RATE_RAD_S).all() and (rates["b_dot"] > 0.3 * ORBITAL_RATE_RAD_S).all()
     assert (rates["none"] > 0.04).all()
@@ -144,15 +144,13 @@ def test_three_axes_are_held_and_the_wheels_unloaded(day: Environment) -> None:
         law = ThreeAxis(frequency_rad_s=0.02, integral_s=300.0, unloading_per_s=rate)
         magnets = Torquers(dipole_Am2=100.0, drive="on_off", threshold_Am2=20.0)
         vehicle = Vehicle(np.diag([25_000.0, 24_000.0, 3_000.0]), wheels, (*torques, magnets), law, target)
-        flight = fly(
-            [vehicle], [day], [near_level(1.0, 1.0, 1.0, [0, 0, 0])], duration_s=DAY_S / 2, step_s=1.0, log_every=20
-        )
-        speeds[name] = np.abs(flight.wheel_speed_rad_s[0, -500:]).max()
+        flight = fly(vehicle, day, near_level(1.0, 1.0, 1.0, [0, 0, 0]), duration_s=DAY_S / 2, step_s=1.0, log_every=20)
+        speeds[name] = np.abs(flight.wheel_speed_rad_s[-500:]).max()
         if name == "unloaded":
             yaw, roll, pitch = rms_deg(flight, 0.5)
             assert yaw < 0.1 and roll < 0.1 and abs(pitch - 0.5) < 0.1
-            on = np.abs(flight.dipole_B_Am2[0]) > 0.0
-            assert set(np.abs(flight.dipole_B_Am2[0][on])) == {100.0} and 0.0 < on.mean() < 0.9
+            on = np.abs(flight.dipole_B_Am2) > 0.0
+            assert set(np.abs(flight.dipole_B_Am2[on])) == {100.0} and 0.0 < on.mean() < 0.9
     assert speeds["unloaded"] < 200.0 < speeds["left"]
 
 
@@ -166,9 +164,9 @@ def test_a_spinner_is_turned_and_kept_at_its_rate(day: Environment) -> None:
     ends = {}
     for name, control in {"steered": law, "free": None}.items():
         vehicle = Vehicle(inertia, (), (*DISTURBED[:1], Torquers(dipole_Am2=2.0)), control)
-        flight = fly([vehicle], [day], [start], duration_s=4 * 5820.0, step_s=0.1, control_every=5, log_every=100)
-        rate_B = flight.rate_B_rad_s[0, -50:]
-        momentum = frames.rotation_from_q(flight.q_NB[0, -50:]).inv().apply(rate_B @ inertia)
+        flight = fly(vehicle, day, start, duration_s=4 * 5820.0, step_s=0.1, control_every=5, log_every=100)
+        rate_B = flight.rate_B_rad_s[-50:]
+        momentum = frames.rotation_from_q(flight.q_NB[-50:]).inv().apply(rate_B @ inertia)
         r, v = ORBIT.propagate(epoch.add_seconds(EPOCH, flight.seconds_s[-50:]))
         normal = np.cross(r, v)
         cosine = np.sum(normal * momentum, axis=1) / np.linalg.norm(normal, axis=1) / np.linalg.norm(momentum, axis=1)

@@ -100,9 +100,9 @@ def test_a_librating_satellite_swings_at_the_textbook_rate(close) -> None:
     q = frames.q_from_rotation(frames.rotation_BO(np.zeros(1), np.zeros(1), np.array([pitch0])) * R_ON)[0]
     start = Start(q, np.array([0.0, -n, 0.0]), np.zeros(0))
     vehicle = Vehicle(np.diag(J), torques=(GravityGradient(),))
-    flight = fly([vehicle], [around], [start], duration_s=duration_s, step_s=5.0, log_every=20)
+    flight = fly(vehicle, around, start, duration_s=duration_s, step_s=5.0, log_every=20)
     time = EPOCH + (flight.seconds_s * 1e9).astype("timedelta64[ns]")
-    *_, pitch = frames.yaw_roll_pitch(frames.rotation_from_q(flight.q_NB[0]) * frames.rotation_ON(*circle(time)).inv())
+    *_, pitch = frames.yaw_roll_pitch(frames.rotation_from_q(flight.q_NB) * frames.rotation_ON(*circle(time)).inv())
     expected = pitch0 * np.cos(swing * flight.seconds_s)
     close(pitch, expected, atol=1e-3 * pitch0, unit="rad", because="the swing is 1e-6 longer at an amplitude of 1e-3")
 
@@ -117,16 +117,16 @@ def test_a_compass_needle_swings_at_the_textbook_rate(close) -> None:
     vehicle = Vehicle(np.diag([J, J, J]), torques=(ResidualDipole(dipole_Am2=(m, 0.0, 0.0)),))
     q = np.array([0.0, 0.0, np.sin(turn0 / 2), np.cos(turn0 / 2)])
     flight = fly(
-        [vehicle],
-        [still((b_nT, 0, 0), 3000.0)],
-        [Start(q, np.zeros(3), np.zeros(0))],
+        vehicle,
+        still((b_nT, 0, 0), 3000.0),
+        Start(q, np.zeros(3), np.zeros(0)),
         duration_s=3000.0,
         step_s=1.0,
         log_every=50,
     )
     swing = np.sqrt(m * b_nT * 1e-9 / J)
     close(
-        2.0 * flight.q_NB[0, :, 2],
+        2.0 * flight.q_NB[:, 2],
         turn0 * np.cos(swing * flight.seconds_s),
         atol=1e-8,
         unit="rad",
@@ -308,8 +308,8 @@ def test_eddy_currents_brake_a_spinner(close) -> None:
     section = EddyCurrents(K_Am2_s_per_T=((k, 0.0, 0.0), (0.0, k, 0.0), (0.0, 0.0, k)))
     vehicle = Vehicle(J * np.eye(3), torques=(section,))
     start = Start(LEVEL, np.array([0.05, 0.0, 0.3]), np.zeros(0))
-    flight = fly([vehicle], [still((b_nT, 0, 0), 2000.0)], [start], duration_s=2000.0, step_s=0.2, log_every=100)
-    rate_N = frames.rotation_from_q(flight.q_NB[0]).inv().apply(flight.rate_B_rad_s[0])
+    flight = fly(vehicle, still((b_nT, 0, 0), 2000.0), start, duration_s=2000.0, step_s=0.2, log_every=100)
+    rate_N = frames.rotation_from_q(flight.q_NB).inv().apply(flight.rate_B_rad_s)
     decay = np.exp(-k * (b_nT * 1e-9) ** 2 / J * flight.seconds_s)
     expected = np.stack([np.full_like(decay, 0.05), 0.0 * decay, 0.3 * decay], axis=1)
     close(rate_N, expected, atol=1e-7, unit="rad/s", because="fourth order in 0.06 rad, over 600 rad")
@@ -336,10 +336,10 @@ def test_between_the_nodes_the_field_is_the_field(close) -> None:
     worst = {}
     for spacing_s in (10.0, 20.0):
         around = environment_along(orbit.propagate, EPOCH, 6000.0, spacing_s=spacing_s, field=model)
-        flight = fly([Vehicle(np.eye(3))], [around], [start], duration_s=6000.0, step_s=5.0, log_every=1)
+        flight = fly(Vehicle(np.eye(3)), around, start, duration_s=6000.0, step_s=5.0, log_every=1)
         time = EPOCH + (flight.seconds_s * 1e9).astype("timedelta64[ns]")
         exact = field_N_nT(model, EPOCH + np.timedelta64(3000, "s"), orbit.propagate(time)[0], frames.rotation_EN(time))
-        worst[spacing_s] = np.abs(flight.field_B_nT[0] - exact).max()
+        worst[spacing_s] = np.abs(flight.field_B_nT - exact).max()
     close(worst[10.0], 0.0, atol=0.02, unit="nT", because="0.002 nT of the cubic, 0.01 nT of one epoch for all")
     assert 0.01 < worst[20.0] < 0.1
 

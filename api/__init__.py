@@ -31,11 +31,12 @@ The parts stand in `fluxtwin.sim`, `fluxtwin.calib`, `fluxtwin.gap`, `fluxtwin.p
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if __name__ == "api":
     raise ImportError("import fluxtwin, never the bare folder name: two copies of every class would exist")
+
+from fluxtwin.sim.base.doors import door
 
 if TYPE_CHECKING:
     from fluxtwin.calib.checks.check import repair as repair
@@ -77,49 +78,28 @@ if TYPE_CHECKING:
 
 __version__ = "0.2.0"
 
-_NAMES = {
-    "fluxtwin.sim.telemetry.telemetry_files": ("read_telemetry", "write_telemetry"),
-    "fluxtwin.verbs": [
-        "convert",
-        "check",
-        "calibrate",
-        "apply",
-        "attitude",
-        "yaw",
-        "effects",
-        "passes",
-        "draft_map",
-        "field",
-    ],
-    "fluxtwin.flight_software": ("export", "import_calibration"),
-    "fluxtwin.diagnosing": ("diagnose", "close"),
-    "fluxtwin.following": ("follow",),
-    "fluxtwin.planning": ("plan",),
-    "fluxtwin.describing": ("info",),
-    "fluxtwin.calib.checks.check": ("repair",),
-    "fluxtwin.sim.earth.field_models": ("load_field",),
-    "fluxtwin.scenarios.packaged": ("load_scenario",),
-    "fluxtwin.trending": ("trend",),
-    "fluxtwin.flying": ("simulate", "ensemble"),
-    "fluxtwin.campaigning": ("campaign",),
-    "fluxtwin.fleets": ("fleet",),
-    "fluxtwin.studies": ("run_study",),
-    "fluxtwin.sim.telemetry.record": ("Telemetry",),
-    "fluxtwin.calib.common.records": ("Calibration",),
-    "fluxtwin.sim.base.errors": ("FluxtwinError", "BadInput", "NoAnswer", "OutOfRange"),
+_HOMES = {
+    "sim.telemetry.telemetry_files": "read_telemetry:read write_telemetry:write",
+    "verbs": "convert check calibrate apply attitude yaw effects passes draft_map field",
+    "flight_software": "export import_calibration",
+    "diagnosing": "diagnose close",
+    "following": "follow",
+    "planning": "plan",
+    "describing": "info",
+    "calib.checks.check": "repair",
+    "sim.earth.field_models": "load_field",
+    "scenarios.packaged": "load_scenario",
+    "trending": "trend",
+    "flying": "simulate ensemble",
+    "campaigning": "campaign",
+    "fleets": "fleet",
+    "studies": "run_study",
+    "sim.telemetry.record": "Telemetry",
+    "calib.common.records": "Calibration",
+    "sim.base.errors": "FluxtwinError BadInput NoAnswer OutOfRange",
 }
-_HOMES = {name.removesuffix("_telemetry"): (module, name) for module, names in _NAMES.items() for name in names}
-
-__all__ = ["__version__", *_HOMES]
-
-
-def __getattr__(name: str) -> Any:
-    home = _HOMES.get(name)
-    if home is None:
-        raise AttributeError(f"fluxtwin has no {name!r}; it has {', '.join(_HOMES)}")
-    value = getattr(importlib.import_module(home[0]), home[1])
-    globals()[name] = value
-    return value
+__getattr__, _ = door(__name__, **_HOMES)
+__all__ = ["__version__", *(name.rpartition(":")[2] for names in _HOMES.values() for name in names.split())]
 
 
 def __dir__() -> list[str]:

@@ -12,6 +12,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Sequence
+from importlib import import_module
 from typing import Annotated
 
 import typer
@@ -19,34 +20,17 @@ import typer
 import fluxtwin
 from fluxtwin import console
 from fluxtwin.calib import methods
-from fluxtwin.commands import (
-    apply,
-    attitude,
-    calibrate,
-    campaign,
-    check,
-    convert,
-    diagnose,
-    effects,
-    ensemble,
-    export,
-    field,
-    fleet,
-    info,
-    passes,
-    plan,
-    run,
-    simulate,
-    trend,
-    yaw,
-)
-from fluxtwin.commands import map as map_
 from fluxtwin.commands.options import QuietOption, VerboseOption, as_command
 from fluxtwin.console import clean, manners
 from fluxtwin.sim.base import processes
 from fluxtwin.sim.base.errors import FluxtwinError
 
 OUR_FAULT = 70
+_COMMANDS = (
+    "run simulate ensemble campaign map info convert check calibrate apply export trend yaw attitude diagnose fleet plan "
+    "effects passes field"
+)
+"""The modules of `fluxtwin.commands`, in the order of the help."""
 
 app = typer.Typer(
     name="fluxtwin",
@@ -75,29 +59,9 @@ def fluxtwin_command(
     manners.quiet, manners.verbose = quiet, verbose
 
 
-for _module in (
-    run,
-    simulate,
-    ensemble,
-    campaign,
-    map_,
-    info,
-    convert,
-    check,
-    calibrate,
-    apply,
-    export,
-    trend,
-    yaw,
-    attitude,
-    diagnose,
-    fleet,
-    plan,
-    effects,
-    passes,
-    field,
-):
-    app.command(_module.NAME, short_help=_module.BRIEF)(as_command(_module.command, methods.offered()))
+for _name in _COMMANDS.split():
+    _module = import_module(f"fluxtwin.commands.{_name}")
+    app.command(_name, short_help=_module.BRIEF)(as_command(_module.command, methods.offered()))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -28,8 +28,8 @@ from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.seals import unsealed_json
 from fluxtwin.sim.base.toml_input import read_model, validate
 from fluxtwin.sim.earth import epoch, frames, sun
-from fluxtwin.sim.earth.constants import GM_EARTH_KM3_S2
 from fluxtwin.sim.earth.field_models import load_field
+from fluxtwin.sim.earth.orbit import kepler_period_s
 from fluxtwin.sim.run import spacecraft
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.run.truth import Truth
@@ -224,9 +224,7 @@ def _when(base: Scenario, limits: LimitsSection) -> tuple[np.datetime64, float, 
     end = epoch.add_seconds(epoch.parse_time(last.start_utc), last.step_s * (last.count - 1))[0]
     start = epoch.add_seconds(end, _DAY_S)[0].astype("datetime64[m]").astype("datetime64[ns]")
     r, v = ephemeris(base, np.array([start]))
-    energy = 2.0 / np.linalg.norm(r[0]) - float(v[0] @ v[0]) / GM_EARTH_KM3_S2
-    orbit_h = float(2.0 * np.pi * np.sqrt(1.0 / energy**3 / GM_EARTH_KM3_S2)) / 3600.0
-    hours = limits.hours or _ORBITS * orbit_h
+    hours = limits.hours or _ORBITS * kepler_period_s(r[0], v[0]) / 3600.0
     step_s = limits.step_s or max(last.step_s, float(np.ceil(3600.0 * hours / _MOST_ROWS)))
     return start, hours, step_s
 

@@ -11,7 +11,6 @@ from fluxtwin.commands import options as of
 from fluxtwin.commands.reading import TelemetryArgument, known_calibration, read
 from fluxtwin.console import Output
 
-NAME = "apply"
 BRIEF = "Correct telemetry with a calibration file."
 
 

@@ -14,7 +14,6 @@ from fluxtwin.console import Output
 if TYPE_CHECKING:
     from fluxtwin.calib.attitude.three_axis import AttitudeSolution
 
-NAME = "attitude"
 ANGLES = ("yaw_deg", "roll_deg", "pitch_deg")
 COLUMNS = ("time", *(f"q_{k}" for k in "xyzw"), *ANGLES, *(f"sigma_{k}_deg" for k in "xyz"), "aided")
 BRIEF = "Three-axis attitude from magnetometer, horizon scanner and sun, through the night."

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from fluxtwin.sim.earth.field import FieldModel
     from fluxtwin.sim.telemetry.record import Telemetry
 
-NAME = "calibrate"
 BRIEF = "Bias, matrix and torquer coupling from telemetry, with attitude or without."
 
 

@@ -11,7 +11,6 @@ import typer
 from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 
-NAME = "campaign"
 BRIEF = "Draw, simulate, calibrate, diagnose, many times: would you see it on your spacecraft?"
 
 

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from fluxtwin.sim.earth.field_models import FieldModel
     from fluxtwin.sim.telemetry.record import Telemetry
 
-NAME = "check"
 BRIEF = "Is this file what it says? Names the classic traps."
 
 

@@ -6,7 +6,6 @@ from fluxtwin.commands import options as of
 from fluxtwin.commands.reading import TelemetryArgument, read
 from fluxtwin.console import Output
 
-NAME = "convert"
 BRIEF = "Write telemetry in another format, all of it or some rows."
 
 

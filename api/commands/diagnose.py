@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from fluxtwin.gap.records.diagnosis import Diagnosis
     from fluxtwin.sim.telemetry.record import Telemetry
 
-NAME = "diagnose"
 BRIEF = "Where the gap to the simulation lies, which effect causes it, how far it shrinks."
 
 

@@ -12,7 +12,6 @@ from fluxtwin.console import Output, wrapped
 if TYPE_CHECKING:
     from fluxtwin.sim.effects.base import Effect
 
-NAME = "effects"
 BRIEF = "The catalogue of effects, with units and typical sizes."
 
 

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from fluxtwin.scenarios.page import Table
     from fluxtwin.sim.run.ensemble.run import Ensemble
 
-NAME = "ensemble"
 BRIEF = "Thousands of vehicles with drawn parameters, on all cores."
 
 _SHOWN = ("mean", "std", "p5", "p50", "p95", "p99", "max", "vehicle_of_max")

@@ -10,7 +10,6 @@ import typer
 from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 
-NAME = "export"
 BRIEF = "Write a calibration for flight software, with the error that its numbers add."
 
 _SEEN_NT = 1e-6  # less is the arithmetic of this computer

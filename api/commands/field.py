@@ -9,7 +9,6 @@ import typer
 from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 
-NAME = "field"
 BRIEF = "The geomagnetic field at one place and time."
 
 

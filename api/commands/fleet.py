@@ -11,7 +11,6 @@ from fluxtwin.commands import options as of
 from fluxtwin.commands.reading import read
 from fluxtwin.console import Output
 
-NAME = "fleet"
 BRIEF = "Many vehicles of one design: what is common to them, and which is the odd one."
 
 

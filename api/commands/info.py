@@ -13,7 +13,6 @@ from fluxtwin.console import Output
 if TYPE_CHECKING:
     from fluxtwin.describing import Inventory
 
-NAME = "info"
 BRIEF = "What is in these files: columns, units, span, gaps, and what each verb lacks."
 _MOST_PASSES = 20
 

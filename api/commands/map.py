@@ -9,7 +9,6 @@ import typer
 
 from fluxtwin.console import Output
 
-NAME = "map"
 BRIEF = "Write a first column map from the header of foreign files."
 
 

@@ -10,7 +10,6 @@ import typer
 from fluxtwin.console import Output
 from fluxtwin.scenarios.packaged import NAMES
 
-NAME = "passes"
 BRIEF = "When the stations of a scenario see the spacecraft."
 
 

@@ -10,7 +10,6 @@ import typer
 from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 
-NAME = "plan"
 BRIEF = "What to fly next to settle what a diagnosis leaves open, and with what power."
 
 

@@ -9,7 +9,6 @@ import typer
 
 from fluxtwin.console import Output
 
-NAME = "run"
 BRIEF = "A whole study: tables, figures, report.html, summary.json."
 
 

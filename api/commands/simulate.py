@@ -15,7 +15,6 @@ from fluxtwin.scenarios.packaged import NAMES, load_scenario
 if TYPE_CHECKING:
     from fluxtwin.sim.scenario.scenario import Scenario
 
-NAME = "simulate"
 BRIEF = "A scenario becomes telemetry."
 
 

@@ -12,7 +12,6 @@ from fluxtwin.commands import options as of
 from fluxtwin.commands.reading import read
 from fluxtwin.console import Output
 
-NAME = "trend"
 BRIEF = "Does last month's calibration still hold? Compare calibrations, or telemetry of several days."
 
 

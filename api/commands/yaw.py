@@ -11,7 +11,6 @@ from fluxtwin.commands import options as of
 from fluxtwin.commands.reading import TelemetryArgument, known_calibration, read, write_table
 from fluxtwin.console import Output
 
-NAME = "yaw"
 COLUMNS = ("time", "yaw_deg", "yaw_first_order_deg", "sigma_deg", "yaw_reference_deg")
 BRIEF = "Yaw from the magnetometer, roll and pitch, with its sigma."
 

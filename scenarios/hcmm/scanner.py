@@ -34,7 +34,6 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames, horizon
 from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.spacecraft.sensors.horizon_crossings import ConicalScanner
-from fluxtwin.sim.spacecraft.sensors.horizon_scanner import nadir_from, roll_pitch
 from fluxtwin.sim.spacecraft.sensors.reference_attitude import attitude_from_sun_and_nadir
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -214,8 +213,8 @@ def with_horizon(flight: Flight, axes: tuple[int, ...], earth: Earth, shift_deg:
     )
     down_B = R_BN.apply(-world.r_N_km / np.linalg.norm(world.r_N_km, axis=1)[:, None])
     nadir_B = np.array(flight.telemetry.nadir_B)
-    angles = [m + h - t for m, h, t in zip(roll_pitch(nadir_B), roll_pitch(found), roll_pitch(down_B), strict=True)]
-    return replace(flight, telemetry=flight.telemetry.replace(nadir_B=nadir_from(*angles)))
+    angles = frames.roll_pitch(nadir_B) + frames.roll_pitch(found) - frames.roll_pitch(down_B)
+    return replace(flight, telemetry=flight.telemetry.replace(nadir_B=frames.nadir_of(angles)))
 
 
 def _seen(rows: Sequence[Row] | Sequence[Pass]) -> Numbers:

@@ -9,16 +9,23 @@ from typing import Any
 
 
 def door(package: str, **modules: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """`__getattr__` and `__dir__` of `package`. modules: names to re-export, parted by blanks, by the module they are in.
+    """`__getattr__` and `__dir__` of `package`. modules: names to re-export, parted by blanks, by the module they are in;
+    `a:b` is called b here.
 
     To import all of them at once would make every start as slow as the slowest of them.
     """
-    homes = {name: f"{package}.{module}" for module, names in modules.items() for name in names.split()}
+    parts = [
+        (f"{package}.{module}", *name.partition(":")[::2])
+        for module, names in modules.items()
+        for name in names.split()
+    ]
+    homes = {shown or name: (module, name) for module, name, shown in parts}
 
     def get(name: str) -> Any:
         if name not in homes:
             raise AttributeError(f"{package} has no {name!r}; it has {', '.join(homes)}")
-        value = getattr(importlib.import_module(homes[name]), name)
+        module, own = homes[name]
+        value = getattr(importlib.import_module(module), own)
         setattr(sys.modules[package], name, value)
         return value
 

@@ -11,7 +11,7 @@ from fluxtwin.sim.base.toml_input import Strict
 
 def as_tuple(value: Any) -> Any:
     """Lists, as TOML has them, become tuples, all the way down."""
-    return tuple(as_tuple(item) for item in value) if isinstance(value, list) else value
+    return tuple(as_tuple(item) for item in value) if isinstance(value, list | tuple) else value
 
 
 def _not_zero(value: Any) -> Any:

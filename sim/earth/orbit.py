@@ -143,6 +143,13 @@ class Orbit:
         return position, velocity
 
 
+def kepler_period_s(r_km: FloatArray, v_km_s: FloatArray) -> float:
+    """Kepler period of the orbit through a position and velocity (3,), by vis-viva; infinite where it is not closed."""
+    r, v = np.linalg.norm(r_km), np.linalg.norm(v_km_s)
+    axis_km = 1.0 / (2.0 / r - v**2 / GM_EARTH_KM3_S2)
+    return float(2.0 * np.pi * np.sqrt(axis_km**3 / GM_EARTH_KM3_S2)) if axis_km > 0 else float("inf")
+
+
 def eccentric_anomaly(mean_anomaly_rad: FloatArray, eccentricity: float) -> FloatArray:
     """Solve Kepler's equation M = E - e sin E for E [rad], shape (N,), to rounding. Needs 0 <= e < 1.
 

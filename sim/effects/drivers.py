@@ -10,7 +10,7 @@ import numpy as np
 
 from fluxtwin.sim.base.late import late
 from fluxtwin.sim.base.types import BoolArray, FloatArray
-from fluxtwin.sim.earth.constants import GM_EARTH_KM3_S2
+from fluxtwin.sim.earth.orbit import kepler_period_s
 from fluxtwin.sim.effects.base import known_column
 from fluxtwin.sim.effects.history import relax
 from fluxtwin.sim.effects.signal import Setting
@@ -102,12 +102,8 @@ def _lag_K(setting: Setting, time_constant_s: float) -> FloatArray:
 
 
 def orbital_period_s(setting: Setting) -> float:
-    """Kepler period of the first row's orbit (vis-viva); an orbit that is not closed counts as infinite."""
-    r, v = setting.given[0][0], setting.given[1][0]
-    inverse_axis = 2.0 / float(np.linalg.norm(r)) - float(v @ v) / GM_EARTH_KM3_S2
-    if not inverse_axis > 0:
-        return float("inf")
-    return float(2.0 * np.pi / np.sqrt(GM_EARTH_KM3_S2 * inverse_axis**3))
+    """Kepler period of the first row's orbit."""
+    return kepler_period_s(setting.given[0][0], setting.given[1][0])
 
 
 def followed(setting: Setting, name: str, delay_s: float | FloatArray, lag_s: float) -> FloatArray | None:

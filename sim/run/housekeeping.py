@@ -11,7 +11,6 @@ import numpy as np
 
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, orbit
-from fluxtwin.sim.earth.constants import GM_EARTH_KM3_S2
 from fluxtwin.sim.run.drivers import run_drivers
 from fluxtwin.sim.run.flights import flights
 from fluxtwin.sim.run.true_attitude import true_attitude
@@ -43,7 +42,7 @@ def _segment(scenario: Scenario, world: World, inside: np.ndarray) -> dict[str, 
     """One stretch, warm-up included; every sample is a node of the grid, so nothing is interpolated."""
     first = world.time[inside][0]
     wanted = epoch.seconds_since(world.time[inside], first)
-    before = np.arange(-_WARM_UP_ORBITS * _period_s(world), 0.0, _GRID_S)
+    before = np.arange(-_WARM_UP_ORBITS * orbit.kepler_period_s(world.r_N_km[0], world.v_N_km_s[0]), 0.0, _GRID_S)
     between = np.arange(0.0, wanted[-1], _GRID_S)
     seconds = np.unique(np.concatenate([before, between, wanted]))
     picked = np.searchsorted(seconds, wanted)
@@ -57,13 +56,6 @@ def _segment(scenario: Scenario, world: World, inside: np.ndarray) -> dict[str, 
     return {name: column[picked] for name, column in columns.items()}
 
 
-def _period_s(world: World) -> float:
-    """Kepler period of the orbit at the first sample, by the vis-viva equation."""
-    r, v = np.linalg.norm(world.r_N_km[0]), np.linalg.norm(world.v_N_km_s[0])
-    semi_major_axis_km = 1.0 / (2.0 / r - v**2 / GM_EARTH_KM3_S2)
-    return float(2.0 * np.pi * np.sqrt(semi_major_axis_km**3 / GM_EARTH_KM3_S2))
-
-
 def _power(scenario: Scenario, world: World) -> dict[str, FloatArray]:
     section = scenario.power
     assert section is not None
@@ -71,7 +63,7 @@ def _power(scenario: Scenario, world: World) -> dict[str, FloatArray]:
     if section.axis_B is not None:
         panel = power.TrackingArray(section.axis_B, section.full_sun_current_A)
     sun_B = true_attitude(scenario, world).R_BN.apply(world.sun_N)
-    array = power.array_current_A(sun_B, world.illumination, [panel])
+    array = power.array_current_A(sun_B, world.illumination, panel)
     battery = power.Battery(section.battery_capacity_Ah, section.charge_efficiency, section.taper_above)
     slot = np.floor(epoch.seconds_since(world.time, epoch.MJD2000) / section.switched_every_s)
     load = section.load_A + section.switched_load_A * (slot % 2.0)

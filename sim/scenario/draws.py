@@ -12,18 +12,13 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from fluxtwin.sim.base.section_types import Section
+from fluxtwin.sim.base.section_types import Section, as_tuple, one_of
 
 FIXED = ("name", "seed", "schedule", "station", "replay", "closure", "draws")
 """What all vehicles of an ensemble have in common, whatever is drawn."""
 SYMMETRIC = ("spacecraft.inertia_kg_m2",)
 """Tensors: the lower triangle follows the upper one."""
 KINDS = ("normal", "relative_normal", "uniform", "log_uniform", "isotropic", "choice")
-
-
-def as_tuples(value: Any) -> Any:
-    """Lists, at any depth, as tuples: what a frozen section holds."""
-    return tuple(as_tuples(item) for item in value) if isinstance(value, list | tuple) else value
 
 
 def _numbers(value: Any) -> Any:
@@ -34,11 +29,11 @@ def _numbers(value: Any) -> Any:
         whole = np.array(np.nan)
     if isinstance(value, bool | str) or not np.isfinite(whole).all():
         raise ValueError("a number is wanted, or numbers in the shape of the key")
-    return as_tuples(value)
+    return as_tuple(value)
 
 
 Numbers = Annotated[Any, BeforeValidator(_numbers)]
-Ends = Annotated[tuple[Numbers, Numbers], BeforeValidator(as_tuples)]
+Ends = Annotated[tuple[Numbers, Numbers], BeforeValidator(as_tuple)]
 
 
 class DrawSection(Section):
@@ -54,7 +49,7 @@ class DrawSection(Section):
     """Lowest and highest value, both above zero; the logarithm is uniform."""
     isotropic: Annotated[float, Field(gt=0)] | None = None
     """Length of a vector of random direction; 1 for a quaternion that takes every attitude alike."""
-    choice: Annotated[tuple[Any, ...], BeforeValidator(as_tuples), Field(min_length=1)] | None = None
+    choice: Annotated[tuple[Any, ...], BeforeValidator(as_tuple), Field(min_length=1)] | None = None
     """One of these values."""
     at_least: Numbers | None = None
     """normal, relative_normal: the distribution is cut off below this value,"""
@@ -63,9 +58,7 @@ class DrawSection(Section):
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
-        given = [kind for kind in KINDS if getattr(self, kind) is not None]
-        if len(given) != 1:
-            raise ValueError(f"give exactly one of {', '.join(KINDS)}; found {', '.join(given) or 'none'}")
+        one_of(self, *KINDS)
         if (self.at_least is not None or self.at_most is not None) and "normal" not in self.kind:
             raise ValueError("at_least and at_most cut off a normal or relative_normal, nothing else")
         if "normal" in self.kind and np.any(np.asarray(self.given) < 0.0):

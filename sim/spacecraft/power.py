@@ -46,16 +46,13 @@ def incidence_cosine(sun_B: FloatArray, panel: Panel) -> FloatArray:
     return np.clip(sun @ _unit(panel.normal_B, "panel normal"), 0.0, None)
 
 
-def array_current_A(sun_B: FloatArray, illumination: FloatArray, panels: list[Panel] | tuple[Panel, ...]) -> FloatArray:
-    """Current of all panels together, (N,) A: full-sun current x cosine of incidence x illumination.
+def array_current_A(sun_B: FloatArray, illumination: FloatArray, panel: Panel) -> FloatArray:
+    """Current of a panel, (N,) A: full-sun current x cosine of incidence x illumination.
 
     sun_B (N, 3) unit vectors, illumination (N,) share of the sun's disc. Self-shadowing, temperature and the
     sun's distance (3.4 % in irradiance) are left out.
     """
-    total = np.zeros(np.atleast_2d(sun_B).shape[0])
-    for panel in panels:
-        total += panel.full_sun_current_A * incidence_cosine(sun_B, panel)
-    return total * np.asarray(illumination, dtype=np.float64)
+    return panel.full_sun_current_A * incidence_cosine(sun_B, panel) * np.asarray(illumination, dtype=np.float64)
 
 
 @dataclass(frozen=True)

@@ -133,9 +133,7 @@ class _Reader:
         text = time_recipes.joined(self.file.text, names)
         if recipe.recipe == "text":
             return time_stamps.parse_text(text, str(recipe.format), self.where)
-        if recipe.scale is None:
-            notices += time_stamps.zone_assumed(text, " and ".join(names))
-        return time_stamps.parse_iso(text, self.where)
+        return time_stamps.parse_iso(text, self.where, notices if recipe.scale is None else None, " and ".join(names))
 
     def times(self, recipe: TimeRecipe, notices: list[str]) -> TimeArray:
         """UTC stamps by `recipe`; what was assumed of them goes to `notices`."""

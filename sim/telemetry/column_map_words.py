@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from functools import partial
 from typing import Any
 
 from fluxtwin.sim.telemetry.time_recipes import NAMES
@@ -31,21 +32,6 @@ _LOOSE = {
     "TEME": "its mean equinox lies within 20 arcsec",
     "LVLH": "z nadir, y negative orbit normal",
 }
-
-
-def frame(value: Any) -> Any:
-    """A frame of positions, in the spelling of the list. Raises ValueError with the nearest word."""
-    return _spelled(value, POSITIONS, _OTHER_FRAMES)
-
-
-def reference(value: Any) -> Any:
-    """A reference of attitudes, likewise."""
-    return _spelled(value, REFERENCES, _OTHER_REFERENCES)
-
-
-def recipe(value: Any) -> Any:
-    """A recipe for time, likewise."""
-    return _spelled(value, NAMES, {})
 
 
 def order(value: Any) -> Any:
@@ -79,3 +65,11 @@ def _spelled(value: Any, known: tuple[str, ...], others: dict[str, str]) -> Any:
     raise ValueError(
         f"{value[:40]!r} is not known; {hint}known: {', '.join(known)}" + (f"; also {also}" if also else "")
     )
+
+
+frame = partial(_spelled, known=POSITIONS, others=_OTHER_FRAMES)
+"""A frame of positions, in the spelling of the list. Raises ValueError with the nearest word."""
+reference = partial(_spelled, known=REFERENCES, others=_OTHER_REFERENCES)
+"""A reference of attitudes, likewise."""
+recipe = partial(_spelled, known=NAMES, others={})
+"""A recipe for time, likewise."""

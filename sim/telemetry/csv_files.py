@@ -35,7 +35,7 @@ from fluxtwin.sim.base.seals import FORMAT, require_format
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.telemetry.columns import TEXTS, FileTable, clip, file_columns, file_texts, resolve
 from fluxtwin.sim.telemetry.record import TEXT_BYTES, Telemetry
-from fluxtwin.sim.telemetry.time_stamps import format_iso, parse_iso, zone_assumed
+from fluxtwin.sim.telemetry.time_stamps import format_iso, parse_iso
 
 CHECK = f"row_crc32_v{FORMAT}"
 """The last column of what fluxtwin writes: CRC-32 of the header and the row, without this column and its comma.
@@ -163,12 +163,12 @@ def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES, others: Sequ
     used = set(found.used)
     beside = [name for name in others if name in opened.names and name not in used]
     columns = opened.numbers([name for name in opened.names if name in used])
-    stamps = opened.text("time")
+    notices = [*opened.notices, *found.notices]
     return FileTable(
         where=opened.where,
-        time=parse_iso(stamps, opened.where),
+        time=parse_iso(opened.text("time"), opened.where, notices),
         columns=columns,
-        notices=[*opened.notices, *found.notices, *zone_assumed(stamps, "time")],
+        notices=notices,
         provenance={**_texts(opened), "source": Path(path).name, "sha256": opened.sha256},
         others=opened.numbers(beside),
     )

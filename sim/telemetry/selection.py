@@ -149,11 +149,10 @@ def _rows(part: ast.expr, text: str, columns: list[str]) -> Rows:
         parts = [_rows(one, text, columns) for one in part.values]
         return lambda values: join.reduce([one(values) for one in parts])
     if isinstance(part, ast.Compare) and len(part.ops) == 1:
-        sign, sides = type(part.ops[0]), [part.left, part.comparators[0]]
-        names, numbers = ([ask(text, side) for side in sides] for ask in (_name, _number))
-        if names[0] is None:  # the number stands first
-            sign, names, numbers = _MIRRORED.get(sign, sign), names[::-1], numbers[::-1]
-        name, number = names[0], numbers[1]
+        sign, left, right = type(part.ops[0]), part.left, part.comparators[0]
+        if _number(text, left) is not None:
+            sign, left, right = _MIRRORED.get(sign, sign), right, left
+        name, number = _name(text, left), _number(text, right)
         if name is not None and number is not None and sign in _SIGNS:
             columns.append(name)
             return lambda values: _SIGNS[sign](values[name], number) & ~np.isnan(values[name])

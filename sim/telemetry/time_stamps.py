@@ -15,8 +15,10 @@ _ZONE = r"[Zz]|[+-](?:0\d|1[0-4])(?::?[0-5]\d)?"  # from -12:00 to +14:00 are in
 _STAMP = re.compile(rf"(\d{{4}}-\d\d-\d\d[Tt ]\d\d:\d\d:\d\d(?:\.\d{{1,9}})?) ?({_ZONE})?", re.ASCII)
 
 
-def parse_iso(text: np.ndarray, where: str) -> TimeArray:
+def parse_iso(text: np.ndarray, where: str, notices: list[str] | None = None, column: str = "time") -> TimeArray:
     """datetime64[ns] (N,) of ISO 8601 UTC stamps, an array of bytes (N,); a blank is NaT.
+
+    notices: takes a sentence where stamps do not say that they are UTC, those of the column named.
 
     Accepted: `1978-07-24T06:00:00`, a blank in place of T, up to nine decimals, an ending Z or a zone as +02:00, which is
     taken off. Raises BadInput naming the first row that is anything else (leap seconds, dates that do not exist).
@@ -45,20 +47,12 @@ def parse_iso(text: np.ndarray, where: str) -> TimeArray:
             where=where,
             wanted="ISO 8601 UTC, as 1978-07-24T06:00:00.5Z",
         )
+    if notices is not None and (count := zones.count(None)):
+        rows = "" if count == text.size else f" in {count} of {text.size} rows"
+        notices.append(
+            f"column {column} has no Z and no zone{rows}: taken as UTC (for local time, a column map with time.offset_s)"
+        )
     return stamps
-
-
-def zone_assumed(text: np.ndarray, column: str) -> list[str]:
-    """One sentence where ISO 8601 stamps, an array of bytes (N,), do not say that they are UTC; else none."""
-    stripped = np.char.strip(text)
-    bare = (stripped != b"") & ~np.isin(_last(stripped), (b"Z", b"z")) & ~_with_zone(stripped)
-    count = int(bare.sum())
-    if not count:
-        return []
-    rows = "" if count == text.size else f" in {count} of {text.size} rows"
-    return [
-        f"column {column} has no Z and no zone{rows}: taken as UTC (for local time, a column map with time.offset_s)"
-    ]
 
 
 def parse_text(text: np.ndarray, form: str, where: str) -> TimeArray:
@@ -89,20 +83,6 @@ def _minutes(zone: str | None) -> int:
         return 0
     digits = zone[1:].replace(":", "").ljust(4, "0")
     return (-1 if zone[0] == "-" else 1) * (60 * int(digits[:2]) + int(digits[2:]))
-
-
-def _with_zone(stripped: np.ndarray) -> np.ndarray:
-    """(N,) True where a stamp ends in +hh:mm or the like."""
-    sign = np.maximum(np.char.rfind(stripped, b"+"), np.char.rfind(stripped, b"-"))
-    return np.asarray(sign > 10, dtype=np.bool_)  # behind the date
-
-
-def _last(stripped: np.ndarray) -> np.ndarray:
-    """The last character of each text, (N,)."""
-    length = np.char.str_len(stripped)
-    wide = np.ascontiguousarray(stripped.astype(f"S{max(int(length.max(initial=1)), 1)}"))
-    raw = wide.view("S1").reshape(stripped.size, -1)
-    return np.asarray(raw[np.arange(stripped.size), np.maximum(length - 1, 0)])
 
 
 def format_iso(time: TimeArray) -> list[str]:

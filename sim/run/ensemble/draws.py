@@ -14,8 +14,9 @@ from scipy.special import ndtr, ndtri
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.base.section_types import as_tuple
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.scenario.draws import SYMMETRIC, DrawSection, as_tuples, nominal
+from fluxtwin.sim.scenario.draws import SYMMETRIC, DrawSection, nominal
 from fluxtwin.sim.scenario.scenario import Scenario
 
 _BITS = 52
@@ -81,7 +82,7 @@ def _value(draw: DrawSection, value: Any, rng: np.random.Generator, key: str) ->
     drawn = quantile(draw, np.asarray(value, dtype=np.float64), uniform, where=f"draws.{key}")
     if key in SYMMETRIC:
         drawn = np.triu(drawn) + np.triu(drawn, 1).T
-    return as_tuples(drawn.tolist())
+    return as_tuple(drawn.tolist())
 
 
 def _open_uniform(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:

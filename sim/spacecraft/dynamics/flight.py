@@ -152,7 +152,7 @@ def fly(
     compiled(
         start.state(vehicle),
         wheels,
-        np.linalg.inv(vehicle.bare_inertia_kg_m2),
+        np.asarray(np.linalg.inv(vehicle.bare_inertia_kg_m2), dtype=np.float64),
         *vehicle.packed(),
         environment.nodes,
         substeps,

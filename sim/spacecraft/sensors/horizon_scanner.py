@@ -11,26 +11,9 @@ from fluxtwin.sim.attitude.gauss_markov import gauss_markov
 from fluxtwin.sim.base.section_types import NonNegative
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import horizon
+from fluxtwin.sim.earth.frames import nadir_of, roll_pitch
 from fluxtwin.sim.spacecraft.sensors.base import SensorSection, Surroundings
 from fluxtwin.sim.spacecraft.sensors.horizon_crossings import ConicalScanner
-
-
-def roll_pitch(nadir_B: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Roll and pitch [rad], each (N,), of the 3-1-2 set from the nadir direction in body axes (N, 3).
-
-    Nadir is z of O, so nadir_B = (-sin p cos r, sin r, cos p cos r), whatever the yaw.
-    """
-    nadir = np.atleast_2d(np.asarray(nadir_B, dtype=np.float64))
-    return np.arctan2(nadir[:, 1], np.hypot(nadir[:, 0], nadir[:, 2])), np.arctan2(-nadir[:, 0], nadir[:, 2])
-
-
-def nadir_from(roll_rad: FloatArray, pitch_rad: FloatArray) -> FloatArray:
-    """Nadir direction in body axes (N, 3) from roll and pitch; inverse of `roll_pitch`."""
-    nadir: FloatArray = np.stack(
-        [-np.sin(pitch_rad) * np.cos(roll_rad), np.sin(roll_rad), np.cos(pitch_rad) * np.cos(roll_rad)],
-        axis=-1,
-    )
-    return nadir
 
 
 class HorizonScannerSection(SensorSection):
@@ -54,14 +37,14 @@ class HorizonScannerSection(SensorSection):
         correlated = self.tau_s > 0
         wander_rad = float(np.radians(self.noise_deg)) if correlated else 0.0
         white_rad = 0.0 if correlated else float(np.radians(self.noise_deg))
-        angles = np.stack(roll_pitch(self._seen_nadir_B(around)), axis=1)
+        angles = roll_pitch(self._seen_nadir_B(around))
         bias_rad = (float(np.radians(self.roll_bias_deg)), float(np.radians(self.pitch_bias_deg)))
         wander = gauss_markov(around.time, wander_rad, self.tau_s, rng, columns=2)
         angles = angles + bias_rad + wander + white_rad * rng.standard_normal(angles.shape)
         lsb_rad = float(np.radians(self.lsb_deg))
         if lsb_rad > 0:
             angles = lsb_rad * np.rint(angles / lsb_rad)
-        return {"nadir_B": nadir_from(angles[:, 0], angles[:, 1])}
+        return {"nadir_B": nadir_of(angles)}
 
     @property
     def conical(self) -> ConicalScanner:

@@ -56,8 +56,8 @@ class StarTrackerSection(SensorSection):
         """(N,) True where it sees stars."""
         boresight = self._unit_B
         boresight_N = around.R_BN.inv().apply(boresight)
-        from_sun = _angle(boresight_N, around.sun_N)
-        from_nadir = _angle(boresight_N, around.nadir_N)
+        from_sun = frames.angle_between(boresight_N, around.sun_N)
+        from_nadir = frames.angle_between(boresight_N, around.nadir_N)
         earth = np.arcsin(np.minimum(EARTH_RADIUS_KM / np.linalg.norm(around.r_N_km, axis=1), 1.0))
         seen: BoolArray = (from_sun >= np.radians(self.sun_exclusion_deg)) | (around.illumination <= 0.0)
         seen &= from_nadir >= earth + np.radians(self.earth_exclusion_deg)
@@ -65,8 +65,3 @@ class StarTrackerSection(SensorSection):
             across = np.linalg.norm(np.cross(around.rate_B_rad_s, boresight), axis=1)
             seen &= across <= np.radians(self.max_rate_deg_s)
         return seen
-
-
-def _angle(one: FloatArray, other: FloatArray) -> FloatArray:
-    """(N,) rad between unit vectors (N, 3)."""
-    return np.asarray(np.arctan2(np.linalg.norm(np.cross(one, other), axis=1), np.einsum("ij,ij->i", one, other)))

@@ -15,7 +15,7 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.telemetry.columns import TEXTS, FileTable, clip, resolve
 from fluxtwin.sim.telemetry.quantities import DRIVERS, QUANTITIES
-from fluxtwin.sim.telemetry.time_stamps import parse_iso, zone_assumed
+from fluxtwin.sim.telemetry.time_stamps import parse_iso
 
 _XYZ = ("x", "y", "z", "w")
 
@@ -66,8 +66,7 @@ class Table:
         if value.dtype.kind == "M":
             return value.astype("datetime64[ns]")
         if value.dtype.kind == "S":
-            self.notices += zone_assumed(value, name)
-            return parse_iso(value, self.where)
+            return parse_iso(value, self.where, self.notices, name)
         raise BadInput(
             f"{clip(name)} holds numbers, no stamps", where=self.where, wanted="stamps, or a column map (--map)"
         )

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import frames, horizon
 from fluxtwin.sim.spacecraft.sensors.horizon_crossings import ConicalScanner
-from fluxtwin.sim.spacecraft.sensors.horizon_scanner import roll_pitch
 
 pytestmark = pytest.mark.reference
 
@@ -33,7 +32,7 @@ def errors_deg(axes, seen, assumed, day="1978-11-30", radius_km=HCMM_KM):
     r, v = circle(radius_km, 97.6)
     time, pole, R_ON = at(day, len(r)), np.tile(NORTH, (len(r), 1)), frames.rotation_ON(r, v)
     surfaces = (horizon.surface(name, time) for name in (seen, assumed))
-    return np.degrees(np.stack(roll_pitch(ConicalScanner(axes).nadir(r, pole, R_ON, R_ON, *surfaces)), axis=1))
+    return np.degrees(frames.roll_pitch(ConicalScanner(axes).nadir(r, pole, R_ON, R_ON, *surfaces)))
 
 
 @pytest.mark.parametrize("name", horizon.SURFACES)

@@ -12,7 +12,7 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.spacecraft.sensors.base import Surroundings
 from fluxtwin.sim.spacecraft.sensors.gyro import GyroSection
-from fluxtwin.sim.spacecraft.sensors.horizon_scanner import HorizonScannerSection, nadir_from, roll_pitch
+from fluxtwin.sim.spacecraft.sensors.horizon_scanner import HorizonScannerSection
 from fluxtwin.sim.spacecraft.sensors.reference_attitude import attitude_from_sun_and_nadir, attitude_with_error
 from fluxtwin.sim.spacecraft.sensors.sun_sensor import SunSensorHead, measure_sun
 
@@ -150,13 +150,13 @@ def test_roll_and_pitch_are_those_of_the_3_1_2_set(close) -> None:
     yaw, pitch = rng.uniform(-np.pi, np.pi, (2, 500))
     roll = rng.uniform(-1.5, 1.5, 500)
     nadir = frames.rotation_BO(yaw, roll, pitch).apply([0.0, 0.0, 1.0])
-    found_roll, found_pitch = roll_pitch(nadir)
+    found_roll, found_pitch = frames.roll_pitch(nadir).T
     close(found_roll, roll, atol=1e-13, unit="rad", because="round trip")
     close(found_pitch, pitch, atol=1e-13, unit="rad", because="round trip")
-    close(nadir_from(roll, pitch), nadir, atol=1e-14, unit="1", because="round trip")
+    close(frames.nadir_of(np.stack([roll, pitch], axis=1)), nadir, atol=1e-14, unit="1", because="round trip")
     # Journal eq. 13: to first order the column of nadir is (-p, r, 1).
     close(
-        nadir_from(np.array([1e-4]), np.array([2e-4])),
+        frames.nadir_of(np.array([[1e-4, 2e-4]])),
         [[-2e-4, 1e-4, 1.0]],
         atol=3e-8,
         unit="1",
@@ -170,12 +170,12 @@ def test_scanner_bias_noise_and_rounding(close) -> None:
     noise_deg, roll_deg, pitch_deg, lsb_deg = np.degrees([0.002, 0.01, -0.005, 0.001]).tolist()
     scanner = HorizonScannerSection(noise_deg=noise_deg, roll_bias_deg=roll_deg, pitch_bias_deg=pitch_deg)
     measured = scanner.measure(around, np.random.default_rng(0))["nadir_B"]
-    roll, pitch = roll_pitch(measured)
+    roll, pitch = frames.roll_pitch(measured).T
     four = 4.0 / np.sqrt(n)
     close([roll.mean(), pitch.mean()], [0.03, -0.035], atol=0.002 * four, unit="rad", because="4 sigma of the mean")
     close([roll.std(), pitch.std()], 0.002, atol=0.002 * four / np.sqrt(2.0), unit="rad", because="4 sigma")
     coarse = HorizonScannerSection(noise_deg=noise_deg, lsb_deg=lsb_deg)
-    roll, _ = roll_pitch(coarse.measure(around, np.random.default_rng(0))["nadir_B"])
+    roll, _ = frames.roll_pitch(coarse.measure(around, np.random.default_rng(0))["nadir_B"]).T
     close(np.mod(roll / 0.001 + 0.5, 1.0), 0.5, atol=1e-9, unit="LSB", because="whole multiples")
 
 

@@ -46,6 +46,8 @@ def diagnosis_page(diagnosis: Diagnosis, title: str, *, record: Telemetry | None
 
 
 def _next_step(diagnosis: Diagnosis) -> str:
+    if diagnosis.verdict == "no_gap" and diagnosis.provenance.get("two_magnetometers", {}).get("differ"):
+        return "diagnose again with --magnetometer 2: the two magnetometers differ, and the first shows no gap."
     if diagnosis.verdict == "no_gap":
         return "nothing to mend. The tables below say what these data could not have shown."
     if diagnosis.verdict == "unknown" or any(len(effect.group) > 1 for effect in diagnosis.effects):

@@ -163,8 +163,16 @@ def locate(
     axis, frame, condition = (_likeliest(within[name]) for name in ("axis", "frame", "condition"))
     own = hypotheses[int(np.argmax(np.where(there, weight, -1.0)))].fit
     same = _equivalent(left, at, own, fits)
-    if apart is not None:
-        same = tuple(name for name in same if (name in OWN_STAGES) == (at in OWN_STAGES))
+    if apart is not None:  # the difference, too, must allow them
+        most = {
+            stage: max(w for w, h in zip(worths, hypotheses, strict=True) if h.stage == stage)
+            for stage in {h.stage for h in hypotheses}
+        }
+        same = tuple(
+            name
+            for name in same
+            if (name in OWN_STAGES) == (at in OWN_STAGES) and most[at] - most[name] <= THRESHOLD * wider
+        )
     return Where(at, axis, frame, condition, same, probabilities, claim, own.block.label)
 
 

@@ -13,6 +13,7 @@ import pytest
 from worlds import scenario_text
 
 import fluxtwin
+from fluxtwin.diagnosis_page import diagnosis_page
 from fluxtwin.gap.channels.two_magnetometers import apart
 from fluxtwin.gap.detectors.random_walk import worth_of_a_walk
 from fluxtwin.gap.problem.problem import pose
@@ -85,6 +86,7 @@ def test_the_second_s_own_disturbance_is_said_and_is_no_gap_of_the_first() -> No
     assert found.verdict == "no_gap"
     assert "The two magnetometers differ" in found.sentence
     assert "--magnetometer 2" in found.sentence
+    assert "--magnetometer 2" in diagnosis_page(found, "t").next_step
 
 
 def test_a_difference_is_said_beside_a_cause_that_both_share() -> None:
@@ -99,6 +101,14 @@ def test_a_difference_is_said_beside_a_cause_that_both_share() -> None:
     found = fluxtwin.diagnose(fluxtwin.simulate(parse_scenario(text))[0].replace(q_NB=None))
     assert found.effects and not {find_effect(name).stage for name in found.effects[0].group} & OWN
     assert "The two magnetometers differ" in found.sentence
+
+
+def test_a_step_that_both_have_is_not_the_sensor_s() -> None:
+    good = flown()
+    step_nT = np.where(np.arange(len(good))[:, None] < len(good) // 2, 0.0, [120.0, -60.0, 30.0])
+    found = fluxtwin.diagnose(good.replace(mag_B_nT=good.mag_B_nT + step_nT, mag2_B_nT=good.mag2_B_nT + step_nT))
+    assert found.verdict != "no_gap"
+    assert found.where.stage != "sensor" and "sensor" not in found.where.equivalent
 
 
 def test_two_good_magnetometers_differ_by_the_noise_of_both() -> None:

@@ -3,45 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from fluxtwin.plots import style
 from fluxtwin.sim.base.types import FloatArray
 
 
-@dataclass(frozen=True)
-class Response:
-    """One zone: the response of one channel to the field across the spin axis."""
+def response_figure(
+    numbers: Sequence[int],
+    since_shadow_s: Sequence[FloatArray],
+    responses: Sequence[NDArray[np.complex128]],
+    lights: Sequence[str],
+    shadow_s: float,
+) -> Figure:
+    """Responses of channels X and Y to the field across the spin axis against the time since the shadow was entered.
 
-    label: str
-    since_shadow_s: FloatArray
-    response: FloatArray
-    in_sunlight: bool
-
-
-def response_figure(channels: Mapping[str, Sequence[Response]], shadow_s: float) -> Figure:
-    """Responses of the channels against the time since the shadow was entered; the shadow itself is tinted."""
-    made, grid = style.figure(style.FULL_WIDTH_IN, 3.4, 1, len(channels))
-    for axes, (name, zones) in zip(grid[0], channels.items(), strict=True):
+    By zone: its number, seconds (M,), responses of the channels (M, 3), and its light. The shadow itself is tinted.
+    """
+    made, grid = style.figure(style.FULL_WIDTH_IN, 3.4, 1, 2)
+    for channel, axes in enumerate(grid[0]):
+        name = f"channel {'XY'[channel]}"
         axes.axvspan(0.0, shadow_s / 60.0, color=style.PALE, alpha=0.6, zorder=0, linewidth=0.0)
-        for number, zone in enumerate(zones):
+        for place, (number, seconds, response) in enumerate(zip(numbers, since_shadow_s, responses, strict=True)):
             look: dict[str, Any] = {
-                "color": style.CYCLE[number % len(style.CYCLE)],
-                "linestyle": "--" if zone.in_sunlight else "-",
+                "color": style.CYCLE[place % len(style.CYCLE)],
+                "linestyle": "--" if lights[place] == "sunlit" else "-",
             }
-            axes.plot(zone.since_shadow_s / 60.0, zone.response, label=zone.label, linewidth=1.3, **look)
+            axes.plot(seconds / 60.0, np.abs(response[:, channel]), label=f"zone {number}", linewidth=1.3, **look)
         style.label(axes, x="time since the shadow was entered [min]", y=f"response of {name} [nT/nT]", title=name)
         axes.set_xlim(left=0.0)
     style.legend(grid[0][-1], "upper right", columns=2)
     return made
 
 
-def zones_figure(series_nT: Mapping[str, Sequence[float]], numbers: Sequence[int]) -> Figure:
-    """rms of each zone, one mark a series, on a logarithmic scale."""
+def zones_figure(
+    numbers: Sequence[int], unseen_nT: Mapping[str, Sequence[float]], own_nT: Mapping[str, Sequence[float]]
+) -> Figure:
+    """rms of each zone, unseen by models and of its own, one mark a series, on a logarithmic scale."""
+    series_nT = {**{f"unseen: {name}": rms_nT for name, rms_nT in unseen_nT.items()}, **own_nT}
     made, grid = style.figure(style.FULL_WIDTH_IN, 3.6)
     axes = grid[0][0]
     for number, (label, rms_nT) in enumerate(series_nT.items()):
@@ -57,19 +60,19 @@ def zones_figure(series_nT: Mapping[str, Sequence[float]], numbers: Sequence[int
     return made
 
 
-def residuals_figure(shown: Mapping[str, Sequence[FloatArray]]) -> Figure:
+def residuals_figure(shown: Mapping[int, Sequence[FloatArray]]) -> Figure:
     """Residuals of unseen zones, static sensor left, best one right.
 
-    shown: by title, minutes (N,) and residual (N, 3) in sensor axes [nT] of the one, then of the other.
+    shown: by number of the zone, minutes (N,) and residual (N, 3) in sensor axes [nT] of the one, then of the other.
     """
     made, grid = style.figure(style.FULL_WIDTH_IN, 2.4 * len(shown) + 0.4, len(shown), 2, share_x=True, share_y=True)
-    for row, (title, (minutes, before_nT, minutes_after, after_nT)) in zip(grid, shown.items(), strict=True):
+    for row, (number, (minutes, before_nT, minutes_after, after_nT)) in zip(grid, shown.items(), strict=True):
         pairs = ((minutes, before_nT, "static"), (minutes_after, after_nT, "follows sun and shadow"))
         for axes, (time, value, name) in zip(row, pairs, strict=True):
             for axis, colour in enumerate(style.AXIS_COLOURS):
                 axes.plot(time, value[:, axis], ".", color=colour, markersize=2.5, label="XYZ"[axis])
             style.zero_line(axes)
-            style.label(axes, title=f"{title}: {name}")
+            style.label(axes, title=f"zone {number}: {name}")
         style.label(row[0], y="reading - model [nT]")
         bound = float(np.abs(before_nT).max())
         row[0].set_ylim(-1.05 * bound, 1.05 * bound)

@@ -15,14 +15,17 @@ _STEP_DEG = 5.0
 _LEAST_ROWS = 4
 
 
-def left_alone(bars: Sequence[tuple[str, float, str]], limit_nT: float, title: str) -> Figure:
-    """What each fit leaves: a bar with label, rms [nT] and a remark; the dashed line is what was there before."""
-    figure, ((axes,),) = style.figure(style.FULL_WIDTH_IN, 0.9 + 0.32 * len(bars))
-    places = np.arange(len(bars))
-    axes.barh(places, [value for _, value, _ in bars], height=0.68, color=style.BLUE)
-    axes.set_yticks(places, [label for label, _, _ in bars])
+def left_alone(
+    names: Sequence[str], left_nT: Sequence[float], parameters: Sequence[int], limit_nT: float, title: str
+) -> Figure:
+    """What each fit leaves: a bar with its name, rms and parameters; the dashed line is what was there before."""
+    figure, ((axes,),) = style.figure(style.FULL_WIDTH_IN, 0.9 + 0.32 * len(names))
+    places = np.arange(len(names))
+    axes.barh(places, left_nT, height=0.68, color=style.BLUE)
+    axes.set_yticks(places, names)
     axes.invert_yaxis()
-    for place, (_, value, remark) in zip(places, bars, strict=True):
+    for place, value, count in zip(places, left_nT, parameters, strict=True):
+        remark = f"{value:.1f} nT, {count} parameter{'s' if count > 1 else ''}"
         box: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
         axes.text(value + 0.012 * limit_nT, float(place), remark, va="center", fontsize=style.NOTE_PT, bbox=box)
     axes.axvline(limit_nT, color=style.BLACK, linewidth=1.0, linestyle="--", zorder=1.5)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -16,43 +14,29 @@ _OUTSTANDING = 2.0
 _ROOM = 1.1
 
 
-@dataclass(frozen=True)
-class AttitudeError:
-    """N samples."""
-
-    start: np.datetime64
-    """UTC of zero seconds."""
-    seconds_s: FloatArray
-    """(N,)."""
-    error_deg: FloatArray
-    """(N, 3) about body x, y, z."""
-
-    @property
-    def rms_deg(self) -> FloatArray:
-        """(3,)."""
-        return np.asarray(np.sqrt((self.error_deg**2).mean(axis=0)), dtype=np.float64)
-
-
-def draw_attitude_error(record: AttitudeError, *, title: str) -> Figure:
+def draw_attitude_error(start: np.datetime64, seconds_s: FloatArray, error_deg: FloatArray, *, title: str) -> Figure:
     """A panel for each axis, because X and Y of a spinner swing alike and one would hide the other; every sample is drawn.
+
+    seconds_s: (N,) from `start`, UTC; error_deg: (N, 3) about body x, y, z.
 
     The three have one scale. Where a few samples (the first seconds of a filter) would flatten the rest they are left out
     of it, an arrow marks the edge where they are, and the panel's title says how far they go.
     """
     figure, grid = style.figure(7.2, 5.2, rows=3, share_x=True)
-    style.heading(figure, f"{title}; RSS {np.linalg.norm(record.rms_deg):.3g} deg")
-    size = np.abs(record.error_deg)
+    rms_deg = np.sqrt((error_deg**2).mean(axis=0))
+    style.heading(figure, f"{title}; RSS {np.linalg.norm(rms_deg):.3g} deg")
+    size = np.abs(error_deg)
     usual, largest = float(np.percentile(size, _FRAME_PERCENT, axis=0).max()), float(size.max())
     edge = _ROOM * (largest if largest < _OUTSTANDING * usual else usual)
-    minutes = record.seconds_s / 60.0
+    minutes = seconds_s / 60.0
     for k, (axes,) in enumerate(grid):
-        error = record.error_deg[:, k]
+        error = error_deg[:, k]
         style.zero_line(axes)
         axes.plot(minutes, error, linewidth=0.4, color=style.AXIS_COLOURS[k], rasterized=True)
         axes.set_ylim(-edge, edge)
-        words = f"{'XYZ'[k]}: rms {record.rms_deg[k]:.3g} deg{_beyond(axes, minutes, error, edge)}"
+        words = f"{'XYZ'[k]}: rms {rms_deg[k]:.3g} deg{_beyond(axes, minutes, error, edge)}"
         style.label(axes, y="error [deg]", title=words)
-    since = np.datetime_as_string(record.start, unit="s").replace("T", " ")
+    since = np.datetime_as_string(start, unit="s").replace("T", " ")
     style.label(grid[-1][0], x=f"time after {since} UTC [min]")
     return figure
 

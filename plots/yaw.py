@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -46,41 +48,6 @@ class YawComparison:
         return np.asarray(np.abs(self.mean_error_deg) < np.abs(self.mean_sun_deg))
 
 
-@dataclass(frozen=True)
-class YawSweep:
-    """How often yaw = 0 is the better estimate, by the amplitude of the true yaw."""
-
-    amplitude_deg: FloatArray
-    share_full: FloatArray
-    """Share of windows in which yaw = 0 beats the full calibration; mean over seeds."""
-    spread_full: FloatArray
-    """Standard deviation of that share over seeds."""
-    share_bias_only: FloatArray
-    spread_bias_only: FloatArray
-    share_white: FloatArray
-    """As `share_full`, had the unexplained part of the residual been white noise."""
-    spread_white: FloatArray
-    crossover_deg: float | None
-    """Amplitude at which the full calibration begins to win half of the windows; None outside the sweep."""
-    crossover_white_deg: float | None
-    seeds_won: FloatArray
-    """Share of the seeds for which yaw = 0 beats the full calibration in most windows, slow unknown."""
-
-
-@dataclass(frozen=True)
-class YawSigma:
-    """Expected yaw error along one orbit and the worst value of many."""
-
-    latitude_deg: FloatArray
-    sigma_deg: FloatArray
-    """(N,) along one orbit, same length as latitude."""
-    worst_orbit_deg: FloatArray
-    """Largest value of each of many single orbits."""
-    worst_base_deg: FloatArray
-    """Largest value of each of many data bases of four orbits."""
-    printed_deg: float
-
-
 def draw_mean_bias(record: YawComparison, *, title: str) -> Figure:
     """Figure 1: averages of the sun sensor dashed, of the magnetometer dotted, and the trivial solution yaw = 0.
 
@@ -89,24 +56,12 @@ def draw_mean_bias(record: YawComparison, *, title: str) -> Figure:
     figure, ((axes,),) = style.figure(7.2, 4.0)
     half = record.window_s / 120.0
     for number, minute in enumerate(record.mean_minutes[record.nearer]):
-        axes.axvspan(
-            minute - half,
-            minute + half,
-            color=style.PALE,
-            alpha=0.7,
-            linewidth=0,
-            label=None if number else "magnetometer nearer than yaw = 0",
-        )
+        label = None if number else "magnetometer nearer than yaw = 0"
+        axes.axvspan(minute - half, minute + half, color=style.PALE, alpha=0.7, linewidth=0, label=label)
     ends = record.mean_minutes[record.near_node] + half * np.array([[-1.0], [1.0]])
-    axes.plot(
-        ends,
-        np.ones_like(ends),
-        color=style.GREY,
-        linewidth=5,
-        solid_capstyle="butt",
-        transform=axes.get_xaxis_transform(),
-        label=["near the equator"] + [""] * (ends.shape[1] - 1),
-    )
+    labels = ["near the equator"] + [""] * (ends.shape[1] - 1)
+    bar: dict[str, Any] = {"color": style.GREY, "linewidth": 5, "solid_capstyle": "butt"}
+    axes.plot(ends, np.ones_like(ends), transform=axes.get_xaxis_transform(), label=labels, **bar)
     _dashed(axes, record)
     _dotted(axes, record)
     axes.legend(loc="lower left", frameon=True)
@@ -151,66 +106,64 @@ def draw_pass(record: YawComparison, error_bar_deg: float, *, title: str) -> Fig
     _broken(axes, record, np.ones(record.minutes.size, dtype=bool))
     _dotted(axes, record)
     middle = record.mean_minutes.size // 2
-    axes.errorbar(
-        record.mean_minutes[middle],
-        record.mean_deg[middle],
-        error_bar_deg,
-        color=style.VERMILION,
-        capsize=4,
-        label=f"error bar, {error_bar_deg:.2f} deg",
-    )
+    at, words = (record.mean_minutes[middle], record.mean_deg[middle]), f"error bar, {error_bar_deg:.2f} deg"
+    axes.errorbar(*at, error_bar_deg, color=style.VERMILION, capsize=4, label=words)
     axes.set(title=title, xlabel="time from rise [min]", ylabel="yaw [deg]")
     _zero(axes)
     style.legend_below(figure, axes)
     return figure
 
 
-def draw_sweep(record: YawSweep, *, title: str) -> Figure:
-    """Share of windows in which yaw = 0 wins, against the amplitude of the true yaw."""
+def draw_sweep(
+    amplitude_deg: FloatArray,
+    shares: Mapping[str, tuple[FloatArray, FloatArray]],
+    crossovers_deg: Sequence[float | None],
+    *,
+    title: str,
+) -> Figure:
+    """Share of windows in which yaw = 0 wins, against the amplitude of the true yaw.
+
+    shares: by words, mean and standard deviation over seeds at each amplitude; crossovers_deg: of the first ones.
+    """
     figure, ((axes,),) = style.figure(7.2, 4.0)
-    for share, spread, label, colour in (
-        (record.share_full, record.spread_full, "full calibration (figure 2), slow unknown", style.BLUE),
-        (record.share_white, record.spread_white, "full calibration, white unknown", style.GREEN),
-        (record.share_bias_only, record.spread_bias_only, "mean bias only (figure 1)", style.VERMILION),
-    ):
-        axes.errorbar(record.amplitude_deg, 100 * share, 100 * spread, color=colour, marker="o", capsize=3, label=label)
+    colours = (style.BLUE, style.GREEN, style.VERMILION)
+    for (label, (share, spread)), colour in zip(shares.items(), colours, strict=True):
+        axes.errorbar(amplitude_deg, 100 * share, 100 * spread, color=colour, marker="o", capsize=3, label=label)
     axes.axhline(50.0, color="black", linewidth=0.8)
-    for crossover, colour in ((record.crossover_deg, style.BLUE), (record.crossover_white_deg, style.GREEN)):
+    for crossover, colour in zip(crossovers_deg, colours, strict=False):
         if crossover is not None:
             axes.axvline(crossover, color=colour, linestyle=":")
             axes.text(crossover, 3.0, f" {crossover:.2f} deg", color=colour)
-    axes.set(
-        title=title,
-        xlabel="amplitude of the true yaw, sqrt 2 times its rms [deg]",
-        ylabel="windows in which yaw = 0 is better [%]",
-        ylim=(0, 100),
-    )
+    axes.set(title=title, xlabel="amplitude of the true yaw, sqrt 2 times its rms [deg]", ylim=(0, 100))
+    axes.set(ylabel="windows in which yaw = 0 is better [%]")
     axes.legend()
     return figure
 
 
-def draw_sigma(record: YawSigma, *, title: str) -> Figure:
-    """Yaw sigma along an orbit, and the distribution of the worst value with the printed one in it."""
+def draw_sigma(
+    latitude_deg: FloatArray,
+    sigma_deg: FloatArray,
+    worst_orbit_deg: FloatArray,
+    worst_base_deg: FloatArray,
+    printed_deg: float,
+    *,
+    title: str,
+) -> Figure:
+    """Yaw sigma along an orbit, and the distribution of the worst value with the printed one in it.
+
+    worst_orbit_deg, worst_base_deg: largest values of single orbits, and of data bases of four.
+    """
     figure, ((along, worst),) = style.figure(7.2, 3.6, cols=2)
-    along.semilogy(record.latitude_deg, record.sigma_deg, color=style.BLUE)
-    along.axhline(record.printed_deg, color="black", linestyle="--", linewidth=0.8)
-    along.annotate(
-        "printed",
-        (0.5, record.printed_deg),
-        (0, 3),
-        xycoords=("axes fraction", "data"),
-        fontsize=8,
-        textcoords="offset points",
-        ha="center",
-    )
+    along.semilogy(latitude_deg, sigma_deg, color=style.BLUE)
+    along.axhline(printed_deg, color="black", linestyle="--", linewidth=0.8)
+    above: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "fontsize": 8}
+    along.annotate("printed", (0.5, printed_deg), (0, 3), xycoords=("axes fraction", "data"), **above)
     along.set(xlabel="geocentric latitude [deg]", ylabel="sigma of yaw, equation 14 [deg]", title="one orbit")
-    for values, label, colour in (
-        (record.worst_orbit_deg, "one orbit", style.BLUE),
-        (record.worst_base_deg, "four orbits", style.VERMILION),
-    ):
+    pairs = ((worst_orbit_deg, "one orbit", style.BLUE), (worst_base_deg, "four orbits", style.VERMILION))
+    for values, label, colour in pairs:
         ordered = np.sort(values)
         worst.plot(ordered, 100 * np.arange(1, ordered.size + 1) / ordered.size, color=colour, label=label)
-    worst.axvline(record.printed_deg, color="black", linestyle="--", linewidth=0.8, label="printed")
+    worst.axvline(printed_deg, color="black", linestyle="--", linewidth=0.8, label="printed")
     worst.set(xscale="log", xlabel="largest sigma of yaw [deg]", ylabel="share of cases [%]", title="worst value")
     style.log_ruler(along.yaxis)
     style.log_ruler(worst.xaxis)
@@ -223,58 +176,25 @@ def _broken(axes: Axes, record: YawComparison, inside: BoolArray) -> None:
     """Single solutions, the line broken before a bit change, with the letter of the axis on the first sample after it."""
     rows = np.flatnonzero(inside)
     breaks = np.flatnonzero((record.change_x | record.change_y)[rows])
-    axes.plot(
-        np.insert(record.minutes[rows], breaks, np.nan),
-        np.insert(record.magnetometer_deg[rows], breaks, np.nan),
-        color=style.BLUE,
-        linewidth=0.9,
-        label="magnetometer, each sample",
-    )
+    line = (np.insert(values[rows], breaks, np.nan) for values in (record.minutes, record.magnetometer_deg))
+    axes.plot(*line, color=style.BLUE, linewidth=0.9, label="magnetometer, each sample")
     for flags, letter, colour in ((record.change_x, "X", style.GREEN), (record.change_y, "Y", style.VERMILION)):
         rows = np.flatnonzero(inside & flags)
-        axes.scatter(
-            record.minutes[rows],
-            record.magnetometer_deg[rows],
-            marker=f"${letter}$",
-            s=16,
-            linewidths=0.2,
-            color=colour,
-            label=f"{letter} bit change",
-            zorder=3,
-        )
+        look: dict[str, Any] = {"marker": f"${letter}$", "s": 16, "linewidths": 0.2, "color": colour, "zorder": 3}
+        axes.scatter(record.minutes[rows], record.magnetometer_deg[rows], label=f"{letter} bit change", **look)
 
 
 def _dashed(axes: Axes, record: YawComparison) -> None:
-    axes.plot(
-        record.mean_minutes,
-        record.mean_sun_deg,
-        color="black",
-        linestyle="--",
-        linewidth=1.4,
-        label=f"sun sensor, {record.window_s:.0f} s means",
-    )
+    label = f"sun sensor, {record.window_s:.0f} s means"
+    axes.plot(record.mean_minutes, record.mean_sun_deg, color="black", linestyle="--", linewidth=1.4, label=label)
 
 
 def _dotted(axes: Axes, record: YawComparison) -> None:
-    axes.plot(
-        record.mean_minutes,
-        record.mean_deg,
-        color=style.VERMILION,
-        linestyle=":",
-        linewidth=1.8,
-        label=f"magnetometer, {record.window_s:.0f} s means",
-    )
+    look: dict[str, Any] = {"color": style.VERMILION, "linestyle": ":", "linewidth": 1.8}
+    axes.plot(record.mean_minutes, record.mean_deg, label=f"magnetometer, {record.window_s:.0f} s means", **look)
 
 
 def _zero(axes: Axes) -> None:
     axes.axhline(0.0, color="grey", linewidth=0.8)
-    axes.annotate(
-        " yaw = 0",
-        xy=(1.0, 0.0),
-        xycoords=("axes fraction", "data"),
-        fontsize=8,
-        color="grey",
-        ha="left",
-        va="center",
-        annotation_clip=False,
-    )
+    beside: dict[str, Any] = {"ha": "left", "va": "center", "annotation_clip": False, "fontsize": 8, "color": "grey"}
+    axes.annotate(" yaw = 0", xy=(1.0, 0.0), xycoords=("axes fraction", "data"), **beside)

@@ -182,12 +182,6 @@ def wrapped_deg(angle_rad: FloatArray) -> FloatArray:
     return np.asarray(np.degrees(np.arctan2(np.sin(angle_rad), np.cos(angle_rad))))
 
 
-def angle_between(a: FloatArray, b: FloatArray) -> FloatArray:
-    """(N,) angle [rad] between vectors (N, 3) of any length, good near 0 and pi too."""
-    angle: FloatArray = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("ij,ij->i", a, b))
-    return angle
-
-
 def latitude_deg(world: World) -> FloatArray:
     """(N,) geocentric latitude along the orbit."""
     return np.asarray(np.degrees(frames.geocentric(frames.rotation_EN(world.time).apply(world.r_N_km))[0]))

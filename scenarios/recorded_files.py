@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+import tomli_w
 
+from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.files import write_text
+from fluxtwin.sim.base.progress import Progress, part_of
 from fluxtwin.sim.base.toml_input import read_tree
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
+
+F = TypeVar("F")
 
 ORBIT_KM = (6480.0, 8400.0)
 """Distance from the centre of the Earth: altitudes of about 100 to 2,000 km, where these satellites fly."""
@@ -59,6 +66,25 @@ def check_folder(data: Path | None, files: Sequence[str]) -> Path:
     if missing:
         raise BadInput(f"missing there: {', '.join(missing)}", where=f"--data {folder}", wanted=wanted)
     return folder
+
+
+def run_on_files(
+    settings_file: Path,
+    out: Path,
+    data: Path | None,
+    progress: Progress,
+    compute: Callable[[Path, Settings, Progress], F],
+    present: Callable[[F, Settings], StudyResult],
+) -> StudyResult:
+    """The whole of a study of recorded files. out: an existing folder, which receives the settings too; data: their folder.
+
+    Raises BadInput, before anything is written, for a missing folder or file or one that cannot be used.
+    """
+    settings = read_settings(settings_file)
+    found = compute(check_folder(data, settings.files), settings, part_of(progress, 0.0, 0.95))
+    progress("drawing", 0.95)
+    written = [write_text(out / settings_file.name, tomli_w.dumps(settings.tree))]
+    return replace(present(found, settings), written=written)
 
 
 def opened(path: Path, wanted: Sequence[str]) -> CsvFile:

@@ -14,7 +14,8 @@ import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import is_dataclass
-from importlib import resources
+from functools import partial
+from importlib import import_module, resources
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -121,17 +122,22 @@ class Words:
         every entry of a mapping (`key`, `one`) or of a list (`place`, `one`).
         """
         tree = tomllib.loads(self._text("summary.toml"))
-        names = dict(values)
-        for name, expression in tree.pop("let", {}).items():
-            names[name] = self._value(expression, names)
-        made: dict[str, Any] = _plain(self._entry(tree, names))
+        made: dict[str, Any] = _plain(self._entry(tree, self._with_parts(tree.pop("let", {}), values)))
         return made
+
+    def figures(self, file: str = "figures.toml", /, **values: Any) -> dict[str, Callable[[], Figure]]:
+        """By name, what draws each figure of the file: `draw`, a function of `fluxtwin.plots`, with what else its entry has.
+
+        That is written as in `summary.toml`, but for the title, which is a template; `let` names parts.
+        """
+        tree = tomllib.loads(self._text(file))
+        let = tree.pop("let", {})
+        return {name: partial(self._drawn, entry, let, values) for name, entry in tree.items()}
 
     def result(
         self,
         name: str,
         tables: Sequence[str],
-        figures: Mapping[str, Callable[[], Figure]],
         provenance: Mapping[str, str],
         /,
         *,
@@ -153,7 +159,7 @@ class Words:
             status_line=line,
             summary=self.summary(**values) | ({"claims": [claim.to_dict() for claim in claims]} if claims else {}),
             tables=[found.get(one) or self.table(one, **values) for one in tables],
-            page=self.page(line, figures, provenance, links, found, **values),
+            page=self.page(line, self.figures(**values), provenance, links, found, **values),
             more_pages=more_pages or {},
         )
 
@@ -162,6 +168,21 @@ class Words:
 
     def _blocks(self, name: str, values: Mapping[str, Any]) -> list[str]:
         return _BLOCK.split(self._sections[name].render(**values).strip())
+
+    def _with_parts(self, let: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, Any]:
+        names = dict(values)
+        for name, expression in let.items():
+            names[name] = self._value(expression, names)
+        return names
+
+    def _drawn(self, entry: Mapping[str, Any], let: Mapping[str, str], values: Mapping[str, Any]) -> Figure:
+        names = self._with_parts({**let, **entry.get("let", {})}, values)
+        module, _, function = entry["draw"].partition(".")
+        taken = self._entry({key: part for key, part in entry.items() if key not in ("draw", "let", "title")}, names)
+        if "title" in entry:
+            taken["title"] = self._jinja.from_string(entry["title"]).render(**names)
+        made: Figure = getattr(import_module(f"fluxtwin.plots.{module}"), function)(**taken)
+        return made
 
     def _entry(self, node: Any, names: Mapping[str, Any]) -> Any:
         if isinstance(node, str):
@@ -206,7 +227,7 @@ def _environment() -> Environment:
         finalize=_said,
     )
     made.globals |= {one.__name__: one for one in _BUILTINS}
-    made.globals |= {"np": np, "nT_per_mG": NT_PER_MG, "matrix": _matrix, "plus_minus": _plus_minus}
+    made.globals |= {"np": np, "nT_per_mG": NT_PER_MG, "matrix": _matrix, "plus_minus": _plus_minus, "some": _some}
     made.filters |= {
         "f": _fixed,
         "listed": lambda values, digits=2, between=", ": between.join(_fixed(value, digits) for value in values),
@@ -256,6 +277,11 @@ def _cells(line: str) -> list[str]:
 def _matrix(values: np.ndarray) -> str:
     """Of a 3 x 3 matrix, as `0.066, 0.008, -0.003; ...`."""
     return "; ".join(", ".join(f"{value:.3f}" for value in row) for row in values)
+
+
+def _some(parts: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    """Those of the parts."""
+    return {name: parts[name] for name in names}
 
 
 def _plus_minus(values: Sequence[float], spreads: Sequence[float]) -> str:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.scenarios.elfin.record import Flight
@@ -26,7 +27,6 @@ from fluxtwin.sim.earth import frames
 from fluxtwin.sim.effects.drivers import STANDARD_SWING_K
 from fluxtwin.sim.telemetry.record import Telemetry
 
-_ROUNDS = 40
 _RECORD_EVERY = 11
 _BIAS_UNIT_NT = 1e3
 _PHASE_STEP = 1e-5
@@ -133,34 +133,25 @@ def start(fits: Sequence[ZoneFit], states: int, degree: int) -> tuple[Sensor, li
 def fit_joint(
     rows: Sequence[Rows], begin: tuple[Sensor, Sequence[FloatArray]], free: Sequence[str], *, hold: bool = False
 ) -> Joint:
-    """Levenberg-Marquardt over all zones given.
+    """Least squares over all zones given.
 
     free: of "turn", "scale", "bias", what follows the states besides the twelve. hold: only the phases are free.
     """
-    sensor, phases = begin[0], list(begin[1])
-    states = sensor.turn_rad.size
+    states = begin[0].turn_rad.size
     names = ["matrix"] * 9 + ["offset"] * 3 + ["turn"] * states + ["scale"] * states + ["bias"] * states
     sizes = np.array([_STEPS[name] * (not hold and name in ("matrix", "offset", *free)) for name in names])
-    damping, r = 1e-5, _residual(rows, sensor, phases)
-    for _ in range(_ROUNDS):
-        A, cost = _slopes(rows, sensor, phases, sizes), float(r @ r)
-        length = np.linalg.norm(A, axis=0)
-        length[length == 0.0] = 1.0
-        A = A / length
-        normal, slope = A.T @ A, A.T @ r
-        for _ in range(8):
-            step = np.linalg.solve(normal + damping * np.eye(len(normal)), slope) / length
-            tried = _stepped(sensor, phases, sizes, step)
-            after = _residual(rows, *tried)
-            reached = float(after @ after)
-            if reached < cost:
-                break
-            damping *= 20.0
-        else:
-            break
-        (sensor, phases), r, damping = tried, after, max(damping / 10.0, 1e-9)
-        if cost - reached < 1e-5 * cost:
-            break
+
+    def residual(step: FloatArray) -> FloatArray:
+        sensor, phases = _stepped(*begin, sizes, step)
+        parts = [one.reading_nT - sensor.reading_nT(one, p) for one, p in zip(rows, phases, strict=True)]
+        return np.concatenate([part.ravel() for part in parts])
+
+    def slopes(step: FloatArray) -> FloatArray:
+        return -_slopes(rows, *_stepped(*begin, sizes, step), sizes)
+
+    none = np.zeros(np.count_nonzero(sizes) + sum(phase.size for phase in begin[1]))
+    found = least_squares(residual, none, slopes, method="lm", x_scale="jac", ftol=1e-5)
+    sensor, phases = _stepped(*begin, sizes, found.x)
     rms_nT = [rms(one.reading_nT - sensor.reading_nT(one, p)) for one, p in zip(rows, phases, strict=True)]
     return Joint(sensor, tuple(phases), tuple(rms_nT))
 
@@ -168,11 +159,6 @@ def fit_joint(
 def seen_by(sensor: Sensor, rows: Rows, phase: FloatArray) -> Joint:
     """A sensor that is known on a zone it was not fitted to: only the zone's spin phase is estimated."""
     return fit_joint([rows], (sensor, [phase]), (), hold=True)
-
-
-def _residual(rows: Sequence[Rows], sensor: Sensor, phases: Sequence[FloatArray]) -> FloatArray:
-    parts = [one.reading_nT - sensor.reading_nT(one, p) for one, p in zip(rows, phases, strict=True)]
-    return np.concatenate([part.ravel() for part in parts])
 
 
 def _slopes(rows: Sequence[Rows], sensor: Sensor, phases: Sequence[FloatArray], sizes: FloatArray) -> FloatArray:

@@ -3,30 +3,25 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
-from matplotlib.figure import Figure
 
 from fluxtwin.calib.scalar.calibrate import calibrate_scalar
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.problem.problem import Budget
-from fluxtwin.plots.elfin import Response, residuals_figure, response_figure, zones_figure
-from fluxtwin.scenarios.elfin.record import Slip, Zone, read_flight
+from fluxtwin.scenarios.elfin.record import Day, Slip, Zone, read_flight
 from fluxtwin.scenarios.elfin.sensor import Lags, Way, compare, record_of, residuals_nT
 from fluxtwin.scenarios.elfin.zone_fit import KINDS, ZoneFit, fit_zone, local_noise_nT, responses
 from fluxtwin.scenarios.flights import Numbers, rms
 from fluxtwin.scenarios.page import Cell, StudyResult
-from fluxtwin.scenarios.recorded_files import Settings, check_folder, read_settings
+from fluxtwin.scenarios.recorded_files import Settings, run_on_files
 from fluxtwin.scenarios.words import Words
 from fluxtwin.sim.base.errors import NoAnswer
-from fluxtwin.sim.base.files import write_text
 from fluxtwin.sim.base.progress import Progress, part_of, silent
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import load_field
@@ -48,15 +43,8 @@ _RANKED = 6
 
 
 def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResult:
-    """The whole study. out: an existing folder for the results; data: the folder of recorded flight data.
-
-    Raises BadInput, before anything is written, for a missing folder or file or one that cannot be used.
-    """
-    settings = read_settings(SETTINGS)
-    found = compute(check_folder(data, settings.files), settings, part_of(progress, 0.0, 0.95))
-    progress("drawing", 0.95)
-    written = [write_text(out / "elfin.toml", tomli_w.dumps(settings.tree))]
-    return replace(present(found, settings), written=written)
+    """The whole study, as `run_on_files`."""
+    return run_on_files(SETTINGS, out, data, progress, compute, present)
 
 
 def compute(folder: Path, settings: Settings, progress: Progress = silent) -> Numbers:
@@ -67,7 +55,7 @@ def compute(folder: Path, settings: Settings, progress: Progress = silent) -> Nu
     zones = []
     for number, zone in enumerate(flight.zones):
         progress(f"zone {zone.number}", 0.05 + 0.25 * number / len(flight.zones))
-        zones.append(_zone(zone, settings, model))
+        zones.append(_zone(zone, flight.day, settings, model))
     own: list[ZoneFit] = [one.fits["static"] for one in zones]
     ways = compare(flight, own, settings, part_of(progress, 0.3, 0.75))
     best = min(ways[1:], key=lambda way: way.unseen_whole_nT)
@@ -92,15 +80,19 @@ def compute(folder: Path, settings: Settings, progress: Progress = silent) -> Nu
         # Of all zones, and of those that begin in shadow.
         diagnosis=diagnoses[0],
         in_shadow=diagnoses[1],
-        # Of two zones: minutes and residual of the static and of the best model, both fitted without the zone.
+        # How long the shadow before the first zone lasts.
+        shadow_s=flight.day.shadow_s(float(flight.zones[0].seconds[0]))[1],
+        # Of two zones, by number: minutes and residual of the static and of the best model, both fitted without the zone.
         shown={
-            place: [one for way in (ways[0], best) for one in residuals_nT(flight, own, way, place, settings)]
+            flight.zones[place].number: [
+                one for way in (ways[0], best) for one in residuals_nT(flight, own, way, place, settings)
+            ]
             for place in (dark[len(dark) // 2], sunny[-1] if sunny else dark[-1])
         },
     )
 
 
-def _zone(zone: Zone, settings: Settings, model: FieldModel) -> Numbers:
+def _zone(zone: Zone, day: Day, settings: Settings, model: FieldModel) -> Numbers:
     """One zone by itself."""
     static = fit_zone(zone, "static", settings)
     fits = {"static": static} | {kind: fit_zone(zone, kind, settings, static.rate_rad_s) for kind in KINDS[1:]}
@@ -118,8 +110,8 @@ def _zone(zone: Zone, settings: Settings, model: FieldModel) -> Numbers:
         starting_nT=np.linalg.norm(fits["harmonic"].residual_nT[first], axis=1).max(),
         # Why the scalar fit was refused; empty: it was not.
         refusal=refusal(zone, model),
-        # (M,) and (M, 3) complex, see `responses`.
-        middle_s=middle_s,
+        # (M,) since the shadow before was entered, and (M, 3) complex, see `responses`.
+        since_shadow_s=middle_s - day.shadow_s(float(zone.seconds[0]))[0],
         response=response,
     )
 
@@ -166,7 +158,7 @@ def present(found: Numbers, settings: Settings) -> StudyResult:
         "python": platform.python_version(),
     }
     tables = ("zones", "unseen", "diagnoses", "slips", "independent")
-    return words().result("elfin", tables, _figures(found), provenance, **_values(found, settings))
+    return words().result("elfin", tables, provenance, **_values(found, settings))
 
 
 @cache
@@ -233,29 +225,6 @@ def _tilted_deg(found: Numbers, way: Way) -> float:
     states = np.stack([found.flight.day.lagged(seconds, *series) for series in way.lags_s], axis=1)
     tilts = (states @ way.within.sensor.turn_rad)[:, :2]
     return float(np.degrees(np.linalg.norm(tilts[:, None, :] - tilts[None, :, :], axis=2).max()))
-
-
-def _figures(found: Numbers) -> dict[str, Callable[[], Figure]]:
-    shadows = [found.flight.day.shadow_s(float(one.zone.seconds[0])) for one in found.zones]
-
-    def response(one: Numbers, entry_s: float, channel: int) -> Response:
-        size = np.abs(one.response[:, channel])
-        return Response(f"zone {one.zone.number}", one.middle_s - entry_s, size, one.zone.sunlit > SUNLIT)
-
-    channels = {
-        name: [response(one, shadow[0], place) for one, shadow in zip(found.zones, shadows, strict=True)]
-        for place, name in enumerate(("channel X", "channel Y"))
-    }
-    series_nT = {f"unseen: {way.name}": way.unseen_nT for way in found.ways}
-    series_nT["static, the zone's own"] = [one.fits["static"].rms_nT for one in found.zones]
-    series_nT["local noise"] = [one.noise_nT for one in found.zones]
-    numbers = [one.zone.number for one in found.zones]
-    shown = {f"zone {numbers[place]}": residuals for place, residuals in found.shown.items()}
-    return {
-        "responses": partial(response_figure, channels, shadows[0][1]),
-        "unseen_zones": partial(zones_figure, series_nT, numbers),
-        "unseen_residuals": partial(residuals_figure, shown),
-    }
 
 
 def lags_words(lags_s: Lags) -> str:

@@ -1,9 +1,8 @@
 """One zone by itself: twelve parameters and the spin phase, which no file gives, estimated together.
 
 Reading = G Rz(phase) H + o, H in spin axes. The azimuth of the body is a convention (the first column of G and the
-phase turn together), so of the phase the rate and what bends it are free. For a given phase everything else is linear:
-the phase is found by Gauss-Newton steps with the linear part projected out (Golub & Pereyra 1973, SIAM J. Numer. Anal.
-10, 413; the derivative without its second term: Kaufman 1975, BIT 15, 49).
+phase turn together), so of the phase the rate and what bends it are free. For a given phase everything else is linear,
+and is projected out (Golub & Pereyra 1973, SIAM J. Numer. Anal. 10, 413).
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from fluxtwin.scenarios.elfin.record import Zone
 from fluxtwin.scenarios.recorded_files import Settings
@@ -22,7 +22,6 @@ ComplexArray: TypeAlias = NDArray[np.complex128]
 
 KINDS = ("static", "linear", "quadratic", "harmonic")
 """Twelve parameters; all twelve drifting linearly; and quadratically; and a third harmonic of the spin as well."""
-_ROUNDS = 15
 _SPINS = 4
 _FEWEST = 100
 
@@ -62,31 +61,21 @@ def fit_zone(zone: Zone, kind: str, settings: Settings, rate_rad_s: float | None
     H, B, used, share = zone.field_S_nT, zone.reading_nT, zone.used, zone.share
     bends = powers(share, settings.phase_degree + 1)[:, 1:]
 
-    def at(p: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Columns, their coefficients and the residual."""
+    def at(p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Coefficients of the columns, and the residual."""
         X = _columns(kind, turning(H, rate * zone.late_s + bends @ p), H[:, 2], share)
         C = np.linalg.lstsq(X[used], B[used], rcond=None)[0]
-        return X, np.asarray(C), np.asarray(B - X @ C)
+        return np.asarray(C), np.asarray(B - X @ C)
 
     def slope(p: FloatArray, C: FloatArray) -> FloatArray:
         u = turning(H, rate * zone.late_s + bends @ p)
         return np.asarray(_columns(kind, np.asarray(-1j * u), 0.0 * H[:, 2], share, 0.0) @ C)
 
-    p = np.zeros(bends.shape[1])
-    X, C, residual = at(p)
-    for _ in range(_ROUNDS):
-        cost, Q = rms(residual[used]), np.linalg.qr(X[used])[0]
-        moved = [slope(p, C)[used] * bend[used, None] for bend in bends.T]
-        tangents = np.stack([(one - Q @ (Q.T @ one)).ravel() for one in moved], axis=1)
-        step = np.linalg.lstsq(tangents, residual[used].ravel(), rcond=None)[0]
-        tried = [(p + part * step, *at(p + part * step)) for part in (1.0, 0.5, 0.1)]
-        best = min(tried, key=lambda one: rms(one[3][used]))
-        reached = rms(best[3][used])
-        if reached >= cost * (1.0 - 1e-9):
-            break
-        p, X, C, residual = best
-        if cost - reached < 1e-5 * reached:
-            break
+    def unexplained(p: FloatArray) -> FloatArray:
+        return at(p)[1][used].ravel()
+
+    p: FloatArray = least_squares(unexplained, np.zeros(bends.shape[1])).x
+    C, residual = at(p)
     phase = rate * zone.late_s + bends @ p
     middle_rate = rate + float(p[0]) / float(zone.late_s[-1])
     return ZoneFit(middle_rate, phase, C, residual, slope(p, C), rms(residual[used]))

@@ -5,17 +5,15 @@ from __future__ import annotations
 import csv
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-import tomli_w
-from matplotlib.figure import Figure
 
-from fluxtwin.plots.field_residuals import ResidualTrack, residual_map, residual_series
+from fluxtwin.plots.field_residuals import ResidualTrack
 from fluxtwin.scenarios.flight_field import residuals
 from fluxtwin.scenarios.flight_field.residuals import (
     COMPONENTS,
@@ -38,10 +36,9 @@ from fluxtwin.scenarios.flight_field.tracks import (
 )
 from fluxtwin.scenarios.flights import Numbers, rms
 from fluxtwin.scenarios.page import StudyResult
-from fluxtwin.scenarios.recorded_files import Settings, check_folder, read_settings
+from fluxtwin.scenarios.recorded_files import Settings, run_on_files
 from fluxtwin.scenarios.words import Words
-from fluxtwin.sim.base.files import write_text
-from fluxtwin.sim.base.progress import Progress, part_of, silent
+from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.types import BoolArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import FieldModel, field_NEC_nT, load_field
@@ -58,15 +55,8 @@ Key: TypeAlias = tuple[str, str, str, str, str]
 
 
 def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResult:
-    """The whole study. out: an existing folder for the results; data: the folder of recorded flight data.
-
-    Raises BadInput, before anything is written, for a missing folder or file or one that cannot be used.
-    """
-    settings = read_settings(SETTINGS)
-    outcome = compute(check_folder(data, settings.files), settings, part_of(progress, 0.0, 0.8))
-    progress("drawing the residuals", 0.85)
-    written = [write_text(out / "flight_field.toml", tomli_w.dumps(settings.tree))]
-    return replace(present(outcome, settings), written=written)
+    """The whole study, as `run_on_files`."""
+    return run_on_files(SETTINGS, out, data, progress, compute, present)
 
 
 @dataclass(frozen=True)
@@ -226,15 +216,15 @@ def present(outcome: Numbers, settings: Settings) -> StudyResult:
         "field models": f"IGRF-14; {settings.swarm.chaos_file} to degree {settings.swarm.crust_degree}",
         "settings": "flight_field.toml beside this page",
     }
-    drawn = _drawn(outcome, settings.low_latitude_deg)
     values = _values(outcome, figures, settings)
-    return words().result("flight-field", ("figures", "selections", "causes"), drawn, provenance, **values)
+    return words().result("flight-field", ("figures", "selections", "causes"), provenance, **values)
 
 
 @cache
 def words() -> Words:
     """The sections of `words.md`."""
-    return Words("fluxtwin.scenarios.flight_field", ring=RING_CURRENT, time=TIME_OFFSET, pitch=PITCH)
+    names = {"ring": RING_CURRENT, "time": TIME_OFFSET, "pitch": PITCH, "low_latitude": low_latitude}
+    return Words("fluxtwin.scenarios.flight_field", filters={"track": _track}, **names)
 
 
 def explanations(outcome: Numbers) -> dict[str, str]:
@@ -270,21 +260,6 @@ def _values(outcome: Numbers, figures: Sequence[Independent], settings: Settings
             | {f"{quantity}_{part}_nT": value for (quantity, part), value in statistics(r, rows).items()}
             for r, words, rows in _selections(outcome, settings)
         ],
-    }
-
-
-def _drawn(outcome: Numbers, limit: float) -> dict[str, Callable[[], Figure]]:
-    magsat, storm = outcome.magsat, outcome.swarm
-    low = low_latitude(storm[0].track, limit)
-    then, now = "1 January 1980", "1 January 2016"
-    title = f"Swarm A minus model, {now}"
-    along = [_track(magsat), _track(outcome.magsat_explained)]
-    return {
-        "magsat_map": partial(residual_map, _track(magsat), f"MAGSAT minus {magsat.model}, {then}", limit),
-        "magsat_series": partial(residual_series, along, f"MAGSAT minus model, {then}", limit),
-        "swarm_low": partial(residual_series, [_track(r, low) for r in storm], f"{title}, below {limit:g} deg", limit),
-        "swarm_series": partial(residual_series, [_track(r) for r in storm], title, limit),
-        "swarm_map": partial(residual_map, _track(storm[0]), f"Swarm A minus {storm[0].model}, {now}", limit),
     }
 
 

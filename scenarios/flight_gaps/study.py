@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
-from matplotlib.figure import Figure
 
 from fluxtwin.gap.records.diagnosis import Diagnosis, FoundEffect, Ranked
 from fluxtwin.gap.report import advice
-from fluxtwin.plots import gap_cases
 from fluxtwin.scenarios.flight_gaps.compute import STORM_NT, Answer, Outcome, compute, names_of
 from fluxtwin.scenarios.flight_gaps.least_squares import Share
 from fluxtwin.scenarios.page import Cell, StudyResult
 from fluxtwin.scenarios.page_markdown import as_markdown
-from fluxtwin.scenarios.recorded_files import Settings, check_folder, read_settings
+from fluxtwin.scenarios.recorded_files import Settings, run_on_files
 from fluxtwin.scenarios.words import Words
 from fluxtwin.sim.base.files import write_text
-from fluxtwin.sim.base.progress import Progress, part_of, silent
+from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 
 SUSPICIOUS = 100.0
@@ -35,20 +32,10 @@ _EDDY = {"K_xx": (0, 0), "K_yy": (1, 1), "K_xy": (0, 1), "K_xz": (0, 2), "K_yz":
 
 
 def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResult:
-    """The whole study. out: an existing folder for the results; data: the folder of recorded flight data.
-
-    Raises BadInput, before anything is written, for a missing folder or file or one that cannot be used.
-    """
-    settings = read_settings(SETTINGS)
-    outcome = compute(check_folder(data, settings.files), settings, part_of(progress, 0.0, 0.95))
-    progress("drawing", 0.95)
-    result = present(outcome, settings)
+    """The whole study, as `run_on_files`; `report.md` is its page as Markdown."""
+    result = run_on_files(SETTINGS, out, data, progress, compute, present)
     assert result.page is not None
-    written = [
-        write_text(out / "flight_gaps.toml", tomli_w.dumps(settings.tree)),
-        write_text(out / "report.md", as_markdown(result.page)),
-    ]
-    return replace(result, written=written)
+    return replace(result, written=[*result.written, write_text(out / "report.md", as_markdown(result.page))])
 
 
 def present(outcome: Outcome, settings: Settings) -> StudyResult:
@@ -59,7 +46,7 @@ def present(outcome: Outcome, settings: Settings) -> StudyResult:
         "effects in the catalogue": str(len(CATALOGUE)),
     }
     values = page_values(outcome) | {"settings": settings.tree}
-    return words().result("flight-gaps", ("short", "storm"), _figures(outcome), provenance, **values)
+    return words().result("flight-gaps", ("short", "storm"), provenance, **values)
 
 
 @cache
@@ -67,6 +54,9 @@ def words() -> Words:
     """The sections of `words.md`, with what speaks of an answer."""
     return Words(
         "fluxtwin.scenarios.flight_gaps",
+        filters={"before_comma": _before_comma},
+        aurora_deg=_AURORA_DEG,
+        drops=_drops,
         names=_names,
         unnamed=_unnamed,
         names_of=names_of,
@@ -217,53 +207,14 @@ def _eddy_us(outcome: Outcome) -> dict[str, dict[str, float]]:
     }
 
 
-def _figures(outcome: Outcome) -> dict[str, Callable[[], Figure]]:
-    bars = []
-    for share in sorted(outcome.storm.shares, key=lambda one: one.left_nT):
-        count = f"{share.parameters} parameter{'s' if share.parameters > 1 else ''}"
-        bars.append((share.effects[0], share.left_nT, f"{share.left_nT:.1f} nT, {count}"))
-    title = "Swarm A in the storm of 1 January 2016: each effect alone"
-    eddy = {name: [values[term] for term in _EDDY] for name, values in _eddy_us(outcome).items() if values}
-    return {
-        "storm_alone": partial(gap_cases.left_alone, bars, outcome.storm.raw_nT, title),
-        "aircraft_eddy": partial(
-            gap_cases.groups, list(_EDDY), eddy, "coefficient [us]", "An aircraft's eddy currents"
-        ),
-        **_magsat_figures(outcome),
-        **_swarm_figures(outcome),
-    }
+def _drops(answers: Sequence[Answer], names: Sequence[str]) -> dict[str, list[float]]:
+    """By satellite, of each effect alone; 0 where it is not ranked."""
+    found = {}
+    for answer in answers:
+        drop = {line.name: line.drop for line in answer.found.ranking}
+        found[_before_comma(answer.case.title)] = [drop.get(name, 0.0) for name in names]
+    return found
 
 
-def _magsat_figures(outcome: Outcome) -> dict[str, Callable[[], Figure]]:
-    left, (without, with_it) = outcome.magsat_left, outcome.degree_left
-    fitted = {"b and S": without, "b, S and field_truncation": with_it}
-    cut = [(name, one.latitude_deg, one.residual_nT) for name, one in fitted.items()]
-    track = ("rms in steps of 5 deg", left.latitude_deg, left.residual_nT)
-    pair = (outcome.magsat["IGRF-14, NEC"], outcome.magsat["IGRF-14, orbit"])
-    along, epoch = "along_track_error", "field_epoch"
-    series = {
-        "b and S": [table.base_nT for table in pair],
-        "with field_epoch": [table.left_nT(epoch) for table in pair],
-        "with along_track_error": [table.left_nT(along) for table in pair],
-        "with both": [table.left_nT(along, epoch) for table in pair],
-    }
-    axes, title = ["north, east, centre", "axes of the orbit"], "MAGSAT and IGRF-14: what can replace what"
-    minus = "MAGSAT minus IGRF-14"
-    return {
-        "magsat_degree_8": partial(gap_cases.by_latitude, cut, f"{minus} to degree 8", _AURORA_DEG),
-        "magsat_latitude": partial(gap_cases.by_latitude, [track], f"{minus}, b and S free", _AURORA_DEG),
-        "magsat_epoch": partial(gap_cases.groups, axes, series, "rms left per component [nT]", title),
-    }
-
-
-def _swarm_figures(outcome: Outcome) -> dict[str, Callable[[], Figure]]:
-    answers = {answer.case.title.partition(",")[0]: answer for answer in outcome.part("swarm")}
-    tracks = [(label, a.latitude_deg, a.left_nT) for label, a in answers.items()]
-    drops = {label: {line.name: line.drop for line in a.found.ranking} for label, a in answers.items()}
-    first = list(next(iter(drops.values())))[:4]
-    series = {label: [drop.get(name, 0.0) for name in first] for label, drop in drops.items()}
-    title = "Swarm minus CHAOS, 8 September 2014, b and S free"
-    return {
-        "swarm_latitude": partial(gap_cases.by_latitude, tracks, title, _AURORA_DEG),
-        "swarm_ranking": partial(gap_cases.groups, first, series, "drop of chi-square", "Each effect alone"),
-    }
+def _before_comma(text: str) -> str:
+    return text.partition(",")[0]

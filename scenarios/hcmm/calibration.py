@@ -11,7 +11,6 @@ from fluxtwin.calib.linear.calibrate import LinearFit
 from fluxtwin.scenarios.flights import (
     Estimates,
     Numbers,
-    angle_between,
     bias_alone,
     budget,
     error_square_mG2,
@@ -248,4 +247,4 @@ def _field_model(config: Scenario, ground: FieldModel) -> dict[str, Any]:
 
 def _direction_error(world: World, ground: FieldModel) -> FloatArray:
     """(N,) [rad] of the ground's model along the orbit."""
-    return angle_between(field_N_nT(ground, world.time, world.r_N_km), world.field_N_nT)
+    return frames.angle_between(field_N_nT(ground, world.time, world.r_N_km), world.field_N_nT)

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.calib.common.records import Calibration
-from fluxtwin.scenarios.flights import Numbers, angle_between, prescribed, rms, rms_along
+from fluxtwin.scenarios.flights import Numbers, prescribed, rms, rms_along
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.mission import Flight, quantity
 from fluxtwin.scenarios.hcmm_orbit.geometry import PassWindows
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, Range, read_passes
 from fluxtwin.sim.base.types import BoolArray, FloatArray
-from fluxtwin.sim.earth import epoch, sun
+from fluxtwin.sim.earth import epoch, frames, sun
 from fluxtwin.sim.earth.constants import NT_PER_MG
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
 from fluxtwin.sim.run.world import build_world
@@ -101,8 +101,8 @@ def sun_nadir_deg(telemetry: Telemetry) -> FloatArray:
     """(N,) measured less computed angle between sun and nadir; NaN where a sensor gives nothing."""
     assert telemetry.r_N_km is not None and telemetry.nadir_B is not None and telemetry.sun_B is not None
     r_N_km = np.array(telemetry.r_N_km)
-    computed = angle_between(-r_N_km, sun.sun_direction_N(telemetry.time, r_N_km))
-    return np.asarray(np.degrees(angle_between(telemetry.sun_B, telemetry.nadir_B) - computed))
+    computed = frames.angle_between(-r_N_km, sun.sun_direction_N(telemetry.time, r_N_km))
+    return np.asarray(np.degrees(frames.angle_between(telemetry.sun_B, telemetry.nadir_B) - computed))
 
 
 def compare(telemetry: Telemetry, calibration: Calibration, ground: FieldModel) -> Numbers:
@@ -113,12 +113,12 @@ def compare(telemetry: Telemetry, calibration: Calibration, ground: FieldModel) 
     model_N = field_N_nT(ground, telemetry.time, r_N_km)
     sun_N = sun.sun_direction_N(telemetry.time, r_N_km)
     pairs = {"sun_field": (sun_N, model_N), "nadir_field": (-r_N_km, model_N), "sun_nadir": (-r_N_km, sun_N)}
-    computed_deg = {name: np.degrees(angle_between(*pair)) for name, pair in pairs.items()}
+    computed_deg = {name: np.degrees(frames.angle_between(*pair)) for name, pair in pairs.items()}
     return Numbers(
         # [nT] Field strength, and [deg] angles; what orbit and model give for these.
         magnitude_nT=np.linalg.norm(field_B, axis=1) - np.linalg.norm(model_N, axis=1),
-        sun_field=np.degrees(angle_between(telemetry.sun_B, field_B)) - computed_deg["sun_field"],
-        nadir_field=np.degrees(angle_between(telemetry.nadir_B, field_B)) - computed_deg["nadir_field"],
+        sun_field=np.degrees(frames.angle_between(telemetry.sun_B, field_B)) - computed_deg["sun_field"],
+        nadir_field=np.degrees(frames.angle_between(telemetry.nadir_B, field_B)) - computed_deg["nadir_field"],
         sun_nadir=sun_nadir_deg(telemetry),
         computed_deg=computed_deg,
     )

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from fluxtwin.calib.attitude.horizon_scanner import ScannerCalibration, calibrate_scanner
 from fluxtwin.gap.channels.sun_nadir import weigh_sun_nadir
-from fluxtwin.scenarios.flights import Numbers, angle_between, papers_regression
+from fluxtwin.scenarios.flights import Numbers, papers_regression
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.calibration import choose_rows, fit_rows, pass_labels
 from fluxtwin.scenarios.hcmm.mission import Flight
@@ -137,7 +137,7 @@ def _head_1(flight: Flight, found: ScannerCalibration) -> tuple[float, float]:
     theta = np.radians(flight.scenario.sun_sensor["1"].misalignment_deg)
     B, sun_N, nadir_N = (v[rows] for v in (flight.truth.q_NB, flight.world.sun_N, -flight.world.r_N_km))
     sun_B, nadir_B = (frames.rotation_from_q(B).apply(v) for v in (sun_N, nadir_N))
-    expected = angle_between(sun_B - np.cross(theta, sun_B), nadir_B) - angle_between(sun_N, nadir_N)
+    expected = frames.angle_between(sun_B - np.cross(theta, sun_B), nadir_B) - frames.angle_between(sun_N, nadir_N)
     return float(sun_nadir_deg(corrected)[rows].mean()), float(np.degrees(expected.mean()))
 
 

@@ -11,7 +11,7 @@ from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.calibration import BUDGET_RUNS, RUNS, run_calibrations, run_errors
 from fluxtwin.scenarios.hcmm.gallery import GROUND, run_gallery
 from fluxtwin.scenarios.hcmm.passes import run_dawn, run_passes
-from fluxtwin.scenarios.hcmm.report import figures, gallery_figures, judge_claims, words
+from fluxtwin.scenarios.hcmm.report import judge_claims, words
 from fluxtwin.scenarios.hcmm.scanner import run_horizon, run_scanner
 from fluxtwin.scenarios.hcmm.strength import FLIGHTS, ask, run_missing, weigh_field_error
 from fluxtwin.scenarios.hcmm.yaw import run_accuracy, run_yaw
@@ -69,7 +69,6 @@ def present(results: Numbers) -> StudyResult:
     return said.result(
         "hcmm",
         TABLES,
-        figures(results),
         provenance(config),
         claims=judge_claims(results),
         made={"motion": motion_table(results.motion, said.say("pointing", r=results))},
@@ -82,15 +81,14 @@ def present(results: Numbers) -> StudyResult:
 
 def gallery_page(answers: Sequence[Numbers], seed: int, law: Numbers | None = None) -> Page:
     """The four diagnosed cases. law: case (c) with the coils driven by the control law of the study."""
+    values = {"answers": answers, "by_key": {one.case.key: one for one in answers}, "law": law}
     return words().page(
         words().say("verdict", answers=answers),
-        gallery_figures(answers),
+        words().figures("gallery.toml", **values),
         {"seed": str(seed), "field of the diagnosis": GROUND},
         {"Back to the report": "report.html"},
         name="gallery",
-        answers=answers,
-        by_key={one.case.key: one for one in answers},
-        law=law,
+        **values,
     )
 
 

@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 
 from fluxtwin.calib.attitude.yaw import yaw_from_field, yaw_full, yaw_sigma
 from fluxtwin.calib.common.records import Calibration
-from fluxtwin.scenarios.flights import Numbers, angle_between, compare_yaw, dipole_axis_E, rms, wrapped_deg
+from fluxtwin.scenarios.flights import Numbers, compare_yaw, dipole_axis_E, rms, wrapped_deg
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.mission import Flight
 from fluxtwin.scenarios.hcmm.passes import compare
@@ -105,7 +105,7 @@ def _in_main_field(config: Scenario, name: str) -> float:
     r_N_km, v_N_km_s = ephemeris(config, time)
     r_E_km = frames.rotation_EN(time).apply(r_N_km)
     site = np.broadcast_to(read_stations()[name].r_E_km, r_E_km.shape)
-    near = np.flatnonzero(np.degrees(angle_between(r_E_km, site)) < _NEAR_DEG)
+    near = np.flatnonzero(np.degrees(frames.angle_between(r_E_km, site)) < _NEAR_DEG)
     field_N = field_N_nT(load_field(config.field.truth), time[near], r_N_km[near])
     field_O = frames.rotation_ON(r_N_km[near], v_N_km_s[near]).apply(field_N)
     return rms(np.degrees(yaw_sigma(field_O, SIGMA_B_MG * NT_PER_MG, np.radians(SIGMA_DEG))))
@@ -130,7 +130,7 @@ def run_accuracy(
     calibrated = calibration.apply(flight.telemetry.mag_B_nT)
     model_N = field_N_nT(ground, world.time, world.r_N_km)
     sun_error, nadir_error = _sensor_errors(flight)
-    raw = np.degrees(angle_between(flight.telemetry.mag_B_nT, flight.truth.field_B_nT))
+    raw = np.degrees(frames.angle_between(flight.telemetry.mag_B_nT, flight.truth.field_B_nT))
     none = np.zeros((3, 3))
     ways = {"raw": Calibration(none, np.zeros(3)), "b": Calibration(none, bias_nT), "b, S": calibration}
     yaw_error = {name: _yaw_error_deg(flight, way, model_N) for name, way in ways.items()}
@@ -143,8 +143,8 @@ def run_accuracy(
         # Weakest and strongest field along the passes.
         field_mG=(float(strength.min()), float(strength.max())),
         # [deg] rms angle of the calibrated reading, and of the ground's model, to the true field.
-        direction_noise=rms(np.degrees(angle_between(calibrated, flight.truth.field_B_nT))),
-        direction_model=rms(np.degrees(angle_between(model_N, world.field_N_nT))),
+        direction_noise=rms(np.degrees(frames.angle_between(calibrated, flight.truth.field_B_nT))),
+        direction_model=rms(np.degrees(frames.angle_between(model_N, world.field_N_nT))),
         # [deg] rms error of measured sun and nadir in the plane of both, heads 2 and 3.
         sun_error=sun_error,
         nadir_error=nadir_error,
@@ -178,9 +178,9 @@ def _sensor_errors(flight: Flight) -> tuple[float, float]:
     rows = np.flatnonzero(np.isin(t.sun_sensor_head, (2, 3)))
     R_BN = frames.rotation_from_q(flight.truth.q_NB[rows])
     sun_B, nadir_B = R_BN.apply(flight.world.sun_N[rows]), R_BN.apply(-flight.world.r_N_km[rows])
-    computed = angle_between(sun_B, nadir_B)
-    by_sun = angle_between(np.array(t.sun_B)[rows], nadir_B) - computed
-    by_nadir = angle_between(sun_B, np.array(t.nadir_B)[rows]) - computed
+    computed = frames.angle_between(sun_B, nadir_B)
+    by_sun = frames.angle_between(np.array(t.sun_B)[rows], nadir_B) - computed
+    by_nadir = frames.angle_between(sun_B, np.array(t.nadir_B)[rows]) - computed
     return rms(np.degrees(by_sun)), rms(np.degrees(by_nadir))
 
 
@@ -221,5 +221,5 @@ def _arcs(south: FloatArray, north: FloatArray) -> tuple[float, float]:
     """Arc from Orroral to the southern, from Fairbanks to the northern of two poles [deg]."""
     stations = read_stations()
     pairs = ((stations["ORR"], south), (stations["ULA"], north))
-    to_orr, to_ula = (float(np.degrees(angle_between(s.r_E_km[None, :], pole[None, :])[0])) for s, pole in pairs)
+    to_orr, to_ula = (float(np.degrees(frames.angle_between(s.r_E_km[None, :], pole[None, :])[0])) for s, pole in pairs)
     return to_orr, to_ula

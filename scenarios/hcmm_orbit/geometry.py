@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.scenarios.flights import angle_between
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, Range, read_stations
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames, sun
@@ -95,7 +94,7 @@ def look(grid: Grid, orbit: Orbit) -> Sky:
     line = grid.R_EN.apply(r_N_km) - grid.site_E_km
     elevation = np.arcsin(np.einsum("ij,ij->i", line, grid.up_E) / np.linalg.norm(line, axis=1))
     return Sky(
-        sun_nadir_deg=np.degrees(angle_between(-r_N_km, grid.sun_N)).reshape(grid.shape),
+        sun_nadir_deg=np.degrees(frames.angle_between(-r_N_km, grid.sun_N)).reshape(grid.shape),
         elevation_deg=np.degrees(elevation).reshape(grid.shape),
     )
 
@@ -246,5 +245,5 @@ def angles_along(
     field_N = R_EN.inv().apply(turn.apply(field_E_nT(model, time, turn.inv().apply(r_E_km))))
     latitude, longitude, _ = frames.geocentric(r_E_km)
     sun_N = sun.sun_direction_N(time, r_N_km)
-    found = (angle_between(sun_N, field_N), angle_between(-r_N_km, field_N), latitude, longitude)
+    found = (frames.angle_between(sun_N, field_N), frames.angle_between(-r_N_km, field_N), latitude, longitude)
     return PassAngles(minutes, *(np.degrees(one).reshape(minutes.shape) for one in found))

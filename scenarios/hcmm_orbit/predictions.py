@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from fluxtwin.scenarios.flights import Numbers, angle_between, dipole_axis_E, rms
+from fluxtwin.scenarios.flights import Numbers, dipole_axis_E, rms
 from fluxtwin.scenarios.hcmm_orbit.fit import OrbitFit
 from fluxtwin.scenarios.hcmm_orbit.geometry import (
     PassWindows,
@@ -108,7 +108,7 @@ def weigh_ideas(fit: OrbitFit, windows: PassWindows) -> Numbers:
     r_E_km = frames.rotation_EN(time).apply(r_N_km)
     latitude, longitude, _ = frames.geodetic(r_E_km)
     down = -frames.from_geocentric(latitude, longitude, np.ones_like(latitude))
-    geodetic = angle_between(down, field_E_nT(model, time, r_E_km))
+    geodetic = frames.angle_between(down, field_E_nT(model, time, r_E_km))
     latitude = frames.geocentric(r_E_km)[0]
     axial = np.arctan2(np.cos(latitude), 2.0 * np.sin(latitude))
 

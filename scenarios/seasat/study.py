@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from functools import cache, partial
+from collections.abc import Sequence
+from functools import cache
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from fluxtwin.calib.common.records import Calibration
-from fluxtwin.plots import calibration as calibration_plots
-from fluxtwin.plots import yaw as yaw_plots
 from fluxtwin.scenarios.claims import Claim
 from fluxtwin.scenarios.flights import (
     NAMES,
     NEAR_NODE_DEG,
     Numbers,
     calibration_summary,
-    day,
     motion_of,
     provenance,
     rms_mG,
@@ -64,7 +60,6 @@ def present(results: Numbers) -> StudyResult:
     return said.result(
         "seasat",
         TABLES,
-        figures(results),
         provenance(results.scenario),
         claims=judge_claims(results),
         made={"motion": motion_table(results.motion, said.say("pointing", r=results))},
@@ -131,6 +126,7 @@ def words() -> Words:
         near_node_deg=NEAR_NODE_DEG,
         period_min=_period_min,
         print_of=_print_of,
+        printed_S=_printed_S,
         printed=printed_value,
         pulls=pulls,
         quantity=mission.quantity,
@@ -138,7 +134,6 @@ def words() -> Words:
         samples_by_day=lambda study: tuple(len(study.fits[day].time) for day in ("205", "219", "225", "227")),
         seeds=SEEDS,
         size=mission.PRINTED.size,
-        some=lambda parts, *names: {name: parts[name] for name in names},
         step_s=STEP_S,
         sums_of=lambda days: {sum(chosen) for count in range(1, 5) for chosen in combinations(days, count)},
         triple=lambda *quantities: np.array([printed_value("yaw", "value", quantity=name) for name in quantities]),
@@ -158,41 +153,6 @@ def _print_of(parameter: str, data_set: str) -> float:
     return printed_value("calibration", "value", parameter=parameter, data_set=PAPER_COLUMN[data_set])
 
 
-def figures(r: Numbers) -> dict[str, Callable[[], Figure]]:
-    """All of them, by the names in `words.md`."""
-    many, e, y = r.calibration.many, r.errors, r.yaw
-    date = np.datetime_as_string(day(geometry.DATA_DAYS[0]), unit="D") + " (day 205)"
-    observed = printed_value("errors", "rms_mG", source="observed rms")
-    return {
-        "table_1_scatter": partial(
-            calibration_plots.draw_scatter,
-            names=NAMES[:9],
-            data_sets=many.sets,
-            estimates=many.values[:, :, :9],
-            truth=many.truth[:9],
-            printed=np.array([[_print_of(name, data_set) for name in NAMES[:9]] for data_set in many.sets]),
-            signed=np.array([name == "all" for name in many.sets]),
-            title="S by data set: simulated, and as printed",
-        ),
-        "table_2_errors": partial(
-            calibration_plots.draw_budget,
-            sources=[source.replace("lsb", "LSB") for source in e.paper_rule],
-            simulated_mG=np.array([e.simulated[source] for source in e.paper_rule]),
-            paper_rule_mG=np.array(list(e.paper_rule.values())),
-            title="Sources of the residual",
-        ),
-        "node_scan": partial(
-            calibration_plots.draw_node_misfit,
-            raan_deg=r.nodes.raan_deg,
-            misfit=r.nodes.misfit,
-            chosen_deg=r.nodes.chosen_deg,
-            witness_deg=r.nodes.launch_deg,
-            title="Which node fits the sun-sensor record",
-        ),
-        "figure_1": partial(
-            yaw_plots.draw_mean_bias, y.figure_1, title=f"Figure 1, simulated: {date}, mean bias for the orbit"
-        ),
-        "figure_2": partial(yaw_plots.draw_full, y.figure_2, title=f"Figure 2, simulated: {date}, full calibration"),
-        "yaw_sigma": partial(yaw_plots.draw_sigma, r.accuracy.figure, title=f"Expected yaw error at {observed:.1f} mG"),
-        "yaw_sweep": partial(yaw_plots.draw_sweep, y.sweep, title="When is yaw = 0 the better estimate?"),
-    }
+def _printed_S(sets: Sequence[str]) -> FloatArray:
+    """(D, 9) of Table 1."""
+    return np.array([[_print_of(name, data_set) for name in NAMES[:9]] for data_set in sets])

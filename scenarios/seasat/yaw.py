@@ -11,10 +11,9 @@ import numpy as np
 from fluxtwin.calib.attitude.yaw import yaw_first_order, yaw_from_field, yaw_full, yaw_sigma
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.residuals import residuals_of
-from fluxtwin.plots.yaw import YawComparison, YawSigma, YawSweep
+from fluxtwin.plots.yaw import YawComparison
 from fluxtwin.scenarios.flights import (
     Numbers,
-    angle_between,
     compare_yaw,
     day,
     latitude_deg,
@@ -87,7 +86,7 @@ def _compared(flight: Flight, calibration: Calibration, ground: FieldModel) -> Y
     return compare_yaw(flight.telemetry, yaw_from_field(flight.telemetry, calibration, ground))
 
 
-def _sweep(config: Scenario, fine: Flight, ground: FieldModel, progress: Progress) -> YawSweep:
+def _sweep(config: Scenario, fine: Flight, ground: FieldModel, progress: Progress) -> Numbers:
     """Share of windows won by yaw = 0. Each seed draws its own libration, noise, torquer activity and calibration."""
     kinds = {"slow": config, "white": config.updated({"magnetometer.unknown.kind": "white"})}
     base = build_world(config)
@@ -107,12 +106,16 @@ def _sweep(config: Scenario, fine: Flight, ground: FieldModel, progress: Progres
     amplitude_deg = np.array(AMPLITUDES_DEG)
     mean = {f"share_{name}": values.mean(axis=1) for name, values in shares.items()}
     spread = {f"spread_{name}": values.std(axis=1) for name, values in shares.items()}
-    return YawSweep(
+    return Numbers(
         amplitude_deg=amplitude_deg,
+        # Of the windows, with the full calibration, the mean bias alone, and had the unexplained part of the residual been
+        # white noise: mean over the seeds of the share that yaw = 0 wins, and its standard deviation.
         **mean,
         **spread,
+        # Amplitude at which the full calibration begins to win half of the windows; None outside the sweep.
         crossover_deg=_crossover(amplitude_deg, mean["share_full"]),
         crossover_white_deg=_crossover(amplitude_deg, mean["share_white"]),
+        # Share of the seeds for which yaw = 0 beats the full calibration in most windows, slow unknown.
         seeds_won=np.mean(shares["full"] > 0.5, axis=1),
     )
 
@@ -152,7 +155,7 @@ def run_check_day(config: Scenario, ground: FieldModel) -> Numbers:
             ]
         )
     rms_mG, attitude_deg, attitude_mG = np.moveaxis(np.array(rows), 1, 0)
-    angle = np.degrees(angle_between(-world.r_N_km, world.sun_N))[chosen]
+    angle = np.degrees(frames.angle_between(-world.r_N_km, world.sun_N))[chosen]
     return Numbers(
         # (SEEDS, 3) residual per body axis.
         rms_mG=rms_mG,
@@ -177,7 +180,7 @@ def run_accuracy(config: Scenario, ground: FieldModel, residual_mG: float, progr
     at_equator, ours = (
         np.degrees(yaw_sigma(crossing_O, mG * NT_PER_MG, SIGMA_ANGLE_RAD)) for mG in (printed_mG, residual_mG)
     )
-    worst_orbit, worst_base, latitude, along = _worst_values(config, truth, printed_mG)
+    worst = _worst_values(config, truth, printed_mG)
     printed_deg = mission.printed_value("yaw", "value", quantity="sigma_y pole max")
     progress("quantisation and the equations", 0.6)
     lsb = config.magnetometer.step_nT
@@ -188,12 +191,12 @@ def run_accuracy(config: Scenario, ground: FieldModel, residual_mG: float, progr
         sigma_equator_deg=at_equator.mean(),
         sigma_equator_range_deg=(float(at_equator.min()), float(at_equator.max())),
         sigma_equator_ours_deg=ours.mean(),
-        figure=YawSigma(latitude, along, worst_orbit, worst_base, printed_deg),
+        figure=Numbers(**worst, printed_deg=printed_deg),
         # Largest value of a data base of four orbits; share [%] of the data bases in which it is below the printed one,
         # and share [%] of single orbits in which it is above.
-        worst_quantiles_deg={f"{q:g} %": float(np.percentile(worst_base, q)) for q in (5, 25, 50, 75, 95)},
-        printed_percentile=100 * np.mean(worst_base < printed_deg),
-        orbits_above=100 * np.mean(worst_orbit > printed_deg),
+        worst_quantiles_deg={f"{q:g} %": float(np.percentile(worst["worst_base_deg"], q)) for q in (5, 25, 50, 75, 95)},
+        printed_percentile=100 * np.mean(worst["worst_base_deg"] < printed_deg),
+        orbits_above=100 * np.mean(worst["worst_orbit_deg"] > printed_deg),
         # Yaw of one LSB of the X and Y reading, mean over equator crossings.
         lsb_x_deg=np.degrees(np.mean(lsb * np.abs(crossing_O[:, 1]) / horizontal)),
         lsb_y_deg=np.degrees(np.mean(lsb * np.abs(crossing_O[:, 0]) / horizontal)),
@@ -221,22 +224,19 @@ def _field_O(config: Scenario, model: FieldModel, seconds: FloatArray) -> tuple[
     return field, frames.geocentric(R_EN.apply(r_N_km))[0]
 
 
-def _worst_values(
-    config: Scenario, model: FieldModel, residual_mG: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _worst_values(config: Scenario, model: FieldModel, residual_mG: float) -> dict[str, FloatArray]:
     """Largest sigma of single orbits and of data bases (92 + 88 + 101 + 44 minutes, starts at random), and
-    latitude and sigma [deg] along the first orbit."""
+    latitude and sigma along the first orbit [deg]."""
     rng = stream(config.seed, "seasat.worst_yaw")
     largest: list[FloatArray] = []
-    first = (np.zeros(0), np.zeros(0))
+    first: dict[str, FloatArray] = {}
     for minutes in DATA_MINUTES:
         start_s = rng.uniform(0.0, 60 * 86400.0, size=BASES)
         field, latitude = _field_O(config, model, (start_s[:, None] + 60.0 * np.arange(minutes)).ravel())
         sigma = np.degrees(yaw_sigma(field, residual_mG * NT_PER_MG, SIGMA_ANGLE_RAD)).reshape(BASES, minutes)
-        if not largest:
-            first = (np.degrees(latitude[:minutes]), sigma[0])
+        first = first or {"latitude_deg": np.degrees(latitude[:minutes]), "sigma_deg": sigma[0]}
         largest.append(sigma.max(axis=1))
-    return np.concatenate(largest[:3]), np.max(largest, axis=0), *first
+    return {**first, "worst_orbit_deg": np.concatenate(largest[:3]), "worst_base_deg": np.max(largest, axis=0)}
 
 
 def _lsb_error_deg(config: Scenario) -> FloatArray:
@@ -297,4 +297,4 @@ def _direction_3sigma(config: Scenario, truth: FieldModel, ground: FieldModel, a
     other = config.updated({"orbit.altitude_km": altitude_km})
     seconds = np.arange(0.0, 10 * 86400.0, 60.0)
     a, b = (_field_O(other, model, seconds)[0] for model in (truth, ground))
-    return 3 * rms(np.degrees(angle_between(a, b)))
+    return 3 * rms(np.degrees(frames.angle_between(a, b)))

@@ -9,7 +9,6 @@ error before is shared by the axes. What is not calibrated, and the abstract's i
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -50,66 +49,18 @@ _CLOSE = 1e-3
 _MOST_STEPS = 12
 
 
-@dataclass(frozen=True)
-class Setting:
-    """The filter with one setting, before and after calibration."""
-
-    walk_rad_s: float
-    sun_factor: float
-    pre_deg: FloatArray
-    """(3,) rms about body x, y, z before calibration."""
-    post_deg: FloatArray
-    """(3,) with the batch's calibration."""
-
-    @property
-    def pre_rss_deg(self) -> float:
-        """Root sum of squares before."""
-        return float(np.linalg.norm(self.pre_deg))
-
-    @property
-    def post_rss_deg(self) -> float:
-        """The same after."""
-        return float(np.linalg.norm(self.post_deg))
-
-
-@dataclass(frozen=True)
-class Search:
-    """What the two settings do, and two choices of them."""
-
-    walks_rad_s: tuple[float, ...]
-    factors: tuple[float, ...]
-    grid: tuple[Setting, ...]
-    """All pairs, the factor running fastest."""
-    by_axes: Setting
-    """Nearest to the three printed rms before calibration; nothing that is printed of the time after was used."""
-    by_rss: Setting
-    """Nearest to the two printed root sums of squares, before and after; how the axes share them was not used."""
-
-    def rss_deg(self, when: str) -> FloatArray:
-        """(W, F) root sum of squares "pre" or "post" calibration over the grid [deg]."""
-        values = [getattr(setting, f"{when}_rss_deg") for setting in self.grid]
-        return np.array(values).reshape(len(self.walks_rad_s), len(self.factors))
-
-
-@dataclass(frozen=True)
-class Solved:
-    """One way: the fit where there is one, and the attitude's error."""
-
-    fit: SpinFit | None
-    error_deg: FloatArray
-    """(N, 3) about body x, y, z, at the readings."""
-    nis: float
-    """Mean squared innovation (iterative, none) or residual (batch) of the field over its noise."""
-
-    @property
-    def rms_deg(self) -> FloatArray:
-        """(3,) over the hour."""
-        return rms_along(self.error_deg, axis=0)
-
-    @property
-    def rss_deg(self) -> float:
-        """Root sum of squares of the three."""
-        return float(np.linalg.norm(self.rms_deg))
+def _solved(fit: SpinFit | None, error_deg: FloatArray, nis: float) -> Numbers:
+    """One way: the fit where there is one, and the error (N, 3) of the attitude about body x, y, z, at the readings."""
+    rms_deg = rms_along(error_deg, axis=0)
+    return Numbers(
+        fit=fit,
+        error_deg=error_deg,
+        # (3,) over the hour, and their root sum of squares.
+        rms_deg=rms_deg,
+        rss_deg=np.linalg.norm(rms_deg),
+        # Mean squared innovation (iterative, none) or residual (batch) of the field over its noise.
+        nis=nis,
+    )
 
 
 def options(method: str) -> SpinOptions:
@@ -149,15 +100,24 @@ def run_hour(flight: Flight, ground: FieldModel, progress: Progress = silent, **
         progress(method, share)
         fit = fit_spin(rows, options(method), model_name=ground.name)
         A = frames.rotation_from_q(fit.q_NB).as_matrix()
-        solved[method] = Solved(fit, attitude_error_deg(A, q_true), fit.quality[last])
+        solved[method] = _solved(fit, attitude_error_deg(A, q_true), fit.quality[last])
     true_side = fit.calibration.apply(rows.B_nT)
 
-    def passed(walk: float, factor: float, field_B_nT: FloatArray = rows.B_nT) -> Solved:
+    def passed(walk: float, factor: float, field_B_nT: FloatArray = rows.B_nT) -> Numbers:
         found = filtered(rows, field_B_nT, start, settings(walk, factor))
-        return Solved(None, attitude_error_deg(found.A, q_true), found.field_nis)
+        return _solved(None, attitude_error_deg(found.A, q_true), found.field_nis)
 
-    def run(walk: float, factor: float) -> Setting:
-        return Setting(walk, factor, passed(walk, factor).rms_deg, passed(walk, factor, true_side).rms_deg)
+    def run(walk: float, factor: float) -> Numbers:
+        pre, post = passed(walk, factor), passed(walk, factor, true_side)
+        return Numbers(
+            walk_rad_s=walk,
+            sun_factor=factor,
+            # (3,) rms about body x, y, z before calibration, and with the batch's; and their root sums of squares.
+            pre_deg=pre.rms_deg,
+            post_deg=post.rms_deg,
+            pre_rss_deg=pre.rss_deg,
+            post_rss_deg=post.rss_deg,
+        )
 
     searched = search(run, mission.published(), progress=part_of(progress, 0.15, 0.95), **grid)
     steps_alone, alone = _steps_alone(rows, q_true, searched.by_axes)
@@ -177,32 +137,32 @@ def run_hour(flight: Flight, ground: FieldModel, progress: Progress = silent, **
 
 
 def search(
-    run: Callable[[float, float], Setting],
+    run: Callable[[float, float], Numbers],
     printed: Mapping[str, Any],
     *,
     walks_rad_s: Sequence[float] = WALKS_RAD_S,
     factors: Sequence[float] = FACTORS,
     progress: Progress = silent,
-) -> Search:
+) -> Numbers:
     """The grid of `run(walk, factor)`, and from its best points the two choices by least squares within the grid."""
-    grid: list[Setting] = []
+    grid: list[Numbers] = []
     for walk in walks_rad_s:
         progress("the filter's open settings", len(grid) / (len(walks_rad_s) * len(factors) + 20))
         grid += [run(walk, factor) for factor in factors]
     low, high = (np.log([end(walks_rad_s), end(factors)]) for end in (min, max))
 
-    def axes(setting: Setting) -> FloatArray:
+    def axes(setting: Numbers) -> FloatArray:
         return np.asarray(setting.pre_deg - np.array(printed["pre_rms_deg"]), dtype=np.float64)
 
-    def sums(setting: Setting) -> FloatArray:
+    def sums(setting: Numbers) -> FloatArray:
         before, after = setting.pre_rss_deg / printed["pre_rss_deg"], setting.post_rss_deg / printed["post_rss_deg"]
         return np.log(np.array([before, after], dtype=np.float64))  # ratios: one is ten times the other
 
-    def at(place: FloatArray) -> Setting:
+    def at(place: FloatArray) -> Numbers:
         walk, factor = np.exp(low + (place - 1.0) * (high - low))
         return run(float(walk), float(factor))
 
-    def nearest(misfit: Callable[[Setting], FloatArray]) -> Setting:
+    def nearest(misfit: Callable[[Numbers], FloatArray]) -> Numbers:
         best = min(grid, key=lambda setting: float(np.sum(misfit(setting) ** 2)))
         begin = 1.0 + (np.log([best.walk_rad_s, best.sun_factor]) - low) / (high - low)
 
@@ -220,10 +180,24 @@ def search(
         )
         return at(found.x)
 
-    return Search(tuple(walks_rad_s), tuple(factors), tuple(grid), nearest(axes), nearest(sums))
+    shape = (len(walks_rad_s), len(factors))
+    return Numbers(
+        walks_rad_s=walks_rad_s,
+        factors=factors,
+        # All pairs, the factor running fastest.
+        grid=tuple(grid),
+        # (W, F) root sum of squares before and after calibration over the grid.
+        rss_deg={
+            when: np.array([getattr(one, f"{when}_rss_deg") for one in grid]).reshape(shape) for when in ("pre", "post")
+        },
+        # Nearest to the three printed rms before calibration; nothing that is printed of the time after was used.
+        by_axes=nearest(axes),
+        # Nearest to the two printed root sums of squares, before and after; how the axes share them was not used.
+        by_rss=nearest(sums),
+    )
 
 
-def _steps_alone(rows: SpinRows, q_true: FloatArray, chosen: Setting) -> tuple[Solved, Calibration]:
+def _steps_alone(rows: SpinRows, q_true: FloatArray, chosen: Numbers) -> tuple[Numbers, Calibration]:
     """TWOSTEP, filter and alignment as the abstract has them."""
     known = options("iterative")
     G, o_nT, _, _ = scalar_start(rows, known)
@@ -240,7 +214,7 @@ def _steps_alone(rows: SpinRows, q_true: FloatArray, chosen: Setting) -> tuple[S
     )
     M = done.turn.T @ true_side
     error = attitude_error_deg(done.last.A, q_true)
-    return Solved(None, error, done.last.field_nis), Calibration(M - np.eye(3), -M @ o_nT)
+    return _solved(None, error, done.last.field_nis), Calibration(M - np.eye(3), -M @ o_nT)
 
 
 def run_monte_carlo(

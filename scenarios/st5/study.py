@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.stats import chi2
 
 from fluxtwin.calib.common.calibration_file import write_calibration
-from fluxtwin.plots.filter_settings import Mark, SettingsPanel, draw_settings
-from fluxtwin.plots.spin_attitude import AttitudeError, draw_attitude_error
 from fluxtwin.scenarios.claims import Claim
 from fluxtwin.scenarios.flights import Numbers, provenance, write_flight
 from fluxtwin.scenarios.page import StudyResult
@@ -48,7 +45,7 @@ def present(results: Numbers) -> StudyResult:
         k: about[k] for k in ("fluxtwin", "numpy", "python")
     }
     claims = judge_claims(results.hour)
-    return words().result("st5", TABLES, figures(results.hour), shown, claims=claims, **vars(results))
+    return words().result("st5", TABLES, shown, claims=claims, **vars(results))
 
 
 def compute(progress: Progress = silent, *, runs: int = RUNS, starts: int = STARTS, **grid: Sequence[float]) -> Numbers:
@@ -91,30 +88,3 @@ def _distances(
     pairs = ((b_mG, truth["b_mG"]), (misalignment_deg, truth["misalignment_deg"]))
     off_b, off_v = (float(np.abs(np.asarray(ours, float) - np.asarray(theirs, float)).max()) for ours, theirs in pairs)
     return off_b, off_v
-
-
-def figures(hour: Numbers) -> dict[str, Callable[[], Figure]]:
-    """Figures 1 and 2 of the abstract, the batch's, and the error over the two settings that were searched."""
-    errors = {
-        "figure_1": ("Figure 1, simulated: before calibration", hour.before),
-        "figure_2": ("Figure 2, simulated: after the iteration", hour.steps_alone),
-        "batch": ("Simulated: after the batch", hour.batch),
-    }
-    drawn = {
-        name: partial(draw_attitude_error, AttitudeError(hour.rows.start, hour.rows.t_s, way.error_deg), title=title)
-        for name, (title, way) in errors.items()
-    }
-    searched, printed = hour.search, mission.published()
-    chosen = {"by the rms before": searched.by_axes, "by both RSS": searched.by_rss}
-    settings = partial(
-        draw_settings,
-        [
-            SettingsPanel(words, searched.rss_deg(when), printed[f"{when}_rss_deg"])
-            for when, words in (("pre", "before"), ("post", "after"))
-        ],
-        [Mark(name, setting.walk_rad_s, setting.sun_factor) for name, setting in chosen.items()],
-        walks_rad_s=np.array(searched.walks_rad_s),
-        factors=np.array(searched.factors),
-        title="Simulated: attitude error over two open settings",
-    )
-    return {**drawn, "settings": settings}

@@ -66,6 +66,18 @@ each = "dict(a=1, b=2)"
 key = "key"
 square = "one**2"
 """
+FIGURES = """
+[let]
+half = "0.5 * size_nT"
+[bars]
+draw = "gap_cases.left_alone"
+title = "{{ who }} alone"
+let.names = "['first', 'second']"
+names = "names"
+left_nT = "[half, size_nT]"
+parameters = "[1, 2]"
+limit_nT = "2 * size_nT"
+"""
 
 
 @pytest.fixture
@@ -76,6 +88,7 @@ def report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Words:
         "__init__.py": "",
         "words.md": WORDS,
         "summary.toml": SUMMARY,
+        "figures.toml": FIGURES,
     }.items():
         (folder / name).write_text(text, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -117,3 +130,13 @@ def test_the_summary_is_what_its_expressions_say(report: Words) -> None:
     assert found == {"study": "toy", "found": {"more": 2.0, "mean": 1.5, "squares": each}}
     with pytest.raises(UndefinedError):
         report.summary(other=1.0)
+
+
+def test_a_figure_is_what_its_expressions_say(report: Words) -> None:
+    drawn = report.figures(size_nT=3.0, who="each effect")["bars"]()
+    (axes,) = drawn.axes
+    assert axes.get_title(loc="left") == "each effect alone"
+    assert [bar.get_width() for bar in axes.patches] == [1.5, 3.0]
+    assert [text.get_text() for text in axes.texts] == ["1.5 nT, 1 parameter", "3.0 nT, 2 parameters"]
+    with pytest.raises(UndefinedError):
+        report.figures(who="each effect")["bars"]()

@@ -16,7 +16,7 @@ from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.spin.calibrate import fit_spin
 from fluxtwin.calib.spin.rows import assemble_spin
 from fluxtwin.calib.spin.start import blind_start
-from fluxtwin.plots.spin_attitude import AttitudeError, draw_attitude_error
+from fluxtwin.plots.spin_attitude import draw_attitude_error
 from fluxtwin.scenarios.claims import Claim, counted
 from fluxtwin.scenarios.flights import Numbers
 from fluxtwin.scenarios.registry import STUDIES
@@ -165,9 +165,9 @@ def test_the_two_choices_of_settings(results: Numbers, close: Callable[..., None
             setting.pre_deg - printed["pre_rms_deg"]
         )
     exact = [[0.8975, 1.2101, 1.7329], [1.2572, 1.4505, 5.8226], [1.8083, 1.8683, 6.7515]]
-    close(found.rss_deg("pre"), exact, atol=1e-3 * np.abs(exact), unit="deg", because="a filter's pass has no choices")
+    close(found.rss_deg["pre"], exact, atol=1e-3 * np.abs(exact), unit="deg", because="a filter's pass has no choices")
     exact = [[0.0678, 0.0929, 0.1135], [0.1427, 0.1766, 0.2103], [0.3780, 0.3897, 0.4251]]
-    close(found.rss_deg("post"), exact, atol=1e-3 * np.abs(exact), unit="deg", because="four digits written")
+    close(found.rss_deg["post"], exact, atol=1e-3 * np.abs(exact), unit="deg", because="four digits written")
 
 
 def test_the_error_after_is_the_filters_not_the_calibrations(results: Numbers) -> None:
@@ -178,7 +178,7 @@ def test_the_error_after_is_the_filters_not_the_calibrations(results: Numbers) -
 def _met(results: Numbers, changed: Callable[..., Any]) -> Numbers:
     """A world in which the error after calibration came out as the abstract's."""
     scale = mission.published()["post_rss_deg"] / results.hour.steps_alone.rss_deg
-    return changed(results, "hour.steps_alone.error_deg", lambda error: scale * error)
+    return changed(results, "hour.steps_alone.rss_deg", lambda rss_deg: scale * rss_deg)
 
 
 def _statuses(results: Numbers) -> dict[int, str]:
@@ -196,7 +196,7 @@ def test_claim_56_could_have_come_out_and_goes_with_noise_or_without_misalignmen
 ) -> None:
     met = _met(results, changed)
     assert _statuses(met)[56] == "reproduced"
-    assert _statuses(changed(met, "hour.steps_alone.error_deg", lambda error: 2.0 * error))[56] == "differs"
+    assert _statuses(changed(met, "hour.steps_alone.rss_deg", lambda rss_deg: 2.0 * rss_deg))[56] == "differs"
     aligned = mission.scenario().updated({"magnetometer.S": np.zeros((3, 3)).tolist(), "magnetometer.b_mG": [0.0] * 3})
     chosen, flight = results.hour.search.by_axes, mission.fly(aligned)
     rows = assemble_spin(flight.telemetry, load_field("igrf14"))
@@ -262,8 +262,7 @@ def test_what_leaves_the_frame_is_marked() -> None:
     seconds = np.arange(0.0, 3600.0, 0.125)
     error = np.stack([np.sin(2.7 * seconds), np.cos(2.7 * seconds), np.full_like(seconds, 0.3)], axis=1)
     error[:40, 1] *= np.linspace(6.0, 1.0, 40)
-    record = AttitudeError(np.datetime64("2006-04-15T00:00:00", "ns"), seconds, error)
-    made = draw_attitude_error(record, title="simulated")
+    made = draw_attitude_error(np.datetime64("2006-04-15T00:00:00", "ns"), seconds, error, title="simulated")
     titles = [axes.get_title(loc="left") for axes in made.axes]
     assert [len(axes.lines) for axes in made.axes] == [2, 4, 2]
     assert "beyond the frame +6 deg at 0.0 min" in titles[1]

@@ -32,33 +32,24 @@ def check_calibrated(
     size_nT = np.linalg.norm(sample.field_N_nT, axis=1)
     as_is = _misfit_nT(sample.mag_nT, size_nT)
     if onboard is not None:
-        return [note("calibrated_or_raw", _against(onboard, sample.mag_nT, size_nT, as_is))]
-    missed = f"|B| misses the field model by {as_is:.0f} nT"
-    if as_is <= CALIBRATED_NT:
-        text = (
-            f"the readings look calibrated already: {missed}. If that was done on board, give calibrate --onboard FILE"
-        )
-    elif as_is >= RAW_NT:
-        text = f"the readings look raw: {missed}, a calibrated magnetometer does so by some 100 nT"
-    else:
+        return [_against(onboard, sample.mag_nT, size_nT, as_is)]
+    if CALIBRATED_NT < as_is < RAW_NT:
         return []
-    return [note("calibrated_or_raw", text)]
+    calibrated = as_is <= CALIBRATED_NT
+    return [note("calibrated_or_raw.calibrated" if calibrated else "calibrated_or_raw.raw", misfit=as_is)]
 
 
-def _against(onboard: Onboard, mag_nT: FloatArray, size_nT: FloatArray, as_is: float) -> str:
+def _against(onboard: Onboard, mag_nT: FloatArray, size_nT: FloatArray, as_is: float) -> Finding:
     held = OffsetFirst(onboard.M, onboard.o_nT)
     undone, applied = (_misfit_nT(change(mag_nT), size_nT) for change in (held.undo, held.apply))
-    found = (
-        f"|B| misses the field model by {as_is:.0f} nT as it stands, {undone:.0f} nT with {onboard.name} undone, "
-        f"{applied:.0f} nT with it applied"
-    )
+    said = "these data do not tell whether it was applied"
     if CLEAR * applied < min(as_is, undone):
-        return f"{found}: the readings are raw, it was not applied; calibrate without --onboard"
-    if CLEAR * as_is < min(applied, undone):
-        return f"{found}: the readings are corrected by it already; calibrate --onboard undoes that"
-    if CLEAR * undone < min(applied, as_is):
-        return f"{found}: it was applied and spoils the readings, or it belongs to another sensor"
-    return f"{found}: these data do not tell whether it was applied"
+        said = "the readings are raw, it was not applied; calibrate without --onboard"
+    elif CLEAR * as_is < min(applied, undone):
+        said = "the readings are corrected by it already; calibrate --onboard undoes that"
+    elif CLEAR * undone < min(applied, as_is):
+        said = "it was applied and spoils the readings, or it belongs to another sensor"
+    return note("calibrated_or_raw.onboard", as_is=as_is, undone=undone, applied=applied, name=onboard.name, said=said)
 
 
 def _misfit_nT(mag_nT: FloatArray, size_nT: FloatArray) -> float:

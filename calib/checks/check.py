@@ -85,11 +85,7 @@ def _against_field(
     again = check_field(telemetry, model, origin, quiet)
     if any(finding.severity == "trap" for finding in again):
         return usable, found
-    text = (
-        f"with the torquers on ({int(on.sum())} of {len(telemetry)} rows) the readings do not fit the field, with them off "
-        "they do: what couples from them is large. Ask for it when calibrating: --parameters b,S,T"
-    )
-    return quiet, [*again, note("torquers_on", text)]
+    return quiet, [*again, note("torquers_on", on=int(on.sum()), rows=len(telemetry))]
 
 
 def check_file(
@@ -131,11 +127,8 @@ def check_file(
         else check_telemetry(telemetry, model, origin, onboard=onboard).findings
     )
     notices = telemetry.provenance.get("notices", "").split("; ")
-    other = f"`--magnetometer {3 - magnetometer}`"
-    how += [note("two_magnetometers", f"readings of two magnetometers; {other} checks the other one")] * (
-        telemetry.mag2_B_nT is not None
-    )
-    said = [note("on_reading", text) for text in notices if text and not (blind and text.startswith("mag_"))]
+    how += [note("two_magnetometers", other=3 - magnetometer)] * (telemetry.mag2_B_nT is not None)
+    said = [note("on_reading", text=text) for text in notices if text and not (blind and text.startswith("mag_"))]
     return report(str(path), len(telemetry), [*how, *order, *inner, *said])
 
 
@@ -156,9 +149,8 @@ def _read(
     name, packaged = found
     table = chosen.cut(mapped_table(path, packaged, tle=tle, max_samples=max_samples, any_order=True))
     layout = packaged.layout
-    text = f"recognised layout: {layout.name if layout else name}; read with the packaged map {name}"
-    text += f", which takes {layout.taken_as}" if layout else ""
-    return table, [note(RECOGNISED, f"{text}; give --map to read it otherwise")]
+    taken = f", which takes {layout.taken_as}" if layout else ""
+    return table, [note(RECOGNISED, layout=layout.name if layout else name, name=name, taken=taken)]
 
 
 def _origin(path: Path | str, table: FileTable, column_map: Path | str | None, tle: Path | str | None) -> Origin:
@@ -186,8 +178,7 @@ def _origin(path: Path | str, table: FileTable, column_map: Path | str | None, t
 
 def _without_magnetometer(telemetry: Telemetry) -> list[Finding]:
     """What can be judged of a file that has orbit and flags alone."""
-    text = "the file has no magnetometer: its stamps, orbit and flags were checked, nothing can be calibrated from it"
-    return [*check_motion(telemetry), note("no_magnetometer", text)]
+    return [*check_motion(telemetry), note("no_magnetometer")]
 
 
 def repair(path: Path | str, out: Path | str, *, max_samples: int | None = None) -> CheckReport:
@@ -210,7 +201,7 @@ def repair(path: Path | str, out: Path | str, *, max_samples: int | None = None)
     telemetry = record(ordered)
     write_telemetry(telemetry, out)
     findings += left_out
-    findings += [note("on_reading", text) for text in table.notices]
+    findings += [note("on_reading", text=text) for text in table.notices]
     return report(str(path), len(telemetry), findings)
 
 
@@ -220,24 +211,16 @@ def _order(table: FileTable, mend: str) -> list[Finding]:
     missing = np.flatnonzero(np.isnat(stamps))
     findings = []
     if missing.size:
-        findings.append(trap("time_missing", f"{missing.size} rows have no time. Blank stamps cannot be used", missing))
+        findings.append(trap("time_missing", missing, count=missing.size))
     known = np.flatnonzero(~np.isnat(stamps))
     step = np.diff(stamps[known].astype("int64"))
     back, same = known[1:][step < 0], known[1:][step == 0]
     if back.size:
-        row = int(np.flatnonzero(step < 0)[0])
-        findings.append(
-            trap(
-                "time_not_increasing",
-                f"time runs backwards at {back.size} row{'s' if back.size > 1 else ''}: after "
-                f"{epoch.iso(stamps[known[row]], 'ms')} comes {epoch.iso(stamps[known[row + 1]], 'ms')}. "
-                f"{mend} sorts",
-                back,
-            )
-        )
+        row, many = int(np.flatnonzero(step < 0)[0]), {"count": back.size, "s": "s" if back.size > 1 else ""}
+        before, after = (epoch.iso(stamps[known[at]], "ms") for at in (row, row + 1))
+        findings.append(trap("time_not_increasing", back, before=before, after=after, mend=mend, **many))
     if same.size:
-        text = f"{same.size} rows repeat the stamp of the row before. {mend} drops exact duplicates"
-        findings.append(trap("time_repeated", text, same))
+        findings.append(trap("time_repeated", same, count=same.size, mend=mend))
     return findings
 
 
@@ -257,12 +240,9 @@ def _ordered(table: FileTable) -> tuple[FileTable, list[Finding]]:
     rivals, doubles = rows[~is_first & ~equal], rows[~is_first & equal]
     findings = []
     if doubles.size:
-        findings.append(
-            note("duplicates_dropped", f"{doubles.size} exact duplicate rows were dropped", np.sort(doubles))
-        )
+        findings.append(note("duplicates_dropped", np.sort(doubles), count=doubles.size))
     if rivals.size:
-        text = f"{rivals.size} rows give an instant a second, different content; the first was kept: look at them"
-        findings.append(trap("conflicting_rows", text, np.sort(rivals)))
+        findings.append(trap("conflicting_rows", np.sort(rivals), count=rivals.size))
     keep = rows[is_first]
     columns = {name: value[keep] for name, value in table.columns.items()}
     return replace(table, time=table.time[keep], columns=columns), findings

@@ -22,7 +22,7 @@ from fluxtwin.calib.checks.evidence import (
     step_nT,
     vector_evidence,
 )
-from fluxtwin.calib.checks.report import Finding, note, trap
+from fluxtwin.calib.checks.report import Finding, named, note
 from fluxtwin.calib.checks.sample import Origin, Sample
 from fluxtwin.sim.base.errors import OutOfRange
 from fluxtwin.sim.base.types import FloatArray
@@ -58,12 +58,12 @@ def shifts_s(sample: Sample) -> dict[float, str]:
     first = sample.time[:1]
     plain = float((first - GPS_EPOCH).astype("int64")[0]) * 1e-9
     gps = float(np.round(epoch.seconds_since(first, GPS_EPOCH)[0] - plain))  # leap seconds since 1980
-    named = {18.0: "GPS time is ahead of UTC by 18 s", 37.0: "TAI is ahead of UTC by 37 s"}
+    leaps = {18.0: "GPS time is ahead of UTC by 18 s", 37.0: "TAI is ahead of UTC by 37 s"}
     if gps > 0.0:
-        named |= {gps: f"GPS time was ahead of UTC by {gps:g} s", 1.0: "a leap second"}
-        named[gps + 19.0] = f"TAI was ahead of UTC by {gps + 19.0:g} s"
+        leaps |= {gps: f"GPS time was ahead of UTC by {gps:g} s", 1.0: "a leap second"}
+        leaps[gps + 19.0] = f"TAI was ahead of UTC by {gps + 19.0:g} s"
     out = {hours * 3600.0: "a time zone" for hours in HOURS}
-    for seconds, words in named.items():
+    for seconds, words in leaps.items():
         out |= {seconds: words, -seconds: f"{words}, taken twice or with the wrong sign"}
     return out | {86400.0: "a day", -86400.0: "a day"}
 
@@ -155,13 +155,13 @@ def check_clock(sample: Sample, model: FieldModel, origin: Origin) -> list[Findi
     best = int(np.argmax(odds))
     if best and odds[best] > CLEAR:
         cause = shifts.get(tried[best]) or plain[tried[best]]
-        named = named_shift(tried[best], cause, float(evidence.misfit_nT[0]), float(evidence.misfit_nT[best]))
+        said = named_shift(tried[best], cause, float(evidence.misfit_nT[0]), float(evidence.misfit_nT[best]))
         near = 3.0 * min(map(abs, plain)) if tried[best] not in shifts else 0.0
         likely = sorted(zip(odds, tried, strict=True), reverse=True)
         close = [shift for one, shift in likely if one > odds[best] - CLEAR and abs(shift - tried[best]) > near]
         unknown = [shift for shift in close if shift and shift not in shifts]  # neighbours: one stands for all
         close = [shift for shift in close if shift not in unknown[1:]]
-        return [trap("clock", named + _ambiguous(close))]
+        return [named("clock", said + _ambiguous(close))]
     # What a shift costs this record is what taking it back would gain one whose stamps are off by as much.
     gain = np.maximum(evidence.log[0] - evidence.log, 0.0)
     shows = gain - np.sqrt(2.0 * gain) > costs + CLEAR
@@ -227,7 +227,7 @@ def _what_shows(shows: dict[float, bool], shifts: dict[float, str], plain: Itera
     showing = f"those of more than {shift_words(max(hidden))}" if hidden else "every one that was tried"
     words = f"; of others to {shift_words(greatest)}, {showing}"
     words = "" if hidden and max(hidden) >= min(3600.0, greatest) else words
-    return note("clock_tested", f"no shift of all stamps fits better ({meant}). {', '.join(said)}{words}")
+    return note("clock_tested", meant=meant, shifts=", ".join(said), others=words)
 
 
 def readings_shift(sample: Sample, telemetry: Telemetry, model: FieldModel) -> tuple[float, float, float] | None:

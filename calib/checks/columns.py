@@ -22,11 +22,7 @@ def check_columns(table: FileTable) -> list[Finding]:
             moved = _sense(table, names, shift)
             if all(moved.values()) and (len(moved) >= 2 or "q_x" in moved):  # four columns of norm 1 are no chance
                 first, second = (names[0], names[1]) if shift > 0 else (names[1], names[0])
-                text = (
-                    f"the columns stand one place beside their names: what is under {second} belongs to {first}, and so "
-                    "on. Position, attitude and field make sense only so. Mend the header"
-                )
-                return [trap("shifted_columns", text)]
+                return [trap("shifted_columns", first=first, second=second)]
     return []
 
 

@@ -27,7 +27,7 @@ from fluxtwin.calib.checks.clock import (
 from fluxtwin.calib.checks.evidence import Evidence, MODEL_nT, scalar_evidence, vector_evidence
 from fluxtwin.calib.checks.orientation import FAR_BETTER, ORIENTATION, SINGLE_COST, Hypothesis, orientations
 from fluxtwin.calib.checks.outliers import check_outliers, without_gross_outliers
-from fluxtwin.calib.checks.report import Finding, note, trap
+from fluxtwin.calib.checks.report import Finding, named, note, trap
 from fluxtwin.calib.checks.sample import FEWEST, Origin, Sample, comparable, rms
 from fluxtwin.calib.checks.sun import check_of_date
 from fluxtwin.calib.checks.unit import SMALLEST_MISFIT_nT, blind_magnitude, check_unit
@@ -58,26 +58,26 @@ def check_field(telemetry: Telemetry, model: FieldModel, origin: Origin, usable:
         posed = comparable(telemetry, model, usable, with_attitude=True)
     except OutOfRange as error:
         unit = [finding for finding in blind_magnitude(telemetry) if finding.severity == "trap"]
-        return [*unit, trap("outside_field_model", f"{error}; or the time stamps are wrong")]
+        return [*unit, trap("outside_field_model", error=error)]
     if sample is None:
         return [*blind_magnitude(telemetry), *check_outliers(telemetry, None, model, usable)[0]]
     unit = check_unit(sample)
     if any(found.severity == "trap" for found in unit):  # a wrong unit must not look like a wrong attitude
-        return [*unit, note("orientation_not_tested", "axes, attitude and clock are judged once the unit is right")]
+        return [*unit, note("orientation_not_tested.unit")]
     findings, with_attitude = list(unit), posed is not None and len(posed) >= FEWEST
     if not with_attitude:
-        findings.append(note("orientation_not_tested", "fewer than 20 rows have reading, position and attitude"))
+        findings.append(note("orientation_not_tested.few"))
     chosen = posed if posed is not None and with_attitude else sample
     if len(chosen) < FEWEST:
         return findings
     outliers, faulty = check_outliers(telemetry, chosen, model, usable)
     chosen = without_gross_outliers(chosen.take(~faulty[chosen.rows]))
-    named = _by_vectors(chosen, telemetry, model, origin) if with_attitude else _by_size(chosen, model, origin)
-    if not any(found.severity == "trap" for found in named):
-        named += check_clock(chosen, model, origin)
-    if not any(found.severity == "trap" for found in named):
-        named += [*outliers, *check_of_date(telemetry)]
-    return [*findings, *named]
+    judged = _by_vectors(chosen, telemetry, model, origin) if with_attitude else _by_size(chosen, model, origin)
+    if not any(found.severity == "trap" for found in judged):
+        judged += check_clock(chosen, model, origin)
+    if not any(found.severity == "trap" for found in judged):
+        judged += [*outliers, *check_of_date(telemetry)]
+    return [*findings, *judged]
 
 
 def _by_vectors(sample: Sample, telemetry: Telemetry, model: FieldModel, origin: Origin) -> list[Finding]:
@@ -99,16 +99,11 @@ def _by_vectors(sample: Sample, telemetry: Telemetry, model: FieldModel, origin:
         return _notes(sample)
     late = readings_shift(sample, telemetry, model)
     if late is not None:
-        return [_readings_late(late)]
+        return [_readings_late(*late)]
     by_size = _by_size(dataclasses.replace(sample, q_NB=None), model, origin)
     if any(one.severity == "trap" for one in by_size):
         return by_size
-    text = (
-        f"with the attitude as it stands the reading misses the model by {misfit[0]:.0f} nT rms after a bias fit, "
-        f"{100 * misfit[0] / sample.typical_nT:.0f} % of |B|, and no known convention does far better: another attitude, "
-        "another sensor, or times that do not belong together"
-    )
-    return [trap("vector_mismatch", text)]
+    return [trap("vector_mismatch", misfit=misfit[0], share=100 * misfit[0] / sample.typical_nT)]
 
 
 def _after_bias_fit(sample: Sample, tried: list[Hypothesis]) -> FloatArray:
@@ -132,12 +127,7 @@ def _by_size(sample: Sample, model: FieldModel, origin: Origin) -> list[Finding]
     missed = float(evidence.misfit_nT[0])
     if missed <= max(SCALAR_MISFIT * sample.typical_nT, SMALLEST_MISFIT_nT):
         return []
-    text = (
-        f"|B| leaves {missed:.0f} nT rms against the model after an ellipsoid fit, "
-        f"{100 * missed / sample.typical_nT:.0f} % of |B|: wrong positions or times, swapped columns, or interference as "
-        "large as the field"
-    )
-    return [trap("field_mismatch", text)]
+    return [trap("field_mismatch", misfit=missed, share=100 * missed / sample.typical_nT)]
 
 
 def _best(tried: list[Hypothesis], evidence: Evidence, misfit_nT: FloatArray) -> tuple[Finding | None, float]:
@@ -158,12 +148,12 @@ def _best(tried: list[Hypothesis], evidence: Evidence, misfit_nT: FloatArray) ->
     ]
     doubt = f". Nearly as likely: {'; or '.join(rivals[:2])}" if rivals else ""
     if one.shift_s:
-        return trap("clock", named_shift(one.shift_s, one.words, as_is, mended) + doubt), mended
+        return named("clock", named_shift(one.shift_s, one.words, as_is, mended) + doubt), mended
     text = (
         f"as it stands the reading misses the model by {as_is:.0f} nT rms after a bias fit, but only by {mended:.0f} nT if "
         f"{one.words}: {one.advice}{doubt}"
     )
-    return trap(one.code, text), mended
+    return named(one.code, text), mended
 
 
 def _likeliest(tried: list[Hypothesis], odds: FloatArray, misfit_nT: FloatArray) -> int:
@@ -220,15 +210,10 @@ def _stamps(sample: Sample, model: FieldModel, origin: Origin) -> list[Hypothesi
     ]
 
 
-def _readings_late(late: tuple[float, float, float]) -> Finding:
-    shift_s, as_is_nT, mended = late
-    return trap(
-        "clock",
-        f"the stamps of the magnetometer alone are {abs(shift_s) / 3600.0:g} h too {'late' if shift_s > 0 else 'early'}: "
-        f"beside position and attitude of the same row the reading misses the model by {as_is_nT:.0f} nT rms an axis, "
-        f"beside those of {abs(shift_s) / 3600.0:g} h {'before' if shift_s > 0 else 'after'} by {mended:.0f} nT. List the "
-        f"file twice in a column map, with time.offset_s = {-shift_s:g} for `mag`",
-    )
+def _readings_late(shift_s: float, as_is_nT: float, mended: float) -> Finding:
+    late, side = ("late", "before") if shift_s > 0 else ("early", "after")
+    misses = {"as_is": as_is_nT, "mended": mended}
+    return trap("clock.readings", hours=abs(shift_s) / 3600.0, late=late, side=side, offset=-shift_s, **misses)
 
 
 def _notes(sample: Sample) -> list[Finding]:
@@ -237,12 +222,7 @@ def _notes(sample: Sample) -> list[Finding]:
     expected = sample.R_BN.apply(sample.field_N_nT)
     missed = rms(sample.mag_nT - expected)
     if missed > LARGE_BIAS_nT:
-        text = (
-            f"with the attitude as it stands the reading misses the model by {missed:.0f} nT rms without a bias fit: a "
-            "large bias, if the axes are right"
-        )
-        findings.append(note("large_bias", text))
+        findings.append(note("large_bias.by_vectors", missed=missed))
     if rms(expected - expected.mean(axis=0)) < 0.15 * sample.typical_nT:
-        text = "the field hardly changes in body axes: only gross errors of attitude and axes would show"
-        findings.append(note("orientation_not_tested", text))
+        findings.append(note("orientation_not_tested.steady"))
     return findings

@@ -64,12 +64,10 @@ def check_outliers(
         f"{ratio[out].min():.2g} to {ratio[out].max():.3g} times the scatter there"
     )
     if out.size > max(FEW * rows.size, 3) or max(map(len, runs)) > LONGEST_RUN:
-        rough = f"{evidence}: too many, or too many on end, for outliers; interference or a rough sensor"
-        return [note("rough_readings", rough, where)], mask
+        return [note("rough_readings", where, evidence=evidence)], mask
     mask[where] = True
     shown = ", ".join(epoch.iso(telemetry.time[row]) for row in where[:3]) + (", ..." if out.size > 3 else "")
-    text = f"{evidence}: outliers, at {shown}. Blank those cells, or calibrate with robust weights"
-    return [trap("outliers", text, where)], mask
+    return [trap("outliers", where, evidence=evidence, shown=shown)], mask
 
 
 def _left(

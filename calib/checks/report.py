@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import asdict, dataclass, field
+from functools import cache
+from importlib import resources
 from typing import Any, Literal
 
 import numpy as np
@@ -65,14 +68,19 @@ class CheckReport(Shown):
         }
 
 
-def trap(code: str, text: str, rows: np.ndarray | None = None) -> Finding:
-    """A finding that the file is not what it says; `rows` are indices from 0."""
-    return Finding(code, "trap", text, *_rows(rows))
+def trap(name: str, rows: np.ndarray | None = None, /, **values: Any) -> Finding:
+    """The trap of that name in `findings.toml`, as `code` or `code.variant`; rows: indices from 0, values: of its text."""
+    return _finding("trap", name, rows, values)
 
 
-def note(code: str, text: str, rows: np.ndarray | None = None) -> Finding:
-    """A finding worth knowing; `rows` are indices from 0."""
-    return Finding(code, "note", text, *_rows(rows))
+def note(name: str, rows: np.ndarray | None = None, /, **values: Any) -> Finding:
+    """The note of that name; arguments as `trap`."""
+    return _finding("note", name, rows, values)
+
+
+def named(code: str, text: str) -> Finding:
+    """A trap whose text was put together from what is likeliest."""
+    return Finding(code, "trap", text)
 
 
 def report(source: str, samples: int, findings: list[Finding]) -> CheckReport:
@@ -80,7 +88,15 @@ def report(source: str, samples: int, findings: list[Finding]) -> CheckReport:
     return CheckReport(source, samples, tuple(sorted(findings, key=lambda f: f.severity != "trap")))
 
 
-def _rows(rows: np.ndarray | None) -> tuple[tuple[int, ...], int]:
-    if rows is None:
-        return (), 0
-    return tuple(int(row) + 1 for row in rows[:_SHOWN_ROWS]), len(rows)
+def _finding(severity: Literal["trap", "note"], name: str, rows: np.ndarray | None, values: dict[str, Any]) -> Finding:
+    code, _, variant = name.partition(".")
+    text = texts()[severity][code]
+    some = np.zeros(0, dtype=int) if rows is None else rows
+    shown = tuple(int(row) + 1 for row in some[:_SHOWN_ROWS])
+    return Finding(code, severity, (text[variant] if variant else text).format(**values), shown, len(some))
+
+
+@cache
+def texts() -> dict[str, Any]:
+    """The content of `findings.toml`."""
+    return tomllib.loads(resources.files("fluxtwin.calib.checks").joinpath("findings.toml").read_text(encoding="utf-8"))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from fluxtwin.calib.checks.report import Finding, trap
@@ -25,34 +27,22 @@ def check_stuck(telemetry: Telemetry) -> tuple[list[Finding], BoolArray]:
         return [], faulty
     spread = np.ptp(mag[good], axis=0)
     if (spread == 0).all():
-        text = "the magnetometer never changes: the reading is stuck or a placeholder"
-        return [trap("constant_field", text)], good
+        return [trap("constant_field")], good
     dead = [axis for axis in range(3) if spread[axis] == 0 and spread.max() >= 20.0 * least_step(mag)]
     if dead:
         value = mag[np.flatnonzero(good)[0]]
-        return [
-            trap("stuck_axis", f"mag_{'xyz'[axis]} is {value[axis]:g} nT in every row while other axes change")
-            for axis in dead
-        ], good
+        return [trap("stuck_axis.always", axis="xyz"[axis], value=value[axis]) for axis in dead], good
     stuck = np.stack([_stuck(mag[:, [axis]], telemetry.time) for axis in range(3)], axis=1)
     every = _stuck(mag, telemetry.time)
     some: BoolArray = np.asarray(stuck.any(axis=1) | every)
     findings = []
     if every.any():
-        length, count = _lengths(every, telemetry.time)
-        text = (
-            f"the reading does not change for up to {length:g} s ({_stretches(count)}): stuck values. Blank those cells"
-        )
-        findings.append(trap("stuck_values", text, np.flatnonzero(every)))
+        findings.append(trap("stuck_values", np.flatnonzero(every), **_lengths(every, telemetry.time)))
     for axis in range(3):
         alone = stuck[:, axis] & ~every
         if alone.any():
-            length, count = _lengths(alone, telemetry.time)
-            text = (
-                f"mag_{'xyz'[axis]} does not change for up to {length:g} s ({_stretches(count)}) while the other axes do: "
-                "one axis is stuck. Blank those rows"
-            )
-            findings.append(trap("stuck_axis", text, np.flatnonzero(alone)))
+            long = _lengths(alone, telemetry.time)
+            findings.append(trap("stuck_axis.at_times", np.flatnonzero(alone), axis="xyz"[axis], **long))
     return findings, some
 
 
@@ -123,10 +113,8 @@ def _moves(values: FloatArray, free: BoolArray, rows: int, least_step_nT: float)
     return float(np.percentile(np.ptp(values[places], axis=1).max(axis=1), 1)) > STUCK_STEPS * least_step_nT
 
 
-def _lengths(mask: BoolArray, time: TimeArray) -> tuple[float, int]:
+def _lengths(mask: BoolArray, time: TimeArray) -> dict[str, Any]:
+    """How long the longest stretch is, and how many there are, in words."""
     found = runs(mask, time)
-    return max(length_s(time, run) for run in found), len(found)
-
-
-def _stretches(count: int) -> str:
-    return f"{count} stretch{'es' if count > 1 else ''}"
+    longest = max(length_s(time, run) for run in found)
+    return {"length": longest, "stretches": f"{len(found)} stretch{'es' if len(found) > 1 else ''}"}

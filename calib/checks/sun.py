@@ -18,11 +18,11 @@ SUN_MISFIT_DEG = 20.0
 def check_of_date(telemetry: Telemetry) -> list[Finding]:
     """Attitude relative to axes of date under the name GCRS, judged by the measured sun."""
     if telemetry.sun_B is None or telemetry.q_NB is None:
-        return [note("of_date_not_tested", "no measured sun vector: J2000 and axes of date cannot be distinguished")]
+        return [note("of_date_not_tested.no_sun")]
     rows = np.flatnonzero(telemetry.has_attitude & np.isfinite(telemetry.sun_B).all(axis=1))
     rows = rows[np.linspace(0, rows.size - 1, min(rows.size, MAX_ROWS)).astype(int)] if rows.size else rows
     if rows.size < FEWEST:
-        return [note("of_date_not_tested", "fewer than 20 rows have attitude and sun vector")]
+        return [note("of_date_not_tested.few")]
     time, measured = telemetry.time[rows], np.array(telemetry.sun_B[rows])
     measured /= np.linalg.norm(measured, axis=1)[:, None]
     R_BN = frames.rotation_from_q(telemetry.q_NB[rows])
@@ -31,9 +31,7 @@ def check_of_date(telemetry: Telemetry) -> list[Finding]:
     plain = turn.apply(R_BN.apply(towards))
     off = float(np.degrees(np.sqrt(np.mean(np.sum((measured - plain) ** 2, axis=1)))))
     if off > SUN_MISFIT_DEG:
-        return [
-            trap("sun_vector", f"the measured sun misses the computed one by {off:.0f} deg rms under this attitude")
-        ]
+        return [trap("sun_vector", off=off)]
     dated = turn.apply(R_BN.apply(frames.rotation_TN(time).apply(towards)))
     return _share_of_date(measured - plain, dated - plain, plain)
 
@@ -58,19 +56,7 @@ def _share_of_date(residual: FloatArray, shift: FloatArray, towards_B: FloatArra
         shares.append(float(fit[0]))
     share, sigma = float(np.mean(shares)), float(np.std(shares) * np.sqrt(len(blocks) - 1))
     if seen < 0.01 or sigma > 0.15:
-        return [
-            note(
-                "of_date_not_tested",
-                f"GCRS and axes of date differ here by {seen:.3f} deg in a way the sun vector could show: too little",
-            )
-        ]
+        return [note("of_date_not_tested.alike", seen=seen)]
     if abs(share - 1.0) > 0.3 or share < 6.0 * sigma:
         return []
-    return [
-        trap(
-            "attitude_of_date",
-            f"the measured sun shows {100 * share:.0f} +- {100 * sigma:.0f} % of the {seen:.3f} deg between GCRS and "
-            "axes of date: the attitude is relative to the equator and equinox of date. Map it with relative_to = "
-            "'true_of_date'",
-        )
-    ]
+    return [trap("attitude_of_date", share=100 * share, sigma=100 * sigma, seen=seen)]

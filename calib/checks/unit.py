@@ -57,20 +57,13 @@ def check_unit(sample: Sample) -> list[Finding]:
     ratio = measured / expected
     if 1.0 / UNIT_RATIO <= ratio <= UNIT_RATIO:
         return []
-    evidence = f"the median of |B| is {measured:.4g} nT, the model has {expected:.4g} nT at these positions"
+    medians = {"measured": measured, "expected": expected}
     bias_nT = _explaining_bias_nT(sample, ratio)
     if bias_nT is not None:
-        text = f"{evidence}: a bias of about {bias_nT:.2g} nT explains that, and no unit does far better"
-        return [note("large_bias", text)]
-    likely = f": likely {_likely(sample, ratio)}"
+        return [note("large_bias.by_size", bias=bias_nT, **medians)]
     impossible = " (an impossible |B|)" if measured > HIGHEST_FIELD_nT or measured < 20.0 else ""
-    return [
-        trap(
-            "magnetometer_unit",
-            f"{evidence.replace(' nT, the', f' nT{impossible}, the')}, a factor {ratio:.4g}{likely}. State the unit "
-            "(or `scale`) in a column map",
-        )
-    ]
+    more = {"ratio": ratio, "likely": _likely(sample, ratio), "impossible": impossible}
+    return [trap("magnetometer_unit.compared", **medians, **more)]
 
 
 def blind_magnitude(telemetry: Telemetry) -> list[Finding]:
@@ -80,22 +73,13 @@ def blind_magnitude(telemetry: Telemetry) -> list[Finding]:
         return []
     typical = float(np.median(size))
     if LOWEST_FIELD_nT <= typical <= HIGHEST_FIELD_nT:
-        return [note("not_compared", "no positions: the magnitude is possible, but was not compared with the model")]
+        return [note("not_compared.possible")]
     guess = _nearest_unit(typical / 35_000.0, 3.0)
     if HIGHEST_FIELD_nT < typical <= HIGHEST_BIASED_nT:
-        text = (
-            f"the median of |B| is {typical:.4g} nT, more than any field: a large bias or another unit (no positions)"
-        )
-        return [note("not_compared", text)]
+        return [note("not_compared.large", typical=typical)]
     likely = f"; likely {guess}" if guess else ""
     what = "no orbit has" if typical > HIGHEST_FIELD_nT else "no orbit below 13,000 km altitude has"
-    return [
-        trap(
-            "magnetometer_unit",
-            f"the median of |B| is {typical:.4g} nT, which {what}{likely}. "
-            "State the unit or the counts per nT in a column map",
-        )
-    ]
+    return [trap("magnetometer_unit.blind", typical=typical, what=what, likely=likely)]
 
 
 def _nearest_unit(ratio: float, within: float) -> str | None:

@@ -28,7 +28,7 @@ def check_readings(telemetry: Telemetry) -> list[Finding]:
     """Whether there are readings enough."""
     readings = [*_usable(telemetry), *_missing_rows(telemetry, "magnetometer", telemetry.has_reading)]
     if not telemetry.has_reading.any():
-        return [trap("no_readings", "every magnetometer reading is missing (blank or NaN)"), *readings[:1]]
+        return [trap("no_readings"), *readings[:1]]
     return readings
 
 
@@ -63,20 +63,16 @@ def check_sunlit(time: TimeArray, r_N_km: FloatArray, sunlit: FloatArray) -> lis
     spans = ", ".join(
         f"{words}: {epoch.iso(time[run[0]])} to {epoch.iso(time[run[-1]])}" for run, words in contradictions[:5]
     )
-    text = (
-        f"the sunlit flag says {spans}{' and more' if len(contradictions) > 5 else ''}. Leave the column out (it is then "
-        "computed) or mend it"
-    )
-    return [trap("sunlit_flag", text, np.concatenate([run for run, _ in contradictions]))]
+    spans += " and more" if len(contradictions) > 5 else ""
+    return [trap("sunlit_flag", np.concatenate([run for run, _ in contradictions]), spans=spans)]
 
 
 def _usable(telemetry: Telemetry) -> list[Finding]:
     usable = int(telemetry.has_reading.sum())
     if usable < FEWEST_SAMPLES:
-        text = f"{usable} rows have a reading; b and S alone are 12 unknowns. Give a longer record"
-        return [trap("too_few_samples", text)]
+        return [trap("too_few_samples", count=usable)]
     if usable < FEW_SAMPLES:
-        return [note("few_samples", f"{usable} rows have a reading; {FEW_SAMPLES} or more are recommended")]
+        return [note("few_samples", count=usable, wanted=FEW_SAMPLES)]
     return []
 
 
@@ -88,21 +84,12 @@ def _steps(telemetry: Telemetry) -> list[Finding]:
     usual = float(np.median(step))
     gaps = np.flatnonzero(step > 5.0 * usual)
     if gaps.size:
-        findings.append(
-            note("gaps", f"{gaps.size} gaps longer than 5 steps of {usual:g} s; longest {step.max():g} s", gaps)
-        )
+        findings.append(note("gaps", gaps, count=gaps.size, usual=usual, longest=step.max()))
     steady = np.abs(step - usual) < 0.01 * usual
     slips = np.flatnonzero(~steady & (step < 1.5 * usual))
     if slips.size and steady.mean() > 0.9:
         worst = float(np.abs(step[slips] - usual).max())
-        findings.append(
-            note(
-                "clock_slips",
-                f"{slips.size} steps are off the usual {usual:g} s by up to {worst:.3g} s (clock slips): readings "
-                "there may be stamped wrongly",
-                slips,
-            )
-        )
+        findings.append(note("clock_slips", slips, count=slips.size, usual=usual, worst=worst))
     return findings
 
 
@@ -120,8 +107,7 @@ def _missing(telemetry: Telemetry) -> list[Finding]:
 
 def _missing_rows(telemetry: Telemetry, name: str, present: BoolArray) -> list[Finding]:
     rows = np.flatnonzero(~present)
-    text = f"{rows.size} of {len(telemetry)} rows have no {name}"
-    return [note(f"missing_{name}", text, rows)] if rows.size else []
+    return [note(f"missing_{name}", rows, count=rows.size, rows=len(telemetry))] if rows.size else []
 
 
 def _positions(telemetry: Telemetry) -> list[Finding]:
@@ -132,14 +118,8 @@ def _positions(telemetry: Telemetry) -> list[Finding]:
     low = np.flatnonzero(size < LOWEST_ORBIT_KM)
     if low.size:
         zero = " (zero often means that there was no fix)" if (size[low] < 1.0).any() else ""
-        return [
-            trap(
-                "position_inside_earth",
-                f"{low.size} positions lie below {LOWEST_ORBIT_KM:g} km from the Earth's centre, the first at "
-                f"{size[low[0]]:.6g} km{zero}. Blank them, or state the unit and frame in a column map",
-                low,
-            )
-        ]
+        first = {"lowest": LOWEST_ORBIT_KM, "size": size[low[0]], "zero": zero}
+        return [trap("position_inside_earth", low, count=low.size, **first)]
     return [*_orbit_plane(time, r), *_velocity(telemetry, r)]
 
 
@@ -158,13 +138,7 @@ def _orbit_plane(time: TimeArray, r_N_km: FloatArray) -> list[Finding]:
     as_earth_fixed = _plane_wander(turned[good], v_turned[good])
     hours = float((t[-1] - t[0]).astype("int64")) / 3.6e12
     if as_is > 0.3 + 0.35 * hours and as_earth_fixed < as_is / 3.0:  # J2 turns a node by at most 0.35 deg/h
-        return [
-            trap(
-                "position_frame",
-                f"the orbit plane wanders by {as_is:.2f} deg rms in {hours:.2g} h; read as Earth-fixed positions it "
-                f"stays within {as_earth_fixed:.3f} deg. Name the columns ecef_x_km ecef_y_km ecef_z_km",
-            )
-        ]
+        return [trap("position_frame", as_is=as_is, hours=hours, fixed=as_earth_fixed)]
     return []
 
 
@@ -192,10 +166,4 @@ def _velocity(telemetry: Telemetry, r_N_km: FloatArray) -> list[Finding]:
     )
     if off <= VELOCITY_RATIO:
         return []
-    return [
-        trap(
-            "velocity_frame",
-            f"the velocity differs from the derivative of the position by {100 * off:.1f} % (median): another frame "
-            "(Earth-fixed velocity differs by about 6 %), unit or time. Leave the velocity out, or map its frame",
-        )
-    ]
+    return [trap("velocity_frame", off=100 * off)]

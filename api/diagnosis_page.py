@@ -16,7 +16,7 @@ from fluxtwin.sim.telemetry.record import Telemetry
 _CONFUSED = 0.8  # shares below this are in the JSON
 _RANKED = 6
 _LEAST = 0.01  # probability of a place that is worth a word
-PLAN = "`fluxtwin plan` says what to fly to find out."
+PLAN = "To find out, run `fluxtwin plan` on the same file: it proposes what to fly."
 _ALL_TESTED = "Every effect of the catalogue could be tested."
 
 
@@ -49,9 +49,9 @@ def _next_step(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "no_gap" and diagnosis.provenance.get("two_magnetometers", {}).get("differ"):
         return "diagnose again with --magnetometer 2: the two magnetometers differ, and the first shows no gap."
     if diagnosis.verdict == "no_gap":
-        return "nothing to mend. The tables below say what these data could not have shown."
+        return "nothing needs correcting. The tables below say what these data could not have shown."
     if diagnosis.verdict == "unknown" or any(len(effect.group) > 1 for effect in diagnosis.effects):
-        return "fluxtwin plan, with the same file, says what to fly to find out."
+        return "run fluxtwin plan with the same file; it proposes what to fly to find out."
     if diagnosis.transfers is not None:
         return "diagnose the telemetry of another day with --scenario and the closed scenario."
     return "diagnose again with --close CLOSED.toml, and test that scenario on the telemetry of another day."
@@ -87,9 +87,9 @@ def where_lines(diagnosis: Diagnosis) -> list[str]:
         if chosen is not None:
             share = f" ({percent(shares[chosen])})" if chosen in shares else ""
             parts.append(f"{name} {chosen}{share}")
-    lines = [f"Where: {', '.join(parts) or 'nowhere in particular'}."]
+    lines = [f"Where: {', '.join(parts) or 'no particular place'}."]
     if place["equivalent"]:
-        lines.append(f"On this orbit and attitude it could as well be placed at: {', '.join(place['equivalent'])}.")
+        lines.append(f"On this orbit and attitude it could equally be at stage: {', '.join(place['equivalent'])}.")
     if any(len(effect.group) > 1 for effect in diagnosis.effects) or diagnosis.verdict == "unknown":
         lines.append(PLAN)
     return lines
@@ -121,9 +121,7 @@ def places_table(diagnosis: Diagnosis) -> Table:
 def _which(diagnosis: Diagnosis) -> PageSection:
     words = []
     if diagnosis.verdict == "unknown":
-        words.append(
-            "The residual has structure that no effect of the catalogue explains; nothing is named on a guess."
-        )
+        words.append("The residual has structure that no effect in the catalogue explains, so none is named.")
     if diagnosis.resembles:
         words.append(f"It resembles {', '.join(diagnosis.resembles)}.")
     groups = [effect.group for effect in diagnosis.effects if len(effect.group) > 1]
@@ -167,7 +165,8 @@ def law_table(law: Law) -> Table:
         ["term", "of", "axes", "delay [s]", "lag [s]", "coefficient", "value, 1 sigma"],
         rows,
         f"On held-out samples from {law.before_nT:.1f} to {law.after_nT:.1f} nT, where {law.floor_nT:.1f} are expected: "
-        f"it closes {closed}. {law.tried:,} terms were tried; the criterion counts them. The first factor is late.",
+        f"it closes {closed}. {law.tried:,} terms were tried, and the criterion corrects for their number. "
+        "Delay and lag apply to the first factor.",
     )
 
 
@@ -175,11 +174,11 @@ def looked_at_table(law: Law) -> Table:
     """What a law was looked for in, and the smallest size that would have shown."""
     rows = [[one.quantity, f"{one.value:.3g}", one.unit, f"{one.visible_nT:.2g}"] for one in law.looked_at]
     return Table(
-        "What was looked at, and how large it would have had to be",
+        "What was tried, and the smallest size that would have shown",
         ["quantity", "smallest that shows", "unit", "rms [nT]"],
         rows,
-        "Each as it stands, in body axes, on all axes alike; found nine times in ten. Delays, lags, powers, other frames "
-        "and products were tried too.",
+        "For each quantity as recorded, in body axes, equal on all axes, with a 90 % chance of being found. Delays, lags, "
+        "powers, other frames and products were tried too.",
     )
 
 
@@ -190,16 +189,16 @@ def _far(diagnosis: Diagnosis, record: Telemetry | None) -> PageSection:
         from fluxtwin.evidence import driver_blocks, field_block
         from fluxtwin.plots.gap import draw_spectra, gap_series
 
-        dots = "Dots: samples, predicted by an estimate that has not seen them. Lines: their means in equal stretches."
+        dots = "Dots: samples, predicted by an estimate that has not seen them. Lines: means over equal stretches."
         spectra = (
             "Amplitude of the residual by frequency, rms over the axes and over neighbouring frequencies. "
-            + ("Where the two curves part is what the named effects explain. " if diagnosis.effects else "")
+            + ("The named effects explain the difference between the two curves. " if diagnosis.effects else "")
             + "The level on the right is noise."
         )
         figures = [FigureBlock("gap_series", dots, gap_series(series))]
         if record is not None:
             rows = record.select(np.isin(record.time, series.time))
-            words = "Predicted: the model with what is modelled, re-estimated, before any effect is named."
+            words = "Predicted: the model with the calibration re-estimated, before any effect is named."
             parts = {"before": series.before_nT} | ({"after": series.after_nT} if diagnosis.effects else {})
             figures = [field_block(rows, rows.mag_B_nT, rows.mag_B_nT - series.before_nT, words), *figures]
             figures += driver_blocks(rows, parts)
@@ -223,7 +222,7 @@ def effects_table(diagnosis: Diagnosis) -> Table:
         "Named effects",
         ["effect", "parameter", "value, 1 sigma", "probability", "stage", "p-value"],
         rows,
-        "The p-value is corrected for the number of tests: how often noise alone would look as good.",
+        "p-value: how often noise alone would look this good, corrected for the number of tests.",
     )
 
 
@@ -241,19 +240,19 @@ def momentum_tables(diagnosis: Diagnosis) -> list[Table]:
     if m is None:
         return []
     dynamic = any(effect.stage == "dynamics" for effect in diagnosis.effects)
-    closed = "not measurable" if dynamic else "nothing is named here"
+    closed = "not measurable" if dynamic else "nothing named"
     closed = _closed(m.closed, m.interval) or closed
     errors = [
         f"{axis} {value:.3f}" + ("" if sigma is None else f" ± {sigma:.3f}")
         for axis, (value, sigma) in m.standing_error_deg.items()
     ]
-    standing = f" Standing attitude error in body axes: {', '.join(errors)} deg." if errors else ""
+    standing = f" Constant attitude error in body axes: {', '.join(errors)} deg." if errors else ""
     return [
         Table(
-            "Attitude against the balance of the momentum, rms per component on held-out windows [deg]",
-            ["windows", "before", "after", "floor", "closed (90 %)"],
+            "Misfit of the attitude to the momentum balance, rms per component on held-out windows [deg]",
+            ["windows", "before", "after", "expected", "closed (90 %)"],
             [[str(m.windows), f"{m.before_deg:.3f}", f"{m.after_deg:.3f}", f"{m.floor_deg:.3f}", closed]],
-            f"Windows of up to {m.window_s / 60.0:.0f} min, the start of each free. Floor: {m.noise}.{standing}",
+            f"Windows of up to {m.window_s / 60.0:.0f} min, each with a free initial state. Expected: {m.noise}.{standing}",
         )
     ]
 
@@ -280,18 +279,18 @@ def far_table(diagnosis: Diagnosis) -> Table:
         [axis, f"{values['before_nT']:.1f}", f"{values['after_nT']:.1f}", "", "", ""]
         for axis, values in g.per_axis.items()
     ]
-    held_out = "Both predict samples that the estimate has not seen."
+    held_out = "Both are predictions of samples that were not fitted."
     if g.prediction == "fit":
         held_out = (
-            "Both are of the fit itself: one part of this record does not determine what predicts another, so nothing "
-            "can be held out."
+            "Both are residuals of the fit itself: no part of this record determines enough to predict another, so "
+            "nothing could be held out."
         )
     return Table(
         f"The gap, rms per component {'in the fit' if g.prediction == 'fit' else 'on held-out samples'} [nT]",
         ["axis", "before", "after", "expected", "expected with effects", "closed (90 %)"],
         rows,
-        f"Before: what is modelled is re-estimated. After: the named effects too. {held_out} Expected: what noise, "
-        "quantisation and attitude error give; with effects: the named noise as well.",
+        f"Before: calibration re-estimated. After: named effects included. {held_out} Expected: from noise, "
+        "quantisation and attitude error; with effects: from named noise as well.",
     )
 
 
@@ -308,12 +307,12 @@ def transfer_table(diagnosis: Diagnosis) -> Table:
         else:
             rows.append([one.effect, one.design, answer, size, bar, chance])
     return Table(
-        "Good enough for another design of this spacecraft?",
+        "Would the closed scenario hold elsewhere?",
         ["effect", "design", "transfers", "error [nT]", "shows from [nT]", "chance"],
         rows,
-        "Error: rms per component that the unsure parameters leave there once what is modelled is estimated anew. Chance: "
-        "that a diagnosis of as many samples there calls the error a gap; up to 5 % transfers. Housekeeping is taken to "
-        "repeat, or to follow the sunlight as it does here.",
+        "Error: rms per component caused there by the uncertainty of the parameters, after the calibration is re-estimated. "
+        "Chance: the probability that a diagnosis of as many samples there finds a gap; an effect transfers up to 5 %. "
+        "Housekeeping is assumed to repeat, or to follow the sunlight as it does here.",
     )
 
 
@@ -331,11 +330,11 @@ def ranking_table(diagnosis: Diagnosis) -> Table:
         for line in lines
     ]
     return Table(
-        f"The first {len(lines)} of {len(diagnosis.ranking)} effects, each alone",
+        f"The {len(lines)} most significant of {len(diagnosis.ranking)} effects, each tested alone",
         ["effect", "drop of chi-square", "parameters seen", "p-value"],
         rows,
-        "Before any is named, so whatever imitates a cause is high too. The p-value is corrected for the number of tests: "
-        "near 1 means no better than chance.",
+        "Tested before any effect is named, so effects that imitate a cause rank high too. The p-value is corrected for the "
+        "number of tests; near 1 means no better than chance.",
     )
 
 
@@ -344,7 +343,7 @@ def small_table(diagnosis: Diagnosis) -> Table:
     named = {effect.name for effect in diagnosis.effects}
     words = diagnosis.would_settle
     rows = [[name, words[name]] for name in diagnosis.minimum_detectable if name in words and name not in named]
-    return Table("Not seen down to its typical size", ["effect", "what would show it"], rows, PLAN)
+    return Table("Not detectable at typical size", ["effect", "what would show it"], rows, PLAN)
 
 
 def untestable_table(diagnosis: Diagnosis) -> Table:
@@ -371,8 +370,8 @@ def detectable_table(diagnosis: Diagnosis) -> Table:
         "Minimum detectable sizes",
         ["effect", "parameter", "smallest that shows", "typical", "visible rms [nT]", "to see the typical size"],
         rows,
-        "Found nine times in ten; false alarm 0.2 % over all that is tested. Hours grow with the square of the size: half "
-        "the size takes four times the data.",
+        "Detected with a probability of 90 %, with 0.2 % false alarms over all tests. To see half the size takes four times "
+        "the data.",
     )
 
 
@@ -391,7 +390,8 @@ def confused_table(diagnosis: Diagnosis) -> Table:
         "Confused with each other on this orbit and attitude",
         ["of", "can be imitated by", "share"],
         rows,
-        "Known from the design before the data are looked at. From 98 % both ways two effects are named as a group.",
+        "This follows from orbit, attitude and columns, not from the readings. Two effects that imitate each other by 98 % "
+        "or more are named as a group.",
     )
 
 

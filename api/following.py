@@ -128,15 +128,14 @@ def follow(
 
 
 def _line(changed: Changed | None, name: str, rows: int, whole: Telemetry) -> str:
-    named = f"the calibration {name}" if name else "what the first rows had shown"
+    named = f"calibration {name}" if name else "what the first rows showed"
     if changed is None:
-        return f"No alarm in {rows} rows, to {epoch.iso(whole.time[-1])}: {named} still holds."
+        return f"No alarm in {rows} rows up to {epoch.iso(whole.time[-1])}: {named} still holds."
     after = int((whole.time >= changed.since).sum())
     return (
-        f"ALARM {epoch.iso(changed.time)}: since about {epoch.iso(changed.since)} {named} no longer holds; most like "
-        f"this: {changed.what}. "
-        f"Where nothing changes an alarm comes once in {RUN:,.0f} rows or less often. The diagnosis has the {after} rows "
-        "since then; once there are more, diagnose without --follow says more."
+        f"ALARM {epoch.iso(changed.time)}: {named} no longer holds, since about {epoch.iso(changed.since)}. Most likely "
+        f"change: {changed.what}. False alarms come at most once in {RUN:,.0f} rows on average. The diagnosis below "
+        f"includes the {after} rows since the change; once there are more, run diagnose without --follow."
     )
 
 
@@ -155,9 +154,9 @@ class _Rows:
             if enough(whole := self.all()):
                 return new_rounding(whole)
         raise NoAnswer(
-            f"the stream ended after {self._count} rows: {FIRST_ROWS} with reading and position, over "
-            f"{FIRST_S / 60:.0f} minutes at least, give the noise before one can watch; diagnose without --follow "
-            "takes what there is",
+            f"the stream ended after {self._count} rows: watching starts after {FIRST_ROWS} rows with reading and "
+            f"position, over at least {FIRST_S / 60:.0f} minutes, from which the noise is estimated; diagnose without "
+            "--follow uses what there is",
             evidence={"rows": self._count, "needed": FIRST_ROWS},
         )
 
@@ -198,10 +197,10 @@ def _later(blocks: Iterator[Telemetry]) -> Iterator[Telemetry]:
 
 def _manner(watch: Watch) -> str:
     if not watch.by_size:
-        return "reading and field are compared in all three components"
+        return "comparing reading and field in all three components"
     if watch.noise.theta_rad > 0:
-        return "by the size of the field: nothing finer than this attitude error bounds its direction (--attitude-sigma-deg)"
-    return "by the size of the field"
+        return "comparing |B| only, because of this attitude error (a smaller one can be declared with --attitude-sigma-deg)"
+    return "comparing |B| only"
 
 
 class _Hours:
@@ -218,8 +217,8 @@ class _Hours:
             if self._hour is not None and hour != self._hour and self._rows:
                 size = np.sqrt(self._squares / max(self._parts, 1))
                 self._said(
-                    f"{epoch.iso(self._hour, 'h')}: {self._rows} rows, residual {size:.2f} of what noise gives, "
-                    f"evidence of a change {self._watch.level:.2g} of {RUN:.0e}"
+                    f"{epoch.iso(self._hour, 'h')}: {self._rows} rows, residual {size:.2f} times the expected noise, "
+                    f"evidence of a change {self._watch.level:.2g} (alarm at {RUN:.0e})"
                 )
                 self._rows, self._parts, self._squares = 0, 0, 0.0
             self._hour = hour
@@ -238,7 +237,9 @@ def _records(path: str, reading: Reading) -> Generator[Telemetry, None, None]:
     name = "stdin.csv" if path == "-" else Path(path).name
     if name.lower().endswith((".nc", ".nc4", ".h5", ".gz", ".parquet", ".xlsx", ".cdf")):
         raise BadInput(
-            "cannot be read before it is whole", where=path, wanted="a file of text that grows by rows, or -"
+            "cannot be read while it is still being written",
+            where=path,
+            wanted="a file of text that grows by rows, or -",
         )
     with tempfile.TemporaryDirectory() as folder:
         part, head, rows = Path(folder) / name, b"", 0

@@ -115,7 +115,8 @@ def plan(
     open_ = _about(names, plain, here, recorded) if names else questions.asked(plain, here, recorded)
     if not open_:
         raise NoAnswer(
-            "nothing is left open: every name is distinguished from the others and shown at its typical size"
+            "the diagnosis leaves nothing open: each named effect is distinguished from the others, and each effect would "
+            "show at its typical size"
         )
     found = []
     for place, question in enumerate(open_):
@@ -133,10 +134,10 @@ def sentence(question: Question) -> str:
     """What to do, in one line."""
     best = question.best
     if best is None:
-        also = f" The catalogue says: {question.instead}." if question.instead else ""
+        also = f" The catalogue suggests: {question.instead}." if question.instead else ""
         return f"No manoeuvre within the limits settles {question.words}.{also}"
     wait = f", {best.wait_days:g} days from now" if best.wait_days else ""
-    sure = f"the answer is then right with {100 * best.power:.0f} %"
+    sure = f"the answer will then be right with a probability of {100 * best.power:.0f} %"
     return f"To settle {question.words}, fly {best.words} for {best.hours:.2g} h{wait}; {sure}."
 
 
@@ -271,6 +272,6 @@ def notes_of(config: Scenario | None) -> list[str]:
     if config is not None:
         return []
     return [
-        "orbit, noise, calibration, torquers and housekeeping of the manoeuvres are taken from the record; "
-        "--scenario FILE says them better"
+        "orbit, noise, calibration, torquers and housekeeping of the manoeuvres were inferred from the record; "
+        "--scenario FILE states them more accurately"
     ]

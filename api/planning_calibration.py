@@ -135,10 +135,10 @@ def _sentence(worst: str, now: float, unit: str, courses: Sequence[SigmaCourse])
     wait = f", {best.wait_days:g} days from now" if best.wait_days else ""
     if best.sigma <= _NEARLY * HALF * now:
         return (
-            f"To halve the sigma of {worst}, {now:.2g}{of}: fly {best.words} for {best.hours:.2g} h{wait}; calibrated "
-            f"together with this record it is then {best.sigma:.2g}{of}."
+            f"To halve the sigma of {worst}, now {now:.2g}{of}, fly {best.words} for {best.hours:.2g} h{wait}. Calibrated "
+            f"together with this record, it then falls to {best.sigma:.2g}{of}."
         )
     return (
-        f"No manoeuvre within the limits halves the sigma of {worst}, {now:.2g}{of}; {best.words} for {best.hours:.2g} h "
-        f"brings it to {best.sigma:.2g}{of}."
+        f"No manoeuvre within the limits halves the sigma of {worst}, now {now:.2g}{of}. The best one, {best.words} for "
+        f"{best.hours:.2g} h, lowers it to {best.sigma:.2g}{of}."
     )

@@ -85,15 +85,17 @@ class Fleet:
         """The answer in sentences."""
         count = len(self.vehicles)
         if self.common is None:
-            said = [f"No effect is seen to be common to the {count} vehicles."]
+            said = [f"No effect was found to be common to all {count} vehicles."]
         else:
             one = self.common
             names = " or ".join(one.group)
-            said = [f"Common to the {count} vehicles, and so of the design: {names} ({100 * one.probability:.0f} %)."]
+            said = [
+                f"Common to the {count} vehicles, so a property of the design: {names} ({100 * one.probability:.0f} %)."
+            ]
             said += [
                 f"{name} {value:.4g} ± {sigma:.2g} {unit}"
                 + (f", from vehicle to vehicle ± {spread:.2g}" if spread > 0 else ", the same in all of them")
-                + f"; the best vehicle alone knows it to {single:.2g}."
+                + f"; the best single vehicle determines it to {single:.2g}."
                 for name, unit, value, sigma, spread, single in zip(
                     one.parameters, one.units, one.mean, one.mean_sigma, one.spread, one.best_single_sigma, strict=True
                 )

@@ -207,14 +207,16 @@ class Watch:
         if place >= of_mean:
             axis, grown = divmod(place - of_mean, GROWTH.size)
             where = f"axis {'xyz'[axis - 1]}" if axis else "the readings"
-            return f"the noise of {where} is some {GROWTH[grown]:.1f} times as large"
+            return f"the noise of {where} is about {GROWTH[grown]:.1f} times as large"
         direction, rest = divmod(place, 2 * SIZES.size)
         size = float(SIZES[rest // 2]) * (1.0 if rest % 2 else -1.0)
         if direction == 3:
-            return f"the readings are off in proportion to the field, by some {100 * size * sigma / _USUAL_nT:+.2g} %"
+            return (
+                f"the readings are wrong in proportion to the field, by about {100 * size * sigma / _USUAL_nT:+.2g} %"
+            )
         along = DIRECTIONS[direction][:3]
         axes = " ".join(f"{size * sigma * a:+.2g} nT in {name}" for name, a in zip("xyz", along, strict=True) if a)
-        return f"the readings are off by some {axes}"
+        return f"the readings are wrong by about {axes}"
 
 
 def enough(first: Telemetry) -> bool:

@@ -146,8 +146,9 @@ def _is_impossible(fit: Fit) -> bool:
 
 def _shared(pair: Pair) -> str:
     return (
-        f"Both at {pair.samples} common instants: {pair.shared_nT:.1f} nT per component are shared (field model, reference "
-        f"attitude), {pair.own_nT[0]:.1f} and {pair.own_nT[1]:.1f} nT are each one's own (noise, interference)."
+        f"At {pair.samples} common instants {pair.shared_nT:.1f} nT per component are common to both (field model, "
+        f"reference attitude); {pair.own_nT[0]:.1f} and {pair.own_nT[1]:.1f} nT are specific to one of them (noise, "
+        "interference)."
     )
 
 

@@ -82,7 +82,7 @@ class Coverage:
         if not best:
             return (
                 said + verdict,
-                f"The worst sigma is that of {self.worst}, {sigma}; no manoeuvre that was tried halves it.",
+                f"The worst sigma is that of {self.worst}, {sigma}; none of the manoeuvres tried halves it.",
             )
         options = ", or ".join(f"{plan.rows} rows of {plan.words}" for plan in best[:2])
         again = next((plan for plan in best[2:] if plan.words == _AGAIN), None)

@@ -120,7 +120,7 @@ def with_warnings(fit: F, telemetry: Telemetry, *, robust: bool) -> F:
     found = []
     dipole = telemetry.dipole_B_Am2
     if fit.calibration.T_nT_per_Am2 is None and dipole is not None and bool((np.nanstd(dipole, axis=0) > 0).any()):
-        found.append("the torquers fired in these data and T was not asked for: compare with parameters b,S,T")
+        found.append("the torquers fired in these data but T was not estimated: compare with --parameters b,S,T")
     outliers = 0 if robust else int(find_outliers(fit.residuals_nT).sum())
     if outliers:
         found.append(f"{outliers} rows are outliers (bit errors?): compare with robust weights (tukey)")

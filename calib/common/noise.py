@@ -140,7 +140,7 @@ def _declared(
 ) -> tuple[ReadingNoise | None, FloatArray, str]:
     """The noise where it is declared; (3,) LSB of each axis and where it comes from."""
     lsb = lsb_from_spacing_nT(B_nT) if lsb_nT is None else per_axis(lsb_nT, "lsb_nT")
-    found = "found in the spacing of the readings" if lsb.any() else "as no spacing of the readings is seen"
+    found = "found from the spacing of the readings" if lsb.any() else "because the readings show no step"
     words = f"LSB {_three(lsb)} nT {found if lsb_nT is None else 'declared'}"
     if noise_nT is None:
         return None, lsb, words

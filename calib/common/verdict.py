@@ -99,21 +99,23 @@ class Verdict:
         seen = self.not_observable
         here, anywhere = plain(d.calibration_deg, 2), plain(d.calibration_anywhere_deg, 2)
         degrees = (
-            f"Direction of the field, absolute knowledge error (AKE) at {100 * CONFIDENCE:.0f} %: "
-            f"{plain(d.before_deg, 2)} deg before, {plain(d.after_deg, 2)} deg after. The calibration's own errors give "
-            f"{here} deg ({anywhere} deg in any attitude), the noise of one reading {plain(d.noise_deg, 2)} deg."
+            f"Field direction, absolute knowledge error (AKE) at {100 * CONFIDENCE:.0f} %: "
+            f"{plain(d.before_deg, 2)} deg before, {plain(d.after_deg, 2)} deg after. Of this, errors of the calibration "
+            f"are {here} deg ({anywhere} deg in any attitude) and the noise of one reading {plain(d.noise_deg, 2)} deg."
         )
         if d.against_reference_deg is not None:
-            degrees += f" Against the reference attitude, its error included: {plain(d.against_reference_deg, 2)} deg."
+            degrees += (
+                f" Relative to the reference attitude, including its error: {plain(d.against_reference_deg, 2)} deg."
+            )
         return (
             words,
             *self.reasons,
             *([] if self.impossible else [degrees]),
-            f"Not observable in these data: {len(seen)} limits, listed below."
+            f"Not observable in these data: {len(seen)} quantities, listed below."
             if len(seen) > 1
             else f"Not observable in these data: {seen[0]}."
             if seen
-            else "Nothing that was asked for is unobservable.",
+            else "All requested parameters are observable.",
             f"Next: {self.next_step}",
         )
 
@@ -224,14 +226,14 @@ def _impossible(fit: Fit, declared: DeclaredNoise, along: Along, residual_nT: fl
         unsure = abs(value) - IMPOSSIBLE_S < 2.0 * sigma
         found.append(
             f"{known.names[at]} = {measured(value, sigma or None)}: no magnetometer is wrong by more than "
-            f"{100 * IMPOSSIBLE_S:.0f} %; outliers, unit, axes, attitude or clock are"
-            + (", or these data hardly determine it." if unsure else ".")
+            f"{100 * IMPOSSIBLE_S:.0f} %. Suspect outliers, unit, axes, attitude or clock"
+            + (", or data that hardly determine it." if unsure else ".")
         )
     allowed_nT = SEVERAL * along.allowed * float(np.hypot(along.noise_nT, FIELD_MODEL_NT))
     if along.found_nT > allowed_nT:
         found.append(
-            f"Along the field, where no attitude error acts, the residual is {plain(along.found_nT)} nT; noise gives "
-            f"{plain(along.noise_nT)} nT and a field model is wrong by some {FIELD_MODEL_NT:.0f} nT: clock, position, unit "
+            f"Along the field, where attitude errors have no effect, the residual is {plain(along.found_nT)} nT. Noise "
+            f"explains {plain(along.noise_nT)} nT and the field model about {FIELD_MODEL_NT:.0f} nT: clock, position, unit "
             "or field model may be wrong."
         )
     if declared.ratio > SEVERAL:
@@ -255,30 +257,32 @@ def _limits(
         rest = float(np.sqrt(along.found_nT**2 - along.noise_nT**2))
         of_model = not _beyond_model(along)
         found.append(
-            f"Along the field {plain(rest)} nT remain that noise does not explain"
+            f"Along the field, noise does not explain {plain(rest)} nT"
             + (
-                ": an error of the field model"
+                ": the cause is an error of the field model"
                 if of_model
-                else f", more than the {FIELD_MODEL_NT:.0f} nT of a field model: clock"
+                else f", more than the {FIELD_MODEL_NT:.0f} nT of a field model: the cause is the clock"
             )
-            + (", S, which was not estimated," if only_b else "")
+            + (", S (which was not estimated)" if only_b else "")
             + " or an effect that is not modelled."
         )
     if along.found_nT > _WEAK_S * strength_nT:
-        found.append(f"A single corrected reading misses the field by {100 * along.found_nT / strength_nT:.1f} %.")
+        found.append(
+            f"The error of a single corrected reading is {100 * along.found_nT / strength_nT:.1f} % of the field."
+        )
     if _many_outliers(fit):
         found.append(
-            f"More than {100 * _MANY_OUTLIERS:.0f} % of the rows were set aside as outliers: the sigmas were not tested "
-            "with so many."
+            f"More than {100 * _MANY_OUTLIERS:.0f} % of the rows are outliers: the sigmas were not validated with so "
+            "many."
         )
     at = int(known.sigmas[:9].argmax())
     if known.sigmas[at] > _WEAK_S:
         found.append(
-            f"{known.names[at]} is known to ± {plain(float(known.sigmas[at]), 2)} only: in attitudes that these data do not "
+            f"{known.names[at]} is only known to ± {plain(float(known.sigmas[at]), 2)}: in attitudes that these data do not "
             f"have, the calibration may be wrong by {plain(direction.calibration_anywhere_deg, 2)} deg."
         )
     if direction.after_deg >= direction.before_deg:
-        found.append("The direction of the field is not better known with this calibration than without it.")
+        found.append("This calibration does not improve the knowledge of the field direction.")
     return found
 
 
@@ -289,30 +293,27 @@ def _beyond_model(along: Along) -> bool:
 
 def _residual_words(fit: Fit, along: Along, residual_nT: float, *, impossible: bool) -> str:
     if impossible:  # of a fit that is none the noise is not known
-        return (
-            f"The residual is {plain(residual_nT)} nT {'of |B|' if fit.residuals_nT.shape[1] == 1 else 'a component'}."
-        )
+        return f"The residual is {plain(residual_nT)} nT {'in |B|' if fit.residuals_nT.shape[1] == 1 else 'per component'}."
     of_reading, given = plain(float(np.sqrt(fit.noise.variance_nT2.mean()))), plain(along.noise_nT)
     if fit.residuals_nT.shape[1] == 1:
         return (
-            f"The residual of |B| is {plain(residual_nT)} nT; noise of the reading, {of_reading} nT, gives {given} nT."
+            f"The residual of |B| is {plain(residual_nT)} nT; {given} nT is expected from a reading noise of "
+            f"{of_reading} nT."
         )
-    model, because = fit.error_model, f"the noise of the reading is {of_reading} nT"
+    model, because = fit.error_model, f"the reading noise is {of_reading} nT"
     if model is not None and model.attitude_sigma_deg is not None:
         because = (
-            f"a noise of {of_reading} nT and an attitude error of {plain(model.attitude_sigma_deg, 2)} deg "
-            f"({model.attitude_source}) give {plain(model.expected_rms_nT)} nT"
+            f"{plain(model.expected_rms_nT)} nT is expected from noise of {of_reading} nT and an attitude error of "
+            f"{plain(model.attitude_sigma_deg, 2)} deg ({model.attitude_source})"
         )
     return (
-        f"The residual is {plain(residual_nT)} nT a component; {because}. Along the field, where no attitude error acts, "
-        f"it is {plain(along.found_nT)} nT, and noise gives {given} nT."
+        f"The residual is {plain(residual_nT)} nT per component; {because}. Along the field, where attitude errors have no "
+        f"effect, it is {plain(along.found_nT)} nT; {given} nT is expected from noise."
     )
 
 
 def _aside_words(fit: Fit) -> str:
-    return (
-        f" {fit.rejected} rows of {_rows(fit)} lie far from the fit and have no weight in it." if fit.rejected else ""
-    )
+    return f" {fit.rejected} of {_rows(fit)} rows are outliers and have no weight in the fit." if fit.rejected else ""
 
 
 def _rows(fit: Fit) -> int:
@@ -335,7 +336,7 @@ def _coupling(fit: Fit, dipole_B_Am2: FloatArray | None) -> str:
     on = np.nanmean(np.nanmax(np.abs(dipole_B_Am2), axis=1) > 0.0) if np.isfinite(dipole_B_Am2).any() else 0.0
     if not on:
         return ""
-    return f"The torquers were on in {100 * on:.0f} % of the rows, and what couples from them was not asked for (T)."
+    return f"The torquers were on in {100 * on:.0f} % of the rows, and their coupling T was not estimated."
 
 
 def _next_step(fit: Fit, impossible: bool, along: Along, direction: DirectionKnowledge) -> str:

@@ -266,11 +266,11 @@ def ruled_out(result: SearchResult, whitener: Whitener, ahead: tuple[float, floa
         wanted, unsure = _by_readings_km(result, whitener, place)
         value, sigma = ahead
         none, whole = abs(value) / sigma, abs(value - wanted) / float(np.hypot(sigma, unsure))
-        found = f"by the balance of the momentum the position is {value:.1f} ± {sigma:.1f} km ahead"
+        found = f"the momentum balance puts the position {value:.1f} ± {sigma:.1f} km ahead"
         if none > _AGAINST and whole < _FOR:
-            return {name: f"{found}, which a clock does not do" for name in _LATE if name in alike}
+            return {name: f"{found}, which a clock error does not cause" for name in _LATE if name in alike}
         if whole > _AGAINST and none < _FOR:
-            return {_AHEAD: f"{found}, and not {wanted:.1f} km as it would take"}
+            return {_AHEAD: f"{found}, not the {wanted:.1f} km that would explain the readings"}
     return {}
 
 

@@ -44,7 +44,7 @@ def dynamics_causes(windows: Windows) -> tuple[list[Candidate], dict[str, str]]:
         live = [one for one in made if one.live.any()]
         found += live
         if not live:
-            nothing = "nothing in these data excites it: a typical size would not turn the body"
+            nothing = "nothing in these data excites it: at its typical size it would not turn the body"
             untestable[effect.name] = next((reason for reason in reasons if reason), nothing)
     return found, untestable
 

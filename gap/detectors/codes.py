@@ -135,7 +135,7 @@ def flipped_bits(reading_nT: FloatArray, residual_nT: FloatArray, cut: BoolArray
     total = int(np.isfinite(residual_nT).sum())
     visible = 1.0 if single else max(int(np.count_nonzero(shares)), 1) / (top + 2)
     rate, error = count / total / visible, float(np.sqrt(count)) / total / visible
-    what = f"{count} spikes, {100 * fitting:.0f} % of them a single bit of the code turned round"
+    what = f"{count} spikes, {100 * fitting:.0f} % of them a single flipped bit"
     faults = () if fitting >= _MOST_SPIKES else ("the others are not",)
     instance = BitErrors(dominant if single else None, "flip", lsb_nT)
     return Finding("bit_errors", {"rate": (rate, error, "1")}, 2.0 * log_bayes, what, faults, instance)

@@ -47,12 +47,12 @@ def noise_level(
     rms = float(np.sqrt(level_nT**2 - declared_nT**2))
     sigma = float(np.hypot(NOISE_LOG_SD * declared_nT**2, level_nT**2 * np.sqrt(0.5 / degrees)) / rms)
     values = (series / np.sqrt(np.where(share > 0, axis_energy, 1.0)))[there & np.any(series != 0, axis=1)[:, None]]
-    faults = ["structure is left"] if structured else []
+    faults = ["structure remains"] if structured else []
     if not gaussian(values):
         faults.append("it is not Gaussian")
     instance = ExcessNoise(("x", "y", "z")[int(np.argmax(noisy))]) if alone else ExcessNoise()
     where = f" on axis {instance.axis}" if alone else ""
-    what = f"white noise is {level_nT:.4g} nT{where}, the budget says {declared_nT:.4g} nT"
+    what = f"white noise is {level_nT:.4g} nT{where}, where {declared_nT:.4g} nT were expected"
     return Finding("excess_noise", {"rms": (rms, sigma, "nT")}, value, what, tuple(faults), instance)
 
 

@@ -114,7 +114,7 @@ def judge(
     words = f"a step {step_s:.0f} s after the first sample"
     clues.append(replace(clue("step", gain, rank, float(np.log(seconds.size)), words), condition="after_time"))
     log10_p, excess = drift(left)
-    words = "slow wandering that follows no condition"
+    words = "a slow drift that follows no known condition"
     clues.append(Structure(-2.0 * log10_p * float(np.log(10.0)), excess, "drift", words, "time"))
     if own is not None and own.shape[2]:
         for count, (gain, rank) in zip(PARTS, parts(left, own), strict=True):
@@ -122,7 +122,7 @@ def judge(
             clues.append(replace(clue("parts", gain, rank, float(np.log(len(PARTS))), words), condition="time"))
     best = max(clues, key=lambda clue: clue.worth)
     if best.worth <= THRESHOLD:
-        best = Structure(best.worth, 0.0, "none", "nothing structured is left")
+        best = Structure(best.worth, 0.0, "none", "no structure remains")
     return replace(best, step_s=step_s)
 
 

@@ -80,9 +80,11 @@ def switched_region(problem: Problem, left: ProjectedResidual, rivals: Sequence[
     faults = does_as_well(value, found, rivals)
     day = place.inside(best.box) & ~search.rows_on(best)
     if day.sum() < _FEWEST_ROWS:
-        faults.append("the record has no pass over it by day, so a field of the Earth's own would look the same")
+        faults.append(
+            "the record has no daytime pass over the region, so a local error of the Earth's field would look the same"
+        )
     elif stands_out(left, images, in_body(day.astype(float))):
-        faults.append("it is there by day as well")
+        faults.append("it is present by day as well")
     what = f"a field by {best.condition}, {best.effect.region_words}"
     return Finding("switched_field", found.parameters(["f_x", "f_y", "f_z"]), value, what, tuple(faults), best.effect)
 

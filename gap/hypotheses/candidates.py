@@ -88,11 +88,13 @@ def candidates(
         made = [_candidate(problem.design, alternative, on, perturbed, seen) for alternative in possible]
         testable = [candidate for candidate in made if candidate.live.any()]
         if not testable:
-            untestable[effect.name] = "nothing in these data excites it: a typical size would not move any reading"
+            untestable[effect.name] = (
+                "nothing in these data excites it: at its typical size it would not change any reading"
+            )
         firm = [candidate for candidate in testable if candidate.change <= MOST_CHANGED]
         if testable and not firm:
             untestable[effect.name] = (
-                "beside what is re-estimated its image is mostly the error of the reference attitude: "
+                "its signature, beyond the calibration, comes mostly from errors of the reference attitude: "
                 "the body would have to turn further"
             )
         found += firm
@@ -117,7 +119,7 @@ def _not_reported(effect: Effect, problem: Problem) -> str | None:
     if problem.axes is None or problem.axes.known.any():
         return None
     if isinstance(effect, BitErrors):
-        return "no row has a reference attitude, so the axis of a spike, and its bit, are not known"
+        return "no row has a reference attitude, so the axis and the bit of a spike are not known"
     return "no row has a reference attitude" if effect.stage == "attitude" else None
 
 

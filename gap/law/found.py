@@ -117,7 +117,7 @@ def closed_by(law: Lawful, closure: Closure) -> Closure:
         modelled=law.modelled,
         chosen=(*law.named, *law.terms),
         alternatives=(*closure.alternatives[: len(law.named)], *law.alternatives),
-        incomplete=None if law.complete else "the law is not all of it: structure remains beside it",
+        incomplete=None if law.complete else "the law is incomplete: structure remains",
     )
 
 
@@ -142,7 +142,9 @@ class _Search:
         whitener = answer.whitener
         laws, alike = self.regression.run(whitener, base.residual_nT, base.fitted_nT)
         if not laws:
-            return Lawful(self._none(whitener, "no term is worth its parameters and the number tried"))
+            return Lawful(
+                self._none(whitener, "no term lowers chi-square by more than the number tried would by chance")
+            )
         for _ in range(2):
             fit = self._refit(whitener, laws)
             again = self._noise_beside(fit)
@@ -151,7 +153,9 @@ class _Search:
             choice, whitener = again, whitener_of(self.problem, again.noise, again.robust.weights)
             laws, alike = self.regression.run(whitener, base.residual_nT, base.fitted_nT)
             if not laws:
-                return Lawful(self._none(whitener, "no term is worth its parameters and the number tried"))
+                return Lawful(
+                    self._none(whitener, "no term lowers chi-square by more than the number tried would by chance")
+                )
         return self._judged(self._refit(whitener, laws), choice, whitener, alike)
 
     def _refit(self, whitener: Whitener, laws: Sequence[LawEffect]) -> Fit:
@@ -177,15 +181,11 @@ class _Search:
         record = self._record(fit, terms, gap, alike)
         for gain, more in parts(left, own):
             if worth(gain / wider, more, samples, float(np.log(len(PARTS)))) > THRESHOLD + LOG_FURTHER:
-                why = "the coefficients of the best one found differ from one part of the record to the next"
+                why = "the coefficients of the best one differ from one part of the record to the next"
                 return Lawful(self._none(whitener, f"{why}: {words.made_of(record.terms)}"))
         if gap.closed is None or gap.closed < LEAST_CLOSED:
-            share = (
-                "a share that is too small, or not to be measured"
-                if gap.closed is None
-                else f"{100 * gap.closed:.0f} %"
-            )
-            why = f"the best one found closes {share} of what is left on held-out samples"
+            share = "no measurable share" if gap.closed is None else f"{100 * gap.closed:.0f} %"
+            why = f"the best one closes {share} of the remaining gap on held-out samples"
             return Lawful(self._none(whitener, f"{why}: {words.made_of(record.terms)}"))
         rest = residual_structure(problem, whitener, residual_nT, columns_nT)
         return Lawful(

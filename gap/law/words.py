@@ -132,26 +132,30 @@ def sentence(law: Law, named: bool, orbits: float) -> str:
 
     A law of geometry alone is a function of the time in a record of an orbit or two, whatever makes the gap.
     """
-    share = "" if law.closed is None else f"; closes {100 * law.closed:.0f} % of what is left on held-out samples"
+    share = (
+        "" if law.closed is None else f" It closes {100 * law.closed:.0f} % of the remaining gap on held-out samples."
+    )
     other = ""
     if law.could_be:
         listed = [" times ".join(factor(text) for text in one) for one in law.could_be[:_MOST_LISTED]]
-        other = f" These data do not tell it from a law of {' or '.join(listed)}."
+        other = f" These data cannot distinguish it from a law of {' or '.join(listed)}."
     if not any(recorded(text) for one in law.terms for text in one.of):
-        other += f" No recorded column is in it: over {orbits:.1f} orbits it describes the gap rather than explains it."
-    what = "what they leave" if named else "it"
-    return f"A law of recorded columns and geometry explains {what}: {formula(law.terms)}{share}.{other}"
+        other += (
+            f" It contains no recorded column: over {orbits:.1f} orbits it describes the gap but does not explain it."
+        )
+    what = "the remainder" if named else "it"
+    return f"A law of recorded columns and geometry describes {what}: {formula(law.terms)}.{share}{other}"
 
 
 def instead(law: Law) -> Law:
     """The law with the names that it does without in its sentence."""
     names = " and ".join(law.instead_of)
-    return replace(law, sentence=f"{law.sentence} It explains more than {names}, and replaces it.")
+    return replace(law, sentence=f"{law.sentence} It explains more than {names}, which it replaces.")
 
 
 def nothing(law: Law) -> str:
     """Where no law was found."""
-    return f"No law of recorded columns and geometry was found for it in {law.tried:,} terms: {law.why_none}."
+    return f"No law of recorded columns and geometry was found among {law.tried:,} terms: {law.why_none}."
 
 
 def axis_label(law: LawEffect) -> str:

@@ -78,22 +78,26 @@ def shortened(scenario: Scenario, hours: float) -> Scenario:
 
 def _answers(question: Open, view: Flown, rows: int) -> list[Answer]:
     if question.placed is not None:
-        said = "the diagnosis places it in these axes: look for what is fixed in them"
+        said = "the diagnosis places it in these axes: look for a source that is fixed in them"
         return [Answer(frame, view.placed(question.placed, frame, rows), said) for frame in question.names]
     if not question.causes:
         name = question.names[0]
         power = view.shown(rows).get(name, 0.0)
         return [
-            Answer(name, power, f"named: it is there; not named: it is smaller than typical, at {100 * power:.0f} %")
+            Answer(
+                name,
+                power,
+                f"if it is named, it is present; if not, it is smaller than typical, with {100 * power:.0f} % confidence",
+            )
         ]
     found = []
     for cause in question.causes:
         if cause.effect.bound is not None:
-            found.append(Answer(cause.name, 1.0 - GATE, f"nothing is named: it was {cause.name}, which is past"))
+            found.append(Answer(cause.name, 1.0 - GATE, f"if nothing is named, it was {cause.name}, which is over"))
             continue
         power = view.distinguishing(cause, question.names, rows)
         others = " and ".join(_others(question, cause))
-        found.append(Answer(cause.name, power, f"it is named, and {others} not"))
+        found.append(Answer(cause.name, power, f"it is named and {others} is not"))
     return found
 
 

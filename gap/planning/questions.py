@@ -94,13 +94,13 @@ def to_place(found: Mapping[str, Any], flown: Flown) -> list[Open]:
     if placed is None or not excess:
         return []
     follows = "" if condition is None else f" that follows {condition}"
-    words = f"whether what is unknown{follows} is steady in {', '.join(frames[:-1])} or {frames[-1]} axes"
+    words = f"whether the unknown cause{follows} is fixed in {', '.join(frames[:-1])} or {frames[-1]} axes"
     return [Open(tuple(frames), (), words, placed)]
 
 
 def to_show(name: str) -> Open:
     """The question whether an effect of its typical size is there."""
-    return Open((name,), (), f"whether {name} of a typical size is there")
+    return Open((name,), (), f"whether {name} is present at its typical size")
 
 
 def typical(name: str) -> Cause:

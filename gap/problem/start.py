@@ -42,7 +42,7 @@ def start_without_attitude(telemetry: Telemetry, model: FieldModel) -> Magnetome
         words = [f"{name} by {sigmas[name]:.2g}{' nT' if name.startswith('b') else ''}" for name in worst[:3]]
         raise NoAnswer(
             f"no row has a reference attitude, and |B| alone leaves {' and '.join(words)} open (1 sigma): no effect can be "
-            "distinguished from the calibration. A record with the attitude, or of turns about a second axis, would do",
+            "distinguished from the calibration. A record with attitude, or with turns about a second axis, would allow it",
             evidence={"sigma": {name: float(sigmas[name]) for name in worst}},
         )
     return Magnetometer(known.S, known.b_nT)

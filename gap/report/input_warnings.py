@@ -22,8 +22,8 @@ def far_below_budget(before_nT: float, floor_nT: float) -> str | None:
     if before_nT * ROOMY > floor_nT:
         return None
     return (
-        f"the residual is {before_nT:.1f} nT rms where the declared noise and attitude error would give {floor_nT:.1f} nT: "
-        "the budget is too large, and hides what is smaller. Give --noise-nT and --attitude-sigma-deg as they are"
+        f"the residual is {before_nT:.1f} nT rms, but the declared noise and attitude error would give {floor_nT:.1f} nT: "
+        "they are too large and hide smaller effects. Correct --noise-nT and --attitude-sigma-deg, or leave them out"
     )
 
 
@@ -50,7 +50,7 @@ def stuck_attitude(telemetry: Telemetry, attitude_sigma_rad: float | None) -> st
         rate = np.linalg.norm(telemetry.rate_B_rad_s[same], axis=1)
         turned = float(np.nanmedian(rate)) * stretch if np.isfinite(rate).any() else 0.0
         if turned > MISFIT:
-            against = f"by the gyro the body turned {np.degrees(turned):.3g} deg meanwhile"
+            against = f"according to the gyro the body turned by {np.degrees(turned):.3g} deg meanwhile"
     return None if against is None else _words(stretch, share, against)
 
 

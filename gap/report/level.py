@@ -64,7 +64,7 @@ def beyond_budget(problem: Problem, answer: Answer) -> Excess | None:
     spread = np.hypot(_LEAST_SPREAD, noise.theta_log_sd if np.isfinite(noise.theta_log_sd) else 0.0)
     if found_nT <= most_nT * np.exp(3.0 * spread):
         return None
-    said = f"the residual of the fit is {found_nT:.1f} nT rms where {expected_nT(1.0, 1.0):.1f} nT were expected"
+    said = f"the residual of the fit is {found_nT:.1f} nT rms, where {expected_nT(1.0, 1.0):.1f} nT were expected"
     if noise.theta_rad <= declared.attitude_sigma_rad:
         return Excess("sensor", said)
     return Excess("attitude", f"{words.attitude_error(noise, declared.attitude_sigma_rad)}: {said}")

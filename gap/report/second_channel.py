@@ -22,7 +22,7 @@ from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.telemetry.record import Telemetry
 
 _ORBIT = "along_track_error"
-NOT_THERE = "the angle between sun and nadir has nothing of it"
+NOT_THERE = "the angle between sun and nadir does not show it"
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Angle:
     def notes(self) -> list[str]:
         """Sentences."""
         speaks = self.weighed.named is not None or bool(self.ruled_out) or self.of_rotation
-        why = "would explain the readings, but not without a change of the sun-nadir angle: ruled out"
+        why = "would explain the readings, but the angle between sun and nadir does not show it: ruled out"
         return [*([self.weighed.words] if speaks else []), *(f"{name} {why}" for name in self.ruled_out)]
 
     def beside(self, effects: Sequence[FoundEffect]) -> tuple[list[FoundEffect], FoundEffect | None]:
@@ -64,12 +64,12 @@ class Angle:
         assert named is not None
         size, sigma = named.amount_deg
         shown = (
-            f"{named.words} ({size:.2f} ± {sigma:.2f} deg, of what the angle can see): the measured angle between sun and "
-            f"nadir shows it, {self.weighed.rms_deg:.2f} deg rms, and {named.rms_left_deg:.2f} deg once it is taken out"
+            f"{named.words} ({size:.2f} ± {sigma:.2f} deg in the directions that the angle can see): it lowers the error of "
+            f"the angle between sun and nadir from {self.weighed.rms_deg:.2f} to {named.rms_left_deg:.2f} deg rms"
         )
         if others is None:
-            return f"The gap is {shown}. The readings of the magnetometer show none ({left_nT:.1f} nT are left)."
-        return f"{others} Beside it, {shown}."
+            return f"The gap is explained by {shown}. The magnetometer readings show no gap (residual {left_nT:.1f} nT rms)."
+        return f"{others} In addition, there is {shown}."
 
 
 def channel_of(telemetry: Telemetry, frozen: Sequence[Active] = ()) -> Channel | None:

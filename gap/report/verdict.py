@@ -219,7 +219,7 @@ def _differ(work: Work) -> str:
 def _closure(work: Work, found: _Conclusion) -> Closure:
     """What is named, what was re-estimated together with it, and what might be in its place."""
     result = work.answer.result
-    incomplete = f"its shape is incomplete: {words.SHAPE_INCOMPLETE}" if found.incomplete else None
+    incomplete = f"the explanation is incomplete: {words.SHAPE_INCOMPLETE}" if found.incomplete else None
     return Closure(
         problem=work.problem,
         whitener=work.answer.whitener,

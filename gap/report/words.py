@@ -14,12 +14,14 @@ from fluxtwin.sim.base.types import BoolArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.switched_field import SwitchedField
 
-SHAPE_INCOMPLETE = "a smaller structure remains"
-APART_FROM_THEM = "All other readings are what noise and attitude error give: beside these rows there is no gap."
-DENIED_SENSOR = "the two magnetometers do not differ by it"
-DENIED_SHARED = "the two magnetometers differ, which nothing that both share can make"
+SHAPE_INCOMPLETE = "some smaller structure remains"
+APART_FROM_THEM = (
+    "All other readings are as expected from noise and attitude error: apart from these rows there is no gap."
+)
+DENIED_SENSOR = "the difference between the two magnetometers does not show it"
+DENIED_SHARED = "the two magnetometers differ, and a cause common to both cannot explain that"
 SECOND_UNUSED = (
-    "the second magnetometer is left out: too few rows have both readings, or it does not follow the field as the first "
+    "the second magnetometer is not used: too few rows have both readings, or it does not follow the field as the first "
     "does (dead, or in another unit), or it is a copy of the first"
 )
 UNEXPLAINED = "the catalogue does not explain all of the gap"
@@ -29,38 +31,42 @@ def no_gap(gap: Shrinkage, attitude_would_do_rad: float | None) -> str:
     """Where nothing is found."""
     if attitude_would_do_rad is None:
         return (
-            f"No gap: the residual of the fit, {gap.left_nT:.1f} nT rms per component, is what noise and attitude error "
-            f"give ({gap.floor_nT:.1f} nT)."
+            f"No gap: the residual of the fit is {gap.left_nT:.1f} nT rms per component, and {gap.floor_nT:.1f} nT "
+            "is expected from noise and attitude error."
         )
     return (
-        "No gap that these data can distinguish from an error of the reference attitude of "
-        f"{np.degrees(attitude_would_do_rad):.2g} deg, which was not declared: the structure of the residual lies across "
-        "the field, as that of such an error does, and none lies along it."
+        "No gap that these data can distinguish from an undeclared error of the reference attitude of "
+        f"{np.degrees(attitude_would_do_rad):.2g} deg: the residual has structure across the field, where such an error "
+        "acts, and none along it."
     )
 
 
 def differ(between: Structure, rms_nT: float, noise_nT: float) -> str:
     """Where the one magnetometer's gap, if it has one, does not say why the other reads something else."""
-    noise = f"where their noise gives {noise_nT:.1f} nT" if rms_nT > noise_nT else "though not as noise does"
+    noise = (
+        f"where their noise explains {noise_nT:.1f} nT"
+        if rms_nT > noise_nT
+        else "with structure that noise does not have"
+    )
     return (
-        f"The two magnetometers differ, however, by {rms_nT:.1f} nT rms per component beside a calibration of each, {noise}:"
-        f" {between.words}. Ask the second with --magnetometer 2."
+        f"The two magnetometers differ by {rms_nT:.1f} nT rms per component even after each is calibrated, {noise}:"
+        f" {between.words}. To diagnose the second one, add --magnetometer 2."
     )
 
 
 def unexplained(what: str, where: Place, resembles: Sequence[str]) -> str:
     """Where something is there that nothing in the catalogue explains."""
     stages = [] if where.stage is None else [where.stage, *where.equivalent]
-    at = f"at the stage {' or '.join(stages)}" if stages else "at a stage that remains open"
+    at = f"at stage {' or '.join(stages)}" if stages else "at a stage that these data leave open"
     like = f" It resembles {', '.join(resembles)}." if resembles else ""
-    return f"Something that the catalogue does not explain, {at}: {what}.{like}"
+    return f"There is a gap that the catalogue does not explain, {at}: {what}.{like}"
 
 
 def left_over(gap: Shrinkage) -> str:
     """Where the best fit explains too little of what it has not seen."""
     return (
-        f"the best fit of the catalogue takes held-out samples from {gap.before_nT:.1f} to {gap.after_nT:.1f} nT rms, where "
-        f"{gap.floor_with_effects_nT:.1f} nT are expected"
+        f"the best fit from the catalogue lowers the held-out residual from {gap.before_nT:.1f} to {gap.after_nT:.1f} nT "
+        f"rms, where {gap.floor_with_effects_nT:.1f} nT are expected"
     )
 
 
@@ -73,9 +79,9 @@ def named(
 ) -> str:
     """Where effects are named. remains: what does, if the shape is incomplete; outlying: of the outliers."""
     causes = " and ".join(_cause(effect) for effect in effects)
-    rest = f" Its shape is incomplete: {remains}." if gap.shape_incomplete else ""
+    rest = f" The explanation is incomplete: {remains}." if gap.shape_incomplete else ""
     rest += f" In addition, {outlying}." if outlying else ""
-    return f"The gap is {causes}; {_closed(effects, gap, momentum)}.{rest}"
+    return f"The gap is explained by {causes}{_closed(effects, gap, momentum)}.{rest}"
 
 
 def _cause(effect: FoundEffect) -> str:
@@ -96,22 +102,22 @@ def _size(name: str, one: EffectParameter) -> str:
 
 
 def _closed(effects: Sequence[FoundEffect], gap: Shrinkage, momentum: MomentumGap | None) -> str:
-    it, s = ("it", "s") if len(effects) == 1 else ("together they", "")
+    which, s = (", which", "s") if len(effects) == 1 else (", which together", "")
     if momentum is not None and all(effect.stage == "dynamics" for effect in effects):
         share = "" if momentum.closed is None else f" and close{s} {100 * momentum.closed:.0f} % of the gap"
         return (
-            f"{it} leave{s} the readings as they are, and take{s} the attitude against the balance of the momentum from "
+            f"{which} leave{s} the readings unchanged and lower{s} the misfit of the attitude to the momentum balance from "
             f"{momentum.before_deg:.2g} to {momentum.after_deg:.2g} deg{share}"
         )
     if gap.closed is None:
         if all(effect.name == "bit_errors" for effect in effects):
-            return "the wrong readings are set aside, and count neither before nor after"
+            return "; the wrong readings are excluded from the figures before and after"
         return _not_measured(effects, gap)
     share = f"close{s} {100 * gap.closed:.0f} % of the gap"
     if gap.after_nT == gap.before_nT:
         noise_nT = gap.floor_with_effects_nT
-        return f"{noise_nT:.1f} nT rms of noise are then expected where there are {gap.before_nT:.1f}: {it} {share}"
-    return f"{it} take{s} the residual from {gap.before_nT:.1f} to {gap.after_nT:.1f} nT rms and {share}"
+        return f"{which} raise{s} the expected rms to {noise_nT:.1f} nT, where {gap.before_nT:.1f} nT are seen, and {share}"
+    return f"{which} lower{s} the residual from {gap.before_nT:.1f} to {gap.after_nT:.1f} nT rms and {share}"
 
 
 def _not_measured(effects: Sequence[FoundEffect], gap: Shrinkage) -> str:
@@ -120,11 +126,10 @@ def _not_measured(effects: Sequence[FoundEffect], gap: Shrinkage) -> str:
     signal_nT = max(effect.visible_nT for effect in effects)
     chance = "less than 1e-12" if p_value < 1e-12 else f"{p_value:.0e}"
     # What is known by its own shape, as a line is, has no size beside the fit.
-    small = f"its {signal_nT:.1f} nT rms are" if signal_nT > 0.0 else "it is"
+    small = f"its signal of {signal_nT:.1f} nT rms is" if signal_nT > 0.0 else "it is"
     return (
-        f"chance alone would give it with a probability of {chance}, but {small} too small a part of "
-        f"the {gap.before_nT:.1f} nT rms of the held-out samples for the share that it closes to be measured: more data of "
-        "the same kind would allow it"
+        f"; the probability that this is chance is {chance}, but {small} too small a part of the {gap.before_nT:.1f} nT rms "
+        "of the held-out samples to measure what share of the gap it closes: more data of the same kind would allow that"
     )
 
 
@@ -151,9 +156,9 @@ def outliers(time: TimeArray, cut: BoolArray) -> str:
     runs = 1 + int((np.diff(rows) > 1).sum())
     first, last = (epoch.iso(time[row]) for row in (rows[0], rows[-1]))
     if rows.size == 1:
-        return f"1 row has an outlier of more than six sigma, at {first}, and is set aside"
+        return f"1 row has an outlier of more than six sigma, at {first}, and was excluded"
     together = f" in {runs} run{'s' if runs > 1 else ''}" if rows.size > 1.5 * runs else ""
-    return f"{rows.size} rows have outliers{together} of more than six sigma, from {first} to {last}, and are set aside"
+    return f"{rows.size} rows have outliers{together} of more than six sigma, from {first} to {last}, and were excluded"
 
 
 def assumed(values: Mapping[str, Mapping[str, Any]]) -> str:
@@ -170,23 +175,25 @@ def assumed(values: Mapping[str, Mapping[str, Any]]) -> str:
         parts.append("no rounding" if not step else f"a step of {step:.3g} nT")
     if "attitude_sigma_deg" in missing:
         size, tau = values["attitude_sigma_deg"]["value"], values["attitude_tau_s"]["value"]
-        memory = f" over {float(f'{tau:.2g}'):g} s" if tau else ", white"
+        memory = f" with a time constant of {float(f'{tau:.2g}'):g} s" if tau else ", white"
         parts.append(f"an attitude error of {size:.2g} deg{memory if size else ''}")
     listed = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
-    return f"Not declared, so found in these data: {listed} ({', '.join(values[name]['flag'] for name in missing)})."
+    return (
+        f"Not declared, so estimated from these data: {listed} ({', '.join(values[name]['flag'] for name in missing)})."
+    )
 
 
 def repeated_rounding(every: int) -> str:
     """Of rows left out because they hold the same rounding error."""
     return (
-        f"one row in {every} is used: from row to row most readings stay within a step of the sensor, and their rounding "
-        "is the same error again"
+        f"one row in {every} is used: most readings move by less than a step of the sensor from row to row, so the rows "
+        "between repeat the same rounding error"
     )
 
 
 def thinned(every: int, most_rows: int) -> str:
     """Of rows left out because there are too many."""
     return (
-        f"one row in {every} is used for what is slow; fast lines, bit errors and noise are looked for at the full rate, "
+        f"one row in {every} is used to find slow effects; fast lines, bit errors and noise are sought at the full rate, "
         f"in up to {most_rows:,} rows"
     )

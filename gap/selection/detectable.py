@@ -123,7 +123,7 @@ def _best_columns(board: Board) -> dict[str, tuple[float, int, int]]:
 
 def _reason(board: Board, best: tuple[float, int, int] | None) -> str | None:
     if best is None:
-        return "what is re-estimated can imitate it wholly on this orbit and attitude"
+        return "on this orbit and attitude the re-estimated calibration can imitate it completely"
     relative, number, column = best
     parameter = board.candidates[number].effect.parameters[int(board.place[column])]
     size = relative * parameter.scale

@@ -332,7 +332,7 @@ def test_a_number_that_means_nothing_is_refused(late: Case, cli: Cli, flag: str,
 
 def test_a_budget_far_too_large_is_said(late: Case, cli: Cli) -> None:
     result = cli("diagnose", late.folder / "late.csv", "--noise-nT", 5000, "--lsb-nT", 10, "--attitude-sigma-deg", 0.05)
-    assert "the budget is too large" in " ".join((result.out + result.err).split())
+    assert "they are too large" in " ".join((result.out + result.err).split())
 
 
 def test_a_value_that_no_instrument_gives_is_named(late: Case, cli: Cli, tmp_path: Path) -> None:

@@ -106,4 +106,4 @@ def test_a_patch_of_unknown_field_over_a_region_is_unknown():
     patch_B = frames.rotation_from_q(np.array(record.q_NB)).apply(patch_N)
     found = diagnosed(record.replace(mag_B_nT=np.asarray(record.mag_B_nT) + 100.0 * np.rint(patch_B / 100.0)))
     assert found.verdict == "unknown"
-    assert found.sentence.startswith("Something that the catalogue does not explain")
+    assert found.sentence.startswith("There is a gap that the catalogue does not explain")

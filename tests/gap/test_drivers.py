@@ -98,7 +98,7 @@ def test_the_columns_that_drive_are_named_and_no_other() -> None:
     assert found.verdict == "effect"
     payload, transmitter = found.effects
     assert (payload.name, transmitter.name) == ("driver.payload", "driver.transmitter")
-    assert found.sentence.startswith("The gap is driver.payload ")
+    assert found.sentence.startswith("The gap is explained by driver.payload ")
     assert found.where.condition == payload.condition == "driver:payload"
     assert (payload.stage, payload.frame, payload.group) == ("spacecraft", "body", ("driver.payload",))
     for one, k, late_s in ((payload, (40.0, -20.0, 10.0), 60.0), (transmitter, (0.0, 1.6, 0.8), 100.0)):

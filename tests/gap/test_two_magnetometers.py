@@ -48,7 +48,7 @@ def test_what_both_share_is_no_fault_of_the_sensor(ahead: Telemetry) -> None:
     assert "sensor_lag" in alone.effects[0].group
     assert "along_track_error" in both.effects[0].group
     assert "sensor_lag" not in both.effects[0].group
-    assert both.untestable["sensor_lag"].endswith("the two magnetometers do not differ by it")
+    assert both.untestable["sensor_lag"].endswith("the difference between the two magnetometers does not show it")
     assert "sensor_lag" not in both.would_settle
     assert sum(both.where.probabilities["stage"][name] for name in OWN) < 0.05
     assert set(both.where.equivalent) <= SHARED
@@ -145,7 +145,7 @@ def test_a_second_magnetometer_that_is_none_is_left_out_and_said(late: Telemetry
     alone = fluxtwin.diagnose(late.replace(mag2_B_nT=None))
     assert found.sentence == alone.sentence
     assert found.where == alone.where
-    assert any("second magnetometer is left out" in note for note in found.notes)
+    assert any("second magnetometer is not used" in note for note in found.notes)
     assert not any("second magnetometer" in note for note in alone.notes)
 
 
@@ -170,7 +170,7 @@ def test_a_difference_that_is_no_slower_than_noise_is_not_compared_with_it() -> 
     good = flown()
     every_third = np.repeat(np.array(good.mag2_B_nT)[::3], 3, axis=0)[: len(good)]
     said = fluxtwin.diagnose(good.replace(mag2_B_nT=every_third)).sentence
-    assert "The two magnetometers differ" in said and "though not as noise does" in said
+    assert "The two magnetometers differ" in said and "with structure that noise does not have" in said
 
 
 def test_a_walk_is_in_the_difference_or_is_none() -> None:

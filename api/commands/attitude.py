@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 ANGLES = ("yaw_deg", "roll_deg", "pitch_deg")
 COLUMNS = ("time", *(f"q_{k}" for k in "xyzw"), *ANGLES, *(f"sigma_{k}_deg" for k in "xyz"), "aided")
-BRIEF = "Three-axis attitude from magnetometer, horizon scanner and sun, through the night."
+BRIEF = "Estimate three-axis attitude from magnetometer, horizon scanner and sun, through the night."
 
 
 def command(
@@ -29,13 +29,14 @@ def command(
         typer.Option(
             "--noise-nT",
             metavar="NT",
-            help="White noise of the reading, rounding included, 1 sigma per axis [nT]; else found.",
+            help="White noise of the reading, rounding included, 1 sigma per axis [nT]; otherwise estimated.",
         ),
     ] = None,
     attitude_sigma_deg: of.AttitudeSigmaOption = None,
     attitude_tau_s: of.AttitudeTauOption = None,
     sun_sigma_deg: Annotated[
-        float | None, typer.Option(metavar="DEG", help="White noise of the sun vector, 1 sigma [deg]; else found.")
+        float | None,
+        typer.Option(metavar="DEG", help="White noise of the sun vector, 1 sigma [deg]; otherwise estimated."),
     ] = None,
     field: of.FieldOption = "igrf14",
     degree: of.DegreeOption = None,

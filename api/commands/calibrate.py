@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from fluxtwin.sim.earth.field import FieldModel
     from fluxtwin.sim.telemetry.record import Telemetry
 
-BRIEF = "Bias, matrix and torquer coupling from telemetry, with attitude or without."
+BRIEF = "Estimate bias, matrix and torquer coupling from telemetry, with or without attitude."
 
 
 class _Made(NamedTuple):
@@ -42,23 +42,27 @@ def command(
     output: Output,
     telemetry: Annotated[
         list[Path],
-        typer.Argument(metavar="TELEMETRY", help="One file or several; they are calibrated together."),
+        typer.Argument(metavar="TELEMETRY", help="One or more files, calibrated together."),
     ],
     out: Annotated[Path | None, typer.Option(metavar="FILE.toml", help="Write the calibration file.")] = None,
     unseen: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE", help="Also predict this telemetry, which is not fitted; repeatable."),
+        typer.Option(metavar="FILE", help="Also predict this telemetry without fitting it; repeatable."),
     ] = None,
     onboard: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="What was applied on board (see export): undone before the fit."),
+        typer.Option(
+            metavar="FILE", help="The calibration that was applied on board (see export); it is undone before the fit."
+        ),
     ] = None,
     both: Annotated[
         bool,
-        typer.Option("--both", help="Calibrate the second magnetometer too, and say what the residuals share."),
+        typer.Option(
+            "--both", help="Also calibrate the second magnetometer, and say what the residuals have in common."
+        ),
     ] = False,
     figures: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write the figures of the residuals here.")
+        Path | None, typer.Option(metavar="DIR", help="Write figures of the residuals to this folder.")
     ] = None,
     html: of.HtmlOption = None,
     field: of.FieldOption = "igrf14",

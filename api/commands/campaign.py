@@ -11,15 +11,15 @@ import typer
 from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 
-BRIEF = "Draw, simulate, calibrate, diagnose, many times: would you see it on your spacecraft?"
+BRIEF = "Simulate, calibrate and diagnose many drawn flights: would you see an effect on your spacecraft?"
 
 
 def command(
     output: Output,
     scenario: Annotated[
-        Path, typer.Argument(metavar="SCENARIO.toml", help="A scenario; its [draws] and [effects] say what is tried.")
+        Path, typer.Argument(metavar="SCENARIO.toml", help="A scenario whose [draws] and [effects] say what is varied.")
     ],
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the results.")],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the results.")],
     runs: Annotated[int, typer.Option(metavar="N", help="How many runs.")],
     seed: of.SeedOption = None,
     workers: of.Workers = of.WORKERS,

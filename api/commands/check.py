@@ -16,17 +16,17 @@ if TYPE_CHECKING:
     from fluxtwin.sim.earth.field_models import FieldModel
     from fluxtwin.sim.telemetry.record import Telemetry
 
-BRIEF = "Is this file what it says? Names the classic traps."
+BRIEF = "Are units, frames, axes and clock what the file claims? Names the classic traps."
 
 
 def command(
     output: Output,
     telemetry: TelemetryArgument,
     repair: Annotated[
-        Path | None, typer.Option(metavar="OUT", help="Write the rows sorted by time, exact duplicates dropped.")
+        Path | None, typer.Option(metavar="OUT", help="Write the rows sorted by time, without exact duplicates.")
     ] = None,
     onboard: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="A calibration on board: was it applied to these readings?")
+        Path | None, typer.Option(metavar="FILE", help="An on-board calibration: was it applied to these readings?")
     ] = None,
     html: of.HtmlOption = None,
     field: of.FieldOption = "igrf14",

@@ -6,7 +6,7 @@ from fluxtwin.commands import options as of
 from fluxtwin.commands.reading import TelemetryArgument, read
 from fluxtwin.console import Output
 
-BRIEF = "Write telemetry in another format, all of it or some rows."
+BRIEF = "Write telemetry in another format, completely or in part."
 
 
 def command(output: Output, telemetry: TelemetryArgument, out: of.OutOption, reading: of.Reading = of.READING) -> None:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from fluxtwin.gap.records.diagnosis import Diagnosis
     from fluxtwin.sim.telemetry.record import Telemetry
 
-BRIEF = "Where the gap to the simulation lies, which effect causes it, how far it shrinks."
+BRIEF = "Find where telemetry and simulation differ, which effect causes it and how much it explains."
 
 
 def command(
@@ -24,23 +24,24 @@ def command(
         list[Path],
         typer.Argument(
             metavar="TELEMETRY...",
-            help="A .nc, .csv or .csv.gz file, or a foreign one with --map; of several each is diagnosed by itself.",
+            help="A .nc, .csv or .csv.gz file, or a foreign one with --map; several files are diagnosed one by one.",
         ),
     ],
     scenario: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.toml", help="Field, starting calibration, noise budget, frozen effects."),
+        typer.Option(metavar="FILE.toml", help="Gives field model, starting calibration, noise and frozen effects."),
     ] = None,
     modelled: of.ModelledOption = of.MODELLED,
     assumed: of.Assumed = of.ASSUMED,
     html: of.HtmlOption = None,
     close: Annotated[
-        Path | None, typer.Option(metavar="OUT.toml", help="Write a scenario with the named effects in it.")
+        Path | None, typer.Option(metavar="OUT.toml", help="Write a scenario that contains the named effects.")
     ] = None,
     follow: Annotated[
         bool,
         typer.Option(
-            "--follow", help="Rows as they come, of a CSV that grows or of '-': an alarm where something changes."
+            "--follow",
+            help="Watch a growing CSV file, or '-' for standard input, and raise an alarm when something changes.",
         ),
     ] = False,
     calibration: Annotated[
@@ -49,10 +50,10 @@ def command(
     workers: of.Workers = of.WORKERS,
     reading: of.Reading = of.READING,
 ) -> None:
-    """Say where the gap between telemetry and simulation lies, which effect causes it and how far it shrinks.
+    """Find where telemetry and simulation differ, which effect causes it and how much of the gap it explains.
 
-    Errors that are not declared are the scenario's, where it has them, else found in the data. Exit status 1 where
-    --follow has ended with an alarm.
+    Noise and attitude errors that you do not declare come from the scenario, or else are estimated from the data. The exit
+    status is 1 if --follow ended with an alarm.
     """
     from fluxtwin import outputs
     from fluxtwin.sim.base.errors import BadInput

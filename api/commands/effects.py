@@ -12,13 +12,13 @@ from fluxtwin.console import Output, wrapped
 if TYPE_CHECKING:
     from fluxtwin.sim.effects.base import Effect
 
-BRIEF = "The catalogue of effects, with units and typical sizes."
+BRIEF = "List the catalogue of effects, with units and typical sizes."
 
 
 def command(
     output: Output,
     effect: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="One effect in full, with a section for a scenario.")
+        str | None, typer.Argument(metavar="[NAME]", help="One effect in detail, with a section for a scenario.")
     ] = None,
 ) -> None:
     """List what reality may do that the baseline lacks, a line each. With NAME, that effect in full.

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from fluxtwin.scenarios.page import Table
     from fluxtwin.sim.run.ensemble.run import Ensemble
 
-BRIEF = "Thousands of vehicles with drawn parameters, on all cores."
+BRIEF = "Simulate thousands of vehicles with drawn parameters, on all cores."
 
 _SHOWN = ("mean", "std", "p5", "p50", "p95", "p99", "max", "vehicle_of_max")
 
@@ -24,20 +24,21 @@ _SHOWN = ("mean", "std", "p5", "p50", "p95", "p99", "max", "vehicle_of_max")
 def command(
     output: Output,
     scenario: Annotated[
-        Path, typer.Argument(metavar="SCENARIO.toml", help="A scenario; its [draws] say what differs.")
+        Path,
+        typer.Argument(metavar="SCENARIO.toml", help="A scenario whose [draws] say what differs between vehicles."),
     ],
     out: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="Folder of the results; with --extract, the FILE to write.")
+        Path, typer.Option(metavar="FOLDER", help="Folder for the results; with --extract, the FILE to write.")
     ],
     vehicles: Annotated[int | None, typer.Option(metavar="N", help="How many vehicles.")] = None,
     seed: of.SeedOption = None,
     workers: of.Workers = of.WORKERS,
     chunk: Annotated[
-        int | None, typer.Option(metavar="V", help="Vehicles held in memory and written at a time.")
+        int | None, typer.Option(metavar="V", help="Number of vehicles held in memory and written at a time.")
     ] = None,
     resume: of.ResumeOption = False,
     extract: Annotated[
-        int | None, typer.Option(metavar="K", help="Fly nothing: write the scenario of vehicle K (from 0).")
+        int | None, typer.Option(metavar="K", help="Simulate nothing; write the scenario of vehicle K (from 0).")
     ] = None,
 ) -> None:
     """Fly N vehicles of a scenario, each with its own drawn parameters, and sum up their pointing, rates and torquers.

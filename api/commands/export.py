@@ -10,7 +10,7 @@ import typer
 from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 
-BRIEF = "Write a calibration for flight software, with the error that its numbers add."
+BRIEF = "Write a calibration for flight software, and the error that its number format adds."
 
 _SEEN_NT = 1e-6  # less is the arithmetic of this computer
 
@@ -21,7 +21,7 @@ def command(
     to: Annotated[str, typer.Option(metavar="TARGET", help="ardupilot, px4, gomspace, c-header, json or matlab.")],
     out: of.OutOption,
     instance: Annotated[
-        int, typer.Option(metavar="N", min=1, help="Which of the software's magnetometers, from 1.")
+        int, typer.Option(metavar="N", min=1, help="Number of the magnetometer in that software, from 1.")
     ] = 1,
 ) -> None:
     """Print the formula of the target with units, its numbers and the error that they add; write its file.

@@ -9,7 +9,7 @@ import typer
 from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 
-BRIEF = "The geomagnetic field at one place and time."
+BRIEF = "Print the geomagnetic field at one place and time."
 
 
 def command(

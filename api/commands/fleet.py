@@ -11,13 +11,14 @@ from fluxtwin.commands import options as of
 from fluxtwin.commands.reading import read
 from fluxtwin.console import Output
 
-BRIEF = "Many vehicles of one design: what is common to them, and which is the odd one."
+BRIEF = "Compare vehicles of one design: what is common to them, and which one differs."
 
 
 def command(
     output: Output,
     telemetry: Annotated[
-        list[Path], typer.Argument(metavar="TELEMETRY...", help="One file a vehicle, three or more, of one design.")
+        list[Path],
+        typer.Argument(metavar="TELEMETRY...", help="One file per vehicle; three or more vehicles of one design."),
     ],
     scenario: Annotated[
         Path | None, typer.Option(metavar="FILE.toml", help="What is known of the design, as for diagnose.")

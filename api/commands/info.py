@@ -13,7 +13,7 @@ from fluxtwin.console import Output
 if TYPE_CHECKING:
     from fluxtwin.describing import Inventory
 
-BRIEF = "What is in these files: columns, units, span, gaps, and what each verb lacks."
+BRIEF = "List what is in the files: columns, units, span, gaps, and what each command lacks."
 _MOST_PASSES = 20
 
 

@@ -9,20 +9,20 @@ import typer
 
 from fluxtwin.console import Output
 
-BRIEF = "Write a first column map from the header of foreign files."
+BRIEF = "Draft a column map from the headers of foreign files."
 
 
 def command(
     output: Output,
     files: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="FILE...", help="Foreign files, of any kind that can be read, or a folder of them."),
+        typer.Argument(metavar="FILE...", help="Foreign files of any readable format, or a folder of them."),
     ] = None,
     preset: Annotated[
-        str | None, typer.Option(metavar="NAME", help="The packaged map of that name, to be mended; or `list`.")
+        str | None, typer.Option(metavar="NAME", help="Write the packaged map of this name, to be edited; or `list`.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml", help="Where to write the map; else it is printed.")
+        Path | None, typer.Option(metavar="FILE.toml", help="Where to write the map; otherwise it is printed.")
     ] = None,
 ) -> None:
     """Guess what the columns are from their names and sizes; whatever was guessed is marked "to be confirmed".

@@ -39,37 +39,36 @@ FieldOption: TypeAlias = Annotated[
     str, typer.Option(metavar="MODEL", help="Field model: igrf14, igrf1975 or chaos:FILE.")
 ]
 DegreeOption: TypeAlias = Annotated[
-    int | None, typer.Option(metavar="N", help="Highest degree used; the model's own where not given.")
+    int | None, typer.Option(metavar="N", help="Highest degree to use; default: all of the model.")
 ]
 ScenarioFieldOption: TypeAlias = Annotated[
     str | None,
-    typer.Option(
-        metavar="MODEL", help="The field that acts, in place of the scenario's: igrf14, igrf1975 or chaos:FILE."
-    ),
+    typer.Option(metavar="MODEL", help="Field to use, instead of the scenario's: igrf14, igrf1975 or chaos:FILE."),
 ]
-HtmlOption: TypeAlias = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the report as one page.")]
+HtmlOption: TypeAlias = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the report as one HTML page.")]
 SchedulerOption: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        metavar="ADDRESS", help="A Dask scheduler whose workers do it, as tcp://host:8786; only on a network you trust."
+        metavar="ADDRESS",
+        help="Run on the workers of this Dask scheduler, such as tcp://host:8786; only on a network you trust.",
     ),
 ]
 OutOption: TypeAlias = Annotated[Path, typer.Option(metavar="FILE", help="File to write.")]
-SeedOption: TypeAlias = Annotated[
-    int | None, typer.Option(metavar="S", help="Seed of all that is random; the scenario's where not given.")
-]
-ResumeOption: TypeAlias = Annotated[bool, typer.Option("--resume", help="Go on with what lies in the folder.")]
+SeedOption: TypeAlias = Annotated[int | None, typer.Option(metavar="S", help="Random seed; default: the scenario's.")]
+ResumeOption: TypeAlias = Annotated[bool, typer.Option("--resume", help="Continue an interrupted run in this folder.")]
 QuietOption: TypeAlias = Annotated[
-    bool, typer.Option("--quiet", "-q", help="Only the result and errors: no progress, no notes.")
+    bool, typer.Option("--quiet", "-q", help="Print only the result and errors: no progress, no notes.")
 ]
 VerboseOption: TypeAlias = Annotated[
-    bool, typer.Option("--verbose", "-v", help="In an error also the long lists, as of all known keys.")
+    bool, typer.Option("--verbose", "-v", help="Include long lists in error messages, such as all known keys.")
 ]
 
 
 ModelledOption: TypeAlias = Annotated[
     str,
-    typer.Option("--modelled", metavar="NAMES", help="Effects re-estimated in every test, by commas; or none."),
+    typer.Option(
+        "--modelled", metavar="NAMES", help="Effects to re-estimate in every test, separated by commas; or none."
+    ),
 ]
 MODELLED = "bias,scale_misalignment"
 
@@ -79,31 +78,32 @@ class Reading(NamedTuple):
 
     column_map: Annotated[
         Path | None,
-        typer.Option("--map", metavar="FILE.toml", help="Column map: how a foreign file's columns are to be read."),
+        typer.Option("--map", metavar="FILE.toml", help="Column map: how to read the columns of a foreign file."),
     ] = None
     tle: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Two-line elements, or a CCSDS OEM, that give the position where the file has none."
+            metavar="FILE",
+            help="Two-line elements or a CCSDS OEM file that gives the position if the telemetry has none.",
         ),
     ] = None
     attitude: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.aem", help="CCSDS AEM that gives the attitude where the file has none."),
+        typer.Option(metavar="FILE.aem", help="CCSDS AEM file that gives the attitude if the telemetry has none."),
     ] = None
     max_samples: Annotated[
         int | None,
-        typer.Option(metavar="N", min=1, help="Most rows that are read of a file; 5,000,000 where not given."),
+        typer.Option(metavar="N", min=1, help="Largest number of rows to read from a file; default: 5,000,000."),
     ] = None
     start: Annotated[
-        str | None, typer.Option("--from", metavar="TIME", help="Only rows from this instant on (ISO 8601 UTC).")
+        str | None, typer.Option("--from", metavar="TIME", help="Use only rows from this instant on (ISO 8601 UTC).")
     ] = None
-    end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="Only rows before this instant.")] = None
+    end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="Use only rows before this instant.")] = None
     where: Annotated[
         str | None,
-        typer.Option(metavar="CONDITION", help="Only rows in which it holds, as 'sunlit == 1 and speed < 5'."),
+        typer.Option(metavar="CONDITION", help="Use only rows that satisfy this, such as 'sunlit == 1 and speed < 5'."),
     ] = None
-    magnetometer: Annotated[int, typer.Option(metavar="N", min=1, max=2, help="1, or 2 for the readings mag2.")] = 1
+    magnetometer: Annotated[int, typer.Option(metavar="N", min=1, max=2, help="1, or 2 to use the readings mag2.")] = 1
 
     @property
     def files(self) -> tuple[Path | None, ...]:
@@ -144,7 +144,7 @@ ASSUMED = Assumed()
 class Workers(NamedTuple):
     """Who does the work; likewise."""
 
-    jobs: Annotated[int | None, typer.Option(metavar="J", help="Processes; all cores where not given.")] = None
+    jobs: Annotated[int | None, typer.Option(metavar="J", help="Number of processes; default: all cores.")] = None
     scheduler: SchedulerOption = None
 
 
@@ -158,8 +158,8 @@ class _Common(NamedTuple):
         bool,
         typer.Option(
             "--force",
-            help="Write against a refusal that names --force, as of a file that fluxtwin did not write; never onto an "
-            "input.",
+            help="Override a refusal that names --force, such as that of a file that fluxtwin did not write. Inputs are "
+            "never overwritten.",
         ),
     ] = False
     json: Annotated[

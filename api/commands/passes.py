@@ -10,7 +10,7 @@ import typer
 from fluxtwin.console import Output
 from fluxtwin.scenarios.packaged import NAMES
 
-BRIEF = "When the stations of a scenario see the spacecraft."
+BRIEF = "List when the stations of a scenario see the spacecraft."
 
 
 def command(
@@ -20,7 +20,10 @@ def command(
         typer.Argument(metavar="SCENARIO.toml", help=f"Orbit, schedule and stations: a TOML file, or by name {NAMES}."),
     ],
     stations: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml", help="[station.NAME] sections, instead of the scenario's.")
+        Path | None,
+        typer.Option(
+            metavar="FILE.toml", help="Stations as [station.NAME] sections, instead of those in the scenario."
+        ),
     ] = None,
 ) -> None:
     """List every pass over every [station.NAME] from the first to the last sample of the schedule.

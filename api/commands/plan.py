@@ -10,13 +10,13 @@ import typer
 from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 
-BRIEF = "What to fly next to settle what a diagnosis leaves open, and with what power."
+BRIEF = "Plan what to fly next to settle what a diagnosis leaves open."
 
 
 def command(
     output: Output,
     telemetry: Annotated[
-        Path, typer.Argument(metavar="TELEMETRY|DIAGNOSIS.json", help="Telemetry, or what diagnose --json wrote.")
+        Path, typer.Argument(metavar="TELEMETRY|DIAGNOSIS.json", help="Telemetry, or the output of diagnose --json.")
     ],
     limits: Annotated[
         Path | None, typer.Option(metavar="FILE.toml", help="[limits]: what may be flown, how fast and how long.")
@@ -30,12 +30,12 @@ def command(
         typer.Option(
             "--for",
             metavar="NAMES",
-            help="One effect to be shown; several, by commas, to be distinguished; or calibration.",
+            help="One effect to detect; several, separated by commas, to distinguish; or calibration.",
         ),
     ] = "",
     scenario: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.toml", help="The spacecraft as it is flown; else it is made of the record."),
+        typer.Option(metavar="FILE.toml", help="The spacecraft as flown; otherwise it is inferred from the record."),
     ] = None,
     modelled: of.ModelledOption = of.MODELLED,
     assumed: of.Assumed = of.ASSUMED,

@@ -9,7 +9,7 @@ import typer
 
 from fluxtwin.console import Output
 
-BRIEF = "A whole study: tables, figures, report.html, summary.json."
+BRIEF = "Run a complete study: tables, figures, report.html, summary.json."
 
 
 def command(
@@ -18,7 +18,7 @@ def command(
         str, typer.Argument(metavar="NAME", help="The study: seasat, hcmm, st5, elfin, flight-field or flight-gaps.")
     ],
     data: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder of recorded data, for flight studies.")
+        Path | None, typer.Option(metavar="DIR", help="Folder with recorded data, for flight studies.")
     ] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for the results; default ./NAME-results.")

@@ -15,7 +15,7 @@ from fluxtwin.scenarios.packaged import NAMES, load_scenario
 if TYPE_CHECKING:
     from fluxtwin.sim.scenario.scenario import Scenario
 
-BRIEF = "A scenario becomes telemetry."
+BRIEF = "Simulate telemetry from a scenario."
 
 
 def command(
@@ -25,7 +25,7 @@ def command(
     ],
     out: of.OutOption,
     truth: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the truth here; telemetry never carries it.")
+        Path | None, typer.Option(metavar="FILE", help="Write the truth to this file; telemetry never contains it.")
     ] = None,
     field: of.ScenarioFieldOption = None,
     degree: of.DegreeOption = None,

@@ -12,18 +12,19 @@ from fluxtwin.commands import options as of
 from fluxtwin.commands.reading import read
 from fluxtwin.console import Output
 
-BRIEF = "Does last month's calibration still hold? Compare calibrations, or telemetry of several days."
+BRIEF = "Test whether a calibration still holds: compare calibrations, or telemetry of several days."
 
 
 def command(
     output: Output,
     files: Annotated[
-        list[Path], typer.Argument(metavar="FILE...", help="Calibration files, or telemetry that is calibrated here.")
+        list[Path], typer.Argument(metavar="FILE...", help="Calibration files, or telemetry to be calibrated.")
     ],
     every: Annotated[
         float | None,
         typer.Option(
-            metavar="HOURS", help="Cut telemetry into stretches; a single file is cut by days where not given."
+            metavar="HOURS",
+            help="Cut telemetry into stretches of this length; default: a single file is cut into days.",
         ),
     ] = None,
     html: of.HtmlOption = None,

@@ -12,7 +12,7 @@ from fluxtwin.commands.reading import TelemetryArgument, known_calibration, read
 from fluxtwin.console import Output
 
 COLUMNS = ("time", "yaw_deg", "yaw_first_order_deg", "sigma_deg", "yaw_reference_deg")
-BRIEF = "Yaw from the magnetometer, roll and pitch, with its sigma."
+BRIEF = "Compute yaw from magnetometer, roll and pitch, with its sigma."
 
 
 def command(
@@ -23,7 +23,7 @@ def command(
     sigma_nt: Annotated[
         float | None,
         typer.Option(
-            "--sigma-nT", metavar="NT", help="Error of a field component, 1 sigma; else the calibration's [nT]."
+            "--sigma-nT", metavar="NT", help="Error of a field component, 1 sigma [nT]; default: from the calibration."
         ),
     ] = None,
     attitude_sigma_deg: Annotated[

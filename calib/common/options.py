@@ -40,58 +40,57 @@ class Option:
 
 
 METHOD = Option(
-    "With attitude: linear (reading to field, the papers') or forward. Without: scalar (maximum likelihood of |B|), twostep "
-    "or center (b alone). A spinner with sun pulses: batch or iterative. A filter that estimates the attitude too, by "
-    "scanner and sun or the reference: recursive. A tumbler, from gyro and magnetometer alone: gyro. all: a table of what "
-    "each errs on rows that it has not seen, and the one to take. Where not given: linear where there is attitude, scalar "
-    "where there is none.",
+    "With attitude: linear (reading to field, as published) or forward. Without attitude: scalar (maximum likelihood of "
+    "|B|), twostep or center (b alone). Spinner with sun pulses: batch or iterative. Filter that also estimates the "
+    "attitude, from scanner and sun or from the reference: recursive. Tumbler, from gyro and magnetometer alone: gyro. all: "
+    "compare the methods on rows that were not fitted, and select one. Default: linear with attitude, scalar without.",
     str,
     "NAME",
     "method",
 )
-PARAMETERS = Option("What is estimated: b, b,S or b,S,T; b,S where not given.", str, "LIST", "choice of parameters")
+PARAMETERS = Option("What to estimate: b, b,S or b,S,T; default: b,S.", str, "LIST", "choice of parameters")
 DRIVER = Option(
-    "Also the field that follows this column: NAME of driver_NAME, or another column by its name (array_current_A, ...). "
-    "all: each driver_NAME, kept where its field is seen beyond chance. Repeatable.",
+    "Also estimate the field that follows this column: NAME of driver_NAME, or the name of another column "
+    "(array_current_A, ...). all: try each driver_NAME and keep those that are significant. Repeatable.",
     list[str],
     "NAME",
 )
-ROBUST = Option("tukey, huber or none: weights that outliers do not move.", str, "WEIGHTS", "kind of weights")
+ROBUST = Option("Weights against outliers: tukey, huber or none.", str, "WEIGHTS", "kind of weights")
 COVARIANCE = Option(
-    "blocks: allows for errors that are correlated in time; or white.", str, "KIND", "kind of covariance"
+    "blocks (allows for errors that are correlated in time) or white.", str, "KIND", "kind of covariance"
 )
 BLOCK_S = Option(
-    "Length of a block [s]; else found in the data.",
+    "Length of a block [s]; otherwise found from the data.",
     float,
     "S",
     allowed=lambda value: 1e-3 <= value < float("inf"),
     wanted="seconds, at least 0.001",
 )
 FIELD_ERROR_NT = Option(
-    "Error of the field model, rms an axis [nT], lasting about an orbit: widens the sigmas.",
+    "Error of the field model, rms per axis [nT], correlated over about an orbit; widens the sigmas.",
     float,
     "NT",
     allowed=lambda value: 0.0 <= value < float("inf"),
     wanted="nT, not negative",
 )
-NOISE_NT = Option("Noise of the reading, 1 sigma per axis [nT]; else found in the data.", float, "NT")
-LSB_NT = Option("Least significant bit of the reading [nT]; else found in the data.", float, "NT")
+NOISE_NT = Option("Noise of the reading, 1 sigma per axis [nT]; otherwise estimated.", float, "NT")
+LSB_NT = Option("Least significant bit of the reading [nT]; otherwise estimated.", float, "NT")
 ATTITUDE_SIGMA_DEG = Option(
-    "Error of the reference attitude, or of the scanner, 1 sigma per body axis [deg]; else found in the data.",
+    "Error of the reference attitude, or of the scanner, 1 sigma per body axis [deg]; otherwise estimated.",
     float,
     "DEG",
     allowed=lambda value: 1e-6 <= value < 90.0,
     wanted="degrees, positive, below 90",
 )
 ATTITUDE_TAU_S = Option(
-    "Its time constant [s]; 0 for white; else found in the data.",
+    "Time constant of the attitude error [s]; 0 for white; otherwise estimated.",
     float,
     "S",
     allowed=lambda value: 0.0 <= value < 1e9,
     wanted="seconds, not negative",
 )
 SUN_SIGMA_DEG = Option(
-    "Noise of a sun pulse or vector, 1 sigma; batch, iterative, recursive.",
+    "Noise of a sun pulse or sun vector, 1 sigma [deg]; batch, iterative, recursive.",
     float,
     "DEG",
     allowed=lambda value: 0.0 < value < 90.0,

@@ -12,7 +12,7 @@ from fluxtwin.sim.base.errors import BadInput
 if TYPE_CHECKING:
     from fluxtwin.sim.base.types import FloatArray
 
-_EIV = of.Option("Take out the attenuation of S by the noise of the reading; on for linear.", bool)
+_EIV = of.Option("Correct S for its attenuation by the noise of the reading; on for linear.", bool)
 _WEIGHTS = of.Option("(N,) weights of the joined rows, any scale (journal eq. 4).")
 
 

@@ -11,14 +11,14 @@ if TYPE_CHECKING:
     from fluxtwin.sim.base.types import FloatArray
 
 _SUN_ALIGNMENT_DEG = of.Option(
-    "How well the sun sensor's mounting is known; iterative; 0.05.",
+    "How well the mounting of the sun sensor is known; iterative; default: 0.05.",
     float,
     "DEG",
     allowed=lambda value: 0.0 < value < 90.0,
     wanted="degrees, positive, below 90",
 )
 _INERTIA_RATIO = of.Option(
-    "Moment about the spin axis over that across; iterative.",
+    "Moment of inertia about the spin axis over that across it; iterative.",
     float,
     "JS/JT",
     allowed=lambda value: 0.0 < value < 2.0,

@@ -20,11 +20,12 @@ from . import disk, hostile, repeat
 from .harness import Row
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "trust.md"
-ABOUT = """# What you may trust in, measured
+ABOUT = """# Robustness tests
 
-`python -m benchmarks.trust` makes this table: it damages files, fills disks, stops processes and moves the program about,
-and counts what should not have happened. Each trial is a process of its own, or one of many in a process whose end by a
-signal is counted. What is refused, and the limits, stand in [SECURITY.md](../SECURITY.md).
+`python -m benchmarks.trust` makes this table. It damages files, fills disks, stops processes and moves the program
+around, and counts everything that should not have happened. Each trial runs in a process of its own, or is one of
+many in a process whose end by a signal is counted. [SECURITY.md](../SECURITY.md) says what is refused, and the
+limits.
 
 | trial | how many | faults | wanted | found |
 |---|---|---|---|---|

@@ -16,11 +16,12 @@ from withheld_cases.statistics import median
 FIGURE = "withheld_confusion.png"
 _HEAD = """# Withheld effects: how often the diagnosis is right
 
-Records are made by forward models of their own, which share no code with the effects of the catalogue; the answers are
-sealed before the diagnosis is asked. Orbits of 600 to 1200 km, nadir, tumble, slews and spin, 0.1 to 60 s, one orbit
-to two days, housekeeping there or not, and a calibration error always. "Visible" is what an effect leaves after the
-best re-estimation of `bias` and `scale_misalignment`, rms per component, over the rms of the noise. How it is made
-and scored: `benchmarks/withheld.py` and `benchmarks/withheld_cases/`.
+The records come from forward models that share no code with the effects of the catalogue, and the answers are
+sealed before the diagnosis runs. The worlds have orbits of 600 to 1200 km; nadir pointing, tumble, slews and spin;
+row spacings of 0.1 to 60 s; lengths from one orbit to two days; with or without housekeeping; and always a
+calibration error. "Visible" is what an effect leaves after the best re-estimation of `bias` and
+`scale_misalignment`, rms per component, divided by the rms of the noise. `benchmarks/withheld.py` and
+`benchmarks/withheld_cases/` make and score the records.
 """
 
 

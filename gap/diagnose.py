@@ -20,7 +20,7 @@ from fluxtwin.gap.detectors.random_walk import worth_of_a_walk
 from fluxtwin.gap.detectors.residual_structure import judge, residual_structure
 from fluxtwin.gap.held_out.held_out import Fitted, Prediction, floor_rms_nT, one_step, predict_blocks
 from fluxtwin.gap.hypotheses.blocks import Block, blocks
-from fluxtwin.gap.hypotheses.candidates import candidates, derivatives
+from fluxtwin.gap.hypotheses.candidates import candidates
 from fluxtwin.gap.hypotheses.evidence import Dictionary, fit_all
 from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign
 from fluxtwin.gap.law.found import closed_by, law_of
@@ -170,10 +170,10 @@ def _denied(work: Work) -> dict[str, str]:
             gone[one.effect] = words.DENIED_SENSOR
     if not work.in_readings:
         return gone
-    every = [*problem.frozen, *result.modelled, *result.chosen]
+    every = [*result.modelled, *result.chosen]
     whole = problem.residual_of(every)
     readings = projected(work.answer.whitener, whole, work.answer.alone_nT)
-    columns = {own[0].name: derivatives(problem, [own]) for own in result.chosen}
+    columns = {own[0].name: problem.derivatives([own]) for own in result.chosen}
     for place, (effect, _) in enumerate(result.chosen):
         missing = len(every) - len(result.chosen) + place
         image_nT = problem.residual_of([*every[:missing], *every[missing + 1 :]]) - whole

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import expit, softmax
 from scipy.stats import chi2
 
-from fluxtwin.gap.linear.projection import SHARE_LEFT
+from fluxtwin.gap.linear.projection import SHARE_LEFT, explained
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.records.score import Score
 from fluxtwin.gap.selection.criterion import MOST_SURE, THRESHOLD, worth
@@ -198,10 +198,7 @@ def _imitate(diagnoses: Sequence[Diagnosis], one: str, other: str) -> bool:
 def _explained(score: FloatArray, information: FloatArray) -> tuple[float, int]:
     scale = np.sqrt(np.maximum(np.diag(information), 0.0))
     scale = np.where(scale > 0, scale, 1.0)
-    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    good = values > SHARE_LEFT
-    along = vectors[:, good].T @ (score / scale)
-    return float(np.sum(along**2 / values[good])), int(good.sum())
+    return explained(information / np.outer(scale, scale), score / scale, SHARE_LEFT)
 
 
 def _estimates(scores: Sequence[Score]) -> tuple[FloatArray, FloatArray]:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.gap.hypotheses.candidates import derivatives
 from fluxtwin.gap.linear.projection import SHARE_LEFT, ProjectedResidual, orthonormal, projected
 from fluxtwin.gap.noise.robust_rows import CUT_SIGMA, standing_out
 from fluxtwin.gap.problem.problem import Problem
@@ -137,7 +136,7 @@ def apart(problem: Problem) -> Apart | None:
     difference = np.linalg.solve(second_of_first, difference.T).T
     beside = [one for one in problem.modelled_active if one[0].name not in _CALIBRATION]
     beside += [one for one in problem.frozen if one[0].stage in OWN_STAGES]
-    fitted = np.concatenate([relative, derivatives(problem, beside)], axis=2)
+    fitted = np.concatenate([relative, problem.derivatives(beside)], axis=2)
     kept = np.repeat(both[:, None], 3, axis=1)
     for _ in range(2):  # with the outliers, and without
         rest = projected(_White(np.ones(3), kept), difference, fitted).residual.reshape(-1, 3)

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fluxtwin.gap.detectors.lines import Line, strongest_line
-from fluxtwin.gap.hypotheses.candidates import derivatives
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.budget import prior_of
 from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, Whitener, complete_budget, select_noise, whitener_of
@@ -61,8 +60,8 @@ def full_rate(
         return None
     setting = problem.setting
     near = _stretch(whole, problem, modelled, chosen)
-    residual = near.residual_of([*near.frozen, *modelled, *chosen])
-    fitted = derivatives(near, [*modelled, *chosen])
+    residual = near.residual_of([*modelled, *chosen])
+    fitted = near.derivatives([*modelled, *chosen])
     noise, robust = select_noise(
         near.judged(residual),
         [near.judged(fitted)],

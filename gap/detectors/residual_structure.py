@@ -17,7 +17,15 @@ from scipy import stats
 from fluxtwin.gap.detectors.lines import independent_frequencies, strongest_line
 from fluxtwin.gap.hypotheses.blocks import Block, blocks, step_block
 from fluxtwin.gap.hypotheses.evidence import BlockFit, fit, fit_all
-from fluxtwin.gap.linear.projection import SHARE_LEFT, ProjectedResidual, Whitens, log10_sf_f, projected
+from fluxtwin.gap.linear.projection import (
+    SHARE_LEFT,
+    ProjectedResidual,
+    Whitens,
+    explained,
+    log10_sf_f,
+    projected,
+    projected_out,
+)
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import THRESHOLD, worth
 from fluxtwin.sim.base.types import FloatArray
@@ -134,12 +142,8 @@ def parts(left: ProjectedResidual, own: FloatArray) -> list[tuple[float, int]]:
         cut = np.concatenate([_only(own, part) for part in rows], axis=1)
         size = np.linalg.norm(cut, axis=0)
         cut = cut[:, size > 0] / size[size > 0]
-        for _ in range(2):  # the second pass removes the rounding of the first
-            cut = cut - left.basis @ (left.basis.T @ cut)
-        values, vectors = np.linalg.eigh(cut.T @ cut)
-        live = values > SHARE_LEFT
-        gain = float(np.sum((vectors[:, live].T @ (cut.T @ left.residual)) ** 2 / values[live]))
-        found.append((gain, int(live.sum())))
+        cut = projected_out(left.basis, cut)
+        found.append(explained(cut.T @ cut, cut.T @ left.residual, SHARE_LEFT))
     return found
 
 

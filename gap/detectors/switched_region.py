@@ -14,7 +14,6 @@ import numpy as np
 
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.waveforms import does_as_well, fitted, in_body, stands_out
-from fluxtwin.gap.hypotheses.candidates import derivatives
 from fluxtwin.gap.hypotheses.evidence import BlockFit
 from fluxtwin.gap.linear.projection import ProjectedResidual
 from fluxtwin.gap.problem.problem import Problem
@@ -72,7 +71,7 @@ def switched_region(problem: Problem, left: ProjectedResidual, rivals: Sequence[
     best = search.best()
     if best is None:
         return None
-    images = derivatives(problem, [(best.effect, np.zeros(3))])
+    images = problem.derivatives([(best.effect, np.zeros(3))])
     found = fitted(left, images, _EDGES)
     value = found.worth(float(np.log(search.tried)), _EDGES)
     if value <= THRESHOLD:

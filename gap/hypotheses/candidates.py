@@ -18,7 +18,7 @@ from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.catalogue import CATALOGUE
-from fluxtwin.sim.effects.chain import Active, Chain, jacobian, jacobians
+from fluxtwin.sim.effects.chain import Active, Chain, jacobian
 from fluxtwin.sim.effects.digits import BitErrors
 
 _DEAD_NT = 1e-6  # a parameter of its typical size that moves the readings by less is not there
@@ -53,22 +53,13 @@ class Candidate:
         return np.array([parameter.scale for parameter in self.effect.parameters])
 
 
-def candidates(
-    problem: Problem,
-    *,
-    modelled: Sequence[Active] | None = None,
-    active: Sequence[Active] = (),
-    perturbed: PerturbedDesign | None = None,
-) -> tuple[list[Candidate], dict[str, str]]:
-    """All alternatives of all signal effects that are neither modelled nor active, and why others cannot be tested.
+def candidates(problem: Problem, perturbed: PerturbedDesign | None = None) -> tuple[list[Candidate], dict[str, str]]:
+    """All alternatives of all signal effects that are not modelled, and why others cannot be tested: {name: reason}.
 
-    modelled, active: where to linearise (default: the problem's own). perturbed: the design with one more attitude error,
-    if at hand. Returns (candidates, {name: reason}).
+    perturbed: the design with one more attitude error, if at hand.
     """
-    if modelled is None:
-        modelled = problem.modelled_active
-    taken = {effect.name for effect in problem.modelled} | {effect.name for effect, _ in active}
-    on = [*problem.frozen, *modelled, *active]
+    taken = {effect.name for effect in problem.modelled}
+    on = [*problem.frozen, *problem.modelled_active]
     perturbed = perturbed or PerturbedDesign(problem)
     found: list[Candidate] = []
     untestable: dict[str, str] = {}
@@ -121,12 +112,6 @@ def _not_reported(effect: Effect, problem: Problem) -> str | None:
     if isinstance(effect, BitErrors):
         return "no row has a reference attitude, so the axis and the bit of a spike are not known"
     return "no row has a reference attitude" if effect.stage == "attitude" else None
-
-
-def derivatives(problem: Problem, wanted: Sequence[Active]) -> FloatArray:
-    """(N, 3, sum of parameters) derivative of the reading by the parameters of `wanted`, in that order, all of them and
-    the frozen effects switched on."""
-    return jacobians(problem.design, wanted, problem.frozen)
 
 
 def settings_of(effect: Effect) -> dict[str, object]:

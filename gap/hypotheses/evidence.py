@@ -15,7 +15,7 @@ from typing import overload
 import numpy as np
 
 from fluxtwin.gap.hypotheses.blocks import Block
-from fluxtwin.gap.linear.projection import ProjectedResidual, Whitens
+from fluxtwin.gap.linear.projection import ProjectedResidual, Whitens, explained
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 _MOST_BYTES = 400e6  # that all columns of a design may take at once
@@ -48,10 +48,9 @@ class BlockFit:
         pick = pick & (np.diag(self.gram) > self.least_share * self.size)
         if not pick.any():
             return 0.0, 0
-        value, vector = np.linalg.eigh(self.gram[np.ix_(pick, pick)])
-        seen = value > self.least_share * self.size[pick].max()
-        along = vector[:, seen].T @ self.moment[pick]
-        return float(np.sum(along**2 / value[seen])), int(seen.sum()) + self.searched
+        least = self.least_share * float(self.size[pick].max())
+        drop, rank = explained(self.gram[np.ix_(pick, pick)], self.moment[pick], least)
+        return drop, rank + self.searched
 
 
 def fit(block: Block, left: ProjectedResidual) -> BlockFit:

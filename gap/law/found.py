@@ -14,7 +14,6 @@ import numpy as np
 
 from fluxtwin.gap.detectors.residual_structure import PARTS, parts, residual_structure
 from fluxtwin.gap.held_out.held_out import Fitted, Prediction, floor_rms_nT, predict_blocks
-from fluxtwin.gap.hypotheses.candidates import derivatives
 from fluxtwin.gap.law import words
 from fluxtwin.gap.law.grammar import Grammar
 from fluxtwin.gap.law.search import Regression
@@ -87,7 +86,7 @@ def law_of(problem: Problem, answer: Answer, named: Sequence[FoundEffect], progr
     progress("the law of what is left", 0.92)
     regression = Regression(problem, Grammar(problem))
     result, signals = answer.result, tuple(signals_of(answer.shapes))
-    own = [derivatives(problem, signals)] if signals else []
+    own = [problem.derivatives(signals)] if signals else []
     alone_nT = np.concatenate([answer.alone_nT, *own], axis=2)
     alone = _Base((), signals, result.modelled_alone, result.residual_alone_nT, alone_nT)
     if not named:
@@ -165,14 +164,14 @@ class _Search:
         return refit(Readings(self.problem, whitener), chosen, modelled=self.base.modelled)
 
     def _noise_beside(self, fit: Fit) -> NoiseChoice:
-        residual = self.problem.residual_of([*self.problem.frozen, *fit.active])
-        return choose_noise(self.problem, derivatives(self.problem, fit.active), residual_nT=residual)
+        residual = self.problem.residual_of(fit.active)
+        return choose_noise(self.problem, self.problem.derivatives(fit.active), residual_nT=residual)
 
     def _judged(self, fit: Fit, choice: NoiseChoice, whitener: Whitener, alike: Sequence[LawEffect]) -> Lawful:
         problem, count = self.problem, len(self.base.named) + len(self.base.signals)
         terms = fit.chosen[count:]
-        residual_nT = problem.residual_of([*problem.frozen, *fit.active])
-        columns_nT = derivatives(problem, fit.active)
+        residual_nT = problem.residual_of(fit.active)
+        columns_nT = problem.derivatives(fit.active)
         weighed = self.weighed(residual_nT, columns_nT, len(terms))
         left = projected(whitener, residual_nT, columns_nT)
         wider, samples = 1.0 + SHAPE * weighed.explained, left.degrees / 3.0

@@ -43,7 +43,7 @@ class ProjectedResidual:
     @property
     def least_share(self) -> float:
         """Of its energy that an image must have beside the fitted columns."""
-        return least_share(self.whitener, SHARE_LEFT)
+        return least_share(self.whitener)
 
     @property
     def energy(self) -> float:
@@ -59,12 +59,15 @@ class ProjectedResidual:
 
 def projected(whitener: Whitens, residual_nT: FloatArray, fitted: FloatArray) -> ProjectedResidual:
     """Whiten a residual (N, 3) and project the fitted columns (N, 3, q), in nT, out of it."""
-    white = whitener.apply(residual_nT).reshape(-1)
-    columns = whitener.apply(np.ascontiguousarray(fitted)).reshape(white.size, -1)
-    basis = orthonormal(columns)
-    rest = white - basis @ (basis.T @ white)
-    measured = int(getattr(whitener, "measured", white.size))
-    return ProjectedResidual(whitener, rest, basis, max(measured - basis.shape[1], 1))
+    white = whitener.apply(residual_nT)
+    return projected_white(whitener, white, whitener.apply(np.ascontiguousarray(fitted)).reshape(white.size, -1))
+
+
+def projected_white(whitener: Whitens, white: FloatArray, columns: FloatArray) -> ProjectedResidual:
+    """The same for what is whitened already: a residual (N, 3) and columns (3N, q), or (N, 3, q)."""
+    flat, basis = white.reshape(-1), orthonormal(columns)
+    rest = flat - basis @ (basis.T @ flat)
+    return ProjectedResidual(whitener, rest, basis, max(whitener.measured - basis.shape[1], 1))
 
 
 def orthonormal(columns: FloatArray) -> FloatArray:
@@ -80,6 +83,21 @@ def orthonormal(columns: FloatArray) -> FloatArray:
     # Once more: the square root of the tolerance is all that one pass gives.
     q, _ = np.linalg.qr(basis)
     return np.asarray(q)
+
+
+def projected_out(basis: FloatArray, columns: FloatArray) -> FloatArray:
+    """Columns (M, k) or (M,) with an orthonormal basis (M, q) out of them to rounding, which takes two passes."""
+    for _ in range(2):
+        columns = columns - basis @ (basis.T @ columns)
+    return columns
+
+
+def explained(gram: FloatArray, moment: FloatArray, least: float) -> tuple[float, int]:
+    """Drop of chi-square by columns of a Gram matrix (k, k) and of products (k,) with the residual, and its directions:
+    those of more energy than the least."""
+    values, vectors = np.linalg.eigh(gram)
+    seen = values > least
+    return float(np.sum((vectors[:, seen].T @ moment) ** 2 / values[seen])), int(seen.sum())
 
 
 def log10_sf_f(ratio: float, rank: float, spare: float) -> float:
@@ -103,10 +121,10 @@ def share_mimicked(one: FloatArray, other: FloatArray) -> float:
     return float(np.sum((basis.T @ one) ** 2)) / total
 
 
-def least_share(whitener: object, least: float) -> float:
-    """`share_of_errors` for what a whitener takes the attitude error to be; `least` for one without a noise model."""
+def least_share(whitener: object) -> float:
+    """`share_of_errors` for what a whitener takes the attitude error to be, or for one without a noise model."""
     noise = getattr(whitener, "noise", None)
-    return share_of_errors(None if noise is None else noise.theta_rad, least)
+    return share_of_errors(None if noise is None else noise.theta_rad, SHARE_LEFT)
 
 
 def share_of_errors(theta_rad: float | None, least: float) -> float:

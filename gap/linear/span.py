@@ -17,7 +17,6 @@ from fluxtwin.sim.base.types import FloatArray
 
 SHARE_LEFT = 1e-8
 """Of its energy that a column may have left beside the picked ones."""
-_FIRST = 10.0  # times their length: how columns that must be picked early are made to count
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,11 +34,6 @@ class Span:
     def rank(self) -> int:
         return int(self.number.size)
 
-    @property
-    def left(self) -> FloatArray:
-        """(r,) share of each picked column's energy that was left when it was picked."""
-        return np.asarray(np.square(np.diag(self.factor)))
-
     def basis(self, columns: FloatArray) -> FloatArray:
         """(M, r) orthonormal basis, from the columns (M, P) that the span was found in."""
         picked = columns[:, self.number] / self.size
@@ -55,17 +49,15 @@ class Span:
         return found
 
 
-def span_of(columns: FloatArray, first: int = 0, share_left: float = SHARE_LEFT) -> Span:
-    """The span of columns (M, P) in any units; dead ones are never picked. The `first` columns are picked early."""
+def span_of(columns: FloatArray, share_left: float = SHARE_LEFT) -> Span:
+    """The span of columns (M, P) in any units; dead ones are never picked."""
     size = np.sqrt(np.einsum("ij,ij->j", columns, columns))
     live = np.flatnonzero(size > 0)
     if not live.size:
         return Span(np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros((0, 0)))
-    weight = np.where(live < first, _FIRST, 1.0)
     unit = columns if live.size == columns.shape[1] else columns[:, live]
-    scale = weight / size[live]
+    scale = 1.0 / size[live]
     gram = (unit.T @ unit) * scale * scale[:, None]
     factor, pivots, rank, _ = lapack.dpstrf(gram.T, tol=share_left, lower=1, overwrite_a=1)
     picked = pivots[:rank] - 1
-    lower = np.tril(factor[:rank, :rank]) / weight[picked][:, None]
-    return Span(live[picked], size[live[picked]], np.asfortranarray(lower))
+    return Span(live[picked], size[live[picked]], np.asfortranarray(np.tril(factor[:rank, :rank])))

@@ -19,7 +19,7 @@ from scipy.stats import chi2, ncx2, norm
 from fluxtwin.gap.hypotheses.blocks import Carrier
 from fluxtwin.gap.hypotheses.candidates import Candidate, candidate_of, candidates
 from fluxtwin.gap.hypotheses.conditions import always, conditions
-from fluxtwin.gap.linear.projection import SHARE_LEFT, least_share, orthonormal, projected
+from fluxtwin.gap.linear.projection import least_share, orthonormal, projected
 from fluxtwin.gap.noise.choice import NoiseModel, whitener_of
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem
@@ -99,9 +99,15 @@ class Flown:
     def board(self, found: Sequence[Candidate], white: FloatArray, rows: int) -> Board:
         """The tests on the first rows alone; whitening looks back only, so it is that of the longer record."""
         measured = int((self.whitener.weights[:rows] > 0).sum())
-        share = least_share(self.whitener, SHARE_LEFT)
         nothing = np.zeros((rows, 3))
-        return board(found, np.ascontiguousarray(white[:rows]), nothing, self._nuisance[:rows], measured, share)
+        return board(
+            found,
+            np.ascontiguousarray(white[:rows]),
+            nothing,
+            self._nuisance[:rows],
+            measured,
+            least_share(self.whitener),
+        )
 
     def shown(self, rows: int) -> dict[str, float]:
         """{name: probability that its typical size is seen}; what is not there cannot be tested."""

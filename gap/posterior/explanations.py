@@ -18,9 +18,9 @@ from scipy.special import softmax
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.residual_structure import Structure, judge
 from fluxtwin.gap.hypotheses.blocks import Block
-from fluxtwin.gap.hypotheses.candidates import Candidate, derivatives
+from fluxtwin.gap.hypotheses.candidates import Candidate
 from fluxtwin.gap.hypotheses.evidence import fit_all
-from fluxtwin.gap.linear.projection import ProjectedResidual, orthonormal, projected
+from fluxtwin.gap.linear.projection import projected, projected_white
 from fluxtwin.gap.noise.budget import prior_of
 from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, Whitener, choose_noise, complete_budget, whitener_of
 from fluxtwin.gap.problem.problem import Problem
@@ -121,10 +121,10 @@ def _concluded(
     chosen = explanations[best]
     result = result_of(under_way, untestable, chosen.fit, chosen.beside)
     result = _stripped(problem, result, signals)
-    alone = derivatives(problem, result.modelled_alone)
-    fitted = derivatives(problem, [*result.modelled, *result.chosen]) if result.chosen else alone
+    alone = problem.derivatives(result.modelled_alone)
+    fitted = problem.derivatives([*result.modelled, *result.chosen]) if result.chosen else alone
     if signals:
-        fitted = np.concatenate([fitted, derivatives(problem, signals)], axis=2)
+        fitted = np.concatenate([fitted, problem.derivatives(signals)], axis=2)
     return Answer(whitener.noise, robust, whitener, result, alone, fitted, chosen.left, share, total, gained[0], shapes)
 
 
@@ -189,8 +189,8 @@ def _gained(
         return [0.0] * len(fits)
     gained = []
     for fit in fits:
-        residual = problem.residual_of([*problem.frozen, *fit.active])
-        columns = derivatives(problem, fit.active)
+        residual = problem.residual_of(fit.active)
+        columns = problem.derivatives(fit.active)
         logs = [log_likelihood(problem, one, robust, residual, columns) for one in (noise, *others)]
         gained.append(max(logs) - logs[0])
     return gained
@@ -218,8 +218,8 @@ def noise_and_answer(problem: Problem, dictionary: Sequence[Block], known: Known
         fit = searched[2][-1][0]
         if not fit.chosen:
             break
-        residual = problem.residual_of([*problem.frozen, *fit.active])
-        choice = choose_noise(problem, derivatives(problem, fit.active), residual_nT=residual)
+        residual = problem.residual_of(fit.active)
+        choice = choose_noise(problem, problem.derivatives(fit.active), residual_nT=residual)
         searched = _searched(problem, whitener_of(problem, choice.noise, choice.robust.weights), known)
         if {effect for effect, _ in searched[2][-1][0].chosen} == {effect for effect, _ in fit.chosen}:
             break
@@ -247,11 +247,8 @@ def structure_left(under_way: Search[Readings], fit: Fit, dictionary: Sequence[B
         number for number, c in enumerate(under_way.found) if any(c.effect == effect for effect, _ in fit.chosen)
     ]
     at_nothing = under_way.white[:, :, np.isin(under_way.first.owner, numbers)]
-    whitener, flat = under_way.channel.whitener, fit.residual.reshape(-1)
-    basis = orthonormal(np.concatenate([fit.jacobian, at_nothing], axis=2))
-    rest = ProjectedResidual(
-        whitener, flat - basis @ (basis.T @ flat), basis, max(whitener.measured - basis.shape[1], 1)
-    )
+    images = np.concatenate([fit.jacobian, at_nothing], axis=2)
+    rest = projected_white(under_way.channel.whitener, fit.residual, images)
     own = fit.jacobian[:, :, fit.jacobian.shape[2] - sum(len(theta) for _, theta in fit.chosen) :]
     return judge(under_way.channel.problem, rest, fit_all(dictionary, rest), own, 1.0)
 
@@ -275,6 +272,6 @@ def _stripped(problem: Problem, result: SearchResult, signals: Sequence[Active])
         result,
         modelled=modelled,
         modelled_alone=alone,
-        residual_nT=problem.residual_of([*problem.frozen, *modelled, *result.chosen]),
-        residual_alone_nT=problem.residual_of([*problem.frozen, *alone]),
+        residual_nT=problem.residual_of([*modelled, *result.chosen]),
+        residual_alone_nT=problem.residual_of(alone),
     )

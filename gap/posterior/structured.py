@@ -21,7 +21,6 @@ from fluxtwin.gap.detectors.lines import line_near, wheel_line
 from fluxtwin.gap.detectors.random_walk import random_walk
 from fluxtwin.gap.detectors.residual_structure import Structure, residual_structure
 from fluxtwin.gap.hypotheses.blocks import Block
-from fluxtwin.gap.hypotheses.candidates import derivatives
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, choose_noise, whitener_of
 from fluxtwin.gap.noise.walk import Wander
@@ -84,13 +83,13 @@ class Structured:
     def _alone(self, answer: Answer) -> FloatArray:
         """(N, 3, c) Jacobian of what is re-estimated and of the shapes that are signals."""
         signals = signals_of(answer.shapes)
-        own = [derivatives(self.problem, signals)] if signals else []
+        own = [self.problem.derivatives(signals)] if signals else []
         return np.concatenate([answer.alone_nT, *own], axis=2)
 
     def given(self, answer: Answer, finding: Finding) -> Answer:
         """Effects sought afresh given one more signal."""
         shapes = (*answer.shapes, finding)
-        noise, robust = self.choose(derivatives(self.problem, signals_of(shapes)))
+        noise, robust = self.choose(self.problem.derivatives(signals_of(shapes)))
         whitener = whitener_of(self.problem, noise, robust.weights)
         for one in shapes:
             if one.effect == _WALK:
@@ -137,8 +136,8 @@ class Structured:
         others = [one for one in result.chosen if one[0].name not in _LIKE_A_WALK]
         if others and len(others) < len(result.chosen):
             active = [*result.modelled, *signals_of(answer.shapes), *others]
-            columns = np.concatenate([alone, derivatives(self.problem, others)], axis=2)
-            yield self.problem.residual_of([*self.problem.frozen, *active]), columns
+            columns = np.concatenate([alone, self.problem.derivatives(others)], axis=2)
+            yield self.problem.residual_of(active), columns
 
     def _gain(
         self, answer: Answer, noise: NoiseModel, bare_nT: FloatArray, alone: FloatArray, rate: float | None = None

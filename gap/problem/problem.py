@@ -113,11 +113,12 @@ class Problem:
     @cached_property
     def residual_nT(self) -> FloatArray:
         """(N, 3) reading less prediction with the frozen and the modelled effects."""
-        return self.residual_of([*self.frozen, *self.modelled_active])
+        return self.residual_of(self.modelled_active)
 
     def residual_of(self, active: Sequence[Active]) -> FloatArray:
-        """(N, 3) reading less prediction with these effects on; without attitude, what no turn of the body explains."""
-        signal = self.chain.signal(active)
+        """(N, 3) reading less prediction with these effects on beside the frozen ones; without attitude, what no turn of the
+        body explains."""
+        signal = self.chain.signal([*self.frozen, *active])
         residual = np.asarray(self.telemetry.mag_B_nT - signal.reading)
         if np.any(signal.sample_offset_s) and isinstance(self.setting.motion, RecordedMotion):
             # A row sampled where nobody knows the attitude has no say.
@@ -163,9 +164,12 @@ class Problem:
     @cached_property
     def sensor_image(self) -> FloatArray:
         """(3, 3) (I + S)^-1: how a change of the field reaches the reading (equation 1)."""
-        S = [theta.reshape(3, 3) for effect, theta in self.modelled_active if effect.name == "scale_misalignment"]
-        matrix = np.eye(3) + self.setting.instrument.S + sum(S, np.zeros((3, 3)))
-        return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+        return np.asarray(np.linalg.inv(self.sensor_matrix(self.modelled_active)), dtype=np.float64)
+
+    def sensor_matrix(self, active: Sequence[Active]) -> FloatArray:
+        """(3, 3) I + S with these effects on."""
+        S = [theta.reshape(3, 3) for effect, theta in active if effect.name == "scale_misalignment"]
+        return np.asarray(np.eye(3) + self.setting.instrument.S + sum(S, np.zeros((3, 3))))
 
     @cached_property
     def noise_image_nT(self) -> FloatArray:
@@ -183,7 +187,12 @@ class Problem:
     @cached_property
     def nuisance(self) -> FloatArray:
         """(N, 3, C) Jacobian of all modelled effects; C may be 0."""
-        return jacobians(self.design, self.modelled_active, self.frozen)
+        return self.derivatives(self.modelled_active)
+
+    def derivatives(self, active: Sequence[Active]) -> FloatArray:
+        """(N, 3, sum of parameters) derivative of the reading by the parameters of effects, in that order, all of them and
+        the frozen effects switched on."""
+        return jacobians(self.design, active, self.frozen)
 
     @cached_property
     def segment(self) -> FloatArray:
@@ -252,10 +261,8 @@ def realigned(problem: Problem, beside: Sequence[Active] | None = None) -> Probl
     turn = Rotation.from_rotvec(axes.fitting_turn(residual, signal.field_B_nT))
     motion = replace(_motion(setting), R_BN=turn * setting.given[2])
     chain = Chain(replace(setting, motion=motion))
-    S = [theta.reshape(3, 3) for effect, theta in active if effect.name == "scale_misalignment"]
-    matrix = np.eye(3) + setting.instrument.S + sum(S, np.zeros((3, 3)))
     field = chain.signal(active).field_B_nT
-    fresh = row_axes.row_axes(axes.known, field, axes.nadir_B, matrix, axes.nadir_error)
+    fresh = row_axes.row_axes(axes.known, field, axes.nadir_B, problem.sensor_matrix(active), axes.nadir_error)
     return replace(problem, chain=chain, axes=fresh)
 
 

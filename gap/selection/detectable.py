@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import chi2, ncx2
 
-from fluxtwin.gap.linear.projection import Whitens, orthonormal
+from fluxtwin.gap.linear.projection import Whitens, orthonormal, projected_out
 from fluxtwin.gap.records.diagnosis import Detectable
 from fluxtwin.gap.selection.score import Board
 from fluxtwin.sim.base.types import FloatArray
@@ -85,10 +85,9 @@ def under_all(
 
 def _length(white: FloatArray, white_nuisance: FloatArray) -> FloatArray:
     """(k,) of whitened columns (M, 3, k) beside a nuisance (M, 3, c)."""
-    flat, basis = white.reshape(-1, white.shape[2]), orthonormal(white_nuisance)
-    for _ in range(2):  # twice is enough: the second pass removes the rounding of the first
-        flat = flat - basis @ (basis.T @ flat)
-    return np.asarray(np.linalg.norm(flat, axis=0))
+    return np.asarray(
+        np.linalg.norm(projected_out(orthonormal(white_nuisance), white.reshape(-1, white.shape[2])), axis=0)
+    )
 
 
 def visible_part(

@@ -15,13 +15,13 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from fluxtwin.gap.hypotheses.candidates import Candidate
-from fluxtwin.gap.linear.projection import orthonormal
+from fluxtwin.gap.linear.projection import SHARE_LEFT, explained, orthonormal
 from fluxtwin.gap.selection.criterion import penalty
 from fluxtwin.gap.selection.detectable import GATE
 from fluxtwin.gap.selection.groups import alike, shares_by_name
 from fluxtwin.gap.selection.refit import Channel, Fit, refit
 from fluxtwin.gap.selection.score import Board, board, whitened
-from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.calibration import TurningStep
 from fluxtwin.sim.effects.chain import Active
@@ -281,7 +281,9 @@ def _afresh(search: Search[Any], size: int, present: Sequence[int], partners: Se
     for seed in seeds:
         drop, rank = scored.given(seed)
         inside = np.isin(scored.block, seed)
-        own = float(scored.statistic[seed[0]]) if len(seed) == 1 else _joint(scored, inside)
+        own = float(scored.statistic[seed[0]])
+        if len(seed) > 1:
+            own, _ = explained(scored.unit_gram[np.ix_(inside, inside)], scored.score[inside], SHARE_LEFT)
         whole = (own + drop) / scored.variance
         cost = -whole + penalty(int(inside.sum()) + rank, whole, search.samples)
         names = {search.found[n].name for n in seed}
@@ -293,13 +295,6 @@ def _afresh(search: Search[Any], size: int, present: Sequence[int], partners: Se
         if numbers not in distinct and not search.same_cause(numbers):
             distinct.append(numbers)
     return distinct[:2]
-
-
-def _joint(scored: Board, inside: BoolArray) -> float:
-    """Drop of chi-square by all directions that are inside."""
-    values, vectors = np.linalg.eigh(scored.unit_gram[np.ix_(inside, inside)])
-    good = values > 1e-6
-    return float(np.sum((vectors[:, good].T @ scored.score[inside]) ** 2 / values[good]))
 
 
 def _eliminated(search: Search[Any], fit: Fit, rest: Board) -> Fit:

@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from fluxtwin.gap.hypotheses.candidates import Candidate, candidate_of, derivatives
+from fluxtwin.gap.hypotheses.candidates import Candidate, candidate_of
 from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign
 from fluxtwin.gap.linear.projection import SHARE_LEFT, Whitens, least_share
 from fluxtwin.gap.noise.whitening import Whitener
@@ -194,7 +194,7 @@ class Readings:
 
     @property
     def share_left(self) -> float:
-        return least_share(self.whitener, SHARE_LEFT)
+        return least_share(self.whitener)
 
     @property
     def setting(self) -> Setting:
@@ -206,11 +206,11 @@ class Readings:
 
     def residual(self, active: Sequence[Active]) -> FloatArray:
         """(M, 3) whitened, with these effects on beside the frozen ones."""
-        return self.whitener.apply(self.problem.residual_of([*self.problem.frozen, *active]))
+        return self.whitener.apply(self.problem.residual_of(active))
 
     def jacobian(self, active: Sequence[Active]) -> FloatArray:
         """(M, 3, sum of parameters) whitened, in the order of `active`."""
-        images = derivatives(self.problem, active)
+        images = self.problem.derivatives(active)
         return self.whitener.apply(images) if images.shape[2] else images
 
     def candidate(self, effect: SignalEffect, modelled: Sequence[Active]) -> Candidate:

@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 
 from fluxtwin.gap.hypotheses.candidates import Candidate
-from fluxtwin.gap.linear.projection import SHARE_LEFT, Whitens, orthonormal
+from fluxtwin.gap.linear.projection import SHARE_LEFT, Whitens, explained, orthonormal, projected_out
 from fluxtwin.gap.records.score import Score
 from fluxtwin.sim.base.types import FloatArray
 
@@ -62,9 +63,7 @@ class Board:
         blocks, total = [], 0
         for number in range(len(self.candidates)):
             here = np.flatnonzero((self.owner == number) & (self.left > self.share_left))
-            values, vectors = (
-                np.linalg.eigh(self.gram[np.ix_(here, here)]) if here.size else (np.zeros(0), np.zeros((0, 0)))
-            )
+            values, vectors = np.linalg.eigh(self.gram[np.ix_(here, here)])
             good = values > self.share_left
             blocks.append((here, vectors[:, good] / np.sqrt(values[good])))
             total += int(good.sum())
@@ -109,11 +108,7 @@ class Board:
     @cached_property
     def saturated(self) -> tuple[float, int]:
         """Drop of chi-square by all candidates together, and their joint rank."""
-        if not self.score.size:
-            return 0.0, 0
-        values, vectors = np.linalg.eigh(self.unit_gram)
-        good = values > self.share_left
-        return float(np.sum((vectors[:, good].T @ self.score) ** 2 / values[good])), int(good.sum())
+        return explained(self.unit_gram, self.score, self.share_left)
 
     @cached_property
     def freedom(self) -> int:
@@ -133,16 +128,15 @@ class Board:
 
     def p_value(self, drop: float, rank: int) -> float:
         """Of a drop of chi-square by `rank` directions, before any price."""
-        if rank == 0:
-            return 1.0
-        return float(f_distribution.sf(max(drop, 0.0) / rank / self.variance, rank, max(self.freedom, _TRUSTED)))
+        return float(self._upper_tail(max(drop, 0.0), rank)) if rank else 1.0
 
     @cached_property
     def p_values(self) -> FloatArray:
         """(K,) of each candidate alone, before any price."""
-        rank = np.maximum(self.rank, 1)
-        p = f_distribution.sf(self.statistic / rank / self.variance, rank, max(self.freedom, _TRUSTED))
-        return np.asarray(np.where(self.rank > 0, p, 1.0))
+        return np.asarray(np.where(self.rank > 0, self._upper_tail(self.statistic, np.maximum(self.rank, 1)), 1.0))
+
+    def _upper_tail(self, drop: Any, rank: Any) -> Any:
+        return f_distribution.sf(drop / rank / self.variance, rank, max(self.freedom, _TRUSTED))
 
     def scores(self) -> list[Score]:
         """Score and information of every candidate, in the units of its parameters."""
@@ -218,11 +212,7 @@ def board(
     flat = white.reshape(-1, white.shape[2])
     lengths = np.linalg.norm(flat, axis=0)
     lengths = np.where(lengths > 0, lengths, 1.0)
-    columns = flat / lengths
-    rest = residual.reshape(-1)
-    for _ in range(2):  # twice is enough: the second pass removes the rounding of the first
-        columns = columns - basis @ (basis.T @ columns)
-        rest = rest - basis @ (basis.T @ rest)
+    columns, rest = projected_out(basis, flat / lengths), projected_out(basis, residual.reshape(-1))
     return Board(tuple(candidates), columns, lengths, owner, place, rest, basis, measured, share_left)
 
 

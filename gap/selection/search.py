@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.gap.hypotheses.candidates import derivatives
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.records.diagnosis import FoundEffect, Ranked
 from fluxtwin.gap.records.score import Score
@@ -41,12 +40,12 @@ def result_of(
     """All that later steps need of a search that ended with a fit. rest: scores beside it. The probability of a name is
     that of its group given that named effects are all there is."""
     first, base, problem = under_way.first, under_way.base, under_way.channel.problem
-    raw_nuisance = derivatives(problem, base.modelled)
+    raw_nuisance = problem.derivatives(base.modelled)
     table = groups.shares_by_name(first)
     smallest, images, hidden = detectable(first, under_way.white, raw_nuisance, base.jacobian)
     named = [_named(under_way, fit, number, rest.variance, raw_nuisance) for number in range(len(fit.chosen))]
     order = sorted(range(len(named)), key=lambda number: -_gain(under_way, fit, number))
-    residual, alone = (problem.residual_of([*problem.frozen, *each.active]) for each in (fit, base))
+    residual, alone = (problem.residual_of(each.active) for each in (fit, base))
     return SearchResult(
         named=tuple(named[number] for number in order),
         ranking=ranking(under_way),

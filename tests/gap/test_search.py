@@ -150,7 +150,8 @@ def design(kind: str) -> Design:
 
 def begun_on(problem: Problem, whitener: Whitener) -> Search[Readings]:
     channel = Readings(problem, whitener)
-    return begin(channel, candidates(problem, modelled=refit(channel).modelled)[0])
+    base = tuple(theta for _, theta in refit(channel).modelled)
+    return begin(channel, candidates(dataclasses.replace(problem, modelled_theta=base))[0])
 
 
 def search(problem: Problem, whitener: Whitener) -> SearchResult:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from fluxtwin.gap.channels.momentum_arcs import Craft
 from fluxtwin.gap.channels.sun_nadir import Channel
-from fluxtwin.gap.channels.two_magnetometers import Apart, Cause, apart
+from fluxtwin.gap.channels.two_magnetometers import Cause, apart
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.full_rate import MOST_ROWS as MOST_ROWS_FAST
 from fluxtwin.gap.detectors.full_rate import full_rate
@@ -19,12 +18,12 @@ from fluxtwin.gap.detectors.proposals import coarse, in_the_readings
 from fluxtwin.gap.detectors.random_walk import worth_of_a_walk
 from fluxtwin.gap.detectors.residual_structure import judge, residual_structure
 from fluxtwin.gap.held_out.held_out import Fitted, Prediction, floor_rms_nT, one_step, predict_blocks
-from fluxtwin.gap.hypotheses.blocks import Block, blocks
+from fluxtwin.gap.hypotheses.blocks import blocks
 from fluxtwin.gap.hypotheses.candidates import candidates
-from fluxtwin.gap.hypotheses.evidence import Dictionary, fit_all
+from fluxtwin.gap.hypotheses.evidence import BlockFit, Dictionary
 from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign
 from fluxtwin.gap.law.found import closed_by, law_of
-from fluxtwin.gap.linear.projection import projected
+from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.budget import prior_of
 from fluxtwin.gap.noise.choice import NoiseModel, choose_noise, complete_budget, whitener_of
 from fluxtwin.gap.posterior.explanations import Answer, noise_and_answer
@@ -211,7 +210,7 @@ def investigate(
         first_noise, answer = noise_and_answer(problem, dictionary, known)
     progress("residual structure, and where", 0.75)
     fast = None if whole is None else full_rate(whole, problem, answer.result.modelled, answer.result.chosen)
-    waveforms = Structured(problem, dictionary, known, lambda own: choose_noise(problem, own))
+    waveforms = Structured(problem, dictionary, known)
     answer = waveforms.with_line(waveforms.among(answer), fast)
     result = answer.result
     every = [answer.whitener, whitener_of(problem, first_noise, answer.robust.weights)]
@@ -225,20 +224,19 @@ def investigate(
     flexible = tuple(one for one in findings if one.confirmed)
     attitude_would_do_rad = _attitude_would_do(problem, answer, dictionary)
     between = apart(problem)
-    differ = None if between is None else judge(problem, between.left, fit_all(dictionary, between.left))
-    place = _place(problem, answer, dictionary, between)
+    other = None if between is None else (between.left, dictionary.fits(between.left))
     progress("how far", 0.9)
     return Work(
         problem=problem,
         answer=answer,
         flexible=flexible,
         loud=next((one.words for one in findings if one.effect == "excess_noise" and not one.confirmed), None),
-        where=place,
+        where=_place(problem, answer, dictionary, other),
         prediction=_prediction(problem, answer, flexible, declared_lsb_nT),
         momentum=balanced(problem, craft, answer.whitener, result, answer.fitted_nT),
         attitude_would_do_rad=attitude_would_do_rad,
         apart=between,
-        differ=differ,
+        differ=None if other is None else judge(problem, *other),
     )
 
 
@@ -271,7 +269,7 @@ def _attitude_would_do(problem: Problem, answer: Answer, dictionary: Dictionary)
         return None
     boundless = replace(answer.noise, theta_rad=_BOUNDLESS_RAD, tau_s=0.0)
     whitener = whitener_of(problem, boundless, answer.robust.weights)
-    if residual_structure(problem, whitener, answer.result.residual_nT, answer.fitted_nT, found=dictionary).structured:
+    if residual_structure(problem, whitener, answer.result.residual_nT, answer.fitted_nT, dictionary).structured:
         return None
     rest = problem.judged(answer.result.residual_nT)[~answer.robust.cut.any(axis=1)]
     reach = floor_rms_nT(problem.noise_field_nT, 0.0, 1.0, problem.measured)
@@ -309,15 +307,19 @@ def _require_rows(problem: Problem) -> None:
         )
 
 
-def _place(problem: Problem, answer: Answer, dictionary: Sequence[Block], between: Apart | None) -> Place:
+def _place(
+    problem: Problem,
+    answer: Answer,
+    dictionary: Dictionary,
+    other: tuple[ProjectedResidual, Sequence[BlockFit]] | None,
+) -> Place:
     """Of the whole gap where it is explained, of the rest where structure remains that is not."""
     result, whitener = answer.result, answer.whitener
-    open_ = bool(result.named) or answer.left.structured
-    other = None if between is None or not open_ else between.left
-    look = partial(where, problem, whitener, found=dictionary, apart=other)
+    other = other if result.named or answer.left.structured else None
     if result.named and answer.known < 0.5:
-        return look(result.residual_nT, answer.fitted_nT).place
-    return look(result.residual_alone_nT, answer.alone_nT, candidates=result.candidates).place
+        return where(problem, whitener, result.residual_nT, answer.fitted_nT, dictionary, apart=other)
+    gap = (result.residual_alone_nT, answer.alone_nT)
+    return where(problem, whitener, *gap, dictionary, result.candidates, other)
 
 
 def _prediction(

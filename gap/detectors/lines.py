@@ -9,7 +9,8 @@ import numpy as np
 from scipy import stats
 
 from fluxtwin.gap.detectors.finding import Finding
-from fluxtwin.gap.detectors.waveforms import Fitted, does_as_well, drivers, fitted, in_body, stands_out, varies
+from fluxtwin.gap.detectors.waveforms import Fitted, does_as_well, drivers, fitted, stands_out, varies
+from fluxtwin.gap.hypotheses.blocks import in_body
 from fluxtwin.gap.hypotheses.evidence import BlockFit
 from fluxtwin.gap.linear.projection import ProjectedResidual
 from fluxtwin.gap.selection.criterion import THRESHOLD

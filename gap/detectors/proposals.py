@@ -13,8 +13,7 @@ from fluxtwin.gap.detectors.noise_level import noise_level
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.detectors.switched_region import switched_region
 from fluxtwin.gap.detectors.two_state import heater_sequence
-from fluxtwin.gap.hypotheses.blocks import Block
-from fluxtwin.gap.hypotheses.evidence import fit_all
+from fluxtwin.gap.hypotheses.evidence import Dictionary
 from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, Whitener, complete_budget
 from fluxtwin.gap.problem.problem import Problem
@@ -36,7 +35,7 @@ def structured(
     residual_nT: FloatArray,
     fitted_nT: FloatArray,
     left: Structure,
-    dictionary: Sequence[Block],
+    dictionary: Dictionary,
     chosen: Sequence[Effect] = (),
 ) -> Finding | None:
     """The first of a line, a region in the dark and a thermostat whose waveform a residual (N, 3) has, or None.
@@ -55,7 +54,7 @@ def structured(
 
     setting = problem.setting
     rest = projected(whitener, residual_nT, fitted_nT)
-    line, fits = strongest_line(setting.seconds, rest), fit_all(dictionary, rest)
+    line, fits = strongest_line(setting.seconds, rest), dictionary.fits(rest)
     return next((one for one in proposed() if one is not None and one.confirmed), None)
 
 

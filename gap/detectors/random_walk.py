@@ -12,6 +12,7 @@ from scipy import stats
 
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.waveforms import gaussian
+from fluxtwin.gap.hypotheses.blocks import in_body
 from fluxtwin.gap.linear.projection import SHARE_LEFT, ProjectedResidual
 from fluxtwin.gap.noise.walk import RMS
 from fluxtwin.gap.selection.criterion import THRESHOLD
@@ -33,7 +34,7 @@ def random_walk(seconds: FloatArray, left: ProjectedResidual, sigma_nT: float) -
     if seconds.size < 2 * _KNOTS:
         return None
     shapes = modes_of_a_walk(seconds)
-    columns, _ = left.project(three_axes(shapes))
+    columns, _ = left.project(in_body(shapes))
     gram, moment = columns.T @ columns, columns.T @ left.residual
     _, q, _ = _modes(gram, moment)
     # The noise level is that of what no walk explains: a level that was declared wrong is no walk.
@@ -60,7 +61,7 @@ def random_walk(seconds: FloatArray, left: ProjectedResidual, sigma_nT: float) -
 
 def worth_of_a_walk(seconds: FloatArray, left: ProjectedResidual, rate: float) -> float:
     """Twice the log of the Bayes factor of a walk of that rate [nT/sqrt(s)] in a whitened residual, against none."""
-    columns, _ = left.project(three_axes(modes_of_a_walk(seconds)))
+    columns, _ = left.project(in_body(modes_of_a_walk(seconds)))
     variance = left.energy / left.degrees
     return _evidence(columns.T @ columns / variance, columns.T @ left.residual / variance, np.array([rate]))[1]
 
@@ -130,9 +131,3 @@ def modes_of_a_walk(seconds: FloatArray) -> FloatArray:
     count = int(np.clip(_MODES_A_ROOT * np.sqrt(seconds.size), _FEWEST, min(_MOST, max(seconds.size // 2, _FEWEST))))
     waves = np.pi * (np.arange(count) + 0.5)
     return np.asarray(np.sqrt(2.0 * span) * np.sin(waves * (seconds - begin)[:, None] / span) / waves)
-
-
-def three_axes(shapes: FloatArray) -> FloatArray:
-    """(N, 3, 3k): each shape in each axis, axes fastest."""
-    spread = np.eye(3)[None, :, None, :] * shapes[:, None, :, None]
-    return np.asarray(spread.reshape(shapes.shape[0], 3, -1))

@@ -12,11 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from fluxtwin.gap.detectors.lines import independent_frequencies, strongest_line
 from fluxtwin.gap.hypotheses.blocks import Block, blocks, step_block
-from fluxtwin.gap.hypotheses.evidence import BlockFit, fit, fit_all
+from fluxtwin.gap.hypotheses.evidence import BlockFit, Dictionary, fit, fit_all
 from fluxtwin.gap.linear.projection import (
     SHARE_LEFT,
     ProjectedResidual,
@@ -48,11 +47,6 @@ class Structure:
     words: str
     condition: str | None = None
     frame: str | None = None
-    label: str = ""
-    """Which variant of the condition."""
-    step_s: float | None = None
-    """Likeliest moment of a step, from the first stamp."""
-
     rank: int = 0
     log_tried: float = 0.0
 
@@ -70,8 +64,7 @@ def residual_structure(
     whitener: Whitens,
     residual_nT: FloatArray,
     fitted: FloatArray,
-    *,
-    found: Sequence[Block] | None = None,
+    found: Dictionary | None = None,
 ) -> Structure:
     """Search a residual for structure.
 
@@ -79,7 +72,7 @@ def residual_structure(
     calibration included. Both in nT; they are whitened here. found: blocks made before for this design.
     """
     left = projected(whitener, residual_nT, fitted)
-    return judge(problem, left, fit_all(blocks(problem) if found is None else found, left))
+    return judge(problem, left, fit_all(blocks(problem), left) if found is None else found.fits(left))
 
 
 def judge(
@@ -101,11 +94,8 @@ def judge(
     def clue(kind: str, gain: float, rank: int, log_tried: float, words: str, block: Block | None = None) -> Structure:
         drop = gain / unit
         value = worth(drop, rank, samples, log_tried)
-        if block is None:
-            return Structure(value, drop, kind, words, rank=rank, log_tried=log_tried)
-        return Structure(
-            value, drop, kind, words, block.condition, block.frame, block.label, rank=rank, log_tried=log_tried
-        )
+        follows, frame = (None, None) if block is None else (block.condition, block.frame)
+        return Structure(value, drop, kind, words, follows, frame, rank, log_tried)
 
     clues: list[Structure] = []
     for one in fits:
@@ -116,7 +106,7 @@ def judge(
     if line.frequency_Hz > 0:
         words = f"a line at a period of {1 / line.frequency_Hz:.0f} s"
         clues.append(clue("tone", line.explained, 6, float(np.log(independent_frequencies(seconds))), words))
-    _, step_s = step(seconds, left)
+    step_s = likeliest_step(seconds, left)
     jump = step_block(problem, step_s)
     gain, rank = fit(jump, left).explained()
     words = f"a step {step_s:.0f} s after the first sample"
@@ -130,8 +120,8 @@ def judge(
             clues.append(replace(clue("parts", gain, rank, float(np.log(len(PARTS))), words), condition="time"))
     best = max(clues, key=lambda clue: clue.worth)
     if best.worth <= THRESHOLD:
-        best = Structure(best.worth, 0.0, "none", "no structure remains")
-    return replace(best, step_s=step_s)
+        return Structure(best.worth, 0.0, "none", "nothing structured is left")
+    return best
 
 
 def parts(left: ProjectedResidual, own: FloatArray) -> list[tuple[float, int]]:
@@ -154,22 +144,16 @@ def _only(columns: FloatArray, rows: NDArray[np.intp]) -> FloatArray:
     return part.reshape(-1, columns.shape[2])
 
 
-def step(seconds: FloatArray, left: ProjectedResidual) -> tuple[float, float]:
-    """p-value of a step and its likeliest moment.
-
-    Cumulated sums of the whitened residual, one an axis, against the largest excursion of a Brownian bridge
-    (Kolmogorov's law), times three axes. The projection of the fitted columns only lowers them.
-    """
+def likeliest_step(seconds: FloatArray, left: ProjectedResidual) -> float:
+    """Likeliest moment of a step, from the first stamp: by cumulated sums of the whitened residual, one an axis."""
     series = left.residual.reshape(-1, 3)
     rows = series.shape[0]
     scale = np.sqrt(max(left.energy / left.degrees, 1e-300) * rows)
     bridge = np.cumsum(series - series.mean(axis=0), axis=0) / scale
-    p = 3 * float(stats.kstwobign.sf(np.abs(bridge).max(axis=0).max()))
     share = (np.arange(rows) + 1.0) / rows
     inside = (share > 0.02) & (share < 0.98)
     score = np.sum(bridge**2, axis=1) / np.where(inside, share * (1 - share), np.inf)
-    row = min(int(np.argmax(score)) + 1, rows - 1)
-    return min(p, 1.0), float(seconds[row])
+    return float(seconds[min(int(np.argmax(score)) + 1, rows - 1)])
 
 
 def drift(left: ProjectedResidual) -> tuple[float, float]:

@@ -16,7 +16,8 @@ from scipy.special import gammaln
 
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.lines import Line, line_columns
-from fluxtwin.gap.detectors.waveforms import Fitted, does_as_well, fitted, in_body, stands_out
+from fluxtwin.gap.detectors.waveforms import Fitted, does_as_well, fitted, stands_out
+from fluxtwin.gap.hypotheses.blocks import in_body
 from fluxtwin.gap.hypotheses.conditions import lit
 from fluxtwin.gap.hypotheses.evidence import BlockFit
 from fluxtwin.gap.linear.projection import ProjectedResidual

@@ -63,13 +63,6 @@ def fitted(left: ProjectedResidual, columns: FloatArray, further: int = 0) -> Fi
     return Fitted(size, variance * inverse, gain / variance, rank, variance, left.degrees / 3.0)
 
 
-def in_body(course: FloatArray) -> FloatArray:
-    """(N, 3, 3m) fields in body axes that follow courses (N,) or (N, m): axes first."""
-    courses = course.reshape(course.shape[0], -1)
-    spread = np.eye(3)[None, :, None, :] * courses[:, None, :, None]
-    return np.asarray(spread.reshape(course.shape[0], 3, -1))
-
-
 def stands_out(left: ProjectedResidual, columns: FloatArray, others: FloatArray, log_tried: float = 0.0) -> bool:
     """Whether others (N, 3, m) explain more, given the columns (N, 3, k), than noise and the error of their shape."""
     few, many = fitted(left, columns), fitted(left, np.concatenate([columns, others], axis=2))

@@ -103,7 +103,7 @@ class Carrier:
         terms = [x * x, y * y, z * z, x * y, x * z, y * z]
         if power == 3:
             terms = [x**3, y**3, z**3, x * x * y, x * x * z, y * y * x, y * y * z, z * z * x, z * z * y, x * y * z]
-        return _spread(np.broadcast_to(np.eye(3), (self.rows, 3, 3)), np.stack(terms, axis=1))
+        return in_body(np.stack(terms, axis=1))
 
     def own_slope(self) -> FloatArray:
         """(N, 3, 3) the sign of each component's own slope, in its own axis: what hysteresis follows."""
@@ -117,20 +117,15 @@ class Carrier:
 
     def induced(self) -> FloatArray:
         """(N, 3, 9) the slope of each component of the field in each axis: what eddy currents follow."""
-        return _spread(np.broadcast_to(np.eye(3), (self.rows, 3, 3)), self.delayed_nT_s)
+        return in_body(self.delayed_nT_s)
 
 
-def blocks(
-    problem: Problem, *, step_s: float | None = None, perturbed: PerturbedDesign | None = None
-) -> tuple[Block, ...]:
-    """All blocks of this design. step_s: a moment (from the first stamp) after which something may have changed;
-    perturbed: the design with one more attitude error, if at hand."""
+def blocks(problem: Problem, perturbed: PerturbedDesign | None = None) -> tuple[Block, ...]:
+    """All blocks of this design. perturbed: the design with one more attitude error, if at hand."""
     carrier = Carrier(problem)
     setting = problem.design.setting
     found = steady(perturbed or PerturbedDesign(problem), conditions(setting))
     patches = list(regions(setting))
-    if step_s is not None:
-        found.append(after(setting, step_s))
     constant = always(setting)
     return (
         *_additive(carrier, found, patches, constant),
@@ -144,15 +139,7 @@ def blocks(
 def step_block(problem: Problem, step_s: float) -> Block:
     """A field in body axes that sets in at a moment, in seconds from the first stamp."""
     c = after(problem.setting, step_s)
-    columns = c.columns
-    return Block(
-        _BODY_STAGES["after_time"],
-        c.name,
-        "body",
-        c.label,
-        "xyz",
-        lambda: _spread(np.broadcast_to(np.eye(3), (columns.shape[0], 3, 3)), columns),
-    )
+    return Block(_BODY_STAGES["after_time"], c.name, "body", c.label, "xyz", partial(in_body, c.columns))
 
 
 _BODY_STAGES: Mapping[str | None, Mapping[str, float]] = {
@@ -192,15 +179,11 @@ def _rotations(carrier: Carrier, found: list[Condition]) -> Iterator[Block]:
 
 def _sensor(carrier: Carrier, found: list[Condition]) -> Iterator[Block]:
     for c in found:
-        if (
-            c.name in ("temperature", "time", "after_time", "sunlit", "orbit_phase", "eclipse")
-            and c.columns.shape[1] <= 4
-        ):
+        if c.name in ("temperature", "time", "sunlit", "orbit_phase", "eclipse") and c.columns.shape[1] <= 4:
             yield _block(lambda c, _: carrier.gain(c), c, "body", {"sensor": 1.0})
     only: Mapping[str, float] = {"sensor": 1.0}
-    for power in (2, 3):
-        terms = 6 if power == 2 else 10
-        label = "products of two components" if power == 2 else "products of three components"
+    for power, terms, count in ((2, 6, "two"), (3, 10, "three")):
+        label = f"products of {count} components"
         yield Block(only, "field_strength", "body", label, "xyz" * terms, partial(carrier.products, power))
     yield Block({"sensor": 0.8, "spacecraft": 0.2}, "field_strength", "body", "own slope", "xyz", carrier.own_slope)
     yield Block(only, "field_strength", "body", "beyond a level", "xyz", carrier.excess)
@@ -208,10 +191,9 @@ def _sensor(carrier: Carrier, found: list[Condition]) -> Iterator[Block]:
 
 
 def _orbit_and_time(carrier: Carrier, found: list[Condition], constant: Condition) -> Iterator[Block]:
-    smooth = [c for c in found if c.name in ("orbit_phase", "time", "sunlit", "after_time") and c.columns.shape[1] <= 4]
+    smooth = [c for c in found if c.name in ("orbit_phase", "time", "sunlit") and c.columns.shape[1] <= 4]
     for c in [constant, *smooth]:
-        axes = "   "
-        yield _block(lambda c, _: carrier.moved(c), c, "orbital", {"orbit": 1.0}, axes=axes)
+        yield _block(lambda c, _: carrier.moved(c), c, "orbital", {"orbit": 1.0}, axes=" ")
         stages = {"time": 0.9, "sensor": 0.1} if c is constant else {"time": 1.0}
         yield Block(stages, c.name, None, f"time, {c.label}", " " * c.columns.shape[1], partial(carrier.late, c))
 
@@ -219,14 +201,8 @@ def _orbit_and_time(carrier: Carrier, found: list[Condition], constant: Conditio
 def _field(carrier: Carrier) -> Iterator[Block]:
     for degree in _FIELD_DEGREES[: 2 if carrier.rows > _LONG else None]:
         terms = degree * (degree + 2)
-        yield Block(
-            {"field": 1.0},
-            None,
-            "earth",
-            f"field to degree {degree}",
-            " " * terms,
-            partial(carrier.potential, degree),
-        )
+        label, made = f"field to degree {degree}", partial(carrier.potential, degree)
+        yield Block({"field": 1.0}, None, "earth", label, " " * terms, made)
 
 
 def _block(
@@ -242,7 +218,12 @@ def _block(
     return Block(stages, c.name, named or frame, c.label, pattern, lambda: make(c, frame), prior)
 
 
+def in_body(courses: FloatArray) -> FloatArray:
+    """(N, 3, 3m) fields in body axes that follow courses (N,) or (N, m): axes run fastest."""
+    return _spread(np.eye(3)[None], courses.reshape(len(courses), -1))
+
+
 def _spread(vectors: FloatArray, columns: FloatArray) -> FloatArray:
     """(N, 3, 3k): each of the vectors (N, 3, m) times each of the columns (N, k); the vectors run fastest."""
     spread = vectors[:, :, None, :] * columns[:, None, :, None]
-    return np.asarray(spread.reshape(vectors.shape[0], 3, -1))
+    return np.asarray(spread.reshape(len(columns), 3, -1))

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import overload
 
 import numpy as np
 
@@ -61,10 +60,10 @@ def fit(block: Block, left: ProjectedResidual) -> BlockFit:
 
 def fit_all(found: Sequence[Block], left: ProjectedResidual) -> list[BlockFit]:
     """`fit` for each."""
-    return found.fits(left) if isinstance(found, Dictionary) else [fit(block, left) for block in found]
+    return [fit(block, left) for block in found]
 
 
-class Dictionary(Sequence[Block]):
+class Dictionary:
     """The blocks of a design side by side, whitened once for each noise model.
 
     Blocks are only compared through their own small Gram matrices, so what a residual's basis takes from all of them
@@ -78,16 +77,6 @@ class Dictionary(Sequence[Block]):
         self.width = int(ends[-1]) if self.found else 0
         self.small = 24 * rows * self.width <= _MOST_BYTES
         self._latest: tuple[Whitens, FloatArray, list[FloatArray]] | None = None
-
-    def __len__(self) -> int:
-        return len(self.found)
-
-    @overload
-    def __getitem__(self, index: int) -> Block: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Block]: ...
-    def __getitem__(self, index: int | slice) -> Block | Sequence[Block]:
-        return self.found[index]
 
     @cached_property
     def columns(self) -> FloatArray:
@@ -118,13 +107,11 @@ class Dictionary(Sequence[Block]):
     def fits(self, left: ProjectedResidual) -> list[BlockFit]:
         """`fit` for each block."""
         if not self.small or not self.found:
-            return [fit(block, left) for block in self.found]
+            return fit_all(self.found, left)
         _, grams = self.white(left.whitener)
         along = self.products(left, np.concatenate([left.basis, left.residual[:, None]], axis=1))
-        return [_fit_of(*each, left) for each in zip(self.found, grams, along, strict=True)]
-
-
-def _fit_of(block: Block, gram: FloatArray, along: FloatArray, left: ProjectedResidual) -> BlockFit:
-    """A fit from a block's whitened Gram matrix (k, k) and its products (k, q + 1) with basis and residual."""
-    free = gram - along[:, :-1] @ along[:, :-1].T
-    return BlockFit(block, free, along[:, -1], np.diag(gram), left.least_share)
+        fits = []
+        for block, gram, products in zip(self.found, grams, along, strict=True):
+            free = gram - products[:, :-1] @ products[:, :-1].T
+            fits.append(BlockFit(block, free, products[:, -1], np.diag(gram), left.least_share))
+        return fits

@@ -17,9 +17,8 @@ from scipy.special import softmax
 
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.residual_structure import Structure, judge
-from fluxtwin.gap.hypotheses.blocks import Block
 from fluxtwin.gap.hypotheses.candidates import Candidate
-from fluxtwin.gap.hypotheses.evidence import fit_all
+from fluxtwin.gap.hypotheses.evidence import Dictionary
 from fluxtwin.gap.linear.projection import projected, projected_white
 from fluxtwin.gap.noise.budget import prior_of
 from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, Whitener, choose_noise, complete_budget, whitener_of
@@ -89,7 +88,7 @@ def answered_with(
     problem: Problem,
     robust: RobustRows,
     whitener: Whitener,
-    dictionary: Sequence[Block],
+    dictionary: Dictionary,
     known: Known,
     shapes: tuple[Finding, ...] = (),
 ) -> Answer:
@@ -108,7 +107,7 @@ def _concluded(
     problem: Problem,
     robust: RobustRows,
     searched: _Searched,
-    dictionary: Sequence[Block],
+    dictionary: Dictionary,
     shapes: tuple[Finding, ...],
     others: Sequence[NoiseModel],
 ) -> Answer:
@@ -205,7 +204,7 @@ def log_likelihood(
     return 2.0 * density - whitener.log_det - projected(whitener, residual_nT, columns).energy
 
 
-def noise_and_answer(problem: Problem, dictionary: Sequence[Block], known: Known) -> tuple[NoiseModel, Answer]:
+def noise_and_answer(problem: Problem, dictionary: Dictionary, known: Known) -> tuple[NoiseModel, Answer]:
     """The noise beside what is modelled, the answer under it; then the noise beside the named effects too, and the answer
     under that, in turn until the names stay. Also the first of these noise models.
 
@@ -237,7 +236,7 @@ def signals_of(shapes: Sequence[Finding]) -> list[Active]:
     return found
 
 
-def structure_left(under_way: Search[Readings], fit: Fit, dictionary: Sequence[Block]) -> Structure:
+def structure_left(under_way: Search[Readings], fit: Fit, dictionary: Dictionary) -> Structure:
     """The structure that a fit leaves, beyond the image at nothing of its effects.
 
     The image of a large effect at its size and that at nothing differ by what its size changes and by errors of the
@@ -250,7 +249,7 @@ def structure_left(under_way: Search[Readings], fit: Fit, dictionary: Sequence[B
     images = np.concatenate([fit.jacobian, at_nothing], axis=2)
     rest = projected_white(under_way.channel.whitener, fit.residual, images)
     own = fit.jacobian[:, :, fit.jacobian.shape[2] - sum(len(theta) for _, theta in fit.chosen) :]
-    return judge(under_way.channel.problem, rest, fit_all(dictionary, rest), own, 1.0)
+    return judge(under_way.channel.problem, rest, dictionary.fits(rest), own, 1.0)
 
 
 def _beside(problem: Problem, signals: Sequence[Active]) -> Problem:

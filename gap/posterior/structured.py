@@ -8,7 +8,7 @@ against "those effects", by the one criterion.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,9 +20,9 @@ from fluxtwin.gap.detectors.full_rate import FullRate
 from fluxtwin.gap.detectors.lines import line_near, wheel_line
 from fluxtwin.gap.detectors.random_walk import random_walk
 from fluxtwin.gap.detectors.residual_structure import Structure, residual_structure
-from fluxtwin.gap.hypotheses.blocks import Block
+from fluxtwin.gap.hypotheses.evidence import Dictionary
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
-from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, choose_noise, whitener_of
+from fluxtwin.gap.noise.choice import NoiseModel, choose_noise, whitener_of
 from fluxtwin.gap.noise.walk import Wander
 from fluxtwin.gap.posterior.explanations import Answer, Known, answered_with, log_likelihood, signals_of
 from fluxtwin.gap.problem.problem import Problem
@@ -43,10 +43,8 @@ class Structured:
     """Looks for such causes on one design."""
 
     problem: Problem
-    dictionary: Sequence[Block]
+    dictionary: Dictionary
     known: Known
-    choose: Callable[[FloatArray], tuple[NoiseModel, RobustRows]]
-    """The noise with these columns (N, 3, P) in the signal: a line was noise to the first choice."""
 
     def among(self, answer: Answer) -> Answer:
         """The answer with the waveforms that are in the data, effects sought afresh given them."""
@@ -76,7 +74,7 @@ class Structured:
         residual, fitted, left = result.residual_nT, answer.fitted_nT, answer.left
         if bare:
             residual, fitted = result.residual_alone_nT, self._alone(answer)
-            left = residual_structure(self.problem, whitener, residual, fitted, found=self.dictionary)
+            left = residual_structure(self.problem, whitener, residual, fitted, self.dictionary)
         chosen = [] if bare else [effect for effect, _ in result.chosen]
         return proposals.structured(self.problem, whitener, residual, fitted, left, self.dictionary, chosen)
 
@@ -89,7 +87,8 @@ class Structured:
     def given(self, answer: Answer, finding: Finding) -> Answer:
         """Effects sought afresh given one more signal."""
         shapes = (*answer.shapes, finding)
-        noise, robust = self.choose(self.problem.derivatives(signals_of(shapes)))
+        # A line was noise to the first choice.
+        noise, robust = choose_noise(self.problem, self.problem.derivatives(signals_of(shapes)))
         whitener = whitener_of(self.problem, noise, robust.weights)
         for one in shapes:
             if one.effect == _WALK:
@@ -194,7 +193,7 @@ class Structured:
         if answer.left.structured:
             return answer
         words = f"a line at a period of {1 / fast.line.frequency_Hz:.3g} s, in the full rate"
-        found = Structure(fast.line.worth, fast.line.explained, "tone", words, label="tone")
+        found = Structure(fast.line.worth, fast.line.explained, "tone", words)
         return replace(answer, left=found, known=0.0)
 
 

@@ -10,18 +10,18 @@ images, and there the shape error of the right one has a variance of `_SHAPE_ERR
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
-from typing import Any, Protocol
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.special import expit, softmax
 
 from fluxtwin.gap.channels.two_magnetometers import OWN_STAGES
-from fluxtwin.gap.detectors.residual_structure import step
-from fluxtwin.gap.hypotheses.blocks import STAGES, Block, blocks, step_block
-from fluxtwin.gap.hypotheses.evidence import BlockFit, fit, fit_all
+from fluxtwin.gap.detectors.residual_structure import likeliest_step
+from fluxtwin.gap.hypotheses.blocks import STAGES, Block, step_block
+from fluxtwin.gap.hypotheses.candidates import Candidate
+from fluxtwin.gap.hypotheses.evidence import BlockFit, Dictionary, fit, fit_all
 from fluxtwin.gap.linear.projection import ProjectedResidual, Whitens, projected, share_mimicked
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.records.diagnosis import Place
@@ -29,7 +29,6 @@ from fluxtwin.gap.selection.criterion import THRESHOLD, penalty
 from fluxtwin.gap.selection.groups import ALIKE
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import STAGES as ALL_STAGES
-from fluxtwin.sim.effects.base import Effect
 
 _SHAPE_ERROR = 0.25
 """Of the amplitude of what no effect of the catalogue explains: for a block is a cruder likeness of it than an effect is of
@@ -39,43 +38,6 @@ _NOTHING = "none"
 _QUESTIONS = ("stage", "axis", "frame", "condition")
 
 
-class HasJacobian(Protocol):
-    """An effect with its Jacobian on this design."""
-
-    @property
-    def effect(self) -> Effect: ...
-
-    @property
-    def jacobian(self) -> FloatArray:
-        """(N, 3, p)"""
-
-
-@dataclass(frozen=True)
-class Where:
-    """The answer; a value is None where nothing can be said."""
-
-    stage: str | None
-    axis: str | None
-    frame: str | None
-    condition: str | None
-    equivalent: tuple[str, ...]
-    """Stages whose images on this design are those of `stage`, not counting itself."""
-    probabilities: dict[str, dict[str, float]] = field(default_factory=dict)
-    worth: float = 0.0
-    """Of the best hypothesis against nothing."""
-    label: str = ""
-    """The best hypothesis in words."""
-
-    @property
-    def place(self) -> Place:
-        """As the diagnosis records it."""
-        return Place(self.stage, self.axis, self.frame, self.condition, self.equivalent, self.probabilities)
-
-    def to_dict(self) -> dict[str, Any]:
-        """As the contract has it."""
-        return self.place.to_dict()
-
-
 @dataclass(frozen=True)
 class _Hypothesis:
     fit: BlockFit
@@ -83,15 +45,6 @@ class _Hypothesis:
     seen: tuple[BlockFit, ...]
     """In each channel, for residuals of unit variance."""
     prior: float
-
-    @cached_property
-    def drop(self) -> float:
-        """Of chi-square."""
-        return self.explained()[0]
-
-    @cached_property
-    def rank(self) -> int:
-        return self.explained()[1]
 
     def explained(self, columns: BoolArray | None = None) -> tuple[float, int]:
         """In all channels together."""
@@ -104,48 +57,42 @@ def where(
     whitener: Whitens,
     residual_nT: FloatArray,
     fitted: FloatArray,
-    *,
-    found: Sequence[Block] | None = None,
-    candidates: Iterable[HasJacobian] = (),
-    apart: ProjectedResidual | None = None,
-) -> Where:
+    found: Dictionary,
+    candidates: Sequence[Candidate] = (),
+    apart: tuple[ProjectedResidual, Sequence[BlockFit]] | None = None,
+) -> Place:
     """Find the place of the largest part of a residual.
 
     residual_nT (N, 3), fitted (N, 3, q): as for `residual_structure`, with only the calibration fitted if the place of
-    the whole gap is asked for. found: blocks made before. candidates: catalogue effects, which join as hypotheses. apart:
-    the difference of two magnetometers, if there are two.
+    the whole gap is asked for. candidates: catalogue effects, which join as hypotheses. apart: the difference of two
+    magnetometers, if there are two, and the fits of the blocks found to it.
     """
     left = projected(whitener, residual_nT, fitted)
     own = catalogue_blocks(problem, candidates)
-    found = blocks(problem) if found is None else found
     steps = step_fits(problem, left)
-    fits = [*fit_all(found, left), *fit_all(own, left), *steps]
+    fits = [*found.fits(left), *fit_all(own, left), *steps]
     if apart is None:
         return locate(left, fits)
-    others = [
-        *fit_all(found, apart),
-        *fit_all(own, apart),
-        *(replace(fit(one.block, apart), searched=1) for one in steps),
-    ]
-    return locate(left, fits, (apart, others))
+    its_left, its_fits = apart
+    steps = [replace(fit(one.block, its_left), searched=1) for one in steps]
+    return locate(left, fits, (its_left, [*its_fits, *fit_all(own, its_left), *steps]))
 
 
 def step_fits(problem: Problem, left: ProjectedResidual) -> list[BlockFit]:
     """The block of a step at its likeliest moment, a parameter too."""
-    _, moment_s = step(problem.setting.seconds, left)
-    return [replace(fit(step_block(problem, moment_s), left), searched=1)]
+    return [replace(fit(step_block(problem, likeliest_step(problem.setting.seconds, left)), left), searched=1)]
 
 
 def locate(
     left: ProjectedResidual,
     fits: Sequence[BlockFit],
     apart: tuple[ProjectedResidual, Sequence[BlockFit]] | None = None,
-) -> Where:
+) -> Place:
     """As `where`, from fits that are at hand; apart: the difference of two magnetometers, and fits of the same blocks."""
     hypotheses = _hypotheses(left, fits, apart)
     if not hypotheses:
-        return Where(None, None, None, None, (), {name: {_NOTHING: 1.0} for name in _QUESTIONS}, 0.0, "no claim")
-    drops, ranks = (np.array([getattr(h, name) for h in hypotheses], dtype=np.float64) for name in ("drop", "rank"))
+        return Place(None, None, None, None, (), {name: {_NOTHING: 1.0} for name in _QUESTIONS})
+    drops, ranks = np.array([h.explained() for h in hypotheses], dtype=np.float64).T
     priors, samples = np.log([h.prior for h in hypotheses]), left.degrees / 3.0
     worths = drops - penalty(ranks, drops, samples)
     best = int(np.argmax(worths + 2.0 * priors))
@@ -155,7 +102,7 @@ def locate(
     every = _answers(hypotheses, weight, wider, samples)
     probabilities = {**every, "stage": {**dict.fromkeys(ALL_STAGES, 0.0), **every["stage"]}}
     if claim < THRESHOLD:
-        return Where(None, None, None, None, (), probabilities, claim, "no claim")
+        return Place(None, None, None, None, (), probabilities)
     at = max((key for key in probabilities["stage"] if key != _NOTHING), key=lambda key: probabilities["stage"][key])
     # The rest of the answer is of that stage: the likeliest of each on its own need not belong together.
     there = np.array([h.stage == at for h in hypotheses])
@@ -164,16 +111,12 @@ def locate(
     own = hypotheses[int(np.argmax(np.where(there, weight, -1.0)))].fit
     same = _equivalent(left, at, own, fits)
     if apart is not None:  # the difference, too, must allow them
-        most = {
-            stage: max(w for w, h in zip(worths, hypotheses, strict=True) if h.stage == stage)
-            for stage in {h.stage for h in hypotheses}
-        }
-        same = tuple(
-            name
-            for name in same
-            if (name in OWN_STAGES) == (at in OWN_STAGES) and most[at] - most[name] <= THRESHOLD * wider
-        )
-    return Where(at, axis, frame, condition, same, probabilities, claim, own.block.label)
+        most: dict[str, float] = {}
+        for one, value in zip(hypotheses, worths.tolist(), strict=True):
+            most[one.stage] = max(most.get(one.stage, -np.inf), value)
+        allowed = [name for name in same if most[at] - most[name] <= THRESHOLD * wider]
+        same = tuple(name for name in allowed if (name in OWN_STAGES) == (at in OWN_STAGES))
+    return Place(at, axis, frame, condition, same, probabilities)
 
 
 def _answers(
@@ -193,26 +136,16 @@ def _likeliest(values: dict[str, float]) -> str | None:
     return None if best == _NOTHING else best
 
 
-def catalogue_blocks(problem: Problem, candidates: Iterable[HasJacobian]) -> list[Block]:
+def catalogue_blocks(problem: Problem, candidates: Sequence[Candidate]) -> list[Block]:
     """Catalogue effects as blocks: stage from the effect, frame and condition too."""
     found = []
-    for candidate in candidates:
-        effect = candidate.effect
-        condition = effect.condition_on(problem.setting)
-        stages = {candidate.effect.stage: 1.0}
-        if candidate.effect.stage not in STAGES:
-            continue
-        axes = "".join(_axis_of(p.name) for p in candidate.effect.parameters)
-        width = candidate.jacobian.shape[2]
-        axes = axes if len(axes) == width else " " * width
-        jacobian = candidate.jacobian
-        label = candidate.effect.name.replace("_", " ")
-        found.append(Block(stages, condition, effect.frame, label, axes, partial(np.asarray, jacobian)))
+    for one in candidates:
+        effect, condition = one.effect, one.effect.condition_on(problem.setting)
+        axes = "".join(p.name[-1] if p.name[-2:] in ("_x", "_y", "_z") else " " for p in effect.parameters)
+        label, image = one.name.replace("_", " "), partial(np.asarray, one.jacobian)
+        if effect.stage in STAGES:
+            found.append(Block({effect.stage: 1.0}, condition, effect.frame, label, axes, image))
     return found
-
-
-def _axis_of(name: str) -> str:
-    return name[-1] if len(name) > 1 and name[-2] == "_" and name[-1] in "xyz" else " "
 
 
 def _hypotheses(
@@ -264,7 +197,7 @@ def _axes(hypotheses: Sequence[_Hypothesis], weight: FloatArray, wider: float, s
     keys: list[str | None] = []
     values: list[float] = []
     for one, whole in zip(hypotheses, weight, strict=True):
-        axes, letters = {"all": (one.drop, one.rank)}, np.array(list(one.fit.block.axes))
+        axes, letters = {"all": one.explained()}, np.array(list(one.fit.block.axes))
         present = [letter for letter in "xyz" if (letters == letter).any()]
         if np.isin(letters, list("xyz")).all():
             if len(present) == 1:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
+from fluxtwin.gap.hypotheses.blocks import in_body
 from fluxtwin.gap.linear.projection import Whitens, orthonormal
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.sim.base.types import FloatArray, TimeArray
@@ -31,8 +32,7 @@ def likeliest_interval(
         return None
     at = np.linspace(0, rows, _EDGES + 1).astype(int)[1:-1]
     steps = (np.arange(rows)[:, None] >= at[None, :]).astype(np.float64)
-    columns = (np.eye(3)[None, :, None, :] * steps[:, None, :, None]).reshape(rows, 3, -1)
-    white = whitener.apply(columns).reshape(residual.size, -1)
+    white = whitener.apply(in_body(steps)).reshape(residual.size, -1)
     basis = orthonormal(nuisance)
     white = white - basis @ (basis.T @ white)
     gram = (white.T @ white).reshape(at.size, 3, at.size, 3)

@@ -19,9 +19,10 @@ from fluxtwin.gap.hypotheses.blocks import Block, blocks
 from fluxtwin.gap.hypotheses.evidence import Dictionary, fit_all
 from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
-from fluxtwin.gap.posterior.where import Where, locate, step_fits
+from fluxtwin.gap.posterior.where import locate, step_fits
 from fluxtwin.gap.problem.problem import Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
+from fluxtwin.gap.records.diagnosis import Place
 from fluxtwin.sim.attitude.gauss_markov import gauss_markov
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import field_N_nT
@@ -64,7 +65,7 @@ class Design:
         noise = self.noise_nT(np.random.default_rng(0))
         return signal * (visible * np.sqrt(np.mean(noise**2) / np.mean(rest**2)))
 
-    def answer(self, residual_nT: np.ndarray) -> tuple[Structure, Where]:
+    def answer(self, residual_nT: np.ndarray) -> tuple[Structure, Place]:
         left = projected(self.whitener, residual_nT, self.calibration)
         fits = fit_all(self.found, left)
         return judge(self.problem, left, fits), locate(left, [*fits, *step_fits(self.problem, left)])

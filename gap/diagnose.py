@@ -161,12 +161,10 @@ def _denied(work: Work) -> dict[str, str]:
     problem, result = work.problem, work.answer.result
     gone: dict[str, str] = {}
     for one in work.flexible:
-        rate = one.parameters.get("rate", (0.0,))[0]
-        if (
-            one.effect == "bias_random_walk"
-            and -worth_of_a_walk(problem.setting.seconds, work.apart.left, rate) > THRESHOLD
-        ):
-            gone[one.effect] = words.DENIED_SENSOR
+        if one.name == "bias_random_walk":
+            worth = worth_of_a_walk(problem.setting.seconds, work.apart.left, float(one.theta[0]))
+            if -worth > THRESHOLD:
+                gone[one.name] = words.DENIED_SENSOR
     if not work.in_readings:
         return gone
     every = [*result.modelled, *result.chosen]
@@ -194,7 +192,7 @@ def investigate(
     progress("every effect on this design", 0.05)
     coarser, declared_lsb_nT = coarse(problem), problem.budget.lsb_nT
     if coarser is not None:
-        wider = replace(problem.budget, lsb_nT=coarser.parameters["lsb"][0])
+        wider = replace(problem.budget, lsb_nT=float(coarser.theta[0]))
         problem = replace(problem, budget=wider)
     problem = _about_the_whitened_fit(problem)
     perturbed = PerturbedDesign(problem)
@@ -230,7 +228,7 @@ def investigate(
         problem=problem,
         answer=answer,
         flexible=flexible,
-        loud=next((one.words for one in findings if one.effect == "excess_noise" and not one.confirmed), None),
+        loud=next((one.words for one in findings if one.name == "excess_noise" and not one.confirmed), None),
         where=_place(problem, answer, dictionary, other),
         prediction=_prediction(problem, answer, flexible, declared_lsb_nT),
         momentum=balanced(problem, craft, answer.whitener, result, answer.fitted_nT),
@@ -341,9 +339,9 @@ def _prediction(
     of = "blocks"
     if 2 * counted.sum() < kept.sum():
         before, after, counted, of = fits[0].residual_nT, fits[1].residual_nT, kept, "fit"
-    walk = next((one for one in flexible if one.effect == "bias_random_walk"), None)
+    walk = next((one for one in flexible if one.name == "bias_random_walk"), None)
     if walk is not None:
-        of, rate = "one_step", walk.parameters["rate"][0]
+        of, rate = "one_step", float(walk.theta[0])
         after, unsure_nT = one_step(fits[1].residual_nT, seconds, kept, rate, with_effects_nT, axes)
         with_effects_nT = float(np.hypot(with_effects_nT, unsure_nT))
     log_sd = _floor_log_sd(problem, noise, min((white_nT / with_effects_nT) ** 2, 1.0))

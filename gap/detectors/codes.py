@@ -48,8 +48,8 @@ def coarse_steps(reading_nT: FloatArray, declared_lsb_nT: float | None) -> Findi
     error = float(np.sqrt(np.mean(off**2) / np.sum((values / step) ** 2)))
     log_p = float(stats.binom.logsf(round(share * values.size) - 1, values.size, 2.0 * _OFF))
     what = f"{100 * share:.1f} % of the readings are multiples of {step:.6g} nT, the declared LSB is {declared_lsb_nT:g} nT"
-    parameters = {"lsb": (step, max(error, 1e-6 * step), "nT")}
-    return Finding("coarse_quantization", parameters, -2.0 * log_p, what, instance=CoarseQuantization())
+    sigma = np.array([max(error, 1e-6 * step)])
+    return Finding(CoarseQuantization(), np.array([step]), sigma, -2.0 * log_p, what)
 
 
 def _on_grid(values: FloatArray, step: float) -> BoolArray:
@@ -97,8 +97,8 @@ def stuck_bit(reading_nT: FloatArray, predicted_nT: FloatArray, lsb_nT: float, s
     alone = not any(other[1] == bit and other[2] != letter and other[3] == value for other in found)
     what = f"bit {bit} of {f'axis {letter}' if alone else 'several axes'} is always {value}"
     which = cast(Literal["x", "y", "z", "all"], letter if alone else "all")
-    instance = BitErrors(bit, "stuck_1" if value else "stuck_0", lsb_nT, which)
-    return Finding("bit_errors", {"rate": (1.0, 0.0, "1")}, -2.0 * log_p, what, instance=instance)
+    effect = BitErrors(bit, "stuck_1" if value else "stuck_0", lsb_nT, which)
+    return Finding(effect, np.ones(1), np.zeros(1), -2.0 * log_p, what)
 
 
 def flipped_bits(reading_nT: FloatArray, residual_nT: FloatArray, cut: BoolArray, lsb_nT: float) -> Finding | None:
@@ -134,8 +134,7 @@ def flipped_bits(reading_nT: FloatArray, residual_nT: FloatArray, cut: BoolArray
     single = shares[dominant] >= _MOST_SPIKES * count
     total = int(np.isfinite(residual_nT).sum())
     visible = 1.0 if single else max(int(np.count_nonzero(shares)), 1) / (top + 2)
-    rate, error = count / total / visible, float(np.sqrt(count)) / total / visible
-    what = f"{count} spikes, {100 * fitting:.0f} % of them a single flipped bit"
+    rate, error = (np.array([size / total / visible]) for size in (count, np.sqrt(count)))
+    what = f"{count} spikes, {100 * fitting:.0f} % of them a single bit of the code turned round"
     faults = () if fitting >= _MOST_SPIKES else ("the others are not",)
-    instance = BitErrors(dominant if single else None, "flip", lsb_nT)
-    return Finding("bit_errors", {"rate": (rate, error, "1")}, 2.0 * log_bayes, what, faults, instance)
+    return Finding(BitErrors(dominant if single else None, "flip", lsb_nT), rate, error, 2.0 * log_bayes, what, faults)

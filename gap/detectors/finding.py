@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from fluxtwin.gap.selection.criterion import MOST_SURE, THRESHOLD
-from fluxtwin.sim.effects.base import Effect
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.effects.base import Effect, SignalEffect
 
 _SEARCHED = ("wheel_field", "heater_switching", "bias_random_walk", "switched_field")
 _MOST_SEARCHED = 0.9
@@ -15,20 +16,29 @@ _MOST_SEARCHED = 0.9
 records such names are too rare for a calibration of their own."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Finding:
     """An effect that a detector found, its worth, and what in the data the effect would not make."""
 
-    effect: str
-    parameters: dict[str, tuple[float, float, str]] = field(default_factory=dict)
-    """Value, sigma and unit by name."""
+    effect: Effect
+    """With its discrete settings."""
+    theta: FloatArray
+    """(p,) its parameters."""
+    sigma: FloatArray
     worth: float = 0.0
     """Twice the log of the Bayes factor against nothing, by the criterion."""
     what: str = ""
     """What was found, in words."""
     faults: tuple[str, ...] = ()
-    instance: Effect | None = None
-    """The effect with its discrete settings, ready for a scenario."""
+
+    @property
+    def name(self) -> str:
+        return self.effect.name
+
+    @property
+    def is_signal(self) -> bool:
+        """Whether it has a course that a fit can have; else it is known by its distribution."""
+        return isinstance(self.effect, SignalEffect)
 
     @property
     def confirmed(self) -> bool:
@@ -47,4 +57,4 @@ class Finding:
     @property
     def probability(self) -> float:
         """That this effect is present: 1 - p, within 0.5 and the most that is stated of such a name."""
-        return float(np.clip(1.0 - self.p_value, 0.5, _MOST_SEARCHED if self.effect in _SEARCHED else MOST_SURE))
+        return float(np.clip(1.0 - self.p_value, 0.5, _MOST_SEARCHED if self.name in _SEARCHED else MOST_SURE))

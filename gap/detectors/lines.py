@@ -128,9 +128,8 @@ def wheel_line(
         faults.append("it is linearly polarised")
     faults += varies(left, columns, drivers(setting))
     what = f"a line at {line.frequency_Hz:.6g} Hz" + ("" if faults else ", steady, elliptical")
-    parameters = found.parameters([f"{part}_{axis}" for part in ("cos", "sin") for axis in "xyz"])
-    instance = WheelField(frequency_Hz=float(line.frequency_Hz))
-    return Finding("wheel_field", parameters, line.worth, what, tuple(faults), instance)
+    effect = WheelField(frequency_Hz=float(line.frequency_Hz))
+    return Finding(effect, found.size, found.sigma, line.worth, what, tuple(faults))
 
 
 def _linear(found: Fitted) -> bool:

@@ -50,10 +50,10 @@ def noise_level(
     faults = ["structure remains"] if structured else []
     if not gaussian(values):
         faults.append("it is not Gaussian")
-    instance = ExcessNoise(("x", "y", "z")[int(np.argmax(noisy))]) if alone else ExcessNoise()
-    where = f" on axis {instance.axis}" if alone else ""
-    what = f"white noise is {level_nT:.4g} nT{where}, where {declared_nT:.4g} nT were expected"
-    return Finding("excess_noise", {"rms": (rms, sigma, "nT")}, value, what, tuple(faults), instance)
+    effect = ExcessNoise(("x", "y", "z")[int(np.argmax(noisy))]) if alone else ExcessNoise()
+    where = f" on axis {effect.axis}" if alone else ""
+    what = f"white noise is {level_nT:.4g} nT{where}, the budget says {declared_nT:.4g} nT"
+    return Finding(effect, np.array([rms]), np.array([sigma]), value, what, tuple(faults))
 
 
 def with_frozen_noise(
@@ -72,9 +72,9 @@ def stochastic_nT(findings: Sequence[Finding], noise: NoiseModel, declared_lsb_n
     """What the named stochastic effects add to the white noise that the whitening works with, rms per component [nT]."""
     extra = 0.0
     for one in findings:
-        if one.effect == "coarse_quantization":
-            extra += max(one.parameters["lsb"][0] ** 2 - (declared_lsb_nT or 0.0) ** 2, 0.0) / 12.0
-        elif one.effect == "excess_noise":
+        if one.name == "coarse_quantization":
+            extra += max(float(one.theta[0]) ** 2 - (declared_lsb_nT or 0.0) ** 2, 0.0) / 12.0
+        elif one.name == "excess_noise":
             extra += max(white_rms_nT(noise) ** 2 - noise.sigma_prior_nT**2, 0.0)
     stuck = sum(size_nT**2 for size_nT in _stuck_nT(findings))
     return float(np.sqrt(min(extra + stuck, stuck or white_rms_nT(noise) ** 2)))
@@ -83,7 +83,7 @@ def stochastic_nT(findings: Sequence[Finding], noise: NoiseModel, declared_lsb_n
 def _stuck_nT(findings: Sequence[Finding]) -> list[float]:
     """rms per component of each bit that never changes: wrong by its whole size half of the time, b taking the mean."""
     found = []
-    for bits in (one.instance for one in findings):
+    for bits in (one.effect for one in findings):
         if isinstance(bits, BitErrors) and bits.kind != "flip":
             assert bits.bit is not None
             size_nT = 0.5 * 2.0**bits.bit * (bits.lsb_nT or 0.0)
@@ -98,7 +98,7 @@ def floor_noise(findings: Sequence[Finding], noise: NoiseModel, budget: Budget) 
     """
     white, theta = white_rms_nT(noise), noise.theta_rad
     stuck = _stuck_nT(findings)
-    louder = any(one.effect in ("excess_noise", "coarse_quantization") for one in findings)
+    louder = any(one.name in ("excess_noise", "coarse_quantization") for one in findings)
     if stuck:
         white = float(np.hypot(noise.sigma_prior_nT, max(stuck)))
     elif budget.noise_nT is not None and not louder:

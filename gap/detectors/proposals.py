@@ -74,7 +74,7 @@ def in_the_readings(
     """
     reading = np.asarray(problem.telemetry.mag_B_nT)
     lsb = complete_budget(problem).lsb_nT
-    step = next((one.parameters["lsb"][0] for one in found if one.effect == "coarse_quantization"), lsb)
+    step = next((float(one.theta[0]) for one in found if one.name == "coarse_quantization"), lsb)
     stuck: Finding | None = None
     findings: list[Finding | None] = [*found]
     whole = problem.measured.all(axis=1)  # elsewhere the axis of a spike is not known
@@ -84,7 +84,7 @@ def in_the_readings(
         if stuck is None:
             difference = residual_nT if robust.difference_nT is None else robust.difference_nT
             findings.append(flipped_bits(reading[whole], difference[whole], robust.cut[whole], lsb))
-    signals = any(one.effect != "coarse_quantization" for one in found)
+    signals = any(one.name != "coarse_quantization" for one in found)
     if noise.sigma_prior_nT > 0 and not signals and not (stuck is not None and stuck.confirmed):
         rest = projected(whitener, residual_nT, fitted_nT)
         measured = None if problem.axes is None else problem.measured
@@ -95,10 +95,8 @@ def in_the_readings(
 def expected(finding: Finding, frozen: Sequence[Active]) -> bool:
     """Whether the scenario has this stochastic effect already, in this size (to a quarter, or three sigma)."""
     for effect, theta in frozen:
-        if effect.name != finding.effect or not isinstance(effect, DistributionEffect):
-            continue
-        value, sigma, _ = finding.parameters[effect.parameters[0].name]
-        bar = max(3.0 * float(np.nan_to_num(sigma)) * float(np.sqrt(2.0)), _ALIKE * float(theta[0]))
-        if abs(value - float(theta[0])) <= bar:
-            return True
+        if effect.name == finding.name and isinstance(effect, DistributionEffect):
+            bar = max(3.0 * float(finding.sigma[0]) * float(np.sqrt(2.0)), _ALIKE * float(theta[0]))
+            if abs(float(finding.theta[0]) - float(theta[0])) <= bar:
+                return True
     return False

@@ -54,9 +54,8 @@ def random_walk(seconds: FloatArray, left: ProjectedResidual, sigma_nT: float) -
         faults.append("one of its steps stands out")
     if jumps(seconds, left, rate, float(variance)):
         faults.append("it jumps between levels")
-    parameters = {"rate": (rate, float(rate / np.sqrt(max(q.size, 2))), "nT/sqrt(s)")}
-    what = "the bias wanders like a random walk"
-    return Finding("bias_random_walk", parameters, value, what, tuple(faults), BiasRandomWalk())
+    size, what = np.array([rate]), "the bias wanders like a random walk"
+    return Finding(BiasRandomWalk(), size, size / np.sqrt(max(q.size, 2)), value, what, tuple(faults))
 
 
 def worth_of_a_walk(seconds: FloatArray, left: ProjectedResidual, rate: float) -> float:

@@ -86,7 +86,7 @@ def switched_region(problem: Problem, left: ProjectedResidual, rivals: Sequence[
     elif stands_out(left, images, in_body(day.astype(float))):
         faults.append("it is present by day as well")
     what = f"a field by {best.condition}, {best.effect.region_words}"
-    return Finding("switched_field", found.parameters(["f_x", "f_y", "f_z"]), value, what, tuple(faults), best.effect)
+    return Finding(best.effect, found.size, found.sigma, value, what, tuple(faults))
 
 
 class _Search:

@@ -44,10 +44,10 @@ class Fitted:
         """By the criterion. further: parameters that were searched for besides the coefficients."""
         return worth(self.drop, self.rank + further, self.samples, log_tried)
 
-    def parameters(self, names: Sequence[str]) -> dict[str, tuple[float, float, str]]:
-        """Value, sigma and unit by name."""
-        sigma = np.sqrt(np.diag(self.covariance))
-        return {name: (float(v), float(s), "nT") for name, v, s in zip(names, self.size, sigma, strict=True)}
+    @property
+    def sigma(self) -> FloatArray:
+        """(k,) of the coefficients."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
 def fitted(left: ProjectedResidual, columns: FloatArray, further: int = 0) -> Fitted:

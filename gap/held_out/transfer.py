@@ -183,8 +183,7 @@ def _others(closure: Closure, number: int) -> tuple[Other, ...]:
         worse = (fit.chi2 - own.chi2) / closure.variance + (fit.rank_chosen - own.rank_chosen) * np.log(samples)
         weight = float(np.exp(-0.5 * np.clip(worse, -100.0, 1400.0)))
         if weight > _UNLIKELY:
-            rest = [pair for place, pair in enumerate(fit.chosen) if place != number]
-            reading = problem.chain.reading_nT([*problem.frozen, *fit.modelled, *rest])
+            reading = problem.reading_nT([*fit.modelled, *fit.others(number)])
             pinned = other.pinned(problem.setting, reading)
             assert isinstance(pinned, SignalEffect) and isinstance(effect, SignalEffect)
             found.append(Other(weight, _label(effect, other), pinned, fit.chosen[number][1]))

@@ -228,12 +228,7 @@ def noise_and_answer(problem: Problem, dictionary: Dictionary, known: Known) -> 
 
 def signals_of(shapes: Sequence[Finding]) -> list[Active]:
     """Those that a fit can have, with the parameters they were found with."""
-    found: list[Active] = []
-    for one in shapes:
-        if isinstance(one.instance, SignalEffect):
-            theta = np.array([one.parameters.get(p.name, (0.0,))[0] for p in one.instance.parameters])
-            found.append((one.instance, theta))
-    return found
+    return [(one.effect, one.theta) for one in shapes if one.is_signal]
 
 
 def structure_left(under_way: Search[Readings], fit: Fit, dictionary: Dictionary) -> Structure:

@@ -57,7 +57,7 @@ class Structured:
 
     def _one_more(self, answer: Answer) -> Answer | None:
         named = answer.result.named
-        walks = any(one.effect == _WALK for one in answer.shapes) or any(_WALK in one.group for one in named)
+        walks = any(one.name == _WALK for one in answer.shapes) or any(_WALK in one.group for one in named)
         walks = walks or _WALK in self.problem.ruled_out
         if answer.left.structured:
             for bare in (True, False) if named and not answer.carries else (False,):
@@ -91,8 +91,8 @@ class Structured:
         noise, robust = choose_noise(self.problem, self.problem.derivatives(signals_of(shapes)))
         whitener = whitener_of(self.problem, noise, robust.weights)
         for one in shapes:
-            if one.effect == _WALK:
-                whitener = Wander(whitener, self.problem.setting.seconds).whitening(one.parameters["rate"][0])
+            if one.name == _WALK:
+                whitener = Wander(whitener, self.problem.setting.seconds).whitening(float(one.theta[0]))
         return answered_with(self.problem, robust, whitener, self.dictionary, self.known, shapes)
 
     def _walking(self, answer: Answer) -> Answer | None:
@@ -120,10 +120,8 @@ class Structured:
         if finding is None or not finding.confirmed:
             return None
         if whole < answer.worth:
-            return _with_rival(answer, walking, finding.effect, whole)
-        scaled = rate * float(np.sqrt(walking.result.variance))
-        _, sigma, unit = finding.parameters["rate"]
-        finding = replace(finding, parameters={"rate": (scaled, sigma, unit)})
+            return _with_rival(answer, walking, finding.name, whole)
+        finding = replace(finding, theta=np.array([rate * float(np.sqrt(walking.result.variance))]))
         return replace(walking, shapes=(*answer.shapes, finding))
 
     def _without_a_step(

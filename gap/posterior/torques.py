@@ -30,7 +30,7 @@ from fluxtwin.gap.selection.criterion import THRESHOLD, still_known, worth
 from fluxtwin.gap.selection.detectable import smallest
 from fluxtwin.gap.selection.forward import Search, begin, run
 from fluxtwin.gap.selection.groups import isolability, shares_by_name
-from fluxtwin.gap.selection.named import SearchResult, axis_of, found_effect, parameters_of
+from fluxtwin.gap.selection.named import SearchResult, axis_of, found_effect
 from fluxtwin.gap.selection.refit import Fit, covariance_of
 from fluxtwin.gap.selection.search import ranking
 from fluxtwin.gap.selection.support import support
@@ -190,22 +190,12 @@ def _named(search: Search[MomentumChannel], fitted: Fit, variance: float, known:
     covariance, seen, _ = covariance_of(fitted.jacobian, np.any(fitted.jacobian != 0.0, axis=(0, 1)))
     for number, (part, (effect, theta)) in enumerate(zip(fitted.slices(), fitted.chosen, strict=True)):
         backing = support(search, fitted, number, variance)
+        backing = backing._replace(probability=backing.probability * known)
         energy = np.mean(search.channel.signal(effect, theta) ** 2, axis=0)
         whole = seen[part, None] & seen[None, part]
         own = np.where(whole, covariance[part, part] * max(variance, 1.0), np.nan)
-        found.append(
-            found_effect(
-                effect,
-                parameters_of(effect, theta, np.sqrt(np.diag(own))),
-                search.channel.windows.arcs.problem.setting,
-                p_value=backing.p_value,
-                probability=backing.probability * known,
-                group=backing.group,
-                rivals=backing.rivals,
-                axis=axis_of(energy),
-                covariance=own,
-            )
-        )
+        setting, sigma = search.channel.windows.arcs.problem.setting, np.sqrt(np.diag(own))
+        found.append(found_effect(effect, theta, sigma, setting, backing, axis_of(energy), covariance=own))
     return tuple(sorted(found, key=lambda one: one.significance))
 
 

@@ -115,6 +115,10 @@ class Problem:
         """(N, 3) reading less prediction with the frozen and the modelled effects."""
         return self.residual_of(self.modelled_active)
 
+    def reading_nT(self, active: Sequence[Active]) -> FloatArray:
+        """(N, 3) noise-free, with these effects on beside the frozen ones."""
+        return self.chain.reading_nT([*self.frozen, *active])
+
     def residual_of(self, active: Sequence[Active]) -> FloatArray:
         """(N, 3) reading less prediction with these effects on beside the frozen ones; without attitude, what no turn of the
         body explains."""

@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
 from fluxtwin.gap.channels.two_magnetometers import OWN_STAGES, Apart
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.proposals import expected
@@ -21,12 +19,12 @@ from fluxtwin.gap.held_out.held_out import Prediction
 from fluxtwin.gap.posterior.explanations import Answer
 from fluxtwin.gap.posterior.torques import Momentum
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.records.diagnosis import Closure, Diagnosis, EffectParameter, FoundEffect, Place, Shrinkage
+from fluxtwin.gap.records.diagnosis import Closure, Diagnosis, FoundEffect, Place, Shrinkage
 from fluxtwin.gap.report import advice, level, words
 from fluxtwin.gap.report.level import Excess
 from fluxtwin.gap.report.second_channel import Angle
 from fluxtwin.gap.selection.criterion import still_known
-from fluxtwin.gap.selection.named import found_effect
+from fluxtwin.gap.selection.named import Support, found_effect
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.signal import Setting
@@ -66,7 +64,7 @@ class Work:
     def known(self) -> float:
         """Probability that nothing, or what is named, is all there is: by what is left in the fit, and of held-out
         samples."""
-        if not self.answer.result.named and not any(_is_signal(one) for one in self.flexible):
+        if not self.answer.result.named and not any(one.is_signal for one in self.flexible):
             return self.answer.known
         return still_known(self.answer.known, self.prediction.log_ratio)
 
@@ -165,7 +163,7 @@ def assemble(
 def _conclude(work: Work) -> _Conclusion:
     problem, answer, momentum = work.problem, work.answer, work.momentum
     already = [one for one in work.flexible if expected(one, problem.frozen)]
-    new = [one for one in work.flexible if one not in already and (work.known >= 0.5 or not _is_signal(one))]
+    new = [one for one in work.flexible if one not in already and (work.known >= 0.5 or not one.is_signal)]
     shapes = [_of_shape(one, problem.setting, work.known) for one in new]
     named = work.in_readings
     signals = sorted([*named, *momentum.standing], key=lambda one: one.significance) if momentum.standing else named
@@ -180,7 +178,7 @@ def _conclude(work: Work) -> _Conclusion:
         excess = level.beyond_budget(problem, answer)
     if not unexplained and excess is None and work.loud is not None:
         excess = Excess("sensor", work.loud)
-    bits = any(one.effect == "bit_errors" for one in work.flexible)
+    bits = any(one.name == "bit_errors" for one in work.flexible)
     outliers = None if bits else level.outliers(problem, answer.robust)
     beyond = None if unexplained or effects else excess or outliers
     verdict = "unknown" if unexplained or beyond is not None else "effect" if effects or fault is not None else "no_gap"
@@ -233,25 +231,11 @@ def _closure(work: Work, found: _Conclusion) -> Closure:
     )
 
 
-def _is_signal(one: Finding) -> bool:
-    return isinstance(one.instance, SignalEffect)
-
-
 def _of_shape(one: Finding, setting: Setting, known: float) -> FoundEffect:
     """A cause that is known by its own shape; known: the probability that a signal is of the catalogue."""
-    effect = one.instance if one.instance is not None else find_effect(one.effect)
-    axis = getattr(effect, "axis", None)
-    return found_effect(
-        effect,
-        {
-            name: EffectParameter(float(value), float(sigma) if np.isfinite(sigma) else None, unit)
-            for name, (value, sigma, unit) in one.parameters.items()
-        },
-        setting,
-        p_value=one.p_value,
-        probability=one.probability * (known if _is_signal(one) else 1.0),
-        axis=axis if axis in ("x", "y", "z") else "all",
-    )
+    backing = Support(one.p_value, one.probability * (known if one.is_signal else 1.0), (one.name,))
+    axis = getattr(one.effect, "axis", None)
+    return found_effect(one.effect, one.theta, one.sigma, setting, backing, axis if axis in ("x", "y", "z") else "all")
 
 
 def _alternatives(work: Work, one: FoundEffect) -> tuple[SignalEffect, ...]:

@@ -24,7 +24,6 @@ from fluxtwin.gap.selection.score import Board, board, whitened
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.calibration import TurningStep
-from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.signal import Setting
 
 LARGEST = 3
@@ -128,17 +127,13 @@ class Search(Generic[OfChannel]):
 def begin(channel: OfChannel, found: list[Candidate], gate: float = GATE, tested_before: int = 0) -> Search[OfChannel]:
     """Fit what is modelled, and score every candidate beside it, with those that its residual points to."""
     base = refit(channel)
-    jumps = [replace(effect, at=at) for effect in _turning(found) for at in channel.jumps(base)]
+    turning = {c.name: c.effect for c in found if isinstance(c.effect, TurningStep)}.values()
+    jumps = [replace(effect, at=at) for effect in turning for at in channel.jumps(base)]
     found = [*found, *(channel.candidate(effect, base.modelled) for effect in jumps)]
     white = whitened(found, channel, base.residual.shape[0])
     first = _first(channel, found, white, base)
     same = alike(shares_by_name(first))
     return Search(channel, found, base, first, white, gate, same=same, tested_before=tested_before)
-
-
-def _turning(found: Sequence[Candidate]) -> list[TurningStep]:
-    """Each effect that turns something at a moment, once."""
-    return list({c.name: c.effect for c in found if isinstance(c.effect, TurningStep)}.values())
 
 
 def _first(channel: Channel, found: Sequence[Candidate], white: FloatArray, base: Fit) -> Board:
@@ -226,18 +221,22 @@ def _with_setting(search: Search[Any], fit: Fit, number: int, moved: Effect | No
 
 
 def _shortlist(search: Search[Any], scored: Board) -> list[int]:
-    """Candidates whose linear model is nearly as good as the best one: of a few effects, at most two alternatives each."""
+    """Candidates whose linear model is nearly as good as the best one."""
     drop = scored.statistic / scored.variance
     cost = -drop + penalty(scored.rank, drop, search.samples)
     cost = np.where(scored.rank > 0, cost, np.inf)
     window = max(WITHIN, NONLINEAR * float(scored.statistic.max() / scored.variance))
     chosen: list[int] = []
     for number in np.argsort(np.round(cost, _ALIKE), kind="stable"):
-        name, names = scored.candidates[number].name, [scored.candidates[other].name for other in chosen]
-        room = names.count(name) < 2 and len({name, *names}) <= _REFITS
-        if cost[number] <= cost.min() + window and room:
+        names = [scored.candidates[other].name for other in chosen]
+        if cost[number] <= cost.min() + window and room_for(scored.candidates[number].name, names):
             chosen.append(int(number))
     return chosen
+
+
+def room_for(name: str, refitted: Sequence[str]) -> bool:
+    """Whether one more of that name is refitted: at most two alternatives each, of a few effects."""
+    return refitted.count(name) < 2 and len({name, *refitted}) <= _REFITS
 
 
 def _best(search: Search[Any], sets: Sequence[Sequence[int]], scored: Board) -> Fit:
@@ -251,16 +250,11 @@ def _grown(search: Search[Any], fit: Fit, rest: Board, others: Sequence[Candidat
     if not others or search.tested * float(rest.p_values.min()) > search.gate:
         return None
     present = search.numbers(fit)
-    places = _shortlist(search, rest)
-    partners = [search.found.index(others[place]) for place in places]
-    free = [(a, b) for a, b in zip(places, partners, strict=True) if not search.same_cause([*present, b])][:3]
-    places, partners = [place for place, _ in free], [partner for _, partner in free]
+    pairs = [(place, search.found.index(others[place])) for place in _shortlist(search, rest)]
+    pairs = [(place, partner) for place, partner in pairs if not search.same_cause([*present, partner])][:3]
     thetas = [theta for _, theta in fit.chosen]
-    trials = [
-        search.fit([*present, partner], [*thetas, rest.estimate([place])[0]])
-        for place, partner in zip(places, partners, strict=True)
-    ]
-    afresh = _afresh(search, len(present) + 1, present, partners)
+    trials = [search.fit([*present, partner], [*thetas, rest.estimate([place])[0]]) for place, partner in pairs]
+    afresh = _afresh(search, len(present) + 1, present, [partner for _, partner in pairs])
     trials += [search.fit(numbers, search.first.estimate(numbers)) for numbers in afresh]
     if not trials:
         return None
@@ -312,9 +306,6 @@ def _eliminated(search: Search[Any], fit: Fit, rest: Board) -> Fit:
 
 def without(search: Search[Any], fit: Fit, number: int) -> Fit:
     """The refit without one of the chosen effects."""
-    left: list[Active] = [pair for place, pair in enumerate(fit.chosen) if place != number]
-    if not left:
-        return search.base
-    numbers = search.numbers(fit)
-    del numbers[number]
-    return search.fit(numbers, [theta for _, theta in left])
+    left = fit.others(number)
+    numbers = [one for place, one in enumerate(search.numbers(fit)) if place != number]
+    return search.fit(numbers, [theta for _, theta in left]) if left else search.base

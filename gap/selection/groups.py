@@ -6,7 +6,6 @@ import numpy as np
 
 from fluxtwin.gap.hypotheses.candidates import settings_of
 from fluxtwin.gap.selection.score import Board
-from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect
 
 ALIKE = 0.98
@@ -14,26 +13,9 @@ ALIKE = 0.98
 WORTH_SAYING = 0.5
 
 
-def shares(board: Board) -> FloatArray:
-    """(K, K) share of candidate k's signal (row; beside the nuisance) that candidate l (column) can imitate.
-
-    S_kl = ||P_l X_k||**2 / ||X_k||**2 with the parameters of k in their typical sizes.
-    """
-    size = np.concatenate([c.scale[c.live] for c in board.candidates] or [np.zeros(0)]) * board.lengths
-    scaled = board.gram * size
-    power = np.bincount(board.owner.astype(int), weights=np.diag(board.gram) * size**2, minlength=len(board.candidates))
-    imitated = (board.turn.T @ scaled) ** 2
-    by_direction = np.zeros((len(board.candidates), imitated.shape[1]))
-    np.add.at(by_direction, board.block.astype(int), imitated)
-    both = np.zeros((len(board.candidates), len(board.candidates)))
-    np.add.at(both, board.owner.astype(int), by_direction.T)
-    return np.asarray(np.clip(both / np.where(power > 0, power, np.inf)[:, None], 0.0, 1.0))
-
-
 def shares_by_name(board: Board) -> dict[str, dict[str, float]]:
     """{a: {b: share of a that b can imitate}}, the largest over alternatives of both; effects that are seen only."""
-    table = shares(board)
-    seen = board.rank > 0
+    table, seen = board.shares, board.rank > 0
     found: dict[str, dict[str, float]] = {}
     for k, one in enumerate(board.candidates):
         for m, other in enumerate(board.candidates):
@@ -50,7 +32,7 @@ def alike_to(board: Board, effect: Effect) -> tuple[str, ...]:
     def form(one: Effect) -> tuple[str, dict[str, object]]:
         return one.name, {key: value for key, value in settings_of(one).items() if isinstance(value, str)}
 
-    table, seen = shares(board), board.rank > 0
+    table, seen = board.shares, board.rank > 0
     own = [k for k, one in enumerate(board.candidates) if seen[k] and form(one.effect) == form(effect)]
     both = np.minimum(table, table.T)[own].max(axis=0, initial=0.0)
     others = [
@@ -61,14 +43,9 @@ def alike_to(board: Board, effect: Effect) -> tuple[str, ...]:
 
 def isolability(table: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
     """The shares worth saying: 0.5 and more, largest first."""
-    found = {}
-    for name, row in table.items():
-        large = {
-            other: share for other, share in sorted(row.items(), key=lambda pair: -pair[1]) if share >= WORTH_SAYING
-        }
-        if large:
-            found[name] = large
-    return found
+    ordered = {name: sorted(row.items(), key=lambda pair: -pair[1]) for name, row in table.items()}
+    large = {name: {other: share for other, share in row if share >= WORTH_SAYING} for name, row in ordered.items()}
+    return {name: row for name, row in large.items() if row}
 
 
 def alike(table: dict[str, dict[str, float]]) -> dict[str, tuple[str, ...]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,40 +20,44 @@ OWN_AXIS = 0.8
 """Share of the energy from which on an effect is of one axis: a judgement, for words alone."""
 
 
-def parameters_of(effect: Effect, theta: FloatArray, sigma: FloatArray) -> dict[str, EffectParameter]:
-    """Parameters (p,) by name, a sigma (p,) that is not finite left out."""
-    return {
-        one.name: EffectParameter(float(value), float(spread) if np.isfinite(spread) else None, one.unit)
-        for one, value, spread in zip(effect.parameters, theta, sigma, strict=True)
-    }
+class Support(NamedTuple):
+    """Of one named effect."""
+
+    p_value: float
+    """Corrected for the number of tests."""
+    probability: float
+    """That it, or a member of its group, is present, given that one of the catalogue is."""
+    group: tuple[str, ...]
+    """Its own name first."""
+    rivals: tuple[tuple[str, float], ...] = ()
 
 
 def found_effect(
     effect: Effect,
-    parameters: Mapping[str, EffectParameter],
+    theta: FloatArray,
+    sigma: FloatArray,
     setting: Setting,
-    *,
-    p_value: float,
-    probability: float,
-    group: Sequence[str] = (),
-    rivals: Sequence[tuple[str, float]] = (),
-    axis: str | None = "all",
+    backing: Support,
+    axis: str | None,
     visible_nT: float = 0.0,
     covariance: FloatArray | None = None,
 ) -> FoundEffect:
-    """A cause on a design. group: its own name first, default that alone."""
+    """A cause on a design, with its parameters (p,); a sigma that is not finite is not known."""
     return FoundEffect(
         name=effect.name,
-        group=tuple(group) or (effect.name,),
-        rivals=tuple(rivals),
-        probability=probability,
-        parameters=parameters,
+        group=backing.group,
+        rivals=backing.rivals,
+        probability=backing.probability,
+        parameters={
+            one.name: EffectParameter(float(value), float(spread) if np.isfinite(spread) else None, one.unit)
+            for one, value, spread in zip(effect.parameters, theta, sigma, strict=True)
+        },
         settings=settings_of(effect),
         stage=effect.stage,
         axis=axis,
         frame=effect.frame,
         condition=effect.condition_on(setting),
-        significance=p_value,
+        significance=backing.p_value,
         visible_nT=visible_nT,
         effect=effect,
         covariance=covariance,
@@ -81,8 +86,6 @@ class SearchResult:
     minimum_detectable: Mapping[str, Detectable]
     smallest_images_nT: FloatArray
     """(M, 3, k) image of one unit of each of them."""
-    groups: Mapping[str, tuple[str, ...]]
-    """From the design alone: {name: names, its own first, that imitate each other}."""
     candidates: Sequence[Candidate]
     """With their Jacobians at the fit without any named effect."""
     modelled: tuple[Active, ...]
@@ -97,8 +100,6 @@ class SearchResult:
     """(M, 3) whitened."""
     jacobian_white: FloatArray
     """(M, 3, c + p) whitened, what is modelled, then the named effects in the order of `chosen`."""
-    chi2: Mapping[str, tuple[float, int]]
-    """`nuisance`, `named`: chi-square and number of parameters seen."""
     variance: float
     """Of whitened rows about the saturated fit: 1 when the noise model is right."""
     scores: tuple[tuple[Score, ...], tuple[Score, ...]]

@@ -96,6 +96,10 @@ class Fit:
         """Directions that the chosen effects add."""
         return self.rank - self.rank_modelled
 
+    def others(self, number: int) -> list[Active]:
+        """The chosen effects but one."""
+        return [*self.chosen[:number], *self.chosen[number + 1 :]]
+
     def slices(self) -> list[slice]:
         """Where the parameters of each chosen effect stand."""
         start, found = sum(len(theta) for _, theta in self.modelled), []
@@ -150,12 +154,11 @@ def refit(
     )
 
 
-def settled(problem: Problem, *, robust_nT: float | None = None) -> Problem:
+def settled(problem: Problem) -> Problem:
     """The problem, linear about a first fit of what is modelled (a raw magnetometer may be off by thousands of nT).
 
-    Plain least squares with the weight of large residuals limited (Huber), so that single wrong readings do not
-    pull it; robust_nT: where large begins (default 3 robust sigma of the residual). Rows without attitude point where
-    the reading does as it is then calibrated.
+    Plain least squares with the weight of large residuals limited (Huber), from three robust sigma on, so that single wrong
+    readings do not pull it. Rows without attitude point where the reading does as it is then calibrated.
     """
     problem = realigned(problem)
     if not problem.modelled:
@@ -164,7 +167,7 @@ def settled(problem: Problem, *, robust_nT: float | None = None) -> Problem:
     for _ in range(4):
         residual = current.judged(current.residual_nT)
         size = np.linalg.norm(residual, axis=1)
-        limit = robust_nT if robust_nT is not None else 3.0 * max(float(np.median(size)) / 1.54, 1e-9)
+        limit = 3.0 * max(float(np.median(size)) / 1.54, 1e-9)
         weight = np.sqrt(np.minimum(1.0, limit / np.maximum(size, 1e-12)))[:, None]
         vector = _packed(current.modelled_active)
         low, high = _limits(current.modelled_active)

@@ -138,6 +138,21 @@ class Board:
     def _upper_tail(self, drop: Any, rank: Any) -> Any:
         return f_distribution.sf(drop / rank / self.variance, rank, max(self.freedom, _TRUSTED))
 
+    @cached_property
+    def shares(self) -> FloatArray:
+        """(K, K) share of candidate k's signal (row; beside the nuisance) that candidate l (column) can imitate.
+
+        S_kl = ||P_l X_k||**2 / ||X_k||**2 with the parameters of k in their typical sizes.
+        """
+        count, owner = len(self.candidates), self.owner.astype(int)
+        size = np.concatenate([c.scale[c.live] for c in self.candidates] or [np.zeros(0)]) * self.lengths
+        power = np.bincount(owner, weights=np.diag(self.gram) * size**2, minlength=count)
+        imitated = (self.turn.T @ (self.gram * size)) ** 2
+        by_direction, both = np.zeros((count, imitated.shape[1])), np.zeros((count, count))
+        np.add.at(by_direction, self.block.astype(int), imitated)
+        np.add.at(both, owner, by_direction.T)
+        return np.asarray(np.clip(both / np.where(power > 0, power, np.inf)[:, None], 0.0, 1.0))
+
     def scores(self) -> list[Score]:
         """Score and information of every candidate, in the units of its parameters."""
         pull = (self.columns.T @ self.residual) * self.lengths

@@ -11,24 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.records.diagnosis import FoundEffect, Ranked
 from fluxtwin.gap.records.score import Score
 from fluxtwin.gap.selection import groups
-from fluxtwin.gap.selection.detectable import GATE, detectable, visible_part
+from fluxtwin.gap.selection.detectable import detectable, visible_part
 from fluxtwin.gap.selection.forward import Search
-from fluxtwin.gap.selection.named import SearchResult, axis_of, found_effect, parameters_of
+from fluxtwin.gap.selection.named import SearchResult, axis_of, found_effect
 from fluxtwin.gap.selection.refit import Fit, Readings
 from fluxtwin.gap.selection.score import Board
 from fluxtwin.gap.selection.support import chi_square_lost, support
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
-from fluxtwin.sim.effects.chain import Active
 
 _OF_ERRORS = 1e-3
 """Of the energy of an image: less would cost a cause that explains a drop of a thousand one unit of it."""
-
-__all__ = ["GATE", "SearchResult", "ranking", "result_of"]
 
 
 def result_of(
@@ -41,7 +37,6 @@ def result_of(
     that of its group given that named effects are all there is."""
     first, base, problem = under_way.first, under_way.base, under_way.channel.problem
     raw_nuisance = problem.derivatives(base.modelled)
-    table = groups.shares_by_name(first)
     smallest, images, hidden = detectable(first, under_way.white, raw_nuisance, base.jacobian)
     named = [_named(under_way, fit, number, rest.variance, raw_nuisance) for number in range(len(fit.chosen))]
     order = sorted(range(len(named)), key=lambda number: -_gain(under_way, fit, number))
@@ -50,10 +45,9 @@ def result_of(
         named=tuple(named[number] for number in order),
         ranking=ranking(under_way),
         untestable={**untestable, **hidden},
-        isolability=groups.isolability(table),
+        isolability=groups.isolability(groups.shares_by_name(first)),
         minimum_detectable=smallest,
         smallest_images_nT=images,
-        groups=groups.alike(table),
         candidates=tuple(under_way.found),
         modelled=fit.modelled,
         modelled_alone=base.modelled,
@@ -61,7 +55,6 @@ def result_of(
         residual_alone_nT=alone,
         residual_white=fit.residual,
         jacobian_white=fit.jacobian[:, :, _columns(fit, order)],
-        chi2={"nuisance": (base.chi2, base.rank), "named": (fit.chi2, fit.rank)},
         variance=rest.variance,
         scores=_scores(under_way, first, rest if fit.chosen else None),
         tested=under_way.tested,
@@ -96,7 +89,6 @@ def _named(
 ) -> FoundEffect:
     effect, theta = fit.chosen[number]
     assert isinstance(effect, SignalEffect)
-    backing = support(under_way, fit, number, variance)
     part = fit.slices()[number]
     signal = _visible(under_way, fit, number, raw_nuisance)
     problem = under_way.channel.problem
@@ -107,15 +99,13 @@ def _named(
         covariance = np.where(fit.seen[part, None] & fit.seen[None, part], covariance, np.nan)
     return found_effect(
         effect,
-        parameters_of(effect, theta, np.sqrt(np.diag(covariance))),
+        theta,
+        np.sqrt(np.diag(covariance)),
         problem.setting,
-        p_value=backing.p_value,
-        probability=backing.probability,
-        group=backing.group,
-        rivals=backing.rivals,
-        axis=axis_of(_axis_energy(under_way, fit, number, signal)),
-        visible_nT=float(np.sqrt(np.sum(judged**2) / count)),
-        covariance=covariance,
+        support(under_way, fit, number, variance),
+        axis_of(_axis_energy(under_way, fit, number, signal)),
+        float(np.sqrt(np.sum(judged**2) / count)),
+        covariance,
     )
 
 
@@ -140,18 +130,14 @@ def _axis_energy(under_way: Search[Readings], fit: Fit, number: int, signal: Flo
 def _visible(under_way: Search[Readings], fit: Fit, number: int, raw_nuisance: FloatArray) -> FloatArray:
     """(M, 3) signal of one named effect beside the best re-estimation of what is modelled, nT."""
     problem = under_way.channel.problem
-    others = [pair for place, pair in enumerate(fit.chosen) if place != number]
-    with_it = _chain_reading(problem, fit.active)
-    without_it = _chain_reading(problem, [*fit.modelled, *others])
-    raw = with_it - without_it
+    raw = problem.reading_nT(fit.active) - problem.reading_nT([*fit.modelled, *fit.others(number)])
     white = under_way.channel.whitener.apply(raw)
     return visible_part(raw[:, :, None], white[:, :, None], raw_nuisance, under_way.base.jacobian)[:, :, 0]
 
 
 def _gain(under_way: Search[Readings], fit: Fit, number: int) -> float:
     """How much larger chi-square is without this effect, all else as it is."""
-    others = [pair for place, pair in enumerate(fit.chosen) if place != number]
-    bare = under_way.channel.residual([*fit.modelled, *others])
+    bare = under_way.channel.residual([*fit.modelled, *fit.others(number)])
     return float(np.sum(bare**2)) - fit.chi2
 
 
@@ -162,24 +148,16 @@ def _columns(fit: Fit, order: list[int]) -> list[int]:
     return [*range(start), *(c for number in order for c in range(slices[number].start, slices[number].stop))]
 
 
-def _chain_reading(problem: Problem, active: list[Active]) -> FloatArray:
-    return problem.chain.reading_nT([*problem.frozen, *active])
-
-
 def ranking(under_way: Search[Any]) -> tuple[Ranked, ...]:
     """Every effect alone, by its best alternative."""
     first: Board = under_way.first
+    columns = (first.candidates, first.statistic.tolist(), first.rank.tolist(), first.p_values.tolist())
+    lines = [
+        Ranked(one.name, drop, rank, min(1.0, under_way.tested * p))
+        for one, drop, rank, p in zip(*columns, strict=True)
+        if rank
+    ]
     best: dict[str, Ranked] = {}
-    for number, candidate in enumerate(first.candidates):
-        rank = int(first.rank[number])
-        if rank == 0:
-            continue
-        drop = float(first.statistic[number])
-        p_value = min(1.0, under_way.tested * float(first.p_values[number]))
-        line = Ranked(candidate.name, drop, rank, p_value)
-        if candidate.name not in best or (p_value, -drop) < (
-            best[candidate.name].p_value,
-            -best[candidate.name].drop,
-        ):
-            best[candidate.name] = line
-    return tuple(sorted(best.values(), key=lambda line: (line.p_value, -line.drop)))
+    for line in sorted(lines, key=lambda line: (line.p_value, -line.drop)):
+        best.setdefault(line.name, line)
+    return tuple(best.values())

@@ -2,35 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from fluxtwin.gap.linear.projection import orthonormal
 from fluxtwin.gap.selection.criterion import MOST_SURE, SHAPE, penalty
-from fluxtwin.gap.selection.forward import NONLINEAR, WITHIN, Search, without
+from fluxtwin.gap.selection.forward import NONLINEAR, WITHIN, Search, room_for, without
 from fluxtwin.gap.selection.groups import alike_to
+from fluxtwin.gap.selection.named import Support
 from fluxtwin.gap.selection.refit import Fit
 from fluxtwin.gap.selection.score import board
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.chain import Active
 
-_REFITS = 4
 IN_GROUP = 0.05
 _WORTH_SAYING = 0.001
-
-
-@dataclass(frozen=True)
-class Support:
-    """Of one named effect."""
-
-    p_value: float
-    """Corrected for the number of tests."""
-    probability: float
-    """That it, or a member of its group, is present, given that one of the catalogue is."""
-    group: tuple[str, ...]
-    rivals: tuple[tuple[str, float], ...]
 
 
 def support(search: Search[Any], fit: Fit, number: int, variance: float) -> Support:
@@ -46,24 +33,20 @@ def support(search: Search[Any], fit: Fit, number: int, variance: float) -> Supp
     present = weights.pop(effect.name)
     total = present + sum(weights.values())
     posterior = {name: weight / total for name, weight in weights.items()}
+    likeliest = sorted(posterior.items(), key=lambda pair: -pair[1])
     alike = [name for name in alike_to(search.first, effect) if name != effect.name]
-    likely = [n for n, p in sorted(posterior.items(), key=lambda pair: -pair[1]) if p >= IN_GROUP and n not in alike]
+    likely = [name for name, share in likeliest if share >= IN_GROUP and name not in alike]
     group = (effect.name, *alike, *likely)
     drop, rank = bare.chi2 - fit.chi2, max(fit.rank_chosen - bare.rank_chosen, 1)
-    p_value = min(1.0, search.tested * search.first.p_value(drop, rank))
     inside = present + sum(weights.get(name, 0.0) for name in group)
-    rivals = [(n, p) for n, p in sorted(posterior.items(), key=lambda pair: -pair[1]) if n not in group]
-    return Support(
-        p_value=p_value,
-        probability=min(MOST_SURE, inside / total),
-        group=group,
-        rivals=tuple((name, float(p)) for name, p in rivals if p >= _WORTH_SAYING),
-    )
+    rivals = [(n, float(share)) for n, share in likeliest if n not in group and share >= _WORTH_SAYING]
+    p_value = min(1.0, search.tested * search.first.p_value(drop, rank))
+    return Support(p_value, min(MOST_SURE, inside / total), group, tuple(rivals))
 
 
 def _weights(search: Search[Any], fit: Fit, number: int, bare: Fit, variance: float) -> dict[str, float]:
     """{name: weight} of each effect in the place of effect `number`, whose own weight is near 1."""
-    others = [pair for place, pair in enumerate(fit.chosen) if place != number]
+    others = fit.others(number)
     taken = {effect.name for effect, _ in others}
     mine = fit.slices()[number]
     kept = [c for c in range(fit.jacobian.shape[2]) if not mine.start <= c < mine.stop]
@@ -86,8 +69,7 @@ def _weights(search: Search[Any], fit: Fit, number: int, bare: Fit, variance: fl
     refitted: list[str] = []
     for worse, place, price in sorted(trials):
         name = search.found[place].name
-        room = refitted.count(name) < 2 and len({name, *refitted}) <= _REFITS
-        if room and worse < WITHIN + NONLINEAR * drop_own / variance / wider:
+        if room_for(name, refitted) and worse < WITHIN + NONLINEAR * drop_own / variance / wider:
             refitted.append(name)
             present = search.numbers(fit)
             present[number] = place

@@ -21,14 +21,14 @@ from fluxtwin.gap.noise.choice import NoiseModel
 from fluxtwin.gap.noise.whitening import make_whitener
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
-from fluxtwin.gap.records.diagnosis import Closure, EffectParameter
-from fluxtwin.gap.selection.named import found_effect
+from fluxtwin.gap.records.diagnosis import Closure
+from fluxtwin.gap.selection.named import Support, found_effect
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import epoch, frames, sun
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 from fluxtwin.sim.effects.chain import Chain
-from fluxtwin.sim.effects.digits import BitErrors
+from fluxtwin.sim.effects.digits import BitErrors, ExcessNoise
 from fluxtwin.sim.effects.response import Saturation
 from fluxtwin.sim.effects.switched_field import HeaterSwitching, SwitchedField
 from fluxtwin.sim.effects.temperature import ThermalBiasDrift
@@ -98,8 +98,8 @@ def test_the_scenario_takes_S_b_and_T_and_survives_the_file(
     problem: Problem, scenario: Scenario, tmp_path: Path
 ) -> None:
     modelled = ((find_effect("bias"), np.array([1.0, 2.0, 3.0])), (find_effect("torquer_coupling"), np.arange(9.0)))
-    rms = {"rms": EffectParameter(50.0, 5.0, "nT")}
-    noisy = (found_effect(find_effect("excess_noise"), rms, problem.setting, p_value=0.0, probability=1.0),)
+    noise, sure = find_effect("excess_noise"), Support(0.0, 1.0, ("excess_noise",))
+    noisy = (found_effect(noise, np.array([50.0]), np.array([5.0]), problem.setting, sure, "all"),)
     closure = closure_of(problem, modelled, stochastic=noisy)
     closed = settle(closure)
     made = closed_scenario(closure, closed, [], scenario, Path("flight.csv"), None, Declared())
@@ -275,10 +275,10 @@ def test_noise_of_the_scenario_is_expected_and_no_other() -> None:
     assert with_frozen_noise(frozen, 100.0, 100.0) == (pytest.approx(np.hypot(100.0, 150.0)), 400.0)
     assert with_frozen_noise(frozen, None, None) == (None, 400.0)
     assert with_frozen_noise([], 100.0, None) == (100.0, None)
-    alike = Finding("excess_noise", {"rms": (165.0, 10.0, "nT")})
+    alike = Finding(ExcessNoise(), np.array([165.0]), np.array([10.0]))
     assert expected(alike, frozen) and not expected(alike, [])
-    assert not expected(Finding("excess_noise", {"rms": (300.0, 10.0, "nT")}), frozen)
-    assert not expected(Finding("bit_errors", {"rate": (0.01, 0.001, "1")}), frozen)
+    assert not expected(Finding(ExcessNoise(), np.array([300.0]), np.array([10.0])), frozen)
+    assert not expected(Finding(BitErrors(), np.array([0.01]), np.array([0.001])), frozen)
 
 
 def test_the_floor_is_that_of_the_declared_noise() -> None:
@@ -290,5 +290,5 @@ def test_the_floor_is_that_of_the_declared_noise() -> None:
     white, theta = floor_noise([], noise, budget)
     assert white == pytest.approx(104.0) and np.degrees(theta) == pytest.approx(0.1)
     assert floor_noise([], noise, Budget()) == (pytest.approx(900.0), noise.theta_rad)
-    stuck = Finding("bit_errors", {"rate": (1.0, 0.0, "1")}, instance=BitErrors(4, "stuck_1", 100.0))
+    stuck = Finding(BitErrors(4, "stuck_1", 100.0), np.ones(1), np.zeros(1))
     assert floor_noise([stuck], noise, budget)[0] == pytest.approx(np.hypot(104.0, 800.0))

@@ -70,7 +70,7 @@ class Bench:
             heater_sequence(setting, left, residual, fits, line),
             random_walk(setting.seconds, left, SIGMA_NT),
         ]
-        return {one.effect for one in findings if one is not None and one.confirmed}
+        return {one.name for one in findings if one is not None and one.confirmed}
 
 
 @pytest.fixture(scope="module")
@@ -182,7 +182,7 @@ def test_size_of_a_walk_and_of_a_wheel(bench: Bench) -> None:
     left = projected(bench.whitener, noise + walk(t, 2.0, 5), bench.calibration)
     found = random_walk(t, left, SIGMA_NT)
     assert found is not None
-    value, sigma, unit = found.parameters["rate"]
+    (value,), (sigma,), unit = found.theta, found.sigma, found.effect.parameters[0].unit
     assert unit == "nT/sqrt(s)"
     assert abs(value - 2.0) < 4 * sigma < 2.0
     line = np.outer(np.cos(0.05173 * t), [60.0, 0.0, 30.0]) + np.outer(np.sin(0.05173 * t), [0.0, 50.0, -20.0])
@@ -209,7 +209,7 @@ def test_a_coarser_step_is_found_from_the_codes(bench: Bench, factor: float) -> 
         found = coarse_steps(reading, lsb)
         assert found is not None
         assert found.confirmed
-        assert found.parameters["lsb"][0] == pytest.approx(factor * lsb, rel=1e-6)
+        assert found.theta[0] == pytest.approx(factor * lsb, rel=1e-6)
         fine, _ = _codes(bench, lsb, 7)
         assert coarse_steps(fine, lsb) is None
 
@@ -225,7 +225,7 @@ def test_flipped_bits_are_told_from_other_spikes(bench: Bench, bit: int) -> None
     found = flipped_bits(flipped, flipped - predicted, np.abs(flipped - predicted) > 6 * SIGMA_NT, lsb)
     assert found is not None
     assert found.confirmed
-    value, sigma, _ = found.parameters["rate"]
+    (value,), (sigma,) = found.theta, found.sigma
     assert abs(value - 0.01) < 4 * sigma
     size = SIGMA_NT * np.exp(rng.uniform(np.log(8), np.log(100), reading.shape)) * rng.choice([-1, 1], reading.shape)
     spikes = reading + np.where(hit, lsb * np.rint(size / lsb), 0.0)

@@ -330,15 +330,10 @@ def _prediction(
     with_effects_nT = floor_rms_nT(problem.noise_field_nT[kept], white_nT, theta_rad, problem.measured[kept])
     floor_nT = float(np.sqrt(max(with_effects_nT**2 - stochastic_nT(flexible, noise, declared_lsb_nT) ** 2, 0.0)))
     own = answer.fitted_nT[:, :, answer.alone_nT.shape[2] :]
-    columns = (answer.alone_nT, np.concatenate([answer.alone_nT, own], axis=2))
-    fits = [
-        Fitted.of(problem, answer.whitener, residual, part)
-        for residual, part in zip((result.residual_alone_nT, result.residual_nT), columns, strict=True)
-    ]
-    before, after, counted = predict_blocks(seconds, kept, with_effects_nT, *fits)
-    of = "blocks"
-    if 2 * counted.sum() < kept.sum():
-        before, after, counted, of = fits[0].residual_nT, fits[1].residual_nT, kept, "fit"
+    both = np.concatenate([answer.alone_nT, own], axis=2)
+    pairs = ((result.residual_alone_nT, answer.alone_nT), (result.residual_nT, both))
+    fits = [Fitted.of(problem, answer.whitener, *pair) for pair in pairs]
+    before, after, counted, of = predict_blocks(seconds, kept, with_effects_nT, *fits)
     walk = next((one for one in flexible if one.name == "bias_random_walk"), None)
     if walk is not None:
         of, rate = "one_step", float(walk.theta[0])

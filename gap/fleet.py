@@ -13,7 +13,7 @@ Controlled Clinical Trials 7, 177); what each vehicle says is drawn towards thei
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -21,8 +21,7 @@ from scipy.special import expit, softmax
 from scipy.stats import chi2
 
 from fluxtwin.gap.linear.projection import SHARE_LEFT, explained
-from fluxtwin.gap.records.diagnosis import Diagnosis
-from fluxtwin.gap.records.score import Score
+from fluxtwin.gap.records.diagnosis import Diagnosis, Score
 from fluxtwin.gap.selection.criterion import MOST_SURE, THRESHOLD, worth
 from fluxtwin.gap.selection.groups import ALIKE
 from fluxtwin.sim.base.errors import BadInput
@@ -110,15 +109,13 @@ class Fleet:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        common = None
-        if self.common is not None:
-            plain = {key: getattr(self.common, key) for key in ("name", "group", "probability", "parameters", "units")}
-            arrays = ("mean", "mean_sigma", "spread", "each", "each_sigma", "best_single_sigma")
-            common = plain | {key: _plain(getattr(self.common, key)) for key in arrays}
+        common = (
+            None if self.common is None else {one.name: getattr(self.common, one.name) for one in fields(CommonEffect)}
+        )
         return {
             "vehicles": list(self.vehicles),
             "lines": list(self.lines),
-            "common": common,
+            "common": common and {key: _plain(value) for key, value in common.items()},
             "faults": [
                 {"vehicle": self.vehicles[f.vehicle], "name": f.name, "probability": f.probability, "odd": f.odd}
                 for f in self.faults
@@ -160,9 +157,8 @@ def fleet(vehicles: Sequence[str], diagnoses: Sequence[Diagnosis]) -> Fleet:
         group = [name for name, (value, _, _) in ranked if top - value < _GROUP]
         group += [name for name, _ in ranked if name not in group and _imitate(diagnoses, group[0], name)]
         alike = [{*found.group} for one in diagnoses for found in one.effects if {*found.group} & {*group}]
-        group += sorted(
-            {n for g in alike for n in g if 2 * sum(n in other for other in alike) >= len(alike)} - {*group}
-        )
+        usual = {name for each in alike for name in each if 2 * sum(name in other for other in alike) >= len(alike)}
+        group += sorted(usual - {*group})
         weights = dict(zip([name for name, _ in ranked], softmax([0.5 * v for _, (v, _, _) in ranked]), strict=True))
         inside = float(sum(weights.get(name, 0.0) for name in group)) * float(expit(0.5 * (top - THRESHOLD)))
         common = _sizes([table[ranked[0][1][1]] for table in tables], tuple(group), min(MOST_SURE, inside))
@@ -171,20 +167,20 @@ def fleet(vehicles: Sequence[str], diagnoses: Sequence[Diagnosis]) -> Fleet:
     return Fleet(tuple(vehicles), tuple(diagnoses), common, faults, ranking)
 
 
-def _plain(values: FloatArray) -> Any:
-    """Lists for JSON, None for what is not known."""
-    return (
-        [_plain(one) for one in values] if values.ndim > 1 else [x if np.isfinite(x) else None for x in values.tolist()]
-    )
+def _plain(value: Any) -> Any:
+    """Lists in place of arrays for JSON, None for what is not known."""
+    if not isinstance(value, np.ndarray):
+        return value
+    return [_plain(one) if value.ndim > 1 else float(one) if np.isfinite(one) else None for one in value]
 
 
 def _in_common(scores: Sequence[Score]) -> tuple[float, int]:
     """Drop of chi-square by one size for all vehicles, and its rank; what errors in an image cost is given back."""
     score = np.sum([one.score for one in scores], axis=0)
     whole = np.sum([one.information for one in scores], axis=0)
-    errors = (
-        min(sum(one.of_errors for one in scores) / float(whole.max()), 0.5) if score.size == 1 and whole.any() else 0.0
-    )
+    errors = 0.0
+    if score.size == 1 and whole.any():
+        errors = min(sum(one.of_errors for one in scores) / float(whole.max()), 0.5)
     return _explained(score, whole * (1.0 - errors))
 
 

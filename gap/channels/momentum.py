@@ -23,7 +23,7 @@ from fluxtwin.gap.hypotheses.candidates import Candidate
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.named import SearchResult
-from fluxtwin.gap.selection.refit import Fit
+from fluxtwin.gap.selection.refit import Channel, Fit
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import DynamicsEffect, Effect, Parameter, SignalEffect
@@ -51,8 +51,11 @@ class Always(Effect):
 
 
 @dataclass(frozen=True, eq=False)
-class MomentumChannel:
-    """N readings at their refit and the M nodes of the balance; columns have the unit nT above and rad below."""
+class MomentumChannel(Channel):
+    """N readings at their refit and the M nodes of the balance; columns have the unit nT above and rad below.
+
+    Torques have no settings that are tried at a few values only; the noise of the balance has the attitude's error in it.
+    """
 
     windows: Windows
     readings: Whitener
@@ -75,10 +78,6 @@ class MomentumChannel:
     def modelled(self) -> Sequence[Active]:
         count = self.fitted.shape[2]
         return [(Always(count), np.zeros(count))]
-
-    @property
-    def setting(self) -> None:
-        """Torques have no settings that are tried at a few values only."""
 
     def apply(self, columns: FloatArray) -> FloatArray:
         """Columns (N + M, 3) or (N + M, 3, P), whitened."""
@@ -121,18 +120,6 @@ class MomentumChannel:
         """One of the causes."""
         return next(cause for cause in self.causes if cause.effect == effect)
 
-    def blur(self, active: Active, modelled: Sequence[Active]) -> None:
-        """None: the noise of the balance has the attitude's error in it."""
-        return None
-
-    def jumps(self, base: Fit) -> Sequence[str]:
-        """None."""
-        return ()
-
-    def proposed(self, base: Fit) -> Sequence[SignalEffect]:
-        """None."""
-        return ()
-
     @cached_property
     def _white(self) -> dict[Effect, FloatArray]:
         return {}
@@ -170,7 +157,7 @@ def momentum_channel(
     dynamic, untestable = images.dynamics_causes(windows)
     turning = images.shared_candidates(windows, _others(result), there)
     blocks = images.plain_torques(windows)
-    on = images.on_attitude(there)
+    on = [pair for pair in there if pair[0].stage == "attitude"]
     residual = windows.residual(problem.chain.signal(on).R_BN if on else None)
     further = np.zeros((windows.rows.size, 3, fitted_nT.shape[2]))
     shared = [
@@ -180,7 +167,8 @@ def momentum_channel(
     if shared:
         columns = np.concatenate(shared, axis=2)
         further[:, :, : columns.shape[2]] = columns
-    own = np.concatenate([images.unresolved(windows), images.standing(windows)], axis=2)
+    standing = np.tile(np.eye(3), (windows.rows.size, 1, 1))  # an attitude error that stands still leans the momentum
+    own = np.concatenate([images.unresolved(windows), standing], axis=2)
     everything = [further, own, *(c.jacobian for c in (*dynamic, *turning)), *blocks.values()]
     noise = choose_noise(windows, residual, np.concatenate(everything, axis=2), problem.budget)
 
@@ -240,15 +228,12 @@ def ahead_km(channel: MomentumChannel, fit: Fit, result: SearchResult) -> tuple[
     field, the nadir and the light of that other place to work against. None where no error along the orbit can be seen.
     """
     at, applied, width = None, 0.0, 0
-    for effect, theta in (*result.modelled, *result.chosen):
-        if effect.name == _AHEAD:
-            at, applied = width, float(theta[0])
-        width += len(theta)
-    width = channel.fitted.shape[2]
-    for effect, theta in fit.chosen:
-        if effect.name == _AHEAD:
-            at, applied = width, float(theta[0])
-        width += len(theta)
+    for first, active in ((0, (*result.modelled, *result.chosen)), (channel.fitted.shape[2], fit.chosen)):
+        width = first
+        for effect, theta in active:
+            if effect.name == _AHEAD:
+                at, applied = width, float(theta[0])
+            width += len(theta)
     further = [] if at is not None else [one.jacobian for one in channel.causes if one.name == _AHEAD]
     if at is None and not further:
         return None

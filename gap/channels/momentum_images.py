@@ -53,8 +53,7 @@ def cause(windows: Windows, vehicle: Vehicle, effect: DynamicsEffect) -> Candida
     """One effect with its image: (M, 3, p) turn of the nodes [rad] per unit of each parameter."""
     steps = effect.step(vehicle)
     images = [windows.image(effect.on(vehicle, step)) for step in np.diag(steps)]
-    jacobian = np.stack(images, axis=2) / steps
-    return _candidate(effect, jacobian)
+    return _candidate(effect, np.stack(images, axis=2) / steps)
 
 
 def _candidate(effect: Effect, jacobian: FloatArray) -> Candidate:
@@ -128,16 +127,6 @@ def image_of(windows: Windows, effect: SignalEffect, on: Sequence[Active], theta
     return np.zeros((windows.rows.size, 3, len(theta)))
 
 
-def on_attitude(active: Sequence[Active]) -> list[Active]:
-    """Those that turn the recorded attitude."""
-    return [pair for pair in active if pair[0].stage == "attitude"]
-
-
-def standing(windows: Windows) -> FloatArray:
-    """(M, 3, 3) an attitude error that stands still in the body: no torque, but it leans the momentum."""
-    return np.tile(np.eye(3), (windows.rows.size, 1, 1))
-
-
 def unresolved(windows: Windows) -> FloatArray:
     """(M, 3, p) turns by what wheels and torquers may have done between the rows: more or less of the wheels' quick part,
     and dipoles that hold instead of going straight to the next row.
@@ -150,19 +139,14 @@ def unresolved(windows: Windows) -> FloatArray:
     if not arcs.resolved:
         vehicle, axes = arcs.craft.vehicle, np.eye(3)
         for span in _SPANS:
-            quick = _quick(arcs.wheels_B, span)
+            known = np.nan_to_num(arcs.wheels_B)
+            quick = known - uniform_filter1d(known, span, axis=0, mode="nearest")
             parts += [arcs.flown(vehicle, wheels_B=quick * axis) - arcs.base for axis in axes if np.any(quick * axis)]
         moved = np.any(np.diff(arcs.dipole_B_Am2, axis=0) != 0.0, axis=0)
         parts += [arcs.holding(axis).flown(vehicle) - arcs.base for axis in range(3) if moved[axis]]
     if not parts:
         return np.zeros((windows.rows.size, 3, 0))
     return windows.chained(np.stack(parts, axis=2))
-
-
-def _quick(values: FloatArray, span: int) -> FloatArray:
-    """(N, 3) less the mean of `span` rows; missing values count as zero."""
-    known = np.nan_to_num(values)
-    return np.asarray(known - uniform_filter1d(known, span, axis=0, mode="nearest"))
 
 
 def plain_torques(windows: Windows) -> dict[tuple[str | None, str], FloatArray]:

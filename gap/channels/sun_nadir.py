@@ -213,44 +213,31 @@ class Channel:
     def contradicts(self, predicted_rad: FloatArray) -> bool:
         """Whether a predicted change (N,) is not there: t tests of none and of all of it, over the passes that would show
         it."""
-        share, sigma, passes = self.share_of(predicted_rad)
-        if passes < _FEWEST_TO_CONTRADICT or not np.isfinite(sigma):
-            return False
-        none, whole = (2.0 * float(student.sf(abs(share - there) / sigma, passes - 1)) for there in (0.0, 1.0))
-        return none > FALSE_ALARM and whole < FALSE_ALARM and share < 1.0
-
-    def share_of(self, predicted_rad: FloatArray) -> tuple[float, float, int]:
-        """How much of a predicted change (N,) is there (1: all of it), its sigma, and the passes that tell."""
-        column = predicted_rad[:, None]
         touched = np.unique(self.of_row[predicted_rad != 0.0])
-        energy = float(np.sum(predicted_rad**2))
-        if energy == 0.0 or touched.size < 2:
-            return 0.0, np.inf, int(touched.size)
-        share = np.array([float(predicted_rad @ self.residual_rad) / energy])
-        own = _jackknife(column, self.residual_rad, self.of_row, touched, share)
-        return float(share[0]), float(np.sqrt(own[0, 0])), int(touched.size)
+        if touched.size < _FEWEST_TO_CONTRADICT:
+            return False
+        share = np.array([float(predicted_rad @ self.residual_rad) / float(np.sum(predicted_rad**2))])
+        sigma = np.sqrt(_jackknife(predicted_rad[:, None], self.residual_rad, self.of_row, touched, share)[0, 0])
+        none, whole = (2.0 * float(student.sf(abs(share[0] - x) / sigma, touched.size - 1)) for x in (0.0, 1.0))
+        return none > FALSE_ALARM and whole < FALSE_ALARM and bool(share[0] < 1.0)
 
 
-def weigh_sun_nadir(telemetry: Telemetry, *, passes: np.ndarray | None = None) -> SunNadir:
+def weigh_sun_nadir(telemetry: Telemetry) -> SunNadir:
     """Weigh a biased scanner (constant, and with latitude) and each turned head; see `open_channel`."""
-    return open_channel(telemetry, passes=passes).weigh()
+    return open_channel(telemetry).weigh()
 
 
-def open_channel(telemetry: Telemetry, *, passes: np.ndarray | None = None, fewest: int = FEWEST_PASSES) -> Channel:
+def open_channel(telemetry: Telemetry, *, fewest: int = FEWEST_PASSES) -> Channel:
     """The channel of a record.
 
-    passes: (rows,) labels of stretches with a common error; where not given, gaps in time divide them, and in a record
-    with few gaps stretches of ten minutes are taken. Of a long record rows spread over all of it are used. Raises
-    BadInput where sun, nadir or position are absent, NoAnswer for fewer than `fewest` passes with both.
+    Gaps in time divide it into passes with a common error, and in a record with few gaps stretches of ten minutes are taken.
+    Of a long record rows spread over all of it are used. Raises BadInput where sun, nadir or position are absent, NoAnswer
+    for fewer than `fewest` passes with both.
     """
     rows = sun_and_nadir(telemetry)
     if rows.size > _MOST_ROWS:
         rows = rows[np.linspace(0, rows.size - 1, _MOST_ROWS).astype(int)]
-    of_row = np.zeros(0, dtype=int)
-    if rows.size and passes is None:
-        of_row = make_blocks(telemetry.time[rows], _MEMORY_S)
-    elif rows.size:
-        of_row = np.unique(np.asarray(passes)[rows], return_inverse=True)[1]
+    of_row = make_blocks(telemetry.time[rows], _MEMORY_S) if rows.size else np.zeros(0, dtype=int)
     count = int(of_row.max()) + 1 if rows.size else 0
     if count < fewest:
         raise NoAnswer(

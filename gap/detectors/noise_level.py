@@ -75,9 +75,9 @@ def stochastic_nT(findings: Sequence[Finding], noise: NoiseModel, declared_lsb_n
         if one.name == "coarse_quantization":
             extra += max(float(one.theta[0]) ** 2 - (declared_lsb_nT or 0.0) ** 2, 0.0) / 12.0
         elif one.name == "excess_noise":
-            extra += max(white_rms_nT(noise) ** 2 - noise.sigma_prior_nT**2, 0.0)
+            extra += max(noise.white_rms_nT**2 - noise.sigma_prior_nT**2, 0.0)
     stuck = sum(size_nT**2 for size_nT in _stuck_nT(findings))
-    return float(np.sqrt(min(extra + stuck, stuck or white_rms_nT(noise) ** 2)))
+    return float(np.sqrt(min(extra + stuck, stuck or noise.white_rms_nT**2)))
 
 
 def _stuck_nT(findings: Sequence[Finding]) -> list[float]:
@@ -96,7 +96,7 @@ def floor_noise(findings: Sequence[Finding], noise: NoiseModel, budget: Budget) 
 
     As declared, unless a named cause makes the readings noisier; what was not declared is what the whitening works with.
     """
-    white, theta = white_rms_nT(noise), noise.theta_rad
+    white, theta = noise.white_rms_nT, noise.theta_rad
     stuck = _stuck_nT(findings)
     louder = any(one.name in ("excess_noise", "coarse_quantization") for one in findings)
     if stuck:
@@ -106,8 +106,3 @@ def floor_noise(findings: Sequence[Finding], noise: NoiseModel, budget: Budget) 
     if budget.attitude_sigma_rad is not None:
         theta = budget.attitude_sigma_rad
     return white, theta
-
-
-def white_rms_nT(noise: NoiseModel) -> float:
-    """White noise, rms over the axes [nT]."""
-    return float(np.sqrt(np.mean(noise.white_nT**2)))

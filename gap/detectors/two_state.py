@@ -49,8 +49,7 @@ def heater_sequence(
     on = ~on if on.mean() > 0.5 else on  # a bias hides which state is which: the rarer one is called on
     if _switches(on).size < _FEWEST_SWITCHES:
         return None
-    found = _fitted(left, on)
-    value = _worth(found, on)
+    found, value = _fitted(left, on), _worth(left, on)
     if value <= THRESHOLD:
         return None
     faults = does_as_well(value, found, rivals)
@@ -72,10 +71,10 @@ def _fitted(left: ProjectedResidual, on: BoolArray) -> Fitted:
     return fitted(left, in_body(on.astype(float)), _switches(on).size)
 
 
-def _worth(found: Fitted, on: BoolArray) -> float:
+def _worth(left: ProjectedResidual, on: BoolArray) -> float:
     """Of a sequence, of all those with so many switches."""
     rows, count = on.size, _switches(on).size
-    return found.worth(float(gammaln(rows + 1) - gammaln(count + 1) - gammaln(rows - count + 1)))
+    return _fitted(left, on).worth(float(gammaln(rows + 1) - gammaln(count + 1) - gammaln(rows - count + 1)))
 
 
 def _sequence(seconds: FloatArray, left: ProjectedResidual, rest_nT: FloatArray, line: Line) -> BoolArray:
@@ -87,9 +86,9 @@ def _sequence(seconds: FloatArray, left: ProjectedResidual, rest_nT: FloatArray,
         waves = fitted(left, line_columns(seconds, line.frequency_Hz)).size.reshape(2, 3)
         directions.append(np.linalg.svd(waves)[2][0])
     first = [_viterbi(rest_nT @ along, None, share) for along in directions for share in _SHARES]
-    distinct = sorted({on.tobytes(): on for on in first}.values(), key=lambda on: -_worth(_fitted(left, on), on))
+    distinct = sorted({on.tobytes(): on for on in first}.values(), key=lambda on: -_worth(left, on))
     climbed = [_climbed(left, rest_nT, on) for on in distinct[:2]]
-    return max(climbed, key=lambda on: _worth(_fitted(left, on), on))
+    return max(climbed, key=lambda on: _worth(left, on))
 
 
 def _climbed(left: ProjectedResidual, rest_nT: FloatArray, on: BoolArray) -> BoolArray:
@@ -114,7 +113,7 @@ def _polished(left: ProjectedResidual, on: BoolArray) -> BoolArray:
     """
     if _switches(on).size > _MOST_SWITCHES:
         return on
-    best = _worth(_fitted(left, on), on)
+    best = _worth(left, on)
     for _ in range(_ROUNDS):
         before = best
         for change in _changes(on):
@@ -122,7 +121,7 @@ def _polished(left: ProjectedResidual, on: BoolArray) -> BoolArray:
             trial[change] = ~trial[change]
             if np.array_equal(trial, on) or trial.all() or not trial.any():
                 continue
-            value = _worth(_fitted(left, trial), trial)
+            value = _worth(left, trial)
             if value > best:
                 on, best = trial, value
         if best - before < 1.0:

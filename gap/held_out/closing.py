@@ -81,13 +81,10 @@ def settle(closure: Closure) -> Closed:
     problem, chosen, modelled = closure.problem, closure.chosen, closure.modelled
     covariances: list[FloatArray] = []
     for number in range(_ROUNDS):
-        problem = dataclasses.replace(
-            problem,
-            chain=Chain(
-                dataclasses.replace(problem.setting, instrument=corrected(problem.setting.instrument, modelled))
-            ),
-            modelled_theta=tuple(_rest(effect, theta) for effect, theta in modelled),
-        )
+        instrument = corrected(problem.setting.instrument, modelled)
+        chain = Chain(dataclasses.replace(problem.setting, instrument=instrument))
+        rest = tuple(np.zeros_like(theta) if effect.name in _CALIBRATION else theta for effect, theta in modelled)
+        problem = dataclasses.replace(problem, chain=chain, modelled_theta=rest)
         modelled = problem.modelled_active
         if not chosen or number == _ROUNDS - 1:
             break
@@ -126,8 +123,9 @@ def closed_scenario(
     added += [(effect, theta, covariance) for effect, theta, covariance in closed.named]
     added += [(one.effect, one.theta, np.diag(one.sigma**2)) for one in closure.stochastic if one.effect is not None]
     for effect, theta, covariance in added:
-        whole = _with_frozen(frozen, effect, theta)
-        changes[f"effects.{effect.name}"] = effect_section(effect, whole, _finite(covariance))
+        # A parameter that was not estimated has no finite entry.
+        known = covariance if covariance is not None and np.isfinite(covariance).all() else None
+        changes[f"effects.{effect.name}"] = effect_section(effect, _with_frozen(frozen, effect, theta), known)
     changes |= _calibration(closure, closed.instrument)
     if scenario is None:
         changes |= _noise(closure, declared)
@@ -146,11 +144,6 @@ def corrected(old: Magnetometer, modelled: Sequence[Active]) -> Magnetometer:
     if "torquer_coupling" in found:
         T = (np.zeros((3, 3)) if T is None else np.array(T)) - found["torquer_coupling"].reshape(3, 3)
     return dataclasses.replace(old, S=S, b_nT=b, T_nT_per_Am2=T)
-
-
-def _rest(effect: Effect, theta: FloatArray) -> FloatArray:
-    """The part of a modelled effect that eq. 1 does not hold."""
-    return np.zeros_like(theta) if effect.name in _CALIBRATION else theta
 
 
 def _pinned(chain: Chain, effect: SignalEffect, active: Sequence[Active]) -> SignalEffect:
@@ -223,22 +216,12 @@ def _absolute(field: str | None) -> str | None:
 
 
 def _closure_table(closure: Closure, transfers: Sequence[Transfer], telemetry: Path) -> dict[str, Any]:
-    time = closure.problem.time
-    rows = [
-        {key: _short(value) for key, value in one.to_dict().items() if value not in (None, "")} for one in transfers
-    ]
-    table: dict[str, Any] = {
-        "telemetry": telemetry.name,
-        "from_utc": epoch.iso(time[0], "ms"),
-        "to_utc": epoch.iso(time[-1], "ms"),
-        "rows": closure.problem.rows,
-        "transfer": rows,
-    }
+    first, last = (epoch.iso(closure.problem.time[row], "ms") for row in (0, -1))
+    known = [{key: value for key, value in one.to_dict().items() if value not in (None, "")} for one in transfers]
+    rows = [{key: float(f"{v:.3g}") if isinstance(v, float) else v for key, v in row.items()} for row in known]
+    table: dict[str, Any] = {"telemetry": telemetry.name, "from_utc": first, "to_utc": last}
+    table |= {"rows": closure.problem.rows, "transfer": rows}
     return table if closure.incomplete is None else {**table, "incomplete": closure.incomplete}
-
-
-def _short(value: Any) -> Any:
-    return float(f"{value:.3g}") if isinstance(value, float) else value
 
 
 def _replaying(closure: Closure, telemetry: Path, column_map: Path | None) -> Scenario:
@@ -250,8 +233,3 @@ def _replaying(closure: Closure, telemetry: Path, column_map: Path | None) -> Sc
         where="closing",
     )
     return base.updated({"spacecraft.name": name})
-
-
-def _finite(covariance: FloatArray | None) -> FloatArray | None:
-    """A covariance without gaps, or none: a parameter that was not estimated has no finite entry."""
-    return covariance if covariance is not None and np.isfinite(covariance).all() else None

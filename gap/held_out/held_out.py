@@ -48,12 +48,8 @@ class Fitted:
     @classmethod
     def of(cls, problem: Problem, whitener: Whitens, residual_nT: FloatArray, columns_nT: FloatArray) -> Fitted:
         """From a residual (N, 3) and what is fitted (N, 3, P), both in body axes."""
-        return cls(
-            problem.judged(residual_nT),
-            problem.judged(columns_nT),
-            whitener.apply(residual_nT),
-            whitener.apply(columns_nT) if columns_nT.size else columns_nT,
-        )
+        white = whitener.apply(columns_nT) if columns_nT.size else columns_nT
+        return cls(problem.judged(residual_nT), problem.judged(columns_nT), whitener.apply(residual_nT), white)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,9 +131,8 @@ class Prediction:
     @property
     def _count(self) -> FloatArray:
         """(n,) components of each counted row."""
-        return (
-            np.full(int(self.counted.sum()), 3) if self.axes is None else self.axes.measured[self.counted].sum(axis=1)
-        )
+        rows = int(self.counted.sum())
+        return np.full(rows, 3) if self.axes is None else self.axes.measured[self.counted].sum(axis=1)
 
     def _mean_square(self, residual_nT: FloatArray) -> float:
         """Of the counted rows of residuals (N, 3), per component [nT^2]."""
@@ -171,8 +166,9 @@ class Prediction:
 
 def predict_blocks(
     seconds: FloatArray, kept: BoolArray, noise_nT: float, before: Fitted, after: Fitted
-) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Residuals (N, 3) before and after, each block predicted from the others, and rows (N,) that could be.
+) -> tuple[FloatArray, FloatArray, BoolArray, str]:
+    """Residuals (N, 3) before and after, each block predicted from the others, rows (N,) that could be, and "blocks"; those
+    of the fit itself, and "fit", where one part of the record does not determine another.
 
     seconds, kept: (N,) time and rows that are not cut. noise_nT: rms per component of noise and attitude error.
     """
@@ -191,7 +187,9 @@ def predict_blocks(
             theta, root = _solve(fit.residual[train], fit.columns[train])
             residual_nT[held] = fit.residual_nT[held] - fit.columns_nT[held] @ theta
         known[held] &= float(np.mean(np.sum((after.columns_nT[held] @ root) ** 2, axis=2))) < noise_nT**2
-    return (*predicted, known)
+    if 2 * known.sum() < kept.sum():
+        return before.residual_nT, after.residual_nT, kept, "fit"
+    return (*predicted, known, "blocks")
 
 
 def one_step(

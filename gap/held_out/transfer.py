@@ -87,7 +87,7 @@ class _Design:
         self.nuisance = jacobians(self.chain, closure.modelled, [*closure.problem.frozen, *chosen])
         self.nuisance_white = self.whitener.apply(self.nuisance) if closure.modelled else self.nuisance
         self.basis = orthonormal(self.nuisance_white)
-        self.floor_nT = floor_rms_nT(field, float(np.sqrt(np.mean(noise.white_nT**2))), noise.theta_rad)
+        self.floor_nT = floor_rms_nT(field, noise.white_rms_nT, noise.theta_rad)
 
     def reading(self, old: SignalEffect, new: Sequence[Active]) -> FloatArray:
         """(N, 3) noise-free reading with `new` in place of the effect `old`."""

@@ -18,9 +18,9 @@ from fluxtwin.gap.law import words
 from fluxtwin.gap.law.grammar import Grammar
 from fluxtwin.gap.law.search import Regression
 from fluxtwin.gap.linear.projection import projected
-from fluxtwin.gap.noise.choice import NoiseChoice, choose_noise, whitener_of
+from fluxtwin.gap.noise.choice import NoiseChoice, noise_beside, whitener_of
 from fluxtwin.gap.noise.whitening import Whitener
-from fluxtwin.gap.posterior.explanations import Answer, signals_of
+from fluxtwin.gap.posterior.explanations import Answer, signals_of, without_names
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.records.diagnosis import Closure, FoundEffect, Law, LawLimit, LawSeries, LawTerm, Shrinkage
 from fluxtwin.gap.selection.criterion import LOG_FURTHER, SHAPE, THRESHOLD, worth
@@ -86,8 +86,7 @@ def law_of(problem: Problem, answer: Answer, named: Sequence[FoundEffect], progr
     progress("the law of what is left", 0.92)
     regression = Regression(problem, Grammar(problem))
     result, signals = answer.result, tuple(signals_of(answer.shapes))
-    own = [problem.derivatives(signals)] if signals else []
-    alone_nT = np.concatenate([answer.alone_nT, *own], axis=2)
+    alone_nT = without_names(problem, answer)
     alone = _Base((), signals, result.modelled_alone, result.residual_alone_nT, alone_nT)
     if not named:
         return _Search(regression, answer, alone, alone).found()
@@ -136,36 +135,27 @@ class _Search:
 
     def found(self) -> Lawful:
         """The law, or why there is none."""
-        answer, base = self.answer, self.base
-        choice = NoiseChoice(answer.noise, answer.robust)
-        whitener = answer.whitener
-        laws, alike = self.regression.run(whitener, base.residual_nT, base.fitted_nT)
-        if not laws:
-            return Lawful(
-                self._none(whitener, "no term lowers chi-square by more than the number tried would by chance")
-            )
+        answer = self.answer
+        choice, whitener = NoiseChoice(answer.noise, answer.robust), answer.whitener
+        fit, alike = self._fitted(whitener)
         for _ in range(2):
-            fit = self._refit(whitener, laws)
-            again = self._noise_beside(fit)
-            if _alike(again, choice):
+            if fit is None or _alike(again := noise_beside(self.problem, fit.active), choice):
                 break
             choice, whitener = again, whitener_of(self.problem, again.noise, again.robust.weights)
-            laws, alike = self.regression.run(whitener, base.residual_nT, base.fitted_nT)
-            if not laws:
-                return Lawful(
-                    self._none(whitener, "no term lowers chi-square by more than the number tried would by chance")
-                )
-        return self._judged(self._refit(whitener, laws), choice, whitener, alike)
+            fit, alike = self._fitted(whitener)
+        if fit is None:
+            return Lawful(self._none(whitener, "no term is worth its parameters and the number tried"))
+        return self._judged(fit, choice, whitener, alike)
 
-    def _refit(self, whitener: Whitener, laws: Sequence[LawEffect]) -> Fit:
-        """Names and terms in the nonlinear chain, from nothing for the terms: in them it is linear."""
-        terms = [(law, np.zeros(3)) for law in words.with_names(self.regression.grammar.usual(law) for law in laws)]
-        chosen = [*self.base.named, *self.base.signals, *terms]
-        return refit(Readings(self.problem, whitener), chosen, modelled=self.base.modelled)
-
-    def _noise_beside(self, fit: Fit) -> NoiseChoice:
-        residual = self.problem.residual_of(fit.active)
-        return choose_noise(self.problem, self.problem.derivatives(fit.active), residual_nT=residual)
+    def _fitted(self, whitener: Whitener) -> tuple[Fit | None, list[LawEffect]]:
+        """Names and terms in the nonlinear chain, from nothing for the terms: in them it is linear; none where there are no
+        terms. And terms that do as well in the place of the first."""
+        base, regression = self.base, self.regression
+        laws, alike = regression.run(whitener, base.residual_nT, base.fitted_nT)
+        terms = [(law, np.zeros(3)) for law in words.with_names(regression.grammar.usual(law) for law in laws)]
+        chosen = [*base.named, *base.signals, *terms]
+        readings = Readings(self.problem, whitener)
+        return refit(readings, chosen, modelled=base.modelled) if laws else None, alike
 
     def _judged(self, fit: Fit, choice: NoiseChoice, whitener: Whitener, alike: Sequence[LawEffect]) -> Lawful:
         problem, count = self.problem, len(self.base.named) + len(self.base.signals)
@@ -183,8 +173,9 @@ class _Search:
                 why = "the coefficients of the best one differ from one part of the record to the next"
                 return Lawful(self._none(whitener, f"{why}: {words.made_of(record.terms)}"))
         if gap.closed is None or gap.closed < LEAST_CLOSED:
-            share = "no measurable share" if gap.closed is None else f"{100 * gap.closed:.0f} %"
-            why = f"the best one closes {share} of the remaining gap on held-out samples"
+            share = "a share that is too small, or not to be measured"
+            share = share if gap.closed is None else f"{100 * gap.closed:.0f} %"
+            why = f"the best one found closes {share} of what is left on held-out samples"
             return Lawful(self._none(whitener, f"{why}: {words.made_of(record.terms)}"))
         rest = residual_structure(problem, whitener, residual_nT, columns_nT)
         return Lawful(
@@ -213,16 +204,13 @@ class _Search:
         """As for the names: each block of the record predicted from the others, without the law and with it."""
         problem = self.problem
         kept = ~np.any(choice.robust.cut, axis=1)
-        white_nT = float(np.sqrt(np.mean(choice.noise.white_nT**2)))
-        floor_nT = floor_rms_nT(problem.noise_field_nT[kept], white_nT, choice.noise.theta_rad, problem.measured[kept])
+        noise, measured = choice.noise, problem.measured[kept]
+        floor_nT = floor_rms_nT(problem.noise_field_nT[kept], noise.white_rms_nT, noise.theta_rad, measured)
         before = Fitted.of(problem, whitener, self.base.residual_nT, self.base.fitted_nT)
         after = Fitted.of(problem, whitener, residual_nT, columns_nT)
-        seconds = problem.setting.seconds
-        before_nT, after_nT, counted = predict_blocks(seconds, kept, floor_nT, before, after)
-        if 2 * counted.sum() < kept.sum():  # one part of the record does not determine another: nothing is held out
-            fitted = Prediction(before.residual_nT, after.residual_nT, kept, floor_nT, floor_nT, "fit", problem.axes)
-            return replace(fitted.shrinkage(True), closed=None, interval=None)
-        return Prediction(before_nT, after_nT, counted, floor_nT, floor_nT, axes=problem.axes).shrinkage(True)
+        before_nT, after_nT, counted, of = predict_blocks(problem.setting.seconds, kept, floor_nT, before, after)
+        gap = Prediction(before_nT, after_nT, counted, floor_nT, floor_nT, of, problem.axes).shrinkage(True)
+        return replace(gap, closed=None, interval=None) if of == "fit" else gap
 
     def _record(self, fit: Fit, terms: Sequence[Active], gap: Shrinkage, alike: Sequence[LawEffect]) -> Law:
         slices = fit.slices()[len(fit.chosen) - len(terms) :]
@@ -250,10 +238,8 @@ class _Search:
             looked_at=(),
             sentence="",
         )
-        seconds = float(self.problem.setting.seconds[-1])
-        return replace(
-            said, sentence=words.sentence(said, bool(self.base.named), seconds / orbital_period_s(self.problem.setting))
-        )
+        orbits = float(self.problem.setting.seconds[-1]) / orbital_period_s(self.problem.setting)
+        return replace(said, sentence=words.sentence(said, bool(self.base.named), orbits))
 
     def _none(self, whitener: Whitener, why: str) -> Law:
         """What was looked at, and how large each would have had to be."""
@@ -284,8 +270,7 @@ class _Search:
                 continue
             turned = np.einsum("nij,j->ni", self.regression.carrier.turns[law.axes], theta / size)
             partial = np.einsum("ni,ni->n", residual_nT, turned) + size * values
-            label = words.axis_label(law)
-            found.append(LawSeries(label, values[::every], partial[::every], size))
+            found.append(LawSeries(words.axis_label(law), values[::every], partial[::every], size))
         return tuple(found)
 
 

@@ -15,6 +15,7 @@ from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.problem.row_axes import RowAxes
 from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.effects.chain import Active
 
 __all__ = [
     "NoiseChoice",
@@ -24,6 +25,7 @@ __all__ = [
     "choose_noise",
     "complete_budget",
     "make_whitener",
+    "noise_beside",
     "select_noise",
     "whitener_of",
 ]
@@ -58,6 +60,11 @@ def choose_noise(
         problem.axes,
         walk,
     )
+
+
+def noise_beside(problem: Problem, active: Sequence[Active]) -> NoiseChoice:
+    """The noise model with these effects on, linear about them; the modelled ones, as refitted, are among them."""
+    return choose_noise(problem, problem.derivatives(active), residual_nT=problem.residual_of(active))
 
 
 def whitener_of(problem: Problem, noise: NoiseModel, weights: FloatArray | None) -> Whitener:

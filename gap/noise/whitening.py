@@ -47,6 +47,11 @@ class NoiseModel:
         """(3,) white noise per body axis, 1 sigma."""
         return self.sigma_nT * np.asarray(self.axis_factor)
 
+    @property
+    def white_rms_nT(self) -> float:
+        """White noise, rms over the axes."""
+        return float(np.sqrt(np.mean(self.white_nT**2)))
+
 
 @dataclass(frozen=True, eq=False)
 class Whitener:

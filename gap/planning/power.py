@@ -114,9 +114,9 @@ class Flown:
         if rows not in self._shown:
             scored, power = self.board(self.found, self._white, rows), {}
             tested = max(int((scored.rank > 0).sum()), 1)
-            for name, (relative, owner, _) in smallest(scored)[0].items():
-                rank = int(scored.rank[owner])
-                size = noncentrality(rank, tested) / relative**2
+            for name, one in smallest(scored)[0].items():
+                rank = int(scored.rank[one.owner])
+                size = noncentrality(rank, tested) / one.relative**2
                 power[name] = float(ncx2.sf(chi2.isf(GATE / tested, rank), rank, size))
             self._shown[rows] = power
         return self._shown[rows]

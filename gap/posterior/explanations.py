@@ -21,7 +21,15 @@ from fluxtwin.gap.hypotheses.candidates import Candidate
 from fluxtwin.gap.hypotheses.evidence import Dictionary
 from fluxtwin.gap.linear.projection import projected, projected_white
 from fluxtwin.gap.noise.budget import prior_of
-from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, Whitener, choose_noise, complete_budget, whitener_of
+from fluxtwin.gap.noise.choice import (
+    NoiseModel,
+    RobustRows,
+    Whitener,
+    choose_noise,
+    complete_budget,
+    noise_beside,
+    whitener_of,
+)
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import LOG_FURTHER, SHAPE, THRESHOLD, penalty
 from fluxtwin.gap.selection.forward import Search, begin, run
@@ -122,8 +130,7 @@ def _concluded(
     result = _stripped(problem, result, signals)
     alone = problem.derivatives(result.modelled_alone)
     fitted = problem.derivatives([*result.modelled, *result.chosen]) if result.chosen else alone
-    if signals:
-        fitted = np.concatenate([fitted, problem.derivatives(signals)], axis=2)
+    fitted = np.concatenate([fitted, problem.derivatives(signals)], axis=2)
     return Answer(whitener.noise, robust, whitener, result, alone, fitted, chosen.left, share, total, gained[0], shapes)
 
 
@@ -217,8 +224,7 @@ def noise_and_answer(problem: Problem, dictionary: Dictionary, known: Known) -> 
         fit = searched[2][-1][0]
         if not fit.chosen:
             break
-        residual = problem.residual_of(fit.active)
-        choice = choose_noise(problem, problem.derivatives(fit.active), residual_nT=residual)
+        choice = noise_beside(problem, fit.active)
         searched = _searched(problem, whitener_of(problem, choice.noise, choice.robust.weights), known)
         if {effect for effect, _ in searched[2][-1][0].chosen} == {effect for effect, _ in fit.chosen}:
             break
@@ -229,6 +235,11 @@ def noise_and_answer(problem: Problem, dictionary: Dictionary, known: Known) -> 
 def signals_of(shapes: Sequence[Finding]) -> list[Active]:
     """Those that a fit can have, with the parameters they were found with."""
     return [(one.effect, one.theta) for one in shapes if one.is_signal]
+
+
+def without_names(problem: Problem, answer: Answer) -> FloatArray:
+    """(N, 3, c) Jacobian of what is modelled and of the shapes that are signals."""
+    return np.concatenate([answer.alone_nT, problem.derivatives(signals_of(answer.shapes))], axis=2)
 
 
 def structure_left(under_way: Search[Readings], fit: Fit, dictionary: Dictionary) -> Structure:
@@ -252,8 +263,8 @@ def _beside(problem: Problem, signals: Sequence[Active]) -> Problem:
     if not signals:
         return problem
     every = [*problem.modelled_active, *signals]
-    effects = [effect for effect, _ in every if isinstance(effect, SignalEffect)]
-    return replace(problem, modelled=tuple(effects), modelled_theta=tuple(np.asarray(theta) for _, theta in every))
+    effects = tuple(effect for effect, _ in every if isinstance(effect, SignalEffect))
+    return replace(problem, modelled=effects, modelled_theta=tuple(theta for _, theta in every))
 
 
 def _stripped(problem: Problem, result: SearchResult, signals: Sequence[Active]) -> SearchResult:

@@ -24,7 +24,7 @@ from fluxtwin.gap.hypotheses.evidence import Dictionary
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.choice import NoiseModel, choose_noise, whitener_of
 from fluxtwin.gap.noise.walk import Wander
-from fluxtwin.gap.posterior.explanations import Answer, Known, answered_with, log_likelihood, signals_of
+from fluxtwin.gap.posterior.explanations import Answer, Known, answered_with, log_likelihood, signals_of, without_names
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import THRESHOLD, worth
 from fluxtwin.gap.selection.support import IN_GROUP
@@ -73,16 +73,10 @@ class Structured:
         result, whitener = answer.result, answer.whitener
         residual, fitted, left = result.residual_nT, answer.fitted_nT, answer.left
         if bare:
-            residual, fitted = result.residual_alone_nT, self._alone(answer)
+            residual, fitted = result.residual_alone_nT, without_names(self.problem, answer)
             left = residual_structure(self.problem, whitener, residual, fitted, self.dictionary)
         chosen = [] if bare else [effect for effect, _ in result.chosen]
         return proposals.structured(self.problem, whitener, residual, fitted, left, self.dictionary, chosen)
-
-    def _alone(self, answer: Answer) -> FloatArray:
-        """(N, 3, c) Jacobian of what is re-estimated and of the shapes that are signals."""
-        signals = signals_of(answer.shapes)
-        own = [self.problem.derivatives(signals)] if signals else []
-        return np.concatenate([answer.alone_nT, *own], axis=2)
 
     def given(self, answer: Answer, finding: Finding) -> Answer:
         """Effects sought afresh given one more signal."""
@@ -98,7 +92,7 @@ class Structured:
     def _walking(self, answer: Answer) -> Answer | None:
         """The answer with a walk in the noise, where that explains more; where it explains nearly as much, the answer with
         the walk beside the name in whose place it would be; else None."""
-        bare_nT, alone = answer.result.residual_alone_nT, self._alone(answer)
+        bare_nT, alone = answer.result.residual_alone_nT, without_names(self.problem, answer)
         best: tuple[float, float, Answer | None] = (-np.inf, 0.0, None)
         for residual_nT, columns in self._without_a_step(answer, bare_nT, alone):
             likely = Wander(answer.whitener, self.problem.setting.seconds).rate(residual_nT, columns)
@@ -106,9 +100,8 @@ class Structured:
                 continue
             # Given a walk, the error of the attitude is another: without one it took its place.
             named = columns[:, :, alone.shape[2] :]
-            noise = choose_noise(
-                self.problem, named, residual_nT=residual_nT, walk=likely / answer.noise.sigma_nT
-            ).noise
+            rate = likely / answer.noise.sigma_nT
+            noise = choose_noise(self.problem, named, residual_nT=residual_nT, walk=rate).noise
             trials = [noise, answer.noise, *_declared(self.problem, noise)]
             gained = [(self._gain(answer, one, residual_nT, columns), one) for one in trials]
             (_, first), likeliest = max(gained, key=lambda found: found[0][0])

@@ -153,7 +153,7 @@ def _searched(
         untestable={**untestable, **{name: why for name, why in hidden.items() if name in _NAMES}},
         ranking=tuple(line for line in ranking(search) if line.name in _NAMES),
         isolability=isolability(shares_by_name(search.first)),
-        minimum_detectable={name: _detectable(search, *where) for name, where in seen.items() if name in _NAMES},
+        minimum_detectable={name: one.shows() for name, one in seen.items() if name in _NAMES},
         gap=gap,
         ahead_km=ahead_km(channel, chosen.fit, result),
     )
@@ -176,11 +176,6 @@ def _left(
         clues.append(Structure(value, drop, "block", words, condition, frame, rank=rank, log_tried=tried))
     best = max(clues, key=lambda clue: clue.worth)
     return best if best.worth > THRESHOLD else _NOTHING
-
-
-def _detectable(search: Search[MomentumChannel], relative: float, number: int, column: int) -> Detectable:
-    parameter = search.found[number].effect.parameters[int(search.first.place[column])]
-    return Detectable(parameter.name, relative * parameter.scale, parameter.unit, 0.0)
 
 
 def _named(search: Search[MomentumChannel], fitted: Fit, variance: float, known: float) -> tuple[FoundEffect, ...]:
@@ -217,17 +212,8 @@ def _how_far(channel: MomentumChannel, fit: Fit) -> tuple[MomentumGap, float]:
     }
     before_deg, after_deg, floor_deg = (float(np.degrees(one)) for one in (far.before_nT, far.after_nT, floor))
     longest = max(float(w.seconds[-1] - w.seconds[0]) for w in windows.windows)
-    gap = MomentumGap(
-        before_deg,
-        after_deg,
-        floor_deg,
-        far.closed,
-        far.interval,
-        len(windows.windows),
-        longest,
-        channel.balance.noise.words,
-        errors,
-    )
+    sizes, noise = (before_deg, after_deg, floor_deg), channel.balance.noise.words
+    gap = MomentumGap(*sizes, far.closed, far.interval, len(windows.windows), longest, noise, errors)
     return gap, prediction.log_ratio
 
 

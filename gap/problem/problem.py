@@ -17,6 +17,7 @@ from fluxtwin.gap.problem import row_axes
 from fluxtwin.gap.problem.row_axes import RowAxes, turn_images
 from fluxtwin.sim.attitude.recorded_motion import RecordedMotion
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.late import stretches
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import field_N_nT
@@ -30,7 +31,6 @@ from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
 
 DEFAULT_MODELLED = ("bias", "scale_misalignment")
 _OTHER_STAMPS = np.timedelta64(1, "D")  # so far beyond the model's ends a clock error may lead a trial
-_GAP_FACTOR = 5.0
 _LARGEST_ERROR = 5.0  # times its sigma: what an attitude error is taken to be at the most
 
 
@@ -200,13 +200,11 @@ class Problem:
 
     @cached_property
     def segment(self) -> FloatArray:
-        """(N,) number of the stretch without gaps, from 0: a gap is five times the usual spacing."""
-        steps = np.diff(self.setting.seconds)
-        usual = float(np.median(steps)) if steps.size else 1.0
-        breaks = steps > _GAP_FACTOR * usual
+        """(N,) number of the stretch without gaps, and, of rows without attitude, with the same sensor."""
+        number = stretches(self.setting.seconds)
         if self.axes is not None and self.axes.with_nadir.any():
-            breaks = breaks | _another_sensor(self.axes)
-        return np.concatenate([[0.0], np.cumsum(breaks)])
+            number[1:] += np.cumsum(_another_sensor(self.axes))
+        return number.astype(np.float64)
 
 
 def pose(
@@ -304,10 +302,7 @@ def _another_sensor(axes: RowAxes) -> BoolArray:
 def _usable(telemetry: Telemetry) -> tuple[Telemetry, dict[str, int]]:
     if telemetry.r_N_km is None:
         raise BadInput("the telemetry has no position", where="r_x_km r_y_km r_z_km", wanted="positions, or --tle FILE")
-    needs = {
-        "no reading": telemetry.has_reading,
-        "no position": telemetry.has_position,
-    }
+    needs = {"no reading": telemetry.has_reading, "no position": telemetry.has_position}
     usable, left_out = np.ones(len(telemetry), dtype=bool), {}
     for reason, present in needs.items():
         count = int((usable & ~present).sum())
@@ -317,9 +312,8 @@ def _usable(telemetry: Telemetry) -> tuple[Telemetry, dict[str, int]]:
     if not usable.any():
         raise NoAnswer("no row has reading and position", evidence={"left_out": left_out})
     if not telemetry.mag_B_nT[usable].any():
-        raise NoAnswer(
-            "the magnetometer reads zero throughout: nothing can be diagnosed", evidence={"left_out": left_out}
-        )
+        zero = "the magnetometer reads zero throughout: nothing can be diagnosed"
+        raise NoAnswer(zero, evidence={"left_out": left_out})
     return telemetry.select(usable), left_out
 
 

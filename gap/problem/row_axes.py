@@ -54,16 +54,12 @@ class RowAxes:
         entered = f"have no reference attitude and enter through the size of the field{angle}"
         return f"{rows} of {self.known.size} rows {entered}"
 
-    def judged(self, columns: FloatArray, first: int = 0) -> FloatArray:
-        """Columns (n, 3) or (n, 3, P) in body axes, turned into the rows' own axes, zero where not measured.
-
-        first: number of the first row.
-        """
-        rows = slice(first, first + columns.shape[0])
-        here = np.flatnonzero(~self.known[rows])
+    def judged(self, columns: FloatArray) -> FloatArray:
+        """Columns (N, 3) or (N, 3, P) in body axes, turned into the rows' own axes, zero where not measured."""
+        here = np.flatnonzero(~self.known)
         turned = np.array(columns, dtype=np.float64)
         part = turned[here].reshape(here.size, 3, -1)
-        part = np.matmul(self.turn[rows][here], part) * self.measured[rows][here, :, None]
+        part = np.matmul(self.turn[here], part) * self.measured[here, :, None]
         turned[here] = part.reshape(turned[here].shape)
         return turned
 

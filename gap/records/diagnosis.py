@@ -15,7 +15,6 @@ from pydantic import ConfigDict, Field, GetPydanticSchema, PlainSerializer, Type
 
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.records.score import Score
 from fluxtwin.sim.base.seals import FORMAT
 from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import FloatArray, TimeArray
@@ -247,6 +246,21 @@ class Ranked(Record):
     directions: Annotated[int, Field(ge=1)]
     p_value: Share
     """Corrected for the number of tests."""
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """What one record says of one effect, with unit noise; of many records these add up."""
+
+    label: str
+    """The name with its settings."""
+    effect: Effect
+    score: FloatArray
+    """(p,) derivative of the log likelihood by each parameter, at none of the effect."""
+    information: FloatArray
+    """(p, p) beside the nuisance; zero for parameters that move nothing."""
+    of_errors: float = 0.0
+    """What of the information of a single parameter is none, as its image is made of an attitude with errors."""
 
 
 @dataclass(frozen=True)

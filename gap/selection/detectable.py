@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
@@ -20,6 +21,7 @@ from fluxtwin.gap.linear.projection import Whitens, orthonormal, projected_out
 from fluxtwin.gap.records.diagnosis import Detectable
 from fluxtwin.gap.selection.score import Board
 from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.effects.base import Parameter
 
 GATE = 0.002
 """Probability that a perfect simulation gets any name."""
@@ -43,25 +45,37 @@ def detectable(
     it is and whitened. Returns ({name: Detectable}, (M, 3, k) image of each, nT per unit, {name: why it is untestable}).
     """
     seen, reasons = smallest(board)
-    found: dict[str, Detectable] = {}
-    columns = [column for _, _, column in seen.values()]
-    raw = [board.candidates[n].jacobian[:, :, int(board.place[column])] for _, n, column in seen.values()]
+    raw = [board.candidates[one.owner].jacobian[:, :, int(board.place[one.column])] for one in seen.values()]
     images = np.stack(raw, axis=-1) if raw else np.zeros((*white.shape[:2], 0))
-    visible = visible_part(images, white[:, :, columns], raw_nuisance, white_nuisance)
-    for number, (name, (relative, owner, column)) in enumerate(seen.items()):
-        parameter = board.candidates[owner].effect.parameters[int(board.place[column])]
-        value = relative * parameter.scale
-        rms = float(np.sqrt(np.mean(visible[:, :, number] ** 2)))
-        found[name] = Detectable(parameter.name, value, parameter.unit, value * rms)
-    return found, images, reasons
+    visible = visible_part(images, white[:, :, [one.column for one in seen.values()]], raw_nuisance, white_nuisance)
+    rms = [float(np.sqrt(np.mean(visible[:, :, number] ** 2))) for number in range(len(seen))]
+    return {name: one.shows(size) for (name, one), size in zip(seen.items(), rms, strict=True)}, images, reasons
 
 
-def smallest(board: Board) -> tuple[dict[str, tuple[float, int, int]], dict[str, str]]:
-    """For each effect that shows: smallest size over the typical one, number of the candidate, number of the column; and
-    why others do not show."""
+class Smallest(NamedTuple):
+    """The smallest size of an effect that shows."""
+
+    relative: float
+    """Over the typical one."""
+    parameter: Parameter
+    owner: int
+    """Number of the candidate."""
+    column: int
+
+    @property
+    def value(self) -> float:
+        return self.relative * self.parameter.scale
+
+    def shows(self, unit_nT: float = 0.0) -> Detectable:
+        """As a record. unit_nT: what is visible of one unit, rms per component."""
+        return Detectable(self.parameter.name, self.value, self.parameter.unit, self.value * unit_nT)
+
+
+def smallest(board: Board) -> tuple[dict[str, Smallest], dict[str, str]]:
+    """For each effect that shows the smallest size; and why others do not show."""
     best = _best_columns(board)
     every = dict.fromkeys(candidate.name for candidate in board.candidates)
-    reasons = {name: why for name in every if (why := _reason(board, best.get(name))) is not None}
+    reasons = {name: why for name in every if (why := _reason(best.get(name))) is not None}
     return {name: choice for name, choice in best.items() if name not in reasons}, reasons
 
 
@@ -103,10 +117,10 @@ def visible_part(
     return np.asarray(raw - raw_nuisance @ weights)
 
 
-def _best_columns(board: Board) -> dict[str, tuple[float, int, int]]:
-    """For each name: smallest size relative to the typical one, number of the candidate, number of the column."""
+def _best_columns(board: Board) -> dict[str, Smallest]:
+    """By name."""
     tested = max(int((board.rank > 0).sum()), 1)
-    best: dict[str, tuple[float, int, int]] = {}
+    best: dict[str, Smallest] = {}
     for column in np.flatnonzero(board.left > board.share_left):
         owner = int(board.owner[column])
         candidate = board.candidates[owner]
@@ -114,18 +128,17 @@ def _best_columns(board: Board) -> dict[str, tuple[float, int, int]]:
             continue
         curvature = board.left[column] * board.lengths[column] ** 2
         value = np.sqrt(noncentrality(int(board.rank[owner]), tested) / curvature)
-        relative = float(value / candidate.scale[int(board.place[column])])
-        if candidate.name not in best or relative < best[candidate.name][0]:
-            best[candidate.name] = (relative, owner, int(column))
+        place = int(board.place[column])
+        relative = float(value / candidate.scale[place])
+        if candidate.name not in best or relative < best[candidate.name].relative:
+            best[candidate.name] = Smallest(relative, candidate.effect.parameters[place], owner, int(column))
     return best
 
 
-def _reason(board: Board, best: tuple[float, int, int] | None) -> str | None:
+def _reason(best: Smallest | None) -> str | None:
     if best is None:
-        return "on this orbit and attitude the re-estimated calibration can imitate it completely"
-    relative, number, column = best
-    parameter = board.candidates[number].effect.parameters[int(board.place[column])]
-    size = relative * parameter.scale
-    if relative > _ABSURD or size > max(abs(parameter.low), abs(parameter.high)):
-        return f"only {parameter.name} above {size:.3g} {parameter.unit} would show, which is beyond what is physical"
+        return "what is re-estimated can imitate it wholly on this orbit and attitude"
+    one, size = best.parameter, best.value
+    if best.relative > _ABSURD or size > max(abs(one.low), abs(one.high)):
+        return f"only {one.name} above {size:.3g} {one.unit} would show, which is beyond what is physical"
     return None

@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fluxtwin.gap.hypotheses.candidates import Candidate, settings_of
-from fluxtwin.gap.records.diagnosis import Detectable, EffectParameter, FoundEffect, Ranked
-from fluxtwin.gap.records.score import Score
+from fluxtwin.gap.records.diagnosis import Detectable, EffectParameter, FoundEffect, Ranked, Score
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect
 from fluxtwin.sim.effects.chain import Active

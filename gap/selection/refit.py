@@ -45,6 +45,7 @@ class Channel(Whitens, Protocol):
     @property
     def setting(self) -> Setting | None:
         """In which settings of effects between those tried are looked for; None: they are not."""
+        return None
 
     def residual(self, active: Sequence[Active]) -> FloatArray:
         """(M, 3) whitened, with these effects on."""
@@ -58,12 +59,15 @@ class Channel(Whitens, Protocol):
     def blur(self, active: Active, modelled: Sequence[Active]) -> tuple[FloatArray, FloatArray] | None:
         """(M, 3) whitened, what one more error of the attitude, as large as it is taken to be, adds to the image of an
         effect of this size, and that image (M, 3, p); None where its image is not made of attitudes."""
+        return None
 
     def jumps(self, base: Fit) -> Sequence[str]:
         """Moments (ISO 8601 UTC) at which the residual of a fit without any effect jumps."""
+        return ()
 
     def proposed(self, base: Fit) -> Sequence[SignalEffect]:
         """Alternatives that the residual of a fit without any effect suggests."""
+        return ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from scipy.stats import f as f_distribution
 
 from fluxtwin.gap.hypotheses.candidates import Candidate
 from fluxtwin.gap.linear.projection import SHARE_LEFT, Whitens, explained, orthonormal, projected_out
-from fluxtwin.gap.records.score import Score
+from fluxtwin.gap.records.diagnosis import Score
 from fluxtwin.sim.base.types import FloatArray
 
 _QUIETEST = 0.25

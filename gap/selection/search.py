@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.gap.records.diagnosis import FoundEffect, Ranked
-from fluxtwin.gap.records.score import Score
+from fluxtwin.gap.records.diagnosis import FoundEffect, Ranked, Score
 from fluxtwin.gap.selection import groups
 from fluxtwin.gap.selection.detectable import detectable, visible_part
 from fluxtwin.gap.selection.forward import Search

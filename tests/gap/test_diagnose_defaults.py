@@ -142,7 +142,7 @@ def test_a_block_that_the_others_do_not_determine_is_not_predicted() -> None:
     y = rng.standard_normal((500, 3))
     x = np.where(np.arange(500)[:, None, None] >= 400, rng.standard_normal((500, 3, 1)), 1e-9 * np.ones((500, 3, 1)))
     fit = Fitted(y, x, y, x)
-    *_, known = predict_blocks(seconds, kept, 1.0, fit, fit)
+    *_, known, _ = predict_blocks(seconds, kept, 1.0, fit, fit)
     assert known[:400].all() and not known[400:].any()
 
 

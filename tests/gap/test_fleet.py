@@ -11,8 +11,7 @@ from worlds import TUMBLING, tumbling
 
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.fleet import Fleet, fleet
-from fluxtwin.gap.records.diagnosis import Diagnosis
-from fluxtwin.gap.records.score import Score
+from fluxtwin.gap.records.diagnosis import Diagnosis, Score
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.effects.catalogue import find_effect

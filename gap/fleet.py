@@ -22,7 +22,7 @@ from scipy.stats import chi2
 
 from fluxtwin.gap.linear.projection import SHARE_LEFT, explained
 from fluxtwin.gap.records.diagnosis import Diagnosis, Score
-from fluxtwin.gap.selection.criterion import MOST_SURE, THRESHOLD, worth
+from fluxtwin.gap.selection.criterion import MOST_SURE, THRESHOLD, TWENTY_TO_ONE, worth
 from fluxtwin.gap.selection.groups import ALIKE
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
@@ -30,8 +30,6 @@ from fluxtwin.sim.effects.base import Effect
 
 FALSE_ALARM = 0.01
 """Of a whole fleet: for the spread of a size, and for the odd one out."""
-_GROUP = 2.0 * np.log(20.0)
-"""Names whose exchange costs less are not distinguished."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +152,7 @@ def fleet(vehicles: Sequence[str], diagnoses: Sequence[Diagnosis]) -> Fleet:
     common = None
     if ranked and ranked[0][1][0] > THRESHOLD:
         top = ranked[0][1][0]
-        group = [name for name, (value, _, _) in ranked if top - value < _GROUP]
+        group = [name for name, (value, _, _) in ranked if top - value < TWENTY_TO_ONE]
         group += [name for name, _ in ranked if name not in group and _imitate(diagnoses, group[0], name)]
         alike = [{*found.group} for one in diagnoses for found in one.effects if {*found.group} & {*group}]
         usual = {name for each in alike for name in each if 2 * sum(name in other for other in alike) >= len(alike)}

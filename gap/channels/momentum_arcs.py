@@ -229,9 +229,9 @@ class Arcs:
         return np.concatenate([turn, impulse_N], axis=1)
 
 
-def arcs(problem: Problem, craft: Craft, orbit: tuple[FloatArray, FloatArray] | None = None) -> Arcs | str:
+def arcs(problem: Problem, craft: Craft, orbit: tuple[FloatArray, FloatArray]) -> Arcs | str:
     """Arcs along the problem's rows, long enough for a window to hold; or why there are none, in words. orbit: as `Arcs`
-    has it, by default as reported."""
+    has it."""
     missing = lacking(problem, craft.vehicle)
     if missing is not None:
         return missing
@@ -271,7 +271,6 @@ def arcs(problem: Problem, craft: Craft, orbit: tuple[FloatArray, FloatArray] | 
     momentum_N = np.asarray(track.inv().apply(momentum_B))
     resolved = max(usual, *spacing_s) < 1.01 * craft.tick_s
     held = np.full(3, resolved)
-    orbit = setting.given[:2] if orbit is None else orbit
     return Arcs(craft, problem, rows_of_arcs, parts, track, momentum_N, wheels_B, dipole, resolved, held, orbit)
 
 

@@ -14,8 +14,7 @@ import numpy as np
 
 from fluxtwin.gap.detectors.lines import Line, strongest_line
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
-from fluxtwin.gap.noise.budget import prior_of
-from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, Whitener, complete_budget, select_noise, whitener_of
+from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, Whitener, noise_of, whitener_of
 from fluxtwin.gap.problem.problem import Problem, pose, realigned
 from fluxtwin.gap.selection.criterion import THRESHOLD
 from fluxtwin.sim.base.types import FloatArray
@@ -62,15 +61,7 @@ def full_rate(
     near = _stretch(whole, problem, modelled, chosen)
     residual = near.residual_of([*modelled, *chosen])
     fitted = near.derivatives([*modelled, *chosen])
-    noise, robust = select_noise(
-        near.judged(residual),
-        [near.judged(fitted)],
-        near.noise_image_nT,
-        near.setting.seconds,
-        near.segment,
-        prior_of(complete_budget(near)),
-        near.axes,
-    )
+    noise, robust = noise_of(near, residual, [fitted])
     whitener = whitener_of(near, noise, robust.weights)
     left = projected(whitener, residual, fitted)
     line = strongest_line(near.setting.seconds, left)
@@ -90,9 +81,6 @@ def _stretch(whole: Telemetry, problem: Problem, modelled: Sequence[Active], cho
         frozen=problem.frozen,
     )
     thetas = {effect.name: theta for effect, theta in modelled}
-    near = replace(
-        near,
-        modelled=problem.modelled,
-        modelled_theta=tuple(np.asarray(thetas[effect.name]) for effect in problem.modelled),
-    )
+    about = tuple(thetas[effect.name] for effect in problem.modelled)
+    near = replace(near, modelled=problem.modelled, modelled_theta=about)
     return realigned(near, beside=[*modelled, *chosen])

@@ -29,7 +29,6 @@ from fluxtwin.sim.effects.switched_field import HeaterSwitching
 _ROUNDS = 8
 _FEWEST_SWITCHES = 6
 _MOST_SWITCHES = 150
-_MOST_ROWS = 200_000  # the search walks through them one by one
 _TELEGRAPHS, _REGULAR_P, _SEED = 400, 0.01, 20
 _SHARES = (0.25, 0.5, 0.75)  # of the rows in the lower level, to begin with
 _MOVES = ((-1, 0), (0, 1), (-3, 0), (0, 3))  # rows about an edge
@@ -43,8 +42,6 @@ def heater_sequence(
     residual_nT (N, 3): what was fitted is out of it, as of `left`, which is whitened. rivals: fits of the design's
     blocks. line: the strongest one, of which nothing may be left given the sequence.
     """
-    if len(residual_nT) > _MOST_ROWS:
-        return None
     on = _polished(left, _sequence(setting.seconds, left, residual_nT, line))
     on = ~on if on.mean() > 0.5 else on  # a bias hides which state is which: the rarer one is called on
     if _switches(on).size < _FEWEST_SWITCHES:

@@ -30,7 +30,7 @@ DAYS = (0.5, 90.0, 182.0)
 TUMBLE_DEG_S = (0.12, 0.08, 0.2)
 SPIN_RPM = 1.9
 """Near 2 rpm, and no whole number of turns between samples of the usual spacings."""
-_INERTIA_KG_M2 = np.array([10.0, 12.0, 15.0])
+INERTIA_KG_M2 = np.array([10.0, 12.0, 15.0])
 """Of a body without symmetry: only ratios matter to a torque-free tumble."""
 _NADIR_WITHIN_RAD = np.radians(30.0)
 """Median angle to a mean attitude in the orbital frame; of a tumble it is above 90 degrees."""
@@ -84,28 +84,17 @@ def targets(problem: Problem) -> list[Target]:
     flown = _cut(problem.setting, known)
     segment = problem.segment[known]
     nadir = _points_to_nadir(flown)
-    made = []
-    for days in DAYS:
-        name = f"{'nadir' if nadir else 'attitude as flown'}, {_later(days)}"
-        made.append((name, days, None if nadir else "same"))
-    regimes = ["tumble", "spin"] if nadir else ["nadir", "tumble", "spin"]
-    made += [(f"{_words(regime)}, {_later(DAYS[1])}", DAYS[1], regime) for regime in regimes]
+    tumble, spin = f"tumble of {np.linalg.norm(TUMBLE_DEG_S):.2g} deg/s", f"spin of {SPIN_RPM:g} rpm"
+    recorded, regime = ("nadir", None) if nadir else ("attitude as flown", "same")
+    made = [(recorded, days, regime) for days in DAYS] + ([] if nadir else [("nadir", DAYS[1], "nadir")])
+    made += [(tumble, DAYS[1], "tumble"), (spin, DAYS[1], "spin")]
     found = []
     for name, days, regime in made:
-        setting = _moved(flown, days, regime)
-        if problem.setting.model.valid_from <= setting.time[0] and setting.time[-1] <= problem.setting.model.valid_to:
-            found.append(Target(name, setting, segment))
+        setting, model = _moved(flown, days, regime), problem.setting.model
+        later = f"{24 * days:g} h later" if days < 1 else f"{days:g} days later"
+        if model.valid_from <= setting.time[0] and setting.time[-1] <= model.valid_to:
+            found.append(Target(f"{name}, {later}", setting, segment))
     return found
-
-
-def _later(days: float) -> str:
-    return f"{24 * days:g} h later" if days < 1 else f"{days:g} days later"
-
-
-def _words(regime: str) -> str:
-    if regime == "tumble":
-        return f"tumble of {np.linalg.norm(TUMBLE_DEG_S):.2g} deg/s"
-    return f"spin of {SPIN_RPM:g} rpm" if regime == "spin" else regime
 
 
 def _cut(setting: Setting, rows: np.ndarray) -> Setting:
@@ -157,17 +146,12 @@ def _node_turn(time: np.datetime64, r_N_km: FloatArray, v_N_km_s: FloatArray, la
 
 def _regime(name: str, start: np.datetime64) -> Callable[[TimeArray, FloatArray, FloatArray], Rotation]:
     if name == "tumble":
-        rate = np.radians(TUMBLE_DEG_S)
-        return lambda time, r, v: (
-            attitude.tumble(time, _INERTIA_KG_M2, np.array([0.0, 0.0, 0.0, 1.0]), rate, epoch=start).R_BN
-        )
+        tumbling = (INERTIA_KG_M2, np.array([0.0, 0.0, 0.0, 1.0]), np.radians(TUMBLE_DEG_S))
+        return lambda time, r, v: attitude.tumble(time, *tumbling, epoch=start).R_BN
     if name == "spin":
-        turns = SPIN_RPM * 2.0 * np.pi / 60.0
-        return lambda time, r, v: (
-            attitude.spin(
-                time, _INERTIA_KG_M2, np.array([1.0, 0.0, 0.0]), turns, nutation_rad=float(_NUTATION_RAD), epoch=start
-            ).R_BN
-        )
+        spun = (INERTIA_KG_M2, np.array([1.0, 0.0, 0.0]), SPIN_RPM * 2.0 * np.pi / 60.0)
+        tilt = float(_NUTATION_RAD)
+        return lambda time, r, v: attitude.spin(time, *spun, nutation_rad=tilt, epoch=start).R_BN
     librations = draw_libration((_LIBRATION_RAD,) * 3, *_LIBRATION_S, np.random.default_rng(0))
     return lambda time, r, v: attitude.librating(time, r, v, librations).R_BN
 

@@ -81,9 +81,8 @@ class _Design:
         self.chosen = list(chosen)
         field = self.chain.signal([*self.base, *chosen]).field_B_nT
         noise = closure.whitener.noise
-        self.whitener: Whitener = make_whitener(
-            turn_images(field, closure.problem.sensor_image), target.setting.seconds, target.segment, noise
-        )
+        images = turn_images(field, closure.problem.sensor_image)
+        self.whitener: Whitener = make_whitener(images, target.setting.seconds, target.segment, noise)
         self.nuisance = jacobians(self.chain, closure.modelled, [*closure.problem.frozen, *chosen])
         self.nuisance_white = self.whitener.apply(self.nuisance) if closure.modelled else self.nuisance
         self.basis = orthonormal(self.nuisance_white)
@@ -134,9 +133,8 @@ def _one(
     if wrong_name:
         why = f"it may as well be {wrong_name} in these data, which differs there"
     good = chance <= MOST_CHANCE
-    return Transfer(
-        effect.name, design.target.name, good, chance, unsure_nT, design.floor_nT, detectable, "" if good else why
-    )
+    sizes = (chance, unsure_nT, design.floor_nT, detectable)
+    return Transfer(effect.name, design.target.name, good, *sizes, "" if good else why)
 
 
 def _label(effect: SignalEffect, other: SignalEffect) -> str:

@@ -26,7 +26,6 @@ from fluxtwin.sim.effects.clock_and_orbit import TimeTagOffset
 STAGES = ("time", "orbit", "field", "attitude", "spacecraft", "sensor")
 """Where a discrepancy of this kind can lie; dynamics and telemetry have none."""
 _FIELD_DEGREES = (1, 3, 6, 10)
-_LONG = 50_000  # rows from which the highest degrees are left out: their columns would fill the memory
 
 
 @dataclass(frozen=True)
@@ -199,7 +198,7 @@ def _orbit_and_time(carrier: Carrier, found: list[Condition], constant: Conditio
 
 
 def _field(carrier: Carrier) -> Iterator[Block]:
-    for degree in _FIELD_DEGREES[: 2 if carrier.rows > _LONG else None]:
+    for degree in _FIELD_DEGREES:
         terms = degree * (degree + 2)
         label, made = f"field to degree {degree}", partial(carrier.potential, degree)
         yield Block({"field": 1.0}, None, "earth", label, " " * terms, made)

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fluxtwin.gap.held_out.closing import RATIOS
 from fluxtwin.gap.hypotheses.blocks import Block, Carrier
 from fluxtwin.gap.hypotheses.conditions import Condition
 from fluxtwin.gap.hypotheses.evidence import BlockFit, Dictionary, fit
@@ -20,6 +19,7 @@ from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.choice import Whitener
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import LOG_FURTHER, SHAPE, THRESHOLD, worth
+from fluxtwin.gap.selection.forward import RATIOS
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.law import Law
 
@@ -98,18 +98,14 @@ class Regression:
             return None
         self._count([terms])
         found = fit(self.block(terms), left)
-        drop, rank = found.explained()
-        return Trial(terms, found, drop, rank) if rank else None
+        trial = Trial(terms, found, *found.explained())
+        return trial if trial.rank else None
 
     def best(self, left: ProjectedResidual, beside: Sequence[Law] = ()) -> list[Trial]:
         """The best few of the pool with their settings moved, best first."""
         self._count(self.terms)
-        fits = self.pool.fits(left)
-        found = [
-            Trial(terms, one, *one.explained())
-            for terms, one in zip(self.terms, fits, strict=True)
-            if terms[0] not in beside
-        ]
+        pairs = zip(self.terms, self.pool.fits(left), strict=True)
+        found = [Trial(terms, one, *one.explained()) for terms, one in pairs if terms[0] not in beside]
         few = sorted((one for one in found if one.rank), key=lambda one: -self.order(one, left))[: 4 * _BEAM]
         kept: list[Trial] = []
         for one in few:  # several settings of the same factors are one place in the beam
@@ -127,7 +123,7 @@ class Regression:
             if again is best:
                 break
             best = again
-        for ratio in RATIOS[:-1]:
+        for ratio in RATIOS:
             for step in (ratio, 1.0 / ratio):
                 law = best.law
                 moved = [replace(law, delay_s=law.delay_s * step), replace(law, lag_s=law.lag_s * step)]
@@ -155,12 +151,6 @@ class Regression:
                 self.tried[terms] = _settings(terms)
                 self._by_settings[self.tried[terms]] += 1
 
-    def left(
-        self, whitener: Whitener, residual_nT: FloatArray, fitted_nT: FloatArray, laws: Sequence[Law]
-    ) -> ProjectedResidual:
-        """The residual with what is fitted and these terms out of it."""
-        return projected(whitener, residual_nT, np.concatenate([fitted_nT, self.columns(laws)], axis=2))
-
     def run(self, whitener: Whitener, residual_nT: FloatArray, fitted_nT: FloatArray) -> tuple[list[Law], list[Law]]:
         """Terms, and terms that do as well in the place of the first.
 
@@ -168,10 +158,12 @@ class Regression:
         """
         chosen: list[Terms] = []
         alike: list[Law] = []
-        bare = self.left(whitener, residual_nT, fitted_nT, ())
+        bare = projected(whitener, residual_nT, fitted_nT)
 
         def beside(others: Sequence[Terms]) -> ProjectedResidual:
-            return self.left(whitener, residual_nT, fitted_nT, _members(others)) if others else bare
+            if not others:
+                return bare
+            return projected(whitener, residual_nT, np.concatenate([fitted_nT, self.columns(_members(others))], axis=2))
 
         for _ in range(MOST_TERMS):
             left = beside(chosen)

@@ -26,6 +26,7 @@ __all__ = [
     "complete_budget",
     "make_whitener",
     "noise_beside",
+    "noise_of",
     "select_noise",
     "whitener_of",
 ]
@@ -50,16 +51,17 @@ def choose_noise(
     default that of the problem; walk: rate of a bias that walks, over the white noise [1/sqrt(s)]. Restricted maximum
     likelihood with the budget as prior, in turn with the search for spikes.
     """
-    return select_noise(
-        problem.judged(problem.residual_nT if residual_nT is None else residual_nT),
-        [problem.judged(problem.nuisance), *(problem.judged(each) for each in columns)],
-        problem.noise_image_nT,
-        problem.setting.seconds,
-        problem.segment,
-        prior_of(complete_budget(problem)),
-        problem.axes,
-        walk,
-    )
+    residual_nT = problem.residual_nT if residual_nT is None else residual_nT
+    return noise_of(problem, residual_nT, [problem.nuisance, *columns], walk)
+
+
+def noise_of(
+    problem: Problem, residual_nT: FloatArray, designs: Sequence[FloatArray], walk: float = 0.0
+) -> NoiseChoice:
+    """The noise model of a residual (N, 3) with these designs (N, 3, P) fitted, as in `select_noise`; in body axes."""
+    where = (problem.noise_image_nT, problem.setting.seconds, problem.segment)
+    prior, judged = prior_of(complete_budget(problem)), [problem.judged(design) for design in designs]
+    return select_noise(problem.judged(residual_nT), judged, *where, prior, problem.axes, walk)
 
 
 def noise_beside(problem: Problem, active: Sequence[Active]) -> NoiseChoice:

@@ -100,17 +100,8 @@ def spike_weights(left_nT: FloatArray, whitener: Whitener, there: BoolArray) -> 
     own = full_weights(None, left_nT.shape[0]) / np.square(noise.axis_factor)
     scaled = np.ascontiguousarray(left_nT / noise.sigma_nT)
     standard, plain = np.empty_like(scaled), np.empty_like(scaled)
-    kernels().predict_each(
-        whitener.load,
-        whitener.decay,
-        whitener.gains,
-        whitener.covariance,
-        whitener.weights,
-        own,
-        scaled,
-        standard,
-        plain,
-    )
+    filtered = (whitener.load, whitener.decay, whitener.gains, whitener.covariance, whitener.weights)
+    kernels().predict_each(*filtered, own, scaled, standard, plain)
     return weights_of(standing_out(standard, 1.0, there), there), plain * noise.sigma_nT
 
 

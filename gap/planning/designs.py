@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
+from fluxtwin.gap.held_out.targets import INERTIA_KG_M2
 from fluxtwin.sim.base.section_types import Direction, NonNegative, Positive, Section, as_tuple
 from fluxtwin.sim.base.toml_input import Strict
 from fluxtwin.sim.earth import epoch
@@ -25,8 +26,6 @@ _PEAK = 1.875
 _LEG_DEG = 90.0
 _TILT_DEG = 80.0
 """Of roll and pitch at the most: at a right angle the angles of the papers lose one."""
-_INERTIA_KG_M2 = ((10.0, 0.0, 0.0), (0.0, 12.0, 0.0), (0.0, 0.0, 15.0))
-"""Where none is given: a body without symmetry; only ratios matter to motion without torque."""
 _NUTATION_DEG = 10.0
 _LOAD_SHARE = 0.25
 _PERIODS_S = (10.0, 3600.0)
@@ -156,7 +155,7 @@ def _prescribed(
         **dict.fromkeys(("dynamics", "torques", "control", "sampling", "closure", "slit_sun_sensor"), None),
     }
     if kind in ("tumble", "spin") and base.spacecraft.inertia_kg_m2 is None:
-        changes["spacecraft.inertia_kg_m2"] = _INERTIA_KG_M2
+        changes["spacecraft.inertia_kg_m2"] = np.diag(INERTIA_KG_M2).tolist()
     if base.torquers is not None and base.torquers.activity == "control":
         changes["torquers.activity"] = "random"
     return base.updated(changes)

@@ -23,7 +23,7 @@ from fluxtwin.gap.linear.projection import least_share, orthonormal, projected
 from fluxtwin.gap.noise.choice import NoiseModel, whitener_of
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.selection.criterion import SHAPE, THRESHOLD, penalty
+from fluxtwin.gap.selection.criterion import SHAPE, THRESHOLD, TWENTY_TO_ONE, penalty
 from fluxtwin.gap.selection.detectable import GATE, noncentrality, smallest
 from fluxtwin.gap.selection.groups import alike, shares_by_name
 from fluxtwin.gap.selection.refit import Readings, refit
@@ -36,8 +36,6 @@ _DRAWS = 400
 """A power of 0.9 is then good to 0.015."""
 _SEED = 18
 FRAMES = ("body", "orbital", "inertial", "earth")
-_APART = 2.0 * float(np.log(20.0))
-"""By how much one place must do better than another: twenty to one."""
 _SEEN = 0.01
 """Share of its energy that a column of something unknown must have beside what is re-estimated, to be a part of it."""
 _PLAUSIBLE = 4
@@ -199,7 +197,7 @@ class Flown:
                     left.append(float(np.sum((flat - beside @ (beside.T @ flat)) ** 2)))
             # The drops differ by what the other leaves, with twice its root as standard deviation.
             worse = min(left)
-            power.append(float(norm.sf((_APART - worse) / (2.0 * np.sqrt(max(worse, 1e-12))))))
+            power.append(float(norm.sf((TWENTY_TO_ONE - worse) / (2.0 * np.sqrt(max(worse, 1e-12))))))
         return float(np.mean(power)) if power else 0.0
 
     def place(self, condition: str | None, frames: Sequence[str], energy: float) -> Placed | None:

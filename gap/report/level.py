@@ -20,12 +20,6 @@ _LEAST_SPREAD = 0.05
 """Standard deviation of the logarithm of the rms, however many rows: structure that nobody looks for is in any record."""
 _RARE = 1e-3
 """Probability of so many outliers by chance from which on they are a finding."""
-_FLAGS = {
-    "noise_nT": "--noise-nT",
-    "lsb_nT": "--lsb-nT",
-    "attitude_sigma_deg": "--attitude-sigma-deg",
-    "attitude_tau_s": "--attitude-tau-s",
-}
 
 
 @dataclass(frozen=True)
@@ -85,21 +79,18 @@ def assumed(budget: Budget, problem: Problem, noise: NoiseModel) -> dict[str, di
     budget: as given; noise: as found. Without the attitude's where no row has one.
     """
     complete, sources = complete_budget(problem), budget.sources or {}
-    declared_rad = budget.attitude_sigma_rad
+    declared_deg = None if budget.attitude_sigma_rad is None else float(np.degrees(budget.attitude_sigma_rad))
     pairs = {  # as given, and as found
         "noise_nT": (budget.noise_nT, complete.noise_nT),
         "lsb_nT": (budget.lsb_nT, complete.lsb_nT),
-        "attitude_sigma_deg": (
-            None if declared_rad is None else float(np.degrees(declared_rad)),
-            float(np.degrees(noise.theta_rad)),
-        ),
+        "attitude_sigma_deg": (declared_deg, float(np.degrees(noise.theta_rad))),
         "attitude_tau_s": (budget.attitude_tau_s, noise.tau_s),
     }
     return {
         name: {
             "value": found if given is None else given,
             "source": "found" if given is None else "scenario" if sources.get(name) == "scenario" else DECLARED,
-            "flag": _FLAGS[name],
+            "flag": f"--{name.replace('_', '-')}",
         }
         for name, (given, found) in pairs.items()
         if not name.startswith("attitude") or problem.noise_image_nT.any()

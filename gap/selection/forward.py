@@ -35,7 +35,8 @@ its own). Generous, because what it costs is at most four refits."""
 _REFITS = 4
 _ROUNDS = 3
 _ALIKE = 1  # decimals of a cost: where causes are alike to rounding, that of the catalogue's order comes first
-_STEPS = (1.5, 1 / 1.5, 1.25, 1 / 1.25, 1.12, 1 / 1.12)
+RATIOS = (1.5, 1.25, 1.12)
+"""By which a setting is moved to either side, between the few values of it that were tried."""
 
 
 OfChannel = TypeVar("OfChannel", bound=Channel)
@@ -197,7 +198,7 @@ def _sharpened(search: Search[Any], setting: Setting, fit: Fit) -> Fit:
 
 def _neighbour(search: Search[Any], setting: Setting, fit: Fit, number: int) -> Fit:
     """The best fit with the settings of one effect a little beside those it has; itself where none is better."""
-    for step in _STEPS:
+    for step in [step for ratio in RATIOS for step in (ratio, 1.0 / ratio)]:
         fit = _with_setting(search, fit, number, fit.chosen[number][0].between(setting, step))
     for place in range(len(fit.chosen[number][0].variants(setting))):
         fit = _with_setting(search, fit, number, fit.chosen[number][0].variants(setting)[place])

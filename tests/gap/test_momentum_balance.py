@@ -175,7 +175,7 @@ def test_a_perfect_record_balances(close) -> None:
     )
     problem = posed(simulate(scenario)[0], scenario)
     vehicle = vehicle_of(scenario)
-    made = arcs(problem, Craft(vehicle))
+    made = arcs(problem, Craft(vehicle), problem.setting.given[:2])
     assert not isinstance(made, str)
     cut = windows(made)
     assert not isinstance(cut, str)

@@ -354,6 +354,3 @@ def _floor_log_sd(problem: Problem, noise: NoiseModel, white: float) -> float:
     if not np.isfinite(of_attitude):
         of_attitude = prior.theta_log_sd
     return float(np.hypot(white * of_noise, (1.0 - white) * of_attitude))
-
-
-__all__ = ["MOST_ROWS", "Work", "diagnose", "investigate"]

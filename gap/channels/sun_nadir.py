@@ -258,11 +258,8 @@ def _designs(
 ) -> Designs:
     """Change of the angle per radian of each parameter of each hypothesis."""
     angles = frames.roll_pitch(nadir_B)
-    by_roll, by_pitch = (
-        angle_between(sun_B, frames.nadir_of(angles + step)) - angle_between(sun_B, frames.nadir_of(angles - step))
-        for step in _STEP_RAD * np.eye(2)
-    )
-    by_roll, by_pitch = by_roll / (2 * _STEP_RAD), by_pitch / (2 * _STEP_RAD)
+    ends = [(frames.nadir_of(angles + step), frames.nadir_of(angles - step)) for step in _STEP_RAD * np.eye(2)]
+    by_roll, by_pitch = (_slope(sun_B, up, sun_B, down) for up, down in ends)
     r_E_km = frames.rotation_EN(epoch.as_times(telemetry.time[rows])).apply(r_N_km)
     latitude = frames.geocentric(r_E_km)[0]
     shapes = {"": np.ones_like(latitude), "_sin": np.sin(latitude), "_cos2": np.cos(2.0 * latitude)}
@@ -274,7 +271,8 @@ def _designs(
     if telemetry.sun_sensor_head is None:
         return designs
     head = np.array(telemetry.sun_sensor_head)[rows]
-    turned = np.stack([_by_turn(sun_B, nadir_B, e) for e in np.eye(3)], axis=1)
+    steps = [_STEP_RAD * np.cross(axis, sun_B) for axis in np.eye(3)]
+    turned = np.stack([_slope(sun_B + step, nadir_B, sun_B - step, nadir_B) for step in steps], axis=1)
     for number in sorted({int(h) for h in head if h > 0}):
         used = (head == number)[:, None]
         designs["sun_sensor_head_misalignment", number] = (("turn_x", "turn_y", "turn_z"), np.where(used, turned, 0.0))
@@ -287,15 +285,15 @@ def _along_track(telemetry: Telemetry, rows: np.ndarray, sun_N: FloatArray, r_N_
     size = np.linalg.norm(r_N_km, axis=1)[:, None]
     ahead = v_N_km_s - r_N_km * np.sum(v_N_km_s * r_N_km, axis=1)[:, None] / size**2
     ahead = ahead * size / np.maximum(np.linalg.norm(ahead, axis=1)[:, None], 1e-300) * _STEP_RAD
-    column = (angle_between(sun_N, ahead - r_N_km) - angle_between(sun_N, -ahead - r_N_km)) / (
-        2 * _STEP_RAD * size[:, 0]
-    )
+    column = _slope(sun_N, ahead - r_N_km, sun_N, -ahead - r_N_km, size[:, 0])
     return np.where(np.isfinite(column), column, 0.0)
 
 
-def _by_turn(sun_B: FloatArray, nadir_B: FloatArray, axis: FloatArray) -> FloatArray:
-    step = _STEP_RAD * np.cross(axis, sun_B)
-    return np.asarray((angle_between(sun_B + step, nadir_B) - angle_between(sun_B - step, nadir_B)) / (2 * _STEP_RAD))
+def _slope(
+    up: FloatArray, up_nadir: FloatArray, down: FloatArray, down_nadir: FloatArray, size: FloatArray | float = 1.0
+) -> FloatArray:
+    """(N,) change of the angle from sun to nadir between a step up and a step down, per unit of so many steps."""
+    return np.asarray((angle_between(up, up_nadir) - angle_between(down, down_nadir)) / (2 * _STEP_RAD * size))
 
 
 def _weigh(
@@ -325,24 +323,19 @@ def _weigh(
     length = float(np.linalg.norm(estimate))
     along = estimate / max(length, 1e-300)
     inside = np.isin(of_row, touched) & (A != 0).any(axis=1)
-    shared = float(np.mean(left[inside] ** 2)) / max(n, 1)
+    variance = max(along @ covariance @ along, 0.0) + float(np.mean(left[inside] ** 2)) / max(n, 1)
     whole = tuple(name for name, share in zip(names, np.sum(seen**2, axis=1), strict=True) if share > WHOLLY)
+    deg = zip(names, np.degrees(estimate).tolist(), np.degrees(sigma).tolist(), strict=True)
     return Hypothesis(
         name=key[0],
         head=key[1],
-        parameters={
-            name: (float(np.degrees(v)), float(np.degrees(s)))
-            for name, v, s in zip(names, estimate, sigma, strict=True)
-        },
+        parameters={name: (value, spread) for name, value, spread in deg},
         p_value=min(1.0, p_value * tried),
         worth=worth(float(chi2.isf(max(p_value, 1e-300), k)), k, max(n, 2), float(np.log(tried))),
         explained=float(1.0 - np.mean(left**2) / np.mean(residual**2)),
         rms_left_deg=float(np.degrees(np.sqrt(np.mean(left**2)))),
         seen=whole,
-        amount_deg=(
-            float(np.degrees(length)),
-            float(np.degrees(np.sqrt(max(along @ covariance @ along, 0.0) + shared))),
-        ),
+        amount_deg=(float(np.degrees(length)), float(np.degrees(np.sqrt(variance)))),
     )
 
 

@@ -104,7 +104,7 @@ class Prediction:
         )
         return GapSeries(time, before, after)
 
-    def shrinkage(self, named: bool, *, shape_incomplete: bool = False, left_nT: float = 0.0) -> Shrinkage:
+    def shrinkage(self, named: bool, shape_incomplete: bool = False, left_nT: float = 0.0) -> Shrinkage:
         """The figures of the contract, over what is measured. Without a named effect, after is before."""
         after_nT = self.after_nT if named else self.before_nT
         floor_with_nT = self.floor_with_effects_nT if named else self.floor_nT
@@ -114,7 +114,7 @@ class Prediction:
         interval: tuple[float, float] | None = None
         if named and rms[0] ** 2 - self.floor_nT**2 > 2.0 * float(before2.std()):
             closed, interval = closed_share(rms[0], rms[1], self.floor_nT, floor_with_nT, before2, after2)
-        sizes = [self._by_axis(part) for part in (self.before_nT, after_nT)]
+        sizes = zip("xyz", self._by_axis(self.before_nT), self._by_axis(after_nT), strict=True)
         return Shrinkage(
             before_nT=rms[0],
             after_nT=rms[1],
@@ -124,7 +124,7 @@ class Prediction:
             interval=interval,
             prediction=self.of,
             shape_incomplete=shape_incomplete,
-            per_axis={axis: {"before_nT": sizes[0][k], "after_nT": sizes[1][k]} for k, axis in enumerate("xyz")},
+            per_axis={axis: {"before_nT": before, "after_nT": after} for axis, before, after in sizes},
             left_nT=left_nT,
         )
 

@@ -85,15 +85,10 @@ class PerturbedDesign:
         if self.chain is None:
             return 0.0
         step = _step(effect)
-        modulated = effect.modulates(self.chain.setting)
-        if modulated is None:
-            moved = self._moved(effect, step, on)
-        else:
-            carrier, share = modulated
-            inner = _step(carrier)
-            moved = self._moved(carrier, inner, on) * (
-                share if share.shape[1] == 1 else (share @ step / inner)[:, None]
-            )
+        carrier, share = effect.modulates(self.chain.setting) or (effect, np.ones((1, 1)))
+        inner = _step(carrier)
+        share = share if share.shape[1] == 1 else (share @ step / inner)[:, None]
+        moved = self._moved(carrier, inner, on) * share
         first, again = self._beside(image @ step), self._beside(moved)
         whole = float(np.sum(first**2))
         return float(np.sum((again - first) ** 2)) / whole if whole > 0 else 0.0

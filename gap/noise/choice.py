@@ -8,28 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fluxtwin.gap.noise.budget import NoisePrior, complete_budget, prior_of
+from fluxtwin.gap.noise.budget import NoisePrior, prior_of
+from fluxtwin.gap.noise.budget import complete_budget as complete_budget
 from fluxtwin.gap.noise.reml import Choice, Data, Likelihood, best_noise
-from fluxtwin.gap.noise.robust_rows import RobustRows, first_weights, spike_weights
-from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
+from fluxtwin.gap.noise.robust_rows import RobustRows as RobustRows
+from fluxtwin.gap.noise.robust_rows import first_weights, spike_weights
+from fluxtwin.gap.noise.whitening import NoiseModel as NoiseModel
+from fluxtwin.gap.noise.whitening import Whitener as Whitener
+from fluxtwin.gap.noise.whitening import make_whitener
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.problem.row_axes import RowAxes
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.chain import Active
-
-__all__ = [
-    "NoiseChoice",
-    "NoiseModel",
-    "RobustRows",
-    "Whitener",
-    "choose_noise",
-    "complete_budget",
-    "make_whitener",
-    "noise_beside",
-    "noise_of",
-    "select_noise",
-    "whitener_of",
-]
 
 _ROUNDS = 4  # of noise and spikes in turn; two settle all but records with many bit errors
 _UNEVEN = 1.25  # axes whose white noise differs by more get a factor each: less costs at most 5 % (Kantorovich's bound)

@@ -88,13 +88,13 @@ def channel_of(telemetry: Telemetry, frozen: Sequence[Active] = ()) -> Channel |
 
 def ruled_out(named: Sequence[FoundEffect], channel: Channel) -> dict[str, str]:
     """{name: why} of named effects that predict a change of the angle which is not there."""
-    channel = _beside_orbit(named, channel)
-    predicted = {}
+    channel, gone = _beside_orbit(named, channel), {}
     for one in named:
         values = {name: parameter.value for name, parameter in one.parameters.items()}
-        predicted[one.name] = channel.predicted_rad(one.name, one.settings.get("head") or None, values)
-    gone = [name for name, change in predicted.items() if change is not None and channel.contradicts(change)]
-    return dict.fromkeys(gone, NOT_THERE)
+        change = channel.predicted_rad(one.name, one.settings.get("head") or None, values)
+        if change is not None and channel.contradicts(change):
+            gone[one.name] = NOT_THERE
+    return gone
 
 
 def weighed(named: Sequence[FoundEffect], channel: Channel, out: Sequence[str]) -> Angle:

@@ -114,22 +114,19 @@ def assemble(
 ) -> Diagnosis:
     """The diagnosis of a finished investigation. assumed: as from `level.assumed`."""
     problem, answer, momentum = work.problem, work.answer, work.momentum
-    result = answer.result
+    result, cut = answer.result, answer.robust.rows_cut
     found = _conclude(work)
     faults = [] if found.fault is None else [found.fault]
     alone = faults if found.verdict == "effect" else []
     where = _where(work, found.effects or alone) if found.beyond is None else _at(work, found.beyond.stage)
     in_readings = bool(found.effects) and bool(result.named or work.flexible)
     prediction = work.prediction.without_known_noise(bool(found.effects)) if found.already else work.prediction
-    gap = prediction.shrinkage(
-        in_readings, shape_incomplete=found.incomplete, left_nT=level.residual_rms_nT(problem, answer)
-    )
+    gap = prediction.shrinkage(in_readings, found.incomplete, level.residual_rms_nT(problem, answer))
     resembles = _resembles(work) if found.verdict == "unknown" else []
     sentence = _sentence(work, found, where, gap, resembles)
     missing = {**result.untestable, **momentum.untestable}
-    untestable = {
-        name: why for name, why in missing.items() if name not in {one.name for one in (*found.effects, *faults)}
-    }
+    named = {one.name for one in (*found.effects, *faults)}
+    untestable = {name: why for name, why in missing.items() if name not in named}
     detectable = {**result.minimum_detectable, **momentum.minimum_detectable}
     return Diagnosis(
         verdict=found.verdict,
@@ -141,11 +138,7 @@ def assemble(
         untestable=untestable,
         isolability={**result.isolability, **momentum.isolability},
         minimum_detectable=detectable,
-        samples={
-            "used": problem.rows - answer.robust.rows_cut,
-            "cut": answer.robust.rows_cut,
-            "without_attitude": without_attitude,
-        },
+        samples={"used": problem.rows - cut, "cut": cut, "without_attitude": without_attitude},
         provenance=provenance,
         would_settle=advice.would_settle(detectable, _asked_for(untestable, work), advice.hours_of(problem.time)),
         sentence=" ".join(filter(None, (sentence, words.assumed(assumed)))),
@@ -197,10 +190,9 @@ def _sentence(work: Work, found: _Conclusion, where: Place, gap: Shrinkage, rese
         return words.no_gap(gap, work.attitude_would_do_rad) + _differ(work)
     if found.verdict == "unknown":
         what = _what(work, where) if found.beyond is None else found.beyond.words
-        said = words.unexplained(what, where, resembles)
-        return (
-            f"{said} {words.APART_FROM_THEM}" if found.beyond is not None and found.beyond is found.outliers else said
-        )
+        only_outliers = found.beyond is not None and found.beyond is found.outliers
+        apart = f" {words.APART_FROM_THEM}" if only_outliers else ""
+        return f"{words.unexplained(what, where, resembles)}{apart}"
     remains = words.SHAPE_INCOMPLETE if found.excess is None else found.excess.words
     outlying = None if found.outliers is None else found.outliers.words
     own = any(find_effect(name).stage in OWN_STAGES for one in found.effects for name in one.group)
@@ -281,9 +273,7 @@ def _where(work: Work, effects: Sequence[FoundEffect]) -> Place:
     first = effects[0]
     alike = [find_effect(name) for name in first.group]
     equivalent = {*alike[0].equivalent_stages, *place.equivalent}
-    if (
-        work.apart is not None
-    ):  # it separates what both magnetometers share from what they do not, but for the names left
+    if work.apart is not None:  # it separates what both share from what they do not, but for the names left
         equivalent = {name for name in equivalent if (name in OWN_STAGES) == (first.stage in OWN_STAGES)}
     equivalent = (equivalent | {one.stage for one in alike}) - {first.stage}
     return place_of(first, place.probabilities, sorted(equivalent))

@@ -9,7 +9,7 @@ import numpy as np
 
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.noise.choice import NoiseModel
-from fluxtwin.gap.records.diagnosis import EffectParameter, FoundEffect, MomentumGap, Place, Shrinkage
+from fluxtwin.gap.records.diagnosis import FoundEffect, MomentumGap, Place, Shrinkage
 from fluxtwin.sim.base.types import BoolArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.switched_field import SwitchedField
@@ -86,7 +86,8 @@ def named(
 
 def _cause(effect: FoundEffect) -> str:
     known = {name: one for name, one in effect.parameters.items() if one.sigma is not None} or effect.parameters
-    sizes = ", ".join(_size(name, one) for name, one in list(known.items())[:3])
+    units = {name: "" if one.unit == "1" else f" {one.unit}" for name, one in known.items()}
+    sizes = ", ".join(f"{name} {one.value:.3g}{units[name]}" for name, one in list(known.items())[:3])
     over = ""
     if "region_deg" in effect.settings:
         where = SwitchedField(str(effect.settings["condition"]), region_deg=tuple(effect.settings["region_deg"]))
@@ -95,10 +96,6 @@ def _cause(effect: FoundEffect) -> str:
     over += f" {effect.settings['delay_s']:.3g} s late" if effect.settings.get("delay_s") else ""
     over += f" behind a lag of {effect.settings['lag_s']:.3g} s" if effect.settings.get("lag_s") else ""
     return f"{' or '.join(effect.group)}{over} ({sizes})"
-
-
-def _size(name: str, one: EffectParameter) -> str:
-    return f"{name} {one.value:.3g}{'' if one.unit == '1' else f' {one.unit}'}"
 
 
 def _closed(effects: Sequence[FoundEffect], gap: Shrinkage, momentum: MomentumGap | None) -> str:

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fluxtwin.gap.detectors.lines import independent_frequencies, strongest_line
 from fluxtwin.gap.hypotheses.blocks import Block, blocks, step_block
@@ -129,19 +128,13 @@ def parts(left: ProjectedResidual, own: FloatArray) -> list[tuple[float, int]]:
     found = []
     for count in PARTS:
         rows = np.array_split(np.arange(len(own)), count)[:-1]
-        cut = np.concatenate([_only(own, part) for part in rows], axis=1)
+        inside = [np.isin(np.arange(len(own)), part)[:, None, None] for part in rows]
+        cut = np.concatenate([np.where(part, own, 0.0).reshape(-1, own.shape[2]) for part in inside], axis=1)
         size = np.linalg.norm(cut, axis=0)
         cut = cut[:, size > 0] / size[size > 0]
         cut = projected_out(left.basis, cut)
         found.append(explained(cut.T @ cut, cut.T @ left.residual, SHARE_LEFT))
     return found
-
-
-def _only(columns: FloatArray, rows: NDArray[np.intp]) -> FloatArray:
-    """(3M, p) the columns with nothing outside some rows."""
-    part = np.zeros_like(columns)
-    part[rows] = columns[rows]
-    return part.reshape(-1, columns.shape[2])
 
 
 def likeliest_step(seconds: FloatArray, left: ProjectedResidual) -> float:

@@ -47,15 +47,10 @@ class Grammar:
     def values(self, law: Law) -> FloatArray | None:
         """(N,) of a term; None where it is missing, does not change, or follows the attitude's error."""
         if law not in self._values:
-            self._values[law] = self._changing(law)
+            found = law.values(self.setting, self.field_B_nT)
+            changes = found is not None and (varies(found) or (law.axes != "body" and found.any()))
+            self._values[law] = found if changes and np.mean(found != 0.0) > LEAST_SHARE else None
         return self._values[law]
-
-    def _changing(self, law: Law) -> FloatArray | None:
-        found = law.values(self.setting, self.field_B_nT)
-        if found is None or not (varies(found) or (law.axes != "body" and found.any())):
-            return None
-        on = float(np.mean(found != 0.0))
-        return found if on > LEAST_SHARE else None
 
     def usual(self, law: Law) -> Law:
         """With a usual size of its coefficient on this design."""

@@ -32,6 +32,7 @@ _NAMES = {
     "local_time": "local time",
 }
 _SHORT = {"^2": "_squared", "^3": "_cubed", ">": "_above_", ".": "_", "-": "minus_", "+": ""}
+_FRAMES = {"orbital": "the orbital frame", "inertial": "inertial axes", "earth": "Earth-fixed axes"}
 _MOST_LISTED = 4
 _NOT_SHOWN = 2.0  # sigma: coefficients below are left out of the sentence where others are above
 
@@ -44,7 +45,7 @@ def unit(law: LawEffect) -> str:
 
 
 def _unit(factor: str) -> str:
-    name, power = factor.rpartition("^")[0] or factor, factor.rpartition("^")[2] if "^" in factor else ""
+    name, _, power = factor.partition("^")
     if (factor.startswith(_SWITCHES) and " " in factor) or ">" in factor:
         return ""
     stem = name if name in _UNITS else name.partition("_")[0]
@@ -97,27 +98,16 @@ def gate(text: str) -> str | None:
 
 def term(one: LawTerm) -> str:
     """One term in words."""
-    seen = {
-        axis: pair for axis, pair in one.coefficients.items() if pair[1] is None or abs(pair[0]) > _NOT_SHOWN * pair[1]
-    }
-    sizes = [
-        f"{measured(value, sigma)} {one.unit} on {axis}" for axis, (value, sigma) in (seen or one.coefficients).items()
-    ]
+    every = one.coefficients.items()
+    seen = [(axis, pair) for axis, pair in every if pair[1] is None or abs(pair[0]) > _NOT_SHOWN * pair[1]]
+    sizes = [f"{measured(value, sigma)} {one.unit} on {axis}" for axis, (value, sigma) in seen or every]
     size = " and ".join(sizes) if len(sizes) < 3 else f"{', '.join(sizes[:-1])} and {sizes[-1]}"
-    frame = "" if one.axes == "body" else f" of {'the orbital frame' if one.axes == 'orbital' else _FRAMES[one.axes]}"
+    frame = "" if one.axes == "body" else f" of {_FRAMES[one.axes]}"
     gates = [found for found in map(gate, one.of[1:]) if found]
     plain = [factor(text) for number, text in enumerate(one.of) if number == 0 or gate(text) is None]
     late = [f"{one.delay_s:.3g} s late"] if one.delay_s else []
     late += [f"behind a lag of {one.lag_s:.3g} s"] if one.lag_s else []
     return ", ".join([f"{size}{frame}", " times ".join(plain), *late, *gates])
-
-
-_FRAMES = {"inertial": "inertial axes", "earth": "Earth-fixed axes"}
-
-
-def formula(terms: Sequence[LawTerm]) -> str:
-    """All terms in words."""
-    return "; and ".join(term(one) for one in terms)
 
 
 def made_of(terms: Sequence[LawTerm]) -> str:
@@ -140,11 +130,9 @@ def sentence(law: Law, named: bool, orbits: float) -> str:
         listed = [" times ".join(factor(text) for text in one) for one in law.could_be[:_MOST_LISTED]]
         other = f" These data cannot distinguish it from a law of {' or '.join(listed)}."
     if not any(recorded(text) for one in law.terms for text in one.of):
-        other += (
-            f" It contains no recorded column: over {orbits:.1f} orbits it describes the gap but does not explain it."
-        )
-    what = "the remainder" if named else "it"
-    return f"A law of recorded columns and geometry describes {what}: {formula(law.terms)}.{share}{other}"
+        other += f" No recorded column is in it: over {orbits:.1f} orbits it describes the gap rather than explains it."
+    what, formula = "what they leave" if named else "it", "; and ".join(map(term, law.terms))
+    return f"A law of recorded columns and geometry explains {what}: {formula}{share}.{other}"
 
 
 def instead(law: Law) -> Law:
@@ -162,4 +150,4 @@ def axis_label(law: LawEffect) -> str:
     """Of a figure."""
     late = f", {law.delay_s:.3g} s late" if law.delay_s else ""
     late += f", behind {law.lag_s:.3g} s" if law.lag_s else ""
-    return " times ".join(factor(text) for text in law.of) + late
+    return " times ".join(map(factor, law.of)) + late

@@ -37,9 +37,8 @@ def base_tree(closure: Closure, lsb_nT: float | None, field: str) -> dict[str, A
     magnetometer: dict[str, Any] = {
         "S": np.asarray(instrument.S).tolist(),
         "b_nT": np.asarray(instrument.b_nT).tolist(),
-        "noise_nT": white,
-        "lsb_nT": step,
     }
+    magnetometer |= {"noise_nT": white, "lsb_nT": step}
     tree: dict[str, Any] = {
         "name": "plan",
         "seed": 1,
@@ -106,11 +105,8 @@ def _housekeeping(problem: Problem) -> dict[str, Any]:
     temperature = columns.get("temperature_degC")
     if temperature is not None and np.isfinite(temperature).any():
         low, high = (float(value) for value in np.nanpercentile(temperature, (2.0, 98.0)))
-        found["thermal"] = {
-            "sunlit_degC": max(high, low + _LEAST_SWING_K),
-            "eclipse_degC": low,
-            "time_constant_min": _TIME_CONSTANT_MIN,
-        }
+        found["thermal"] = {"sunlit_degC": max(high, low + _LEAST_SWING_K), "eclipse_degC": low}
+        found["thermal"]["time_constant_min"] = _TIME_CONSTANT_MIN
     return found
 
 

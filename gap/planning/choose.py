@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from fluxtwin.gap.planning.designs import Design
-from fluxtwin.gap.planning.power import Cause, Flown
+from fluxtwin.gap.planning.power import Flown
 from fluxtwin.gap.planning.questions import Open
 from fluxtwin.gap.records.plan import ENOUGH, Answer, Course, Question
 from fluxtwin.gap.selection.detectable import GATE
@@ -23,8 +23,7 @@ _WORTH_SAYING = 0.02
 
 def choose(question: Open, flown: Sequence[tuple[Design, Flown]]) -> Question:
     """The best three manoeuvres for a question: those that are enough by their hours, then the others by their power."""
-    tried = [_shortest(question, design, view) for design, view in flown]
-    tried = [one for one in tried if _least(one.answers) >= _WORTH_SAYING]
+    tried = [one for each in flown if (one := _shortest(question, *each)).power >= _WORTH_SAYING]
     courses = [_course(question, one) for one in sorted(tried, key=_rank)[:_KEPT]]
     instead = find_effect(question.names[0]).settled_by if question.kind == "show" else ""
     same = next((one for one in flown if one[0].kind == "nadir" and not one[0].tests and not one[0].wait_days), None)
@@ -41,23 +40,25 @@ class _Tried:
     rows: int
     answers: Sequence[Answer]
 
+    @property
+    def power(self) -> float:
+        return _least(self.answers)
+
 
 def _shortest(question: Open, design: Design, view: Flown) -> _Tried:
-    rows = view.problem.rows
-    found = _Tried(design, view, rows, _answers(question, view, rows))
-    for share in _SHARES if _least(found.answers) >= ENOUGH else ():
-        part = _Tried(design, view, int(rows * share), _answers(question, view, int(rows * share)))
-        if _least(part.answers) >= ENOUGH:
-            return part
-    return found
+    def after(rows: int) -> _Tried:
+        return _Tried(design, view, rows, _answers(question, view, rows))
+
+    whole = after(view.problem.rows)
+    parts = (after(int(whole.rows * share)) for share in _SHARES) if whole.power >= ENOUGH else ()
+    return next((part for part in parts if part.power >= ENOUGH), whole)
 
 
 def _rank(one: _Tried) -> tuple[bool, bool, float, bool, float]:
     """Of two that do as well the one without a wait, without tests, and first in the list."""
-    power, design = _least(one.answers), one.design
-    enough = power >= ENOUGH
+    design, enough = one.design, one.power >= ENOUGH
     hours = round(one.rows * design.step_h, 2) if enough else 0.0
-    return (not enough, design.wait_days > 0, hours, enough and design.tests, 0.0 if enough else -power)
+    return (not enough, design.wait_days > 0, hours, enough and design.tests, 0.0 if enough else -one.power)
 
 
 def _course(question: Open, one: _Tried) -> Course:
@@ -66,7 +67,7 @@ def _course(question: Open, one: _Tried) -> Course:
     curve = [(float(hours[part - 1]), _least(_answers(question, one.view, part))) for part in at]
     flies, design = float(hours[one.rows - 1]), one.design
     scenario = shortened(design.scenario, flies)
-    return Course(design.words, flies, design.wait_days, _least(one.answers), one.answers, curve, scenario)
+    return Course(design.words, flies, design.wait_days, one.power, one.answers, curve, scenario)
 
 
 def shortened(scenario: Scenario, hours: float) -> Scenario:
@@ -83,26 +84,17 @@ def _answers(question: Open, view: Flown, rows: int) -> list[Answer]:
     if not question.causes:
         name = question.names[0]
         power = view.shown(rows).get(name, 0.0)
-        return [
-            Answer(
-                name,
-                power,
-                f"if it is named, it is present; if not, it is smaller than typical, with {100 * power:.0f} % confidence",
-            )
-        ]
+        said = f"named: it is there; not named: it is smaller than typical, at {100 * power:.0f} %"
+        return [Answer(name, power, said)]
     found = []
     for cause in question.causes:
         if cause.effect.bound is not None:
             found.append(Answer(cause.name, 1.0 - GATE, f"if nothing is named, it was {cause.name}, which is over"))
             continue
         power = view.distinguishing(cause, question.names, rows)
-        others = " and ".join(_others(question, cause))
-        found.append(Answer(cause.name, power, f"it is named and {others} is not"))
+        others = " and ".join(other.name for other in question.causes if other is not cause)
+        found.append(Answer(cause.name, power, f"it is named, and {others} not"))
     return found
-
-
-def _others(question: Open, cause: Cause) -> list[str]:
-    return [other.name for other in question.causes if other is not cause]
 
 
 def _least(answers: Sequence[Answer]) -> float:

@@ -90,7 +90,8 @@ def designs(base: Scenario, limits: LimitsSection, hours: float, step_s: float, 
         flown = _prescribed(base, kind, attitude, hours, step_s, start)
         found.append(Design(words, kind, flown, 0.0, False))
         if tests:
-            found.append(Design(f"{words}, {' and '.join(tests)}", kind, flown.updated(_merged(tests)), 0.0, True))
+            worked = flown.updated({key: value for changes in tests.values() for key, value in changes.items()})
+            found.append(Design(f"{words}, {' and '.join(tests)}", kind, worked, 0.0, True))
         for days in limits.wait_days if kind == "nadir" else ():
             later = _prescribed(base, kind, attitude, hours, step_s, epoch.add_seconds(start, 86400.0 * days)[0])
             found.append(Design(f"{words}, {days:g} days later", kind, later, days, False))
@@ -173,17 +174,7 @@ def _tests(base: Scenario, limits: LimitsSection) -> Iterator[tuple[str, dict[st
             changes = {"power.switched_load_A": load_A, "power.switched_every_s": limits.pulse_s}
         for name, section in base.drivers.items():
             if section.high is not None and section.high != (section.low or 0.0):
-                changes[f"drivers.{name}"] = {
-                    "pattern": "random",
-                    "high": section.high,
-                    "low": section.low or 0.0,
-                    "duty": 0.5,
-                    "dwell_s": limits.pulse_s,
-                    "unit": section.unit,
-                }
+                between = {"high": section.high, "low": section.low or 0.0, "unit": section.unit}
+                changes[f"drivers.{name}"] = {"pattern": "random", "duty": 0.5, "dwell_s": limits.pulse_s, **between}
         if changes:
             yield "loads on and off", changes
-
-
-def _merged(tests: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    return {key: value for changes in tests.values() for key, value in changes.items()}

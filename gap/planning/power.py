@@ -96,16 +96,8 @@ class Flown:
 
     def board(self, found: Sequence[Candidate], white: FloatArray, rows: int) -> Board:
         """The tests on the first rows alone; whitening looks back only, so it is that of the longer record."""
-        measured = int((self.whitener.weights[:rows] > 0).sum())
-        nothing = np.zeros((rows, 3))
-        return board(
-            found,
-            np.ascontiguousarray(white[:rows]),
-            nothing,
-            self._nuisance[:rows],
-            measured,
-            least_share(self.whitener),
-        )
+        measured, white = int((self.whitener.weights[:rows] > 0).sum()), np.ascontiguousarray(white[:rows])
+        return board(found, white, np.zeros((rows, 3)), self._nuisance[:rows], measured, least_share(self.whitener))
 
     def shown(self, rows: int) -> dict[str, float]:
         """{name: probability that its typical size is seen}; what is not there cannot be tested."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from fluxtwin.gap.planning.power import FRAMES, Cause, Flown, Placed
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.effects.base import Effect, SignalEffect
+from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
 
 _MOST_ALIKE = 4
@@ -51,14 +51,9 @@ def asked(found: Mapping[str, Any], flown: Flown, recorded: bool) -> list[Open]:
     if found["verdict"] == "unknown":
         questions += to_place(found, flown)
     named = {name for effect in found["effects"] for name in (effect["name"], *effect["group"])}
-    small = [name for name in found["minimum_detectable"] if name in found["would_settle"] and name not in named]
-    for name in [
-        *small,
-        *(name for name in found["untestable"] if name not in small and name in found["would_settle"]),
-    ]:
-        if isinstance(find_effect(name), SignalEffect):
-            questions.append(to_show(name))
-    return questions
+    small = [name for name in found["minimum_detectable"] if name not in named]
+    asked = [name for name in dict.fromkeys([*small, *found["untestable"]]) if name in found["would_settle"]]
+    return questions + [to_show(name) for name in asked if isinstance(find_effect(name), SignalEffect)]
 
 
 def ambiguous(names: Sequence[str], flown: Flown, first: Cause) -> list[Open]:
@@ -113,22 +108,16 @@ def signal(name: str) -> SignalEffect:
     """The effect of that name; BadInput for one that no image in the readings can be made of."""
     effect = find_effect(name, where="--for")
     if not isinstance(effect, SignalEffect):
-        raise BadInput(
-            f"{name} is known by its distribution, not by its course", where="--for", wanted="another effect"
-        )
+        why = f"{name} is known by its distribution, not by its course"
+        raise BadInput(why, where="--for", wanted="another effect")
     return effect
 
 
 def cause_of(effect: Mapping[str, Any]) -> Cause:
     """An effect of a diagnosis, as it was found."""
-    kind = _with_settings(signal(effect["name"]), effect["settings"])
+    plain = signal(effect["name"])
+    known = {one.name for one in dataclasses.fields(plain) if one.init}
+    given = {key: tuple(v) if isinstance(v, list) else v for key, v in effect["settings"].items() if key in known}
+    kind = dataclasses.replace(plain, **given)
     values = {name: one["value"] for name, one in effect["parameters"].items()}
     return Cause(kind, np.array([float(values.get(parameter.name, 0.0)) for parameter in kind.parameters]))
-
-
-def _with_settings(effect: SignalEffect, settings: Mapping[str, Any]) -> SignalEffect:
-    known = {one.name for one in dataclasses.fields(effect) if one.init}
-    given = {key: tuple(v) if isinstance(v, list) else v for key, v in settings.items() if key in known}
-    made: Effect = dataclasses.replace(effect, **given)
-    assert isinstance(made, SignalEffect)
-    return made

@@ -139,9 +139,8 @@ class Structured:
         rate = wander.rate(bare_nT, alone) if rate is None else rate
         if rate is None:
             return -np.inf, None
-        before, now = (
-            log_likelihood(self.problem, one, answer.robust, bare_nT, alone) for one in (answer.noise, noise)
-        )
+        given = (answer.robust, bare_nT, alone)
+        before, now = (log_likelihood(self.problem, one, *given) for one in (answer.noise, noise))
         return wander.gain(bare_nT, alone, rate) + now - before - answer.handicap, rate
 
     def _walks(

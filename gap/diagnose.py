@@ -10,11 +10,12 @@ import numpy as np
 from fluxtwin.gap.channels.momentum_arcs import Craft
 from fluxtwin.gap.channels.sun_nadir import Channel
 from fluxtwin.gap.channels.two_magnetometers import Cause, apart
+from fluxtwin.gap.detectors.codes import coarse_steps
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.full_rate import MOST_ROWS as MOST_ROWS_FAST
 from fluxtwin.gap.detectors.full_rate import full_rate
 from fluxtwin.gap.detectors.noise_level import floor_noise, stochastic_nT
-from fluxtwin.gap.detectors.proposals import coarse, in_the_readings
+from fluxtwin.gap.detectors.proposals import in_the_readings
 from fluxtwin.gap.detectors.random_walk import worth_of_a_walk
 from fluxtwin.gap.detectors.residual_structure import judge, residual_structure
 from fluxtwin.gap.held_out.held_out import Fitted, Prediction, floor_rms_nT, one_step, predict_blocks
@@ -190,10 +191,10 @@ def investigate(
 ) -> Work:
     """Noise, search, residual structure, where, how far. whole: the record that the problem's rows are thinned from."""
     progress("every effect on this design", 0.05)
-    coarser, declared_lsb_nT = coarse(problem), problem.budget.lsb_nT
-    if coarser is not None:
-        wider = replace(problem.budget, lsb_nT=float(coarser.theta[0]))
-        problem = replace(problem, budget=wider)
+    declared_lsb_nT = problem.budget.lsb_nT
+    coarser = coarse_steps(np.asarray(problem.telemetry.mag_B_nT), declared_lsb_nT)
+    if coarser is not None:  # the grid is part of the noise
+        problem = replace(problem, budget=replace(problem.budget, lsb_nT=float(coarser.theta[0])))
     problem = _about_the_whitened_fit(problem)
     perturbed = PerturbedDesign(problem)
     known = candidates(problem, perturbed=perturbed)

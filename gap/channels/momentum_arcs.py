@@ -140,7 +140,8 @@ class Arcs:
         if not self.resolved:  # the cubic that has the slopes of the neighbours
             t, share = self.problem.setting.seconds, self._shares
             step, change = (t[there] - t[here])[:, None, :, None], (self.wheels_B[there] - self.wheels_B[here])[:, None]
-            first, last = (step * self.wheel_slope[end][:, None] - change for end in (here, there))
+            slope = np.gradient(self.wheels_B, t, axis=0)
+            first, last = (step * slope[end][:, None] - change for end in (here, there))
             wheels = wheels + share * (1.0 - share) * ((1.0 - share) * first - share * last)
         return wheels, np.where(self.held, self.dipole_B_Am2[here][:, None], dipole)
 
@@ -197,17 +198,9 @@ class Arcs:
         change = np.asarray(vehicle.inertia_kg_m2) - np.asarray(self.craft.vehicle.inertia_kg_m2)
         if not change.any():
             return self.momentum_N
-        return np.asarray(self.momentum_N + self.track.inv().apply(self._rate_B @ change))
-
-    @cached_property
-    def _rate_B(self) -> FloatArray:
         inverse = np.linalg.inv(self.craft.vehicle.inertia_kg_m2)
-        return np.asarray((self.track.apply(self.momentum_N) - self.wheels_B) @ inverse)
-
-    @cached_property
-    def wheel_slope(self) -> FloatArray:
-        """(N, 3) of the momentum of the wheels with time."""
-        return np.asarray(np.gradient(self.wheels_B, self.problem.setting.seconds, axis=0))
+        rate_B = (self.track.apply(self.momentum_N) - self.wheels_B) @ inverse
+        return np.asarray(self.momentum_N + self.track.inv().apply(rate_B @ change))
 
     @cached_property
     def base(self) -> FloatArray:

@@ -16,7 +16,6 @@ from fluxtwin.gap.detectors.lines import Line, strongest_line
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, Whitener, noise_of, whitener_of
 from fluxtwin.gap.problem.problem import Problem, pose, realigned
-from fluxtwin.gap.selection.criterion import THRESHOLD
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -41,11 +40,6 @@ class FullRate:
     line: Line
     slow_Hz: float
     """Highest frequency that the evenly spaced rows show as it is."""
-
-    @property
-    def has_line(self) -> bool:
-        """A line too fast for the evenly spaced rows."""
-        return self.line.frequency_Hz > self.slow_Hz and self.line.worth > THRESHOLD
 
 
 def full_rate(

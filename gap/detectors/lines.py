@@ -51,19 +51,15 @@ def line_near(seconds: FloatArray, left: ProjectedResidual, frequency: float) ->
     width = _FIRST_WIDTH / float(seconds[-1] - seconds[0])
     for steps in (3, 1, 1):
         tried = frequency + width * np.arange(-steps, steps + 1) / steps
-        energies = [_explained(fitted(left, line_columns(seconds, f))) for f in tried]
+        energies = [fitted(left, line_columns(seconds, f)).energy for f in tried]
         frequency, width = _top(tried, energies, int(np.argmax(energies))), 0.3 * width
     found = fitted(left, line_columns(seconds, frequency))
-    return Line(frequency, found.worth(float(np.log(independent_frequencies(seconds)))), _explained(found))
+    return Line(frequency, found.worth(float(np.log(independent_frequencies(seconds)))), found.energy)
 
 
 def independent_frequencies(seconds: FloatArray) -> float:
     """How many independent frequencies a record has."""
     return max(float(seconds[-1] - seconds[0]) / (2.0 * float(np.median(np.diff(seconds)))), 1.0)
-
-
-def _explained(found: Fitted) -> float:
-    return found.drop * found.variance
 
 
 def line_columns(seconds: FloatArray, frequency_Hz: float) -> FloatArray:

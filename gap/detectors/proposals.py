@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from fluxtwin.gap.detectors.codes import coarse_steps, flipped_bits, stuck_bit
+from fluxtwin.gap.detectors.codes import flipped_bits, stuck_bit
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.lines import companion, strongest_line, wheel_line
 from fluxtwin.gap.detectors.noise_level import noise_level
@@ -22,11 +22,6 @@ from fluxtwin.sim.effects.base import DistributionEffect, Effect
 from fluxtwin.sim.effects.chain import Active
 
 _ALIKE = 0.25
-
-
-def coarse(problem: Problem) -> Finding | None:
-    """Readings on a coarser grid than declared: looked for first, because the grid is part of the noise."""
-    return coarse_steps(np.asarray(problem.telemetry.mag_B_nT), problem.budget.lsb_nT)
 
 
 def structured(

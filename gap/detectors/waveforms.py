@@ -45,6 +45,11 @@ class Fitted:
         return worth(self.drop, self.rank + further, self.samples, log_tried)
 
     @property
+    def energy(self) -> float:
+        """What the columns explain, in units of the whitening."""
+        return self.drop * self.variance
+
+    @property
     def sigma(self) -> FloatArray:
         """(k,) of the coefficients."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
@@ -69,7 +74,7 @@ def stands_out(left: ProjectedResidual, columns: FloatArray, others: FloatArray,
     rank = many.rank - few.rank
     if rank <= 0:
         return False
-    explained = few.drop * few.variance / many.variance
+    explained = few.energy / many.variance
     more = (many.drop - explained) / (1.0 + SHAPE * explained)
     return worth(more, rank, many.samples, log_tried) > THRESHOLD
 

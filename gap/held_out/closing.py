@@ -84,20 +84,22 @@ def settle(closure: Closure) -> Closed:
     for number in range(_ROUNDS):
         instrument = corrected(problem.setting.instrument, modelled)
         chain = Chain(dataclasses.replace(problem.setting, instrument=instrument))
-        rest = tuple(np.zeros_like(theta) if effect.name in _CALIBRATION else theta for effect, theta in modelled)
-        problem = dataclasses.replace(problem, chain=chain, modelled_theta=rest)
+        kept = tuple(np.zeros_like(theta) if effect.name in _CALIBRATION else theta for effect, theta in modelled)
+        problem = dataclasses.replace(problem, chain=chain, modelled_theta=kept)
         modelled = problem.modelled_active
         if not chosen or number == _ROUNDS - 1:
             break
         fit = refit(Readings(problem, closure.whitener), chosen, modelled=modelled)
         chosen, modelled = fit.chosen, fit.modelled
         covariances = [fit.covariance[part, part] * max(closure.variance, 1.0) for part in fit.slices()]
-    named = []
+    named, every = [], [*problem.frozen, *modelled, *chosen]
     for (effect, theta), covariance in zip(chosen, covariances, strict=True):
-        assert isinstance(effect, SignalEffect)
-        named.append((_pinned(problem.chain, effect, [*problem.frozen, *modelled, *chosen]), theta, covariance))
-    others = tuple(pair for pair in modelled if pair[0].name not in _CALIBRATION)
-    return Closed(problem.setting.instrument, others, tuple(named))
+        others = [pair for pair in every if pair[0] is not effect]
+        pinned = effect.pinned(problem.setting, problem.chain.reading_nT(others))
+        assert isinstance(pinned, SignalEffect)
+        named.append((pinned, theta, covariance))
+    rest = tuple(pair for pair in modelled if pair[0].name not in _CALIBRATION)
+    return Closed(problem.setting.instrument, rest, tuple(named))
 
 
 def closed_scenario(
@@ -147,13 +149,6 @@ def corrected(old: Magnetometer, modelled: Sequence[Active]) -> Magnetometer:
     return dataclasses.replace(old, S=S, b_nT=b, T_nT_per_Am2=T)
 
 
-def _pinned(chain: Chain, effect: SignalEffect, active: Sequence[Active]) -> SignalEffect:
-    others = [pair for pair in active if pair[0] is not effect]
-    pinned = effect.pinned(chain.setting, chain.reading_nT(others))
-    assert isinstance(pinned, SignalEffect)
-    return pinned
-
-
 def _with_frozen(frozen: Mapping[str, Active], effect: Effect, theta: FloatArray) -> FloatArray:
     """What the scenario had already and what was found in addition to it, together."""
     if effect.name not in frozen:
@@ -169,14 +164,11 @@ def _with_frozen(frozen: Mapping[str, Active], effect: Effect, theta: FloatArray
 
 
 def _calibration(closure: Closure, instrument: Magnetometer) -> dict[str, Any]:
-    changes: dict[str, Any] = {}
-    if closure.theta_of("scale_misalignment") is not None:
-        changes["magnetometer.S"] = np.asarray(instrument.S).tolist()
-    if closure.theta_of("bias") is not None:
-        changes |= {"magnetometer.b_mG": None, "magnetometer.b_nT": np.asarray(instrument.b_nT).tolist()}
-    if closure.theta_of("torquer_coupling") is not None and instrument.T_nT_per_Am2 is not None:
-        changes["magnetometer.T_nT_per_Am2"] = np.asarray(instrument.T_nT_per_Am2).tolist()
-    return changes
+    found = {effect.name for effect, _ in closure.modelled}
+    changes: dict[str, Any] = {"magnetometer.b_mG": None} if "bias" in found else {}
+    of = {"scale_misalignment": "S", "bias": "b_nT", "torquer_coupling": "T_nT_per_Am2"}
+    known = {key: getattr(instrument, key) for name, key in of.items() if name in found}
+    return changes | {f"magnetometer.{key}": np.asarray(v).tolist() for key, v in known.items() if v is not None}
 
 
 def _files(base: Scenario) -> dict[str, Any]:
@@ -205,15 +197,11 @@ def _noise(closure: Closure, declared: Declared) -> dict[str, Any]:
         "attitude.reference.sigma_deg": float(np.degrees(noise.theta_rad)) if sigma_deg is None else sigma_deg,
         "attitude.reference.tau_s": float(noise.tau_s) if tau_s is None else tau_s,
     }
-    changes |= {key: _absolute(declared.field) for key in ("field.model", "field.truth")}
+    kind, colon, path = (declared.field or "").partition(":")
+    field = f"{kind}:{Path(path).resolve()}" if colon else declared.field  # a file is found from any folder
+    changes |= dict.fromkeys(("field.model", "field.truth"), field)
     changes |= dict.fromkeys(("field.degree", "field.truth_degree"), declared.degree)
     return {key: value for key, value in changes.items() if value}
-
-
-def _absolute(field: str | None) -> str | None:
-    """The name of a field model; a file in it is found from any folder."""
-    kind, colon, path = (field or "").partition(":")
-    return f"{kind}:{Path(path).resolve()}" if colon else field
 
 
 def _closure_table(closure: Closure, transfers: Sequence[Transfer], telemetry: Path) -> dict[str, Any]:

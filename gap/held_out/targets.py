@@ -83,7 +83,8 @@ def targets(problem: Problem) -> list[Target]:
         return []
     flown = _cut(problem.setting, known)
     segment = problem.segment[known]
-    nadir = _points_to_nadir(flown)
+    R_BO = flown.given[2] * flown.R_ON.inv()
+    nadir = bool(np.median((R_BO * R_BO.mean().inv()).magnitude()) < _NADIR_WITHIN_RAD)
     tumble, spin = f"tumble of {np.linalg.norm(TUMBLE_DEG_S):.2g} deg/s", f"spin of {SPIN_RPM:g} rpm"
     recorded, regime = ("nadir", None) if nadir else ("attitude as flown", "same")
     made = [(recorded, days, regime) for days in DAYS] + ([] if nadir else [("nadir", DAYS[1], "nadir")])
@@ -106,12 +107,6 @@ def _cut(setting: Setting, rows: np.ndarray) -> Setting:
     return Setting(setting.time[rows], motion, "predict", setting.model, setting.instrument, columns)
 
 
-def _points_to_nadir(setting: Setting) -> bool:
-    R_BO = setting.given[2] * setting.R_ON.inv()
-    away = (R_BO * R_BO.mean().inv()).magnitude()
-    return bool(np.median(away) < _NADIR_WITHIN_RAD)
-
-
 def _moved(flown: Setting, days: float, regime: str | None) -> Setting:
     """Another day, in a regime: None the recorded motion about the orbital frame, "same" that about the stars."""
     time = epoch.add_seconds(flown.time[0], flown.seconds + 86400.0 * days)
@@ -121,7 +116,7 @@ def _moved(flown: Setting, days: float, regime: str | None) -> Setting:
     columns = {name: column for name, column in flown.columns.items() if name not in ("sunlit", "sun_B", "nadir_B")}
     motion: Motion
     if regime in (None, "same"):
-        R = R_BN if regime == "same" else flown.given[2] * flown.R_ON.inv() * frames.rotation_ON(r, v)
+        R = R_BN if regime == "same" else R_BN * flown.R_ON.inv() * frames.rotation_ON(r, v)
         motion = RecordedMotion(time, r, v, R, columns.get("rate_B_rad_s"))
     else:
         columns.pop("rate_B_rad_s", None)

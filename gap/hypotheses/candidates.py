@@ -66,8 +66,9 @@ def candidates(problem: Problem, perturbed: PerturbedDesign | None = None) -> tu
     for effect in (one for kind in CATALOGUE for one in kind.instances(problem.setting)):
         if effect.name in taken:
             continue
-        reason = _not_reported(effect, problem)
-        possible = _signal_alternatives(effect, problem) if reason is None and isinstance(effect, SignalEffect) else []
+        reason, possible = _not_reported(effect, problem), []
+        if reason is None and isinstance(effect, SignalEffect):
+            possible = [one for one in effect.alternatives(problem.setting) if isinstance(one, SignalEffect)]
         if possible:
             reasons = [one.untestable(problem.setting) for one in possible]
             reason = None if None in reasons else reasons[0]
@@ -122,10 +123,6 @@ def settings_of(effect: Effect) -> dict[str, object]:
         for key, value in fields.items()
         if isinstance(value, int | float | str) or (key == "region_deg" and value is not None)
     }
-
-
-def _signal_alternatives(effect: SignalEffect, problem: Problem) -> list[SignalEffect]:
-    return [one for one in effect.alternatives(problem.setting) if isinstance(one, SignalEffect)]
 
 
 def _candidate(

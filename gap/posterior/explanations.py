@@ -86,11 +86,6 @@ class Answer:
     shapes: tuple[Finding, ...] = ()
     """Causes that are known by their own shape: a line, a sequence, a region in the dark, a walk."""
 
-    @property
-    def carries(self) -> bool:
-        """Whether something is named and nothing unknown is likelier."""
-        return bool(self.result.named) and self.known >= 0.5
-
 
 def answered_with(
     problem: Problem,

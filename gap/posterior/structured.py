@@ -60,7 +60,7 @@ class Structured:
         walks = any(one.name == _WALK for one in answer.shapes) or any(_WALK in one.group for one in named)
         walks = walks or _WALK in self.problem.ruled_out
         if answer.left.structured:
-            for bare in (True, False) if named and not answer.carries else (False,):
+            for bare in (True, False) if named and answer.known < 0.5 else (False,):
                 finding = self._signal(answer, bare=bare)
                 if finding is not None:
                     return self.given(answer, finding)
@@ -172,7 +172,7 @@ class Structured:
 
     def with_line(self, answer: Answer, fast: FullRate | None) -> Answer:
         """A line that only the full rate shows, with its name or as structure that has none."""
-        if fast is None or not fast.has_line:
+        if fast is None or fast.line.frequency_Hz <= fast.slow_Hz or fast.line.worth <= THRESHOLD:
             return answer
         wheel = wheel_line(fast.problem.setting, fast.left, fast.line)
         if wheel is not None and wheel.confirmed:

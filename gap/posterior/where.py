@@ -114,8 +114,8 @@ def locate(
         most: dict[str, float] = {}
         for one, value in zip(hypotheses, worths.tolist(), strict=True):
             most[one.stage] = max(most.get(one.stage, -np.inf), value)
-        allowed = [name for name in same if most[at] - most[name] <= THRESHOLD * wider]
-        same = tuple(name for name in allowed if (name in OWN_STAGES) == (at in OWN_STAGES))
+        alike = [name for name in same if (name in OWN_STAGES) == (at in OWN_STAGES)]
+        same = tuple(name for name in alike if most[at] - most[name] <= THRESHOLD * wider)
     return Place(at, axis, frame, condition, same, probabilities)
 
 

@@ -379,10 +379,6 @@ class Closure:
         """Whether nothing was named."""
         return not self.chosen and not self.stochastic
 
-    def theta_of(self, name: str) -> FloatArray | None:
-        """Parameters of a modelled effect, None if it is not modelled."""
-        return next((theta for effect, theta in self.modelled if effect.name == name), None)
-
 
 def _if_verdict(verdict: str, properties: dict[str, Any]) -> dict[str, Any]:
     return {"if": {"properties": {"verdict": {"const": verdict}}}, "then": {"properties": properties}}

@@ -138,11 +138,8 @@ def choose_noise(windows: Windows, residual: FloatArray, saturated: FloatArray, 
 
     def climbed(best: MomentumNoise) -> MomentumNoise:
         for _ in range(_ROUNDS):
-            before = best
             for name, grid in (("torque", _RATIOS), ("rate", _RATIOS), ("tau_s", taus)):
                 best = _climbed(best, name, grid, likelihood)
-            if best == before:
-                break
         return best
 
     best = max((climbed(MomentumNoise(1.0, start)) for start in starts), key=likelihood)

@@ -67,8 +67,7 @@ def in_the_readings(
 
     residual_nT (N, 3), fitted_nT (N, 3, q): given the named effects. found: a coarser step and structured causes.
     """
-    reading = np.asarray(problem.telemetry.mag_B_nT)
-    lsb = complete_budget(problem).lsb_nT
+    reading, lsb = np.asarray(problem.telemetry.mag_B_nT), complete_budget(problem).lsb_nT
     step = next((float(one.theta[0]) for one in found if one.name == "coarse_quantization"), lsb)
     stuck: Finding | None = None
     findings: list[Finding | None] = [*found]

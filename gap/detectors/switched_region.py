@@ -143,15 +143,11 @@ def _coarse(place: _Place) -> Iterator[tuple[str, Box]]:
     Night and shadow hardly differ: which of them it is, is asked when the box is found.
     """
     for condition, dark in list(place.dark.items())[:1]:
+        points = np.stack([place.latitude[dark], place.longitude[dark]], axis=1)
         for half in _HALF_SIZES_DEG:
-            cells = {
-                (round(float(a) / half), round(float(b) / half))
-                for a, b in zip(place.latitude[dark], place.longitude[dark], strict=True)
-            }
-            for row, column in sorted(cells):
-                latitude = row * half
+            for latitude, longitude in (half * np.unique(np.rint(points / half), axis=0)).tolist():
                 wide = min(half / max(np.cos(np.radians(latitude)), 0.2), 90.0)
-                yield condition, _box(latitude - half, latitude + half, column * half - wide, column * half + wide)
+                yield condition, _box(latitude - half, latitude + half, longitude - wide, longitude + wide)
 
 
 def _box(south: float, north: float, west: float, east: float) -> Box:
@@ -171,8 +167,6 @@ def _snug(place: _Place, box: Box, on: BoolArray) -> Box:
     """The box that just holds its rows: of what lies beyond the record knows nothing."""
     latitude = place.latitude[on]
     eastward = box[2] + np.mod(place.longitude[on] - box[2], 360.0)
-    west, east = np.floor(eastward.min()), np.ceil(eastward.max())
-    shift = 360.0 * np.floor((west + 180.0) / 360.0)
-    edges = (np.floor(latitude.min()), np.ceil(latitude.max()), west - shift, east - shift)
-    south, north, west, east = (float(edge) for edge in edges)
-    return (south, north, west, east)
+    west, east = float(np.floor(eastward.min())), float(np.ceil(eastward.max()))
+    shift = 360.0 * float(np.floor((west + 180.0) / 360.0))
+    return float(np.floor(latitude.min())), float(np.ceil(latitude.max())), west - shift, east - shift

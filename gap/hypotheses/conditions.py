@@ -44,7 +44,8 @@ class Condition:
 
 def conditions(setting: Setting) -> tuple[Condition, ...]:
     """Every condition that varies on this design, but regions (`regions`) and steps (`after`)."""
-    return tuple(_live([*_lighting(setting), *_orbital(setting), *_housekeeping(setting)]))
+    every = (*_lighting(setting), *_orbital(setting), *_housekeeping(setting))
+    return tuple(condition for condition in every if _varies(condition))
 
 
 def always(setting: Setting) -> Condition:
@@ -151,12 +152,10 @@ def _housekeeping(setting: Setting) -> Iterator[Condition]:
         yield _smooth("rate", "body rate", rate)
 
 
-def _live(found: list[Condition]) -> Iterator[Condition]:
-    for condition in found:
-        if condition.indicator and not LEAST_SHARE < condition.columns.mean() < 1 - LEAST_SHARE:
-            continue
-        if condition.columns.size and condition.columns.std(axis=0).max() > 1e-9:
-            yield condition
+def _varies(one: Condition) -> bool:
+    if one.indicator and not LEAST_SHARE < one.columns.mean() < 1 - LEAST_SHARE:
+        return False
+    return bool(one.columns.size and one.columns.std(axis=0).max() > 1e-9)
 
 
 def _indicator(name: str, label: str, values: FloatArray | BoolArray) -> Condition:

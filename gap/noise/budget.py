@@ -42,17 +42,15 @@ class NoisePrior:
     theta_log_sd: float = ATTITUDE_LOG_SD
     tau_s: float | None = None
     """Declared time constant; None leaves it to the data, white included."""
-    tau_log_sd: float = TAU_LOG_SD
 
     def log_density(self, sigma_nT: float, theta_rad: float, tau_s: float) -> float:
         """Log of the prior at a point, without its constant; a theta or tau of zero has the peak's."""
         total = (np.log(sigma_nT / self.sigma_nT) / self.sigma_log_sd) ** 2
         if self.theta_rad and theta_rad > 0:
             total += (np.log(theta_rad / self.theta_rad) / self.theta_log_sd) ** 2
-        if tau_s > 0 and self.tau_s is None:
-            total += (np.log(tau_s / USUAL_TAU_S) / _USUAL_TAU_LOG_SD) ** 2
-        elif tau_s > 0 and self.tau_s:
-            total += (np.log(tau_s / self.tau_s) / self.tau_log_sd) ** 2
+        usual_s, log_sd = (USUAL_TAU_S, _USUAL_TAU_LOG_SD) if self.tau_s is None else (self.tau_s, TAU_LOG_SD)
+        if tau_s > 0 and usual_s:
+            total += (np.log(tau_s / usual_s) / log_sd) ** 2
         return -0.5 * float(total)
 
 

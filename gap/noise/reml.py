@@ -151,19 +151,15 @@ def best_noise(likelihood: Likelihood, start: NoiseModel | None = None) -> Choic
         ratio, tau_s = likelihood.point(start)
     elif tau_s is None:
         tries = [likelihood.at(ratio, by * USUAL_TAU_S) for by in (0.25, 1.0, 4.0)]
-        tau_s = max(tries, key=_posterior).noise.tau_s
+        tau_s = max(tries, key=lambda one: one.log_posterior).noise.tau_s
     best, bends = _climbed(likelihood, ratio, tau_s)
     if prior.tau_s is None and tau_s > 0:
         guess = likelihood.point(best.noise)[0]
         if likelihood.at(guess, 0.0).log_posterior > best.log_posterior - _HOPELESS:
-            best, bends = max((best, bends), _climbed(likelihood, guess, 0.0), key=lambda one: _posterior(one[0]))
+            best, bends = max((best, bends), _climbed(likelihood, guess, 0.0), key=lambda one: one[0].log_posterior)
     if prior.theta_rad is None:
-        best = max(best, likelihood.at(0.0, 0.0), key=_posterior)
+        best = max(best, likelihood.at(0.0, 0.0), key=lambda one: one.log_posterior)
     return _with_uncertainty(likelihood, best, bends)
-
-
-def _posterior(choice: Choice) -> float:
-    return choice.log_posterior
 
 
 def _climbed(likelihood: Likelihood, ratio: float, tau_s: float) -> tuple[Choice, FloatArray]:

@@ -34,9 +34,8 @@ def start_without_attitude(telemetry: Telemetry, model: FieldModel) -> Magnetome
         return None
     known = calibrate_scalar(telemetry, model).calibration
     sigmas = dict(zip(known.names, known.sigmas, strict=True))
-    relative = {
-        name: sigma / float(np.median(size_nT)) if name.startswith("b") else sigma for name, sigma in sigmas.items()
-    }
+    usual_nT = float(np.median(size_nT))
+    relative = {name: sigma / usual_nT if name.startswith("b") else sigma for name, sigma in sigmas.items()}
     worst = [name for name in sorted(relative, key=lambda name: -relative[name]) if relative[name] > _OPEN]
     if worst:
         words = [f"{name} by {sigmas[name]:.2g}{' nT' if name.startswith('b') else ''}" for name in worst[:3]]

@@ -40,22 +40,17 @@ def _enum(*values: str | None) -> WithJsonSchema:
 
 def _keys(**properties: object) -> WithJsonSchema:
     """A mapping with just these keys."""
-    return WithJsonSchema(_object(properties))
+    return WithJsonSchema(_object(**properties))
 
 
-def _object(properties: Mapping[str, object]) -> dict[str, Any]:
-    closed = {"required": list(properties), "additionalProperties": False}
-    return {"type": "object", **closed, "properties": dict(properties)}
+def _object(**properties: object) -> dict[str, Any]:
+    return {"type": "object", "required": [*properties], "additionalProperties": False, "properties": properties}
 
 
 def _shares(names: str) -> dict[str, Any]:
     """Probabilities by name, `none` among them."""
-    return {
-        "type": "object",
-        "required": ["none"],
-        "additionalProperties": False,
-        "patternProperties": {f"^({names}|none)$": _SHARE},
-    }
+    closed = {"type": "object", "required": ["none"], "additionalProperties": False}
+    return {**closed, "patternProperties": {f"^({names}|none)$": _SHARE}}
 
 
 Kept = GetPydanticSchema(lambda _, handler: handler(Any))
@@ -73,7 +68,7 @@ Condition = Annotated[str | None, WithJsonSchema({"type": ["string", "null"], "p
 Rivals = Annotated[
     Sequence[tuple[str, float]],
     PlainSerializer(lambda pairs: [{"name": name, "probability": share} for name, share in pairs]),
-    WithJsonSchema({"type": "array", "items": _object({"name": {"type": "string"}, "probability": _SHARE})}),
+    WithJsonSchema({"type": "array", "items": _object(name={"type": "string"}, probability=_SHARE)}),
 ]
 Estimate = Annotated[
     tuple[float, float | None],
@@ -420,10 +415,7 @@ class Diagnosis(Record, Shown):
     """Share of the first that the second can imitate here, where at least one half."""
     minimum_detectable: Mapping[str, Detectable]
     """False alarm 0.2 % over all that is tested, miss 10 %."""
-    samples: Annotated[
-        Mapping[str, int],
-        _keys(used=_COUNT, cut=_COUNT, without_attitude=_COUNT),
-    ]
+    samples: Annotated[Mapping[str, int], _keys(used=_COUNT, cut=_COUNT, without_attitude=_COUNT)]
     provenance: Mapping[str, Any]
     sentence: Name
     """One sentence that a person can act on."""

@@ -90,19 +90,26 @@ class MomentumChannel(Channel):
 
     def raw(self, active: Sequence[Active]) -> FloatArray:
         """(N + M, 3) residual with these effects on; a body that cannot be has its effect in proportion."""
-        vehicle, rest = self.windows.arcs.craft.vehicle, np.array(self.bare)
+        vehicle, others = self.vehicle(active)
+        rest = np.array(self.bare)
+        for effect, theta in others:
+            rest -= self.columns(effect) @ theta
+        if vehicle is not self.windows.arcs.craft.vehicle:
+            self.below(rest)[:] -= self.windows.image(vehicle)
+        return rest
+
+    def vehicle(self, active: Sequence[Active]) -> tuple[Vehicle, list[Active]]:
+        """The vehicle with effects on the dynamics; and those that are no such effects, or make a body that cannot be."""
+        vehicle, others = self.windows.arcs.craft.vehicle, []
         for effect, theta in active:
             moved = None
             if isinstance(effect, DynamicsEffect):
                 with suppress(BadInput):
                     moved = effect.on(vehicle, theta)
             if moved is None:
-                rest -= self.columns(effect) @ theta
-            else:
-                vehicle = moved
-        if vehicle is not self.windows.arcs.craft.vehicle:
-            self.below(rest)[:] -= self.windows.image(vehicle)
-        return rest
+                others.append((effect, theta))
+            vehicle = moved or vehicle
+        return vehicle, others
 
     def residual(self, active: Sequence[Active]) -> FloatArray:
         """(N + M, 3) whitened, with these effects on."""
@@ -196,16 +203,6 @@ def _others(result: SearchResult) -> list[Candidate]:
     taken = {effect.name for effect, _ in (*result.chosen, *result.modelled)}
     alike = {name for one in result.named for name in (*one.group, *(rival for rival, _ in one.rivals))}
     return [c for c in result.candidates if c.name not in taken and (c.effect.stage != "orbit" or c.name in alike)]
-
-
-def vehicle_of(channel: MomentumChannel, fit: Fit) -> Vehicle:
-    """The vehicle with the effects on the dynamics of a fit."""
-    vehicle = channel.windows.arcs.craft.vehicle
-    for effect, theta in fit.chosen:
-        if isinstance(effect, DynamicsEffect):
-            with suppress(BadInput):
-                vehicle = effect.on(vehicle, theta)
-    return vehicle
 
 
 def solved(columns: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray]:

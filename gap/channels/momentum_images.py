@@ -13,11 +13,11 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from fluxtwin.gap.channels.momentum_arcs import Windows
-from fluxtwin.gap.hypotheses.candidates import Candidate
+from fluxtwin.gap.hypotheses.candidates import Candidate, made
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.orbit import argument_of_latitude
-from fluxtwin.sim.effects.base import DynamicsEffect, Effect, SignalEffect
+from fluxtwin.sim.effects.base import DynamicsEffect, SignalEffect
 from fluxtwin.sim.effects.calibration import TurningStep
 from fluxtwin.sim.effects.catalogue import CATALOGUE
 from fluxtwin.sim.effects.chain import Active
@@ -40,8 +40,8 @@ def dynamics_causes(windows: Windows) -> tuple[list[Candidate], dict[str, str]]:
     for effect in DYNAMICS:
         alternatives = [one for one in effect.alternatives(setting) if isinstance(one, DynamicsEffect)]
         reasons = [one.idle(vehicle) for one in alternatives]
-        made = [cause(windows, vehicle, one) for one, no in zip(alternatives, reasons, strict=True) if no is None]
-        live = [one for one in made if one.live.any()]
+        causes = (cause(windows, vehicle, one) for one, no in zip(alternatives, reasons, strict=True) if no is None)
+        live = [one for one in causes if one.live.any()]
         found += live
         if not live:
             nothing = "nothing in these data excites it: at its typical size it would not turn the body"
@@ -53,42 +53,7 @@ def cause(windows: Windows, vehicle: Vehicle, effect: DynamicsEffect) -> Candida
     """One effect with its image: (M, 3, p) turn of the nodes [rad] per unit of each parameter."""
     steps = effect.step(vehicle)
     images = [windows.image(effect.on(vehicle, step)) for step in np.diag(steps)]
-    return _candidate(effect, np.stack(images, axis=2) / steps)
-
-
-def _candidate(effect: Effect, jacobian: FloatArray) -> Candidate:
-    scale = np.array([parameter.scale for parameter in effect.parameters])
-    live = np.sqrt(np.mean(jacobian**2, axis=(0, 1))) * scale > _DEAD_RAD
-    return Candidate(cast(SignalEffect, effect), jacobian, live)
-
-
-def attitude_image(windows: Windows, effect: SignalEffect, on: Sequence[Active], theta: FloatArray) -> FloatArray:
-    """(M, 3, p) turn of the recorded attitude [rad] per unit of each parameter of an effect on the attitude.
-
-    on: other effects on the attitude.
-    """
-    chain = windows.arcs.problem.design
-
-    def between(up: FloatArray, down: FloatArray) -> FloatArray:
-        high, low = (chain.signal([*on, (effect, value)]).R_BN[windows.rows] for value in (up, down))
-        return np.asarray(-(high * low.inv()).as_rotvec())
-
-    return _derivative(effect, theta, between)
-
-
-def orbit_image(windows: Windows, effect: SignalEffect, on: Sequence[Active], theta: FloatArray) -> FloatArray:
-    """(M, 3, p) turn of the nodes [rad] per unit of each parameter of an effect on the reported orbit.
-
-    on: other effects on it. Gravity gradient, field and light are those of where the body really was.
-    """
-    arcs = windows.arcs
-
-    def between(up: FloatArray, down: FloatArray) -> FloatArray:
-        there = (arcs.elsewhere(orbit_of(arcs.problem, [*on, (effect, value)])) for value in (up, down))
-        high, low = (one.flown(arcs.craft.vehicle) for one in there)
-        return high - low
-
-    return windows.chained(_derivative(effect, theta, between))
+    return made(cast(SignalEffect, effect), np.stack(images, axis=2) / steps, _DEAD_RAD)
 
 
 def _derivative(
@@ -115,15 +80,27 @@ def orbit_of(problem: Problem, active: Sequence[Active]) -> tuple[FloatArray, Fl
 
 
 def image_of(windows: Windows, effect: SignalEffect, on: Sequence[Active], theta: FloatArray) -> FloatArray:
-    """(M, 3, p) of any effect that the readings have too; zero where it leaves attitude and orbit alone.
+    """(M, 3, p) of any effect that the readings have too, per unit of each parameter; zero where it leaves attitude and
+    orbit alone. One on the reported orbit has gravity gradient, field and light where the body really was.
 
     on: all effects that are there.
     """
-    others = [pair for pair in on if pair[0] is not effect and pair[0].stage == effect.stage]
+    arcs, others = windows.arcs, [pair for pair in on if pair[0] is not effect and pair[0].stage == effect.stage]
+
+    def turned(up: FloatArray, down: FloatArray) -> FloatArray:
+        signals = (arcs.problem.design.signal([*others, (effect, value)]) for value in (up, down))
+        high, low = (signal.R_BN[windows.rows] for signal in signals)
+        return np.asarray(-(high * low.inv()).as_rotvec())
+
+    def elsewhere(up: FloatArray, down: FloatArray) -> FloatArray:
+        there = (arcs.elsewhere(orbit_of(arcs.problem, [*others, (effect, value)])) for value in (up, down))
+        high, low = (one.flown(arcs.craft.vehicle) for one in there)
+        return high - low
+
     if effect.stage == "attitude":
-        return attitude_image(windows, effect, others, theta)
+        return _derivative(effect, theta, turned)
     if effect.stage == "orbit":
-        return orbit_image(windows, effect, others, theta)
+        return windows.chained(_derivative(effect, theta, elsewhere))
     return np.zeros((windows.rows.size, 3, len(theta)))
 
 
@@ -169,12 +146,12 @@ def plain_torques(windows: Windows) -> dict[tuple[str | None, str], FloatArray]:
         "orbital": problem.setting.R_ON[rows].inv().as_matrix(),
         "inertial": np.tile(np.eye(3), (rows.size, 1, 1)),
     }
-    made: dict[tuple[str | None, str], FloatArray] = {}
+    found: dict[tuple[str | None, str], FloatArray] = {}
     for condition, values in courses.items():
         for frame, axes in frames.items():
             impulse = np.concatenate([axes * (value * arcs.seconds)[:, None, None] for value in values], axis=2)
-            made[condition, frame] = windows.chained(arcs.pushed(slice(None), impulse))
-    return made
+            found[condition, frame] = windows.chained(arcs.pushed(slice(None), impulse))
+    return found
 
 
 def shared_candidates(windows: Windows, candidates: Sequence[Candidate], on: Sequence[Active]) -> list[Candidate]:
@@ -186,6 +163,6 @@ def shared_candidates(windows: Windows, candidates: Sequence[Candidate], on: Seq
     for candidate in candidates:
         if candidate.effect.stage in ("attitude", "orbit") and not isinstance(candidate.effect, TurningStep):
             zero = np.zeros(len(candidate.effect.parameters))
-            image = _candidate(candidate.effect, image_of(windows, candidate.effect, on, zero))
+            image = made(candidate.effect, image_of(windows, candidate.effect, on, zero), _DEAD_RAD)
             found.append(Candidate(candidate.effect, image.jacobian, image.live & candidate.live))
     return [one for one in found if one.live.any()]

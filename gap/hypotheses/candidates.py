@@ -77,8 +77,8 @@ def candidates(problem: Problem, perturbed: PerturbedDesign | None = None) -> tu
         if reason is not None or not possible:
             continue
         seen: dict[Effect, FloatArray] = {}
-        made = [_candidate(problem.design, alternative, on, perturbed, seen) for alternative in possible]
-        testable = [candidate for candidate in made if candidate.live.any()]
+        every = (_candidate(problem.design, alternative, on, perturbed, seen) for alternative in possible)
+        testable = [candidate for candidate in every if candidate.live.any()]
         if not testable:
             untestable[effect.name] = (
                 "nothing in these data excites it: at its typical size it would not change any reading"
@@ -95,13 +95,13 @@ def candidates(problem: Problem, perturbed: PerturbedDesign | None = None) -> tu
 
 def candidate_of(problem: Problem, effect: SignalEffect, *, modelled: Sequence[Active]) -> Candidate:
     """One alternative that `candidates` does not try, linearised beside what is modelled."""
-    image = jacobian(problem.design, effect, [*problem.frozen, *modelled])
-    return Candidate(effect, image, _live(effect, image))
+    return made(effect, jacobian(problem.design, effect, [*problem.frozen, *modelled]), _DEAD_NT)
 
 
-def _live(effect: SignalEffect, jacobian: FloatArray) -> BoolArray:
+def made(effect: SignalEffect, image: FloatArray, least: float) -> Candidate:
+    """An alternative with its image (M, 3, p). least: rms by which a parameter of its typical size moves something."""
     scale = np.array([parameter.scale for parameter in effect.parameters])
-    return np.asarray(np.sqrt(np.mean(jacobian**2, axis=(0, 1))) * scale > _DEAD_NT)
+    return Candidate(effect, image, np.sqrt(np.mean(image**2, axis=(0, 1))) * scale > least)
 
 
 def _not_reported(effect: Effect, problem: Problem) -> str | None:
@@ -137,7 +137,5 @@ def _candidate(
     if whole not in seen:
         assert isinstance(whole, SignalEffect)
         seen[whole] = jacobian(chain, whole, on)
-    image = seen[whole] * share[:, None, :]
-    live = _live(effect, image)
-    change = perturbed.change(effect, image, on) if live.any() else 0.0
-    return Candidate(effect, image, live, change)
+    one = made(effect, seen[whole] * share[:, None, :], _DEAD_NT)
+    return dataclasses.replace(one, change=perturbed.change(effect, one.jacobian, on)) if one.live.any() else one

@@ -8,13 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from fluxtwin.gap.channels.momentum import (
-    MomentumChannel,
-    ahead_km,
-    momentum_channel,
-    ruled_out,
-    vehicle_of,
-)
+from fluxtwin.gap.channels.momentum import MomentumChannel, ahead_km, momentum_channel, ruled_out
 from fluxtwin.gap.channels.momentum_arcs import Craft, Windows, arcs, windows
 from fluxtwin.gap.channels.momentum_images import DYNAMICS, orbit_of
 from fluxtwin.gap.detectors.residual_structure import Structure
@@ -157,7 +151,7 @@ def _searched(
         gap=gap,
         ahead_km=ahead_km(channel, chosen.fit, result),
     )
-    return momentum, vehicle_of(channel, chosen.fit)
+    return momentum, channel.vehicle(chosen.fit.chosen)[0]
 
 
 def _left(

@@ -52,12 +52,11 @@ class Search(Generic[OfChannel]):
     first: Board
     """All candidates beside what is modelled alone."""
     white: FloatArray
-    gate: float = GATE
-    fits: dict[frozenset[str], Fit] = field(default_factory=dict)
-    same: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    same: dict[str, tuple[str, ...]]
     """Names that imitate each other on this design, from `groups.alike`: one cause under two names."""
-    tested_before: int = 0
+    tested_before: int
     """Alternatives tested in other channels."""
+    fits: dict[frozenset[str], Fit] = field(default_factory=dict)
 
     def same_cause(self, numbers: Sequence[int]) -> bool:
         """Whether two of these candidates are one cause under two names."""
@@ -96,7 +95,7 @@ class Search(Generic[OfChannel]):
         names = 2 * len(fit.chosen) * np.log(self.tested)
         return float(fit.chi2 / variance + penalty(fit.rank_chosen, drop, self.samples) + names)
 
-    def beside(self, fit: Fit) -> tuple[Board, list[Candidate]]:
+    def beside(self, fit: Fit) -> Board:
         """Effects other than those chosen, scored at a refit.
 
         The residual and what is projected out are those of the refit. The candidates' own images are those at the
@@ -106,7 +105,7 @@ class Search(Generic[OfChannel]):
         others = [candidate for candidate in self.found if candidate.name not in taken]
         kept = np.array([self.found[int(owner)].name not in taken for owner in self.first.owner], dtype=bool)
         measured, share_left = self.channel.measured, self.channel.share_left
-        return board(others, self.white[:, :, kept], fit.residual, fit.jacobian, measured, share_left), others
+        return board(others, self.white[:, :, kept], fit.residual, fit.jacobian, measured, share_left)
 
     def add(self, effects: Sequence[SignalEffect], fit: Fit | None = None) -> None:
         """Further candidates, and the fit that has them if there is one."""
@@ -125,7 +124,7 @@ class Search(Generic[OfChannel]):
         ]
 
 
-def begin(channel: OfChannel, found: list[Candidate], gate: float = GATE, tested_before: int = 0) -> Search[OfChannel]:
+def begin(channel: OfChannel, found: list[Candidate], tested_before: int = 0) -> Search[OfChannel]:
     """Fit what is modelled, and score every candidate beside it, with those that its residual points to."""
     base = refit(channel)
     turning = {c.name: c.effect for c in found if isinstance(c.effect, TurningStep)}.values()
@@ -133,8 +132,7 @@ def begin(channel: OfChannel, found: list[Candidate], gate: float = GATE, tested
     found = [*found, *(channel.candidate(effect, base.modelled) for effect in jumps)]
     white = whitened(found, channel, base.residual.shape[0])
     first = _first(channel, found, white, base)
-    same = alike(shares_by_name(first))
-    return Search(channel, found, base, first, white, gate, same=same, tested_before=tested_before)
+    return Search(channel, found, base, first, white, alike(shares_by_name(first)), tested_before)
 
 
 def _first(channel: Channel, found: Sequence[Candidate], white: FloatArray, base: Fit) -> Board:
@@ -145,44 +143,33 @@ def run(search: Search[Any]) -> list[tuple[Fit, Board]]:
     """The best sets of none, one, two, three effects, as long as one more is significant and worth it; each with what
     is to be scored beside it."""
     path = [(search.base, search.first)]
-    if not search.found or search.tested * float(search.first.p_values.min()) > search.gate:
+    if not search.found or search.tested * float(search.first.p_values.min()) > GATE:
         return path
     names = {candidate.name for candidate in search.found}
     proposed = [effect for effect in search.channel.proposed(search.base) if effect.name in names]
     if proposed:
         search.add(proposed)
     fit = _best(search, [[number] for number in _shortlist(search, search.first)], search.first)
-    rest, others = search.beside(fit)
-    fit, rest, others = _sharper(search, fit, rest, others)
+    fit, rest = _sharper(search, fit)
     path.append((fit, rest))
-    while len(fit.chosen) < LARGEST:
-        larger = _grown(search, fit, rest, others)
-        if larger is None:
-            break
-        fit = larger
-        fit, rest, others = _sharper(search, fit, *search.beside(fit))
+    while len(fit.chosen) < LARGEST and (larger := _grown(search, fit, rest)) is not None:
+        fit, rest = _sharper(search, larger)
         path.append((fit, rest))
     last = _eliminated(search, fit, rest)
     if last is not fit:
         kept = [pair for pair in path if len(pair[0].chosen) < len(last.chosen)]
-        path = [*kept, (last, search.beside(last)[0])]
+        path = [*kept, (last, search.beside(last))]
     return path
 
 
-def _sharper(search: Search[Any], fit: Fit, rest: Board, others: list[Candidate]) -> tuple[Fit, Board, list[Candidate]]:
-    """The fit with its settings moved, and what is beside it then."""
-    if search.channel.setting is None:
-        return fit, rest, others
-    moved = _sharpened(search, search.channel.setting, fit)
-    return (fit, rest, others) if moved is fit else (moved, *search.beside(moved))
-
-
-def _sharpened(search: Search[Any], setting: Setting, fit: Fit) -> Fit:
-    """The fit with settings between the values that were tried, as further candidates.
+def _sharper(search: Search[Any], fit: Fit) -> tuple[Fit, Board]:
+    """The fit with settings between the values that were tried, as further candidates, and what is to be scored beside it.
 
     What a setting that is a little off leaves would be taken for one more cause.
     """
-    start = fit
+    start, setting = fit, search.channel.setting
+    if setting is None:
+        return fit, search.beside(fit)
     for number in range(len(start.chosen)):
         for _ in range(_ROUNDS):
             moved = _neighbour(search, setting, fit, number)
@@ -193,7 +180,7 @@ def _sharpened(search: Search[Any], setting: Setting, fit: Fit) -> Fit:
     new = [mine for (mine, _), (old, _) in pairs if isinstance(mine, SignalEffect) and mine != old]
     if new:
         search.add(new, fit)
-    return fit
+    return fit, search.beside(fit)
 
 
 def _neighbour(search: Search[Any], setting: Setting, fit: Fit, number: int) -> Fit:
@@ -246,12 +233,12 @@ def _best(search: Search[Any], sets: Sequence[Sequence[int]], scored: Board) -> 
     return min(fits, key=lambda fit: round(search.cost(fit, scored.variance), _ALIKE))
 
 
-def _grown(search: Search[Any], fit: Fit, rest: Board, others: Sequence[Candidate]) -> Fit | None:
+def _grown(search: Search[Any], fit: Fit, rest: Board) -> Fit | None:
     """The best larger set, if one more effect is significant at the refit and worth its price."""
-    if not others or search.tested * float(rest.p_values.min()) > search.gate:
+    if not rest.candidates or search.tested * float(rest.p_values.min()) > GATE:
         return None
     present = search.numbers(fit)
-    pairs = [(place, search.found.index(others[place])) for place in _shortlist(search, rest)]
+    pairs = [(place, search.found.index(rest.candidates[place])) for place in _shortlist(search, rest)]
     pairs = [(place, partner) for place, partner in pairs if not search.same_cause([*present, partner])][:3]
     thetas = [theta for _, theta in fit.chosen]
     trials = [search.fit([*present, partner], [*thetas, rest.estimate([place])[0]]) for place, partner in pairs]
@@ -261,7 +248,7 @@ def _grown(search: Search[Any], fit: Fit, rest: Board, others: Sequence[Candidat
         return None
     best = min(trials, key=lambda trial: search.cost(trial, rest.variance))
     gain, rank = fit.chi2 - best.chi2, max(best.rank_chosen - fit.rank_chosen, 1)
-    significant = search.tested * rest.p_value(gain, rank) < search.gate
+    significant = search.tested * rest.p_value(gain, rank) < GATE
     return best if significant and search.cost(best, rest.variance) < search.cost(fit, rest.variance) else None
 
 
@@ -298,7 +285,7 @@ def _eliminated(search: Search[Any], fit: Fit, rest: Board) -> Fit:
         smaller = [without(search, fit, number) for number in range(len(fit.chosen))]
         drops = [(one.chi2 - fit.chi2, max(fit.rank_chosen - one.rank_chosen, 1)) for one in smaller]
         worst = int(np.argmax([rest.p_value(*drop) for drop in drops]))
-        needless = search.tested * rest.p_value(*drops[worst]) > search.gate
+        needless = search.tested * rest.p_value(*drops[worst]) > GATE
         if not needless and search.cost(smaller[worst], rest.variance) > search.cost(fit, rest.variance):
             break
         fit = smaller[worst]

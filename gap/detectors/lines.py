@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 from fluxtwin.gap.detectors.finding import Finding
-from fluxtwin.gap.detectors.waveforms import Fitted, does_as_well, drivers, fitted, stands_out, varies
+from fluxtwin.gap.detectors.waveforms import Fitted, does_as_well, drivers, fitted, in_parts, stands_out, varies
 from fluxtwin.gap.hypotheses.blocks import in_body
 from fluxtwin.gap.hypotheses.evidence import BlockFit
 from fluxtwin.gap.linear.projection import ProjectedResidual
@@ -115,10 +115,8 @@ def wheel_line(
         return None
     columns = line_columns(setting.seconds, line.frequency_Hz)
     found = fitted(left, columns)
-    third = np.array_split(np.arange(setting.seconds.size), 3)
-    parts = [np.where(np.isin(np.arange(setting.seconds.size), one)[:, None, None], columns, 0.0) for one in third[1:]]
     faults = does_as_well(line.worth, found, rivals)
-    if stands_out(left, columns, np.concatenate(parts, axis=2)):
+    if stands_out(left, columns, np.concatenate(in_parts(columns, 3)[1:], axis=2)):
         faults.append("amplitude or phase changes along the record")
     if _linear(found):
         faults.append("it is linearly polarised")

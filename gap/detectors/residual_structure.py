@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fluxtwin.gap.detectors.lines import independent_frequencies, strongest_line
+from fluxtwin.gap.detectors.waveforms import in_parts
 from fluxtwin.gap.hypotheses.blocks import Block, blocks, step_block
 from fluxtwin.gap.hypotheses.evidence import BlockFit, Dictionary, fit, fit_all
 from fluxtwin.gap.linear.projection import (
@@ -127,9 +128,7 @@ def parts(left: ProjectedResidual, own: FloatArray) -> list[tuple[float, int]]:
     """What parameters of their own for each of two, or five, parts explain, and their number."""
     found = []
     for count in PARTS:
-        rows = np.array_split(np.arange(len(own)), count)[:-1]
-        inside = [np.isin(np.arange(len(own)), part)[:, None, None] for part in rows]
-        cut = np.concatenate([np.where(part, own, 0.0).reshape(-1, own.shape[2]) for part in inside], axis=1)
+        cut = np.concatenate(in_parts(own, count)[:-1], axis=2).reshape(3 * len(own), -1)
         size = np.linalg.norm(cut, axis=0)
         cut = cut[:, size > 0] / size[size > 0]
         cut = projected_out(left.basis, cut)

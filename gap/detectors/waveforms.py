@@ -68,6 +68,12 @@ def fitted(left: ProjectedResidual, columns: FloatArray, further: int = 0) -> Fi
     return Fitted(size, variance * inverse, gain / variance, rank, variance, left.degrees / 3.0)
 
 
+def in_parts(columns: FloatArray, count: int) -> list[FloatArray]:
+    """Columns (N, 3, k) with nothing outside each of so many parts of the record."""
+    rows = np.arange(len(columns))
+    return [np.where(np.isin(rows, part)[:, None, None], columns, 0.0) for part in np.array_split(rows, count)]
+
+
 def stands_out(left: ProjectedResidual, columns: FloatArray, others: FloatArray, log_tried: float = 0.0) -> bool:
     """Whether others (N, 3, m) explain more, given the columns (N, 3, k), than noise and the error of their shape."""
     few, many = fitted(left, columns), fitted(left, np.concatenate([columns, others], axis=2))

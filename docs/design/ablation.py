@@ -49,15 +49,17 @@ GAP = "fluxtwin.gap"
 RULES: dict[str, dict[str, Any]] = {
     "all on": {},
     "pairs and triples ranked afresh": {f"{GAP}.selection.forward._afresh": lambda *_: []},
-    "settings moved between the tried values": {f"{GAP}.selection.forward._sharpened": lambda _, __, fit: fit},
+    "settings moved between the tried values": {
+        f"{GAP}.selection.forward._sharper": lambda search, fit: (fit, search.beside(fit))
+    },
     "backward elimination": {f"{GAP}.selection.forward._eliminated": lambda _, fit, __: fit},
-    "rivals refitted": {f"{GAP}.selection.support._REFITS": 0},
+    "rivals refitted": {f"{GAP}.selection.support.room_for": lambda *_: False},
     "noise of the other explanations": {
         f"{GAP}.posterior.explanations._gained": lambda _, fits, *__: [0.0] * len(fits)
     },
     "structure: drift and parts of the record": {
         f"{GAP}.detectors.residual_structure.drift": lambda _: (0.0, 0.0),
-        f"{GAP}.detectors.residual_structure._PARTS": (),
+        f"{GAP}.detectors.residual_structure.PARTS": (),
     },
     "variance of the shape": {f"{GAP}.posterior.explanations.SHAPE": 0.0},
     "a random walk": {f"{GAP}.posterior.structured.Structured._walking": lambda *_: None},

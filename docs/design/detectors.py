@@ -29,6 +29,7 @@ from withheld_cases.store import Store
 
 import fluxtwin
 from fluxtwin.gap.detectors.finding import Finding
+from fluxtwin.sim.effects.base import Effect
 
 SEED = 41001
 SINGLES = ("heater_switching", "wheel_field", "switched_field", "bias_random_walk", "bit_errors", "excess_noise")
@@ -82,10 +83,10 @@ def answered(store: Store, name: str, off: str | None) -> tuple[list[str], set[t
     proposed: set[tuple[str, frozenset[str]]] = set()
     plain = Finding.__init__
 
-    def noted(self: Finding, effect: str, *given: Any, **named: Any) -> None:
+    def noted(self: Finding, effect: Effect, *given: Any, **named: Any) -> None:
         plain(self, effect, *given, **named)
         faults = {check for check, words in CHECKS.items() if any(words in fault for fault in self.faults)}
-        proposed.add((effect, frozenset(faults)))
+        proposed.add((effect.name, frozenset(faults)))
         if off is not None and faults == {off}:
             object.__setattr__(self, "faults", ())
 

@@ -23,7 +23,7 @@ from scipy.stats import chi2
 from fluxtwin.gap.linear.projection import SHARE_LEFT, explained
 from fluxtwin.gap.records.diagnosis import Diagnosis, Score
 from fluxtwin.gap.selection.criterion import MOST_SURE, THRESHOLD, TWENTY_TO_ONE, worth
-from fluxtwin.gap.selection.groups import ALIKE
+from fluxtwin.gap.selection.score import ALIKE
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect

@@ -20,8 +20,8 @@ from fluxtwin.gap.hypotheses.candidates import Candidate, candidates
 from fluxtwin.gap.linear.projection import SHARE_LEFT, least_share, orthonormal
 from fluxtwin.gap.noise.choice import choose_noise, whitener_of
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget, Problem, pose
-from fluxtwin.gap.selection.groups import ALIKE
 from fluxtwin.gap.selection.refit import settled
+from fluxtwin.gap.selection.score import ALIKE
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.telemetry.record import Telemetry

@@ -53,7 +53,7 @@ RULES: dict[str, dict[str, Any]] = {
         f"{GAP}.selection.forward._sharper": lambda search, fit: (fit, search.beside(fit))
     },
     "backward elimination": {f"{GAP}.selection.forward._eliminated": lambda _, fit, __: fit},
-    "rivals refitted": {f"{GAP}.selection.support.room_for": lambda *_: False},
+    "rivals refitted": {f"{GAP}.selection.search.room_for": lambda *_: False},
     "noise of the other explanations": {
         f"{GAP}.posterior.explanations._gained": lambda _, fits, *__: [0.0] * len(fits)
     },

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.gap.hypotheses.conditions import Condition, conditions
-from fluxtwin.gap.linear.span import span_of
+from fluxtwin.gap.linear.projection import span_of
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.sim.attitude.gauss_markov import gauss_markov
 from fluxtwin.sim.attitude.recorded_motion import RecordedMotion

@@ -17,8 +17,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import wrightomega
 
-from fluxtwin.gap.linear.projection import share_of_errors
-from fluxtwin.gap.linear.span import SHARE_LEFT, span_of
+from fluxtwin.gap.linear.projection import SHARE_PICKED, share_of_errors, span_of
 from fluxtwin.gap.noise.budget import USUAL_TAU_S, NoisePrior
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
 from fluxtwin.gap.problem.row_axes import RowAxes
@@ -80,7 +79,7 @@ class Likelihood:
         there = data.weights > 0
         flat = np.where(there[:, :, None], data.design, 0.0).reshape(there.size, -1)
         # A column must have more of its energy beside others than the attitude error that it was made with.
-        self.span = span_of(flat, share_left=share_of_errors(prior.theta_rad, SHARE_LEFT))
+        self.span = span_of(flat, share_left=share_of_errors(prior.theta_rad, SHARE_PICKED))
         basis = self.span.basis(flat)
         y = np.where(there, data.residual_nT, 0.0).reshape(-1)
         # What the design explains by plain least squares changes nothing but the coordinates.

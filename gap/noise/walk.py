@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from fluxtwin.gap.linear.span import span_of
+from fluxtwin.gap.linear.projection import span_of
 from fluxtwin.gap.noise.whitening import Whitener, with_walk
 from fluxtwin.sim.base.types import FloatArray
 

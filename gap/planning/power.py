@@ -25,10 +25,9 @@ from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import SHAPE, THRESHOLD, TWENTY_TO_ONE, penalty
 from fluxtwin.gap.selection.detectable import GATE, noncentrality, smallest
-from fluxtwin.gap.selection.groups import alike, shares_by_name
 from fluxtwin.gap.selection.refit import Readings, refit
 from fluxtwin.gap.selection.score import Board, board, whitened
-from fluxtwin.gap.selection.support import IN_GROUP
+from fluxtwin.gap.selection.search import IN_GROUP
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
 
@@ -92,7 +91,7 @@ class Flown:
     @cached_property
     def same(self) -> dict[str, tuple[str, ...]]:
         """Names that imitate each other here, {name: names, its own first}."""
-        return alike(shares_by_name(self.board(self.found, self._white, self.problem.rows)))
+        return self.board(self.found, self._white, self.problem.rows).same
 
     def board(self, found: Sequence[Candidate], white: FloatArray, rows: int) -> Board:
         """The tests on the first rows alone; whitening looks back only, so it is that of the longer record."""

@@ -27,7 +27,7 @@ from fluxtwin.gap.noise.walk import Wander
 from fluxtwin.gap.posterior.explanations import Answer, Known, answered_with, log_likelihood, signals_of, without_names
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import THRESHOLD, worth
-from fluxtwin.gap.selection.support import IN_GROUP
+from fluxtwin.gap.selection.search import IN_GROUP
 from fluxtwin.sim.base.types import FloatArray
 
 _MOST = 3

@@ -23,11 +23,9 @@ from fluxtwin.gap.records.diagnosis import Detectable, FoundEffect, MomentumGap,
 from fluxtwin.gap.selection.criterion import THRESHOLD, still_known, worth
 from fluxtwin.gap.selection.detectable import smallest
 from fluxtwin.gap.selection.forward import Search, begin, run
-from fluxtwin.gap.selection.groups import isolability, shares_by_name
 from fluxtwin.gap.selection.named import SearchResult, axis_of, found_effect
 from fluxtwin.gap.selection.refit import Fit, covariance_of
-from fluxtwin.gap.selection.search import ranking
-from fluxtwin.gap.selection.support import support
+from fluxtwin.gap.selection.search import ranking, support
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
@@ -146,7 +144,7 @@ def _searched(
         left=chosen.left,
         untestable={**untestable, **{name: why for name, why in hidden.items() if name in _NAMES}},
         ranking=tuple(line for line in ranking(search) if line.name in _NAMES),
-        isolability=isolability(shares_by_name(search.first)),
+        isolability=search.first.isolability,
         minimum_detectable={name: one.shows() for name, one in seen.items() if name in _NAMES},
         gap=gap,
         ahead_km=ahead_km(channel, chosen.fit, result),

@@ -26,7 +26,7 @@ from fluxtwin.gap.linear.projection import ProjectedResidual, Whitens, projected
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.records.diagnosis import Place
 from fluxtwin.gap.selection.criterion import THRESHOLD, penalty
-from fluxtwin.gap.selection.groups import ALIKE
+from fluxtwin.gap.selection.score import ALIKE
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import STAGES as ALL_STAGES
 

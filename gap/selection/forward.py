@@ -18,7 +18,6 @@ from fluxtwin.gap.hypotheses.candidates import Candidate
 from fluxtwin.gap.linear.projection import SHARE_LEFT, explained, orthonormal
 from fluxtwin.gap.selection.criterion import penalty
 from fluxtwin.gap.selection.detectable import GATE
-from fluxtwin.gap.selection.groups import alike, shares_by_name
 from fluxtwin.gap.selection.refit import Channel, Fit, refit
 from fluxtwin.gap.selection.score import Board, board, whitened
 from fluxtwin.sim.base.types import FloatArray
@@ -53,7 +52,7 @@ class Search(Generic[OfChannel]):
     """All candidates beside what is modelled alone."""
     white: FloatArray
     same: dict[str, tuple[str, ...]]
-    """Names that imitate each other on this design, from `groups.alike`: one cause under two names."""
+    """Names that imitate each other on this design, from `Board.same`: one cause under two names."""
     tested_before: int
     """Alternatives tested in other channels."""
     fits: dict[frozenset[str], Fit] = field(default_factory=dict)
@@ -132,7 +131,7 @@ def begin(channel: OfChannel, found: list[Candidate], tested_before: int = 0) ->
     found = [*found, *(channel.candidate(effect, base.modelled) for effect in jumps)]
     white = whitened(found, channel, base.residual.shape[0])
     first = _first(channel, found, white, base)
-    return Search(channel, found, base, first, white, alike(shares_by_name(first)), tested_before)
+    return Search(channel, found, base, first, white, first.same, tested_before)
 
 
 def _first(channel: Channel, found: Sequence[Candidate], white: FloatArray, base: Fit) -> Board:

@@ -15,11 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 
-from fluxtwin.gap.hypotheses.candidates import Candidate
+from fluxtwin.gap.hypotheses.candidates import Candidate, settings_of
 from fluxtwin.gap.linear.projection import SHARE_LEFT, Whitens, explained, orthonormal, projected_out
 from fluxtwin.gap.records.diagnosis import Score
 from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.effects.base import Effect
 
+ALIKE = 0.98
+"""Two effects that each imitate this share of the other are one group."""
 _QUIETEST = 0.25
 _TRUSTED = 50
 """Degrees of freedom that the noise model is worth by itself: its size is trusted to 10 %, and 1 / (2 * 0.1**2) = 50."""
@@ -152,6 +155,45 @@ class Board:
         np.add.at(by_direction, self.block.astype(int), imitated)
         np.add.at(both, owner, by_direction.T)
         return np.asarray(np.clip(both / np.where(power > 0, power, np.inf)[:, None], 0.0, 1.0))
+
+    @cached_property
+    def shares_by_name(self) -> dict[str, dict[str, float]]:
+        """{a: {b: share of a that b can imitate}}, the largest over alternatives of both; effects that are seen only."""
+        found: dict[str, dict[str, float]] = {}
+        for k, one in enumerate(self.candidates):
+            for m, other in enumerate(self.candidates):
+                if self.rank[k] > 0 and self.rank[m] > 0 and one.name != other.name:
+                    row = found.setdefault(one.name, {})
+                    row[other.name] = max(row.get(other.name, 0.0), float(self.shares[k, m]))
+        return found
+
+    @property
+    def isolability(self) -> dict[str, dict[str, float]]:
+        """The shares worth saying: 0.5 and more, largest first."""
+        ordered = {name: sorted(row.items(), key=lambda pair: -pair[1]) for name, row in self.shares_by_name.items()}
+        large = {name: {other: share for other, share in row if share >= 0.5} for name, row in ordered.items()}
+        return {name: row for name, row in large.items() if row}
+
+    @property
+    def same(self) -> dict[str, tuple[str, ...]]:
+        """{name: names, its own first, that each imitate 0.98 of the other}."""
+        table = self.shares_by_name
+        return {
+            name: (name, *(other for other, share in row.items() if min(share, table[other][name]) >= ALIKE))
+            for name, row in table.items()
+        }
+
+    def alike_to(self, effect: Effect) -> tuple[str, ...]:
+        """The effect's name, and those that have a setting which imitates 0.98 of it, and it of that one: of it in the form
+        that it has here (an axis, a course), whatever the numbers among its settings."""
+
+        def form(one: Effect) -> tuple[str, dict[str, object]]:
+            return one.name, {key: value for key, value in settings_of(one).items() if isinstance(value, str)}
+
+        own = [k for k, one in enumerate(self.candidates) if self.rank[k] > 0 and form(one.effect) == form(effect)]
+        both = np.minimum(self.shares, self.shares.T)[own].max(axis=0, initial=0.0)
+        others = [self.candidates[k].name for k in np.flatnonzero((self.rank > 0) & (both >= ALIKE)).tolist()]
+        return tuple(dict.fromkeys([effect.name, *others]))
 
     def scores(self) -> list[Score]:
         """Score and information of every candidate, in the units of its parameters."""

@@ -168,13 +168,12 @@ def _denied(work: Work) -> dict[str, str]:
                 gone[one.name] = words.DENIED_SENSOR
     if not work.in_readings:
         return gone
-    every = [*result.modelled, *result.chosen]
-    whole = problem.residual_of(every)
+    whole = problem.residual_of([*result.modelled, *result.chosen])
     readings = projected(work.answer.whitener, whole, work.answer.alone_nT)
     columns = {own[0].name: problem.derivatives([own]) for own in result.chosen}
     for place, (effect, _) in enumerate(result.chosen):
-        missing = len(every) - len(result.chosen) + place
-        image_nT = problem.residual_of([*every[:missing], *every[missing + 1 :]]) - whole
+        without = [*result.modelled, *result.chosen[:place], *result.chosen[place + 1 :]]
+        image_nT = problem.residual_of(without) - whole
         others = [one for name, one in columns.items() if name != effect.name]
         named = next(one for one in work.in_readings if one.name == effect.name)
         for name in {effect.name, *named.group, *(rival for rival, _ in named.rivals)}:
@@ -296,11 +295,12 @@ def _repeated(mag_B_nT: FloatArray) -> float:
 
 def _require_rows(problem: Problem) -> None:
     wanted = -(-(problem.nuisance.shape[2] + _LEAST_FREE) // 3) + 10
-    if problem.whole_rows < wanted:
+    whole = int(problem.measured.sum()) // 3  # rows of three components that are worth as many as are judged
+    if whole < wanted:
         plain = problem.axes is None
         each = "" if plain else f", where three without attitude count as one ({problem.rows} rows in all)"
         raise NoAnswer(
-            f"the record is too short: it has {problem.whole_rows} rows with reading, position and attitude{each}; "
+            f"the record is too short: it has {whole} rows with reading, position and attitude{each}; "
             f"at least {wanted} are needed to tell a gap from {problem.nuisance.shape[2]} parameters that are re-estimated",
             evidence={"rows": problem.rows, "needed": wanted},
         )

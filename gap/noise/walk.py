@@ -9,7 +9,6 @@ one scale.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -26,51 +25,39 @@ _CLOSE = 0.02
 """In the logarithm of the rate: a fifth of its standard deviation where 50 modes of the walk show."""
 
 
-@dataclass(frozen=True, eq=False)
-class Wander:
-    """All walks under one whitening."""
+def likeliest_rate(whitener: Whitener, residual_nT: FloatArray, fitted_nT: FloatArray) -> float | None:
+    """The likeliest rate [nT/sqrt(s)] of a walk in a residual (N, 3) beside fitted columns (N, 3, q); None where a walk is
+    hardly more likely than none."""
+    fit = _fits(whitener, residual_nT, fitted_nT)
+    degrees = max(whitener.measured - fitted_nT.shape[2], 1)
+    energy, log_det = fit(0.0)
 
-    whitener: Whitener
-    seconds: FloatArray
-    """(N,)."""
+    def lost(log_rate: float) -> float:
+        chi2, wider = fit(float(np.exp(log_rate)))
+        # The noise level is profiled out: one that was declared wrong is no walk.
+        return -float(log_det - wider - degrees * np.log(chi2 / energy))
 
-    def whitening(self, rate: float) -> Whitener:
-        """The whitening with a walk of that rate in nT/sqrt(s)."""
-        return with_walk(self.whitener, self.seconds, rate)
+    unit = whitener.noise.sigma_nT / np.sqrt(float(whitener.seconds[-1] - whitener.seconds[0]))
+    found = minimize_scalar(lost, bounds=np.log(unit * np.array(RMS)), options={"xatol": _CLOSE})
+    return float(np.exp(found.x)) if -found.fun >= 2.0 * _LEAST_EVIDENCE else None
 
-    def rate(self, residual_nT: FloatArray, fitted_nT: FloatArray) -> float | None:
-        """The likeliest rate of a walk in a residual (N, 3) beside fitted columns (N, 3, q); None where a walk is hardly
-        more likely than none."""
-        fit = self._fits(residual_nT, fitted_nT)
-        degrees = max(self.whitener.measured - fitted_nT.shape[2], 1)
-        energy, log_det = fit(0.0)
 
-        def gain(log_rate: float) -> float:
-            chi2, wider = fit(float(np.exp(log_rate)))
-            # The noise level is profiled out: one that was declared wrong is no walk.
-            return float(log_det - wider - degrees * np.log(chi2 / energy))
+def gain(whitener: Whitener, residual_nT: FloatArray, fitted_nT: FloatArray, rate: float) -> float:
+    """Twice the log likelihood that a walk of that rate wins on a residual, for noise of unit variance."""
+    fit = _fits(whitener, residual_nT, fitted_nT)
+    (before, log_det), (now, wider) = fit(0.0), fit(rate)
+    return before - now + log_det - wider
 
-        unit = self.whitener.noise.sigma_nT / np.sqrt(float(self.seconds[-1] - self.seconds[0]))
-        found = minimize_scalar(
-            lambda log_rate: -gain(log_rate), bounds=np.log(unit * np.array(RMS)), options={"xatol": _CLOSE}
-        )
-        return float(np.exp(found.x)) if -found.fun >= 2.0 * _LEAST_EVIDENCE else None
 
-    def gain(self, residual_nT: FloatArray, fitted_nT: FloatArray, rate: float) -> float:
-        """Twice the log likelihood that a walk of that rate wins on a residual, for noise of unit variance."""
-        fit = self._fits(residual_nT, fitted_nT)
-        (before, log_det), (now, wider) = fit(0.0), fit(rate)
-        return before - now + log_det - wider
+def _fits(whitener: Whitener, residual_nT: FloatArray, fitted_nT: FloatArray) -> Callable[[float], tuple[float, float]]:
+    """Of a rate: chi-square beside the fitted columns, and the log determinant of the restricted likelihood."""
+    flat = whitener.apply(fitted_nT).reshape(residual_nT.size, -1)
+    columns = np.concatenate([fitted_nT[:, :, span_of(flat).number], residual_nT[:, :, None]], axis=2)
 
-    def _fits(self, residual_nT: FloatArray, fitted_nT: FloatArray) -> Callable[[float], tuple[float, float]]:
-        """Of a rate: chi-square beside the fitted columns, and the log determinant of the restricted likelihood."""
-        flat = self.whitener.apply(fitted_nT).reshape(residual_nT.size, -1)
-        columns = np.concatenate([fitted_nT[:, :, span_of(flat).number], residual_nT[:, :, None]], axis=2)
+    def fit(rate: float) -> tuple[float, float]:
+        walking = with_walk(whitener, rate)
+        R = np.linalg.qr(walking.apply(columns).reshape(residual_nT.size, -1), mode="r")
+        size = np.abs(np.diag(R))
+        return float(size[-1] ** 2), walking.log_det + 2.0 * float(np.log(size[:-1]).sum())
 
-        def fit(rate: float) -> tuple[float, float]:
-            whitener = self.whitening(rate)
-            R = np.linalg.qr(whitener.apply(columns).reshape(residual_nT.size, -1), mode="r")
-            size = np.abs(np.diag(R))
-            return float(size[-1] ** 2), whitener.log_det + 2.0 * float(np.log(size[:-1]).sum())
-
-        return fit
+    return fit

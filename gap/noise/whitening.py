@@ -70,6 +70,8 @@ class Whitener:
     """(N, 3, n + 1), see `kernels.fill_gains`."""
     covariance: FloatArray
     """(N, n, n) of the state before each row; of no rows unless it was asked for."""
+    seconds: FloatArray
+    """(N,)."""
     axes: RowAxes | None = None
     """Turns columns in body axes into the axes in which the rows are judged; None: those are the body axes."""
 
@@ -128,13 +130,13 @@ def make_whitener(
     if noise.tau_s > 0:
         same = np.diff(segment, prepend=np.nan) == 0
         decay[same] = np.exp(-np.diff(seconds, prepend=np.nan)[same] / noise.tau_s)
-    plain = Whitener(noise, full, 0.0, load, decay, np.empty(0), np.empty(0), axes)
-    return with_walk(plain, seconds, walk, covariance=covariance)
+    plain = Whitener(noise, full, 0.0, load, decay, np.empty(0), np.empty(0), seconds, axes)
+    return with_walk(plain, walk, covariance=covariance)
 
 
-def with_walk(whitener: Whitener, seconds: FloatArray, rate: float, *, covariance: bool = False) -> Whitener:
+def with_walk(whitener: Whitener, rate: float, *, covariance: bool = False) -> Whitener:
     """The same whitening, but for a bias that begins with the record and walks at a rate in each body axis [nT/sqrt(s)]."""
-    noise, weights, axes = whitener.noise, whitener.weights, whitener.axes
+    noise, weights, seconds, axes = whitener.noise, whitener.weights, whitener.seconds, whitener.axes
     load, rows = whitener.load[:, :, :3], len(weights)
     if rate > 0:
         bias = np.broadcast_to(np.eye(3), load.shape) if axes is None else axes.turn
@@ -146,7 +148,7 @@ def with_walk(whitener: Whitener, seconds: FloatArray, rate: float, *, covarianc
     load, weights = np.ascontiguousarray(load), np.ascontiguousarray(weights)
     log_det = kernels().fill_gains(load, whitener.decay, step, weights, gains, kept)
     log_det += 2.0 * float(np.log(noise.sigma_nT)) * whitener.measured
-    return Whitener(noise, weights, float(log_det), load, whitener.decay, gains, kept, axes)
+    return Whitener(noise, weights, float(log_det), load, whitener.decay, gains, kept, seconds, axes)
 
 
 def kernels() -> Any:

@@ -23,7 +23,8 @@ from fluxtwin.gap.detectors.residual_structure import Structure, residual_struct
 from fluxtwin.gap.hypotheses.evidence import Dictionary
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.choice import NoiseModel, choose_noise, whitener_of
-from fluxtwin.gap.noise.walk import Wander
+from fluxtwin.gap.noise.walk import gain, likeliest_rate
+from fluxtwin.gap.noise.whitening import with_walk
 from fluxtwin.gap.posterior.explanations import Answer, Known, answered_with, log_likelihood, signals_of, without_names
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import THRESHOLD, worth
@@ -86,7 +87,7 @@ class Structured:
         whitener = whitener_of(self.problem, noise, robust.weights)
         for one in shapes:
             if one.name == _WALK:
-                whitener = Wander(whitener, self.problem.setting.seconds).whitening(float(one.theta[0]))
+                whitener = with_walk(whitener, float(one.theta[0]))
         return answered_with(self.problem, robust, whitener, self.dictionary, self.known, shapes)
 
     def _walking(self, answer: Answer) -> Answer | None:
@@ -95,7 +96,7 @@ class Structured:
         bare_nT, alone = answer.result.residual_alone_nT, without_names(self.problem, answer)
         best: tuple[float, float, Answer | None] = (-np.inf, 0.0, None)
         for residual_nT, columns in self._without_a_step(answer, bare_nT, alone):
-            likely = Wander(answer.whitener, self.problem.setting.seconds).rate(residual_nT, columns)
+            likely = likeliest_rate(answer.whitener, residual_nT, columns)
             if likely is None:
                 continue
             # Given a walk, the error of the attitude is another: without one it took its place.
@@ -135,28 +136,27 @@ class Structured:
         """Twice the log likelihood that a walk in this noise wins against the best noise without one, and its rate
         (default: the likeliest)."""
         whitener = whitener_of(self.problem, noise, answer.robust.weights)
-        wander = Wander(whitener, self.problem.setting.seconds)
-        rate = wander.rate(bare_nT, alone) if rate is None else rate
+        rate = likeliest_rate(whitener, bare_nT, alone) if rate is None else rate
         if rate is None:
             return -np.inf, None
         given = (answer.robust, bare_nT, alone)
         before, now = (log_likelihood(self.problem, one, *given) for one in (answer.noise, noise))
-        return wander.gain(bare_nT, alone, rate) + now - before - answer.handicap, rate
+        return gain(whitener, bare_nT, alone, rate) + now - before - answer.handicap, rate
 
     def _walks(
         self, answer: Answer, noise: NoiseModel, rate: float | None, bare_nT: FloatArray, alone: FloatArray
     ) -> tuple[float, float, Answer | None]:
         """Worth of a walk and of the effects given it, its likeliest rate (first guess given), and those effects."""
         whitener = whitener_of(self.problem, noise, answer.robust.weights)
-        wander, walking = Wander(whitener, self.problem.setting.seconds), answer
+        walking = answer
         for _ in range(_ROUNDS):
             if rate is None:
                 return -np.inf, 0.0, None
             before = rate
             walking = answered_with(
-                self.problem, answer.robust, wander.whitening(rate), self.dictionary, self.known, answer.shapes
+                self.problem, answer.robust, with_walk(whitener, rate), self.dictionary, self.known, answer.shapes
             )
-            rate = wander.rate(walking.result.residual_nT, walking.fitted_nT)
+            rate = likeliest_rate(whitener, walking.result.residual_nT, walking.fitted_nT)
             if rate is not None and abs(np.log(rate / before)) < _SETTLED:
                 break
         if rate is None:

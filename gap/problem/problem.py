@@ -155,11 +155,6 @@ class Problem:
         """(N, 3) components that are judged."""
         return np.ones((self.rows, 3), dtype=np.bool_) if self.axes is None else self.axes.measured
 
-    @property
-    def whole_rows(self) -> int:
-        """Rows of three components that are worth as many components as are judged."""
-        return int(self.measured.sum()) // 3
-
     @cached_property
     def noise_field_nT(self) -> FloatArray:
         """(N, 3) field that an attitude error acts on, in the rows' own axes: what the whitening works with."""

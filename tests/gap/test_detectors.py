@@ -19,8 +19,8 @@ from fluxtwin.gap.detectors.two_state import heater_sequence
 from fluxtwin.gap.hypotheses.blocks import Block, blocks
 from fluxtwin.gap.hypotheses.evidence import fit_all
 from fluxtwin.gap.linear.projection import projected
-from fluxtwin.gap.noise.walk import Wander
-from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
+from fluxtwin.gap.noise.walk import likeliest_rate
+from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener, with_walk
 from fluxtwin.gap.problem.problem import Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.sim.earth.field_models import load_field
@@ -251,18 +251,17 @@ def test_a_walk_is_white_after_its_own_whitening(bench: Bench, close: Callable[.
     """Variance one at every scale, which it is not after the whitening of the noise alone."""
     t = bench.problem.setting.seconds
     noise = SIGMA_NT * np.random.default_rng(21).standard_normal((t.size, 3))
-    wander = Wander(bench.whitener, t)
     left = projected(bench.whitener, noise + walk(t, 2.0, 22), bench.calibration)
-    rate = wander.rate(noise + walk(t, 2.0, 22), bench.calibration)
+    rate = likeliest_rate(bench.whitener, noise + walk(t, 2.0, 22), bench.calibration)
     assert rate is not None
     # The spread of the rate over 40 seeds of this bench is 10 %.
     close(rate, 2.0, atol=0.6, unit="nT/sqrt(s)", because="three spreads of the estimate")
-    white = projected(wander.whitening(rate), noise + walk(t, 2.0, 22), bench.calibration)
+    white = projected(with_walk(bench.whitener, rate), noise + walk(t, 2.0, 22), bench.calibration)
     variance = white.energy / white.degrees
     close(variance, 1.0, atol=4 * np.sqrt(2 / white.degrees), unit="1", because="four sigma of a mean square")
     assert left.energy / left.degrees > 1.0 + 4 * np.sqrt(2 / left.degrees)
     assert drift(white)[0] > -3.0 > drift(left)[0]
-    assert wander.rate(noise, bench.calibration) is None
+    assert likeliest_rate(bench.whitener, noise, bench.calibration) is None
 
 
 def test_a_multiple_of_a_wheel_is_no_second_wheel(bench: Bench) -> None:

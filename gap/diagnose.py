@@ -214,9 +214,9 @@ def investigate(
     every = [answer.whitener, whitener_of(problem, first_noise, answer.robust.weights)]
     smallest = under_all(result.minimum_detectable, result.smallest_images_nT, answer.alone_nT, every)
     answer = replace(answer, result=replace(result, minimum_detectable=smallest))
-    rows = (problem, answer.whitener, answer.noise, answer.robust, result.residual_nT, answer.fitted_nT)
+    rows = (problem, answer.whitener, answer.robust, result.residual_nT, answer.fitted_nT)
     if fast is not None:
-        rows = (fast.problem, fast.whitener, fast.noise, fast.robust, fast.residual_nT, fast.fitted_nT)
+        rows = (fast.problem, fast.whitener, fast.robust, fast.residual_nT, fast.fitted_nT)
     found = (*answer.shapes, *(() if coarser is None else (coarser,)))
     findings = in_the_readings(*rows, answer.left.structured, found)
     flexible = tuple(one for one in findings if one.confirmed)

@@ -142,14 +142,11 @@ def fleet(vehicles: Sequence[str], diagnoses: Sequence[Diagnosis]) -> Fleet:
     found = [(label, *_in_common([table[label] for table in tables])) for label in shared]
     seen = [one for one in found if one[2]]
     tried = float(np.log(max(len(seen), 1)))
-    values = np.array([worth(drop, rank, samples, tried) for _, drop, rank in seen])
+    values = [worth(drop, rank, samples, tried) for _, drop, rank in seen]
     best: dict[str, tuple[float, str, int]] = {}
-    for (label, _, rank), value in zip(seen, values, strict=True):
-        name = tables[0][label].effect.name
-        if name not in best or best[name][0] < value:
-            best[name] = (float(value), label, rank)
-    ranked = sorted(best.items(), key=lambda pair: -pair[1][0])
-    common = None
+    for value, (label, _, rank) in sorted(zip(values, seen, strict=True), key=lambda pair: -pair[0]):
+        best.setdefault(tables[0][label].effect.name, (value, label, rank))
+    ranked, common = list(best.items()), None
     if ranked and ranked[0][1][0] > THRESHOLD:
         top = ranked[0][1][0]
         group = [name for name, (value, _, _) in ranked if top - value < TWENTY_TO_ONE]
@@ -184,9 +181,8 @@ def _in_common(scores: Sequence[Score]) -> tuple[float, int]:
 
 def _imitate(diagnoses: Sequence[Diagnosis], one: str, other: str) -> bool:
     """Whether the designs of all vehicles hardly separate two effects."""
-    return all(
-        min(d.isolability.get(a, {}).get(b, 0.0) for a, b in ((one, other), (other, one))) > ALIKE for d in diagnoses
-    )
+    pairs = ((one, other), (other, one))
+    return all(each.isolability.get(a, {}).get(b, 0.0) > ALIKE for each in diagnoses for a, b in pairs)
 
 
 def _explained(score: FloatArray, information: FloatArray) -> tuple[float, int]:
@@ -228,11 +224,9 @@ def _sizes(scores: Sequence[Score], group: tuple[str, ...], probability: float) 
         each[seen, p] = mean[p] + kept * (v - mean[p])
         each_sigma[seen, p] = np.sqrt(kept * s2 + (1.0 - kept) ** 2 * mean_sigma[p] ** 2)
         spread[p], single[p] = between**0.5, float(np.sqrt(s2.min()))
-    names = tuple(one.name for one in effect.parameters)
-    units = tuple(one.unit for one in effect.parameters)
-    return CommonEffect(
-        effect.name, group, probability, names, units, mean, mean_sigma, spread, each, each_sigma, single
-    )
+    names, units = (tuple(getattr(one, what) for one in effect.parameters) for what in ("name", "unit"))
+    sizes = (mean, mean_sigma, spread, each, each_sigma, single)
+    return CommonEffect(effect.name, group, probability, names, units, *sizes)
 
 
 def _between(values: FloatArray, variances: FloatArray) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 
 from fluxtwin.gap.detectors.lines import Line, strongest_line
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
-from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, Whitener, noise_of, whitener_of
+from fluxtwin.gap.noise.choice import RobustRows, Whitener, noise_of, whitener_of
 from fluxtwin.gap.problem.problem import Problem, pose, realigned
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.chain import Active
@@ -29,7 +29,6 @@ class FullRate:
     """The stretch, given the fit; n rows."""
 
     problem: Problem
-    noise: NoiseModel
     robust: RobustRows
     whitener: Whitener
     residual_nT: FloatArray
@@ -60,7 +59,7 @@ def full_rate(
     left = projected(whitener, residual, fitted)
     line = strongest_line(near.setting.seconds, left)
     slow_Hz = 0.5 / float(np.median(np.diff(setting.seconds)))
-    return FullRate(near, noise, robust, whitener, residual, fitted, left, line, slow_Hz)
+    return FullRate(near, robust, whitener, residual, fitted, left, line, slow_Hz)
 
 
 def _stretch(whole: Telemetry, problem: Problem, modelled: Sequence[Active], chosen: Sequence[Active]) -> Problem:

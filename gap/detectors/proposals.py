@@ -15,7 +15,7 @@ from fluxtwin.gap.detectors.switched_region import switched_region
 from fluxtwin.gap.detectors.two_state import heater_sequence
 from fluxtwin.gap.hypotheses.evidence import Dictionary
 from fluxtwin.gap.linear.projection import projected
-from fluxtwin.gap.noise.choice import NoiseModel, RobustRows, Whitener, complete_budget
+from fluxtwin.gap.noise.choice import RobustRows, Whitener, complete_budget
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import DistributionEffect, Effect
@@ -56,7 +56,6 @@ def structured(
 def in_the_readings(
     problem: Problem,
     whitener: Whitener,
-    noise: NoiseModel,
     robust: RobustRows,
     residual_nT: FloatArray,
     fitted_nT: FloatArray,
@@ -68,6 +67,7 @@ def in_the_readings(
     residual_nT (N, 3), fitted_nT (N, 3, q): given the named effects. found: a coarser step and structured causes.
     """
     reading, lsb = np.asarray(problem.telemetry.mag_B_nT), complete_budget(problem).lsb_nT
+    noise = whitener.noise
     step = next((float(one.theta[0]) for one in found if one.name == "coarse_quantization"), lsb)
     stuck: Finding | None = None
     findings: list[Finding | None] = [*found]

@@ -8,13 +8,14 @@ record (Chow 1960, Econometrica 28, 591).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from fluxtwin.gap.detectors.lines import independent_frequencies, strongest_line
 from fluxtwin.gap.detectors.waveforms import in_parts
-from fluxtwin.gap.hypotheses.blocks import Block, blocks, step_block
+from fluxtwin.gap.hypotheses.blocks import blocks, step_block
 from fluxtwin.gap.hypotheses.evidence import BlockFit, Dictionary, fit, fit_all
 from fluxtwin.gap.linear.projection import (
     SHARE_LEFT,
@@ -91,33 +92,31 @@ def judge(
     seconds, samples = problem.setting.seconds, left.degrees / 3.0
     tried = float(np.log(max(len(fits), 1)))
 
-    def clue(kind: str, gain: float, rank: int, log_tried: float, words: str, block: Block | None = None) -> Structure:
-        drop = gain / unit
+    def clue(kind: str, found: tuple[float, int], log_tried: float, words: str, **place: Any) -> Structure:
+        """place: `condition` and `frame`."""
+        drop, rank = found[0] / unit, found[1]
         value = worth(drop, rank, samples, log_tried)
-        follows, frame = (None, None) if block is None else (block.condition, block.frame)
-        return Structure(value, drop, kind, words, follows, frame, rank, log_tried)
+        return Structure(value, drop, kind, words, rank=rank, log_tried=log_tried, **place)
 
     clues: list[Structure] = []
     for one in fits:
-        (gain, rank), block = one.explained(), one.block
-        frame = f", coherent in the {block.frame} frame" if block.frame else ""
-        clues.append(clue("block", gain, rank, tried, f"structure that follows {block.label}{frame}", block))
+        block, axes = one.block, f", coherent in the {one.block.frame} frame" if one.block.frame else ""
+        words = f"structure that follows {block.label}{axes}"
+        clues.append(clue("block", one.explained(), tried, words, condition=block.condition, frame=block.frame))
     line = strongest_line(seconds, left)
     if line.frequency_Hz > 0:
-        words = f"a line at a period of {1 / line.frequency_Hz:.0f} s"
-        clues.append(clue("tone", line.explained, 6, float(np.log(independent_frequencies(seconds))), words))
+        words, frequencies = f"a line at a period of {1 / line.frequency_Hz:.0f} s", independent_frequencies(seconds)
+        clues.append(clue("tone", (line.explained, 6), float(np.log(frequencies)), words))
     step_s = likeliest_step(seconds, left)
-    jump = step_block(problem, step_s)
-    gain, rank = fit(jump, left).explained()
-    words = f"a step {step_s:.0f} s after the first sample"
-    clues.append(replace(clue("step", gain, rank, float(np.log(seconds.size)), words), condition="after_time"))
+    words, gain = f"a step {step_s:.0f} s after the first sample", fit(step_block(problem, step_s), left).explained()
+    clues.append(clue("step", gain, float(np.log(seconds.size)), words, condition="after_time"))
     log10_p, excess = drift(left)
     words = "a slow drift that follows no known condition"
     clues.append(Structure(-2.0 * log10_p * float(np.log(10.0)), excess, "drift", words, "time"))
     if own is not None and own.shape[2]:
-        for count, (gain, rank) in zip(PARTS, parts(left, own), strict=True):
+        for count, gain in zip(PARTS, parts(left, own), strict=True):
             words = f"the parameters differ between the {count} parts of the record"
-            clues.append(replace(clue("parts", gain, rank, float(np.log(len(PARTS))), words), condition="time"))
+            clues.append(clue("parts", gain, float(np.log(len(PARTS))), words, condition="time"))
     best = max(clues, key=lambda clue: clue.worth)
     if best.worth <= THRESHOLD:
         return Structure(best.worth, 0.0, "none", "nothing structured is left")
@@ -130,8 +129,7 @@ def parts(left: ProjectedResidual, own: FloatArray) -> list[tuple[float, int]]:
     for count in PARTS:
         cut = np.concatenate(in_parts(own, count)[:-1], axis=2).reshape(3 * len(own), -1)
         size = np.linalg.norm(cut, axis=0)
-        cut = cut[:, size > 0] / size[size > 0]
-        cut = projected_out(left.basis, cut)
+        cut = projected_out(left.basis, cut[:, size > 0] / size[size > 0])
         found.append(explained(cut.T @ cut, cut.T @ left.residual, SHARE_LEFT))
     return found
 
@@ -139,9 +137,7 @@ def parts(left: ProjectedResidual, own: FloatArray) -> list[tuple[float, int]]:
 def likeliest_step(seconds: FloatArray, left: ProjectedResidual) -> float:
     """Likeliest moment of a step, from the first stamp: by cumulated sums of the whitened residual, one an axis."""
     series = left.residual.reshape(-1, 3)
-    rows = series.shape[0]
-    scale = np.sqrt(max(left.energy / left.degrees, 1e-300) * rows)
-    bridge = np.cumsum(series - series.mean(axis=0), axis=0) / scale
+    rows, bridge = len(series), np.cumsum(series - series.mean(axis=0), axis=0)
     share = (np.arange(rows) + 1.0) / rows
     inside = (share > 0.02) & (share < 0.98)
     score = np.sum(bridge**2, axis=1) / np.where(inside, share * (1 - share), np.inf)

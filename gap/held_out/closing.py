@@ -57,16 +57,17 @@ def refined(closure: Closure) -> Closure:
     """The closure with settings between those that the search tries (a time constant), where the data prefer one."""
     problem, whitener, modelled = closure.problem, closure.whitener, closure.modelled
     chosen, alternatives = list(closure.chosen), list(closure.alternatives)
+    readings = Readings(problem, whitener)
     for number, (effect, _) in enumerate(closure.chosen):
         if effect.between(problem.setting, 1.0) is None:
             continue
-        best = refit(Readings(problem, whitener), chosen, modelled=modelled)
+        best = refit(readings, chosen, modelled=modelled)
         for ratio in (*RATIOS, _UNSURE):
             for step in (ratio, 1.0 / ratio):
                 moved = best.chosen[number][0].between(problem.setting, step)
                 assert moved is not None
                 start = [(moved, pair[1]) if place == number else pair for place, pair in enumerate(best.chosen)]
-                trial = refit(Readings(problem, whitener), start, modelled=best.modelled)
+                trial = refit(readings, start, modelled=best.modelled)
                 best = trial if trial.chi2 < best.chi2 else best
         chosen, modelled = list(best.chosen), best.modelled
         near = [chosen[number][0].between(problem.setting, step) for step in (_UNSURE, 1.0 / _UNSURE)]

@@ -88,17 +88,17 @@ class _Design:
         self.basis = orthonormal(self.nuisance_white)
         self.floor_nT = floor_rms_nT(field, noise.white_rms_nT, noise.theta_rad)
 
-    def reading(self, old: SignalEffect, new: Sequence[Active]) -> FloatArray:
-        """(N, 3) noise-free reading with `new` in place of the effect `old`."""
+    def reading(self, old: SignalEffect, new: SignalEffect, theta: FloatArray) -> FloatArray:
+        """(N, 3) noise-free reading with the effect `new` in place of `old`."""
         others = [pair for pair in self.chosen if pair[0] is not old]
-        return self.chain.reading_nT([*self.base, *others, *new])
+        return self.chain.reading_nT([*self.base, *others, (new, theta)])
 
     def projected(self, signals: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Signals (N, 3, k) after projecting out what is re-estimated: in nT (N, 3, k), and whitened (3N, k)."""
         white = self.whitener.apply(signals)
         flat = white.reshape(-1, white.shape[2])
-        flat = flat - self.basis @ (self.basis.T @ flat)
-        return visible_part(signals, white, self.nuisance, self.nuisance_white), flat
+        visible = visible_part(signals, white, self.nuisance, self.nuisance_white)
+        return visible, flat - self.basis @ (self.basis.T @ flat)
 
 
 def _one(
@@ -117,10 +117,10 @@ def _one(
     bar = float(chi2.isf(GATE / tested, rank))
     unsure2, energy = float(np.sum(raw**2) / raw[:, :, 0].size), float(spread.sum())
     chance = (1.0 - sum(other.weight for other in others)) * _seen_by_chance(seen, bar)
-    reading = design.reading(effect, [(effect, theta)])
+    reading = design.reading(effect, effect, theta)
     wrong_name = ""
     for other in others:
-        raw, white = design.projected((design.reading(effect, [(other.effect, other.theta)]) - reading)[:, :, None])
+        raw, white = design.projected((design.reading(effect, other.effect, other.theta) - reading)[:, :, None])
         own = float(np.sum(white**2))
         added = other.weight * float(ncx2.sf(bar, rank, max(own, 1e-12)))
         chance += added
@@ -129,9 +129,8 @@ def _one(
         wrong_name = wrong_name or (other.label if added > MOST_CHANCE / 2 else "")
     unsure_nT = float(np.sqrt(unsure2))
     detectable = unsure_nT * float(np.sqrt(noncentrality(rank, tested) / energy)) if energy > _ABSORBED else None
-    why = "the error of its parameters would show there"
-    if wrong_name:
-        why = f"it may as well be {wrong_name} in these data, which differs there"
+    why = f"it may as well be {wrong_name} in these data, which differs there"
+    why = why if wrong_name else "the error of its parameters would show there"
     good = chance <= MOST_CHANCE
     sizes = (chance, unsure_nT, design.floor_nT, detectable)
     return Transfer(effect.name, design.target.name, good, *sizes, "" if good else why)
@@ -152,9 +151,8 @@ def _errors(design: _Design, effect: SignalEffect, theta: FloatArray, covariance
     low, high = (np.array([getattr(one, end) for one in effect.parameters]) for end in ("low", "high"))
     columns = []
     for step in (vectors * np.sqrt(np.maximum(values, 0.0))).T:
-        up, down = (np.clip(theta + sign * step, low, high) for sign in (1.0, -1.0))
-        both = [design.reading(effect, [(effect, moved)]) for moved in (up, down)]
-        columns.append((both[0] - both[1]) / 2.0)
+        up, down = (design.reading(effect, effect, np.clip(theta + by, low, high)) for by in (step, -step))
+        columns.append((up - down) / 2.0)
     return np.stack(columns, axis=-1)
 
 
@@ -169,7 +167,8 @@ def _seen_by_chance(spread: FloatArray, bar: float) -> float:
 def _others(closure: Closure, number: int) -> tuple[Other, ...]:
     """What might be in the place of a named effect, refitted, with posterior weights exp(-BIC / 2)."""
     problem, effect = closure.problem, closure.chosen[number][0]
-    own = refit(Readings(problem, closure.whitener), closure.chosen, modelled=closure.modelled)
+    readings = Readings(problem, closure.whitener)
+    own = refit(readings, closure.chosen, modelled=closure.modelled)
     samples = max(closure.whitener.measured / 3.0, 2.0)
     found: list[Other] = []
     for other in closure.alternatives[number][:_MOST_TRIALS]:
@@ -177,7 +176,7 @@ def _others(closure: Closure, number: int) -> tuple[Other, ...]:
             continue  # the same error with a rate that no data ask for: what it would do elsewhere is a guess
         trial = list(closure.chosen)
         trial[number] = (other, np.zeros(len(other.parameters)))
-        fit = refit(Readings(problem, closure.whitener), trial, modelled=closure.modelled)
+        fit = refit(readings, trial, modelled=closure.modelled)
         worse = (fit.chi2 - own.chi2) / closure.variance + (fit.rank_chosen - own.rank_chosen) * np.log(samples)
         weight = float(np.exp(-0.5 * np.clip(worse, -100.0, 1400.0)))
         if weight > _UNLIKELY:

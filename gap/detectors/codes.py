@@ -135,6 +135,6 @@ def flipped_bits(reading_nT: FloatArray, residual_nT: FloatArray, cut: BoolArray
     total = int(np.isfinite(residual_nT).sum())
     visible = 1.0 if single else max(int(np.count_nonzero(shares)), 1) / (top + 2)
     rate, error = (np.array([size / total / visible]) for size in (count, np.sqrt(count)))
-    what = f"{count} spikes, {100 * fitting:.0f} % of them a single bit of the code turned round"
+    what = f"{count} spikes, {100 * fitting:.0f} % of them a single flipped bit"
     faults = () if fitting >= _MOST_SPIKES else ("the others are not",)
     return Finding(BitErrors(dominant if single else None, "flip", lsb_nT), rate, error, 2.0 * log_bayes, what, faults)

@@ -52,7 +52,7 @@ def noise_level(
         faults.append("it is not Gaussian")
     effect = ExcessNoise(("x", "y", "z")[int(np.argmax(noisy))]) if alone else ExcessNoise()
     where = f" on axis {effect.axis}" if alone else ""
-    what = f"white noise is {level_nT:.4g} nT{where}, the budget says {declared_nT:.4g} nT"
+    what = f"white noise is {level_nT:.4g} nT{where}, where {declared_nT:.4g} nT were expected"
     return Finding(effect, np.array([rms]), np.array([sigma]), value, what, tuple(faults))
 
 

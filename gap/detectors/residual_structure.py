@@ -119,7 +119,7 @@ def judge(
             clues.append(clue("parts", gain, float(np.log(len(PARTS))), words, condition="time"))
     best = max(clues, key=lambda clue: clue.worth)
     if best.worth <= THRESHOLD:
-        return Structure(best.worth, 0.0, "none", "nothing structured is left")
+        return Structure(best.worth, 0.0, "none", "no structure remains")
     return best
 
 

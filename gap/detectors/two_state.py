@@ -54,7 +54,7 @@ def heater_sequence(
         faults.append("it switches as irregularly as a random telegraph")
     if stands_out(left, in_body(on.astype(float)), line_columns(setting.seconds, line.frequency_Hz)):
         faults.append("it is a line that was cut")
-    what = f"a field that is on and off in turn, {_switches(on).size} switches"
+    what = f"a field that switches on and off, {_switches(on).size} switches"
     effect = HeaterSwitching(tuple(int(state) for state in on))
     return Finding(effect, found.size, found.sigma, value, what, tuple(faults))
 

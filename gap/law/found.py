@@ -144,7 +144,9 @@ class _Search:
             choice, whitener = again, whitener_of(self.problem, again.noise, again.robust.weights)
             fit, alike = self._fitted(whitener)
         if fit is None:
-            return Lawful(self._none(whitener, "no term is worth its parameters and the number tried"))
+            return Lawful(
+                self._none(whitener, "no term lowers chi-square by more than the number tried would by chance")
+            )
         return self._judged(fit, choice, whitener, alike)
 
     def _fitted(self, whitener: Whitener) -> tuple[Fit | None, list[LawEffect]]:
@@ -173,9 +175,8 @@ class _Search:
                 why = "the coefficients of the best one differ from one part of the record to the next"
                 return Lawful(self._none(whitener, f"{why}: {words.made_of(record.terms)}"))
         if gap.closed is None or gap.closed < LEAST_CLOSED:
-            share = "a share that is too small, or not to be measured"
-            share = share if gap.closed is None else f"{100 * gap.closed:.0f} %"
-            why = f"the best one found closes {share} of what is left on held-out samples"
+            share = "no measurable share" if gap.closed is None else f"{100 * gap.closed:.0f} %"
+            why = f"the best one closes {share} of the remaining gap on held-out samples"
             return Lawful(self._none(whitener, f"{why}: {words.made_of(record.terms)}"))
         rest = residual_structure(problem, whitener, residual_nT, columns_nT)
         return Lawful(

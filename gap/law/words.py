@@ -130,9 +130,11 @@ def sentence(law: Law, named: bool, orbits: float) -> str:
         listed = [" times ".join(factor(text) for text in one) for one in law.could_be[:_MOST_LISTED]]
         other = f" These data cannot distinguish it from a law of {' or '.join(listed)}."
     if not any(recorded(text) for one in law.terms for text in one.of):
-        other += f" No recorded column is in it: over {orbits:.1f} orbits it describes the gap rather than explains it."
-    what, formula = "what they leave" if named else "it", "; and ".join(map(term, law.terms))
-    return f"A law of recorded columns and geometry explains {what}: {formula}{share}.{other}"
+        other += (
+            f" It contains no recorded column: over {orbits:.1f} orbits it describes the gap but does not explain it."
+        )
+    what, formula = "the remainder" if named else "it", "; and ".join(map(term, law.terms))
+    return f"A law of recorded columns and geometry describes {what}: {formula}.{share}{other}"
 
 
 def instead(law: Law) -> Law:

@@ -84,7 +84,7 @@ def _answers(question: Open, view: Flown, rows: int) -> list[Answer]:
     if not question.causes:
         name = question.names[0]
         power = view.shown(rows).get(name, 0.0)
-        said = f"named: it is there; not named: it is smaller than typical, at {100 * power:.0f} %"
+        said = f"if it is named, it is present; if not, it is smaller than typical, with {100 * power:.0f} % confidence"
         return [Answer(name, power, said)]
     found = []
     for cause in question.causes:
@@ -93,7 +93,7 @@ def _answers(question: Open, view: Flown, rows: int) -> list[Answer]:
             continue
         power = view.distinguishing(cause, question.names, rows)
         others = " and ".join(other.name for other in question.causes if other is not cause)
-        found.append(Answer(cause.name, power, f"it is named, and {others} not"))
+        found.append(Answer(cause.name, power, f"it is named and {others} is not"))
     return found
 
 

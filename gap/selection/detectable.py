@@ -137,7 +137,7 @@ def _best_columns(board: Board) -> dict[str, Smallest]:
 
 def _reason(best: Smallest | None) -> str | None:
     if best is None:
-        return "what is re-estimated can imitate it wholly on this orbit and attitude"
+        return "on this orbit and attitude the re-estimated calibration can imitate it completely"
     one, size = best.parameter, best.value
     if best.relative > _ABSURD or size > max(abs(one.low), abs(one.high)):
         return f"only {one.name} above {size:.3g} {one.unit} would show, which is beyond what is physical"

@@ -81,7 +81,7 @@ def _section(effect: Effect, alike: dict[str, dict[str, dict[str, int]]]) -> lis
     if effect.follows:
         facts.append(f"follows {effect.follows}")
     if effect.equivalent_stages:
-        facts.append(f"could as well be placed at: {', '.join(effect.equivalent_stages)}")
+        facts.append(f"could equally be at stage: {', '.join(effect.equivalent_stages)}")
     return [
         f"### {effect.name}",
         "",
@@ -130,17 +130,18 @@ def _escaped(text: str) -> str:
 
 HEAD = """# Catalogue of effects
 
-*Written by `python docs/examples/catalogue.py` from the code. `fluxtwin effects NAME` prints the same, with a section for
-a scenario.*
+*Written by `python docs/examples/catalogue.py` from the code. `fluxtwin effects NAME` prints the same, with a
+section for a scenario.*
 
-What reality may do that a simulation lacks: {count} effects, in the order in which nature applies them. Zero is absent;
-what + means is said with each model. Keys are those of `[effects.NAME]` in a [scenario](scenario.md#effectsname), and a
-number in brackets is how many components they have. *Typical* is the size with which the search begins.
+The catalogue holds {count} effects that may happen in reality and that a simulation may lack, in physical
+order. A value of zero means that the effect is absent; each model states what a positive value means. Keys are
+those of `[effects.NAME]` in a [scenario](scenario.md#effectsname), with the number of components in brackets.
+*Typical* is the size at which the search begins.
 
-*Looks like* is known before any data are: the share of an effect's image that another effect can make, with `bias` and
-`scale_misalignment` fitted beside both, where it is {alike:.0%} or more. It is given for one cubesat over six orbits in
-three designs: {designs}. From 98 % both ways two effects are named as a group. A design in which two effects do not look
-like each other splits them."""
+*Looks like* follows from the design alone, before any data: it is the share of an effect's signature that
+another effect can imitate, with `bias` and `scale_misalignment` fitted as well, if that share is {alike:.0%} or
+more. It is given for one cubesat over six orbits in three designs: {designs}. Two effects that imitate each
+other by 98 % or more are named as a group. A design in which they do not look alike separates them."""
 
 
 def main() -> None:

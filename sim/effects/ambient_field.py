@@ -36,9 +36,9 @@ class FieldEpoch(SignalEffect):
     follows = None
     settled_by = "a slow tumble of 0.25 deg/s"
     about = (
-        "the real field is that of the model so many years (of 365.25 days) after the stamp: a model evaluated at a "
-        "fixed old epoch, or secular variation forecast wrongly; beyond the model's last knot its last year's change "
-        "goes on (IGRF-14: up to about 100 nT a year)"
+        "the real field is that of the model this many years (of 365.25 days) after the stamp: a model evaluated "
+        "at a fixed old epoch, or a wrong forecast of the secular variation; beyond its last epoch the model's "
+        "last yearly change continues (IGRF-14: up to about 100 nT per year)"
     )
     parameters = (Parameter("ahead", "yr", 1.0, -20.0, 20.0),)
 
@@ -87,10 +87,11 @@ class FieldTruncation(SignalEffect):
     stage = "field"
     frame = "earth"
     follows = None
-    settled_by = "a whole day, so that all longitudes are flown over"
+    settled_by = "a whole day, so that all longitudes are covered"
     about = (
-        "real field and model differ by the share given (1: wholly) of the degrees above N; truth = poorer: the real "
-        "field lacks the model's, truth = richer: it has IGRF-14's up to 13, the model has not"
+        "real field and model differ by the share given (1: wholly) of the degrees above N; truth = poorer: the "
+        "real field lacks those degrees of the model; truth = richer: the real field has those of IGRF-14 up to "
+        "13, which the model lacks"
     )
     parameters = (Parameter("share", "1", 1.0, -2.0, 2.0),)
 

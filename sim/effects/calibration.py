@@ -40,7 +40,7 @@ class Bias(SignalEffect):
     follows = None
     settled_by = "a slow tumble of 0.25 deg/s"
     equivalent_stages = ("spacecraft",)
-    about = "b of A B0 = (I+S) B + b + T D (Lerner & Shuster 1981, eq. 1); + lowers the reading"
+    about = "the bias b of A B0 = (I+S) B + b + T D (Lerner & Shuster 1981, eq. 1); + lowers the reading"
     parameters = vector_parameters("b", "nT", 100.0)
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
@@ -120,7 +120,7 @@ class BiasStep(Step):
     settled_by = "data from well before and well after the jump"
     equivalent_stages = ("spacecraft",)
     about = (
-        "b of eq. 1 jumps at a moment and stays; + lowers the reading from then on "
+        "the bias b of eq. 1 jumps at a moment and stays; + lowers the reading from then on "
         "(additive jump: Willsky & Jones 1976, doi 10.1109/TAC.1976.1101146)"
     )
     grid = 31
@@ -165,7 +165,7 @@ class TurningStep(Step):
 
 @dataclass(frozen=True)
 class MountingStep(TurningStep):
-    """The sensor is turned on its mount at a moment.
+    """The sensor rotates on its mount at a moment.
 
     + turns the sensor's axes right-handed about the body axis, so the field in them turns the other way: the ambient one and
     the spacecraft's. To a magnetometer alone it is `attitude_step`, but for the spacecraft's field.
@@ -173,10 +173,10 @@ class MountingStep(TurningStep):
 
     name = "mounting_step"
     stage = "sensor"
-    settled_by = "another attitude sensor, or a second magnetometer: whether they were turned as well"
+    settled_by = "another attitude sensor or a second magnetometer, which show whether they were rotated as well"
     equivalent_stages = ("attitude", "spacecraft")
     about = (
-        "the sensor's axes are turned from a moment on by this rotation vector, body axes (a hinge that slips, a boom "
+        "the sensor's axes are rotated from a moment on by this rotation vector, body axes (a hinge that slips, a boom "
         "that latches; mounting errors before alignment in flight are tenths of a degree: Wertz 1978, section 7.1)"
     )
 
@@ -200,9 +200,9 @@ class LinearDrift(SignalEffect):
     settled_by = "a longer record, in a slow tumble of 0.25 deg/s"
     equivalent_stages = ("spacecraft",)
     about = (
-        "b of eq. 1 (of = bias), or the diagonal of its S (of = scale), grows in proportion to time; + lowers the reading "
-        "(ageing: THEMIS's fluxgates were to keep within 0.2 nT in 12 h, Auster et al. 2008, "
-        "doi 10.1007/s11214-008-9365-9; the typical size is that of a sensor a hundred times worse)"
+        "the bias b of eq. 1 (of = bias), or the diagonal of its S (of = scale), grows in proportion to time;"
+        " + lowers the reading (ageing: THEMIS's fluxgates were to keep within 0.2 nT in 12 h, Auster et al. "
+        "2008, doi 10.1007/s11214-008-9365-9; the typical size is that of a sensor a hundred times worse)"
     )
     of: Literal["bias", "scale"] = "bias"
     since: str | None = None
@@ -256,7 +256,7 @@ class BiasRandomWalk(DistributionEffect):
     follows = "time"
     settled_by = "a slow tumble of 0.25 deg/s"
     equivalent_stages = ("spacecraft",)
-    about = "b of eq. 1 wanders, its variance growing by rate^2 a second (rate random walk of IEEE Std 952)"
+    about = "the bias b of eq. 1 wanders, its variance growing by rate^2 a second (rate random walk of IEEE Std 952)"
     parameters = (Parameter("rate", "nT/sqrt(s)", 1.0, 0.0),)
     bound = "a walk takes another path each time: only its rate is carried over"
 

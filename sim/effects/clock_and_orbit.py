@@ -63,7 +63,7 @@ class Drifting(SignalEffect):
 
 @dataclass(frozen=True)
 class TimeTagOffset(Drifting):
-    """The reading is taken later than its stamp says.
+    """The reading is taken later than its time stamp says.
 
     Orbit and attitude are right at the stamp; the field is that of a moment later.
     """
@@ -72,8 +72,8 @@ class TimeTagOffset(Drifting):
     stage = "time"
     settled_by = "a spin of 2 rpm (milliseconds show), or a slow tumble of 0.25 deg/s"
     about = (
-        "sampled later than the stamp, and, with course = linear, later by so much more each day (DMSP, Alken et al. 2014; "
-        "GRACE-FO, Stolle et al. 2021; a quartz of 20 ppm drifts by 1.7 s a day)"
+        "sampled this much later than the stamp and, with course = linear, later by this much more each day "
+        "(DMSP, Alken et al. 2014; GRACE-FO, Stolle et al. 2021; a quartz of 20 ppm drifts by 1.7 s a day)"
     )
     both = (Parameter("offset", "s", 0.5, -600.0, 600.0), Parameter("rate", "s/day", 2.0, -8640.0, 8640.0))
     rate_s = 86400.0
@@ -92,11 +92,12 @@ class AlongTrackError(Drifting):
     name = "along_track_error"
     stage = "orbit"
     frame = "orbital"
-    settled_by = "any body rate; a slow tumble of 0.25 deg/s is enough"
+    settled_by = "a rotation of the body; a slow tumble of 0.25 deg/s is enough"
     about = (
-        "the reported position is ahead of the true one by this arc along the orbit, and, with course = linear, by so much "
-        "more each hour; two-line elements are off by 1-5 km at their epoch and tens of km a week later, nearly all of it "
-        "along track (Vallado & Cefola 2012); a satellite taken for another of its launch, by up to half the Earth"
+        "the reported position is ahead of the true one by this arc along the orbit and, with course = "
+        "linear, by this much more each hour; two-line elements are wrong by 1-5 km at their epoch and tens "
+        "of km a week later, nearly all of it along track (Vallado & Cefola 2012); if the satellite is "
+        "confused with another of the same launch, by up to half an orbit"
     )
     both = (Parameter("ahead", "km", 5.0, -20_000.0, 20_000.0), Parameter("rate", "km/h", 0.5, -1000.0, 1000.0))
     rate_s = 3600.0

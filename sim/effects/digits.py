@@ -28,7 +28,7 @@ class ExcessNoise(DistributionEffect):
     follows = None
     settled_by = "a quiet stretch with torquers and payload off"
     about = (
-        "white noise beyond the declared, adding to it in variance (magnetoresistors 10 to 100 nT rms; "
+        "white noise beyond the declared, added to it in variance (magnetoresistors 10 to 100 nT rms; "
         "200 nT in ST5's simulation, Sedlak)"
     )
     axis: Literal["x", "y", "z", "all"] = "all"
@@ -55,8 +55,8 @@ class CoarseQuantization(DistributionEffect):
     equivalent_stages = ("telemetry",)
     after_rounding = True
     about = (
-        "readings rounded to a step larger than declared, error lsb/sqrt(12) rms (Widrow & Kollar 2008, Quantization "
-        "Noise; Seasat 440 nT, HCMM 470 nT)"
+        "readings are rounded to a step larger than declared, with an error of lsb/sqrt(12) rms (Widrow & "
+        "Kollar 2008, Quantization Noise; Seasat 440 nT, HCMM 470 nT)"
     )
     parameters = (Parameter("lsb", "nT", 400.0, 0.0),)
 
@@ -84,8 +84,8 @@ class BitErrors(DistributionEffect):
     settled_by = "the raw counts"
     after_rounding = True
     about = (
-        "single readings with a flipped or stuck bit, share of the components that are hit (undetected bit errors of "
-        "Seasat's telemetry: Lerner & Shuster 1981)"
+        "single readings have a flipped or stuck bit; the parameter is the share of affected components "
+        "(undetected bit errors of Seasat's telemetry: Lerner & Shuster 1981)"
     )
     bit: int | None = None
     """Number of the bit, 0 for the LSB's; None: any of the word, the sign's included, with equal chance."""

@@ -99,7 +99,7 @@ def quantity(setting: Setting, field_B_nT: FloatArray, name: str) -> FloatArray 
 
 @dataclass(frozen=True)
 class Law(SignalEffect):
-    """Field by a law that data gave.
+    """Field by a law found in the data.
 
     k times the product of the factors in `of`, along fixed axes of the body, the orbit, inertial space or the Earth.
     The quantity of the first factor is taken `delay_s` before and behind a first-order lag `lag_s`.

@@ -23,7 +23,7 @@ _SAME_AXIS_RAD = float(np.radians(1.0))  # the two images then differ by less th
 
 @dataclass(frozen=True)
 class SunSensorHeadMisalignment(SignalEffect):
-    """A sun sensor head is not mounted as stated.
+    """A sun-sensor head is not mounted as stated.
 
     The reference attitude is turned while that head gives it, and so is the sun that the head measures.
     """
@@ -36,10 +36,11 @@ class SunSensorHeadMisalignment(SignalEffect):
     frame = "body"
     follows = "head"
     settled_by = (
-        "the number of the head in the telemetry, and turns of 90 deg that bring each head to the sun for half an orbit"
+        "the number of the active head in the telemetry, and rotations of 90 deg that point each head at the sun "
+        "for half an orbit"
     )
     about = (
-        "while head k is in use the reported attitude is turned by this rotation vector, body axes: a field v is "
+        "while head k is in use, the reported attitude is rotated by this rotation vector, body axes: a field v is "
         "predicted as v + turn x v (mounting error as in Wertz 1978, section 7.1; tenths of a degree before alignment "
         "in flight)"
     )
@@ -76,7 +77,7 @@ def _heads(setting: Setting) -> list[int]:
 
 @dataclass(frozen=True)
 class HorizonScannerBias(SignalEffect):
-    """Roll and pitch are wrong in step with latitude.
+    """Roll and pitch errors follow the latitude.
 
     Roll and pitch of the reference attitude, and of the nadir that the scanner measures, are wrong by
     a sin(latitude) + b cos(2 latitude).
@@ -89,7 +90,7 @@ class HorizonScannerBias(SignalEffect):
     settled_by = "a second attitude sensor beside the scanner"
     about = (
         "reported roll and pitch are too large by sin p sin(latitude) + cos2 p cos(2 latitude), p the parameter and "
-        "latitude geocentric: the Earth's 15-micron radiance goes with latitude and season (Wertz 1978, section 4.2; "
+        "latitude geocentric: the Earth's 15-micron radiance depends on latitude and season (Wertz 1978, section 4.2; "
         "Phenneger et al. 1985: 0.05-0.2 deg); a constant part would be absorbed by S"
     )
 
@@ -123,10 +124,10 @@ class YawDrift(SignalEffect):
     follows = "time"
     settled_by = "a second attitude sensor through the eclipse"
     about = (
-        "reported yaw (3-1-2, so about nadir; or, axis = body_z, the turn about body z) is too large by rate x time "
-        "since the first stamp, or, when = eclipse, since entering the shadow and zero outside it: drift of the gyro "
-        "that carries yaw while no sensor sees it (rate integration, Wertz 1978, section 6.5: 0.01-0.1 deg/h for a "
-        "good gyro, 10 deg/h for a small one)"
+        "reported yaw (3-1-2, so about nadir; or, with axis = body_z, the rotation about body z) is too large"
+        " by rate x time since the first stamp or, with when = eclipse, since entering the shadow, and zero "
+        "outside it: drift of the gyro that propagates yaw while no sensor measures it (rate integration, "
+        "Wertz 1978, section 6.5: 0.01-0.1 deg/h for a good gyro, 10 deg/h for a small one)"
     )
 
     def condition_on(self, setting: Setting) -> str | None:
@@ -167,18 +168,18 @@ class YawDrift(SignalEffect):
 
 @dataclass(frozen=True)
 class AttitudeStep(TurningStep):
-    """The reported attitude is off from a moment on.
+    """The reported attitude is wrong from a moment on.
 
     By a constant rotation, as if the frame of its sensors had been moved.
     """
 
     name = "attitude_step"
     stage = "attitude"
-    settled_by = "a second attitude sensor, or a second magnetometer, through the moment"
+    settled_by = "a second attitude sensor, or a second magnetometer, during the step"
     equivalent_stages = ("sensor", "spacecraft")
     about = (
-        "from a moment on the reported attitude is turned by this rotation vector, body axes: a field v is predicted as "
-        "v + turn x v (another sensor in use, or another table of alignments; mounting errors are tenths of a degree "
+        "from a moment on, the reported attitude is rotated by this rotation vector, body axes: a field v is predicted as "
+        "v + turn x v (a different sensor in use, or a different alignment table; mounting errors are tenths of a degree "
         "before alignment in flight: Wertz 1978, section 7.1)"
     )
 

@@ -66,8 +66,8 @@ class QuadraticNonlinearity(Nonlinearity):
 
     name = "quadratic_nonlinearity"
     about = (
-        "reading gains products of two components, nT at 50,000 nT each, + raises it (the 6 x 3 terms of CryoSat-2: "
-        "Olsen et al. 2020, doi 10.1186/s40623-020-01171-9)"
+        "the reading gains products of two components, in nT at 50,000 nT each; positive raises it (the 6 x 3"
+        " terms of CryoSat-2: Olsen et al. 2020, doi 10.1186/s40623-020-01171-9)"
     )
     degree = 2
     parameters = nonlinear_parameters("q", 2)
@@ -79,8 +79,8 @@ class CubicNonlinearity(Nonlinearity):
 
     name = "cubic_nonlinearity"
     about = (
-        "reading gains products of three components, nT at 50,000 nT each, + raises it (the 10 x 3 terms of CryoSat-2: "
-        "Olsen et al. 2020, doi 10.1186/s40623-020-01171-9)"
+        "the reading gains products of three components, in nT at 50,000 nT each; positive raises it (the 10 "
+        "x 3 terms of CryoSat-2: Olsen et al. 2020, doi 10.1186/s40623-020-01171-9)"
     )
     degree = 3
     parameters = nonlinear_parameters("c", 3)
@@ -206,7 +206,7 @@ class AxisSkew(SignalEffect):
     settled_by = "a spin of 2 rpm about each axis in turn"
     equivalent_stages = ("time",)
     about = (
-        "component i is that of a moment dt_i later than the stamp, which is that of x: one converter takes the axes in "
+        "component i is sampled dt_i later than the stamp, which is that of x: one converter samples the axes in "
         "turn (PNI RM3100: three axes at 147 Hz, so 2 ms apart; tenths of a second where a slow bus polls them)"
     )
     parameters = vector_parameters("dt", "s", 0.1, -30.0, 30.0, axes="yz")
@@ -246,8 +246,8 @@ class Saturation(SignalEffect):
     settled_by = "turning the axis concerned along the strongest field, near the poles (a level axis by 90 deg)"
     after_noise = True
     about = (
-        "each axis clipped at +-(full scale - depth), full scale as declared or else the largest reading; + clips more "
-        "(the limiter of every converter)"
+        "each axis is clipped at +-(full scale - depth), with full scale as declared or else the largest "
+        "reading; positive clips more (the limiter of every converter)"
     )
     typical_nT: float = 2000.0
     """Depth at which the effect is linearised; not part of what reality does."""

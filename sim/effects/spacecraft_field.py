@@ -67,9 +67,9 @@ class SolarArrayCurrent(SignalEffect):
     stage = "spacecraft"
     frame = "body"
     follows = "current"
-    settled_by = "steps of the load, or panels turned off the sun, with the current in the telemetry"
+    settled_by = "steps of the load, or panels turned away from the sun, with the current in the telemetry"
     about = (
-        "field in proportion to the solar array's current, + along the axis (RAX: Springmann & Cutler 2012, "
+        "field in proportion to the solar array's current, positive along the axis (RAX: Springmann & Cutler 2012, "
         "doi 10.2514/1.56726; CryoSat-2: Olsen et al. 2020)"
     )
     panel: PanelKind = "zenith"
@@ -242,7 +242,7 @@ class Driver(SignalEffect):
 
 @dataclass(frozen=True)
 class WheelField(SignalEffect):
-    """Field of a dipole that turns with a wheel.
+    """Field of a dipole that rotates with a wheel.
 
     Rotating dipole: a cos(phase) + b sin(phase) at the sensor, an ellipse as a and b are free vectors.
 
@@ -317,7 +317,7 @@ def traceless(theta: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class EddyCurrent(SignalEffect):
-    """Field of currents that a changing field drives.
+    """Field of currents that a changing field induces.
 
     Induced dipole's field -K dB_B/dt at the sensor, K symmetric, K_zz = -K_xx - K_yy.
 

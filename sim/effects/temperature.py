@@ -68,8 +68,9 @@ class ThermalBiasDrift(ThermalEffect):
     stage = "sensor"
     settled_by = "warming and cooling through a full range, over several sun angles"
     about = (
-        "b of eq. 1 per K of temperature; + lowers the reading when warm (offset temperature coefficients: CryoSat-2, "
-        "Olsen et al. 2020, doi 10.1186/s40623-020-01171-9; 0.1-10 nT/K fluxgates, more for magnetoresistors)"
+        "change of the bias b of eq. 1 per K of temperature; + lowers the reading when warm (offset "
+        "temperature coefficients: CryoSat-2, Olsen et al. 2020, doi 10.1186/s40623-020-01171-9; 0.1-10 nT/K "
+        "fluxgates, more for magnetoresistors)"
     )
     parameters = vector_parameters("b", "nT/K", 5.0)
 
@@ -86,7 +87,7 @@ class ThermalScaleDrift(ThermalEffect):
     stage = "sensor"
     settled_by = "a slow tumble of 0.25 deg/s, at several temperatures"
     about = (
-        "diagonal of eq. 1's S per K of temperature; + lowers the reading when warm (Swarm, about 1e-6 1/K: "
+        "change of the diagonal of S in eq. 1 per K of temperature; + lowers the reading when warm (Swarm, about 1e-6 1/K: "
         "Toffner-Clausen et al. 2016; fluxgates 1e-5 to 5e-5, magnetoresistors up to 3e-3)"
     )
     parameters = vector_parameters("S", "1/K", 1e-4, -0.01, 0.01, axes=("xx", "yy", "zz"))
@@ -97,7 +98,7 @@ class ThermalScaleDrift(ThermalEffect):
 
 @dataclass(frozen=True)
 class CommonGainDrift(ThermalEffect):
-    """The gain common to all axes is thermal.
+    """The common gain follows the temperature.
 
     The whole reading is multiplied: the spacecraft's own field and the bias as well as the ambient field.
     """
@@ -121,7 +122,7 @@ class CommonGainDrift(ThermalEffect):
 
 @dataclass(frozen=True)
 class BoomBending(ThermalEffect):
-    """The sensor turns as its boom warms up.
+    """The sensor rotates as its boom warms up.
 
     + turns the sensor's axes right-handed about the body axis, so the field in them turns the other way. The whole
     field at the sensor turns, that of the spacecraft too. The boom is straight at `reference_degC`.
@@ -132,7 +133,7 @@ class BoomBending(ThermalEffect):
     settled_by = "a slow tumble of 0.25 deg/s through sun and shadow, with the boom's temperature in the telemetry"
     equivalent_stages = ("attitude", "sensor")
     about = (
-        "turn of the sensor per K of temperature, + right-handed about the body axis (thermal bending of a boom: "
+        "rotation of the sensor per K of temperature, positive right-handed about the body axis (thermal bending of a boom: "
         "Boley & Weiner 1960, Theory of Thermal Stresses, chapter 10; Magsat's attitude transfer system was built "
         "for excursions of 0.05 deg in bending and 0.08 deg in twist, NTRS 19810055192)"
     )

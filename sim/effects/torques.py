@@ -56,14 +56,14 @@ class AddedTorque(DynamicsEffect):
 
 @dataclass(frozen=True)
 class ResidualDipoleTorque(AddedTorque):
-    """Torque of a magnetic dipole nobody knows of."""
+    """Torque of an unknown magnetic dipole."""
 
     name = "residual_dipole_torque"
     follows = "field_strength"
-    settled_by = "wheels and torquers left alone for an orbit or two, with a better reference attitude"
+    settled_by = "wheels and torquers undisturbed for an orbit or two, with a better reference attitude"
     about = (
         "torque m x B of a residual magnetic dipole m fixed in the body (Wertz 1978, section 17.2.4); NASA SP-8018 "
-        "gives about 1e-3 A m2 a kilogram for an ordinary spacecraft"
+        "gives about 1e-3 A m2 per kilogram for an ordinary spacecraft"
     )
     parameters = vector_parameters("dipole", "A m2", 0.5)
     torque, key = ResidualDipole, "dipole_Am2"
@@ -75,9 +75,9 @@ class AerodynamicTorque(AddedTorque):
 
     name = "aerodynamic_torque"
     follows = None
-    settled_by = "a lower perigee, or a day of an active sun"
+    settled_by = "a lower perigee, or a day with an active sun"
     about = (
-        "torque of a drag that acts beside the centre of mass, C_D A c, the same area and centre for every wind "
+        "torque of drag acting off the centre of mass, C_D A c, with the same area and centre for every wind direction "
         "(Wertz 1978, section 17.2.3), in the air of the density table"
     )
     parameters = vector_parameters("moment", "m3", 0.1)
@@ -90,9 +90,9 @@ class SolarPressureTorque(AddedTorque):
 
     name = "solar_pressure_torque"
     follows = "sunlit"
-    settled_by = "the sun held on one side for whole orbits, wheels taking up the momentum"
+    settled_by = "the sun kept on one side for whole orbits, with wheels absorbing the momentum"
     about = (
-        "torque of sunlight that pushes beside the centre of mass, C_R A c, the same area and centre for every "
+        "torque of sunlight acting off the centre of mass, C_R A c, with the same area and centre for every "
         "direction of the sun (Wertz 1978, section 17.2.2), none in the shadow"
     )
     parameters = vector_parameters("moment", "m3", 0.5)
@@ -101,7 +101,7 @@ class SolarPressureTorque(AddedTorque):
 
 @dataclass(frozen=True)
 class EddyTorque(DynamicsEffect):
-    """Torque of eddy currents in a body that turns."""
+    """Torque of eddy currents in a rotating body."""
 
     name = "eddy_torque"
     follows = "rate"
@@ -118,14 +118,14 @@ class EddyTorque(DynamicsEffect):
 
 @dataclass(frozen=True)
 class GravityGradientInertiaError(DynamicsEffect):
-    """The inertia tensor is not the scenario's."""
+    """The inertia tensor differs from the scenario's."""
 
     name = "gravity_gradient_inertia_error"
     follows = None
     settled_by = "slews about all three axes, or a slow tumble"
     about = (
-        "true inertia tensor less that of the scenario; acts_in = both: in the gravity gradient 3 GM / r^3 (r x dJ r) "
-        "and in the gyroscopic torque; acts_in = torque: in the gravity gradient alone, where the trace is not seen "
+        "true inertia tensor minus that of the scenario; acts_in = both: in the gravity gradient 3 GM / r^3 (r x dJ r) "
+        "and in the gyroscopic torque; acts_in = torque: in the gravity gradient alone, where the trace is not observable "
         "(Wertz 1978, section 17.2.1)"
     )
     parameters = vector_parameters("inertia", "kg m2", 0.5, axes=("xx", "yy", "zz", "xy", "xz", "yz"))
@@ -155,14 +155,14 @@ class GravityGradientInertiaError(DynamicsEffect):
 
 @dataclass(frozen=True)
 class TorquerGainError(DynamicsEffect):
-    """Torquers are not as strong as telemetry says."""
+    """Torquers are not as strong as the telemetry says."""
 
     name = "torquer_gain_error"
     follows = "torquer"
-    settled_by = "each torquer full on in turn, with its dipole in the telemetry at every switch"
+    settled_by = "each torquer fully on in turn, with its dipole in the telemetry at every switching"
     about = (
-        "true dipole of a torquer over the one that telemetry says, less 1, each axis; its torque alone (the field at "
-        "the sensor is torquer_coupling)"
+        "true dipole of a torquer divided by that in the telemetry, minus 1, for each axis; affects its "
+        "torque only (the field at the sensor is torquer_coupling)"
     )
     parameters = vector_parameters("gain", "1", 0.05, low=-2.0, high=2.0)
 

@@ -40,7 +40,9 @@ def test_a_standing_one_is_doubted_only_where_something_speaks_against_a_hold():
     assert stuck_attitude(hold, None) is None
     assert stuck_attitude(hold, 0.0) is None
     assert "100 % of the rows, for up to 33 min" in str(stuck_attitude(hold, 1e-3))  # 199 steps of 10 s
-    assert "by the gyro the body turned 114 deg" in str(stuck_attitude(record(slice(0, ROWS), 1e-3), None))  # 1.99 rad
+    assert "according to the gyro the body turned by 114 deg" in str(
+        stuck_attitude(record(slice(0, ROWS), 1e-3), None)
+    )  # 1.99 rad
     assert stuck_attitude(record(slice(0, ROWS), 1e-6), None) is None
     assert stuck_and_misfit(hold, 100.0) is None
     assert "do not fit it (3000 nT" in str(stuck_and_misfit(hold, 3000.0))

@@ -63,7 +63,7 @@ class Drifting(SignalEffect):
 
 @dataclass(frozen=True)
 class TimeTagOffset(Drifting):
-    """The reading is taken later than its time stamp says.
+    """The reading is later than its time stamp.
 
     Orbit and attitude are right at the stamp; the field is that of a moment later.
     """

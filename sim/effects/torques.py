@@ -155,7 +155,7 @@ class GravityGradientInertiaError(DynamicsEffect):
 
 @dataclass(frozen=True)
 class TorquerGainError(DynamicsEffect):
-    """Torquers are not as strong as the telemetry says."""
+    """Torquers differ from what telemetry says."""
 
     name = "torquer_gain_error"
     follows = "torquer"

@@ -18,7 +18,6 @@ from fluxtwin.gap.linear.projection import SHARE_LEFT, ProjectedResidual
 from fluxtwin.gap.selection.criterion import SHAPE, THRESHOLD, worth
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.field import field_N_nT
-from fluxtwin.sim.earth.orbit import argument_of_latitude
 from fluxtwin.sim.effects.signal import Setting
 
 _LEAST_TAIL = 0.5  # excess kurtosis that is passed over: real noise is not quite Gaussian
@@ -97,8 +96,7 @@ def varies(left: ProjectedResidual, columns: FloatArray, drivers: Mapping[str, F
 
 def drivers(setting: Setting) -> dict[str, FloatArray]:
     """(N, m) what a field of the spacecraft's own knows nothing of: orbit phase, ambient field, its slope; unit rms."""
-    r, v, R_BN = setting.given
-    u = argument_of_latitude(setting.time, r, v)
+    (r, _, R_BN), u = setting.given, setting.orbit_phase_rad
     field_N = field_N_nT(setting.model, setting.time, r) if setting.field_N_nT is None else setting.field_N_nT
     field_B = R_BN.apply(field_N)
     rate_B, along_N = setting.rates(0.0)

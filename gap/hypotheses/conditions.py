@@ -14,7 +14,6 @@ import numpy as np
 
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import frames, sun
-from fluxtwin.sim.earth.orbit import argument_of_latitude
 from fluxtwin.sim.effects.base import known_column
 from fluxtwin.sim.effects.drivers import sun_in_body
 from fluxtwin.sim.effects.signal import Setting
@@ -112,15 +111,14 @@ def _lighting(setting: Setting) -> Iterator[Condition]:
 
 
 def _orbital(setting: Setting) -> Iterator[Condition]:
-    r, v, _ = setting.given
-    u = argument_of_latitude(setting.time, r, v)
+    u = setting.orbit_phase_rad
     waves = [wave(n * u) for n in range(1, _HARMONICS + 1) for wave in (np.cos, np.sin)]
     yield _smooth("orbit_phase", "orbit phase, once", np.stack(waves[:2], axis=1))
     yield _smooth("orbit_phase", "orbit phase", np.stack(waves, axis=1))
     sine = np.sin(setting.latitude_rad)
     yield _smooth("latitude", "latitude", np.stack([sine, np.cos(2 * setting.latitude_rad)], axis=1))
     yield _smooth("latitude", "polar caps", np.stack([np.maximum(sine, 0) ** 4, np.maximum(-sine, 0) ** 4], axis=1))
-    longitude = frames.geocentric(setting.R_EN.apply(r))[1]
+    longitude = frames.geocentric(setting.R_EN.apply(setting.given[0]))[1]
     waves = [wave(n * longitude) for n in (1, 2) for wave in (np.cos, np.sin)]
     yield _smooth("region", "longitude", np.stack(waves, axis=1))
     t = 2 * setting.seconds / max(float(setting.seconds[-1]), 1e-9) - 1

@@ -20,7 +20,6 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.late import late
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
-from fluxtwin.sim.earth.orbit import argument_of_latitude
 from fluxtwin.sim.effects.base import Parameter, SignalEffect, vector_parameters
 from fluxtwin.sim.effects.drivers import lit, sun_in_body
 from fluxtwin.sim.effects.signal import Setting, Signal
@@ -59,7 +58,7 @@ GEOMETRY: Mapping[str, Callable[[Setting], FloatArray]] = {
     **{f"sun_{axis}": partial(_sun, axis=number) for number, axis in enumerate("xyz")},
     "sun_height": _sun_height,
     **{f"rate_{axis}": partial(_rate, axis=number) for number, axis in enumerate("xyz")},
-    "orbit_phase": lambda setting: argument_of_latitude(setting.time, *setting.given[:2]),
+    "orbit_phase": lambda setting: setting.orbit_phase_rad,
     "local_time": _local_time_rad,
     "latitude": lambda setting: setting.latitude_rad,
     "longitude": _longitude_rad,

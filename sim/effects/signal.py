@@ -23,6 +23,7 @@ from fluxtwin.sim.earth import epoch, frames, sun
 from fluxtwin.sim.earth.constants import GM_EARTH_KM3_S2
 from fluxtwin.sim.earth.field import field_N_nT
 from fluxtwin.sim.earth.field_models import FieldModel
+from fluxtwin.sim.earth.orbit import argument_of_latitude
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 
 Direction = Literal["simulate", "predict"]
@@ -95,6 +96,11 @@ class Setting:
     def latitude_rad(self) -> FloatArray:
         """(N,) geocentric latitude."""
         return frames.geocentric(self.R_EN.apply(self.given[0]))[0]
+
+    @cached_property
+    def orbit_phase_rad(self) -> FloatArray:
+        """(N,) argument of latitude."""
+        return argument_of_latitude(self.time, *self.given[:2])
 
     @property
     def rate_B_rad_s(self) -> FloatArray:

@@ -57,7 +57,7 @@ def started(code: str, words: list[str], folder: Path) -> subprocess.Popen[str]:
 @pytest.mark.parametrize(
     ("verb", "number", "after_s"),
     [
-        (verb, number, round(random.Random(f"{verb} {place}").uniform(0.0, 6.0), 2))
+        (verb, number, round(random.Random(f"{verb} {place}").uniform(0.0, 3.0), 2))
         for verb in COMMANDS
         for place, number in enumerate((signal.SIGINT, signal.SIGINT, signal.SIGTERM))
     ],

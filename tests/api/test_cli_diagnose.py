@@ -298,7 +298,14 @@ def test_a_stuck_attitude_is_a_warning(late: Case, cli: Cli, tmp_path: Path) -> 
     q = few.q_NB.copy()
     q[20:54] = q[20]
     write_telemetry(few.replace(q_NB=q), tmp_path / "stuck.csv")
-    flags = ("--noise-nT", 30, "--lsb-nT", 10, "--attitude-sigma-deg", 90)  # beside which nothing has to be searched for
+    flags = (
+        "--noise-nT",
+        30,
+        "--lsb-nT",
+        10,
+        "--attitude-sigma-deg",
+        90,
+    )  # beside which nothing has to be searched for
     outcome = cli("diagnose", tmp_path / "stuck.csv", *flags, "--json", "-")
     assert outcome.status == 0
     check_contract(json.loads(outcome.out))

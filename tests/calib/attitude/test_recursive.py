@@ -24,9 +24,10 @@ SENSORS = {
 
 
 def scenario(**changes: Any) -> Scenario:
-    """README's, changed."""
+    """README's with half its rows, changed."""
     text = README.read_text(encoding="utf-8").split("```toml")[1].split("```")[0]
-    return parse_scenario(text, where="README.md").updated(changes)
+    rows = {"schedule.segments": [{"start_utc": "2026-03-01T00:00:00Z", "duration_min": 300.0, "step_s": 20.0}]}
+    return parse_scenario(text, where="README.md").updated(rows | changes)
 
 
 def pulls(fit: Any, truth: Any) -> np.ndarray:
@@ -37,10 +38,10 @@ def pulls(fit: Any, truth: Any) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def flown() -> tuple[Any, Any]:
-    """README's scenario with seed 31; ten readings are wild."""
+    """README's scenario with seed 31; five readings are wild."""
     telemetry, truth = simulate(scenario(seed=31))
     mag = np.array(telemetry.mag_B_nT)
-    mag[100:1800:170] += 3000.0
+    mag[50:900:170] += 3000.0
     return telemetry.replace(mag_B_nT=mag), truth
 
 
@@ -51,12 +52,12 @@ def test_with_a_noisy_reference_it_agrees_with_truth_and_the_batch(flown: tuple[
     pull = pulls(fit, truth)
     assert np.abs(pull).max() < 4.5
     assert (pull**2).mean() < 2.3
-    assert fit.rejected == 10
+    assert fit.rejected == 5
     assert fit.verdict is not None and fit.verdict.level == "good", fit.verdict
     batch = fluxtwin.calibrate(telemetry, method="linear")
     assert (fit.calibration.sigmas < 1.3 * batch.calibration.sigmas).all()
     assert np.abs(pulls(fit, truth) * fit.calibration.sigmas / batch.calibration.sigmas).max() < 4.5
-    assert np.degrees(fit.attitude_sigma_rad[500:].max()) < 0.2
+    assert np.degrees(fit.attitude_sigma_rad[250:].max()) < 0.2
     assert fit.to_dict()["noises"]["field_nT"] == pytest.approx(20.2, rel=0.1)
 
 

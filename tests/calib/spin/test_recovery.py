@@ -1,7 +1,7 @@
 """A spinner calibrated blind: what is put in comes out within its sigma, and what cannot come out is refused.
 
-The hour of ST5 is cut to a quarter, which the sigmas follow. Bands: the variance of a pull over n has relative sigma
-sqrt(2/n); four of those (false alarm 6e-5).
+The hour of ST5 is cut to a quarter, and to an eighth where many are flown, which the sigmas follow. Bands: the variance of
+a pull over n has relative sigma sqrt(2/n); four of those (false alarm 6e-5).
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ pytestmark = pytest.mark.closure
 
 KNOWN: dict[str, Any] = {"noise_nT": 200.0, "lsb_nT": 0.0, "sun_sigma_deg": 0.18}
 SAMPLES = 7200
+SEGMENT: dict[str, Any] = {"start_utc": "2006-04-15T00:00:00Z", "samples": SAMPLES, "step_s": 0.125}
 
 
 @pytest.fixture(scope="module")
@@ -44,13 +45,19 @@ def model() -> FieldModel:
 
 @pytest.fixture(scope="module")
 def config() -> Scenario:
-    segment = {"start_utc": "2006-04-15T00:00:00Z", "samples": SAMPLES, "step_s": 0.125}
-    return mission.scenario().updated({"schedule.segments": [segment]})
+    return mission.scenario().updated({"schedule.segments": [SEGMENT]})
 
 
 @pytest.fixture(scope="module")
 def world(config: Scenario) -> World:
     return build_world(config)
+
+
+@pytest.fixture(scope="module")
+def short(config: Scenario) -> tuple[Scenario, World]:
+    """Half as long."""
+    half = config.updated({"schedule.segments": [{**SEGMENT, "samples": SAMPLES // 2}]})
+    return half, build_world(half)
 
 
 @pytest.fixture(scope="module")
@@ -72,9 +79,9 @@ def truth_of(flight: mission.Flight) -> np.ndarray:
     return np.concatenate([flight.truth.S.ravel(), flight.truth.b_nT])
 
 
-def test_the_batch_states_its_sigmas(config: Scenario, world: World, model: FieldModel) -> None:
+def test_the_batch_states_its_sigmas(short: tuple[Scenario, World], model: FieldModel) -> None:
     """Sixteen seeds: 192 normalised squares have mean 1 +- 0.41; pulls of b and turn rms 1 +- 0.3."""
-    scores, pulls = [], []
+    (config, world), scores, pulls = short, [], []
     for seed in range(16):
         flight = mission.fly(config.updated({"seed": seed}), world)
         fit = calibrate_spin(flight.telemetry, model, method="batch", **KNOWN)
@@ -88,8 +95,9 @@ def test_the_batch_states_its_sigmas(config: Scenario, world: World, model: Fiel
     assert np.abs(np.mean(pulls, axis=0)).max() < 4.0 / np.sqrt(16)
 
 
-def test_blind_starts_from_anywhere(config: Scenario, world: World, model: FieldModel) -> None:
+def test_blind_starts_from_anywhere(short: tuple[Scenario, World], model: FieldModel) -> None:
     """Eight spin axes, phases and senses; a spin of the other sense is one about the other axis, so the rate is turned."""
+    config, world = short
     for run in range(8):
         rng = np.random.default_rng([5, run])
         axis = np.array([1.0, 0.0, 0.0])

@@ -33,7 +33,7 @@ def calibration_page(
     """
     verdict = fit.verdict
     lines = () if verdict is None else verdict.lines
-    unseen = list(fit.observability) or ["Everything that was asked for is determined by these data."]
+    unseen = list(fit.observability) or ["These data determine all requested parameters."]
     written = {} if refused else {"calibration.toml": calibration_text(fit.calibration)}
     return Page(
         title=title,
@@ -73,9 +73,7 @@ def _seen(fit: Fit, record: Telemetry | None) -> list[PageSection]:
         size = [np.linalg.norm(field, axis=1, keepdims=True) for field in (corrected, rows.mag_B_nT)]
         predicted = size[0] - fit.residuals_nT
         before = size[1] - predicted
-    words = (
-        "Measured: readings as they came down. Predicted: the model field, turned by the attitude where there is one."
-    )
+    words = "Measured: the readings as received. Predicted: the model field, rotated by the attitude if there is one."
     return [
         PageSection("Measured and predicted", [], [], [field_block(rows, rows.mag_B_nT, predicted, words)]),
         PageSection("Residuals", [], [_residuals(fit)], [_residual_block(fit, before)]),
@@ -157,7 +155,7 @@ def _residual_block(fit: Fit, before_nT: FloatArray | None) -> FigureBlock:
     )
     caption = (
         f"Residuals of {len(fit.time)} rows, {of}. Crosses: rows set aside as outliers; arrows at "
-        "the edge: beyond it." + ("" if before_nT is None else " Above: of the readings as they are.")
+        "the edge: beyond it." + ("" if before_nT is None else " Above: residuals of the readings as received.")
     )
     return FigureBlock("residuals", caption, residual_series(fit, before_nT))
 
@@ -206,7 +204,7 @@ def _bias_tables(fit: Fit) -> list[Table]:
         late += [f"The field follows {name} {' and '.join(how)}."] if how else []
         for axis, value, sigma in zip("xyz", one["nT_per_unit"], one["sigma"], strict=True):
             rows.append([f"{name} {axis}", *with_sigma(value, sigma)])
-    title = "field in the reading for a unit of the column [nT]"
+    title = "field in the reading per unit of the column [nT]"
     return [Table(title, ["column", "value", "sigma"], rows, note=" ".join(late))] if rows else []
 
 
@@ -214,20 +212,20 @@ def _angles(fit: Fit) -> Table:
     assert fit.verdict is not None
     d = fit.verdict.direction
     rows: list[list[str]] = [
-        ["before: readings as they are", plain(d.before_deg, 2)],
-        ["after: a calibrated reading", plain(d.after_deg, 2)],
+        ["before: readings as received", plain(d.before_deg, 2)],
+        ["after: calibrated reading", plain(d.after_deg, 2)],
         ["of that, errors of the calibration", plain(d.calibration_deg, 2)],
         ["errors of the calibration in any attitude", plain(d.calibration_anywhere_deg, 2)],
         ["of that, noise of one reading", plain(d.noise_deg, 2)],
     ]
     if d.against_reference_deg is not None:
-        rows.append(["against the reference attitude, its error included", plain(d.against_reference_deg, 2)])
+        rows.append(["relative to the reference attitude, including its error", plain(d.against_reference_deg, 2)])
     return Table(
         f"Direction of the field, absolute knowledge error at {100 * CONFIDENCE:.0f} %",
         ["of", "angle [deg]"],
         rows,
         "AKE as in ECSS-E-ST-60-10C, mixed interpretation: over the instants of the record and over the calibrations that "
-        "the covariance allows. The error of the reference attitude is in the last row alone.",
+        "the covariance allows. Only the last row includes the error of the reference attitude.",
     )
 
 
@@ -240,7 +238,7 @@ def _residuals(fit: Fit) -> Table:
     ]
     aside = len(fit.time) - len(kept)
     note = (
-        f"{len(kept)} rows; {aside} set aside as outliers are not in these figures." if aside else f"{len(kept)} rows."
+        f"{len(kept)} rows; {aside} excluded as outliers are not in these figures." if aside else f"{len(kept)} rows."
     )
     return Table("Residuals [nT]", ["component", "mean", "rms", "largest"], rows, note)
 

@@ -34,7 +34,7 @@ def sentences(summary: dict[str, Any]) -> list[str]:
     false = sum(summary["false_names"].values())
     if summary["diagnosed"]:
         said.append(
-            f"{false} names were given of effects that were not there, over {summary['diagnosed']} diagnosed runs."
+            f"{false} names were given to effects that were not present, in {summary['diagnosed']} diagnosed runs."
         )
     nees = summary["sigmas"]["nees"]
     if nees is not None:
@@ -115,6 +115,6 @@ def campaign_page(flown: Campaign) -> Page:
                 "Tables", [], tables(summary), [] if figure is None else [FigureBlock("power", caption, figure)]
             ),
         ],
-        next_step="what is missed at a size that matters needs longer records or other manoeuvres: try them here.",
+        next_step="an effect that is missed at a size that matters needs longer records or other manoeuvres; try them here.",
         provenance={"seed": str(summary["seed"]), "fingerprint of the plan": flown.plan.fingerprint},
     )

@@ -21,7 +21,7 @@ def check_page(
     found: CheckReport, path: Path, record: Telemetry | str, model: FieldModel, *, reading: str = ""
 ) -> Page:
     """The page of one check; record: what was read, or why it cannot be; reading: the options that read it."""
-    again = "mend what is named, in a column map where it is a convention, and check again."
+    again = "correct what is named (conventions in a column map), and check again."
     return Page(
         title=f"Is it what it says? {path.name}",
         verdict=verdict(found),
@@ -52,14 +52,14 @@ def _readings(record: Telemetry | str, model: FieldModel) -> tuple[list[str], li
     rows = record.select(record.has_reading)
     if not len(rows):
         return ["There is none."], [], []
-    predicted, words = None, "Measured alone: without a position the model has nothing to say."
+    predicted, words = None, "Measured only: without a position there is no model field."
     try:
         if rows.has_attitude.any() and rows.has_position.any():
             predicted = reference_field_B_nT(rows, model)
-            words = "Measured, and the model field where the file says that the spacecraft was, in its attitude."
+            words = "Measured, and the model field at the position and in the attitude of the file."
         elif rows.r_N_km is not None and rows.has_position.all():
             predicted = np.linalg.norm(field_N_nT(model, rows.time, rows.r_N_km), axis=1, keepdims=True)
-            words = "Measured, and the size of the model field where the file says that the spacecraft was."
+            words = "Measured, and the size of the model field at the position in the file."
     except FluxtwinError as refusal:
         words = f"Measured alone. {refusal}"
     return [], [], [field_block(rows, rows.mag_B_nT, predicted, f"{words} Neither is calibrated.")]

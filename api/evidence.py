@@ -24,8 +24,8 @@ def driver_blocks(record: Telemetry, residuals: dict[str, FloatArray]) -> list[F
     """Residuals (N, K) [nT], by what they are called, against what the record of N rows has beside the field."""
     figure = draw_drivers(_columns(record), residuals, title="The residual against what it may follow")
     caption = (
-        "Dots: samples. Points: means of groups of like values with their 1 sigma. A slope or a step is an effect that is "
-        "not modelled. The quantity that explains most of the residual stands first."
+        "Dots: samples. Points: means over similar values, with 1 sigma. A slope or a step indicates an effect that is not "
+        "modelled. The quantity that explains most of the residual comes first."
     )
     return [] if figure is None else [FigureBlock("drivers", caption, figure)]
 

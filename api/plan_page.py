@@ -14,7 +14,9 @@ def plan_page(plan: Plan | CalibrationPlan, title: str) -> Page:
     if isinstance(plan, CalibrationPlan):
         from fluxtwin.plots.plan import draw_sigma
 
-        caption = "By the hours flown, once record and manoeuvre are calibrated together; dotted: half of today's."
+        caption = (
+            "Against hours flown, with record and manoeuvre calibrated together; dotted: half of the present sigma."
+        )
         sections = [replace(flown, figures=[FigureBlock("sigma", caption, draw_sigma(plan))])]
     else:
         first = [question for question in plan.questions if question.kind != "show"] or plan.questions[:1]
@@ -42,7 +44,7 @@ def plan_table(plan: Plan | CalibrationPlan) -> Table:
             for one in plan.courses
         ]
         columns = ["manoeuvre", "hours [h]", f"sigma of {plan.worst}{unit}", "of today's"]
-        note = "Predicted for record and manoeuvre calibrated together, errors as they are found in this record."
+        note = "Predicted for record and manoeuvre calibrated together, with the errors found in this record."
         return Table("What to fly", columns, lines, note)
     rows = []
     for question in plan.questions:
@@ -58,9 +60,9 @@ def plan_table(plan: Plan | CalibrationPlan) -> Table:
         "What to fly",
         ["open question", "manoeuvre", "hours [h]", "power [%]"],
         rows,
-        "Several names: which of them it is. One name: whether it is there at its typical size. Power: probability that a "
-        "diagnosis of what is flown, with the noise of this record, gives the right answer, the least likely one if there "
-        "are several.",
+        "With several names the question is which one it is; with one name, whether it is present at its typical size. "
+        "Power: probability that a diagnosis of the manoeuvre, with the noise of this record, gives the right answer "
+        "(for the least likely one if there are several).",
     )
 
 

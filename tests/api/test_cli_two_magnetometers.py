@@ -47,7 +47,7 @@ def test_each_is_calibrated_and_the_shared_part_is_the_attitudes(cli: Cli, flown
     done = cli("calibrate", flown, "--both", "--out", tmp_path / "c.toml", "--json", tmp_path / "c.json", *shown)
     assert done.status == 0, done.err
     page = (tmp_path / "c.html").read_text(encoding="utf-8")
-    assert page.count("nT per component are shared") == 1 and page.count("<img") >= 4
+    assert page.count("nT per component are common to both") == 1 and page.count("<img") >= 4
     assert sorted(path.name for path in (tmp_path / "figures").iterdir()) == ["residuals-2.png", "residuals.png"]
     found = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))
     for fit, truth in ((found, [1500.0, -800.0, 300.0]), (found["second"], [-700.0, 400.0, 900.0])):

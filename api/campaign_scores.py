@@ -33,7 +33,7 @@ def summarise(name: str, seed: int, runs: Sequence[dict[str, Any]]) -> dict[str,
         "verdicts": dict(Counter(run["diagnosis"]["verdict"] for run in asked)),
         "without_effects": {"runs": len(bare), "no_gap": sum(run["diagnosis"]["verdict"] == "no_gap" for run in bare)},
         "effects": {effect: _power(effect, asked) for effect in sorted({e for run in asked for e in run["effects"]})},
-        "false_names": _false_names(asked),
+        "false_names": dict(Counter(name for run in asked for name in _false_of(run)).most_common()),
         "diagnosed": len(asked),
     }
 
@@ -144,8 +144,3 @@ def _size_at(line: tuple[float, float] | None, size: FloatArray) -> float | None
 def _false_of(run: dict[str, Any]) -> list[str]:
     """Names that were given where neither they nor any of their group are in the run."""
     return [one["name"] for one in run["diagnosis"]["names"] if not any(_is(one, effect) for effect in run["effects"])]
-
-
-def _false_names(runs: Sequence[dict[str, Any]]) -> dict[str, int]:
-    """How often each name was given falsely."""
-    return dict(Counter(name for run in runs for name in _false_of(run)).most_common())

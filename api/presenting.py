@@ -20,6 +20,8 @@ from fluxtwin.calib.trend import Trend
 from fluxtwin.console import shown
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.records.plan import CalibrationPlan, Plan
+from fluxtwin.plots import on_axes
+from fluxtwin.plots.plan import power_on, sigma_on
 from fluxtwin.scenarios.page import Table
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -52,12 +54,10 @@ def html(result: object) -> str:
 
 def plot(result: object, axes: Axes | None = None) -> Axes:
     """One picture of the result in `axes` or new ones. Raises BadInput where there is nothing to draw."""
-    from fluxtwin.plots import on_axes
-
-    drawn = _of(result, _PICTURES)(result)
-    if drawn is None:
+    if not isinstance(result, tuple(_PICTURES)) or (isinstance(result, Telemetry) and not result.has_reading.any()):
         raise BadInput(f"there is nothing to draw in this {type(result).__name__}", where="plot")
-    return drawn(on_axes.new_axes() if axes is None else axes)  # type: ignore[no-any-return]
+    drawn: Axes = _of(result, _PICTURES)(on_axes.new_axes() if axes is None else axes, result)
+    return drawn
 
 
 def presented(result: object) -> Presented:
@@ -66,7 +66,7 @@ def presented(result: object) -> Presented:
     return found
 
 
-def _of(result: object, by_type: dict[type, Callable[[Any], Any]]) -> Callable[[Any], Any]:
+def _of(result: object, by_type: dict[type, Callable[..., Any]]) -> Callable[..., Any]:
     return next(make for kind, make in by_type.items() if isinstance(result, kind))
 
 
@@ -156,59 +156,36 @@ def _sizes(found: AttitudeSolution) -> str:
     return "; ".join([*parts, f"random walk of the rate about x, y, z {walks} rad/s in a second"])
 
 
-def _trend(found: Trend) -> Presented:
-    return Presented(found.lines, [trend_table(found)])
-
-
-def _draw_fit(fit: Fit) -> Callable[[Axes], Axes]:
-    from fluxtwin.plots import on_axes
-
+def _draw_fit(axes: Axes, fit: Fit) -> Axes:
     aside = ~kept_rows(fit.weights)
     title = f"Residuals of {fit.method}: {fit.statistics.component_rms_nT:.3g} nT rms"
-    return lambda axes: on_axes.components(
-        axes, fit.time, fit.residuals_nT, y="residual [nT]", title=title, aside=aside
-    )
+    return on_axes.components(axes, fit.time, fit.residuals_nT, y="residual [nT]", title=title, aside=aside)
 
 
-def _draw_diagnosis(found: Diagnosis) -> Callable[[Axes], Axes]:
-    from fluxtwin.plots import on_axes
-
+def _draw_diagnosis(axes: Axes, found: Diagnosis) -> Axes:
     stages = found.where.to_dict()["probabilities"]["stage"]
     named = sorted(stages.items(), key=lambda one: -one[1])[:7]
-    return lambda axes: on_axes.shares(axes, named, title=f"Where the gap lies: {found.verdict}")
+    return on_axes.shares(axes, named, title=f"Where the gap lies: {found.verdict}")
 
 
-def _draw_yaw(found: YawSolution) -> Callable[[Axes], Axes]:
-    from fluxtwin.plots import on_axes
-
+def _draw_yaw(axes: Axes, found: YawSolution) -> Axes:
     yaw_deg = np.degrees(found.yaw_rad)[:, None]
-    return lambda axes: on_axes.components(axes, found.time, yaw_deg, y="yaw [deg]", title="Yaw", names=("yaw",))
+    return on_axes.components(axes, found.time, yaw_deg, y="yaw [deg]", title="Yaw", names=("yaw",))
 
 
-def _draw_attitude(found: AttitudeSolution) -> Callable[[Axes], Axes]:
-    from fluxtwin.plots import on_axes
-
+def _draw_attitude(axes: Axes, found: AttitudeSolution) -> Axes:
     sigma_deg, title = np.degrees(found.sigma_rad), "Error of the attitude about body x, y, z"
-    return lambda axes: on_axes.components(axes, found.time, sigma_deg, y="1 sigma [deg]", title=title)
+    return on_axes.components(axes, found.time, sigma_deg, y="1 sigma [deg]", title=title)
 
 
-def _draw_plan(found: Plan | CalibrationPlan) -> Callable[[Axes], Axes]:
-    from fluxtwin.plots.plan import power_on, sigma_on
-
-    if isinstance(found, CalibrationPlan):
-        return lambda axes: sigma_on(axes, found)
-    return lambda axes: power_on(axes, found.questions[0])
+def _draw_plan(axes: Axes, found: Plan | CalibrationPlan) -> Axes:
+    return sigma_on(axes, found) if isinstance(found, CalibrationPlan) else power_on(axes, found.questions[0])
 
 
-def _draw_record(record: Telemetry) -> Callable[[Axes], Axes] | None:
-    from fluxtwin.plots import on_axes
-
-    if not record.has_reading.any():
-        return None
+def _draw_record(axes: Axes, record: Telemetry) -> Axes:
     title = f"Readings{f' of {record.spacecraft}' if record.spacecraft else ''}"
-    return lambda axes: on_axes.components(
-        axes, record.time, np.array(record.mag_B_nT), y="magnetometer, body axes [nT]", title=title
-    )
+    y = "magnetometer, body axes [nT]"
+    return on_axes.components(axes, record.time, np.array(record.mag_B_nT), y=y, title=title)
 
 
 _WORDS: dict[type, Callable[[Any], Presented]] = {
@@ -219,11 +196,11 @@ _WORDS: dict[type, Callable[[Any], Presented]] = {
     CheckReport: _check,
     YawSolution: _yaw,
     AttitudeSolution: _attitude,
-    Trend: _trend,
+    Trend: lambda found: Presented(found.lines, [trend_table(found)]),
     Telemetry: lambda record: _inventory(describing.of_record(record)),
     describing.Inventory: _inventory,
 }
-_PICTURES: dict[type, Callable[[Any], Any]] = {
+_PICTURES: dict[type, Callable[[Axes, Any], Axes]] = {
     Fit: _draw_fit,
     Diagnosis: _draw_diagnosis,
     Plan: _draw_plan,
@@ -231,7 +208,6 @@ _PICTURES: dict[type, Callable[[Any], Any]] = {
     YawSolution: _draw_yaw,
     AttitudeSolution: _draw_attitude,
     Telemetry: _draw_record,
-    object: lambda _: None,
 }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -48,15 +47,14 @@ def command(
     except KeyboardInterrupt:
         from fluxtwin.campaigning import whole_parts
 
-        if whole_parts(out):
-            words = ["fluxtwin", "campaign", str(scenario), "--runs", str(runs), "--out", str(out)]
-            words += [] if seed is None else ["--seed", str(seed)]
-            output.note(f"{whole_parts(out)} parts are kept in {out}; go on with: {shlex.join([*words, '--resume'])}")
+        if kept := whole_parts(out):
+            words = ["campaign", scenario, "--runs", runs, "--out", out]
+            of.say_how_to_go_on(output, f"{kept} parts are kept in {out}", words, seed, workers)
         raise
     for line in campaign_page.sentences(flown.summary):
         output.prose(line)
     for table in campaign_page.tables(flown.summary):
         output.say()
-        output.table(table.title, table.columns, table.rows, table.note)
+        output.tables([table])
     output.say(f"  {out}: report.html, runs.csv, summary.json, part-*.json ({flown.plan.chunks})")
     output.result(flown.summary)

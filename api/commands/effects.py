@@ -28,12 +28,8 @@ def command(
     from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 
     output.claim({}, [])
-    if effect is None:
-        chosen: tuple[Effect, ...] = CATALOGUE
-        _overview(output, chosen)
-    else:
-        chosen = (find_effect(effect, where="effects"),)
-        _in_full(output, chosen[0])
+    chosen = CATALOGUE if effect is None else (find_effect(effect, where="effects"),)
+    _overview(output, chosen) if effect is None else _in_full(output, chosen[0])
     output.result({"effects": [_record(one) for one in chosen]})
 
 
@@ -53,7 +49,8 @@ def _overview(output: Output, effects: tuple[Effect, ...]) -> None:
 def _in_full(output: Output, effect: Effect) -> None:
     from fluxtwin.sim.scenario.effect_sections import effect_toml, every_key
 
-    output.say(f"{effect.name}: stage {_stage(effect)}")
+    others = f" ({', '.join(effect.equivalent_stages)})" if effect.equivalent_stages else ""
+    output.say(f"{effect.name}: stage {effect.stage}{others}")
     output.say(_brief(effect))
     output.say(wrapped(f"{effect.about}.", 100))
     rows = [
@@ -97,11 +94,6 @@ def _record(effect: Effect) -> dict[str, Any]:
 
 def _brief(effect: Effect) -> str:
     return (type(effect).__doc__ or "").split("\n")[0]
-
-
-def _stage(effect: Effect) -> str:
-    others = ", ".join(effect.equivalent_stages)
-    return f"{effect.stage} ({others})" if others else effect.stage
 
 
 def _unit(unit: str) -> str:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -63,21 +62,13 @@ def command(
             flown = fly_ensemble(load_scenario(scenario), vehicles, out, seed=seed, **how)
             drawn = _draw(flown)
     except KeyboardInterrupt:
-        words = ["ensemble", scenario, "--vehicles", vehicles, "--out", out]
-        words += [] if workers.scheduler is None else ["--scheduler", workers.scheduler]
-        _say_how_to_go_on(output, out, words, seed)
+        from fluxtwin.sim.run.ensemble.run import whole_chunks
+
+        if kept := whole_chunks(out):
+            words = ["ensemble", scenario, "--vehicles", vehicles, "--out", out]
+            of.say_how_to_go_on(output, f"{kept} whole chunks are kept in {out}", words, seed, workers)
         raise
     _show(output, flown, drawn)
-
-
-def _say_how_to_go_on(output: Output, out: Path, words: list[Any], seed: int | None) -> None:
-    from fluxtwin.sim.run.ensemble.run import whole_chunks
-
-    if not whole_chunks(out):
-        return
-    words += [] if seed is None else ["--seed", seed]
-    again = shlex.join(["fluxtwin", *map(str, words), "--resume"])
-    output.note(f"{whole_chunks(out)} whole chunks are kept in {out}; go on with: {again}")
 
 
 def _extract(output: Output, scenario: Path, out: Path, seed: int | None, vehicle: int) -> None:

@@ -151,6 +151,13 @@ class Workers(NamedTuple):
 WORKERS = Workers()
 
 
+def say_how_to_go_on(output: Output, kept: str, command: Iterable[object], seed: int | None, workers: Workers) -> None:
+    """After an interruption: what is kept, and the command that takes up the work."""
+    words = [*command, *([] if seed is None else ["--seed", seed])]
+    words += [] if workers.scheduler is None else ["--scheduler", workers.scheduler]
+    output.note(f"{kept}; go on with: {shlex.join(map(str, ['fluxtwin', *words, '--resume']))}")
+
+
 class _Common(NamedTuple):
     """What every command takes; --quiet and --verbose before its name or after it."""
 

@@ -42,7 +42,8 @@ def command(
         plan = load_scenario(scenario)
         changes = {"field.truth": field, "field.truth_degree": degree}
         plan = plan.updated({key: value for key, value in changes.items() if value is not None})
-        beside = None if is_stream(out) else out.with_name(f"{_stem(out)}.scenario.toml")
+        stem = Path(out.name.removesuffix(".gz")).stem
+        beside = None if is_stream(out) else out.with_name(f"{stem}.scenario.toml")
         if beside is not None and beside.exists() and scenario.exists() and beside.samefile(scenario):
             beside = None  # the scenario lies there already, as its author wrote it
         targets = {
@@ -75,7 +76,3 @@ def _seen_from(plan: Scenario, folder: Path) -> Scenario:
     }
     moved = {key: os.path.relpath(plan.path_of(name), folder) for key, name in named.items() if name}
     return plan.updated(moved) if moved else plan
-
-
-def _stem(path: Path) -> str:
-    return path.name.removesuffix(".gz").rsplit(".", 1)[0]

@@ -31,7 +31,7 @@ _HAS_LOCKS = importlib.util.find_spec("fcntl") is not None  # not on Windows: a 
 _STREAM = re.compile(r"/dev/(?P<name>stdout|stderr)|/(dev|proc/self)/fd/(?P<number>[0-9]+)")
 
 
-def write_with(path: Path | str, write: Callable[[Path], None]) -> Path:
+def write_with(path: Path | str, write: Callable[[Path], object]) -> Path:
     """Let `write(temporary_path)` make the file, then give it its name in one step.
 
     A symbolic link keeps its place and its target is replaced; an existing file keeps its mode and owner. A device, a
@@ -58,7 +58,7 @@ def write_with(path: Path | str, write: Callable[[Path], None]) -> Path:
 
 def write_bytes(path: Path | str, content: bytes | memoryview) -> Path:
     """Write `content` atomically."""
-    return write_with(path, lambda temporary: _plain(temporary, content))
+    return write_with(path, lambda temporary: temporary.write_bytes(content))
 
 
 def write_text(path: Path | str, text: str) -> Path:
@@ -155,7 +155,7 @@ def _descriptor(path: Path | str) -> int | None:
     return int(found["number"]) if found["number"] else {"stdout": 1, "stderr": 2}[found["name"]]
 
 
-def _into_stream(path: Path, write: Callable[[Path], None]) -> Path:
+def _into_stream(path: Path, write: Callable[[Path], object]) -> Path:
     """The whole of what `write` makes, then into the device or pipe in one go."""
     with tempfile.TemporaryDirectory(prefix=_PREFIX) as folder:
         temporary = Path(folder) / path.name
@@ -238,7 +238,9 @@ def _take_after(target: Path, temporary: Path) -> None:
     try:
         old = target.stat()
     except FileNotFoundError:
-        os.chmod(temporary, 0o666 & ~_umask())
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)
         return
     if hasattr(os, "chown") and (old.st_uid, old.st_gid) != (os.geteuid(), os.getegid()):
         with suppress(OSError):
@@ -252,14 +254,3 @@ def _unwritable(path: Path, error: OSError) -> BadInput:
         where=str(path),
         wanted="free space and permission to write",
     )
-
-
-def _plain(path: Path, content: bytes | memoryview) -> None:
-    with open(path, "wb") as opened:
-        opened.write(content)
-
-
-def _umask() -> int:
-    current = os.umask(0)
-    os.umask(current)
-    return current

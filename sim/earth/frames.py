@@ -55,7 +55,8 @@ def _of_stamps(stamps: bytes) -> Rotation:
 
 
 def _rotation_EN(stamps: TimeArray) -> Rotation:
-    return Rotation.from_matrix(erfa.c2tcio(_celestial_to_intermediate(stamps), _era(stamps), np.eye(3)))
+    intermediate = erfa.c2ixys(*on_grid(_days_tt(stamps), _intermediate_pole, _GRID_DAYS).T)
+    return Rotation.from_matrix(erfa.c2tcio(intermediate, erfa.era00(*epoch.jd_ut1(stamps)), np.eye(3)))
 
 
 def rotation_TN(time: TimeArray | np.datetime64) -> Rotation:
@@ -205,15 +206,6 @@ def rotation_NEC_geodetic(latitude_rad: FloatArray, longitude_rad: FloatArray) -
     """E to local *geodetic* north, east, down at WGS 84 latitude and longitude, each (N,)."""
     lat, lon = np.broadcast_arrays(np.atleast_1d(latitude_rad), np.atleast_1d(longitude_rad))
     return rotation_NEC_E(from_geocentric(lat, lon, np.ones_like(lat)))
-
-
-def _era(time: TimeArray | np.datetime64) -> FloatArray:
-    return np.asarray(erfa.era00(*epoch.jd_ut1(time)))
-
-
-def _celestial_to_intermediate(time: TimeArray | np.datetime64) -> FloatArray:
-    x, y, s = on_grid(_days_tt(time), _intermediate_pole, _GRID_DAYS).T
-    return np.asarray(erfa.c2ixys(x, y, s))
 
 
 def _days_tt(time: TimeArray | np.datetime64) -> FloatArray:

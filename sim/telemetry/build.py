@@ -31,6 +31,8 @@ def record(table: FileTable, *, tle: Path | str | None = None, attitude: Path | 
 
     Raises BadInput naming the file and the row or column at fault.
     """
+    from fluxtwin.sim.telemetry import companions
+
     found = resolve(table.columns, table.where)
     notices = list(table.notices)
     fields = _fields(table, found)
@@ -40,10 +42,18 @@ def record(table: FileTable, *, tle: Path | str | None = None, attitude: Path | 
     if "r_E_km" in fields:
         fields["r_N_km"] = earth_fixed_to_N(time, fields.pop("r_E_km"))
         notices.append("positions were turned from Earth-fixed to GCRS")
-    _positions_from_tle(fields, time, tle, notices)
+    if tle is not None and "r_N_km" in fields:
+        notices.append(f"the file has positions, so the elements in {Path(tle).name} were not used")
+    elif tle is not None:
+        fields["r_N_km"], fields["v_N_km_s"], said = companions.positions(tle, time)
+        notices.extend(said)
     if ANGLES.name in fields:
         fields["q_NB"] = _from_angles(fields, time, notices, table.where)
-    _attitude_from_file(fields, time, attitude, notices)
+    if attitude is not None and "q_NB" in fields:
+        notices.append(f"the file has an attitude, so that in {Path(attitude).name} was not used")
+    elif attitude is not None:
+        fields["q_NB"], said = companions.attitude(attitude, time, fields.get("r_N_km"), fields.get("v_N_km_s"))
+        notices.extend(said)
     _check_quaternions(fields.get("q_NB"), table.where)
     _check_binary(fields, table.where)
     named = {column: table.columns[column] for columns in found.named.values() for column in columns.values()}
@@ -137,34 +147,6 @@ def _check_positions(fields: dict[str, FloatArray], where: str) -> None:
                 where=where,
                 wanted=f"{', '.join(BY_NAME[name].written)} in {unit}, or a column map with the unit",
             )
-
-
-def _positions_from_tle(
-    fields: dict[str, FloatArray], time: TimeArray, tle: Path | str | None, notices: list[str]
-) -> None:
-    if tle is None:
-        return
-    if "r_N_km" in fields:
-        notices.append(f"the file has positions, so the elements in {Path(tle).name} were not used")
-        return
-    from fluxtwin.sim.telemetry.companions import positions
-
-    fields["r_N_km"], fields["v_N_km_s"], said = positions(tle, time)
-    notices.extend(said)
-
-
-def _attitude_from_file(
-    fields: dict[str, FloatArray], time: TimeArray, path: Path | str | None, notices: list[str]
-) -> None:
-    if path is None:
-        return
-    if "q_NB" in fields:
-        notices.append(f"the file has an attitude, so that in {Path(path).name} was not used")
-        return
-    from fluxtwin.sim.telemetry.companions import attitude
-
-    fields["q_NB"], said = attitude(path, time, fields.get("r_N_km"), fields.get("v_N_km_s"))
-    notices.extend(said)
 
 
 def _from_angles(fields: dict[str, FloatArray], time: TimeArray, notices: list[str], where: str) -> FloatArray:

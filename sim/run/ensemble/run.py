@@ -8,11 +8,11 @@ number: not on how many fly beside it, on how many cores, or on an interruption.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from fluxtwin.sim.base import files
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
@@ -30,17 +30,6 @@ from fluxtwin.sim.run.ensemble.plan import (
 )
 from fluxtwin.sim.run.ensemble.summary import Envelope
 from fluxtwin.sim.scenario.scenario import Scenario, load_scenario
-
-Event = dict[str, Any]
-"""What `chunk.told` says of a chunk that is written."""
-
-
-class Workers(NamedTuple):
-    """Who flies the chunks, see `answers`."""
-
-    jobs: int | None
-    scheduler: str | None
-    executor: Executor | None
 
 
 @dataclass(frozen=True)
@@ -83,7 +72,10 @@ def fly_ensemble(
     plan = make_plan(plan_of, vehicles, seed, in_chunk, progress)
     _begin(plan, folder, resume)
     todo = [number for number in range(plan.chunks) if not (resume and chunk.is_whole(plan, folder, number))]
-    _fly(plan, folder, todo, Workers(jobs, scheduler, executor), progress)
+    place = None if executor or scheduler else str(folder.resolve())
+    calls = [(plan.record(), place, number) for number in todo]
+    events = answers(chunk.fly_chunk, calls, jobs=jobs, scheduler=scheduler, executor=executor)
+    _keep(plan, folder, todo, events, progress)
     progress("tables", 0.98)
     found = summary.summarise(plan, folder)
     around = summary.envelope(plan, folder)
@@ -113,11 +105,16 @@ def _begin(plan: Plan, folder: Path, resume: bool) -> None:
     summary.write_index(plan, folder)
 
 
-def _fly(plan: Plan, folder: Path, todo: list[int], how: Workers, progress: Progress) -> None:
-    """Fly the chunks that are missing, and tell how far it has come."""
+def _keep(plan: Plan, folder: Path, todo: list[int], events: Iterable[dict[str, Any]], progress: Progress) -> None:
+    """Tell how far the chunks to do have come, and write those that were flown elsewhere.
+
+    Raises NoAnswer where the whole first one was lost: it is the scenario, and the others need not try.
+    """
     done = plan.vehicles - sum(len(plan.members(number)) for number in todo)
     said: set[str] = set()
-    for event in _events(plan, folder, todo, how):
+    for event in events:
+        if (made := event.pop("chunk", None)) is not None:
+            chunk.write_chunk(plan, made, folder, event["done"])
         done += int(event.get("flown", 0))
         progress(f"vehicle {done} of {plan.vehicles}", 0.98 * done / plan.vehicles)
         for notice in event.get("notices", ()):
@@ -125,21 +122,6 @@ def _fly(plan: Plan, folder: Path, todo: list[int], how: Workers, progress: Prog
                 said.add(notice)
                 warnings.warn(notice, stacklevel=3)
         if "done" in event and len(todo) > 1 and event["done"] == todo[0]:
-            _stop_if_hopeless(plan, todo[0], event["lost"])
-
-
-def _events(plan: Plan, folder: Path, todo: list[int], how: Workers) -> Iterator[Event]:
-    """What is reported of each chunk; those that were flown elsewhere are written here."""
-    place = None if how.executor or how.scheduler else str(folder.resolve())
-    calls = [(plan.record(), place, number) for number in todo]
-    for event in answers(chunk.fly_chunk, calls, jobs=how.jobs, scheduler=how.scheduler, executor=how.executor):
-        if (made := event.pop("chunk", None)) is not None:
-            chunk.write_chunk(plan, made, folder, event["done"])
-        yield event
-
-
-def _stop_if_hopeless(plan: Plan, number: int, lost: Sequence[str]) -> None:
-    """NoAnswer where a whole chunk was lost: it is the scenario, and the others need not try."""
-    members = plan.members(number)
-    if len(lost) == len(members):
-        raise NoAnswer(f"all of the first {len(members)} vehicles were lost; vehicle {members[0]}: {lost[0]}")
+            members, lost = plan.members(todo[0]), event["lost"]
+            if len(lost) == len(members):
+                raise NoAnswer(f"all of the first {len(members)} vehicles were lost; vehicle {members[0]}: {lost[0]}")

@@ -142,7 +142,7 @@ def _provenance(table: Table, texts: dict[str, str]) -> dict[str, str]:
             listed = " and ".join(repr(clip(cell)) if cell else "nothing" for cell in sorted(cells)[:2])
             wanted = "one spacecraft, and readings corrected by one calibration or none, in one file"
             raise BadInput(f"{column} says {listed} in different rows", where=table.where, wanted=wanted)
-        stated[key] = cells.pop()
+        stated[key] = "".join(cells)
     stated |= {"source": Path(table.where).name, "sha256": table.sha256}
     return {key: text for key, text in stated.items() if text}
 

@@ -31,7 +31,7 @@ from fluxtwin.gap.noise.choice import (
     whitener_of,
 )
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.selection.criterion import LOG_FURTHER, SHAPE, THRESHOLD, penalty
+from fluxtwin.gap.selection.criterion import LOG_FURTHER, SHAPE, THRESHOLD, penalty, worth_of_shape
 from fluxtwin.gap.selection.forward import Search, begin, run
 from fluxtwin.gap.selection.named import SearchResult
 from fluxtwin.gap.selection.refit import Fit, Readings
@@ -172,7 +172,9 @@ def weighed(
             names -= 2.0 * (len(fit.chosen) - len(path[place - 1][0].chosen)) * tried
             names -= LOG_FURTHER if place > 1 else 0.0
         wider = 1.0 + SHAPE * explained[place]
-        shaped = names + beyond[place] * (1.0 - 1.0 / wider)
+        # What one more name takes away whole is in its direction alone.
+        whole = place + 1 < len(path) and _added(fit, path[place + 1][0]) == 1 and not lefts[place + 1].structured
+        shaped = names + worth_of_shape(beyond[place], explained[place], alone=whole)
         worth = max(shaped, names + gained[place]) - gained[0]
         unknown = -np.inf
         if left.structured and left.beyond(wider, samples) > LOG_FURTHER:

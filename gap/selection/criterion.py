@@ -15,7 +15,8 @@ from fluxtwin.calib.common.criterion import worth as worth
 SHAPE_ERROR = 0.15
 """Of its amplitude, rms: how far the image of a hypothesis is from what nature does where the hypothesis is right. Of 34
 truths of other shapes (docs/design/shape_error.py, 60 records) it is below 0.10 in three quarters, 0.17 in nine tenths."""
-SHAPE = SHAPE_ERROR**2 / 15.0
+SHAPE_DIRECTIONS = 15
+SHAPE = SHAPE_ERROR**2 / SHAPE_DIRECTIONS
 """Share of the energy of named causes that their shape error has in one direction, spread over fifteen directions (columns
 of some three to five blocks). Of the same truths the worst direction has less than 0.0020 in three quarters, 0.0053 in nine
 tenths."""
@@ -28,6 +29,21 @@ MOST_SURE = 0.98
 """Most that is ever stated of a name: of some 160 names on tuning seeds (2001, 2002, 2003, 2010 of
 benchmarks/withheld.py) of which the posterior was all but sure, two or three were wrong; by Laplace's rule
 (1 + 160) / (2 + 163) = 0.976."""
+
+
+def worth_of_shape(drop: float, explained: float, *, alone: bool) -> float:
+    """Twice the log of the Bayes factor that what causes leave is their shape error, against noise.
+
+    drop: of chi-square, by what the causes leave; explained: by the causes. alone: what they leave lies in one direction,
+    and the others hold nothing. An error of the shape has a variance in all of `SHAPE_DIRECTIONS` and would have been seen
+    in the others: so the evidence of all of them counts, at the likeliest variance. Where the others are not known to be
+    empty, only that direction counts.
+    """
+    most = SHAPE * explained
+    if not alone:
+        return drop * most / (1.0 + most)
+    variance = float(np.clip(drop / SHAPE_DIRECTIONS - 1.0, 0.0, most))
+    return float(drop * variance / (1.0 + variance) - SHAPE_DIRECTIONS * np.log1p(variance))
 
 
 def still_known(known: float, log_ratio: float) -> float:

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from fluxtwin.gap.detectors.residual_structure import Structure
-from fluxtwin.gap.posterior.explanations import likeliest
-from fluxtwin.gap.selection.criterion import LOG_FURTHER, THRESHOLD, penalty, still_known, worth
+from fluxtwin.gap.posterior.explanations import likeliest, weighed
+from fluxtwin.gap.selection.criterion import (
+    LOG_FURTHER,
+    SHAPE,
+    SHAPE_DIRECTIONS,
+    THRESHOLD,
+    penalty,
+    still_known,
+    worth,
+    worth_of_shape,
+)
 
 pytestmark = pytest.mark.property
 
@@ -33,6 +44,37 @@ def test_what_the_shape_error_may_make_is_worth_nothing() -> None:
     assert left.beyond(1.0, 700.0) == worth(900.0, 3, 700.0, 5.0) > THRESHOLD
     assert left.beyond(41.0, 700.0) < THRESHOLD
     assert worth(900.0 / 41.0, 3, 700.0, 5.0) == left.beyond(41.0, 700.0)
+
+
+@pytest.mark.parametrize(("drop", "explained"), [(100.0, 1e4), (3600.0, 1.3e5), (10.0, 1e4)])
+def test_a_shape_error_in_one_direction_alone_is_weighed_by_the_emptiness_of_the_others(
+    drop: float, explained: float
+) -> None:
+    """The witness is the density of a normal law in all directions, at its likeliest variance."""
+    seen = np.zeros(SHAPE_DIRECTIONS)
+    seen[0] = np.sqrt(drop)
+    variances = np.linspace(0.0, SHAPE * explained, 2001)[:, None]
+    logs = 2.0 * np.sum(norm.logpdf(seen, scale=np.sqrt(1.0 + variances)) - norm.logpdf(seen), axis=1)
+    assert worth_of_shape(drop, explained, alone=True) == pytest.approx(logs.max(), rel=1e-4, abs=1e-9)
+    assert worth_of_shape(drop, explained, alone=False) >= logs.max()
+
+
+@pytest.mark.parametrize(("structured", "names"), [(False, 2), (True, 1)])
+def test_what_a_second_cause_takes_away_whole_is_not_the_first_one_s_shape(structured: bool, names: int) -> None:
+    """A heater that explains 9,900 of chi-square, and a bent boom 108 more: within what the shape error of the heater may
+    make, but an error of its shape would not be that of a boom to the last bit."""
+
+    def fit(chi2: float, chosen: int) -> Any:
+        return SimpleNamespace(chi2=chi2, rank_chosen=3 * chosen, chosen=[(str(n), None) for n in range(chosen)])
+
+    under_way: Any = SimpleNamespace(tested=105, samples=600.0)
+    nothing = Structure(worth=0.0, drop=0.0, kind="none", words="")
+    boom = Structure(worth=90.0, drop=108.0, kind="block", words="", rank=3, log_tried=5.0)
+    more = Structure(worth=30.0, drop=60.0, kind="block", words="", rank=6, log_tried=5.0)
+    path: Any = [(fit(12_000.0, 0), None), (fit(2_100.0, 1), None), (fit(1_992.0, 2), None)]
+    lefts = [Structure(9_000.0, 9_900.0, "block", "", rank=3, log_tried=5.0), boom, more if structured else nothing]
+    explanations = weighed(under_way, path, lefts, [0.0, 0.0, 0.0])
+    assert likeliest(explanations)[0] == names
 
 
 @pytest.mark.parametrize(

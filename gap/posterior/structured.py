@@ -151,7 +151,7 @@ class Structured:
         walking = answer
         for _ in range(_ROUNDS):
             if rate is None:
-                return -np.inf, 0.0, None
+                break
             before = rate
             walking = answered_with(
                 self.problem, answer.robust, with_walk(whitener, rate), self.dictionary, self.known, answer.shapes

@@ -40,10 +40,9 @@ def stuck_attitude(telemetry: Telemetry, attitude_sigma_rad: float | None) -> st
     the rows, or over a long stretch while it changes elsewhere, and something must speak against a hold: an error
     was declared (errors do not repeat), or a gyro that turns; where neither is there, see `stuck_and_misfit`.
     """
-    stretch, share, same = _standing(telemetry)
-    if stretch == 0.0:
+    if (standing := _standing(telemetry)) is None:
         return None
-    against = None
+    (stretch, share, same), against = standing, None
     if attitude_sigma_rad is not None and attitude_sigma_rad > 0.0:
         against = f"with the declared error of {np.degrees(attitude_sigma_rad):.3g} deg it would change from row to row"
     elif telemetry.rate_B_rad_s is not None:
@@ -56,11 +55,11 @@ def stuck_attitude(telemetry: Telemetry, attitude_sigma_rad: float | None) -> st
 
 def stuck_and_misfit(telemetry: Telemetry, before_nT: float) -> str | None:
     """The same after the fit: an attitude that stands still, and readings that do not fit it. before_nT: residual rms."""
-    stretch, share, _ = _standing(telemetry)
+    standing = _standing(telemetry)
     field_nT = float(np.sqrt(np.nanmean(telemetry.mag_B_nT**2)))
-    if stretch == 0.0 or before_nT < MISFIT * field_nT:
+    if standing is None or before_nT < MISFIT * field_nT:
         return None
-    return _words(stretch, share, f"the readings do not fit it ({before_nT:.0f} nT rms residual)")
+    return _words(*standing[:2], f"the readings do not fit it ({before_nT:.0f} nT rms residual)")
 
 
 def _words(stretch_s: float, share: float, against: str) -> str:
@@ -71,21 +70,20 @@ def _words(stretch_s: float, share: float, against: str) -> str:
     )
 
 
-def _standing(telemetry: Telemetry) -> tuple[float, float, np.ndarray]:
-    """Longest stretch [s] and share of suspicious rows, and the rows (N,); zero where nothing is suspicious."""
-    none = np.zeros(len(telemetry), dtype=bool)
+def _standing(telemetry: Telemetry) -> tuple[float, float, np.ndarray] | None:
+    """Longest stretch [s] and share of suspicious rows, and the rows (N,); None where nothing is suspicious."""
     if telemetry.q_NB is None or len(telemetry) < 2:
-        return 0.0, 0.0, none
-    same = none.copy()
+        return None
+    same = np.zeros(len(telemetry), dtype=bool)
     same[1:] = (telemetry.q_NB[1:] == telemetry.q_NB[:-1]).all(axis=1)
     known = max(int(telemetry.has_attitude.sum()) - 1, 1)
     share = float(same.sum()) / known
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
     if not edges.size:
-        return 0.0, 0.0, none
+        return None
     first, last = edges[::2] - 1, edges[1::2] - 1
     longest = int(np.argmax(last - first))
     if share <= 0.5 and last[longest] - first[longest] < LONG_STRETCH_ROWS:
-        return 0.0, 0.0, none
+        return None
     times = epoch.seconds_since(telemetry.time, telemetry.time[0])
     return float(times[last[longest]] - times[first[longest]]), share, same

@@ -282,12 +282,10 @@ def _free(
 def _step(jacobian: FloatArray, residual: FloatArray, free: BoolArray) -> FloatArray:
     """Gauss-Newton step; directions that the data do not see are not moved."""
     step = np.zeros(free.size)
-    if not free.any():
-        return step
-    flat = jacobian.reshape(-1, free.size)[:, free]
-    length = np.linalg.norm(flat, axis=0)
-    solution = np.linalg.lstsq(flat / length, residual.reshape(-1), rcond=_rcond())[0]
-    step[free] = solution / length
+    if free.any():
+        flat = jacobian.reshape(-1, free.size)[:, free]
+        length = np.linalg.norm(flat, axis=0)
+        step[free] = np.linalg.lstsq(flat / length, residual.reshape(-1), rcond=_rcond())[0] / length
     return step
 
 

@@ -18,7 +18,7 @@ from scipy.stats import f as f_distribution
 from fluxtwin.gap.hypotheses.candidates import Candidate, settings_of
 from fluxtwin.gap.linear.projection import SHARE_LEFT, Whitens, explained, orthonormal, projected_out
 from fluxtwin.gap.records.diagnosis import Score
-from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import Effect
 
 ALIKE = 0.98
@@ -63,18 +63,15 @@ class Board:
     @cached_property
     def turn(self) -> FloatArray:
         """(P, R) to an orthonormal basis of each candidate's block; directions that the nuisance eats are left out."""
-        blocks, total = [], 0
+        blocks = [np.zeros((len(self.left), 0))]
         for number in range(len(self.candidates)):
             here = np.flatnonzero((self.owner == number) & (self.left > self.share_left))
             values, vectors = np.linalg.eigh(self.gram[np.ix_(here, here)])
             good = values > self.share_left
-            blocks.append((here, vectors[:, good] / np.sqrt(values[good])))
-            total += int(good.sum())
-        turn, column = np.zeros((self.gram.shape[0], total)), 0
-        for here, block in blocks:
-            turn[here, column : column + block.shape[1]] = block
-            column += block.shape[1]
-        return turn
+            block = np.zeros((len(self.left), int(good.sum())))
+            block[here] = vectors[:, good] / np.sqrt(values[good])
+            blocks.append(block)
+        return np.concatenate(blocks, axis=1)
 
     @cached_property
     def block(self) -> FloatArray:
@@ -209,12 +206,17 @@ class Board:
             found.append(Score(candidate.label, candidate.effect, score, information))
         return found
 
-    def given(self, numbers: Sequence[int]) -> tuple[FloatArray, NDArray[np.intp]]:
-        """(K,) further drop of chi-square by each candidate once those of `numbers` are in, and its rank then."""
+    def _modes(self, numbers: Sequence[int]) -> tuple[BoolArray, FloatArray, FloatArray]:
+        """(R,) directions of these candidates; what can be seen of all of them together, values (r,) and vectors."""
         inside = np.isin(self.block, numbers)
         values, vectors = np.linalg.eigh(self.unit_gram[np.ix_(inside, inside)])
         good = values > self.share_left
-        basis = vectors[:, good] / np.sqrt(values[good])
+        return inside, values[good], vectors[:, good]
+
+    def given(self, numbers: Sequence[int]) -> tuple[FloatArray, NDArray[np.intp]]:
+        """(K,) further drop of chi-square by each candidate once those of `numbers` are in, and its rank then."""
+        inside, values, vectors = self._modes(numbers)
+        basis = vectors / np.sqrt(values)
         mixed = basis.T @ self.unit_gram[inside]
         score = self.score - mixed.T @ (basis.T @ self.score[inside])
         return self._drops(mixed, score, np.asarray(numbers))
@@ -236,10 +238,8 @@ class Board:
 
     def estimate(self, numbers: Sequence[int]) -> list[FloatArray]:
         """Linear estimate of the parameters of the candidates in `numbers`, jointly; zero where nothing is seen."""
-        inside = np.isin(self.block, numbers)
-        values, vectors = np.linalg.eigh(self.unit_gram[np.ix_(inside, inside)])
-        good = values > self.share_left
-        along = vectors[:, good] @ ((vectors[:, good].T @ self.score[inside]) / values[good])
+        inside, values, vectors = self._modes(numbers)
+        along = vectors @ ((vectors.T @ self.score[inside]) / values)
         scaled = self.turn[:, inside] @ along / self.lengths
         estimates = []
         for number in numbers:

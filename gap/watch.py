@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fluxtwin.calib.common.apply import require_applicable
+from fluxtwin.calib.common.conventions import of_S
 from fluxtwin.calib.common.onboard import for_record
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.gap.noise.choice import choose_noise
@@ -184,10 +185,10 @@ class Watch:
         along = reading / np.maximum(length, 1e-9)[:, None]
         # The size of the field in place of that of the reading, whose noise is that of y.
         raw = np.where(whole[:, None], raw, (along * size[:, None]) @ self.back[:, :3].T + self.back[:, 3])
-        images = [np.einsum("ij,nk->nijk", np.eye(3), raw / _USUAL_nT).reshape(rows, 3, 9)]
+        images = [of_S(raw / _USUAL_nT)]
         images.append(np.broadcast_to(np.eye(3), (rows, 3, 3)))
         if n > 15 and dipole is not None:
-            images.append(np.einsum("ij,nk->nijk", np.eye(3), np.nan_to_num(dipole)).reshape(rows, 3, 9))
+            images.append(of_S(np.nan_to_num(dipole)))
         image = np.concatenate(images, axis=2)
         load[:, :, 3 : 3 + image.shape[2]] = image
         one = ~whole

@@ -145,3 +145,8 @@ def _inverse(matrix: FloatArray, name: str) -> FloatArray:
         return np.asarray(np.linalg.solve(matrix, np.eye(3)), dtype=np.float64)
     except np.linalg.LinAlgError:
         raise BadInput("the matrix is singular", where=name, wanted="rank 3") from None
+
+
+def of_S(vectors: FloatArray) -> FloatArray:
+    """(N, 3, 9) of vectors (N, 3): times S, row by row, it is S v."""
+    return np.asarray(np.einsum("ij,nk->nijk", np.eye(3), vectors).reshape(len(vectors), 3, 9))

@@ -26,6 +26,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize_scalar
 
+from fluxtwin.calib.common.conventions import of_S
 from fluxtwin.calib.common.shrinkage import widening
 from fluxtwin.calib.gyro.motion import Stretch, degree_for, follow
 from fluxtwin.sim.base.errors import NoAnswer
@@ -190,8 +191,7 @@ def _cleared(
     n, here, B = len(one.rows), m[one.rows], true[one.rows]
     columns = []
     if with_S:
-        of_S = np.einsum("ij,nk->nijk", np.eye(3), here).reshape(n * 3, 9)
-        columns.append(-of_S @ BASIS_S)
+        columns.append(-of_S(here).reshape(n * 3, 9) @ BASIS_S)
     columns.append(np.tile(np.eye(3), (n, 1)))
     # R turns by (I + [Psi d]x) for a bias larger by d: the field by (Psi d) x B = -[B]x Psi d
     cross = np.zeros((n, 3, 3))

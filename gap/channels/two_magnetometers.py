@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fluxtwin.calib.common.conventions import of_S
 from fluxtwin.gap.linear.projection import SHARE_LEFT, ProjectedResidual, orthonormal, projected
 from fluxtwin.gap.noise.robust_rows import CUT_SIGMA, standing_out
 from fluxtwin.gap.problem.problem import Problem
@@ -151,8 +152,7 @@ def apart(problem: Problem) -> Apart | None:
 
 def _relative(field_B_nT: FloatArray) -> FloatArray:
     """(N, 3, 12) what S and b of one magnetometer against the other make of a field (N, 3): by S row by row, and b."""
-    turned = np.einsum("ac,nb->nacb", np.eye(3), field_B_nT).reshape(len(field_B_nT), 3, 9)
-    return np.concatenate([turned, np.broadcast_to(np.eye(3), (len(field_B_nT), 3, 3))], axis=2)
+    return np.concatenate([of_S(field_B_nT), np.broadcast_to(np.eye(3), (len(field_B_nT), 3, 3))], axis=2)
 
 
 def _of_steps(values: FloatArray) -> float:

@@ -17,6 +17,7 @@ from scipy.stats import f as f_distribution
 
 from fluxtwin.gap.hypotheses.candidates import Candidate, settings_of
 from fluxtwin.gap.linear.projection import SHARE_LEFT, Whitens, explained, orthonormal, projected_out
+from fluxtwin.gap.noise.budget import NOISE_LOG_SD
 from fluxtwin.gap.records.diagnosis import Score
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import Effect
@@ -24,8 +25,8 @@ from fluxtwin.sim.effects.base import Effect
 ALIKE = 0.98
 """Two effects that each imitate this share of the other are one group."""
 _QUIETEST = 0.25
-_TRUSTED = 50
-"""Degrees of freedom that the noise model is worth by itself: its size is trusted to 10 %, and 1 / (2 * 0.1**2) = 50."""
+_TRUSTED = round(0.5 / NOISE_LOG_SD**2)
+"""Degrees of freedom that the noise model is worth by itself: its size is trusted to 10 %."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,7 @@ from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 
 _LEAST_SINE = 0.17
 """Of the angle between nadir and field: nearer than ten degrees the plane of the two is lost in noise."""
-_LEAST_RUN = 20  # rows with nadir in a row: fewer do not show how its error goes on
-_LEAST_COMMON = 20  # rows with nadir and attitude that show how far the two agree
+_FEWEST = 20  # rows with nadir, in a row or beside an attitude: fewer do not show how its error goes on
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +212,7 @@ def usable_nadir(
     ratio = 1.0
     if known.any():
         both = given & known
-        if both.sum() < _LEAST_COMMON:
+        if both.sum() < _FEWEST:
             return none, 1.0
         unit, ratio = _aligned(unit, R_BN.apply(nadir_N), both, attitude_sigma_rad)
     down = field_N_nT / np.linalg.norm(field_N_nT, axis=1)[:, None]
@@ -241,7 +240,7 @@ def _long_runs(use: BoolArray, known: BoolArray) -> BoolArray:
     """Of the rows to be used (N,), those in runs of enough rows that no row with attitude breaks."""
     run = np.cumsum(known)
     count = np.bincount(run[use], minlength=int(run[-1]) + 1 if run.size else 1)
-    return np.asarray(use & (count[run] >= _LEAST_RUN), dtype=np.bool_)
+    return np.asarray(use & (count[run] >= _FEWEST), dtype=np.bool_)
 
 
 def calibrated(reading_B_nT: FloatArray, instrument: Magnetometer, dipole_B_Am2: FloatArray | None) -> FloatArray:

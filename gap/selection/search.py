@@ -23,8 +23,8 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
 
-IN_GROUP = 0.05
-_WORTH_SAYING = 0.001
+IN_GROUP = 0.05  # probability of a rival, one in twenty, from which on it is not distinguished
+_WORTH_SAYING = 0.001  # of a rival
 _OF_ERRORS = 1e-3
 """Of the energy of an image: less would cost a cause that explains a drop of a thousand one unit of it."""
 

@@ -245,9 +245,8 @@ def structure_left(under_way: Search[Readings], fit: Fit, dictionary: Dictionary
     The image of a large effect at its size and that at nothing differ by what its size changes and by errors of the
     attitude in both: structure along that difference is the same cause once more.
     """
-    numbers = [
-        number for number, c in enumerate(under_way.found) if any(c.effect == effect for effect, _ in fit.chosen)
-    ]
+    chosen = [effect for effect, _ in fit.chosen]
+    numbers = [number for number, candidate in enumerate(under_way.found) if candidate.effect in chosen]
     at_nothing = under_way.white[:, :, np.isin(under_way.first.owner, numbers)]
     images = np.concatenate([fit.jacobian, at_nothing], axis=2)
     rest = projected_white(under_way.channel.whitener, fit.residual, images)

@@ -150,17 +150,13 @@ class FoundEffect(Record):
 
     @property
     def theta(self) -> FloatArray:
-        """(p,) parameters of the effect, in their units; zero where nothing was found."""
-        assert self.effect is not None
-        known = [self.parameters.get(one.name) for one in self.effect.parameters]
-        return np.array([0.0 if one is None else one.value for one in known])
+        """(p,) parameters of the effect, in their units."""
+        return np.array([one.value for one in self.parameters.values()])
 
     @property
     def sigma(self) -> FloatArray:
         """(p,) of each parameter; NaN where it is not known."""
-        assert self.effect is not None
-        known = [self.parameters.get(one.name) for one in self.effect.parameters]
-        return np.array([np.nan if one is None or one.sigma is None else one.sigma for one in known])
+        return np.array([np.nan if one.sigma is None else one.sigma for one in self.parameters.values()])
 
     @property
     def too_many_alike(self) -> bool:

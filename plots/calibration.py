@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -41,15 +42,9 @@ def draw_scatter(
         axes.vlines(places, low, high, color=style.BLUE, linewidth=4, alpha=0.6, label="95 % of the simulated runs")
         axes.plot(places, middle, "_", color=style.BLUE, markersize=10, label="their median")
         axes.plot(places[signed], theirs[signed], "x", color=style.PAPER, markersize=6, label="printed, with its sign")
-        axes.plot(
-            np.tile(places[either], 2),
-            np.concatenate([theirs[either], -theirs[either]]),
-            "o",
-            color=style.PAPER,
-            markersize=4,
-            markerfacecolor="none",
-            label="printed without a sign: both are drawn",
-        )
+        both, words = np.concatenate([theirs[either], -theirs[either]]), "printed without a sign: both are drawn"
+        open_: dict[str, Any] = {"color": style.PAPER, "markersize": 4, "markerfacecolor": "none"}
+        axes.plot(np.tile(places[either], 2), both, "o", label=words, **open_)
         axes.axhline(truth[number], color="black", linewidth=0.8, label="put in")
         axes.set_title(name)
         axes.set_xticks(places, data_sets, rotation=60, fontsize=7)
@@ -103,11 +98,7 @@ def draw_node_misfit(
     axes.plot(raan_deg, 100 * misfit, color=style.BLUE)
     axes.axvline(chosen_deg, color=style.VERMILION, label=f"chosen: {chosen_deg:.0f} deg")
     axes.axvline(witness_deg, color="black", linestyle="--", label=f"from the launch: {witness_deg:.1f} deg")
-    axes.set(
-        title=title,
-        xlabel="right ascension of the node, 0 h UTC of day 205 of 1978 [deg]",
-        ylabel="misfit [% of the orbit]",
-    )
-    axes.set_xlim(0, 360)
+    axes.set(title=title, ylabel="misfit [% of the orbit]", xlim=(0, 360))
+    axes.set_xlabel("right ascension of the node, 0 h UTC of day 205 of 1978 [deg]")
     axes.legend()
     return figure

@@ -49,13 +49,8 @@ def draw_power(effects: Sequence[PowerSeries], *, title: str) -> Figure:
         axes.plot(missed, np.full(missed.size, -4.0), color=style.VERMILION, label="runs, not named", **ticks)
         low, high, share, least, most = np.reshape(one.bins, (-1, 5)).T
         reach = 100.0 * np.maximum([share - least, most - share], 0.0)  # of none or all an end is rounded off
-        look: dict[str, Any] = {
-            "fmt": "o",
-            "markersize": 4,
-            "color": style.BLACK,
-            "ecolor": style.GREY,
-            "elinewidth": 1.2,
-        }
+        look: dict[str, Any] = {"fmt": "o", "markersize": 4, "color": style.BLACK, "ecolor": style.GREY}
+        look["elinewidth"] = 1.2
         axes.errorbar(np.sqrt(low * high), 100.0 * share, reach, label="share named, 95 % interval", **look)
         if one.line is not None:
             x = np.geomspace(one.size.min(), one.size.max(), 200)

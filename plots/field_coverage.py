@@ -34,13 +34,9 @@ def draw_field_coverage(record: FieldCoverage, *, title: str) -> Figure:
     dots = axes.scatter(
         longitude[seen], latitude[seen], s=110, c=np.log10(record.counts[seen]), cmap="viridis", vmin=0.0
     )
-    for name, place in {
-        "+x": (0.0, 0.0),
-        "+y": (np.pi / 2, 0.0),
-        "-y": (-np.pi / 2, 0.0),
-        "+z": (0.0, 1.45),
-        "-z": (0.0, -1.45),
-    }.items():
+    quarter = np.pi / 2
+    sides = {"+x": (0.0, 0.0), "+y": (quarter, 0.0), "-y": (-quarter, 0.0), "+z": (0.0, 1.45), "-z": (0.0, -1.45)}
+    for name, place in sides.items():
         axes.annotate(name, place, ha="center", va="center", fontsize=9, weight="bold", color=style.VERMILION)
     axes.set_xticklabels([])
     axes.set_yticklabels([])

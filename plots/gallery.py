@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -33,16 +34,9 @@ def draw_later(
     axes.axhline(floor, color=style.BLACK, linewidth=1, linestyle=":", label="where nothing is wrong")
     ticks = at[:: max(1, len(at) // 12)]
     axes.set_xticks(ticks, [labels[k] for k in ticks], rotation=45, ha="right", fontsize=7)
-    axes.set(
-        title=title,
-        xlabel="start of the pass [UTC]",
-        ylabel=f"residual, rms [{unit}]",
-        ylim=(0, None),
-        xlim=(-0.6, len(at) - 0.4),
-    )
+    axes.set(title=title, xlabel="start of the pass [UTC]", ylabel=f"residual, rms [{unit}]")
     axes.legend(loc="upper right", frameon=True, ncols=3, fontsize=8)
-    top = max(np.nanmax(before), np.nanmax(after))
-    axes.set_ylim(0, 1.25 * top)
+    axes.set(xlim=(-0.6, len(at) - 0.4), ylim=(0, 1.25 * max(np.nanmax(before), np.nanmax(after))))
     return figure
 
 
@@ -71,32 +65,14 @@ def draw_night_map(
     """Rows by night on the map, coloured by residual; the box that was put in and the one found."""
     figure, ((axes,),) = style.figure(7.2, 3.6)
     limit = float(np.nanpercentile(np.abs(residual_nT), 99))
-    shown = axes.scatter(
-        longitude_deg,
-        latitude_deg,
-        c=residual_nT,
-        s=7,
-        cmap=style.SIGNED_MAP,
-        vmin=-limit,
-        vmax=limit,
-        edgecolors=style.GREY,
-        linewidths=0.2,
-    )
+    look: dict[str, Any] = {"cmap": style.SIGNED_MAP, "vmin": -limit, "vmax": limit}
+    rim: dict[str, Any] = {"edgecolors": style.GREY, "linewidths": 0.2}
+    shown = axes.scatter(longitude_deg, latitude_deg, c=residual_nT, s=7, **look, **rim)
     for box, colour, line, label in ((found_deg, style.SKY, "-", "found"), (put_in_deg, style.BLACK, ":", "put in")):
         if box is not None:
             south, north, west, east = box
-            axes.add_patch(
-                Rectangle(
-                    (west, south),
-                    east - west,
-                    north - south,
-                    fill=False,
-                    edgecolor=colour,
-                    linestyle=line,
-                    linewidth=4.0 if line == "-" else 1.8,
-                    label=label,
-                )
-            )
+            edge: dict[str, Any] = {"edgecolor": colour, "linestyle": line, "linewidth": 4.0 if line == "-" else 1.8}
+            axes.add_patch(Rectangle((west, south), east - west, north - south, fill=False, label=label, **edge))
     style.coast(axes)
     figure.colorbar(shown, ax=axes, label="|B| less model [nT]")
     axes.set(title=title, xlabel="longitude [deg]", ylabel="latitude [deg]", xlim=(-180, 180), ylim=(-75, 85))
@@ -105,10 +81,7 @@ def draw_night_map(
 
 
 def draw_following(driver: FloatArray, residual_nT: FloatArray, driver_label: str, *, title: str) -> Figure:
-    """One panel an axis.
-
-    driver: (N, 3); residual_nT: (N, 3).
-    """
+    """One panel an axis. driver: (N, 3); residual_nT: (N, 3)."""
     figure, (panels,) = style.figure(7.2, 2.8, cols=3, share_y=True)
     for number, (axes, name) in enumerate(zip(panels, "xyz", strict=True)):
         axes.plot(driver[:, number], residual_nT[:, number], ".", color=style.AXIS_COLOURS[number], markersize=2)
@@ -140,14 +113,9 @@ def draw_real_passes(
                 (mine & night, 0.13, "o", style.BLACK, "night"),
                 (mine & ~night, -0.13, "s", style.ORANGE, "day"),
             ):
-                axes.plot(
-                    np.full(int(chosen.sum()), place + shift),
-                    values[chosen],
-                    marker,
-                    color=colour,
-                    markersize=4,
-                    label=label if place == 0 or (place == 1 and label == "night") else None,
-                )
+                first = place == 0 or (place == 1 and label == "night")
+                at = np.full(int(chosen.sum()), place + shift)
+                axes.plot(at, values[chosen], marker, color=colour, markersize=4, label=label if first else None)
         axes.set_xticks(np.arange(len(names)), names)
         axes.set_title(words, fontsize=8)
     right.axhline(1.0, color=style.GREY, linewidth=0.8)

@@ -64,13 +64,8 @@ def groups(labels: Sequence[str], series: Mapping[str, Sequence[float]], quantit
     hatches = ("", "//", "..", "xx")
     for number, (name, values) in enumerate(series.items()):
         shift = (number - 0.5 * (len(series) - 1)) * width
-        look: dict[str, Any] = {
-            "color": style.CYCLE[number],
-            "hatch": hatches[number % 4],
-            "edgecolor": "white",
-            "linewidth": 0.0,
-        }
-        axes.bar(places + shift, values, width=0.92 * width, label=name, **look)
+        look: dict[str, Any] = {"color": style.CYCLE[number], "hatch": hatches[number % 4], "edgecolor": "white"}
+        axes.bar(places + shift, values, width=0.92 * width, label=name, linewidth=0.0, **look)
     axes.set_xticks(places, list(labels))
     style.zero_line(axes)
     style.label(axes, y=quantity, title=title)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -32,26 +33,11 @@ def draw_ranges(
     rows = np.arange(count)[::-1]
     axes.hlines(rows, printed_deg[:, 0], printed_deg[:, 1], color=style.PALE, linewidth=7)
     for end, marker in ((0, ">"), (1, "<")):
-        axes.plot(
-            predicted_deg[:, end],
-            rows,
-            marker,
-            color=style.BLUE,
-            markersize=5,
-            label="predicted ends" if end == 0 else None,
-        )
-        axes.plot(
-            printed_deg[:, end], rows, "|", color=style.BLACK, markersize=9, label="printed ends" if end == 0 else None
-        )
-    wrong = np.argwhere(misread)
-    axes.plot(
-        [scanned_deg[k, e] for k, e in wrong],
-        [rows[k] for k, _ in wrong],
-        "x",
-        color=style.PAPER,
-        markersize=6,
-        label="digits of the scan, corrected",
-    )
+        said = (None, None) if end else ("predicted ends", "printed ends")
+        axes.plot(predicted_deg[:, end], rows, marker, color=style.BLUE, markersize=5, label=said[0])
+        axes.plot(printed_deg[:, end], rows, "|", color=style.BLACK, markersize=9, label=said[1])
+    wrong, words = rows[np.nonzero(misread)[0]], "digits of the scan, corrected"
+    axes.plot(scanned_deg[misread], wrong, "x", color=style.PAPER, markersize=6, label=words)
     axes.set_yticks(rows, labels, fontsize=7)
     axes.set(title=title, xlabel=unit, ylim=(-1, count))
     axes.legend(loc="lower left", frameon=True)
@@ -88,22 +74,15 @@ def draw_evidence(
     for chosen, marker, label, colour in ((night, "o", "night", style.BLACK), (~night, "s", "sunlit", style.ORANGE)):
         left.plot(predicted_mG[chosen], printed_mG[chosen], marker, color=colour, markersize=4, label=label)
     for rank, k in enumerate(np.argsort(-printed_mG)[:4]):
-        left.annotate(
-            labels[k],
-            (predicted_mG[k], printed_mG[k]),
-            fontsize=7,
-            xytext=(-7, -9 if rank % 2 else 4),
-            textcoords="offset points",
-            ha="right",
-        )
+        beside: dict[str, Any] = {"xytext": (-7, -9 if rank % 2 else 4), "textcoords": "offset points"}
+        left.annotate(labels[k], (predicted_mG[k], printed_mG[k]), fontsize=7, ha="right", **beside)
     left.set(xlabel="error of IGRF 1975 in field strength [mG, rms]", ylabel="printed residual [mG]", title="43 passes")
     left.legend(loc="upper left")
     turns = np.append(turns_deg, 360.0)
     right.plot(turns, np.append(turned_correlation, turned_correlation[0]), color=style.BLUE, marker="o", markersize=3)
     right.axhline(0.0, color="grey", linewidth=0.8)
-    right.set(
-        xlabel="map of errors turned east by [deg]", ylabel="rank correlation", title="the map turned", xlim=(0, 360)
-    )
+    right.set(xlabel="map of errors turned east by [deg]", ylabel="rank correlation", xlim=(0, 360))
+    right.set_title("the map turned")
     figure.suptitle(title)
     return figure
 
@@ -145,14 +124,8 @@ def draw_bias(mean_x_mG: FloatArray, bias_x_mG: FloatArray, explained_mG: FloatA
     """
     figure, ((axes,),) = style.figure(7.2, 3.6)
     axes.plot(mean_x_mG, bias_x_mG, "o", color=style.BLUE, markersize=3, label="bias from the pass alone")
-    axes.plot(
-        mean_x_mG,
-        explained_mG,
-        ".",
-        color=style.VERMILION,
-        markersize=3,
-        label="b1 and the first row of S at the mean reading",
-    )
+    words = "b1 and the first row of S at the mean reading"
+    axes.plot(mean_x_mG, explained_mG, ".", color=style.VERMILION, markersize=3, label=words)
     axes.set(title=title, xlabel="mean X reading of the pass [mG]", ylabel="X bias with S = T = 0 [mG]")
     axes.legend(loc="best", frameon=True)
     return figure

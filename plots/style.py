@@ -7,7 +7,6 @@ Colours: the palette of Okabe and Ito (jfly.uni-koeln.de/color, 2008); series di
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
 from typing import Any, TypeAlias, cast
@@ -63,8 +62,6 @@ def figure(
     *,
     share_x: bool = False,
     share_y: bool = False,
-    height_ratios: Sequence[float] | None = None,
-    width_ratios: Sequence[float] | None = None,
 ) -> tuple[Figure, AxesGrid]:
     """A figure in the common look and its axes, `grid[row][column]` even for one panel.
 
@@ -72,15 +69,8 @@ def figure(
     share_x: one time or latitude axis per column; share_y: one value axis per row.
     """
     made = Figure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
-    panels = made.subplots(
-        rows,
-        cols,
-        squeeze=False,
-        sharex="col" if share_x else False,
-        sharey="row" if share_y else False,
-        height_ratios=height_ratios,
-        width_ratios=width_ratios,
-    )
+    shared: dict[str, Any] = {"sharex": "col" if share_x else False, "sharey": "row" if share_y else False}
+    panels = made.subplots(rows, cols, squeeze=False, **shared)
     grid: AxesGrid = [list(row) for row in panels]
     for row in grid:
         for axes in row:
@@ -137,40 +127,17 @@ def legend_beside(axes: Axes) -> None:
         _plain(text)
 
 
-def note(axes: Axes, text: str, x: float = 0.02, y: float = 0.96) -> None:
-    """A remark inside the panel at (x, y) in axes fractions, top left by default, drawn as it is."""
-    written = axes.text(
-        x,
-        y,
-        text,
-        transform=axes.transAxes,
-        fontsize=NOTE_PT,
-        va="top" if y > 0.5 else "bottom",
-        ha="left" if x < 0.5 else "right",
-        bbox={"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.5},
-    )
-    _plain(written)
-
-
 def mark_beyond(axes: Axes, x: FloatArray | TimeArray, y: FloatArray, *, colour: str, size: float = 5.0) -> None:
     """A triangle at the edge of the panel, pointing out, for each point (x, y) above or below it; limits are left alone.
 
     x, y: (N,) in data coordinates; NaN is no point.
     """
     low, high = axes.get_ylim()
+    look: dict[str, Any] = {"linestyle": "", "markersize": size, "color": colour, "scalex": False, "clip_on": False}
     for beyond, edge, marker in ((y > high, 1.0, 6), (y < low, 0.0, 7)):  # caretup, caretdown: the tip is the point
         if beyond.any():
-            axes.plot(
-                x[beyond],
-                np.full(int(beyond.sum()), edge),
-                linestyle="",
-                marker=marker,
-                markersize=size,
-                color=colour,
-                transform=axes.get_xaxis_transform(),
-                scalex=False,
-                clip_on=False,
-            )
+            at = np.full(int(beyond.sum()), edge)
+            axes.plot(x[beyond], at, marker=marker, transform=axes.get_xaxis_transform(), **look)
 
 
 def utc(axes: Axes, time: TimeArray, *, most: int = 9) -> None:
@@ -219,9 +186,7 @@ def broken(time: TimeArray, values: FloatArray, least: np.timedelta64 = NO_TIME)
     """The same with a NaN put in where the record pauses for `_PAUSE` usual steps and `least`, so that no line crosses the
     pause."""
     step = np.diff(time)
-    pauses = (
-        np.flatnonzero(step > max(_PAUSE * np.median(step), least)) + 1 if step.size else np.empty(0, dtype=np.int64)
-    )
+    pauses = np.flatnonzero(step > max(_PAUSE * np.median(step), least)) + 1 if step.size else np.zeros(0, dtype=int)
     return np.insert(time, pauses, time[pauses]), np.insert(values, pauses, np.nan)
 
 

@@ -71,14 +71,14 @@ def draw_mean_bias(record: YawComparison, *, title: str) -> Figure:
     return figure
 
 
-def draw_full(record: YawComparison, *, title: str, panels: int = 3) -> Figure:
-    """Figure 2: single solutions as broken lines with X and Y at the bit changes, in `panels` panels.
+def draw_full(record: YawComparison, *, title: str) -> Figure:
+    """Figure 2: single solutions as broken lines with X and Y at the bit changes, in three panels.
 
     What lies beyond a panel is marked by triangles at its edge.
     """
-    figure, grid = style.figure(7.2, 2.9 * panels, rows=panels)
+    figure, grid = style.figure(7.2, 2.9 * 3, rows=3)
     all_axes = [row[0] for row in grid]
-    edges = np.linspace(record.minutes[0], record.minutes[-1], panels + 1)
+    edges = np.linspace(record.minutes[0], record.minutes[-1], 4)
     shown = np.concatenate([record.magnetometer_deg, record.sun_deg[np.isfinite(record.sun_deg)]])
     low, high = np.percentile(shown, [2.0, 98.0])
     pad = 0.2 * (high - low)
@@ -88,7 +88,7 @@ def draw_full(record: YawComparison, *, title: str, panels: int = 3) -> Figure:
         _broken(axes, record, inside)
         _dotted(axes, record)
         axes.set(xlim=(edges[number], edges[number + 1]), ylim=(low - pad, high + pad), ylabel="yaw [deg]")
-        axes.text(0.01, 0.95, f"{number + 1} of {panels}", transform=axes.transAxes, va="top", fontsize=8)
+        axes.text(0.01, 0.95, f"{number + 1} of 3", transform=axes.transAxes, va="top", fontsize=8)
         means = (record.mean_minutes >= edges[number]) & (record.mean_minutes <= edges[number + 1])
         style.mark_beyond(axes, record.minutes[inside], record.magnetometer_deg[inside], colour=style.BLUE, size=4.0)
         style.mark_beyond(axes, record.mean_minutes[means], record.mean_deg[means], colour=style.VERMILION, size=8.0)

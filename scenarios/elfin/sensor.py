@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from fluxtwin.scenarios.elfin.record import Flight
 from fluxtwin.scenarios.elfin.zone_fit import ZoneFit, powers, rms, turning
+from fluxtwin.scenarios.flights import Numbers
 from fluxtwin.scenarios.recorded_files import Settings
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.types import FloatArray
@@ -186,29 +187,9 @@ def _stepped(
     return sensor.moved(whole), [phase + more for phase, more in zip(phases, turned, strict=True)]
 
 
-@dataclass(frozen=True)
-class Way:
-    """One model of what follows sun and shadow, with the lags it may choose from, and how it predicts."""
-
-    name: str
-    about: str
-    free: tuple[str, ...]
-    within: Joint
-    """Fitted to all zones."""
-    lags_s: Lags
-    """Chosen with all zones."""
-    unseen_nT: tuple[float, ...]
-    """Each zone, rms length of the residual vector, fitted without it."""
-    fold_lags_s: tuple[Lags, ...]
-    """Chosen without it."""
-
-    @property
-    def unseen_whole_nT(self) -> float:
-        """rms over the zones."""
-        return float(np.sqrt(np.mean(np.square(self.unseen_nT))))
-
-
-def compare(flight: Flight, own: Sequence[ZoneFit], settings: Settings, progress: Progress = silent) -> tuple[Way, ...]:
+def compare(
+    flight: Flight, own: Sequence[ZoneFit], settings: Settings, progress: Progress = silent
+) -> tuple[Numbers, ...]:
     """Every model, from nothing to all that the catalogue has for temperature, within and on unseen zones."""
     once: list[Lags] = [((lag,),) for lag in settings.settle_s]
     twice: list[Lags] = [((lag, lag),) for lag in settings.settle_s]
@@ -230,7 +211,20 @@ def compare(flight: Flight, own: Sequence[ZoneFit], settings: Settings, progress
         best = min(fitted, key=lambda one: one[2].whole_nT)
         folds = [_fold(fitted, free, left_out) for left_out in range(len(own))]
         unseen_nT, fold_lags_s = zip(*folds, strict=True)
-        ways.append(Way(name, about, free, best[2], best[0], unseen_nT, fold_lags_s))
+        way = Numbers(
+            # A model of what follows sun and shadow, with the lags it may choose from.
+            name=name,
+            about=about,
+            free=free,
+            # Fitted to all zones, and the lags chosen with them.
+            within=best[2],
+            lags_s=best[0],
+            # Each zone fitted without it, rms length of the residual vector, with the lags chosen without it; rms over them.
+            unseen_nT=unseen_nT,
+            fold_lags_s=fold_lags_s,
+            unseen_whole_nT=np.sqrt(np.mean(np.square(unseen_nT))),
+        )
+        ways.append(way)
     return tuple(ways)
 
 
@@ -247,7 +241,7 @@ def _fold(fitted: Sequence[tuple[Lags, list[Rows], Joint]], free: tuple[str, ...
 
 
 def residuals_nT(
-    flight: Flight, own: Sequence[ZoneFit], way: Way, left_out: int, settings: Settings
+    flight: Flight, own: Sequence[ZoneFit], way: Numbers, left_out: int, settings: Settings
 ) -> tuple[FloatArray, FloatArray]:
     """Minutes and residual (N, 3) of a zone by the sensor fitted to the others, for a figure."""
     lags_s = way.fold_lags_s[left_out]

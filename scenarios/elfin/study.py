@@ -15,7 +15,7 @@ from fluxtwin.calib.scalar.calibrate import calibrate_scalar
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.problem.problem import Budget
 from fluxtwin.scenarios.elfin.record import Day, Slip, Zone, read_flight
-from fluxtwin.scenarios.elfin.sensor import Lags, Way, compare, record_of, residuals_nT
+from fluxtwin.scenarios.elfin.sensor import Lags, compare, record_of, residuals_nT
 from fluxtwin.scenarios.elfin.zone_fit import KINDS, ZoneFit, fit_zone, local_noise_nT, responses
 from fluxtwin.scenarios.flights import Numbers, rms
 from fluxtwin.scenarios.page import Cell, StudyResult
@@ -218,7 +218,7 @@ def _unseen_rows(found: Numbers, values: dict[str, Any]) -> list[list[Cell]]:
     return rows
 
 
-def _tilted_deg(found: Numbers, way: Way) -> float:
+def _tilted_deg(found: Numbers, way: Numbers) -> float:
     """How far the sensor tilts from one moment of the zones to another, at most; its turn about the spin axis cannot be
     distinguished from the spin phase."""
     seconds = np.concatenate([one.zone.seconds[one.zone.used][::50] for one in found.zones])

@@ -6,7 +6,6 @@ Samples are those of the simulated flight in the window that each pass's printed
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from fluxtwin.scenarios.flights import Numbers, prescribed, rms, rms_along
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.mission import Flight, quantity
 from fluxtwin.scenarios.hcmm_orbit.geometry import PassWindows
-from fluxtwin.scenarios.hcmm_orbit.record import Pass, Range, read_passes
+from fluxtwin.scenarios.hcmm_orbit.record import Pass, read_passes
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import epoch, frames, sun
 from fluxtwin.sim.earth.constants import NT_PER_MG
@@ -30,26 +29,12 @@ LIMIT_MG = quantity("residual limit")
 DAWN_FLIGHTS = 40
 
 
-@dataclass(frozen=True)
-class Row:
-    """Ours of one pass, with the names of `Pass`; angles in deg, None where the sun is not seen."""
-
-    samples: int
-    eps_M_mG: float
-    sun_field: Range | None
-    delta_sun_field_deg: float | None
-    nadir_field: Range
-    delta_nadir_field_deg: float
-    sun_nadir: Range
-    delta_sun_nadir_deg: float | None
-
-
-def column_of(rows: Sequence[Row] | Sequence[Pass], name: str) -> FloatArray:
+def column_of(rows: Sequence[Numbers] | Sequence[Pass], name: str) -> FloatArray:
     """(43,) of our rows or the printed ones, NaN where there is none."""
     return np.array([np.nan if getattr(row, name) is None else getattr(row, name) for row in rows], dtype=np.float64)
 
 
-def rms_of(rows: Sequence[Row] | Sequence[Pass], name: str, chosen: BoolArray) -> float:
+def rms_of(rows: Sequence[Numbers] | Sequence[Pass], name: str, chosen: BoolArray) -> float:
     """Root mean square over chosen passes, as the last lines of the table."""
     return float(rms(column_of(rows, name)[chosen]))
 
@@ -91,7 +76,7 @@ def run_passes(
 
 def rows_of_passes(
     telemetry: Telemetry, calibration: Calibration, ground: FieldModel, windows: PassWindows
-) -> tuple[Row, ...]:
+) -> tuple[Numbers, ...]:
     """Ours of all 43 passes, from the telemetry alone."""
     compared = compare(telemetry, calibration, ground)
     return tuple(_row(item, compared, rows_of(telemetry, item, windows, k)) for k, item in enumerate(read_passes()))
@@ -130,10 +115,11 @@ def rows_of(telemetry: Telemetry, item: Pass, windows: PassWindows, k: int) -> n
     return np.flatnonzero((minutes >= windows.start_min[k]) & (minutes <= windows.end_min[k]))
 
 
-def _row(item: Pass, found: Numbers, rows: np.ndarray) -> Row:
+def _row(item: Pass, found: Numbers, rows: np.ndarray) -> Numbers:
+    """Ours of one pass, with the names of `Pass`; angles in deg, None where the sun is not seen."""
     seen = np.isfinite(found.sun_field[rows]).any() and item.sunlit
     ranges = {name: (float(v[rows].min()), float(v[rows].max())) for name, v in found.computed_deg.items()}
-    return Row(
+    return Numbers(
         samples=int(rows.size),
         eps_M_mG=rms(found.magnitude_nT[rows]) / NT_PER_MG,
         sun_field=ranges["sun_field"] if item.sunlit else None,
@@ -145,45 +131,7 @@ def _row(item: Pass, found: Numbers, rows: np.ndarray) -> Row:
     )
 
 
-@dataclass(frozen=True)
-class DawnStudy:
-    """D dawn passes, DAWN_FLIGHTS flights; deg."""
-
-    labels: tuple[str, ...]
-    """(D,)."""
-    samples: tuple[int, ...]
-    """(D,) with the sun in view; 0 where the sun rises as the window ends."""
-    residual_deg: FloatArray
-    """(FLIGHTS, D) rms of measured less computed sun-nadir angle; NaN where there is no sample."""
-
-    @property
-    def seen(self) -> FloatArray:
-        """(FLIGHTS, S) the columns of passes that see the sun."""
-        return self.residual_deg[:, np.array(self.samples) > 0]
-
-    @property
-    def mean_deg(self) -> FloatArray:
-        """(S,) mean over the flights."""
-        return np.asarray(self.seen.mean(axis=0))
-
-    @property
-    def standard_error_deg(self) -> FloatArray:
-        """(S,) of these means."""
-        return np.asarray(self.seen.std(axis=0, ddof=1) / np.sqrt(len(self.seen)))
-
-    def by_label(self) -> dict[str, float | None]:
-        """The means by pass; None where the sun is not seen."""
-        means = iter(self.mean_deg.tolist())
-        return {label: next(means) if count else None for label, count in zip(self.labels, self.samples, strict=True)}
-
-    @property
-    def together_deg(self) -> tuple[float, float]:
-        """rms over the passes of one flight: mean and standard deviation over the flights."""
-        each = rms_along(self.seen, axis=1)
-        return float(each.mean()), float(each.std(ddof=1))
-
-
-def run_dawn(config: Scenario, windows: PassWindows, flights: int = DAWN_FLIGHTS) -> DawnStudy:
+def run_dawn(config: Scenario, windows: PassWindows, flights: int = DAWN_FLIGHTS) -> Numbers:
     """The sun-nadir residual that a turned head 1 leaves in the dawn passes over Orroral, in the prescribed motion.
 
     Only the end of such a pass is sunlit, a minute or three, so one flight's residual scatters by a sixth. The windows are
@@ -211,4 +159,19 @@ def run_dawn(config: Scenario, windows: PassWindows, flights: int = DAWN_FLIGHTS
             samples[place] = int(np.isfinite(inside).sum())
             if samples[place]:
                 residual[number, place] = rms(inside)
-    return DawnStudy(tuple(passes[k].label for k in dawn), tuple(samples), residual)
+    labels, seen = [passes[k].label for k in dawn], residual[:, np.array(samples) > 0]
+    mean_deg, each = seen.mean(axis=0), rms_along(seen, axis=1)
+    means = iter(mean_deg.tolist())
+    return Numbers(
+        # Of the dawn passes: their samples with the sun in view, 0 where the sun rises as the window ends.
+        labels=labels,
+        samples=samples,
+        # (flights, passes) rms of measured less computed sun-nadir angle; NaN where there is no sample.
+        residual_deg=residual,
+        # Of the passes that see the sun: mean over the flights, and its standard error; and the mean, else None, by pass.
+        mean_deg=mean_deg,
+        standard_error_deg=seen.std(axis=0, ddof=1) / np.sqrt(flights),
+        by_label={label: next(means) if count else None for label, count in zip(labels, samples, strict=True)},
+        # rms over the passes of one flight: mean and standard deviation over the flights.
+        together_deg=(float(each.mean()), float(each.std(ddof=1))),
+    )

@@ -25,7 +25,7 @@ from fluxtwin.scenarios.flights import Numbers, papers_regression
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.calibration import choose_rows, fit_rows, pass_labels
 from fluxtwin.scenarios.hcmm.mission import Flight
-from fluxtwin.scenarios.hcmm.passes import Row, column_of, rms_of, rows_of_passes, sun_nadir_deg
+from fluxtwin.scenarios.hcmm.passes import column_of, rms_of, rows_of_passes, sun_nadir_deg
 from fluxtwin.scenarios.hcmm.strength import rank_correlation
 from fluxtwin.scenarios.hcmm_orbit.geometry import PassWindows
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, read_passes
@@ -141,39 +141,7 @@ def _head_1(flight: Flight, found: ScannerCalibration) -> tuple[float, float]:
     return float(sun_nadir_deg(corrected)[rows].mean()), float(np.degrees(expected.mean()))
 
 
-@dataclass(frozen=True)
-class HorizonStudy:
-    """Scanner by scanner."""
-
-    printed: Numbers
-    """The papers' own rows."""
-    disc: Numbers
-    """The scanner of the study, whose horizon is without error."""
-    cases: Mapping[tuple[str, str], Numbers]
-    """By scans (names of SCANS) and Earth (words of EARTHS)."""
-    shifted: Mapping[str, tuple[Numbers, ...]]
-    """By scans: WORST with its errors moved along the orbit by each of SHIFTS_DEG."""
-
-    @property
-    def nearest(self) -> tuple[str, Numbers]:
-        """The scans that come nearest to the printed ratio where the Earth is WORST, and what they leave."""
-        worst = {scans: self.cases[scans, WORST.words] for scans in SCANS}
-        return min(worst.items(), key=lambda item: abs(item[1].ratio - self.printed.ratio))
-
-    @property
-    def nulls(self) -> list[Numbers]:
-        """The errors elsewhere on the orbit, all scans; without half an orbit, from where an ellipsoid looks the same."""
-        elsewhere = np.flatnonzero(SHIFTS_DEG % 180.0)
-        return [seen[at] for seen in self.shifted.values() for at in elsewhere]
-
-    def moved(self, name: str) -> dict[str, FloatArray]:
-        """`ratio` or `correlation` of the moved errors, by scans."""
-        return {scans: np.array([getattr(one, name) for one in seen]) for scans, seen in self.shifted.items()}
-
-
-def run_horizon(
-    days: Flight, flight: Flight, ground: FieldModel, windows: PassWindows, progress: Progress
-) -> HorizonStudy:
+def run_horizon(days: Flight, flight: Flight, ground: FieldModel, windows: PassWindows, progress: Progress) -> Numbers:
     """Every scanner on `days`, those of Table 3, and on `flight`, the three of Table 5."""
     rows, labels = choose_rows(days, "AB"), pass_labels(days)
 
@@ -191,7 +159,24 @@ def run_horizon(
         scans: (cases[scans, WORST.words], *(seen_by(scans, WORST, float(shift)) for shift in SHIFTS_DEG[1:]))
         for scans in SCANS
     }
-    return HorizonStudy(_seen(read_passes()), left_by(days, flight), cases, shifted)
+    printed = _seen(read_passes())
+    worst = {scans: cases[scans, WORST.words] for scans in SCANS}
+    return Numbers(
+        # The papers' own rows, and the scanner of the study, whose horizon is without error.
+        printed=printed,
+        disc=left_by(days, flight),
+        # By scans (names of SCANS) and Earth (words of EARTHS).
+        cases=cases,
+        # The scans that come nearest to the printed ratio where the Earth is WORST, and what they leave.
+        nearest=min(worst.items(), key=lambda item: abs(item[1].ratio - printed.ratio)),
+        # WORST with its errors moved along the orbit by each of SHIFTS_DEG, by scans.
+        moved={
+            name: {scans: np.array([getattr(one, name) for one in seen]) for scans, seen in shifted.items()}
+            for name in ("ratio", "correlation")
+        },
+        # The errors elsewhere on the orbit, all scans; without half an orbit, from where an ellipsoid looks the same.
+        nulls=[seen[at] for seen in shifted.values() for at in np.flatnonzero(SHIFTS_DEG % 180.0)],
+    )
 
 
 def with_horizon(flight: Flight, axes: tuple[int, ...], earth: Earth, shift_deg: float = 0.0) -> Flight:
@@ -217,7 +202,7 @@ def with_horizon(flight: Flight, axes: tuple[int, ...], earth: Earth, shift_deg:
     return replace(flight, telemetry=flight.telemetry.replace(nadir_B=frames.nadir_of(angles)))
 
 
-def _seen(rows: Sequence[Row] | Sequence[Pass]) -> Numbers:
+def _seen(rows: Sequence[Numbers] | Sequence[Pass]) -> Numbers:
     """From rows of the study, or from those of print."""
     passes = read_passes()
     night, dawn = (np.array(v) for v in ([not p.sunlit for p in passes], [p.dawn for p in passes]))

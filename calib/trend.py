@@ -14,7 +14,7 @@ histories for each other, and the parameters for being many (Holm 1979).
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -157,12 +157,7 @@ class Trend(Shown):
             "overlap_ratio": self.overlap_ratio,
             "expires": None if self.expires is None else epoch.iso(self.expires, "s"),
             "parameters": [
-                {
-                    **{key: getattr(one, key) for key in ("name", "unit", "mean", "mean_sigma", "q", "probability")},
-                    **{key: getattr(one, key) for key in ("kind", "size", "size_sigma", "after", "explained")},
-                    "values": one.values.tolist(),
-                    "sigmas": one.sigmas.tolist(),
-                }
+                {**vars(one), "unit": one.unit, "values": one.values.tolist(), "sigmas": one.sigmas.tolist()}
                 for one in self.histories
             ],
         }
@@ -211,47 +206,33 @@ def trend(calibrations: Sequence[Calibration]) -> Trend:
 
 
 def _comparable(calibrations: Sequence[Calibration]) -> list[Calibration]:
+    def refuse(found: str, wanted: str) -> None:
+        raise BadInput(found, where="trend", wanted=wanted)
+
+    def alike(what: Callable[[Calibration], object], found: str, wanted: str) -> None:
+        if len({what(one) for one in calibrations}) > 1:
+            refuse(found, wanted)
+
     if len(calibrations) < 2:
-        raise BadInput(
-            f"{len(calibrations)} calibration", where="trend", wanted="two or more, or telemetry of several days"
-        )
-    for one in calibrations:
-        if one.span is None or not one.sigmas.any():
-            raise BadInput(
-                "a calibration has no span or no sigmas", where="trend", wanted="calibrations made from telemetry"
-            )
+        refuse(f"{len(calibrations)} calibration", "two or more, or telemetry of several days")
+    if any(one.span is None or not one.sigmas.any() for one in calibrations):
+        refuse("a calibration has no span or no sigmas", "calibrations made from telemetry")
     whose = {plain_text(one.spacecraft) for one in calibrations} - {""}
     if len(whose) > 1:
-        raise BadInput(f"they are of {' and '.join(sorted(whose))}", where="trend", wanted="one spacecraft")
-    if len({one.magnetometer for one in calibrations}) > 1:
-        raise BadInput("they are of several magnetometers", where="trend", wanted="one magnetometer")
+        refuse(f"they are of {' and '.join(sorted(whose))}", "one spacecraft")
+    alike(lambda one: one.magnetometer, "they are of several magnetometers", "one magnetometer")
     digests = [one.digest for one in calibrations]
-    twice = next((one for one in calibrations if one.span is not None and digests.count(one.digest) > 1), None)
-    if twice is not None and twice.span is not None:
-        said = f"the calibration of {epoch.iso(twice.span[0])} to {epoch.iso(twice.span[1])} is given twice"
-        raise BadInput(said, where="trend", wanted="each of them once")
-    if len({one.residual_to for one in calibrations}) > 1:
-        raise BadInput(
-            "some are of readings that had been corrected", where="trend", wanted="calibrations of the sensor"
-        )
-    if len({bool(one.sigmas[:9].any()) for one in calibrations}) > 1:
-        raise BadInput(
-            "S was estimated in some and not in others: b does not mean the same in them",
-            where="trend",
-            wanted="calibrations of the same parameters",
-        )
-    if len({np.array_equal(one.S, one.S.T) for one in calibrations}) > 1:
-        raise BadInput(
-            "some were made without attitude: their S is symmetric and is not that of the others",
-            where="trend",
-            wanted="all of them with attitude, or all without",
-        )
-    if len({one.field_model == "none" for one in calibrations}) > 1:
-        raise BadInput(
-            "some were made without a field model: their scale is not that of the others",
-            where="trend",
-            wanted="all of them by the method gyro, or none",
-        )
+    for one in calibrations:
+        if one.span is not None and digests.count(one.digest) > 1:
+            span = " to ".join(map(epoch.iso, one.span))
+            refuse(f"the calibration of {span} is given twice", "each of them once")
+    alike(lambda one: one.residual_to, "some are of readings that had been corrected", "calibrations of the sensor")
+    found = "S was estimated in some and not in others: b does not mean the same in them"
+    alike(lambda one: bool(one.sigmas[:9].any()), found, "calibrations of the same parameters")
+    found = "some were made without attitude: their S is symmetric and is not that of the others"
+    alike(lambda one: np.array_equal(one.S, one.S.T), found, "all of them with attitude, or all without")
+    found = "some were made without a field model: their scale is not that of the others"
+    alike(lambda one: one.field_model == "none", found, "all of them by the method gyro, or none")
     return sorted(calibrations, key=_middle)
 
 

@@ -87,9 +87,7 @@ class Sample:
         return self if len(self) <= count else self.take(_evenly(len(self), count))
 
 
-def comparable(
-    telemetry: Telemetry, model: FieldModel, usable: BoolArray, *, with_attitude: bool, most: int = MAX_ROWS
-) -> Sample | None:
+def comparable(telemetry: Telemetry, model: FieldModel, usable: BoolArray, *, with_attitude: bool) -> Sample | None:
     """The rows among `usable` with reading and position (and attitude); None without any.
 
     Raises OutOfRange for stamps that the model does not cover.
@@ -100,7 +98,7 @@ def comparable(
     if telemetry.r_N_km is None or not good.any():
         return None
     rows = np.flatnonzero(good)
-    rows = rows[_evenly(rows.size, most)]
+    rows = rows[_evenly(rows.size, MAX_ROWS)]
     rows = rows[np.linalg.norm(telemetry.r_N_km[rows], axis=1) > 6300.0]
     if rows.size == 0:
         return None

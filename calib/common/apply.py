@@ -44,35 +44,33 @@ def require_applicable(telemetry: Telemetry, calibration: Calibration) -> None:
     A calibration speaks of the time in which it was made. The record must share some of it, and may reach beyond either
     end by no more than its length: further than it was observed, nobody has seen it hold.
     """
-    before = telemetry.corrected_by
-    where = telemetry.provenance.get("source", "telemetry")
-    if before and calibration.residual_to != before:
-        raise BadInput(
-            f"the readings are corrected already (by {before})",
-            where=where,
-            wanted="the record as the sensor gave it; --force corrects them once more",
-        )
-    if calibration.residual_to and not before:
-        raise BadInput(
-            f"the calibration was made of readings that {calibration.residual_to} had corrected; these are not corrected",
-            where=where,
-            wanted="that calibration applied first; --force applies this one all the same",
-        )
+    before, of_before = telemetry.corrected_by, calibration.residual_to
     ours, theirs = plain_text(telemetry.spacecraft), plain_text(calibration.spacecraft)
-    if ours and theirs and ours != theirs:
-        raise BadInput(
-            f"the telemetry is of {ours!r}, the calibration of {theirs!r}",
-            where=where,
-            wanted="telemetry and calibration of one spacecraft; --force applies it all the same",
+    found, wanted = "", ""
+    if before and of_before != before:
+        found = f"the readings are corrected already (by {before})"
+        wanted = "the record as the sensor gave it; --force corrects them once more"
+    elif of_before and not before:
+        found = f"the calibration was made of readings that {of_before} had corrected; these are not corrected"
+        wanted = "that calibration applied first; --force applies this one all the same"
+    elif ours and theirs and ours != theirs:
+        found = f"the telemetry is of {ours!r}, the calibration of {theirs!r}"
+        wanted = "telemetry and calibration of one spacecraft; --force applies it all the same"
+    elif (one := calibration.magnetometer) != telemetry.magnetometer:
+        found = f"the readings are of magnetometer {telemetry.magnetometer}, the calibration is of {one}"
+        wanted = f"--magnetometer {one}, or the other calibration; --force applies it all the same"
+    elif calibration.span is not None and _too_far(telemetry, calibration.span):
+        begins, ends = telemetry.time[[0, -1]]
+        found = (
+            f"the record runs from {epoch.iso(begins)} to {epoch.iso(ends)}, the calibration was made from data of "
+            f"{_span_words(calibration)}"
         )
-    if calibration.magnetometer != telemetry.magnetometer:
-        raise BadInput(
-            f"the readings are of magnetometer {telemetry.magnetometer}, the calibration is of {calibration.magnetometer}",
-            where=where,
-            wanted=f"--magnetometer {calibration.magnetometer}, or the other calibration; --force applies it all the same",
+        wanted = (
+            "a calibration whose time the record shares, and leaves by no more than the calibration's own length; "
+            "--force applies it all the same"
         )
-    if calibration.span is not None:
-        _require_time(telemetry, calibration.span, where)
+    if found:
+        raise BadInput(found, where=telemetry.provenance.get("source", "telemetry"), wanted=wanted)
 
 
 def waived(telemetry: Telemetry, calibration: Calibration) -> str | None:
@@ -90,30 +88,20 @@ def outside_span(telemetry: Telemetry, calibration: Calibration) -> int:
 
 
 def _warn_outside(telemetry: Telemetry, calibration: Calibration) -> None:
-    for words in _outside_words(telemetry, calibration):
-        warnings.warn(words, stacklevel=4)
-
-
-def _outside_words(telemetry: Telemetry, calibration: Calibration) -> list[str]:
-    """Where a record leaves the time or the temperatures from which the calibration was made, in sentences."""
-    said = []
-    beyond = outside_span(telemetry, calibration)
-    if beyond:
-        said.append(
-            f"{beyond} of {len(telemetry)} rows are outside the time from which the calibration was made "
-            f"({_span_words(calibration)})"
-        )
+    """Where a record leaves the time or the temperatures from which the calibration was made."""
+    if beyond := outside_span(telemetry, calibration):
+        said = f"{beyond} of {len(telemetry)} rows are outside the time from which the calibration was made"
+        warnings.warn(f"{said} ({_span_words(calibration)})", stacklevel=4)
     seen, known = telemetry.temperature_degC, calibration.temperature_degC
     if seen is None or known is None:
-        return said
+        return
     off = np.maximum(known[0] - seen, seen - known[1])
-    hot_or_cold = int(np.nansum(off > _NEAR_DEGC))
-    if hot_or_cold:
-        said.append(
+    if hot_or_cold := int(np.nansum(off > _NEAR_DEGC)):
+        warnings.warn(
             f"{hot_or_cold} of {len(telemetry)} rows have the magnetometer at temperatures that the calibration has not "
-            f"seen ({known[0]:.1f} to {known[1]:.1f} degC), by up to {np.nanmax(off):.1f} degC"
+            f"seen ({known[0]:.1f} to {known[1]:.1f} degC), by up to {np.nanmax(off):.1f} degC",
+            stacklevel=4,
         )
-    return said
 
 
 def _span_words(calibration: Calibration) -> str:
@@ -147,18 +135,10 @@ def known_sigma_nT(telemetry: Telemetry) -> float | None:
     return None if match is None else float(match[2])
 
 
-def _require_time(telemetry: Telemetry, span: tuple[np.datetime64, np.datetime64], where: str) -> None:
+def _too_far(telemetry: Telemetry, span: tuple[np.datetime64, np.datetime64]) -> bool:
     first, last = span
-    begins, ends = telemetry.time[0], telemetry.time[-1]
-    beyond = max(first - begins, ends - last)
-    if _rows_outside(telemetry, span) == len(telemetry) or beyond > last - first:
-        raise BadInput(
-            f"the record runs from {epoch.iso(begins)} to {epoch.iso(ends)}, the calibration was made from data of "
-            f"{epoch.iso(first)} to {epoch.iso(last)}",
-            where=where,
-            wanted="a calibration whose time the record shares, and leaves by no more than the calibration's own length; "
-            "--force applies it all the same",
-        )
+    beyond = max(first - telemetry.time[0], telemetry.time[-1] - last)
+    return bool(_rows_outside(telemetry, span) == len(telemetry) or beyond > last - first)
 
 
 def _rows_outside(telemetry: Telemetry, span: tuple[np.datetime64, np.datetime64]) -> int:

@@ -16,12 +16,16 @@ have opposite signs, b = -O b_A.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
+
+PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+"""Places of the six numbers of a symmetric matrix: xx, yy, zz, xy, xz, yz, the order of ArduPilot and PX4 too."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,17 @@ class OffsetFirst:
     def undo(self, corrected_nT: FloatArray) -> FloatArray:
         """(..., 3) the reading that `apply` made this of. Raises BadInput for a singular M."""
         return np.asarray(corrected_nT @ _inverse(self.M, "M").T + self.o_nT)
+
+
+def six_of(M: FloatArray) -> list[float]:
+    """The numbers of a symmetric matrix (3, 3) at `PAIRS`."""
+    return [float(M[at]) for at in PAIRS]
+
+
+def symmetric(six: Sequence[float] | FloatArray) -> FloatArray:
+    """(3, 3) of its six numbers at `PAIRS`."""
+    xx, yy, zz, xy, xz, yz = six
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def polar_split(M: FloatArray) -> tuple[FloatArray, FloatArray]:

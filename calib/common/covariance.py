@@ -177,10 +177,8 @@ def autocorrelation(residual_nT: FloatArray, segment: np.ndarray, lags: Sequence
     return np.array([at(lag) for lag in lags])
 
 
-def correlation_time_s(
-    time: TimeArray, residual_nT: FloatArray, segment: np.ndarray, level: float = float(np.exp(-1.0))
-) -> float:
-    """Time at which the autocorrelation of the residual first falls below `level`, at least one step [s].
+def correlation_time_s(time: TimeArray, residual_nT: FloatArray, segment: np.ndarray) -> float:
+    """Time at which the autocorrelation of the residual first falls below 1/e, at least one step [s].
 
     Lags grow by a fifth from one to the next, so that a long correlation costs no more than a short one.
     """
@@ -189,7 +187,7 @@ def correlation_time_s(
     step_s = float(np.median(np.diff(time).astype("int64"))) * 1e-9
     longest = max(1, len(time) // 4)
     lag = 1
-    while lag < longest and autocorrelation(residual_nT, segment, [lag])[0] >= level:
+    while lag < longest and autocorrelation(residual_nT, segment, [lag])[0] >= np.exp(-1.0):
         lag = min(longest, max(lag + 1, lag * 6 // 5))
     return step_s * lag
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.calib.common.direction import even_directions
+from fluxtwin.calib.common.direction import even_directions, of_parameters
 from fluxtwin.calib.common.records import Calibration, parameter_unit
 from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.sim.base.types import FloatArray, IntArray
@@ -164,11 +164,7 @@ def _plans(
 
 def _information(B: FloatArray, true: FloatArray, scale: FloatArray, *, size_only: bool) -> FloatArray:
     """(12, 12) J' J a row, in units of `scale`."""
-    J = np.zeros((len(B), 3, 12))
-    for i in range(3):
-        J[:, i, 3 * i : 3 * i + 3] = B
-        J[:, i, 9 + i] = 1.0
-    J = J / scale
+    J = of_parameters(B) / scale
     if size_only:
         unit = true / np.linalg.norm(true, axis=1)[:, None]
         J = np.einsum("ni,nip->np", unit, J)[:, None, :]

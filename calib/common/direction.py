@@ -81,7 +81,8 @@ def _across(field_nT: FloatArray) -> FloatArray:
 
 def _of_calibration(calibration: Calibration, B: FloatArray, D: FloatArray | None, field_nT: FloatArray) -> FloatArray:
     """(n, 3, 3) covariance of the angle [rad2] that the errors of the parameters give."""
-    through = _across(field_nT) @ _jacobian(calibration, B, D)
+    T = None if calibration.T_nT_per_Am2 is None else D
+    through = _across(field_nT) @ of_parameters(B, T, len(calibration.names))
     return np.asarray(through @ calibration.covariance @ through.transpose(0, 2, 1))
 
 
@@ -93,13 +94,13 @@ def even_directions(count: int) -> FloatArray:
     return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
 
 
-def _jacobian(calibration: Calibration, B: FloatArray, D: FloatArray | None) -> FloatArray:
-    """(n, 3, P) derivative of (I+S) B + b + T D by the parameters, in the order of the covariance."""
-    J = np.zeros((len(B), 3, len(calibration.names)))
+def of_parameters(B: FloatArray, D: FloatArray | None = None, size: int = 12) -> FloatArray:
+    """(n, 3, size) derivative of (I+S) B + b + T D by the parameters, in the order of the covariance."""
+    J = np.zeros((len(B), 3, size))
     for i in range(3):
         J[:, i, 3 * i : 3 * i + 3] = B
         J[:, i, 9 + i] = 1.0
-        if calibration.T_nT_per_Am2 is not None and D is not None:
+        if D is not None:
             J[:, i, 12 + 3 * i : 15 + 3 * i] = np.nan_to_num(D)
     return J
 

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import nnls
 
+from fluxtwin.calib.common.conventions import PAIRS
 from fluxtwin.calib.common.covariance import stretches
 from fluxtwin.calib.common.design import Design
 from fluxtwin.calib.common.digits import measured, plain
@@ -30,8 +31,7 @@ from fluxtwin.sim.base.types import FloatArray, TimeArray
 _MAD_TO_SIGMA = 1.482602218505602
 _SMALLEST_LSB_NT = 1e-3
 _FEWEST_PAIRS = 30
-_PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-_FIRST, _SECOND = ([pair[side] for pair in _PRODUCTS] for side in (0, 1))
+_FIRST, _SECOND = ([pair[side] for pair in PAIRS] for side in (0, 1))
 _ROUNDS = 3
 _ROWS = 50_000  # of a longer record, stretches that add up to this are looked at
 
@@ -198,7 +198,7 @@ def _features(b: FloatArray) -> FloatArray:
     none = np.zeros(len(b))
     turned = ((none, z, -y), (-z, none, x), (y, -x, none))  # b x e_j
     out = np.zeros((len(b), 6, 6))
-    for product, (i, j) in enumerate(_PRODUCTS):
+    for product, (i, j) in enumerate(PAIRS):
         out[:, product, i] = 1.0 if i == j else 0.0
         for axis in range(3):
             out[:, product, 3 + axis] = turned[axis][i] * turned[axis][j]

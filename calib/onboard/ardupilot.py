@@ -14,17 +14,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fluxtwin.calib.common.conventions import OffsetFirst
-from fluxtwin.calib.onboard.target import (
-    NT_PER_MILLIGAUSS,
-    Number,
-    Target,
-    as_float32,
-    float32,
-    named_values,
-    of_six,
-    six_of,
-)
+from fluxtwin.calib.common.conventions import OffsetFirst, six_of, symmetric
+from fluxtwin.calib.onboard.target import NT_PER_MILLIGAUSS, Number, Target, as_float32, float32, named_values
 
 _LINE = re.compile(r"\s*(?P<name>[A-Z0-9_]+)\s*[,\s]\s*(?P<value>[^\s,#]+)")
 _OFFSETS_MAX_MG = 1800.0
@@ -68,7 +59,7 @@ class ArduPilot(Target):
             if match and match["name"] == _scale(instance)
         ]
         scale = as_float32(given[0], f"{where}: {_scale(instance)}") if given else 0.0
-        M = of_six([found[name] for name in names[3:]])
+        M = symmetric([found[name] for name in names[3:]])
         if not np.diag(M).any():
             M = M + np.eye(3)  # the firmware takes diagonals of zero for one
         held = M * (scale if _SCALE[0] <= scale <= _SCALE[1] else 1.0)

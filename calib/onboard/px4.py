@@ -14,8 +14,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fluxtwin.calib.common.conventions import OffsetFirst
-from fluxtwin.calib.onboard.target import NT_PER_GAUSS, Number, Target, float32, named_values, of_six, six_of
+from fluxtwin.calib.common.conventions import OffsetFirst, six_of, symmetric
+from fluxtwin.calib.onboard.target import NT_PER_GAUSS, Number, Target, float32, named_values
 
 _LINE = re.compile(r"\s*(?:\d+\s+\d+\s+)?(?P<name>[A-Z0-9_]+)[\s,]+(?P<value>[^\s,#]+)")
 _SCALE = (0.1, 3.0)
@@ -51,7 +51,7 @@ class Px4(Target):
     def read(self, text: str, instance: int, where: str) -> OffsetFirst:
         names = _names(instance)
         found = named_values(text, _LINE, names, where)
-        M = of_six([found[name] for name in names[3:]])
+        M = symmetric([found[name] for name in names[3:]])
         return OffsetFirst(M, NT_PER_GAUSS * np.array([found[name] for name in names[:3]]))
 
     def beyond(self, held: OffsetFirst) -> list[str]:
@@ -64,7 +64,7 @@ class Px4(Target):
         """After a start with these parameters, without the groups that are too small to be taken up."""
         six = np.array(six_of(held.M))
         scale, off = _taken_up(six[:3], np.ones(3)), _taken_up(six[3:], np.zeros(3))
-        return OffsetFirst(of_six([*scale, *off]), NT_PER_GAUSS * _taken_up(held.o_nT / NT_PER_GAUSS, np.zeros(3)))
+        return OffsetFirst(symmetric([*scale, *off]), NT_PER_GAUSS * _taken_up(held.o_nT / NT_PER_GAUSS, np.zeros(3)))
 
     def notes(self, held: OffsetFirst) -> list[str]:
         six, used = np.array(six_of(held.M)), np.array(six_of(self.in_use(held).M))

@@ -15,7 +15,6 @@ import numpy as np
 
 from fluxtwin.calib.common.conventions import OffsetFirst
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.types import FloatArray
 
 NT_PER_MILLIGAUSS = 100.0
 NT_PER_GAUSS = 1e5
@@ -116,14 +115,3 @@ def named_values(text: str, pattern: re.Pattern[str], wanted: Iterable[str], whe
     if missing:
         raise BadInput(f"{', '.join(missing)} not in the file", where=where, wanted=", ".join(names))
     return found
-
-
-def six_of(M: FloatArray) -> tuple[float, ...]:
-    """xx, yy, zz, xy, xz, yz of a symmetric matrix: the order of ArduPilot and PX4."""
-    return tuple(float(M[at]) for at in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
-
-
-def of_six(six: Sequence[float]) -> FloatArray:
-    """The symmetric matrix of `six_of`."""
-    xx, yy, zz, xy, xz, yz = six
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

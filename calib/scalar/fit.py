@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from fluxtwin.calib.common.conventions import PAIRS
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.records import TelemetryBias
-from fluxtwin.calib.scalar.model import PAIRS, ScalarData, unpack
+from fluxtwin.calib.scalar.model import ScalarData, unpack
 from fluxtwin.sim.base.types import FloatArray
 
 NO_ROTATION = (

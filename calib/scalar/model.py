@@ -20,10 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fluxtwin.calib.common.conventions import PAIRS, six_of, symmetric
 from fluxtwin.sim.base.types import FloatArray
 
-PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""Places of the six numbers of D."""
 _BLOCK_ROWS = 32768
 
 
@@ -66,17 +65,9 @@ def unpack(p: FloatArray, data: ScalarData) -> tuple[FloatArray, FloatArray, Flo
     return D, p[at : at + 3], p[at + 3 :].reshape(-1, 3)
 
 
-def symmetric(values: FloatArray) -> FloatArray:
-    """(3, 3) of its six numbers."""
-    out = np.zeros((3, 3))
-    for value, (i, j) in zip(values, PAIRS, strict=True):
-        out[i, j] = out[j, i] = value
-    return out
-
-
 def pack(D: FloatArray, b: FloatArray, data: ScalarData) -> FloatArray:
     """(p,) with s = 0."""
-    head = [D[i, j] for i, j in PAIRS] if data.with_D else []
+    head = six_of(D) if data.with_D else []
     return np.concatenate([head, b, np.zeros(3 * data.columns.shape[1])])
 
 

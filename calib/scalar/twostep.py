@@ -32,8 +32,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fluxtwin.calib.common.conventions import PAIRS, symmetric
 from fluxtwin.calib.common.regression import solve_scaled
-from fluxtwin.calib.scalar.model import PAIRS, ScalarData, symmetric
+from fluxtwin.calib.scalar.model import ScalarData
 from fluxtwin.sim.base.types import FloatArray
 
 TRIVIAL = 0.5

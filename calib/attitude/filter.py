@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.calib.common.covariance import segments
 from fluxtwin.calib.common.design import complete_rows, joined
 from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.common.words import say
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames, sun
@@ -259,11 +260,8 @@ def starts(rows: FilterRows, p: FloatArray | None, breaks: np.ndarray | None = N
         turned = (R[later] * R[begin].inv()).as_rotvec()
         angle = np.linalg.norm(turned, axis=1)
         if angle[0] > _ALIASED_RAD:
-            raise NoAnswer(
-                f"the body turns by {np.degrees(angle[0]):.0f} deg or more from one fix to the next, in "
-                f"{rows.t_s[later[0]] - rows.t_s[begin]:g} s: its rate cannot be found without more frequent rows",
-                evidence={"turn_rad": float(angle[0])},
-            )
+            words = say("attitude.aliased", deg=np.degrees(angle[0]), step_s=rows.t_s[later[0]] - rows.t_s[begin])
+            raise NoAnswer(words, evidence={"turn_rad": float(angle[0])})
         far = np.flatnonzero(angle > _RATE_RAD)
         k = max(int(far[0]) - 1, 0) if far.size else len(later) - 1
         h = float(rows.t_s[later[k]] - rows.t_s[begin])
@@ -271,11 +269,7 @@ def starts(rows: FilterRows, p: FloatArray | None, breaks: np.ndarray | None = N
         A = np.ascontiguousarray(R[begin].as_matrix())
         found.append(FilterStart(begin, int(end), A, -turned[k] / h, covariance[begin], of_rate))
     if not found:
-        raise NoAnswer(
-            "nowhere are two directions (nadir, sun, calibrated field), or a reference attitude, known in two rows that "
-            "follow each other: the attitude cannot be started",
-            evidence={"rows": len(rows.t_s)},
-        )
+        raise NoAnswer(say("attitude.no_start"), evidence={"rows": len(rows.t_s)})
     return found
 
 
@@ -380,11 +374,8 @@ def learned(
         if name not in declared and (name.startswith("walk") or (seen[of[name.split("_")[0]]] & used).any())
     ]
     if used.sum() < _ROWS_A_SIZE * len(free):
-        raise NoAnswer(
-            f"{int(used.sum())} rows do not show how large {len(free)} kinds of error are: "
-            f"{_ROWS_A_SIZE * len(free)} rows at least are needed, fewer where errors are declared",
-            evidence={"rows": int(used.sum()), "sizes": len(free)},
-        )
+        few = {"rows": int(used.sum()), "sizes": len(free)}
+        raise NoAnswer(say("attitude.few_rows", wanted=_ROWS_A_SIZE * len(free), **few), evidence=few)
 
     def cost(noises: Noises) -> float:
         value = run(rows, some, noises, p, p_covariance).cost

@@ -42,6 +42,7 @@ from fluxtwin.calib.common.noise import ReadingNoise, lsb_from_spacing_nT, per_a
 from fluxtwin.calib.common.observability import field_variation, pair_words, require_samples, weak_direction_words
 from fluxtwin.calib.common.records import Calibration, parameter_names
 from fluxtwin.calib.common.residuals import residual_statistics
+from fluxtwin.calib.common.words import say
 from fluxtwin.calib.linear.calibrate import calibrate_linear
 from fluxtwin.calib.scalar.words import errors
 from fluxtwin.sim.base.errors import NoAnswer
@@ -145,11 +146,7 @@ def _settled(
         if moved < _OF_SIGMA:
             return done, count
     _require_known(done, first)
-    raise NoAnswer(
-        f"passes of the filter still move by {moved:.2g} sigma after {_PASSES}: attitude, field or clock are far from what "
-        "these data say; fluxtwin check looks for the cause",
-        evidence={"moved_sigma": moved},
-    )
+    raise NoAnswer(say("attitude.still_moves", moved=moved, passes=_PASSES), evidence={"moved_sigma": moved})
 
 
 def _averaged(
@@ -191,11 +188,7 @@ def _require_known(done: Run, first: FloatArray) -> None:
     left = np.sqrt(np.diag(done.p_covariance)) > _UNKNOWN * np.sqrt(np.diag(first))
     unknown = [name for name, weak in zip(parameter_names(False), left & (np.diag(first) > 0), strict=True) if weak]
     if unknown:
-        raise NoAnswer(
-            f"these data do not determine {', '.join(unknown)}: the field hardly varies in the body, or most readings are "
-            "outliers. More attitudes, --parameters b, or fluxtwin check",
-            evidence={"parameters": unknown},
-        )
+        raise NoAnswer(say("attitude.not_determined", names=", ".join(unknown)), evidence={"parameters": unknown})
 
 
 def _report(
@@ -247,15 +240,13 @@ def _report(
         left_out["no reading, or before a first fix"] = len(rows.t_s) - len(kept) - int(far.sum())
     # The residual has the slow error of the field in it, and can not explain it.
     against = limits(rows, replace(calibration, sigma_nT=0.0), taken)
+    white_deg, drift_deg = np.degrees(noises.white_rad), np.degrees(noises.drift_rad)
+    innovations = ", ".join(f"{sensor} {plain(nis[sensor])}" for sensor in SENSORS if sensor in nis)
     messages = [
         *(f"{count} rows left out: {reason}" for reason, count in left_out.items()),
-        f"noise of the reading: {noise.source}; slow error of the field {plain(noises.slow_nT)} nT over "
-        f"{plain(noises.slow_s)} s",
-        f"scanner or reference attitude: {plain(float(np.degrees(noises.white_rad)), 2)} deg white and "
-        f"{plain(float(np.degrees(noises.drift_rad)), 2)} deg over {plain(noises.drift_s)} s",
-        "squared innovations over what was predicted (1 is right): "
-        + ", ".join(f"{sensor} {plain(nis[sensor])}" for sensor in SENSORS if sensor in nis)
-        + f"; correlation of the field's from row to row {lag_correlation:.2f}; {passes} passes",
+        say("attitude.of_field", source=noise.source, n=noises),
+        say("attitude.of_reference", white_deg=white_deg, drift_deg=drift_deg, n=noises),
+        say("attitude.fit_innovations", nis=innovations, correlation=lag_correlation, passes=passes),
     ]
     fit = RecursiveFit(
         calibration=calibration,

@@ -30,6 +30,7 @@ from fluxtwin.calib.attitude.yaw import velocity_of
 from fluxtwin.calib.common.design import joined
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.common.words import say
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.shown import Shown
@@ -202,28 +203,17 @@ def limits(rows: FilterRows, calibration: Calibration, taken: Learned) -> tuple[
     explained_nT = _explained_nT(rows, calibration)
     found_nT = float(np.hypot(n.field_nT, n.slow_nT))
     if {"field_nT", "slow_nT"} & set(taken.found) and found_nT > _EXPLAINED * explained_nT:
-        said.append(
-            f"the field is off by {plain(found_nT)} nT"
-            + (f" over {plain(n.slow_s, 2)} s" if n.slow_nT > n.field_nT else " from row to row")
-            + f", more than the {plain(explained_nT)} nT that noise and the calibration's sigma explain: calibration, "
-            "mounting of magnetometer or sun sensor, clock, position or field model may be wrong, and what a constant error "
-            "does to the attitude is not in the sigma"
-        )
+        over = f" over {plain(n.slow_s, 2)} s" if n.slow_nT > n.field_nT else " from row to row"
+        said.append(say("attitude.field_off", found=found_nT, over=over, explained=explained_nT))
     if "drift_s" in taken.found and n.drift_s > _LASTING_S and n.drift_rad > n.white_rad:
-        said.append(
-            f"{rows.source} and the field differ by {plain(float(np.degrees(n.drift_rad)), 2)} deg over "
-            f"{plain(n.drift_s)} s: so lasting a difference may be a wrong mounting of any, which is not in the sigma"
-        )
+        said.append(say("attitude.lasting", source=rows.source, deg=np.degrees(n.drift_rad), tau_s=n.drift_s))
     C = calibration.covariance[:9, :9]
     if C.any() and np.array_equal(calibration.S, calibration.S.T) and np.allclose(C[[1, 2, 5]], C[[3, 6, 7]]):
-        said.append(
-            "the calibration was made without attitude: a rotation of the magnetometer against the body is neither "
-            "in it nor in the sigma"
-        )
+        said.append(say("attitude.no_rotation"))
     if taken.at_bound:
-        said.append(f"{', '.join(taken.at_bound)} would be larger than is allowed: the errors are of another kind")
+        said.append(say("attitude.at_bound", names=", ".join(taken.at_bound)))
     if not taken.settled:
-        said.append("the search for the errors did not settle")
+        said.append(say("attitude.unsettled"))
     return tuple(said)
 
 
@@ -292,19 +282,14 @@ def consistency(done: Run) -> tuple[dict[str, float], float, tuple[str, ...]]:
         out = done.inflated[seen, k] == 1.0
         nis[sensor] = float(done.nis[seen, k][~out].mean()) if not out.all() else float("inf")
         if out.mean() > _MOST_OUTLIERS:
-            reasons.append(f"{100 * out.mean():.0f} % of the innovations of the {sensor} are outliers.")
+            reasons.append(say("attitude.outliers", share=100 * out.mean(), sensor=sensor))
         low, high = _CONSISTENT
         if not low - 4.0 / np.sqrt(seen.sum()) < nis[sensor] < high + 4.0 / np.sqrt(seen.sum()):
-            reasons.append(
-                f"The squared innovations of the {sensor} are {plain(nis[sensor])} times what was predicted, not 1."
-            )
+            reasons.append(say("attitude.innovations", sensor=sensor, nis=nis[sensor]))
     v = done.innovation
     pair = np.isfinite(v[1:]).all(axis=1) & np.isfinite(v[:-1]).all(axis=1)
     r = np.clip(v, -5.0, 5.0)  # one outlier must not decide
     lag_correlation = float((r[1:] * r[:-1])[pair].sum() / max((r[1:][pair] ** 2).sum(), 1e-300))
     if abs(lag_correlation) > _REPEATS + 4.0 / np.sqrt(max(int(pair.sum()), 1)):
-        reasons.append(
-            f"Innovations of the field in successive rows have a correlation of {lag_correlation:.2f}, not 0: its errors "
-            "are not as they were taken to be."
-        )
+        reasons.append(say("attitude.repeats", correlation=lag_correlation))
     return nis, lag_correlation, tuple(reasons)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import asdict, dataclass, field
-from functools import cache
-from importlib import resources
 from typing import Any, Literal
 
 import numpy as np
 
+from fluxtwin.calib.common.words import texts
 from fluxtwin.sim.base.shown import Shown
 
 _SHOWN_ROWS = 20
@@ -90,13 +88,7 @@ def report(source: str, samples: int, findings: list[Finding]) -> CheckReport:
 
 def _finding(severity: Literal["trap", "note"], name: str, rows: np.ndarray | None, values: dict[str, Any]) -> Finding:
     code, _, variant = name.partition(".")
-    text = texts()[severity][code]
+    text = texts("fluxtwin.calib.checks", "findings.toml")[severity][code]
     some = np.zeros(0, dtype=int) if rows is None else rows
     shown = tuple(int(row) + 1 for row in some[:_SHOWN_ROWS])
     return Finding(code, severity, (text[variant] if variant else text).format(**values), shown, len(some))
-
-
-@cache
-def texts() -> dict[str, Any]:
-    """The content of `findings.toml`."""
-    return tomllib.loads(resources.files("fluxtwin.calib.checks").joinpath("findings.toml").read_text(encoding="utf-8"))

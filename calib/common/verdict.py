@@ -14,9 +14,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from fluxtwin.calib.common.covariance import correlation_time_s, observed_s, segments
-from fluxtwin.calib.common.digits import measured, plain
+from fluxtwin.calib.common.digits import measured
 from fluxtwin.calib.common.direction import CONFIDENCE, DirectionKnowledge, direction_knowledge
 from fluxtwin.calib.common.observability import correlated_pairs, direction_words
+from fluxtwin.calib.common.words import say
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -93,31 +94,15 @@ class Verdict:
     @property
     def lines(self) -> tuple[str, ...]:
         """The first lines of an answer: good or not, degrees, what is not observable, what next."""
-        d = self.direction
+        d, seen = self.direction, self.not_observable
         head = {"good": "Good", "usable": "Usable, with limits", "bad": "Bad: not a calibration"}[self.level]
-        words = f"{head}. {self.residual}"
-        seen = self.not_observable
-        here, anywhere = plain(d.calibration_deg, 2), plain(d.calibration_anywhere_deg, 2)
-        degrees = (
-            f"Field direction, absolute knowledge error (AKE) at {100 * CONFIDENCE:.0f} %: "
-            f"{plain(d.before_deg, 2)} deg before, {plain(d.after_deg, 2)} deg after. Of this, errors of the calibration "
-            f"are {here} deg ({anywhere} deg in any attitude) and the noise of one reading {plain(d.noise_deg, 2)} deg."
-        )
+        degrees = say("verdict.degrees", confidence=100 * CONFIDENCE, d=d)
         if d.against_reference_deg is not None:
-            degrees += (
-                f" Relative to the reference attitude, including its error: {plain(d.against_reference_deg, 2)} deg."
-            )
-        return (
-            words,
-            *self.reasons,
-            *([] if self.impossible else [degrees]),
-            f"Not observable in these data: {len(seen)} quantities, listed below."
-            if len(seen) > 1
-            else f"Not observable in these data: {seen[0]}."
-            if seen
-            else "All requested parameters are observable.",
-            f"Next: {self.next_step}",
-        )
+            degrees += say("verdict.against_reference", deg=d.against_reference_deg)
+        unseen = say("verdict.unseen_one", words=seen[0]) if seen else say("verdict.unseen_none")
+        unseen = say("verdict.unseen_many", count=len(seen)) if len(seen) > 1 else unseen
+        words = [f"{head}. {self.residual}", *self.reasons, *([] if self.impossible else [degrees])]
+        return (*words, unseen, f"Next: {self.next_step}")
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and text for JSON."""
@@ -209,11 +194,8 @@ def _against_declared(fit: Fit, declared_deg: float | None) -> DeclaredNoise:
     if not declared_deg or model is None or model.attitude_sigma_deg is None or model.attitude_range_deg is None:
         return DeclaredNoise(0.0, "")
     low, high = model.attitude_range_deg
-    return DeclaredNoise(
-        low / declared_deg,
-        f"The residual asks for an attitude error of {plain(model.attitude_sigma_deg, 2)} deg (90 %: {plain(low, 2)} to "
-        f"{plain(high, 2)} deg); {declared_deg:g} deg were declared.",
-    )
+    words = say("verdict.declared", sigma=model.attitude_sigma_deg, low=low, high=high, declared=declared_deg)
+    return DeclaredNoise(low / declared_deg, words)
 
 
 def _impossible(fit: Fit, declared: DeclaredNoise, along: Along, residual_nT: float, field_rms_nT: float) -> list[str]:
@@ -223,26 +205,17 @@ def _impossible(fit: Fit, declared: DeclaredNoise, along: Along, residual_nT: fl
     at = int(np.abs(known.S).argmax())
     value, sigma = float(known.S.ravel()[at]), float(known.sigmas[at])
     if abs(value) > IMPOSSIBLE_S:
-        unsure = abs(value) - IMPOSSIBLE_S < 2.0 * sigma
-        found.append(
-            f"{known.names[at]} = {measured(value, sigma or None)}: no magnetometer is wrong by more than "
-            f"{100 * IMPOSSIBLE_S:.0f} %. Suspect outliers, unit, axes, attitude or clock"
-            + (", or data that hardly determine it." if unsure else ".")
-        )
+        unsure = ", or data that hardly determine it" if abs(value) - IMPOSSIBLE_S < 2.0 * sigma else ""
+        said = {"name": known.names[at], "value": measured(value, sigma or None), "most": 100 * IMPOSSIBLE_S}
+        found.append(say("verdict.impossible_S", unsure=unsure, **said))
     allowed_nT = SEVERAL * along.allowed * float(np.hypot(along.noise_nT, FIELD_MODEL_NT))
     if along.found_nT > allowed_nT:
-        found.append(
-            f"Along the field, where attitude errors have no effect, the residual is {plain(along.found_nT)} nT. Noise "
-            f"explains {plain(along.noise_nT)} nT and the field model about {FIELD_MODEL_NT:.0f} nT: clock, position, unit "
-            "or field model may be wrong."
-        )
+        found.append(say("verdict.impossible_along", along=along, model_nT=FIELD_MODEL_NT))
     if declared.ratio > SEVERAL:
         found.append(declared.words)
     if residual_nT > IMPOSSIBLE_RESIDUAL * field_rms_nT / np.sqrt(fit.residuals_nT.shape[1]):
-        found.append(
-            f"The residual is {100 * residual_nT * np.sqrt(fit.residuals_nT.shape[1]) / field_rms_nT:.0f} % of the field: "
-            "attitude, axes, clock, position or unit may be wrong."
-        )
+        share = 100 * residual_nT * np.sqrt(fit.residuals_nT.shape[1]) / field_rms_nT
+        found.append(say("verdict.impossible_residual", share=share))
     return found
 
 
@@ -255,34 +228,20 @@ def _limits(
     only_b = not known.sigmas[:9].any()
     if along.found_nT > np.sqrt(2.0) * along.allowed * along.noise_nT:
         rest = float(np.sqrt(along.found_nT**2 - along.noise_nT**2))
-        of_model = not _beyond_model(along)
-        found.append(
-            f"Along the field, noise does not explain {plain(rest)} nT"
-            + (
-                ": the cause is an error of the field model"
-                if of_model
-                else f", more than the {FIELD_MODEL_NT:.0f} nT of a field model: the cause is the clock"
-            )
-            + (", S (which was not estimated)" if only_b else "")
-            + " or an effect that is not modelled."
+        beyond = (
+            say("verdict.beyond_model", model_nT=FIELD_MODEL_NT) if _beyond_model(along) else say("verdict.of_model")
         )
+        found.append(say("verdict.along", rest=rest, why=beyond, S=", S (which was not estimated)" if only_b else ""))
     if along.found_nT > _WEAK_S * strength_nT:
-        found.append(
-            f"The error of a single corrected reading is {100 * along.found_nT / strength_nT:.1f} % of the field."
-        )
+        found.append(say("verdict.misses", share=100 * along.found_nT / strength_nT))
     if _many_outliers(fit):
-        found.append(
-            f"More than {100 * _MANY_OUTLIERS:.0f} % of the rows are outliers: the sigmas were not validated with so "
-            "many."
-        )
+        found.append(say("verdict.many_outliers", share=100 * _MANY_OUTLIERS))
     at = int(known.sigmas[:9].argmax())
     if known.sigmas[at] > _WEAK_S:
-        found.append(
-            f"{known.names[at]} is only known to ± {plain(float(known.sigmas[at]), 2)}: in attitudes that these data do not "
-            f"have, the calibration may be wrong by {plain(direction.calibration_anywhere_deg, 2)} deg."
-        )
+        weak = {"name": known.names[at], "sigma": known.sigmas[at], "deg": direction.calibration_anywhere_deg}
+        found.append(say("verdict.weak", **weak))
     if direction.after_deg >= direction.before_deg:
-        found.append("This calibration does not improve the knowledge of the field direction.")
+        found.append(say("verdict.no_better"))
     return found
 
 
@@ -292,28 +251,20 @@ def _beyond_model(along: Along) -> bool:
 
 
 def _residual_words(fit: Fit, along: Along, residual_nT: float, *, impossible: bool) -> str:
+    one = fit.residuals_nT.shape[1] == 1
     if impossible:  # of a fit that is none the noise is not known
-        return f"The residual is {plain(residual_nT)} nT {'in |B|' if fit.residuals_nT.shape[1] == 1 else 'per component'}."
-    of_reading, given = plain(float(np.sqrt(fit.noise.variance_nT2.mean()))), plain(along.noise_nT)
-    if fit.residuals_nT.shape[1] == 1:
-        return (
-            f"The residual of |B| is {plain(residual_nT)} nT; {given} nT is expected from a reading noise of "
-            f"{of_reading} nT."
-        )
-    model, because = fit.error_model, f"the reading noise is {of_reading} nT"
+        return say("verdict.residual_bad", residual=residual_nT, what="in |B|" if one else "per component")
+    reading = float(np.sqrt(fit.noise.variance_nT2.mean()))
+    if one:
+        return say("verdict.residual_size", residual=residual_nT, reading=reading, given=along.noise_nT)
+    model, because = fit.error_model, say("verdict.because_noise", reading=reading)
     if model is not None and model.attitude_sigma_deg is not None:
-        because = (
-            f"{plain(model.expected_rms_nT)} nT is expected from noise of {of_reading} nT and an attitude error of "
-            f"{plain(model.attitude_sigma_deg, 2)} deg ({model.attitude_source})"
-        )
-    return (
-        f"The residual is {plain(residual_nT)} nT per component; {because}. Along the field, where attitude errors have no "
-        f"effect, it is {plain(along.found_nT)} nT; {given} nT is expected from noise."
-    )
+        because = say("verdict.because_both", reading=reading, model=model)
+    return say("verdict.residual", residual=residual_nT, because=because, along=along)
 
 
 def _aside_words(fit: Fit) -> str:
-    return f" {fit.rejected} of {_rows(fit)} rows are outliers and have no weight in the fit." if fit.rejected else ""
+    return say("verdict.aside", count=fit.rejected, rows=_rows(fit)) if fit.rejected else ""
 
 
 def _rows(fit: Fit) -> int:
@@ -334,9 +285,7 @@ def _coupling(fit: Fit, dipole_B_Am2: FloatArray | None) -> str:
     if dipole_B_Am2 is None or fit.calibration.T_nT_per_Am2 is not None:
         return ""
     on = np.nanmean(np.nanmax(np.abs(dipole_B_Am2), axis=1) > 0.0) if np.isfinite(dipole_B_Am2).any() else 0.0
-    if not on:
-        return ""
-    return f"The torquers were on in {100 * on:.0f} % of the rows, and their coupling T was not estimated."
+    return say("verdict.coupling", share=100 * on) if on else ""
 
 
 def _next_step(fit: Fit, impossible: bool, along: Along, direction: DirectionKnowledge) -> str:
@@ -348,5 +297,5 @@ def _next_step(fit: Fit, impossible: bool, along: Along, direction: DirectionKno
         return "fluxtwin diagnose TELEMETRY --html diagnosis.html"
     weak = direction_words(fit.variation.directions_B[0])
     if direction.calibration_deg > direction.noise_deg:
-        return f"add data in which the field varies more along {weak} (a slew, or other orbits), and calibrate again"
+        return say("verdict.more_field", weak=weak)
     return "fluxtwin apply TELEMETRY --calibration CALIBRATION.toml --out CORRECTED"

@@ -16,6 +16,7 @@ from fluxtwin.calib.common.noise import ReadingNoise, per_axis
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import robust_weights
+from fluxtwin.calib.common.words import say
 from fluxtwin.calib.gyro.method import GyroOptions
 from fluxtwin.calib.gyro.motion import LARGEST_TURN_RAD, cut
 from fluxtwin.calib.gyro.solve import Solved, fields_without_errors, solve
@@ -113,12 +114,8 @@ def _best(used: Telemetry, rates: FloatArray, options: GyroOptions) -> tuple[Sol
             _require_no_false_turns(used, rates, cuts, length, options, solved, weights)
             return solved, weights, length
     fast = np.degrees(np.median(np.linalg.norm(rates, axis=1)))
-    raise NoAnswer(
-        f"fewer than {_FEWEST} stretches of rows follow each other closely enough to integrate the gyro: the body turns "
-        f"by {fast:.3g} deg/s (median), and between rows by no more than {np.degrees(LARGEST_TURN_RAD):.0f} deg can be "
-        "followed. Faster telemetry or a longer record is needed",
-        evidence={"rows": len(used)},
-    )
+    words = say("gyro.no_stretches", fewest=_FEWEST, fast=fast, most=np.degrees(LARGEST_TURN_RAD))
+    raise NoAnswer(words, evidence={"rows": len(used)})
 
 
 def _robust(
@@ -162,12 +159,8 @@ def _require_no_false_turns(
     """
     speed, noise = float(np.median(np.linalg.norm(rates, axis=1))), solved.gyro_noise_rad_s
     if speed < _SLOW * noise:
-        raise NoAnswer(
-            f"b is not determined: the body turns by {plain(float(np.degrees(speed)), 2)} deg/s, and the gyro's noise of "
-            f"{plain(float(np.degrees(noise)), 2)} deg/s a rate passes for turns. A body {_SLOW:.0f} times as fast as the "
-            "noise is wanted",
-            evidence={"rate_rad_s": speed, "noise_rad_s": noise},
-        )
+        words = say("gyro.too_slow", speed=np.degrees(speed), noise=np.degrees(noise), wanted=_SLOW)
+        raise NoAnswer(words, evidence={"rate_rad_s": speed, "noise_rad_s": noise})
     rng = stream(0, "calib.gyro.repeat")
     again = np.array(used.mag_B_nT)
     field = fields_without_errors(used.time, again, rates, cuts, length_s, weights)
@@ -176,10 +169,8 @@ def _require_no_false_turns(
     with_S, kept = options.parameters != "b", (weights > 0.01).astype(np.float64)
     found = solve(used.time, again, shaken, cuts, length_s, with_S=with_S, weights=kept)
     if float(found.b_nT @ np.linalg.solve(found.covariance[9:, 9:], found.b_nT)) > _REPEATED:
-        size = plain(float(np.linalg.norm(found.b_nT)), 2)
         raise NoAnswer(
-            f"b is not determined: a magnetometer without errors, read in these turns by such a gyro, would be given a b of "
-            f"{size} nT. The gyro's noise passes for turns of the body, which turns too slowly for it",
+            say("gyro.false_turns", size=np.linalg.norm(found.b_nT)),
             evidence={"b_nT": solved.b_nT.tolist(), "without_errors_nT": found.b_nT.tolist()},
         )
 
@@ -189,26 +180,16 @@ def _require_turns(solved: Solved, used: Telemetry, options: GyroOptions) -> Non
     strength = float(np.sqrt((used.mag_B_nT**2).sum(axis=1).mean()))
     left = float(np.sqrt(((used.mag_B_nT @ (np.eye(3) + solved.S).T + solved.b_nT) ** 2).sum(axis=1).mean()))
     if left < _COLLAPSED * strength:
-        raise NoAnswer(
-            f"b is not determined: with it only {plain(left, 2)} of {plain(strength, 2)} nT of the field would be left, as "
-            "where the body turns by no more than the gyro's noise. A faster turn is needed",
-            evidence={"field_nT": left, "b_nT": solved.b_nT.tolist()},
-        )
+        words = say("gyro.collapsed", left=left, strength=strength)
+        raise NoAnswer(words, evidence={"field_nT": left, "b_nT": solved.b_nT.tolist()})
     values, vectors = np.linalg.eigh(solved.covariance[9:, 9:])
     sigma = float(np.sqrt(values[-1]))
     S_sigma = float(np.sqrt(np.diag(solved.covariance)[:9].max()))
     if options.parameters != "b" and not S_sigma < _WORST_S:
-        raise NoAnswer(
-            f"S is not determined (sigma {plain(S_sigma, 2)}): the body turned too little, or about too few axes. Use "
-            "--parameters b, or a longer record",
-            evidence={"sigma": S_sigma},
-        )
+        raise NoAnswer(say("gyro.no_S", sigma=S_sigma), evidence={"sigma": S_sigma})
     if not sigma < _WORST * strength:
-        raise NoAnswer(
-            f"b along {observability.direction_words(vectors[:, -1])} is not determined (sigma {plain(sigma, 2)} nT): the "
-            "body turned about that direction alone, or hardly. A turn about another axis is needed",
-            evidence={"sigma_nT": sigma, "direction": vectors[:, -1].tolist()},
-        )
+        words = say("gyro.no_b", direction=observability.direction_words(vectors[:, -1]), sigma=sigma)
+        raise NoAnswer(words, evidence={"sigma_nT": sigma, "direction": vectors[:, -1].tolist()})
 
 
 def _noise(options: GyroOptions, variance: float) -> ReadingNoise:
@@ -219,12 +200,7 @@ def _noise(options: GyroOptions, variance: float) -> ReadingNoise:
 
 
 def _unobservable(options: GyroOptions) -> tuple[str, ...]:
-    if options.parameters == "b":
-        return ("S, which was not estimated: b can be wrong by S times the field",)
-    return (
-        "the scale common to all axes: without a field to compare with it cannot be seen, and the trace of S is zero. S and "
-        "b are in the axes of the gyro",
-    )
+    return (say("gyro.S_not_estimated") if options.parameters == "b" else say("gyro.no_scale"),)
 
 
 def _messages(solved: Solved, length_s: float, noise: ReadingNoise, options: GyroOptions) -> tuple[str, ...]:
@@ -235,8 +211,8 @@ def _messages(solved: Solved, length_s: float, noise: ReadingNoise, options: Gyr
     )
     chosen = "as asked" if options.stretch_s is not None else "the longest of which there are three"
     return (
-        f"gyro integrated over {solved.stretches} stretches of about {length_s:.4g} s, {chosen}",
-        f"noise of the gyro: {plain(float(np.degrees(solved.gyro_noise_rad_s)), 2)} deg/s a rate, found in the data",
+        say("gyro.stretches", count=solved.stretches, length_s=length_s, chosen=chosen),
+        say("gyro.gyro_noise", deg_s=np.degrees(solved.gyro_noise_rad_s)),
         f"bias of the gyro about x, y, z: {bias} deg/h",
         f"noise of the reading: {noise.source}",
     )

@@ -9,14 +9,15 @@ from string import Formatter
 import pytest
 
 from fluxtwin.calib import checks
-from fluxtwin.calib.checks.report import note, texts
+from fluxtwin.calib.checks.report import note
+from fluxtwin.calib.common.words import texts
 
 pytestmark = pytest.mark.property
 
 
 def test_every_text_is_asked_for_with_what_it_takes() -> None:
     taken = {}
-    for severity, of_severity in texts().items():
+    for severity, of_severity in texts("fluxtwin.calib.checks", "findings.toml").items():
         for code, text in of_severity.items():
             for variant, one in text.items() if isinstance(text, dict) else [("", text)]:
                 fields = {name for _, name, _, _ in Formatter().parse(one) if name}

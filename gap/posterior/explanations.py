@@ -174,7 +174,8 @@ def weighed(
         wider = 1.0 + SHAPE * explained[place]
         # What one more name takes away whole is in its direction alone.
         whole = place + 1 < len(path) and _added(fit, path[place + 1][0]) == 1 and not lefts[place + 1].structured
-        shaped = names + worth_of_shape(beyond[place], explained[place], alone=whole)
+        seen = max(beyond[place], left.drop) if whole else beyond[place]
+        shaped = names + worth_of_shape(seen, explained[place], alone=whole)
         worth = max(shaped, names + gained[place]) - gained[0]
         unknown = -np.inf
         if left.structured and left.beyond(wider, samples) > LOG_FURTHER:

@@ -8,6 +8,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from fluxtwin.sim.base.late import stretches
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.base import (
@@ -84,12 +85,19 @@ class Step(SignalEffect):
     """ISO 8601 UTC; None: the middle row."""
 
     def alternatives(self, setting: Setting) -> tuple[Self, ...]:
-        """Moments spread evenly over the rows, at a row each; the given one alone where there is one."""
+        """Moments spread evenly over the rows, at a row each, or where the rows go on after a gap near it: most of the time
+        may lie in gaps, and what happened there is one moment. The given one alone where there is one."""
         rows = setting.time.size
         if self.at is not None or rows < 3:
             return (self,)
-        number = np.unique(np.linspace(0, rows, self.grid + 2)[1:-1].round().astype(int))
-        return tuple(replace(self, at=epoch.iso(setting.time[row], "ms")) for row in number if 0 < row < rows)
+        number = np.linspace(0, rows, self.grid + 2)[1:-1].round().astype(int)
+        again = np.flatnonzero(np.diff(stretches(setting.seconds))) + 1
+        if again.size:
+            nearest = again[np.abs(again - number[:, None]).argmin(axis=1)]
+            number = np.where(2 * np.abs(nearest - number) * (self.grid + 1) <= rows, nearest, number)
+        return tuple(
+            replace(self, at=epoch.iso(setting.time[row], "ms")) for row in np.unique(number) if 0 < row < rows
+        )
 
     def after(self, setting: Setting) -> FloatArray:
         """(N,) 0 before the moment, 1 from it on."""

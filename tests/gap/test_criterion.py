@@ -59,17 +59,20 @@ def test_a_shape_error_in_one_direction_alone_is_weighed_by_the_emptiness_of_the
     assert worth_of_shape(drop, explained, alone=False) >= logs.max()
 
 
-@pytest.mark.parametrize(("structured", "names"), [(False, 2), (True, 1)])
-def test_what_a_second_cause_takes_away_whole_is_not_the_first_one_s_shape(structured: bool, names: int) -> None:
+@pytest.mark.parametrize(("found", "structured", "names"), [(108.0, False, 2), (180.0, False, 1), (108.0, True, 1)])
+def test_what_a_second_cause_takes_away_whole_is_not_the_first_one_s_shape(
+    found: float, structured: bool, names: int
+) -> None:
     """A heater that explains 9,900 of chi-square, and a bent boom 108 more: within what the shape error of the heater may
-    make, but an error of its shape would not be that of a boom to the last bit."""
+    make, but an error of its shape would not be that of a boom to the last bit. Where structure of 180 was found, it is
+    not to the last bit."""
 
     def fit(chi2: float, chosen: int) -> Any:
         return SimpleNamespace(chi2=chi2, rank_chosen=3 * chosen, chosen=[(str(n), None) for n in range(chosen)])
 
     under_way: Any = SimpleNamespace(tested=105, samples=600.0)
     nothing = Structure(worth=0.0, drop=0.0, kind="none", words="")
-    boom = Structure(worth=90.0, drop=108.0, kind="block", words="", rank=3, log_tried=5.0)
+    boom = Structure(worth=90.0, drop=found, kind="block", words="", rank=3, log_tried=5.0)
     more = Structure(worth=30.0, drop=60.0, kind="block", words="", rank=6, log_tried=5.0)
     path: Any = [(fit(12_000.0, 0), None), (fit(2_100.0, 1), None), (fit(1_992.0, 2), None)]
     lefts = [Structure(9_000.0, 9_900.0, "block", "", rank=3, log_tried=5.0), boom, more if structured else nothing]

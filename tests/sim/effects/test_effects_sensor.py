@@ -287,6 +287,15 @@ def test_a_step_is_where_it_is_said_to_be(bare: Chain) -> None:
     assert len(rows) == 31 and np.ptp(np.diff([0, *rows, 800])) <= 1
 
 
+def test_a_step_in_a_gap_is_tried_where_the_rows_go_on(bare: Chain) -> None:
+    """Twenty bursts of 40 rows, hours apart: most of the time lies in gaps, and so does nearly every step."""
+    gaps_s = 7200.0 * (np.arange(800) // 40)
+    setting = dataclasses.replace(bare.setting, time=epoch.add_seconds(bare.setting.time, gaps_s))
+    rows = [int(np.flatnonzero(choice.after(setting))[0]) for choice in BiasStep().alternatives(setting)]
+    assert set(range(40, 800, 40)) <= set(rows)
+    assert len(rows) <= 31 and np.max(np.diff([0, *rows, 800])) <= 40
+
+
 def test_saturation_clips_at_the_depth(bare: Chain) -> None:
     largest = np.abs(bare.baseline_nT).max()
     clipped = bare.reading_nT([(Saturation(), np.array([5000.0]))])

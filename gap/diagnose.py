@@ -269,7 +269,7 @@ def _attitude_would_do(problem: Problem, answer: Answer, dictionary: Dictionary)
     whitener = whitener_of(problem, boundless, answer.robust.weights)
     if residual_structure(problem, whitener, answer.result.residual_nT, answer.fitted_nT, dictionary).structured:
         return None
-    rest = problem.judged(answer.result.residual_nT)[~answer.robust.cut.any(axis=1)]
+    rest = problem.in_row_axes(answer.result.residual_nT)[~answer.robust.cut.any(axis=1)]
     reach = floor_rms_nT(problem.noise_field_nT, 0.0, 1.0, problem.measured)
     excess = max(float(np.mean(rest**2)) - float(np.mean(answer.noise.white_nT**2)), 0.0)
     return float(np.sqrt(excess)) / max(reach, 1e-9)
@@ -295,7 +295,7 @@ def _repeated(mag_B_nT: FloatArray) -> float:
 
 def _require_rows(problem: Problem) -> None:
     wanted = -(-(problem.nuisance.shape[2] + _LEAST_FREE) // 3) + 10
-    whole = int(problem.measured.sum()) // 3  # rows of three components that are worth as many as are judged
+    whole = int(problem.measured.sum()) // 3  # rows of three components that are worth as many as are compared
     if whole < wanted:
         plain = problem.axes is None
         each = "" if plain else f", where three without attitude count as one ({problem.rows} rows in all)"

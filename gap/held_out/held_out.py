@@ -49,7 +49,9 @@ class Fitted:
     def of(cls, problem: Problem, whitener: Whitens, residual_nT: FloatArray, columns_nT: FloatArray) -> Fitted:
         """From a residual (N, 3) and what is fitted (N, 3, P), both in body axes."""
         white = whitener.apply(columns_nT) if columns_nT.size else columns_nT
-        return cls(problem.judged(residual_nT), problem.judged(columns_nT), whitener.apply(residual_nT), white)
+        return cls(
+            problem.in_row_axes(residual_nT), problem.in_row_axes(columns_nT), whitener.apply(residual_nT), white
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -105,13 +105,13 @@ class PerturbedDesign:
         return self._latest[2]
 
     def _beside(self, image: FloatArray) -> FloatArray:
-        flat = self.problem.judged(image).reshape(-1)
+        flat = self.problem.in_row_axes(image).reshape(-1)
         return np.asarray(flat - self._basis @ (self._basis.T @ flat))
 
     @cached_property
     def _basis(self) -> FloatArray:
-        judged = self.problem.judged(self.problem.nuisance)
-        flat = judged.reshape(3 * self.problem.rows, judged.shape[2])  # none where nothing is modelled
+        nuisance = self.problem.in_row_axes(self.problem.nuisance)
+        flat = nuisance.reshape(3 * self.problem.rows, nuisance.shape[2])  # none where nothing is modelled
         return span_of(flat).basis(flat)
 
 

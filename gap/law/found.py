@@ -256,7 +256,7 @@ class _Search:
             values = np.asarray(regression.grammar.values(law), dtype=np.float64)
             rms = float(np.sqrt(np.mean(np.square(values))))
             limits.append(LawLimit(law.of[0], visible_nT / rms, words.unit(law), visible_nT))
-        share = float(np.sqrt(np.mean(self.problem.judged(base.residual_nT) ** 2)))
+        share = float(np.sqrt(np.mean(self.problem.in_row_axes(base.residual_nT) ** 2)))
         said = Law((), (), share, share, 0.0, None, None, max(len(regression.tried), 1), (), why, limits, "")
         return replace(said, sentence=words.nothing(said))
 

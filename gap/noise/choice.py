@@ -50,8 +50,8 @@ def noise_of(
 ) -> NoiseChoice:
     """The noise model of a residual (N, 3) with these designs (N, 3, P) fitted, as in `select_noise`; in body axes."""
     where = (problem.noise_image_nT, problem.setting.seconds, problem.segment)
-    prior, judged = prior_of(complete_budget(problem)), [problem.judged(design) for design in designs]
-    return select_noise(problem.judged(residual_nT), judged, *where, prior, problem.axes, walk)
+    prior, columns = prior_of(complete_budget(problem)), [problem.in_row_axes(design) for design in designs]
+    return select_noise(problem.in_row_axes(residual_nT), columns, *where, prior, problem.axes, walk)
 
 
 def noise_beside(problem: Problem, active: Sequence[Active]) -> NoiseChoice:
@@ -115,7 +115,7 @@ def _axis_factor(
 ) -> tuple[float, float, float]:
     """White noise of each axis over the mean, from differences of neighbouring innovations: slow structure is none
     of its business. whole: rows in body axes. Unchanged where the axes agree, within a quarter or within chance."""
-    white, weights = whitener.apply_judged(left_nT)[whole], whitener.weights[whole]
+    white, weights = whitener.apply_in_row_axes(left_nT)[whole], whitener.weights[whole]
     step = np.where((weights[1:] > 0) & (weights[:-1] > 0), np.diff(white, axis=0), np.nan)
     count = np.isfinite(step).sum(axis=0)
     if count.min() < 20:

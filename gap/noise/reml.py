@@ -51,7 +51,7 @@ class Data:
     weights: FloatArray
     """(N, 3), 0 not measured."""
     axes: RowAxes | None = None
-    """In which the rows are judged, if those are not the body axes; all of the above is in them already."""
+    """In which the rows are compared, if those are not the body axes; all of the above is in them already."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +110,7 @@ class Likelihood:
         data, rank = self.data, self.span.rank
         unit = NoiseModel(1.0, ratio / self.field_nT, tau_s, axis_factor=self.axis_factor)
         whitener = self.whitener(unit, data.weights)
-        white = whitener.apply_judged(self.stacked, turned=False).reshape(-1, rank + 1)
+        white = whitener.apply_in_row_axes(self.stacked, turned=False).reshape(-1, rank + 1)
         gram = white.T @ white
         try:
             L = np.linalg.cholesky(gram[:rank, :rank])

@@ -94,7 +94,7 @@ def spike_weights(left_nT: FloatArray, whitener: Whitener, there: BoolArray) -> 
     """Weights (N, 3) under a noise model, and each component less what all others predict for it [nT].
 
     left_nT (N, 3): residual after the fit; whitener: with the weights as they are now, and the state's covariance;
-    there (N, 3): components that are measured. Those that are cut now are judged like all others and may come back.
+    there (N, 3): components that are measured. Those that are cut now are weighed like all others and may come back.
     """
     noise = whitener.noise
     own = full_weights(None, left_nT.shape[0]) / np.square(noise.axis_factor)

@@ -73,7 +73,7 @@ class Whitener:
     seconds: FloatArray
     """(N,)."""
     axes: RowAxes | None = None
-    """Turns columns in body axes into the axes in which the rows are judged; None: those are the body axes."""
+    """Turns columns in body axes into the axes in which the rows are compared; None: those are the body axes."""
 
     @property
     def measured(self) -> int:
@@ -91,9 +91,9 @@ class Whitener:
         """Whiten (N, 3) or (N, 3, P), in nT (per unit): unit variance, same shape, axes near the body axes."""
         stop_if_asked()  # whatever takes long in a diagnosis whitens, or flies the chain of effects
         columns = np.asarray(columns, dtype=np.float64)
-        return self.apply_judged(columns if self.axes is None else self.axes.judged(columns))
+        return self.apply_in_row_axes(columns if self.axes is None else self.axes.in_row_axes(columns))
 
-    def apply_judged(self, columns: FloatArray, *, turned: bool = True) -> FloatArray:
+    def apply_in_row_axes(self, columns: FloatArray, *, turned: bool = True) -> FloatArray:
         """As `apply`, for what is in the rows' own axes already; not turned: the components of a row are innovations of one
         after the other, which is all the same where only sums of squares and products are wanted."""
         wide = np.ascontiguousarray(columns if columns.ndim == 3 else columns[:, :, None])

@@ -1,7 +1,7 @@
 """The problem a diagnosis works on: telemetry, the noise-free chain that predicts it, and what is re-estimated.
 
 Everything is at the rows that have time, position and reading; body axes, nT. Rows without a reference attitude have
-a pseudo attitude that fits the reading, and axes of their own in which they are judged (`without_attitude`).
+a pseudo attitude that fits the reading, and axes of their own in which they are compared (`without_attitude`).
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Problem:
     modelled_theta: tuple[FloatArray, ...] = ()
     """Parameters of the modelled effects about which everything is linear; empty: zero. See `refit.settled`."""
     axes: RowAxes | None = None
-    """Where rows have no reference attitude: the axes in which each row is judged. None: all rows have one."""
+    """Where rows have no reference attitude: the axes in which each row is compared. None: all rows have one."""
     attitude_found_rad: float | None = None
     """Error of the reference attitude as found in the data, where none was declared."""
     ruled_out: Mapping[str, str] = field(default_factory=dict)
@@ -146,13 +146,13 @@ class Problem:
         turn_rad = np.where(turn_rad < _LARGEST_ERROR * sigma_rad, turn_rad, 0.0)
         return np.asarray(residual_nT + (0.5 * turn_rad**2 * size_nT)[:, None] * along)
 
-    def judged(self, columns: FloatArray) -> FloatArray:
-        """(N, 3) or (N, 3, P) columns in body axes as they are judged: in the rows' own axes, zero where unmeasured."""
-        return columns if self.axes is None else self.axes.judged(columns)
+    def in_row_axes(self, columns: FloatArray) -> FloatArray:
+        """(N, 3) or (N, 3, P) columns in body axes, as they are compared: in the rows' own axes, zero where unmeasured."""
+        return columns if self.axes is None else self.axes.in_row_axes(columns)
 
     @cached_property
     def measured(self) -> BoolArray:
-        """(N, 3) components that are judged."""
+        """(N, 3) components that are compared."""
         return np.ones((self.rows, 3), dtype=np.bool_) if self.axes is None else self.axes.measured
 
     @cached_property
@@ -266,7 +266,7 @@ def realigned(problem: Problem, beside: Sequence[Active] | None = None) -> Probl
 def _with_pseudo_attitude(
     setting: Setting, used: Telemetry, known: BoolArray, budget: Budget
 ) -> tuple[Setting, RowAxes]:
-    """The setting with an attitude in every row, and the axes in which the rows are judged."""
+    """The setting with an attitude in every row, and the axes in which the rows are compared."""
     r_N_km, _, R_BN = setting.given
     field_N = field_N_nT(setting.model, setting.time, r_N_km, setting.R_EN)
     field_B = row_axes.calibrated(np.array(used.mag_B_nT), setting.instrument, used.dipole_B_Am2)
@@ -287,7 +287,7 @@ def _motion(setting: Setting) -> RecordedMotion:
 
 
 def _another_sensor(axes: RowAxes) -> BoolArray:
-    """(N - 1,) where the row after is judged by the attitude and the last one with a say was by nadir, or the reverse."""
+    """(N - 1,) where the row after is compared by the attitude and the last one with a say was by nadir, or the reverse."""
     says = np.where(axes.known, 1, np.where(axes.with_nadir, 2, 0))
     latest = np.maximum.accumulate(np.where(says > 0, np.arange(says.size), 0))
     held = says[latest]

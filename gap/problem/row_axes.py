@@ -4,7 +4,7 @@ Such a row gets a pseudo attitude, one of the many that take the model field to 
 direction of the field in body axes is known from the reading itself, so the chain's derivatives at the pseudo
 attitude, seen along the field, are those of the field's size (for bias, scale and non-orthogonality: Alonso &
 Shuster 2002, J. Astronautical Sciences 50, 477). What an error of attitude could do is turned out of such rows: they
-are judged in axes of their own, of which only those count that no turn of the body reaches. With a nadir vector the
+are compared in axes of their own, of which only those count that no turn of the body reaches. With a nadir vector the
 pseudo attitude has nadir exactly and the field in the measured plane, so only a turn about nadir stays unknown.
 """
 
@@ -25,7 +25,7 @@ _FEWEST = 20  # rows with nadir, in a row or beside an attitude: fewer do not sh
 
 @dataclass(frozen=True, eq=False)
 class RowAxes:
-    """The axes in which the rows are judged; N rows, those with attitude in body axes."""
+    """The axes in which the rows are compared; N rows, those with attitude in body axes."""
 
     known: BoolArray
     """(N,) rows with a reference attitude."""
@@ -53,7 +53,7 @@ class RowAxes:
         entered = f"have no reference attitude and enter through the size of the field{angle}"
         return f"{rows} of {self.known.size} rows {entered}"
 
-    def judged(self, columns: FloatArray) -> FloatArray:
+    def in_row_axes(self, columns: FloatArray) -> FloatArray:
         """Columns (N, 3) or (N, 3, P) in body axes, turned into the rows' own axes, zero where not measured."""
         here = np.flatnonzero(~self.known)
         turned = np.array(columns, dtype=np.float64)

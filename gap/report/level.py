@@ -32,7 +32,7 @@ class Excess:
 
 def residual_rms_nT(problem: Problem, answer: Answer) -> float:
     """rms per component of the residual of the fit, over the readings that are not cut [nT]."""
-    rest = problem.judged(answer.result.residual_nT)[problem.measured & ~answer.robust.cut]
+    rest = problem.in_row_axes(answer.result.residual_nT)[problem.measured & ~answer.robust.cut]
     return float(np.sqrt(np.mean(rest**2))) if rest.size else 0.0
 
 

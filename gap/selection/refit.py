@@ -169,13 +169,13 @@ def settled(problem: Problem) -> Problem:
         return problem
     current = problem
     for _ in range(4):
-        residual = current.judged(current.residual_nT)
+        residual = current.in_row_axes(current.residual_nT)
         size = np.linalg.norm(residual, axis=1)
         limit = 3.0 * max(float(np.median(size)) / 1.54, 1e-9)
         weight = np.sqrt(np.minimum(1.0, limit / np.maximum(size, 1e-12)))[:, None]
         vector = _packed(current.modelled_active)
         low, high = _limits(current.modelled_active)
-        jacobian = current.judged(current.nuisance) * weight[:, :, None]
+        jacobian = current.in_row_axes(current.nuisance) * weight[:, :, None]
         step = _step(jacobian, residual * weight, np.any(jacobian != 0.0, axis=(0, 1)))
         moved = _unpacked(current.modelled_active, np.clip(vector + step, low, high))
         current = realigned(dataclasses.replace(current, modelled_theta=tuple(theta for _, theta in moved)))

@@ -94,7 +94,7 @@ def _named(
     part = fit.slices()[number]
     signal = _visible(under_way, fit, number, raw_nuisance)
     problem = under_way.channel.problem
-    judged, count = problem.judged(signal), problem.measured.sum()
+    visible, count = problem.in_row_axes(signal), problem.measured.sum()
     covariance = fit.covariance[part, part] * max(variance, 1.0)
     if problem.axes is not None:
         # From the field's size alone some sums of parameters are seen and their parts are not.
@@ -106,7 +106,7 @@ def _named(
         problem.setting,
         support(under_way, fit, number, variance),
         axis_of(_axis_energy(under_way, fit, number, signal)),
-        float(np.sqrt(np.sum(judged**2) / count)),
+        float(np.sqrt(np.sum(visible**2) / count)),
         covariance,
     )
 

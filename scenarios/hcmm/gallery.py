@@ -164,7 +164,7 @@ def _left(
 ) -> tuple[Problem, FloatArray]:
     """The record with effects applied as they are, and its residual (N, 3) as judged; NaN where nothing is measured."""
     problem = realigned(pose(telemetry, ground, modelled=(), budget=_budget(config), frozen=active))
-    return problem, np.where(problem.measured, problem.judged(problem.residual_nT), np.nan)
+    return problem, np.where(problem.measured, problem.in_row_axes(problem.residual_nT), np.nan)
 
 
 def _judged(

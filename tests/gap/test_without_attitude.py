@@ -93,7 +93,7 @@ def test_every_effect_shows_along_the_field_as_it_does_with_the_attitude(pair):
         if one.label not in there or one.name == "solar_array_current":  # the sun's incidence needs the attitude
             continue
         wanted = np.einsum("ni,nip->np", unit, there[one.label])
-        found = unknown.judged(one.jacobian)[:, 0]
+        found = unknown.in_row_axes(one.jacobian)[:, 0]
         # Rates of the body come from nine rows of readings or attitudes and differ by a few thousandths.
         least = 1e-3 * float(np.abs(there[one.label]).max())
         assert np.abs(found - wanted).max() < 0.01 * np.abs(wanted).max() + least, one.label
@@ -120,7 +120,7 @@ def test_what_is_not_measured_is_zero_and_never_whitened(pair):
 def test_a_large_bias_and_matrix_are_found_from_the_size_of_the_field_alone(close):
     record = wrongly_calibrated()
     problem = settled(posed(without(record, everywhere(record))))
-    left = problem.judged(problem.residual_nT)
+    left = problem.in_row_axes(problem.residual_nT)
     close(
         left,
         np.zeros_like(left),
@@ -154,7 +154,7 @@ def test_any_turn_of_the_body_leaves_the_residual_of_a_row_without_attitude_alon
         axis = axes.nadir_B if nadir else rng.standard_normal((problem.rows, 3))
         use = axes.with_nadir if nadir else ~axes.known
         turned = Rotation.from_rotvec(0.05 * axis).apply(field) + 40.0 - field
-        still = axes.judged(axes.without_turn(turned, field))[use]
+        still = axes.in_row_axes(axes.without_turn(turned, field))[use]
         # The same addition seen from the turned body, as large as it is: sizes compared by hand.
         F, G = field[use], field[use] + turned[use]
         close(
@@ -166,7 +166,7 @@ def test_any_turn_of_the_body_leaves_the_residual_of_a_row_without_attitude_alon
             unit="nT",
             because="both are the same geometry",
         )
-        alone = axes.judged(axes.without_turn(Rotation.from_rotvec(0.05 * axis).apply(field) - field, field))
+        alone = axes.in_row_axes(axes.without_turn(Rotation.from_rotvec(0.05 * axis).apply(field) - field, field))
         assert np.abs(alone[use]).max() < 1e-6
         assert np.abs(alone[axes.known]).max() > (100.0 if not nadir else -1.0)
 
@@ -300,7 +300,7 @@ def test_axes_do_not_see_what_a_turn_does_through_a_wrong_matrix(close):
     axes = row_axes(known, field, np.zeros((50, 3)), matrix, 1.0)
     moved = np.cross(rng.standard_normal((50, 3)), field) @ np.linalg.inv(matrix).T
     close(
-        axes.judged(moved)[:, 0],
+        axes.in_row_axes(moved)[:, 0],
         np.zeros(50),
         atol=1e-9 * 3e4,
         unit="nT",

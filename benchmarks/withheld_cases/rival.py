@@ -17,7 +17,7 @@ from scipy.special import gammaln
 
 from fluxtwin.gap.hypotheses.blocks import blocks
 from fluxtwin.gap.hypotheses.candidates import Candidate, candidates
-from fluxtwin.gap.linear.projection import SHARE_LEFT, least_share, orthonormal
+from fluxtwin.gap.linear.projection import least_share, orthonormal
 from fluxtwin.gap.noise.choice import choose_noise, whitener_of
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget, Problem, pose
 from fluxtwin.gap.selection.refit import settled
@@ -171,7 +171,7 @@ def regression(
     whitener = whitener_of(problem, noise, robust.weights)
     calibration = orthonormal(whitener.apply(problem.nuisance))
     residual = _beside(calibration, whitener.apply(problem.residual_nT)[:, :, None])[:, 0]
-    least, live = least_share(whitener, SHARE_LEFT), [candidate.jacobian[:, :, candidate.live] for candidate in found]
+    least, live = least_share(whitener), [candidate.jacobian[:, :, candidate.live] for candidate in found]
     parts = [_directions(calibration, whitener.apply(jacobian), least) for jacobian in live]
     columns = np.concatenate([*parts, np.zeros((residual.size, 0))], axis=1)
     owner = np.concatenate([*(np.full(part.shape[1], k) for k, part in enumerate(parts)), np.zeros(0, dtype=int)])
@@ -189,7 +189,7 @@ def regression(
 def _saturated(problem: Problem, found: Sequence[Candidate]) -> FloatArray:
     """(N, 3, P) Jacobians of all candidates and smooth structure, as far as the rows can bear them."""
     columns = [candidate.jacobian for candidate in found]
-    room = problem.whole_rows - sum(part.shape[2] for part in columns)
+    room = int(problem.measured.sum()) // 3 - sum(part.shape[2] for part in columns)
     for block in blocks(problem):
         made = block.make()
         if made.shape[2] <= room and problem.rows * 3 * made.shape[2] <= 5e7:

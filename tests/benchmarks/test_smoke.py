@@ -150,3 +150,12 @@ def test_a_size_that_cannot_be_is_an_error_in_one_line(
     assert stopped.value.code == 2
     said = capsys.readouterr().err.strip().splitlines()
     assert said and all(line.startswith(("usage:", " ")) for line in said[:-1])
+
+
+def test_each_mutant_changes_one_place() -> None:
+    mutants = script("mutants")
+    counts = {
+        name: (FOLDER.parent / one.file).read_text(encoding="utf-8").count(one.right)
+        for name, one in mutants.MUTANTS.items()
+    }
+    assert set(counts.values()) == {1}, counts

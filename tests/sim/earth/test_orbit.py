@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM, GM_EARTH_KM3_S2, J2_EARTH
-from fluxtwin.sim.earth.orbit import Orbit, argument_of_latitude, eccentric_anomaly, orbital_rates
+from fluxtwin.sim.earth.orbit import Orbit, argument_of_latitude, eccentric_anomaly, kepler_period_s, orbital_rates
 
 pytestmark = pytest.mark.reference
 
@@ -55,7 +55,9 @@ def test_known_orbits(close):
 
 def test_seasat_period(close):
     """Seasat in the papers: a = 7168 km, i = 108 deg, 100.66 min; with J2 the nodal period is longer."""
-    kepler_min = 2 * np.pi / np.sqrt(GM_EARTH_KM3_S2 / 7168.0**3) / 60.0
+    speed_km_s = np.sqrt(GM_EARTH_KM3_S2 / 7168.0)
+    kepler_min = kepler_period_s(np.array([7168.0, 0.0, 0.0]), np.array([0.0, 0.0, speed_km_s])) / 60.0
+    assert kepler_period_s(np.array([7168.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.5 * speed_km_s])) == np.inf
     close(kepler_min, 100.66, atol=0.005, unit="min", because="printed to 0.01 min")
     k = 1.5 * J2_EARTH * (EARTH_RADIUS_KM / 7168.0) ** 2
     textbook = kepler_min * (1 - k * (4 * np.cos(np.radians(108.0)) ** 2 - 1))  # first order in J2, e = 0

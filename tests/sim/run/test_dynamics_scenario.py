@@ -173,7 +173,7 @@ def test_a_scheduled_dipole_turns_the_body(scenario: Scenario) -> None:
     still = free.updated({"torquers.activity": "off"})
     telemetry, _ = simulate(free)
     assert telemetry.dipole_B_Am2 is not None and set(np.unique(telemetry.dipole_B_Am2)) == {-20.0, 0.0, 20.0}
-    assert not np.allclose(flights(free).flights[0].q_NB[0, -1], flights(still).flights[0].q_NB[0, -1], atol=1e-4)
+    assert not np.allclose(flights(free).flights[0].q_NB[-1], flights(still).flights[0].q_NB[-1], atol=1e-4)
 
 
 def test_the_law_may_read_the_instrument(scenario: Scenario) -> None:

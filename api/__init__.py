@@ -26,7 +26,7 @@ The verbs, each imported when it is first used:
     fluxtwin.draft_map("foreign.csv")                # a first column map
     fluxtwin.run_study("seasat")                     # a whole study, as the command line runs it
 
-The parts stand in `fluxtwin.sim`, `fluxtwin.calib`, `fluxtwin.gap`, `fluxtwin.plots` and `fluxtwin.scenarios`.
+The parts are in `fluxtwin.sim`, `fluxtwin.calib`, `fluxtwin.gap`, `fluxtwin.plots` and `fluxtwin.scenarios`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`--method all`: every method that the record allows, judged by its error on rows that were not fitted.
+"""`--method all`: every method that the record allows, compared by its error on rows that were not fitted.
 
 The record is cut into twelve stretches. Each method is fitted to every other stretch and predicts those between, and the
 other way round. Where there is attitude the error is that of the field vector, and then of |B|, else that of |B|. A method
@@ -110,7 +110,7 @@ def _size_nT(telemetry: Telemetry, model: FieldModel) -> FloatArray:
 
 
 def _kept(errors: Mapping[str, FloatArray]) -> BoolArray:
-    """(N,) rows that every method can be judged on, but those that are outliers for all of them."""
+    """(N,) rows that every method predicts, without those that are outliers for all of them."""
     finite = np.all([np.isfinite(one).all(axis=1) for one in errors.values()], axis=0)
     kept: BoolArray = np.array(finite)
     far = [find_outliers(one[finite]) for one in errors.values()]

@@ -22,7 +22,7 @@ def draw_drivers(
 ) -> Figure | None:
     """A row of panels a quantity, a panel an axis: samples, and means of groups of like values with their 1 sigma.
 
-    columns: (N,) by name with unit; residuals: (N, K) [nT] by what they are called, at most two. The quantities stand in the
+    columns: (N,) by name with unit; residuals: (N, K) [nT] by what they are called, at most two. The quantities are in the
     order of the share of the first residual's variance that the groups explain. None where nothing varies.
     """
     first = next(iter(residuals.values()))

@@ -91,7 +91,7 @@ def dress(axes: Axes) -> None:
 
 
 def label(axes: Axes, *, x: str | None = None, y: str | None = None, title: str | None = None) -> None:
-    """Name the axes; the unit stands in square brackets, as `east residual [nT]`. Text is drawn as it is."""
+    """Name the axes; the unit is in square brackets, as `east residual [nT]`. Text is drawn as it is."""
     if x is not None:
         _plain(axes.set_xlabel(x, fontsize=LABEL_PT))
     if y is not None:

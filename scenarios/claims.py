@@ -2,7 +2,7 @@
 
 `reproduced`: an outcome that could have come out otherwise, and came out as printed. `put in`: an input of the scenario
 read back. `definition`: a formula or a frame, true of any data. `differs`: with its computed reason.
-`not testable`: with what would test it. The kind of a claim, where it is no outcome, stands in the study's `claims.toml`;
+`not testable`: with what would test it. The kind of a claim, where it is no outcome, is in the study's `claims.toml`;
 whether it holds is said with its words.
 """
 
@@ -40,7 +40,7 @@ class Claim:
     why: str = ""
 
     def to_dict(self) -> dict[str, object]:
-        """As it stands in `summary.json`."""
+        """As it is in `summary.json`."""
         plain = {name: value for name, value in vars(self).items() if name != "why"}
         return plain | ({"why": self.why} if self.why else {})
 

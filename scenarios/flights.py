@@ -272,7 +272,7 @@ def rms_mG(fit: LinearFit) -> float:
 
 
 def calibration_summary(found: Calibration) -> dict[str, object]:
-    """S, b_mG and sigmas as they stand in `summary.json`."""
+    """S, b_mG and sigmas as they are in `summary.json`."""
     sigma = found.sigmas
     return {
         "S": found.S.tolist(),

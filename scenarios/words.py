@@ -112,7 +112,7 @@ class Words:
         )
 
     def judge(self, entries: Sequence[Mapping[str, Any]], /, **values: Any) -> list[Claim]:
-        """The claims of a paper, each judged by the section with its number."""
+        """The claims of a paper, each from the section with its number."""
         return [claim_of(entry, self._verdict(str(entry["id"]), values)) for entry in entries]
 
     def summary(self, **values: Any) -> dict[str, Any]:

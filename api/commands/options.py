@@ -128,7 +128,7 @@ READING = Reading()
 
 
 class Assumed(NamedTuple):
-    """What a diagnosis is told of the errors and the field; likewise an option for each."""
+    """The errors and the field model given to a diagnosis; an option for each."""
 
     noise_nT: Annotated[float | None, declared_option("noise_nT", declared.NOISE_NT)] = None
     lsb_nT: Annotated[float | None, declared_option("lsb_nT", declared.LSB_NT)] = None

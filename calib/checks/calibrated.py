@@ -1,4 +1,4 @@
-"""Are these readings raw, or calibrated already? Judged by |B|, which needs no attitude."""
+"""Are these readings raw, or calibrated already? |B| tells, without attitude."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _against(onboard: Onboard, mag_nT: FloatArray, size_nT: FloatArray, as_is: f
     elif CLEAR * as_is < min(applied, undone):
         said = "the readings are corrected by it already; calibrate --onboard undoes that"
     elif CLEAR * undone < min(applied, as_is):
-        said = "it was applied and spoils the readings, or it belongs to another sensor"
+        said = "it was applied and makes the readings worse, or it belongs to another sensor"
     return note("calibrated_or_raw.onboard", as_is=as_is, undone=undone, applied=applied, name=onboard.name, said=said)
 
 

@@ -39,7 +39,7 @@ from fluxtwin.sim.telemetry.telemetry_files import read_table, write_telemetry
 RECOGNISED = "recognised_layout"
 """Code of the note that a packaged column map was used."""
 POSITION_TRAPS = {"position_frame", "position_inside_earth"}
-"""With these nothing else can be judged by the field model."""
+"""With these nothing else can be compared with the field model."""
 _QUIET_ROWS = 100
 """As many as the comparison with the field takes at once: with fewer it says little."""
 __all__ = ["RECOGNISED", "CheckReport", "Finding", "check_file", "check_telemetry", "repair"]
@@ -177,14 +177,14 @@ def _origin(path: Path | str, table: FileTable, column_map: Path | str | None, t
 
 
 def _without_magnetometer(telemetry: Telemetry) -> list[Finding]:
-    """What can be judged of a file that has orbit and flags alone."""
+    """What can be tested in a file that has orbit and flags alone."""
     return [*check_motion(telemetry), note("no_magnetometer")]
 
 
 def repair(path: Path | str, out: Path | str, *, max_samples: int | None = None) -> CheckReport:
     """Write `out` with the rows of `path` sorted by time and exact duplicates dropped; the rest is reported.
 
-    Rows without a time, and rows that give an instant a second, different content, cannot stand in a record;
+    Rows without a time, and rows that give an instant a second, different content, do not belong in a record;
     they are left out and named. Raises BadInput when `out` is the input, or nothing is left.
     """
     if Path(out).resolve() == Path(path).resolve():

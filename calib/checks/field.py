@@ -72,12 +72,12 @@ def check_field(telemetry: Telemetry, model: FieldModel, origin: Origin, usable:
         return findings
     outliers, faulty = check_outliers(telemetry, chosen, model, usable)
     chosen = without_gross_outliers(chosen.take(~faulty[chosen.rows]))
-    judged = _by_vectors(chosen, telemetry, model, origin) if with_attitude else _by_size(chosen, model, origin)
-    if not any(found.severity == "trap" for found in judged):
-        judged += check_clock(chosen, model, origin)
-    if not any(found.severity == "trap" for found in judged):
-        judged += [*outliers, *check_of_date(telemetry)]
-    return [*findings, *judged]
+    compared = _by_vectors(chosen, telemetry, model, origin) if with_attitude else _by_size(chosen, model, origin)
+    if not any(found.severity == "trap" for found in compared):
+        compared += check_clock(chosen, model, origin)
+    if not any(found.severity == "trap" for found in compared):
+        compared += [*outliers, *check_of_date(telemetry)]
+    return [*findings, *compared]
 
 
 def _by_vectors(sample: Sample, telemetry: Telemetry, model: FieldModel, origin: Origin) -> list[Finding]:

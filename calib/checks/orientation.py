@@ -1,4 +1,4 @@
-"""Which way the attitude and the magnetometer's axes are meant, judged by the field model.
+"""Which way the attitude and the magnetometer's axes are meant, tested with the field model.
 
 The reading is predicted with the attitude under every convention (scalar last or first, as it is or transposed,
 relative to GCRS, Earth-fixed axes, north-east-centre or the orbital frame) and every mounting (48 signed permutations

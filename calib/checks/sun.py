@@ -1,4 +1,4 @@
-"""Attitude relative to axes of date under the name of GCRS, judged by the measured sun."""
+"""Attitude relative to axes of date under the name of GCRS, tested with the measured sun."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SUN_MISFIT_DEG = 20.0
 
 
 def check_of_date(telemetry: Telemetry) -> list[Finding]:
-    """Attitude relative to axes of date under the name GCRS, judged by the measured sun."""
+    """Attitude relative to axes of date under the name GCRS, tested with the measured sun."""
     if telemetry.sun_B is None or telemetry.q_NB is None:
         return [note("of_date_not_tested.no_sun")]
     rows = np.flatnonzero(telemetry.has_attitude & np.isfinite(telemetry.sun_B).all(axis=1))

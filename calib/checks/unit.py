@@ -1,4 +1,4 @@
-"""Is the reading in nT? Judged by |B|, which needs no attitude, with a bias of any flown size free.
+"""Is the reading in nT? Tested with |B|, which needs no attitude, with a bias of any flown size free.
 
 Scale and bias are distinguished where the reading turns or the field changes: a bias shifts the reading, a wrong unit
 stretches it.

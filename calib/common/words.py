@@ -1,4 +1,4 @@
-"""The sentences of calibrations, which stand in `words.toml`."""
+"""The sentences of calibrations, kept in `words.toml`."""
 
 from __future__ import annotations
 

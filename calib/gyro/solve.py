@@ -67,7 +67,7 @@ class Solved(NamedTuple):
     bias_sigma_rad_s: FloatArray
     """(3,)."""
     rows: np.ndarray
-    """(n,) rows that stand in a stretch."""
+    """(n,) rows that belong to a stretch."""
     residual_nT: FloatArray
     """(n, 3) field minus calibrated reading, body axes."""
     variance_nT2: float

@@ -49,7 +49,7 @@ class Export:
     formula: str
     source: str
     numbers: tuple[Number, ...]
-    """As they stand in the file."""
+    """As they are in the file."""
     form: AddedError
     """What the target's form cannot hold: a matrix that is not symmetric."""
     rounding: AddedError

@@ -147,7 +147,7 @@ class _Search:
             return Lawful(
                 self._none(whitener, "no term lowers chi-square by more than the number tried would by chance")
             )
-        return self._judged(fit, choice, whitener, alike)
+        return self._lawful(fit, choice, whitener, alike)
 
     def _fitted(self, whitener: Whitener) -> tuple[Fit | None, list[LawEffect]]:
         """Names and terms in the nonlinear chain, from nothing for the terms: in them it is linear; none where there are no
@@ -159,7 +159,7 @@ class _Search:
         readings = Readings(self.problem, whitener)
         return refit(readings, chosen, modelled=base.modelled) if laws else None, alike
 
-    def _judged(self, fit: Fit, choice: NoiseChoice, whitener: Whitener, alike: Sequence[LawEffect]) -> Lawful:
+    def _lawful(self, fit: Fit, choice: NoiseChoice, whitener: Whitener, alike: Sequence[LawEffect]) -> Lawful:
         problem, count = self.problem, len(self.base.named) + len(self.base.signals)
         terms = fit.chosen[count:]
         residual_nT = problem.residual_of(fit.active)

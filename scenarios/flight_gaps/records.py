@@ -151,7 +151,7 @@ def of_aircraft(given: Compensation, rate_Hz: float) -> Telemetry:
     """The scalar reading along the fluxgate's direction, without attitude, where the dipole has the compensated size.
 
     The size of the field is then what the compensation says it is without the aircraft, so that the gap is what the
-    aircraft adds along the field, as published; nothing across the field is known or judged.
+    aircraft adds along the field, as published; nothing across the field is known.
     """
     compensated_nT = given.raw_nT - given.taken_nT
     time = _START + (np.arange(compensated_nT.size) * 1e9 / rate_Hz).astype("timedelta64[ns]")

@@ -1,4 +1,4 @@
-"""Four things that were wrong and nobody said so: HCMM flown with each, diagnosed from telemetry, judged on later passes.
+"""Four things that were wrong and nobody said so: HCMM flown with each, diagnosed from telemetry, tested on later passes.
 
 The passes are those of the study, three days in view of the stations, but the motion is the prescribed one, in which
 the coils act at random with their full dipole; `by_law` flies as the study does. The two days that follow are kept apart
@@ -128,9 +128,9 @@ def _answer(
         right=found.verdict == "effect" and names == [case.cause],
         located=_located(found),
         compared=_compared(config, case, found),
-        later=_judged(found, alone, later, ground, config) if names else None,
+        later=_later(found, alone, later, ground, config) if names else None,
         telemetry=used,
-        # (N, 3) of the passes used, as judged, without the cause: body axes; without attitude, along the field first.
+        # (N, 3) of the passes used, without the cause: body axes; without attitude, along the field first.
         residual_nT=residual,
         # (N, 2) latitude and longitude of those rows, and whether they have an attitude.
         place_deg=np.degrees(np.stack(longitude_latitude, axis=1)),
@@ -162,19 +162,19 @@ def _budget(config: Scenario) -> Budget:
 def _left(
     telemetry: Telemetry, ground: FieldModel, active: Sequence[Active], config: Scenario
 ) -> tuple[Problem, FloatArray]:
-    """The record with effects applied as they are, and its residual (N, 3) as judged; NaN where nothing is measured."""
+    """The record with effects applied as they are, and its residual (N, 3) in row axes; NaN where not measured."""
     problem = realigned(pose(telemetry, ground, modelled=(), budget=_budget(config), frozen=active))
     return problem, np.where(problem.measured, problem.in_row_axes(problem.residual_nT), np.nan)
 
 
-def _judged(
+def _later(
     found: Diagnosis, alone: Sequence[Active], later: Telemetry, ground: FieldModel, config: Scenario
 ) -> Numbers:
     """The first named cause on the passes that were not used."""
     first, closure = found.effects[0], found.closure
     if closure is None or closure.empty:
         values = {name: parameter.value for name, parameter in first.parameters.items()}
-        return _judged_angle(open_channel(later, fewest=1), later.time, first.name, first.settings.get("head"), values)
+        return _later_angle(open_channel(later, fewest=1), later.time, first.name, first.settings.get("head"), values)
     searched = [(one.effect, one.theta) for one in closure.stochastic if isinstance(one.effect, SignalEffect)]
     fit = refit(Readings(closure.problem, closure.whitener), [*closure.chosen, *searched], modelled=closure.modelled)
     bare, before = _left(later, ground, alone, config)
@@ -184,7 +184,7 @@ def _judged(
     return _by_pass(bare.time, before, after, acts, "nT", found.gap.floor_with_effects_nT)
 
 
-def _judged_angle(
+def _later_angle(
     channel: Channel, time: TimeArray, name: str, head: int | None, parameters_deg: Mapping[str, float]
 ) -> Numbers:
     """The sun-nadir angle, deg."""

@@ -1,5 +1,5 @@
 """Yaw: Table 6, the expected error over the stations; figure 3, a pass over Winkfield, and its error bar; and small numbers
-that stand in the text: what the LSB leaves, direction errors, the dipole of equation 20, the poles."""
+that are in the text: what the LSB leaves, direction errors, the dipole of equation 20, the poles."""
 
 from __future__ import annotations
 

@@ -208,7 +208,7 @@ def seconds_in_eclipse(setting: Setting) -> FloatArray:
     """(N,) time since the shadow was entered; 0 outside it.
 
     The entry is found by running the orbit back from the first dark row, so neither the sampling nor a record that
-    begins in the dark spoils it; but never before the last lit row.
+    begins in the dark makes it wrong; but never before the last lit row.
     """
     dark, seconds = in_eclipse(setting), setting.seconds
     before_dark = np.concatenate([[False], dark[:-1]])

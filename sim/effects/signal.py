@@ -1,7 +1,7 @@
 """The signal on its way from the world to the reading, and the chain that carries it.
 
 One chain serves both directions. *Simulating*, the motion given is the true one, and effects on time, orbit
-and attitude spoil what is reported. *Predicting*, the motion given is the reported one, and the same effects
+and attitude distort what is reported. *Predicting*, the motion given is the reported one, and the same effects
 turn it back into the true one. Everything after that (field, spacecraft, sensor) runs forward in both. The
 prediction has no noise and no rounding, so its differences are the Jacobians of a diagnosis.
 """

@@ -211,7 +211,7 @@ def _file(header: Header, *, named: bool, seen: set[str]) -> list[str]:
         if quantity == "attitude" and "mag" in here and _elsewhere(header, columns, here["mag"]):
             apart = [
                 "",
-                "# The attitude stands in other rows than the readings: it is interpolated onto theirs.",
+                "# The attitude is in other rows than the readings: it is interpolated onto theirs.",
                 *head,
                 *said,
             ]

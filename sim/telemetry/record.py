@@ -234,7 +234,7 @@ def recorded_columns(telemetry: Telemetry) -> dict[str, FloatArray]:
 
 
 def plain_text(text: str) -> str:
-    """`text` as it stands in a CSV cell: no comma, quote or control character, no formula of a spreadsheet, at most 80 bytes
+    """`text` as written in a CSV cell: no comma, quote or control character, no formula of a spreadsheet, at most 80 bytes
     of UTF-8."""
     kept = "".join({",": ";", '"': "'"}.get(c, c if c.isprintable() else " ") for c in text).strip()
     kept = f"'{kept}" if kept.startswith(("=", "+", "-", "@")) else kept

@@ -1,4 +1,4 @@
-"""Where each quantity stands in the flat arrays that torques and control laws read.
+"""The place of each quantity in the flat arrays that torques and control laws read.
 
 A torque sees one *stage* of the integrator: attitude, rate and surroundings at one instant. A control law sees
 one *reading*: what the sensors say at one tick. Both are flat float64 arrays, so that one compiled kernel can

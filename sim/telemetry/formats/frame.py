@@ -36,7 +36,7 @@ def of_file(path: Path, what: str, ending: str, unpack: Callable[[bytes], Any]) 
 
 
 def of_pandas(frame: Any, where: str = "DataFrame") -> Table:
-    """The columns of a DataFrame; a DatetimeIndex is `time`, units stand in `frame.attrs["units"]` or a column's attrs.
+    """The columns of a DataFrame; a DatetimeIndex is `time`, units are in `frame.attrs["units"]` or a column's attrs.
 
     Stamps with a zone are taken to UTC. Raises BadInput for columns of other things than numbers, stamps and text.
     """

@@ -80,16 +80,16 @@ def where_lines(diagnosis: Diagnosis) -> list[str]:
     """Where the gap lies, in words; empty where there is none."""
     if diagnosis.verdict == "no_gap":
         return []
-    place = diagnosis.where.to_dict()
-    parts = []
-    for name in ("stage", "axis", "frame", "condition"):
-        chosen, shares = place[name], place["probabilities"][name]
-        if chosen is not None:
-            share = f" ({percent(shares[chosen])})" if chosen in shares else ""
-            parts.append(f"{name} {chosen}{share}")
+    place = diagnosis.where
+    likely = {kind: place.likely(kind) for kind in ("stage", "axis", "frame", "condition")}
+    parts = [
+        f"{kind} {' or '.join(shares)} ({', '.join(map(percent, shares.values()))})"
+        for kind, shares in likely.items()
+        if shares
+    ]
     lines = [f"Where: {', '.join(parts) or 'no particular place'}."]
-    if place["equivalent"]:
-        lines.append(f"On this orbit and attitude it could equally be at stage: {', '.join(place['equivalent'])}.")
+    if equal := [stage for stage in place.equivalent if stage not in likely["stage"]]:
+        lines.append(f"On this orbit and attitude it could equally be at stage: {', '.join(equal)}.")
     if any(len(effect.group) > 1 for effect in diagnosis.effects) or diagnosis.verdict == "unknown":
         lines.append(PLAN)
     return lines

@@ -56,7 +56,7 @@ def differ(between: Structure, rms_nT: float, noise_nT: float) -> str:
 
 def unexplained(what: str, where: Place, resembles: Sequence[str]) -> str:
     """Where something is there that nothing in the catalogue explains."""
-    stages = [] if where.stage is None else [where.stage, *where.equivalent]
+    stages = [] if where.stage is None else dict.fromkeys([*where.likely("stage"), *where.equivalent])
     at = f"at stage {' or '.join(stages)}" if stages else "at a stage that these data leave open"
     like = f" It resembles {', '.join(resembles)}." if resembles else ""
     return f"There is a gap that the catalogue does not explain, {at}: {what}.{like}"
@@ -95,7 +95,15 @@ def _cause(effect: FoundEffect) -> str:
     over += f" at {str(effect.settings['at'])[:19]}Z" if effect.settings.get("at") else ""
     over += f" {effect.settings['delay_s']:.3g} s late" if effect.settings.get("delay_s") else ""
     over += f" behind a lag of {effect.settings['lag_s']:.3g} s" if effect.settings.get("lag_s") else ""
-    return f"{' or '.join(effect.group)}{over} ({sizes})"
+    end = at_the_end(effect)
+    return f"{' or '.join(effect.group)}{over} ({sizes}{f'; {end}' if end else ''})"
+
+
+def at_the_end(effect: FoundEffect) -> str:
+    """Which of its parameters have reached the end of their physical range, so that the size is not credible; or nothing."""
+    ranges = [] if effect.effect is None else effect.effect.parameters
+    names = [one.name for one in ranges if effect.parameters[one.name].value in (one.low, one.high)]
+    return f"{', '.join(names)} at the end of the physical range" if names else ""
 
 
 def _closed(effects: Sequence[FoundEffect], gap: Shrinkage, momentum: MomentumGap | None) -> str:

@@ -167,8 +167,6 @@ class Outcome:
     """MAGSAT by model and axes, b and S free."""
     magsat_left: Numbers
     """What IGRF-14 with b and S free leaves along MAGSAT's orbit."""
-    degree_left: tuple[Numbers, Numbers]
-    """The same for IGRF-14 cut at degree 8, without and with field_truncation."""
     kp: FloatArray
     """Eight values of the day of MAGSAT."""
     coefficients: Numbers
@@ -188,7 +186,7 @@ def compute(folder: Path, settings: Settings, progress: Progress) -> Outcome:
     progress("reading the recorded files", 0.0)
     storm, visible = _storm_tables(folder, settings)
     magsat = _magsat_tables(folder, settings)
-    orbit, cut = magsat_record(folder, settings), field_model("igrf14, degree 8")
+    orbit = magsat_record(folder, settings)
     asked = read_cases()
     answers = []
     for number, case in enumerate(asked):
@@ -201,7 +199,6 @@ def compute(folder: Path, settings: Settings, progress: Progress) -> Outcome:
         storm_visible=visible,
         magsat=magsat,
         magsat_left=_left(orbit, field_model("igrf14")),
-        degree_left=(_left(orbit, cut), _left(orbit, cut, FieldTruncation(8, "richer"))),
         kp=read_kp(folder / settings.magsat.kp_file, orbit.time[0]),
         coefficients=coefficients(given, settings.aircraft.rate_Hz),
     )
@@ -259,9 +256,9 @@ def _magsat_tables(folder: Path, settings: Settings) -> Mapping[str, Shares]:
     }
 
 
-def _left(telemetry: Telemetry, model: FieldModel, *effects: SignalEffect) -> Numbers:
-    """What a model with b, S and the effects fitted leaves."""
-    remaining_nT, _ = LeastSquares(telemetry, model, DEFAULT_MODELLED).remaining_nT(*effects)
+def _left(telemetry: Telemetry, model: FieldModel) -> Numbers:
+    """What a model with b and S fitted leaves."""
+    remaining_nT, _ = LeastSquares(telemetry, model, DEFAULT_MODELLED).remaining_nT()
     latitude_deg, residual_nT = _latitude_deg(telemetry), remaining_nT.reshape(-1, 3)
     bands = [(low, high, _between(latitude_deg, low, high)) for low, high in itertools.pairwise(BANDS_DEG)]
     return Numbers(

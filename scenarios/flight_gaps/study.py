@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.gap.records.diagnosis import Diagnosis, FoundEffect, Ranked
-from fluxtwin.gap.report import advice
+from fluxtwin.gap.records.diagnosis import Diagnosis
+from fluxtwin.gap.report.words import at_the_end
 from fluxtwin.scenarios.flight_gaps.compute import STORM_NT, Answer, Outcome, compute, names_of
 from fluxtwin.scenarios.flight_gaps.least_squares import Share
 from fluxtwin.scenarios.page import Cell, StudyResult
@@ -22,12 +22,9 @@ from fluxtwin.sim.base.files import write_text
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 
-SUSPICIOUS = 100.0
-"""Times its typical size: a parameter as large as that is no effect of its name."""
 SETTINGS = Path(__file__).parent / "flight_gaps.toml"
 """What the study runs with; a copy lies beside its results."""
 _AURORA_DEG = 60.0
-_TOP = 5
 _EDDY = {"K_xx": (0, 0), "K_yy": (1, 1), "K_xy": (0, 1), "K_xz": (0, 2), "K_yz": (1, 2)}
 
 
@@ -56,14 +53,10 @@ def words() -> Words:
         "fluxtwin.scenarios.flight_gaps",
         filters={"before_comma": _before_comma},
         aurora_deg=_AURORA_DEG,
-        drops=_drops,
-        names=_names,
         unnamed=_unnamed,
         names_of=names_of,
-        doubts=doubts,
         said=_said,
         as_expected=as_expected,
-        ranked=_ranked,
         storm_nT=STORM_NT,
     )
 
@@ -82,29 +75,6 @@ def as_expected(answer: Answer) -> str:
     return ("yes" if answer.agrees else "no") + (f"; wrong: {', '.join(answer.wrong)}" if answer.wrong else "")
 
 
-def oversized(effect: FoundEffect) -> str | None:
-    """The parameter of a named effect that is most above its typical size, if it is absurdly so."""
-    sizes = {name: advice.typical_size(effect.name, name) for name in effect.parameters}
-    ratios = {name: abs(effect.parameters[name].value / size) for name, size in sizes.items() if size}
-    name = max(ratios, key=lambda one: ratios[one], default="")
-    if not name or ratios[name] < SUSPICIOUS:
-        return None
-    value = effect.parameters[name]
-    unit = "" if value.unit == "1" else f" {value.unit}"
-    return words().say(
-        "oversized", effect=effect.name, parameter=name, value=value.value, unit=unit, ratio=ratios[name]
-    )
-
-
-def doubts(answer: Answer) -> list[str]:
-    """What a reader should hold against an answer: absurd sizes, and names that predict worse than none."""
-    found = answer.found
-    said = [large for effect in found.effects if (large := oversized(effect)) is not None]
-    if found.effects and found.gap.after_nT > found.gap.before_nT:
-        said.append(words().say("worse", gap=found.gap))
-    return said
-
-
 def _names(found: Diagnosis) -> str:
     """The names of an answer, groups by slashes."""
     return ", ".join(" / ".join(effect.group) or effect.name for effect in found.effects) or "none"
@@ -118,22 +88,14 @@ def _unnamed(found: Diagnosis) -> str:
 def _said(answer: Answer) -> str:
     found = answer.found
     said = found.verdict if not found.effects else f"{found.verdict}: {_names(found)}"
-    said += f", stage {found.where.stage}" if found.where.stage else ""
+    said += "".join(f", with {end}" for effect in found.effects if (end := at_the_end(effect)))
+    said += f", stage {' or '.join(found.where.likely('stage'))}" if found.where.stage else ""
     return said + (f"; resembles {', '.join(found.resembles)}" if found.resembles else "")
-
-
-def _ranked(answers: Sequence[Answer]) -> list[tuple[str, Ranked]]:
-    """The best effects alone of every case, the first of each with the title of its record."""
-    return [
-        ("" if place else answer.case.title, line)
-        for answer in answers
-        for place, line in enumerate(answer.found.ranking[:_TOP])
-    ]
 
 
 def page_values(outcome: Outcome) -> dict[str, Any]:
     """What the words and tables of the page take."""
-    bare, f16, table = outcome.answer("storm-none").found, outcome.answer("dmsp-f16"), outcome.storm
+    f16, table = outcome.answer("dmsp-f16"), outcome.storm
     arc, _, one_orbit, day = outcome.storm_visible
     nec, orbit = outcome.magsat["IGRF-14, NEC"], outcome.magsat["IGRF-14, orbit"]
     change = np.diff(f16.left_nT, axis=0)[np.abs(f16.latitude_deg[1:]) > 65.0]
@@ -143,10 +105,7 @@ def page_values(outcome: Outcome) -> dict[str, Any]:
         **counts(outcome),
         "o": outcome,
         "least_squares": {"storm": table, **outcome.magsat},
-        "bare": bare,
         "full": outcome.answer("storm-default").found,
-        "ring": bare.ranking[0],
-        "bias": next(line for line in bare.ranking if line.name == "bias"),
         "manoeuvre": find_effect("ring_current").settled_by,
         "shares": [Share(("nothing",), 0, table.raw_nT, ()), *sorted(table.shares, key=lambda one: one.left_nT)],
         "arc": arc,
@@ -154,11 +113,12 @@ def page_values(outcome: Outcome) -> dict[str, Any]:
         "day": day,
         "nec": nec,
         "orbit": orbit,
+        "degree": outcome.magsat["degree 8, orbit"],
         "both": nec.share("along_track_error", "field_epoch"),
         "bands": outcome.magsat_left.bands,
         "answers": answers,
         "alike": len({(a.found.verdict, a.found.where.stage) for a in answers}) == 1,
-        "same_resemblance": len({tuple(a.found.resembles) for a in answers}) == 1,
+        "surest": max(_stage_share(answer.found) for answer in answers),
         "beyond": sum(int((a.cut & (np.abs(a.latitude_deg) > _AURORA_DEG)).sum()) for a in answers),
         "spikes": sum(int(a.cut.sum()) for a in answers),
         "spurious": [a.case.title for a in answers if "bit_errors" in names_of(a.found)],
@@ -181,13 +141,12 @@ def _magsat_rows(outcome: Outcome) -> list[list[Cell]]:
 
 
 def _swarm_rows(found: Sequence[Diagnosis]) -> list[list[Cell]]:
-    of_stage = [one.where.probabilities.get("stage", {}).get(one.where.stage or "", 0.0) for one in found]
     places = enumerate(("first of the ranking", "second", "third"))
     ranked: list[list[Cell]] = [[name, *(one.ranking[place].name for one in found)] for place, name in places]
     return [
         ["verdict", *(one.verdict for one in found)],
         ["stage", *(one.where.stage for one in found)],
-        ["probability of that stage", *(round(float(np.clip(share, 0.0, 1.0)), 2) for share in of_stage)],
+        ["probability of that stage", *(round(_stage_share(one), 2) for one in found)],
         ["frame", *(one.where.frame for one in found)],
         ["left", *map(_unnamed, found)],
         *ranked,
@@ -195,6 +154,10 @@ def _swarm_rows(found: Sequence[Diagnosis]) -> list[list[Cell]]:
         ["floor [nT]", *(round(one.gap.floor_nT, 1) for one in found)],
         ["rows cut", *(one.samples["cut"] for one in found)],
     ]
+
+
+def _stage_share(found: Diagnosis) -> float:
+    return found.where.probabilities["stage"].get(found.where.stage or "", 0.0)
 
 
 def _eddy_us(outcome: Outcome) -> dict[str, dict[str, float]]:
@@ -205,15 +168,6 @@ def _eddy_us(outcome: Outcome) -> dict[str, dict[str, float]]:
         "published": {name: float(published[place]) for name, place in _EDDY.items()},
         "found": {name: 1e6 * value.value for one in named for name, value in one.parameters.items()},
     }
-
-
-def _drops(answers: Sequence[Answer], names: Sequence[str]) -> dict[str, list[float]]:
-    """By satellite, of each effect alone; 0 where it is not ranked."""
-    found = {}
-    for answer in answers:
-        drop = {line.name: line.drop for line in answer.found.ranking}
-        found[_before_comma(answer.case.title)] = [drop.get(name, 0.0) for name in names]
-    return found
 
 
 def _before_comma(text: str) -> str:

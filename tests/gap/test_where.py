@@ -23,6 +23,7 @@ from fluxtwin.gap.posterior.where import locate, step_fits
 from fluxtwin.gap.problem.problem import Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.diagnosis import Place
+from fluxtwin.gap.report.words import unexplained
 from fluxtwin.sim.attitude.gauss_markov import gauss_markov
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import field_N_nT
@@ -317,3 +318,18 @@ def test_stages_with_one_image_are_called_equivalent() -> None:
     d = dataclasses.replace(base, problem=problem, whitener=whitener, calibration=calibration, found=blocks(problem))
     _, where = d.answer(d.noise_nT(np.random.default_rng(14)) + d.sized(late(d), 1.0))
     assert {where.stage, *where.equivalent} >= {"time", "orbit"}, where
+
+
+@pytest.mark.parametrize(
+    ("stages", "said"),
+    [
+        ({"field": 0.6, "spacecraft": 0.4}, ["field"]),
+        ({"field": 0.22, "spacecraft": 0.2, "time": 0.1, "none": 0.48}, ["field", "spacecraft"]),
+        ({"orbit": 0.36, "spacecraft": 0.3, "field": 0.34}, ["field", "orbit"]),
+    ],
+)
+def test_the_places_that_are_said_have_half_of_the_probability(stages: dict[str, float], said: list[str]) -> None:
+    """A stage that is hardly likelier than the next is not named alone; the one that was chosen comes first."""
+    place = Place("field", None, None, None, [], dict.fromkeys(("stage", "axis", "frame", "condition"), stages))
+    assert list(place.likely("stage")) == said and place.likely("frame") == {}
+    assert f"at stage {' or '.join(said)}: a drift." in unexplained("a drift", place, [])

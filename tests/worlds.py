@@ -153,6 +153,12 @@ def passes() -> Geometry:
     return geometry((starts[:, None] + np.arange(12) * np.timedelta64(60, "s")).ravel())
 
 
+@pytest.fixture
+def lawless(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No law is looked for, which takes most of the time of a verdict "unknown"; for tests of the verdict and the place."""
+    monkeypatch.setattr("fluxtwin.gap.diagnose._with_law", lambda work, found, progress: found)
+
+
 @pytest.fixture(scope="session")
 def changed() -> Callable[..., Any]:
     """`changed(results, "accuracy.lsb_x_deg", value)`: the frozen records with one field, or entry of a mapping, replaced.

@@ -19,6 +19,8 @@ from fluxtwin.sim.base.errors import FluxtwinError
 
 MEMORY_BYTES = 6 * 1024**3
 _INTERNAL, _LIMIT_S = 70, 5.0
+_BLOCKED_S = 120.0
+"""On the clock, however busy the machine: work that uses no processor is ended then."""
 
 
 @dataclass
@@ -55,7 +57,8 @@ def in_child(work: Callable[[], str], *, seconds: float = 60.0, memory: int = ME
 def in_children(
     works: Sequence[Callable[[], str]], *, seconds: float = _LIMIT_S, memory: int = MEMORY_BYTES
 ) -> Iterator[str]:
-    """The answer of each, many in one forked process; where a signal ends it (14: too long), `signal N` for that work."""
+    """The answer of each, many in one forked process; where a signal ends it, `signal N` for that work (27: more than
+    `seconds` of processor time; 14: it was blocked)."""
     done = 0
     while done < len(works):
         source, sink = os.pipe()
@@ -80,14 +83,18 @@ def _work(works: Sequence[Callable[[], str]], sink: int, seconds: float, memory:
     silence = os.open(os.devnull, os.O_WRONLY)
     os.dup2(silence, 1)
     os.dup2(silence, 2)
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    limits = ((signal.ITIMER_PROF, signal.SIGPROF, seconds), (signal.ITIMER_REAL, signal.SIGALRM, _BLOCKED_S))
+    for _, number, _ in limits:
+        signal.signal(number, signal.SIG_DFL)
     for work in works:
-        signal.setitimer(signal.ITIMER_REAL, seconds)
+        for timer, _, limit_s in limits:
+            signal.setitimer(timer, limit_s)
         try:
             answer = work()
         except BaseException as error:
             answer = f"escaped {type(error).__name__}: {error}"
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        for timer, _, _ in limits:
+            signal.setitimer(timer, 0.0)
         os.write(sink, (" ".join(answer.split())[:300] + "\n").encode("utf-8", "replace"))
     os._exit(0)
 

@@ -98,6 +98,7 @@ def test_what_is_declared_is_not_said_to_be_found(record: Telemetry) -> None:
     assert "Not declared" not in found.sentence
 
 
+@pytest.mark.usefixtures("lawless")
 def test_outliers_are_a_finding(record: Telemetry) -> None:
     """Two axes exchanged in twelve rows, here and there: no single bit, no structure, and not silence."""
     reading, rows = np.array(record.mag_B_nT), np.arange(100, 1800, 140)[:12]
@@ -109,6 +110,7 @@ def test_outliers_are_a_finding(record: Telemetry) -> None:
     assert "apart from these rows there is no gap" in found.sentence
 
 
+@pytest.mark.usefixtures("lawless")
 def test_more_noise_than_declared_is_never_no_gap(record: Telemetry) -> None:
     """Twice the declared noise, from a heavy-tailed source: no excess_noise, which is Gaussian, and not nothing."""
     heavy = np.random.default_rng(5).standard_t(4, size=(len(record), 3)) / np.sqrt(2.0)
@@ -169,7 +171,7 @@ def test_a_spinner_without_attitude_that_leaves_b_open_is_refused() -> None:
 
 def test_passes_over_stations_with_a_fine_sensor_have_no_gap() -> None:
     """Ten minutes a pass, hours apart, S of some per cent: plain least squares takes the slow attitude errors up in S, and
-    the noise must not be built on that S."""
+    the noise must not be built on that S: built so, each of the three seeds has a gap."""
     config = readme_scenario().updated(
         {
             "magnetometer": {
@@ -185,6 +187,6 @@ def test_passes_over_stations_with_a_fine_sensor_have_no_gap() -> None:
             ],
         }
     )
-    for seed in range(6):
+    for seed in range(3):
         found = asked(simulate(config.updated({"seed": seed}))[0], Budget(2.0, 0.5, float(np.radians(0.25))))
         assert found.verdict == "no_gap", found.sentence

@@ -132,6 +132,7 @@ def test_every_column_and_setting_is_counted() -> None:
     assert "driver" in candidates(without)[1] and "driver" not in candidates(with_three)[1]
 
 
+@pytest.mark.usefixtures("lawless")
 def test_columns_that_cannot_be_distinguished_are_one_group() -> None:
     record, _ = driven()
     payload, noise = record.drivers["payload"], stream(3, "test.twin").normal(size=len(record))

@@ -122,8 +122,6 @@ def test_the_closed_scenario_flies_the_law_and_frozen_it_leaves_no_gap(tmp_path:
     assert told.transfers is not None and {one.effect for one in told.transfers} == {"law.payload_sunlit"}
     again = diagnosing.diagnose(path, scenario=parse_scenario(closed.to_toml()))
     assert again.verdict == "no_gap"
-    bare = closed.updated({"effects": None})
-    assert diagnosing.diagnose(path, scenario=parse_scenario(bare.to_toml())).verdict == "unknown"
     quiet = closed.updated({"magnetometer.noise_nT": 0.0, "attitude.reference": None})
     law = simulate(quiet)[0].mag_B_nT - simulate(quiet.updated({"effects": None}))[0].mag_B_nT
     truth = np.outer(before(flown().drivers["payload"], 40.0) * np.asarray(flown().sunlit), K_NT)

@@ -17,7 +17,6 @@ from fluxtwin.diagnosis_page import diagnosis_page
 from fluxtwin.gap.channels.two_magnetometers import apart
 from fluxtwin.gap.detectors.random_walk import worth_of_a_walk
 from fluxtwin.gap.problem.problem import pose
-from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.scenario.scenario import parse_scenario
@@ -28,14 +27,14 @@ NOISE_NT, LSB_NT = 20.0, 10.0
 SECOND = {"b_nT": [-4000.0, 2500.0, 900.0], "noise_nT": NOISE_NT, "lsb_nT": LSB_NT, "spacecraft_field_factor": 0.3}
 WANDERING = {"kind": "gauss_markov", "rms_nT": 60.0, "tau_s": 900.0}
 FIRST = {"b_nT": [1500.0, -800.0, 300.0], "noise_nT": NOISE_NT, "lsb_nT": LSB_NT}
-SEGMENT = {"start_utc": "2026-03-01T00:00:00Z", "duration_min": 300.0, "step_s": 20.0}
+SEGMENT = {"start_utc": "2026-03-01T00:00:00Z", "duration_min": 300.0}
 SHARED, OWN = {"time", "orbit", "field", "attitude"}, {"sensor", "spacecraft"}
 
 
-def flown(**changes: Any) -> Telemetry:
+def flown(step_s: float = 40.0, **changes: Any) -> Telemetry:
     scenario = fluxtwin.load_scenario("cubesat")
     everything: dict[str, Any] = {"seed": 5, "torquers": None, "magnetometer": FIRST, "magnetometer_2": SECOND}
-    everything["schedule.segments"] = [SEGMENT]
+    everything["schedule.segments"] = [SEGMENT | {"step_s": step_s}]
     return fluxtwin.simulate(scenario.updated(everything | changes))[0]
 
 
@@ -57,7 +56,7 @@ def test_what_both_share_is_no_fault_of_the_sensor(ahead: Telemetry) -> None:
 
 @pytest.fixture(scope="module")
 def late() -> Telemetry:
-    return flown(effects={"sensor_lag": {"lag_s": 2.0}})
+    return flown(20.0, effects={"sensor_lag": {"lag_s": 2.0}})
 
 
 def test_a_fault_of_the_sensor_is_nothing_that_both_share(late: Telemetry) -> None:
@@ -75,6 +74,7 @@ def test_a_response_of_many_parameters_is_not_denied_for_what_readings_cannot_fi
     assert [one.name for one in found.effects] == ["cubic_nonlinearity"]
 
 
+@pytest.mark.usefixtures("lawless")
 def test_what_nothing_explains_lies_where_one_magnetometer_alone_has_it() -> None:
     found = fluxtwin.diagnose(flown(magnetometer=FIRST | {"unknown": WANDERING | {"tau_s": 200.0}}))
     assert found.verdict == "unknown"
@@ -104,6 +104,7 @@ def test_a_difference_is_said_beside_a_cause_that_both_share() -> None:
     assert "The two magnetometers differ" in found.sentence
 
 
+@pytest.mark.usefixtures("lawless")
 def test_a_step_that_both_have_is_not_the_sensor_s() -> None:
     good = flown()
     step_nT = np.where(np.arange(len(good))[:, None] < len(good) // 2, 0.0, [120.0, -60.0, 30.0])
@@ -130,26 +131,13 @@ def test_a_second_magnetometer_that_hardly_reads_says_nothing(ahead: Telemetry) 
     assert apart(pose(ahead, load_field("igrf14"))) is not None
 
 
-@pytest.fixture(scope="module")
-def alone(late: Telemetry) -> Diagnosis:
-    """Of the first two hours of the late one, without the second."""
-    return fluxtwin.diagnose(late.replace(mag2_B_nT=None).select(slice(0, 360)))
-
-
-@pytest.mark.parametrize("case", ["dead", "one axis dead", "copy", "copy in single precision, off by a constant"])
-def test_a_second_magnetometer_that_is_none_is_left_out_and_said(late: Telemetry, alone: Diagnosis, case: str) -> None:
+def test_a_second_magnetometer_that_is_none_is_left_out_and_said(late: Telemetry) -> None:
     few = late.select(slice(0, 360))
     first, second = np.array(few.mag_B_nT), np.array(few.mag2_B_nT)
-    found = fluxtwin.diagnose(
-        few.replace(
-            mag2_B_nT={
-                "dead": np.full_like(second, 123.0),
-                "one axis dead": second * [1.0, 1.0, 0.0],
-                "copy": first,
-                "copy in single precision, off by a constant": (first / 7.0).astype(np.float32) * 7.0 + 100.0,
-            }[case]
-        )
-    )
+    rounded = (first / 7.0).astype(np.float32) * 7.0 + 100.0
+    for none in (np.full_like(second, 123.0), second * [1.0, 1.0, 0.0], first, rounded):
+        assert apart(pose(few.replace(mag2_B_nT=none), load_field("igrf14"))) is None
+    alone, found = (fluxtwin.diagnose(few.replace(mag2_B_nT=other)) for other in (None, first))
     assert found.sentence == alone.sentence
     assert found.where == alone.where
     assert any("second magnetometer is not used" in note for note in found.notes)
@@ -157,7 +145,7 @@ def test_a_second_magnetometer_that_is_none_is_left_out_and_said(late: Telemetry
 
 
 def test_stages_of_the_names_that_are_left_are_equivalent(late: Telemetry) -> None:
-    found = fluxtwin.diagnose(late.replace(q_NB=None))
+    found = fluxtwin.diagnose(late.replace(q_NB=None).select(slice(None, None, 2)))
     stages = {find_effect(name).stage for name in found.effects[0].group}
     assert len(stages) > 1 and stages <= {found.where.stage, *found.where.equivalent}
 

@@ -21,7 +21,7 @@ from fluxtwin.sim.base import files
 
 pytestmark = pytest.mark.closure
 
-RUNS = 30
+RUNS = 12
 
 
 @pytest.fixture(scope="module")

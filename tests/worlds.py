@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -153,10 +153,12 @@ def passes() -> Geometry:
     return geometry((starts[:, None] + np.arange(12) * np.timedelta64(60, "s")).ravel())
 
 
-@pytest.fixture
-def lawless(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No law is looked for, which takes most of the time of a verdict "unknown"; for tests of the verdict and the place."""
-    monkeypatch.setattr("fluxtwin.gap.diagnose._with_law", lambda work, found, progress: found)
+@pytest.fixture(scope="module")
+def lawless() -> Iterator[None]:
+    """No law is looked for, which takes most of the time of a verdict "unknown"; for files that are about something else."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fluxtwin.gap.diagnose._with_law", lambda work, found, progress: found)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -21,6 +21,8 @@ from fluxtwin.sim.scenario.scenario import load_scenario, parse_scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
 
+pytestmark = pytest.mark.usefixtures("lawless")
+
 SECTIONS = """
 [attitude]
 yaw_rms_deg = 4.0
@@ -197,7 +199,6 @@ def test_the_scenario_with_the_effect_has_no_gap_left_and_nothing_to_close(
     assert answer["gap"]["before_nT"] < late.answer["gap"]["before_nT"]
 
 
-@pytest.mark.usefixtures("lawless")
 def test_modelled_none_makes_the_calibration_a_candidate(late: Case, cli: Cli, tmp_path: Path) -> None:
     write_telemetry(late.record.select(slice(0, 120)), tmp_path / "hour.csv")
     outcome = cli("diagnose", tmp_path / "hour.csv", *FLAGS, "--modelled", "none", "--json", "-")
@@ -258,7 +259,6 @@ def test_no_position(late: Case, broken: Cli) -> None:
     assert "no position" in placeless.err
 
 
-@pytest.mark.usefixtures("lawless")
 def test_a_record_without_any_attitude_is_diagnosed(late: Case, cli: Cli, tmp_path: Path) -> None:
     few = late.record.select(slice(0, 200))
     write_telemetry(few.replace(q_NB=None), tmp_path / "blind.csv")
@@ -282,7 +282,6 @@ def test_numbers_and_folders_that_cannot_be(late: Case, cli: Cli, tmp_path: Path
     assert "noise" not in nowhere.err, "found before the work, not after it"
 
 
-@pytest.mark.usefixtures("lawless")
 def test_rows_without_attitude_are_counted_and_said(late: Case, cli: Cli, tmp_path: Path) -> None:
     few = late.record.select(slice(0, 201))
     q = few.q_NB.copy()
@@ -296,7 +295,6 @@ def test_rows_without_attitude_are_counted_and_said(late: Case, cli: Cli, tmp_pa
     assert "26 of 201 rows have no reference attitude" in outcome.err
 
 
-@pytest.mark.usefixtures("lawless")
 def test_a_stuck_attitude_is_a_warning(late: Case, cli: Cli, tmp_path: Path) -> None:
     few = late.record.select(slice(0, 60))
     q = few.q_NB.copy()
@@ -317,7 +315,6 @@ def test_a_stuck_attitude_is_a_warning(late: Case, cli: Cli, tmp_path: Path) -> 
     assert "56 % of the rows" in outcome.err  # 33 of 59 steps
 
 
-@pytest.mark.usefixtures("lawless")
 def test_a_trap_in_the_file_is_named_before_the_answer(late: Case, cli: Cli, tmp_path: Path) -> None:
     record = late.record.select(slice(0, 60))  # half an hour shows the trap; the search has less to explain
     assert record.q_NB is not None

@@ -19,7 +19,7 @@ from worlds import scenario_text
 import fluxtwin
 from fluxtwin.sim.telemetry.record import Telemetry
 
-pytestmark = pytest.mark.property
+pytestmark = [pytest.mark.property, pytest.mark.usefixtures("lawless")]
 
 SECTIONS = """
 [attitude]

@@ -14,7 +14,7 @@ from worlds import TUMBLING, scenario_text, tumbling
 
 import fluxtwin
 
-pytestmark = pytest.mark.property
+pytestmark = [pytest.mark.property, pytest.mark.usefixtures("lawless")]
 
 SENSORS = """
 [attitude]
@@ -65,9 +65,9 @@ CONTRASTS = """(() => {
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def pages(lawless: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pages")
-    (folder / "s.toml").write_text(scenario_text(SENSORS, segment="samples = 600, step_s = 20.0"), encoding="utf-8")
+    (folder / "s.toml").write_text(scenario_text(SENSORS, segment="samples = 300, step_s = 40.0"), encoding="utf-8")
     (folder / "late.toml").write_text(tumbling(TUMBLING + DRAWN, seed=4), encoding="utf-8")
     record = fluxtwin.simulate(folder / "s.toml")[0]
     reading = np.array(record.mag_B_nT)

@@ -21,7 +21,7 @@ from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import parse_scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 
-pytestmark = pytest.mark.closure
+pytestmark = [pytest.mark.closure, pytest.mark.usefixtures("lawless")]
 
 SECTIONS = f"""
 [attitude.reference]
@@ -93,7 +93,6 @@ def test_two_effects_at_once_are_both_named_and_nothing_else():
     assert {effect.name for effect in found.effects} == {"time_tag_offset", "thermal_bias_drift"}
 
 
-@pytest.mark.usefixtures("lawless")
 def test_a_patch_of_unknown_field_over_a_region_is_unknown():
     """A field of 800 nT, pointing up, over a bell of 2000 km around a place: no effect of the catalogue is like it."""
     record = telemetry("nadir")

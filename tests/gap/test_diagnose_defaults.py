@@ -24,7 +24,7 @@ from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 
-pytestmark = pytest.mark.closure
+pytestmark = [pytest.mark.closure, pytest.mark.usefixtures("lawless")]
 
 README = Path(__file__).parents[2] / "README.md"
 DECLARED = Budget(20.0, 10.0, float(np.radians(0.1)), 300.0)
@@ -98,7 +98,6 @@ def test_what_is_declared_is_not_said_to_be_found(record: Telemetry) -> None:
     assert "Not declared" not in found.sentence
 
 
-@pytest.mark.usefixtures("lawless")
 def test_outliers_are_a_finding(record: Telemetry) -> None:
     """Two axes exchanged in twelve rows, here and there: no single bit, no structure, and not silence."""
     reading, rows = np.array(record.mag_B_nT), np.arange(100, 1800, 140)[:12]
@@ -110,7 +109,6 @@ def test_outliers_are_a_finding(record: Telemetry) -> None:
     assert "apart from these rows there is no gap" in found.sentence
 
 
-@pytest.mark.usefixtures("lawless")
 def test_more_noise_than_declared_is_never_no_gap(record: Telemetry) -> None:
     """Twice the declared noise, from a heavy-tailed source: no excess_noise, which is Gaussian, and not nothing."""
     heavy = np.random.default_rng(5).standard_t(4, size=(len(record), 3)) / np.sqrt(2.0)

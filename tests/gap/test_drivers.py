@@ -27,7 +27,7 @@ from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
 
-pytestmark = pytest.mark.closure
+pytestmark = [pytest.mark.closure, pytest.mark.usefixtures("lawless")]
 
 SECTIONS = """
 [attitude]
@@ -132,7 +132,6 @@ def test_every_column_and_setting_is_counted() -> None:
     assert "driver" in candidates(without)[1] and "driver" not in candidates(with_three)[1]
 
 
-@pytest.mark.usefixtures("lawless")
 def test_columns_that_cannot_be_distinguished_are_one_group() -> None:
     record, _ = driven()
     payload, noise = record.drivers["payload"], stream(3, "test.twin").normal(size=len(record))

@@ -22,7 +22,7 @@ from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.scenario.scenario import parse_scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 
-pytestmark = pytest.mark.closure
+pytestmark = [pytest.mark.closure, pytest.mark.usefixtures("lawless")]
 NOISE_NT, LSB_NT = 20.0, 10.0
 SECOND = {"b_nT": [-4000.0, 2500.0, 900.0], "noise_nT": NOISE_NT, "lsb_nT": LSB_NT, "spacecraft_field_factor": 0.3}
 WANDERING = {"kind": "gauss_markov", "rms_nT": 60.0, "tau_s": 900.0}
@@ -74,7 +74,6 @@ def test_a_response_of_many_parameters_is_not_denied_for_what_readings_cannot_fi
     assert [one.name for one in found.effects] == ["cubic_nonlinearity"]
 
 
-@pytest.mark.usefixtures("lawless")
 def test_what_nothing_explains_lies_where_one_magnetometer_alone_has_it() -> None:
     found = fluxtwin.diagnose(flown(magnetometer=FIRST | {"unknown": WANDERING | {"tau_s": 200.0}}))
     assert found.verdict == "unknown"
@@ -104,7 +103,6 @@ def test_a_difference_is_said_beside_a_cause_that_both_share() -> None:
     assert "The two magnetometers differ" in found.sentence
 
 
-@pytest.mark.usefixtures("lawless")
 def test_a_step_that_both_have_is_not_the_sensor_s() -> None:
     good = flown()
     step_nT = np.where(np.arange(len(good))[:, None] < len(good) // 2, 0.0, [120.0, -60.0, 30.0])

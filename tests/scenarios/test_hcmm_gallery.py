@@ -16,11 +16,11 @@ from fluxtwin.scenarios.hcmm.report import gallery_summary
 from fluxtwin.scenarios.hcmm.study import gallery_page
 from fluxtwin.sim.base import files
 
-pytestmark = pytest.mark.closure
+pytestmark = [pytest.mark.closure, pytest.mark.usefixtures("lawless")]
 
 
 @pytest.fixture(scope="module")
-def answers():
+def answers(lawless):
     return {answer.case.key: answer for answer in run_gallery(mission.scenario())}
 
 

@@ -51,7 +51,7 @@ noise_nT = 10.0
 dipole_Am2 = 20.0
 positions_m = [[0.0, 0.0, 2.0], [0.0, 2.0, 0.0], [1.5, 0.0, 0.0]]
 """
-ROWS, STEP_S, RUNS, LATE_RUNS = 1000, 15.0, 16, 9
+ROWS, STEP_S, RUNS, LATE_RUNS = 1000, 15.0, 10, 6
 S = np.array([[0.02, 0.004, -0.003], [-0.009, 0.014, 0.008], [0.014, -0.004, -0.007]])
 B_NT = np.array([300.0, -200.0, 100.0])
 K = {"driver_array": np.array([-0.03, 0.02, 0.045]), "driver_payload": np.array([60.0, -40.0, 25.0])}

@@ -50,7 +50,7 @@ def calibration_page(
             PageSection("Parameters", [], [*comparison_tables(fit), parameter_table(fit), *_bias_tables(fit)]),
             *_followed(fit, record),
             PageSection("What these data do not determine", unseen, correlation_tables(fit)),
-            PageSection("How it was made", [f"{message}." for message in fit.messages]),
+            PageSection("How it was made", [f"{message[:1].upper()}{message[1:]}." for message in fit.messages]),
         ],
         provenance={key: value for key, value in _provenance(fit).items() if not (refused and "SHA-256" in key)},
         downloads={name: sealed(text, "#", f"format {FORMAT}") for name, text in written.items()},
@@ -118,7 +118,7 @@ def comparison_tables(fit: Fit) -> list[Table]:
         "rms over rows that were not fitted (every other twelfth of the record), the error of the reference attitude "
         f"included; angle: 95 % of them. {compared.why}."
     )
-    return [Table("methods compared", compared.columns, compared.rows, note)]
+    return [Table("Methods compared", compared.columns, compared.rows, note)]
 
 
 def parameter_table(fit: Fit) -> Table:
@@ -134,7 +134,7 @@ def correlation_tables(fit: Fit) -> list[Table]:
     """The worst five of the correlated pairs; nothing where there are none."""
     pairs = () if fit.verdict is None else fit.verdict.correlated
     rows = [[f"{one}, {other}", f"{value:+.3f}"] for one, other, value in pairs]
-    return [Table("most correlated parameters, the worst five", ["pair", "correlation"], rows)] if rows else []
+    return [Table("The five most correlated pairs of parameters", ["pair", "correlation"], rows)] if rows else []
 
 
 def residual_series(fit: Fit, before_nT: FloatArray | None = None) -> TimeSeries:
@@ -172,7 +172,7 @@ def _coverage(fit: Fit) -> list[PageSection]:
         for p in seen.plans
     ]
     table = Table(
-        f"to halve the sigma of {seen.worst}",
+        f"To halve the sigma of {seen.worst}",
         ["more data", "rows", "of this record"],
         rows,
         "Predicted from the Jacobian of this fit, with errors as they are in this record; blank: more than a hundred "
@@ -204,7 +204,7 @@ def _bias_tables(fit: Fit) -> list[Table]:
         late += [f"The field follows {name} {' and '.join(how)}."] if how else []
         for axis, value, sigma in zip("xyz", one["nT_per_unit"], one["sigma"], strict=True):
             rows.append([f"{name} {axis}", *with_sigma(value, sigma)])
-    title = "field in the reading per unit of the column [nT]"
+    title = "Field in the reading per unit of the column [nT]"
     return [Table(title, ["column", "value", "sigma"], rows, note=" ".join(late))] if rows else []
 
 

@@ -22,7 +22,7 @@ def sentences(summary: dict[str, Any]) -> list[str]:
         low, high = one["interval"]
         text = (
             f"{name} was named in {one['named']} of {one['runs']} runs ({100 * low:.0f} to {100 * high:.0f} %), in "
-            f"{one['nothing_else']} of them with nothing false beside it"
+            f"{one['nothing_else']} of them without a false name"
         )
         at = one["size_at_90_percent"]
         said.append(
@@ -66,19 +66,19 @@ def tables(summary: dict[str, Any]) -> list[Table]:
             )
     if rows:
         note = "Size: the largest parameter of the effect. The interval is Wilson's, 95 %."
-        found.append(Table("how often an effect is named", ["effect", "size", "named", "of", "interval"], rows, note))
+        found.append(Table("How often an effect is named", ["effect", "size", "named", "of", "interval"], rows, note))
     rows = []
     for name, one in summary["sigmas"]["parameters"].items():
         low, high = one["interval"]
         share = f"{one['inside']} of {one['runs']} ({100 * low:.0f} to {100 * high:.0f} %)"
         rows.append([name, plain(one["pull_rms"], 2), share])
     if rows:
-        note = "Over the runs that were calibrated. Effects of a run are not in its calibration, and add to its errors."
+        note = "Over the calibrated runs. No calibration models the effects that were drawn, so they add to its errors."
         columns = ["parameter", "rms of error / sigma", "within 1.96 sigma (95 % wanted)"]
-        found.append(Table("do the stated sigmas hold", columns, rows, note))
+        found.append(Table("Whether the stated sigmas hold", columns, rows, note))
     if summary["false_names"]:
         rows = [[name, str(count)] for name, count in summary["false_names"].items()]
-        found.append(Table("names of effects that were not there", ["name", "times"], rows))
+        found.append(Table("Names of effects that were not there", ["name", "times"], rows))
     return found
 
 

@@ -43,7 +43,8 @@ def verdict(found: CheckReport) -> str:
 def findings_table(found: CheckReport) -> Table:
     """Traps and notes."""
     rows = [(one.severity, one.code, one.text, one.row_count or "") for one in found.findings]
-    return Table("Findings", ("", "code", "what", "rows"), rows)
+    columns = ("", "code", "what", "rows") if any(row[-1] for row in rows) else ("", "code", "what")
+    return Table("Findings", columns, [row[: len(columns)] for row in rows])
 
 
 def _readings(record: Telemetry | str, model: FieldModel) -> tuple[list[str], list[Table], list[FigureBlock]]:

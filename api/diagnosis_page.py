@@ -16,7 +16,15 @@ from fluxtwin.sim.telemetry.record import Telemetry
 _CONFUSED = 0.8  # shares below this are in the JSON
 _RANKED = 6
 _LEAST = 0.01  # probability of a place that is worth a word
-PLAN = "To find out, run `fluxtwin plan` on the same file: it proposes what to fly."
+_FACTS = {
+    "budget: attitude_sigma_rad": "attitude error",
+    "budget: attitude_tau_s": "time constant of the attitude error",
+    "budget: lsb_nT": "step of the readings",
+    "budget: noise_nT": "noise of the readings",
+    "noise": "noise model",
+}
+"""What the page calls a fact of the provenance, where its own name does not say it."""
+PLAN = "To find out, run fluxtwin plan on the same file: it proposes what to fly."
 _ALL_TESTED = "Every effect of the catalogue could be tested."
 
 
@@ -105,7 +113,8 @@ def percent(share: float) -> str:
 def _where(diagnosis: Diagnosis) -> PageSection:
     if diagnosis.verdict == "no_gap":
         return PageSection("Where the gap lies", ["There is none, so no place is shown."])
-    return PageSection("Where the gap lies", where_lines(diagnosis), [places_table(diagnosis)])
+    lines = [line for line in where_lines(diagnosis) if line != PLAN]  # the page begins with it
+    return PageSection("Where the gap lies", lines, [places_table(diagnosis)])
 
 
 def places_table(diagnosis: Diagnosis) -> Table:
@@ -125,7 +134,7 @@ def _which(diagnosis: Diagnosis) -> PageSection:
     if diagnosis.resembles:
         words.append(f"It resembles {', '.join(diagnosis.resembles)}.")
     groups = [effect.group for effect in diagnosis.effects if len(effect.group) > 1]
-    words += [f"{' and '.join(group)} cannot be distinguished in these data. {PLAN}" for group in groups]
+    words += [f"{' and '.join(group)} cannot be distinguished in these data." for group in groups]
     shown = [effects_table(diagnosis)] if diagnosis.effects else []
     if any(effect.rivals for effect in diagnosis.effects):
         shown.append(rivals_table(diagnosis))
@@ -343,7 +352,8 @@ def small_table(diagnosis: Diagnosis) -> Table:
     named = {effect.name for effect in diagnosis.effects}
     words = diagnosis.would_settle
     rows = [[name, words[name]] for name in diagnosis.minimum_detectable if name in words and name not in named]
-    return Table("Not detectable at typical size", ["effect", "what would show it"], rows, PLAN)
+    note = "" if PLAN in where_lines(diagnosis) else PLAN
+    return Table("Not detectable at typical size", ["effect", "what would show it"], rows, note)
 
 
 def untestable_table(diagnosis: Diagnosis) -> Table:
@@ -400,7 +410,11 @@ def _p_value(value: float) -> str:
 
 
 def _provenance(diagnosis: Diagnosis) -> dict[str, str]:
-    facts = {key: str(value) for key, value in diagnosis.provenance.items() if key != "design"}
+    unused = {("rows_thinned_by", 1), ("rounding_lasts_rows", 1)}
+    known = {key: value for key, value in diagnosis.provenance.items() if key != "design"}
+    facts = {
+        _FACTS.get(key, key.replace("_", " ")): str(known[key]) for key in known if (key, known[key]) not in unused
+    }
     lines = facts | {"notes": "; ".join(diagnosis.notes)}
     lines["modelled, re-estimated in every test"] = ", ".join(diagnosis.modelled) or "none"
     names = {"used": "used", "cut": "cut as spikes", "without_attitude": "without attitude"}

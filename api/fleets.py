@@ -100,6 +100,6 @@ def tables(found: Fleet) -> list[Table]:
         out.append(Table(common.name, columns, rows, note))
     ranking = [[name, plain(value, 3), str(rank)] for name, value, rank in found.ranking[:8]]
     if ranking:
-        note = "Twice the log of the Bayes factor of having it in common, against nothing; above 6 it is said."
-        out.append(Table("what the vehicles could have in common", ["effect", "worth", "directions"], ranking, note))
+        note = "Evidence: twice the log of the Bayes factor for a common effect; above 6 the effect counts as common."
+        out.append(Table("What the vehicles could have in common", ["effect", "evidence", "directions"], ranking, note))
     return out

@@ -10,7 +10,7 @@ from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 
 def plan_page(plan: Plan | CalibrationPlan, title: str) -> Page:
     """The page of a plan: a figure for every question that has names to tell apart, and for the first."""
-    flown = PageSection("What to fly", [], [plan_table(plan)])
+    flown = PageSection("Every open question", [], [plan_table(plan)])
     if isinstance(plan, CalibrationPlan):
         from fluxtwin.plots.plan import draw_sigma
 
@@ -21,7 +21,7 @@ def plan_page(plan: Plan | CalibrationPlan, title: str) -> Page:
     else:
         first = [question for question in plan.questions if question.kind != "show"] or plan.questions[:1]
         sections = [*(_section(question) for question in first if question.courses), flown]
-    facts = {key: str(value) for key, value in plan.limits.items()}
+    facts = {key: _fact(value) for key, value in plan.limits.items()}
     facts |= {"notes": "; ".join(plan.notes), **{f"not flown: {words}": why for words, why in plan.refused.items()}}
     next_step = (
         "--out PLAN.toml writes the first manoeuvre as a scenario. Fly it, and diagnose or calibrate what comes down."
@@ -33,6 +33,12 @@ def plan_page(plan: Plan | CalibrationPlan, title: str) -> Page:
         provenance=facts,
         next_step=next_step if plan.scenario is not None else "",
     )
+
+
+def _fact(value: object) -> str:
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(_fact, value))
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def plan_table(plan: Plan | CalibrationPlan) -> Table:

@@ -102,11 +102,11 @@ def _yaw(found: YawSolution) -> Presented:
     summary = found.summary
     left_out = [f"- {count} rows left out: {reason}" for reason, count in found.left_out.items()]
     columns = ("smallest [deg]", "median [deg]", "largest [deg]")
-    tables = [Table("sigma of yaw", columns, [[*summary["sigma_deg"].values()]])]
+    tables = [Table("Sigma of yaw", columns, [[*summary["sigma_deg"].values()]])]
     rms = summary["rms_against_reference_deg"]
     if rms["full"] is not None:
         columns = ("full solution [deg]", "first order [deg]", "yaw = 0 [deg]")
-        tables.append(Table("rms against the reference attitude", columns, [[*rms.values()]]))
+        tables.append(Table("Yaw error against the reference attitude, rms", columns, [[*rms.values()]]))
     return Presented([f"{summary['samples']} samples", *left_out], tables)
 
 

@@ -98,7 +98,7 @@ def trend_table(found: Trend) -> Table:
         "other than constant is corrected for all that were tried, at 1 % for all parameters together."
     )
     columns = ["parameter", "mean", "unit", "Q", "probability", "history", "size"]
-    return Table("parameters over the calibrations", columns, rows, note)
+    return Table("Parameters over the calibrations", columns, rows, note)
 
 
 def trend_figure(found: Trend) -> Figure:

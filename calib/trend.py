@@ -105,7 +105,7 @@ class Trend(Shown):
         count, low, high = len(self.time), FIELDS_NT[0] / 1e3, FIELDS_NT[1] / 1e3
         q = f"Q = {plain(self.q)} with {self.degrees_of_freedom} degrees of freedom, probability {chance(self.probability)}"
         apart = (
-            f"The first instead of the last would err by up to {plain(self.moved.largest_nT, 2)} nT and "
+            f"Using the first instead of the last would cause errors of up to {plain(self.moved.largest_nT, 2)} nT and "
             f"{plain(self.moved.largest_deg, 2)} deg over fields of {low:.0f} to {high:.0f} uT."
         )
         common = []

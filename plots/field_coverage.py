@@ -43,5 +43,5 @@ def draw_field_coverage(record: FieldCoverage, *, title: str) -> Figure:
     axes.grid(alpha=0.3)
     bar = figure.colorbar(dots, ax=axes, shrink=0.7, ticks=range(int(np.log10(max(record.counts.max(), 1))) + 1))
     bar.ax.set_yticklabels([f"{10 ** int(tick)}" for tick in bar.get_ticks()])
-    bar.set_label("rows [1]")
+    bar.set_label("rows")
     return figure

@@ -44,7 +44,7 @@ def command(
     if rms is not None:
         output.say("rms change x, y, z: " + ", ".join(f"{x:.1f}" for x in rms) + " nT")
     beyond = outside_span(record, known)
-    output.say(f"the file says that its readings are corrected, by {corrected.corrected_by}")
+    output.say(f"the new file is marked as corrected by {corrected.corrected_by}")
     output.say(f"  {out}")
     output.result(
         {

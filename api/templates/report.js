@@ -158,12 +158,15 @@
     c.textAlign = "left";
     c.fillStyle = INK;
     c.fillText(panel.label, 4, y);
-    let place = Math.max(LEFT + 24, 16 + c.measureText(panel.label).width);
+    let place = 16 + c.measureText(panel.label).width;
+    const spare = c.canvas.clientWidth - panel.lines.reduce((sum, line) => sum + 28 + c.measureText(line.name).width, place - 14);
+    const apart = 28 + Math.min(0, spare / Math.max(panel.lines.length - 1, 1));
+    place = Math.max(place, Math.min(LEFT + 24, place + spare));
     for (const line of panel.lines) {
       mark(c, line, place, y, true);
       c.fillStyle = INK;
       c.fillText(line.name, place + 10, y);
-      place += 28 + c.measureText(line.name).width;
+      place += apart + c.measureText(line.name).width;
     }
   }
 

@@ -217,17 +217,18 @@ def _what_shows(shows: dict[float, bool], shifts: dict[float, str], plain: Itera
         meant = "Earth-fixed positions stay on the Earth"
     else:
         meant = "positions relative to GCRS stay, the Earth turns under them"
-    said = []
+    said: dict[bool, list[str]] = {True: [], False: []}
     for shift, words in ((s, shifts[s]) for s in sorted(shifts) if 1.0 < s < 1800.0 or s in (3600.0, 86400.0)):
         seen = shows.get(shift, False) and shows.get(-shift, False)
         what = "" if shift >= 3600.0 else " (GPS)" if "GPS" in words else " (TAI)"
-        said.append(f"{shift_words(shift)}{what} would {'' if seen else 'not '}show here")
+        said[seen].append(f"{shift_words(shift)}{what}")
+    listed = [f"{', '.join(some)} would {'' if seen else 'not '}show here" for seen, some in said.items() if some]
     hidden = [abs(shift) for shift in plain if not shows.get(shift, False)]
     greatest = max(map(abs, plain))
     showing = f"those of more than {shift_words(max(hidden))}" if hidden else "every one that was tried"
-    words = f"; of others to {shift_words(greatest)}, {showing}"
+    words = f"; of others to {shift_words(greatest)}, {showing} would"
     words = "" if hidden and max(hidden) >= min(3600.0, greatest) else words
-    return note("clock_tested", meant=meant, shifts=", ".join(said), others=words)
+    return note("clock_tested", meant=meant, shifts="; ".join(listed), others=words)
 
 
 def readings_shift(sample: Sample, telemetry: Telemetry, model: FieldModel) -> tuple[float, float, float] | None:

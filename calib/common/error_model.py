@@ -60,6 +60,8 @@ class ErrorModel:
     slow_nT: float = 0.0
     """rms of a component of slow errors that are neither (field model, drift); 0: none seen."""
     slow_tau_s: float = 0.0
+    passes: float | None = None
+    """Passes of the record, where they are too few to show errors that last an orbit, which then no sigma includes."""
     misfit: float = 1.0
     """Scatter of the estimating equations from block to block over what the model gives, a ratio of variances."""
 

@@ -83,6 +83,8 @@ class Verdict:
     correlated: tuple[Pair, ...]
     """The most correlated pairs of parameters, worst first, at most five."""
     not_observable: tuple[str, ...]
+    passes: float | None
+    """As in the error model: so few that the sigmas do not include errors that last an orbit."""
     next_step: str
     """A command with TELEMETRY and CALIBRATION.toml for the files, or a manoeuvre."""
 
@@ -101,7 +103,8 @@ class Verdict:
             degrees += say("verdict.against_reference", deg=d.against_reference_deg)
         unseen = say("verdict.unseen_one", words=seen[0]) if seen else say("verdict.unseen_none")
         unseen = say("verdict.unseen_many", count=len(seen)) if len(seen) > 1 else unseen
-        words = [f"{head}. {self.residual}", *self.reasons, *([] if self.impossible else [degrees])]
+        sigmas = [say("verdict.passes", passes=self.passes)] if self.passes is not None else []
+        words = [f"{head}. {self.residual}", *self.reasons, *([] if self.impossible else [degrees, *sigmas])]
         return (*words, unseen, f"Next: {self.next_step}")
 
     def to_dict(self) -> dict[str, Any]:
@@ -148,6 +151,7 @@ def assess(
         set_aside=fit.rejected,
         correlated=worst_pairs(fit),
         not_observable=fit.observability,
+        passes=None if fit.error_model is None else fit.error_model.passes,
         next_step=_WITH_TORQUERS if coupling else _next_step(fit, bool(impossible), along, direction),
     )
 

@@ -260,7 +260,6 @@ def _report(problem: LinearProblem, solution: Solution, model_name: str, passes:
         field_rms = float(np.sqrt(np.trace(problem.mean_square(design.B_nT))))
         words += observability.weak_direction_words(variation, covariance, sigma_nT)
         words += observability.pair_words(covariance, "T" in options.parameters, field_rms, sigma_nT)
-    words += report.unobservable
     sigmas = np.sqrt(np.diag(report.driver_covariance)).reshape(-1, 3)
     biases = solution.calibration.telemetry_bias.items()
     calibration = replace(

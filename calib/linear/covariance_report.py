@@ -12,7 +12,7 @@ more, and the covariance follows them as far as they are many (`shrinkage`). It 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -52,22 +52,20 @@ class CovarianceReport:
     """(3J, 3J) of the fields that follow columns, x, y, z of each."""
     messages: tuple[str, ...]
     """How it was found."""
-    unobservable: tuple[str, ...]
-    """What it does not cover."""
     errors: ErrorModel | None = None
     """What the errors were taken for; None for white ones."""
 
 
 def report_covariance(problem: LinearProblem, solution: Solution, passes: np.ndarray | None) -> CovarianceReport:
     """White or allowing for correlation, plus what the noise of the reading and a declared field error add."""
-    messages, unobservable = [], []
+    messages = []
     segment = segments(problem.design.time)
     errors = None
     if problem.options.covariance == "blocks":
         found = _correlated(problem, solution, passes)
-        stacked, errors = found.stacked, found.errors
+        few = _too_few_passes(problem, segment, found.memory_s, passes)
+        stacked, errors = found.stacked, None if found.errors is None else replace(found.errors, passes=few)
         messages.append(f"covariance: {found.words}")
-        unobservable += _orbit_long_words(problem, segment, found.memory_s, passes)
     else:
         stacked = _white(problem, solution)
         factor = float(np.sqrt(batch_widening(solution.residual_nT, segment)))
@@ -84,7 +82,7 @@ def report_covariance(problem: LinearProblem, solution: Solution, passes: np.nda
         )
     whole = _in_file_order(problem, solution, stacked)
     size = 21 if "T" in problem.options.parameters else 12
-    return CovarianceReport(whole[:size, :size], whole[21:, 21:], tuple(messages), tuple(unobservable), errors)
+    return CovarianceReport(whole[:size, :size], whole[21:, 21:], tuple(messages), errors)
 
 
 class _Found(NamedTuple):
@@ -210,10 +208,10 @@ def _error_words(errors: ErrorModel) -> str:
     return words + (f" over {plain(errors.attitude_tau_s, 2)} s" if errors.attitude_tau_s else ", white")
 
 
-def _orbit_long_words(
+def _too_few_passes(
     problem: LinearProblem, segment: np.ndarray, memory_s: float, passes: np.ndarray | None
-) -> list[str]:
-    """A sentence where errors that last an orbit cannot have been seen."""
+) -> float | None:
+    """How many there are, where errors that last an orbit cannot have been seen."""
     orbit_s = 2.0 * np.pi * problem.design.radian_s
     covered_s = observed_s(problem.design.time, segment)
     count = int(segment[-1]) + 1
@@ -221,12 +219,7 @@ def _orbit_long_words(
     seen = max(count, covered_s / orbit_s, 0 if passes is None else np.unique(passes).size)
     # One pass is too little to find a long memory, so that a short one proves nothing.
     hidden = seen < 2 or memory_s >= _LONG_MEMORY * pass_s
-    if problem.options.field_error_nT or seen >= FEWEST_BLOCKS or not hidden:
-        return []
-    return [
-        f"errors that last an orbit, as those of the field model do, are not in these sigmas: the data hold {seen:.2g} "
-        "passes, too few to see them. Declare them (field_error_nT, --field-error-nT) or add passes"
-    ]
+    return None if problem.options.field_error_nT or seen >= FEWEST_BLOCKS or not hidden else float(seen)
 
 
 def _from_noise_uncertainty(problem: LinearProblem, solution: Solution) -> FloatArray:

@@ -62,7 +62,9 @@ def test_the_first_lines_are_the_verdict(cli: Cli, flight: Path, tmp_path: Path)
     lines = outcome.out.splitlines()  # type: ignore[attr-defined]
     assert lines[0].startswith("Good. The residual is ")
     assert re.match(r"Field direction, absolute knowledge error \(AKE\) at 95 %: 4\.\d deg before, 0\.1", lines[1])
-    assert lines[3].startswith(f"Next: fluxtwin apply {flight / 'my.nc'} --calibration '{out}' --out ")
+    assert lines[2].startswith("The sigmas do not include errors that last an orbit")
+    assert lines[3] == "All requested parameters are observable."
+    assert lines[4].startswith(f"Next: fluxtwin apply {flight / 'my.nc'} --calibration '{out}' --out ")
     verdict = json.loads((tmp_path / "c.json").read_text("utf-8"))["verdict"]
     assert verdict["lines"][0] == lines[0]
     assert verdict["level"] == "good"

@@ -69,7 +69,7 @@ def test_yaw_attitude_and_trend_show_themselves(flown: fluxtwin.Telemetry) -> No
     fit = fluxtwin.calibrate(flown)
     yaw, attitude = fluxtwin.yaw(flown, fit.calibration), fluxtwin.attitude(flown, fit.calibration)
     days = fluxtwin.trend(flown, every_h=1.0)
-    for found, said in ((yaw, "sigma of yaw"), (attitude, "1 sigma about body x, y, z"), (days, days.lines[0])):
+    for found, said in ((yaw, "Sigma of yaw"), (attitude, "1 sigma about body x, y, z"), (days, days.lines[0])):
         assert said in found.report() and said in words(found._repr_html_())
         assert "array(" not in found._repr_html_()
     assert f"{yaw.summary['rms_against_reference_deg']['full']:.4g}" in yaw.report()

@@ -20,6 +20,7 @@ NO_UNIT = (
     {"S", "q_NB", "sunlit", "heater_on", "sun_sensor_head", "sun_B", "sun_N", "nadir_B", "nadir_N"}
     | {
         "illumination",
+        "passes",
         "weights",
         "eccentricity",
         "condition",

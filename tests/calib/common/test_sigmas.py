@@ -97,7 +97,7 @@ def test_errors_that_last_ten_minutes(seasat: Any, rows: int, limit: float) -> N
         white.append(
             pull(fit_design(now, LinearOptions(noise_nT=50.0, lsb_nT=0.0, covariance="white", robust="none")), meter)
         )
-        said += any("errors that last an orbit" in words for words in fit.observability)
+        said += fit.error_model is not None and fit.error_model.passes is not None
     assert said == 20 if rows == 92 else said >= 14  # under 5 % of several passes nothing is said
     assert mean_square(white) > 4.0
     assert 0.4 < mean_square(found) < limit
@@ -121,7 +121,7 @@ def test_a_declared_field_error(seasat: Any) -> None:
         fit = calibrate_linear(record, seasat.model, field_error_nT=150.0, **known)
         declared.append(pull(fit, meter))
         white.append(pull(calibrate_linear(record, seasat.model, covariance="white", **known), meter))
-        assert not any("errors that last an orbit" in words for words in fit.observability)
+        assert fit.error_model is not None and fit.error_model.passes is None
     assert any("field model taken as wrong by 150 nT" in words for words in fit.messages)
     assert mean_square(white) > 10.0
     assert mean_square(declared) < 1.0 + 3.0 * np.sqrt(2.0 / 20.0)

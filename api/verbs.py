@@ -99,7 +99,7 @@ def check(
     onboard: Calibration | Path | str | None = None,
     **reading: Unpack[Reading],
 ) -> CheckReport:
-    """Is this record what it says? Counts, milligauss or microtesla sold as nT, wrong frames, and so on.
+    """Is this record what it says? Counts, milligauss or microtesla labelled as nT, wrong frames, and so on.
 
     onboard: a calibration on board, or its file: was it applied to these readings?
     """

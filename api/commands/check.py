@@ -33,7 +33,7 @@ def command(
     degree: of.DegreeOption = None,
     reading: of.Reading = of.READING,
 ) -> None:
-    """Name the traps: counts or mG sold as nT, wrong frames, transposed quaternions, time out of order.
+    """Name the traps: counts or mG labelled as nT, wrong frames, transposed quaternions, time out of order.
 
     A foreign file wants --map, unless it has to the letter a layout that is packaged; then that map is named.
     Exit status 0 clean, 1 a trap was named, 2 unreadable.

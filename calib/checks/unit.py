@@ -37,16 +37,16 @@ SMALLEST_MISFIT_nT = 500.0
 """Coarse steps (440 nT) and storms alone leave this much."""
 _FIT_ROWS = 300
 _UNITS = (
-    (1e-9, "tesla sold as nT"),
-    (1e-5, "gauss sold as nT"),
-    (1e-3, "microtesla sold as nT"),
-    (1e-2, "milligauss sold as nT"),
-    (0.1, "counts of 10 nT sold as nT"),
-    (10.0, "counts of 0.1 nT sold as nT"),
-    (100.0, "counts of 0.01 nT sold as nT, or nT sold as mG"),
-    (1000.0, "picotesla sold as nT, or nT sold as microtesla"),
-    (1e5, "nT sold as gauss"),
-    (1e9, "nT sold as tesla"),
+    (1e-9, "tesla labelled as nT"),
+    (1e-5, "gauss labelled as nT"),
+    (1e-3, "microtesla labelled as nT"),
+    (1e-2, "milligauss labelled as nT"),
+    (0.1, "counts of 10 nT labelled as nT"),
+    (10.0, "counts of 0.1 nT labelled as nT"),
+    (100.0, "counts of 0.01 nT labelled as nT, or nT labelled as mG"),
+    (1000.0, "picotesla labelled as nT, or nT labelled as microtesla"),
+    (1e5, "nT labelled as gauss"),
+    (1e9, "nT labelled as tesla"),
 )
 
 

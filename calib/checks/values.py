@@ -20,7 +20,7 @@ LOWEST_ORBIT_KM = 6430.0
 FLAG_S, FLAG_ROWS = 120.0, 3
 """Shadow edges are uncertain by some tens of seconds (air, flattening, slow flags); longer is a contradiction."""
 VELOCITY_RATIO = 0.02
-"""Velocity against the derivative of position; Earth-fixed velocity sold as inertial is off by 6 %."""
+"""Velocity against the derivative of position; Earth-fixed velocity labelled as inertial is off by 6 %."""
 _MAX_ROWS = 4000
 
 

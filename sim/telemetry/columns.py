@@ -224,7 +224,7 @@ def _missing_magnetometer(present: list[str], where: str, described: Mapping[str
     return BadInput(
         f"column mag_x_nT is missing{hint}; the columns are: {listed or 'none'}",
         where=where,
-        wanted="mag_x_nT, mag_y_nT, mag_z_nT (or _mG, _uT, _T), or a column map (--map) for a foreign file",
+        wanted="mag_x_nT, mag_y_nT, mag_z_nT (or _mG, _uT, _T), or a column map (--map; `fluxtwin map` drafts one)",
     )
 
 

@@ -157,7 +157,7 @@ def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES, others: Sequ
         raise BadInput(
             f"column time is missing; the columns are: {listed}",
             where=opened.where,
-            wanted="time (ISO 8601 UTC), or a column map (--map) for a foreign file",
+            wanted="time (ISO 8601 UTC), or a column map (--map; `fluxtwin map` drafts one)",
         )
     found = resolve([name for name in opened.names if name not in TEXTS], opened.where)
     used = set(found.used)

@@ -212,7 +212,7 @@ def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES, others: Sequ
             raise BadInput(
                 f"variable time is missing; the variables are: {listed or 'none'}",
                 where=opened.where,
-                wanted="time, or a column map (--map) for a foreign file",
+                wanted="time, or a column map (--map; `fluxtwin map` drafts one)",
             )
         found = resolve(names, opened.where, {name: opened.described(name) for name in names})
         sealed = opened.verify(names)

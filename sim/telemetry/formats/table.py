@@ -89,7 +89,7 @@ def contract(table: Table, others: Sequence[str] = ()) -> FileTable:
         raise BadInput(
             f"column time is missing; the columns are: {listed or 'none'}",
             where=table.where,
-            wanted="time, or a column map (--map) for a foreign file",
+            wanted="time, or a column map (--map; `fluxtwin map` drafts one)",
         )
     described = {new: table.described(old) for new, (old, _) in spread.items()}
     texts = {

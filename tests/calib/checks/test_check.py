@@ -205,11 +205,11 @@ def no_fix(record: Telemetry) -> Telemetry:
 
 
 TRAPS: dict[str, tuple[Callable[[Telemetry], Telemetry], str, str]] = {
-    "counts": (lambda t: times(t, 100.7), "magnetometer_unit", "counts of 0.01 nT sold as nT"),
-    "milligauss": (lambda t: times(t, 1e-2), "magnetometer_unit", "milligauss sold as nT"),
-    "microtesla": (lambda t: times(t, 1e-3), "magnetometer_unit", "microtesla sold as nT"),
-    "tesla": (lambda t: times(t, 1e-9), "magnetometer_unit", "tesla sold as nT"),
-    "gauss": (lambda t: times(t, 1e-5), "magnetometer_unit", "gauss sold as nT"),
+    "counts": (lambda t: times(t, 100.7), "magnetometer_unit", "counts of 0.01 nT labelled as nT"),
+    "milligauss": (lambda t: times(t, 1e-2), "magnetometer_unit", "milligauss labelled as nT"),
+    "microtesla": (lambda t: times(t, 1e-3), "magnetometer_unit", "microtesla labelled as nT"),
+    "tesla": (lambda t: times(t, 1e-9), "magnetometer_unit", "tesla labelled as nT"),
+    "gauss": (lambda t: times(t, 1e-5), "magnetometer_unit", "gauss labelled as nT"),
     "transposed": (lambda t: quaternion(t, [0, 1, 2, 3], [-1, -1, -1, 1]), "attitude_convention", "is conjugated"),
     "scalar first": (lambda t: quaternion(t, [3, 0, 1, 2], [1, 1, 1, 1]), "attitude_convention", "scalar first"),
     "orbital": (

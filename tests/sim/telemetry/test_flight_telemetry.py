@@ -126,10 +126,10 @@ def test_elfin_counts_sold_as_nT_are_named(
     assert found.exit_status == 1
     assert [finding.code for finding in found.traps] == ["magnetometer_unit"]
     assert "an impossible |B|" in found.traps[0].text
-    assert "counts of 0.01 nT sold as nT" in found.traps[0].text
+    assert "counts of 0.01 nT labelled as nT" in found.traps[0].text
     # and as a file of the contract, the way the source sells it
     contract = write_telemetry(read_telemetry(path, column_map=sold).select(slice(0, 3000)), tmp_path / "sold.csv")
-    assert "counts of 0.01 nT sold as nT" in check_file(contract, model).traps[0].text
+    assert "counts of 0.01 nT labelled as nT" in check_file(contract, model).traps[0].text
 
 
 def test_elfin_counts_without_positions_are_named(shared: Path, model: FieldModel, tmp_path: Path) -> None:

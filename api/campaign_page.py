@@ -33,9 +33,7 @@ def sentences(summary: dict[str, Any]) -> list[str]:
         said.append(f"Of {bare['runs']} runs without an effect {bare['no_gap']} were answered with no gap.")
     false = sum(summary["false_names"].values())
     if summary["diagnosed"]:
-        said.append(
-            f"{false} names were given to effects that were not present, in {summary['diagnosed']} diagnosed runs."
-        )
+        said.append(f"{summary['diagnosed']} diagnosed runs gave {false or 'no'} false names.")
     nees = summary["sigmas"]["nees"]
     if nees is not None:
         said.append(

@@ -35,8 +35,7 @@ def draw_power(effects: Sequence[PowerSeries], *, title: str) -> Figure:
     """A panel an effect: runs as ticks (named above, missed below), shares with intervals, the fitted curve."""
     columns = min(_COLUMNS, len(effects))
     rows = -(-len(effects) // columns)
-    width = style.FULL_WIDTH_IN if columns > 1 else 4.8
-    figure, grid = style.figure(width, 2.6 * rows + 0.5, rows, columns)
+    figure, grid = style.figure(style.FULL_WIDTH_IN, 2.6 * rows + 0.5, rows, columns)
     for place in range(rows * columns):
         axes = grid[place // columns][place % columns]
         if place >= len(effects):

@@ -9,6 +9,7 @@ import numpy as np
 from fluxtwin.calib.common.digits import measured
 from fluxtwin.gap.records.diagnosis import Diagnosis, Law
 from fluxtwin.gap.report.advice import typical_size
+from fluxtwin.gap.report.input_warnings import BY_CHECK
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 from fluxtwin.sim.base.files import to_json
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -58,6 +59,8 @@ def _next_step(diagnosis: Diagnosis) -> str:
         return "diagnose again with --magnetometer 2: the two magnetometers differ, and the first shows no gap."
     if diagnosis.verdict == "no_gap":
         return "nothing needs correcting. The tables below say what these data could not have shown."
+    if _wrong_file(diagnosis):
+        return "correct the file as fluxtwin check says, and diagnose again."
     if diagnosis.verdict == "unknown" or any(len(effect.group) > 1 for effect in diagnosis.effects):
         return "run fluxtwin plan with the same file; it proposes what to fly to find out."
     if diagnosis.transfers is not None:
@@ -98,9 +101,17 @@ def where_lines(diagnosis: Diagnosis) -> list[str]:
     lines = [f"Where: {', '.join(parts) or 'no particular place'}."]
     if equal := [stage for stage in place.equivalent if stage not in likely["stage"]]:
         lines.append(f"On this orbit and attitude it could equally be at stage: {', '.join(equal)}.")
-    if any(len(effect.group) > 1 for effect in diagnosis.effects) or diagnosis.verdict == "unknown":
+    if _wrong_file(diagnosis):
+        lines.append(
+            "First correct the file as fluxtwin check says, then diagnose again: a wrong file makes its own gap."
+        )
+    elif any(len(effect.group) > 1 for effect in diagnosis.effects) or diagnosis.verdict == "unknown":
         lines.append(PLAN)
     return lines
+
+
+def _wrong_file(diagnosis: Diagnosis) -> bool:
+    return diagnosis.verdict == "unknown" and any(note.endswith(BY_CHECK) for note in diagnosis.notes)
 
 
 def percent(share: float) -> str:
@@ -352,7 +363,7 @@ def small_table(diagnosis: Diagnosis) -> Table:
     named = {effect.name for effect in diagnosis.effects}
     words = diagnosis.would_settle
     rows = [[name, words[name]] for name in diagnosis.minimum_detectable if name in words and name not in named]
-    note = "" if PLAN in where_lines(diagnosis) else PLAN
+    note = "" if PLAN in where_lines(diagnosis) or _wrong_file(diagnosis) else PLAN
     return Table("Not detectable at typical size", ["effect", "what would show it"], rows, note)
 
 

@@ -11,6 +11,8 @@ from fluxtwin.sim.telemetry.record import Telemetry
 
 LONG_STRETCH_ROWS = 30
 """So many rows with the same quaternion to the last digit do not happen while a sensor measures."""
+BY_CHECK = " (fluxtwin check)"
+"""Ends a warning of what `fluxtwin check` finds wrong with the file."""
 ROOMY = 2.0
 """Factor by which an expected rms is too large to be an error of a declared noise, which is trusted to 1.5 at most."""
 MISFIT = 0.05
@@ -30,7 +32,7 @@ def far_below_budget(before_nT: float, floor_nT: float) -> str | None:
 def traps(telemetry: Telemetry, model: FieldModel) -> list[str]:
     """The traps that `fluxtwin check` finds, but outliers: the diagnosis sets them aside and says so itself."""
     found = check_telemetry(telemetry, model).traps
-    return [f"{finding.text} (fluxtwin check)" for finding in found if finding.code != "outliers"]
+    return [f"{finding.text}{BY_CHECK}" for finding in found if finding.code != "outliers"]
 
 
 def stuck_attitude(telemetry: Telemetry, attitude_sigma_rad: float | None) -> str | None:

@@ -345,6 +345,14 @@ def test_a_budget_far_too_large_is_said(late: Case, cli: Cli) -> None:
     assert "they are too large" in " ".join((result.out + result.err).split())
 
 
+def test_a_wrong_unit_is_to_be_corrected_before_anything_is_flown(late: Case, cli: Cli, tmp_path: Path) -> None:
+    """Milligauss under the name of nT."""
+    record = read_telemetry(late.folder / "late.csv")
+    write_telemetry(record.replace(mag_B_nT=record.mag_B_nT / 100.0), tmp_path / "unit.csv")
+    said = " ".join(cli("diagnose", tmp_path / "unit.csv").out.split())
+    assert "First correct the file as fluxtwin check says" in said and "fluxtwin plan" not in said
+
+
 def test_a_value_that_no_instrument_gives_is_named(late: Case, cli: Cli, tmp_path: Path) -> None:
     text = [line.rpartition(",")[0] for line in (late.folder / "late.csv").read_text().splitlines()]  # without checks
     row = text[5].split(",")

@@ -105,26 +105,26 @@ def rise_and_set_min(grid: Grid, sky: Sky) -> tuple[FloatArray, FloatArray]:
     The pass taken is the one whose culmination lies nearest 5 min after the acquisition. A pass that stays below the
     horizon begins and ends at its culmination.
     """
-    rise, fall = np.empty(len(grid.passes)), np.empty(len(grid.passes))
-    for row, height in enumerate(sky.elevation_deg):
-        inner = np.flatnonzero((height[1:-1] >= height[:-2]) & (height[1:-1] > height[2:])) + 1
-        tops = inner if inner.size else np.array([int(np.argmax(height))])
-        top = int(tops[np.argmin(np.abs(grid.minutes[tops] - 5.0))])
-        rise[row] = _crossing(grid.minutes[: top + 1][::-1], height[: top + 1][::-1])
-        fall[row] = _crossing(grid.minutes[top:], height[top:])
-    return rise, fall
+    height, minutes = sky.elevation_deg, grid.minutes
+    tops = np.zeros(height.shape, dtype=bool)
+    tops[:, 1:-1] = (height[:, 1:-1] >= height[:, :-2]) & (height[:, 1:-1] > height[:, 2:])
+    none = ~tops.any(axis=1)
+    tops[none, np.argmax(height[none], axis=1)] = True
+    top = np.argmin(np.where(tops, np.abs(minutes - 5.0), np.inf), axis=1)
+    return _crossing(minutes, height, top, -1), _crossing(minutes, height, top, 1)
 
 
-def _crossing(minutes: FloatArray, height: FloatArray) -> float:
-    """Where a series that starts at its top first falls through zero; the top itself if it starts below zero."""
-    below = np.flatnonzero(height < 0.0)
-    if not below.size:
-        return float(minutes[-1])
-    k = int(below[0])
-    if k == 0:
-        return float(minutes[0])
-    part = height[k - 1] / (height[k - 1] - height[k])
-    return float(minutes[k - 1] + part * (minutes[k] - minutes[k - 1]))
+def _crossing(minutes: FloatArray, height: FloatArray, top: np.ndarray, step: int) -> FloatArray:
+    """(P,) where each series (P, G), from its top on in the direction of `step`, first falls through zero; the top itself
+    if it is below, the last time if none is."""
+    number, row = np.arange(minutes.size)[::step], np.arange(top.size)
+    below = (height[:, ::step] < 0.0) & (step * (number - top[:, None]) >= 0)
+    outer = number[np.argmax(below, axis=1)]
+    falls = below.any(axis=1)
+    inner = np.where(falls & (outer != top), outer - step, outer)
+    above = height[row, inner]
+    part = np.divide(above, above - height[row, outer], out=np.zeros(top.size), where=inner != outer)
+    return np.asarray(np.where(falls, minutes[inner] + part * (minutes[outer] - minutes[inner]), minutes[::step][-1]))
 
 
 @dataclass(frozen=True)

@@ -66,16 +66,17 @@ def test_from_the_confusion_to_the_answer(folder: Path, diagnosis: Diagnosis, cl
     assert after.effects[0].name == "time_tag_offset" and "along_track_error" not in after.effects[0].group
 
 
-def test_a_diagnosis_in_json_gives_the_same_plan(folder: Path, diagnosis: Diagnosis) -> None:
+def test_what_would_not_have_shown_is_asked_too_and_json_gives_the_same_plan(
+    folder: Path, diagnosis: Diagnosis
+) -> None:
     limits = {"hours": 1.2, "attitudes": ["nadir", "tumble"]}
-    plans = [fluxtwin.plan(one, limits=limits, names=PAIR.split(",")) for one in (diagnosis, folder / "diagnosis.json")]
-    said = [plan.questions[0].best for plan in plans]
+    plan, other = (
+        fluxtwin.plan(diagnosis, limits=limits),
+        fluxtwin.plan(folder / "diagnosis.json", limits=limits, names=PAIR.split(",")),
+    )
+    said = [one.questions[0].best for one in (plan, other)]
     assert said[0] is not None and said[1] is not None and said[0].words == said[1].words
-    assert plans[0].report().startswith("To settle whether it is") and plans[0].plot() is not None
-
-
-def test_what_would_not_have_shown_is_asked_too(diagnosis: Diagnosis) -> None:
-    plan = fluxtwin.plan(diagnosis, limits={"hours": 1.2, "attitudes": ["nadir", "tumble"]})
+    assert other.report().startswith("To settle whether it is") and other.plot() is not None
     shown = {question.names[0]: question for question in plan.questions if question.kind == "show"}
     assert {"ring_current", "sun_sensor_head_misalignment"} <= set(shown)
     assert shown["sun_sensor_head_misalignment"].best is None and shown["sun_sensor_head_misalignment"].instead

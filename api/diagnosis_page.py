@@ -421,7 +421,7 @@ def _p_value(value: float) -> str:
 
 
 def _provenance(diagnosis: Diagnosis) -> dict[str, str]:
-    unused = {("rows_thinned_by", 1), ("rounding_lasts_rows", 1)}
+    unused = [("rows_thinned_by", 1), ("rounding_lasts_rows", 1)]  # a list: a fact may be a mapping
     known = {key: value for key, value in diagnosis.provenance.items() if key != "design"}
     facts = {
         _FACTS.get(key, key.replace("_", " ")): str(known[key]) for key in known if (key, known[key]) not in unused

@@ -315,10 +315,12 @@ def _place(
     """Of the whole gap where it is explained, of the rest where structure remains that is not."""
     result, whitener = answer.result, answer.whitener
     other = other if result.named or answer.left.structured else None
-    if result.named and answer.known < 0.5:
-        return where(problem, whitener, result.residual_nT, answer.fitted_nT, dictionary, apart=other)
+    unexplained = answer.known < 0.5
+    if result.named and unexplained:
+        rest = (result.residual_nT, answer.fitted_nT)
+        return where(problem, whitener, *rest, dictionary, apart=other, unexplained=True)
     gap = (result.residual_alone_nT, answer.alone_nT)
-    return where(problem, whitener, *gap, dictionary, result.candidates, other)
+    return where(problem, whitener, *gap, dictionary, result.candidates, other, unexplained=unexplained)
 
 
 def _prediction(

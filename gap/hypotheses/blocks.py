@@ -147,7 +147,7 @@ _BODY_STAGES: Mapping[str | None, Mapping[str, float]] = {
     "after_time": {"sensor": 0.7, "spacecraft": 0.3},
     "field_strength": {"sensor": 1.0},
 }
-_DEFAULT_BODY: Mapping[str, float] = {"spacecraft": 0.85, "sensor": 0.15}
+DEFAULT_BODY: Mapping[str, float] = {"spacecraft": 0.85, "sensor": 0.15}
 
 
 def _additive(
@@ -156,7 +156,7 @@ def _additive(
     for c in found:
         if c.name == "head":
             continue
-        stages = _BODY_STAGES.get(c.name, _DEFAULT_BODY)
+        stages = _BODY_STAGES.get(c.name, DEFAULT_BODY)
         yield _block(carrier.additive, c, "body", stages)
         for frame in ("orbital", "inertial", "earth"):
             yield _block(carrier.additive, c, frame, {"field": 1.0}, axes=" ")

@@ -5,7 +5,8 @@ weighed by the one criterion; within a hypothesis so is each single axis of it. 
 prior of their stage. One posterior over all of them is summed up four ways, so the four sets of probabilities agree.
 
 Nature is none of the hypotheses exactly. What separates two of them lies along one direction, the difference of their
-images, and there the shape error of the right one has a variance of `_SHAPE_ERROR`**2 of its energy, added to the noise.
+images, and there the shape error of the right one has a variance of `SHAPE_ERROR`**2 of its energy, added to the noise.
+What no effect of the catalogue explains may go its own way in time: half of each stage's prior is then its courses'.
 """
 
 from __future__ import annotations
@@ -21,35 +22,42 @@ from fluxtwin.gap.channels.two_magnetometers import OWN_STAGES
 from fluxtwin.gap.detectors.residual_structure import likeliest_step
 from fluxtwin.gap.hypotheses.blocks import STAGES, Block, step_block
 from fluxtwin.gap.hypotheses.candidates import Candidate
+from fluxtwin.gap.hypotheses.courses import CourseFit, courses
 from fluxtwin.gap.hypotheses.evidence import BlockFit, Dictionary, fit, fit_all
 from fluxtwin.gap.linear.projection import ProjectedResidual, Whitens, projected, share_mimicked
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.records.diagnosis import Place
-from fluxtwin.gap.selection.criterion import THRESHOLD, penalty
+from fluxtwin.gap.selection.criterion import SHAPE_ERROR, THRESHOLD, TWENTY_TO_ONE, penalty
 from fluxtwin.gap.selection.score import ALIKE
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import STAGES as ALL_STAGES
 
-_SHAPE_ERROR = 0.25
-"""Of the amplitude of what no effect of the catalogue explains: for a block is a cruder likeness of it than an effect is of
-its own kind. Of 55 such gaps on tuning seeds (benchmarks/withheld.py, seed 62001) the log score of the true stage is -2.1 at
-0.15, -1.7 at 0.2, -1.5 at 0.25, -1.6 at 0.3, -1.8 at 0.4, and at 0.25 a stated 0.8 comes true in 10 of 12."""
 _NOTHING = "none"
 _QUESTIONS = ("stage", "axis", "frame", "condition")
 
 
 @dataclass(frozen=True)
 class _Hypothesis:
-    fit: BlockFit
     stage: str
-    seen: tuple[BlockFit, ...]
-    """In each channel, for residuals of unit variance."""
+    frame: str | None
+    condition: str | None
     prior: float
+    drop: float
+    """Of chi-square."""
+    worth: float
+    fit: BlockFit | None
+    """None for a course."""
+    seen: tuple[BlockFit, ...] = ()
+    """The block in each channel, for residuals of unit variance."""
 
     def explained(self, columns: BoolArray | None = None) -> tuple[float, int]:
-        """In all channels together."""
+        """By its block, or by some columns of it, in all channels together."""
         every = [one.explained(columns) for one in self.seen]
         return sum(drop for drop, _ in every), sum(rank for _, rank in every)
+
+
+_Apart = tuple[ProjectedResidual, Sequence[BlockFit], Sequence[CourseFit]]
+"""The difference of two magnetometers, and the same blocks and courses fitted to it."""
 
 
 def where(
@@ -60,22 +68,27 @@ def where(
     found: Dictionary,
     candidates: Sequence[Candidate] = (),
     apart: tuple[ProjectedResidual, Sequence[BlockFit]] | None = None,
+    *,
+    unexplained: bool = False,
 ) -> Place:
     """Find the place of the largest part of a residual.
 
     residual_nT (N, 3), fitted (N, 3, q): as for `residual_structure`, with only the calibration fitted if the place of
     the whole gap is asked for. candidates: catalogue effects, which join as hypotheses. apart: the difference of two
-    magnetometers, if there are two, and the fits of the blocks found to it.
+    magnetometers, if there are two, and the fits of the blocks found to it. unexplained: what is to be placed is nothing
+    that the catalogue has, so courses of any kind join too.
     """
     left = projected(whitener, residual_nT, fitted)
     own = catalogue_blocks(problem, candidates)
     steps = step_fits(problem, left)
     fits = [*found.fits(left), *fit_all(own, left), *steps]
+    free = courses(problem, left) if unexplained else []
     if apart is None:
-        return locate(left, fits)
+        return locate(left, fits, free)
     its_left, its_fits = apart
     steps = [replace(fit(one.block, its_left), searched=1) for one in steps]
-    return locate(left, fits, (its_left, [*its_fits, *fit_all(own, its_left), *steps]))
+    its_free = courses(problem, its_left) if unexplained else []
+    return locate(left, fits, free, (its_left, [*its_fits, *fit_all(own, its_left), *steps], its_free))
 
 
 def step_fits(problem: Problem, left: ProjectedResidual) -> list[BlockFit]:
@@ -84,20 +97,17 @@ def step_fits(problem: Problem, left: ProjectedResidual) -> list[BlockFit]:
 
 
 def locate(
-    left: ProjectedResidual,
-    fits: Sequence[BlockFit],
-    apart: tuple[ProjectedResidual, Sequence[BlockFit]] | None = None,
+    left: ProjectedResidual, fits: Sequence[BlockFit], free: Sequence[CourseFit] = (), apart: _Apart | None = None
 ) -> Place:
-    """As `where`, from fits that are at hand; apart: the difference of two magnetometers, and fits of the same blocks."""
-    hypotheses = _hypotheses(left, fits, apart)
+    """As `where`, from fits that are at hand; apart: the difference of two magnetometers, and the same fits to it."""
+    hypotheses = _hypotheses(left, fits, free, apart)
     if not hypotheses:
         return Place(None, None, None, None, (), {name: {_NOTHING: 1.0} for name in _QUESTIONS})
-    drops, ranks = np.array([h.explained() for h in hypotheses], dtype=np.float64).T
     priors, samples = np.log([h.prior for h in hypotheses]), left.degrees / 3.0
-    worths = drops - penalty(ranks, drops, samples)
+    worths = np.array([h.worth for h in hypotheses])
     best = int(np.argmax(worths + 2.0 * priors))
     claim = float(worths[best] + 2.0 * priors[best])
-    wider = 1.0 + _SHAPE_ERROR**2 * float(drops[best])
+    wider = 1.0 + SHAPE_ERROR**2 * hypotheses[best].drop
     weight = float(expit(0.5 * (claim - THRESHOLD))) * softmax(0.5 * worths / wider + priors)
     every = _answers(hypotheses, weight, wider, samples)
     probabilities = {**every, "stage": {**dict.fromkeys(ALL_STAGES, 0.0), **every["stage"]}}
@@ -108,15 +118,7 @@ def locate(
     there = np.array([h.stage == at for h in hypotheses])
     within = _answers(hypotheses, np.where(there, weight, 0.0) / weight[there].sum(), wider, samples)
     axis, frame, condition = (_likeliest(within[name]) for name in ("axis", "frame", "condition"))
-    own = hypotheses[int(np.argmax(np.where(there, weight, -1.0)))].fit
-    same = _equivalent(left, at, own, fits)
-    if apart is not None:  # the difference, too, must allow them
-        most: dict[str, float] = {}
-        for one, value in zip(hypotheses, worths.tolist(), strict=True):
-            most[one.stage] = max(most.get(one.stage, -np.inf), value)
-        alike = [name for name in same if (name in OWN_STAGES) == (at in OWN_STAGES)]
-        same = tuple(name for name in alike if most[at] - most[name] <= THRESHOLD * wider)
-    return Place(at, axis, frame, condition, same, probabilities)
+    return Place(at, axis, frame, condition, _equivalent(left, hypotheses, at, weight), probabilities)
 
 
 def _answers(
@@ -126,8 +128,8 @@ def _answers(
     return {
         "stage": _share([h.stage for h in hypotheses], weight),
         "axis": _axes(hypotheses, weight, wider, samples),
-        "frame": _share([h.fit.block.frame for h in hypotheses], weight),
-        "condition": _share([h.fit.block.condition for h in hypotheses], weight),
+        "frame": _share([h.frame for h in hypotheses], weight),
+        "condition": _share([h.condition for h in hypotheses], weight),
     }
 
 
@@ -149,37 +151,67 @@ def catalogue_blocks(problem: Problem, candidates: Sequence[Candidate]) -> list[
 
 
 def _hypotheses(
-    left: ProjectedResidual,
-    fits: Sequence[BlockFit],
-    apart: tuple[ProjectedResidual, Sequence[BlockFit]] | None = None,
+    left: ProjectedResidual, fits: Sequence[BlockFit], free: Sequence[CourseFit], apart: _Apart | None
 ) -> list[_Hypothesis]:
     """Each fit at each of its stages; priors sum to 1."""
     there = [0 < one.explained()[1] < left.degrees - 5 for one in fits]
     seen = [one for one, kept in zip(fits, there, strict=True) if kept]
     if not seen:
         return []
-    scaled = _of_unit_variance(left, seen)
+    samples, variance = left.degrees / 3.0, _variance(left, seen, free)
+    values = [one.worth(variance, samples) for one in free]
+    scaled = [_scaled(one, variance) for one in seen]
     others: Sequence[BlockFit | None] = [None] * len(seen)
+    beside = [(0.0, 0.0)] * len(free)
     if apart is not None:
-        others = _of_unit_variance(apart[0], [one for one, kept in zip(apart[1], there, strict=True) if kept])
-    total: dict[str, float] = {}
-    for one in seen:
+        its_left, its_fits, its_free = apart
+        its_seen = [one for one, kept in zip(its_fits, there, strict=True) if kept]
+        its_variance = _variance(its_left, its_seen, its_free)
+        others = [_scaled(one, its_variance) for one in its_seen]
+        beside = [one.worth(its_variance, samples)[:2] for one in its_free]
+    found: list[_Hypothesis] = []
+    for one, unit, other in zip(seen, scaled, others, strict=True):
         for stage, part in one.block.stages.items():
-            total[stage] = total.get(stage, 0.0) + one.block.prior * part
+            channels = _seen(stage, unit, other)
+            drop, rank = np.sum([each.explained() for each in channels], axis=0)
+            value = float(drop - penalty(rank, drop, samples))
+            about = (stage, one.block.frame, one.block.condition)
+            found.append(_Hypothesis(*about, one.block.prior * part, float(drop), value, one, channels))
+    for course, (value, drop, _), (more, further) in zip(free, values, beside, strict=True):
+        for stage, part in course.stages.items():
+            own = stage in OWN_STAGES
+            total = (drop + further, value + more) if own else (drop, value)
+            found.append(_Hypothesis(stage, course.frame, None, part, *total, None))
+    return _shared(found)
+
+
+def _shared(found: Sequence[_Hypothesis]) -> list[_Hypothesis]:
+    """With priors that give all stages the same, and within a stage its blocks and its courses."""
+    total: dict[tuple[str, bool], float] = {}
+    for one in found:
+        kind = (one.stage, one.fit is None)
+        total[kind] = total.get(kind, 0.0) + one.prior
+    kinds = [stage for stage, _ in total]
+    stages = len(set(kinds))
     return [
-        _Hypothesis(one, stage, _seen(stage, unit, other), one.block.prior * part / total[stage] / len(total))
-        for one, unit, other in zip(seen, scaled, others, strict=True)
-        for stage, part in one.block.stages.items()
+        replace(one, prior=one.prior / total[one.stage, one.fit is None] / kinds.count(one.stage) / stages)
+        for one in found
     ]
 
 
-def _of_unit_variance(left: ProjectedResidual, fits: Sequence[BlockFit]) -> list[BlockFit]:
-    """Fits to a residual whose variance is what the best of them leaves."""
+def _variance(left: ProjectedResidual, fits: Sequence[BlockFit], free: Sequence[CourseFit]) -> float:
+    """Of the residual, beside what explains most of it."""
     most, rank = max((one.explained() for one in fits), key=lambda each: each[0])
     variance = max((left.energy - most) / max(left.degrees - rank, 1), 1e-300)
-    return [
-        replace(one, gram=one.gram / variance, moment=one.moment / variance, size=one.size / variance) for one in fits
-    ]
+    for one in free:
+        _, drop, directions = one.worth(variance, left.degrees / 3.0)
+        variance = min(variance, (left.energy - drop * variance) / (left.degrees - directions))
+    return variance
+
+
+def _scaled(one: BlockFit, variance: float) -> BlockFit:
+    """A fit to a residual of that variance, as one to a residual of unit variance."""
+    return replace(one, gram=one.gram / variance, moment=one.moment / variance, size=one.size / variance)
 
 
 def _seen(stage: str, one: BlockFit, other: BlockFit | None) -> tuple[BlockFit, ...]:
@@ -197,9 +229,10 @@ def _axes(hypotheses: Sequence[_Hypothesis], weight: FloatArray, wider: float, s
     keys: list[str | None] = []
     values: list[float] = []
     for one, whole in zip(hypotheses, weight, strict=True):
-        axes, letters = {"all": one.explained()}, np.array(list(one.fit.block.axes))
+        axes = {"all": one.explained()}
+        letters = np.array([] if one.fit is None else list(one.fit.block.axes))
         present = [letter for letter in "xyz" if (letters == letter).any()]
-        if np.isin(letters, list("xyz")).all():
+        if present and np.isin(letters, list("xyz")).all():
             if len(present) == 1:
                 axes = {present[0]: axes["all"]}
             else:
@@ -222,18 +255,26 @@ def _share(keys: Sequence[str | None], weight: FloatArray) -> dict[str, float]:
     return {key: value / total for key, value in sorted(shares.items(), key=lambda item: -item[1])}
 
 
-def _equivalent(left: ProjectedResidual, stage: str, best: BlockFit, fits: Sequence[BlockFit]) -> tuple[str, ...]:
-    """Other stages that can make the image of the stage's best block on this design."""
-    same = {other for other in best.block.stages if other != stage}
-    image, _ = left.project(best.block.make())
+def _equivalent(
+    left: ProjectedResidual, hypotheses: Sequence[_Hypothesis], stage: str, weight: FloatArray
+) -> tuple[str, ...]:
+    """Other stages that these data do not distinguish, or that can make the image of the stage's best block."""
+    most = {one.stage: -np.inf for one in hypotheses}
+    for one in hypotheses:
+        most[one.stage] = max(most[one.stage], one.worth)
+    same = {name for name, value in most.items() if most[stage] - value <= TWENTY_TO_ONE} - {stage}
+    own = [value if one.stage == stage else -1.0 for one, value in zip(hypotheses, weight, strict=True)]
+    best = hypotheses[int(np.argmax(own))]
+    if best.fit is None:
+        return tuple(name for name in ALL_STAGES if name in same)
+    image, _ = left.project(best.fit.block.make())
     gain, rank = best.explained()
-    for other in fits:
-        stages = set(other.block.stages) - {stage} - same
-        its_gain, its_rank = other.explained()
+    for other in hypotheses:
         # A stage that cannot explain these data cannot make the image either.
-        if not stages or its_gain < 0.9 * gain or its_rank > 2 * rank + 3:
+        its_gain, its_rank = other.explained()
+        if other.fit is None or other.stage in same | {stage} or its_gain < 0.9 * gain or its_rank > 2 * rank + 3:
             continue
-        columns, _ = left.project(other.block.make())
+        columns, _ = left.project(other.fit.block.make())
         if share_mimicked(image, columns) >= ALIKE:
-            same |= stages
+            same.add(other.stage)
     return tuple(name for name in ALL_STAGES if name in same)

@@ -118,8 +118,9 @@ def visible_part(
 
 
 def _best_columns(board: Board) -> dict[str, Smallest]:
-    """By name."""
+    """By name, in the parameters of an effect's first form: the rate of a clock says nothing of a clock that is late."""
     tested = max(int((board.rank > 0).sum()), 1)
+    plain = {one.name: {p.name for p in one.effect.parameters} for one in reversed(board.candidates)}
     best: dict[str, Smallest] = {}
     for column in np.flatnonzero(board.left > board.share_left):
         owner = int(board.owner[column])
@@ -129,6 +130,8 @@ def _best_columns(board: Board) -> dict[str, Smallest]:
         curvature = board.left[column] * board.lengths[column] ** 2
         value = np.sqrt(noncentrality(int(board.rank[owner]), tested) / curvature)
         place = int(board.place[column])
+        if candidate.effect.parameters[place].name not in plain[candidate.name]:
+            continue
         relative = float(value / candidate.scale[place])
         if candidate.name not in best or relative < best[candidate.name].relative:
             best[candidate.name] = Smallest(relative, candidate.effect.parameters[place], owner, int(column))

@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 from worlds import PARTS, scenario_text
 
 from fluxtwin.gap.hypotheses.blocks import blocks
-from fluxtwin.gap.hypotheses.candidates import candidates
+from fluxtwin.gap.hypotheses.candidates import candidates, made
 from fluxtwin.gap.hypotheses.evidence import Dictionary
 from fluxtwin.gap.noise.robust_rows import RobustRows
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
@@ -23,7 +23,7 @@ from fluxtwin.gap.posterior.explanations import answered_with
 from fluxtwin.gap.problem.problem import Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.selection.criterion import penalty
-from fluxtwin.gap.selection.detectable import GATE, noncentrality, visible_part
+from fluxtwin.gap.selection.detectable import GATE, noncentrality, smallest, visible_part
 from fluxtwin.gap.selection.forward import Search, begin
 from fluxtwin.gap.selection.interval import likeliest_interval
 from fluxtwin.gap.selection.named import SearchResult
@@ -36,6 +36,7 @@ from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.calibration import BiasStep
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.chain import Active, jacobian
+from fluxtwin.sim.effects.clock_and_orbit import TimeTagOffset
 from fluxtwin.sim.effects.response import Hysteresis
 from fluxtwin.sim.effects.switched_field import SwitchedField
 from fluxtwin.sim.run.simulate import simulate
@@ -260,6 +261,16 @@ def test_groups_come_from_the_design() -> None:
     assert turning < steady
     better = tumble.minimum_detectable["time_tag_offset"].value
     assert better < 0.5 * nadir.minimum_detectable["time_tag_offset"].value
+
+
+def test_the_smallest_size_is_that_of_an_effects_first_form() -> None:
+    """On a long record the rate of a clock shows better than its offset; what is printed is flown as an offset."""
+    late, at_a_rate = TimeTagOffset().forms
+    image = np.random.default_rng(3).standard_normal((200, 3, 2)) * [1.0, 100.0]
+    tried = [made(late, image[:, :, :1], 0.0), made(at_a_rate, image, 0.0)]
+    both = np.concatenate([one.jacobian for one in tried], axis=2)
+    found, _ = smallest(board(tried, both, np.zeros((200, 3)), np.zeros((200, 3, 0)), 600))
+    assert found["time_tag_offset"].parameter.name == "offset"
 
 
 def test_dead_torquer_is_untestable_and_a_dead_axis_is_dropped() -> None:

@@ -16,6 +16,7 @@ from worlds import scenario_text
 
 from fluxtwin.gap.detectors.residual_structure import Structure, judge
 from fluxtwin.gap.hypotheses.blocks import Block, blocks
+from fluxtwin.gap.hypotheses.courses import courses
 from fluxtwin.gap.hypotheses.evidence import Dictionary, fit_all
 from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
@@ -108,6 +109,11 @@ def design(request) -> Design:
 @pytest.fixture(scope="module")
 def nadir() -> Design:
     return make_design("nadir")
+
+
+@pytest.fixture(scope="module")
+def tumble() -> Design:
+    return make_design("tumble")
 
 
 def panel(d: Design) -> np.ndarray:
@@ -230,6 +236,55 @@ def test_an_effect_on_one_axis_is_placed_on_that_axis(design: Design) -> None:
         _, where = design.answer(design.noise_nT(rng) + design.sized(signal, 1.0))
         assert where.axis == "xyz"[axis], where
         assert {where.stage, *where.equivalent} >= {"sensor", "spacecraft"}
+
+
+def its_own_way(d: Design) -> np.ndarray:
+    """(N,) something that no column records: smooth over ten minutes, of no period."""
+    t = d.problem.setting.seconds
+    waves = [np.sin(t / period + phase) for period, phase in ((171.0, 1.0), (264.0, 0.3), (97.0, 2.0), (410.0, 0.7))]
+    return np.sum(waves, axis=0)
+
+
+def wandering_clock(d: Design) -> np.ndarray:
+    s, late_s = d.problem.setting, 5.0 * its_own_way(d)
+    r, _, R = s.motion.at(late_s)
+    return R.apply(field_N_nT(s.model, s.time + (late_s * 1e9).astype("timedelta64[ns]"), r)) - d.problem.field_B_nT
+
+
+def out_of_order(d: Design) -> np.ndarray:
+    order = np.arange(d.problem.rows)
+    order[10:-10:7], order[11:-9:7] = order[11:-9:7], order[10:-10:7].copy()
+    return d.problem.field_B_nT[order] - d.problem.field_B_nT
+
+
+UNRECORDED = {
+    "load": (lambda d: np.outer(its_own_way(d), [1.0, -0.4, 0.6]), {"spacecraft", "sensor"}),
+    "gain": (lambda d: its_own_way(d)[:, None] * d.problem.field_B_nT * [1.0, -0.7, 0.5], {"sensor"}),
+    "clock": (wandering_clock, {"time"}),
+    "turn": (lambda d: np.cross(np.outer(its_own_way(d), [0.5, 1.0, -0.3]), d.problem.field_B_nT), {"attitude"}),
+    "order": (out_of_order, {"telemetry", "time"}),
+}
+
+
+@pytest.mark.parametrize("name", UNRECORDED)
+def test_what_follows_no_condition_has_a_stage(tumble: Design, name: str) -> None:
+    """The blocks alone give the stage less than half: each of them follows a condition."""
+    d = tumble
+    make, stages = UNRECORDED[name]
+    signal = d.noise_nT(np.random.default_rng(21)) + d.sized(make(d), 1.0)
+    left = projected(d.whitener, signal, d.calibration)
+    fits = [*fit_all(d.found, left), *step_fits(d.problem, left)]
+    with_courses, blocks_alone = locate(left, fits, courses(d.problem, left)), locate(left, fits)
+    assert (with_courses.stage in stages, with_courses.condition) == (True, None), with_courses
+    share, alone = (sum(one.probabilities["stage"][name] for name in stages) for one in (with_courses, blocks_alone))
+    assert alone < 0.5 < share
+
+
+def test_what_follows_a_condition_is_still_placed_under_it(tumble: Design) -> None:
+    signal = tumble.noise_nT(np.random.default_rng(22)) + tumble.sized(panel(tumble), 1.0)
+    left = projected(tumble.whitener, signal, tumble.calibration)
+    where = locate(left, fit_all(tumble.found, left), courses(tumble.problem, left))
+    assert (where.stage, where.condition) == ("spacecraft", "sunlit"), where
 
 
 def test_a_step_is_placed_after_a_moment(design: Design) -> None:

@@ -22,8 +22,8 @@ from fluxtwin.gap.selection.criterion import penalty
 from fluxtwin.sim.base.types import FloatArray
 
 _PARTS = (8, 32, 128)
-"""Into which the knots cut a record. Of 33 gaps of unknown cause on a tuning seed (benchmarks/withheld.py, 111001) the true
-stage is the likeliest in 17 without courses, in 21 with them; its log score is -2.6 and -1.3."""
+"""Into which the knots cut a record. Of 60 gaps of unknown cause on a tuning seed (docs/design/ablation.md) the likeliest
+stage is the true one in 27 without courses, in 39 with them."""
 _LARGEST = 12.0
 """Logarithm of the largest size of a course over the noise, and of the noise over the smallest: far beyond what is seen."""
 

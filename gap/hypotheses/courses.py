@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fluxtwin.calib.common.criterion import penalty
 from fluxtwin.gap.hypotheses.blocks import DEFAULT_BODY, Carrier
 from fluxtwin.gap.hypotheses.conditions import always
 from fluxtwin.gap.linear.projection import SHARE_LEFT, ProjectedResidual
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.selection.criterion import penalty
 from fluxtwin.sim.base.types import FloatArray
 
 _PARTS = (8, 32, 128)

@@ -118,7 +118,12 @@ def locate(
     there = np.array([h.stage == at for h in hypotheses])
     within = _answers(hypotheses, np.where(there, weight, 0.0) / weight[there].sum(), wider, samples)
     axis, frame, condition = (_likeliest(within[name]) for name in ("axis", "frame", "condition"))
-    return Place(at, axis, frame, condition, _equivalent(left, hypotheses, at, weight), probabilities)
+    same = _equivalent(left, hypotheses, at, weight)
+    if apart is not None:  # the difference, too, must allow them
+        most = {name: max(h.worth for h in hypotheses if h.stage == name) for name in (at, *same)}
+        alike = [name for name in same if (name in OWN_STAGES) == (at in OWN_STAGES)]
+        same = tuple(name for name in alike if most[at] - most[name] <= THRESHOLD * wider)
+    return Place(at, axis, frame, condition, same, probabilities)
 
 
 def _answers(
@@ -258,15 +263,14 @@ def _share(keys: Sequence[str | None], weight: FloatArray) -> dict[str, float]:
 def _equivalent(
     left: ProjectedResidual, hypotheses: Sequence[_Hypothesis], stage: str, weight: FloatArray
 ) -> tuple[str, ...]:
-    """Other stages that these data do not distinguish, or that can make the image of the stage's best block."""
-    most = {one.stage: -np.inf for one in hypotheses}
-    for one in hypotheses:
-        most[one.stage] = max(most[one.stage], one.worth)
-    same = {name for name, value in most.items() if most[stage] - value <= TWENTY_TO_ONE} - {stage}
+    """Other stages that can make the image of the best block; of a course, those that these data do not distinguish."""
     own = [value if one.stage == stage else -1.0 for one, value in zip(hypotheses, weight, strict=True)]
     best = hypotheses[int(np.argmax(own))]
     if best.fit is None:
+        near = max(one.worth for one in hypotheses if one.stage == stage) - TWENTY_TO_ONE
+        same = {one.stage for one in hypotheses if one.worth >= near} - {stage}
         return tuple(name for name in ALL_STAGES if name in same)
+    same = set(best.fit.block.stages) - {stage}
     image, _ = left.project(best.fit.block.make())
     gain, rank = best.explained()
     for other in hypotheses:

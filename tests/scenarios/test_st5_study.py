@@ -253,7 +253,7 @@ def test_the_page_and_the_sizes_of_its_curves(results: Numbers, close: Callable[
     said = " ".join(words for section in made.sections for words in section.paragraphs)
     assert "Like for like with the abstract's 0.151 deg are its steps alone" in said
     assert "of its sigma. Chance alone" in said
-    assert "only a figure that had no part in the choice is judged" in said
+    assert "only a figure that had no part in the choice counts" in said
     assert "st5" in STUDIES
 
 

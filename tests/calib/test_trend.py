@@ -83,7 +83,8 @@ def test_what_changed_is_named_and_sized(kind: str, name: str) -> None:
     for seed in range(20):
         moved = np.zeros((6, 12))
         moved[:, at] = size * shape
-        found = trend(made(seed, moved, warm))
+        known = made(seed, moved, warm)
+        found = trend(known)
         assert not found.holds and found.lines[0].startswith("Does not hold")
         history = one(found, name)
         wrong = [h.name for h in found.histories if h.kind != "constant" and h.name != name]
@@ -92,6 +93,10 @@ def test_what_changed_is_named_and_sized(kind: str, name: str) -> None:
             assert abs(history.size - size * SIGMA[at]) < 4 * history.size_sigma  # type: ignore[attr-defined]
             assert kind != "step" or history.after == 4  # type: ignore[attr-defined]
             assert (found.expires is not None) == (kind == "drift")
+            if found.expires is not None:  # three sigmas of the last, from the middle of its five hours
+                days = 3.0 * (known[-1].sigma[name] or 0.0) / abs(history.size)  # type: ignore[attr-defined]
+                since = (found.expires - START) / np.timedelta64(1, "s") - 35.0 * 86_400.0
+                assert since == pytest.approx(2.5 * 3600.0 + 86_400.0 * days, abs=1.0)  # whole seconds
     assert hits >= 18
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fluxtwin.gap.records.diagnosis import Detectable
-from fluxtwin.gap.report.advice import hours_needed, would_settle
+from fluxtwin.gap.report.advice import hours_needed, hours_of, would_settle
 from fluxtwin.gap.report.input_warnings import stuck_and_misfit, stuck_attitude
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.switched_field import HeaterSwitching
@@ -49,11 +49,16 @@ def test_a_standing_one_is_doubted_only_where_something_speaks_against_a_hold():
 
 
 def test_a_long_stretch_is_enough():
-    assert "in 20 % of the rows" in str(stuck_attitude(record(slice(100, 140)), 1e-3))  # 39 of 199 steps
+    one = record(slice(100, 140))
+    assert "in 20 % of the rows" in str(stuck_attitude(one, 1e-3))  # 39 of 199 steps
+    q = np.array(one.q_NB)
+    q[20:29] = q[20]
+    assert "for up to 6.5 min" in str(stuck_attitude(one.replace(q_NB=q), 1e-3))  # the longer of two
 
 
 def test_hours_grow_with_the_square_of_the_size():
     found = Detectable("offset", 2.0, "s", 10.0)
+    assert hours_of(record(slice(0, 0)).time) == pytest.approx(ROWS * 10.0 / 3600.0, rel=1e-12)
     assert hours_needed(found, 0.5, 5.0) == pytest.approx(80.0, rel=1e-12)
     words = would_settle({"time_tag_offset": found}, {"heater_switching": "no column"}, 5.0)
     assert words["time_tag_offset"].startswith("for offset 0.5 s: about 80 h of such data in place of 5 h, or a spin")

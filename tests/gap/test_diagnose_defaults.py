@@ -144,6 +144,8 @@ def test_a_block_that_the_others_do_not_determine_is_not_predicted() -> None:
     fit = Fitted(y, x, y, x)
     *_, known, _ = predict_blocks(seconds, kept, 1.0, fit, fit)
     assert known[:400].all() and not known[400:].any()
+    x5 = Fitted(5.0 * y, y[..., None], 5.0 * y, y[..., None])  # five times a column: the others give it exactly
+    assert np.abs(predict_blocks(seconds, kept, 1.0, x5, x5)[0]).max() < 1e-9
 
 
 def test_the_smallest_size_is_that_of_the_gate_of_a_name() -> None:

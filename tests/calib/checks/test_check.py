@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import motions
@@ -13,6 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from fluxtwin import load_scenario
 from fluxtwin.calib.checks.check import check_file, check_telemetry, repair
+from fluxtwin.calib.checks.outliers import without_gross_outliers
+from fluxtwin.calib.checks.sample import comparable
 from fluxtwin.scenarios.seasat import mission
 from fluxtwin.sim.attitude import record as attitude
 from fluxtwin.sim.base.errors import BadInput
@@ -323,6 +326,15 @@ def test_without_positions_a_size_that_rises_faster_than_its_noise_has_no_outlie
     reading[[50, 51, 700], 0] += 3000.0
     (found,) = check_telemetry(record.replace(mag_B_nT=reading), model).traps
     assert (found.code, found.rows) == ("outliers", (51, 52, 701))
+
+
+def test_noise_is_no_gross_outlier_and_a_doubled_reading_is(model: FieldModel) -> None:
+    sample = comparable(good(model), model, np.ones(600, dtype=bool), with_attitude=False)
+    assert sample is not None
+    reading = sample.field_N_nT + stream(5, "check.gross").normal(0.0, 50.0, sample.field_N_nT.shape)
+    assert len(without_gross_outliers(replace(sample, mag_nT=reading))) == len(sample)
+    reading[7] *= 2.0
+    assert set(sample.rows) - set(without_gross_outliers(replace(sample, mag_nT=reading)).rows) == {sample.rows[7]}
 
 
 def test_what_cannot_be_tested_is_said(model: FieldModel) -> None:

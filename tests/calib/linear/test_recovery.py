@@ -17,6 +17,7 @@ import pytest
 from scipy.stats import binom
 
 from fluxtwin.calib.common.design import assemble
+from fluxtwin.calib.common.noise import ReadingNoise
 from fluxtwin.calib.linear.calibrate import calibrate_linear, fit_design
 from fluxtwin.calib.linear.method import LinearOptions
 
@@ -99,6 +100,30 @@ def test_the_correction_for_noise_in_the_reading_is_needed(seasat: Any) -> None:
     assert np.mean(off) < -8.0 * error  # the attenuation is seen
     assert abs(np.mean(off) - np.mean(predicted)) < 4.0 * error  # and is what (1.11) says; false alarm 6e-5
     assert abs(np.mean(on)) < 4.0 * error
+
+
+def test_a_doubtful_noise_adds_to_the_covariance_what_it_moves(
+    seasat: Any, monkeypatch: pytest.MonkeyPatch, close: Any
+) -> None:
+    """To first order, by calibrations with a little more and less noise on each axis."""
+    record = seasat.record(
+        seasat.magnetometer(noise_nT=NOISE_NT).reading(seasat.field_B_nT, None, np.random.default_rng(8))
+    )
+    variance = NOISE_NT**2 * np.array([1.0, 0.8, 1.3])
+
+    def fit(variance_nT2: np.ndarray, doubt: np.ndarray) -> Any:
+        noise = ReadingNoise(variance_nT2, "", doubt)
+        monkeypatch.setattr("fluxtwin.calib.linear.calibrate.reading_noise", lambda *_: noise)
+        return calibrate_linear(record, seasat.model, parameters="b,S", covariance="white", robust="none").calibration
+
+    sure, steps = np.zeros((3, 3)), 1e-3 * np.diag(variance)
+    moved = [(fit(variance + h, sure).values - fit(variance - h, sure).values) / (2.0 * h.sum()) for h in steps]
+    doubt = np.diag((0.3 * variance) ** 2)
+    added = fit(variance, doubt).covariance - fit(variance, sure).covariance
+    expected = np.array(moved).T @ doubt @ np.array(moved)
+    sigma = np.sqrt(np.diag(expected))
+    unit = np.outer(sigma, sigma)
+    close(added / unit, expected / unit, atol=1e-4, unit="1", because="a central difference over a thousandth")
 
 
 MUTANTS = {

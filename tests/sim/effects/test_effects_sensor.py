@@ -309,6 +309,8 @@ def test_saturated_readings_have_no_noise(bare: Chain) -> None:
     reading = bare.simulated([(Saturation(), np.array([8000.0]))], seed=1, noise_nT=noise).reading
     limit = np.abs(bare.baseline_nT).max() - 8000.0
     assert np.abs(reading).max() == limit
+    inside = np.abs(bare.baseline_nT + noise) < limit
+    np.testing.assert_allclose(reading[inside], (bare.baseline_nT + noise)[inside], rtol=1e-12)
     assert (np.abs(reading) == limit).sum() > 20
 
 

@@ -206,7 +206,9 @@ def test_a_number_that_only_looks_like_a_fill_value_is_none(tmp_path: Path) -> N
     counts = np.round(MAG / 10.0)
     counts[5, 0] = -999.0
     assert "fill" not in draft([table(tmp_path / "a.csv", {"unix_s": UNIX, **triple("mag_x mag_y mag_z", counts)})])
-    counts[7:11] = -4096.0
+    counts[7:9] = -4096.0
+    assert "fill" not in draft([table(tmp_path / "a.csv", {"unix_s": UNIX, **triple("mag_x mag_y mag_z", counts)})])
+    counts[9:11] = -4096.0
     text = draft([table(tmp_path / "a.csv", {"unix_s": UNIX, **triple("mag_x mag_y mag_z", counts)})])
     assert "fill = [-4096.0]" in text, "all three, more than twice"
 

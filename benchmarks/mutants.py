@@ -1,14 +1,15 @@
-"""Do the tests bite? Small faults put into the product one at a time, each against the tests that stand nearest to it.
+"""Do the tests bite? Small faults put into the product one at a time, each against the tests that call what is changed.
 
-    python benchmarks/mutants.py --number 300 --seed 1 --record FILE   an hour or two; begun again, it goes on
-    python benchmarks/mutants.py --quick                               three of them: does it still run?
+    python benchmarks/mutants.py --map MAP --number 300 --seed 1 --record FILE   an hour or two; begun again, it goes on
+    python benchmarks/mutants.py --map MAP --record FILE --again                 what survived, against the tests of now
+    python benchmarks/mutants.py --quick                                         three of them: does it still run?
 
 A mutant is one expression of `sim`, `calib` or `gap`, changed in one of the ways of `changes`. Only functions that give or
 fill numbers are changed, and nothing in what they raise or say. Mutants are drawn by a seed: every package in turn, and
-there the modules and kinds of change met least. Their tests are those of the folder of `tests` that mirrors the package, in
-the order of the imports between them and the module: the nearest first, until one fails. One that fails with the mutant
-must pass without it. What no test notices in LIMIT_S of processor time has survived, but where the tests end
-without it in half of that: kernels are compiled anew.
+there the modules and kinds of change met least. MAP says which functions each test calls; it is made once, in half an hour,
+where the file is not there. The tests that call the function (or, for kernels that only kernels call, the file) are run in
+the order of seconds times functions called, until one fails or BUDGET_S would be spent. One that fails with the mutant must
+pass without it. What ends in no LIMIT_S of processor time is noticed where the same tests end without it in half of that.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from __future__ import annotations
 import argparse
 import ast
 import compileall
+import cProfile
 import json
 import os
 import py_compile
@@ -27,11 +29,15 @@ import signal
 import subprocess
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from time import process_time
+from types import CodeType
 from typing import Any, NamedTuple
+
+import pytest
 
 from fluxtwin.sim.base.kernel_cache import cache_folder
 
@@ -39,7 +45,9 @@ ROOT = Path(__file__).resolve().parent.parent
 WANTED = 0.95
 MOST = 4
 """Mutants of a module, at most."""
-LIMIT_S = 30
+FOLDERS = ("sim/", "calib/", "gap/")
+SUITE = ("sim", "reference", "gap", "calib", "api", "scenarios")
+FIRST_S, BUDGET_S, LIMIT_S = 4.0, 40.0, 240
 NUMBERS = re.compile(r"[fF]loat|[aA]rray|Rotation|datetime64")
 NO_NUMBERS = re.compile(r"\b(str|bool|int|bytes|Path|Any|Callable|Findings?|Header|BadInput)\b|^(None|Self)$")
 SAID = ("where", "wanted", "tol", "atol", "rtol", "rcond")
@@ -188,56 +196,71 @@ def drawn(number: int, seed: int) -> list[Mutant]:
     return chosen
 
 
-@cache
-def parsed(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
+class Calls:
+    """A plugin of pytest that writes, one line of JSON a test, which functions of the product it calls and its seconds."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        self.profile = cProfile.Profile(subcalls=False, builtins=False)
+        self.made: dict[str, set[str]] = defaultdict(set)
+
+    def called(self) -> set[str]:
+        """Since the test began: `FILE NAME`; compiled kernels too, where they are called from outside."""
+        codes = [one.code for one in self.profile.getstats() if isinstance(one.code, CodeType)]
+        return {
+            f"{one.co_filename} {one.co_name}".removeprefix(f"{ROOT}/") for one in codes if str(ROOT) in one.co_filename
+        }
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(self, fixturedef: Any) -> Iterator[None]:
+        """What a fixture calls counts for every test that asks for it, not only for the first."""
+        try:
+            return (yield)
+        finally:
+            self.made[fixturedef.argname] |= self.called()
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: Any) -> Iterator[None]:
+        self.profile.clear()
+        began = process_time()
+        self.profile.enable()
+        try:
+            return (yield)
+        finally:
+            self.profile.disable()
+            called = self.called().union(*(self.made[one] for one in item.fixturenames))
+            functions = sorted(one for one in called if one.startswith(FOLDERS) and "<" not in one)
+            record = {"test": item.nodeid, "seconds": process_time() - began, "functions": functions}
+            with self.file.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(record) + "\n")
 
 
-@cache
-def imports(path: Path) -> frozenset[Path]:
-    """The files of the product that a file imports."""
-    found = set[str]()
-    for node in ast.walk(parsed(path)):
-        match node:
-            case ast.Import(names):
-                found |= {one.name for one in names}
-            case ast.ImportFrom(str() as module, names):
-                found |= {module} | {f"{module}.{one.name}" for one in names}
-            case ast.Call(ast.Name("door"), _, modules):  # what a package hands on
-                found |= {".".join(("fluxtwin", *path.parent.relative_to(ROOT).parts, str(one.arg))) for one in modules}
-    words = [one.removeprefix("fluxtwin").strip(".").replace(".", "/") for one in found if one.startswith("fluxtwin")]
-    homes = [folder / word for word in words for folder in (ROOT, ROOT / "api") if word or folder != ROOT]
-    return frozenset(
-        file for home in homes for file in (home.with_suffix(".py"), home / "__init__.py") if file.is_file()
-    )
+class Tests:
+    """Which tests call a function, by the lines of `Calls`."""
 
+    def __init__(self, file: Path) -> None:
+        self.of: dict[str, list[tuple[float, float, str]]] = defaultdict(list)
+        for one in map(json.loads, file.read_text(encoding="utf-8").splitlines()):
+            rank = (one["seconds"] + 0.01) * len(one["functions"])
+            for name in {*one["functions"], *(name.split()[0] for name in one["functions"])}:
+                self.of[name].append((rank, one["seconds"], one["test"]))
 
-def nearest(file: str, function: str) -> tuple[list[str], list[str]]:
-    """Tests that use the function by name, then those of its module; the files of the mirrored folder, by imports."""
-    module, folder = "fluxtwin." + file[:-3].replace("/", "."), ROOT / "tests" / Path(file).parent
-    while not list(folder.glob("test_*.py")):
-        folder = folder.parent
-    by_name, files = [], []
-    for path in sorted((ROOT / "tests").rglob("test_*.py"), key=lambda path: (folder not in path.parents, path)):
-        steps, seen, test = 0, imports(path), path.relative_to(ROOT).as_posix()
-        tree = parsed(path) if folder in path.parents or ROOT / file in seen else ast.Module([])
-        made = [one for one in tree.body if isinstance(one, ast.ImportFrom)]
-        names = {name.name for one in made for name in one.names if module in (one.module, f"{one.module}.{name.name}")}
-        for one in tree.body:
-            words = {_name(node) for node in ast.walk(one) if isinstance(node, ast.Name | ast.Attribute)}
-            if isinstance(one, ast.FunctionDef) and one.name.startswith("test") and words & {*names, function}:
-                by_name.append((function not in words, f"{test}::{one.name}"))
-        while ROOT / file not in seen and steps < 9:
-            steps, seen = steps + 1, seen.union(*map(imports, seen))
-        files += [(steps, len(imports(path)), test)] if folder in path.parents else []
-    return [test for _, test in sorted(by_name, key=lambda one: one[0])], [test for *_, test in sorted(files)]
+    def nearest(self, mutant: Mutant) -> tuple[list[str], list[str]]:
+        """The quick ones that call little else, and the others by file, until BUDGET_S is spent."""
+        found = self.of.get(f"{mutant.file} {mutant.function}") or self.of.get(mutant.file, [])
+        spent, first, others = 0.0, list[str](), defaultdict[str, list[str]](list)
+        for _, seconds, test in sorted(found):
+            if spent + seconds < BUDGET_S:
+                (first if spent < FIRST_S else others[test.split("::")[0]]).append(test)
+                spent += seconds
+        return first, [test for tests in others.values() for test in tests]
 
 
 class Checkout:
     """A copy of the checkout in which tests are run: its own code is imported in place of what is installed."""
 
-    def __init__(self, folder: Path) -> None:
-        self.root = folder / "fluxtwin"
+    def __init__(self, folder: Path, tests: Tests) -> None:
+        self.root, self.tests = folder / "fluxtwin", tests
         ignored = shutil.ignore_patterns(".git", ".types", "build", "__pycache__", "*-results", ".venv")
         shutil.copytree(ROOT, self.root, ignore=ignored)
         kernels = folder / "kernels"  # not where sound ones are kept
@@ -269,12 +292,53 @@ class Checkout:
         path = self.root / mutant.file
         right = path.read_text(encoding="utf-8")
         path.write_text(right[: mutant.start] + mutant.wrong + right[mutant.end :], encoding="utf-8")
-        by_name, files = nearest(mutant.file, mutant.function)
-        by = (self.failing(*by_name) if by_name else "") or self.failing(*files)
+        first, others = self.tests.nearest(mutant)
+        by = next((by for part in (first, others) if part and (by := self.failing(*part))), "")
         path.write_text(right, encoding="utf-8")
-        if by.startswith("tests") and self.sound(by):
+        alone = self.sound(by) if by.startswith("tests") else by and self.sound(*first, *others, limit_s=LIMIT_S // 2)
+        if alone and by != "no end":
             raise SystemExit(f"{by}: does not pass as it is, so it tells nothing")
-        return "" if by == "no end" == self.sound(*sorted(files), limit_s=LIMIT_S // 2) else by
+        return "" if alone else by
+
+
+class Answer(NamedTuple):
+    """A mutant, and the test that noticed it the first and the last time that it was tried; empty: none."""
+
+    mutant: Mutant
+    first: str
+    last: str
+
+
+def recorded(file: Path | None) -> dict[Mutant, Answer]:
+    """What a record holds."""
+    answers = dict[Mutant, Answer]()
+    for line in file.read_text(encoding="utf-8").splitlines() if file and file.exists() else []:
+        one = json.loads(line)
+        by, mutant = one.pop("by"), Mutant(**one)
+        answers[mutant] = Answer(mutant, answers[mutant].first if mutant in answers else by, by)
+    return answers
+
+
+def tried(mutants: Iterable[Mutant], tests: Tests, record: Path | None, *, again: bool) -> Iterator[Answer]:
+    """Each mutant against its tests, but for those in the record (again: that were noticed); written there one by one."""
+    known = recorded(record)
+    with TemporaryDirectory() as folder:
+        checkout = Checkout(Path(folder), tests)
+        for mutant in mutants:
+            if mutant not in known or (again and not known[mutant].last):
+                now = min(  # where it stands now
+                    (one for one in mutants_of(ROOT / mutant.file) if one[2:6] == mutant[2:6]),
+                    key=lambda one: abs(one.line - mutant.line),
+                    default=None,
+                )
+                if now is None:
+                    continue
+                by = checkout.noticed(now)
+                known[mutant] = Answer(mutant, known[mutant].first if mutant in known else by, by)
+                if record:
+                    with record.open("a", encoding="utf-8") as file:
+                        file.write(json.dumps({**mutant._asdict(), "by": by}) + "\n")
+            yield known[mutant]
 
 
 def main() -> int:
@@ -282,25 +346,29 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--number", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--map", type=Path, metavar="FILE", help="JSON lines: which functions each test calls")
     parser.add_argument("--record", type=Path, metavar="FILE", help="JSON lines; what is in it is not tried again")
+    parser.add_argument("--again", action="store_true", help="try what survived in the record, and draw nothing new")
     parser.add_argument("--quick", action="store_true")
     options = parser.parse_args()
-    old = options.record.read_text(encoding="utf-8").splitlines() if options.record and options.record.exists() else []
-    known = {(one["file"], one["change"], one["right"], one["wrong"]): one["by"] for one in map(json.loads, old)}
-    missed, mutants = [], drawn(3 if options.quick else options.number, options.seed)
     with TemporaryDirectory() as folder:
-        checkout = Checkout(Path(folder))
-        for mutant in mutants:
-            by = known.get((mutant.file, *mutant[3:6]))
-            if by is None:
-                by = checkout.noticed(mutant)
-                if options.record:
-                    with options.record.open("a", encoding="utf-8") as file:
-                        file.write(json.dumps({**mutant._asdict(), "by": by}) + "\n")
-            print(f"{mutant.file}:{mutant.line}: {mutant.change}: {by or 'SURVIVED: ' + mutant.wrong}", flush=True)
-            missed += [mutant] if not by else []
-    print(f"{len(mutants)} mutants, {len(missed)} survived")
-    return 0 if options.quick or len(missed) <= (1.0 - WANTED) * len(mutants) else 1
+        calls = options.map or Path(folder) / "map.jsonl"
+        if not calls.exists():
+            suite = ["tests/sim/base"] if options.quick else [f"tests/{one}" for one in SUITE]
+            pytest.main(["-q", "-p", "no:cacheprovider", *suite], plugins=[Calls(calls)])
+        tests = Tests(calls)
+    if options.quick:
+        mutants = [one for one in drawn(300, options.seed) if f"{one.file} {one.function}" in tests.of][:3]
+    else:
+        mutants = list(recorded(options.record)) if options.again else drawn(options.number, options.seed)
+    answers = []
+    for one in tried(mutants, tests, options.record, again=options.again):
+        answers.append(one)
+        name = f"{one.mutant.file}:{one.mutant.line}: {one.mutant.change}"
+        print(f"{name}: {one.last or 'SURVIVED: ' + one.mutant.wrong}", flush=True)
+    first, last = (sum(not by for by in bys) for bys in ((one.first for one in answers), (one.last for one in answers)))
+    print(f"{len(answers)} mutants, {last} survived; {first} when first tried")
+    return 0 if options.quick or last <= (1.0 - WANTED) * len(answers) else 1
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 python -m benchmarks.trust                 all of it: about half an hour; the table also goes to docs/trust.md
 python -m benchmarks.trust --quick         a little of each: does it still hold?
 python -m benchmarks.trust --mutants 200000 --only hostile
+python -m benchmarks.trust --only tests --record FILE    what benchmarks/mutants.py has found about the tests
 """
 
 from __future__ import annotations
@@ -16,16 +17,18 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from .. import mutants
 from . import disk, hostile, repeat
 from .harness import Row
 
+UNNOTICED = "small faults in sim, calib and gap that no test notices"
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "trust.md"
 ABOUT = """# Robustness tests
 
 `python -m benchmarks.trust` makes this table. It damages files, fills disks, stops processes and moves the program
 around, and counts everything that should not have happened. Each trial runs in a process of its own, or is one of
 many in a process whose end by a signal is counted. [SECURITY.md](../SECURITY.md) says what is refused, and the
-limits.
+limits. The last row is about the tests: `benchmarks/mutants.py` changes the product in one small place at a time.
 
 | trial | how many | faults | wanted | found |
 |---|---|---|---|---|
@@ -44,7 +47,18 @@ def sections(options: argparse.Namespace) -> dict[str, Callable[[Path], list[Row
         "texts": lambda place: [repeat.texts(place, quick=quick)],
         "same bits": lambda place: repeat.same_bits(place, quick=quick),
         "places": lambda place: [repeat.places(place, quick=quick)],
-    }
+    } | ({"tests": lambda place: [unnoticed(options.record)]} if options.record else {})
+
+
+def unnoticed(record: Path) -> Row:
+    """What no test notices of the small faults of a record."""
+    answers = mutants.recorded(record).values()
+    row = Row(UNNOTICED, len(answers), reach=f"{100.0 * (1.0 - mutants.WANTED):.0f} % at most")
+    for mutant, _, last in answers:
+        if not last:
+            row.fault(f"`{mutant.file}`, line {mutant.line}, {mutant.change}: `{mutant.right}`")
+    row.note = f"{sum(not one.first for one in answers)} when first tried, before tests were written for them"
+    return row
 
 
 def measured(options: argparse.Namespace) -> Iterator[Row]:
@@ -66,7 +80,12 @@ def page(rows: list[Row], in_part: bool) -> str:
     old = PAGE.read_text(encoding="utf-8").splitlines() if in_part and PAGE.exists() else []
     lines = {line.split("|")[1].strip(): line for line in old if line.startswith("| ") and "| how many |" not in line}
     lines |= {row.name: as_line(row) for row in rows}
-    return ABOUT + "\n".join([*lines.values(), ""])
+    listed = [line for line in old if line.startswith("- ")]
+    for row in (one for one in rows if one.name == UNNOTICED):
+        listed = [f"- {fault}" for fault in row.faults]
+    return ABOUT + "\n".join(
+        [*lines.values(), "", *(["The small faults that no test notices:", ""] if listed else []), *listed, ""]
+    )
 
 
 def main() -> int:
@@ -81,6 +100,7 @@ def main() -> int:
     parser.add_argument("--bits", type=int, help="flipped bits")
     parser.add_argument("--disk", type=int, help="faults while a file is written")
     parser.add_argument("--only", action="append", help="this part alone; repeatable")
+    parser.add_argument("--record", type=Path, metavar="FILE", help="what benchmarks/mutants.py wrote")
     parser.add_argument("--json", type=Path, help="write the rows here")
     options = parser.parse_args()
     sizes = {

@@ -153,12 +153,12 @@ def test_a_size_that_cannot_be_is_an_error_in_one_line(
     assert said and all(line.startswith(("usage:", " ")) for line in said[:-1])
 
 
-def test_a_mutant_changes_one_place_of_code_that_has_tests() -> None:
+def test_a_mutant_changes_one_place() -> None:
     mutants = script("mutants")
     some = mutants.drawn(60, seed=1)
     assert len(set(some)) == 60 and len({one.change for one in some}) == 12
     for one in some:
         right = (FOLDER.parent / one.file).read_text(encoding="utf-8")
         wrong = right[: one.start] + one.wrong + right[one.end :]
-        assert right[one.start : one.end] == one.right and any(mutants.nearest(one.file, one.function))
+        assert right[one.start : one.end] == one.right
         assert ast.dump(ast.parse(wrong)) != ast.dump(ast.parse(right)), one

@@ -67,7 +67,7 @@ def test_the_errors_are_those_of_rows_that_were_not_fitted(model: FieldModel) ->
         squares += predict(unseen, known, model).rms_nT ** 2 * len(unseen)
         within += predict(seen, known, model).rms_nT ** 2 * len(seen)
     held_out = np.array(compared.results[0].held_out_nT)
-    assert np.allclose(held_out, np.sqrt(squares / len(record)), rtol=0.02)  # a few rows are outliers
+    assert np.allclose(held_out, np.sqrt(squares / len(record)), rtol=1e-9)  # no row is an outlier
     assert (held_out > np.sqrt(within / len(record))).sum() >= 2
 
 

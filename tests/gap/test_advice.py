@@ -44,6 +44,7 @@ def test_a_standing_one_is_doubted_only_where_something_speaks_against_a_hold():
         stuck_attitude(record(slice(0, ROWS), 1e-3), None)
     )  # 1.99 rad
     assert stuck_attitude(record(slice(0, ROWS), 1e-6), None) is None
+    assert "100 % of the rows" in str(stuck_attitude(hold.select(slice(0, 2)), 1e-3))
     assert stuck_and_misfit(hold, 100.0) is None
     assert "do not fit it (3000 nT" in str(stuck_and_misfit(hold, 3000.0))
 

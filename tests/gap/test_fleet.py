@@ -100,3 +100,4 @@ def test_scores_are_those_of_least_squares(perfect: Diagnosis) -> None:
 def test_two_vehicles_are_no_fleet(perfect: Diagnosis) -> None:
     with pytest.raises(BadInput, match="2 vehicles"):
         fleet(["a", "b"], [perfect, perfect])
+    assert fleet(["a", "b", "c"], [perfect] * 3).vehicles == ("a", "b", "c")

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from fluxtwin.diagnosing import diagnose
+from fluxtwin.gap.selection.criterion import MOST_SURE
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.run.simulate import simulate
@@ -46,6 +47,7 @@ def test_a_turned_head_is_named_and_the_angle_confirms_it():
         {"head": 2},
         ("sun_sensor_head_misalignment",),
     )
+    assert first.probability == MOST_SURE  # both show it; readings alone give 0.967
     # With one head in use a constant bias of the scanner changes the angle alike; the readings tell the two apart.
     shown = found.provenance["sun_nadir"]
     assert "sun_sensor_head_misalignment of head 2" in [

@@ -261,6 +261,9 @@ def test_rows_of_unknown_attitude_say_nothing() -> None:
     found = record.at(6.0)[2] * mixed.inv()
     assert rms_deg(found[10:-10], (law(t + 6.0) * law(t).inv())[10:-10]) < 1e-3
     assert record.reaches(3000.0)[~known].all()
+    beyond = t[known][-1] - t + 0.5 * np.median(np.diff(t[known]))  # half a spacing beyond the last
+    assert record.reaches(beyond - 0.1).all()
+    assert not record.reaches(beyond + 0.1)[known].any()
 
 
 def test_positions_between_the_stamps(close: Callable[..., None]) -> None:

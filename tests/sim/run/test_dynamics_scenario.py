@@ -182,10 +182,14 @@ def test_the_law_may_read_the_instrument(scenario: Scenario) -> None:
     same = sure.updated({"control.magnetometer": "instrument"})
     biased = same.updated({"magnetometer.b_nT": [7000.0, -3000.0, -6000.0]})
     ideal = sure.updated({"magnetometer.b_nT": [7000.0, -3000.0, -6000.0]})
-    dipole = {
-        name: flights(s).flights[0].dipole_B_Am2
-        for name, s in {"sure": sure, "same": same, "biased": biased, "ideal": ideal}.items()
-    }
+    first_nT = 5000.0 * stream(sure.seed, "control.magnetometer.0").standard_normal(3)
+    noisy, moved = (
+        same.updated({f"magnetometer.{name}": x}) for name, x in (("noise_nT", 5000.0), ("b_nT", (-first_nT).tolist()))
+    )
+    every = {"sure": sure, "same": same, "biased": biased, "ideal": ideal, "noisy": noisy, "moved": moved}
+    dipole = {name: flights(s).flights[0].dipole_B_Am2 for name, s in every.items()}
+    np.testing.assert_allclose(dipole["noisy"][0], dipole["moved"][0], rtol=1e-9)
+    assert np.abs(dipole["noisy"][0] - dipole["sure"][0]).max() > 0.01 * np.abs(dipole["sure"][0]).max()
     assert np.array_equal(dipole["sure"], dipole["same"]) and np.array_equal(dipole["sure"], dipole["ideal"])
     assert np.abs(dipole["biased"] - dipole["sure"]).max() > 0.1 * np.abs(dipole["sure"]).max()
 

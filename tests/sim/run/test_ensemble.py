@@ -132,6 +132,9 @@ def test_a_vehicle_flown_alone_is_that_of_the_ensemble(scenario: Scenario, strai
         assert np.array_equal(one["mag_B_nT"], telemetry.mag_B_nT.astype(np.float32))
         assert np.array_equal(one["q_NB"], truth.q_NB.astype(np.float32))
         assert (one["time"].to_numpy() == telemetry.time).all()
+        wheels = 0.01 * 2.0 * np.pi / 60.0 * np.asarray(telemetry.wheel_speed_rpm)  # along the axes
+        body = truth.rate_B_rad_s @ np.array(plan.vehicle(5).spacecraft.inertia_kg_m2)
+        np.testing.assert_allclose(one["momentum_Nms"], np.linalg.norm(body + wheels, axis=1), rtol=1e-6)
 
 
 def test_figures_are_those_of_the_series(scenario: Scenario, straight: Path, close: Callable[..., None]) -> None:

@@ -103,7 +103,10 @@ def test_updated_changes_only_what_is_named():
 def test_units_are_exclusive_and_convert():
     # 1 mG = 100 nT by definition.
     unknown = "[magnetometer.unknown]\nrms_mG = 0.7\n"
-    scenario = parse_scenario(SMALL + "[magnetometer]\nb_mG = [1.0, 2.0, 3.0]\nlsb_mG = 4.4\n" + unknown)
+    scenario = parse_scenario(
+        SMALL + "[magnetometer]\nb_mG = [1.0, 2.0, 3.0]\nlsb_mG = 4.4\nnoise_mG = 0.5\n" + unknown
+    )
+    assert scenario.magnetometer.white_nT == pytest.approx(50.0, rel=1e-12)
     assert scenario.magnetometer.unknown.nT == pytest.approx(70.0, rel=1e-12)
     assert scenario.magnetometer.bias_nT == (100.0, 200.0, 300.0)
     assert scenario.magnetometer.step_nT == pytest.approx(440.0, rel=1e-12)

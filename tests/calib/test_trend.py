@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import Cli
-from scipy.stats import binom
+from scipy.stats import binom, chi2
 from worlds import scenario_text
 
 import fluxtwin
@@ -70,7 +70,9 @@ def test_the_statistic_is_that_of_whitened_least_squares() -> None:
     assert found.q == pytest.approx(float(((right - rows @ mean) ** 2).sum()), rel=1e-6)
     assert found.degrees_of_freedom == 36
     w, b1 = np.array([c.sigma["b1"] for c in known], dtype=float) ** -2, np.array([c.b_nT[0] for c in known])
-    assert one(found, "b1").q == pytest.approx((w * b1**2).sum() - (w * b1).sum() ** 2 / w.sum(), rel=1e-6)  # type: ignore[attr-defined]
+    q = (w * b1**2).sum() - (w * b1).sum() ** 2 / w.sum()
+    assert one(found, "b1").q == pytest.approx(q, rel=1e-6)  # type: ignore[attr-defined]
+    assert one(found, "b1").probability == pytest.approx(chi2.sf(q, 3), rel=1e-6)  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(("kind", "name"), [("step", "b2"), ("drift", "S33"), ("temperature", "b1")])

@@ -17,12 +17,13 @@ from fluxtwin.gap.hypotheses.candidates import candidates
 from fluxtwin.gap.noise.robust_rows import first_weights, standing_out
 from fluxtwin.gap.noise.whitening import NoiseModel, make_whitener
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
-from fluxtwin.gap.problem.row_axes import RowAxes, row_axes
+from fluxtwin.gap.problem.row_axes import RowAxes, calibrated, row_axes
 from fluxtwin.gap.selection.refit import settled
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import parse_scenario
+from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 from fluxtwin.sim.telemetry.record import Telemetry
 
 pytestmark = pytest.mark.property
@@ -169,6 +170,14 @@ def test_any_turn_of_the_body_leaves_the_residual_of_a_row_without_attitude_alon
         alone = axes.in_row_axes(axes.without_turn(Rotation.from_rotvec(0.05 * axis).apply(field) - field, field))
         assert np.abs(alone[use]).max() < 1e-6
         assert np.abs(alone[axes.known]).max() > (100.0 if not nadir else -1.0)
+
+
+def test_calibrated_is_the_field_of_a_reading(close):
+    rng = np.random.default_rng(11)
+    field, dipole = rng.normal(0.0, 3e4, (9, 3)), rng.normal(0.0, 5.0, (9, 3))
+    sensor = Magnetometer(rng.normal(0.0, 0.05, (3, 3)), np.array([700.0, -90.0, 40.0]), rng.normal(0.0, 30.0, (3, 3)))
+    found = calibrated(sensor.ideal_reading(field, dipole), sensor, dipole)
+    close(found, field, atol=1e-9, unit="nT", because="rounding")
 
 
 def test_the_pseudo_attitude_takes_the_model_field_and_nadir_to_what_was_measured(close):

@@ -68,6 +68,8 @@ def test_the_errors_are_those_of_rows_that_were_not_fitted(model: FieldModel) ->
         within += predict(seen, known, model).rms_nT ** 2 * len(seen)
     held_out = np.array(compared.results[0].held_out_nT)
     assert np.allclose(held_out, np.sqrt(squares / len(record)), rtol=1e-9)  # no row is an outlier
+    # A turn by 0.5 deg about each axis moves a direction by less than that times sqrt(chi2(0.95, 2)) in 95 % of the rows.
+    assert compared.results[0].angle_deg == pytest.approx(0.5 * np.sqrt(5.99), rel=0.25)
     assert (held_out > np.sqrt(within / len(record))).sum() >= 2
 
 

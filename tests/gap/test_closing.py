@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from fluxtwin.gap.noise.whitening import make_whitener
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.diagnosis import Closure
+from fluxtwin.gap.selection.criterion import MOST_SURE
 from fluxtwin.gap.selection.named import Support, found_effect
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import epoch, frames, sun
@@ -278,6 +280,8 @@ def test_noise_of_the_scenario_is_expected_and_no_other() -> None:
     alike = Finding(ExcessNoise(), np.array([165.0]), np.array([10.0]))
     assert expected(alike, frozen) and not expected(alike, [])
     assert not expected(Finding(ExcessNoise(), np.array([300.0]), np.array([10.0])), frozen)
+    assert replace(alike, worth=2.0).probability == pytest.approx(1.0 - np.exp(-1.0), rel=1e-12)
+    assert replace(alike, worth=100.0).probability == MOST_SURE
     assert not expected(Finding(BitErrors(), np.array([0.01]), np.array([0.001])), frozen)
 
 

@@ -15,7 +15,8 @@ from fluxtwin.gap.detectors.lines import companion, strongest_line, wheel_line
 from fluxtwin.gap.detectors.noise_level import noise_level
 from fluxtwin.gap.detectors.random_walk import random_walk
 from fluxtwin.gap.detectors.residual_structure import drift, judge
-from fluxtwin.gap.detectors.two_state import heater_sequence
+from fluxtwin.gap.detectors.switched_region import _Place, _snug
+from fluxtwin.gap.detectors.two_state import _scatter, heater_sequence
 from fluxtwin.gap.hypotheses.blocks import Block, blocks
 from fluxtwin.gap.hypotheses.evidence import fit_all
 from fluxtwin.gap.linear.projection import projected
@@ -262,6 +263,17 @@ def test_a_walk_is_white_after_its_own_whitening(bench: Bench, close: Callable[.
     assert left.energy / left.degrees > 1.0 + 4 * np.sqrt(2 / left.degrees)
     assert drift(white)[0] > -3.0 > drift(left)[0]
     assert likeliest_rate(bench.whitener, noise, bench.calibration) is None
+
+
+def test_dwell_times_scatter_about_the_mean_of_their_class() -> None:
+    """On 9, 11 and 10 s, off 20, 20 and 20 s, in the sun: 0.02 over two degrees of freedom each."""
+    seconds, changes = np.arange(91.0), np.cumsum([0, 9, 20, 11, 20, 10, 20])
+    assert _scatter(seconds, np.ones(91, dtype=bool), changes, True) == pytest.approx(0.02 / 4.0)
+
+
+def test_the_box_of_rows_beyond_the_date_line_is_given_west_of_it() -> None:
+    place = _Place(np.array([10.0, 12.0]), np.array([-179.0, -175.0]), {})
+    assert _snug(place, (5.0, 15.0, 175.0, 195.0), np.ones(2, dtype=bool)) == (10.0, 12.0, -179.0, -175.0)
 
 
 def test_a_multiple_of_a_wheel_is_no_second_wheel(bench: Bench) -> None:

@@ -91,6 +91,9 @@ def test_scores_are_those_of_least_squares(perfect: Diagnosis) -> None:
     assert abs(score.score[0] / score.information[0, 0] - value.value) < 0.5 * value.sigma
     assert score.information[0, 0] ** -0.5 == pytest.approx(value.sigma, rel=0.1)
     assert "time_tag_offset" not in {one.label for one in found.scores[1]}
+    has = replace(perfect, effects=[replace(found.effects[0], name="yaw_drift", group=("yaw_drift",))])
+    faults = fleet(["a", "b", "c", "d"], [has, has, perfect, perfect]).faults  # two of four: most others have it not
+    assert [(fault.vehicle, fault.name) for fault in faults] == [(0, "yaw_drift"), (1, "yaw_drift")]
     assert {one.label for one in perfect.scores[0]} >= {
         "time_tag_offset(course=constant)",
         "along_track_error(course=constant)",

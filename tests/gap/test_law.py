@@ -8,6 +8,8 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,11 +20,14 @@ from worlds import scenario_text
 from fluxtwin import diagnosing
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.law import words
+from fluxtwin.gap.law.grammar import Grammar
 from fluxtwin.gap.problem.problem import Budget
 from fluxtwin.gap.records.diagnosis import Diagnosis, Law, LawTerm
 from fluxtwin.gap.records.schema import diagnosis_schema
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.field import load_field
+from fluxtwin.sim.effects import law as effect
+from fluxtwin.sim.effects.spacecraft_field import TYPICAL_NT
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -152,6 +157,18 @@ def test_where_no_column_does_it_none_is_named() -> None:
     assert {"driver_payload", "driver_heat", "sun_x"} <= {one.quantity for one in found.law.looked_at}
     assert all(one.visible_nT > 0.0 for one in found.law.looked_at)
     assert "No law" in found.sentence
+
+
+def test_the_usual_size_of_a_coefficient_is_that_of_its_largest_swing() -> None:
+    for values, swing in (([10.0, 12.0], 12.0), ([-10.0, 12.0], 22.0)):
+        grammar: Any = SimpleNamespace(values=lambda law, values=values: np.array(values))
+        assert Grammar.usual(grammar, effect.Law()).typical_nT_per_unit == TYPICAL_NT / swing
+
+
+def test_a_wave_comes_with_its_quarter_and_a_column_with_the_rest() -> None:
+    grammar: Any = SimpleNamespace(recorded=["a"], switches=[], values=lambda law: 1.0)
+    found = {one.of for one in Grammar.with_lower(grammar, effect.Law(of=("a", "cos orbit")))}
+    assert {("a", "cos orbit"), ("a", "sin orbit"), ("cos orbit",)} <= found
 
 
 def test_a_law_without_a_recorded_column_says_that_it_describes() -> None:

@@ -6,6 +6,7 @@ own, from recorded rows ten seconds apart.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,7 +17,9 @@ from scipy.spatial.transform import Rotation
 from worlds import scenario_text
 
 from fluxtwin import diagnosing, diagnosis_page
-from fluxtwin.gap.channels.momentum_arcs import Craft, arcs, windows
+from fluxtwin.gap.channels.momentum import MomentumChannel
+from fluxtwin.gap.channels.momentum_arcs import Arcs, Craft, arcs, windows
+from fluxtwin.gap.channels.momentum_images import plain_torques
 from fluxtwin.gap.posterior.torques import Momentum, balanced
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
 from fluxtwin.gap.records.diagnosis import Diagnosis
@@ -164,6 +167,45 @@ def alone(telemetry: Telemetry, scenario: Scenario) -> Momentum:
 def flown(name: str, **changes: Any) -> tuple[Telemetry, Scenario]:
     scenario = parse_scenario(DESIGNS[name])
     return simulate(scenario.updated({key.replace("__", "."): value for key, value in changes.items()}))[0], scenario
+
+
+def test_wheels_between_rows_follow_a_parabola(close: Callable[..., None]) -> None:
+    """The cubic with the slopes of the neighbours has every parabola exactly; dipoles are drawn straight or held."""
+    t = np.array([0.0, 10.0, 25.0, 40.0, 60.0])
+    here = np.array([[1], [2]])
+    arcs: Any = SimpleNamespace(problem=SimpleNamespace(setting=SimpleNamespace(seconds=t)), resolved=False)
+    arcs._ends, arcs._shares = (here, here + 1), np.linspace(0.0, 1.0, 5)[:, None, None]
+    arcs.wheels_B, arcs.dipole_B_Am2 = np.outer(t**2, [1.0, 0.0, -2.0]), np.outer(t, [1.0, 1.0, 1.0])
+    arcs.held, arcs._straight = np.zeros((2, 1, 1, 1), dtype=bool), lambda values: Arcs._straight(arcs, values)
+    wheels, dipole = Arcs.driven.func(arcs)
+    between = (t[here] + arcs._shares[:, :, 0].T * (t[here + 1] - t[here]))[:, :, None, None]
+    close(wheels, between**2 * [1.0, 0.0, -2.0], atol=1e-9, unit="N m s", because="rounding")
+    close(dipole, between * [1.0, 1.0, 1.0], atol=1e-9, unit="A m2", because="rounding")
+
+
+def test_the_columns_of_a_cause_are_its_image() -> None:
+    images = np.arange(12.0).reshape(2, 1, 3, 2)
+    causes = [SimpleNamespace(effect=effect, jacobian=image) for effect, image in zip("ab", images, strict=True)]
+    channel: Any = SimpleNamespace(causes=causes)
+    wanted: Any = "b"
+    assert np.array_equal(MomentumChannel.columns(channel, wanted), images[1])
+
+
+def test_a_steady_torque_is_pushed_along_the_axes_of_its_frame() -> None:
+    R_BN, R_ON = Rotation.random(3, random_state=1), Rotation.random(3, random_state=2)
+    r, v = np.eye(3) * 7e3, np.roll(np.eye(3), 1, axis=1) * 7.5
+    setting = SimpleNamespace(
+        given=(r, v, R_BN), seconds=np.arange(3.0), illumination=np.array([1.0, 0.0, 1.0]), R_ON=R_ON
+    )
+    arcs = SimpleNamespace(rows=np.array([[0, 1], [1, 2]]), track=R_BN, seconds=np.array([20.0, 30.0]))
+    arcs.problem, arcs.pushed = (
+        SimpleNamespace(time=np.datetime64("2020-03-01", "ns") + np.arange(3), setting=setting),
+        lambda at, impulse: impulse,
+    )
+    windows: Any = SimpleNamespace(arcs=arcs, chained=lambda turns: turns)
+    found = plain_torques(windows)
+    for frame, R in (("body", R_BN), ("orbital", R_ON)):  # its x axis, in N
+        assert np.allclose(found[None, frame][1][:, 0], 30.0 * R[1].inv().apply([1.0, 0.0, 0.0]))
 
 
 def test_a_perfect_record_balances(close) -> None:

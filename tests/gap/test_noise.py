@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from fluxtwin.gap.diagnose import _floor_log_sd
 from fluxtwin.gap.noise.budget import (
     DECLARED,
     FROM_DIFFERENCES,
@@ -493,6 +494,18 @@ def flight() -> Problem:
         time=time, mag_B_nT=44.0 * np.rint(reading / 44.0), r_N_km=r, v_N_km_s=v, q_NB=frames.q_from_rotation(R_BN)
     )
     return pose(record, model, modelled=["bias"])
+
+
+def test_a_prior_is_normal_in_the_logarithms() -> None:
+    prior = NoisePrior(200.0, 0.1, 1e-3, 0.4, 50.0)
+    law = stats.multivariate_normal(np.log([200.0, 1e-3, 50.0]), np.diag([0.1, 0.4, 0.5]) ** 2)
+    at = np.array([220.0, 2e-3, 30.0])
+    assert prior.log_density(*at) == pytest.approx(law.logpdf(np.log(at)) - law.logpdf(law.mean))
+
+
+def test_what_is_expected_is_as_sure_as_its_parts(flight: Problem) -> None:
+    noise = NoiseModel(60.0, 1e-3, 0.0, sigma_log_sd=0.03, theta_log_sd=0.2)
+    assert _floor_log_sd(flight, noise, 0.75) == pytest.approx(np.hypot(0.75 * 0.03, 0.25 * 0.2))
 
 
 def test_the_budget_is_completed_and_says_how(flight: Problem, close: Close) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,10 +11,10 @@ from scipy.stats import norm
 from worlds import PARTS, scenario_text
 
 from fluxtwin.gap.planning.base import base_tree
-from fluxtwin.gap.planning.choose import choose
+from fluxtwin.gap.planning.choose import _rank, choose
 from fluxtwin.gap.planning.designs import Design, LimitsSection, designs
 from fluxtwin.gap.planning.power import Cause, Flown, probability_of
-from fluxtwin.gap.planning.questions import Open
+from fluxtwin.gap.planning.questions import Open, ambiguous
 from fluxtwin.gap.selection.score import board
 from fluxtwin.planning import view_of
 from fluxtwin.sim.base.toml_input import validate
@@ -99,6 +100,7 @@ def flown(base: Scenario) -> dict[str, tuple[Design, Flown]]:
     found = {}
     allowed = LimitsSection(attitudes=("nadir", "inertial_hold", "tumble"), torquer_test=False, load_test=False)
     for design in designs(base, allowed, 1.6, 20.0, START):
+        assert design.step_h == 20.0 / 3600.0
         record, _ = simulate(design.scenario)
         found[design.words] = (design, view_of(record, design.scenario))
     return found
@@ -113,7 +115,22 @@ def test_a_body_rate_tells_a_clock_from_an_orbit(flown: dict[str, tuple[Design, 
     best = choose(question, list(flown.values())).best
     assert best is not None and best.words.startswith("tumble") and best.power > 0.95 and best.hours < 1.7
     still = [pair for words, pair in flown.items() if not words.startswith("tumble")]
-    assert max((course.power for course in choose(question, still).courses), default=0.0) < 0.6
+    courses = choose(question, still).courses
+    assert len(best.curve) > 3
+    assert max((course.power for course in courses), default=0.0) < 0.6
+
+
+def test_of_courses_that_are_enough_the_shortest_comes_first() -> None:
+    design = SimpleNamespace(step_h=0.01, wait_days=0.0, tests=True)
+    three = ((150, 1.0), (149, 1.0), (20, 0.1))
+    long, short, weak = (SimpleNamespace(design=design, rows=rows, power=power) for rows, power in three)
+    every: Any = [weak, long, short]
+    assert sorted(every, key=_rank) == [short, long, weak] and _rank(every[1])[2] == 1.5
+
+
+def test_of_one_cause_nothing_is_ambiguous() -> None:
+    flown: Any = SimpleNamespace(imitating=lambda first, name: None)
+    assert ambiguous(["along_track_error"], flown, Cause(TimeTagOffset(), np.array([3.0]))) == []
 
 
 def test_power_grows_with_size_and_time(flown: dict[str, tuple[Design, Flown]]) -> None:

@@ -8,7 +8,7 @@ from scipy import stats
 
 from fluxtwin.gap.detectors.lines import line_columns, strongest_line
 from fluxtwin.gap.detectors.residual_structure import drift, likeliest_step
-from fluxtwin.gap.linear.projection import ProjectedResidual, log10_sf_f, orthonormal, share_mimicked
+from fluxtwin.gap.linear.projection import ProjectedResidual, log10_sf_f, orthonormal, projected_out, share_mimicked
 from fluxtwin.gap.selection.criterion import THRESHOLD
 
 pytestmark = pytest.mark.property
@@ -33,7 +33,13 @@ def test_f_tail_continues_where_doubles_end() -> None:
         assert log10_sf_f(ratio, rank, spare) == pytest.approx(stats.f.logsf(ratio, rank, spare) / np.log(10), rel=1e-6)
     # Beyond the range of doubles: the exact tail of F with two degrees of freedom is (1 + 2 f / n)^(-n / 2).
     assert log10_sf_f(900.0, 2, 1000) == pytest.approx(-500 * np.log10(1 + 2 * 900 / 1000))
-    assert log10_sf_f(90_000.0, 2, 1000) == pytest.approx(-500 * np.log10(1 + 180.0), rel=1e-3)
+    assert log10_sf_f(90_000.0, 2, 1000) == pytest.approx(-500 * np.log10(1 + 180.0), rel=1e-9)
+
+
+def test_a_basis_taken_out_leaves_what_least_squares_leaves() -> None:
+    columns, rest = np.split(np.random.default_rng(2).standard_normal((50, 6)), [4], axis=1)
+    left = rest - columns @ np.linalg.lstsq(columns, rest, rcond=None)[0]
+    assert np.allclose(projected_out(orthonormal(columns), rest), left, rtol=0.0, atol=1e-13)
 
 
 def test_the_searches_keep_their_false_alarm_rates() -> None:

@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 from worlds import PARTS, scenario_text
 
 from fluxtwin.gap.hypotheses.blocks import blocks
-from fluxtwin.gap.hypotheses.candidates import candidates, made
+from fluxtwin.gap.hypotheses.candidates import Candidate, candidates, made
 from fluxtwin.gap.hypotheses.evidence import Dictionary
 from fluxtwin.gap.noise.robust_rows import RobustRows
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
@@ -352,3 +352,8 @@ def test_a_field_that_was_on_for_one_stretch_is_found_and_a_step_is_none() -> No
     step = here.data([(BiasStep(begin_utc), np.array([60.0, -40.0, 50.0]))], seed=9)
     begun = begun_on(step, here.whitener)
     assert likeliest_interval(step, here.whitener, begun.base.residual, begun.base.jacobian) is None
+
+
+def test_the_scale_of_a_candidate_is_that_of_its_parameters() -> None:
+    one = Candidate(Hysteresis(), np.zeros((1, 3, 1)), np.ones(1, dtype=bool))
+    assert one.scale.tolist() == [parameter.scale for parameter in Hysteresis().parameters]

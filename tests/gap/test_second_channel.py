@@ -6,12 +6,14 @@ witness is the simulator; the turn is 1 deg, some 700 nT at the magnetometer.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 
 from fluxtwin.diagnosing import diagnose
+from fluxtwin.gap.report.second_channel import _confirmed
 from fluxtwin.gap.selection.criterion import MOST_SURE
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.sim.earth import frames
@@ -48,6 +50,9 @@ def test_a_turned_head_is_named_and_the_angle_confirms_it():
         ("sun_sensor_head_misalignment",),
     )
     assert first.probability == MOST_SURE  # both show it; readings alone give 0.967
+    alike = replace(first, group=(first.name, "yaw_drift", "bias_step"))
+    doubted = _confirmed(alike, replace(first, probability=0.75))  # who else it may be shares the doubt
+    assert (doubted.group, doubted.rivals) == ((first.name,), (("yaw_drift", 0.125), ("bias_step", 0.125)))
     # With one head in use a constant bias of the scanner changes the angle alike; the readings tell the two apart.
     shown = found.provenance["sun_nadir"]
     assert "sun_sensor_head_misalignment of head 2" in [

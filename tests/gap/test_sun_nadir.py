@@ -6,8 +6,10 @@ import json
 
 import numpy as np
 import pytest
+from scipy.stats import chi2, t
 
-from fluxtwin.gap.channels.sun_nadir import weigh_sun_nadir
+from fluxtwin.gap.channels.sun_nadir import _weigh, weigh_sun_nadir
+from fluxtwin.gap.selection.criterion import worth
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 
@@ -72,3 +74,24 @@ def test_a_record_without_gaps_is_cut_into_stretches():
     found = weigh_sun_nadir(mission.fly(continuous.updated({"schedule.segments": [segment]})).telemetry)
     assert found.passes >= 8
     assert found.named is None
+
+
+def test_a_constant_is_weighed_as_the_textbook_weighs_a_mean():
+    """Twenty passes of five rows: Student's t over the means of the passes, and what they share on top of its sigma."""
+    of_row = np.repeat(np.arange(20), 5)
+    residual = np.random.default_rng(9).normal(0.004, 0.01, 100)
+    found = _weigh(("a", None), ("x",), np.ones((100, 1)), residual, of_row, 3)
+    value, sigma = found.parameters["x"]
+    means = residual.reshape(20, 5).mean(axis=1)
+    assert value == pytest.approx(np.degrees(means.mean()))
+    assert sigma == pytest.approx(np.degrees(means.std(ddof=1) / np.sqrt(20.0)))
+    p_value = 2.0 * t.sf(abs(value / sigma), 19)
+    assert found.p_value == pytest.approx(3.0 * p_value)
+    assert found.worth == pytest.approx(worth(chi2.isf(p_value, 1), 1, 20, np.log(3.0)))
+    left = np.degrees(residual - residual.mean())
+    assert found.rms_left_deg == pytest.approx(left.std())
+    assert found.amount_deg == pytest.approx((abs(value), np.sqrt(sigma**2 + (left**2).mean() / 20.0)))
+    once = _weigh(("a", None), ("x",), np.ones((100, 1)), residual, np.zeros(100), 3)
+    assert (once.p_value, once.worth) == (1.0, worth(0.0, 1, 2, np.log(3.0)))  # one pass shows nothing
+    unseen = _weigh(("a", None), ("x",), np.zeros((100, 1)), residual, of_row, 3)
+    assert unseen.rms_left_deg == pytest.approx(np.degrees(np.sqrt((residual**2).mean())))

@@ -12,6 +12,7 @@ from worlds import scenario_text
 
 from fluxtwin.calib.common.records import Calibration, TelemetryBias
 from fluxtwin.gap import watch as module
+from fluxtwin.gap.noise.whitening import NoiseModel
 from fluxtwin.gap.problem.problem import Budget
 from fluxtwin.gap.watch import Watch, begin
 from fluxtwin.gap.watch_kernels import run_rows
@@ -169,6 +170,19 @@ def test_last_months_calibration(record: Telemetry) -> None:
     old = begin(first, MODEL, None, replace(good, b_nT=good.b_nT + np.array([0.0, 0.0, 60.0])))
     changed = old.take(first)
     assert changed is not None and changed.since <= record.time[200]
+
+
+def test_bias_scale_and_noise_are_sought_with_a_third_each() -> None:
+    of_mean, of_noise = np.split(module._prior(), [2 * len(module.DIRECTIONS) * module.SIZES.size])
+    of_direction = of_mean.reshape(len(module.DIRECTIONS), -1).sum(axis=1)
+    assert (of_direction[3], of_direction.sum(), of_noise.sum()) == pytest.approx((1 / 3, 2 / 3, 1 / 3))
+
+
+def test_the_most_noise_lasts_and_grows_by_what_is_not_known() -> None:
+    found = NoiseModel(20.0, 1e-3, 100.0, sigma_log_sd=0.1, theta_log_sd=0.2, tau_log_sd=0.3)
+    most, sure = module._at_most(found), module._SURE
+    assert np.log([most.sigma_nT / 20.0, most.tau_s / 100.0]) == pytest.approx([0.1 * sure, 0.3 * sure])
+    assert np.log(most.theta_rad / 1e-3) == pytest.approx((0.2 + 0.5 * 0.3) * sure)
 
 
 def test_too_few_rows_are_said(record: Telemetry) -> None:

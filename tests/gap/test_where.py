@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,14 +18,15 @@ from worlds import scenario_text
 
 from fluxtwin.gap.detectors.residual_structure import Structure, judge
 from fluxtwin.gap.hypotheses.blocks import Block, blocks
-from fluxtwin.gap.hypotheses.courses import courses
+from fluxtwin.gap.hypotheses.courses import _hats, courses
 from fluxtwin.gap.hypotheses.evidence import Dictionary, fit_all
 from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
-from fluxtwin.gap.posterior.where import locate, step_fits
+from fluxtwin.gap.posterior.where import _variance, locate, step_fits
 from fluxtwin.gap.problem.problem import Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.diagnosis import Place
+from fluxtwin.gap.report.verdict import blended
 from fluxtwin.gap.report.words import unexplained
 from fluxtwin.sim.attitude.gauss_markov import gauss_markov
 from fluxtwin.sim.earth import frames
@@ -328,6 +331,7 @@ def test_every_set_of_probabilities_sums_to_one(design: Design) -> None:
             assert "none" in values
             assert sum(values.values()) == pytest.approx(1.0, abs=1e-9)
             assert min(values.values()) >= 0.0
+    assert blended({"a": 0.75, "none": 0.25}, "b", 0.5) == {"a": 0.375, "none": 0.125, "b": 0.5}
 
 
 def test_noise_alone_has_no_structure_and_no_place(design: Design) -> None:
@@ -388,3 +392,21 @@ def test_the_places_that_are_said_have_half_of_the_probability(stages: dict[str,
     place = Place("field", None, None, None, [], dict.fromkeys(("stage", "axis", "frame", "condition"), stages))
     assert list(place.likely("stage")) == said and place.likely("frame") == {}
     assert f"at stage {' or '.join(said)}: a drift." in unexplained("a drift", place, [])
+
+
+def test_the_variance_is_of_what_the_best_of_all_leaves() -> None:
+    left: Any = SimpleNamespace(energy=1000.0, degrees=105)
+    fits: Any = [SimpleNamespace(explained=lambda drop=drop: (drop, 5)) for drop in (100.0, 200.0)]
+    course: Any = SimpleNamespace(worth=lambda variance, samples: (0.0, 400.0 / variance, 25))
+    assert _variance(left, fits, []) == 800.0 / 100.0
+    assert _variance(left, fits, [course]) == 600.0 / 80.0
+
+
+def test_hats_are_a_straight_line_between_knots() -> None:
+    seconds = 1e6 + np.array([0.0, 4.0, 10.0, 13.0])
+    assert np.allclose(_hats(seconds, 10.0)[:, :3], [[1, 0, 0], [0.6, 0.4, 0], [0, 1, 0], [0, 0.7, 0.3]])
+
+
+def test_a_gain_may_follow_a_straight_line_and_a_cubic(nadir: Design) -> None:
+    found = {one.label for one in nadir.found if one.stages == {"sensor": 1.0} and one.condition == "time"}
+    assert found == {"time", "time, cubic"}

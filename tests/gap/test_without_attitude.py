@@ -16,8 +16,9 @@ from fluxtwin.gap.held_out.held_out import floor_rms_nT, one_step
 from fluxtwin.gap.hypotheses.candidates import candidates
 from fluxtwin.gap.noise.robust_rows import first_weights, standing_out
 from fluxtwin.gap.noise.whitening import NoiseModel, make_whitener
-from fluxtwin.gap.problem.problem import Budget, Problem, pose
+from fluxtwin.gap.problem.problem import Budget, Problem, pose, realigned
 from fluxtwin.gap.problem.row_axes import RowAxes, calibrated, row_axes
+from fluxtwin.gap.problem.start import start_without_attitude
 from fluxtwin.gap.selection.refit import settled
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import load_field
@@ -120,6 +121,7 @@ def test_what_is_not_measured_is_zero_and_never_whitened(pair):
 
 def test_a_large_bias_and_matrix_are_found_from_the_size_of_the_field_alone(close):
     record = wrongly_calibrated()
+    assert start_without_attitude(flight(), load_field()) is None  # near the field as it is
     problem = settled(posed(without(record, everywhere(record))))
     left = problem.in_row_axes(problem.residual_nT)
     close(
@@ -131,6 +133,8 @@ def test_a_large_bias_and_matrix_are_found_from_the_size_of_the_field_alone(clos
     )
     b, S = (np.asarray(theta) for theta in problem.modelled_theta)
     field = (np.eye(3) + S.reshape(3, 3)) @ np.array(record.mag_B_nT).T + b[:, None]
+    unit = field.T / np.linalg.norm(field, axis=0)[:, None]
+    close(along(realigned(problem)), unit, atol=1e-6, unit="1", because="the pseudo attitudes fit it")
     true = (np.eye(3) + TRUE_S) @ np.array(record.mag_B_nT).T + TRUE_B_NT[:, None]
     turn, _ = Rotation.align_vectors(true.T, field.T)
     close(

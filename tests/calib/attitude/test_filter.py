@@ -378,5 +378,5 @@ def test_a_turn_that_may_be_the_other_way_round_is_refused(flown: tuple[Any, Any
     q = np.array(telemetry.q_NB)
     spun = Rotation.from_rotvec(np.outer(3.0 * np.arange(len(q)), [0.0, 0.0, 1.0]))
     q = frames.q_from_rotation(spun * frames.rotation_from_q(np.array(truth.q_NB)))
-    with pytest.raises(NoAnswer, match="its rate cannot be found"):
+    with pytest.raises(NoAnswer, match=r"by 17[0-9.]* deg.* its rate cannot be found"):
         fluxtwin.attitude(telemetry.replace(q_NB=q, nadir_B=None, sun_B=None), Calibration(truth.S, truth.b_nT))

@@ -34,6 +34,7 @@ def telemetry(config):
 
 def test_biases_come_back_and_the_residual_falls_to_the_sensors_noise(telemetry, close):
     found = calibrate_scanner(telemetry, heads=(2, 3))
+    assert found.passes == 12
     pull = (np.degrees(found.bias_rad) - BIAS_DEG) / np.degrees(found.sigmas_rad)
     assert (np.abs(pull) < 4.0).all()  # false alarm 1.3e-4
     assert np.degrees(found.rms_before_rad) > 1.5 * np.degrees(found.rms_after_rad)

@@ -147,6 +147,13 @@ def test_the_references_own_yaw_is_not_used(flight: Any) -> None:
     assert np.degrees(found.rms_error_rad()) == pytest.approx(10.0, abs=1e-6)
 
 
+def test_a_velocity_that_is_not_given_is_that_of_the_positions() -> None:
+    two = Telemetry(
+        np.array([0, 2], dtype="datetime64[s]"), np.zeros((2, 3)), r_N_km=np.array([[7e3, 0, 0], [7e3, 15, 1]])
+    )
+    assert np.array_equal(yaw_of.velocity_of(two), [[0.0, 7.5, 0.5]] * 2)
+
+
 def test_roll_and_pitch_from_the_measured_nadir_where_attitude_is_missing(flight: Any) -> None:
     """In orbit night the horizon scanner alone gives roll and pitch; velocity from the positions."""
     record, calibration, yaw, model = flight

@@ -14,8 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from fluxtwin import load_scenario
 from fluxtwin.calib.checks.check import check_file, check_telemetry, repair
+from fluxtwin.calib.checks.evidence import _covariances
+from fluxtwin.calib.checks.orientation import _mountings
 from fluxtwin.calib.checks.outliers import without_gross_outliers
 from fluxtwin.calib.checks.sample import comparable
+from fluxtwin.calib.checks.values import _plane_wander
 from fluxtwin.scenarios.seasat import mission
 from fluxtwin.sim.attitude import record as attitude
 from fluxtwin.sim.base.errors import BadInput
@@ -419,3 +422,22 @@ def test_stamps_outside_the_field_model_are_a_trap():
     assert "1900" in found.text
     assert "2030" in found.text
     assert not [finding for finding in report.notes if "no positions" in finding.text]
+
+
+def test_the_wander_of_a_plane_is_that_of_its_normals() -> None:
+    tilt = np.radians([1.0, -1.0])
+    r, v = np.array([[7000.0, 0.0, 0.0]] * 2), 7.5 * np.stack([0.0 * tilt, np.cos(tilt), np.sin(tilt)], axis=1)
+    assert _plane_wander(r, v) == pytest.approx(1.0, rel=1e-4)  # a chord for an arc
+
+
+def test_errors_are_as_large_in_every_row_and_forget_as_they_say() -> None:
+    white, *slow = _covariances(np.array([0.0, 100.0, 700.0]), None, 3, 1)
+    assert np.array_equal(white, np.eye(3))
+    expected = np.eye(3) + np.exp(-np.array([[0, 1, 7], [1, 0, 6], [7, 6, 0]]))  # 100 s, as large as the noise
+    assert np.allclose(slow[0], expected, rtol=1e-12)
+
+
+def test_mountings_are_turns_by_eighths_and_mirrors() -> None:
+    found = np.array([one.matrix for one in _mountings()])
+    assert len(found) == 48 + 3 * 24 and np.allclose(found @ found.swapaxes(1, 2), np.eye(3), atol=1e-15)
+    assert np.allclose(np.sort(np.abs(found), axis=2)[48:, :, :].sum(axis=2).max(axis=1), np.sqrt(2.0))

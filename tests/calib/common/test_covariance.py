@@ -7,13 +7,14 @@ those unless said otherwise (false alarm 6e-5 each).
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from fluxtwin.calib.common.covariance import groupings, make_blocks
+from fluxtwin.calib.common.covariance import bread_of, groupings, make_blocks
 from fluxtwin.calib.common.design import Design, assemble
 from fluxtwin.calib.linear.calibrate import calibrate_linear, fit_design
 from fluxtwin.calib.linear.method import LinearOptions
@@ -297,3 +298,9 @@ def test_one_orbit_with_the_correction_for_noise(seasat: Any) -> None:
     assert variance.min() > 0.75
     assert variance.max() < 1.35
     assert np.abs(np.mean(found, axis=0)).max() < 0.25
+
+
+def test_the_mean_product_of_the_readings_is_taken_without_its_noise() -> None:
+    xx, noise = np.diag([4.0, 9.0]), np.diag([1.0, 1.0])
+    fit: Any = SimpleNamespace(xx=xx)
+    assert np.allclose(bread_of(fit, noise), np.diag([1.0 / 3.0, 1.0 / 8.0, 1.0]))

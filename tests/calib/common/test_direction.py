@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from fluxtwin.calib.common.direction import direction_knowledge
 from fluxtwin.calib.common.records import Calibration
@@ -65,3 +66,11 @@ def test_draws_of_the_errors_stay_within_in_95_of_100(close: Callable[..., None]
             unit="1",
             because="drawn p repeat over 40 rows: 5000 calibrations give 0.3 %, two sigma",
         )
+
+
+def test_a_turn_is_the_angle_before_and_against_the_reference() -> None:
+    field = np.random.default_rng(6).normal(size=(50, 3)) * [1.0, 1.0, 0.0] * 3e4
+    by = [Rotation.from_rotvec([0.0, 0.0, np.radians(deg)]).apply(field) for deg in (3.0, 2.0)]
+    known = Calibration(np.zeros((3, 3)), np.zeros(3), covariance=np.zeros((12, 12)))
+    found = direction_knowledge(known, by[0], None, by[1], field, np.zeros(3))
+    assert (found.before_deg, found.against_reference_deg) == pytest.approx((3.0, 2.0))

@@ -9,7 +9,7 @@ from worlds import scenario_text
 
 import fluxtwin
 from fluxtwin.calib.common.fit import Fit
-from fluxtwin.calib.gyro.motion import degree_for, follow
+from fluxtwin.calib.gyro.motion import cut, degree_for, follow
 from fluxtwin.calib.gyro.solve import BASIS_S
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.earth import frames
@@ -97,8 +97,15 @@ def test_what_the_motion_does_not_show_is_refused() -> None:
         fluxtwin.calibrate(spin, method="gyro", stretch_s=100.0)
     few = flown(3, rows=8)
     degrees_s = 180.0 / np.pi * np.median(np.linalg.norm(np.asarray(few.rate_B_rad_s), axis=1))
-    with pytest.raises(NoAnswer, match=f"fewer than 3 stretches[^(]* by {degrees_s:.3g} deg/s"):
+    with pytest.raises(NoAnswer, match=f"fewer than 3 stretches[^(]* by {degrees_s:.3g} deg/s .* more than 57 deg"):
         fluxtwin.calibrate(few, method="gyro")
+
+
+def test_a_stretch_has_three_rows_more_than_its_polynomial_has_degrees() -> None:
+    fewest = degree_for(100.0) + 3
+    for rows, stretches in ((fewest, 1), (fewest - 1, 0)):
+        time = np.datetime64("2020-03-01", "ns") + np.arange(rows) * np.timedelta64(1, "s")
+        assert len(cut(time, np.zeros((rows, 3)), 100.0)) == stretches
 
 
 @pytest.mark.reference

@@ -15,6 +15,7 @@ from fluxtwin.calib.common.apply import apply_calibration
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.methods import calibrate_by, default_method
 from fluxtwin.calib.scalar.calibrate import ScalarOptions, calibrate_scalar, fit_rows
+from fluxtwin.calib.scalar.maximum_likelihood import add_up
 from fluxtwin.calib.scalar.model import ScalarData, own_noise, residual, terms
 from fluxtwin.calib.scalar.rows import ScalarRows, predict_scalar
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
@@ -80,6 +81,10 @@ def test_derivatives_are_those_of_the_residual(close: Callable[..., None]) -> No
     moved = [data._replace(B=B + e) for e in 1e-6 * np.eye(3)], [data._replace(B=B - e) for e in 1e-6 * np.eye(3)]
     slope = np.stack([(terms(p, a).g - terms(p, b).g) / 2e-6 for a, b in zip(*moved, strict=True)], axis=2)
     close(own_noise(p, data), slope, atol=1e-7, unit="1", because="central difference")
+    own, q = own_noise(p, data), terms(p, data).q
+    whole = sum(one @ Sigma @ one.T / each for one, each in zip(own, q, strict=True))
+    found = add_up(p, data, noise=True).from_noise
+    close(found / np.abs(whole).max(), whole / np.abs(whole).max(), atol=1e-12, unit="1", because="the same sum")
 
 
 def test_turning_the_sensor_turns_the_answer(close: Callable[..., None]) -> None:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.sim.attitude.gauss_markov import gauss_markov
 from fluxtwin.sim.attitude.recorded_motion import RecordedMotion, carried
 from fluxtwin.sim.attitude.smoothed_track import smoothed
+from fluxtwin.sim.attitude.track_kernels import blended
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.orbit import Orbit
@@ -299,3 +300,10 @@ def test_positions_beyond_the_last_stamp(close: Callable[..., None]) -> None:
         close(found[1][0], expected[3:], atol=2e-6, unit="km/s", because="the same, times w")
         bare = r + after_s * v - 0.5 * after_s**2 * 398600.4418 * r / np.linalg.norm(r) ** 3
         assert np.abs(found[0][0] - bare).max() > 5e-3
+
+
+def test_what_is_blended_is_on_the_short_way() -> None:
+    first, second = Rotation.random(5, random_state=3), Rotation.random(5, random_state=4)
+    found = blended(first.as_quat(), second.as_quat(), np.full(5, 0.3))
+    expected = Rotation.from_rotvec(0.3 * (second * first.inv()).as_rotvec()) * first
+    assert np.allclose(np.abs(np.einsum("ij,ij->i", found, expected.as_quat())), 1.0, atol=1e-12)

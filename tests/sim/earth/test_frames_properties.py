@@ -116,6 +116,8 @@ def test_grid_is_used_only_where_it_saves_work():
     on_grid(np.linspace(0.0, 1.0, 10), slow, 0.1)
     days = np.linspace(0.0, 1.0, 10_000)
     np.testing.assert_allclose(on_grid(days, slow, 0.1), slow(days), atol=5.0 / 384.0 * 0.1**4)  # Hall and Meyer 1976
+    on_grid(np.linspace(0.0, 1.0, 2 * calls[1]), slow, 0.1)  # twice the nodes save nothing
+    assert calls[-1] == 2 * calls[1]
     on_grid(np.array([0.0, 1.0e6]), slow, 0.1)
     assert calls[0] == 10
     assert calls[1] < 30

@@ -22,7 +22,7 @@ from worlds import scenario_text
 
 from fluxtwin.sim.base import workers
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
-from fluxtwin.sim.run.ensemble import chunk, run
+from fluxtwin.sim.run.ensemble import chunk, run, summary
 from fluxtwin.sim.run.ensemble.plan import Plan, chunk_size, make_plan
 from fluxtwin.sim.run.ensemble.run import fly_ensemble
 from fluxtwin.sim.run.simulate import simulate
@@ -132,6 +132,7 @@ def test_a_vehicle_flown_alone_is_that_of_the_ensemble(scenario: Scenario, strai
         assert np.array_equal(one["mag_B_nT"], telemetry.mag_B_nT.astype(np.float32))
         assert np.array_equal(one["q_NB"], truth.q_NB.astype(np.float32))
         assert (one["time"].to_numpy() == telemetry.time).all()
+        np.testing.assert_allclose(one["rate_B_deg_s"], truth.rate_B_rad_s * 180.0 / np.pi, rtol=1e-6)
         wheels = 0.01 * 2.0 * np.pi / 60.0 * np.asarray(telemetry.wheel_speed_rpm)  # along the axes
         body = truth.rate_B_rad_s @ np.array(plan.vehicle(5).spacecraft.inertia_kg_m2)
         np.testing.assert_allclose(one["momentum_Nms"], np.linalg.norm(body + wheels, axis=1), rtol=1e-6)
@@ -157,16 +158,18 @@ def test_figures_are_those_of_the_series(scenario: Scenario, straight: Path, clo
         assert (np.abs(rate) < opened["rate_error_deg_s"].to_numpy()[:, 2:-2] + 0.01).all()
     with open(straight / "vehicles.csv", encoding="utf-8", newline="") as opened_csv:
         rows = list(csv.DictReader(opened_csv))
-    summary = json.loads((straight / "summary.json").read_text(encoding="utf-8"))
+    said = json.loads((straight / "summary.json").read_text(encoding="utf-8"))
     column = np.array([float(row["pointing_rms_deg"]) for row in rows])
-    spread = summary["figures"]["pointing_rms_deg"]
+    spread = said["figures"]["pointing_rms_deg"]
     assert len(rows) == VEHICLES and int(np.argmax(column)) == spread["vehicle_of_max"]
     close(spread["p95"], np.percentile(column, 95), atol=1e-12, unit="deg", because="rounding")
     plan = make_plan(scenario, VEHICLES)
     assert float(rows[4]["dynamics.yaw_deg"]) == plan.drawn(4)["dynamics.yaw_deg"]
 
 
-def test_the_envelope_is_that_of_all_vehicles(straight: Path, close: Callable[..., None]) -> None:
+def test_the_envelope_is_that_of_all_vehicles(
+    scenario: Scenario, straight: Path, close: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
     parts = []
     for path in sorted(straight.glob("chunk-*.nc")):
         with xr.open_dataset(path, engine="h5netcdf") as opened:
@@ -175,6 +178,9 @@ def test_the_envelope_is_that_of_all_vehicles(straight: Path, close: Callable[..
     table = np.genfromtxt(straight / "envelope.csv", delimiter=",", skip_header=1)[:, 1:]
     close(table[:, 3], whole.max(axis=0), atol=1e-12, unit="deg", because="the same numbers")
     close(table[:, 1], np.median(whole, axis=0), atol=1e-6, unit="deg", because="float32")
+    monkeypatch.setattr(summary, "_ENVELOPE_ROWS", 4)
+    thinned = summary.envelope(make_plan(scenario, VEHICLES, in_chunk=IN_CHUNK), straight)
+    assert thinned is not None and len(thinned.time) == 4
 
 
 class Interrupter:

@@ -163,6 +163,7 @@ def test_every_mode_flies_with_housekeeping(scenario, mode):
         column = getattr(telemetry, name)
         assert column is not None
         assert np.isfinite(column).all(), name
+    assert np.allclose(telemetry.wheel_speed_rpm, 2000.0)  # its bias: no momentum swings here
     half = [
         {"start_utc": "2020-03-01T00:00:00Z", "samples": 100, "step_s": 20.0},
         {"start_utc": "2020-03-01T00:33:20Z", "samples": 192, "step_s": 20.0},

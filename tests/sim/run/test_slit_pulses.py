@@ -9,8 +9,11 @@ from fluxtwin.scenarios.st5 import mission
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.run.slit_pulses import _merged
 from fluxtwin.sim.run.world import build_world
 from fluxtwin.sim.scenario.scenario import parse_scenario
+from fluxtwin.sim.spacecraft.sensors.slit_sun_sensor import SlitSunSensor
+from fluxtwin.sim.telemetry.record import Telemetry
 
 pytestmark = pytest.mark.property
 
@@ -50,3 +53,26 @@ def test_a_saved_scenario_makes_the_pulses(close) -> None:
 def test_a_slit_wants_a_spinner() -> None:
     with pytest.raises(BadInput, match=r"\[slit_sun_sensor\] wants a free spin"):
         mission.scenario().updated({"attitude": {"mode": "earth_pointing"}})
+
+
+def test_a_pulse_at_the_stamp_of_a_reading_is_a_row_of_its_own() -> None:
+    time = np.datetime64("2020-03-01", "ns") + np.array([0, 10]) * np.timedelta64(1, "s")
+    nothing = np.full((2, 3), np.nan)
+    pulses = time + np.array([4, 0]) * np.timedelta64(1, "s")
+    found = _merged(Telemetry(time, np.ones((2, 3))), Telemetry(pulses, nothing, sun_B=np.eye(3)[:2]))
+    assert ((found.time - time[0]).astype("int64") == [0, 4 * 10**9, 10 * 10**9, 10 * 10**9 + 1]).all()
+
+
+def test_the_noise_of_a_slit_moves_the_pulse_and_the_elevation_by_as_much() -> None:
+    """A spin of 0.5 rad/s, the sun at an elevation of 0.4 rad: a turn of e across the slit takes e / (0.5 cos 0.4) s."""
+
+    def sun_B(t: np.ndarray) -> np.ndarray:
+        return np.stack([np.cos(0.5 * t), np.sin(0.5 * t), np.full(t.size, np.tan(0.4))], axis=1) * np.cos(0.4)
+
+    grid = np.arange(0.0, 25_000.0)
+    found = {
+        noise: SlitSunSensor(noise_rad=noise).crossings(grid, sun_B, np.random.default_rng(1)) for noise in (0.0, 1e-3)
+    }
+    late, raised = (noisy - still for noisy, still in zip(found[1e-3], found[0.0], strict=True))
+    across, along = late * 0.5 * np.cos(0.4), raised[:, 2] / np.cos(0.4)
+    assert len(late) > 1900 and np.std([across, along]) == pytest.approx(1e-3, rel=4.0 / np.sqrt(8000.0) * 0.99)

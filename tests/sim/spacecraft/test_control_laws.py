@@ -134,6 +134,12 @@ def test_b_dot_takes_the_rate_down_to_that_of_the_field(day: Environment) -> Non
     assert (rates["none"] > 0.04).all()
 
 
+def test_the_law_of_three_axes_holds_the_whole_inertia() -> None:
+    J = np.array([[25.0, 1.0, -2.0], [1.0, 20.0, 3.0], [-2.0, 3.0, 22.0]])
+    xx, yy, zz, xy, xz, yz = ThreeAxis(frequency_rad_s=0.02).packed(J)[:6]
+    assert np.array_equal(J, [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
 def test_three_axes_are_held_and_the_wheels_unloaded(day: Environment) -> None:
     """0.3 deg (3 sigma) an axis, as Seasat's reference had it, from 1 deg off; magnets keep the wheels slow."""
     wheels = tuple(Wheel(a, 0.1, 400.0, 0.3, 1e-5, 1e-3) for a in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))

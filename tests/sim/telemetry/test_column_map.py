@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.earth.orbit import Orbit
 from fluxtwin.sim.telemetry.column_map import load_column_map
+from fluxtwin.sim.telemetry.column_map_merge import _along_orbit
 from fluxtwin.sim.telemetry.layouts import packaged
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
@@ -329,3 +332,15 @@ def test_the_maps_in_the_docs_are_valid(tmp_path: Path) -> None:
     for text in examples():
         (tmp_path / "map.toml").write_text(text)
         assert load_column_map(tmp_path / "map.toml").file
+
+
+@pytest.mark.parametrize("with_velocity", [True, False])
+def test_two_positions_with_velocities_or_four_without_are_a_piece(with_velocity: bool) -> None:
+    """A cubic is given by either."""
+    t = np.array([0.0, 10.0, 15.0, 30.0])[: 2 if with_velocity else 4]
+    curve, slope = (np.outer(one, [1e-3, 0.0, 2e-3]) for one in (t**3, 3.0 * t**2))
+    values = {"position": curve, **({"velocity": slope} if with_velocity else {})}
+    stamps = np.datetime64("2020-03-01", "ns") + (1e9 * t).astype("timedelta64[ns]")
+    source: Any = SimpleNamespace(entry=SimpleNamespace(max_gap_s=60.0), time=stamps, values=values)
+    at = stamps[:1] + np.timedelta64(4, "s")
+    assert np.allclose(_along_orbit(source, np.arange(t.size), at, 0), [[0.064, 0.0, 0.128]])

@@ -21,6 +21,7 @@ from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.orbit import Orbit
 from fluxtwin.sim.telemetry import csv_files as telemetry_csv
 from fluxtwin.sim.telemetry import netcdf_files as telemetry_netcdf
+from fluxtwin.sim.telemetry.build import velocity_from_positions
 from fluxtwin.sim.telemetry.record import Telemetry, concatenate
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
 
@@ -206,6 +207,14 @@ def test_units_of_the_magnetometer(tmp_path: Path, unit: str, factor: float) -> 
     record = read_telemetry(save(tmp_path, lines))
     assert np.array_equal(record.mag_B_nT[0], np.array([1e4, -2e4, 3.5e4]) * factor)
     assert np.array_equal(record.mag2_B_nT[0], np.array([1e4, np.nan, 3.0]) * factor, equal_nan=True)
+
+
+def test_four_positions_of_a_piece_are_enough_for_a_velocity(close: Callable[..., None]) -> None:
+    """A cubic through four has the derivative of the cubic that they lie on; a gap parts them from three others."""
+    t = np.array([0.0, 10.0, 25.0, 40.0, 5000.0, 5010.0, 5020.0])
+    found = velocity_from_positions(START + (1e9 * t).astype("timedelta64[ns]"), np.outer(t**3, [1e-3, 0.0, -2e-3]))
+    close(found[:4], np.outer(3.0 * t[:4] ** 2, [1e-3, 0.0, -2e-3]), atol=1e-9, unit="km/s", because="rounding")
+    assert np.isnan(found[4:]).all()
 
 
 def test_earth_fixed_positions_and_orbital_angles(tmp_path: Path, close: Callable[..., None]) -> None:

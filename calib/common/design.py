@@ -44,6 +44,13 @@ class Design:
         return int(self.time.size)
 
 
+def of_turns(field_nT: FloatArray) -> FloatArray:
+    """(N, 3, 3) change [nT/rad] of a field (N, 3) by small turns: column j is e_j x field."""
+    x, y, z = field_nT.T
+    none = np.zeros(len(field_nT))
+    return np.array([[none, z, -y], [-z, none, x], [y, -x, none]]).transpose(2, 0, 1)
+
+
 def joined(records: Telemetry | Sequence[Telemetry]) -> Telemetry:
     """One record of one or several, ordered in time. Raises BadInput for none, or for overlap in time."""
     return records if isinstance(records, Telemetry) else concatenate(list(records))

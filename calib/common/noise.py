@@ -23,7 +23,7 @@ from scipy.optimize import nnls
 
 from fluxtwin.calib.common.conventions import PAIRS
 from fluxtwin.calib.common.covariance import stretches
-from fluxtwin.calib.common.design import Design
+from fluxtwin.calib.common.design import Design, of_turns
 from fluxtwin.calib.common.digits import measured, plain
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray, TimeArray
@@ -194,14 +194,12 @@ def _fit_variances(B1_nT: FloatArray, B2_nT: FloatArray, d: FloatArray) -> tuple
 
 def _features(b: FloatArray) -> FloatArray:
     """(n, 6 products, 6 variances) of the model for <d d'>/2; b: the field in units of its rms."""
-    x, y, z = b.T
-    none = np.zeros(len(b))
-    turned = ((none, z, -y), (-z, none, x), (y, -x, none))  # b x e_j
+    turned = of_turns(b)
     out = np.zeros((len(b), 6, 6))
     for product, (i, j) in enumerate(PAIRS):
         out[:, product, i] = 1.0 if i == j else 0.0
         for axis in range(3):
-            out[:, product, 3 + axis] = turned[axis][i] * turned[axis][j]
+            out[:, product, 3 + axis] = turned[:, axis, i] * turned[:, axis, j]
     return out
 
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fluxtwin.calib.common.covariance import stretches
-from fluxtwin.calib.common.design import Design
+from fluxtwin.calib.common.design import Design, of_turns
 from fluxtwin.calib.common.drivers import drawn_in, drops_of
 from fluxtwin.calib.common.records import seconds_of
 from fluxtwin.calib.common.verdict import kept_rows
@@ -86,10 +86,7 @@ def _products(fit: LinearFit, design: Design, rows: np.ndarray, parts: list[Floa
     for axis in range(3):
         columns[:, axis, axis:-1:3] = np.stack([part[rows] for part in parts], axis=1)
     columns[:, :, -1] = design.B_nT[rows] if fit.calibration.S.any() else design.B_nT[rows] - H
-    x, y, z = H.T
-    none = np.zeros(len(rows))
-    U = np.array([[none, z, -y], [-z, none, x], [y, -x, none]]).transpose(2, 0, 1)
-    U = np.ascontiguousarray(np.linalg.inv(np.eye(3) + fit.calibration.S) @ U)
+    U = np.ascontiguousarray(np.linalg.inv(np.eye(3) + fit.calibration.S) @ of_turns(H))
     gap = np.diff(seconds, prepend=seconds[0])
     theta, tau = np.radians(errors.attitude_sigma_deg or 0.0), errors.attitude_tau_s
     sizes = (theta, tau, 0.0) if tau else (0.0, 1.0, theta)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fluxtwin.calib.common.covariance import observed_s, segments
+from fluxtwin.calib.common.design import of_turns
 from fluxtwin.calib.common.error_model import LikelihoodCells, Posterior
 from fluxtwin.calib.common.slow_errors import CELLS, responses
 from fluxtwin.calib.linear.problem import LinearProblem, Solution
@@ -50,9 +51,7 @@ class RowSums(NamedTuple):
 
 def images(problem: LinearProblem, solution: Solution, rows: np.ndarray | slice) -> FloatArray:
     """(n, 3, 3) U [nT/rad]: columns e_j x B0, seen from the side that is fitted."""
-    x, y, z = problem.design.H_nT[rows].T
-    none = np.zeros(len(x))
-    U = np.array([[none, z, -y], [-z, none, x], [y, -x, none]]).transpose(2, 0, 1)
+    U = of_turns(problem.design.H_nT[rows])
     return np.asarray(solution.M[:, :3] @ U) if problem.forward else U
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fluxtwin.calib.common.regression import solve_scaled
-from fluxtwin.calib.scalar.model import ScalarData, blocks, own_noise, residual, terms, unpack
+from fluxtwin.calib.scalar.model import ScalarData, blocks, corrected, own_noise, residual, terms, unpack
 from fluxtwin.sim.base.types import FloatArray
 
 _ROUNDS = 60
@@ -107,9 +107,7 @@ def _settled(step: FloatArray, now: Sums, data: ScalarData) -> bool:
 
 def _variances(p: FloatArray, data: ScalarData, a: FloatArray | None) -> FloatArray:
     """(N,) a / q."""
-    D, b, s = unpack(p, data)
-    P = np.eye(3) + D
-    y = (data.B - data.columns @ s) @ P - b
+    P, _, y = corrected(p, data)
     q = ((y @ (P @ data.Sigma @ P)) * y).sum(axis=1) / (y**2).sum(axis=1)
     return np.asarray((1.0 if a is None else a) / q)
 

@@ -78,11 +78,17 @@ def blocks(data: ScalarData) -> Iterator[tuple[slice, ScalarData]]:
         yield at, data._replace(B=data.B[at], H=data.H[at], columns=data.columns[at])
 
 
-def residual(p: FloatArray, data: ScalarData) -> FloatArray:
-    """(N,) r alone."""
+def corrected(p: FloatArray, data: ScalarData) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """P = I + D (3, 3), the reading x without the fields of columns and y = x P - b, both (N, 3)."""
     D, b, s = unpack(p, data)
     P = np.eye(3) + D
-    y = (data.B - data.columns @ s) @ P - b
+    x = data.B - data.columns @ s
+    return P, x, x @ P - b
+
+
+def residual(p: FloatArray, data: ScalarData) -> FloatArray:
+    """(N,) r alone."""
+    P, _, y = corrected(p, data)
     size = np.sqrt((y**2).sum(axis=1))
     spread = P @ data.Sigma @ P
     along = ((y @ spread) * y).sum(axis=1) / size**2
@@ -91,10 +97,7 @@ def residual(p: FloatArray, data: ScalarData) -> FloatArray:
 
 def terms(p: FloatArray, data: ScalarData) -> Terms:
     """Residual, derivative, variance and what noise does to them, at parameters p."""
-    D, b, s = unpack(p, data)
-    P = np.eye(3) + D
-    x = data.B - data.columns @ s
-    y = x @ P - b
+    P, x, y = corrected(p, data)
     size = np.sqrt((y**2).sum(axis=1))
     u = y / size[:, None]
     spread = P @ data.Sigma @ P
@@ -125,10 +128,7 @@ def _symmetric(u: FloatArray, x: FloatArray) -> FloatArray:
 
 def own_noise(p: FloatArray, data: ScalarData) -> FloatArray:
     """(n, p, 3): how each derivative moves with each component of the noise of B."""
-    D, b, s = unpack(p, data)
-    P = np.eye(3) + D
-    x = data.B - data.columns @ s
-    y = x @ P - b
+    P, x, y = corrected(p, data)
     u = y / np.sqrt((y**2).sum(axis=1))[:, None]
     out = np.empty((len(u), data.size, 3))
     for k in range(3):

@@ -11,7 +11,6 @@ from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.run.truth import Truth
 from fluxtwin.sim.run.world import World, ephemeris
 from fluxtwin.sim.scenario.scenario import Scenario
-from fluxtwin.sim.spacecraft.sensors.slit_sun_sensor import SlitSunSensor
 from fluxtwin.sim.telemetry.record import Telemetry, concatenate, named_columns
 
 _FINE_S, _PART_OF_TURN = 0.25, 0.125
@@ -29,8 +28,8 @@ def with_pulses(magnetometer: Telemetry, scenario: Scenario, world: World, truth
 
 def pulses(scenario: Scenario, world: World, truth: Truth) -> Telemetry:
     """Rows with the measured sun alone, at the times of the crossings; the motion between the rows is the free one."""
-    section = scenario.slit_sun_sensor
-    assert section is not None and scenario.spacecraft.inertia_kg_m2 is not None
+    slit = scenario.slit_sun_sensor
+    assert slit is not None and scenario.spacecraft.inertia_kg_m2 is not None
     start = truth.time[0]
     inertia = np.array(scenario.spacecraft.inertia_kg_m2)
     stamps_s = epoch.seconds_since(truth.time, start)
@@ -42,7 +41,6 @@ def pulses(scenario: Scenario, world: World, truth: Truth) -> Telemetry:
         sun_N = np.stack([np.interp(seconds, stamps_s, world.sun_N[:, i]) for i in range(3)], axis=1)
         return np.asarray(R_BN.apply(sun_N))
 
-    slit = SlitSunSensor(np.radians(section.azimuth_deg), np.radians(section.noise_deg))
     turn_s = 2.0 * np.pi / max(float(np.linalg.norm(truth.rate_B_rad_s[0])), 1e-9)
     grid = np.arange(0.0, length_s, min(_FINE_S, _PART_OF_TURN * turn_s))
     seconds, seen_B = slit.crossings(grid, sun_B, stream(scenario.seed, "sun_sensor.slit"))

@@ -18,6 +18,7 @@ from fluxtwin.sim.scenario.dynamics_sections import ControlSection, DynamicsSect
 from fluxtwin.sim.scenario.effect_sections import EffectsSection
 from fluxtwin.sim.scenario.sampling import SamplingSection
 from fluxtwin.sim.spacecraft.sensors.catalogue import SensorSections
+from fluxtwin.sim.spacecraft.sensors.slit_sun_sensor import SlitSunSensor
 from fluxtwin.sim.telemetry.quantities import DRIVERS
 
 
@@ -37,7 +38,7 @@ class Scenario(SensorSections):
     attitude: sections.AttitudeSection = sections.AttitudeSection()
     magnetometer: sections.MagnetometerSection = sections.MagnetometerSection()
     magnetometer_2: sections.SecondMagnetometerSection | None = None
-    slit_sun_sensor: sections.SlitSunSensorSection | None = None
+    slit_sun_sensor: SlitSunSensor | None = None
     torquers: sections.TorquersSection | None = None
     power: sections.PowerSection | None = None
     thermal: sections.ThermalSection | None = None

@@ -228,13 +228,6 @@ class SecondMagnetometerSection(MagnetometerSection):
     """Where it sits as seen from the first, body axes: the torquers' field is then that of the dipole law."""
 
 
-class SlitSunSensorSection(Section):
-    """One slit in a half plane that holds body z, at an azimuth from +x towards +y; one pulse a spin."""
-
-    azimuth_deg: float = 0.0
-    noise_deg: NonNegative = 0.0
-
-
 class TorquersSection(Section):
     """Three torquers along x, y, z; their field at the magnetometer by the dipole law."""
 

@@ -8,24 +8,23 @@ late or early by it over the rate of the sun's azimuth (and the cosine of the el
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.section_types import NonNegative, Section
 from fluxtwin.sim.base.types import FloatArray
 
 _NEWTON_STEPS = 3
 _STEP_S = 1e-4
 
 
-@dataclass(frozen=True)
-class SlitSunSensor:
-    """One slit."""
+class SlitSunSensor(Section):
+    """One slit in a half plane that holds body z; one pulse a spin. A section of a scenario."""
 
-    azimuth_rad: float = 0.0
-    """Of the slit's half plane, from body x towards y."""
-    noise_rad: float = 0.0
+    azimuth_deg: float = 0.0
+    """Of the half plane, from body x towards y."""
+    noise_deg: NonNegative = 0.0
     """White, 1 sigma, across the slit and along it."""
 
     def crossings(
@@ -53,15 +52,15 @@ class SlitSunSensor:
             off = np.angle(np.exp(1j * self._azimuth(sun_B(t))))
             t = t - off / rate
         elevation = np.arcsin(np.clip(sun_B(t)[:, 2], -1.0, 1.0))
-        across, along = self.noise_rad * rng.standard_normal((2, t.size))
+        across, along = np.radians(self.noise_deg) * rng.standard_normal((2, t.size))
         t = t + across / (np.cos(elevation) * rate)
         return t, self.direction(elevation + along)
 
     def direction(self, elevation_rad: FloatArray) -> FloatArray:
         """(M, 3) unit vectors of the slit at elevations (M,)."""
         c = np.cos(elevation_rad)
-        x, y = c * np.cos(self.azimuth_rad), c * np.sin(self.azimuth_rad)
+        x, y = c * np.cos(np.radians(self.azimuth_deg)), c * np.sin(np.radians(self.azimuth_deg))
         return np.stack([x, y, np.sin(elevation_rad)], axis=-1)
 
     def _azimuth(self, sun_B: FloatArray) -> FloatArray:
-        return np.asarray(np.arctan2(sun_B[:, 1], sun_B[:, 0]) - self.azimuth_rad)
+        return np.asarray(np.arctan2(sun_B[:, 1], sun_B[:, 0]) - np.radians(self.azimuth_deg))

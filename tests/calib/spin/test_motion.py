@@ -52,7 +52,7 @@ def some_rows(
     H = 30_000.0 * np.stack([np.cos(a), np.sin(a), 0.4 * np.cos(2 * a)], axis=1)
     s = np.array([0.6, -0.5, 0.3])
     s = s / np.linalg.norm(s)
-    slit = SlitSunSensor(0.3, sun_rad)
+    slit = SlitSunSensor(azimuth_deg=np.degrees(0.3), noise_deg=np.degrees(sun_rad))
     pulse_s, seen = slit.crossings(t, lambda at: motion.see(at, np.tile(s, (len(at), 1))), rng)
     B = motion.see(t, H) + noise_nT * rng.standard_normal(H.shape)
     start = np.datetime64("2006-04-15", "ns")
@@ -188,7 +188,7 @@ def test_the_trap_of_the_sun_line(close: Callable[..., None], nutation_deg: floa
 
 def test_the_slit_of_a_uniform_spin(close: Callable[..., None]) -> None:
     """Sun at 20 deg elevation, spin 26 rpm about z from azimuth zero backward: crossings are evenly spaced."""
-    slit, elevation = SlitSunSensor(np.radians(40.0), np.radians(0.18)), np.radians(20.0)
+    slit, elevation = SlitSunSensor(azimuth_deg=40.0, noise_deg=0.18), np.radians(20.0)
 
     def sun_B(t: np.ndarray) -> np.ndarray:
         a = -SPIN * t
@@ -196,7 +196,7 @@ def test_the_slit_of_a_uniform_spin(close: Callable[..., None]) -> None:
             [np.cos(elevation) * np.cos(a), np.cos(elevation) * np.sin(a), np.full_like(a, np.sin(elevation))], 1
         )
 
-    exact = SlitSunSensor(np.radians(40.0)).crossings(np.arange(0.0, 3600.0, 0.1), sun_B, np.random.default_rng(0))
+    exact = SlitSunSensor(azimuth_deg=40.0).crossings(np.arange(0.0, 3600.0, 0.1), sun_B, np.random.default_rng(0))
     expected = (2.0 * np.pi * np.arange(1, 1561) - np.radians(40.0)) / SPIN
     close(exact[0], expected, atol=1e-9, unit="s", because="root finding")
     close(exact[1], slit.direction(np.full(1560, elevation)), atol=1e-9, unit="1", because="root finding")

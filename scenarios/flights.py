@@ -187,13 +187,6 @@ def latitude_deg(world: World) -> FloatArray:
     return np.asarray(np.degrees(frames.geocentric(frames.rotation_EN(world.time).apply(world.r_N_km))[0]))
 
 
-def dipole_axis_E(model: FieldModel, time: np.datetime64) -> FloatArray:
-    """(3,) unit vector to the northern pole of the dipole part of a field, Earth-fixed."""
-    g10, g11, h11 = model.coefficients_nT(epoch.as_times(time))[0, :3]
-    axis = -np.array([g11, h11, g10])
-    return np.asarray(axis / np.linalg.norm(axis))
-
-
 def papers_regression(telemetry: Telemetry, ground: FieldModel, **options: Any) -> LinearFit:
     """Lerner and Shuster's equations 8 and 9 as they have them: every sample an error of its own, none in the regressor."""
     plain = {"errors_in_variables": False, "robust": "none", "covariance": "white"}

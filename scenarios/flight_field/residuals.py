@@ -20,11 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.scenarios.flight_field.tracks import Track
-from fluxtwin.scenarios.flights import Numbers, dipole_axis_E, rms
+from fluxtwin.scenarios.flights import Numbers, rms
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
-from fluxtwin.sim.earth.constants import FIELD_RADIUS_KM
 from fluxtwin.sim.earth.field import FieldModel, field_NEC_nT
+from fluxtwin.sim.effects.ambient_field import dipole_axis_E, unit_storm_E
 
 COMPONENTS = ("N", "E", "C", "F")
 """Geocentric north, east, centre, and the magnitude."""
@@ -79,14 +79,9 @@ def statistics(residual: Residual, rows: BoolArray) -> Mapping[tuple[str, str], 
 
 def ring_current_NEC(model: FieldModel, residual: Residual, induced_share: float) -> FloatArray:
     """(N, 3) field of a ring current of 1 nT at the dipole equator on the ground, induced part included."""
-    axis = dipole_axis_E(model, epoch.as_times(residual.track.time)[0])
-    r_E_km = residual.track.r_E_km
-    radius = np.linalg.norm(r_E_km, axis=1)[:, None]
-    up = r_E_km / radius
-    induced = (FIELD_RADIUS_KM / radius) ** 3 * (3.0 * (up @ axis)[:, None] * up - axis)
-    field_E = (axis - induced_share * induced) / (1.0 + induced_share)
-    field_NEC: FloatArray = frames.rotation_NEC_E(r_E_km).apply(field_E)
-    return field_NEC
+    track = residual.track
+    external_E = unit_storm_E(dipole_axis_E(model, track.time[0]), track.r_E_km, induced_share)
+    return np.asarray(frames.rotation_NEC_E(track.r_E_km).apply(external_E / (1.0 + induced_share)))
 
 
 def time_offset_NEC(model: FieldModel, residual: Residual) -> FloatArray:

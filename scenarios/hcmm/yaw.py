@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 
 from fluxtwin.calib.attitude.yaw import yaw_from_field, yaw_full, yaw_sigma
 from fluxtwin.calib.common.records import Calibration
-from fluxtwin.scenarios.flights import Numbers, compare_yaw, dipole_axis_E, rms, wrapped_deg
+from fluxtwin.scenarios.flights import Numbers, compare_yaw, rms, wrapped_deg
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.mission import Flight
 from fluxtwin.scenarios.hcmm.passes import compare
@@ -20,6 +20,7 @@ from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.constants import FIELD_RADIUS_KM, NT_PER_MG
 from fluxtwin.sim.earth.field import FieldModel, field_E_nT, field_N_nT, load_field
 from fluxtwin.sim.earth.stations import find_contacts
+from fluxtwin.sim.effects.ambient_field import dipole_axis_E
 from fluxtwin.sim.run.scenario_stations import stations_of
 from fluxtwin.sim.run.world import ephemeris, orbit_from
 from fluxtwin.sim.scenario.scenario import Scenario

@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from fluxtwin.scenarios.flights import Numbers, dipole_axis_E, rms
+from fluxtwin.scenarios.flights import Numbers, rms
 from fluxtwin.scenarios.hcmm_orbit.fit import OrbitFit
 from fluxtwin.scenarios.hcmm_orbit.geometry import (
     PassWindows,
@@ -35,6 +35,7 @@ from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import FieldModel, field_E_nT, load_field
 from fluxtwin.sim.earth.orbit import Orbit
+from fluxtwin.sim.effects.ambient_field import dipole_axis_E
 
 NODE_MINUTES = 15.0
 FIELD_TURN_DEG = 10.0

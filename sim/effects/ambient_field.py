@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.constants import FIELD_RADIUS_KM
 from fluxtwin.sim.earth.field import field_E_nT, field_N_nT
 from fluxtwin.sim.earth.field_models import FieldModel, load_field
@@ -173,20 +174,22 @@ class RingCurrent(SignalEffect):
         if self.decay_h > 0:
             since_s = signal.setting.seconds + signal.sample_offset_s
             size_nT = size_nT * np.exp(-since_s / (3600.0 * self.decay_h))
-        shape_E = unit_storm_E(dipole_axis_E(signal.setting), signal.R_EN.apply(signal.r_N_km))
+        shape_E = unit_storm_E(
+            dipole_axis_E(signal.setting.model, signal.setting.time[0]), signal.R_EN.apply(signal.r_N_km)
+        )
         return signal.with_ambient(signal.R_EN.inv().apply(size_nT[:, None] * shape_E))
 
 
-def dipole_axis_E(setting: Setting) -> FloatArray:
-    """(3,) unit vector to the northern dipole pole, Earth-fixed, at the first stamp."""
-    g10, g11, h11 = setting.model.coefficients_nT(setting.time[:1])[0, :3]
+def dipole_axis_E(model: FieldModel, time: np.datetime64) -> FloatArray:
+    """(3,) unit vector to the northern pole of the dipole part of a field, Earth-fixed."""
+    g10, g11, h11 = model.coefficients_nT(epoch.as_times(time))[0, :3]
     axis = -np.array([g11, h11, g10])
     return np.asarray(axis / np.linalg.norm(axis))
 
 
-def unit_storm_E(axis_E: FloatArray, r_E_km: FloatArray) -> FloatArray:
+def unit_storm_E(axis_E: FloatArray, r_E_km: FloatArray, induced_share: float = INDUCED_SHARE) -> FloatArray:
     """(N, 3) field for 1 nT of external field along the axis (3,), at positions (N, 3)."""
     radius = np.linalg.norm(r_E_km, axis=1)[:, None]
     up = r_E_km / radius
     dipole = axis_E - 3.0 * (up @ axis_E)[:, None] * up
-    return np.asarray(axis_E + INDUCED_SHARE * (FIELD_RADIUS_KM / radius) ** 3 * dipole)
+    return np.asarray(axis_E + induced_share * (FIELD_RADIUS_KM / radius) ** 3 * dipole)

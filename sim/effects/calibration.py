@@ -189,7 +189,7 @@ class MountingStep(TurningStep):
     )
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
-        at_sensor = signal.field_B_nT if signal.stray_B_nT is None else signal.field_B_nT + signal.stray_B_nT
+        at_sensor = signal.at_sensor_B_nT
         turned = Rotation.from_rotvec(-self.turns_rad(signal.setting, theta)).apply(at_sensor)
         return signal.with_reading(signal.reading + in_reading(signal.setting, turned - at_sensor))
 

@@ -176,11 +176,8 @@ def _enter(stage: str, signal: Signal) -> Signal:
         field = field_N_nT(setting.model, signal.sampled_time, signal.r_N_km, signal.R_EN)
         return dataclasses.replace(signal, field_N_nT=field)
     if stage == "sensor":
-        at_sensor = signal.field_B_nT
-        if signal.stray_B_nT is not None:
-            at_sensor = at_sensor + signal.stray_B_nT
         dipole = signal.setting.column("dipole_B_Am2")
-        return signal.with_reading(signal.setting.instrument.ideal_reading(at_sensor, dipole))
+        return signal.with_reading(signal.setting.instrument.ideal_reading(signal.at_sensor_B_nT, dipole))
     return signal
 
 

@@ -229,6 +229,11 @@ class Signal:
         return self.field_N_nT
 
     @property
+    def at_sensor_B_nT(self) -> FloatArray:
+        """(N, 3) field at the sensor, that of the spacecraft included, in true body axes."""
+        return self.field_B_nT if self.stray_B_nT is None else self.field_B_nT + self.stray_B_nT
+
+    @property
     def reading(self) -> FloatArray:
         """(N, 3) reading; only from the sensor stage on."""
         assert self.reading_B_nT is not None

@@ -143,6 +143,6 @@ class BoomBending(ThermalEffect):
     parameters = vector_parameters("turn", "deg/K", 0.005, -1.0, 1.0)
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
-        at_sensor = signal.field_B_nT if signal.stray_B_nT is None else signal.field_B_nT + signal.stray_B_nT
+        at_sensor = signal.at_sensor_B_nT
         turn = -np.radians(np.outer(self.warmer_K(signal.setting), theta))
         return signal.with_stray(Rotation.from_rotvec(turn).apply(at_sensor) - at_sensor, here_alone=True)

@@ -26,10 +26,7 @@ _LEAST_SPAN = 0.1  # of the decay time: over less, decaying and constant are the
 
 @dataclass(frozen=True)
 class FieldEpoch(SignalEffect):
-    """The field is that of another date.
-
-    The field of another epoch at the same place over the ground.
-    """
+    """The field is that of another date."""
 
     name = "field_epoch"
     stage = "field"
@@ -73,10 +70,7 @@ def field_beyond_E_nT(model: FieldModel, time: TimeArray, r_E_km: FloatArray) ->
 
 @dataclass(frozen=True)
 class FieldTruncation(SignalEffect):
-    """Reality or the model ends at a lower degree.
-
-    The degrees above `degree` are in one of real field and model, not in the other.
-    """
+    """Reality or the model ends at a lower degree."""
 
     degree: int = 8
     """The highest degree that both have."""
@@ -140,10 +134,7 @@ def _above(model: FieldModel, degree: int, signal: Signal) -> FloatArray:
 
 @dataclass(frozen=True)
 class RingCurrent(SignalEffect):
-    """Field of the ring current in a magnetic storm.
-
-    Uniform along the dipole axis, with the dipole it induces in the Earth.
-    """
+    """Field of the ring current in a magnetic storm."""
 
     decay_h: float = 0.0
     """0: constant; else it decays by e in so many hours from the first stamp."""

@@ -30,10 +30,7 @@ _MOVES = (1 / 2, -1 / 2, 1 / 4, -1 / 4, 1 / 8, -1 / 8, 1 / 16, -1 / 16)
 
 @dataclass(frozen=True)
 class Bias(SignalEffect):
-    """A constant error of the reading.
-
-    b of equation 1: reading and true field differ by a constant.
-    """
+    """A constant error of the reading."""
 
     name = "bias"
     stage = "sensor"
@@ -118,10 +115,7 @@ class Step(SignalEffect):
 
 @dataclass(frozen=True)
 class BiasStep(Step):
-    """The bias jumps at a moment and stays there.
-
-    b of equation 1 is larger from `at` on.
-    """
+    """The bias jumps at a moment and stays there."""
 
     name = "bias_step"
     stage = "sensor"
@@ -196,10 +190,7 @@ class MountingStep(TurningStep):
 
 @dataclass(frozen=True)
 class LinearDrift(SignalEffect):
-    """The bias or the scale drifts with time.
-
-    From zero at `since`: of the bias b of equation 1, or of the diagonal of its S.
-    """
+    """The bias or the scale drifts with time."""
 
     name = "linear_drift"
     stage = "sensor"

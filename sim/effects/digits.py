@@ -17,10 +17,7 @@ _DEFAULT_LSB_NT = 1.0
 
 @dataclass(frozen=True)
 class ExcessNoise(DistributionEffect):
-    """More white noise than was declared.
-
-    White Gaussian noise on each reading, on one axis or on all.
-    """
+    """More white noise than was declared."""
 
     name = "excess_noise"
     stage = "sensor"
@@ -44,7 +41,7 @@ class ExcessNoise(DistributionEffect):
 class CoarseQuantization(DistributionEffect):
     """The readings' step is coarser than declared.
 
-    The true step is `lsb`, not the declared one. Steps finer than the declared change nothing.
+    Steps finer than the declared change nothing.
     """
 
     name = "coarse_quantization"
@@ -70,8 +67,6 @@ class CoarseQuantization(DistributionEffect):
 @dataclass(frozen=True)
 class BitErrors(DistributionEffect):
     """Single readings have a flipped or stuck bit.
-
-    Single components of readings have a bit flipped or stuck, at a rate, independently.
 
     A reading's code is reading / LSB, a two's complement word just long enough for the record's largest, plus
     its sign bit. Only whole codes change, by a power of two, so a reading that was not rounded keeps its rest.

@@ -79,8 +79,7 @@ def _heads(setting: Setting) -> list[int]:
 class HorizonScannerBias(SignalEffect):
     """Roll and pitch errors follow the latitude.
 
-    Roll and pitch of the reference attitude, and of the nadir that the scanner measures, are wrong by
-    a sin(latitude) + b cos(2 latitude).
+    Those of the reference attitude, and of the nadir that the scanner measures.
     """
 
     name = "horizon_scanner_bias"
@@ -108,10 +107,7 @@ class HorizonScannerBias(SignalEffect):
 
 @dataclass(frozen=True)
 class YawDrift(SignalEffect):
-    """The reported yaw drifts with time.
-
-    Yaw error in proportion to time since the first stamp, or since entering eclipse.
-    """
+    """The reported yaw drifts with time."""
 
     when: Literal["always", "eclipse"] = "always"
     """eclipse: the gyro coasts in the shadow, from zero at each entry; right in sunlight."""
@@ -168,10 +164,7 @@ class YawDrift(SignalEffect):
 
 @dataclass(frozen=True)
 class AttitudeStep(TurningStep):
-    """The reported attitude is wrong from a moment on.
-
-    By a constant rotation, as if the frame of its sensors had been moved.
-    """
+    """The reported attitude is wrong from a moment on."""
 
     name = "attitude_step"
     stage = "attitude"

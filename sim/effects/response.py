@@ -147,8 +147,6 @@ class Hysteresis(SignalEffect):
 class SensorLag(SignalEffect):
     """The reading is smoothed and late.
 
-    First-order low-pass of the reading, or of one axis of it, with the time constant `lag`.
-
     Between stamps the ambient field's part is followed by its value and its rate of change, at moments between two
     stamps too where the body turns far in a step, so a lag far below the sampling interval comes out right; the rest
     of the reading (torquers, stray fields) as straight lines. After a gap the filter starts anew, as if the body had

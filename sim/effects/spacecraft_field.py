@@ -27,10 +27,7 @@ TYPICAL_NT = 100.0
 
 @dataclass(frozen=True)
 class TorquerCoupling(SignalEffect):
-    """Field of the torquers at the sensor.
-
-    The field is C m, m the torquers' dipole. C row by row; eq. 1's T is -C.
-    """
+    """Field of the torquers at the sensor."""
 
     name = "torquer_coupling"
     stage = "spacecraft"
@@ -244,8 +241,6 @@ class Driver(SignalEffect):
 class WheelField(SignalEffect):
     """Field of a dipole that rotates with a wheel.
 
-    Rotating dipole: a cos(phase) + b sin(phase) at the sensor, an ellipse as a and b are free vectors.
-
     The phase is the integral of the recorded speed of wheel number `wheel` (linear between stamps), or, where
     `frequency_Hz` is given, of that constant frequency; the sampling aliases both. A speed known to d rpm holds
     the phase for about 60 / (2 pi d) seconds only.
@@ -318,8 +313,6 @@ def traceless(theta: FloatArray) -> FloatArray:
 @dataclass(frozen=True)
 class EddyCurrent(SignalEffect):
     """Field of currents that a changing field induces.
-
-    Induced dipole's field -K dB_B/dt at the sensor, K symmetric, K_zz = -K_xx - K_yy.
 
     Good while the currents decay much faster than the field changes. The part of K that is a multiple of the
     identity is left out: it is a time tag (-K dB/dt is a delay by K).

@@ -21,7 +21,7 @@ _PLAIN = ("eclipse", "night", "interval", "region")
 class HeaterSwitching(SignalEffect):
     """Constant field while the heater is on.
 
-    Constant field while the heater is on: by `switches_utc` or `sequence` if given, else the column `heater_on`.
+    By `switches_utc` or `sequence` if given, else the column `heater_on`.
     """
 
     name = "heater_switching"

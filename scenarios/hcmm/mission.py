@@ -32,10 +32,8 @@ SAMPLES: Mapping[str, int] = {"A": 135, "B": 308}
 """132 and 308 in the scan, 443 together; 135 makes the sum right."""
 
 
-def on_days(config: Scenario, step_s: float = 60.0) -> Scenario:
+def on_days(config: Scenario) -> Scenario:
     """The same spacecraft over all days of Table 3, in view of the stations."""
-    segments = [
-        {"start_utc": f"{day(number)}Z", "duration_min": 1439.0, "step_s": step_s}
-        for number in sorted(DAYS["A"] + DAYS["B"])
-    ]
+    days = sorted(DAYS["A"] + DAYS["B"])
+    segments = [{"start_utc": f"{day(number)}Z", "duration_min": 1439.0, "step_s": 60.0} for number in days]
     return config.updated({"schedule.segments": segments, "sun_sensor.1.misalignment_deg": None})

@@ -42,12 +42,12 @@ _SPACINGS = (15.0, 30.0, 45.0, 60.0, 90.0)
 _U = np.radians(np.arange(0.0, 360.0, 2.0))
 
 
-def scan_node(step_deg: float = 1.0) -> Numbers:
+def scan_node() -> Numbers:
     """Try every node. Misfit: mean distance of the late days' dark share from 0.30-0.35, plus the mean share
     of the data days' orbits that darkness makes impossible (both as shares of the orbit)."""
     days = np.array([*DATA_DAYS, *LATE_DAYS], dtype=float)
     sun_T = _sun_of_date(days)
-    nodes = np.arange(0.0, 360.0, step_deg)
+    nodes = np.arange(0.0, 360.0, 1.0)
     dark = np.stack([_dark_share(_normal(node, days), sun_T) for node in nodes])
     late, data = dark[:, len(DATA_DAYS) :], dark[:, : len(DATA_DAYS)]
     distance = np.maximum(np.maximum(0.30 - late, late - 0.35), 0.0)

@@ -43,6 +43,7 @@ SEEDS = 10
 BASES = 400
 SIGMA_ANGLE_RAD = float(np.radians(0.1))
 _CHECK_MINUTES = 125
+_DRAWS = 400
 _START = day(DATA_DAYS[0])
 
 
@@ -275,13 +276,13 @@ def _equation_12_error(field_O_nT: FloatArray, seed: int) -> float:
     return float(np.degrees(np.max(np.abs(np.array(solved) - yaw_first_order(B, field_O_nT, roll, pitch)))))
 
 
-def _equation_14_ratio(config: Scenario, model: FieldModel, sigma_mG: float, draws: int = 400) -> float:
+def _equation_14_ratio(config: Scenario, model: FieldModel, sigma_mG: float) -> float:
     field, _ = _field_O(config, model, np.arange(0.0, 6040.0, 60.0))
     expected = yaw_sigma(field, sigma_mG * NT_PER_MG, SIGMA_ANGLE_RAD)
     rng = stream(config.seed, "seasat.equation_14")
-    noisy = field + rng.normal(0.0, sigma_mG * NT_PER_MG, size=(draws, *field.shape))
-    roll, pitch = rng.normal(0.0, SIGMA_ANGLE_RAD, size=(2, draws, len(field)))
-    found = np.array([yaw_first_order(noisy[k], field, roll[k], pitch[k]) for k in range(draws)])
+    noisy = field + rng.normal(0.0, sigma_mG * NT_PER_MG, size=(_DRAWS, *field.shape))
+    roll, pitch = rng.normal(0.0, SIGMA_ANGLE_RAD, size=(2, _DRAWS, len(field)))
+    found = np.array([yaw_first_order(noisy[k], field, roll[k], pitch[k]) for k in range(_DRAWS)])
     return float(np.median(found.std(axis=0) / expected))
 
 

@@ -34,15 +34,13 @@ _PATIENCE_S = 2.0  # with a pipe into which nobody writes
 _PIECE = 1 << 20
 
 
-def content_of(
-    path: Path | str, *, most: int, wanted: str, look: Callable[[bytes], None] | None = None, where: str | None = None
-) -> bytes:
+def content_of(path: Path | str, *, most: int, wanted: str, look: Callable[[bytes], None] | None = None) -> bytes:
     """The bytes of a file or a pipe.
 
     most: bytes. wanted: what the file should be, for the messages. look: is shown each piece before the next is read, and
     may raise BadInput. Raises BadInput for a folder, a device, a missing or too large file, a pipe into which nobody writes.
     """
-    where = str(path) if where is None else where
+    where = str(path)
     try:
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
         with open(handle, "rb", buffering=0) as opened:

@@ -144,6 +144,19 @@ def file_texts(telemetry: Telemetry) -> dict[str, str]:
     return {column: plain_text(text) for column, text in stated.items() if text}
 
 
+def texts_in(columns: Mapping[str, Iterable[bytes]], where: str) -> dict[str, str]:
+    """What the text columns of a file say, by key of the provenance. Raises BadInput where rows differ."""
+    stated = {}
+    for column, cells in columns.items():
+        texts = sorted({cell.decode("utf-8", "ignore").strip() for cell in cells})
+        if len(texts) > 1:
+            listed = " and ".join(repr(clip(text)) if text else "nothing" for text in texts[:2])
+            wanted = "one spacecraft, and all readings corrected by one calibration or none, in one file"
+            raise BadInput(f"{column} says {listed} in different rows", where=where, wanted=wanted)
+        stated[TEXTS[column]] = "".join(texts)
+    return stated
+
+
 def describe(column: str) -> tuple[str, str]:
     """(long_name, CF units) of a written column."""
     family = family_of(column)

@@ -33,7 +33,7 @@ from fluxtwin.sim.base.limits import (
 )
 from fluxtwin.sim.base.seals import FORMAT, require_format
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.telemetry.columns import TEXTS, FileTable, clip, file_columns, file_texts, resolve
+from fluxtwin.sim.telemetry.columns import TEXTS, FileTable, clip, file_columns, file_texts, resolve, texts_in
 from fluxtwin.sim.telemetry.record import TEXT_BYTES, Telemetry
 from fluxtwin.sim.telemetry.time_stamps import format_iso, parse_iso
 
@@ -164,34 +164,16 @@ def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES, others: Sequ
     beside = [name for name in others if name in opened.names and name not in used]
     columns = opened.numbers([name for name in opened.names if name in used])
     notices = [*opened.notices, *found.notices]
+    texts = {name: np.unique(opened.text(name)).tolist() for name in TEXTS if name in opened.names}
+    stated = {key: text for key, text in texts_in(texts, opened.where).items() if text}
     return FileTable(
         where=opened.where,
         time=parse_iso(opened.text("time"), opened.where, notices),
         columns=columns,
         notices=notices,
-        provenance={**_texts(opened), "source": Path(path).name, "sha256": opened.sha256},
+        provenance={**stated, "source": Path(path).name, "sha256": opened.sha256},
         others=opened.numbers(beside),
     )
-
-
-def _texts(opened: CsvFile) -> dict[str, str]:
-    """What the text columns say, by key of the provenance. Raises BadInput where rows differ."""
-    stated = {}
-    for column, key in TEXTS.items():
-        if column not in opened.names:
-            continue
-        cells = np.unique(opened.text(column))
-        texts = [cell.decode("utf-8", "ignore").strip() for cell in cells.tolist()]
-        if len(texts) > 1:
-            listed = " and ".join(repr(clip(text)) if text else "nothing" for text in texts[:2])
-            raise BadInput(
-                f"{column} says {listed} in different rows",
-                where=opened.where,
-                wanted="one spacecraft, and all readings corrected by one calibration or none, in one file",
-            )
-        if texts[0]:
-            stated[key] = texts[0]
-    return stated
 
 
 def write(telemetry: Telemetry, path: Path | str) -> Path:

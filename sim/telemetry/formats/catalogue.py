@@ -31,14 +31,9 @@ class Format:
     option: str = ""
     """Of a file that has attitude or orbit alone: the option that takes it beside the readings."""
 
-    def read(self, path: Path, max_samples: int) -> Table:
-        """The file as a table. Raises BadInput, for more rows than wanted before they are read."""
-        found: Table = self._function("read")(path, max_samples)
-        return found
-
-    def read_sheet(self, path: Path, max_samples: int, sheet: str) -> Table:
-        """One sheet of a file that has several."""
-        found: Table = self._function("read")(path, max_samples, sheet)
+    def read(self, path: Path, max_samples: int, *sheet: str) -> Table:
+        """The file, or one sheet of it, as a table. Raises BadInput, for more rows than wanted before they are read."""
+        found: Table = self._function("read")(path, max_samples, *sheet)
         return found
 
     def sheets_of(self, path: Path) -> list[str]:
@@ -83,6 +78,6 @@ def table_of(path: Path, max_samples: int, sheet: str | None = None) -> Table | 
         raise BadInput(f"has no sheets, and the map names {sheet!r}", where=str(path), wanted="a workbook")
     if found is None:
         return None
-    table = found.read(path, max_samples) if sheet is None else found.read_sheet(path, max_samples, sheet)
+    table = found.read(path, max_samples, *([] if sheet is None else [sheet]))
     require_rows(max((len(value) for value in table.columns.values()), default=0), max_samples, str(path))
     return table

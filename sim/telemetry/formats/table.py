@@ -13,7 +13,7 @@ import numpy as np
 from fluxtwin.sim.base import limits
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray, TimeArray
-from fluxtwin.sim.telemetry.columns import TEXTS, FileTable, clip, resolve
+from fluxtwin.sim.telemetry.columns import TEXTS, FileTable, clip, resolve, texts_in
 from fluxtwin.sim.telemetry.quantities import DRIVERS, QUANTITIES
 from fluxtwin.sim.telemetry.time_stamps import parse_iso
 
@@ -92,9 +92,7 @@ def contract(table: Table, others: Sequence[str] = ()) -> FileTable:
             wanted="time, or a column map (--map; `fluxtwin map` drafts one)",
         )
     described = {new: table.described(old) for new, (old, _) in spread.items()}
-    texts = {
-        column: key for column, key in TEXTS.items() if column in spread and table.columns[column].dtype.kind == "S"
-    }
+    texts = [column for column in TEXTS if column in spread and table.columns[column].dtype.kind == "S"]
     found = resolve([name for name in spread if name not in texts], table.where, described)
     beside = [name for name in others if name in spread and name not in found.used]
     columns = {name: _one(table, *spread[name]) for name in (*found.used, *beside)}
@@ -133,16 +131,9 @@ def _spread(table: Table) -> dict[str, tuple[str, int | None]]:
     return {name: place for name, place in out.items() if name != "time"}
 
 
-def _provenance(table: Table, texts: dict[str, str]) -> dict[str, str]:
+def _provenance(table: Table, texts: Sequence[str]) -> dict[str, str]:
     """What the file says of itself, in attributes or in columns that hold one text."""
-    stated = dict(table.attributes)
-    for column, key in texts.items():
-        cells = {cell.decode("utf-8", "replace").strip() for cell in table.columns[column].tolist()}
-        if len(cells) > 1:
-            listed = " and ".join(repr(clip(cell)) if cell else "nothing" for cell in sorted(cells)[:2])
-            wanted = "one spacecraft, and readings corrected by one calibration or none, in one file"
-            raise BadInput(f"{column} says {listed} in different rows", where=table.where, wanted=wanted)
-        stated[key] = "".join(cells)
+    stated = table.attributes | texts_in({column: table.columns[column].tolist() for column in texts}, table.where)
     stated |= {"source": Path(table.where).name, "sha256": table.sha256}
     return {key: text for key, text in stated.items() if text}
 

@@ -26,7 +26,6 @@ _FIRST_YEAR, _LAST_YEAR = 1678, 2261  # what datetime64[ns] holds in full
 _NS_PER_DAY = 86400 * 1_000_000_000
 _AHEAD_OF_TAI_S = {"TAI": 0.0, "GPS": -19.0, "TT": 32.184}
 """GPS time stays 19 s behind TAI (IS-GPS-200), TT 32.184 s ahead of it (IAU 1991)."""
-SCALES = ("UTC", *_AHEAD_OF_TAI_S)
 MJD2000 = np.datetime64("2000-01-01T00:00:00", "ns")
 """Origin of the modified Julian day used by field models (1 January 2000, 0 h UTC)."""
 

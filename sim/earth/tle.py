@@ -16,6 +16,7 @@ import erfa
 import numpy as np
 from scipy.spatial.transform import Rotation
 from sgp4.api import SGP4_ERRORS, Satrec
+from sgp4.io import compute_checksum
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.limits import text_of
@@ -208,9 +209,9 @@ def _check_line(number: int, line: str, where: str) -> None:
         raise BadInput(f"starts with {line[:10]!r}", where=place, wanted=_FORMAT)
     if len(line) != 69 or not line.isascii():
         raise BadInput(f"has {len(line)} characters", where=place, wanted="69 plain characters")
-    if not line[68].isdigit() or int(line[68]) != checksum(line):
+    if not line[68].isdigit() or int(line[68]) != compute_checksum(line):
         raise BadInput(
-            f"the checksum is {line[68]!r} but the line adds up to {checksum(line)}",
+            f"the checksum is {line[68]!r} but the line adds up to {compute_checksum(line)}",
             where=place,
             wanted="the line as it was published; one character or more has changed",
         )
@@ -221,11 +222,6 @@ def _check_line(number: int, line: str, where: str) -> None:
                 where=f"{place}, columns {start + 1}-{stop}",
                 wanted="a number",
             )
-
-
-def checksum(line: str) -> int:
-    """Modulo-10 sum of the first 68 characters: digits count as themselves, a minus sign as 1."""
-    return sum(int(c) if c.isdigit() else c == "-" for c in line[:68]) % 10
 
 
 _FIELDS = {

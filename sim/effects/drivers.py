@@ -14,7 +14,7 @@ from fluxtwin.sim.earth.orbit import kepler_period_s
 from fluxtwin.sim.effects.base import known_column
 from fluxtwin.sim.effects.history import relax
 from fluxtwin.sim.effects.signal import Setting
-from fluxtwin.sim.spacecraft.power import FixedPanel, TrackingArray, incidence_cosine
+from fluxtwin.sim.spacecraft.power import Panel, incidence_cosine
 
 PanelKind = Literal["zenith", "tracking", "constant", "balance"]
 """A panel on the -z face, an array that turns about y, a current that only shadow cuts, or what the battery says."""
@@ -43,7 +43,7 @@ def array_current_A(setting: Setting, panel: PanelKind) -> FloatArray:
         battery = known_column(setting, "battery_current_A")
         return lit(setting) if battery is None else battery
     sun_B, known = sun_in_body(setting)
-    shape = FixedPanel((0.0, 0.0, -1.0), 1.0) if panel == "zenith" else TrackingArray((0.0, 1.0, 0.0), 1.0)
+    shape = Panel((0.0, 0.0, -1.0), 1.0) if panel == "zenith" else Panel((0.0, 1.0, 0.0), 1.0, tracks=True)
     cosine = incidence_cosine(sun_B, shape)
     if not known.all():
         seen = known & (lit(setting) > 0.5)

@@ -59,9 +59,7 @@ def _segment(scenario: Scenario, world: World, inside: np.ndarray) -> dict[str, 
 def _power(scenario: Scenario, world: World) -> dict[str, FloatArray]:
     section = scenario.power
     assert section is not None
-    panel: power.Panel = power.FixedPanel(section.normal_B, section.full_sun_current_A)
-    if section.axis_B is not None:
-        panel = power.TrackingArray(section.axis_B, section.full_sun_current_A)
+    panel = power.Panel(section.axis_B or section.normal_B, section.full_sun_current_A, section.axis_B is not None)
     sun_B = true_attitude(scenario, world).R_BN.apply(world.sun_N)
     array = power.array_current_A(sun_B, world.illumination, panel)
     battery = power.Battery(section.battery_capacity_Ah, section.charge_efficiency, section.taper_above)

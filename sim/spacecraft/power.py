@@ -15,22 +15,14 @@ Direction = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class FixedPanel:
-    """A panel fixed to the body: its outward normal and its current in full sun at normal incidence."""
+class Panel:
+    """A panel fixed to the body, or an array that turns so that its normal follows the sun."""
 
-    normal_B: Direction
+    direction_B: Direction
+    """Outward normal of a fixed panel; the axis of an array, to which its normal stays across."""
     full_sun_current_A: float
-
-
-@dataclass(frozen=True)
-class TrackingArray:
-    """An array that turns about `axis_B` so that its normal, across the axis, follows the sun."""
-
-    axis_B: Direction
-    full_sun_current_A: float
-
-
-Panel = FixedPanel | TrackingArray
+    """At normal incidence."""
+    tracks: bool = False
 
 
 def incidence_cosine(sun_B: FloatArray, panel: Panel) -> FloatArray:
@@ -40,10 +32,10 @@ def incidence_cosine(sun_B: FloatArray, panel: Panel) -> FloatArray:
     cosine is the sine of the angle between sun and axis.
     """
     sun = np.atleast_2d(np.asarray(sun_B, dtype=np.float64))
-    if isinstance(panel, TrackingArray):
-        across = np.cross(sun, _unit(panel.axis_B, "array axis"))
+    if panel.tracks:
+        across = np.cross(sun, _unit(panel.direction_B, "array axis"))
         return np.asarray(np.linalg.norm(across, axis=1))
-    return np.clip(sun @ _unit(panel.normal_B, "panel normal"), 0.0, None)
+    return np.clip(sun @ _unit(panel.direction_B, "panel normal"), 0.0, None)
 
 
 def array_current_A(sun_B: FloatArray, illumination: FloatArray, panel: Panel) -> FloatArray:

@@ -11,8 +11,7 @@ from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM
 from fluxtwin.sim.earth.orbit import Orbit, argument_of_latitude
 from fluxtwin.sim.spacecraft.power import (
     Battery,
-    FixedPanel,
-    TrackingArray,
+    Panel,
     array_current_A,
     battery_history,
     incidence_cosine,
@@ -42,7 +41,7 @@ def test_a_tracking_array_sees_the_sunlit_share_of_the_orbit(close) -> None:
     lit = sun.illumination(r, sun.sun_N_km(time))
     direction = sun.sun_direction_N(time, r)
     normal = np.cross(r[0], v[0])
-    current = array_current_A(direction, lit, TrackingArray(tuple(normal), 10.0))
+    current = array_current_A(direction, lit, Panel(tuple(normal), 10.0, tracks=True))
     dark = np.arcsin(EARTH_RADIUS_KM / orbit.semi_major_axis_km) / np.pi
     why = "penumbra 0.3 % of the orbit, flattening and refraction left out, sun 0.3 deg off the plane"
     close(current.mean() / 10.0, 1.0 - dark, atol=0.004, unit="of full sun", because=why)
@@ -54,13 +53,13 @@ def test_a_tracking_array_sees_the_sunlit_share_of_the_orbit(close) -> None:
 def test_incidence_of_fixed_and_tracking_panels(close) -> None:
     angle = np.radians([0.0, 30.0, 60.0, 90.0, 120.0, 180.0])
     sun_B = np.stack([np.sin(angle), np.zeros(6), np.cos(angle)], axis=1)
-    fixed = incidence_cosine(sun_B, FixedPanel((0.0, 0.0, 2.0), 1.0))
+    fixed = incidence_cosine(sun_B, Panel((0.0, 0.0, 2.0), 1.0))
     close(fixed, [1.0, np.sqrt(0.75), 0.5, 0.0, 0.0, 0.0], atol=1e-15, unit="1", because="cosine law, dark side 0")
-    tracking = incidence_cosine(sun_B, TrackingArray((1.0, 0.0, 0.0), 1.0))
+    tracking = incidence_cosine(sun_B, Panel((1.0, 0.0, 0.0), 1.0, tracks=True))
     close(tracking, np.abs(np.cos(angle)), atol=1e-15, unit="1", because="sine of the angle to the axis")
-    across = incidence_cosine(sun_B, TrackingArray((0.0, 3.0, 0.0), 1.0))
+    across = incidence_cosine(sun_B, Panel((0.0, 3.0, 0.0), 1.0, tracks=True))
     close(across, 1.0, atol=1e-15, unit="1", because="an axis across the sun loses nothing")
-    both = sum(array_current_A(sun_B, 0.5, FixedPanel((0, 0, side), 2.0)) for side in (1, -1))
+    both = sum(array_current_A(sun_B, 0.5, Panel((0, 0, side), 2.0)) for side in (1, -1))
     close(both, np.abs(np.cos(angle)), atol=1e-15, unit="A", because="half sun on two sides of 2 A")
 
 
@@ -215,4 +214,4 @@ def test_impossible_housekeeping_is_refused() -> None:
     with pytest.raises(BadInput, match="thermostat"):
         Thermostat(on_below_degC=6.0, off_above_degC=4.0, rise_K=1.0)
     with pytest.raises(BadInput, match="panel normal"):
-        array_current_A(np.eye(3), 1.0, FixedPanel((0.0, 0.0, 0.0), 1.0))
+        array_current_A(np.eye(3), 1.0, Panel((0.0, 0.0, 0.0), 1.0))

@@ -47,7 +47,8 @@ MOST = 4
 """Mutants of a module, at most."""
 FOLDERS = ("sim/", "calib/", "gap/")
 SUITE = ("sim", "reference", "gap", "calib", "api")
-FIRST_S, BUDGET_S, LIMIT_S = 3.0, 30.0, 240
+FIRST_S, BUDGET_S, LIMIT_S = 3.0, 15.0, 240
+"""Seconds of tests that are run first, of all that are run, and of processor time after which a mutant has no end."""
 NUMBERS = re.compile(r"[fF]loat|[aA]rray|Rotation|datetime64")
 NO_NUMBERS = re.compile(r"\b(str|bool|int|bytes|Path|Any|Callable|Findings?|Header|BadInput)\b|^(None|Self)$")
 SAID = ("where", "wanted", "tol", "atol", "rtol", "rcond")
@@ -321,6 +322,8 @@ def recorded(file: Path | None) -> dict[Mutant, Answer]:
     answers = dict[Mutant, Answer]()
     for line in file.read_text(encoding="utf-8").splitlines() if file and file.exists() else []:
         one = json.loads(line)
+        if "seed" in one:  # the first line
+            continue
         by, mutant = one.pop("by"), Mutant(**one)
         answers[mutant] = Answer(mutant, answers[mutant].first if mutant in answers else by, by)
     return answers
@@ -364,6 +367,8 @@ def main() -> int:
             suite = ["tests/sim/base"] if options.quick else [f"tests/{one}" for one in SUITE]
             pytest.main(["-q", "-p", "no:cacheprovider", *suite], plugins=[Calls(calls)])
         tests = Tests(calls)
+    if options.record and not options.record.exists():
+        options.record.write_text(json.dumps({"seed": options.seed}) + "\n", encoding="utf-8")
     if options.quick:
         mutants = [one for one in drawn(300, options.seed) if f"{one.file} {one.function}" in tests.of][:3]
     else:

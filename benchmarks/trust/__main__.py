@@ -57,7 +57,9 @@ def unnoticed(record: Path) -> Row:
     for mutant, _, last in answers:
         if not last:
             row.fault(f"`{mutant.file}`, line {mutant.line}, {mutant.change}: `{mutant.right}`")
-    row.note = f"{sum(not one.first for one in answers)} when first tried, before tests were written for them"
+    seed = json.loads(record.read_text(encoding="utf-8").splitlines()[0])["seed"]
+    first = sum(not one.first for one in answers)
+    row.note = f"drawn with seed {seed}; {first} when first tried, before tests were written for them"
     return row
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from worlds import scenario_text
 
 import fluxtwin
 from fluxtwin.calib.common.residuals import predict
-from fluxtwin.calib.comparing import compare
+from fluxtwin.calib.comparing import _WHY_NOT, compare
 from fluxtwin.calib.methods import ESTIMATORS
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.earth.field import FieldModel, load_field
@@ -58,7 +60,14 @@ def test_a_turned_sensor_wants_the_attitude_and_a_poor_attitude_does_not(model: 
 def test_the_errors_are_those_of_rows_that_were_not_fitted(model: FieldModel) -> None:
     """Against `predict` on the stretches that each half leaves out; the fitted rows err less."""
     record = flown(0.01, 0.5)
-    compared = compare(record, model, {"linear": ESTIMATORS["linear"]}, {})
+    why = "x" * _WHY_NOT
+
+    def refused(*_: Any, **__: Any) -> Any:
+        raise NoAnswer(why, evidence={})
+
+    none: Any = SimpleNamespace(takes=(), fit=refused)
+    compared = compare(record, model, {"linear": ESTIMATORS["linear"], "none": none}, {})
+    assert compared.results[1].why_not == why  # as long as may be
     stretch = np.arange(len(record)) * 12 // len(record)
     odd, even = (record.select(np.flatnonzero(stretch % 2 == side)) for side in (1, 0))
     squares, within = np.zeros(3), np.zeros(3)

@@ -5,24 +5,27 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy.stats import chi2, norm, poisson
 from worlds import scenario_text
 
 from fluxtwin.gap.detectors.finding import Finding
-from fluxtwin.gap.detectors.noise_level import floor_noise, with_frozen_noise
+from fluxtwin.gap.detectors.noise_level import floor_noise, stochastic_nT, with_frozen_noise
 from fluxtwin.gap.detectors.proposals import expected
 from fluxtwin.gap.held_out.closing import Declared, closed_scenario, settle
 from fluxtwin.gap.held_out.held_out import Prediction
 from fluxtwin.gap.held_out.targets import DAYS, targets
 from fluxtwin.gap.held_out.transfer import _seen_by_chance, transfers
-from fluxtwin.gap.noise.choice import NoiseModel
-from fluxtwin.gap.noise.whitening import make_whitener
+from fluxtwin.gap.noise.robust_rows import CUT_SIGMA, RobustRows
+from fluxtwin.gap.noise.whitening import NoiseModel, make_whitener
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.diagnosis import Closure
+from fluxtwin.gap.report.level import outliers
 from fluxtwin.gap.selection.criterion import MOST_SURE
 from fluxtwin.gap.selection.named import Support, found_effect
 from fluxtwin.sim.base.errors import BadInput
@@ -280,6 +283,8 @@ def test_noise_of_the_scenario_is_expected_and_no_other() -> None:
     alike = Finding(ExcessNoise(), np.array([165.0]), np.array([10.0]))
     assert expected(alike, frozen) and not expected(alike, [])
     assert not expected(Finding(ExcessNoise(), np.array([300.0]), np.array([10.0])), frozen)
+    found = NoiseModel(130.0, 1e-3, 0.0, sigma_prior_nT=50.0)
+    assert stochastic_nT([alike], found, None) == pytest.approx(120.0)  # beyond the declared, in variance
     assert replace(alike, worth=2.0).probability == pytest.approx(1.0 - np.exp(-1.0), rel=1e-12)
     assert replace(alike, worth=100.0).probability == MOST_SURE
     assert not expected(Finding(BitErrors(), np.array([0.01]), np.array([0.001])), frozen)
@@ -296,3 +301,24 @@ def test_the_floor_is_that_of_the_declared_noise() -> None:
     assert floor_noise([], noise, Budget()) == (pytest.approx(900.0), noise.theta_rad)
     stuck = Finding(BitErrors(4, "stuck_1", 100.0), np.ones(1), np.zeros(1))
     assert floor_noise([stuck], noise, budget)[0] == pytest.approx(np.hypot(104.0, 800.0))
+
+
+def test_readings_set_aside_are_too_many_where_chance_gives_one_in_a_thousand() -> None:
+    """Of 30,000 components chance sets some aside: the least count that it reaches less than once in a thousand."""
+    time = np.datetime64("2020-03-01", "ns") + np.arange(10_000)
+    problem: Any = SimpleNamespace(time=time, measured=np.ones((10_000, 3)))
+    chance = 2.0 * norm.sf(CUT_SIGMA) * 30_000
+    count = next(n for n in range(1, 1000) if poisson.sf(n - 1, chance) <= 1e-3)
+    for cut, said in ((count, True), (count - 1, False)):
+        weights = np.ones((10_000, 3))
+        weights[:cut, 0] = 0.0
+        assert (outliers(problem, RobustRows(weights)) is not None) == said
+
+
+def test_a_bootstrap_of_stretches_is_about_what_was_measured() -> None:
+    rng = np.random.default_rng(3)
+    after = rng.normal(0.0, 10.0, (600, 3))
+    before = after + 30.0 * np.sin(np.arange(600) / 50.0)[:, None]
+    held = Prediction(before, after, np.ones(600, dtype=bool), 10.0, 10.0)
+    for drawn, rows in zip(held._draws(after), (before, after), strict=True):
+        assert drawn.mean() == pytest.approx((rows**2).mean(), rel=0.02) and 0.0 < drawn.std() < 0.1 * drawn.mean()

@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.held_out.held_out import Fitted, predict_blocks
 from fluxtwin.gap.noise.whitening import NoiseModel, make_whitener
-from fluxtwin.gap.problem.problem import Budget
+from fluxtwin.gap.problem.problem import Budget, _velocity
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.selection.detectable import GATE, noncentrality
@@ -190,3 +190,9 @@ def test_passes_over_stations_with_a_fine_sensor_have_no_gap() -> None:
     for seed in range(3):
         found = asked(simulate(config.updated({"seed": seed}))[0], Budget(2.0, 0.5, float(np.radians(0.25))))
         assert found.verdict == "no_gap", found.sentence
+
+
+def test_the_velocity_of_two_rows_is_the_slope_of_their_positions() -> None:
+    r_N_km = np.array([[7e3, 0.0, 0.0], [7e3, 15.0, 1.0]])
+    two = Telemetry(np.array([0, 2], dtype="datetime64[s]"), np.zeros((2, 3)), r_N_km=r_N_km)
+    assert np.array_equal(_velocity(two), [[0.0, 7.5, 0.5]] * 2)

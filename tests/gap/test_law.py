@@ -21,6 +21,7 @@ from fluxtwin import diagnosing
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.law import words
 from fluxtwin.gap.law.grammar import Grammar
+from fluxtwin.gap.law.search import RATIOS, Regression
 from fluxtwin.gap.problem.problem import Budget
 from fluxtwin.gap.records.diagnosis import Diagnosis, Law, LawTerm
 from fluxtwin.gap.records.schema import diagnosis_schema
@@ -163,6 +164,20 @@ def test_the_usual_size_of_a_coefficient_is_that_of_its_largest_swing() -> None:
     for values, swing in (([10.0, 12.0], 12.0), ([-10.0, 12.0], 22.0)):
         grammar: Any = SimpleNamespace(values=lambda law, values=values: np.array(values))
         assert Grammar.usual(grammar, effect.Law()).typical_nT_per_unit == TYPICAL_NT / swing
+
+
+def test_a_delay_and_a_lag_are_moved_by_ratios() -> None:
+    tried: list[tuple[float, float]] = []
+
+    def better(best: Any, laws: list[effect.Law], left: Any) -> Any:
+        tried.extend((one.delay_s, one.lag_s) for one in laws)
+        return best
+
+    search: Any = SimpleNamespace(_better=better, grammar=SimpleNamespace(variants=lambda law: []))
+    start: Any = SimpleNamespace(law=effect.Law(of=("a",), delay_s=40.0, lag_s=10.0))
+    Regression.moved(search, start, search)
+    ways = [way for ratio in RATIOS for way in (ratio, 1.0 / ratio)]
+    assert tried == [(40.0, 10.0), *(at for way in ways for at in ((40.0 * way, 10.0), (40.0, 10.0 * way)))]
 
 
 def test_a_wave_comes_with_its_quarter_and_a_column_with_the_rest() -> None:

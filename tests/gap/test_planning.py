@@ -14,7 +14,7 @@ from fluxtwin.gap.planning.base import base_tree
 from fluxtwin.gap.planning.choose import _rank, choose
 from fluxtwin.gap.planning.designs import Design, LimitsSection, designs
 from fluxtwin.gap.planning.power import Cause, Flown, probability_of
-from fluxtwin.gap.planning.questions import Open, ambiguous
+from fluxtwin.gap.planning.questions import Open, ambiguous, to_place
 from fluxtwin.gap.selection.score import board
 from fluxtwin.planning import view_of
 from fluxtwin.sim.base.toml_input import validate
@@ -126,6 +126,16 @@ def test_of_courses_that_are_enough_the_shortest_comes_first() -> None:
     long, short, weak = (SimpleNamespace(design=design, rows=rows, power=power) for rows, power in three)
     every: Any = [weak, long, short]
     assert sorted(every, key=_rank) == [short, long, weak] and _rank(every[1])[2] == 1.5
+
+
+def test_an_unknown_field_is_placed_by_what_it_has_beyond_the_floor() -> None:
+    """50 nT where 30 nT were expected: (50^2 - 30^2) / 30^2 of the noise, in three components of each row."""
+    asked: list[Any] = []
+    problem = SimpleNamespace(rows=90)
+    flown: Any = SimpleNamespace(problem=problem, place=lambda *about: asked.append(about))
+    where = {"condition": None, "probabilities": {"frame": {"body": 0.6, "orbital": 0.4}}}
+    assert to_place({"where": where, "gap": {"before_nT": 50.0, "floor_nT": 30.0}}, flown) == []
+    assert asked == [(None, ["body", "orbital"], pytest.approx(3 * 90 * 16.0 / 9.0))]
 
 
 def test_of_one_cause_nothing_is_ambiguous() -> None:

@@ -52,6 +52,8 @@ def test_a_turned_head_is_named_and_the_angle_confirms_it():
     assert first.probability == MOST_SURE  # both show it; readings alone give 0.967
     alike = replace(first, group=(first.name, "yaw_drift", "bias_step"))
     doubted = _confirmed(alike, replace(first, probability=0.75))  # who else it may be shares the doubt
+    sure = _confirmed(replace(first, significance=1e-3), replace(first, significance=1e-9))
+    assert sure.significance == 1e-9
     assert (doubted.group, doubted.rivals) == ((first.name,), (("yaw_drift", 0.125), ("bias_step", 0.125)))
     # With one head in use a constant bias of the scanner changes the angle alike; the readings tell the two apart.
     shown = found.provenance["sun_nadir"]

@@ -18,6 +18,7 @@ from worlds import scenario_text
 
 from fluxtwin.gap.detectors.residual_structure import Structure, judge
 from fluxtwin.gap.hypotheses.blocks import Block, blocks
+from fluxtwin.gap.hypotheses.conditions import regions
 from fluxtwin.gap.hypotheses.courses import _hats, courses
 from fluxtwin.gap.hypotheses.evidence import Dictionary, fit_all
 from fluxtwin.gap.linear.projection import projected
@@ -410,3 +411,17 @@ def test_hats_are_a_straight_line_between_knots() -> None:
 def test_a_gain_may_follow_a_straight_line_and_a_cubic(nadir: Design) -> None:
     found = {one.label for one in nadir.found if one.stages == {"sensor": 1.0} and one.condition == "time"}
     assert found == {"time", "time, cubic"}
+
+
+def test_a_region_is_called_by_where_it_is(nadir: Design) -> None:
+    """The logarithm of a patch falls with the square of the angle from the place of its name."""
+    setting = nadir.problem.design.setting
+    r_E = setting.R_EN.apply(setting.given[0])
+    found = regions(setting)
+    assert len(found) > 3
+    for one in found:
+        latitude, longitude = (np.radians(float(word)) for word in one.label.split()[1::2])
+        across = np.cos(latitude)
+        centre = np.array([across * np.cos(longitude), across * np.sin(longitude), np.sin(latitude)])
+        away = np.arccos(r_E @ centre / np.linalg.norm(r_E, axis=1))
+        assert np.corrcoef(away**2, np.log(one.columns[:, 0]))[0, 1] < -0.999, one.label

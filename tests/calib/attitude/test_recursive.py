@@ -55,6 +55,11 @@ def test_with_a_noisy_reference_it_agrees_with_truth_and_the_batch(flown: tuple[
     assert fit.rejected == 5
     assert fit.statistics.component_rms_nT < 30.0  # 129 nT with the wild ones
     assert fit.verdict is not None and fit.verdict.level == "good", fit.verdict
+    noises = fit.to_dict()["noises"]
+    said = next(text for text in fit.messages if "reference attitude:" in text).split()
+    assert float(said[said.index("and") + 1]) == pytest.approx(
+        noises["drift_rad"] * 180.0 / np.pi, rel=0.06
+    )  # two digits
     batch = fluxtwin.calibrate(telemetry, method="linear")
     assert (fit.calibration.sigmas < 1.3 * batch.calibration.sigmas).all()
     assert np.abs(pulls(fit, truth) * fit.calibration.sigmas / batch.calibration.sigmas).max() < 4.5

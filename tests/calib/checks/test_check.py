@@ -13,6 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fluxtwin import load_scenario
+from fluxtwin.calib.checks.calibrated import _misfit_nT
 from fluxtwin.calib.checks.check import check_file, check_telemetry, repair
 from fluxtwin.calib.checks.evidence import _covariances
 from fluxtwin.calib.checks.orientation import _mountings
@@ -441,3 +442,8 @@ def test_mountings_are_turns_by_eighths_and_mirrors() -> None:
     found = np.array([one.matrix for one in _mountings()])
     assert len(found) == 48 + 3 * 24 and np.allclose(found @ found.swapaxes(1, 2), np.eye(3), atol=1e-15)
     assert np.allclose(np.sort(np.abs(found), axis=2)[48:, :, :].sum(axis=2).max(axis=1), np.sqrt(2.0))
+
+
+def test_a_misfit_of_the_size_is_an_rms_by_the_median() -> None:
+    size = np.linspace(2e4, 5e4, 9)
+    assert _misfit_nT(np.outer(size + 10.0, [0.0, 0.6, 0.8]), size) == pytest.approx(14.826)

@@ -17,6 +17,7 @@ from scipy.signal import lfilter
 from fluxtwin.calib.common.covariance import bread_of, groupings, make_blocks
 from fluxtwin.calib.common.design import Design, assemble
 from fluxtwin.calib.linear.calibrate import calibrate_linear, fit_design
+from fluxtwin.calib.linear.estimating_equations import _cell_starts
 from fluxtwin.calib.linear.method import LinearOptions
 
 pytestmark = pytest.mark.closure
@@ -304,3 +305,8 @@ def test_the_mean_product_of_the_readings_is_taken_without_its_noise() -> None:
     xx, noise = np.diag([4.0, 9.0]), np.diag([1.0, 1.0])
     fit: Any = SimpleNamespace(xx=xx)
     assert np.allclose(bread_of(fit, noise), np.diag([1.0 / 3.0, 1.0 / 8.0, 1.0]))
+
+
+def test_cells_are_no_longer_than_asked() -> None:
+    label = np.array([0] * 7 + [1] * 3)
+    assert _cell_starts(np.arange(10.0), label, 3.0).tolist() == [0, 3, 6, 7]

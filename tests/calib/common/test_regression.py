@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from fluxtwin.calib.common.observability import _in_nT
 from fluxtwin.calib.common.regression import regress, residuals
 
 pytestmark = pytest.mark.reference
@@ -94,3 +95,7 @@ def test_an_exact_relation_is_found_exactly() -> None:
     found = regress(B @ M.T + [7150.0, -2810.0, -6120.0], [B])
     assert np.abs(found.M - M).max() < 1e-13
     assert np.abs(found.c - [7150.0, -2810.0, -6120.0]).max() < 1e-8
+
+
+def test_the_sigma_of_a_factor_counts_in_nT_of_the_field() -> None:
+    assert (_in_nT("S12", 0.01, 3e4), _in_nT("b1", 5.0, 3e4)) == (300.0, 5.0)

@@ -10,7 +10,7 @@ from worlds import scenario_text
 import fluxtwin
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.gyro.motion import cut, degree_for, follow
-from fluxtwin.calib.gyro.solve import BASIS_S
+from fluxtwin.calib.gyro.solve import BASIS_S, fields_without_errors
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.scenario.scenario import parse_scenario
@@ -123,6 +123,12 @@ def test_the_gyro_is_integrated_to_fourth_order() -> None:
     for step in (4, 2):
         rows = np.arange(0, 161, step)
         one = follow(record.time, record.rate_B_rad_s, rows, degree_for(150.0))
+        assert np.abs(one.basis).max() == pytest.approx(1.0)  # Chebyshev's, over the stretch
         true = (R_BN[int(rows[-1])] * R_BN[0].inv()).as_matrix()
         errors.append(float(np.abs(one.R[-1] - true).max()))
+    field = R_BN.apply([2e4, -1e4, 3e4])
+    found = fields_without_errors(
+        record.time, field, record.rate_B_rad_s, [np.arange(0, 161, 2), np.arange(1, 161, 2)], 150.0, np.ones(161)
+    )
+    assert np.abs(found - np.concatenate([field[::2], field[1::2]])).max() < 10.0  # of 37,000 nT
     assert errors[1] < 1e-4 and 8.0 < errors[0] / errors[1] < 32.0

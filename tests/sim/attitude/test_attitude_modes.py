@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import motions
 import numpy as np
@@ -240,3 +242,10 @@ def test_impossible_motion_is_refused() -> None:
         attitude.spin(time, np.ones(3), np.array([0, 0, 1.0]), 0.1, nutation_rad=2.0)
     with pytest.raises(BadInput, match="one each"):
         attitude.librating(time, *ORBIT.propagate(time[:2]), draw_libration((0, 0, 0), 60, 60, stream(1, "a")))
+
+
+def test_the_lines_of_a_libration_begin_at_its_longest_period() -> None:
+    """Eight to a band, in equal ratios; here each at the beginning of its eighth."""
+    least: Any = SimpleNamespace(random=np.zeros)
+    found = 2.0 * np.pi / draw_libration(AMPLITUDES, 300.0, 6000.0, least).frequency_rad_s
+    assert np.allclose(found, 6000.0 * 20.0 ** -(np.arange(8) / 8.0), rtol=1e-12)

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import frames, horizon
 from fluxtwin.sim.spacecraft.sensors.horizon_crossings import ConicalScanner
+from fluxtwin.sim.spacecraft.sensors.horizon_scanner import HorizonScannerSection
 
 pytestmark = pytest.mark.reference
 
@@ -122,3 +123,8 @@ def test_a_scan_that_misses_the_earth_gives_nothing():
     R = frames.rotation_ON(r, np.array([[1.0, 0.0, 0.0]]))
     ball = horizon.surface("sphere", at("1978-06-21", 1))
     assert np.isnan(ConicalScanner().nadir(r, NORTH[None], R, R, ball, ball)).all()
+
+
+def test_a_scanner_of_a_scenario_has_its_cone_in_radians():
+    found = HorizonScannerSection(scans="-y", half_cone_deg=30.0).conical
+    assert (found.axes, found.half_cone_rad) == ((-1,), pytest.approx(np.pi / 6.0))

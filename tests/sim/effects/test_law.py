@@ -44,6 +44,14 @@ def field_nT(chain: Chain, law: Law) -> np.ndarray:
     return chain.reading_nT([(law, K)]) - chain.reading_nT()
 
 
+def test_a_rate_is_in_degrees_a_second(chain: Chain, close: Close) -> None:
+    for number, axis in enumerate("xyz"):
+        degrees_s = np.rad2deg(chain.setting.rate_B_rad_s[:, number])
+        close(
+            field_nT(chain, Law(of=(f"rate_{axis}",))), np.outer(degrees_s, K), atol=1e-8, unit="nT", because="rounding"
+        )
+
+
 @pytest.mark.parametrize(
     ("of", "wanted"),
     [

@@ -181,6 +181,7 @@ def test_the_envelope_is_that_of_all_vehicles(
     monkeypatch.setattr(summary, "_ENVELOPE_ROWS", 4)
     thinned = summary.envelope(make_plan(scenario, VEHICLES, in_chunk=IN_CHUNK), straight)
     assert thinned is not None and len(thinned.time) == 4
+    assert thinned.max_deg[[0, -1]].tolist() == whole[:, [0, -1]].max(axis=0).tolist()
 
 
 class Interrupter:

@@ -344,3 +344,10 @@ def test_two_positions_with_velocities_or_four_without_are_a_piece(with_velocity
     source: Any = SimpleNamespace(entry=SimpleNamespace(max_gap_s=60.0), time=stamps, values=values)
     at = stamps[:1] + np.timedelta64(4, "s")
     assert np.allclose(_along_orbit(source, np.arange(t.size), at, 0), [[0.064, 0.0, 0.128]])
+
+
+def test_a_file_that_is_one_of_one_is_called_by_its_name(tmp_path: Path) -> None:
+    rows: list[list[object]] = [[t, 2e4, 0.0, 1e3] for t in ("2020-03-01T00:00:00Z", "", "2020-03-01T00:00:10Z")]
+    csv(tmp_path / "a.csv", "t,bx,by,bz", rows)
+    read = mapped(tmp_path, one_file('{ recipe = "iso", columns = "t" }'), "a.csv")
+    assert "a.csv: 1 rows without a time were left out" in read.provenance["notices"]

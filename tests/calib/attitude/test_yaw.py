@@ -104,6 +104,8 @@ def test_averages_over_fixed_intervals() -> None:
     assert average.samples.tolist() == [4, 1, 1]
     assert np.allclose(average.yaw_rad, [0.015, 0.1, 0.2], rtol=0, atol=1e-6)
     assert average.time.tolist() == (time[0] + np.array([60, 180, 660]) * np.timedelta64(1, "s")).tolist()
+    last = np.timedelta64(119, "s")
+    assert yaw_of.average_yaw(time[0] + np.array([0, 1]) * last, np.zeros(2), 120.0).samples.tolist() == [2]
     around = yaw_of.average_yaw(time[:2], np.array([np.pi - 0.1, -np.pi + 0.1]), 120.0)
     assert abs(abs(around.yaw_rad[0]) - np.pi) < 1e-12
 

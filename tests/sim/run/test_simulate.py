@@ -13,7 +13,9 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.run.world import orbit_from
 from fluxtwin.sim.scenario.scenario import parse_scenario
+from fluxtwin.sim.scenario.sections import OrbitSection
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
 
 pytestmark = pytest.mark.property
@@ -211,3 +213,10 @@ def test_replay_keeps_the_record_and_simulates_the_magnetometer(scenario, run, t
     write_telemetry(lacking, tmp_path / "recorded.nc")
     with pytest.raises(BadInput, match="q_NB"):
         simulate(load_scenario(path))
+
+
+def test_the_elements_of_an_orbit_are_in_degrees() -> None:
+    names = ("inclination", "raan", "argument_of_perigee", "argument_of_latitude")
+    given = {f"{name}_deg": 10.0 * number for number, name in enumerate(names, start=1)}
+    found = orbit_from(OrbitSection(epoch_utc="2020-03-01T00:00:00Z", altitude_km=600.0, **given))
+    assert [getattr(found, f"{name}_rad") for name in names] == pytest.approx(np.arange(1, 5) * np.pi / 18.0)

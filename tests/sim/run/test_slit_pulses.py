@@ -71,7 +71,8 @@ def test_the_noise_of_a_slit_moves_the_pulse_and_the_elevation_by_as_much() -> N
 
     grid = np.arange(0.0, 25_000.0)
     found = {
-        noise: SlitSunSensor(noise_rad=noise).crossings(grid, sun_B, np.random.default_rng(1)) for noise in (0.0, 1e-3)
+        noise: SlitSunSensor(noise_deg=float(np.degrees(noise))).crossings(grid, sun_B, np.random.default_rng(1))
+        for noise in (0.0, 1e-3)
     }
     late, raised = (noisy - still for noisy, still in zip(found[1e-3], found[0.0], strict=True))
     across, along = late * 0.5 * np.cos(0.4), raised[:, 2] / np.cos(0.4)

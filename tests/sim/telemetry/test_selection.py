@@ -44,6 +44,7 @@ def test_a_condition_means_what_it_means_to_pandas(text: str) -> None:
 def test_a_missing_value_fulfils_no_comparison() -> None:
     values = {"a": np.array([1.0, np.nan, 0.0])}
     assert list(condition("a == 1").rows(values)) == [True, False, False]
+    assert list(condition("a == 1".ljust(500)).rows(values)) == [True, False, False]  # as long as may be
     assert list(condition("a != 1").rows(values)) == [False, False, True]
 
 

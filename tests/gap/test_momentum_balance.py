@@ -311,6 +311,7 @@ def test_a_torque_and_a_field_are_both_named(mixed) -> None:
     stages = {one["name"]: one["stage"] for one in answer["effects"]}
     assert stages["residual_dipole_torque"] == "dynamics"
     assert answer["momentum"]["closed"] > 0.9
+    assert answer["momentum"]["floor_deg"] == pytest.approx(0.05, rel=0.2)  # the error of the reference attitude
     assert answer["gap"]["closed"] > 0.5
     page = diagnosis_page.tables(mixed[2])
     assert any("momentum balance" in table.title.lower() for table in page)

@@ -22,7 +22,7 @@ from fluxtwin.gap.noise.budget import (
     prior_of,
     reading_spacing,
 )
-from fluxtwin.gap.noise.choice import choose_noise, complete_budget, select_noise
+from fluxtwin.gap.noise.choice import _affordable, choose_noise, complete_budget, select_noise
 from fluxtwin.gap.noise.kernels import predict_each
 from fluxtwin.gap.noise.reml import Data, Likelihood
 from fluxtwin.gap.noise.robust_rows import first_weights, standing_out, weights_of
@@ -494,6 +494,12 @@ def flight() -> Problem:
         time=time, mag_B_nT=44.0 * np.rint(reading / 44.0), r_N_km=r, v_N_km_s=v, q_NB=frames.q_from_rotation(R_BN)
     )
     return pose(record, model, modelled=["bias"])
+
+
+def test_as_many_columns_are_fitted_as_leave_degrees_of_freedom() -> None:
+    designs = np.split(np.random.default_rng(1).normal(size=(20, 3, 12)), [9], axis=2)
+    for components, count in ((24, 12), (23, 9), (19, 0)):
+        assert np.array_equal(_affordable(designs, components), np.concatenate(designs, axis=2)[:, :, :count])
 
 
 def test_a_prior_is_normal_in_the_logarithms() -> None:

@@ -10,6 +10,7 @@ outside has 99.9 % bounds from the binomial law.
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,9 @@ from scipy.stats import binom
 
 from fluxtwin.calib.common.design import assemble
 from fluxtwin.calib.common.noise import ReadingNoise
-from fluxtwin.calib.linear.calibrate import calibrate_linear, fit_design
+from fluxtwin.calib.linear.calibrate import _shortening, calibrate_linear, fit_design
 from fluxtwin.calib.linear.method import LinearOptions
+from fluxtwin.calib.linear.problem import LinearProblem
 
 pytestmark = pytest.mark.closure
 
@@ -176,3 +178,21 @@ def test_column_two_of_S_is_what_one_orbit_cannot_tell(seasat: Any) -> None:
     s12 = (one.sigma["S12"] or 0.0), (four.sigma["S12"] or 0.0)
     assert 0.02 < s12[0] < 0.06  # an independent prototype: 0.03 for white 3.7 mG
     assert 0.004 < s12[1] < 0.012  # the same: 0.006 to 0.009
+
+
+def test_a_turn_shortens_by_half_its_square_without_the_noise() -> None:
+    """500 nT across 40,000 nT, of which white noise of 10 and 20 nT makes 100 + 400 nT^2."""
+    H, rows = np.tile([0.0, 0.0, 4e4], (9, 1)), np.tile([300.0, 400.0, 50.0], (9, 1))
+    noise = SimpleNamespace(variance_nT2=np.array([100.0, 400.0, 900.0]))
+    problem: Any = SimpleNamespace(
+        design=SimpleNamespace(H_nT=H), noise=noise, weights=np.full(9, 1 / 9), effective=9.0
+    )
+    found = _shortening(problem, rows)
+    assert found is not None and found[:, 2] == pytest.approx(np.full(9, 249_500.0 / (2.0 * 4e4)))
+
+
+def test_the_rms_of_a_column_is_that_of_its_values() -> None:
+    columns = {"a": np.array([3.0, 4.0]), "b": np.array([1.0, -1.0])}
+    problem: Any = SimpleNamespace(design=SimpleNamespace(columns=columns))
+    found = LinearProblem.driver_rms.func(problem)
+    assert found.tolist() == [np.sqrt(12.5), 1.0]

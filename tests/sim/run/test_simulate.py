@@ -12,6 +12,7 @@ from worlds import PARTS, scenario_text
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.earth import frames
+from fluxtwin.sim.run.replay import _true_motion
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.run.world import orbit_from
 from fluxtwin.sim.scenario.scenario import parse_scenario
@@ -220,3 +221,12 @@ def test_the_elements_of_an_orbit_are_in_degrees() -> None:
     given = {f"{name}_deg": 10.0 * number for number, name in enumerate(names, start=1)}
     found = orbit_from(OrbitSection(epoch_utc="2020-03-01T00:00:00Z", altitude_km=600.0, **given))
     assert [getattr(found, f"{name}_rad") for name in names] == pytest.approx(np.arange(1, 5) * np.pi / 18.0)
+
+
+def test_the_true_motion_of_a_recorded_one_is_off_by_the_stated_error(scenario):
+    """White, of 0.1 deg an axis; the angle is sqrt(3) of that, known to 1 / sqrt(6 n)."""
+    given = scenario.updated({"attitude.reference": {"sigma_deg": 0.1, "tau_s": 0.0}})
+    telemetry, _ = simulate(given)
+    off = frames.rotation_from_q(_true_motion(given, telemetry).q_NB) * frames.rotation_from_q(telemetry.q_NB).inv()
+    rms = np.sqrt(np.mean(np.degrees(off.magnitude()) ** 2))
+    assert rms == pytest.approx(0.1 * np.sqrt(3.0), rel=4.0 / np.sqrt(6.0 * len(telemetry)))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import platform
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import metadata, resources
@@ -85,11 +84,6 @@ class Mission:
     def table(self, name: str) -> list[dict[str, str]]:
         """A table of the papers, one mapping a row."""
         return list(csv.DictReader(self.text(f"data/{name}.csv").splitlines()))
-
-    def claims(self) -> list[dict[str, Any]]:
-        """The numbered claims: id, where, paper."""
-        claims: list[dict[str, Any]] = tomllib.loads(self.text("data/claims.toml"))["claim"]
-        return claims
 
     def value(self, table: str, key: str, **match: str) -> float:
         """The one number of column `key` in the row of a table that matches; LookupError unless there is just one."""

@@ -111,8 +111,10 @@ class Words:
             links=links or {},
         )
 
-    def judge(self, entries: Sequence[Mapping[str, Any]], /, **values: Any) -> list[Claim]:
-        """The claims of a paper, each from the section with its number."""
+    def judge(self, entries: Sequence[Mapping[str, Any]] = (), /, **values: Any) -> list[Claim]:
+        """The claims of a paper, by default those of the package's `data/claims.toml` (id, where, paper), each from the
+        section with its number. Raises KeyError for a claim without words."""
+        entries = entries or tomllib.loads(self._text("data/claims.toml"))["claim"]
         return [claim_of(entry, self._verdict(str(entry["id"]), values)) for entry in entries]
 
     def summary(self, **values: Any) -> dict[str, Any]:

@@ -10,7 +10,6 @@ import numpy as np
 
 from fluxtwin.gap.channels.sun_nadir import open_channel
 from fluxtwin.gap.records.diagnosis import Diagnosis, EffectParameter
-from fluxtwin.scenarios.claims import Claim
 from fluxtwin.scenarios.flights import NAMES, Numbers, calibration_summary, rms_along, rms_mG, vector, vector_sigma
 from fluxtwin.scenarios.hcmm import calibration, mission, scanner, strength, yaw
 from fluxtwin.scenarios.hcmm.gallery import REGION_DEG
@@ -36,11 +35,6 @@ def pulls(r: Numbers) -> FloatArray:
     """(12,) estimate of both sets less truth, over its rms error in many runs."""
     c = r.calibration
     return np.asarray((vector(c.fits["AB"]) - c.truth) / c.many.rms_error("AB"))
-
-
-def judge_claims(results: Numbers) -> list[Claim]:
-    """Every claim of the packaged list, in order. Raises KeyError for a claim without words."""
-    return words().judge(mission.PRINTED.claims(), r=results)
 
 
 def gallery_summary(answers: Sequence[Numbers]) -> list[dict[str, Any]]:

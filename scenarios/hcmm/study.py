@@ -11,7 +11,7 @@ from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.calibration import BUDGET_RUNS, RUNS, run_calibrations, run_errors
 from fluxtwin.scenarios.hcmm.gallery import GROUND, run_gallery
 from fluxtwin.scenarios.hcmm.passes import run_dawn, run_passes
-from fluxtwin.scenarios.hcmm.report import judge_claims, words
+from fluxtwin.scenarios.hcmm.report import words
 from fluxtwin.scenarios.hcmm.scanner import run_horizon, run_scanner
 from fluxtwin.scenarios.hcmm.strength import FLIGHTS, ask, run_missing, weigh_field_error
 from fluxtwin.scenarios.hcmm.yaw import run_accuracy, run_yaw
@@ -70,7 +70,7 @@ def present(results: Numbers) -> StudyResult:
         "hcmm",
         TABLES,
         provenance(config),
-        claims=judge_claims(results),
+        claims=said.judge(r=results),
         made={"motion": motion_table(results.motion, said.say("pointing", r=results))},
         links={"Four faults, found from telemetry: the gallery": "gallery.html"},
         more_pages={"gallery": gallery_page(results.gallery, config.seed, results.gallery_law)},

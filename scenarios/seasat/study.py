@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from fluxtwin.calib.common.records import Calibration
-from fluxtwin.scenarios.claims import Claim
 from fluxtwin.scenarios.flights import (
     NAMES,
     NEAR_NODE_DEG,
@@ -61,7 +60,7 @@ def present(results: Numbers) -> StudyResult:
         "seasat",
         TABLES,
         provenance(results.scenario),
-        claims=judge_claims(results),
+        claims=said.judge(r=results),
         made={"motion": motion_table(results.motion, said.say("pointing", r=results))},
         r=results,
     )
@@ -106,11 +105,6 @@ def pulls(r: Numbers) -> FloatArray:
     """(12,) (estimate - truth) / sigma of the base of 325 samples; sigma is the scatter of the Monte Carlo."""
     c = r.calibration
     return np.asarray((vector(c.fits["all"]) - c.truth) / c.many.scatter("all"))
-
-
-def judge_claims(r: Numbers) -> list[Claim]:
-    """Every claim of the packaged list, in order. Raises KeyError for a claim without words."""
-    return words().judge(mission.PRINTED.claims(), r=r)
 
 
 @cache

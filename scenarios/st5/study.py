@@ -11,7 +11,6 @@ import numpy as np
 from scipy.stats import chi2
 
 from fluxtwin.calib.common.calibration_file import write_calibration
-from fluxtwin.scenarios.claims import Claim
 from fluxtwin.scenarios.flights import Numbers, provenance, write_flight
 from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.scenarios.st5 import mission
@@ -44,7 +43,7 @@ def present(results: Numbers) -> StudyResult:
     shown = {"seed": about["seed"], "field": about["truth field"]} | {
         k: about[k] for k in ("fluxtwin", "numpy", "python")
     }
-    claims = judge_claims(results.hour)
+    claims = words().judge(hour=results.hour)
     return words().result("st5", TABLES, shown, claims=claims, **vars(results))
 
 
@@ -59,11 +58,6 @@ def compute(progress: Progress = silent, *, runs: int = RUNS, starts: int = STAR
         many=run_monte_carlo(config, world, ground, part_of(progress, 0.3, 0.55), runs),
         starts=run_starts(config, world, ground, part_of(progress, 0.55, 1.0), starts),
     )
-
-
-def judge_claims(hour: Numbers) -> list[Claim]:
-    """Every claim of the packaged list, in order."""
-    return words().judge(mission.PRINTED.claims(), hour=hour)
 
 
 @cache

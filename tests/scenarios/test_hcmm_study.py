@@ -16,7 +16,7 @@ from fluxtwin.scenarios.flights import NAMES, vector, vector_sigma
 from fluxtwin.scenarios.hcmm import mission, study
 from fluxtwin.scenarios.hcmm.calibration import SETS, choose_rows, sigma_ratio
 from fluxtwin.scenarios.hcmm.passes import ANOMALOUS, column_of, rms_of, run_dawn
-from fluxtwin.scenarios.hcmm.report import judge_claims, pulls, words
+from fluxtwin.scenarios.hcmm.report import pulls, words
 from fluxtwin.scenarios.hcmm.scanner import SCANS, WORST, with_horizon
 from fluxtwin.scenarios.hcmm.strength import NUMBERS
 from fluxtwin.scenarios.hcmm.yaw import equation_11
@@ -36,7 +36,7 @@ def results():
 
 @pytest.fixture(scope="module")
 def claims(results):
-    return {claim.id: claim for claim in judge_claims(results)}
+    return {claim.id: claim for claim in words().judge(r=results)}
 
 
 STATUS = {
@@ -123,7 +123,7 @@ WORLDS = {
 
 @pytest.mark.parametrize("number", WORLDS)
 def test_in_another_world_the_status_is_another(results, claims, changed, number):
-    other = {claim.id: claim for claim in judge_claims(changed(results, *WORLDS[number]))}
+    other = {claim.id: claim for claim in words().judge(r=changed(results, *WORLDS[number]))}
     assert other[number].status != claims[number].status
     assert "differs" in (other[number].status, claims[number].status)
 
@@ -141,7 +141,7 @@ def test_with_the_printed_rows_the_claims_on_them_hold(results, claims, changed,
         )
 
     world = changed(results, "passes.rows", printed)
-    other = {claim.id: claim for claim in judge_claims(world)}
+    other = {claim.id: claim for claim in words().judge(r=world)}
     agree_with_themselves = {41: True, 42: True, 44: True, 45: True, 47: False}
     assert claims[number].status == "differs"
     assert (other[number].status == "reproduced") is agree_with_themselves[number], other[number].why
@@ -153,7 +153,7 @@ def test_with_the_printed_rows_the_claims_on_them_hold(results, claims, changed,
                 row.model_copy({"delta_nadir_field_deg": 0.93 * row.delta_nadir_field_deg}) for row in rows
             ),
         )
-        assert next(c for c in judge_claims(nearer) if c.id == 47).status == "reproduced"
+        assert next(c for c in words().judge(r=nearer) if c.id == 47).status == "reproduced"
 
 
 def test_a_scanner_with_a_horizon_flies_as_the_study_has_it(results, close):
@@ -184,7 +184,7 @@ def test_the_horizon_can_make_the_factor_of_two_and_so_can_its_nulls(results, cl
     assert max(one.correlation for one in h.nulls) < h.nearest[1].correlation
     assert "no evidence of the horizon" in claims[44].why
     quiet = changed(results, "horizon.nulls", lambda nulls: [h.disc] * len(nulls))
-    other = next(claim for claim in judge_claims(quiet) if claim.id == 44)
+    other = next(claim for claim in words().judge(r=quiet) if claim.id == 44)
     assert "nothing else tried gives the factor" in other.why
 
 
@@ -417,7 +417,7 @@ def test_an_S_of_zero_would_be_missed(results, changed):
         known = dataclasses.replace(fits["AB"].calibration, S=np.zeros((3, 3)))
         return fits | {"AB": dataclasses.replace(_noisier(fits["AB"], "AB"), calibration=known)}
 
-    (found,) = [c for c in judge_claims(changed(results, "calibration.fits", without_S)) if c.id == 35]
+    (found,) = [c for c in words().judge(r=changed(results, "calibration.fits", without_S)) if c.id == 35]
     assert found.status == "differs"
     assert "missed a parameter" in found.why
 

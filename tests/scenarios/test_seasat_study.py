@@ -16,7 +16,7 @@ import pytest
 from fluxtwin.scenarios.claims import STATUSES, counted
 from fluxtwin.scenarios.flights import vector
 from fluxtwin.scenarios.seasat import geometry, mission, study
-from fluxtwin.scenarios.seasat.study import judge_claims
+from fluxtwin.scenarios.seasat.study import words
 from fluxtwin.sim.base import files
 
 pytestmark = pytest.mark.closure
@@ -31,7 +31,7 @@ def results():
 
 @pytest.fixture(scope="module")
 def claims(results):
-    return {claim.id: claim for claim in judge_claims(results)}
+    return {claim.id: claim for claim in words().judge(r=results)}
 
 
 def test_node_of_the_scan_is_the_scenarios_and_agrees_with_the_launch(results):
@@ -131,7 +131,7 @@ WORLDS = {
 
 @pytest.mark.parametrize("number", WORLDS)
 def test_in_another_world_the_status_is_another(results, claims, changed, number):
-    other = {claim.id: claim for claim in judge_claims(changed(results, *WORLDS[number]))}
+    other = {claim.id: claim for claim in words().judge(r=changed(results, *WORLDS[number]))}
     assert other[number].status != claims[number].status
     assert "differs" in (other[number].status, claims[number].status)
 
@@ -146,14 +146,14 @@ def test_a_sun_seen_as_printed_would_reproduce_the_claim_on_it(results, claims, 
     world = results
     for number, (path, value) in enumerate(parts.items(), start=1):
         world = changed(world, path, value)
-        (found,) = [claim for claim in judge_claims(world) if claim.id == 28]
+        (found,) = [claim for claim in words().judge(r=world) if claim.id == 28]
         assert (found.status == "reproduced") is (number == len(parts)), found.here
 
 
 def test_an_S_of_zero_reproduces_nothing(results, changed):
     """Sizes and elements of S: none of these claims is met by finding nothing."""
     other = {
-        c.id: c for c in judge_claims(changed(results, "calibration.fits", lambda v: _with_S(v, np.zeros((3, 3)))))
+        c.id: c for c in words().judge(r=changed(results, "calibration.fits", lambda v: _with_S(v, np.zeros((3, 3)))))
     }
     assert {other[number].status for number in (14, 18)} == {"differs"}
     assert other[14].value == 0.0
@@ -163,7 +163,7 @@ def test_all_of_S_told_from_zero_would_be_said(results, claims, changed):
     truth = results.calibration.truth
     sharp = changed(results, "calibration.many.values", lambda v: truth + 0.03 * (v - np.nanmean(v, axis=0)))
     exact = changed(sharp, "calibration.fits", lambda fits: _with_S(fits, PRINTED_S))
-    (found,) = [claim for claim in judge_claims(exact) if claim.id == 14]
+    (found,) = [claim for claim in words().judge(r=exact) if claim.id == 14]
     assert found.status == "reproduced", found.here
 
 

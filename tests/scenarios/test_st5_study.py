@@ -23,7 +23,7 @@ from fluxtwin.scenarios.registry import STUDIES
 from fluxtwin.scenarios.st5 import mission, study
 from fluxtwin.scenarios.st5.calibration import filtered, options, settings
 from fluxtwin.scenarios.st5.mission import terms_of, truth_terms
-from fluxtwin.scenarios.st5.study import judge_claims
+from fluxtwin.scenarios.st5.study import words
 from fluxtwin.sim.earth.field import load_field
 
 pytestmark = pytest.mark.closure
@@ -39,7 +39,7 @@ def results() -> Numbers:
 
 @pytest.fixture(scope="module")
 def claims(results: Numbers) -> dict[int, Claim]:
-    return {claim.id: claim for claim in judge_claims(results.hour)}
+    return {claim.id: claim for claim in words().judge(hour=results.hour)}
 
 
 @pytest.fixture(scope="module")
@@ -182,7 +182,7 @@ def _met(results: Numbers, changed: Callable[..., Any]) -> Numbers:
 
 
 def _statuses(results: Numbers) -> dict[int, str]:
-    return {claim.id: claim.status for claim in judge_claims(results.hour)}
+    return {claim.id: claim.status for claim in words().judge(hour=results.hour)}
 
 
 def test_claim_55_in_a_stronger_field_and_another_nutation(results: Numbers, changed: Callable[..., Any]) -> None:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.errors import BadInput, nearest
 
 if TYPE_CHECKING:
     from fluxtwin.sim.scenario.scenario import Scenario
@@ -39,8 +38,7 @@ def load_scenario(scenario: Path | str) -> Scenario:
     if path.exists() and not (path.is_dir() and name in SCENARIOS):
         return files.load_scenario(path)
     if name not in SCENARIOS:
-        near = difflib.get_close_matches(path.stem.lower(), SCENARIOS, n=1, cutoff=0.5)
-        hint = f" (did you mean {near[0]!r}?)" if near else ""
+        hint = nearest(path.stem.lower(), SCENARIOS, " (did you mean {!r}?)")
         raise BadInput(
             f"there is no such file, and no packaged scenario of that name{hint}",
             where=name,

@@ -7,14 +7,13 @@ One that lists `attitudes` takes the keyword `attitude` as well.
 
 from __future__ import annotations
 
-import difflib
 import importlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, cast
 
 from fluxtwin.scenarios.page import StudyResult
-from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.errors import BadInput, nearest
 from fluxtwin.sim.base.progress import Progress
 
 ATTITUDES = ("dynamics", "prescribed")
@@ -74,7 +73,6 @@ class RunStudy(Protocol):
 def find_study(name: str) -> RunStudy:
     """The `run` of the study called `name`; raises BadInput that names the nearest one."""
     if name not in STUDIES:
-        near = difflib.get_close_matches(name.lower(), STUDIES, n=1, cutoff=0.5)
-        hint = f" (did you mean {near[0]!r}?)" if near else ""
+        hint = nearest(name.lower(), STUDIES, " (did you mean {!r}?)")
         raise BadInput(f"no study is called {name!r}{hint}", where="run", wanted=" or ".join(STUDIES))
     return cast(RunStudy, importlib.import_module(STUDIES[name].module).run)

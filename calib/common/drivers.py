@@ -14,7 +14,6 @@ are allowed for; without a column the others are what they are on condition that
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar
@@ -25,7 +24,7 @@ from fluxtwin.calib.common.criterion import THRESHOLD, worth
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.records import seconds_of
-from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.errors import BadInput, NoAnswer, nearest
 from fluxtwin.sim.base.late import late, lateness_near, lateness_tried
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.telemetry.quantities import DRIVERS
@@ -94,9 +93,9 @@ def asked_for(telemetry: Telemetry, names: Sequence[str]) -> Asked:
         if column is not None:
             found[column] = known[column]
         elif name != EVERY:
-            near = difflib.get_close_matches(name, [*known, *telemetry.drivers], n=1, cutoff=0.4)
-            hint = f"{near[0]!r} is near" if near else ", ".join(known) or "this telemetry has no such column"
-            raise BadInput(f"the telemetry has no column {name!r}", where="--driver", wanted=hint)
+            near = nearest(name, [*known, *telemetry.drivers], "{!r} is near", cutoff=0.4)
+            wanted = near or ", ".join(known) or "this telemetry has no such column"
+            raise BadInput(f"the telemetry has no column {name!r}", where="--driver", wanted=wanted)
     return Asked(found, EVERY in names, left_out, seconds_of(telemetry.time))
 
 

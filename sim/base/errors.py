@@ -6,6 +6,7 @@ The command line prints that message and ends with `exit_status`; it never shows
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 
@@ -52,3 +53,11 @@ class NoAnswer(FluxtwinError):
 
 class OutOfRange(BadInput):
     """An epoch, altitude or degree outside what a model covers; the message names the range."""
+
+
+def nearest(word: str, known: Iterable[str], words: str = "; did you mean {}?", *, cutoff: float = 0.5) -> str:
+    """A hint at the known word that is nearest to another one, empty where none is near. words: with {} for it."""
+    import difflib  # a wrong word is rare
+
+    near = difflib.get_close_matches(word, list(known), n=1, cutoff=cutoff)
+    return words.format(near[0]) if near else ""

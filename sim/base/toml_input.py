@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 import tomllib
 from collections.abc import Mapping
@@ -11,7 +10,7 @@ from typing import Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.errors import BadInput, nearest
 from fluxtwin.sim.base.limits import TEXT_BYTES, TOML_DEPTH, TOML_ITEMS, text_of
 from fluxtwin.sim.base.seals import require_sealed
 
@@ -100,8 +99,7 @@ def _fault(detail: Any, model: type[BaseModel]) -> str:
     path = [str(part) for part in detail["loc"]]
     place = ".".join(path) or "the file"
     if _is_unknown(detail):
-        near = difflib.get_close_matches(path[-1], _known(model, detail["loc"][:-1]), n=1, cutoff=0.5)
-        return f"unknown key {place}" + (f"; did you mean {near[0]}?" if near else "")
+        return f"unknown key {place}" + nearest(path[-1], _known(model, detail["loc"][:-1]))
     if detail["type"] == "missing":
         return f"{place} is missing"
     found = detail.get("input")
@@ -116,8 +114,7 @@ def _fault(detail: Any, model: type[BaseModel]) -> str:
 def _no_choice(found: Any, expected: str) -> str:
     """For a word that is none of the list; pydantic writes the list as 'a', 'b' or 'c'."""
     known = re.findall(r"'([^']*)'", expected)
-    near = difflib.get_close_matches(str(found), known, n=1, cutoff=0.5)
-    hint = f"did you mean {near[0]}? " if near else ""
+    hint = nearest(str(found), known, "did you mean {}? ")
     return f"{found!r:.60} is not known; {hint}known: {', '.join(known) or expected}"
 
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import replace
 
-from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.errors import BadInput, nearest
 from fluxtwin.sim.effects import (
     ambient_field,
     calibration,
@@ -79,9 +78,8 @@ def find_effect(name: str, *, where: str = "effects") -> Effect:
         if effect.name == kind and effect.keyed_by is not None:
             return replace(effect, **{effect.keyed_by: key})
     names = [effect.name for effect in CATALOGUE]
-    near = difflib.get_close_matches(name.lower(), names, n=1, cutoff=0.6)
-    hint = f"; did you mean {near[0]}?" if near else ""
-    wanted = None if near else "a name that `fluxtwin effects` lists"
+    hint = nearest(name.lower(), names, cutoff=0.6)
+    wanted = None if hint else "a name that `fluxtwin effects` lists"
     raise BadInput(
         f"no effect is called {name!r}{hint}", where=where, wanted=wanted, details=f"effects: {', '.join(names)}"
     )

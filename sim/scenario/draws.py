@@ -5,13 +5,13 @@ The unit is the key's own, as its name says it. A single simulation takes no not
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
+from fluxtwin.sim.base.errors import nearest
 from fluxtwin.sim.base.section_types import Section, as_tuple, one_of
 
 FIXED = ("name", "seed", "schedule", "station", "replay", "closure", "draws")
@@ -106,8 +106,7 @@ def _faults(key: str, draw: DrawSection, tree: Mapping[str, Any]) -> Iterator[st
     try:
         value = nominal(tree, key)
     except KeyError:
-        near = difflib.get_close_matches(key, list(leaves(tree)), n=1, cutoff=0.5)
-        yield "the scenario has no such key" + (f"; did you mean {near[0]}?" if near else "")
+        yield "the scenario has no such key" + nearest(key, leaves(tree))
         return
     if value is None or isinstance(value, Mapping):
         yield "has no value in the scenario: give it one, which a single simulation flies"

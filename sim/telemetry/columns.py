@@ -8,14 +8,13 @@ does not name is left out and said so.
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterable, Mapping, MutableMapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.errors import BadInput, nearest
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.telemetry.quantities import (
     ANGLES,
@@ -232,8 +231,7 @@ def _wheel_number(name: str) -> int:
 
 def _missing_magnetometer(present: list[str], where: str, described: Mapping[str, str]) -> BadInput:
     listed = ", ".join(clip(described.get(n, n)) for n in present[:12]) + (" ..." if len(present) > 12 else "")
-    near = difflib.get_close_matches("mag_x_nT", present, n=1, cutoff=0.6)
-    hint = f" (nearest: {clip(near[0])})" if near else ""
+    hint = nearest("mag_x_nT", map(clip, present), " (nearest: {})", cutoff=0.6)
     return BadInput(
         f"column mag_x_nT is missing{hint}; the columns are: {listed or 'none'}",
         where=where,

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import scipy.io
+from sgp4.io import compute_checksum
 
 import fluxtwin
 from fluxtwin.calib.common.records import Calibration
@@ -18,7 +19,7 @@ from fluxtwin.sim.base.files import write_json, write_toml
 from fluxtwin.sim.base.limits import text_of
 from fluxtwin.sim.base.seals import sealed_json, unsealed_json
 from fluxtwin.sim.earth.field_models import load_field
-from fluxtwin.sim.earth.tle import checksum, read_elements
+from fluxtwin.sim.earth.tle import read_elements
 from fluxtwin.sim.run.scenario_stations import read_stations
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import load_scenario, parse_scenario, save_scenario
@@ -90,7 +91,9 @@ def make(folder: Path, rows: int = 60) -> dict[str, Read]:
     exports = {"e.json": "json", "e.parm": "ardupilot", "e.h": "c-header", "e.m": "matlab"}
     for name, target in exports.items():
         export_calibration(known, target, force=True).write(folder / name)
-    (folder / "e.tle").write_text("".join(f"{line}{checksum(line + '0')}\n" for line in _LINES), encoding="utf-8")
+    (folder / "e.tle").write_text(
+        "".join(f"{line}{compute_checksum(line + '0')}\n" for line in _LINES), encoding="utf-8"
+    )
     (folder / "m.mat").write_bytes(mat())
     write_json(folder / "r.json", sealed_json({"fluxtwin": "0", "x": {"a": [1.5, 2]}, "words": "units [nT]"}))
     write_toml(folder / "draft.toml", MAP, draft=True)

@@ -21,7 +21,7 @@ from .. import mutants
 from . import disk, hostile, repeat
 from .harness import Row
 
-UNNOTICED = "small faults in sim, calib and gap that no test notices"
+UNNOTICED = "small faults in sim, calib and gap that the nearest tests do not notice"
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "trust.md"
 ABOUT = """# Robustness tests
 
@@ -56,7 +56,7 @@ def unnoticed(record: Path) -> Row:
     row = Row(UNNOTICED, len(answers), reach=f"{100.0 * (1.0 - mutants.WANTED):.0f} % at most")
     for mutant, _, last in answers:
         if not last:
-            row.fault(f"`{mutant.file}`, line {mutant.line}, {mutant.change}: `{mutant.right}`")
+            row.fault(f"`{mutant.file}`, {mutant.function}, {mutant.change}: `{mutant.right}`")
     seed = json.loads(record.read_text(encoding="utf-8").splitlines()[0])["seed"]
     first = sum(not one.first for one in answers)
     row.note = f"drawn with seed {seed}; {first} when first tried, before tests were written for them"
@@ -86,7 +86,7 @@ def page(rows: list[Row], in_part: bool) -> str:
     for row in (one for one in rows if one.name == UNNOTICED):
         listed = [f"- {fault}" for fault in row.faults]
     return ABOUT + "\n".join(
-        [*lines.values(), "", *(["The small faults that no test notices:", ""] if listed else []), *listed, ""]
+        [*lines.values(), "", *(["The small faults that are not noticed:", ""] if listed else []), *listed, ""]
     )
 
 

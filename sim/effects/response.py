@@ -225,8 +225,8 @@ def _later(signal: Signal, later_s: float) -> FloatArray:
         field_N_nT(setting.model, epoch.add_seconds(setting.time[0], setting.seconds + offset_s), r_N_km)
         for offset_s, r_N_km in ((then.sample_offset_s, then.r_N_km), (signal.sample_offset_s, here_N_km))
     ]
-    turned: FloatArray = (then.R_BN * R_BN.inv() * signal.R_BN).apply(signal.ambient_N_nT + fields[0] - fields[1])
-    return turned - signal.field_B_nT
+    own = signal.R_BN.apply(signal.ambient_N_nT + fields[0] - fields[1])
+    return np.asarray(then.R_BN.apply(R_BN.inv().apply(own))) - signal.field_B_nT
 
 
 @dataclass(frozen=True)

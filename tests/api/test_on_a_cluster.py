@@ -25,7 +25,7 @@ MAGNETOMETER = "[magnetometer]\nb_nT = [1000.0, -500.0, 300.0]\nnoise_nT = 20.0\
 def test_the_bits_are_those_of_this_machine_and_a_lost_worker_costs_nothing(tmp_path: Path, cli: Cli) -> None:
     pytest.importorskip("distributed")
     files = []
-    for number in range(4):
+    for number in range(3):
         (tmp_path / "s.toml").write_text(
             scenario_text(
                 MAGNETOMETER,

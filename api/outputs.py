@@ -71,19 +71,20 @@ def claim(
     read: dict[_Identity, Path] = {}
     for path in _with_named_files(inputs):
         read.setdefault(_identity(path), path)
-    taken: dict[_Identity, str] = {}
+    taken: dict[_Identity, tuple[str, Path]] = {}
     for option, (given, kind) in outputs.items():
         if given is None or str(given) == "-":
             continue
         path, where = Path(given) / kind.inside, f"{option} {given}"
         identity = _identity(path)
-        if identity in read:
+        if identity in read and _identity(read[identity]) == _identity(path):
             same = read[identity]
             via = "" if os.path.abspath(same) == os.path.abspath(path) else f": it is {same}"
             raise BadInput(f"is an input of this command{via}", where=where, wanted="another name; inputs are kept")
-        if identity in taken and not _is_character_device(path):
-            raise BadInput(f"is the same file as that of {taken[identity]}", where=where, wanted="a file for each")
-        taken[identity] = option
+        other, its_path = taken.get(identity, ("", path))
+        if other and _identity(its_path) == _identity(path) and not _is_character_device(path):
+            raise BadInput(f"is the same file as that of {other}", where=where, wanted="a file for each")
+        taken[identity] = option, path
         _fitting_name(path, kind, where)
         _free(path, kind, where, force)
 
@@ -157,7 +158,10 @@ def _own_folder(path: Path, kind: Kind) -> bool:
 
 
 def _identity(path: Path | str) -> _Identity:
-    """What two names of one file share: device and number where it exists, else the name behind all links."""
+    """What two names of one file share: device and number where it exists, else the name behind all links.
+
+    Where another process replaces a file, its number is soon another file's: what was equal is compared once more.
+    """
     try:
         found = os.stat(path)
     except (OSError, ValueError):

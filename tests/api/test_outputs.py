@@ -16,7 +16,9 @@ import pytest
 from command_line import Cli, status_of
 from worlds import scenario_text
 
+from fluxtwin import outputs
 from fluxtwin.outputs import written_by_fluxtwin
+from fluxtwin.sim.base.errors import BadInput
 
 SECTIONS = """
 [attitude]
@@ -432,3 +434,21 @@ def test_the_marks_do_not_hinder_reading(here: Path) -> None:
         assert tomllib.loads(text)
         assert written_by_fluxtwin(here / name)
     assert written_by_fluxtwin(here / "t.nc")
+
+
+def test_the_number_of_a_file_that_another_process_replaced_is_not_taken_for_it(tmp_path, monkeypatch):
+    """A file system gives the number of a file that is gone to the next one: here before the second output is looked at."""
+    first, second = tmp_path / "a.csv", tmp_path / "b.toml"
+    first.write_text("1\n")
+    kinds = {"--out": (first, outputs.TELEMETRY), "--scenario": (second, outputs.SCENARIO)}
+    number, others = first.stat().st_ino, iter([True])
+    found = outputs._identity
+
+    def recycled(path):
+        device, _ = found(first)
+        return (device, number) if path == second and next(others, False) else found(path)
+
+    monkeypatch.setattr(outputs, "_identity", recycled)
+    outputs.claim(kinds, [], force=True)
+    with pytest.raises(BadInput, match="is an input"):
+        outputs.claim(kinds, [first], force=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import partial, reduce
 from itertools import combinations_with_replacement
 from typing import ClassVar, Literal, get_args
 
@@ -133,14 +133,19 @@ class Hysteresis(SignalEffect):
             raise BadInput(f"{self.start!r}", where=f"{self.name} start", wanted="three letters of o, r and n")
         if not self.width_nT > 0:
             raise BadInput(f"{self.width_nT:g} nT", where=f"{self.name} width_nT", wanted="more than 0 nT")
+        stray = None if signal.stray_B_nT is None else signal.stray_B_nT.tobytes()
+        behind = signal.of_ambient((self, stray), partial(self._behind, signal))
+        shift = in_reading(signal.setting, behind * theta)
+        return signal.with_reading(signal.reading + shift)
+
+    def _behind(self, signal: Signal) -> FloatArray:
+        """(N, 3) (y - x) / w."""
         field = signal.seen_along_track(signal.ambient_N_nT)
         field = field if signal.stray_B_nT is None else field + signal.stray_B_nT
         half = 0.5 * self.width_nT
         onward = np.sign(field[min(1, len(field) - 1)] - field[0])
         came = onward * np.array([_WAYS[way] for way in self.start])
-        behind = (play(field, half, field[0] - half * came) - field) / half
-        shift = in_reading(signal.setting, behind * theta)
-        return signal.with_reading(signal.reading + shift)
+        return (play(field, half, field[0] - half * came) - field) / half
 
 
 @dataclass(frozen=True)
@@ -176,17 +181,22 @@ class SensorLag(SignalEffect):
         setting, lag_s = signal.setting, float(theta[0])
         if setting.seconds.size < 2:
             return signal
-        field = field_history(signal)
-        start = field.steady_B_nT(lag_s)
-        late = low_pass(field.time_s, field.along_B_nT, lag_s, field.restart, field.slope_B_nT_s, start)
-        late = late - field.along_B_nT
-        shift = in_reading(setting, signal.with_own_turn(late[field.stamps]))
+        shift = signal.of_ambient((self.name, lag_s), partial(_shifted_by_lag, signal, lag_s))
         rest = signal.reading - in_reading(setting, signal.field_B_nT)
         late_rest = low_pass(setting.seconds, rest, lag_s, restarts(setting.seconds)) - rest
         change = shift + late_rest
         if self.axis != "all":
             change = change * (np.arange(3) == "xyz".index(self.axis))
         return signal.with_reading(signal.reading + change)
+
+
+def _shifted_by_lag(signal: Signal, lag_s: float) -> FloatArray:
+    """(N, 3) by how much a lag changes the ambient field's part of the reading."""
+    field = field_history(signal)
+    start = field.steady_B_nT(lag_s)
+    late = low_pass(field.time_s, field.along_B_nT, lag_s, field.restart, field.slope_B_nT_s, start)
+    late = late - field.along_B_nT
+    return in_reading(signal.setting, signal.with_own_turn(late[field.stamps]))
 
 
 @dataclass(frozen=True)
@@ -213,12 +223,13 @@ class AxisSkew(SignalEffect):
         change = np.zeros((signal.rows, 3))
         for axis, later_s in zip((1, 2), theta, strict=True):
             if later_s:
-                change[:, axis] = in_reading(signal.setting, _later(signal, float(later_s)))[:, axis]
+                later = signal.of_ambient((self.name, float(later_s)), partial(_later, signal, float(later_s)))
+                change[:, axis] = later[:, axis]
         return signal.with_reading(signal.reading + change)
 
 
 def _later(signal: Signal, later_s: float) -> FloatArray:
-    """(N, 3) by how much the ambient field in body axes changes in this time, along the orbit and by the body's turning."""
+    """(N, 3) by how much the reading changes in this time, along the orbit and by the body's turning."""
     setting, then = signal.setting, signal.sampled_later(later_s)
     here_N_km, _, R_BN = setting.motion.at(signal.sample_offset_s)
     fields = [
@@ -226,7 +237,7 @@ def _later(signal: Signal, later_s: float) -> FloatArray:
         for offset_s, r_N_km in ((then.sample_offset_s, then.r_N_km), (signal.sample_offset_s, here_N_km))
     ]
     own = signal.R_BN.apply(signal.ambient_N_nT + fields[0] - fields[1])
-    return np.asarray(then.R_BN.apply(R_BN.inv().apply(own))) - signal.field_B_nT
+    return in_reading(setting, np.asarray(then.R_BN.apply(R_BN.inv().apply(own))) - signal.field_B_nT)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ prediction has no noise and no rounding, so its differences are the Jacobians of
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal, Protocol
@@ -30,6 +30,7 @@ Direction = Literal["simulate", "predict"]
 
 _BESIDE_S = 0.05  # to either side of a moment, for the body rate there: a spin of ten turns a second is still seen
 _REMEMBERED = 4
+_OF_AMBIENT_ROWS = 100_000  # remembered in all: a few megabytes
 _NEWTON_STEPS = 8
 
 
@@ -200,6 +201,8 @@ class Signal:
     """Reading before noise, saturation at full scale and rounding; only while simulating."""
     measured_turns: Mapping[str, Rotation] = field(default_factory=dict)
     """By how much what a sensor at fault measures is turned: `sun_B`, `nadir_B`; only while simulating."""
+    _of_ambient: dict[Hashable, FloatArray] = field(default_factory=dict, init=False, repr=False)
+    """What was made of attitude and ambient field, the latest few: every signal that has the same shares it."""
 
     @property
     def rows(self) -> int:
@@ -217,7 +220,7 @@ class Signal:
         """GCRS to Earth-fixed at the moment of sampling."""
         return frames.rotation_EN(self.sampled_time) if np.any(self.sample_offset_s) else self.setting.R_EN
 
-    @property
+    @cached_property
     def field_B_nT(self) -> FloatArray:
         """(N, 3) ambient field in true body axes."""
         return np.asarray(self.R_BN.apply(self.ambient_N_nT))
@@ -303,7 +306,16 @@ class Signal:
         """More field of the spacecraft at the sensor; here_alone: no other magnetometer sees it."""
         stray = self._none_or(self.stray_B_nT) + extra_B_nT
         alone = self._none_or(self.here_alone_B_nT) + extra_B_nT if here_alone else self.here_alone_B_nT
-        return dataclasses.replace(self, stray_B_nT=stray, here_alone_B_nT=alone)
+        return self._changed(stray_B_nT=stray, here_alone_B_nT=alone)
+
+    def of_ambient(self, key: Hashable, make: Callable[[], FloatArray]) -> FloatArray:
+        """What `make` makes of attitude and ambient field alone, (N, 3): once for all signals that have the same."""
+        known = self._of_ambient
+        if key not in known:
+            while known and len(known) * self.rows > _OF_AMBIENT_ROWS:
+                del known[next(iter(known))]
+            known[key] = make()
+        return known[key]
 
     @property
     def spacecraft_B_nT(self) -> FloatArray:
@@ -315,9 +327,13 @@ class Signal:
         return np.zeros((self.rows, 3)) if field_B_nT is None else field_B_nT
 
     def with_reading(self, reading_B_nT: FloatArray) -> Signal:
-        """Another reading. Each effect of the sensor makes one: copied by hand, which takes a tenth of the time."""
+        """Another reading."""
+        return self._changed(reading_B_nT=reading_B_nT)
+
+    def _changed(self, **values: FloatArray | None) -> Signal:
+        """Other values of what comes after the ambient field: copied by hand, which takes a tenth of the time."""
         changed = object.__new__(Signal)
-        changed.__dict__.update(self.__dict__, reading_B_nT=reading_B_nT)
+        changed.__dict__.update(self.__dict__, **values)
         return changed
 
 

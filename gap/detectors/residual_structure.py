@@ -27,7 +27,7 @@ from fluxtwin.gap.linear.projection import (
     projected_out,
 )
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.selection.criterion import THRESHOLD, worth
+from fluxtwin.gap.selection.criterion import SHAPE_DIRECTIONS, THRESHOLD, worth
 from fluxtwin.sim.base.types import FloatArray
 
 NOISE_TOLERANCE = 1.15**2
@@ -56,8 +56,18 @@ class Structure:
         return self.worth > THRESHOLD
 
     def beyond(self, wider: float, samples: float) -> float:
-        """Worth where noise and shape error together have so many times the variance of the noise."""
-        return worth(self.drop / wider, self.rank, samples, self.log_tried) if self.rank else self.worth / wider
+        """Worth where noise and shape error together have so many times the variance of the noise.
+
+        By its direction, the best of those tried; or by its size, beyond what shape errors have in all of theirs: of these,
+        other than of the noise, none was looked for.
+        """
+        if not self.rank:
+            return self.worth / wider
+        drop = self.drop / wider
+        return max(
+            worth(drop, self.rank, samples, self.log_tried),
+            worth(drop, max(self.rank, SHAPE_DIRECTIONS), samples, self.log_tried / wider),
+        )
 
 
 def residual_structure(

@@ -32,7 +32,7 @@ from fluxtwin.gap.noise.choice import (
 )
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import LOG_FURTHER, SHAPE, THRESHOLD, penalty, worth_of_shape
-from fluxtwin.gap.selection.forward import Search, begin, run
+from fluxtwin.gap.selection.forward import Search, begin, run, without
 from fluxtwin.gap.selection.named import SearchResult
 from fluxtwin.gap.selection.refit import Fit, Readings
 from fluxtwin.gap.selection.score import Board
@@ -153,9 +153,8 @@ def weighed(
     under_way: Search[Any], path: Sequence[tuple[Fit, Board]], lefts: Sequence[Structure], gained: Sequence[float]
 ) -> list[Explanation]:
     """Each step of a path with its worth, what is left beside it, and what it gains by the noise that suits it best."""
-    tried, samples = float(np.log(under_way.tested)), under_way.samples
+    samples = under_way.samples
     explained = [max(path[0][0].chi2 - fit.chi2, 0.0) for fit, _ in path]
-    ranks = [fit.rank_chosen for fit, _ in path]
     beyond = [left.drop if left.structured else 0.0 for left in lefts]
     for place in reversed(range(len(path) - 1)):
         # What one more name explains is better known by its refit than by the finding that led to it.
@@ -166,11 +165,8 @@ def weighed(
     names = 0.0
     for place, ((fit, beside), left) in enumerate(zip(path, lefts, strict=True)):
         if place:
-            wider = 1.0 + SHAPE * explained[place - 1]
-            more = explained[place] - explained[place - 1]
-            names += more - float(penalty(ranks[place] - ranks[place - 1], more / wider, samples))
-            names -= 2.0 * (len(fit.chosen) - len(path[place - 1][0].chosen)) * tried
-            names -= LOG_FURTHER if place > 1 else 0.0
+            before = path[place - 1][0]
+            names = _worth_of_names(under_way, fit, names if _added(before, fit) == 1 else None, before)
         wider = 1.0 + SHAPE * explained[place]
         # What one more name takes away whole is in its direction alone.
         whole = place + 1 < len(path) and _added(fit, path[place + 1][0]) == 1 and not lefts[place + 1].structured
@@ -182,6 +178,23 @@ def weighed(
             unknown = shaped + left.beyond(wider, samples) - LOG_FURTHER - gained[0]
         found.append(Explanation(fit, beside, left, worth, unknown))
     return found
+
+
+def _worth_of_names(under_way: Search[Any], fit: Fit, known: float | None, before: Fit) -> float:
+    """Worth of the names of a fit: that of all but one, and of this one beside them.
+
+    known: that of `before`, which has all but one of its names; None: it has others, and the fit is compared with the best
+    of its own that has one name less.
+    """
+    if known is None:
+        fewer = [without(under_way, fit, number) for number in range(len(fit.chosen))]
+        before = min(fewer, key=lambda one: one.chi2)
+        known = _worth_of_names(under_way, before, None, before) if before.chosen else 0.0
+    less, more = under_way.base.chi2 - before.chi2, before.chi2 - fit.chi2
+    wider = 1.0 + SHAPE * max(less, 0.0)
+    price = penalty(fit.rank_chosen - before.rank_chosen, more / wider, under_way.samples)
+    further = LOG_FURTHER if before.chosen else 0.0
+    return known + more - float(price) - 2.0 * float(np.log(under_way.tested)) - further
 
 
 def _gained(

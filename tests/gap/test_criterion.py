@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from types import SimpleNamespace
 from typing import Any
 
@@ -46,6 +47,16 @@ def test_what_the_shape_error_may_make_is_worth_nothing() -> None:
     assert worth(900.0 / 41.0, 3, 700.0, 5.0) == left.beyond(41.0, 700.0)
 
 
+def test_more_than_shape_errors_have_in_all_directions_is_worth_something_wherever_it_lies() -> None:
+    """With 16 times the noise's variance in fifteen directions, 714 may lie in the best of many directions, but is thrice
+    what all fifteen together have: one in 10,000 (chi-square of 15, 44)."""
+    left = Structure(worth=618.0, drop=714.0, kind="block", words="", rank=12, log_tried=8.0)
+    assert worth(714.0 / 16.0, 12, 700.0, 8.0) < THRESHOLD < left.beyond(16.0, 700.0)
+    once = dataclasses.replace(left, drop=15.0 * 16.0)
+    assert once.beyond(16.0, 700.0) < THRESHOLD  # as much as they have on average
+    assert left.beyond(1.0, 700.0) == worth(714.0, 12, 700.0, 8.0)  # against noise, the search counts in full
+
+
 @pytest.mark.parametrize(("drop", "explained"), [(100.0, 1e4), (3600.0, 1.3e5), (10.0, 1e4)])
 def test_a_shape_error_in_one_direction_alone_is_weighed_by_the_emptiness_of_the_others(
     drop: float, explained: float
@@ -70,7 +81,7 @@ def test_what_a_second_cause_takes_away_whole_is_not_the_first_one_s_shape(
     def fit(chi2: float, chosen: int) -> Any:
         return SimpleNamespace(chi2=chi2, rank_chosen=3 * chosen, chosen=[(str(n), None) for n in range(chosen)])
 
-    under_way: Any = SimpleNamespace(tested=105, samples=600.0)
+    under_way: Any = SimpleNamespace(tested=105, samples=600.0, base=fit(12_000.0, 0))
     nothing = Structure(worth=0.0, drop=0.0, kind="none", words="")
     boom = Structure(worth=90.0, drop=found, kind="block", words="", rank=3, log_tried=5.0)
     more = Structure(worth=30.0, drop=60.0, kind="block", words="", rank=6, log_tried=5.0)
@@ -78,6 +89,37 @@ def test_what_a_second_cause_takes_away_whole_is_not_the_first_one_s_shape(
     lefts = [Structure(9_000.0, 9_900.0, "block", "", rank=3, log_tried=5.0), boom, more if structured else nothing]
     explanations = weighed(under_way, path, lefts, [0.0, 0.0, 0.0])
     assert likeliest(explanations)[0] == names
+
+
+def test_two_names_are_worth_the_same_by_whatever_way_the_search_came_to_them() -> None:
+    """Two causes of one parameter each, found by way of a third of thirty: none of its parameters is in their price."""
+    noise = Structure(worth=0.0, drop=0.0, kind="none", words="")
+    chi2 = {"": 9_000.0, "epoch": 7_000.0, "ring": 6_200.0, "cubic": 5_900.0, "epoch ring": 5_000.0}
+
+    def fitted(names: str) -> Any:
+        chosen = [(name, np.zeros(1)) for name in names.split()]
+        return SimpleNamespace(
+            chi2=chi2[names],
+            rank_chosen=30 if names == "cubic" else len(chosen),
+            chosen=chosen,
+            others=lambda number: [*chosen[:number], *chosen[number + 1 :]],
+        )
+
+    class UnderWay:
+        tested, samples, base = 105, 600.0, fitted("")
+
+        def numbers(self, of: Any) -> list[int]:
+            return [["epoch", "ring"].index(name) for name, _ in of.chosen]
+
+        def fit(self, numbers: list[int], _start: Any) -> Any:
+            return fitted(" ".join(["epoch", "ring"][number] for number in numbers))
+
+    under_way: Any = UnderWay()
+    ways: list[list[str]] = [["", "ring", "epoch ring"], ["", "cubic", "epoch ring"]]
+    worths = [
+        weighed(under_way, [(fitted(names), Any) for names in way], [noise] * 3, [0.0] * 3)[-1].worth for way in ways
+    ]
+    assert worths[0] == pytest.approx(worths[1], abs=1e-9)
 
 
 @pytest.mark.parametrize(

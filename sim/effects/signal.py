@@ -201,7 +201,7 @@ class Signal:
     """Reading before noise, saturation at full scale and rounding; only while simulating."""
     measured_turns: Mapping[str, Rotation] = field(default_factory=dict)
     """By how much what a sensor at fault measures is turned: `sun_B`, `nadir_B`; only while simulating."""
-    _of_ambient: dict[Hashable, FloatArray] = field(default_factory=dict, init=False, repr=False)
+    _of_ambient_nT: dict[Hashable, FloatArray] = field(default_factory=dict, init=False, repr=False)
     """What was made of attitude and ambient field, the latest few: every signal that has the same shares it."""
 
     @property
@@ -310,7 +310,7 @@ class Signal:
 
     def of_ambient(self, key: Hashable, make: Callable[[], FloatArray]) -> FloatArray:
         """What `make` makes of attitude and ambient field alone, (N, 3): once for all signals that have the same."""
-        known = self._of_ambient
+        known = self._of_ambient_nT
         if key not in known:
             while known and len(known) * self.rows > _OF_AMBIENT_ROWS:
                 del known[next(iter(known))]

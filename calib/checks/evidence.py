@@ -10,7 +10,7 @@ the predictions alone (marginal likelihood: Rasmussen and Williams, Gaussian Pro
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,8 @@ _MEMORIES_S = (100.0, 600.0, 3000.0)
 _SCALES_nT = np.exp(np.linspace(np.log(0.5), np.log(50_000.0), 70))
 MODEL_nT = 5.0
 """The least white error: no field model knows the crust, the ring current and the day's currents better."""
+FLAT = 1e-3
+"""The least slope of a form, against division by zero: that of a calibrated magnetometer is 1."""
 _SCALE_nT = 1e4
 """Unit of the regressors, so that all columns are of order one."""
 
@@ -38,6 +40,8 @@ class Evidence:
     """(K,) log marginal likelihood."""
     misfit_nT: FloatArray
     """(K,) rms of a component after S and b are fitted under their prior."""
+    coefficients: FloatArray
+    """(c, K) of the regressors in that fit."""
 
 
 def vector_evidence(seconds: FloatArray, mag_nT: FloatArray, predicted_nT: FloatArray) -> Evidence:
@@ -53,14 +57,33 @@ VECTOR_SIGMAS_nT = np.array([S_SIGMA * _SCALE_nT] * 9 + [BIAS_SIGMA_nT] * 3)
 
 
 def scalar_evidence(seconds: FloatArray, mag_nT: FloatArray, size_nT: FloatArray) -> Evidence:
-    """Evidence of predictions (K, n) of |B| for readings (n, 3): |B|^2 is a quadratic form of the reading."""
+    """Evidence of predictions (K, n) of |B| for readings (n, 3): |B|^2 is a quadratic form of the reading.
+
+    Readings on a short arc leave the form free to be as flat there as it likes, and then it takes up their noise too. So
+    the misfit is theirs: the rms that is left, over the slope of the form (Sampson's distance; see `slope_of_form`).
+    """
     m, typical = mag_nT / _SCALE_nT, 2.0 * size_nT[0]
     pairs = [m[:, i] * m[:, j] for i, j in itertools.combinations_with_replacement(range(3), 2)]
     design = np.column_stack([*pairs, m, np.ones(len(m))]) * (_SCALE_nT / typical)[:, None]
     off = (size_nT**2 - np.sum(mag_nT**2, axis=1)) / typical
     quadratic, linear, constant = 3.0 * S_SIGMA, 2.0 * BIAS_SIGMA_nT / _SCALE_nT, (BIAS_SIGMA_nT / _SCALE_nT) ** 2
     sigmas = _SCALE_nT * np.array([quadratic] * 6 + [linear] * 3 + [3.0 * constant])
-    return compare(seconds, design[:, None, :], off.T[:, None, :], sigmas, None, step_nT(mag_nT))
+    found = compare(seconds, design[:, None, :], off.T[:, None, :], sigmas, None, step_nT(mag_nT))
+    forms = found.coefficients.T / _SCALE_nT + np.repeat([1.0, 0.0, 1.0, 0.0, 1.0, 0.0], [1, 2, 1, 1, 1, 4])
+    slopes = [slope_of_form(m, form[:9]) / (typical / _SCALE_nT)[:, None] for form in forms]
+    steep = np.array([np.sqrt(np.mean(np.sum(slope**2, axis=1))) for slope in slopes])
+    return replace(found, misfit_nT=found.misfit_nT / np.maximum(steep, FLAT))
+
+
+def slope_of_form(m: FloatArray, form: FloatArray) -> FloatArray:
+    """(n, 3) gradient at m (n, 3) of a form with nine coefficients: six of m_i m_j with i <= j, three of m_i.
+
+    What is left of a form, over its slope, is to first order the distance of m from where nothing is left (Sampson 1982,
+    Computer Graphics and Image Processing 18, 97).
+    """
+    matrix = np.zeros((3, 3))
+    matrix[np.triu_indices(3)] = form[:6]
+    return np.asarray(m @ (matrix + matrix.T) + form[6:])
 
 
 def step_nT(mag_nT: FloatArray) -> float:
@@ -89,13 +112,14 @@ def compare(
     X = (design * sigmas_nT).reshape(n * d, -1)
     Y = rhs.reshape(n * d, count)
     best = np.full(count, -np.inf)
-    misfit = np.zeros(count)
+    misfit, coefficients = np.zeros(count), np.zeros((X.shape[1], count))
     for number, covariance in enumerate(_covariances(seconds, lever, n, d)):
         log, scale, solved = _one_shape(covariance, X, Y, scales)
         if number == 0:
-            misfit = _misfits(scale, solved, n * d)
+            misfit, fitted = _misfits(scale, solved, n * d)
+            coefficients = sigmas_nT[:, None] * fitted
         best = np.maximum(best, log)
-    return Evidence(best, misfit)
+    return Evidence(best, misfit, coefficients)
 
 
 def _covariances(seconds: FloatArray, lever: FloatArray | None, n: int, d: int) -> list[FloatArray]:
@@ -119,6 +143,8 @@ def _covariances(seconds: FloatArray, lever: FloatArray | None, n: int, d: int) 
 class _Solved:
     """Normal equations in the axes where the prior is one and the design is diagonal."""
 
+    axes: FloatArray
+    """(c, c), in columns."""
     weights: FloatArray
     """(c,) eigenvalues."""
     cross: FloatArray
@@ -142,7 +168,7 @@ def _one_shape(
     both = solve_triangular(factor, np.hstack([X, Y]), lower=True, check_finite=False)
     Xw, Yw = both[:, : X.shape[1]], both[:, X.shape[1] :]
     weights, axes = np.linalg.eigh(Xw.T @ Xw)
-    solved = _Solved(np.maximum(weights, 0.0), axes.T @ (Xw.T @ Yw), Yw)
+    solved = _Solved(axes, np.maximum(weights, 0.0), axes.T @ (Xw.T @ Yw), Yw)
     left = solved.quadratic(scales)
     squared = scales[:, None] ** 2
     size = len(X) * np.log(squared[:, 0]) + np.sum(np.log1p(solved.weights / squared), axis=1)
@@ -151,10 +177,10 @@ def _one_shape(
     return log[place, np.arange(len(place))], scales[place], solved
 
 
-def _misfits(scale: FloatArray, solved: _Solved, count: int) -> FloatArray:
-    """(K,) rms left of white residuals."""
+def _misfits(scale: FloatArray, solved: _Solved, count: int) -> tuple[FloatArray, FloatArray]:
+    """(K,) rms left of white residuals, and the coefficients (c, K) that leave it, in units of their prior."""
     shrunk = solved.cross / (solved.weights[:, None] + scale**2)
     left = np.sum(solved.whitened**2, axis=0) - np.sum(
         shrunk * (2.0 * solved.cross - solved.weights[:, None] * shrunk), axis=0
     )
-    return np.asarray(np.sqrt(np.maximum(left, 0.0) / count))
+    return np.asarray(np.sqrt(np.maximum(left, 0.0) / count)), np.asarray(solved.axes @ shrunk)

@@ -10,9 +10,11 @@ import itertools
 
 import numpy as np
 
+from fluxtwin.calib.checks.evidence import FLAT, slope_of_form
 from fluxtwin.calib.checks.report import Finding, note, trap
 from fluxtwin.calib.checks.sample import Sample
 from fluxtwin.calib.checks.stuck import least_step
+from fluxtwin.calib.common.digits import plain
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
@@ -51,7 +53,7 @@ def check_outliers(
     rows, left, field = _left(telemetry, sample, model, usable)
     if rows.size < _FEWEST:
         return [], mask
-    deviation = left - _running_median(left)
+    deviation = _deviation(left)
     ratio = _ratio(deviation, field, least_step(telemetry.mag_B_nT[rows]))
     out = np.flatnonzero((ratio > STANDS_OUT) & ~_driven(telemetry, rows, 1 if sample is not None else _FURTHEST))
     if out.size == 0:
@@ -60,14 +62,20 @@ def check_outliers(
     size = np.linalg.norm(deviation[out], axis=1)
     where = rows[out]
     evidence = (
-        f"{out.size} of {rows.size} readings stand out from their neighbours by {size.min():.3g} to {size.max():.3g} nT, "
-        f"{ratio[out].min():.2g} to {ratio[out].max():.3g} times the scatter there"
+        f"{out.size} of {rows.size} readings stand out from their neighbours by {_from_to(size)} nT, "
+        f"{_from_to(ratio[out])} times the scatter there"
     )
     if out.size > max(FEW * rows.size, 3) or max(map(len, runs)) > LONGEST_RUN:
         return [note("rough_readings", where, evidence=evidence)], mask
     mask[where] = True
     shown = ", ".join(epoch.iso(telemetry.time[row]) for row in where[:3]) + (", ..." if out.size > 3 else "")
     return [trap("outliers", where, evidence=evidence, shown=shown)], mask
+
+
+def _from_to(values: FloatArray) -> str:
+    """The least and the greatest, in two digits and without an exponent; once where they read alike."""
+    least, greatest = (plain(float(value), 2) for value in (values.min(), values.max()))
+    return least if least == greatest else f"{least} to {greatest}"
 
 
 def _left(
@@ -106,12 +114,18 @@ def _beside_its_course(size_nT: FloatArray) -> FloatArray:
 
 
 def _ellipsoid(mag_nT: FloatArray, size_nT: FloatArray) -> FloatArray:
-    """What a quadratic form of the readings (n, 3) leaves of |B| (n,) [nT], bias, scale and misalignment free."""
+    """What a quadratic form of the readings (n, 3) leaves of |B| (n,) [nT], bias, scale and misalignment free.
+
+    It is the distance of the readings, by the slope of the form at their neighbours: on a short arc it may be flat, more
+    here than there.
+    """
     m, size = mag_nT / 1e4, size_nT / 1e4
     pairs = [m[:, i] * m[:, j] for i, j in itertools.combinations_with_replacement(range(3), 2)]
     design = np.column_stack([*pairs, m, np.ones(len(m))]) / (2.0 * size)[:, None]
-    left: FloatArray = 1e4 * (size / 2.0 - design @ _robust(design, size / 2.0, _steady(mag_nT)))
-    return left
+    form = _robust(design, size / 2.0, _steady(mag_nT))
+    left: FloatArray = 1e4 * (size / 2.0 - design @ form)
+    slope = np.linalg.norm(slope_of_form(m, form[:9]), axis=1, keepdims=True) / (2.0 * size)[:, None]
+    return np.asarray(left / np.maximum(_running_median(slope)[:, 0], FLAT))
 
 
 def _steady(mag_nT: FloatArray) -> BoolArray:
@@ -138,6 +152,17 @@ def _running_median(values: FloatArray) -> FloatArray:
     from scipy.ndimage import median_filter
 
     return np.asarray(median_filter(values, size=(_WINDOW, 1), mode="mirror"))
+
+
+def _deviation(left: FloatArray) -> FloatArray:
+    """(n, d) what is left, less its running median. In the first and last four rows, which have neighbours on one side
+    alone, less also what that median changes by over as many rows: of a slope, that of a mirrored window lags."""
+    course, half = _running_median(left), _WINDOW // 2
+    deviation = left - course
+    for ends, beside in ((slice(half), slice(half, 2 * half + 1)), (slice(-half, None), slice(-2 * half - 1, -half))):
+        beyond = np.abs(deviation[ends]) - np.ptp(course[beside], axis=0)
+        deviation[ends] = np.sign(deviation[ends]) * np.maximum(beyond, 0.0)
+    return deviation
 
 
 def _ratio(deviation: FloatArray, field_nT: FloatArray | None, least_step_nT: float) -> FloatArray:

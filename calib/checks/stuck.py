@@ -70,25 +70,30 @@ def length_s(time: TimeArray, run: np.ndarray) -> float:
 
 
 def _stuck(values: FloatArray, time: TimeArray) -> BoolArray:
-    """Rows (N,) in runs of one reading (N, k) that are long enough that it must have changed."""
+    """Rows (N,) in runs of one reading (N, k) that are long enough that it must have changed, each with its first row."""
     same = np.zeros(len(values), dtype=bool)
     same[1:] = (values[1:] == values[:-1]).all(axis=1)
     found = sorted(runs(same, time), key=len, reverse=True)[:_LONGEST_RUNS]
     lengths = np.array([len(run) for run in found] + [1] * (len(found) < _LONGEST_RUNS), dtype=float)
-    gap = int(np.argmax(lengths[:-1] / lengths[1:])) if lengths.size > 1 else 0
     out = np.zeros(len(values), dtype=bool)
-    if not found or lengths[gap] < LONGER * lengths[gap + 1]:
+    lasting = [k for k, run in enumerate(found) if run.size >= STUCK_ROWS and length_s(time, run) >= STUCK_S]
+    lasting = [k for k in lasting if k + 1 < lengths.size]
+    if not lasting:
         return out
-    long = [run for run in found[: gap + 1] if run.size >= STUCK_ROWS and length_s(time, run) >= STUCK_S]
-    if not long:
+    gap = max(
+        lasting, key=lambda k: lengths[k] / lengths[k + 1]
+    )  # between runs that may be stuck and those of coarse steps
+    if lengths[gap] < LONGER * lengths[gap + 1]:
         return out
+    long = [found[k] for k in lasting if k <= gap]
     free = np.ones(len(values), dtype=bool)
     free[np.concatenate(long)] = False
     step = least_step(values)
     for run in long:
         if not _moves(values, free, run.size, step):  # nor do shorter stretches then
             break
-        out[run] = _jumps(values, run, step) or len(run) > MUCH_LONGER * lengths[gap + 1]
+        stuck = _jumps(values, run, step) or len(run) > MUCH_LONGER * lengths[gap + 1]
+        out[run[0] - 1 : run[-1] + 1] |= stuck
     return out
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from fluxtwin.calib.checks.orientation import FAR_BETTER
 from fluxtwin.calib.checks.report import Finding, note, trap
 from fluxtwin.calib.checks.sample import Sample
+from fluxtwin.calib.common.digits import plain
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -57,12 +58,12 @@ def check_unit(sample: Sample) -> list[Finding]:
     ratio = measured / expected
     if 1.0 / UNIT_RATIO <= ratio <= UNIT_RATIO:
         return []
-    medians = {"measured": measured, "expected": expected}
+    medians = {"measured": plain(measured, 4), "expected": plain(expected, 4)}
     bias_nT = _explaining_bias_nT(sample, ratio)
     if bias_nT is not None:
-        return [note("large_bias.by_size", bias=bias_nT, **medians)]
+        return [note("large_bias.by_size", bias=plain(bias_nT, 2), **medians)]
     impossible = " (an impossible |B|)" if measured > HIGHEST_FIELD_nT or measured < 20.0 else ""
-    more = {"ratio": ratio, "likely": _likely(sample, ratio), "impossible": impossible}
+    more = {"ratio": plain(ratio), "likely": _likely(sample, ratio), "impossible": impossible}
     return [trap("magnetometer_unit.compared", **medians, **more)]
 
 
@@ -76,10 +77,10 @@ def blind_magnitude(telemetry: Telemetry) -> list[Finding]:
         return [note("not_compared.possible")]
     guess = _nearest_unit(typical / 35_000.0, 3.0)
     if HIGHEST_FIELD_nT < typical <= HIGHEST_BIASED_nT:
-        return [note("not_compared.large", typical=typical)]
+        return [note("not_compared.large", typical=plain(typical, 4))]
     likely = f"; likely {guess}" if guess else ""
     what = "no orbit has" if typical > HIGHEST_FIELD_nT else "no orbit below 13,000 km altitude has"
-    return [trap("magnetometer_unit.blind", typical=typical, what=what, likely=likely)]
+    return [trap("magnetometer_unit.blind", typical=plain(typical, 4), what=what, likely=likely)]
 
 
 def _nearest_unit(ratio: float, within: float) -> str | None:
@@ -93,7 +94,7 @@ def _likely(sample: Sample, ratio: float) -> str:
     """What the number may be: a known unit; raw counts where they are whole, or where no unit is near."""
     guess = _nearest_unit(ratio, LIKELY_RATIO)
     whole = bool((sample.mag_nT == np.round(sample.mag_nT)).all())
-    counts = f"raw counts of about {1.0 / ratio:.3g} nT (`scale` = nT per count)"
+    counts = f"raw counts of about {plain(1.0 / ratio)} nT (`scale` = nT per count)"
     if guess and "counts" not in guess and whole:
         return f"{guess}, or, as all readings are whole, {counts}"
     return guess or counts

@@ -1,0 +1,90 @@
+"""Good records that once were flagged, and why they are not: each rule here by what it must not do, and must still do."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import approx_fprime
+
+from fluxtwin.calib.checks.check import check_file
+from fluxtwin.calib.checks.evidence import scalar_evidence, slope_of_form
+from fluxtwin.calib.checks.outliers import _deviation
+from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.earth.field import FieldModel, load_field
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
+
+from traps_cases import GOOD, Case, fly, write
+
+pytestmark = pytest.mark.property
+
+
+@pytest.fixture(scope="module")
+def model() -> FieldModel:
+    return load_field("igrf14")
+
+
+def flown(model: FieldModel, seed: int, number: int) -> Case:
+    return fly(stream(seed, f"traps.{GOOD}.{number}"), model, GOOD)
+
+
+@pytest.mark.parametrize(
+    ("seed", "number"),
+    [
+        (131313, 118),  # a coarse step on a slow axis: runs of it are no stuck axis
+        (131313, 204),  # an attitude that is held: another convention fits another draw of its errors
+        (777, 684),
+        (777, 1),  # |B| alone, on a short arc: the form takes the noise up, and a few readings stand out
+        (777, 55),  # the first row, on a slope
+        (777, 292),  # |B| alone: a wrong hour takes up more of the noise than the right one
+        (777, 506),
+        (777, 852),  # |B| alone: so do positions in another frame
+    ],
+)
+def test_a_good_record_is_clean(seed: int, number: int, model: FieldModel, tmp_path: Path) -> None:
+    case = flown(model, seed, number)
+    found = check_file(write(case, tmp_path / "record.csv"), model)
+    assert [(trap.code, trap.text) for trap in found.traps] == [], case.label
+
+
+def test_a_stretch_of_zeros_is_one_trap_with_its_first_row(model: FieldModel, tmp_path: Path) -> None:
+    case = flown(model, 777, 3)
+    case.mag[60:100] = 0.0
+    (found,) = check_file(write(case, tmp_path / "record.csv"), model).traps
+    assert (found.code, found.row_count, found.rows[0]) == ("stuck_values", 40, 61), found.text
+
+
+def test_the_slope_of_a_form_is_its_gradient() -> None:
+    rng = np.random.default_rng(1)
+    form, m = rng.normal(size=9), rng.normal(size=3)
+
+    def value(at: np.ndarray) -> float:
+        pairs = [at[i] * at[j] for i in range(3) for j in range(i, 3)]
+        return float(np.dot(form, [*pairs, *at]))
+
+    assert np.allclose(slope_of_form(m[None], form)[0], approx_fprime(m, value, 1e-7), atol=1e-5)  # differences of 1e-7
+
+
+@pytest.mark.parametrize("S33", [0.0, 0.1])
+def test_the_misfit_of_the_size_is_that_of_the_readings(S33: float) -> None:
+    """A scale of 1.1 in the readings is no larger noise, and an arc of 50 deg does not make it smaller."""
+    rng, noise_nT = np.random.default_rng(2), 40.0
+    angle = np.linspace(0.0, 0.9, 300)
+    field = 3e4 * np.stack([np.cos(angle), np.sin(angle), 0.2 + 0.1 * angle**2], axis=1)
+    reading = field / np.array([1.0, 1.0, 1.0 + S33]) + 500.0 + rng.normal(0.0, noise_nT, field.shape)
+    size = np.linalg.norm(field, axis=1)
+    found = scalar_evidence(10.0 * np.arange(300.0), reading, size[None]).misfit_nT[0]
+    assert abs(found / noise_nT - 1.0) < 4.0 / np.sqrt(2 * 300)  # four standard deviations of an rms of 300
+
+
+def test_a_slope_deviates_nowhere_and_a_reading_far_off_does_at_the_ends_too() -> None:
+    slope = np.outer(np.arange(40.0), [60.0, -30.0, 5.0])
+    assert not _deviation(slope).any()
+    for row in (0, 3, 20, 39):
+        wrong = slope.copy()
+        wrong[row] += 30_000.0
+        away = np.linalg.norm(_deviation(wrong), axis=1)
+        assert np.argmax(away) == row and away[row] > 29_000.0

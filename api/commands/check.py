@@ -95,8 +95,10 @@ def _print(output: Output, title: str, report: CheckReport) -> None:
         if finding.code == "recognised_layout":  # first, because all the rest follows from it
             output.say(f"  {finding.text}")
             continue
-        rows = ", ".join(map(str, finding.rows[:5])) + (", ..." if finding.row_count > 5 else "")
-        place = f" (rows {rows}; {finding.row_count} in all)" if finding.row_count else ""
+        rows = ", ".join(map(str, finding.rows[:5])) + (
+            f", ...; {finding.row_count} in all" if finding.row_count > 5 else ""
+        )
+        place = f" (row{'s' if finding.row_count > 1 else ''} {rows})" if finding.row_count else ""
         if finding.severity != "note" or not manners.quiet:
             output.prose(f"  {finding.severity} {finding.code}: {finding.text}{place}", indent="    ")
     if not report.traps:

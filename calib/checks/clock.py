@@ -225,7 +225,10 @@ def _what_shows(shows: dict[float, bool], shifts: dict[float, str], plain: Itera
     listed = [f"{', '.join(some)} would {'' if seen else 'not '}show here" for seen, some in said.items() if some]
     hidden = [abs(shift) for shift in plain if not shows.get(shift, False)]
     greatest = max(map(abs, plain))
-    showing = f"those of more than {shift_words(max(hidden))}" if hidden else "every one that was tried"
+    apart = shift_words(min(map(abs, plain)))
+    showing = (
+        f"those of more than {shift_words(max(hidden))}" if hidden else f"every one that was tried, {apart} apart,"
+    )
     words = f"; of others to {shift_words(greatest)}, {showing} would"
     words = "" if hidden and max(hidden) >= min(3600.0, greatest) else words
     return note("clock_tested", meant=meant, shifts="; ".join(listed), others=words)

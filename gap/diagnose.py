@@ -34,7 +34,7 @@ from fluxtwin.gap.posterior.where import where
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget, Problem, pose, realigned
 from fluxtwin.gap.problem.start import start_without_attitude
 from fluxtwin.gap.records.diagnosis import Diagnosis, Place
-from fluxtwin.gap.report import level, second_channel, verdict, words
+from fluxtwin.gap.report import input_warnings, level, second_channel, verdict, words
 from fluxtwin.gap.report.verdict import Work
 from fluxtwin.gap.selection.criterion import THRESHOLD
 from fluxtwin.gap.selection.detectable import under_all
@@ -81,7 +81,8 @@ def diagnose(
     Raises BadInput for unknown names and absent columns, NoAnswer when there are too few rows for the question.
     """
     progress("baseline", 0.0)
-    whole, new = new_rounding(telemetry)
+    moving, stuck = input_warnings.without_stuck(telemetry)
+    whole, new = new_rounding(moving)
     every = max(1, int(np.ceil(len(whole) / MOST_ROWS)))
     record = _each(whole, every)
     if instrument is None and modelled and not record.has_attitude.any():
@@ -97,13 +98,15 @@ def diagnose(
     if channel is not None:
         gone = [name for name, why in problem.ruled_out.items() if why == second_channel.NOT_THERE]
         work = replace(work, angle=second_channel.weighed(work.standing, channel, gone))
+    left_out = [words.stuck(telemetry.time, stuck)] if stuck.any() else []
+    work = replace(work, stuck=left_out[0] if left_out else None)
     answer, problem = work.answer, work.problem
     facts: dict[str, object] = dict(provenance or {})
     facts |= {"field_model": model.title, "noise": answer.noise.words}
     facts |= {"rows_thinned_by": every, "rounding_lasts_rows": new}
     sources = complete_budget(problem).sources or {}
     facts |= {f"budget: {name}": source for name, source in sources.items()}
-    notes = []
+    notes = left_out
     if problem.axes is not None:
         facts["without_attitude"] = problem.axes.words
         notes.append(problem.axes.words)
@@ -127,7 +130,7 @@ def diagnose(
         work,
         facts,
         level.assumed(budget or Budget(), problem, answer.noise),
-        without_attitude=int((telemetry.has_reading & ~telemetry.has_attitude).sum()),
+        without_attitude=int((moving.has_reading & ~moving.has_attitude).sum()),
         notes=notes,
     )
     found = _with_law(work, found, progress)

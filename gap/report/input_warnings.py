@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from fluxtwin.calib.checks.check import check_telemetry
+from fluxtwin.calib.checks.stuck import check_stuck
+from fluxtwin.sim.base.types import BoolArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -29,9 +31,19 @@ def far_below_budget(before_nT: float, floor_nT: float) -> str | None:
     )
 
 
+def without_stuck(telemetry: Telemetry) -> tuple[Telemetry, BoolArray]:
+    """The record without the readings of rows in which some or all axes are stuck, and which rows (N,) these are: no effect
+    repeats a reading to the last digit, so they would be taken for another one. Where all are stuck, the record as it is."""
+    _, rows = check_stuck(telemetry)
+    if not rows.any() or rows[telemetry.has_reading].all():
+        return telemetry, np.zeros(len(telemetry), dtype=bool)
+    return telemetry.replace(mag_B_nT=np.where(rows[:, None], np.nan, telemetry.mag_B_nT)), rows
+
+
 def traps(telemetry: Telemetry, model: FieldModel) -> list[str]:
-    """The traps that `fluxtwin check` finds, but outliers: the diagnosis sets them aside and says so itself."""
-    found = check_telemetry(telemetry, model).traps
+    """The traps that `fluxtwin check` finds, but outliers and what is stuck at times: the diagnosis sets them aside and says
+    so itself."""
+    found = check_telemetry(without_stuck(telemetry)[0], model).traps
     return [f"{finding.text}{BY_CHECK}" for finding in found if finding.code != "outliers"]
 
 

@@ -59,6 +59,8 @@ class Work:
     """The difference of two magnetometers; None where there is one."""
     differ: Structure | None = None
     """Of that difference."""
+    stuck: str | None = None
+    """Words for rows that were left out because a reading in them is stuck."""
 
     @cached_property
     def known(self) -> float:
@@ -173,6 +175,8 @@ def _conclude(work: Work) -> _Conclusion:
         excess = Excess("sensor", work.loud)
     bits = any(one.name == "bit_errors" for one in work.flexible)
     outliers = None if bits else level.outliers(problem, answer.robust)
+    if work.stuck is not None:
+        outliers = Excess("telemetry", "; ".join([work.stuck, *([] if outliers is None else [outliers.words])]))
     beyond = None if unexplained or effects else excess or outliers
     verdict = "unknown" if unexplained or beyond is not None else "effect" if effects or fault is not None else "no_gap"
     incomplete = (bool(named) and answer.left.structured) or momentum.incomplete

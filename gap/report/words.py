@@ -166,6 +166,13 @@ def outliers(time: TimeArray, cut: BoolArray) -> str:
     return f"{rows.size} rows have outliers{together} of more than six sigma, from {first} to {last}, and were excluded"
 
 
+def stuck(time: TimeArray, rows: BoolArray) -> str:
+    """How many rows (N,) were left out because a reading repeats to the last digit, and when."""
+    where = np.flatnonzero(rows)
+    first, last = (epoch.iso(time[row]) for row in (where[0], where[-1]))
+    return f"{where.size} rows have a stuck reading, from {first} to {last}, and were excluded"
+
+
 def assumed(values: Mapping[str, Mapping[str, Any]]) -> str:
     """What was not declared, what was taken in its place, and the flags that would settle it; empty where all was
     declared. The time constant of the attitude error is always left to the data."""

@@ -106,6 +106,16 @@ def test_outliers_are_a_finding(record: Telemetry) -> None:
     assert "apart from these rows there is no gap" in found.sentence
 
 
+def test_a_stuck_axis_is_a_finding_and_no_effect(record: Telemetry) -> None:
+    """One axis repeats for half an hour: attitude_step and switched_field describe it well, and neither is there."""
+    reading = np.array(record.mag_B_nT)
+    reading[600:780, 1] = reading[600, 1]
+    found = asked(record.replace(mag_B_nT=reading), DECLARED)
+    assert found.verdict == "unknown" and not found.effects and found.where.stage == "telemetry"
+    assert "180 rows have a stuck reading, from 2026-03-01T01:40:00" in found.sentence
+    assert "apart from these rows there is no gap" in found.sentence
+
+
 def test_more_noise_than_declared_is_never_no_gap(record: Telemetry) -> None:
     """Twice the declared noise, from a heavy-tailed source: no excess_noise, which is Gaussian, and not nothing."""
     heavy = np.random.default_rng(5).standard_t(4, size=(len(record), 3)) / np.sqrt(2.0)

@@ -22,6 +22,7 @@ from fluxtwin.sim.telemetry.formats.catalogue import READ, format_of, table_of
 from fluxtwin.sim.telemetry.formats.table import Table
 from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME
+from fluxtwin.sim.telemetry.telemetry_files import refuse_toml
 
 CONFIRM = "# to be confirmed:"
 _AXES = (("x", "y", "z"), ("1", "2", "3"), ("0", "1", "2"))
@@ -511,6 +512,7 @@ def header_of(path: Path, sheet: str | None = None) -> Header:
             return _netcdf_header(path, opened)
     if (table := table_of(path, MAX_SAMPLES, sheet)) is not None:
         return _table_header(path, table, sheet)
+    refuse_toml(path)
     csv = open_csv(path)
     found = Header(path, list(csv.names), rows=csv.rows)
     for name in csv.names:

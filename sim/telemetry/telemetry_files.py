@@ -159,7 +159,12 @@ def _kind(path: Path | str) -> str:
         return "csv"
     if Path(path).is_dir():
         raise BadInput("is a folder", where=str(path), wanted=f"a {_SUFFIXES} file, or a column map for a folder")
-    if name.endswith(".toml"):
+    refuse_toml(path)
+    raise BadInput("the kind of this file is not known from its name", where=str(path), wanted=_SUFFIXES)
+
+
+def refuse_toml(path: Path | str) -> None:
+    """Raises BadInput for what by its name is a scenario, a calibration or a column map."""
+    if Path(path).name.lower().endswith(".toml"):
         wanted = f"a {_SUFFIXES} file; `fluxtwin simulate` makes one from a scenario"
         raise BadInput("is no telemetry: a scenario, a calibration or a column map", where=str(path), wanted=wanted)
-    raise BadInput("the kind of this file is not known from its name", where=str(path), wanted=_SUFFIXES)

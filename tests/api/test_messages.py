@@ -54,6 +54,8 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("simulate m.toml --out x.nc", "m.toml: this is a column map. Wanted: a scenario"),
         ("check data --map s.toml", "s.toml: this is a scenario. Wanted: a column map"),
         ("calibrate s.toml", "s.toml: is no telemetry"),
+        ("info s.toml", "s.toml: is no telemetry"),
+        ("map s.toml", "s.toml: is no telemetry"),
         ("diagnose t.csv --modelled bais", "no effect is called 'bais'; did you mean bias?"),
         ("diagnose t.csv --modelled bais,saturation", "did you mean bias?"),
     ],

@@ -83,7 +83,7 @@ def check_field(telemetry: Telemetry, model: FieldModel, origin: Origin, usable:
 def _by_vectors(sample: Sample, telemetry: Telemetry, model: FieldModel, origin: Origin) -> list[Finding]:
     """The best name for what is wrong, from readings with attitude; notes where nothing is."""
     small = sample.thinned(BLOCKS)
-    tried = [*orientations(small, origin), *_positions(small, model), *_stamps(small, model, origin)]
+    tried = [*orientations(small, origin), *_positions(small, model, origin), *_stamps(small, model, origin)]
     misfit = _after_bias_fit(small, tried)
     far_better = np.flatnonzero(misfit <= FAR_BETTER * misfit[0])
     found, left = None, np.inf
@@ -118,7 +118,7 @@ def _by_size(sample: Sample, model: FieldModel, origin: Origin) -> list[Finding]
         return []
     small = sample.thinned(2 * BLOCKS)
     plain = Hypothesis("", "", "", 0.0, small.field_N_nT)
-    tried = [plain, *_positions(small, model), *_stamps(small, model, origin)]
+    tried = [plain, *_positions(small, model, origin), *_stamps(small, model, origin)]
     size = np.stack([np.linalg.norm(one.predicted_nT, axis=1) for one in tried])
     evidence = scalar_evidence(small.seconds, small.mag_nT, size)
     found, left = _best(tried, evidence, evidence.misfit_nT)
@@ -175,18 +175,15 @@ def _likeliest(tried: list[Hypothesis], odds: FloatArray, misfit_nT: FloatArray)
     return int(np.argmax(np.where(simpler, odds + 3.0 * rows * worse, -np.inf)))
 
 
-def _positions(sample: Sample, model: FieldModel) -> list[Hypothesis]:
-    """Positions that are Earth-fixed; with attitude also those with axes swapped, which |B| alone takes for a phase."""
-    r_from_E = sample.R_EN.apply(sample.r_N_km, inverse=True)
-    readings: list[tuple[str, str, str, float, FloatArray]] = [
-        (
-            "position_frame",
-            "the positions are Earth-fixed",
-            "name them ecef_x_km ecef_y_km ecef_z_km",
-            SINGLE_COST,
-            r_from_E,
-        )
-    ]
+def _positions(sample: Sample, model: FieldModel, origin: Origin) -> list[Hypothesis]:
+    """Positions in the other frame, Earth-fixed or inertial; with attitude also those with axes swapped, which |B| alone
+    takes for a phase."""
+    if origin.position == "ITRS":  # they were turned to GCRS on reading
+        words, advice = "the positions are inertial (GCRS), not Earth-fixed", "name them r_x_km r_y_km r_z_km"
+    else:
+        words, advice = "the positions are Earth-fixed", "name them ecef_x_km ecef_y_km ecef_z_km"
+    r = sample.R_EN.apply(sample.r_N_km, inverse=origin.position != "ITRS")
+    readings = [("position_frame", words, advice, SINGLE_COST, r)]
     for order in () if sample.q_NB is None else ((0, 2, 1), (1, 0, 2), (2, 1, 0), (1, 2, 0), (2, 0, 1)):
         r = sample.r_N_km[:, order]
         said = ", ".join(f"r_{one} is {'xyz'[other]}" for one, other in zip("xyz", order, strict=True))

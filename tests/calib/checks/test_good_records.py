@@ -88,3 +88,21 @@ def test_a_slope_deviates_nowhere_and_a_reading_far_off_does_at_the_ends_too() -
         wrong[row] += 30_000.0
         away = np.linalg.norm(_deviation(wrong), axis=1)
         assert np.argmax(away) == row and away[row] > 29_000.0
+
+
+@pytest.mark.parametrize("attitude", [True, False])
+def test_inertial_positions_under_earth_fixed_names_are_named(
+    attitude: bool, model: FieldModel, tmp_path: Path
+) -> None:
+    case = flown(model, 777, 3)
+    case.earth_fixed, case.q = False, case.q if attitude else None
+    path = write(case, tmp_path / "record.csv")
+    header, *rows = path.read_text("utf-8").splitlines()
+    for axis in "xyz":
+        header = header.replace(f"r_{axis}_km", f"ecef_{axis}_km")
+    names = header.split(",")
+    kept = [place for place, name in enumerate(names) if not name.startswith("v_")]
+    lines = [",".join(line.split(",")[place] for place in kept) for line in (header, *rows)]
+    path.write_text("\n".join([*lines, ""]), "utf-8")
+    (found,) = check_file(path, model).traps
+    assert found.code == "position_frame" and "inertial (GCRS), not Earth-fixed" in found.text

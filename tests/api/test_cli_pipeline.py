@@ -173,6 +173,20 @@ def test_check_passes_good_telemetry_and_names_a_trap(cli: Cli, flight: Path, tm
     assert "mG" in bad.out
 
 
+@pytest.mark.parametrize(
+    ("count", "said"), [(1, "(row 31)"), (3, "(rows 31, 51, 71)"), (6, "(rows 31, 51, 71, 91, 111, ...; 6 in all)")]
+)
+def test_check_says_the_rows(cli: Cli, flight: Path, tmp_path: Path, count: int, said: str) -> None:
+    def spikes(heading: list[str], rows: list[list[str]]) -> None:
+        at = heading.index("mag_x_nT")
+        for row in rows[30 : 30 + 20 * count : 20]:
+            row[at] = repr(float(row[at]) + 40_000.0)
+
+    outcome = cli("check", rewritten(flight / "floor.csv", tmp_path / "spikes.csv", spikes))
+    assert outcome.status == 1
+    assert said in " ".join(outcome.out.split())
+
+
 def test_check_repairs_rows_out_of_order(cli: Cli, flight: Path, tmp_path: Path) -> None:
     def swap(heading: list[str], rows: list[list[str]]) -> None:
         rows[10], rows[20] = rows[20], rows[10]

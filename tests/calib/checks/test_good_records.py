@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
@@ -106,3 +107,11 @@ def test_inertial_positions_under_earth_fixed_names_are_named(
     path.write_text("\n".join([*lines, ""]), "utf-8")
     (found,) = check_file(path, model).traps
     assert found.code == "position_frame" and "inertial (GCRS), not Earth-fixed" in found.text
+
+
+def test_sizes_have_two_digits_and_no_exponent(model: FieldModel, tmp_path: Path) -> None:
+    case = flown(model, 777, 3)
+    case.mag[70] += 40_000.0
+    (found,) = check_file(write(case, tmp_path / "record.csv"), model).traps
+    assert found.code == "outliers" and found.rows == (71,)
+    assert re.search(r"neighbours by \d{5} nT, \d+ times the scatter", found.text), found.text

@@ -40,8 +40,8 @@ class Evidence:
     """(K,) log marginal likelihood."""
     misfit_nT: FloatArray
     """(K,) rms of a component after S and b are fitted under their prior."""
-    coefficients: FloatArray
-    """(c, K) of the regressors in that fit."""
+    coefficients_nT: FloatArray
+    """(c, K) of the regressors, which are pure numbers, in that fit."""
 
 
 def vector_evidence(seconds: FloatArray, mag_nT: FloatArray, predicted_nT: FloatArray) -> Evidence:
@@ -69,7 +69,7 @@ def scalar_evidence(seconds: FloatArray, mag_nT: FloatArray, size_nT: FloatArray
     quadratic, linear, constant = 3.0 * S_SIGMA, 2.0 * BIAS_SIGMA_nT / _SCALE_nT, (BIAS_SIGMA_nT / _SCALE_nT) ** 2
     sigmas = _SCALE_nT * np.array([quadratic] * 6 + [linear] * 3 + [3.0 * constant])
     found = compare(seconds, design[:, None, :], off.T[:, None, :], sigmas, None, step_nT(mag_nT))
-    forms = found.coefficients.T / _SCALE_nT + np.repeat([1.0, 0.0, 1.0, 0.0, 1.0, 0.0], [1, 2, 1, 1, 1, 4])
+    forms = found.coefficients_nT.T / _SCALE_nT + np.repeat([1.0, 0.0, 1.0, 0.0, 1.0, 0.0], [1, 2, 1, 1, 1, 4])
     slopes = [slope_of_form(m, form[:9]) / (typical / _SCALE_nT)[:, None] for form in forms]
     steep = np.array([np.sqrt(np.mean(np.sum(slope**2, axis=1))) for slope in slopes])
     return replace(found, misfit_nT=found.misfit_nT / np.maximum(steep, FLAT))

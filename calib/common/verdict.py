@@ -103,7 +103,9 @@ class Verdict:
             degrees += say("verdict.against_reference", deg=d.against_reference_deg)
         unseen = say("verdict.unseen_one", words=seen[0]) if seen else say("verdict.unseen_none")
         unseen = say("verdict.unseen_many", count=len(seen)) if len(seen) > 1 else unseen
-        sigmas = [say("verdict.passes", passes=self.passes)] if self.passes is not None else []
+        sigmas = []
+        if self.passes is not None:
+            sigmas = [say("verdict.passes", passes=self.passes, are=" is" if f"{self.passes:.2g}" == "1" else "es are")]
         words = [f"{head}. {self.residual}", *self.reasons, *([] if self.impossible else [degrees, *sigmas])]
         return (*words, unseen, f"Next: {self.next_step}")
 

@@ -131,10 +131,11 @@ def _not_measured(effects: Sequence[FoundEffect], gap: Shrinkage) -> str:
     signal_nT = max(effect.visible_nT for effect in effects)
     chance = "less than 1e-12" if p_value < 1e-12 else f"{p_value:.0e}"
     # What is known by its own shape, as a line is, has no size beside the fit.
-    small = f"its signal of {signal_nT:.1f} nT rms is" if signal_nT > 0.0 else "it is"
+    small = f"its signal is {signal_nT:.1f} nT rms, and " if signal_nT > 0.0 else ""
     return (
-        f"; the probability that this is chance is {chance}, but {small} too small a part of the {gap.before_nT:.1f} nT rms "
-        "of the held-out samples to measure what share of the gap it closes: more data of the same kind would allow that"
+        f"; the probability that this is chance is {chance}, but {small}the held-out samples have {gap.before_nT:.1f} nT "
+        f"rms where {gap.floor_nT:.1f} nT are expected without it: by chance they may differ as much, so they do not show "
+        "what share of the gap it closes; more data of the same kind would allow that"
     )
 
 

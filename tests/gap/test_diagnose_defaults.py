@@ -17,6 +17,7 @@ from fluxtwin.gap.noise.whitening import NoiseModel, make_whitener
 from fluxtwin.gap.problem.problem import Budget, _velocity
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.diagnosis import Diagnosis
+from fluxtwin.gap.report import words
 from fluxtwin.gap.selection.detectable import GATE, noncentrality
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.earth.field import load_field
@@ -67,6 +68,26 @@ def test_a_clock_that_is_a_little_late_is_not_called_the_orbit_alone() -> None:
         "time",
         "orbit",
     }
+
+
+def test_a_sure_name_whose_share_is_not_measured_says_why() -> None:
+    """Before and after differ by less than chance does: what is sure, what is not, and what would measure it."""
+    late = readme_scenario().updated({"effects.time_tag_offset": {"offset_s": 1.0}})
+    found = asked(simulate(late)[0])
+    assert found.verdict == "effect" and found.gap.closed is None
+    for part in (
+        "the probability that this is chance is less than 1e-12",
+        f"its signal is {found.effects[0].visible_nT:.1f} nT rms",
+        f"{found.gap.before_nT:.1f} nT rms where {found.gap.floor_nT:.1f} nT are expected without it",
+        "more data of the same kind would allow that",
+    ):
+        assert part in found.sentence
+
+
+def test_an_attitude_error_that_would_explain_all_is_given_with_its_size(record: Telemetry) -> None:
+    gap = asked(record, DECLARED).gap
+    assert "undeclared error of the reference attitude of 0.3 deg" in words.no_gap(gap, float(np.radians(0.3)))
+    assert "undeclared" not in words.no_gap(gap, None)
 
 
 def test_rounding_that_lasts_over_rows_is_no_gap() -> None:

@@ -7,11 +7,15 @@ have a white part besides. What an attitude error puts into a component is in st
 with the regressors: S13 - S31 and its like see the mean of theta, which a homogeneous error of the reading has not.
 
 None of the sizes is known. They are weighed by the restricted likelihood (Patterson & Thompson 1971, Biometrika 58,
-545), which allows for what was fitted, on cells of a few hundred, with priors flat in the logarithms: sigma_theta from
-1e-7 rad to 6 deg, h likewise, tau from a cell to the longest unbroken stretch (what lasts longer is a misalignment or a
-bias to these data), or about what was declared. The posterior is sampled by an adaptive Metropolis
-chain (Haario, Saksman & Tamminen 2001, Bernoulli 7, 223) with a fixed seed; covariances are means over it, so that
-they widen where the record does not separate sigma and tau.
+545), which allows for what was fitted, on cells of a few hundred. Priors are flat in the logarithms of the sizes:
+sigma_theta from 1e-7 rad to 6 deg, h likewise; or about what was declared. What the attitude's error does in the mean of
+the record, which is a misalignment to these data, goes with its time constant, and a record of few time constants hardly
+determines that. Its prior is therefore the reference prior, the root of the information that such a record has of sigma,
+tau and white noise beside what is fitted (Berger, De Oliveira & Sanso 2001, J. Am. Stat. Assoc. 96, 1361), with which
+intervals cover about as often as they say whatever is true. That of h is flat up to the longest unbroken stretch.
+
+The posterior is sampled by an adaptive Metropolis chain (Haario, Saksman & Tamminen 2001, Bernoulli 7, 223) with a fixed
+seed; covariances are means over it, so that they widen where the record does not separate sigma and tau.
 """
 
 from __future__ import annotations
@@ -20,6 +24,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag, null_space, solve_triangular
 
 from fluxtwin.sim.base.types import FloatArray
 
@@ -28,8 +33,13 @@ _SIZES_RAD = (1e-7, 0.1)
 _LOG_SD = 0.4  # a declared attitude error is trusted to a factor 1.5
 _TAU_LOG_SD = 0.5
 _SPARE = 8  # degrees of freedom that must remain
+_QUIETER = np.log(1000.0)  # white noise may be so much less than the residual
 _SEARCH = 6  # rounds of the coordinate search
-_BURN, _KEPT = 160, 360  # steps in which the chain finds the width of its proposals, and those that count
+_APART = 4.0  # cells that slow errors last at least: shorter ones are white noise to these data
+_BEYOND = 10.0  # longest time constant of the attitude over the longest stretch; with 50 the sigmas are the same
+_INFORMED = 48  # cells and
+_INFORMED_TAUS = 10  # time constants that the reference prior is worked out on
+_BURN, _KEPT = 160, 1200  # steps in which the chain finds the width of its proposals, and those that count
 _LOCAL, _NUDGED, _NUDGE = (
     0.55,
     0.25,
@@ -158,13 +168,18 @@ class _Likelihood:
         self.field = float(np.sqrt((of.image_nT**2).sum() / (2.0 * K)))  # |U|^2 = 2 |B0|^2
         shortest = float(np.median(step))
         longest = max(of.longest_s, 2.0 * shortest)
-        taus = np.log([min(shortest, 0.1 * tau_s), max(longest, 10.0 * tau_s)] if tau_s else [shortest, longest])
+        taus = np.log(
+            [min(shortest, 0.1 * tau_s), max(longest, 10.0 * tau_s)] if tau_s else [shortest, _BEYOND * longest]
+        )
         sizes = np.log(_SIZES_RAD)
-        self.low = np.array([sizes[0], taus[0], sizes[0], sizes[0] + np.log(self.field), np.log(shortest)])
+        self.low = np.array(
+            [sizes[0], taus[0], sizes[0], sizes[0] + np.log(self.field), np.log(min(_APART * shortest, 0.5 * longest))]
+        )
         self.high = np.array([sizes[1], taus[1], sizes[1], sizes[1] + np.log(self.field), np.log(longest)])
         self.log_sigma = None if sigma_deg is None else np.log(np.radians(sigma_deg))
         self.log_tau = np.log(tau_s) if tau_s else None
         self.white = tau_s == 0.0
+        self.prior: tuple[FloatArray, FloatArray] | None = None
         self.cells = (
             columns,
             np.ascontiguousarray(of.image_nT),
@@ -174,13 +189,19 @@ class _Likelihood:
             np.ascontiguousarray(of.length_s),
         )
         self.freedom = 3 * (K - width)
+        # The sizes are over the factor of the white noise, of which a residual that is all white is the most there is.
+        self.rms_nT = float(np.sqrt((of.residual_nT**2).sum() / (3.0 * K)))
+        most = np.sqrt(of.effective @ (of.residual_nT**2).sum(axis=1))
+        most = np.log(most / np.sqrt(K * np.trace(of.white)))
+        self.low[_SIZES] -= most
+        self.high[_SIZES] += _QUIETER - most
 
     def __call__(self, p: FloatArray) -> tuple[float, float]:
         """Its value at p, and the factor of the white noise."""
         from fluxtwin.calib.common.error_kernels import whitened_gram
 
         size = _sizes(p)
-        if not ((self.low <= size) & (size <= self.high))[_TAUS].all():  # the others depend on the factor
+        if not ((self.low <= size) & (size <= self.high)).all():
             return -np.inf, 1.0
         theta, *others = np.exp(size).tolist()
         gram = np.empty((self.cells[0].shape[2],) * 2)
@@ -192,13 +213,13 @@ class _Likelihood:
         factor = float(root[-1] / np.sqrt(self.freedom))
         value -= float(np.log(root[:-1]).sum()) + self.freedom * np.log(factor)
         size[_SIZES] += np.log(factor)
-        if not ((self.low <= size) & (size <= self.high)).all():
-            return -np.inf, factor
         if self.log_sigma is not None:
             both = size[2] if self.white else 0.5 * np.logaddexp(2.0 * size[0], 2.0 * size[2])
             value -= 0.5 * ((both - self.log_sigma) / _LOG_SD) ** 2
         if self.log_tau is not None:
             value -= 0.5 * ((p[1] - self.log_tau) / _TAU_LOG_SD) ** 2
+        if self.prior is not None:
+            value += float(np.interp(p[1], *self.prior))
         return value, factor
 
     def chain(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -206,6 +227,9 @@ class _Likelihood:
 
         The attitude's sigma and tau are moved together, the others apart, or one size or time constant is drawn anew.
         """
+        if self.log_tau is None and not self.white:
+            factor = self(p)[1]
+            self.prior = self._reference_prior(float(np.exp(p[0])) * factor, factor)
         n = _BURN + _KEPT
         rng = np.random.default_rng(0)  # the same record, the same answer
         kind, step, coordinate = rng.uniform(size=n), rng.normal(size=(n, 3)), rng.integers(5, size=n)
@@ -224,8 +248,10 @@ class _Likelihood:
             else:
                 size, at = _sizes(points[k]), coordinate[k]
                 size[at] = self.low[at] + place[k] * (self.high[at] - self.low[at])
-                size[at] -= 0.0 if at in _TAUS else np.log(factor)
-                tried = _sizes(size, back=True)
+                if at in _TAUS:  # what the process does in a short time stays
+                    tried[at] = size[at]
+                else:
+                    tried = _sizes(size, back=True)
             then, new = self(tried)
             taken = bool(np.log(accept[k]) < then - value)
             if taken:
@@ -238,10 +264,42 @@ class _Likelihood:
                 root = np.asarray(np.linalg.cholesky(spread), dtype=np.float64)
         return points[_BURN + 1 :], factors[_BURN + 1 :]
 
+    def _reference_prior(self, theta: float, factor: float) -> tuple[FloatArray, FloatArray]:
+        """(n,) logarithms of tau and of the root of the determinant of the information about theta, tau and the white
+        noise that is left when the fit and a constant attitude have taken their part.
+
+        theta: of unit tau [rad], as p[0]. Few cells suffice: a long tau, which they are for, acts on all of them.
+        """
+        of = self.of
+        every = -(-len(of.seconds) // _INFORMED)
+        cells = slice(None, None, every)
+        seconds, image, columns = of.seconds[cells], of.image_nT[cells], self.cells[0][cells, :, :-1]
+        size = 3 * len(seconds)
+        taken = np.hstack([columns.reshape(size, -1), image.reshape(size, 3)])
+        left = null_space((taken / np.linalg.norm(taken, axis=0)).T, rcond=1e-4)
+        apart = np.abs(seconds[:, None] - seconds)
+        both = theta**2 * np.einsum("kin,ljn->kilj", image, image)
+        white = left.T @ block_diag(*(self.cells[2][cells] * factor**2 / every)) @ left
+        logs, values = np.linspace(self.low[1], self.high[1], _INFORMED_TAUS), []
+        for tau in np.exp(logs):
+            kernel = tau * np.exp(-apart / tau)
+            turned, slower = (
+                left.T @ (both * part[:, None, :, None]).reshape(size, size) @ left
+                for part in (kernel, kernel * (1.0 + apart / tau))
+            )
+            total = white + turned  # without noise of full rank only to rounding
+            root = np.linalg.cholesky(total + 1e-9 * np.trace(total) / len(total) * np.eye(len(total)))
+            rates = [
+                solve_triangular(root, solve_triangular(root, one, lower=True).T, lower=True)
+                for one in (turned, slower, white)
+            ]
+            information = np.einsum("aij,bij->ab", rates, rates)
+            values.append(0.5 * np.linalg.slogdet(information)[1])
+        return logs, np.array(values)
+
     def starts(self) -> list[FloatArray]:
         """An error of the attitude, slow or white; a slow error of the field; none of them."""
-        rms = float(np.sqrt((self.of.residual_nT**2).sum() / len(self.of.residual_nT)))
-        size = float(np.clip(np.log(max(rms / self.field, 1e-12)), self.low[0] + 0.5, self.high[0] - 1.0))
+        size = float(np.clip(np.log(self.rms_nT / self.field), self.low[0] + 0.5, self.high[0] - 1.0))
         tau, slow_tau = 0.5 * (self.low[1] + self.high[1]), 0.5 * (self.low[4] + self.high[4])
         least, slow = self.low[0] + 1.0, self.low[3] + 1.0
         points = [
@@ -280,15 +338,12 @@ def find_errors(of: LikelihoodCells, sigma_deg: float | None = None, tau_s: floa
 
 
 def _climb(likelihood: _Likelihood) -> tuple[float, FloatArray]:
-    """A point near the maximum: the best of several starts, one coordinate after the other."""
-    found = []
-    for p in likelihood.starts():
-        value = likelihood(p)[0]
-        if np.isfinite(value):
-            found.append((value, p))
-    if not found:
-        return -np.inf, likelihood.low
-    value, p = max(found, key=lambda one: one[0])
+    """A point near the maximum: the best that is reached from several starts, one coordinate after the other."""
+    return max((_climb_from(likelihood, p) for p in likelihood.starts()), key=lambda one: one[0])
+
+
+def _climb_from(likelihood: _Likelihood, p: FloatArray) -> tuple[float, FloatArray]:
+    value = likelihood(p)[0]
     reach = np.full(5, 1.0)
     for _ in range(_SEARCH):
         for k in range(5):

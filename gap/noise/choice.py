@@ -11,6 +11,8 @@ import numpy as np
 from fluxtwin.gap.noise.budget import NoisePrior, prior_of
 from fluxtwin.gap.noise.budget import complete_budget as complete_budget
 from fluxtwin.gap.noise.reml import Choice, Data, Likelihood, best_noise
+from fluxtwin.gap.noise.reml import Likely as Likely
+from fluxtwin.gap.noise.reml import likely_noises as _likely_noises
 from fluxtwin.gap.noise.robust_rows import RobustRows as RobustRows
 from fluxtwin.gap.noise.robust_rows import first_weights, spike_weights
 from fluxtwin.gap.noise.whitening import NoiseModel as NoiseModel
@@ -57,6 +59,25 @@ def noise_of(
 def noise_beside(problem: Problem, active: Sequence[Active]) -> NoiseChoice:
     """The noise model with these effects on, linear about them; the modelled ones, as refitted, are among them."""
     return choose_noise(problem, problem.derivatives(active), residual_nT=problem.residual_of(active))
+
+
+def likely_noises(
+    problem: Problem,
+    whitener: Whitener,
+    residual_nT: FloatArray,
+    columns: FloatArray,
+    walk: float = 0.0,
+) -> list[Likely]:
+    """Noise models all over what a residual (N, 3) with these columns (N, 3, C) fitted and the budget allow.
+
+    whitener: with the noise model that was chosen; walk: as for `choose_noise`.
+    """
+    noise, prior = whitener.noise, prior_of(complete_budget(problem))
+    where = (problem.noise_image_nT, problem.setting.seconds, problem.segment)
+    weights = whitener.weights * np.square(noise.axis_factor)
+    design = _affordable([problem.in_row_axes(columns)], int((weights > 0).sum()))
+    data = Data(problem.in_row_axes(residual_nT), design, *where, weights, problem.axes)
+    return _likely_noises(Likelihood(data, prior, noise.axis_factor, walk), noise)
 
 
 def whitener_of(problem: Problem, noise: NoiseModel, weights: FloatArray | None) -> Whitener:

@@ -12,10 +12,11 @@ would tilt the choice.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.special import wrightomega
+from scipy.special import softmax, wrightomega
 
 from fluxtwin.gap.linear.projection import SHARE_PICKED, share_of_errors, span_of
 from fluxtwin.gap.noise.budget import USUAL_TAU_S, NoisePrior
@@ -32,6 +33,9 @@ _WIDE, _NARROW = float(np.log(4.0)), 0.1
 _CLOSE = 1e-3
 """In log likelihood, which is 0.04 standard deviations: no step is taken for less."""
 _NOTHING = -1e12
+_LATTICE = 1.5 * np.arange(-3, 4)
+"""In standard deviations: as far as a noise model goes that takes a barely visible cause up (20 of chi-square), in steps
+that miss the best of them by half a unit of chi-square."""
 _HOPELESS = 6.0
 """In log likelihood: an error without memory that is so far behind at the ratio of one with memory is left alone."""
 
@@ -62,6 +66,15 @@ class Choice:
     log_posterior: float
     along: FloatArray
     """(r,) generalised least-squares coordinates in the basis of the design."""
+
+
+class Likely(NamedTuple):
+    """A noise model that data and budget allow; sigma is the best beside its other two numbers."""
+
+    noise: NoiseModel
+    probability: float
+    cost: float
+    """Twice the log of the posterior density that it lacks to the best."""
 
 
 class Likelihood:
@@ -142,7 +155,7 @@ def best_noise(likelihood: Likelihood, start: NoiseModel | None = None) -> Choic
     """The best point: with a memory, white, or without attitude error, as the budget allows; from `start`, if given."""
     prior = likelihood.prior
     if prior.theta_rad == 0.0:
-        return _with_uncertainty(likelihood, likelihood.at(0.0, 0.0), np.zeros(2))
+        return _with_uncertainty(likelihood, likelihood.at(0.0, 0.0), np.zeros((0, 0)))
     ratio, tau_s = 1.0, prior.tau_s
     if prior.theta_rad is not None:
         ratio = prior.theta_rad * likelihood.field_nT / prior.sigma_nT
@@ -151,23 +164,65 @@ def best_noise(likelihood: Likelihood, start: NoiseModel | None = None) -> Choic
     elif tau_s is None:
         tries = [likelihood.at(ratio, by * USUAL_TAU_S) for by in (0.25, 1.0, 4.0)]
         tau_s = max(tries, key=lambda one: one.log_posterior).noise.tau_s
-    best, bends = _climbed(likelihood, ratio, tau_s)
+    best, hessian = _climbed(likelihood, ratio, tau_s)
     if prior.tau_s is None and tau_s > 0:
         guess = likelihood.point(best.noise)[0]
         if likelihood.at(guess, 0.0).log_posterior > best.log_posterior - _HOPELESS:
-            best, bends = max((best, bends), _climbed(likelihood, guess, 0.0), key=lambda one: one[0].log_posterior)
+            white = _climbed(likelihood, guess, 0.0)
+            best, hessian = max((best, hessian), white, key=lambda one: one[0].log_posterior)
     if prior.theta_rad is None:
         best = max(best, likelihood.at(0.0, 0.0), key=lambda one: one.log_posterior)
-    return _with_uncertainty(likelihood, best, bends)
+    return _with_uncertainty(likelihood, best, hessian)
+
+
+def likely_noises(likelihood: Likelihood, chosen: NoiseModel) -> list[Likely]:
+    """Noise models all over what data and budget allow: a lattice about each mode (with a memory, white, without attitude
+    error, as the budget allows). Near `chosen` the search for the modes begins."""
+    prior = likelihood.prior
+    if chosen.theta_rad <= 0:
+        return [Likely(chosen, 1.0, 0.0)]
+    ratio, tau_s = likelihood.point(chosen)
+    memories = [tau_s] if prior.tau_s is not None else [tau_s or USUAL_TAU_S, 0.0]
+    modes = [_about(likelihood, *_climbed(likelihood, ratio, memory)) for memory in memories]
+    if prior.theta_rad is None:
+        modes.append([likelihood.at(0.0, 0.0)])
+    heights = [np.array([one.log_posterior for one in mode]) for mode in modes]
+    peaks = np.array([each.max() for each in heights])
+    found = []
+    for mode, height, share in zip(modes, heights, softmax(peaks), strict=True):
+        for one, within in zip(mode, softmax(height), strict=True):
+            cost = 2.0 * float(peaks.max() - one.log_posterior)
+            found.append(Likely(one.noise, float(share * within), cost))
+    return found
+
+
+def _about(likelihood: Likelihood, best: Choice, hessian: FloatArray) -> list[Choice]:
+    """A mode and a lattice about it, in standard deviations along the principal axes."""
+    ratio, tau_s = likelihood.point(best.noise)
+    free = len(hessian)
+    place, (low, high) = np.log([ratio, tau_s or 1.0])[:free], _range(likelihood, free)
+    value, vector = np.linalg.eigh(-hessian)
+    axes = vector / np.sqrt(np.maximum(value, _WIDE**-2))
+    steps = np.stack(np.meshgrid(*[_LATTICE] * free), axis=-1).reshape(-1, free)
+    reach = np.linalg.norm(steps, axis=1)
+    inside = steps[(reach > 0.0) & (reach <= _LATTICE[-1])]
+    points = np.exp(np.unique(np.clip(place + inside @ axes.T, low, high), axis=0))
+    return [best, *(likelihood.at(float(at[0]), float(at[1]) if free == 2 else 0.0) for at in points)]
+
+
+def _range(likelihood: Likelihood, free: int) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest logarithm of the ratio, or of ratio and time constant."""
+    seconds = likelihood.data.seconds
+    spacing = float(np.median(np.diff(seconds))) if seconds.size > 1 else 1.0
+    low, high = (np.log([at, tau])[:free] for at, tau in zip(_RATIOS, (0.25 * spacing, _LONGEST_S), strict=True))
+    return low, high
 
 
 def _climbed(likelihood: Likelihood, ratio: float, tau_s: float) -> tuple[Choice, FloatArray]:
     """The highest point near a start, by Newton's method on differences in the logarithms of ratio and time constant (one
-    of 0 stays), and the second derivatives along both."""
-    seconds = likelihood.data.seconds
-    spacing = float(np.median(np.diff(seconds))) if seconds.size > 1 else 1.0
+    of 0 stays), and the second derivatives by them (1 or 2 of each)."""
     free = 2 if tau_s else 1
-    low, high = (np.log([at, tau])[:free] for at, tau in zip(_RATIOS, (0.25 * spacing, _LONGEST_S), strict=True))
+    low, high = _range(likelihood, free)
 
     def at(place: FloatArray) -> Choice:
         return likelihood.at(float(np.exp(place[0])), float(np.exp(place[1])) if tau_s else 0.0)
@@ -195,14 +250,15 @@ def _climbed(likelihood: Likelihood, ratio: float, tau_s: float) -> tuple[Choice
                 break
             move = 0.5 * move
         else:
-            return best, np.append(bends, 0.0)[:2]
+            return best, hessian
         best, place = found, further
 
 
-def _with_uncertainty(likelihood: Likelihood, best: Choice, bends: FloatArray) -> Choice:
-    """bends: second derivatives along the logarithms of ratio and time constant."""
+def _with_uncertainty(likelihood: Likelihood, best: Choice, hessian: FloatArray) -> Choice:
+    """hessian: by the logarithms of ratio and time constant, as many as are free."""
     prior = likelihood.prior
     sigma_sd = float(1.0 / np.sqrt(2.0 * max(likelihood.dof, 0) + prior.sigma_log_sd**-2))
+    bends = np.append(np.diag(hessian), [0.0, 0.0])[:2]
     theta_sd, tau_sd = (float(1.0 / np.sqrt(-bend)) if bend < 0 else np.inf for bend in bends)
     noise = replace(
         best.noise,

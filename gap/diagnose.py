@@ -26,18 +26,19 @@ from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign
 from fluxtwin.gap.law.found import closed_by, law_of
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.budget import prior_of
-from fluxtwin.gap.noise.choice import NoiseModel, choose_noise, complete_budget, whitener_of
-from fluxtwin.gap.posterior.explanations import Answer, noise_and_answer
+from fluxtwin.gap.noise.choice import NoiseModel, choose_noise, complete_budget, likely_noises, whitener_of
+from fluxtwin.gap.noise.whitening import with_walk
+from fluxtwin.gap.posterior.explanations import Answer, noise_and_answer, without_names
 from fluxtwin.gap.posterior.structured import Structured
 from fluxtwin.gap.posterior.torques import balanced
 from fluxtwin.gap.posterior.where import where
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget, Problem, pose, realigned
 from fluxtwin.gap.problem.start import start_without_attitude
-from fluxtwin.gap.records.diagnosis import Diagnosis, Place
+from fluxtwin.gap.records.diagnosis import Detectable, Diagnosis, Place
 from fluxtwin.gap.report import input_warnings, level, second_channel, verdict, words
 from fluxtwin.gap.report.verdict import Work
 from fluxtwin.gap.selection.criterion import THRESHOLD
-from fluxtwin.gap.selection.detectable import under_all
+from fluxtwin.gap.selection.detectable import Hiding, detectable
 from fluxtwin.gap.selection.refit import Readings, refit, settled
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.progress import Progress, silent
@@ -202,21 +203,18 @@ def investigate(
     known = candidates(problem, perturbed=perturbed)
     dictionary = Dictionary(blocks(problem, perturbed=perturbed), problem.rows)
     progress("noise, and which effects", 0.25)
-    first_noise, answer = noise_and_answer(problem, dictionary, known)
+    answer = noise_and_answer(problem, dictionary, known)
     if problem.axes is not None and answer.result.chosen:
         # A large effect moves where readings without attitude point to.
         problem = realigned(problem, beside=[*answer.result.modelled, *answer.result.chosen])
         known = candidates(problem)
         dictionary = Dictionary(blocks(problem), problem.rows)
-        first_noise, answer = noise_and_answer(problem, dictionary, known)
+        answer = noise_and_answer(problem, dictionary, known)
     progress("residual structure, and where", 0.75)
     fast = None if whole is None else full_rate(whole, problem, answer.result.modelled, answer.result.chosen)
     waveforms = Structured(problem, dictionary, known)
     answer = waveforms.with_line(waveforms.among(answer), fast)
     result = answer.result
-    every = [answer.whitener, whitener_of(problem, first_noise, answer.robust.weights)]
-    smallest = under_all(result.minimum_detectable, result.smallest_images_nT, answer.alone_nT, every)
-    answer = replace(answer, result=replace(result, minimum_detectable=smallest))
     rows = (problem, answer.whitener, answer.robust, result.residual_nT, answer.fitted_nT)
     if fast is not None:
         rows = (fast.problem, fast.whitener, fast.robust, fast.residual_nT, fast.fitted_nT)
@@ -231,6 +229,7 @@ def investigate(
         problem=problem,
         answer=answer,
         flexible=flexible,
+        minimum_detectable=_minimum_detectable(problem, answer),
         loud=next((one.words for one in findings if one.name == "excess_noise" and not one.confirmed), None),
         where=_place(problem, answer, dictionary, other),
         prediction=_prediction(problem, answer, flexible, declared_lsb_nT),
@@ -239,6 +238,22 @@ def investigate(
         apart=between,
         differ=None if other is None else judge(problem, *other),
     )
+
+
+def _minimum_detectable(problem: Problem, answer: Answer) -> dict[str, Detectable]:
+    """The smallest size of each effect that would have been named, by what the record says of its noise."""
+    result, robust = answer.result, answer.robust
+    walk = next((float(one.theta[0]) for one in answer.shapes if one.name == "bias_random_walk"), 0.0)
+    rate = walk / answer.noise.sigma_nT
+    likely = likely_noises(problem, answer.whitener, result.residual_nT, answer.fitted_nT, rate)
+    noises = [Hiding(answer.whitener, 0.0, 0.0)]
+    for one in likely:
+        own = whitener_of(problem, one.noise, robust.weights)
+        whitener = with_walk(own, rate * one.noise.sigma_nT) if walk else own
+        noises.append(Hiding(whitener, one.probability, one.cost))
+    images = [result.candidates[one.owner].jacobian[:, :, one.place] for one in result.smallest.values()]
+    every = np.stack(images, axis=-1) if images else np.zeros((problem.rows, 3, 0))
+    return detectable(result.smallest, every, without_names(problem, answer), noises)
 
 
 def _about_the_whitened_fit(problem: Problem) -> Problem:

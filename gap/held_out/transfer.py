@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2, ncx2
+from scipy.stats import ncx2
 
 from fluxtwin.gap.held_out.held_out import floor_rms_nT
 from fluxtwin.gap.held_out.targets import Target, targets
@@ -22,7 +22,7 @@ from fluxtwin.gap.linear.projection import orthonormal
 from fluxtwin.gap.noise.whitening import Whitener, make_whitener
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.diagnosis import Closure, FoundEffect, Transfer
-from fluxtwin.gap.selection.detectable import GATE, noncentrality, visible_part
+from fluxtwin.gap.selection.detectable import Rule, visible_part
 from fluxtwin.gap.selection.refit import Readings, refit
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
@@ -114,7 +114,8 @@ def _one(
     spread: FloatArray = np.asarray(np.linalg.eigvalsh(white.T @ white), dtype=np.float64)
     seen = spread[spread > _ABSORBED]
     rank = max(seen.size, 1)
-    bar = float(chi2.isf(GATE / tested, rank))
+    rule = Rule(rank, tested, max(design.whitener.measured / 3.0, 2.0))
+    bar = rule.least_drop
     unsure2, energy = float(np.sum(raw**2) / raw[:, :, 0].size), float(spread.sum())
     chance = (1.0 - sum(other.weight for other in others)) * _seen_by_chance(seen, bar)
     reading = design.reading(effect, effect, theta)
@@ -128,7 +129,7 @@ def _one(
         energy += other.weight * own
         wrong_name = wrong_name or (other.label if added > MOST_CHANCE / 2 else "")
     unsure_nT = float(np.sqrt(unsure2))
-    detectable = unsure_nT * float(np.sqrt(noncentrality(rank, tested) / energy)) if energy > _ABSORBED else None
+    detectable = unsure_nT * float(np.sqrt(rule.noncentrality / energy)) if energy > _ABSORBED else None
     why = f"it may as well be {wrong_name} in these data, which differs there"
     why = why if wrong_name else "the error of its parameters would show there"
     good = chance <= MOST_CHANCE

@@ -246,7 +246,7 @@ class _Search:
         """What was looked at, and how large each would have had to be."""
         base, regression = self.base, self.regression
         left = projected(whitener, base.residual_nT, base.fitted_nT)
-        bar = noncentrality(3, max(len(regression.tried), 1))
+        bar = noncentrality(3, max(len(regression.tried), 1), left.degrees / 3.0)
         limits = []
         for law in regression.plain():
             trial = regression.trial((law,), left)

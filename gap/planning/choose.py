@@ -9,7 +9,7 @@ from fluxtwin.gap.planning.designs import Design
 from fluxtwin.gap.planning.power import Flown
 from fluxtwin.gap.planning.questions import Open
 from fluxtwin.gap.records.plan import ENOUGH, Answer, Course, Question
-from fluxtwin.gap.selection.detectable import GATE
+from fluxtwin.gap.selection.criterion import GATE
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.scenario.scenario import Scenario
 

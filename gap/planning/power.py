@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import chi2, ncx2, norm
+from scipy.stats import chi2, norm
 
 from fluxtwin.gap.hypotheses.blocks import Carrier
 from fluxtwin.gap.hypotheses.candidates import Candidate, candidate_of, candidates
@@ -23,8 +23,8 @@ from fluxtwin.gap.linear.projection import least_share, orthonormal, projected
 from fluxtwin.gap.noise.choice import NoiseModel, whitener_of
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.selection.criterion import SHAPE, THRESHOLD, TWENTY_TO_ONE, penalty
-from fluxtwin.gap.selection.detectable import GATE, noncentrality, smallest
+from fluxtwin.gap.selection.criterion import SHAPE, TWENTY_TO_ONE, penalty, stands_out
+from fluxtwin.gap.selection.detectable import smallest
 from fluxtwin.gap.selection.refit import Readings, refit
 from fluxtwin.gap.selection.score import Board, board, whitened
 from fluxtwin.gap.selection.search import IN_GROUP
@@ -103,10 +103,8 @@ class Flown:
         if rows not in self._shown:
             scored, power = self.board(self.found, self._white, rows), {}
             tested = max(int((scored.rank > 0).sum()), 1)
-            for name, one in smallest(scored)[0].items():
-                rank = int(scored.rank[one.owner])
-                size = noncentrality(rank, tested) / one.relative**2
-                power[name] = float(ncx2.sf(chi2.isf(GATE / tested, rank), rank, size))
+            for name, one in smallest(scored, tested)[0].items():
+                power[name] = one.rule.power(one.rule.noncentrality / one.relative**2)
             self._shown[rows] = power
         return self._shown[rows]
 
@@ -294,7 +292,7 @@ def probability_of(name: str, others: Collection[str], scored: Board, signal: Fl
     best, draw = np.argmin(cost, axis=0), np.arange(_DRAWS)
     own, least = drop[best, draw], cost[best, draw]
     p_value = tested * chi2.sf(drop, np.maximum(rank, 1.0)).min(axis=0, where=rank > 0, initial=1.0)
-    seen = (p_value <= GATE) & (-least - 2.0 * np.log(tested) > THRESHOLD)
+    seen = stands_out(p_value, -least - 2.0 * np.log(tested))
     worse = (own - drop) / (1.0 + SHAPE * own) + price - price[best, draw]
     weight = np.where(rank > 0, np.exp(-0.5 * np.clip(worse, -100.0, 1400.0)), 0.0)
     mine = np.array([one == name for one in names])

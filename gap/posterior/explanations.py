@@ -222,9 +222,9 @@ def log_likelihood(
     return 2.0 * density - whitener.log_det - projected(whitener, residual_nT, columns).energy
 
 
-def noise_and_answer(problem: Problem, dictionary: Dictionary, known: Known) -> tuple[NoiseModel, Answer]:
+def noise_and_answer(problem: Problem, dictionary: Dictionary, known: Known) -> Answer:
     """The noise beside what is modelled, the answer under it; then the noise beside the named effects too, and the answer
-    under that, in turn until the names stay. Also the first of these noise models.
+    under that, in turn until the names stay.
 
     The noise is that of the model as it stands, never beside everything that might be there: some hundred columns can
     make up any slow error of the attitude, and what they leave would be taken for all there is.
@@ -240,7 +240,7 @@ def noise_and_answer(problem: Problem, dictionary: Dictionary, known: Known) -> 
         if {effect for effect, _ in searched[2][-1][0].chosen} == {effect for effect, _ in fit.chosen}:
             break
     others = [] if choice is first else [first.noise]
-    return first.noise, _concluded(problem, choice.robust, searched, dictionary, (), others)
+    return _concluded(problem, choice.robust, searched, dictionary, (), others)
 
 
 def signals_of(shapes: Sequence[Finding]) -> list[Active]:

@@ -135,7 +135,7 @@ def _searched(
     explanations = weighed(search, path, lefts, [0.0] * len(path))
     best, known, _ = likeliest(explanations)
     chosen = explanations[best]
-    seen, hidden = smallest(search.first)
+    seen, hidden = smallest(search.first, search.tested)
     gap, log_ratio = _how_far(channel, chosen.fit)
     known = still_known(known, log_ratio) if chosen.fit.chosen else known
     momentum = Momentum(

@@ -19,7 +19,7 @@ from fluxtwin.gap.held_out.held_out import Prediction
 from fluxtwin.gap.posterior.explanations import Answer
 from fluxtwin.gap.posterior.torques import Momentum
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.records.diagnosis import Closure, Diagnosis, FoundEffect, Place, Shrinkage
+from fluxtwin.gap.records.diagnosis import Closure, Detectable, Diagnosis, FoundEffect, Place, Shrinkage
 from fluxtwin.gap.report import advice, level, words
 from fluxtwin.gap.report.level import Excess
 from fluxtwin.gap.report.second_channel import Angle
@@ -33,7 +33,7 @@ _AT_STAGE = 0.9
 """Probability of the stage where its error is beyond the declared one: a judgement, a residual may be large by a cause
 elsewhere."""
 _RESEMBLES_P = 1e-3
-"""p-value of an effect alone from which on the unknown is said to resemble it: half that of a name (`detectable.GATE`)."""
+"""p-value of an effect alone from which on the unknown is said to resemble it: half that of a name (`criterion.GATE`)."""
 _MOST_RESEMBLED = 3
 
 
@@ -47,6 +47,8 @@ class Work:
     """Those that are confirmed."""
     loud: str | None
     """Words for white noise above its budget that is not like noise."""
+    minimum_detectable: Mapping[str, Detectable]
+    """Of causes in the readings."""
     where: Place
     prediction: Prediction
     momentum: Momentum
@@ -129,7 +131,7 @@ def assemble(
     missing = {**result.untestable, **momentum.untestable}
     named = {one.name for one in (*found.effects, *faults)}
     untestable = {name: why for name, why in missing.items() if name not in named}
-    detectable = {**result.minimum_detectable, **momentum.minimum_detectable}
+    detectable = {**work.minimum_detectable, **momentum.minimum_detectable}
     return Diagnosis(
         verdict=found.verdict,
         effects=[*found.effects, *faults],

@@ -6,12 +6,16 @@ of that too.
 """
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import expit, logit
 
 from fluxtwin.calib.common.criterion import THRESHOLD as THRESHOLD
 from fluxtwin.calib.common.criterion import penalty as penalty
 from fluxtwin.calib.common.criterion import worth as worth
+from fluxtwin.sim.base.types import BoolArray
 
+GATE = 0.002
+"""Probability that a perfect simulation gets any name."""
 SHAPE_ERROR = 0.15
 """Of its amplitude, rms: how far the image of a hypothesis is from what nature does where the hypothesis is right. Of 34
 truths of other shapes (docs/design/shape_error.py, 60 records) it is below 0.10 in three quarters, 0.17 in nine tenths."""
@@ -29,6 +33,11 @@ MOST_SURE = 0.98
 """Most that is ever stated of a name: of some 160 names on tuning seeds (2001, 2002, 2003, 2010 of
 benchmarks/withheld.py) of which the posterior was all but sure, two or three were wrong; by Laplace's rule
 (1 + 160) / (2 + 163) = 0.976."""
+
+
+def stands_out(p_value: ArrayLike, worth: ArrayLike) -> BoolArray:
+    """Whether a first cause is named. p_value: the least of all that was tested, times their number; worth: the largest."""
+    return np.asarray((np.asarray(p_value) <= GATE) & (np.asarray(worth) > THRESHOLD), dtype=np.bool_)
 
 
 def worth_of_shape(drop: float, explained: float, *, alone: bool) -> float:

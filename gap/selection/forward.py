@@ -16,8 +16,7 @@ import numpy as np
 
 from fluxtwin.gap.hypotheses.candidates import Candidate
 from fluxtwin.gap.linear.projection import SHARE_LEFT, explained, orthonormal
-from fluxtwin.gap.selection.criterion import penalty
-from fluxtwin.gap.selection.detectable import GATE
+from fluxtwin.gap.selection.criterion import GATE, penalty
 from fluxtwin.gap.selection.refit import Channel, Fit, refit
 from fluxtwin.gap.selection.score import Board, board, whitened
 from fluxtwin.sim.base.types import FloatArray

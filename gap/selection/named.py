@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fluxtwin.gap.hypotheses.candidates import Candidate, settings_of
-from fluxtwin.gap.records.diagnosis import Detectable, EffectParameter, FoundEffect, Ranked, Score
+from fluxtwin.gap.records.diagnosis import EffectParameter, FoundEffect, Ranked, Score
+from fluxtwin.gap.selection.detectable import Smallest
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect
 from fluxtwin.sim.effects.chain import Active
@@ -82,9 +83,8 @@ class SearchResult:
     untestable: Mapping[str, str]
     isolability: Mapping[str, Mapping[str, float]]
     """Shares of 0.5 and more: {a: {b: share of a that b can imitate}}."""
-    minimum_detectable: Mapping[str, Detectable]
-    smallest_images_nT: FloatArray
-    """(M, 3, k) image of one unit of each of them."""
+    smallest: Mapping[str, Smallest]
+    """By effect that shows: the smallest size under the noise model of the search."""
     candidates: Sequence[Candidate]
     """With their Jacobians at the fit without any named effect."""
     modelled: tuple[Active, ...]

@@ -25,7 +25,7 @@ from fluxtwin.sim.effects.base import Effect
 ALIKE = 0.98
 """Two effects that each imitate this share of the other are one group."""
 _QUIETEST = 0.25
-_TRUSTED = round(0.5 / NOISE_LOG_SD**2)
+TRUSTED = round(0.5 / NOISE_LOG_SD**2)
 """Degrees of freedom that the noise model is worth by itself: its size is trusted to 10 %."""
 
 
@@ -117,13 +117,18 @@ class Board:
         free: int = self.measured - self.nuisance_basis.shape[1] - self.saturated[1]
         return max(free, 1)
 
+    @property
+    def trusted(self) -> int:
+        """Degrees of freedom that the size of the noise is known from, by the budget at the least."""
+        return max(self.freedom, TRUSTED)
+
     @cached_property
     def variance(self) -> float:
         """Of whitened rows about the saturated fit; 1 if the noise model is right, and where too few rows say.
 
         Never below a quarter: data much quieter than their noise model must not turn rounding into causes.
         """
-        if self.freedom < _TRUSTED:
+        if self.freedom < TRUSTED:
             return 1.0
         return max(_QUIETEST, (self.chi2 - self.saturated[0]) / self.freedom)
 
@@ -137,7 +142,7 @@ class Board:
         return np.asarray(np.where(self.rank > 0, self._upper_tail(self.statistic, np.maximum(self.rank, 1)), 1.0))
 
     def _upper_tail(self, drop: Any, rank: Any) -> Any:
-        return f_distribution.sf(drop / rank / self.variance, rank, max(self.freedom, _TRUSTED))
+        return f_distribution.sf(drop / rank / self.variance, rank, self.trusted)
 
     @cached_property
     def shares(self) -> FloatArray:

@@ -14,7 +14,7 @@ import numpy as np
 from fluxtwin.gap.linear.projection import orthonormal
 from fluxtwin.gap.records.diagnosis import FoundEffect, Ranked, Score
 from fluxtwin.gap.selection.criterion import MOST_SURE, SHAPE, penalty
-from fluxtwin.gap.selection.detectable import detectable, visible_part
+from fluxtwin.gap.selection.detectable import smallest, visible_part
 from fluxtwin.gap.selection.forward import NONLINEAR, WITHIN, Search, room_for, without
 from fluxtwin.gap.selection.named import SearchResult, Support, axis_of, found_effect
 from fluxtwin.gap.selection.refit import Fit, Readings
@@ -39,7 +39,7 @@ def result_of(
     that of its group given that named effects are all there is."""
     first, base, problem = under_way.first, under_way.base, under_way.channel.problem
     raw_nuisance = problem.derivatives(base.modelled)
-    smallest, images, hidden = detectable(first, under_way.white, raw_nuisance, base.jacobian)
+    seen, hidden = smallest(first, under_way.tested)
     named = [_named(under_way, fit, number, rest.variance, raw_nuisance) for number in range(len(fit.chosen))]
     order = sorted(range(len(named)), key=lambda number: -_gain(under_way, fit, number))
     residual, alone = (problem.residual_of(each.active) for each in (fit, base))
@@ -48,8 +48,7 @@ def result_of(
         ranking=ranking(under_way),
         untestable={**untestable, **hidden},
         isolability=first.isolability,
-        minimum_detectable=smallest,
-        smallest_images_nT=images,
+        smallest=seen,
         candidates=tuple(under_way.found),
         modelled=fit.modelled,
         modelled_alone=base.modelled,

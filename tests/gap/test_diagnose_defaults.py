@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
-from scipy.stats import chi2
 
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.held_out.held_out import Fitted, predict_blocks
@@ -18,7 +17,6 @@ from fluxtwin.gap.problem.problem import Budget, _velocity
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.report import words
-from fluxtwin.gap.selection.detectable import GATE, noncentrality
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.run.simulate import simulate
@@ -174,15 +172,6 @@ def test_a_block_that_the_others_do_not_determine_is_not_predicted() -> None:
     assert known[:400].all() and not known[400:].any()
     x5 = Fitted(5.0 * y, y[..., None], 5.0 * y, y[..., None])  # five times a column: the others give it exactly
     assert np.abs(predict_blocks(seconds, kept, 1.0, x5, x5)[0]).max() < 1e-9
-
-
-def test_the_smallest_size_is_that_of_the_gate_of_a_name() -> None:
-    """By simulation: at the stated non-centrality the gate is passed nine times in ten."""
-    rng, rank, tested = np.random.default_rng(4), 3, 60
-    draws = rng.standard_normal((200_000, rank))
-    draws[:, 0] += np.sqrt(noncentrality(rank, tested))
-    passed = float(np.mean(chi2.sf(np.sum(draws**2, axis=1), rank) * tested <= GATE))
-    assert abs(passed - 0.9) < 0.004
 
 
 def test_a_spinner_without_attitude_that_leaves_b_open_is_refused() -> None:

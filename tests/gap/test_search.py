@@ -22,8 +22,8 @@ from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
 from fluxtwin.gap.posterior.explanations import answered_with
 from fluxtwin.gap.problem.problem import Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
-from fluxtwin.gap.selection.criterion import penalty
-from fluxtwin.gap.selection.detectable import GATE, noncentrality, smallest, visible_part
+from fluxtwin.gap.selection.criterion import GATE, penalty, stands_out
+from fluxtwin.gap.selection.detectable import noncentrality, smallest, visible_part
 from fluxtwin.gap.selection.forward import Search, begin
 from fluxtwin.gap.selection.interval import likeliest_interval
 from fluxtwin.gap.selection.named import SearchResult
@@ -259,8 +259,8 @@ def test_groups_come_from_the_design() -> None:
         assert all(share >= 0.5 for row in result.isolability.values() for share in row.values())
     steady, turning = (r.isolability["time_tag_offset"].get("along_track_error", 0.0) for r in (nadir, tumble))
     assert turning < steady
-    better = tumble.minimum_detectable["time_tag_offset"].value
-    assert better < 0.5 * nadir.minimum_detectable["time_tag_offset"].value
+    better = tumble.smallest["time_tag_offset"].value
+    assert better < 0.5 * nadir.smallest["time_tag_offset"].value
 
 
 def test_the_smallest_size_is_that_of_an_effects_first_form() -> None:
@@ -269,7 +269,7 @@ def test_the_smallest_size_is_that_of_an_effects_first_form() -> None:
     image = np.random.default_rng(3).standard_normal((200, 3, 2)) * [1.0, 100.0]
     tried = [made(late, image[:, :, :1], 0.0), made(at_a_rate, image, 0.0)]
     both = np.concatenate([one.jacobian for one in tried], axis=2)
-    found, _ = smallest(board(tried, both, np.zeros((200, 3)), np.zeros((200, 3, 0)), 600))
+    found, _ = smallest(board(tried, both, np.zeros((200, 3)), np.zeros((200, 3, 0)), 600), 2)
     assert found["time_tag_offset"].parameter.name == "offset"
 
 
@@ -288,27 +288,28 @@ def test_dead_torquer_is_untestable_and_a_dead_axis_is_dropped() -> None:
 
 
 def test_smallest_detectable_size_is_found_nine_times_in_ten() -> None:
-    """At the size stated, the score passes the level of 1 % over the search in 90 % of 400 draws; 4 sigma of a
-    binomial is 6 %."""
+    """At the size of the search, in the noise that it whitens by, the score and the criterion are passed in 90 % of 400
+    draws; 4 sigma of a binomial is 6 %."""
     here = design("tumble")
     begun = here.begun
-    smallest = search(here.problem, here.whitener).minimum_detectable["ring_current"]
+    seen = search(here.problem, here.whitener).smallest["ring_current"]
     number = next(n for n, c in enumerate(begun.found) if c.name == "ring_current")
-    signal = smallest.value * jacobian(here.problem.chain, begun.found[number].effect)[:, :, 0]
+    signal = seen.value * jacobian(here.problem.chain, begun.found[number].effect)[:, :, 0]
     rng, hits = np.random.default_rng(2), 0
     candidate = [begun.found[number]]
     columns = here.whitener.apply(candidate[0].jacobian)
     for _ in range(400):
         white = here.whitener.apply(signal + here.noise(rng))
         scored = board(candidate, columns, white, begun.base.jacobian, here.whitener.measured)
-        hits += begun.tested * scored.p_value(scored.statistic[0], 1) < 0.01
+        drop = float(scored.statistic[0])
+        worth = drop - penalty(1, drop, begun.samples) - 2.0 * np.log(begun.tested)
+        hits += bool(stands_out(begun.tested * scored.p_value(drop, 1), worth))
     assert abs(hits / 400 - 0.9) < 0.06
-    assert smallest.visible_nT > 0.0
 
 
 def test_noncentrality_is_that_of_a_normal_for_one_direction(close) -> None:
     """One degree of freedom, one test at 0.2 %: (3.0902 + 1.2816)**2, from the normal distribution's quantiles."""
-    close(noncentrality(1, 1), (3.0902323 + 1.2815516) ** 2, atol=1e-3, unit="1", because="tables to 8 digits")
+    close(noncentrality(1, 1, 1e3), (3.0902323 + 1.2815516) ** 2, atol=2e-3, unit="1", because="a table of a thousand")
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from fluxtwin.calib.common.conventions import Correction, Forward, correction_fr
 from fluxtwin.calib.common.design import Design, assemble, joined
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.fit import Fit, with_warnings
-from fluxtwin.calib.common.noise import reading_noise
+from fluxtwin.calib.common.noise import ReadingNoise, reading_noise
 from fluxtwin.calib.common.records import Calibration, TelemetryBias
 from fluxtwin.calib.common.regression import Regression, regress, residuals
 from fluxtwin.calib.common.residuals import residual_statistics
@@ -81,9 +81,8 @@ def calibrate_linear(
         fit = fit_design(used, options, model_name=model.name, weights=weights, passes=passes)
         if not columns or fit.error_model is None:
             return fit
-        return _beside(
-            used, options, *weighted_fields(fit, used), model_name=model.name, weights=weights, passes=passes
-        )
+        again = {"noise": fit.noise, "model_name": model.name, "weights": weights, "passes": passes}
+        return _beside(used, options, *weighted_fields(fit, used), **again)
 
     def drops(fit: LinearFit, columns: drivers.Columns, name: str, tried: FloatArray) -> FloatArray:
         if fit.error_model is None:
@@ -103,8 +102,12 @@ def fit_design(
     model_name: str = "",
     weights: FloatArray | None = None,
     passes: np.ndarray | None = None,
+    noise: ReadingNoise | None = None,
 ) -> LinearFit:
-    """The regression on rows that are already assembled; arguments and errors as `calibrate_linear`."""
+    """The regression on rows that are already assembled; arguments and errors as `calibrate_linear`.
+
+    noise: of the reading, where it is known; readings less a field have lost the step in which they came.
+    """
     fired = np.zeros(0, dtype=int) if design.D_Am2 is None else observability.fired_axes(design.D_Am2)
     observability.require_samples(len(design), _SAMPLES[options.parameters] + 3 * len(design.columns))
     dipole = [design.D_Am2[:, fired]] if design.D_Am2 is not None and fired.size else []
@@ -121,7 +124,8 @@ def fit_design(
         return residuals(y, x, fit.M, fit.c)
 
     robust = robust_weights(design.B_nT - design.H_nT, refit, options.robust)
-    noise = reading_noise(design, refit(robust.weights), options.noise_nT, options.lsb_nT)
+    if noise is None:
+        noise = reading_noise(design, refit(robust.weights), options.noise_nT, options.lsb_nT)
     a = a * robust.weights
     problem = LinearProblem(design, options, fired, a / a.sum(), robust, noise)
     return _report(problem, _solve(problem), model_name, passes)
@@ -141,7 +145,7 @@ def _beside(
     alike = replace(options, covariance="white", robust="none")
 
     def values(fields_nT: FloatArray) -> FloatArray:
-        return fit_design(without(fields_nT), alike, weights=fit.weights).calibration.values
+        return fit_design(without(fields_nT), alike, weights=fit.weights, noise=fit.noise).calibration.values
 
     sigma_nT = np.sqrt(np.diag(covariance)).reshape(value_nT.shape)
     steps = np.diag(sigma_nT.ravel()).reshape(-1, *value_nT.shape)

@@ -9,6 +9,7 @@ difference; among those that are not, the first of `_PREFERRED` is taken.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 _STRETCHES = 12
 _WORSE = 2.0  # standard errors
 _PREFERRED = ("linear", "scalar", "forward", "twostep", "recursive", "batch", "iterative", "gyro", "center")
-"""What is known best and needs least, first: sigmas that were tested, no motion to be estimated, no tuning."""
+"""What is known best first: sigmas that were tested, no motion to be estimated, no tuning."""
 _WHY_NOT = 160  # characters of a refusal
 
 
@@ -66,7 +67,8 @@ def compare(
         raise NoAnswer(f"no method gives an answer. {reasons}", evidence={})
     kept = _kept(errors)
     for name, error_nT in errors.items():
-        found[name] = _result(name, telemetry, model, error_nT, kept)
+        lacks = tuple(key.replace("_", "-") for key in given if key in estimators[name].without)
+        found[name] = replace(_result(name, telemetry, model, error_nT, kept), without=lacks)
     order = sorted(errors, key=lambda name: _mean_square(errors[name][kept]))
     alike = _alike(order, errors, stretch, kept)
     if errors[order[0]].shape[1] == 3:  # an error of the attitude hides much, but not in |B|
@@ -159,5 +161,5 @@ def _why(chosen: str, order: list[str], alike: list[str]) -> str:
     worse = [name for name in order if name not in alike]
     said = f"Take {chosen}: no method errs less beyond chance"
     if others:
-        said += f", and it needs less than {' and '.join(others)}, which may be as good"
+        said += f"; {' and '.join(others)} may be as good, but {chosen} is better tested"
     return said + (f". Worse by more than chance, in the vector or in |B|: {', '.join(worse)}" if worse else "")

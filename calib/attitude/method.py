@@ -33,4 +33,7 @@ class RecursiveOptions(of.Options):
 
 
 _HOME = "fluxtwin.calib.attitude.recursive:calibrate_recursive"
-ESTIMATORS = (of.Estimator("recursive", ("positions", "attitude, or nadir and sun"), RecursiveOptions, _HOME),)
+_NEEDS = ("positions", "attitude, or nadir and sun")
+ESTIMATORS = (
+    of.Estimator("recursive", _NEEDS, RecursiveOptions, _HOME, without={"driver": of.NO_DRIVER_WITH_MOTION}),
+)

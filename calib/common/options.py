@@ -8,7 +8,7 @@ so it imports nothing heavy.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -55,6 +55,11 @@ DRIVER = Option(
     list[str],
     "NAME",
 )
+NO_DRIVER_WITH_MOTION = (
+    "it also estimates the motion, with a field of the spacecraft that is constant. Calibrate with another method and "
+    "`fluxtwin apply` first, then use this one on the corrected readings"
+)
+"""Why a method that estimates the attitude too takes no driver."""
 ROBUST = Option("Weights against outliers: tukey, huber or none.", str, "WEIGHTS", "kind of weights")
 COVARIANCE = Option(
     "blocks (allows for errors that are correlated in time) or white.", str, "KIND", "kind of covariance"
@@ -129,8 +134,8 @@ class Estimator:
     options: type[Options]
     home: str
     """`module:function`, imported when it is used: `function(telemetry, model, options)` gives the `Fit`."""
-    without: tuple[str, ...] = ()
-    """Fields of the options that are for other methods of the family."""
+    without: Mapping[str, str] = field(default_factory=dict)
+    """Options that change what is fitted and that this method cannot have, and why."""
 
     @property
     def takes(self) -> dict[str, Any]:

@@ -44,8 +44,12 @@ class ScalarOptions(of.Options):
 
 
 _HOME = "fluxtwin.calib.scalar.calibrate:calibrate_scalar"
+_ONLY_CONSTANT = dict.fromkeys(
+    ("driver", "telemetry_bias"),
+    "differences of |B|^2 are linear in b only while the spacecraft's own field is constant; scalar fits the same rows",
+)
 ESTIMATORS = (
-    of.Estimator("center", ("positions",), ScalarOptions, _HOME, without=("driver", "telemetry_bias")),
-    of.Estimator("twostep", ("positions",), ScalarOptions, _HOME, without=("driver", "telemetry_bias")),
+    of.Estimator("center", ("positions",), ScalarOptions, _HOME, without=_ONLY_CONSTANT),
+    of.Estimator("twostep", ("positions",), ScalarOptions, _HOME, without=_ONLY_CONSTANT),
     of.Estimator("scalar", ("positions",), ScalarOptions, _HOME),
 )

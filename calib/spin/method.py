@@ -50,5 +50,6 @@ class SpinOptions(of.Options):
 
 _HOME = "fluxtwin.calib.spin.calibrate:calibrate_spin"
 ESTIMATORS = tuple(
-    of.Estimator(name, ("positions", "sun pulses"), SpinOptions, _HOME) for name in ("batch", "iterative")
+    of.Estimator(name, ("positions", "sun pulses"), SpinOptions, _HOME, without={"driver": of.NO_DRIVER_WITH_MOTION})
+    for name in ("batch", "iterative")
 )

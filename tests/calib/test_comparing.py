@@ -57,6 +57,21 @@ def test_a_turned_sensor_wants_the_attitude_and_a_poor_attitude_does_not(model: 
     assert poor.chosen == "scalar"
 
 
+def test_a_method_without_drivers_is_compared_without_and_says_so(model: FieldModel) -> None:
+    record = flown(0.0, 0.02)
+    on = (np.arange(len(record)) // 40 % 2).astype(float)
+    driven = record.replace(mag_B_nT=record.mag_B_nT + np.outer(on, [300.0, -200.0, 100.0]), drivers={"tx": on})
+    compared = compare(driven, model, {name: ESTIMATORS[name] for name in ("linear", "twostep")}, {"driver": ["tx"]})
+    assert compared.chosen == "linear"
+    assert {row[0]: row[-1] for row in compared.rows} == {"linear": "take this one", "twostep": "without --driver"}
+
+
+def test_the_choice_among_equals_claims_no_less_input(model: FieldModel) -> None:
+    compared = compare(flown(0.0, 0.02), model, {name: ESTIMATORS[name] for name in ("linear", "forward")}, {})
+    assert compared.chosen == "linear"
+    assert compared.why == "Take linear: no method errs less beyond chance; forward may be as good, but linear is better tested"
+
+
 def test_the_errors_are_those_of_rows_that_were_not_fitted(model: FieldModel) -> None:
     """Against `predict` on the stretches that each half leaves out; the fitted rows err less."""
     record = flown(0.01, 0.5)

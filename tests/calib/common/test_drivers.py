@@ -275,13 +275,22 @@ def test_what_was_done_on_board_is_composed_with_a_column() -> None:
     assert np.abs(there - known.apply(reading, columns=columns)).max() < 1e-8
 
 
+def test_the_step_of_the_readings_is_found_beside_a_field() -> None:
+    """Readings less a field have lost the step in which they came."""
+    record = flown(0)
+    coarse = record.replace(mag_B_nT=10.0 * np.rint(record.mag_B_nT / 10.0))
+    for method in ("linear", "forward", "scalar"):
+        assert any("LSB 10.0 nT found" in said for said in fit_of(coarse, method=method, driver=["payload"]).messages)
+
+
 @pytest.mark.parametrize(
     ("method", "names", "said"),
     [
         ("linear", ["paylod"], "'payload' is near"),
         ("scalar", ["flag_x"], "the telemetry has no column 'flag_x'"),
-        ("twostep", ["payload"], "method linear or forward or scalar"),
-        ("recursive", ["payload"], "method linear or forward or scalar"),
+        ("twostep", ["payload"], "only while the spacecraft's own field is constant; scalar .* or scalar"),
+        ("center", ["payload"], "only while the spacecraft's own field is constant; scalar .* or scalar"),
+        *((name, ["payload"], "estimates the motion.*fluxtwin apply.* or scalar") for name in ("recursive", "batch")),
     ],
 )
 def test_a_column_or_a_method_that_is_not_there_is_refused(method: str, names: list[str], said: str) -> None:

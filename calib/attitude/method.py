@@ -34,6 +34,4 @@ class RecursiveOptions(of.Options):
 
 _HOME = "fluxtwin.calib.attitude.recursive:calibrate_recursive"
 _NEEDS = ("positions", "attitude, or nadir and sun")
-ESTIMATORS = (
-    of.Estimator("recursive", _NEEDS, RecursiveOptions, _HOME, without={"driver": of.NO_DRIVER_WITH_MOTION}),
-)
+ESTIMATORS = (of.Estimator("recursive", _NEEDS, RecursiveOptions, _HOME, without={"driver": of.NO_DRIVER_WITH_MOTION}),)

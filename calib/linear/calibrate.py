@@ -81,8 +81,8 @@ def calibrate_linear(
         fit = fit_design(used, options, model_name=model.name, weights=weights, passes=passes)
         if not columns or fit.error_model is None:
             return fit
-        again = {"noise": fit.noise, "model_name": model.name, "weights": weights, "passes": passes}
-        return _beside(used, options, *weighted_fields(fit, used), **again)
+        again: dict[str, Any] = {"model_name": model.name, "weights": weights, "passes": passes}
+        return _beside(used, options, *weighted_fields(fit, used), noise=fit.noise, **again)
 
     def drops(fit: LinearFit, columns: drivers.Columns, name: str, tried: FloatArray) -> FloatArray:
         if fit.error_model is None:

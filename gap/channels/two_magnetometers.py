@@ -29,6 +29,8 @@ _FURTHEST = 2.0
 is dead, or in another unit."""
 _SAME_NT = 0.01
 """Of noise between them: less is the rounding of single precision (4 pT at 50 uT), and the second a copy of the first."""
+_SURE = 3.0
+"""Standard errors."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +118,7 @@ def _explained(gram: FloatArray, moment: FloatArray) -> float:
 
 def apart(problem: Problem) -> Apart | None:
     """The difference of the two magnetometers, the second's brought into the first's axes and scale; None where too few rows
-    have both, or the second does not follow the field, or is a copy of the first."""
+    have both, or the second does not follow the field, or one is a copy of the other."""
     first, second = np.asarray(problem.telemetry.mag_B_nT), problem.telemetry.mag2_B_nT
     if second is None:
         return None
@@ -124,7 +126,8 @@ def apart(problem: Problem) -> Apart | None:
     if both.sum() < _FEWEST_ROWS:
         return None
     difference = np.where(both[:, None], first - second, 0.0)
-    relative = _relative(problem.design.signal([*problem.frozen, *problem.modelled_active]).field_B_nT)
+    field_B_nT = problem.design.signal([*problem.frozen, *problem.modelled_active]).field_B_nT
+    relative = _relative(field_B_nT)
     # That field has the errors of the attitude in it, by which the two readings differ as far as their S do.
     columns, both_nT = relative[both].reshape(-1, 12), np.stack([difference[both], first[both]], axis=-1).reshape(-1, 2)
     size, *_ = np.linalg.lstsq(columns, both_nT, rcond=None)
@@ -133,7 +136,9 @@ def apart(problem: Problem) -> Apart | None:
     gain = np.linalg.svd(second_of_first, compute_uv=False)
     if gain.max() > _FURTHEST or gain.min() < 1.0 / _FURTHEST:
         return None
-    difference[both] -= (both_nT[:, 1] - columns @ size[:, 1]).reshape(-1, 3) @ relative_S.T
+    own = np.zeros_like(difference)
+    own[both] = (both_nT[:, 1] - columns @ size[:, 1]).reshape(-1, 3)
+    difference[both] -= own[both] @ relative_S.T
     difference = np.linalg.solve(second_of_first, difference.T).T
     beside = [one for one in problem.modelled_active if one[0].name not in _CALIBRATION]
     beside += [one for one in problem.frozen if one[0].stage in OWN_STAGES]
@@ -143,7 +148,8 @@ def apart(problem: Problem) -> Apart | None:
         rest = projected(_White(np.ones(3), kept), difference, fitted).residual.reshape(-1, 3)
         kept = kept & (standing_out(rest, measured=kept) <= CUT_SIGMA)
     sigma_nT = np.array([_of_steps(rest[there, axis]) for axis, there in enumerate(kept.T)])
-    if not np.min(sigma_nT) > _SAME_NT:
+    rows = kept.all(axis=1)
+    if not np.min(sigma_nT) > _SAME_NT or _is_copy(*(_steps_along(x[rows], field_B_nT[rows]) for x in (own, rest))):
         return None
     left = projected(_White(sigma_nT, kept), difference, fitted)
     rms_nT = float(np.sqrt(np.sum(rest[kept] ** 2) / left.degrees))
@@ -153,6 +159,35 @@ def apart(problem: Problem) -> Apart | None:
 def _relative(field_B_nT: FloatArray) -> FloatArray:
     """(N, 3, 12) what S and b of one magnetometer against the other make of a field (N, 3): by S row by row, and b."""
     return np.concatenate([of_S(field_B_nT), np.broadcast_to(np.eye(3), (len(field_B_nT), 3, 3))], axis=2)
+
+
+def _steps_along(values_nT: FloatArray, field_B_nT: FloatArray) -> FloatArray:
+    """(n-1,) steps from row to row along the field, where no error of the attitude is."""
+    along = np.einsum("ij,ij->i", values_nT, field_B_nT) / np.maximum(np.linalg.norm(field_B_nT, axis=1), 1e-9)
+    return np.diff(along)
+
+
+def _is_copy(first: FloatArray, difference: FloatArray) -> bool:
+    """Whether the second's readings are made of the first's, or the other way round, be it rounded or with noise added.
+
+    first: (n,) steps of what the first reads beside its calibration; difference: of the first less the second. The noise of
+    an independent sensor is in the difference in full, that of one that was copied is not in it at all.
+    """
+    usual = (standing_out(np.stack([first, difference], axis=1)) <= CUT_SIGMA).all(axis=1)
+    first, difference = first[usual], difference[usual]
+    return any(_has_none_of(*pair) for pair in ((difference, first), (-difference, first - difference)))
+
+
+def _has_none_of(difference: FloatArray, own: FloatArray) -> bool:
+    """Whether the share of steps (n,) of their own in the difference is nothing, and not all, by three standard errors."""
+    square = float(own @ own)
+    if square == 0.0:
+        return False
+    share = float(difference @ own) / square
+    left = difference - share * own
+    # neighbouring steps have a row in common: their products correlate by 1/4, on either side
+    error = float(np.sqrt(1.5 * (left @ left) / (len(own) * square)))
+    return abs(share) < _SURE * error < 1.0 - share
 
 
 def _of_steps(values: FloatArray) -> float:

@@ -142,6 +142,19 @@ def test_a_second_magnetometer_that_is_none_is_left_out_and_said(late: Telemetry
     assert not any("second magnetometer" in note for note in alone.notes)
 
 
+@pytest.mark.parametrize("step_nT", [30.0, 100.0])
+def test_a_coarser_copy_counts_as_one_magnetometer(late: Telemetry, step_nT: float) -> None:
+    """The noise of the first is in the difference from an independent second, and not in that from a copy."""
+    coarse = step_nT * np.rint((late.mag_B_nT + 150.0) / step_nT)
+    noisy = late.mag_B_nT + step_nT * np.random.default_rng(1).standard_normal(late.mag_B_nT.shape)
+    for copy in (coarse, noisy):
+        assert apart(pose(late.replace(mag2_B_nT=copy), load_field("igrf14"))) is None
+        assert apart(pose(late.replace(mag_B_nT=copy, mag2_B_nT=late.mag_B_nT), load_field("igrf14"))) is None
+    for noise_nT in (1.0, 20.0, 300.0):
+        own = flown(20.0, magnetometer_2=SECOND | {"noise_nT": noise_nT, "lsb_nT": step_nT})
+        assert apart(pose(own, load_field("igrf14"))) is not None
+
+
 def test_stages_of_the_names_that_are_left_are_equivalent(late: Telemetry) -> None:
     found = fluxtwin.diagnose(late.replace(q_NB=None).select(slice(None, None, 2)))
     stages = {find_effect(name).stage for name in found.effects[0].group}

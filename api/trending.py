@@ -117,7 +117,7 @@ def trend_figure(found: Trend) -> Figure:
             x = found.temperature_degC
         w = one.sigmas**-2.0
         fitted = one.mean + one.size * (x - (w * x).sum() / w.sum())
-        series.append(ParameterSeries(one.name, one.unit, one.values, one.sigmas, fitted, one.kind != "constant"))
+        series.append(ParameterSeries(one.name, one.unit, one.values, one.sigmas, fitted, one.kind))
     return draw_calibration_trend(found.time, series, title="Parameters over the calibrations; bars are 1 sigma")
 
 

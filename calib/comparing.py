@@ -58,7 +58,8 @@ def compare(
         try:
             errors[name] = _held_out(telemetry, model, stretch, partial(estimator.fit, model=model, given=taken))
         except FluxtwinError as error:
-            text = str(error).split(". Wanted:")[0]
+            where = getattr(error, "where", None)
+            text = str(error).removeprefix(f"{where}: ").split(". Wanted:")[0]
             found[name] = MethodResult(
                 name, why_not=text if len(text) <= _WHY_NOT else f"{text[:_WHY_NOT].rstrip()} ..."
             )
@@ -161,5 +162,9 @@ def _why(chosen: str, order: list[str], alike: list[str]) -> str:
     worse = [name for name in order if name not in alike]
     said = f"Take {chosen}: no method errs less beyond chance"
     if others:
-        said += f"; {' and '.join(others)} may be as good, but {chosen} is better tested"
+        said += f"; {_listed(others)} may be as good, but {chosen} is better tested"
     return said + (f". Worse by more than chance, in the vector or in |B|: {', '.join(worse)}" if worse else "")
+
+
+def _listed(names: list[str]) -> str:
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))

@@ -104,9 +104,9 @@ class Trend(Shown):
         """The answer in sentences."""
         count, low, high = len(self.time), FIELDS_NT[0] / 1e3, FIELDS_NT[1] / 1e3
         q = f"Q = {plain(self.q)} with {self.degrees_of_freedom} degrees of freedom, probability {chance(self.probability)}"
-        apart = (
-            f"Using the first instead of the last would cause errors of up to {plain(self.moved.largest_nT, 2)} nT and "
-            f"{plain(self.moved.largest_deg, 2)} deg over fields of {low:.0f} to {high:.0f} uT."
+        size = (
+            f"up to {plain(self.moved.largest_nT, 2)} nT and {plain(self.moved.largest_deg, 2)} deg over fields of "
+            f"{low:.0f} to {high:.0f} uT"
         )
         common = []
         if self.overlap_ratio > _LEAST_OVERLAP:
@@ -115,7 +115,8 @@ class Trend(Shown):
                 "independent: a change shows less than these numbers say. Give stretches that do not overlap."
             ]
         if self.holds:
-            return (f"Holds: {count} calibrations agree within their sigmas ({q}).", apart, *common)
+            within = f"The first and the last differ by {size}, as their sigmas allow."
+            return (f"Holds: {count} calibrations agree within their sigmas ({q}).", within, *common)
         changed = [one for one in self.histories if one.kind != "constant"]
         said = [f"Does not hold: the calibrations differ by more than their sigmas ({q}).", *map(self._words, changed)]
         if not changed:
@@ -124,7 +125,7 @@ class Trend(Shown):
         verdict = "agrees with" if agrees else "differs from"
         said.append(
             f"The last calibration {verdict} the mean of those before it (probability {chance(self.last_probability)}). "
-            f"{apart}"
+            f"Using the first instead of the last would cause errors of {size}."
         )
         if self.expires is not None:
             said.append(

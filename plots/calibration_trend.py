@@ -23,7 +23,8 @@ class ParameterSeries:
     """(K,) 1 sigma."""
     fitted: FloatArray
     """(K,) what it is taken to have done."""
-    changed: bool
+    kind: str
+    """constant, step, drift or temperature."""
 
 
 def draw_calibration_trend(time: TimeArray, series: Sequence[ParameterSeries], *, title: str) -> Figure:
@@ -33,10 +34,11 @@ def draw_calibration_trend(time: TimeArray, series: Sequence[ParameterSeries], *
     style.heading(figure, title)
     panels = [axes for row in grid for axes in row]
     for axes, one in zip(panels, series, strict=False):
-        colour, words = (style.VERMILION, "changed") if one.changed else (style.GREY, "constant")
-        axes.plot(time, one.fitted, "-", linewidth=1.2, color=colour, label=words)
+        colour, words = (style.GREY, "constant") if one.kind == "constant" else (style.VERMILION, "changed")
+        course = "steps-mid" if one.kind == "step" else "default"
+        axes.plot(time, one.fitted, "-", drawstyle=course, linewidth=1.2, color=colour, label=words)
         axes.errorbar(time, one.values, one.sigmas, fmt="o", markersize=3, color=style.BLUE, elinewidth=1.0, capsize=2)
-        style.label(axes, y=f"{one.name} [{one.unit}]")
+        style.label(axes, title=one.name if one.unit == "1" else f"{one.name} [{one.unit}]")
         axes.ticklabel_format(axis="y", useOffset=False)
     for axes in panels[len(series) :]:
         axes.set_visible(False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -103,10 +104,15 @@ def test_without_attitude_the_size_is_judged_and_the_rest_says_why_not(
 ) -> None:
     record = flown(0.0, 0.1)
     fluxtwin.write(record.replace(q_NB=None), tmp_path / "t.nc")
-    done = cli("calibrate", tmp_path / "t.nc", "--method", "all", "--out", tmp_path / "c.toml")
+    done = cli(
+        "calibrate", tmp_path / "t.nc", "--method", "all", "--out", tmp_path / "c.toml", "--html", tmp_path / "c.html"
+    )
     assert done.status == 0, done.err
     assert "take this one" in done.out and "Take scalar" in done.out and "measured sun" in done.out
+    assert " the telemetry has no body rates" in done.out and "rate_x" not in done.out  # the reason without its place
     assert fluxtwin.Calibration.from_toml(tmp_path / "c.toml").method.startswith("scalar")
+    heads = re.findall(r"<h2[^>]*>(.*?)</h2>", (tmp_path / "c.html").read_text(encoding="utf-8"))
+    assert heads.index("Methods compared") == heads.index("What it means") + 1
     with pytest.raises(NoAnswer, match="batch: "):
         compare(record.replace(q_NB=None), model, {"batch": ESTIMATORS["batch"]}, {})
     with pytest.raises(BadInput, match="without positions"):

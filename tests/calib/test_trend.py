@@ -17,6 +17,7 @@ from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.trend import Trend, trend
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.scenario.scenario import parse_scenario
+from fluxtwin.trending import trend_figure
 
 pytestmark = pytest.mark.closure
 
@@ -193,4 +194,15 @@ def test_the_command_says_whether_it_holds(tmp_path: Path, cli: Cli) -> None:
         assert done.out.startswith("Holds" if name == "same" else "Does not hold")
         assert ("b1 changed by" in done.out) == (name == "new")
         assert "<img" in (tmp_path / f"{name}.html").read_text(encoding="utf-8")
-    assert fluxtwin.trend(list(tmp_path.glob("same*.toml"))).holds
+    same = fluxtwin.trend(list(tmp_path.glob("same*.toml")))
+    assert same.holds and "would cause errors" not in " ".join(same.lines) and "as their sigmas allow" in same.lines[1]
+
+
+def test_a_step_is_drawn_as_one() -> None:
+    """Upright half way between the calibrations, where a line from one to the next would be a drift."""
+    step = np.zeros((4, 12))
+    step[2:, 9] = 30.0
+    figure = trend_figure(trend(made(2, step)))
+    panels = {axes.get_title(loc="left").split(" ")[0]: axes for axes in figure.axes if axes.get_visible()}
+    assert panels["b1"].lines[0].get_drawstyle() == "steps-mid"
+    assert panels["b2"].lines[0].get_drawstyle() == "default"

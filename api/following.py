@@ -29,6 +29,7 @@ from fluxtwin.sim.base.processes import stop_if_asked
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field_models import load_field
+from fluxtwin.sim.telemetry.csv_files import without_comments
 from fluxtwin.sim.telemetry.record import Telemetry, concatenate
 from fluxtwin.sim.telemetry.telemetry_files import Reading, is_path, read_telemetry
 from fluxtwin.verbs import as_calibration, reading_of, with_reading
@@ -233,7 +234,8 @@ class _Hours:
 
 
 def _records(path: str, reading: Reading) -> Generator[Telemetry, None, None]:
-    """Records of the whole rows that have come, by the reader that also reads files; the first line is the header."""
+    """Records of the whole rows that have come, by the reader that also reads files; the first line that is no comment is
+    the header."""
     name = "stdin.csv" if path == "-" else Path(path).name
     if name.lower().endswith((".nc", ".nc4", ".h5", ".gz", ".parquet", ".xlsx", ".cdf")):
         raise BadInput(
@@ -245,7 +247,7 @@ def _records(path: str, reading: Reading) -> Generator[Telemetry, None, None]:
         part, head, rows = Path(folder) / name, b"", 0
         for lines in _whole_lines(path):
             if not head:
-                head, _, lines = lines.partition(b"\n")
+                head, _, lines = without_comments(lines, [])[0].partition(b"\n")
             if not lines.strip():
                 continue
             part.write_bytes(head + b"\n" + lines)

@@ -202,7 +202,8 @@ def open_csv(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> CsvFile:
     digest = hashlib.sha256(content).hexdigest()
     data = _decoded(_unpacked(content, look, where), where)
     notices: list[str] = []
-    data = _with_commas(data, notices, where)
+    data, above = without_comments(data, notices)
+    data = _with_commas(data, notices, where, above)
     head, newline, body = data.partition(b"\n")
     if not newline:
         raise BadInput("there are no rows", where=where, wanted="a header and at least one row of data")
@@ -271,8 +272,28 @@ def _decoded(data: bytes, where: str) -> bytes:
     return data
 
 
-def _with_commas(data: bytes, notices: list[str], where: str) -> bytes:
-    """A table whose header is separated by semicolons or tabs, with commas and decimal points, and a notice of that."""
+def without_comments(data: bytes, notices: list[str]) -> tuple[bytes, int]:
+    """The table below lines that begin with #, and how many were cut. Where a row of numbers follows, the last of them is
+    the header, as numpy writes it."""
+    starts, at = list[int](), 0
+    while data.startswith(b"#", at) and (end := data.find(b"\n", at)) >= 0:
+        starts.append(at)
+        at = end + 1
+    if not starts:
+        return data, 0
+    cells = re.split(rb"[,;\t|]", data[at : data.find(b"\n", at) + 1].rstrip())
+    is_row = any(cell.strip() and _is_number(cell.decode("utf-8", "replace")) for cell in cells)
+    lines = len(starts) - is_row
+    if lines:
+        notices.append(f"{lines} line{'s' if lines > 1 else ''} above the header begin with # and were passed over")
+    return data[starts[-1] + 1 if is_row else at :], lines
+
+
+def _with_commas(data: bytes, notices: list[str], where: str, above: int) -> bytes:
+    """A table whose header is separated by semicolons or tabs, with commas and decimal points, and a notice of that.
+
+    above: number of lines cut above it.
+    """
     head, newline, rest = data.partition(b"\n")
     if head.lower().startswith(b"sep="):  # a spreadsheet's own first line
         data, (head, newline, rest) = rest, rest.partition(b"\n")
@@ -285,7 +306,7 @@ def _with_commas(data: bytes, notices: list[str], where: str) -> bytes:
     if b"," in rest:
         odd = _NO_DECIMAL_COMMA.search(rest) or _DECIMAL_POINT.search(rest)
         if odd is not None:
-            line = rest.count(b"\n", 0, odd.end()) + 2
+            line = above + rest.count(b"\n", 0, odd.end()) + 2
             cell = re.split(rb"[;\t|\n]", rest[max(odd.start() - 30, 0) : odd.end()])[-1].decode("utf-8", "replace")
             raise BadInput(
                 f"{said}, there are commas in cells, and line {line} has {clip(cell, 30)!r}",

@@ -56,7 +56,7 @@ def test_a_file_that_grows_rings(noisy: Telemetry, record: Telemetry, tmp_path: 
     """Rows are appended in pieces that end in the middle of a line; the calibration of the quiet part is watched."""
     known = fluxtwin.calibrate(record.select(slice(0, 600))).calibration
     known.to_toml(tmp_path / "june.toml")
-    text = fluxtwin.write(noisy, tmp_path / "whole.csv").read_bytes()
+    text = b"# the receiver, its own line\n" + fluxtwin.write(noisy, tmp_path / "whole.csv").read_bytes()
     growing = tmp_path / "growing.csv"
     growing.write_bytes(text[:5000])
 

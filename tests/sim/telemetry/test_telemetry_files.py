@@ -316,6 +316,20 @@ def test_other_marks_between_columns_and_decimal_commas_are_read_and_said(tmp_pa
     assert np.array_equal(points.mag_B_nT, plain.mag_B_nT) and "decimals" not in points.provenance["notices"]
 
 
+@pytest.mark.parametrize("mark", [",", ";"])
+def test_comments_above_the_header_are_passed_over(tmp_path: Path, mark: str) -> None:
+    """With or without marks of columns in them; numpy.savetxt makes a comment of the header itself."""
+    plain = read_telemetry(save(tmp_path, plain_lines()))
+    lines = [line.replace(",", mark) for line in plain_lines()]
+    for head, said in ((["# a title", "# field: nT; axes, body"], "2 lines above"), (["# one, two"], "1 line above")):
+        found = read_telemetry(save(tmp_path, [*head, *lines]))
+        assert np.array_equal(found.mag_B_nT, plain.mag_B_nT) and said in found.provenance["notices"]
+    found = read_telemetry(save(tmp_path, ["# a title", "# " + lines[0], *lines[1:]]))
+    assert np.array_equal(found.mag_B_nT, plain.mag_B_nT) and "1 line above" in found.provenance["notices"]
+    with pytest.raises(BadInput, match="there are no rows"):
+        read_telemetry(save(tmp_path, ["# a title", lines[0]]))
+
+
 def test_commas_beside_decimal_points_are_not_guessed(tmp_path: Path) -> None:
     """1,234 in a table that has 0.5 as well: a thousand and more, or one and a bit."""
     head, *rows = plain_lines()

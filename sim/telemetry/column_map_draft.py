@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import re
+import shlex
 from collections.abc import MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
@@ -25,10 +26,11 @@ from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME
 from fluxtwin.sim.telemetry.telemetry_files import refuse_toml
 
 CONFIRM = "# to be confirmed:"
-_AXES = (("x", "y", "z"), ("1", "2", "3"), ("0", "1", "2"))
+_AXES = (("x", "y", "z"), ("1", "2", "3"), ("0", "1", "2"), ("u", "v", "w"), ("a", "b", "c"))
 _QUATERNIONS = (
     ("xyzw", ("x", "y", "z", "w"), False),
     ("wxyz", ("w", "x", "y", "z"), False),
+    ("wxyz", ("s", "1", "2", "3"), False),
     ("xyzw", ("1", "2", "3", "4"), True),
     ("wxyz", ("0", "1", "2", "3"), True),
     ("xyzw", ("i", "j", "k", "r"), False),
@@ -83,6 +85,8 @@ _SIZES = {
 }
 """Typical sizes of a vector by unit: a guess where the name says none."""
 _CURRENT = re.compile(r"curr|amp(s|ere)?(_|$)|^i_?(sa|bat|load|bus)|(^|_)i_|_i(_|$)|_m?a$|duty|pwm|heater|load")
+_COUNTS = re.compile(r"cnt|count|adc|(^|_)raw(_|$)", re.IGNORECASE)
+_GROUND = re.compile(r"rece|ground|arriv|download|(^|_)rx(_|$)", re.IGNORECASE)
 _MOST_A = 30.0
 """More than a small spacecraft has in one wire: then it is in mA."""
 _TABLES = (".csv", ".csv.gz", ".nc", ".nc4", ".h5", *READ)
@@ -110,6 +114,8 @@ class Header:
     sheet: str | None = None
     pattern: str = ""
     """Of the names of several files with this header."""
+    frame: str | None = None
+    """Of its attitude or orbit, where the format states it."""
 
 
 def draft(paths: Sequence[Path | str]) -> str:
@@ -121,7 +127,7 @@ def draft(paths: Sequence[Path | str]) -> str:
     headers = _alike([header for path in tables for header in headers_of(path)])
     parts = [
         "# A first column map. Whatever was guessed says so: look at it, mend it, delete the comment.",
-        f"# Then: fluxtwin check {_shown(headers)} --map THIS.toml",
+        f"# Then: fluxtwin check {shlex.quote(_shown(headers))} --map THIS.toml",
     ]
     seen: set[str] = set()
     for header in headers:
@@ -133,8 +139,8 @@ def draft(paths: Sequence[Path | str]) -> str:
             what = header.sheet or header.path.name
             lines = [f"# {what}: left out, {str(error).partition(': ')[2].partition(';')[0]}"]
         parts += ["", *lines]
-    if "mag" not in seen:
-        listed = ", ".join(header.path.name for header in headers)
+    if not seen:
+        listed = ", ".join(dict.fromkeys(header.path.name for header in headers))
         aside = [part.strip("# ") for part in parts if ": left out, no " in part]
         raise BadInput(
             "; ".join(["no three columns look like a magnetometer", *aside]),
@@ -142,7 +148,13 @@ def draft(paths: Sequence[Path | str]) -> str:
             wanted='names such as mag_x mag_y mag_z; or write `mag = { from = ["a", "b", "c"], unit = "nT" }` yourself',
         )
     if "position" not in seen:
-        parts.insert(2, '# No positions were found: give two-line elements, `tle = "satellite.tle"` on the next line.')
+        missing = (
+            'no positions were found: write `position` for columns that are not used, or here `tle = "satellite.tle"`'
+        )
+        parts.insert(2, f"{CONFIRM} {missing}")
+    if "mag" not in seen:
+        mag = 'mag = { from = ["a", "b", "c"], unit = "nT" }'
+        parts.insert(2, f"{CONFIRM} no three columns look like a magnetometer: write `{mag}` with its [file.columns]")
     return "\n".join(parts) + "\n"
 
 
@@ -177,7 +189,8 @@ def _inside(path: Path) -> list[Path]:
 
 
 def _shown(headers: list[Header]) -> str:
-    return str(headers[0].path if len({header.path for header in headers}) == 1 else headers[0].path.parent)
+    alone = len({header.path for header in headers}) == 1 and not headers[0].pattern
+    return str(headers[0].path if alone else headers[0].path.parent)
 
 
 def _file(header: Header, *, named: bool, seen: set[str]) -> list[str]:
@@ -237,12 +250,13 @@ def _time(header: Header) -> tuple[str, set[str], str]:
         return f'{{ recipe = "cf", columns = {json.dumps(header.cf[0])} }}', {header.cf[0]}, ""
     likely = re.compile(r"time|date|utc|tai|stamp|epoch|unix|^t($|_)|^ts|sec|week|tow", re.IGNORECASE)
     for name in sorted(header.iso, key=lambda one: not likely.search(one)):
-        return f'{{ recipe = "iso", columns = {json.dumps(name)} }}', {name}, ""
+        ground = f"that {name} is the spacecraft's own stamp, not that of the ground" if _GROUND.search(name) else ""
+        return f'{{ recipe = "iso", columns = {json.dumps(name)} }}', {name}, ground
     written = text_format(header.texts)
     if written is not None:
         names, form, doubt = written
         return f'{{ recipe = "text", columns = {json.dumps(names)}, format = {json.dumps(form)} }}', set(names), doubt
-    week = [n for n in header.values if re.search(r"week", n, re.IGNORECASE)]
+    week = [n for n in header.values if re.search(r"week|(^|_)wn(_|$)", n, re.IGNORECASE)]
     tow = [n for n in header.values if re.search(r"tow|week.*sec|sec.*week|seconds_of", n, re.IGNORECASE)]
     if week and tow and week[0] != tow[-1]:
         text = f'{{ recipe = "gps_week_tow", columns = {json.dumps([week[0], tow[-1]])} }}'
@@ -256,7 +270,7 @@ def _time(header: Header) -> tuple[str, set[str], str]:
         if re.search("gps", name, re.IGNORECASE) and 6.0e8 < size < 4.0e9:
             doubt = f"{name} looks like seconds of GPS time since 1980"
             return f'{{ recipe = "gps_s", columns = {json.dumps(name)} }}', {name}, doubt
-        for recipe, unit in (("unix_us", 1e6), ("unix_ms", 1e3), ("unix_s", 1.0)):
+        for recipe, unit in (("unix_ns", 1e9), ("unix_us", 1e6), ("unix_ms", 1e3), ("unix_s", 1.0)):
             if 2.0e8 * unit < size < 4.0e9 * unit and not re.search("tai|2000", name, re.IGNORECASE):
                 nano = [n for n in header.values if n != name and re.search(r"ns$|nano", n, re.IGNORECASE)]
                 doubt = f"{name} looks like Unix time; that it is UTC, and the spacecraft's own stamp, is a guess"
@@ -316,6 +330,9 @@ def _quantities(header: Header, free: list[str]) -> list[_Found]:
             out.append(_current(header, name))
         elif low in ("sunlit", "sunlit_flag", "in_sun"):
             out.append(("sunlit", [name], {}, []))
+    if header.frame is not None:  # the format states it, with units and order
+        words = {"attitude": "relative_to", "position": "frame", "velocity": "frame"}
+        out = [(name, columns, own | {words[name]: header.frame}, []) for name, columns, own, _ in out]
     return sorted(out, key=lambda one: one[0] != "mag")
 
 
@@ -441,9 +458,9 @@ def _vector(header: Header, quantity: str, columns: list[str]) -> _Found:
         default = {"mag": "nT", "position": "km", "velocity": "km/s", "rate": "deg/s", "dipole": "Am2"}[quantity]
         keys["unit"] = stated or (likely[0] if likely else default)
         if stated is None:
-            why = f"median size {size:.4g}" + (
-                "" if likely else ", which fits no unit: counts? then add scale = nT per count"
-            )
+            counts = "" if likely else ", which fits no unit: counts? then add scale = nT per count"
+            counts = ", counts by their name: then add scale and offset" if _COUNTS.search(columns[0]) else counts
+            why = f"median size {size:.4g}{counts}"
             doubts.append(f"{quantity}: the unit ({why})")
     stacked = _stacked(header, columns)
     fill = [value for value in _FILLS if _stands_out(stacked, value)]
@@ -541,7 +558,7 @@ def _look(csv: CsvFile, name: str, header: Header) -> None:
 
 
 def _table_header(path: Path, table: Table, sheet: str | None) -> Header:
-    found = Header(path, table.names(), units=dict(table.units), sheet=sheet)
+    found = Header(path, table.names(), units=dict(table.units), sheet=sheet, frame=table.attributes.get("frame"))
     for name, value in table.columns.items():
         found.rows = max(found.rows, len(value))
         if value.dtype.kind == "M":

@@ -107,6 +107,44 @@ def test_a_file_without_magnetometer_is_refused_in_words(tmp_path: Path) -> None
         draft([data])
 
 
+def test_what_is_missing_is_marked_beside_what_was_found(tmp_path: Path) -> None:
+    """The attitude alone: the map says where readings and positions go."""
+    data = table(tmp_path / "a.csv", {"ts_ns": UNIX * 1e9, **triple("qs q1 q2 q3", Q[:, [3, 0, 1, 2]])})
+    text = draft([data])
+    assert 'recipe = "unix_ns"' in text and 'order = "wxyz"' in text
+    missing = [line for line in text.splitlines()[:6] if line.startswith(CONFIRM)]
+    assert "magnetometer" in missing[0] and "[file.columns]" in missing[0]
+    assert "positions" in missing[1] and "tle = " in missing[1]
+
+
+def test_axes_and_weeks_of_other_names_are_found_and_doubts_said(tmp_path: Path) -> None:
+    gps_s = (TIME - np.datetime64("1980-01-06")).astype("int64") * 1e-9 + 18.0
+    weeks = {"WN": np.floor(gps_s / 604800.0), "TOW": gps_s % 604800.0}
+    text = draft([table(tmp_path / "a.csv", {**weeks, **triple("fgm_a_cnt fgm_b_cnt fgm_c_cnt", MAG)})])
+    assert 'recipe = "gps_week_tow", columns = ["WN", "TOW"]' in text and "counts by their name" in text
+    stamps = np.datetime_as_string(TIME, unit="ms", timezone="UTC")
+    text = draft([table(tmp_path / "b.csv", {"received_at": stamps, **triple("bu bv bw", MAG)})])
+    assert 'from = ["bu", "bv", "bw"]' in text and "not that of the ground" in text
+
+
+def test_a_folder_of_pieces_is_to_be_checked_as_a_folder(tmp_path: Path) -> None:
+    for name in ("log_1.csv", "log_2.csv"):
+        table(tmp_path / name, HEADERS["ISO, bracketed units, ECI"])
+    assert f"fluxtwin check {tmp_path} --map" in draft([tmp_path])
+
+
+def test_ephemerides_state_their_frame(tmp_path: Path) -> None:
+    table(tmp_path / "mag.csv", {"utc": np.datetime_as_string(TIME, unit="ms"), **triple("bx_nT by_nT bz_nT", MAG)})
+    head = "META_START\nOBJECT_NAME = X\nOBJECT_ID = 1\nCENTER_NAME = EARTH\nREF_FRAME = ITRF2000\nTIME_SYSTEM = UTC\n"
+    stamps = np.datetime_as_string(TIME, unit="ms")
+    rows = "\n".join(f"{t} {' '.join(map(str, [*r, *v]))}" for t, r, v in zip(stamps, R, V, strict=True))
+    span = f"START_TIME = {stamps[0]}\nSTOP_TIME = {stamps[-1]}\nMETA_STOP\n"
+    (tmp_path / "orbit.oem").write_text(f"CCSDS_OEM_VERS = 2.0\nORIGINATOR = T\n{head}{span}{rows}\n")
+    text = draft([tmp_path])
+    assert 'frame = "ITRS"' in text or 'frame = "ITRF"' in text
+    assert not any(line.startswith(CONFIRM) and "position" in line for line in text.splitlines())
+
+
 def test_the_command_writes_the_map_and_check_accepts_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = table(tmp_path / "foreign.csv", HEADERS["ISO, bracketed units, ECI"])
     assert main(["map", str(data), "--out", str(tmp_path / "map.toml")]) == 0

@@ -91,8 +91,13 @@ class Trend(Shown):
     """What the first instead of the last calibration would err by, over `FIELDS_NT` in any direction."""
     overlap_ratio: float
     """Largest share of its time that one calibration has in common with the next: its errors are then not its own."""
-    expires: np.datetime64 | None
-    """When a drift has moved a parameter by `EXPIRED_SIGMAS` of its sigma in the last calibration; None without a drift."""
+    last: Calibration
+    """The last calibration; it `expires` when a drift has moved a parameter by `EXPIRED_SIGMAS` of its sigma."""
+
+    @property
+    def expires(self) -> np.datetime64 | None:
+        """When the last calibration does; None without a drift."""
+        return self.last.expires
 
     @property
     def holds(self) -> bool:
@@ -202,7 +207,7 @@ def trend(calibrations: Sequence[Calibration]) -> Trend:
         last_probability=float(chi2.sf(last_q, len(names))),
         moved=added_error(last, first),
         overlap_ratio=max(itertools.starmap(_overlap_ratio, itertools.pairwise(known))),
-        expires=_expires(histories, known[-1]),
+        last=replace(known[-1], expires=_expires(histories, known[-1])),
     )
 
 

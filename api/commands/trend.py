@@ -27,6 +27,13 @@ def command(
             help="Cut telemetry into stretches of this length; default: a single file is cut into days.",
         ),
     ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.toml",
+            help="Write the last calibration with the date at which its drift, if it has one, makes it expire.",
+        ),
+    ] = None,
     html: of.HtmlOption = None,
     field: of.FieldOption = "igrf14",
     degree: of.DegreeOption = None,
@@ -42,12 +49,13 @@ def command(
         from fluxtwin.report import write_page
 
         methods.require(options["method"], options)
-        output.claim({"--html": (html, outputs.PAGE)}, [*files, field, *reading.files])
+        targets = {"--out": (out, outputs.CALIBRATION), "--html": (html, outputs.PAGE)}
+        output.claim(targets, [*files, field, *reading.files])
         given = [
             path if path.suffix.lower() == ".toml" else read(path, output, reading, one_of_many=True) for path in files
         ]
         found = trending.trend(given, every_h=every, field=field, degree=degree, progress=progress, **options)
-        written = []
+        written = [] if out is None else [found.last.to_toml(out)]
         if html is not None:
             progress("drawing", 0.9)
             written.append(write_page(trending.trend_page(found), html))

@@ -23,7 +23,7 @@ def apply_calibration(telemetry: Telemetry, calibration: Calibration, *, force: 
 
     Raises BadInput when the calibration does not fit the record (`require_applicable`; force lets it pass), has a T and
     the telemetry no dipole, or a column that it needs is missing. Warns where the record leaves the time or the temperatures
-    that the calibration has seen.
+    that the calibration has seen, and where it has expired.
     """
     if not force:
         require_applicable(telemetry, calibration)
@@ -88,10 +88,17 @@ def outside_span(telemetry: Telemetry, calibration: Calibration) -> int:
 
 
 def _warn_outside(telemetry: Telemetry, calibration: Calibration) -> None:
-    """Where a record leaves the time or the temperatures from which the calibration was made."""
+    """Where a record leaves the time or the temperatures from which the calibration was made, or the calibration expires."""
     if beyond := outside_span(telemetry, calibration):
         said = f"{beyond} of {len(telemetry)} rows are outside the time from which the calibration was made"
         warnings.warn(f"{said} ({_span_words(calibration)})", stacklevel=4)
+    ends = calibration.expires
+    if ends is not None and (late := int((telemetry.time >= ends).sum())):
+        warnings.warn(
+            f"{late} of {len(telemetry)} rows are after {epoch.iso(ends, 's')}, when the calibration expires: the drift "
+            "that `fluxtwin trend` found has then made it wrong by three of its sigmas",
+            stacklevel=4,
+        )
     seen, known = telemetry.temperature_degC, calibration.temperature_degC
     if seen is None or known is None:
         return

@@ -67,6 +67,7 @@ class _Source(Strict):
     magnetometer: int = 1
     span: list[str] = []
     temperature_degC: list[float] = []
+    expires: str = ""
     samples: NonNegativeInt = 0
     sigma_nT: NonNegativeFloat = 0.0
     field_model: str = ""
@@ -147,6 +148,7 @@ def _source(calibration: Calibration) -> dict[str, Any]:
         "magnetometer": None if calibration.magnetometer == 1 else calibration.magnetometer,
         "span": span,
         "temperature_degC": None if calibration.temperature_degC is None else list(calibration.temperature_degC),
+        "expires": None if calibration.expires is None else _iso(calibration.expires),
         "samples": int(calibration.samples),
         "sigma_nT": float(calibration.sigma_nT),
         "field_model": calibration.field_model,
@@ -155,7 +157,7 @@ def _source(calibration: Calibration) -> dict[str, Any]:
         "unobservable": list(calibration.unobservable),
         "version": calibration.version or _version(),
     }
-    optional = ("spacecraft", "magnetometer", "span", "temperature_degC", "residual_to")
+    optional = ("spacecraft", "magnetometer", "span", "temperature_degC", "expires", "residual_to")
     return {key: value for key, value in stated.items() if value or key not in optional}
 
 
@@ -280,6 +282,7 @@ def _from_flat(flat: _Flat, where: str) -> Calibration:
         "covariance",
         "span",
         "temperature_degC",
+        "expires",
         "telemetry_bias",
         "onboard",
     }
@@ -292,6 +295,7 @@ def _from_flat(flat: _Flat, where: str) -> Calibration:
             covariance=np.array(flat.covariance, dtype=np.float64) if flat.covariance else np.zeros((0, 0)),
             span=_span(flat.span),
             temperature_degC=_temperature(flat.temperature_degC),
+            expires=epoch.parse_time(flat.expires, where="expires") if flat.expires else None,
             telemetry_bias={
                 name: TelemetryBias(
                     array_of(bias.nT_per_unit, (3,), name), array_of(bias.sigma, (3,), name), bias.delay_s, bias.lag_s

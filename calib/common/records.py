@@ -92,6 +92,8 @@ class Calibration:
     """First and last sample used, UTC."""
     temperature_degC: tuple[float, float] | None = None
     """Lowest and highest temperature of the magnetometer among these samples; None where it is not known."""
+    expires: np.datetime64 | None = None
+    """When a drift that `calib.trend` found has made it wrong by three of its sigmas, UTC; None where none is known."""
     field_model: str = ""
     method: str = ""
     unobservable: tuple[str, ...] = ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,3 +53,14 @@ def test_rows_outside_are_warned_of_in_python(files: Path) -> None:
     with pytest.warns(UserWarning, match="100 of 300 rows are outside the time") as said:
         fluxtwin.apply(files / "t.nc", files / "c.toml")
     assert "temperatures" not in str(said[0].message)
+
+
+@pytest.mark.parametrize("verb", ["apply", "yaw"])
+def test_rows_after_the_expiry_are_counted(files: Path, tmp_path: Path, process: Cli, verb: str) -> None:
+    known, time = fluxtwin.Calibration.from_toml(files / "c.toml"), fluxtwin.read(files / "t.nc").time
+    replace(known, expires=time[180]).to_toml(tmp_path / "c.toml")
+    assert fluxtwin.Calibration.from_toml(tmp_path / "c.toml").expires == time[180]
+    more = ("--out", tmp_path / "o.nc") if verb == "apply" else ()
+    done = process(verb, files / "t.nc", "--calibration", tmp_path / "c.toml", *more)
+    assert done.status == 0 and "120 of 300 rows are after 2" in done.err and "expires" in done.err
+    assert "expires" not in process(verb, files / "t.nc", "--calibration", files / "c.toml", *more, "--force").err

@@ -198,6 +198,19 @@ def test_the_command_says_whether_it_holds(tmp_path: Path, cli: Cli) -> None:
     assert same.holds and "would cause errors" not in " ".join(same.lines) and "as their sigmas allow" in same.lines[1]
 
 
+def test_the_last_calibration_is_written_with_its_expiry(tmp_path: Path, cli: Cli) -> None:
+    drift = np.zeros((6, 12))
+    drift[:, 9] = 40.0 * np.arange(6)
+    for name, moved in (("same", np.zeros((6, 12))), ("drifts", drift)):
+        known = made(2, moved)
+        files = [c.to_toml(tmp_path / f"{name}{k}.toml") for k, c in enumerate(known)]
+        done = cli("trend", *files, "--out", tmp_path / f"{name}.toml")
+        written = Calibration.from_toml(tmp_path / f"{name}.toml")
+        assert np.array_equal(written.values, known[-1].values) and written.span == known[-1].span
+        assert (written.expires is not None) == (name == "drifts") == ("off by 3 of its sigmas" in done.out)
+        assert written.expires is None or str(written.expires)[:10] in done.out
+
+
 def test_a_step_is_drawn_as_one() -> None:
     """Upright half way between the calibrations, where a line from one to the next would be a drift."""
     step = np.zeros((4, 12))

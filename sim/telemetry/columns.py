@@ -118,7 +118,8 @@ def resolve(names: Iterable[str], where: str, described: Mapping[str, str] | Non
 
 
 def file_columns(telemetry: Telemetry) -> dict[str, FloatArray]:
-    """The record as contract columns in the units that are written (angular rates in deg/s). Without `time`."""
+    """The record as contract columns in the units that are written (angular rates in deg/s), which are the record's own
+    arrays where the unit is the same. Without `time`."""
     columns: dict[str, FloatArray] = {}
     for quantity in QUANTITIES:
         value = getattr(telemetry, quantity.name, None)
@@ -127,13 +128,13 @@ def file_columns(telemetry: Telemetry) -> dict[str, FloatArray]:
         factor = next(iter(quantity.units.values()))
         parts = np.asarray(value).reshape(len(telemetry), -1).T
         for name, part in zip(quantity.written, parts, strict=True):
-            columns[name] = np.ascontiguousarray(part if factor == 1.0 else part / factor)
+            columns[name] = part if factor == 1.0 else part / factor
     for family in FAMILIES:
         named = getattr(telemetry, family.field)
         columns |= {family.prefix + name: np.asarray(named[name]) for name in sorted(named)}
     if telemetry.wheel_speed_rpm is not None:
         for number, speed in enumerate(telemetry.wheel_speed_rpm.T, start=1):
-            columns[f"wheel_{number}_speed_rpm"] = np.ascontiguousarray(speed)
+            columns[f"wheel_{number}_speed_rpm"] = speed
     return columns
 
 

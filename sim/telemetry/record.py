@@ -12,7 +12,7 @@ import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -179,7 +179,10 @@ class Telemetry(Shown):
         return read_telemetry(dataset)
 
     def to_pandas(self) -> Any:
-        """A DataFrame with the columns that a file would have, units in their names, time as index."""
+        """A DataFrame with the columns that a file would have, units in their names, time as index.
+
+        They are the record's own arrays, not copied and read-only, except angular rates, which are converted to degrees.
+        """
         from fluxtwin.sim.telemetry.formats.frame import to_pandas
 
         return to_pandas(self)
@@ -342,8 +345,20 @@ def _check_time(time: TimeArray) -> None:
         )
 
 
+def _is_frozen(value: object) -> TypeGuard[FloatArray]:
+    """Whether it is an array of numbers that nobody can change, so that records may share it."""
+    if not isinstance(value, np.ndarray) or value.dtype != np.float64 or not value.flags.c_contiguous:
+        return False
+    base: object = value
+    while isinstance(base, np.ndarray):
+        if base.flags.writeable:
+            return False
+        base = base.base
+    return base is None
+
+
 def _frozen_array(name: str, value: object, rows: int, width: int) -> FloatArray:
-    array = np.array(value, dtype=np.float64)
+    array = value if _is_frozen(value) else np.array(value, dtype=np.float64)
     if width == -1 and array.ndim == 1:
         array = array.reshape(rows, -1)
     wanted = (rows,) if width == 0 else (rows, array.shape[-1] if width == -1 else width)

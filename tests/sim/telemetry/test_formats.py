@@ -295,6 +295,17 @@ def test_frames_of_pandas_and_xarray_as_they_are(record: fluxtwin.Telemetry) -> 
     dataset = record.to_xarray()
     same(record, fluxtwin.Telemetry.from_xarray(dataset))
     assert np.shares_memory(dataset["mag_B_nT"].values, record.mag_B_nT), "not copied"
+    column = record.to_pandas()["mag_y_nT"].to_numpy()
+    assert np.shares_memory(column, record.mag_B_nT) and not column.flags.writeable
+    assert np.shares_memory(record.replace(dipole_B_Am2=None).mag_B_nT, record.mag_B_nT)
+    own = np.array(record.mag_B_nT)
+    kept = record.replace(mag_B_nT=own)
+    view = own[:]
+    view.setflags(write=False)
+    shown = record.replace(mag_B_nT=view)
+    own[0] = 7.0
+    assert np.array_equal(kept.mag_B_nT, record.mag_B_nT), "what its owner may change is copied"
+    assert np.array_equal(shown.mag_B_nT, record.mag_B_nT), "also behind a view that he may not"
     assert dataset["mag_B_nT"].attrs["units"] == "nT" and dataset["mag_B_nT"].dims[0] == "time"
     assert record.driver_units == fluxtwin.read(dataset).driver_units
 

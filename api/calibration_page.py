@@ -12,6 +12,7 @@ from fluxtwin.calib.common.digits import plain, with_sigma
 from fluxtwin.calib.common.direction import CONFIDENCE
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.onboard import for_record
+from fluxtwin.calib.common.records import CONVENTION, Calibration, parameter_unit
 from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 from fluxtwin.sim.base.seals import FORMAT, sealed
@@ -48,7 +49,7 @@ def calibration_page(
             *([PageSection("Methods compared", [], comparison_tables(fit))] if fit.comparison else []),
             *_seen(fit, record),
             *_coverage(fit),
-            PageSection("Parameters", [], [parameter_table(fit), *_bias_tables(fit)]),
+            PageSection("Parameters", [], parameter_tables(fit.calibration)),
             *_followed(fit, record),
             PageSection("What these data do not determine", unseen, correlation_tables(fit)),
             PageSection("How it was made", [f"{message[:1].upper()}{message[1:]}." for message in fit.messages]),
@@ -107,7 +108,7 @@ def pair_page(first: Page, second: Page, shared: str) -> Page:
 
 def tables(fit: Fit) -> list[Table]:
     """The tables for the terminal, in order."""
-    return [*comparison_tables(fit), parameter_table(fit), *_bias_tables(fit), *correlation_tables(fit)]
+    return [*comparison_tables(fit), *parameter_tables(fit.calibration), *correlation_tables(fit)]
 
 
 def comparison_tables(fit: Fit) -> list[Table]:
@@ -122,13 +123,13 @@ def comparison_tables(fit: Fit) -> list[Table]:
     return [Table("Methods compared", compared.columns, compared.rows, note)]
 
 
-def parameter_table(fit: Fit) -> Table:
-    """Parameters with sigma and unit, to the second digit of sigma."""
-    rows = []
-    for entry in fit.parameters():
-        value, sigma = with_sigma(entry["value"], entry["sigma"])
-        rows.append([entry["name"], value, sigma, entry["unit"]])
-    return Table("A B0 = (I+S) B + b + T D", ["parameter", "value", "sigma", "unit"], rows)
+def parameter_tables(calibration: Calibration) -> list[Table]:
+    """Parameters with sigma and unit, to the second digit of sigma, and the fields that follow a column."""
+    rows = [
+        [name, *with_sigma(float(value), calibration.sigma[name]), parameter_unit(name)]
+        for name, value in zip(calibration.names, calibration.values, strict=True)
+    ]
+    return [Table(CONVENTION, ["parameter", "value", "sigma", "unit"], rows), *_bias_tables(calibration)]
 
 
 def correlation_tables(fit: Fit) -> list[Table]:
@@ -196,10 +197,10 @@ def _coverage(fit: Fit) -> list[PageSection]:
     ]
 
 
-def _bias_tables(fit: Fit) -> list[Table]:
+def _bias_tables(calibration: Calibration) -> list[Table]:
     """Fields that follow a column."""
     rows, late = [], []
-    for name, one in fit.to_dict().get("telemetry_bias", {}).items():
+    for name, one in calibration.to_dict().get("telemetry_bias", {}).items():
         how = [f"{plain(one['delay_s'])} s later"] if "delay_s" in one else []
         how += [f"behind a lag of {plain(one['lag_s'])} s"] if "lag_s" in one else []
         late += [f"The field follows {name} {' and '.join(how)}."] if how else []

@@ -15,6 +15,7 @@ from fluxtwin.calib.attitude.yaw import YawSolution
 from fluxtwin.calib.checks.report import CheckReport
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.fit import Fit
+from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.calib.trend import Trend
 from fluxtwin.console import shown
@@ -24,6 +25,7 @@ from fluxtwin.plots import on_axes
 from fluxtwin.plots.plan import power_on, sigma_on
 from fluxtwin.scenarios.page import Table
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.trending import trend_table
 
@@ -188,8 +190,21 @@ def _draw_record(axes: Axes, record: Telemetry) -> Axes:
     return on_axes.components(axes, record.time, np.array(record.mag_B_nT), y=y, title=title)
 
 
+def _calibration(known: Calibration) -> Presented:
+    span = [] if known.span is None else [f"Data of {' to '.join(epoch.iso(one, 's') for one in known.span)}."]
+    method = [f"{known.method[0].upper()}{known.method[1:]}."] if known.method else []
+    return Presented([*method, *span, *known.unobservable], calibration_page.parameter_tables(known))
+
+
+def _draw_trend(axes: Axes, found: Trend) -> Axes:
+    bias = [one for one in found.histories if one.name in ("b1", "b2", "b3")]
+    moved_nT = np.stack([one.values - one.mean for one in bias], axis=1)
+    return on_axes.components(axes, found.time, moved_nT, y="b less its mean [nT]", title="Bias over the calibrations")
+
+
 _WORDS: dict[type, Callable[[Any], Presented]] = {
     Fit: _fit,
+    Calibration: _calibration,
     Diagnosis: _diagnosis,
     Plan: _plan,
     CalibrationPlan: _plan,
@@ -206,6 +221,7 @@ _PICTURES: dict[type, Callable[[Axes, Any], Axes]] = {
     Plan: _draw_plan,
     CalibrationPlan: _draw_plan,
     YawSolution: _draw_yaw,
+    Trend: _draw_trend,
     AttitudeSolution: _draw_attitude,
     Telemetry: _draw_record,
 }

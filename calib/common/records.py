@@ -12,6 +12,7 @@ import numpy as np
 from fluxtwin.calib.common.conventions import Correction, Forward, forward_from_correction
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.late import late
+from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
 
@@ -68,7 +69,7 @@ class Onboard:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class Calibration(Shown):
     """S, b and T of A B0 = (I+S) B + b + T D, with their covariance. Arrays are read-only.
 
     A parameter that was not estimated has the value 0 and zero rows in the covariance; `sigma` is None for it.

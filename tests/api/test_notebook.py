@@ -72,6 +72,11 @@ def test_yaw_attitude_and_trend_show_themselves(flown: fluxtwin.Telemetry) -> No
     for found, said in ((yaw, "Sigma of yaw"), (attitude, "1 sigma about body x, y, z"), (days, days.lines[0])):
         assert said in found.report() and said in words(found._repr_html_())
         assert "array(" not in found._repr_html_()
+    known = fit.calibration
+    assert "b1" in known.report() and known.method[1:] in words(known._repr_html_()) and "array(" not in known.report()
+    drawn = np.array([line.get_ydata() for line in days.plot().get_lines()[::2]])
+    bias = [one for one in days.histories if one.name.startswith("b")]
+    assert np.allclose(drawn, [one.values - one.mean for one in bias])
     assert f"{yaw.summary['rms_against_reference_deg']['full']:.4g}" in yaw.report()
     drawn = np.asarray(yaw.plot().get_lines()[0].get_ydata())
     assert np.array_equal(drawn, np.degrees(yaw.yaw_rad))

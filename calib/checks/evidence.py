@@ -76,14 +76,15 @@ def scalar_evidence(seconds: FloatArray, mag_nT: FloatArray, size_nT: FloatArray
 
 
 def slope_of_form(m: FloatArray, form: FloatArray) -> FloatArray:
-    """(n, 3) gradient at m (n, 3) of a form with nine coefficients: six of m_i m_j with i <= j, three of m_i.
+    """(n, k) gradient at m (n, k) of a form with k (k + 3) / 2 coefficients: those of m_i m_j with i <= j, then of m_i.
 
     What is left of a form, over its slope, is to first order the distance of m from where nothing is left (Sampson 1982,
     Computer Graphics and Image Processing 18, 97).
     """
-    matrix = np.zeros((3, 3))
-    matrix[np.triu_indices(3)] = form[:6]
-    return np.asarray(m @ (matrix + matrix.T) + form[6:])
+    width = m.shape[1]
+    matrix = np.zeros((width, width))
+    matrix[np.triu_indices(width)] = form[:-width]
+    return np.asarray(m @ (matrix + matrix.T) + form[-width:])
 
 
 def step_nT(mag_nT: FloatArray) -> float:

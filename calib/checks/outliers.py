@@ -29,6 +29,7 @@ LONGEST_RUN = 4
 """The running median over nine rows follows what lasts longer."""
 _WINDOW, _BLOCK, _FIT_ROWS = 9, 200, 3000
 _FEWEST = 40
+_ROWS_EACH = 300  # of a column whose field is fitted: ten columns make a hundred coefficients
 _FURTHEST = 14  # rows: of ten pairs a run of outliers spoils four at the most
 
 
@@ -36,7 +37,8 @@ def without_gross_outliers(sample: Sample) -> Sample:
     """The sample without rows whose |B| no ellipsoid fits as it fits the others; needs no attitude."""
     if len(sample) < _FEWEST:
         return sample
-    left = np.abs(_ellipsoid(sample.mag_nT, np.linalg.norm(sample.field_N_nT, axis=1)))
+    alone = np.zeros((len(sample), 0))
+    left = np.abs(_ellipsoid(sample.mag_nT, np.linalg.norm(sample.field_N_nT, axis=1), alone))
     scale = 1.4826 * float(np.median(left))
     keep = left <= max(2.0 * STANDS_OUT * scale, 100.0)
     return sample if keep.all() or keep.mean() < 1.0 - 2.0 * FEW else sample.take(np.flatnonzero(keep))
@@ -94,12 +96,13 @@ def _left(
     rows = np.flatnonzero(good)
     field = field_N_nT(model, telemetry.time[rows], telemetry.r_N_km[rows])
     mag = np.array(telemetry.mag_B_nT[rows])
+    beside = _driving(telemetry, rows)
     if sample.q_NB is None or telemetry.q_NB is None:
         size = np.linalg.norm(field, axis=1)
-        return rows, _ellipsoid(mag, size)[:, None], None
+        return rows, _ellipsoid(mag, size, beside)[:, None], None
     R_BN = frames.rotation_from_q(telemetry.q_NB[rows])
     predicted = R_BN.apply(field)
-    terms = np.column_stack([mag / 1e4, np.ones(len(mag))])
+    terms = np.column_stack([mag / 1e4, np.ones(len(mag)), beside])
     steady = _steady(predicted - mag)
     fit = np.column_stack([_robust(terms, predicted[:, axis], steady) for axis in range(3)])
     return rows, R_BN.apply(predicted - terms @ fit, inverse=True), field
@@ -113,18 +116,28 @@ def _beside_its_course(size_nT: FloatArray) -> FloatArray:
     return np.asarray(size_nT[inside] - np.median(pairs, axis=0))
 
 
-def _ellipsoid(mag_nT: FloatArray, size_nT: FloatArray) -> FloatArray:
+def _driving(telemetry: Telemetry, rows: np.ndarray) -> FloatArray:
+    """(n, J) currents and drivers, each between 0 and 1, as many as the rows can tell apart. Their field is fitted too: in a
+    body that turns fast it changes from row to row."""
+    columns = [telemetry.array_current_A, telemetry.battery_current_A, *telemetry.drivers.values()]
+    known = [column[rows] for column in columns if column is not None]
+    moving = [(one - one.min()) / np.ptp(one) for one in known if np.isfinite(one).all() and np.ptp(one) > 0.0]
+    return np.array(moving[: rows.size // _ROWS_EACH]).reshape(-1, rows.size).T
+
+
+def _ellipsoid(mag_nT: FloatArray, size_nT: FloatArray, beside: FloatArray) -> FloatArray:
     """What a quadratic form of the readings (n, 3) leaves of |B| (n,) [nT], bias, scale and misalignment free.
 
-    It is the distance of the readings, by the slope of the form at their neighbours: on a short arc it may be flat, more
-    here than there.
+    beside: (n, J) columns whose field is free as well. It is the distance of the readings, by the slope of the form at
+    their neighbours: on a short arc it may be flat, more here than there.
     """
-    m, size = mag_nT / 1e4, size_nT / 1e4
-    pairs = [m[:, i] * m[:, j] for i, j in itertools.combinations_with_replacement(range(3), 2)]
+    m, size = np.hstack([mag_nT / 1e4, beside]), size_nT / 1e4
+    width = m.shape[1]
+    pairs = [m[:, i] * m[:, j] for i, j in itertools.combinations_with_replacement(range(width), 2)]
     design = np.column_stack([*pairs, m, np.ones(len(m))]) / (2.0 * size)[:, None]
     form = _robust(design, size / 2.0, _steady(mag_nT))
     left: FloatArray = 1e4 * (size / 2.0 - design @ form)
-    slope = np.linalg.norm(slope_of_form(m, form[:9]), axis=1, keepdims=True) / (2.0 * size)[:, None]
+    slope = np.linalg.norm(slope_of_form(m, form[:-1])[:, :3], axis=1, keepdims=True) / (2.0 * size)[:, None]
     return np.asarray(left / np.maximum(_running_median(slope)[:, 0], FLAT))
 
 

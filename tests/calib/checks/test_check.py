@@ -317,6 +317,26 @@ def test_without_positions_an_impossible_magnitude_is_still_named(model: FieldMo
         assert [finding.code for finding in found.traps] == ["magnetometer_unit"]
 
 
+@pytest.mark.parametrize("with_attitude", [True, False])
+def test_the_field_of_a_recorded_current_is_no_outlier_and_hides_none(model: FieldModel, with_attitude: bool) -> None:
+    """A body that turns by twenty degrees from row to row: along the field that of the current changes its sign at once."""
+    world = {
+        "torquers": None,
+        "attitude": {"mode": "tumble", "rate_deg_s": [0.7, -0.4, 1.1]},
+        "spacecraft.inertia_kg_m2": [[0.03, 0.0, 0.0], [0.0, 0.035, 0.0], [0.0, 0.0, 0.01]],
+        "schedule.segments": [{"start_utc": "2026-03-01T00:00:00Z", "duration_min": 900.0, "step_s": 15.0}],
+        "drivers.bus": {"pattern": "square", "low": 0.3, "high": 1.7, "period_s": 2300.0, "duty": 0.45},
+        "effects.driver.bus": {"k_nT_per_unit": [150.0, -90.0, 120.0]},
+    }
+    record, _ = simulate(load_scenario("cubesat").updated(world))
+    record = record if with_attitude else record.replace(q_NB=None)
+    assert not check_telemetry(record, model).traps
+    wild = np.array(record.mag_B_nT)
+    wild[[300, 900], 1] += 3000.0
+    (found,) = check_telemetry(record.replace(mag_B_nT=wild), model).traps
+    assert found.rows == (301, 901)
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_without_positions_a_size_that_rises_faster_than_its_noise_has_no_outliers(
     model: FieldModel, seed: int

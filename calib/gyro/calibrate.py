@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
 
-from fluxtwin.calib.common import observability
+from fluxtwin.calib.common import drivers, observability
 from fluxtwin.calib.common.design import complete_rows, joined
 from fluxtwin.calib.common.digits import measured, plain
 from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, per_axis
-from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.common.records import Calibration, TelemetryBias
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import robust_weights
 from fluxtwin.calib.common.words import say
@@ -59,17 +59,43 @@ def calibrate_gyro(
             where="rate_x_rad_s rate_y_rad_s rate_z_rad_s",
             wanted="the gyro's columns",
         )
+    asked = drivers.asked_for(telemetry, options.driver)
     needs = {"no reading": telemetry.has_reading, "no rate": np.asarray(np.isfinite(rates).all(axis=1))}
-    rows, left_out = complete_rows(needs, "by gyro needs readings and body rates in the same rows")
+    needs |= {f"no {name}": np.asarray(np.isfinite(column)) for name, column in asked.columns.items()}
+    rows, left_out = complete_rows(needs, "by gyro needs readings, body rates and drivers in the same rows")
     used = telemetry.select(rows)
-    solved, weights, length_s = _best(used, rates[rows], options)
+
+    def by(columns: drivers.Columns) -> Fit:
+        return _fit(telemetry, used, rows, columns, options, left_out)
+
+    def not_late(fit: Fit, columns: drivers.Columns, name: str, tried: FloatArray) -> FloatArray:
+        return np.zeros(tried.shape[1])
+
+    others = used.mag_B_nT if options.parameters != "b" else np.zeros((len(used), 0))
+    return drivers.fitted(asked, rows, others, by, not_late)
+
+
+def _fit(
+    telemetry: Telemetry,
+    used: Telemetry,
+    rows: np.ndarray,
+    columns: drivers.Columns,
+    options: GyroOptions,
+    left_out: Mapping[str, int],
+) -> Fit:
+    """The fit to these rows of the telemetry, with the fields of columns (n,)."""
+    assert used.rate_B_rad_s is not None
+    follows = np.array([*columns.values()]).reshape(len(columns), len(used)).T
+    solved, weights, length_s = _best(used, used.rate_B_rad_s, follows, options)
     variation = observability.field_variation(used.mag_B_nT)
-    _require_turns(solved, used, options)
+    _require_turns(solved, used.mag_B_nT - follows @ solved.fields_nT, options)
     order = np.argsort(solved.rows, kind="stable")
     kept_rows, residual_nT = solved.rows[order], solved.residual_nT[order]
     w = weights[kept_rows]
     kept = w >= 0.01
     noise = _noise(options, solved.variance_nT2)
+    beside = f", field of {' and '.join(columns)} estimated" if columns else ""
+    fields_sigma_nT = np.sqrt(np.diag(solved.fields_covariance)).reshape(-1, 3)
     calibration = Calibration(
         S=solved.S,
         b_nT=solved.b_nT,
@@ -79,8 +105,9 @@ def calibrate_gyro(
         samples=int(kept.sum()),
         span=(used.time[kept_rows[0]], used.time[kept_rows[-1]]),
         field_model="none",
-        method=f"gyro and magnetometer alone, for {options.parameters}",
+        method=f"gyro and magnetometer alone, for {options.parameters}{beside}",
         unobservable=_unobservable(options),
+        telemetry_bias={name: TelemetryBias(solved.fields_nT[k], fields_sigma_nT[k]) for k, name in enumerate(columns)},
     )
     outside = len(used) - len(kept_rows)
     fit = Fit(
@@ -96,11 +123,14 @@ def calibrate_gyro(
         noise=noise,
         statistics=residual_statistics(used.time[kept_rows][kept], residual_nT[kept]),
         messages=_messages(solved, length_s, noise, options),
+        driver_covariance=solved.fields_covariance,
     )
     return with_warnings(fit, telemetry, robust=options.robust != "none")
 
 
-def _best(used: Telemetry, rates: FloatArray, options: GyroOptions) -> tuple[Solved, FloatArray, float]:
+def _best(
+    used: Telemetry, rates: FloatArray, columns: FloatArray, options: GyroOptions
+) -> tuple[Solved, FloatArray, float]:
     """The answer, the weights (N,) and the length of a stretch: the longest of which there are three, as more of a turn is
     seen in it; but of no more rows than a covariance is cheap for."""
     usual_s = float(np.median(np.diff(used.time).astype(np.float64))) * 1e-9 if len(used) > 1 else 1.0
@@ -110,8 +140,8 @@ def _best(used: Telemetry, rates: FloatArray, options: GyroOptions) -> tuple[Sol
     for length in lengths:
         cuts = cut(used.time, rates, length)
         if len(cuts) >= _FEWEST:
-            solved, weights = _robust(used, rates, cuts, length, options)
-            _require_no_false_turns(used, rates, cuts, length, options, solved, weights)
+            solved, weights = _robust(used, rates, columns, cuts, length, options)
+            _require_no_false_turns(used, rates, columns, cuts, length, options, solved, weights)
             return solved, weights, length
     fast = np.degrees(np.median(np.linalg.norm(rates, axis=1)))
     words = say("gyro.no_stretches", fewest=_FEWEST, fast=fast, most=np.degrees(LARGEST_TURN_RAD))
@@ -119,7 +149,12 @@ def _best(used: Telemetry, rates: FloatArray, options: GyroOptions) -> tuple[Sol
 
 
 def _robust(
-    used: Telemetry, rates: FloatArray, cuts: list[np.ndarray], length_s: float, options: GyroOptions
+    used: Telemetry,
+    rates: FloatArray,
+    columns: FloatArray,
+    cuts: list[np.ndarray],
+    length_s: float,
+    options: GyroOptions,
 ) -> tuple[Solved, FloatArray]:
     """The answer with weights that outliers do not move, and the weights (N,)."""
     rows, whole = np.concatenate(cuts), np.ones(len(used))
@@ -127,7 +162,7 @@ def _robust(
     def fit(start: Solved | None, *, corrected: bool) -> Solved:
         with_S = options.parameters != "b"
         more = {"with_S": with_S, "weights": whole, "start": start, "corrected": corrected}
-        return solve(used.time, used.mag_B_nT, rates, cuts, length_s, **more)  # type: ignore[arg-type]
+        return solve(used.time, used.mag_B_nT, rates, cuts, length_s, columns, **more)  # type: ignore[arg-type]
 
     if options.robust == "none":
         return fit(None, corrected=True), whole
@@ -146,6 +181,7 @@ def _robust(
 def _require_no_false_turns(
     used: Telemetry,
     rates: FloatArray,
+    columns: FloatArray,
     cuts: list[np.ndarray],
     length_s: float,
     options: GyroOptions,
@@ -162,12 +198,12 @@ def _require_no_false_turns(
         words = say("gyro.too_slow", speed=np.degrees(speed), noise=np.degrees(noise), wanted=_SLOW)
         raise NoAnswer(words, evidence={"rate_rad_s": speed, "noise_rad_s": noise})
     rng = stream(0, "calib.gyro.repeat")
-    again = np.array(used.mag_B_nT)
+    again = used.mag_B_nT - columns @ solved.fields_nT
     field = fields_without_errors(used.time, again, rates, cuts, length_s, weights)
     again[solved.rows] = field + np.sqrt(solved.variance_nT2) * rng.standard_normal(field.shape)
     shaken = rates + _SHAKEN * solved.gyro_noise_rad_s * rng.standard_normal(rates.shape)
     with_S, kept = options.parameters != "b", (weights > 0.01).astype(np.float64)
-    found = solve(used.time, again, shaken, cuts, length_s, with_S=with_S, weights=kept)
+    found = solve(used.time, again, shaken, cuts, length_s, columns, with_S=with_S, weights=kept)
     if float(found.b_nT @ np.linalg.solve(found.covariance[9:, 9:], found.b_nT)) > _REPEATED:
         raise NoAnswer(
             say("gyro.false_turns", size=np.linalg.norm(found.b_nT)),
@@ -175,10 +211,10 @@ def _require_no_false_turns(
         )
 
 
-def _require_turns(solved: Solved, used: Telemetry, options: GyroOptions) -> None:
-    """Raises NoAnswer where b, or S, is not determined."""
-    strength = float(np.sqrt((used.mag_B_nT**2).sum(axis=1).mean()))
-    left = float(np.sqrt(((used.mag_B_nT @ (np.eye(3) + solved.S).T + solved.b_nT) ** 2).sum(axis=1).mean()))
+def _require_turns(solved: Solved, reading_nT: FloatArray, options: GyroOptions) -> None:
+    """Raises NoAnswer where b, or S, is not determined. reading_nT: (n, 3) without the fields of columns."""
+    strength = float(np.sqrt((reading_nT**2).sum(axis=1).mean()))
+    left = float(np.sqrt(((reading_nT @ (np.eye(3) + solved.S).T + solved.b_nT) ** 2).sum(axis=1).mean()))
     if left < _COLLAPSED * strength:
         words = say("gyro.collapsed", left=left, strength=strength)
         raise NoAnswer(words, evidence={"field_nT": left, "b_nT": solved.b_nT.tolist()})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,7 @@ class GyroOptions(of.Options):
 
     method: str = field(default="gyro", metadata=of.METHOD("gyro"))
     parameters: str = field(default="b,S", metadata=of.PARAMETERS("b", "b,S"))
+    driver: Sequence[str] = field(default=(), metadata=of.DRIVER())
     robust: str = field(default="tukey", metadata=of.ROBUST("none", "huber", "tukey"))
     stretch_s: float | None = field(default=None, metadata=_STRETCH_S())
     noise_nT: float | FloatArray | None = field(default=None, metadata=of.NOISE_NT())

@@ -5,7 +5,8 @@ axes. A reading m, with M = I + S and c = -b, then fulfils
 
     M m_k - c - R_k P_k a = noise
 
-which is linear in S, c and a; a bias of the gyro turns R_k by Psi_k bias. For a field that does not change it is the
+which is linear in S, c and a, and in the fields of columns d of telemetry: M (m_k - s d_k) in the place of M m_k, with M s
+for s; a bias of the gyro turns R_k by Psi_k bias. For a field that does not change it is the
 integral of dB/dt + w x (B - b) = 0 (Troni and Whitcomb, Field sensor bias calibration with angular-rate sensors, IEEE/ASME
 Transactions on Mechatronics 24, 2019), without the noise of a derivative. S and the gyro's bias beside b are found as in
 Rodriguez-Martinez and Troni (full magnetometer and gyroscope bias estimation using angular rates, IEEE Journal of Oceanic
@@ -60,10 +61,14 @@ class Solved(NamedTuple):
     """(3, 3), of trace zero."""
     b_nT: FloatArray
     """(3,)."""
+    fields_nT: FloatArray
+    """(J, 3) in the reading, per unit of each column."""
     bias_rad_s: FloatArray
     """(3,) of the gyro."""
     covariance: FloatArray
     """(12, 12) of S row by row and b."""
+    fields_covariance: FloatArray
+    """(3 J, 3 J), column by column."""
     bias_sigma_rad_s: FloatArray
     """(3,)."""
     rows: np.ndarray
@@ -81,7 +86,7 @@ class Cleared(NamedTuple):
     """One stretch, whitened and cleared of its own field."""
 
     G: FloatArray
-    """(3 n, p) derivatives by S, c and the gyro's bias."""
+    """(3 n, p) derivatives by S, the fields of columns, c and the gyro's bias."""
     y: FloatArray
     """(3 n,) readings."""
     weight: FloatArray
@@ -96,6 +101,7 @@ def solve(
     rate_B_rad_s: FloatArray,
     cuts: Sequence[np.ndarray],
     length_s: float,
+    columns: FloatArray,
     *,
     with_S: bool,
     weights: FloatArray,
@@ -104,43 +110,57 @@ def solve(
 ) -> Solved:
     """Gauss-Newton over the gyro's bias; all else is linear. The gyro's noise is found by restricted likelihood.
 
-    weights: (N,) of the rows, 1 at the most. start: a solution with other weights, of which one step is made. corrected:
-    for noise in the regressors; not before outliers have lost their weight. Raises NoAnswer where a combination of the
-    parameters is moved by noise alone.
+    columns: (N, J) that a field follows. weights: (N,) of the rows, 1 at the most. start: a solution with other weights, of
+    which one step is made. corrected: for noise in the regressors; not before outliers have lost their weight. Raises
+    NoAnswer where a combination of the parameters is moved by noise alone.
     """
     scale = float(np.sqrt((reading_nT**2).sum(axis=1).mean()))
     degree, m = degree_for(length_s), reading_nT / scale
-    bias, S, c = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
+    bias, S, c, u = np.zeros(3), np.zeros((3, 3)), np.zeros(3), np.zeros((columns.shape[1], 3))
+    rms = np.sqrt((columns**2).mean(axis=0))
+    d = columns / rms
     variance = 0.0 if start is None else start.variance_nT2 / scale**2
     ratio = 0.0 if start is None else start.gyro_noise_rad_s**2 * scale**2 / start.variance_nT2
     if start is not None:
         bias, S, c = start.bias_rad_s, start.S, -start.b_nT / scale
+        u = (start.fields_nT * rms[:, None] / scale) @ (np.eye(3) + S).T
     rows = np.concatenate(cuts)
-    size = 14 if with_S else 6
+    free = 8 if with_S else 0
+    size = free + u.size + 6
     freedom = max(1.0, 3.0 * float(weights[rows].sum()) - 3.0 * (degree + 1) * len(cuts) - size)
     for turn in range(_ROUNDS if start is None else 1):
         stretches = [follow(time, rate_B_rad_s - bias, one, degree) for one in cuts]
-        true = m + m @ S.T - c
+        true = m + m @ S.T - c - d @ u
         if start is None and turn == _ROUNDS // 2:
-            ratio = _ratio(stretches, m, true, weights, freedom, with_S=with_S)
-        parts = [_cleared(one, m, true, weights, ratio, with_S=with_S) for one in stretches]
-        theta, normal = _least_squares(parts, variance if corrected else 0.0)
+            ratio = _ratio(stretches, m, true, d, weights, freedom, with_S=with_S)
+        parts = [_cleared(one, m, true, d, weights, ratio, with_S=with_S) for one in stretches]
+        theta, normal = _least_squares(parts, variance if corrected and with_S else 0.0)
         variance = sum(float(((one.y - one.G @ theta) ** 2).sum()) for one in parts) / freedom
-        S = (BASIS_S @ theta[:-6]).reshape(3, 3) if with_S else S
+        S = (BASIS_S @ theta[:free]).reshape(3, 3) if with_S else S
+        u = theta[free:-6].reshape(-1, 3)
         c, bias = theta[-6:-3], bias + theta[-3:]
     covariance = _covariance(parts, theta, normal, variance)
     back = np.zeros((12, size))
     if with_S:
         back[:9, :8] = BASIS_S
     back[9:, -6:-3] = -scale * np.eye(3)
+    inverse = np.linalg.inv(np.eye(3) + S)
+    s = u @ inverse.T
+    of_fields = np.zeros((u.size, size))  # M s = u
+    of_fields[:, free:-6] = np.kron(np.eye(len(u)), inverse)
+    if with_S:
+        of_fields[:, :8] = -(inverse @ of_S(s) @ BASIS_S).reshape(-1, 8)
+    of_fields *= np.repeat(scale / rms, 3)[:, None]
     return Solved(
         S=S,
         b_nT=-c * scale,
+        fields_nT=s * (scale / rms)[:, None],
         bias_rad_s=bias,
         covariance=back @ covariance @ back.T,
+        fields_covariance=of_fields @ covariance @ of_fields.T,
         bias_sigma_rad_s=np.sqrt(np.diag(covariance)[-3:]),
         rows=rows,
-        residual_nT=np.vstack([_residual(one, reading_nT, S, c * scale, weights) for one in stretches]),
+        residual_nT=np.vstack([_residual(one, reading_nT - d @ s * scale, S, c * scale, weights) for one in stretches]),
         variance_nT2=variance * scale**2,
         gyro_noise_rad_s=float(np.sqrt(ratio * variance)),
         stretches=len(stretches),
@@ -155,7 +175,7 @@ def _least_squares(parts: Sequence[Cleared], variance: float) -> tuple[FloatArra
     """
     normal = np.sum([one.G.T @ one.G for one in parts], axis=0)
     right = np.sum([one.G.T @ one.y for one in parts], axis=0)
-    if len(right) > 6:
+    if variance > 0.0:
         D = variance * np.sum([one.weight for one in parts], axis=0)
         normal[:8, :8] -= BASIS_S.T @ np.kron(D, np.eye(3)) @ BASIS_S
         right[:8] += BASIS_S.T @ D.reshape(9)
@@ -163,12 +183,19 @@ def _least_squares(parts: Sequence[Cleared], variance: float) -> tuple[FloatArra
 
 
 def _ratio(
-    stretches: Sequence[Stretch], m: FloatArray, true: FloatArray, weights: FloatArray, freedom: float, *, with_S: bool
+    stretches: Sequence[Stretch],
+    m: FloatArray,
+    true: FloatArray,
+    d: FloatArray,
+    weights: FloatArray,
+    freedom: float,
+    *,
+    with_S: bool,
 ) -> float:
     """Variance of a rate [rad^2/s^2] over that of a reading in parts of the field, of the greatest restricted likelihood."""
 
     def minus_log(log_ratio: float) -> float:
-        parts = [_cleared(one, m, true, weights, float(np.exp(log_ratio)), with_S=with_S) for one in stretches]
+        parts = [_cleared(one, m, true, d, weights, float(np.exp(log_ratio)), with_S=with_S) for one in stretches]
         theta, normal = _least_squares(parts, 0.0)
         left = sum(float(((one.y - one.G @ theta) ** 2).sum()) for one in parts)
         logs = sum(one.log_determinant for one in parts)
@@ -185,14 +212,15 @@ def _ratio(
 
 
 def _cleared(
-    one: Stretch, m: FloatArray, true: FloatArray, weights: FloatArray, ratio: float, *, with_S: bool
+    one: Stretch, m: FloatArray, true: FloatArray, d: FloatArray, weights: FloatArray, ratio: float, *, with_S: bool
 ) -> Cleared:
-    """The stretch's rows for S, c and a change of the gyro's bias, and the reading, cleared of its own field."""
+    """The stretch's rows for S, fields of columns d (N, J), c and a change of the gyro's bias, and the reading, cleared of
+    its own field."""
     n, here, B = len(one.rows), m[one.rows], true[one.rows]
     columns = []
     if with_S:
         columns.append(-of_S(here).reshape(n * 3, 9) @ BASIS_S)
-    columns.append(np.tile(np.eye(3), (n, 1)))
+    columns += [np.kron(part[:, None], np.eye(3)) for part in (*d[one.rows].T, np.ones(n))]
     # R turns by (I + [Psi d]x) for a bias larger by d: the field by (Psi d) x B = -[B]x Psi d
     cross = np.zeros((n, 3, 3))
     cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -B[:, 2], B[:, 1], -B[:, 0]

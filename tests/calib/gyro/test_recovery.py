@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -76,6 +78,31 @@ def test_a_part_of_a_turn_in_each_stretch_is_enough_for_b_and_a_slow_body_is_ref
     assert low < sum(found) < high
     with pytest.raises(NoAnswer, match="not determined"):
         fluxtwin.calibrate(flown(7150, "[0.01, 0.02, -0.01]", none), method="gyro", parameters="b", stretch_s=80.0)
+
+
+def test_the_field_of_a_column_is_found_within_its_sigmas(tmp_path: Path) -> None:
+    """Without attitude, position and field model. The sums over seeds are chi-square; b and S are as good as without."""
+    k_nT, off, seen = np.array([300.0, -200.0, 120.0]), [], []
+    for seed in range(3):
+        record = flown(7000 + seed)
+        on = (np.arange(len(record)) // 17 % 2).astype(float)
+        driven = record.replace(mag_B_nT=record.mag_B_nT + np.outer(on, k_nT), drivers={"tx": on})
+        fit = fluxtwin.calibrate(driven, method="gyro", stretch_s=170.0, driver=["tx"])
+        found = fit.calibration.telemetry_bias["driver_tx"]
+        e = found.value_nT - k_nT
+        off.append(float(e @ np.linalg.solve(fit.driver_covariance, e)))
+        seen.append(misfit(fit))
+        assert found.sigma_nT.max() < 20.0
+    for total, size in ((off, 3), (seen, 11)):
+        low, high = chi2.ppf([0.0005, 0.9995], size * len(total))
+        assert low < sum(total) < high
+    known = fluxtwin.Calibration.from_toml(fit.calibration.to_toml(tmp_path / "c.toml"))
+    assert np.allclose(known.telemetry_bias["driver_tx"].value_nT, found.value_nT)
+    ignored = fluxtwin.calibrate(driven, method="gyro", stretch_s=170.0)
+    assert ignored.calibration.sigma_nT > 1.2 * fit.calibration.sigma_nT
+    same = driven.replace(drivers={"tx": on, "never": np.ones_like(on)})
+    with pytest.raises(NoAnswer, match="driver_never cannot be estimated: it never changes"):
+        fluxtwin.calibrate(same, method="gyro", stretch_s=170.0, driver=["never"])
 
 
 def test_bit_errors_do_not_move_the_answer() -> None:

@@ -17,6 +17,7 @@ from fluxtwin.calib.common.covariance import correlation_time_s, observed_s, seg
 from fluxtwin.calib.common.digits import measured
 from fluxtwin.calib.common.direction import CONFIDENCE, DirectionKnowledge, direction_knowledge
 from fluxtwin.calib.common.observability import correlated_pairs, direction_words
+from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.words import say
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -154,7 +155,7 @@ def assess(
         correlated=worst_pairs(fit),
         not_observable=fit.observability,
         passes=None if fit.error_model is None else fit.error_model.passes,
-        next_step=_WITH_TORQUERS if coupling else _next_step(fit, bool(impossible), along, direction),
+        next_step=_WITH_TORQUERS if coupling else _next_step(fit, impossible, along, direction),
     )
 
 
@@ -222,7 +223,14 @@ def _impossible(fit: Fit, declared: DeclaredNoise, along: Along, residual_nT: fl
     if residual_nT > IMPOSSIBLE_RESIDUAL * field_rms_nT / np.sqrt(fit.residuals_nT.shape[1]):
         share = 100 * residual_nT * np.sqrt(fit.residuals_nT.shape[1]) / field_rms_nT
         found.append(say("verdict.impossible_residual", share=share))
-    return found
+    return found or _undetermined(known)
+
+
+def _undetermined(known: Calibration) -> list[str]:
+    """A sentence on the element of S that the data know worst, where that is less than is known of any magnetometer."""
+    at = int(known.sigmas[:9].argmax())
+    said = {"name": known.names[at], "sigma": known.sigmas[at], "most": 100 * IMPOSSIBLE_S}
+    return [say("verdict.undetermined_S", **said)] if known.sigmas[at] > IMPOSSIBLE_S else []
 
 
 def _limits(
@@ -294,14 +302,16 @@ def _coupling(fit: Fit, dipole_B_Am2: FloatArray | None) -> str:
     return say("verdict.coupling", share=100 * on) if on else ""
 
 
-def _next_step(fit: Fit, impossible: bool, along: Along, direction: DirectionKnowledge) -> str:
+def _next_step(fit: Fit, impossible: list[str], along: Along, direction: DirectionKnowledge) -> str:
+    weak = direction_words(fit.variation.directions_B[0])
+    if impossible and impossible == _undetermined(fit.calibration):
+        return say("verdict.more_field", weak=weak)
     if impossible or _beyond_model(along) or _many_outliers(fit):
         return "fluxtwin check TELEMETRY"
     if _too_much_along(along):
         if not fit.calibration.sigmas[:9].any():
             return "fluxtwin calibrate TELEMETRY --parameters b,S"
         return "fluxtwin diagnose TELEMETRY --html diagnosis.html"
-    weak = direction_words(fit.variation.directions_B[0])
     if direction.calibration_deg > direction.noise_deg:
         return say("verdict.more_field", weak=weak)
     return "fluxtwin apply TELEMETRY --calibration CALIBRATION.toml --out CORRECTED"

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from fluxtwin.calib.common.fit import Fit
+from fluxtwin.calib.common.verdict import assess
 from fluxtwin.calib.methods import calibrate_by
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -41,6 +43,21 @@ def test_a_good_fit_is_called_good(seasat: Any, method: str) -> None:
         assert verdict.lines[0].startswith("Good. The residual")
         assert verdict.lines[-1] == f"Next: {verdict.next_step}"
         assert verdict.next_step.startswith(("fluxtwin apply", "add data"))
+
+
+def test_what_is_known_worse_than_of_any_magnetometer_is_no_calibration(seasat: Any) -> None:
+    record = flown(seasat)
+    fit = fitted(record, seasat)
+    worst = int(fit.calibration.sigmas[:9].argmax())
+    for size, level in ((0.21, "bad"), (0.19, "usable")):
+        wider = fit.calibration.covariance * (size / fit.calibration.sigmas[worst]) ** 2
+        verdict = assess(replace(fit, calibration=replace(fit.calibration, covariance=wider)), record)
+        assert verdict.level == level
+    assert not any("do not determine" in words for words in verdict.reasons)
+    wider = fit.calibration.covariance * (67.0 / fit.calibration.sigmas[worst]) ** 2
+    verdict = assess(replace(fit, calibration=replace(fit.calibration, covariance=wider)), record)
+    assert verdict.reasons[0].startswith(f"{fit.calibration.names[worst]} is only known to ± 67, and no magnetometer")
+    assert verdict.next_step.startswith("add data") and not any(" deg " in line for line in verdict.lines)
 
 
 def test_the_clock_an_hour_off_is_no_calibration(seasat: Any) -> None:

@@ -44,17 +44,16 @@ def read_source(path: Path | Table, entry: FileEntry, max_samples: int) -> Sourc
     """Read the file or files of one entry, or a table; rows without a stamp are left out and counted."""
     found = [path] if isinstance(path, Table) else matches(path, entry)
     parts = [_read_one(one, entry, max_samples) for one in found]
-    for part in parts:
-        if not isinstance(path, Table) and Path(part.where) != path:  # one file of several: which?
-            part.notices[:] = [f"{Path(part.where).name}: {text}" for text in part.notices]
     source = parts[0]
+    if not isinstance(path, Table) and Path(source.where) != path:  # one file of several, or several: which?
+        source.notices[:] = _of_files(parts)
     if len(parts) > 1:
         source = Source(
             entry,
             f"{parts[0].where} and {len(parts) - 1} more",
             np.concatenate([part.time for part in parts]),
             {name: np.concatenate([part.values[name] for part in parts]) for name in parts[0].values},
-            [text for part in parts for text in part.notices],
+            source.notices,
             [digest for part in parts for digest in part.digests],
         )
     keep = ~np.isnat(source.time)
@@ -66,6 +65,17 @@ def read_source(path: Path | Table, entry: FileEntry, max_samples: int) -> Sourc
     if source.time.size == 0:
         raise BadInput("no row has a time", where=source.where, wanted="at least one")
     return source
+
+
+def _of_files(parts: list[Source]) -> list[str]:
+    """The notices of the files, each once with the names of those that it is about."""
+    about: dict[str, list[str]] = {}
+    for part in parts:
+        for text in part.notices:
+            about.setdefault(text, []).append(Path(part.where).name)
+    return [
+        f"{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: {text}" for text, names in about.items()
+    ]
 
 
 def _read_one(path: Path | Table, entry: FileEntry, max_samples: int) -> Source:

@@ -133,6 +133,18 @@ def test_a_folder_of_pieces_is_to_be_checked_as_a_folder(tmp_path: Path) -> None
     assert f"fluxtwin check {tmp_path} --map" in draft([tmp_path])
 
 
+def test_what_all_pieces_have_is_said_once(tmp_path: Path) -> None:
+    for k in range(3):
+        part = {name: column[60 * k : 60 * k + 60] for name, column in HEADERS["ISO, bracketed units, ECI"].items()}
+        path = table(tmp_path / f"log_{k}.csv", part)
+        path.write_text(path.read_text().replace(",", ";"))
+    (tmp_path / "map.toml").write_text(draft([tmp_path]))
+    record = read_telemetry(tmp_path, column_map=tmp_path / "map.toml")
+    assert len(record) == 180
+    assert record.provenance["notices"].count("separated by semicolons") == 1
+    assert "log_0.csv and 2 more: its columns are separated" in record.provenance["notices"]
+
+
 def test_ephemerides_state_their_frame(tmp_path: Path) -> None:
     table(tmp_path / "mag.csv", {"utc": np.datetime_as_string(TIME, unit="ms"), **triple("bx_nT by_nT bz_nT", MAG)})
     head = "META_START\nOBJECT_NAME = X\nOBJECT_ID = 1\nCENTER_NAME = EARTH\nREF_FRAME = ITRF2000\nTIME_SYSTEM = UTC\n"

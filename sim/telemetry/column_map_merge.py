@@ -25,6 +25,7 @@ from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.formats.table import Table
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, DRIVERS, MAG2, POSITION, VELOCITY, family_of
 
+_ROUNDED_S = 1e-6  # by which seconds as floating-point numbers, and stamps from another time scale, may be off
 _LARGEST_TURN_RAD = np.pi / 2.0
 """A turn beyond this between two attitude samples is not interpolated: the way it went is not known."""
 
@@ -113,7 +114,7 @@ def _brackets(have: FloatArray, want: FloatArray, max_gap_s: float) -> tuple[np.
     """Index of the sample at or before each wanted instant, and whether the pair around it is close enough."""
     place = np.clip(np.searchsorted(have, want, side="right") - 1, 0, max(have.size - 2, 0))
     after = np.minimum(place + 1, have.size - 1)
-    inside = (want >= have[place]) & (want <= have[after]) & (have[after] - have[place] <= max_gap_s)
+    inside = (want >= have[place]) & (want <= have[after]) & (have[after] - have[place] <= max_gap_s + _ROUNDED_S)
     return place, inside | (want == have[place]) | (want == have[after])
 
 
@@ -166,7 +167,7 @@ def _along_orbit(source: Source, rows: np.ndarray, time: TimeArray, order: int) 
     r, v = source.values["position"][rows], source.values.get("velocity")
     v = None if v is None or not np.isfinite(v[rows]).all() else v[rows]
     near = _brackets(have, want, gap)[1]
-    for piece in np.split(np.arange(have.size), np.flatnonzero(np.diff(have) > gap) + 1):
+    for piece in np.split(np.arange(have.size), np.flatnonzero(np.diff(have) > gap + _ROUNDED_S) + 1):
         at = have[piece]
         inside = near & (want >= at[0]) & (want <= at[-1])
         if piece.size >= (2 if v is not None else 4) and inside.any():

@@ -157,6 +157,25 @@ def test_ephemerides_state_their_frame(tmp_path: Path) -> None:
     assert not any(line.startswith(CONFIRM) and "position" in line for line in text.splitlines())
 
 
+def test_states_exactly_as_far_apart_as_allowed_are_bridged(tmp_path: Path) -> None:
+    """A state a minute is what --tle takes too: seconds as floating-point numbers may be off in the last digit."""
+    fine = START + np.arange(901) * np.timedelta64(2, "s")
+    r, v = Orbit(epoch_utc=START, altitude_km=550.0, inclination_rad=1.7, raan_rad=1.0).propagate(fine)
+    stamps = np.datetime_as_string(fine, unit="ms")
+    table(
+        tmp_path / "mag.csv", {"utc": stamps, **triple("bx_nT by_nT bz_nT", field_N_nT(load_field("igrf14"), fine, r))}
+    )
+    tai = np.datetime_as_string(fine[::30] + np.timedelta64(37, "s"), unit="ms")
+    head = "META_START\nOBJECT_NAME = X\nOBJECT_ID = 1\nCENTER_NAME = EARTH\nREF_FRAME = GCRF\nTIME_SYSTEM = TAI\n"
+    rows = "\n".join(f"{t} {' '.join(map(str, [*a, *b]))}" for t, a, b in zip(tai, r[::30], v[::30], strict=True))
+    span = f"START_TIME = {tai[0]}\nSTOP_TIME = {tai[-1]}\nMETA_STOP\n"
+    (tmp_path / "orbit.oem").write_text(f"CCSDS_OEM_VERS = 2.0\nORIGINATOR = T\n{head}{span}{rows}\n")
+    (tmp_path / "map.toml").write_text(draft([tmp_path]))
+    record = read_telemetry(tmp_path, column_map=tmp_path / "map.toml")
+    assert record.has_position.all() and record.r_N_km is not None
+    assert np.abs(record.r_N_km - r).max() < 0.001
+
+
 def test_the_command_writes_the_map_and_check_accepts_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = table(tmp_path / "foreign.csv", HEADERS["ISO, bracketed units, ECI"])
     assert main(["map", str(data), "--out", str(tmp_path / "map.toml")]) == 0

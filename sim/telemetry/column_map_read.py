@@ -25,6 +25,7 @@ from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, family_of
 
 _LIST_BYTES = 400
 """Width of a cell that holds a list of numbers, at most."""
+_NAMED = 3  # files in one notice; the others are counted
 
 
 @dataclass
@@ -73,9 +74,8 @@ def _of_files(parts: list[Source]) -> list[str]:
     for part in parts:
         for text in part.notices:
             about.setdefault(text, []).append(Path(part.where).name)
-    return [
-        f"{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: {text}" for text, names in about.items()
-    ]
+    more = {text: f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "" for text, names in about.items()}
+    return [f"{', '.join(names[:_NAMED])}{more[text]}: {text}" for text, names in about.items()]
 
 
 def _read_one(path: Path | Table, entry: FileEntry, max_samples: int) -> Source:

@@ -134,15 +134,15 @@ def test_a_folder_of_pieces_is_to_be_checked_as_a_folder(tmp_path: Path) -> None
 
 
 def test_what_all_pieces_have_is_said_once(tmp_path: Path) -> None:
-    for k in range(3):
-        part = {name: column[60 * k : 60 * k + 60] for name, column in HEADERS["ISO, bracketed units, ECI"].items()}
+    for k in range(4):
+        part = {name: column[45 * k : 45 * k + 45] for name, column in HEADERS["ISO, bracketed units, ECI"].items()}
         path = table(tmp_path / f"log_{k}.csv", part)
         path.write_text(path.read_text().replace(",", ";"))
     (tmp_path / "map.toml").write_text(draft([tmp_path]))
     record = read_telemetry(tmp_path, column_map=tmp_path / "map.toml")
     assert len(record) == 180
     assert record.provenance["notices"].count("separated by semicolons") == 1
-    assert "log_0.csv and 2 more: its columns are separated" in record.provenance["notices"]
+    assert "log_0.csv, log_1.csv, log_2.csv and 1 more: its columns are separated" in record.provenance["notices"]
 
 
 def test_ephemerides_state_their_frame(tmp_path: Path) -> None:

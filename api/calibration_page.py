@@ -75,9 +75,10 @@ def _seen(fit: Fit, record: Telemetry | None) -> list[PageSection]:
         size = [np.linalg.norm(field, axis=1, keepdims=True) for field in (corrected, rows.mag_B_nT)]
         predicted = size[0] - fit.residuals_nT
         before = size[1] - predicted
+    aside = ~kept_rows(fit.weights)
     words = "Measured: the readings as received. Predicted: the model field, rotated by the attitude if there is one."
     return [
-        PageSection("Measured and predicted", [], [], [field_block(rows, rows.mag_B_nT, predicted, words)]),
+        PageSection("Measured and predicted", [], [], [field_block(rows, rows.mag_B_nT, predicted, words, aside)]),
         PageSection("Residuals", [], [_residuals(fit)], [_residual_block(fit, before)]),
     ]
 
@@ -155,16 +156,17 @@ def _residual_block(fit: Fit, before_nT: FloatArray | None) -> FigureBlock:
         if fit.residuals_nT.shape[1] == 3
         else "calibrated reading minus model, in size"
     )
-    caption = (
-        f"Residuals of {len(fit.time)} rows, {of}. Crosses: rows set aside as outliers; arrows at "
-        "the edge: beyond it." + ("" if before_nT is None else " Above: residuals of the readings as received.")
-    )
+    caption = f"Residuals of {len(fit.time)} rows, {of}."
+    if before_nT is not None:
+        caption += " The first panel has the residuals of the readings as received."
+    if not kept_rows(fit.weights).all():
+        caption += " Crosses: rows set aside as outliers. Arrows at the edge: values beyond it."
     return FigureBlock("residuals", caption, residual_series(fit, before_nT))
 
 
 def _coverage(fit: Fit) -> list[PageSection]:
     """The sky of the body, and what to fly."""
-    from fluxtwin.plots.field_coverage import FieldCoverage, draw_field_coverage
+    from fluxtwin.evidence import coverage_block
 
     seen = fit.coverage
     if seen is None:
@@ -180,19 +182,12 @@ def _coverage(fit: Fit) -> list[PageSection]:
         "Predicted from the Jacobian of this fit, with errors as they are in this record; blank: more than a hundred "
         "records.",
     )
-    caption = (
-        "Directions of the field in body axes, an equal-area map: longitude from body x to y, latitude towards z. Each dot "
-        "is one of 80 equal areas, coloured by its rows; open where there was none."
-    )
-    figure = draw_field_coverage(
-        FieldCoverage(seen.directions_B, seen.counts), title="Directions of the field in the body"
-    )
     return [
         PageSection(
             "Directions and what to fly",
             list(seen.lines),
             [table] if rows else [],
-            [FigureBlock("coverage", caption, figure)],
+            [coverage_block(seen.directions_B, seen.counts)],
         )
     ]
 
@@ -217,8 +212,8 @@ def _angles(fit: Fit) -> Table:
         ["before: readings as received", plain(d.before_deg, 2)],
         ["after: calibrated reading", plain(d.after_deg, 2)],
         ["of that, errors of the calibration", plain(d.calibration_deg, 2)],
-        ["errors of the calibration in any attitude", plain(d.calibration_anywhere_deg, 2)],
         ["of that, noise of one reading", plain(d.noise_deg, 2)],
+        ["errors of the calibration in any attitude", plain(d.calibration_anywhere_deg, 2)],
     ]
     if d.against_reference_deg is not None:
         rows.append(["relative to the reference attitude, including its error", plain(d.against_reference_deg, 2)])

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 import numpy as np
 
-from fluxtwin.calib.common.digits import measured
+from fluxtwin.calib.common.digits import measured, plain
 from fluxtwin.gap.records.diagnosis import Diagnosis, Law
 from fluxtwin.gap.report.advice import typical_size
 from fluxtwin.gap.report.input_warnings import BY_CHECK
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 from fluxtwin.sim.base.files import to_json
+from fluxtwin.sim.effects.catalogue import CATALOGUE
 from fluxtwin.sim.telemetry.record import Telemetry
 
 _CONFUSED = 0.8  # shares below this are in the JSON
@@ -38,20 +40,48 @@ def diagnosis_page(diagnosis: Diagnosis, title: str, *, record: Telemetry | None
     could = [detectable_table(diagnosis), confused] if confused.rows else [detectable_table(diagnosis)]
     return Page(
         title=title,
-        verdict=diagnosis.sentence,
+        verdict=_sentences(diagnosis)[0],
         next_step=_next_step(diagnosis),
         sections=[
+            *_rest(diagnosis),
             _far(diagnosis, record),
             _where(diagnosis),
             _which(diagnosis),
             *_law(diagnosis),
             *elsewhere,
             PageSection("What could not be tested", [] if open_ else [_ALL_TESTED], open_),
-            PageSection("What these data could show", [], could),
+            PageSection("What these data could show", [], could, _coverage(diagnosis, record)),
         ],
         provenance=_provenance(diagnosis),
         downloads={"diagnosis.json": to_json(diagnosis.to_dict())},
     )
+
+
+def _sentences(diagnosis: Diagnosis) -> list[str]:
+    """The answer, a sentence each."""
+    return re.split(r"(?<=\.) (?=[A-Z])", diagnosis.sentence)
+
+
+def _rest(diagnosis: Diagnosis) -> list[PageSection]:
+    """What the answer says beyond its first sentence, and no later section says again."""
+    law = "" if diagnosis.law is None else diagnosis.law.sentence
+    rest = [one for one in _sentences(diagnosis)[1:] if one not in law and not one.startswith("It resembles ")]
+    return [PageSection("What it means", rest)] if rest else []
+
+
+def _coverage(diagnosis: Diagnosis, record: Telemetry | None) -> list[FigureBlock]:
+    """The sky of the body, of the readings as the diagnosis calibrates them."""
+    series, closure = diagnosis.series, diagnosis.closure
+    if record is None or series is None or closure is None:
+        return []
+    from fluxtwin.calib.common.coverage import counted
+    from fluxtwin.evidence import coverage_block
+
+    rows = np.isin(record.time, series.time[np.isfinite(series.before_nT).all(axis=1)])
+    fitted = {effect.name: theta for effect, theta in closure.modelled}
+    S, b_nT = fitted.get("scale_misalignment", np.zeros(9)), fitted.get("bias", np.zeros(3))
+    reading = record.mag_B_nT[rows]
+    return [coverage_block(*counted(reading + reading @ S.reshape(3, 3).T + b_nT))] if rows.any() else []
 
 
 def _next_step(diagnosis: Diagnosis) -> str:
@@ -146,12 +176,20 @@ def _which(diagnosis: Diagnosis) -> PageSection:
         words.append(f"It resembles {', '.join(diagnosis.resembles)}.")
     groups = [effect.group for effect in diagnosis.effects if len(effect.group) > 1]
     words += [f"{' and '.join(group)} cannot be distinguished in these data." for group in groups]
+    words += [f"{name}: {_title(name)}." for effect in diagnosis.effects for name in effect.group if _title(name)]
     shown = [effects_table(diagnosis)] if diagnosis.effects else []
     if any(effect.rivals for effect in diagnosis.effects):
         shown.append(rivals_table(diagnosis))
     if diagnosis.ranking:
-        shown.append(ranking_table(diagnosis))
+        table = ranking_table(diagnosis)
+        rows = [[*row, _title(line.name)] for row, line in zip(table.rows, diagnosis.ranking, strict=False)]
+        shown.append(Table(table.title, [*table.columns, "what it is"], rows, table.note))
     return PageSection("Which effect causes it", words or ([] if diagnosis.effects else ["None is named."]), shown)
+
+
+def _title(name: str) -> str:
+    """What an effect is, for a person; empty for a name that is not of the catalogue."""
+    return next((effect.title for effect in CATALOGUE if effect.family == name.partition(".")[0]), "")
 
 
 def _law(diagnosis: Diagnosis) -> list[PageSection]:
@@ -192,7 +230,7 @@ def law_table(law: Law) -> Table:
 
 def looked_at_table(law: Law) -> Table:
     """What a law was looked for in, and the smallest size that would have shown."""
-    rows = [[one.quantity, f"{one.value:.3g}", one.unit, f"{one.visible_nT:.2g}"] for one in law.looked_at]
+    rows = [[one.quantity, plain(one.value), one.unit, plain(one.visible_nT, 2)] for one in law.looked_at]
     return Table(
         "What was tried, and the smallest size that would have shown",
         ["quantity", "smallest that shows", "unit", "rms [nT]"],
@@ -209,7 +247,10 @@ def _far(diagnosis: Diagnosis, record: Telemetry | None) -> PageSection:
         from fluxtwin.evidence import driver_blocks, field_block
         from fluxtwin.plots.gap import draw_spectra, gap_series
 
-        dots = "Dots: samples, predicted by an estimate that has not seen them. Lines: means over equal stretches."
+        dots = (
+            "Residual: reading minus prediction, in body axes. Dots: samples, predicted by an estimate that has not seen "
+            "them. Lines: means over equal stretches."
+        )
         spectra = (
             "Amplitude of the residual by frequency, rms over the axes and over neighbouring frequencies. "
             + ("The named effects explain the difference between the two curves. " if diagnosis.effects else "")
@@ -219,8 +260,11 @@ def _far(diagnosis: Diagnosis, record: Telemetry | None) -> PageSection:
         if record is not None:
             rows = record.select(np.isin(record.time, series.time))
             words = "Predicted: the model with the calibration re-estimated, before any effect is named."
-            parts = {"before": series.before_nT} | ({"after": series.after_nT} if diagnosis.effects else {})
-            figures = [field_block(rows, rows.mag_B_nT, rows.mag_B_nT - series.before_nT, words), *figures]
+            parts = {"residual": series.before_nT}
+            if diagnosis.effects:
+                parts = {"before": series.before_nT, "after": series.after_nT}
+            aside = np.logical_not(np.isfinite(series.before_nT).any(axis=1))
+            figures = [field_block(rows, rows.mag_B_nT, rows.mag_B_nT - series.before_nT, words, aside), *figures]
             figures += driver_blocks(rows, parts)
         figures.append(FigureBlock("gap_spectra", spectra, draw_spectra(series)))
     return PageSection("How far it shrinks", [], [far_table(diagnosis), *momentum_tables(diagnosis)], figures)
@@ -385,7 +429,7 @@ def detectable_table(diagnosis: Diagnosis) -> Table:
         advice = diagnosis.would_settle.get(name, "these data show it").partition(": ")
         shown = "" if typical is None else f"{abs(typical):g}"
         rows.append(
-            [name, f"{d.parameter}{unit}", f"{d.value:.3g}", shown, f"{d.visible_nT:.2g}", advice[2] or advice[0]]
+            [name, f"{d.parameter}{unit}", plain(d.value), shown, plain(d.visible_nT, 2), advice[2] or advice[0]]
         )
     return Table(
         "Minimum detectable sizes",

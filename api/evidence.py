@@ -5,27 +5,47 @@ from __future__ import annotations
 import numpy as np
 
 from fluxtwin.plots.drivers import draw_drivers
+from fluxtwin.plots.field_coverage import FieldCoverage, draw_field_coverage
 from fluxtwin.plots.time_series import TimeSeries, field_panels
 from fluxtwin.scenarios.page import FigureBlock
-from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray, IntArray
 from fluxtwin.sim.telemetry.quantities import BY_NAME, FAMILIES, WHEELS
 from fluxtwin.sim.telemetry.record import Telemetry
 
 _NO_DRIVERS = ("r_N_km", "v_N_km_s", "mag_B_nT", "mag2_B_nT", "q_NB", "sun_B", "nadir_B")
 
 
-def field_block(record: Telemetry, measured_nT: FloatArray, predicted_nT: FloatArray | None, words: str) -> FigureBlock:
-    """|B| and components, (N, 3) or (N, 1), of a record of N rows; words: what predicts them, a sentence."""
-    series = TimeSeries("The field, measured and predicted", record.time, field_panels(measured_nT, predicted_nT))
-    return FigureBlock("field", words, series)
+def field_block(
+    record: Telemetry,
+    measured_nT: FloatArray,
+    predicted_nT: FloatArray | None,
+    words: str,
+    aside: BoolArray | None = None,
+) -> FigureBlock:
+    """|B| and components, (N, 3) or (N, 1), of a record of N rows; words: what predicts them, a sentence; aside: (N,) rows
+    that were set aside."""
+    if aside is not None and aside.any():
+        words += " Crosses: rows set aside. Arrows at the edge: values beyond it."
+    panels = field_panels(measured_nT, predicted_nT, aside)
+    return FigureBlock("field", words, TimeSeries("The field, measured and predicted", record.time, panels))
+
+
+def coverage_block(directions_B: FloatArray, counts: IntArray) -> FigureBlock:
+    """The sky of the body: equal areas of directions, their middles (K, 3), and the rows (K,) in each."""
+    caption = (
+        "Directions of the field in body axes, an equal-area map: longitude from body x to y, latitude towards z. Each dot "
+        f"is one of {counts.size} equal areas, coloured by its rows; open where there was none."
+    )
+    title = "Directions of the field in the body"
+    return FigureBlock("coverage", caption, draw_field_coverage(FieldCoverage(directions_B, counts), title=title))
 
 
 def driver_blocks(record: Telemetry, residuals: dict[str, FloatArray]) -> list[FigureBlock]:
     """Residuals (N, K) [nT], by what they are called, against what the record of N rows has beside the field."""
     figure = draw_drivers(_columns(record), residuals, title="The residual against what it may follow")
     caption = (
-        "Dots: samples. Points: means over similar values, with 1 sigma. A slope or a step indicates an effect that is not "
-        "modelled. The quantity that explains most of the residual comes first."
+        "Small dots: samples. Large dots: means over similar values, with 1 sigma. A slope or a step indicates an effect "
+        "that is not modelled. The quantity that explains most of the residual comes first."
     )
     return [] if figure is None else [FigureBlock("drivers", caption, figure)]
 

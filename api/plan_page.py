@@ -89,7 +89,9 @@ def answers_table(question: Question) -> Table:
 def _section(question: Question) -> PageSection:
     from fluxtwin.plots.plan import draw_power
 
-    caption = "Probability of the right answer by the hours flown; dotted: from where on a question counts as settled."
+    caption = (
+        "Probability of the right answer by the hours flown; dotted: the level at which a question counts as settled."
+    )
     block = FigureBlock(f"power_{'_'.join(question.names)}", caption, draw_power(question))
     heading = question.words[0].upper() + question.words[1:]
     return PageSection(heading, [], [answers_table(question)], [block])

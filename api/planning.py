@@ -138,7 +138,13 @@ def sentence(question: Question) -> str:
         return f"No manoeuvre within the limits settles {question.words}.{also}"
     wait = f", {best.wait_days:g} days from now" if best.wait_days else ""
     sure = f"the answer will then be right with a probability of {100 * best.power:.0f} %"
-    return f"To settle {question.words}, fly {best.words} for {best.hours:.2g} h{wait}; {sure}."
+    return f"To settle {question.words}, fly {with_article(best.words)} for {best.hours:.2g} h{wait}; {sure}."
+
+
+def with_article(manoeuvre: str) -> str:
+    """A manoeuvre as the object of a sentence: fly a tumble, fly yaw slews."""
+    article = {"spin": "a ", "tumble": "a ", "inertial": "an "}.get(manoeuvre.partition(" ")[0], "")
+    return f"{article}{manoeuvre}"
 
 
 def _record_of(telemetry: Readable | Diagnosis, reading: Reading) -> Telemetry:

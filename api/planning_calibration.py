@@ -14,7 +14,7 @@ from fluxtwin.calib.methods import calibrate_by
 from fluxtwin.gap.planning.choose import shortened
 from fluxtwin.gap.planning.designs import Design, LimitsSection
 from fluxtwin.gap.records.plan import CalibrationPlan, SigmaCourse
-from fluxtwin.planning import fly
+from fluxtwin.planning import fly, with_article
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.earth.field_models import FieldModel
@@ -132,13 +132,14 @@ def drawn(scenario: Scenario, fit: Fit, number: int) -> Scenario:
 
 def _sentence(worst: str, now: float, unit: str, courses: Sequence[SigmaCourse]) -> str:
     best, of = courses[0], "" if unit == "1" else f" {unit}"
+    flown = with_article(best.words)
     wait = f", {best.wait_days:g} days from now" if best.wait_days else ""
     if best.sigma <= _NEARLY * HALF * now:
         return (
-            f"To halve the sigma of {worst}, now {now:.2g}{of}, fly {best.words} for {best.hours:.2g} h{wait}. Calibrated "
+            f"To halve the sigma of {worst}, now {now:.2g}{of}, fly {flown} for {best.hours:.2g} h{wait}. Calibrated "
             f"together with this record, it then falls to {best.sigma:.2g}{of}."
         )
     return (
-        f"No manoeuvre within the limits halves the sigma of {worst}, now {now:.2g}{of}. The best one, {best.words} for "
+        f"No manoeuvre within the limits halves the sigma of {worst}, now {now:.2g}{of}. The best one, {flown} for "
         f"{best.hours:.2g} h, lowers it to {best.sigma:.2g}{of}."
     )

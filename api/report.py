@@ -10,6 +10,7 @@ import base64
 import hashlib
 import io
 import json
+import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -20,12 +21,14 @@ from fluxtwin.sim.base.files import write_text
 
 if TYPE_CHECKING:
     from jinja2 import Template
+    from markupsafe import Markup
     from matplotlib.figure import Figure
 
     from fluxtwin.plots.time_series import TimeSeries
     from fluxtwin.scenarios.page import FigureBlock, Page
 
 FIGURE_DPI = 140
+_HYPHENED = re.compile(r"(--\w[\w-]*|\b\w+(?:-\w+)+\b)")
 _READABLE_PX = 9.1  # of the smallest text of a figure, on whatever screen; its frame takes a little
 
 
@@ -96,6 +99,18 @@ def _smallest(figure: Figure) -> float:
     return min((float(text.get_fontsize()) for text in seen), default=8.0)
 
 
+def _whole(text: str) -> Markup:
+    """The text, escaped, with words that stay on one line though they have a hyphen, and lines that may end behind an
+    underscore."""
+    from markupsafe import Markup, escape
+
+    parts = [
+        Markup('<span class="whole">{}</span>').format(part) if k % 2 else escape(part).replace("_", Markup("_<wbr>"))
+        for k, part in enumerate(_HYPHENED.split(clean(text)))
+    ]
+    return Markup("").join(parts)
+
+
 def _download(text: str) -> str:
     return "data:application/octet-stream;base64," + base64.b64encode(text.encode("utf-8")).decode("ascii")
 
@@ -114,7 +129,7 @@ def _parts() -> tuple[Template, str, str]:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    filters: dict[str, Any] = {"shown": shown, "clean": clean, "drawn": _shown, "download": _download}
+    filters: dict[str, Any] = {"shown": shown, "clean": clean, "whole": _whole, "drawn": _shown, "download": _download}
     environment.filters.update(filters)
     environment.tests["numeric"] = is_number
     style, script = ((files("fluxtwin") / "templates" / f"report.{end}").read_text("utf-8") for end in ("css", "js"))

@@ -93,9 +93,11 @@ def trend_table(found: Trend) -> Table:
         size = "" if one.kind == "constant" else f"{measured(one.size, one.size_sigma)} {what}"
         mean, probability = measured(one.mean, one.mean_sigma), chance(one.probability)
         rows.append([one.name, mean, one.unit, f"{one.q:.1f}", probability, one.kind, size])
+    freedom = len(found.time) - 1
     note = (
-        f"Q: Cochran's, {len(found.time) - 1} degrees of freedom; probability of so large a Q if nothing changed. A history "
-        "other than constant is corrected for all that were tried, at 1 % for all parameters together."
+        f"Q: Cochran's statistic with {freedom} degree{'s' if freedom > 1 else ''} of freedom. Probability: of so large a Q "
+        "if nothing changed. A history other than constant is given only where it is significant at 1 % for all parameters "
+        "together, corrected for all histories that were tried."
     )
     columns = ["parameter", "mean", "unit", "Q", "probability", "history", "size"]
     return Table("Parameters over the calibrations", columns, rows, note)
@@ -123,7 +125,10 @@ def trend_figure(found: Trend) -> Figure:
 
 def trend_page(found: Trend) -> Page:
     """The page of one trend."""
-    caption = "Values with 1 sigma; the line is what each parameter is taken to have done, in colour where it changed."
+    caption = (
+        "Dots: values with 1 sigma. Line: the history that fits each parameter best, grey where it is constant and red "
+        "where the parameter changed."
+    )
     return Page(
         title=f"{len(found.time)} calibrations compared",
         verdict=found.lines[0],

@@ -58,11 +58,7 @@ def compare(
         try:
             errors[name] = _held_out(telemetry, model, stretch, partial(estimator.fit, model=model, given=taken))
         except FluxtwinError as error:
-            where = getattr(error, "where", None)
-            text = str(error).removeprefix(f"{where}: ").split(". Wanted:")[0]
-            found[name] = MethodResult(
-                name, why_not=text if len(text) <= _WHY_NOT else f"{text[:_WHY_NOT].rstrip()} ..."
-            )
+            found[name] = MethodResult(name, why_not=_why_not(error, given))
     if not errors:
         reasons = "; ".join(f"{one.method}: {one.why_not}" for one in found.values())
         raise NoAnswer(f"no method gives an answer. {reasons}", evidence={})
@@ -80,6 +76,14 @@ def compare(
     chosen = min(alike, key=lambda name: [*_PREFERRED, name].index(name))
     listed = [*order, *(name for name in found if name not in errors)]
     return Comparison(tuple(found[name] for name in listed), chosen, _why(chosen, order, alike))
+
+
+def _why_not(error: FluxtwinError, given: Mapping[str, Any]) -> str:
+    """Why a method gives no answer, in a line of the table."""
+    if isinstance(error, BadInput) and (error.where or "").removeprefix("--") == "parameters":
+        return f"does not estimate {given['parameters']}"
+    text = str(error).removeprefix(f"{getattr(error, 'where', None)}: ").split(". Wanted:")[0]
+    return text if len(text) <= _WHY_NOT else f"{text[:_WHY_NOT].rpartition(' ')[0] or text[:_WHY_NOT]} ..."
 
 
 def _held_out(

@@ -43,5 +43,5 @@ def draw_calibration_trend(time: TimeArray, series: Sequence[ParameterSeries], *
     for axes in panels[len(series) :]:
         axes.set_visible(False)
     for axes in grid[-1]:
-        style.utc(axes, time, most=5)
+        style.utc(axes, time, most=3)
     return figure

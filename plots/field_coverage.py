@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 
 from fluxtwin.plots import style
 from fluxtwin.sim.base.types import FloatArray, IntArray
@@ -36,8 +37,11 @@ def draw_field_coverage(record: FieldCoverage, *, title: str) -> Figure:
     )
     quarter = np.pi / 2
     sides = {"+x": (0.0, 0.0), "+y": (quarter, 0.0), "-y": (-quarter, 0.0), "+z": (0.0, 1.45), "-z": (0.0, -1.45)}
+    rim = [withStroke(linewidth=2.5, foreground="white")]  # readable on a dot of any colour
     for name, place in sides.items():
-        axes.annotate(name, place, ha="center", va="center", fontsize=9, weight="bold", color=style.VERMILION)
+        axes.annotate(
+            name, place, ha="center", va="center", fontsize=9, weight="bold", color=style.BLACK, path_effects=rim
+        )
     axes.set_xticklabels([])
     axes.set_yticklabels([])
     axes.grid(alpha=0.3)

@@ -151,6 +151,7 @@ def utc(axes: Axes, time: TimeArray, *, most: int = 9) -> None:
     axes.set_xlim(cast(Any, time[0] - margin), cast(Any, time[-1] + margin))
     axes.xaxis.get_offset_text().set_fontsize(TICK_PT)
     label(axes, x="UTC")
+    axes.xaxis.label.set(x=0.0, ha="left")  # clear of the date at the other end
 
 
 def squeezed_s(time: TimeArray) -> FloatArray:

@@ -152,11 +152,18 @@ def draw_time_series(series: TimeSeries) -> Figure:
 def residual_panels(
     residual_nT: FloatArray, names: Sequence[str], aside: BoolArray, *, before_nT: FloatArray | None = None
 ) -> list[Panel]:
-    """Residuals (N, K), a panel a component, rows `aside` (N,) as crosses; above them all of `before_nT` (N, K) in one."""
+    """Residuals (N, K), a panel a component, rows `aside` (N,) as crosses; above them all of `before_nT` (N, K) in one.
+
+    A line without a name is not in the legend.
+    """
     panels = []
     colours = style.AXIS_COLOURS
     if before_nT is not None:
-        lines = [Line(name, part, colour) for name, part, colour in zip(names, before_nT.T, colours, strict=False)]
+        lines = []
+        for name, part, colour in zip(names, before_nT.T, colours, strict=False):
+            lines.append(Line(name, np.where(aside, np.nan, part), colour))
+            if aside.any():
+                lines.append(Line("", np.where(aside, part, np.nan), colour, "cross"))
         panels.append(Panel("before [nT]", lines))
     for name, part, colour in zip(names, residual_nT.T, colours, strict=False):
         lines = [Line("after" if before_nT is not None else "residual", np.where(aside, np.nan, part), colour)]
@@ -166,14 +173,20 @@ def residual_panels(
     return panels
 
 
-def field_panels(measured_nT: FloatArray, predicted_nT: FloatArray | None) -> list[Panel]:
-    """|B| and, of vectors, the components, (N, 3) or (N, 1), measured and predicted; body axes."""
+def field_panels(
+    measured_nT: FloatArray, predicted_nT: FloatArray | None, aside: BoolArray | None = None
+) -> list[Panel]:
+    """|B| and, of vectors, the components, (N, 3) or (N, 1), measured and predicted, body axes; rows `aside` (N,) as
+    crosses."""
     panels = []
+    out = np.zeros(len(measured_nT), dtype=bool) if aside is None else aside
+    kept_nT, out_nT = (np.where(rows[:, None], measured_nT, np.nan) for rows in (~out, out))
     for name in ("|B|", *"xyz")[: 4 if measured_nT.shape[1] == 3 else 1]:
         lines = []
         for words, field, colour, look in (
-            ("measured", measured_nT, style.BLUE, "dots"),
+            ("measured", kept_nT, style.BLUE, "dots"),
             ("predicted", predicted_nT, style.VERMILION, "line"),
+            ("set aside", out_nT if out.any() else None, style.BLACK, "cross"),
         ):
             if field is not None and (name == "|B|" or field.shape[1] == 3):
                 part = np.linalg.norm(field, axis=1) if name == "|B|" else field[:, "xyz".index(name)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 import warnings
@@ -27,6 +28,11 @@ class Outcome:
 
 Cli = Callable[..., Outcome]
 """What the fixtures `cli` and `process` give."""
+
+
+def as_read(page: str) -> str:
+    """The HTML of a page without its marks of where a line may break, or may not."""
+    return re.sub(r'<span class="whole">(.*?)</span>', r"\1", page.replace("<wbr>", ""))
 
 
 def status_of(*arguments: object) -> int:

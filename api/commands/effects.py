@@ -42,7 +42,7 @@ def _overview(output: Output, effects: tuple[Effect, ...]) -> None:
         if effect.stage != stage:
             stage = effect.stage
             output.say(f"\n{stage}")
-        output.say(f"{effect.name:<{width}}  {_brief(effect)}")
+        output.say(f"{effect.name:<{width}}  {effect.title}.")
     output.say("\n`fluxtwin effects NAME`: parameters, typical sizes, ranges, use in a scenario.")
 
 
@@ -51,7 +51,7 @@ def _in_full(output: Output, effect: Effect) -> None:
 
     others = f" ({', '.join(effect.equivalent_stages)})" if effect.equivalent_stages else ""
     output.say(f"{effect.name}: stage {effect.stage}{others}")
-    output.say(_brief(effect))
+    output.say(f"{effect.title}.")
     output.say(wrapped(f"{effect.about}.", 100))
     rows = [
         (p.name, _unit(p.unit), p.scale, _bound(p.low), _bound(p.high), key.name)
@@ -90,10 +90,6 @@ def _record(effect: Effect) -> dict[str, Any]:
             for p in key.parameters
         ],
     }
-
-
-def _brief(effect: Effect) -> str:
-    return (type(effect).__doc__ or "").split("\n")[0]
 
 
 def _unit(unit: str) -> str:

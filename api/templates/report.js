@@ -159,10 +159,11 @@
     c.fillStyle = INK;
     c.fillText(panel.label, 4, y);
     let place = 16 + c.measureText(panel.label).width;
-    const spare = c.canvas.clientWidth - panel.lines.reduce((sum, line) => sum + 28 + c.measureText(line.name).width, place - 14);
-    const apart = 28 + Math.min(0, spare / Math.max(panel.lines.length - 1, 1));
+    const named = panel.lines.filter((line) => line.name);
+    const spare = c.canvas.clientWidth - named.reduce((sum, line) => sum + 28 + c.measureText(line.name).width, place - 14);
+    const apart = 28 + Math.min(0, spare / Math.max(named.length - 1, 1));
     place = Math.max(place, Math.min(LEFT + 24, place + spare));
-    for (const line of panel.lines) {
+    for (const line of named) {
       mark(c, line, place, y, true);
       c.fillStyle = INK;
       c.fillText(line.name, place + 10, y);
@@ -215,7 +216,7 @@
       const [, name, unit] = /^(.*?)(?: \[(.*)\])?$/.exec(panel.label);
       const parts = panel.lines.flatMap((line) => {
         const k = first(line.t, ms);
-        return line.t[k] === ms ? [`${line.name} ${number(line.values[k])}`] : [];
+        return line.t[k] === ms ? [`${line.name || "set aside"} ${number(line.values[k])}`] : [];
       });
       return parts.length ? `${name}: ${parts.join(", ")}${unit ? ` ${unit}` : ""}` : "";
     });

@@ -212,26 +212,27 @@ def _evidence(sample: Sample, fields: list[FloatArray]) -> Evidence:
 def _what_shows(shows: dict[float, bool], shifts: dict[float, str], plain: Iterable[float], origin: Origin) -> Finding:
     """In words, which shifts this record would show."""
     if origin.elements is not None:
-        meant = "positions from two-line elements move with the stamps"
+        meant = "positions from two-line elements move with them"
     elif origin.position == "ITRS":
-        meant = "Earth-fixed positions stay on the Earth"
+        meant = "Earth-fixed positions are kept"
     else:
-        meant = "positions relative to GCRS stay, the Earth turns under them"
+        meant = "positions relative to GCRS are kept while the Earth turns under them"
     said: dict[bool, list[str]] = {True: [], False: []}
     for shift, words in ((s, shifts[s]) for s in sorted(shifts) if 1.0 < s < 1800.0 or s in (3600.0, 86400.0)):
         seen = shows.get(shift, False) and shows.get(-shift, False)
         what = "" if shift >= 3600.0 else " (GPS)" if "GPS" in words else " (TAI)"
         said[seen].append(f"{shift_words(shift)}{what}")
-    listed = [f"{', '.join(some)} would {'' if seen else 'not '}show here" for seen, some in said.items() if some]
+    listed = [
+        f"shifts of {', '.join(some)} would {'' if seen else 'not '}show here" for seen, some in said.items() if some
+    ]
     hidden = [abs(shift) for shift in plain if not shows.get(shift, False)]
     greatest = max(map(abs, plain))
     apart = shift_words(min(map(abs, plain)))
-    showing = (
-        f"those of more than {shift_words(max(hidden))}" if hidden else f"every one that was tried, {apart} apart,"
-    )
-    words = f"; of others to {shift_words(greatest)}, {showing} would"
+    showing = f"those of more than {shift_words(max(hidden))}" if hidden else f"all that were tried, {apart} apart,"
+    words = f". Of the other shifts up to {shift_words(greatest)}, {showing} would show"
     words = "" if hidden and max(hidden) >= min(3600.0, greatest) else words
-    return note("clock_tested", meant=meant, shifts="; ".join(listed), others=words)
+    shown = "; ".join(listed)
+    return note("clock_tested", meant=meant, shifts=f"{shown[:1].upper()}{shown[1:]}", others=words)
 
 
 def readings_shift(sample: Sample, telemetry: Telemetry, model: FieldModel) -> tuple[float, float, float] | None:

@@ -113,14 +113,19 @@ def coverage_of(fit: Fit, telemetry: Telemetry) -> Coverage:
     return coverage(fit.calibration, used.mag_B_nT, field_nT, size_only=fit.residuals_nT.shape[1] == 1)
 
 
+def counted(field_nT: FloatArray) -> tuple[FloatArray, IntArray]:
+    """The middles (80, 3) of equal areas of directions, unit vectors, and the rows (80,) of a field (N, 3) in each."""
+    directions = even_directions(BINS)
+    unit = field_nT / np.linalg.norm(field_nT, axis=1)[:, None]
+    return directions, np.bincount(np.argmax(unit @ directions.T, axis=1), minlength=BINS)
+
+
 def coverage(calibration: Calibration, reading_nT: FloatArray, field_nT: FloatArray, *, size_only: bool) -> Coverage:
     """From readings and calibrated fields (N, 3) of the rows that were fitted, body axes.
 
     size_only: whether only |B| was compared.
     """
-    directions = even_directions(BINS)
-    unit = field_nT / np.linalg.norm(field_nT, axis=1)[:, None]
-    counts = np.bincount(np.argmax(unit @ directions.T, axis=1), minlength=BINS)
+    directions, counts = counted(field_nT)
     strength_nT = float(np.sqrt((field_nT**2).sum(axis=1).mean()))
     scale = np.concatenate([np.full(9, strength_nT), np.ones(3)])
     C = calibration.covariance[:12, :12] * np.outer(scale, scale)

@@ -78,7 +78,6 @@ def page(alike: dict[str, dict[str, dict[str, int]]]) -> str:
 
 def _section(effect: Effect, alike: dict[str, dict[str, dict[str, int]]]) -> list[str]:
     about = effect.about[0].upper() + effect.about[1:]
-    title = (type(effect).__doc__ or "").split("\n")[0].rstrip(".")
     facts = [f"coherent in the {effect.frame} frame" if effect.frame else "coherent in no frame"]
     if effect.follows:
         facts.append(f"follows {effect.follows}")
@@ -87,7 +86,7 @@ def _section(effect: Effect, alike: dict[str, dict[str, dict[str, int]]]) -> lis
     return [
         f"### {effect.name}",
         "",
-        f"*{title}.* {_escaped(about)}.",
+        f"*{effect.title}.* {_escaped(about)}.",
         "",
         "| key | typical | lowest | highest |",
         "|---|--:|--:|--:|",

@@ -79,6 +79,11 @@ class Effect(ABC):
         return type(self).name
 
     @property
+    def title(self) -> str:
+        """What it is, in a few words for a person."""
+        return (type(self).__doc__ or "").split("\n")[0].rstrip(".")
+
+    @property
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
         """Its parameters, in the order of `theta`."""

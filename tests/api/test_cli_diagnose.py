@@ -139,7 +139,8 @@ def test_the_page_stands_alone_and_answers_the_questions(late: Case) -> None:
     for words in ("Where the gap lies", "Which effect causes it", "How far it shrinks", "What could not be tested"):
         assert f">{words}</h2>" in page
     figures = re.findall('<figure id="([a-z_]+)">', page)
-    assert figures == ["field", "gap_series", "drivers", "gap_spectra"] and page.count("data:image/png;base64,") == 4
+    assert figures == ["field", "gap_series", "drivers", "gap_spectra", "coverage"]
+    assert page.count("data:image/png;base64,") == len(figures)
     assert page.index('class="next"') < page.index("<h2>") < page.index("Places by probability")
     assert ">Where the closed scenario holds</h2>" in page
     assert "http" not in page.replace("http-equiv", "")

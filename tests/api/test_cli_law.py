@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from command_line import as_read
 
 from fluxtwin.cli import main
 from fluxtwin.sim.scenario.scenario import load_scenario, save_scenario
@@ -38,7 +39,7 @@ def test_the_law_stands_in_the_sentence_the_json_and_the_page(folder: Path) -> N
     for axis, k in zip("xyz", (24.0, -12.0, 6.0), strict=True):
         found = term["coefficients"][axis]
         assert abs(found["value"] - k) < 4.0 * found["sigma"], axis
-    page = (folder / "gap.html").read_text(encoding="utf-8")
+    page = as_read((folder / "gap.html").read_text(encoding="utf-8"))
     assert "The law of what the catalogue does not explain" in page and "law.payload_sunlit" in page
 
 

@@ -54,7 +54,7 @@ def test_from_the_confusion_to_the_answer(folder: Path, diagnosis: Diagnosis, cl
     out, page, said = folder / "plan.toml", folder / "plan.html", folder / "plan.json"
     limits = ("--limits", folder / "limits.toml")
     done = cli("plan", folder / "flight.nc", *FLAGS, *limits, "--out", out, "--html", page, "--json", said)
-    assert done.status == 0 and "fly tumble of 0.5 deg/s" in " ".join(done.out.split())
+    assert done.status == 0 and "fly a tumble of 0.5 deg/s" in " ".join(done.out.split())
     plain = json.loads(said.read_text(encoding="utf-8"))
     first = plain["questions"][0]
     assert first["kind"] == "tell_apart" and set(first["names"]) == set(PAIR.split(","))

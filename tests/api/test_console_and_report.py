@@ -48,7 +48,8 @@ class Reader(html.parser.HTMLParser):
         self.text: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append((tag, dict(attrs)))
+        if (tag, attrs) not in (("wbr", []), ("span", [("class", "whole")])):  # where a line may break, or may not
+            self.tags.append((tag, dict(attrs)))
 
     def handle_data(self, data: str) -> None:
         self.text.append(data)

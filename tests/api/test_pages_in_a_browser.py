@@ -33,7 +33,7 @@ FIGURES = {
     "check": ["field"],
     "calibrate": ["field", "residuals", "coverage", "drivers"],
     "scalar": ["field", "residuals", "coverage", "drivers"],
-    "diagnose": ["field", "gap_series", "drivers", "gap_spectra"],
+    "diagnose": ["field", "gap_series", "drivers", "gap_spectra", "coverage"],
     "campaign/report": ["power"],
     "ensemble/report": ["envelope"],
 }

@@ -100,7 +100,7 @@ def test_a_shift_that_is_said_to_show_is_named(model: FieldModel, tmp_path: Path
     for number in range(6):
         case = dataclasses.replace(flown(model, GOOD, number), earth_fixed=False)  # or they would move with the stamps
         (said,) = [note.text for note in checked(case, model, tmp_path).notes if note.code == "clock_tested"]
-        if (least := re.search(r"of others to 14 h, (?:those of more than (\d+) min|every one)", said)) is None:
+        if (least := re.search(r"other shifts up to 14 h, (?:those of more than (\d+) min|all)", said)) is None:
             continue
         promised += 1
         minutes = int(least[1] or 5) + 15  # no borderline

@@ -46,13 +46,13 @@ def draw_scatter(
         open_: dict[str, Any] = {"color": style.PAPER, "markersize": 4, "markerfacecolor": "none"}
         axes.plot(np.tile(places[either], 2), both, "o", label=words, **open_)
         axes.axhline(truth[number], color="black", linewidth=0.8, label="put in")
-        axes.set_title(name)
+        style.label(axes, title=name)
         axes.set_xticks(places, data_sets, rotation=60, fontsize=7)
         limit = 1.1 * limits[number % 3]
         axes.set_ylim(-limit, limit)
         if number % 3 == 0:
-            axes.set_ylabel("value [1]")
-    figure.suptitle(title)
+            style.label(axes, y="value [1]")
+    style.heading(figure, title)
     style.legend_below(figure, all_axes[0])
     return figure
 
@@ -85,7 +85,7 @@ def draw_budget(
         for place, value, height in zip(places + shift, values, heights, strict=True):
             axes.annotate(f"{value:.2f}", (place, height), (0, 2), textcoords="offset points", ha="center", fontsize=8)
     axes.set_xticks(places, [textwrap.fill(name, 14) for name in sources])
-    axes.set(title=title, ylabel="rms per component [mG]")
+    style.label(axes, y="rms per component [mG]", title=title)
     axes.legend()
     return figure
 
@@ -98,7 +98,8 @@ def draw_node_misfit(
     axes.plot(raan_deg, 100 * misfit, color=style.BLUE)
     axes.axvline(chosen_deg, color=style.VERMILION, label=f"chosen: {chosen_deg:.0f} deg")
     axes.axvline(witness_deg, color="black", linestyle="--", label=f"from the launch: {witness_deg:.1f} deg")
-    axes.set(title=title, ylabel="misfit [% of the orbit]", xlim=(0, 360))
-    axes.set_xlabel("right ascension of the node, 0 h UTC of day 205 of 1978 [deg]")
+    style.label(axes, y="misfit [% of the orbit]", title=title)
+    axes.set(xlim=(0, 360))
+    style.label(axes, x="right ascension of the node, 0 h UTC of day 205 of 1978 [deg]")
     axes.legend()
     return figure

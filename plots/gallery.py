@@ -34,7 +34,7 @@ def draw_later(
     axes.axhline(floor, color=style.BLACK, linewidth=1, linestyle=":", label="where nothing is wrong")
     ticks = at[:: max(1, len(at) // 12)]
     axes.set_xticks(ticks, [labels[k] for k in ticks], rotation=45, ha="right", fontsize=7)
-    axes.set(title=title, xlabel="start of the pass [UTC]", ylabel=f"residual, rms [{unit}]")
+    style.label(axes, x="start of the pass [UTC]", y=f"residual, rms [{unit}]", title=title)
     axes.legend(loc="upper right", frameon=True, ncols=3, fontsize=8)
     axes.set(xlim=(-0.6, len(at) - 0.4), ylim=(0, 1.25 * max(np.nanmax(before), np.nanmax(after))))
     return figure
@@ -47,7 +47,7 @@ def draw_heads(hours: FloatArray, error_deg: FloatArray, head: np.ndarray, *, ti
         mine = head == number
         axes.plot(hours[mine], error_deg[mine], marker, color=colour, markersize=3, label=f"head {number}")
     axes.axhline(0.0, color=style.BLACK, linewidth=0.8)
-    axes.set(title=title, xlabel="hours from the first sample [h]", ylabel="measured less computed [deg]")
+    style.label(axes, x="hours from the first sample [h]", y="measured less computed [deg]", title=title)
     axes.set_ylim(top=1.45 * float(np.nanmax(error_deg)))
     axes.legend(loc="upper right", frameon=True, ncols=3, markerscale=2)
     return figure
@@ -75,7 +75,8 @@ def draw_night_map(
             axes.add_patch(Rectangle((west, south), east - west, north - south, fill=False, label=label, **edge))
     style.coast(axes)
     figure.colorbar(shown, ax=axes, label="|B| less model [nT]")
-    axes.set(title=title, xlabel="longitude [deg]", ylabel="latitude [deg]", xlim=(-180, 180), ylim=(-75, 85))
+    style.label(axes, x="longitude [deg]", y="latitude [deg]", title=title)
+    axes.set(xlim=(-180, 180), ylim=(-75, 85))
     axes.legend(loc="lower left", frameon=True)
     return figure
 
@@ -85,9 +86,9 @@ def draw_following(driver: FloatArray, residual_nT: FloatArray, driver_label: st
     figure, (panels,) = style.figure(7.2, 2.8, cols=3, share_y=True)
     for number, (axes, name) in enumerate(zip(panels, "xyz", strict=True)):
         axes.plot(driver[:, number], residual_nT[:, number], ".", color=style.AXIS_COLOURS[number], markersize=2)
-        axes.set(title=name, xlabel=driver_label)
+        style.label(axes, x=driver_label, title=name)
     panels[0].set(ylabel="residual [nT]")
-    figure.suptitle(title, fontsize=style.TITLE_PT)
+    style.heading(figure, title)
     return figure
 
 
@@ -117,12 +118,14 @@ def draw_real_passes(
                 at = np.full(int(chosen.sum()), place + shift)
                 axes.plot(at, values[chosen], marker, color=colour, markersize=4, label=label if first else None)
         axes.set_xticks(np.arange(len(names)), names)
-        axes.set_title(words, fontsize=8)
+        style.label(axes, title=words)
     right.axhline(1.0, color=style.GREY, linewidth=0.8)
-    left.set(ylabel="printed residual [mG]", ylim=(0, None))
-    right.set(ylabel="residual over the expected one", ylim=(0, None))
+    style.label(left, y="printed residual [mG]")
+    left.set(ylim=(0, None))
+    style.label(right, y="residual over the expected one")
+    right.set(ylim=(0, None))
     handles, labels = left.get_legend_handles_labels()
     unique = dict(zip(labels, handles, strict=True))
     left.legend(unique.values(), unique.keys(), loc="upper right", frameon=True)
-    figure.suptitle(title, fontsize=style.TITLE_PT)
+    style.heading(figure, title)
     return figure

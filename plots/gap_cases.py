@@ -18,7 +18,10 @@ _LEAST_ROWS = 4
 def left_alone(
     names: Sequence[str], left_nT: Sequence[float], parameters: Sequence[int], limit_nT: float, title: str
 ) -> Figure:
-    """What each fit leaves: a bar with its name, rms and parameters; the dashed line is what was there before."""
+    """What each fit leaves: a bar with its name, rms and parameters; the dashed line is what was there before.
+
+    The words are in the bar where it is long, so that the line strikes none through.
+    """
     figure, ((axes,),) = style.figure(style.FULL_WIDTH_IN, 0.9 + 0.32 * len(names))
     places = np.arange(len(names))
     axes.barh(places, left_nT, height=0.68, color=style.BLUE)
@@ -26,10 +29,12 @@ def left_alone(
     axes.invert_yaxis()
     for place, value, count in zip(places, left_nT, parameters, strict=True):
         remark = f"{value:.1f} nT, {count} parameter{'s' if count > 1 else ''}"
-        box: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
-        axes.text(value + 0.012 * limit_nT, float(place), remark, va="center", fontsize=style.NOTE_PT, bbox=box)
+        inside = value > 0.5 * limit_nT
+        look: dict[str, Any] = {"ha": "right", "color": "white"} if inside else {"ha": "left", "color": style.BLACK}
+        apart = (-0.012 if inside else 0.012) * limit_nT
+        axes.text(value + apart, float(place), remark, va="center", fontsize=style.NOTE_PT, **look)
     axes.axvline(limit_nT, color=style.BLACK, linewidth=1.0, linestyle="--", zorder=1.5)
-    axes.set_xlim(0.0, 1.32 * limit_nT)
+    axes.set_xlim(0.0, 1.1 * limit_nT)
     style.label(axes, x="rms left per component [nT]; dashed: before", title=title)
     return figure
 

@@ -39,7 +39,8 @@ def draw_ranges(
     wrong, words = rows[np.nonzero(misread)[0]], "digits of the scan, corrected"
     axes.plot(scanned_deg[misread], wrong, "x", color=style.PAPER, markersize=6, label=words)
     axes.set_yticks(rows, labels, fontsize=7)
-    axes.set(title=title, xlabel=unit, ylim=(-1, count))
+    style.label(axes, x=unit, title=title)
+    axes.set(ylim=(-1, count))
     axes.legend(loc="lower left", frameon=True)
     return figure
 
@@ -55,7 +56,7 @@ def draw_nulls(median_deg: float, nulls_deg: Mapping[str, float], ends: int, *, 
     bars = axes.bar(np.arange(len(names)), values, 0.6, color=[style.BLUE] + [style.ORANGE] * len(nulls_deg))
     axes.bar_label(bars, fmt="%.2f", fontsize=8)
     axes.set_xticks(np.arange(len(names)), [textwrap.fill(name, 15) for name in names])
-    axes.set(title=title, ylabel=f"median error of {ends} ends [deg]")
+    style.label(axes, y=f"median error of {ends} ends [deg]", title=title)
     return figure
 
 
@@ -76,14 +77,15 @@ def draw_evidence(
     for rank, k in enumerate(np.argsort(-printed_mG)[:4]):
         beside: dict[str, Any] = {"xytext": (-7, -9 if rank % 2 else 4), "textcoords": "offset points"}
         left.annotate(labels[k], (predicted_mG[k], printed_mG[k]), fontsize=7, ha="right", **beside)
-    left.set(xlabel="error of IGRF 1975 in field strength [mG, rms]", ylabel="printed residual [mG]", title="43 passes")
+    style.label(left, x="error of IGRF 1975 in field strength [mG, rms]", y="printed residual [mG]", title="43 passes")
     left.legend(loc="upper left")
     turns = np.append(turns_deg, 360.0)
     right.plot(turns, np.append(turned_correlation, turned_correlation[0]), color=style.BLUE, marker="o", markersize=3)
     right.axhline(0.0, color="grey", linewidth=0.8)
-    right.set(xlabel="map of errors turned east by [deg]", ylabel="rank correlation", xlim=(0, 360))
-    right.set_title("the map turned")
-    figure.suptitle(title)
+    style.label(right, x="map of errors turned east by [deg]", y="rank correlation")
+    right.set(xlim=(0, 360))
+    style.label(right, title="the map turned")
+    style.heading(figure, title)
     return figure
 
 
@@ -106,14 +108,15 @@ def draw_moved(
     for axes, curves in ((left, ratio), (right, correlation)):
         for (name, values), colour, marker in zip(curves.items(), colours, "os^", strict=True):
             axes.plot(turns, np.append(values, values[0]), color=colour, marker=marker, markersize=3, label=name)
-        axes.set(xlabel="errors moved along the orbit by [deg]", xlim=(0, 360), xticks=np.arange(0, 361, 90))
+        style.label(axes, x="errors moved along the orbit by [deg]")
+        axes.set(xlim=(0, 360), xticks=np.arange(0, 361, 90))
     left.axhline(printed_ratio, color=style.VERMILION, linewidth=1.0, label="printed")
     left.axhline(ratio_without, color="grey", linestyle="--", linewidth=1.0, label="no horizon error")
     right.axhline(correlation_without, color="grey", linestyle="--", linewidth=1.0)
-    left.set(ylabel="residual by night over that by day", title="the factor")
-    right.set(ylabel="rank correlation of the night passes", title="the ranking")
+    style.label(left, y="residual by night over that by day", title="the factor")
+    style.label(right, y="rank correlation of the night passes", title="the ranking")
     style.legend_below(figure, left)
-    figure.suptitle(title)
+    style.heading(figure, title)
     return figure
 
 
@@ -126,7 +129,7 @@ def draw_bias(mean_x_mG: FloatArray, bias_x_mG: FloatArray, explained_mG: FloatA
     axes.plot(mean_x_mG, bias_x_mG, "o", color=style.BLUE, markersize=3, label="bias from the pass alone")
     words = "b1 and the first row of S at the mean reading"
     axes.plot(mean_x_mG, explained_mG, ".", color=style.VERMILION, markersize=3, label=words)
-    axes.set(title=title, xlabel="mean X reading of the pass [mG]", ylabel="X bias with S = T = 0 [mG]")
+    style.label(axes, x="mean X reading of the pass [mG]", y="X bias with S = T = 0 [mG]", title=title)
     axes.legend(loc="best", frameon=True)
     return figure
 
@@ -148,6 +151,7 @@ def draw_ideas(
     axes.barh(rows - 0.18, explained_with_digits, 0.34, color=style.ORANGE, label="one confused digit allowed")
     axes.plot(by_chance, rows, "|", color=style.BLACK, markersize=16, label="by chance, as scanned")
     axes.set_yticks(rows, names, fontsize=8)
-    axes.set(title=title, xlabel=f"ends explained within 1.5 deg, of {total}", xlim=(0, total))
+    style.label(axes, x=f"ends explained within 1.5 deg, of {total}", title=title)
+    axes.set(xlim=(0, total))
     style.legend_below(figure, axes)
     return figure

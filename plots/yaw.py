@@ -65,7 +65,7 @@ def draw_mean_bias(record: YawComparison, *, title: str) -> Figure:
     _dashed(axes, record)
     _dotted(axes, record)
     axes.legend(loc="lower left", frameon=True)
-    axes.set(title=title, xlabel="time from the start of the orbit [min]", ylabel="yaw [deg]")
+    style.label(axes, x="time from the start of the orbit [min]", y="yaw [deg]", title=title)
     axes.set_xlim(record.minutes[0], record.minutes[-1])
     _zero(axes)
     return figure
@@ -87,13 +87,14 @@ def draw_full(record: YawComparison, *, title: str) -> Figure:
         _dashed(axes, record)
         _broken(axes, record, inside)
         _dotted(axes, record)
-        axes.set(xlim=(edges[number], edges[number + 1]), ylim=(low - pad, high + pad), ylabel="yaw [deg]")
+        style.label(axes, y="yaw [deg]")
+        axes.set(xlim=(edges[number], edges[number + 1]), ylim=(low - pad, high + pad))
         axes.text(0.01, 0.95, f"{number + 1} of 3", transform=axes.transAxes, va="top", fontsize=8)
         means = (record.mean_minutes >= edges[number]) & (record.mean_minutes <= edges[number + 1])
         style.mark_beyond(axes, record.minutes[inside], record.magnetometer_deg[inside], colour=style.BLUE, size=4.0)
         style.mark_beyond(axes, record.mean_minutes[means], record.mean_deg[means], colour=style.VERMILION, size=8.0)
         _zero(axes)
-    figure.suptitle(title)
+    style.heading(figure, title)
     style.legend_below(figure, all_axes[0])
     all_axes[-1].set_xlabel("time from the start of the orbit [min]; triangles at an edge: beyond the panel")
     return figure
@@ -108,7 +109,7 @@ def draw_pass(record: YawComparison, error_bar_deg: float, *, title: str) -> Fig
     middle = record.mean_minutes.size // 2
     at, words = (record.mean_minutes[middle], record.mean_deg[middle]), f"error bar, {error_bar_deg:.2f} deg"
     axes.errorbar(*at, error_bar_deg, color=style.VERMILION, capsize=4, label=words)
-    axes.set(title=title, xlabel="time from rise [min]", ylabel="yaw [deg]")
+    style.label(axes, x="time from rise [min]", y="yaw [deg]", title=title)
     _zero(axes)
     style.legend_below(figure, axes)
     return figure
@@ -134,8 +135,9 @@ def draw_sweep(
         if crossover is not None:
             axes.axvline(crossover, color=colour, linestyle=":")
             axes.text(crossover, 3.0, f" {crossover:.2f} deg", color=colour)
-    axes.set(title=title, xlabel="amplitude of the true yaw, sqrt 2 times its rms [deg]", ylim=(0, 100))
-    axes.set(ylabel="windows in which yaw = 0 is better [%]")
+    style.label(axes, x="amplitude of the true yaw, sqrt 2 times its rms [deg]", title=title)
+    axes.set(ylim=(0, 100))
+    style.label(axes, y="windows in which yaw = 0 is better [%]")
     axes.legend()
     return figure
 
@@ -158,17 +160,18 @@ def draw_sigma(
     along.axhline(printed_deg, color="black", linestyle="--", linewidth=0.8)
     above: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "fontsize": 8}
     along.annotate("printed", (0.5, printed_deg), (0, 3), xycoords=("axes fraction", "data"), **above)
-    along.set(xlabel="geocentric latitude [deg]", ylabel="sigma of yaw, equation 14 [deg]", title="one orbit")
+    style.label(along, x="geocentric latitude [deg]", y="sigma of yaw, equation 14 [deg]", title="one orbit")
     pairs = ((worst_orbit_deg, "one orbit", style.BLUE), (worst_base_deg, "four orbits", style.VERMILION))
     for values, label, colour in pairs:
         ordered = np.sort(values)
         worst.plot(ordered, 100 * np.arange(1, ordered.size + 1) / ordered.size, color=colour, label=label)
     worst.axvline(printed_deg, color="black", linestyle="--", linewidth=0.8, label="printed")
-    worst.set(xscale="log", xlabel="largest sigma of yaw [deg]", ylabel="share of cases [%]", title="worst value")
+    style.label(worst, x="largest sigma of yaw [deg]", y="share of cases [%]", title="worst value")
+    worst.set(xscale="log")
     style.log_ruler(along.yaxis)
     style.log_ruler(worst.xaxis)
     worst.legend()
-    figure.suptitle(title)
+    style.heading(figure, title)
     return figure
 
 

@@ -43,7 +43,7 @@ def command(
     for why, error in (
         ("the rounding of its numbers", made.rounding),
         ("a symmetric M, whose rotation is lost", made.form),
-        ("numbers that it passes over", made.passed_over),
+        ("numbers that it ignores", made.passed_over),
     ):
         if error is made.rounding or error.largest_nT > _SEEN_NT:
             output.say(f"  {plain(error.largest_nT, 2)} nT, {plain(error.largest_deg, 2)} deg by {why}")

@@ -77,8 +77,9 @@ class Px4(Target):
         if not passed_over:
             return []
         return [
-            f"PX4 passes over {' and '.join(passed_over)}: at start it takes up three numbers only where together they "
-            f"differ by more than {_TAKEN_UP} (Gauss, or a pure number) from no calibration. That is in the added error"
+            f"PX4 ignores {' and '.join(passed_over)}: at start it loads a group of three numbers only if together "
+            f"they differ from no calibration by more than {_TAKEN_UP} (Gauss, or a pure number). The added error "
+            "includes this"
         ]
 
 

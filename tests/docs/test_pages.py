@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -30,6 +31,17 @@ def test_a_page_says_what_is_printed(page: Path, tmp_path: Path, cli: Cli, monke
         return 0, ""
 
     assert "\n\n".join(follow(page, tmp_path, run)) == ""
+
+
+@pytest.mark.filterwarnings("default::UserWarning")
+def test_the_examples_of_the_interface_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    examples = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    assert len(examples) == text.count("\n## ") + 1, "one for each part, and the first"
+    names: dict[str, object] = {}
+    for example in examples:
+        exec(compile(example, "api.md", "exec"), names)
 
 
 def test_pages_have_commands() -> None:

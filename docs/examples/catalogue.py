@@ -2,27 +2,50 @@
 
     python docs/examples/catalogue.py              # the page, from the code and docs/examples/catalogue.json
     python docs/examples/catalogue.py --likeness   # works out catalogue.json again, some seconds
+    python docs/examples/catalogue.py --pictures   # draws docs/images/catalogue again, a minute
 
 Likeness is known from the design, before any data: the share of the energy of one effect's image that the other can
 make, with bias and scale_misalignment fitted beside both. The three designs are one cubesat
-for six orbits, with all housekeeping, which flies as it is modelled.
+for six orbits, with all housekeeping, which flies as it is modelled. The pictures show the residual that an effect of
+typical size leaves on the first two of them, once bias and scale_misalignment are fitted.
 """
 
 from __future__ import annotations
 
 import argparse
+import io
 import json
+import tomllib
 from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from PIL import Image
+
 import fluxtwin
+from fluxtwin.calib.common.design import reference_field_B_nT
+from fluxtwin.plots import style
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect
-from fluxtwin.sim.scenario.effect_sections import Key, every_key
+from fluxtwin.sim.scenario.effect_sections import Key, effect_toml, every_key
 
 DOCS = Path(__file__).resolve().parents[1]
 LIKENESS = DOCS / "examples" / "catalogue.json"
+PICTURES = DOCS / "images" / "catalogue"
+DRAWN = {
+    "driver": ("driver.payload", {"k_nT_per_unit": [20.0, 20.0, 20.0]}),
+    "law": ("law.payload_sunlit", {"of": ["driver_payload", "sunlit"], "k_nT_per_unit": [20.0, 20.0, 20.0]}),
+    "wheel_field": ("wheel_field", {"frequency_Hz": 0.001, "cos_nT": [50.0] * 3, "sin_nT": [50.0] * 3}),
+}
+"""Sections of effects that a picture needs more than typical sizes for."""
+QUIET = {
+    "attitude.reference": {"sigma_deg": 0.0, "tau_s": 0.0},
+    "magnetometer.noise_nT": 0.0,
+    "magnetometer.lsb_nT": 0.01,
+    "schedule.segments": [{"start_utc": "2026-03-01T00:00:00Z", "duration_min": 195.0, "step_s": 10.0}],
+}
 ALIKE = 0.6
 """Share from which an effect is said to look like another."""
 
@@ -65,12 +88,57 @@ def likeness(design: str) -> dict[str, dict[str, int]]:
     }
 
 
+def residual_nT(design: str, sections: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
+    """The readings (N, 3) of a design without noise, and what they are beyond the model's field at the reported place."""
+    scenario = fluxtwin.load_scenario("cubesat").updated({**SPACECRAFT, **DESIGNS[design], **QUIET, **sections})
+    record = fluxtwin.simulate(scenario)[0]
+    return record.mag_B_nT, record.mag_B_nT - reference_field_B_nT(record, fluxtwin.load_field("igrf14"))
+
+
+def signature_nT(effect: Effect, design: str, base_nT: FloatArray) -> FloatArray:
+    """(N, 3) what the effect adds to the residual base_nT at its typical size, beyond bias and scale_misalignment."""
+    made = tomllib.loads(effect_toml(effect, [one.scale for one in effect.parameters]))["effects"]
+    name, section = DRAWN.get(effect.name) or (effect.name, made[effect.name])
+    reading, residual = residual_nT(design, {f"effects.{name}": section})
+    added = residual - base_nT
+    if effect.name in ("bias", "scale_misalignment"):
+        return added
+    columns = np.column_stack([reading / 1e4, np.ones(len(reading))])
+    return np.asarray(added - columns @ np.linalg.lstsq(columns, added, rcond=None)[0])
+
+
+def draw(stage: str, base: dict[str, FloatArray]) -> None:
+    """The picture of a stage: a row an effect, a column a design."""
+    effects = [effect for effect in fluxtwin.effects() if effect.stage == stage]
+    figure, grid = style.figure(7.2, 0.7 + 1.05 * len(effects), rows=len(effects), cols=len(DESIGNS), share_x=True)
+    for panels, effect in zip(grid, effects, strict=True):
+        style.label(panels[0], title=effect.name, y="[nT]")
+        for axes, design in zip(panels, DESIGNS, strict=True):
+            parts = signature_nT(effect, design, base[design])
+            if not parts.any():
+                axes.set_ylim(-1.0, 1.0)  # it cannot act there
+            minutes = np.arange(len(parts)) / 6.0
+            for part, colour, axis in zip(parts.T, style.AXIS_COLOURS, "xyz", strict=True):
+                axes.plot(minutes, part, color=colour, linewidth=0.7, label=axis)
+    for axes, design in zip(grid[-1], DESIGNS, strict=True):
+        style.label(axes, x=f"{design}: time [min]")
+    style.legend_below(figure, grid[0][0])
+    buffer = io.BytesIO()
+    figure.savefig(buffer, dpi=110)
+    PICTURES.mkdir(exist_ok=True)
+    Image.open(buffer).convert("RGB").quantize(64, dither=Image.Dither.NONE).save(
+        PICTURES / f"{stage}.png", optimize=True
+    )
+
+
 def page(alike: dict[str, dict[str, dict[str, int]]]) -> str:
     """The text of the catalogue's page."""
     effects = fluxtwin.effects()
     lines = [HEAD.format(count=len(effects), designs="; ".join(DESIGNS), alike=ALIKE)]
     for stage, family in groupby(effects, key=lambda effect: effect.stage):
         lines.append(f"\n## Stage: {stage}\n")
+        if stage != "dynamics":
+            lines.append(f"![Residual of each effect of this stage on three designs](images/catalogue/{stage}.png)\n")
         for effect in family:
             lines += _section(effect, alike)
     return "\n".join(lines).rstrip() + "\n"
@@ -142,13 +210,23 @@ those of `[effects.NAME]` in a [scenario](scenario.md#effectsname), with the num
 *Looks like* follows from the design alone, before any data: it is the share of an effect's signature that
 another effect can imitate, with `bias` and `scale_misalignment` fitted as well, if that share is {alike:.0%} or
 more. It is given for one cubesat over six orbits in three designs: {designs}. Two effects that imitate each
-other by 98 % or more are named as a group. A design in which they do not look alike separates them."""
+other by 98 % or more are named as a group. A design in which they do not look alike separates them.
+
+The figure of each stage shows what an effect of typical size in all its components adds to the residual in two
+orbits of these designs, without noise and with `bias` and `scale_misalignment` fitted (except for these two). Effects
+on the dynamics rotate the body and leave the readings unchanged."""
 
 
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--likeness", action="store_true")
-    if parser.parse_args().likeness:
+    parser.add_argument("--pictures", action="store_true")
+    asked = parser.parse_args()
+    if asked.pictures:
+        base = {design: residual_nT(design, {})[1] for design in DESIGNS}
+        for stage in dict.fromkeys(effect.stage for effect in fluxtwin.effects() if effect.stage != "dynamics"):
+            draw(stage, base)
+    if asked.likeness:
         LIKENESS.write_text(
             json.dumps({design: likeness(design) for design in DESIGNS}, indent=1) + "\n", encoding="utf-8"
         )

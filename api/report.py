@@ -13,6 +13,7 @@ import json
 import re
 from dataclasses import replace
 from functools import cache
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,6 @@ from fluxtwin.sim.base.files import write_text
 
 if TYPE_CHECKING:
     from jinja2 import Template
-    from markupsafe import Markup
     from matplotlib.figure import Figure
 
     from fluxtwin.plots.time_series import TimeSeries
@@ -99,16 +99,13 @@ def _smallest(figure: Figure) -> float:
     return min((float(text.get_fontsize()) for text in seen), default=8.0)
 
 
-def _whole(text: str) -> Markup:
-    """The text, escaped, with words that stay on one line though they have a hyphen, and lines that may end behind an
-    underscore."""
-    from markupsafe import Markup, escape
-
+def _whole(text: str) -> str:
+    """The text as HTML: words that stay on one line though they have a hyphen, lines that may end behind an underscore."""
     parts = [
-        Markup('<span class="whole">{}</span>').format(part) if k % 2 else escape(part).replace("_", Markup("_<wbr>"))
-        for k, part in enumerate(_HYPHENED.split(clean(text)))
+        f'<span class="whole">{part}</span>' if k % 2 else part.replace("_", "_<wbr>")
+        for k, part in enumerate(_HYPHENED.split(escape(clean(text))))
     ]
-    return Markup("").join(parts)
+    return "".join(parts)
 
 
 def _download(text: str) -> str:

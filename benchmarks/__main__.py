@@ -288,10 +288,10 @@ def page(lines: Sequence[Line]) -> str:
         "# Speed",
         "",
         "Made by `python -m benchmarks --page docs/benchmarks.md` on",
-        f"{cpu}, {os.cpu_count()} cores, Python {platform.python_version()}, beside other work. Ratios are of runs in turn",
-        "on the same machine; seconds are of the processor.",
+        f"{cpu}, {os.cpu_count()} cores, Python {platform.python_version()}, with other work running. Ratios compare runs",
+        "that alternate on the same machine; seconds are processor time.",
         "",
-        "| work | measured | wanted | reached | what bounds it |",
+        "| work | measured | wanted | reached | what limits it |",
         "|---|--:|--:|---|---|",
     ]
     said = {True: "yes", False: "no", None: ""}

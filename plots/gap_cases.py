@@ -30,7 +30,8 @@ def left_alone(
     for place, value, count in zip(places, left_nT, parameters, strict=True):
         remark = f"{value:.1f} nT, {count} parameter{'s' if count > 1 else ''}"
         inside = value > 0.5 * limit_nT
-        look: dict[str, Any] = {"ha": "right", "color": "white"} if inside else {"ha": "left", "color": style.BLACK}
+        box: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
+        look: dict[str, Any] = {"ha": "right", "color": "white"} if inside else {"ha": "left", "bbox": box}
         apart = (-0.012 if inside else 0.012) * limit_nT
         axes.text(value + apart, float(place), remark, va="center", fontsize=style.NOTE_PT, **look)
     axes.axvline(limit_nT, color=style.BLACK, linewidth=1.0, linestyle="--", zorder=1.5)

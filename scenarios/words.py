@@ -34,6 +34,10 @@ _BLOCK = re.compile(r"\n[ \t]*\n+")
 _BUILTINS = (abs, any, all, enumerate, float, int, len, list, max, min, round, sorted, sum, vars, zip)
 
 
+_CLAIMS = "Claim by claim"
+_NEXT = f"read {_CLAIMS}: it gives the reason for every difference from the papers."
+
+
 class Words:
     """The sections of a study's Markdown file, as text, tables, claims and pages.
 
@@ -109,6 +113,7 @@ class Words:
             errata=errata,
             provenance=provenance,
             links=links or {},
+            next_step=_NEXT if any(one[0] == _CLAIMS for one in sections) else "",
         )
 
     def judge(self, entries: Sequence[Mapping[str, Any]] = (), /, **values: Any) -> list[Claim]:

@@ -17,17 +17,17 @@ import pytest
 
 HERE = Path(__file__).parent
 REGISTRY = HERE / "reference" / "witnesses.toml"
-HEAD = """# Values that this project did not make
+HEAD = """# Independent reference values
 
-Every public function of the physics stands here, with the test that holds it to a published value, another library, an
-analytic solution or data of a flight: what `fluxtwin` gives, what they give, the difference and what is allowed, of the
-comparison in that test that came nearest to its tolerance. Made by
+This table has every public function of the physics, with the test that compares it with a published value, another library,
+an analytic solution or flight data. Of each test it shows the comparison that came closest to its tolerance: the value of
+`fluxtwin`, the reference value, their difference and the difference that is allowed. It is made by
 
 ```sh
 python -m pytest -q --witnesses docs/witnesses.md tests
 ```
 
-| function | fluxtwin | theirs | difference | allowed | unit | by whom | test |
+| function | fluxtwin | reference | difference | allowed | unit | source | test |
 |---|---|---|---|---|---|---|---|
 """
 _seen: dict[str, dict[str, Any]] = {}

@@ -25,10 +25,10 @@ UNNOTICED = "small faults in sim, calib and gap that the nearest tests do not no
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "trust.md"
 ABOUT = """# Robustness tests
 
-`python -m benchmarks.trust` makes this table. It damages files, fills disks, stops processes and moves the program
-around, and counts everything that should not have happened. Each trial runs in a process of its own, or is one of
-many in a process whose end by a signal is counted. [SECURITY.md](../SECURITY.md) says what is refused, and the
-limits. The last row is about the tests: `benchmarks/mutants.py` changes the product in one small place at a time.
+`python -m benchmarks.trust` makes this table. It damages files, fills disks, stops processes and runs the program in
+unusual places, and counts everything that should not have happened. Each trial runs in its own process, or is one of many
+in a process that is checked for an end by a signal. [SECURITY.md](../SECURITY.md) says what is refused, with the limits.
+The last row is about the tests: `benchmarks/mutants.py` puts one small fault at a time into the product.
 
 | trial | how many | faults | wanted | found |
 |---|---|---|---|---|

@@ -12,14 +12,14 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "credibility.md"
-HEAD = """# How far the models may be believed
+HEAD = """# How credible the models are
 
-A self-assessment after NASA-STD-7009 (2008, appendix B): levels 0 to 4 for each factor. A level counts when tests show it
-and all levels below it; what no test can show is not claimed. The credibility of the whole is that of its worst factor,
-which stands on top.
-Made by `python -m benchmarks.trust.grades` from `benchmarks/trust/grades.toml`; a test keeps it so.
+This is a self-assessment according to NASA-STD-7009 (2008, appendix B), with levels 0 to 4 for each factor. A level counts
+if tests show it and all levels below it; what no test can show is not claimed. The credibility of the whole is that of its
+worst factor, which is in the first row. `python -m benchmarks.trust.grades` writes this page from
+`benchmarks/trust/grades.toml`, and a test checks that it is up to date.
 
-| factor | level | what earns it | what the next level lacks |
+| factor | level | what it rests on | what the next level would need |
 |---|---|---|---|
 """
 

@@ -214,7 +214,8 @@ other by 98 % or more are named as a group. A design in which they do not look a
 
 The figure of each stage shows what an effect of typical size in all its components adds to the residual in two
 orbits of these designs, without noise and with `bias` and `scale_misalignment` fitted (except for these two). Effects
-on the dynamics rotate the body and leave the readings unchanged."""
+on the dynamics rotate the body and leave the readings unchanged. Where only one line is seen, the three components
+are equal."""
 
 
 def main() -> None:

@@ -37,8 +37,8 @@ def sentences(summary: dict[str, Any]) -> list[str]:
     nees = summary["sigmas"]["nees"]
     if nees is not None:
         said.append(
-            f"Errors of the calibration are {'as' if 0.85 <= nees <= 1.2 else 'not as'} its sigmas say: their squares, "
-            f"weighted with the whole covariance, are {plain(nees, 2)} times what is stated (1 is right)."
+            f"The errors of the calibration {'agree' if 0.85 <= nees <= 1.2 else 'do not agree'} with its sigmas: their "
+            f"squares, weighted with the full covariance, are {plain(nees, 2)} times what is stated (1 is right)."
         )
     for what, key in (("lost", "lost"), ("not calibrated", "not_calibrated"), ("not diagnosed", "not_diagnosed")):
         for reason, count in list(summary[key].items())[:3]:
@@ -101,8 +101,8 @@ def campaign_page(flown: Campaign) -> Page:
     said = sentences(summary)
     figure = power_figure(flown)
     caption = (
-        "Ticks: runs, above those in which the effect was named. Points: shares with 95 % intervals. Curve: log odds linear "
-        "in the logarithm of the size."
+        "Ticks: single runs, at the top if the effect was named. Dots: shares with 95 % intervals. Curve: a logistic "
+        "function of the logarithm of the size."
     )
     return Page(
         title=f"{summary['runs']} runs of {summary['name'] or 'a scenario'}",
@@ -113,6 +113,6 @@ def campaign_page(flown: Campaign) -> Page:
                 "Tables", [], tables(summary), [] if figure is None else [FigureBlock("power", caption, figure)]
             ),
         ],
-        next_step="an effect that is missed at a size that matters needs longer records or other manoeuvres; try them here.",
+        next_step="if an effect is missed at a size that matters, try longer records or other manoeuvres in the scenario.",
         provenance={"seed": str(summary["seed"]), "fingerprint of the plan": flown.plan.fingerprint},
     )

@@ -23,7 +23,7 @@ def check_page(
     """The page of one check; record: what was read, or why it cannot be; reading: the options that read it."""
     again = "correct what is named (conventions in a column map), and check again."
     return Page(
-        title=f"Is it what it says? {path.name}",
+        title=f"Check: {path.name}",
         verdict=verdict(found),
         next_step=again if found.traps else f"fluxtwin calibrate {shlex.quote(str(path))} {reading}",
         sections=[
@@ -43,7 +43,7 @@ def verdict(found: CheckReport) -> str:
 def findings_table(found: CheckReport) -> Table:
     """Traps and notes."""
     rows = [(one.severity, one.code, one.text, one.row_count or "") for one in found.findings]
-    columns = ("", "code", "what", "rows") if any(row[-1] for row in rows) else ("", "code", "what")
+    columns = ("", "code", "finding", "rows") if any(row[-1] for row in rows) else ("", "code", "finding")
     return Table("Findings", columns, [row[: len(columns)] for row in rows])
 
 

@@ -96,7 +96,9 @@ def tables(found: Fleet) -> list[Table]:
             for v, name in enumerate(found.vehicles)
         ]
         rows.append(["all", *(measured(common.mean[p], common.mean_sigma[p]) for p in shown), ""])
-        note = "Each vehicle's size is drawn towards the mean, the more the less it knows by itself; 1 sigma."
+        note = (
+            "With 1 sigma. Each vehicle's size is shrunk towards the mean, the more so the less its data determine it."
+        )
         out.append(Table(common.name, columns, rows, note))
     ranking = [[name, plain(value, 3), str(rank)] for name, value, rank in found.ranking[:8]]
     if ranking:

@@ -123,7 +123,7 @@ def _table(flown: Ensemble) -> Table:
 
     found = flown.summary
     rows = [[name, *(spread[key] for key in _SHOWN)] for name, spread in found["figures"].items()]
-    columns = ("figure of a vehicle", "mean", "std", "5 %", "50 %", "95 %", "99 %", "max", "of vehicle")
+    columns = ("quantity of a vehicle", "mean", "std", "5 %", "50 %", "95 %", "99 %", "max", "max in vehicle")
     return Table(f"{found['vehicles']} vehicles of {found['name']}, seed {found['seed']}", columns, rows)
 
 

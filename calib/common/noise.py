@@ -99,7 +99,7 @@ def reading_noise(
     sigma = np.sqrt(variance)
     unsure = np.sqrt(np.diag(covariance)) / (2.0 * np.maximum(sigma, 1e-9))
     sizes = " / ".join(measured(float(s), float(u)) for s, u in zip(sigma, unsure, strict=True))
-    words = f"{sizes} nT from short differences of the residual, taken for white, axis by axis; {lsb_words}"
+    words = f"{sizes} nT from short differences of the residual, taken as white, for each axis; {lsb_words}"
     return ReadingNoise(variance, words, covariance)
 
 
@@ -129,9 +129,8 @@ def scalar_noise(
     variance = np.maximum(np.full(3, white), floor)
     hidden = max(0.0, whole * len(r) / max(len(r) - 9, 1) - white)
     spread = np.full((3, 3), hidden**2 / 12.0 + 3.0 * white**2 / near.size)
-    text = (
-        f"{plain(float(np.sqrt(white)))} nT an axis from short differences of the residual of |B|, taken alike; {words}"
-    )
+    size = plain(float(np.sqrt(white)))
+    text = f"{size} nT per axis from short differences of the residual of |B|, taken as equal; {words}"
     return ReadingNoise(variance, text, spread)
 
 

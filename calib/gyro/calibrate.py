@@ -232,7 +232,7 @@ def _noise(options: GyroOptions, variance: float) -> ReadingNoise:
     if options.noise_nT is not None:
         declared = per_axis(options.noise_nT, "noise_nT")
         return ReadingNoise(declared**2, f"{plain(float(declared.mean()))} nT as declared")
-    return ReadingNoise(np.full(3, variance), f"{plain(float(np.sqrt(variance)))} nT an axis, found in the data")
+    return ReadingNoise(np.full(3, variance), f"{plain(float(np.sqrt(variance)))} nT per axis, found in the data")
 
 
 def _unobservable(options: GyroOptions) -> tuple[str, ...]:

@@ -77,7 +77,7 @@ def report_covariance(problem: LinearProblem, solution: Solution, passes: np.nda
     stacked = stacked + _from_noise_uncertainty(problem, solution) + _from_field_error(problem, solution)
     if problem.options.field_error_nT:
         messages.append(
-            f"field model taken as wrong by {problem.options.field_error_nT:.4g} nT rms an axis with a memory of "
+            f"field model taken as wrong by {problem.options.field_error_nT:.4g} nT rms per axis, correlated over "
             f"{problem.design.radian_s:.0f} s, a radian of the orbit"
         )
     whole = _in_file_order(problem, solution, stacked)
@@ -153,9 +153,9 @@ def _checked(
         return _Checked(spread.total, 1.0, f"fewer than {fewest} blocks of twice their memory to check it by")
     W, misfit, words = found
     if 0.8 < misfit < 1.25:
-        words += " scatter as it says"
+        words += ", whose scatter agrees with it"
     else:
-        words = f"variances times {misfit:.2g} on average, as {words} scatter"
+        words = f"variances multiplied by {misfit:.2g} on average, to agree with the scatter of {words}"
     return _Checked(up @ W @ up.T, misfit, words)
 
 
@@ -203,7 +203,7 @@ def _error_words(errors: ErrorModel) -> str:
     low, high = errors.attitude_range_deg
     assert errors.attitude_sigma_deg is not None
     sigma = plain(errors.attitude_sigma_deg, 2)
-    words = f"white noise of {plain(float(np.sqrt((errors.white_nT**2).mean())))} nT an axis"
+    words = f"white noise of {plain(float(np.sqrt((errors.white_nT**2).mean())))} nT per axis"
     words += f", an attitude error of {sigma} deg (90 %: {plain(low, 2)} to {plain(high, 2)})"
     return words + (f" over {plain(errors.attitude_tau_s, 2)} s" if errors.attitude_tau_s else ", white")
 

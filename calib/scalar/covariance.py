@@ -89,7 +89,9 @@ def scalar_covariance(
         )
     W, misfit, words = found
     half = np.linalg.cholesky(white)
-    return half @ W @ half.T, f"covariance: white, the variances times {misfit:.2g} on average, as {words} scatter"
+    return half @ W @ half.T, (
+        f"covariance: white, with variances multiplied by {misfit:.2g} on average, to agree with the scatter of {words}"
+    )
 
 
 def _deviations(

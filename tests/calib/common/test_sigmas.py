@@ -189,7 +189,7 @@ def test_noise_that_lasts_is_counted_as_unknown(seasat: Any) -> None:
         chance = 3.0 * np.sqrt(2.0 * 6.0 / 325.0) * 300.0**2
         assert (np.abs(300.0**2 - fit.noise.variance_nT2) < np.sqrt(12.0) * sigma + chance).all()
         assert (sigma > 0.1 * 300.0**2).all()
-        assert "taken for white" in fit.noise.source
+        assert "taken as white" in fit.noise.source
 
 
 def test_errors_of_the_attitude_have_a_direction(seasat: Any) -> None:

@@ -251,9 +251,9 @@ def test_the_page_and_the_sizes_of_its_curves(results: Numbers, close: Callable[
         assert "simulated" in blocks[name].figure.get_suptitle().lower()
         assert "2006-04-15" in blocks[name].figure.axes[-1].get_xlabel()
     said = " ".join(words for section in made.sections for words in section.paragraphs)
-    assert "Like for like with the abstract's 0.151 deg are its steps alone" in said
+    assert "The abstract's 0.151 deg should be compared with its steps alone" in said
     assert "of its sigma. Chance alone" in said
-    assert "only a figure that had no part in the choice counts" in said
+    assert "only a figure that was not used for the choice counts" in said
     assert "st5" in STUDIES
 
 

@@ -77,7 +77,7 @@ def _coverage(diagnosis: Diagnosis, record: Telemetry | None) -> list[FigureBloc
     from fluxtwin.calib.common.coverage import counted
     from fluxtwin.evidence import coverage_block
 
-    rows = np.isin(record.time, series.time[np.isfinite(series.before_nT).all(axis=1)])
+    rows = np.isin(record.time, series.time if series.cut is None else series.time[~series.cut])
     fitted = {effect.name: theta for effect, theta in closure.modelled}
     S, b_nT = fitted.get("scale_misalignment", np.zeros(9)), fitted.get("bias", np.zeros(3))
     reading = record.mag_B_nT[rows]
@@ -263,7 +263,9 @@ def _far(diagnosis: Diagnosis, record: Telemetry | None) -> PageSection:
             parts = {"residual": series.before_nT}
             if diagnosis.effects:
                 parts = {"before": series.before_nT, "after": series.after_nT}
-            aside = np.logical_not(np.isfinite(series.before_nT).any(axis=1))
+            aside = np.zeros(len(rows), dtype=np.bool_) if series.cut is None else series.cut
+            if not np.isfinite(series.before_nT[~aside]).any(axis=1).all():
+                words += " Rows that the rest of the record does not determine have no prediction."
             figures = [field_block(rows, rows.mag_B_nT, rows.mag_B_nT - series.before_nT, words, aside), *figures]
             figures += driver_blocks(rows, parts)
         figures.append(FigureBlock("gap_spectra", spectra, draw_spectra(series)))

@@ -42,9 +42,14 @@ class RobustRows:
         return np.asarray(cut if self.measured is None else cut & self.measured, dtype=np.bool_)
 
     @property
+    def cut_rows(self) -> BoolArray:
+        """(N,) True for rows with a component cut."""
+        return np.asarray(self.cut.any(axis=1), dtype=np.bool_)
+
+    @property
     def rows_cut(self) -> int:
-        """Rows with a component cut."""
-        return int(self.cut.any(axis=1).sum())
+        """How many these are."""
+        return int(self.cut_rows.sum())
 
     @property
     def components_cut(self) -> int:

@@ -17,7 +17,7 @@ from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.sim.base.seals import FORMAT
 from fluxtwin.sim.base.shown import Shown
-from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.effects.base import STAGES, Effect, SignalEffect
 from fluxtwin.sim.effects.chain import Active
 
@@ -236,6 +236,8 @@ class GapSeries:
     """(N, 3) residual with what is modelled re-estimated."""
     after_nT: FloatArray
     """(N, 3) residual with the named effects too."""
+    cut: BoolArray | None = None
+    """(N,) rows that were set aside as outliers."""
 
 
 @dataclass(frozen=True)

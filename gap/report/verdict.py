@@ -148,7 +148,7 @@ def assemble(
         sentence=" ".join(filter(None, (sentence, words.assumed(assumed)))),
         assumed=assumed,
         notes=notes,
-        series=prediction.series(problem.time, in_readings),
+        series=replace(prediction.series(problem.time, in_readings), cut=answer.robust.cut_rows),
         # Each was tested in its own channel.
         ranking=sorted([*result.ranking, *momentum.ranking], key=lambda line: (line.p_value, -line.drop)),
         momentum=momentum.gap,

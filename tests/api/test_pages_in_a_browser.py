@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -112,6 +113,15 @@ def test_every_page_can_be_read(tab: Browser, pages: Path, name: str) -> None:
         images = "[...document.querySelectorAll('figure:not(.live) img')]"
         shrunk = tab.run(f"{images}.filter((i) => i.offsetWidth < parseInt(i.style.minWidth)).length")
         assert shrunk == 0, "a figure is scrolled before its text is too small"
+
+
+@pytest.mark.parametrize("name", ["calibrate", "diagnose"])
+def test_the_row_set_aside_is_a_cross(pages: Path, name: str) -> None:
+    """One reading is wrong by 30 uT: it alone is a cross, on every axis and in size."""
+    text = (pages / f"{name}.html").read_text(encoding="utf-8")
+    (data,) = re.findall(r'<figure id="field">.*?application/json">(.*?)</script>', text, re.DOTALL)
+    crosses = [line for panel in json.loads(data)["panels"] for line in panel["lines"] if line["look"] == "cross"]
+    assert [line["rows"] for line in crosses] == [[100]] * 4
 
 
 def test_zoom_moves_every_figure_and_can_be_copied(tab: Browser, pages: Path) -> None:

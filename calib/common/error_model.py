@@ -35,7 +35,7 @@ _LOG_SD = 0.4  # a declared attitude error is trusted to a factor 1.5
 _TAU_LOG_SD = 0.5
 _SPARE = 8  # degrees of freedom that must remain
 _QUIETER = np.log(1000.0)  # white noise may be so much less than the residual
-_SEARCH = 6  # rounds of the coordinate search
+_TRIED, _SEARCH = 4, 8  # rounds of the coordinate search from each start, and from the best of what they reach
 _APART = 4.0  # cells that slow errors last at least: shorter ones are white noise to these data
 _BEYOND = 10.0  # longest time constant of the attitude over the longest stretch; with 50 the sigmas are the same
 _INFORMED = 48  # cells and
@@ -372,13 +372,14 @@ def find_errors(of: LikelihoodCells, sigma_deg: float | None = None, tau_s: floa
 
 def _climb(likelihood: _Likelihood) -> tuple[float, FloatArray]:
     """A point near the maximum: the best that is reached from several starts, one coordinate after the other."""
-    return max((_climb_from(likelihood, p) for p in likelihood.starts()), key=lambda one: one[0])
+    found = [_climb_from(likelihood, p, _TRIED) for p in likelihood.starts()]
+    return _climb_from(likelihood, max(found, key=lambda one: one[0])[1], _SEARCH)
 
 
-def _climb_from(likelihood: _Likelihood, p: FloatArray) -> tuple[float, FloatArray]:
+def _climb_from(likelihood: _Likelihood, p: FloatArray, rounds: int) -> tuple[float, FloatArray]:
     value = likelihood(p)[0]
     reach = np.full(5, 1.0)
-    for _ in range(_SEARCH):
+    for _ in range(rounds):
         for k in range(5):
             for sign in (1.0, -1.0):
                 tried = p.copy()

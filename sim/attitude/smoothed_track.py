@@ -2,14 +2,16 @@
 
 About each stamp the turn to its neighbours is fitted by a polynomial in time; between two stamps the two fits are
 blended. How many neighbours, and of what degree, is what predicts an attitude best from the others (leave one out:
-Allen 1974, Technometrics 16:125; local polynomials: Fan & Gijbels 1996, chapter 4).
+Allen 1974, Technometrics 16:125; local polynomials: Fan & Gijbels 1996, chapter 4). Where errors are slow, an attitude
+shares its error with its neighbours, and those next to it would predict it best whatever the motion (Opsomer, Wang & Yang
+2001, Statistical Science 16:134): there it is the step to an attitude that is left out and predicted.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -26,12 +28,20 @@ RowArray = NDArray[np.intp]
 _HALVES = (1, 2, 3, 4, 6, 9, 13, 20, 30, 45, 70, 100, 150)  # rows to either side
 _DEGREES = ((1, 1), (3, 2), (5, 4))  # a polynomial of this degree needs so many rows to either side
 _LARGEST_TURN = 2.0  # rad: what is left of the turn to a neighbour, beyond which the short way is ambiguous
+_KEPT = np.array([0.0, 0.95])
+"""Share of its error that an attitude hands on to the next: of white errors, and of slow ones. Errors in between do with
+either. Not 1, because steps alone do not tell that a level is off: of 90 motions (three laws, steps of 1 to 60 s, errors of
+0.1 deg with time constants of 0 to 3000 s) one got a track that was 0.6 deg off, and with 0.95 none more than 0.16 deg."""
 _CENTRES = 300  # rows that choose the window; more add little
 _AS_GOOD = 1.01  # of the smallest prediction error: among such fits the one that smooths least, its bias is least
 _WILD = 100.0  # times the median: a single wrong attitude counts no more
 _FURTHEST = 1.0  # rad from one attitude to the next: less than half a turn is one also with a wobble twice as fast
 _ASTRAY = 0.1  # rad, rms: a gyro that misses the attitudes by more is none to go by
 _PARTS = 6  # of the way to the next stamp: 0.4 rad each where a spinner turns by 130 deg
+_TELLS = (
+    0.2  # between the correlations that white and slow errors leave: 6 sigma of 900 pairs, 3 from either to the middle
+)
+_MOST_OWN = 0.95  # weight of a row in its own fit: beyond it the others predict nothing
 _HOPELESS = 3.0  # times the smallest error: wider windows are not tried any more
 
 
@@ -95,25 +105,35 @@ class _Moments:
     """(n, d + 1, d + 1)."""
     moment: FloatArray
     """(n, d + 1, 3)."""
+    onward: FloatArray
+    """(n, K, d + 1) of a new error of one at the centre that later rows keep a share of."""
+    before_rad: FloatArray
+    """(n, 3) turn of the row before the centre; NaN where the window has none."""
+    before_s: FloatArray
+    """(n,) its time since the centre."""
     counts: FloatArray
     balanced: BoolArray
     """Whether there are as many rows on one side as on the other."""
 
-    def fit(self, degree: int) -> tuple[FloatArray, FloatArray]:
-        """Coefficients (n, degree + 1, 3), and (n,) the weight of the centre's own attitude in its fit.
-
-        A stretch with few rows gets a lower degree.
-        """
-        size = degree + 1
-        order = np.arange(size)
+    def fit(self, degree: int) -> FloatArray:
+        """(n, degree + 1, 3 + K) coefficients of the fit to the turns, and to each kind of error. A stretch with few rows
+        gets a lower degree."""
+        order = np.arange(degree + 1)
         bare = self.counts[:, None] < order + 1 + order // 2
-        gram = np.where(bare[:, :, None] | bare[:, None, :], 0.0, self.gram[:, :size, :size])
+        gram = np.where(bare[:, :, None] | bare[:, None, :], 0.0, self.gram[:, : degree + 1, : degree + 1])
         gram[:, order, order] += bare
-        here = np.where(bare, 0.0, (-self.mid_s / self.span_s)[:, None] ** order)
-        right = np.concatenate([np.where(bare[:, :, None], 0.0, self.moment[:, :size]), here[:, :, None]], axis=2)
-        solved = np.linalg.solve(gram, right)
-        weight: FloatArray = np.einsum("nk,nk->n", here, solved[:, :, 3])
-        return solved[:, :, :3], weight
+        right = np.concatenate([self.moment, self.onward.swapaxes(1, 2)], axis=2)[:, : degree + 1]
+        return np.linalg.solve(gram, np.where(bare[:, :, None], 0.0, right))
+
+    def off(self, fit: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """(n, 3) what the centres and the rows before them stand off their fit, and (n, K) the fit to each kind of error at
+        both."""
+        order = np.arange(fit.shape[1])
+        here, before = (
+            np.einsum("nk,nkc->nc", ((after_s - self.mid_s) / self.span_s)[:, None] ** order, fit)
+            for after_s in (0.0, self.before_s)
+        )
+        return -here[:, :3], self.before_rad - before[:, :3], here[:, 3:], before[:, 3:]
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,8 +241,8 @@ def smoothed(time_s: FloatArray, R_BN: Rotation, gyro_B_rad_s: FloatArray | None
         if np.median(step_rad) > _FURTHEST:
             best = found[-1]  # attitudes so far apart are met as well by motions that are not there between them
     _, degree, half, course = best
-    sums = _moments(R_BN, stretch, course, np.arange(time_s.size, dtype=np.intp), half, degree)
-    coefficients, _ = sums.fit(degree)
+    sums = _moments(R_BN, stretch, course, np.arange(time_s.size, dtype=np.intp), half, degree, np.empty(0))
+    coefficients = sums.fit(degree)[:, :, :3]
     return AttitudeTrack(time_s, R_BN, stretch, course, coefficients, sums.mid_s, sums.span_s, half)
 
 
@@ -289,43 +309,102 @@ def _turned(rates: Callable[[FloatArray], FloatArray], from_s: FloatArray, after
     return whole
 
 
+@dataclass(frozen=True)
+class _Trial:
+    """A window; for each share of an error that the next row may keep (K,), how well the others predict what is new in an
+    attitude."""
+
+    degree: int
+    half: int
+    error: FloatArray
+    """(K,) mean square prediction error; infinite where too few rows are predicted from both sides."""
+    weight: FloatArray
+    """(K,) that what is left out has in its own fit, mean."""
+    kept: int | None
+    """Which share this fit leaves; None where the window is too short to tell."""
+
+
 def _window(R_BN: Rotation, stretch: RowArray, course: _Course) -> tuple[float, int, int]:
     """(mean square prediction error, degree, rows to either side) of the best window."""
     centres = np.arange(0, stretch.size, -(-stretch.size // _CENTRES), dtype=np.intp)
-    tried = list(_trials(R_BN, stretch, course, centres))
+    trials = list(_trials(R_BN, stretch, course, centres))
+    # Of what a short window cannot tell, the shortest one that can says most: it follows nearly all motion.
+    usual = next((one.kept for one in trials if one.kept is not None), 0)
+    kept = [usual if one.kept is None else one.kept for one in trials]
+    tried = [(float(one.error[k]), float(one.weight[k]), one) for one, k in zip(trials, kept, strict=True)]
     best = min((error for error, *_ in tried), default=np.inf)
     if not np.isfinite(best):
         return np.inf, 1, 1
     good = [one for one in tried if one[0] <= _AS_GOOD * best]
-    error, _, degree, half = max(good, key=lambda one: one[1])
-    return error, degree, half
+    error, _, trial = max(good, key=lambda one: one[1])
+    return error, trial.degree, trial.half
 
 
-def _trials(
-    R_BN: Rotation, stretch: RowArray, course: _Course, centres: RowArray
-) -> Iterator[tuple[float, float, int, int]]:
-    """(mean square error, weight of the own attitude, degree, rows to either side) of every window worth trying."""
+def _trials(R_BN: Rotation, stretch: RowArray, course: _Course, centres: RowArray) -> Iterator[_Trial]:
+    """Every window worth trying."""
     smallest = np.inf
     for half in _HALVES:
         degrees = [degree for degree, least in _DEGREES if least <= half and (degree > 1 or half == 1)]
-        sums = _moments(R_BN, stretch, course, centres, half, max(degrees))
-        errors = []
-        for degree in degrees:
-            coefficients, weight = sums.fit(degree)
-            here = np.einsum("nk,nkc->nc", (-sums.mid_s / sums.span_s)[:, None] ** np.arange(degree + 1), coefficients)
-            fair = sums.balanced & (weight < 0.95)
-            if fair.sum() < 0.3 * centres.size:
-                continue
-            left_out = np.sum((here[fair] / (1.0 - weight[fair])[:, None]) ** 2, axis=1)
-            errors.append(float(np.mean(np.minimum(left_out, _WILD * np.median(left_out)))))
-            yield errors[-1], float(np.mean(weight[fair])), degree, half
+        sums = _moments(R_BN, stretch, course, centres, half, max(degrees), _KEPT)
+        trials = [_trial(sums, degree, half) for degree in degrees]
+        yield from trials
+        errors = [float(one.error[one.kept]) for one in trials if one.kept is not None]
         if half >= _DEGREES[-1][1] and errors and min(errors) > _HOPELESS * smallest:
             return
         smallest = min([smallest, *errors])
 
 
-def _moments(R_BN: Rotation, stretch: RowArray, course: _Course, centres: RowArray, half: int, degree: int) -> _Moments:
-    """Sums over 2 half + 1 rows about each of the centres (n,), fewer in a short stretch, one-sided at its ends."""
+def _trial(sums: _Moments, degree: int, half: int) -> _Trial:
+    """One degree of one window.
+
+    Left out and predicted by the others is what an attitude has of its own beside the share of an error that it keeps from
+    the row before. The fit is linear, so what it would be without that follows from the weight that it has.
+    """
+    off, before, weight, weight_before = sums.off(sums.fit(degree))
+    own = weight - _KEPT * weight_before
+    missed = np.sum((off[:, None] - _KEPT[:, None] * before[:, None]) ** 2, axis=2) / np.maximum(1.0 - own, 1e-9) ** 2
+    errors, weights = np.full(_KEPT.size, np.inf), np.zeros(_KEPT.size)
+    for k in range(_KEPT.size):
+        fair = sums.balanced & (own[:, k] < _MOST_OWN) & np.isfinite(missed[:, k])
+        if fair.sum() >= 0.3 * fair.size:
+            some = missed[fair, k]
+            errors[k], weights[k] = np.mean(np.minimum(some, _WILD * np.median(some))), np.mean(own[fair, k])
+    expected = _correlations(half, degree)
+    telling = expected[-1] - expected[0] > _TELLS
+    kept = int(np.argmin(np.abs(expected - _correlation(off, before)))) if telling else None
+    return _Trial(degree, half, errors, weights, kept)
+
+
+def _correlation(one: FloatArray, other: FloatArray) -> float:
+    """Of vectors (n, 3) about zero; NaN rows and wild ones are passed over."""
+    size = np.sum(one**2 + other**2, axis=1)
+    known = np.isfinite(size)
+    tame = known & (size <= _WILD * np.median(size[known])) if known.any() else known
+    whole = np.sqrt(np.sum(one[tame] ** 2) * np.sum(other[tame] ** 2))
+    return float(np.sum(one[tame] * other[tame]) / whole) if whole > 0 else 0.0
+
+
+@cache
+def _correlations(half: int, degree: int) -> FloatArray:
+    """(K,) correlation of what the middle row and the one before it stand off a fit of evenly spaced rows, for errors that
+    keep each share from row to row."""
+    rows = np.arange(2 * half + 1)
+    basis = np.linalg.qr(np.vander((rows - half) / half, degree + 1))[0]
+    rest = np.eye(rows.size) - basis @ basis.T
+    found = []
+    for share in _KEPT:
+        apart = np.abs(np.subtract.outer(rows, rows))
+        left = rest @ share**apart @ rest
+        found.append(left[half, half - 1] / np.sqrt(left[half, half] * left[half - 1, half - 1]))
+    return np.array(found)
+
+
+def _moments(
+    R_BN: Rotation, stretch: RowArray, course: _Course, centres: RowArray, half: int, degree: int, kept: FloatArray
+) -> _Moments:
+    """Sums over 2 half + 1 rows about each of the centres (n,), fewer in a short stretch, one-sided at its ends.
+
+    kept (K,): shares of an error that the next row keeps."""
     from fluxtwin.sim.attitude.track_kernels import moments
 
     time_s = course.time_s
@@ -336,10 +415,22 @@ def _moments(R_BN: Rotation, stretch: RowArray, course: _Course, centres: RowArr
     mid = 0.5 * (time_s[low] + time_s[high]) - time_s[centres]
     span = np.where(high > low, 0.5 * (time_s[high] - time_s[low]), 1.0)
     integrated = np.zeros((0, 4)) if course.integrated is None else course.integrated.as_quat()
-    sums, moment = moments(
-        time_s, R_BN.as_quat(), course.rate_B_rad_s, integrated, centres, low, high, mid, span, degree, _LARGEST_TURN
+    sums, moment, onward, before_rad = moments(
+        time_s,
+        R_BN.as_quat(),
+        course.rate_B_rad_s,
+        integrated,
+        centres,
+        low,
+        high,
+        mid,
+        span,
+        degree,
+        _LARGEST_TURN,
+        kept,
     )
     order = np.arange(degree + 1)
     gram = sums[:, np.add.outer(order, order)]
     balanced = (centres - low == half) & (high - centres == half)
-    return _Moments(mid, span, gram, moment, sums[:, 0], balanced)
+    before_s = time_s[np.maximum(centres - 1, 0)] - time_s[centres]
+    return _Moments(mid, span, gram, moment, onward, before_rad, before_s, sums[:, 0], balanced)

@@ -58,8 +58,11 @@ def moments(
     span_s: FloatArray,
     degree: int,
     largest_turn_rad: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Power sums (n, 2 degree + 1) and moments (n, degree + 1, 3) of the turns beside a course, about each centre (n,).
+    kept: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Power sums (n, 2 degree + 1) and moments (n, degree + 1, 3) of the turns beside a course, about each centre (n,); the
+    moments (n, K, degree + 1) of an error of one at the centre of which each later row keeps the share `kept` (K,) of the
+    row before; and the turn (n, 3) of the row before the centre, NaN where the window has none.
 
     q_BN (N, 4): attitudes at stamps time_s (N,). The course turns from one stamp to another as `integrated` (N, 4)
     does, or, where that has no rows, at each centre's rate_B_rad_s (N, 3). low, high (n,): first and last row of each
@@ -67,11 +70,14 @@ def moments(
     """
     sums = np.zeros((centres.size, 2 * degree + 1))
     moment = np.zeros((centres.size, degree + 1, 3))
+    onward, before = np.zeros((centres.size, kept.size, degree + 1)), np.full((centres.size, 3), np.nan)
+    left = np.empty(kept.size)
     back, course, turn, rotvec = np.empty(4), np.empty(4), np.empty(4), np.empty(3)
     for n in range(centres.size):
         centre = centres[n]
         _inverse(q_BN[centre], back)
         rate = rate_B_rad_s[centre]
+        left[:] = 1.0
         for row in range(low[n], high[n] + 1):
             dt = time_s[row] - time_s[centre]
             if integrated.shape[0]:
@@ -84,14 +90,21 @@ def moments(
             _as_rotvec(turn, rotvec)
             if rotvec[0] ** 2 + rotvec[1] ** 2 + rotvec[2] ** 2 >= largest_turn_rad**2:
                 continue
+            if row == centre - 1:
+                before[n] = rotvec
             z, power = (dt - mid_s[n]) / span_s[n], 1.0
             for order in range(2 * degree + 1):
                 sums[n, order] += power
                 if order <= degree:
+                    if row >= centre:
+                        for one in range(kept.size):
+                            onward[n, one, order] += left[one] * power
                     for axis in range(3):
                         moment[n, order, axis] += power * rotvec[axis]
                 power *= z
-    return sums, moment
+            if row >= centre:
+                left *= kept
+    return sums, moment, onward, before
 
 
 @kernel(error_model="numpy")

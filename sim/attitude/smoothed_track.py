@@ -297,16 +297,13 @@ def _missed_rad(R_BN: Rotation, stretch: RowArray, course: _Course) -> float:
 def _turned(rates: Callable[[FloatArray], FloatArray], from_s: FloatArray, after_s: FloatArray) -> Rotation:
     """The turn of the body (from axes to axes) over `after_s` from moments `from_s`, both (n,), in `_PARTS` steps of fourth
     order each (Magnus: Iserles & Norsett 1999, Phil. Trans. R. Soc. A 357, 983)."""
+    from fluxtwin.sim.attitude.track_kernels import turned
+
     step_s = after_s / _PARTS
-    whole = Rotation.identity(after_s.size)
-    for part in range(_PARTS):
-        middle = from_s + (part + 0.5) * step_s
-        apart = step_s / np.sqrt(12.0)
-        first, second = -rates(middle - apart), -rates(middle + apart)
-        turn = 0.5 * step_s[:, None] * (first + second)
-        turn += np.sqrt(3.0) / 12.0 * step_s[:, None] ** 2 * np.cross(second, first)
-        whole = Rotation.from_rotvec(turn) * whole
-    return whole
+    apart_s = step_s / np.sqrt(12.0)
+    middles_s = [from_s + (part + 0.5) * step_s for part in range(_PARTS)]
+    rates_B = rates(np.concatenate([middle_s + side * apart_s for middle_s in middles_s for side in (-1.0, 1.0)]))
+    return Rotation.from_quat(turned(rates_B.reshape(_PARTS, 2, -1, 3), step_s))
 
 
 @dataclass(frozen=True)

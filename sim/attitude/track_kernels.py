@@ -143,6 +143,29 @@ def about(
 
 
 @kernel(error_model="numpy")
+def turned(rates_B_rad_s: FloatArray, step_s: FloatArray) -> FloatArray:
+    """(M, 4) turn of the axes of a body over P steps of step_s (M,) each, to fourth order in a step.
+
+    rates_B_rad_s (P, 2, M, 3): body rates at the two points of Gauss in each step.
+    """
+    out = np.zeros((step_s.size, 4))
+    own = np.empty(4)
+    for m in range(step_s.size):
+        half, bent = -0.5 * step_s[m], np.sqrt(3.0) / 12.0 * step_s[m] ** 2
+        out[m, 3] = 1.0
+        for step in range(rates_B_rad_s.shape[0]):
+            a, b = rates_B_rad_s[step, 0, m], rates_B_rad_s[step, 1, m]
+            _from_rotvec(
+                half * (a[0] + b[0]) + bent * (b[1] * a[2] - b[2] * a[1]),
+                half * (a[1] + b[1]) + bent * (b[2] * a[0] - b[0] * a[2]),
+                half * (a[2] + b[2]) + bent * (b[0] * a[1] - b[1] * a[0]),
+                own,
+            )
+            _times(own, out[m], out[m])
+    return out
+
+
+@kernel(error_model="numpy")
 def blended(first_q: FloatArray, second_q: FloatArray, weights: FloatArray) -> FloatArray:
     """(M, 4) attitudes a share of the short way from `first_q` to `second_q` (M, 4); weights (M,) from 0 to 1."""
     out = np.empty_like(first_q)

@@ -14,7 +14,7 @@ from fluxtwin.sim.attitude import smoothed_track
 from fluxtwin.sim.attitude.gauss_markov import gauss_markov
 from fluxtwin.sim.attitude.recorded_motion import RecordedMotion, carried
 from fluxtwin.sim.attitude.smoothed_track import smoothed
-from fluxtwin.sim.attitude.track_kernels import blended
+from fluxtwin.sim.attitude.track_kernels import blended, turned
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.orbit import Orbit
@@ -390,3 +390,15 @@ def test_what_is_blended_is_on_the_short_way() -> None:
     found = blended(first.as_quat(), second.as_quat(), np.full(5, 0.3))
     expected = Rotation.from_rotvec(0.3 * (second * first.inv()).as_rotvec()) * first
     assert np.allclose(np.abs(np.einsum("ij,ij->i", found, expected.as_quat())), 1.0, atol=1e-12)
+
+
+def test_a_turn_by_rates_is_the_product_of_its_steps() -> None:
+    """Against scipy's rotations, one after the other: exp of the mean rate and of the commutator of both points of Gauss."""
+    rng = np.random.default_rng(8)
+    rates, step = rng.normal(0.0, 0.05, (3, 2, 40, 3)), rng.uniform(-5.0, 5.0, 40)
+    whole = Rotation.identity(40)
+    for first, second in rates:
+        bent = np.sqrt(3.0) / 12.0 * (step**2)[:, None] * np.cross(second, first)
+        whole = Rotation.from_rotvec(-0.5 * step[:, None] * (first + second) + bent) * whole
+    assert (Rotation.from_quat(turned(rates, step)) * whole.inv()).magnitude().max() < 1e-14
+    assert (Rotation.from_quat(turned(rates[:, ::-1].copy(), step)) * whole.inv()).magnitude().max() > 1e-3

@@ -60,7 +60,7 @@ def test_a_clock_that_is_a_little_late_is_not_called_the_orbit_alone() -> None:
     images have a correlation of 0.99. That of the clock is made of an attitude with errors, and must not lose by them."""
     late = readme_scenario().updated({"effects.time_tag_offset": {"offset_s": 3.0}})
     found = asked(simulate(late)[0])
-    assert found.verdict == "effect" and set(found.effects[0].group) == {"along_track_error", "time_tag_offset"}
+    assert found.verdict == "effect" and set(found.effects[0].group) >= {"along_track_error", "time_tag_offset"}
     stages = found.where.probabilities["stage"]
     assert min(stages["time"], stages["orbit"]) > 0.3 and {found.where.stage, *found.where.equivalent} >= {
         "time",

@@ -159,8 +159,6 @@ class Span:
     def basis(self, columns: FloatArray) -> FloatArray:
         """(M, r) orthonormal basis, from the columns (M, P) that the span was found in."""
         picked = columns[:, self.number] / self.size
-        if not self.rank:
-            return picked
         return np.asarray(blas.dtrsm(1.0, self.factor, picked.T, lower=1, overwrite_b=1).T)
 
     def coefficients(self, along: FloatArray, count: int) -> FloatArray:

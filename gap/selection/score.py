@@ -138,8 +138,8 @@ class Board:
 
     @cached_property
     def p_values(self) -> FloatArray:
-        """(K,) of each candidate alone, before any price."""
-        return np.asarray(np.where(self.rank > 0, self._upper_tail(self.statistic, np.maximum(self.rank, 1)), 1.0))
+        """(K,) of each candidate alone, before any price; 1 of one that cannot be seen, which explains nothing."""
+        return np.asarray(self._upper_tail(self.statistic, np.maximum(self.rank, 1)))
 
     def _upper_tail(self, drop: Any, rank: Any) -> Any:
         return f_distribution.sf(drop / rank / self.variance, rank, self.trusted)

@@ -71,7 +71,7 @@ def environment_along(
     if not (duration_s > 0 and spacing_s > 0):
         raise BadInput(f"duration {duration_s:g} s, spacing {spacing_s:g} s", where="environment", wanted="both > 0")
     count = int(np.ceil(duration_s / spacing_s - 1e-9)) + 3
-    time = _stamps(start, spacing_s, count)
+    time = epoch.add_seconds(start, spacing_s * np.arange(-1.0, count - 1.0))
     nodes = np.zeros((count, 14 if with_sun or with_air else 9 if field is not None else 6))
     edges = [*range(0, count, max(64, min(_BLOCK, int(_STRETCH_S / spacing_s)))), count]
     earth = _EarthTurn(time, edges) if field is not None else None
@@ -87,14 +87,6 @@ def environment_along(
             nodes[rows, 13] = density_along(time[rows], r_N_km)
     _mend_leap_second(nodes, time, spacing_s)
     return Environment(start, spacing_s, nodes)
-
-
-def _stamps(start: np.datetime64, spacing_s: float, count: int) -> TimeArray:
-    """`count` stamps from one spacing before the start on; without a leap second among them they are plain sums."""
-    ends = epoch.add_seconds(start, spacing_s * np.array([-1.0, count - 2.0]))
-    if float((ends[1] - ends[0]).astype("int64")) == np.rint((count - 1.0) * spacing_s * 1e9):
-        return np.asarray(ends[0] + np.rint(spacing_s * 1e9 * np.arange(count)).astype("timedelta64[ns]"))
-    return epoch.add_seconds(start, spacing_s * np.arange(-1.0, count - 1.0))
 
 
 def _mend_leap_second(nodes: FloatArray, time: TimeArray, spacing_s: float) -> None:

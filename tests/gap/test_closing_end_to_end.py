@@ -73,6 +73,8 @@ def test_what_transfers_leaves_no_gap_on_another_day(name: str) -> None:
     if name == "excess_noise":
         assert found.where.stage == "sensor"
         assert abs(found.effects[0].parameters["rms"].value - 150.0) < 15.0  # nT; declared noise is trusted to 10 %
+        with_it, without = found.gap.floor_with_effects_nT, found.gap.floor_nT
+        assert abs(np.sqrt(with_it**2 - without**2) - 150.0) < 15.0, "what is expected without it has none of it"
     said = {one.design: one.transfers for one in found.transfers or ()}
     assert said["nadir, 90 days later"]
     assert {one.design: one.transfers for one in scene.closure.transfer} == said

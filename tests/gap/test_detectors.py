@@ -13,7 +13,7 @@ from fluxtwin.gap.detectors.codes import coarse_steps, flipped_bits, stuck_bit
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.lines import companion, strongest_line, wheel_line
 from fluxtwin.gap.detectors.noise_level import noise_level
-from fluxtwin.gap.detectors.random_walk import random_walk
+from fluxtwin.gap.detectors.random_walk import modes_of_a_walk, random_walk
 from fluxtwin.gap.detectors.residual_structure import drift, judge
 from fluxtwin.gap.detectors.switched_region import _Place, _snug
 from fluxtwin.gap.detectors.two_state import _scatter, heater_sequence
@@ -164,6 +164,15 @@ def test_a_piece_of_something_else_is_neither_wheel_nor_heater(bench: Bench) -> 
     for number, signal in enumerate((clock, 1200.0 * caps * east, stale)):
         assert np.sqrt(np.mean(signal**2)) > SIGMA_NT
         assert not bench.confirmed(signal, 200 + number) & {"wheel_field", "heater_switching"}
+
+
+def test_the_modes_of_a_walk_have_its_covariance(close: Callable[..., None]) -> None:
+    """min(s, t) since the first row, at which a walk is zero. What n modes leave out is a tail of 2 / (pi n)**2: at most
+    2 / (pi**2 n) of the time."""
+    since = np.arange(40.0)
+    modes = modes_of_a_walk(100.0 + since)
+    left_out = 2.0 * since[-1] / (np.pi**2 * modes.shape[1])
+    close(modes @ modes.T, np.minimum.outer(since, since), atol=left_out, unit="s", because="the modes that are left out")
 
 
 def test_levels_that_are_switched_between_are_no_walk(bench: Bench) -> None:

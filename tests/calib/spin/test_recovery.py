@@ -261,6 +261,9 @@ def test_too_little_to_begin_with(flight: mission.Flight, model: FieldModel) -> 
     few = telemetry.select(slice(0, 60))
     with pytest.raises(NoAnswer, match="sun pulses: at least 40 and 5 are needed"):
         calibrate_spin(few, model)
+    assert telemetry.sun_B is not None
+    pulses = np.flatnonzero(np.isfinite(telemetry.sun_B).all(axis=1))
+    assert len(assemble_spin(telemetry.select(slice(0, pulses[4] + 1)), model).pulse_s) == 5  # as many as are asked for
     with pytest.raises(NoAnswer, match="0 readings with a position"):
         calibrate_spin(telemetry.replace(r_N_km=None, v_N_km_s=None), model)
 

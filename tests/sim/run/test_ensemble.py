@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -321,11 +322,16 @@ def test_a_vehicle_that_cannot_be_stops_the_ensemble_before_it_begins(scenario: 
 
 def test_an_error_in_a_process_reads_as_it_would_here(scenario: Scenario, tmp_path: Path) -> None:
     plan = Plan(scenario.updated({"field.truth": "chaos:gone.mat", "draws": None}), 1, 2, 1)
+    other = get_context("spawn").Process(target=time.sleep, args=(600.0,), daemon=True)
+    other.start()
     with (
         pytest.raises(BadInput, match=r"^gone\.mat: no such file\. Wanted: a CHAOS file, \.mat or \.shc$"),
         workers.processes(1) as own,
     ):
         list(workers.by_executor(own, chunk.fly_chunk, [(plan.record(), str(tmp_path), n) for n in (0, 1)]))
+    other.join(timeout=0.2)
+    assert other.is_alive(), "a process that somebody else began is not ended with those that began here"
+    other.kill()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends an interrupt as a terminal does")

@@ -19,7 +19,7 @@ from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign, steady
 from fluxtwin.gap.noise.whitening import NoiseModel, make_whitener
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
 from fluxtwin.gap.selection.refit import Readings, refit, settled
-from fluxtwin.sim.earth.field import load_field
+from fluxtwin.sim.earth.field import field_N_nT, load_field
 from fluxtwin.sim.effects.clock_and_orbit import TimeTagOffset
 from fluxtwin.sim.effects.response import SensorLag
 from fluxtwin.sim.run.simulate import simulate
@@ -124,9 +124,14 @@ def test_the_shortening_by_a_turn_is_taken_out() -> None:
 
 def test_an_attitude_far_worse_than_declared_is_said() -> None:
     """Five times the declared error is beyond the 1.5 to which it is trusted, and no effect of the catalogue."""
-    found = diagnose(flown_sharp(TUMBLE, 0.5, 0.0, 600, 30.0, 13), load_field("igrf14"), budget=SHARP)
+    record, model = flown_sharp(TUMBLE, 0.5, 0.0, 600, 30.0, 13), load_field("igrf14")
+    found = diagnose(record, model, budget=SHARP)
     assert (found.verdict, found.where.stage, found.effects) == ("unknown", "attitude", [])
     assert "where 0.1 deg was declared" in found.sentence
+    # Noise, rounding, and 0.1 deg about each axis, of which a component sees the two across the field: on average 2/3.
+    mean_square_nT2 = np.mean(np.sum(field_N_nT(model, record.time, np.asarray(record.r_N_km)) ** 2, axis=1))
+    expected_nT = np.sqrt(20.0**2 + 5.0**2 / 12.0 + np.radians(0.1) ** 2 * mean_square_nT2 * 2.0 / 3.0)
+    assert f"nT rms, where {expected_nT:.1f} nT were expected" in found.sentence
     assert found.gap.before_nT > 3.0 * found.gap.floor_nT
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm, poisson
 from worlds import scenario_text
 
@@ -19,7 +20,7 @@ from fluxtwin.gap.detectors.proposals import expected
 from fluxtwin.gap.held_out.closing import Declared, closed_scenario, settle
 from fluxtwin.gap.held_out.held_out import Prediction
 from fluxtwin.gap.held_out.targets import DAYS, targets
-from fluxtwin.gap.held_out.transfer import _seen_by_chance, transfers
+from fluxtwin.gap.held_out.transfer import _others, _seen_by_chance, transfers
 from fluxtwin.gap.noise.robust_rows import CUT_SIGMA, RobustRows
 from fluxtwin.gap.noise.whitening import NoiseModel, make_whitener
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
@@ -28,6 +29,7 @@ from fluxtwin.gap.records.diagnosis import Closure
 from fluxtwin.gap.report.level import outliers
 from fluxtwin.gap.selection.criterion import MOST_SURE
 from fluxtwin.gap.selection.named import Support, found_effect
+from fluxtwin.gap.selection.refit import Readings, refit
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import epoch, frames, sun
 from fluxtwin.sim.earth.field import load_field
@@ -224,6 +226,28 @@ def test_targets_keep_the_motion_and_follow_the_sun(problem: Problem) -> None:
     assert np.array_equal(found[1].setting.columns["dipole_B_Am2"], here.columns["dipole_B_Am2"])
     turned = found[3].setting.given[2]
     assert np.degrees((turned[1:] * turned[:-1].inv()).magnitude()).mean() == pytest.approx(0.25 * 60.0, rel=0.05)
+
+
+def test_a_body_that_keeps_any_attitude_to_the_orbit_points_to_nadir(problem: Problem) -> None:
+    """What its axes are called is no matter: turned by a third of a turn it flies as it did."""
+    turn = Rotation.from_rotvec(np.radians([70.0, -60.0, 80.0]))
+    record = problem.telemetry
+    assert record.q_NB is not None
+    q_NB = frames.q_from_rotation(turn * frames.rotation_from_q(record.q_NB))
+    turned = pose(record.replace(q_NB=q_NB), problem.setting.model, modelled=MODELLED)
+    assert [target.name for target in targets(turned)] == [target.name for target in targets(problem)]
+
+
+def test_what_else_it_may_be_is_weighed_by_what_it_costs(problem: Problem, close) -> None:
+    """Against a name with one parameter another with three has exp(drop / 2) / N of the weight (Schwarz 1978)."""
+    one, three = find_effect("time_tag_offset"), find_effect("thermal_bias_drift")
+    modelled = tuple((find_effect(name), np.zeros(size)) for name, size in zip(MODELLED, (3, 9, 9), strict=True))
+    closure = dataclasses.replace(closure_of(problem, modelled, ((one, np.zeros(1)),)), alternatives=((three,),))
+    readings = Readings(problem, closure.whitener)
+    fits = [refit(readings, [(e, np.zeros(len(e.parameters)))], modelled=modelled) for e in (one, three)]
+    (other,) = _others(closure, 0)
+    wanted = np.exp((fits[0].chi2 - fits[1].chi2) / 2.0) / problem.rows
+    close(other.weight / (1.0 - other.weight), wanted, atol=1e-3 * wanted, unit="1", because="where the refits end")
 
 
 def local_hours(setting) -> float:

@@ -59,6 +59,7 @@ CASES = {
         {},
         {"F_xx": 150.0, "F_yx": -60.0, "F_zz": -100.0},
     ),
+    "bias_random_walk": (211, "rate_nT_per_sqrt_s = 2.0", {}, {"rate": 2.0}),
 }
 SAME = {"attitude_step", "mounting_step"}
 """To one magnetometer in a vehicle without a field of its own these are one cause."""

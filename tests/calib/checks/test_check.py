@@ -352,6 +352,16 @@ def test_without_positions_a_size_that_rises_faster_than_its_noise_has_no_outlie
     assert (found.code, found.rows) == ("outliers", (51, 52, 701))
 
 
+def test_of_few_readings_three_may_be_outliers(model: FieldModel) -> None:
+    """A twentieth of 48 is two; three are still wrong readings and not a rough sensor, and four are a rough sensor."""
+    record = good(model, rows=48)
+    for wrong, code in (([8, 22, 37], "outliers"), ([8, 17, 26, 37], "rough_readings")):
+        reading = np.array(record.mag_B_nT)
+        reading[wrong, 1] += 20_000.0
+        report = check_telemetry(record.replace(mag_B_nT=reading), model)
+        assert {one.code: one.rows for one in (*report.traps, *report.notes)}[code] == tuple(row + 1 for row in wrong)
+
+
 def test_noise_is_no_gross_outlier_and_a_doubled_reading_is(model: FieldModel) -> None:
     sample = comparable(good(model), model, np.ones(600, dtype=bool), with_attitude=False)
     assert sample is not None

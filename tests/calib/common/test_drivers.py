@@ -18,11 +18,13 @@ from scipy.stats import binom, chi2, norm
 from worlds import scenario_text
 
 from fluxtwin.calib.common.apply import apply_calibration
-from fluxtwin.calib.common.drivers import distinguishable
+from fluxtwin.calib.common.drivers import _Late, _with_lateness, distinguishable
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.onboard import composed
 from fluxtwin.calib.common.records import Calibration, Onboard, TelemetryBias, seconds_of
 from fluxtwin.calib.methods import calibrate_by
+from fluxtwin.calib.scalar.calibrate import _drops
+from fluxtwin.calib.scalar.rows import assemble_scalar
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.late import late
 from fluxtwin.sim.base.random_streams import stream
@@ -56,6 +58,7 @@ S = np.array([[0.02, 0.004, -0.003], [-0.009, 0.014, 0.008], [0.014, -0.004, -0.
 B_NT = np.array([300.0, -200.0, 100.0])
 K = {"driver_array": np.array([-0.03, 0.02, 0.045]), "driver_payload": np.array([60.0, -40.0, 25.0])}
 """In the reading: nT/mA and nT while on."""
+SWITCH_NT = np.array([60.0, -40.0, 25.0])
 ALARM = 1e-4
 
 
@@ -158,20 +161,57 @@ def test_a_field_that_is_not_late_is_not_called_late() -> None:
     assert sum(bool(one.delay_s or one.lag_s) for biases in found for one in biases.values()) <= 1
 
 
+def switched(sigma_deg: float) -> dict[str, TelemetryBias]:
+    """The field of a switch, with an attitude that is off by so much, by what the errors are and by the white covariance."""
+    scenario = parse_scenario(scenario_text(SECTIONS, seed=9, segment=f"samples = {ROWS}, step_s = {STEP_S}"))
+    changes = {"torquers.activity": "off", "attitude.reference.sigma_deg": sigma_deg}
+    record, _ = simulate(scenario.updated(changes))
+    switch = (np.arange(ROWS) % 113 < 45).astype(float)
+    record = record.replace(mag_B_nT=record.mag_B_nT + np.outer(switch, SWITCH_NT), drivers={"switch": switch})
+    fits = {kind: fit_of(record, driver=["switch"], covariance=kind) for kind in ("blocks", "white")}
+    return {kind: fit.calibration.telemetry_bias["driver_switch"] for kind, fit in fits.items()}
+
+
 def test_columns_are_heard_through_errors_of_the_attitude() -> None:
     """Weighted by what the errors are: half the sigmas of least squares at least, which the white covariance leaves."""
-    scenario = parse_scenario(scenario_text(SECTIONS, seed=9, segment=f"samples = {ROWS}, step_s = {STEP_S}"))
-    record, _ = simulate(scenario.updated({"torquers.activity": "off", "attitude.reference.sigma_deg": 0.3}))
-    switch = (np.arange(ROWS) % 113 < 45).astype(float)
-    k = np.array([60.0, -40.0, 25.0])
-    record = record.replace(mag_B_nT=record.mag_B_nT + np.outer(switch, k), drivers={"switch": switch})
-    errors = [
-        np.abs(
-            fit_of(record, driver=["switch"], covariance=kind).calibration.telemetry_bias["driver_switch"].value_nT - k
-        )
-        for kind in ("blocks", "white")
-    ]
-    assert errors[0].max() < 0.5 * errors[1].max()
+    errors = {kind: np.abs(found.value_nT - SWITCH_NT).max() for kind, found in switched(0.3).items()}
+    assert errors["blocks"] < 0.5 * errors["white"]
+
+
+def test_where_errors_are_white_weights_cost_nothing() -> None:
+    """An attitude error of 2 nT beside noise of 10 nT: least squares is best (Gauss-Markov), and weights are nearly equal."""
+    found = switched(0.003)
+    assert (found["blocks"].sigma_nT < 1.25 * found["white"].sigma_nT).all()
+
+
+def test_an_error_of_the_lateness_is_in_the_covariance(close: Any) -> None:
+    """One sigma of it, a tenth of 40 s of delay and 20 s of lag, moves b by 6 nT where a second moves it by one."""
+    fit = fit_of(flown(0), driver=["payload"], covariance="white")
+    held = fit.calibration
+
+    def again(name: str, other: _Late) -> Fit:
+        moved = other.delay_s + other.lag_s - 60.0
+        return dataclasses.replace(fit, calibration=dataclasses.replace(held, b_nT=held.b_nT + moved))
+
+    wider = _with_lateness(fit, {"driver_payload": _Late(40.0, 20.0, 1.1)}, again).calibration.covariance
+    added = np.zeros((12, 12))
+    added[9:, 9:] = 36.0
+    close(wider - held.covariance, added, atol=1e-9, unit="nT^2", because="rounding")
+
+
+def test_a_column_of_noise_lowers_chi_square_by_half_its_parameters(close: Any) -> None:
+    """Of |B|, by three halves: white rows count as half as many, since the least correlation time is a step, also where that
+    is a second. Half of chi-square with 3 degrees of freedom has a spread of 1.22; the mean of 400 draws, 0.061."""
+    segment = f"samples = {ROWS}, step_s = 1.0"
+    scenario = parse_scenario(scenario_text(SECTIONS, seed=11, segment=segment))
+    record, _ = simulate(scenario.updated({"torquers.activity": "off", "magnetometer.S": None}))
+    rng = stream(11, "test.noise")
+    record = record.replace(drivers={"x": rng.normal(size=ROWS)})
+    fit = fit_of(record, method="scalar", parameters="b", driver=["x"])
+    columns = {"driver_x": record.drivers["x"]}
+    rows = assemble_scalar(record, load_field(), with_dipole=False, drivers=columns)
+    found = _drops(fit, rows, "driver_x", rng.normal(size=(ROWS, 400)))
+    close(found.mean(), 1.5, atol=0.25, unit="1", because="four sigma of the mean")
 
 
 def test_an_axis_against_a_current_alone_takes_the_attitude_for_a_field() -> None:

@@ -20,6 +20,7 @@ from worlds import scenario_text
 from fluxtwin import diagnosing
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.law import words
+from fluxtwin.gap.law.found import _Search
 from fluxtwin.gap.law.grammar import Grammar
 from fluxtwin.gap.law.search import RATIOS, Regression
 from fluxtwin.gap.problem.problem import Budget
@@ -164,6 +165,22 @@ def test_the_usual_size_of_a_coefficient_is_that_of_its_largest_swing() -> None:
     for values, swing in (([10.0, 12.0], 12.0), ([-10.0, 12.0], 22.0)):
         grammar: Any = SimpleNamespace(values=lambda law, values=values: np.array(values))
         assert Grammar.usual(grammar, effect.Law()).typical_nT_per_unit == TYPICAL_NT / swing
+
+
+def test_a_law_is_charged_for_its_own_coefficients_alone() -> None:
+    """Three of a term, beside two that are re-estimated with it or without; it explains the square of what it makes."""
+    unit = np.eye(30).reshape(10, 3, 30)
+    whitener = SimpleNamespace(apply=lambda columns: columns, measured=30)
+    residual_nT, fitted_nT = unit @ np.array([0.0, 0.0, 3.0, 4.0, *np.zeros(26)]), unit[:, :, :2]
+    search: Any = SimpleNamespace(
+        answer=SimpleNamespace(whitener=whitener, result=SimpleNamespace(tested=7)),
+        base=SimpleNamespace(named=()),
+        alone=SimpleNamespace(residual_nT=residual_nT, fitted_nT=fitted_nT),
+        regression=SimpleNamespace(log_tried=np.log(500.0)),
+    )
+    found = _Search.weighed(search, residual_nT, unit[:, :, :5], 1)
+    assert (found.rank, found.causes) == (3, 1)
+    assert (found.explained, found.log_tried) == (pytest.approx(25.0), pytest.approx(np.log(500.0)))
 
 
 def test_a_delay_and_a_lag_are_moved_by_ratios() -> None:

@@ -16,7 +16,9 @@ import fluxtwin
 from fluxtwin.diagnosis_page import diagnosis_page
 from fluxtwin.gap.channels.two_magnetometers import _White, apart
 from fluxtwin.gap.detectors.random_walk import worth_of_a_walk
+from fluxtwin.gap.posterior.where import where
 from fluxtwin.gap.problem.problem import pose
+from fluxtwin.gap.records.diagnosis import Place
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.scenario.scenario import parse_scenario
@@ -103,12 +105,20 @@ def test_a_difference_is_said_beside_a_cause_that_both_share() -> None:
     assert "The two magnetometers differ" in found.sentence
 
 
-def test_a_step_that_both_have_is_not_the_sensor_s() -> None:
+def test_a_step_that_both_have_is_not_the_sensor_s(monkeypatch: pytest.MonkeyPatch) -> None:
+    places: list[Place] = []  # of the first look too, in which the difference alone denies the sensor
+
+    def seen(*given: Any, **named: Any) -> Place:
+        places.append(where(*given, **named))
+        return places[-1]
+
+    monkeypatch.setattr("fluxtwin.gap.diagnose.where", seen)
     good = flown()
     step_nT = np.where(np.arange(len(good))[:, None] < len(good) // 2, 0.0, [120.0, -60.0, 30.0])
     found = fluxtwin.diagnose(good.replace(mag_B_nT=good.mag_B_nT + step_nT, mag2_B_nT=good.mag2_B_nT + step_nT))
     assert found.verdict != "no_gap"
     assert found.where.stage != "sensor" and "sensor" not in found.where.equivalent
+    assert places and not any("sensor" in (place.stage, *place.equivalent) for place in places)
 
 
 def test_two_good_magnetometers_differ_by_the_noise_of_both() -> None:

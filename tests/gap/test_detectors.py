@@ -172,7 +172,9 @@ def test_the_modes_of_a_walk_have_its_covariance(close: Callable[..., None]) -> 
     since = np.arange(40.0)
     modes = modes_of_a_walk(100.0 + since)
     left_out = 2.0 * since[-1] / (np.pi**2 * modes.shape[1])
-    close(modes @ modes.T, np.minimum.outer(since, since), atol=left_out, unit="s", because="the modes that are left out")
+    close(
+        modes @ modes.T, np.minimum.outer(since, since), atol=left_out, unit="s", because="the modes that are left out"
+    )
 
 
 def test_levels_that_are_switched_between_are_no_walk(bench: Bench) -> None:

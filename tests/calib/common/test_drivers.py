@@ -179,7 +179,7 @@ def test_columns_are_heard_through_errors_of_the_attitude() -> None:
 
 
 def test_where_errors_are_white_weights_cost_nothing() -> None:
-    """An attitude error of 2 nT beside noise of 10 nT: least squares is best (Gauss-Markov), and weights are nearly equal."""
+    """An attitude error of 2 nT beside noise of 10 nT: least squares is best (Gauss-Markov), and weights are alike."""
     found = switched(0.003)
     assert (found["blocks"].sigma_nT < 1.25 * found["white"].sigma_nT).all()
 

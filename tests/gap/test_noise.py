@@ -26,7 +26,7 @@ from fluxtwin.gap.noise.choice import _affordable, choose_noise, complete_budget
 from fluxtwin.gap.noise.kernels import predict_each
 from fluxtwin.gap.noise.reml import Data, Likelihood
 from fluxtwin.gap.noise.robust_rows import first_weights, standing_out, weights_of
-from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
+from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener, with_walk
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.sim.earth import frames
@@ -136,18 +136,21 @@ def weights_for(rows: int, rng: np.random.Generator) -> np.ndarray:
     return weights
 
 
+@pytest.mark.parametrize("walk", [0.0, 0.3])
 @pytest.mark.parametrize(("theta", "tau"), MODELS)
-def test_whitening_is_that_of_the_dense_covariance(theta: float, tau: float, close: Close) -> None:
+def test_whitening_is_that_of_the_dense_covariance(theta: float, tau: float, walk: float, close: Close) -> None:
     """e' V^-1 e and log det V of 70 uneven rows in three segments, with missing and doubtful components and axes of
-    different noise, against numpy's inverse and determinant."""
+    different noise, also beside a bias that walks from the first row on, against numpy's inverse and determinant."""
     w = world(70, 25.0, 7.0, theta, tau, 3, uneven=0.8, gaps=2)
     rng = np.random.default_rng(4)
     weights = weights_for(70, rng)
     noise = NoiseModel(7.0, theta, tau, axis_factor=(1.0, 1.4, 0.7))
-    whitener = whitener_of(w, noise, weights)
+    whitener = with_walk(whitener_of(w, noise, weights), walk)
     used = (weights > 0).ravel()
+    since = w.seconds - w.seconds[0]
     white = np.square(7.0 * np.array([1.0, 1.4, 0.7])) / np.where(weights > 0, weights, 1.0)
-    V = (dense_attitude(w, theta, tau) + np.diag(white.ravel()))[np.ix_(used, used)]
+    walked = walk**2 * np.kron(np.minimum.outer(since, since), np.eye(3))
+    V = (dense_attitude(w, theta, tau) + np.diag(white.ravel()) + walked)[np.ix_(used, used)]
     columns = rng.standard_normal((70, 3, 5))
     flat = columns.reshape(-1, 5)[used]
     expected = flat.T @ np.linalg.solve(V, flat)

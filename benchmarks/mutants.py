@@ -197,32 +197,41 @@ def drawn(number: int, seed: int) -> list[Mutant]:
     return chosen
 
 
+Fixture = tuple[str, str]
+"""Where it is seen, and its name: two files may have one of the same name."""
+
+
+def _fixture(definition: Any) -> Fixture:
+    return definition.baseid, definition.argname
+
+
 class Calls:
     """A plugin of pytest that writes, one line of JSON a test, which functions of the product it calls and its seconds."""
 
     def __init__(self, file: Path) -> None:
         self.file = file
         self.profile = cProfile.Profile(subcalls=False, builtins=False)
-        self.made: dict[str, set[str]] = defaultdict(set)
-        self.cost, self.begun = dict[str, float](), set[str]()
+        self.made: dict[Fixture, set[str]] = defaultdict(set)
+        self.cost, self.begun = dict[Fixture, float](), set[Fixture]()
 
-    def called(self) -> set[str]:
-        """Since the test began: `FILE NAME`; compiled kernels too, where they are called from outside."""
-        codes = [one.code for one in self.profile.getstats() if isinstance(one.code, CodeType)]
-        return {
-            f"{one.co_filename} {one.co_name}".removeprefix(f"{ROOT}/") for one in codes if str(ROOT) in one.co_filename
-        }
+    def called(self) -> Counter[str]:
+        """How often since the test began: `FILE NAME`; compiled kernels too, where they are called from outside."""
+        counts = Counter[str]()
+        for one in self.profile.getstats():
+            if isinstance(one.code, CodeType) and str(ROOT) in one.code.co_filename:
+                counts[f"{one.code.co_filename} {one.code.co_name}".removeprefix(f"{ROOT}/")] += one.callcount
+        return counts
 
     @pytest.hookimpl(wrapper=True)
     def pytest_fixture_setup(self, fixturedef: Any) -> Iterator[None]:
         """What a fixture calls and takes counts for every test that asks for it, not only for the first."""
-        began, name = process_time(), fixturedef.argname
+        began, before, fixture = process_time(), self.called(), _fixture(fixturedef)
         try:
             return (yield)
         finally:
-            self.made[name] |= self.called()
-            self.cost[name] = process_time() - began
-            self.begun.add(name)
+            self.made[fixture] |= set(self.called() - before)  # not what others called before it
+            self.cost[fixture] = process_time() - began
+            self.begun.add(fixture)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: Any) -> Iterator[None]:
@@ -234,10 +243,11 @@ class Calls:
             return (yield)
         finally:
             self.profile.disable()
-            called = self.called().union(*(self.made[one] for one in item.fixturenames))
+            fixtures = [_fixture(one[-1]) for one in item._fixtureinfo.name2fixturedefs.values()]
+            called = set(self.called()).union(*(self.made[one] for one in fixtures))
             functions = sorted(one for one in called if one.startswith(FOLDERS) and "<" not in one)
             seconds = process_time() - began
-            seconds += sum(self.cost.get(one, 0.0) for one in item.fixturenames if one not in self.begun)
+            seconds += sum(self.cost.get(one, 0.0) for one in fixtures if one not in self.begun)
             record = {"test": item.nodeid, "seconds": seconds, "functions": functions}
             with self.file.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(record) + "\n")

@@ -66,6 +66,9 @@ def test_a_line_is_found_at_its_frequency(even: bool) -> None:
     line = strongest_line(seconds, make_left(series))
     assert line.worth > 30.0
     assert line.frequency_Hz == pytest.approx(frequency, abs=0.5 / 8000.0)
+    first, quarter = line_columns(np.array([0.0, 0.25 / frequency]), frequency)
+    assert np.allclose(first, np.eye(3, 6), atol=1e-12), "the cosine is one at the first row, by which phases are given"
+    assert np.allclose(quarter, np.eye(3, 6, 3), atol=1e-12)
 
 
 def test_a_step_and_a_drift_are_found() -> None:

@@ -266,7 +266,7 @@ def concatenate(records: list[Telemetry]) -> Telemetry:
         parts = [getattr(r, name) for r in ordered]
         known = [p for p in parts if p is not None]
         if known:
-            shape = max((p.shape[1:] for p in known), default=())
+            shape = known[0].shape[1:]
             filled = [
                 np.full((len(r), *shape), np.nan) if p is None else p for p, r in zip(parts, ordered, strict=True)
             ]

@@ -15,7 +15,7 @@ from fluxtwin.gap.detectors.lines import companion, strongest_line, wheel_line
 from fluxtwin.gap.detectors.noise_level import noise_level
 from fluxtwin.gap.detectors.random_walk import modes_of_a_walk, random_walk
 from fluxtwin.gap.detectors.residual_structure import drift, judge
-from fluxtwin.gap.detectors.switched_region import _Place, _snug
+from fluxtwin.gap.detectors.switched_region import _Place, _place, _snug
 from fluxtwin.gap.detectors.two_state import _scatter, heater_sequence
 from fluxtwin.gap.hypotheses.blocks import Block, blocks
 from fluxtwin.gap.hypotheses.evidence import fit_all
@@ -280,6 +280,13 @@ def test_dwell_times_scatter_about_the_mean_of_their_class() -> None:
     """On 9, 11 and 10 s, off 20, 20 and 20 s, in the sun: 0.02 over two degrees of freedom each."""
     seconds, changes = np.arange(91.0), np.cumsum([0, 9, 20, 11, 20, 10, 20])
     assert _scatter(seconds, np.ones(91, dtype=bool), changes, True) == pytest.approx(0.02 / 4.0)
+
+
+def test_rows_are_placed_in_degrees(bench: Bench) -> None:
+    """An orbit at 97.6 deg of inclination comes within 7.6 deg of the poles and round the Earth."""
+    place = _place(bench.problem.setting)
+    assert np.abs(place.latitude).max() == pytest.approx(180.0 - 97.6, abs=1.0)
+    assert np.ptp(place.longitude) > 300.0 and np.abs(place.longitude).max() <= 180.0
 
 
 def test_the_box_of_rows_beyond_the_date_line_is_given_west_of_it() -> None:

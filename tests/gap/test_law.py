@@ -183,6 +183,17 @@ def test_a_law_is_charged_for_its_own_coefficients_alone() -> None:
     assert (found.explained, found.log_tried) == (pytest.approx(25.0), pytest.approx(np.log(500.0)))
 
 
+@pytest.mark.parametrize(("explained", "needed"), [(300.0, ["a", "b"]), (1e6, ["a"])])
+def test_what_a_term_leaves_for_its_own_shape_is_no_further_term(explained: float, needed: list[str]) -> None:
+    """A second term is worth its drop of 100 beside noise, and not beside the shape error of a first of 1e6."""
+    drops = {"a": explained, "b": 100.0}
+    search: Any = SimpleNamespace(trial=lambda terms, left: SimpleNamespace(drop=drops[terms[0].of[0]], rank=3))
+    bare, left = (SimpleNamespace(energy=energy, degrees=900) for energy in (explained + 900.0, 900.0))
+    laws = [effect.Law(of=(name,)) for name in drops]
+    found = Regression._needed(search, laws, bare, lambda others: left)
+    assert [law.of[0] for law in found] == needed
+
+
 def test_a_delay_and_a_lag_are_moved_by_ratios() -> None:
     tried: list[tuple[float, float]] = []
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,6 +31,7 @@ from fluxtwin.gap.selection.interval import likeliest_interval
 from fluxtwin.gap.selection.named import SearchResult
 from fluxtwin.gap.selection.refit import Readings, refit, settled
 from fluxtwin.gap.selection.score import board
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.effects.ambient_field import RingCurrent
@@ -214,6 +217,25 @@ def test_large_lag_needs_no_partner() -> None:
     entry = result.named[0]
     assert {"time_tag_offset", "sensor_lag"} <= set(entry.group)
     assert abs(entry.theta[0] - 50.0) < 4.0 * np.sqrt(entry.covariance[0, 0])
+
+
+def test_what_a_candidate_explains_beside_others_is_the_drop_of_least_squares(close: Any) -> None:
+    """Of three with one, two and two columns, of which each makes a part of the others."""
+    rng = np.random.default_rng(3)
+    white = rng.standard_normal((30, 3, 5)) + 2.0 * rng.standard_normal((30, 3, 1))
+    y, calibration = rng.standard_normal((30, 3)), rng.standard_normal((30, 3, 4))
+    sizes = (1, 2, 2)
+    each: Any = [SimpleNamespace(name=name, live=np.ones(k, dtype=bool)) for name, k in zip("abc", sizes, strict=True)]
+    drop, rank = board(each, white, y, calibration, 90).given([1])
+
+    def chi2(columns: FloatArray) -> float:
+        x = np.concatenate([calibration, columns], axis=2).reshape(90, -1)
+        return float(np.sum((y.ravel() - x @ np.linalg.lstsq(x, y.ravel(), rcond=None)[0]) ** 2))
+
+    beside = white[:, :, 1:3]
+    wanted = [chi2(beside) - chi2(np.concatenate([beside, white[:, :, part]], axis=2)) for part in ([0], [3, 4])]
+    close(drop[[0, 2]], wanted, atol=1e-8, unit="1", because="rounding")
+    assert rank.tolist() == [1, 0, 2]
 
 
 def test_a_perfect_simulation_gets_no_name_score() -> None:

@@ -133,7 +133,8 @@ def test_a_weak_direction_is_answered_with_a_manoeuvre(seasat: Any) -> None:
     assert "in attitudes that these data do not have" in verdict.reasons[0]
     assert verdict.direction.calibration_anywhere_deg > 2.0 * verdict.direction.calibration_deg
     # a field that hardly varies along Y is a bias to these data
-    assert [(pair.one, pair.other) for pair in verdict.correlated] == [("S12", "b1"), ("S22", "b2"), ("S32", "b3")]
+    worst = [(pair.one, pair.other) for pair in verdict.correlated[:3]]
+    assert worst == [("S12", "b1"), ("S22", "b2"), ("S32", "b3")]
     sizes = [abs(pair.correlation) for pair in verdict.correlated]
     assert sizes == sorted(sizes, reverse=True)
     assert sizes[-1] >= 0.95

@@ -24,7 +24,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 from scipy.linalg import block_diag, null_space, solve_triangular
 
 from fluxtwin.sim.base.types import FloatArray
@@ -37,7 +36,7 @@ _SPARE = 8  # degrees of freedom that must remain
 _QUIETER = np.log(1000.0)  # white noise may be so much less than the residual
 _TRIED, _SEARCH = 4, 8  # rounds of the coordinate search from each start, and from the best of what they reach
 _APART = 4.0  # cells that slow errors last at least: shorter ones are white noise to these data
-_BEYOND = 10.0  # longest time constant of the attitude over the longest stretch; with 50 the sigmas are the same
+_BEYOND = 10.0  # longest time constant of the attitude over the longest stretch; 50 changes pulls by 2 %
 _INFORMED = 48  # cells and
 _INFORMED_TAUS = 10  # time constants that the reference prior is worked out on
 _STATES, _NEAR_TAUS, _FAR_TAUS, _EACH = 40, 9, 5, 20  # of the chain, and of the time constants at each
@@ -266,12 +265,15 @@ class _Likelihood:
                 root = np.asarray(np.linalg.cholesky(spread), dtype=np.float64)
         return points[_BURN + 1 :], factors[_BURN + 1 :]
 
-    def spread(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def spread(self, points: FloatArray, chain: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n, 5) samples and (n,) factors like those of a chain, the attitude's tau integrated over.
 
         A chain rarely visits the long time constants that the record hardly excludes, and misses their part of the
-        covariance (Rao-Blackwell). At a state, what the error does in a short time is kept.
+        covariance (Rao-Blackwell). At a state, what the error does in a short time is kept. chain: (n,) the factors of the
+        points.
         """
+        from scipy.interpolate import PchipInterpolator
+
         states = points[:: max(1, len(points) // _STATES)]
         middle, sd = float(points[:, 1].mean()), max(float(points[:, 1].std()), 0.05)
         first, edge, last = max(self.low[1], middle - 3.0 * sd), middle + 3.0 * sd, self.high[1]
@@ -293,7 +295,7 @@ class _Likelihood:
             out.append(np.tile(state, (_EACH, 1)))
             out[-1][:, 1] = tau
             factors.append(np.interp(tau, nodes[inside], found[inside, 1]))
-        return np.concatenate(out), np.concatenate(factors)
+        return (np.concatenate(out), np.concatenate(factors)) if out else (points, chain)
 
     def _reference_prior(self, theta: float, factor: float) -> tuple[FloatArray, FloatArray]:
         """(n,) logarithms of tau and of the root of the determinant of the information about theta, tau and the white
@@ -364,7 +366,7 @@ def find_errors(of: LikelihoodCells, sigma_deg: float | None = None, tau_s: floa
         return None
     samples, factor = likelihood.chain(p)
     if likelihood.prior is not None:
-        samples, factor = likelihood.spread(samples)
+        samples, factor = likelihood.spread(samples, factor)
     size = np.exp(_sizes(samples))
     theta = np.zeros_like(factor) if tau_s == 0.0 else factor * size[:, 0]
     return Posterior(factor, theta, size[:, 1], factor * size[:, 2], factor * size[:, 3], size[:, 4])

@@ -69,8 +69,8 @@ class Rule:
         weighed = cost + self.freedom * np.log1p(left / self.freedom)
         chosen = np.argmin(weighed, axis=0), np.arange(drops.size)
         p_value = self.tested * fdtrc(self.rank, self.freedom, left[chosen] / self.rank)
-        price = penalty(self.rank, drops, self.samples) + 2.0 * np.log(self.tested)
-        return stands_out(p_value, weighed[chosen] - price)
+        charged = penalty(self.rank, drops, self.samples) + 2.0 * np.log(self.tested)
+        return stands_out(p_value, weighed[chosen] - charged)
 
     def power(self, noncentrality: float) -> float:
         """Probability of being named, where the cause explains so much on average (beside its rank), as far as is known."""

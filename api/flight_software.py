@@ -27,7 +27,7 @@ def export(
 ) -> Export:
     """The calibration as flight software holds it: its numbers, the error that their type adds, the text of the file.
 
-    to: ardupilot, px4, gomspace, c-header, json or matlab.
+    to: ardupilot, px4, gomspace, c-header, json, matlab or cubeadcs:FORM,UNIT.
     out: where it is written, if anywhere.
     instance: which of the software's magnetometers, from 1.
     force: write also what the software cannot hold or would refuse, for which BadInput is raised otherwise.

@@ -18,7 +18,10 @@ _SEEN_NT = 1e-6  # less is the arithmetic of this computer
 def command(
     output: Output,
     calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="Calibration file.")],
-    to: Annotated[str, typer.Option(metavar="TARGET", help="ardupilot, px4, gomspace, c-header, json or matlab.")],
+    to: Annotated[
+        str,
+        typer.Option(metavar="TARGET", help="ardupilot, px4, gomspace, c-header, json, matlab or cubeadcs:FORM,UNIT."),
+    ],
     out: of.OutOption,
     instance: Annotated[
         int, typer.Option(metavar="N", min=1, help="Number of the magnetometer in that software, from 1.")

@@ -18,7 +18,7 @@ from fluxtwin.calib.common.conventions import (
 from fluxtwin.calib.common.direction import even_directions
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.onboard.target import Number, Target
-from fluxtwin.calib.onboard.targets import TARGETS, find_target
+from fluxtwin.calib.onboard.targets import NAMES, TARGETS, find_target
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.limits import text_of
 from fluxtwin.sim.base.seals import require_sealed
@@ -130,7 +130,7 @@ def import_calibration(path: Path | str, *, instance: int = 1, magnetometer: int
         return Calibration.from_toml(path)
     target = next((one for one in TARGETS.values() if one.is_of(text)), None)
     if target is None:
-        raise BadInput("holds no calibration that is known", where=str(path), wanted=f"a file of {', '.join(TARGETS)}")
+        raise BadInput("holds no calibration that is known", where=str(path), wanted=f"a file of {', '.join(NAMES)}")
     if magnetometer is not None:
         instance = min(magnetometer, target.instances)
     require_instance(target, instance)

@@ -21,7 +21,7 @@ import fluxtwin
 from fluxtwin.calib.common.conventions import OffsetFirst, correction_from_offset_first, offset_first_from_correction
 from fluxtwin.calib.common.records import Calibration, TelemetryBias
 from fluxtwin.calib.onboard.export import FIELDS_NT, export_calibration
-from fluxtwin.calib.onboard.targets import TARGETS
+from fluxtwin.calib.onboard.targets import NAMES, TARGETS
 from fluxtwin.flight_software import as_onboard
 from fluxtwin.sim.base.errors import BadInput
 
@@ -83,7 +83,44 @@ def test_the_software_corrects_as_the_calibration_does(to: str, S: np.ndarray, o
     assert np.abs(flown - known.apply(READINGS_NT)).max() < 0.1  # nT: float32 of 150,000 nT has 0.02
 
 
-@pytest.mark.parametrize("to", TARGETS)
+def cubeadcs_flies(to: str, text: str, reading_nT: np.ndarray) -> np.ndarray:
+    """The stated formula, of the int16 that the telecommand has."""
+    sign, (form, unit) = -1.0 if "-" in to else 1.0, to.removeprefix("cubeadcs:").split(",")
+    raw = dict(line.split(",") for line in text.splitlines() if not line.startswith("#"))
+    p = {name: float(np.int16(int(value))) / 1000 for name, value in raw.items()}
+    S = np.array([[p[f"S{row}{column}"] for column in "123"] for row in "123"])
+    offset = sign * np.array([p[f"offset_{n}"] for n in "123"])
+    m = reading_nT / {"uT": 1000, "mG": 100}[unit]
+    return ((m + offset) @ S.T if "(" in form else m @ S.T + offset) * {"uT": 1000, "mG": 100}[unit]
+
+
+@pytest.mark.parametrize("to", [name for name in TARGETS if name.startswith("cubeadcs")])
+@given(S=SMALL, o_nT=arrays(np.float64, (3,), elements=st.floats(-2_500.0, 2_500.0)))
+def test_a_cubeadcs_corrects_by_the_stated_formula(
+    to: str, S: np.ndarray, o_nT: np.ndarray, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    known, path = calibration_of(S, o_nT), tmp_path_factory.mktemp("flight") / "x.csv"
+    made = export_calibration(known, to)
+    made.write(path)
+    flown = cubeadcs_flies(to, made.text, READINGS_NT)
+    within_nT = 0.0005 * (
+        np.abs(READINGS_NT).sum(axis=1).max() + 1.1e3 + 3 * 2_500
+    )  # half a step of S and of the offset
+    assert np.abs(flown - known.apply(READINGS_NT)).max() <= within_nT
+    assert np.allclose(fluxtwin.import_calibration(path).apply(READINGS_NT), flown, rtol=0, atol=1e-6)
+    assert pytest.approx(np.eye(3) + S, abs=0.0005 + 1e-12) == as_onboard(path).M
+
+
+def test_a_cubeadcs_formula_must_be_stated_and_its_numbers_fit() -> None:
+    with pytest.raises(BadInput, match="in what unit"):
+        export_calibration(calibration_of(np.zeros((3, 3)), np.zeros(3)), "cubeadcs")
+    with pytest.raises(BadInput, match="in what unit"):
+        export_calibration(calibration_of(np.zeros((3, 3)), np.zeros(3)), "cubeadcs:Sm-o,T")
+    with pytest.raises(BadInput, match=r"offset_2 beyond 32\.767 \(int16 in thousandths, mG\)"):
+        export_calibration(calibration_of(np.zeros((3, 3)), np.array([0.0, 3_300.0, 0.0])), "cubeadcs:S(m-o),mG")
+
+
+@pytest.mark.parametrize("to", [name for name in TARGETS if ":" not in name])
 @given(S=SMALL, o_nT=OFFSET)
 def test_what_is_read_back_is_within_the_rounding(
     to: str, S: np.ndarray, o_nT: np.ndarray, tmp_path_factory: pytest.TempPathFactory
@@ -129,7 +166,6 @@ def test_px4_passes_over_what_seems_small_to_it() -> None:
 
 
 def test_what_a_target_cannot_hold_is_refused_by_name() -> None:
-    plain = calibration_of(np.zeros((3, 3)), np.zeros(3))
     with pytest.raises(BadInput, match="COMPASS_OFFS_MAX"):
         export_calibration(calibration_of(np.zeros((3, 3)), np.array([2e5, 0.0, 0.0])), "ardupilot")
     with pytest.raises(BadInput, match="scale of"):
@@ -141,10 +177,8 @@ def test_what_a_target_cannot_hold_is_refused_by_name() -> None:
     bias = {"array_current_A": TelemetryBias(np.ones(3), np.ones(3))}
     with pytest.raises(BadInput, match="array_current_A"):
         export_calibration(calibration_of(np.zeros((3, 3)), np.zeros(3), telemetry_bias=bias), "json")
-    with pytest.raises(BadInput, match="in what unit"):
-        export_calibration(plain, "cubeadcs")
     with pytest.raises(BadInput, match="1 to 3"):
-        export_calibration(plain, "ardupilot", instance=4)
+        export_calibration(calibration_of(np.zeros((3, 3)), np.zeros(3)), "ardupilot", instance=4)
 
 
 def test_a_file_of_several_magnetometers_and_a_damaged_one(tmp_path: Path) -> None:
@@ -198,4 +232,4 @@ def test_the_command_prints_the_formula_first_and_overwrites_only_its_own(tmp_pa
     wrong = cli("export", tmp_path / "c.toml", "--to", "px4", "--out", tmp_path / "mag.toml")
     assert wrong.status == 2 and ".params" in wrong.err
     described = cli("export", "--help")
-    assert all(name in described.out for name in TARGETS)
+    assert all(name in described.out for name in NAMES)

@@ -98,7 +98,7 @@ def diagnose(
         work = investigate(settled(problem), progress, faster, craft)
     if channel is not None:
         gone = [name for name, why in problem.ruled_out.items() if why == second_channel.NOT_THERE]
-        work = replace(work, angle=second_channel.weighed(work.standing, channel, gone))
+        work = replace(work, angle=second_channel.weighed(work.standing, channel, gone, unexplained=work.known < 0.5))
     left_out = [words.stuck(telemetry.time, stuck)] if stuck.any() else []
     work = replace(work, stuck=left_out[0] if left_out else None)
     answer, problem = work.answer, work.problem

@@ -24,13 +24,13 @@ from scipy.stats import t as student
 
 from fluxtwin.calib.attitude.horizon_scanner import sun_and_nadir
 from fluxtwin.calib.common.covariance import make_blocks
+from fluxtwin.gap.linear.projection import orthonormal
 from fluxtwin.gap.selection.criterion import MOST_SURE, THRESHOLD, worth
 from fluxtwin.gap.selection.refit import WHOLLY
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames, sun
 from fluxtwin.sim.earth.frames import angle_between
-from fluxtwin.sim.telemetry.build import velocity_from_positions
 from fluxtwin.sim.telemetry.record import Telemetry
 
 FEWEST_PASSES = 8
@@ -166,8 +166,9 @@ class Channel:
     of_row: np.ndarray
     """(N,) number of the pass."""
     designs: Designs
-    along_track: FloatArray | None = None
-    """(N,) rad of change in `residual_rad` per km that the reported position is ahead; None where it is not known."""
+    orbit: FloatArray | None = None
+    """(N, 3) change in `residual_rad` per radian that the reported positions are turned about each inertial axis: along the
+    orbit and out of its plane; None where it is not known."""
 
     @property
     def passes(self) -> int:
@@ -198,17 +199,16 @@ class Channel:
         known = self.predicted_rad(name, head, parameters_deg)
         return self if known is None else replace(self, residual_rad=self.residual_rad - known)
 
-    def beside_along_track(self) -> Channel:
-        """The channel with whatever an error along the orbit does to it out of angles and faults alike.
+    def beside_orbit(self) -> Channel:
+        """The channel with whatever an error of the orbit does to it out of angles and faults alike.
 
         The nadir is computed from the reported position, so that error shows here too, and is no fault of the sensors.
         """
-        column = self.along_track
-        if column is None or not column.any():
+        if self.orbit is None or not self.orbit.any():
             return self
-        unit = column / np.linalg.norm(column)
-        designs = {key: (names, J - np.outer(unit, unit @ J)) for key, (names, J) in self.designs.items()}
-        return replace(self, residual_rad=self.residual_rad - unit * (unit @ self.residual_rad), designs=designs)
+        basis = orthonormal(self.orbit)
+        designs = {key: (names, J - basis @ (basis.T @ J)) for key, (names, J) in self.designs.items()}
+        return replace(self, residual_rad=self.residual_rad - basis @ (basis.T @ self.residual_rad), designs=designs)
 
     def contradicts(self, predicted_rad: FloatArray) -> bool:
         """Whether a predicted change (N,) is not there: t tests of none and of all of it, over the passes that would show
@@ -250,7 +250,7 @@ def open_channel(telemetry: Telemetry, *, fewest: int = FEWEST_PASSES) -> Channe
     sun_N = sun.sun_direction_N(telemetry.time[rows], r_N_km)
     residual = angle_between(sun_B, nadir_B) - angle_between(sun_N, -r_N_km)
     designs = _designs(telemetry, rows, sun_B, nadir_B, r_N_km)
-    return Channel(rows, residual, np.asarray(of_row), designs, _along_track(telemetry, rows, sun_N, r_N_km))
+    return Channel(rows, residual, np.asarray(of_row), designs, _turned_orbit(sun_N, r_N_km))
 
 
 def _designs(
@@ -279,21 +279,15 @@ def _designs(
     return designs
 
 
-def _along_track(telemetry: Telemetry, rows: np.ndarray, sun_N: FloatArray, r_N_km: FloatArray) -> FloatArray:
-    """(N,) rad per km: computed angles less those of a position that far behind."""
-    v_N_km_s = velocity_from_positions(telemetry.time, np.array(telemetry.r_N_km))[rows]
-    size = np.linalg.norm(r_N_km, axis=1)[:, None]
-    ahead = v_N_km_s - r_N_km * np.sum(v_N_km_s * r_N_km, axis=1)[:, None] / size**2
-    ahead = ahead * size / np.maximum(np.linalg.norm(ahead, axis=1)[:, None], 1e-300) * _STEP_RAD
-    column = _slope(sun_N, ahead - r_N_km, sun_N, -ahead - r_N_km, size[:, 0])
-    return np.where(np.isfinite(column), column, 0.0)
+def _turned_orbit(sun_N: FloatArray, r_N_km: FloatArray) -> FloatArray:
+    """(N, 3) computed angles of positions turned back about each inertial axis, less those as they are, per radian."""
+    steps = [_STEP_RAD * np.cross(axis, r_N_km) for axis in np.eye(3)]
+    return np.stack([_slope(sun_N, step - r_N_km, sun_N, -step - r_N_km) for step in steps], axis=1)
 
 
-def _slope(
-    up: FloatArray, up_nadir: FloatArray, down: FloatArray, down_nadir: FloatArray, size: FloatArray | float = 1.0
-) -> FloatArray:
-    """(N,) change of the angle from sun to nadir between a step up and a step down, per unit of so many steps."""
-    return np.asarray((angle_between(up, up_nadir) - angle_between(down, down_nadir)) / (2 * _STEP_RAD * size))
+def _slope(up: FloatArray, up_nadir: FloatArray, down: FloatArray, down_nadir: FloatArray) -> FloatArray:
+    """(N,) change of the angle from sun to nadir per radian between a step up and a step down."""
+    return np.asarray((angle_between(up, up_nadir) - angle_between(down, down_nadir)) / (2 * _STEP_RAD))
 
 
 def _weigh(

@@ -97,15 +97,17 @@ def ruled_out(named: Sequence[FoundEffect], channel: Channel) -> dict[str, str]:
     return gone
 
 
-def weighed(named: Sequence[FoundEffect], channel: Channel, out: Sequence[str]) -> Angle:
-    """What the angle says beside the named effects, and beside those that it has ruled out."""
+def weighed(named: Sequence[FoundEffect], channel: Channel, out: Sequence[str], *, unexplained: bool) -> Angle:
+    """What the angle says beside the named effects, and beside those that it has ruled out. unexplained: whether readings
+    have a gap that nothing named explains, which may be a wrong orbit."""
     rotation = any("scale_misalignment" in one.group for one in named)
-    return Angle(_beside_orbit(named, channel).weigh(), tuple(out), rotation)
+    beside = channel.beside_orbit() if unexplained else _beside_orbit(named, channel)
+    return Angle(beside.weigh(), tuple(out), rotation)
 
 
 def _beside_orbit(named: Sequence[FoundEffect], channel: Channel) -> Channel:
-    """The channel beside an error along the orbit, where the readings may name one."""
-    return channel.beside_along_track() if any(_ORBIT in (one.name, *one.group) for one in named) else channel
+    """The channel beside an error of the orbit, where the readings may name one."""
+    return channel.beside_orbit() if any(_ORBIT in (one.name, *one.group) for one in named) else channel
 
 
 def _entry(weighed: SunNadir, named: Hypothesis) -> FoundEffect:

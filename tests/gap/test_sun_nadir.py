@@ -6,9 +6,10 @@ import json
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, t
 
-from fluxtwin.gap.channels.sun_nadir import _weigh, weigh_sun_nadir
+from fluxtwin.gap.channels.sun_nadir import _weigh, open_channel, weigh_sun_nadir
 from fluxtwin.gap.selection.criterion import worth
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
@@ -50,6 +51,20 @@ def test_the_turn_of_head_1_comes_back_where_it_can_be_seen():
     normal = np.array([np.cos(np.radians(59.0)), np.sin(np.radians(59.0))])
     found = normal @ [named.parameters["turn_x"][0], named.parameters["turn_y"][0]]
     assert found == pytest.approx(-normal @ [0.3, 0.52], abs=0.08)  # 0.5 deg steps of the head over four short passes
+
+
+def test_a_reported_orbit_that_is_wrong_is_no_fault_of_a_sensor():
+    """The nadir is computed from the reported position: turned by 0.5 deg about a slanting axis, which is an error along
+    the orbit and of its plane at once, it looks like a biased scanner until the orbit may be wrong too."""
+    right = fly({})
+    turned = Rotation.from_rotvec(np.radians(0.5) * np.array([0.6, 0.0, 0.8])).apply(np.array(right.r_N_km))
+    channel = open_channel(right.replace(r_N_km=turned))
+    assert channel.weigh().named is not None
+    beside = channel.beside_orbit()
+    assert beside.weigh().named is None
+    left = open_channel(right).beside_orbit().residual_rad
+    assert beside.residual_rad == pytest.approx(left, abs=np.radians(0.5) ** 2)  # what is not linear in the turn
+    assert open_channel(fly(HEAD_1)).beside_orbit().weigh().named.words == "sun_sensor_head_misalignment of head 1"
 
 
 def test_false_alarms_are_rare():

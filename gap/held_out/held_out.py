@@ -10,6 +10,7 @@ record, the figures are those of the fit itself, and say so. A random walk is pr
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -65,9 +66,9 @@ class Prediction:
     counted: BoolArray
     """(N,) rows that are not cut, and were predicted."""
     floor_nT: float
-    """What the budget makes expect, rms per component."""
+    """What the budget makes expect, with the error of the prediction, rms per component."""
     floor_with_effects_nT: float
-    """And with the named noise."""
+    """The same with the named noise."""
     of: str = "blocks"
     """`blocks` held out, `one_step` ahead, or the `fit` itself."""
     axes: RowAxes | None = None
@@ -166,15 +167,31 @@ class Prediction:
         return [float(value) for value in np.sqrt(energy / np.maximum(share.sum(axis=(0, 1)), 1e-300))]
 
 
-def predict_blocks(
-    seconds: FloatArray, kept: BoolArray, noise_nT: float, before: Fitted, after: Fitted
-) -> tuple[FloatArray, FloatArray, BoolArray, str]:
-    """Residuals (N, 3) before and after, each block predicted from the others, rows (N,) that could be, and "blocks"; those
-    of the fit itself, and "fit", where one part of the record does not determine another.
+class Held(NamedTuple):
+    """Residuals where each block is predicted from the others."""
 
-    seconds, kept: (N,) time and rows that are not cut. noise_nT: rms per component of noise and attitude error.
+    before_nT: FloatArray
+    """(N, 3)."""
+    after_nT: FloatArray
+    """(N, 3)."""
+    counted: BoolArray
+    """(N,) rows that are kept and could be predicted."""
+    of: str
+    """`blocks`; or `fit`, where one part of the record does not determine another: the residuals of the fit itself."""
+    unsure_nT: tuple[float, float]
+    """rms per component of the errors of the predictions, which stand in these residuals beside the noise."""
+
+
+def predict_blocks(
+    seconds: FloatArray, kept: BoolArray, noise_nT: float, before: Fitted, after: Fitted, measured: BoolArray
+) -> Held:
+    """Each block predicted from the others, before and after.
+
+    seconds, kept: (N,) time and rows that are not cut. noise_nT: rms per component of noise and attitude error. measured:
+    (N, 3) components that count.
     """
     predicted = before.residual_nT.copy(), after.residual_nT.copy()
+    variance = np.zeros((2, len(seconds)))
     known = kept.copy()
     place = np.cumsum(kept) - 1
     block = np.clip(np.floor(place * BLOCKS / max(int(kept.sum()), 1)), 0, BLOCKS - 1)
@@ -185,13 +202,15 @@ def predict_blocks(
             continue
         start, end = seconds[held].min() - guard, seconds[held].max() + guard
         train = kept & ~((seconds >= start) & (seconds <= end))
-        for fit, residual_nT in zip((before, after), predicted, strict=True):
+        for of, (fit, residual_nT) in enumerate(zip((before, after), predicted, strict=True)):
             theta, root = _solve(fit.residual[train], fit.columns[train])
             residual_nT[held] = fit.residual_nT[held] - fit.columns_nT[held] @ theta
-        known[held] &= float(np.mean(np.sum((after.columns_nT[held] @ root) ** 2, axis=2))) < noise_nT**2
+            variance[of, held] = np.sum((fit.columns_nT[held] @ root) ** 2, axis=(1, 2))
+        known[held] &= float(np.mean(variance[1, held]) / 3.0) < noise_nT**2
     if 2 * known.sum() < kept.sum():
-        return before.residual_nT, after.residual_nT, kept, "fit"
-    return (*predicted, known, "blocks")
+        return Held(before.residual_nT, after.residual_nT, kept, "fit", (0.0, 0.0))
+    unsure_nT = np.sqrt(variance[:, known].sum(axis=1) / measured[known].sum())
+    return Held(*predicted, known, "blocks", (float(unsure_nT[0]), float(unsure_nT[1])))
 
 
 def one_step(

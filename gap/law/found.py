@@ -209,9 +209,10 @@ class _Search:
         floor_nT = floor_rms_nT(problem.noise_field_nT[kept], noise.white_rms_nT, noise.theta_rad, measured)
         before = Fitted.of(problem, whitener, self.base.residual_nT, self.base.fitted_nT)
         after = Fitted.of(problem, whitener, residual_nT, columns_nT)
-        before_nT, after_nT, counted, of = predict_blocks(problem.setting.seconds, kept, floor_nT, before, after)
-        gap = Prediction(before_nT, after_nT, counted, floor_nT, floor_nT, of, problem.axes).shrinkage(True)
-        return replace(gap, closed=None, interval=None) if of == "fit" else gap
+        held = predict_blocks(problem.setting.seconds, kept, floor_nT, before, after, problem.measured)
+        floors = (float(np.hypot(floor_nT, unsure_nT)) for unsure_nT in held.unsure_nT)
+        gap = Prediction(held.before_nT, held.after_nT, held.counted, *floors, held.of, problem.axes).shrinkage(True)
+        return replace(gap, closed=None, interval=None) if held.of == "fit" else gap
 
     def _record(self, fit: Fit, terms: Sequence[Active], gap: Shrinkage, alike: Sequence[LawEffect]) -> Law:
         slices = fit.slices()[len(fit.chosen) - len(terms) :]

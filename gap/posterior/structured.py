@@ -27,7 +27,7 @@ from fluxtwin.gap.noise.walk import gain, likeliest_rate
 from fluxtwin.gap.noise.whitening import with_walk
 from fluxtwin.gap.posterior.explanations import Answer, Known, answered_with, log_likelihood, signals_of, without_names
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.selection.criterion import THRESHOLD, worth
+from fluxtwin.gap.selection.criterion import LOG_FURTHER, THRESHOLD, worth
 from fluxtwin.gap.selection.search import IN_GROUP
 from fluxtwin.sim.base.types import FloatArray
 
@@ -163,7 +163,8 @@ class Structured:
             return -np.inf, 0.0, None
         gain, _ = self._gain(answer, noise, bare_nT, alone, rate)
         samples, tried = max(whitener.measured / 3.0, 2.0), float(np.log(answer.result.tested))
-        return worth(gain, 1, samples, tried) + max(walking.worth, 0.0), rate, walking
+        further = LOG_FURTHER if walking.result.named else 0.0  # the names beside it are paid for as if alone
+        return worth(gain, 1, samples, tried) + max(walking.worth, 0.0) - further, rate, walking
 
     def _left(self, answer: Answer) -> ProjectedResidual:
         """The residual with what was fitted out of it and no walk in the noise."""

@@ -21,7 +21,7 @@ from fluxtwin.gap.selection.refit import Channel, Fit, refit
 from fluxtwin.gap.selection.score import Board, board, whitened
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect, SignalEffect
-from fluxtwin.sim.effects.calibration import TurningStep
+from fluxtwin.sim.effects.calibration import Step
 from fluxtwin.sim.effects.signal import Setting
 
 LARGEST = 3
@@ -125,8 +125,8 @@ class Search(Generic[OfChannel]):
 def begin(channel: OfChannel, found: list[Candidate], tested_before: int = 0) -> Search[OfChannel]:
     """Fit what is modelled, and score every candidate beside it, with those that its residual points to."""
     base = refit(channel)
-    turning = {c.name: c.effect for c in found if isinstance(c.effect, TurningStep)}.values()
-    jumps = [replace(effect, at=at) for effect in turning for at in channel.jumps(base)]
+    steps = {c.name: c.effect for c in found if isinstance(c.effect, Step)}.values()
+    jumps = [replace(effect, at=at) for effect in steps for at in channel.jumps(base)]
     found = [*found, *(channel.candidate(effect, base.modelled) for effect in jumps)]
     white = whitened(found, channel, base.residual.shape[0])
     first = _first(channel, found, white, base)
@@ -176,6 +176,10 @@ def _sharper(search: Search[Any], fit: Fit) -> tuple[Fit, Board]:
             fit = moved
     pairs = zip(fit.chosen, start.chosen, strict=True)
     new = [mine for (mine, _), (old, _) in pairs if isinstance(mine, SignalEffect) and mine != old]
+    # What else may have happened at that moment: tried only beside it, another kind of step would seem worse than it is.
+    kinds = {c.name: c.effect for c in search.found if isinstance(c.effect, Step)}
+    moments = [one for one in new if isinstance(one, Step)]
+    new += [replace(kind, at=one.at) for one in moments for name, kind in kinds.items() if name != one.name]
     if new:
         search.add(new, fit)
     return fit, search.beside(fit)

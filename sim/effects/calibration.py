@@ -25,8 +25,6 @@ from fluxtwin.sim.effects.base import (
 )
 from fluxtwin.sim.effects.signal import Setting, Signal
 
-_MOVES = (1 / 2, -1 / 2, 1 / 4, -1 / 4, 1 / 8, -1 / 8, 1 / 16, -1 / 16)
-
 
 @dataclass(frozen=True)
 class Bias(SignalEffect):
@@ -96,6 +94,17 @@ class Step(SignalEffect):
             replace(self, at=epoch.iso(setting.time[row], "ms")) for row in np.unique(number) if 0 < row < rows
         )
 
+    def variants(self, setting: Setting) -> tuple[Self, ...]:
+        """The moment moved to either side by half the distance between those that are tried, by half of that, and so on to
+        one row: a moment that is off leaves the whole step in the rows between."""
+        if self.at is None:
+            return ()
+        rows = setting.time.size
+        row = int(np.searchsorted(setting.time, epoch.parse_time(self.at, where=self.name)))
+        moves = 2 ** np.arange(int(np.log2(max(rows / (self.grid + 1), 1.0))), -1, -1)
+        moved = (row + move for move in np.column_stack([moves, -moves]).ravel())
+        return tuple(replace(self, at=epoch.iso(setting.time[to], "ms")) for to in moved if 0 < to < rows)
+
     def after(self, setting: Setting) -> FloatArray:
         """(N,) 0 before the moment, 1 from it on."""
         moment = setting.time[setting.time.size // 2] if self.at is None else epoch.parse_time(self.at, where=self.name)
@@ -140,20 +149,11 @@ class BiasStep(Step):
 
 
 class TurningStep(Step):
-    """Base of the steps that turn something. Few moments are tried; the likeliest is then moved."""
+    """Base of the steps that turn something."""
 
     grid = 7
     # Mounting errors before alignment in flight: Wertz 1978, section 7.1.
     parameters = vector_parameters("turn", "deg", 0.5, -180.0, 180.0)
-
-    def variants(self, setting: Setting) -> tuple[Self, ...]:
-        """The moment moved by parts of the distance between those that are tried."""
-        if self.at is None:
-            return ()
-        rows = setting.time.size
-        row = int(np.searchsorted(setting.time, epoch.parse_time(self.at, where=self.name)))
-        moved = {row + round(move * rows / (self.grid + 1)): None for move in _MOVES}
-        return tuple(replace(self, at=epoch.iso(setting.time[to], "ms")) for to in moved if 0 < to < rows and to != row)
 
     @property
     def bound(self) -> str:

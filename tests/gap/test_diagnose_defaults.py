@@ -168,10 +168,28 @@ def test_a_block_that_the_others_do_not_determine_is_not_predicted() -> None:
     y = rng.standard_normal((500, 3))
     x = np.where(np.arange(500)[:, None, None] >= 400, rng.standard_normal((500, 3, 1)), 1e-9 * np.ones((500, 3, 1)))
     fit = Fitted(y, x, y, x)
-    *_, known, _ = predict_blocks(seconds, kept, 1.0, fit, fit)
+    measured = np.ones((500, 3), dtype=bool)
+    known = predict_blocks(seconds, kept, 1.0, fit, fit, measured).counted
     assert known[:400].all() and not known[400:].any()
     x5 = Fitted(5.0 * y, y[..., None], 5.0 * y, y[..., None])  # five times a column: the others give it exactly
-    assert np.abs(predict_blocks(seconds, kept, 1.0, x5, x5)[0]).max() < 1e-9
+    assert np.abs(predict_blocks(seconds, kept, 1.0, x5, x5, measured).before_nT).max() < 1e-9
+
+
+def test_what_a_block_predicts_of_another_is_as_wrong_as_it_says() -> None:
+    """White noise of 2 nT and twelve columns in 60 rows: held-out residuals have the noise and the error of the prediction,
+    whose variance averages to that of the textbook, sigma^2 tr(X_h (X_t' X_t)^-1 X_h') over the components."""
+    rng = np.random.default_rng(5)
+    seconds, kept = np.arange(60.0), np.ones(60, dtype=bool)
+    measured, squares, expected = np.ones((60, 3), dtype=bool), [], []
+    for _ in range(300):
+        y, x = 2.0 * rng.standard_normal((60, 3)), rng.standard_normal((60, 3, 12))
+        fit = Fitted(y, x, y / 2.0, x / 2.0)
+        held = predict_blocks(seconds, kept, 2.0, fit, fit, measured)
+        squares.append(np.mean(held.after_nT[held.counted] ** 2))
+        expected.append(4.0 + held.unsure_nT[1] ** 2)
+    difference = np.array(squares) - np.array(expected)
+    assert abs(difference.mean()) < 4.0 * difference.std() / np.sqrt(300.0)
+    assert np.mean(expected) - 4.0 > 8.0 * difference.std() / np.sqrt(300.0)  # without it the test would fail
 
 
 def test_a_spinner_without_attitude_that_leaves_b_open_is_refused() -> None:

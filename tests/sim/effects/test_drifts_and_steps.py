@@ -176,7 +176,7 @@ def test_moments_are_moved_by_less_and_less() -> None:
     setting = chain().setting
     tried = AttitudeStep().alternatives(setting)
     rows = [int(np.flatnonzero(one.after(setting))[0]) for one in tried[3].variants(setting)]
-    assert len(tried) == 7 and {225, 175, 212, 188, 206, 194, 203, 197} == {*rows}
+    assert len(tried) == 7 and rows == [232, 168, 216, 184, 208, 192, 204, 196, 202, 198, 201, 199]
     assert AttitudeStep().variants(setting) == ()
 
 

@@ -4,6 +4,7 @@
     python benchmarks/withheld.py --tune SEED ...     any other seed (or --seed), on any tree; nothing is logged
     python benchmarks/withheld.py --out DIR --score   score what is there again
     ... --score --docs                                and write docs/withheld.md with its figure
+    ... --score --fit                                 and write the table of what is stated of a name, from a tuning run
     ... --closing                                     and put the closed scenarios to the test: twin, loop, control
     ... --rival                                       and let the rival answer the same questions
 
@@ -36,7 +37,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from withheld_cases import laws, laws_judged, laws_rival, limits, null_regimes, page, printed, score, store
+from withheld_cases import laws, laws_judged, laws_rival, limits, null_regimes, page, printed, score, stated, store
 from withheld_cases.ask import ask, ask_rival
 from withheld_cases.cases import KINDS, LAWS, PLAIN, POPULATIONS, SENSED, TWO, identity
 from withheld_cases.control import wrong
@@ -140,7 +141,7 @@ def _run(given: argparse.Namespace) -> int:
     out = given.out or Path(f"withheld-{'tune' if given.tune is not None else sha[:12]}-results")
     here = store.Store(out)
     if given.score:
-        return _score(here, _identities(here), docs=given.docs)
+        return _score(here, _identities(here), docs=given.docs, fit=given.fit)
     seed = int(sha[:12], 16) if given.tune is None else given.tune
     plan = _plan(given.population, given.count)
     names = [identity(seed, *one) for one in plan]
@@ -218,12 +219,13 @@ def _arguments() -> argparse.Namespace:
     )
     parser.add_argument("--quick", action="store_true", help="a null, a single and a fast spinner, to see that it runs")
     parser.add_argument("--docs", action="store_true", help="with --score: write the page and its figure")
+    parser.add_argument("--fit", action="store_true", help="with --score: write the table of what is stated of a name")
     parser.add_argument("--rival", action="store_true", help="put the questions to the rival as well")
     given = parser.parse_args()
     if given.score and given.out is None:
         parser.error("--score needs --out DIR")
-    if given.docs and not given.score:
-        parser.error("--docs goes with --score")
+    if (given.docs or given.fit) and not given.score:
+        parser.error("--docs and --fit go with --score")
     return given
 
 
@@ -286,8 +288,11 @@ def _identities(here: store.Store) -> list[str]:
     return sorted(path.stem for path in (here.root / "sealed").glob("*.json"))
 
 
-def _score(here: store.Store, names: Sequence[str], *, docs: bool = False) -> int:
+def _score(here: store.Store, names: Sequence[str], *, docs: bool = False, fit: bool = False) -> int:
     text, record = score.report(here, names)
+    if fit:
+        run = json.loads((here.root / "run.json").read_text(encoding="utf-8"))
+        stated.write(score.opened(here, names)[0], run["seed"], store.commit_of(ROOT)[0])
     if docs:
         run = json.loads((here.root / "run.json").read_text(encoding="utf-8"))
         page.write(*score.opened(here, names), run, DOCS)

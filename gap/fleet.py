@@ -21,8 +21,9 @@ from scipy.special import expit, softmax
 from scipy.stats import chi2
 
 from fluxtwin.gap.linear.projection import SHARE_LEFT, explained
+from fluxtwin.gap.posterior.stated import stated
 from fluxtwin.gap.records.diagnosis import Diagnosis, Score
-from fluxtwin.gap.selection.criterion import MOST_SURE, THRESHOLD, TWENTY_TO_ONE, worth
+from fluxtwin.gap.selection.criterion import THRESHOLD, TWENTY_TO_ONE, worth
 from fluxtwin.gap.selection.score import ALIKE
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
@@ -156,7 +157,7 @@ def fleet(vehicles: Sequence[str], diagnoses: Sequence[Diagnosis]) -> Fleet:
         group += sorted(usual - {*group})
         weights = dict(zip([name for name, _ in ranked], softmax([0.5 * v for _, (v, _, _) in ranked]), strict=True))
         inside = float(sum(weights.get(name, 0.0) for name in group)) * float(expit(0.5 * (top - THRESHOLD)))
-        common = _sizes([table[ranked[0][1][1]] for table in tables], tuple(group), min(MOST_SURE, inside))
+        common = _sizes([table[ranked[0][1][1]] for table in tables], tuple(group), stated(inside))
     faults = _faults(diagnoses, named, tables, shared, common)
     ranking = tuple((name, value, rank) for name, (value, _, rank) in ranked)
     return Fleet(tuple(vehicles), tuple(diagnoses), common, faults, ranking)
@@ -269,7 +270,7 @@ def _faults(
                 odd[vehicle] = (p, effect.name)
     spoken = {fault.vehicle for fault in faults}
     faults += [
-        Fault(vehicle, name, min(MOST_SURE, 1.0 - p / limit * FALSE_ALARM), odd=True)
+        Fault(vehicle, name, stated(1.0 - p / limit * FALSE_ALARM), odd=True)
         for vehicle, (p, name) in odd.items()
         if vehicle not in spoken
     ]

@@ -14,8 +14,7 @@ from withheld_cases.outside import WHY
 from withheld_cases.rows import counted_row, distributional, number_row, of, share_row
 
 FAINT = (0.1, 0.2)
-SHOWN_AS_98 = (0.975, 0.985)
-"""What is printed as 98 %."""
+SURE = 0.95
 TOLD = "compared"
 
 
@@ -86,11 +85,11 @@ def honest_silence(case: Judged) -> bool:
 
 def _stated(cases: Sequence[Judged]) -> list[dict[str, Any]]:
     mine = [case for case in cases if case.population not in defaults.POPULATIONS]
-    hits = [hit for case in mine for p, hit in case.stated() if SHOWN_AS_98[0] <= p < SHOWN_AS_98[1]]
+    hits = [hit for case in mine for p, hit in case.stated() if p >= SURE]
     sizes = [len(names_of(entry)) for case in mine if case.truths for entry in case.effects]
     mean = float(np.mean(sizes)) if sizes else None
     return [
-        counted_row("a stated 98 % comes true", ">= 98 %", sum(hits), len(hits), 0.98),
+        counted_row("names stated at 95 % or more: present", ">= 97 %", sum(hits), len(hits), 0.97),
         number_row("mean set size, everything named of records with a truth", TOLD, mean, len(sizes), None),
     ]
 

@@ -25,7 +25,7 @@ from scipy.stats import t as student
 from fluxtwin.calib.attitude.horizon_scanner import sun_and_nadir
 from fluxtwin.calib.common.covariance import make_blocks
 from fluxtwin.gap.linear.projection import orthonormal
-from fluxtwin.gap.selection.criterion import MOST_SURE, THRESHOLD, worth
+from fluxtwin.gap.selection.criterion import THRESHOLD, worth
 from fluxtwin.gap.selection.refit import WHOLLY
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray
@@ -80,7 +80,7 @@ class Hypothesis:
     @property
     def probability(self) -> float:
         """That it is there."""
-        return min(MOST_SURE, float(expit(0.5 * self.worth)))
+        return float(expit(0.5 * self.worth))
 
     @property
     def words(self) -> str:

@@ -6,14 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.gap.selection.criterion import MOST_SURE, THRESHOLD
+from fluxtwin.gap.selection.criterion import THRESHOLD
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect, SignalEffect
-
-_SEARCHED = ("wheel_field", "heater_switching", "bias_random_walk", "switched_field")
-_MOST_SEARCHED = 0.9
-"""Most that is stated of a waveform that was searched for: by Laplace's rule for none wrong in eight. A judgement: on tuning
-records such names are too rare for a calibration of their own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,5 +51,5 @@ class Finding:
 
     @property
     def probability(self) -> float:
-        """That this effect is present: 1 - p, within 0.5 and the most that is stated of such a name."""
-        return float(np.clip(1.0 - self.p_value, 0.5, _MOST_SEARCHED if self.name in _SEARCHED else MOST_SURE))
+        """That this effect is present: 1 - p, at least 0.5."""
+        return max(0.5, 1.0 - self.p_value)

@@ -15,7 +15,6 @@ import numpy as np
 
 from fluxtwin.gap.channels.sun_nadir import Channel, Hypothesis, SunNadir, open_channel
 from fluxtwin.gap.records.diagnosis import EffectParameter, FoundEffect
-from fluxtwin.gap.selection.criterion import MOST_SURE
 from fluxtwin.gap.selection.named import axis_of
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.effects.chain import Active
@@ -142,6 +141,6 @@ def _confirmed(one: FoundEffect, entry: FoundEffect) -> FoundEffect:
         one,
         group=tuple(name for name in one.group if name not in gone),
         rivals=tuple((name, min(probability, doubt)) for name, probability in rivals),
-        probability=min(MOST_SURE, 1.0 - (1.0 - one.probability) * doubt),
+        probability=1.0 - (1.0 - one.probability) * doubt,
         significance=min(one.significance, entry.significance),
     )

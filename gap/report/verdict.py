@@ -17,6 +17,7 @@ from fluxtwin.gap.detectors.proposals import expected
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.held_out.held_out import Prediction
 from fluxtwin.gap.posterior.explanations import Answer
+from fluxtwin.gap.posterior.stated import as_stated
 from fluxtwin.gap.posterior.torques import Momentum
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.records.diagnosis import Closure, Detectable, Diagnosis, FoundEffect, Place, Shrinkage
@@ -106,6 +107,8 @@ class _Conclusion:
     beyond: Excess | None
     """Which of them makes the verdict unknown."""
     incomplete: bool
+    posterior: Sequence[tuple[str, float]]
+    """Of each name, before it is stated."""
 
 
 def assemble(
@@ -143,7 +146,7 @@ def assemble(
         isolability={**result.isolability, **momentum.isolability},
         minimum_detectable=detectable,
         samples={"used": problem.rows - cut, "cut": cut, "without_attitude": without_attitude},
-        provenance=provenance,
+        provenance={**provenance, "posterior": [list(pair) for pair in found.posterior]},
         would_settle=advice.would_settle(detectable, _asked_for(untestable, work), advice.hours_of(problem.time)),
         sentence=" ".join(filter(None, (sentence, words.assumed(assumed)))),
         assumed=assumed,
@@ -167,6 +170,11 @@ def _conclude(work: Work) -> _Conclusion:
     effects, fault = [*signals, *shapes], None
     if work.angle is not None:
         effects, fault = work.angle.beside(effects)
+    every = [*effects, *([] if fault is None else [fault])]
+    posterior = [(one.name, one.probability) for one in every]
+    effects = as_stated(every)
+    if fault is not None:
+        fault = effects.pop()
 
     unknown = work.known < 0.5 and work.attitude_would_do_rad is None
     unexplained = (not named and (unknown or bool(answer.result.named))) or momentum.unexplained
@@ -183,7 +191,8 @@ def _conclude(work: Work) -> _Conclusion:
     verdict = "unknown" if unexplained or beyond is not None else "effect" if effects or fault is not None else "no_gap"
     incomplete = (bool(named) and answer.left.structured) or momentum.incomplete
     incomplete = incomplete or (verdict == "effect" and excess is not None)
-    return _Conclusion(verdict, named, shapes, effects, fault, bool(already), excess, outliers, beyond, incomplete)
+    about = (bool(already), excess, outliers, beyond, incomplete, posterior)
+    return _Conclusion(verdict, named, shapes, effects, fault, *about)
 
 
 def _sentence(work: Work, found: _Conclusion, where: Place, gap: Shrinkage, resembles: Sequence[str]) -> str:

@@ -29,10 +29,6 @@ LOG_FURTHER = 6.0
 twenty."""
 TWENTY_TO_ONE = 2.0 * float(np.log(20.0))
 """In twice the log: what costs less than this is not distinguished."""
-MOST_SURE = 0.98
-"""Most that is ever stated of a name: of some 160 names on tuning seeds (2001, 2002, 2003, 2010 of
-benchmarks/withheld.py) of which the posterior was all but sure, two or three were wrong; by Laplace's rule
-(1 + 160) / (2 + 163) = 0.976."""
 
 
 def stands_out(p_value: ArrayLike, worth: ArrayLike) -> BoolArray:

@@ -13,7 +13,7 @@ import numpy as np
 
 from fluxtwin.gap.linear.projection import orthonormal
 from fluxtwin.gap.records.diagnosis import FoundEffect, Ranked, Score
-from fluxtwin.gap.selection.criterion import MOST_SURE, SHAPE, penalty
+from fluxtwin.gap.selection.criterion import SHAPE, penalty
 from fluxtwin.gap.selection.detectable import smallest, visible_part
 from fluxtwin.gap.selection.forward import NONLINEAR, WITHIN, Search, room_for, without
 from fluxtwin.gap.selection.named import SearchResult, Support, axis_of, found_effect
@@ -185,7 +185,7 @@ def support(search: Search[Any], fit: Fit, number: int, variance: float) -> Supp
     inside = present + sum(weights.get(name, 0.0) for name in group)
     rivals = [(n, float(share)) for n, share in likeliest if n not in group and share >= _WORTH_SAYING]
     p_value = min(1.0, search.tested * search.first.p_value(drop, rank))
-    return Support(p_value, min(MOST_SURE, inside / total), group, tuple(rivals))
+    return Support(p_value, inside / total, group, tuple(rivals))
 
 
 def _weights(search: Search[Any], fit: Fit, number: int, bare: Fit, variance: float) -> dict[str, float]:

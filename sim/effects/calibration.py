@@ -102,8 +102,8 @@ class Step(SignalEffect):
         rows = setting.time.size
         row = int(np.searchsorted(setting.time, epoch.parse_time(self.at, where=self.name)))
         moves = 2 ** np.arange(int(np.log2(max(rows / (self.grid + 1), 1.0))), -1, -1)
-        moved = (row + move for move in np.column_stack([moves, -moves]).ravel())
-        return tuple(replace(self, at=epoch.iso(setting.time[to], "ms")) for to in moved if 0 < to < rows)
+        moved = np.clip(row + np.column_stack([moves, -moves]).ravel(), 1, rows - 1)
+        return tuple(replace(self, at=epoch.iso(setting.time[to], "ms")) for to in moved)
 
     def after(self, setting: Setting) -> FloatArray:
         """(N,) 0 before the moment, 1 from it on."""

@@ -27,7 +27,6 @@ from fluxtwin.gap.problem.problem import Budget, Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.diagnosis import Closure
 from fluxtwin.gap.report.level import outliers
-from fluxtwin.gap.selection.criterion import MOST_SURE
 from fluxtwin.gap.selection.named import Support, found_effect
 from fluxtwin.gap.selection.refit import Readings, refit
 from fluxtwin.sim.base.errors import BadInput
@@ -310,7 +309,7 @@ def test_noise_of_the_scenario_is_expected_and_no_other() -> None:
     found = NoiseModel(130.0, 1e-3, 0.0, sigma_prior_nT=50.0)
     assert stochastic_nT([alike], found, None) == pytest.approx(120.0)  # beyond the declared, in variance
     assert replace(alike, worth=2.0).probability == pytest.approx(1.0 - np.exp(-1.0), rel=1e-12)
-    assert replace(alike, worth=100.0).probability == MOST_SURE
+    assert replace(alike, worth=100.0).probability == pytest.approx(1.0, abs=1e-12)
     assert not expected(Finding(BitErrors(), np.array([0.01]), np.array([0.001])), frozen)
 
 

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from fluxtwin.diagnosing import diagnose
+from fluxtwin.gap.posterior.stated import stated
 from fluxtwin.gap.report.second_channel import _confirmed
-from fluxtwin.gap.selection.criterion import MOST_SURE
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.run.simulate import simulate
@@ -49,7 +49,7 @@ def test_a_turned_head_is_named_and_the_angle_confirms_it():
         {"head": 2},
         ("sun_sensor_head_misalignment",),
     )
-    assert first.probability == MOST_SURE  # both show it; readings alone give 0.967
+    assert first.probability == stated(1.0)  # both show it
     alike = replace(first, group=(first.name, "yaw_drift", "bias_step"))
     doubted = _confirmed(alike, replace(first, probability=0.75))  # who else it may be shares the doubt
     sure = _confirmed(replace(first, significance=1e-3), replace(first, significance=1e-9))

@@ -178,6 +178,12 @@ def test_moments_are_moved_by_less_and_less() -> None:
     rows = [int(np.flatnonzero(one.after(setting))[0]) for one in tried[3].variants(setting)]
     assert len(tried) == 7 and rows == [232, 168, 216, 184, 208, 192, 204, 196, 202, 198, 201, 199]
     assert AttitudeStep().variants(setting) == ()
+    near = dataclasses.replace(tried[3], at=epoch.iso(setting.time[3]))
+    assert {int(np.flatnonzero(one.after(setting))[0]) for one in near.variants(setting)} >= {
+        1,
+        35,
+    }  # never out of the record
+    assert len(near.variants(setting)) == len(rows)
 
 
 def test_stray_field_follows_the_sun_in_the_body_while_it_shines(close: Close) -> None:

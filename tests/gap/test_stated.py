@@ -1,0 +1,53 @@
+"""What is stated of a name is how often names that the posterior was as sure of were right."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from withheld_cases.stated import steps
+
+from fluxtwin.gap.posterior import stated as module
+from fluxtwin.gap.posterior.stated import FURTHER, Steps, as_stated, stated
+from fluxtwin.gap.records.diagnosis import FoundEffect
+
+
+def test_steps_by_hand() -> None:
+    """Of 0, 1, 0, 1 the middle two are pooled; equal posteriors are one step."""
+    found = steps([0.4, 0.1, 0.3, 0.2], [True, False, False, True])
+    assert found == {"least": [0.0, 0.2, 0.4], "right": [0, 1, 1], "of": [1, 2, 1]}
+    assert steps([0.5, 0.5, 0.5], [False, True, True]) == {"least": [0.0], "right": [2], "of": [3]}
+
+
+def test_a_posterior_that_is_too_sure_comes_out_true(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A world where names are right in 0.5 + 0.45 p of cases: fitted on 4,000 names, asked about 20,000 others."""
+    rng = np.random.default_rng(11)
+
+    def draw(number: int) -> tuple[np.ndarray, np.ndarray]:
+        p = rng.uniform(0.0, 1.0, number)
+        return p, rng.uniform(size=number) < 0.5 + 0.45 * p
+
+    table = steps(*(list(column) for column in draw(4000)))
+    made = Steps(*(np.array(table[name], dtype=float) for name in Steps._fields))
+    monkeypatch.setattr(module, "_steps", lambda: {"first": made})
+    p, right = draw(20_000)
+    said = np.array([stated(one) for one in p])
+    for part in np.array_split(np.argsort(p), 10):
+        # Four sigmas of a share among 2,000, and of one among the 400 that a tenth of the fit has.
+        assert abs(said[part].mean() - right[part].mean()) < 4.0 * 0.5 * np.sqrt(1 / 2000 + 1 / 400)
+    assert (np.diff(said[np.argsort(p)]) >= 0.0).all()
+    assert abs(p.mean() - right.mean()) > 0.2  # as it was, it would fail
+
+
+def test_the_table_that_is_shipped() -> None:
+    shares = [stated(p) for p in np.linspace(0.0, 1.0, 101)]
+    assert (np.diff(shares) >= 0.0).all() and shares[0] > 0.0 and 0.9 < shares[-1] < 1.0
+
+
+def test_rivals_have_no_more_than_what_is_left() -> None:
+    rivals = (("bias", 0.6), ("yaw_drift", 0.2))
+    place = {"stage": "sensor", "axis": "all", "frame": "body", "condition": "after_time"}
+    support = {"group": ("bias_step",), "rivals": rivals, "probability": 0.9, "significance": 1e-9, "visible_nT": 9.0}
+    one, other = as_stated(2 * [FoundEffect(name="bias_step", parameters={}, settings={}, **place, **support)])
+    assert (one.probability, other.probability) == (stated(0.9), stated(0.9, FURTHER))
+    assert sum(share for _, share in one.rivals) == pytest.approx(min(0.8, 1.0 - stated(0.9)))
+    assert one.rivals[0][1] == pytest.approx(3.0 * one.rivals[1][1])

@@ -353,16 +353,16 @@ def _prediction(
     own = answer.fitted_nT[:, :, answer.alone_nT.shape[2] :]
     both = np.concatenate([answer.alone_nT, own], axis=2)
     pairs = ((result.residual_alone_nT, answer.alone_nT), (result.residual_nT, both))
-    fits = [Fitted.of(problem, answer.whitener, *pair) for pair in pairs]
-    held = predict_blocks(seconds, kept, with_effects_nT, *fits, problem.measured)
+    alone, whole = (Fitted.of(problem, answer.whitener, *pair) for pair in pairs)
+    held = predict_blocks(seconds, kept, with_effects_nT, alone, whole, problem.measured)
     after, of, unsure_nT = held.after_nT, held.of, held.unsure_nT[1]
     walk = next((one for one in flexible if one.name == "bias_random_walk"), None)
     if walk is not None:
         of, rate = "one_step", float(walk.theta[0])
-        after, unsure_nT = one_step(fits[1].residual_nT, seconds, kept, rate, with_effects_nT, axes)
+        after, unsure_nT = one_step(whole.residual_nT, seconds, kept, rate, with_effects_nT, axes)
     log_sd = _floor_log_sd(problem, noise, min((white_nT / with_effects_nT) ** 2, 1.0))
-    floors = (float(np.hypot(floor_nT, held.unsure_nT[0])), float(np.hypot(with_effects_nT, unsure_nT)))
-    return Prediction(held.before_nT, after, held.counted, *floors, of, axes, log_sd)
+    before_nT, after_nT = float(np.hypot(floor_nT, held.unsure_nT[0])), float(np.hypot(with_effects_nT, unsure_nT))
+    return Prediction(held.before_nT, after, held.counted, before_nT, after_nT, of, axes, log_sd)
 
 
 def _floor_log_sd(problem: Problem, noise: NoiseModel, white: float) -> float:

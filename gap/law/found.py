@@ -210,8 +210,9 @@ class _Search:
         before = Fitted.of(problem, whitener, self.base.residual_nT, self.base.fitted_nT)
         after = Fitted.of(problem, whitener, residual_nT, columns_nT)
         held = predict_blocks(problem.setting.seconds, kept, floor_nT, before, after, problem.measured)
-        floors = (float(np.hypot(floor_nT, unsure_nT)) for unsure_nT in held.unsure_nT)
-        gap = Prediction(held.before_nT, held.after_nT, held.counted, *floors, held.of, problem.axes).shrinkage(True)
+        expected = [float(np.hypot(floor_nT, unsure_nT)) for unsure_nT in held.unsure_nT]
+        given = (held.before_nT, held.after_nT, held.counted, expected[0], expected[1], held.of)
+        gap = Prediction(*given, axes=problem.axes).shrinkage(True)
         return replace(gap, closed=None, interval=None) if held.of == "fit" else gap
 
     def _record(self, fit: Fit, terms: Sequence[Active], gap: Shrinkage, alike: Sequence[LawEffect]) -> Law:

@@ -131,7 +131,7 @@ def _place(setting: Setting) -> _Place:
     latitude, longitude = (np.degrees(a) for a in frames.geocentric(setting.R_EN.apply(setting.given[0]))[:2])
     dark = {}
     for condition in _DARK:
-        on = SwitchedField(condition).on(setting)
+        on = SwitchedField(condition).values(setting)
         if on is not None and 0.0 < on.mean() < 1.0:
             dark[condition] = np.asarray(on > 0.5)
     return _Place(latitude, longitude, dark)

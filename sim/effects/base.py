@@ -148,6 +148,25 @@ class SignalEffect(Effect):
 
 
 @dataclass(frozen=True)
+class SpacecraftField(SignalEffect):
+    """Base of the fields of the spacecraft itself, most of them in proportion to a series."""
+
+    stage = "spacecraft"
+    frame = "body"
+
+    def values(self, setting: Setting) -> FloatArray | None:
+        """(N,) what the field follows, (N, 3) where its parameters are a matrix; None when nothing tells."""
+        raise NotImplementedError
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        values = self.values(signal.setting)
+        if values is None:
+            return signal
+        field = values[:, None] * theta if values.ndim == 1 else mapped(theta.reshape(3, 3), values)
+        return signal.with_stray(field)
+
+
+@dataclass(frozen=True)
 class DistributionEffect(Effect):
     """An effect that is known by its distribution only."""
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from fluxtwin.sim.base.late import lateness_near, lateness_tried
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.effects.base import MATRIX, Parameter, SignalEffect, held, known_column, mapped, vector_parameters
+from fluxtwin.sim.effects.base import MATRIX, Parameter, SpacecraftField, held, known_column, mapped, vector_parameters
 from fluxtwin.sim.effects.drivers import (
     PanelKind,
     array_current_A,
@@ -26,12 +26,10 @@ TYPICAL_NT = 100.0
 
 
 @dataclass(frozen=True)
-class TorquerCoupling(SignalEffect):
+class TorquerCoupling(SpacecraftField):
     """Field of the torquers at the sensor."""
 
     name = "torquer_coupling"
-    stage = "spacecraft"
-    frame = "body"
     follows = "torquer"
     settled_by = "firing each torquer alone, on and off at full dipole, with the dipole in the telemetry"
     about = (
@@ -39,19 +37,18 @@ class TorquerCoupling(SignalEffect):
     )
     parameters = vector_parameters("C", "nT/(A m2)", 2.0, axes=MATRIX)
 
+    def values(self, setting: Setting) -> FloatArray | None:
+        return known_column(setting, "dipole_B_Am2")
+
     def untestable(self, setting: Setting) -> str | None:
-        dipole = known_column(setting, "dipole_B_Am2")
+        dipole = self.values(setting)
         if dipole is None:
             return "the telemetry has no torquer dipole"
         return None if (dipole != 0.0).any() else "the torquers never fired"
 
-    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
-        dipole = known_column(signal.setting, "dipole_B_Am2")
-        return signal if dipole is None else signal.with_stray(mapped(theta.reshape(3, 3), dipole))
-
 
 @dataclass(frozen=True)
-class SolarArrayCurrent(SignalEffect):
+class SolarArrayCurrent(SpacecraftField):
     """Field in proportion to the array's current.
 
     Without the column `array_current_A` the current is that of an array of 1 A in full sun, so the parameter
@@ -61,8 +58,6 @@ class SolarArrayCurrent(SignalEffect):
     """
 
     name = "solar_array_current"
-    stage = "spacecraft"
-    frame = "body"
     follows = "current"
     settled_by = "steps of the load, or panels turned away from the sun, with the current in the telemetry"
     about = (
@@ -88,19 +83,19 @@ class SolarArrayCurrent(SignalEffect):
         recorded = self.panel == "balance" or setting.column("array_current_A") is not None
         return self.follows if recorded else "sunlit"
 
+    def values(self, setting: Setting) -> FloatArray:
+        return array_current_A(setting, self.panel)
+
     def untestable(self, setting: Setting) -> str | None:
-        if varies(array_current_A(setting, self.panel)):
+        if varies(self.values(setting)):
             return None
         if known_column(setting, "array_current_A") is not None:
             return "the solar array's current never changes: its field is a bias"
         return "no array current was recorded, and neither sunlight nor the sun's incidence changes"
 
-    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
-        return signal.with_stray(array_current_A(signal.setting, self.panel)[:, None] * theta)
-
 
 @dataclass(frozen=True)
-class StrayField(SignalEffect):
+class StrayField(SpacecraftField):
     """Field that follows the direction of the sun.
 
     F s while sunlit, s the unit vector to the sun in body axes: what currents in loops behind the lit faces make, to first
@@ -108,8 +103,6 @@ class StrayField(SignalEffect):
     """
 
     name = "stray_field"
-    stage = "spacecraft"
-    frame = "body"
     follows = "sunlit"
     settled_by = "a slow tumble of 0.25 deg/s in sunlight, with the currents of the panels in the telemetry"
     about = (
@@ -118,20 +111,17 @@ class StrayField(SignalEffect):
     )
     parameters = vector_parameters("F", "nT", 100.0, axes=MATRIX)
 
-    def sun_B(self, setting: Setting) -> FloatArray:
+    def values(self, setting: Setting) -> FloatArray:
         """(N, 3) unit vectors to the sun, zero in the shadow and where they are not known."""
         direction, known = sun_in_body(setting)
         return np.where(known[:, None], direction * lit(setting)[:, None], 0.0)
 
     def untestable(self, setting: Setting) -> str | None:
-        return None if self.sun_B(setting).any() else "the sun is never seen, or its direction in the body never known"
-
-    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
-        return signal.with_stray(mapped(theta.reshape(3, 3), self.sun_B(signal.setting)))
+        return None if self.values(setting).any() else "the sun is never seen, or its direction in the body never known"
 
 
 @dataclass(frozen=True)
-class BatteryCurrent(SignalEffect):
+class BatteryCurrent(SpacecraftField):
     """Field in proportion to the battery's current.
 
     Without the column `battery_current_A` the current is that of the array less a constant load, or, where that is not
@@ -139,8 +129,6 @@ class BatteryCurrent(SignalEffect):
     """
 
     name = "battery_current"
-    stage = "spacecraft"
-    frame = "body"
     follows = "current"
     settled_by = "steps of the load, or the taper at the end of charge, with the current in the telemetry"
     about = (
@@ -153,17 +141,17 @@ class BatteryCurrent(SignalEffect):
         recorded = any(setting.column(name) is not None for name in ("battery_current_A", "array_current_A"))
         return self.follows if recorded else "sunlit"
 
+    def values(self, setting: Setting) -> FloatArray:
+        return battery_current_A(setting)
+
     def untestable(self, setting: Setting) -> str | None:
-        if varies(battery_current_A(setting)):
+        if varies(self.values(setting)):
             return None
         return "the battery neither charges and discharges in turn, nor changes its current: its field is a bias"
 
-    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
-        return signal.with_stray(battery_current_A(signal.setting)[:, None] * theta)
-
 
 @dataclass(frozen=True)
-class Driver(SignalEffect):
+class Driver(SpacecraftField):
     """Field in proportion to a recorded column.
 
     Field in body axes in proportion to the column `driver_NAME`, of whatever unit: k times its value `delay_s` before,
@@ -171,8 +159,6 @@ class Driver(SignalEffect):
     """
 
     name = "driver"
-    stage = "spacecraft"
-    frame = "body"
     follows = "driver"
     keyed_by = "column"
     settled_by = "switching what it records on and off, in several attitudes"
@@ -238,7 +224,7 @@ class Driver(SignalEffect):
 
 
 @dataclass(frozen=True)
-class WheelField(SignalEffect):
+class WheelField(SpacecraftField):
     """Field of a dipole that rotates with a wheel.
 
     The phase is the integral of the recorded speed of wheel number `wheel` (linear between stamps), or, where
@@ -247,8 +233,6 @@ class WheelField(SignalEffect):
     """
 
     name = "wheel_field"
-    stage = "spacecraft"
-    frame = "body"
     follows = None
     settled_by = "the wheel speed in the telemetry, or a few speeds held in turn"
     about = (
@@ -311,7 +295,7 @@ def traceless(theta: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class EddyCurrent(SignalEffect):
+class EddyCurrent(SpacecraftField):
     """Field of currents that a changing field induces.
 
     Good while the currents decay much faster than the field changes. The part of K that is a multiple of the
@@ -319,8 +303,6 @@ class EddyCurrent(SignalEffect):
     """
 
     name = "eddy_current"
-    stage = "spacecraft"
-    frame = "body"
     follows = "rate"
     settled_by = "a spin of 2 rpm"
     about = (

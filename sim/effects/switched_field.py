@@ -9,24 +9,22 @@ import numpy as np
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames
-from fluxtwin.sim.effects.base import SignalEffect, known_column, vector_parameters
+from fluxtwin.sim.effects.base import SpacecraftField, known_column, vector_parameters
 from fluxtwin.sim.effects.drivers import lit, varies
-from fluxtwin.sim.effects.signal import Setting, Signal
+from fluxtwin.sim.effects.signal import Setting
 
 FLAG = "flag:"
 _PLAIN = ("eclipse", "night", "interval", "region")
 
 
 @dataclass(frozen=True)
-class HeaterSwitching(SignalEffect):
+class HeaterSwitching(SpacecraftField):
     """Constant field while the heater is on.
 
     By `switches_utc` or `sequence` if given, else the column `heater_on`.
     """
 
     name = "heater_switching"
-    stage = "spacecraft"
-    frame = "body"
     follows = "flag:heater_on"
     settled_by = "the state of the heater in the telemetry, or an orbit with the thermostat off"
     about = "constant field while a thermostat's heater is on, + along the axis (Ampere's law for its loop)"
@@ -37,7 +35,7 @@ class HeaterSwitching(SignalEffect):
 
     parameters = vector_parameters("f", "nT", 100.0)
 
-    def on(self, setting: Setting) -> FloatArray | None:
+    def values(self, setting: Setting) -> FloatArray | None:
         """(N,) 1 while the heater is on; None when nothing tells."""
         if self.switches_utc is not None:
             moments = np.array([epoch.parse_time(moment, where=self.name) for moment in self.switches_utc])
@@ -58,7 +56,7 @@ class HeaterSwitching(SignalEffect):
         return None if setting.column("heater_on") is None else self.follows
 
     def untestable(self, setting: Setting) -> str | None:
-        on = self.on(setting)
+        on = self.values(setting)
         if on is None:
             return "the telemetry has no heater_on; only a two-state sequence in the residual can show it"
         return None if varies(on) else "the heater never switches"
@@ -66,7 +64,7 @@ class HeaterSwitching(SignalEffect):
     def pinned(self, setting: Setting, reading_B_nT: FloatArray) -> HeaterSwitching:
         if self.sequence is None:
             return self
-        state = np.concatenate([[0.0], np.asarray(self.on(setting)), [0.0]])
+        state = np.concatenate([[0.0], np.asarray(self.values(setting)), [0.0]])
         rows = np.flatnonzero(np.diff(state))
         usual_s = float(np.median(np.diff(setting.seconds)))
         moments = np.append(setting.time, epoch.add_seconds(setting.time[-1], usual_s))[rows]
@@ -78,13 +76,9 @@ class HeaterSwitching(SignalEffect):
             return None
         return "the thermostat's moments are those of this record: only the field is carried over"
 
-    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
-        on = self.on(signal.setting)
-        return signal if on is None else signal.with_stray(on[:, None] * theta)
-
 
 @dataclass(frozen=True)
-class SwitchedField(SignalEffect):
+class SwitchedField(SpacecraftField):
     """Constant field while a condition holds.
 
     condition: `flag:NAME` (a recorded flag), `eclipse` (the spacecraft in shadow), `night` (the ground below in
@@ -93,8 +87,6 @@ class SwitchedField(SignalEffect):
     """
 
     name = "switched_field"
-    stage = "spacecraft"
-    frame = "body"
     follows = None
     settled_by = "switching it on and off in sunlight and in shadow, with its flag in the telemetry"
     about = (
@@ -109,7 +101,7 @@ class SwitchedField(SignalEffect):
 
     parameters = vector_parameters("f", "nT", 100.0)
 
-    def on(self, setting: Setting) -> FloatArray | None:
+    def values(self, setting: Setting) -> FloatArray | None:
         """(N,) share of the row during which the condition holds, mostly 0 or 1; None when nothing tells.
 
         Raises BadInput for a condition that does not exist or lacks its interval or region.
@@ -145,7 +137,7 @@ class SwitchedField(SignalEffect):
             if any(choice._switches(setting) for choice in self.alternatives(setting)):
                 return None
             return "no flag switches, and neither shadow nor night begins or ends"
-        if self.on(setting) is None:
+        if self.values(setting) is None:
             return f"the telemetry has no flag_{self.condition.removeprefix(FLAG)}"
         return None if self._switches(setting) else f"{self.condition} never begins or ends"
 
@@ -167,12 +159,8 @@ class SwitchedField(SignalEffect):
         return f"it was on from {self.from_utc} to {self.to_utc}: when it is on again is not known"
 
     def _switches(self, setting: Setting) -> bool:
-        on = self.on(setting)
+        on = self.values(setting)
         return on is not None and varies(on)
-
-    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
-        on = self.on(signal.setting)
-        return signal if on is None else signal.with_stray(on[:, None] * theta)
 
 
 def _dark(setting: Setting, condition: str) -> FloatArray:

@@ -152,8 +152,8 @@ def test_pinned_effects_say_the_same_and_keep_it_on_another_record(problem: Prob
     half = dataclasses.replace(setting, time=setting.time[100:])
     sequence = tuple(int(n % 7 < 3) for n in range(setting.time.size))
     heater = HeaterSwitching(sequence).pinned(setting, reading)
-    assert np.array_equal(heater.on(setting), sequence)
-    assert np.array_equal(heater.on(half), sequence[100:])
+    assert np.array_equal(heater.values(setting), sequence)
+    assert np.array_equal(heater.values(half), sequence[100:])
     theta = np.array([20.0, -10.0, 5.0])
     for effect, size in ((ThermalBiasDrift(), theta), (Saturation(), np.array([3000.0]))):
         pinned = effect.pinned(setting, reading)

@@ -244,23 +244,23 @@ def test_conditions_of_a_switched_field(full: Chain) -> None:
     setting = full.setting
     tried = [choice.condition for choice in SwitchedField().alternatives(setting)]
     assert tried == ["flag:tx", "eclipse", "night"]
-    on = {name: SwitchedField(name).on(setting) for name in tried}
+    on = {name: SwitchedField(name).values(setting) for name in tried}
     np.testing.assert_array_equal(on["flag:tx"], setting.columns["flag_tx"])
     assert on["eclipse"] is not None and on["night"] is not None
     # Where the spacecraft is in shadow, it is night below: the shadow lies behind the Earth.
     assert (on["night"][on["eclipse"] > 0.5] == 1.0).all()
     assert on["night"].sum() > on["eclipse"].sum()
-    inside = SwitchedField("interval", "2020-03-01T00:10:00Z", "2020-03-01T00:20:00Z").on(setting)
+    inside = SwitchedField("interval", "2020-03-01T00:10:00Z", "2020-03-01T00:20:00Z").values(setting)
     assert inside is not None and np.flatnonzero(inside).tolist() == list(range(40, 80))
-    polar = SwitchedField("region", region_deg=(60.0, 90.0, -180.0, 180.0)).on(setting)
+    polar = SwitchedField("region", region_deg=(60.0, 90.0, -180.0, 180.0)).values(setting)
     assert polar is not None
     np.testing.assert_array_equal(polar, (setting.latitude_rad >= np.radians(60.0)).astype(float))
-    east = SwitchedField("region", region_deg=(-90.0, 90.0, 0.0, 180.0)).on(setting)
-    west = SwitchedField("region", region_deg=(-90.0, 90.0, 180.0, 0.0)).on(setting)
+    east = SwitchedField("region", region_deg=(-90.0, 90.0, 0.0, 180.0)).values(setting)
+    west = SwitchedField("region", region_deg=(-90.0, 90.0, 180.0, 0.0)).values(setting)
     assert east is not None and west is not None
     np.testing.assert_array_equal(east + west, 1.0)
     dark_east = SwitchedField("night", region_deg=(-90.0, 90.0, 0.0, 180.0))
-    np.testing.assert_array_equal(dark_east.on(setting), on["night"] * east)
+    np.testing.assert_array_equal(dark_east.values(setting), on["night"] * east)
     assert dark_east.region_words == "90 S to 90 N, 0 E to 180 W"
 
 
@@ -275,7 +275,7 @@ def test_conditions_of_a_switched_field(full: Chain) -> None:
 )
 def test_conditions_that_say_nothing_are_refused(effect: SwitchedField, message: str, bare: Chain) -> None:
     with pytest.raises(BadInput, match=message):
-        effect.on(bare.setting)
+        effect.values(bare.setting)
 
 
 def test_a_step_is_where_it_is_said_to_be(bare: Chain) -> None:

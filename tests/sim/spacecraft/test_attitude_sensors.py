@@ -14,12 +14,11 @@ from fluxtwin.sim.spacecraft.sensors.base import Surroundings
 from fluxtwin.sim.spacecraft.sensors.gyro import GyroSection
 from fluxtwin.sim.spacecraft.sensors.horizon_scanner import HorizonScannerSection
 from fluxtwin.sim.spacecraft.sensors.reference_attitude import attitude_from_sun_and_nadir, attitude_with_error
-from fluxtwin.sim.spacecraft.sensors.sun_sensor import SunSensorHead, measure_sun
+from fluxtwin.sim.spacecraft.sensors.sun_sensor import SunSensorSection, measure_sun
 
 pytestmark = pytest.mark.reference
 
 START = np.datetime64("1978-09-01T00:00:00", "ns")
-HALF = np.radians(64.0)
 
 
 def stamps(seconds: np.ndarray) -> np.ndarray:
@@ -45,7 +44,7 @@ def surroundings(time: np.ndarray, R_BO: Rotation, rate_B_rad_s: np.ndarray) -> 
 def test_field_of_view_is_a_square_of_128_degrees() -> None:
     """A 128 x 128 degree head (HCMM): the sun 63 degrees off along an axis is seen, 65 is not; along the
     diagonal the corner lies at atan(sqrt 2 tan 64 deg) = 71 degrees."""
-    head = SunSensorHead(1, (0.0, 0.0, -1.0), (1.0, 0.0, 0.0), HALF)
+    head = SunSensorSection(azimuth_deg=0.0, elevation_deg=90.0)
 
     def off(angle_deg: float, azimuth_deg: float) -> np.ndarray:
         a, z = np.radians([angle_deg, azimuth_deg])
@@ -61,8 +60,8 @@ def test_field_of_view_is_a_square_of_128_degrees() -> None:
 
 
 def test_a_turned_head_has_its_square_turned() -> None:
-    straight = SunSensorHead(1, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), HALF)
-    turned = SunSensorHead(1, (0.0, 0.0, 1.0), (1.0, 1.0, 0.5), HALF)
+    straight = SunSensorSection(azimuth_deg=0.0, elevation_deg=-90.0)
+    turned = SunSensorSection(azimuth_deg=-45.0, elevation_deg=-90.0)
     a = np.radians(68.0)
     corner = np.array([[np.sin(a) * np.sqrt(0.5), np.sin(a) * np.sqrt(0.5), np.cos(a)]])
     assert straight.sees(corner)[0]
@@ -70,10 +69,10 @@ def test_a_turned_head_has_its_square_turned() -> None:
 
 
 def test_without_error_the_measurement_is_the_sun(close) -> None:
-    head = SunSensorHead(2, (0.5, -0.3, 0.8), (0.0, 1.0, 0.2), HALF)
+    head = SunSensorSection(azimuth_deg=-31.0, elevation_deg=-54.0)
     sun = directions(2000)
     sun = sun[head.sees(sun)]
-    found = head.measure(sun, np.random.default_rng(0))
+    found = head.read(sun, np.random.default_rng(0))
     close(found, sun, atol=1e-14, unit="1", because="angles there and back")
     assert sun.shape[0] > 300
 
@@ -81,10 +80,10 @@ def test_without_error_the_measurement_is_the_sun(close) -> None:
 def test_rounding_to_the_lsb(close) -> None:
     """LSB 0.5 degrees: each angle errs uniformly, sd 0.5/sqrt 12 = 0.144 degrees, and never by more than 0.25."""
     lsb = np.radians(0.5)
-    head = SunSensorHead(1, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), HALF, lsb_rad=lsb)
+    head = SunSensorSection(azimuth_deg=0.0, elevation_deg=-90.0, lsb_deg=0.5)
     sun = directions(20_000)
     sun = sun[head.sees(sun)]
-    found = head.measure(sun, np.random.default_rng(0))
+    found = head.read(sun, np.random.default_rng(0))
     angles = np.arctan2(found[:, :2], found[:, 2:])
     close(np.mod(angles / lsb + 0.5, 1.0), 0.5, atol=1e-9, unit="LSB", because="whole multiples")
     error = angles - np.arctan2(sun[:, :2], sun[:, 2:])
@@ -96,21 +95,20 @@ def test_rounding_to_the_lsb(close) -> None:
 
 def test_misalignment_turns_the_head_not_the_sun(close) -> None:
     """A head turned by +1 degree about z sees the sun turned by -1 degree about z, in nominal axes."""
-    twist = (0.0, 0.0, np.radians(1.0))
-    head = SunSensorHead(1, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), HALF, misalignment_B_rad=twist)
-    found = head.measure(np.array([[1.0, 0.0, 0.0]]), np.random.default_rng(0))[0]
+    head = SunSensorSection(azimuth_deg=0.0, misalignment_deg=(0.0, 0.0, 1.0))
+    found = head.read(np.array([[1.0, 0.0, 0.0]]), np.random.default_rng(0))[0]
     a = np.radians(1.0)
     close(found, [np.cos(a), -np.sin(a), 0.0], atol=1e-14, unit="1", because="rotation by -1 degree")
 
 
 def test_the_head_with_the_sun_nearest_its_boresight_is_in_use() -> None:
     axes = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)]
-    heads = [SunSensorHead(k + 1, axis, (0.0, 0.0, 1.0), HALF) for k, axis in enumerate(axes)]
+    heads = [(k + 1, SunSensorSection(azimuth_deg=90.0 * k)) for k in range(4)]
     sun = directions(3000)
     lit = np.where(np.arange(3000) % 5 == 0, 0.0, 1.0)
     number, measured = measure_sun(heads, sun, lit, np.random.default_rng(0))
     cosines = sun @ np.array(axes).T
-    seen = np.stack([head.sees(sun, lit) for head in heads], axis=1)
+    seen = np.stack([head.sees(sun, lit) for _, head in heads], axis=1)
     wanted = np.where(seen.any(axis=1), 1 + np.argmax(np.where(seen, cosines, -2.0), axis=1), 0)
     np.testing.assert_array_equal(number, wanted)
     np.testing.assert_allclose(measured[number > 0], sun[number > 0], rtol=0, atol=1e-14)
@@ -120,7 +118,7 @@ def test_the_head_with_the_sun_nearest_its_boresight_is_in_use() -> None:
 
 
 def test_what_is_seen_does_not_move_the_noise() -> None:
-    head = SunSensorHead(1, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), HALF, noise_rad=0.01)
+    head = (1, SunSensorSection(azimuth_deg=0.0, elevation_deg=-90.0, noise_deg=0.5))
     sun = directions(50)
     a = measure_sun([head], sun, np.ones(50), np.random.default_rng(4))[1]
     dark = np.where(np.arange(50) < 25, 0.0, 1.0)
@@ -129,8 +127,7 @@ def test_what_is_seen_does_not_move_the_noise() -> None:
 
 
 def test_taking_a_head_away_does_not_move_the_noise_of_the_others() -> None:
-    axes = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0)]
-    heads = [SunSensorHead(k + 1, axis, (0.0, 0.0, 1.0), HALF, noise_rad=0.01) for k, axis in enumerate(axes)]
+    heads = [(k + 1, SunSensorSection(azimuth_deg=90.0 * k, noise_deg=0.5)) for k in range(3)]
     sun = directions(200)
     number, whole = measure_sun(heads, sun, 1.0, np.random.default_rng(4))
     without = measure_sun(heads[1:], sun, 1.0, np.random.default_rng(4))[1]
@@ -300,7 +297,7 @@ def test_rows_without_sun_have_no_attitude() -> None:
 
 
 def test_impossible_sensors_are_refused() -> None:
-    head = SunSensorHead(1, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), HALF)
+    head = (1, SunSensorSection(azimuth_deg=0.0))
     with pytest.raises(BadInput, match="number of its own"):
         measure_sun([head, head], np.eye(3), 1.0, np.random.default_rng(0))
     with pytest.raises(ValueError, match="noise_deg_s"):

@@ -1,4 +1,4 @@
-"""The studies that `fluxtwin run NAME` knows: a new study is a module and one line here.
+"""The studies that `fluxtwin run NAME` knows: a new study is a module `NAME/study.py` and one line here.
 
 A study module offers `run(out, data, progress) -> StudyResult`: `out` is an existing writable folder, `data`
 a folder of recorded data or None, `progress` a `fluxtwin.sim.base.progress.Progress`.
@@ -24,7 +24,6 @@ ATTITUDES = ("dynamics", "prescribed")
 class Study:
     """One line of the list."""
 
-    module: str
     about: str
     needs_data: bool = False
     attitudes: tuple[str, ...] = ()
@@ -33,31 +32,25 @@ class Study:
 
 STUDIES: dict[str, Study] = {
     "seasat": Study(
-        "fluxtwin.scenarios.seasat.study",
         "Seasat 1978: the in-flight calibration of its magnetometers, beside the published numbers",
         attitudes=ATTITUDES,
     ),
     "hcmm": Study(
-        "fluxtwin.scenarios.hcmm.study",
         "HCMM 1978: an orbit from the record of 43 station passes, a test against what flew, and the calibration",
         attitudes=ATTITUDES,
     ),
     "st5": Study(
-        "fluxtwin.scenarios.st5.study",
         "ST5, a spinner: its magnetometer calibrated from orbit, field and sun pulses, beside the abstract's numbers",
     ),
     "elfin": Study(
-        "fluxtwin.scenarios.elfin.study",
         "ELFIN-A 2022, a spinner in flight: what is unmodelled, and how far it shrinks on zones that were not used",
         needs_data=True,
     ),
     "flight-field": Study(
-        "fluxtwin.scenarios.flight_field.study",
         "the field models against measurements in orbit (MAGSAT 1980, Swarm A in a storm)",
         needs_data=True,
     ),
     "flight-gaps": Study(
-        "fluxtwin.scenarios.flight_gaps.study",
         "the diagnosis on records that flew, whose cause it is not given (MAGSAT, Swarm, DMSP, an aircraft)",
         needs_data=True,
     ),
@@ -75,4 +68,4 @@ def find_study(name: str) -> RunStudy:
     if name not in STUDIES:
         hint = nearest(name.lower(), STUDIES, " (did you mean {!r}?)")
         raise BadInput(f"no study is called {name!r}{hint}", where="run", wanted=" or ".join(STUDIES))
-    return cast(RunStudy, importlib.import_module(STUDIES[name].module).run)
+    return cast(RunStudy, importlib.import_module(f"fluxtwin.scenarios.{name.replace('-', '_')}.study").run)

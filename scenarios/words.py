@@ -14,7 +14,7 @@ import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import is_dataclass
-from functools import partial
+from functools import cached_property, partial
 from importlib import import_module, resources
 from typing import TYPE_CHECKING, Any
 
@@ -125,12 +125,16 @@ class Words:
     def summary(self, **values: Any) -> dict[str, Any]:
         """The content of `summary.json` from `summary.toml`, which says of each entry what it is, as an expression of jinja.
 
-        `let` names parts. In a table `with` is a mapping whose entries it has as well; with `each` the table is made of
-        every entry of a mapping (`key`, `one`) or of a list (`place`, `one`).
+        `let` names parts, `terminal` the tables of the terminal, in order. In a table `with` is a mapping whose entries it
+        has as well; with `each` it is made of every entry of a mapping (`key`, `one`) or of a list (`place`, `one`).
         """
-        tree = tomllib.loads(self._text("summary.toml"))
-        made: dict[str, Any] = _plain(self._entry(tree, self._with_parts(tree.pop("let", {}), values)))
+        tree = {key: part for key, part in self._summary.items() if key not in ("let", "terminal")}
+        made: dict[str, Any] = _plain(self._entry(tree, self._with_parts(self._summary.get("let", {}), values)))
         return made
+
+    @cached_property
+    def _summary(self) -> dict[str, Any]:
+        return tomllib.loads(self._text("summary.toml"))
 
     def figures(self, file: str = "figures.toml", /, **values: Any) -> dict[str, Callable[[], Figure]]:
         """By name, what draws each figure of the file: `draw`, a function of `fluxtwin.plots`, with what else its entry has.
@@ -144,7 +148,6 @@ class Words:
     def result(
         self,
         name: str,
-        tables: Sequence[str],
         provenance: Mapping[str, str],
         /,
         *,
@@ -154,7 +157,7 @@ class Words:
         more_pages: Mapping[str, Page] | None = None,
         **values: Any,
     ) -> StudyResult:
-        """All that the study `name` hands back but the files that it writes. tables: those of the terminal, in order.
+        """All that the study `name` hands back but the files that it writes.
 
         claims: with their statuses, of which there are the tables `claims`, `statuses` and `whys`; made: further tables that
         are no sections of the words.
@@ -165,7 +168,7 @@ class Words:
             name=name,
             status_line=line,
             summary=self.summary(**values) | ({"claims": [claim.to_dict() for claim in claims]} if claims else {}),
-            tables=[found.get(one) or self.table(one, **values) for one in tables],
+            tables=[found.get(one) or self.table(one, **values) for one in self._summary["terminal"]],
             page=self.page(line, self.figures(**values), provenance, links, found, **values),
             more_pages=more_pages or {},
         )

@@ -157,8 +157,7 @@ def present(found: Numbers, settings: Settings) -> StudyResult:
         "fluxtwin": metadata.version("fluxtwin"),
         "python": platform.python_version(),
     }
-    tables = ("zones", "unseen", "diagnoses", "slips", "independent")
-    return words().result("elfin", tables, provenance, **_values(found, settings))
+    return words().result("elfin", provenance, **_values(found, settings))
 
 
 @cache

@@ -217,7 +217,7 @@ def present(outcome: Numbers, settings: Settings) -> StudyResult:
         "settings": "flight_field.toml beside this page",
     }
     values = _values(outcome, figures, settings)
-    return words().result("flight-field", ("figures", "selections", "causes"), provenance, **values)
+    return words().result("flight-field", provenance, **values)
 
 
 @cache

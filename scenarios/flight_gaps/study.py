@@ -43,7 +43,7 @@ def present(outcome: Outcome, settings: Settings) -> StudyResult:
         "effects in the catalogue": str(len(CATALOGUE)),
     }
     values = page_values(outcome) | {"settings": settings.tree}
-    return words().result("flight-gaps", ("short", "storm"), provenance, **values)
+    return words().result("flight-gaps", provenance, **values)
 
 
 @cache

@@ -25,30 +25,6 @@ from fluxtwin.sim.base.progress import Progress, part_of, silent
 from fluxtwin.sim.earth.constants import NT_PER_MG
 from fluxtwin.sim.earth.field import load_field
 
-TABLES = (
-    "orbit",
-    "flight_test",
-    "ideas_place",
-    "ideas_count",
-    "calibration",
-    "sigmas",
-    "errors",
-    "strength",
-    "angles",
-    "dawn",
-    "figure_3",
-    "yaw",
-    "scanner",
-    "horizon",
-    "missing",
-    "motion",
-    "real_passes",
-    "overview",
-    "statuses",
-    "whys",
-)
-"""Those of the terminal, in order."""
-
 
 def run(
     out: Path, data: Path | None = None, progress: Progress = silent, *, attitude: str = ATTITUDES[0]
@@ -68,7 +44,6 @@ def present(results: Numbers) -> StudyResult:
     said, config = words(), results.scenario
     return said.result(
         "hcmm",
-        TABLES,
         provenance(config),
         claims=said.judge(r=results),
         made={"motion": motion_table(results.motion, said.say("pointing", r=results))},

@@ -35,9 +35,6 @@ from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM, GM_EARTH_KM3_S2, NT_PE
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.scenario.scenario import Scenario
 
-TABLES = ("calibration", "scatter", "attenuation", "errors", "yaw", "motion", "statuses", "whys")
-"""Those of the terminal, in order."""
-
 
 def run(
     out: Path, data: Path | None = None, progress: Progress = silent, *, attitude: str = ATTITUDES[0]
@@ -58,7 +55,6 @@ def present(results: Numbers) -> StudyResult:
     said = words()
     return said.result(
         "seasat",
-        TABLES,
         provenance(results.scenario),
         claims=said.judge(r=results),
         made={"motion": motion_table(results.motion, said.say("pointing", r=results))},

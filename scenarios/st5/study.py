@@ -22,8 +22,6 @@ from fluxtwin.sim.run.world import build_world
 
 NAMES = ("b x [mG]", "b y [mG]", "b z [mG]", "turn x [deg]", "turn y [deg]", "turn z [deg]")
 """The six parameters of the abstract."""
-TABLES = ("attitude", "parameters", "settings", "monte_carlo", "starts", "claims")
-"""Those of the terminal, in order."""
 
 
 def run(out: Path, data: Path | None = None, progress: Progress = silent) -> StudyResult:
@@ -44,7 +42,7 @@ def present(results: Numbers) -> StudyResult:
         k: about[k] for k in ("fluxtwin", "numpy", "python")
     }
     claims = words().judge(hour=results.hour)
-    return words().result("st5", TABLES, shown, claims=claims, **vars(results))
+    return words().result("st5", shown, claims=claims, **vars(results))
 
 
 def compute(progress: Progress = silent, *, runs: int = RUNS, starts: int = STARTS, **grid: Sequence[float]) -> Numbers:

@@ -24,13 +24,11 @@ if TYPE_CHECKING:
     from fluxtwin.plots.time_series import TimeSeries
 
 
-def calibration_page(
-    fit: Fit, title: str, *, next_step: str, record: Telemetry | None = None, refused: bool = False
-) -> Page:
+def calibration_page(fit: Fit, title: str, *, next_step: str, record: Telemetry, refused: bool = False) -> Page:
     """The page of one calibration.
 
-    next_step: with the names of the files; record: the readings that were fitted, all their rows, None where only the
-    residual can be shown; refused: no calibration file was made of it.
+    next_step: with the names of the files; record: the readings that were fitted, all their rows; refused: no calibration
+    file was made of it.
     """
     verdict = fit.verdict
     lines = () if verdict is None else verdict.lines
@@ -59,12 +57,10 @@ def calibration_page(
     )
 
 
-def _seen(fit: Fit, record: Telemetry | None) -> list[PageSection]:
+def _seen(fit: Fit, record: Telemetry) -> list[PageSection]:
     """The field as it was measured and predicted, and the residual."""
     from fluxtwin.evidence import field_block
 
-    if record is None:
-        return [PageSection("Residuals", [], [_residuals(fit)], [_residual_block(fit, None)])]
     rows = record.select(fit.rows)
     here = for_record(fit.calibration, rows)
     corrected = here.apply(rows.mag_B_nT, rows.dipole_B_Am2, here.columns_of(record, fit.rows))
@@ -83,12 +79,12 @@ def _seen(fit: Fit, record: Telemetry | None) -> list[PageSection]:
     ]
 
 
-def _followed(fit: Fit, record: Telemetry | None) -> list[PageSection]:
+def _followed(fit: Fit, record: Telemetry) -> list[PageSection]:
     """The residual against what it may follow."""
     from fluxtwin.evidence import driver_blocks
 
     left = np.where(kept_rows(fit.weights)[:, None], fit.residuals_nT, np.nan)
-    blocks = [] if record is None else driver_blocks(record.select(fit.rows), {"residual": left})
+    blocks = driver_blocks(record.select(fit.rows), {"residual": left})
     return [PageSection("What the residual follows", [], [], blocks)] if blocks else []
 
 
@@ -150,15 +146,13 @@ def residual_series(fit: Fit, before_nT: FloatArray | None = None) -> TimeSeries
     return TimeSeries(title, fit.time, residual_panels(fit.residuals_nT, names, aside, before_nT=before_nT))
 
 
-def _residual_block(fit: Fit, before_nT: FloatArray | None) -> FigureBlock:
+def _residual_block(fit: Fit, before_nT: FloatArray) -> FigureBlock:
     of = (
         "model minus calibrated reading"
         if fit.residuals_nT.shape[1] == 3
         else "calibrated reading minus model, in size"
     )
-    caption = f"Residuals of {len(fit.time)} rows, {of}."
-    if before_nT is not None:
-        caption += " The first panel has the residuals of the readings as received."
+    caption = f"Residuals of {len(fit.time)} rows, {of}. The first panel has the residuals of the readings as received."
     if not kept_rows(fit.weights).all():
         caption += " Crosses: rows set aside as outliers. Arrows at the edge: values beyond it."
     return FigureBlock("residuals", caption, residual_series(fit, before_nT))

@@ -83,7 +83,7 @@ def tables(summary: dict[str, Any]) -> list[Table]:
 def power_figure(flown: Campaign) -> Figure | None:
     """Named or not over the size of each effect; None where no run has one."""
     from fluxtwin.campaign_scores import is_named
-    from fluxtwin.plots.campaign import PowerSeries, draw_power
+    from fluxtwin.plots.ensemble import PowerSeries, draw_power
 
     series = []
     for name, one in flown.summary["effects"].items():

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fluxtwin.plots.drivers import draw_drivers
-from fluxtwin.plots.field_coverage import FieldCoverage, draw_field_coverage
+from fluxtwin.plots.evidence import FieldCoverage, draw_drivers, draw_field_coverage
 from fluxtwin.plots.time_series import TimeSeries, field_panels
 from fluxtwin.scenarios.page import FigureBlock
 from fluxtwin.sim.base.types import BoolArray, FloatArray, IntArray

@@ -105,7 +105,7 @@ def trend_table(found: Trend) -> Table:
 
 def trend_figure(found: Trend) -> Figure:
     """Every parameter over time."""
-    from fluxtwin.plots.calibration_trend import ParameterSeries, draw_calibration_trend
+    from fluxtwin.plots.calibration import ParameterSeries, draw_calibration_trend
 
     days = (found.time - found.time[0]).astype("timedelta64[ns]").astype(np.float64) / 8.64e13
     series = []

@@ -133,8 +133,6 @@ class PassWindows:
 
     start_min: FloatArray
     end_min: FloatArray
-    misfit_deg: FloatArray
-    """Distance of both ends of the range from print, summed."""
     turns: FloatArray
     """1 where the angle passes through an extremum inside the visible arc, so that its range may not fix both ends."""
 
@@ -175,7 +173,7 @@ def _window(minutes: FloatArray, angle: FloatArray, visible: Range, printed: Ran
     least = float(np.nanmin(misfit))
     best = np.unravel_index(int(np.argmax(np.where(misfit <= least + _EQUAL_DEG, length, -1.0))), misfit.shape)
     first, last = int(best[0]), int(best[1])
-    return float(times[first]), float(times[last]), float(misfit[best]), float(turning.size > 0)
+    return float(times[first]), float(times[last]), float(turning.size > 0)
 
 
 def ranges_of_windows(

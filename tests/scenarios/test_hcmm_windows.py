@@ -29,7 +29,6 @@ def test_a_steady_angle_gives_the_window_back(rate, start, end):
     found = fix_windows(grid, sky, [(low, high)])
     assert found.start_min[0] == pytest.approx(start, abs=0.06)  # times are tried 0.1 min apart
     assert found.end_min[0] == pytest.approx(end, abs=0.06)
-    assert found.misfit_deg[0] < 0.4
     assert not found.turns[0]
 
 

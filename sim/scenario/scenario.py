@@ -163,7 +163,7 @@ class Scenario(SensorSections):
         """The scenario as TOML, every key that has a value, so that it does not change with the defaults."""
         tree = self.model_dump(exclude_none=True)
         ordered = {name: tree[name] for name in sorted(tree, key=lambda name: name in SensorSections.model_fields)}
-        return tomli_w.dumps(_plain(ordered))
+        return tomli_w.dumps(ordered)
 
 
 def load_scenario(path: Path | str) -> Scenario:
@@ -188,11 +188,3 @@ def parse_scenario(text: str, *, where: str = "scenario", folder: Path | str = "
 def save_scenario(scenario: Scenario, path: Path | str) -> Path:
     """Write the scenario beside a run's results (atomic)."""
     return files.write_toml(path, scenario.to_toml())
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
-    return value

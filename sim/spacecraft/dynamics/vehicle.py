@@ -113,10 +113,7 @@ class Vehicle:
     def share(self) -> FloatArray:
         """(W, 3): torques of the wheels, least in sum of squares, for a torque on the body."""
         axes = self.wheel_rows[:, :3]
-        share: FloatArray = np.zeros((0, 3))
-        if len(axes):
-            share = np.asarray(np.linalg.pinv(axes.T), dtype=np.float64)
-        return share
+        return np.asarray(np.linalg.pinv(axes.T)) if len(axes) else np.zeros((0, 3))
 
     def packed(self) -> tuple[FloatArray, np.ndarray]:
         """Parameters of torques and law in one row, and where each begins (0: absent), as `kernels.fly` has them."""

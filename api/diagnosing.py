@@ -17,7 +17,7 @@ from fluxtwin.gap.held_out.closing import Declared as Declared
 from fluxtwin.gap.planning.base import base_tree
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget
 from fluxtwin.gap.records.diagnosis import Diagnosis
-from fluxtwin.gap.report import input_warnings
+from fluxtwin.gap.report import input_warnings, words
 from fluxtwin.one_thread import on_one_blas_thread
 from fluxtwin.scenarios.packaged import as_scenario
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
@@ -126,9 +126,13 @@ def diagnose(
         progress=progress,
     )
     stuck = input_warnings.stuck_attitude(record, budget.attitude_sigma_rad)
+    traps = input_warnings.traps(record, model)
+    if traps:
+        wrong = [trap.removesuffix(input_warnings.BY_CHECK) for trap in traps]
+        found = replace(found, sentence=words.wrong_file(wrong, found.verdict, found.sentence), resembles=(), law=None)
     notes = [
         _corrected(record),
-        *input_warnings.traps(record, model),
+        *traps,
         *found.notes,
         stuck if stuck is not None else input_warnings.stuck_and_misfit(record, found.gap.before_nT),
         input_warnings.far_below_budget(found.gap.before_nT, found.gap.floor_nT),

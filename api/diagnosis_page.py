@@ -33,28 +33,33 @@ _ALL_TESTED = "Every effect of the catalogue could be tested."
 
 def diagnosis_page(diagnosis: Diagnosis, title: str, *, record: Telemetry | None = None) -> Page:
     """The page of one diagnosis; record: the telemetry that was diagnosed."""
-    tested_elsewhere = [transfer_table(diagnosis)] if diagnosis.transfers else []
-    elsewhere = [PageSection("Where the closed scenario holds", [], tested_elsewhere)] if tested_elsewhere else []
-    open_ = [untestable_table(diagnosis)] if diagnosis.untestable else []
-    confused = confused_table(diagnosis)
-    could = [detectable_table(diagnosis), confused] if confused.rows else [detectable_table(diagnosis)]
+    far = _far(diagnosis, record)
+    wrong = [PageSection("The residual of the file as it stands", [], [], far.figures)]
     return Page(
         title=title,
         verdict=_sentences(diagnosis)[0],
         next_step=_next_step(diagnosis),
-        sections=[
-            *_rest(diagnosis),
-            _far(diagnosis, record),
-            _where(diagnosis),
-            _which(diagnosis),
-            *_law(diagnosis),
-            *elsewhere,
-            PageSection("What could not be tested", [] if open_ else [_ALL_TESTED], open_),
-            PageSection("What these data could show", [], could, _coverage(diagnosis, record)),
-        ],
+        sections=[*_rest(diagnosis), *(wrong if _wrong_file(diagnosis) else _found(diagnosis, record, far))],
         provenance=_provenance(diagnosis),
         downloads={"diagnosis.json": to_json(diagnosis.to_dict())},
     )
+
+
+def _found(diagnosis: Diagnosis, record: Telemetry | None, far: PageSection) -> list[PageSection]:
+    """What was found, what not, and what could not be. far: how far the gap shrinks."""
+    elsewhere = [transfer_table(diagnosis)] if diagnosis.transfers else []
+    open_ = [untestable_table(diagnosis)] if diagnosis.untestable else []
+    confused = confused_table(diagnosis)
+    could = [detectable_table(diagnosis), confused] if confused.rows else [detectable_table(diagnosis)]
+    return [
+        far,
+        _where(diagnosis),
+        _which(diagnosis),
+        *_law(diagnosis),
+        *([PageSection("Where the closed scenario holds", [], elsewhere)] if elsewhere else []),
+        PageSection("What could not be tested", [] if open_ else [_ALL_TESTED], open_),
+        PageSection("What these data could show", [], could, _coverage(diagnosis, record)),
+    ]
 
 
 def _sentences(diagnosis: Diagnosis) -> list[str]:
@@ -85,12 +90,12 @@ def _coverage(diagnosis: Diagnosis, record: Telemetry | None) -> list[FigureBloc
 
 
 def _next_step(diagnosis: Diagnosis) -> str:
+    if any(map(_of_check, diagnosis.notes)):
+        return "correct the file, and diagnose again."
     if diagnosis.verdict == "no_gap" and diagnosis.provenance.get("two_magnetometers", {}).get("differ"):
         return "diagnose again with --magnetometer 2: the two magnetometers differ, and the first shows no gap."
     if diagnosis.verdict == "no_gap":
         return "nothing needs correcting. The tables below say what these data could not have shown."
-    if _wrong_file(diagnosis):
-        return "correct the file as fluxtwin check says, and diagnose again."
     if diagnosis.verdict == "unknown" or any(len(effect.group) > 1 for effect in diagnosis.effects):
         return "run fluxtwin plan with the same file; it proposes what to fly to find out."
     if diagnosis.transfers is not None:
@@ -100,6 +105,8 @@ def _next_step(diagnosis: Diagnosis) -> str:
 
 def tables(diagnosis: Diagnosis) -> list[Table]:
     """The tables for the terminal, in order."""
+    if _wrong_file(diagnosis):
+        return []
     shown = [effects_table(diagnosis)] if diagnosis.effects else []
     if diagnosis.verdict == "unknown" and diagnosis.ranking:
         shown.append(ranking_table(diagnosis))
@@ -118,8 +125,8 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
 
 
 def where_lines(diagnosis: Diagnosis) -> list[str]:
-    """Where the gap lies, in words; empty where there is none."""
-    if diagnosis.verdict == "no_gap":
+    """Where the gap lies, in words; empty where there is none, and for a file that is wrong."""
+    if diagnosis.verdict == "no_gap" or _wrong_file(diagnosis):
         return []
     place = diagnosis.where
     likely = {kind: place.likely(kind) for kind in ("stage", "axis", "frame", "condition")}
@@ -131,17 +138,23 @@ def where_lines(diagnosis: Diagnosis) -> list[str]:
     lines = [f"Where: {', '.join(parts) or 'no particular place'}."]
     if equal := [stage for stage in place.equivalent if stage not in likely["stage"]]:
         lines.append(f"On this orbit and attitude it could equally be at stage: {', '.join(equal)}.")
-    if _wrong_file(diagnosis):
-        lines.append(
-            "First correct the file as fluxtwin check says, then diagnose again: a wrong file makes its own gap."
-        )
-    elif any(len(effect.group) > 1 for effect in diagnosis.effects) or diagnosis.verdict == "unknown":
+    if any(len(effect.group) > 1 for effect in diagnosis.effects) or diagnosis.verdict == "unknown":
         lines.append(PLAN)
     return lines
 
 
+def other_notes(diagnosis: Diagnosis) -> list[str]:
+    """The notes that the sentence does not say."""
+    return [note for note in diagnosis.notes if not _of_check(note)]
+
+
+def _of_check(note: str) -> bool:
+    return note.endswith(BY_CHECK)
+
+
 def _wrong_file(diagnosis: Diagnosis) -> bool:
-    return diagnosis.verdict == "unknown" and any(note.endswith(BY_CHECK) for note in diagnosis.notes)
+    """Whether the cause is unknown and `fluxtwin check` finds the file wrong: what else was found may be of that alone."""
+    return diagnosis.verdict == "unknown" and any(map(_of_check, diagnosis.notes))
 
 
 def percent(share: float) -> str:
@@ -409,7 +422,7 @@ def small_table(diagnosis: Diagnosis) -> Table:
     named = {effect.name for effect in diagnosis.effects}
     words = diagnosis.would_settle
     rows = [[name, words[name]] for name in diagnosis.minimum_detectable if name in words and name not in named]
-    note = "" if PLAN in where_lines(diagnosis) or _wrong_file(diagnosis) else PLAN
+    note = "" if PLAN in where_lines(diagnosis) else PLAN
     return Table("Not detectable at typical size", ["effect", "what would show it"], rows, note)
 
 
@@ -472,7 +485,7 @@ def _provenance(diagnosis: Diagnosis) -> dict[str, str]:
     facts = {
         _FACTS.get(key, key.replace("_", " ")): str(known[key]) for key in known if (key, known[key]) not in unused
     }
-    lines = facts | {"notes": "; ".join(diagnosis.notes)}
+    lines = facts | {"notes": "; ".join(other_notes(diagnosis))}
     lines["modelled, re-estimated in every test"] = ", ".join(diagnosis.modelled) or "none"
     names = {"used": "used", "cut": "cut as spikes", "without_attitude": "without attitude"}
     lines["samples"] = ", ".join(f"{diagnosis.samples[key]} {words}" for key, words in names.items())

@@ -62,6 +62,15 @@ def unexplained(what: str, where: Place, resembles: Sequence[str]) -> str:
     return f"There is a gap that the catalogue does not explain, {at}: {what}.{like}"
 
 
+def wrong_file(traps: Sequence[str], verdict: str, sentence: str) -> str:
+    """Where `fluxtwin check` finds the file wrong. traps: what it says; verdict, sentence: what was found all the same."""
+    wrong = ". Also: ".join(one.removesuffix(".") for one in traps)
+    rest = "A wrong file makes a gap of its own, so nothing more is said about the cause."
+    if verdict != "unknown":
+        rest = f"As the file stands, this was found. {sentence}"
+    return f"First correct the file as fluxtwin check says, then diagnose again: {wrong}. {rest}"
+
+
 def left_over(gap: Shrinkage) -> str:
     """Where the best fit explains too little of what it has not seen."""
     return (

@@ -350,8 +350,15 @@ def test_a_wrong_unit_is_to_be_corrected_before_anything_is_flown(late: Case, cl
     """Milligauss under the name of nT."""
     record = read_telemetry(late.folder / "late.csv")
     write_telemetry(record.replace(mag_B_nT=record.mag_B_nT / 100.0), tmp_path / "unit.csv")
-    said = " ".join(cli("diagnose", tmp_path / "unit.csv").out.split())
-    assert "First correct the file as fluxtwin check says" in said and "fluxtwin plan" not in said
+    page = tmp_path / "unit.html"
+    result = cli("diagnose", tmp_path / "unit.csv", "--html", page, "--json", tmp_path / "unit.json")
+    said, shown = " ".join(result.out.split()), page.read_text(encoding="utf-8")
+    assert said.startswith("First correct the file as fluxtwin check says")
+    for untrue in ("fluxtwin plan", "Where:", "law", "The gap, rms", "Untestable", "estimated from these data"):
+        assert untrue not in said, untrue
+    assert shown.index("First correct the file") < shown.index('id="gap_series"')
+    assert "Minimum detectable sizes" not in shown and "Where the gap lies" not in shown
+    assert "law" not in json.loads((tmp_path / "unit.json").read_text(encoding="utf-8"))
 
 
 def test_a_value_that_no_instrument_gives_is_named(late: Case, cli: Cli, tmp_path: Path) -> None:

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from fluxtwin.calib.common.digits import measured, plain
+from fluxtwin.calibration_page import parameter_tables
+from fluxtwin.gap.held_out.closing import calibration
 from fluxtwin.gap.records.diagnosis import Diagnosis, Law
 from fluxtwin.gap.report.advice import typical_size
 from fluxtwin.gap.report.input_warnings import BY_CHECK
@@ -52,6 +54,7 @@ def _found(diagnosis: Diagnosis, record: Telemetry | None, far: PageSection) -> 
     confused = confused_table(diagnosis)
     could = [detectable_table(diagnosis), confused] if confused.rows else [detectable_table(diagnosis)]
     return [
+        *_parameters(diagnosis),
         far,
         _where(diagnosis),
         _which(diagnosis),
@@ -60,6 +63,16 @@ def _found(diagnosis: Diagnosis, record: Telemetry | None, far: PageSection) -> 
         PageSection("What could not be tested", [] if open_ else [_ALL_TESTED], open_),
         PageSection("What these data could show", [], could, _coverage(diagnosis, record)),
     ]
+
+
+def _parameters(diagnosis: Diagnosis) -> list[PageSection]:
+    """The calibration that was re-estimated, as the page of a calibration shows it."""
+    if diagnosis.closure is None or not diagnosis.modelled:
+        return []
+    beside = "the named effects" if diagnosis.effects else "no other effect"
+    words = f"Re-estimated together with {beside}. Sigma: from noise and attitude error alone"
+    more = "; what is not explained may have moved a value by more." if diagnosis.verdict == "unknown" else "."
+    return [PageSection("Parameters", [words + more], parameter_tables(calibration(diagnosis.closure)))]
 
 
 def _sentences(diagnosis: Diagnosis) -> list[str]:

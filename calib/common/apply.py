@@ -90,8 +90,9 @@ def outside_span(telemetry: Telemetry, calibration: Calibration) -> int:
 def _warn_outside(telemetry: Telemetry, calibration: Calibration) -> None:
     """Where a record leaves the time or the temperatures from which the calibration was made, or the calibration expires."""
     if beyond := outside_span(telemetry, calibration):
-        said = f"{beyond} of {len(telemetry)} rows are outside the time from which the calibration was made"
-        warnings.warn(f"{said} ({_span_words(calibration)})", stacklevel=4)
+        made = f"the calibration was made from the data of {_span_words(calibration)}"
+        rows = f"{beyond} of the {len(telemetry)} rows here are of another time"
+        warnings.warn(f"{made}; {rows}, in which it is assumed to hold unchanged", stacklevel=4)
     ends = calibration.expires
     if ends is not None and (late := int((telemetry.time >= ends).sum())):
         warnings.warn(

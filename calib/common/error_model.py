@@ -56,7 +56,7 @@ class ErrorModel:
     """What a fit was taken to err by; the sizes are medians of the posterior."""
 
     white_nT: FloatArray
-    """(3,) white noise of a reading, 1 sigma, rounding included."""
+    """(3,) white noise of a reading as the covariance takes it, 1 sigma, rounding included."""
     white_source: str
     """`declared` or `found in the data`."""
     expected_rms_nT: float

@@ -180,7 +180,9 @@ def _error_model(problem: LinearProblem, solution: Solution, posterior: Posterio
     theta, white = float(np.median(posterior.theta_rad)), float(np.median(posterior.white_theta_rad))
     declared = options.attitude_sigma_deg is not None
     low, high = np.degrees(np.quantile(attitude, [0.05, 0.95]))
-    variance = np.diag(white_of(problem, solution)) * sigma**2
+    variance = np.diag(
+        white_of(problem, solution)
+    )  # as found in the readings: the factor also takes what is not modelled
     middle = float(np.median(attitude))
     across = middle * _field_nT(problem)
     reading = problem.noise.variance_nT2 * sigma**2
@@ -203,9 +205,13 @@ def _error_words(errors: ErrorModel) -> str:
     low, high = errors.attitude_range_deg
     assert errors.attitude_sigma_deg is not None
     sigma = plain(errors.attitude_sigma_deg, 2)
-    words = f"white noise of {plain(float(np.sqrt((errors.white_nT**2).mean())))} nT per axis"
-    words += f", an attitude error of {sigma} deg (90 %: {plain(low, 2)} to {plain(high, 2)})"
-    return words + (f" over {plain(errors.attitude_tau_s, 2)} s" if errors.attitude_tau_s else ", white")
+    words = f"from an attitude error of {sigma} deg (90 %: {plain(low, 2)} to {plain(high, 2)})"
+    words += f" over {plain(errors.attitude_tau_s, 2)} s" if errors.attitude_tau_s else ", white"
+    expected_nT = errors.expected_rms_nT
+    if plain(float(np.hypot(expected_nT, errors.slow_nT))) == plain(expected_nT):
+        return f"{words}, and noise"
+    slow = f"slow errors of {plain(errors.slow_nT, 2)} nT over {plain(errors.slow_tau_s, 2)} s"
+    return f"{words}, {slow} (of the field model, or an effect that is not modelled), and noise"
 
 
 def _too_few_passes(

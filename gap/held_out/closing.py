@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from fluxtwin.calib.common.records import Calibration
 from fluxtwin.gap.noise.budget import reading_spacing
 from fluxtwin.gap.records.diagnosis import Closure, Transfer
 from fluxtwin.gap.selection.forward import RATIOS
-from fluxtwin.gap.selection.refit import Readings, refit
+from fluxtwin.gap.selection.refit import Readings, covariance_of, refit
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
@@ -148,6 +149,25 @@ def corrected(old: Magnetometer, modelled: Sequence[Active]) -> Magnetometer:
     if "torquer_coupling" in found:
         T = (np.zeros((3, 3)) if T is None else np.array(T)) - found["torquer_coupling"].reshape(3, 3)
     return dataclasses.replace(old, S=S, b_nT=b, T_nT_per_Am2=T)
+
+
+def calibration(closure: Closure) -> Calibration:
+    """S, b and T as re-estimated beside what is named, with the covariance that the noise of the diagnosis gives.
+
+    A parameter that these data do not see, or that is not re-estimated, has no sigma.
+    """
+    problem, of = closure.problem, {"scale_misalignment": 0, "bias": 9, "torquer_coupling": 12}
+    instrument = corrected(problem.setting.instrument, closure.modelled)
+    T = instrument.T_nT_per_Am2
+    jacobian = Readings(problem, closure.whitener).jacobian([*closure.modelled, *closure.chosen])
+    known = covariance_of(jacobian, np.any(jacobian != 0.0, axis=(0, 1)))[0] * max(closure.variance, 1.0)
+    into, start = np.zeros((12 if T is None else 21, len(known))), 0  # from the effects' parameters to eq. 1's
+    for effect, theta in closure.modelled:
+        if (first := of.get(effect.name)) is not None:
+            sign = -1.0 if effect.name == "torquer_coupling" else 1.0
+            into[first : first + len(theta), start : start + len(theta)] = sign * np.eye(len(theta))
+        start += len(theta)
+    return Calibration(instrument.S, instrument.b_nT, T, into @ np.nan_to_num(known) @ into.T)
 
 
 def _with_frozen(frozen: Mapping[str, Active], effect: Effect, theta: FloatArray) -> FloatArray:

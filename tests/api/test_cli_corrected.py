@@ -109,7 +109,7 @@ def test_a_second_correction_is_refused(cli: Cli, flight: Path, tmp_path: Path, 
     ("name", "words"),
     [("other", ("'Second'", "'First; one'")), ("late", ("2012-03-09", "2012-03-01T03:19:00Z"))],
 )
-@pytest.mark.filterwarnings("ignore:.* rows are outside the time")  # by --force
+@pytest.mark.filterwarnings("ignore:.* rows here are of another time")  # by --force
 @pytest.mark.parametrize("suffix", ["nc", "csv"])
 def test_another_spacecraft_or_another_week_is_refused(
     cli: Cli, flight: Path, tmp_path: Path, name: str, words: tuple[str, ...], suffix: str
@@ -126,7 +126,7 @@ def test_another_spacecraft_or_another_week_is_refused(
 def test_a_little_beyond_the_calibration_is_said(process: Cli, flight: Path, tmp_path: Path) -> None:
     outcome = process("apply", flight / "near.nc", "--calibration", flight / "known.toml", "--out", tmp_path / "o.nc")
     assert outcome.status == 0  # type: ignore[attr-defined]
-    assert "60 of 200 rows are outside" in outcome.err  # type: ignore[attr-defined]
+    assert "60 of the 200 rows here are of another time" in outcome.err  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("suffix", ["nc", "csv"])

@@ -45,12 +45,12 @@ def test_the_file_has_the_range_of_the_rows_that_were_used(files: Path, tmp_path
 def test_rows_outside_are_counted(files: Path, tmp_path: Path, process: Cli, verb: str) -> None:
     more = ("--out", tmp_path / "o.nc") if verb == "apply" else ()
     hot = process(verb, files / "hot.nc", "--calibration", files / "c.toml", *more)
-    assert hot.status == 0 and "100 of 300 rows are outside the time" in hot.err
+    assert hot.status == 0 and "100 of the 300 rows here are of another time" in hot.err
     assert "temperatures that the calibration has not seen" in hot.err and "degC), by up to 1" in hot.err
 
 
 def test_rows_outside_are_warned_of_in_python(files: Path) -> None:
-    with pytest.warns(UserWarning, match="100 of 300 rows are outside the time") as said:
+    with pytest.warns(UserWarning, match="100 of the 300 rows here are of another time") as said:
         fluxtwin.apply(files / "t.nc", files / "c.toml")
     assert "temperatures" not in str(said[0].message)
 

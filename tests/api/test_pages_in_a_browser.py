@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import re
 from collections.abc import Iterator
@@ -96,6 +97,26 @@ def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
         yield one
 
 
+def _text(pages: Path, name: str) -> str:
+    return (pages / f"{name}.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_a_page_is_one_small_file_that_fetches_nothing(pages: Path, name: str) -> None:
+    """Also without a browser: what a page may load is said by its policy, and it names nothing elsewhere."""
+    text = _text(pages, name)
+    assert len(text.encode("utf-8")) < 2_000_000
+    (policy,) = re.findall(r'<meta http-equiv="Content-Security-Policy" content="(.*?)">', text)
+    allowed = dict(part.strip().split(" ", 1) for part in html.unescape(policy).split(";") if part.strip())
+    assert allowed.pop("default-src") == "'none'" and allowed.pop("img-src") == "data:"
+    assert allowed.pop("style-src") == "'unsafe-inline'"
+    assert re.fullmatch(r"'none'|'sha256-[A-Za-z0-9+/]{43}='", allowed.pop("script-src", "'none'"))
+    assert set(allowed.values()) <= {"'none'"}
+    linked = re.findall(r'\s(?:src|href|srcset|action|poster|data)="(.*?)"', text)
+    assert linked and all(where.startswith(("data:", "#")) for where in linked)
+    assert not re.search(r"@import|url\((?!data:)|<(?:link|iframe|object|embed|form|base)\b", text)
+
+
 @pytest.mark.parametrize("name", FIGURES)
 def test_every_page_can_be_read(tab: Browser, pages: Path, name: str) -> None:
     path = pages / f"{name}.html"
@@ -118,10 +139,20 @@ def test_every_page_can_be_read(tab: Browser, pages: Path, name: str) -> None:
 @pytest.mark.parametrize("name", ["calibrate", "diagnose"])
 def test_the_row_set_aside_is_a_cross(pages: Path, name: str) -> None:
     """One reading is wrong by 30 uT: it alone is a cross, on every axis and in size."""
-    text = (pages / f"{name}.html").read_text(encoding="utf-8")
-    (data,) = re.findall(r'<figure id="field">.*?application/json">(.*?)</script>', text, re.DOTALL)
+    (data,) = re.findall(r'<figure id="field">.*?application/json">(.*?)</script>', _text(pages, name), re.DOTALL)
     crosses = [line for panel in json.loads(data)["panels"] for line in panel["lines"] if line["look"] == "cross"]
     assert [line["rows"] for line in crosses] == [[100]] * 4
+
+
+def test_the_diagnosis_has_the_parameters_of_the_calibration(pages: Path) -> None:
+    """The same table; the diagnosis weighs the readings otherwise, so values agree within a few of the larger sigmas."""
+    found = []
+    for name in ("calibrate", "diagnose"):
+        rows = re.findall(r"<td[^>]*>(S\d\d|b\d)</td>\s*<td[^>]*>(.*?)</td>\s*<td[^>]*>(.*?)</td>", _text(pages, name))
+        assert [row[0] for row in rows] == [*(f"S{i}{j}" for i in "123" for j in "123"), "b1", "b2", "b3"], name
+        found.append(np.array([[float(value), float(sigma)] for _, value, sigma in rows]))
+    (one, s1), (other, s2) = (part.T for part in found)
+    assert (np.abs(one - other) < 5.0 * np.hypot(s1, s2)).all() and (np.abs(other[-3:]) > 100.0).all()
 
 
 def test_zoom_moves_every_figure_and_can_be_copied(tab: Browser, pages: Path) -> None:

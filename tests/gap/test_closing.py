@@ -17,7 +17,7 @@ from worlds import scenario_text
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.noise_level import floor_noise, stochastic_nT, with_frozen_noise
 from fluxtwin.gap.detectors.proposals import expected
-from fluxtwin.gap.held_out.closing import Declared, closed_scenario, settle
+from fluxtwin.gap.held_out.closing import Declared, calibration, closed_scenario, settle
 from fluxtwin.gap.held_out.held_out import Prediction
 from fluxtwin.gap.held_out.targets import DAYS, targets
 from fluxtwin.gap.held_out.transfer import _others, _seen_by_chance, transfers
@@ -98,6 +98,35 @@ def test_the_closed_magnetometer_reads_what_the_fit_read(problem: Problem, close
     assert closed.modelled == ()
     wrong = dataclasses.replace(closed.instrument, T_nT_per_Am2=-np.asarray(closed.instrument.T_nT_per_Am2))
     assert np.abs(Chain(dataclasses.replace(problem.setting, instrument=wrong)).baseline_nT - fitted).max() > 100.0
+
+
+def test_sigmas_of_the_calibration_are_those_of_a_magnetometer(problem: Problem, close) -> None:
+    """Against the information in what each number of eq. 1's S, b and T changes of the reading, one after the other."""
+    theta = {
+        "bias": np.array([50.0, -20.0, 10.0]),
+        "scale_misalignment": np.full(9, 0.01),
+        "torquer_coupling": np.ones(9),
+    }
+    closure = closure_of(problem, tuple((find_effect(name), theta[name]) for name in MODELLED))
+    found, instrument = calibration(closure), settle(closure).instrument
+    close(found.S, instrument.S, atol=1e-12, unit="1", because="one sum")
+    close(found.T_nT_per_Am2, instrument.T_nT_per_Am2, atol=1e-12, unit="nT/Am^2", because="one sum")
+    changed, steps = [], np.repeat([1e-4, 1.0, 0.01], [9, 3, 9])
+    for number, step in enumerate(steps):
+        both = []
+        for sign in (0.5, -0.5):
+            S, b, T = np.split(found.values + sign * step * (np.arange(21) == number), [9, 12])
+            moved = dataclasses.replace(instrument, S=S.reshape(3, 3), b_nT=b, T_nT_per_Am2=T.reshape(3, 3))
+            both.append(Chain(dataclasses.replace(problem.design.setting, instrument=moved)).baseline_nT)
+        changed.append((both[0] - both[1]) / step)
+    white = closure.whitener.apply(np.stack(changed, axis=2)).reshape(-1, 21)
+    expected = np.linalg.inv(white.T @ white)
+    ratio = found.covariance / np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    own = expected / np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    close(ratio, own, atol=3e-4, unit="1", because="S is moved by 0.01, whose square twice is left of a variance")
+    assert np.abs(np.diag(np.delete(np.delete(found.covariance, 0, 0), 0, 1))).min() > 0.0
+    alone = calibration(closure_of(problem, ((find_effect("bias"), theta["bias"]),)))
+    assert alone.sigma["S11"] is None and alone.sigma["T12"] is None and alone.sigma["b1"] is not None
 
 
 def test_the_scenario_takes_S_b_and_T_and_survives_the_file(

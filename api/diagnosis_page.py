@@ -69,9 +69,9 @@ def _parameters(diagnosis: Diagnosis) -> list[PageSection]:
     """The calibration that was re-estimated, as the page of a calibration shows it."""
     if diagnosis.closure is None or not diagnosis.modelled:
         return []
-    beside = "the named effects" if diagnosis.effects else "no other effect"
-    words = f"Re-estimated together with {beside}. Sigma: from noise and attitude error alone"
-    more = "; what is not explained may have moved a value by more." if diagnosis.verdict == "unknown" else "."
+    beside = "together with the named effects" if diagnosis.effects else "without other effects"
+    words = f"Re-estimated {beside}. The sigmas contain noise and attitude error only"
+    more = "; the gap may have moved a value by more." if diagnosis.verdict == "unknown" else "."
     return [PageSection("Parameters", [words + more], parameter_tables(calibration(diagnosis.closure)))]
 
 

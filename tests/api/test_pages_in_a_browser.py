@@ -36,6 +36,8 @@ FIGURES = {
     "calibrate": ["field", "residuals", "coverage", "drivers"],
     "scalar": ["field", "residuals", "coverage", "drivers"],
     "diagnose": ["field", "gap_series", "drivers", "gap_spectra", "coverage"],
+    "plan": ["power_time_tag_offset"],
+    "trend": ["trend"],
     "campaign/report": ["power"],
     "ensemble/report": ["envelope"],
 }
@@ -75,12 +77,15 @@ def pages(lawless: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     reading = np.array(record.mag_B_nT)
     reading[100] += 30_000.0
     fluxtwin.write(record.replace(mag_B_nT=reading), folder / "t.nc")
-    telemetry = folder / "t.nc"
+    telemetry, ends = folder / "t.nc", np.datetime_as_string(record.time[[199, 249, 299]], "s")
     for words in (
         ("check", telemetry, "--html", folder / "check.html"),
         ("calibrate", telemetry, "--html", folder / "calibrate.html"),
         ("calibrate", telemetry, "--method", "scalar", "--html", folder / "scalar.html"),
         ("diagnose", telemetry, "--html", folder / "diagnose.html"),
+        ("plan", telemetry, "--for", "time_tag_offset", "--html", folder / "plan.html"),
+        *(("calibrate", telemetry, "--to", f"{end}Z", "--out", folder / f"to-{end}.toml", "--force") for end in ends),
+        ("trend", *(folder / f"to-{end}.toml" for end in ends), "--html", folder / "trend.html"),
         ("campaign", folder / "late.toml", "--runs", 2, "--out", folder / "campaign", "--jobs", 1),
         ("ensemble", folder / "s.toml", "--vehicles", 2, "--out", folder / "ensemble", "--jobs", 1),
     ):

@@ -110,25 +110,36 @@ def signature_nT(effect: Effect, design: str, base_nT: FloatArray) -> FloatArray
 def draw(stage: str, base: dict[str, FloatArray]) -> None:
     """The picture of a stage: a row an effect, a column a design."""
     effects = [effect for effect in fluxtwin.effects() if effect.stage == stage]
-    figure, grid = style.figure(7.2, 0.7 + 1.05 * len(effects), rows=len(effects), cols=len(DESIGNS), share_x=True)
+    figure, grid = style.figure(7.2, 0.45 + 1.2 * len(effects), rows=len(effects), cols=len(DESIGNS), share_x=True)
     for panels, effect in zip(grid, effects, strict=True):
-        style.label(panels[0], title=effect.name, y="[nT]")
+        style.label(panels[0], title=effect.name)
         for axes, design in zip(panels, DESIGNS, strict=True):
             parts = signature_nT(effect, design, base[design])
-            if not parts.any():
-                axes.set_ylim(-1.0, 1.0)  # it cannot act there
+            height_nT = lane_nT(float(np.abs(parts).max()))
             minutes = np.arange(len(parts)) / 6.0
-            for part, colour, axis in zip(parts.T, style.AXIS_COLOURS, "xyz", strict=True):
-                axes.plot(minutes, part, color=colour, linewidth=0.7, label=axis)
+            for lane, (part, colour) in enumerate(zip(parts.T[::-1], style.AXIS_COLOURS[::-1], strict=True)):
+                axes.plot(minutes, lane + part / height_nT, color=colour, linewidth=0.7)
+            axes.set(ylim=(-0.5, 2.5), yticks=range(3), yticklabels="zyx")
+            axes.tick_params(axis="y", length=0)
+            axes.set_ylabel(f"lanes of {height_nT:g} nT" if parts.any() else "no effect", fontsize=7)
+            for edge in (0.5, 1.5):
+                axes.axhline(edge, color="0.6", linewidth=0.5)
     for axes, design in zip(grid[-1], DESIGNS, strict=True):
         style.label(axes, x=f"{design}: time [min]")
-    style.legend_below(figure, grid[0][0])
     buffer = io.BytesIO()
     figure.savefig(buffer, dpi=110)
     PICTURES.mkdir(exist_ok=True)
     Image.open(buffer).convert("RGB").quantize(64, dither=Image.Dither.NONE).save(
         PICTURES / f"{stage}.png", optimize=True
     )
+
+
+def lane_nT(largest_nT: float) -> float:
+    """Height of a component's lane: the smallest 1, 2 or 5 times a power of ten that holds it with either sign."""
+    if largest_nT == 0.0:
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(2.0 * largest_nT))
+    return float(next(step for step in (1.0, 2.0, 5.0, 10.0) if step * power >= 2.0 * largest_nT) * power)
 
 
 def page(alike: dict[str, dict[str, dict[str, int]]]) -> str:
@@ -214,8 +225,8 @@ other by 98 % or more are named as a group. A design in which they do not look a
 
 The figure of each stage shows what an effect of typical size in all its components adds to the residual in two
 orbits of these designs, without noise and with `bias` and `scale_misalignment` fitted (except for these two). Effects
-on the dynamics rotate the body and leave the readings unchanged. Where only one line is seen, the three components
-are equal."""
+on the dynamics rotate the body and leave the readings unchanged. Each component has a lane with zero in its middle; the
+height of a lane is written at the left of its panel."""
 
 
 def main() -> None:

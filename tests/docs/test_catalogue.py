@@ -39,3 +39,8 @@ def test_likeness_is_that_of_the_design(script: dict[str, Any], stored: Any) -> 
             one, two = (shares.get(name, {}).get(other, 0) for shares in (now, then))
             assert abs(one - two) <= 3 or max(one, two) <= border, (name, other, one, two)
     assert now["time_tag_offset"]["sensor_lag"] > 98  # nadir pointing cannot tell them apart
+
+
+def test_a_lane_holds_what_is_drawn_in_it(script: dict[str, Any]) -> None:
+    lane = script["lane_nT"]
+    assert [lane(nT) for nT in (0.0, 0.4, 0.5, 0.6, 1.1, 2.6, 80_000.0)] == [1.0, 1.0, 1.0, 2.0, 5.0, 10.0, 200_000.0]

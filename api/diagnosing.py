@@ -126,13 +126,11 @@ def diagnose(
         progress=progress,
     )
     stuck = input_warnings.stuck_attitude(record, budget.attitude_sigma_rad)
-    traps = input_warnings.traps(record, model)
-    if traps:
-        wrong = [trap.removesuffix(input_warnings.BY_CHECK) for trap in traps]
-        found = replace(found, sentence=words.wrong_file(wrong, found.verdict, found.sentence), resembles=(), law=None)
+    if traps := input_warnings.traps(record, model):
+        found = replace(found, sentence=words.wrong_file(traps, found.verdict, found.sentence))
+        found = replace(found, resembles=(), law=None) if found.verdict == "unknown" else found
     notes = [
         _corrected(record),
-        *traps,
         *found.notes,
         stuck if stuck is not None else input_warnings.stuck_and_misfit(record, found.gap.before_nT),
         input_warnings.far_below_budget(found.gap.before_nT, found.gap.floor_nT),

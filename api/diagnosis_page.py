@@ -12,7 +12,7 @@ from fluxtwin.calibration_page import parameter_tables
 from fluxtwin.gap.held_out.closing import calibration
 from fluxtwin.gap.records.diagnosis import Diagnosis, Law
 from fluxtwin.gap.report.advice import typical_size
-from fluxtwin.gap.report.input_warnings import BY_CHECK
+from fluxtwin.gap.report.words import FIRST
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 from fluxtwin.sim.base.files import to_json
 from fluxtwin.sim.effects.catalogue import CATALOGUE
@@ -36,12 +36,12 @@ _ALL_TESTED = "Every effect of the catalogue could be tested."
 def diagnosis_page(diagnosis: Diagnosis, title: str, *, record: Telemetry | None = None) -> Page:
     """The page of one diagnosis; record: the telemetry that was diagnosed."""
     far = _far(diagnosis, record)
-    wrong = [PageSection("The residual of the file as it stands", [], [], far.figures)]
+    as_it_stands = [PageSection("The residual of the file as it stands", [], [], far.figures)]
     return Page(
         title=title,
         verdict=_sentences(diagnosis)[0],
         next_step=_next_step(diagnosis),
-        sections=[*_rest(diagnosis), *(wrong if _wrong_file(diagnosis) else _found(diagnosis, record, far))],
+        sections=[*_rest(diagnosis), *(as_it_stands if _wrong_file(diagnosis) else _found(diagnosis, record, far))],
         provenance=_provenance(diagnosis),
         downloads={"diagnosis.json": to_json(diagnosis.to_dict())},
     )
@@ -103,7 +103,7 @@ def _coverage(diagnosis: Diagnosis, record: Telemetry | None) -> list[FigureBloc
 
 
 def _next_step(diagnosis: Diagnosis) -> str:
-    if any(map(_of_check, diagnosis.notes)):
+    if diagnosis.sentence.startswith(FIRST):
         return "correct the file, and diagnose again."
     if diagnosis.verdict == "no_gap" and diagnosis.provenance.get("two_magnetometers", {}).get("differ"):
         return "diagnose again with --magnetometer 2: the two magnetometers differ, and the first shows no gap."
@@ -156,18 +156,9 @@ def where_lines(diagnosis: Diagnosis) -> list[str]:
     return lines
 
 
-def other_notes(diagnosis: Diagnosis) -> list[str]:
-    """The notes that the sentence does not say."""
-    return [note for note in diagnosis.notes if not _of_check(note)]
-
-
-def _of_check(note: str) -> bool:
-    return note.endswith(BY_CHECK)
-
-
 def _wrong_file(diagnosis: Diagnosis) -> bool:
     """Whether the cause is unknown and `fluxtwin check` finds the file wrong: what else was found may be of that alone."""
-    return diagnosis.verdict == "unknown" and any(map(_of_check, diagnosis.notes))
+    return diagnosis.verdict == "unknown" and diagnosis.sentence.startswith(FIRST)
 
 
 def percent(share: float) -> str:
@@ -498,7 +489,7 @@ def _provenance(diagnosis: Diagnosis) -> dict[str, str]:
     facts = {
         _FACTS.get(key, key.replace("_", " ")): str(known[key]) for key in known if (key, known[key]) not in unused
     }
-    lines = facts | {"notes": "; ".join(other_notes(diagnosis))}
+    lines = facts | {"notes": "; ".join(diagnosis.notes)}
     lines["modelled, re-estimated in every test"] = ", ".join(diagnosis.modelled) or "none"
     names = {"used": "used", "cut": "cut as spikes", "without_attitude": "without attitude"}
     lines["samples"] = ", ".join(f"{diagnosis.samples[key]} {words}" for key, words in names.items())

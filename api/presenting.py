@@ -78,7 +78,7 @@ def _fit(fit: Fit) -> Presented:
 
 
 def _diagnosis(found: Diagnosis) -> Presented:
-    sentences = [found.sentence, *diagnosis_page.where_lines(found), *diagnosis_page.other_notes(found)]
+    sentences = [found.sentence, *diagnosis_page.where_lines(found), *found.notes]
     return Presented(sentences, diagnosis_page.tables(found))
 
 

@@ -137,7 +137,7 @@ def _several(
         records = {str(path): read(path, output, reading, one_of_many=True) for path in telemetry}
         found = fleets.diagnoses(records, asked, progress=progress, **workers._asdict())
     for name, diagnosis in found.items():
-        for note in diagnosis_page.other_notes(diagnosis):
+        for note in diagnosis.notes:
             output.note(f"note: {name}: {note}")
         output.prose(f"{name}: {diagnosis.sentence}", indent="  ")
         for line in diagnosis_page.where_lines(diagnosis):
@@ -156,7 +156,7 @@ def _page(diagnosis: Diagnosis, telemetry: Path, html: Path | None, record: Tele
 def _say(output: Output, diagnosis: Diagnosis, html: Path | None, close: Path | None, *, closed: bool) -> None:
     from fluxtwin import diagnosis_page
 
-    for note in diagnosis_page.other_notes(diagnosis):
+    for note in diagnosis.notes:
         output.note(f"note: {note}")
     if close is not None and not closed:
         why = "what is named is not in the readings" if diagnosis.effects else "no effect is named"

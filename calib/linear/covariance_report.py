@@ -180,9 +180,7 @@ def _error_model(problem: LinearProblem, solution: Solution, posterior: Posterio
     theta, white = float(np.median(posterior.theta_rad)), float(np.median(posterior.white_theta_rad))
     declared = options.attitude_sigma_deg is not None
     low, high = np.degrees(np.quantile(attitude, [0.05, 0.95]))
-    variance = np.diag(
-        white_of(problem, solution)
-    )  # as found in the readings: the factor also takes what is not modelled
+    variance = np.diag(white_of(problem, solution))  # of the readings alone: sigma also takes what is not modelled
     middle = float(np.median(attitude))
     across = middle * _field_nT(problem)
     reading = problem.noise.variance_nT2 * sigma**2

@@ -13,8 +13,6 @@ from fluxtwin.sim.telemetry.record import Telemetry
 
 LONG_STRETCH_ROWS = 30
 """So many rows with the same quaternion to the last digit do not happen while a sensor measures."""
-BY_CHECK = " (fluxtwin check)"
-"""Ends a warning of what `fluxtwin check` finds wrong with the file."""
 ROOMY = 2.0
 """Factor by which an expected rms is too large to be an error of a declared noise, which is trusted to 1.5 at most."""
 MISFIT = 0.05
@@ -44,7 +42,7 @@ def traps(telemetry: Telemetry, model: FieldModel) -> list[str]:
     """The traps that `fluxtwin check` finds, but outliers and what is stuck at times: the diagnosis sets them aside and says
     so itself."""
     found = check_telemetry(without_stuck(telemetry)[0], model).traps
-    return [f"{finding.text}{BY_CHECK}" for finding in found if finding.code != "outliers"]
+    return [finding.text for finding in found if finding.code != "outliers"]
 
 
 def stuck_attitude(telemetry: Telemetry, attitude_sigma_rad: float | None) -> str | None:

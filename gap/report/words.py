@@ -24,6 +24,8 @@ SECOND_UNUSED = (
     "the second magnetometer is not used: too few rows have both readings, or it does not follow the field as the first "
     "does (dead, or in another unit), or it is a copy of the first"
 )
+FIRST = "First correct the file as fluxtwin check says"
+"""Begins the answer of a diagnosis of a file that is wrong."""
 UNEXPLAINED = "the catalogue does not explain all of the gap"
 
 
@@ -68,7 +70,7 @@ def wrong_file(traps: Sequence[str], verdict: str, sentence: str) -> str:
     rest = "A wrong file makes a gap of its own, so nothing more is said about the cause."
     if verdict != "unknown":
         rest = f"As the file stands, this was found. {sentence}"
-    return f"First correct the file as fluxtwin check says, then diagnose again: {wrong}. {rest}"
+    return f"{FIRST}, then diagnose again: {wrong}. {rest}"
 
 
 def left_over(gap: Shrinkage) -> str:

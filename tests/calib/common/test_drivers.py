@@ -368,3 +368,18 @@ def test_what_can_be_distinguished_beside_the_field() -> None:
     assert why["along"].startswith("it follows the field")
     assert why["mixed"].startswith("it is a combination of the field")
     assert why["zero"].startswith("it never changes")
+
+
+def test_a_driver_that_is_not_modelled_is_said_to_be_a_slow_error_and_not_noise(close) -> None:
+    """The fields are 40 nT rms, the noise of a reading 10 nT, and what is expected is of the noise that the verdict states."""
+    without, with_them = (fit_of(flown(0), driver=names) for names in ((), tuple(K)))
+    for fit, slow in ((without, True), (with_them, False)):
+        (words,) = (message for message in fit.messages if message.startswith("covariance"))
+        assert ("slow errors of" in words, "white noise of" in words) == (slow, False), words
+        model, field_nT = fit.error_model, np.linalg.norm(flown(0).mag_B_nT, axis=1)
+        assert model is not None and model.attitude_sigma_deg is not None
+        noise_nT = float(np.sqrt(fit.noise.variance_nT2.mean()))
+        close(noise_nT, 10.0, atol=2.0, unit="nT", because="found in a thousand rows, of which switches are a few")
+        across_nT = np.radians(model.attitude_sigma_deg) * np.sqrt((field_nT**2).mean() * 2.0 / 3.0)
+        stated = np.hypot(noise_nT, across_nT)
+        close(model.expected_rms_nT / stated, 1.0, atol=0.03, unit="1", because="|B| is read, with S of 2 %")

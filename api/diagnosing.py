@@ -114,6 +114,7 @@ def diagnose(
     model = load_field(model_name, degree)
     known = () if config is None else frozen(config)
     budget = budget_of(config, known, declared)
+    traps = input_warnings.traps(record, model)
     found = investigate_record(
         record,
         model,
@@ -123,12 +124,12 @@ def diagnose(
         frozen=known,
         craft=_craft(config),
         provenance={"source": record.provenance.get("source", "")},
+        law=not traps,
         progress=progress,
     )
     stuck = input_warnings.stuck_attitude(record, budget.attitude_sigma_rad)
-    if traps := input_warnings.traps(record, model):
-        found = replace(found, sentence=words.wrong_file(traps, found.verdict, found.sentence))
-        found = replace(found, resembles=(), law=None) if found.verdict == "unknown" else found
+    if traps:
+        found = replace(found, sentence=words.wrong_file(traps, found.verdict, found.sentence), resembles=())
     notes = [
         _corrected(record),
         *found.notes,

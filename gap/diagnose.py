@@ -72,13 +72,14 @@ def diagnose(
     frozen: Sequence[Active] = (),
     craft: Craft | None = None,
     provenance: Mapping[str, object] | None = None,
+    law: bool = True,
     progress: Progress = silent,
 ) -> Diagnosis:
     """Diagnose a record against a field model.
 
     modelled: effects re-estimated as nuisance in every test. budget: the declared noise; what is missing is found in
     the data. instrument: starting S, b, T. frozen: effects applied as they are. craft: the vehicle as modelled, for the
-    balance of its momentum.
+    balance of its momentum. law: whether to look for one in what the names leave.
     Raises BadInput for unknown names and absent columns, NoAnswer when there are too few rows for the question.
     """
     progress("baseline", 0.0)
@@ -134,7 +135,7 @@ def diagnose(
         without_attitude=int((moving.has_reading & ~moving.has_attitude).sum()),
         notes=notes,
     )
-    found = _with_law(work, found, progress)
+    found = _with_law(work, found, progress) if law else found
     progress("done", 1.0)
     return found
 

@@ -36,7 +36,8 @@ _ALL_TESTED = "Every effect of the catalogue could be tested."
 def diagnosis_page(diagnosis: Diagnosis, title: str, *, record: Telemetry | None = None) -> Page:
     """The page of one diagnosis; record: the telemetry that was diagnosed."""
     far = _far(diagnosis, record)
-    as_it_stands = [PageSection("The residual of the file as it stands", [], [], far.figures)]
+    seen = [one for one in far.figures if one.name in ("field", "gap_series")]
+    as_it_stands = [PageSection("The residual of the file as it stands", [], [], seen)]
     return Page(
         title=title,
         verdict=_sentences(diagnosis)[0],

@@ -357,6 +357,7 @@ def test_a_wrong_unit_is_to_be_corrected_before_anything_is_flown(late: Case, cl
     for untrue in ("fluxtwin plan", "Where:", "law", "The gap, rms", "Untestable", "estimated from these data"):
         assert untrue not in said, untrue
     assert shown.index("First correct the file") < shown.index('id="gap_series"')
+    assert 'id="drivers"' not in shown and 'id="gap_spectra"' not in shown  # their words are of a gap
     assert "Minimum detectable sizes" not in shown and "Where the gap lies" not in shown
     assert "law" not in json.loads((tmp_path / "unit.json").read_text(encoding="utf-8"))
 

@@ -371,7 +371,7 @@ def test_what_can_be_distinguished_beside_the_field() -> None:
 
 
 def test_a_driver_that_is_not_modelled_is_said_to_be_a_slow_error_and_not_noise(close) -> None:
-    """The fields are 40 nT rms, the noise of a reading 10 nT, and what is expected is of the noise that the verdict states."""
+    """The fields are 40 nT rms, the noise of a reading 10 nT; what is expected is of the noise that the verdict states."""
     without, with_them = (fit_of(flown(0), driver=names) for names in ((), tuple(K)))
     for fit, slow in ((without, True), (with_them, False)):
         (words,) = (message for message in fit.messages if message.startswith("covariance"))

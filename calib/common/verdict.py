@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from fluxtwin.calib.common.covariance import correlation_time_s, observed_s, segments
+from fluxtwin.calib.common.conventions import of_S
 from fluxtwin.calib.common.digits import measured
 from fluxtwin.calib.common.direction import CONFIDENCE, DirectionKnowledge, direction_knowledge
 from fluxtwin.calib.common.observability import correlated_pairs, direction_words
@@ -60,7 +60,7 @@ class Along(NamedTuple):
     noise_nT: float
     """From white noise and LSB."""
     allowed: float
-    """Ratio of rms that chance alone passes once in a thousand times."""
+    """Ratio of rms that chance and the errors of the calibration alone pass once in a thousand times."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ def assess(
     direction = direction_knowledge(
         known, B[kept], None if D is None else D[kept], field_nT[kept], true_nT[kept], fit.noise.variance_nT2
     )
-    along = _along(fit, field_nT, kept)
+    along = _along(fit, telemetry, field_nT, kept)
     residual_nT = known.sigma_nT
     declared = _against_declared(fit, attitude_sigma_deg)
     strength_nT = float(np.sqrt((true_nT[kept] ** 2).sum(axis=1).mean()))
@@ -175,16 +175,16 @@ def worst_pairs(fit: Fit) -> tuple[Pair, ...]:
     return tuple(sorted(found, key=lambda pair: -abs(pair.correlation))[:_SHOWN])
 
 
-def _along(fit: Fit, field_nT: FloatArray, kept: BoolArray) -> Along:
+def _along(fit: Fit, telemetry: Telemetry, field_nT: FloatArray, kept: BoolArray) -> Along:
     u = field_nT / np.linalg.norm(field_nT, axis=1)[:, None]
     r = (u * fit.residuals_nT).sum(axis=1) if fit.residuals_nT.shape[1] == 3 else fit.residuals_nT[:, 0]
-    r, u, time = r[kept], u[kept], fit.time[kept]
+    r, u, B = r[kept], u[kept], telemetry.mag_B_nT[fit.rows][kept]
     turned = u @ (np.eye(3) + fit.calibration.S)
     noise = float(np.sqrt(((turned**2) @ fit.noise.variance_nT2).mean()))
-    segment = segments(time)
-    memory_s = correlation_time_s(time, r[:, None], segment)
-    effective = max(2.0, min(float(len(r)), observed_s(time, segment) / max(2.0 * memory_s, 1e-9)))
-    allowed = float(np.sqrt(chi2.ppf(1.0 - _FALSE_ALARM, effective) / effective))
+    # Noise is new in every row: what lasts in the residual is no noise, but for the errors of the calibration itself.
+    images = np.einsum("ni,nik->nk", u, np.concatenate([of_S(B), np.broadcast_to(np.eye(3), (len(B), 3, 3))], axis=2))
+    own = float(np.einsum("nj,jk,nk->n", images, fit.calibration.covariance[:12, :12], images).mean())
+    allowed = float(np.sqrt(chi2.ppf(1.0 - _FALSE_ALARM, len(r)) / len(r) * (1.0 + own / noise**2)))
     return Along(float(np.sqrt((r**2).mean())), noise, allowed)
 
 

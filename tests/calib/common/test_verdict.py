@@ -124,6 +124,17 @@ def test_what_is_left_along_the_field_limits_it(seasat: Any) -> None:
     assert verdict.next_step.startswith("fluxtwin diagnose")
 
 
+def test_a_load_that_lasts_is_no_noise(seasat: Any) -> None:
+    """75 nT along the field, on and off for half an hour each: what lasts does not excuse its own size."""
+    record = flown(seasat, noise_nT=30.0)
+    unit = record.mag_B_nT / np.linalg.norm(record.mag_B_nT, axis=1)[:, None]
+    minutes = (record.time - record.time[0]) / np.timedelta64(60, "s")
+    wave = 75.0 * np.where(minutes % 60.0 < 30.0, 1.0, -1.0)[:, None] * unit
+    verdict = fitted(record.replace(mag_B_nT=record.mag_B_nT + wave), seasat).verdict
+    assert verdict is not None and verdict.level == "usable", verdict.lines
+    assert verdict.next_step.startswith("fluxtwin diagnose")
+
+
 def test_a_weak_direction_is_answered_with_a_manoeuvre(seasat: Any) -> None:
     """Day 227 alone, 44 minutes: the field hardly varies along body Y."""
     verdict = fitted(flown(seasat).select(slice(281, 325)), seasat).verdict

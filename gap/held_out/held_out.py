@@ -82,8 +82,11 @@ class Prediction:
         something else in their likeness.
 
         Of the energy of the gap the first leave eps^2, eps half-normal of scale `SHAPE_ERROR`; the second leave any share.
+        Minus infinity where the effects predict samples that have a gap worse than nothing does.
         """
-        _, after2 = self._draws(self.after_nT)
+        before2, after2 = self._draws(self.after_nT)
+        if self._has_gap(before2) and self._mean_square(self.after_nT) >= self._mean_square(self.before_nT):
+            return -np.inf
         signal = max(self._mean_square(self.before_nT) - self.floor_nT**2, 0.0)
         left = min(self._mean_square(self.after_nT) - self.floor_with_effects_nT**2, signal)
         floor_sd = 2.0 * self.floor_log_sd * self.floor_with_effects_nT**2
@@ -115,7 +118,7 @@ class Prediction:
         rms = [float(np.sqrt(self._mean_square(part))) for part in (self.before_nT, after_nT)]
         closed: float | None = None
         interval: tuple[float, float] | None = None
-        if named and rms[0] ** 2 - self.floor_nT**2 > 2.0 * float(before2.std()):
+        if named and self._has_gap(before2):
             closed, interval = closed_share(rms[0], rms[1], self.floor_nT, floor_with_nT, before2, after2)
         sizes = zip("xyz", self._by_axis(self.before_nT), self._by_axis(after_nT), strict=True)
         return Shrinkage(
@@ -130,6 +133,10 @@ class Prediction:
             per_axis={axis: {"before_nT": before, "after_nT": after} for axis, before, after in sizes},
             left_nT=left_nT,
         )
+
+    def _has_gap(self, before2: FloatArray) -> bool:
+        """Whether held-out samples show the gap beyond chance; before2: as from `_draws`."""
+        return self._mean_square(self.before_nT) - self.floor_nT**2 > 2.0 * float(before2.std())
 
     @property
     def _count(self) -> FloatArray:

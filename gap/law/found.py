@@ -210,8 +210,8 @@ class _Search:
         before = Fitted.of(problem, whitener, self.base.residual_nT, self.base.fitted_nT)
         after = Fitted.of(problem, whitener, residual_nT, columns_nT)
         held = predict_blocks(problem.setting.seconds, kept, floor_nT, before, after, problem.measured)
-        expected = [float(np.hypot(floor_nT, unsure_nT)) for unsure_nT in held.unsure_nT]
-        given = (held.before_nT, held.after_nT, held.counted, expected[0], expected[1], held.of)
+        # Of over a thousand terms that were tried, one that predicts badly is not excused by being unsure.
+        given = (held.before_nT, held.after_nT, held.counted, floor_nT, floor_nT, held.of)
         gap = Prediction(*given, axes=problem.axes).shrinkage(True)
         return replace(gap, closed=None, interval=None) if held.of == "fit" else gap
 

@@ -89,7 +89,10 @@ def named(
     outlying: str | None = None,
 ) -> str:
     """Where effects are named. remains: what does, if the shape is incomplete; outlying: of the outliers."""
-    causes = " and ".join(_cause(effect) for effect in effects)
+    likely = [one for one in effects if one.probability >= 0.5] or effects[:1]
+    causes = " and ".join(_cause(effect) for effect in likely)
+    others = [f"{_cause(one)} ({100 * one.probability:.0f} %)" for one in effects if one not in likely]
+    causes += f" and perhaps {' and '.join(others)}" if others else ""
     rest = f" The explanation is incomplete: {remains}." if gap.shape_incomplete else ""
     rest += f" In addition, {outlying}." if outlying else ""
     return f"The gap is explained by {causes}{_closed(effects, gap, momentum)}.{rest}"

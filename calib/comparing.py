@@ -18,6 +18,7 @@ import numpy as np
 from fluxtwin.calib.common.comparison import Comparison, MethodResult
 from fluxtwin.calib.common.design import reference_field_B_nT
 from fluxtwin.calib.common.direction import CONFIDENCE
+from fluxtwin.calib.common.observability import listed
 from fluxtwin.calib.common.options import Estimator
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.robust import find_outliers
@@ -166,9 +167,5 @@ def _why(chosen: str, order: list[str], alike: list[str]) -> str:
     worse = [name for name in order if name not in alike]
     said = f"Take {chosen}: no method errs less beyond chance"
     if others:
-        said += f"; {_listed(others)} may be as good, but {chosen} is better tested"
+        said += f"; {listed(others)} may be as good, but {chosen} is better tested"
     return said + (f". Worse by more than chance, in the vector or in |B|: {', '.join(worse)}" if worse else "")
-
-
-def _listed(names: list[str]) -> str:
-    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))

@@ -214,7 +214,7 @@ def _report(
     variation = field_variation(B[~outlying])
     words = [
         *pair_words(done.p_covariance, False, float(np.sqrt((B**2).mean())), sigma_nT),
-        *(weak_direction_words(variation, done.p_covariance, sigma_nT) if parameters == "b,S" else []),
+        *(weak_direction_words(variation, done.p_covariance) if parameters == "b,S" else []),
     ]
     calibration = Calibration(
         S=S,

@@ -62,8 +62,6 @@ class YawSolution(Shown):
     """(N,) taken as known."""
     yaw_reference_rad: FloatArray
     """(N,) of the reference attitude; NaN where it is not known."""
-    field_O_nT: FloatArray
-    """(N, 3) model field B0 in the orbital frame."""
     averages: YawAverages
     rows: np.ndarray
     """(N,) indices into the joined telemetry."""
@@ -195,7 +193,6 @@ def yaw_from_field(
         roll_rad=roll[rows],
         pitch_rad=pitch[rows],
         yaw_reference_rad=reference[rows],
-        field_O_nT=field_O,
         averages=average_yaw(time, yaw, average_s),
         rows=rows,
         left_out=left_out,

@@ -51,11 +51,6 @@ class Forward:
     C_nT_per_Am2: FloatArray | None = None
     """(3, 3) or absent: reading per dipole."""
 
-    @property
-    def K(self) -> FloatArray:
-        """(3, 3) G - I: scale errors on the diagonal, as the sensor makes them."""
-        return self.G - np.eye(3)
-
 
 @dataclass(frozen=True)
 class OffsetFirst:

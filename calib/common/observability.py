@@ -23,10 +23,10 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.constants import NT_PER_MG
 
 AXES = ("X", "Y", "Z")
-_ROUNDING = 1e-13  # of the mean square: below this the columns are dependent to rounding
+ROUNDING = 1e-13  # of the mean square: below this the columns are dependent to rounding
 _NOISE_SHARE = 2.0  # a variation must have twice the variance that noise alone gives it
-_WORST_SIGMA = 0.3  # of |B|rms: a combination less certain than that is refused
-_PART = 0.2  # share of a parameter in a direction from which it is named
+WORST_SIGMA = 0.3  # of |B|rms: a combination less certain than that is refused
+PART = 0.2  # share of a parameter in a direction from which it is named
 HARDLY_SEPARABLE = 0.95
 
 
@@ -121,15 +121,15 @@ def require_excitation(
         signal = value - from_noise
         relative = sigma_nT / field_rms_nT / np.sqrt(max(signal, 1e-300) * max(len(x) - len(values), 1))
         hidden = signal < (_NOISE_SHARE - 1.0) * from_noise
-        if value < _ROUNDING or hidden or relative > _WORST_SIGMA:
+        if value < ROUNDING or hidden or relative > WORST_SIGMA:
             moves_nT = float(np.sqrt(max(value, 0.0)) * field_rms_nT)
-            _refuse(v, fired, moves_nT, relative, within_noise=hidden and relative <= _WORST_SIGMA)
+            _refuse(v, fired, moves_nT, relative, within_noise=hidden and relative <= WORST_SIGMA)
 
 
 def _refuse(v: FloatArray, fired: np.ndarray, moves_nT: float, relative: float, *, within_noise: bool) -> None:
     of_field, of_dipole = v[1:4], v[4:]
-    axes = [int(j) for j in np.flatnonzero(np.abs(of_field) > _PART)]
-    coils = [int(fired[j]) for j in np.flatnonzero(np.abs(of_dipole) > _PART)]
+    axes = [int(j) for j in np.flatnonzero(np.abs(of_field) > PART)]
+    coils = [int(fired[j]) for j in np.flatnonzero(np.abs(of_dipole) > PART)]
     names = [f"S{i}{j + 1}" for j in axes for i in (1, 2, 3)]
     names += ["b1", "b2", "b3"] if abs(v[0]) > 0.02 else []
     names += [f"T{i}{j + 1}" for j in coils for i in (1, 2, 3)]
@@ -217,7 +217,7 @@ def worst_of(found: list[tuple[float, str]]) -> list[str]:
     return [max((abs(correlation), words) for correlation, words in found)[1] + more]
 
 
-def weak_direction_words(variation: FieldVariation, covariance: FloatArray, sigma_nT: float) -> list[str]:
+def weak_direction_words(variation: FieldVariation, covariance: FloatArray) -> list[str]:
     """A sentence when the weakest direction of the field leaves a column of S uncertain beyond 1 %."""
     weak = variation.directions_B[0]
     of_column = np.kron(np.eye(3), weak[None, :]) @ covariance[:9, :9] @ np.kron(np.eye(3), weak[:, None])

@@ -106,7 +106,7 @@ def _fit(
         span=(used.time[kept_rows[0]], used.time[kept_rows[-1]]),
         field_model="none",
         method=f"gyro and magnetometer alone, for {options.parameters}{beside}",
-        unobservable=_unobservable(options),
+        unobservable=(say("gyro.S_not_estimated" if options.parameters == "b" else "gyro.no_scale"),),
         telemetry_bias={name: TelemetryBias(solved.fields_nT[k], fields_sigma_nT[k]) for k, name in enumerate(columns)},
     )
     outside = len(used) - len(kept_rows)
@@ -233,10 +233,6 @@ def _noise(options: GyroOptions, variance: float) -> ReadingNoise:
         declared = per_axis(options.noise_nT, "noise_nT")
         return ReadingNoise(declared**2, f"{plain(float(declared.mean()))} nT as declared")
     return ReadingNoise(np.full(3, variance), f"{plain(float(np.sqrt(variance)))} nT per axis, found in the data")
-
-
-def _unobservable(options: GyroOptions) -> tuple[str, ...]:
-    return (say("gyro.S_not_estimated") if options.parameters == "b" else say("gyro.no_scale"),)
 
 
 def _messages(solved: Solved, length_s: float, noise: ReadingNoise, options: GyroOptions) -> tuple[str, ...]:

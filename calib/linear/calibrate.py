@@ -47,16 +47,11 @@ class LinearFit(Fit):
     eiv_shift: FloatArray
     """(3, 3) change of S by the errors-in-variables correction; zero when off."""
 
-    @property
-    def direction(self) -> str:
-        """`linear` or `forward`."""
-        return self.method
-
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and text for JSON; no NaN."""
         return {
             **super().to_dict(),
-            "direction": self.direction,
+            "direction": self.method,
             "errors_in_variables_shift": self.eiv_shift.tolist(),
             "telemetry_bias": self.calibration.to_dict().get("telemetry_bias", {}),
         }
@@ -262,7 +257,7 @@ def _report(problem: LinearProblem, solution: Solution, model_name: str, passes:
     words = observability.never_fired_words(problem.fired) if design.D_Am2 is not None else []
     if options.parameters != "b":
         field_rms = float(np.sqrt(np.trace(problem.mean_square(design.B_nT))))
-        words += observability.weak_direction_words(variation, covariance, sigma_nT)
+        words += observability.weak_direction_words(variation, covariance)
         words += observability.pair_words(covariance, "T" in options.parameters, field_rms, sigma_nT)
     sigmas = np.sqrt(np.diag(report.driver_covariance)).reshape(-1, 3)
     biases = solution.calibration.telemetry_bias.items()

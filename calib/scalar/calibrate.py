@@ -157,7 +157,7 @@ def fit_rows(
         sums = add_up(solved.p, problem.data, a, noise=True)
         require_observed(sums, problem.names, how, inflation if options.noise_nT is None else max(inflation, 1.0))
         polished = solve(solved.p, problem.data, a) if options.method == "twostep" else solved
-        mirrored = other_solution(polished, problem.data, how, a)
+        mirrored = other_solution(polished, problem.data, a)
         if mirrored is not None:
             better, sentence = choose(polished, mirrored, problem.data, problem.names, problem.scale_nT, inflation, how)
             solved = solved if better is polished else better

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fluxtwin.calib.common.observability import direction_words, listed
+from fluxtwin.calib.common.observability import PART, ROUNDING, WORST_SIGMA, direction_words, listed
 from fluxtwin.calib.common.records import LARGE_S
 from fluxtwin.calib.common.robust import find_outliers
 from fluxtwin.calib.scalar.maximum_likelihood import Solved, Sums, solve
@@ -23,9 +23,6 @@ from fluxtwin.calib.scalar.model import ScalarData, residual, unpack
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray
 
-_ROUNDING = 1e-13
-_WORST_SIGMA = 0.3
-_PART = 0.2
 _THIN = 0.05
 """A reading that moves by less than that share of the field along a direction keeps to a plane or a cone."""
 _THREE_SIGMA = 9.0
@@ -102,7 +99,7 @@ def require_observed(
     whole = np.einsum("ik,ij,jk->k", vectors, sums.information, vectors)
     sigma = np.sqrt(inflation / np.maximum(values, 1e-300))
     only_noise = values < over_noise * (whole - values)
-    poor = np.flatnonzero((values < _ROUNDING * values[-1]) | only_noise | (sigma > _WORST_SIGMA))
+    poor = np.flatnonzero((values < ROUNDING * values[-1]) | only_noise | (sigma > WORST_SIGMA))
     if poor.size:
         k, v = poor[0], vectors[:, poor[0]]
         also = [name for other in poor[1:] for name in _named(vectors[:, other], names)]
@@ -196,16 +193,16 @@ def _why_meaningless(how: Geometry, outlying: int, rows: int, mixture: str) -> s
 
 
 def _named(v: FloatArray, names: tuple[str, ...]) -> list[str]:
-    return [name for name, part in zip(names, v, strict=True) if abs(part) > _PART * np.abs(v).max()]
+    return [name for name, part in zip(names, v, strict=True) if abs(part) > PART * np.abs(v).max()]
 
 
 def _mixture(v: FloatArray, names: tuple[str, ...]) -> str:
     """The larger parts of a direction in the names of the parameters."""
-    at = np.abs(v) > _PART * np.abs(v).max()
+    at = np.abs(v) > PART * np.abs(v).max()
     return " ".join(f"{part:+.2f} {name}" for part, name, there in zip(v, names, at, strict=True) if there)
 
 
-def other_solution(solved: Solved, data: ScalarData, how: Geometry, a: FloatArray | None) -> Solved | None:
+def other_solution(solved: Solved, data: ScalarData, a: FloatArray | None) -> Solved | None:
     """The polished mirror of a solution in the plane that the readings keep closest to; None where it is the same."""
     D, b, _ = unpack(solved.p, data)
     straight = data.B @ (np.eye(3) + D)

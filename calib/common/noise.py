@@ -25,10 +25,10 @@ from fluxtwin.calib.common.conventions import PAIRS
 from fluxtwin.calib.common.covariance import stretches
 from fluxtwin.calib.common.design import Design, of_turns
 from fluxtwin.calib.common.digits import measured, plain
+from fluxtwin.calib.common.robust import MAD_TO_SIGMA
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 
-_MAD_TO_SIGMA = 1.482602218505602
 _SMALLEST_LSB_NT = 1e-3
 _FEWEST_PAIRS = 30
 _FIRST, _SECOND = ([pair[side] for pair in PAIRS] for side in (0, 1))
@@ -150,7 +150,7 @@ def _declared(
 def clipped_sigma(values: FloatArray) -> float:
     """Standard deviation with what lies beyond four robust sigma clipped: sees no bit errors."""
     middle = float(np.median(values))
-    robust = _MAD_TO_SIGMA * float(np.median(np.abs(values - middle)))
+    robust = MAD_TO_SIGMA * float(np.median(np.abs(values - middle)))
     if robust == 0.0:
         return 0.0
     inside = values[np.abs(values - middle) < 4.0 * robust]
@@ -164,7 +164,7 @@ def _differences(r: FloatArray, time: TimeArray) -> tuple[np.ndarray, FloatArray
         return np.zeros(0, dtype=int), np.zeros((0, 3))
     near = np.flatnonzero(step <= 1.5 * np.median(step))
     d = r[near + 1] - r[near]
-    robust = _MAD_TO_SIGMA * np.median(np.abs(d), axis=0)
+    robust = MAD_TO_SIGMA * np.median(np.abs(d), axis=0)
     inside = (np.abs(d) <= 4.0 * np.where(robust > 0, robust, np.inf)).all(axis=1)
     return near[inside], d[inside]
 

@@ -19,7 +19,8 @@ import numpy as np
 
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 
-_MAD_TO_SIGMA = 1.482602218505602
+MAD_TO_SIGMA = 1.482602218505602
+"""Standard deviation of a normal distribution over its median absolute deviation."""
 _HUBER_AT = 2.0
 """In sigma of the three-component distance: 74 % of a Gaussian lies inside, efficiency 96 %."""
 TUKEY_AT = 6.0
@@ -77,13 +78,13 @@ def robust_weights(start_nT: FloatArray, refit: Callable[[FloatArray], FloatArra
 def find_outliers(residuals: FloatArray) -> np.ndarray:
     """(N,) rows of (N, k) residuals that lie far from the others, by a scale that half of them may be wrong in."""
     r = residuals - np.median(residuals, axis=0)
-    scale = _MAD_TO_SIGMA * np.median(np.abs(r))
+    scale = MAD_TO_SIGMA * np.median(np.abs(r))
     return np.asarray((np.linalg.norm(r, axis=1) > _OUTLIER_SIGMA * scale) & (scale > 0))
 
 
 def robust_distance(r: FloatArray) -> FloatArray:
     """(N,) size of the residual vector in units of each axis's own robust sigma."""
-    sigma = _MAD_TO_SIGMA * np.median(np.abs(r - np.median(r, axis=0)), axis=0)
+    sigma = MAD_TO_SIGMA * np.median(np.abs(r - np.median(r, axis=0)), axis=0)
     floor = max(1e-6 * float(np.abs(r).max()), 1e-12)  # more than half of an axis may sit on one LSB
     spread = np.maximum(sigma, floor)
     return np.asarray(np.sqrt(((r / spread) ** 2).sum(axis=1)))

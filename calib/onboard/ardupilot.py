@@ -15,7 +15,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from fluxtwin.calib.common.conventions import OffsetFirst, six_of, symmetric
-from fluxtwin.calib.onboard.target import NT_PER_MILLIGAUSS, Number, Target, as_float32, float32, named_values
+from fluxtwin.calib.onboard.target import Number, Target, as_float32, float32, named_values
+from fluxtwin.sim.earth.constants import NT_PER_MG
 
 _LINE = re.compile(r"\s*(?P<name>[A-Z0-9_]+)\s*[,\s]\s*(?P<value>[^\s,#]+)")
 _OFFSETS_MAX_MG = 1800.0
@@ -40,7 +41,7 @@ class ArduPilot(Target):
 
     def numbers(self, held: OffsetFirst, instance: int) -> tuple[Number, ...]:
         units = ["mGauss"] * 3 + ["1"] * 7
-        values = [*(-held.o_nT / NT_PER_MILLIGAUSS), *six_of(held.M), 1.0]
+        values = [*(-held.o_nT / NT_PER_MG), *six_of(held.M), 1.0]
         names = [*_names(instance), _scale(instance)]
         return tuple(Number(*of) for of in zip(names, map(float32, values), units, strict=True))
 
@@ -63,10 +64,10 @@ class ArduPilot(Target):
         if not np.diag(M).any():
             M = M + np.eye(3)  # the firmware takes diagonals of zero for one
         held = M * (scale if _SCALE[0] <= scale <= _SCALE[1] else 1.0)
-        return OffsetFirst(held, -NT_PER_MILLIGAUSS * np.array([found[name] for name in names[:3]]))
+        return OffsetFirst(held, -NT_PER_MG * np.array([found[name] for name in names[:3]]))
 
     def beyond(self, held: OffsetFirst) -> list[str]:
-        largest = float(np.abs(held.o_nT).max() / NT_PER_MILLIGAUSS)
+        largest = float(np.abs(held.o_nT).max() / NT_PER_MG)
         diagonal, off = np.diag(held.M), np.abs(held.M[~np.eye(3, dtype=bool)]).max()
         found = []
         if largest >= _OFFSETS_MAX_MG:

@@ -15,11 +15,12 @@ from itertools import product
 import numpy as np
 
 from fluxtwin.calib.common.conventions import OffsetFirst
-from fluxtwin.calib.onboard.target import NT_PER_MILLIGAUSS, Number, Target
+from fluxtwin.calib.onboard.target import Number, Target
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.earth.constants import NT_PER_MG
 
 FORMS = ("S(m-o)", "S(m+o)", "Sm-o", "Sm+o")
-UNITS_NT = {"uT": 1e3, "mG": NT_PER_MILLIGAUSS}
+UNITS_NT = {"uT": 1e3, "mG": NT_PER_MG}
 STATED = tuple(f"cubeadcs:{form},{unit}" for form, unit in product(FORMS, UNITS_NT))
 """Every way to state what the manual says."""
 _PER_UNIT = 1000

@@ -15,9 +15,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from fluxtwin.calib.common.conventions import OffsetFirst
-from fluxtwin.calib.onboard.target import NT_PER_MILLIGAUSS, Number, Target, as_float32, float32
+from fluxtwin.calib.onboard.target import Number, Target, as_float32, float32
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth.constants import NT_PER_MG
 
 _NODE = 4
 _TABLES = {1: 82, 2: 86}
@@ -41,7 +42,7 @@ class GomSpace(Target):
         scale, R = _principal(held.M)
         offset, scaling, rotation = _NAMES[instance]
         vectors = (
-            (offset, -held.o_nT / NT_PER_MILLIGAUSS, "mGauss"),
+            (offset, -held.o_nT / NT_PER_MG, "mGauss"),
             (scaling, scale, "1"),
             (rotation, R.ravel(), "1"),
         )
@@ -69,7 +70,7 @@ class GomSpace(Target):
             for name, size in zip(_NAMES[instance], (3, 3, 9), strict=True)
         )
         R = R.reshape(3, 3)
-        return OffsetFirst(R.T @ np.diag(scale) @ R, -NT_PER_MILLIGAUSS * offset)
+        return OffsetFirst(R.T @ np.diag(scale) @ R, -NT_PER_MG * offset)
 
     def notes(self, held: OffsetFirst) -> list[str]:
         return [

@@ -15,9 +15,9 @@ import numpy as np
 
 from fluxtwin.calib.common.conventions import OffsetFirst
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.earth.constants import NT_PER_MG
 
-NT_PER_MILLIGAUSS = 100.0
-NT_PER_GAUSS = 1e5
+NT_PER_GAUSS = 1000.0 * NT_PER_MG
 
 
 class Number(NamedTuple):

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from fluxtwin.calib.common.records import seconds_of
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
@@ -56,8 +57,7 @@ class Sample:
     @cached_property
     def seconds(self) -> FloatArray:
         """(n,) since the first row."""
-        elapsed: FloatArray = (self.time - self.time[0]).astype("int64") * 1e-9
-        return elapsed
+        return seconds_of(self.time)
 
     @cached_property
     def R_BN(self) -> Rotation:

@@ -19,6 +19,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.special import ndtr, stdtrit
 
+from fluxtwin.calib.common.records import seconds_of
 from fluxtwin.calib.common.regression import Regression, blocks
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 
@@ -130,7 +131,7 @@ def groupings(
 
 def _cut(time: TimeArray, segment: np.ndarray, length_s: float) -> np.ndarray:
     """(N,) numbers of pieces of that length, none across a change of segment."""
-    seconds = (time - time[0]).astype("int64") * 1e-9
+    seconds = seconds_of(time)
     start = seconds[np.searchsorted(segment, segment)]
     piece = np.floor((seconds - start) / length_s + 1e-9).astype(np.int64)
     return np.asarray(np.unique(np.stack([segment, piece]), axis=1, return_inverse=True)[1].ravel())

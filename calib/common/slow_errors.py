@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fluxtwin.calib.common.records import seconds_of
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 
 CELLS = 400
@@ -30,7 +31,7 @@ def cells(
     time: TimeArray, segment: np.ndarray, parts: Sequence[FloatArray], a: FloatArray, most: int = CELLS
 ) -> PairedCells:
     """Average the columns of `parts` (each (N, k)) with weights a (N,) over about `most` cells, none across a gap."""
-    seconds = (time - time[0]).astype("int64") * 1e-9
+    seconds = seconds_of(time)
     first = np.concatenate([[0], np.flatnonzero(np.diff(segment)) + 1])
     last = np.concatenate([first[1:], [len(seconds)]]) - 1
     observed_s = float((seconds[last] - seconds[first]).sum())

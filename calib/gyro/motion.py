@@ -8,6 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from fluxtwin.calib.common.records import seconds_of
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 
 LARGEST_TURN_RAD = 1.0
@@ -35,7 +36,7 @@ class Stretch(NamedTuple):
 
 def cut(time: TimeArray, rate_B_rad_s: FloatArray, length_s: float) -> list[np.ndarray]:
     """Rows of each stretch of about `length_s`, without gaps and without turns that cannot be followed."""
-    seconds = (time - time[0]).astype(np.float64) * 1e-9
+    seconds = seconds_of(time)
     step = np.diff(seconds)
     usual = float(np.median(step)) if step.size else 1.0
     speed = np.linalg.norm(rate_B_rad_s, axis=1)
@@ -68,7 +69,7 @@ def follow(time: TimeArray, rate_B_rad_s: FloatArray, rows: np.ndarray, degree: 
 
     That is the Magnus series to fourth order, for the rotation from body axes to body axes (Iserles and Norsett 1999).
     """
-    seconds = (time[rows] - time[rows[0]]).astype(np.float64) * 1e-9
+    seconds = seconds_of(time[rows])
     rate, dt = rate_B_rad_s[rows], np.diff(seconds)
     whole = CubicSpline(seconds, rate).antiderivative()(seconds)
     turn = np.diff(whole, axis=0) + np.cross(rate[:-1], rate[1:]) * (dt**2 / 12.0)[:, None]

@@ -28,6 +28,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import minimize_scalar
 
 from fluxtwin.calib.common.conventions import of_S
+from fluxtwin.calib.common.design import of_turns
 from fluxtwin.calib.common.shrinkage import widening
 from fluxtwin.calib.gyro.motion import Stretch, degree_for, follow
 from fluxtwin.sim.base.errors import NoAnswer
@@ -222,9 +223,7 @@ def _cleared(
         columns.append(-of_S(here).reshape(n * 3, 9) @ BASIS_S)
     columns += [np.kron(part[:, None], np.eye(3)) for part in (*d[one.rows].T, np.ones(n))]
     # R turns by (I + [Psi d]x) for a bias larger by d: the field by (Psi d) x B = -[B]x Psi d
-    cross = np.zeros((n, 3, 3))
-    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -B[:, 2], B[:, 1], -B[:, 0]
-    cross -= cross.transpose(0, 2, 1)
+    cross = np.ascontiguousarray(-of_turns(B))
     columns.append(-(cross @ one.turned).reshape(n * 3, 3))
     field = np.einsum("nij,np->nipj", one.R, one.basis).reshape(n * 3, -1)
     whole = np.hstack([field, *columns, here.reshape(-1, 1)])

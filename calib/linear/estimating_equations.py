@@ -13,6 +13,7 @@ import numpy as np
 from fluxtwin.calib.common.covariance import observed_s, segments
 from fluxtwin.calib.common.design import of_turns
 from fluxtwin.calib.common.error_model import LikelihoodCells, Posterior
+from fluxtwin.calib.common.records import seconds_of
 from fluxtwin.calib.common.slow_errors import CELLS, responses
 from fluxtwin.calib.linear.problem import LinearProblem, Solution
 from fluxtwin.sim.base.types import FloatArray
@@ -66,7 +67,7 @@ def evidence(problem: LinearProblem, solution: Solution, kept: np.ndarray) -> Li
     """Cells for the likelihood, in which the field hardly turns; of a long record stretches. kept: (N,) rows."""
     rows, length_s = _looked_at(problem, np.flatnonzero(kept))
     time = problem.design.time[rows]
-    seconds = (time - time[0]).astype("int64") * 1e-9
+    seconds = seconds_of(time)
     segment = segments(time)
     starts = _cell_starts(seconds, segment, length_s)
     count = np.diff(np.concatenate([starts, [len(seconds)]])).astype(np.float64)
@@ -109,7 +110,7 @@ def _looked_at(problem: LinearProblem, rows: np.ndarray) -> tuple[np.ndarray, fl
     if rate * length_s > _TURN:
         length_s = max(_TURN / rate, float(np.median(step_s)))
         stretch_s = length_s * _LIKELY_CELLS / _STRETCHES
-        seconds = (time - time[0]).astype("int64") * 1e-9
+        seconds = seconds_of(time)
         begin = np.linspace(0.0, max(float(seconds[-1]) - stretch_s, 0.0), _STRETCHES)
         inside = (seconds[:, None] >= begin) & (seconds[:, None] <= begin + stretch_s)
         few = np.flatnonzero(inside.any(axis=1))
@@ -142,7 +143,7 @@ def _cell_starts(seconds: FloatArray, label: np.ndarray, length_s: float) -> np.
 def sums(problem: LinearProblem, solution: Solution, label: np.ndarray) -> RowSums:
     """Of all rows; label (N,): cells do not reach across a change of it."""
     time, a = problem.design.time, problem.weights
-    seconds = (time - time[0]).astype("int64") * 1e-9
+    seconds = seconds_of(time)
     length_s = observed_s(time, segments(time)) / CELLS if len(time) > CELLS else 0.0
     starts = _cell_starts(seconds, label, length_s)
     ends = np.concatenate([starts[1:], [len(seconds)]])

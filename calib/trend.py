@@ -22,6 +22,7 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from fluxtwin.calib.common.conventions import offset_first_from_correction
+from fluxtwin.calib.common.criterion import FALSE_ALARM
 from fluxtwin.calib.common.digits import measured, plain
 from fluxtwin.calib.common.records import Calibration, parameter_unit
 from fluxtwin.calib.onboard.export import FIELDS_NT, AddedError, added_error
@@ -31,8 +32,6 @@ from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.telemetry.record import plain_text
 
-LEVEL = 0.01
-"""False alarms that are accepted, over all parameters together."""
 EXPIRED_SIGMAS = 3.0
 """A drift that has moved a parameter by so many of its sigmas has made the last calibration expire."""
 _LEAST_DEGC = 1.0  # between calibrations: less tells nothing about temperature
@@ -102,7 +101,7 @@ class Trend(Shown):
     @property
     def holds(self) -> bool:
         """Whether nothing is seen to have changed."""
-        return self.probability >= LEVEL and all(one.kind == "constant" for one in self.histories)
+        return self.probability >= FALSE_ALARM and all(one.kind == "constant" for one in self.histories)
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -126,7 +125,7 @@ class Trend(Shown):
         said = [f"Does not hold: the calibrations differ by more than their sigmas ({q}).", *map(self._words, changed)]
         if not changed:
             said.append("No single parameter is seen to have changed: many did a little, or the sigmas are too small.")
-        agrees = self.last_probability >= LEVEL
+        agrees = self.last_probability >= FALSE_ALARM
         verdict = "agrees with" if agrees else "differs from"
         said.append(
             f"The last calibration {verdict} the mean of those before it (probability {chance(self.last_probability)}). "
@@ -325,7 +324,7 @@ def _holm(found: list[History]) -> tuple[History, ...]:
     """Those that are not significant beside the others are constant."""
     kept: set[str] = set()
     for place, one in enumerate(sorted(found, key=lambda one: one.explained)):
-        if one.explained * (len(found) - place) >= LEVEL:
+        if one.explained * (len(found) - place) >= FALSE_ALARM:
             break
         kept.add(one.name)
     nothing: dict[str, Any] = {"kind": "constant", "size": 0.0, "size_sigma": 0.0, "after": 0, "explained": 1.0}

@@ -20,6 +20,10 @@ THRESHOLD = 6.0
 """The least worth of a finding. On noise alone the largest worth of a whole search exceeds it in about 0.2 % of records."""
 
 
+FALSE_ALARM = 0.01
+"""Level of a test that no worth is given for, over all that it is made of."""
+
+
 def penalty(rank: ArrayLike, drop: ArrayLike, samples: float) -> FloatArray:
     """Of `rank` parameters that lower chi-square (unit variance) by `drop` together."""
     ranks = np.maximum(np.asarray(rank, dtype=np.float64), 0.0)

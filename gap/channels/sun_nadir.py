@@ -24,6 +24,7 @@ from scipy.stats import t as student
 
 from fluxtwin.calib.attitude.horizon_scanner import sun_and_nadir
 from fluxtwin.calib.common.covariance import make_blocks
+from fluxtwin.calib.common.criterion import FALSE_ALARM
 from fluxtwin.gap.linear.projection import orthonormal
 from fluxtwin.gap.selection.criterion import THRESHOLD, worth
 from fluxtwin.gap.selection.refit import WHOLLY
@@ -35,8 +36,6 @@ from fluxtwin.sim.telemetry.record import Telemetry
 
 FEWEST_PASSES = 8
 _FEWEST_TO_CONTRADICT = 4
-FALSE_ALARM = 0.01
-"""Of ruling out what another channel names."""
 LEAST_EXPLAINED = 0.02
 """What explains less is not named: the rounding of a digital head repeats from pass to pass and looks like a fault."""
 _RIVAL = 0.9
@@ -222,13 +221,8 @@ class Channel:
         return none > FALSE_ALARM and whole < FALSE_ALARM and bool(share[0] < 1.0)
 
 
-def weigh_sun_nadir(telemetry: Telemetry) -> SunNadir:
-    """Weigh a biased scanner (constant, and with latitude) and each turned head; see `open_channel`."""
-    return open_channel(telemetry).weigh()
-
-
 def open_channel(telemetry: Telemetry, *, fewest: int = FEWEST_PASSES) -> Channel:
-    """The channel of a record.
+    """The channel of a record, to weigh a biased scanner (constant, and with latitude) and each turned head.
 
     Gaps in time divide it into passes with a common error, and in a record with few gaps stretches of ten minutes are taken.
     Of a long record rows spread over all of it are used. Raises BadInput where sun, nadir or position are absent, NoAnswer

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
+from fluxtwin.calib.common.criterion import FALSE_ALARM
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.lines import Line, line_columns
 from fluxtwin.gap.detectors.waveforms import Fitted, does_as_well, fitted, stands_out
@@ -29,7 +30,7 @@ from fluxtwin.sim.effects.switched_field import HeaterSwitching
 _ROUNDS = 8
 _FEWEST_SWITCHES = 6
 _MOST_SWITCHES = 150
-_TELEGRAPHS, _REGULAR_P, _SEED = 400, 0.01, 20
+_TELEGRAPHS, _SEED = 400, 20
 _SHARES = (0.25, 0.5, 0.75)  # of the rows in the lower level, to begin with
 _MOVES = ((-1, 0), (0, 1), (-3, 0), (0, 3))  # rows about an edge
 
@@ -50,7 +51,7 @@ def heater_sequence(
     if value <= THRESHOLD:
         return None
     faults = does_as_well(value, found, rivals)
-    if _regularity(setting, on) > _REGULAR_P:
+    if _regularity(setting, on) > FALSE_ALARM:
         faults.append("it switches as irregularly as a random telegraph")
     if stands_out(left, in_body(on.astype(float)), line_columns(setting.seconds, line.frequency_Hz)):
         faults.append("it is a line that was cut")

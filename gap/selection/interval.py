@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
+from fluxtwin.calib.common.criterion import FALSE_ALARM
 from fluxtwin.gap.hypotheses.blocks import in_body
 from fluxtwin.gap.linear.projection import Whitens, orthonormal
 from fluxtwin.gap.problem.problem import Problem
@@ -16,7 +17,6 @@ _EDGES = 64
 _LEAST_SHARE = 0.05  # of the record, inside and on either side: shorter ones are spikes, or a step
 _SURER = 14.0  # of chi-square, beyond the best single step on the same edges: a fourth of a second edge's price, twice
 _MORE = 0.05  # of the step's own
-_CHANCE = 0.01  # of a jump where there is none: it costs two more candidates
 
 
 def likeliest_interval(
@@ -55,12 +55,13 @@ def likeliest_interval(
 def likeliest_jump(time: TimeArray, residual: FloatArray, weights: FloatArray) -> list[str]:
     """The moment (ISO 8601 UTC) of the row that a whitened residual (N, 3) says least of beforehand; none where chance does.
 
-    weights (N, 3): zero in rows that are set aside; just before that row they belong to the jump. Where the attitude's error
-    has a memory, a jump of the attitude is all in the innovation of one row: a moment that is off by a row misses it.
+    weights (N, 3): zero in rows that are set aside; just before that row they belong to the jump. One where there is
+    none costs two more candidates. Where the attitude's error has a memory, a jump of the attitude is all in the
+    innovation of one row: a moment that is off by a row misses it.
     """
     energy = np.sum(residual**2, axis=1)
     row = int(np.argmax(energy))
-    if row == 0 or chi2.sf(energy[row], 3) * energy.size > _CHANCE:
+    if row == 0 or chi2.sf(energy[row], 3) * energy.size > FALSE_ALARM:
         return []
     while row > 1 and not weights[row - 1].any():
         row -= 1

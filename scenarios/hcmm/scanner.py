@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.calib.attitude.horizon_scanner import ScannerCalibration, calibrate_scanner
-from fluxtwin.gap.channels.sun_nadir import weigh_sun_nadir
+from fluxtwin.gap.channels.sun_nadir import open_channel
 from fluxtwin.scenarios.flights import Numbers, papers_regression
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.calibration import choose_rows, fit_rows, pass_labels
@@ -106,8 +106,8 @@ def run_scanner(days: Flight, last: Flight, ground: FieldModel, progress: Progre
         head_1_truth_deg=truth,
         # The sun-nadir channel of the three days, the scanner without bias: head 1 turned; and head 1 right, with the
         # magnetometer's S as it is.
-        channel=weigh_sun_nadir(last.telemetry),
-        turned_magnetometer=weigh_sun_nadir(right.telemetry),
+        channel=open_channel(last.telemetry).weigh(),
+        turned_magnetometer=open_channel(right.telemetry).weigh(),
     )
 
 

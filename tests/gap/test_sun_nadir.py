@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, t
 
-from fluxtwin.gap.channels.sun_nadir import _weigh, open_channel, weigh_sun_nadir
+from fluxtwin.gap.channels.sun_nadir import _weigh, open_channel
 from fluxtwin.gap.selection.criterion import worth
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
@@ -37,7 +37,7 @@ def fly(changes, seed=1978):
 @pytest.mark.parametrize("case", CASES)
 def test_the_fault_is_named(case):
     changes, expected = CASES[case]
-    found = weigh_sun_nadir(fly(changes))
+    found = open_channel(fly(changes)).weigh()
     named = None if found.named is None else (found.named.name, found.named.head)
     assert named == expected
     json.dumps(found.to_dict(), allow_nan=False)
@@ -47,7 +47,7 @@ def test_the_fault_is_named(case):
 def test_the_turn_of_head_1_comes_back_where_it_can_be_seen():
     """Only the turn about the normal of the plane of sun and nadir moves the angle; at dawn the sun stands at azimuth -28
     to -34 deg, so that normal lies at azimuth 58 deg. A head turned by theta reports the sun turned by minus theta."""
-    named = weigh_sun_nadir(fly(HEAD_1)).named
+    named = open_channel(fly(HEAD_1)).weigh().named
     normal = np.array([np.cos(np.radians(59.0)), np.sin(np.radians(59.0))])
     found = normal @ [named.parameters["turn_x"][0], named.parameters["turn_y"][0]]
     assert found == pytest.approx(-normal @ [0.3, 0.52], abs=0.08)  # 0.5 deg steps of the head over four short passes
@@ -69,16 +69,16 @@ def test_a_reported_orbit_that_is_wrong_is_no_fault_of_a_sensor():
 
 def test_false_alarms_are_rare():
     """30 flights without a fault: at 1 % two alarms or more have a chance of 4 %."""
-    alarms = [seed for seed in range(30) if weigh_sun_nadir(fly({}, seed)).named is not None]
+    alarms = [seed for seed in range(30) if open_channel(fly({}, seed)).weigh().named is not None]
     assert len(alarms) <= 1
 
 
 def test_too_little_is_said_in_words():
     telemetry = fly({})
     with pytest.raises(NoAnswer, match="passes have measured sun and nadir"):
-        weigh_sun_nadir(telemetry.select(np.arange(100)))
+        open_channel(telemetry.select(np.arange(100))).weigh()
     with pytest.raises(BadInput, match="no such columns"):
-        weigh_sun_nadir(telemetry.replace(sun_B=None))
+        open_channel(telemetry.replace(sun_B=None)).weigh()
 
 
 def test_a_record_without_gaps_is_cut_into_stretches():
@@ -86,7 +86,7 @@ def test_a_record_without_gaps_is_cut_into_stretches():
         {"schedule.in_view_of_stations": None, "sun_sensor.1.misalignment_deg": None}
     )
     segment = {"start_utc": "1978-11-29T14:00:00Z", "duration_min": 400.0, "step_s": 10.0}
-    found = weigh_sun_nadir(mission.fly(continuous.updated({"schedule.segments": [segment]})).telemetry)
+    found = open_channel(mission.fly(continuous.updated({"schedule.segments": [segment]})).telemetry).weigh()
     assert found.passes >= 8
     assert found.named is None
 

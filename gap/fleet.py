@@ -20,7 +20,8 @@ import numpy as np
 from scipy.special import expit, softmax
 from scipy.stats import chi2
 
-from fluxtwin.gap.linear.projection import SHARE_LEFT, explained
+from fluxtwin.calib.common.criterion import FALSE_ALARM
+from fluxtwin.gap.linear.projection import SHARE_LEFT, explained_in_units
 from fluxtwin.gap.posterior.stated import stated
 from fluxtwin.gap.records.diagnosis import Diagnosis, Score
 from fluxtwin.gap.selection.criterion import THRESHOLD, TWENTY_TO_ONE, worth
@@ -28,9 +29,6 @@ from fluxtwin.gap.selection.score import ALIKE
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect
-
-FALSE_ALARM = 0.01
-"""Of a whole fleet: for the spread of a size, and for the odd one out."""
 
 
 @dataclass(frozen=True)
@@ -177,19 +175,13 @@ def _in_common(scores: Sequence[Score]) -> tuple[float, int]:
     errors = 0.0
     if score.size == 1 and whole.any():
         errors = min(sum(one.of_errors for one in scores) / float(whole.max()), 0.5)
-    return _explained(score, whole * (1.0 - errors))
+    return explained_in_units(whole * (1.0 - errors), score)
 
 
 def _imitate(diagnoses: Sequence[Diagnosis], one: str, other: str) -> bool:
     """Whether the designs of all vehicles hardly separate two effects."""
     pairs = ((one, other), (other, one))
     return all(each.isolability.get(a, {}).get(b, 0.0) > ALIKE for each in diagnoses for a, b in pairs)
-
-
-def _explained(score: FloatArray, information: FloatArray) -> tuple[float, int]:
-    scale = np.sqrt(np.maximum(np.diag(information), 0.0))
-    scale = np.where(scale > 0, scale, 1.0)
-    return explained(information / np.outer(scale, scale), score / scale, SHARE_LEFT)
 
 
 def _estimates(scores: Sequence[Score]) -> tuple[FloatArray, FloatArray]:
@@ -281,7 +273,7 @@ def _explained_apart(one: Score, others: Sequence[Score]) -> tuple[float, int]:
     """Chi-square by which one vehicle's size differs from that of the others together, and its rank."""
     rest_score = sum((other.score for other in others), np.zeros_like(one.score))
     rest = sum((other.information for other in others), np.zeros_like(one.information))
-    alone, rank = _explained(one.score, one.information)
-    theirs, _ = _explained(rest_score, rest)
-    together, _ = _explained(one.score + rest_score, one.information + rest)
+    alone, rank = explained_in_units(one.information, one.score)
+    theirs, _ = explained_in_units(rest, rest_score)
+    together, _ = explained_in_units(one.information + rest, one.score + rest_score)
     return max(alone + theirs - together, 0.0), rank

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.calib.common.conventions import of_S
-from fluxtwin.gap.linear.projection import SHARE_LEFT, ProjectedResidual, orthonormal, projected
+from fluxtwin.gap.linear.projection import ProjectedResidual, explained_in_units, orthonormal, projected
 from fluxtwin.gap.noise.robust_rows import CUT_SIGMA, standing_out
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import SHAPE, THRESHOLD
@@ -84,7 +84,9 @@ class Apart:
         for cause in causes:
             gram, moment = _products(readings, cause.columns_nT, others_nT, cause.image_nT)
             its_gram, its_moment = _products(self.left, cause.columns_nT, others_nT, None)
-            drops.append((cause.stage, _explained(gram, moment), _explained(gram + its_gram, moment + its_moment)))
+            own, _ = explained_in_units(gram, moment)
+            both, _ = explained_in_units(gram + its_gram, moment + its_moment)
+            drops.append((cause.stage, own, both))
         least = min(THRESHOLD, max((shared for _, shared, _ in drops), default=0.0))
         return bool(drops) and all(_denied(*one) for one in drops if one[1] >= least)
 
@@ -105,15 +107,6 @@ def _products(
         basis = orthonormal(left.project(np.concatenate(others_nT, axis=2))[0])
         columns = columns - basis @ (basis.T @ columns)
     return columns.T @ columns, columns.T @ target
-
-
-def _explained(gram: FloatArray, moment: FloatArray) -> float:
-    """Drop of chi-square."""
-    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    value, vector = np.linalg.eigh(gram / size / size[:, None])
-    seen = value > SHARE_LEFT
-    along = vector[:, seen].T @ (moment / size)
-    return float(np.sum(along**2 / value[seen]))
 
 
 def apart(problem: Problem) -> Apart | None:

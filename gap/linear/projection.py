@@ -104,6 +104,13 @@ def explained(gram: FloatArray, moment: FloatArray, least: float) -> tuple[float
     return float(np.sum((vectors[:, seen].T @ moment) ** 2 / values[seen])), int(seen.sum())
 
 
+def explained_in_units(gram: FloatArray, moment: FloatArray) -> tuple[float, int]:
+    """The same of columns in any units, each over its length: as `SHARE_LEFT` has it."""
+    scale = np.sqrt(np.maximum(np.diag(gram), 0.0))
+    scale = np.where(scale > 0, scale, 1.0)
+    return explained(gram / np.outer(scale, scale), moment / scale, SHARE_LEFT)
+
+
 def log10_sf_f(ratio: float, rank: float, spare: float) -> float:
     """log10 of the upper tail of the F law, also where it underflows."""
     p = float(fdtrc(rank, spare, ratio)) if ratio > 0 else 1.0

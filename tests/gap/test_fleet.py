@@ -10,7 +10,8 @@ import pytest
 from worlds import TUMBLING, tumbling
 
 from fluxtwin.gap.diagnose import diagnose
-from fluxtwin.gap.fleet import Fleet, _explained, fleet
+from fluxtwin.gap.fleet import Fleet, fleet
+from fluxtwin.gap.linear.projection import explained_in_units
 from fluxtwin.gap.records.diagnosis import Diagnosis, Score
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth.field import load_field
@@ -102,7 +103,7 @@ def test_scores_are_those_of_least_squares(perfect: Diagnosis) -> None:
 
 def test_what_scores_explain_does_not_hang_on_units() -> None:
     information, score = np.diag([1e6, 1e-9]), np.array([2e3, 3e-5 * np.sqrt(1e-1)])
-    drop, rank = _explained(score, information)
+    drop, rank = explained_in_units(information, score)
     assert (drop, rank) == (pytest.approx(4.0 + 0.09), 2)
 
 

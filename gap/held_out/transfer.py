@@ -24,6 +24,7 @@ from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.diagnosis import Closure, FoundEffect, Transfer
 from fluxtwin.gap.selection.detectable import Rule, visible_part
 from fluxtwin.gap.selection.refit import Readings, refit
+from fluxtwin.gap.selection.search import WORTH_SAYING
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active, Chain, jacobians
@@ -34,9 +35,8 @@ _DRAWS = 20_000
 """A chance of 0.05 is then good to 0.0015."""
 _ABSORBED = 1e-9
 """Whitened energy of an error that what is re-estimated absorbs: rounding."""
-_UNLIKELY = 1e-3
 _MOST_TRIALS = 8
-"""Refits of what might be in the place of a named effect, and the weight below which one does not matter."""
+"""Refits of what might be in the place of a named effect."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +180,7 @@ def _others(closure: Closure, number: int) -> tuple[Other, ...]:
         fit = refit(readings, trial, modelled=closure.modelled)
         worse = (fit.chi2 - own.chi2) / closure.variance + (fit.rank_chosen - own.rank_chosen) * np.log(samples)
         weight = float(np.exp(-0.5 * np.clip(worse, -100.0, 1400.0)))
-        if weight > _UNLIKELY:
+        if weight > WORTH_SAYING:
             reading = problem.reading_nT([*fit.modelled, *fit.others(number)])
             pinned = other.pinned(problem.setting, reading)
             assert isinstance(pinned, SignalEffect) and isinstance(effect, SignalEffect)

@@ -24,7 +24,7 @@ from fluxtwin.gap.records.diagnosis import Closure, Detectable, Diagnosis, Found
 from fluxtwin.gap.report import advice, level, words
 from fluxtwin.gap.report.level import Excess
 from fluxtwin.gap.report.second_channel import Angle
-from fluxtwin.gap.selection.criterion import still_known
+from fluxtwin.gap.selection.criterion import GATE, still_known
 from fluxtwin.gap.selection.named import Support, found_effect
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
@@ -33,8 +33,8 @@ from fluxtwin.sim.effects.signal import Setting
 _AT_STAGE = 0.9
 """Probability of the stage where its error is beyond the declared one: a judgement, a residual may be large by a cause
 elsewhere."""
-_RESEMBLES_P = 1e-3
-"""p-value of an effect alone from which on the unknown is said to resemble it: half that of a name (`criterion.GATE`)."""
+_RESEMBLES_P = GATE / 2.0
+"""p-value of an effect alone from which on the unknown is said to resemble it: half that of a name."""
 _MOST_RESEMBLED = 3
 
 

@@ -24,7 +24,7 @@ from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
 
 IN_GROUP = 0.05  # probability of a rival, one in twenty, from which on it is not distinguished
-_WORTH_SAYING = 0.001  # of a rival
+WORTH_SAYING = 0.001  # of a rival: a less likely one is neither stated nor tried on other designs
 _OF_ERRORS = 1e-3
 """Of the energy of an image: less would cost a cause that explains a drop of a thousand one unit of it."""
 
@@ -183,7 +183,7 @@ def support(search: Search[Any], fit: Fit, number: int, variance: float) -> Supp
     group = (effect.name, *alike, *likely)
     drop, rank = bare.chi2 - fit.chi2, max(fit.rank_chosen - bare.rank_chosen, 1)
     inside = present + sum(weights.get(name, 0.0) for name in group)
-    rivals = [(n, float(share)) for n, share in likeliest if n not in group and share >= _WORTH_SAYING]
+    rivals = [(n, float(share)) for n, share in likeliest if n not in group and share >= WORTH_SAYING]
     p_value = min(1.0, search.tested * search.first.p_value(drop, rank))
     return Support(p_value, inside / total, group, tuple(rivals))
 

@@ -7,7 +7,7 @@ forgotten: memory does not grow with the number of blocks.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -94,24 +94,15 @@ class Dictionary:
             self._latest = (whitener, flat, [flat[:, part].T @ flat[:, part] for part in self.slices])
         return self._latest[1], self._latest[2]
 
-    def products(self, left: ProjectedResidual, other: FloatArray) -> Iterator[FloatArray]:
-        """For each block (k, m): products of its whitened columns with others (3N, m)."""
-        if self.small:
-            whole = self.white(left.whitener)[0].T @ other
-            yield from (whole[part] for part in self.slices)
-            return
-        for block in self.found:
-            white = left.whitener.apply(np.ascontiguousarray(block.make()))
-            yield white.reshape(other.shape[0], -1).T @ other
-
     def fits(self, left: ProjectedResidual) -> list[BlockFit]:
         """`fit` for each block."""
         if not self.small or not self.found:
             return fit_all(self.found, left)
-        _, grams = self.white(left.whitener)
-        along = self.products(left, np.concatenate([left.basis, left.residual[:, None]], axis=1))
+        white, grams = self.white(left.whitener)
+        along = white.T @ np.concatenate([left.basis, left.residual[:, None]], axis=1)
         fits = []
-        for block, gram, products in zip(self.found, grams, along, strict=True):
+        for block, gram, part in zip(self.found, grams, self.slices, strict=True):
+            products = along[part]
             free = gram - products[:, :-1] @ products[:, :-1].T
             fits.append(BlockFit(block, free, products[:, -1], np.diag(gram), left.least_share))
         return fits

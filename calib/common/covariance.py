@@ -154,7 +154,7 @@ def segments(time: TimeArray, least_gap_s: float = 0.0) -> np.ndarray:
     return np.concatenate([[0], np.cumsum(step > max(5.0 * float(np.median(step)), least_gap_s * 1e9))])
 
 
-def stretches(rows: int, most: int) -> np.ndarray:
+def stretches(rows: int, most: int = 50_000) -> np.ndarray:
     """Indices of at most `most` rows in ten stretches of consecutive rows, spread over the record."""
     if rows <= most:
         return np.arange(rows)

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.calib.common.direction import even_directions, of_parameters
+from fluxtwin.calib.common.direction import ROWS, even_directions, of_parameters, spread_rows
 from fluxtwin.calib.common.records import Calibration, parameter_unit
 from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.sim.base.types import FloatArray, IntArray
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 BINS = 80
 GOOD = 0.3
 """Share of the bins from which MAGFit calls the coverage good."""
-_ROWS = 500  # of a longer record, evenly spread
 _TURNS = 24  # of a slew about an axis, and the fewest rows that one needs
 _LONGEST, _SHORTEST = 100.0, 1e-3  # records: beyond, a manoeuvre does not help; below, it is not worth saying
 _RANK = 1e-10  # of the largest eigenvalue of a scaled covariance: a parameter that was not estimated, or a symmetric S
@@ -144,7 +143,7 @@ def _plans(
     U = vectors[:, values > _RANK * values[-1]]
     inside = U.T @ C @ U
     inverse = np.linalg.inv(inside)
-    some = np.unique(np.linspace(0, len(field_nT) - 1, min(_ROWS, len(field_nT))).astype(int))
+    some = spread_rows(len(field_nT))
     B, true = reading_nT[some], field_nT[some]
 
     def information(B: FloatArray, true: FloatArray) -> FloatArray:
@@ -157,7 +156,7 @@ def _plans(
         turn = Rotation.from_rotvec(np.outer(2.0 * np.pi * np.arange(_TURNS) / _TURNS, axis))
         turned = np.concatenate([one.apply(true[:: max(1, len(true) // 40)]) for one in turn])
         flown[f"a slew about body {name} through all angles"] = information(turned, turned) / k
-    even = even_directions(_ROWS) * float(np.sqrt((true**2).sum(axis=1).mean()))
+    even = even_directions(ROWS) * float(np.sqrt((true**2).sum(axis=1).mean()))
     flown["a tumble through all directions"] = information(even, even) / k
     found = []
     for words, more in flown.items():

@@ -21,7 +21,8 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.frames import angle_between
 
 CONFIDENCE = 0.95
-_ROWS = 500  # of a longer record, evenly spread
+ROWS = 500
+"""Of a longer record, evenly spread: they stand for all of it."""
 _ANGLES = 64  # of the quadrature over the ellipse: exact to four digits for axes as different as 1 to 30
 
 
@@ -55,13 +56,13 @@ def direction_knowledge(
 
     noise_nT2: (3,) variance of a reading.
     """
-    some = np.unique(np.linspace(0, len(field_nT) - 1, min(_ROWS, len(field_nT))).astype(int))
+    some = spread_rows(len(field_nT))
     dipole = None if dipole_Am2 is None else dipole_Am2[some]
     of_calibration = _of_calibration(calibration, reading_nT[some], dipole, field_nT[some])
     size = np.linalg.norm(field_nT[some], axis=1)
     turned = _across(field_nT[some]) @ (np.eye(3) + calibration.S)
     of_noise = (turned * noise_nT2) @ turned.transpose(0, 2, 1)
-    even = even_directions(_ROWS) * float(np.sqrt((size**2).mean()))
+    even = even_directions(ROWS) * float(np.sqrt((size**2).mean()))
     return DirectionKnowledge(
         before_deg=float(np.degrees(np.quantile(angle_between(reading_nT, true_nT), CONFIDENCE))),
         after_deg=_quantile_deg(of_noise + of_calibration),
@@ -84,6 +85,11 @@ def _of_calibration(calibration: Calibration, B: FloatArray, D: FloatArray | Non
     T = None if calibration.T_nT_per_Am2 is None else D
     through = _across(field_nT) @ of_parameters(B, T, len(calibration.names))
     return np.asarray(through @ calibration.covariance @ through.transpose(0, 2, 1))
+
+
+def spread_rows(count: int) -> np.ndarray:
+    """Indices of at most `ROWS` rows, evenly spread over so many."""
+    return np.unique(np.linspace(0, count - 1, min(ROWS, count)).astype(int))
 
 
 def even_directions(count: int) -> FloatArray:

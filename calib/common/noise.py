@@ -33,7 +33,6 @@ _SMALLEST_LSB_NT = 1e-3
 _FEWEST_PAIRS = 30
 _FIRST, _SECOND = ([pair[side] for pair in PAIRS] for side in (0, 1))
 _ROUNDS = 3
-_ROWS = 50_000  # of a longer record, stretches that add up to this are looked at
 
 
 @dataclass(frozen=True)
@@ -75,7 +74,7 @@ def reading_noise(
     residual_nT: (N, 3) of a first fit, on the side of the reading. Noise that lasts longer than a sample is not seen
     in differences; how much of the residual along the field may be of that kind goes into the covariance.
     """
-    some = stretches(len(design), _ROWS)
+    some = stretches(len(design))
     declared, lsb, lsb_words = _declared(design.B_nT[some], noise_nT, lsb_nT)
     if declared is not None:
         return declared
@@ -115,7 +114,7 @@ def scalar_noise(
     B_nT: (N, 3). residual_nT: (N,) |B| less |H| of a first fit. What lasts longer than a sample is not noise here; how
     much of the residual is of that kind goes into the covariance, as any part of it may be noise all the same.
     """
-    some = stretches(len(time), _ROWS)
+    some = stretches(len(time))
     declared, lsb, words = _declared(B_nT[some], noise_nT, lsb_nT)
     if declared is not None:
         return declared

@@ -18,7 +18,6 @@ from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.telemetry.record import Telemetry
 
 _LAGS_SHOWN = 10
-_ROWS = 50_000  # of a longer record, stretches that add up to this give the correlations
 
 
 @dataclass(frozen=True)
@@ -64,7 +63,7 @@ def residual_statistics(time: TimeArray, residual_nT: FloatArray) -> ResidualSta
     r, stamps = (residual_nT, time) if finite.all() else (residual_nT[finite], time[finite])
     if not len(r):
         raise NoAnswer("there is no residual: no row has reading, attitude and position", evidence={"samples": 0})
-    some = stretches(len(r), _ROWS)
+    some = stretches(len(r))
     segment = segments(stamps[some])
     lags = min(_LAGS_SHOWN, max(1, len(some) // 4))
     return ResidualStatistics(

@@ -240,7 +240,7 @@ def _limits(
     known = fit.calibration
     found = [*fit.warnings, *([declared.words] if declared.ratio > _TRUSTED else [])]
     only_b = not known.sigmas[:9].any()
-    if along.found_nT > np.sqrt(2.0) * along.allowed * along.noise_nT:
+    if _too_much_along(along):
         rest = float(np.sqrt(along.found_nT**2 - along.noise_nT**2))
         beyond = (
             say("verdict.beyond_model", model_nT=FIELD_MODEL_NT) if _beyond_model(along) else say("verdict.of_model")

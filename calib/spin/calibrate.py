@@ -45,7 +45,7 @@ from fluxtwin.calib.spin.method import SpinOptions as SpinOptions
 from fluxtwin.calib.spin.motion import SpinMotion, skew
 from fluxtwin.calib.spin.outliers import beyond, outlier_words, outlying_readings
 from fluxtwin.calib.spin.rows import SpinRows, assemble_spin
-from fluxtwin.calib.spin.sedlak import Iterated, at, free_motion, iterate
+from fluxtwin.calib.spin.sedlak import OF_SIGMA, Iterated, at, free_motion, iterate
 from fluxtwin.calib.spin.start import SpinStart, blind_start
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray
@@ -66,7 +66,6 @@ _FEWEST_FINISHED = 0.87
 _REGRESSIONS = 60
 _LEAP = 4
 """Every so many passes a step goes to where the geometric series of the steps would end."""
-_OF_SIGMA = 0.1
 _CUTS = 5
 
 
@@ -295,7 +294,7 @@ def _regress(
     motion, A = done.motion, done.last.A
     before, moved, left, share, count = np.zeros(12), np.inf, np.inf, 0.0, 0
     begin = min(float(rows.t_s[0]), float(rows.pulse_s[0]))
-    while left >= _OF_SIGMA:
+    while left >= OF_SIGMA:
         if count == _REGRESSIONS:
             raise NoAnswer(
                 f"regression and filter in turn still move by {moved:.2g} sigma after {count} passes: the record is too "

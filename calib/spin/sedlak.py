@@ -24,7 +24,8 @@ from fluxtwin.sim.base.types import FloatArray
 
 _PASSES = 30
 _SMALLEST_RAD = np.radians(2e-4)
-_OF_SIGMA = 0.1
+OF_SIGMA = 0.1
+"""An iteration ends where it moves an answer by less of its sigma."""
 _GROWING = 4
 
 
@@ -76,7 +77,7 @@ def iterate(
         step = turn_vector(R)
         steps.append(float(np.linalg.norm(step)))
         whole, B = whole @ R, B @ R
-        if steps[-1] < _SMALLEST_RAD or bool((np.abs(step) < _OF_SIGMA * np.sqrt(np.diag(covariance))).all()):
+        if steps[-1] < _SMALLEST_RAD or bool((np.abs(step) < OF_SIGMA * np.sqrt(np.diag(covariance))).all()):
             return Iterated(whole, first, filtered, end, tuple(steps), weakest)
         if len(steps) > _GROWING and all(
             b > a for a, b in zip(steps[-_GROWING - 1 :], steps[-_GROWING:], strict=False)

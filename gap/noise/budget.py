@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
 
+from fluxtwin.calib.common.robust import MAD_TO_SIGMA
 from fluxtwin.gap.problem.problem import Budget, Problem
 from fluxtwin.sim.base.types import FloatArray
 
@@ -27,8 +27,6 @@ _WIDE_LOG_SD = 0.7
 """Noise that was estimated from differences: a factor two either way, as it takes all fast errors for noise."""
 _LEAST_NOISE_nT = 1e-3
 """What a noise-free, unrounded simulation is held to have: the last decimal of a written reading."""
-MAD = float(1.0 / norm.ppf(0.75))
-"""Standard deviation of a normal distribution over its median absolute deviation."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +131,7 @@ def short_difference_sigma(residual_nT: FloatArray, field_B_nT: FloatArray, segm
         return float(np.std(residual_nT)) if residual_nT.size else _LEAST_NOISE_nT
     same = (segment[2:] == segment[:-2]) & np.isfinite(along[2:] + along[:-2])
     second = (along[2:] - 2.0 * along[1:-1] + along[:-2])[same if same.any() else slice(None)] / np.sqrt(6.0)
-    middle = MAD * float(np.median(np.abs(second)))
+    middle = MAD_TO_SIGMA * float(np.median(np.abs(second)))
     if middle > 0:
         return middle
     return float(np.sqrt(np.mean(np.square(second)))) or _LEAST_NOISE_nT

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import median_filter
 
-from fluxtwin.gap.noise.budget import MAD
+from fluxtwin.calib.common.robust import MAD_TO_SIGMA
 from fluxtwin.gap.noise.whitening import Whitener, full_weights, kernels
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 
@@ -73,13 +73,13 @@ def standing_out(difference: FloatArray, least: float = 0.0, measured: BoolArray
         return np.zeros_like(difference)
     level = median_filter(difference, size=(min(_NEAR_ROWS, rows), 1), mode="reflect")
     alone = np.minimum(np.abs(difference), np.abs(difference - level))
-    spread = MAD * median_filter(np.abs(difference - level), size=(min(_AROUND_ROWS, rows), 1), mode="reflect")
+    spread = MAD_TO_SIGMA * median_filter(np.abs(difference - level), size=(min(_AROUND_ROWS, rows), 1), mode="reflect")
     return np.asarray(alone / np.maximum(np.maximum(spread, least), _scatter(difference - level)))
 
 
 def _scatter(difference: FloatArray) -> FloatArray:
     """(k,) robust sigma of each component over all rows, never zero."""
-    scatter = MAD * np.median(np.abs(difference), axis=0)
+    scatter = MAD_TO_SIGMA * np.median(np.abs(difference), axis=0)
     return np.asarray(np.maximum(scatter, 1e-9 + 1e-12 * np.max(np.abs(difference), axis=0)))
 
 

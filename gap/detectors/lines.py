@@ -88,8 +88,6 @@ def _peak(seconds: FloatArray, series: FloatArray) -> float | None:
     power = np.sum(np.abs(np.fft.rfft(grid, axis=0)) ** 2, axis=1)
     frequencies = np.fft.rfftfreq(length, cell)
     allowed = (frequencies > 1.5 / span) & (frequencies <= 0.5 / spacing)
-    if not allowed.any():
-        return None
     return float(frequencies[allowed][np.argmax(power[allowed])])
 
 

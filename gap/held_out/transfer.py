@@ -159,8 +159,6 @@ def _errors(design: _Design, effect: SignalEffect, theta: FloatArray, covariance
 
 def _seen_by_chance(spread: FloatArray, bar: float) -> float:
     """P(sum (1 + l_i) z_i^2 > bar), z standard normal: the score of an error with covariance l over noise."""
-    if not spread.size:
-        return 0.0
     z2 = np.random.default_rng(0).chisquare(1.0, size=(_DRAWS, spread.size))
     return float(np.mean(z2 @ (1.0 + spread) > bar))
 

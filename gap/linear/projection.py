@@ -79,8 +79,6 @@ def orthonormal(columns: FloatArray) -> FloatArray:
     flat = columns.reshape(int(np.prod(columns.shape[:-1])), columns.shape[-1])
     size = np.sqrt(np.einsum("ij,ij->j", flat, flat))
     unit = flat[:, size > 0] / size[size > 0]
-    if not unit.shape[1]:
-        return np.zeros((flat.shape[0], 0))
     value, vector = np.linalg.eigh(unit.T @ unit)
     seen = value > SHARE_LEFT**2
     basis = unit @ (vector[:, seen] / np.sqrt(value[seen]))

@@ -189,8 +189,6 @@ def _best_columns(board: Board, tested: int) -> dict[str, Smallest]:
         owner = int(board.owner[column])
         candidate = board.candidates[owner]
         rank = int(board.rank[owner])
-        if rank == 0:
-            continue
         curvature = board.left[column] * board.lengths[column] ** 2
         value = np.sqrt(noncentrality(rank, tested, samples, freedom) / curvature)
         place = int(board.place[column])

@@ -22,6 +22,7 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from fluxtwin.calib.common.conventions import offset_first_from_correction
+from fluxtwin.calib.common.coverage import RANK
 from fluxtwin.calib.common.criterion import FALSE_ALARM
 from fluxtwin.calib.common.digits import measured, plain
 from fluxtwin.calib.common.records import Calibration, parameter_unit
@@ -36,7 +37,6 @@ EXPIRED_SIGMAS = 3.0
 """A drift that has moved a parameter by so many of its sigmas has made the last calibration expire."""
 _LEAST_DEGC = 1.0  # between calibrations: less tells nothing about temperature
 _LEAST_OVERLAP = 0.01  # less moves no probability
-_RANK = 1e-10  # least eigenvalue of a correlation: below, a parameter follows from others
 
 
 @dataclass(frozen=True)
@@ -263,7 +263,7 @@ def _names(known: Sequence[Calibration]) -> tuple[str, ...]:
         if any(not one.sigma.get(name) for one in known):
             continue
         at = [known[0].names.index(other) for other in (*kept, name)]
-        if all(np.linalg.eigvalsh(_correlation(one.covariance[np.ix_(at, at)]))[0] > _RANK for one in known):
+        if all(np.linalg.eigvalsh(_correlation(one.covariance[np.ix_(at, at)]))[0] > RANK for one in known):
             kept.append(name)
     if not kept:
         raise BadInput("no parameter is in all of them", where="trend", wanted="calibrations of the same parameters")

@@ -34,7 +34,8 @@ GOOD = 0.3
 """Share of the bins from which MAGFit calls the coverage good."""
 _TURNS = 24  # of a slew about an axis, and the fewest rows that one needs
 _LONGEST, _SHORTEST = 100.0, 1e-3  # records: beyond, a manoeuvre does not help; below, it is not worth saying
-_RANK = 1e-10  # of the largest eigenvalue of a scaled covariance: a parameter that was not estimated, or a symmetric S
+RANK = 1e-10
+"""Of an eigenvalue of a scaled covariance: below, a parameter was not estimated, or follows from others (a symmetric S)."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +141,7 @@ def _plans(
     C: FloatArray, reading_nT: FloatArray, field_nT: FloatArray, scale: FloatArray, worst: int, *, size_only: bool
 ) -> tuple[Plan, ...]:
     values, vectors = np.linalg.eigh(C)
-    U = vectors[:, values > _RANK * values[-1]]
+    U = vectors[:, values > RANK * values[-1]]
     inside = U.T @ C @ U
     inverse = np.linalg.inv(inside)
     some = spread_rows(len(field_nT))

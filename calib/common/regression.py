@@ -16,7 +16,7 @@ from scipy.linalg import solve_triangular
 
 from fluxtwin.sim.base.types import FloatArray
 
-_BLOCK_ROWS = 16384
+BLOCK_ROWS = 16384
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class Regression:
 
 def blocks(parts: Sequence[FloatArray], rows: int) -> Iterator[tuple[slice, FloatArray]]:
     """Slices of rows and the columns of all `parts` (each (N, k)) there, side by side; (n, 0) where there are none."""
-    for start in range(0, rows, _BLOCK_ROWS):
-        at = slice(start, min(start + _BLOCK_ROWS, rows))
+    for start in range(0, rows, BLOCK_ROWS):
+        at = slice(start, min(start + BLOCK_ROWS, rows))
         yield at, np.hstack([np.zeros((at.stop - start, 0)), *(part[at] for part in parts)])
 
 

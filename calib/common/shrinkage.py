@@ -16,7 +16,7 @@ from fluxtwin.sim.base.types import FloatArray
 
 _BEYOND = np.geomspace(2.0, 2048.0, 11)
 """Degrees of freedom of the prior beyond the fewest that give it a mean."""
-_SURE = 3.0  # standard errors
+SURE = 3.0  # standard errors by which blocks scatter more than others do, or than chance
 _LEAST = 1e-6  # of an eigenvalue relative to the largest
 _SCALES = np.geomspace(0.5, 2.0**15, 33)
 
@@ -48,7 +48,7 @@ def grown(groupings: Iterable[tuple[FloatArray, str]]) -> tuple[FloatArray, floa
     """
     best: tuple[FloatArray, str] | None = None
     for h, words in groupings:
-        if best is None or float((h**2).mean()) > float((best[0] ** 2).mean()) * (1.0 + _SURE * np.sqrt(2.0 / h.size)):
+        if best is None or float((h**2).mean()) > float((best[0] ** 2).mean()) * (1.0 + SURE * np.sqrt(2.0 / h.size)):
             best = h, words
     if best is None:
         return None

@@ -30,7 +30,6 @@ _LENGTHS_S = (600.0, 300.0, 150.0, 75.0, 40.0, 20.0, 10.0, 5.0, 2.0)
 _FEWEST = 3
 """Stretches that are needed."""
 _MOST_ROWS = 120
-_WORST = 0.3  # of the field: a b less certain than that is none
 _WORST_S = 0.02
 """Sigma of an element of S: magnetometers are made to a few percent, and a weaker combination is moved by noise as much."""
 _COLLAPSED = 0.3
@@ -39,7 +38,6 @@ _SLOW = 30.0
 """Rates in noises of a rate: below, answers were seen that are wrong by many of their sigmas."""
 _SHAKEN = 2.0  # noises of the gyro, in the trial with a magnetometer without errors
 _REPEATED = float(chi2.ppf(0.999, 3))
-_SECONDS_PER_H = 3600.0
 
 
 def calibrate_gyro(
@@ -223,7 +221,7 @@ def _require_turns(solved: Solved, reading_nT: FloatArray, options: GyroOptions)
     S_sigma = float(np.sqrt(np.diag(solved.covariance)[:9].max()))
     if options.parameters != "b" and not S_sigma < _WORST_S:
         raise NoAnswer(say("gyro.no_S", sigma=S_sigma), evidence={"sigma": S_sigma})
-    if not sigma < _WORST * strength:
+    if not sigma < observability.WORST_SIGMA * strength:
         words = say("gyro.no_b", direction=observability.direction_words(vectors[:, -1]), sigma=sigma)
         raise NoAnswer(words, evidence={"sigma_nT": sigma, "direction": vectors[:, -1].tolist()})
 
@@ -236,7 +234,7 @@ def _noise(options: GyroOptions, variance: float) -> ReadingNoise:
 
 
 def _messages(solved: Solved, length_s: float, noise: ReadingNoise, options: GyroOptions) -> tuple[str, ...]:
-    per_h = np.degrees(1.0) * _SECONDS_PER_H
+    per_h = 3600.0 * np.degrees(1.0)
     bias = ", ".join(
         f"{measured(float(x) * per_h, float(s) * per_h)}"
         for x, s in zip(solved.bias_rad_s, solved.bias_sigma_rad_s, strict=True)

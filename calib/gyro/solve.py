@@ -29,7 +29,7 @@ from scipy.optimize import minimize_scalar
 
 from fluxtwin.calib.common.conventions import of_S
 from fluxtwin.calib.common.design import of_turns
-from fluxtwin.calib.common.shrinkage import widening
+from fluxtwin.calib.common.shrinkage import SURE, widening
 from fluxtwin.calib.gyro.motion import Stretch, degree_for, follow
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray, TimeArray
@@ -39,7 +39,6 @@ _LEAST_WEIGHT = 1e-6
 _RATIOS = np.geomspace(1e-4, 1e4, 9)  # variance of the turn in a step over that of a reading, in parts of the field
 _MOST_SHARE = 0.9  # of the information, that one stretch may have
 _FEWEST_BLOCKS = 12
-_SURE = 3.0  # standard errors
 
 
 def _basis_of_S() -> FloatArray:
@@ -301,7 +300,7 @@ def _covariance(parts: Sequence[Cleared], theta: FloatArray, normal: FloatArray,
     by_pairs = by_ones[: len(moved) // 2 * 2].reshape(-1, 2, len(theta)).sum(axis=1) / np.sqrt(2.0)
     W = np.eye(len(theta))
     for h in (by_ones, by_pairs):
-        if len(h) >= _FEWEST_BLOCKS and float((h**2).mean()) > 1.0 + _SURE * np.sqrt(2.0 / h.size):
+        if len(h) >= _FEWEST_BLOCKS and float((h**2).mean()) > 1.0 + SURE * np.sqrt(2.0 / h.size):
             wider = widening(h)
             W = wider if np.trace(wider) > np.trace(W) else W
     return np.asarray(variance * down.T @ W @ down)

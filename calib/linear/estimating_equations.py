@@ -14,11 +14,11 @@ from fluxtwin.calib.common.covariance import observed_s, segments
 from fluxtwin.calib.common.design import of_turns
 from fluxtwin.calib.common.error_model import LikelihoodCells, Posterior
 from fluxtwin.calib.common.records import seconds_of
+from fluxtwin.calib.common.regression import BLOCK_ROWS
 from fluxtwin.calib.common.slow_errors import CELLS, responses
 from fluxtwin.calib.linear.problem import LinearProblem, Solution
 from fluxtwin.sim.base.types import FloatArray
 
-_CHUNK = 16384
 _LIKELY_CELLS = 160
 _TURN = 0.35  # rad that the field may turn in the body within a cell of the likelihood
 _STRETCHES = 5
@@ -153,7 +153,7 @@ def sums(problem: LinearProblem, solution: Solution, label: np.ndarray) -> RowSu
     out: list[tuple[FloatArray, ...]] = []
     cell = 0
     while cell < len(starts):
-        stop = max(int(np.searchsorted(ends, starts[cell] + _CHUNK)), cell + 1)
+        stop = max(int(np.searchsorted(ends, starts[cell] + BLOCK_ROWS)), cell + 1)
         rows = slice(int(starts[cell]), int(ends[stop - 1]))
         local = starts[cell:stop] - starts[cell]
         w = a[rows]

@@ -15,7 +15,7 @@ from fluxtwin.calib.common.conventions import (
     offset_first_from_correction,
     polar_split,
 )
-from fluxtwin.calib.common.direction import even_directions
+from fluxtwin.calib.common.direction import ROWS, even_directions
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.onboard.target import Number, Target
 from fluxtwin.calib.onboard.targets import NAMES, TARGETS, find_target
@@ -30,7 +30,6 @@ FIELDS_NT = (20e3, 60e3)
 """Field sizes in low orbit, over which the added error is given."""
 WORST_FORM_DEG = 1.0
 """A target that turns the field by more, because M is symmetric there, is refused."""
-_DIRECTIONS = 500
 
 
 @dataclass(frozen=True)
@@ -143,7 +142,7 @@ def added_error(exact: OffsetFirst, held: OffsetFirst) -> AddedError:
     """The largest difference of corrected readings, over `FIELDS_NT` and all directions."""
     worst_nT, worst_rad = 0.0, 0.0
     for size in FIELDS_NT:
-        field_nT = size * even_directions(_DIRECTIONS)
+        field_nT = size * even_directions(ROWS)
         theirs = held.apply(exact.undo(field_nT))
         worst_nT = max(worst_nT, float(np.linalg.norm(theirs - field_nT, axis=1).max()))
         worst_rad = max(worst_rad, float(angle_between(theirs, field_nT).max()))

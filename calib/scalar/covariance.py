@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fluxtwin.calib.common.covariance import batch_widening, groupings, observed_s, segments
+from fluxtwin.calib.common.covariance import FEWEST_BLOCKS, batch_widening, groupings, observed_s, segments
 from fluxtwin.calib.common.shrinkage import grown
 from fluxtwin.calib.common.slow_errors import cells, kernel_moments
 from fluxtwin.calib.scalar.maximum_likelihood import Solved
@@ -21,7 +21,6 @@ from fluxtwin.calib.scalar.model import ScalarData, blocks, terms
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 
 _CELLS = 2000
-_FEWEST_BLOCKS = 8
 _MOST_SHARE = 0.99  # of the slope in one block: a block cannot test what it alone determines
 
 
@@ -81,7 +80,7 @@ def scalar_covariance(
             )
         return white, "covariance: white"
     covered_s, size = observed_s(time, segment), scores.rows.shape[1]
-    found = grown(_deviations(scores, white, time, segment, passes, block_s, max(_FEWEST_BLOCKS, 2 * size)))
+    found = grown(_deviations(scores, white, time, segment, passes, block_s, max(FEWEST_BLOCKS, 2 * size)))
     if found is None:
         return widening * white, (
             f"covariance: too few blocks in {covered_s:.0f} s; white, the variances multiplied by {widening:.2f}, the "

@@ -43,7 +43,7 @@ from fluxtwin.calib.spin.batch import (
 from fluxtwin.calib.spin.filter import Filtered, FilterSettings, spin_filter
 from fluxtwin.calib.spin.method import SpinOptions as SpinOptions
 from fluxtwin.calib.spin.motion import SpinMotion, skew
-from fluxtwin.calib.spin.outliers import beyond, outlier_words, outlying_readings
+from fluxtwin.calib.spin.outliers import LOOSE_NOISE, beyond, outlier_words, outlying_readings
 from fluxtwin.calib.spin.rows import SpinRows, assemble_spin
 from fluxtwin.calib.spin.sedlak import OF_SIGMA, Iterated, at, free_motion, iterate
 from fluxtwin.calib.spin.start import SpinStart, blind_start
@@ -61,7 +61,6 @@ _SUN_SIGMA_DEG = 0.2
 _FINISHED = 1.15
 _MISFIT = 10.0
 _LEAST_NOISE = 1e-6
-_LOOSE_NOISE = 0.005
 _FEWEST_FINISHED = 0.87
 _REGRESSIONS = 60
 _LEAP = 4
@@ -147,7 +146,7 @@ def _fit(rows: SpinRows, options: SpinOptions, model_name: str) -> SpinFit:
     white_nT = max(float(np.sqrt(noise.variance_nT2.mean())), _LEAST_NOISE * field_nT)
     sensors = Noise(white_nT, np.radians(options.sun_sigma_deg or _SUN_SIGMA_DEG))
     # Noise found from row to row is the least there is; what lasts longer must not pass for a wrong motion.
-    loose_nT = white_nT if options.noise_nT is not None else max(white_nT, _LOOSE_NOISE * field_nT)
+    loose_nT = white_nT if options.noise_nT is not None else max(white_nT, LOOSE_NOISE * field_nT)
     start = blind_start(rows, sensors._replace(field_nT=loose_nT), G, o_nT)
     messages.append(
         f"blind start: {start.tried} candidate{'s' if start.tried > 1 else ''} followed from an arc of "

@@ -11,15 +11,15 @@ from fluxtwin.calib.spin.rows import SpinRows
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 
-_LOOSE = 0.005
-"""Noise in parts of the field; it sets no weight here."""
+LOOSE_NOISE = 0.005
+"""In parts of the field: the least that is taken before any is found; as a weight it has no effect here."""
 
 
 def outlying_readings(rows: SpinRows) -> np.ndarray:
     """(N,) readings whose |B| is an outlier after a robust fit of b and S to |H|."""
     H = np.linalg.norm(rows.H_N_nT, axis=1)
     scale = float(np.sqrt((H**2).mean()))
-    data = ScalarData(rows.B_nT / scale, H / scale, np.zeros((len(H), 0)), _LOOSE**2 * np.eye(3), True)
+    data = ScalarData(rows.B_nT / scale, H / scale, np.zeros((len(H), 0)), LOOSE_NOISE**2 * np.eye(3), True)
     p = np.zeros(data.size)
 
     def refit(weights: FloatArray) -> FloatArray:

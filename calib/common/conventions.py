@@ -69,7 +69,7 @@ class OffsetFirst:
 
     def undo(self, corrected_nT: FloatArray) -> FloatArray:
         """(..., 3) the reading that `apply` made this of. Raises BadInput for a singular M."""
-        return np.asarray(corrected_nT @ _inverse(self.M, "M").T + self.o_nT)
+        return np.asarray(corrected_nT @ _inverse(self.M).T + self.o_nT)
 
 
 def six_of(M: FloatArray) -> list[float]:
@@ -98,14 +98,14 @@ def polar_split(M: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def forward_from_correction(correction: Correction) -> Forward:
     """Invert journal eq. 1: B = (I+S)^-1 (A H - b - T D). Raises BadInput when I + S is singular."""
-    G = _inverse(np.eye(3) + _matrix(correction.S, "S"), "I + S")
+    G = _inverse(np.eye(3) + _matrix(correction.S, "S"))
     T = correction.T_nT_per_Am2
     return Forward(G, -G @ correction.b_nT, None if T is None else -G @ T)
 
 
 def correction_from_forward(forward: Forward) -> Correction:
     """Inverse of `forward_from_correction`."""
-    inverse = _inverse(_matrix(forward.G, "G"), "G")
+    inverse = _inverse(_matrix(forward.G, "G"))
     C = forward.C_nT_per_Am2
     return Correction(inverse - np.eye(3), -inverse @ forward.o_nT, None if C is None else -inverse @ C)
 
@@ -113,7 +113,7 @@ def correction_from_forward(forward: Forward) -> Correction:
 def offset_first_from_correction(correction: Correction) -> OffsetFirst:
     """M = I + S, o = -M^-1 b. Raises BadInput when I + S is singular."""
     M = np.eye(3) + _matrix(correction.S, "S")
-    return OffsetFirst(M, -_inverse(M, "I + S") @ correction.b_nT, correction.T_nT_per_Am2)
+    return OffsetFirst(M, -_inverse(M) @ correction.b_nT, correction.T_nT_per_Am2)
 
 
 def correction_from_offset_first(held: OffsetFirst) -> Correction:
@@ -149,12 +149,9 @@ def _matrix(value: FloatArray, name: str) -> FloatArray:
     return matrix
 
 
-def _inverse(matrix: FloatArray, name: str) -> FloatArray:
-    polar_split(matrix)  # refuses a singular matrix by name
-    try:
-        return np.asarray(np.linalg.solve(matrix, np.eye(3)), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        raise BadInput("the matrix is singular", where=name, wanted="rank 3") from None
+def _inverse(matrix: FloatArray) -> FloatArray:
+    polar_split(matrix)  # refuses a singular matrix
+    return np.asarray(np.linalg.solve(matrix, np.eye(3)), dtype=np.float64)
 
 
 def of_S(vectors: FloatArray) -> FloatArray:

@@ -122,7 +122,7 @@ def check_file(
     telemetry = record(ordered, tle=None if mapped else tle, attitude=attitude).with_magnetometer(magnetometer)
     origin = _origin(path, ordered, column_map, tle)
     inner = (
-        _without_magnetometer(telemetry)
+        [*check_motion(telemetry), note("no_magnetometer")]
         if blind
         else check_telemetry(telemetry, model, origin, onboard=onboard).findings
     )
@@ -174,11 +174,6 @@ def _origin(path: Path | str, table: FileTable, column_map: Path | str | None, t
         first,
         None if tle is None or is_message(Path(tle), "OEM") else read_elements(tle),
     )
-
-
-def _without_magnetometer(telemetry: Telemetry) -> list[Finding]:
-    """What can be tested in a file that has orbit and flags alone."""
-    return [*check_motion(telemetry), note("no_magnetometer")]
 
 
 def repair(path: Path | str, out: Path | str, *, max_samples: int | None = None) -> CheckReport:

@@ -42,7 +42,9 @@ class Grammar:
         driver = Driver(column="any").alternatives(self.setting)
         self.late = [(one.delay_s, one.lag_s) for one in driver if one.delay_s or one.lag_s]
         self.recorded = [name for name in _names(self.setting) if self.values(Law(of=(name,))) is not None]
-        self.switches = [name for name in self.recorded if self._binary(name)]
+        self.switches = [
+            name for name in self.recorded if np.unique(np.asarray(self.values(Law(of=(name,))))).size <= 2
+        ]
 
     def values(self, law: Law) -> FloatArray | None:
         """(N,) of a term; None where it is missing, does not change, or follows the attitude's error."""
@@ -141,9 +143,6 @@ class Grammar:
         values = np.asarray(self.values(Law(of=(name,))))
         levels = np.unique(np.quantile(values, _LEVELS))
         return ("^2", "^3", *(f">{level:.6g}" for level in levels if LEAST_SHARE < np.mean(values > level) < 1.0))
-
-    def _binary(self, name: str) -> bool:
-        return np.unique(np.asarray(self.values(Law(of=(name,))))).size <= 2
 
 
 def _of(factor: str) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import halfnorm, norm
 
+from fluxtwin.gap.hypotheses.perturbed_design import SLOW_S
 from fluxtwin.gap.linear.projection import Whitens
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.problem.row_axes import RowAxes
@@ -25,8 +26,8 @@ from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 
 BLOCKS = 5
 """The usual number of folds: a compromise between bias and variance (Hastie et al. 2009, section 7.10.1)."""
-GUARD_S, GUARD_SHARE = 300.0, 0.02
-"""Rows this near to the held-out block are used for neither: errors of the attitude last minutes."""
+GUARD_SHARE = 0.02
+"""Of the span: rows this near to the held-out block, or as near as errors of the attitude last, are used for neither."""
 STRETCHES, DRAWS = 40, 400
 """Of the bootstrap: its 5 % points are good to a tenth of the spread."""
 _QUANTILES = 200
@@ -202,7 +203,7 @@ def predict_blocks(
     known = kept.copy()
     place = np.cumsum(kept) - 1
     block = np.clip(np.floor(place * BLOCKS / max(int(kept.sum()), 1)), 0, BLOCKS - 1)
-    guard = min(GUARD_S, GUARD_SHARE * float(seconds[-1] - seconds[0]))
+    guard = min(SLOW_S, GUARD_SHARE * float(seconds[-1] - seconds[0]))
     for number in range(BLOCKS):
         held = block == number
         if not held.any():

@@ -28,7 +28,8 @@ from fluxtwin.sim.effects.signal import Setting
 
 MOST_CHANGED = 0.3
 """Share of an image's energy that may change with the attitude's error."""
-_SLOW_S = 300.0
+SLOW_S = 300.0
+"""Errors of the attitude last minutes."""
 _SEED = 12
 
 
@@ -57,7 +58,7 @@ class PerturbedDesign:
         self.problem = problem
         motion = problem.setting.motion
         sigma = attitude_error_rad(problem)
-        parts = [(sigma, 0.0), (sigma, _SLOW_S)] if errors is None else list(errors)
+        parts = [(sigma, 0.0), (sigma, SLOW_S)] if errors is None else list(errors)
         self.chain: Chain | None = None
         self._latest: tuple[Effect, Sequence[Active], FloatArray] | None = None
         if not any(size > 0 for size, _ in parts) or not isinstance(motion, RecordedMotion):

@@ -131,10 +131,19 @@ def groupings(
 
 def _cut(time: TimeArray, segment: np.ndarray, length_s: float) -> np.ndarray:
     """(N,) numbers of pieces of that length, none across a change of segment."""
-    seconds = seconds_of(time)
-    start = seconds[np.searchsorted(segment, segment)]
-    piece = np.floor((seconds - start) / length_s + 1e-9).astype(np.int64)
-    return np.asarray(np.unique(np.stack([segment, piece]), axis=1, return_inverse=True)[1].ravel())
+    starts = cell_starts(seconds_of(time), segment, length_s)
+    return np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(time))))
+
+
+def cell_starts(seconds: FloatArray, label: np.ndarray, length_s: float) -> np.ndarray:
+    """First rows of cells of at most that length, none across a change of label (N,); of no length each row is one."""
+    new = np.concatenate([[True], np.diff(label) != 0])
+    if not length_s > 0:
+        return np.arange(len(seconds))
+    first = np.flatnonzero(new)
+    since = seconds - seconds[first][np.cumsum(new) - 1]
+    within = np.floor(since / length_s + 1e-9).astype(np.int64)
+    return np.flatnonzero(new | np.concatenate([[True], np.diff(within) != 0]))
 
 
 def observed_s(time: TimeArray, segment: np.ndarray) -> float:

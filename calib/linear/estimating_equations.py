@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fluxtwin.calib.common.covariance import observed_s, segments
+from fluxtwin.calib.common.covariance import cell_starts, observed_s, segments
 from fluxtwin.calib.common.design import of_turns
 from fluxtwin.calib.common.error_model import LikelihoodCells, Posterior
 from fluxtwin.calib.common.records import seconds_of
@@ -69,7 +69,7 @@ def evidence(problem: LinearProblem, solution: Solution, kept: np.ndarray) -> Li
     time = problem.design.time[rows]
     seconds = seconds_of(time)
     segment = segments(time)
-    starts = _cell_starts(seconds, segment, length_s)
+    starts = cell_starts(seconds, segment, length_s)
     count = np.diff(np.concatenate([starts, [len(seconds)]])).astype(np.float64)
 
     def mean(values: FloatArray) -> FloatArray:
@@ -129,23 +129,12 @@ def _smooth(values: FloatArray, label: np.ndarray) -> FloatArray:
     return np.asarray((total[high] - total[low]) / (high - low)[:, None])
 
 
-def _cell_starts(seconds: FloatArray, label: np.ndarray, length_s: float) -> np.ndarray:
-    """First rows of cells of at most that length, none across a change of label."""
-    new = np.concatenate([[True], np.diff(label) != 0])
-    if not length_s > 0:
-        return np.arange(len(seconds))
-    first = np.flatnonzero(new)
-    since = seconds - seconds[first][np.cumsum(new) - 1]
-    within = np.floor(since / length_s + 1e-9).astype(np.int64)
-    return np.flatnonzero(new | np.concatenate([[True], np.diff(within) != 0]))
-
-
 def sums(problem: LinearProblem, solution: Solution, label: np.ndarray) -> RowSums:
     """Of all rows; label (N,): cells do not reach across a change of it."""
     time, a = problem.design.time, problem.weights
     seconds = seconds_of(time)
     length_s = observed_s(time, segments(time)) / CELLS if len(time) > CELLS else 0.0
-    starts = _cell_starts(seconds, label, length_s)
+    starts = cell_starts(seconds, label, length_s)
     ends = np.concatenate([starts[1:], [len(seconds)]])
     m = solution.M.shape[1]
     shift = np.pad(solution.M @ problem.noise_xx, ((0, 0), (0, 1)))

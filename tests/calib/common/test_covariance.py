@@ -14,10 +14,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from fluxtwin.calib.common.covariance import bread_of, groupings, make_blocks
+from fluxtwin.calib.common.covariance import bread_of, cell_starts, groupings, make_blocks
 from fluxtwin.calib.common.design import Design, assemble
 from fluxtwin.calib.linear.calibrate import calibrate_linear, fit_design
-from fluxtwin.calib.linear.estimating_equations import _cell_starts
 from fluxtwin.calib.linear.method import LinearOptions
 
 pytestmark = pytest.mark.closure
@@ -309,4 +308,4 @@ def test_the_mean_product_of_the_readings_is_taken_without_its_noise() -> None:
 
 def test_cells_are_no_longer_than_asked() -> None:
     label = np.array([0] * 7 + [1] * 3)
-    assert _cell_starts(np.arange(10.0), label, 3.0).tolist() == [0, 3, 6, 7]
+    assert cell_starts(np.arange(10.0), label, 3.0).tolist() == [0, 3, 6, 7]

@@ -31,7 +31,6 @@ NONLINEAR = 0.2
 lost by taking a large effect as linear (8 % of a clock 10 s late, whose linear image is made of an attitude with errors of
 its own). Generous, because what it costs is at most four refits."""
 _REFITS = 4
-_ROUNDS = 3
 _ALIKE = 1  # decimals of a cost: where causes are alike to rounding, that of the catalogue's order comes first
 RATIOS = (1.5, 1.25, 1.12)
 """By which a setting is moved to either side, between the few values of it that were tried."""
@@ -169,10 +168,7 @@ def _sharper(search: Search[Any], fit: Fit) -> tuple[Fit, Board]:
     if setting is None:
         return fit, search.beside(fit)
     for number in range(len(start.chosen)):
-        for _ in range(_ROUNDS):
-            moved = _neighbour(search, setting, fit, number)
-            if moved is fit:
-                break
+        while (moved := _neighbour(search, setting, fit, number)) is not fit:
             fit = moved
     pairs = zip(fit.chosen, start.chosen, strict=True)
     new = [mine for (mine, _), (old, _) in pairs if isinstance(mine, SignalEffect) and mine != old]

@@ -28,7 +28,6 @@ from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.effects.switched_field import HeaterSwitching
 
 _ROUNDS = 8
-_FEWEST_SWITCHES = 6
 _MOST_SWITCHES = 150
 _TELEGRAPHS, _SEED = 400, 20
 _SHARES = (0.25, 0.5, 0.75)  # of the rows in the lower level, to begin with
@@ -45,8 +44,6 @@ def heater_sequence(
     """
     on = _polished(left, _sequence(setting.seconds, left, residual_nT, line))
     on = ~on if on.mean() > 0.5 else on  # a bias hides which state is which: the rarer one is called on
-    if _switches(on).size < _FEWEST_SWITCHES:
-        return None
     found, value = _fitted(left, on), _worth(left, on)
     if value <= THRESHOLD:
         return None

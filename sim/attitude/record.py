@@ -79,7 +79,7 @@ def ephemeris_rate_O_rad_s(ephemeris: Ephemeris, time: TimeArray) -> FloatArray:
     stamps = clock.as_times(time)
     step = np.timedelta64(1, "s")
     before, after = stamps - step, stamps + step
-    turn = frames.rotation_ON(*ephemeris(after)) * frames.rotation_ON(*ephemeris(before)).inv()
+    turn = frames.product(frames.rotation_ON(*ephemeris(after)), frames.rotation_ON(*ephemeris(before)).inv())
     # Counted in SI seconds, so that a leap second between the two does not look like a faster orbit.
     elapsed = clock.seconds_since(after, stamps[0]) - clock.seconds_since(before, stamps[0])
     return np.asarray(-np.atleast_2d(turn.as_rotvec()) / elapsed[:, None])
@@ -110,7 +110,7 @@ def librating(
     if orbital_rate_O_rad_s is None:
         orbital_rate_O_rad_s = kepler_rate_O_rad_s(r_N_km, v_N_km_s)
     rate = rate_BO_B(angles, libration.rates(time)) + R_BO.apply(orbital_rate_O_rad_s)
-    return Attitude(R_BO * R_ON, rate)
+    return Attitude(frames.product(R_BO, R_ON), rate)
 
 
 def inertial_hold(time: TimeArray, R_BN0: Rotation) -> Attitude:
@@ -179,7 +179,7 @@ def orbital_slews(
         orbital_rate_O_rad_s = kepler_rate_O_rad_s(r_N_km, v_N_km_s)
     R_BO = relative.R_BN
     rate = relative.rate_B_rad_s + R_BO.apply(orbital_rate_O_rad_s)
-    return Attitude(R_BO * frames.rotation_ON(r_N_km, v_N_km_s), rate)
+    return Attitude(frames.product(R_BO, frames.rotation_ON(r_N_km, v_N_km_s)), rate)
 
 
 def tumble(

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.base.late import stretches as stretches
 from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth import frames
 
 RowArray = NDArray[np.intp]
 """Numbers of rows."""
@@ -182,11 +183,11 @@ class AttitudeTrack:
         to = np.clip(rows + np.sign(after).astype(np.intp), 0, rows.size - 1)
         to = np.where(self.stretch[to] == self.stretch[rows], to, rows)
         here = Rotation.from_quat(self._about(rows, np.zeros(rows.size), rows)).inv()
-        own = Rotation.from_quat(self._about(rows, after, to)) * here
+        own = frames.product(Rotation.from_quat(self._about(rows, after, to)), here)
         beyond = np.clip(2.0 * np.abs(after) / np.where(self._reach_s > 0, self._reach_s, np.inf) - 1.0, 0.0, 1.0)
         if not beyond.any():
             return own
-        along = self.at(self.time_s + after) * here
+        along = frames.product(self.at(self.time_s + after), here)
         return Rotation.from_quat(blended(own.as_quat(), along.as_quat(), beyond * beyond * (3.0 - 2.0 * beyond)))
 
     def reaches(self, moments_s: FloatArray) -> BoolArray:
@@ -280,7 +281,7 @@ def _by_gyro(time_s: FloatArray, rate_B_rad_s: FloatArray, stretch: RowArray) ->
     whole = Rotation.concatenate([Rotation.identity(), _turned(between, time_s[:-1], np.diff(time_s))])
     shift = 1
     while shift < time_s.size:  # products of 2, 4, 8, ... steps
-        whole = Rotation.concatenate([whole[:shift], whole[shift:] * whole[:-shift]])
+        whole = Rotation.concatenate([whole[:shift], frames.product(whole[shift:], whole[:-shift])])
         shift *= 2
     return _Course(time_s, rate_B_rad_s, whole, between)
 

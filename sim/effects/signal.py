@@ -149,7 +149,7 @@ class Setting:
     def turning(self, offset_s: float | FloatArray) -> FloatArray:
         """(N, 3) body rate relative to N, components in B, `offset_s` (or (N,)) after the stamps."""
         after, before = self.track(offset_s + _BESIDE_S), self.track(offset_s - _BESIDE_S)
-        return np.asarray(-np.atleast_2d((after * before.inv()).as_rotvec()) / (2.0 * _BESIDE_S))
+        return np.asarray(-np.atleast_2d(frames.product(after, before.inv()).as_rotvec()) / (2.0 * _BESIDE_S))
 
     def _field_rate(self, offset_s: float | FloatArray) -> FloatArray:
         after, before = (
@@ -162,7 +162,7 @@ class Setting:
     def own_turn_N(self) -> Rotation | None:
         """What each row's given attitude adds to the track, R_BN = track own_turn_N; None where the motion is exact."""
         exact = self.direction == "simulate" or not isinstance(self.motion, RecordedMotion)
-        return None if exact else self.track(0.0).inv() * self.given[2]
+        return None if exact else frames.product(self.track(0.0).inv(), self.given[2])
 
     @cached_property
     def lags_K(self) -> dict[float, FloatArray]:
@@ -266,10 +266,10 @@ class Signal:
             turn, turns = Rotation.from_rotvec(theta_B_rad), dict(self.measured_turns)
             if sensor is not None:
                 turns[sensor] = turn * turns[sensor] if sensor in turns else turn
-            return dataclasses.replace(self, R_reported_BN=turn * self.R_reported_BN, measured_turns=turns)
+            return dataclasses.replace(self, R_reported_BN=frames.product(turn, self.R_reported_BN), measured_turns=turns)
         if self.setting.attitude_known is not None:
             theta_B_rad = np.where(self.setting.attitude_known[:, None], theta_B_rad, 0.0)  # nothing was reported
-        return dataclasses.replace(self, R_BN=Rotation.from_rotvec(-theta_B_rad) * self.R_BN)
+        return dataclasses.replace(self, R_BN=frames.product(Rotation.from_rotvec(-theta_B_rad), self.R_BN))
 
     @property
     def field_rate_B_nT_s(self) -> FloatArray:

@@ -172,14 +172,14 @@ def _reported_q_NB(signal: Signal, q_NB: FloatArray) -> FloatArray:
         return q_NB
     known = np.isfinite(q_NB).all(axis=1)
     turned = np.array(q_NB)
-    effect = (signal.R_reported_BN * given.inv())[np.flatnonzero(known)]
-    turned[known] = frames.q_from_rotation(effect * frames.rotation_from_q(q_NB[known]))
+    effect = frames.product(signal.R_reported_BN, given.inv())[np.flatnonzero(known)]
+    turned[known] = frames.q_from_rotation(frames.product(effect, frames.rotation_from_q(q_NB[known])))
     return turned
 
 
 def to_truth(scenario: Scenario, world: World, attitude: Attitude, signal: Signal) -> Truth:
     """What really happened, row by row; it is written to a file of its own, or nowhere."""
-    yaw, roll, pitch = frames.yaw_roll_pitch(attitude.R_BN * world.R_ON.inv())
+    yaw, roll, pitch = frames.yaw_roll_pitch(frames.product(attitude.R_BN, world.R_ON.inv()))
     instrument = spacecraft.magnetometer(scenario)
     dipole, unknown = signal.setting.column("dipole_B_Am2"), signal.setting.unknown_B_nT
     assert dipole is not None and unknown is not None

@@ -171,7 +171,7 @@ def q_from_angles(angles_rad: FloatArray, r_N_km: FloatArray, v_N_km_s: FloatArr
     rows: BoolArray = np.isfinite(np.concatenate([angles_rad, r_N_km, v_N_km_s], axis=1)).all(axis=1)
     if rows.any():
         R_BO = frames.rotation_BO(*angles_rad[rows].T)
-        q[rows] = frames.q_from_rotation(R_BO * frames.rotation_ON(r_N_km[rows], v_N_km_s[rows]))
+        q[rows] = frames.q_from_rotation(frames.product(R_BO, frames.rotation_ON(r_N_km[rows], v_N_km_s[rows])))
     return q
 
 

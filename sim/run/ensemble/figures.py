@@ -80,15 +80,15 @@ def _pointing(scenario: Scenario, shared: Around, truth: Truth) -> dict[str, Flo
     frame, target, axis = _target(scenario)
     rate_B = truth.rate_B_rad_s
     if frame == "orbital" and axis is None:
-        rate_B = rate_B - (R_BN * R_ON.inv()).apply(shared.orbital_rate_O_rad_s)
+        rate_B = rate_B - frames.product(R_BN, R_ON.inv()).apply(shared.orbital_rate_O_rad_s)
     kept = {"rate_error_deg_s": np.degrees(np.linalg.norm(rate_B, axis=1))}
     if axis is not None:
         axis_N = np.broadcast_to(axis, (len(R_BN), 3)) if frame == "inertial" else R_ON.inv().apply(axis)
         off = np.cross(R_BN.apply(axis_N), [0.0, 0.0, 1.0]), R_BN.apply(axis_N)[:, 2]
         kept["pointing_deg"] = np.degrees(np.arctan2(np.linalg.norm(off[0], axis=1), off[1]))
     elif target is not None:
-        R_TN = target * R_ON if frame == "orbital" else target
-        turn = R_BN * R_TN.inv()
+        R_TN = frames.product(target, R_ON) if frame == "orbital" else target
+        turn = frames.product(R_BN, R_TN.inv())
         kept["pointing_deg"] = np.degrees(turn.magnitude())
         angles = np.degrees(frames.yaw_roll_pitch(turn))
         kept |= {f"{name}_deg": angle for name, angle in zip(("yaw", "roll", "pitch"), angles, strict=True)}

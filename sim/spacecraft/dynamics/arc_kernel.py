@@ -13,7 +13,7 @@ import numpy as np
 from fluxtwin.sim.base.kernel_cache import kernel, part
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.spacecraft.dynamics import kernels, layout
-from fluxtwin.sim.spacecraft.dynamics.kernels import OPTIONS, PARTS, torque_chain
+from fluxtwin.sim.spacecraft.dynamics.kernels import OPTIONS, PART, PARTS, torque_chain
 from fluxtwin.sim.spacecraft.dynamics.layout import DIPOLE, FIELD, FIELD_N, POSITION, RATE, ROTATION, STAGE_SIZE, TORQUE
 
 _SURROUNDINGS = layout.FIELD - layout.POSITION
@@ -70,7 +70,7 @@ def fly_arcs(
                     state[a, k] += h / 6.0 * total[k]
 
 
-@part(**OPTIONS)
+@part(**PART)
 def _slope(
     state: FloatArray,
     inverse: FloatArray,

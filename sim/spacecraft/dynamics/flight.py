@@ -70,7 +70,7 @@ class Flight:
         row, share = self._rows(seconds)
         q, rate = self.q_NB, self.rate_B_rad_s
         R0, R1 = frames.rotation_from_q(q[row]), frames.rotation_from_q(q[row + 1])
-        turn = -np.atleast_2d((R1 * R0.inv()).as_rotvec())
+        turn = -np.atleast_2d(frames.product(R1, R0.inv()).as_rotvec())
         first, last = self.spacing_s * rate[row], self.spacing_s * _vector_rate(turn, rate[row + 1])
         s = np.clip(share, 0.0, 1.0)[:, None]
         vector = s * s * (3.0 - 2.0 * s) * turn + s * (1.0 - s) * ((1.0 - s) * first - s * last)
@@ -78,8 +78,8 @@ class Flight:
         slope /= self.spacing_s
         beyond = (share - s[:, 0])[:, None] * self.spacing_s
         now = _body_rate(vector, slope)
-        R = Rotation.from_rotvec(-beyond * now) * Rotation.from_rotvec(-vector) * R0
-        return Attitude(R, now)
+        turned = frames.product(Rotation.from_rotvec(-beyond * now), Rotation.from_rotvec(-vector))
+        return Attitude(frames.product(turned, R0), now)
 
     def dipole(self, seconds: FloatArray) -> FloatArray:
         """(N, 3) dipole that the torquers hold at each elapsed time."""

@@ -48,6 +48,8 @@ _FAST = {"contract"}  # fused multiply-add: one rounding instead of two, nothing
 
 
 OPTIONS: dict[str, Any] = {"fastmath": _FAST, "error_model": "numpy", "forceinline": True}
+PART: dict[str, Any] = OPTIONS | {"_nrt": False}
+"""Of a function that makes no arrays: it counts no references to those that it is given, which took half of a flight."""
 PARTS = [layout, constants, torques, control]
 """What is compiled into the kernels besides this file."""
 _LAWS = len(TORQUES)
@@ -59,9 +61,9 @@ def _chain(functions: Sequence[Any], slot: int) -> Any:
     """One function that calls, of these, each one whose parameters are present; compiled, every call is direct."""
     if not functions:
         return part()(lambda slots, packed, *rest: None)
-    first, following = part(**OPTIONS)(functions[0]), _chain(functions[1:], slot + 1)
+    first, following = part(**PART)(functions[0]), _chain(functions[1:], slot + 1)
 
-    @part(**OPTIONS)
+    @part(**PART)
     def run(slots: Any, packed: Any, *rest: Any) -> None:
         if slots[slot] > 0:
             first(packed, slots[slot], *rest)
@@ -72,7 +74,7 @@ def _chain(functions: Sequence[Any], slot: int) -> Any:
 
 torque_chain = _chain([torque.add for torque in TORQUES], 0)
 _decide = _chain([law.decide for law in CONTROLS], _LAWS)
-_drive = part(**OPTIONS)(torques.drive)
+_drive = part(**PART)(torques.drive)
 
 
 @kernel(uses=PARTS, nogil=True, **OPTIONS)
@@ -158,7 +160,7 @@ def fly(
                 node, sub = node + 1, 0
 
 
-@part(**OPTIONS)
+@part(**PART)
 def _step(
     nodes: FloatArray,
     node: int,
@@ -219,7 +221,7 @@ def _step(
         state[7 + j] += sixth * total[j]
 
 
-@part(**OPTIONS)
+@part(**PART)
 def _begin(state: FloatArray, wheels: FloatArray, inverse: FloatArray, stage: FloatArray) -> None:
     """Attitude matrix and rate."""
     x, y, z, w = state[0], state[1], state[2], state[3]
@@ -243,14 +245,14 @@ def _begin(state: FloatArray, wheels: FloatArray, inverse: FloatArray, stage: Fl
     stage[RATE + 2] = inverse[2, 0] * hx + inverse[2, 1] * hy + inverse[2, 2] * hz
 
 
-@part(**OPTIONS)
+@part(**PART)
 def _feel(stage: FloatArray) -> None:
     """Field in the body."""
     bx, by, bz = _to_body(stage, stage[FIELD_N], stage[FIELD_N + 1], stage[FIELD_N + 2])
     stage[FIELD], stage[FIELD + 1], stage[FIELD + 2] = bx, by, bz
 
 
-@part(**OPTIONS)
+@part(**PART)
 def _to_body(stage: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
     return (
         stage[ROTATION] * x + stage[ROTATION + 1] * y + stage[ROTATION + 2] * z,
@@ -259,7 +261,7 @@ def _to_body(stage: FloatArray, x: float, y: float, z: float) -> tuple[float, fl
     )
 
 
-@part(**OPTIONS)
+@part(**PART)
 def _slope(
     x: float,
     y: float,
@@ -290,7 +292,7 @@ def _slope(
         slope[6 + j] = motor[j] - friction
 
 
-@part(**OPTIONS)
+@part(**PART)
 def _wheel_speed(wheel: FloatArray, momentum: float, stage: FloatArray) -> float:
     """Speed relative to the body [rad/s] from the momentum about the axis."""
     along = wheel[0] * stage[RATE] + wheel[1] * stage[RATE + 1] + wheel[2] * stage[RATE + 2]
@@ -298,7 +300,7 @@ def _wheel_speed(wheel: FloatArray, momentum: float, stage: FloatArray) -> float
     return speed
 
 
-@part(**OPTIONS)
+@part(**PART)
 def _half_turn(x: float, y: float, z: float) -> tuple[float, float]:
     """Of the rotation vector: cosine of half the angle, less 1, and its sine over the angle."""
     squared = 0.25 * (x * x + y * y + z * z)
@@ -310,7 +312,7 @@ def _half_turn(x: float, y: float, z: float) -> tuple[float, float]:
     return cos(half) - 1.0, 0.5 * sin(half) / half
 
 
-@part(**OPTIONS)
+@part(**PART)
 def _turn(state: FloatArray, x: float, y: float, z: float, out: FloatArray) -> None:
     """out[:4]: the attitude of `state` turned by the rotation vector x, y, z in the body."""
     c, s = _half_turn(x, y, z)
@@ -322,7 +324,7 @@ def _turn(state: FloatArray, x: float, y: float, z: float, out: FloatArray) -> N
     out[3] = q3 + (q3 * c - q0 * a - q1 * b - q2 * d)
 
 
-@part(**OPTIONS)
+@part(**PART)
 def _advance(state: FloatArray, carry: FloatArray, x: float, y: float, z: float) -> None:
     """Turn the state itself, keep its length, and carry the rounding on (Kahan 1965): millions of steps add up."""
     c, s = _half_turn(x, y, z)
@@ -342,7 +344,7 @@ def _advance(state: FloatArray, carry: FloatArray, x: float, y: float, z: float)
         state[k] = following
 
 
-@part(**OPTIONS)
+@part(**PART)
 def _between(nodes: FloatArray, node: int, s: float, columns: int, stage: FloatArray) -> None:
     """Surroundings the share s of the way from `node` to the next: Lagrange's cubic through four nodes."""
     a, b = s * (s - 1.0) * (2.0 - s) / 6.0, (s + 1.0) * (s - 1.0) * (s - 2.0) / 2.0
@@ -356,7 +358,7 @@ def _between(nodes: FloatArray, node: int, s: float, columns: int, stage: FloatA
         stage[POSITION + k] = a * nodes[n - 1, k] + b * nodes[n, k] + c * nodes[n + 1, k] + d * nodes[n + 2, k]
 
 
-@part(**OPTIONS)
+@part(**PART)
 def _at_end(nodes: FloatArray, node: int, s: float, stage: FloatArray) -> None:
     """All the surroundings at the end of a step, which mostly is a node."""
     if s < 1.0:
@@ -366,7 +368,7 @@ def _at_end(nodes: FloatArray, node: int, s: float, stage: FloatArray) -> None:
         stage[POSITION + k] = nodes[node + 1, k]
 
 
-@part(**OPTIONS)
+@part(**PART)
 def _log(state: FloatArray, wheels: FloatArray, stage: FloatArray, out: FloatArray) -> None:
     for k in range(4):
         out[k] = state[k]
@@ -378,7 +380,7 @@ def _log(state: FloatArray, wheels: FloatArray, stage: FloatArray, out: FloatArr
         out[13 + j] = _wheel_speed(wheels[j], state[7 + j], stage)
 
 
-@part(**OPTIONS)
+@part(**PART)
 def _see(
     knowledge: FloatArray,
     target: FloatArray,
@@ -407,7 +409,7 @@ def _see(
             reading[layout.WHEEL_MOMENTUM + k] += momentum * wheels[j, k]
 
 
-@part(**OPTIONS)
+@part(**PART)
 def _seen_attitude(target: FloatArray, stage: FloatArray, reading: FloatArray) -> None:
     """Turn and rate of B relative to the target, and the wanted axis in B.
 
@@ -435,7 +437,7 @@ def _seen_attitude(target: FloatArray, stage: FloatArray, reading: FloatArray) -
         reading[layout.TARGET_RATE + i] = turning[i]
 
 
-@part(**OPTIONS)
+@part(**PART)
 def _orbital_frame(stage: FloatArray) -> Any:
     """Axes of O in N (z nadir, y negative orbit normal), and the rate r x v / r^2."""
     rx, ry, rz = stage[POSITION], stage[POSITION + 1], stage[POSITION + 2]
@@ -448,7 +450,7 @@ def _orbital_frame(stage: FloatArray) -> Any:
     return x, y, z, (nx / squared, ny / squared, nz / squared)
 
 
-@part(**OPTIONS)
+@part(**PART)
 def _act(
     packed: FloatArray,
     slots: Any,

@@ -22,7 +22,7 @@ def attitude_with_error(
     stamps. A field v_B is thus predicted as v_B + theta x v_B.
     """
     theta_B_rad = gauss_markov(time, sigma_rad, tau_s, rng, columns=3)
-    return Rotation.from_rotvec(theta_B_rad) * R_BN
+    return frames.product(Rotation.from_rotvec(theta_B_rad), R_BN)
 
 
 def attitude_from_sun_and_nadir(

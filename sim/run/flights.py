@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -84,10 +85,14 @@ class Flights:
 
 
 _made: OrderedDict[str, Flights] = OrderedDict()
+_latest: list[tuple[Scenario, Flights]] = []
+"""What was asked for last: to write down a scenario takes half a millisecond."""
 
 
 def flights(scenario: Scenario) -> Flights:
     """The flights of this scenario and seed; the last ones are kept, because several parts of a run ask for them."""
+    if _latest and _latest[0][0] is scenario:
+        return _latest[0][1]
     assert scenario.schedule is not None
     field, wheels = scenario.field, scenario.wheels
     moving = (
@@ -113,6 +118,7 @@ def flights(scenario: Scenario) -> Flights:
         while len(_made) > 1 and sum(one.bytes for one in _made.values()) > _KEPT_BYTES:
             _made.popitem(last=False)
     _made.move_to_end(key)
+    _latest[:] = [(scenario, _made[key])]
     return _made[key]
 
 
@@ -149,7 +155,7 @@ def vehicle_of(scenario: Scenario) -> Vehicle:
         wheels=_wheels(scenario),
         torques=tuple(torques),
         control=_control(scenario).law,
-        target=_target(scenario),
+        target=target_of(scenario),
         compass=_compass(scenario),
     )
     for effect, theta in _moving_effects(scenario):
@@ -184,7 +190,8 @@ def _compass(scenario: Scenario) -> Compass:
     return Compass(np.array(scenario.magnetometer.S), np.array(scenario.magnetometer.bias_nT))
 
 
-def _target(scenario: Scenario) -> Target:
+def target_of(scenario: Scenario) -> Target:
+    """What the law of a scenario steers to."""
     section = _control(scenario)
     if section.target == "inertial":
         attitude = frames.rotation_from_q(np.array([section.q_NB]))[0]
@@ -214,19 +221,19 @@ def _flight(scenario: Scenario, number: int, segment: SegmentSection) -> Flight:
     begin = epoch.add_seconds(epoch.parse_time(segment.start_utc), -60.0 * section.settle_min)[0]
     length_s = 60.0 * section.settle_min + (segment.count - 1) * segment.step_s + _BEYOND_S
     length_s = np.ceil(length_s / (record * step_s)) * record * step_s
-    environment = _surroundings(scenario, begin, float(length_s), spacing_s)
+    vehicle = vehicle_of(scenario)
+    around = _surroundings(scenario, vehicle.torques, begin, float(length_s), spacing_s)
     if length_s / (record * step_s) > _MOST_ROWS:
         raise BadInput(
             f"{length_s / (record * step_s):.3g} states to record in segment {number + 1}",
             where="dynamics",
             wanted=f"no more than {_MOST_ROWS:.0g}: a longer record_s",
         )
-    vehicle = vehicle_of(scenario)
     ticks = epoch.add_seconds(begin, period_s * np.arange(np.floor(length_s / period_s) + 1.0))
     flight = fly(
         vehicle,
-        environment,
-        _start(scenario, begin),
+        around.environment,
+        _start(scenario, around),
         duration_s=length_s,
         step_s=step_s,
         control_every=every,
@@ -238,17 +245,28 @@ def _flight(scenario: Scenario, number: int, segment: SegmentSection) -> Flight:
     return flight
 
 
-_around: OrderedDict[str, Environment] = OrderedDict()
+@dataclass(frozen=True)
+class _Around:
+    """What lies along an orbit from some moment on, and how the orbital frame stands and turns then."""
+
+    environment: Environment
+    R_ON: Rotation
+    rate_O_rad_s: FloatArray
 
 
-def _surroundings(scenario: Scenario, begin: np.datetime64, length_s: float, spacing_s: float) -> Environment:
-    """What lies along the orbit. The last ones are kept: many vehicles fly through the same."""
-    torques = vehicle_of(scenario).torques
+_around: OrderedDict[str, _Around] = OrderedDict()
+
+
+def _surroundings(
+    scenario: Scenario, torques: Sequence[Torque], begin: np.datetime64, length_s: float, spacing_s: float
+) -> _Around:
+    """The last ones are kept: many vehicles fly through the same."""
     with_sun, with_air = any(torque.needs_sun for torque in torques), any(torque.needs_air for torque in torques)
     key = repr((scenario.orbit, scenario.path_of("."), scenario.field, begin, length_s, spacing_s, with_sun, with_air))
     if key not in _around:
-        _around[key] = environment_along(
-            lambda time: ephemeris(scenario, time),
+        along, first = partial(ephemeris, scenario), np.array([begin])
+        environment = environment_along(
+            along,
             begin,
             length_s,
             spacing_s=spacing_s,
@@ -256,7 +274,10 @@ def _surroundings(scenario: Scenario, begin: np.datetime64, length_s: float, spa
             with_sun=with_sun,
             with_air=with_air,
         )
-        while len(_around) > 1 and sum(len(around.nodes) for around in _around.values()) > _KEPT_NODES:
+        _around[key] = _Around(
+            environment, frames.rotation_ON(*along(first)), ephemeris_rate_O_rad_s(along, first)[0]
+        )
+        while len(_around) > 1 and sum(len(one.environment.nodes) for one in _around.values()) > _KEPT_NODES:
             _around.popitem(last=False)
     _around.move_to_end(key)
     return _around[key]
@@ -295,14 +316,13 @@ def _whole(long_s: float, step_s: float, key: str) -> int:
     return count
 
 
-def _start(scenario: Scenario, begin: np.datetime64) -> Start:
+def _start(scenario: Scenario, around: _Around) -> Start:
     section = _dynamics(scenario)
     rate = np.radians(section.rate_deg_s)
-    time = np.array([begin])
     if section.start_frame == "orbital":
         R_BO = _from_O(section.yaw_deg, section.roll_deg, section.pitch_deg)
-        rate = rate + R_BO.apply(ephemeris_rate_O_rad_s(lambda t: ephemeris(scenario, t), time)[0])
-        q = frames.q_from_rotation(R_BO * frames.rotation_ON(*ephemeris(scenario, time)))[0]
+        rate = rate + R_BO.apply(around.rate_O_rad_s)
+        q = frames.q_from_rotation(R_BO * around.R_ON)[0]
     else:
         q = np.array(section.q_NB)
     speeds_rpm = () if scenario.wheels is None else scenario.wheels.bias_rpm

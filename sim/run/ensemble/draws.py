@@ -28,13 +28,13 @@ def nominal_values(scenario: Scenario) -> dict[str, Any]:
     return {key: nominal(tree, key) for key in scenario.draws}
 
 
-def vehicle_scenario(scenario: Scenario, seed: int, vehicle: int, values: Mapping[str, Any] | None = None) -> Scenario:
+def vehicle_scenario(scenario: Scenario, seed: int, vehicle: int, drawn: Mapping[str, Any] | None = None) -> Scenario:
     """The scenario of one vehicle of the ensemble: its drawn values, its own seed, no draws; vehicles count from 0.
 
     Simulated alone it is the vehicle of the ensemble to the last bit. Raises BadInput, naming the vehicle, where a
-    drawn value is impossible. values: those of `nominal_values`, where the caller has them.
+    drawn value is impossible. drawn: what `drawn_values` gives, where the caller has it.
     """
-    changes = drawn_values(scenario, seed, vehicle, values)
+    changes = drawn_values(scenario, seed, vehicle) if drawn is None else drawn
     try:
         return scenario.updated({**changes, "seed": vehicle_seed(seed, vehicle), "draws": None})
     except BadInput as error:

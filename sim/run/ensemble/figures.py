@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.sim.attitude.record import ephemeris_rate_O_rad_s
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
-from fluxtwin.sim.run.flights import vehicle_of
+from fluxtwin.sim.run.flights import target_of
 from fluxtwin.sim.run.truth import Truth
 from fluxtwin.sim.run.world import World, build_world, ephemeris
 from fluxtwin.sim.scenario.scenario import Scenario
@@ -100,7 +100,7 @@ def _target(scenario: Scenario) -> tuple[str, Rotation | None, FloatArray | None
     mode = scenario.attitude.mode
     if mode == "dynamics":
         control = scenario.control
-        target = vehicle_of(scenario).target
+        target = target_of(scenario)
         law = None if control is None or control.law is None else control.law.name
         if law == "b_dot":
             return "inertial", None, None

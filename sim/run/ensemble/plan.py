@@ -6,9 +6,9 @@ import contextlib
 import hashlib
 import importlib.metadata
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ _LEAST, _PARTS = 16, 64
 _CHUNK_BYTES = 32_000_000
 _ROW_BYTES = 120
 """About what a row of one vehicle takes in memory while its chunk is made."""
+_REMEMBERED = 10_000  # some 20 MB
 _MOST_VEHICLES = 1_000_000
 _PACKAGES = ("fluxtwin", "numpy", "scipy")
 """Another version of these may draw other numbers, or round otherwise."""
@@ -50,15 +51,17 @@ class Plan:
 
     def vehicle(self, number: int) -> Scenario:
         """The scenario of one vehicle, see `draws.vehicle_scenario`."""
-        return vehicle_scenario(self.scenario, self.seed, number, self._values)
+        return vehicle_scenario(self.scenario, self.seed, number, self.drawn(number))
 
     def drawn(self, number: int) -> dict[str, Any]:
         """What was drawn for one vehicle, by dotted key."""
-        return drawn_values(self.scenario, self.seed, number, self._values)
+        return self._drawn(number)
 
     @cached_property
-    def _values(self) -> dict[str, Any]:
-        return nominal_values(self.scenario)
+    def _drawn(self) -> Callable[[int], dict[str, Any]]:
+        """Remembers: the check, both tables and the flight ask."""
+        values = nominal_values(self.scenario)
+        return lru_cache(_REMEMBERED)(lambda number: drawn_values(self.scenario, self.seed, number, values))
 
     def record(self) -> dict[str, Any]:
         """Everything as plain values, for a process elsewhere and for the folder of the results."""

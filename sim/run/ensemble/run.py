@@ -73,7 +73,8 @@ def fly_ensemble(
     _begin(plan, folder, resume)
     todo = [number for number in range(plan.chunks) if not (resume and chunk.is_whole(plan, folder, number))]
     place = None if executor or scheduler else str(folder.resolve())
-    calls = [(plan.record(), place, number) for number in todo]
+    record = plan.record()
+    calls = [(record, place, number) for number in todo]
     events = answers(chunk.fly_chunk, calls, jobs=jobs, scheduler=scheduler, executor=executor)
     _keep(plan, folder, todo, events, progress)
     progress("tables", 0.98)

@@ -285,7 +285,7 @@ def _surroundings(
 
 def _check_step(flight: Flight, step_s: float) -> None:
     """BadInput where the body turns so fast that the step cannot follow, or the motion between rows is unknown."""
-    fastest = float(np.max(np.linalg.norm(flight.rate_B_rad_s, axis=1)))
+    fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", flight.rate_B_rad_s, flight.rate_B_rad_s))))
     if not np.isfinite(fastest):
         raise BadInput(
             "the motion ran away: a rate is no longer a number",

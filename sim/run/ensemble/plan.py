@@ -21,7 +21,7 @@ from fluxtwin.sim.run.world import build_world
 from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
 
 RECORD = "ensemble.json"
-_LEAST, _PARTS = 16, 64
+_LEAST, _PARTS = 32, 32
 _CHUNK_BYTES = 32_000_000
 _ROW_BYTES = 120
 """About what a row of one vehicle takes in memory while its chunk is made."""

@@ -5,6 +5,7 @@ Every reader ends here, so a file, a column map and a simulation pass the same d
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -99,11 +100,18 @@ def _fields(table: FileTable, found: Resolution) -> dict[str, FloatArray]:
     for name, (columns, unit) in found.found.items():
         factor = BY_NAME[name].units[unit]
         parts = [table.columns[column] for column in columns]
-        value = parts[0] if len(parts) == 1 else np.stack(parts, axis=1)
+        value = parts[0] if len(parts) == 1 else _joined(parts)
         fields[name] = value if factor == 1.0 else value * factor
     if found.wheels:
-        fields["wheel_speed_rpm"] = np.stack([table.columns[c] for c in found.wheels], axis=1)
+        fields["wheel_speed_rpm"] = _joined([table.columns[c] for c in found.wheels])
     return fields
+
+
+def _joined(columns: Sequence[FloatArray]) -> FloatArray:
+    """(N, n); nobody can change it, so that the record takes it as it is."""
+    whole = np.stack(columns, axis=1)
+    whole.setflags(write=False)
+    return whole
 
 
 def _named(table: FileTable, found: Resolution) -> dict[str, dict[str, FloatArray] | dict[str, str]]:
@@ -210,8 +218,8 @@ def _binary(name: str, value: FloatArray, where: str) -> None:
 
 def _missing_rows(fields: dict[str, FloatArray]) -> list[str]:
     total = max((len(value) for value in fields.values()), default=0)
-    rows = {name: int(np.isnan(value).reshape(total, -1).any(axis=1).sum()) for name, value in fields.items()}
-    missing = {name: count for name, count in rows.items() if count}
+    blank = {name: np.isnan(value).reshape(total, -1) for name, value in fields.items() if np.isnan(np.min(value, initial=0.0))}
+    missing = {name: int(values.any(axis=1).sum()) for name, values in blank.items()}
     if len(missing) == 1:
         return [f"{name} is missing in {count} of {total} rows" for name, count in missing.items()]
     listed = ", ".join(f"{name} in {count}" for name, count in missing.items())

@@ -364,10 +364,11 @@ def _frozen_array(name: str, value: object, rows: int, width: int) -> FloatArray
     wanted = (rows,) if width == 0 else (rows, array.shape[-1] if width == -1 else width)
     if array.shape != wanted:
         raise BadInput(f"has shape {array.shape}", where=name, wanted=f"shape {wanted}")
-    if np.isinf(array).any():
+    most = max(np.fmax.reduce(array, axis=None, initial=0.0), -np.fmin.reduce(array, axis=None, initial=0.0))
+    if np.isinf(most):
         row = int(np.flatnonzero(np.isinf(array).reshape(rows, -1).any(axis=1))[0])
         raise BadInput(f"the value in row {row + 1} is infinite", where=name, wanted="finite numbers or blank")
-    if np.nanmax(np.abs(array), initial=0.0) > _LARGEST:
+    if most > _LARGEST:
         row = int(np.flatnonzero((np.abs(array) > _LARGEST).reshape(rows, -1).any(axis=1))[0])
         worst = float(np.nanmax(np.abs(array[row])))
         raise BadInput(f"{worst:.3g} in row {row + 1} is no measurement", where=name, wanted="a blank cell")

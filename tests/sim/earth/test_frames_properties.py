@@ -55,6 +55,15 @@ def test_quaternions_round_trip_and_mean_what_the_textbook_says(close, component
     close(abs(frames.q_from_rotation(R_BN)[0] @ q_NB), 1.0, atol=1e-14, unit="1", because="q and -q are one attitude")
 
 
+@pytest.mark.parametrize(("first", "second"), [((7, 4), (7, 4)), ((7, 4), (1, 4)), ((4,), (7, 4)), ((4,), (4,))])
+def test_a_product_is_scipys_to_the_bit(first, second):
+    rng = np.random.default_rng(1)
+    one, other = Rotation.from_quat(rng.normal(size=first)), Rotation.from_quat(rng.normal(size=second))
+    ours, witness = frames.product(one, other), one * other
+    assert np.array_equal(ours.as_quat(), witness.as_quat()) and ours.single == witness.single
+    assert not np.array_equal(ours.as_quat(), (other * one).as_quat())
+
+
 @given(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1))
 def test_yaw_roll_and_pitch_round_trip(close, yaw, roll, pitch):
     """Roll is the middle angle: unique within 90 deg."""
